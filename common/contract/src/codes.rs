@@ -1,0 +1,206 @@
+//! The enumerations of the contract.
+//!
+//! In shared memory they are `u32` codes, because a foreign stage may write any number; here they
+//! are Rust enums, and the border between the two is `TryFrom<u32>`.
+
+use serde::{Deserialize, Serialize};
+
+/// A code that this version of the contract does not know.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("unknown {what} code {code}")]
+pub struct UnknownCode {
+    /// Which enumeration.
+    pub what: &'static str,
+    /// The number found.
+    pub code: u32,
+}
+
+macro_rules! codes {
+    ($(#[$doc:meta])* $name:ident, $what:literal { $($(#[$variant_doc:meta])* $variant:ident = $code:literal),+ $(,)? }) => {
+        $(#[$doc])*
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+        #[serde(rename_all = "snake_case")]
+        #[repr(u32)]
+        pub enum $name { $($(#[$variant_doc])* $variant = $code),+ }
+
+        impl $name {
+            /// Every value, in the order of the codes.
+            pub const ALL: &'static [$name] = &[$($name::$variant),+];
+
+            /// The number that stands for it in shared memory.
+            pub const fn code(self) -> u32 {
+                self as u32
+            }
+        }
+
+        impl From<$name> for u32 {
+            fn from(value: $name) -> u32 {
+                value.code()
+            }
+        }
+
+        impl TryFrom<u32> for $name {
+            type Error = UnknownCode;
+
+            fn try_from(code: u32) -> Result<Self, UnknownCode> {
+                match code {
+                    $($code => Ok($name::$variant),)+
+                    code => Err(UnknownCode { what: $what, code }),
+                }
+            }
+        }
+    };
+}
+
+codes! {
+    /// How a frame's samples lie in memory. The luma plane always comes first.
+    PixelFormat, "pixel format" {
+        /// One 8-bit luma plane and nothing else.
+        Gray8 = 0,
+        /// A luma plane, then interleaved chroma at half resolution, rows of the same stride.
+        Nv12 = 1,
+    }
+}
+
+codes! {
+    /// The curve between light and code values.
+    Transfer, "transfer curve" {
+        /// The sRGB curve (IEC 61966-2-1).
+        Srgb = 0,
+        /// code = light^(1/gamma), gamma in the field beside it.
+        Gamma = 1,
+        /// Code values proportional to light.
+        Linear = 2,
+    }
+}
+
+codes! {
+    /// Which code values stand for black and white.
+    Range, "range" {
+        /// 0 to 255.
+        Full = 0,
+        /// 16 to 235, as in most video.
+        Limited = 1,
+    }
+}
+
+codes! {
+    /// The camera model a frame was taken with.
+    Projection, "projection" {
+        /// Longitude along the rows, latitude along the columns; see `docs/CONTRACT.md`.
+        Equirectangular = 0,
+    }
+}
+
+codes! {
+    /// Why a view was cut.
+    ViewKind, "view kind" {
+        /// One of the partitions of the sphere.
+        Partition = 0,
+        /// A small view centred on where a neighbour is predicted.
+        Gaze = 1,
+    }
+}
+
+codes! {
+    /// When rectification stops cutting views from a frame.
+    StopRule, "stop rule" {
+        /// After the first view that holds a marker of a configured body (the paper).
+        FirstHit = 0,
+        /// After the last view of the plan.
+        All = 1,
+        /// When a newer frame is there; in a lossless run after a fixed number of views.
+        Deadline = 2,
+    }
+}
+
+codes! {
+    /// Why a frame ended.
+    StopReason, "stop reason" {
+        /// Every view of the plan was cut.
+        Complete = 0,
+        /// A view held a marker, and the rule was `first_hit`.
+        Hit = 1,
+        /// A newer frame was there, and the rule was `deadline`.
+        Newer = 2,
+        /// The fixed number of views of a lossless run was reached.
+        Budget = 3,
+        /// The views could not be cut; the log says why.
+        Failed = 4,
+        /// The stage was told to stop.
+        Shutdown = 5,
+        /// A worker did not answer in time and no other was there.
+        Overdue = 6,
+    }
+}
+
+codes! {
+    /// How fusion searches a frame (section III-C of the paper, and past it).
+    SearchMode, "search mode" {
+        /// Partitions in a fixed order until the first hit.
+        Greedy = 0,
+        /// The paper's Algorithm 1.
+        Optimized = 1,
+        /// Every partition of every frame.
+        Exhaustive = 2,
+        /// Magnified views at the predicted neighbours first, then partitions, least recently searched first.
+        Gaze = 3,
+    }
+}
+
+codes! {
+    /// Where a neighbour's track is in its life.
+    TrackState, "track state" {
+        /// Seen too few times to be believed.
+        Tentative = 0,
+        /// Believed, and measured in this frame.
+        Confirmed = 1,
+        /// Believed, but predicted only: nothing was measured in this frame.
+        Coasting = 2,
+        /// Not seen for too long; the last message of a track.
+        Lost = 3,
+        /// Solved from this frame alone (`fusion.filter: none`).
+        Measured = 4,
+    }
+}
+
+codes! {
+    /// What a frame's measurement of a neighbour rests on.
+    MeasuredBy, "measurement source" {
+        /// Nothing was measured in this frame.
+        Nothing = 0,
+        /// Decoded markers.
+        Decoded = 1,
+        /// The body aligned with the image.
+        Aligned = 2,
+    }
+}
+
+codes! {
+    /// What a stage says of itself.
+    StageState, "stage state" {
+        /// Opening its ports and devices.
+        Starting = 0,
+        /// Doing its work.
+        Ready = 1,
+        /// Told to stop, finishing what it has.
+        Draining = 2,
+        /// At the end of its input.
+        Finished = 3,
+        /// Waiting for something outside to come back (a camera, say).
+        Degraded = 4,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn codes_come_back() {
+        for &state in TrackState::ALL {
+            assert_eq!(TrackState::try_from(state.code()), Ok(state));
+        }
+        assert_eq!(StopRule::try_from(77), Err(UnknownCode { what: "stop rule", code: 77 }));
+    }
+}

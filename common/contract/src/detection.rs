@@ -1,0 +1,91 @@
+//! `detection`: what a worker found in one view. It is the view's acknowledgement too.
+
+use bytemuck::{Pod, Zeroable};
+use iceoryx2::prelude::ZeroCopySend;
+
+use crate::{ContractError, FrameStamp};
+
+/// Header of a detection record. Payload: its [`DetectedMarker`]s; there may be none.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[type_name("flockeye/DetectionHeader")]
+#[repr(C)]
+pub struct DetectionHeader {
+    /// The frame the view was cut from.
+    pub stamp: FrameStamp,
+    /// The plan that asked for the view.
+    pub plan_id: u64,
+    /// When rectification took up the frame, copied from the view. A latency field.
+    pub taken_ns: i64,
+    /// When the view was published, copied from it. A latency field.
+    pub issued_ns: i64,
+    /// When the worker began with it, CLOCK_MONOTONIC, nanoseconds. A latency field.
+    pub received_ns: i64,
+    /// When the record was published, CLOCK_MONOTONIC, nanoseconds. A latency field.
+    pub sent_ns: i64,
+    /// Rises each time the worker's process is replaced.
+    pub generation: u32,
+    /// Place of the view in the plan, copied from it.
+    pub view_index: u32,
+    /// The attempt, copied from the view.
+    pub attempt: u32,
+    /// The worker that searched it.
+    pub worker: u32,
+    /// Markers among the payload that belong to a configured body: the view is a hit if any do.
+    pub hits: u32,
+    /// 1 if the view could not be searched (the log says why); it is acknowledged all the same.
+    pub failed: u32,
+}
+
+/// One decoded marker.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[type_name("flockeye/DetectedMarker")]
+#[repr(C)]
+pub struct DetectedMarker {
+    /// Unit rays of the corners in the camera frame, in ArUco's order (clockwise from the printed
+    /// pattern's top left).
+    pub rays_in_camera: [[f64; 3]; 4],
+    /// Standard deviation of each ray across itself, radians.
+    pub deviations: [f64; 4],
+    /// The same corners in the view, pixels, (0, 0) the centre of the first.
+    pub corners_in_view: [[f32; 2]; 4],
+    /// The marker's id in its dictionary.
+    pub id: u32,
+    /// Keeps the size a multiple of 8; zero.
+    pub reserved: u32,
+}
+
+/// Records with more markers than this are refused.
+pub const MAX_DETECTED_MARKERS: usize = 256;
+
+impl DetectionHeader {
+    /// Refuses records whose rays are no unit vectors or whose deviations are none.
+    pub fn check(&self, markers: &[DetectedMarker]) -> Result<(), ContractError> {
+        if markers.len() > MAX_DETECTED_MARKERS {
+            return Err(ContractError::TooMany {
+                what: "markers in a view",
+                found: markers.len(),
+                max: MAX_DETECTED_MARKERS,
+            });
+        }
+        if self.hits as usize > markers.len() {
+            return Err(ContractError::TooMany {
+                what: "hits among the markers",
+                found: self.hits as usize,
+                max: markers.len(),
+            });
+        }
+        for marker in markers {
+            for ray in &marker.rays_in_camera {
+                let norm = ray.iter().map(|x| x * x).sum::<f64>().sqrt();
+                // NaN compares false, so it is refused here too.
+                if !((norm - 1.0).abs() < 1e-6) {
+                    return Err(ContractError::Ray { norm });
+                }
+            }
+            if !marker.deviations.iter().all(|&sigma| sigma > 0.0 && sigma < 1.0) {
+                return Err(ContractError::NotFinite { what: "deviation of a corner" });
+            }
+        }
+        Ok(())
+    }
+}

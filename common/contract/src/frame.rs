@@ -1,0 +1,119 @@
+//! `frame`: a source's picture of the whole sphere.
+
+use bytemuck::{Pod, Zeroable};
+use iceoryx2::prelude::ZeroCopySend;
+
+use crate::{ContractError, PixelFormat, Projection, Range, Transfer};
+
+/// Which frame something belongs to, and when its light was caught.
+///
+/// It opens the header of every topic that follows from a frame, so that whatever comes out of
+/// the pipeline can be traced to the exposure it came from.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Pod, Zeroable, ZeroCopySend)]
+#[type_name("flockeye/FrameStamp")]
+#[repr(C)]
+pub struct FrameStamp {
+    /// Frames of the source, counted from 0 in each epoch.
+    pub sequence: u64,
+    /// Middle of the exposure, CLOCK_MONOTONIC, nanoseconds. In a lossless run, where nothing
+    /// happens at its own pace, this clock is the stream's own and equals `stream_ns`.
+    pub exposure_ns: i64,
+    /// Middle of the exposure in the recording's own time, nanoseconds from its start.
+    pub stream_ns: i64,
+    /// When the source published the frame, CLOCK_MONOTONIC, nanoseconds. A latency field.
+    pub published_ns: i64,
+    /// Rises each time the source restarts or loops.
+    pub epoch: u32,
+    /// Rises each time the source's process is replaced.
+    pub source_generation: u32,
+}
+
+impl FrameStamp {
+    /// What orders frames: a later epoch, then a later sequence number.
+    pub fn order(&self) -> (u32, u32, u64) {
+        (self.source_generation, self.epoch, self.sequence)
+    }
+
+    /// Whether both stamps belong to the same frame.
+    pub fn is_same_frame(&self, other: &Self) -> bool {
+        self.order() == other.order()
+    }
+}
+
+/// Header of a frame. Payload: the luma plane, `stride * height` bytes, then chroma for `nv12`.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[type_name("flockeye/FrameHeader")]
+#[repr(C)]
+pub struct FrameHeader {
+    /// Which frame this is.
+    pub stamp: FrameStamp,
+    /// Length of the exposure, nanoseconds; 0 where the source does not know.
+    pub exposure_time_ns: u64,
+    /// Time between the first and the last row's exposure, nanoseconds; 0 for a global shutter.
+    pub readout_ns: u64,
+    /// Pixels in a row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Bytes from one row to the next.
+    pub stride: u32,
+    /// A [`PixelFormat`].
+    pub pixel_format: u32,
+    /// A [`Transfer`].
+    pub transfer: u32,
+    /// The exponent of [`Transfer::Gamma`]; 0 otherwise.
+    pub gamma: f32,
+    /// A [`Range`].
+    pub range: u32,
+    /// A [`Projection`].
+    pub projection: u32,
+}
+
+/// Frames larger than this in either direction are refused.
+pub(crate) const MAX_SIDE_PX: u32 = 16_384;
+
+impl FrameHeader {
+    /// Bytes that the payload of such a frame has.
+    pub fn payload_bytes(&self) -> Result<usize, ContractError> {
+        let luma = self.stride as usize * self.height as usize;
+        Ok(match PixelFormat::try_from(self.pixel_format)? {
+            PixelFormat::Gray8 => luma,
+            PixelFormat::Nv12 => luma + self.stride as usize * self.height.div_ceil(2) as usize,
+        })
+    }
+
+    /// Refuses a header that does not describe `payload_bytes` bytes of pixels.
+    ///
+    /// After it has passed, the luma plane may be read as `height` rows of `width` bytes, `stride`
+    /// apart, without leaving the payload.
+    pub fn check(&self, payload_bytes: usize) -> Result<(), ContractError> {
+        check_image(self.width, self.height, self.stride)?;
+        Projection::try_from(self.projection)?;
+        check_curve(self.transfer, self.gamma, self.range)?;
+        let needed = self.payload_bytes()?;
+        if needed > payload_bytes {
+            return Err(ContractError::PayloadTooShort { needed, found: payload_bytes });
+        }
+        Ok(())
+    }
+}
+
+/// Refuses an image of no, or of absurd, size, and rows that overlap.
+pub(crate) fn check_image(width: u32, height: u32, stride: u32) -> Result<(), ContractError> {
+    if width == 0 || height == 0 || width > MAX_SIDE_PX || height > MAX_SIDE_PX {
+        return Err(ContractError::Size { width, height, max: MAX_SIDE_PX });
+    }
+    if stride < width || stride > 4 * MAX_SIDE_PX {
+        return Err(ContractError::Stride { stride, width });
+    }
+    Ok(())
+}
+
+/// Refuses unknown curves and a gamma that cannot be undone.
+pub(crate) fn check_curve(transfer: u32, gamma: f32, range: u32) -> Result<(), ContractError> {
+    Range::try_from(range)?;
+    if Transfer::try_from(transfer)? == Transfer::Gamma && !(0.1..=10.0).contains(&gamma) {
+        return Err(ContractError::Gamma { gamma });
+    }
+    Ok(())
+}

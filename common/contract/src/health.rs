@@ -1,0 +1,51 @@
+//! `health`: what each stage says of itself, sent by the stage's own loop.
+
+use bytemuck::{Pod, Zeroable};
+use iceoryx2::prelude::ZeroCopySend;
+
+use crate::{ContractError, StageState, Text};
+
+/// Header of `health`. No payload. A hung stage goes silent, so silence is bad health.
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[type_name("flockeye/Health")]
+#[repr(C)]
+pub struct Health {
+    /// When it was sent, CLOCK_MONOTONIC, nanoseconds.
+    pub sent_ns: i64,
+    /// Messages taken in since the process started.
+    pub taken: u64,
+    /// Messages published.
+    pub published: u64,
+    /// Messages that a newer one overtook, or that were abandoned.
+    pub dropped: u64,
+    /// Messages that were refused or could not be worked on.
+    pub failed: u64,
+    /// Processor time used by the process, nanoseconds.
+    pub processor_ns: u64,
+    /// Resident memory of the process, bytes, shared memory included.
+    pub resident_bytes: u64,
+    /// Median of the stage's latency since the last report, nanoseconds; -1: nothing was done.
+    pub latency_median_ns: i64,
+    /// Its 99 % quantile.
+    pub latency_p99_ns: i64,
+    /// The stage's name in pipeline.yaml.
+    pub stage: Text<32>,
+    /// What it works with, in words (the graphics adapter, the stream): for people.
+    pub detail: Text<96>,
+    /// Which of its workers, from 0.
+    pub replica: u32,
+    /// Rises each time the process is replaced.
+    pub generation: u32,
+    /// The process.
+    pub pid: u32,
+    /// A [`StageState`].
+    pub state: u32,
+}
+
+impl Health {
+    /// Refuses a state that nobody knows.
+    pub fn check(&self) -> Result<(), ContractError> {
+        StageState::try_from(self.state)?;
+        Ok(())
+    }
+}

@@ -1,0 +1,125 @@
+//! `plan`: where fusion wants rectification to look.
+
+use bytemuck::{Pod, Zeroable};
+use iceoryx2::prelude::ZeroCopySend;
+
+use crate::frame::MAX_SIDE_PX;
+use crate::{ContractError, FrameStamp, NONE, Pose, SearchMode, StopRule, ViewKind};
+
+/// Header of a plan. Payload: its [`PlannedView`]s, in the order in which they are to be cut.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[type_name("flockeye/PlanHeader")]
+#[repr(C)]
+pub struct PlanHeader {
+    /// The frame after which this plan was made. In a lossless run the plan is the source's
+    /// credit for the frame after it. All zero in the first plan of a fusion process.
+    pub after: FrameStamp,
+    /// Rises with each plan of one fusion process, from 1.
+    pub plan_id: u64,
+    /// When it was made, CLOCK_MONOTONIC, nanoseconds. A latency field.
+    pub made_ns: i64,
+    /// 1 in a plan made after a frame, 0 in the first one, which only opens the flow.
+    pub has_after: u32,
+    /// Rises each time fusion's process is replaced.
+    pub generation: u32,
+    /// A [`StopRule`].
+    pub stop_rule: u32,
+    /// A [`SearchMode`].
+    pub mode: u32,
+    /// Views of this plan to be cut in a lossless run with the rule `deadline`.
+    pub view_budget: u32,
+    /// Keeps the size a multiple of 8; zero.
+    pub reserved: u32,
+}
+
+/// One view that a plan asks for.
+///
+/// A gaze view turns with the neighbour it looks at: rectification moves it from `reference_ns`
+/// to the frame's exposure with `rate_in_camera`.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[type_name("flockeye/PlannedView")]
+#[repr(C)]
+pub struct PlannedView {
+    /// Rotation from the view's frame (x right, y down, z forward) to the camera's, x y z w.
+    pub camera_from_view: [f64; 4],
+    /// How that rotation moves: rotation vector a second, in the camera frame, radians/s.
+    pub rate_in_camera: [f64; 3],
+    /// The exposure time for which `camera_from_view` holds, same clock as the stamp's.
+    pub reference_ns: i64,
+    /// Focal length, pixels.
+    pub focal_px: f64,
+    /// Predicted pose of the body's markers in the camera frame at `reference_ns`, where
+    /// `has_prediction` is 1.
+    pub predicted_camera_from_markers: Pose,
+    /// Pixels along a side: views are square.
+    pub size_px: u32,
+    /// A [`ViewKind`].
+    pub kind: u32,
+    /// Index of the partition, or [`NONE`].
+    pub partition: u32,
+    /// Index of the target's body in the configuration, or [`NONE`].
+    pub target: u32,
+    /// 1 if `predicted_camera_from_markers` holds.
+    pub has_prediction: u32,
+    /// Keeps the size a multiple of 8; zero.
+    pub reserved: u32,
+}
+
+/// Plans with more views than this are refused.
+pub const MAX_PLANNED_VIEWS: usize = 256;
+
+/// Views larger than this are refused.
+pub const MAX_VIEW_PX: u32 = 4_096;
+
+impl PlanHeader {
+    /// Refuses codes that nobody knows and views that cannot be cut.
+    pub fn check(&self, views: &[PlannedView]) -> Result<(), ContractError> {
+        StopRule::try_from(self.stop_rule)?;
+        SearchMode::try_from(self.mode)?;
+        if views.len() > MAX_PLANNED_VIEWS {
+            return Err(ContractError::TooMany {
+                what: "views in a plan",
+                found: views.len(),
+                max: MAX_PLANNED_VIEWS,
+            });
+        }
+        views.iter().try_for_each(PlannedView::check)
+    }
+}
+
+impl PlannedView {
+    fn check(&self) -> Result<(), ContractError> {
+        let kind = ViewKind::try_from(self.kind)?;
+        check_view_geometry(&self.camera_from_view, self.focal_px, self.size_px)?;
+        if !self.rate_in_camera.iter().all(|rate| rate.is_finite() && rate.abs() < 1e3) {
+            return Err(ContractError::NotFinite { what: "view rate" });
+        }
+        if kind == ViewKind::Gaze && self.target == NONE {
+            return Err(ContractError::Missing { what: "target of a gaze view" });
+        }
+        if self.has_prediction != 0 {
+            self.predicted_camera_from_markers.check()?;
+        }
+        Ok(())
+    }
+}
+
+/// Refuses rotations that are none, and sizes and focal lengths that give no picture.
+pub(crate) fn check_view_geometry(
+    camera_from_view: &[f64; 4],
+    focal_px: f64,
+    size_px: u32,
+) -> Result<(), ContractError> {
+    let norm = camera_from_view.iter().map(|q| q * q).sum::<f64>().sqrt();
+    // NaN compares false, so it is refused here too.
+    if !((norm - 1.0).abs() < 1e-3) {
+        return Err(ContractError::Rotation { norm });
+    }
+    if size_px == 0 || size_px > MAX_VIEW_PX {
+        return Err(ContractError::Size { width: size_px, height: size_px, max: MAX_VIEW_PX });
+    }
+    if !(focal_px.is_finite() && focal_px >= 1.0 && focal_px <= f64::from(MAX_SIDE_PX) * 16.0) {
+        return Err(ContractError::Focal { focal_px });
+    }
+    Ok(())
+}

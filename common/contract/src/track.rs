@@ -1,0 +1,163 @@
+//! `frame_end` and `track`: what a frame came to.
+
+use bytemuck::{Pod, Zeroable};
+use iceoryx2::prelude::ZeroCopySend;
+
+use crate::{ContractError, FrameStamp, MeasuredBy, StopReason, Text, TrackState};
+
+/// Header of `frame_end`: rectification is done with a frame. No payload.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[type_name("flockeye/FrameEnd")]
+#[repr(C)]
+pub struct FrameEnd {
+    /// The frame.
+    pub stamp: FrameStamp,
+    /// The plan that was followed; 0 where rectification swept on its own.
+    pub plan_id: u64,
+    /// When the frame was taken up, CLOCK_MONOTONIC, nanoseconds. A latency field.
+    pub taken_ns: i64,
+    /// When its last view was out, CLOCK_MONOTONIC, nanoseconds. A latency field.
+    pub ended_ns: i64,
+    /// Views that were published; their indices are 0 to this number less one.
+    pub views_issued: u32,
+    /// Views of the plan that were not.
+    pub views_abandoned: u32,
+    /// A [`StopReason`].
+    pub reason: u32,
+    /// Rises each time rectification's process is replaced.
+    pub generation: u32,
+}
+
+impl FrameEnd {
+    /// Refuses a reason that nobody knows.
+    pub fn check(&self) -> Result<(), ContractError> {
+        StopReason::try_from(self.reason)?;
+        Ok(())
+    }
+}
+
+/// A rigid transform `a_from_b`: p_a = R(orientation) p_b + position.
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[type_name("flockeye/Pose")]
+#[repr(C)]
+pub struct Pose {
+    /// Metres.
+    pub position: [f64; 3],
+    /// Unit quaternion x y z w.
+    pub orientation: [f64; 4],
+}
+
+impl Default for Pose {
+    fn default() -> Self {
+        Self { position: [0.0; 3], orientation: [0.0, 0.0, 0.0, 1.0] }
+    }
+}
+
+impl Pose {
+    /// Refuses positions that are no numbers and orientations that are no rotations.
+    pub fn check(&self) -> Result<(), ContractError> {
+        if !self.position.iter().all(|x| x.is_finite()) {
+            return Err(ContractError::NotFinite { what: "position" });
+        }
+        let norm = self.orientation.iter().map(|q| q * q).sum::<f64>().sqrt();
+        // NaN compares false, so it is refused here too.
+        if !((norm - 1.0).abs() < 1e-3) {
+            return Err(ContractError::Rotation { norm });
+        }
+        Ok(())
+    }
+}
+
+/// Header of `track`. Payload: the [`Track`]s that this message brings up to date.
+///
+/// A frame may give several messages: a neighbour's pose goes out as soon as it is known.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[type_name("flockeye/TrackHeader")]
+#[repr(C)]
+pub struct TrackHeader {
+    /// The frame that the tracks are up to date with.
+    pub stamp: FrameStamp,
+    /// Rises each time fusion's process is replaced.
+    pub generation: u32,
+    /// 1 in the message that ends the frame (it may bring no track), 0 in those before it.
+    pub is_last: u32,
+}
+
+/// How long each stage took with what led to a track, nanoseconds; -1 where it is unknown.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Pod, Zeroable, ZeroCopySend)]
+#[type_name("flockeye/StageLatency")]
+#[repr(C)]
+pub struct StageLatency {
+    /// Exposure to frame published; -1 in a lossless run.
+    pub capture_ns: i64,
+    /// Frame published to view published.
+    pub rectification_ns: i64,
+    /// View published to detection published.
+    pub detection_ns: i64,
+    /// Detection published to track published.
+    pub fusion_ns: i64,
+    /// Exposure (in a lossless run: frame published) to track published.
+    pub total_ns: i64,
+}
+
+/// A neighbour, as far as one frame goes.
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[type_name("flockeye/Track")]
+#[repr(C)]
+pub struct Track {
+    /// Filtered pose of the target drone in the observer drone's frame.
+    pub observer_from_target: Pose,
+    /// Its covariance, 6x6 row-major: position (m), then rotation vector (rad), both in the
+    /// observer's frame.
+    pub covariance: [f64; 36],
+    /// Velocity of the target in the observer's frame, m/s.
+    pub linear_velocity: [f64; 3],
+    /// Angular velocity of the target in the observer's frame, rad/s.
+    pub angular_velocity: [f64; 3],
+    /// This frame's own measurement of the same pose, where `measured_by` is not `nothing`.
+    pub measured_observer_from_target: Pose,
+    /// Its covariance, as above.
+    pub measured_covariance: [f64; 36],
+    /// Time since the track began, nanoseconds.
+    pub age_ns: i64,
+    /// Time since it was last measured, nanoseconds.
+    pub unseen_ns: i64,
+    /// Where the time went.
+    pub latency: StageLatency,
+    /// The target's name, as configured.
+    pub name: Text<32>,
+    /// Index of the target's body in the configuration.
+    pub target: u32,
+    /// Rises each time a new track of this target begins.
+    pub track_id: u32,
+    /// A [`TrackState`].
+    pub state: u32,
+    /// A [`MeasuredBy`].
+    pub measured_by: u32,
+    /// Markers of the target decoded in this frame.
+    pub markers: u32,
+    /// Keeps the size a multiple of 8; zero.
+    pub reserved: u32,
+}
+
+impl Track {
+    /// Refuses states that nobody knows and poses that are none.
+    pub fn check(&self) -> Result<(), ContractError> {
+        TrackState::try_from(self.state)?;
+        self.observer_from_target.check()?;
+        if !self.covariance.iter().all(|x| x.is_finite()) {
+            return Err(ContractError::NotFinite { what: "covariance" });
+        }
+        let velocities = self.linear_velocity.iter().chain(&self.angular_velocity);
+        if !velocities.into_iter().all(|x| x.is_finite()) {
+            return Err(ContractError::NotFinite { what: "velocity" });
+        }
+        if MeasuredBy::try_from(self.measured_by)? != MeasuredBy::Nothing {
+            self.measured_observer_from_target.check()?;
+            if !self.measured_covariance.iter().all(|x| x.is_finite()) {
+                return Err(ContractError::NotFinite { what: "measured covariance" });
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,25 @@
+//! Pure mathematics of Flockeye, without input or output.
+//!
+//! | module | what it answers |
+//! | --- | --- |
+//! | [`camera`] | which ray does a pixel of the sphere image see, and back |
+//! | [`view`] | which ray does a pixel of a square pinhole view see, and back |
+//! | [`partition`] | which views cover the whole sphere |
+//! | [`body`] | where are a body's markers and their corners |
+//! | [`pose`] | which pose of a body explains a set of rays |
+//! | [`filter`] | where is a neighbour now, and where will it be |
+//! | [`search`] | where to look in the next frame |
+//!
+//! Frames are right-handed; body and camera frames are x forward, y left, z up; a view's frame is
+//! x right, y down, z forward. Every transform is named `target_from_source`.
+
+pub mod body;
+pub mod camera;
+pub mod filter;
+pub mod partition;
+pub mod pose;
+pub mod search;
+pub mod view;
+
+/// A unit direction. What it is relative to is said by the name of the variable that holds it.
+pub type Ray = nalgebra::Unit<nalgebra::Vector3<f64>>;
