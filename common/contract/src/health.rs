@@ -6,7 +6,7 @@ use iceoryx2::prelude::ZeroCopySend;
 use crate::{ContractError, StageState, Text};
 
 /// Header of `health`. No payload. A hung stage goes silent, so silence is bad health.
-#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
 #[type_name("flockeye/Health")]
 #[repr(C)]
 pub struct Health {

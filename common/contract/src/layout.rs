@@ -1,3 +1,170 @@
 //! Pins the memory layout that `docs/CONTRACT.md` promises to writers in other languages.
+#![allow(clippy::unwrap_used)]
 
 use std::mem::{align_of, offset_of, size_of};
+
+use crate::{
+    BodyTruth, DetectedMarker, DetectionHeader, FrameEnd, FrameHeader, FrameStamp, Health,
+    PlanHeader, PlannedView, Pose, StageLatency, Text, Track, TrackHeader, TruthHeader, ViewHeader,
+};
+
+/// The layout of a type as text: name, size, alignment, then the offset of each field.
+macro_rules! layout {
+    ($name:ident: $($field:ident),+ $(,)?) => {{
+        let mut text = format!("{} {} {}\n", stringify!($name), size_of::<$name>(), align_of::<$name>());
+        $(text += &format!("  {} {}\n", stringify!($field), offset_of!($name, $field));)+
+        text
+    }};
+}
+
+fn all_layouts() -> String {
+    [
+        layout!(FrameStamp: sequence, exposure_ns, stream_ns, published_ns, epoch, source_generation),
+        layout!(Pose: position, orientation),
+        layout!(FrameHeader: stamp, exposure_time_ns, readout_ns, width, height, stride, pixel_format,
+            transfer, gamma, range, projection),
+        layout!(PlanHeader: after, plan_id, made_ns, has_after, generation, stop_rule, mode, view_budget,
+            reserved),
+        layout!(PlannedView: camera_from_view, rate_in_camera, reference_ns, focal_px,
+            predicted_camera_from_markers, size_px, kind, partition, target, has_prediction, reserved),
+        layout!(ViewHeader: stamp, plan_id, taken_ns, issued_ns, camera_from_view, focal_px,
+            predicted_camera_from_markers, readout_ns, generation, view_index, attempt, worker, size_px,
+            stride, kind, partition, target, has_prediction, transfer, gamma, range, reserved),
+        layout!(DetectionHeader: stamp, plan_id, taken_ns, issued_ns, received_ns, sent_ns, generation,
+            view_index, attempt, worker, hits, failed),
+        layout!(DetectedMarker: rays_in_camera, deviations, corners_in_view, id, reserved),
+        layout!(FrameEnd: stamp, plan_id, taken_ns, ended_ns, views_issued, views_abandoned, reason,
+            generation),
+        layout!(TrackHeader: stamp, generation, is_last),
+        layout!(StageLatency: capture_ns, rectification_ns, detection_ns, fusion_ns, total_ns),
+        layout!(Track: observer_from_target, covariance, linear_velocity, angular_velocity,
+            measured_observer_from_target, measured_covariance, age_ns, unseen_ns, latency, name, target,
+            track_id, state, measured_by, markers, reserved),
+        layout!(Health: sent_ns, taken, published, dropped, failed, processor_ns, resident_bytes,
+            latency_median_ns, latency_p99_ns, stage, detail, replica, generation, pid, state),
+        layout!(TruthHeader: stamp, observer_yaw, exposure_s),
+        layout!(BodyTruth: camera_from_markers, observer_from_target, best_side_px, blur_px, name, target,
+            markers_visible_50, markers_visible_90, localisable),
+    ]
+    .concat()
+}
+
+#[test]
+fn the_layout_is_the_documented_one() {
+    let contract = include_str!("../../../docs/CONTRACT.md");
+    let documented = contract
+        .split("```layout\n")
+        .nth(1)
+        .and_then(|rest| rest.split("```").next())
+        .unwrap_or("docs/CONTRACT.md has no block ```layout");
+    assert_eq!(all_layouts(), documented, "docs/CONTRACT.md must hold exactly:\n{}", all_layouts());
+}
+
+#[test]
+fn type_names_are_pinned() {
+    use iceoryx2::prelude::ZeroCopySend;
+    // SAFETY: the call only names the type; nothing is transmitted.
+    let names = unsafe {
+        [
+            FrameHeader::type_name(),
+            PlanHeader::type_name(),
+            PlannedView::type_name(),
+            ViewHeader::type_name(),
+            DetectionHeader::type_name(),
+            DetectedMarker::type_name(),
+            FrameEnd::type_name(),
+            TrackHeader::type_name(),
+            Track::type_name(),
+            Health::type_name(),
+            TruthHeader::type_name(),
+            BodyTruth::type_name(),
+        ]
+    };
+    let wanted = [
+        "flockeye/FrameHeader",
+        "flockeye/PlanHeader",
+        "flockeye/PlannedView",
+        "flockeye/ViewHeader",
+        "flockeye/DetectionHeader",
+        "flockeye/DetectedMarker",
+        "flockeye/FrameEnd",
+        "flockeye/TrackHeader",
+        "flockeye/Track",
+        "flockeye/Health",
+        "flockeye/TruthHeader",
+        "flockeye/BodyTruth",
+    ];
+    assert_eq!(names, wanted);
+}
+
+#[test]
+fn lying_headers_are_refused() {
+    use crate::{Frames, PixelFormat, Topic};
+    let honest = FrameHeader { width: 64, height: 32, stride: 64, ..FrameHeader::default() };
+    let pixels = vec![0; 64 * 32];
+    assert_eq!(Frames::check(&honest, &pixels), Ok(()));
+    let refused = |change: &dyn Fn(&mut FrameHeader)| {
+        let mut header = honest;
+        change(&mut header);
+        Frames::check(&header, &pixels).unwrap_err().to_string()
+    };
+    assert!(refused(&|header| header.height = 33).contains("2112 bytes of payload, 2048"));
+    assert!(refused(&|header| header.width = 0).contains("0x32 pixels"));
+    assert!(refused(&|header| header.stride = 63).contains("rows of 64 pixels"));
+    assert!(refused(&|header| header.height = u32::MAX).contains("pixels"));
+    assert!(
+        refused(&|header| header.pixel_format = PixelFormat::Nv12.code()).contains("3072 bytes")
+    );
+    assert!(refused(&|header| header.pixel_format = 99).contains("unknown pixel format code 99"));
+    assert!(refused(&|header| header.transfer = 1).contains("gamma 0"));
+}
+
+#[test]
+fn senseless_plans_and_detections_are_refused() {
+    use crate::{Detections, Plans, Topic, ViewKind};
+    let view = PlannedView {
+        camera_from_view: [0.0, 0.0, 0.0, 1.0],
+        focal_px: 600.0,
+        size_px: 900,
+        ..PlannedView::default()
+    };
+    let refused = |change: &dyn Fn(&mut PlannedView)| {
+        let mut view = view;
+        change(&mut view);
+        Plans::check(&PlanHeader::default(), &[view]).unwrap_err().to_string()
+    };
+    assert_eq!(Plans::check(&PlanHeader::default(), &[view; 12]), Ok(()));
+    assert!(refused(&|view| view.camera_from_view[0] = f64::NAN).contains("length NaN"));
+    assert!(refused(&|view| view.size_px = 0).contains("0x0 pixels"));
+    assert!(refused(&|view| view.size_px = 16_000).contains("16000x16000"));
+    assert!(refused(&|view| view.focal_px = f64::INFINITY).contains("focal length"));
+    assert!(refused(&|view| view.rate_in_camera[1] = f64::NAN).contains("view rate"));
+    assert!(
+        refused(&|view| (view.kind, view.target) = (ViewKind::Gaze.code(), u32::MAX))
+            .contains("target")
+    );
+    assert!(
+        Plans::check(&PlanHeader::default(), &[view; 1000])
+            .unwrap_err()
+            .to_string()
+            .contains("1000 views")
+    );
+    let marker = DetectedMarker {
+        rays_in_camera: [[1.0, 0.0, 0.0]; 4],
+        deviations: [1e-3; 4],
+        ..DetectedMarker::default()
+    };
+    let header = DetectionHeader::default();
+    assert_eq!(Detections::check(&header, &[marker]), Ok(()));
+    let long = DetectedMarker { rays_in_camera: [[2.0, 0.0, 0.0]; 4], ..marker };
+    assert!(Detections::check(&header, &[long]).unwrap_err().to_string().contains("length 2"));
+    let sure = DetectedMarker { deviations: [0.0; 4], ..marker };
+    assert!(Detections::check(&header, &[sure]).unwrap_err().to_string().contains("deviation"));
+    let boasting = DetectionHeader { hits: 3, ..header };
+    assert!(Detections::check(&boasting, &[marker]).unwrap_err().to_string().contains("3 hits"));
+}
+
+#[test]
+fn text_is_plain_bytes() {
+    assert_eq!((size_of::<Text<32>>(), align_of::<Text<32>>()), (32, 1));
+}

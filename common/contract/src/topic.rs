@@ -99,7 +99,7 @@ pub enum ContractError {
 /// One publish-subscribe service: messages of one header and a slice of items.
 pub trait Topic {
     /// The iceoryx2 user header.
-    type Header: ZeroCopySend + Pod + Debug;
+    type Header: ZeroCopySend + Pod + Default + Debug;
     /// The iceoryx2 payload is `[Item]`.
     type Item: ZeroCopySend + Pod + Debug;
     /// Name of the service and of the event service that wakes its subscribers.

@@ -201,6 +201,11 @@ impl Bodies {
         self.bodies.len()
     }
 
+    /// Side of the largest marker of all, metres.
+    pub fn largest_side(&self) -> f64 {
+        self.bodies.iter().map(Body::largest_side).fold(0.0, f64::max)
+    }
+
     /// The body with this index.
     pub fn get(&self, index: usize) -> Option<&Body> {
         self.bodies.get(index)

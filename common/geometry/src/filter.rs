@@ -1,1 +1,349 @@
-//! .
+//! The filter of one neighbour: where it is now, and where it will be.
+//!
+//! An error-state Kalman filter on position x rotation with constant velocity, driven by white-noise
+//! acceleration (Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to Tracking and
+//! Navigation", section 6.2.2; Sola, "Quaternion kinematics for the error-state Kalman filter").
+//!
+//! The state is the target's pose in the observer's frame with its linear and angular velocity; the
+//! error is (position, rotation vector, linear velocity, angular velocity), all in the observer's
+//! axes: `R_true = exp(rotation error) R`. So the leading 6x6 block is the project's pose covariance.
+
+mod life;
+
+pub use life::{Happened, LifeCycle, TrackPolicy, TrackState};
+
+use nalgebra::{
+    Isometry3, Matrix3, Matrix6, SMatrix, SVector, Translation3, UnitQuaternion, Vector3, Vector6,
+};
+
+/// Covariance of the error: position, rotation vector, linear and angular velocity.
+pub type StateCovariance = SMatrix<f64, 12, 12>;
+
+/// How a neighbour is thought to move.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MotionModel {
+    /// White-noise acceleration along each axis: root of its spectral density, m/s^2 per root Hz.
+    /// After a second of it, a velocity known before is uncertain by as many m/s.
+    pub acceleration: f64,
+    /// White-noise angular acceleration about each axis, rad/s^2 per root Hz.
+    pub angular_acceleration: f64,
+    /// Standard deviation of each component of a new track's velocity, m/s.
+    pub initial_speed: f64,
+    /// Standard deviation of each component of a new track's angular velocity, rad/s.
+    pub initial_rate: f64,
+    /// Steps longer than this are refused, seconds: nothing is known any more after them.
+    pub longest_step_s: f64,
+}
+
+impl Default for MotionModel {
+    /// For small drones: 4 m/s^2 and 6 rad/s^2 per root Hz, 2 m/s and 1.5 rad/s at first.
+    fn default() -> Self {
+        Self {
+            acceleration: 4.0,
+            angular_acceleration: 6.0,
+            initial_speed: 2.0,
+            initial_rate: 1.5,
+            longest_step_s: 5.0,
+        }
+    }
+}
+
+/// What the filter knows of a neighbour at one time.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Track {
+    stamp_s: f64,
+    observer_from_target: Isometry3<f64>,
+    velocity: Vector3<f64>,
+    rate: Vector3<f64>,
+    covariance: StateCovariance,
+    motion: MotionModel,
+}
+
+/// Where a neighbour is, or will be.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Prediction {
+    /// The time it holds for, seconds.
+    pub stamp_s: f64,
+    /// The target's pose in the observer's frame.
+    pub observer_from_target: Isometry3<f64>,
+    /// Velocity of the target's origin, in the observer's axes, m/s.
+    pub velocity: Vector3<f64>,
+    /// Angular velocity, in the observer's axes, rad/s.
+    pub rate: Vector3<f64>,
+    /// Covariance of all of it; see [`StateCovariance`].
+    pub covariance: StateCovariance,
+}
+
+impl Prediction {
+    /// Covariance of the pose: position (m), then rotation vector (rad), in the observer's axes.
+    pub fn pose_covariance(&self) -> Matrix6<f64> {
+        self.covariance.fixed_view::<6, 6>(0, 0).into_owned()
+    }
+}
+
+/// How far a measurement lay from what was predicted.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Innovation {
+    /// Measured less predicted: position (m), then rotation vector (rad), in the observer's axes.
+    pub difference: Vector6<f64>,
+    /// Squared Mahalanobis distance: chi-square with 6 degrees of freedom if all is as assumed.
+    pub distance_squared: f64,
+}
+
+/// Why a filter could not be asked.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum FilterError {
+    /// A pose, a time or a covariance is not a number, or a covariance is none.
+    #[error("the {what} is not usable: it must be finite, a covariance also positive definite")]
+    Unusable {
+        /// Which.
+        what: &'static str,
+    },
+    /// The time lies before the track's.
+    #[error("{at_s:.6} s lies before the track's own time, {stamp_s:.6} s")]
+    Past {
+        /// The time asked for, seconds.
+        at_s: f64,
+        /// The track's time, seconds.
+        stamp_s: f64,
+    },
+    /// The time lies so far after the track's that nothing is known of it.
+    #[error(
+        "{at_s:.6} s lies more than {longest_s} s after the track's time, {stamp_s:.6} s: start anew"
+    )]
+    Gap {
+        /// The time asked for, seconds.
+        at_s: f64,
+        /// The track's time, seconds.
+        stamp_s: f64,
+        /// The longest step allowed, seconds.
+        longest_s: f64,
+    },
+    /// The measurement lies outside the gate; the track is as it was.
+    #[error("the measurement lies outside the gate: {:.1} > {gate:.1}", .innovation.distance_squared)]
+    Gated {
+        /// How far it lay off.
+        innovation: Innovation,
+        /// The largest squared distance that would have passed.
+        gate: f64,
+    },
+}
+
+impl Track {
+    /// A track that begins with a measured pose, of unknown velocity.
+    ///
+    /// `covariance`: position (m), then rotation vector (rad), in the observer's axes.
+    ///
+    /// # Errors
+    /// [`FilterError::Unusable`].
+    pub fn start(
+        stamp_s: f64,
+        observer_from_target: Isometry3<f64>,
+        covariance: &Matrix6<f64>,
+        motion: MotionModel,
+    ) -> Result<Self, FilterError> {
+        check(stamp_s, &observer_from_target, covariance)?;
+        let mut state = StateCovariance::zeros();
+        state.fixed_view_mut::<6, 6>(0, 0).copy_from(covariance);
+        for axis in 0..3 {
+            state[(6 + axis, 6 + axis)] = motion.initial_speed.powi(2);
+            state[(9 + axis, 9 + axis)] = motion.initial_rate.powi(2);
+        }
+        Ok(Self {
+            stamp_s,
+            observer_from_target,
+            velocity: Vector3::zeros(),
+            rate: Vector3::zeros(),
+            covariance: state,
+            motion,
+        })
+    }
+
+    /// The time of the last measurement taken in, seconds.
+    pub fn stamp_s(&self) -> f64 {
+        self.stamp_s
+    }
+
+    /// What is known at that time.
+    pub fn now(&self) -> Prediction {
+        Prediction {
+            stamp_s: self.stamp_s,
+            observer_from_target: self.observer_from_target,
+            velocity: self.velocity,
+            rate: self.rate,
+            covariance: self.covariance,
+        }
+    }
+
+    /// Where the neighbour will be at `at_s` (seconds, on the clock of the measurements) if it
+    /// keeps its velocity; the covariance says how sure that is.
+    ///
+    /// # Errors
+    /// A time before the track's, more than [`MotionModel::longest_step_s`] after it, or no number.
+    pub fn predict(&self, at_s: f64) -> Result<Prediction, FilterError> {
+        if !at_s.is_finite() {
+            return Err(FilterError::Unusable { what: "time" });
+        }
+        let (stamp_s, longest_s) = (self.stamp_s, self.motion.longest_step_s);
+        let step = at_s - stamp_s;
+        if step < 0.0 {
+            return Err(FilterError::Past { at_s, stamp_s });
+        }
+        if step > longest_s {
+            return Err(FilterError::Gap { at_s, stamp_s, longest_s });
+        }
+        let turn = UnitQuaternion::from_scaled_axis(self.rate * step);
+        let pose = &self.observer_from_target;
+        let observer_from_target = Isometry3::from_parts(
+            Translation3::from(pose.translation.vector + self.velocity * step),
+            turn * pose.rotation,
+        );
+        // With R_true = exp(e) R and the rate w + d:
+        // exp((w + d) t) exp(e) R = exp(Jl(w t) d t) exp(exp(w t) e) exp(w t) R, to first order.
+        let mut transition = StateCovariance::identity();
+        transition.fixed_view_mut::<3, 3>(0, 6).fill_diagonal(step);
+        transition.fixed_view_mut::<3, 3>(3, 3).copy_from(turn.to_rotation_matrix().matrix());
+        transition
+            .fixed_view_mut::<3, 3>(3, 9)
+            .copy_from(&(left_jacobian(&(self.rate * step)) * step));
+        let covariance =
+            transition * self.covariance * transition.transpose() + self.motion.noise(step);
+        Ok(Prediction {
+            stamp_s: at_s,
+            observer_from_target,
+            velocity: self.velocity,
+            rate: self.rate,
+            covariance,
+        })
+    }
+
+    /// Takes in a pose measured at `stamp_s`, unless it lies outside `gate`: the largest squared
+    /// Mahalanobis distance to pass (see [`chi_square_gate`]).
+    ///
+    /// `covariance`: the measurement's: position (m), then rotation vector (rad), in the observer's
+    /// axes.
+    ///
+    /// # Errors
+    /// [`FilterError`]; the track is then as it was before.
+    pub fn update(
+        &mut self,
+        stamp_s: f64,
+        measured: &Isometry3<f64>,
+        covariance: &Matrix6<f64>,
+        gate: f64,
+    ) -> Result<Innovation, FilterError> {
+        check(stamp_s, measured, covariance)?;
+        let predicted = self.predict(stamp_s)?;
+        let pose = &predicted.observer_from_target;
+        let mut difference = Vector6::zeros();
+        difference
+            .fixed_rows_mut::<3>(0)
+            .copy_from(&(measured.translation.vector - pose.translation.vector));
+        difference
+            .fixed_rows_mut::<3>(3)
+            .copy_from(&(measured.rotation * pose.rotation.inverse()).scaled_axis());
+
+        // The measurement is the state's first half: H = [I 0].
+        let innovation_covariance = predicted.pose_covariance() + covariance;
+        let Some(factor) = innovation_covariance.cholesky() else {
+            return Err(FilterError::Unusable { what: "innovation's covariance" });
+        };
+        let distance_squared = difference.dot(&factor.solve(&difference));
+        let innovation = Innovation { difference, distance_squared };
+        if distance_squared.is_nan() || distance_squared > gate {
+            return Err(FilterError::Gated { innovation, gate });
+        }
+        let seen = predicted.covariance.fixed_rows::<6>(0).into_owned();
+        let gain: SMatrix<f64, 12, 6> = factor.solve(&seen).transpose();
+        let correction: SVector<f64, 12> = gain * difference;
+
+        // Joseph's form stays symmetric and positive whatever the rounding.
+        let mut keep = StateCovariance::identity();
+        let mut shrink = keep.fixed_columns_mut::<6>(0);
+        shrink -= gain;
+        let mut updated =
+            keep * predicted.covariance * keep.transpose() + gain * covariance * gain.transpose();
+        // The error is now counted from the corrected rotation (Sola, section 6.3).
+        let turned = correction.fixed_rows::<3>(3).into_owned();
+        let mut reset = StateCovariance::identity();
+        reset.fixed_view_mut::<3, 3>(3, 3).copy_from(&left_jacobian(&turned));
+        updated = reset * updated * reset.transpose();
+
+        self.stamp_s = stamp_s;
+        self.observer_from_target = Isometry3::from_parts(
+            Translation3::from(pose.translation.vector + correction.fixed_rows::<3>(0)),
+            UnitQuaternion::from_scaled_axis(turned) * pose.rotation,
+        );
+        self.observer_from_target.rotation.renormalize();
+        self.velocity = predicted.velocity + correction.fixed_rows::<3>(6);
+        self.rate = predicted.rate + correction.fixed_rows::<3>(9);
+        self.covariance = (updated + updated.transpose()) / 2.0;
+        Ok(innovation)
+    }
+}
+
+impl MotionModel {
+    /// Covariance that `step` seconds of white-noise acceleration add.
+    fn noise(&self, step: f64) -> StateCovariance {
+        let mut noise = StateCovariance::zeros();
+        for (first, density) in [(0, self.acceleration), (3, self.angular_acceleration)] {
+            let power = density * density;
+            for axis in first..first + 3 {
+                noise[(axis, axis)] = power * step.powi(3) / 3.0;
+                noise[(axis, axis + 6)] = power * step.powi(2) / 2.0;
+                noise[(axis + 6, axis)] = noise[(axis, axis + 6)];
+                noise[(axis + 6, axis + 6)] = power * step;
+            }
+        }
+        noise
+    }
+}
+
+/// The squared distance that a right measurement of 6 degrees of freedom stays below with this
+/// probability: the chi-square quantile. 0.999 gives 22.46. Clamped to probabilities of 0 to
+/// 1 - 1e-12; NaN gives 0.
+pub fn chi_square_gate(probability: f64) -> f64 {
+    // An even number of degrees of freedom has a closed form: 1 - exp(-x/2) (1 + x/2 + x^2/8).
+    let tail = |x: f64| (-x / 2.0).exp() * (1.0 + x / 2.0 + x * x / 8.0);
+    let wanted = (1.0 - probability.max(0.0)).max(1e-12);
+    let (mut low, mut high) = (0.0, 100.0);
+    for _ in 0..80 {
+        let middle = (low + high) / 2.0;
+        if tail(middle) > wanted { low = middle } else { high = middle }
+    }
+    high
+}
+
+/// Left Jacobian of SO(3): `exp(v + d) = exp(Jl(v) d) exp(v)` to first order in d.
+fn left_jacobian(vector: &Vector3<f64>) -> Matrix3<f64> {
+    let angle = vector.norm();
+    let cross = vector.cross_matrix();
+    // The series' next terms are below 1e-9 of these.
+    let (first, second) = if angle < 1e-4 {
+        (0.5, 1.0 / 6.0)
+    } else {
+        ((1.0 - angle.cos()) / angle.powi(2), (angle - angle.sin()) / angle.powi(3))
+    };
+    Matrix3::identity() + cross * first + cross * cross * second
+}
+
+fn check(
+    stamp_s: f64,
+    pose: &Isometry3<f64>,
+    covariance: &Matrix6<f64>,
+) -> Result<(), FilterError> {
+    let finite_pose = pose.translation.vector.iter().all(|x| x.is_finite())
+        && (pose.rotation.quaternion().norm() - 1.0).abs() < 1e-6;
+    if !stamp_s.is_finite() {
+        Err(FilterError::Unusable { what: "time" })
+    } else if !finite_pose {
+        Err(FilterError::Unusable { what: "measured pose" })
+    } else if !covariance.iter().all(|x| x.is_finite()) || covariance.cholesky().is_none() {
+        Err(FilterError::Unusable { what: "measurement's covariance" })
+    } else {
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests;

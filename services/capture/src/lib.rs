@@ -1,1 +1,56 @@
-//! .
+//! Where frames come from: a camera, a video file or a folder of images, read through GStreamer.
+//!
+//! A [`Source`] hands out luma planes, straight from the decoder's own memory. Markers need no
+//! colour, so nothing is converted that has a luma plane of its own:
+//!
+//! ```no_run
+//! use std::time::Duration;
+//! use flockeye_capture::{Event, Source, SourceParameters, SourceSpec};
+//!
+//! # fn main() -> Result<(), flockeye_capture::CaptureError> {
+//! let spec: SourceSpec = "flight.mp4".parse()?;
+//! let mut source = Source::open(spec, SourceParameters::new(3840, 1920))?;
+//! println!("{}", source.describe());
+//! loop {
+//!     match source.next(Duration::from_millis(100))? {
+//!         Event::Frame(picture) => println!("{}: {} bytes", picture.sequence(), picture.luma().len()),
+//!         Event::Idle => {}
+//!         Event::Looped { .. } => println!("from the start again"),
+//!         Event::Lost { reason, retry_in } => println!("{reason}; trying again in {retry_in:?}"),
+//!         Event::Skipped { what, why } => println!("{what} skipped: {why}"),
+//!         Event::End(reason) => break println!("{reason}"),
+//!     }
+//! }
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! What runs where: GStreamer decodes in threads of its own and puts each frame into a mailbox;
+//! [`Source::next`] takes from it. In [`Paced::RealTime`] the newest frame replaces the one that
+//! nobody took; in [`Paced::Lossless`] the decoder waits until there is room.
+
+mod backoff;
+mod census;
+mod clock;
+mod decoder;
+mod error;
+mod event;
+mod explain;
+mod file;
+mod folder;
+mod input;
+mod mailbox;
+mod parameters;
+mod picture;
+mod pipeline;
+mod playback;
+mod source;
+mod spec;
+pub mod stage;
+
+pub use error::CaptureError;
+pub use event::{EndReason, Event};
+pub use parameters::{Paced, SourceParameters};
+pub use picture::Picture;
+pub use source::Source;
+pub use spec::SourceSpec;

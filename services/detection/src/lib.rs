@@ -1,1 +1,56 @@
-//! .
+//! Finds decoded markers in a view.
+//!
+//! OpenCV's ArUco says where squares are ([`candidates`]); what is printed in them is read in linear
+//! light and compared with the dictionary's markers as a lens would blur them ([`reading`]); and the
+//! corners are those of the edges fitted to the light ([`flockeye_imaging::edges`]), because
+//! OpenCV's lie inside the true square by up to 0.85 px. [`Detector`] puts the three together.
+//!
+//! OpenCV's own decoding takes the nearest pixel of each cell's middle, so that a blurred marker is
+//! lost below some 20 px, and it does not look at the white round the square at all, so that texture
+//! with the right bits passes. Here squares that OpenCV could not decode are read as well, and none
+//! passes without its quiet zone.
+
+pub mod candidates;
+mod detector;
+mod dictionary;
+mod reading;
+pub mod stage;
+
+pub use detector::{Detector, DetectorParameters, Found, Threshold, use_one_thread};
+pub use dictionary::{Dictionary, PREDEFINED};
+
+/// Why a dictionary could not be had, or a view not be searched.
+#[derive(Debug, thiserror::Error)]
+pub enum DetectError {
+    /// Neither a known name nor a file.
+    #[error(
+        "unknown dictionary '{name}'. Known are {}; a path to a dictionary file in OpenCV's YAML \
+         form is another way (is there such a file?)",
+        PREDEFINED.join(", ")
+    )]
+    UnknownDictionary {
+        /// What was asked for.
+        name: String,
+    },
+    /// A file that is no dictionary.
+    #[error("'{path}' is no dictionary file: {what}")]
+    DictionaryFile {
+        /// The file.
+        path: String,
+        /// What is wrong in it.
+        what: String,
+    },
+    /// A parameter outside its range.
+    #[error("{name} is {value}; it must be {allowed}")]
+    Parameter {
+        /// The parameter.
+        name: &'static str,
+        /// What it was.
+        value: f64,
+        /// What it may be.
+        allowed: &'static str,
+    },
+    /// OpenCV refused.
+    #[error("OpenCV: {0}")]
+    OpenCv(#[from] opencv::Error),
+}

@@ -1,1 +1,20 @@
-//! .
+//! Stage: detections to tracks, and plans for where to look next.
+//!
+//! It takes views (their headers), detections and frame ends; it gives tracks and plans; between
+//! frames it keeps a filter for each neighbour and what was searched when.
+//!
+//! | module | what it does |
+//! | --- | --- |
+//! | [`assembly`] | puts a frame together from what the stages say of it |
+//! | [`sighting`] | one believed pose of a body from a frame's rays |
+//! | [`neighbour`] | a neighbour's track from frame to frame |
+//! | [`swarm`] | all neighbours, and the plan for the next frame |
+//! | [`message`] | the same as the contract's messages |
+//! | [`stage`] | the ports around it |
+
+pub mod assembly;
+pub mod message;
+pub mod neighbour;
+pub mod sighting;
+pub mod stage;
+pub mod swarm;

@@ -1,1 +1,29 @@
-//! .
+//! The `flockeye` command: it creates the shared memory, starts and watches the stages' processes,
+//! and shows what they do. The data path never needs it.
+//!
+//! | module | what it does |
+//! | --- | --- |
+//! | [`cli`] | the command line |
+//! | [`up`] | runs a pipeline until it ends |
+//! | [`process`] | one stage's process: started, restarted, stopped, never an orphan |
+//! | [`dashboard`] | what the stages and the neighbours are doing, as a table |
+//! | [`screen`] | the terminal: log lines above, the table below |
+//! | [`record`] | poses and truth as CSV |
+//! | [`evaluation`] | poses against the truth |
+//! | [`check`] | what a configuration means on this machine |
+//! | [`peers`] | what the whole swarm reports over Zenoh |
+//! | [`clean`] | removes what dead runs left behind |
+//! | [`exec`] | the first instructions of a stage's process |
+
+pub mod check;
+pub mod clean;
+pub mod cli;
+pub mod dashboard;
+pub mod evaluation;
+pub mod exec;
+pub mod peers;
+pub mod process;
+pub mod record;
+pub mod schema;
+pub mod screen;
+pub mod up;

@@ -1,1 +1,27 @@
-fn main() {}
+//! The `flockeye` command.
+
+use std::process::ExitCode;
+
+use clap::Parser;
+use flockeye_launcher::cli::{Command, Flockeye};
+use flockeye_launcher::{check, clean, evaluation, exec, peers, schema, up};
+
+fn main() -> ExitCode {
+    flockeye_runtime::logs::init();
+    let outcome = match Flockeye::parse().command {
+        Command::Up(arguments) => up::run(&arguments),
+        Command::Check(arguments) => check::run(&arguments),
+        Command::Peers(arguments) => peers::run(&arguments),
+        Command::Eval(arguments) => evaluation::run(&arguments),
+        Command::Clean(arguments) => clean::run(&arguments),
+        Command::Schema => schema::run(),
+        Command::ExecStage(arguments) => exec::run(&arguments),
+    };
+    match outcome {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("flockeye: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}

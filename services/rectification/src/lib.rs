@@ -1,1 +1,17 @@
-//! .
+//! Stage: frames and plans to views.
+//!
+//! | module | what it answers |
+//! | --- | --- |
+//! | [`rectifier`] | who cuts views, and which back end is chosen |
+//! | [`cpu`] | views cut by the processor |
+//! | [`gpu`] | views cut by the graphics processor |
+//! | [`job`] | which views of a frame are cut, which is next, and when it is enough |
+//! | [`dispatch`] | which worker gets the next view, and which views were lost |
+//! | [`stage`] | the ports around it |
+
+pub mod cpu;
+pub mod dispatch;
+pub mod gpu;
+pub mod job;
+pub mod rectifier;
+pub mod stage;

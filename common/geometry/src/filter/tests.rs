@@ -1,0 +1,256 @@
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+
+use nalgebra::Unit;
+
+use super::*;
+use crate::pose::fixtures::{Chance, error};
+
+const GATE: f64 = 22.46;
+
+/// Measurements of 1 cm and 2 degrees.
+fn covariance() -> Matrix6<f64> {
+    let (position, rotation) = (0.01f64.powi(2), 2f64.to_radians().powi(2));
+    Matrix6::from_diagonal(&Vector6::new(
+        position, position, position, rotation, rotation, rotation,
+    ))
+}
+
+fn measure(truth: &Isometry3<f64>, chance: &mut Chance) -> Isometry3<f64> {
+    let noise = Vector6::from(chance.normals::<6>())
+        .component_mul(&Vector6::new(0.01, 0.01, 0.01, 0.0349, 0.0349, 0.0349));
+    moved(truth, &noise)
+}
+
+fn moved(pose: &Isometry3<f64>, by: &Vector6<f64>) -> Isometry3<f64> {
+    let turn = UnitQuaternion::from_scaled_axis(by.fixed_rows::<3>(3).into_owned());
+    Isometry3::from_parts(
+        (pose.translation.vector + by.fixed_rows::<3>(0)).into(),
+        turn * pose.rotation,
+    )
+}
+
+fn start(pose: Isometry3<f64>) -> Track {
+    Track::start(10.0, pose, &covariance(), MotionModel::default()).unwrap()
+}
+
+#[test]
+fn the_gate_is_the_chi_square_quantile() {
+    for (probability, quantile) in [(0.5, 5.348), (0.95, 12.592), (0.99, 16.812), (0.999, 22.458)] {
+        assert!((chi_square_gate(probability) - quantile).abs() < 1e-3);
+    }
+    assert!(chi_square_gate(1.0).is_finite() && chi_square_gate(f64::NAN) < 1e-2);
+}
+
+#[test]
+fn the_left_jacobian_is_the_derivative_of_the_exponential() {
+    let mut chance = Chance::new(1);
+    for length in [0.0, 1e-6, 1e-3, 0.3, 2.0] {
+        let vector = chance.direction().into_inner() * length;
+        let small = Vector3::from(chance.normals::<3>()) * 1e-6;
+        let turned = UnitQuaternion::from_scaled_axis(vector + small)
+            * UnitQuaternion::from_scaled_axis(vector).inverse();
+        assert!((turned.scaled_axis() - left_jacobian(&vector) * small).norm() < 1e-10);
+    }
+}
+
+/// Runs of targets that move just as the model says, so that the covariance must be right.
+#[test]
+fn estimates_are_as_good_as_they_say() {
+    let (mut chance, motion) = (Chance::new(2), MotionModel::default());
+    let step: f64 = 1.0 / 30.0;
+    let (mut sum, mut innovations, mut gated, mut count) = (0.0, 0.0, 0, 0);
+    for _ in 0..200 {
+        let mut truth = chance.pose(1.5);
+        let mut velocity = Vector3::from(chance.normals::<3>()) * motion.initial_speed;
+        let mut rate = Vector3::from(chance.normals::<3>()) * motion.initial_rate;
+        let mut track = start(measure(&truth, &mut chance));
+        for frame in 1..=40 {
+            // White noise over a step: one half of it acts on the mean velocity, and the part
+            // across it, sqrt(1/12), makes up the rest of the position's variance.
+            let mut drive = |density: f64| {
+                let change = Vector3::from(chance.normals::<3>()) * density * step.sqrt();
+                let across = Vector3::from(chance.normals::<3>()) * density * step.sqrt();
+                (change, (change / 2.0 + across / 12f64.sqrt()) * step)
+            };
+            let (faster, shift) = drive(motion.acceleration);
+            let (turning, turn) = drive(motion.angular_acceleration);
+            let way = velocity * step + shift;
+            let around = rate * step + turn;
+            truth =
+                moved(&truth, &Vector6::from_iterator(way.iter().chain(around.iter()).copied()));
+            velocity += faster;
+            rate += turning;
+            let stamp_s = 10.0 + f64::from(frame) * step;
+            match track.update(stamp_s, &measure(&truth, &mut chance), &covariance(), GATE) {
+                Ok(innovation) => innovations += innovation.distance_squared,
+                Err(FilterError::Gated { .. }) => gated += 1,
+                Err(other) => panic!("{other}"),
+            }
+            let now = track.predict(stamp_s).unwrap();
+            let mut off = SVector::<f64, 12>::zeros();
+            off.fixed_rows_mut::<6>(0).copy_from(&error(&truth, &now.observer_from_target));
+            off.fixed_rows_mut::<3>(6).copy_from(&(velocity - now.velocity));
+            off.fixed_rows_mut::<3>(9).copy_from(&(rate - now.rate));
+            sum += off.dot(&now.covariance.cholesky().unwrap().solve(&off));
+            count += 1;
+        }
+    }
+    let count = f64::from(count);
+    // Chi-square of 12 and of 6 degrees of freedom; frames of one run are not independent.
+    assert!((11.0..13.2).contains(&(sum / count)), "{}", sum / count);
+    assert!((5.7..6.3).contains(&(innovations / count)), "{}", innovations / count);
+    assert!(f64::from(gated) < 0.003 * count, "{gated}");
+}
+
+#[test]
+fn a_moving_neighbour_is_predicted_where_it_will_be() {
+    let (velocity, rate) = (Vector3::new(0.2, 1.5, -0.3), Vector3::new(0.0, 0.3, 1.0));
+    let at = |time: f64| {
+        let by =
+            Vector6::from_iterator((velocity * time).iter().chain((rate * time).iter()).copied());
+        moved(&Isometry3::translation(2.0, -0.5, 0.3), &by)
+    };
+    let mut track = start(at(0.0));
+    for frame in 1..=30 {
+        let time = f64::from(frame) / 30.0;
+        track.update(10.0 + time, &at(time), &covariance(), GATE).unwrap();
+    }
+    let predicted = track.predict(11.1).unwrap();
+    let truth = at(1.1);
+    let direction = |pose: &Isometry3<f64>| Unit::new_normalize(pose.translation.vector);
+    // Standing still it would be 4 degrees off.
+    let off = direction(&predicted.observer_from_target).angle(&direction(&truth));
+    assert!(off < 0.3f64.to_radians(), "{off}");
+    assert!(predicted.observer_from_target.rotation.angle_to(&truth.rotation) < 0.02);
+    assert!((predicted.velocity - velocity).norm() < 0.03, "{}", predicted.velocity);
+    assert!((predicted.rate - rate).norm() < 0.05, "{}", predicted.rate);
+    // Farther ahead it is less sure.
+    let later = track.predict(11.3).unwrap().pose_covariance();
+    assert!((0..6).all(|k| later[(k, k)] > predicted.pose_covariance()[(k, k)]));
+    assert_eq!(track.predict(track.stamp_s()).unwrap(), track.now());
+}
+
+#[test]
+fn outliers_leave_the_track_as_it_was() {
+    let mut track = start(Isometry3::translation(1.0, 0.0, 0.0));
+    for frame in 1..=10 {
+        let stamp_s = 10.0 + f64::from(frame) / 30.0;
+        track.update(stamp_s, &Isometry3::translation(1.0, 0.0, 0.0), &covariance(), GATE).unwrap();
+    }
+    let before = track.clone();
+    let stamp_s = 10.0 + 11.0 / 30.0;
+    let mirrored = Isometry3::from_parts(
+        Vector3::new(1.0, 0.0, 0.0).into(),
+        UnitQuaternion::from_euler_angles(0.0, 0.9, 0.0),
+    );
+    for wrong in [mirrored, Isometry3::translation(1.5, 0.0, 0.0)] {
+        let refused = track.update(stamp_s, &wrong, &covariance(), GATE).unwrap_err();
+        assert!(matches!(refused, FilterError::Gated { innovation, .. }
+            if innovation.distance_squared > GATE));
+        assert_eq!(track, before);
+    }
+    let right = measure(&Isometry3::translation(1.0, 0.0, 0.0), &mut Chance::new(3));
+    assert!(track.update(stamp_s, &right, &covariance(), GATE).is_ok());
+}
+
+#[test]
+fn time_may_jump_without_harm() {
+    let pose = Isometry3::translation(1.0, 0.0, 0.0);
+    let mut track = start(pose);
+    let before = track.clone();
+    assert!(matches!(track.predict(9.9), Err(FilterError::Past { .. })));
+    assert!(matches!(track.predict(1e9), Err(FilterError::Gap { .. })));
+    assert!(matches!(track.predict(f64::NAN), Err(FilterError::Unusable { .. })));
+    assert!(track.update(9.0, &pose, &covariance(), GATE).is_err());
+    assert!(track.update(f64::INFINITY, &pose, &covariance(), GATE).is_err());
+    let broken = Isometry3::translation(f64::NAN, 0.0, 0.0);
+    assert!(track.update(10.1, &broken, &covariance(), GATE).is_err());
+    assert!(track.update(10.1, &pose, &Matrix6::zeros(), GATE).is_err());
+    assert_eq!(track, before);
+    // Twice in one frame is once more knowledge, not more time.
+    track.update(10.0, &pose, &covariance(), GATE).unwrap();
+    assert!(track.now().covariance[(0, 0)] < 0.6 * before.now().covariance[(0, 0)]);
+}
+
+fn life() -> LifeCycle {
+    LifeCycle::new(TrackPolicy::default())
+}
+
+fn frame(k: i32) -> f64 {
+    10.0 + f64::from(k) * 0.1
+}
+
+#[test]
+fn a_neighbour_is_believed_coasts_and_is_lost() {
+    let pose = Isometry3::translation(1.0, 0.0, 0.0);
+    let mut life = life();
+    assert_eq!((life.state(), life.unseen(frame(0))), (None, None));
+    assert_eq!(life.measured(frame(0), &pose, &covariance()).unwrap(), Happened::Started);
+    assert_eq!(life.state(), Some(TrackState::Tentative));
+    assert_eq!(life.unseen(frame(1)), Some(TrackState::Tentative));
+    life.measured(frame(2), &pose, &covariance()).unwrap();
+    assert_eq!(life.state(), Some(TrackState::Tentative));
+    let third = life.measured(frame(3), &pose, &covariance()).unwrap();
+    assert!(matches!(third, Happened::Updated(_)));
+    assert_eq!(life.state(), Some(TrackState::Confirmed));
+    for k in 4..13 {
+        assert_eq!(life.unseen(frame(k)), Some(TrackState::Coasting));
+        assert!(life.predict(frame(k)).is_some());
+    }
+    life.measured(frame(13), &pose, &covariance()).unwrap();
+    assert_eq!(life.state(), Some(TrackState::Confirmed));
+    assert_eq!(life.unseen(frame(24)), Some(TrackState::Lost));
+    assert_eq!(life.unseen(frame(25)), Some(TrackState::Lost));
+    assert!(life.track().is_none() && life.predict(frame(25)).is_none());
+    assert_eq!((life.started_s(), life.last_seen_s()), (Some(frame(0)), Some(frame(13))));
+    assert_eq!(life.measured(frame(26), &pose, &covariance()).unwrap(), Happened::Started);
+    assert_eq!((life.state(), life.started_s()), (Some(TrackState::Tentative), Some(frame(26))));
+    life.forget();
+    assert_eq!(life.state(), None);
+}
+
+#[test]
+fn a_single_sighting_is_soon_forgotten() {
+    let mut life = life();
+    life.measured(frame(0), &Isometry3::translation(1.0, 0.0, 0.0), &covariance()).unwrap();
+    let states: Vec<_> = (1..6).map(|k| life.unseen(frame(k)).unwrap()).collect();
+    assert_eq!(states[..4], [TrackState::Tentative; 4]);
+    assert_eq!(states[4], TrackState::Lost);
+}
+
+#[test]
+fn a_wrong_track_begins_anew_from_what_contradicts_it() {
+    let (pose, other) =
+        (Isometry3::translation(1.0, 0.0, 0.0), Isometry3::translation(-9.0, 0.0, 0.0));
+    let mut life = life();
+    for k in 0..5 {
+        life.measured(frame(k), &pose, &covariance()).unwrap();
+    }
+    for k in 5..7 {
+        let happened = life.measured(frame(k), &other, &covariance()).unwrap();
+        assert!(matches!(happened, Happened::Gated(_)));
+        assert_eq!(life.state(), Some(TrackState::Coasting));
+    }
+    assert_eq!(life.measured(frame(7), &other, &covariance()).unwrap(), Happened::Restarted);
+    assert_eq!(life.state(), Some(TrackState::Tentative));
+    assert_eq!(life.track().unwrap().now().observer_from_target, other);
+    // A tentative one is not worth defending.
+    assert_eq!(life.measured(frame(8), &pose, &covariance()).unwrap(), Happened::Restarted);
+}
+
+#[test]
+fn a_life_survives_jumps_of_the_clock() {
+    let pose = Isometry3::translation(1.0, 0.0, 0.0);
+    let mut life = life();
+    for k in 0..5 {
+        life.measured(frame(k), &pose, &covariance()).unwrap();
+    }
+    let before = life.clone();
+    assert!(matches!(life.measured(frame(3), &pose, &covariance()), Err(FilterError::Past { .. })));
+    assert!(life.measured(f64::NAN, &pose, &covariance()).is_err());
+    assert_eq!(life, before);
+    // A second and more back, the source has begun anew; so it has after a long silence.
+    assert_eq!(life.measured(1.0, &pose, &covariance()).unwrap(), Happened::Restarted);
+    assert_eq!(life.measured(1e6, &pose, &covariance()).unwrap(), Happened::Started);
+    assert_eq!(life.unseen(5.0), Some(TrackState::Lost));
+}

@@ -1,0 +1,126 @@
+//! Hypotheses, their vote, and what remains of them.
+
+use nalgebra::{Isometry3, Matrix3, Translation3, UnitQuaternion, Vector3};
+
+use super::rays::{CornerRay, SightedMarker, sighted};
+use super::refine::{refine_sighted, rough_cost};
+use super::{PoseError, PoseOptions, PoseSolution, ippe};
+use crate::body::Body;
+
+/// Solutions nearer to each other than this are one: radians, and share of the range.
+const DISTINCT: f64 = 0.02;
+
+/// Every distinct pose of `body` that explains its rays in one frame, cheapest first: usually one,
+/// or two where the rays leave a mirror image open.
+///
+/// Rays of markers that the body does not have, rays that are no numbers, and corners seen twice are
+/// sorted out here ([`super::keep_sharpest`]). Up to 30 % of the markers may be misread where there
+/// are three or more. The same rays always give the same solutions.
+///
+/// # Errors
+/// Too few rays, no whole marker, or nothing that fits: [`PoseError`].
+pub fn solve(
+    body: &Body,
+    rays: &[CornerRay],
+    options: &PoseOptions,
+) -> Result<Vec<PoseSolution>, PoseError> {
+    let markers = sighted(body, rays, options);
+    let usable = markers.iter().map(|marker| marker.sights.len()).sum();
+    if usable < 4 {
+        return Err(PoseError::TooFewRays { usable, given: rays.len() });
+    }
+    let mut hypotheses: Vec<(f64, Isometry3<f64>)> = markers
+        .iter()
+        .filter_map(single_marker_poses)
+        .flatten()
+        .map(|pose| (rough_cost(&markers, &pose), pose))
+        .collect();
+    if markers.iter().all(|marker| marker.sights.len() < 4) {
+        return Err(PoseError::NoWholeMarker { markers: markers.len() });
+    }
+    // A stable sort: equal ones stay in the order of their markers.
+    hypotheses.sort_by(|a, b| a.0.total_cmp(&b.0));
+
+    let mut solutions: Vec<PoseSolution> = Vec::new();
+    let mut refined = 0;
+    for (_, start) in &hypotheses {
+        if refined >= options.refined_max.max(1) {
+            break;
+        }
+        // What starts where a solution already is would end there.
+        if solutions.iter().any(|known| is_near(&known.camera_from_markers, start, 2.0 * DISTINCT))
+        {
+            continue;
+        }
+        refined += 1;
+        keep_if_distinct(&mut solutions, refine_sighted(&markers, start, options));
+    }
+    // The mirror image of the whole set of the best's markers, which no single marker may show.
+    if let Some(mirrored) = cheapest(&solutions).and_then(|best| mirror(&markers, best)) {
+        keep_if_distinct(&mut solutions, refine_sighted(&markers, &mirrored, options));
+    }
+    solutions.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+    // What half of the best's rays do not support was started by a misread marker.
+    let needed = solutions.first().map_or(0, |best| best.inlier_corners.div_ceil(2));
+    solutions.retain(|solution| solution.inlier_corners >= needed);
+    if solutions.is_empty() {
+        return Err(PoseError::NothingFits { markers: markers.len() });
+    }
+    Ok(solutions)
+}
+
+/// `camera_from_markers` of both mirror solutions of one marker seen whole.
+fn single_marker_poses(sighted: &SightedMarker<'_>) -> Option<[Isometry3<f64>; 2]> {
+    let [a, b, c, d] = sighted.sights.as_slice() else { return None };
+    let poses = ippe::square(sighted.marker.side(), &[a.ray, b.ray, c.ray, d.ray])?;
+    let marker_from_markers = sighted.marker.markers_from_marker().inverse();
+    Some(poses.map(|camera_from_marker| camera_from_marker * marker_from_markers))
+}
+
+fn cheapest(solutions: &[PoseSolution]) -> Option<&PoseSolution> {
+    solutions.iter().min_by(|a, b| a.cost.total_cmp(&b.cost))
+}
+
+fn keep_if_distinct(solutions: &mut Vec<PoseSolution>, found: Option<PoseSolution>) {
+    let Some(found) = found else { return };
+    let near = solutions
+        .iter_mut()
+        .find(|known| is_near(&known.camera_from_markers, &found.camera_from_markers, DISTINCT));
+    match near {
+        Some(known) if found.cost < known.cost => *known = found,
+        Some(_) => {}
+        None => solutions.push(found),
+    }
+}
+
+fn is_near(a: &Isometry3<f64>, b: &Isometry3<f64>, limit: f64) -> bool {
+    let range = a.translation.vector.norm().max(b.translation.vector.norm());
+    a.rotation.angle_to(&b.rotation) < limit
+        && (a.translation.vector - b.translation.vector).norm() < limit * range
+}
+
+/// The pose in which the points of the solution's inliers, flattened onto their common plane, are
+/// seen at the same places: `R' = M_v R M_n`, with M the reflections at the planes across the line
+/// of sight v and across the points' flattest axis n (the ambiguity of weak perspective).
+fn mirror(markers: &[SightedMarker<'_>], solution: &PoseSolution) -> Option<Isometry3<f64>> {
+    let points: Vec<Vector3<f64>> = markers
+        .iter()
+        .filter(|marker| solution.inlier_markers.contains(&marker.marker.id))
+        .flat_map(|marker| marker.sights.iter().map(|sight| sight.corner.coords))
+        .collect();
+    let middle = points.iter().sum::<Vector3<f64>>() / points.len().max(1) as f64;
+    let spread: Matrix3<f64> =
+        points.iter().map(|point| (point - middle) * (point - middle).transpose()).sum();
+    let axes = spread.symmetric_eigen();
+    let flattest = axes.eigenvectors.column(axes.eigenvalues.imin()).into_owned();
+    let pose = &solution.camera_from_markers;
+    let seen = (pose * nalgebra::Point3::from(middle)).coords;
+    let sight = seen.try_normalize(1e-9)?;
+    let reflect = |axis: &Vector3<f64>| Matrix3::identity() - axis * axis.transpose() * 2.0;
+    let rotation =
+        reflect(&sight) * pose.rotation.to_rotation_matrix().into_inner() * reflect(&flattest);
+    let rotation =
+        UnitQuaternion::from_rotation_matrix(&nalgebra::Rotation3::from_matrix_unchecked(rotation));
+    // The points' middle stays where it is seen.
+    Some(Isometry3::from_parts(Translation3::from(seen - rotation * middle), rotation))
+}

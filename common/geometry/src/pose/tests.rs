@@ -1,0 +1,323 @@
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+
+use nalgebra::{Unit, Vector3, Vector6};
+use proptest::prelude::*;
+
+use super::fixtures::{Chance, body, distance_squared, error, see, visible};
+use super::residual::{error_and_jacobian, moved};
+use super::*;
+use crate::body::{Body, Marker};
+
+/// Some of the markers that are well visible; at least `least`, if there are so many.
+fn some_visible<'a>(
+    body: &'a Body,
+    pose: &Isometry3<f64>,
+    least: usize,
+    chance: &mut Chance,
+) -> Vec<&'a Marker> {
+    let mut markers = visible(body, pose, 0.25);
+    while markers.len() > least && chance.even(0.0, 1.0) < 0.5 {
+        markers.remove(chance.even(0.0, markers.len() as f64) as usize);
+    }
+    markers
+}
+
+#[test]
+fn the_sharper_of_two_sightings_stays() {
+    let ray = |marker_id, corner, deviation_rad, y| CornerRay {
+        marker_id,
+        corner,
+        ray_in_camera: Unit::new_normalize(Vector3::new(1.0, y, 0.0)),
+        deviation_rad,
+    };
+    let kept = keep_sharpest(&[
+        ray(7, 1, 2e-3, 0.1),
+        ray(3, 0, 1e-3, 0.2),
+        ray(7, 1, 1e-3, 0.3),
+        ray(7, 4, 1e-3, 0.4),
+        ray(7, 2, f64::NAN, 0.5),
+        ray(7, 3, 1e-3, f64::NAN),
+        ray(7, 1, 1e-3, 0.6),
+    ]);
+    assert_eq!(kept, [ray(3, 0, 1e-3, 0.2), ray(7, 1, 1e-3, 0.3)]);
+}
+
+proptest! {
+    #[test]
+    fn the_analytic_jacobian_is_the_numeric_one(seed: u64, range in 0.3..4.0f64) {
+        let (mut chance, body) = (Chance::new(seed), body());
+        let pose = chance.pose(range);
+        let rays = see(&body.markers[3], &pose, 1e-2, &mut chance);
+        let markers = rays::sighted(&body, &rays, &PoseOptions::default());
+        for sight in &markers[0].sights {
+            let (_, jacobian) = error_and_jacobian(sight, &pose).unwrap();
+            for k in 0..6 {
+                let mut step = Vector6::zeros();
+                step[k] = 1e-6;
+                let after = residual::error(sight, &moved(&pose, &step)).unwrap();
+                let before = residual::error(sight, &moved(&pose, &-step)).unwrap();
+                let numeric = (after - before) / 2e-6;
+                prop_assert!((numeric - jacobian.column(k)).norm() < 1e-6 * (1.0 + jacobian.norm()));
+            }
+        }
+    }
+
+    #[test]
+    fn one_of_the_two_poses_of_an_exact_square_is_its_own(seed: u64, range in 0.1..4.0f64) {
+        let (mut chance, body) = (Chance::new(seed), body());
+        let pose = chance.pose(range);
+        for marker in visible(&body, &pose, 0.1) {
+            let rays = marker.corners.map(|corner| (pose * corner).coords.normalize());
+            let poses = ippe::square(marker.side(), &rays).unwrap();
+            let truth = pose * marker.markers_from_marker();
+            let nearest = poses.iter().map(|found| error(&truth, found).norm()).fold(9.0, f64::min);
+            prop_assert!(nearest < 1e-5, "{nearest}");
+        }
+    }
+
+    #[test]
+    fn two_markers_or_more_give_the_pose_within_its_covariance(
+        seed: u64,
+        range in 0.3..4.0f64,
+        pixels in 0.05..0.6f64,
+    ) {
+        let (mut chance, body) = (Chance::new(seed), body());
+        let pose = chance.pose(range);
+        let markers = some_visible(&body, &pose, 2, &mut chance);
+        prop_assume!(markers.len() >= 2);
+        let rays: Vec<_> = markers
+            .iter()
+            .flat_map(|marker| see(marker, &pose, pixels / 611.0, &mut chance))
+            .collect();
+        let solutions = solve(&body, &rays, &PoseOptions::default()).unwrap();
+        let choice = choose(&solutions, None).unwrap();
+        // 6.7 deviations of chi-square with 6 degrees: one in 10^7 exceeds 44.
+        let distance = distance_squared(
+            &error(&pose, &choice.solution.camera_from_markers),
+            &choice.solution.covariance,
+        );
+        prop_assert!(distance < 50.0, "{distance} {choice:?}");
+        // Once in many thousands a corner is noisy enough to look like an outlier.
+        prop_assert!(choice.solution.inlier_markers.len() + 1 >= markers.len());
+        for solution in &solutions {
+            for id in &solution.inlier_markers {
+                let marker = body.marker(*id).unwrap();
+                let facing = visible(&body, &solution.camera_from_markers, -0.06);
+                prop_assert!(facing.iter().any(|other| other.id == marker.id));
+            }
+        }
+    }
+
+    #[test]
+    fn misread_markers_are_outvoted(seed: u64, range in 0.3..3.0f64, turned: bool) {
+        let (mut chance, body) = (Chance::new(seed), body());
+        let pose = chance.pose(range);
+        let markers = visible(&body, &pose, 0.2);
+        prop_assume!(markers.len() >= 3);
+        let wrong = (markers.len() * 3 / 10).max(1);
+        let mut rays: Vec<_> = markers
+            .iter()
+            .flat_map(|marker| see(marker, &pose, 0.3 / 611.0, &mut chance))
+            .collect();
+        // Each misread in another way: as a marker that is not in sight, or turned by a quarter.
+        let mut unseen = body.markers.iter().filter(|other| {
+            markers.iter().all(|marker| marker.id != other.id)
+        });
+        for k in 0..wrong {
+            let id = unseen.next().unwrap().id;
+            for ray in &mut rays[4 * k..4 * k + 4] {
+                if turned {
+                    ray.corner = (ray.corner + 1) % 4;
+                } else {
+                    ray.marker_id = id;
+                }
+            }
+        }
+        let solutions = solve(&body, &rays, &PoseOptions::default()).unwrap();
+        let choice = choose(&solutions, None).unwrap();
+        let right: Vec<u32> = markers[wrong..].iter().map(|marker| marker.id).collect();
+        let inliers = &choice.solution.inlier_markers;
+        prop_assert!(inliers.iter().all(|id| right.contains(id)), "{inliers:?} {right:?}");
+        // Once in many thousands a corner is noisy enough to look like an outlier.
+        prop_assert!(inliers.len() + 1 >= right.len(), "{inliers:?} {right:?}");
+        let distance = distance_squared(
+            &error(&pose, &choice.solution.camera_from_markers),
+            &choice.solution.covariance,
+        );
+        prop_assert!(distance < 50.0, "{}", distance);
+    }
+
+    #[test]
+    fn no_rays_whatever_make_it_panic(
+        numbers in proptest::collection::vec(
+            (0u32..20, 0usize..5, prop::array::uniform3(-1.0..1.0f64), -0.1..0.2f64), 0..40),
+    ) {
+        let rays: Vec<_> = numbers
+            .into_iter()
+            .map(|(marker_id, corner, [x, y, z], deviation_rad)| CornerRay {
+                marker_id,
+                corner,
+                ray_in_camera: Unit::new_unchecked(Vector3::new(x, y, z) / (x * x + y * y + z * z).sqrt()),
+                deviation_rad,
+            })
+            .collect();
+        if let Ok(solutions) = solve(&body(), &rays, &PoseOptions::default()) {
+            prop_assert!(solutions.iter().all(|solution| solution.inlier_corners >= 4));
+        }
+    }
+}
+
+#[test]
+fn the_covariance_is_consistent() {
+    let (mut chance, body) = (Chance::new(5), body());
+    let (mut runs, mut sum) = (0, 0.0);
+    while runs < 600 {
+        let range = chance.even(0.4, 2.5);
+        let pose = chance.pose(range);
+        let markers = visible(&body, &pose, 0.25);
+        if markers.len() < 3 {
+            continue;
+        }
+        let rays: Vec<_> =
+            markers.iter().flat_map(|marker| see(marker, &pose, 5e-4, &mut chance)).collect();
+        let solutions = solve(&body, &rays, &PoseOptions::default()).unwrap();
+        let found = &solutions[0];
+        sum += distance_squared(&error(&pose, &found.camera_from_markers), &found.covariance);
+        runs += 1;
+    }
+    // Chi-square with 6 degrees averages 6; the robust weights make the covariance somewhat wide.
+    let mean = sum / f64::from(runs);
+    assert!((4.5..6.6).contains(&mean), "{mean}");
+}
+
+#[test]
+fn two_facets_well_seen_leave_no_doubt_of_the_mirror() {
+    let (mut chance, body) = (Chance::new(2), body());
+    let mut runs = 0;
+    while runs < 300 {
+        let range = chance.even(0.4, 2.2);
+        let pose = chance.pose(range);
+        let markers = visible(&body, &pose, 0.4);
+        if markers.len() < 2 {
+            continue;
+        }
+        let rays: Vec<_> = markers[..2]
+            .iter()
+            .flat_map(|marker| see(marker, &pose, 0.3 / 611.0, &mut chance))
+            .collect();
+        let solutions = solve(&body, &rays, &PoseOptions::default()).unwrap();
+        let choice = choose(&solutions, None).unwrap();
+        assert!(error(&pose, &choice.solution.camera_from_markers).fixed_rows::<3>(3).norm() < 0.3);
+        assert!(choice.cost_margin > 9.0 && choice.cost_ratio < 0.9, "{choice:?}");
+        runs += 1;
+    }
+}
+
+/// A pose two metres ahead in which marker 5 (+x of its body) is seen 25 degrees from its front.
+fn slanted() -> Isometry3<f64> {
+    let towards = nalgebra::UnitQuaternion::from_euler_angles(0.0, 0.0, std::f64::consts::PI);
+    let tilt = nalgebra::UnitQuaternion::from_euler_angles(0.2, 0.4, 0.1);
+    Isometry3::from_parts(Vector3::new(2.0, 0.1, -0.2).into(), tilt * towards)
+}
+
+#[test]
+fn a_single_far_marker_keeps_both_mirrors_until_the_track_decides() {
+    let (mut chance, body) = (Chance::new(3), body());
+    let pose = slanted();
+    let rays = see(body.marker(5).unwrap(), &pose, 0.3 / 611.0, &mut chance);
+    let solutions = solve(&body, &rays, &PoseOptions::default()).unwrap();
+    assert_eq!(solutions.len(), 2);
+    assert!(solutions[0].cost <= solutions[1].cost);
+    assert!(solutions.iter().all(|solution| solution.faces_camera));
+    let undecided = choose(&solutions, None).unwrap();
+    assert!(undecided.cost_margin < 9.0, "{undecided:?}");
+    // Whichever of them is expected is chosen, and then without doubt.
+    for expected in &solutions {
+        let prior = PosePrior {
+            camera_from_markers: expected.camera_from_markers,
+            covariance: Matrix6::identity() * 0.05f64.powi(2),
+        };
+        let choice = choose(&solutions, Some(&prior)).unwrap();
+        assert_eq!(choice.solution, expected);
+        assert!(choice.cost_margin > 9.0 && choice.cost_ratio < 0.9, "{choice:?}");
+    }
+}
+
+#[test]
+fn corners_worse_than_they_state_still_count() {
+    // Detectors make markers too small: here by 6 % of the side, eleven stated deviations.
+    let (mut chance, body) = (Chance::new(4), body());
+    let pose = slanted();
+    let markers = visible(&body, &pose, 0.3);
+    let mut rays = Vec::new();
+    for marker in &markers {
+        let mut shrunk = (*marker).clone();
+        for corner in &mut shrunk.corners {
+            *corner = marker.centre() + (*corner - marker.centre()) * 0.94;
+        }
+        rays.extend(see(&shrunk, &pose, 1e-4, &mut chance));
+    }
+    let solutions = solve(&body, &rays, &PoseOptions::default()).unwrap();
+    let found = &solutions[0];
+    assert_eq!(found.inlier_markers.len(), markers.len());
+    assert!(found.reduced_chi_square > 3.0);
+    assert!(found.inflated_covariance()[(0, 0)] > 3.0 * found.covariance[(0, 0)]);
+    assert!(error(&pose, &found.camera_from_markers).fixed_rows::<3>(3).norm() < 0.1);
+}
+
+#[test]
+fn the_order_of_the_rays_does_not_matter() {
+    let (mut chance, body) = (Chance::new(6), body());
+    let pose = slanted();
+    let mut rays: Vec<_> = visible(&body, &pose, 0.2)
+        .iter()
+        .flat_map(|marker| see(marker, &pose, 1e-3, &mut chance))
+        .collect();
+    let solutions = solve(&body, &rays, &PoseOptions::default()).unwrap();
+    rays.reverse();
+    rays.extend(rays.clone());
+    assert_eq!(solve(&body, &rays, &PoseOptions::default()).unwrap(), solutions);
+}
+
+#[test]
+fn a_predicted_pose_is_refined_without_a_whole_marker() {
+    let (mut chance, body) = (Chance::new(7), body());
+    let pose = slanted();
+    let mut rays: Vec<_> = visible(&body, &pose, 0.3)
+        .iter()
+        .flat_map(|marker| see(marker, &pose, 2e-4, &mut chance))
+        .collect();
+    rays.retain(|ray| ray.corner != 2);
+    assert!(matches!(
+        solve(&body, &rays, &PoseOptions::default()),
+        Err(PoseError::NoWholeMarker { .. })
+    ));
+    let step = Vector6::new(0.05, 0.01, -0.01, 0.05, -0.08, 0.05);
+    let found = refine(&body, &rays, &moved(&pose, &step), &PoseOptions::default()).unwrap();
+    let distance = distance_squared(&error(&pose, &found.camera_from_markers), &found.covariance);
+    assert!(distance < 50.0, "{distance}");
+    assert!(refine(&body, &rays[..3], &pose, &PoseOptions::default()).is_err());
+}
+
+#[test]
+fn what_cannot_be_solved_is_refused() {
+    let (mut chance, body) = (Chance::new(8), body());
+    let pose = slanted();
+    let rays = see(body.marker(5).unwrap(), &pose, 1e-3, &mut chance);
+    let given = |rays: &[CornerRay]| solve(&body, rays, &PoseOptions::default());
+    assert_eq!(given(&[]), Err(PoseError::TooFewRays { usable: 0, given: 0 }));
+    assert_eq!(given(&rays[..3]), Err(PoseError::TooFewRays { usable: 3, given: 3 }));
+    let mut broken = rays.clone();
+    broken[1].ray_in_camera = Unit::new_unchecked(Vector3::new(f64::NAN, 0.0, 1.0));
+    assert_eq!(given(&broken), Err(PoseError::TooFewRays { usable: 3, given: 4 }));
+    let strange: Vec<_> = rays.iter().map(|ray| CornerRay { marker_id: 99, ..*ray }).collect();
+    assert_eq!(given(&strange), Err(PoseError::TooFewRays { usable: 0, given: 4 }));
+    // All four corners in one place are no square; seen from behind, there is no marker.
+    let point: Vec<_> =
+        rays.iter().map(|ray| CornerRay { ray_in_camera: rays[0].ray_in_camera, ..*ray }).collect();
+    assert_eq!(given(&point), Err(PoseError::NothingFits { markers: 1 }));
+    let mirrored: Vec<_> =
+        rays.iter().map(|ray| CornerRay { corner: 3 - ray.corner, ..*ray }).collect();
+    assert_eq!(given(&mirrored), Err(PoseError::NothingFits { markers: 1 }));
+    assert_eq!(choose(&[], None), None);
+}

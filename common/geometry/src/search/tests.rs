@@ -1,0 +1,239 @@
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+
+use nalgebra::{Isometry3, Matrix3, Unit, UnitQuaternion};
+use proptest::prelude::*;
+
+use super::*;
+use crate::body::squares;
+
+const RESOLUTION: f64 = 3840.0 / std::f64::consts::TAU;
+
+fn planner(mode: SearchMode, gaze: GazeOptions) -> Planner {
+    let partition = Partition::icosahedron();
+    let views = partition.views(0.1, RESOLUTION).unwrap();
+    Planner::new(mode, partition, views, gaze).unwrap()
+}
+
+fn neighbour(target: usize) -> PredictedNeighbour {
+    PredictedNeighbour {
+        target,
+        direction_in_camera: Unit::new_normalize(Vector3::new(1.0, 0.3 * target as f64, 0.1)),
+        rate_in_camera: Vector3::new(0.0, 0.0, 0.4),
+        radius_rad: 0.05,
+        deviation_rad: 0.01,
+        marker_rad: 0.03,
+    }
+}
+
+fn partitions(plan: &Plan) -> Vec<usize> {
+    plan.views
+        .iter()
+        .filter_map(|planned| match planned.purpose {
+            Purpose::Partition(part) => Some(part),
+            Purpose::Gaze(_) => None,
+        })
+        .collect()
+}
+
+fn targets(plan: &Plan) -> Vec<usize> {
+    plan.views
+        .iter()
+        .filter_map(|planned| match planned.purpose {
+            Purpose::Gaze(target) => Some(target),
+            Purpose::Partition(_) => None,
+        })
+        .collect()
+}
+
+#[test]
+fn algorithm_1_begins_where_the_last_detection_was() {
+    let partition = Partition::icosahedron();
+    assert_eq!(optimized(&partition, None), greedy(&partition));
+    for n in 0..12 {
+        let order = optimized(&partition, Some(n));
+        assert_eq!(order[0], n);
+        let mut all = order.clone();
+        all.sort_unstable();
+        assert_eq!(all, greedy(&partition));
+        // Five neighbours, five beyond them, the opposite one; each group by number.
+        assert!(order[1..6].is_sorted() && order[6..11].is_sorted());
+        let distance = |k: usize| partition.distance_rad(n, order[k]).unwrap();
+        assert!(distance(5) + 0.1 < distance(6) && distance(10) + 0.1 < distance(11));
+    }
+    assert_eq!(optimized(&partition, Some(12)), greedy(&partition));
+}
+
+#[test]
+fn the_papers_modes_stop_at_the_first_hit() {
+    let gaze = GazeOptions::new(RESOLUTION);
+    let mut searched = Searched::new(12);
+    let neighbours = [neighbour(0)];
+    let optimized = planner(SearchMode::Optimized, gaze);
+    let greedy = planner(SearchMode::Greedy, gaze);
+    assert_eq!(optimized.plan(&searched, &neighbours), greedy.plan(&searched, &neighbours));
+    searched.hit(Purpose::Partition(7));
+    searched.hit(Purpose::Gaze(0));
+    searched.hit(Purpose::Partition(99));
+    assert_eq!(searched.last_hit(), Some(7));
+    let plan = optimized.plan(&searched, &neighbours);
+    assert_eq!(partitions(&plan)[0], 7);
+    assert_eq!((plan.stop_rule, plan.view_budget, plan.views.len()), (StopRule::FirstHit, 12, 12));
+    let plan = greedy.plan(&searched, &neighbours);
+    assert_eq!(partitions(&plan), (0..12).collect::<Vec<_>>());
+    assert_eq!(plan.stop_rule, StopRule::FirstHit);
+    let plan = planner(SearchMode::Exhaustive, gaze).plan(&searched, &neighbours);
+    assert_eq!((plan.stop_rule, plan.view_budget, plan.views.len()), (StopRule::All, 12, 12));
+}
+
+#[test]
+fn a_plan_gazes_first_and_then_goes_round() {
+    let planner = planner(SearchMode::Gaze, GazeOptions::new(RESOLUTION));
+    let mut searched = Searched::new(12);
+    for part in [0, 1, 2] {
+        searched.record(1, Purpose::Partition(part));
+    }
+    searched.record(2, Purpose::Partition(1));
+    searched.record(3, Purpose::Partition(40));
+    let plan = planner.plan(&searched, &[neighbour(2), neighbour(1)]);
+    assert_eq!(targets(&plan), [2, 1]);
+    assert_eq!(partitions(&plan), [3, 4, 5, 6, 7, 8, 9, 10, 11, 0, 2, 1]);
+    assert!(matches!(plan.views[1].purpose, Purpose::Gaze(1)));
+    assert_eq!((plan.stop_rule, plan.view_budget), (StopRule::Deadline, 4));
+    assert_eq!(plan.views[0].rate_in_camera, neighbour(2).rate_in_camera);
+    assert_eq!(plan.views[2].rate_in_camera, Vector3::zeros());
+}
+
+#[test]
+fn a_crowd_does_not_hide_the_partitions_nor_each_other() {
+    // Time for five views a frame, and nine neighbours.
+    let planner = planner(SearchMode::Gaze, GazeOptions::new(RESOLUTION));
+    let neighbours: Vec<_> = (0..9).map(neighbour).collect();
+    let mut searched = Searched::new(12);
+    let mut gazed = [0; 9];
+    for frame in 0..36 {
+        for planned in &planner.plan(&searched, &neighbours).views[..5] {
+            searched.record(frame, planned.purpose);
+            if let Purpose::Gaze(target) = planned.purpose {
+                gazed[target] += 1;
+            }
+        }
+    }
+    assert!(gazed.iter().all(|&frames| frames >= 12), "{gazed:?}");
+    for part in 0..12 {
+        assert!(searched.last_searched(Purpose::Partition(part)).unwrap() >= 24);
+    }
+}
+
+proptest! {
+    #[test]
+    fn every_partition_is_searched_within_a_bounded_number_of_frames(
+        crowd in 0usize..20,
+        partitions_per_frame in 1usize..14,
+        history in proptest::collection::vec((0u64..50, 0usize..12), 0..40),
+    ) {
+        let gaze = GazeOptions { partitions_per_frame, ..GazeOptions::new(RESOLUTION) };
+        let planner = planner(SearchMode::Gaze, gaze);
+        let neighbours: Vec<_> = (0..crowd).map(neighbour).collect();
+        let mut searched = Searched::new(12);
+        let mut history = history;
+        history.sort_unstable();
+        for (frame, part) in history {
+            searched.record(frame, Purpose::Partition(part));
+        }
+        for frame in 50..50 + 12usize.div_ceil(partitions_per_frame) as u64 {
+            let plan = planner.plan(&searched, &neighbours);
+            prop_assert_eq!(targets(&plan).len(), crowd);
+            for planned in &plan.views[..plan.view_budget] {
+                searched.record(frame, planned.purpose);
+            }
+        }
+        for part in 0..12 {
+            prop_assert!(searched.last_searched(Purpose::Partition(part)) >= Some(50));
+        }
+    }
+
+    #[test]
+    fn a_gaze_view_is_small_and_shows_the_body_and_its_margins(
+        range in 0.25..5.0f64,
+        deviation in 0.0..0.1f64,
+        (x, y, z) in (-1.0..1.0f64, -1.0..1.0f64, 0.1..1.0f64),
+    ) {
+        let options = GazeOptions::new(RESOLUTION);
+        let body = squares("alpha", 0.0625, 0.05, 0);
+        let position = Vector3::new(x, y, z).normalize() * range;
+        let pose = Isometry3::from_parts(position.into(), UnitQuaternion::identity());
+        let covariance = Matrix3::identity() * (deviation * range).powi(2);
+        let predicted =
+            PredictedNeighbour::from_pose(3, &body, &pose, &covariance, &Vector3::zeros()).unwrap();
+        prop_assert!((predicted.deviation_rad - deviation).abs() < 1e-9);
+        let view = gaze_view(&predicted, &options).unwrap().view;
+        prop_assert!(view.direction_in_camera().angle(&Unit::new_normalize(position)) < 1e-6);
+        prop_assert!(view.size_px <= 640);
+        let magnification = view.focal_px / RESOLUTION;
+        let marker_px = predicted.marker_rad * view.focal_px;
+        prop_assert!(magnification < 3.0 + 1e-9);
+        prop_assert!(magnification > 1.0 - 1e-9 || marker_px > 40.0 - 1e-9);
+        let wanted = 2.0 * (predicted.radius_rad + 3.0 * predicted.deviation_rad);
+        let shown = view.field_rad();
+        // Cut only where it must be: at 70 degrees, or at 640 pixels that are not magnified.
+        let is_cut = wanted > 70f64.to_radians()
+            || (view.size_px == 640 && (magnification <= 1.0 + 1e-9));
+        prop_assert!(shown >= wanted - 1e-9 || is_cut, "{shown} {wanted} {view:?}");
+        if !is_cut && view.size_px < 630 && magnification < 3.0 - 1e-9 && magnification > 1.0 + 1e-9 {
+            prop_assert!((marker_px - 40.0).abs() < 1e-6, "{marker_px}");
+        }
+    }
+}
+
+#[test]
+fn the_rate_is_how_the_direction_turns() {
+    let body = squares("alpha", 0.0625, 0.05, 0);
+    let pose = Isometry3::translation(0.0, 2.0, 0.0);
+    let velocity = Vector3::new(-1.0, 3.0, 0.0);
+    let covariance = Matrix3::from_diagonal(&Vector3::new(0.01, 0.25, 0.04));
+    let predicted = PredictedNeighbour::from_pose(0, &body, &pose, &covariance, &velocity).unwrap();
+    // One metre a second across, two metres away; what is along the sight turns nothing.
+    assert!((predicted.rate_in_camera - Vector3::new(0.0, 0.0, 0.5)).norm() < 1e-12);
+    assert!((predicted.deviation_rad - 0.1).abs() < 1e-12);
+    let later = UnitQuaternion::from_scaled_axis(predicted.rate_in_camera * 1e-3)
+        * predicted.direction_in_camera;
+    let moved = Unit::new_normalize(pose.translation.vector + velocity * 1e-3);
+    assert!(later.angle(&moved) < 2e-6);
+}
+
+#[test]
+fn predictions_that_are_none_give_no_view() {
+    let body = squares("alpha", 0.0625, 0.05, 0);
+    let (covariance, still) = (Matrix3::identity(), Vector3::zeros());
+    for range in [0.0, 0.01, f64::NAN, f64::INFINITY] {
+        let pose = Isometry3::translation(range, 0.0, 0.0);
+        assert_eq!(PredictedNeighbour::from_pose(0, &body, &pose, &covariance, &still), None);
+    }
+    let options = GazeOptions::new(RESOLUTION);
+    let broken = PredictedNeighbour { deviation_rad: f64::NAN, ..neighbour(0) };
+    assert_eq!(gaze_view(&broken, &options), None);
+    let plan = planner(SearchMode::Gaze, options).plan(&Searched::new(12), &[broken]);
+    assert_eq!((plan.views.len(), plan.view_budget), (12, 2));
+}
+
+#[test]
+fn options_out_of_range_are_named() {
+    let good = GazeOptions::new(RESOLUTION);
+    let with = |gaze| {
+        Planner::new(
+            SearchMode::Gaze,
+            Partition::icosahedron(),
+            Partition::icosahedron().views(0.1, RESOLUTION).unwrap(),
+            gaze,
+        )
+    };
+    for (gaze, name) in [
+        (GazeOptions { partitions_per_frame: 0, ..good }, "partitions_per_frame"),
+        (GazeOptions { field_max_rad: 0.01, ..good }, "field_max_rad"),
+        (GazeOptions { marker_px: f64::NAN, ..good }, "marker_px"),
+    ] {
+        assert!(with(gaze).unwrap_err().to_string().contains(name));
+    }
+    let missing = Planner::new(SearchMode::Greedy, Partition::icosahedron(), Vec::new(), good);
+    assert_eq!(missing.unwrap_err(), PlannerError::Views { views: 0, partitions: 12 });
+}

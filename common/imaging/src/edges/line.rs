@@ -1,0 +1,216 @@
+//! Lines through the places where profiles see an edge, and where they cross.
+
+use flockeye_geometry::view::ViewPixel;
+use nalgebra::{Matrix2, Vector2};
+
+use super::profile::Side;
+
+/// No corner is believed better than this, pixels: the model of an edge is not perfect.
+const FLOOR_PX: f64 = 0.03;
+
+/// Where one profile sees the edge.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Place {
+    /// Where along the side: -1 at its first corner, 1 at its second.
+    pub along: f64,
+    /// Distance from the side's guess, inwards, pixels.
+    pub depth: f64,
+    /// Inverse variance, up to a factor that all places share.
+    pub weight: f64,
+}
+
+/// A line along a side: it lies `offset + slope * along` pixels inside the side's guess.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct EdgeLine {
+    offset: f64,
+    slope: f64,
+    covariance: Matrix2<f64>,
+}
+
+impl EdgeLine {
+    /// A line parallel to the guess, `offset` pixels inside it, known to a pixel.
+    pub(super) fn level(offset: f64) -> Self {
+        Self { offset, slope: 0.0, covariance: Matrix2::from_diagonal_element(1.0) }
+    }
+
+    /// The same line, `deviation` pixels less certain all along.
+    pub(super) fn less_certain(mut self, deviation: f64) -> Self {
+        self.covariance[(0, 0)] += deviation * deviation;
+        self
+    }
+
+    fn depth(&self, along: f64) -> f64 {
+        self.offset + self.slope * along
+    }
+
+    fn variance(&self, along: f64) -> f64 {
+        let at = Vector2::new(1.0, along);
+        (self.covariance * at).dot(&at)
+    }
+}
+
+/// Fits a line by weighted least squares of the distances across the side, which to the first
+/// order in the slope is total least squares (the guess is within a degree or two of the line).
+///
+/// Places further off than the others scatter are put aside (Tukey's weights, from a start that
+/// bears nearly half of them wrong). The covariance is
+/// what the places scatter, raised where neighbours deviate together, and no smaller than
+/// `expected`, the covariance that the samples' noise explains. `None` where fewer than half of the
+/// places, or fewer than four, agree on a line.
+pub(super) fn fit(places: &[Place], expected: Matrix2<f64>) -> Option<EdgeLine> {
+    if places.len() < 4 {
+        return None;
+    }
+    let start = repeated_median(places);
+    let mut residuals: Vec<f64> = places.iter().map(|place| distance(place, start)).collect();
+    let mut robust = tukey(&residuals);
+    let mut found = (start, Matrix2::zeros());
+    for _ in 0..4 {
+        let (mut normal, mut right) = (Matrix2::zeros(), Vector2::zeros());
+        for (place, robust) in places.iter().zip(&robust) {
+            let row = Vector2::new(1.0, place.along);
+            normal += row * row.transpose() * (place.weight * robust);
+            right += row * (place.weight * robust * place.depth);
+        }
+        let inverse = normal.try_inverse()?;
+        let line = inverse * right;
+        found = (line, inverse);
+        residuals = places.iter().map(|place| distance(place, line)).collect();
+        robust = tukey(&residuals);
+    }
+    let agreeing = robust.iter().filter(|&&robust| robust > 0.2).count();
+    if agreeing < 4 || 2 * agreeing < places.len() {
+        return None;
+    }
+    let ([offset, slope], inverse) = (found.0.into(), found.1);
+    let weights: Vec<f64> =
+        places.iter().zip(&robust).map(|(place, robust)| place.weight * robust).collect();
+    let freedom = robust.iter().sum::<f64>() - 2.0;
+    let squares: f64 = weights.iter().zip(&residuals).map(|(w, r)| w * r * r).sum();
+    let scatter = inverse * (squares / freedom.max(1.0) * together(&weights, &residuals));
+    let covariance = if scatter.trace() > expected.trace() { scatter } else { expected };
+    Some(EdgeLine { offset, slope, covariance })
+}
+
+/// How far a place lies from the line of this offset and slope.
+fn distance(place: &Place, line: Vector2<f64>) -> f64 {
+    place.depth - line[0] - line[1] * place.along
+}
+
+/// Tukey's weights: 1 on the line, 0 beyond 4.7 times what the residuals scatter.
+fn tukey(residuals: &[f64]) -> Vec<f64> {
+    let scale = (1.4826 * median(residuals.iter().map(|r| r.abs()).collect())).max(FLOOR_PX);
+    let weight = |residual: &f64| {
+        let share = residual / (4.7 * scale);
+        if share.abs() < 1.0 { (1.0 - share * share).powi(2) } else { 0.0 }
+    };
+    residuals.iter().map(weight).collect()
+}
+
+/// Offset and slope of a line that up to half of the places do not move far (A. Siegel, Robust
+/// regression using repeated medians, Biometrika 69, 1982).
+fn repeated_median(places: &[Place]) -> Vector2<f64> {
+    let slopes = places.iter().map(|from| {
+        let others = places.iter().filter(|to| (to.along - from.along).abs() > 1e-9);
+        median(others.map(|to| (to.depth - from.depth) / (to.along - from.along)).collect())
+    });
+    let slope = median(slopes.collect());
+    let offset = median(places.iter().map(|place| place.depth - slope * place.along).collect());
+    Vector2::new(offset, slope)
+}
+
+/// 0 of nothing.
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
+}
+
+/// By how much the variance of a mean is larger than if neighbours were independent: (1 + r)/(1 - r)
+/// for a first-order autocorrelation r.
+fn together(weights: &[f64], residuals: &[f64]) -> f64 {
+    let size = |k: usize| weights[k].sqrt() * residuals[k];
+    let squares: f64 = (0..residuals.len()).map(|k| size(k).powi(2)).sum();
+    let products: f64 = (1..residuals.len()).map(|k| size(k - 1) * size(k)).sum();
+    let r = (products / squares.max(1e-12)).clamp(0.0, 0.7);
+    (1.0 + r) / (1.0 - r)
+}
+
+/// Where two neighbouring sides' lines cross, and its standard deviation along either axis, pixels.
+/// `None` where they are nearly parallel.
+pub(super) fn cross(
+    before: (&Side, &EdgeLine),
+    after: (&Side, &EdgeLine),
+) -> Option<(ViewPixel, f64)> {
+    let (from, along) = ends(before);
+    let (start, other) = ends(after);
+    let determinant = along.perp(&other);
+    if determinant.abs() < 0.05 * along.norm() * other.norm() {
+        return None;
+    }
+    let at = from + along * ((start - from).perp(&other) / determinant);
+    // A shift of each line across itself moves the corner along the other line.
+    let sine = determinant / (along.norm() * other.norm());
+    let variance = (before.1.variance(1.0) + after.1.variance(-1.0)) / (2.0 * sine * sine);
+    Some((ViewPixel(at), variance.sqrt().hypot(FLOOR_PX)))
+}
+
+/// The line's point abreast of the side's first corner, and the vector to that of the second.
+fn ends((side, line): (&Side, &EdgeLine)) -> (Vector2<f64>, Vector2<f64>) {
+    let at = |along: f64| {
+        side.middle + side.along * (side.half * along) + side.inward * line.depth(along)
+    };
+    (at(-1.0), at(1.0) - at(-1.0))
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use super::*;
+
+    fn place(along: f64, depth: f64) -> Place {
+        Place { along, depth, weight: 1.0 }
+    }
+
+    #[test]
+    fn an_occluded_third_is_put_aside() {
+        let places: Vec<Place> = (0..15)
+            .map(|k| {
+                let along = f64::from(k) / 7.0 - 1.0;
+                let scatter = 0.02 * f64::from(k * 7 % 5 - 2);
+                let hidden = if k < 5 { 1.5 } else { 0.0 };
+                place(along, 0.3 - 0.2 * along + scatter + hidden)
+            })
+            .collect();
+        let line = fit(&places, Matrix2::zeros()).unwrap();
+        assert!((line.depth(1.0) - 0.1).abs() < 0.06, "{line:?}");
+        assert!((line.depth(-1.0) - 0.5).abs() < 0.12, "{line:?}");
+    }
+
+    #[test]
+    fn places_that_agree_on_nothing_are_no_line() {
+        let depths = [0.0, 0.02, 0.6, -0.7, 1.0, -9.0, 8.0, -30.0];
+        let places: Vec<Place> =
+            (0u8..).zip(depths).map(|(k, depth)| place(f64::from(k) / 3.5 - 1.0, depth)).collect();
+        assert!(fit(&places, Matrix2::identity()).is_none());
+        assert!(fit(&places[..3], Matrix2::identity()).is_none());
+    }
+
+    #[test]
+    fn lines_cross_where_they_should() {
+        let side = |middle: (f64, f64), along: Vector2<f64>| Side {
+            middle: Vector2::new(middle.0, middle.1),
+            along,
+            inward: Vector2::new(-along.y, along.x),
+            half: 5.0,
+            step: 0.5,
+            profiles: Vec::new(),
+        };
+        let left = side((0.0, 5.0), -Vector2::y());
+        let top = side((5.0, 0.0), Vector2::x());
+        let (corner, deviation) =
+            cross((&left, &EdgeLine::level(0.25)), (&top, &EdgeLine::level(-0.5))).unwrap();
+        assert!((corner.0 - Vector2::new(0.25, -0.5)).norm() < 1e-12);
+        assert!((deviation - 2f64.sqrt()).abs() < 1e-3, "{deviation}");
+        assert!(cross((&left, &EdgeLine::level(0.0)), (&left, &EdgeLine::level(1.0))).is_none());
+    }
+}

@@ -1,0 +1,312 @@
+//! The blurred print, fitted to the samples of all four sides at once.
+//!
+//! Along a profile the print changes from white to black at its edge e, and on at the depths D_j
+//! behind it, by m_j of the way from black B to white W. Blurred by a Gaussian of standard
+//! deviation s, the light at depth x is
+//!
+//! ```text
+//! I(x) = B + (W - B) (1 + sum over j of m_j F((x - e - D_j)/s))
+//! ```
+//!
+//! F is the Gaussian distribution function. The edge of side k lies at e = offset + slope * along.
+//! Twelve unknowns: offset and slope of four sides, the blur of two directions, W and B. They are
+//! found by Gauss-Newton with Cauchy weights.
+
+use std::f64::consts::FRAC_1_SQRT_2;
+
+use nalgebra::{Matrix2, SMatrix, SVector};
+
+use super::line::Place;
+use super::profile::{FIRST_BLUR_PX, Profile, Sample, Side};
+
+const UNKNOWNS: usize = 12;
+const BLUR: usize = 8;
+const WHITE: usize = 10;
+const BLACK: usize = 11;
+
+const ITERATIONS: usize = 8;
+/// Steps shorter than this end the fit, pixels.
+const CONVERGED_PX: f64 = 0.01;
+/// Light that white must be above black, of nominal white.
+const MIN_CONTRAST: f64 = 0.01;
+/// Residuals that scatter by more of the contrast than this are no blurred print.
+const MAX_MISFIT: f64 = 0.25;
+/// Residuals up to so many standard deviations are believed.
+const CAUCHY: f64 = 2.5;
+/// Narrower blurs than this cannot be told from none, wider ones are no edge, pixels.
+const BLUR_PX: std::ops::RangeInclusive<f64> = 0.3..=5.0;
+
+type Normal = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
+type Unknowns = SVector<f64, UNKNOWNS>;
+
+/// What was fitted to a marker's four sides.
+#[derive(Debug)]
+pub(super) struct Fit {
+    unknowns: Unknowns,
+    /// Blur of the first and third side, of the second and fourth, pixels.
+    pub blur: [f64; 2],
+    /// Light of the quiet zone.
+    pub white: f64,
+    /// Light of the border.
+    pub black: f64,
+    /// Robust standard deviation of the residuals, light.
+    pub noise: f64,
+    covariance: Normal,
+}
+
+impl Fit {
+    /// Covariance of offset and slope of side `k`, from the normal matrix, pixels squared.
+    pub(super) fn line_covariance(&self, k: usize) -> Matrix2<f64> {
+        self.covariance.fixed_view::<2, 2>(2 * k, 2 * k).into_owned()
+    }
+}
+
+/// Density and distribution function of the unit Gaussian at `a`, to 1e-7 (Abramowitz and Stegun,
+/// 7.1.26, which shares the exponential with the density).
+pub(super) fn gaussian(a: f64) -> (f64, f64) {
+    let exponential = (-0.5 * a * a).exp();
+    let t = 1.0 / (1.0 + 0.327_591_1 * a.abs() * FRAC_1_SQRT_2);
+    let polynomial = t
+        * (0.254_829_592
+            + t * (-0.284_496_736
+                + t * (1.421_413_741 + t * (-1.453_152_027 + t * 1.061_405_429))));
+    let tail = 0.5 * polynomial * exponential;
+    let below = if a < 0.0 { tail } else { 1.0 - tail };
+    (0.398_942_280_401_432_7 * exponential, below)
+}
+
+/// The print at one sample: the share of white, and its derivatives by edge and blur.
+struct Share {
+    white: f64,
+    by_edge: f64,
+    by_blur: f64,
+}
+
+fn share(profile: &Profile, depth: f64, edge: f64, blur: f64) -> Share {
+    let mut share = Share { white: 1.0, by_edge: 0.0, by_blur: 0.0 };
+    for change in &profile.changes {
+        let at = (depth - edge - change.depth) / blur;
+        if at > 5.0 || change.white == 0.0 {
+            share.white += change.white;
+            continue;
+        }
+        if at < -5.0 {
+            // This change and those behind it are out of sight.
+            break;
+        }
+        let (density, below) = gaussian(at);
+        share.white += change.white * below;
+        share.by_edge -= change.white * density / blur;
+        share.by_blur -= change.white * density * at / blur;
+    }
+    share
+}
+
+/// Edge of side `k` at `along`.
+fn edge(unknowns: &Unknowns, k: usize, along: f64) -> f64 {
+    unknowns[2 * k] + unknowns[2 * k + 1] * along
+}
+
+/// Calls `see` with each sample of a profile that says something against the model: share of white,
+/// and residual. Where the camera clipped and the model is above, there is nothing to say.
+fn look(unknowns: &Unknowns, k: usize, profile: &Profile, mut see: impl FnMut(&Share, f64)) {
+    let edge = edge(unknowns, k, profile.along);
+    let blur = unknowns[BLUR + k % 2];
+    for &Sample { depth, light, is_clipped } in &profile.samples {
+        let share = share(profile, depth, edge, blur);
+        let model = unknowns[BLACK] + (unknowns[WHITE] - unknowns[BLACK]) * share.white;
+        if !is_clipped || light > model {
+            see(&share, light - model);
+        }
+    }
+}
+
+/// How much a residual counts (Cauchy).
+fn weight(residual: f64, noise: f64) -> f64 {
+    1.0 / (1.0 + (residual / (CAUCHY * noise)).powi(2))
+}
+
+/// Fits the model; `before` is where it starts, if there was a fit. `None` without contrast, or where
+/// it does not fit.
+pub(super) fn fit(sides: &[Side; 4], before: Option<&Fit>) -> Option<Fit> {
+    let samples = || sides.iter().flat_map(|s| &s.profiles).flat_map(|p| &p.samples);
+    let lights: Vec<f64> = samples().map(|sample| sample.light).collect();
+    let (white, black) = (quantile(lights.clone(), 0.9)?, quantile(lights, 0.1)?);
+    let contrast = white - black;
+    if contrast < MIN_CONTRAST {
+        return None;
+    }
+    let mut unknowns = Unknowns::zeros();
+    let (first, mut noise) = match before {
+        Some(fit) => ([fit.blur[0], fit.blur[1], fit.white, fit.black], fit.noise),
+        None => ([FIRST_BLUR_PX, FIRST_BLUR_PX, white, black], 0.1 * contrast),
+    };
+    unknowns.fixed_rows_mut::<4>(BLUR).copy_from_slice(&first);
+    let mut normal = Normal::zeros();
+    for _ in 0..ITERATIONS {
+        let (matrix, gradient) = normal_equations(sides, &unknowns, noise, (white, black));
+        let step = matrix.cholesky()?.solve(&gradient);
+        apply(&mut unknowns, &step, contrast);
+        normal = matrix;
+        noise = noise_of(sides, &unknowns).max(0.003 * contrast);
+        if step.fixed_rows::<BLUR>(0).amax() < CONVERGED_PX {
+            break;
+        }
+    }
+    let (white, black) = (unknowns[WHITE], unknowns[BLACK]);
+    if white - black < MIN_CONTRAST || noise > MAX_MISFIT * (white - black) {
+        return None;
+    }
+    // Samples lie closer than pixels, and pixels of a magnified or blurred image closer than what
+    // they say anew: each says the same as its neighbours within about the blur.
+    let alike = unknowns[BLUR].max(1.0) * unknowns[BLUR + 1].max(1.0);
+    let density = (sides.iter().map(samples_per_pixel).fold(0.0, f64::max) * alike).max(1.0);
+    Some(Fit {
+        blur: [unknowns[BLUR], unknowns[BLUR + 1]],
+        white,
+        black,
+        noise,
+        covariance: normal.cholesky()?.inverse() * (noise * noise * density),
+        unknowns,
+    })
+}
+
+fn quantile(mut values: Vec<f64>, share: f64) -> Option<f64> {
+    let last = values.len().checked_sub(1)?;
+    let at = (share * last as f64).round() as usize;
+    Some(*values.select_nth_unstable_by(at, f64::total_cmp).1)
+}
+
+/// Normal matrix and gradient of one Gauss-Newton step.
+fn normal_equations(
+    sides: &[Side; 4],
+    unknowns: &Unknowns,
+    noise: f64,
+    (first_white, first_black): (f64, f64),
+) -> (Normal, Unknowns) {
+    let mut matrix = Normal::zeros();
+    let mut gradient = Unknowns::zeros();
+    let (white, black) = (unknowns[WHITE], unknowns[BLACK]);
+    for (k, side) in sides.iter().enumerate() {
+        for profile in &side.profiles {
+            // Rows: edge, blur, white, black.
+            let mut local = SMatrix::<f64, 4, 4>::zeros();
+            let mut right = SVector::<f64, 4>::zeros();
+            look(unknowns, k, profile, |share, residual| {
+                let row = SVector::<f64, 4>::new(
+                    (white - black) * share.by_edge,
+                    (white - black) * share.by_blur,
+                    share.white,
+                    1.0 - share.white,
+                );
+                let weighted = row * weight(residual, noise);
+                local += weighted * row.transpose();
+                right += weighted * residual;
+            });
+            let places = [
+                (2 * k, 0, 1.0),
+                (2 * k + 1, 0, profile.along),
+                (BLUR + k % 2, 1, 1.0),
+                (WHITE, 2, 1.0),
+                (BLACK, 3, 1.0),
+            ];
+            for (row, a, by_row) in places {
+                gradient[row] += by_row * right[a];
+                for (column, b, by_column) in places {
+                    matrix[(row, column)] += by_row * by_column * local[(a, b)];
+                }
+            }
+        }
+    }
+    // Priors of about a sample's weight: they speak only where the samples are silent (all white
+    // clipped, an edge too short for its turn).
+    let contrast = first_white - first_black;
+    let mut hold = |index: usize, deviation: f64, residual: f64| {
+        let weight = (noise / deviation).powi(2);
+        matrix[(index, index)] += weight;
+        gradient[index] += weight * residual;
+    };
+    for index in 0..BLUR {
+        hold(index, 1.0, -unknowns[index]);
+    }
+    hold(BLUR, 1.0, 0.0);
+    hold(BLUR + 1, 1.0, 0.0);
+    hold(WHITE, 0.5 * contrast, first_white - white);
+    hold(BLACK, 0.5 * contrast, first_black - black);
+    (matrix, gradient)
+}
+
+/// Takes a step, no longer than the model is linear.
+fn apply(unknowns: &mut Unknowns, step: &Unknowns, contrast: f64) {
+    for index in 0..BLUR {
+        unknowns[index] += step[index].clamp(-0.8, 0.8);
+    }
+    for index in [BLUR, BLUR + 1] {
+        let blur = unknowns[index];
+        unknowns[index] = (blur + step[index].clamp(-0.4 * blur, 0.4 * blur))
+            .clamp(*BLUR_PX.start(), *BLUR_PX.end());
+    }
+    for index in [WHITE, BLACK] {
+        unknowns[index] += step[index].clamp(-0.5 * contrast, 0.5 * contrast);
+    }
+}
+
+/// Robust standard deviation of all residuals.
+fn noise_of(sides: &[Side; 4], unknowns: &Unknowns) -> f64 {
+    let mut residuals = Vec::with_capacity(2048);
+    for (k, side) in sides.iter().enumerate() {
+        for profile in &side.profiles {
+            look(unknowns, k, profile, |_, residual| residuals.push(residual.abs()));
+        }
+    }
+    1.4826 * quantile(residuals, 0.5).unwrap_or(0.0)
+}
+
+/// Samples for each pixel of the area that they cover.
+fn samples_per_pixel(side: &Side) -> f64 {
+    let (Some(first), Some(last)) = (side.profiles.first(), side.profiles.last()) else {
+        return 1.0;
+    };
+    let length = (last.along - first.along) * side.half;
+    side.profiles.len() as f64 / (length + 1.0) / side.step
+}
+
+/// Where each profile of side `k` sees the edge, the blur and the levels being what was fitted.
+pub(super) fn places(side: &Side, fit: &Fit, k: usize) -> Vec<Place> {
+    let contrast = fit.white - fit.black;
+    let places = side.profiles.iter().filter_map(|profile| {
+        let (mut information, mut right) = (0.0, 0.0);
+        look(&fit.unknowns, k, profile, |share, residual| {
+            let slope = contrast * share.by_edge;
+            let weight = weight(residual, fit.noise);
+            information += weight * slope * slope;
+            right += weight * slope * residual;
+        });
+        // A profile whose contrast is gone says nothing of the edge.
+        let least = 0.02 * contrast * contrast / fit.blur[k % 2];
+        (information > least).then(|| Place {
+            along: profile.along,
+            depth: edge(&fit.unknowns, k, profile.along) + (right / information).clamp(-2.0, 2.0),
+            weight: information,
+        })
+    });
+    places.collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::gaussian;
+
+    #[test]
+    fn the_gaussian_is_the_tables_one() {
+        for (a, density, below) in [
+            (0.0, 0.398_942_3, 0.5),
+            (1.0, 0.241_970_7, 0.841_344_7),
+            (-1.96, 0.058_440_9, 0.024_997_9),
+            (3.0, 0.004_431_8, 0.998_650_1),
+        ] {
+            let (d, b) = gaussian(a);
+            assert!((d - density).abs() < 2e-7 && (b - below).abs() < 2e-7, "at {a}: {d} {b}");
+        }
+    }
+}

@@ -1,0 +1,129 @@
+//! Images somebody else owns, borrowed for a look.
+
+use thiserror::Error;
+
+/// Why bytes were refused as an image.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
+pub enum ImageError {
+    /// There is not one pixel.
+    #[error("an image of {width}x{height} has no pixel")]
+    Empty {
+        /// Pixels in a row.
+        width: usize,
+        /// Rows.
+        height: usize,
+    },
+    /// Rows would overlap.
+    #[error(
+        "rows of {width} pixels lie {stride} bytes apart; the stride must be at least the width"
+    )]
+    Stride {
+        /// Pixels in a row.
+        width: usize,
+        /// Bytes from one row to the next.
+        stride: usize,
+    },
+    /// The last row would leave the memory.
+    #[error("{height} rows, {stride} bytes apart, need {needed} bytes; there are {found}")]
+    TooShort {
+        /// Rows.
+        height: usize,
+        /// Bytes from one row to the next.
+        stride: usize,
+        /// Bytes such an image has at least.
+        needed: usize,
+        /// Bytes that were given.
+        found: usize,
+    },
+}
+
+/// An 8-bit luma image in memory that somebody else owns (a view in shared memory, say).
+///
+/// Whoever holds one may read `height` rows of `width` bytes, `stride` apart: [`LumaImage::new`]
+/// has checked that they lie inside `pixels`.
+#[derive(Debug, Clone, Copy)]
+pub struct LumaImage<'a> {
+    pixels: &'a [u8],
+    width: usize,
+    height: usize,
+    stride: usize,
+}
+
+impl<'a> LumaImage<'a> {
+    /// Borrows `height` rows of `width` pixels that begin `stride` bytes apart. The last row may
+    /// end with its last pixel.
+    ///
+    /// # Errors
+    /// An image without pixels, rows that overlap, or memory that is too short.
+    pub fn new(
+        pixels: &'a [u8],
+        width: usize,
+        height: usize,
+        stride: usize,
+    ) -> Result<Self, ImageError> {
+        if width == 0 || height == 0 {
+            return Err(ImageError::Empty { width, height });
+        }
+        if stride < width {
+            return Err(ImageError::Stride { width, stride });
+        }
+        let needed = stride.saturating_mul(height - 1).saturating_add(width);
+        if needed > pixels.len() {
+            return Err(ImageError::TooShort { height, stride, needed, found: pixels.len() });
+        }
+        Ok(Self { pixels, width, height, stride })
+    }
+
+    /// Pixels in a row.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Rows.
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// Bytes from one row to the next.
+    pub fn stride(&self) -> usize {
+        self.stride
+    }
+
+    /// The memory from the first pixel on: at least `stride * (height - 1) + width` bytes.
+    pub fn pixels(&self) -> &'a [u8] {
+        self.pixels
+    }
+
+    /// Row `y`, counted from the top.
+    ///
+    /// # Panics
+    /// When there is no such row, as a slice does.
+    pub fn row(&self, y: usize) -> &'a [u8] {
+        &self.pixels[y * self.stride..][..self.width]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use super::*;
+
+    #[test]
+    fn rows_are_where_the_stride_says() {
+        let pixels: Vec<u8> = (0..11).collect();
+        let image = LumaImage::new(&pixels, 3, 3, 4).expect("2 * 4 + 3 bytes are there");
+        assert_eq!(image.row(2), [8, 9, 10]);
+    }
+
+    #[test]
+    fn what_leaves_the_memory_is_refused() {
+        let pixels = [0u8; 10];
+        assert_eq!(
+            LumaImage::new(&pixels, 3, 3, 4).unwrap_err(),
+            ImageError::TooShort { height: 3, stride: 4, needed: 11, found: 10 }
+        );
+        assert!(LumaImage::new(&pixels, 3, 3, 2).is_err());
+        assert!(LumaImage::new(&pixels, 0, 3, 2).is_err());
+        assert!(LumaImage::new(&pixels, 3, usize::MAX, usize::MAX).is_err());
+    }
+}

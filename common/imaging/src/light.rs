@@ -1,0 +1,191 @@
+//! From code values back to light.
+//!
+//! An edge that a lens blurred and a camera then encoded moves towards the dark side, because the
+//! curve lifts dark values more than bright ones: on a 20 px marker by some tenths of a pixel.
+//! Whatever measures edges therefore works on linearised values.
+
+use flockeye_geometry::view::ViewPixel;
+use thiserror::Error;
+
+use crate::image::LumaImage;
+
+/// The curve between light and code values.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum TransferCurve {
+    /// The sRGB curve (IEC 61966-2-1).
+    Srgb,
+    /// code = light^(1/gamma).
+    Gamma(f32),
+    /// Code values proportional to light.
+    Linear,
+}
+
+/// Which code values stand for black and white.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum CodeRange {
+    /// 0 to 255.
+    Full,
+    /// 16 to 235, as in most video (ITU-R BT.601 and BT.709).
+    Limited,
+}
+
+/// Why a curve cannot be undone.
+#[derive(Debug, Clone, Copy, PartialEq, Error)]
+pub enum LightError {
+    /// No camera has such an exponent.
+    #[error("a gamma of {gamma} cannot be undone; 0.1 to 10 can")]
+    Gamma {
+        /// The exponent given.
+        gamma: f32,
+    },
+    /// A brighter code must stand for no less light.
+    #[error(
+        "code {code} stands for {light}, the code before it for {before}; light must not fall, and be finite"
+    )]
+    Table {
+        /// The code where the table breaks.
+        code: u8,
+        /// What the table has there.
+        light: f32,
+        /// What it has before.
+        before: f32,
+    },
+}
+
+/// The light that each code value stands for: black is 0, nominal white is 1.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LinearLight {
+    table: [f32; 256],
+}
+
+impl LinearLight {
+    /// The table that undoes `curve`. Codes past nominal black and white continue the curve (below
+    /// black with the sign turned), so that noise about black keeps its mean.
+    ///
+    /// # Errors
+    /// A gamma outside 0.1 to 10.
+    pub fn new(curve: TransferCurve, range: CodeRange) -> Result<Self, LightError> {
+        if let TransferCurve::Gamma(gamma) = curve
+            && !(0.1..=10.0).contains(&gamma)
+        {
+            return Err(LightError::Gamma { gamma });
+        }
+        let mut table = [0.0; 256];
+        for (code, light) in (0u16..).zip(&mut table) {
+            let value = match range {
+                CodeRange::Full => f64::from(code) / 255.0,
+                CodeRange::Limited => (f64::from(code) - 16.0) / 219.0,
+            };
+            *light = (undo(curve, value.abs()) * value.signum()) as f32;
+        }
+        Ok(Self { table })
+    }
+
+    /// A measured response: the light that each code stands for, up to a common factor.
+    ///
+    /// # Errors
+    /// The first code at which the light falls or is not a finite number.
+    pub fn from_table(table: [f32; 256]) -> Result<Self, LightError> {
+        let mut before = f32::MIN;
+        for (code, &light) in (0u8..=255).zip(&table) {
+            if !(light.is_finite() && light >= before) {
+                return Err(LightError::Table { code, light, before });
+            }
+            before = light;
+        }
+        Ok(Self { table })
+    }
+
+    /// The light that `code` stands for.
+    pub fn of(&self, code: u8) -> f32 {
+        self.table[usize::from(code)]
+    }
+
+    /// The light of every code.
+    pub fn table(&self) -> &[f32; 256] {
+        &self.table
+    }
+
+    /// The light at a point between pixels: bilinear, of linearised values. `None` where one of the
+    /// four pixels round it is outside the image.
+    pub fn at(&self, image: &LumaImage<'_>, at: ViewPixel) -> Option<f32> {
+        let (x, y) = (at.0.x, at.0.y);
+        let (last_x, last_y) = ((image.width() - 1) as f64, (image.height() - 1) as f64);
+        // Written so that a NaN is outside too.
+        if !(x >= 0.0 && y >= 0.0 && x <= last_x && y <= last_y) {
+            return None;
+        }
+        let (left, top) = (x as usize, y as usize);
+        let (right, bottom) =
+            ((left + 1).min(image.width() - 1), (top + 1).min(image.height() - 1));
+        let (fx, fy) = ((x - left as f64) as f32, (y - top as f64) as f32);
+        let row = |y: usize| {
+            let row = image.row(y);
+            self.of(row[left]) * (1.0 - fx) + self.of(row[right]) * fx
+        };
+        Some(row(top) * (1.0 - fy) + row(bottom) * fy)
+    }
+}
+
+/// The light in [0, 1] that the encoded `value` >= 0 stands for.
+fn undo(curve: TransferCurve, value: f64) -> f64 {
+    match curve {
+        TransferCurve::Srgb if value <= 0.04045 => value / 12.92,
+        TransferCurve::Srgb => ((value + 0.055) / 1.055).powf(2.4),
+        TransferCurve::Gamma(gamma) => value.powf(f64::from(gamma)),
+        TransferCurve::Linear => value,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use super::*;
+
+    #[test]
+    fn known_values_of_the_standards() {
+        let srgb = LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap();
+        assert!((srgb.of(0), srgb.of(255)) == (0.0, 1.0));
+        // 18 % grey is code 118 in sRGB, 21 % is 128.
+        assert!((srgb.of(118) - 0.1812).abs() < 1e-3 && (srgb.of(128) - 0.2159).abs() < 1e-3);
+        let video = LinearLight::new(TransferCurve::Gamma(2.0), CodeRange::Limited).unwrap();
+        assert!((video.of(16), video.of(235)) == (0.0, 1.0));
+        assert!((video.of(126) - 0.2523).abs() < 1e-3);
+        assert!(video.of(10) < 0.0 && video.of(255) > 1.0);
+    }
+
+    #[test]
+    fn every_table_rises() {
+        for curve in [TransferCurve::Srgb, TransferCurve::Gamma(2.2), TransferCurve::Linear] {
+            for range in [CodeRange::Full, CodeRange::Limited] {
+                let light = LinearLight::new(curve, range).unwrap();
+                assert!(light.table().windows(2).all(|pair| pair[0] < pair[1]), "{curve:?}");
+                assert_eq!(LinearLight::from_table(*light.table()).as_ref(), Ok(&light));
+            }
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_undone_is_refused() {
+        for gamma in [0.0, -1.0, f32::NAN, 11.0] {
+            assert!(LinearLight::new(TransferCurve::Gamma(gamma), CodeRange::Full).is_err());
+        }
+        let mut table = std::array::from_fn(|code| code as f32);
+        table[77] = 3.0;
+        let error = LinearLight::from_table(table).unwrap_err();
+        assert_eq!(error, LightError::Table { code: 77, light: 3.0, before: 76.0 });
+        table[77] = f32::NAN;
+        assert!(LinearLight::from_table(table).is_err());
+    }
+
+    #[test]
+    fn light_is_interpolated_after_the_curve_was_undone() {
+        let light = LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap();
+        let pixels = [0, 255, 0, 255];
+        let image = LumaImage::new(&pixels, 2, 2, 2).unwrap();
+        assert_eq!(light.at(&image, ViewPixel::new(0.25, 0.7)), Some(0.25));
+        assert_eq!(light.at(&image, ViewPixel::new(1.0, 1.0)), Some(1.0));
+        assert_eq!(light.at(&image, ViewPixel::new(1.01, 0.0)), None);
+        assert_eq!(light.at(&image, ViewPixel::new(f64::NAN, 0.0)), None);
+    }
+}

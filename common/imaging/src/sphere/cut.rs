@@ -1,0 +1,209 @@
+//! A view cut tile by tile, and views spread over threads.
+
+use std::sync::{Mutex, PoisonError};
+
+use flockeye_geometry::view::View;
+
+use super::SphereImage;
+use super::mapping::{LANES, Mapping};
+use super::patch::{MAX_ROWS, Patch, Strip, Tile};
+use super::sample::sample;
+
+/// Widest tile, pixels.
+const MAX_COLUMNS: u32 = 32;
+
+/// Rows of a view that one thread cuts at a time.
+const BAND_ROWS: u32 = 4 * MAX_ROWS;
+
+/// Fewer pixels than this are cut sooner than a thread is started.
+const MIN_PIXELS_PER_THREAD: usize = 20_000;
+
+/// Neighbouring rows of a view.
+pub(super) struct Band<'a> {
+    pub view: &'a View,
+    /// The first row.
+    pub y: u32,
+    pub rows: u32,
+    /// From the first row on, rows `stride` bytes apart.
+    pub out: &'a mut [u8],
+    pub stride: usize,
+}
+
+/// Where a strip of `LANES` columns goes.
+pub(super) struct Target<'a> {
+    /// From its first pixel on.
+    out: &'a mut [u8],
+    stride: usize,
+}
+
+impl Target<'_> {
+    /// Writes the strip's row `row`.
+    #[inline(always)]
+    pub(super) fn put(&mut self, row: usize, greys: [u8; LANES]) {
+        let at = row * self.stride;
+        self.out[at..at + LANES].copy_from_slice(&greys);
+    }
+}
+
+/// Cuts one view; `out` and the view have been checked.
+pub(super) fn cut_view(sphere: &SphereImage<'_>, view: &View, out: &mut [u8], stride: usize) {
+    cut_band(sphere, Band { view, y: 0, rows: view.size_px, out, stride });
+}
+
+/// Cuts views, rows as far apart as each is wide, with up to `threads` threads; all checked.
+pub(super) fn cut_views(
+    sphere: &SphereImage<'_>,
+    views: &[View],
+    outputs: &mut [&mut [u8]],
+    threads: usize,
+) {
+    let pixels: usize = views.iter().map(|view| (view.size_px as usize).pow(2)).sum();
+    let threads = threads.min(pixels / MIN_PIXELS_PER_THREAD);
+    if threads <= 1 {
+        for (view, out) in views.iter().zip(outputs) {
+            cut_view(sphere, view, out, view.size_px as usize);
+        }
+        return;
+    }
+    let bands = views.iter().zip(outputs).flat_map(|(view, out)| {
+        let stride = view.size_px as usize;
+        let out = &mut out[..stride * stride];
+        out.chunks_mut(BAND_ROWS as usize * stride).enumerate().map(move |(k, out)| {
+            let rows = (out.len() / stride) as u32;
+            Band { view, y: k as u32 * BAND_ROWS, rows, out, stride }
+        })
+    });
+    let bands = Mutex::new(bands);
+    let work = || {
+        loop {
+            // Poisoned by a panic elsewhere, which the scope passes on anyway.
+            let next = bands.lock().unwrap_or_else(PoisonError::into_inner).next();
+            let Some(band) = next else { break };
+            cut_band(sphere, band);
+        }
+    };
+    std::thread::scope(|scope| {
+        for _ in 1..threads {
+            scope.spawn(work);
+        }
+        work();
+    });
+}
+
+fn cut_band(sphere: &SphereImage<'_>, band: Band<'_>) {
+    #[cfg(target_arch = "x86_64")]
+    if is_x86_feature_detected!("avx2") && sphere.stride() <= super::avx2::MAX_STRIDE {
+        // SAFETY: the processor has AVX2.
+        unsafe { cut_band_avx2(sphere, band) };
+        return;
+    }
+    cut_band_plain(sphere, band);
+}
+
+pub(super) fn cut_band_plain(sphere: &SphereImage<'_>, band: Band<'_>) {
+    cut_tiles(sphere, band, |strip, rows, target| cut_strip(sphere, strip, rows, target));
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn cut_band_avx2(sphere: &SphereImage<'_>, band: Band<'_>) {
+    let (columns, lines) = (sphere.camera.width as i32, sphere.camera.height as i32);
+    // The last positions with a right and a lower neighbour, 1/65536 px.
+    let (last_column, last_line) = (((columns - 1) << 16) - 1, ((lines - 1) << 16) - 1);
+    cut_tiles(sphere, band, |strip, rows, target| {
+        let computed = rows.next_multiple_of(4) as i32;
+        let [column, line] = &strip.series;
+        if column.stays_within(computed, last_column) & line.stays_within(computed, last_line) {
+            // SAFETY: both were just seen to stay inside, over the rows rounded up, and the stride
+            // was before this function was called.
+            unsafe { super::avx2::cut_strip(sphere, strip, rows, target) };
+        } else {
+            cut_strip(sphere, strip, rows, target);
+        }
+    });
+}
+
+/// Cuts a strip pixel by pixel, across the seam or not.
+#[inline(always)]
+fn cut_strip(sphere: &SphereImage<'_>, strip: &Strip, rows: usize, target: &mut Target<'_>) {
+    let [mut column, mut line] = strip.series;
+    for row in 0..rows {
+        let mut greys = [0; LANES];
+        for (k, grey) in greys.iter_mut().enumerate() {
+            *grey = sample(sphere, [column.value[k], line.value[k]]);
+        }
+        target.put(row, greys);
+        column.advance();
+        line.advance();
+    }
+}
+
+/// Divides a band into tiles and cuts each, its strips with `cut_strip`.
+#[inline(always)]
+fn cut_tiles(
+    sphere: &SphereImage<'_>,
+    band: Band<'_>,
+    cut_strip: impl Fn(&Strip, usize, &mut Target<'_>),
+) {
+    let mapping = Mapping::new(sphere.camera, band.view);
+    let Band { view, y: top, rows, out, stride } = band;
+    let size = view.size_px;
+    let mut pending = Vec::new();
+    for y in (0..rows).step_by(MAX_ROWS as usize) {
+        for x in (0..size).step_by(MAX_COLUMNS as usize) {
+            let width = (size - x).min(MAX_COLUMNS);
+            // Whole strips: the last tile reaches back over what its left neighbour has cut.
+            let whole = width.next_multiple_of(LANES as u32).min(size);
+            let height = (rows - y).min(MAX_ROWS);
+            pending.push(Tile { x: x + width - whole, y: top + y, width: whole, height });
+            while let Some(tile) = pending.pop() {
+                let at = (tile.y - top) as usize * stride + tile.x as usize;
+                let is_whole = tile.width.is_multiple_of(LANES as u32);
+                if let Some(patch) = is_whole.then(|| Patch::fit(&mapping, tile)).flatten() {
+                    for first in (0..tile.width).step_by(LANES) {
+                        let mut target = Target { out: &mut out[at + first as usize..], stride };
+                        cut_strip(&patch.strip(first), tile.height as usize, &mut target);
+                    }
+                } else if let Some(halves) = halves(tile) {
+                    pending.extend(halves);
+                } else {
+                    cut_exactly(sphere, &mapping, tile, &mut out[at..], stride);
+                }
+            }
+        }
+    }
+}
+
+/// A tile's halves, of whole strips; `None` for the smallest tiles.
+fn halves(tile: Tile) -> Option<[Tile; 2]> {
+    let smallest = LANES as u32;
+    if tile.width > smallest && tile.width >= tile.height {
+        let width = (tile.width / 2).next_multiple_of(smallest);
+        let rest = Tile { x: tile.x + width, width: tile.width - width, ..tile };
+        Some([Tile { width, ..tile }, rest])
+    } else if tile.height > smallest {
+        let height = tile.height / 2;
+        let rest = Tile { y: tile.y + height, height: tile.height - height, ..tile };
+        Some([Tile { height, ..tile }, rest])
+    } else {
+        None
+    }
+}
+
+/// Cuts a tile no wider than `LANES` with the exact mapping of each pixel.
+#[inline(always)]
+fn cut_exactly(
+    sphere: &SphereImage<'_>,
+    mapping: &Mapping,
+    tile: Tile,
+    out: &mut [u8],
+    stride: usize,
+) {
+    for row in 0..tile.height {
+        let (columns, lines) = mapping.positions(tile.x, tile.y + row);
+        let line = &mut out[row as usize * stride..][..tile.width as usize];
+        for (grey, at) in line.iter_mut().zip(columns.into_iter().zip(lines)) {
+            *grey = sample(sphere, at.into());
+        }
+    }
+}

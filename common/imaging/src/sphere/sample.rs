@@ -1,0 +1,92 @@
+//! Bilinear interpolation of the sphere image, in integers: the same on every back end.
+
+use super::SphereImage;
+use super::mapping::FRACTION_BITS;
+
+/// Largest weight of a row. With 255 for columns the product is 2^22 within 2e-5, so a shift
+/// divides by it. (Weights below it are cut, 0.5 each on average: hence two more than 2^22/255.)
+pub(super) const ROW_WEIGHT: u16 = 16_450;
+
+/// Binary digits of the product of a column's and a row's weight.
+pub(super) const WEIGHT_BITS: u32 = 22;
+
+/// The grey value between four pixels (upper left, upper right, lower left, lower right) at the
+/// fractions of the position (column, row), 1/65536 px.
+#[inline(always)]
+pub(super) fn blend([column, row]: [i32; 2], pixels: [u8; 4]) -> u8 {
+    // Greys count from their middle, so that vector code can hold weighted sums in 16 bits.
+    let [a, b, c, d] = pixels.map(|grey| i32::from(grey) - 128);
+    let right = (column >> (FRACTION_BITS - 8)) & 0xff;
+    let upper = (255 - right) * a + right * b;
+    let lower = (255 - right) * c + right * d;
+    let down = row & 0xffff;
+    let weight = i32::from(ROW_WEIGHT);
+    let (above, below) = (((0xffff - down) * weight) >> 16, (down * weight) >> 16);
+    let sum = upper * above + lower * below;
+    ((sum + (128 << WEIGHT_BITS) + (1 << (WEIGHT_BITS - 1))) >> WEIGHT_BITS) as u8
+}
+
+/// The grey value at a position, 1/65536 px, anywhere: columns go round, and rows beyond the poles
+/// come back half a turn further.
+#[inline(always)]
+pub(super) fn sample(sphere: &SphereImage<'_>, [column, row]: [i32; 2]) -> u8 {
+    let width = sphere.camera.width as i32;
+    let (left, top) = (column >> FRACTION_BITS, row >> FRACTION_BITS);
+    let pixel = |x: i32, y: i32| {
+        let (x, y) = over_the_pole(sphere, x, y);
+        let x = if (0..width).contains(&x) { x } else { x.rem_euclid(width) };
+        sphere.pixels[y * sphere.stride + x as usize]
+    };
+    let pixels =
+        [pixel(left, top), pixel(left + 1, top), pixel(left, top + 1), pixel(left + 1, top + 1)];
+    blend([column, row], pixels)
+}
+
+/// The pixel of the image that row `y`, up to one image above or below it, stands for.
+#[inline(always)]
+fn over_the_pole(sphere: &SphereImage<'_>, x: i32, y: i32) -> (i32, usize) {
+    let (half_turn, height) = (sphere.camera.width as i32 / 2, sphere.camera.height as i32);
+    let (x, y) = match y {
+        y if y < 0 => (x + half_turn, -1 - y),
+        y if y >= height => (x + half_turn, 2 * height - 1 - y),
+        y => (x, y),
+    };
+    (x, y.clamp(0, height - 1) as usize)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn blending_is_bilinear_within_half_a_grey_and_the_fractions_steps() {
+        let corners = [[0, 255, 255, 0], [255, 255, 255, 255], [0, 0, 0, 0], [3, 90, 200, 17]];
+        for pixels in corners {
+            let [a, b, c, d] = pixels.map(f64::from);
+            for column in (0..65_536).step_by(771) {
+                for row in (0..65_536).step_by(771) {
+                    let (x, y) = (f64::from(column) / 65_536.0, f64::from(row) / 65_536.0);
+                    let exact = (1.0 - y) * ((1.0 - x) * a + x * b) + y * ((1.0 - x) * c + x * d);
+                    let found = f64::from(blend([column, row], pixels));
+                    // A column's fraction is off by 1/256 at most, of up to 255 greys.
+                    assert!(
+                        (found - exact).abs() < 0.52 + (b - a).abs().max((d - c).abs()) / 256.0
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn neighbours_across_the_seam_and_the_poles() {
+        #![allow(clippy::unwrap_used)]
+        let camera = flockeye_geometry::camera::Equirectangular { width: 4, height: 2 };
+        let pixels = [10, 20, 30, 40, 50, 60, 70, 80];
+        let sphere = SphereImage::new(&pixels, 4, camera).unwrap();
+        let at = |x: f64, y: f64| sample(&sphere, [(x * 65_536.0) as i32, (y * 65_536.0) as i32]);
+        assert_eq!(at(0.0, 0.0), 10);
+        assert_eq!([at(-0.5, 0.0), at(3.5, 0.0), at(7.5, 0.0)], [25; 3]);
+        // Above column 0 of the first row lies column 2 of the same row; below the last, likewise.
+        assert_eq!([at(0.0, -0.5), at(0.0, 1.5)], [20, 60]);
+    }
+}

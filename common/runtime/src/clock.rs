@@ -1,0 +1,24 @@
+//! CLOCK_MONOTONIC, the clock of everything inside a machine.
+
+use std::time::Duration;
+
+use rustix::time::{ClockId, Timespec, clock_gettime};
+
+/// Nanoseconds of CLOCK_MONOTONIC.
+pub fn monotonic_ns() -> i64 {
+    nanoseconds(clock_gettime(ClockId::Monotonic))
+}
+
+/// Processor time that this process has used, nanoseconds.
+pub fn processor_ns() -> i64 {
+    nanoseconds(clock_gettime(ClockId::ProcessCPUTime))
+}
+
+/// How long it is from `now_ns` to `then_ns`; zero if that has passed.
+pub fn until(then_ns: i64, now_ns: i64) -> Duration {
+    Duration::from_nanos(u64::try_from(then_ns.saturating_sub(now_ns)).unwrap_or(0))
+}
+
+fn nanoseconds(time: Timespec) -> i64 {
+    time.tv_sec * 1_000_000_000 + time.tv_nsec
+}

@@ -1,0 +1,180 @@
+//! What no schema can say: values that contradict each other, names, rotations.
+
+use super::document::Node;
+use super::{BodySet, Camera, CameraModel, Flow, Mount, Pipeline, Problem, Problems, StageProcess};
+
+/// Adds everything about `pipeline` that cannot be meant to `problems`.
+pub(super) fn check(pipeline: &Pipeline, document: &Node, problems: &mut Problems) {
+    let mut meaning = Meaning { document, problems };
+    meaning.name("instance", &pipeline.instance.0);
+    meaning.name("observer.name", &pipeline.observer.name);
+    meaning.name("observer.swarm", &pipeline.observer.swarm);
+    meaning.mount("observer.observer_from_camera", &pipeline.observer.observer_from_camera);
+    meaning.camera(&pipeline.camera);
+    meaning.bodies(&pipeline.bodies);
+    meaning.rising("source.reopen_s", pipeline.source.reopen_s, 0.01);
+    meaning.rising("simulator.distance_m", pipeline.simulator.distance_m, 0.2);
+    meaning.source(pipeline);
+    meaning.network(pipeline);
+    meaning.stages(pipeline);
+}
+
+struct Meaning<'a> {
+    document: &'a Node,
+    problems: &'a mut Problems,
+}
+
+impl Meaning<'_> {
+    fn problem(&mut self, path: &str, what: String) {
+        self.problems.add(Problem::new(self.document.origin_of(path), path, what));
+    }
+
+    fn name(&mut self, path: &str, name: &str) {
+        if !flockeye_contract::wire::is_name(name) {
+            self.problem(
+                path,
+                format!("'{name}' cannot be a name: use 1 to 31 letters, digits, '-', '_' and '.'"),
+            );
+        }
+    }
+
+    fn mount(&mut self, path: &str, mount: &Mount) {
+        let norm = mount.orientation.iter().map(|q| q * q).sum::<f64>().sqrt();
+        if (norm - 1.0).abs() > 1e-3 {
+            self.problem(
+                &format!("{path}.orientation"),
+                format!("a rotation's quaternion x, y, z, w has length 1, not {norm:.4}"),
+            );
+        }
+    }
+
+    /// Two positive numbers, the first no larger than the second.
+    fn rising(&mut self, path: &str, [low, high]: [f64; 2], least: f64) {
+        if !(low >= least && high >= low) {
+            self.problem(
+                path,
+                format!("must be two rising numbers from {least}, not [{low}, {high}]"),
+            );
+        }
+    }
+
+    fn camera(&mut self, camera: &Camera) {
+        match camera.projection {
+            CameraModel::Equirectangular if camera.width != 2 * camera.height => self.problem(
+                "camera.width",
+                format!(
+                    "an equirectangular image is twice as wide as high, not {}x{}",
+                    camera.width, camera.height
+                ),
+            ),
+            CameraModel::Equirectangular => {}
+        }
+    }
+
+    fn bodies(&mut self, bodies: &BodySet) {
+        if bodies.file.is_some() {
+            return; // read, and refused, by whoever opens it: see `Pipeline::bodies`
+        }
+        for (index, body) in bodies.list.iter().enumerate() {
+            self.name(&format!("bodies.list.{index}.name"), &body.name);
+            self.mount(
+                &format!("bodies.list.{index}.target_from_markers"),
+                &body.target_from_markers,
+            );
+            if body.marker_m > body.edge_m {
+                self.problem(
+                    &format!("bodies.list.{index}.marker_m"),
+                    format!(
+                        "a marker of {} m does not fit a facet of {} m",
+                        body.marker_m, body.edge_m
+                    ),
+                );
+            }
+        }
+        if let Err(error) = super::super::bodies::from_presets(bodies) {
+            self.problem("bodies.list", error.to_string());
+        }
+    }
+
+    fn source(&mut self, pipeline: &Pipeline) {
+        if pipeline.source.input.trim().is_empty() {
+            self.problem(
+                "source.input",
+                "must not be empty: write sim, a file, a folder or a camera".into(),
+            );
+        }
+        let bodies = pipeline.bodies.list.len();
+        if pipeline.bodies.file.is_none() && pipeline.simulator.neighbours as usize > bodies {
+            self.problem(
+                "simulator.neighbours",
+                format!(
+                    "{} neighbours, but {bodies} bodies are configured",
+                    pipeline.simulator.neighbours
+                ),
+            );
+        }
+        let frame_ms = 1e3 / pipeline.simulator.frames_per_second;
+        if pipeline.simulator.exposure_ms > frame_ms {
+            self.problem(
+                "simulator.exposure_ms",
+                format!(
+                    "an exposure of {} ms in a frame of {frame_ms:.2} ms",
+                    pipeline.simulator.exposure_ms
+                ),
+            );
+        }
+        if pipeline.flow == Flow::Lossless && pipeline.source.at_end == super::AtEnd::Loop {
+            self.problem(
+                "source.at_end",
+                "a lossless run ends with its recording: use stop".into(),
+            );
+        }
+    }
+
+    fn network(&mut self, pipeline: &Pipeline) {
+        let lists = [
+            ("gateway.listen", &pipeline.gateway.listen),
+            ("gateway.connect", &pipeline.gateway.connect),
+        ];
+        for (path, endpoints) in lists {
+            for (index, endpoint) in endpoints.iter().enumerate() {
+                let is_endpoint = endpoint.split_once('/').is_some_and(|(protocol, address)| {
+                    ["tcp", "udp"].contains(&protocol) && address.contains(':')
+                });
+                if !is_endpoint {
+                    self.problem(
+                        &format!("{path}.{index}"),
+                        format!("'{endpoint}' is no endpoint: write tcp/ADDRESS:PORT or udp/ADDRESS:PORT"),
+                    );
+                }
+            }
+        }
+    }
+
+    fn stages(&mut self, pipeline: &Pipeline) {
+        for (name, stage) in pipeline.stages.iter() {
+            if stage.replicas > 1 && name != "detection" {
+                self.problem(
+                    &format!("stages.{name}.replicas"),
+                    format!("only detection runs in several processes, {name} in one"),
+                );
+            }
+            self.rising(&format!("stages.{name}.backoff_s"), stage.backoff_s, 0.01);
+        }
+    }
+}
+
+impl super::Stages {
+    /// Every stage with its name, in the order of the dataflow.
+    pub fn iter(&self) -> impl Iterator<Item = (&'static str, &StageProcess)> {
+        [
+            ("capture", &self.capture),
+            ("simulator", &self.simulator),
+            ("rectification", &self.rectification),
+            ("detection", &self.detection),
+            ("fusion", &self.fusion),
+            ("gateway", &self.gateway),
+        ]
+        .into_iter()
+    }
+}

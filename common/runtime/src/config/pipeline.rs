@@ -1,0 +1,552 @@
+//! The configuration as types. Their doc comments are the descriptions in the JSON Schema.
+
+use std::path::PathBuf;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// A Flockeye pipeline.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Pipeline {
+    /// Name of this pipeline on this machine: two run side by side under two names.
+    pub instance: Instance,
+    /// latest: the newest frame wins everywhere (flight). lossless: every frame is worked on,
+    /// however long it takes (evaluation).
+    pub flow: Flow,
+    /// This drone.
+    pub observer: Observer,
+    /// The spherical camera.
+    pub camera: Camera,
+    /// What the neighbours carry.
+    pub bodies: BodySet,
+    /// Where frames come from.
+    pub source: Source,
+    /// The simulated world, for `source.input: sim`.
+    pub simulator: Simulator,
+    /// How the sphere is cut.
+    pub partition: Partition,
+    /// How views are cut from frames.
+    pub rectification: Rectification,
+    /// How markers are found in views.
+    pub detection: Detection,
+    /// Where fusion looks.
+    pub search: Search,
+    /// How poses are solved and filtered.
+    pub fusion: Fusion,
+    /// What goes over the network.
+    pub gateway: Gateway,
+    /// How the stages' processes are run.
+    pub stages: Stages,
+}
+
+/// Name of a pipeline on a machine: letters, digits, `-` and `_`, at most 31.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(transparent)]
+pub struct Instance(pub String);
+
+impl Default for Instance {
+    fn default() -> Self {
+        Self("flockeye".into())
+    }
+}
+
+/// How frames flow.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Flow {
+    /// The newest frame wins at every border; what is dropped is counted.
+    #[default]
+    Latest,
+    /// Every frame is worked on; results do not depend on time.
+    Lossless,
+}
+
+/// This drone.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Observer {
+    /// Its name on the network.
+    pub name: String,
+    /// The swarm it flies in.
+    pub swarm: String,
+    /// Where the camera sits on the drone.
+    pub observer_from_camera: Mount,
+}
+
+impl Default for Observer {
+    fn default() -> Self {
+        Self {
+            name: "observer".into(),
+            swarm: "swarm".into(),
+            observer_from_camera: Mount::default(),
+        }
+    }
+}
+
+/// A fixed transform between two parts of a drone.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Mount {
+    /// Metres: x forward, y left, z up.
+    pub position: [f64; 3],
+    /// Unit quaternion x, y, z, w.
+    pub orientation: [f64; 4],
+}
+
+impl Default for Mount {
+    fn default() -> Self {
+        Self { position: [0.0; 3], orientation: [0.0, 0.0, 0.0, 1.0] }
+    }
+}
+
+/// The spherical camera.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Camera {
+    /// Pixels in a row.
+    #[schemars(range(min = 64, max = 16384))]
+    pub width: u32,
+    /// Rows.
+    #[schemars(range(min = 32, max = 8192))]
+    pub height: u32,
+    /// The camera model.
+    pub projection: CameraModel,
+    /// The curve between light and code values.
+    pub response: Response,
+    /// Exponent of `response: gamma`.
+    #[schemars(range(min = 0.1, max = 10.0))]
+    pub gamma: f32,
+    /// Time between a frame's exposure and its arrival, milliseconds: subtracted from arrival.
+    #[schemars(range(min = 0.0, max = 10000.0))]
+    pub latency_ms: f64,
+    /// Time between the first and the last row's exposure, milliseconds.
+    #[schemars(range(min = 0.0, max = 1000.0))]
+    pub readout_ms: f64,
+}
+
+impl Default for Camera {
+    fn default() -> Self {
+        Self {
+            width: 3840,
+            height: 1920,
+            projection: CameraModel::Equirectangular,
+            response: Response::Srgb,
+            gamma: 2.2,
+            latency_ms: 0.0,
+            readout_ms: 0.0,
+        }
+    }
+}
+
+/// The camera model.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum CameraModel {
+    /// Longitude along the rows, latitude along the columns; twice as wide as high.
+    #[default]
+    Equirectangular,
+}
+
+/// The curve between light and code values.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Response {
+    /// The sRGB curve.
+    #[default]
+    Srgb,
+    /// code = light^(1/gamma).
+    Gamma,
+    /// Code values proportional to light.
+    Linear,
+}
+
+/// What the neighbours carry.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct BodySet {
+    /// A JSON file of ids and corner positions; it replaces `dictionary` and `list`.
+    pub file: Option<PathBuf>,
+    /// Dictionary of all markers: one of OpenCV's names, or a dictionary file in OpenCV's YAML form.
+    pub dictionary: String,
+    /// The neighbours, by preset.
+    pub list: Vec<PresetBody>,
+}
+
+impl Default for BodySet {
+    fn default() -> Self {
+        let body = |name: &str, first_id| PresetBody {
+            name: name.into(),
+            first_id,
+            ..PresetBody::default()
+        };
+        Self {
+            file: None,
+            dictionary: "DICT_5X5_250".into(),
+            list: vec![body("alpha", 0), body("bravo", 17)],
+        }
+    }
+}
+
+/// A body from a preset.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct PresetBody {
+    /// The neighbour's name on the network.
+    pub name: String,
+    /// Which solid.
+    pub preset: Preset,
+    /// Edge of the solid, metres.
+    #[schemars(range(min = 0.005, max = 5.0))]
+    pub edge_m: f64,
+    /// Side of the markers' black squares, metres.
+    #[schemars(range(min = 0.005, max = 5.0))]
+    pub marker_m: f64,
+    /// Id of its first marker; the others follow.
+    #[schemars(range(min = 0, max = 1000000))]
+    pub first_id: u32,
+    /// Where the marker body sits on its drone.
+    pub target_from_markers: Mount,
+}
+
+impl Default for PresetBody {
+    fn default() -> Self {
+        Self {
+            name: "alpha".into(),
+            preset: Preset::Squares,
+            edge_m: 0.0625,
+            marker_m: 0.05,
+            first_id: 0,
+            target_from_markers: Mount::default(),
+        }
+    }
+}
+
+/// The solids that come with Flockeye.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Preset {
+    /// Rhombicuboctahedron with 17 markers: every square facet but the bottom one.
+    #[default]
+    Squares,
+}
+
+/// Where frames come from.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Source {
+    /// `sim`, a video file, a folder of images, `v4l2:/dev/video0`, `theta`, or a GStreamer
+    /// description (with a `!` in it, or behind `gst:`).
+    pub input: String,
+    /// What happens at the end of a recording.
+    pub at_end: AtEnd,
+    /// Pace of a folder of images in real time, images a second.
+    #[schemars(range(min = 0.01, max = 1000.0))]
+    pub images_per_second: f64,
+    /// Threads of a software video decoder; 0 lets it choose.
+    #[schemars(range(min = 0, max = 64))]
+    pub decoder_threads: u32,
+    /// First and longest wait before a camera that went away is opened again, seconds.
+    pub reopen_s: [f64; 2],
+}
+
+impl Default for Source {
+    fn default() -> Self {
+        Self {
+            input: "sim".into(),
+            at_end: AtEnd::Stop,
+            images_per_second: 1.0,
+            decoder_threads: 0,
+            reopen_s: [0.5, 8.0],
+        }
+    }
+}
+
+/// What happens at the end of a recording.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum AtEnd {
+    /// The pipeline stops.
+    #[default]
+    Stop,
+    /// It begins again, with the next epoch.
+    Loop,
+}
+
+/// The simulated world.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Simulator {
+    /// The same seed gives the same flight.
+    #[schemars(range(min = 0, max = 4294967295u32))]
+    pub seed: u32,
+    /// How many of the configured bodies fly.
+    #[schemars(range(min = 0, max = 32))]
+    pub neighbours: u32,
+    /// Frames a second.
+    #[schemars(range(min = 0.1, max = 240.0))]
+    pub frames_per_second: f64,
+    /// Frames until the flight ends; 0: it does not.
+    #[schemars(range(min = 0))]
+    pub frames: u64,
+    /// Length of the exposure, milliseconds.
+    #[schemars(range(min = 0.01, max = 1000.0))]
+    pub exposure_ms: f64,
+    /// Nearest and farthest distance of the neighbours, metres.
+    pub distance_m: [f64; 2],
+    /// The observer's own yaw, degrees a second.
+    #[schemars(range(min = -360.0, max = 360.0))]
+    pub yaw_deg_s: f64,
+    /// Blur of the lens, sigma in pixels of the sphere image.
+    #[schemars(range(min = 0.0, max = 5.0))]
+    pub lens_blur_px: f64,
+    /// Sensor noise as a multiple of the default camera's; 0: none.
+    #[schemars(range(min = 0.0, max = 20.0))]
+    pub noise: f64,
+    /// Whether airframes hide markers.
+    pub airframes: bool,
+}
+
+impl Default for Simulator {
+    fn default() -> Self {
+        Self {
+            seed: 1,
+            neighbours: 1,
+            frames_per_second: 30.0,
+            frames: 0,
+            exposure_ms: 6.25,
+            distance_m: [0.6, 2.0],
+            yaw_deg_s: 12.0,
+            lens_blur_px: 0.8,
+            noise: 1.0,
+            airframes: true,
+        }
+    }
+}
+
+/// How the sphere is cut.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Partition {
+    /// How many views cover the sphere.
+    #[schemars(range(min = 12, max = 12))]
+    pub count: u32,
+    /// Overlap of neighbouring views, degrees: what is smaller lies wholly in one of them. Left
+    /// out: the largest marker at `nearest_m`.
+    #[schemars(range(min = 0.0, max = 45.0))]
+    pub margin_deg: Option<f64>,
+    /// Nearest working range, metres, for the margin.
+    #[schemars(range(min = 0.1, max = 100.0))]
+    pub nearest_m: f64,
+}
+
+impl Default for Partition {
+    fn default() -> Self {
+        Self { count: 12, margin_deg: None, nearest_m: 0.4 }
+    }
+}
+
+/// How views are cut from frames.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Rectification {
+    /// auto: the graphics processor if there is a real one, else the processor.
+    pub backend: Backend,
+    /// Threads of the processor back end.
+    #[schemars(range(min = 1, max = 64))]
+    pub threads: u32,
+    /// Views in flight for each detection worker.
+    #[schemars(range(min = 1, max = 16))]
+    pub window: u32,
+    /// After how long a worker's silence its views are given to another, milliseconds.
+    #[schemars(range(min = 10.0, max = 60000.0))]
+    pub overdue_ms: f64,
+}
+
+impl Default for Rectification {
+    fn default() -> Self {
+        Self { backend: Backend::Auto, threads: 1, window: 2, overdue_ms: 500.0 }
+    }
+}
+
+/// What cuts views.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Backend {
+    /// The graphics processor if there is a real one, else the processor.
+    #[default]
+    Auto,
+    /// The processor.
+    Cpu,
+    /// The graphics processor, or Vulkan in software where there is none.
+    Gpu,
+}
+
+/// How markers are found in views.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Detection {
+    /// Markers with shorter sides are not looked for, pixels of the view.
+    #[schemars(range(min = 6.0, max = 200.0))]
+    pub min_side_px: f64,
+}
+
+impl Default for Detection {
+    fn default() -> Self {
+        Self { min_side_px: 11.0 }
+    }
+}
+
+/// Where fusion looks.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Search {
+    /// greedy and optimized are the paper's, exhaustive looks everywhere, gaze (the default) looks
+    /// where neighbours are predicted and sweeps the rest.
+    pub mode: Mode,
+    /// Partitions searched after the gaze views in each frame of a lossless run.
+    #[schemars(range(min = 1, max = 128))]
+    pub lossless_partitions: u32,
+}
+
+impl Default for Search {
+    fn default() -> Self {
+        Self { mode: Mode::Gaze, lossless_partitions: 3 }
+    }
+}
+
+/// How a frame is searched.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Mode {
+    /// Partitions in a fixed order until the first hit.
+    Greedy,
+    /// The paper's Algorithm 1.
+    Optimized,
+    /// Every partition of every frame.
+    Exhaustive,
+    /// Predicted neighbours first, magnified; then partitions, least recently searched first.
+    #[default]
+    Gaze,
+}
+
+/// How poses are solved and filtered.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Fusion {
+    /// constant_velocity, or none: each frame for itself (unrelated stills).
+    pub filter: Filter,
+    /// How long a neighbour that is not measured is predicted, seconds.
+    #[schemars(range(min = 0.0, max = 60.0))]
+    pub coast_s: f64,
+    /// Frames with a measurement until a neighbour is believed.
+    #[schemars(range(min = 1, max = 100))]
+    pub confirm_hits: u32,
+    /// How long a frame is waited for when a stage has died, milliseconds.
+    #[schemars(range(min = 10.0, max = 60000.0))]
+    pub deadline_ms: f64,
+}
+
+impl Default for Fusion {
+    fn default() -> Self {
+        Self {
+            filter: Filter::ConstantVelocity,
+            coast_s: 0.5,
+            confirm_hits: 2,
+            deadline_ms: 3000.0,
+        }
+    }
+}
+
+/// How poses are filtered.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Filter {
+    /// A constant-velocity filter for each neighbour.
+    #[default]
+    ConstantVelocity,
+    /// None: each frame for itself.
+    None,
+}
+
+/// What goes over the network.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Gateway {
+    /// false: nothing goes over the network.
+    pub enabled: bool,
+    /// Zenoh endpoints to listen on (`tcp/192.168.1.7:7447`), each on a named interface's address.
+    pub listen: Vec<String>,
+    /// Zenoh endpoints to connect to.
+    pub connect: Vec<String>,
+    /// Interface on which peers are looked for by multicast; left out: they are not.
+    pub scout_interface: Option<String>,
+}
+
+impl Default for Gateway {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            listen: vec!["tcp/127.0.0.1:7447".into()],
+            connect: Vec::new(),
+            scout_interface: None,
+        }
+    }
+}
+
+/// How the stages' processes are run.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Stages {
+    /// Camera, video file, stream or image folder to frames.
+    pub capture: StageProcess,
+    /// The simulated world, in place of capture.
+    pub simulator: StageProcess,
+    /// Frames and plans to views.
+    pub rectification: StageProcess,
+    /// Views to detections.
+    pub detection: StageProcess,
+    /// Detections to tracks and plans.
+    pub fusion: StageProcess,
+    /// Tracks to Zenoh.
+    pub gateway: StageProcess,
+}
+
+/// How one stage's process is run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct StageProcess {
+    /// Program and arguments of another implementation; empty: the one that comes with Flockeye.
+    pub command: Vec<String>,
+    /// How many of them (detection only).
+    #[schemars(range(min = 1, max = 16))]
+    pub replicas: u32,
+    /// Whether it is started again when it ends.
+    pub restart: Restart,
+    /// First and longest wait before it is started again, seconds; doubled each time in between.
+    pub backoff_s: [f64; 2],
+}
+
+impl Default for StageProcess {
+    fn default() -> Self {
+        Self {
+            command: Vec::new(),
+            replicas: 1,
+            restart: Restart::OnFailure,
+            backoff_s: [0.1, 5.0],
+        }
+    }
+}
+
+/// Whether a stage is started again when it ends.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Restart {
+    /// Never: the pipeline stops with it.
+    Never,
+    /// When it failed.
+    #[default]
+    OnFailure,
+    /// Always.
+    Always,
+}

@@ -1,0 +1,114 @@
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+use super::*;
+
+fn parse(yaml: &str) -> Result<Pipeline, ConfigError> {
+    Pipeline::parse(yaml, &[], "pipeline.yaml")
+}
+
+#[test]
+fn an_empty_file_is_the_default() {
+    assert_eq!(parse("").unwrap(), Pipeline::default());
+    assert_eq!(parse("search:\n").unwrap(), Pipeline::default());
+}
+
+#[test]
+fn the_shipped_file_says_the_defaults() {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../pipeline.yaml");
+    assert_eq!(Pipeline::load(Path::new(path), &[]).unwrap(), Pipeline::default());
+}
+
+#[test]
+fn the_shipped_file_names_every_key() {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../pipeline.yaml");
+    let text = std::fs::read_to_string(path).unwrap();
+    let schema = serde_json::to_value(json_schema()).unwrap();
+    let sections = schema["$defs"].as_object().unwrap().values().chain([&schema]);
+    let keys =
+        sections.filter_map(|section| section["properties"].as_object()).flat_map(|p| p.keys());
+    let missing: Vec<_> = keys.filter(|key| !text.contains(&format!("{key}:"))).collect();
+    assert!(missing.is_empty(), "pipeline.yaml does not mention {missing:?}");
+}
+
+/// Every malformed or senseless file, and what the message has to say.
+const WRONG: &[(&str, &[&str])] = &[
+    ("camera: [1, 2", &["not YAML"]),
+    ("camera:\n\twidth: 1", &["not YAML"]),
+    ("camera: {width: 1}\ncamera: {width: 2}", &["line 2", "duplicated key"]),
+    ("- camera", &["must be a section", "not a list"]),
+    ("just text", &["must be a section", "the text 'just text'"]),
+    ("---\na: 1\n---\nb: 2", &["2 documents"]),
+    ("1: 2", &["key must be text"]),
+    ("camra: {}", &["line 1, column 1", "unknown key", "did you mean 'camera'?"]),
+    ("camera:\n  widht: 3840", &["line 2, column 3", "camera.widht", "did you mean 'width'?"]),
+    ("search: {qqq: 1}", &["unknown key (known are mode, lossless_partitions)"]),
+    ("camera: {width: wide}", &["camera.width", "must be a whole number", "the text 'wide'"]),
+    ("camera: {width: 38.5}", &["must be a whole number, not 38.5"]),
+    (
+        "camera: {width: 20000, height: 10000}",
+        &["from 64 to 16384, not 20000", "from 32 to 8192, not 10000"],
+    ),
+    (
+        "camera: {width: 3840, height: 2160}",
+        &["line 1, column 17", "twice as wide as high", "3840x2160"],
+    ),
+    ("camera: {latency_ms: -1}", &["from 0 to 10000, not -1"]),
+    ("camera: {latency_ms: .inf}", &["not a finite number"]),
+    ("flow: losless", &["latest, lossless", "did you mean 'lossless'?"]),
+    ("flow: [latest]", &["must be one of latest, lossless, not a list"]),
+    ("search: {mode: gazee}", &["greedy, optimized, exhaustive, gaze", "did you mean 'gaze'?"]),
+    ("instance: 'a b'", &["instance: 'a b' cannot be a name"]),
+    ("observer: {name: a/b}", &["observer.name", "letters, digits"]),
+    (
+        "observer: {observer_from_camera: {position: [0, 0]}}",
+        &["must have exactly 3 entries, not 2"],
+    ),
+    ("observer: {observer_from_camera: {orientation: [0, 0, 0, 0]}}", &["length 1, not 0.0000"]),
+    ("bodies: {list: [{name: a}, {name: a}]}", &["two bodies are called 'a'", "id 0 belongs to"]),
+    ("bodies: {list: []}", &["there is no body"]),
+    ("bodies: {list: [{marker_m: 0.07}]}", &["0.07 m does not fit a facet of 0.0625 m"]),
+    ("simulator: {neighbours: 3}", &["3 neighbours, but 2 bodies"]),
+    ("simulator: {distance_m: [2, 1]}", &["two rising numbers", "[2, 1]"]),
+    ("simulator: {exposure_ms: 50}", &["exposure of 50 ms in a frame of 33.33 ms"]),
+    ("gateway: {listen: [localhost]}", &["gateway.listen.0", "tcp/ADDRESS:PORT"]),
+    ("gateway: {enabled: maybe}", &["must be true or false, not the text 'maybe'"]),
+    ("stages: {fusion: {replicas: 2}}", &["only detection runs in several processes"]),
+    ("stages: {detection: {restart: sometimes}}", &["never, on_failure, always"]),
+    (
+        "stages: {detection: {command: python3 my.py}}",
+        &["stages.detection.command", "must be a list"],
+    ),
+    ("source: {input: ''}", &["source.input", "must not be empty"]),
+    ("flow: lossless\nsource: {at_end: loop}", &["line 2", "a lossless run ends"]),
+];
+
+#[test]
+fn wrong_files_are_refused_with_place_and_cure() {
+    for (yaml, wanted) in WRONG {
+        let message = parse(yaml).expect_err(yaml).to_string();
+        for part in *wanted {
+            assert!(message.contains(part), "{yaml:?} must say {part:?}, but says:\n{message}");
+        }
+        assert!(message.contains("line "), "{yaml:?} must say where:\n{message}");
+    }
+}
+
+#[test]
+fn all_problems_come_at_once() {
+    let error =
+        parse("camra: {}\nflow: fast\nsearch: {mode: 3, lossless_partitions: 0}\n").unwrap_err();
+    let ConfigError::Problems { problems, .. } = &error else { panic!("{error}") };
+    assert_eq!(problems.len(), 4, "{error}");
+    assert!(error.to_string().starts_with("pipeline.yaml has 4 problems:"), "{error}");
+}
+
+#[test]
+fn overrides_are_checked_like_the_file() {
+    let overrides = ["search.mode=exhaustive".to_owned(), "fusion.filter=none".to_owned()];
+    let pipeline = Pipeline::parse("", &overrides, "pipeline.yaml").unwrap();
+    assert_eq!((pipeline.search.mode, pipeline.fusion.filter), (Mode::Exhaustive, Filter::None));
+    let error = Pipeline::parse("", &["serach.mode=gaze".to_owned()], "x").unwrap_err().to_string();
+    assert!(
+        error.contains("--set serach.mode=gaze") && error.contains("did you mean 'search'?"),
+        "{error}"
+    );
+}

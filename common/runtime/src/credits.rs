@@ -1,0 +1,75 @@
+//! When a source may send its next frame.
+//!
+//! In the flow `latest` always. In the flow `lossless` after the plan for it has come back: fusion
+//! publishes a plan after each frame, and one to open the flow. So no frame overtakes another, and
+//! nothing is decided by time - but for a frame that a dying stage took with it, of which no plan
+//! ever comes: it is given up on after a while.
+
+use flockeye_contract::{FrameStamp, Plans};
+
+use crate::clock;
+use crate::config::{Flow, Pipeline};
+use crate::ports::{PortError, Ports, Subscriber};
+
+/// The source's side of the flow.
+pub struct Credits {
+    /// None in the flow `latest`.
+    plans: Option<Subscriber<Plans>>,
+    state: State,
+    patience_ns: i64,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum State {
+    /// Nothing may be sent before the flow is opened.
+    Closed,
+    /// A frame may be sent.
+    Open,
+    /// A frame is under way.
+    Awaited { frame: FrameStamp, since_ns: i64 },
+}
+
+impl Credits {
+    /// The credits of a pipeline's source.
+    ///
+    /// # Errors
+    /// The plans cannot be subscribed to.
+    pub fn open(pipeline: &Pipeline, ports: &mut Ports) -> Result<Self, PortError> {
+        let (plans, state) = match pipeline.flow {
+            Flow::Latest => (None, State::Open),
+            Flow::Lossless => (Some(ports.subscriber()?), State::Closed),
+        };
+        // Fusion itself gives up on a frame after its deadline; who waits for fusion waits longer.
+        let patience_ns = (3.0 * pipeline.fusion.deadline_ms * 1e6) as i64;
+        Ok(Self { plans, state, patience_ns })
+    }
+
+    /// Whether the next frame may be sent now.
+    ///
+    /// # Errors
+    /// The plans cannot be received.
+    pub fn may_send(&mut self) -> Result<bool, PortError> {
+        let Some(plans) = &mut self.plans else { return Ok(true) };
+        while let Some(plan) = plans.receive()? {
+            let opens = plan.header.has_after == 0;
+            let answers = matches!(self.state, State::Awaited { frame, .. } if plan.header.after.is_same_frame(&frame));
+            if opens || answers {
+                self.state = State::Open;
+            }
+        }
+        if let State::Awaited { frame, since_ns } = self.state
+            && clock::monotonic_ns() - since_ns > self.patience_ns
+        {
+            tracing::warn!(frame = frame.sequence, "no plan came back for a frame; it is given up");
+            self.state = State::Open;
+        }
+        Ok(self.state == State::Open)
+    }
+
+    /// A frame was sent.
+    pub fn note_sent(&mut self, frame: FrameStamp) {
+        if self.plans.is_some() {
+            self.state = State::Awaited { frame, since_ns: clock::monotonic_ns() };
+        }
+    }
+}

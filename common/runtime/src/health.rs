@@ -1,0 +1,144 @@
+//! Counters and latency quantiles of a stage, and their report.
+
+use std::cell::{Cell, RefCell};
+use std::rc::Rc;
+use std::time::Duration;
+
+use flockeye_contract::{Health, StageState, Text};
+
+use crate::clock;
+
+/// What a stage counts. Ports and the stage itself share one.
+#[derive(Debug, Default)]
+pub struct Counters {
+    taken: Cell<u64>,
+    published: Cell<u64>,
+    dropped: Cell<u64>,
+    failed: Cell<u64>,
+    latencies_ns: RefCell<Vec<i64>>,
+    state: Cell<Option<StageState>>,
+    detail: RefCell<String>,
+}
+
+/// Latencies kept between two reports; what comes beyond is not sampled.
+const MAX_LATENCIES: usize = 4_096;
+
+impl Counters {
+    /// Messages were taken in.
+    pub fn add_taken(&self, count: u64) {
+        self.taken.set(self.taken.get() + count);
+    }
+
+    /// Messages were published.
+    pub fn add_published(&self, count: u64) {
+        self.published.set(self.published.get() + count);
+    }
+
+    /// Messages were overtaken by newer ones, or abandoned.
+    pub fn add_dropped(&self, count: u64) {
+        self.dropped.set(self.dropped.get() + count);
+    }
+
+    /// Messages were refused, or could not be worked on.
+    pub fn add_failed(&self, count: u64) {
+        self.failed.set(self.failed.get() + count);
+    }
+
+    /// One unit of the stage's work took this long.
+    pub fn add_latency_ns(&self, latency_ns: i64) {
+        let mut latencies = self.latencies_ns.borrow_mut();
+        if latencies.len() < MAX_LATENCIES {
+            latencies.push(latency_ns);
+        }
+    }
+
+    /// What the stage works with, in words.
+    pub fn set_detail(&self, detail: impl Into<String>) {
+        *self.detail.borrow_mut() = detail.into();
+    }
+
+    /// Overrides what the loop would report: `degraded` while a camera is away, say.
+    pub fn set_state(&self, state: Option<StageState>) {
+        self.state.set(state);
+    }
+
+    /// The report, and a fresh start for the latencies.
+    pub(crate) fn report(&self, identity: &Identity, state: StageState) -> Health {
+        let mut latencies = std::mem::take(&mut *self.latencies_ns.borrow_mut());
+        latencies.sort_unstable();
+        Health {
+            sent_ns: clock::monotonic_ns(),
+            taken: self.taken.get(),
+            published: self.published.get(),
+            dropped: self.dropped.get(),
+            failed: self.failed.get(),
+            processor_ns: clock::processor_ns().unsigned_abs(),
+            resident_bytes: resident_bytes().unwrap_or(0),
+            latency_median_ns: quantile(&latencies, 0.5),
+            latency_p99_ns: quantile(&latencies, 0.99),
+            stage: identity.stage.as_str().into(),
+            detail: Text::from(self.detail.borrow().as_str()),
+            replica: identity.replica,
+            generation: identity.generation,
+            pid: std::process::id(),
+            state: self.state.get().unwrap_or(state).code(),
+        }
+    }
+}
+
+/// Which process of the pipeline this is.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Identity {
+    /// The stage's name in pipeline.yaml.
+    pub stage: String,
+    /// Which of its workers, from 0.
+    pub replica: u32,
+    /// Rises each time the process is replaced.
+    pub generation: u32,
+}
+
+/// How often health is sent.
+pub const HEALTH_PERIOD: Duration = Duration::from_millis(250);
+
+/// The value below which `share` of the rising `values` lie (nearest rank); -1 where there is none.
+pub fn quantile(values: &[i64], share: f64) -> i64 {
+    let rank = (share * values.len() as f64).ceil() as usize;
+    values.get(rank.saturating_sub(1)).copied().unwrap_or(-1)
+}
+
+/// Resident memory of this process, from /proc.
+fn resident_bytes() -> Option<u64> {
+    let statm = std::fs::read_to_string("/proc/self/statm").ok()?;
+    let pages: u64 = statm.split_whitespace().nth(1)?.parse().ok()?;
+    Some(pages * rustix::param::page_size() as u64)
+}
+
+/// Counters that several parts of one stage share.
+pub type SharedCounters = Rc<Counters>;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_are_of_nearest_rank() {
+        let values: Vec<i64> = (1..=100).collect();
+        assert_eq!((quantile(&values, 0.5), quantile(&values, 0.99)), (50, 99));
+        assert_eq!((quantile(&[7], 0.99), quantile(&[], 0.5)), (7, -1));
+    }
+
+    #[test]
+    fn a_report_says_what_was_counted() {
+        let counters = Counters::default();
+        counters.add_taken(3);
+        counters.add_failed(1);
+        counters.add_latency_ns(5);
+        counters.set_detail("a detail");
+        let identity = Identity { stage: "detection".into(), replica: 2, generation: 1 };
+        let health = counters.report(&identity, StageState::Ready);
+        assert_eq!((health.taken, health.failed, health.latency_median_ns), (3, 1, 5));
+        assert_eq!((health.stage.to_string(), health.replica), ("detection".into(), 2));
+        assert!(health.resident_bytes > 0);
+        assert_eq!(counters.report(&identity, StageState::Ready).latency_median_ns, -1);
+    }
+}

@@ -1,0 +1,265 @@
+//! Where one pipeline's shared memory and files live, and who owns it.
+//!
+//! Each instance has its own folder, with the resolved configuration, iceoryx2's files and a lock,
+//! and its own prefix in /dev/shm. Instances, tests and leftovers of dead runs never meet.
+
+use std::fs::{File, OpenOptions};
+use std::io::{self, Read, Seek, Write};
+use std::path::{Path, PathBuf};
+
+use iceoryx2::prelude::*;
+use rustix::fs::{FlockOperation, flock};
+
+use crate::config::Pipeline;
+
+/// Environment variable with the instance's folder; every stage gets it.
+pub const FOLDER_VARIABLE: &str = "FLOCKEYE_INSTANCE_DIR";
+/// Environment variable with the stage's name.
+pub const STAGE_VARIABLE: &str = "FLOCKEYE_STAGE";
+/// Environment variable with the number of the worker, from 0.
+pub const REPLICA_VARIABLE: &str = "FLOCKEYE_REPLICA";
+/// Environment variable with the number of times the process was replaced.
+pub const GENERATION_VARIABLE: &str = "FLOCKEYE_GENERATION";
+
+const SHM_FOLDER: &str = "/dev/shm";
+
+/// Why an instance cannot be had.
+#[derive(Debug, thiserror::Error)]
+pub enum InstanceError {
+    /// Another pipeline has the name.
+    #[error(
+        "a pipeline called '{name}' is running already (process {pid}). Cure: stop it, or give this \
+         one another name with --set instance=NAME"
+    )]
+    Taken {
+        /// The instance.
+        name: String,
+        /// The launcher of the other one.
+        pid: String,
+    },
+    /// A file of the instance cannot be read or written.
+    #[error("{path}: {error}")]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        error: io::Error,
+    },
+    /// The folder's path is too long or has characters that iceoryx2 does not take.
+    #[error("iceoryx2 cannot keep its files in {path}; set TMPDIR to a short, plain path")]
+    Path {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// The launcher's files are not there.
+    #[error(
+        "{FOLDER_VARIABLE} is not set: stages are started by `flockeye up`, or by hand with the \
+         folder of a running instance in it"
+    )]
+    NoFolder,
+    /// The resolved configuration cannot be read back.
+    #[error("{path} is not the configuration of this version: {error}")]
+    Resolved {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        error: serde_json::Error,
+    },
+}
+
+/// One pipeline on this machine.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Instance {
+    name: String,
+    folder: PathBuf,
+}
+
+impl Instance {
+    /// The instance of this name; nothing is created yet.
+    pub fn named(name: &str) -> Self {
+        Self { name: name.to_owned(), folder: all_folder().join(name) }
+    }
+
+    /// The instance that this process is a stage of.
+    ///
+    /// # Errors
+    /// [`InstanceError::NoFolder`] where the launcher's variable is missing.
+    pub fn of_this_process() -> Result<Self, InstanceError> {
+        let folder = std::env::var_os(FOLDER_VARIABLE).ok_or(InstanceError::NoFolder)?;
+        let folder = PathBuf::from(folder);
+        let name = folder.file_name().map(|name| name.to_string_lossy().into_owned());
+        Ok(Self { name: name.ok_or(InstanceError::NoFolder)?, folder })
+    }
+
+    /// Every instance that left files on this machine.
+    pub fn all() -> Vec<Self> {
+        let entries = std::fs::read_dir(all_folder()).into_iter().flatten().flatten();
+        let mut names: Vec<_> =
+            entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
+        names.sort();
+        names.iter().map(|name| Self::named(name)).collect()
+    }
+
+    /// Its name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Its folder.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// What the names of its shared memory begin with.
+    pub fn prefix(&self) -> String {
+        // The user's number keeps two users' instances of one name apart in /dev/shm.
+        format!("flockeye_{}_{}_", rustix::process::getuid().as_raw(), self.name)
+    }
+
+    /// iceoryx2's configuration for it. Foreign stages get the same as a file
+    /// (`iceoryx2.toml` in the folder).
+    ///
+    /// # Errors
+    /// [`InstanceError::Path`] where the folder cannot hold iceoryx2's files.
+    pub fn iceoryx2(&self) -> Result<Config, InstanceError> {
+        let bad_path = || InstanceError::Path { path: self.folder.clone() };
+        let mut config = Config::default();
+        let root = iceoryx2::prelude::Path::new(self.folder.to_string_lossy().as_bytes());
+        config.global.set_root_path(&root.map_err(|_| bad_path())?);
+        config.global.prefix = FileName::new(self.prefix().as_bytes()).map_err(|_| bad_path())?;
+        Ok(config)
+    }
+
+    /// Takes the instance for this process and clears what a dead run left behind.
+    ///
+    /// # Errors
+    /// [`InstanceError::Taken`] where a living process has it.
+    pub fn take(&self) -> Result<Ownership, InstanceError> {
+        let file_error = |path: &Path| {
+            let path = path.to_owned();
+            move |error| InstanceError::File { path, error }
+        };
+        std::fs::create_dir_all(&self.folder).map_err(file_error(&self.folder))?;
+        let path = self.folder.join("lock");
+        let mut lock = OpenOptions::new()
+            .create(true)
+            .truncate(false)
+            .read(true)
+            .write(true)
+            .open(&path)
+            .map_err(file_error(&path))?;
+        if flock(&lock, FlockOperation::NonBlockingLockExclusive).is_err() {
+            let mut pid = String::new();
+            lock.read_to_string(&mut pid).map_err(file_error(&path))?;
+            return Err(InstanceError::Taken {
+                name: self.name.clone(),
+                pid: pid.trim().to_owned(),
+            });
+        }
+        self.remove_leftovers().map_err(file_error(&self.folder))?;
+        lock.set_len(0)
+            .and_then(|()| lock.rewind())
+            .and_then(|()| writeln!(lock, "{}", std::process::id()))
+            .map_err(file_error(&path))?;
+        Ok(Ownership { instance: self.clone(), _lock: lock })
+    }
+
+    /// Writes what stages read at their start: the resolved configuration, and iceoryx2's for
+    /// foreign ones.
+    ///
+    /// # Errors
+    /// The files cannot be written.
+    pub fn write_configuration(&self, pipeline: &Pipeline) -> Result<(), InstanceError> {
+        let json = serde_json::to_vec_pretty(pipeline)
+            .map_err(|error| InstanceError::Resolved { path: self.pipeline_file(), error })?;
+        write(&self.pipeline_file(), &json)?;
+        let toml = format!(
+            "# For stages in other languages: load this file as iceoryx2's global configuration.\n\
+             [global]\nroot-path = {:?}\nprefix = {:?}\n",
+            self.folder.to_string_lossy(),
+            self.prefix()
+        );
+        write(&self.folder.join("iceoryx2.toml"), toml.as_bytes())
+    }
+
+    /// Reads the configuration that the launcher resolved.
+    ///
+    /// # Errors
+    /// The file is not there or of another version.
+    pub fn pipeline(&self) -> Result<Pipeline, InstanceError> {
+        let path = self.pipeline_file();
+        let json = std::fs::read(&path)
+            .map_err(|error| InstanceError::File { path: path.clone(), error })?;
+        serde_json::from_slice(&json).map_err(|error| InstanceError::Resolved { path, error })
+    }
+
+    fn pipeline_file(&self) -> PathBuf {
+        self.folder.join("pipeline.json")
+    }
+
+    /// Files of this instance in /dev/shm.
+    pub fn shared_memory(&self) -> Vec<PathBuf> {
+        let prefix = self.prefix();
+        let entries = std::fs::read_dir(SHM_FOLDER).into_iter().flatten().flatten();
+        entries
+            .filter(|entry| entry.file_name().to_string_lossy().starts_with(&prefix))
+            .map(|entry| entry.path())
+            .collect()
+    }
+
+    /// Removes everything but the lock. Only the owner may call it.
+    fn remove_leftovers(&self) -> io::Result<()> {
+        for path in self.shared_memory() {
+            ignore_missing(std::fs::remove_file(path))?;
+        }
+        for entry in std::fs::read_dir(&self.folder)?.flatten() {
+            let path = entry.path();
+            if entry.file_name() == "lock" {
+                continue;
+            }
+            ignore_missing(if path.is_dir() {
+                std::fs::remove_dir_all(&path)
+            } else {
+                std::fs::remove_file(&path)
+            })?;
+        }
+        Ok(())
+    }
+}
+
+/// The right to an instance, until it is dropped or the process dies. Dropping it removes
+/// everything the instance had.
+#[derive(Debug)]
+pub struct Ownership {
+    instance: Instance,
+    _lock: File,
+}
+
+impl Drop for Ownership {
+    fn drop(&mut self) {
+        if let Err(error) = self.instance.remove_leftovers() {
+            tracing::warn!("leftovers in {}: {error}", self.instance.folder.display());
+        }
+        // The lock goes last: until then nobody else believes the name to be free.
+        if let Err(error) = std::fs::remove_dir_all(&self.instance.folder) {
+            tracing::warn!("leftovers in {}: {error}", self.instance.folder.display());
+        }
+    }
+}
+
+/// Folder of all instances of this user.
+fn all_folder() -> PathBuf {
+    std::env::temp_dir().join(format!("flockeye-{}", rustix::process::getuid().as_raw()))
+}
+
+fn write(path: &Path, bytes: &[u8]) -> Result<(), InstanceError> {
+    std::fs::write(path, bytes)
+        .map_err(|error| InstanceError::File { path: path.to_owned(), error })
+}
+
+fn ignore_missing(result: io::Result<()>) -> io::Result<()> {
+    match result {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+        other => other,
+    }
+}

@@ -1,0 +1,442 @@
+//! Publishers and subscribers of the contract's topics, over iceoryx2.
+//!
+//! Each topic is a publish-subscribe service and an event service of the same name, which wakes
+//! the subscribers. The launcher creates both with explicit limits ([`create_services`]); stages
+//! open them, and are refused if they speak another version of the contract.
+
+use std::fmt::Debug;
+use std::mem::MaybeUninit;
+use std::rc::Rc;
+use std::time::Duration;
+
+use flockeye_contract::{CONTRACT_VERSION, Topic, VERSION_ATTRIBUTE};
+use iceoryx2::port::listener::Listener;
+use iceoryx2::port::notifier::Notifier;
+use iceoryx2::port::publisher::Publisher as IoxPublisher;
+use iceoryx2::port::subscriber::Subscriber as IoxSubscriber;
+use iceoryx2::prelude::*;
+use iceoryx2::sample::Sample;
+use iceoryx2::sample_mut_uninit::SampleMutUninit;
+use iceoryx2::service::port_factory::{event, publish_subscribe};
+
+use crate::health::SharedCounters;
+use crate::logs::Throttle;
+use crate::memory::{Budget, Limits, MAX_EVENT_PORTS, MAX_NODES};
+
+/// Why a port cannot be had or used.
+#[derive(Debug, thiserror::Error)]
+pub enum PortError {
+    /// A topic's services cannot be created.
+    #[error("cannot create the topic {topic}: {reason}")]
+    Create {
+        /// The topic.
+        topic: &'static str,
+        /// iceoryx2's reason.
+        reason: String,
+    },
+    /// A topic's services cannot be opened.
+    #[error(
+        "cannot open the topic {topic}: {reason}. Cure: start the pipeline with `flockeye up`, and \
+         use stages of contract version {CONTRACT_VERSION}"
+    )]
+    Open {
+        /// The topic.
+        topic: &'static str,
+        /// iceoryx2's reason.
+        reason: String,
+    },
+    /// Too many publishers, subscribers or processes.
+    #[error("cannot join the topic {topic}: {reason}")]
+    Join {
+        /// The topic.
+        topic: &'static str,
+        /// iceoryx2's reason.
+        reason: String,
+    },
+    /// A message cannot be written.
+    #[error("cannot publish on {topic}: {reason}")]
+    Publish {
+        /// The topic.
+        topic: &'static str,
+        /// iceoryx2's reason.
+        reason: String,
+    },
+    /// A message cannot be taken.
+    #[error("cannot receive from {topic}: {reason}")]
+    Receive {
+        /// The topic.
+        topic: &'static str,
+        /// iceoryx2's reason.
+        reason: String,
+    },
+}
+
+type Service = ipc::Service;
+type DataService<T> =
+    publish_subscribe::PortFactory<Service, [<T as Topic>::Item], <T as Topic>::Header>;
+type WakeService = event::PortFactory<Service>;
+
+/// Keeps a topic's services alive while no stage has them open.
+pub struct TopicServices {
+    _data: Box<dyn std::any::Any>,
+    _wake: WakeService,
+}
+
+/// Creates the services of one topic, every lane of it, with its limits.
+///
+/// # Errors
+/// [`PortError::Create`] with iceoryx2's reason.
+pub fn create_services<T: Topic + 'static>(
+    node: &Node<Service>,
+    limits: &Limits,
+) -> Result<Vec<TopicServices>, PortError> {
+    (0..limits.lanes).map(|lane| create_lane::<T>(node, limits, lane)).collect()
+}
+
+fn create_lane<T: Topic + 'static>(
+    node: &Node<Service>,
+    limits: &Limits,
+    lane: usize,
+) -> Result<TopicServices, PortError> {
+    let failed =
+        |reason: &dyn Debug| PortError::Create { topic: T::NAME, reason: format!("{reason:?}") };
+    let name = service_name::<T>(limits, lane)?;
+    let version = AttributeSpecifier::new()
+        .define(&attribute(VERSION_ATTRIBUTE)?, &attribute(CONTRACT_VERSION)?)
+        .map_err(|error| failed(&error))?;
+    let data = node
+        .service_builder(&name)
+        .publish_subscribe::<[T::Item]>()
+        .user_header::<T::Header>()
+        .enable_safe_overflow(true)
+        .max_publishers(limits.publishers)
+        .max_subscribers(limits.subscribers)
+        .max_nodes(MAX_NODES)
+        .subscriber_max_buffer_size(limits.buffer)
+        .subscriber_max_borrowed_samples(limits.borrowed)
+        .history_size(limits.history)
+        .create_with_attributes(&version)
+        .map_err(|error| failed(&error))?;
+    let wake = node
+        .service_builder(&name)
+        .event()
+        .max_listeners(MAX_EVENT_PORTS)
+        .max_notifiers(MAX_EVENT_PORTS)
+        .max_nodes(MAX_NODES)
+        .create()
+        .map_err(|error| failed(&error))?;
+    Ok(TopicServices { _data: Box::new(data), _wake: wake })
+}
+
+/// A topic of one lane is a service of its name; of several, `NAME/0`, `NAME/1` ...
+fn service_name<T: Topic>(limits: &Limits, lane: usize) -> Result<ServiceName, PortError> {
+    let name = match limits.topic_has_lanes() {
+        true => format!("{}/{lane}", T::NAME),
+        false => T::NAME.to_owned(),
+    };
+    name.as_str()
+        .try_into()
+        .map_err(|error| PortError::Create { topic: T::NAME, reason: format!("{error:?}") })
+}
+
+fn attribute<A: for<'a> TryFrom<&'a str>>(text: &'static str) -> Result<A, PortError> {
+    A::try_from(text)
+        .map_err(|_| PortError::Create { topic: text, reason: "not an attribute".into() })
+}
+
+/// Opens ports of one process, and remembers what wakes it.
+pub struct Ports {
+    node: Rc<Node<Service>>,
+    budget: Budget,
+    counters: SharedCounters,
+    listeners: Vec<Listener<Service>>,
+}
+
+impl Ports {
+    /// Ports of a process of the pipeline whose limits are `budget`; what they see is counted in
+    /// `counters`.
+    pub fn new(node: Rc<Node<Service>>, budget: Budget, counters: SharedCounters) -> Self {
+        Self { node, budget, counters, listeners: Vec::new() }
+    }
+
+    /// A publisher of a topic.
+    ///
+    /// # Errors
+    /// The topic is not there, is of another contract version, or is full.
+    pub fn publisher<T: Topic>(&self) -> Result<Publisher<T>, PortError> {
+        self.publisher_of_lane(0)
+    }
+
+    /// A publisher of a topic that is not the stage's work, so that it does not count as such.
+    ///
+    /// # Errors
+    /// As [`Ports::publisher`].
+    pub fn side_publisher<T: Topic>(&self) -> Result<Publisher<T>, PortError> {
+        let publisher = self.publisher_of_lane(0)?;
+        Ok(Publisher { counters: SharedCounters::default(), ..publisher })
+    }
+
+    /// A publisher of one lane of a topic.
+    ///
+    /// # Errors
+    /// As [`Ports::publisher`].
+    pub fn publisher_of_lane<T: Topic>(&self, lane: usize) -> Result<Publisher<T>, PortError> {
+        let limits = self.budget.topic::<T>();
+        let (data, wake) = self.open::<T>(lane)?;
+        let join =
+            |reason: &dyn Debug| PortError::Join { topic: T::NAME, reason: format!("{reason:?}") };
+        let publisher = data
+            .publisher_builder()
+            .initial_max_slice_len(limits.items.max(1))
+            .allocation_strategy(AllocationStrategy::Static)
+            .max_loaned_samples(limits.loaned)
+            .create()
+            .map_err(|error| join(&error))?;
+        let notifier = wake.notifier_builder().create().map_err(|error| join(&error))?;
+        Ok(Publisher {
+            publisher,
+            notifier,
+            service: data,
+            counters: self.counters.clone(),
+            max_items: limits.items,
+        })
+    }
+
+    /// A subscriber of a topic whose messages wake this process.
+    ///
+    /// # Errors
+    /// The topic is not there, is of another contract version, or is full.
+    pub fn subscriber<T: Topic>(&mut self) -> Result<Subscriber<T>, PortError> {
+        self.subscriber_of_lane(0)
+    }
+
+    /// A subscriber of each lane of a topic.
+    ///
+    /// # Errors
+    /// As [`Ports::subscriber`].
+    pub fn subscribers_of_all_lanes<T: Topic>(&mut self) -> Result<Vec<Subscriber<T>>, PortError> {
+        let lanes = self.budget.topic::<T>().lanes;
+        (0..lanes).map(|lane| self.subscriber_of_lane(lane)).collect()
+    }
+
+    /// A subscriber of one lane of a topic.
+    ///
+    /// # Errors
+    /// As [`Ports::subscriber`].
+    pub fn subscriber_of_lane<T: Topic>(
+        &mut self,
+        lane: usize,
+    ) -> Result<Subscriber<T>, PortError> {
+        let (data, wake) = self.open::<T>(lane)?;
+        let join =
+            |reason: &dyn Debug| PortError::Join { topic: T::NAME, reason: format!("{reason:?}") };
+        let subscriber = data.subscriber_builder().create().map_err(|error| join(&error))?;
+        self.listeners.push(wake.listener_builder().create().map_err(|error| join(&error))?);
+        Ok(Subscriber {
+            subscriber,
+            counters: self.counters.clone(),
+            refusals: Throttle::default(),
+        })
+    }
+
+    /// Calls `body` whenever a subscriber has something, and no later than after the time that
+    /// `body` asked for the last time; until it asks for none.
+    ///
+    /// # Errors
+    /// Waiting is impossible, or what `body` returns.
+    pub fn attend(
+        &self,
+        mut body: impl FnMut() -> anyhow::Result<Option<Duration>>,
+    ) -> anyhow::Result<()> {
+        let cannot = |reason: &dyn Debug| anyhow::anyhow!("cannot wait for messages: {reason:?}");
+        let waiting = WaitSetBuilder::new()
+            .signal_handling_mode(SignalHandlingMode::Disabled)
+            .create::<Service>()
+            .map_err(|error| cannot(&error))?;
+        let attached: Result<Vec<_>, _> =
+            self.listeners.iter().map(|listener| waiting.attach_notification(listener)).collect();
+        let _attached = attached.map_err(|error| cannot(&error))?;
+        while let Some(timeout) = body()? {
+            if waiting.is_empty() {
+                std::thread::sleep(timeout);
+            } else if !timeout.is_zero()
+                && let Err(error) = waiting
+                    .wait_and_process_once_with_timeout(|_| CallbackProgression::Continue, timeout)
+            {
+                // A signal interrupts the wait; `body` knows whether it was one to stop.
+                tracing::debug!("waiting was interrupted: {error:?}");
+            }
+            // A listener that is never drained wakes for ever.
+            for listener in &self.listeners {
+                if let Err(error) = listener.try_wait(|_| {}) {
+                    tracing::debug!("a wake-up could not be read: {error:?}");
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn open<T: Topic>(&self, lane: usize) -> Result<(DataService<T>, WakeService), PortError> {
+        let failed =
+            |reason: &dyn Debug| PortError::Open { topic: T::NAME, reason: format!("{reason:?}") };
+        let name = service_name::<T>(self.budget.topic::<T>(), lane)?;
+        let version = AttributeVerifier::new()
+            .require(&attribute(VERSION_ATTRIBUTE)?, &attribute(CONTRACT_VERSION)?)
+            .map_err(|error| failed(&error))?;
+        let data = self
+            .node
+            .service_builder(&name)
+            .publish_subscribe::<[T::Item]>()
+            .user_header::<T::Header>()
+            .open_with_attributes(&version)
+            .map_err(|error| failed(&error))?;
+        let wake =
+            self.node.service_builder(&name).event().open().map_err(|error| failed(&error))?;
+        Ok((data, wake))
+    }
+}
+
+/// Publishes a topic, and wakes its subscribers.
+pub struct Publisher<T: Topic> {
+    publisher: IoxPublisher<Service, [T::Item], T::Header>,
+    notifier: Notifier<Service>,
+    service: DataService<T>,
+    counters: SharedCounters,
+    max_items: usize,
+}
+
+impl<T: Topic> Publisher<T> {
+    /// Memory for a message of `items` items, to be written in place.
+    ///
+    /// # Errors
+    /// More items than the topic has room for, or no memory because subscribers hold too much.
+    pub fn loan(&self, items: usize) -> Result<Loan<'_, T>, PortError> {
+        if items > self.max_items {
+            let reason = format!("{items} items where the topic has room for {}", self.max_items);
+            return Err(PortError::Publish { topic: T::NAME, reason });
+        }
+        let sample = self
+            .publisher
+            .loan_slice_uninit(items)
+            .map_err(|error| PortError::Publish { topic: T::NAME, reason: format!("{error:?}") })?;
+        Ok(Loan { sample, publisher: self })
+    }
+
+    /// Publishes a small message by copying it.
+    ///
+    /// # Errors
+    /// As [`Publisher::loan`] and [`Loan::send`].
+    pub fn send(&self, header: T::Header, items: &[T::Item]) -> Result<(), PortError> {
+        let mut loan = self.loan(items.len())?;
+        loan.items_mut().copy_from_slice(items);
+        loan.send(header)
+    }
+
+    /// How many subscribers there are now.
+    pub fn subscribers(&self) -> usize {
+        self.service.dynamic_config().number_of_subscribers()
+    }
+}
+
+/// A message that is being written, in shared memory.
+pub struct Loan<'p, T: Topic> {
+    sample: SampleMutUninit<Service, [MaybeUninit<T::Item>], T::Header>,
+    publisher: &'p Publisher<T>,
+}
+
+impl<T: Topic> Loan<'_, T> {
+    /// The items, holding whatever was in the memory before.
+    pub fn items_mut(&mut self) -> &mut [T::Item] {
+        let items = self.sample.payload_mut();
+        // SAFETY: the memory is a mapped file, so every byte has a value, and every value is valid
+        // for an `Item`, which is `Pod`. The layout of `MaybeUninit<Item>` is that of `Item`.
+        unsafe { &mut *(std::ptr::from_mut(items) as *mut [T::Item]) }
+    }
+
+    /// Publishes it under `header` and wakes the subscribers.
+    ///
+    /// # Errors
+    /// [`PortError::Publish`] with iceoryx2's reason.
+    pub fn send(mut self, header: T::Header) -> Result<(), PortError> {
+        let failed = |reason: &dyn Debug| PortError::Publish {
+            topic: T::NAME,
+            reason: format!("{reason:?}"),
+        };
+        *self.sample.user_header_mut() = header;
+        // SAFETY: as in `items_mut`: every byte of mapped memory has a value, valid for a `Pod`.
+        let sample = unsafe { self.sample.assume_init() };
+        sample.send().map_err(|error| failed(&error))?;
+        self.publisher.counters.add_published(1);
+        self.publisher.notifier.notify().map_err(|error| failed(&error))?;
+        Ok(())
+    }
+}
+
+/// Receives a topic. Messages that are not what they say are refused here, so no stage sees them.
+pub struct Subscriber<T: Topic> {
+    subscriber: IoxSubscriber<Service, [T::Item], T::Header>,
+    counters: SharedCounters,
+    refusals: Throttle,
+}
+
+/// A message, in shared memory, that has passed the contract's check.
+pub struct Message<T: Topic> {
+    /// Its header, copied: what was checked is what is read.
+    pub header: T::Header,
+    sample: Sample<Service, [T::Item], T::Header>,
+}
+
+impl<T: Topic> Message<T> {
+    /// Its items.
+    pub fn items(&self) -> &[T::Item] {
+        self.sample.payload()
+    }
+}
+
+impl<T: Topic> Subscriber<T> {
+    /// The next message, if one is there.
+    ///
+    /// # Errors
+    /// [`PortError::Receive`] where too many messages are held, or a connection broke.
+    pub fn receive(&mut self) -> Result<Option<Message<T>>, PortError> {
+        loop {
+            let sample = self.subscriber.receive().map_err(|error| PortError::Receive {
+                topic: T::NAME,
+                reason: format!("{error:?}"),
+            })?;
+            let Some(sample) = sample else { return Ok(None) };
+            let header = *sample.user_header();
+            match T::check(&header, sample.payload()) {
+                Ok(()) => {
+                    self.counters.add_taken(1);
+                    return Ok(Some(Message { header, sample }));
+                }
+                Err(error) => {
+                    self.counters.add_failed(1);
+                    if let Some(more) = self.refusals.admit() {
+                        tracing::warn!(
+                            topic = T::NAME,
+                            publisher = ?sample.origin(),
+                            more_since = more,
+                            "message refused: {error}. Cure: mend the stage that sends it; docs/CONTRACT.md has the layout"
+                        );
+                    }
+                }
+            }
+        }
+    }
+
+    /// The newest message; older ones are dropped and counted.
+    ///
+    /// # Errors
+    /// As [`Subscriber::receive`].
+    pub fn newest(&mut self) -> Result<Option<Message<T>>, PortError> {
+        let mut newest = None;
+        while let Some(message) = self.receive()? {
+            if newest.replace(message).is_some() {
+                self.counters.add_dropped(1);
+            }
+        }
+        Ok(newest)
+    }
+}

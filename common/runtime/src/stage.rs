@@ -1,0 +1,200 @@
+//! The loop of every stage: wait for an input, step, send health, drain on SIGTERM, stop.
+
+use std::process::ExitCode;
+use std::rc::Rc;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use anyhow::Context as _;
+use flockeye_contract::{Health, Healths, StageState};
+use iceoryx2::prelude::*;
+
+use crate::config::Pipeline;
+use crate::health::{Counters, HEALTH_PERIOD, Identity, SharedCounters};
+use crate::instance::{GENERATION_VARIABLE, Instance, REPLICA_VARIABLE};
+use crate::memory::Budget;
+use crate::ports::{Ports, Publisher};
+use crate::{clock, logs};
+
+/// One box of the dataflow: what it takes, what it gives, what it keeps between frames.
+pub trait Stage: Sized {
+    /// Its name in pipeline.yaml.
+    const NAME: &'static str;
+
+    /// Opens its ports and devices.
+    ///
+    /// # Errors
+    /// Whatever keeps it from working; the process ends with the message.
+    fn open(context: &Context, ports: &mut Ports) -> anyhow::Result<Self>;
+
+    /// Does what there is to do, and says when it wants to be called again. It is called whenever
+    /// an input has something, and must not block for long: health is sent between two calls.
+    ///
+    /// # Errors
+    /// Only what keeps it from working at all. Bad input is its own to refuse.
+    fn step(&mut self) -> anyhow::Result<Step>;
+
+    /// Finishes what it has taken in. Called once, before the process ends.
+    ///
+    /// # Errors
+    /// What keeps it from doing so.
+    fn drain(&mut self) -> anyhow::Result<()> {
+        Ok(())
+    }
+}
+
+/// When a stage wants to be called again.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Step {
+    /// When an input has something.
+    Wait,
+    /// The same, but no later than at this time of CLOCK_MONOTONIC, nanoseconds.
+    WaitUntil(i64),
+    /// At once.
+    Again,
+    /// Its input is at its end: it stays, so that what it sent can be read, until it is told to stop.
+    Finished,
+}
+
+/// What a stage knows of the pipeline it is in.
+pub struct Context {
+    /// The configuration.
+    pub pipeline: Pipeline,
+    /// Which process this is.
+    pub identity: Identity,
+    /// Where the stage counts what it does.
+    pub counters: SharedCounters,
+}
+
+/// Exit status of a stage that could not start: trying again with the same input will not help.
+pub const CANNOT_START: u8 = 2;
+
+/// The whole `main` of a stage.
+pub fn main<S: Stage>() -> ExitCode {
+    logs::init();
+    match start::<S>() {
+        Err(error) => {
+            tracing::error!("cannot start: {error:#}");
+            ExitCode::from(CANNOT_START)
+        }
+        Ok(running) => match running.run() {
+            Ok(()) => ExitCode::SUCCESS,
+            Err(error) => {
+                tracing::error!("{error:#}");
+                ExitCode::FAILURE
+            }
+        },
+    }
+}
+
+struct Running<S> {
+    stage: S,
+    ports: Ports,
+    reporter: Reporter,
+    stopping: Arc<AtomicBool>,
+}
+
+impl<S: Stage> Running<S> {
+    fn run(mut self) -> anyhow::Result<()> {
+        self.reporter.send(StageState::Ready)?;
+        serve(&mut self.stage, &self.ports, &mut self.reporter, &self.stopping)?;
+        self.reporter.send(StageState::Draining)?;
+        self.stage.drain()
+    }
+}
+
+fn start<S: Stage>() -> anyhow::Result<Running<S>> {
+    // iceoryx2 says through its results what matters here.
+    set_log_level(LogLevel::Fatal);
+    let stopping = Arc::new(AtomicBool::new(false));
+    for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT] {
+        signal_hook::flag::register(signal, stopping.clone()).context("cannot catch signals")?;
+    }
+    let instance = Instance::of_this_process()?;
+    let pipeline = instance.pipeline()?;
+    let identity = Identity {
+        stage: S::NAME.to_owned(),
+        replica: number_from(REPLICA_VARIABLE)?,
+        generation: number_from(GENERATION_VARIABLE)?,
+    };
+    let node = Rc::new(
+        NodeBuilder::new()
+            .name(
+                &NodeName::new(&format!("{}-{}", S::NAME, identity.replica))
+                    .context("node name")?,
+            )
+            .signal_handling_mode(SignalHandlingMode::Disabled)
+            .config(&instance.iceoryx2()?)
+            .create::<ipc::Service>()
+            .map_err(|error| {
+                anyhow::anyhow!("cannot join the instance '{}': {error:?}", instance.name())
+            })?,
+    );
+    let budget =
+        Budget::of(&pipeline, pipeline.largest_view_px(pipeline.bodies()?.largest_side())?);
+    let counters: SharedCounters = Rc::new(Counters::default());
+    // What is said of health is not counted as the stage's own output.
+    let health = Ports::new(node.clone(), budget.clone(), SharedCounters::default());
+    let mut reporter = Reporter {
+        publisher: health.publisher::<Healths>()?,
+        counters: counters.clone(),
+        identity: identity.clone(),
+        next_ns: 0,
+    };
+    reporter.send(StageState::Starting)?;
+    let mut ports = Ports::new(node, budget, counters.clone());
+    let stage = S::open(&Context { pipeline, identity, counters }, &mut ports)?;
+    Ok(Running { stage, ports, reporter, stopping })
+}
+
+fn number_from(variable: &str) -> anyhow::Result<u32> {
+    match std::env::var(variable) {
+        Ok(text) => text.parse().with_context(|| format!("{variable} is '{text}', not a number")),
+        Err(_) => Ok(0),
+    }
+}
+
+fn serve<S: Stage>(
+    stage: &mut S,
+    ports: &Ports,
+    reporter: &mut Reporter,
+    stopping: &AtomicBool,
+) -> anyhow::Result<()> {
+    let mut state = StageState::Ready;
+    ports.attend(|| {
+        if stopping.load(Ordering::Relaxed) {
+            return Ok(None);
+        }
+        let step = stage.step()?;
+        if step == Step::Finished && state != StageState::Finished {
+            state = StageState::Finished;
+            reporter.send(state)?;
+        }
+        let now_ns = clock::monotonic_ns();
+        if now_ns >= reporter.next_ns {
+            reporter.send(state)?;
+        }
+        let longest = clock::until(reporter.next_ns, now_ns);
+        Ok(Some(match step {
+            Step::Again => Duration::ZERO,
+            Step::WaitUntil(time_ns) => longest.min(clock::until(time_ns, now_ns)),
+            Step::Wait | Step::Finished => longest,
+        }))
+    })
+}
+
+struct Reporter {
+    publisher: Publisher<Healths>,
+    counters: SharedCounters,
+    identity: Identity,
+    next_ns: i64,
+}
+
+impl Reporter {
+    fn send(&mut self, state: StageState) -> anyhow::Result<()> {
+        let report: Health = self.counters.report(&self.identity, state);
+        self.next_ns = report.sent_ns + HEALTH_PERIOD.as_nanos() as i64;
+        Ok(self.publisher.send(report, &[])?)
+    }
+}

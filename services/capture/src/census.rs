@@ -1,0 +1,48 @@
+//! Which frame of the source a decoded frame is, and when it belongs in the recording.
+
+use std::time::Duration;
+
+/// Numbers decoded frames, before any is dropped, and counts their time from the first one.
+#[derive(Debug, Default)]
+pub(crate) struct Census {
+    first: Duration,
+    previous: Option<(u64, Duration)>,
+}
+
+impl Census {
+    /// Numbers the next decoded frame. `time` is its time stamp in the stream, `frame` the time
+    /// from frame to frame, for streams that stamp nothing. Returns its sequence number and its
+    /// time from the stream's first frame.
+    pub(crate) fn enter(
+        &mut self,
+        time: Option<Duration>,
+        frame: Option<Duration>,
+    ) -> (u64, Duration) {
+        let (sequence, expected) = match self.previous {
+            Some((sequence, time)) => (sequence + 1, time + frame.unwrap_or_default()),
+            None => (0, Duration::ZERO),
+        };
+        let time = time.unwrap_or(expected);
+        if sequence == 0 {
+            self.first = time;
+        }
+        self.previous = Some((sequence, time));
+        (sequence, time.saturating_sub(self.first))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn time_counts_from_the_first_frame() {
+        const FRAME: Duration = Duration::from_nanos(33_366_667);
+        let mut census = Census::default();
+        let start = Duration::from_millis(80);
+        assert_eq!(census.enter(Some(start), Some(FRAME)), (0, Duration::ZERO));
+        assert_eq!(census.enter(Some(start + FRAME), Some(FRAME)), (1, FRAME));
+        assert_eq!(census.enter(None, Some(FRAME)), (2, 2 * FRAME));
+        assert_eq!(census.enter(Some(start + 5 * FRAME), Some(FRAME)), (3, 5 * FRAME));
+    }
+}

@@ -1,0 +1,165 @@
+//! A folder of images, each decoded by a pipeline of its own, so that a bad one harms no other.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use crate::CaptureError;
+use crate::clock::monotonic_ns;
+use crate::file;
+use crate::input::Input;
+use crate::parameters::{Paced, SourceParameters};
+use crate::picture::{Picture, PictureStamp};
+use crate::playback::{Playback, Step};
+
+/// What a folder has to say.
+#[derive(Debug)]
+pub(crate) enum FolderStep {
+    Picture(Picture),
+    Idle,
+    Skipped { what: String, why: String },
+    Over,
+}
+
+/// A folder of images, in the order of their names.
+#[derive(Debug)]
+pub(crate) struct Folder {
+    path: PathBuf,
+    images: Vec<PathBuf>,
+    params: SourceParameters,
+    /// The next image to decode.
+    position: usize,
+    /// The decoded image that waits for its time.
+    waiting: Option<(usize, Picture)>,
+    /// When the first image was due: on the waiting clock, and on CLOCK_MONOTONIC.
+    started: Option<(Instant, i64)>,
+    handed_out: u64,
+    skipped: u64,
+}
+
+impl Folder {
+    /// Lists the images; none is decoded yet.
+    pub(crate) fn open(path: &Path, params: &SourceParameters) -> Result<Self, CaptureError> {
+        if !(params.images_per_second.is_finite() && params.images_per_second > 0.0) {
+            return Err(CaptureError::Parameter {
+                name: "images_per_second",
+                value: params.images_per_second.to_string(),
+                cure: "it must be a number above 0",
+            });
+        }
+        let unreadable = |error: std::io::Error| CaptureError::Unreadable {
+            path: path.to_owned(),
+            reason: error.to_string(),
+        };
+        let mut images = Vec::new();
+        for entry in fs::read_dir(path).map_err(unreadable)? {
+            let file = entry.map_err(unreadable)?.path();
+            if is_image(&file) && file.is_file() {
+                images.push(file);
+            }
+        }
+        if images.is_empty() {
+            return Err(CaptureError::EmptyFolder { path: path.to_owned() });
+        }
+        images.sort();
+        Ok(Self {
+            path: path.to_owned(),
+            images,
+            params: params.clone(),
+            position: 0,
+            waiting: None,
+            started: None,
+            handed_out: 0,
+            skipped: 0,
+        })
+    }
+
+    /// Waits for at most `timeout`; decoding an image takes the time it takes.
+    pub(crate) fn next(&mut self, timeout: Duration) -> FolderStep {
+        let deadline = Instant::now() + timeout;
+        let (index, picture) = match self.waiting.take() {
+            Some(waiting) => waiting,
+            None => {
+                let index = self.upcoming();
+                let Some(file) = self.images.get(index) else { return FolderStep::Over };
+                self.position = index + 1;
+                match decode(file, &self.params) {
+                    Ok(picture) => (index, picture),
+                    Err(why) => {
+                        self.skipped += 1;
+                        return FolderStep::Skipped { what: file.display().to_string(), why };
+                    }
+                }
+            }
+        };
+        self.hand_out(index, picture, deadline)
+    }
+
+    /// The next image to decode: in real time those are passed over whose successor is due.
+    fn upcoming(&self) -> usize {
+        match self.started {
+            Some((start, _)) if self.params.flow == Paced::RealTime => {
+                let due = (start.elapsed().as_secs_f64() * self.params.images_per_second) as usize;
+                self.position.max(due)
+            }
+            _ => self.position,
+        }
+    }
+
+    fn hand_out(&mut self, index: usize, mut picture: Picture, deadline: Instant) -> FolderStep {
+        let stream_time = Duration::from_secs_f64(index as f64 / self.params.images_per_second);
+        let stream_ns = stream_time.as_nanos() as i64;
+        let mut exposure_ns = stream_ns;
+        if self.params.flow == Paced::RealTime {
+            let begun = || (Instant::now() - stream_time, monotonic_ns() - stream_ns);
+            let (start, start_ns) = *self.started.get_or_insert_with(begun);
+            let due = start + stream_time;
+            std::thread::sleep(due.min(deadline).saturating_duration_since(Instant::now()));
+            if Instant::now() < due {
+                self.waiting = Some((index, picture));
+                return FolderStep::Idle;
+            }
+            exposure_ns = start_ns + stream_ns;
+        }
+        picture.set_stamp(PictureStamp { sequence: index as u64, stream_time, exposure_ns });
+        self.handed_out += 1;
+        FolderStep::Picture(picture)
+    }
+
+    /// Images handed out so far.
+    pub(crate) fn handed_out(&self) -> u64 {
+        self.handed_out
+    }
+
+    /// Images that could not be used so far.
+    pub(crate) fn skipped(&self) -> u64 {
+        self.skipped
+    }
+
+    /// What is in it.
+    pub(crate) fn describe(&self) -> String {
+        let pace = match self.params.flow {
+            Paced::RealTime => format!("{} a second", self.params.images_per_second),
+            Paced::Lossless => "each as soon as it is wanted".to_owned(),
+        };
+        format!("{}: {} images, {pace}", self.path.display(), self.images.len())
+    }
+}
+
+fn is_image(file: &Path) -> bool {
+    let extension = file.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
+    ["jpg", "jpeg", "png"].iter().any(|known| extension.eq_ignore_ascii_case(known))
+}
+
+/// Decodes one image, or says why it cannot be used.
+fn decode(path: &Path, params: &SourceParameters) -> Result<Picture, String> {
+    file::check(path).map_err(|error| error.to_string())?;
+    let lossless = SourceParameters { flow: Paced::Lossless, ..params.clone() };
+    let mut playback = Playback::recording(Input::File(path.to_owned()), &lossless)
+        .map_err(|error| error.to_string())?;
+    match playback.next(Duration::from_secs(20)).map_err(|error| error.to_string())? {
+        Step::Picture(picture) => Ok(picture),
+        Step::Over { fault: Some(fault) } => Err(fault),
+        Step::Over { fault: None } | Step::Idle => Err("no picture came out of it".to_owned()),
+    }
+}

@@ -1,0 +1,243 @@
+//! Where the decoder's thread leaves frames and the consumer takes them.
+
+use std::collections::VecDeque;
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+/// What happens to a frame that finds the mailbox full.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum WhenFull {
+    /// It replaces the oldest one.
+    ReplaceOldest,
+    /// The decoder waits until there is room.
+    HoldBack,
+}
+
+/// The mailbox is closed: nobody will take what is put in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Closed;
+
+/// What the consumer finds.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) enum Taken<T, F> {
+    /// A frame.
+    Item(T),
+    /// There will be no more.
+    Ended,
+    /// Something went wrong, and all that came before it has been taken.
+    Failed(F),
+    /// Nothing within the time given.
+    TimedOut,
+}
+
+/// An error overtakes the frames that were decoded before it: the stream's end, which comes behind
+/// them, is waited for, but no longer than this.
+const GRACE: Duration = Duration::from_secs(1);
+
+/// Frames `T` and at most one failure `F`, from the decoder's threads to the consumer's.
+#[derive(Debug)]
+pub(crate) struct Mailbox<T, F> {
+    room: usize,
+    when_full: WhenFull,
+    state: Mutex<State<T, F>>,
+    changed: Condvar,
+}
+
+#[derive(Debug)]
+struct State<T, F> {
+    queue: VecDeque<T>,
+    ready: bool,
+    ended: bool,
+    closed: bool,
+    failure: Option<(F, Instant)>,
+}
+
+impl<T, F: Clone> Mailbox<T, F> {
+    /// A mailbox for `room` frames (at least one).
+    pub(crate) fn new(room: usize, when_full: WhenFull) -> Self {
+        let state = State {
+            queue: VecDeque::new(),
+            ready: false,
+            ended: false,
+            closed: false,
+            failure: None,
+        };
+        Self { room: room.max(1), when_full, state: Mutex::new(state), changed: Condvar::new() }
+    }
+
+    /// Leaves a frame.
+    pub(crate) fn put(&self, item: T) -> Result<(), Closed> {
+        let mut state = self.lock();
+        while state.queue.len() >= self.room && !state.closed {
+            match self.when_full {
+                WhenFull::ReplaceOldest => drop(state.queue.pop_front()),
+                WhenFull::HoldBack => {
+                    state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner)
+                }
+            }
+        }
+        if state.closed {
+            return Err(Closed);
+        }
+        state.queue.push_back(item);
+        self.changed.notify_all();
+        Ok(())
+    }
+
+    /// The first frame is decoded and waits behind the sink.
+    pub(crate) fn set_ready(&self) {
+        self.lock().ready = true;
+        self.changed.notify_all();
+    }
+
+    /// There will be no more frames.
+    pub(crate) fn end(&self) {
+        self.lock().ended = true;
+        self.changed.notify_all();
+    }
+
+    /// Something went wrong. The first failure is the cause, later ones are its echo.
+    pub(crate) fn fail(&self, failure: F) {
+        self.lock().failure.get_or_insert_with(|| (failure, Instant::now()));
+        self.changed.notify_all();
+    }
+
+    /// Lets go of everybody who waits to leave a frame, for good.
+    pub(crate) fn close(&self) {
+        let mut state = self.lock();
+        state.closed = true;
+        state.queue.clear();
+        self.changed.notify_all();
+    }
+
+    /// Takes a frame, waiting for at most `timeout`.
+    pub(crate) fn take(&self, timeout: Duration) -> Taken<T, F> {
+        let deadline = Instant::now() + timeout;
+        let mut state = self.lock();
+        loop {
+            if let Some(item) = state.queue.pop_front() {
+                self.changed.notify_all();
+                return Taken::Item(item);
+            }
+            let mut until = deadline;
+            match (&state.failure, state.ended) {
+                (None, true) => return Taken::Ended,
+                (Some((failure, _)), true) => return Taken::Failed(failure.clone()),
+                (Some((failure, since)), false) if since.elapsed() >= GRACE => {
+                    return Taken::Failed(failure.clone());
+                }
+                (Some((_, since)), false) => until = until.min(*since + GRACE),
+                (None, false) => {}
+            }
+            let left = until.saturating_duration_since(Instant::now());
+            if left.is_zero() && until == deadline {
+                return Taken::TimedOut;
+            }
+            state = self.wait(state, left);
+        }
+    }
+
+    /// Waits until the first frame is decoded: `Ok(true)`, or `Ok(false)` when that takes longer
+    /// than `timeout`, or what went wrong.
+    pub(crate) fn wait_ready(&self, timeout: Duration) -> Result<bool, F> {
+        let deadline = Instant::now() + timeout;
+        let mut state = self.lock();
+        loop {
+            if let Some((failure, _)) = &state.failure
+                && !state.ready
+            {
+                return Err(failure.clone());
+            }
+            let left = deadline.saturating_duration_since(Instant::now());
+            if state.ready || left.is_zero() {
+                return Ok(state.ready);
+            }
+            state = self.wait(state, left);
+        }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State<T, F>> {
+        // No code that can panic runs under this lock, so what it guards is whole.
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn wait<'a>(
+        &self,
+        state: MutexGuard<'a, State<T, F>>,
+        time: Duration,
+    ) -> MutexGuard<'a, State<T, F>> {
+        self.changed.wait_timeout(state, time).unwrap_or_else(PoisonError::into_inner).0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use std::sync::Arc;
+
+    const NOW: Duration = Duration::ZERO;
+    const LONG: Duration = Duration::from_secs(20);
+
+    fn mailbox(when_full: WhenFull) -> Mailbox<u32, &'static str> {
+        Mailbox::new(2, when_full)
+    }
+
+    #[test]
+    fn the_newest_replace_the_oldest() {
+        let mailbox = mailbox(WhenFull::ReplaceOldest);
+        (0..5).for_each(|k| mailbox.put(k).unwrap());
+        mailbox.end();
+        let taken: Vec<_> = (0..3).map(|_| mailbox.take(NOW)).collect();
+        assert_eq!(taken, [Taken::Item(3), Taken::Item(4), Taken::Ended]);
+    }
+
+    #[test]
+    fn a_held_back_decoder_loses_nothing() {
+        let mailbox = Arc::new(mailbox(WhenFull::HoldBack));
+        let decoder = std::thread::spawn({
+            let mailbox = Arc::clone(&mailbox);
+            move || {
+                (0..50).for_each(|k| mailbox.put(k).unwrap());
+                mailbox.end();
+            }
+        });
+        for k in 0..50 {
+            assert_eq!(mailbox.take(LONG), Taken::Item(k));
+        }
+        assert_eq!(mailbox.take(LONG), Taken::Ended);
+        decoder.join().unwrap();
+    }
+
+    #[test]
+    fn closing_frees_a_held_back_decoder() {
+        let mailbox = Arc::new(mailbox(WhenFull::HoldBack));
+        let decoder = std::thread::spawn({
+            let mailbox = Arc::clone(&mailbox);
+            move || (0..).find_map(|k| mailbox.put(k).err())
+        });
+        mailbox.close();
+        assert_eq!(decoder.join().unwrap(), Some(Closed));
+    }
+
+    #[test]
+    fn a_failure_waits_for_the_frames_before_it() {
+        let mailbox = mailbox(WhenFull::HoldBack);
+        mailbox.fail("cause");
+        mailbox.fail("echo");
+        assert_eq!(mailbox.take(NOW), Taken::TimedOut);
+        mailbox.put(7).unwrap();
+        mailbox.end();
+        assert_eq!(mailbox.take(NOW), Taken::Item(7));
+        assert_eq!(mailbox.take(NOW), Taken::Failed("cause"));
+        assert_eq!(mailbox.take(NOW), Taken::Failed("cause"));
+    }
+
+    #[test]
+    fn a_failure_without_an_end_is_told_all_the_same() {
+        let mailbox = mailbox(WhenFull::HoldBack);
+        mailbox.fail("cause");
+        assert_eq!(mailbox.take(LONG), Taken::Failed("cause"));
+        assert_eq!(mailbox.wait_ready(LONG), Err("cause"));
+    }
+}

@@ -1,0 +1,56 @@
+//! What a user chooses about a source besides which it is.
+
+use std::time::Duration;
+
+/// Who sets the pace.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Paced {
+    /// The stream's own time stamps; a frame that nobody takes is replaced by the next one. A
+    /// recording that cannot be decoded in time plays slower.
+    RealTime,
+    /// The consumer: every frame of the source is handed out, in order, as fast as they are taken.
+    Lossless,
+}
+
+/// What a user chooses about a source besides which it is.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SourceParameters {
+    /// Pixels in a row that frames must have.
+    pub width: u32,
+    /// Rows that frames must have.
+    pub height: u32,
+    /// Who sets the pace.
+    pub flow: Paced,
+    /// Whether a recording starts again at its end.
+    pub looping: bool,
+    /// From exposure to arrival; subtracted from the arrival of a camera's frames.
+    pub latency: Duration,
+    /// A camera that is silent for so long counts as lost.
+    pub stall: Duration,
+    /// How long to wait before a lost camera is opened again, the first time.
+    pub reopen_min: Duration,
+    /// The longest wait before a lost camera is opened again.
+    pub reopen_max: Duration,
+    /// How many images of a folder make a second.
+    pub images_per_second: f64,
+    /// Threads of the software decoder; 0 leaves it to the decoder.
+    pub decoder_threads: u32,
+}
+
+impl SourceParameters {
+    /// Frames of `width` x `height` in real time, everything else at its default.
+    pub fn new(width: u32, height: u32) -> Self {
+        Self {
+            width,
+            height,
+            flow: Paced::RealTime,
+            looping: false,
+            latency: Duration::ZERO,
+            stall: Duration::from_secs(5),
+            reopen_min: Duration::from_millis(500),
+            reopen_max: Duration::from_secs(10),
+            images_per_second: 1.0,
+            decoder_threads: 0,
+        }
+    }
+}

@@ -1,0 +1,275 @@
+//! The back part of the pipeline: from the decoder to the mailbox.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use gstreamer as gst;
+use gstreamer::prelude::*;
+use gstreamer_app as gst_app;
+use gstreamer_video as gst_video;
+
+use crate::census::Census;
+use crate::clock::monotonic_ns;
+use crate::explain::Failure;
+use crate::input::{Input, element};
+use crate::mailbox::Mailbox;
+use crate::picture::LUMA_FIRST;
+use crate::{CaptureError, decoder};
+
+/// A decoded frame with its times.
+#[derive(Debug)]
+pub(crate) struct Decoded {
+    pub(crate) sample: gst::Sample,
+    pub(crate) sequence: u64,
+    /// From the stream's first frame.
+    pub(crate) stream_time: Duration,
+    /// Where the frame ends in the stream's own time.
+    pub(crate) stream_end: Duration,
+    /// When it is due by the stream's time stamps, CLOCK_MONOTONIC, nanoseconds.
+    pub(crate) due_ns: Option<i64>,
+    /// When the camera's data came in, CLOCK_MONOTONIC, nanoseconds.
+    pub(crate) arrival_ns: i64,
+}
+
+/// The mailbox between GStreamer's threads and the consumer.
+pub(crate) type Frames = Mailbox<Decoded, Failure>;
+
+/// Builds the pipeline for an input; nothing runs yet.
+pub(crate) fn build(
+    input: &Input,
+    size: (u32, u32),
+    threads: u32,
+    frames: &Arc<Frames>,
+) -> Result<(gst::Pipeline, gst_app::AppSink), CaptureError> {
+    let (pipeline, decodebin) = input.pipeline(size)?;
+    // The system clock is CLOCK_MONOTONIC, so that the pipeline's times are the machine's.
+    pipeline.use_clock(Some(&gst::SystemClock::obtain()));
+    decodebin.set_property("caps", gst::Caps::builder("video/x-raw").any_features().build());
+    decodebin.set_property("expose-all-streams", false);
+    pipeline.connect_deep_element_added(move |_, _, element| decoder::configure(element, threads));
+
+    let sink = sink(Arc::clone(frames), arrivals_of(&pipeline));
+    pipeline.add(&sink).map_err(|error| CaptureError::GStreamer(error.to_string()))?;
+    let (inside, target, told) = (pipeline.downgrade(), sink.downgrade(), Arc::clone(frames));
+    decodebin.connect_pad_added(move |_, pad| {
+        if let (Some(pipeline), Some(sink)) = (inside.upgrade(), target.upgrade())
+            && let Err(reason) = join(pad, &pipeline, &sink)
+        {
+            told.fail(Failure::of_ours(&reason));
+        }
+    });
+    watch(&pipeline, Arc::clone(frames));
+    Ok((pipeline, sink))
+}
+
+/// The sink that fills the mailbox. It takes whatever has a luma plane, in system memory.
+fn sink(frames: Arc<Frames>, arrivals: Arc<Arrivals>) -> gst_app::AppSink {
+    let mut census = Census::default();
+    let caps = gst_video::VideoCapsBuilder::new().format_list(LUMA_FIRST.iter().copied()).build();
+    let ended = Arc::clone(&frames);
+    let callbacks = gst_app::AppSinkCallbacks::builder()
+        .new_sample(move |sink| {
+            let arrival_ns = monotonic_ns();
+            let sample = sink.pull_sample().map_err(|_| gst::FlowError::Eos)?;
+            let decoded = stamped(sink, sample, &mut census, &arrivals, arrival_ns);
+            frames.put(decoded).map(|()| gst::FlowSuccess::Ok).map_err(|_| gst::FlowError::Flushing)
+        })
+        .eos(move |_| ended.end())
+        .build();
+    let sink = gst_app::AppSink::builder()
+        .caps(&caps)
+        .enable_last_sample(false)
+        .qos(false)
+        .max_buffers(1)
+        .callbacks(callbacks)
+        .build();
+    // A decoder that is not told that rows may be padded copies each frame into packed rows.
+    if let Some(pad) = sink.static_pad("sink") {
+        pad.add_probe(gst::PadProbeType::QUERY_DOWNSTREAM, |_, info| {
+            match info.query_mut().map(gst::QueryRef::view_mut) {
+                Some(gst::QueryViewMut::Allocation(allocation)) => {
+                    allocation.add_allocation_meta::<gst_video::VideoMeta>(None);
+                    gst::PadProbeReturn::Handled
+                }
+                _ => gst::PadProbeReturn::Ok,
+            }
+        });
+    }
+    sink
+}
+
+fn stamped(
+    sink: &gst_app::AppSink,
+    sample: gst::Sample,
+    census: &mut Census,
+    arrivals: &Arrivals,
+    at_sink_ns: i64,
+) -> Decoded {
+    let pts = sample.buffer().and_then(gst::BufferRef::pts);
+    let segment = sample.segment().and_then(|segment| segment.downcast_ref::<gst::ClockTime>());
+    let stream = segment.and_then(|segment| segment.to_stream_time(pts)).map(Duration::from);
+    let running = segment.and_then(|segment| segment.to_running_time(pts));
+    let rate = sample
+        .caps()
+        .and_then(|caps| gst_video::VideoInfo::from_caps(caps).ok())
+        .map(|info| info.fps());
+    let frame = rate
+        .filter(|rate| rate.numer() > 0 && rate.denom() > 0)
+        .map(|rate| Duration::from_secs_f64(f64::from(rate.denom()) / f64::from(rate.numer())));
+    let (sequence, stream_time) = census.enter(stream, frame);
+    let due_ns = running
+        .zip(sink.base_time())
+        .and_then(|(running, base)| i64::try_from((running + base).nseconds()).ok());
+    Decoded {
+        sample,
+        sequence,
+        stream_time,
+        stream_end: stream.unwrap_or(stream_time) + frame.unwrap_or_default(),
+        due_ns: due_ns.map(|due_ns| slipped(sink, due_ns, at_sink_ns)),
+        arrival_ns: pts.and_then(|pts| arrivals.find(pts)).unwrap_or(at_sink_ns),
+    }
+}
+
+/// A paced recording that is late by more than this slips.
+const SLIP_NS: i64 = 200_000_000;
+
+/// When a frame of a paced recording is due, after all the slips so far.
+///
+/// A machine that cannot decode a recording as fast as it was taken would fall behind without end.
+/// The recording slips instead: it plays slower, and a frame's age is that of a frame just seen.
+/// (GStreamer's own way, telling the decoder to leave frames out, leaves out nearly all of them
+/// where each rests on the one before.)
+fn slipped(sink: &gst_app::AppSink, due_ns: i64, now_ns: i64) -> i64 {
+    if !sink.is_sync() {
+        return due_ns;
+    }
+    let slip_ns = sink.ts_offset();
+    let late_ns = now_ns - (due_ns + slip_ns);
+    if late_ns <= SLIP_NS {
+        return due_ns + slip_ns;
+    }
+    sink.set_ts_offset(slip_ns + late_ns);
+    now_ns
+}
+
+/// Joins a decoded stream to the sink, through a conversion to gray only where the stream has no
+/// luma plane. Further video streams of a file are left alone.
+fn join(pad: &gst::Pad, pipeline: &gst::Pipeline, sink: &gst_app::AppSink) -> Result<(), String> {
+    let Some(end) = sink.static_pad("sink").filter(|end| !end.is_linked()) else {
+        return Ok(());
+    };
+    let caps = pad.current_caps().unwrap_or_else(|| pad.query_caps(None));
+    let has_luma = caps.iter().any(|structure| {
+        structure
+            .get::<&str>("format")
+            .is_ok_and(|format| LUMA_FIRST.iter().any(|luma| luma.to_str() == format))
+    });
+    if has_luma && pad.link(&end).is_ok() {
+        return Ok(());
+    }
+    let convert = element("videoconvert").map_err(|error| error.to_string())?;
+    let gray = element("capsfilter").map_err(|error| error.to_string())?;
+    let format = gst_video::VideoCapsBuilder::new().format(gst_video::VideoFormat::Gray8).build();
+    gray.set_property("caps", format);
+    let joined = || -> Result<(), gst::glib::BoolError> {
+        pipeline.add_many([&convert, &gray])?;
+        gst::Element::link_many([&convert, &gray, sink.upcast_ref()])?;
+        convert.sync_state_with_parent()?;
+        gray.sync_state_with_parent()
+    };
+    joined().map_err(|error| error.to_string())?;
+    let start = convert.static_pad("sink").ok_or("videoconvert has no input")?;
+    pad.link(&start)
+        .map_err(|error| format!("video of the kind {caps} cannot be used: {error}"))?;
+    Ok(())
+}
+
+/// Hands what the pipeline's bus says to the mailbox, in the thread that says it.
+fn watch(pipeline: &gst::Pipeline, frames: Arc<Frames>) {
+    let Some(bus) = pipeline.bus() else { return };
+    let undecodable = Mutex::new(None);
+    bus.set_sync_handler(move |_, message| {
+        match message.view() {
+            gst::MessageView::AsyncDone(_) => frames.set_ready(),
+            gst::MessageView::Error(error) => {
+                frames.fail(Failure {
+                    error: error.error(),
+                    undecodable: undecodable.lock().unwrap_or_else(PoisonError::into_inner).take(),
+                });
+            }
+            gst::MessageView::Element(element) => {
+                if let Some(structure) =
+                    element.structure().filter(|structure| structure.name() == "missing-plugin")
+                {
+                    let name = structure.get::<String>("name").ok();
+                    *undecodable.lock().unwrap_or_else(PoisonError::into_inner) = name;
+                }
+            }
+            _ => {}
+        }
+        gst::BusSyncReply::Drop
+    });
+}
+
+/// When the camera's coded frames came in, by their time stamps.
+///
+/// Decoding takes a time of its own that varies; what counts is when the data left the camera's
+/// cable. The time stamp, which parsers and decoders pass on, finds it again.
+#[derive(Debug, Default)]
+pub(crate) struct Arrivals(Mutex<VecDeque<(gst::ClockTime, i64)>>);
+
+impl Arrivals {
+    /// More frames than decoders hold, and fewer than a search would notice.
+    const KEPT: usize = 64;
+
+    fn enter(&self, pts: gst::ClockTime, arrival_ns: i64) {
+        let mut entries = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        // A frame may come in pieces; it is here when its last piece is.
+        entries.retain(|&(known, _)| known != pts);
+        if entries.len() >= Self::KEPT {
+            entries.pop_front();
+        }
+        entries.push_back((pts, arrival_ns));
+    }
+
+    fn find(&self, pts: gst::ClockTime) -> Option<i64> {
+        let entries = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        entries.iter().find(|&&(known, _)| known == pts).map(|&(_, arrival_ns)| arrival_ns)
+    }
+}
+
+/// Notes when buffers leave the pipeline's sources.
+fn arrivals_of(pipeline: &gst::Pipeline) -> Arc<Arrivals> {
+    let arrivals = Arc::new(Arrivals::default());
+    let mut sources = pipeline.iterate_sources();
+    while let Ok(Some(source)) = sources.next() {
+        let Some(pad) = source.static_pad("src") else { continue };
+        let noted = Arc::clone(&arrivals);
+        pad.add_probe(gst::PadProbeType::BUFFER, move |_, info| {
+            if let Some(pts) = info.buffer().and_then(|buffer| buffer.pts()) {
+                noted.enter(pts, monotonic_ns());
+            }
+            gst::PadProbeReturn::Ok
+        });
+    }
+    arrivals
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn arrivals_are_found_by_time_stamp_and_forgotten_in_time() {
+        let arrivals = Arrivals::default();
+        let pts = gst::ClockTime::from_mseconds;
+        for k in 0..100 {
+            arrivals.enter(pts(k), k as i64);
+        }
+        arrivals.enter(pts(98), 1_000);
+        assert_eq!(arrivals.find(pts(99)), Some(99));
+        assert_eq!(arrivals.find(pts(98)), Some(1_000));
+        assert_eq!(arrivals.find(pts(0)), None);
+    }
+}

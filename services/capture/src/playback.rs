@@ -1,0 +1,312 @@
+//! One pipeline from its start to its end.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use gstreamer as gst;
+use gstreamer::prelude::*;
+use gstreamer_app as gst_app;
+use gstreamer_video as gst_video;
+
+use crate::clock::monotonic_ns;
+use crate::explain::Failure;
+use crate::input::Input;
+use crate::mailbox::{Taken, WhenFull};
+use crate::parameters::{Paced, SourceParameters};
+use crate::picture::{Picture, PictureStamp, range_of};
+use crate::pipeline::{Decoded, Frames, build};
+use crate::{CaptureError, decoder};
+
+/// What a pipeline has to say.
+#[derive(Debug)]
+pub(crate) enum Step {
+    Picture(Picture),
+    Idle,
+    /// It is over: because of a fault, or just at its end.
+    Over {
+        fault: Option<String>,
+    },
+}
+
+/// How a frame's exposure is known.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Timing {
+    /// Nothing happens at its own pace: exposure is stream time.
+    Stream,
+    /// The stream's time stamps, played on the machine's clock; see [`crate::pipeline`].
+    Paced,
+    /// A camera whose stamps cannot be believed: when its data came in.
+    Arrival,
+    /// A camera whose driver stamps each frame on the machine's clock.
+    Driver,
+}
+
+/// One pipeline from its start to its end. Dropping it stops it.
+#[derive(Debug)]
+pub(crate) struct Playback {
+    input: Input,
+    pipeline: gst::Pipeline,
+    sink: gst_app::AppSink,
+    frames: Arc<Frames>,
+    timing: Timing,
+    expected: (u32, u32),
+    latency: Duration,
+    stall: Option<Duration>,
+    playing: bool,
+    heard: Instant,
+    handed_out: u64,
+    declared: Option<Duration>,
+    reached: Duration,
+}
+
+/// A file that has not given its first frame by then never will.
+const OPENING: Duration = Duration::from_secs(10);
+
+/// A frame's stamp by a camera's driver is believed when it lies between its arrival less this...
+const OLDEST_STAMP_NS: i64 = 1_000_000_000;
+/// ...and its arrival plus this.
+const NEWEST_STAMP_NS: i64 = 5_000_000;
+
+impl Playback {
+    /// Opens a recording and decodes its first frame; what keeps it from being played is found
+    /// here. It plays from the first [`Self::next`] on.
+    pub(crate) fn recording(input: Input, params: &SourceParameters) -> Result<Self, CaptureError> {
+        let timing = if params.flow == Paced::Lossless { Timing::Stream } else { Timing::Paced };
+        let mut playback = Self::build(input, params, timing)?;
+        let started = playback.pipeline.set_state(gst::State::Paused);
+        let live = matches!(started, Ok(gst::StateChangeSuccess::NoPreroll));
+        let patience = if started.is_ok() { OPENING } else { Duration::ZERO };
+        if !live {
+            let ready = playback
+                .frames
+                .wait_ready(patience)
+                .map_err(|failure| playback.unopened(&failure))?;
+            let Some(caps) = playback
+                .sink
+                .sink_pads()
+                .first()
+                .and_then(gst::Pad::current_caps)
+                .filter(|_| ready)
+            else {
+                return Err(playback
+                    .unopened(&Failure::of_ours("it holds no video frame that can be decoded")));
+            };
+            playback.examine(&caps)?;
+            playback.declared =
+                playback.pipeline.query_duration::<gst::ClockTime>().map(Duration::from);
+        }
+        Ok(playback)
+    }
+
+    /// Starts a camera. One that does not start says so in [`Self::next`].
+    pub(crate) fn camera(input: Input, params: &SourceParameters) -> Result<Self, CaptureError> {
+        let mut playback = Self::build(input, params, Timing::Arrival)?;
+        playback.stall = Some(params.stall);
+        let started = playback.pipeline.set_state(gst::State::Paused);
+        let live = matches!(started, Ok(gst::StateChangeSuccess::NoPreroll));
+        playback.timing = match &playback.input {
+            _ if params.flow == Paced::Lossless => Timing::Stream,
+            Input::V4l2(_) => Timing::Driver,
+            Input::Theta => Timing::Arrival,
+            // The Theta's driver does not say that it is a live source.
+            Input::Description(text) if live || text.contains("thetauvcsrc") => Timing::Arrival,
+            Input::Description(_) | Input::File(_) => Timing::Paced,
+        };
+        playback.play();
+        Ok(playback)
+    }
+
+    fn build(
+        input: Input,
+        params: &SourceParameters,
+        timing: Timing,
+    ) -> Result<Self, CaptureError> {
+        let expected = (params.width, params.height);
+        let frames = Arc::new(match params.flow {
+            Paced::RealTime => Frames::new(1, WhenFull::ReplaceOldest),
+            Paced::Lossless => Frames::new(2, WhenFull::HoldBack),
+        });
+        let (pipeline, sink) = build(&input, expected, params.decoder_threads, &frames)?;
+        Ok(Self {
+            input,
+            pipeline,
+            sink,
+            frames,
+            timing,
+            expected,
+            latency: params.latency,
+            stall: None,
+            playing: false,
+            heard: Instant::now(),
+            handed_out: 0,
+            declared: None,
+            reached: Duration::ZERO,
+        })
+    }
+
+    fn unopened(&self, failure: &Failure) -> CaptureError {
+        match &self.input {
+            Input::File(path) => failure.for_file(path),
+            Input::Description(text) => {
+                CaptureError::Description { description: text.clone(), reason: failure.text() }
+            }
+            input @ (Input::V4l2(_) | Input::Theta) => {
+                CaptureError::GStreamer(failure.for_running(input))
+            }
+        }
+    }
+
+    fn play(&mut self) {
+        self.sink.set_sync(self.timing == Timing::Paced);
+        self.playing = true;
+        self.heard = Instant::now();
+        if self.pipeline.set_state(gst::State::Playing).is_err() {
+            self.frames.fail(Failure::of_ours("it does not start"));
+        }
+    }
+
+    /// Waits for at most `timeout` for something to happen.
+    pub(crate) fn next(&mut self, timeout: Duration) -> Result<Step, CaptureError> {
+        if !self.playing {
+            self.play();
+        }
+        Ok(match self.frames.take(timeout) {
+            Taken::Item(decoded) => Step::Picture(self.picture(decoded)?),
+            Taken::Ended => Step::Over { fault: self.shortage() },
+            Taken::Failed(failure) => Step::Over { fault: Some(failure.for_running(&self.input)) },
+            Taken::TimedOut => match self.stall {
+                Some(stall) if self.heard.elapsed() >= stall => Step::Over {
+                    fault: Some(format!(
+                        "{}: no frame for {:.1} s. Cure: check the cable and the power",
+                        self.input.name(),
+                        stall.as_secs_f64()
+                    )),
+                },
+                _ => Step::Idle,
+            },
+        })
+    }
+
+    fn picture(&mut self, decoded: Decoded) -> Result<Picture, CaptureError> {
+        self.heard = Instant::now();
+        self.reached = self.reached.max(decoded.stream_end);
+        let sequence = decoded.sequence;
+        let unreadable =
+            |reason: String| CaptureError::Frame { what: self.input.name(), sequence, reason };
+        let caps = decoded
+            .sample
+            .caps()
+            .ok_or_else(|| unreadable("it says nothing of its format".to_owned()))?;
+        let info = self.examine(caps)?;
+        let buffer =
+            decoded.sample.buffer_owned().ok_or_else(|| unreadable("it is empty".to_owned()))?;
+        let exposure_ns = self.exposure_ns(&decoded);
+        let stamp = PictureStamp { sequence, stream_time: decoded.stream_time, exposure_ns };
+        let picture = Picture::map(buffer, &info, stamp).map_err(|reason| CaptureError::Frame {
+            what: self.input.name(),
+            sequence,
+            reason,
+        })?;
+        self.handed_out += 1;
+        Ok(picture)
+    }
+
+    fn exposure_ns(&mut self, decoded: &Decoded) -> i64 {
+        let latency_ns = self.latency.as_nanos() as i64;
+        match self.timing {
+            Timing::Stream => decoded.stream_time.as_nanos() as i64,
+            Timing::Paced => decoded.due_ns.unwrap_or_else(monotonic_ns),
+            Timing::Arrival => decoded.arrival_ns - latency_ns,
+            Timing::Driver => {
+                match decoded.due_ns.filter(|&due| is_believable(due, decoded.arrival_ns)) {
+                    Some(due_ns) => due_ns - latency_ns,
+                    None => {
+                        // Once and for all: two clocks in turns would be worse than the coarser one.
+                        self.timing = Timing::Arrival;
+                        decoded.arrival_ns - latency_ns
+                    }
+                }
+            }
+        }
+    }
+
+    /// Refuses frames of another size than configured.
+    fn examine(&self, caps: &gst::CapsRef) -> Result<gst_video::VideoInfo, CaptureError> {
+        let info = gst_video::VideoInfo::from_caps(caps).map_err(|error| CaptureError::Frame {
+            what: self.input.name(),
+            sequence: self.handed_out,
+            reason: error.to_string(),
+        })?;
+        let found = (info.width(), info.height());
+        if found != self.expected {
+            return Err(CaptureError::Size {
+                what: self.input.name(),
+                expected: self.expected,
+                found,
+            });
+        }
+        Ok(info)
+    }
+
+    /// What is missing between what the file declares and what came out of it.
+    fn shortage(&self) -> Option<String> {
+        let declared = self.declared?;
+        // What is declared is the longest stream's length; another stream may outlast the video.
+        let tolerance = if decoder::streams(&self.pipeline) > 1 { 1.0 } else { 0.1 };
+        (self.reached.as_secs_f64() + tolerance < declared.as_secs_f64()).then(|| {
+            format!(
+                "{} declares {:.2} s of video, its frames end at {:.2} s: the file was cut short",
+                self.input.name(),
+                declared.as_secs_f64(),
+                self.reached.as_secs_f64()
+            )
+        })
+    }
+
+    /// Frames handed out so far.
+    pub(crate) fn handed_out(&self) -> u64 {
+        self.handed_out
+    }
+
+    /// What is played, by which decoder.
+    pub(crate) fn describe(&self) -> String {
+        let name = self.input.name();
+        let caps = self.sink.sink_pads().first().and_then(gst::Pad::current_caps);
+        let Some(info) = caps.and_then(|caps| gst_video::VideoInfo::from_caps(&caps).ok()) else {
+            return format!(
+                "{name}: {}x{} expected, no frame yet",
+                self.expected.0, self.expected.1
+            );
+        };
+        let rate = match f64::from(info.fps().numer()) / f64::from(info.fps().denom().max(1)) {
+            rate if rate > 0.0 => format!(", {rate:.2} frames/s"),
+            _ => String::new(),
+        };
+        let decoders = match decoder::chosen(&self.pipeline) {
+            names if names.is_empty() => "not coded".to_owned(),
+            names => format!("decoded by {}", names.join(", ")),
+        };
+        let range = format!("{:?}", range_of(&info)).to_lowercase();
+        format!(
+            "{name}: {}x{}{rate}, {} ({range} range), {decoders}",
+            info.width(),
+            info.height(),
+            info.name()
+        )
+    }
+}
+
+impl Drop for Playback {
+    fn drop(&mut self) {
+        // First let go of the decoder's thread, which the state change waits for.
+        self.frames.close();
+        if self.pipeline.set_state(gst::State::Null).is_err() {
+            tracing::warn!(source = self.input.name(), "the source does not stop cleanly");
+        }
+    }
+}
+
+/// Whether a driver's stamp can be on this machine's clock.
+fn is_believable(stamp_ns: i64, arrival_ns: i64) -> bool {
+    (arrival_ns - OLDEST_STAMP_NS..=arrival_ns + NEWEST_STAMP_NS).contains(&stamp_ns)
+}

@@ -1,0 +1,153 @@
+//! A source: whatever it is, the same events come out of it.
+
+use std::time::{Duration, Instant};
+
+use gstreamer as gst;
+
+use crate::backoff::Backoff;
+use crate::file;
+use crate::folder::{Folder, FolderStep};
+use crate::input::Input;
+use crate::playback::{Playback, Step};
+use crate::{CaptureError, EndReason, Event, Paced, SourceParameters, SourceSpec};
+
+/// A camera, a video file or a folder of images that hands out luma planes.
+#[derive(Debug)]
+pub struct Source {
+    spec: SourceSpec,
+    params: SourceParameters,
+    state: State,
+    backoff: Backoff,
+}
+
+#[derive(Debug)]
+enum State {
+    Recording(Playback),
+    Folder(Folder),
+    Camera(Input, Playback),
+    /// A camera that is lost, until it is time to open it again.
+    Lost(Input, Instant),
+    Ended(EndReason),
+}
+
+impl Source {
+    /// Opens a source. A recording's first frame is decoded here, so that everything that keeps it
+    /// from being played is an error here; it begins to play at the first [`Self::next`]. A camera
+    /// is started; one that is not there is [`Event::Lost`], for it may still come.
+    pub fn open(spec: SourceSpec, params: SourceParameters) -> Result<Self, CaptureError> {
+        gst::init().map_err(|error| CaptureError::GStreamer(error.to_string()))?;
+        for (name, value) in [("camera.width", params.width), ("camera.height", params.height)] {
+            if value == 0 {
+                return Err(CaptureError::Parameter {
+                    name,
+                    value: "0".to_owned(),
+                    cure: "set it to the size of the frames",
+                });
+            }
+        }
+        let state = start(&spec, &params)?;
+        let backoff = Backoff::new(params.reopen_min, params.reopen_max);
+        Ok(Self { spec, params, state, backoff })
+    }
+
+    /// Waits for at most `timeout` for something to happen. Opening a camera or a recording anew,
+    /// and decoding an image of a folder, may take longer.
+    ///
+    /// An error is final: the source cannot be used as it is configured.
+    pub fn next(&mut self, timeout: Duration) -> Result<Event, CaptureError> {
+        match &mut self.state {
+            State::Recording(playback) => Ok(match playback.next(timeout)? {
+                Step::Picture(picture) => Event::Frame(picture),
+                Step::Idle => Event::Idle,
+                Step::Over { fault } => {
+                    let decoded = playback.handed_out();
+                    let reason = match fault {
+                        Some(reason) => EndReason::Truncated { decoded, reason },
+                        None => EndReason::Complete { frames: decoded, skipped: 0 },
+                    };
+                    self.over(reason, decoded)?
+                }
+            }),
+            State::Folder(folder) => Ok(match folder.next(timeout) {
+                FolderStep::Picture(picture) => Event::Frame(picture),
+                FolderStep::Idle => Event::Idle,
+                FolderStep::Skipped { what, why } => Event::Skipped { what, why },
+                FolderStep::Over => {
+                    let frames = folder.handed_out();
+                    let reason = EndReason::Complete { frames, skipped: folder.skipped() };
+                    self.over(reason, frames)?
+                }
+            }),
+            State::Camera(input, playback) => Ok(match playback.next(timeout)? {
+                Step::Picture(picture) => {
+                    self.backoff.reset();
+                    Event::Frame(picture)
+                }
+                Step::Idle => Event::Idle,
+                Step::Over { fault } => {
+                    let reason =
+                        fault.unwrap_or_else(|| format!("{}: its stream has ended", input.name()));
+                    let retry_in = self.backoff.after_failure();
+                    self.state = State::Lost(input.clone(), Instant::now() + retry_in);
+                    Event::Lost { reason, retry_in }
+                }
+            }),
+            State::Lost(input, until) => {
+                let now = Instant::now();
+                if now < *until {
+                    std::thread::sleep(timeout.min(*until - now));
+                    return Ok(Event::Idle);
+                }
+                let input = input.clone();
+                let playback = Playback::camera(input.clone(), &self.params)?;
+                self.state = State::Camera(input, playback);
+                self.next(timeout)
+            }
+            State::Ended(reason) => Ok(Event::End(reason.clone())),
+        }
+    }
+
+    /// A recording is over: it starts again, unless nothing came out of it.
+    fn over(&mut self, reason: EndReason, frames: u64) -> Result<Event, CaptureError> {
+        if self.params.looping && frames > 0 {
+            self.state = start(&self.spec, &self.params)?;
+            return Ok(Event::Looped { after: reason });
+        }
+        self.state = State::Ended(reason.clone());
+        Ok(Event::End(reason))
+    }
+
+    /// One line for people: what is played, its size, rate and format, and which decoder was
+    /// chosen. A camera's is complete once its first frame is there.
+    pub fn describe(&self) -> String {
+        match &self.state {
+            State::Recording(playback) | State::Camera(_, playback) => playback.describe(),
+            State::Folder(folder) => folder.describe(),
+            State::Lost(input, _) => format!("{}: lost", input.name()),
+            State::Ended(reason) => format!("{}: {reason}", self.spec),
+        }
+    }
+
+    /// Whether it is a camera, which never ends and may be lost.
+    pub fn is_camera(&self) -> bool {
+        matches!(self.state, State::Camera(..) | State::Lost(..))
+    }
+}
+
+fn start(spec: &SourceSpec, params: &SourceParameters) -> Result<State, CaptureError> {
+    let recording = |input: Input| Ok(State::Recording(Playback::recording(input, params)?));
+    let camera = |input: Input| Ok(State::Camera(input.clone(), Playback::camera(input, params)?));
+    match spec {
+        SourceSpec::File(path) => {
+            file::check(path)?;
+            recording(Input::File(path.clone()))
+        }
+        SourceSpec::Folder(path) => Ok(State::Folder(Folder::open(path, params)?)),
+        SourceSpec::V4l2(device) => camera(Input::V4l2(device.clone())),
+        SourceSpec::Theta => camera(Input::Theta),
+        SourceSpec::Description(text) => match params.flow {
+            Paced::RealTime => camera(Input::Description(text.clone())),
+            Paced::Lossless => recording(Input::Description(text.clone())),
+        },
+    }
+}

@@ -1,0 +1,287 @@
+//! From a view to its markers.
+
+use flockeye_geometry::Ray;
+use flockeye_geometry::view::{View, ViewPixel};
+use flockeye_imaging::edges::{approach_corners, refine_corners};
+use flockeye_imaging::image::LumaImage;
+use flockeye_imaging::light::LinearLight;
+use flockeye_imaging::square::mean_side_px;
+
+use crate::candidates::{self, Quad};
+use crate::reading::{Decoded, Reader, Reading};
+use crate::{DetectError, Dictionary};
+
+/// Images with a shorter side hold no marker, pixels.
+const MIN_IMAGE_PX: usize = 16;
+
+/// Standard deviation of a corner whose edges could not be fitted, pixels: something covers them, and
+/// contours are off by a pixel or three there.
+const UNREFINED_PX: f64 = 2.0;
+
+/// A pixel is dark if it is darker than its surroundings.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Threshold {
+    /// Side of the square of surroundings whose mean counts, pixels; odd.
+    pub window_px: i32,
+    /// By how much it must be darker, code values.
+    pub darker_by: f64,
+}
+
+/// What is looked for, and what is believed.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DetectorParameters {
+    /// Markers with shorter sides are not looked for, pixels.
+    pub min_side_px: f64,
+    /// Local thresholds that squares are looked for with: each one finds some that the others lose
+    /// (where a marker's shadow side joins what is dark beside it, say), and costs another pass.
+    pub thresholds: Vec<Threshold>,
+    /// How far a contour may deviate from a quadrilateral, as a share of its length.
+    pub polygon_accuracy: f64,
+    /// Correlation of the cells with those of the marker, blurred, from which on it is believed.
+    pub min_agreement: f32,
+    /// Logarithm of the likelihood ratio to the next id from which on it is believed.
+    pub min_certainty: f32,
+    /// How far the quiet zone must outshine the border, on each side, as a share of the contrast.
+    pub min_quiet_zone: f32,
+}
+
+impl Default for DetectorParameters {
+    fn default() -> Self {
+        Self {
+            min_side_px: 11.0,
+            thresholds: vec![
+                Threshold { window_px: 9, darker_by: 3.0 },
+                Threshold { window_px: 31, darker_by: 5.0 },
+            ],
+            polygon_accuracy: 0.05,
+            min_agreement: 0.8,
+            min_certainty: 6.0,
+            min_quiet_zone: 0.2,
+        }
+    }
+}
+
+/// A marker in a view.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Found {
+    /// Its id in the dictionary.
+    pub id: u32,
+    /// Its corners in ArUco's order: clockwise from the printed top left.
+    pub corners_in_view: [ViewPixel; 4],
+    /// The rays that see them, in the camera frame.
+    pub rays_in_camera: [Ray; 4],
+    /// Standard deviation of each ray across itself, radians.
+    pub deviations_rad: [f64; 4],
+    /// Whether the corners are those of fitted edges (or only of the contour).
+    pub is_refined: bool,
+    /// Correlation of its cells with those of the marker: 1 is perfect.
+    pub agreement: f32,
+}
+
+/// Finds the markers of one dictionary.
+pub struct Detector {
+    dictionary: Dictionary,
+    reader: Reader,
+    parameters: DetectorParameters,
+}
+
+impl Detector {
+    /// A detector for the dictionary of this name (one of [`crate::PREDEFINED`], or a file's path).
+    ///
+    /// # Errors
+    /// An unknown dictionary, a broken file, or a parameter outside its range.
+    pub fn new(dictionary: &str, parameters: DetectorParameters) -> Result<Self, DetectError> {
+        check(&parameters)?;
+        let dictionary = Dictionary::load(dictionary)?;
+        let reader = Reader::new(&dictionary);
+        Ok(Self { dictionary, reader, parameters })
+    }
+
+    /// The dictionary.
+    pub fn dictionary(&self) -> &Dictionary {
+        &self.dictionary
+    }
+
+    /// Every marker in `image`, which shows what `view` says; by rising id, each id once.
+    ///
+    /// # Errors
+    /// What OpenCV says. A view without markers, however small or empty, is none.
+    pub fn detect(
+        &mut self,
+        image: &LumaImage<'_>,
+        view: &View,
+        light: &LinearLight,
+    ) -> Result<Vec<Found>, DetectError> {
+        if image.width().min(image.height()) < MIN_IMAGE_PX {
+            return Ok(Vec::new());
+        }
+        let quads = candidates::find(image, &self.dictionary, &self.parameters)?;
+        let mut found: Vec<Found> = Vec::new();
+        for quad in &quads {
+            if !found.iter().any(|marker| is_contour_of(marker, quad)) {
+                found.extend(self.read(image, view, light, quad));
+            }
+        }
+        // One square may have several contours; nobody prints an id twice.
+        found.sort_by(|a, b| a.id.cmp(&b.id).then(b.agreement.total_cmp(&a.agreement)));
+        found.dedup_by_key(|marker| marker.id);
+        Ok(found)
+    }
+
+    /// The marker in a quadrilateral, if there is one to be believed.
+    fn read(
+        &self,
+        image: &LumaImage<'_>,
+        view: &View,
+        light: &LinearLight,
+        quad: &Quad,
+    ) -> Option<Found> {
+        let cells = self.dictionary.bits + 2;
+        let near = approach_corners(image, light, quad, cells)?;
+        if mean_side_px(&near) < self.parameters.min_side_px {
+            return None;
+        }
+        let decoded = self.decode(image, light, &near, 0.85)?;
+        let corners = turned(&near, decoded.first_corner);
+        let print = self.dictionary.print(decoded.id)?;
+        let refined = std::iter::once(corners)
+            .chain((0..4).map(|k| with_corner_opposite(&corners, k)))
+            .find_map(|guess| refine_corners(image, light, &guess, print));
+        let (corners_in_view, deviations_px) = match refined {
+            Some(refined) => (refined.corners_in_view, refined.deviations_px),
+            None => (corners, [UNREFINED_PX; 4]),
+        };
+        // What reads well only where the corners were guessed is no marker.
+        let confirmed = self.decode(image, light, &corners_in_view, 1.0)?;
+        if (confirmed.id, confirmed.first_corner) != (decoded.id, 0) {
+            return None;
+        }
+        // Without edges there is less to tell a marker from texture.
+        if refined.is_none() && confirmed.agreement < (1.0 + self.parameters.min_agreement) / 2.0 {
+            return None;
+        }
+        if std::env::var("DBG").is_ok() {
+            println!(
+                "DBG id {} agree {:.3} certain {:.1} quiet {:.2} misfit {:.3} blurcell {:.2} contrast {:.3} side {:.0} coarse {:.3} {:.1}",
+                decoded.id,
+                confirmed.agreement,
+                confirmed.certainty,
+                Reading::new(image, light, &corners_in_view, self.dictionary.bits)?.quiet_zone(),
+                refined.map_or(9.0, |r| r.misfit),
+                refined.map_or(9.0, |r| (r.blur_px[0] + r.blur_px[1])
+                    / 2.0
+                    / (mean_side_px(&corners_in_view) / 7.0)),
+                refined.map_or(9.0, |r| r.white - r.black),
+                mean_side_px(&corners_in_view),
+                decoded.agreement,
+                decoded.certainty
+            );
+        }
+        let rays_in_camera = corners_in_view.map(|corner| view.ray(corner));
+        let deviations_rad = std::array::from_fn(|k| {
+            deviations_px[k].min(UNREFINED_PX) * radians_per_pixel(view, corners_in_view[k])
+        });
+        Some(Found {
+            id: decoded.id,
+            corners_in_view,
+            rays_in_camera,
+            deviations_rad,
+            is_refined: refined.is_some(),
+            agreement: confirmed.agreement,
+        })
+    }
+
+    /// What is printed in a square, if it is to be believed; `leniency` lowers the bars.
+    fn decode(
+        &self,
+        image: &LumaImage<'_>,
+        light: &LinearLight,
+        corners: &Quad,
+        leniency: f32,
+    ) -> Option<Decoded> {
+        let reading = Reading::new(image, light, corners, self.dictionary.bits)?;
+        if reading.quiet_zone() < leniency * self.parameters.min_quiet_zone {
+            return None;
+        }
+        self.reader.decode(&reading).filter(|decoded| {
+            decoded.agreement >= leniency * self.parameters.min_agreement
+                && decoded.certainty >= leniency * leniency * self.parameters.min_certainty
+        })
+    }
+}
+
+/// Whether a quadrilateral is another contour of a marker that is known already.
+fn is_contour_of(marker: &Found, quad: &Quad) -> bool {
+    let near = 2.0 + 0.05 * mean_side_px(&marker.corners_in_view);
+    marker.is_refined
+        && marker
+            .corners_in_view
+            .iter()
+            .all(|corner| quad.iter().any(|other| (other.0 - corner.0).norm() < near))
+}
+
+/// The corners with corner `k` where the other three, as a parallelogram, want it: contours lose a
+/// corner where something dark touches it.
+fn with_corner_opposite(corners: &Quad, k: usize) -> Quad {
+    let mut completed = *corners;
+    let [before, after, opposite] = [3, 1, 2].map(|n| corners[(k + n) % 4].0);
+    completed[k] = ViewPixel(before + after - opposite);
+    completed
+}
+
+/// The corners, beginning with the one of this index.
+fn turned(corners: &Quad, first: usize) -> Quad {
+    std::array::from_fn(|k| corners[(k + first) % 4])
+}
+
+/// Angle that a pixel spans at `at`, mean of along and across the direction from the middle.
+fn radians_per_pixel(view: &View, at: ViewPixel) -> f64 {
+    let (x, y) = (at.0.x - view.centre_px(), at.0.y - view.centre_px());
+    let squared = x * x + y * y + view.focal_px * view.focal_px;
+    let (radial, tangential) = (view.focal_px / squared, 1.0 / squared.sqrt());
+    ((radial * radial + tangential * tangential) / 2.0).sqrt()
+}
+
+fn check(parameters: &DetectorParameters) -> Result<(), DetectError> {
+    if parameters.thresholds.is_empty() {
+        let (name, allowed) = ("thresholds", "one or more");
+        return Err(DetectError::Parameter { name, value: 0.0, allowed });
+    }
+    let window = |threshold: &Threshold| threshold.window_px;
+    let odd_one_out = parameters.thresholds.iter().map(window).find(|w| *w < 3 || w % 2 == 0);
+    let rules = [
+        ("min_side_px", parameters.min_side_px, parameters.min_side_px >= 8.0, "8 or more"),
+        (
+            "window_px",
+            f64::from(odd_one_out.unwrap_or(3)),
+            odd_one_out.is_none(),
+            "odd, and 3 or more",
+        ),
+        (
+            "polygon_accuracy",
+            parameters.polygon_accuracy,
+            parameters.polygon_accuracy > 0.0 && parameters.polygon_accuracy < 0.2,
+            "between 0 and 0.2",
+        ),
+        (
+            "min_agreement",
+            f64::from(parameters.min_agreement),
+            (0.0..=1.0).contains(&parameters.min_agreement),
+            "from 0 to 1",
+        ),
+    ];
+    for (name, value, holds, allowed) in rules {
+        if !holds || !value.is_finite() {
+            return Err(DetectError::Parameter { name, value, allowed });
+        }
+    }
+    Ok(())
+}
+
+/// Keeps OpenCV to the calling thread: views are spread over processes already.
+///
+/// # Errors
+/// What OpenCV says.
+pub fn use_one_thread() -> Result<(), DetectError> {
+    Ok(opencv::core::set_num_threads(1)?)
+}

@@ -1,0 +1,62 @@
+//! What the tests share: recordings with truth, and views cut from them.
+
+use std::path::PathBuf;
+
+use flockeye_geometry::camera::Equirectangular;
+use flockeye_geometry::view::{View, ViewPixel};
+use flockeye_imaging::image::LumaImage;
+use opencv::imgcodecs::{IMREAD_GRAYSCALE, imread};
+use opencv::prelude::*;
+
+/// The recordings' folder; `None`, said aloud, where a checkout has none.
+pub fn data() -> Option<PathBuf> {
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
+    if path.is_dir() {
+        return Some(path);
+    }
+    println!("skipped: there are no recordings at {}", path.display());
+    None
+}
+
+/// An 8-bit image that owns its pixels.
+pub struct Picture {
+    pub pixels: Vec<u8>,
+    pub width: usize,
+    pub height: usize,
+}
+
+impl Picture {
+    /// A file's luma.
+    pub fn read(path: &std::path::Path) -> Self {
+        let mat = imread(path.to_str().expect("a readable path"), IMREAD_GRAYSCALE).expect("read");
+        let pixels = mat.data_bytes().expect("continuous").to_vec();
+        Self { pixels, width: mat.cols() as usize, height: mat.rows() as usize }
+    }
+
+    pub fn image(&self) -> LumaImage<'_> {
+        LumaImage::new(&self.pixels, self.width, self.height, self.width).expect("consistent")
+    }
+
+    /// What `view` shows of this sphere: bilinear between code values.
+    pub fn cut(&self, view: &View) -> Picture {
+        let camera = Equirectangular { width: self.width as u32, height: self.height as u32 };
+        let size = view.size_px as usize;
+        let mut pixels = Vec::with_capacity(size * size);
+        for y in 0..size {
+            for x in 0..size {
+                let at = camera.project(&view.ray(ViewPixel::new(x as f64, y as f64))).0;
+                let (left, top) = (at.x.floor(), at.y.floor());
+                let (fx, fy) = (at.x - left, at.y - top);
+                let code = |dx: f64, dy: f64| {
+                    let column = (left + dx).rem_euclid(self.width as f64) as usize;
+                    let row = (top + dy).clamp(0.0, self.height as f64 - 1.0) as usize;
+                    f64::from(self.pixels[row * self.width + column])
+                };
+                let upper = code(0.0, 0.0) * (1.0 - fx) + code(1.0, 0.0) * fx;
+                let lower = code(0.0, 1.0) * (1.0 - fx) + code(1.0, 1.0) * fx;
+                pixels.push((upper * (1.0 - fy) + lower * fy).round() as u8);
+            }
+        }
+        Picture { pixels, width: size, height: size }
+    }
+}

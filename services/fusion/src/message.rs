@@ -1,0 +1,193 @@
+//! What fusion knows and plans, as the contract's messages.
+
+use std::collections::BTreeMap;
+
+use flockeye_contract as contract;
+use flockeye_contract::{
+    MeasuredBy, NONE, Pose, StageLatency, StopRule, Track, TrackState, ViewKind,
+};
+use flockeye_geometry::body::Body;
+use flockeye_geometry::filter::{self, Prediction};
+use flockeye_geometry::search::{self, Plan, PlannedView, Purpose};
+use nalgebra::{Isometry3, Matrix3, Matrix6, Vector3};
+
+use crate::neighbour::{Known, PoseEstimate};
+
+/// A transform as the contract has it.
+pub fn pose(isometry: &Isometry3<f64>) -> Pose {
+    let [x, y, z, w] = isometry.rotation.coords.into();
+    Pose { position: isometry.translation.vector.into(), orientation: [x, y, z, w] }
+}
+
+/// The pose of the target drone in the observer drone's frame, mounts applied, with its covariance.
+///
+/// A small rotation d of the markers moves the target's origin, which lies at r from theirs (both
+/// in the camera's axes), by d x r; so the covariance turns with J = [I, -[r]x; 0, I], then both
+/// with the camera's mount.
+fn mounted(
+    estimate: &PoseEstimate,
+    body: &Body,
+    observer_from_camera: &Isometry3<f64>,
+) -> (Isometry3<f64>, Matrix6<f64>) {
+    let markers_from_target = body.target_from_markers.inverse();
+    let camera_from_target = estimate.camera_from_markers * markers_from_target;
+    let offset = estimate.camera_from_markers.rotation * markers_from_target.translation.vector;
+    let turn = observer_from_camera.rotation.to_rotation_matrix().into_inner();
+    let mut jacobian = Matrix6::zeros();
+    jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(&turn);
+    jacobian.fixed_view_mut::<3, 3>(0, 3).copy_from(&(turn * -offset.cross_matrix()));
+    jacobian.fixed_view_mut::<3, 3>(3, 3).copy_from(&turn);
+    let covariance = jacobian * estimate.covariance * jacobian.transpose();
+    (observer_from_camera * camera_from_target, covariance)
+}
+
+/// A neighbour as a track. `latency` is filled in where the message is sent.
+pub fn track(
+    target: usize,
+    known: &Known,
+    body: &Body,
+    observer_from_camera: &Isometry3<f64>,
+) -> Track {
+    let (observer_from_target, covariance) = mounted(&known.pose, body, observer_from_camera);
+    let measured = known.measured.map(|measured| mounted(&measured, body, observer_from_camera));
+    let turn: Matrix3<f64> = observer_from_camera.rotation.to_rotation_matrix().into_inner();
+    let offset = known.pose.camera_from_markers.rotation
+        * body.target_from_markers.inverse().translation.vector;
+    let velocity: Vector3<f64> = turn * (known.velocity + known.rate.cross(&offset));
+    let state = match known.state {
+        None => TrackState::Measured,
+        Some(filter::TrackState::Tentative) if known.measured.is_none() => TrackState::Coasting,
+        Some(filter::TrackState::Tentative) => TrackState::Tentative,
+        Some(filter::TrackState::Confirmed) => TrackState::Confirmed,
+        Some(filter::TrackState::Coasting) => TrackState::Coasting,
+        Some(filter::TrackState::Lost) => TrackState::Lost,
+    };
+    Track {
+        observer_from_target: pose(&observer_from_target),
+        covariance: row_major(&covariance),
+        linear_velocity: velocity.into(),
+        angular_velocity: (turn * known.rate).into(),
+        measured_observer_from_target: measured.map_or_else(Pose::default, |(at, _)| pose(&at)),
+        measured_covariance: measured.map_or([0.0; 36], |(_, covariance)| row_major(&covariance)),
+        age_ns: nanoseconds(known.age_s),
+        unseen_ns: nanoseconds(known.unseen_s),
+        latency: StageLatency::default(),
+        name: body.name.as_str().into(),
+        target: target as u32,
+        track_id: known.track_id,
+        state: state.code(),
+        measured_by: if measured.is_some() { MeasuredBy::Decoded } else { MeasuredBy::Nothing }
+            .code(),
+        markers: known.markers,
+        reserved: 0,
+    }
+}
+
+fn nanoseconds(seconds: f64) -> i64 {
+    (seconds * 1e9).round() as i64
+}
+
+fn row_major(matrix: &Matrix6<f64>) -> [f64; 36] {
+    // nalgebra keeps columns; a covariance is symmetric, but rounding need not be.
+    std::array::from_fn(|k| matrix[(k / 6, k % 6)])
+}
+
+/// The views of a plan; gaze views carry their neighbour's prediction.
+pub fn planned_views(
+    plan: &Plan,
+    predictions: &BTreeMap<usize, Prediction>,
+    reference_ns: i64,
+) -> Vec<contract::PlannedView> {
+    plan.views
+        .iter()
+        .take(contract::MAX_PLANNED_VIEWS)
+        .map(|planned| planned_view(planned, predictions, reference_ns))
+        .collect()
+}
+
+fn planned_view(
+    planned: &PlannedView,
+    predictions: &BTreeMap<usize, Prediction>,
+    reference_ns: i64,
+) -> contract::PlannedView {
+    let (kind, partition, target) = match planned.purpose {
+        Purpose::Partition(partition) => (ViewKind::Partition, partition as u32, NONE),
+        Purpose::Gaze(target) => (ViewKind::Gaze, NONE, target as u32),
+    };
+    let prediction = match planned.purpose {
+        Purpose::Gaze(target) => predictions.get(&target),
+        Purpose::Partition(_) => None,
+    };
+    contract::PlannedView {
+        camera_from_view: planned.view.camera_from_view.coords.into(),
+        rate_in_camera: planned.rate_in_camera.into(),
+        reference_ns,
+        focal_px: planned.view.focal_px,
+        predicted_camera_from_markers: prediction
+            .map_or_else(Pose::default, |prediction| pose(&prediction.observer_from_target)),
+        size_px: planned.view.size_px,
+        kind: kind.code(),
+        partition,
+        target,
+        has_prediction: u32::from(prediction.is_some()),
+        reserved: 0,
+    }
+}
+
+/// The code of a stop rule.
+pub fn stop_rule(rule: search::StopRule) -> StopRule {
+    match rule {
+        search::StopRule::FirstHit => StopRule::FirstHit,
+        search::StopRule::All => StopRule::All,
+        search::StopRule::Deadline => StopRule::Deadline,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use flockeye_geometry::body::squares;
+    use nalgebra::{Translation3, UnitQuaternion, Vector6};
+
+    fn transform(x: f64, y: f64, z: f64, roll: f64, pitch: f64, yaw: f64) -> Isometry3<f64> {
+        Isometry3::from_parts(
+            Translation3::new(x, y, z),
+            UnitQuaternion::from_euler_angles(roll, pitch, yaw),
+        )
+    }
+
+    /// The covariance's Jacobian against differences of the transform itself.
+    #[test]
+    fn mounts_carry_the_covariance_along() {
+        let mut body = squares("alpha", 0.0625, 0.05, 0);
+        body.target_from_markers = transform(0.1, -0.2, 0.3, 0.3, 0.2, 0.1);
+        let observer_from_camera = transform(1.0, 2.0, 3.0, -0.4, 0.5, 0.6);
+        let at = transform(0.5, 0.6, -0.7, 1.0, -0.3, 2.0);
+        let moved = |change: &Vector6<f64>| {
+            let rotation = UnitQuaternion::from_scaled_axis(change.fixed_rows::<3>(3).into_owned());
+            let moved = Isometry3::from_parts(
+                Translation3::from(at.translation.vector + change.fixed_rows::<3>(0)),
+                rotation * at.rotation,
+            );
+            let estimate =
+                PoseEstimate { camera_from_markers: moved, covariance: Matrix6::identity() };
+            mounted(&estimate, &body, &observer_from_camera).0
+        };
+        let straight = moved(&Vector6::zeros());
+        let mut jacobian = Matrix6::zeros();
+        for k in 0..6 {
+            let mut change = Vector6::zeros();
+            change[k] = 1e-6;
+            let end = moved(&change);
+            let shift = end.translation.vector - straight.translation.vector;
+            let turn = (end.rotation * straight.rotation.inverse()).scaled_axis();
+            jacobian.fixed_view_mut::<3, 1>(0, k).copy_from(&(shift / 1e-6));
+            jacobian.fixed_view_mut::<3, 1>(3, k).copy_from(&(turn / 1e-6));
+        }
+        let spread = Matrix6::from_diagonal(&Vector6::new(1.0, 2.0, 3.0, 4.0, 5.0, 6.0));
+        let estimate = PoseEstimate { camera_from_markers: at, covariance: spread };
+        let (_, covariance) = mounted(&estimate, &body, &observer_from_camera);
+        assert!((covariance - jacobian * spread * jacobian.transpose()).norm() < 1e-4);
+    }
+}

@@ -1,0 +1,338 @@
+//! The ports around fusion.
+
+use std::collections::BTreeMap;
+
+use anyhow::Context as _;
+use flockeye_contract::{
+    DetectionHeader, Detections, FrameEnds, FrameStamp, PlanHeader, Plans, StageLatency, Track,
+    TrackHeader, Tracks, ViewHeader, ViewKind, Views,
+};
+use flockeye_geometry::filter::{MotionModel, TrackPolicy};
+use flockeye_geometry::search::{Planner, Purpose, SearchMode, StopRule};
+use flockeye_geometry::view::View;
+use flockeye_runtime::bodies::isometry;
+use flockeye_runtime::config::{Filter, Flow, Mode, Pipeline};
+use flockeye_runtime::health::SharedCounters;
+use flockeye_runtime::logs::Throttle;
+use flockeye_runtime::memory::MAX_TRACKS;
+use flockeye_runtime::ports::{Message, Ports, Publisher, Subscriber};
+use flockeye_runtime::{Context, Stage, Step, clock};
+use nalgebra::{Isometry3, Quaternion, UnitQuaternion};
+
+use crate::assembly::{Assembly, Frame, Record};
+use crate::message;
+use crate::sighting::agrees_with_view;
+use crate::swarm::{FilterChoice, Purposes, Swarm, Update};
+
+/// Plans that are remembered, for frames that still follow them.
+const REMEMBERED_PLANS: usize = 16;
+
+/// Takes views, detections and frame ends; gives tracks and plans.
+pub struct FusionStage {
+    views: Vec<Subscriber<Views>>,
+    detections: Subscriber<Detections>,
+    frame_ends: Subscriber<FrameEnds>,
+    tracks: Publisher<Tracks>,
+    plans: Publisher<Plans>,
+    assembly: Assembly,
+    swarm: Swarm,
+    remembered: BTreeMap<u64, (Purposes, StopRule)>,
+    plan_id: u64,
+    generation: u32,
+    flow: Flow,
+    observer_from_camera: Isometry3<f64>,
+    mode: Mode,
+    counters: SharedCounters,
+    disagreements: Throttle,
+    strangers: Throttle,
+    incomplete: Throttle,
+}
+
+impl Stage for FusionStage {
+    const NAME: &'static str = "fusion";
+
+    fn open(context: &Context, ports: &mut Ports) -> anyhow::Result<Self> {
+        let pipeline = &context.pipeline;
+        let bodies = pipeline.bodies()?;
+        let views = pipeline.partition_views(bodies.largest_side())?;
+        let planner = Planner::new(
+            search_mode(pipeline),
+            pipeline.sphere_partition(),
+            views,
+            pipeline.gaze_options(),
+        )?;
+        Ok(Self {
+            views: ports.subscribers_of_all_lanes()?,
+            detections: ports.subscriber()?,
+            frame_ends: ports.subscriber()?,
+            tracks: ports.publisher()?,
+            plans: ports.publisher()?,
+            assembly: Assembly::new((pipeline.fusion.deadline_ms * 1e6) as i64),
+            swarm: Swarm::new(&bodies, filter_choice(pipeline), planner),
+            remembered: BTreeMap::new(),
+            plan_id: 0,
+            generation: context.identity.generation,
+            flow: pipeline.flow,
+            observer_from_camera: isometry(&pipeline.observer.observer_from_camera),
+            mode: pipeline.search.mode,
+            counters: context.counters.clone(),
+            disagreements: Throttle::default(),
+            strangers: Throttle::default(),
+            incomplete: Throttle::default(),
+        })
+    }
+
+    fn step(&mut self) -> anyhow::Result<Step> {
+        if self.plan_id == 0 {
+            // The first plan opens the flow: rectification has something to follow, and a lossless
+            // source its first credit.
+            self.send_plan(None)?;
+        }
+        let now_ns = clock::monotonic_ns();
+        // A view passes before its record, so views are taken first.
+        for lane in &mut self.views {
+            while let Some(message) = lane.receive()? {
+                self.assembly.add_view(message.header, now_ns);
+            }
+        }
+        while let Some(message) = self.detections.receive()? {
+            self.take_record(&message, now_ns)?;
+        }
+        while let Some(message) = self.frame_ends.receive()? {
+            self.assembly.add_end(message.header, now_ns);
+        }
+        while let Some((frame, is_complete)) = self.assembly.take(clock::monotonic_ns()) {
+            if !is_complete {
+                self.counters.add_failed(1);
+                if let Some(more) = self.incomplete.admit() {
+                    tracing::warn!(
+                        frame = frame.stamp.sequence,
+                        more_since = more,
+                        "a frame was not ended in time: rectification or detection does not answer"
+                    );
+                }
+            }
+            self.finish(&frame)?;
+        }
+        Ok(self.assembly.next_deadline_ns().map_or(Step::Wait, Step::WaitUntil))
+    }
+}
+
+impl FusionStage {
+    fn take_record(&mut self, message: &Message<Detections>, now_ns: i64) -> anyhow::Result<()> {
+        let header = message.header;
+        let mut markers = message.items().to_vec();
+        let of_view =
+            self.assembly.oldest().and_then(|frame| frame.views.get(&header.view_index)).copied();
+        if let Some(view) = of_view.filter(|view| view.stamp.is_same_frame(&header.stamp)) {
+            let view = view_of(&view);
+            if let Some(marker) = markers.iter().find(|marker| !agrees_with_view(marker, &view)) {
+                self.counters.add_failed(1);
+                if let Some(more) = self.disagreements.admit() {
+                    tracing::warn!(
+                        worker = header.worker,
+                        marker = marker.id,
+                        more_since = more,
+                        "a worker's rays are not those of its corners in the view; its markers are left out. \
+                         Cure: mend the detector; docs/CONTRACT.md has the conventions"
+                    );
+                }
+                markers.clear();
+            }
+        }
+        self.note_strangers(&markers);
+        let record = Record { header, markers };
+        if !self.assembly.add_record(record.clone(), now_ns) {
+            self.counters.add_dropped(1);
+            return Ok(());
+        }
+        // In a lossless run nothing may depend on which worker answers first.
+        let is_oldest =
+            self.assembly.oldest().is_some_and(|frame| frame.stamp.is_same_frame(&header.stamp));
+        if self.flow == Flow::Latest && is_oldest {
+            let purpose = self.purpose_of(&header, of_view.as_ref());
+            let update = self.swarm.glance(seconds(&header.stamp), purpose, &record);
+            if let Some(update) = update {
+                self.send_tracks(&header.stamp, &[update], &[&record], false)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn note_strangers(&mut self, markers: &[flockeye_contract::DetectedMarker]) {
+        let is_owned = |id| {
+            self.swarm.neighbours().iter().any(|neighbour| neighbour.body.marker(id).is_some())
+        };
+        if let Some(stranger) = markers.iter().find(|marker| !is_owned(marker.id))
+            && let Some(more) = self.strangers.admit()
+        {
+            tracing::info!(
+                marker = stranger.id,
+                more_since = more,
+                "a marker was seen that no configured body carries; it is ignored"
+            );
+        }
+    }
+
+    /// What a view was cut for: as planned, or, where rectification swept on its own, as it says.
+    fn purpose_of(&self, header: &DetectionHeader, view: Option<&ViewHeader>) -> Option<Purpose> {
+        match self.remembered.get(&header.plan_id) {
+            Some((purposes, _)) => purposes.get(&header.view_index).copied(),
+            None => view.and_then(purpose_stated),
+        }
+    }
+
+    fn finish(&mut self, frame: &Frame) -> anyhow::Result<()> {
+        let swept = || {
+            let stated = frame
+                .views
+                .iter()
+                .filter_map(|(index, view)| Some((*index, purpose_stated(view)?)));
+            (stated.collect(), StopRule::All)
+        };
+        let (purposes, stop_rule) =
+            self.remembered.get(&frame.plan_id).cloned().unwrap_or_else(swept);
+        let updates = self.swarm.finish(seconds(&frame.stamp), frame, &purposes, stop_rule);
+        let records: Vec<&Record> = frame.records.values().collect();
+        for part in updates.chunks(MAX_TRACKS) {
+            self.send_tracks(&frame.stamp, part, &records, false)?;
+        }
+        self.send_tracks(&frame.stamp, &[], &records, true)?;
+        self.send_plan(Some(frame.stamp))?;
+        if let Some(end) = frame.end {
+            self.counters.add_latency_ns(clock::monotonic_ns() - end.taken_ns);
+        }
+        Ok(())
+    }
+
+    fn send_tracks(
+        &self,
+        stamp: &FrameStamp,
+        updates: &[Update],
+        records: &[&Record],
+        is_last: bool,
+    ) -> anyhow::Result<()> {
+        let now_ns = clock::monotonic_ns();
+        let tracks: Vec<Track> = updates
+            .iter()
+            .map(|(target, known)| {
+                let body = &self.swarm.neighbours()[*target].body;
+                let track = message::track(*target, known, body, &self.observer_from_camera);
+                let of_body = |record: &&&Record| {
+                    record.markers.iter().any(|marker| body.marker(marker.id).is_some())
+                };
+                let last = records
+                    .iter()
+                    .filter(of_body)
+                    .map(|record| record.header)
+                    .max_by_key(|header| header.sent_ns);
+                Track { latency: self.latency(stamp, last.as_ref(), now_ns), ..track }
+            })
+            .collect();
+        let header =
+            TrackHeader { stamp: *stamp, generation: self.generation, is_last: u32::from(is_last) };
+        Ok(self.tracks.send(header, &tracks)?)
+    }
+
+    fn latency(
+        &self,
+        stamp: &FrameStamp,
+        record: Option<&DetectionHeader>,
+        now_ns: i64,
+    ) -> StageLatency {
+        // In a lossless run the exposure has another clock.
+        let (capture_ns, since_ns) = match self.flow {
+            Flow::Latest => (stamp.published_ns - stamp.exposure_ns, stamp.exposure_ns),
+            Flow::Lossless => (-1, stamp.published_ns),
+        };
+        let of_record = |duration: fn(&FrameStamp, &DetectionHeader, i64) -> i64| {
+            record.map_or(-1, |header| duration(stamp, header, now_ns))
+        };
+        StageLatency {
+            capture_ns,
+            rectification_ns: of_record(|stamp, header, _| header.issued_ns - stamp.published_ns),
+            detection_ns: of_record(|_, header, _| header.sent_ns - header.issued_ns),
+            fusion_ns: of_record(|_, header, now_ns| now_ns - header.sent_ns),
+            total_ns: now_ns - since_ns,
+        }
+    }
+
+    fn send_plan(&mut self, after: Option<FrameStamp>) -> anyhow::Result<()> {
+        let (plan, predictions) = self.swarm.plan();
+        let reference_ns = predictions
+            .values()
+            .next()
+            .map_or(0, |prediction| (prediction.stamp_s * 1e9).round() as i64);
+        let views = message::planned_views(&plan, &predictions, reference_ns);
+        self.plan_id += 1;
+        let purposes =
+            plan.views.iter().zip(0..).map(|(view, index)| (index, view.purpose)).collect();
+        self.remembered.insert(self.plan_id, (purposes, plan.stop_rule));
+        while self.remembered.len() > REMEMBERED_PLANS {
+            self.remembered.pop_first();
+        }
+        let header = PlanHeader {
+            after: after.unwrap_or_default(),
+            plan_id: self.plan_id,
+            made_ns: clock::monotonic_ns(),
+            has_after: u32::from(after.is_some()),
+            generation: self.generation,
+            stop_rule: message::stop_rule(plan.stop_rule).code(),
+            mode: mode_code(self.mode).code(),
+            view_budget: plan.view_budget as u32,
+            reserved: 0,
+        };
+        self.plans.send(header, &views).context("the plan for the next frame")
+    }
+}
+
+fn seconds(stamp: &FrameStamp) -> f64 {
+    stamp.exposure_ns as f64 * 1e-9
+}
+
+fn view_of(header: &ViewHeader) -> View {
+    let [x, y, z, w] = header.camera_from_view;
+    View {
+        camera_from_view: UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z)),
+        focal_px: header.focal_px,
+        size_px: header.size_px,
+    }
+}
+
+fn purpose_stated(view: &ViewHeader) -> Option<Purpose> {
+    match ViewKind::try_from(view.kind).ok()? {
+        ViewKind::Partition => Some(Purpose::Partition(view.partition as usize)),
+        ViewKind::Gaze => Some(Purpose::Gaze(view.target as usize)),
+    }
+}
+
+/// Without tracks nothing says where to look, so everything is looked at.
+fn search_mode(pipeline: &Pipeline) -> SearchMode {
+    match (pipeline.search.mode, pipeline.fusion.filter) {
+        (Mode::Greedy, _) => SearchMode::Greedy,
+        (Mode::Optimized, _) => SearchMode::Optimized,
+        (Mode::Exhaustive, _) | (Mode::Gaze, Filter::None) => SearchMode::Exhaustive,
+        (Mode::Gaze, Filter::ConstantVelocity) => SearchMode::Gaze,
+    }
+}
+
+fn mode_code(mode: Mode) -> flockeye_contract::SearchMode {
+    match mode {
+        Mode::Greedy => flockeye_contract::SearchMode::Greedy,
+        Mode::Optimized => flockeye_contract::SearchMode::Optimized,
+        Mode::Exhaustive => flockeye_contract::SearchMode::Exhaustive,
+        Mode::Gaze => flockeye_contract::SearchMode::Gaze,
+    }
+}
+
+fn filter_choice(pipeline: &Pipeline) -> FilterChoice {
+    match pipeline.fusion.filter {
+        Filter::None => FilterChoice::None,
+        Filter::ConstantVelocity => FilterChoice::Tracks(TrackPolicy {
+            motion: MotionModel::default(),
+            confirm_hits: pipeline.fusion.confirm_hits,
+            coast_s: pipeline.fusion.coast_s,
+            ..TrackPolicy::default()
+        }),
+    }
+}

@@ -1,0 +1,104 @@
+//! A track as what goes over the network.
+
+use flockeye_contract::wire::{POSE_SCHEMA, PoseReport};
+use flockeye_contract::{FrameStamp, MeasuredBy, Track, TrackState};
+
+/// When a frame was exposed, in the world's time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Utc {
+    /// Nanoseconds since the Unix epoch.
+    pub stamp_ns: i64,
+    /// Whether the clock that says so is synchronised.
+    pub is_synchronised: bool,
+}
+
+/// The report on a track. `None` for one that peers are not told of: tentative tracks, which may
+/// be nobody, and states that this version does not know.
+pub fn report(
+    observer: &str,
+    stamp: &FrameStamp,
+    track: &Track,
+    utc: Utc,
+    latency_ns: i64,
+) -> Option<PoseReport> {
+    let state = TrackState::try_from(track.state).ok()?;
+    if state == TrackState::Tentative {
+        return None;
+    }
+    Some(PoseReport {
+        schema: POSE_SCHEMA.into(),
+        observer: observer.to_owned(),
+        target: track.name.to_string(),
+        frame: stamp.sequence,
+        epoch: stamp.epoch,
+        stamp_utc_ns: utc.stamp_ns,
+        clock_synchronised: utc.is_synchronised,
+        stream_s: stamp.stream_ns as f64 * 1e-9,
+        latency_ms: latency_ns as f64 * 1e-6,
+        state,
+        measured_by: MeasuredBy::try_from(track.measured_by).ok()?,
+        markers: track.markers,
+        unseen_s: track.unseen_ns as f64 * 1e-9,
+        position: track.observer_from_target.position,
+        orientation: track.observer_from_target.orientation,
+        covariance: upper_triangle(&track.covariance),
+        linear_velocity: track.linear_velocity,
+        angular_velocity: track.angular_velocity,
+    })
+}
+
+/// The upper triangle of a 6x6 row-major matrix, row by row.
+fn upper_triangle(matrix: &[f64; 36]) -> [f64; 21] {
+    let mut cells = (0..6).flat_map(|row| (row..6).map(move |column| matrix[6 * row + column]));
+    // 6 + 5 + 4 + 3 + 2 + 1 cells: the iterator has exactly as many as the array.
+    std::array::from_fn(|_| cells.next().unwrap_or(0.0))
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use flockeye_contract::{Pose, StageLatency};
+
+    fn track(state: TrackState) -> Track {
+        Track {
+            observer_from_target: Pose { position: [1.0, 2.0, 3.0], ..Pose::default() },
+            covariance: std::array::from_fn(|k| k as f64),
+            linear_velocity: [0.1; 3],
+            angular_velocity: [0.2; 3],
+            measured_observer_from_target: Pose::default(),
+            measured_covariance: [0.0; 36],
+            age_ns: 0,
+            unseen_ns: 500_000_000,
+            latency: StageLatency::default(),
+            name: "kite".into(),
+            target: 0,
+            track_id: 1,
+            state: state.code(),
+            measured_by: MeasuredBy::Decoded.code(),
+            markers: 4,
+            reserved: 0,
+        }
+    }
+
+    const UTC: Utc = Utc { stamp_ns: 7, is_synchronised: true };
+
+    #[test]
+    fn a_report_says_what_the_track_says() {
+        let stamp = FrameStamp { sequence: 9, stream_ns: 2_000_000_000, ..FrameStamp::default() };
+        let report = report("wren", &stamp, &track(TrackState::Coasting), UTC, 12_000_000).unwrap();
+        assert_eq!((report.observer.as_str(), report.target.as_str()), ("wren", "kite"));
+        assert_eq!((report.frame, report.stream_s, report.unseen_s), (9, 2.0, 0.5));
+        assert_eq!((report.stamp_utc_ns, report.latency_ms, report.markers), (7, 12.0, 4));
+        // Row by row: 0 to 5, 7 to 11, 14 ...
+        assert_eq!(report.covariance[..8], [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 7.0, 8.0]);
+        assert_eq!(report.covariance[20], 35.0);
+        assert!(report.to_json().is_ok());
+    }
+
+    #[test]
+    fn tentative_tracks_stay_at_home() {
+        let stamp = FrameStamp::default();
+        assert_eq!(report("wren", &stamp, &track(TrackState::Tentative), UTC, 0), None);
+    }
+}

@@ -1,0 +1,91 @@
+//! `flockeye check`: what a configuration means on this machine, before anything runs.
+
+use std::fmt::Write;
+
+use anyhow::Context;
+use flockeye_runtime::config::{Flow, Pipeline};
+use flockeye_runtime::instance::Instance;
+use flockeye_runtime::memory::{Budget, shared_memory_space};
+
+use crate::cli::Check;
+
+/// Checks, and prints the plan.
+///
+/// # Errors
+/// Everything that is wrong with the configuration, or memory that is too small.
+pub fn run(arguments: &Check) -> anyhow::Result<()> {
+    let pipeline = arguments.configuration.load()?;
+    let bodies = pipeline.bodies()?;
+    let budget = Budget::of(&pipeline, pipeline.largest_view_px(bodies.largest_side())?);
+    let (free, total) = shared_memory_space().context("cannot look at /dev/shm")?;
+    println!("{}", plan(&pipeline, &bodies, &budget)?);
+    println!("/dev/shm has {:.0} MB free", free as f64 / 1e6);
+    budget.check(free, total)?;
+    println!("everything is in order");
+    Ok(())
+}
+
+fn plan(
+    pipeline: &Pipeline,
+    bodies: &flockeye_geometry::body::Bodies,
+    budget: &Budget,
+) -> anyhow::Result<String> {
+    let mut text = String::new();
+    let instance = Instance::named(&pipeline.instance.0);
+    let flow = match pipeline.flow {
+        Flow::Latest => "latest: the newest frame wins",
+        Flow::Lossless => "lossless: every frame is worked on",
+    };
+    writeln!(text, "instance '{}' in {}", pipeline.instance.0, instance.folder().display())?;
+    writeln!(text, "flow     {flow}")?;
+    writeln!(text, "source   {} (stage {})", pipeline.source.input, pipeline.source_stage())?;
+    writeln!(text, "camera   {}x{}", pipeline.camera.width, pipeline.camera.height)?;
+    writeln!(
+        text,
+        "observer '{}' in swarm '{}'{}",
+        pipeline.observer.name,
+        pipeline.observer.swarm,
+        if pipeline.gateway.enabled { "" } else { " (nothing goes over the network)" }
+    )?;
+    let views = pipeline.partition_views(bodies.largest_side())?;
+    let largest = views.iter().map(|view| view.size_px).max().unwrap_or(0);
+    writeln!(
+        text,
+        "search   {:?}, {} partitions of {largest} px",
+        pipeline.search.mode,
+        views.len()
+    )?;
+    writeln!(text, "bodies   of {}", bodies.dictionary)?;
+    for (target, body) in bodies.iter().enumerate() {
+        let ids = body.markers.first().zip(body.markers.last());
+        let (first, last) = ids.map_or((0, 0), |(first, last)| (first.id, last.id));
+        writeln!(
+            text,
+            "  {target}: {}, {} markers, ids {first} to {last}",
+            body.name,
+            body.markers.len()
+        )?;
+    }
+    writeln!(text, "stages")?;
+    for (name, stage) in pipeline.stages.iter() {
+        let is_used = match name {
+            "capture" | "simulator" => name == pipeline.source_stage(),
+            "gateway" => pipeline.gateway.enabled,
+            _ => true,
+        };
+        if is_used {
+            let command = if stage.command.is_empty() {
+                "Flockeye's own".to_owned()
+            } else {
+                stage.command.join(" ")
+            };
+            writeln!(
+                text,
+                "  {name} x {}: {command}, restart {:?}",
+                stage.replicas, stage.restart
+            )?;
+        }
+    }
+    write!(text, "{budget}")?;
+    Ok(text)
+}

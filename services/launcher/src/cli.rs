@@ -1,0 +1,205 @@
+//! The command line.
+
+use std::ffi::OsString;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use flockeye_runtime::config::Pipeline;
+
+/// Eyes for a flock: neighbours' poses from a spherical camera.
+#[derive(Debug, Parser)]
+#[command(name = "flockeye", version)]
+pub struct Flockeye {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// What to do.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Run a pipeline until its source ends, or until Ctrl-C.
+    Up(Up),
+    /// Check a configuration, and say what it means on this machine.
+    Check(Check),
+    /// Show what the swarm's drones report of each other over Zenoh.
+    Peers(Peers),
+    /// Compare recorded poses with the truth.
+    Eval(Eval),
+    /// Remove what dead runs left in shared memory.
+    Clean(Clean),
+    /// Print the JSON Schema of pipeline.yaml.
+    Schema,
+    /// Become a stage's process (used by `up`).
+    #[command(hide = true)]
+    ExecStage(ExecStage),
+}
+
+/// Which configuration.
+#[derive(Debug, Args)]
+pub struct Configuration {
+    /// The configuration; without it, pipeline.yaml if there is one here, else the defaults.
+    #[arg(value_name = "PIPELINE")]
+    pub pipeline: Option<PathBuf>,
+    /// sim, a video file, a folder of images, v4l2:/dev/video0, theta, or a GStreamer description.
+    #[arg(long, value_name = "SRC")]
+    pub source: Option<String>,
+    /// The bodies, a JSON file of marker ids and corner positions.
+    #[arg(long, value_name = "FILE")]
+    pub bodies: Option<PathBuf>,
+    /// latest (flight) or lossless (evaluation).
+    #[arg(long)]
+    pub flow: Option<FlowArgument>,
+    /// Override any key of the configuration.
+    #[arg(long = "set", value_name = "KEY.PATH=VALUE")]
+    pub set: Vec<String>,
+}
+
+/// How frames flow.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+pub enum FlowArgument {
+    /// The newest frame wins.
+    Latest,
+    /// Every frame is worked on.
+    Lossless,
+}
+
+/// Arguments of `up`.
+#[derive(Debug, Args)]
+pub struct Up {
+    /// Which configuration.
+    #[command(flatten)]
+    pub configuration: Configuration,
+    /// Stop after this long: 20s, 5m, 1h.
+    #[arg(long = "for", value_name = "DURATION", value_parser = duration)]
+    pub duration: Option<Duration>,
+    /// Record each neighbour's pose in each frame.
+    #[arg(long, value_name = "FILE.csv")]
+    pub poses: Option<PathBuf>,
+    /// Record the truth of a simulated flight.
+    #[arg(long, value_name = "FILE.csv")]
+    pub truth: Option<PathBuf>,
+}
+
+/// Arguments of `check`.
+#[derive(Debug, Args)]
+pub struct Check {
+    /// Which configuration.
+    #[command(flatten)]
+    pub configuration: Configuration,
+}
+
+/// Arguments of `peers`.
+#[derive(Debug, Args)]
+pub struct Peers {
+    /// Which configuration: the swarm and the network are taken from it.
+    #[command(flatten)]
+    pub configuration: Configuration,
+    /// One JSON object a line for each report.
+    #[arg(long)]
+    pub json: bool,
+    /// Stop after this long: 20s, 5m, 1h.
+    #[arg(long = "for", value_name = "DURATION", value_parser = duration)]
+    pub duration: Option<Duration>,
+}
+
+/// Arguments of `eval`.
+#[derive(Debug, Args)]
+pub struct Eval {
+    /// The recorded poses.
+    #[arg(long, value_name = "FILE.csv")]
+    pub poses: PathBuf,
+    /// The truth.
+    #[arg(long, value_name = "FILE.csv")]
+    pub truth: PathBuf,
+    /// One JSON object instead of a table.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Arguments of `clean`.
+#[derive(Debug, Args)]
+pub struct Clean {
+    /// Only this instance.
+    #[arg(long, value_name = "NAME")]
+    pub instance: Option<String>,
+}
+
+/// Arguments of `exec-stage`.
+#[derive(Debug, Args)]
+pub struct ExecStage {
+    /// The process that must live as long as this one.
+    #[arg(long)]
+    pub parent: u32,
+    /// The stage's program and its arguments.
+    #[arg(trailing_var_arg = true, allow_hyphen_values = true, required = true)]
+    pub command: Vec<OsString>,
+}
+
+fn duration(text: &str) -> Result<Duration, String> {
+    humantime::parse_duration(text).map_err(|error| format!("{error}; write 20s, 5m or 1h"))
+}
+
+impl Configuration {
+    /// The configuration with everything that the command line says on top.
+    ///
+    /// # Errors
+    /// Everything that is wrong with it.
+    pub fn load(&self) -> anyhow::Result<Pipeline> {
+        let overrides = self.overrides();
+        let here = PathBuf::from("pipeline.yaml");
+        let pipeline = match &self.pipeline {
+            Some(path) => Pipeline::load(path, &overrides)?,
+            None if here.exists() => Pipeline::load(&here, &overrides)?,
+            None => Pipeline::parse("", &overrides, "the command line")?,
+        };
+        Ok(pipeline)
+    }
+
+    /// `--source` and its like as overrides, before those of `--set`.
+    fn overrides(&self) -> Vec<String> {
+        // JSON strings are YAML: whatever is in the text stays text.
+        let quoted = |text: &str| serde_json::Value::from(text).to_string();
+        let source = self.source.as_ref().map(|source| format!("source.input={}", quoted(source)));
+        let bodies = self
+            .bodies
+            .as_ref()
+            .map(|file| format!("bodies.file={}", quoted(&file.to_string_lossy())));
+        let flow = self.flow.map(|flow| match flow {
+            FlowArgument::Latest => "flow=latest".to_owned(),
+            FlowArgument::Lossless => "flow=lossless".to_owned(),
+        });
+        [source, bodies, flow].into_iter().flatten().chain(self.set.iter().cloned()).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_well_formed() {
+        use clap::CommandFactory;
+        Flockeye::command().debug_assert();
+    }
+
+    #[test]
+    fn shortcuts_are_overrides() {
+        let arguments = [
+            "flockeye",
+            "up",
+            "--source",
+            "a: b ! c",
+            "--flow",
+            "lossless",
+            "--set",
+            "search.mode=greedy",
+        ];
+        let Command::Up(up) = Flockeye::parse_from(arguments).command else { panic!("up") };
+        let pipeline = Pipeline::parse("", &up.configuration.overrides(), "x").unwrap();
+        assert_eq!(pipeline.source.input, "a: b ! c");
+        assert_eq!(pipeline.flow, flockeye_runtime::config::Flow::Lossless);
+    }
+}

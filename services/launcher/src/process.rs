@@ -1,0 +1,290 @@
+//! One stage's process: started, restarted after it failed, stopped, never an orphan.
+
+use std::io::{BufRead, BufReader, Read};
+use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::mpsc::SyncSender;
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use flockeye_runtime::config::{Restart, StageProcess};
+use flockeye_runtime::instance::{
+    FOLDER_VARIABLE, GENERATION_VARIABLE, REPLICA_VARIABLE, STAGE_VARIABLE,
+};
+use rustix::process::{Pid, Signal, kill_process_group};
+
+/// A line that a stage wrote.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct LogLine {
+    /// Which stage, with the number of the worker where there are several.
+    pub stage: String,
+    /// What it wrote.
+    pub text: String,
+}
+
+/// What happened to a process since it was last looked at.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Change {
+    /// Nothing.
+    None,
+    /// It ended, and is started again at the given time unless that is `None`.
+    Ended {
+        /// How it ended, in words.
+        how: String,
+        /// Whether it said that trying again is of no use.
+        is_hopeless: bool,
+        /// In how long it is started again.
+        retry_in: Option<Duration>,
+    },
+    /// It was started again: dead nodes should have been cleaned before.
+    Restarted,
+}
+
+/// A stage's process and what is to be done about it.
+pub struct Process {
+    /// The stage's name in pipeline.yaml.
+    pub stage: &'static str,
+    /// Which of its workers.
+    pub replica: u32,
+    /// How often it was replaced.
+    pub generation: u32,
+    label: String,
+    command: Vec<String>,
+    folder: PathBuf,
+    restart: Restart,
+    backoff: Backoff,
+    child: Option<Child>,
+    started: Instant,
+    retry_at: Option<Instant>,
+    log: SyncSender<LogLine>,
+}
+
+impl Process {
+    /// Worker `replica` of a stage; it is not started yet.
+    pub fn new(
+        stage: &'static str,
+        replica: u32,
+        configuration: &StageProcess,
+        folder: &Path,
+        log: SyncSender<LogLine>,
+    ) -> anyhow::Result<Self> {
+        let label = if configuration.replicas > 1 {
+            format!("{stage}.{replica}")
+        } else {
+            stage.to_owned()
+        };
+        Ok(Self {
+            stage,
+            replica,
+            generation: 0,
+            label,
+            command: program(stage, configuration)?,
+            folder: folder.to_owned(),
+            restart: configuration.restart,
+            backoff: Backoff::new(configuration.backoff_s),
+            child: None,
+            started: Instant::now(),
+            retry_at: None,
+            log,
+        })
+    }
+
+    /// Its name in the table and the log.
+    pub fn label(&self) -> &str {
+        &self.label
+    }
+
+    /// Its process number while it runs.
+    pub fn pid(&self) -> Option<u32> {
+        self.child.as_ref().map(Child::id)
+    }
+
+    /// Starts it. The calling thread must live as long as the launcher: the kernel ends a child
+    /// with the *thread* that started it.
+    ///
+    /// # Errors
+    /// The system cannot start a process.
+    pub fn start(&mut self) -> anyhow::Result<()> {
+        let own = std::env::current_exe().context("cannot find the flockeye program")?;
+        let mut command = Command::new(own);
+        if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
+            // Graphics drivers complain without one.
+            command.env("XDG_RUNTIME_DIR", &self.folder);
+        }
+        let mut child = command
+            .args(["exec-stage", "--parent", &std::process::id().to_string(), "--"])
+            .args(&self.command)
+            .env(FOLDER_VARIABLE, &self.folder)
+            .env(STAGE_VARIABLE, self.stage)
+            .env(REPLICA_VARIABLE, self.replica.to_string())
+            .env(GENERATION_VARIABLE, self.generation.to_string())
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .process_group(0)
+            .spawn()
+            .with_context(|| format!("cannot start {}", self.label))?;
+        if let Some(output) = child.stdout.take() {
+            self.forward(output);
+        }
+        if let Some(output) = child.stderr.take() {
+            self.forward(output);
+        }
+        self.child = Some(child);
+        self.started = Instant::now();
+        self.retry_at = None;
+        Ok(())
+    }
+
+    /// Passes a stream on, line by line, from a thread of its own that ends with the stream.
+    fn forward(&self, output: impl Read + Send + 'static) {
+        let (stage, log) = (self.label.clone(), self.log.clone());
+        std::thread::spawn(move || {
+            for line in BufReader::new(output).split(b'\n') {
+                let Ok(line) = line else { break };
+                let text = String::from_utf8_lossy(&line).trim_end().to_owned();
+                // A launcher that does not keep up must not hold the stage: the line is lost.
+                drop(log.try_send(LogLine { stage: stage.clone(), text }));
+            }
+        });
+    }
+
+    /// Looks after it: reaps it if it has ended, starts it again when it is time.
+    ///
+    /// # Errors
+    /// It cannot be started again.
+    pub fn attend(&mut self, before_restart: impl FnOnce()) -> anyhow::Result<Change> {
+        if let Some(child) = &mut self.child {
+            let Some(status) =
+                child.try_wait().with_context(|| format!("waiting for {}", self.label))?
+            else {
+                return Ok(Change::None);
+            };
+            self.child = None;
+            let retry_in = wants_restart(self.restart, status)
+                .then(|| self.backoff.next(self.started.elapsed()));
+            self.retry_at = retry_in.map(|wait| Instant::now() + wait);
+            let is_hopeless =
+                status.code() == Some(i32::from(flockeye_runtime::stage::CANNOT_START));
+            return Ok(Change::Ended { how: describe(status), is_hopeless, retry_in });
+        }
+        if self.retry_at.is_some_and(|time| Instant::now() >= time) {
+            before_restart();
+            self.generation += 1;
+            self.start()?;
+            return Ok(Change::Restarted);
+        }
+        Ok(Change::None)
+    }
+
+    /// Whether it runs, or will again.
+    pub fn is_alive(&self) -> bool {
+        self.child.is_some() || self.retry_at.is_some()
+    }
+
+    /// Sends a signal to it and whatever it has started.
+    pub fn signal(&self, signal: Signal) {
+        let pid = self.pid().and_then(|pid| Pid::from_raw(pid.cast_signed()));
+        if let Some(pid) = pid
+            && let Err(error) = kill_process_group(pid, signal)
+        {
+            // It may have ended in between, which is what is wanted.
+            tracing::debug!("signal to {}: {error}", self.label);
+        }
+    }
+
+    /// Takes its end for good: it is not started again. True once it has ended.
+    pub fn has_ended(&mut self) -> bool {
+        self.retry_at = None;
+        match &mut self.child {
+            None => true,
+            Some(child) => matches!(child.try_wait(), Ok(Some(_)) | Err(_)),
+        }
+    }
+}
+
+/// Program and arguments of a stage: as configured, or the one beside the launcher.
+fn program(stage: &str, configuration: &StageProcess) -> anyhow::Result<Vec<String>> {
+    if !configuration.command.is_empty() {
+        return Ok(configuration.command.clone());
+    }
+    let own = std::env::current_exe().context("cannot find the flockeye program")?;
+    let path = own.with_file_name(format!("flockeye-{stage}"));
+    anyhow::ensure!(
+        path.exists(),
+        "the program of {stage} is not at {}. Cure: build the whole workspace (cargo build --release --workspace)",
+        path.display()
+    );
+    Ok(vec![path.to_string_lossy().into_owned()])
+}
+
+fn wants_restart(policy: Restart, status: ExitStatus) -> bool {
+    match policy {
+        Restart::Never => false,
+        Restart::OnFailure => !status.success(),
+        Restart::Always => true,
+    }
+}
+
+fn describe(status: ExitStatus) -> String {
+    match (status.code(), status.signal()) {
+        (Some(code), _) => format!("ended with status {code}"),
+        (None, Some(signal)) => format!("was killed by signal {signal}"),
+        (None, None) => "ended".to_owned(),
+    }
+}
+
+/// Waits that double from the first to the longest, and start over after a long life.
+#[derive(Debug, Clone)]
+struct Backoff {
+    first: Duration,
+    longest: Duration,
+    next: Duration,
+}
+
+/// A process that lived this long did not fail because of its start.
+const LONG_LIFE: Duration = Duration::from_secs(10);
+
+impl Backoff {
+    fn new([first, longest]: [f64; 2]) -> Self {
+        let seconds = |s: f64| Duration::try_from_secs_f64(s).unwrap_or(Duration::from_secs(1));
+        Self { first: seconds(first), longest: seconds(longest), next: seconds(first) }
+    }
+
+    fn next(&mut self, lived: Duration) -> Duration {
+        if lived > LONG_LIFE {
+            self.next = self.first;
+        }
+        let wait = self.next;
+        self.next = (wait * 2).min(self.longest);
+        wait
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn waits_double_up_to_the_longest() {
+        let mut backoff = Backoff::new([0.1, 0.5]);
+        let waits: Vec<_> = (0..5).map(|_| backoff.next(Duration::ZERO).as_millis()).collect();
+        assert_eq!(waits, [100, 200, 400, 500, 500]);
+        assert_eq!(backoff.next(Duration::from_secs(11)).as_millis(), 100);
+    }
+
+    #[test]
+    fn policies_decide_on_restarts() {
+        let (fine, failed) = (ExitStatus::from_raw(0), ExitStatus::from_raw(1 << 8));
+        let killed = ExitStatus::from_raw(9);
+        for (policy, wanted) in [
+            (Restart::Never, [false, false, false]),
+            (Restart::OnFailure, [false, true, true]),
+            (Restart::Always, [true, true, true]),
+        ] {
+            assert_eq!([fine, failed, killed].map(|status| wants_restart(policy, status)), wanted);
+        }
+        assert_eq!(describe(killed), "was killed by signal 9");
+    }
+}

@@ -1,0 +1,325 @@
+//! `flockeye up`: runs a pipeline until it ends.
+
+use std::rc::Rc;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, sync_channel};
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use flockeye_contract::{
+    Detections, FrameEnds, Frames, Healths, Plans, StageState, Tracks, Truths, Views,
+};
+use flockeye_runtime::clock;
+use flockeye_runtime::config::Pipeline;
+use flockeye_runtime::health::Counters;
+use flockeye_runtime::instance::{Instance, Ownership};
+use flockeye_runtime::memory::{Budget, shared_memory_space};
+use flockeye_runtime::ports::{Ports, Subscriber, TopicServices, create_services};
+use iceoryx2::prelude::*;
+use rustix::process::Signal;
+
+use crate::cli::Up;
+use crate::dashboard::Dashboard;
+use crate::process::{Change, LogLine, Process};
+use crate::record::{PoseRow, Recorder, TruthRow};
+use crate::screen::Screen;
+
+/// How long stages get to stop by themselves; with what follows, Ctrl-C takes under 2 seconds.
+const STOP_TIME: Duration = Duration::from_millis(1400);
+/// A source starts when all others are ready, or after this (a foreign stage may send no health).
+const READY_TIME: Duration = Duration::from_secs(10);
+/// A stage that has sent health before and sends none for this long is hung.
+const HUNG_NS: i64 = 15_000_000_000;
+/// A recording is at its end when its source says so and no track has come for this long.
+const QUIET_TIME: Duration = Duration::from_millis(1000);
+/// Lines of log that may wait to be shown.
+const LOG_LINES: usize = 1_000;
+
+/// Runs it.
+///
+/// # Errors
+/// The configuration is wrong, the instance is taken, memory is short, or a stage cannot work.
+pub fn run(arguments: &Up) -> anyhow::Result<()> {
+    let stopping = Arc::new(AtomicBool::new(false));
+    for signal in
+        [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM, signal_hook::consts::SIGHUP]
+    {
+        signal_hook::flag::register(signal, stopping.clone()).context("cannot catch signals")?;
+    }
+    set_log_level(LogLevel::Fatal);
+    let pipeline = arguments.configuration.load()?;
+    let bodies = pipeline.bodies()?;
+    let budget = Budget::of(&pipeline, pipeline.largest_view_px(bodies.largest_side())?);
+    let instance = Instance::named(&pipeline.instance.0);
+    let ownership = instance.take()?;
+    let (free, total) = shared_memory_space().context("cannot look at /dev/shm")?;
+    budget.check(free, total)?;
+    instance.write_configuration(&pipeline)?;
+    let mut launcher = Launcher::new(arguments, &pipeline, &instance, budget)?;
+    launcher.start()?;
+    let outcome = launcher.watch(arguments.duration, &stopping);
+    launcher.stop();
+    launcher.finish(ownership)?;
+    outcome
+}
+
+struct Launcher {
+    // Ports go before the services, the services before the node.
+    tracks: Subscriber<Tracks>,
+    healths: Subscriber<Healths>,
+    truths: Subscriber<Truths>,
+    ports: Option<Ports>,
+    _services: Vec<TopicServices>,
+    node: Rc<Node<ipc::Service>>,
+    source: Process,
+    others: Vec<Process>,
+    log: Receiver<LogLine>,
+    screen: Screen,
+    dashboard: Dashboard,
+    poses: Option<Recorder>,
+    truth: Option<Recorder>,
+    started: Instant,
+    last_track: Instant,
+    next_show: Instant,
+}
+
+impl Launcher {
+    fn new(
+        arguments: &Up,
+        pipeline: &Pipeline,
+        instance: &Instance,
+        budget: Budget,
+    ) -> anyhow::Result<Self> {
+        let node = Rc::new(
+            NodeBuilder::new()
+                .name(&NodeName::new("launcher").context("node name")?)
+                .signal_handling_mode(SignalHandlingMode::Disabled)
+                .config(&instance.iceoryx2()?)
+                .create::<ipc::Service>()
+                .map_err(|error| anyhow::anyhow!("cannot open shared memory: {error:?}"))?,
+        );
+        let services = [
+            create_services::<Frames>(&node, budget.topic::<Frames>())?,
+            create_services::<Plans>(&node, budget.topic::<Plans>())?,
+            create_services::<Views>(&node, budget.topic::<Views>())?,
+            create_services::<Detections>(&node, budget.topic::<Detections>())?,
+            create_services::<FrameEnds>(&node, budget.topic::<FrameEnds>())?,
+            create_services::<Tracks>(&node, budget.topic::<Tracks>())?,
+            create_services::<Truths>(&node, budget.topic::<Truths>())?,
+            create_services::<Healths>(&node, budget.topic::<Healths>())?,
+        ];
+        let services = services.into_iter().flatten().collect();
+        let mut ports = Ports::new(node.clone(), budget, Rc::new(Counters::default()));
+        let (sender, log) = sync_channel(LOG_LINES);
+        let process = |stage: &'static str, replica| {
+            let configuration = pipeline.stages.iter().find(|(name, _)| *name == stage);
+            let (_, configuration) = configuration.context("a stage without configuration")?;
+            Process::new(stage, replica, configuration, instance.folder(), sender.clone())
+        };
+        let mut others = Vec::new();
+        if pipeline.gateway.enabled {
+            others.push(process("gateway", 0)?);
+        }
+        others.push(process("fusion", 0)?);
+        for replica in 0..pipeline.stages.detection.replicas {
+            others.push(process("detection", replica)?);
+        }
+        others.push(process("rectification", 0)?);
+        let now = Instant::now();
+        Ok(Self {
+            tracks: ports.subscriber()?,
+            healths: ports.subscriber()?,
+            truths: ports.subscriber()?,
+            ports: Some(ports),
+            _services: services,
+            node,
+            source: process(pipeline.source_stage(), 0)?,
+            others,
+            log,
+            screen: Screen::new(),
+            dashboard: Dashboard::default(),
+            poses: arguments.poses.as_deref().map(Recorder::create).transpose()?,
+            truth: arguments.truth.as_deref().map(Recorder::create).transpose()?,
+            started: now,
+            last_track: now,
+            next_show: now,
+        })
+    }
+
+    /// Starts the consumers; the source follows when they are ready.
+    fn start(&mut self) -> anyhow::Result<()> {
+        self.others.iter_mut().try_for_each(Process::start)
+    }
+
+    /// Looks after everything until it is time to stop.
+    fn watch(&mut self, duration: Option<Duration>, stopping: &AtomicBool) -> anyhow::Result<()> {
+        let Some(ports) = self.ports.take() else { return Ok(()) };
+        let mut source_started: Option<Instant> = None;
+        let outcome = ports.attend(|| {
+            self.receive()?;
+            self.show_log();
+            self.look_after_processes()?;
+            if source_started.is_none()
+                && (self.all_are_ready() || self.started.elapsed() > READY_TIME)
+            {
+                self.source.start()?;
+                source_started = Some(Instant::now());
+                self.last_track = Instant::now();
+            }
+            let time_is_up = duration.is_some_and(|duration| {
+                source_started.is_some_and(|start| start.elapsed() >= duration)
+            });
+            if stopping.load(Ordering::Relaxed) || time_is_up || self.is_at_end() {
+                return Ok(None);
+            }
+            self.show();
+            Ok(Some(Duration::from_millis(20)))
+        });
+        self.ports = Some(ports);
+        outcome
+    }
+
+    fn receive(&mut self) -> anyhow::Result<()> {
+        while let Some(message) = self.healths.receive()? {
+            self.dashboard.health(&message.header);
+        }
+        while let Some(message) = self.truths.receive()? {
+            self.dashboard.truth(&message.header, message.items());
+            if let Some(recorder) = &mut self.truth {
+                for body in message.items() {
+                    recorder.add(TruthRow::of(&message.header, body))?;
+                }
+            }
+        }
+        while let Some(message) = self.tracks.receive()? {
+            let stamp = message.header.stamp;
+            let is_last = message.header.is_last != 0;
+            self.last_track = Instant::now();
+            self.dashboard.tracks(&stamp, message.items(), is_last, clock::monotonic_ns());
+            if let Some(recorder) = &mut self.poses {
+                for row in message.items().iter().filter_map(|track| PoseRow::of(&stamp, track)) {
+                    recorder.add(row)?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn all_are_ready(&self) -> bool {
+        self.others.iter().all(|process| {
+            self.dashboard.state_of(process.stage, process.replica) == Some(StageState::Ready)
+        })
+    }
+
+    fn is_at_end(&self) -> bool {
+        self.dashboard.state_of(self.source.stage, 0) == Some(StageState::Finished)
+            && self.last_track.elapsed() > QUIET_TIME
+    }
+
+    fn look_after_processes(&mut self) -> anyhow::Result<()> {
+        let now_ns = clock::monotonic_ns();
+        for process in self.others.iter_mut().chain([&mut self.source]) {
+            let silence_ns = process.pid().and_then(|pid| {
+                self.dashboard.silence_ns(process.stage, process.replica, pid, now_ns)
+            });
+            if silence_ns.is_some_and(|silence_ns| silence_ns > HUNG_NS) {
+                self.screen.line(&format!("{} is hung: it is ended", process.label()));
+                process.signal(Signal::KILL);
+            }
+            let node = &self.node;
+            let change = process.attend(|| {
+                // The dead process's ports are freed before its successor asks for its own.
+                node.blocking_cleanup_dead_nodes(Duration::from_secs(1));
+            })?;
+            match change {
+                Change::None => {}
+                Change::Restarted => {
+                    self.screen.line(&format!("{} is started again", process.label()))
+                }
+                Change::Ended { how, is_hopeless, retry_in } => {
+                    let label = process.label();
+                    if is_hopeless && process.generation == 0 {
+                        // What it wrote last says why, and may still be on its way.
+                        std::thread::sleep(Duration::from_millis(50));
+                        anyhow::bail!("{label} cannot start; its reason is above");
+                    }
+                    match retry_in {
+                        Some(wait) => self.screen.line(&format!(
+                            "{label} {how}; it is started again in {:.1} s",
+                            wait.as_secs_f64()
+                        )),
+                        None => {
+                            anyhow::bail!("{label} {how}, and its restart policy leaves it at that")
+                        }
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn show_log(&mut self) {
+        while let Ok(LogLine { stage, text }) = self.log.try_recv() {
+            self.screen
+                .line(&format!("{:>8.3} {stage:<14} {text}", self.started.elapsed().as_secs_f64()));
+        }
+    }
+
+    fn show(&mut self) {
+        if Instant::now() < self.next_show {
+            return;
+        }
+        let now_ns = clock::monotonic_ns();
+        if self.screen.is_live() {
+            self.screen.table(&self.dashboard.table(now_ns));
+            self.next_show = Instant::now() + Duration::from_millis(200);
+        } else {
+            if self.dashboard.frames_ended() > 0 {
+                self.screen.line(&self.dashboard.line(now_ns));
+            }
+            self.next_show = Instant::now() + Duration::from_secs(1);
+        }
+    }
+
+    /// Stops every stage: politely, then not.
+    fn stop(&mut self) {
+        let mut processes: Vec<_> = self.others.iter_mut().chain([&mut self.source]).collect();
+        processes.iter().for_each(|process| process.signal(Signal::TERM));
+        let deadline = Instant::now() + STOP_TIME;
+        while Instant::now() < deadline && !processes.iter_mut().all(|process| process.has_ended())
+        {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        for process in &mut processes {
+            if !process.has_ended() {
+                self.screen.line(&format!("{} does not stop: it is ended", process.label()));
+                process.signal(Signal::KILL);
+                while !process.has_ended() {
+                    std::thread::sleep(Duration::from_millis(1));
+                }
+            }
+        }
+        self.show_log();
+    }
+
+    /// Says what it came to, and gives everything back.
+    fn finish(mut self, ownership: Ownership) -> anyhow::Result<()> {
+        self.receive()?;
+        if self.dashboard.frames_ended() > 0 {
+            self.screen.line(&self.dashboard.summary());
+        } else {
+            self.screen.line("no frame was searched to its end");
+        }
+        if let Some(recorder) = self.poses.take() {
+            recorder.finish()?;
+        }
+        if let Some(recorder) = self.truth.take() {
+            recorder.finish()?;
+        }
+        // Shared memory is unmapped before its files are removed.
+        drop(self);
+        drop(ownership);
+        Ok(())
+    }
+}

@@ -1,0 +1,349 @@
+//! Which worker gets the next view, and which views were lost.
+//!
+//! A worker answers each view, in the order in which it got them. One that answers nothing for too
+//! long is stalled: its views go to others, and it gets none until it answers, but for one view
+//! now and then, in case that another process took its place.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+/// Views in flight, by keys `K` that tell them apart: their index in the frame, or frame and index.
+///
+/// Times are of any clock that never goes back.
+#[derive(Debug, Clone)]
+pub struct Dispatcher<K> {
+    window: usize,
+    probe_after: Duration,
+    workers: Vec<Worker>,
+    views: BTreeMap<K, Issued>,
+}
+
+/// What an acknowledgement means.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Answer {
+    /// The view's first: it is done, whatever becomes of its other attempts.
+    First,
+    /// The view was done already, or is not known: counts for nothing.
+    Repeated,
+}
+
+#[derive(Debug, Clone, Copy, Default)]
+struct Worker {
+    stalled_since: Option<Duration>,
+    /// When it last answered.
+    answered: Option<Duration>,
+}
+
+#[derive(Debug, Clone, Default)]
+struct Issued {
+    /// Attempts not yet answered nor taken back.
+    in_flight: Vec<Attempt>,
+    /// The number of the next attempt.
+    attempts: u32,
+    is_done: bool,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Attempt {
+    number: u32,
+    worker: usize,
+    issued: Duration,
+}
+
+/// How long a stalled worker is left alone before it is tried again, unless said otherwise.
+const PROBE_AFTER: Duration = Duration::from_secs(1);
+
+impl<K: Ord + Copy> Dispatcher<K> {
+    /// For workers 0 to `workers` - 1, each with at most `window_per_worker` views in flight.
+    pub fn new(workers: usize, window_per_worker: usize) -> Self {
+        Self {
+            window: window_per_worker,
+            probe_after: PROBE_AFTER,
+            workers: vec![Worker::default(); workers],
+            views: BTreeMap::new(),
+        }
+    }
+
+    /// Leaves a stalled worker alone for `probe_after` before it is tried again.
+    pub fn with_probe_after(mut self, probe_after: Duration) -> Self {
+        self.probe_after = probe_after;
+        self
+    }
+
+    /// The worker for the next view: of those that live and have room, the one with the fewest
+    /// views in flight, and of equals the first. A worker stalled for long counts as one with room
+    /// for a single view.
+    pub fn next_worker(&self, now: Duration) -> Option<usize> {
+        (0..self.workers.len())
+            .map(|worker| (self.outstanding_of(worker), worker))
+            .filter(|&(count, worker)| count < self.room(worker, now))
+            .min()
+            .map(|(_, worker)| worker)
+    }
+
+    fn room(&self, worker: usize, now: Duration) -> usize {
+        match self.workers[worker].stalled_since {
+            None => self.window,
+            Some(since) if now.saturating_sub(since) >= self.probe_after => self.window.min(1),
+            Some(_) => 0,
+        }
+    }
+
+    /// Notes that `view` went to `worker`, and tells the number of this attempt, from 0.
+    pub fn issued(&mut self, view: K, worker: usize, now: Duration) -> u32 {
+        let issued = self.views.entry(view).or_default();
+        let number = issued.attempts;
+        issued.attempts += 1;
+        issued.in_flight.push(Attempt { number, worker, issued: now });
+        number
+    }
+
+    /// Notes an answer; the worker lives. A view counts as done with its first answer, be that of
+    /// an attempt that was taken back: one not yet cut again need not be.
+    pub fn acknowledged(&mut self, view: K, worker: usize, attempt: u32, now: Duration) -> Answer {
+        if let Some(worker) = self.workers.get_mut(worker) {
+            *worker = Worker { stalled_since: None, answered: Some(now) };
+        }
+        let Some(issued) = self.views.get_mut(&view) else { return Answer::Repeated };
+        if attempt >= issued.attempts {
+            return Answer::Repeated;
+        }
+        issued.in_flight.retain(|other| (other.number, other.worker) != (attempt, worker));
+        let answer = if issued.is_done { Answer::Repeated } else { Answer::First };
+        issued.is_done = true;
+        if issued.in_flight.is_empty() {
+            self.views.remove(&view);
+        }
+        answer
+    }
+
+    /// Takes back the views of each worker that has answered nothing for `timeout`, neither since
+    /// its oldest view was issued nor since its last answer, and marks it stalled. All its views:
+    /// those behind the oldest would be later still.
+    ///
+    /// Returns the views that must be cut for another worker, in rising order; those that another
+    /// attempt has done, or may yet do, are not among them.
+    pub fn overdue(&mut self, now: Duration, timeout: Duration) -> Vec<K> {
+        let mut oldest: Vec<Option<Duration>> = vec![None; self.workers.len()];
+        for attempt in self.views.values().flat_map(|issued| &issued.in_flight) {
+            if let Some(oldest) = oldest.get_mut(attempt.worker) {
+                *oldest = Some(oldest.map_or(attempt.issued, |other| other.min(attempt.issued)));
+            }
+        }
+        let is_late: Vec<bool> = oldest
+            .iter()
+            .zip(&self.workers)
+            .map(|(oldest, worker)| {
+                oldest.is_some_and(|issued| {
+                    let since = worker.answered.map_or(issued, |answered| answered.max(issued));
+                    now.saturating_sub(since) >= timeout
+                })
+            })
+            .collect();
+        for (worker, _) in self.workers.iter_mut().zip(&is_late).filter(|(_, late)| **late) {
+            worker.stalled_since = Some(now);
+        }
+
+        let mut lost = Vec::new();
+        self.views.retain(|&view, issued| {
+            let before = issued.in_flight.len();
+            issued.in_flight.retain(|attempt| !is_late.get(attempt.worker).is_some_and(|&l| l));
+            let is_idle = issued.in_flight.is_empty();
+            if is_idle && before > 0 && !issued.is_done {
+                lost.push(view);
+            }
+            !(is_idle && issued.is_done)
+        });
+        lost
+    }
+
+    /// Forgets every view that `is_wanted` denies, without an answer: those of an abandoned frame
+    /// whose workers need not be waited for.
+    pub fn retain(&mut self, mut is_wanted: impl FnMut(K) -> bool) {
+        self.views.retain(|&view, _| is_wanted(view));
+    }
+
+    /// Lets a stalled worker have views again at once: another process took its place.
+    pub fn revive(&mut self, worker: usize) {
+        if let Some(worker) = self.workers.get_mut(worker) {
+            *worker = Worker::default();
+        }
+    }
+
+    /// Whether `worker` has answered nothing for too long.
+    pub fn is_stalled(&self, worker: usize) -> bool {
+        self.workers.get(worker).is_some_and(|worker| worker.stalled_since.is_some())
+    }
+
+    /// Views in flight: issued, and neither answered nor taken back.
+    pub fn outstanding(&self) -> usize {
+        self.views.values().filter(|view| !view.is_done && !view.in_flight.is_empty()).count()
+    }
+
+    /// How many views `worker` has been given and neither answered nor lost.
+    pub fn outstanding_of(&self, worker: usize) -> usize {
+        let attempts = self.views.values().flat_map(|issued| &issued.in_flight);
+        attempts.filter(|attempt| attempt.worker == worker).count()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use std::collections::BTreeSet;
+
+    const TIMEOUT: Duration = Duration::from_millis(100);
+
+    fn at(milliseconds: u64) -> Duration {
+        Duration::from_millis(milliseconds)
+    }
+
+    #[test]
+    fn the_least_busy_worker_comes_next_and_the_window_holds() {
+        let mut views = Dispatcher::new(2, 2);
+        let mut order = Vec::new();
+        for view in 0..4 {
+            let worker = views.next_worker(at(0)).unwrap_or(9);
+            assert_eq!(views.issued(view, worker, at(0)), 0);
+            order.push(worker);
+        }
+        assert_eq!(order, [0, 1, 0, 1]);
+        assert_eq!((views.next_worker(at(0)), views.outstanding()), (None, 4));
+        assert_eq!(views.acknowledged(1, 1, 0, at(5)), Answer::First);
+        assert_eq!((views.next_worker(at(5)), views.outstanding()), (Some(1), 3));
+    }
+
+    #[test]
+    fn without_workers_there_is_no_next_one() {
+        assert_eq!(Dispatcher::<u32>::new(0, 2).next_worker(at(0)), None);
+        assert_eq!(Dispatcher::<u32>::new(3, 0).next_worker(at(0)), None);
+    }
+
+    #[test]
+    fn a_dead_worker_loses_nobodys_view() {
+        let mut views = Dispatcher::new(2, 4);
+        for view in 0..4 {
+            views.issued(view, view as usize % 2, at(0));
+        }
+        assert_eq!(views.acknowledged(1, 1, 0, at(40)), Answer::First);
+        assert_eq!(views.overdue(at(99), TIMEOUT), Vec::<u32>::new());
+        // Worker 0 is dead; worker 1 answered 60 ms ago and is only busy.
+        assert_eq!(views.overdue(at(100), TIMEOUT), [0, 2]);
+        assert!(views.is_stalled(0) && !views.is_stalled(1));
+        assert_eq!(views.outstanding(), 1);
+        for view in [0, 2] {
+            assert_eq!(views.next_worker(at(100)), Some(1));
+            assert_eq!(views.issued(view, 1, at(100)), 1);
+        }
+        for (view, attempt) in [(3, 0), (0, 1), (2, 1)] {
+            assert_eq!(views.acknowledged(view, 1, attempt, at(120)), Answer::First);
+        }
+        assert_eq!(views.outstanding(), 0);
+    }
+
+    #[test]
+    fn a_late_answer_counts_once() {
+        let mut views = Dispatcher::new(2, 2);
+        views.issued(7, 0, at(0));
+        assert_eq!(views.overdue(at(100), TIMEOUT), [7]);
+        assert_eq!(views.issued(7, 1, at(100)), 1);
+        // The stalled worker answers after all, then the other one does.
+        assert_eq!(views.acknowledged(7, 0, 0, at(110)), Answer::First);
+        assert!(!views.is_stalled(0));
+        assert_eq!((views.outstanding(), views.outstanding_of(1)), (0, 1));
+        assert_eq!(views.acknowledged(7, 1, 1, at(120)), Answer::Repeated);
+        assert_eq!(views.outstanding_of(1), 0);
+        assert_eq!(views.acknowledged(7, 1, 1, at(121)), Answer::Repeated);
+    }
+
+    #[test]
+    fn a_late_answer_before_the_view_is_cut_again_makes_that_needless() {
+        let mut views = Dispatcher::new(1, 2);
+        views.issued(7, 0, at(0));
+        assert_eq!(views.overdue(at(100), TIMEOUT), [7]);
+        assert_eq!(views.acknowledged(7, 0, 0, at(110)), Answer::First);
+        assert_eq!(views.overdue(at(900), TIMEOUT), Vec::<u32>::new());
+    }
+
+    #[test]
+    fn attempts_that_were_never_made_answer_nothing() {
+        let mut views = Dispatcher::new(1, 2);
+        views.issued(7, 0, at(0));
+        assert_eq!(views.acknowledged(7, 0, 1, at(1)), Answer::Repeated);
+        assert_eq!(views.acknowledged(8, 5, 0, at(1)), Answer::Repeated);
+        assert_eq!(views.outstanding(), 1);
+    }
+
+    #[test]
+    fn a_stalled_worker_is_tried_with_one_view_now_and_then() {
+        let mut views = Dispatcher::new(1, 3).with_probe_after(at(500));
+        views.issued(0, 0, at(0));
+        assert_eq!(views.overdue(at(100), TIMEOUT), [0]);
+        assert_eq!(views.next_worker(at(599)), None);
+        assert_eq!(views.next_worker(at(600)), Some(0));
+        views.issued(0, 0, at(600));
+        assert_eq!(views.next_worker(at(600)), None);
+        assert_eq!(views.overdue(at(700), TIMEOUT), [0]);
+        assert_eq!(views.next_worker(at(1199)), None);
+        views.revive(0);
+        assert_eq!(views.next_worker(at(1199)), Some(0));
+    }
+
+    #[test]
+    fn abandoned_views_are_forgotten() {
+        let mut views = Dispatcher::new(1, 3);
+        views.issued((4, 0), 0, at(0));
+        views.issued((5, 0), 0, at(0));
+        views.retain(|(frame, _)| frame == 5);
+        assert_eq!(views.outstanding(), 1);
+        assert_eq!(views.acknowledged((4, 0), 0, 0, at(1)), Answer::Repeated);
+        assert_eq!(views.acknowledged((5, 0), 0, 0, at(1)), Answer::First);
+    }
+
+    proptest! {
+        /// Whoever dies, answers late or twice: each view is done exactly once, as long as one
+        /// worker lives.
+        #[test]
+        fn every_view_is_done_once(
+            workers in 1..5usize,
+            window in 1..4usize,
+            views in 1..20u32,
+            luck in proptest::collection::vec(0..10u8, 600),
+        ) {
+            let mut dispatcher = Dispatcher::new(workers, window).with_probe_after(at(300));
+            let mut pending: BTreeSet<u32> = (0..views).collect();
+            let mut held: Vec<(u32, usize, u32)> = Vec::new();
+            let mut done = Vec::new();
+            let mut luck = luck.into_iter();
+            let mut now = at(0);
+            // Chance rules while there is any; then worker 0 answers all it gets.
+            while done.len() < views as usize {
+                now += at(20);
+                prop_assert!(now < at(1_000_000), "{dispatcher:?}");
+                for view in dispatcher.overdue(now, TIMEOUT) {
+                    prop_assert!(pending.insert(view));
+                }
+                while let Some(worker) = dispatcher.next_worker(now) {
+                    let Some(view) = pending.pop_first() else { break };
+                    let attempt = dispatcher.issued(view, worker, now);
+                    held.push((view, worker, attempt));
+                }
+                let mut kept = Vec::new();
+                for (view, worker, attempt) in std::mem::take(&mut held) {
+                    let chance = luck.next().unwrap_or(if worker == 0 { 9 } else { 0 });
+                    if chance >= 5 && dispatcher.acknowledged(view, worker, attempt, now) == Answer::First {
+                        done.push(view);
+                        pending.remove(&view);
+                    }
+                    if chance < 6 {
+                        kept.push((view, worker, attempt));
+                    }
+                }
+                held = kept;
+            }
+            done.sort_unstable();
+            prop_assert_eq!(done, (0..views).collect::<Vec<_>>());
+        }
+    }
+}

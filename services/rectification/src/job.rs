@@ -1,0 +1,285 @@
+//! One frame's views: which are cut, which is next, and when it is enough.
+
+use std::collections::BTreeSet;
+
+use flockeye_contract::{FrameHeader, NONE, PlannedView, StopReason, StopRule, ViewKind};
+use flockeye_geometry::view::View;
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+
+/// What is to be done with a frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Job {
+    /// The frame.
+    pub frame: FrameHeader,
+    /// The plan that is followed; 0: a sweep of its own.
+    pub plan_id: u64,
+    /// When it was taken up, CLOCK_MONOTONIC, nanoseconds.
+    pub taken_ns: i64,
+    views: Vec<PlannedView>,
+    stop_rule: StopRule,
+    budget: usize,
+    issued: usize,
+    unanswered: BTreeSet<u32>,
+    recut: BTreeSet<u32>,
+    has_hit: bool,
+    ended: Option<StopReason>,
+}
+
+/// What comes next for a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Next {
+    /// Cut this view: its place in the plan, and whether it is one that a newer frame may push out.
+    Cut {
+        /// Its place in the plan.
+        index: u32,
+        /// Whether it is a partition of a `deadline` plan, so that it must not hold up the next
+        /// frame's views.
+        is_yielding: bool,
+    },
+    /// No further view of it is cut: say so, with the reason.
+    End(StopReason),
+    /// It has ended; answers to its views are waited for.
+    Wait,
+}
+
+impl Job {
+    /// `views` of a frame under a rule; `budget` limits how many there are in a lossless run.
+    pub fn new(
+        frame: FrameHeader,
+        plan_id: u64,
+        views: Vec<PlannedView>,
+        stop_rule: StopRule,
+        budget: usize,
+        taken_ns: i64,
+    ) -> Self {
+        Self {
+            frame,
+            plan_id,
+            taken_ns,
+            views,
+            stop_rule,
+            budget,
+            issued: 0,
+            unanswered: BTreeSet::new(),
+            recut: BTreeSet::new(),
+            has_hit: false,
+            ended: None,
+        }
+    }
+
+    /// What to do next; `is_newer_there` says whether a newer frame waits.
+    pub fn next(&self, is_newer_there: bool) -> Next {
+        if let Some(&index) = self.recut.first() {
+            return Next::Cut { index, is_yielding: false };
+        }
+        if self.ended.is_some() {
+            return Next::Wait;
+        }
+        if self.has_hit && self.stop_rule == StopRule::FirstHit {
+            return Next::End(StopReason::Hit);
+        }
+        let Some(view) = self.views.get(self.issued) else {
+            return Next::End(StopReason::Complete);
+        };
+        if self.stop_rule != StopRule::Deadline {
+            return Next::Cut { index: self.issued as u32, is_yielding: false };
+        }
+        if self.issued >= self.budget {
+            return Next::End(StopReason::Budget);
+        }
+        // A neighbour's view is never pushed out, and neither is a frame's first: under overload
+        // every frame would be.
+        let is_partition = view.kind == ViewKind::Partition.code();
+        if is_newer_there && is_partition && self.issued > 0 {
+            return Next::End(StopReason::Newer);
+        }
+        Next::Cut { index: self.issued as u32, is_yielding: is_partition && self.issued > 0 }
+    }
+
+    /// A view's place, turned to the frame's exposure.
+    pub fn view(&self, index: u32) -> Option<(View, PlannedView)> {
+        let planned = self.views.get(index as usize)?;
+        Some((at_exposure(planned, self.frame.stamp.exposure_ns), *planned))
+    }
+
+    /// The view was published.
+    pub fn note_issued(&mut self, index: u32) {
+        if !self.recut.remove(&index) {
+            self.issued = self.issued.max(index as usize + 1);
+        }
+        self.unanswered.insert(index);
+    }
+
+    /// A worker has answered; `is_hit`: the view holds a marker of a configured body.
+    pub fn note_answer(&mut self, index: u32, is_hit: bool) {
+        self.has_hit |= is_hit;
+        self.unanswered.remove(&index);
+        self.recut.remove(&index);
+    }
+
+    /// The worker that had the view does not answer: it is to be cut again.
+    pub fn take_back(&mut self, index: u32) {
+        if self.unanswered.remove(&index) {
+            self.recut.insert(index);
+        }
+    }
+
+    /// The end of the frame was published.
+    pub fn note_end(&mut self, reason: StopReason) {
+        self.ended = Some(reason);
+    }
+
+    /// Whether nothing more is to come of it.
+    pub fn is_done(&self) -> bool {
+        self.ended.is_some() && self.unanswered.is_empty() && self.recut.is_empty()
+    }
+
+    /// Whether its end was published.
+    pub fn has_ended(&self) -> bool {
+        self.ended.is_some()
+    }
+
+    /// Views published, and views of the plan that were not.
+    pub fn tally(&self) -> (u32, u32) {
+        (self.issued as u32, (self.views.len() - self.issued) as u32)
+    }
+}
+
+/// A planned view as it is at a frame's exposure: a gaze view turns with its neighbour.
+pub fn at_exposure(planned: &PlannedView, exposure_ns: i64) -> View {
+    let [x, y, z, w] = planned.camera_from_view;
+    let reference_from_view = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
+    let elapsed_s = (exposure_ns - planned.reference_ns) as f64 * 1e-9;
+    let turn = Vector3::from(planned.rate_in_camera) * elapsed_s;
+    // A prediction for another time than about now means nothing.
+    let is_near = turn.norm() < 0.5;
+    let turn =
+        if is_near { UnitQuaternion::from_scaled_axis(turn) } else { UnitQuaternion::identity() };
+    View {
+        camera_from_view: turn * reference_from_view,
+        focal_px: planned.focal_px,
+        size_px: planned.size_px,
+    }
+}
+
+/// A plan of its own for when there is none: the partitions, from where the last one stopped.
+pub fn sweep(partitions: &[View], first: usize) -> Vec<PlannedView> {
+    let count = partitions.len();
+    (0..count)
+        .map(|k| (first + k) % count)
+        .map(|partition| PlannedView {
+            camera_from_view: partitions[partition].camera_from_view.coords.into(),
+            focal_px: partitions[partition].focal_px,
+            size_px: partitions[partition].size_px,
+            kind: ViewKind::Partition.code(),
+            partition: partition as u32,
+            target: NONE,
+            ..PlannedView::default()
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockeye_geometry::partition::Partition;
+
+    fn planned(kind: ViewKind) -> PlannedView {
+        PlannedView {
+            camera_from_view: [0.0, 0.0, 0.0, 1.0],
+            focal_px: 100.0,
+            size_px: 64,
+            kind: kind.code(),
+            ..PlannedView::default()
+        }
+    }
+
+    fn job(stop_rule: StopRule, kinds: &[ViewKind], budget: usize) -> Job {
+        let views = kinds.iter().map(|&kind| planned(kind)).collect();
+        Job::new(FrameHeader::default(), 1, views, stop_rule, budget, 0)
+    }
+
+    /// Cuts views until the frame ends; every view is answered at once, view `hit` with a marker.
+    fn run(job: &mut Job, hit: Option<u32>, newer_from: u32) -> (u32, StopReason) {
+        let mut cut = 0;
+        loop {
+            match job.next(cut >= newer_from) {
+                Next::Cut { index, .. } => {
+                    assert_eq!(index, cut);
+                    job.note_issued(index);
+                    job.note_answer(index, hit == Some(index));
+                    cut += 1;
+                }
+                Next::End(reason) => {
+                    job.note_end(reason);
+                    assert!(job.is_done());
+                    return (cut, reason);
+                }
+                Next::Wait => panic!("nothing to wait for"),
+            }
+        }
+    }
+
+    use ViewKind::{Gaze, Partition as Part};
+
+    #[test]
+    fn the_paper_stops_at_the_first_hit() {
+        let mut searched = job(StopRule::FirstHit, &[Part; 12], usize::MAX);
+        assert_eq!(run(&mut searched, Some(4), 0), (5, StopReason::Hit));
+        let mut searched = job(StopRule::FirstHit, &[Part; 12], usize::MAX);
+        assert_eq!(run(&mut searched, None, 0), (12, StopReason::Complete));
+    }
+
+    #[test]
+    fn all_means_all_even_if_a_newer_frame_waits() {
+        let mut searched = job(StopRule::All, &[Part; 12], 3);
+        assert_eq!(run(&mut searched, Some(0), 0), (12, StopReason::Complete));
+    }
+
+    #[test]
+    fn a_newer_frame_pushes_out_partitions_only() {
+        let mut searched = job(StopRule::Deadline, &[Gaze, Gaze, Part, Part, Part], usize::MAX);
+        assert_eq!(run(&mut searched, None, 0), (2, StopReason::Newer));
+        let mut searched = job(StopRule::Deadline, &[Part; 5], usize::MAX);
+        assert_eq!(run(&mut searched, None, 0), (1, StopReason::Newer), "one is always searched");
+        let mut searched = job(StopRule::Deadline, &[Part; 5], 3);
+        assert_eq!(run(&mut searched, None, u32::MAX), (3, StopReason::Budget));
+    }
+
+    #[test]
+    fn a_view_taken_back_is_cut_again_and_waited_for() {
+        let mut searched = job(StopRule::All, &[Part; 2], usize::MAX);
+        searched.note_issued(0);
+        searched.note_issued(1);
+        searched.note_end(StopReason::Complete);
+        searched.note_answer(1, false);
+        searched.take_back(1);
+        assert_eq!(searched.next(true), Next::Wait, "an answered view is not taken back");
+        searched.take_back(0);
+        assert_eq!(searched.next(true), Next::Cut { index: 0, is_yielding: false });
+        searched.note_issued(0);
+        assert!(!searched.is_done());
+        searched.note_answer(0, false);
+        assert!(searched.is_done());
+        assert_eq!(searched.tally(), (2, 0));
+    }
+
+    #[test]
+    fn a_gaze_view_turns_with_its_neighbour() {
+        let mut view = planned(Gaze);
+        view.reference_ns = 1_000_000_000;
+        view.rate_in_camera = [0.0, 0.0, 2.0];
+        let turned = at_exposure(&view, 1_010_000_000).camera_from_view;
+        let wanted = UnitQuaternion::from_euler_angles(0.0, 0.0, 0.02);
+        assert!(turned.angle_to(&wanted) < 1e-12);
+        let far = at_exposure(&view, 9_000_000_000).camera_from_view;
+        assert!(far.angle() < 1e-12, "a plan from another time is taken as it is");
+    }
+
+    #[test]
+    fn a_sweep_goes_on_where_the_last_one_stopped() {
+        let partitions = Partition::icosahedron().views(0.1, 600.0).expect("fits");
+        let order: Vec<_> = sweep(&partitions, 10).iter().map(|view| view.partition).collect();
+        assert_eq!(order, [10, 11, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9]);
+    }
+}

@@ -1,0 +1,377 @@
+//! The ports around rectification.
+
+use std::time::Duration;
+
+use anyhow::Context as _;
+use flockeye_contract::{
+    Detections, FrameEnd, FrameEnds, FrameHeader, Frames, PlanHeader, PlannedView, Plans,
+    StopReason, StopRule, ViewHeader, Views,
+};
+use flockeye_geometry::camera::Equirectangular;
+use flockeye_geometry::view::View;
+use flockeye_imaging::sphere::SphereImage;
+use flockeye_runtime::config::{Backend, Flow};
+use flockeye_runtime::health::SharedCounters;
+use flockeye_runtime::logs::Throttle;
+use flockeye_runtime::ports::{Message, Ports, Publisher, Subscriber};
+use flockeye_runtime::{Context, Stage, Step, clock};
+
+use crate::cpu::CpuRectifier;
+use crate::dispatch::{Answer, Dispatcher};
+use crate::job::{Job, Next, sweep};
+use crate::rectifier::{BackendChoice, Rectifier, RectifyError, choose_backend};
+
+/// A plan older than this is fusion's last word before it died, nanoseconds.
+const STALE_PLAN_NS: i64 = 1_000_000_000;
+
+/// Frames held at once: one that waits for its answers, and the one that is being cut.
+const HELD_FRAMES: usize = 2;
+
+/// Takes frames, plans and detections (as acknowledgements); gives views and frame ends.
+pub struct RectificationStage {
+    frames: Subscriber<Frames>,
+    plans: Subscriber<Plans>,
+    detections: Subscriber<Detections>,
+    /// One for each worker.
+    views: Vec<Publisher<Views>>,
+    frame_ends: Publisher<FrameEnds>,
+    rectifier: Box<dyn Rectifier>,
+    threads: usize,
+    dispatcher: Dispatcher<ViewKey>,
+    overdue: Duration,
+    flow: Flow,
+    generation: u32,
+    camera: Equirectangular,
+    partitions: Vec<View>,
+    swept: usize,
+    plan: Option<(PlanHeader, Vec<PlannedView>)>,
+    waiting: Option<Message<Frames>>,
+    held: Vec<Held>,
+    counters: SharedCounters,
+    failures: Throttle,
+    refusals: Throttle,
+}
+
+/// Generation, epoch and sequence of a frame, and the place of a view in its plan.
+type ViewKey = ((u32, u32, u64), u32);
+
+struct Held {
+    message: Message<Frames>,
+    job: Job,
+}
+
+impl Stage for RectificationStage {
+    const NAME: &'static str = "rectification";
+
+    fn open(context: &Context, ports: &mut Ports) -> anyhow::Result<Self> {
+        let pipeline = &context.pipeline;
+        let settings = &pipeline.rectification;
+        let choice = match settings.backend {
+            Backend::Auto => BackendChoice::Auto,
+            Backend::Cpu => BackendChoice::Cpu,
+            Backend::Gpu => BackendChoice::Gpu,
+        };
+        let threads = settings.threads as usize;
+        let (rectifier, why) = choose_backend(choice, threads)?;
+        tracing::info!("views are cut by {}: {why}", rectifier.name());
+        context.counters.set_detail(rectifier.name());
+        let workers = pipeline.stages.detection.replicas as usize;
+        let overdue = Duration::from_secs_f64(settings.overdue_ms * 1e-3);
+        Ok(Self {
+            frames: ports.subscriber()?,
+            plans: ports.subscriber()?,
+            detections: ports.subscriber()?,
+            views: (0..workers)
+                .map(|worker| ports.publisher_of_lane(worker))
+                .collect::<Result<_, _>>()?,
+            frame_ends: ports.publisher()?,
+            rectifier,
+            threads,
+            dispatcher: Dispatcher::new(workers, settings.window as usize)
+                .with_probe_after(overdue / 2),
+            overdue,
+            flow: pipeline.flow,
+            generation: context.identity.generation,
+            camera: pipeline.camera_model(),
+            partitions: pipeline.partition_views(pipeline.bodies()?.largest_side())?,
+            swept: 0,
+            plan: None,
+            waiting: None,
+            held: Vec::new(),
+            counters: context.counters.clone(),
+            failures: Throttle::default(),
+            refusals: Throttle::default(),
+        })
+    }
+
+    fn step(&mut self) -> anyhow::Result<Step> {
+        // A lossless source sends a frame after it has the plan for it, so frames come first.
+        self.receive_frame()?;
+        if let Some(message) = self.plans.newest()? {
+            self.plan = Some((message.header, message.items().to_vec()));
+        }
+        self.receive_answers()?;
+        for (frame, index) in self.dispatcher.overdue(now(), self.overdue) {
+            let held = self.held.iter_mut().find(|held| held.job.frame.stamp.order() == frame);
+            if let Some(held) = held {
+                held.job.take_back(index);
+            }
+        }
+        self.release();
+        self.take_up();
+        let has_cut = self.cut_next()?;
+        Ok(match (has_cut, self.held.is_empty()) {
+            (true, _) => Step::Again,
+            (false, true) => Step::Wait,
+            // Somebody may have to be given up on.
+            (false, false) => {
+                Step::WaitUntil(clock::monotonic_ns() + self.overdue.as_nanos() as i64 / 4)
+            }
+        })
+    }
+
+    fn drain(&mut self) -> anyhow::Result<()> {
+        for held in &mut self.held {
+            if !held.job.has_ended() {
+                end(&self.frame_ends, &mut held.job, StopReason::Shutdown, self.generation)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+impl RectificationStage {
+    fn receive_frame(&mut self) -> anyhow::Result<()> {
+        if self.flow == Flow::Lossless {
+            if self.waiting.is_none() {
+                self.waiting = self.frames.receive()?;
+            }
+            return Ok(());
+        }
+        while let Some(newer) = self.frames.receive()? {
+            if self.waiting.replace(newer).is_some() {
+                self.counters.add_dropped(1);
+            }
+        }
+        Ok(())
+    }
+
+    fn receive_answers(&mut self) -> anyhow::Result<()> {
+        while let Some(message) = self.detections.receive()? {
+            let header = message.header;
+            let order = header.stamp.order();
+            let key = (order, header.view_index);
+            let answer =
+                self.dispatcher.acknowledged(key, header.worker as usize, header.attempt, now());
+            let held = self.held.iter_mut().find(|held| held.job.frame.stamp.order() == order);
+            if let (Answer::First, Some(held)) = (answer, held) {
+                held.job.note_answer(header.view_index, header.hits > 0);
+            }
+        }
+        Ok(())
+    }
+
+    /// Gives back frames of which nothing more is to come.
+    fn release(&mut self) {
+        self.held.retain(|held| !held.job.is_done());
+    }
+
+    /// Takes up the frame that waits, once the one before has been cut.
+    fn take_up(&mut self) {
+        let is_cutting = self.held.iter().any(|held| !held.job.has_ended());
+        if is_cutting || self.held.len() >= HELD_FRAMES {
+            return;
+        }
+        let Some(message) = self.waiting.take() else { return };
+        let header = message.header;
+        let mut begun = self.begin(&message);
+        if let Err(error) = &begun
+            && self.fall_back_if_lost(error)
+        {
+            begun = self.begin(&message);
+        }
+        if let Err(error) = begun {
+            self.counters.add_failed(1);
+            if let Some(more) = self.refusals.admit() {
+                tracing::warn!(
+                    frame = header.stamp.sequence,
+                    more_since = more,
+                    "frame refused: {error:#}"
+                );
+            }
+            return;
+        }
+        let job = self.job_for(header);
+        self.held.push(Held { message, job });
+    }
+
+    fn begin(&mut self, message: &Message<Frames>) -> anyhow::Result<()> {
+        let sphere = sphere_of(self.camera, &message.header, message.items())?;
+        Ok(self.rectifier.begin_frame(&sphere)?)
+    }
+
+    fn job_for(&mut self, header: FrameHeader) -> Job {
+        let now_ns = clock::monotonic_ns();
+        let is_live = |plan: &PlanHeader| {
+            self.flow == Flow::Lossless || now_ns - plan.made_ns < STALE_PLAN_NS
+        };
+        if let Some((plan, views)) = self.plan.as_ref().filter(|(plan, _)| is_live(plan)) {
+            // Checked when it was received; an unknown rule cannot get here.
+            let rule = StopRule::try_from(plan.stop_rule).unwrap_or(StopRule::Deadline);
+            let budget = match self.flow {
+                Flow::Lossless => plan.view_budget as usize,
+                Flow::Latest => usize::MAX,
+            };
+            return Job::new(header, plan.plan_id, views.clone(), rule, budget, now_ns);
+        }
+        let views = sweep(&self.partitions, self.swept);
+        Job::new(header, 0, views, StopRule::Deadline, usize::MAX, now_ns)
+    }
+
+    /// Cuts one view, or ends a frame. False if there is nothing to do before something arrives.
+    fn cut_next(&mut self) -> anyhow::Result<bool> {
+        let is_newer_there = self.waiting.is_some() && self.flow == Flow::Latest;
+        for position in 0..self.held.len() {
+            match self.held[position].job.next(is_newer_there) {
+                Next::Wait => {}
+                Next::End(reason) => {
+                    self.end(position, reason)?;
+                    return Ok(true);
+                }
+                Next::Cut { index, is_yielding } => {
+                    let Some(worker) = self.dispatcher.next_worker(now()) else { continue };
+                    // A partition is not queued behind another: it would hold up the next frame.
+                    if is_yielding && self.dispatcher.outstanding_of(worker) > 0 {
+                        continue;
+                    }
+                    if let Err(error) = self.cut(position, index, worker) {
+                        self.counters.add_failed(1);
+                        if let Some(more) = self.failures.admit() {
+                            tracing::warn!(more_since = more, "a view cannot be cut: {error:#}");
+                        }
+                        self.fall_back_if_lost(&error);
+                        self.end(position, StopReason::Failed)?;
+                    }
+                    return Ok(true);
+                }
+            }
+        }
+        Ok(false)
+    }
+
+    fn cut(&mut self, position: usize, index: u32, worker: usize) -> anyhow::Result<()> {
+        let Held { message, job } = &self.held[position];
+        let frame = message.header;
+        let (view, planned) = job.view(index).context("it is not in the plan")?;
+        let sphere = sphere_of(self.camera, &frame, message.items())?;
+        let size = view.size_px as usize;
+        let publisher = self.views.get(worker).context("there is no such worker")?;
+        let mut loan = publisher.loan(size * size)?;
+        let cut = self.rectifier.cut(&sphere, &[view], &mut [loan.items_mut()]);
+        let cut = match cut {
+            // Another frame was begun in between: this one's view is cut again for a stalled worker.
+            Err(RectifyError::NotBegun) => self
+                .rectifier
+                .begin_frame(&sphere)
+                .and_then(|()| self.rectifier.cut(&sphere, &[view], &mut [loan.items_mut()])),
+            other => other,
+        };
+        cut?;
+        let key = (frame.stamp.order(), index);
+        let issued_ns = clock::monotonic_ns();
+        let header = ViewHeader {
+            stamp: frame.stamp,
+            plan_id: job.plan_id,
+            taken_ns: job.taken_ns,
+            issued_ns,
+            camera_from_view: view.camera_from_view.coords.into(),
+            focal_px: view.focal_px,
+            predicted_camera_from_markers: planned.predicted_camera_from_markers,
+            readout_ns: frame.readout_ns,
+            generation: self.generation,
+            view_index: index,
+            attempt: self.dispatcher.issued(key, worker, now()),
+            worker: worker as u32,
+            size_px: view.size_px,
+            stride: view.size_px,
+            kind: planned.kind,
+            partition: planned.partition,
+            target: planned.target,
+            has_prediction: planned.has_prediction,
+            transfer: frame.transfer,
+            gamma: frame.gamma,
+            range: frame.range,
+            reserved: 0,
+        };
+        loan.send(header)?;
+        self.counters.add_latency_ns(issued_ns - job.taken_ns);
+        self.held[position].job.note_issued(index);
+        Ok(())
+    }
+
+    fn end(&mut self, position: usize, reason: StopReason) -> anyhow::Result<()> {
+        let job = &mut self.held[position].job;
+        if job.has_ended() {
+            // A view that could not be cut again: the frame's end is out, its answer never comes.
+            self.held.remove(position);
+            return Ok(());
+        }
+        if job.plan_id == 0 {
+            self.swept = (self.swept + job.tally().0 as usize) % self.partitions.len().max(1);
+        }
+        end(&self.frame_ends, job, reason, self.generation)
+    }
+
+    /// Lets the processor take over if the graphics processor is gone.
+    fn fall_back_if_lost(&mut self, error: &anyhow::Error) -> bool {
+        let is_lost = error.downcast_ref::<RectifyError>().is_some_and(RectifyError::is_lost);
+        if is_lost {
+            tracing::warn!("the processor takes over: {error:#}");
+            self.rectifier = Box::new(CpuRectifier::new(self.threads));
+            self.counters.set_detail(self.rectifier.name());
+        }
+        is_lost
+    }
+}
+
+/// The frame's pixels as the configured camera sees them.
+fn sphere_of<'m>(
+    camera: Equirectangular,
+    header: &FrameHeader,
+    pixels: &'m [u8],
+) -> anyhow::Result<SphereImage<'m>> {
+    let Equirectangular { width, height } = camera;
+    anyhow::ensure!(
+        (header.width, header.height) == (width, height),
+        "it has {}x{} pixels, the configuration says {width}x{height}. Cure: set camera.width and \
+         camera.height to what the source sends",
+        header.width,
+        header.height
+    );
+    Ok(SphereImage::new(pixels, header.stride as usize, camera)?)
+}
+
+fn end(
+    frame_ends: &Publisher<FrameEnds>,
+    job: &mut Job,
+    reason: StopReason,
+    generation: u32,
+) -> anyhow::Result<()> {
+    let (views_issued, views_abandoned) = job.tally();
+    job.note_end(reason);
+    let end = FrameEnd {
+        stamp: job.frame.stamp,
+        plan_id: job.plan_id,
+        taken_ns: job.taken_ns,
+        ended_ns: clock::monotonic_ns(),
+        views_issued,
+        views_abandoned,
+        reason: reason.code(),
+        generation,
+    };
+    Ok(frame_ends.send(end, &[])?)
+}
+
+fn now() -> Duration {
+    Duration::from_nanos(clock::monotonic_ns().unsigned_abs())
+}

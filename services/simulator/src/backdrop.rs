@@ -1,0 +1,114 @@
+//! The panorama behind the bodies: made once, and turned with the observer's yaw in each frame.
+
+use std::num::NonZero;
+
+use crate::hall::Hall;
+use crate::optics::{blur_kernel, blur_row, blur_rows};
+use crate::parameters::WorldParameters;
+use crate::sensor::Sensor;
+use crate::sphere::SphereGrid;
+
+/// Blur along a row is widened towards the poles, up to this many columns.
+const WIDEST_SIGMA: f64 = 12.0;
+
+/// A panorama as the sensor encodes it.
+#[derive(Debug)]
+pub struct Backdrop {
+    width: usize,
+    levels: Vec<u8>,
+    sigmas: Vec<u8>,
+}
+
+impl Backdrop {
+    /// Paints the hall, blurred by the lens and by the observer's steady yaw, in linear light.
+    pub fn new(parameters: &WorldParameters, grid: &SphereGrid, sensor: &Sensor) -> Self {
+        let hall = Hall::new(parameters.seed);
+        let width = grid.width;
+        let swept = parameters.observer_yaw_rate().abs()
+            * parameters.exposure_s
+            * parameters.pixels_per_radian();
+        let mut blurred_along = vec![0.0f32; width * grid.height];
+        for_rows(&mut blurred_along, width, |row, out| {
+            let sigma = parameters.lens_blur_px / f64::from(grid.rows[row][0]).max(1e-3);
+            let kernel = blur_kernel(sigma.min(WIDEST_SIGMA), swept);
+            let reach = kernel.len() - 1;
+            let sharp: Vec<f32> =
+                (0..width).map(|column| pixel_light(&hall, grid, column, row)).collect();
+            let padded: Vec<f32> = (0..width + 2 * reach)
+                .map(|k| sharp[(k + width * reach - reach) % width])
+                .collect();
+            blur_row(&padded, out, &kernel, 1);
+        });
+        let across = blur_kernel(parameters.lens_blur_px, 0.0);
+        let mut light = vec![0.0f32; width * grid.height];
+        for_rows(&mut light, width, |row, out| {
+            blur_rows(&blurred_along, width, row, 0..width, out, &across);
+        });
+        Self {
+            width,
+            levels: light.iter().map(|&light| sensor.level(light)).collect(),
+            sigmas: light.iter().map(|&light| sensor.sigma_of_light(light)).collect(),
+        }
+    }
+
+    /// Levels and sigmas of a row as an observer turned left by `shift` columns sees them: two runs,
+    /// of the first `shift` columns and of the others.
+    pub fn row(&self, row: usize, shift: usize) -> [(&[u8], &[u8]); 2] {
+        let whole = row * self.width..(row + 1) * self.width;
+        let (levels, sigmas) = (&self.levels[whole.clone()], &self.sigmas[whole]);
+        let cut = self.width - shift;
+        [(&levels[cut..], &sigmas[cut..]), (&levels[..cut], &sigmas[..cut])]
+    }
+}
+
+/// Two rays for each pixel, a quarter of it either way of the middle on a diagonal.
+fn pixel_light(hall: &Hall, grid: &SphereGrid, column: usize, row: usize) -> f32 {
+    let [cos_lon, sin_lon] = grid.columns[column];
+    let [cos_lat, sin_lat] = grid.rows[row];
+    // A quarter of a pixel as a small turn.
+    let quarter = std::f32::consts::TAU / grid.width as f32 / 4.0;
+    let ray = |turn: f32| {
+        let (cos_lon, sin_lon) = (cos_lon - sin_lon * turn, sin_lon + cos_lon * turn);
+        let (cos_lat, sin_lat) = (cos_lat - sin_lat * turn, sin_lat + cos_lat * turn);
+        hall.light([cos_lat * cos_lon, cos_lat * sin_lon, sin_lat])
+    };
+    (ray(quarter) + ray(-quarter)) / 2.0
+}
+
+/// Calls `fill` for every row, on all processors.
+fn for_rows(rows: &mut [f32], width: usize, fill: impl Fn(usize, &mut [f32]) + Sync) {
+    let threads = std::thread::available_parallelism().map_or(1, NonZero::get);
+    let band = (rows.len() / width).div_ceil(threads).max(1);
+    std::thread::scope(|scope| {
+        for (index, rows) in rows.chunks_mut(band * width).enumerate() {
+            let fill = &fill;
+            scope.spawn(move || {
+                for (row, out) in rows.chunks_mut(width).enumerate() {
+                    fill(index * band + row, out);
+                }
+            });
+        }
+    });
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, clippy::expect_used)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn turning_left_moves_the_picture_right_and_round() {
+        let parameters = WorldParameters { width: 256, height: 128, ..Default::default() };
+        let grid = SphereGrid::new(256, 128);
+        let backdrop = Backdrop::new(&parameters, &grid, &Sensor::new(&parameters));
+        let row = |shift| {
+            let [(a, _), (b, _)] = backdrop.row(60, shift);
+            [a, b].concat()
+        };
+        let (still, turned) = (row(0), row(10));
+        assert_eq!(still.len(), 256);
+        assert_eq!(turned[10..], still[..246]);
+        assert_eq!(turned[..10], still[246..]);
+        assert!(still.iter().any(|&level| level != still[0]), "it has texture");
+    }
+}

@@ -1,0 +1,258 @@
+//! A drone drawn sharp on a plane that touches the sphere, blurred there, and laid on the sphere.
+
+use std::ops::Range;
+
+use nalgebra::{Matrix3, Point2, Point3, Vector3};
+
+use crate::drone::{Drone, Part};
+use crate::optics::{blur_kernel, blur_row, blur_rows};
+use crate::raster::{Accumulator, CHANNELS};
+use crate::sensor::Sensor;
+use crate::sphere::SphereGrid;
+use crate::world::Placement;
+
+/// Variance that the drawing adds by itself, square samples: areas of one sample (1/12), and
+/// linear interpolation between samples (1/6 on average).
+const OWN_VARIANCE: f64 = 1.0 / 12.0 + 1.0 / 6.0;
+/// Cover below which a pixel is left alone: a hundredth of a grey level.
+const FAINT: f32 = 1e-4;
+
+/// What a drawing needs to know of the camera.
+#[derive(Debug, Clone, Copy)]
+pub struct Lens {
+    /// Samples of the drawing for each radian, at its centre.
+    pub focal: f64,
+    /// Standard deviation of the point spread, samples.
+    pub blur: f64,
+    /// Exposure, seconds.
+    pub exposure_s: f64,
+}
+
+/// The drawing of one drone in one frame. Its buffers are kept from frame to frame.
+#[derive(Debug, Default)]
+pub struct Drawing {
+    accumulator: Accumulator,
+    width: usize,
+    height: usize,
+    /// (light, cover) as drawn, and then as blurred both ways.
+    samples: Vec<f32>,
+    /// Blurred along the rows.
+    half_blurred: Vec<f32>,
+    /// Columns that may hold something, for each row: the rest is empty, and stays so.
+    extents: Vec<Range<usize>>,
+    /// Rows: where a ray in the camera frame meets the plane, in samples, before dividing.
+    samples_from_camera: Matrix3<f32>,
+    longitude: f64,
+    latitude: f64,
+    /// Radius of the circle that holds the drawing, radians.
+    radius: f64,
+}
+
+/// Light that falls on a surface with this normal in the world, as a share of full scale for a
+/// white one: lamps above, a little to one side, and the light of the walls.
+fn illumination(normal_in_world: &Vector3<f64>) -> f64 {
+    let lamps = Vector3::new(0.26, 0.17, 0.95);
+    let window = Vector3::new(0.0, 1.0, 0.0);
+    0.34 + 0.36 * normal_in_world.dot(&lamps).max(0.0)
+        + 0.10 * normal_in_world.dot(&window).max(0.0)
+}
+
+impl Drawing {
+    /// Draws `drone` where it is. `world_from_camera` only matters for the light.
+    ///
+    /// The drone must be at least 1.2 of its radius away, so that all of it is before the plane.
+    pub fn draw(
+        &mut self,
+        drone: &Drone,
+        placement: &Placement,
+        world_from_camera: &nalgebra::UnitQuaternion<f64>,
+        lens: Lens,
+    ) {
+        let pose = &placement.camera_from_markers;
+        let axes = drawing_axes(placement);
+        let centre = axes[2];
+        let drawing_from_camera = Matrix3::from_columns(&axes).transpose();
+        let project = |point: &Point3<f64>| {
+            let p = drawing_from_camera * (pose * point).coords;
+            Point2::new(p.x / p.z, p.y / p.z) * lens.focal
+        };
+
+        // The first axis lies along the motion, so that motion blur is one with the rows' blur.
+        // Positive: the parameters ask for a blur of 0.3 pixels, 0.6 samples, or more.
+        let sigma = (lens.blur.powi(2) - OWN_VARIANCE).sqrt();
+        let motion = placement.angular_speed() * lens.exposure_s * lens.focal;
+        let along = blur_kernel(sigma, motion);
+        let across = blur_kernel(sigma, 0.0);
+        // Twice the reach along the rows: what is blurred there is blurred from as far again.
+        let margin = Point2::new(2.0 * along.len() as f64 + 1.0, across.len() as f64 + 1.0);
+        let bounds = |parts: &[&Part]| {
+            let corners = parts.iter().flat_map(|part| &part.solid.corners).map(project);
+            corners
+                .fold([Point2::new(f64::MAX, f64::MAX), Point2::new(f64::MIN, f64::MIN)], |b, p| {
+                    [b[0].inf(&p), b[1].sup(&p)]
+                })
+        };
+        let eye = pose.inverse_transform_point(&Point3::origin());
+        let parts = drone.back_to_front(&eye);
+        let [low, high] = bounds(&parts);
+        let origin = (low - margin.coords).map(f64::floor);
+        let size = (high - origin).map(f64::ceil) + margin.coords;
+        (self.width, self.height) = (size.x as usize, size.y as usize);
+        let reach = parts
+            .iter()
+            .flat_map(|part| &part.solid.corners)
+            .map(|corner| (pose * corner).coords.angle(&centre))
+            .fold(0.0, f64::max);
+        self.radius = reach + margin.x.max(margin.y) / lens.focal;
+        self.longitude = centre.y.atan2(centre.x);
+        self.latitude = centre.z.atan2(centre.x.hypot(centre.y));
+        let samples_from_drawing = Matrix3::new(
+            lens.focal, 0.0, -origin.x, //
+            0.0, lens.focal, -origin.y, //
+            0.0, 0.0, 1.0,
+        );
+        self.samples_from_camera = (samples_from_drawing * drawing_from_camera).cast();
+
+        let world_from_markers = world_from_camera * pose.rotation;
+        self.accumulator.resize(self.width, self.height);
+        self.samples.clear();
+        self.samples.resize(self.width * self.height * CHANNELS, 0.0);
+        self.extents.clear();
+        self.extents.resize(self.height, 0..0);
+        let place = |point: &Point3<f64>| project(point) - origin.coords;
+        for part in &parts {
+            for painted in part.faces.iter().filter(|painted| painted.face.height(&eye) > 0.0) {
+                let lit = illumination(&(world_from_markers * painted.face.normal));
+                let outline: Vec<_> = painted.face.corners.iter().map(place).collect();
+                self.accumulator.add_polygon(&outline, painted.reflectance * lit, 1.0);
+                for patch in &painted.print {
+                    let outline: Vec<_> = patch.corners.iter().map(place).collect();
+                    self.accumulator.add_polygon(&outline, patch.change * lit, 0.0);
+                }
+            }
+            let [low, high] = bounds(&[part]).map(|corner| corner - origin.coords);
+            let rows = low.y as usize..high.y as usize + 1;
+            let columns = low.x as usize..high.x as usize + 2;
+            for extent in &mut self.extents[rows.clone()] {
+                *extent = joined(extent, &columns);
+            }
+            self.accumulator.lay_over(&mut self.samples, rows, columns, part.opacity);
+        }
+        self.blur(&along, &across);
+    }
+
+    fn blur(&mut self, along: &[f32], across: &[f32]) {
+        let row_length = self.width * CHANNELS;
+        let reach = along.len() - 1;
+        self.half_blurred.clear();
+        self.half_blurred.resize(self.samples.len(), 0.0);
+        for (row, extent) in self.extents.iter_mut().enumerate() {
+            if extent.start == extent.end {
+                continue;
+            }
+            // The margins of the drawing are wider than the reach.
+            *extent = extent.start - reach..extent.end + reach;
+            let padded = extent.start - reach..extent.end + reach;
+            let values = |columns: &Range<usize>| {
+                row * row_length + columns.start * CHANNELS
+                    ..row * row_length + columns.end * CHANNELS
+            };
+            let out = &mut self.half_blurred[values(extent)];
+            blur_row(&self.samples[values(&padded)], out, along, CHANNELS);
+        }
+        let reach = across.len() - 1;
+        for (at, row) in self.samples.chunks_exact_mut(row_length).enumerate() {
+            let near = &self.extents[at.saturating_sub(reach)..(at + reach + 1).min(self.height)];
+            let extent = near.iter().fold(0..0, |all, extent| joined(&all, extent));
+            let values = extent.start * CHANNELS..extent.end * CHANNELS;
+            let out = &mut row[values.clone()];
+            blur_rows(&self.half_blurred, row_length, at, values, out, across);
+        }
+    }
+
+    /// Rows of the sphere image that it may touch.
+    pub fn rows(&self, grid: &SphereGrid) -> Range<usize> {
+        grid.rows_of_circle(self.latitude, self.radius)
+    }
+
+    /// Lays the drawing over a row of levels and their noise.
+    pub fn draw_row(
+        &self,
+        row: usize,
+        grid: &SphereGrid,
+        sensor: &Sensor,
+        levels: &mut [u8],
+        sigmas: &mut [u8],
+    ) {
+        let [cos_row, sin_row] = grid.rows[row];
+        let m = &self.samples_from_camera;
+        // The ray of a column is (cos lat cos lon, cos lat sin lon, sin lat).
+        let [ax, ay, az] = [0, 1, 2].map(|k| m[(k, 0)] * cos_row);
+        let [bx, by, bz] = [0, 1, 2].map(|k| m[(k, 1)] * cos_row);
+        let [cx, cy, cz] = [0, 1, 2].map(|k| m[(k, 2)] * sin_row);
+        let span = grid.span_of_circle(row, self.longitude, self.latitude, self.radius);
+        for (first, end) in span.runs(grid.width) {
+            let pixels = levels[first..end].iter_mut().zip(&mut sigmas[first..end]);
+            for ([cos, sin], (level, sigma)) in grid.columns[first..end].iter().zip(pixels) {
+                let depth = az * cos + bz * sin + cz;
+                let x = (ax * cos + bx * sin + cx) / depth;
+                let y = (ay * cos + by * sin + cy) / depth;
+                if depth <= 0.0 {
+                    continue;
+                }
+                let Some([light, cover]) = self.sample(x, y) else { continue };
+                *level = sensor.level(sensor.light(*level) * (1.0 - cover) + light);
+                *sigma = sensor.sigma(*level);
+            }
+        }
+    }
+
+    /// Light and cover at a point, interpolated; `None` where there is nothing.
+    #[inline]
+    fn sample(&self, x: f32, y: f32) -> Option<[f32; 2]> {
+        // Sample (i, j) stands for the middle of its square.
+        let (x, y) = (x - 0.5, y - 0.5);
+        if !(x >= 0.0 && y >= 0.0) {
+            return None;
+        }
+        let (column, row) = (x as usize, y as usize);
+        if column + 1 >= self.width || row + 1 >= self.height {
+            return None;
+        }
+        let (s, t) = (x - column as f32, y - row as f32);
+        let at = (row * self.width + column) * CHANNELS;
+        let above: &[f32; 4] = self.samples[at..].first_chunk()?;
+        let below: &[f32; 4] = self.samples[at + self.width * CHANNELS..].first_chunk()?;
+        let mix = |k: usize| {
+            let left = above[k] + (below[k] - above[k]) * t;
+            let right = above[k + 2] + (below[k + 2] - above[k + 2]) * t;
+            left + (right - left) * s
+        };
+        let cover = mix(1);
+        (cover > FAINT).then(|| [mix(0), cover])
+    }
+}
+
+/// The smallest range that holds both; an empty one adds nothing.
+fn joined(one: &Range<usize>, other: &Range<usize>) -> Range<usize> {
+    match (one.is_empty(), other.is_empty()) {
+        (true, _) => other.clone(),
+        (_, true) => one.clone(),
+        _ => one.start.min(other.start)..one.end.max(other.end),
+    }
+}
+
+/// Axes of the drawing in the camera frame: x along the apparent motion, y, and z towards the body.
+fn drawing_axes(placement: &Placement) -> [Vector3<f64>; 3] {
+    let towards = placement.camera_from_markers.translation.vector.normalize();
+    let velocity = placement.velocity_in_camera;
+    let sideways = velocity - towards * towards.dot(&velocity);
+    let along = if sideways.norm() > 1e-9 {
+        sideways.normalize()
+    } else {
+        // Any direction does: the axis that is farthest from the line of sight makes a good one.
+        let axis = Vector3::ith(towards.iamin(), 1.0);
+        towards.cross(&axis).normalize()
+    };
+    [along, towards.cross(&along), towards]
+}

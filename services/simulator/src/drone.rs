@@ -1,0 +1,316 @@
+//! What flies: a marker body, as it is printed, on top of its drone.
+
+use flockeye_geometry::body::{Body, Marker};
+use nalgebra::{Point3, Vector3};
+
+use crate::WorldError;
+use crate::patterns::PatternBook;
+use crate::solid::{FLATNESS_M, Face, Solid};
+
+/// Side of a marker's white facet, in sides of its black square.
+pub const FACET_PER_MARKER: f64 = 1.25;
+/// Reflectance of white print, of facets without marker, of black ink, and of the airframe.
+const WHITE: f64 = 0.85;
+const BLANK: f64 = 0.66;
+const BLACK: f64 = 0.035;
+const CARBON: f64 = 0.05;
+/// Share of the light that a spinning propeller takes.
+const PROPELLER_OPACITY: f32 = 0.16;
+/// Thickness that a flat body is given behind its markers, metres.
+const PLATE_M: f64 = 0.003;
+
+/// A polygon that changes the reflectance of what it lies on.
+#[derive(Debug, Clone)]
+pub struct Patch {
+    /// Its corners, in the markers' frame, metres.
+    pub corners: Vec<Point3<f64>>,
+    /// Reflectance, relative to what is beneath.
+    pub change: f64,
+}
+
+/// A flat side with everything printed on it.
+#[derive(Debug, Clone)]
+pub struct PaintedFace {
+    /// Where it is.
+    pub face: Face,
+    /// Its own reflectance.
+    pub reflectance: f64,
+    /// What is printed on it.
+    pub print: Vec<Patch>,
+}
+
+/// A convex part of a drone.
+#[derive(Debug, Clone)]
+pub struct Part {
+    /// Its shape.
+    pub solid: Solid,
+    /// Its sides.
+    pub faces: Vec<PaintedFace>,
+    /// How much of what lies behind it hides: 1 but for propellers.
+    pub opacity: f32,
+}
+
+/// A marker body on its drone, in the markers' frame.
+#[derive(Debug, Clone)]
+pub struct Drone {
+    /// The neighbour's name.
+    pub name: String,
+    /// Its markers.
+    pub markers: Vec<Marker>,
+    /// The marker body first, then the airframe.
+    pub parts: Vec<Part>,
+    /// Radius round the origin that holds all of it, metres.
+    pub radius: f64,
+}
+
+impl Drone {
+    /// Builds the drone of `body`: the convex hull of the markers' facets and, if wanted, an
+    /// airframe below it, in proportion.
+    ///
+    /// # Errors
+    /// A marker whose pattern the book does not have; a body that is not convex.
+    pub fn new(body: &Body, patterns: &PatternBook, airframe: bool) -> Result<Self, WorldError> {
+        let solid = body_solid(body)?;
+        let mut faces: Vec<PaintedFace> = solid
+            .faces
+            .iter()
+            .map(|face| PaintedFace { face: face.clone(), reflectance: BLANK, print: Vec::new() })
+            .collect();
+        for marker in &body.markers {
+            let normal = marker.normal();
+            let carrier = faces
+                .iter_mut()
+                .max_by(|a, b| a.face.normal.dot(&normal).total_cmp(&b.face.normal.dot(&normal)))
+                .ok_or_else(|| not_convex(body, marker))?;
+            print_marker(carrier, marker, patterns)?;
+        }
+        let mut parts = vec![Part { solid, faces, opacity: 1.0 }];
+        if airframe {
+            let low = parts[0].solid.corners.iter().map(|p| p.z).fold(f64::INFINITY, f64::min);
+            parts.extend(airframe_parts(low, body.radius()));
+        }
+        let radius = parts
+            .iter()
+            .flat_map(|part| &part.solid.corners)
+            .map(|corner| corner.coords.norm())
+            .fold(0.0, f64::max);
+        Ok(Self { name: body.name.clone(), markers: body.markers.clone(), parts, radius })
+    }
+
+    /// Whether something opaque of this drone hides `point` from `eye`, both in its markers' frame.
+    pub fn hides(&self, eye: &Point3<f64>, point: &Point3<f64>) -> bool {
+        self.parts.iter().any(|part| part.opacity >= 1.0 && part.solid.hides(eye, point))
+    }
+
+    /// Its parts as seen from `eye`, in the markers' frame, farthest first.
+    pub fn back_to_front(&self, eye: &Point3<f64>) -> Vec<&Part> {
+        let mut left: Vec<&Part> = self.parts.iter().collect();
+        let mut order = Vec::with_capacity(left.len());
+        while !left.is_empty() {
+            let hides_another = |part: &Part| {
+                left.iter().any(|other| {
+                    !std::ptr::eq(*other, part) && part.solid.is_before(&other.solid, eye)
+                })
+            };
+            // In a ring of parts, which boxes this simple never form, any is as good as another.
+            let next = left.iter().position(|part| !hides_another(part)).unwrap_or(0);
+            order.push(left.swap_remove(next));
+        }
+        order
+    }
+}
+
+fn not_convex(body: &Body, marker: &Marker) -> WorldError {
+    WorldError::NotConvex { body: body.name.clone(), marker: marker.id }
+}
+
+/// Corners of the facet of a marker: its square, `scale` times as large.
+fn scaled(marker: &Marker, scale: f64) -> impl Iterator<Item = Point3<f64>> {
+    let centre = marker.centre();
+    marker.corners.iter().map(move |corner| centre + (corner - centre) * scale)
+}
+
+/// The convex hull of the markers' facets. Each of them must lie on its surface.
+fn body_solid(body: &Body) -> Result<Solid, WorldError> {
+    let normals: Vec<Vector3<f64>> = body.markers.iter().map(Marker::normal).collect();
+    let points: Vec<_> =
+        body.markers.iter().flat_map(|marker| scaled(marker, FACET_PER_MARKER)).collect();
+    let mut solid = Solid::hull(points.clone(), &normals);
+    if solid.is_flat() {
+        let behind = points.iter().map(|point| point - normals[0] * PLATE_M);
+        solid = Solid::hull(points.iter().copied().chain(behind).collect(), &normals);
+    }
+    let sunken = body.markers.iter().find(|marker| {
+        let (normal, height) = (marker.normal(), marker.normal().dot(&marker.centre().coords));
+        // Five times: a facet is wider than the square that its plane was measured on.
+        solid.corners.iter().any(|p| normal.dot(&p.coords) > height + 5.0 * FLATNESS_M)
+    });
+    sunken.map_or(Ok(solid), |marker| Err(not_convex(body, marker)))
+}
+
+/// Prints a marker and its white facet on the face that carries it.
+fn print_marker(
+    carrier: &mut PaintedFace,
+    marker: &Marker,
+    patterns: &PatternBook,
+) -> Result<(), WorldError> {
+    let cells = patterns.cells;
+    let is_white = |row, column| {
+        patterns.is_white(marker.id, row, column).ok_or_else(|| WorldError::UnknownMarker {
+            id: marker.id,
+            dictionary: patterns.dictionary.clone(),
+        })
+    };
+    let mut print =
+        |corners: Vec<Point3<f64>>, change| carrier.print.push(Patch { corners, change });
+    print(scaled(marker, FACET_PER_MARKER).collect(), WHITE - BLANK);
+    print(marker.corners.to_vec(), BLACK - WHITE);
+    let [origin, right_end, _, down_end] = marker.corners;
+    let cell = 1.0 / f64::from(cells + 2);
+    let (right, down) = ((right_end - origin) * cell, (down_end - origin) * cell);
+    let at =
+        |row: u32, column: u32| origin + right * f64::from(column + 1) + down * f64::from(row + 1);
+    for row in 0..cells {
+        // White cells side by side are one rectangle.
+        let mut start = 0;
+        while start < cells {
+            let mut end = start;
+            while end < cells && is_white(row, end)? {
+                end += 1;
+            }
+            if end > start {
+                let corners =
+                    vec![at(row, start), at(row, end), at(row + 1, end), at(row + 1, start)];
+                print(corners, WHITE - BLACK);
+            }
+            start = end + 1;
+        }
+    }
+    Ok(())
+}
+
+/// A quadcopter below a body whose lowest point is at height `low`; sizes follow the body's
+/// `radius`. All parts are boxes along the axes that share no inside, so that planes part them.
+fn airframe_parts(low: f64, radius: f64) -> Vec<Part> {
+    // Drawn for a body of 87 mm.
+    let scale = radius / 0.087;
+    let box_at = |x: [f64; 2], y: [f64; 2], z: [f64; 2], opacity: f32| {
+        let corner = |k: usize| [x[k] * scale, y[k] * scale, low + z[k] * scale];
+        let solid = Solid::cuboid(corner(0), corner(1));
+        let paint = |face: &Face| PaintedFace {
+            face: face.clone(),
+            reflectance: CARBON,
+            print: Vec::new(),
+        };
+        let faces = solid.faces.iter().map(paint).collect();
+        Part { solid, faces, opacity }
+    };
+    let mut parts = vec![
+        box_at([-0.012, 0.012], [-0.012, 0.012], [-0.040, -0.0005], 1.0),
+        box_at([-0.110, 0.110], [-0.035, 0.035], [-0.085, -0.040], 1.0),
+        box_at([0.060, 0.100], [-0.020, 0.020], [-0.110, -0.085], 1.0),
+    ];
+    for (front, left) in [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)] {
+        let span = |sign: f64, a: f64, b: f64| if sign > 0.0 { [a, b] } else { [-b, -a] };
+        let arm = span(front, 0.070, 0.086);
+        parts.extend([
+            box_at(arm, span(left, 0.035, 0.130), [-0.068, -0.054], 1.0),
+            box_at(span(front, 0.066, 0.090), span(left, 0.130, 0.154), [-0.074, -0.036], 1.0),
+            box_at(span(front, 0.074, 0.082), span(left, 0.138, 0.146), [-0.120, -0.074], 1.0),
+            propeller([front * 0.078 * scale, left * 0.142 * scale, low - 0.030 * scale], scale),
+        ]);
+    }
+    parts
+}
+
+/// A spinning propeller: a thin translucent disc.
+fn propeller(centre: [f64; 3], scale: f64) -> Part {
+    let ring = |z: f64| {
+        (0..20).map(move |k| {
+            let (sin, cos) = (f64::from(k) * std::f64::consts::TAU / 20.0).sin_cos();
+            let radius = 0.064 * scale;
+            Point3::new(centre[0] + radius * cos, centre[1] + radius * sin, centre[2] + z)
+        })
+    };
+    let solid =
+        Solid::hull(ring(0.0).chain(ring(0.003 * scale)).collect(), &[Vector3::z(), -Vector3::z()]);
+    // Only the discs are drawn: the rim is thin air.
+    let faces = solid
+        .faces
+        .iter()
+        .filter(|face| face.normal.z.abs() > 0.99)
+        .map(|face| PaintedFace { face: face.clone(), reflectance: CARBON, print: Vec::new() })
+        .collect();
+    Part { solid, faces, opacity: PROPELLER_OPACITY }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, clippy::expect_used)]
+mod tests {
+    use flockeye_geometry::body::squares;
+
+    use super::*;
+
+    fn alpha(first_id: u32) -> Body {
+        squares("alpha", 0.0625, 0.05, first_id)
+    }
+
+    #[test]
+    fn each_marker_is_printed_on_its_own_facet() {
+        let drone = Drone::new(&alpha(0), &PatternBook::dict_5x5_250(), true).unwrap();
+        let body = &drone.parts[0];
+        let printed = body.faces.iter().filter(|face| !face.print.is_empty()).count();
+        assert_eq!((body.faces.len(), printed), (26, 17));
+        for face in &body.faces {
+            for patch in &face.print {
+                assert!(patch.corners.iter().all(|c| face.face.height(c).abs() < 1e-9));
+            }
+        }
+        assert!(drone.radius > 0.15 && drone.radius < 0.3, "{}", drone.radius);
+    }
+
+    #[test]
+    fn an_airframe_hides_from_below_and_not_from_above() {
+        let drone = Drone::new(&alpha(0), &PatternBook::dict_5x5_250(), true).unwrap();
+        let lower = drone.markers.iter().find(|marker| marker.id == 13).unwrap().centre();
+        assert!(drone.hides(&Point3::new(0.15, 0.0, -1.0), &lower));
+        assert!(!drone.hides(&Point3::new(2.0, 0.0, 0.0), &lower));
+        let bare = Drone::new(&alpha(0), &PatternBook::dict_5x5_250(), false).unwrap();
+        assert!(!bare.hides(&Point3::new(0.15, 0.0, -1.0), &lower));
+    }
+
+    #[test]
+    fn parts_come_farthest_first() {
+        let drone = Drone::new(&alpha(0), &PatternBook::dict_5x5_250(), true).unwrap();
+        for eye in [[1.0, 0.3, 0.2], [0.1, -0.2, -0.9], [-0.5, 0.6, 0.8], [0.0, 0.0, 1.5]] {
+            let eye = Point3::from(eye);
+            let order = drone.back_to_front(&eye);
+            assert_eq!(order.len(), drone.parts.len());
+            for (k, part) in order.iter().enumerate() {
+                let hidden = order[k + 1..].iter().find(|o| part.solid.is_before(&o.solid, &eye));
+                assert!(hidden.is_none(), "from {eye}, part {k} hides a later one");
+            }
+        }
+    }
+
+    #[test]
+    fn flat_bodies_get_a_back_and_hollow_ones_are_refused() {
+        let mut plate = alpha(0);
+        plate.markers.truncate(1);
+        let drone = Drone::new(&plate, &PatternBook::dict_5x5_250(), false).unwrap();
+        assert_eq!(drone.parts[0].faces.len(), 6);
+
+        let mut hollow = alpha(0);
+        let marker = &mut hollow.markers[1];
+        let inwards = marker.normal() * -0.02;
+        marker.corners.iter_mut().for_each(|corner| *corner += inwards);
+        let error = Drone::new(&hollow, &PatternBook::dict_5x5_250(), false).unwrap_err();
+        assert!(error.to_string().contains("marker 1 of body 'alpha'"), "{error}");
+    }
+
+    #[test]
+    fn unknown_patterns_are_refused() {
+        let error = Drone::new(&alpha(240), &PatternBook::dict_5x5_250(), false).unwrap_err();
+        assert!(error.to_string().contains("250"), "{error}");
+    }
+}

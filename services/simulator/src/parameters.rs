@@ -1,0 +1,196 @@
+//! What a synthetic world can be told.
+
+use serde::{Deserialize, Serialize};
+
+/// How finely bodies are drawn before the lens blurs them.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Quality {
+    /// Twice the sphere's density: a fraction of a frame's time.
+    #[default]
+    Realtime,
+    /// Four times the sphere's density: for work on accuracy, not in real time.
+    Accurate,
+}
+
+impl Quality {
+    /// Samples of the drawing for each pixel of the sphere image, along a line.
+    pub fn density(self) -> f64 {
+        match self {
+            Self::Realtime => 2.0,
+            Self::Accurate => 4.0,
+        }
+    }
+}
+
+/// A synthetic world: its camera, its light and how its bodies fly.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct WorldParameters {
+    /// Everything random follows from it: the same seed gives the same bytes.
+    pub seed: u64,
+    /// Columns of the sphere image, pixels; twice its rows.
+    pub width: u32,
+    /// Rows of the sphere image, pixels.
+    pub height: u32,
+    /// Frames in each second; the middle of frame k's exposure is at k / `frames_per_second`.
+    pub frames_per_second: f64,
+    /// How long each frame is exposed, seconds.
+    pub exposure_s: f64,
+    /// Sensitivity: shot noise grows with its root, read noise with itself. 0 is a picture without
+    /// noise.
+    pub iso: u32,
+    /// Standard deviation of the noise that is there without light, at ISO 100, as a share of full
+    /// scale in linear light.
+    pub read_noise: f64,
+    /// Standard deviation of the photon noise at full scale, at ISO 100, as a share of full scale.
+    pub shot_noise: f64,
+    /// Standard deviation of the lens's Gaussian point spread, sphere pixels.
+    pub lens_blur_px: f64,
+    /// Rate at which the observer turns to its left, degrees per second.
+    pub observer_yaw_rate_deg_s: f64,
+    /// Nearest and farthest distance of the bodies' centres from the camera, metres.
+    pub distance_m: [f64; 2],
+    /// Greatest speed of any body, metres per second.
+    pub speed_m_s: f64,
+    /// Whether the bodies sit on drones, and the camera on one, that hide things.
+    pub airframes: bool,
+    /// How finely bodies are drawn.
+    pub quality: Quality,
+}
+
+impl Default for WorldParameters {
+    fn default() -> Self {
+        Self {
+            seed: 1,
+            width: 3840,
+            height: 1920,
+            frames_per_second: 30.0,
+            exposure_s: 0.00625,
+            iso: 400,
+            read_noise: 0.0004,
+            shot_noise: 0.0078,
+            lens_blur_px: 0.8,
+            observer_yaw_rate_deg_s: 12.0,
+            distance_m: [0.6, 2.0],
+            speed_m_s: 0.8,
+            airframes: true,
+            quality: Quality::Realtime,
+        }
+    }
+}
+
+impl WorldParameters {
+    /// Everything that is wrong with the values, in words; empty for a world that can be made.
+    pub fn problems(&self) -> Vec<String> {
+        let mut problems = Vec::new();
+        let mut refuse = |bad: bool, why: String| {
+            if bad {
+                problems.push(why);
+            }
+        };
+        let within = |value: f64, low: f64, high: f64| value >= low && value <= high;
+        let Self { width, height, frames_per_second: rate, exposure_s, .. } = *self;
+        refuse(
+            width != height.saturating_mul(2) || !(64..=16384).contains(&width),
+            format!(
+                "size {width}x{height}: width must be twice the height, and 64 to 16384 pixels"
+            ),
+        );
+        refuse(
+            !within(rate, 0.1, 1000.0),
+            format!("frames_per_second {rate}: must be 0.1 to 1000"),
+        );
+        refuse(
+            !(exposure_s >= 0.0 && exposure_s * rate <= 1.0),
+            format!(
+                "exposure_s {exposure_s}: must be 0 to one frame's time, {} s at {rate} frames/s",
+                1.0 / rate
+            ),
+        );
+        for (name, value) in [("read_noise", self.read_noise), ("shot_noise", self.shot_noise)] {
+            refuse(
+                !within(value, 0.0, 1.0),
+                format!("{name} {value}: must be 0 to 1, as a share of full scale"),
+            );
+        }
+        refuse(self.iso > 102_400, format!("iso {}: must be 0 to 102400", self.iso));
+        refuse(
+            !within(self.lens_blur_px, 0.3, 5.0),
+            format!("lens_blur_px {}: must be 0.3 to 5", self.lens_blur_px),
+        );
+        refuse(
+            !within(self.observer_yaw_rate_deg_s, -360.0, 360.0),
+            format!(
+                "observer_yaw_rate_deg_s {}: must be -360 to 360",
+                self.observer_yaw_rate_deg_s
+            ),
+        );
+        let [near, far] = self.distance_m;
+        refuse(
+            !(near > 0.0 && near <= far && far <= 100.0),
+            format!("distance_m [{near}, {far}]: nearest first, above 0, at most 100 m"),
+        );
+        refuse(
+            !within(self.speed_m_s, 0.0, 20.0),
+            format!("speed_m_s {}: must be 0 to 20", self.speed_m_s),
+        );
+        problems
+    }
+
+    /// Pixels for each radian along the equator and along every meridian.
+    pub fn pixels_per_radian(&self) -> f64 {
+        f64::from(self.width) / std::f64::consts::TAU
+    }
+
+    /// Rate at which the observer turns, radians per second.
+    pub fn observer_yaw_rate(&self) -> f64 {
+        self.observer_yaw_rate_deg_s.to_radians()
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, clippy::expect_used)]
+mod tests {
+    use super::*;
+
+    fn refused(change: impl FnOnce(&mut WorldParameters)) -> String {
+        let mut parameters = WorldParameters::default();
+        change(&mut parameters);
+        parameters.problems().join("; ")
+    }
+
+    #[test]
+    fn the_defaults_are_a_world() {
+        assert_eq!(refused(|_| ()), "");
+    }
+
+    #[test]
+    fn what_cannot_be_is_refused_with_its_reason() {
+        assert!(refused(|p| p.frames_per_second = 0.0).contains("frames_per_second 0"));
+        assert!(refused(|p| p.frames_per_second = f64::NAN).contains("frames_per_second NaN"));
+        assert!(refused(|p| p.height = 1000).contains("3840x1000: width must be twice"));
+        assert!(refused(|p| p.exposure_s = 0.05).contains("must be 0 to one frame's time"));
+        assert!(refused(|p| p.exposure_s = -0.001).contains("exposure_s -0.001"));
+        assert!(refused(|p| p.read_noise = -0.1).contains("read_noise -0.1"));
+        assert!(refused(|p| p.shot_noise = f64::NAN).contains("shot_noise NaN"));
+        assert!(refused(|p| p.lens_blur_px = 0.0).contains("lens_blur_px 0"));
+        assert!(refused(|p| p.distance_m = [2.0, 1.0]).contains("distance_m [2, 1]"));
+        assert!(refused(|p| p.speed_m_s = -1.0).contains("speed_m_s -1"));
+    }
+
+    #[test]
+    fn everything_wrong_is_named_at_once() {
+        let all = refused(|p| (p.iso, p.speed_m_s, p.width) = (1_000_000, 99.0, 10));
+        assert!(["iso", "speed_m_s", "size"].iter().all(|name| all.contains(name)), "{all}");
+    }
+
+    #[test]
+    fn a_mistyped_key_is_refused() {
+        let error = serde_json::from_str::<WorldParameters>(r#"{"exposure": 0.001}"#).unwrap_err();
+        assert!(error.to_string().contains("unknown field `exposure`"), "{error}");
+        let parsed: WorldParameters =
+            serde_json::from_str(r#"{"quality": "accurate", "distance_m": [1, 3]}"#).unwrap();
+        assert_eq!((parsed.quality, parsed.distance_m), (Quality::Accurate, [1.0, 3.0]));
+    }
+}

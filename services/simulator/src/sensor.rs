@@ -1,0 +1,203 @@
+//! From linear light to the bytes of a camera: curve, clipping and noise.
+
+use rand::rngs::StdRng;
+use rand::{RngExt, SeedableRng};
+use rand_distr::StandardNormal;
+
+use crate::parameters::WorldParameters;
+use crate::scatter::mix;
+
+/// Steps of the table from the root of light to the encoded level: fine enough that rounding to
+/// whole levels moves by less than 0.02 level.
+const ENCODING_STEPS: usize = 16_384;
+/// Samples in the noise field.
+const NOISE_SAMPLES: usize = 1 << 20;
+/// Standard deviation of the noise field's values.
+const NOISE_UNIT: f32 = 32.0;
+/// Units of a sigma value for each grey level.
+const SIGMA_UNIT: f32 = 16.0;
+/// Noise value times sigma value, for one grey level, as a power of two.
+const NOISE_SHIFT: i16 = 9;
+
+/// A camera's sensor and encoder.
+#[derive(Debug)]
+pub struct Sensor {
+    decode: [f32; 256],
+    encode: Vec<u8>,
+    shot_variance: f32,
+    read_variance: f32,
+    sigma_of_level: [u8; 256],
+    noise: Vec<i8>,
+    seed: u64,
+}
+
+/// Linear light, as a share of full scale, of a value encoded by the sRGB curve (IEC 61966-2-1),
+/// from 0 to 1.
+pub fn srgb_decoded(encoded: f32) -> f32 {
+    if encoded <= 0.040_45 { encoded / 12.92 } else { ((encoded + 0.055) / 1.055).powf(2.4) }
+}
+
+/// Value from 0 to 1 that the sRGB curve gives to linear light from 0 to 1.
+pub fn srgb_encoded(light: f32) -> f32 {
+    if light <= 0.003_130_8 { light * 12.92 } else { 1.055 * light.powf(1.0 / 2.4) - 0.055 }
+}
+
+impl Sensor {
+    /// The sensor of a world.
+    pub fn new(parameters: &WorldParameters) -> Self {
+        let gain = f64::from(parameters.iso) / 100.0;
+        let shot_variance = (gain * parameters.shot_noise.powi(2)) as f32;
+        let read_variance = (gain * parameters.read_noise).powi(2) as f32;
+        let root = |step: usize| (step as f32 + 0.5) / ENCODING_STEPS as f32;
+        let mut random = StdRng::seed_from_u64(parameters.seed ^ 0x6e6f_6973);
+        let noise = if shot_variance + read_variance > 0.0 { NOISE_SAMPLES } else { 0 };
+        let mut sensor = Self {
+            decode: std::array::from_fn(|level| srgb_decoded(level as f32 / 255.0)),
+            encode: (0..ENCODING_STEPS)
+                .map(|step| (srgb_encoded(root(step).powi(2)) * 255.0).round() as u8)
+                .collect(),
+            shot_variance,
+            read_variance,
+            sigma_of_level: [0; 256],
+            noise: (0..noise)
+                .map(|_| (random.sample::<f32, _>(StandardNormal) * NOISE_UNIT).round() as i8)
+                .collect(),
+            seed: parameters.seed,
+        };
+        sensor.sigma_of_level =
+            std::array::from_fn(|level| sensor.sigma_of_light(sensor.decode[level]));
+        sensor
+    }
+
+    /// Linear light of a level.
+    pub fn light(&self, level: u8) -> f32 {
+        self.decode[usize::from(level)]
+    }
+
+    /// Level of linear light, clipped at full scale.
+    pub fn level(&self, light: f32) -> u8 {
+        let step = (light.max(0.0).sqrt() * ENCODING_STEPS as f32) as usize;
+        self.encode[step.min(ENCODING_STEPS - 1)]
+    }
+
+    /// Noise at a level, as [`Sensor::expose`] takes it.
+    pub fn sigma(&self, level: u8) -> u8 {
+        self.sigma_of_level[usize::from(level)]
+    }
+
+    /// Noise at a light that may lie above full scale, where clipping leaves none.
+    pub fn sigma_of_light(&self, light: f32) -> u8 {
+        let sigma = (self.shot_variance * light + self.read_variance).sqrt();
+        if light - 4.0 * sigma > 1.0 {
+            return 0;
+        }
+        // Mean slope of the curve over what the noise reaches: it bends too much for the tangent.
+        let (low, high) = ((light - sigma).max(0.0), (light + sigma).min(1.0));
+        let slope = if high - low > 1e-9 {
+            (srgb_encoded(high) - srgb_encoded(low)) / (high - low)
+        } else {
+            0.0
+        };
+        (sigma * slope * 255.0 * SIGMA_UNIT).round() as u8
+    }
+
+    /// Writes a row of `levels` with noise of their `sigmas`, the same for the same `frame` and
+    /// `row`. `column` is where in the row the levels begin.
+    pub fn expose(
+        &self,
+        frame: u64,
+        row: usize,
+        column: usize,
+        levels: &[u8],
+        sigmas: &[u8],
+        out: &mut [u8],
+    ) {
+        if self.noise.is_empty() {
+            out.copy_from_slice(levels);
+            return;
+        }
+        let room = NOISE_SAMPLES - (column + levels.len());
+        let offset = mix(self.seed ^ mix(frame) ^ mix(row as u64 + 1)) as usize % room;
+        let noise = &self.noise[offset + column..][..levels.len()];
+        add_noise(levels, sigmas, noise, out);
+    }
+}
+
+fn add_noise(levels: &[u8], sigmas: &[u8], noise: &[i8], out: &mut [u8]) {
+    for (((out, level), sigma), noise) in out.iter_mut().zip(levels).zip(sigmas).zip(noise) {
+        // At most 127 * 255 + 256: it fits.
+        let change =
+            (i16::from(*noise) * i16::from(*sigma) + (1 << (NOISE_SHIFT - 1))) >> NOISE_SHIFT;
+        *out = (i16::from(*level) + change).clamp(0, 255) as u8;
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, clippy::expect_used)]
+mod tests {
+    use super::*;
+
+    fn sensor(iso: u32) -> Sensor {
+        Sensor::new(&WorldParameters { iso, ..Default::default() })
+    }
+
+    #[test]
+    fn levels_survive_decoding() {
+        let sensor = sensor(0);
+        for level in 0..=255 {
+            assert_eq!(sensor.level(sensor.light(level)), level);
+        }
+        assert_eq!((sensor.level(-0.1), sensor.level(7.0)), (0, 255));
+        // A value of the standard: half of full scale is 0.735 encoded.
+        assert!((srgb_encoded(0.5) - 0.735_36).abs() < 1e-5);
+        assert!((srgb_decoded(0.735_36) - 0.5).abs() < 1e-4);
+    }
+
+    #[test]
+    fn noise_has_the_strength_asked_for_and_no_bias() {
+        let sensor = sensor(400);
+        for level in [60u8, 120, 200] {
+            let levels = vec![level; 3840];
+            let sigmas = vec![sensor.sigma(level); 3840];
+            let (mut sum, mut squares) = (0.0, 0.0);
+            for row in 0..20 {
+                let mut out = vec![0; 3840];
+                sensor.expose(3, row, 0, &levels, &sigmas, &mut out);
+                for value in out {
+                    let light = f64::from(srgb_decoded(f32::from(value) / 255.0));
+                    sum += light;
+                    squares += light * light;
+                }
+            }
+            let count = 20.0 * 3840.0;
+            let light = f64::from(sensor.light(level));
+            let expected = (4.0 * 0.0078f64.powi(2) * light + (4.0f64 * 0.0004).powi(2)).sqrt();
+            let mean = sum / count;
+            let deviation = (squares / count - mean * mean).sqrt();
+            assert!((deviation / expected - 1.0).abs() < 0.06, "{level}: {deviation} {expected}");
+            assert!((mean - light).abs() < 0.05 * expected, "{level}: {mean} {light}");
+        }
+    }
+
+    #[test]
+    fn noise_repeats_for_a_frame_and_differs_between_frames_and_rows() {
+        let sensor = sensor(400);
+        let (levels, sigmas) = (vec![128; 64], vec![sensor.sigma(128); 64]);
+        let row = |frame, row| {
+            let mut out = vec![0; 64];
+            sensor.expose(frame, row, 0, &levels, &sigmas, &mut out);
+            out
+        };
+        assert_eq!(row(5, 9), row(5, 9));
+        assert_ne!(row(5, 9), row(6, 9));
+        assert_ne!(row(5, 9), row(5, 10));
+    }
+
+    #[test]
+    fn without_sensitivity_there_is_no_noise() {
+        let sensor = sensor(0);
+        let mut out = vec![0; 3];
+        sensor.expose(0, 0, 0, &[0, 128, 255], &[0; 3], &mut out);
+        assert_eq!((out, sensor.sigma(128)), (vec![0, 128, 255], 0));
+    }
+}

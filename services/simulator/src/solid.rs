@@ -1,0 +1,207 @@
+//! Convex solids: hulls, boxes, and what hides what.
+
+use nalgebra::{Point3, Vector3};
+
+/// One flat side of a solid.
+#[derive(Debug, Clone)]
+pub struct Face {
+    /// Outward unit normal.
+    pub normal: Vector3<f64>,
+    /// Distance of its plane from the origin along the normal, metres.
+    pub offset: f64,
+    /// Its corners in order round the normal, metres.
+    pub corners: Vec<Point3<f64>>,
+}
+
+impl Face {
+    /// Height of `point` above the face's plane, metres; negative inside of it.
+    pub fn height(&self, point: &Point3<f64>) -> f64 {
+        self.normal.dot(&point.coords) - self.offset
+    }
+}
+
+/// A convex polyhedron, in the markers' frame.
+#[derive(Debug, Clone)]
+pub struct Solid {
+    /// Its sides.
+    pub faces: Vec<Face>,
+    /// Its corners, each once.
+    pub corners: Vec<Point3<f64>>,
+}
+
+/// Points this near to a plane lie on it: bodies are measured, and written down, no finer.
+pub const FLATNESS_M: f64 = 1e-4;
+
+impl Solid {
+    /// The box between two opposite corners.
+    pub fn cuboid(low: [f64; 3], high: [f64; 3]) -> Self {
+        let corners = (0..8).map(|k| {
+            let pick = |axis: usize| if k >> axis & 1 == 0 { low[axis] } else { high[axis] };
+            Point3::new(pick(0), pick(1), pick(2))
+        });
+        Self::hull(corners.collect(), &[])
+    }
+
+    /// The convex hull of points that do not all lie in one plane. Planes of `known_normals` that
+    /// touch the hull from outside become faces first, so that they keep their exact normals.
+    ///
+    /// Every triple of points is tried as a face: right for the hundred points that a body has.
+    pub fn hull(points: Vec<Point3<f64>>, known_normals: &[Vector3<f64>]) -> Self {
+        let mut corners: Vec<Point3<f64>> = Vec::new();
+        for point in points {
+            if corners.iter().all(|corner| (corner - point).norm() > FLATNESS_M) {
+                corners.push(point);
+            }
+        }
+        let mut faces: Vec<Face> = Vec::new();
+        for normal in known_normals {
+            add_face(&mut faces, &corners, *normal);
+        }
+        let count = corners.len();
+        for a in 0..count {
+            for b in a + 1..count {
+                for c in b + 1..count {
+                    let cross = (corners[b] - corners[a]).cross(&(corners[c] - corners[a]));
+                    let on_one_face = |face: &Face| {
+                        [a, b, c].iter().all(|&k| face.height(&corners[k]).abs() < FLATNESS_M)
+                    };
+                    // Three points nearly in a line say nothing of a plane.
+                    if cross.norm() < 1e-8 || faces.iter().any(on_one_face) {
+                        continue;
+                    }
+                    let normal = cross.normalize();
+                    let height = |k: usize| normal.dot(&(corners[k] - corners[a]));
+                    if (0..count).all(|k| height(k) < FLATNESS_M) {
+                        add_face(&mut faces, &corners, normal);
+                    } else if (0..count).all(|k| height(k) > -FLATNESS_M) {
+                        add_face(&mut faces, &corners, -normal);
+                    }
+                }
+            }
+        }
+        Self { faces, corners }
+    }
+
+    /// Whether all corners lie in one plane, so that there is no inside.
+    pub fn is_flat(&self) -> bool {
+        self.faces
+            .iter()
+            .any(|face| self.corners.iter().all(|corner| face.height(corner).abs() < FLATNESS_M))
+    }
+
+    /// Whether the way from `eye` to `point` goes through the solid before it reaches `point`.
+    pub fn hides(&self, eye: &Point3<f64>, point: &Point3<f64>) -> bool {
+        // Clip the segment against every face (Cyrus and Beck 1978); a face's own points stay seen.
+        let (mut enter, mut leave) = (0.0f64, 1.0 - 1e-6f64);
+        for face in &self.faces {
+            let (from, to) = (face.height(eye), face.height(point));
+            if from > 0.0 && to > 0.0 {
+                return false;
+            }
+            let slope = to - from;
+            if slope < 0.0 {
+                enter = enter.max(-from / slope);
+            } else if slope > 0.0 {
+                leave = leave.min(-from / slope);
+            }
+        }
+        enter + 1e-6 < leave
+    }
+
+    /// Whether this solid can hide a part of `other` from `eye`. It cannot when a face of either
+    /// has the two on different sides, and the eye on the other one's. Solids that no face parts
+    /// are told apart by their distance.
+    pub fn is_before(&self, other: &Self, eye: &Point3<f64>) -> bool {
+        // Heights of the eye above the faces of one solid that have the other one outside.
+        let parting = |of: &Self, from: &Self| -> Vec<f64> {
+            let outside = |face: &&Face| from.corners.iter().all(|p| face.height(p) > -1e-9);
+            of.faces.iter().filter(outside).map(|face| face.height(eye)).collect()
+        };
+        let (own, others) = (parting(self, other), parting(other, self));
+        if own.is_empty() && others.is_empty() {
+            return (self.middle() - eye).norm() < (other.middle() - eye).norm();
+        }
+        own.into_iter().all(|height| height <= 0.0) && others.into_iter().all(|height| height > 0.0)
+    }
+
+    fn middle(&self) -> Point3<f64> {
+        let sum: Vector3<f64> = self.corners.iter().map(|corner| corner.coords).sum();
+        Point3::from(sum / self.corners.len().max(1) as f64)
+    }
+}
+
+/// Adds the face that touches `corners` from the side of `normal`, if it has at least three.
+fn add_face(faces: &mut Vec<Face>, corners: &[Point3<f64>], normal: Vector3<f64>) {
+    let offset = corners.iter().map(|p| normal.dot(&p.coords)).fold(f64::NEG_INFINITY, f64::max);
+    let mut face = Face { normal, offset, corners: Vec::new() };
+    let mut touching: Vec<Point3<f64>> =
+        corners.iter().filter(|p| face.height(p) > -FLATNESS_M).copied().collect();
+    let known = |f: &Face| f.normal.dot(&normal) > 0.999_999;
+    if touching.len() < 3 || faces.iter().any(known) {
+        return;
+    }
+    let sum: Vector3<f64> = touching.iter().map(|p| p.coords).sum();
+    let middle = Point3::from(sum / touching.len() as f64);
+    let across = (touching[0] - middle).normalize();
+    let along = normal.cross(&across);
+    let angle = |p: &Point3<f64>| along.dot(&(p - middle)).atan2(across.dot(&(p - middle)));
+    touching.sort_by(|a, b| angle(a).total_cmp(&angle(b)));
+    face.corners = touching;
+    faces.push(face);
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, clippy::expect_used)]
+mod tests {
+    use super::*;
+
+    fn cube() -> Solid {
+        Solid::cuboid([-1.0; 3], [1.0; 3])
+    }
+
+    #[test]
+    fn a_box_has_six_faces_of_four_corners() {
+        let cube = cube();
+        assert_eq!((cube.faces.len(), cube.corners.len()), (6, 8));
+        for face in &cube.faces {
+            assert_eq!(face.corners.len(), 4);
+            assert!((face.offset - 1.0).abs() < 1e-12);
+            let turn = (face.corners[1] - face.corners[0])
+                .cross(&(face.corners[2] - face.corners[1]))
+                .dot(&face.normal);
+            assert!((turn - 4.0).abs() < 1e-9, "counter-clockwise round the normal: {turn}");
+        }
+    }
+
+    #[test]
+    fn the_preset_body_is_a_rhombicuboctahedron() {
+        let body = flockeye_geometry::body::squares("a", 0.0625, 0.0625, 0);
+        let normals: Vec<_> = body.markers.iter().map(|marker| marker.normal()).collect();
+        let hull = Solid::hull(body.corners().copied().collect(), &normals);
+        let with = |sides: usize| hull.faces.iter().filter(|f| f.corners.len() == sides).count();
+        assert_eq!((hull.corners.len(), hull.faces.len(), with(4), with(3)), (24, 26, 18, 8));
+        assert!(!hull.is_flat());
+    }
+
+    #[test]
+    fn a_segment_through_the_box_is_hidden_and_beside_it_is_not() {
+        let cube = cube();
+        let eye = Point3::new(5.0, 0.0, 0.0);
+        assert!(cube.hides(&eye, &Point3::new(-5.0, 0.2, 0.3)));
+        assert!(!cube.hides(&eye, &Point3::new(-5.0, 4.0, 0.0)));
+        assert!(!cube.hides(&eye, &Point3::new(2.0, 0.0, 0.0)), "in front");
+        assert!(!cube.hides(&eye, &Point3::new(1.0, 0.5, 0.5)), "on the near face");
+        assert!(cube.hides(&eye, &Point3::new(-1.0, 0.5, 0.5)), "on the far face");
+    }
+
+    #[test]
+    fn order_follows_the_parting_plane_and_not_the_distance() {
+        // A long plank under the eye is nearer in the middle, yet the small box on it hides it.
+        let plank = Solid::cuboid([-10.0, -1.0, -1.0], [10.0, 1.0, 0.0]);
+        let on_it = Solid::cuboid([8.0, -0.5, 0.0], [9.0, 0.5, 1.0]);
+        let eye = Point3::new(0.0, 0.0, 3.0);
+        assert!(on_it.is_before(&plank, &eye) && !plank.is_before(&on_it, &eye));
+        let below = Point3::new(0.0, 0.0, -3.0);
+        assert!(plank.is_before(&on_it, &below) && !on_it.is_before(&plank, &below));
+    }
+}

@@ -1,0 +1,214 @@
+//! The ports around the simulated world.
+
+use anyhow::Context as _;
+use flockeye_contract::{
+    BodyTruth, FrameHeader, FrameStamp, Frames, PixelFormat, Pose, Projection, Range, Transfer,
+    TruthHeader, Truths,
+};
+use flockeye_geometry::body::{Bodies, Body};
+use flockeye_runtime::bodies::isometry;
+use flockeye_runtime::config::{Flow, Pipeline};
+use flockeye_runtime::credits::Credits;
+use flockeye_runtime::health::SharedCounters;
+use flockeye_runtime::ports::{Ports, Publisher};
+use flockeye_runtime::{Context, Stage, Step, clock};
+use nalgebra::Isometry3;
+
+use crate::schedule::Schedule;
+use crate::{FrameTruth, PatternBook, TargetTruth, World, WorldParameters};
+
+/// Takes nothing (in a lossless run: plans, as credits); gives frames and their truth.
+pub struct SimulatorStage {
+    frames: Publisher<Frames>,
+    truths: Publisher<Truths>,
+    credits: Credits,
+    world: World,
+    bodies: Vec<Body>,
+    observer_from_camera: Isometry3<f64>,
+    schedule: Option<Schedule>,
+    frames_per_second: f64,
+    flow: Flow,
+    next_frame: u64,
+    last_frame: u64,
+    generation: u32,
+    counters: SharedCounters,
+}
+
+impl Stage for SimulatorStage {
+    const NAME: &'static str = "simulator";
+
+    fn open(context: &Context, ports: &mut Ports) -> anyhow::Result<Self> {
+        let pipeline = &context.pipeline;
+        anyhow::ensure!(
+            pipeline.transfer() == (Transfer::Srgb, 0.0),
+            "camera.response: the simulated camera has the sRGB curve. Cure: set it to srgb"
+        );
+        let flying = flying_bodies(pipeline)?;
+        let world = match &flying {
+            Some(bodies) => World::new(parameters(pipeline), bodies, &PatternBook::dict_5x5_250())?,
+            None => World::empty(parameters(pipeline))?,
+        };
+        context.counters.set_detail(format!(
+            "{} neighbours, {} frames/s, seed {}",
+            pipeline.simulator.neighbours,
+            pipeline.simulator.frames_per_second,
+            pipeline.simulator.seed
+        ));
+        Ok(Self {
+            frames: ports.publisher()?,
+            truths: ports.side_publisher()?,
+            credits: Credits::open(pipeline, ports)?,
+            world,
+            bodies: flying.iter().flat_map(Bodies::iter).cloned().collect(),
+            observer_from_camera: isometry(&pipeline.observer.observer_from_camera),
+            schedule: None,
+            frames_per_second: pipeline.simulator.frames_per_second,
+            flow: pipeline.flow,
+            next_frame: 0,
+            last_frame: match pipeline.simulator.frames {
+                0 => u64::MAX,
+                frames => frames - 1,
+            },
+            generation: context.identity.generation,
+            counters: context.counters.clone(),
+        })
+    }
+
+    fn step(&mut self) -> anyhow::Result<Step> {
+        if !self.credits.may_send()? {
+            return Ok(Step::WaitUntil(clock::monotonic_ns() + 100_000_000));
+        }
+        if self.next_frame > self.last_frame {
+            return Ok(Step::Finished);
+        }
+        match self.flow {
+            Flow::Lossless => {
+                let frame = self.next_frame;
+                let stream_ns = (self.world.time_of(frame) * 1e9).round() as i64;
+                self.send(frame, stream_ns)?;
+                Ok(Step::Again)
+            }
+            Flow::Latest => {
+                let now_ns = clock::monotonic_ns();
+                let schedule = self
+                    .schedule
+                    .get_or_insert_with(|| Schedule::new(now_ns, self.frames_per_second));
+                if let Some(due) = schedule.due(now_ns) {
+                    let exposure_ns = schedule.exposure_ns(due.frame);
+                    self.counters.add_dropped(due.skipped);
+                    if due.frame <= self.last_frame {
+                        self.send(due.frame, exposure_ns)?;
+                    }
+                    self.next_frame = due.frame + 1;
+                }
+                Ok(Step::WaitUntil(self.schedule.map_or(now_ns, |schedule| schedule.next_ns())))
+            }
+        }
+    }
+}
+
+impl SimulatorStage {
+    fn send(&mut self, frame: u64, exposure_ns: i64) -> anyhow::Result<()> {
+        let begun_ns = clock::monotonic_ns();
+        let (width, height) = (self.world.parameters().width, self.world.parameters().height);
+        let mut loan = self.frames.loan(width as usize * height as usize)?;
+        let truth = self
+            .world
+            .render(frame, loan.items_mut(), width as usize)
+            .with_context(|| format!("frame {frame}"))?;
+        let published_ns = clock::monotonic_ns();
+        let stamp = FrameStamp {
+            sequence: frame,
+            exposure_ns,
+            stream_ns: (truth.time_s * 1e9).round() as i64,
+            published_ns,
+            epoch: 0,
+            source_generation: self.generation,
+        };
+        // Before the frame, so that whoever has a track of it has the truth too.
+        let bodies: Vec<BodyTruth> = truth
+            .bodies
+            .iter()
+            .zip(&self.bodies)
+            .map(|(target, body)| self.body_truth(target, body))
+            .collect();
+        self.truths.send(truth_header(stamp, &truth), &bodies)?;
+        loan.send(FrameHeader {
+            stamp,
+            exposure_time_ns: (truth.exposure_s * 1e9).round() as u64,
+            readout_ns: 0,
+            width,
+            height,
+            stride: width,
+            pixel_format: PixelFormat::Gray8.code(),
+            transfer: Transfer::Srgb.code(),
+            gamma: 0.0,
+            range: Range::Full.code(),
+            projection: Projection::Equirectangular.code(),
+        })?;
+        self.counters.add_latency_ns(published_ns - begun_ns);
+        self.credits.note_sent(stamp);
+        self.next_frame = frame + 1;
+        Ok(())
+    }
+
+    fn body_truth(&self, target: &TargetTruth, body: &Body) -> BodyTruth {
+        let camera_from_target = target.camera_from_markers * body.target_from_markers.inverse();
+        BodyTruth {
+            camera_from_markers: pose(&target.camera_from_markers),
+            observer_from_target: pose(&(self.observer_from_camera * camera_from_target)),
+            best_side_px: target.best_side_px,
+            blur_px: target.blur_px,
+            name: target.name.as_str().into(),
+            target: target.target as u32,
+            markers_visible_50: target.markers_visible_50,
+            markers_visible_90: target.markers_visible_90,
+            localisable: u32::from(target.localisable),
+        }
+    }
+}
+
+fn truth_header(stamp: FrameStamp, truth: &FrameTruth) -> TruthHeader {
+    TruthHeader { stamp, observer_yaw: truth.observer_yaw, exposure_s: truth.exposure_s }
+}
+
+fn pose(isometry: &Isometry3<f64>) -> Pose {
+    Pose {
+        position: isometry.translation.vector.into(),
+        orientation: isometry.rotation.coords.into(),
+    }
+}
+
+/// The bodies that fly: the first of those configured.
+fn flying_bodies(pipeline: &Pipeline) -> anyhow::Result<Option<Bodies>> {
+    let all = pipeline.bodies()?;
+    let count = pipeline.simulator.neighbours as usize;
+    anyhow::ensure!(
+        count <= all.len(),
+        "simulator.neighbours: {count} neighbours, but {} bodies are configured",
+        all.len()
+    );
+    if count == 0 {
+        return Ok(None);
+    }
+    let bodies = all.iter().take(count).cloned().collect();
+    Ok(Some(Bodies::new(all.dictionary.clone(), bodies)?))
+}
+
+fn parameters(pipeline: &Pipeline) -> WorldParameters {
+    let (settings, usual) = (&pipeline.simulator, WorldParameters::default());
+    WorldParameters {
+        seed: u64::from(settings.seed),
+        width: pipeline.camera.width,
+        height: pipeline.camera.height,
+        frames_per_second: settings.frames_per_second,
+        exposure_s: settings.exposure_ms * 1e-3,
+        read_noise: usual.read_noise * settings.noise,
+        shot_noise: usual.shot_noise * settings.noise,
+        lens_blur_px: settings.lens_blur_px,
+        observer_yaw_rate_deg_s: settings.yaw_deg_s,
+        distance_m: settings.distance_m,
+        airframes: settings.airframes,
+        ..usual
+    }
+}

@@ -1,0 +1,398 @@
+//! The world: made once, then asked for frames.
+
+use std::f64::consts::TAU;
+
+use flockeye_geometry::body::Bodies;
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+
+use crate::backdrop::Backdrop;
+use crate::drawing::{Drawing, Lens};
+use crate::drone::Drone;
+use crate::own_airframe::{OwnAirframe, edge_softness};
+use crate::parameters::WorldParameters;
+use crate::patterns::PatternBook;
+use crate::sensor::Sensor;
+use crate::sphere::SphereGrid;
+use crate::trajectory::{self, Trajectory};
+use crate::truth::{self, FrameTruth, Viewer};
+
+/// Least distance of a drone that can be drawn, in its radii.
+const LEAST_DISTANCE: f64 = 1.2;
+
+/// Why a world cannot be made.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum WorldError {
+    /// Values out of their range, all of them.
+    #[error("{}", .0.join("; "))]
+    Parameters(Vec<String>),
+    /// A marker whose pattern nobody gave.
+    #[error(
+        "marker {id} is not in the pattern book of {dictionary}; give its pattern, or use a body of this dictionary"
+    )]
+    UnknownMarker {
+        /// The marker.
+        id: u32,
+        /// The pattern book's dictionary.
+        dictionary: String,
+    },
+    /// A pattern book for another dictionary than the bodies'.
+    #[error(
+        "the bodies' markers are from {bodies}, the pattern book is of {patterns}; give the patterns of {bodies}"
+    )]
+    Dictionary {
+        /// The bodies' dictionary.
+        bodies: String,
+        /// The pattern book's.
+        patterns: String,
+    },
+    /// A pattern book with more cells than fit.
+    #[error("patterns of {0} x {0} cells; 1 to 8 can be drawn")]
+    Cells(u32),
+    /// A body whose markers are not all on the surface of their hull.
+    #[error(
+        "marker {marker} of body '{body}' does not lie on the body's convex hull; only convex bodies can be simulated"
+    )]
+    NotConvex {
+        /// The body.
+        body: String,
+        /// The marker.
+        marker: u32,
+    },
+    /// A distance range that begins inside of a drone.
+    #[error(
+        "body '{body}' comes as near as {near} m, and must stay {least:.2} m away; raise distance_m's first value"
+    )]
+    TooNear {
+        /// The body.
+        body: String,
+        /// Nearest distance, metres.
+        near: f64,
+        /// What is needed, metres.
+        least: f64,
+    },
+    /// More bodies than can fly without meeting.
+    #[error(
+        "{bodies} bodies cannot keep apart between {near} m and {far} m; raise distance_m, or simulate fewer bodies"
+    )]
+    Crowded {
+        /// How many.
+        bodies: usize,
+        /// Nearest distance, metres.
+        near: f64,
+        /// Farthest distance, metres.
+        far: f64,
+    },
+}
+
+/// Why a frame cannot be rendered.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum RenderError {
+    /// Rows that overlap.
+    #[error("a stride of {stride} bytes is shorter than a row of {width} pixels")]
+    Stride {
+        /// Bytes from row to row.
+        stride: usize,
+        /// Pixels in a row.
+        width: usize,
+    },
+    /// Memory that ends before the picture does.
+    #[error("the frame needs {needed} bytes; the memory given has {given}")]
+    Memory {
+        /// Bytes that are needed.
+        needed: usize,
+        /// Bytes that were given.
+        given: usize,
+    },
+    /// A moment that places another number of bodies than the world has.
+    #[error("the moment places {placed} bodies; the world has {bodies}")]
+    Placements {
+        /// How many are placed.
+        placed: usize,
+        /// How many there are.
+        bodies: usize,
+    },
+    /// A body too near to be drawn, or at no finite place.
+    #[error("body '{body}' is at {distance} m; it can be drawn from {least:.2} m on")]
+    TooNear {
+        /// The body.
+        body: String,
+        /// Its distance, metres.
+        distance: f64,
+        /// What is needed, metres.
+        least: f64,
+    },
+}
+
+/// Where a body is, and how it moves, as the camera sees it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Placement {
+    /// Pose of the body's markers in the camera frame.
+    pub camera_from_markers: Isometry3<f64>,
+    /// Velocity relative to the turning camera, in its frame, metres per second.
+    pub velocity_in_camera: Vector3<f64>,
+}
+
+impl Placement {
+    /// Position of the body's centre in the camera frame, metres.
+    pub fn position(&self) -> Vector3<f64> {
+        self.camera_from_markers.translation.vector
+    }
+
+    /// How fast the centre moves across the sphere, radians per second.
+    pub fn angular_speed(&self) -> f64 {
+        let at = self.position();
+        at.cross(&self.velocity_in_camera).norm() / at.norm_squared()
+    }
+}
+
+/// Everything that moves, at one instant.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Moment {
+    /// Seconds since the middle of frame 0's exposure.
+    pub time_s: f64,
+    /// The observer's yaw in the world, radians.
+    pub observer_yaw: f64,
+    /// Every body, by its index in the configuration.
+    pub placements: Vec<Placement>,
+}
+
+/// A synthetic world, seen by a spherical camera at its origin.
+#[derive(Debug)]
+pub struct World {
+    parameters: WorldParameters,
+    drones: Vec<Drone>,
+    trajectories: Vec<Trajectory>,
+    grid: SphereGrid,
+    sensor: Sensor,
+    backdrop: Backdrop,
+    own_airframe: Option<OwnAirframe>,
+    /// Kept from frame to frame for their memory alone.
+    drawings: Vec<Drawing>,
+    levels: Vec<u8>,
+    sigmas: Vec<u8>,
+}
+
+impl World {
+    /// Makes the world: draws the bodies' ways and paints the panorama, which takes a second
+    /// or two at 3840x1920.
+    ///
+    /// # Errors
+    /// [`WorldError`]: parameters out of range, markers without pattern, bodies that are not
+    /// convex or cannot keep apart.
+    pub fn new(
+        parameters: WorldParameters,
+        bodies: &Bodies,
+        patterns: &PatternBook,
+    ) -> Result<Self, WorldError> {
+        if bodies.dictionary != patterns.dictionary {
+            return Err(WorldError::Dictionary {
+                bodies: bodies.dictionary.clone(),
+                patterns: patterns.dictionary.clone(),
+            });
+        }
+        if !(1..=8).contains(&patterns.cells) {
+            return Err(WorldError::Cells(patterns.cells));
+        }
+        let drones = bodies
+            .iter()
+            .map(|body| Drone::new(body, patterns, parameters.airframes))
+            .collect::<Result<Vec<_>, _>>()?;
+        Self::with_drones(parameters, drones)
+    }
+
+    /// A world in which nobody flies: for what must find nothing.
+    ///
+    /// # Errors
+    /// Parameters out of range.
+    pub fn empty(parameters: WorldParameters) -> Result<Self, WorldError> {
+        Self::with_drones(parameters, Vec::new())
+    }
+
+    fn with_drones(parameters: WorldParameters, drones: Vec<Drone>) -> Result<Self, WorldError> {
+        let problems = parameters.problems();
+        if !problems.is_empty() {
+            return Err(WorldError::Parameters(problems));
+        }
+        let near = parameters.distance_m[0];
+        if let Some(drone) = drones.iter().find(|drone| near < least_distance(drone)) {
+            let least = least_distance(drone);
+            return Err(WorldError::TooNear { body: drone.name.clone(), near, least });
+        }
+        let radii: Vec<f64> = drones.iter().map(|drone| drone.radius).collect();
+        let trajectories = trajectory::draw(&parameters, &radii)?;
+        let grid = SphereGrid::new(parameters.width as usize, parameters.height as usize);
+        let sensor = Sensor::new(&parameters);
+        Ok(Self {
+            backdrop: Backdrop::new(&parameters, &grid, &sensor),
+            own_airframe: parameters
+                .airframes
+                .then(|| OwnAirframe::new(&grid, parameters.lens_blur_px, &sensor)),
+            drawings: drones.iter().map(|_| Drawing::default()).collect(),
+            levels: vec![0; grid.width],
+            sigmas: vec![0; grid.width],
+            parameters,
+            drones,
+            trajectories,
+            grid,
+            sensor,
+        })
+    }
+
+    /// What the world was made from.
+    pub fn parameters(&self) -> &WorldParameters {
+        &self.parameters
+    }
+
+    /// Middle of a frame's exposure, seconds since frame 0's.
+    pub fn time_of(&self, frame: u64) -> f64 {
+        frame as f64 / self.parameters.frames_per_second
+    }
+
+    /// Where everything is at a time, seconds since the middle of frame 0's exposure.
+    pub fn moment(&self, time_s: f64) -> Moment {
+        let rate = self.parameters.observer_yaw_rate();
+        let observer_yaw = wrapped(rate * time_s);
+        let camera_from_world = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -observer_yaw);
+        let place = |way: &Trajectory| {
+            let camera_from_markers = camera_from_world * way.world_from_markers(time_s);
+            // In a turning frame everything turns the other way.
+            let turning = Vector3::z() * rate;
+            let velocity_in_camera = camera_from_world * way.velocity(time_s)
+                - turning.cross(&camera_from_markers.translation.vector);
+            Placement { camera_from_markers, velocity_in_camera }
+        };
+        Moment { time_s, observer_yaw, placements: self.trajectories.iter().map(place).collect() }
+    }
+
+    /// Writes the luma plane of a frame (8 bit, sRGB curve, full range) and says what is true of
+    /// it. Rows lie `stride` bytes apart; what lies between them is left alone, and every pixel is
+    /// written once.
+    ///
+    /// # Errors
+    /// [`RenderError`]: memory too small, or a stride shorter than a row.
+    pub fn render(
+        &mut self,
+        frame: u64,
+        luma: &mut [u8],
+        stride: usize,
+    ) -> Result<FrameTruth, RenderError> {
+        let moment = self.moment(self.time_of(frame));
+        self.render_moment(frame, &moment, luma, stride)
+    }
+
+    /// As [`World::render`], with everything where `moment` says. `frame` chooses the noise.
+    ///
+    /// # Errors
+    /// As [`World::render`]; and bodies that are too near or not as many as the world's.
+    pub fn render_moment(
+        &mut self,
+        frame: u64,
+        moment: &Moment,
+        luma: &mut [u8],
+        stride: usize,
+    ) -> Result<FrameTruth, RenderError> {
+        self.check(moment, luma.len(), stride)?;
+        let world_from_camera =
+            UnitQuaternion::from_axis_angle(&Vector3::z_axis(), moment.observer_yaw);
+        let lens = self.lens();
+        let scene = self.drones.iter().zip(&moment.placements);
+        for (drawing, (drone, placement)) in self.drawings.iter_mut().zip(scene) {
+            drawing.draw(drone, placement, &world_from_camera, lens);
+        }
+        self.expose(frame, moment, luma, stride);
+        let viewer = Viewer {
+            pixels_per_radian: self.parameters.pixels_per_radian(),
+            exposure_s: self.parameters.exposure_s,
+            own_airframe: self
+                .own_airframe
+                .as_ref()
+                .map(|_| edge_softness(self.parameters.lens_blur_px, self.grid.width)),
+        };
+        Ok(FrameTruth {
+            frame,
+            time_s: moment.time_s,
+            exposure_s: self.parameters.exposure_s,
+            iso: self.parameters.iso,
+            observer_yaw: moment.observer_yaw,
+            bodies: truth::targets(&self.drones, moment, viewer),
+        })
+    }
+
+    /// Lays the layers over each other, row by row, and adds the noise.
+    fn expose(&mut self, frame: u64, moment: &Moment, luma: &mut [u8], stride: usize) {
+        let width = self.grid.width;
+        let turned = (moment.observer_yaw / TAU * width as f64).round() as i64;
+        let shift = turned.rem_euclid(width as i64) as usize;
+        // Farthest first: what is nearer hides it.
+        let mut order: Vec<usize> = (0..self.drawings.len()).collect();
+        let distance = |index: &usize| moment.placements[*index].position().norm();
+        order.sort_by(|a, b| distance(b).total_cmp(&distance(a)));
+        let layers: Vec<_> = order
+            .into_iter()
+            .map(|index| (&self.drawings[index], self.drawings[index].rows(&self.grid)))
+            .collect();
+        for (row, out) in luma.chunks_mut(stride).take(self.grid.height).enumerate() {
+            let out = &mut out[..width];
+            let [left, right] = self.backdrop.row(row, shift);
+            let own_airframe = self.own_airframe.as_ref().filter(|own| own.touches(row));
+            if own_airframe.is_none() && layers.iter().all(|(_, rows)| !rows.contains(&row)) {
+                let (out_left, out_right) = out.split_at_mut(shift);
+                self.sensor.expose(frame, row, 0, left.0, left.1, out_left);
+                self.sensor.expose(frame, row, shift, right.0, right.1, out_right);
+                continue;
+            }
+            let (levels, sigmas) = (&mut self.levels[..], &mut self.sigmas[..]);
+            levels[..shift].copy_from_slice(left.0);
+            levels[shift..].copy_from_slice(right.0);
+            sigmas[..shift].copy_from_slice(left.1);
+            sigmas[shift..].copy_from_slice(right.1);
+            for (drawing, _) in layers.iter().filter(|(_, rows)| rows.contains(&row)) {
+                drawing.draw_row(row, &self.grid, &self.sensor, levels, sigmas);
+            }
+            if let Some(own_airframe) = own_airframe {
+                own_airframe.draw_row(row, &self.sensor, levels, sigmas);
+            }
+            self.sensor.expose(frame, row, 0, levels, sigmas, out);
+        }
+    }
+
+    fn lens(&self) -> Lens {
+        let density = self.parameters.quality.density();
+        Lens {
+            focal: density * self.parameters.pixels_per_radian(),
+            blur: density * self.parameters.lens_blur_px,
+            exposure_s: self.parameters.exposure_s,
+        }
+    }
+
+    fn check(&self, moment: &Moment, given: usize, stride: usize) -> Result<(), RenderError> {
+        let SphereGrid { width, height, .. } = self.grid;
+        if stride < width {
+            return Err(RenderError::Stride { stride, width });
+        }
+        let needed = stride * (height - 1) + width;
+        if given < needed {
+            return Err(RenderError::Memory { needed, given });
+        }
+        let (placed, bodies) = (moment.placements.len(), self.drones.len());
+        if placed != bodies {
+            return Err(RenderError::Placements { placed, bodies });
+        }
+        for (drone, placement) in self.drones.iter().zip(&moment.placements) {
+            let (distance, least) = (placement.position().norm(), least_distance(drone));
+            if !(distance >= least && distance.is_finite()) {
+                return Err(RenderError::TooNear { body: drone.name.clone(), distance, least });
+            }
+        }
+        Ok(())
+    }
+}
+
+fn least_distance(drone: &Drone) -> f64 {
+    drone.radius * LEAST_DISTANCE
+}
+
+/// An angle as -pi to pi.
+fn wrapped(angle: f64) -> f64 {
+    angle - (angle / TAU).round() * TAU
+}

@@ -1,0 +1,156 @@
+//! Printed edges land where an independent projection says, everywhere on the sphere.
+
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+
+use flockeye_geometry::Ray;
+use flockeye_geometry::body::{Bodies, Body, Marker, squares};
+use flockeye_geometry::camera::Equirectangular;
+use flockeye_simulator::{Moment, PatternBook, Placement, Quality, World, WorldParameters};
+use nalgebra::{Isometry3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
+
+const CAMERA: Equirectangular = Equirectangular { width: 1920, height: 960 };
+/// Near enough that half a quiet zone is wider than the blur.
+const DISTANCE_M: f64 = 0.25;
+
+fn body() -> Body {
+    squares("alpha", 0.0625, 0.05, 0)
+}
+
+fn quiet_world(quality: Quality) -> World {
+    let parameters = WorldParameters {
+        width: CAMERA.width,
+        height: CAMERA.height,
+        iso: 0,
+        observer_yaw_rate_deg_s: 0.0,
+        airframes: false,
+        quality,
+        ..Default::default()
+    };
+    let bodies = Bodies::new("DICT_5X5_250".into(), vec![body()]).unwrap();
+    World::new(parameters, &bodies, &PatternBook::dict_5x5_250()).unwrap()
+}
+
+/// Linear light between the pixels. Written from the sRGB standard, not taken from the renderer.
+struct Picture(Vec<f64>);
+
+impl Picture {
+    fn of(luma: &[u8]) -> Self {
+        let linear = |level: &u8| {
+            let s = f64::from(*level) / 255.0;
+            if s <= 0.04045 { s / 12.92 } else { ((s + 0.055) / 1.055).powf(2.4) }
+        };
+        Self(luma.iter().map(linear).collect())
+    }
+
+    fn at(&self, ray: &Ray) -> f64 {
+        let pixel = CAMERA.project(ray).0;
+        let (width, height) = (i64::from(CAMERA.width), i64::from(CAMERA.height));
+        let (u, v) = (pixel.x.floor(), pixel.y.floor());
+        let get = |column: i64, row: i64| {
+            // Beyond a pole the picture goes on at the opposite meridian.
+            let over = !(0..height).contains(&row);
+            let row = if row < 0 { -1 - row } else { row.min(2 * height - 1 - row) };
+            let column = (column + if over { width / 2 } else { 0 }).rem_euclid(width);
+            self.0[(row * width + column) as usize]
+        };
+        let (s, t) = (pixel.x - u, pixel.y - v);
+        let (column, row) = (u as i64, v as i64);
+        (get(column, row) * (1.0 - s) + get(column + 1, row) * s) * (1.0 - t)
+            + (get(column, row + 1) * (1.0 - s) + get(column + 1, row + 1) * s) * t
+    }
+}
+
+/// How far, in pixels, the edge between corners `k` and `k + 1` appears outside of where it is.
+fn edge_error(picture: &Picture, pose: &Isometry3<f64>, marker: &Marker, k: usize) -> f64 {
+    let (from, to) = (marker.corners[k], marker.corners[(k + 1) % 4]);
+    let outwards = marker.normal().cross(&(to - from)).normalize();
+    assert!(outwards.dot(&(from - marker.centre())) > 0.0);
+    let ray = |share: f64, out_m: f64| {
+        let point: Point3<f64> = pose * (from + (to - from) * share + outwards * out_m);
+        Unit::new_normalize(point.coords)
+    };
+    let reach = 0.0028;
+    let errors = (0..60).map(|i| {
+        let share = 0.15 + 0.7 * f64::from(i) / 59.0;
+        let profile = |step: i32| picture.at(&ray(share, reach * f64::from(step) / 40.0));
+        let middle = (profile(-40) + profile(40)) / 2.0;
+        let crossing = (-40..40).find(|&step| profile(step + 1) > middle).expect("dark to light");
+        let (below, above) = (profile(crossing), profile(crossing + 1));
+        let step = f64::from(crossing) + (middle - below) / (above - below);
+        let angle = ray(share, 0.0).angle(&ray(share, reach * step / 40.0));
+        (angle * CAMERA.pixels_per_radian()).copysign(step)
+    });
+    errors.sum::<f64>() / 60.0
+}
+
+/// Errors of all edges of all markers that are seen at less than 45 degrees.
+fn edge_errors(world: &mut World, placement: Placement) -> Vec<f64> {
+    let moment = Moment { time_s: 0.0, observer_yaw: 0.4, placements: vec![placement] };
+    let mut luma = vec![0; (CAMERA.width * CAMERA.height) as usize];
+    world.render_moment(0, &moment, &mut luma, CAMERA.width as usize).unwrap();
+    let picture = Picture::of(&luma);
+    let pose = placement.camera_from_markers;
+    let body = body();
+    let facing = body.markers.iter().filter(|marker| {
+        let towards_eye = -(pose * marker.centre()).coords;
+        (pose.rotation * marker.normal()).angle(&towards_eye).to_degrees() < 45.0
+    });
+    facing
+        .flat_map(|marker| {
+            (0..4).map(|k| edge_error(&picture, &pose, marker, k)).collect::<Vec<_>>()
+        })
+        .collect()
+}
+
+/// Directions (azimuth, elevation) in degrees: ahead, aside, over the seam, both poles, around them.
+const DIRECTIONS: [[f64; 2]; 9] = [
+    [0.0, 0.0],
+    [77.0, 10.0],
+    [180.0, 0.0],
+    [-179.0, 35.0],
+    [20.0, 90.0],
+    [140.0, 84.0],
+    [-60.0, 62.0],
+    [0.0, -90.0],
+    [-120.0, -55.0],
+];
+
+fn placed([azimuth, elevation]: [f64; 2], turn: [f64; 3]) -> Isometry3<f64> {
+    let (sin_az, cos_az) = azimuth.to_radians().sin_cos();
+    let (sin_el, cos_el) = elevation.to_radians().sin_cos();
+    let direction = Vector3::new(cos_el * cos_az, cos_el * sin_az, sin_el);
+    Isometry3::from_parts(
+        Translation3::from(direction * DISTANCE_M),
+        UnitQuaternion::from_euler_angles(turn[0], turn[1], turn[2]),
+    )
+}
+
+fn assert_exact(quality: Quality, velocity_in_camera: Vector3<f64>) {
+    let mut world = quiet_world(quality);
+    for (index, direction) in DIRECTIONS.into_iter().enumerate() {
+        let turn = [0.3, -0.2, 0.7 * index as f64];
+        let camera_from_markers = placed(direction, turn);
+        let errors = edge_errors(&mut world, Placement { camera_from_markers, velocity_in_camera });
+        assert!(errors.len() >= 4, "{} edges at {direction:?}", errors.len());
+        let worst = errors.iter().fold(0.0f64, |worst, error| worst.max(error.abs()));
+        let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+        println!("{quality:?} {direction:?}: worst {worst:.4} mean {mean:.4}");
+        assert!(worst < 0.05 && mean.abs() < 0.02, "{direction:?}: worst {worst}, mean {mean} px");
+    }
+}
+
+#[test]
+fn edges_are_exact_in_real_time() {
+    assert_exact(Quality::Realtime, Vector3::zeros());
+}
+
+#[test]
+fn edges_are_exact_for_accuracy_work() {
+    assert_exact(Quality::Accurate, Vector3::zeros());
+}
+
+#[test]
+fn a_moving_body_is_where_it_is_at_mid_exposure() {
+    // Up to 1.5 pixels of motion blur.
+    assert_exact(Quality::Realtime, Vector3::new(0.12, -0.1, 0.11));
+}
