@@ -1,1 +1,257 @@
-//! .
+//! What whole-pipeline tests need: a pipeline of real processes under a watchdog.
+//!
+//! Each test runs under its own instance name, so that all of them run side by side, and must leave
+//! nothing in /dev/shm ([`Flight::assert_nothing_left`]).
+
+pub mod onlooker;
+
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use flockeye_runtime::instance::Instance;
+use rustix::process::{Pid, Signal, kill_process};
+
+/// The longest any single wait of a test may take: a loaded machine is slow, a hang is for ever.
+pub const WATCHDOG: Duration = Duration::from_secs(120);
+
+/// The folder of the reference recordings, or `None` with a line that says so.
+pub fn recordings() -> Option<PathBuf> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data");
+    if folder.is_dir() {
+        return Some(folder);
+    }
+    println!("SKIPPED: the reference recordings are not beside the repository (../shared/data)");
+    None
+}
+
+/// The `flockeye` command that was built with these tests.
+pub fn flockeye() -> PathBuf {
+    let own = std::env::current_exe().expect("a test has a path");
+    // target/release/deps/test-0123 -> target/release/flockeye
+    let folder = own.parent().and_then(Path::parent).expect("tests are built two folders down");
+    let path = folder.join("flockeye");
+    assert!(path.exists(), "{} is missing: build the workspace first", path.display());
+    path
+}
+
+/// A name that no other test has, here or in a process beside this one.
+pub fn unique(name: &str) -> String {
+    static COUNT: AtomicU32 = AtomicU32::new(0);
+    let count = COUNT.fetch_add(1, Ordering::Relaxed);
+    format!("t{}-{count}-{name}", std::process::id())
+}
+
+/// A folder that is removed with the value.
+#[derive(Debug)]
+pub struct Scratch(PathBuf);
+
+impl Scratch {
+    /// A new, empty folder.
+    pub fn new(name: &str) -> Self {
+        let path = std::env::temp_dir().join(format!("flockeye-test-{}", unique(name)));
+        std::fs::create_dir_all(&path).expect("a temporary folder can be made");
+        Self(path)
+    }
+
+    /// A path in it.
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.0.join(name)
+    }
+}
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        // What cannot be removed is the system's to clean up.
+        drop(std::fs::remove_dir_all(&self.0));
+    }
+}
+
+/// Settings of a small simulated flight that any machine can follow: 1024x512, one neighbour near.
+pub const SMALL_FLIGHT: &[&str] = &[
+    "camera.width=1024",
+    "camera.height=512",
+    "simulator.distance_m=[0.45, 0.6]",
+    "simulator.yaw_deg_s=5",
+    "gateway.enabled=false",
+];
+
+/// `flockeye up` in a process of its own.
+pub struct Flight {
+    /// Its instance.
+    pub instance: Instance,
+    child: Child,
+    output: Arc<Mutex<Vec<String>>>,
+    collectors: Vec<JoinHandle<()>>,
+}
+
+impl Flight {
+    /// Starts `flockeye up` under a unique instance name, with these arguments and `--set`s.
+    pub fn start(name: &str, arguments: &[&str], set: &[&str]) -> Self {
+        Self::start_as(&unique(name), arguments, set)
+    }
+
+    /// The same under a given instance name.
+    pub fn start_as(instance: &str, arguments: &[&str], set: &[&str]) -> Self {
+        let mut command = Command::new(flockeye());
+        command.arg("up").args(arguments);
+        for assignment in set {
+            command.args(["--set", assignment]);
+        }
+        command.args(["--set", &format!("instance={instance}")]);
+        Self::launch(instance, command)
+    }
+
+    /// Whatever `command` starts, as the process that looks after an instance.
+    pub fn launch(instance: &str, mut command: Command) -> Self {
+        // No pipeline.yaml here: the defaults.
+        command.current_dir(std::env::temp_dir());
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut child = command.spawn().expect("flockeye can be started");
+        let output = Arc::new(Mutex::new(Vec::new()));
+        let collectors = vec![
+            collect(child.stdout.take().expect("it is piped"), output.clone()),
+            collect(child.stderr.take().expect("it is piped"), output.clone()),
+        ];
+        Self { instance: Instance::named(instance), child, output, collectors }
+    }
+
+    /// Process number of the launcher.
+    pub fn pid(&self) -> Pid {
+        Pid::from_child(&self.child)
+    }
+
+    /// Everything written so far.
+    pub fn output(&self) -> String {
+        self.output.lock().unwrap_or_else(PoisonError::into_inner).join("\n")
+    }
+
+    /// Waits until something is written that holds `text`.
+    pub fn wait_for(&mut self, text: &str) {
+        let start = Instant::now();
+        while !self.output().contains(text) {
+            let ended = self.child.try_wait().expect("it is our child");
+            assert!(
+                start.elapsed() < WATCHDOG
+                    && (ended.is_none() || self.settled_output().contains(text)),
+                "waited for {text:?} in vain:\n{}",
+                self.output()
+            );
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+
+    /// The output once the last lines are in.
+    fn settled_output(&self) -> String {
+        self.settle();
+        self.output()
+    }
+
+    /// Waits for the last lines of a process that has ended.
+    fn settle(&self) {
+        let start = Instant::now();
+        // Somebody it has left behind may still hold the pipe: that is not waited for without end.
+        while !self.collectors.iter().all(JoinHandle::is_finished)
+            && start.elapsed() < Duration::from_secs(5)
+        {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    /// Process numbers of the stages of this instance, by the name of their program.
+    pub fn stages(&self, program: &str) -> Vec<Pid> {
+        let folder = self.instance.folder().to_string_lossy().into_owned();
+        let wanted = format!("FLOCKEYE_INSTANCE_DIR={folder}\0");
+        let entries = std::fs::read_dir("/proc").expect("there is /proc").flatten();
+        entries
+            .filter_map(|entry| entry.file_name().to_str()?.parse::<i32>().ok())
+            .filter(|pid| {
+                let file =
+                    |name: &str| std::fs::read(format!("/proc/{pid}/{name}")).unwrap_or_default();
+                let command = file("cmdline");
+                let first = command.split(|&byte| byte == 0).next().unwrap_or_default();
+                let first = String::from_utf8_lossy(first).into_owned();
+                let environment = file("environ");
+                first.ends_with(program) && String::from_utf8_lossy(&environment).contains(&wanted)
+            })
+            .filter_map(Pid::from_raw)
+            .collect()
+    }
+
+    /// Sends the launcher a signal.
+    pub fn signal(&self, signal: Signal) {
+        kill_process(self.pid(), signal).expect("the launcher can be signalled");
+    }
+
+    /// Whether it has come to its end.
+    pub fn has_ended(&mut self) -> bool {
+        self.child.try_wait().expect("it is our child").is_some()
+    }
+
+    /// Waits for the end.
+    pub fn wait(&mut self) -> ExitStatus {
+        self.wait_for_end(WATCHDOG)
+    }
+
+    /// Waits for the end, for as long as a test that works on much needs.
+    pub fn wait_for_end(&mut self, watchdog: Duration) -> ExitStatus {
+        let start = Instant::now();
+        loop {
+            if let Some(status) = self.child.try_wait().expect("it is our child") {
+                self.settle();
+                return status;
+            }
+            if start.elapsed() > watchdog {
+                self.signal(Signal::KILL);
+                panic!("the pipeline does not end:\n{}", self.output());
+            }
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    }
+
+    /// Fails if the instance left a file in shared memory or in its folder.
+    pub fn assert_nothing_left(&self) {
+        let left = self.instance.shared_memory();
+        assert!(left.is_empty(), "left in /dev/shm: {left:?}\n{}", self.output());
+        assert!(!self.instance.folder().exists(), "{} is left", self.instance.folder().display());
+    }
+}
+
+impl Drop for Flight {
+    fn drop(&mut self) {
+        if matches!(self.child.try_wait(), Ok(None)) {
+            // A test has failed: no stage outlives the launcher, and its files are removed.
+            drop(self.child.kill());
+            drop(self.child.wait());
+            let start = Instant::now();
+            while !self.stages("").is_empty() && start.elapsed() < Duration::from_secs(5) {
+                std::thread::sleep(Duration::from_millis(20));
+            }
+        }
+        if self.instance.folder().exists() {
+            drop(self.instance.take());
+        }
+    }
+}
+
+/// Runs `flockeye` with these arguments to its end: whether it succeeded, and all that it wrote.
+pub fn run(arguments: &[&str]) -> (bool, String) {
+    let mut command = Command::new(flockeye());
+    command.args(arguments);
+    let mut flight = Flight::launch(&unique("run"), command);
+    let status = flight.wait();
+    (status.success(), flight.output())
+}
+
+fn collect(stream: impl Read + Send + 'static, lines: Arc<Mutex<Vec<String>>>) -> JoinHandle<()> {
+    std::thread::spawn(move || {
+        for line in BufReader::new(stream).split(b'\n').map_while(Result::ok) {
+            let text = String::from_utf8_lossy(&line).into_owned();
+            lines.lock().unwrap_or_else(PoisonError::into_inner).push(text);
+        }
+    })
+}

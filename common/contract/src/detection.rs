@@ -78,7 +78,8 @@ impl DetectionHeader {
             for ray in &marker.rays_in_camera {
                 let norm = ray.iter().map(|x| x * x).sum::<f64>().sqrt();
                 // NaN compares false, so it is refused here too.
-                if !((norm - 1.0).abs() < 1e-6) {
+                let is_unit = (norm - 1.0).abs() < 1e-6;
+                if !is_unit {
                     return Err(ContractError::Ray { norm });
                 }
             }

@@ -112,7 +112,8 @@ pub(crate) fn check_view_geometry(
 ) -> Result<(), ContractError> {
     let norm = camera_from_view.iter().map(|q| q * q).sum::<f64>().sqrt();
     // NaN compares false, so it is refused here too.
-    if !((norm - 1.0).abs() < 1e-3) {
+    let is_unit = (norm - 1.0).abs() < 1e-3;
+    if !is_unit {
         return Err(ContractError::Rotation { norm });
     }
     if size_px == 0 || size_px > MAX_VIEW_PX {

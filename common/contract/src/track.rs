@@ -61,7 +61,8 @@ impl Pose {
         }
         let norm = self.orientation.iter().map(|q| q * q).sum::<f64>().sqrt();
         // NaN compares false, so it is refused here too.
-        if !((norm - 1.0).abs() < 1e-3) {
+        let is_unit = (norm - 1.0).abs() < 1e-3;
+        if !is_unit {
             return Err(ContractError::Rotation { norm });
         }
         Ok(())

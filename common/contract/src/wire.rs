@@ -124,7 +124,8 @@ impl PoseReport {
         }
         let norm = report.orientation.iter().map(|q| q * q).sum::<f64>().sqrt();
         // NaN compares false, so it is refused here too.
-        if !((norm - 1.0).abs() < 1e-3) {
+        let is_unit = (norm - 1.0).abs() < 1e-3;
+        if !is_unit {
             return Err(WireError::Number { what: "orientation" });
         }
         Ok(report)

@@ -230,7 +230,7 @@ fn square_problem(marker: &Marker) -> Option<String> {
     let sides: Vec<f64> =
         (0..4).map(|k| (marker.corners[(k + 1) % 4] - marker.corners[k]).norm()).collect();
     let side = marker.side();
-    if side < 1e-3 || side > 10.0 {
+    if !(1e-3..=10.0).contains(&side) {
         return Some(format!("has sides of {side} m (1 mm to 10 m are allowed)"));
     }
     let diagonals = [

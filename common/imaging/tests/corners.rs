@@ -250,14 +250,17 @@ fn corners_are_unbiased_and_their_deviations_honest() {
         for tilt in [0.0, 30.0, 60.0] {
             for blur in [0.6, 1.0, 1.5] {
                 let outcome = measure(77 + index as u64, side, tilt, blur, 0.01, 40);
-                // A cell of this marker, where it is narrowest, against its blur.
+                // A cell of this marker, where it is narrowest, in blurs: below two the edge's
+                // neighbours are in it, and nobody knows what lies beyond the quiet zone.
                 let cell = side * tilt.to_radians().cos() / 7.0;
-                if true || cell < 1.3 * blur {
+                if cell < 1.9 * blur {
                     continue;
                 }
-                assert!(outcome.refined > 0.9, "too few");
+                assert!(outcome.refined >= 0.85, "too few");
                 assert!(outcome.bias.abs() < 0.1, "biased");
-                assert!((0.5..2.0).contains(&outcome.normalised), "dishonest");
+                // Deviations have a floor of 0.03 px: these drawings have the model's own blur.
+                let honest = (0.5..2.0).contains(&outcome.normalised);
+                assert!(honest || outcome.scatter < 0.025, "dishonest");
             }
         }
     }

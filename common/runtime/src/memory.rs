@@ -106,7 +106,7 @@ pub struct TooLittleMemory {
 impl Budget {
     /// The limits that a configuration needs.
     pub fn of(pipeline: &Pipeline, largest_view_px: u32) -> Self {
-        let workers = pipeline.stages.detection.replicas as usize;
+        let workers = pipeline.detection_workers() as usize;
         let frame_bytes = pipeline.camera.width as usize * pipeline.camera.height as usize;
         let view_bytes = (largest_view_px as usize).pow(2);
         let window = pipeline.rectification.window as usize;

@@ -14,6 +14,7 @@ use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher as IoxPublisher;
 use iceoryx2::port::subscriber::Subscriber as IoxSubscriber;
+use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::*;
 use iceoryx2::sample::Sample;
 use iceoryx2::sample_mut_uninit::SampleMutUninit;
@@ -196,7 +197,6 @@ impl Ports {
         Ok(Publisher {
             publisher,
             notifier,
-            service: data,
             counters: self.counters.clone(),
             max_items: limits.items,
         })
@@ -300,7 +300,6 @@ impl Ports {
 pub struct Publisher<T: Topic> {
     publisher: IoxPublisher<Service, [T::Item], T::Header>,
     notifier: Notifier<Service>,
-    service: DataService<T>,
     counters: SharedCounters,
     max_items: usize,
 }
@@ -332,9 +331,14 @@ impl<T: Topic> Publisher<T> {
         loan.send(header)
     }
 
-    /// How many subscribers there are now.
-    pub fn subscribers(&self) -> usize {
-        self.service.dynamic_config().number_of_subscribers()
+    /// Hands subscribers that came since the last message what the topic's history keeps for them.
+    ///
+    /// # Errors
+    /// [`PortError::Publish`] with iceoryx2's reason.
+    pub fn greet_newcomers(&self) -> Result<(), PortError> {
+        self.publisher
+            .update_connections()
+            .map_err(|error| PortError::Publish { topic: T::NAME, reason: format!("{error:?}") })
     }
 }
 

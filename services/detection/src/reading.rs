@@ -41,7 +41,8 @@ pub(crate) struct Decoded {
 }
 
 impl Reading {
-    /// Reads the square with these corners. `None` where it or its quiet zone leaves the image.
+    /// Reads the square with these corners. `None` where it or its quiet zone leaves the image, or
+    /// where a side of the quiet zone is darker than the border.
     pub(crate) fn new(
         image: &LumaImage<'_>,
         light: &LinearLight,
@@ -75,6 +76,10 @@ impl Reading {
                 sum.0 += at(quiet.0, quiet.1)? / bits as f32;
                 sum.1 += at(border.0, border.1)? / bits as f32;
             }
+        }
+        // Most squares in a view are no markers: no more work for them.
+        if sides.iter().any(|(quiet, border)| quiet <= border) {
+            return None;
         }
         let mut cells = Vec::with_capacity(bits * bits);
         for row in 1..=bits {

@@ -88,6 +88,7 @@ impl Stage for FusionStage {
             // source its first credit.
             self.send_plan(None)?;
         }
+        self.plans.greet_newcomers()?;
         let now_ns = clock::monotonic_ns();
         // A view passes before its record, so views are taken first.
         for lane in &mut self.views {

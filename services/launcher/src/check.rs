@@ -79,11 +79,8 @@ fn plan(
             } else {
                 stage.command.join(" ")
             };
-            writeln!(
-                text,
-                "  {name} x {}: {command}, restart {:?}",
-                stage.replicas, stage.restart
-            )?;
+            let count = if name == "detection" { pipeline.detection_workers() } else { 1 };
+            writeln!(text, "  {name} x {count}: {command}, restart {:?}", stage.restart)?;
         }
     }
     write!(text, "{budget}")?;

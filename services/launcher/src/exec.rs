@@ -8,6 +8,7 @@ use std::os::unix::process::CommandExt;
 use std::process::Command;
 
 use anyhow::{Context, bail};
+use flockeye_runtime::stage::CANNOT_START;
 use rustix::process::{Signal, getppid, set_parent_process_death_signal};
 
 use crate::cli::ExecStage;
@@ -26,5 +27,7 @@ pub fn run(arguments: &ExecStage) -> anyhow::Result<()> {
         bail!("no program to start")
     };
     let error = Command::new(program).args(rest).exec();
-    Err(error).with_context(|| format!("cannot start {}", program.to_string_lossy()))
+    eprintln!("cannot start {}: {error}", program.to_string_lossy());
+    // A program that is not there will not be there at the next attempt either.
+    std::process::exit(i32::from(CANNOT_START))
 }

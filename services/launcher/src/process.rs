@@ -69,11 +69,7 @@ impl Process {
         folder: &Path,
         log: SyncSender<LogLine>,
     ) -> anyhow::Result<Self> {
-        let label = if configuration.replicas > 1 {
-            format!("{stage}.{replica}")
-        } else {
-            stage.to_owned()
-        };
+        let label = if replica > 0 { format!("{stage}.{replica}") } else { stage.to_owned() };
         Ok(Self {
             stage,
             replica,

@@ -122,7 +122,7 @@ impl Launcher {
             others.push(process("gateway", 0)?);
         }
         others.push(process("fusion", 0)?);
-        for replica in 0..pipeline.stages.detection.replicas {
+        for replica in 0..pipeline.detection_workers() {
             others.push(process("detection", replica)?);
         }
         others.push(process("rectification", 0)?);
@@ -206,9 +206,12 @@ impl Launcher {
         Ok(())
     }
 
+    /// Whether every stage has opened what it needs. One that waits for something outside, a
+    /// gateway without its port, say, is waited for by nobody.
     fn all_are_ready(&self) -> bool {
         self.others.iter().all(|process| {
-            self.dashboard.state_of(process.stage, process.replica) == Some(StageState::Ready)
+            let state = self.dashboard.state_of(process.stage, process.replica);
+            matches!(state, Some(StageState::Ready | StageState::Degraded))
         })
     }
 

@@ -37,6 +37,7 @@ pub struct RectificationStage {
     frame_ends: Publisher<FrameEnds>,
     rectifier: Box<dyn Rectifier>,
     threads: usize,
+    workers: usize,
     dispatcher: Dispatcher<ViewKey>,
     overdue: Duration,
     flow: Flow,
@@ -50,7 +51,12 @@ pub struct RectificationStage {
     counters: SharedCounters,
     failures: Throttle,
     refusals: Throttle,
+    silence: Throttle,
+    last_frame_ns: i64,
 }
+
+/// A source that sends nothing for this long is worth a word, nanoseconds.
+const SILENCE_NS: i64 = 5_000_000_000;
 
 /// Generation, epoch and sequence of a frame, and the place of a view in its plan.
 type ViewKey = ((u32, u32, u64), u32);
@@ -75,7 +81,7 @@ impl Stage for RectificationStage {
         let (rectifier, why) = choose_backend(choice, threads)?;
         tracing::info!("views are cut by {}: {why}", rectifier.name());
         context.counters.set_detail(rectifier.name());
-        let workers = pipeline.stages.detection.replicas as usize;
+        let workers = pipeline.detection_workers() as usize;
         let overdue = Duration::from_secs_f64(settings.overdue_ms * 1e-3);
         Ok(Self {
             frames: ports.subscriber()?,
@@ -87,6 +93,7 @@ impl Stage for RectificationStage {
             frame_ends: ports.publisher()?,
             rectifier,
             threads,
+            workers,
             dispatcher: Dispatcher::new(workers, settings.window as usize)
                 .with_probe_after(overdue / 2),
             overdue,
@@ -101,12 +108,15 @@ impl Stage for RectificationStage {
             counters: context.counters.clone(),
             failures: Throttle::default(),
             refusals: Throttle::default(),
+            silence: Throttle::default(),
+            last_frame_ns: clock::monotonic_ns(),
         })
     }
 
     fn step(&mut self) -> anyhow::Result<Step> {
         // A lossless source sends a frame after it has the plan for it, so frames come first.
         self.receive_frame()?;
+        self.note_silence();
         if let Some(message) = self.plans.newest()? {
             self.plan = Some((message.header, message.items().to_vec()));
         }
@@ -154,6 +164,18 @@ impl RectificationStage {
             }
         }
         Ok(())
+    }
+
+    fn note_silence(&mut self) {
+        let now_ns = clock::monotonic_ns();
+        if self.waiting.is_some() || !self.held.is_empty() {
+            self.last_frame_ns = now_ns;
+        } else if now_ns - self.last_frame_ns > SILENCE_NS
+            && let Some(_) = self.silence.admit()
+        {
+            let seconds = (now_ns - self.last_frame_ns) / 1_000_000_000;
+            tracing::warn!("no frame has come for {seconds} s: the source is away, or at its end");
+        }
     }
 
     fn receive_answers(&mut self) -> anyhow::Result<()> {
@@ -240,8 +262,9 @@ impl RectificationStage {
                 }
                 Next::Cut { index, is_yielding } => {
                     let Some(worker) = self.dispatcher.next_worker(now()) else { continue };
-                    // A partition is not queued behind another: it would hold up the next frame.
-                    if is_yielding && self.dispatcher.outstanding_of(worker) > 0 {
+                    // A partition waits for nobody, and one worker stays free of them: they would hold
+                    // up the next frame's neighbours.
+                    if is_yielding && self.dispatcher.outstanding() >= self.workers.saturating_sub(1).max(1) {
                         continue;
                     }
                     if let Err(error) = self.cut(position, index, worker) {
@@ -313,6 +336,8 @@ impl RectificationStage {
         let job = &mut self.held[position].job;
         if job.has_ended() {
             // A view that could not be cut again: the frame's end is out, its answer never comes.
+            let given_up = job.frame.stamp.order();
+            self.dispatcher.retain(|(frame, _)| frame != given_up);
             self.held.remove(position);
             return Ok(());
         }

@@ -66,7 +66,8 @@ pub fn refine_corners(
 ) -> Option<RefinedCorners> {
     let size = mean_side_px(guess_in_view);
     // Written so that a NaN is too small.
-    if !(size >= MIN_SIDE_PX) {
+    let is_large_enough = size >= MIN_SIDE_PX;
+    if !is_large_enough {
         return None;
     }
     SquareInView::new(guess_in_view)?;

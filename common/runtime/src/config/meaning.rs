@@ -153,7 +153,7 @@ impl Meaning<'_> {
 
     fn stages(&mut self, pipeline: &Pipeline) {
         for (name, stage) in pipeline.stages.iter() {
-            if stage.replicas > 1 && name != "detection" {
+            if stage.replicas.is_some_and(|replicas| replicas > 1) && name != "detection" {
                 self.problem(
                     &format!("stages.{name}.replicas"),
                     format!("only detection runs in several processes, {name} in one"),

@@ -138,6 +138,11 @@ impl Pipeline {
 }
 
 impl Pipeline {
+    /// How many processes search views.
+    pub fn detection_workers(&self) -> u32 {
+        self.stages.detection.replicas.unwrap_or(2)
+    }
+
     /// Name of the stage that `source.input` needs.
     pub fn source_stage(&self) -> &'static str {
         if self.source.input == "sim" { "simulator" } else { "capture" }

@@ -518,9 +518,10 @@ pub struct Stages {
 pub struct StageProcess {
     /// Program and arguments of another implementation; empty: the one that comes with Flockeye.
     pub command: Vec<String>,
-    /// How many of them (detection only).
+    /// How many of them, for detection alone; left out: 2, so that a neighbour's view never waits
+    /// behind a partition.
     #[schemars(range(min = 1, max = 16))]
-    pub replicas: u32,
+    pub replicas: Option<u32>,
     /// Whether it is started again when it ends.
     pub restart: Restart,
     /// First and longest wait before it is started again, seconds; doubled each time in between.
@@ -531,7 +532,7 @@ impl Default for StageProcess {
     fn default() -> Self {
         Self {
             command: Vec::new(),
-            replicas: 1,
+            replicas: None,
             restart: Restart::OnFailure,
             backoff_s: [0.1, 5.0],
         }

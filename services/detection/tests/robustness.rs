@@ -1,0 +1,113 @@
+//! Views without markers, however odd: no marker, no panic.
+
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+
+use flockeye_detection::{DetectError, Detector, DetectorParameters, PREDEFINED, Threshold};
+use flockeye_geometry::view::View;
+use flockeye_imaging::image::LumaImage;
+use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
+use nalgebra::Vector3;
+use proptest::prelude::*;
+
+fn markers_in(pixels: &[u8], width: usize, height: usize, stride: usize) -> usize {
+    let image = LumaImage::new(pixels, width, height, stride).unwrap();
+    let view = View::looking_at(&Vector3::x_axis(), 1.0, width as u32);
+    let light = LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap();
+    let mut detector = Detector::new("DICT_5X5_250", DetectorParameters::default()).unwrap();
+    detector.detect(&image, &view, &light).unwrap().len()
+}
+
+#[test]
+fn flat_views_hold_no_marker() {
+    for side in [1, 2, 15, 16, 17, 400] {
+        for code in [0, 128, 255] {
+            assert_eq!(markers_in(&vec![code; side * side], side, side, side), 0);
+        }
+    }
+    assert_eq!(markers_in(&[7; 500], 1, 500, 1), 0);
+    assert_eq!(markers_in(&[7; 500], 500, 1, 500), 0);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn noise_holds_no_marker(
+        width in 1usize..160,
+        height in 1usize..160,
+        gap in 0usize..9,
+        block in 1usize..12,
+        seed in any::<u64>(),
+    ) {
+        let stride = width + gap;
+        // Blocks of one code, so that there are squares among them.
+        let pixels: Vec<u8> = (0..stride * height)
+            .map(|k| {
+                let (x, y) = (k % stride / block, k / stride / block);
+                let mixed = (seed ^ (x as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15))
+                    .wrapping_add((y as u64).wrapping_mul(0xc2b2_ae3d_27d4_eb4f));
+                ((mixed ^ (mixed >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9) >> 56) as u8
+            })
+            .collect();
+        prop_assert_eq!(markers_in(&pixels, width, height, stride), 0);
+    }
+}
+
+#[test]
+fn every_predefined_dictionary_is_known() {
+    for name in PREDEFINED {
+        let detector = Detector::new(name, DetectorParameters::default()).expect(name);
+        let count: usize = match name {
+            "DICT_ARUCO_ORIGINAL" => 1024,
+            "DICT_APRILTAG_16h5" => 30,
+            "DICT_APRILTAG_25h9" => 35,
+            "DICT_APRILTAG_36h10" => 2320,
+            "DICT_APRILTAG_36h11" => 587,
+            _ => name.rsplit('_').next().unwrap().parse().unwrap(),
+        };
+        assert_eq!(detector.dictionary().marker_count(), count, "{name}");
+    }
+}
+
+fn refused(name: &str, parameters: DetectorParameters) -> DetectError {
+    match Detector::new(name, parameters) {
+        Ok(_) => panic!("'{name}' was taken"),
+        Err(error) => error,
+    }
+}
+
+#[test]
+fn an_unknown_dictionary_is_refused_with_the_known_ones() {
+    let error = refused("DICT_5X5_251", DetectorParameters::default()).to_string();
+    assert!(error.contains("'DICT_5X5_251'") && error.contains("DICT_5X5_250"), "{error}");
+}
+
+#[test]
+fn a_broken_dictionary_file_is_refused_with_what_is_wrong() {
+    let path = std::env::temp_dir().join(format!("flockeye-dictionary-{}.yml", std::process::id()));
+    for (text, expected) in [
+        ("%YAML:1.0\nmarkersize: 4\n", "nmarkers"),
+        ("%YAML:1.0\nnmarkers: 1\nmarkersize: 4\nmarker_0: \"01010101\"\n", "marker_0"),
+        ("%YAML:1.0\nnmarkers: 2\nmarkersize: 2\nmarker_0: \"0110\"\n", "marker_1"),
+        ("no dictionary at all", "dictionary file"),
+    ] {
+        std::fs::write(&path, text).unwrap();
+        let error = refused(path.to_str().unwrap(), DetectorParameters::default()).to_string();
+        assert!(error.contains(expected), "{error}");
+    }
+    std::fs::remove_file(&path).unwrap();
+}
+
+#[test]
+fn parameters_outside_their_range_are_refused() {
+    let even = Threshold { window_px: 10, darker_by: 3.0 };
+    for parameters in [
+        DetectorParameters { thresholds: Vec::new(), ..Default::default() },
+        DetectorParameters { thresholds: vec![even], ..Default::default() },
+        DetectorParameters { min_side_px: f64::NAN, ..Default::default() },
+        DetectorParameters { min_agreement: 1.5, ..Default::default() },
+    ] {
+        let error = refused("DICT_5X5_250", parameters);
+        assert!(matches!(error, DetectError::Parameter { .. }), "{error}");
+    }
+}

@@ -1,0 +1,107 @@
+//! Somebody who reads a pipeline's own messages beside its stages, as a viewer does.
+
+use std::rc::Rc;
+use std::time::{Duration, Instant};
+
+use flockeye_contract::{FrameEnd, FrameEnds, Topic, Track, TrackHeader, Tracks};
+use flockeye_runtime::health::SharedCounters;
+use flockeye_runtime::memory::Budget;
+use flockeye_runtime::ports::{Ports, Subscriber};
+use iceoryx2::prelude::{NodeBuilder, SignalHandlingMode, ipc};
+
+use crate::{Flight, Scratch, WATCHDOG, flockeye};
+
+/// Joins a pipeline as a tool does, once its launcher has written what there is to read.
+pub fn join(flight: &mut Flight) -> Ports {
+    retry(flight, |flight| {
+        let pipeline = flight.instance.pipeline().ok()?;
+        let largest_side = pipeline.bodies().ok()?.largest_side();
+        let budget = Budget::of(&pipeline, pipeline.largest_view_px(largest_side).ok()?);
+        let node = NodeBuilder::new()
+            .signal_handling_mode(SignalHandlingMode::Disabled)
+            .config(&flight.instance.iceoryx2().ok()?)
+            .create::<ipc::Service>()
+            .ok()?;
+        Some(Ports::new(Rc::new(node), budget, SharedCounters::default()))
+    })
+}
+
+/// Subscribes to a topic, once the launcher has created it.
+pub fn subscribe<T: Topic>(flight: &mut Flight, ports: &mut Ports) -> Subscriber<T> {
+    retry(flight, |_| ports.subscriber().ok())
+}
+
+fn retry<R>(flight: &mut Flight, mut attempt: impl FnMut(&Flight) -> Option<R>) -> R {
+    let start = Instant::now();
+    loop {
+        if let Some(result) = attempt(flight) {
+            return result;
+        }
+        let is_hopeless = flight.has_ended() || start.elapsed() > WATCHDOG;
+        assert!(!is_hopeless, "there is nothing to join:\n{}", flight.output());
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// Everything that fusion and rectification said of a simulated flight's frames.
+pub struct Tape {
+    /// The messages of `track`, in the order in which they came.
+    pub tracks: Vec<(TrackHeader, Vec<Track>)>,
+    /// The messages of `frame_end`.
+    pub ends: Vec<FrameEnd>,
+    /// What the launcher wrote.
+    pub output: String,
+}
+
+impl Tape {
+    /// Flies to the end of the flight, and records it from its first frame on.
+    pub fn record(name: &str, arguments: &[&str], set: &[&str]) -> Self {
+        let scratch = Scratch::new(name);
+        let gate = scratch.path("gate");
+        // The source waits for the onlooker: what came before it is not kept for anybody.
+        let source = format!(
+            r#"stages.simulator.command=["sh","-c","while [ ! -e '{}' ]; do sleep 0.02; done; exec '{}'"]"#,
+            gate.display(),
+            flockeye().with_file_name("flockeye-simulator").display()
+        );
+        let set: Vec<&str> = set.iter().copied().chain([source.as_str()]).collect();
+        let mut flight = Flight::start(name, arguments, &set);
+        let mut ports = join(&mut flight);
+        let mut tracks = subscribe::<Tracks>(&mut flight, &mut ports);
+        let mut ends = subscribe::<FrameEnds>(&mut flight, &mut ports);
+        std::fs::write(&gate, "").expect("the gate can be opened");
+        let mut tape = Self { tracks: Vec::new(), ends: Vec::new(), output: String::new() };
+        let start = Instant::now();
+        let mut ended = false;
+        ports
+            .attend(|| {
+                let was_ended = ended;
+                while let Some(message) = tracks.receive()? {
+                    tape.tracks.push((message.header, message.items().to_vec()));
+                }
+                while let Some(message) = ends.receive()? {
+                    tape.ends.push(message.header);
+                }
+                assert!(start.elapsed() < WATCHDOG, "it does not end:\n{}", flight.output());
+                ended = flight.has_ended();
+                Ok((!was_ended).then_some(Duration::from_millis(50)))
+            })
+            .expect("messages can be waited for");
+        drop((tracks, ends, ports));
+        assert!(flight.wait().success(), "{}", flight.output());
+        flight.assert_nothing_left();
+        tape.output = flight.output();
+        tape
+    }
+
+    /// Fails unless each of `count` frames was ended once, and had its last word on tracks once.
+    pub fn assert_every_frame_ended_once(&self, count: u64) {
+        let wanted: Vec<u64> = (0..count).collect();
+        let mut ended: Vec<_> = self.ends.iter().map(|end| end.stamp.sequence).collect();
+        ended.sort_unstable();
+        assert_eq!(ended, wanted, "frames that ended:\n{}", self.output);
+        let last = self.tracks.iter().filter(|(header, _)| header.is_last != 0);
+        let closed: Vec<_> = last.map(|(header, _)| header.stamp.sequence).collect();
+        assert_eq!(closed, wanted, "frames of which the last word was said:\n{}", self.output);
+    }
+}

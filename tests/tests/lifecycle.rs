@@ -1,0 +1,456 @@
+//! How a pipeline begins, goes on when parts of it die, and ends: over real processes.
+
+use std::net::TcpListener;
+use std::process::Command;
+use std::rc::Rc;
+use std::time::{Duration, Instant};
+
+use flockeye_contract::wire::{POSE_SCHEMA, PoseReport};
+use flockeye_contract::{Health, Healths, MeasuredBy, Track, TrackHeader, Tracks};
+use flockeye_launcher::record::{PoseRow, TruthRow, read};
+use flockeye_runtime::clock;
+use flockeye_runtime::health::SharedCounters;
+use flockeye_runtime::memory::Budget;
+use flockeye_runtime::ports::{Ports, Subscriber};
+use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, flockeye, run, unique};
+use iceoryx2::prelude::{NodeBuilder, SignalHandlingMode, ipc};
+use rustix::process::{Pid, Signal, kill_process};
+
+/// What is said of the neighbour once it is tracked.
+const POSES_FLOW: &str = "alpha confirmed";
+
+/// The small flight, with some settings of a test's own.
+fn small<'a>(more: &[&'a str]) -> Vec<&'a str> {
+    SMALL_FLIGHT.iter().chain(more).copied().collect()
+}
+
+/// The only process of a stage, once it is there.
+fn process_of(flight: &Flight, program: &str) -> Pid {
+    let start = Instant::now();
+    loop {
+        if let [pid] = flight.stages(program)[..] {
+            return pid;
+        }
+        assert!(start.elapsed() < WATCHDOG, "{program} does not run:\n{}", flight.output());
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+fn wait_until_no_stage_runs(flight: &Flight) {
+    let start = Instant::now();
+    while !flight.stages("").is_empty() {
+        assert!(start.elapsed() < WATCHDOG, "stages outlive the launcher: {:?}", flight.stages(""));
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+/// Somebody who reads the pipeline's own messages: a viewer, say.
+struct Onlooker {
+    // Ports go before what they are made of.
+    tracks: Subscriber<Tracks>,
+    healths: Subscriber<Healths>,
+    ports: Ports,
+}
+
+impl Onlooker {
+    fn of(flight: &Flight) -> Self {
+        let pipeline = flight.instance.pipeline().expect("the flight has begun");
+        let largest_side = pipeline.bodies().expect("they were read before").largest_side();
+        let largest_view = pipeline.largest_view_px(largest_side).expect("as in the launcher");
+        let node = NodeBuilder::new()
+            .signal_handling_mode(SignalHandlingMode::Disabled)
+            .config(&flight.instance.iceoryx2().expect("its folder is known"))
+            .create::<ipc::Service>()
+            .expect("there is room for an onlooker");
+        let budget = Budget::of(&pipeline, largest_view);
+        let mut ports = Ports::new(Rc::new(node), budget, SharedCounters::default());
+        Self {
+            tracks: ports.subscriber().expect("there is room for an onlooker"),
+            healths: ports.subscriber().expect("there is room for an onlooker"),
+            ports,
+        }
+    }
+
+    /// Waits for a stage's report that is as wanted.
+    fn wait_for_health(&mut self, flight: &Flight, is_wanted: impl Fn(&Health) -> bool) {
+        self.wait(flight, |readers| {
+            while let Some(message) = readers.healths.receive().expect("health can be read") {
+                if is_wanted(&message.header) {
+                    return true;
+                }
+            }
+            false
+        });
+    }
+
+    /// Waits for a track that is as wanted.
+    fn wait_for_track(
+        &mut self,
+        flight: &Flight,
+        is_wanted: impl Fn(&TrackHeader, &Track) -> bool,
+    ) {
+        self.wait(flight, |readers| {
+            while let Some(message) = readers.tracks.receive().expect("tracks can be read") {
+                if message.items().iter().any(|track| is_wanted(&message.header, track)) {
+                    return true;
+                }
+            }
+            false
+        });
+    }
+
+    fn wait(&mut self, flight: &Flight, mut has_come: impl FnMut(&mut Readers<'_>) -> bool) {
+        let start = Instant::now();
+        let Self { tracks, healths, ports } = self;
+        let mut readers = Readers { tracks, healths };
+        ports
+            .attend(|| {
+                assert!(start.elapsed() < WATCHDOG, "waited in vain:\n{}", flight.output());
+                Ok((!has_come(&mut readers)).then_some(Duration::from_millis(100)))
+            })
+            .expect("messages can be waited for");
+    }
+}
+
+struct Readers<'a> {
+    tracks: &'a mut Subscriber<Tracks>,
+    healths: &'a mut Subscriber<Healths>,
+}
+
+#[test]
+fn poses_flow_and_nothing_is_left_afterwards() {
+    let scratch = Scratch::new("flow");
+    let (poses, truth) = (scratch.path("poses.csv"), scratch.path("truth.csv"));
+    let files = [poses.to_str().expect("plain"), truth.to_str().expect("plain")];
+    let mut flight = Flight::start(
+        "flow",
+        &["--for", "4s", "--poses", files[0], "--truth", files[1]],
+        &small(&[]),
+    );
+    assert!(flight.wait().success(), "{}", flight.output());
+    assert!(flight.output().contains("frames searched"), "{}", flight.output());
+    let poses: Vec<PoseRow> = read(&poses).expect("poses were recorded");
+    let truths: Vec<TruthRow> = read(&truth).expect("the truth was recorded");
+    let measured: Vec<_> = poses.iter().filter(|row| row.is_measured()).collect();
+    assert!(!measured.is_empty(), "no pose in:\n{}", flight.output());
+    for row in measured {
+        let truth =
+            truths.iter().find(|truth| (truth.frame, &truth.body) == (row.frame, &row.target));
+        let truth = truth.expect("each frame has its truth");
+        let off = (row.position() - truth.position()).norm();
+        assert!(off < 0.1, "frame {} is off by {off:.3} m", row.frame);
+    }
+    assert!(flight.stages("").is_empty());
+    flight.assert_nothing_left();
+}
+
+#[test]
+fn ctrl_c_stops_everything_at_once() {
+    let scratch = Scratch::new("ctrlc");
+    let poses = scratch.path("poses.csv");
+    let arguments = ["--poses", poses.to_str().expect("plain")];
+    let mut flight = Flight::start("ctrlc", &arguments, &small(&[]));
+    flight.wait_for(POSES_FLOW);
+    let asked = Instant::now();
+    flight.signal(Signal::INT);
+    let status = flight.wait();
+    let took = asked.elapsed();
+    println!("stopped after {took:.2?}");
+    assert!(status.success(), "{status}:\n{}", flight.output());
+    // Two seconds are promised; a loaded machine gets more.
+    assert!(took < Duration::from_secs(5), "it took {took:?}:\n{}", flight.output());
+    let rows: Vec<PoseRow> = read(&poses).expect("what was recorded is there");
+    assert!(!rows.is_empty());
+    assert!(flight.stages("").is_empty());
+    flight.assert_nothing_left();
+}
+
+#[test]
+fn a_killed_launcher_leaves_no_orphan_and_clean_removes_the_rest() {
+    let mut flight = Flight::start("killed", &[], &small(&[]));
+    flight.wait_for(POSES_FLOW);
+    assert!(!flight.stages("").is_empty());
+    flight.signal(Signal::KILL);
+    flight.wait();
+    wait_until_no_stage_runs(&flight);
+    assert!(!flight.instance.shared_memory().is_empty(), "there is nothing for clean to do");
+    let (succeeded, output) = run(&["clean", "--instance", flight.instance.name()]);
+    assert!(succeeded && output.contains("removed"), "{output}");
+    flight.assert_nothing_left();
+}
+
+#[test]
+fn a_killed_launchers_name_can_be_used_again() {
+    let name = unique("again");
+    let mut first = Flight::start_as(&name, &[], &small(&[]));
+    first.wait_for(POSES_FLOW);
+    first.signal(Signal::KILL);
+    first.wait();
+    wait_until_no_stage_runs(&first);
+    let mut second = Flight::start_as(&name, &[], &small(&[]));
+    second.wait_for(POSES_FLOW);
+    second.signal(Signal::TERM);
+    assert!(second.wait().success(), "{}", second.output());
+    second.assert_nothing_left();
+}
+
+/// Kills a stage in flight, and waits for its successor and for poses of frames after it.
+fn survives_the_death_of(stage: &str, name: &str) {
+    let mut flight = Flight::start(name, &[], &small(&[]));
+    flight.wait_for(POSES_FLOW);
+    let program = format!("flockeye-{stage}");
+    let first = process_of(&flight, &program);
+    let mut onlooker = Onlooker::of(&flight);
+    kill_process(first, Signal::KILL).expect("it can be killed");
+    flight.wait_for(&format!("{stage} was killed by signal 9; it is started again in"));
+    flight.wait_for(&format!("{stage} is started again"));
+    onlooker.wait_for_health(&flight, |health| {
+        health.stage.to_string() == stage && health.generation == 1
+    });
+    let replaced_ns = clock::monotonic_ns();
+    assert_ne!(process_of(&flight, &program), first);
+    onlooker.wait_for_track(&flight, |header, track| {
+        header.stamp.published_ns > replaced_ns && track.measured_by != MeasuredBy::Nothing.code()
+    });
+    drop(onlooker);
+    flight.signal(Signal::INT);
+    assert!(flight.wait().success(), "{}", flight.output());
+    flight.assert_nothing_left();
+}
+
+#[test]
+fn detection_that_is_killed_is_replaced_and_poses_flow_again() {
+    survives_the_death_of("detection", "detect");
+}
+
+#[test]
+fn rectification_that_is_killed_is_replaced_and_poses_flow_again() {
+    survives_the_death_of("rectification", "rectify");
+}
+
+#[test]
+fn fusion_that_is_killed_is_replaced_and_poses_flow_again() {
+    survives_the_death_of("fusion", "fusion");
+}
+
+#[test]
+fn a_source_that_is_killed_is_replaced_and_poses_flow_again() {
+    survives_the_death_of("simulator", "source");
+}
+
+#[test]
+fn a_lossless_flight_comes_to_its_end_although_stages_die() {
+    let mut flight =
+        Flight::start("lossless", &["--flow", "lossless"], &small(&["simulator.frames=150"]));
+    for stage in ["detection", "rectification", "fusion"] {
+        flight.wait_for(POSES_FLOW);
+        kill_process(process_of(&flight, &format!("flockeye-{stage}")), Signal::KILL)
+            .expect("it can be killed");
+        flight.wait_for(&format!("{stage} is started again"));
+    }
+    assert!(flight.wait().success(), "{}", flight.output());
+    flight.assert_nothing_left();
+}
+
+#[test]
+fn a_second_pipeline_of_the_same_name_is_refused_and_told_who_has_it() {
+    let name = unique("twice");
+    let mut first = Flight::start_as(&name, &[], &small(&[]));
+    first.wait_for(POSES_FLOW);
+    let mut second = Flight::start_as(&name, &[], &small(&[]));
+    let status = second.wait();
+    assert_eq!(status.code(), Some(1), "{}", second.output());
+    let pid = first.pid().as_raw_nonzero();
+    let wanted = format!("a pipeline called '{name}' is running already (process {pid})");
+    assert!(second.output().contains(&wanted), "{}", second.output());
+    // The first one goes on as if nothing had been.
+    let mut onlooker = Onlooker::of(&first);
+    let refused_ns = clock::monotonic_ns();
+    onlooker.wait_for_track(&first, |header, _| header.stamp.published_ns > refused_ns);
+    drop(onlooker);
+    first.signal(Signal::INT);
+    assert!(first.wait().success(), "{}", first.output());
+    first.assert_nothing_left();
+}
+
+#[test]
+fn a_stage_whose_program_is_not_there_ends_the_start_with_its_name() {
+    let missing = r#"stages.detection.command=["/nowhere/detector"]"#;
+    for set in [small(&[missing]), small(&[missing, "stages.detection.restart=never"])] {
+        let mut flight = Flight::start("missing", &[], &set);
+        assert_eq!(flight.wait().code(), Some(1), "{}", flight.output());
+        let output = flight.output();
+        for part in ["cannot start /nowhere/detector: No such file", "detection cannot start"] {
+            assert!(output.contains(part), "{part:?} is missing in:\n{output}");
+        }
+        flight.assert_nothing_left();
+    }
+}
+
+#[test]
+fn a_stage_that_fails_and_must_not_be_restarted_ends_the_flight_with_the_reason() {
+    let set = small(&[
+        r#"stages.detection.command=["sh","-c","echo no lens today; exit 7"]"#,
+        "stages.detection.restart=never",
+    ]);
+    let mut flight = Flight::start("fails", &[], &set);
+    assert_eq!(flight.wait().code(), Some(1), "{}", flight.output());
+    let output = flight.output();
+    let wanted = [
+        "no lens today",
+        "detection ended with status 7, and its restart policy leaves it at that",
+    ];
+    for part in wanted {
+        assert!(output.contains(part), "{part:?} is missing in:\n{output}");
+    }
+    flight.assert_nothing_left();
+}
+
+#[test]
+fn a_stage_that_dies_in_flight_and_must_not_be_restarted_ends_the_flight() {
+    let mut flight = Flight::start("never", &[], &small(&["stages.detection.restart=never"]));
+    flight.wait_for(POSES_FLOW);
+    kill_process(process_of(&flight, "flockeye-detection"), Signal::KILL)
+        .expect("it can be killed");
+    assert_eq!(flight.wait().code(), Some(1), "{}", flight.output());
+    let output = flight.output();
+    assert!(
+        output
+            .contains("detection was killed by signal 9, and its restart policy leaves it at that"),
+        "{output}"
+    );
+    assert!(flight.stages("").is_empty());
+    flight.assert_nothing_left();
+}
+
+#[test]
+fn a_stage_that_does_not_listen_is_ended_all_the_same() {
+    let deaf = r#"stages.gateway.command=["sh","-c","trap '' TERM; echo deaf; while :; do sleep 0.1; done"]"#;
+    let mut flight = Flight::start("deaf", &[], &small(&["gateway.enabled=true", deaf]));
+    flight.wait_for("deaf");
+    flight.signal(Signal::INT);
+    assert!(flight.wait().success(), "{}", flight.output());
+    let output = flight.output();
+    assert!(output.contains("gateway does not stop: it is ended"), "{output}");
+    wait_until_no_stage_runs(&flight);
+    flight.assert_nothing_left();
+}
+
+#[test]
+fn a_foreign_stage_that_crashes_is_tried_again_and_again_while_the_rest_flies() {
+    let set = small(&[
+        "gateway.enabled=true",
+        r#"stages.gateway.command=["sh","-c","echo broken; exit 7"]"#,
+        "stages.gateway.backoff_s=[0.2, 0.8]",
+    ]);
+    let mut flight = Flight::start("crashes", &[], &set);
+    for wait in ["0.2", "0.4", "0.8"] {
+        flight.wait_for(&format!("gateway ended with status 7; it is started again in {wait} s"));
+    }
+    flight.wait_for(POSES_FLOW);
+    flight.signal(Signal::INT);
+    assert!(flight.wait().success(), "{}", flight.output());
+    flight.assert_nothing_left();
+}
+
+#[test]
+fn two_instances_fly_side_by_side() {
+    let mut flights =
+        ["left", "right"].map(|name| Flight::start(name, &[], &small(&["simulator.yaw_deg_s=0"])));
+    for flight in &mut flights {
+        flight.wait_for(POSES_FLOW);
+    }
+    let [left, right] = &mut flights;
+    left.signal(Signal::INT);
+    assert!(left.wait().success(), "{}", left.output());
+    left.assert_nothing_left();
+    // The end of one is nothing to the other.
+    let mut onlooker = Onlooker::of(right);
+    let left_ended_ns = clock::monotonic_ns();
+    onlooker.wait_for_track(right, |header, _| header.stamp.published_ns > left_ended_ns);
+    drop(onlooker);
+    right.signal(Signal::INT);
+    assert!(right.wait().success(), "{}", right.output());
+    right.assert_nothing_left();
+}
+
+#[test]
+fn clean_leaves_a_running_pipeline_alone() {
+    let mut flight = Flight::start("clean", &[], &small(&[]));
+    flight.wait_for(POSES_FLOW);
+    let (succeeded, output) = run(&["clean", "--instance", flight.instance.name()]);
+    let wanted = format!(
+        "{}: running (process {}), left alone",
+        flight.instance.name(),
+        flight.pid().as_raw_nonzero()
+    );
+    assert!(succeeded && output.contains(&wanted), "{output}");
+    let mut onlooker = Onlooker::of(&flight);
+    let cleaned_ns = clock::monotonic_ns();
+    onlooker.wait_for_track(&flight, |header, _| header.stamp.published_ns > cleaned_ns);
+    drop(onlooker);
+    flight.signal(Signal::INT);
+    assert!(flight.wait().success(), "{}", flight.output());
+    flight.assert_nothing_left();
+}
+
+#[test]
+fn a_finite_flight_ends_by_itself() {
+    for flow in ["latest", "lossless"] {
+        let mut flight =
+            Flight::start("finite", &["--flow", flow], &small(&["simulator.frames=20"]));
+        assert!(flight.wait().success(), "{}", flight.output());
+        let output = flight.output();
+        match flow {
+            "lossless" => assert!(output.contains("20 frames searched, 0 skipped"), "{output}"),
+            _ => assert!(output.contains(" frames searched, "), "{output}"),
+        }
+        flight.assert_nothing_left();
+    }
+}
+
+/// An endpoint on this machine that nobody has, and what keeps it from everybody else.
+fn endpoint() -> (String, TcpListener) {
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a port is free");
+    let address = listener.local_addr().expect("it is bound");
+    (format!("tcp/{address}"), listener)
+}
+
+#[test]
+fn peers_see_poses_over_the_network() {
+    let (endpoint, port) = endpoint();
+    let listen = format!("gateway.listen=[\"{endpoint}\"]");
+    let swarm = format!("observer.swarm={}", unique("swarm"));
+    drop(port);
+    let mut flight =
+        Flight::start("network", &[], &small(&["gateway.enabled=true", &listen, &swarm]));
+    flight.wait_for(POSES_FLOW);
+    let mut command = Command::new(flockeye());
+    command.args(["peers", "--json", "--for", "100s", "--set", &listen, "--set", &swarm]);
+    let mut peers = Flight::launch(&unique("peers"), command);
+    peers.wait_for(POSE_SCHEMA);
+    peers.signal(Signal::INT);
+    assert!(peers.wait().success(), "{}", peers.output());
+    let output = peers.output();
+    let line = output.lines().find(|line| line.contains(POSE_SCHEMA)).expect("it was waited for");
+    let heard: serde_json::Value = serde_json::from_str(line).expect("each line is an object");
+    let report = &heard["report"];
+    assert_eq!(report["schema"], POSE_SCHEMA);
+    let report = PoseReport::from_json(report.to_string().as_bytes()).expect("a whole report");
+    assert_eq!((report.observer.as_str(), report.target.as_str()), ("observer", "alpha"));
+    flight.signal(Signal::INT);
+    assert!(flight.wait().success(), "{}", flight.output());
+    flight.assert_nothing_left();
+}
+
+#[test]
+fn a_gateway_without_its_port_holds_nobody_up() {
+    let (endpoint, _taken) = endpoint();
+    let listen = format!("gateway.listen=[\"{endpoint}\"]");
+    let mut flight = Flight::start("taken", &[], &small(&["gateway.enabled=true", &listen]));
+    flight.wait_for(&format!("nothing goes over the network yet: cannot listen on {endpoint}"));
+    flight.wait_for(POSES_FLOW);
+    flight.signal(Signal::INT);
+    assert!(flight.wait().success(), "{}", flight.output());
+    flight.assert_nothing_left();
+}

@@ -1,0 +1,102 @@
+//! A lossless flight is the same flight every time, however many workers there are: nothing in it
+//! is decided by time.
+
+use std::path::Path;
+
+use flockeye_contract::{FrameStamp, MeasuredBy, StageLatency, Track, TrackHeader};
+use flockeye_tests::onlooker::Tape;
+use flockeye_tests::{SMALL_FLIGHT, Scratch};
+
+const FRAMES: u64 = 40;
+
+/// What came of a flight, without what says how long it took.
+struct Flown {
+    /// The messages of `track`, byte by byte.
+    tracks: Vec<Vec<u8>>,
+    /// The recorded poses, without their last column, the latency.
+    poses: Vec<String>,
+}
+
+fn fly(mode: &str, workers: u32) -> Flown {
+    let scratch = Scratch::new("lossless");
+    let poses = scratch.path("poses.csv");
+    let frames = format!("simulator.frames={FRAMES}");
+    let mode = format!("search.mode={mode}");
+    let workers = format!("stages.detection.replicas={workers}");
+    let own = [frames.as_str(), "simulator.neighbours=2", &mode, &workers];
+    let set: Vec<&str> = SMALL_FLIGHT.iter().copied().chain(own).collect();
+    let arguments = ["--flow", "lossless", "--poses", poses.to_str().expect("a plain path")];
+    let tape = Tape::record("lossless", &arguments, &set);
+    tape.assert_every_frame_ended_once(FRAMES);
+    let summary = format!("{FRAMES} frames searched, 0 skipped");
+    assert!(tape.output.contains(&summary), "{}", tape.output);
+    // Two flights that saw nothing would be the same too.
+    for target in [0, 1] {
+        let is_measured = |track: &&Track| {
+            track.target == target && track.measured_by != MeasuredBy::Nothing.code()
+        };
+        let measured = tape.tracks.iter().flat_map(|(_, tracks)| tracks).filter(is_measured);
+        assert!(measured.count() > 5, "target {target} was hardly seen:\n{}", tape.output);
+    }
+    let tracks = tape.tracks.iter().map(|(header, tracks)| timeless(header, tracks)).collect();
+    Flown { tracks, poses: without_latency(&poses) }
+}
+
+/// A message's bytes, with its latency fields zeroed.
+fn timeless(header: &TrackHeader, tracks: &[Track]) -> Vec<u8> {
+    let stamp = FrameStamp { published_ns: 0, ..header.stamp };
+    let header = TrackHeader { stamp, ..*header };
+    let mut bytes = bytemuck::bytes_of(&header).to_vec();
+    for track in tracks {
+        let track = Track { latency: StageLatency::default(), ..*track };
+        bytes.extend_from_slice(bytemuck::bytes_of(&track));
+    }
+    bytes
+}
+
+fn without_latency(poses: &Path) -> Vec<String> {
+    let text = std::fs::read_to_string(poses).expect("poses were recorded");
+    let header = text.lines().next().expect("there are columns");
+    assert!(header.ends_with(",latency_ms"), "the last column is not the latency: {header}");
+    let rows = text.lines().map(|line| line.rsplit_once(',').expect("columns").0.to_owned());
+    rows.collect()
+}
+
+fn assert_same(left: &Flown, right: &Flown, what: &str) {
+    for (number, (left, right)) in left.poses.iter().zip(&right.poses).enumerate() {
+        assert_eq!(left, right, "{what}: row {number} of the poses");
+    }
+    assert_eq!(left.poses.len(), right.poses.len(), "{what}: rows of poses");
+    for (number, (left, right)) in left.tracks.iter().zip(&right.tracks).enumerate() {
+        let first = left.iter().zip(right).position(|(left, right)| left != right);
+        assert!(
+            left == right,
+            "{what}: message {number} on track differs from byte {first:?} on ({} and {} bytes)",
+            left.len(),
+            right.len()
+        );
+    }
+    assert_eq!(left.tracks.len(), right.tracks.len(), "{what}: messages on track");
+}
+
+#[test]
+fn the_same_flight_gives_the_same_bytes_twice_and_with_any_number_of_workers() {
+    let first = fly("gaze", 1);
+    assert_same(&first, &fly("gaze", 1), "a second time");
+    assert_same(&first, &fly("gaze", 3), "with three workers");
+}
+
+#[test]
+fn what_is_searched_beyond_the_first_hit_of_the_greedy_search_counts_for_nothing() {
+    assert_same(&fly("greedy", 1), &fly("greedy", 3), "with three workers");
+}
+
+#[test]
+fn what_is_searched_beyond_the_first_hit_of_the_optimized_search_counts_for_nothing() {
+    assert_same(&fly("optimized", 1), &fly("optimized", 3), "with three workers");
+}
+
+#[test]
+fn an_exhaustive_search_does_not_depend_on_who_answers_first() {
+    assert_same(&fly("exhaustive", 1), &fly("exhaustive", 3), "with three workers");
+}
