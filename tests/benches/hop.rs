@@ -1,1 +1,248 @@
-fn main() {}
+//! How long a frame takes from one process to the next, by the pipeline's own ports, and beside it
+//! the same bytes through a Unix domain socket.
+//!
+//! Two real processes: this one sends, and starts itself again as the one that receives. A frame
+//! is written before its clock starts, by both ways; what is measured is the way itself: to the
+//! wake-up of the consumer, and to the consumer having read each cache line.
+
+use std::hint::black_box;
+use std::io::{Read, Write};
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::rc::Rc;
+use std::time::Duration;
+
+use anyhow::{Context, ensure};
+use flockeye_contract::{FrameHeader, FrameStamp, Frames};
+use flockeye_runtime::clock::monotonic_ns;
+use flockeye_runtime::config::Pipeline;
+use flockeye_runtime::health::{SharedCounters, quantile};
+use flockeye_runtime::instance::Instance;
+use flockeye_runtime::memory::Budget;
+use flockeye_runtime::ports::{Ports, create_services};
+use flockeye_tests::{Scratch, unique};
+use iceoryx2::prelude::{Node, NodeBuilder, SignalHandlingMode, ipc};
+
+/// Messages of each size and way, after those that only warm up.
+const MESSAGES: usize = 400;
+const WARM_UP: usize = 40;
+const PERIOD: Duration = Duration::from_millis(10);
+/// What each message of the socket begins with: when it was sent, and how long it is.
+const SOCKET_HEADER: usize = 16;
+/// The frames' sizes: 1 KB, and a whole sphere.
+const SIZES: [(u32, u32); 2] = [(32, 32), (3840, 1920)];
+
+fn main() -> anyhow::Result<()> {
+    let arguments: Vec<String> = std::env::args().collect();
+    match arguments.get(1).map(String::as_str) {
+        Some("receive-frames") => receive_frames(&arguments[2]),
+        Some("receive-bytes") => receive_bytes(Path::new(&arguments[2])),
+        _ => measure(),
+    }
+}
+
+/// Median and 99 % quantile of both points in time, microseconds.
+struct Hop {
+    woken_us: [f64; 2],
+    read_us: [f64; 2],
+}
+
+fn measure() -> anyhow::Result<()> {
+    println!(
+        "\n{MESSAGES} messages of each size, {} a second; microseconds; {}\n",
+        1000 / PERIOD.as_millis(),
+        load_average()
+    );
+    println!(
+        "{:<28} {:>10} {:>10} {:>10} {:>12} {:>10}",
+        "way", "bytes", "woken 50 %", "99 %", "all read 50 %", "99 %"
+    );
+    let mut rows = Vec::new();
+    for (width, height) in SIZES {
+        let bytes = width as usize * height as usize;
+        let ports = through_ports(width, height)?;
+        let socket = through_socket(bytes)?;
+        for (way, hop) in [("frame topic", &ports), ("Unix domain socket", &socket)] {
+            println!(
+                "{way:<28} {bytes:>10} {:>10.0} {:>10.0} {:>12.0} {:>10.0}",
+                hop.woken_us[0], hop.woken_us[1], hop.read_us[0], hop.read_us[1]
+            );
+        }
+        rows.push((bytes, ports, socket));
+    }
+    println!();
+    for (bytes, ports, socket) in &rows {
+        println!(
+            "{bytes} bytes all read: the socket takes {:.2} times as long as the topic (median), {:.2} times (99 %)",
+            socket.read_us[0] / ports.read_us[0],
+            socket.read_us[1] / ports.read_us[1]
+        );
+    }
+    let [(_, small, _), (_, large, _)] = &rows[..] else { return Ok(()) };
+    println!(
+        "wake-up by the topic: a frame of 7.4 MB takes {:.2} times as long as one of 1 KB (median)",
+        large.woken_us[0] / small.woken_us[0]
+    );
+    println!("{}", load_average());
+    Ok(())
+}
+
+/// The instance's limits: those of the default pipeline.
+fn budget() -> Budget {
+    Budget::of(&Pipeline::default(), 1024)
+}
+
+fn node_of(instance: &Instance) -> anyhow::Result<Rc<Node<ipc::Service>>> {
+    let builder = NodeBuilder::new()
+        .signal_handling_mode(SignalHandlingMode::Disabled)
+        .config(&instance.iceoryx2()?)
+        .create::<ipc::Service>();
+    Ok(Rc::new(builder.map_err(|error| anyhow::anyhow!("{error:?}"))?))
+}
+
+/// Starts this program again as the receiving end.
+fn receiver(role: &str, of: &str) -> anyhow::Result<Child> {
+    let own = std::env::current_exe().context("this program has a path")?;
+    Command::new(own)
+        .args([role, of])
+        .stdout(Stdio::piped())
+        .spawn()
+        .context("this program can be started again")
+}
+
+/// What the receiver wrote: a line for each message, with both latencies.
+fn result_of(child: Child) -> anyhow::Result<Hop> {
+    let output = child.wait_with_output()?;
+    ensure!(output.status.success(), "the receiver failed: {}", output.status);
+    let text = String::from_utf8(output.stdout)?;
+    let mut columns = [Vec::new(), Vec::new()];
+    for line in text.lines().filter(|line| *line != "ready").skip(WARM_UP) {
+        for (column, number) in columns.iter_mut().zip(line.split(' ')) {
+            column.push(number.parse::<i64>()?);
+        }
+    }
+    let [woken_us, read_us] = columns.map(|mut column| {
+        column.sort_unstable();
+        assert!(column.len() > MESSAGES * 9 / 10, "only {} messages arrived", column.len());
+        [0.5, 0.99].map(|share| quantile(&column, share) as f64 * 1e-3)
+    });
+    Ok(Hop { woken_us, read_us })
+}
+
+/// Waits for the line by which a receiver says that it listens.
+fn wait_until_ready(child: &mut Child) -> anyhow::Result<()> {
+    let stdout = child.stdout.as_mut().context("it is piped")?;
+    let mut line = [0; 6];
+    stdout.read_exact(&mut line)?;
+    ensure!(&line == b"ready\n", "the receiver is not ready");
+    Ok(())
+}
+
+fn through_ports(width: u32, height: u32) -> anyhow::Result<Hop> {
+    let instance = Instance::named(&unique("hop"));
+    let ownership = instance.take()?;
+    let node = node_of(&instance)?;
+    let services = create_services::<Frames>(&node, budget().topic::<Frames>())?;
+    let ports = Ports::new(node, budget(), SharedCounters::default());
+    let publisher = ports.publisher::<Frames>()?;
+    let mut child = receiver("receive-frames", instance.name())?;
+    wait_until_ready(&mut child)?;
+    let bytes = width as usize * height as usize;
+    for sequence in 0..(MESSAGES + WARM_UP) as u64 {
+        let mut loan = publisher.loan(bytes)?;
+        loan.items_mut().fill(sequence as u8);
+        let stamp = FrameStamp { sequence, published_ns: monotonic_ns(), ..FrameStamp::default() };
+        let header = FrameHeader { stamp, width, height, stride: width, ..FrameHeader::default() };
+        loan.send(header)?;
+        std::thread::sleep(PERIOD);
+    }
+    // The last one has the size of none other: it ends the receiver.
+    publisher.loan(1)?.send(FrameHeader {
+        width: 1,
+        height: 1,
+        stride: 1,
+        ..Default::default()
+    })?;
+    let hop = result_of(child)?;
+    drop((publisher, ports, services, ownership));
+    Ok(hop)
+}
+
+fn receive_frames(instance: &str) -> anyhow::Result<()> {
+    let instance = Instance::named(instance);
+    let mut ports = Ports::new(node_of(&instance)?, budget(), SharedCounters::default());
+    let mut frames = ports.subscriber::<Frames>()?;
+    println!("ready");
+    let mut latencies = Vec::with_capacity(MESSAGES + WARM_UP);
+    let mut is_over = false;
+    ports.attend(|| {
+        while let Some(message) = frames.receive()? {
+            let woken_ns = monotonic_ns();
+            is_over |= message.header.width == 1;
+            if !is_over {
+                touch(message.items());
+                let sent_ns = message.header.stamp.published_ns;
+                latencies.push((woken_ns - sent_ns, monotonic_ns() - sent_ns));
+            }
+        }
+        Ok((!is_over).then_some(Duration::from_secs(1)))
+    })?;
+    report(&latencies);
+    Ok(())
+}
+
+fn through_socket(bytes: usize) -> anyhow::Result<Hop> {
+    let scratch = Scratch::new("hop");
+    let path = scratch.path("socket");
+    let listener = UnixListener::bind(&path)?;
+    let mut child = receiver("receive-bytes", path.to_str().context("a plain path")?)?;
+    let (mut stream, _) = listener.accept()?;
+    wait_until_ready(&mut child)?;
+    let mut message = vec![0; SOCKET_HEADER + bytes];
+    for sequence in 0..MESSAGES + WARM_UP {
+        message[SOCKET_HEADER..].fill(sequence as u8);
+        message[..8].copy_from_slice(&monotonic_ns().to_le_bytes());
+        message[8..SOCKET_HEADER].copy_from_slice(&bytes.to_le_bytes());
+        stream.write_all(&message)?;
+        std::thread::sleep(PERIOD);
+    }
+    drop(stream);
+    result_of(child)
+}
+
+fn receive_bytes(path: &Path) -> anyhow::Result<()> {
+    let mut stream = UnixStream::connect(path)?;
+    println!("ready");
+    let mut latencies = Vec::with_capacity(MESSAGES + WARM_UP);
+    let mut header = [0; SOCKET_HEADER];
+    let mut pixels = Vec::new();
+    while stream.read_exact(&mut header).is_ok() {
+        let woken_ns = monotonic_ns();
+        let (sent, length) = header.split_at(8);
+        let sent_ns = i64::from_le_bytes(sent.try_into()?);
+        pixels.resize(usize::from_le_bytes(length.try_into()?), 0);
+        stream.read_exact(&mut pixels)?;
+        touch(&pixels);
+        latencies.push((woken_ns - sent_ns, monotonic_ns() - sent_ns));
+    }
+    report(&latencies);
+    Ok(())
+}
+
+/// Reads one byte of each cache line.
+fn touch(bytes: &[u8]) {
+    black_box(bytes.iter().step_by(64).fold(0u8, |sum, &byte| sum.wrapping_add(byte)));
+}
+
+fn report(latencies: &[(i64, i64)]) {
+    for (woken_ns, read_ns) in latencies {
+        println!("{woken_ns} {read_ns}");
+    }
+}
+
+fn load_average() -> String {
+    let text = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
+    let load: Vec<&str> = text.split_whitespace().take(3).collect();
+    format!("load average {}", load.join(" "))
+}

@@ -19,9 +19,9 @@ use rustix::process::{Pid, Signal, kill_process};
 /// What is said of the neighbour once it is tracked.
 const POSES_FLOW: &str = "alpha confirmed";
 
-/// The small flight, with some settings of a test's own.
+/// The small flight with one process of each stage, and some settings of a test's own.
 fn small<'a>(more: &[&'a str]) -> Vec<&'a str> {
-    SMALL_FLIGHT.iter().chain(more).copied().collect()
+    SMALL_FLIGHT.iter().chain(&["stages.detection.replicas=1"]).chain(more).copied().collect()
 }
 
 /// The only process of a stage, once it is there.
@@ -221,6 +221,26 @@ fn survives_the_death_of(stage: &str, name: &str) {
 #[test]
 fn detection_that_is_killed_is_replaced_and_poses_flow_again() {
     survives_the_death_of("detection", "detect");
+}
+
+#[test]
+fn a_second_worker_goes_on_while_the_first_one_stays_away() {
+    let set = ["stages.detection.replicas=2", "stages.detection.backoff_s=[100, 100]"];
+    let mut flight = Flight::start("workers", &[], &small(&set));
+    flight.wait_for(POSES_FLOW);
+    let mut onlooker = Onlooker::of(&flight);
+    let workers = flight.stages("flockeye-detection");
+    assert_eq!(workers.len(), 2);
+    kill_process(workers[0], Signal::KILL).expect("it can be killed");
+    flight.wait_for("was killed by signal 9; it is started again in 100.0 s");
+    let killed_ns = clock::monotonic_ns();
+    onlooker.wait_for_track(&flight, |header, track| {
+        header.stamp.published_ns > killed_ns && track.measured_by != MeasuredBy::Nothing.code()
+    });
+    drop(onlooker);
+    flight.signal(Signal::INT);
+    assert!(flight.wait().success(), "{}", flight.output());
+    flight.assert_nothing_left();
 }
 
 #[test]

@@ -258,9 +258,11 @@ fn corners_are_unbiased_and_their_deviations_honest() {
                 }
                 assert!(outcome.refined >= 0.85, "too few");
                 assert!(outcome.bias.abs() < 0.1, "biased");
-                // Deviations have a floor of 0.03 px: these drawings have the model's own blur.
-                let honest = (0.5..2.0).contains(&outcome.normalised);
-                assert!(honest || outcome.scatter < 0.025, "dishonest");
+                // Deviations have a floor of 0.03 px and of 0.03 blurs: cameras are less perfect
+                // than these drawings, whose blur is the model's own.
+                let honest = (0.5..2.0).contains(&outcome.normalised)
+                    || (outcome.normalised < 0.5 && outcome.scatter < 0.035 * blur.max(0.8));
+                assert!(honest, "dishonest");
             }
         }
     }

@@ -37,6 +37,12 @@ pub enum InstanceError {
         /// The launcher of the other one.
         pid: String,
     },
+    /// A name that leads elsewhere than to a folder of its own.
+    #[error("'{name}' cannot be an instance's name: use 1 to 31 letters, digits, '-' and '_'")]
+    Name {
+        /// The name.
+        name: String,
+    },
     /// A file of the instance cannot be read or written.
     #[error("{path}: {error}")]
     File {
@@ -133,8 +139,12 @@ impl Instance {
     /// Takes the instance for this process and clears what a dead run left behind.
     ///
     /// # Errors
-    /// [`InstanceError::Taken`] where a living process has it.
+    /// [`InstanceError::Taken`] where a living process has it, [`InstanceError::Name`] for a name
+    /// that would make others' files its own.
     pub fn take(&self) -> Result<Ownership, InstanceError> {
+        if !is_instance_name(&self.name) {
+            return Err(InstanceError::Name { name: self.name.clone() });
+        }
         let file_error = |path: &Path| {
             let path = path.to_owned();
             move |error| InstanceError::File { path, error }
@@ -247,6 +257,13 @@ impl Drop for Ownership {
     }
 }
 
+/// Whether `name` can be an instance's. It becomes the name of a folder that is emptied, so nothing
+/// that leads elsewhere (`..`, a path) is one.
+pub fn is_instance_name(name: &str) -> bool {
+    (1..=31).contains(&name.len())
+        && name.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"-_".contains(&byte))
+}
+
 /// Folder of all instances of this user.
 fn all_folder() -> PathBuf {
     std::env::temp_dir().join(format!("flockeye-{}", rustix::process::getuid().as_raw()))
@@ -261,5 +278,23 @@ fn ignore_missing(result: io::Result<()>) -> io::Result<()> {
     match result {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
         other => other,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_that_leads_to_others_files_is_refused() {
+        let folder = std::env::temp_dir().join(format!("not-flockeyes-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).expect("a temporary folder can be made");
+        for name in ["..", ".", "", "a/b", &folder.to_string_lossy()] {
+            let error = Instance::named(name).take().expect_err("refused");
+            assert!(matches!(error, InstanceError::Name { .. }), "{name}: {error}");
+        }
+        assert!(folder.is_dir(), "it is still there");
+        std::fs::remove_dir(&folder).expect("it is still empty");
+        assert!(is_instance_name("drone-1_b"));
     }
 }

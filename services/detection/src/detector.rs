@@ -1,5 +1,7 @@
 //! From a view to its markers.
 
+use std::sync::{Mutex, PoisonError};
+
 use flockeye_geometry::Ray;
 use flockeye_geometry::view::{View, ViewPixel};
 use flockeye_imaging::edges::{RefinedCorners, approach_corners, refine_corners};
@@ -36,7 +38,7 @@ const MAX_MISFIT: f64 = 0.15;
 /// What is looked for, and what is believed.
 ///
 /// The defaults were chosen on renderings and on real panoramas without markers, where what passes
-/// for a marker by its cells alone has a certainty of up to 12.
+/// for a marker by its cells alone has a certainty of up to 13 (its edges then tell).
 #[derive(Debug, Clone, PartialEq)]
 pub struct DetectorParameters {
     /// Markers with shorter sides are not looked for, pixels.
@@ -102,6 +104,7 @@ impl Detector {
     /// An unknown dictionary, a broken file, or a parameter outside its range.
     pub fn new(dictionary: &str, parameters: DetectorParameters) -> Result<Self, DetectError> {
         check(&parameters)?;
+        use_one_thread()?;
         let dictionary = Dictionary::load(dictionary)?;
         let reader = Reader::new(&dictionary);
         Ok(Self { dictionary, reader, parameters })
@@ -110,6 +113,17 @@ impl Detector {
     /// The dictionary.
     pub fn dictionary(&self) -> &Dictionary {
         &self.dictionary
+    }
+
+    /// Looks for squares with other thresholds from now on.
+    ///
+    /// # Errors
+    /// As [`Detector::new`]: none at all, or windows that are none.
+    pub fn set_thresholds(&mut self, thresholds: Vec<Threshold>) -> Result<(), DetectError> {
+        let parameters = DetectorParameters { thresholds, ..self.parameters.clone() };
+        check(&parameters)?;
+        self.parameters = parameters;
+        Ok(())
     }
 
     /// Every marker in `image`, which shows what `view` says; by rising id, each id once.
@@ -300,8 +314,17 @@ fn check(parameters: &DetectorParameters) -> Result<(), DetectError> {
 
 /// Keeps OpenCV to the calling thread: views are spread over processes already.
 ///
+/// [`Detector::new`] does it too. Only the first call in a process reaches OpenCV: changing the
+/// number of threads while another thread detects crashes in its thread pool.
+///
 /// # Errors
 /// What OpenCV says.
 pub fn use_one_thread() -> Result<(), DetectError> {
-    Ok(opencv::core::set_num_threads(1)?)
+    static IS_DONE: Mutex<bool> = Mutex::new(false);
+    let mut is_done = IS_DONE.lock().unwrap_or_else(PoisonError::into_inner);
+    if !*is_done {
+        opencv::core::set_num_threads(1)?;
+        *is_done = true;
+    }
+    Ok(())
 }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use flockeye_contract::{
-    DetectedMarker, DetectionHeader, Detections, MAX_DETECTED_MARKERS, Range, Transfer, ViewHeader,
+    DetectedMarker, DetectionHeader, Detections, MAX_DETECTED_MARKERS, Range, Transfer, ViewHeader, ViewKind,
     Views,
 };
 use flockeye_geometry::body::Bodies;
@@ -16,7 +16,7 @@ use flockeye_runtime::ports::{Message, Ports, Publisher, Subscriber};
 use flockeye_runtime::{Context, Stage, Step, clock};
 use nalgebra::{Quaternion, UnitQuaternion};
 
-use crate::detector::{Detector, DetectorParameters, Found, use_one_thread};
+use crate::detector::{Detector, DetectorParameters, Found, Threshold, use_one_thread};
 
 /// Markers in one record: as many as the topic has room for, and below the contract's limit.
 const MAX_MARKERS: usize = 64;
@@ -29,6 +29,8 @@ pub struct DetectionStage {
     detector: Detector,
     bodies: Bodies,
     lights: BTreeMap<(u32, u32, u32), LinearLight>,
+    /// The sphere image's own resolution.
+    pixels_per_radian: f64,
     worker: u32,
     generation: u32,
     counters: SharedCounters,
@@ -53,6 +55,7 @@ impl Stage for DetectionStage {
             detector: Detector::new(&bodies.dictionary, parameters)?,
             bodies,
             lights: BTreeMap::new(),
+            pixels_per_radian: context.pipeline.camera_model().pixels_per_radian(),
             worker: context.identity.replica,
             generation: context.identity.generation,
             counters: context.counters.clone(),
@@ -121,8 +124,29 @@ impl DetectionStage {
             }
             self.lights.insert(key, linear_light(header)?);
         }
+        let magnification = header.focal_px / self.pixels_per_radian;
+        self.detector.set_thresholds(thresholds(header.kind, magnification))?;
         Ok(self.detector.detect(&image, &view, &self.lights[&key])?)
     }
+}
+
+/// Windows of the local threshold, pixels of the sphere's own resolution, and how much darker than
+/// its window a pixel of a marker is.
+///
+/// Lens blur is of a fixed size on the sphere, so what separates a marker from its surroundings is
+/// too: windows grow with a view's magnification. A small one finds markers in the shade and beside
+/// dark things, a large one those in bright light. Gaze views are small, and worth more passes.
+const PARTITION_WINDOWS: &[(f64, f64)] = &[(7.0, 4.0), (31.0, 10.0)];
+const GAZE_WINDOWS: &[(f64, f64)] = &[(5.5, 4.0), (7.5, 4.0), (15.0, 6.0), (31.0, 10.0)];
+
+fn thresholds(kind: u32, magnification: f64) -> Vec<Threshold> {
+    let windows =
+        if kind == ViewKind::Gaze.code() { GAZE_WINDOWS } else { PARTITION_WINDOWS };
+    let odd = |window: f64| 2 * (window * magnification / 2.0).floor().clamp(1.0, 500.0) as i32 + 1;
+    windows
+        .iter()
+        .map(|&(window, darker_by)| Threshold { window_px: odd(window), darker_by })
+        .collect()
 }
 
 fn linear_light(header: &ViewHeader) -> Result<LinearLight, LightError> {

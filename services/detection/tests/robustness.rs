@@ -29,7 +29,7 @@ fn flat_views_hold_no_marker() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(64))]
+    #![proptest_config(ProptestConfig { cases: 64, failure_persistence: None, ..Default::default() })]
 
     #[test]
     fn noise_holds_no_marker(

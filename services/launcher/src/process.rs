@@ -102,8 +102,8 @@ impl Process {
     /// # Errors
     /// The system cannot start a process.
     pub fn start(&mut self) -> anyhow::Result<()> {
-        let own = std::env::current_exe().context("cannot find the flockeye program")?;
-        let mut command = Command::new(own);
+        // Not its path: an update may have put another file there since.
+        let mut command = Command::new("/proc/self/exe");
         if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
             // Graphics drivers complain without one.
             command.env("XDG_RUNTIME_DIR", &self.folder);

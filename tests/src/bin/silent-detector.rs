@@ -6,8 +6,8 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use flockeye_contract::{
-    CONTRACT_VERSION, DetectionHeader, Detections, Health, Healths, StageState,
-    Topic, VERSION_ATTRIBUTE, ViewHeader, Views,
+    CONTRACT_VERSION, DetectionHeader, Detections, Health, Healths, StageState, Topic,
+    VERSION_ATTRIBUTE, ViewHeader, Views,
 };
 use iceoryx2::config::Config;
 use iceoryx2::node::Node;
@@ -124,4 +124,3 @@ fn now_ns() -> i64 {
     let time = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
     time.tv_sec * 1_000_000_000 + time.tv_nsec
 }
-

@@ -87,7 +87,7 @@ impl GazeOptions {
     pub fn new(pixels_per_radian: f64) -> Self {
         Self {
             pixels_per_radian,
-            marker_px: 40.0,
+            marker_px: 80.0,
             magnification_max: 3.0,
             field_min_rad: 4f64.to_radians(),
             field_max_rad: 70f64.to_radians(),

@@ -172,7 +172,7 @@ proptest! {
         let magnification = view.focal_px / RESOLUTION;
         let marker_px = predicted.marker_rad * view.focal_px;
         prop_assert!(magnification < 3.0 + 1e-9);
-        prop_assert!(magnification > 1.0 - 1e-9 || marker_px > 40.0 - 1e-9);
+        prop_assert!(magnification > 1.0 - 1e-9 || marker_px > 80.0 - 1e-9);
         let wanted = 2.0 * (predicted.radius_rad + 3.0 * predicted.deviation_rad);
         let shown = view.field_rad();
         // Cut only where it must be: at 70 degrees, or at 640 pixels that are not magnified.
@@ -180,7 +180,7 @@ proptest! {
             || (view.size_px == 640 && (magnification <= 1.0 + 1e-9));
         prop_assert!(shown >= wanted - 1e-9 || is_cut, "{shown} {wanted} {view:?}");
         if !is_cut && view.size_px < 630 && magnification < 3.0 - 1e-9 && magnification > 1.0 + 1e-9 {
-            prop_assert!((marker_px - 40.0).abs() < 1e-6, "{marker_px}");
+            prop_assert!((marker_px - 80.0).abs() < 1e-6, "{marker_px}");
         }
     }
 }

@@ -8,6 +8,9 @@ use super::profile::Side;
 /// No corner is believed better than this, pixels: the model of an edge is not perfect.
 const FLOOR_PX: f64 = 0.03;
 
+/// Places whose median distance from their line is larger belong to no edge, pixels.
+const MAX_SCATTER_PX: f64 = 1.0;
+
 /// Where one profile sees the edge.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Place {
@@ -78,8 +81,9 @@ pub(super) fn fit(places: &[Place], expected: Matrix2<f64>) -> Option<EdgeLine> 
         residuals = places.iter().map(|place| distance(place, line)).collect();
         robust = tukey(&residuals);
     }
+    let scatter = median(residuals.iter().map(|residual| residual.abs()).collect());
     let agreeing = robust.iter().filter(|&&robust| robust > 0.2).count();
-    if agreeing < 4 || 2 * agreeing < places.len() {
+    if scatter > MAX_SCATTER_PX || agreeing < 4 || 2 * agreeing < places.len() {
         return None;
     }
     let ([offset, slope], inverse) = (found.0.into(), found.1);
@@ -87,8 +91,8 @@ pub(super) fn fit(places: &[Place], expected: Matrix2<f64>) -> Option<EdgeLine> 
         places.iter().zip(&robust).map(|(place, robust)| place.weight * robust).collect();
     let freedom = robust.iter().sum::<f64>() - 2.0;
     let squares: f64 = weights.iter().zip(&residuals).map(|(w, r)| w * r * r).sum();
-    let scatter = inverse * (squares / freedom.max(1.0) * together(&weights, &residuals));
-    let covariance = if scatter.trace() > expected.trace() { scatter } else { expected };
+    let scattered = inverse * (squares / freedom.max(1.0) * together(&weights, &residuals));
+    let covariance = if scattered.trace() > expected.trace() { scattered } else { expected };
     Some(EdgeLine { offset, slope, covariance })
 }
 
@@ -188,7 +192,7 @@ mod tests {
 
     #[test]
     fn places_that_agree_on_nothing_are_no_line() {
-        let depths = [0.0, 0.02, 0.6, -0.7, 1.0, -9.0, 8.0, -30.0];
+        let depths = [0.0, 4.0, -5.0, 3.0, -4.0, 6.0, -7.0, 2.0];
         let places: Vec<Place> =
             (0u8..).zip(depths).map(|(k, depth)| place(f64::from(k) / 3.5 - 1.0, depth)).collect();
         assert!(fit(&places, Matrix2::identity()).is_none());

@@ -143,12 +143,15 @@ pub(super) fn fit(sides: &[Side; 4], before: Option<&Fit>) -> Option<Fit> {
     };
     unknowns.fixed_rows_mut::<4>(BLUR).copy_from_slice(&first);
     let mut normal = Normal::zeros();
+    let mut residuals = Vec::with_capacity(samples().count());
     for _ in 0..ITERATIONS {
-        let (matrix, gradient) = normal_equations(sides, &unknowns, noise, (white, black));
+        let (matrix, gradient) =
+            normal_equations(sides, &unknowns, noise, (white, black), &mut residuals);
         let step = matrix.cholesky()?.solve(&gradient);
         apply(&mut unknowns, &step, contrast);
         normal = matrix;
-        noise = noise_of(sides, &unknowns).max(0.003 * contrast);
+        // Of the residuals before the step: the next one weighs by it.
+        noise = noise_of(&mut residuals).max(0.003 * contrast);
         if step.fixed_rows::<BLUR>(0).amax() < CONVERGED_PX {
             break;
         }
@@ -177,13 +180,15 @@ fn quantile(mut values: Vec<f64>, share: f64) -> Option<f64> {
     Some(*values.select_nth_unstable_by(at, f64::total_cmp).1)
 }
 
-/// Normal matrix and gradient of one Gauss-Newton step.
+/// Normal matrix and gradient of one Gauss-Newton step; the residuals' sizes are put in `sizes`.
 fn normal_equations(
     sides: &[Side; 4],
     unknowns: &Unknowns,
     noise: f64,
     (first_white, first_black): (f64, f64),
+    sizes: &mut Vec<f64>,
 ) -> (Normal, Unknowns) {
+    sizes.clear();
     let mut matrix = Normal::zeros();
     let mut gradient = Unknowns::zeros();
     let (white, black) = (unknowns[WHITE], unknowns[BLACK]);
@@ -193,6 +198,7 @@ fn normal_equations(
             let mut local = SMatrix::<f64, 4, 4>::zeros();
             let mut right = SVector::<f64, 4>::zeros();
             look(unknowns, k, profile, |share, residual| {
+                sizes.push(residual.abs());
                 let row = SVector::<f64, 4>::new(
                     (white - black) * share.by_edge,
                     (white - black) * share.by_blur,
@@ -251,15 +257,13 @@ fn apply(unknowns: &mut Unknowns, step: &Unknowns, contrast: f64) {
     }
 }
 
-/// Robust standard deviation of all residuals.
-fn noise_of(sides: &[Side; 4], unknowns: &Unknowns) -> f64 {
-    let mut residuals = Vec::with_capacity(2048);
-    for (k, side) in sides.iter().enumerate() {
-        for profile in &side.profiles {
-            look(unknowns, k, profile, |_, residual| residuals.push(residual.abs()));
-        }
+/// Robust standard deviation of residuals, given their sizes.
+fn noise_of(sizes: &mut [f64]) -> f64 {
+    let middle = sizes.len() / 2;
+    if sizes.is_empty() {
+        return 0.0;
     }
-    1.4826 * quantile(residuals, 0.5).unwrap_or(0.0)
+    1.4826 * *sizes.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 /// Samples for each pixel of the area that they cover.

@@ -17,7 +17,7 @@ pub(super) const FIRST_BLUR_PX: f64 = 1.2;
 const STEP_PX: f64 = 0.5;
 
 /// A side is looked at in at most so many places.
-const MAX_PROFILES: usize = 24;
+const MAX_PROFILES: usize = 16;
 
 /// Rows of cells that a profile goes through, the border included.
 const MAX_DEPTH_CELLS: f64 = 2.5;

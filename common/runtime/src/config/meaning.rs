@@ -6,7 +6,7 @@ use super::{BodySet, Camera, CameraModel, Flow, Mount, Pipeline, Problem, Proble
 /// Adds everything about `pipeline` that cannot be meant to `problems`.
 pub(super) fn check(pipeline: &Pipeline, document: &Node, problems: &mut Problems) {
     let mut meaning = Meaning { document, problems };
-    meaning.name("instance", &pipeline.instance.0);
+    meaning.instance(&pipeline.instance.0);
     meaning.name("observer.name", &pipeline.observer.name);
     meaning.name("observer.swarm", &pipeline.observer.swarm);
     meaning.mount("observer.observer_from_camera", &pipeline.observer.observer_from_camera);
@@ -27,6 +27,15 @@ struct Meaning<'a> {
 impl Meaning<'_> {
     fn problem(&mut self, path: &str, what: String) {
         self.problems.add(Problem::new(self.document.origin_of(path), path, what));
+    }
+
+    fn instance(&mut self, name: &str) {
+        if !crate::instance::is_instance_name(name) {
+            self.problem(
+                "instance",
+                format!("'{name}' cannot be a name here: use 1 to 31 letters, digits, '-' and '_'"),
+            );
+        }
     }
 
     fn name(&mut self, path: &str, name: &str) {

@@ -411,7 +411,7 @@ pub struct Search {
 
 impl Default for Search {
     fn default() -> Self {
-        Self { mode: Mode::Gaze, lossless_partitions: 3 }
+        Self { mode: Mode::Gaze, lossless_partitions: 4 }
     }
 }
 
@@ -451,7 +451,7 @@ impl Default for Fusion {
     fn default() -> Self {
         Self {
             filter: Filter::ConstantVelocity,
-            coast_s: 0.5,
+            coast_s: 1.0,
             confirm_hits: 2,
             deadline_ms: 3000.0,
         }

@@ -1,0 +1,88 @@
+//! The reference recordings, made by another renderer than ours and by real cameras.
+//!
+//! They lie beside the repository; where they do not, these tests say so and pass.
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use flockeye_launcher::evaluation::Evaluation;
+use flockeye_launcher::record::{PoseRow, read};
+use flockeye_tests::{Flight, Scratch, recordings};
+
+/// A flight of 300 frames of 3840x1920 on loaded cores.
+const LONG_WATCHDOG: Duration = Duration::from_secs(480);
+
+/// Flies over a recording, each of its frames worked on, and gives the poses of its bodies.
+fn fly(name: &str, source: &Path, bodies: &Path, set: &[&str]) -> (Vec<PoseRow>, String) {
+    let scratch = Scratch::new(name);
+    let poses = scratch.path("out.csv");
+    let [source, bodies, out] =
+        [source, bodies, &poses].map(|path| path.to_str().expect("a plain path"));
+    let arguments = ["--source", source, "--bodies", bodies, "--flow", "lossless", "--poses", out];
+    let set: Vec<&str> = set.iter().copied().chain(["gateway.enabled=false"]).collect();
+    let mut flight = Flight::start(name, &arguments, &set);
+    assert!(flight.wait_for_end(LONG_WATCHDOG).success(), "{}", flight.output());
+    flight.assert_nothing_left();
+    (read(&poses).expect("the poses are there"), flight.output())
+}
+
+fn judge(poses: &[PoseRow], truth: &Path) -> Evaluation {
+    let evaluation = Evaluation::of(poses, &read(truth).expect("the truth is there"));
+    println!("{evaluation}");
+    evaluation
+}
+
+#[test]
+fn the_recorded_flight_is_followed_as_promised() {
+    let Some(data) = recordings() else { return };
+    let video = data.join("flight1/flight1.mp4");
+    let (poses, output) = fly("flight1", &video, &data.join("bodies.json"), &[]);
+    assert!(output.contains("300 frames searched, 0 skipped"), "{output}");
+    let evaluation = judge(&poses, &data.join("flight1/truth.csv"));
+    let near = evaluation.within_1_5_m().expect("there is such a range");
+    assert!(near.eligible > 0, "the truth has nobody within 1.5 m");
+    let share = near.measured as f64 / near.eligible as f64;
+    assert!(share >= 0.9, "only {:.1} % are measured within 1.5 m", 100.0 * share);
+    let median = near.median_mm.expect("some are measured");
+    assert!(median <= 30.0, "the median error within 1.5 m is {median:.1} mm");
+    assert_eq!(evaluation.false_poses, 0, "{:?}", evaluation.false_at);
+}
+
+#[test]
+fn unrelated_stills_give_no_false_pose() {
+    let Some(data) = recordings() else { return };
+    let images = data.join("stills/images");
+    let bodies = data.join("bodies.json");
+    let (poses, output) = fly("stills", &images, &bodies, &["fusion.filter=none"]);
+    assert!(output.contains("20 frames searched, 0 skipped"), "{output}");
+    let evaluation = judge(&poses, &data.join("stills/truth.csv"));
+    assert!(evaluation.measured > 0, "nothing was seen at all:\n{output}");
+    assert_eq!(evaluation.false_poses, 0, "{:?}", evaluation.false_at);
+    // The stills have nothing to do with each other: nobody is carried from one to the next.
+    assert_eq!(evaluation.coasted, 0);
+}
+
+/// The equirectangular pictures of real cameras, with their sizes; the other pictures beside them
+/// are single lenses and other projections.
+const REAL: [(&str, u32, u32); 3] = [
+    ("real/theta_s/eqrect_example.png", 1920, 960),
+    ("real/theta_s/eqrect_example_good.png", 1920, 960),
+    ("real/panorama/examplepano.jpg", 4096, 2048),
+];
+
+#[test]
+fn real_pictures_without_a_neighbour_give_no_pose_at_all() {
+    let Some(data) = recordings() else { return };
+    for (picture, width, height) in REAL {
+        let file = data.join(picture);
+        let folder = Scratch::new("picture");
+        let name: PathBuf = file.file_name().expect("a file").into();
+        std::fs::copy(&file, folder.path(&name.to_string_lossy())).expect("it can be copied");
+        let (width, height) = (format!("camera.width={width}"), format!("camera.height={height}"));
+        let set = ["fusion.filter=none", width.as_str(), height.as_str()];
+        let (poses, output) = fly("real", &folder.path(""), &data.join("bodies.json"), &set);
+        assert!(output.contains("1 frames searched, 0 skipped"), "{picture}:\n{output}");
+        assert_eq!(poses, [], "{picture} shows nobody");
+        println!("{picture}: no pose, as it should be");
+    }
+}
