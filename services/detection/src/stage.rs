@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use flockeye_contract::{
-    DetectedMarker, DetectionHeader, Detections, MAX_DETECTED_MARKERS, Range, Transfer, ViewHeader, ViewKind,
-    Views,
+    DetectedMarker, DetectionHeader, Detections, MAX_DETECTED_MARKERS, Range, Transfer, ViewHeader,
+    ViewKind, Views,
 };
 use flockeye_geometry::body::Bodies;
 use flockeye_geometry::view::View;
@@ -140,8 +140,7 @@ const PARTITION_WINDOWS: &[(f64, f64)] = &[(7.0, 4.0), (31.0, 10.0)];
 const GAZE_WINDOWS: &[(f64, f64)] = &[(5.5, 4.0), (7.5, 4.0), (15.0, 6.0), (31.0, 10.0)];
 
 fn thresholds(kind: u32, magnification: f64) -> Vec<Threshold> {
-    let windows =
-        if kind == ViewKind::Gaze.code() { GAZE_WINDOWS } else { PARTITION_WINDOWS };
+    let windows = if kind == ViewKind::Gaze.code() { GAZE_WINDOWS } else { PARTITION_WINDOWS };
     let odd = |window: f64| 2 * (window * magnification / 2.0).floor().clamp(1.0, 500.0) as i32 + 1;
     windows
         .iter()

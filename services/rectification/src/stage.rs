@@ -264,7 +264,9 @@ impl RectificationStage {
                     let Some(worker) = self.dispatcher.next_worker(now()) else { continue };
                     // A partition waits for nobody, and one worker stays free of them: they would hold
                     // up the next frame's neighbours.
-                    if is_yielding && self.dispatcher.outstanding() >= self.workers.saturating_sub(1).max(1) {
+                    if is_yielding
+                        && self.dispatcher.outstanding() >= self.workers.saturating_sub(1).max(1)
+                    {
                         continue;
                     }
                     if let Err(error) = self.cut(position, index, worker) {
