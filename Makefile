@@ -15,12 +15,12 @@ run: build
 build: setup
 	cargo build --release --workspace --locked
 
-# Tests run the binaries, so these are built first. One profile for everything: what is tested is
-# what flies, and the dependencies are built once.
+# Tests run the binaries, so these are built first, with the tests, so that the dependencies are
+# built once. One profile for everything: what is tested is what flies.
 test: setup
 	cargo fmt --all --check
 	cargo clippy --release --workspace --all-targets --locked -- -D warnings
-	cargo build --release --workspace --locked
+	cargo build --release --workspace --all-targets --locked
 	cargo test --release --workspace --locked -- --test-threads=2
 
 bench: build
