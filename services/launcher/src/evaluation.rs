@@ -242,6 +242,8 @@ mod tests {
             blur_px: 0.0,
             env: "test".into(),
             observer_yaw_deg: 0.0,
+            ev: 0.0,
+            iso: 0,
             exposure_s: 0.0,
             localisable: 1,
         }

@@ -118,7 +118,14 @@ pub struct TruthRow {
     pub env: String,
     /// The observer's yaw, degrees.
     pub observer_yaw_deg: f64,
+    /// Exposure compensation, stops; 0 where it is not known.
+    #[serde(default)]
+    pub ev: f64,
+    /// Sensitivity; 0 where it is not known.
+    #[serde(default)]
+    pub iso: u32,
     /// Length of the exposure, seconds.
+    #[serde(default)]
     pub exposure_s: f64,
     /// 1 if a whole marker is seen at less than 65 degrees of incidence.
     pub localisable: u32,
@@ -149,6 +156,8 @@ impl TruthRow {
             blur_px: body.blur_px,
             env: "simulated".into(),
             observer_yaw_deg: header.observer_yaw.to_degrees(),
+            ev: 0.0,
+            iso: 0,
             exposure_s: header.exposure_s,
             localisable: body.localisable,
         }
@@ -208,4 +217,34 @@ pub fn read<R: for<'de> Deserialize<'de>>(path: &Path) -> anyhow::Result<Vec<R>>
         csv::Reader::from_path(path).with_context(|| format!("cannot read {}", path.display()))?;
     let rows: Result<Vec<R>, _> = reader.deserialize().collect();
     rows.with_context(|| format!("{} is not as it should be", path.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use bytemuck::Zeroable;
+
+    #[test]
+    fn the_truth_has_the_columns_of_the_reference_recordings() {
+        let mut writer = csv::Writer::from_writer(Vec::new());
+        let row = TruthRow::of(&TruthHeader::zeroed(), &BodyTruth::zeroed());
+        writer.serialize(row).expect("memory is there");
+        let text = String::from_utf8(writer.into_inner().expect("flushed")).expect("text");
+        assert_eq!(
+            text.lines().next().expect("a header"),
+            "frame,t_s,body,x,y,z,qw,qx,qy,qz,dist_m,az_deg,el_deg,n_markers_vis50,n_markers_vis90,\
+             best_side_px,blur_px,env,observer_yaw_deg,ev,iso,exposure_s,localisable"
+        );
+    }
+
+    #[test]
+    fn poses_have_the_promised_columns() {
+        let mut writer = csv::Writer::from_writer(Vec::new());
+        let row = PoseRow::of(&FrameStamp::default(), &Track::zeroed()).expect("state 0 is known");
+        writer.serialize(row).expect("memory is there");
+        let text = String::from_utf8(writer.into_inner().expect("flushed")).expect("text");
+        let wanted = "frame,stamp_s,target,px,py,pz,qx,qy,qz,qw,state,markers,latency_ms";
+        assert_eq!(text.lines().next(), Some(wanted));
+        assert!(text.contains("tentative"));
+    }
 }

@@ -7,8 +7,7 @@ use std::f64::consts::{FRAC_PI_2, PI};
 use flockeye_geometry::body::{Bodies, Body, squares};
 use flockeye_geometry::camera::Equirectangular;
 use flockeye_simulator::{
-    FrameTruth, Moment, PatternBook, Placement, RenderError, TruthCsv, World, WorldError,
-    WorldParameters,
+    FrameTruth, Moment, PatternBook, Placement, RenderError, World, WorldError, WorldParameters,
 };
 use nalgebra::{Isometry3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 
@@ -209,42 +208,6 @@ fn truth_says_where_and_when() {
         [1.5 - half, 1.5 + half].map(|t| world.moment(t).placements[0].position());
     let blur = before.angle(&after) * WIDTH as f64 / (2.0 * PI);
     assert!((blur - body.blur_px).abs() < 1e-4, "{blur} {}", body.blur_px);
-}
-
-#[test]
-fn the_csv_has_the_published_columns_and_one_row_for_each_body() {
-    let mut world = world_with(2, |_| ()).unwrap();
-    let mut text = Vec::new();
-    let mut table = TruthCsv::new(&mut text).unwrap();
-    let truths = [render(&mut world, 0).1, render(&mut world, 1).1];
-    truths.iter().for_each(|truth| table.write(truth).unwrap());
-    table.flush().unwrap();
-    drop(table);
-    let text = String::from_utf8(text).unwrap();
-    let mut lines = text.lines();
-    assert_eq!(
-        lines.next().unwrap(),
-        "frame,t_s,body,x,y,z,qw,qx,qy,qz,dist_m,az_deg,el_deg,n_markers_vis50,n_markers_vis90,\
-         best_side_px,blur_px,env,observer_yaw_deg,ev,iso,exposure_s,localisable"
-    );
-    let rows: Vec<Vec<&str>> = lines.map(|line| line.split(',').collect()).collect();
-    assert_eq!(rows.len(), 4);
-    assert_eq!(
-        (rows[0][2], rows[1][2], rows[2][0], rows[2][1]),
-        ("alpha", "bravo", "1", "0.033333")
-    );
-    for (row, body) in rows.iter().zip(truths.iter().flat_map(|truth| &truth.bodies)) {
-        let value = |column: usize| row[column].parse::<f64>().unwrap();
-        let rotation = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(
-            value(6),
-            value(7),
-            value(8),
-            value(9),
-        ));
-        let pose = Isometry3::from_parts(Translation3::new(value(3), value(4), value(5)), rotation);
-        assert!((pose.inverse() * body.camera_from_markers).translation.vector.norm() < 1e-5);
-        assert!(rotation.angle_to(&body.camera_from_markers.rotation) < 1e-5);
-    }
 }
 
 #[test]
