@@ -9,7 +9,7 @@ use flockeye_geometry::camera::Equirectangular;
 use flockeye_simulator::{
     FrameTruth, Moment, PatternBook, Placement, RenderError, World, WorldError, WorldParameters,
 };
-use nalgebra::{Isometry3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Point3, Unit, UnitQuaternion, Vector3};
 
 const WIDTH: usize = 1024;
 const HEIGHT: usize = 512;
