@@ -387,7 +387,7 @@ pub enum Backend {
 #[serde(default, deny_unknown_fields)]
 pub struct Detection {
     /// Markers with shorter sides are not looked for, pixels of the view.
-    #[schemars(range(min = 6.0, max = 200.0))]
+    #[schemars(range(min = 8.0, max = 200.0))]
     pub min_side_px: f64,
 }
 
