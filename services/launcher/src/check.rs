@@ -8,6 +8,7 @@ use flockeye_runtime::instance::Instance;
 use flockeye_runtime::memory::{Budget, shared_memory_space};
 
 use crate::cli::Check;
+use crate::screen::Screen;
 
 /// Checks, and prints the plan.
 ///
@@ -18,10 +19,11 @@ pub fn run(arguments: &Check) -> anyhow::Result<()> {
     let bodies = pipeline.bodies()?;
     let budget = Budget::of(&pipeline, pipeline.largest_view_px(bodies.largest_side())?);
     let (free, total) = shared_memory_space().context("cannot look at /dev/shm")?;
-    println!("{}", plan(&pipeline, &bodies, &budget)?);
-    println!("/dev/shm has {:.0} MB free", free as f64 / 1e6);
+    let mut screen = Screen::new();
+    screen.line(&plan(&pipeline, &bodies, &budget)?);
+    screen.line(&format!("/dev/shm has {:.0} MB free", free as f64 / 1e6));
     budget.check(free, total)?;
-    println!("everything is in order");
+    screen.line("everything is in order");
     Ok(())
 }
 

@@ -3,6 +3,7 @@
 use flockeye_runtime::instance::{Instance, InstanceError};
 
 use crate::cli::Clean;
+use crate::screen::Screen;
 
 /// Removes it, and says what.
 ///
@@ -13,6 +14,7 @@ pub fn run(arguments: &Clean) -> anyhow::Result<()> {
         Some(name) => vec![Instance::named(name)],
         None => Instance::all(),
     };
+    let mut screen = Screen::new();
     let mut removed = 0;
     for instance in instances {
         let files = instance.shared_memory().len();
@@ -20,16 +22,19 @@ pub fn run(arguments: &Clean) -> anyhow::Result<()> {
             Ok(ownership) => {
                 drop(ownership);
                 removed += 1;
-                println!("{}: removed, with {files} files of shared memory", instance.name());
+                screen.line(&format!(
+                    "{}: removed, with {files} files of shared memory",
+                    instance.name()
+                ));
             }
             Err(InstanceError::Taken { name, pid }) => {
-                println!("{name}: running (process {pid}), left alone")
+                screen.line(&format!("{name}: running (process {pid}), left alone"))
             }
             Err(error) => return Err(error.into()),
         }
     }
     if removed == 0 {
-        println!("nothing to remove");
+        screen.line("nothing to remove");
     }
     Ok(())
 }

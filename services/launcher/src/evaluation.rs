@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use crate::cli::Eval;
 use crate::record::{self, PoseRow, TruthRow};
+use crate::screen::Screen;
 
 /// Borders of the distance bins, metres.
 const BINS_M: [f64; 6] = [0.0, 1.0, 1.5, 2.2, 3.0, 4.0];
@@ -191,9 +192,9 @@ pub fn run(arguments: &Eval) -> anyhow::Result<()> {
     let evaluation =
         Evaluation::of(&record::read(&arguments.poses)?, &record::read(&arguments.truth)?);
     if arguments.json {
-        println!("{}", serde_json::to_string(&evaluation)?);
+        Screen::new().line(&serde_json::to_string(&evaluation)?);
     } else {
-        println!("{evaluation}");
+        Screen::new().line(&evaluation.to_string());
     }
     Ok(())
 }

@@ -1,10 +1,13 @@
 //! `flockeye schema`: the JSON Schema of pipeline.yaml, for editors.
 
+use crate::screen::Screen;
+
 /// Prints it.
 ///
 /// # Errors
-/// Standard output is closed.
+/// The schema is no JSON.
 pub fn run() -> anyhow::Result<()> {
-    println!("{}", serde_json::to_string_pretty(&flockeye_runtime::config::json_schema())?);
+    let schema = serde_json::to_string_pretty(&flockeye_runtime::config::json_schema())?;
+    Screen::new().line(&schema);
     Ok(())
 }
