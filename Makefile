@@ -23,9 +23,10 @@ test: setup
 	cargo build --release --workspace --all-targets --locked
 	cargo test --release --workspace --locked -- --test-threads=2
 
-bench: build
-	cargo bench --locked -p flockeye-rectification -p flockeye-simulator
-	cargo bench --locked -p flockeye-tests
+# The whole workspace, so that what `make test` built serves here too.
+bench: setup
+	cargo build --release --workspace --all-targets --locked
+	cargo bench --workspace --locked --bench rectify --bench render --bench hop --bench pipeline
 
 format:
 	cargo fmt --all
