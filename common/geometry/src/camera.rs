@@ -1,9 +1,19 @@
 //! Camera models: between pixels of the sphere image and rays.
+//!
+//! Every model is a [`Camera`], and whoever needs rays or pixels (rectification, masks, the search)
+//! asks that one type. Rays are directions in the camera frame, from the camera's middle. Lenses
+//! that sit beside the middle see a near thing elsewhere than a far one, so a camera with such
+//! lenses is right for one distance at a time: [`Camera::at_distance`].
 
-use std::f64::consts::{PI, TAU};
+mod equirectangular;
+mod lens;
+mod stereographic;
 
-use nalgebra::{Unit, Vector2, Vector3};
+use nalgebra::{Vector2, Vector3};
 
+pub use self::equirectangular::Equirectangular;
+pub use self::lens::{Lens, LensCurve};
+pub use self::stereographic::Stereographic;
 use crate::Ray;
 
 /// A point of the sphere image, pixels; (0, 0) is the *centre* of the first pixel.
@@ -17,71 +27,310 @@ impl SpherePixel {
     }
 }
 
-/// Longitude along the rows, latitude along the columns.
-///
-/// lon = (0.5 - (u + 0.5)/W) 2 pi = atan2(y, x); lat = (0.5 - (v + 0.5)/H) pi: the image's centre
-/// looks along +x, and left of it is +y.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Equirectangular {
-    /// Columns.
-    pub width: u32,
-    /// Rows.
-    pub height: u32,
+/// A spherical camera: its model, the sides of its image, and the distance it is right for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Camera {
+    width: u32,
+    height: u32,
+    model: CameraModel,
+    /// One over the distance that rays are right for, 1/m; 0: infinitely far.
+    nearness: f64,
 }
 
-impl Equirectangular {
-    /// The ray, in the camera frame, that the point `pixel` sees.
-    pub fn ray(&self, pixel: SpherePixel) -> Ray {
-        let longitude = (0.5 - (pixel.0.x + 0.5) / f64::from(self.width)) * TAU;
-        let latitude = (0.5 - (pixel.0.y + 0.5) / f64::from(self.height)) * PI;
-        let (sin_lon, cos_lon) = longitude.sin_cos();
-        let (sin_lat, cos_lat) = latitude.sin_cos();
-        // A product of sines and cosines is a unit vector to rounding.
-        Unit::new_unchecked(Vector3::new(cos_lat * cos_lon, cos_lat * sin_lon, sin_lat))
-    }
+/// How an image shows the sphere.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[expect(clippy::large_enum_variant, reason = "there is one camera, and it is copied seldom")]
+pub enum CameraModel {
+    /// Longitude along the rows, latitude along the columns. Stitched for things far away from two
+    /// lenses that sit `lens_distance_m` apart on the camera's x axis, one looking ahead and one
+    /// back; 0 for a camera with one centre.
+    Equirectangular {
+        /// Metres between the two lenses.
+        lens_distance_m: f64,
+    },
+    /// Two fisheye lenses, each with its image circle.
+    DualFisheye([Lens; 2]),
+    /// The paper's plane: stereographic about the camera's x axis.
+    Stereographic {
+        /// Angle across the image circle, which touches the image's nearer borders; radians, less
+        /// than a full turn.
+        field_rad: f64,
+    },
+}
 
-    /// The point that sees `ray_in_camera`; u lies in [-0.5, W - 0.5). At a pole, where every
-    /// column does, the column is that of the ray's own atan2.
-    pub fn project(&self, ray_in_camera: &Ray) -> SpherePixel {
-        let longitude = ray_in_camera.y.atan2(ray_in_camera.x);
-        let across = ray_in_camera.x.hypot(ray_in_camera.y);
-        let latitude = ray_in_camera.z.atan2(across);
-        let width = f64::from(self.width);
-        let mut u = (0.5 - longitude / TAU) * width - 0.5;
-        if u >= width - 0.5 {
-            u -= width;
+/// Why there is no such camera.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum CameraError {
+    /// No pixels.
+    #[error("an image of {width}x{height} pixels shows no sphere: both sides must be 2 or more")]
+    Sides {
+        /// Columns.
+        width: u32,
+        /// Rows.
+        height: u32,
+    },
+    /// An image circle of which a part is missing.
+    #[error(
+        "the image circle of lens {lens}, {radius_px} px round ({u}, {v}), leaves the image of \
+         {width}x{height} px; correct its centre or radius, or the image's sides"
+    )]
+    CircleOutside {
+        /// 0 or 1.
+        lens: usize,
+        /// Radius of the circle, pixels.
+        radius_px: f64,
+        /// Its middle's column.
+        u: f64,
+        /// Its middle's row.
+        v: f64,
+        /// Columns of the image.
+        width: u32,
+        /// Rows of the image.
+        height: u32,
+    },
+    /// A pixel would belong to two lenses.
+    #[error("the two image circles overlap by {overlap_px:.1} px; correct their centres or radii")]
+    CirclesOverlap {
+        /// By how much, pixels.
+        overlap_px: f64,
+    },
+    /// A number that no lens has.
+    #[error("lens {lens}: {what} is {value}; it must be {must}")]
+    Lens {
+        /// 0 or 1.
+        lens: usize,
+        /// Which number.
+        what: &'static str,
+        /// What was given.
+        value: f64,
+        /// What is allowed.
+        must: &'static str,
+    },
+    /// Two angles would fall on one pixel.
+    #[error(
+        "lens {lens}: its curve does not rise any more {angle_deg:.1} degrees from the axis, within \
+         its field of {field_deg:.1} degrees; correct the coefficients or make the field smaller"
+    )]
+    Curve {
+        /// 0 or 1.
+        lens: usize,
+        /// Where, degrees from the axis.
+        angle_deg: f64,
+        /// The field asked for, degrees across.
+        field_deg: f64,
+    },
+    /// A stereographic image of nothing, or of more than there is.
+    #[error("a stereographic field of {:.1} degrees; 1 to 350 can be used", .field_rad.to_degrees())]
+    Field {
+        /// Angle across the circle, radians.
+        field_rad: f64,
+    },
+    /// Lenses farther apart than the camera is from anything it sees.
+    #[error("lenses {metres} m from the camera's middle; 0 to {MAX_OFFSET_M} m can be used")]
+    Offset {
+        /// How far, metres.
+        metres: f64,
+    },
+}
+
+/// Lenses farther from the camera's middle than this are refused, metres.
+pub const MAX_OFFSET_M: f64 = 0.5;
+
+/// A distance is taken for at least this many times the lenses' offset from the middle.
+const NEAREST_IN_OFFSETS: f64 = 2.0;
+
+impl Camera {
+    /// A camera that is right for things infinitely far away.
+    ///
+    /// # Errors
+    /// Numbers that no camera has; see [`CameraError`].
+    pub fn new(width: u32, height: u32, model: CameraModel) -> Result<Self, CameraError> {
+        if width < 2 || height < 2 {
+            return Err(CameraError::Sides { width, height });
         }
-        SpherePixel::new(u, (0.5 - latitude / PI) * f64::from(self.height) - 0.5)
+        match &model {
+            CameraModel::Equirectangular { lens_distance_m } => {
+                check_offset(lens_distance_m / 2.0)?;
+            }
+            CameraModel::DualFisheye(lenses) => lens::check_pair(lenses, width, height)?,
+            &CameraModel::Stereographic { field_rad } => {
+                if !(1.0..=350.0).contains(&field_rad.to_degrees()) {
+                    return Err(CameraError::Field { field_rad });
+                }
+            }
+        }
+        Ok(Self { width, height, model, nearness: 0.0 })
     }
 
-    /// Pixels for each radian along the equator (and along every meridian of a 2:1 image).
+    /// The equirectangular camera with one centre. Its sides are not looked at.
+    pub const fn equirectangular(width: u32, height: u32) -> Self {
+        let model = CameraModel::Equirectangular { lens_distance_m: 0.0 };
+        Self { width, height, model, nearness: 0.0 }
+    }
+
+    /// The same camera, right for things `metres` away from its middle (infinity is allowed; less
+    /// than twice the lenses' offset counts as that).
+    pub fn at_distance(self, metres: f64) -> Self {
+        let farthest = self.largest_offset_m();
+        let least = NEAREST_IN_OFFSETS * farthest;
+        // NaN is no distance, and keeps the one there was.
+        let nearness = match metres {
+            _ if farthest == 0.0 => 0.0,
+            metres if metres.is_nan() => self.nearness,
+            metres => 1.0 / metres.max(least),
+        };
+        Self { nearness, ..self }
+    }
+
+    /// Columns of the image.
+    pub fn width(&self) -> u32 {
+        self.width
+    }
+
+    /// Rows of the image.
+    pub fn height(&self) -> u32 {
+        self.height
+    }
+
+    /// The model.
+    pub fn model(&self) -> &CameraModel {
+        &self.model
+    }
+
+    /// One over the distance that rays are right for, 1/m.
+    pub fn nearness(&self) -> f64 {
+        self.nearness
+    }
+
+    /// The model if it is the equirectangular one with a single centre, or with its lenses' offset
+    /// of no account.
+    pub fn as_equirectangular(&self) -> Option<Equirectangular> {
+        let is_plain = match self.model {
+            CameraModel::Equirectangular { lens_distance_m } => {
+                lens_distance_m == 0.0 || self.nearness == 0.0
+            }
+            _ => false,
+        };
+        is_plain.then_some(Equirectangular { width: self.width, height: self.height })
+    }
+
+    /// The stereographic plane of this image with this field.
+    pub(crate) fn plane(&self, field_rad: f64) -> Stereographic {
+        Stereographic::new(self.width, self.height, field_rad)
+    }
+
+    /// The ray that the point `pixel` sees; `None` outside the image circles. An equirectangular
+    /// image goes round: any column has a ray.
+    pub fn ray(&self, pixel: SpherePixel) -> Option<Ray> {
+        match &self.model {
+            &CameraModel::Equirectangular { lens_distance_m } => {
+                let sphere = Equirectangular { width: self.width, height: self.height };
+                let seen = sphere.ray(pixel);
+                let side = if seen.x >= 0.0 { 0.5 } else { -0.5 };
+                let lens = Vector3::x() * (side * lens_distance_m * self.nearness);
+                Some(from_middle(&seen, &lens))
+            }
+            CameraModel::DualFisheye(lenses) => {
+                let lens = lenses.iter().find(|lens| lens.holds(pixel))?;
+                let seen = lens.camera_from_lens.rotation * lens.ray(pixel)?;
+                let position = lens.camera_from_lens.translation.vector;
+                Some(from_middle(&seen, &(position * self.nearness)))
+            }
+            &CameraModel::Stereographic { field_rad } => self.plane(field_rad).ray(pixel),
+        }
+    }
+
+    /// The point that sees `ray_in_camera`; `None` for rays that no image circle holds.
+    ///
+    /// Where both fisheye lenses see it, the one whose axis is nearer counts. Of the stitched
+    /// camera with two lenses, neither sees the strip between them: there the point is the seam's.
+    pub fn project(&self, ray_in_camera: &Ray) -> Option<SpherePixel> {
+        match &self.model {
+            &CameraModel::Equirectangular { lens_distance_m } => {
+                let sphere = Equirectangular { width: self.width, height: self.height };
+                let offset = 0.5 * lens_distance_m * self.nearness;
+                if offset == 0.0 {
+                    return Some(sphere.project(ray_in_camera));
+                }
+                let mut seen = ray_in_camera.into_inner();
+                seen.x = match seen.x {
+                    x if x >= 0.0 => (x - offset).max(0.0),
+                    // Not 0, which is the front lens' side of the seam.
+                    x => (x + offset).min(-f64::MIN_POSITIVE),
+                };
+                Some(sphere.project(&Ray::new_normalize(seen)))
+            }
+            CameraModel::DualFisheye(lenses) => {
+                let seen = lenses.each_ref().map(|lens| {
+                    let position = lens.camera_from_lens.translation.vector;
+                    let direction = ray_in_camera.into_inner() - position * self.nearness;
+                    lens.camera_from_lens.rotation.inverse() * direction
+                });
+                let nearness_to_axis = |k: usize| seen[k].z / seen[k].norm();
+                let first = usize::from(nearness_to_axis(1) > nearness_to_axis(0));
+                let project = |k: usize| lenses[k].project(&seen[k]);
+                project(first).or_else(|| project(1 - first))
+            }
+            &CameraModel::Stereographic { field_rad } => {
+                self.plane(field_rad).project(ray_in_camera)
+            }
+        }
+    }
+
+    /// Pixels for each radian: along the equator of an equirectangular image, on the axis of a
+    /// fisheye lens (the finer of two), in the middle of a stereographic plane.
     pub fn pixels_per_radian(&self) -> f64 {
-        f64::from(self.width) / TAU
+        match &self.model {
+            CameraModel::Equirectangular { .. } => {
+                Equirectangular { width: self.width, height: self.height }.pixels_per_radian()
+            }
+            CameraModel::DualFisheye([one, other]) => {
+                one.pixels_per_radian().max(other.pixels_per_radian())
+            }
+            &CameraModel::Stereographic { field_rad } => self.plane(field_rad).radius_px(),
+        }
+    }
+
+    /// How far a thing at `metres` in the direction `ray_in_camera` lies from where its pixel's ray
+    /// points, because of lenses beside the camera's middle: radians, and 0 where the camera is
+    /// [right for that distance](Self::at_distance).
+    pub fn parallax_rad(&self, ray_in_camera: &Ray, metres: f64) -> f64 {
+        let Some(pixel) = self.at_distance(metres).project(ray_in_camera) else { return 0.0 };
+        // By the chord: the arc of a cosine loses half the digits of small angles.
+        self.ray(pixel).map_or(0.0, |assumed| {
+            let chord = (assumed.into_inner() - ray_in_camera.into_inner()).norm();
+            2.0 * (0.5 * chord).min(1.0).asin()
+        })
+    }
+
+    /// Farthest that a lens sits from the camera's middle, metres.
+    fn largest_offset_m(&self) -> f64 {
+        match &self.model {
+            CameraModel::Equirectangular { lens_distance_m } => lens_distance_m / 2.0,
+            CameraModel::DualFisheye(lenses) => {
+                lenses.iter().map(Lens::offset_m).fold(0.0, f64::max)
+            }
+            CameraModel::Stereographic { .. } => 0.0,
+        }
+    }
+}
+
+/// The direction from the camera's middle, at distance 1, of what a lens at `lens` (in units of
+/// that distance) sees along `seen`: the intersection of that ray with the unit sphere.
+fn from_middle(seen: &Ray, lens: &Vector3<f64>) -> Ray {
+    let along = lens.dot(seen);
+    let reach = (1.0 - lens.norm_squared() + along * along).sqrt() - along;
+    Ray::new_normalize(lens + seen.into_inner() * reach)
+}
+
+fn check_offset(metres: f64) -> Result<(), CameraError> {
+    // Written so that NaN is refused too.
+    if (0.0..=MAX_OFFSET_M).contains(&metres) {
+        Ok(())
+    } else {
+        Err(CameraError::Offset { metres })
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use proptest::prelude::*;
-
-    const CAMERA: Equirectangular = Equirectangular { width: 3840, height: 1920 };
-
-    #[test]
-    fn the_centre_looks_forward_and_left_is_left() {
-        let ray = CAMERA.ray(SpherePixel::new(1919.5, 959.5));
-        assert!((ray.into_inner() - Vector3::x()).norm() < 1e-12);
-        let ray = CAMERA.ray(SpherePixel::new(959.5, 959.5));
-        assert!((ray.into_inner() - Vector3::y()).norm() < 1e-12);
-        let ray = CAMERA.ray(SpherePixel::new(1919.5, -0.5));
-        assert!((ray.into_inner() - Vector3::z()).norm() < 1e-12);
-    }
-
-    proptest! {
-        #[test]
-        fn rays_come_back(u in -0.5..3839.49f64, v in 0.0..1919.0f64) {
-            let back = CAMERA.project(&CAMERA.ray(SpherePixel::new(u, v)));
-            prop_assert!((back.0.x - u).abs() < 1e-7 && (back.0.y - v).abs() < 1e-7, "{back:?}");
-        }
-    }
-}
+mod tests;
