@@ -1,7 +1,7 @@
 //! The configured camera and the views that cover its sphere.
 
 use flockeye_contract::Transfer;
-use flockeye_geometry::camera::Equirectangular;
+use flockeye_geometry::camera::Camera;
 use flockeye_geometry::partition::{Partition, PartitionError};
 use flockeye_geometry::search::GazeOptions;
 use flockeye_geometry::view::View;
@@ -10,8 +10,8 @@ use crate::config::{Pipeline, Response};
 
 impl Pipeline {
     /// The camera model.
-    pub fn camera_model(&self) -> Equirectangular {
-        Equirectangular { width: self.camera.width, height: self.camera.height }
+    pub fn camera_model(&self) -> Camera {
+        Camera::equirectangular(self.camera.width, self.camera.height)
     }
 
     /// The code of the camera's transfer curve, and its gamma where it has one.

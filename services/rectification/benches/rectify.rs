@@ -3,9 +3,9 @@
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used)]
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use flockeye_geometry::camera::Equirectangular;
+use flockeye_geometry::camera::Camera;
 use flockeye_geometry::view::{View, ViewPixel};
-use flockeye_imaging::sphere::SphereImage;
+use flockeye_imaging::sphere::{Cut, SphereImage};
 use flockeye_rectification::cpu::CpuRectifier;
 use flockeye_rectification::gpu::{FoundAdapter, GpuRectifier};
 use flockeye_rectification::rectifier::Rectifier;
@@ -14,15 +14,15 @@ use opencv::core::{self, CV_16SC2, CV_32FC1, Mat, Scalar};
 use opencv::imgproc;
 use opencv::prelude::*;
 
-const CAMERA: Equirectangular = Equirectangular { width: 3840, height: 1920 };
+const CAMERA: Camera = Camera::equirectangular(3840, 1920);
 const FIELD_DEG: f64 = 74.75;
 const SIZE_PX: u32 = 936;
 
 /// Texture at every scale, so that no row is like the next.
 fn frame() -> Vec<u8> {
-    (0..CAMERA.width * CAMERA.height)
+    (0..CAMERA.width() * CAMERA.height())
         .map(|k| {
-            let (x, y) = (k % CAMERA.width, k / CAMERA.width);
+            let (x, y) = (k % CAMERA.width(), k / CAMERA.width());
             (x.wrapping_mul(y).wrapping_add((x / 7) ^ (y / 5)) >> 3) as u8
         })
         .collect()
@@ -53,7 +53,8 @@ fn cut(
     out: &mut [Vec<u8>],
 ) {
     let mut slices: Vec<&mut [u8]> = out.iter_mut().map(Vec::as_mut_slice).collect();
-    rectifier.cut(sphere, views, &mut slices).unwrap();
+    let cuts: Vec<Cut> = views.iter().copied().map(Cut::bilinear).collect();
+    rectifier.cut(sphere, &cuts, &mut slices).unwrap();
 }
 
 fn buffers(views: &[View]) -> Vec<Vec<u8>> {
@@ -128,7 +129,7 @@ fn maps(view: &View) -> (Mat, Mat) {
     for y in 0..size {
         for x in 0..size {
             let ray = view.ray(ViewPixel::new(f64::from(x), f64::from(y)));
-            let at = CAMERA.project(&ray).0;
+            let at = CAMERA.project(&ray).unwrap().0;
             *columns.at_2d_mut::<f32>(y, x).unwrap() = at.x as f32;
             *rows.at_2d_mut::<f32>(y, x).unwrap() = at.y as f32;
         }
@@ -142,7 +143,7 @@ fn opencv_remap(criterion: &mut Criterion) {
     core::set_num_threads(1).unwrap();
     let pixels = frame();
     let sphere = Mat::from_slice(&pixels).unwrap();
-    let sphere = sphere.reshape(1, CAMERA.height as i32).unwrap();
+    let sphere = sphere.reshape(1, CAMERA.height() as i32).unwrap();
     let mut group = criterion.benchmark_group("opencv remap, fixed-point maps prepared");
     let mut remap = |name: &str, view: View| {
         let (whole, fraction) = maps(&view);

@@ -1,7 +1,6 @@
 //! Views cut by the processor.
 
-use flockeye_geometry::view::View;
-use flockeye_imaging::sphere::{SphereImage, rectify_all};
+use flockeye_imaging::sphere::{Cut, SphereImage, rectify_all};
 
 use crate::rectifier::{Rectifier, RectifyError};
 
@@ -33,9 +32,9 @@ impl Rectifier for CpuRectifier {
     fn cut(
         &mut self,
         sphere: &SphereImage<'_>,
-        views: &[View],
+        cuts: &[Cut],
         outputs: &mut [&mut [u8]],
     ) -> Result<(), RectifyError> {
-        Ok(rectify_all(sphere, views, outputs, self.threads)?)
+        Ok(rectify_all(sphere, cuts, outputs, self.threads)?)
     }
 }

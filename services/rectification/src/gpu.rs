@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::time::Duration;
 
 use flockeye_geometry::view::View;
-use flockeye_imaging::sphere::{SphereImage, check_outputs};
+use flockeye_imaging::sphere::{Cut, SphereImage, check_outputs};
 use wgpu::{BufferUsages, Limits};
 
 pub use self::adapter::FoundAdapter;
@@ -224,10 +224,11 @@ impl Rectifier for GpuRectifier {
     fn cut(
         &mut self,
         sphere: &SphereImage<'_>,
-        views: &[View],
+        cuts: &[Cut],
         outputs: &mut [&mut [u8]],
     ) -> Result<(), RectifyError> {
-        check_outputs(views, outputs)?;
+        check_outputs(cuts, outputs)?;
+        let views: Vec<View> = cuts.iter().map(|cut| cut.view).collect();
         self.check_alive()?;
         if self.begun != Some(SphereUniform::new(sphere.camera(), sphere.stride())) {
             return Err(RectifyError::NotBegun);
@@ -235,7 +236,7 @@ impl Rectifier for GpuRectifier {
         if views.is_empty() {
             return Ok(());
         }
-        let layout = Layout::new(views);
+        let layout = Layout::new(&views);
         let groups = u64::from(self.device.limits().max_compute_workgroups_per_dimension);
         self.check_fits("views of one call", views.len() as u64, groups)?;
         self.check_fits("bytes of the views of one call", 4 * layout.words, self.max_bytes())?;
@@ -274,7 +275,7 @@ fn grow(device: &wgpu::Device, buffer: &mut wgpu::Buffer, bytes: u64) {
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
-    use flockeye_geometry::camera::Equirectangular;
+    use flockeye_geometry::camera::Camera;
     use nalgebra::Vector3;
 
     #[test]
@@ -284,16 +285,16 @@ mod tests {
             return;
         };
         let mut gpu = GpuRectifier::open(found).unwrap();
-        let camera = Equirectangular { width: 64, height: 32 };
+        let camera = Camera::equirectangular(64, 32);
         let pixels = [70; 64 * 32];
         let sphere = SphereImage::new(&pixels, 64, camera).unwrap();
         let view = View::looking_at(&Vector3::x_axis(), 1.0, 33);
         let mut out = [0; 33 * 33];
         gpu.begin_frame(&sphere).unwrap();
-        gpu.cut(&sphere, &[view], &mut [&mut out]).unwrap();
+        gpu.cut(&sphere, &[Cut::bilinear(view)], &mut [&mut out]).unwrap();
         assert_eq!(out, [70; 33 * 33]);
         gpu.device.destroy();
-        let error = gpu.cut(&sphere, &[view], &mut [&mut out]).unwrap_err();
+        let error = gpu.cut(&sphere, &[Cut::bilinear(view)], &mut [&mut out]).unwrap_err();
         assert!(error.is_lost(), "{error}");
         let error = gpu.begin_frame(&sphere).unwrap_err();
         assert!(

@@ -1,7 +1,6 @@
 //! The back ends' common face, and the choice between them.
 
-use flockeye_geometry::view::View;
-use flockeye_imaging::sphere::{SphereError, SphereImage};
+use flockeye_imaging::sphere::{Cut, SphereError, SphereImage};
 
 use crate::cpu::CpuRectifier;
 use crate::gpu::{FoundAdapter, GpuRectifier};
@@ -20,7 +19,7 @@ pub trait Rectifier: Send {
     /// The device was lost or cannot hold the frame.
     fn begin_frame(&mut self, sphere: &SphereImage<'_>) -> Result<(), RectifyError>;
 
-    /// Cuts `views` of the frame that was begun last, which `sphere` must be, into `outputs`: one
+    /// Makes `cuts` of the frame that was begun last, which `sphere` must be, into `outputs`: one
     /// for each view, rows of `size_px` bytes without gaps.
     ///
     /// # Errors
@@ -29,7 +28,7 @@ pub trait Rectifier: Send {
     fn cut(
         &mut self,
         sphere: &SphereImage<'_>,
-        views: &[View],
+        cuts: &[Cut],
         outputs: &mut [&mut [u8]],
     ) -> Result<(), RectifyError>;
 }

@@ -7,9 +7,9 @@ use flockeye_contract::{
     Detections, FrameEnd, FrameEnds, FrameHeader, Frames, PlanHeader, PlannedView, Plans,
     StopReason, StopRule, ViewHeader, Views,
 };
-use flockeye_geometry::camera::Equirectangular;
+use flockeye_geometry::camera::Camera;
 use flockeye_geometry::view::View;
-use flockeye_imaging::sphere::SphereImage;
+use flockeye_imaging::sphere::{Cut, SphereImage};
 use flockeye_runtime::config::{Backend, Flow};
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::logs::Throttle;
@@ -42,7 +42,7 @@ pub struct RectificationStage {
     overdue: Duration,
     flow: Flow,
     generation: u32,
-    camera: Equirectangular,
+    camera: Camera,
     partitions: Vec<View>,
     swept: usize,
     plan: Option<(PlanHeader, Vec<PlannedView>)>,
@@ -292,13 +292,12 @@ impl RectificationStage {
         let size = view.size_px as usize;
         let publisher = self.views.get(worker).context("there is no such worker")?;
         let mut loan = publisher.loan(size * size)?;
-        let cut = self.rectifier.cut(&sphere, &[view], &mut [loan.items_mut()]);
+        let cut = self.rectifier.cut(&sphere, &[Cut::bilinear(view)], &mut [loan.items_mut()]);
         let cut = match cut {
             // Another frame was begun in between: this one's view is cut again for a stalled worker.
-            Err(RectifyError::NotBegun) => self
-                .rectifier
-                .begin_frame(&sphere)
-                .and_then(|()| self.rectifier.cut(&sphere, &[view], &mut [loan.items_mut()])),
+            Err(RectifyError::NotBegun) => self.rectifier.begin_frame(&sphere).and_then(|()| {
+                self.rectifier.cut(&sphere, &[Cut::bilinear(view)], &mut [loan.items_mut()])
+            }),
             other => other,
         };
         cut?;
@@ -363,11 +362,11 @@ impl RectificationStage {
 
 /// The frame's pixels as the configured camera sees them.
 fn sphere_of<'m>(
-    camera: Equirectangular,
+    camera: Camera,
     header: &FrameHeader,
     pixels: &'m [u8],
 ) -> anyhow::Result<SphereImage<'m>> {
-    let Equirectangular { width, height } = camera;
+    let (width, height) = (camera.width(), camera.height());
     anyhow::ensure!(
         (header.width, header.height) == (width, height),
         "it has {}x{} pixels, the configuration says {width}x{height}. Cure: set camera.width and \

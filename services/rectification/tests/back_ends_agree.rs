@@ -1,22 +1,22 @@
 //! Both back ends give the same views.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
-use flockeye_geometry::camera::Equirectangular;
+use flockeye_geometry::camera::Camera;
 use flockeye_geometry::view::View;
-use flockeye_imaging::sphere::SphereImage;
+use flockeye_imaging::sphere::{Cut, SphereImage};
 use flockeye_rectification::cpu::CpuRectifier;
 use flockeye_rectification::gpu::{FoundAdapter, GpuRectifier};
 use flockeye_rectification::rectifier::{Rectifier, RectifyError};
 use nalgebra::{Unit, UnitQuaternion, Vector3};
 
 /// Waves of about 6 px with full contrast, and a stride that ends no row on a whole word.
-fn frame(camera: Equirectangular, stride: usize) -> Vec<u8> {
-    let mut pixels = vec![0; stride * (camera.height as usize - 1) + camera.width as usize];
+fn frame(camera: Camera, stride: usize) -> Vec<u8> {
+    let mut pixels = vec![0; stride * (camera.height() as usize - 1) + camera.width() as usize];
     for (k, pixel) in pixels.iter_mut().enumerate() {
         let (x, y) = ((k % stride) as f64, (k / stride) as f64);
         // Whole waves around the sphere: nothing jumps at the seam.
-        let turn = x / f64::from(camera.width) * std::f64::consts::TAU;
-        let wave = (turn * f64::from(camera.width / 6)).sin() * (y * 1.05).sin();
+        let turn = x / f64::from(camera.width()) * std::f64::consts::TAU;
+        let wave = (turn * f64::from(camera.width() / 6)).sin() * (y * 1.05).sin();
         *pixel = (127.5 + 127.0 * wave) as u8;
     }
     pixels
@@ -57,7 +57,8 @@ fn gpu() -> Option<GpuRectifier> {
 fn cut(rectifier: &mut dyn Rectifier, sphere: &SphereImage<'_>, views: &[View]) -> Vec<Vec<u8>> {
     let mut outputs: Vec<_> = views.iter().map(|v| vec![0; v.size_px.pow(2) as usize]).collect();
     let mut slices: Vec<&mut [u8]> = outputs.iter_mut().map(Vec::as_mut_slice).collect();
-    rectifier.cut(sphere, views, &mut slices).unwrap();
+    let cuts: Vec<Cut> = views.iter().copied().map(Cut::bilinear).collect();
+    rectifier.cut(sphere, &cuts, &mut slices).unwrap();
     outputs
 }
 
@@ -66,10 +67,10 @@ fn views_differ_by_two_greys_at_most_and_seldom_by_one() {
     let Some(mut gpu) = gpu() else { return };
     let mut cpu = CpuRectifier::new(2);
     for (camera, stride) in [
-        (Equirectangular { width: 1920, height: 960 }, 1923),
-        (Equirectangular { width: 3840, height: 1920 }, 3840),
+        (Camera::equirectangular(1920, 960), 1923),
+        (Camera::equirectangular(3840, 1920), 3840),
         // Shorter than the one before: the buffers stay long.
-        (Equirectangular { width: 958, height: 479 }, 958),
+        (Camera::equirectangular(958, 479), 958),
     ] {
         let pixels = frame(camera, stride);
         let sphere = SphereImage::new(&pixels, stride, camera).unwrap();
@@ -94,15 +95,15 @@ fn views_differ_by_two_greys_at_most_and_seldom_by_one() {
 fn only_the_frame_begun_is_cut() {
     let Some(mut gpu) = gpu() else { return };
     let pixels = vec![1; 64 * 32];
-    let sphere = SphereImage::new(&pixels, 64, Equirectangular { width: 64, height: 32 }).unwrap();
-    let smaller = Equirectangular { width: 32, height: 16 };
+    let sphere = SphereImage::new(&pixels, 64, Camera::equirectangular(64, 32)).unwrap();
+    let smaller = Camera::equirectangular(32, 16);
     let other = SphereImage::new(&pixels, 32, smaller).unwrap();
     let view = View::looking_at(&Vector3::x_axis(), 1.0, 8);
     let mut out = [0; 64];
     let not_begun = Err(RectifyError::NotBegun);
-    assert_eq!(gpu.cut(&sphere, &[view], &mut [&mut out]), not_begun);
+    assert_eq!(gpu.cut(&sphere, &[Cut::bilinear(view)], &mut [&mut out]), not_begun);
     gpu.begin_frame(&sphere).unwrap();
-    assert_eq!(gpu.cut(&sphere, &[view], &mut [&mut out]), Ok(()));
-    assert_eq!(gpu.cut(&other, &[view], &mut [&mut out]), not_begun);
+    assert_eq!(gpu.cut(&sphere, &[Cut::bilinear(view)], &mut [&mut out]), Ok(()));
+    assert_eq!(gpu.cut(&other, &[Cut::bilinear(view)], &mut [&mut out]), not_begun);
     assert_eq!(gpu.cut(&sphere, &[], &mut []), Ok(()));
 }

@@ -3,17 +3,63 @@
 
 use std::f64::consts::TAU;
 
-use flockeye_geometry::camera::Equirectangular;
+use flockeye_geometry::camera::{Lens, LensCurve};
 use flockeye_geometry::view::{View, ViewPixel};
-use nalgebra::{Quaternion, Unit, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Quaternion, Rotation3, Translation3, Unit, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 
+use super::any_camera::CameraMapping;
 use super::cut::{Band, cut_band_plain};
-use super::mapping::{LANES, Mapping, ONE};
-use super::patch::{Patch, Tile};
+use super::equirectangular::EquirectangularMapping;
+use super::mapping::{Fit, LANES, Mapping, NOWHERE, ONE};
+use super::patch::Tile;
 use super::*;
 
-const CAMERA: Equirectangular = Equirectangular { width: 3840, height: 1920 };
+const CAMERA: Camera = Camera::equirectangular(3840, 1920);
+
+/// Every model: with one centre and with lenses beside it.
+fn cameras() -> [Camera; 5] {
+    let lens = |ahead: f64, u: f64, curve, focal_px| {
+        let axis = Vector3::x() * ahead;
+        let right = axis.cross(&Vector3::z());
+        let axes = Rotation3::from_basis_unchecked(&[right, axis.cross(&right), axis]);
+        let tilt = UnitQuaternion::from_scaled_axis(Vector3::new(0.01, -0.02, 1.2));
+        Lens {
+            camera_from_lens: Isometry3::from_parts(
+                Translation3::from(axis * 0.008),
+                UnitQuaternion::from_rotation_matrix(&axes) * tilt,
+            ),
+            centre_px: [u, 958.0].into(),
+            circle_px: 950.0,
+            field_rad: 195f64.to_radians(),
+            focal_px: [focal_px, 1.002 * focal_px].into(),
+            curve,
+        }
+    };
+    let pair = |curve, focal_px| {
+        let lenses = [lens(1.0, 958.0, curve, focal_px), lens(-1.0, 2880.0, curve, focal_px)];
+        Camera::new(3840, 1920, CameraModel::DualFisheye(lenses)).unwrap()
+    };
+    let polynomial = LensCurve::Equidistant([-0.02, 0.005, -0.003, 0.0004]);
+    let spheres = LensCurve::DoubleSphere { xi: 0.0024, alpha: 0.6605 };
+    let stitched = CameraModel::Equirectangular { lens_distance_m: 0.016 };
+    let plane = CameraModel::Stereographic { field_rad: 300f64.to_radians() };
+    [
+        CAMERA,
+        Camera::new(3840, 1920, stitched).unwrap(),
+        pair(polynomial, 560.0),
+        pair(spheres, 550.0),
+        Camera::new(2000, 1920, plane).unwrap(),
+    ]
+}
+
+/// How a test asks for any mapping.
+fn with_mapping<T>(camera: &Camera, view: &View, ask: impl FnOnce(&dyn Mapping) -> T) -> T {
+    match camera.as_equirectangular() {
+        Some(camera) => ask(&EquirectangularMapping::new(camera, view)),
+        None => ask(&CameraMapping::new(camera, view)),
+    }
+}
 
 /// Numbers that look random: splitmix64 (Steele, Lea, Flood: *Fast splittable pseudorandom number
 /// generators*, OOPSLA 2014).
@@ -52,8 +98,8 @@ impl Numbers {
 }
 
 /// Noise of full contrast, blurred by a Gaussian of 0.8 px.
-fn panorama() -> Vec<u8> {
-    let (width, height) = (CAMERA.width as usize, CAMERA.height as usize);
+fn panorama(camera: &Camera) -> Vec<u8> {
+    let (width, height) = (camera.width() as usize, camera.height() as usize);
     let kernel: Vec<f64> = (-3..=3).map(|k| (-f64::from(k * k) / (2.0 * 0.64)).exp()).collect();
     let sum: f64 = kernel.iter().sum();
     let mut numbers = Numbers(1);
@@ -76,25 +122,44 @@ fn panorama() -> Vec<u8> {
     both.into_iter().map(|grey| grey.round() as u8).collect()
 }
 
-/// Bilinear interpolation where `view` sees the sphere at pixel (x, y), in double precision.
-fn exact(sphere: &SphereImage<'_>, view: &View, x: u32, y: u32) -> f64 {
-    let camera = sphere.camera();
-    let ray = view.ray(ViewPixel::new(f64::from(x), f64::from(y)));
-    let at = camera.project(&ray).0;
-    let (left, top) = (at.x.floor(), at.y.floor());
-    let (width, height) = (camera.width as i32, camera.height as i32);
+/// Interpolation where the cut's pixel (x, y) lies in the sphere image, in double precision; black
+/// where it does not.
+fn exact(sphere: &SphereImage<'_>, cut: &Cut, x: u32, y: u32) -> f64 {
+    let camera = sphere.camera().at_distance(cut.distance_m);
+    let ray = cut.view.ray(ViewPixel::new(f64::from(x), f64::from(y)));
+    let Some(at) = camera.project(&ray) else { return 0.0 };
+    let (left, top) = (at.0.x.floor(), at.0.y.floor());
+    let (width, height) = (camera.width() as i32, camera.height() as i32);
+    let is_round = matches!(camera.model(), CameraModel::Equirectangular { .. });
     let pixel = |dx: i32, dy: i32| {
         let (mut column, mut row) = (left as i32 + dx, top as i32 + dy);
-        if row < 0 || row >= height {
+        if is_round && (row < 0 || row >= height) {
             column += width / 2;
             row = if row < 0 { -1 - row } else { 2 * height - 1 - row };
         }
-        let column = column.rem_euclid(width) as usize;
-        f64::from(sphere.pixels()[row as usize * sphere.stride() + column])
+        let column =
+            if is_round { column.rem_euclid(width) } else { column.clamp(0, width - 1) } as usize;
+        let row = row.clamp(0, height - 1) as usize;
+        f64::from(sphere.pixels()[row * sphere.stride() + column])
     };
-    let (right, down) = (at.x - left, at.y - top);
-    (1.0 - down) * ((1.0 - right) * pixel(0, 0) + right * pixel(1, 0))
-        + down * ((1.0 - right) * pixel(0, 1) + right * pixel(1, 1))
+    let weights = |t: f64| match cut.interpolation {
+        Interpolation::Bilinear => [0.0, 1.0 - t, t, 0.0],
+        // Keys' article, with a = -1/2.
+        Interpolation::Cubic => [
+            -0.5 * (t + 1.0).powi(3) + 2.5 * (t + 1.0).powi(2) - 4.0 * (t + 1.0) + 2.0,
+            1.5 * t.powi(3) - 2.5 * t * t + 1.0,
+            1.5 * (1.0 - t).powi(3) - 2.5 * (1.0 - t).powi(2) + 1.0,
+            -0.5 * (2.0 - t).powi(3) + 2.5 * (2.0 - t).powi(2) - 4.0 * (2.0 - t) + 2.0,
+        ],
+    };
+    let (across, along) = (weights(at.0.x - left), weights(at.0.y - top));
+    let mut grey = 0.0;
+    for (row, along) in (-1..3).zip(along) {
+        for (column, across) in (-1..3).zip(across) {
+            grey += along * across * pixel(column, row);
+        }
+    }
+    grey.clamp(0.0, 255.0)
 }
 
 /// Views where something can go wrong: the poles, the seam, both, and the corners of wide views.
@@ -119,66 +184,86 @@ fn hard_views() -> Vec<View> {
     views
 }
 
+/// Columns and rows between two points; an equirectangular image goes round.
+fn apart(camera: &Camera, columns: f64, rows: f64) -> f64 {
+    let turn = f64::from(camera.width());
+    let columns = match camera.model() {
+        CameraModel::Equirectangular { .. } => columns - (columns / turn).round() * turn,
+        _ => columns,
+    };
+    columns.abs().max(rows.abs())
+}
+
 #[test]
 fn interpolated_positions_are_within_the_stated_error() {
     let mut numbers = Numbers(2);
-    let (mut tiles, mut worst) = (0, 0f64);
-    for _ in 0..3000 {
-        let view = numbers.view();
-        let mapping = Mapping::new(CAMERA, &view);
-        for _ in 0..20 {
-            let side =
-                |numbers: &mut Numbers| (8 + 8 * (numbers.next() % 4) as u32).min(view.size_px);
-            let (width, height) = (side(&mut numbers) & !7, side(&mut numbers));
-            let mut place = |side| (numbers.next() % u64::from(view.size_px - side + 1)) as u32;
-            let tile = Tile { x: place(width), y: place(height), width, height };
-            let Some(patch) = Patch::fit(&mapping, tile) else { continue };
-            tiles += 1;
-            for first in (0..width).step_by(LANES) {
-                let [mut columns, mut rows] = patch.strip(first).series;
-                for y in 0..height {
-                    // The outermost columns and one inside are enough: tiles lie everywhere.
-                    for k in [0, 3, 7] {
-                        let at = ViewPixel::new(
-                            f64::from(tile.x + first) + k as f64,
-                            f64::from(tile.y + y),
-                        );
-                        let exact = CAMERA.project(&view.ray(at)).0;
-                        let turn = f64::from(CAMERA.width);
-                        let column = f64::from(columns.value[k]) / ONE - exact.x;
-                        let column = column - (column / turn).round() * turn;
-                        let row = f64::from(rows.value[k]) / ONE - exact.y;
-                        worst = worst.max(column.abs()).max(row.abs());
+    for (index, camera) in cameras().into_iter().enumerate() {
+        let camera = camera.at_distance(0.9);
+        let (mut tiles, mut worst) = (0, 0f64);
+        for _ in 0..3000 {
+            let view = numbers.view();
+            for _ in 0..10 {
+                let side =
+                    |numbers: &mut Numbers| (8 + 8 * (numbers.next() % 4) as u32).min(view.size_px);
+                let (width, height) = (side(&mut numbers) & !7, side(&mut numbers));
+                let mut place = |side| (numbers.next() % u64::from(view.size_px - side + 1)) as u32;
+                let tile = Tile { x: place(width), y: place(height), width, height };
+                let fit = with_mapping(&camera, &view, |mapping| mapping.fit(tile));
+                let Fit::Patch(patch) = fit else { continue };
+                tiles += 1;
+                for first in (0..width).step_by(LANES) {
+                    let [mut columns, mut rows] = patch.strip(first).series;
+                    for y in 0..height {
+                        // The outermost columns and one inside are enough: tiles lie everywhere.
+                        for k in [0, 3, 7] {
+                            let at = ViewPixel::new(
+                                f64::from(tile.x + first) + k as f64,
+                                f64::from(tile.y + y),
+                            );
+                            let exact = camera.project(&view.ray(at)).expect("inside of a circle");
+                            let error = apart(
+                                &camera,
+                                f64::from(columns.value[k]) / ONE - exact.0.x,
+                                f64::from(rows.value[k]) / ONE - exact.0.y,
+                            );
+                            worst = worst.max(error);
+                        }
+                        columns.advance();
+                        rows.advance();
                     }
-                    columns.advance();
-                    rows.advance();
                 }
             }
         }
+        println!("camera {index}: {tiles} tiles interpolated, {worst:.4} px at most");
+        assert!(tiles > 12_000, "camera {index}: only {tiles} tiles were interpolated");
+        assert!(worst <= MAX_MAPPING_ERROR_PX, "camera {index}: {worst} px");
     }
-    assert!(tiles > 30_000, "only {tiles} tiles were interpolated");
-    assert!(worst <= MAX_MAPPING_ERROR_PX, "{worst} px");
 }
 
 #[test]
 fn exact_positions_are_exact() {
     let mut numbers = Numbers(3);
-    let mut views = hard_views();
-    views.extend((0..200).map(|_| numbers.view()));
-    for view in views {
-        let mapping = Mapping::new(CAMERA, &view);
-        for _ in 0..200 {
-            let mut place = || (numbers.next() % u64::from(view.size_px)) as u32;
-            let (x, y) = (place(), place());
-            let (columns, rows) = mapping.positions(x, y);
-            for k in 0..LANES {
-                let at = ViewPixel::new(f64::from(x) + k as f64, f64::from(y));
-                let exact = CAMERA.project(&view.ray(at)).0;
-                let turn = f64::from(CAMERA.width);
-                let column = f64::from(columns[k]) / ONE - exact.x;
-                let column = column - (column / turn).round() * turn;
-                let row = f64::from(rows[k]) / ONE - exact.y;
-                assert!(column.abs() < 1e-4 && row.abs() < 1e-4, "{view:?} {at:?} {column} {row}");
+    for camera in cameras() {
+        let camera = camera.at_distance(1.5);
+        let mut views = hard_views();
+        views.extend((0..100).map(|_| numbers.view()));
+        for view in views {
+            for _ in 0..100 {
+                let mut place = || (numbers.next() % u64::from(view.size_px)) as u32;
+                let (x, y) = (place(), place());
+                let (columns, rows) =
+                    with_mapping(&camera, &view, |mapping| mapping.positions(x, y));
+                for k in 0..LANES {
+                    let at = ViewPixel::new(f64::from(x) + k as f64, f64::from(y));
+                    let Some(exact) = camera.project(&view.ray(at)) else {
+                        assert_eq!(columns[k], NOWHERE);
+                        continue;
+                    };
+                    let column = f64::from(columns[k]) / ONE - exact.0.x;
+                    let row = f64::from(rows[k]) / ONE - exact.0.y;
+                    let error = apart(&camera, column, row);
+                    assert!(error < 1e-4, "{view:?} {at:?} {column} {row}");
+                }
             }
         }
     }
@@ -186,61 +271,101 @@ fn exact_positions_are_exact() {
 
 #[test]
 fn views_differ_from_exact_ones_by_two_greys_at_most() {
-    let pixels = panorama();
-    let sphere = SphereImage::new(&pixels, 3840, CAMERA).unwrap();
     let mut numbers = Numbers(4);
-    let mut views = hard_views();
-    views.extend((0..60).map(|_| numbers.view()));
-    let (mut sum, mut count, mut worst) = (0.0, 0u32, 0f64);
-    for view in views {
-        let size = view.size_px;
-        let mut out = vec![0; (size * size) as usize];
-        rectify_into(&sphere, &view, &mut out, size as usize).unwrap();
-        let mut of_view = (0.0, 0u32);
-        // Steps prime to the tiles and strips, so that every place in them comes up.
-        let step = if size > 1000 { 13 } else { 3 };
-        for y in (0..size).step_by(step) {
-            for x in (0..size).step_by(step) {
-                let difference =
-                    (f64::from(out[(y * size + x) as usize]) - exact(&sphere, &view, x, y)).abs();
-                assert!(difference <= 2.0, "{view:?} ({x}, {y}): {difference}");
-                of_view = (of_view.0 + difference, of_view.1 + 1);
-                worst = worst.max(difference);
+    for (index, camera) in cameras().into_iter().enumerate() {
+        let pixels = panorama(&camera);
+        let sphere = SphereImage::new(&pixels, camera.width() as usize, camera).unwrap();
+        let mut views = hard_views();
+        views.extend((0..30).map(|_| numbers.view()));
+        let (mut sum, mut count, mut worst) = (0.0, 0u32, 0f64);
+        for (k, view) in views.into_iter().enumerate() {
+            let size = view.size_px;
+            let distance_m = [f64::INFINITY, 0.8][k % 2];
+            for cut in [Cut::bilinear(view), Cut::cubic(view)] {
+                let cut = Cut { distance_m, ..cut };
+                let mut out = vec![0; (size * size) as usize];
+                rectify_into(&sphere, &cut, &mut out, size as usize).unwrap();
+                let mut of_view = (0.0, 0u32);
+                // Steps prime to the tiles and strips, so that every place in them comes up.
+                let step = if size > 1000 { 13 } else { 5 };
+                for y in (0..size).step_by(step) {
+                    for x in (0..size).step_by(step) {
+                        let exact = exact(&sphere, &cut, x, y);
+                        let found = f64::from(out[(y * size + x) as usize]);
+                        let difference = (found - exact).abs();
+                        assert!(difference <= 2.0, "{camera:?} {cut:?} ({x}, {y}): {difference}");
+                        of_view = (of_view.0 + difference, of_view.1 + 1);
+                        worst = worst.max(difference);
+                    }
+                }
+                assert!(of_view.0 / f64::from(of_view.1) <= 0.5, "{cut:?}: {of_view:?}");
+                (sum, count) = (sum + of_view.0, count + of_view.1);
             }
         }
-        assert!(of_view.0 / f64::from(of_view.1) <= 0.5, "{view:?}: {of_view:?}");
-        (sum, count) = (sum + of_view.0, count + of_view.1);
+        println!(
+            "camera {index}: {:.3} greys on average, {worst:.2} at most",
+            sum / f64::from(count)
+        );
     }
 }
 
 #[test]
 fn vector_code_gives_the_bytes_of_plain_code() {
-    let pixels = panorama();
-    let sphere = SphereImage::new(&pixels, 3840, CAMERA).unwrap();
     let mut numbers = Numbers(5);
-    let mut views = hard_views();
-    views.extend((0..20).map(|_| View { size_px: 301, ..numbers.view() }));
-    for view in views {
-        let size = view.size_px as usize;
-        let (mut fast, mut plain) = (vec![0; size * size], vec![1; size * size]);
-        rectify_into(&sphere, &view, &mut fast, size).unwrap();
-        let band = Band { view: &view, y: 0, rows: view.size_px, out: &mut plain, stride: size };
-        cut_band_plain(&sphere, band);
-        assert!(fast == plain, "{view:?}");
+    for camera in cameras() {
+        let pixels = panorama(&camera);
+        let sphere = SphereImage::new(&pixels, camera.width() as usize, camera).unwrap();
+        let mut views = hard_views();
+        views.extend((0..10).map(|_| View { size_px: 301, ..numbers.view() }));
+        for view in views {
+            for cut in [Cut::bilinear(view), Cut::cubic(view)] {
+                let size = view.size_px as usize;
+                let (mut fast, mut plain) = (vec![0; size * size], vec![1; size * size]);
+                rectify_into(&sphere, &cut, &mut fast, size).unwrap();
+                let rows = view.size_px;
+                cut_band_plain(
+                    &sphere,
+                    Band { cut: &cut, y: 0, rows, out: &mut plain, stride: size },
+                );
+                assert!(fast == plain, "{cut:?}");
+            }
+        }
     }
 }
 
 #[test]
+fn what_no_lens_sees_is_black() {
+    let plane = CameraModel::Stereographic { field_rad: 200f64.to_radians() };
+    let camera = Camera::new(800, 800, plane).unwrap();
+    let pixels = vec![200; 800 * 800];
+    let sphere = SphereImage::new(&pixels, 800, camera).unwrap();
+    let cut = |view: View| {
+        let mut out = vec![7; view.size_px.pow(2) as usize];
+        rectify_into(&sphere, &Cut::bilinear(view), &mut out, view.size_px as usize).unwrap();
+        out
+    };
+    let behind = View::looking_at(&-Vector3::x_axis(), 1.0, 300);
+    assert!(cut(behind).iter().all(|&grey| grey == 0));
+    let border = View::looking_at(&Unit::new_normalize(Vector3::new(-0.17, 1.0, 0.0)), 1.0, 301);
+    let out = cut(border);
+    for (k, &grey) in out.iter().enumerate() {
+        let at = ViewPixel::new((k % 301) as f64, (k / 301) as f64);
+        let seen = camera.project(&border.ray(at)).is_some();
+        assert_eq!(grey, if seen { 200 } else { 0 }, "{at:?}");
+    }
+    assert!(out.contains(&0) && out.contains(&200));
+}
+
+#[test]
 fn threads_give_the_bytes_of_one() {
-    let pixels = panorama();
+    let pixels = panorama(&CAMERA);
     let sphere = SphereImage::new(&pixels, 3840, CAMERA).unwrap();
-    let mut views = hard_views();
-    views.truncate(12);
+    let cuts: Vec<_> = hard_views().into_iter().take(12).map(Cut::bilinear).collect();
     let cut = |threads| {
         let mut outputs: Vec<_> =
-            views.iter().map(|view| vec![0; view.size_px.pow(2) as usize]).collect();
+            cuts.iter().map(|cut| vec![0; cut.view.size_px.pow(2) as usize]).collect();
         let mut slices: Vec<&mut [u8]> = outputs.iter_mut().map(Vec::as_mut_slice).collect();
-        rectify_all(&sphere, &views, &mut slices, threads).unwrap();
+        rectify_all(&sphere, &cuts, &mut slices, threads).unwrap();
         outputs
     };
     let alone = cut(1);
@@ -250,17 +375,17 @@ fn threads_give_the_bytes_of_one() {
 #[test]
 fn only_the_view_is_written_whatever_its_size() {
     let pixels: Vec<u8> = (0..640 * 320).map(|k| (k % 640 / 4) as u8).collect();
-    let camera = Equirectangular { width: 640, height: 320 };
+    let camera = Camera::equirectangular(640, 320);
     let sphere = SphereImage::new(&pixels, 640, camera).unwrap();
     for size in 1..=70u32 {
-        let view = View::looking_at(&Vector3::x_axis(), 0.4, size);
+        let cut = Cut::bilinear(View::looking_at(&Vector3::x_axis(), 0.4, size));
         let stride = size as usize + 5;
         let mut out = vec![255u8; stride * size as usize];
-        rectify_into(&sphere, &view, &mut out, stride).unwrap();
+        rectify_into(&sphere, &cut, &mut out, stride).unwrap();
         for (y, row) in out.chunks(stride).enumerate() {
             assert!(row[size as usize..].iter().all(|&grey| grey == 255), "{size}: row {y}");
             for (x, &grey) in row[..size as usize].iter().enumerate() {
-                let exact = exact(&sphere, &view, x as u32, y as u32);
+                let exact = exact(&sphere, &cut, x as u32, y as u32);
                 assert!((f64::from(grey) - exact).abs() < 1.0, "{size}: ({x}, {y}) {grey} {exact}");
             }
         }
@@ -270,13 +395,13 @@ fn only_the_view_is_written_whatever_its_size() {
 #[test]
 fn strides_too_long_for_vector_code_are_cut_all_the_same() {
     let stride = 40_000;
-    let camera = Equirectangular { width: 128, height: 64 };
+    let camera = Camera::equirectangular(128, 64);
     let pixels: Vec<u8> = (0..stride * 64).map(|k| (k % stride) as u8).collect();
     let sphere = SphereImage::new(&pixels, stride, camera).unwrap();
-    let view = View::looking_at(&Vector3::x_axis(), 0.5, 64);
+    let cut = Cut::bilinear(View::looking_at(&Vector3::x_axis(), 0.5, 64));
     let mut out = vec![0; 64 * 64];
-    rectify_into(&sphere, &view, &mut out, 64).unwrap();
-    assert!((f64::from(out[32 * 64 + 10]) - exact(&sphere, &view, 10, 32)).abs() < 1.0);
+    rectify_into(&sphere, &cut, &mut out, 64).unwrap();
+    assert!((f64::from(out[32 * 64 + 10]) - exact(&sphere, &cut, 10, 32)).abs() < 1.0);
 }
 
 proptest! {
@@ -290,10 +415,10 @@ proptest! {
         size_px in 1..90u32,
         seed: u64,
     ) {
-        let camera = Equirectangular { width: 2 * half_width, height };
-        let stride = camera.width as usize + padding;
+        let camera = Camera::equirectangular(2 * half_width, height);
+        let stride = camera.width() as usize + padding;
         let mut numbers = Numbers(seed);
-        let length = stride * (height as usize - 1) + camera.width as usize;
+        let length = stride * (height as usize - 1) + camera.width() as usize;
         let pixels: Vec<u8> = (0..length).map(|_| 50 + (numbers.next() % 100) as u8).collect();
         let sphere = SphereImage::new(&pixels, stride, camera).unwrap();
         let view = View {
@@ -302,7 +427,10 @@ proptest! {
             size_px,
         };
         let mut out = vec![0; (size_px * size_px) as usize];
-        rectify_into(&sphere, &view, &mut out, size_px as usize).unwrap();
+        rectify_into(&sphere, &Cut::bilinear(view), &mut out, size_px as usize).unwrap();
         prop_assert!(out.iter().all(|grey| (50..150).contains(grey)));
+        // A cubic overshoots.
+        rectify_into(&sphere, &Cut::cubic(view), &mut out, size_px as usize).unwrap();
+        prop_assert!(out.iter().all(|grey| (20..180).contains(grey)));
     }
 }

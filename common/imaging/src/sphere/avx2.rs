@@ -3,6 +3,7 @@
 use std::arch::x86_64::*;
 
 use super::SphereImage;
+use super::cubic;
 use super::cut::Target;
 use super::mapping::LANES;
 use super::patch::Strip;
@@ -25,10 +26,6 @@ pub(super) unsafe fn cut_strip(
     rows: usize,
     target: &mut Target<'_>,
 ) {
-    let load = |values: &[i32; LANES]| {
-        // SAFETY: eight integers are as long as the vector; unaligned loads are allowed.
-        unsafe { _mm256_loadu_si256(values.as_ptr().cast()) }
-    };
     let [columns, lines] = &strip.series;
     let (mut u, mut du, ddu) = (load(&columns.value), load(&columns.step), load(&columns.growth));
     let (mut v, mut dv, ddv) = (load(&lines.value), load(&lines.step), load(&lines.growth));
@@ -51,7 +48,6 @@ pub(super) unsafe fn cut_strip(
     let weight = _mm256_set1_epi16(ROW_WEIGHT as i16);
     let middle_grey = _mm256_set1_epi8(i8::MIN);
     let rounding = _mm256_set1_epi32((128 << WEIGHT_BITS) + (1 << (WEIGHT_BITS - 1)));
-    let rows_in_order = _mm256_setr_epi32(0, 4, 1, 5, 2, 6, 3, 7);
 
     for first in (0..rows).step_by(4) {
         let mut greys = [_mm256_setzero_si256(); 4];
@@ -80,17 +76,121 @@ pub(super) unsafe fn cut_strip(
             du = _mm256_add_epi32(du, ddu);
             dv = _mm256_add_epi32(dv, ddv);
         }
-        let [a, b, c, d] = greys;
-        let bytes = _mm256_packus_epi16(_mm256_packus_epi32(a, b), _mm256_packus_epi32(c, d));
-        let bytes = _mm256_permutevar8x32_epi32(bytes, rows_in_order);
-        let lines = [
-            _mm256_extract_epi64::<0>(bytes),
-            _mm256_extract_epi64::<1>(bytes),
-            _mm256_extract_epi64::<2>(bytes),
-            _mm256_extract_epi64::<3>(bytes),
-        ];
-        for (row, line) in (first..rows).zip(lines) {
-            target.put(row, line.to_le_bytes());
+        put_four(greys, first, rows, target);
+    }
+}
+
+/// As [`cut_strip`], by the cubic: the same greys as [`super::sample::sample_cubic`].
+///
+/// # Safety
+/// Each position of the strip's first `rows` rows, rounded up to fours, must have 1 <= column <
+/// width - 2 and 1 <= row < height - 2 in whole pixels, and the stride must be at most
+/// [`MAX_STRIDE`].
+#[target_feature(enable = "avx2")]
+pub(super) unsafe fn cut_strip_cubic(
+    sphere: &SphereImage<'_>,
+    strip: &Strip,
+    rows: usize,
+    target: &mut Target<'_>,
+) {
+    let [columns, lines] = &strip.series;
+    let (mut u, mut du, ddu) = (load(&columns.value), load(&columns.step), load(&columns.growth));
+    let (mut v, mut dv, ddv) = (load(&lines.value), load(&lines.step), load(&lines.growth));
+
+    let stride = sphere.stride();
+    // The upper left of the sixteen neighbours, for a position at the image's first pixel.
+    let corner = sphere.pixels().as_ptr().wrapping_sub(stride + 1);
+    let address = _mm256_set1_epi32(((stride as i32) << 16) | 1);
+    let zero = _mm256_setzero_si256();
+    let row_rounding = _mm256_set1_epi32(1 << (cubic::ROW_SHIFT - 1));
+    let end_rounding = _mm256_set1_epi32(1 << (cubic::END_SHIFT - 1));
+    let low_words = _mm256_set1_epi32(0x0000_ffff);
+
+    for first in (0..rows).step_by(4) {
+        let mut greys = [zero; 4];
+        for grey in &mut greys {
+            let whole = _mm256_blend_epi16::<0xaa>(_mm256_srli_epi32::<16>(u), v);
+            let offset = _mm256_madd_epi16(whole, address);
+            // Weights of columns in the low halves, of rows in the high ones.
+            let fractions = _mm256_blend_epi16::<0xaa>(u, _mm256_slli_epi32::<16>(v));
+            let [w0, w1, w2, w3] = weights(fractions);
+            let across = [
+                _mm256_blend_epi16::<0xaa>(w0, _mm256_slli_epi32::<16>(w1)),
+                _mm256_blend_epi16::<0xaa>(w2, _mm256_slli_epi32::<16>(w3)),
+            ];
+            let along = [
+                _mm256_blend_epi16::<0xaa>(_mm256_srli_epi32::<16>(w0), w1),
+                _mm256_blend_epi16::<0xaa>(_mm256_srli_epi32::<16>(w2), w3),
+            ];
+            // Four weights for each pixel, in the order in which its row is unpacked.
+            let across_low = _mm256_unpacklo_epi32(across[0], across[1]);
+            let across_high = _mm256_unpackhi_epi32(across[0], across[1]);
+            let mut sums = [zero; 4];
+            for (k, sum) in sums.iter_mut().enumerate() {
+                let line = corner.wrapping_add(k * stride);
+                // SAFETY: by the caller's word the position's column less 1 to plus 2 and its row
+                // less 1 to plus 2 lie in the image; this reads four bytes of one of these rows.
+                let pixels = unsafe { _mm256_i32gather_epi32::<1>(line.cast(), offset) };
+                let low = _mm256_madd_epi16(_mm256_unpacklo_epi8(pixels, zero), across_low);
+                let high = _mm256_madd_epi16(_mm256_unpackhi_epi8(pixels, zero), across_high);
+                let row = _mm256_add_epi32(_mm256_hadd_epi32(low, high), row_rounding);
+                *sum = _mm256_srai_epi32::<{ cubic::ROW_SHIFT as i32 }>(row);
+            }
+            let pair = |upper: __m256i, lower: __m256i| {
+                _mm256_or_si256(_mm256_and_si256(upper, low_words), _mm256_slli_epi32::<16>(lower))
+            };
+            let upper = _mm256_madd_epi16(pair(sums[0], sums[1]), along[0]);
+            let lower = _mm256_madd_epi16(pair(sums[2], sums[3]), along[1]);
+            let total = _mm256_add_epi32(_mm256_add_epi32(upper, lower), end_rounding);
+            *grey = _mm256_srai_epi32::<{ cubic::END_SHIFT as i32 }>(total);
+            u = _mm256_add_epi32(u, du);
+            v = _mm256_add_epi32(v, dv);
+            du = _mm256_add_epi32(du, ddu);
+            dv = _mm256_add_epi32(dv, ddv);
         }
+        put_four(greys, first, rows, target);
+    }
+}
+
+/// [`cubic::weights`] of sixteen fractions of 16 binary digits.
+#[target_feature(enable = "avx2")]
+fn weights(fractions: __m256i) -> [__m256i; 4] {
+    let t = _mm256_srli_epi16::<1>(fractions);
+    let square = _mm256_mulhrs_epi16(t, t);
+    let cube = _mm256_mulhrs_epi16(square, t);
+    let one = _mm256_set1_epi16(1 << cubic::WEIGHT_BITS);
+    let bend = _mm256_sub_epi16(cube, square);
+    let first = _mm256_sub_epi16(_mm256_sub_epi16(square, t), bend);
+    let first = _mm256_srai_epi16::<2>(first);
+    let thrice = _mm256_add_epi16(bend, _mm256_add_epi16(bend, bend));
+    let second = _mm256_add_epi16(one, _mm256_srai_epi16::<2>(thrice));
+    let second = _mm256_sub_epi16(second, _mm256_srli_epi16::<1>(square));
+    let last = _mm256_srai_epi16::<2>(bend);
+    let others = _mm256_add_epi16(first, _mm256_add_epi16(second, last));
+    [first, second, _mm256_sub_epi16(one, others), last]
+}
+
+#[target_feature(enable = "avx2")]
+fn load(values: &[i32; LANES]) -> __m256i {
+    // SAFETY: eight integers are as long as the vector; unaligned loads are allowed.
+    unsafe { _mm256_loadu_si256(values.as_ptr().cast()) }
+}
+
+/// Writes four rows of eight greys, each in a lane of 32 bits, as far as there are rows.
+#[target_feature(enable = "avx2")]
+fn put_four(greys: [__m256i; 4], first: usize, rows: usize, target: &mut Target<'_>) {
+    let rows_in_order = _mm256_setr_epi32(0, 4, 1, 5, 2, 6, 3, 7);
+    let [a, b, c, d] = greys;
+    // Saturating: what overshoots ends at 0 and 255.
+    let bytes = _mm256_packus_epi16(_mm256_packs_epi32(a, b), _mm256_packs_epi32(c, d));
+    let bytes = _mm256_permutevar8x32_epi32(bytes, rows_in_order);
+    let lines = [
+        _mm256_extract_epi64::<0>(bytes),
+        _mm256_extract_epi64::<1>(bytes),
+        _mm256_extract_epi64::<2>(bytes),
+        _mm256_extract_epi64::<3>(bytes),
+    ];
+    for (row, line) in (first..rows).zip(lines) {
+        target.put(row, line.to_le_bytes());
     }
 }

@@ -2,12 +2,12 @@
 
 use std::sync::{Mutex, PoisonError};
 
-use flockeye_geometry::view::View;
-
-use super::SphereImage;
-use super::mapping::{LANES, Mapping};
-use super::patch::{MAX_ROWS, Patch, Strip, Tile};
-use super::sample::sample;
+use super::any_camera::CameraMapping;
+use super::equirectangular::EquirectangularMapping;
+use super::mapping::{Fit, LANES, Mapping};
+use super::patch::{MAX_ROWS, Strip, Tile};
+use super::sample::{sample, sample_cubic};
+use super::{Cut, Interpolation, SphereImage};
 
 /// Widest tile, pixels.
 const MAX_COLUMNS: u32 = 32;
@@ -20,7 +20,7 @@ const MIN_PIXELS_PER_THREAD: usize = 20_000;
 
 /// Neighbouring rows of a view.
 pub(super) struct Band<'a> {
-    pub view: &'a View,
+    pub cut: &'a Cut,
     /// The first row.
     pub y: u32,
     pub rows: u32,
@@ -46,31 +46,31 @@ impl Target<'_> {
 }
 
 /// Cuts one view; `out` and the view have been checked.
-pub(super) fn cut_view(sphere: &SphereImage<'_>, view: &View, out: &mut [u8], stride: usize) {
-    cut_band(sphere, Band { view, y: 0, rows: view.size_px, out, stride });
+pub(super) fn cut_view(sphere: &SphereImage<'_>, cut: &Cut, out: &mut [u8], stride: usize) {
+    cut_band(sphere, Band { cut, y: 0, rows: cut.view.size_px, out, stride });
 }
 
 /// Cuts views, rows as far apart as each is wide, with up to `threads` threads; all checked.
 pub(super) fn cut_views(
     sphere: &SphereImage<'_>,
-    views: &[View],
+    cuts: &[Cut],
     outputs: &mut [&mut [u8]],
     threads: usize,
 ) {
-    let pixels: usize = views.iter().map(|view| (view.size_px as usize).pow(2)).sum();
+    let pixels: usize = cuts.iter().map(|cut| (cut.view.size_px as usize).pow(2)).sum();
     let threads = threads.min(pixels / MIN_PIXELS_PER_THREAD);
     if threads <= 1 {
-        for (view, out) in views.iter().zip(outputs) {
-            cut_view(sphere, view, out, view.size_px as usize);
+        for (cut, out) in cuts.iter().zip(outputs) {
+            cut_view(sphere, cut, out, cut.view.size_px as usize);
         }
         return;
     }
-    let bands = views.iter().zip(outputs).flat_map(|(view, out)| {
-        let stride = view.size_px as usize;
+    let bands = cuts.iter().zip(outputs).flat_map(|(cut, out)| {
+        let stride = cut.view.size_px as usize;
         let out = &mut out[..stride * stride];
         out.chunks_mut(BAND_ROWS as usize * stride).enumerate().map(move |(k, out)| {
             let rows = (out.len() / stride) as u32;
-            Band { view, y: k as u32 * BAND_ROWS, rows, out, stride }
+            Band { cut, y: k as u32 * BAND_ROWS, rows, out, stride }
         })
     });
     let bands = Mutex::new(bands);
@@ -101,31 +101,70 @@ fn cut_band(sphere: &SphereImage<'_>, band: Band<'_>) {
 }
 
 pub(super) fn cut_band_plain(sphere: &SphereImage<'_>, band: Band<'_>) {
-    cut_tiles(sphere, band, |strip, rows, target| cut_strip(sphere, strip, rows, target));
+    match band.cut.interpolation {
+        Interpolation::Bilinear => cut_tiles(sphere, band, sample, |strip, rows, target| {
+            cut_strip(sphere, sample, strip, rows, target);
+        }),
+        Interpolation::Cubic => cut_tiles(sphere, band, sample_cubic, |strip, rows, target| {
+            cut_strip(sphere, sample_cubic, strip, rows, target);
+        }),
+    }
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 fn cut_band_avx2(sphere: &SphereImage<'_>, band: Band<'_>) {
-    let (columns, lines) = (sphere.camera.width as i32, sphere.camera.height as i32);
-    // The last positions with a right and a lower neighbour, 1/65536 px.
-    let (last_column, last_line) = (((columns - 1) << 16) - 1, ((lines - 1) << 16) - 1);
-    cut_tiles(sphere, band, |strip, rows, target| {
+    let (columns, lines) = (sphere.camera.width() as i32, sphere.camera.height() as i32);
+    // Positions whose neighbours all lie in the image, 1/65536 px: `before` of them in front of the
+    // position, and `after` behind it.
+    let inside = |before: i32, after: i32| {
+        [columns, lines].map(|side| [before << 16, ((side - after) << 16) - 1])
+    };
+    let stays = |strip: &Strip, rows: usize, inside: [[i32; 2]; 2]| {
         let computed = rows.next_multiple_of(4) as i32;
         let [column, line] = &strip.series;
-        if column.stays_within(computed, last_column) & line.stays_within(computed, last_line) {
-            // SAFETY: both were just seen to stay inside, over the rows rounded up, and the stride
-            // was before this function was called.
-            unsafe { super::avx2::cut_strip(sphere, strip, rows, target) };
-        } else {
-            cut_strip(sphere, strip, rows, target);
+        column.stays_within(computed, inside[0]) & line.stays_within(computed, inside[1])
+    };
+    match band.cut.interpolation {
+        Interpolation::Bilinear => {
+            let inside = inside(0, 1);
+            cut_tiles(sphere, band, sample, |strip, rows, target| {
+                if stays(strip, rows, inside) {
+                    // SAFETY: both coordinates were just seen to stay inside, over the rows rounded
+                    // up, and the stride was before this function was called.
+                    unsafe { super::avx2::cut_strip(sphere, strip, rows, target) };
+                } else {
+                    cut_strip(sphere, sample, strip, rows, target);
+                }
+            });
         }
-    });
+        Interpolation::Cubic => {
+            let inside = inside(1, 2);
+            cut_tiles(sphere, band, sample_cubic, |strip, rows, target| {
+                if stays(strip, rows, inside) {
+                    // SAFETY: as above, with the cubic's wider neighbourhood.
+                    unsafe { super::avx2::cut_strip_cubic(sphere, strip, rows, target) };
+                } else {
+                    cut_strip(sphere, sample_cubic, strip, rows, target);
+                }
+            });
+        }
+    }
 }
+
+/// The grey value of the sphere image at a position, 1/65536 px.
+trait Sample: Fn(&SphereImage<'_>, [i32; 2]) -> u8 + Copy {}
+impl<F: Fn(&SphereImage<'_>, [i32; 2]) -> u8 + Copy> Sample for F {}
 
 /// Cuts a strip pixel by pixel, across the seam or not.
 #[inline(always)]
-fn cut_strip(sphere: &SphereImage<'_>, strip: &Strip, rows: usize, target: &mut Target<'_>) {
+fn cut_strip(
+    sphere: &SphereImage<'_>,
+    sample: impl Sample,
+    strip: &Strip,
+    rows: usize,
+    target: &mut Target<'_>,
+) {
     let [mut column, mut line] = strip.series;
     for row in 0..rows {
         let mut greys = [0; LANES];
@@ -138,16 +177,39 @@ fn cut_strip(sphere: &SphereImage<'_>, strip: &Strip, rows: usize, target: &mut 
     }
 }
 
-/// Divides a band into tiles and cuts each, its strips with `cut_strip`.
+/// Divides a band into tiles and cuts each: its strips with `cut_strip`, and where the mapping
+/// cannot be interpolated, pixel by pixel with `sample`.
 #[inline(always)]
 fn cut_tiles(
     sphere: &SphereImage<'_>,
     band: Band<'_>,
+    sample: impl Sample,
     cut_strip: impl Fn(&Strip, usize, &mut Target<'_>),
 ) {
-    let mapping = Mapping::new(sphere.camera, band.view);
-    let Band { view, y: top, rows, out, stride } = band;
-    let size = view.size_px;
+    let camera = sphere.camera.at_distance(band.cut.distance_m);
+    let view = &band.cut.view;
+    match camera.as_equirectangular() {
+        Some(camera) => {
+            let mapping = EquirectangularMapping::new(camera, view);
+            cut_tiles_by(&mapping, sphere, band, sample, cut_strip);
+        }
+        None => {
+            let mapping = CameraMapping::new(&camera, view);
+            cut_tiles_by(&mapping, sphere, band, sample, cut_strip);
+        }
+    }
+}
+
+#[inline(always)]
+fn cut_tiles_by(
+    mapping: &impl Mapping,
+    sphere: &SphereImage<'_>,
+    band: Band<'_>,
+    sample: impl Sample,
+    cut_strip: impl Fn(&Strip, usize, &mut Target<'_>),
+) {
+    let Band { cut, y: top, rows, out, stride } = band;
+    let size = cut.view.size_px;
     let mut pending = Vec::new();
     for y in (0..rows).step_by(MAX_ROWS as usize) {
         for x in (0..size).step_by(MAX_COLUMNS as usize) {
@@ -158,16 +220,25 @@ fn cut_tiles(
             pending.push(Tile { x: x + width - whole, y: top + y, width: whole, height });
             while let Some(tile) = pending.pop() {
                 let at = (tile.y - top) as usize * stride + tile.x as usize;
+                // A view narrower than a strip has no whole ones.
                 let is_whole = tile.width.is_multiple_of(LANES as u32);
-                if let Some(patch) = is_whole.then(|| Patch::fit(&mapping, tile)).flatten() {
-                    for first in (0..tile.width).step_by(LANES) {
-                        let mut target = Target { out: &mut out[at + first as usize..], stride };
-                        cut_strip(&patch.strip(first), tile.height as usize, &mut target);
+                match if is_whole { mapping.fit(tile) } else { Fit::Split } {
+                    Fit::Patch(patch) => {
+                        for first in (0..tile.width).step_by(LANES) {
+                            let out = &mut out[at + first as usize..];
+                            let mut target = Target { out, stride };
+                            cut_strip(&patch.strip(first), tile.height as usize, &mut target);
+                        }
                     }
-                } else if let Some(halves) = halves(tile) {
-                    pending.extend(halves);
-                } else {
-                    cut_exactly(sphere, &mapping, tile, &mut out[at..], stride);
+                    Fit::Blank => {
+                        for line in out[at..].chunks_mut(stride).take(tile.height as usize) {
+                            line[..tile.width as usize].fill(0);
+                        }
+                    }
+                    Fit::Split => match halves(tile) {
+                        Some(halves) => pending.extend(halves),
+                        None => cut_exactly(mapping, sphere, sample, tile, &mut out[at..], stride),
+                    },
                 }
             }
         }
@@ -193,8 +264,9 @@ fn halves(tile: Tile) -> Option<[Tile; 2]> {
 /// Cuts a tile no wider than `LANES` with the exact mapping of each pixel.
 #[inline(always)]
 fn cut_exactly(
+    mapping: &impl Mapping,
     sphere: &SphereImage<'_>,
-    mapping: &Mapping,
+    sample: impl Sample,
     tile: Tile,
     out: &mut [u8],
     stride: usize,

@@ -1,11 +1,19 @@
 //! The mapping interpolated over a tile of a view.
 
-use super::angle::{atan, atan2};
-use super::mapping::{LANES, Mapping, ONE, fixed, rounded};
+use super::mapping::{LANES, ONE, fixed, rounded};
 
 /// What interpolation may add to the error of a position, pixels; rounding adds less than the rest
 /// of [`super::MAX_MAPPING_ERROR_PX`].
-const MAX_INTERPOLATION_ERROR_PX: f64 = 0.012;
+pub(super) const MAX_INTERPOLATION_ERROR_PX: f64 = 0.012;
+
+/// Twelve, not nine: whole vectors of four. The last three repeat the middle.
+pub(super) const NODE_COUNT: usize = 12;
+
+/// Where a tile's mapping is evaluated, in halves of its sides from its middle: across, then along.
+pub(super) const NODES: [[f64; NODE_COUNT]; 2] = [
+    [-1., 0., 1., -1., 0., 1., -1., 0., 1., 0., 0., 0.],
+    [-1., -1., -1., 0., 0., 0., 1., 1., 1., 0., 0., 0.],
+];
 
 /// Most rows of a tile: the rounding of a second difference grows with their square.
 pub(super) const MAX_ROWS: u32 = 32;
@@ -55,71 +63,29 @@ pub(super) struct Series {
 }
 
 impl Patch {
-    /// Interpolates the mapping over `tile`, unless that cannot be done closely enough.
-    ///
-    /// The error bound of the columns is strict: longitude is the imaginary part of log(w) for
-    /// w = x + iy, which runs linearly over the view's plane, so its third derivative along a step
-    /// s is at most 2 |s/w|^3. Quadratic interpolation through -1, 0, 1 leaves at most
-    /// sqrt(3)/27 of it, and interpolating along the other coordinate as well adds 5/4 of the
-    /// other's. The bound of the rows, 1 + 1/|w|^2 in units of the focal length, is
-    /// an envelope of what was found over random tiles.
+    /// The quadratic through positions at the [`NODES`] of `tile`: columns and rows relative to
+    /// the middle's, which is `middle` in pixels.
     #[inline(always)]
-    pub(super) fn fit(mapping: &Mapping, tile: Tile) -> Option<Self> {
-        let (half_width, half_height) = (f64::from(tile.width) * 0.5, f64::from(tile.height) * 0.5);
-        let middle = mapping
-            .direction(f64::from(tile.x) + half_width - 0.5, f64::from(tile.y) + half_height - 0.5);
-        let (right, down) = (mapping.right * half_width, mapping.down * half_height);
+    pub(super) fn through(
+        tile: Tile,
+        middle: (f64, f64),
+        columns: &[f64; NODE_COUNT],
+        rows: &[f64; NODE_COUNT],
+    ) -> Self {
+        Self {
+            middle: [fixed(middle.0), fixed(middle.1)],
+            terms: [quadratic(columns), quadratic(rows)],
+            half_width: (f64::from(tile.width) * 0.5) as f32,
+            half_height: (f64::from(tile.height) * 0.5) as f32,
+        }
+    }
 
-        let radius = length(middle.x, middle.y);
-        let (reach_x, reach_y) = (length(right.x, right.y), length(down.x, down.y));
-        let nearest = radius - reach_x - reach_y;
-        // Farther from the pole than wide: angles from the middle stay below 45 degrees.
-        if nearest <= radius * 0.5 {
-            return None;
-        }
-        let remainder = |x: f64, y: f64| 3f64.sqrt() / 27.0 * (x.powi(3) + 1.25 * y.powi(3));
-        let column_error =
-            2.0 * mapping.columns_per_radian() * remainder(reach_x / nearest, reach_y / nearest);
-        let near = (nearest / mapping.focal_px).min(1.0);
-        let row_error = (1.0 + 1.0 / (near * near))
-            * mapping.rows_per_radian()
-            * remainder(half_width / mapping.focal_px, half_height / mapping.focal_px);
-        if column_error > MAX_INTERPOLATION_ERROR_PX || row_error > MAX_INTERPOLATION_ERROR_PX {
-            return None;
-        }
-
-        // Twelve, not nine: whole vectors of four. The last three repeat the middle.
-        const ACROSS: [f64; 12] = [-1., 0., 1., -1., 0., 1., -1., 0., 1., 0., 0., 0.];
-        const ALONG: [f64; 12] = [-1., -1., -1., 0., 0., 0., 1., 1., 1., 0., 0., 0.];
-        let mut columns = [0.0; 12];
-        let mut rows = [0.0; 12];
-        let column_scale = -mapping.columns_per_radian() * ONE;
-        let row_scale = -mapping.rows_per_radian() * ONE;
-        for k in 0..12 {
-            let dx = right.x * ACROSS[k] + down.x * ALONG[k];
-            let dy = right.y * ACROSS[k] + down.y * ALONG[k];
-            let dz = right.z * ACROSS[k] + down.z * ALONG[k];
-            // Angles from the middle's longitude and latitude: arguments of complex quotients.
-            let turned = dy * middle.x - dx * middle.y;
-            let ahead = radius * radius + dx * middle.x + dy * middle.y;
-            columns[k] = column_scale * atan(turned / ahead);
-            let (x, y, z) = (middle.x + dx, middle.y + dy, middle.z + dz);
-            let across = length(x, y);
-            let risen = z * radius - across * middle.z;
-            let level = across * radius + z * middle.z;
-            rows[k] = row_scale * atan(risen / level);
-        }
-        let longitude = atan2(middle.y, middle.x);
-        let latitude = atan2(middle.z, radius);
-        let centre = (
-            mapping.columns_per_radian() * (std::f64::consts::PI - longitude) - 0.5,
-            mapping.rows_per_radian() * (std::f64::consts::FRAC_PI_2 - latitude) - 0.5,
-        );
-        Some(Self {
-            middle: [fixed(centre.0), fixed(centre.1)],
-            terms: [quadratic(&columns), quadratic(&rows)],
-            half_width: half_width as f32,
-            half_height: half_height as f32,
+    /// Pixels from the middle's position to that of a point of the tile, in halves of its sides.
+    pub(super) fn offset_px(&self, across: f64, along: f64) -> [f64; 2] {
+        self.terms.map(|terms| {
+            let [constant, linear, square] = terms
+                .map(|[c, l, s]| f64::from(c) + across * (f64::from(l) + across * f64::from(s)));
+            (constant + along * (linear + along * square)) / ONE
         })
     }
 
@@ -153,10 +119,10 @@ impl Patch {
 }
 
 impl Series {
-    /// Whether every one of the first `rows` values lies in 0 ..= `last`, in 1/65536 px; `false`
-    /// may be said of some that do.
+    /// Whether every one of the first `rows` values lies in `first` ..= `last`, in 1/65536 px;
+    /// `false` may be said of some that do.
     #[inline(always)]
-    pub(super) fn stays_within(&self, rows: i32, last: i32) -> bool {
+    pub(super) fn stays_within(&self, rows: i32, [first, last]: [i32; 2]) -> bool {
         let steps = rows - 1;
         let mut is_inside = true;
         for k in 0..LANES {
@@ -168,8 +134,9 @@ impl Series {
                 .wrapping_add(growth.wrapping_mul(steps * (steps - 1) / 2));
             // A parabola leaves its chord by at most growth (n/2)^2 / 2.
             let bulge = growth.wrapping_abs().wrapping_mul(rows * rows / 8 + 1);
-            is_inside &=
-                is_tame & (value.min(end) >= bulge) & (value.max(end) <= last.wrapping_sub(bulge));
+            is_inside &= is_tame
+                & (value.min(end) >= first.wrapping_add(bulge))
+                & (value.max(end) <= last.wrapping_sub(bulge));
         }
         is_inside
     }
@@ -186,7 +153,7 @@ impl Series {
 
 /// The quadratic through values at x, y = -1, 0, 1, x fastest.
 #[inline(always)]
-fn quadratic(values: &[f64; 12]) -> Quadratic {
+fn quadratic(values: &[f64; NODE_COUNT]) -> Quadratic {
     let through = |a: f64, b: f64, c: f64| -> [f64; 3] { [b, (c - a) * 0.5, (a + c) * 0.5 - b] };
     let above = through(values[0], values[1], values[2]);
     let level = through(values[3], values[4], values[5]);
@@ -199,9 +166,4 @@ fn quadratic(values: &[f64; 12]) -> Quadratic {
         }
     }
     terms
-}
-
-#[inline(always)]
-fn length(x: f64, y: f64) -> f64 {
-    (x * x + y * y).sqrt()
 }

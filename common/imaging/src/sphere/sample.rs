@@ -1,7 +1,8 @@
-//! Bilinear interpolation of the sphere image, in integers: the same on every back end.
+//! Interpolation of the sphere image, in integers: the same on every back end.
 
 use super::SphereImage;
-use super::mapping::FRACTION_BITS;
+use super::cubic;
+use super::mapping::{FRACTION_BITS, NOWHERE};
 
 /// Largest weight of a row. With 255 for columns the product is 2^22 within 2e-5, so a shift
 /// divides by it. (Weights below it are cut, 0.5 each on average: hence two more than 2^22/255.)
@@ -26,32 +27,46 @@ pub(super) fn blend([column, row]: [i32; 2], pixels: [u8; 4]) -> u8 {
     ((sum + (128 << WEIGHT_BITS) + (1 << (WEIGHT_BITS - 1))) >> WEIGHT_BITS) as u8
 }
 
-/// The grey value at a position, 1/65536 px, anywhere: columns go round, and rows beyond the poles
-/// come back half a turn further.
+/// The grey value at a position, 1/65536 px, anywhere, bilinearly.
 #[inline(always)]
 pub(super) fn sample(sphere: &SphereImage<'_>, [column, row]: [i32; 2]) -> u8 {
-    let width = sphere.camera.width as i32;
+    if column == NOWHERE {
+        return 0;
+    }
     let (left, top) = (column >> FRACTION_BITS, row >> FRACTION_BITS);
-    let pixel = |x: i32, y: i32| {
-        let (x, y) = over_the_pole(sphere, x, y);
-        let x = if (0..width).contains(&x) { x } else { x.rem_euclid(width) };
-        sphere.pixels[y * sphere.stride + x as usize]
-    };
-    let pixels =
-        [pixel(left, top), pixel(left + 1, top), pixel(left, top + 1), pixel(left + 1, top + 1)];
-    blend([column, row], pixels)
+    let pixel = |x: i32, y: i32| pixel(sphere, left + x, top + y);
+    blend([column, row], [pixel(0, 0), pixel(1, 0), pixel(0, 1), pixel(1, 1)])
 }
 
-/// The pixel of the image that row `y`, up to one image above or below it, stands for.
+/// The grey value at a position, 1/65536 px, anywhere, by the cubic.
 #[inline(always)]
-fn over_the_pole(sphere: &SphereImage<'_>, x: i32, y: i32) -> (i32, usize) {
-    let (half_turn, height) = (sphere.camera.width as i32 / 2, sphere.camera.height as i32);
-    let (x, y) = match y {
-        y if y < 0 => (x + half_turn, -1 - y),
-        y if y >= height => (x + half_turn, 2 * height - 1 - y),
-        y => (x, y),
-    };
-    (x, y.clamp(0, height - 1) as usize)
+pub(super) fn sample_cubic(sphere: &SphereImage<'_>, [column, row]: [i32; 2]) -> u8 {
+    if column == NOWHERE {
+        return 0;
+    }
+    let (left, top) = ((column >> FRACTION_BITS) - 1, (row >> FRACTION_BITS) - 1);
+    let line = |y: i32| [0, 1, 2, 3].map(|x| pixel(sphere, left + x, top + y));
+    cubic::blend([column, row], [line(0), line(1), line(2), line(3)])
+}
+
+/// The pixel at column `x` of row `y`, which may lie beyond the image: an equirectangular one goes
+/// round, and beyond its first and last row comes back half a turn further; others end with their
+/// last pixels.
+#[inline(always)]
+fn pixel(sphere: &SphereImage<'_>, x: i32, y: i32) -> u8 {
+    let (width, height) = (sphere.camera.width() as i32, sphere.camera.height() as i32);
+    let (mut x, mut y) = (x, y);
+    if sphere.is_round() {
+        if y < 0 || y >= height {
+            x += width / 2;
+            y = if y < 0 { -1 - y } else { 2 * height - 1 - y };
+        }
+        if !(0..width).contains(&x) {
+            x = x.rem_euclid(width);
+        }
+    }
+    let (x, y) = (x.clamp(0, width - 1), y.clamp(0, height - 1));
+    sphere.pixels[y as usize * sphere.stride + x as usize]
 }
 
 #[cfg(test)]
@@ -80,7 +95,7 @@ mod tests {
     #[test]
     fn neighbours_across_the_seam_and_the_poles() {
         #![allow(clippy::unwrap_used)]
-        let camera = flockeye_geometry::camera::Equirectangular { width: 4, height: 2 };
+        let camera = flockeye_geometry::camera::Camera::equirectangular(4, 2);
         let pixels = [10, 20, 30, 40, 50, 60, 70, 80];
         let sphere = SphereImage::new(&pixels, 4, camera).unwrap();
         let at = |x: f64, y: f64| sample(&sphere, [(x * 65_536.0) as i32, (y * 65_536.0) as i32]);

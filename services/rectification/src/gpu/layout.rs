@@ -1,7 +1,7 @@
 //! What the shader is told, and where in the buffers what lies.
 
 use bytemuck::{Pod, Zeroable};
-use flockeye_geometry::camera::Equirectangular;
+use flockeye_geometry::camera::Camera;
 use flockeye_geometry::view::View;
 use nalgebra::Vector3;
 
@@ -106,8 +106,8 @@ fn parameters(view: &View, words_per_row: u32, first_word: u32) -> ViewParameter
 }
 
 impl SphereUniform {
-    pub(super) fn new(camera: Equirectangular, stride: usize) -> Self {
-        let Equirectangular { width, height } = camera;
+    pub(super) fn new(camera: &Camera, stride: usize) -> Self {
+        let (width, height) = (camera.width(), camera.height());
         // Longer strides make frames that no buffer holds, which are refused before.
         Self { width, height, stride: u32::try_from(stride).unwrap_or(u32::MAX), reserved: 0 }
     }

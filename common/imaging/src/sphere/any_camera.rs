@@ -1,0 +1,97 @@
+//! The mapping into the image of any camera, by evaluating its model.
+
+use flockeye_geometry::camera::{Camera, CameraModel, SpherePixel};
+use flockeye_geometry::view::{View, ViewPixel};
+
+use super::mapping::{Fit, LANES, Mapping, NOWHERE, ONE, Positions, fixed};
+use super::patch::{NODE_COUNT, NODES, Patch, Tile};
+
+/// A view over the image of a camera.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct CameraMapping<'a> {
+    camera: &'a Camera,
+    view: &'a View,
+    /// Columns after which the image begins again; 0 if it does not.
+    turn: f64,
+}
+
+/// Between the nodes, where the first term that a quadratic leaves out is nearly at its largest.
+const CHECKS: [[f64; 2]; 4] = [[-0.55, -0.55], [0.55, -0.55], [-0.55, 0.55], [0.55, 0.55]];
+
+/// How far the quadratic may lie from the model at the checks, pixels. Less than
+/// [`super::patch::MAX_INTERPOLATION_ERROR_PX`]: between the checks it may be a little worse.
+const MAX_CHECKED_ERROR_PX: f64 = 0.008;
+
+/// Tiles up to this side are taken for blank if none of their nodes is seen, pixels.
+const BLANK_SIDE: u32 = 16;
+
+impl<'a> CameraMapping<'a> {
+    pub(super) fn new(camera: &'a Camera, view: &'a View) -> Self {
+        let turn = match camera.model() {
+            CameraModel::Equirectangular { .. } => f64::from(camera.width()),
+            CameraModel::DualFisheye(_) | CameraModel::Stereographic { .. } => 0.0,
+        };
+        Self { camera, view, turn }
+    }
+
+    #[inline]
+    fn point(&self, x: f64, y: f64) -> Option<SpherePixel> {
+        self.camera.project(&self.view.ray(ViewPixel::new(x, y)))
+    }
+
+    /// Columns from `middle` to `column`, the short way round.
+    fn columns_from(&self, middle: f64, column: f64) -> f64 {
+        let columns = column - middle;
+        if self.turn > 0.0 { columns - (columns / self.turn).round() * self.turn } else { columns }
+    }
+}
+
+impl Mapping for CameraMapping<'_> {
+    fn fit(&self, tile: Tile) -> Fit {
+        let half = [f64::from(tile.width) * 0.5, f64::from(tile.height) * 0.5];
+        let centre = [f64::from(tile.x) + half[0] - 0.5, f64::from(tile.y) + half[1] - 0.5];
+        let at = |across: f64, along: f64| {
+            self.point(centre[0] + half[0] * across, centre[1] + half[1] * along)
+        };
+        let mut nodes = [None; NODE_COUNT];
+        // The last three repeat the middle, the fifth.
+        for k in 0..9 {
+            nodes[k] = at(NODES[0][k], NODES[1][k]);
+        }
+        let middle = nodes[4];
+        nodes[9..].fill(middle);
+        if nodes.iter().all(Option::is_none) && tile.width.max(tile.height) <= BLANK_SIDE {
+            return Fit::Blank;
+        }
+        let Some(SpherePixel(middle)) = middle else { return Fit::Split };
+        let mut columns = [0.0; NODE_COUNT];
+        let mut rows = [0.0; NODE_COUNT];
+        for (k, node) in nodes.into_iter().enumerate() {
+            let Some(SpherePixel(node)) = node else { return Fit::Split };
+            columns[k] = self.columns_from(middle.x, node.x) * ONE;
+            rows[k] = (node.y - middle.y) * ONE;
+        }
+        let patch = Patch::through(tile, (middle.x, middle.y), &columns, &rows);
+        for [across, along] in CHECKS {
+            let Some(SpherePixel(exact)) = at(across, along) else { return Fit::Split };
+            let [column, row] = patch.offset_px(across, along);
+            let column_error = self.columns_from(middle.x, exact.x) - column;
+            let row_error = exact.y - middle.y - row;
+            if column_error.abs().max(row_error.abs()) > MAX_CHECKED_ERROR_PX {
+                return Fit::Split;
+            }
+        }
+        Fit::Patch(patch)
+    }
+
+    fn positions(&self, x: u32, y: u32) -> Positions {
+        let mut columns = [NOWHERE; LANES];
+        let mut rows = [0; LANES];
+        for k in 0..LANES {
+            if let Some(SpherePixel(at)) = self.point(f64::from(x) + k as f64, f64::from(y)) {
+                (columns[k], rows[k]) = (fixed(at.x), fixed(at.y));
+            }
+        }
+        (columns, rows)
+    }
+}
