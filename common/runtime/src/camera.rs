@@ -177,15 +177,19 @@ impl Pipeline {
 
 fn lens(index: usize, lens: &FisheyeLens) -> Result<Lens, CameraSettingError> {
     let key = |name: &str| format!("camera.lenses.{index}.{name}");
-    let curve = match (lens.equidistant, lens.double_sphere) {
-        (Some(_), Some(_)) => {
-            let reason = "a lens has one curve: keep equidistant or double_sphere";
-            return Err(CameraSettingError::new(key("double_sphere"), reason));
+    let curve = match (lens.equidistant, lens.double_sphere, lens.unified) {
+        (None, None, None) => LensCurve::Equidistant([0.0; 4]),
+        (Some(terms), None, None) => LensCurve::Equidistant(terms),
+        (None, Some([xi, alpha]), None) => LensCurve::DoubleSphere { xi, alpha },
+        (None, None, Some([xi, k1, k2, p1, p2])) => {
+            LensCurve::Unified { xi, distortion: [k1, k2, p1, p2] }
         }
-        (_, None) => LensCurve::Equidistant(lens.equidistant.unwrap_or_default()),
-        (None, Some([xi, alpha])) => LensCurve::DoubleSphere { xi, alpha },
+        _ => {
+            let reason = "a lens has one curve: keep one of equidistant, double_sphere and unified";
+            return Err(CameraSettingError::new(format!("camera.lenses.{index}"), reason));
+        }
     };
-    let is_calibrated = lens.equidistant.is_some() || lens.double_sphere.is_some();
+    let is_calibrated = curve != LensCurve::Equidistant([0.0; 4]);
     if is_calibrated && lens.focal_px.is_none() {
         let reason = "a calibrated curve needs the focal lengths it was calibrated with";
         return Err(CameraSettingError::new(key("focal_px"), reason));
@@ -281,7 +285,7 @@ mod tests {
         pipeline.camera.response_table = vec![1.0, 2.0, 5.0];
         let table = pipeline.response_table().unwrap();
         assert_eq!((table[0], table[255]), (0.0, 1.0));
-        assert!((table[64] - 0.25 * 128.0 / 127.5).abs() < 1e-6, "{}", table[64]);
+        assert!((table[64] - 0.25 * 64.0 / 127.5).abs() < 1e-6, "{}", table[64]);
         assert!(table.windows(2).all(|pair| pair[1] > pair[0]));
     }
 }

@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-use nalgebra::{Isometry3, Unit, Vector2, Vector3};
+use nalgebra::{Isometry3, Matrix2, Unit, Vector2, Vector3};
 
 use super::{CameraError, SpherePixel, check_offset};
 use crate::Ray;
@@ -39,6 +39,15 @@ pub enum LensCurve {
         /// Between the second sphere and the pinhole.
         alpha: f64,
     },
+    /// sin / (xi + cos), then a pinhole's distortion (Mei and Rives: *Single View Point
+    /// Omnidirectional Camera Calibration from Planar Grids*, 2007; Kalibr's `omni-radtan`,
+    /// camodocal's `MEI`).
+    Unified {
+        /// Distance between the sphere's middle and the pinhole.
+        xi: f64,
+        /// OpenCV's k1, k2 (radial), p1 and p2 (tangential).
+        distortion: [f64; 4],
+    },
 }
 
 /// Angles at which a curve is checked to rise.
@@ -64,7 +73,10 @@ impl Lens {
 
     /// The ray, in the lens' frame, that `pixel` sees; `None` beyond the field or the curve's end.
     pub fn ray(&self, pixel: SpherePixel) -> Option<Ray> {
-        let plane = (pixel.0 - self.centre_px).component_div(&self.focal_px);
+        let mut plane = (pixel.0 - self.centre_px).component_div(&self.focal_px);
+        if let LensCurve::Unified { distortion, .. } = &self.curve {
+            plane = undistorted(plane, distortion)?;
+        }
         let (angle_sin, angle_cos) = self.curve.undo(plane.norm(), self.field_rad / 2.0)?;
         let across = plane.try_normalize(0.0).unwrap_or_else(Vector2::x) * angle_sin;
         // A sine and a cosine make a unit vector, to rounding.
@@ -82,7 +94,11 @@ impl Lens {
         }
         let distance = self.curve.distance(angle);
         let scale = if off_axis > 0.0 { distance / off_axis } else { 0.0 };
-        let pixel = SpherePixel(self.centre_px + (across * scale).component_mul(&self.focal_px));
+        let mut plane = across * scale;
+        if let LensCurve::Unified { distortion, .. } = &self.curve {
+            plane = distorted(plane, distortion);
+        }
+        let pixel = SpherePixel(self.centre_px + plane.component_mul(&self.focal_px));
         self.holds(pixel).then_some(pixel)
     }
 
@@ -91,7 +107,9 @@ impl Lens {
         let focal = (self.focal_px.x + self.focal_px.y) / 2.0;
         match self.curve {
             LensCurve::Equidistant(_) => focal,
-            LensCurve::DoubleSphere { xi, .. } => focal / (1.0 + xi),
+            LensCurve::DoubleSphere { xi, .. } | LensCurve::Unified { xi, .. } => {
+                focal / (1.0 + xi)
+            }
         }
     }
 
@@ -118,13 +136,20 @@ impl Lens {
             number("alpha", alpha, (0.0..=1.0).contains(&alpha), "between 0 and 1")?;
             number("xi", xi, (-0.99..=10.0).contains(&xi), "between -0.99 and 10")?;
         }
+        if let LensCurve::Unified { xi, distortion } = self.curve {
+            number("xi", xi, (0.0..=20.0).contains(&xi), "between 0 and 20")?;
+            for k in distortion {
+                number("its distortion", k, k.abs() <= 100.0, "between -100 and 100")?;
+            }
+        }
         check_offset(self.offset_m())?;
         self.curve.check(lens, self.field_rad)
     }
 }
 
 impl LensCurve {
-    /// Distance from the centre, in focal lengths, `angle` radians off the axis.
+    /// Distance from the centre, in focal lengths, `angle` radians off the axis; before the
+    /// distortion of the unified model.
     #[inline]
     pub fn distance(&self, angle: f64) -> f64 {
         match *self {
@@ -135,6 +160,10 @@ impl LensCurve {
             Self::DoubleSphere { xi, alpha } => {
                 let (sin, cos) = angle.sin_cos();
                 sin / (alpha * sin.hypot(xi + cos) + (1.0 - alpha) * (xi + cos))
+            }
+            Self::Unified { xi, .. } => {
+                let (sin, cos) = angle.sin_cos();
+                sin / (xi + cos)
             }
         }
     }
@@ -157,6 +186,12 @@ impl LensCurve {
                     / (ahead * ahead + square);
                 let (sin, cos) = (factor * distance, factor * ahead - xi);
                 // Not a number beyond the curve's end.
+                (sin.atan2(cos) <= farthest).then_some((sin, cos))
+            }
+            Self::Unified { xi, .. } => {
+                let square = distance * distance;
+                let ahead = (xi + (1.0 + (1.0 - xi * xi) * square).sqrt()) / (1.0 + square);
+                let (sin, cos) = (ahead * distance, ahead - xi);
                 (sin.atan2(cos) <= farthest).then_some((sin, cos))
             }
         }
@@ -194,9 +229,17 @@ impl LensCurve {
                 1.0 + square
                     * (3.0 * k1 + square * (5.0 * k2 + square * (7.0 * k3 + square * 9.0 * k4)))
             }
-            Self::DoubleSphere { .. } => {
+            Self::DoubleSphere { .. } | Self::Unified { .. } => {
                 let step = 1e-6;
-                (self.distance(angle + step) - self.distance(angle - step)) / (2.0 * step)
+                let far = |angle| match self {
+                    Self::Unified { distortion: [k1, k2, ..], .. } => {
+                        let plain = self.distance(angle);
+                        let square = plain * plain;
+                        plain * (1.0 + square * (k1 + square * k2))
+                    }
+                    _ => self.distance(angle),
+                };
+                (far(angle + step) - far(angle - step)) / (2.0 * step)
             }
         }
     }
@@ -217,6 +260,43 @@ impl LensCurve {
             }),
         }
     }
+}
+
+/// A pinhole's point with OpenCV's radial and tangential distortion.
+fn distorted(plane: Vector2<f64>, [k1, k2, p1, p2]: &[f64; 4]) -> Vector2<f64> {
+    let (x, y) = (plane.x, plane.y);
+    let square = x * x + y * y;
+    let radial = 1.0 + square * (k1 + square * k2);
+    Vector2::new(
+        x * radial + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x),
+        y * radial + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y,
+    )
+}
+
+/// The point that [`distorted`] takes to `plane`, by Newton's method; `None` where there is none.
+fn undistorted(plane: Vector2<f64>, distortion: &[f64; 4]) -> Option<Vector2<f64>> {
+    let [k1, k2, p1, p2] = distortion;
+    let mut point = plane;
+    for _ in 0..50 {
+        let (x, y) = (point.x, point.y);
+        let square = x * x + y * y;
+        let radial = 1.0 + square * (k1 + square * k2);
+        // Derivative of the radial factor by the square.
+        let growth = k1 + 2.0 * k2 * square;
+        let across = 2.0 * x * y * growth + 2.0 * p1 * x + 2.0 * p2 * y;
+        let jacobian = Matrix2::new(
+            radial + 2.0 * x * x * growth + 2.0 * p1 * y + 6.0 * p2 * x,
+            across,
+            across,
+            radial + 2.0 * y * y * growth + 6.0 * p1 * y + 2.0 * p2 * x,
+        );
+        let step = jacobian.try_inverse()? * (distorted(point, distortion) - plane);
+        point -= step;
+        if step.norm() <= 1e-15 * (1.0 + point.norm()) {
+            return Some(point);
+        }
+    }
+    ((distorted(point, distortion) - plane).norm() < 1e-12).then_some(point)
 }
 
 /// Refuses lenses that no camera has, and circles that leave the image or run into each other.

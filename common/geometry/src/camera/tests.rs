@@ -40,6 +40,23 @@ fn double_spheres(offset_m: f64) -> Camera {
     Camera::new(1280, 640, CameraModel::DualFisheye(lenses)).unwrap()
 }
 
+/// Another Theta S, as Kalibr's `omni-radtan` has it.
+fn unified() -> Camera {
+    let lens = |ahead: f64, centre: [f64; 2], focal: [f64; 2], xi: f64, distortion| Lens {
+        camera_from_lens: mounted(Vector3::x() * ahead, Vector3::new(0.006 * ahead, 0.001, 0.0)),
+        centre_px: centre.into(),
+        circle_px: 305.0,
+        field_rad: 194f64.to_radians(),
+        focal_px: focal.into(),
+        curve: LensCurve::Unified { xi, distortion },
+    };
+    let lenses = [
+        lens(1.0, [319.05, 319.69], [546.73, 541.61], 1.8437, [0.01627, -0.3103, 0.00096, 0.002]),
+        lens(-1.0, [957.87, 313.51], [565.93, 561.73], 1.9747, [-0.0258, 0.1678, 0.0094, -0.00098]),
+    ];
+    Camera::new(1280, 640, CameraModel::DualFisheye(lenses)).unwrap()
+}
+
 /// Kannala and Brandt's curve, as OpenCV's `fisheye` calibrates it.
 fn polynomials() -> Camera {
     let lens = |ahead: f64, u: f64| Lens {
@@ -65,6 +82,8 @@ fn cameras() -> Vec<Camera> {
         double_spheres(0.0083).at_distance(0.7),
         polynomials(),
         polynomials().at_distance(2.0),
+        unified(),
+        unified().at_distance(0.6),
         Camera::new(1920, 1920, plane).unwrap(),
         Camera::new(1280, 800, plane).unwrap(),
     ]
@@ -215,7 +234,7 @@ fn poles_and_seam_are_defined() {
     let almost = Unit::new_normalize(Vector3::new(-1.0, -1e-12, 0.0));
     assert!((-0.5..3839.5).contains(&camera.project(&almost).unwrap().0.x));
     // The axis of a lens, and of the plane.
-    for camera in [double_spheres(0.0), polynomials()] {
+    for camera in [double_spheres(0.0), polynomials(), unified()] {
         let CameraModel::DualFisheye(lenses) = *camera.model() else { unreachable!() };
         for lens in lenses {
             let axis = lens.camera_from_lens.rotation * Vector3::z_axis();

@@ -107,6 +107,9 @@ pub struct FisheyeLens {
     pub equidistant: Option<[f64; 4]>,
     /// Calibrated xi and alpha of the double sphere model (Kalibr's `ds`).
     pub double_sphere: Option<[f64; 2]>,
+    /// Calibrated xi, k1, k2, p1, p2 of the unified model with a pinhole's distortion (Kalibr's
+    /// `omni-radtan`, camodocal's `MEI`).
+    pub unified: Option<[f64; 5]>,
 }
 
 /// The curve between light and code values.

@@ -73,6 +73,13 @@ const WRONG: &[(&str, &[&str])] = &[
     ),
     (
         "camera:\n  projection: dual_fisheye\n  lenses:\n    - {centre_px: [959, 959], circle_px: \
+         900, field_deg: 190, camera_from_lens: {}, focal_px: [9, 9], double_sphere: [0.1, 0.6], \
+         equidistant: [0, 0, 0, 0]}\n    - {centre_px: [2879, 959], circle_px: 900, field_deg: 190, \
+         camera_from_lens: {}}",
+        &["line 4", "camera.lenses.0: a lens has one curve"],
+    ),
+    (
+        "camera:\n  projection: dual_fisheye\n  lenses:\n    - {centre_px: [959, 959], circle_px: \
          900, field_deg: 190, camera_from_lens: {orientation: [1, 1, 0, 0]}}\n    - {centre_px: \
          [2879, 959], circle_px: 900, field_deg: 190, camera_from_lens: {}}",
         &["line 4", "camera.lenses.0.camera_from_lens.orientation", "has length 1, not 1.4142"],
