@@ -6,6 +6,7 @@
 
 mod document;
 mod meaning;
+mod partition;
 pub mod pipeline;
 mod schema;
 
@@ -13,6 +14,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 pub use document::Origin;
+pub use partition::{Auto, Count, Method, Partition};
 pub use pipeline::*;
 
 use document::Node;
