@@ -190,7 +190,8 @@ impl Partition {
             directions.into_iter().map(|direction| direction.map(rounded)).collect();
         let none = PartitionError::Directions { directions: directions.len(), rolls: 0 };
         let facets = hull(&directions).ok_or(none)?;
-        let rolls_deg = rolls::degrees(&directions, &facets, seed);
+        let is_stored = Self::is_stored(method, count, seed);
+        let rolls_deg = rolls::degrees(&directions, &facets, seed, is_stored);
         Self::new(directions.into_iter().map(Unit::new_unchecked).collect(), rolls_deg)
     }
 
@@ -240,8 +241,7 @@ impl Partition {
     /// # Errors
     /// A margin for which there is no pinhole image.
     pub fn field_rad(&self, margin_rad: f64) -> Result<f64, PartitionError> {
-        // Written so that NaN is refused too.
-        if !(margin_rad >= 0.0) {
+        if margin_rad.is_nan() || margin_rad < 0.0 {
             return Err(PartitionError::Margin { margin_rad });
         }
         let fits = |field: &f64| *field < LARGEST_FIELD_RAD;

@@ -11,8 +11,11 @@ use flockeye_geometry::view::View;
 
 use crate::config::{Auto, Count, Pipeline, Response};
 
-/// Partitions that this process had to find, by method, number of views and seed.
-static FOUND: Mutex<Vec<((Method, usize, u64), Partition)>> = Mutex::new(Vec::new());
+/// Method, number of views and seed.
+type Key = (Method, usize, u64);
+
+/// Partitions that this process had to find.
+static FOUND: Mutex<Vec<(Key, Partition)>> = Mutex::new(Vec::new());
 
 impl Pipeline {
     /// The camera model.

@@ -196,7 +196,7 @@ impl Symmetric {
         let mut x = right.to_vec();
         for k in 0..n {
             let pivot = upper[k * n + k] + damping;
-            if !(pivot > 1e-14 * damping) {
+            if pivot.is_nan() || pivot <= 1e-14 * damping {
                 return None;
             }
             let (above, below) = upper.split_at_mut((k + 1) * n);

@@ -24,7 +24,7 @@ pub(super) fn canonical(directions: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
     let turn =
         Matrix3::from_rows(&[ahead.transpose(), left.transpose(), ahead.cross(&left).transpose()]);
     let mut turned: Vec<_> = directions.iter().map(|direction| turn * direction).collect();
-    turned.sort_by(|p, q| rank(p).cmp(&rank(q)));
+    turned.sort_by_key(rank);
     turned
 }
 

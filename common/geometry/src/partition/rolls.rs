@@ -31,19 +31,20 @@ struct Effort {
 }
 
 impl Effort {
-    /// Beyond 32 views as much as a start of the pipeline can wait for.
-    fn of(count: usize) -> Self {
-        if count <= 32 {
-            Self { rounds: 8, starts: 8, exchanges: 24 }
-        } else {
-            Self { rounds: 1, starts: 4, exchanges: 8 }
-        }
-    }
+    /// For what is stored.
+    const LONG: Self = Self { rounds: 8, starts: 8, exchanges: 24 };
+    /// As much as a start of the pipeline can wait for: squares about one degree larger.
+    const SHORT: Self = Self { rounds: 1, starts: 4, exchanges: 8 };
 }
 
 /// Rolls, degrees from 0 to 90 to four decimals, of upright views along `points`.
-pub(super) fn degrees(points: &[Vector3<f64>], facets: &[Facet], seed: u64) -> Vec<f64> {
-    let effort = Effort::of(points.len());
+pub(super) fn degrees(
+    points: &[Vector3<f64>],
+    facets: &[Facet],
+    seed: u64,
+    takes_long: bool,
+) -> Vec<f64> {
+    let effort = if takes_long { Effort::LONG } else { Effort::SHORT };
     let mut samples = Samples::new(points, facets);
     let mut random = Random::new(seed, u64::MAX);
     let mut least = (f64::INFINITY, vec![0.0; points.len()]);
