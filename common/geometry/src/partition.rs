@@ -1,35 +1,111 @@
 //! The partition of the sphere: which directions to look along so that nothing is missed
 //! (section III-A of the paper).
+//!
+//! Two methods find the directions: `paper` spreads points and then grows circles round them,
+//! `covering` minimises the circles themselves. Either way the circles' diameter theta is measured
+//! on the convex hull of the directions, exactly. Views are squares, turned about their axes until
+//! the smallest ones hold whatever is as wide as the margin. docs/PARTITION.md has the figures.
 
-use std::f64::consts::PI;
+mod ascent;
+mod covering;
+mod criterion;
+mod hull;
+mod orientation;
+mod paper;
+mod random;
+mod rolls;
+mod squares;
+mod stored;
+#[cfg(test)]
+mod tests;
+
+use std::f64::consts::{FRAC_PI_2, PI};
+use std::ops::RangeInclusive;
+
+use nalgebra::{Unit, UnitQuaternion, Vector3};
 
 use crate::Ray;
-use crate::view::View;
-use nalgebra::{Unit, Vector3};
+use crate::view::{View, upright_axes};
+pub use criterion::{Criterion, Terms, Weights, WeightsError};
+use hull::{Facet, covering_cosine, hull};
+use squares::{Square, half_field};
 
-/// Directions whose circles of one common diameter cover the sphere.
+/// The fewest views that cover the sphere: no three pinhole images do.
+pub const FEWEST: usize = 4;
+/// The most views that a partition may have.
+pub const MOST: usize = 128;
+/// Numbers of views whose covering is stored.
+pub const STORED: RangeInclusive<usize> = FEWEST..=32;
+/// The seed of what is stored.
+pub const STORED_SEED: u64 = 1;
+
+/// Beyond this field a pinhole image stretches its rim more than eight times.
+const LARGEST_FIELD_RAD: f64 = 140.0 / 180.0 * PI;
+/// How far a view's half-field may be above the smallest that does: 0.0003 degrees.
+const TOLERANCE_RAD: f64 = 5e-6;
+
+/// How directions are found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Method {
+    /// The smallest circles that leave no gap.
+    Covering,
+    /// The paper's: spread points, then circles round them that leave no gap.
+    Paper,
+}
+
+/// Directions whose circles of one common diameter cover the sphere, and the roll of a square view
+/// along each.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Partition {
     directions: Vec<Ray>,
-    covering_diameter_rad: f64,
+    rolls_deg: Vec<f64>,
+    /// Of the directions' hull: the holes between the circles.
+    facets: Vec<Facet>,
 }
 
-/// Why a partition gives no views.
+/// Why there is no partition, or none with such views.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum PartitionError {
-    /// The square round a circle and its margin would not fit a pinhole image.
+    /// Too few or too many.
     #[error(
-        "a partition's circle of {:.1} degrees with a margin of {:.1} degrees gives no view: the \
-         margin must be 0 or more and both together below {:.0} degrees; take a smaller margin or \
-         more partitions",
-        .diameter_rad.to_degrees(), .margin_rad.to_degrees(), LARGEST_FIELD_RAD.to_degrees()
+        "a partition has {FEWEST} to {MOST} views, not {count}: three flat images never see the \
+         whole sphere, and with more than {MOST} a frame is never searched in time"
     )]
-    Field {
-        /// The covering diameter, radians.
-        diameter_rad: f64,
+    Count {
+        /// Views asked for.
+        count: usize,
+    },
+    /// Directions that all lie in a plane, or coincide, or rolls that are not one for each.
+    #[error("{directions} directions with {rolls} rolls do not go round the sphere")]
+    Directions {
+        /// How many directions there are.
+        directions: usize,
+        /// How many rolls.
+        rolls: usize,
+    },
+    /// No width.
+    #[error("a margin of {:.1} degrees is none: it must be 0 or more", .margin_rad.to_degrees())]
+    Margin {
         /// The margin asked for, radians.
         margin_rad: f64,
     },
+    /// The views would be larger than a pinhole image can be.
+    #[error(
+        "{count} views that hold whatever is {:.1} degrees wide would each span more than {:.0} \
+         degrees, and a flat image has no more; {}",
+        .margin_rad.to_degrees(), LARGEST_FIELD_RAD.to_degrees(), .cure
+    )]
+    Field {
+        /// How many views there are.
+        count: usize,
+        /// The margin asked for, radians.
+        margin_rad: f64,
+        /// What would do.
+        cure: FieldCure,
+    },
+    /// Weights that are none, for the choice of the number of views.
+    #[error(transparent)]
+    Weights(#[from] WeightsError),
     /// A resolution that gives no picture.
     #[error("{pixels_per_radian} pixels for each radian give no view: 1 to 100000 are allowed")]
     Resolution {
@@ -38,45 +114,104 @@ pub enum PartitionError {
     },
 }
 
-/// Beyond this field a pinhole image stretches its rim more than eight times.
-const LARGEST_FIELD_RAD: f64 = 140.0 / 180.0 * PI;
+/// What would do instead of a margin that is too large.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FieldCure {
+    /// The largest margin of so many views, radians; `None` if there is none.
+    pub largest_margin_rad: Option<f64>,
+    /// The fewest views, of the stored ones, with the margin asked for; `None` if none do.
+    pub fewest: Option<usize>,
+}
+
+impl std::fmt::Display for FieldCure {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self.largest_margin_rad {
+            // Rounded down, so that what is said does.
+            Some(margin) => {
+                let degrees = (margin.to_degrees() * 10.0).floor() / 10.0;
+                write!(f, "the largest margin of so many is {degrees:.1} degrees")?;
+            }
+            None => write!(f, "no margin makes so few do")?,
+        }
+        match self.fewest {
+            Some(fewest) => write!(f, ", the fewest views for this margin are {fewest}"),
+            None => write!(f, ", and no number of views does for this margin"),
+        }
+    }
+}
 
 impl Partition {
     /// The 12 vertices of the icosahedron: the best covering of the sphere by 12 circles
     /// (L. Fejes Toth, 1953), of 74.7547 degrees.
     ///
-    /// They are the cyclic permutations of (0, +-1, +-phi), phi the golden ratio; the order begins
-    /// ahead (+x) and ends behind, so that a search in fixed order looks ahead first.
+    /// The order begins ahead (+x) and ends behind, so that a search in fixed order looks ahead
+    /// first.
+    #[expect(clippy::expect_used, reason = "12 is stored; a test looks")]
     pub fn icosahedron() -> Self {
-        let phi = (1.0 + 5f64.sqrt()) / 2.0;
-        let directions = [
-            (phi, 0.0, 1.0),
-            (phi, 0.0, -1.0),
-            (1.0, phi, 0.0),
-            (1.0, -phi, 0.0),
-            (0.0, 1.0, phi),
-            (0.0, -1.0, phi),
-            (0.0, 1.0, -phi),
-            (0.0, -1.0, -phi),
-            (-1.0, phi, 0.0),
-            (-1.0, -phi, 0.0),
-            (-phi, 0.0, 1.0),
-            (-phi, 0.0, -1.0),
-        ]
-        .map(|(x, y, z)| Unit::new_normalize(Vector3::new(x, y, z)));
-        Self::from_directions(directions.to_vec())
+        Self::stored(12).expect("12 is stored")
     }
 
-    /// Measures what circles the directions need. They must not all lie in one plane.
-    fn from_directions(directions: Vec<Ray>) -> Self {
-        let covering_diameter_rad = 2.0 * covering_radius_rad(&directions);
-        Self { directions, covering_diameter_rad }
+    /// The stored covering by `count` circles, at no cost; `None` where there is none (see
+    /// [`STORED`]).
+    pub fn stored(count: usize) -> Option<Self> {
+        stored::partition(count)
+    }
+
+    /// Whether a partition costs nothing.
+    pub fn is_stored(method: Method, count: usize, seed: u64) -> bool {
+        method == Method::Covering && STORED.contains(&count) && seed == STORED_SEED
+    }
+
+    /// The partition of a method, a number of views and a seed: from the store if it is there, else
+    /// found anew, which takes up to a few seconds. The same everywhere.
+    ///
+    /// # Errors
+    /// A number of views that is too small or too large.
+    pub fn of(method: Method, count: usize, seed: u64) -> Result<Self, PartitionError> {
+        let stored = Self::stored(count).filter(|_| Self::is_stored(method, count, seed));
+        stored.map_or_else(|| Self::compute(method, count, seed), Ok)
+    }
+
+    /// The same, found anew.
+    ///
+    /// # Errors
+    /// A number of views that is too small or too large.
+    pub fn compute(method: Method, count: usize, seed: u64) -> Result<Self, PartitionError> {
+        if !(FEWEST..=MOST).contains(&count) {
+            return Err(PartitionError::Count { count });
+        }
+        let directions = match (method, count) {
+            // Proved to be the best, and turned so that two views look ahead, one above the other.
+            (Method::Covering, 12) => icosahedron_vertices(),
+            (Method::Covering, _) => orientation::canonical(&covering::directions(count, seed)),
+            (Method::Paper, _) => orientation::canonical(&paper::directions(count, seed)),
+        };
+        let directions: Vec<_> =
+            directions.into_iter().map(|direction| direction.map(rounded)).collect();
+        let none = PartitionError::Directions { directions: directions.len(), rolls: 0 };
+        let facets = hull(&directions).ok_or(none)?;
+        let is_stored = Self::is_stored(method, count, seed);
+        let rolls_deg = rolls::degrees(&directions, &facets, seed, is_stored);
+        Self::new(directions.into_iter().map(Unit::new_unchecked).collect(), rolls_deg)
+    }
+
+    /// Finds the holes between the directions.
+    fn new(directions: Vec<Ray>, rolls_deg: Vec<f64>) -> Result<Self, PartitionError> {
+        let (count, rolls) = (directions.len(), rolls_deg.len());
+        let facets = hull(&vectors(&directions)).filter(|_| count == rolls);
+        let facets = facets.ok_or(PartitionError::Directions { directions: count, rolls })?;
+        Ok(Self { directions, rolls_deg, facets })
     }
 
     /// The middles of the circles, unit vectors in the camera frame; their order is the
     /// partitions' numbering.
     pub fn directions(&self) -> &[Ray] {
         &self.directions
+    }
+
+    /// Rolls of the square views, degrees clockwise from upright, from 0 to 90.
+    pub fn rolls_deg(&self) -> &[f64] {
+        &self.rolls_deg
     }
 
     /// How many partitions there are: the paper's N.
@@ -88,14 +223,59 @@ impl Partition {
     /// The smallest diameter, radians, with which circles round the directions leave no gap: the
     /// paper's theta.
     pub fn covering_diameter_rad(&self) -> f64 {
-        self.covering_diameter_rad
+        2.0 * covering_cosine(&self.facets).acos()
     }
 
-    /// One upright square view for each partition, at the sphere's own resolution in its middle.
+    /// What the paper's criterion weighs.
+    pub fn terms(&self) -> Terms {
+        Terms::new(self.len(), self.covering_diameter_rad())
+    }
+
+    /// Field, radians, of square views that hold whatever is `margin_rad` wide, wherever it is,
+    /// wholly in one of them.
     ///
-    /// Each is the square round a circle of diameter theta + `margin_rad`, so that whatever is at
-    /// most `margin_rad` wide lies wholly in some view, wherever it is.
-    /// `pixels_per_radian` is the sphere image's, and becomes the focal length in pixels.
+    /// At most theta + `margin_rad`, the square round the circle; less, because squares are turned
+    /// so that their corners help each other out. Proved by branch and bound, and at most 0.001
+    /// degrees too large (0.02 where whole sides of squares meet).
+    ///
+    /// # Errors
+    /// A margin for which there is no pinhole image.
+    pub fn field_rad(&self, margin_rad: f64) -> Result<f64, PartitionError> {
+        if margin_rad.is_nan() || margin_rad < 0.0 {
+            return Err(PartitionError::Margin { margin_rad });
+        }
+        let fits = |field: &f64| *field < LARGEST_FIELD_RAD;
+        self.squares_field_rad(margin_rad).filter(fits).ok_or_else(|| {
+            let fewest = STORED.filter_map(Self::stored).find(|other| {
+                other.squares_field_rad(margin_rad).is_some_and(|field| fits(&field))
+            });
+            let fewest = fewest.map(|other| other.len());
+            let cure = FieldCure { largest_margin_rad: self.largest_margin_rad(), fewest };
+            PartitionError::Field { count: self.len(), margin_rad, cure }
+        })
+    }
+
+    /// The largest margin, radians, for which there are views; `None` if there are none at all.
+    pub fn largest_margin_rad(&self) -> Option<f64> {
+        let fits = |margin: f64| {
+            self.squares_field_rad(margin).is_some_and(|field| field < LARGEST_FIELD_RAD)
+        };
+        if !fits(0.0) {
+            return None;
+        }
+        let (mut low, mut high) = (0.0, LARGEST_FIELD_RAD);
+        while high - low > 1e-4 {
+            let middle = (low + high) / 2.0;
+            if fits(middle) { low = middle } else { high = middle }
+        }
+        Some(low)
+    }
+
+    /// One square view for each partition, at the sphere's own resolution in its middle.
+    ///
+    /// Their field is [`Self::field_rad`], so that whatever is at most `margin_rad` wide lies
+    /// wholly in some view, wherever it is. `pixels_per_radian` is the sphere image's, and becomes
+    /// the focal length in pixels.
     ///
     /// # Errors
     /// A margin or resolution for which there is no pinhole image.
@@ -104,22 +284,23 @@ impl Partition {
         margin_rad: f64,
         pixels_per_radian: f64,
     ) -> Result<Vec<View>, PartitionError> {
-        let diameter_rad = self.covering_diameter_rad;
-        let field_rad = diameter_rad + margin_rad;
+        let field_rad = self.field_rad(margin_rad)?;
         // Written so that NaN is refused too.
-        if !(margin_rad >= 0.0 && field_rad < LARGEST_FIELD_RAD) {
-            return Err(PartitionError::Field { diameter_rad, margin_rad });
-        }
         if !(1.0..=1e5).contains(&pixels_per_radian) {
             return Err(PartitionError::Resolution { pixels_per_radian });
         }
         // One pixel more, because n pixels' centres span only n - 1.
         let size_px = (2.0 * pixels_per_radian * (field_rad / 2.0).tan()).ceil() as u32 + 1;
-        let view = |direction: &Ray| View {
-            focal_px: pixels_per_radian,
-            ..View::looking_at(direction, field_rad, size_px)
+        let view = |(direction, roll_deg): (&Ray, &f64)| {
+            let upright = View::looking_at(direction, field_rad, size_px);
+            let roll = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), roll_deg.to_radians());
+            View {
+                camera_from_view: upright.camera_from_view * roll,
+                focal_px: pixels_per_radian,
+                size_px,
+            }
         };
-        Ok(self.directions.iter().map(view).collect())
+        Ok(self.directions.iter().zip(&self.rolls_deg).map(view).collect())
     }
 
     /// Angle between the directions of two partitions, radians; `None` if one does not exist.
@@ -138,124 +319,55 @@ impl Partition {
         }
         nearest.0
     }
+
+    /// The field, radians, that the squares need; `None` beyond pinhole images.
+    fn squares_field_rad(&self, margin_rad: f64) -> Option<f64> {
+        let half_rad = margin_rad / 2.0;
+        let circumscribed_rad = self.covering_diameter_rad() + margin_rad;
+        if margin_rad >= LARGEST_FIELD_RAD {
+            return None;
+        }
+        let points = vectors(&self.directions);
+        let certified = half_field(&self.squares(), &points, &self.facets, half_rad, TOLERANCE_RAD)
+            .map(|field| 2.0 * field.certified_tan.atan());
+        let circumscribed = (circumscribed_rad / 2.0 < FRAC_PI_2).then_some(circumscribed_rad);
+        certified.into_iter().chain(circumscribed).reduce(f64::min)
+    }
+
+    fn squares(&self) -> Vec<Square> {
+        let square = |(direction, roll_deg): (&Ray, &f64)| {
+            let (sin, cos) = roll_deg.to_radians().sin_cos();
+            Square::new(upright_axes(direction), (cos, sin))
+        };
+        self.directions.iter().zip(&self.rolls_deg).map(square).collect()
+    }
 }
 
-/// Largest angle, radians, between any point of the sphere and the direction nearest to it.
-///
-/// The points farthest from all directions are the circumcentres of the facets of the directions'
-/// convex hull (the vertices of the spherical Voronoi diagram), so each triple that has all others
-/// on one side is measured. O(N^4): for a few dozen directions.
-fn covering_radius_rad(directions: &[Ray]) -> f64 {
-    let mut radius: f64 = 0.0;
-    for (a, p) in directions.iter().enumerate() {
-        for (b, q) in directions.iter().enumerate().skip(a + 1) {
-            for r in &directions[b + 1..] {
-                let Some(normal) = (q.into_inner() - p.into_inner())
-                    .cross(&(r.into_inner() - p.into_inner()))
-                    .try_normalize(1e-12)
-                else {
-                    continue;
-                };
-                let offset = normal.dot(p);
-                let side = |d: &Ray| normal.dot(d) - offset;
-                if directions.iter().all(|d| side(d) < 1e-9) {
-                    radius = radius.max(offset.clamp(-1.0, 1.0).acos());
-                } else if directions.iter().all(|d| side(d) > -1e-9) {
-                    radius = radius.max((-offset).clamp(-1.0, 1.0).acos());
-                }
-            }
-        }
-    }
-    radius
+/// To 15 decimals, which any reader of JSON reads back to the last bit.
+fn rounded(value: f64) -> f64 {
+    (value * 1e15).round() / 1e15 + 0.0
 }
 
-#[cfg(test)]
-mod tests {
-    #![allow(clippy::unwrap_used, clippy::expect_used)]
-    use super::*;
-    use proptest::prelude::*;
+fn vectors(directions: &[Ray]) -> Vec<Vector3<f64>> {
+    directions.iter().map(|direction| direction.into_inner()).collect()
+}
 
-    const PIXELS_PER_RADIAN: f64 = 3840.0 / std::f64::consts::TAU;
-
-    #[test]
-    fn the_covering_diameter_is_the_best_known() {
-        let partition = Partition::icosahedron();
-        assert_eq!(partition.len(), 12);
-        assert!((partition.covering_diameter_rad().to_degrees() - 74.7547).abs() < 5e-5);
-        // A facet's circumcentre is that far from its corners and nearer to none: nothing smaller
-        // than the diameter covers.
-        let hole = Unit::new_normalize(Vector3::new(1.0, 1.0, 1.0));
-        let nearest = &partition.directions()[partition.nearest(&hole)];
-        assert!((2.0 * nearest.angle(&hole) - partition.covering_diameter_rad()).abs() < 1e-9);
-    }
-
-    #[test]
-    fn fewer_directions_need_larger_circles() {
-        let octahedron = [Vector3::x_axis(), Vector3::y_axis(), Vector3::z_axis()]
-            .into_iter()
-            .flat_map(|axis| [axis, -axis])
-            .collect();
-        let theta = Partition::from_directions(octahedron).covering_diameter_rad();
-        assert!((theta.to_degrees() - 109.4712).abs() < 5e-5);
-    }
-
-    #[test]
-    fn neighbours_on_the_icosahedron_are_five() {
-        let partition = Partition::icosahedron();
-        for from in 0..12 {
-            let near = (0..12).filter(|&to| {
-                let distance = partition.distance_rad(from, to).unwrap().to_degrees();
-                (distance - 63.4349).abs() < 1e-3
-            });
-            assert_eq!(near.count(), 5);
-        }
-        assert_eq!(partition.distance_rad(0, 12), None);
-    }
-
-    #[test]
-    fn views_have_the_spheres_resolution() {
-        let views = Partition::icosahedron().views(0.0, PIXELS_PER_RADIAN).unwrap();
-        assert!(views.iter().all(|view| view.focal_px == PIXELS_PER_RADIAN));
-        assert!(views.iter().all(|view| view.size_px == 935), "{}", views[0].size_px);
-    }
-
-    #[test]
-    fn impossible_views_are_refused() {
-        let partition = Partition::icosahedron();
-        for (margin, resolution) in
-            [(-0.1, 600.0), (2.0, 600.0), (f64::NAN, 600.0), (0.1, 0.0), (0.1, f64::NAN)]
-        {
-            assert!(partition.views(margin, resolution).is_err(), "{margin} {resolution}");
-        }
-    }
-
-    fn direction() -> impl Strategy<Value = Ray> {
-        (-1.0..1.0f64, 0.0..std::f64::consts::TAU).prop_map(|(z, longitude)| {
-            let across = (1.0 - z * z).sqrt();
-            Unit::new_normalize(Vector3::new(across * longitude.cos(), across * longitude.sin(), z))
-        })
-    }
-
-    proptest! {
-        #![proptest_config(ProptestConfig::with_cases(2_000))]
-        #[test]
-        fn whatever_is_as_wide_as_the_margin_lies_wholly_in_a_view(
-            middle in direction(),
-            margin_deg in 0.0..25.0f64,
-        ) {
-            let margin = margin_deg.to_radians();
-            let views = Partition::icosahedron().views(margin, PIXELS_PER_RADIAN).unwrap();
-            let across = middle.cross(&Vector3::new(0.3, -0.5, 0.8)).normalize();
-            let down = middle.cross(&across);
-            let rim: Vec<Ray> = (0..36)
-                .map(|k| {
-                    let turn = f64::from(k) * std::f64::consts::TAU / 36.0;
-                    let outwards = across * turn.cos() + down * turn.sin();
-                    let (sin, cos) = (margin / 2.0).sin_cos();
-                    Unit::new_normalize(middle.into_inner() * cos + outwards * sin)
-                })
-                .collect();
-            prop_assert!(views.iter().any(|view| rim.iter().all(|ray| view.holds(ray, 0.0))));
-        }
-    }
+/// The cyclic permutations of (0, +-1, +-phi), phi the golden ratio, from ahead to behind.
+fn icosahedron_vertices() -> Vec<Vector3<f64>> {
+    let phi = (1.0 + 5f64.sqrt()) / 2.0;
+    let vertices = [
+        (phi, 0.0, 1.0),
+        (phi, 0.0, -1.0),
+        (1.0, phi, 0.0),
+        (1.0, -phi, 0.0),
+        (0.0, 1.0, phi),
+        (0.0, -1.0, phi),
+        (0.0, 1.0, -phi),
+        (0.0, -1.0, -phi),
+        (-1.0, phi, 0.0),
+        (-1.0, -phi, 0.0),
+        (-phi, 0.0, 1.0),
+        (-phi, 0.0, -1.0),
+    ];
+    vertices.map(|(x, y, z)| Unit::new_normalize(Vector3::new(x, y, z)).into_inner()).to_vec()
 }

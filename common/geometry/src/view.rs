@@ -79,12 +79,15 @@ impl View {
 
 /// The rotation of an upright view along `direction_in_camera`.
 fn upright(direction_in_camera: &Ray) -> UnitQuaternion<f64> {
-    let forward = direction_in_camera.into_inner();
+    let axes = Rotation3::from_basis_unchecked(&upright_axes(direction_in_camera));
+    UnitQuaternion::from_rotation_matrix(&axes)
+}
+
+/// The axes x, y and z of an upright view along `forward`, in the camera frame.
+pub(crate) fn upright_axes(forward: &Vector3<f64>) -> [Vector3<f64>; 3] {
     let level = forward.cross(&Vector3::z());
     let right = if level.norm() > 1e-6 { level.normalize() } else { -Vector3::y() };
-    let down = forward.cross(&right);
-    let axes = Rotation3::from_basis_unchecked(&[right, down, forward]);
-    UnitQuaternion::from_rotation_matrix(&axes)
+    [right, forward.cross(&right), *forward]
 }
 
 #[cfg(test)]

@@ -157,7 +157,8 @@ impl Budget {
                 Ports {
                     publishers: workers,
                     subscribers: 4,
-                    buffer: 64,
+                    // All answers to one frame wait where fusion is busy.
+                    buffer: 64.max(pipeline.partition.count.most() + MAX_TRACKS),
                     borrowed: 2,
                     history: 0,
                     loaned: 1,
@@ -324,6 +325,16 @@ mod tests {
             assert!(names.contains(name), "{name}");
         }
         assert_eq!(names.len(), flockeye_contract::ALL_TOPICS.len());
+    }
+
+    #[test]
+    fn a_frames_answers_wait_whole() {
+        let overrides = ["partition.count=128".to_owned()];
+        let pipeline = Pipeline::parse("", &overrides, "x").unwrap();
+        let budget = Budget::of(&pipeline, pipeline.largest_view_px(0.05).unwrap());
+        assert!(budget.topic::<Detections>().buffer >= 128);
+        let planned = flockeye_contract::MAX_PLANNED_VIEWS;
+        assert!(128 + MAX_TRACKS <= planned);
     }
 
     #[test]

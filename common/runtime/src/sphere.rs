@@ -1,11 +1,14 @@
 //! The views that cover the configured camera's sphere.
 
-use flockeye_geometry::partition::{Partition, PartitionError};
+use std::sync::{Mutex, PoisonError};
+use std::time::Instant;
+
+use flockeye_geometry::partition::{Criterion, Method, Partition, PartitionError, Weights};
 use flockeye_geometry::search::GazeOptions;
 use flockeye_geometry::view::View;
 
 use crate::camera::CameraSettingError;
-use crate::config::Pipeline;
+use crate::config::{Auto, Count, Pipeline};
 
 /// Why the sphere has no views.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -18,24 +21,80 @@ pub enum SphereViewsError {
     Partition(#[from] PartitionError),
 }
 
+/// Method, number of views and seed.
+type Key = (Method, usize, u64);
+
+/// Partitions that this process had to find.
+static FOUND: Mutex<Vec<(Key, Partition)>> = Mutex::new(Vec::new());
+
 impl Pipeline {
-    /// The directions that share the sphere.
-    pub fn sphere_partition(&self) -> Partition {
-        Partition::icosahedron()
+    /// How many views cover the sphere.
+    ///
+    /// # Errors
+    /// Weights that are none.
+    pub fn partition_count(&self) -> Result<usize, PartitionError> {
+        match self.partition.count {
+            Count::Views(count) => Ok(count),
+            Count::Chosen(Auto::Auto) => {
+                Ok(Criterion::new(Weights::new(self.partition.weights)?).choice())
+            }
+        }
+    }
+
+    /// The directions that share the sphere: every process of a pipeline finds the same.
+    ///
+    /// # Errors
+    /// A number of views for which there is no partition.
+    pub fn sphere_partition(&self) -> Result<Partition, PartitionError> {
+        let method = self.partition.method.into();
+        let key = (method, self.partition_count()?, u64::from(self.partition.seed));
+        let (method, count, seed) = key;
+        if Partition::is_stored(method, count, seed) {
+            return Partition::of(method, count, seed);
+        }
+        // Found once in each process.
+        let mut found = FOUND.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, partition)) = found.iter().find(|(known, _)| *known == key) {
+            return Ok(partition.clone());
+        }
+        let start = Instant::now();
+        let partition = Partition::of(method, count, seed)?;
+        tracing::info!(
+            count,
+            seed,
+            seconds = start.elapsed().as_secs_f64(),
+            "this partition of the sphere is not stored: found it from its seed"
+        );
+        found.push((key, partition.clone()));
+        Ok(partition)
+    }
+
+    /// Overlap of the partitions, radians: `partition.margin_deg`, or `largest_marker_m` seen from
+    /// `partition.nearest_m`.
+    pub fn partition_margin_rad(&self, largest_marker_m: f64) -> f64 {
+        match self.partition.margin_deg {
+            Some(degrees) => degrees.to_radians(),
+            None => 2.0 * (largest_marker_m / (2.0 * self.partition.nearest_m)).atan(),
+        }
+    }
+
+    /// Field of the partitions' views, radians.
+    ///
+    /// # Errors
+    /// A margin that leaves no view.
+    pub fn partition_field_rad(&self, largest_marker_m: f64) -> Result<f64, PartitionError> {
+        self.sphere_partition()?.field_rad(self.partition_margin_rad(largest_marker_m))
     }
 
     /// The partitions as views at the sphere's own resolution, which overlap by
-    /// `partition.margin_deg`, or by `largest_marker_m` seen from `partition.nearest_m`.
+    /// [`Pipeline::partition_margin_rad`].
     ///
     /// # Errors
     /// A margin that leaves no view; a camera that cannot be.
     pub fn partition_views(&self, largest_marker_m: f64) -> Result<Vec<View>, SphereViewsError> {
-        let margin_rad = match self.partition.margin_deg {
-            Some(degrees) => degrees.to_radians(),
-            None => 2.0 * (largest_marker_m / (2.0 * self.partition.nearest_m)).atan(),
-        };
+        let margin_rad = self.partition_margin_rad(largest_marker_m);
         let pixels_per_radian = self.camera_model()?.pixels_per_radian();
-        Ok(self.sphere_partition().views(margin_rad, pixels_per_radian)?)
+        Ok(self.sphere_partition()?.views(margin_rad, pixels_per_radian)?)
     }
 
     /// Pixels along the side of the largest view that this pipeline cuts.

@@ -58,7 +58,7 @@ impl Stage for FusionStage {
         let views = pipeline.partition_views(bodies.largest_side())?;
         let planner = Planner::new(
             search_mode(pipeline),
-            pipeline.sphere_partition(),
+            pipeline.sphere_partition()?,
             views,
             pipeline.gaze_options()?,
         )?

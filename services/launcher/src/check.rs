@@ -3,7 +3,8 @@
 use std::fmt::Write;
 
 use anyhow::Context;
-use flockeye_runtime::config::{Flow, Pipeline};
+use flockeye_geometry::partition;
+use flockeye_runtime::config::{Count, Flow, Pipeline};
 use flockeye_runtime::instance::Instance;
 use flockeye_runtime::memory::{Budget, shared_memory_space};
 
@@ -49,14 +50,8 @@ fn plan(
         pipeline.observer.swarm,
         if pipeline.gateway.enabled { "" } else { " (nothing goes over the network)" }
     )?;
-    let views = pipeline.partition_views(bodies.largest_side())?;
-    let largest = views.iter().map(|view| view.size_px).max().unwrap_or(0);
-    writeln!(
-        text,
-        "search   {:?}, {} partitions of {largest} px",
-        pipeline.search.mode,
-        views.len()
-    )?;
+    writeln!(text, "search   {:?}", pipeline.search.mode)?;
+    writeln!(text, "sphere   {}", sphere(pipeline, bodies.largest_side())?)?;
     writeln!(text, "bodies   of {}", bodies.dictionary)?;
     for (target, body) in bodies.iter().enumerate() {
         let ids = body.markers.first().zip(body.markers.last());
@@ -87,4 +82,25 @@ fn plan(
     }
     write!(text, "{budget}")?;
     Ok(text)
+}
+
+/// What the views that cover the sphere are.
+fn sphere(pipeline: &Pipeline, largest_marker_m: f64) -> anyhow::Result<String> {
+    let partition = pipeline.sphere_partition()?;
+    let views = pipeline.partition_views(largest_marker_m)?;
+    let is_chosen = matches!(pipeline.partition.count, Count::Chosen(_));
+    let seed = u64::from(pipeline.partition.seed);
+    let is_stored =
+        partition::Partition::is_stored(pipeline.partition.method.into(), partition.len(), seed);
+    Ok(format!(
+        "{} partitions of {} px{}: circles of {:.2}° by {:?}, {}; squares of {:.2}° for a margin of {:.2}°",
+        partition.len(),
+        views.iter().map(|view| view.size_px).max().unwrap_or(0),
+        if is_chosen { " (chosen by partition.weights)" } else { "" },
+        partition.covering_diameter_rad().to_degrees(),
+        pipeline.partition.method,
+        if is_stored { "stored".to_owned() } else { format!("found from seed {seed}") },
+        pipeline.partition_field_rad(largest_marker_m)?.to_degrees(),
+        pipeline.partition_margin_rad(largest_marker_m).to_degrees(),
+    ))
 }

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use flockeye_geometry::partition::{STORED_SEED, Weights};
 use flockeye_runtime::config::Pipeline;
 
 /// Eyes for a flock: neighbours' poses from a spherical camera.
@@ -27,6 +28,8 @@ pub enum Command {
     Peers(Peers),
     /// Compare recorded poses with the truth.
     Eval(Eval),
+    /// Tabulate and draw partitions of the sphere.
+    Partition(Partition),
     /// Remove what dead runs left in shared memory.
     Clean(Clean),
     /// Print the JSON Schema of pipeline.yaml.
@@ -116,6 +119,54 @@ pub struct Eval {
     /// One JSON object instead of a table.
     #[arg(long)]
     pub json: bool,
+}
+
+/// Arguments of `partition`.
+#[derive(Debug, Args)]
+pub struct Partition {
+    /// Numbers of views, from 4 to 128: 12, 6,12,24 or 4..32 (both ends belong to it).
+    #[arg(long, default_value = "4..32", value_parser = crate::partition::counts)]
+    pub counts: Counts,
+    /// covering: the smallest circles. paper: spread points, then grow circles.
+    #[arg(long, default_value = "covering")]
+    pub method: MethodArgument,
+    /// Weights of the number of views, their pixels and their distortion in the cost.
+    #[arg(long, value_name = "A1,A2,A3", value_parser = crate::partition::weights)]
+    pub weights: Option<Weights>,
+    /// What is this wide lies wholly in one view, degrees; a marker of 5 cm at 40 cm is 7.15.
+    #[arg(long, value_name = "DEGREES", default_value_t = 7.15)]
+    pub margin: f64,
+    /// Pixels in a row of the sphere image.
+    #[arg(long, value_name = "PIXELS", default_value_t = 3840, value_parser = clap::value_parser!(u32).range(64..=16384))]
+    pub width: u32,
+    /// Another random start; coverings by up to 32 circles are stored for 1.
+    #[arg(long, default_value_t = STORED_SEED)]
+    pub seed: u64,
+    /// Find what is stored anew.
+    #[arg(long)]
+    pub compute: bool,
+    /// JSON with directions and rolls instead of a table.
+    #[arg(long)]
+    pub json: bool,
+    /// Draw the paper's figure: number of views against pixels, both methods.
+    #[arg(long, value_name = "FILE.svg")]
+    pub svg: Option<PathBuf>,
+    /// Draw the (first) partition's circles and views on the sphere and on the sphere image.
+    #[arg(long, value_name = "FILE.svg")]
+    pub picture: Option<PathBuf>,
+}
+
+/// Numbers of views.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Counts(pub Vec<usize>);
+
+/// How the directions of a partition are found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum MethodArgument {
+    /// The smallest circles.
+    Covering,
+    /// Spread points, then grow circles.
+    Paper,
 }
 
 /// Arguments of `clean`.

@@ -11,6 +11,7 @@
 //! | [`record`] | poses and truth as CSV |
 //! | [`evaluation`] | poses against the truth |
 //! | [`check`] | what a configuration means on this machine |
+//! | [`partition`] | partitions of the sphere as table, JSON and drawings |
 //! | [`peers`] | what the whole swarm reports over Zenoh |
 //! | [`clean`] | removes what dead runs left behind |
 //! | [`exec`] | the first instructions of a stage's process |
@@ -21,6 +22,7 @@ pub mod cli;
 pub mod dashboard;
 pub mod evaluation;
 pub mod exec;
+pub mod partition;
 pub mod peers;
 pub mod process;
 pub mod record;

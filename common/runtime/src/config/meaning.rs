@@ -1,7 +1,11 @@
 //! What no schema can say: values that contradict each other, names, rotations.
 
+use flockeye_geometry::partition::Weights;
+
 use super::document::Node;
-use super::{BodySet, Flow, Mount, Pipeline, Problem, Problems, Response, StageProcess};
+use super::{
+    BodySet, Count, Flow, Mount, Partition, Pipeline, Problem, Problems, Response, StageProcess,
+};
 
 /// Adds everything about `pipeline` that cannot be meant to `problems`.
 pub(super) fn check(pipeline: &Pipeline, document: &Node, problems: &mut Problems) {
@@ -12,6 +16,7 @@ pub(super) fn check(pipeline: &Pipeline, document: &Node, problems: &mut Problem
     meaning.mount("observer.observer_from_camera", &pipeline.observer.observer_from_camera);
     meaning.camera(pipeline);
     meaning.bodies(&pipeline.bodies);
+    meaning.partition(pipeline);
     meaning.rising("source.reopen_s", pipeline.source.reopen_s, 0.01);
     meaning.rising("simulator.distance_m", pipeline.simulator.distance_m, 0.2);
     meaning.source(pipeline);
@@ -104,6 +109,32 @@ impl Meaning<'_> {
         if let Err(error) = super::super::bodies::from_presets(bodies) {
             self.problem("bodies.list", error.to_string());
         }
+    }
+
+    fn partition(&mut self, pipeline: &Pipeline) {
+        let partition = &pipeline.partition;
+        if let Err(error) = Weights::new(partition.weights) {
+            return self.problem("partition.weights", error.to_string());
+        }
+        // The markers of a file are not known yet: see `Pipeline::partition_views`.
+        let markers = pipeline.bodies.list.iter().map(|body| body.marker_m);
+        let largest_m = match pipeline.bodies.file {
+            Some(_) => 0.0,
+            None => markers.fold(0.0, f64::max),
+        };
+        let Err(error) = pipeline.partition_field_rad(largest_m) else { return };
+        // What was written and made it so.
+        let path = match (partition.margin_deg, partition.count) {
+            (Some(_), _) => "partition.margin_deg",
+            (None, Count::Chosen(_)) => "partition.weights",
+            (None, count) if count == Partition::default().count => "partition.nearest_m",
+            (None, Count::Views(_)) => "partition.count",
+        };
+        let reason = match partition.margin_deg {
+            Some(_) => String::new(),
+            None => format!("a marker of {largest_m} m at {} m: ", partition.nearest_m),
+        };
+        self.problem(path, format!("{reason}{error}"));
     }
 
     fn source(&mut self, pipeline: &Pipeline) {

@@ -7,6 +7,7 @@
 mod camera;
 mod document;
 mod meaning;
+mod partition;
 pub mod pipeline;
 mod schema;
 
@@ -15,6 +16,7 @@ use std::path::{Path, PathBuf};
 
 pub use camera::*;
 pub use document::Origin;
+pub use partition::{Auto, Count, Method, Partition};
 pub use pipeline::*;
 
 use document::Node;

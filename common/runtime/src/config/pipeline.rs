@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::camera::Camera;
+use super::{Camera, Partition};
 
 /// A Flockeye pipeline.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -262,28 +262,6 @@ impl Default for Simulator {
             noise: 1.0,
             airframes: true,
         }
-    }
-}
-
-/// How the sphere is cut.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct Partition {
-    /// How many views cover the sphere.
-    #[schemars(range(min = 12, max = 12))]
-    pub count: u32,
-    /// Overlap of neighbouring views, degrees: what is smaller lies wholly in one of them. Left
-    /// out: the largest marker at `nearest_m`.
-    #[schemars(range(min = 0.0, max = 45.0))]
-    pub margin_deg: Option<f64>,
-    /// Nearest working range, metres, for the margin.
-    #[schemars(range(min = 0.1, max = 100.0))]
-    pub nearest_m: f64,
-}
-
-impl Default for Partition {
-    fn default() -> Self {
-        Self { count: 12, margin_deg: None, nearest_m: 0.4 }
     }
 }
 

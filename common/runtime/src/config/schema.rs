@@ -52,8 +52,23 @@ impl<'a> Checker<'a> {
         if is_null && alternatives.iter().any(|schema| is_null_schema(&schema)) {
             return;
         }
-        if let Some(schema) = alternatives.iter().find(|schema| !is_null_schema(schema)) {
-            self.node(node, schema, path);
+        let others: Vec<_> = alternatives
+            .iter()
+            .filter(|schema| !is_null_schema(schema))
+            .map(|schema| self.resolve(schema))
+            .collect();
+        let fits = |schema: &&&Value| match (enumeration(schema), &node.data) {
+            (Some(allowed), Data::Scalar(Value::String(text))) => allowed.contains(&text.as_str()),
+            (Some(_), _) => false,
+            (None, _) => types(schema).iter().any(|name| is_type(node, name)),
+        };
+        match (others.iter().find(fits), others.as_slice()) {
+            (Some(schema), _) | (None, [schema]) => self.node(node, schema, path),
+            (None, several) => {
+                let wanted = several.iter().map(|schema| alternative(schema));
+                let wanted = wanted.collect::<Vec<_>>().join(" or ");
+                self.problem(node, path, format!("must be {wanted}, not {}", describe(node)));
+            }
         }
     }
 
@@ -78,15 +93,9 @@ impl<'a> Checker<'a> {
                 || bound("exclusiveMinimum").is_some_and(|minimum| number <= minimum);
             let above = bound("maximum").is_some_and(|maximum| number > maximum);
             if below || above {
-                let range = match (bound("minimum"), bound("exclusiveMinimum"), bound("maximum")) {
-                    (Some(low), _, Some(high)) => format!("from {low} to {high}"),
-                    (_, Some(low), Some(high)) => format!("above {low} and at most {high}"),
-                    (Some(low), ..) => format!("at least {low}"),
-                    (_, Some(low), _) => format!("above {low}"),
-                    (.., Some(high)) => format!("at most {high}"),
-                    _ => return,
-                };
-                self.problem(node, path, format!("must be {range}, not {value}"));
+                let why = schema.get("x-why").and_then(Value::as_str);
+                let why = why.map(|why| format!(": {why}")).unwrap_or_default();
+                self.problem(node, path, format!("must be {}, not {value}{why}", range(schema)));
             }
         }
         if let (Some(text), Some(1..)) =
@@ -199,6 +208,30 @@ fn enumeration(schema: &Value) -> Option<Vec<&str>> {
         }
     }
     Some(allowed)
+}
+
+/// What numbers a schema allows.
+fn range(schema: &Value) -> String {
+    let bound = |key| schema.get(key).and_then(Value::as_f64);
+    match (bound("minimum"), bound("exclusiveMinimum"), bound("maximum")) {
+        (Some(low), _, Some(high)) => format!("from {low} to {high}"),
+        (_, Some(low), Some(high)) => format!("above {low} and at most {high}"),
+        (Some(low), ..) => format!("at least {low}"),
+        (_, Some(low), _) => format!("above {low}"),
+        (.., Some(high)) => format!("at most {high}"),
+        _ => "any".to_owned(),
+    }
+}
+
+/// One of several things that a value may be.
+fn alternative(schema: &Value) -> String {
+    match enumeration(schema) {
+        Some(allowed) => allowed.join(", "),
+        None if schema.get("minimum").is_some() => {
+            format!("{} {}", wanted(&types(schema), schema), range(schema))
+        }
+        None => wanted(&types(schema), schema),
+    }
 }
 
 fn types(schema: &Value) -> Vec<&str> {

@@ -112,6 +112,51 @@ const WRONG: &[(&str, &[&str])] = &[
     ("simulator: {neighbours: 3}", &["3 neighbours, but 2 bodies"]),
     ("simulator: {distance_m: [2, 1]}", &["two rising numbers", "[2, 1]"]),
     ("simulator: {exposure_ms: 50}", &["exposure of 50 ms in a frame of 33.33 ms"]),
+    (
+        "partition:\n  count: 3",
+        &[
+            "line 2, column 10",
+            "partition.count",
+            "from 4 to 128, not 3",
+            "three flat images never",
+        ],
+    ),
+    ("partition: {count: 129}", &["from 4 to 128, not 129", "never all searched in time"]),
+    ("partition: {count: -1}", &["from 4 to 128, not -1"]),
+    ("partition: {count: 12.5}", &["must be auto or a whole number from 4 to 128, not 12.5"]),
+    ("partition: {count: all}", &["must be auto or a whole number", "not the text 'all'"]),
+    ("partition: {count: [12]}", &["must be auto or a whole number", "not a list"]),
+    ("partition: {method: tammes}", &["partition.method", "must be one of covering, paper"]),
+    ("partition: {weights: [1, 0]}", &["partition.weights", "must have exactly 3 entries, not 2"]),
+    (
+        "partition:\n  weights: [0.5, 0.5, 0.5]",
+        &["line 2, column 12", "must sum to 1", "[0.3333, 0.3333, 0.3333]"],
+    ),
+    ("partition: {weights: [1.0, 0.0, 0.0]}", &["each weight must be above 0", "use 0.01"]),
+    ("partition: {weights: [2.0, -0.5, -0.5]}", &["each weight must be above 0"]),
+    ("partition: {seed: -1}", &["partition.seed", "not -1"]),
+    ("partition: {margin_deg: -1}", &["from 0 to 130, not -1"]),
+    (
+        "partition:\n  margin_deg: 80",
+        &["line 2, column 15", "80.0 degrees wide", "largest margin of so many is"],
+    ),
+    (
+        "partition: {count: 4, margin_deg: 7}",
+        &["column 35", "largest margin of so many is 3.", "fewest views for this margin are 5"],
+    ),
+    (
+        "partition:\n  count: 4",
+        &["line 2, column 10", "a marker of 0.05 m at 0.4 m", "fewest views for this margin are 5"],
+    ),
+    (
+        "partition: {nearest_m: 0.1}\nbodies: {list: [{edge_m: 2, marker_m: 2}]}",
+        &["partition.nearest_m", "a marker of 2 m at 0.1 m", "no number of views does"],
+    ),
+    (
+        "partition: {count: auto, weights: [0.98, 0.01, 0.01]}",
+        &["partition.weights", "4 views that hold", "fewest views for this margin are 5"],
+    ),
+    ("partition: {count: 5, method: paper}", &["partition.count", "fewest views"]),
     ("gateway: {listen: [localhost]}", &["gateway.listen.0", "tcp/ADDRESS:PORT"]),
     ("gateway: {enabled: maybe}", &["must be true or false, not the text 'maybe'"]),
     ("stages: {fusion: {replicas: 2}}", &["only detection runs in several processes"]),
@@ -153,5 +198,27 @@ fn overrides_are_checked_like_the_file() {
     assert!(
         error.contains("--set serach.mode=gaze") && error.contains("did you mean 'search'?"),
         "{error}"
+    );
+}
+
+#[test]
+fn a_partition_may_be_chosen() {
+    let pipeline = parse("partition: {count: auto}").unwrap();
+    assert_eq!(pipeline.partition_count().unwrap(), 12);
+    let few = parse("partition: {count: auto, weights: [0.6, 0.01, 0.39]}").unwrap();
+    assert!(few.partition_count().unwrap() < 12);
+    for count in [5, 32, 33, 128] {
+        let pipeline = parse(&format!("partition: {{count: {count}}}")).unwrap();
+        let views = pipeline.partition_views(0.05).unwrap();
+        assert_eq!(views.len(), count);
+        assert_eq!(pipeline.partition_views(0.05).unwrap(), views);
+        // What the launcher resolved is what the stages read.
+        let json = serde_json::to_string(&pipeline).unwrap();
+        assert_eq!(serde_json::from_str::<Pipeline>(&json).unwrap(), pipeline);
+    }
+    let pipeline = parse("partition: {method: paper, seed: 3}").unwrap();
+    assert_ne!(
+        pipeline.sphere_partition().unwrap(),
+        Pipeline::default().sphere_partition().unwrap()
     );
 }

@@ -1,0 +1,186 @@
+//! The choice of N: the paper's criterion, alpha1 N + alpha2 p + alpha3 d.
+
+use super::{FEWEST, Partition, STORED};
+
+/// The weights alpha1, alpha2 and alpha3 of the number of views, their pixels and their distortion.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Weights([f64; 3]);
+
+/// Weights that are none.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum WeightsError {
+    /// A term would not count, or count the wrong way.
+    #[error("each weight must be above 0, not {weights:?}: use 0.01 for what hardly counts")]
+    Positive {
+        /// The weights.
+        weights: [f64; 3],
+    },
+    /// They are no shares of a whole.
+    #[error(
+        "weights must sum to 1, but {weights:?} sum to {:.4}: divided by that they are [{}]",
+        .weights.iter().sum::<f64>(), shares(.weights)
+    )]
+    Sum {
+        /// The weights.
+        weights: [f64; 3],
+    },
+}
+
+fn shares(weights: &[f64; 3]) -> String {
+    let sum: f64 = weights.iter().sum();
+    weights.map(|weight| format!("{:.4}", weight / sum)).join(", ")
+}
+
+impl Weights {
+    /// The paper demands positive weights that sum to one (and alpha1 far above alpha2, which is
+    /// left to who sets them).
+    ///
+    /// # Errors
+    /// [`WeightsError`].
+    pub fn new(weights: [f64; 3]) -> Result<Self, WeightsError> {
+        // Written so that NaN is refused too.
+        if !weights.iter().all(|&weight| weight > 0.0) {
+            return Err(WeightsError::Positive { weights });
+        }
+        if (weights.iter().sum::<f64>() - 1.0).abs() > 1e-6 {
+            return Err(WeightsError::Sum { weights });
+        }
+        Ok(Self(weights))
+    }
+
+    /// alpha1, alpha2, alpha3.
+    pub fn values(&self) -> [f64; 3] {
+        self.0
+    }
+}
+
+impl Default for Weights {
+    /// Distortion first, the number of views next, pixels last: alpha1 is ten times alpha2, and the
+    /// paper's choice comes out.
+    fn default() -> Self {
+        Self([0.2, 0.02, 0.78])
+    }
+}
+
+/// The three terms of the criterion, not normalised.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Terms {
+    /// N.
+    pub count: f64,
+    /// p / (h w) = N theta^2 / (360 degrees)^2: pixels of all circles, in sphere images.
+    ///
+    /// The paper prints the fraction upside down. Its p would grow as circles shrink, and have no
+    /// minimum at N = 12, which its own figure shows.
+    pub pixels: f64,
+    /// d = 1 / cos^2(theta / 2): how much more a pinhole view stretches the circle's rim than its
+    /// middle, along the radius (across it, it is the root of that).
+    pub stretch: f64,
+}
+
+impl Terms {
+    /// Of `count` circles of a diameter, radians.
+    pub fn new(count: usize, diameter_rad: f64) -> Self {
+        Self {
+            count: count as f64,
+            pixels: count as f64 * (diameter_rad / std::f64::consts::TAU).powi(2),
+            stretch: (diameter_rad / 2.0).cos().powi(-2),
+        }
+    }
+
+    fn values(&self) -> [f64; 3] {
+        [self.count, self.pixels, self.stretch]
+    }
+}
+
+/// The criterion with its normalisation.
+///
+/// N counts views, p images, d is a ratio: weights that sum to one mean something only for terms of
+/// one range. So each term is 0 at its least and 1 at its greatest among the coverings by 4 to 32
+/// circles, always these, so that a partition's cost does not depend on what it is listed with.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Criterion {
+    weights: Weights,
+    least: [f64; 3],
+    greatest: [f64; 3],
+}
+
+impl Criterion {
+    /// The criterion with these weights.
+    pub fn new(weights: Weights) -> Self {
+        let mut least = [f64::INFINITY; 3];
+        let mut greatest = [f64::NEG_INFINITY; 3];
+        for terms in STORED.filter_map(terms_of_stored) {
+            for (axis, value) in terms.values().into_iter().enumerate() {
+                least[axis] = least[axis].min(value);
+                greatest[axis] = greatest[axis].max(value);
+            }
+        }
+        Self { weights, least, greatest }
+    }
+
+    /// alpha1 N + alpha2 p + alpha3 d, each term normalised.
+    pub fn cost(&self, terms: &Terms) -> f64 {
+        let mut cost = 0.0;
+        for (axis, value) in terms.values().into_iter().enumerate() {
+            let range = self.greatest[axis] - self.least[axis];
+            cost += self.weights.0[axis] * (value - self.least[axis]) / range;
+        }
+        cost
+    }
+
+    /// The N of least cost among the stored coverings.
+    pub fn choice(&self) -> usize {
+        let mut choice = (f64::INFINITY, FEWEST);
+        for terms in STORED.filter_map(terms_of_stored) {
+            let cost = self.cost(&terms);
+            if cost < choice.0 {
+                choice = (cost, terms.count as usize);
+            }
+        }
+        choice.1
+    }
+}
+
+fn terms_of_stored(count: usize) -> Option<Terms> {
+    Partition::stored(count).map(|partition| partition.terms())
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    fn choice(weights: [f64; 3]) -> usize {
+        Criterion::new(Weights::new(weights).unwrap()).choice()
+    }
+
+    #[test]
+    fn the_default_is_the_papers_choice() {
+        assert_eq!(Criterion::new(Weights::default()).choice(), 12);
+    }
+
+    #[test]
+    fn each_weight_pulls_its_way() {
+        assert!(choice([0.98, 0.01, 0.01]) < 12);
+        assert!(choice([0.01, 0.01, 0.98]) > 12);
+        // The circles of 32 overlap the least.
+        assert_eq!(choice([0.01, 0.98, 0.01]), 32);
+    }
+
+    #[test]
+    fn wrong_weights_are_refused_with_the_cure() {
+        let error = |weights| Weights::new(weights).unwrap_err().to_string();
+        assert!(error([0.5, 0.5, 0.5]).contains("sum to 1.5000"));
+        assert!(error([0.5, 0.5, 0.5]).contains("[0.3333, 0.3333, 0.3333]"));
+        assert!(error([1.0, 0.0, 0.0]).contains("above 0"));
+        assert!(error([f64::NAN, 0.5, 0.5]).contains("above 0"));
+        assert!(error([1.5, -0.25, -0.25]).contains("above 0"));
+    }
+
+    #[test]
+    fn terms_are_the_papers() {
+        let terms = Terms::new(12, 90f64.to_radians());
+        assert!((terms.pixels - 12.0 / 16.0).abs() < 1e-12);
+        assert!((terms.stretch - 2.0).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,47 @@
+//! Just enough SVG.
+
+use std::fmt::{self, Write};
+
+/// A drawing in the making.
+pub(super) struct Svg {
+    body: String,
+    width: f64,
+    height: f64,
+}
+
+impl Svg {
+    /// An empty drawing with a white ground.
+    pub(super) fn new(width: f64, height: f64) -> Self {
+        Self { body: String::new(), width, height }
+    }
+
+    /// Adds an element with its attributes; the texts are ours, so nothing has to be escaped.
+    pub(super) fn element(&mut self, element: fmt::Arguments<'_>) {
+        // Writing to a String cannot fail.
+        let _ = writeln!(self.body, "{element}");
+    }
+
+    /// Adds a line through points, where there are two or more.
+    pub(super) fn line(&mut self, points: &[(f64, f64)], attributes: &str) {
+        if points.len() > 1 {
+            let points: Vec<_> = points.iter().map(|(x, y)| format!("{x:.1},{y:.1}")).collect();
+            let points = points.join(" ");
+            self.element(format_args!(r#"<polyline points="{points}" fill="none" {attributes}/>"#));
+        }
+    }
+
+    /// Adds a text.
+    pub(super) fn text(&mut self, (x, y): (f64, f64), attributes: &str, text: &str) {
+        self.element(format_args!(r#"<text x="{x:.1}" y="{y:.1}" {attributes}>{text}</text>"#));
+    }
+
+    /// The whole document.
+    pub(super) fn finish(self) -> String {
+        let Self { body, width, height } = self;
+        format!(
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" \
+             font-family=\"sans-serif\" font-size=\"14\">\n\
+             <rect width=\"{width}\" height=\"{height}\" fill=\"white\"/>\n{body}</svg>\n"
+        )
+    }
+}
