@@ -71,6 +71,8 @@ codes! {
         Gamma = 1,
         /// Code values proportional to light.
         Linear = 2,
+        /// As the table in the configuration says (`camera.response_table`).
+        Table = 3,
     }
 }
 
@@ -89,6 +91,10 @@ codes! {
     Projection, "projection" {
         /// Longitude along the rows, latitude along the columns; see `docs/CONTRACT.md`.
         Equirectangular = 0,
+        /// Two fisheye lenses, each with its image circle, calibrated in the configuration.
+        DualFisheye = 1,
+        /// The stereographic plane about the camera's x axis, as the configuration says.
+        Stereographic = 2,
     }
 }
 

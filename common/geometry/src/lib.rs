@@ -3,6 +3,7 @@
 //! | module | what it answers |
 //! | --- | --- |
 //! | [`camera`] | which ray does a pixel of the sphere image see, and back |
+//! | [`mask`] | what can the camera not see |
 //! | [`view`] | which ray does a pixel of a square pinhole view see, and back |
 //! | [`partition`] | which views cover the whole sphere |
 //! | [`body`] | where are a body's markers and their corners |
@@ -16,6 +17,7 @@
 pub mod body;
 pub mod camera;
 pub mod filter;
+pub mod mask;
 pub mod partition;
 pub mod pose;
 pub mod search;

@@ -11,6 +11,7 @@ pub use searched::Searched;
 
 use nalgebra::Vector3;
 
+use crate::mask::Mask;
 use crate::partition::Partition;
 use crate::view::View;
 
@@ -113,6 +114,9 @@ pub struct Planner {
     mode: SearchMode,
     partition: Partition,
     views: Vec<View>,
+    /// Partitions of which the camera sees nothing.
+    hidden: Vec<bool>,
+    mask: Option<Mask>,
     gaze: GazeOptions,
 }
 
@@ -154,7 +158,20 @@ impl Planner {
             return Err(PlannerError::Views { views: views.len(), partitions: partition.len() });
         }
         gaze.check()?;
-        Ok(Self { mode, partition, views, gaze })
+        let hidden = vec![false; views.len()];
+        Ok(Self { mode, partition, views, hidden, mask: None, gaze })
+    }
+
+    /// Plans no view in which `mask` hides everything.
+    pub fn with_mask(mut self, mask: Mask) -> Self {
+        self.hidden = self.views.iter().map(|view| mask.hides_view(view)).collect();
+        self.mask = Some(mask);
+        self
+    }
+
+    /// How many partitions are never searched, because the camera sees nothing of them.
+    pub fn hidden_partitions(&self) -> usize {
+        self.hidden.iter().filter(|&&is_hidden| is_hidden).count()
     }
 
     /// The partition that is searched.
@@ -190,6 +207,9 @@ impl Planner {
     fn gaze_plan(&self, searched: &Searched, neighbours: &[PredictedNeighbour]) -> Plan {
         let mut gazes: Vec<PlannedView> =
             neighbours.iter().filter_map(|neighbour| gaze_view(neighbour, &self.gaze)).collect();
+        if let Some(mask) = &self.mask {
+            gazes.retain(|planned| !mask.hides_view(&planned.view));
+        }
         gazes.sort_by_key(|planned| searched.last_searched(planned.purpose));
         let partitions = self.partition_views(&least_recently_searched(searched));
         let view_budget = gazes.len() + self.gaze.partitions_per_frame.min(partitions.len());
@@ -205,6 +225,7 @@ impl Planner {
         // A number that has no view is none of this partition's: `searched` was made for another.
         order
             .iter()
+            .filter(|&&part| !self.hidden.get(part).is_some_and(|&is_hidden| is_hidden))
             .filter_map(|&part| {
                 self.views.get(part).map(|&view| PlannedView {
                     view,

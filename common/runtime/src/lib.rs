@@ -19,6 +19,7 @@
 //! | [`logs`] | structured logs, and warnings that are not repeated on every frame |
 
 pub mod bodies;
+pub mod camera;
 pub mod clock;
 pub mod config;
 pub mod credits;

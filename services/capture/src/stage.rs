@@ -24,6 +24,7 @@ pub struct CaptureStage {
     source: Source,
     stamps: Stamps,
     transfer: (Transfer, f32),
+    projection: Projection,
     readout_ns: u64,
     has_ended: bool,
     counters: SharedCounters,
@@ -59,6 +60,7 @@ impl Stage for CaptureStage {
                 next_sequence: 0,
             },
             transfer: pipeline.transfer(),
+            projection: pipeline.projection(),
             readout_ns: (pipeline.camera.readout_ms * 1e6) as u64,
             has_ended: false,
             counters: context.counters.clone(),
@@ -142,7 +144,7 @@ impl CaptureStage {
             transfer: self.transfer.0.code(),
             gamma: self.transfer.1,
             range: picture.range().code(),
-            projection: Projection::Equirectangular.code(),
+            projection: self.projection.code(),
         })?;
         self.counters.add_latency_ns(published_ns - begun_ns);
         self.credits.note_sent(stamp);

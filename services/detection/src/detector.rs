@@ -3,11 +3,13 @@
 use std::sync::{Mutex, PoisonError};
 
 use flockeye_geometry::Ray;
+use flockeye_geometry::mask::Mask;
 use flockeye_geometry::view::{View, ViewPixel};
 use flockeye_imaging::edges::{RefinedCorners, approach_corners, refine_corners};
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::LinearLight;
 use flockeye_imaging::square::mean_side_px;
+use nalgebra::Vector2;
 
 use crate::candidates::{self, Quad};
 use crate::reading::{Decoded, Reader, Reading};
@@ -95,6 +97,7 @@ pub struct Detector {
     dictionary: Dictionary,
     reader: Reader,
     parameters: DetectorParameters,
+    mask: Option<Mask>,
 }
 
 impl Detector {
@@ -107,7 +110,12 @@ impl Detector {
         use_one_thread()?;
         let dictionary = Dictionary::load(dictionary)?;
         let reader = Reader::new(&dictionary);
-        Ok(Self { dictionary, reader, parameters })
+        Ok(Self { dictionary, reader, parameters, mask: None })
+    }
+
+    /// Leaves out squares on what `mask` hides.
+    pub fn with_mask(self, mask: Mask) -> Self {
+        Self { mask: Some(mask), ..self }
     }
 
     /// The dictionary.
@@ -142,7 +150,9 @@ impl Detector {
         let quads = candidates::find(image, &self.dictionary, &self.parameters)?;
         let mut found: Vec<Found> = Vec::new();
         for quad in &quads {
-            if !found.iter().any(|marker| is_contour_of(marker, quad)) {
+            if !self.is_hidden(view, quad)
+                && !found.iter().any(|marker| is_contour_of(marker, quad))
+            {
                 found.extend(self.read(image, view, light, quad));
             }
         }
@@ -150,6 +160,13 @@ impl Detector {
         found.sort_by(|a, b| a.id.cmp(&b.id).then(b.agreement.total_cmp(&a.agreement)));
         found.dedup_by_key(|marker| marker.id);
         Ok(found)
+    }
+
+    /// Whether a quadrilateral's middle lies on the own airframe, or where no lens sees.
+    fn is_hidden(&self, view: &View, quad: &Quad) -> bool {
+        let Some(mask) = &self.mask else { return false };
+        let middle = quad.iter().map(|corner| corner.0).sum::<Vector2<f64>>() / 4.0;
+        mask.hides(&view.ray(ViewPixel(middle)))
     }
 
     /// The marker in a quadrilateral, if there is one to be believed.

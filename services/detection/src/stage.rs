@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use anyhow::Context as _;
 use flockeye_contract::{
     DetectedMarker, DetectionHeader, Detections, MAX_DETECTED_MARKERS, Range, Transfer, ViewHeader,
     ViewKind, Views,
@@ -9,7 +10,8 @@ use flockeye_contract::{
 use flockeye_geometry::body::Bodies;
 use flockeye_geometry::view::View;
 use flockeye_imaging::image::LumaImage;
-use flockeye_imaging::light::{CodeRange, LightError, LinearLight, TransferCurve};
+use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
+use flockeye_runtime::config::Response;
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::logs::Throttle;
 use flockeye_runtime::ports::{Message, Ports, Publisher, Subscriber};
@@ -29,6 +31,8 @@ pub struct DetectionStage {
     detector: Detector,
     bodies: Bodies,
     lights: BTreeMap<(u32, u32, u32), LinearLight>,
+    /// The camera's own curve, where it was measured.
+    measured: Option<[f32; 256]>,
     /// The sphere image's own resolution.
     pixels_per_radian: f64,
     worker: u32,
@@ -49,13 +53,19 @@ impl Stage for DetectionStage {
             ..DetectorParameters::default()
         };
         context.counters.set_detail(bodies.dictionary.as_str());
+        let pipeline = &context.pipeline;
+        let measured = match pipeline.camera.response {
+            Response::Table => Some(pipeline.response_table()?),
+            Response::Srgb | Response::Gamma | Response::Linear => None,
+        };
         Ok(Self {
             views: ports.subscriber_of_lane(context.identity.replica as usize)?,
             detections: ports.publisher()?,
-            detector: Detector::new(&bodies.dictionary, parameters)?,
+            detector: Detector::new(&bodies.dictionary, parameters)?.with_mask(pipeline.mask()?),
             bodies,
             lights: BTreeMap::new(),
-            pixels_per_radian: context.pipeline.camera_model().pixels_per_radian(),
+            measured,
+            pixels_per_radian: context.pipeline.camera_model()?.pixels_per_radian(),
             worker: context.identity.replica,
             generation: context.identity.generation,
             counters: context.counters.clone(),
@@ -122,7 +132,7 @@ impl DetectionStage {
             if self.lights.len() >= 8 {
                 self.lights.clear();
             }
-            self.lights.insert(key, linear_light(header)?);
+            self.lights.insert(key, linear_light(header, self.measured.as_ref())?);
         }
         let magnification = header.focal_px / self.pixels_per_radian;
         self.detector.set_thresholds(thresholds(header.kind, magnification))?;
@@ -148,18 +158,26 @@ fn thresholds(kind: u32, magnification: f64) -> Vec<Threshold> {
         .collect()
 }
 
-fn linear_light(header: &ViewHeader) -> Result<LinearLight, LightError> {
+/// The light that a view's codes stand for; `measured` is the configured table.
+fn linear_light(header: &ViewHeader, measured: Option<&[f32; 256]>) -> anyhow::Result<LinearLight> {
     // Unknown codes were refused with the message; the defaults here are never taken.
     let curve = match Transfer::try_from(header.transfer).unwrap_or(Transfer::Srgb) {
         Transfer::Srgb => TransferCurve::Srgb,
         Transfer::Gamma => TransferCurve::Gamma(header.gamma),
         Transfer::Linear => TransferCurve::Linear,
+        Transfer::Table => {
+            let table = measured.context(
+                "its curve is a table, but the configuration has none. Cure: set camera.response \
+                 to table, and camera.response_table",
+            )?;
+            return Ok(LinearLight::from_table(*table)?);
+        }
     };
     let range = match Range::try_from(header.range).unwrap_or(Range::Full) {
         Range::Full => CodeRange::Full,
         Range::Limited => CodeRange::Limited,
     };
-    LinearLight::new(curve, range)
+    Ok(LinearLight::new(curve, range)?)
 }
 
 fn detected(found: &Found) -> DetectedMarker {

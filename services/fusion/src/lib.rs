@@ -6,6 +6,7 @@
 //! | module | what it does |
 //! | --- | --- |
 //! | [`assembly`] | puts a frame together from what the stages say of it |
+//! | [`parallax`] | rays of lenses beside the camera's middle |
 //! | [`sighting`] | one believed pose of a body from a frame's rays |
 //! | [`neighbour`] | a neighbour's track from frame to frame |
 //! | [`swarm`] | all neighbours, and the plan for the next frame |
@@ -15,6 +16,7 @@
 pub mod assembly;
 pub mod message;
 pub mod neighbour;
+pub mod parallax;
 pub mod sighting;
 pub mod stage;
 pub mod swarm;

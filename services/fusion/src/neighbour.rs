@@ -75,10 +75,7 @@ impl Neighbour {
     /// A frame shows it. `None` where the measurement can mean nothing (a time that lies before
     /// the track's, numbers that are none).
     pub fn seen(&mut self, at_s: f64, sighting: &Sighting) -> Option<Known> {
-        let measured = PoseEstimate {
-            camera_from_markers: sighting.solution.camera_from_markers,
-            covariance: sighting.solution.inflated_covariance(),
-        };
+        let measured = sighting.pose;
         let outcome = self.life.measured(at_s, &measured.camera_from_markers, &measured.covariance);
         match outcome {
             Ok(Happened::Started | Happened::Restarted) => {
@@ -130,10 +127,7 @@ impl Neighbour {
 impl Known {
     /// What one frame alone says (`fusion.filter: none`).
     pub fn of_frame(sighting: &Sighting) -> Self {
-        let pose = PoseEstimate {
-            camera_from_markers: sighting.solution.camera_from_markers,
-            covariance: sighting.solution.inflated_covariance(),
-        };
+        let pose = sighting.pose;
         Self {
             pose,
             velocity: Vector3::zeros(),

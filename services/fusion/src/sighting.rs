@@ -7,6 +7,8 @@ use flockeye_geometry::pose::{CornerRay, PoseOptions, PosePrior, PoseSolution, c
 use flockeye_geometry::view::{View, ViewPixel};
 use nalgebra::{Unit, Vector2, Vector3};
 
+use crate::neighbour::PoseEstimate;
+
 /// Markers that must agree on a pose before it is believed without a track to compare it with: one
 /// marker alone may be a misread square, and its mirror image cannot be told from it.
 pub const MARKERS_ALONE: usize = 2;
@@ -19,6 +21,8 @@ const FARTHEST_M: f64 = 50.0;
 pub struct Sighting {
     /// The solution.
     pub solution: PoseSolution,
+    /// The pose it gives.
+    pub pose: PoseEstimate,
     /// Markers of the body that were decoded.
     pub markers: u32,
 }
@@ -55,7 +59,11 @@ pub fn sight(body: &Body, rays: &[CornerRay], prior: Option<&PosePrior>) -> Opti
     let range = solution.camera_from_markers.translation.vector.norm();
     let is_believed = solution.inlier_markers.len() >= needed && range < FARTHEST_M;
     let markers = distinct_markers(rays);
-    is_believed.then_some(Sighting { solution, markers })
+    let pose = PoseEstimate {
+        camera_from_markers: solution.camera_from_markers,
+        covariance: solution.inflated_covariance(),
+    };
+    is_believed.then_some(Sighting { solution, pose, markers })
 }
 
 fn distinct_markers(rays: &[CornerRay]) -> u32 {

@@ -21,6 +21,7 @@ use nalgebra::{Isometry3, Quaternion, UnitQuaternion};
 
 use crate::assembly::{Assembly, Frame, Record};
 use crate::message;
+use crate::parallax::Parallax;
 use crate::sighting::agrees_with_view;
 use crate::swarm::{FilterChoice, Purposes, Swarm, Update};
 
@@ -59,8 +60,16 @@ impl Stage for FusionStage {
             search_mode(pipeline),
             pipeline.sphere_partition(),
             views,
-            pipeline.gaze_options(),
-        )?;
+            pipeline.gaze_options()?,
+        )?
+        .with_mask(pipeline.mask()?);
+        if planner.hidden_partitions() > 0 {
+            tracing::info!(
+                "{} of {} partitions are never searched: the camera sees nothing of them",
+                planner.hidden_partitions(),
+                planner.partition().len()
+            );
+        }
         Ok(Self {
             views: ports.subscribers_of_all_lanes()?,
             detections: ports.subscriber()?,
@@ -68,7 +77,9 @@ impl Stage for FusionStage {
             tracks: ports.publisher()?,
             plans: ports.publisher()?,
             assembly: Assembly::new((pipeline.fusion.deadline_ms * 1e6) as i64),
-            swarm: Swarm::new(&bodies, filter_choice(pipeline), planner),
+            swarm: Swarm::new(&bodies, filter_choice(pipeline), planner).with_parallax(
+                Parallax::of(&pipeline.camera_model()?, pipeline.camera.assumed_distance_m),
+            ),
             remembered: BTreeMap::new(),
             plan_id: 0,
             generation: context.identity.generation,
@@ -152,7 +163,8 @@ impl FusionStage {
             self.assembly.oldest().is_some_and(|frame| frame.stamp.is_same_frame(&header.stamp));
         if self.flow == Flow::Latest && is_oldest {
             let purpose = self.purpose_of(&header, of_view.as_ref());
-            let update = self.swarm.glance(seconds(&header.stamp), purpose, &record);
+            let update =
+                self.swarm.glance(seconds(&header.stamp), purpose, &record, of_view.as_ref());
             if let Some(update) = update {
                 self.send_tracks(&header.stamp, &[update], &[&record], false)?;
             }

@@ -2,13 +2,14 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use flockeye_contract::DetectedMarker;
+use flockeye_contract::{DetectedMarker, ViewHeader};
 use flockeye_geometry::body::Bodies;
 use flockeye_geometry::filter::{Prediction, TrackPolicy};
 use flockeye_geometry::search::{Plan, Planner, PredictedNeighbour, Purpose, Searched, StopRule};
 
 use crate::assembly::{Frame, Record};
 use crate::neighbour::{Known, Neighbour};
+use crate::parallax::Parallax;
 use crate::sighting::{MARKERS_ALONE, rays_of, sight};
 
 /// How poses are carried from frame to frame.
@@ -31,6 +32,7 @@ pub struct Swarm {
     neighbours: Vec<Neighbour>,
     filter: FilterChoice,
     planner: Planner,
+    parallax: Option<Parallax>,
     searched: Searched,
     frames: u64,
     /// Neighbours of the oldest open frame whose pose is out already.
@@ -54,6 +56,7 @@ impl Swarm {
             neighbours: bodies.iter().map(|body| Neighbour::new(body.clone(), policy)).collect(),
             filter,
             planner,
+            parallax: None,
             searched,
             frames: 0,
             settled: BTreeSet::new(),
@@ -62,21 +65,28 @@ impl Swarm {
         }
     }
 
+    /// Brings rays and poses to their distances, for a camera with lenses beside its middle.
+    pub fn with_parallax(self, parallax: Option<Parallax>) -> Self {
+        Self { parallax, ..self }
+    }
+
     /// The bodies' names and geometry.
     pub fn neighbours(&self) -> &[Neighbour] {
         &self.neighbours
     }
 
     /// What a gaze view's record says of its neighbour, as soon as it is in: a pose need not wait
-    /// for the partitions. Called for records of the oldest open frame.
+    /// for the partitions. Called for records of the oldest open frame, with the view if it was
+    /// seen passing.
     pub fn glance(
         &mut self,
         at_s: f64,
         purpose: Option<Purpose>,
         record: &Record,
+        view: Option<&ViewHeader>,
     ) -> Option<Update> {
         let Some(Purpose::Gaze(target)) = purpose else { return None };
-        let known = self.settle(at_s, target, &record.markers, MARKERS_ALONE)?;
+        let known = self.settle(at_s, target, &[(record, view)], MARKERS_ALONE)?;
         Some((target, known))
     }
 
@@ -95,14 +105,18 @@ impl Swarm {
         // must not depend on when its parts came.
         for record in &counted {
             let purpose = purposes.get(&record.header.view_index).copied();
-            updates.extend(self.glance(at_s, purpose, record));
+            let view = frame.views.get(&record.header.view_index);
+            updates.extend(self.glance(at_s, purpose, record, view));
         }
+        let viewed: Vec<(&Record, Option<&ViewHeader>)> = counted
+            .iter()
+            .map(|record| (*record, frame.views.get(&record.header.view_index)))
+            .collect();
         for target in 0..self.neighbours.len() {
             if self.settled.contains(&target) {
                 continue;
             }
-            let markers = counted.iter().flat_map(|record| &record.markers);
-            match self.settle(at_s, target, markers, 1) {
+            match self.settle(at_s, target, &viewed, 1) {
                 Some(known) => updates.push((target, known)),
                 None => {
                     let decoded = counted.iter().flat_map(|record| &record.markers);
@@ -119,27 +133,46 @@ impl Swarm {
         updates
     }
 
-    /// Solves for a neighbour from some of a frame's markers, if they are enough, and takes it in.
-    fn settle<'m>(
+    /// Solves for a neighbour from some of a frame's records, each with its view as far as that was
+    /// seen passing, if they are enough, and takes it in.
+    fn settle(
         &mut self,
         at_s: f64,
         target: usize,
-        markers: impl IntoIterator<Item = &'m DetectedMarker>,
+        viewed: &[(&Record, Option<&ViewHeader>)],
         needed: usize,
     ) -> Option<Known> {
         if self.settled.contains(&target) {
             return None;
         }
         let neighbour = self.neighbours.get_mut(target)?;
-        let rays = rays_of(&neighbour.body, markers);
-        if rays.is_empty() {
-            return None;
-        }
         let prior = match self.filter {
             FilterChoice::Tracks(_) => neighbour.prior(at_s),
             FilterChoice::None => None,
         };
-        let sighting = sight(&neighbour.body, &rays, prior.as_ref())?;
+        // All rays are brought to the distance that is known best before the pose is.
+        let rays_m = self.parallax.as_ref().map(|parallax| {
+            let predicted = prior.as_ref().map(|prior| &prior.camera_from_markers.translation);
+            predicted.map_or(parallax.assumed_m(), |position| position.vector.norm())
+        });
+        let mut rays = Vec::new();
+        for (record, view) in viewed {
+            let first = rays.len();
+            rays.extend(rays_of(&neighbour.body, &record.markers));
+            if let (Some(parallax), Some(rays_m)) = (&self.parallax, rays_m) {
+                let from_m = parallax.distance_m(*view);
+                for ray in &mut rays[first..] {
+                    ray.ray_in_camera = parallax.brought(&ray.ray_in_camera, from_m, rays_m);
+                }
+            }
+        }
+        if rays.is_empty() {
+            return None;
+        }
+        let mut sighting = sight(&neighbour.body, &rays, prior.as_ref())?;
+        if let (Some(parallax), Some(rays_m)) = (&self.parallax, rays_m) {
+            sighting.pose = parallax.corrected(&sighting.pose, rays_m);
+        }
         if sighting.solution.inlier_markers.len() < needed {
             return None;
         }

@@ -99,7 +99,7 @@ impl Stage for RectificationStage {
             overdue,
             flow: pipeline.flow,
             generation: context.identity.generation,
-            camera: pipeline.camera_model(),
+            camera: pipeline.camera_model()?,
             partitions: pipeline.partition_views(pipeline.bodies()?.largest_side())?,
             swept: 0,
             plan: None,

@@ -1,7 +1,7 @@
 //! What no schema can say: values that contradict each other, names, rotations.
 
 use super::document::Node;
-use super::{BodySet, Camera, CameraModel, Flow, Mount, Pipeline, Problem, Problems, StageProcess};
+use super::{BodySet, Flow, Mount, Pipeline, Problem, Problems, Response, StageProcess};
 
 /// Adds everything about `pipeline` that cannot be meant to `problems`.
 pub(super) fn check(pipeline: &Pipeline, document: &Node, problems: &mut Problems) {
@@ -10,7 +10,7 @@ pub(super) fn check(pipeline: &Pipeline, document: &Node, problems: &mut Problem
     meaning.name("observer.name", &pipeline.observer.name);
     meaning.name("observer.swarm", &pipeline.observer.swarm);
     meaning.mount("observer.observer_from_camera", &pipeline.observer.observer_from_camera);
-    meaning.camera(&pipeline.camera);
+    meaning.camera(pipeline);
     meaning.bodies(&pipeline.bodies);
     meaning.rising("source.reopen_s", pipeline.source.reopen_s, 0.01);
     meaning.rising("simulator.distance_m", pipeline.simulator.distance_m, 0.2);
@@ -67,16 +67,17 @@ impl Meaning<'_> {
         }
     }
 
-    fn camera(&mut self, camera: &Camera) {
-        match camera.projection {
-            CameraModel::Equirectangular if camera.width != 2 * camera.height => self.problem(
-                "camera.width",
-                format!(
-                    "an equirectangular image is twice as wide as high, not {}x{}",
-                    camera.width, camera.height
-                ),
-            ),
-            CameraModel::Equirectangular => {}
+    fn camera(&mut self, pipeline: &Pipeline) {
+        for (index, lens) in pipeline.camera.lenses.iter().enumerate() {
+            self.mount(&format!("camera.lenses.{index}.camera_from_lens"), &lens.camera_from_lens);
+        }
+        if let Err(fault) = pipeline.camera_model() {
+            self.problem(&fault.key, fault.reason);
+        }
+        if pipeline.camera.response == Response::Table
+            && let Err(fault) = pipeline.response_table()
+        {
+            self.problem(&fault.key, fault.reason);
         }
     }
 

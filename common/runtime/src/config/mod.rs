@@ -4,6 +4,7 @@
 //! what is allowed. The document is checked in two passes: against the JSON Schema of the types in
 //! [`pipeline`] (which editors use too, see [`json_schema`]), then for what no schema can say.
 
+mod camera;
 mod document;
 mod meaning;
 pub mod pipeline;
@@ -12,6 +13,7 @@ mod schema;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+pub use camera::*;
 pub use document::Origin;
 pub use pipeline::*;
 
@@ -94,12 +96,16 @@ impl Pipeline {
             .map_err(|error| ConfigError::Read { path: path.to_owned(), error })?;
         let folder = path.parent().unwrap_or(Path::new(""));
         let mut pipeline = Self::parse(&yaml, overrides, &path.display().to_string())?;
-        // An override's path is the user's, relative to where the command was given.
-        let overridden = overrides.iter().any(|text| text.starts_with("bodies.file="));
-        if let Some(file) = &mut pipeline.bodies.file
-            && !overridden
-        {
-            *file = folder.join(&*file);
+        let files = [
+            ("bodies.file=", &mut pipeline.bodies.file),
+            ("camera.mask=", &mut pipeline.camera.mask),
+        ];
+        for (key, file) in files {
+            // An override's path is the user's, relative to where the command was given.
+            let is_overridden = overrides.iter().any(|text| text.starts_with(key));
+            if let Some(file) = file.as_mut().filter(|_| !is_overridden) {
+                *file = folder.join(&*file);
+            }
         }
         Ok(pipeline)
     }

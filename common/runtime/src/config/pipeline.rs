@@ -5,6 +5,8 @@ use std::path::PathBuf;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::camera::Camera;
+
 /// A Flockeye pipeline.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -98,67 +100,6 @@ impl Default for Mount {
     fn default() -> Self {
         Self { position: [0.0; 3], orientation: [0.0, 0.0, 0.0, 1.0] }
     }
-}
-
-/// The spherical camera.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct Camera {
-    /// Pixels in a row.
-    #[schemars(range(min = 64, max = 16384))]
-    pub width: u32,
-    /// Rows.
-    #[schemars(range(min = 32, max = 8192))]
-    pub height: u32,
-    /// The camera model.
-    pub projection: CameraModel,
-    /// The curve between light and code values.
-    pub response: Response,
-    /// Exponent of `response: gamma`.
-    #[schemars(range(min = 0.1, max = 10.0))]
-    pub gamma: f32,
-    /// Time between a frame's exposure and its arrival, milliseconds: subtracted from arrival.
-    #[schemars(range(min = 0.0, max = 10000.0))]
-    pub latency_ms: f64,
-    /// Time between the first and the last row's exposure, milliseconds.
-    #[schemars(range(min = 0.0, max = 1000.0))]
-    pub readout_ms: f64,
-}
-
-impl Default for Camera {
-    fn default() -> Self {
-        Self {
-            width: 3840,
-            height: 1920,
-            projection: CameraModel::Equirectangular,
-            response: Response::Srgb,
-            gamma: 2.2,
-            latency_ms: 0.0,
-            readout_ms: 0.0,
-        }
-    }
-}
-
-/// The camera model.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum CameraModel {
-    /// Longitude along the rows, latitude along the columns; twice as wide as high.
-    #[default]
-    Equirectangular,
-}
-
-/// The curve between light and code values.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Response {
-    /// The sRGB curve.
-    #[default]
-    Srgb,
-    /// code = light^(1/gamma).
-    Gamma,
-    /// Code values proportional to light.
-    Linear,
 }
 
 /// What the neighbours carry.

@@ -51,6 +51,42 @@ const WRONG: &[(&str, &[&str])] = &[
         "camera: {width: 3840, height: 2160}",
         &["line 1, column 17", "twice as wide as high", "3840x2160"],
     ),
+    (
+        "camera: {projection: dual_fisheye}",
+        &["camera.lenses", "has two lenses, not 0", "docs/CAMERAS.md"],
+    ),
+    (
+        "camera: {projection: dual_fisheye, lenses: [{circle_px: 3, field_deg: 190}]}",
+        &["camera.lenses.0.centre_px: is missing", "camera.lenses.0.camera_from_lens: is missing"],
+    ),
+    (
+        "camera:\n  width: 1280\n  height: 640\n  projection: dual_fisheye\n  lenses:\n    - \
+         {centre_px: [319.5, 319.5], circle_px: 330, field_deg: 190, camera_from_lens: {}}\n    - \
+         {centre_px: [959.5, 319.5], circle_px: 310, field_deg: 190, camera_from_lens: {}}",
+        &["line 6", "camera.lenses", "image circle of lens 0", "leaves the image of 1280x640"],
+    ),
+    (
+        "camera:\n  projection: dual_fisheye\n  lenses:\n    - {centre_px: [959, 959], circle_px: \
+         900, field_deg: 190, camera_from_lens: {}, double_sphere: [0.1, 0.6]}\n    - {centre_px: \
+         [2879, 959], circle_px: 900, field_deg: 190, camera_from_lens: {}}",
+        &["line 4", "camera.lenses.0.focal_px", "needs the focal lengths"],
+    ),
+    (
+        "camera:\n  projection: dual_fisheye\n  lenses:\n    - {centre_px: [959, 959], circle_px: \
+         900, field_deg: 190, camera_from_lens: {orientation: [1, 1, 0, 0]}}\n    - {centre_px: \
+         [2879, 959], circle_px: 900, field_deg: 190, camera_from_lens: {}}",
+        &["line 4", "camera.lenses.0.camera_from_lens.orientation", "has length 1, not 1.4142"],
+    ),
+    (
+        "camera: {projection: stereographic, stereographic_field_deg: 360}",
+        &["camera.stereographic_field_deg", "from 1 to 350, not 360"],
+    ),
+    ("camera: {lens_distance_m: -0.1}", &["from 0 to 1, not -0.1"]),
+    ("camera: {response: table}", &["camera.response_table", "2 to 256 codes, not of 0"]),
+    (
+        "camera: {response: table, response_table: [0, 2, 2]}",
+        &["camera.response_table", "entry 2 is 2 after 2"],
+    ),
     ("camera: {latency_ms: -1}", &["from 0 to 10000, not -1"]),
     ("camera: {latency_ms: .inf}", &["not a finite number"]),
     ("flow: losless", &["latest, lossless", "did you mean 'lossless'?"]),

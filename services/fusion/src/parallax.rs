@@ -1,0 +1,133 @@
+//! Lenses beside the camera's middle: rays brought to the distance of what they see.
+//!
+//! A view's rays are right for one distance: that of the neighbour it was cut for, or the assumed
+//! one. Once a pose says how far the neighbour really is, the difference is known, and the same for
+//! all rays of a body but for those that another lens sees.
+
+use flockeye_contract::ViewHeader;
+use flockeye_geometry::Ray;
+use flockeye_geometry::camera::{Camera, CameraModel};
+use nalgebra::{Isometry3, Matrix6, UnitQuaternion, Vector3};
+
+use crate::neighbour::PoseEstimate;
+
+/// The camera's lenses, as far as they sit beside its middle.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Parallax {
+    camera: Camera,
+    assumed_m: f64,
+    is_stitched: bool,
+}
+
+impl Parallax {
+    /// For a camera that is right for `assumed_m` where no neighbour is predicted; `None` if all
+    /// of its rays meet in its middle.
+    pub fn of(camera: &Camera, assumed_m: f64) -> Option<Self> {
+        let camera = camera.at_distance(assumed_m);
+        let is_stitched = matches!(camera.model(), CameraModel::Equirectangular { .. });
+        // Only lenses beside the middle make it matter how far things are.
+        (camera.nearness() > 0.0).then_some(Self { camera, assumed_m, is_stitched })
+    }
+
+    /// The distance that a view's rays are right for, metres.
+    pub fn distance_m(&self, view: Option<&ViewHeader>) -> f64 {
+        view.and_then(predicted_distance_m).unwrap_or(self.assumed_m)
+    }
+
+    /// The distance that is assumed where none is predicted, metres.
+    pub fn assumed_m(&self) -> f64 {
+        self.assumed_m
+    }
+
+    /// A ray that is right for `from_m`, as it is for `to_m`.
+    pub fn brought(&self, ray_in_camera: &Ray, from_m: f64, to_m: f64) -> Ray {
+        let seen = self.camera.at_distance(from_m).project(ray_in_camera);
+        seen.and_then(|pixel| self.camera.at_distance(to_m).ray(pixel)).unwrap_or(*ray_in_camera)
+    }
+
+    /// A pose from rays that were right for `rays_m`, as the distance that it says wants it: turned
+    /// about the camera's middle. What a stitched image shows is the stitcher's guess, so there the
+    /// whole of the correction counts as uncertain, once for all rays: in the covariance.
+    pub fn corrected(&self, estimate: &PoseEstimate, rays_m: f64) -> PoseEstimate {
+        let position = estimate.camera_from_markers.translation.vector;
+        let Some(towards) = Ray::try_new(position, 1e-9) else { return *estimate };
+        let range_m = position.norm();
+        let brought = self.brought(&towards, rays_m, range_m);
+        let turn = UnitQuaternion::rotation_between_axis(&towards, &brought).unwrap_or_default();
+        let camera_from_markers =
+            Isometry3::from_parts(Default::default(), turn) * estimate.camera_from_markers;
+        let mut covariance = estimate.covariance;
+        if self.is_stitched {
+            covariance += common(&(camera_from_markers.translation.vector - position), &turn);
+        }
+        PoseEstimate { camera_from_markers, covariance }
+    }
+}
+
+/// The covariance of a shift and a turn that come together.
+fn common(shift: &Vector3<f64>, turn: &UnitQuaternion<f64>) -> Matrix6<f64> {
+    let turn = turn.scaled_axis();
+    let both = nalgebra::Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z);
+    both * both.transpose()
+}
+
+fn predicted_distance_m(view: &ViewHeader) -> Option<f64> {
+    let [x, y, z] = view.predicted_camera_from_markers.position;
+    (view.has_prediction != 0).then(|| Vector3::new(x, y, z).norm())
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use super::*;
+    use nalgebra::{Translation3, Unit};
+
+    fn camera() -> Camera {
+        let stitched = CameraModel::Equirectangular { lens_distance_m: 0.016 };
+        Camera::new(3840, 1920, stitched).unwrap()
+    }
+
+    #[test]
+    fn a_camera_with_one_centre_has_none() {
+        assert_eq!(Parallax::of(&Camera::equirectangular(3840, 1920), 1.5), None);
+    }
+
+    #[test]
+    fn a_pose_comes_to_where_its_distance_wants_it() {
+        let parallax = Parallax::of(&camera(), 1.5).unwrap();
+        let truth = Vector3::new(0.3, 0.5, -0.1);
+        // What the lens sees of the truth, read as if it were 1.5 m away.
+        let pixel =
+            camera().at_distance(truth.norm()).project(&Unit::new_normalize(truth)).unwrap();
+        let read = camera().at_distance(1.5).ray(pixel).unwrap();
+        let wrong = PoseEstimate {
+            camera_from_markers: Translation3::from(read.into_inner() * truth.norm()).into(),
+            covariance: Matrix6::identity() * 1e-8,
+        };
+        let error = (wrong.camera_from_markers.translation.vector - truth).norm();
+        assert!((0.003..0.008).contains(&error), "{error}");
+        let right = parallax.corrected(&wrong, 1.5);
+        assert!((right.camera_from_markers.translation.vector - truth).norm() < 1e-6);
+        // Across the line of sight it is now as uncertain as it was wrong, along it no more than
+        // before.
+        let spread = right.covariance.fixed_view::<3, 3>(0, 0).trace().sqrt();
+        assert!((spread / error - 1.0).abs() < 0.05, "{spread} {error}");
+        let sight = truth.normalize();
+        let along = (sight.transpose() * right.covariance.fixed_view::<3, 3>(0, 0) * sight)[0];
+        assert!(along.sqrt() < 0.1 * error, "{along}");
+    }
+
+    #[test]
+    fn rays_are_right_for_the_predicted_distance() {
+        let parallax = Parallax::of(&camera(), 1.5).unwrap();
+        assert_eq!(parallax.distance_m(None), 1.5);
+        let mut view = ViewHeader { has_prediction: 1, ..ViewHeader::default() };
+        view.predicted_camera_from_markers.position = [0.0, 3.0, 4.0];
+        assert_eq!(parallax.distance_m(Some(&view)), 5.0);
+        let ray = Unit::new_normalize(Vector3::new(0.2, 1.0, 0.4));
+        let there = parallax.brought(&ray, 1.5, 0.5);
+        let back = parallax.brought(&there, 0.5, 1.5);
+        assert!((back.into_inner() - ray.into_inner()).norm() < 1e-9);
+        assert!(there.angle(&ray) > 0.005);
+    }
+}
