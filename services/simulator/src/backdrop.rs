@@ -1,5 +1,6 @@
 //! The panorama behind the bodies: made once, and turned with the observer's yaw in each frame.
 
+use std::f64::consts::TAU;
 use std::num::NonZero;
 
 use crate::hall::Hall;
@@ -22,30 +23,9 @@ pub struct Backdrop {
 impl Backdrop {
     /// Paints the hall, blurred by the lens and by the observer's steady yaw, in linear light.
     pub fn new(parameters: &WorldParameters, grid: &SphereGrid, sensor: &Sensor) -> Self {
-        let hall = Hall::new(parameters.seed);
-        let width = grid.width;
-        let swept = parameters.observer_yaw_rate().abs()
-            * parameters.exposure_s
-            * parameters.pixels_per_radian();
-        let mut blurred_along = vec![0.0f32; width * grid.height];
-        for_rows(&mut blurred_along, width, |row, out| {
-            let sigma = parameters.lens_blur_px / f64::from(grid.rows[row][0]).max(1e-3);
-            let kernel = blur_kernel(sigma.min(WIDEST_SIGMA), swept);
-            let reach = kernel.len() - 1;
-            let sharp: Vec<f32> =
-                (0..width).map(|column| pixel_light(&hall, grid, column, row)).collect();
-            let padded: Vec<f32> = (0..width + 2 * reach)
-                .map(|k| sharp[(k + width * reach - reach) % width])
-                .collect();
-            blur_row(&padded, out, &kernel, 1);
-        });
-        let across = blur_kernel(parameters.lens_blur_px, 0.0);
-        let mut light = vec![0.0f32; width * grid.height];
-        for_rows(&mut light, width, |row, out| {
-            blur_rows(&blurred_along, width, row, 0..width, out, &across);
-        });
+        let light = painted(parameters, grid);
         Self {
-            width,
+            width: grid.width,
             levels: light.iter().map(|&light| sensor.level(light)).collect(),
             sigmas: light.iter().map(|&light| sensor.sigma_of_light(light)).collect(),
         }
@@ -59,6 +39,31 @@ impl Backdrop {
         let cut = self.width - shift;
         [(&levels[cut..], &sigmas[cut..]), (&levels[..cut], &sigmas[..cut])]
     }
+}
+
+/// The hall in linear light on this grid, blurred by the lens, `lens_blur_px` of the grid's own
+/// pixels, and by the observer's steady yaw.
+pub fn painted(parameters: &WorldParameters, grid: &SphereGrid) -> Vec<f32> {
+    let hall = Hall::new(parameters.seed);
+    let width = grid.width;
+    let swept = parameters.observer_yaw_rate().abs() * parameters.exposure_s * (width as f64 / TAU);
+    let mut blurred_along = vec![0.0f32; width * grid.height];
+    for_rows(&mut blurred_along, width, |row, out| {
+        let sigma = parameters.lens_blur_px / f64::from(grid.rows[row][0]).max(1e-3);
+        let kernel = blur_kernel(sigma.min(WIDEST_SIGMA), swept);
+        let reach = kernel.len() - 1;
+        let sharp: Vec<f32> =
+            (0..width).map(|column| pixel_light(&hall, grid, column, row)).collect();
+        let padded: Vec<f32> =
+            (0..width + 2 * reach).map(|k| sharp[(k + width * reach - reach) % width]).collect();
+        blur_row(&padded, out, &kernel, 1);
+    });
+    let across = blur_kernel(parameters.lens_blur_px, 0.0);
+    let mut light = vec![0.0f32; width * grid.height];
+    for_rows(&mut light, width, |row, out| {
+        blur_rows(&blurred_along, width, row, 0..width, out, &across);
+    });
+    light
 }
 
 /// Two rays for each pixel, a quarter of it either way of the middle on a diagonal.
@@ -98,7 +103,7 @@ mod tests {
 
     #[test]
     fn turning_left_moves_the_picture_right_and_round() {
-        let parameters = WorldParameters { width: 256, height: 128, ..Default::default() };
+        let parameters = WorldParameters::default();
         let grid = SphereGrid::new(256, 128);
         let backdrop = Backdrop::new(&parameters, &grid, &Sensor::new(&parameters));
         let row = |shift| {

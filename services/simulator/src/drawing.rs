@@ -1,14 +1,20 @@
-//! A drone drawn sharp on a plane that touches the sphere, blurred there, and laid on the sphere.
+//! A drone drawn sharp on a plane that touches the sphere, blurred there, and laid on the image.
+//!
+//! The plane is stretched as the image is round the drone, so that blur is alike in all directions
+//! of the image. All is seen from one eye, along the camera's axes.
 
+use std::f64::consts::PI;
 use std::ops::Range;
 
 use nalgebra::{Matrix3, Point2, Point3, Vector3};
 
+use crate::density::{Density, Stretch};
 use crate::drone::{Drone, Part};
 use crate::optics::{blur_kernel, blur_row, blur_rows};
 use crate::raster::{Accumulator, CHANNELS};
 use crate::sensor::Sensor;
 use crate::sphere::SphereGrid;
+use crate::tiles::RayRow;
 use crate::world::Placement;
 
 /// Variance that the drawing adds by itself, square samples: areas of one sample (1/12), and
@@ -20,12 +26,14 @@ const FAINT: f32 = 1e-4;
 /// What a drawing needs to know of the camera.
 #[derive(Debug, Clone, Copy)]
 pub struct Lens {
-    /// Samples of the drawing for each radian, at its centre.
-    pub focal: f64,
+    /// Samples of the drawing for each pixel of the image, along a line.
+    pub density: f64,
     /// Standard deviation of the point spread, samples.
     pub blur: f64,
     /// Exposure, seconds.
     pub exposure_s: f64,
+    /// Samples along either side that no drawing needs more of: the image has no more pixels.
+    pub widest: f64,
 }
 
 /// The drawing of one drone in one frame. Its buffers are kept from frame to frame.
@@ -42,6 +50,8 @@ pub struct Drawing {
     extents: Vec<Range<usize>>,
     /// Rows: where a ray in the camera frame meets the plane, in samples, before dividing.
     samples_from_camera: Matrix3<f32>,
+    /// Towards the body: the circle's middle.
+    centre: Vector3<f64>,
     longitude: f64,
     latitude: f64,
     /// Radius of the circle that holds the drawing, radians.
@@ -58,7 +68,8 @@ fn illumination(normal_in_world: &Vector3<f64>) -> f64 {
 }
 
 impl Drawing {
-    /// Draws `drone` where it is. `world_from_camera` only matters for the light.
+    /// Draws `drone` where the eye sees it, in an image of `pixels` there. `world_from_camera` only
+    /// matters for the light.
     ///
     /// The drone must be at least 1.2 of its radius away, so that all of it is before the plane.
     pub fn draw(
@@ -66,35 +77,45 @@ impl Drawing {
         drone: &Drone,
         placement: &Placement,
         world_from_camera: &nalgebra::UnitQuaternion<f64>,
+        pixels: &Density,
         lens: Lens,
     ) {
         let pose = &placement.camera_from_markers;
         let axes = drawing_axes(placement);
         let centre = axes[2];
         let drawing_from_camera = Matrix3::from_columns(&axes).transpose();
-        let project = |point: &Point3<f64>| {
+        let stretched = |point: &Point3<f64>, stretch: &Stretch| {
             let p = drawing_from_camera * (pose * point).coords;
-            Point2::new(p.x / p.z, p.y / p.z) * lens.focal
+            let (x, y) = (p.x / p.z, p.y / p.z);
+            Point2::new(x * stretch.along + y * stretch.shear, y * stretch.across)
         };
-
-        // The first axis lies along the motion, so that motion blur is one with the rows' blur.
-        // Positive: the parameters ask for a blur of 0.3 pixels, 0.6 samples, or more.
-        let sigma = (lens.blur.powi(2) - OWN_VARIANCE).sqrt();
-        let motion = placement.angular_speed() * lens.exposure_s * lens.focal;
-        let along = blur_kernel(sigma, motion);
-        let across = blur_kernel(sigma, 0.0);
-        // Twice the reach along the rows: what is blurred there is blurred from as far again.
-        let margin = Point2::new(2.0 * along.len() as f64 + 1.0, across.len() as f64 + 1.0);
-        let bounds = |parts: &[&Part]| {
-            let corners = parts.iter().flat_map(|part| &part.solid.corners).map(project);
+        let bounds = |parts: &[&Part], stretch: &Stretch| {
+            let corners = parts.iter().flat_map(|part| &part.solid.corners);
             corners
+                .map(|corner| stretched(corner, stretch))
                 .fold([Point2::new(f64::MAX, f64::MAX), Point2::new(f64::MIN, f64::MIN)], |b, p| {
                     [b[0].inf(&p), b[1].sup(&p)]
                 })
         };
         let eye = pose.inverse_transform_point(&Point3::origin());
         let parts = drone.back_to_front(&eye);
-        let [low, high] = bounds(&parts);
+        let mut stretch = pixels.stretch([axes[0], axes[1]]).scaled(lens.density);
+        let [low, high] = bounds(&parts, &stretch);
+        let side = (high - low).max();
+        if side > lens.widest {
+            // Towards the rim of a very wide plane a body's surroundings grow without end.
+            stretch = stretch.scaled(lens.widest / side);
+        }
+
+        // The first axis lies along the motion, so that motion blur is one with the rows' blur.
+        // Positive: the parameters ask for a blur of 0.3 pixels, 0.6 samples, or more.
+        let sigma = (lens.blur.powi(2) - OWN_VARIANCE).sqrt();
+        let motion = placement.angular_speed() * lens.exposure_s * stretch.along;
+        let along = blur_kernel(sigma, motion);
+        let across = blur_kernel(sigma, 0.0);
+        // Twice the reach along the rows: what is blurred there is blurred from as far again.
+        let margin = Point2::new(2.0 * along.len() as f64 + 1.0, across.len() as f64 + 1.0);
+        let [low, high] = bounds(&parts, &stretch);
         let origin = (low - margin.coords).map(f64::floor);
         let size = (high - origin).map(f64::ceil) + margin.coords;
         (self.width, self.height) = (size.x as usize, size.y as usize);
@@ -103,13 +124,22 @@ impl Drawing {
             .flat_map(|part| &part.solid.corners)
             .map(|corner| (pose * corner).coords.angle(&centre))
             .fold(0.0, f64::max);
-        self.radius = reach + margin.x.max(margin.y) / lens.focal;
+        let aslant = stretch.shear.abs() / stretch.across;
+        let wide = (margin.x + margin.y * aslant) / stretch.along;
+        self.radius = reach + wide.max(margin.y / stretch.across);
+        self.centre = centre;
         self.longitude = centre.y.atan2(centre.x);
         self.latitude = centre.z.atan2(centre.x.hypot(centre.y));
         let samples_from_drawing = Matrix3::new(
-            lens.focal, 0.0, -origin.x, //
-            0.0, lens.focal, -origin.y, //
-            0.0, 0.0, 1.0,
+            stretch.along,
+            stretch.shear,
+            -origin.x, //
+            0.0,
+            stretch.across,
+            -origin.y, //
+            0.0,
+            0.0,
+            1.0,
         );
         self.samples_from_camera = (samples_from_drawing * drawing_from_camera).cast();
 
@@ -119,7 +149,7 @@ impl Drawing {
         self.samples.resize(self.width * self.height * CHANNELS, 0.0);
         self.extents.clear();
         self.extents.resize(self.height, 0..0);
-        let place = |point: &Point3<f64>| project(point) - origin.coords;
+        let place = |point: &Point3<f64>| stretched(point, &stretch) - origin.coords;
         for part in &parts {
             for painted in part.faces.iter().filter(|painted| painted.face.height(&eye) > 0.0) {
                 let lit = illumination(&(world_from_markers * painted.face.normal));
@@ -130,7 +160,7 @@ impl Drawing {
                     self.accumulator.add_polygon(&outline, patch.change * lit, 0.0);
                 }
             }
-            let [low, high] = bounds(&[part]).map(|corner| corner - origin.coords);
+            let [low, high] = bounds(&[part], &stretch).map(|corner| corner - origin.coords);
             let rows = low.y as usize..high.y as usize + 1;
             let columns = low.x as usize..high.x as usize + 2;
             for extent in &mut self.extents[rows.clone()] {
@@ -175,10 +205,40 @@ impl Drawing {
         grid.rows_of_circle(self.latitude, self.radius)
     }
 
-    /// Lays the drawing over a row of levels and their noise.
+    /// Whether it may touch anything in the circle of `radius` radians round `axis`.
+    pub fn touches(&self, axis: &Vector3<f64>, radius: f64) -> bool {
+        let apart = self.radius + radius;
+        apart >= PI || axis.dot(&self.centre) >= apart.cos()
+    }
+
+    /// Lays the drawing over pixels that look along `rays`, and over their noise.
+    pub fn draw_rays(
+        &self,
+        [rays_x, rays_y, rays_z]: &RayRow,
+        sensor: &Sensor,
+        levels: &mut [u8],
+        sigmas: &mut [u8],
+    ) {
+        let m = &self.samples_from_camera;
+        let pixels = levels.iter_mut().zip(sigmas);
+        let rays = rays_x.iter().zip(rays_y).zip(rays_z);
+        for (((x, y), z), (level, sigma)) in rays.zip(pixels) {
+            let along = |k: usize| m[(k, 0)] * x + m[(k, 1)] * y + m[(k, 2)] * z;
+            let depth = along(2);
+            // Pixels that see nothing have no ray, and no depth.
+            if depth <= 0.0 {
+                continue;
+            }
+            let at = [along(0) / depth, along(1) / depth];
+            self.blend(at, sensor, level, sigma);
+        }
+    }
+
+    /// Lays the drawing over a row of levels and their noise, within `columns`.
     pub fn draw_row(
         &self,
         row: usize,
+        columns: &[Range<usize>],
         grid: &SphereGrid,
         sensor: &Sensor,
         levels: &mut [u8],
@@ -191,7 +251,10 @@ impl Drawing {
         let [bx, by, bz] = [0, 1, 2].map(|k| m[(k, 1)] * cos_row);
         let [cx, cy, cz] = [0, 1, 2].map(|k| m[(k, 2)] * sin_row);
         let span = grid.span_of_circle(row, self.longitude, self.latitude, self.radius);
-        for (first, end) in span.runs(grid.width) {
+        let runs = span.runs(grid.width).flat_map(|(first, end)| {
+            columns.iter().map(move |part| (first.max(part.start), end.min(part.end)))
+        });
+        for (first, end) in runs.filter(|(first, end)| first < end) {
             let pixels = levels[first..end].iter_mut().zip(&mut sigmas[first..end]);
             for ([cos, sin], (level, sigma)) in grid.columns[first..end].iter().zip(pixels) {
                 let depth = az * cos + bz * sin + cz;
@@ -200,10 +263,17 @@ impl Drawing {
                 if depth <= 0.0 {
                     continue;
                 }
-                let Some([light, cover]) = self.sample(x, y) else { continue };
-                *level = sensor.level(sensor.light(*level) * (1.0 - cover) + light);
-                *sigma = sensor.sigma(*level);
+                self.blend([x, y], sensor, level, sigma);
             }
+        }
+    }
+
+    /// Lays one of its points over a pixel.
+    #[inline]
+    fn blend(&self, [x, y]: [f32; 2], sensor: &Sensor, level: &mut u8, sigma: &mut u8) {
+        if let Some([light, cover]) = self.sample(x, y) {
+            *level = sensor.level(sensor.light(*level) * (1.0 - cover) + light);
+            *sigma = sensor.sigma(*level);
         }
     }
 

@@ -1,14 +1,16 @@
-//! A synthetic world in place of a spherical camera: frames, and the truth about them.
+//! A synthetic world in place of a spherical camera of any model: frames, and the truth about them.
 //!
 //! [`World::render`] writes the 8-bit luma plane of a frame into memory that it is given, and says
 //! where every body was. Nothing here knows of processes, clocks or files.
 //!
 //! ```
 //! use flockeye_geometry::body::{Bodies, squares};
+//! use flockeye_geometry::camera::Camera;
 //! use flockeye_simulator::{PatternBook, World, WorldParameters};
 //!
 //! let bodies = Bodies::new("DICT_5X5_250".into(), vec![squares("alpha", 0.0625, 0.05, 0)])?;
-//! let parameters = WorldParameters { width: 512, height: 256, ..Default::default() };
+//! let camera = Camera::equirectangular(512, 256);
+//! let parameters = WorldParameters { camera, ..Default::default() };
 //! let mut world = World::new(parameters, &bodies, &PatternBook::dict_5x5_250())?;
 //! let mut luma = vec![0; 512 * 256];
 //! let truth = world.render(0, &mut luma, 512)?;
@@ -23,32 +25,45 @@
 //! | [`parameters`] | what a world can be told |
 //! | [`patterns`] | which cells of a marker are white |
 //! | [`trajectory`] | where the bodies are at a time |
+//! | [`eyes`] | where each part of the image is taken from: the camera's middle, or its lenses' places |
 //! | [`hall`], [`backdrop`] | the panorama behind them: painted and blurred once, then turned |
 //! | [`solid`], [`drone`] | bodies and airframes as painted convex parts |
-//! | [`raster`], [`optics`], [`drawing`] | drawn with exact area coverage, blurred by lens and motion, laid on the sphere |
+//! | [`raster`], [`optics`], [`drawing`] | drawn with exact area coverage, blurred by lens and motion, for each eye |
+//! | [`density`] | how many pixels the image has round a body |
 //! | [`own_airframe`] | the observer's own legs over everything |
-//! | [`sensor`] | sRGB curve, clipping, noise |
+//! | [`sphere`], [`sphere_picture`] | laid on the sphere image, row by row |
+//! | [`tiles`], [`panorama`], [`tiled_picture`] | laid on any other image, tile by tile |
+//! | [`response`], [`sensor`] | the curve to code values, clipping, noise |
 
 pub mod backdrop;
+pub mod density;
 pub mod drawing;
 pub mod drone;
+pub mod eyes;
 pub mod hall;
 pub mod optics;
 pub mod own_airframe;
+pub mod panorama;
 pub mod parameters;
 pub mod patterns;
+pub mod picture;
 pub mod raster;
+pub mod response;
 pub mod scatter;
 pub mod schedule;
 pub mod sensor;
 pub mod solid;
 pub mod sphere;
+pub mod sphere_picture;
 pub mod stage;
+pub mod tiled_picture;
+pub mod tiles;
 pub mod trajectory;
 pub mod truth;
 pub mod world;
 
 pub use parameters::{Quality, WorldParameters};
 pub use patterns::PatternBook;
+pub use response::Response;
 pub use truth::{FrameTruth, TargetTruth};
 pub use world::{Moment, Placement, RenderError, World, WorldError};

@@ -48,7 +48,7 @@ impl OwnAirframe {
     /// The airframe on this grid, with edges as soft as a lens of `lens_blur_px` makes them.
     pub fn new(grid: &SphereGrid, lens_blur_px: f64, sensor: &Sensor) -> Self {
         let pixel = TAU / grid.width as f32;
-        let softness = edge_softness(lens_blur_px, grid.width);
+        let softness = edge_softness(lens_blur_px, grid.width as f64);
         let latitude = |row: usize| FRAC_PI_2 - (row as f32 + 0.5) * pixel;
         let longitude = |column: usize| TAU / 2.0 - (column as f32 + 0.5) * pixel;
         let first_row =
@@ -88,14 +88,19 @@ impl OwnAirframe {
             sigmas[first..end].fill(sensor.sigma(self.level));
         }
         for &(column, cover) in &covered.edges {
-            let light = sensor.light(levels[column]) * (1.0 - cover) + LIGHT * cover;
-            levels[column] = sensor.level(light);
-            sigmas[column] = sensor.sigma(levels[column]);
+            blend(cover, sensor, &mut levels[column], &mut sigmas[column]);
         }
     }
 }
 
-/// Width of a soft edge, radians: a ramp as wide as four standard deviations looks like the blur.
-pub fn edge_softness(lens_blur_px: f64, width: usize) -> f32 {
-    (4.0 * lens_blur_px) as f32 * TAU / width as f32
+/// Lays the airframe over a pixel of which it covers a share.
+pub fn blend(cover: f32, sensor: &Sensor, level: &mut u8, sigma: &mut u8) {
+    *level = sensor.level(sensor.light(*level) * (1.0 - cover) + LIGHT * cover);
+    *sigma = sensor.sigma(*level);
+}
+
+/// Width of a soft edge, radians, in an image of so many pixels to a whole turn: a ramp as wide as
+/// four standard deviations looks like the blur.
+pub fn edge_softness(lens_blur_px: f64, pixels_per_turn: f64) -> f32 {
+    (4.0 * lens_blur_px) as f32 * TAU / pixels_per_turn as f32
 }

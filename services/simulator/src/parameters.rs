@@ -1,20 +1,21 @@
 //! What a synthetic world can be told.
 
-use serde::{Deserialize, Serialize};
+use flockeye_geometry::camera::Camera;
+
+use crate::response::Response;
 
 /// How finely bodies are drawn before the lens blurs them.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Quality {
-    /// Twice the sphere's density: a fraction of a frame's time.
+    /// Twice the image's density: a fraction of a frame's time.
     #[default]
     Realtime,
-    /// Four times the sphere's density: for work on accuracy, not in real time.
+    /// Four times the image's density: for work on accuracy, not in real time.
     Accurate,
 }
 
 impl Quality {
-    /// Samples of the drawing for each pixel of the sphere image, along a line.
+    /// Samples of the drawing for each pixel of the image, along a line.
     pub fn density(self) -> f64 {
         match self {
             Self::Realtime => 2.0,
@@ -24,15 +25,14 @@ impl Quality {
 }
 
 /// A synthetic world: its camera, its light and how its bodies fly.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct WorldParameters {
     /// Everything random follows from it: the same seed gives the same bytes.
     pub seed: u64,
-    /// Columns of the sphere image, pixels; twice its rows.
-    pub width: u32,
-    /// Rows of the sphere image, pixels.
-    pub height: u32,
+    /// The camera that sees it, in the frame whose origin the bodies' distances count from.
+    pub camera: Camera,
+    /// The curve between light and code values.
+    pub response: Response,
     /// Frames in each second; the middle of frame k's exposure is at k / `frames_per_second`.
     pub frames_per_second: f64,
     /// How long each frame is exposed, seconds.
@@ -45,7 +45,8 @@ pub struct WorldParameters {
     pub read_noise: f64,
     /// Standard deviation of the photon noise at full scale, at ISO 100, as a share of full scale.
     pub shot_noise: f64,
-    /// Standard deviation of the lens's Gaussian point spread, sphere pixels.
+    /// Standard deviation of the lens's Gaussian point spread, pixels of the image: as
+    /// they are round each body, and on an equirectangular image as they are at the equator.
     pub lens_blur_px: f64,
     /// Rate at which the observer turns to its left, degrees per second.
     pub observer_yaw_rate_deg_s: f64,
@@ -59,12 +60,15 @@ pub struct WorldParameters {
     pub quality: Quality,
 }
 
+/// Longest side of an image, pixels.
+const MAX_SIDE: u32 = 16_384;
+
 impl Default for WorldParameters {
     fn default() -> Self {
         Self {
             seed: 1,
-            width: 3840,
-            height: 1920,
+            camera: Camera::equirectangular(3840, 1920),
+            response: Response::default(),
             frames_per_second: 30.0,
             exposure_s: 0.00625,
             iso: 400,
@@ -90,12 +94,11 @@ impl WorldParameters {
             }
         };
         let within = |value: f64, low: f64, high: f64| value >= low && value <= high;
-        let Self { width, height, frames_per_second: rate, exposure_s, .. } = *self;
+        let Self { frames_per_second: rate, exposure_s, .. } = *self;
+        let (width, height) = (self.camera.width(), self.camera.height());
         refuse(
-            width != height.saturating_mul(2) || !(64..=16384).contains(&width),
-            format!(
-                "size {width}x{height}: width must be twice the height, and 64 to 16384 pixels"
-            ),
+            [width, height].iter().any(|side| !(2..=MAX_SIDE).contains(side)),
+            format!("size {width}x{height}: both sides must be 2 to {MAX_SIDE} pixels"),
         );
         refuse(
             !within(rate, 0.1, 1000.0),
@@ -114,6 +117,8 @@ impl WorldParameters {
                 format!("{name} {value}: must be 0 to 1, as a share of full scale"),
             );
         }
+        let response = self.response.problem();
+        refuse(response.is_some(), response.unwrap_or_default());
         refuse(self.iso > 102_400, format!("iso {}: must be 0 to 102400", self.iso));
         refuse(
             !within(self.lens_blur_px, 0.3, 5.0),
@@ -136,11 +141,6 @@ impl WorldParameters {
             format!("speed_m_s {}: must be 0 to 20", self.speed_m_s),
         );
         problems
-    }
-
-    /// Pixels for each radian along the equator and along every meridian.
-    pub fn pixels_per_radian(&self) -> f64 {
-        f64::from(self.width) / std::f64::consts::TAU
     }
 
     /// Rate at which the observer turns, radians per second.
@@ -169,7 +169,9 @@ mod tests {
     fn what_cannot_be_is_refused_with_its_reason() {
         assert!(refused(|p| p.frames_per_second = 0.0).contains("frames_per_second 0"));
         assert!(refused(|p| p.frames_per_second = f64::NAN).contains("frames_per_second NaN"));
-        assert!(refused(|p| p.height = 1000).contains("3840x1000: width must be twice"));
+        let tall = Camera::equirectangular(64, 20_000);
+        assert!(refused(|p| p.camera = tall).contains("64x20000: both sides must be 2 to 16384"));
+        assert!(refused(|p| p.response = Response::Table([0.0; 256])).contains("must rise"));
         assert!(refused(|p| p.exposure_s = 0.05).contains("must be 0 to one frame's time"));
         assert!(refused(|p| p.exposure_s = -0.001).contains("exposure_s -0.001"));
         assert!(refused(|p| p.read_noise = -0.1).contains("read_noise -0.1"));
@@ -181,16 +183,9 @@ mod tests {
 
     #[test]
     fn everything_wrong_is_named_at_once() {
-        let all = refused(|p| (p.iso, p.speed_m_s, p.width) = (1_000_000, 99.0, 10));
+        let all = refused(|p| {
+            (p.iso, p.speed_m_s, p.camera) = (1_000_000, 99.0, Camera::equirectangular(1, 1));
+        });
         assert!(["iso", "speed_m_s", "size"].iter().all(|name| all.contains(name)), "{all}");
-    }
-
-    #[test]
-    fn a_mistyped_key_is_refused() {
-        let error = serde_json::from_str::<WorldParameters>(r#"{"exposure": 0.001}"#).unwrap_err();
-        assert!(error.to_string().contains("unknown field `exposure`"), "{error}");
-        let parsed: WorldParameters =
-            serde_json::from_str(r#"{"quality": "accurate", "distance_m": [1, 3]}"#).unwrap();
-        assert_eq!((parsed.quality, parsed.distance_m), (Quality::Accurate, [1.0, 3.0]));
     }
 }

@@ -5,6 +5,7 @@ use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 
 use crate::parameters::WorldParameters;
+use crate::response::Response;
 use crate::scatter::mix;
 
 /// Steps of the table from the root of light to the encoded level: fine enough that rounding to
@@ -26,25 +27,16 @@ pub struct Sensor {
     encode: Vec<u8>,
     shot_variance: f32,
     read_variance: f32,
+    response: Response,
     sigma_of_level: [u8; 256],
     noise: Vec<i8>,
     seed: u64,
 }
 
-/// Linear light, as a share of full scale, of a value encoded by the sRGB curve (IEC 61966-2-1),
-/// from 0 to 1.
-pub fn srgb_decoded(encoded: f32) -> f32 {
-    if encoded <= 0.040_45 { encoded / 12.92 } else { ((encoded + 0.055) / 1.055).powf(2.4) }
-}
-
-/// Value from 0 to 1 that the sRGB curve gives to linear light from 0 to 1.
-pub fn srgb_encoded(light: f32) -> f32 {
-    if light <= 0.003_130_8 { light * 12.92 } else { 1.055 * light.powf(1.0 / 2.4) - 0.055 }
-}
-
 impl Sensor {
     /// The sensor of a world.
     pub fn new(parameters: &WorldParameters) -> Self {
+        let response = parameters.response;
         let gain = f64::from(parameters.iso) / 100.0;
         let shot_variance = (gain * parameters.shot_noise.powi(2)) as f32;
         let read_variance = (gain * parameters.read_noise).powi(2) as f32;
@@ -52,12 +44,13 @@ impl Sensor {
         let mut random = StdRng::seed_from_u64(parameters.seed ^ 0x6e6f_6973);
         let noise = if shot_variance + read_variance > 0.0 { NOISE_SAMPLES } else { 0 };
         let mut sensor = Self {
-            decode: std::array::from_fn(|level| srgb_decoded(level as f32 / 255.0)),
+            decode: std::array::from_fn(|level| response.light(level as u8)),
             encode: (0..ENCODING_STEPS)
-                .map(|step| (srgb_encoded(root(step).powi(2)) * 255.0).round() as u8)
+                .map(|step| (response.encoded(root(step).powi(2)) * 255.0).round() as u8)
                 .collect(),
             shot_variance,
             read_variance,
+            response,
             sigma_of_level: [0; 256],
             noise: (0..noise)
                 .map(|_| (random.sample::<f32, _>(StandardNormal) * NOISE_UNIT).round() as i8)
@@ -94,7 +87,7 @@ impl Sensor {
         // Mean slope of the curve over what the noise reaches: it bends too much for the tangent.
         let (low, high) = ((light - sigma).max(0.0), (light + sigma).min(1.0));
         let slope = if high - low > 1e-9 {
-            (srgb_encoded(high) - srgb_encoded(low)) / (high - low)
+            (self.response.encoded(high) - self.response.encoded(low)) / (high - low)
         } else {
             0.0
         };
@@ -135,6 +128,8 @@ fn add_noise(levels: &[u8], sigmas: &[u8], noise: &[i8], out: &mut [u8]) {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, clippy::expect_used)]
 mod tests {
+    use flockeye_imaging::light::TransferCurve;
+
     use super::*;
 
     fn sensor(iso: u32) -> Sensor {
@@ -148,9 +143,18 @@ mod tests {
             assert_eq!(sensor.level(sensor.light(level)), level);
         }
         assert_eq!((sensor.level(-0.1), sensor.level(7.0)), (0, 255));
-        // A value of the standard: half of full scale is 0.735 encoded.
-        assert!((srgb_encoded(0.5) - 0.735_36).abs() < 1e-5);
-        assert!((srgb_decoded(0.735_36) - 0.5).abs() < 1e-4);
+    }
+
+    #[test]
+    fn levels_survive_with_every_response() {
+        let table = std::array::from_fn(|code| (code as f32 / 255.0).powf(1.7));
+        let curves = [TransferCurve::Gamma(2.2), TransferCurve::Linear].map(Response::Curve);
+        for response in curves.into_iter().chain([Response::Table(table)]) {
+            let sensor = Sensor::new(&WorldParameters { response, ..Default::default() });
+            for level in 0..=255 {
+                assert_eq!(sensor.level(sensor.light(level)), level, "{response:?}");
+            }
+        }
     }
 
     #[test]
@@ -164,7 +168,7 @@ mod tests {
                 let mut out = vec![0; 3840];
                 sensor.expose(3, row, 0, &levels, &sigmas, &mut out);
                 for value in out {
-                    let light = f64::from(srgb_decoded(f32::from(value) / 255.0));
+                    let light = f64::from(sensor.light(value));
                     sum += light;
                     squares += light * light;
                 }

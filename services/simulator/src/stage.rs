@@ -6,6 +6,7 @@ use flockeye_contract::{
     TruthHeader, Truths,
 };
 use flockeye_geometry::body::{Bodies, Body};
+use flockeye_imaging::light::TransferCurve;
 use flockeye_runtime::bodies::isometry;
 use flockeye_runtime::config::{Flow, Pipeline};
 use flockeye_runtime::credits::Credits;
@@ -15,7 +16,7 @@ use flockeye_runtime::{Context, Stage, Step, clock};
 use nalgebra::Isometry3;
 
 use crate::schedule::Schedule;
-use crate::{FrameTruth, PatternBook, TargetTruth, World, WorldParameters};
+use crate::{FrameTruth, PatternBook, Response, TargetTruth, World, WorldParameters};
 
 /// Takes nothing (in a lossless run: plans, as credits); gives frames and their truth.
 pub struct SimulatorStage {
@@ -23,6 +24,9 @@ pub struct SimulatorStage {
     truths: Publisher<Truths>,
     credits: Credits,
     world: World,
+    projection: Projection,
+    /// Its code and its gamma.
+    transfer: (Transfer, f32),
     bodies: Vec<Body>,
     observer_from_camera: Isometry3<f64>,
     schedule: Option<Schedule>,
@@ -39,14 +43,11 @@ impl Stage for SimulatorStage {
 
     fn open(context: &Context, ports: &mut Ports) -> anyhow::Result<Self> {
         let pipeline = &context.pipeline;
-        anyhow::ensure!(
-            pipeline.transfer() == (Transfer::Srgb, 0.0),
-            "camera.response: the simulated camera has the sRGB curve. Cure: set it to srgb"
-        );
         let flying = flying_bodies(pipeline)?;
+        let parameters = parameters(pipeline)?;
         let world = match &flying {
-            Some(bodies) => World::new(parameters(pipeline), bodies, &PatternBook::dict_5x5_250())?,
-            None => World::empty(parameters(pipeline))?,
+            Some(bodies) => World::new(parameters, bodies, &PatternBook::dict_5x5_250())?,
+            None => World::empty(parameters)?,
         };
         context.counters.set_detail(format!(
             "{} neighbours, {} frames/s, seed {}",
@@ -59,6 +60,8 @@ impl Stage for SimulatorStage {
             truths: ports.side_publisher()?,
             credits: Credits::open(pipeline, ports)?,
             world,
+            projection: pipeline.projection(),
+            transfer: pipeline.transfer(),
             bodies: flying.iter().flat_map(Bodies::iter).cloned().collect(),
             observer_from_camera: isometry(&pipeline.observer.observer_from_camera),
             schedule: None,
@@ -110,7 +113,8 @@ impl Stage for SimulatorStage {
 impl SimulatorStage {
     fn send(&mut self, frame: u64, exposure_ns: i64) -> anyhow::Result<()> {
         let begun_ns = clock::monotonic_ns();
-        let (width, height) = (self.world.parameters().width, self.world.parameters().height);
+        let camera = self.world.parameters().camera;
+        let (width, height) = (camera.width(), camera.height());
         let mut loan = self.frames.loan(width as usize * height as usize)?;
         let truth = self
             .world
@@ -141,10 +145,10 @@ impl SimulatorStage {
             height,
             stride: width,
             pixel_format: PixelFormat::Gray8.code(),
-            transfer: Transfer::Srgb.code(),
-            gamma: 0.0,
+            transfer: self.transfer.0.code(),
+            gamma: self.transfer.1,
             range: Range::Full.code(),
-            projection: Projection::Equirectangular.code(),
+            projection: self.projection.code(),
         })?;
         self.counters.add_latency_ns(published_ns - begun_ns);
         self.credits.note_sent(stamp);
@@ -195,12 +199,18 @@ fn flying_bodies(pipeline: &Pipeline) -> anyhow::Result<Option<Bodies>> {
     Ok(Some(Bodies::new(all.dictionary.clone(), bodies)?))
 }
 
-fn parameters(pipeline: &Pipeline) -> WorldParameters {
+fn parameters(pipeline: &Pipeline) -> anyhow::Result<WorldParameters> {
     let (settings, usual) = (&pipeline.simulator, WorldParameters::default());
-    WorldParameters {
+    let response = match pipeline.transfer() {
+        (Transfer::Srgb, _) => Response::Curve(TransferCurve::Srgb),
+        (Transfer::Gamma, gamma) => Response::Curve(TransferCurve::Gamma(gamma)),
+        (Transfer::Linear, _) => Response::Curve(TransferCurve::Linear),
+        (Transfer::Table, _) => Response::Table(pipeline.response_table()?),
+    };
+    Ok(WorldParameters {
         seed: u64::from(settings.seed),
-        width: pipeline.camera.width,
-        height: pipeline.camera.height,
+        camera: pipeline.camera_model()?,
+        response,
         frames_per_second: settings.frames_per_second,
         exposure_s: settings.exposure_ms * 1e-3,
         read_noise: usual.read_noise * settings.noise,
@@ -210,5 +220,5 @@ fn parameters(pipeline: &Pipeline) -> WorldParameters {
         distance_m: settings.distance_m,
         airframes: settings.airframes,
         ..usual
-    }
+    })
 }

@@ -1,10 +1,15 @@
 //! What is true of a frame: where the bodies are, and how much of them can be seen.
 
+use flockeye_geometry::body::Marker;
 use nalgebra::{Isometry3, Point3, Vector3};
 
+use crate::density::Density;
 use crate::drone::Drone;
+use crate::eyes::Eye;
 use crate::own_airframe;
-use crate::world::{Moment, Placement};
+use crate::parameters::WorldParameters;
+use crate::picture::Picture;
+use crate::world::{Moment, Placement, Sight};
 
 /// Points along each side of a marker's black square that are tried for visibility.
 const GRID: u32 = 10;
@@ -45,45 +50,63 @@ pub struct TargetTruth {
     pub azimuth: f64,
     /// Elevation of the centre in the camera frame, radians.
     pub elevation: f64,
-    /// Markers of which at least half of the black square is visible.
+    /// Markers of which at least half of the black square is visible. An image circle is a picture by
+    /// itself: a marker counts as it is seen in the better one.
     pub markers_visible_50: u32,
     /// Markers of which at least 90 % of the black square is visible.
     pub markers_visible_90: u32,
-    /// Side of the largest marker of those, pixels of the sphere image; 0 without any.
+    /// Side of the largest marker of those, pixels of the image; 0 without any.
     pub best_side_px: f64,
-    /// Length of the motion blur, pixels of the sphere image.
+    /// Length of the motion blur, pixels of the image where the body's centre is; 0 outside of it.
     pub blur_px: f64,
     /// Whether one of them is seen at less than 65 degrees of incidence. Says nothing about size,
     /// blur or light.
     pub localisable: bool,
 }
 
-/// What the counting needs to know of the camera.
+/// Who looks.
 #[derive(Debug, Clone, Copy)]
-pub struct Viewer {
-    /// Pixels of the sphere image for each radian.
-    pub pixels_per_radian: f64,
-    /// Exposure, seconds.
-    pub exposure_s: f64,
-    /// Softness of the own airframe's edges, radians; `None` without one.
-    pub own_airframe: Option<f32>,
+pub struct Viewer<'a> {
+    /// The camera's eyes.
+    pub eyes: &'a [Eye],
+    /// The world's.
+    pub parameters: &'a WorldParameters,
 }
 
-/// The truth of every body at `moment`, in the order of `drones`.
-pub fn targets(drones: &[Drone], moment: &Moment, viewer: Viewer) -> Vec<TargetTruth> {
-    let pairs = || drones.iter().zip(&moment.placements);
-    pairs()
-        .enumerate()
-        .map(|(target, (drone, placement))| {
+/// The bodies as one eye sees them: the drone in question, what may hide it, and the image there.
+struct View<'a> {
+    eye: &'a Eye,
+    pose: Isometry3<f64>,
+    density: Density,
+    hiding: Vec<(&'a Drone, Isometry3<f64>)>,
+    /// Softness of the own airframe's edges, radians; `None` without one.
+    own_airframe: Option<f32>,
+}
+
+/// The truth of every body at `moment`, in the order of `drones`. `sights` say, for each body and
+/// eye, where the eye has it in its part of the image.
+pub fn targets(
+    drones: &[Drone],
+    moment: &Moment,
+    sights: &[Vec<Option<Sight>>],
+    viewer: &Viewer<'_>,
+) -> Vec<TargetTruth> {
+    let bodies = drones.iter().zip(&moment.placements).zip(sights).enumerate();
+    bodies
+        .map(|(target, ((drone, placement), sights))| {
             let pose = placement.camera_from_markers;
             let at = pose.translation.vector;
-            let hiding: Vec<(&Drone, &Placement)> = pairs()
-                .enumerate()
-                .filter(|(index, (other, place))| {
-                    *index == target || may_hide((other, place), (drone, placement))
-                })
-                .map(|(_, pair)| pair)
+            let views: Vec<View<'_>> = viewer
+                .eyes
+                .iter()
+                .zip(sights)
+                .filter_map(|(eye, sight)| Some((eye, sight.as_ref()?)))
+                .map(|(eye, sight)| view(drones, moment, target, viewer, eye, sight))
                 .collect();
+            let exposure_s = viewer.parameters.exposure_s;
+            let looking = viewer.eyes.iter().zip(sights).find_map(|(eye, sight)| {
+                sight.filter(|sight| eye.project(&sight.placement.position()).is_some())
+            });
             let mut truth = TargetTruth {
                 name: drone.name.clone(),
                 target,
@@ -95,38 +118,66 @@ pub fn targets(drones: &[Drone], moment: &Moment, viewer: Viewer) -> Vec<TargetT
                 markers_visible_50: 0,
                 markers_visible_90: 0,
                 best_side_px: 0.0,
-                blur_px: placement.angular_speed() * viewer.exposure_s * viewer.pixels_per_radian,
+                blur_px: looking
+                    .map_or(0.0, |sight| sight.density.motion_px(&sight.placement, exposure_s)),
                 localisable: false,
             };
-            count_markers(&mut truth, drone, &hiding, viewer);
+            drone.markers.iter().for_each(|marker| count_marker(&mut truth, marker, &views));
             truth
         })
         .collect()
 }
 
-fn count_markers(
-    truth: &mut TargetTruth,
-    drone: &Drone,
-    hiding: &[(&Drone, &Placement)],
-    viewer: Viewer,
-) {
-    let pose = truth.camera_from_markers;
-    for marker in &drone.markers {
-        let corners = marker.corners.map(|corner| pose * corner);
-        let towards_eye = -(pose * marker.centre()).coords;
-        let incidence = (pose.rotation * marker.normal()).angle(&towards_eye).to_degrees();
-        if incidence >= 90.0 {
-            continue;
-        }
-        let visible = visible_share(&corners, hiding, viewer);
-        truth.markers_visible_50 += u32::from(visible >= 0.5);
-        if visible >= 0.9 {
-            truth.markers_visible_90 += 1;
-            let angles = (0..4).map(|k| corners[k].coords.angle(&corners[(k + 1) % 4].coords));
-            let side = angles.sum::<f64>() / 4.0 * viewer.pixels_per_radian;
-            truth.best_side_px = truth.best_side_px.max(side);
-            truth.localisable |= incidence < LOCALISABLE_DEG;
-        }
+fn view<'a>(
+    drones: &'a [Drone],
+    moment: &Moment,
+    target: usize,
+    viewer: &Viewer<'a>,
+    eye: &'a Eye,
+    sight: &Sight,
+) -> View<'a> {
+    let placements = moment.placements.iter().map(|placement| placement.seen_from(eye));
+    let hiding = drones
+        .iter()
+        .zip(placements)
+        .enumerate()
+        .filter(|(index, (other, place))| {
+            let this = (&drones[target], &sight.placement);
+            *index == target || may_hide((other, place), this)
+        })
+        .map(|(_, (drone, place))| (drone, place.camera_from_markers))
+        .collect();
+    let own_airframe =
+        viewer.parameters.airframes.then(|| Picture::softness(viewer.parameters, &sight.density));
+    View {
+        eye,
+        pose: sight.placement.camera_from_markers,
+        density: sight.density,
+        hiding,
+        own_airframe,
+    }
+}
+
+/// Counts a marker as the picture that shows most of it does.
+fn count_marker(truth: &mut TargetTruth, marker: &Marker, views: &[View<'_>]) {
+    let shares: Vec<f64> = views.iter().map(|view| view.visible_share(marker)).collect();
+    let pictures = views.iter().zip(&shares);
+    let in_picture = |picture: usize| -> f64 {
+        pictures
+            .clone()
+            .filter(|(view, _)| view.eye.picture == picture)
+            .map(|(_, share)| share)
+            .sum()
+    };
+    let shown = views.iter().map(|view| in_picture(view.eye.picture)).fold(0.0, f64::max);
+    truth.markers_visible_50 += u32::from(shown >= 0.5);
+    if shown < 0.9 {
+        return;
+    }
+    truth.markers_visible_90 += 1;
+    for (view, _) in pictures.filter(|(_, share)| **share > 0.0) {
+        truth.best_side_px = truth.best_side_px.max(view.side_px(marker));
+        truth.localisable |= view.incidence_deg(marker) < LOCALISABLE_DEG;
     }
 }
 
@@ -141,30 +192,59 @@ fn may_hide(
     a.norm() < b.norm() && a.angle(&b) < angular_radius(one, &a) + angular_radius(other, &b)
 }
 
-/// Share of a square, its corners in the camera frame, that nothing hides.
-fn visible_share(
-    corners: &[Point3<f64>; 4],
-    hiding: &[(&Drone, &Placement)],
-    viewer: Viewer,
-) -> f64 {
-    let [origin, right, _, down] = corners;
-    let step = |k: u32| (f64::from(k) + 0.5) / f64::from(GRID);
-    let points = (0..GRID * GRID)
-        .map(|k| origin + (right - origin) * step(k % GRID) + (down - origin) * step(k / GRID));
-    let seen = points.filter(|point| {
-        let behind_own = viewer.own_airframe.is_some_and(|softness| {
+impl View<'_> {
+    /// Angle between the marker's normal and the way to the eye.
+    fn incidence_deg(&self, marker: &Marker) -> f64 {
+        let towards_eye = -(self.pose * marker.centre()).coords;
+        (self.pose.rotation * marker.normal()).angle(&towards_eye).to_degrees()
+    }
+
+    /// Mean side of the marker's square in the image.
+    fn side_px(&self, marker: &Marker) -> f64 {
+        let corners = marker.corners.map(|corner| (self.pose * corner).coords);
+        let sides = (0..4).map(|k| (corners[k], corners[(k + 1) % 4]));
+        match self.density {
+            // Columns are narrower off the equator; angles are not.
+            Density::Even(focal) => sides.map(|(a, b)| a.angle(&b)).sum::<f64>() / 4.0 * focal,
+            Density::Local(_) => {
+                let length = |a: &Vector3<f64>, b: &Vector3<f64>| {
+                    let [a, b] = [self.eye.project(a)?, self.eye.project(b)?];
+                    Some((a.0 - b.0).norm())
+                };
+                // A corner may lie just beyond the circle.
+                let angle = |a: &Vector3<f64>, b: &Vector3<f64>| {
+                    a.angle(b) * self.density.pixels_per_radian()
+                };
+                sides.map(|(a, b)| length(&a, &b).unwrap_or_else(|| angle(&a, &b))).sum::<f64>()
+                    / 4.0
+            }
+        }
+    }
+
+    /// Share of a marker's square that the eye has in its part of the image and nothing hides.
+    fn visible_share(&self, marker: &Marker) -> f64 {
+        if self.incidence_deg(marker) >= 90.0 {
+            return 0.0;
+        }
+        let [origin, right, _, down] = marker.corners.map(|corner| self.pose * corner);
+        let step = |k: u32| (f64::from(k) + 0.5) / f64::from(GRID);
+        let points = (0..GRID * GRID)
+            .map(|k| origin + (right - origin) * step(k % GRID) + (down - origin) * step(k / GRID));
+        points.filter(|point| self.shows(point)).count() as f64 / f64::from(GRID * GRID)
+    }
+
+    /// Whether a point, as the eye sees it, is in its part of the image and before everything.
+    fn shows(&self, point: &Point3<f64>) -> bool {
+        let behind_own = self.own_airframe.is_some_and(|softness| {
             let longitude = point.y.atan2(point.x) as f32;
             let latitude = point.z.atan2(point.x.hypot(point.y)) as f32;
             own_airframe::cover(longitude, latitude, softness) > 0.5
         });
         !behind_own
-            && !hiding.iter().any(|(drone, placement)| {
-                let markers_from_camera = placement.camera_from_markers.inverse();
-                drone.hides(
-                    &(markers_from_camera * Point3::origin()),
-                    &(markers_from_camera * point),
-                )
+            && self.eye.project(&point.coords).is_some()
+            && !self.hiding.iter().any(|(drone, eye_from_markers)| {
+                let markers_from_eye = eye_from_markers.inverse();
+                drone.hides(&(markers_from_eye * Point3::origin()), &(markers_from_eye * point))
             })
-    });
-    seen.count() as f64 / f64::from(GRID * GRID)
+    }
 }

@@ -5,14 +5,14 @@ use std::f64::consts::TAU;
 use flockeye_geometry::body::Bodies;
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 
-use crate::backdrop::Backdrop;
+use crate::density::Density;
 use crate::drawing::{Drawing, Lens};
 use crate::drone::Drone;
-use crate::own_airframe::{OwnAirframe, edge_softness};
+use crate::eyes::Eye;
 use crate::parameters::WorldParameters;
 use crate::patterns::PatternBook;
+use crate::picture::{Layer, Picture, Scene};
 use crate::sensor::Sensor;
-use crate::sphere::SphereGrid;
 use crate::trajectory::{self, Trajectory};
 use crate::truth::{self, FrameTruth, Viewer};
 
@@ -138,11 +138,25 @@ impl Placement {
         self.camera_from_markers.translation.vector
     }
 
+    /// The same as an eye sees it, from its own place and along the camera's axes.
+    pub fn seen_from(&self, eye: &Eye) -> Self {
+        Self { camera_from_markers: eye.sees(&self.camera_from_markers), ..*self }
+    }
+
     /// How fast the centre moves across the sphere, radians per second.
     pub fn angular_speed(&self) -> f64 {
         let at = self.position();
         at.cross(&self.velocity_in_camera).norm() / at.norm_squared()
     }
+}
+
+/// A body in the part of the image that one eye takes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sight {
+    /// Where the eye sees it.
+    pub placement: Placement,
+    /// How many pixels the image has there.
+    pub density: Density,
 }
 
 /// Everything that moves, at one instant.
@@ -162,14 +176,11 @@ pub struct World {
     parameters: WorldParameters,
     drones: Vec<Drone>,
     trajectories: Vec<Trajectory>,
-    grid: SphereGrid,
     sensor: Sensor,
-    backdrop: Backdrop,
-    own_airframe: Option<OwnAirframe>,
-    /// Kept from frame to frame for their memory alone.
+    eyes: Vec<Eye>,
+    picture: Picture,
+    /// For each body one for each eye: kept from frame to frame for their memory alone.
     drawings: Vec<Drawing>,
-    levels: Vec<u8>,
-    sigmas: Vec<u8>,
 }
 
 impl World {
@@ -213,28 +224,24 @@ impl World {
         if !problems.is_empty() {
             return Err(WorldError::Parameters(problems));
         }
+        let eyes = Eye::all(&parameters.camera);
         let near = parameters.distance_m[0];
-        if let Some(drone) = drones.iter().find(|drone| near < least_distance(drone)) {
-            let least = least_distance(drone);
+        let aside = eyes.iter().map(|eye| eye.position_m.norm()).fold(0.0, f64::max);
+        if let Some(drone) = drones.iter().find(|drone| near < least_distance(drone) + aside) {
+            let least = least_distance(drone) + aside;
             return Err(WorldError::TooNear { body: drone.name.clone(), near, least });
         }
         let radii: Vec<f64> = drones.iter().map(|drone| drone.radius).collect();
         let trajectories = trajectory::draw(&parameters, &radii)?;
-        let grid = SphereGrid::new(parameters.width as usize, parameters.height as usize);
         let sensor = Sensor::new(&parameters);
         Ok(Self {
-            backdrop: Backdrop::new(&parameters, &grid, &sensor),
-            own_airframe: parameters
-                .airframes
-                .then(|| OwnAirframe::new(&grid, parameters.lens_blur_px, &sensor)),
-            drawings: drones.iter().map(|_| Drawing::default()).collect(),
-            levels: vec![0; grid.width],
-            sigmas: vec![0; grid.width],
+            picture: Picture::new(&parameters, &eyes, &sensor),
+            drawings: drones.iter().flat_map(|_| &eyes).map(|_| Drawing::default()).collect(),
             parameters,
             drones,
             trajectories,
-            grid,
             sensor,
+            eyes,
         })
     }
 
@@ -264,7 +271,7 @@ impl World {
         Moment { time_s, observer_yaw, placements: self.trajectories.iter().map(place).collect() }
     }
 
-    /// Writes the luma plane of a frame (8 bit, sRGB curve, full range) and says what is true of
+    /// Writes the luma plane of a frame (8 bit, the parameters' curve, full range) and says what is true of
     /// it. Rows lie `stride` bytes apart; what lies between them is left alone, and every pixel is
     /// written once.
     ///
@@ -294,79 +301,68 @@ impl World {
         self.check(moment, luma.len(), stride)?;
         let world_from_camera =
             UnitQuaternion::from_axis_angle(&Vector3::z_axis(), moment.observer_yaw);
+        let sights = self.sights(moment);
         let lens = self.lens();
-        let scene = self.drones.iter().zip(&moment.placements);
-        for (drawing, (drone, placement)) in self.drawings.iter_mut().zip(scene) {
-            drawing.draw(drone, placement, &world_from_camera, lens);
+        let bodies = self.drones.iter().zip(&sights);
+        let mut layers = Vec::new();
+        for (drawings, (drone, sights)) in self.drawings.chunks_mut(self.eyes.len()).zip(bodies) {
+            for (eye, (drawing, sight)) in drawings.iter_mut().zip(sights).enumerate() {
+                let Some(Sight { placement, density }) = sight else { continue };
+                drawing.draw(drone, placement, &world_from_camera, density, lens);
+                layers.push((placement.position().norm(), Layer { eye, drawing }));
+            }
         }
-        self.expose(frame, moment, luma, stride);
-        let viewer = Viewer {
-            pixels_per_radian: self.parameters.pixels_per_radian(),
-            exposure_s: self.parameters.exposure_s,
-            own_airframe: self
-                .own_airframe
-                .as_ref()
-                .map(|_| edge_softness(self.parameters.lens_blur_px, self.grid.width)),
-        };
+        // Farthest first: what is nearer hides it.
+        layers.sort_by(|(a, _), (b, _)| b.total_cmp(a));
+        let layers: Vec<Layer<'_>> = layers.into_iter().map(|(_, layer)| layer).collect();
+        let scene = Scene { frame, observer_yaw: moment.observer_yaw, layers: &layers };
+        self.picture.expose(scene, &self.sensor, luma, stride);
         Ok(FrameTruth {
             frame,
             time_s: moment.time_s,
             exposure_s: self.parameters.exposure_s,
             iso: self.parameters.iso,
             observer_yaw: moment.observer_yaw,
-            bodies: truth::targets(&self.drones, moment, viewer),
+            bodies: truth::targets(
+                &self.drones,
+                moment,
+                &sights,
+                &Viewer { eyes: &self.eyes, parameters: &self.parameters },
+            ),
         })
     }
 
-    /// Lays the layers over each other, row by row, and adds the noise.
-    fn expose(&mut self, frame: u64, moment: &Moment, luma: &mut [u8], stride: usize) {
-        let width = self.grid.width;
-        let turned = (moment.observer_yaw / TAU * width as f64).round() as i64;
-        let shift = turned.rem_euclid(width as i64) as usize;
-        // Farthest first: what is nearer hides it.
-        let mut order: Vec<usize> = (0..self.drawings.len()).collect();
-        let distance = |index: &usize| moment.placements[*index].position().norm();
-        order.sort_by(|a, b| distance(b).total_cmp(&distance(a)));
-        let layers: Vec<_> = order
-            .into_iter()
-            .map(|index| (&self.drawings[index], self.drawings[index].rows(&self.grid)))
-            .collect();
-        for (row, out) in luma.chunks_mut(stride).take(self.grid.height).enumerate() {
-            let out = &mut out[..width];
-            let [left, right] = self.backdrop.row(row, shift);
-            let own_airframe = self.own_airframe.as_ref().filter(|own| own.touches(row));
-            if own_airframe.is_none() && layers.iter().all(|(_, rows)| !rows.contains(&row)) {
-                let (out_left, out_right) = out.split_at_mut(shift);
-                self.sensor.expose(frame, row, 0, left.0, left.1, out_left);
-                self.sensor.expose(frame, row, shift, right.0, right.1, out_right);
-                continue;
-            }
-            let (levels, sigmas) = (&mut self.levels[..], &mut self.sigmas[..]);
-            levels[..shift].copy_from_slice(left.0);
-            levels[shift..].copy_from_slice(right.0);
-            sigmas[..shift].copy_from_slice(left.1);
-            sigmas[shift..].copy_from_slice(right.1);
-            for (drawing, _) in layers.iter().filter(|(_, rows)| rows.contains(&row)) {
-                drawing.draw_row(row, &self.grid, &self.sensor, levels, sigmas);
-            }
-            if let Some(own_airframe) = own_airframe {
-                own_airframe.draw_row(row, &self.sensor, levels, sigmas);
-            }
-            self.sensor.expose(frame, row, 0, levels, sigmas, out);
-        }
+    /// What each eye sees of each body.
+    fn sights(&self, moment: &Moment) -> Vec<Vec<Option<Sight>>> {
+        let sight = |drone: &Drone, placement: &Placement, index: usize, eye: &Eye| {
+            let placement = placement.seen_from(eye);
+            let density =
+                self.picture.density_at(index, &placement, drone.radius, &self.parameters)?;
+            Some(Sight { placement, density })
+        };
+        let pairs = self.drones.iter().zip(&moment.placements);
+        pairs
+            .map(|(drone, placement)| {
+                let eyes = self.eyes.iter().enumerate();
+                eyes.map(|(index, eye)| sight(drone, placement, index, eye)).collect()
+            })
+            .collect()
     }
 
     fn lens(&self) -> Lens {
         let density = self.parameters.quality.density();
+        let camera = &self.parameters.camera;
         Lens {
-            focal: density * self.parameters.pixels_per_radian(),
+            density,
             blur: density * self.parameters.lens_blur_px,
             exposure_s: self.parameters.exposure_s,
+            widest: density * f64::from(camera.width().max(camera.height())),
         }
     }
 
     fn check(&self, moment: &Moment, given: usize, stride: usize) -> Result<(), RenderError> {
-        let SphereGrid { width, height, .. } = self.grid;
+        let camera = &self.parameters.camera;
+        let [width, height] = [camera.width(), camera.height()].map(|side| side as usize);
         if stride < width {
             return Err(RenderError::Stride { stride, width });
         }
@@ -379,7 +375,9 @@ impl World {
             return Err(RenderError::Placements { placed, bodies });
         }
         for (drone, placement) in self.drones.iter().zip(&moment.placements) {
-            let (distance, least) = (placement.position().norm(), least_distance(drone));
+            let least = least_distance(drone);
+            let distances = self.eyes.iter().map(|eye| placement.seen_from(eye).position().norm());
+            let distance = distances.reduce(f64::min).unwrap_or(f64::NAN);
             if !(distance >= least && distance.is_finite()) {
                 return Err(RenderError::TooNear { body: drone.name.clone(), distance, least });
             }

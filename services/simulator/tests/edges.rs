@@ -4,7 +4,7 @@
 
 use flockeye_geometry::Ray;
 use flockeye_geometry::body::{Bodies, Body, Marker, squares};
-use flockeye_geometry::camera::Equirectangular;
+use flockeye_geometry::camera::{Camera, Equirectangular};
 use flockeye_simulator::{Moment, PatternBook, Placement, Quality, World, WorldParameters};
 use nalgebra::{Isometry3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 
@@ -18,8 +18,7 @@ fn body() -> Body {
 
 fn quiet_world(quality: Quality) -> World {
     let parameters = WorldParameters {
-        width: CAMERA.width,
-        height: CAMERA.height,
+        camera: Camera::equirectangular(CAMERA.width, CAMERA.height),
         iso: 0,
         observer_yaw_rate_deg_s: 0.0,
         airframes: false,

@@ -5,7 +5,7 @@
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use flockeye_geometry::body::{Bodies, Body, squares};
-use flockeye_geometry::camera::Equirectangular;
+use flockeye_geometry::camera::{Camera, Equirectangular};
 use flockeye_simulator::{
     FrameTruth, Moment, PatternBook, Placement, RenderError, World, WorldError, WorldParameters,
 };
@@ -19,8 +19,8 @@ fn body(index: u32) -> Body {
 }
 
 fn world_with(count: u32, change: impl FnOnce(&mut WorldParameters)) -> Result<World, WorldError> {
-    let mut parameters =
-        WorldParameters { width: WIDTH as u32, height: HEIGHT as u32, ..Default::default() };
+    let camera = Camera::equirectangular(WIDTH as u32, HEIGHT as u32);
+    let mut parameters = WorldParameters { camera, ..Default::default() };
     change(&mut parameters);
     let bodies = Bodies::new("DICT_5X5_250".into(), (0..count).map(body).collect()).unwrap();
     World::new(parameters, &bodies, &PatternBook::dict_5x5_250())
@@ -177,7 +177,8 @@ fn a_body_whose_markers_face_away_counts_none() {
     let mut plate = body(0);
     plate.markers.retain(|marker| marker.id == 5);
     let bodies = Bodies::new("DICT_5X5_250".into(), vec![plate]).unwrap();
-    let parameters = WorldParameters { width: 1024, height: 512, ..Default::default() };
+    let camera = Camera::equirectangular(1024, 512);
+    let parameters = WorldParameters { camera, ..Default::default() };
     let mut world = World::new(parameters, &bodies, &PatternBook::dict_5x5_250()).unwrap();
     // The belt's first marker looks along the body's +x.
     let (_, away) = render_poses(&mut world, 0.0, &[at(1.0, 0.0, 0.0)]);
@@ -216,7 +217,7 @@ fn worlds_that_cannot_be_are_refused_with_reasons() {
         world_with(count, change).unwrap_err().to_string()
     };
     assert!(why(1, |p| p.frames_per_second = 0.0).contains("frames_per_second 0"));
-    assert!(why(1, |p| p.height = 500).contains("twice the height"));
+    assert!(why(1, |p| p.camera = Camera::equirectangular(20_000, 500)).contains("20000x500"));
     assert!(why(1, |p| p.distance_m = [0.1, 2.0]).contains("raise distance_m"));
     assert!(why(3, |p| p.distance_m = [0.3, 0.31]).contains("3 bodies cannot keep apart"));
     let bodies = Bodies::new("DICT_4X4_50".into(), vec![body(0)]).unwrap();

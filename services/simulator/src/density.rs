@@ -1,0 +1,114 @@
+//! How many pixels an image has for a direction's surroundings.
+
+use nalgebra::{Matrix2x3, Rotation3, Vector3};
+
+use crate::world::Placement;
+
+/// Pixels for small changes of direction, round one direction.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Density {
+    /// Alike whichever way the direction changes: pixels for each radian.
+    Even(f64),
+    /// Columns and rows for a small change of a unit vector in the camera frame.
+    Local(Matrix2x3<f64>),
+}
+
+/// An upper triangle: pixels along and across the first of two perpendicular small turns. What
+/// lies (x, y) radians off the middle lies (x `along` + y `shear`, y `across`) off it in an image
+/// that is turned so that the first axis is its row.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Stretch {
+    /// Pixels for each radian along the first axis.
+    pub along: f64,
+    /// Pixels along the row for each radian along the second axis.
+    pub shear: f64,
+    /// Pixels across the row for each radian along the second axis.
+    pub across: f64,
+}
+
+impl Density {
+    /// The stretch of two perpendicular unit vectors that are tangents where it was measured.
+    pub fn stretch(&self, axes: [Vector3<f64>; 2]) -> Stretch {
+        match self {
+            &Self::Even(focal) => Stretch { along: focal, shear: 0.0, across: focal },
+            Self::Local(pixels) => {
+                let [first, second] = axes.map(|axis| pixels * axis);
+                let along = first.norm();
+                Stretch {
+                    along,
+                    shear: first.dot(&second) / along,
+                    // An image that is turned over blurs alike.
+                    across: first.perp(&second).abs() / along,
+                }
+            }
+        }
+    }
+
+    /// The density for changes round `direction`, if it is alike to what was measured round
+    /// `measured` once that is turned there.
+    pub fn moved(&self, direction: &Vector3<f64>, measured: &Vector3<f64>) -> Self {
+        match self {
+            Self::Even(focal) => Self::Even(*focal),
+            Self::Local(pixels) => {
+                let turn = Rotation3::rotation_between(direction, measured);
+                Self::Local(pixels * turn.unwrap_or_else(Rotation3::identity))
+            }
+        }
+    }
+
+    /// Length of a body's motion while the shutter is open, pixels.
+    pub fn motion_px(&self, placement: &Placement, exposure_s: f64) -> f64 {
+        match self {
+            Self::Even(focal) => placement.angular_speed() * exposure_s * focal,
+            Self::Local(pixels) => {
+                let at = placement.position();
+                let velocity = placement.velocity_in_camera;
+                let sideways = velocity - at * (at.dot(&velocity) / at.norm_squared());
+                (pixels * sideways).norm() / at.norm() * exposure_s
+            }
+        }
+    }
+
+    /// Pixels for each radian, as the root of the pixels for each steradian.
+    pub fn pixels_per_radian(&self) -> f64 {
+        match self {
+            Self::Even(focal) => *focal,
+            Self::Local(pixels) => {
+                let [columns, rows] = [0, 1].map(|row| pixels.row(row).transpose());
+                columns.cross(&rows).norm().sqrt()
+            }
+        }
+    }
+}
+
+impl Stretch {
+    /// The same, `scale` times as fine.
+    pub fn scaled(&self, scale: f64) -> Self {
+        Self { along: self.along * scale, shear: self.shear * scale, across: self.across * scale }
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, clippy::expect_used)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lengths_and_areas_are_kept_by_any_axes() {
+        // Tangents at +z.
+        let pixels = Matrix2x3::new(300.0, 40.0, 0.0, -20.0, -500.0, 0.0);
+        let density = Density::Local(pixels);
+        let area = 300.0 * 500.0 - 40.0 * 20.0;
+        assert!((density.pixels_per_radian().powi(2) - area).abs() < 1e-6);
+        for turn in [0.0, 0.4, 1.9, -2.6] {
+            let rotation = Rotation3::from_axis_angle(&Vector3::z_axis(), turn);
+            let axes = [rotation * Vector3::x(), rotation * Vector3::y()];
+            let Stretch { along, shear, across } = density.stretch(axes);
+            assert!((along * across - area).abs() < 1e-6);
+            for (x, y) in [(0.3, 0.1), (-0.2, 0.5)] {
+                let length = (pixels * (axes[0] * x + axes[1] * y)).norm();
+                assert!(((x * along + y * shear).hypot(y * across) - length).abs() < 1e-9);
+            }
+        }
+    }
+}

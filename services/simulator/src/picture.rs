@@ -1,0 +1,94 @@
+//! How the layers of a frame become its pixels: on the sphere image row by row, on any other image
+//! tile by tile.
+
+use std::f64::consts::{FRAC_PI_2, TAU};
+
+use flockeye_geometry::camera::CameraModel;
+
+use crate::density::Density;
+use crate::drawing::Drawing;
+use crate::eyes::Eye;
+use crate::own_airframe::edge_softness;
+use crate::parameters::WorldParameters;
+use crate::sensor::Sensor;
+use crate::sphere_picture::SpherePicture;
+use crate::tiled_picture::TiledPicture;
+use crate::world::Placement;
+
+/// One drawing over the others, from the eye of this index.
+#[derive(Debug, Clone, Copy)]
+pub struct Layer<'a> {
+    /// Which eye sees it.
+    pub eye: usize,
+    /// What is seen.
+    pub drawing: &'a Drawing,
+}
+
+/// Everything that a frame is made from.
+#[derive(Debug, Clone, Copy)]
+pub struct Scene<'a> {
+    /// Chooses the noise.
+    pub frame: u64,
+    /// The observer's yaw in the world, radians.
+    pub observer_yaw: f64,
+    /// The bodies, farthest first.
+    pub layers: &'a [Layer<'a>],
+}
+
+/// The image of a camera, with what is the same in all its frames.
+#[derive(Debug)]
+pub enum Picture {
+    /// Equirectangular and twice as wide as high: rows are turned and copied.
+    Sphere(SpherePicture),
+    /// Of any camera: pixels are looked up.
+    Tiled(TiledPicture),
+}
+
+impl Picture {
+    /// The image of the world's camera, seen by its `eyes`.
+    pub fn new(parameters: &WorldParameters, eyes: &[Eye], sensor: &Sensor) -> Self {
+        let camera = &parameters.camera;
+        let is_sphere = matches!(camera.model(), CameraModel::Equirectangular { .. })
+            && camera.width() == 2 * camera.height();
+        if is_sphere {
+            Self::Sphere(SpherePicture::new(parameters, eyes, sensor))
+        } else {
+            Self::Tiled(TiledPicture::new(parameters, eyes, sensor))
+        }
+    }
+
+    /// Writes the levels of a frame, rows `stride` bytes apart.
+    pub fn expose(&mut self, scene: Scene<'_>, sensor: &Sensor, luma: &mut [u8], stride: usize) {
+        match self {
+            Self::Sphere(picture) => picture.expose(scene, sensor, luma, stride),
+            Self::Tiled(picture) => picture.expose(scene, sensor, luma, stride),
+        }
+    }
+
+    /// The image's density where the eye of this index sees a body of `radius` metres; `None` if
+    /// nothing of it, nor of its blur, is in that eye's part of the image.
+    pub fn density_at(
+        &self,
+        eye: usize,
+        seen: &Placement,
+        radius: f64,
+        parameters: &WorldParameters,
+    ) -> Option<Density> {
+        let at = seen.position();
+        let direction = at.normalize();
+        let (density, apart) = match self {
+            Self::Sphere(picture) => picture.nearest(eye, &direction),
+            Self::Tiled(picture) => picture.nearest(eye, &direction)?,
+        };
+        // As a drawing's margins are counted: twice the reach of its blur.
+        let blur = 8.0 * parameters.lens_blur_px / density.pixels_per_radian();
+        let motion = seen.angular_speed() * parameters.exposure_s;
+        let reach = (radius / at.norm()).min(1.0).asin() + blur + motion;
+        (apart <= reach.min(FRAC_PI_2)).then_some(density)
+    }
+
+    /// Width of the own airframe's soft edges where the image has `density`, radians.
+    pub fn softness(parameters: &WorldParameters, density: &Density) -> f32 {
+        edge_softness(parameters.lens_blur_px, density.pixels_per_radian() * TAU)
+    }
+}

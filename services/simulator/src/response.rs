@@ -1,0 +1,110 @@
+//! The curve between light and code values, either way.
+
+use flockeye_imaging::light::TransferCurve;
+
+/// How a camera encodes light.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[expect(clippy::large_enum_variant, reason = "a world has one, and it is copied seldom")]
+pub enum Response {
+    /// By a curve with a name.
+    Curve(TransferCurve),
+    /// As measured: the light of each code, rising to 1.
+    Table([f32; 256]),
+}
+
+impl Response {
+    /// Linear light, as a share of full scale, that `level` stands for. The sRGB curve is that of
+    /// IEC 61966-2-1.
+    pub fn light(&self, level: u8) -> f32 {
+        let encoded = f32::from(level) / 255.0;
+        match self {
+            Self::Curve(TransferCurve::Srgb) if encoded <= 0.040_45 => encoded / 12.92,
+            Self::Curve(TransferCurve::Srgb) => ((encoded + 0.055) / 1.055).powf(2.4),
+            Self::Curve(TransferCurve::Gamma(gamma)) => encoded.powf(*gamma),
+            Self::Curve(TransferCurve::Linear) => encoded,
+            Self::Table(table) => table[usize::from(level)],
+        }
+    }
+
+    /// Value from 0 to 1 that stands for linear light from 0 to 1, before it is rounded to a level.
+    pub fn encoded(&self, light: f32) -> f32 {
+        match self {
+            Self::Curve(TransferCurve::Srgb) if light <= 0.003_130_8 => light * 12.92,
+            Self::Curve(TransferCurve::Srgb) => 1.055 * light.powf(1.0 / 2.4) - 0.055,
+            Self::Curve(TransferCurve::Gamma(gamma)) => light.powf(1.0 / gamma),
+            Self::Curve(TransferCurve::Linear) => light,
+            Self::Table(table) => {
+                // The first code that stands for more; between the two, on a line.
+                let above = table.partition_point(|&entry| entry <= light);
+                let Some(below) = above.checked_sub(1) else { return 0.0 };
+                let Some(&more) = table.get(above) else { return 1.0 };
+                let share = (light - table[below]) / (more - table[below]);
+                (below as f32 + share) / 255.0
+            }
+        }
+    }
+
+    /// What is wrong with it, in words.
+    pub fn problem(&self) -> Option<String> {
+        match self {
+            Self::Curve(TransferCurve::Gamma(gamma)) if !(0.1..=10.0).contains(gamma) => {
+                Some(format!("a gamma of {gamma}: must be 0.1 to 10"))
+            }
+            Self::Curve(_) => None,
+            Self::Table(table) => {
+                // NaN rises nowhere.
+                let rises = table.windows(2).all(|pair| pair[0] < pair[1]);
+                let is_light = table[0] >= 0.0 && table[255] <= 1.0;
+                (!(rises && is_light))
+                    .then(|| "a response table: light must rise from code to code, 0 to 1".into())
+            }
+        }
+    }
+}
+
+impl Default for Response {
+    fn default() -> Self {
+        Self::Curve(TransferCurve::Srgb)
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, clippy::expect_used)]
+mod tests {
+    use flockeye_imaging::light::{CodeRange, LinearLight};
+
+    use super::*;
+
+    #[test]
+    fn every_curve_is_what_imaging_undoes() {
+        for curve in [TransferCurve::Srgb, TransferCurve::Gamma(2.2), TransferCurve::Linear] {
+            let undone = LinearLight::new(curve, CodeRange::Full).unwrap();
+            for response in [Response::Curve(curve), Response::Table(*undone.table())] {
+                for level in 0..=255 {
+                    let light = undone.of(level);
+                    assert!((response.light(level) - light).abs() < 1e-6, "{response:?}");
+                    let code = response.encoded(light) * 255.0;
+                    assert!((code - f32::from(level)).abs() < 1e-3, "{response:?} {code}");
+                }
+            }
+        }
+        // A value of the standard: half of full scale is 0.735 encoded.
+        assert!((Response::default().encoded(0.5) - 0.735_36).abs() < 1e-5);
+    }
+
+    #[test]
+    fn a_table_goes_on_straight_between_codes_and_ends_at_its_ends() {
+        let table = std::array::from_fn(|code| 0.01 + code as f32 / 300.0);
+        let response = Response::Table(table);
+        assert_eq!(response.problem(), None);
+        assert!((response.encoded((table[7] + table[8]) / 2.0) * 255.0 - 7.5).abs() < 1e-3);
+        assert_eq!((response.encoded(0.0), response.encoded(1.0)), (0.0, 1.0));
+    }
+
+    #[test]
+    fn what_does_not_rise_is_no_response() {
+        assert!(Response::Table([0.5; 256]).problem().is_some());
+        assert!(Response::Table([f32::NAN; 256]).problem().is_some());
+        assert!(Response::Curve(TransferCurve::Gamma(f32::NAN)).problem().is_some());
+    }
+}

@@ -1,0 +1,114 @@
+//! The equirectangular image, row by row: the backdrop is turned by whole columns, and most rows
+//! hold nothing else.
+
+use std::f64::consts::TAU;
+use std::ops::Range;
+
+use flockeye_geometry::camera::SpherePixel;
+use nalgebra::Vector3;
+
+use crate::backdrop::Backdrop;
+use crate::density::Density;
+use crate::eyes::Eye;
+use crate::own_airframe::OwnAirframe;
+use crate::parameters::WorldParameters;
+use crate::picture::Scene;
+use crate::sensor::Sensor;
+use crate::sphere::SphereGrid;
+
+/// The grid and all that lies still on it.
+#[derive(Debug)]
+pub struct SpherePicture {
+    grid: SphereGrid,
+    backdrop: Backdrop,
+    own_airframe: Option<OwnAirframe>,
+    parts: Vec<SpherePart>,
+    /// A row's levels and sigmas: kept from frame to frame for their memory alone.
+    levels: Vec<u8>,
+    sigmas: Vec<u8>,
+}
+
+/// What one eye takes of the image.
+#[derive(Debug)]
+struct SpherePart {
+    columns: Vec<Range<usize>>,
+    /// Where its half of the sphere begins, if it is half: beyond the plane through the camera
+    /// with this normal.
+    normal: Option<Vector3<f64>>,
+}
+
+impl SpherePart {
+    fn new(eye: &Eye, grid: &SphereGrid) -> Self {
+        let row = grid.height as f64 / 2.0;
+        let is_seen = |column: usize| eye.ray(SpherePixel::new(column as f64, row)).is_some();
+        let mut columns: Vec<Range<usize>> = Vec::new();
+        for column in (0..grid.width).filter(|&column| is_seen(column)) {
+            match columns.last_mut() {
+                Some(run) if run.end == column => run.end += 1,
+                _ => columns.push(column..column + 1),
+            }
+        }
+        // The lens sits on the axis that it looks along.
+        Self { columns, normal: eye.position_m.try_normalize(0.0) }
+    }
+}
+
+impl SpherePicture {
+    /// The image of the world's camera, which is twice as wide as high.
+    pub fn new(parameters: &WorldParameters, eyes: &[Eye], sensor: &Sensor) -> Self {
+        let camera = &parameters.camera;
+        let grid = SphereGrid::new(camera.width() as usize, camera.height() as usize);
+        Self {
+            backdrop: Backdrop::new(parameters, &grid, sensor),
+            own_airframe: parameters
+                .airframes
+                .then(|| OwnAirframe::new(&grid, parameters.lens_blur_px, sensor)),
+            parts: eyes.iter().map(|eye| SpherePart::new(eye, &grid)).collect(),
+            levels: vec![0; grid.width],
+            sigmas: vec![0; grid.width],
+            grid,
+        }
+    }
+
+    /// The density, the same everywhere, and how far `direction` lies outside of what the eye
+    /// takes, radians.
+    pub fn nearest(&self, eye: usize, direction: &Vector3<f64>) -> (Density, f64) {
+        let apart = self.parts[eye]
+            .normal
+            .map_or(0.0, |normal| (-normal.dot(direction)).clamp(0.0, 1.0).asin());
+        (Density::Even(self.grid.width as f64 / TAU), apart)
+    }
+
+    /// Lays the layers over each other, row by row, and adds the noise.
+    pub fn expose(&mut self, scene: Scene<'_>, sensor: &Sensor, luma: &mut [u8], stride: usize) {
+        let width = self.grid.width;
+        let turned = (scene.observer_yaw / TAU * width as f64).round() as i64;
+        let shift = turned.rem_euclid(width as i64) as usize;
+        let layers: Vec<_> =
+            scene.layers.iter().map(|layer| (layer, layer.drawing.rows(&self.grid))).collect();
+        for (row, out) in luma.chunks_mut(stride).take(self.grid.height).enumerate() {
+            let out = &mut out[..width];
+            let [left, right] = self.backdrop.row(row, shift);
+            let own_airframe = self.own_airframe.as_ref().filter(|own| own.touches(row));
+            if own_airframe.is_none() && layers.iter().all(|(_, rows)| !rows.contains(&row)) {
+                let (out_left, out_right) = out.split_at_mut(shift);
+                sensor.expose(scene.frame, row, 0, left.0, left.1, out_left);
+                sensor.expose(scene.frame, row, shift, right.0, right.1, out_right);
+                continue;
+            }
+            let (levels, sigmas) = (&mut self.levels[..], &mut self.sigmas[..]);
+            levels[..shift].copy_from_slice(left.0);
+            levels[shift..].copy_from_slice(right.0);
+            sigmas[..shift].copy_from_slice(left.1);
+            sigmas[shift..].copy_from_slice(right.1);
+            for (layer, _) in layers.iter().filter(|(_, rows)| rows.contains(&row)) {
+                let columns = &self.parts[layer.eye].columns;
+                layer.drawing.draw_row(row, columns, &self.grid, sensor, levels, sigmas);
+            }
+            if let Some(own_airframe) = own_airframe {
+                own_airframe.draw_row(row, sensor, levels, sigmas);
+            }
+            sensor.expose(scene.frame, row, 0, levels, sigmas, out);
+        }
+    }
+}

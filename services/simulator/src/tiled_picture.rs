@@ -1,0 +1,122 @@
+//! The image of any camera, tile by tile: what each pixel sees is worked out once.
+
+use nalgebra::Vector3;
+
+use crate::density::Density;
+use crate::eyes::Eye;
+use crate::own_airframe;
+use crate::panorama::{Outlook, Panoramas};
+use crate::parameters::WorldParameters;
+use crate::picture::{Picture, Scene};
+use crate::sensor::Sensor;
+use crate::tiles::{TILE, Tile, bands};
+
+/// Pixels of a tile that the own airframe covers: their index, row by row, and how much.
+type Covered = Vec<(u8, f32)>;
+
+/// The tiles and all that lies still behind and over them.
+#[derive(Debug)]
+pub struct TiledPicture {
+    width: usize,
+    height: usize,
+    bands: Vec<Vec<Tile>>,
+    panoramas: Panoramas,
+    outlooks: Vec<Vec<Outlook>>,
+    own_airframe: Vec<Vec<Covered>>,
+    /// Level and sigma of what no eye sees.
+    black: [u8; 2],
+    /// A band's levels and sigmas, in whole tiles.
+    levels: Vec<u8>,
+    sigmas: Vec<u8>,
+}
+
+impl TiledPicture {
+    /// The image of the world's camera.
+    pub fn new(parameters: &WorldParameters, eyes: &[Eye], sensor: &Sensor) -> Self {
+        let (width, height) = (parameters.camera.width(), parameters.camera.height());
+        let bands = bands(&parameters.camera, eyes);
+        let (panoramas, outlooks) = Panoramas::new(parameters, &bands, sensor);
+        let covered = |tile: &Tile| {
+            if parameters.airframes { covered(tile, parameters) } else { Vec::new() }
+        };
+        let room = (width as usize).next_multiple_of(TILE) * TILE;
+        Self {
+            width: width as usize,
+            height: height as usize,
+            own_airframe: bands.iter().map(|band| band.iter().map(covered).collect()).collect(),
+            bands,
+            panoramas,
+            outlooks,
+            black: [sensor.level(0.0), sensor.sigma_of_light(0.0)],
+            levels: vec![0; room],
+            sigmas: vec![0; room],
+        }
+    }
+
+    /// The density in the eye's tile that is nearest to `direction`, and how far outside of that
+    /// tile it lies, radians; `None` if the eye has no tile.
+    pub fn nearest(&self, eye: usize, direction: &Vector3<f64>) -> Option<(Density, f64)> {
+        let tiles = self.bands.iter().flatten().filter(|tile| tile.eye == eye);
+        let nearness = |tile: &Tile| tile.axis.dot(direction);
+        let tile = tiles.max_by(|a, b| nearness(a).total_cmp(&nearness(b)))?;
+        Some((
+            tile.density.moved(direction, &tile.axis),
+            (tile.axis.angle(direction) - tile.radius).max(0.0),
+        ))
+    }
+
+    /// Lays the layers over each other, band by band, and adds the noise.
+    pub fn expose(&mut self, scene: Scene<'_>, sensor: &Sensor, luma: &mut [u8], stride: usize) {
+        let row_length = self.levels.len() / TILE;
+        let mut rows = luma.chunks_mut(stride).take(self.height).enumerate();
+        let still = self.outlooks.iter().zip(&self.own_airframe);
+        for (band, (outlooks, own_airframe)) in self.bands.iter().zip(still) {
+            self.levels.fill(self.black[0]);
+            self.sigmas.fill(self.black[1]);
+            for ((tile, outlook), covered) in band.iter().zip(outlooks).zip(own_airframe) {
+                let near: Vec<_> = scene
+                    .layers
+                    .iter()
+                    .filter(|layer| layer.eye == tile.eye)
+                    .filter(|layer| layer.drawing.touches(&tile.axis, tile.radius))
+                    .collect();
+                for row in 0..TILE {
+                    let at = row * row_length + tile.column;
+                    let levels = &mut self.levels[at..at + TILE];
+                    let sigmas = &mut self.sigmas[at..at + TILE];
+                    self.panoramas.fill(tile, outlook, row, scene.observer_yaw, levels, sigmas);
+                    for layer in &near {
+                        layer.drawing.draw_rays(&tile.rays[row], sensor, levels, sigmas);
+                    }
+                }
+                for &(index, cover) in covered {
+                    let (row, column) = (usize::from(index) / TILE, usize::from(index) % TILE);
+                    let at = row * row_length + tile.column + column;
+                    own_airframe::blend(cover, sensor, &mut self.levels[at], &mut self.sigmas[at]);
+                }
+            }
+            let written =
+                self.levels.chunks_exact(row_length).zip(self.sigmas.chunks_exact(row_length));
+            for ((levels, sigmas), (row, out)) in written.zip(&mut rows) {
+                let [levels, sigmas] = [levels, sigmas].map(|values| &values[..self.width]);
+                sensor.expose(scene.frame, row, 0, levels, sigmas, &mut out[..self.width]);
+            }
+        }
+    }
+}
+
+/// What the own airframe covers of a tile.
+fn covered(tile: &Tile, parameters: &WorldParameters) -> Covered {
+    let softness = Picture::softness(parameters, &tile.density);
+    let mut covered = Vec::new();
+    for row in 0..TILE {
+        for column in tile.seen_in(row) {
+            let [x, y, z] = [0, 1, 2].map(|axis| tile.rays[row][axis][column]);
+            let cover = own_airframe::cover(y.atan2(x), z.atan2(x.hypot(y)), softness);
+            if cover > 0.0 {
+                covered.push(((row * TILE + column) as u8, cover));
+            }
+        }
+    }
+    covered
+}
