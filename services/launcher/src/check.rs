@@ -42,7 +42,22 @@ fn plan(
     writeln!(text, "instance '{}' in {}", pipeline.instance.0, instance.folder().display())?;
     writeln!(text, "flow     {flow}")?;
     writeln!(text, "source   {} (stage {})", pipeline.source.input, pipeline.source_stage())?;
-    writeln!(text, "camera   {}x{}", pipeline.camera.width, pipeline.camera.height)?;
+    let camera = &pipeline.camera;
+    let projection = format!("{:?}", camera.projection);
+    writeln!(text, "camera   {}x{}, {projection}", camera.width, camera.height)?;
+    let mask = pipeline.mask()?;
+    let views = pipeline.partition_views(bodies.largest_side())?;
+    let hidden = views.iter().filter(|view| mask.hides_view(view)).count();
+    if let Some(path) = &camera.mask {
+        writeln!(text, "mask     {}", path.display())?;
+    }
+    if hidden > 0 {
+        writeln!(
+            text,
+            "         the camera sees nothing of {hidden} of {} partitions",
+            views.len()
+        )?;
+    }
     writeln!(
         text,
         "observer '{}' in swarm '{}'{}",

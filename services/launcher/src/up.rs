@@ -50,6 +50,8 @@ pub fn run(arguments: &Up) -> anyhow::Result<()> {
     set_log_level(LogLevel::Fatal);
     let pipeline = arguments.configuration.load()?;
     let bodies = pipeline.bodies()?;
+    // Read by the stages that need it; here only so that a wrong one is said once, and first.
+    pipeline.mask()?;
     let budget = Budget::of(&pipeline, pipeline.largest_view_px(bodies.largest_side())?);
     let instance = Instance::named(&pipeline.instance.0);
     let ownership = instance.take()?;

@@ -1,0 +1,123 @@
+//! Every camera flies: from its configuration to poses that meet the truth.
+
+use std::fmt::Write;
+
+use flockeye_tests::{Flight, Scratch, run};
+use serde_json::Value;
+
+/// Two equidistant lenses, 16 mm apart.
+const DUAL_FISHEYE: &str = "\
+camera:
+  width: 2048
+  height: 1024
+  projection: dual_fisheye
+  lenses:
+    - centre_px: [511.5, 511.5]
+      circle_px: 505
+      field_deg: 194
+      camera_from_lens: {position: [0.008, 0, 0], orientation: [-0.5, 0.5, -0.5, 0.5]}
+    - centre_px: [1535.5, 511.5]
+      circle_px: 505
+      field_deg: 194
+      camera_from_lens: {position: [-0.008, 0, 0], orientation: [-0.5, -0.5, 0.5, 0.5]}
+";
+
+/// A stitched camera whose lenses are that far apart.
+const STITCHED: &str = "camera: {width: 2048, height: 1024, lens_distance_m: 0.016}\n";
+
+const STEREOGRAPHIC: &str = "camera: {width: 2048, height: 2048, projection: stereographic, stereographic_field_deg: 320}\n";
+
+const FRAMES: u32 = 60;
+
+/// A lossless simulated flight of one near neighbour with this camera; the evaluation's summary of
+/// all distances, and what was said.
+fn fly(name: &str, camera: &str, set: &[&str]) -> (Value, String) {
+    let scratch = Scratch::new(name);
+    let mut yaml = camera.to_owned();
+    write!(
+        yaml,
+        "flow: lossless\nsimulator: {{frames: {FRAMES}, distance_m: [0.45, 0.6]}}\n\
+         gateway: {{enabled: false}}\n"
+    )
+    .expect("a string takes everything");
+    let path = |name: &str| scratch.path(name).to_str().expect("a plain path").to_owned();
+    let (pipeline, poses, truth) = (path("pipeline.yaml"), path("poses.csv"), path("truth.csv"));
+    std::fs::write(&pipeline, yaml).expect("a temporary file can be written");
+    let mut flight = Flight::start(name, &[&pipeline, "--poses", &poses, "--truth", &truth], set);
+    assert!(flight.wait().success(), "{}", flight.output());
+    flight.assert_nothing_left();
+    let (succeeded, report) = run(&["eval", "--poses", &poses, "--truth", &truth, "--json"]);
+    assert!(succeeded, "{report}");
+    let report: Value = serde_json::from_str(&report).expect("the report is JSON");
+    (report, flight.output())
+}
+
+/// Most of the frames are measured, and to a few millimetres: with the lenses taken for one point
+/// it would be the 8 mm that they sit beside it.
+fn assert_sound((report, output): &(Value, String)) {
+    // The last bin holds all distances.
+    let all = report["bins"].as_array().and_then(|bins| bins.last()).expect("there are bins");
+    let number = |key: &str| all[key].as_f64().unwrap_or_else(|| panic!("{key} in {report}"));
+    assert!(number("measured") > 0.6 * f64::from(FRAMES), "{report}\n{output}");
+    assert!(number("median_mm") < 3.0, "{report}\n{output}");
+    assert_eq!(report["false_poses"].as_u64(), Some(0), "{report}");
+}
+
+#[test]
+fn a_dual_fisheye_camera_flies() {
+    assert_sound(&fly("fisheye", DUAL_FISHEYE, &[]));
+}
+
+#[test]
+fn a_stitched_camera_with_two_lenses_flies() {
+    assert_sound(&fly("stitched", STITCHED, &[]));
+}
+
+#[test]
+fn a_stereographic_camera_flies() {
+    assert_sound(&fly("stereographic", STEREOGRAPHIC, &[]));
+}
+
+#[test]
+fn a_measured_response_is_followed() {
+    // The square root, as a table of light: code 0, 51, ... 255.
+    let table = "camera.response_table=[0, 0.04, 0.16, 0.36, 0.64, 1]";
+    let flown = fly("response", STITCHED, &["camera.response=table", table]);
+    assert_sound(&flown);
+}
+
+#[test]
+fn behind_a_mask_nothing_is_searched() {
+    let scratch = Scratch::new("mask");
+    let path = scratch.path("mask.png");
+    write_mask(&path, 2048, 1024, 0);
+    let mask = format!("camera.mask={}", path.display());
+    let (report, output) = fly("masked", STITCHED, &[&mask]);
+    assert_eq!(report["measured"].as_u64(), Some(0), "{report}");
+    assert!(output.contains("12 of 12 partitions are never searched"), "{output}");
+    assert!(output.contains("0 views searched"), "{output}");
+}
+
+#[test]
+fn a_mask_of_another_size_stops_the_start() {
+    let scratch = Scratch::new("small-mask");
+    let path = scratch.path("mask.png");
+    write_mask(&path, 100, 50, 255);
+    let mask = format!("camera.mask={}", path.display());
+    for command in ["up", "check"] {
+        let (succeeded, output) = run(&[command, "--set", &mask]);
+        assert!(!succeeded, "{output}");
+        for part in ["camera.mask", "mask.png", "100x50", "3840x1920"] {
+            assert!(output.contains(part), "{command} must say {part:?}:\n{output}");
+        }
+    }
+}
+
+fn write_mask(path: &std::path::Path, width: u32, height: u32, grey: u8) {
+    let file = std::fs::File::create(path).expect("a temporary file can be made");
+    let mut encoder = png::Encoder::new(file, width, height);
+    encoder.set_color(png::ColorType::Grayscale);
+    let mut writer = encoder.write_header().expect("a header can be written");
+    let pixels = vec![grey; width as usize * height as usize];
+    writer.write_image_data(&pixels).expect("pixels can be written");
+}
