@@ -25,6 +25,9 @@ pub struct Job {
     ended: Option<StopReason>,
 }
 
+/// Partitions that are cut ahead, beyond as many as the frame before came to.
+const SPARE_PARTITIONS: usize = 2;
+
 /// What comes next for a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Next {
@@ -94,6 +97,37 @@ impl Job {
             return Next::End(StopReason::Newer);
         }
         Next::Cut { index: self.issued as u32, is_yielding: is_partition && self.issued > 0 }
+    }
+
+    /// Views that are likely to be cut, when the frame before came to `searched` partitions: all
+    /// those of neighbours, and a few partitions more than that.
+    pub fn likely(&self, searched: usize) -> Vec<u32> {
+        let mut partitions = match self.stop_rule {
+            StopRule::All => usize::MAX,
+            StopRule::FirstHit | StopRule::Deadline => searched + SPARE_PARTITIONS,
+        };
+        let mut is_likely = |view: &PlannedView| {
+            let is_partition = view.kind == ViewKind::Partition.code();
+            let fits = !is_partition || partitions > 0;
+            partitions = partitions.saturating_sub(usize::from(is_partition));
+            fits
+        };
+        self.from(0).filter(|&index| is_likely(&self.views[index as usize])).collect()
+    }
+
+    /// The views from a place in the plan on that its rule and its budget allow.
+    pub fn from(&self, index: u32) -> impl Iterator<Item = u32> {
+        let end = match self.stop_rule {
+            StopRule::Deadline => self.views.len().min(self.budget),
+            StopRule::FirstHit | StopRule::All => self.views.len(),
+        };
+        index..end as u32
+    }
+
+    /// Partitions published.
+    pub fn searched(&self) -> usize {
+        let views = self.views.iter().take(self.issued);
+        views.filter(|view| view.kind == ViewKind::Partition.code()).count()
     }
 
     /// A view's place, turned to the frame's exposure.
@@ -262,6 +296,20 @@ mod tests {
         searched.note_answer(0, false);
         assert!(searched.is_done());
         assert_eq!(searched.tally(), (2, 0));
+    }
+
+    #[test]
+    fn all_neighbours_and_as_many_partitions_as_before_and_some_are_likely() {
+        let kinds = [Gaze, Part, Part, Part, Gaze, Part, Part];
+        let of = |rule, budget, searched| job(rule, &kinds, budget).likely(searched);
+        assert_eq!(of(StopRule::Deadline, usize::MAX, 0), [0, 1, 2, 4]);
+        assert_eq!(of(StopRule::Deadline, usize::MAX, 2), [0, 1, 2, 3, 4, 5]);
+        assert_eq!(of(StopRule::Deadline, 3, 2), [0, 1, 2]);
+        assert_eq!(of(StopRule::FirstHit, 3, 0), [0, 1, 2, 4]);
+        assert_eq!(of(StopRule::All, 3, 0), [0, 1, 2, 3, 4, 5, 6]);
+        let mut searched = job(StopRule::Deadline, &kinds, usize::MAX);
+        searched.note_issued(2);
+        assert_eq!((searched.searched(), searched.from(5).collect()), (2, vec![5, 6]));
     }
 
     #[test]
