@@ -202,6 +202,11 @@ impl Camera {
         self.nearness
     }
 
+    /// The distance that rays are right for, metres; infinite where it does not matter.
+    pub fn distance_m(&self) -> f64 {
+        1.0 / self.nearness
+    }
+
     /// The model if it is the equirectangular one with a single centre, or with its lenses' offset
     /// of no account.
     pub fn as_equirectangular(&self) -> Option<Equirectangular> {

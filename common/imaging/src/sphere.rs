@@ -153,6 +153,21 @@ impl Cut {
     pub fn cubic(view: View) -> Self {
         Self { interpolation: Interpolation::Cubic, ..Self::bilinear(view) }
     }
+
+    /// Refuses a view that shows nothing.
+    ///
+    /// # Errors
+    /// [`SphereError::View`].
+    pub fn check(&self) -> Result<(), SphereError> {
+        let View { camera_from_view, focal_px, size_px } = self.view;
+        // NaN compares false, so it is refused here too.
+        let is_unit = (camera_from_view.norm() - 1.0).abs() < 1e-3;
+        let is_lens = focal_px > 0.0 && focal_px.is_finite();
+        if !is_unit || !is_lens || !(1..=MAX_SIDE_PX).contains(&size_px) {
+            return Err(SphereError::View { size_px, focal_px });
+        }
+        Ok(())
+    }
 }
 
 impl<'a> SphereImage<'a> {
@@ -252,16 +267,11 @@ pub fn check_outputs(cuts: &[Cut], outputs: &[&mut [u8]]) -> Result<(), SphereEr
 }
 
 fn check_output(cut: &Cut, found: usize, stride: usize) -> Result<(), SphereError> {
-    let View { camera_from_view, focal_px, size_px } = cut.view;
-    // NaN compares false, so it is refused here too.
-    let is_unit = (camera_from_view.norm() - 1.0).abs() < 1e-3;
-    let is_lens = focal_px > 0.0 && focal_px.is_finite();
-    if !is_unit || !is_lens || !(1..=MAX_SIDE_PX).contains(&size_px) {
-        return Err(SphereError::View { size_px, focal_px });
-    }
-    let size = size_px as usize;
+    cut.check()?;
+    let width = cut.view.size_px;
+    let size = width as usize;
     if stride < size {
-        return Err(SphereError::Stride { stride, width: size_px });
+        return Err(SphereError::Stride { stride, width });
     }
     let needed = stride.saturating_mul(size - 1).saturating_add(size);
     if found < needed {

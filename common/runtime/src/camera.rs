@@ -175,6 +175,15 @@ impl Pipeline {
     }
 }
 
+/// The contract's code of a camera's model.
+pub fn projection_of(camera: &Camera) -> Projection {
+    match camera.model() {
+        CameraModel::Equirectangular { .. } => Projection::Equirectangular,
+        CameraModel::DualFisheye(_) => Projection::DualFisheye,
+        CameraModel::Stereographic { .. } => Projection::Stereographic,
+    }
+}
+
 fn lens(index: usize, lens: &FisheyeLens) -> Result<Lens, CameraSettingError> {
     let key = |name: &str| format!("camera.lenses.{index}.{name}");
     let curve = match (lens.equidistant, lens.double_sphere, lens.unified) {

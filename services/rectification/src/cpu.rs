@@ -2,9 +2,10 @@
 
 use flockeye_imaging::sphere::{Cut, SphereImage, rectify_all};
 
-use crate::rectifier::{Rectifier, RectifyError};
+use crate::rectifier::{FrameKey, Rectifier, RectifyError};
 
-/// Cuts views with the kernel of [`flockeye_imaging::sphere`], straight from the frame.
+/// Cuts views with the kernel of [`flockeye_imaging::sphere`], straight from the frame, when they
+/// are asked for.
 #[derive(Debug, Clone, Copy)]
 pub struct CpuRectifier {
     threads: usize,
@@ -25,16 +26,21 @@ impl Rectifier for CpuRectifier {
         }
     }
 
-    fn begin_frame(&mut self, _sphere: &SphereImage<'_>) -> Result<(), RectifyError> {
+    fn prepare(&mut self, _: FrameKey, _: &SphereImage<'_>) -> Result<(), RectifyError> {
+        Ok(())
+    }
+
+    fn order(&mut self, _: FrameKey, _: &SphereImage<'_>, _: &[Cut]) -> Result<(), RectifyError> {
         Ok(())
     }
 
     fn cut(
         &mut self,
+        _: FrameKey,
         sphere: &SphereImage<'_>,
-        cuts: &[Cut],
-        outputs: &mut [&mut [u8]],
+        cut: &Cut,
+        out: &mut [u8],
     ) -> Result<(), RectifyError> {
-        Ok(rectify_all(sphere, cuts, outputs, self.threads)?)
+        Ok(rectify_all(sphere, std::slice::from_ref(cut), &mut [out], self.threads)?)
     }
 }

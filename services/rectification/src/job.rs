@@ -25,6 +25,9 @@ pub struct Job {
     ended: Option<StopReason>,
 }
 
+/// Partitions that are cut ahead, beyond as many as the frame before came to.
+const SPARE_PARTITIONS: usize = 2;
+
 /// What comes next for a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Next {
@@ -96,6 +99,37 @@ impl Job {
         Next::Cut { index: self.issued as u32, is_yielding: is_partition && self.issued > 0 }
     }
 
+    /// Views that are likely to be cut, when the frame before came to `searched` partitions: all
+    /// those of neighbours, and a few partitions more than that.
+    pub fn likely(&self, searched: usize) -> Vec<u32> {
+        let mut partitions = match self.stop_rule {
+            StopRule::All => usize::MAX,
+            StopRule::FirstHit | StopRule::Deadline => searched + SPARE_PARTITIONS,
+        };
+        let mut is_likely = |view: &PlannedView| {
+            let is_partition = view.kind == ViewKind::Partition.code();
+            let fits = !is_partition || partitions > 0;
+            partitions = partitions.saturating_sub(usize::from(is_partition));
+            fits
+        };
+        self.from(0).filter(|&index| is_likely(&self.views[index as usize])).collect()
+    }
+
+    /// The views from a place in the plan on that its rule and its budget allow.
+    pub fn from(&self, index: u32) -> impl Iterator<Item = u32> {
+        let end = match self.stop_rule {
+            StopRule::Deadline => self.views.len().min(self.budget),
+            StopRule::FirstHit | StopRule::All => self.views.len(),
+        };
+        index..end as u32
+    }
+
+    /// Partitions published.
+    pub fn searched(&self) -> usize {
+        let views = self.views.iter().take(self.issued);
+        views.filter(|view| view.kind == ViewKind::Partition.code()).count()
+    }
+
     /// A view's place, turned to the frame's exposure.
     pub fn view(&self, index: u32) -> Option<(View, PlannedView)> {
         let planned = self.views.get(index as usize)?;
@@ -163,16 +197,16 @@ pub fn at_exposure(planned: &PlannedView, exposure_ns: i64) -> View {
 }
 
 /// A plan of its own for when there is none: the partitions, from where the last one stopped.
-pub fn sweep(partitions: &[View], first: usize) -> Vec<PlannedView> {
+pub fn sweep(partitions: &[(u32, View)], first: usize) -> Vec<PlannedView> {
     let count = partitions.len();
     (0..count)
-        .map(|k| (first + k) % count)
-        .map(|partition| PlannedView {
-            camera_from_view: partitions[partition].camera_from_view.coords.into(),
-            focal_px: partitions[partition].focal_px,
-            size_px: partitions[partition].size_px,
+        .map(|k| partitions[(first + k) % count])
+        .map(|(partition, view)| PlannedView {
+            camera_from_view: view.camera_from_view.coords.into(),
+            focal_px: view.focal_px,
+            size_px: view.size_px,
             kind: ViewKind::Partition.code(),
-            partition: partition as u32,
+            partition,
             target: NONE,
             ..PlannedView::default()
         })
@@ -265,6 +299,20 @@ mod tests {
     }
 
     #[test]
+    fn all_neighbours_and_as_many_partitions_as_before_and_some_are_likely() {
+        let kinds = [Gaze, Part, Part, Part, Gaze, Part, Part];
+        let of = |rule, budget, searched| job(rule, &kinds, budget).likely(searched);
+        assert_eq!(of(StopRule::Deadline, usize::MAX, 0), [0, 1, 2, 4]);
+        assert_eq!(of(StopRule::Deadline, usize::MAX, 2), [0, 1, 2, 3, 4, 5]);
+        assert_eq!(of(StopRule::Deadline, 3, 2), [0, 1, 2]);
+        assert_eq!(of(StopRule::FirstHit, 3, 0), [0, 1, 2, 4]);
+        assert_eq!(of(StopRule::All, 3, 0), [0, 1, 2, 3, 4, 5, 6]);
+        let mut searched = job(StopRule::Deadline, &kinds, usize::MAX);
+        searched.note_issued(2);
+        assert_eq!((searched.searched(), searched.from(5).collect()), (2, vec![5, 6]));
+    }
+
+    #[test]
     fn a_gaze_view_turns_with_its_neighbour() {
         let mut view = planned(Gaze);
         view.reference_ns = 1_000_000_000;
@@ -278,7 +326,8 @@ mod tests {
 
     #[test]
     fn a_sweep_goes_on_where_the_last_one_stopped() {
-        let partitions = Partition::icosahedron().views(0.1, 600.0).expect("fits");
+        let views = Partition::icosahedron().views(0.1, 600.0).expect("fits");
+        let partitions: Vec<_> = (0..).zip(views).collect();
         let order: Vec<_> = sweep(&partitions, 10).iter().map(|view| view.partition).collect();
         assert_eq!(order, [10, 11, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9]);
     }

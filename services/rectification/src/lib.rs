@@ -5,6 +5,7 @@
 //! | [`rectifier`] | who cuts views, and which back end is chosen |
 //! | [`cpu`] | views cut by the processor |
 //! | [`gpu`] | views cut by the graphics processor |
+//! | [`standby`] | the processor in place of a graphics processor that was lost |
 //! | [`job`] | which views of a frame are cut, which is next, and when it is enough |
 //! | [`dispatch`] | which worker gets the next view, and which views were lost |
 //! | [`stage`] | the ports around it |
@@ -15,3 +16,4 @@ pub mod gpu;
 pub mod job;
 pub mod rectifier;
 pub mod stage;
+pub mod standby;

@@ -1,25 +1,28 @@
 //! The ports around rectification.
 
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 use anyhow::Context as _;
 use flockeye_contract::{
-    Detections, FrameEnd, FrameEnds, FrameHeader, Frames, PlanHeader, PlannedView, Plans,
-    StopReason, StopRule, ViewHeader, Views,
+    Detections, FrameEnd, FrameEnds, FrameHeader, FrameStamp, Frames, PlanHeader, PlannedView,
+    Plans, StopReason, StopRule, ViewHeader, Views,
 };
 use flockeye_geometry::camera::Camera;
 use flockeye_geometry::view::View;
-use flockeye_imaging::sphere::{Cut, SphereImage};
-use flockeye_runtime::config::{Backend, Flow};
+use flockeye_imaging::sphere::{Cut, Interpolation, SphereImage};
+use flockeye_runtime::camera::projection_of;
+use flockeye_runtime::config::{Backend, Flow, Pipeline};
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::logs::Throttle;
 use flockeye_runtime::ports::{Message, Ports, Publisher, Subscriber};
 use flockeye_runtime::{Context, Stage, Step, clock};
+use nalgebra::Vector3;
 
-use crate::cpu::CpuRectifier;
 use crate::dispatch::{Answer, Dispatcher};
 use crate::job::{Job, Next, sweep};
-use crate::rectifier::{BackendChoice, Rectifier, RectifyError, choose_backend};
+use crate::rectifier::{BackendChoice, FrameKey, Rectifier as _, choose_backend};
+use crate::standby::Standby;
 
 /// A plan older than this is fusion's last word before it died, nanoseconds.
 const STALE_PLAN_NS: i64 = 1_000_000_000;
@@ -35,16 +38,18 @@ pub struct RectificationStage {
     /// One for each worker.
     views: Vec<Publisher<Views>>,
     frame_ends: Publisher<FrameEnds>,
-    rectifier: Box<dyn Rectifier>,
-    threads: usize,
+    rectifier: Standby,
     workers: usize,
     dispatcher: Dispatcher<ViewKey>,
     overdue: Duration,
     flow: Flow,
     generation: u32,
     camera: Camera,
-    partitions: Vec<View>,
+    /// Those of which the camera sees something, with their numbers.
+    partitions: Vec<(u32, View)>,
     swept: usize,
+    /// Partitions that the frame which ended last came to.
+    searched: usize,
     plan: Option<(PlanHeader, Vec<PlannedView>)>,
     waiting: Option<Message<Frames>>,
     held: Vec<Held>,
@@ -64,6 +69,8 @@ type ViewKey = ((u32, u32, u64), u32);
 struct Held {
     message: Message<Frames>,
     job: Job,
+    /// Views that the rectifier was told of.
+    ordered: BTreeSet<u32>,
 }
 
 impl Stage for RectificationStage {
@@ -77,10 +84,10 @@ impl Stage for RectificationStage {
             Backend::Cpu => BackendChoice::Cpu,
             Backend::Gpu => BackendChoice::Gpu,
         };
+        let camera = pipeline.camera_model()?;
         let threads = settings.threads as usize;
-        let (rectifier, why) = choose_backend(choice, threads)?;
+        let (rectifier, why) = choose_backend(choice, threads, &camera)?;
         tracing::info!("views are cut by {}: {why}", rectifier.name());
-        context.counters.set_detail(rectifier.name());
         let workers = pipeline.detection_workers() as usize;
         let overdue = Duration::from_secs_f64(settings.overdue_ms * 1e-3);
         Ok(Self {
@@ -91,17 +98,17 @@ impl Stage for RectificationStage {
                 .map(|worker| ports.publisher_of_lane(worker))
                 .collect::<Result<_, _>>()?,
             frame_ends: ports.publisher()?,
-            rectifier,
-            threads,
+            rectifier: Standby::new(rectifier, threads, context.counters.clone()),
             workers,
             dispatcher: Dispatcher::new(workers, settings.window as usize)
                 .with_probe_after(overdue / 2),
             overdue,
             flow: pipeline.flow,
             generation: context.identity.generation,
-            camera: pipeline.camera_model()?,
-            partitions: pipeline.partition_views(pipeline.bodies()?.largest_side())?,
+            camera,
+            partitions: seen_partitions(pipeline)?,
             swept: 0,
+            searched: 0,
             plan: None,
             waiting: None,
             held: Vec::new(),
@@ -129,6 +136,7 @@ impl Stage for RectificationStage {
         }
         self.release();
         self.take_up();
+        self.prepare_next();
         let has_cut = self.cut_next()?;
         Ok(match (has_cut, self.held.is_empty()) {
             (true, _) => Step::Again,
@@ -206,30 +214,33 @@ impl RectificationStage {
         }
         let Some(message) = self.waiting.take() else { return };
         let header = message.header;
-        let mut begun = self.begin(&message);
-        if let Err(error) = &begun
-            && self.fall_back_if_lost(error)
-        {
-            begun = self.begin(&message);
-        }
-        if let Err(error) = begun {
-            self.counters.add_failed(1);
-            if let Some(more) = self.refusals.admit() {
-                tracing::warn!(
-                    frame = header.stamp.sequence,
-                    more_since = more,
-                    "frame refused: {error:#}"
-                );
-            }
-            return;
-        }
         let job = self.job_for(header);
-        self.held.push(Held { message, job });
+        let mut held = Held { message, job, ordered: BTreeSet::new() };
+        let likely = held.job.likely(self.searched);
+        match order(&mut self.rectifier, self.camera, &mut held, &likely) {
+            Ok(()) => self.held.push(held),
+            Err(error) => {
+                self.counters.add_failed(1);
+                if let Some(more) = self.refusals.admit() {
+                    tracing::warn!(
+                        frame = header.stamp.sequence,
+                        more_since = more,
+                        "frame refused: {error:#}"
+                    );
+                }
+            }
+        }
     }
 
-    fn begin(&mut self, message: &Message<Frames>) -> anyhow::Result<()> {
-        let sphere = sphere_of(self.camera, &message.header, message.items())?;
-        Ok(self.rectifier.begin_frame(&sphere)?)
+    /// Lets the frame that waits be uploaded while another is being cut.
+    fn prepare_next(&mut self) {
+        let Some(message) = &self.waiting else { return };
+        let prepared = sphere_of(self.camera, &message.header, message.items())
+            .and_then(|sphere| Ok(self.rectifier.prepare(key(&message.header.stamp), &sphere)?));
+        if let Err(error) = prepared {
+            // A warning follows if it is taken up.
+            tracing::debug!("a frame cannot be prepared: {error:#}");
+        }
     }
 
     fn job_for(&mut self, header: FrameHeader) -> Job {
@@ -274,7 +285,6 @@ impl RectificationStage {
                         if let Some(more) = self.failures.admit() {
                             tracing::warn!(more_since = more, "a view cannot be cut: {error:#}");
                         }
-                        self.fall_back_if_lost(&error);
                         self.end(position, StopReason::Failed)?;
                     }
                     return Ok(true);
@@ -285,22 +295,20 @@ impl RectificationStage {
     }
 
     fn cut(&mut self, position: usize, index: u32, worker: usize) -> anyhow::Result<()> {
-        let Held { message, job } = &self.held[position];
+        if !self.held[position].ordered.contains(&index) {
+            let held = &mut self.held[position];
+            let rest: Vec<u32> = held.job.from(index).collect();
+            order(&mut self.rectifier, self.camera, held, &rest)?;
+        }
+        let Held { message, job, .. } = &self.held[position];
         let frame = message.header;
         let (view, planned) = job.view(index).context("it is not in the plan")?;
         let sphere = sphere_of(self.camera, &frame, message.items())?;
         let size = view.size_px as usize;
         let publisher = self.views.get(worker).context("there is no such worker")?;
         let mut loan = publisher.loan(size * size)?;
-        let cut = self.rectifier.cut(&sphere, &[Cut::bilinear(view)], &mut [loan.items_mut()]);
-        let cut = match cut {
-            // Another frame was begun in between: this one's view is cut again for a stalled worker.
-            Err(RectifyError::NotBegun) => self.rectifier.begin_frame(&sphere).and_then(|()| {
-                self.rectifier.cut(&sphere, &[Cut::bilinear(view)], &mut [loan.items_mut()])
-            }),
-            other => other,
-        };
-        cut?;
+        let cut = cut_of(view, &planned, &self.camera);
+        self.rectifier.cut(key(&frame.stamp), &sphere, &cut, loan.items_mut())?;
         let key = (frame.stamp.order(), index);
         let issued_ns = clock::monotonic_ns();
         let header = ViewHeader {
@@ -342,22 +350,54 @@ impl RectificationStage {
             self.held.remove(position);
             return Ok(());
         }
+        self.searched = job.searched();
         if job.plan_id == 0 {
             self.swept = (self.swept + job.tally().0 as usize) % self.partitions.len().max(1);
         }
         end(&self.frame_ends, job, reason, self.generation)
     }
+}
 
-    /// Lets the processor take over if the graphics processor is gone.
-    fn fall_back_if_lost(&mut self, error: &anyhow::Error) -> bool {
-        let is_lost = error.downcast_ref::<RectifyError>().is_some_and(RectifyError::is_lost);
-        if is_lost {
-            tracing::warn!("the processor takes over: {error:#}");
-            self.rectifier = Box::new(CpuRectifier::new(self.threads));
-            self.counters.set_detail(self.rectifier.name());
-        }
-        is_lost
-    }
+/// Tells the rectifier of views of a frame that will be cut.
+fn order(
+    rectifier: &mut Standby,
+    camera: Camera,
+    held: &mut Held,
+    views: &[u32],
+) -> anyhow::Result<()> {
+    let Held { message, job, ordered } = held;
+    let sphere = sphere_of(camera, &message.header, message.items())?;
+    let cuts: Vec<Cut> = views
+        .iter()
+        .filter(|index| !ordered.contains(index))
+        .filter_map(|&index| job.view(index))
+        .map(|(view, planned)| cut_of(view, &planned, &camera))
+        .collect();
+    rectifier.order(key(&message.header.stamp), &sphere, &cuts)?;
+    ordered.extend(views);
+    Ok(())
+}
+
+fn key(stamp: &FrameStamp) -> FrameKey {
+    let (source_generation, epoch, sequence) = stamp.order();
+    FrameKey { source_generation, epoch, sequence }
+}
+
+/// The partitions that the mask does not wholly hide, with their numbers.
+fn seen_partitions(pipeline: &Pipeline) -> anyhow::Result<Vec<(u32, View)>> {
+    let mask = pipeline.mask()?;
+    let views = pipeline.partition_views(pipeline.bodies()?.largest_side())?;
+    Ok((0..).zip(views).filter(|(_, view)| !mask.hides_view(view)).collect())
+}
+
+/// How a planned view is cut: right for the distance at which its neighbour is expected (the
+/// camera's assumed one if none is), and interpolated as its magnification asks for.
+fn cut_of(view: View, planned: &PlannedView, camera: &Camera) -> Cut {
+    let distance_m = match planned.has_prediction {
+        0 => camera.distance_m(),
+        _ => Vector3::from(planned.predicted_camera_from_markers.position).norm(),
+    };
+    Cut { view, distance_m, interpolation: Interpolation::suited_to(&view, camera) }
 }
 
 /// The frame's pixels as the configured camera sees them.
@@ -367,6 +407,12 @@ fn sphere_of<'m>(
     pixels: &'m [u8],
 ) -> anyhow::Result<SphereImage<'m>> {
     let (width, height) = (camera.width(), camera.height());
+    let (sent, expected) = (header.projection, projection_of(&camera).code());
+    anyhow::ensure!(
+        sent == expected,
+        "its projection has code {sent}, the configured one {expected}. Cure: set camera.projection \
+         to what the source sends"
+    );
     anyhow::ensure!(
         (header.width, header.height) == (width, height),
         "it has {}x{} pixels, the configuration says {width}x{height}. Cure: set camera.width and \

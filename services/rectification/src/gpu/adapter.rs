@@ -1,7 +1,8 @@
 //! Which graphics processor works.
 
-use wgpu::DeviceType;
+use wgpu::{DeviceType, Features};
 
+use super::device::Memory;
 use crate::rectifier::RectifyError;
 
 /// A Vulkan device that was found, not yet opened.
@@ -39,6 +40,17 @@ impl FoundAdapter {
     /// Whether it is a program on the processor that only behaves like a graphics processor.
     pub fn is_software(&self) -> bool {
         self.info.device_type == DeviceType::Cpu
+    }
+
+    /// Whose memory its shader works in best: the processor's, where it has none of its own.
+    pub(super) fn memory(&self) -> Memory {
+        let is_shared =
+            matches!(self.info.device_type, DeviceType::IntegratedGpu | DeviceType::Cpu);
+        if is_shared && self.adapter.features().contains(Features::MAPPABLE_PRIMARY_BUFFERS) {
+            Memory::Shared
+        } else {
+            Memory::Apart
+        }
     }
 
     /// What it is and why it was chosen, for the log.

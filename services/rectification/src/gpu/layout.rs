@@ -1,20 +1,112 @@
 //! What the shader is told, and where in the buffers what lies.
 
 use bytemuck::{Pod, Zeroable};
-use flockeye_geometry::camera::Camera;
-use flockeye_geometry::view::View;
+use flockeye_geometry::camera::{Camera, CameraModel, Lens, LensCurve, Stereographic};
+use flockeye_imaging::sphere::{Cut, Interpolation};
 use nalgebra::Vector3;
 
-/// `Sphere` of the shader: the frame.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
+/// Pixels in a word.
+const WORD_PX: u32 = 4;
+
+/// A workgroup's sides, in words across and rows down; as in the shader.
+const TILE: u32 = 8;
+
+/// A pole this far beside a view, or as far as the view is wide, is near, pixels.
+const NEAR_A_POLE_PX: u32 = 64;
+
+/// `Lens` of the shader.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+struct LensUniform {
+    right: [f32; 3],
+    focal_u: f32,
+    down: [f32; 3],
+    focal_v: f32,
+    ahead: [f32; 3],
+    half_field: f32,
+    position: [f32; 3],
+    circle: f32,
+    centre: [f32; 2],
+    curve: u32,
+    xi: f32,
+    coefficients: [f32; 4],
+}
+
+/// `Sphere` of the shader: the frame's camera.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct SphereUniform {
-    /// Sides, pixels.
-    pub width: u32,
-    pub height: u32,
-    /// Bytes from one row to the next.
-    pub stride: u32,
-    pub reserved: u32,
+    width: u32,
+    height: u32,
+    stride: u32,
+    reserved: u32,
+    offset: f32,
+    plane_scale: f32,
+    plane_circle: f32,
+    padding: f32,
+    lenses: [LensUniform; 2],
+}
+
+impl SphereUniform {
+    pub(super) fn new(camera: &Camera, stride: usize) -> Self {
+        let (width, height) = (camera.width(), camera.height());
+        // Longer strides make frames that no buffer holds, which are refused before.
+        let stride = u32::try_from(stride).unwrap_or(u32::MAX);
+        let sphere = Self { width, height, stride, ..Self::default() };
+        match camera.model() {
+            CameraModel::Equirectangular { lens_distance_m } => {
+                Self { offset: (lens_distance_m / 2.0) as f32, ..sphere }
+            }
+            CameraModel::DualFisheye(lenses) => {
+                Self { lenses: lenses.each_ref().map(LensUniform::new), ..sphere }
+            }
+            &CameraModel::Stereographic { field_rad } => {
+                let plane = Stereographic::new(width, height, field_rad);
+                Self {
+                    plane_scale: (2.0 * plane.radius_px()) as f32,
+                    plane_circle: plane.circle_px() as f32,
+                    ..sphere
+                }
+            }
+        }
+    }
+}
+
+impl LensUniform {
+    fn new(lens: &Lens) -> Self {
+        let axes = lens.camera_from_lens.rotation.to_rotation_matrix();
+        let axis = |k: usize| single(axes.matrix().column(k).into_owned());
+        let (curve, xi, coefficients) = match lens.curve {
+            LensCurve::Equidistant(k) => (0, 0.0, k),
+            LensCurve::DoubleSphere { xi, alpha } => (1, 0.0, [xi, alpha, 0.0, 0.0]),
+            LensCurve::Unified { xi, distortion } => (2, xi, distortion),
+        };
+        let (xi, coefficients) = (xi as f32, coefficients.map(|k| k as f32));
+        Self {
+            right: axis(0),
+            focal_u: lens.focal_px.x as f32,
+            down: axis(1),
+            focal_v: lens.focal_px.y as f32,
+            ahead: axis(2),
+            half_field: (lens.field_rad / 2.0) as f32,
+            position: single(lens.camera_from_lens.translation.vector),
+            circle: lens.circle_px as f32,
+            centre: [lens.centre_px.x as f32, lens.centre_px.y as f32],
+            curve,
+            xi,
+            coefficients,
+        }
+    }
+}
+
+/// What `Batch` of the shader begins with.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Pod, Zeroable)]
+#[repr(C)]
+pub(super) struct BatchHeader {
+    views: u32,
+    bilinear_tiles: u32,
+    tiles: u32,
+    reserved: u32,
 }
 
 /// `View` of the shader.
@@ -35,38 +127,86 @@ pub(super) struct ViewParameters {
     first_word: u32,
     /// The pixel from which directions are counted.
     start: [i32; 2],
-    reserved: [u32; 2],
+    /// The view's first workgroup, and how many lie side by side.
+    first_tile: u32,
+    tiles_across: u32,
+    /// One over the distance that the view is right for, 1/m.
+    nearness: f32,
+    reserved: u32,
+    padding: [u32; 2],
 }
 
-/// Views laid out one behind the other.
+/// Views laid out one behind the other: in the output by whole words, in the work by whole
+/// workgroups. Bilinear ones come first, as the shader expects.
 #[derive(Debug, Default)]
 pub(super) struct Layout {
-    pub views: Vec<ViewParameters>,
-    /// Words of the output.
-    pub words: u64,
-    /// Words in the longest row, and most rows.
-    pub extent: [u32; 2],
+    views: Vec<ViewParameters>,
+    words: u32,
+    bilinear_tiles: u32,
+    tiles: u32,
 }
 
 impl Layout {
-    pub(super) fn new(views: &[View]) -> Self {
-        let mut layout = Self::default();
-        for view in views {
-            let words_per_row = view.size_px.div_ceil(4);
-            // Views beyond 2^32 words are refused before they are cut: no buffer holds as many.
-            let first_word = layout.words as u32;
-            layout.views.push(parameters(view, words_per_row, first_word));
-            layout.words += u64::from(words_per_row) * u64::from(view.size_px);
-            layout.extent[0] = layout.extent[0].max(words_per_row);
-            layout.extent[1] = layout.extent[1].max(view.size_px);
+    /// Adds a view, unless the output would have more than `max_bytes` then.
+    pub(super) fn add(&mut self, cut: &Cut, camera: &Camera, max_bytes: u64) -> bool {
+        let size = cut.view.size_px;
+        let words_per_row = size.div_ceil(WORD_PX);
+        // A view's sides are limited, so this is far from overflowing.
+        let words = self.words + words_per_row * size;
+        if 4 * u64::from(words) > max_bytes {
+            return false;
         }
-        layout
+        let tiles_across = words_per_row.div_ceil(TILE);
+        self.views.push(ViewParameters {
+            words_per_row,
+            first_word: self.words,
+            first_tile: self.tiles,
+            tiles_across,
+            ..parameters(cut, camera)
+        });
+        self.words = words;
+        self.tiles += tiles_across * size.div_ceil(TILE);
+        if cut.interpolation == Interpolation::Bilinear {
+            self.bilinear_tiles = self.tiles;
+        }
+        true
+    }
+
+    /// Bytes of the output.
+    pub(super) fn bytes(&self) -> u64 {
+        4 * u64::from(self.words)
+    }
+
+    /// What precedes the views in their buffer.
+    pub(super) fn header(&self) -> BatchHeader {
+        BatchHeader {
+            views: self.views.len() as u32,
+            bilinear_tiles: self.bilinear_tiles,
+            tiles: self.tiles,
+            reserved: 0,
+        }
+    }
+
+    /// The views' parameters.
+    pub(super) fn views(&self) -> &[ViewParameters] {
+        &self.views
+    }
+
+    /// Workgroups across and down for the views of an interpolation, at most `most` either way; a few
+    /// more than are needed, where one row of them does not do. `None` if there are no such views.
+    pub(super) fn workgroups(&self, interpolation: Interpolation, most: u32) -> Option<[u32; 2]> {
+        let tiles = match interpolation {
+            Interpolation::Bilinear => self.bilinear_tiles,
+            Interpolation::Cubic => self.tiles - self.bilinear_tiles,
+        };
+        let down = tiles.div_ceil(most);
+        (tiles > 0).then(|| [tiles.div_ceil(down), down])
     }
 
     /// Copies view `index` out of the output's bytes, rows without gaps.
     pub(super) fn copy_out(&self, index: usize, bytes: &[u8], out: &mut [u8]) {
         let view = &self.views[index];
-        let (size, pitch) = (view.size as usize, 4 * view.words_per_row as usize);
+        let (size, pitch) = (view.size as usize, (WORD_PX * view.words_per_row) as usize);
         let bytes = &bytes[4 * view.first_word as usize..][..pitch * size];
         if pitch == size {
             out[..size * size].copy_from_slice(bytes);
@@ -78,51 +218,67 @@ impl Layout {
     }
 }
 
-/// Directions are counted from the pixel next to a pole, if the view shows one, so that single
-/// precision tells the columns apart there too; from the middle otherwise.
-fn parameters(view: &View, words_per_row: u32, first_word: u32) -> ViewParameters {
+/// Of an equirectangular image, directions are counted from the pixel next to a pole, if the view
+/// shows one or it is near, so that single precision tells the columns apart there too; from the
+/// middle otherwise. Where the view lies in the buffers is left open.
+fn parameters(cut: &Cut, camera: &Camera) -> ViewParameters {
+    let view = &cut.view;
     let axes = view.camera_from_view.to_rotation_matrix();
     let axis = |k| -> Vector3<f64> { axes.matrix().column(k).into_owned() };
     let (right, down, ahead) = (axis(0), axis(1), axis(2) * view.focal_px);
     let middle = view.centre_px();
+    let has_poles = matches!(camera.model(), CameraModel::Equirectangular { .. });
+    let margin = f64::from(view.size_px.max(NEAR_A_POLE_PX));
     let start = [Vector3::z_axis(), -Vector3::z_axis()]
         .iter()
-        .find(|pole| view.holds(pole, -1.0))
+        .find(|pole| has_poles && view.holds(pole, -margin))
         .and_then(|pole| view.project(pole))
         .map_or([middle, middle], |pixel| [pixel.0.x, pixel.0.y])
         .map(f64::round);
-    let direction = ahead + right * (start[0] - middle) + down * (start[1] - middle);
-    let single = |vector: Vector3<f64>| [vector.x as f32, vector.y as f32, vector.z as f32];
     ViewParameters {
-        direction: single(direction),
+        direction: single(ahead + right * (start[0] - middle) + down * (start[1] - middle)),
         size: view.size_px,
         right: single(right),
-        words_per_row,
+        words_per_row: 0,
         down: single(down),
-        first_word,
+        first_word: 0,
         start: start.map(|pixel| pixel as i32),
-        reserved: [0; 2],
+        first_tile: 0,
+        tiles_across: 0,
+        nearness: camera.at_distance(cut.distance_m).nearness() as f32,
+        reserved: 0,
+        padding: [0; 2],
     }
 }
 
-impl SphereUniform {
-    pub(super) fn new(camera: &Camera, stride: usize) -> Self {
-        let (width, height) = (camera.width(), camera.height());
-        // Longer strides make frames that no buffer holds, which are refused before.
-        Self { width, height, stride: u32::try_from(stride).unwrap_or(u32::MAX), reserved: 0 }
-    }
+fn single(vector: Vector3<f64>) -> [f32; 3] {
+    [vector.x as f32, vector.y as f32, vector.z as f32]
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use flockeye_geometry::view::View;
+
+    const CAMERA: Camera = Camera::equirectangular(3840, 1920);
+
+    fn at(size: u32) -> Cut {
+        Cut::bilinear(View::looking_at(&Vector3::x_axis(), 1.0, size))
+    }
+
+    fn layout(sizes: &[u32]) -> Layout {
+        let mut layout = Layout::default();
+        for &size in sizes {
+            assert!(layout.add(&at(size), &CAMERA, u64::MAX));
+        }
+        layout
+    }
 
     #[test]
     fn views_of_any_size_lie_on_whole_words() {
-        let at = |size| View::looking_at(&Vector3::x_axis(), 1.0, size);
-        let layout = Layout::new(&[at(5), at(8), at(1)]);
+        let layout = layout(&[5, 8, 1]);
         let first: Vec<_> = layout.views.iter().map(|view| view.first_word).collect();
-        assert_eq!((first, layout.words, layout.extent), (vec![0, 10, 26], 27, [2, 8]));
+        assert_eq!((first, layout.bytes()), (vec![0, 10, 26], 108));
         let bytes: Vec<u8> = (0..108).collect();
         let mut out = [0; 25];
         layout.copy_out(0, &bytes, &mut out);
@@ -133,13 +289,32 @@ mod tests {
     }
 
     #[test]
+    fn small_views_among_large_ones_take_no_more_workgroups_than_alone() {
+        let layout = layout(&[936, 40, 33]);
+        let first: Vec<_> = layout.views.iter().map(|view| view.first_tile).collect();
+        // 936 px are 234 words or 30 workgroups across, and 117 down.
+        assert_eq!((first, layout.tiles), (vec![0, 3510, 3520], 3530));
+        let groups = |most| layout.workgroups(Interpolation::Bilinear, most);
+        assert_eq!(groups(65_535), Some([3530, 1]));
+        assert_eq!(layout.workgroups(Interpolation::Cubic, 65_535), None);
+        let Some([across, down]) = groups(1000) else { panic!("there are views") };
+        assert!(across <= 1000 && across * down >= 3530 && across * down < 3540);
+    }
+
+    #[test]
+    fn what_does_not_fit_is_left_out() {
+        let mut layout = Layout::default();
+        assert!(layout.add(&at(8), &CAMERA, 100));
+        assert!(!layout.add(&at(8), &CAMERA, 100));
+        assert_eq!((layout.views.len(), layout.bytes()), (1, 64));
+    }
+
+    #[test]
     fn directions_are_counted_from_a_pole_that_is_seen() {
         let tilted = nalgebra::Unit::new_normalize(Vector3::new(0.3, 0.1, 1.0));
-        let view = View::looking_at(&tilted, 1.5, 901);
-        let parameters = parameters(&view, 226, 0);
-        let [x, y, z] = parameters.direction;
-        assert!(x.hypot(y) < 0.72 && z > 400.0, "{parameters:?}");
-        let level = View::looking_at(&Vector3::y_axis(), 1.0, 100);
-        assert_eq!(super::parameters(&level, 25, 0).start, [50, 50]);
+        let cut = Cut::bilinear(View::looking_at(&tilted, 1.5, 901));
+        let [x, y, z] = parameters(&cut, &CAMERA).direction;
+        assert!(x.hypot(y) < 0.72 && z > 400.0, "{x} {y} {z}");
+        assert_eq!(parameters(&at(100), &CAMERA).start, [50, 50]);
     }
 }

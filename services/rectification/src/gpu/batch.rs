@@ -1,0 +1,180 @@
+//! Views of a frame that are cut together.
+
+use flockeye_geometry::camera::Camera;
+use flockeye_imaging::sphere::{Cut, Interpolation};
+use wgpu::{BindGroup, Buffer, BufferUsages, BufferView, MapMode, SubmissionIndex};
+
+use super::device::{Device, Mapped, Memory};
+use super::layout::{BatchHeader, Layout, ViewParameters};
+use crate::rectifier::RectifyError;
+
+/// Views of a frame, and the buffers they are cut with, which outlive them.
+#[derive(Debug)]
+pub(super) struct Batch {
+    cuts: Vec<Cut>,
+    layout: Layout,
+    views: Buffer,
+    output: Buffer,
+    /// Where the output is copied to, if it cannot be read in place.
+    readback: Option<Buffer>,
+    bind_group: Option<BindGroup>,
+    result: Pixels,
+}
+
+/// What has become of the output.
+#[derive(Debug)]
+enum Pixels {
+    None,
+    Awaited { mapped: Mapped, work: SubmissionIndex },
+    There(BufferView),
+}
+
+impl Batch {
+    pub(super) fn new(device: &Device) -> Self {
+        let small = size_of::<BatchHeader>() + size_of::<ViewParameters>();
+        let buffer = |usage| device.buffer(small as u64, usage);
+        let (output, readback) = match device.memory {
+            Memory::Shared => (buffer(BufferUsages::STORAGE | BufferUsages::MAP_READ), None),
+            Memory::Apart => (
+                buffer(BufferUsages::STORAGE | BufferUsages::COPY_SRC),
+                Some(buffer(BufferUsages::MAP_READ | BufferUsages::COPY_DST)),
+            ),
+        };
+        Self {
+            cuts: Vec::new(),
+            layout: Layout::default(),
+            views: buffer(BufferUsages::STORAGE | BufferUsages::COPY_DST),
+            output,
+            readback,
+            bind_group: None,
+            result: Pixels::None,
+        }
+    }
+
+    /// Its views.
+    pub(super) fn cuts(&self) -> &[Cut] {
+        &self.cuts
+    }
+
+    /// Forgets its views.
+    pub(super) fn clear(&mut self) {
+        self.cuts.clear();
+        self.layout = Layout::default();
+        // The view of the memory goes before the memory, whether it is mapped or only awaited.
+        match std::mem::replace(&mut self.result, Pixels::None) {
+            Pixels::None => return,
+            Pixels::Awaited { .. } => {}
+            Pixels::There(bytes) => drop(bytes),
+        }
+        self.readable().unmap();
+    }
+
+    /// Has the buffers bound anew: the frame's have been replaced.
+    pub(super) fn unbind(&mut self) {
+        self.bind_group = None;
+    }
+
+    fn readable(&self) -> &Buffer {
+        self.readback.as_ref().unwrap_or(&self.output)
+    }
+
+    /// Takes as many of `cuts` as one output can hold, and tells how many; the batch is empty.
+    pub(super) fn fill(
+        &mut self,
+        device: &Device,
+        cuts: &[Cut],
+        camera: &Camera,
+    ) -> Result<usize, RectifyError> {
+        let most = device.max_bytes;
+        let fitting = cuts.iter().take_while(|cut| self.layout.add(cut, camera, most)).count();
+        self.cuts.extend_from_slice(&cuts[..fitting]);
+        if let (0, Some(cut)) = (fitting, cuts.first()) {
+            device.check_fits("bytes of a view", u64::from(cut.view.size_px).pow(2))?;
+        }
+        Ok(fitting)
+    }
+
+    /// Has its views cut from the frame in `sphere` and `luma`, of a camera like `camera`. They are
+    /// not waited for.
+    pub(super) fn submit(
+        &mut self,
+        device: &Device,
+        camera: &Camera,
+        sphere: &Buffer,
+        luma: &Buffer,
+    ) -> SubmissionIndex {
+        let bytes = self.layout.bytes();
+        let parameters: &[u8] = bytemuck::cast_slice(self.layout.views());
+        let header = self.layout.header();
+        let header = bytemuck::bytes_of(&header);
+        let mut has_grown = device.grow(&mut self.views, (header.len() + parameters.len()) as u64);
+        has_grown |= device.grow(&mut self.output, bytes);
+        if let Some(readback) = &mut self.readback {
+            device.grow(readback, bytes);
+        }
+        if has_grown {
+            self.bind_group = None;
+        }
+        device.queue.write_buffer(&self.views, 0, header);
+        device.queue.write_buffer(&self.views, header.len() as u64, parameters);
+        let bind_group = self
+            .bind_group
+            .get_or_insert_with(|| bind(device, [sphere, &self.views, luma, &self.output]));
+        let mut encoder = device.device.create_command_encoder(&Default::default());
+        {
+            let mut pass = encoder.begin_compute_pass(&Default::default());
+            pass.set_bind_group(0, &*bind_group, &[]);
+            let most = device.device.limits().max_compute_workgroups_per_dimension;
+            for interpolation in [Interpolation::Bilinear, Interpolation::Cubic] {
+                if let Some([across, down]) = self.layout.workgroups(interpolation, most) {
+                    pass.set_pipeline(device.shader.pipeline(camera, interpolation));
+                    pass.dispatch_workgroups(across, down, 1);
+                }
+            }
+        }
+        if let Some(readback) = &self.readback {
+            encoder.copy_buffer_to_buffer(&self.output, 0, readback, 0, bytes);
+        }
+        let work = device.queue.submit([encoder.finish()]);
+        let mapped = device.map(self.readable(), MapMode::Read, bytes);
+        self.result = Pixels::Awaited { mapped, work: work.clone() };
+        work
+    }
+
+    /// Copies a view out, once it is there.
+    pub(super) fn copy_out(
+        &mut self,
+        device: &Device,
+        index: usize,
+        out: &mut [u8],
+    ) -> Result<(), RectifyError> {
+        if let Pixels::Awaited { mapped, work } = &self.result {
+            device.wait(mapped, Some(work))?;
+            let bytes = self.readable().get_mapped_range(..self.layout.bytes());
+            self.result = Pixels::There(bytes.map_err(|error| device.give_up(error.to_string()))?);
+        }
+        match &self.result {
+            Pixels::There(bytes) => self.layout.copy_out(index, bytes, out),
+            Pixels::None | Pixels::Awaited { .. } => {
+                return Err(device.give_up("it was given no work".into()));
+            }
+        }
+        Ok(())
+    }
+}
+
+fn bind(device: &Device, buffers: [&Buffer; 4]) -> BindGroup {
+    let entries: Vec<_> = buffers
+        .into_iter()
+        .zip(0..)
+        .map(|(buffer, binding)| wgpu::BindGroupEntry {
+            binding,
+            resource: buffer.as_entire_binding(),
+        })
+        .collect();
+    device.device.create_bind_group(&wgpu::BindGroupDescriptor {
+        label: None,
+        layout: &device.shader.bindings,
+        entries: &entries,
+    })
+}

@@ -1,0 +1,169 @@
+//! The opened device: its queue, its limits, and whether it still works.
+
+use std::sync::{Arc, Mutex, PoisonError, mpsc};
+use std::time::Duration;
+
+use wgpu::{BufferAsyncError, BufferUsages, Features, Limits, MapMode, SubmissionIndex};
+
+use super::adapter::FoundAdapter;
+use super::shader::Shader;
+use crate::rectifier::RectifyError;
+
+/// Work that takes longer than this is not waited for: the device hangs.
+const TIMEOUT: Duration = Duration::from_secs(5);
+
+/// Whose memory the shader works in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Memory {
+    /// The processor's: what either writes the other reads in place.
+    Shared,
+    /// The device's own: what it reads or writes is copied to or from memory that both see.
+    Apart,
+}
+
+/// An opened device with its shader.
+#[derive(Debug)]
+pub(super) struct Device {
+    name: String,
+    pub memory: Memory,
+    pub device: wgpu::Device,
+    pub queue: wgpu::Queue,
+    pub shader: Shader,
+    /// Bytes that one buffer of the shader may have.
+    pub max_bytes: u64,
+    /// What the driver said first when something went wrong.
+    failure: Arc<Mutex<Option<String>>>,
+}
+
+/// Tells whether a buffer has been mapped.
+pub(super) type Mapped = mpsc::Receiver<Result<(), BufferAsyncError>>;
+
+impl Device {
+    /// Opens the device and builds the shader, for `memory`, or for the device's best.
+    pub(super) fn open(found: &FoundAdapter, memory: Option<Memory>) -> Result<Self, RectifyError> {
+        let name = found.name().to_owned();
+        let refused = |reason: String| RectifyError::Device { adapter: name.clone(), reason };
+        let memory = memory.unwrap_or_else(|| found.memory());
+        let offered = found.adapter.limits();
+        // What every device has, but buffers as large as this one can have them.
+        let required_limits = Limits {
+            max_storage_buffer_binding_size: offered.max_storage_buffer_binding_size,
+            max_buffer_size: offered.max_buffer_size,
+            ..Limits::downlevel_defaults()
+        };
+        let required_features = match memory {
+            Memory::Shared => Features::MAPPABLE_PRIMARY_BUFFERS,
+            Memory::Apart => Features::empty(),
+        };
+        let descriptor = wgpu::DeviceDescriptor {
+            label: Some("rectification"),
+            required_features,
+            required_limits,
+            ..Default::default()
+        };
+        let (device, queue) = pollster::block_on(found.adapter.request_device(&descriptor))
+            .map_err(|error| refused(error.to_string()))?;
+
+        let failure = Arc::new(Mutex::new(None));
+        let note = |failure: &Arc<Mutex<Option<String>>>, reason: String| {
+            failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(reason);
+        };
+        let lost = Arc::clone(&failure);
+        device.set_device_lost_callback(move |why, message| {
+            note(&lost, format!("{why:?}: {message}"))
+        });
+        let uncaptured = Arc::clone(&failure);
+        device.on_uncaptured_error(Arc::new(move |error| note(&uncaptured, error.to_string())));
+
+        let shader = Shader::new(&device);
+        let limits = device.limits();
+        // Buffers are of whole words.
+        let max_bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size) & !3;
+        let opened = Self { name: name.clone(), memory, device, queue, shader, max_bytes, failure };
+        match opened.failure() {
+            None => Ok(opened),
+            Some(reason) => Err(refused(reason)),
+        }
+    }
+
+    fn failure(&self) -> Option<String> {
+        self.failure.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Fails if anything has gone wrong on the device so far.
+    pub(super) fn check_alive(&self) -> Result<(), RectifyError> {
+        self.failure().map_or(Ok(()), |reason| Err(self.lost(reason)))
+    }
+
+    /// Gives the device up, for `reason` unless it has told one before.
+    pub(super) fn give_up(&self, reason: String) -> RectifyError {
+        let mut failure = self.failure.lock().unwrap_or_else(PoisonError::into_inner);
+        self.lost(failure.get_or_insert(reason).clone())
+    }
+
+    fn lost(&self, reason: String) -> RectifyError {
+        RectifyError::Lost { adapter: self.name.clone(), reason }
+    }
+
+    /// Refuses what needs more than the device allows.
+    pub(super) fn check_fits(&self, what: &'static str, needed: u64) -> Result<(), RectifyError> {
+        let limit = self.max_bytes;
+        if needed > limit {
+            let adapter = self.name.clone();
+            return Err(RectifyError::TooLarge { what, needed, limit, adapter });
+        }
+        Ok(())
+    }
+
+    /// A buffer.
+    pub(super) fn buffer(&self, bytes: u64, usage: BufferUsages) -> wgpu::Buffer {
+        self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: None,
+            size: bytes,
+            usage,
+            mapped_at_creation: false,
+        })
+    }
+
+    /// Replaces `buffer` by one of at least `bytes` if it is smaller, and tells whether it was; its
+    /// contents are lost then.
+    pub(super) fn grow(&self, buffer: &mut wgpu::Buffer, bytes: u64) -> bool {
+        let is_smaller = buffer.size() < bytes;
+        if is_smaller {
+            *buffer = self.buffer(bytes, buffer.usage());
+        }
+        is_smaller
+    }
+
+    /// Asks for the first `bytes` of a buffer, as soon as the device has done with it.
+    pub(super) fn map(&self, buffer: &wgpu::Buffer, mode: MapMode, bytes: u64) -> Mapped {
+        let (sender, mapped) = mpsc::channel();
+        buffer.map_async(mode, ..bytes, move |result| {
+            // Nobody receives any more if the buffer's contents are not wanted after all.
+            let _ = sender.send(result);
+        });
+        mapped
+    }
+
+    /// Waits until a buffer that was asked for can be used: for `work`, the last that concerns it.
+    pub(super) fn wait(
+        &self,
+        mapped: &Mapped,
+        work: Option<&SubmissionIndex>,
+    ) -> Result<(), RectifyError> {
+        let poll = match work {
+            None => wgpu::PollType::Poll,
+            Some(work) => wgpu::PollType::Wait {
+                submission_index: Some(work.clone()),
+                timeout: Some(TIMEOUT),
+            },
+        };
+        self.device.poll(poll).map_err(|error| self.give_up(error.to_string()))?;
+        self.check_alive()?;
+        match mapped.try_recv() {
+            Ok(Ok(())) => Ok(()),
+            Ok(Err(error)) => Err(self.give_up(error.to_string())),
+            Err(_) => Err(self.give_up("memory that it shares could not be had".into())),
+        }
+    }
+}

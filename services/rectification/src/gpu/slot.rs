@@ -1,0 +1,156 @@
+//! One frame on the device, and the views that are cut from it.
+
+use flockeye_imaging::sphere::{Cut, Interpolation, SphereImage};
+use wgpu::{Buffer, BufferUsages, MapMode, SubmissionIndex};
+
+use super::batch::Batch;
+use super::device::{Device, Memory};
+use super::layout::SphereUniform;
+use crate::rectifier::{FrameKey, RectifyError};
+
+/// What may be too large.
+pub(super) const FRAME: &str = "bytes of a frame";
+
+/// The shader reads words in pairs: one more follows the last.
+pub(super) const SPARE_BYTES: u64 = 4;
+
+/// A frame, and the buffers it lies in, which outlive it.
+#[derive(Debug)]
+pub(super) struct Slot {
+    frame: Option<(FrameKey, SphereUniform)>,
+    /// When it was last used, by the rectifier's count of calls.
+    pub used: u64,
+    sphere: Buffer,
+    luma: Buffer,
+    /// Where the processor writes the pixels, if it cannot do so in place.
+    staging: Option<Buffer>,
+    batches: Vec<Batch>,
+    /// How many of them hold views of this frame.
+    filled: usize,
+    /// The last work on the frame's buffers.
+    work: Option<SubmissionIndex>,
+}
+
+impl Slot {
+    pub(super) fn new(device: &Device) -> Self {
+        let luma = match device.memory {
+            Memory::Shared => BufferUsages::STORAGE | BufferUsages::MAP_WRITE,
+            Memory::Apart => BufferUsages::STORAGE | BufferUsages::COPY_DST,
+        };
+        let staging = BufferUsages::MAP_WRITE | BufferUsages::COPY_SRC;
+        let uniform = BufferUsages::UNIFORM | BufferUsages::COPY_DST;
+        Self {
+            frame: None,
+            used: 0,
+            sphere: device.buffer(size_of::<SphereUniform>() as u64, uniform),
+            luma: device.buffer(4, luma),
+            staging: (device.memory == Memory::Apart).then(|| device.buffer(4, staging)),
+            batches: Vec::new(),
+            filled: 0,
+            work: None,
+        }
+    }
+
+    /// Whether it holds this frame.
+    pub(super) fn holds(&self, frame: FrameKey, sphere: &SphereImage<'_>) -> bool {
+        self.frame == Some((frame, SphereUniform::new(sphere.camera(), sphere.stride())))
+    }
+
+    /// Whether it holds a frame of which no view was ordered.
+    pub(super) fn is_untouched(&self) -> bool {
+        self.frame.is_some() && self.filled == 0
+    }
+
+    /// Takes another frame. The pixels are copied, once, before this returns; where the device has
+    /// memory of its own, it fetches them from there later.
+    pub(super) fn upload(
+        &mut self,
+        device: &Device,
+        frame: FrameKey,
+        sphere: &SphereImage<'_>,
+    ) -> Result<(), RectifyError> {
+        self.frame = None;
+        for batch in &mut self.batches[..self.filled] {
+            batch.clear();
+        }
+        self.filled = 0;
+        let camera = sphere.camera();
+        let length = (camera.height() as usize - 1) * sphere.stride() + camera.width() as usize;
+        let pixels = &sphere.pixels()[..length];
+        let bytes = (length as u64).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT);
+        let needed = bytes + SPARE_BYTES;
+        device.check_fits(FRAME, needed)?;
+        if device.grow(&mut self.luma, needed) {
+            self.batches.iter_mut().for_each(Batch::unbind);
+        }
+        if let Some(staging) = &mut self.staging {
+            device.grow(staging, needed);
+        }
+        let target = self.staging.as_ref().unwrap_or(&self.luma);
+        let mapped = device.map(target, MapMode::Write, bytes);
+        device.wait(&mapped, self.work.as_ref())?;
+        let range = target.get_mapped_range_mut(..bytes);
+        range
+            .map_err(|error| device.give_up(error.to_string()))?
+            .slice(..length)
+            .copy_from_slice(pixels);
+        target.unmap();
+
+        let uniform = SphereUniform::new(camera, sphere.stride());
+        device.queue.write_buffer(&self.sphere, 0, bytemuck::bytes_of(&uniform));
+        if let Some(staging) = &self.staging {
+            let mut encoder = device.device.create_command_encoder(&Default::default());
+            encoder.copy_buffer_to_buffer(staging, 0, &self.luma, 0, bytes);
+            self.work = Some(device.queue.submit([encoder.finish()]));
+        }
+        self.frame = Some((frame, uniform));
+        device.check_alive()
+    }
+
+    /// Has those of `cuts` cut that are not yet: together, unless their output is too large.
+    pub(super) fn order(
+        &mut self,
+        device: &Device,
+        sphere: &SphereImage<'_>,
+        cuts: impl IntoIterator<Item = Cut>,
+    ) -> Result<(), RectifyError> {
+        let mut cuts: Vec<Cut> = cuts.into_iter().filter(|cut| self.find(cut).is_none()).collect();
+        cuts.sort_by_key(|cut| cut.interpolation == Interpolation::Cubic);
+        let mut rest = cuts.as_slice();
+        while !rest.is_empty() {
+            if self.filled == self.batches.len() {
+                self.batches.push(Batch::new(device));
+            }
+            let batch = &mut self.batches[self.filled];
+            let taken = batch.fill(device, rest, sphere.camera())?;
+            self.work = Some(batch.submit(device, sphere.camera(), &self.sphere, &self.luma));
+            self.filled += 1;
+            rest = &rest[taken..];
+        }
+        device.check_alive()
+    }
+
+    /// Copies a view out that was ordered; false if it was not.
+    pub(super) fn copy_out(
+        &mut self,
+        device: &Device,
+        cut: &Cut,
+        out: &mut [u8],
+    ) -> Result<bool, RectifyError> {
+        let Some((batch, index)) = self.find(cut) else { return Ok(false) };
+        self.batches[batch].copy_out(device, index, out)?;
+        Ok(true)
+    }
+
+    fn find(&self, cut: &Cut) -> Option<(usize, usize)> {
+        self.batches[..self.filled].iter().enumerate().find_map(|(batch, held)| {
+            let index = held.cuts().iter().position(|other| other == cut)?;
+            Some((batch, index))
+        })
+    }
+
+    #[cfg(test)]
+    pub(super) fn batches(&self) -> usize {
+        self.filled
+    }
+}
