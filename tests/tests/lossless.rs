@@ -18,12 +18,17 @@ struct Flown {
 }
 
 fn fly(mode: &str, workers: u32) -> Flown {
+    fly_with("cpu", mode, workers)
+}
+
+fn fly_with(backend: &str, mode: &str, workers: u32) -> Flown {
     let scratch = Scratch::new("lossless");
     let poses = scratch.path("poses.csv");
     let frames = format!("simulator.frames={FRAMES}");
     let mode = format!("search.mode={mode}");
     let workers = format!("stages.detection.replicas={workers}");
-    let own = [frames.as_str(), "simulator.neighbours=2", &mode, &workers];
+    let backend = format!("rectification.backend={backend}");
+    let own = [frames.as_str(), "simulator.neighbours=2", &mode, &workers, &backend];
     let set: Vec<&str> = SMALL_FLIGHT.iter().copied().chain(own).collect();
     let arguments = ["--flow", "lossless", "--poses", poses.to_str().expect("a plain path")];
     let tape = Tape::record("lossless", &arguments, &set);
@@ -106,4 +111,17 @@ fn what_is_searched_beyond_the_first_hit_of_the_optimized_search_counts_for_noth
 #[test]
 fn an_exhaustive_search_does_not_depend_on_who_answers_first() {
     assert_same(&fly("exhaustive", 1), &fly("exhaustive", 3), "with three workers");
+}
+
+#[test]
+fn views_cut_by_a_graphics_processor_give_the_same_bytes_twice() {
+    let drivers = ["/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d"];
+    let has_driver =
+        |folder: &str| std::fs::read_dir(folder).is_ok_and(|mut drivers| drivers.next().is_some());
+    if !drivers.into_iter().any(has_driver) {
+        println!("skipped: this machine has no Vulkan driver");
+        return;
+    }
+    let first = fly_with("gpu", "gaze", 1);
+    assert_same(&first, &fly_with("gpu", "gaze", 3), "with three workers");
 }

@@ -63,7 +63,7 @@ impl GpuRectifier {
     /// [`RectifyError::TooLarge`].
     pub fn check_frame(&self, camera: &Camera) -> Result<(), RectifyError> {
         let bytes = u64::from(camera.width()) * u64::from(camera.height());
-        self.device.check_fits(slot::FRAME, bytes + slot::SPARE_BYTES)
+        self.device.check_fits(slot::FRAME, bytes)
     }
 
     /// The slot of a frame, which is uploaded if it is not there.

@@ -257,53 +257,35 @@ fn place(at: vec2i) -> u32 {
     return u32(row) * sphere.stride + u32(column);
 }
 
-fn pixel(at: vec2i) -> u32 {
+fn pixel(at: vec2i) -> i32 {
     let place = place(at);
-    return (luma[place >> 2u] >> (8u * (place & 3u))) & 0xffu;
+    return i32((luma[place >> 2u] >> (8u * (place & 3u))) & 0xffu);
 }
 
-// Four neighbouring pixels inside of the image, the first in the lowest byte.
-fn word(at: vec2i) -> u32 {
-    let first = u32(at.y) * sphere.stride + u32(at.x);
-    let shift = 8u * (first & 3u);
-    // A shift by all 32 places would be one by none.
-    return (luma[first >> 2u] >> shift) | ((luma[(first >> 2u) + 1u] << (31u - shift)) << 1u);
-}
-
-fn two(at: vec2i, is_inside: bool) -> vec2i {
-    var greys: vec2u;
-    if is_inside {
-        greys = (vec2u(word(at)) >> vec2u(0u, 8u)) & vec2u(0xffu);
-    } else {
-        greys = vec2u(pixel(at), pixel(at + vec2i(1, 0)));
-    }
-    return vec2i(greys);
-}
-
+// Four neighbouring pixels of a row; `is_inside` says that all lie in the image.
 fn four(at: vec2i, is_inside: bool) -> vec4i {
-    var greys: vec4u;
     if is_inside {
-        greys = (vec4u(word(at)) >> vec4u(0u, 8u, 16u, 24u)) & vec4u(0xffu);
-    } else {
-        greys.x = pixel(at);
-        greys.y = pixel(at + vec2i(1, 0));
-        greys.z = pixel(at + vec2i(2, 0));
-        greys.w = pixel(at + vec2i(3, 0));
+        let first = u32(at.y) * sphere.stride + u32(at.x);
+        let shift = 8u * (first & 3u);
+        // A shift by all 32 places would be one by none. The second word of a pixel that ends with
+        // the first counts for nothing: it may lie beyond the buffer, which reads as anything.
+        let word = (luma[first >> 2u] >> shift) | ((luma[(first >> 2u) + 1u] << (31u - shift)) << 1u);
+        return vec4i((vec4u(word) >> vec4u(0u, 8u, 16u, 24u)) & vec4u(0xffu));
     }
-    return vec4i(greys);
-}
-
-fn is_inside(first: vec2i, last: vec2i) -> bool {
-    return all(first >= vec2i(0)) && all(last < vec2i(i32(sphere.width), i32(sphere.height)));
+    return vec4i(
+        pixel(at),
+        pixel(at + vec2i(1, 0)),
+        pixel(at + vec2i(2, 0)),
+        pixel(at + vec2i(3, 0)),
+    );
 }
 
 // As flockeye_imaging's sample.rs.
 fn bilinear(at: vec2i) -> u32 {
     let first = at >> vec2u(16u);
-    let inside = is_inside(first, first + 1);
-    // Greys less 128.
-    let above = two(first, inside) - 128;
-    let below = two(first + vec2i(0, 1), inside) - 128;
+    // Greys less 128. (Words would be as many loads as these.)
+    let above = vec2i(pixel(first), pixel(first + vec2i(1, 0))) - 128;
+    let below = vec2i(pixel(first + vec2i(0, 1)), pixel(first + vec2i(1, 1))) - 128;
     let right = (at.x >> 8u) & 0xff;
     let down = at.y & 0xffff;
     let upper = (255 - right) * above.x + right * above.y;
@@ -330,7 +312,8 @@ fn cubic_weights(fraction: i32) -> vec4i {
 // As flockeye_imaging's cubic.rs.
 fn cubic(at: vec2i) -> u32 {
     let first = (at >> vec2u(16u)) - 1;
-    let inside = is_inside(first, first + 3);
+    let sides = vec2i(i32(sphere.width), i32(sphere.height));
+    let inside = all(first >= vec2i(0)) && all(first + 3 < sides);
     let across = cubic_weights(at.x);
     let along = cubic_weights(at.y);
     var rows: vec4i;

@@ -11,9 +11,6 @@ use crate::rectifier::{FrameKey, RectifyError};
 /// What may be too large.
 pub(super) const FRAME: &str = "bytes of a frame";
 
-/// The shader reads words in pairs: one more follows the last.
-pub(super) const SPARE_BYTES: u64 = 4;
-
 /// A frame, and the buffers it lies in, which outlive it.
 #[derive(Debug)]
 pub(super) struct Slot {
@@ -78,13 +75,12 @@ impl Slot {
         let length = (camera.height() as usize - 1) * sphere.stride() + camera.width() as usize;
         let pixels = &sphere.pixels()[..length];
         let bytes = (length as u64).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT);
-        let needed = bytes + SPARE_BYTES;
-        device.check_fits(FRAME, needed)?;
-        if device.grow(&mut self.luma, needed) {
+        device.check_fits(FRAME, bytes)?;
+        if device.grow(&mut self.luma, bytes) {
             self.batches.iter_mut().for_each(Batch::unbind);
         }
         if let Some(staging) = &mut self.staging {
-            device.grow(staging, needed);
+            device.grow(staging, bytes);
         }
         let target = self.staging.as_ref().unwrap_or(&self.luma);
         let mapped = device.map(target, MapMode::Write, bytes);
