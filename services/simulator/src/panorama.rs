@@ -14,7 +14,7 @@ const ROOT_STEPS: f32 = 8192.0;
 /// Values in the table from roots to levels: up to four times full scale, more than any lamp has.
 const ROOTS: usize = 16_384;
 /// Narrowest and widest panorama, columns.
-const WIDTHS: [f64; 2] = [64.0, 16_384.0];
+const WIDTHS: [f64; 2] = [64.0, 8192.0];
 
 /// Longitudes and latitudes of a row of pixels: parts of a turn leftwards of the panorama's first
 /// column, and of half a turn down from the pole; 1/65536 each.

@@ -57,7 +57,8 @@ pub struct TargetTruth {
     pub markers_visible_90: u32,
     /// Side of the largest marker of those, pixels of the image; 0 without any.
     pub best_side_px: f64,
-    /// Length of the motion blur, pixels of the image where the body is; 0 outside of it.
+    /// Length of the motion blur, in pixels as they are in the image where the body is, or at the
+    /// border next to it; 0 farther outside.
     pub blur_px: f64,
     /// Whether one of them is seen at less than 65 degrees of incidence. Says nothing about size,
     /// blur or light.
