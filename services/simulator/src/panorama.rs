@@ -14,7 +14,7 @@ const ROOT_STEPS: f32 = 8192.0;
 /// Values in the table from roots to levels: up to four times full scale, more than any lamp has.
 const ROOTS: usize = 16_384;
 /// Narrowest and widest panorama, columns.
-const WIDTHS: [f64; 2] = [64.0, 16_384.0];
+const WIDTHS: [f64; 2] = [64.0, 8192.0];
 
 /// Longitudes and latitudes of a row of pixels: parts of a turn leftwards of the panorama's first
 /// column, and of half a turn down from the pole; 1/65536 each.
@@ -51,11 +51,12 @@ impl Panoramas {
         bands: &[Vec<Tile>],
         sensor: &Sensor,
     ) -> (Self, Vec<Vec<Outlook>>) {
-        let usual = parameters.camera.pixels_per_radian();
+        let camera = &parameters.camera;
+        let usual = camera.pixels_per_radian();
         let doublings = |tile: &Tile| {
-            let most = f64::from(parameters.camera.width().max(parameters.camera.height()));
-            // A picture finer than the whole image, round the rim of a very wide plane, is not
-            // worth its memory.
+            // A panorama of many more columns than the image, for the rim of a very wide plane, is
+            // not worth its time and memory.
+            let most = f64::from(camera.width().max(camera.height())) / PI;
             let wanted = tile.density.pixels_per_radian().clamp(usual / 8.0, usual.max(most));
             (wanted / usual).log2().round() as i32
         };

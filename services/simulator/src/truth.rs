@@ -57,7 +57,8 @@ pub struct TargetTruth {
     pub markers_visible_90: u32,
     /// Side of the largest marker of those, pixels of the image; 0 without any.
     pub best_side_px: f64,
-    /// Length of the motion blur, pixels of the image where the body's centre is; 0 outside of it.
+    /// Length of the motion blur, in pixels as they are in the image where the body is, or at the
+    /// border next to it; 0 farther outside.
     pub blur_px: f64,
     /// Whether one of them is seen at less than 65 degrees of incidence. Says nothing about size,
     /// blur or light.
@@ -76,8 +77,7 @@ pub struct Viewer<'a> {
 /// The bodies as one eye sees them: the drone in question, what may hide it, and the image there.
 struct View<'a> {
     eye: &'a Eye,
-    pose: Isometry3<f64>,
-    density: Density,
+    sight: Sight,
     hiding: Vec<(&'a Drone, Isometry3<f64>)>,
     /// Softness of the own airframe's edges, radians; `None` without one.
     own_airframe: Option<f32>,
@@ -104,9 +104,12 @@ pub fn targets(
                 .map(|(eye, sight)| view(drones, moment, target, viewer, eye, sight))
                 .collect();
             let exposure_s = viewer.parameters.exposure_s;
-            let looking = viewer.eyes.iter().zip(sights).find_map(|(eye, sight)| {
-                sight.filter(|sight| eye.project(&sight.placement.position()).is_some())
-            });
+            // The eye that has the centre; or, in the strip that no lens of a stitched camera sees,
+            // one that has what lies beside it.
+            let looking = views
+                .iter()
+                .find(|view| view.eye.project(&view.sight.placement.position()).is_some())
+                .or(views.first());
             let mut truth = TargetTruth {
                 name: drone.name.clone(),
                 target,
@@ -118,8 +121,9 @@ pub fn targets(
                 markers_visible_50: 0,
                 markers_visible_90: 0,
                 best_side_px: 0.0,
-                blur_px: looking
-                    .map_or(0.0, |sight| sight.density.motion_px(&sight.placement, exposure_s)),
+                blur_px: looking.map_or(0.0, |View { sight, .. }| {
+                    sight.density.motion_px(&sight.placement, exposure_s)
+                }),
                 localisable: false,
             };
             drone.markers.iter().for_each(|marker| count_marker(&mut truth, marker, &views));
@@ -149,13 +153,7 @@ fn view<'a>(
         .collect();
     let own_airframe =
         viewer.parameters.airframes.then(|| Picture::softness(viewer.parameters, &sight.density));
-    View {
-        eye,
-        pose: sight.placement.camera_from_markers,
-        density: sight.density,
-        hiding,
-        own_airframe,
-    }
+    View { eye, sight: *sight, hiding, own_airframe }
 }
 
 /// Counts a marker as the picture that shows most of it does.
@@ -193,17 +191,22 @@ fn may_hide(
 }
 
 impl View<'_> {
+    /// Pose of the body's markers as the eye sees it, along the camera's axes.
+    fn pose(&self) -> &Isometry3<f64> {
+        &self.sight.placement.camera_from_markers
+    }
+
     /// Angle between the marker's normal and the way to the eye.
     fn incidence_deg(&self, marker: &Marker) -> f64 {
-        let towards_eye = -(self.pose * marker.centre()).coords;
-        (self.pose.rotation * marker.normal()).angle(&towards_eye).to_degrees()
+        let towards_eye = -(self.pose() * marker.centre()).coords;
+        (self.pose().rotation * marker.normal()).angle(&towards_eye).to_degrees()
     }
 
     /// Mean side of the marker's square in the image.
     fn side_px(&self, marker: &Marker) -> f64 {
-        let corners = marker.corners.map(|corner| (self.pose * corner).coords);
+        let corners = marker.corners.map(|corner| (self.pose() * corner).coords);
         let sides = (0..4).map(|k| (corners[k], corners[(k + 1) % 4]));
-        match self.density {
+        match self.sight.density {
             // Columns are narrower off the equator; angles are not.
             Density::Even(focal) => sides.map(|(a, b)| a.angle(&b)).sum::<f64>() / 4.0 * focal,
             Density::Local(_) => {
@@ -213,7 +216,7 @@ impl View<'_> {
                 };
                 // A corner may lie just beyond the circle.
                 let angle = |a: &Vector3<f64>, b: &Vector3<f64>| {
-                    a.angle(b) * self.density.pixels_per_radian()
+                    a.angle(b) * self.sight.density.pixels_per_radian()
                 };
                 sides.map(|(a, b)| length(&a, &b).unwrap_or_else(|| angle(&a, &b))).sum::<f64>()
                     / 4.0
@@ -226,7 +229,7 @@ impl View<'_> {
         if self.incidence_deg(marker) >= 90.0 {
             return 0.0;
         }
-        let [origin, right, _, down] = marker.corners.map(|corner| self.pose * corner);
+        let [origin, right, _, down] = marker.corners.map(|corner| self.pose() * corner);
         let step = |k: u32| (f64::from(k) + 0.5) / f64::from(GRID);
         let points = (0..GRID * GRID)
             .map(|k| origin + (right - origin) * step(k % GRID) + (down - origin) * step(k / GRID));

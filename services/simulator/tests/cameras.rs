@@ -1,0 +1,569 @@
+//! What cameras other than the plain sphere see: printed edges land where projections written out
+//! here put them, and what no lens has is not counted.
+
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+
+use std::f64::consts::{FRAC_PI_2, PI, TAU};
+
+use flockeye_geometry::body::{Bodies, Body, Marker, squares};
+use flockeye_geometry::camera::{Camera, CameraModel, Lens, LensCurve};
+use flockeye_simulator::{FrameTruth, Moment, PatternBook, Placement, World, WorldParameters};
+use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+
+/// A camera by its numbers alone.
+#[derive(Clone, Copy)]
+struct Sheet {
+    width: u32,
+    height: u32,
+    kind: Kind,
+}
+
+#[derive(Clone, Copy)]
+enum Kind {
+    Sphere { lens_distance_m: f64 },
+    Fisheyes([Fisheye; 2]),
+    Plane { field_deg: f64 },
+}
+
+#[derive(Clone, Copy)]
+struct Fisheye {
+    /// Right, down and ahead in the camera frame.
+    axes: [Vector3<f64>; 3],
+    position_m: Vector3<f64>,
+    centre: [f64; 2],
+    circle: f64,
+    field_deg: f64,
+    focal: [f64; 2],
+    curve: Curve,
+}
+
+#[derive(Clone, Copy)]
+enum Curve {
+    KannalaBrandt([f64; 4]),
+    DoubleSphere { xi: f64, alpha: f64 },
+}
+
+impl Fisheye {
+    /// Looks ahead or back, turned a little, `aside_m` from the middle.
+    fn new(ahead: f64, aside_m: f64, centre: [f64; 2], circle: f64, focal: f64) -> Self {
+        let turn = Rotation3::from_euler_angles(0.02, -0.03, 0.04 * ahead);
+        let axes = [-Vector3::y() * ahead, -Vector3::z(), Vector3::x() * ahead];
+        Self {
+            axes: axes.map(|axis| turn * axis),
+            position_m: Vector3::new(aside_m * ahead, 0.1 * aside_m, -0.2 * aside_m),
+            centre,
+            circle,
+            field_deg: 190.0,
+            focal: [focal, focal * 1.01],
+            curve: Curve::KannalaBrandt([0.0; 4]),
+        }
+    }
+
+    fn lens(&self) -> Lens {
+        let axes = Rotation3::from_basis_unchecked(&self.axes);
+        Lens {
+            camera_from_lens: Isometry3::from_parts(
+                Translation3::from(self.position_m),
+                UnitQuaternion::from_rotation_matrix(&axes),
+            ),
+            centre_px: self.centre.into(),
+            circle_px: self.circle,
+            field_rad: self.field_deg.to_radians(),
+            focal_px: self.focal.into(),
+            curve: match self.curve {
+                Curve::KannalaBrandt(k) => LensCurve::Equidistant(k),
+                Curve::DoubleSphere { xi, alpha } => LensCurve::DoubleSphere { xi, alpha },
+            },
+        }
+    }
+
+    /// Where a point of the camera frame is seen; `None` within `margin` pixels of the border.
+    fn project(&self, point: &Point3<f64>, margin: f64) -> Option<[f64; 2]> {
+        let seen = point.coords - self.position_m;
+        let [x, y, z] = self.axes.map(|axis| axis.dot(&seen));
+        let across = x.hypot(y);
+        let angle = across.atan2(z);
+        let plane = match self.curve {
+            Curve::KannalaBrandt([k1, k2, k3, k4]) => {
+                let distance = angle
+                    + k1 * angle.powi(3)
+                    + k2 * angle.powi(5)
+                    + k3 * angle.powi(7)
+                    + k4 * angle.powi(9);
+                [distance * x / across, distance * y / across]
+            }
+            Curve::DoubleSphere { xi, alpha } => {
+                let first = seen.norm();
+                let second = (x * x + y * y + (xi * first + z).powi(2)).sqrt();
+                let depth = alpha * second + (1.0 - alpha) * (xi * first + z);
+                [x / depth, y / depth]
+            }
+        };
+        let [u, v] = [0, 1].map(|k| self.focal[k] * plane[k]);
+        let in_field = angle < (self.field_deg / 2.0).to_radians() - margin / self.focal[0];
+        (in_field && u.hypot(v) < self.circle - margin)
+            .then_some([self.centre[0] + u, self.centre[1] + v])
+    }
+}
+
+impl Sheet {
+    fn camera(&self) -> Camera {
+        let model = match self.kind {
+            Kind::Sphere { lens_distance_m } => CameraModel::Equirectangular { lens_distance_m },
+            Kind::Fisheyes(lenses) => {
+                CameraModel::DualFisheye(lenses.map(|fisheye| fisheye.lens()))
+            }
+            Kind::Plane { field_deg } => {
+                CameraModel::Stereographic { field_rad: field_deg.to_radians() }
+            }
+        };
+        Camera::new(self.width, self.height, model).unwrap()
+    }
+
+    /// The same camera with a quarter of the pixels along each side.
+    fn quartered(self) -> Self {
+        let quartered = |lens: Fisheye| Fisheye {
+            centre: lens.centre.map(|middle| (middle + 0.5) / 4.0 - 0.5),
+            circle: lens.circle / 4.0,
+            focal: lens.focal.map(|focal| focal / 4.0),
+            ..lens
+        };
+        let kind = match self.kind {
+            Kind::Fisheyes(lenses) => Kind::Fisheyes(lenses.map(quartered)),
+            other => other,
+        };
+        Self { width: self.width / 4, height: self.height / 4, kind }
+    }
+
+    /// Where each of the camera's eyes is.
+    fn eyes(&self) -> Vec<Point3<f64>> {
+        match self.kind {
+            Kind::Sphere { lens_distance_m } if lens_distance_m > 0.0 => {
+                [0.5, -0.5].map(|side| Point3::new(side * lens_distance_m, 0.0, 0.0)).into()
+            }
+            Kind::Fisheyes(lenses) => lenses.map(|lens| lens.position_m.into()).into(),
+            _ => vec![Point3::origin()],
+        }
+    }
+
+    /// Where eye `k` sees a point of the camera frame; `None` within `margin` pixels of the border
+    /// of its picture.
+    fn project(&self, k: usize, point: &Point3<f64>, margin: f64) -> Option<[f64; 2]> {
+        let (width, height) = (f64::from(self.width), f64::from(self.height));
+        match self.kind {
+            Kind::Sphere { .. } => {
+                let seen = point - self.eyes()[k];
+                let longitude = seen.y.atan2(seen.x);
+                let latitude = (seen.z / seen.norm()).asin();
+                let from_seam = (if k == 0 { seen.x } else { -seen.x }) / seen.norm();
+                let is_mine = self.eyes().len() == 1 || from_seam > margin * TAU / width;
+                let u = (0.5 - longitude / TAU) * width - 0.5;
+                let v = (0.5 - latitude / PI) * height - 0.5;
+                is_mine.then_some([u, v])
+            }
+            Kind::Fisheyes(lenses) => lenses[k].project(point, margin),
+            Kind::Plane { field_deg } => {
+                // The paper's plane, by latitude and by longitude to the right.
+                let seen = point.coords.normalize();
+                let (latitude, longitude) = (seen.z.asin(), (-seen.y).atan2(seen.x));
+                let circle = width.min(height) / 2.0;
+                let radius = circle / (2.0 * (field_deg.to_radians() / 4.0).tan());
+                let scale = 2.0 * radius / (1.0 + latitude.cos() * longitude.cos());
+                let x = scale * latitude.cos() * longitude.sin();
+                let y = scale * latitude.sin();
+                (x.hypot(y) < circle - margin)
+                    .then_some([(width - 1.0) / 2.0 + x, (height - 1.0) / 2.0 - y])
+            }
+        }
+    }
+
+    fn world(&self, count: u32) -> World {
+        let parameters = WorldParameters {
+            camera: self.camera(),
+            iso: 0,
+            observer_yaw_rate_deg_s: 0.0,
+            airframes: false,
+            ..Default::default()
+        };
+        self.world_of(count, parameters)
+    }
+
+    fn world_of(&self, count: u32, parameters: WorldParameters) -> World {
+        let bodies = (0..count).map(body).collect();
+        let bodies = Bodies::new("DICT_5X5_250".into(), bodies).unwrap();
+        World::new(parameters, &bodies, &PatternBook::dict_5x5_250()).unwrap()
+    }
+
+    fn render(&self, world: &mut World, placements: Vec<Placement>) -> (Vec<u8>, FrameTruth) {
+        let mut luma = vec![0; (self.width * self.height) as usize];
+        let moment = Moment { time_s: 0.0, observer_yaw: 0.4, placements };
+        let truth = world.render_moment(0, &moment, &mut luma, self.width as usize).unwrap();
+        (luma, truth)
+    }
+}
+
+fn body(index: u32) -> Body {
+    squares(["alpha", "bravo"][index as usize], 0.0625, 0.05, 17 * index)
+}
+
+fn still(camera_from_markers: Isometry3<f64>) -> Placement {
+    Placement { camera_from_markers, velocity_in_camera: Vector3::zeros() }
+}
+
+/// Lenses far enough apart that their parallax is dozens of pixels.
+const LENS_DISTANCE_M: f64 = 0.06;
+
+fn kannala_brandt() -> Sheet {
+    let lens = |ahead: f64, u: f64| Fisheye {
+        curve: Curve::KannalaBrandt([-0.02, 0.005, -0.003, 0.0004]),
+        ..Fisheye::new(ahead, LENS_DISTANCE_M / 2.0, [u, 478.7], 470.0, 285.0)
+    };
+    Sheet { width: 1920, height: 960, kind: Kind::Fisheyes([lens(1.0, 478.2), lens(-1.0, 1441.9)]) }
+}
+
+fn double_sphere() -> Sheet {
+    let lens = |ahead: f64, u: f64, xi: f64, alpha: f64| Fisheye {
+        curve: Curve::DoubleSphere { xi, alpha },
+        ..Fisheye::new(ahead, LENS_DISTANCE_M / 2.0, [u, 478.7], 470.0, 284.0)
+    };
+    let lenses = [lens(1.0, 481.3, 0.0024, 0.6605), lens(-1.0, 1438.1, -0.0207, 0.6521)];
+    Sheet { width: 1920, height: 960, kind: Kind::Fisheyes(lenses) }
+}
+
+fn equidistant() -> Sheet {
+    let lens = |ahead: f64, u: f64| Fisheye::new(ahead, 0.0, [u, 479.5], 479.0, 286.0);
+    Sheet { width: 1920, height: 960, kind: Kind::Fisheyes([lens(1.0, 479.5), lens(-1.0, 1439.5)]) }
+}
+
+fn plane() -> Sheet {
+    Sheet { width: 1600, height: 1500, kind: Kind::Plane { field_deg: 240.0 } }
+}
+
+fn stitched() -> Sheet {
+    let kind = Kind::Sphere { lens_distance_m: LENS_DISTANCE_M };
+    Sheet { width: 1920, height: 960, kind }
+}
+
+/// Not twice as wide as high: drawn by the same means as the fisheyes.
+fn stitched_and_stretched() -> Sheet {
+    Sheet { width: 1900, ..stitched() }
+}
+
+/// Linear light between the pixels. Written from the sRGB standard, not taken from the renderer.
+struct Picture<'a> {
+    sheet: &'a Sheet,
+    light: Vec<f64>,
+}
+
+impl<'a> Picture<'a> {
+    fn of(sheet: &'a Sheet, luma: &[u8]) -> Self {
+        let linear = |level: &u8| {
+            let s = f64::from(*level) / 255.0;
+            if s <= 0.04045 { s / 12.92 } else { ((s + 0.055) / 1.055).powf(2.4) }
+        };
+        Self { sheet, light: luma.iter().map(linear).collect() }
+    }
+
+    fn at(&self, [u, v]: [f64; 2]) -> f64 {
+        let width = i64::from(self.sheet.width);
+        let (column, row) = (u.floor() as i64, v.floor() as i64);
+        let get = |column: i64, row: i64| {
+            // Only the sphere goes round; the others' borders are never asked for.
+            self.light[(row * width + column.rem_euclid(width)) as usize]
+        };
+        let (s, t) = (u - u.floor(), v - v.floor());
+        (get(column, row) * (1.0 - s) + get(column + 1, row) * s) * (1.0 - t)
+            + (get(column, row + 1) * (1.0 - s) + get(column + 1, row + 1) * s) * t
+    }
+
+    /// How far, in pixels, the edge between corners `k` and `k + 1` appears outside of where eye
+    /// `eye` must see it; `None` where the eye does not have all of it.
+    fn edge_error(
+        &self,
+        eye: usize,
+        pose: &Isometry3<f64>,
+        marker: &Marker,
+        k: usize,
+    ) -> Option<f64> {
+        let (from, to) = (marker.corners[k], marker.corners[(k + 1) % 4]);
+        let outwards = marker.normal().cross(&(to - from)).normalize();
+        let place = |share: f64, out_m: f64| {
+            let point = pose * (from + (to - from) * share + outwards * out_m);
+            self.sheet.project(eye, &point, 8.0)
+        };
+        let reach = 0.0028;
+        let mut sum = 0.0;
+        for i in 0..60 {
+            let share = 0.15 + 0.7 * f64::from(i) / 59.0;
+            let profile: Vec<f64> = (-40..=40)
+                .map(|step| Some(self.at(place(share, reach * f64::from(step) / 40.0)?)))
+                .collect::<Option<_>>()?;
+            let middle = (profile[0] + profile[80]) / 2.0;
+            let crossing = (0..80).find(|&at| profile[at + 1] > middle).expect("dark to light");
+            let (below, above) = (profile[crossing], profile[crossing + 1]);
+            let step = crossing as f64 - 40.0 + (middle - below) / (above - below);
+            let ([u, v], [found_u, found_v]) =
+                (place(share, 0.0)?, place(share, reach * step / 40.0)?);
+            sum += (found_u - u).hypot(found_v - v).copysign(step);
+        }
+        Some(sum / 60.0)
+    }
+}
+
+fn placed([azimuth, elevation]: [f64; 2], turn: [f64; 3]) -> Isometry3<f64> {
+    let (sin_az, cos_az) = azimuth.to_radians().sin_cos();
+    let (sin_el, cos_el) = elevation.to_radians().sin_cos();
+    let direction = Vector3::new(cos_el * cos_az, cos_el * sin_az, sin_el);
+    Isometry3::from_parts(
+        // Near enough that half a quiet zone is wider than the blur.
+        Translation3::from(direction * 0.25),
+        UnitQuaternion::from_euler_angles(turn[0], turn[1], turn[2]),
+    )
+}
+
+/// Errors of all edges of markers that an eye has before it, as seen from there.
+fn edge_errors(sheet: &Sheet, world: &mut World, placement: Placement) -> Vec<Vec<f64>> {
+    let (luma, _) = sheet.render(world, vec![placement]);
+    let picture = Picture::of(sheet, &luma);
+    let pose = placement.camera_from_markers;
+    let eyes = sheet.eyes().into_iter().enumerate();
+    eyes.map(|(index, eye)| {
+        let facing = |marker: &&Marker| {
+            let towards_eye = eye - pose * marker.centre();
+            (pose.rotation * marker.normal()).angle(&towards_eye).to_degrees() < 45.0
+        };
+        let body = body(0);
+        body.markers
+            .iter()
+            .filter(facing)
+            .flat_map(|marker| (0..4).map(move |k| (marker, k)))
+            .filter_map(|(marker, k)| picture.edge_error(index, &pose, marker, k))
+            .collect()
+    })
+    .collect()
+}
+
+/// Directions (azimuth, elevation), degrees: straight ahead, off the axis, across the border of
+/// the lenses on all sides of it, back.
+const DIRECTIONS: [[f64; 2]; 11] = [
+    [0.0, 0.0],
+    [35.0, 20.0],
+    [62.0, -30.0],
+    [83.0, 5.0],
+    [-85.0, -20.0],
+    [90.0, 0.0],
+    [100.0, 40.0],
+    [10.0, 84.0],
+    [-170.0, -82.0],
+    [180.0, 0.0],
+    [-140.0, 30.0],
+];
+
+fn assert_exact(sheet: Sheet, velocity_in_camera: Vector3<f64>) {
+    let mut world = sheet.world(1);
+    // Of each eye: edges anywhere, and of bodies within 10 degrees of the lenses' border.
+    let mut measured = vec![[0; 2]; sheet.eyes().len()];
+    for (index, direction) in DIRECTIONS.into_iter().enumerate() {
+        let camera_from_markers = placed(direction, [0.3, -0.2, 0.7 * index as f64]);
+        let placement = Placement { camera_from_markers, velocity_in_camera };
+        let by_eye = edge_errors(&sheet, &mut world, placement);
+        let errors: Vec<f64> = by_eye.iter().flatten().copied().collect();
+        if errors.is_empty() {
+            continue;
+        }
+        let is_at_border =
+            camera_from_markers.translation.x.abs() < 0.25 * 10f64.to_radians().sin();
+        for (sums, errors) in measured.iter_mut().zip(&by_eye) {
+            sums[0] += errors.len();
+            sums[1] += if is_at_border { errors.len() } else { 0 };
+        }
+        let worst = errors.iter().fold(0.0f64, |worst, error| worst.max(error.abs()));
+        let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+        let counts: Vec<usize> = by_eye.iter().map(Vec::len).collect();
+        println!("{direction:?}: {counts:?} edges, worst {worst:.4} mean {mean:.4}");
+        assert!(worst < 0.05 && mean.abs() < 0.02, "{direction:?}: worst {worst}, mean {mean} px");
+    }
+    assert!(measured.iter().all(|sums| sums[0] >= 12 && sums[1] >= 1), "{measured:?} edges");
+}
+
+#[test]
+fn equidistant_lenses_see_edges_where_they_are() {
+    assert_exact(equidistant(), Vector3::zeros());
+}
+
+#[test]
+fn kannala_brandt_lenses_apart_see_edges_where_they_are() {
+    assert_exact(kannala_brandt(), Vector3::zeros());
+}
+
+#[test]
+fn double_sphere_lenses_apart_see_edges_where_they_are() {
+    assert_exact(double_sphere(), Vector3::zeros());
+}
+
+#[test]
+fn the_stereographic_plane_shows_edges_where_they_are() {
+    assert_exact(plane(), Vector3::zeros());
+}
+
+#[test]
+fn a_stitched_sphere_shows_edges_where_each_lens_sees_them() {
+    assert_exact(stitched(), Vector3::zeros());
+}
+
+#[test]
+fn an_image_of_any_sides_shows_edges_where_they_are() {
+    assert_exact(stitched_and_stretched(), Vector3::zeros());
+}
+
+#[test]
+fn a_moving_body_is_where_it_is_at_mid_exposure() {
+    // Up to 1.5 pixels of motion blur.
+    for sheet in [kannala_brandt(), plane(), stitched()] {
+        assert_exact(sheet, Vector3::new(0.12, -0.1, 0.11));
+    }
+}
+
+#[test]
+fn the_same_seed_gives_the_same_bytes_with_every_camera() {
+    for sheet in [kannala_brandt(), double_sphere(), plane(), stitched(), stitched_and_stretched()]
+    {
+        let sheet = sheet.quartered();
+        let world = |seed| {
+            let parameters = WorldParameters { seed, camera: sheet.camera(), ..Default::default() };
+            sheet.world_of(2, parameters)
+        };
+        let stride = sheet.width as usize + 13;
+        let render = |world: &mut World, frame: u64, filler: u8| {
+            let mut luma = vec![filler; stride * sheet.height as usize];
+            let truth = world.render(frame, &mut luma, stride).unwrap();
+            (luma, truth)
+        };
+        let (mut one, mut two) = (world(1), world(1));
+        // In another order too: nothing is left behind from frame to frame.
+        render(&mut two, 900, 0);
+        for frame in [0, 77] {
+            let (first, second) = (render(&mut one, frame, 0), render(&mut two, frame, 255));
+            assert_eq!(first.1, second.1);
+            for (black, white) in first.0.chunks(stride).zip(second.0.chunks(stride)) {
+                let (black, white) = (black.split_at(stride - 13), white.split_at(stride - 13));
+                assert!(black.0 == white.0, "frame {frame} differs");
+                assert!(black.1.iter().all(|&x| x == 0) && white.1.iter().all(|&x| x == 255));
+            }
+        }
+        assert_ne!(render(&mut one, 3, 0).0, render(&mut one, 4, 0).0);
+        assert_ne!(render(&mut one, 3, 0).0, render(&mut world(2), 3, 0).0);
+    }
+}
+
+#[test]
+fn outside_the_circles_it_is_black() {
+    for sheet in [kannala_brandt(), plane()].map(Sheet::quartered) {
+        let (luma, _) =
+            sheet.render(&mut sheet.world(1), vec![still(placed([60.0, 10.0], [0.0; 3]))]);
+        let camera = sheet.camera();
+        let mut black = 0;
+        for (index, level) in luma.into_iter().enumerate() {
+            let at = [index % sheet.width as usize, index / sheet.width as usize];
+            let [u, v] = at.map(|side| side as f64);
+            let is_seen = camera.ray(flockeye_geometry::camera::SpherePixel::new(u, v)).is_some();
+            assert_eq!(level > 0, is_seen, "{at:?}");
+            black += usize::from(!is_seen);
+        }
+        assert!(black > 6_000, "{black}");
+    }
+}
+
+/// Visible markers, at least half and at least nine tenths of each. What is visible does not
+/// depend on the image's size.
+fn counted(sheet: &Sheet, poses: &[Isometry3<f64>]) -> Vec<[u32; 2]> {
+    let sheet = sheet.quartered();
+    let mut world = sheet.world(poses.len() as u32);
+    let (_, truth) = sheet.render(&mut world, poses.iter().copied().map(still).collect());
+    truth.bodies.iter().map(|body| [body.markers_visible_50, body.markers_visible_90]).collect()
+}
+
+#[test]
+fn visibility_is_counted_as_each_camera_sees() {
+    let at = |x: f64, y: f64, z: f64| Isometry3::translation(x, y, z);
+    let narrow = |field_deg: f64, sheet: Sheet| {
+        let Kind::Fisheyes(lenses) = sheet.kind else { unreachable!() };
+        let lenses = lenses.map(|lens| Fisheye { field_deg, ..lens });
+        Sheet { kind: Kind::Fisheyes(lenses), ..sheet }
+    };
+    for sheet in [equidistant(), kannala_brandt(), double_sphere(), plane(), stitched()] {
+        // As the plain sphere counts: see `frames.rs`.
+        assert_eq!(counted(&sheet, &[at(1.0, 0.0, 0.0)]), [[5, 5]]);
+        // One body right behind another is hidden, and the nearer one is not.
+        assert_eq!(counted(&sheet, &[at(1.8, 0.0, 0.0), at(0.6, 0.0, 0.0)]), [[0, 0], [5, 5]]);
+    }
+    for sheet in [equidistant(), kannala_brandt(), double_sphere()] {
+        // Both lenses see it: it is counted once.
+        assert_eq!(counted(&sheet, &[at(0.0, 3.0, 0.0)]), [[5, 5]]);
+        // Between the fields of narrow lenses nobody sees it; ahead, one does.
+        let sheet = narrow(150.0, sheet);
+        assert_eq!(counted(&sheet, &[at(0.0, 1.0, 0.0)]), [[0, 0]]);
+        assert_eq!(counted(&sheet, &[at(1.0, 0.0, 0.0)]), [[5, 5]]);
+    }
+    // 240 degrees do not reach straight back, nor 28 degrees from there.
+    assert_eq!(counted(&plane(), &[at(-1.0, 0.0, 0.0)]), [[0, 0]]);
+    assert_eq!(counted(&plane(), &[at(-1.0, 0.5, 0.0)]), [[0, 0]]);
+    // Over the circle's rim at 120 degrees only some of its markers are left.
+    let azimuth = 120f64.to_radians();
+    let [[half, whole]] = counted(&plane(), &[at(azimuth.cos(), azimuth.sin(), 0.0)])[..] else {
+        unreachable!()
+    };
+    assert!((1..5).contains(&half) && whole < 5, "{half} {whole}");
+    // The strip between the lenses of a stitched camera takes the markers in the middle.
+    let [[half, whole]] = counted(&stitched(), &[at(0.0, 1.0, 0.0)])[..] else { unreachable!() };
+    assert!(half < 5 && whole <= 2, "{half} {whole}");
+}
+
+#[test]
+fn what_hides_from_the_middle_may_not_hide_from_a_lens() {
+    let behind =
+        |gap: f64| [Isometry3::translation(0.0, 1.2, gap), Isometry3::translation(0.0, 0.5, 0.0)];
+    let sheet = |aside_m: f64| {
+        let lens = |ahead: f64, u: f64| Fisheye::new(ahead, aside_m, [u, 479.5], 479.0, 286.0);
+        let kind = Kind::Fisheyes([lens(1.0, 479.5), lens(-1.0, 1439.5)]);
+        Sheet { width: 1920, height: 960, kind }
+    };
+    assert_eq!(counted(&sheet(0.0), &behind(0.0))[0], [0, 0]);
+    // From 0.2 m aside the two lie 13 degrees apart.
+    let [half, _] = counted(&sheet(0.2), &behind(0.0))[0];
+    assert!(half > 0, "{half}");
+}
+
+#[test]
+fn sizes_and_blur_are_in_pixels_of_the_image() {
+    let azimuth: f64 = 70f64.to_radians();
+    let towards = Vector3::new(azimuth.cos(), azimuth.sin(), 0.0);
+    let pose = Isometry3::from_parts(
+        Translation3::from(towards),
+        UnitQuaternion::from_axis_angle(&Vector3::z_axis(), azimuth + PI),
+    );
+    let velocity_in_camera = Vector3::new(-towards.y, towards.x, 0.0) + towards;
+    for sheet in [equidistant(), plane()] {
+        let placement = Placement { camera_from_markers: pose, velocity_in_camera };
+        let (_, truth) = sheet.render(&mut sheet.world(1), vec![placement]);
+        let body_truth = &truth.bodies[0];
+        let pixel = |point: &Point3<f64>| sheet.project(0, point, 0.0).unwrap();
+        let distance = |[a, b]: [f64; 2], [c, d]: [f64; 2]| (c - a).hypot(d - b);
+        let largest = body(0)
+            .markers
+            .iter()
+            .filter(|marker| (pose.rotation * marker.normal()).dot(&towards) < -0.2)
+            .map(|marker| {
+                let corners = marker.corners.map(|corner| pixel(&(pose * corner)));
+                (0..4).map(|k| distance(corners[k], corners[(k + 1) % 4])).sum::<f64>() / 4.0
+            })
+            .fold(0.0, f64::max);
+        assert!((body_truth.best_side_px / largest - 1.0).abs() < 1e-6);
+        let half = velocity_in_camera * (truth.exposure_s / 2.0);
+        let ends = [-half, half].map(|way| pixel(&Point3::from(towards + way)));
+        let blur = distance(ends[0], ends[1]);
+        // The density is that of the nearest tile.
+        assert!((body_truth.blur_px / blur - 1.0).abs() < 0.03, "{} {blur}", body_truth.blur_px);
+        assert!(azimuth < FRAC_PI_2 && blur > 1.0);
+    }
+}
