@@ -146,8 +146,8 @@ pub fn grey(sphere: &SphereImage<'_>, cut: &Cut, x: f64, y: f64) -> f64 {
 /// Whether rounding to single precision leaves the pixel where it is: neither on the border of an
 /// image circle or between two lenses, nor on a pole itself.
 pub fn is_settled(camera: &Camera, cut: &Cut, x: f64, y: f64) -> bool {
-    // A ten thousandth of a pixel of the sphere image: what single precision may be off. A pole is
-    // at least as exact, because directions are counted from it.
+    // Pixels of the view, more than single precision is off: next to a pole it is off by less,
+    // because directions are counted from there.
     let shift_px = if is_round(camera) { 1e-5 } else { 1e-3 };
     let here = position(camera, cut, x, y);
     [(shift_px, 0.0), (-shift_px, 0.0), (0.0, shift_px), (0.0, -shift_px)].into_iter().all(
