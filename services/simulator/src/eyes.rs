@@ -20,7 +20,6 @@ pub struct Eye {
 
 /// The part of the image that an eye takes.
 #[derive(Debug, Clone, Copy)]
-#[expect(clippy::large_enum_variant, reason = "a camera has two eyes at most")]
 enum Part {
     Whole(Camera),
     /// Where a stitched camera looks ahead (x >= 0), or back.
