@@ -27,7 +27,7 @@ const STITCHED: &str = "camera: {width: 2048, height: 1024, lens_distance_m: 0.0
 
 const STEREOGRAPHIC: &str = "camera: {width: 2048, height: 2048, projection: stereographic, stereographic_field_deg: 320}\n";
 
-const FRAMES: u32 = 60;
+const FRAMES: u32 = 90;
 
 /// A lossless simulated flight of one near neighbour with this camera; the evaluation's summary of
 /// all distances, and what was said.
@@ -58,7 +58,7 @@ fn assert_sound((report, output): &(Value, String)) {
     // The last bin holds all distances.
     let all = report["bins"].as_array().and_then(|bins| bins.last()).expect("there are bins");
     let number = |key: &str| all[key].as_f64().unwrap_or_else(|| panic!("{key} in {report}"));
-    assert!(number("measured") > 0.6 * f64::from(FRAMES), "{report}\n{output}");
+    assert!(number("measured") > 0.5 * f64::from(FRAMES), "{report}\n{output}");
     assert!(number("median_mm") < 3.0, "{report}\n{output}");
     assert_eq!(report["false_poses"].as_u64(), Some(0), "{report}");
 }
