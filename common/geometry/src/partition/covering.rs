@@ -23,7 +23,7 @@ impl Effort {
     /// What repeats the same optimum from other seeds for up to 32 directions; beyond, where an
     /// attempt takes longer, as much as a start of the pipeline can wait for.
     fn of(count: usize) -> Self {
-        let attempts = if count <= 32 { 1_200 } else { (600_000 / (count * count)).max(36) };
+        let attempts = if count <= 32 { 1_200 } else { (200_000 / (count * count)).max(16) };
         let starts = attempts as u64 / 4;
         Self { starts, hops: attempts as u64 - starts }
     }
