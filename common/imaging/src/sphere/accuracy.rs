@@ -18,7 +18,7 @@ use super::*;
 const CAMERA: Camera = Camera::equirectangular(3840, 1920);
 
 /// Every model: with one centre and with lenses beside it.
-fn cameras() -> [Camera; 5] {
+fn cameras() -> [Camera; 6] {
     let lens = |ahead: f64, u: f64, curve, focal_px| {
         let axis = Vector3::x() * ahead;
         let right = axis.cross(&Vector3::z());
@@ -42,6 +42,7 @@ fn cameras() -> [Camera; 5] {
     };
     let polynomial = LensCurve::Equidistant([-0.02, 0.005, -0.003, 0.0004]);
     let spheres = LensCurve::DoubleSphere { xi: 0.0024, alpha: 0.6605 };
+    let unified = LensCurve::Unified { xi: 1.84, distortion: [0.016, -0.31, 0.001, 0.002] };
     let stitched = CameraModel::Equirectangular { lens_distance_m: 0.016 };
     let plane = CameraModel::Stereographic { field_rad: 300f64.to_radians() };
     [
@@ -49,6 +50,7 @@ fn cameras() -> [Camera; 5] {
         Camera::new(3840, 1920, stitched).unwrap(),
         pair(polynomial, 560.0),
         pair(spheres, 550.0),
+        pair(unified, 1700.0),
         Camera::new(2000, 1920, plane).unwrap(),
     ]
 }

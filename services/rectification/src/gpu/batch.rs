@@ -1,7 +1,7 @@
 //! Views of a frame that are cut together.
 
 use flockeye_geometry::camera::Camera;
-use flockeye_imaging::sphere::{Cut, Interpolation};
+use flockeye_imaging::sphere::Cut;
 use wgpu::{BindGroup, Buffer, BufferUsages, BufferView, MapMode, SubmissionIndex};
 
 use super::device::{Device, Mapped, Memory};
@@ -125,12 +125,9 @@ impl Batch {
             let mut pass = encoder.begin_compute_pass(&Default::default());
             pass.set_bind_group(0, &*bind_group, &[]);
             let most = device.device.limits().max_compute_workgroups_per_dimension;
-            for interpolation in [Interpolation::Bilinear, Interpolation::Cubic] {
-                if let Some([across, down]) = self.layout.workgroups(interpolation, most) {
-                    pass.set_pipeline(device.shader.pipeline(camera, interpolation));
-                    pass.dispatch_workgroups(across, down, 1);
-                }
-            }
+            let [across, down] = self.layout.workgroups(most);
+            pass.set_pipeline(device.shader.pipeline(camera));
+            pass.dispatch_workgroups(across, down, 1);
         }
         if let Some(readback) = &self.readback {
             encoder.copy_buffer_to_buffer(&self.output, 0, readback, 0, bytes);

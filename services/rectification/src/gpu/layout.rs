@@ -104,9 +104,8 @@ impl LensUniform {
 #[repr(C)]
 pub(super) struct BatchHeader {
     views: u32,
-    bilinear_tiles: u32,
     tiles: u32,
-    reserved: u32,
+    reserved: [u32; 2],
 }
 
 /// `View` of the shader.
@@ -132,17 +131,17 @@ pub(super) struct ViewParameters {
     tiles_across: u32,
     /// One over the distance that the view is right for, 1/m.
     nearness: f32,
-    reserved: u32,
+    /// 0: bilinear, 1: cubic.
+    interpolation: u32,
     padding: [u32; 2],
 }
 
 /// Views laid out one behind the other: in the output by whole words, in the work by whole
-/// workgroups. Bilinear ones come first, as the shader expects.
+/// workgroups.
 #[derive(Debug, Default)]
 pub(super) struct Layout {
     views: Vec<ViewParameters>,
     words: u32,
-    bilinear_tiles: u32,
     tiles: u32,
 }
 
@@ -166,9 +165,6 @@ impl Layout {
         });
         self.words = words;
         self.tiles += tiles_across * size.div_ceil(TILE);
-        if cut.interpolation == Interpolation::Bilinear {
-            self.bilinear_tiles = self.tiles;
-        }
         true
     }
 
@@ -179,12 +175,7 @@ impl Layout {
 
     /// What precedes the views in their buffer.
     pub(super) fn header(&self) -> BatchHeader {
-        BatchHeader {
-            views: self.views.len() as u32,
-            bilinear_tiles: self.bilinear_tiles,
-            tiles: self.tiles,
-            reserved: 0,
-        }
+        BatchHeader { views: self.views.len() as u32, tiles: self.tiles, reserved: [0; 2] }
     }
 
     /// The views' parameters.
@@ -192,15 +183,11 @@ impl Layout {
         &self.views
     }
 
-    /// Workgroups across and down for the views of an interpolation, at most `most` either way; a few
-    /// more than are needed, where one row of them does not do. `None` if there are no such views.
-    pub(super) fn workgroups(&self, interpolation: Interpolation, most: u32) -> Option<[u32; 2]> {
-        let tiles = match interpolation {
-            Interpolation::Bilinear => self.bilinear_tiles,
-            Interpolation::Cubic => self.tiles - self.bilinear_tiles,
-        };
-        let down = tiles.div_ceil(most);
-        (tiles > 0).then(|| [tiles.div_ceil(down), down])
+    /// Workgroups across and down, at most `most` either way; a few more than are needed, where one
+    /// row of them does not do.
+    pub(super) fn workgroups(&self, most: u32) -> [u32; 2] {
+        let down = self.tiles.div_ceil(most).max(1);
+        [self.tiles.div_ceil(down), down]
     }
 
     /// Copies view `index` out of the output's bytes, rows without gaps.
@@ -246,7 +233,10 @@ fn parameters(cut: &Cut, camera: &Camera) -> ViewParameters {
         first_tile: 0,
         tiles_across: 0,
         nearness: camera.at_distance(cut.distance_m).nearness() as f32,
-        reserved: 0,
+        interpolation: match cut.interpolation {
+            Interpolation::Bilinear => 0,
+            Interpolation::Cubic => 1,
+        },
         padding: [0; 2],
     }
 }
@@ -294,10 +284,8 @@ mod tests {
         let first: Vec<_> = layout.views.iter().map(|view| view.first_tile).collect();
         // 936 px are 234 words or 30 workgroups across, and 117 down.
         assert_eq!((first, layout.tiles), (vec![0, 3510, 3520], 3530));
-        let groups = |most| layout.workgroups(Interpolation::Bilinear, most);
-        assert_eq!(groups(65_535), Some([3530, 1]));
-        assert_eq!(layout.workgroups(Interpolation::Cubic, 65_535), None);
-        let Some([across, down]) = groups(1000) else { panic!("there are views") };
+        assert_eq!(layout.workgroups(65_535), [3530, 1]);
+        let [across, down] = layout.workgroups(1000);
         assert!(across <= 1000 && across * down >= 3530 && across * down < 3540);
     }
 

@@ -57,16 +57,15 @@ struct View {
     tiles_across: u32,
     // One over the distance that the view is right for, 1/m.
     nearness: f32,
-    reserved: u32,
+    // 0: bilinear, 1: cubic.
+    interpolation: u32,
     padding: vec2u,
 }
 
-// Bilinear views first, then cubic ones.
 struct Batch {
     views: u32,
-    bilinear_tiles: u32,
     tiles: u32,
-    reserved: u32,
+    reserved: vec2u,
     list: array<View>,
 }
 
@@ -77,10 +76,11 @@ struct Batch {
 
 const PI = 3.14159265358979;
 
-// The camera's model and the views' interpolation: a pipeline for each, so that none carries the
-// registers of another.
+// The camera's model: a pipeline for each, so that none carries the registers of another. (Views of
+// both interpolations are cut in one dispatch; within a workgroup, all is one view's.)
 override model: u32;
-override is_cubic: bool;
+
+const CUBIC = 1u;
 
 const EQUIRECTANGULAR = 0u;
 const DUAL_FISHEYE = 1u;
@@ -346,13 +346,8 @@ fn rectify(
     @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_id) local: vec3u,
 ) {
-    var tile = group.y * groups.x + group.x;
-    var end = batch.bilinear_tiles;
-    if is_cubic {
-        tile += end;
-        end = batch.tiles;
-    }
-    if tile >= end {
+    let tile = group.y * groups.x + group.x;
+    if tile >= batch.tiles {
         return;
     }
     let view = batch.list[view_of(tile)];
@@ -369,7 +364,7 @@ fn rectify(
         let at = position(direction, view.nearness);
         var grey = 0u;
         if at.x != NOWHERE.x {
-            if is_cubic {
+            if view.interpolation == CUBIC {
                 grey = cubic(at);
             } else {
                 grey = bilinear(at);

@@ -1,14 +1,13 @@
-//! The shader: a pipeline for each camera model and interpolation.
+//! The shader: a pipeline for each camera model.
 
 use flockeye_geometry::camera::{Camera, CameraModel};
-use flockeye_imaging::sphere::Interpolation;
 use wgpu::{BindGroupLayout, BufferBindingType, ComputePipeline, ShaderStages};
 
-/// The shader's pipelines, by the model and the interpolation, and how buffers are bound to them.
+/// The shader's pipelines, by the model, and how buffers are bound to them.
 #[derive(Debug)]
 pub(super) struct Shader {
     pub bindings: BindGroupLayout,
-    pipelines: [[ComputePipeline; 2]; 3],
+    pipelines: [ComputePipeline; 3],
 }
 
 impl Shader {
@@ -37,40 +36,30 @@ impl Shader {
             ..Default::default()
         });
         let module = device.create_shader_module(wgpu::include_wgsl!("rectify.wgsl"));
-        let pipeline = |model: usize, interpolation: usize| {
+        let pipeline = |model: u32| {
             device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
                 label: Some("rectify"),
                 layout: Some(&layout),
                 module: &module,
                 entry_point: Some("rectify"),
                 compilation_options: wgpu::PipelineCompilationOptions {
-                    constants: &[("model", model as f64), ("is_cubic", interpolation as f64)],
+                    constants: &[("model", f64::from(model))],
                     ..Default::default()
                 },
                 cache: None,
             })
         };
-        let pipelines =
-            [0, 1, 2].map(|model| [0, 1].map(|interpolation| pipeline(model, interpolation)));
-        Self { bindings, pipelines }
+        Self { bindings, pipelines: [0, 1, 2].map(pipeline) }
     }
 
     /// The pipeline for frames of a camera.
-    pub(super) fn pipeline(
-        &self,
-        camera: &Camera,
-        interpolation: Interpolation,
-    ) -> &ComputePipeline {
+    pub(super) fn pipeline(&self, camera: &Camera) -> &ComputePipeline {
         // As the shader counts them.
         let model = match camera.model() {
             CameraModel::Equirectangular { .. } => 0,
             CameraModel::DualFisheye(_) => 1,
             CameraModel::Stereographic { .. } => 2,
         };
-        let interpolation = match interpolation {
-            Interpolation::Bilinear => 0,
-            Interpolation::Cubic => 1,
-        };
-        &self.pipelines[model][interpolation]
+        &self.pipelines[model]
     }
 }

@@ -1,6 +1,6 @@
 //! One frame on the device, and the views that are cut from it.
 
-use flockeye_imaging::sphere::{Cut, Interpolation, SphereImage};
+use flockeye_imaging::sphere::{Cut, SphereImage};
 use wgpu::{Buffer, BufferUsages, MapMode, SubmissionIndex};
 
 use super::batch::Batch;
@@ -110,8 +110,7 @@ impl Slot {
         sphere: &SphereImage<'_>,
         cuts: impl IntoIterator<Item = Cut>,
     ) -> Result<(), RectifyError> {
-        let mut cuts: Vec<Cut> = cuts.into_iter().filter(|cut| self.find(cut).is_none()).collect();
-        cuts.sort_by_key(|cut| cut.interpolation == Interpolation::Cubic);
+        let cuts: Vec<Cut> = cuts.into_iter().filter(|cut| self.find(cut).is_none()).collect();
         let mut rest = cuts.as_slice();
         while !rest.is_empty() {
             if self.filled == self.batches.len() {

@@ -6,7 +6,7 @@ use flockeye_imaging::sphere::{Cut, Interpolation, SphereImage};
 use nalgebra::{Isometry3, Rotation3, Translation3, Unit, UnitQuaternion, Vector3};
 
 /// Every model: with one centre and with lenses beside it.
-pub fn cameras() -> [Camera; 5] {
+pub fn cameras() -> [Camera; 6] {
     let lens = |ahead: f64, u: f64, curve, focal_px| {
         let axis = Vector3::x() * ahead;
         let right = axis.cross(&Vector3::z());
@@ -30,6 +30,7 @@ pub fn cameras() -> [Camera; 5] {
     };
     let polynomial = LensCurve::Equidistant([-0.02, 0.005, -0.003, 0.0004]);
     let spheres = LensCurve::DoubleSphere { xi: 0.0024, alpha: 0.6605 };
+    let unified = LensCurve::Unified { xi: 1.84, distortion: [0.016, -0.31, 0.001, 0.002] };
     let stitched = CameraModel::Equirectangular { lens_distance_m: 0.016 };
     let plane = CameraModel::Stereographic { field_rad: 300f64.to_radians() };
     [
@@ -37,6 +38,7 @@ pub fn cameras() -> [Camera; 5] {
         Camera::new(3840, 1920, stitched).unwrap(),
         pair(polynomial, 560.0),
         pair(spheres, 550.0),
+        pair(unified, 1700.0),
         Camera::new(2000, 1920, plane).unwrap(),
     ]
 }
