@@ -296,18 +296,6 @@ impl Camera {
         }
     }
 
-    /// How far a thing at `metres` in the direction `ray_in_camera` lies from where its pixel's ray
-    /// points, because of lenses beside the camera's middle: radians, and 0 where the camera is
-    /// [right for that distance](Self::at_distance).
-    pub fn parallax_rad(&self, ray_in_camera: &Ray, metres: f64) -> f64 {
-        let Some(pixel) = self.at_distance(metres).project(ray_in_camera) else { return 0.0 };
-        // By the chord: the arc of a cosine loses half the digits of small angles.
-        self.ray(pixel).map_or(0.0, |assumed| {
-            let chord = (assumed.into_inner() - ray_in_camera.into_inner()).norm();
-            2.0 * (0.5 * chord).min(1.0).asin()
-        })
-    }
-
     /// Farthest that a lens sits from the camera's middle, metres.
     fn largest_offset_m(&self) -> f64 {
         match &self.model {

@@ -28,8 +28,8 @@ pub enum MaskError {
     },
 }
 
-/// Points of a view that are looked at along each side: a gap between them holds no marker.
-const SAMPLES: u32 = 65;
+/// Pixels of a view between two points that are looked at, at most: a gap holds no marker.
+const STEP_PX: u32 = 12;
 
 impl Mask {
     /// Nothing is hidden but what the camera's image circles leave out.
@@ -66,10 +66,10 @@ impl Mask {
     /// Whether nothing can be seen anywhere in `view`.
     pub fn hides_view(&self, view: &View) -> bool {
         let last = f64::from(view.size_px) - 1.0;
-        let place = |k: u32| last * f64::from(k) / f64::from(SAMPLES - 1);
-        (0..SAMPLES).all(|y| {
-            (0..SAMPLES).all(|x| self.hides(&view.ray(ViewPixel::new(place(x), place(y)))))
-        })
+        let steps = view.size_px.div_ceil(STEP_PX).max(1);
+        let place = |k: u32| last * f64::from(k) / f64::from(steps);
+        (0..=steps)
+            .all(|y| (0..=steps).all(|x| self.hides(&view.ray(ViewPixel::new(place(x), place(y))))))
     }
 }
 

@@ -111,15 +111,6 @@ impl Pipeline {
         Ok(model.at_distance(camera.assumed_distance_m))
     }
 
-    /// The contract's code of the camera model.
-    pub fn projection(&self) -> Projection {
-        match self.camera.projection {
-            config::CameraModel::Equirectangular => Projection::Equirectangular,
-            config::CameraModel::DualFisheye => Projection::DualFisheye,
-            config::CameraModel::Stereographic => Projection::Stereographic,
-        }
-    }
-
     /// The code of the camera's transfer curve, and its gamma where it has one.
     pub fn transfer(&self) -> (Transfer, f32) {
         match self.camera.response {
@@ -153,13 +144,23 @@ impl Pipeline {
             ));
         }
         let (black, white) = (given[0], given[given.len() - 1]);
-        Ok(std::array::from_fn(|code| {
+        let table: [f32; 256] = std::array::from_fn(|code| {
             let place = code as f64 / 255.0 * (given.len() - 1) as f64;
             let below = (place as usize).min(given.len() - 2);
             let share = place - below as f64;
             let light = given[below] + share * (given[below + 1] - given[below]);
             ((light - black) / (white - black)) as f32
-        }))
+        });
+        // Steps too small, or numbers too large, for what works with it.
+        let rises = |pair: &[f32]| pair[1] > pair[0];
+        match table.windows(2).position(|pair| !rises(pair)) {
+            None => Ok(table),
+            Some(code) => fault(format!(
+                "from code {code} to {} the light does not rise by anything that single precision \
+                 can tell",
+                code + 1
+            )),
+        }
     }
 
     /// What the camera sees: everything its image circles hold, less what `camera.mask` hides.
@@ -169,7 +170,7 @@ impl Pipeline {
     pub fn mask(&self) -> Result<Mask, MaskFileError> {
         let camera = self.camera_model()?;
         let Some(path) = &self.camera.mask else { return Ok(Mask::nothing_hidden(camera)) };
-        let (sides, seen) = read_mask(path)?;
+        let (sides, seen) = read_mask(path, &camera)?;
         Mask::new(camera, sides, seen)
             .map_err(|error| MaskFileError::Size { path: path.clone(), error })
     }
@@ -213,14 +214,20 @@ fn lens(index: usize, lens: &FisheyeLens) -> Result<Lens, CameraSettingError> {
     Ok(Lens { focal_px, curve, ..filling })
 }
 
-/// The sides of a mask's picture, and which of its pixels are bright, row by row.
-fn read_mask(path: &Path) -> Result<([u32; 2], Vec<bool>), MaskFileError> {
+/// The sides of a mask's picture, and, if they are the camera's, which of its pixels are bright, row
+/// by row.
+fn read_mask(path: &Path, camera: &Camera) -> Result<([u32; 2], Vec<bool>), MaskFileError> {
     let open = |error| MaskFileError::Open { path: path.to_owned(), error };
     let decode = |error| MaskFileError::Decode { path: path.to_owned(), error };
     let file = BufReader::new(File::open(path).map_err(open)?);
     let mut decoder = png::Decoder::new(file);
     decoder.set_transformations(png::Transformations::normalize_to_color8());
     let mut reader = decoder.read_info().map_err(decode)?;
+    let (width, height) = reader.info().size();
+    if (width, height) != (camera.width(), camera.height()) {
+        // Before memory is made for it.
+        return Ok(([width, height], Vec::new()));
+    }
     let Some(bytes) = reader.output_buffer_size() else {
         return Err(decode(png::DecodingError::LimitsExceeded));
     };

@@ -3,6 +3,7 @@
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
+use flockeye_contract::MAX_VIEW_PX;
 use flockeye_geometry::partition::{Criterion, Method, Partition, PartitionError, Weights};
 use flockeye_geometry::search::GazeOptions;
 use flockeye_geometry::view::View;
@@ -19,6 +20,17 @@ pub enum SphereViewsError {
     /// A margin that leaves no view.
     #[error("partition: {0}")]
     Partition(#[from] PartitionError),
+    /// Views that no message can carry.
+    #[error(
+        "partition.count: {count} views of this camera's sphere have {size_px} px a side, and a view \
+         has {MAX_VIEW_PX} at most. Cure: more views, a smaller margin, or smaller frames"
+    )]
+    TooLarge {
+        /// How many views.
+        count: usize,
+        /// Their side, pixels.
+        size_px: u32,
+    },
 }
 
 /// Method, number of views and seed.
@@ -94,7 +106,13 @@ impl Pipeline {
     pub fn partition_views(&self, largest_marker_m: f64) -> Result<Vec<View>, SphereViewsError> {
         let margin_rad = self.partition_margin_rad(largest_marker_m);
         let pixels_per_radian = self.camera_model()?.pixels_per_radian();
-        Ok(self.sphere_partition()?.views(margin_rad, pixels_per_radian)?)
+        let views = self.sphere_partition()?.views(margin_rad, pixels_per_radian)?;
+        match views.iter().map(|view| view.size_px).max() {
+            Some(size_px) if size_px > MAX_VIEW_PX => {
+                Err(SphereViewsError::TooLarge { count: views.len(), size_px })
+            }
+            _ => Ok(views),
+        }
     }
 
     /// Pixels along the side of the largest view that this pipeline cuts.

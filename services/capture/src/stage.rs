@@ -5,6 +5,7 @@ use std::time::Duration;
 use flockeye_contract::{
     FrameHeader, FrameStamp, Frames, PixelFormat, Projection, StageState, Transfer,
 };
+use flockeye_runtime::camera::projection_of;
 use flockeye_runtime::config::{AtEnd, Flow, Pipeline};
 use flockeye_runtime::credits::Credits;
 use flockeye_runtime::health::SharedCounters;
@@ -60,7 +61,7 @@ impl Stage for CaptureStage {
                 next_sequence: 0,
             },
             transfer: pipeline.transfer(),
-            projection: pipeline.projection(),
+            projection: projection_of(&pipeline.camera_model()?),
             readout_ns: (pipeline.camera.readout_ms * 1e6) as u64,
             has_ended: false,
             counters: context.counters.clone(),

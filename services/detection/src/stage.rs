@@ -189,3 +189,20 @@ fn detected(found: &Found) -> DetectedMarker {
         reserved: 0,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use super::*;
+
+    #[test]
+    fn a_measured_curve_is_taken_as_it_is() {
+        let header = ViewHeader { transfer: Transfer::Table.code(), ..ViewHeader::default() };
+        let table: [f32; 256] = std::array::from_fn(|code| (code as f32 / 255.0).sqrt());
+        let light = linear_light(&header, Some(&table)).unwrap();
+        assert_eq!(light, LinearLight::from_table(table).unwrap());
+        assert_ne!(light, LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap());
+        let message = linear_light(&header, None).unwrap_err().to_string();
+        assert!(message.contains("camera.response_table"), "{message}");
+    }
+}

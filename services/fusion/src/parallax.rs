@@ -46,8 +46,9 @@ impl Parallax {
     }
 
     /// A pose from rays that were right for `rays_m`, as the distance that it says wants it: turned
-    /// about the camera's middle. What a stitched image shows is the stitcher's guess, so there the
-    /// whole of the correction counts as uncertain, once for all rays: in the covariance.
+    /// about the camera's middle. A stitched image is taken for one stitched for things far away;
+    /// where it was stitched for something nearer it is off by anything up to the whole parallax,
+    /// once for all rays: in the covariance, as that much, evenly distributed.
     pub fn corrected(&self, estimate: &PoseEstimate, rays_m: f64) -> PoseEstimate {
         let position = estimate.camera_from_markers.translation.vector;
         let Some(towards) = Ray::try_new(position, 1e-9) else { return *estimate };
@@ -58,7 +59,11 @@ impl Parallax {
             Isometry3::from_parts(Default::default(), turn) * estimate.camera_from_markers;
         let mut covariance = estimate.covariance;
         if self.is_stitched {
-            covariance += common(&(camera_from_markers.translation.vector - position), &turn);
+            let there = camera_from_markers.translation.vector;
+            let far = self.brought(&brought, range_m, f64::INFINITY);
+            let turn = UnitQuaternion::rotation_between_axis(&brought, &far).unwrap_or_default();
+            // The mean square of what is evenly distributed from nothing to one is a third.
+            covariance += common(&(turn * there - there), &turn) / 3.0;
         }
         PoseEstimate { camera_from_markers, covariance }
     }
@@ -108,10 +113,11 @@ mod tests {
         assert!((0.003..0.008).contains(&error), "{error}");
         let right = parallax.corrected(&wrong, 1.5);
         assert!((right.camera_from_markers.translation.vector - truth).norm() < 1e-6);
-        // Across the line of sight it is now as uncertain as it was wrong, along it no more than
-        // before.
+        // Across the line of sight it is as uncertain as the stitcher makes it: by the root of a
+        // third of the half distance of the lenses, less what lies along the sight.
         let spread = right.covariance.fixed_view::<3, 3>(0, 0).trace().sqrt();
-        assert!((spread / error - 1.0).abs() < 0.05, "{spread} {error}");
+        let across = 0.008 * (1.0 - (truth.x / truth.norm()).powi(2)).sqrt();
+        assert!((spread / (across / 3f64.sqrt()) - 1.0).abs() < 0.05, "{spread} {across}");
         let sight = truth.normalize();
         let along = (sight.transpose() * right.covariance.fixed_view::<3, 3>(0, 0) * sight)[0];
         assert!(along.sqrt() < 0.1 * error, "{along}");

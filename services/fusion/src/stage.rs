@@ -136,8 +136,9 @@ impl FusionStage {
         let mut markers = message.items().to_vec();
         let of_view =
             self.assembly.oldest().and_then(|frame| frame.views.get(&header.view_index)).copied();
-        if let Some(view) = of_view.filter(|view| view.stamp.is_same_frame(&header.stamp)) {
-            let view = view_of(&view);
+        let of_view = of_view.filter(|view| view.stamp.is_same_frame(&header.stamp));
+        if let Some(view) = &of_view {
+            let view = view_of(view);
             if let Some(marker) = markers.iter().find(|marker| !agrees_with_view(marker, &view)) {
                 self.counters.add_failed(1);
                 if let Some(more) = self.disagreements.admit() {

@@ -86,6 +86,10 @@ impl Swarm {
         view: Option<&ViewHeader>,
     ) -> Option<Update> {
         let Some(Purpose::Gaze(target)) = purpose else { return None };
+        if self.parallax.is_some() && view.is_none() {
+            // What its rays are right for is not known yet: `finish` knows.
+            return None;
+        }
         let known = self.settle(at_s, target, &[(record, view)], MARKERS_ALONE)?;
         Some((target, known))
     }

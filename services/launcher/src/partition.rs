@@ -160,10 +160,15 @@ pub fn run(arguments: &cli::Partition) -> anyhow::Result<()> {
     if let Some(path) = &arguments.svg {
         write(path, &figure::draw(arguments)?)?;
     }
-    if let (Some(path), Some(partition)) = (&arguments.picture, partitions.first()) {
-        write(path, &picture::draw(partition, arguments.margin.to_radians())?)?;
-    }
     Screen::new().line(&if arguments.json { table.to_json()? } else { table.to_string() });
+    if let Some(path) = &arguments.picture {
+        // The first that has views with this margin; if none has, the first one's reason counts.
+        let mut pictures =
+            partitions.iter().map(|p| picture::draw(p, arguments.margin.to_radians()));
+        let first = pictures.next().context("there is no partition to draw")?;
+        let drawn = first.or_else(|error| pictures.find_map(Result::ok).ok_or(error))?;
+        write(path, &drawn)?;
+    }
     Ok(())
 }
 

@@ -26,7 +26,6 @@ const FRAMES: usize = 3;
 pub struct GpuRectifier {
     device: Device,
     description: String,
-    is_software: bool,
     slots: [Slot; FRAMES],
     /// Counts calls.
     now: u64,
@@ -45,18 +44,11 @@ impl GpuRectifier {
     fn on(device: Device, found: &FoundAdapter) -> Self {
         Self {
             description: found.description(),
-            is_software: found.is_software(),
             slots: std::array::from_fn(|_| Slot::new(&device)),
             device,
             now: 0,
         }
     }
-
-    /// Whether the device is a program on the processor.
-    pub fn is_software(&self) -> bool {
-        self.is_software
-    }
-
     /// Refuses a camera whose frames the device cannot hold.
     ///
     /// # Errors

@@ -135,7 +135,7 @@ impl Stage for RectificationStage {
             }
         }
         self.release();
-        self.take_up();
+        self.take_up()?;
         self.prepare_next();
         let has_cut = self.cut_next()?;
         Ok(match (has_cut, self.held.is_empty()) {
@@ -207,12 +207,12 @@ impl RectificationStage {
     }
 
     /// Takes up the frame that waits, once the one before has been cut.
-    fn take_up(&mut self) {
+    fn take_up(&mut self) -> anyhow::Result<()> {
         let is_cutting = self.held.iter().any(|held| !held.job.has_ended());
         if is_cutting || self.held.len() >= HELD_FRAMES {
-            return;
+            return Ok(());
         }
-        let Some(message) = self.waiting.take() else { return };
+        let Some(message) = self.waiting.take() else { return Ok(()) };
         let header = message.header;
         let job = self.job_for(header);
         let mut held = Held { message, job, ordered: BTreeSet::new() };
@@ -220,6 +220,8 @@ impl RectificationStage {
         match order(&mut self.rectifier, self.camera, &mut held, &likely) {
             Ok(()) => self.held.push(held),
             Err(error) => {
+                // Whoever waits for this frame's end gets it.
+                end(&self.frame_ends, &mut held.job, StopReason::Failed, self.generation)?;
                 self.counters.add_failed(1);
                 if let Some(more) = self.refusals.admit() {
                     tracing::warn!(
@@ -230,6 +232,7 @@ impl RectificationStage {
                 }
             }
         }
+        Ok(())
     }
 
     /// Lets the frame that waits be uploaded while another is being cut.

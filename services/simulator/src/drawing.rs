@@ -25,9 +25,9 @@ const FAINT: f32 = 1e-4;
 
 /// What a drawing needs to know of the camera.
 #[derive(Debug, Clone, Copy)]
-pub struct Lens {
+pub struct Sharpness {
     /// Samples of the drawing for each pixel of the image, along a line.
-    pub density: f64,
+    pub samples_per_px: f64,
     /// Standard deviation of the point spread, samples.
     pub blur: f64,
     /// Exposure, seconds.
@@ -78,7 +78,7 @@ impl Drawing {
         placement: &Placement,
         world_from_camera: &nalgebra::UnitQuaternion<f64>,
         pixels: &Density,
-        lens: Lens,
+        sharpness: Sharpness,
     ) {
         let pose = &placement.camera_from_markers;
         let axes = drawing_axes(placement);
@@ -99,18 +99,18 @@ impl Drawing {
         };
         let eye = pose.inverse_transform_point(&Point3::origin());
         let parts = drone.back_to_front(&eye);
-        let mut stretch = pixels.stretch([axes[0], axes[1]]).scaled(lens.density);
+        let mut stretch = pixels.stretch([axes[0], axes[1]]).scaled(sharpness.samples_per_px);
         let [low, high] = bounds(&parts, &stretch);
         let side = (high - low).max();
-        if side > lens.widest {
+        if side > sharpness.widest {
             // Towards the rim of a very wide plane a body's surroundings grow without end.
-            stretch = stretch.scaled(lens.widest / side);
+            stretch = stretch.scaled(sharpness.widest / side);
         }
 
         // The first axis lies along the motion, so that motion blur is one with the rows' blur.
         // Positive: the parameters ask for a blur of 0.3 pixels, 0.6 samples, or more.
-        let sigma = (lens.blur.powi(2) - OWN_VARIANCE).sqrt();
-        let motion = placement.angular_speed() * lens.exposure_s * stretch.along;
+        let sigma = (sharpness.blur.powi(2) - OWN_VARIANCE).sqrt();
+        let motion = placement.angular_speed() * sharpness.exposure_s * stretch.along;
         let along = blur_kernel(sigma, motion);
         let across = blur_kernel(sigma, 0.0);
         // Twice the reach along the rows: what is blurred there is blurred from as far again.

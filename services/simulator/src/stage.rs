@@ -8,6 +8,7 @@ use flockeye_contract::{
 use flockeye_geometry::body::{Bodies, Body};
 use flockeye_imaging::light::TransferCurve;
 use flockeye_runtime::bodies::isometry;
+use flockeye_runtime::camera::projection_of;
 use flockeye_runtime::config::{Flow, Pipeline};
 use flockeye_runtime::credits::Credits;
 use flockeye_runtime::health::SharedCounters;
@@ -60,7 +61,7 @@ impl Stage for SimulatorStage {
             truths: ports.side_publisher()?,
             credits: Credits::open(pipeline, ports)?,
             world,
-            projection: pipeline.projection(),
+            projection: projection_of(&pipeline.camera_model()?),
             transfer: pipeline.transfer(),
             bodies: flying.iter().flat_map(Bodies::iter).cloned().collect(),
             observer_from_camera: isometry(&pipeline.observer.observer_from_camera),

@@ -6,7 +6,7 @@ use flockeye_geometry::body::Bodies;
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 
 use crate::density::Density;
-use crate::drawing::{Drawing, Lens};
+use crate::drawing::{Drawing, Sharpness};
 use crate::drone::Drone;
 use crate::eyes::Eye;
 use crate::parameters::WorldParameters;
@@ -302,13 +302,13 @@ impl World {
         let world_from_camera =
             UnitQuaternion::from_axis_angle(&Vector3::z_axis(), moment.observer_yaw);
         let sights = self.sights(moment);
-        let lens = self.lens();
+        let sharpness = self.sharpness();
         let bodies = self.drones.iter().zip(&sights);
         let mut layers = Vec::new();
         for (drawings, (drone, sights)) in self.drawings.chunks_mut(self.eyes.len()).zip(bodies) {
             for (eye, (drawing, sight)) in drawings.iter_mut().zip(sights).enumerate() {
                 let Some(Sight { placement, density }) = sight else { continue };
-                drawing.draw(drone, placement, &world_from_camera, density, lens);
+                drawing.draw(drone, placement, &world_from_camera, density, sharpness);
                 layers.push((placement.position().norm(), Layer { eye, drawing }));
             }
         }
@@ -349,14 +349,14 @@ impl World {
             .collect()
     }
 
-    fn lens(&self) -> Lens {
-        let density = self.parameters.quality.density();
+    fn sharpness(&self) -> Sharpness {
+        let samples_per_px = self.parameters.quality.density();
         let camera = &self.parameters.camera;
-        Lens {
-            density,
-            blur: density * self.parameters.lens_blur_px,
+        Sharpness {
+            samples_per_px,
+            blur: samples_per_px * self.parameters.lens_blur_px,
             exposure_s: self.parameters.exposure_s,
-            widest: density * f64::from(camera.width().max(camera.height())),
+            widest: samples_per_px * f64::from(camera.width().max(camera.height())),
         }
     }
 

@@ -1,11 +1,12 @@
 //! What no schema can say: values that contradict each other, names, rotations.
 
-use flockeye_geometry::partition::Weights;
+use flockeye_geometry::partition::{PartitionError, Weights};
 
 use super::document::Node;
 use super::{
     BodySet, Count, Flow, Mount, Partition, Pipeline, Problem, Problems, Response, StageProcess,
 };
+use crate::sphere::SphereViewsError;
 
 /// Adds everything about `pipeline` that cannot be meant to `problems`.
 pub(super) fn check(pipeline: &Pipeline, document: &Node, problems: &mut Problems) {
@@ -122,11 +123,29 @@ impl Meaning<'_> {
             Some(_) => 0.0,
             None => markers.fold(0.0, f64::max),
         };
-        let Err(error) = pipeline.partition_field_rad(largest_m) else { return };
+        let error = match pipeline.partition_field_rad(largest_m) {
+            Err(error) => error,
+            Ok(_) => {
+                if let Err(error @ SphereViewsError::TooLarge { .. }) =
+                    pipeline.partition_views(largest_m)
+                {
+                    let text = error.to_string();
+                    let what = text.trim_start_matches("partition.count: ").to_owned();
+                    self.problem("partition.count", what);
+                }
+                return;
+            }
+        };
+        if !matches!(error, PartitionError::Field { .. }) {
+            return self.problem("partition", error.to_string());
+        }
         // What was written and made it so.
         let path = match (partition.margin_deg, partition.count) {
             (Some(_), _) => "partition.margin_deg",
-            (None, Count::Chosen(_)) => "partition.weights",
+            (None, Count::Chosen(_)) if partition.weights != Partition::default().weights => {
+                "partition.weights"
+            }
+            (None, Count::Chosen(_)) => "partition.nearest_m",
             (None, count) if count == Partition::default().count => "partition.nearest_m",
             (None, Count::Views(_)) => "partition.count",
         };

@@ -89,6 +89,14 @@ const WRONG: &[(&str, &[&str])] = &[
         &["camera.stereographic_field_deg", "from 1 to 350, not 360"],
     ),
     ("camera: {lens_distance_m: -0.1}", &["from 0 to 1, not -0.1"]),
+    (
+        "camera: {response: table, response_table: [0, 1, 1.00000000001]}",
+        &["camera.response_table", "single precision"],
+    ),
+    (
+        "camera: {width: 7680, height: 3840}\npartition: {count: 5}",
+        &["line 2", "partition.count", "px a side", "4096 at most"],
+    ),
     ("camera: {response: table}", &["camera.response_table", "2 to 256 codes, not of 0"]),
     (
         "camera: {response: table, response_table: [0, 2, 2]}",

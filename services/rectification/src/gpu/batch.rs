@@ -6,6 +6,7 @@ use wgpu::{BindGroup, Buffer, BufferUsages, BufferView, MapMode, SubmissionIndex
 
 use super::device::{Device, Mapped, Memory};
 use super::layout::{BatchHeader, Layout, ViewParameters};
+use super::shader::Interpolations;
 use crate::rectifier::RectifyError;
 
 /// Views of a frame, and the buffers they are cut with, which outlive them.
@@ -89,7 +90,7 @@ impl Batch {
         let fitting = cuts.iter().take_while(|cut| self.layout.add(cut, camera, most)).count();
         self.cuts.extend_from_slice(&cuts[..fitting]);
         if let (0, Some(cut)) = (fitting, cuts.first()) {
-            device.check_fits("bytes of a view", u64::from(cut.view.size_px).pow(2))?;
+            device.check_fits("bytes of a view", Layout::bytes_alone(cut.view.size_px))?;
         }
         Ok(fitting)
     }
@@ -126,7 +127,7 @@ impl Batch {
             pass.set_bind_group(0, &*bind_group, &[]);
             let most = device.device.limits().max_compute_workgroups_per_dimension;
             let [across, down] = self.layout.workgroups(most);
-            pass.set_pipeline(device.shader.pipeline(camera));
+            pass.set_pipeline(device.shader.pipeline(camera, Interpolations::of(&self.cuts)));
             pass.dispatch_workgroups(across, down, 1);
         }
         if let Some(readback) = &self.readback {

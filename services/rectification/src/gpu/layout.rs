@@ -168,6 +168,11 @@ impl Layout {
         true
     }
 
+    /// Bytes of the output for one view alone.
+    pub(super) fn bytes_alone(size_px: u32) -> u64 {
+        u64::from(WORD_PX) * u64::from(size_px.div_ceil(WORD_PX)) * u64::from(size_px)
+    }
+
     /// Bytes of the output.
     pub(super) fn bytes(&self) -> u64 {
         4 * u64::from(self.words)
@@ -295,6 +300,12 @@ mod tests {
         assert!(layout.add(&at(8), &CAMERA, 100));
         assert!(!layout.add(&at(8), &CAMERA, 100));
         assert_eq!((layout.views.len(), layout.bytes()), (1, 64));
+        // Whoever does not fit alone is told so by the same measure.
+        for size in [5, 8, 33] {
+            let alone = Layout::bytes_alone(size);
+            assert!(Layout::default().add(&at(size), &CAMERA, alone));
+            assert!(!Layout::default().add(&at(size), &CAMERA, alone - 1));
+        }
     }
 
     #[test]

@@ -76,10 +76,12 @@ struct Batch {
 
 const PI = 3.14159265358979;
 
-// The camera's model: a pipeline for each, so that none carries the registers of another. (Views of
-// both interpolations are cut in one dispatch; within a workgroup, all is one view's.)
+// The camera's model, and how the views of a dispatch are interpolated: a pipeline for each, so that
+// none carries the registers of another.
 override model: u32;
+override interpolations: u32;
 
+const BILINEAR = 0u;
 const CUBIC = 1u;
 
 const EQUIRECTANGULAR = 0u;
@@ -364,7 +366,7 @@ fn rectify(
         let at = position(direction, view.nearness);
         var grey = 0u;
         if at.x != NOWHERE.x {
-            if view.interpolation == CUBIC {
+            if interpolations == CUBIC || (interpolations != BILINEAR && view.interpolation == CUBIC) {
                 grey = cubic(at);
             } else {
                 grey = bilinear(at);

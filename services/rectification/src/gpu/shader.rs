@@ -1,13 +1,34 @@
-//! The shader: a pipeline for each camera model.
+//! The shader: a pipeline for each camera model and kind of batch.
 
 use flockeye_geometry::camera::{Camera, CameraModel};
+use flockeye_imaging::sphere::{Cut, Interpolation};
 use wgpu::{BindGroupLayout, BufferBindingType, ComputePipeline, ShaderStages};
 
-/// The shader's pipelines, by the model, and how buffers are bound to them.
+/// How the views of a batch are interpolated, as the shader counts it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Interpolations {
+    Bilinear = 0,
+    Cubic = 1,
+    Both = 2,
+}
+
+impl Interpolations {
+    /// Those of some views.
+    pub(super) fn of(cuts: &[Cut]) -> Self {
+        let is_cubic = |cut: &Cut| cut.interpolation == Interpolation::Cubic;
+        match (cuts.iter().any(is_cubic), cuts.iter().all(is_cubic)) {
+            (false, _) => Self::Bilinear,
+            (true, true) => Self::Cubic,
+            (true, false) => Self::Both,
+        }
+    }
+}
+
+/// The shader's pipelines, by the model and the interpolations, and how buffers are bound to them.
 #[derive(Debug)]
 pub(super) struct Shader {
     pub bindings: BindGroupLayout,
-    pipelines: [ComputePipeline; 3],
+    pipelines: [[ComputePipeline; 3]; 3],
 }
 
 impl Shader {
@@ -36,30 +57,38 @@ impl Shader {
             ..Default::default()
         });
         let module = device.create_shader_module(wgpu::include_wgsl!("rectify.wgsl"));
-        let pipeline = |model: u32| {
+        let pipeline = |model: u32, interpolations: u32| {
             device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
                 label: Some("rectify"),
                 layout: Some(&layout),
                 module: &module,
                 entry_point: Some("rectify"),
                 compilation_options: wgpu::PipelineCompilationOptions {
-                    constants: &[("model", f64::from(model))],
+                    constants: &[
+                        ("model", f64::from(model)),
+                        ("interpolations", f64::from(interpolations)),
+                    ],
                     ..Default::default()
                 },
                 cache: None,
             })
         };
-        Self { bindings, pipelines: [0, 1, 2].map(pipeline) }
+        let pipelines = [0, 1, 2].map(|model| [0, 1, 2].map(|kind| pipeline(model, kind)));
+        Self { bindings, pipelines }
     }
 
-    /// The pipeline for frames of a camera.
-    pub(super) fn pipeline(&self, camera: &Camera) -> &ComputePipeline {
+    /// The pipeline for frames of a camera and views of these interpolations.
+    pub(super) fn pipeline(
+        &self,
+        camera: &Camera,
+        interpolations: Interpolations,
+    ) -> &ComputePipeline {
         // As the shader counts them.
         let model = match camera.model() {
             CameraModel::Equirectangular { .. } => 0,
             CameraModel::DualFisheye(_) => 1,
             CameraModel::Stereographic { .. } => 2,
         };
-        &self.pipelines[model]
+        &self.pipelines[model][interpolations as usize]
     }
 }
