@@ -23,6 +23,12 @@ pub const GENERATION_VARIABLE: &str = "FLOCKEYE_GENERATION";
 
 const SHM_FOLDER: &str = "/dev/shm";
 
+/// Bytes of a socket's path (unix(7), without the zero at its end).
+const LONGEST_SOCKET_PATH: usize = 107;
+
+/// Bytes that iceoryx2 adds to a prefix for a socket's name: a number of up to 33 digits, `.event`.
+const SOCKET_NAME: usize = 39;
+
 /// Why an instance cannot be had.
 #[derive(Debug, thiserror::Error)]
 pub enum InstanceError {
@@ -52,7 +58,10 @@ pub enum InstanceError {
         error: io::Error,
     },
     /// The folder's path is too long or has characters that iceoryx2 does not take.
-    #[error("iceoryx2 cannot keep its files in {path}; set TMPDIR to a short, plain path")]
+    #[error(
+        "iceoryx2 cannot keep its files in {path}; set TMPDIR to a short, plain path, or shorten the \
+         instance's name"
+    )]
     Path {
         /// The folder.
         path: PathBuf,
@@ -117,9 +126,17 @@ impl Instance {
     }
 
     /// What the names of its shared memory begin with.
+    ///
+    /// Of one length, and with a digest of the folder (which has the user's number and the name in
+    /// it) in place of a name: sockets' paths hold both folder and prefix, and have 107 bytes at most; and
+    /// no instance's prefix begins another's.
     pub fn prefix(&self) -> String {
-        // The user's number keeps two users' instances of one name apart in /dev/shm.
-        format!("flockeye_{}_{}_", rustix::process::getuid().as_raw(), self.name)
+        // FNV-1a (Fowler, Noll, Vo), the same in every process and release.
+        let bytes = self.folder.as_os_str().as_encoded_bytes();
+        let digest = bytes.iter().fold(0x811c_9dc5_u32, |digest, &byte| {
+            (digest ^ u32::from(byte)).wrapping_mul(0x0100_0193)
+        });
+        format!("flock_{digest:08x}_")
     }
 
     /// iceoryx2's configuration for it. Foreign stages get the same as a file
@@ -129,6 +146,10 @@ impl Instance {
     /// [`InstanceError::Path`] where the folder cannot hold iceoryx2's files.
     pub fn iceoryx2(&self) -> Result<Config, InstanceError> {
         let bad_path = || InstanceError::Path { path: self.folder.clone() };
+        let socket_path = self.folder.as_os_str().len() + 1 + self.prefix().len() + SOCKET_NAME;
+        if socket_path > LONGEST_SOCKET_PATH {
+            return Err(bad_path());
+        }
         let mut config = Config::default();
         let root = iceoryx2::prelude::Path::new(self.folder.to_string_lossy().as_bytes());
         config.global.set_root_path(&root.map_err(|_| bad_path())?);
@@ -296,5 +317,23 @@ mod tests {
         assert!(folder.is_dir(), "it is still there");
         std::fs::remove_dir(&folder).expect("it is still empty");
         assert!(is_instance_name("drone-1_b"));
+    }
+
+    #[test]
+    fn the_longest_name_leaves_room_for_sockets_and_a_long_folder_is_refused() {
+        // As in /tmp of a user with a number of four digits.
+        let long = "n".repeat(31);
+        let folder = PathBuf::from(format!("/tmp/flockeye-1000/{long}"));
+        let instance = Instance { name: long.clone(), folder };
+        assert!(instance.iceoryx2().is_ok());
+        let folder = PathBuf::from(format!("/tmp/some-folder-deep-down/flockeye-1000/{long}"));
+        let error = Instance { name: long, folder }.iceoryx2().expect_err("too long");
+        assert!(error.to_string().contains("set TMPDIR to a short"), "{error}");
+    }
+
+    #[test]
+    fn no_instances_memory_is_anothers() {
+        let [one, other] = ["a", "a_b"].map(|name| Instance::named(name).prefix());
+        assert!(!other.starts_with(&one), "{one} {other}");
     }
 }
