@@ -3,10 +3,14 @@
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
 use flockeye_detection::{DetectError, Detector, DetectorParameters, PREDEFINED, Threshold};
+use flockeye_geometry::camera::Camera;
+use flockeye_geometry::mask::Mask;
 use flockeye_geometry::view::View;
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
 use nalgebra::Vector3;
+use opencv::aruco::{self, PREDEFINED_DICTIONARY_NAME};
+use opencv::prelude::*;
 use proptest::prelude::*;
 
 fn markers_in(pixels: &[u8], width: usize, height: usize, stride: usize) -> usize {
@@ -51,6 +55,35 @@ proptest! {
             .collect();
         prop_assert_eq!(markers_in(&pixels, width, height, stride), 0);
     }
+}
+
+#[test]
+fn a_marker_on_the_own_airframe_is_not_read() {
+    let (size, side, left, top) = (400usize, 120usize, 60usize, 140usize);
+    let dictionary = aruco::get_predefined_dictionary(PREDEFINED_DICTIONARY_NAME::DICT_5X5_250);
+    let mut marker = Mat::default();
+    aruco::draw_marker(&dictionary.unwrap(), 7, side as i32, &mut marker, 1).unwrap();
+    let mut pixels = vec![230u8; size * size];
+    for (y, row) in marker.data_bytes().unwrap().chunks(side).enumerate() {
+        let first = (top + y) * size + left;
+        for (pixel, &ink) in pixels[first..first + side].iter_mut().zip(row) {
+            *pixel = 20 + ink / 255 * 210;
+        }
+    }
+    let image = LumaImage::new(&pixels, size, size, size).unwrap();
+    let view = View::looking_at(&Vector3::x_axis(), 1.0, size as u32);
+    let light = LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap();
+    let ids_beside = |hides: fn(usize) -> bool| -> Vec<u32> {
+        // The view's left half is the left half of the sphere's image, too.
+        let seen = (0..256 * 128).map(|k| !hides(k % 256)).collect();
+        let mask = Mask::new(Camera::equirectangular(256, 128), [256, 128], seen).unwrap();
+        let parameters = DetectorParameters::default();
+        let mut detector = Detector::new("DICT_5X5_250", parameters).unwrap().with_mask(mask);
+        let found = detector.detect(&image, &view, &light).unwrap();
+        found.iter().map(|marker| marker.id).collect()
+    };
+    assert_eq!(ids_beside(|column| column >= 128), [7]);
+    assert!(ids_beside(|column| column < 128).is_empty());
 }
 
 #[test]
