@@ -28,6 +28,10 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+// What the unit tests share with tests outside names this crate as those do.
+#[cfg(test)]
+extern crate self as flockeye_imaging;
+
 pub mod edges;
 pub mod image;
 pub mod light;

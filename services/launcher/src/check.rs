@@ -4,6 +4,7 @@ use std::fmt::Write;
 
 use anyhow::Context;
 use flockeye_geometry::partition;
+use flockeye_geometry::view::View;
 use flockeye_runtime::config::{Count, Flow, Pipeline};
 use flockeye_runtime::instance::Instance;
 use flockeye_runtime::memory::{Budget, shared_memory_space};
@@ -66,7 +67,7 @@ fn plan(
         if pipeline.gateway.enabled { "" } else { " (nothing goes over the network)" }
     )?;
     writeln!(text, "search   {:?}", pipeline.search.mode)?;
-    writeln!(text, "sphere   {}", sphere(pipeline, bodies.largest_side())?)?;
+    writeln!(text, "sphere   {}", sphere(pipeline, &views, bodies.largest_side())?)?;
     writeln!(text, "bodies   of {}", bodies.dictionary)?;
     for (target, body) in bodies.iter().enumerate() {
         let ids = body.markers.first().zip(body.markers.last());
@@ -100,9 +101,8 @@ fn plan(
 }
 
 /// What the views that cover the sphere are.
-fn sphere(pipeline: &Pipeline, largest_marker_m: f64) -> anyhow::Result<String> {
+fn sphere(pipeline: &Pipeline, views: &[View], largest_marker_m: f64) -> anyhow::Result<String> {
     let partition = pipeline.sphere_partition()?;
-    let views = pipeline.partition_views(largest_marker_m)?;
     let is_chosen = matches!(pipeline.partition.count, Count::Chosen(_));
     let seed = u64::from(pipeline.partition.seed);
     let is_stored =

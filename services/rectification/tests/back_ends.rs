@@ -1,6 +1,7 @@
 //! Both back ends against views in double precision, over all camera models.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
+#[path = "../../../common/imaging/tests/exact/mod.rs"]
 mod exact;
 
 use flockeye_geometry::camera::Camera;

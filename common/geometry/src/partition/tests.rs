@@ -7,27 +7,6 @@ const PIXELS_PER_RADIAN: f64 = 3840.0 / std::f64::consts::TAU;
 /// A marker of 5 cm at 40 cm.
 const MARGIN_RAD: f64 = 0.125;
 
-/// Best known covering diameters, degrees: proved for 4 to 7, 10, 12 and 14 (L. Fejes Toth,
-/// Schuette, G. Fejes Toth), else from the tables of Tarnai and Gaspar and of Sloane.
-const BEST_KNOWN_DEG: [(usize, f64); 16] = [
-    (4, 141.0576),
-    (5, 126.8699),
-    (6, 109.4712),
-    (7, 102.0531),
-    (8, 96.2791),
-    (9, 91.7578),
-    (10, 84.6157),
-    (11, 82.8544),
-    (12, 74.7547),
-    (13, 74.1371),
-    (14, 69.8759),
-    (15, 68.0798),
-    (16, 65.7976),
-    (20, 59.2462),
-    (24, 53.71),
-    (32, 45.3810),
-];
-
 fn stored() -> impl Iterator<Item = Partition> {
     STORED.map(|count| Partition::stored(count).expect("all are stored"))
 }

@@ -1,6 +1,10 @@
 //! The fast paths against exact ones in double precision.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
+#[path = "../../tests/exact/mod.rs"]
+#[allow(dead_code, reason = "shared with tests that need more of it")]
+mod exact;
+
 use std::f64::consts::TAU;
 
 use flockeye_geometry::camera::{Lens, LensCurve};
@@ -8,6 +12,7 @@ use flockeye_geometry::view::{View, ViewPixel};
 use nalgebra::{Isometry3, Quaternion, Rotation3, Translation3, Unit, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 
+use self::exact::{cameras, grey, panorama};
 use super::any_camera::CameraMapping;
 use super::cut::{Band, cut_band_plain};
 use super::equirectangular::EquirectangularMapping;
@@ -16,44 +21,6 @@ use super::patch::Tile;
 use super::*;
 
 const CAMERA: Camera = Camera::equirectangular(3840, 1920);
-
-/// Every model: with one centre and with lenses beside it.
-fn cameras() -> [Camera; 6] {
-    let lens = |ahead: f64, u: f64, curve, focal_px| {
-        let axis = Vector3::x() * ahead;
-        let right = axis.cross(&Vector3::z());
-        let axes = Rotation3::from_basis_unchecked(&[right, axis.cross(&right), axis]);
-        let tilt = UnitQuaternion::from_scaled_axis(Vector3::new(0.01, -0.02, 1.2));
-        Lens {
-            camera_from_lens: Isometry3::from_parts(
-                Translation3::from(axis * 0.008),
-                UnitQuaternion::from_rotation_matrix(&axes) * tilt,
-            ),
-            centre_px: [u, 958.0].into(),
-            circle_px: 950.0,
-            field_rad: 195f64.to_radians(),
-            focal_px: [focal_px, 1.002 * focal_px].into(),
-            curve,
-        }
-    };
-    let pair = |curve, focal_px| {
-        let lenses = [lens(1.0, 958.0, curve, focal_px), lens(-1.0, 2880.0, curve, focal_px)];
-        Camera::new(3840, 1920, CameraModel::DualFisheye(lenses)).unwrap()
-    };
-    let polynomial = LensCurve::Equidistant([-0.02, 0.005, -0.003, 0.0004]);
-    let spheres = LensCurve::DoubleSphere { xi: 0.0024, alpha: 0.6605 };
-    let unified = LensCurve::Unified { xi: 1.84, distortion: [0.016, -0.31, 0.001, 0.002] };
-    let stitched = CameraModel::Equirectangular { lens_distance_m: 0.016 };
-    let plane = CameraModel::Stereographic { field_rad: 300f64.to_radians() };
-    [
-        CAMERA,
-        Camera::new(3840, 1920, stitched).unwrap(),
-        pair(polynomial, 560.0),
-        pair(spheres, 550.0),
-        pair(unified, 1700.0),
-        Camera::new(2000, 1920, plane).unwrap(),
-    ]
-}
 
 /// How a test asks for any mapping.
 fn with_mapping<T>(camera: &Camera, view: &View, ask: impl FnOnce(&dyn Mapping) -> T) -> T {
@@ -97,71 +64,6 @@ impl Numbers {
         let size_px = (2.0 * focal_px * (field / 2.0).tan()).ceil() as u32;
         View { camera_from_view: self.rotation(), focal_px, size_px }
     }
-}
-
-/// Noise of full contrast, blurred by a Gaussian of 0.8 px.
-fn panorama(camera: &Camera) -> Vec<u8> {
-    let (width, height) = (camera.width() as usize, camera.height() as usize);
-    let kernel: Vec<f64> = (-3..=3).map(|k| (-f64::from(k * k) / (2.0 * 0.64)).exp()).collect();
-    let sum: f64 = kernel.iter().sum();
-    let mut numbers = Numbers(1);
-    let noise: Vec<f64> =
-        (0..width * height).map(|_| f64::from((numbers.next() >> 56) as u8)).collect();
-    let blurred = |from: &[f64], at: &dyn Fn(usize, usize, isize) -> usize| -> Vec<f64> {
-        (0..width * height)
-            .map(|k| {
-                let (x, y) = (k % width, k / width);
-                let taps = kernel.iter().zip(-3isize..);
-                taps.map(|(weight, step)| weight * from[at(x, y, step)]).sum::<f64>() / sum
-            })
-            .collect()
-    };
-    let across = blurred(&noise, &|x, y, step| {
-        y * width + (x as isize + step).rem_euclid(width as isize) as usize
-    });
-    let both =
-        blurred(&across, &|x, y, step| y.saturating_add_signed(step).min(height - 1) * width + x);
-    both.into_iter().map(|grey| grey.round() as u8).collect()
-}
-
-/// Interpolation where the cut's pixel (x, y) lies in the sphere image, in double precision; black
-/// where it does not.
-fn exact(sphere: &SphereImage<'_>, cut: &Cut, x: u32, y: u32) -> f64 {
-    let camera = sphere.camera().at_distance(cut.distance_m);
-    let ray = cut.view.ray(ViewPixel::new(f64::from(x), f64::from(y)));
-    let Some(at) = camera.project(&ray) else { return 0.0 };
-    let (left, top) = (at.0.x.floor(), at.0.y.floor());
-    let (width, height) = (camera.width() as i32, camera.height() as i32);
-    let is_round = matches!(camera.model(), CameraModel::Equirectangular { .. });
-    let pixel = |dx: i32, dy: i32| {
-        let (mut column, mut row) = (left as i32 + dx, top as i32 + dy);
-        if is_round && (row < 0 || row >= height) {
-            column += width / 2;
-            row = if row < 0 { -1 - row } else { 2 * height - 1 - row };
-        }
-        let column =
-            if is_round { column.rem_euclid(width) } else { column.clamp(0, width - 1) } as usize;
-        let row = row.clamp(0, height - 1) as usize;
-        f64::from(sphere.pixels()[row * sphere.stride() + column])
-    };
-    let weights = |t: f64| match cut.interpolation {
-        Interpolation::Bilinear => [0.0, 1.0 - t, t, 0.0],
-        // Keys' article, with a = -1/2.
-        Interpolation::Cubic => [
-            -0.5 * (t + 1.0).powi(3) + 2.5 * (t + 1.0).powi(2) - 4.0 * (t + 1.0) + 2.0,
-            1.5 * t.powi(3) - 2.5 * t * t + 1.0,
-            1.5 * (1.0 - t).powi(3) - 2.5 * (1.0 - t).powi(2) + 1.0,
-            -0.5 * (2.0 - t).powi(3) + 2.5 * (2.0 - t).powi(2) - 4.0 * (2.0 - t) + 2.0,
-        ],
-    };
-    let (across, along) = (weights(at.0.x - left), weights(at.0.y - top));
-    let mut grey = 0.0;
-    for (row, along) in (-1..3).zip(along) {
-        for (column, across) in (-1..3).zip(across) {
-            grey += along * across * pixel(column, row);
-        }
-    }
-    grey.clamp(0.0, 255.0)
 }
 
 /// Views where something can go wrong: the poles, the seam, both, and the corners of wide views.
@@ -275,7 +177,7 @@ fn exact_positions_are_exact() {
 fn views_differ_from_exact_ones_by_two_greys_at_most() {
     let mut numbers = Numbers(4);
     for (index, camera) in cameras().into_iter().enumerate() {
-        let pixels = panorama(&camera);
+        let pixels = panorama(&camera, camera.width() as usize);
         let sphere = SphereImage::new(&pixels, camera.width() as usize, camera).unwrap();
         let mut views = hard_views();
         views.extend((0..30).map(|_| numbers.view()));
@@ -292,7 +194,7 @@ fn views_differ_from_exact_ones_by_two_greys_at_most() {
                 let step = if size > 1000 { 13 } else { 5 };
                 for y in (0..size).step_by(step) {
                     for x in (0..size).step_by(step) {
-                        let exact = exact(&sphere, &cut, x, y);
+                        let exact = grey(&sphere, &cut, f64::from(x), f64::from(y));
                         let found = f64::from(out[(y * size + x) as usize]);
                         let difference = (found - exact).abs();
                         assert!(difference <= 2.0, "{camera:?} {cut:?} ({x}, {y}): {difference}");
@@ -315,7 +217,7 @@ fn views_differ_from_exact_ones_by_two_greys_at_most() {
 fn vector_code_gives_the_bytes_of_plain_code() {
     let mut numbers = Numbers(5);
     for camera in cameras() {
-        let pixels = panorama(&camera);
+        let pixels = panorama(&camera, camera.width() as usize);
         let sphere = SphereImage::new(&pixels, camera.width() as usize, camera).unwrap();
         let mut views = hard_views();
         views.extend((0..10).map(|_| View { size_px: 301, ..numbers.view() }));
@@ -360,7 +262,7 @@ fn what_no_lens_sees_is_black() {
 
 #[test]
 fn threads_give_the_bytes_of_one() {
-    let pixels = panorama(&CAMERA);
+    let pixels = panorama(&CAMERA, 3840);
     let sphere = SphereImage::new(&pixels, 3840, CAMERA).unwrap();
     let cuts: Vec<_> = hard_views().into_iter().take(12).map(Cut::bilinear).collect();
     let cut = |threads| {
@@ -387,7 +289,7 @@ fn only_the_view_is_written_whatever_its_size() {
         for (y, row) in out.chunks(stride).enumerate() {
             assert!(row[size as usize..].iter().all(|&grey| grey == 255), "{size}: row {y}");
             for (x, &grey) in row[..size as usize].iter().enumerate() {
-                let exact = exact(&sphere, &cut, x as u32, y as u32);
+                let exact = exact::grey(&sphere, &cut, x as f64, y as f64);
                 assert!((f64::from(grey) - exact).abs() < 1.0, "{size}: ({x}, {y}) {grey} {exact}");
             }
         }
@@ -403,7 +305,7 @@ fn strides_too_long_for_vector_code_are_cut_all_the_same() {
     let cut = Cut::bilinear(View::looking_at(&Vector3::x_axis(), 0.5, 64));
     let mut out = vec![0; 64 * 64];
     rectify_into(&sphere, &cut, &mut out, 64).unwrap();
-    assert!((f64::from(out[32 * 64 + 10]) - exact(&sphere, &cut, 10, 32)).abs() < 1.0);
+    assert!((f64::from(out[32 * 64 + 10]) - grey(&sphere, &cut, 10.0, 32.0)).abs() < 1.0);
 }
 
 proptest! {
