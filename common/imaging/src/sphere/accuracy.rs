@@ -7,9 +7,8 @@ mod exact;
 
 use std::f64::consts::TAU;
 
-use flockeye_geometry::camera::{Lens, LensCurve};
 use flockeye_geometry::view::{View, ViewPixel};
-use nalgebra::{Isometry3, Quaternion, Rotation3, Translation3, Unit, UnitQuaternion, Vector3};
+use nalgebra::{Quaternion, Unit, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 
 use self::exact::{cameras, grey, panorama};
