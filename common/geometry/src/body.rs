@@ -1,9 +1,26 @@
-//! Marker bodies: which marker sits where on a neighbour.
+//! Marker bodies: which marker sits where on a neighbour, and on what.
+//!
+//! A [`Body`] is its [`Marker`]s and its [`Facet`]s: the flat sides of the solid that they are
+//! glued to. [`squares`] and its like make the solids that come with Flockeye, [`Bodies::from_json`]
+//! reads others.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
-use serde::Deserialize;
+
+mod facets;
+mod file;
+mod presets;
+pub mod solid;
+
+pub use facets::Facet;
+pub use presets::{TruncatedSizes, cube, plate, squares, truncated};
+
+/// Side of a marker's white facet, in sides of its black square, where nothing else is said.
+pub const FACET_PER_MARKER: f64 = 1.25;
+
+/// Most markers of a body: more are no body of anybody's.
+const MAX_MARKERS: usize = 100;
 
 /// One printed marker of a body.
 #[derive(Debug, Clone, PartialEq)]
@@ -34,6 +51,15 @@ impl Marker {
         (0..4).map(|k| (self.corners[(k + 1) % 4] - self.corners[k]).norm()).sum::<f64>() / 4.0
     }
 
+    /// Width of the white that it has round it where nothing else is said, metres.
+    pub fn usual_quiet_zone_m(&self) -> f64 {
+        (FACET_PER_MARKER - 1.0) / 2.0 * self.side()
+    }
+
+    fn is_finite(&self) -> bool {
+        self.corners.iter().flat_map(|corner| corner.iter()).all(|x| x.is_finite())
+    }
+
     /// `markers_from_marker`: origin at the centre, x to the printed right, y to its top, z out.
     pub fn markers_from_marker(&self) -> Isometry3<f64> {
         let right = (self.corners[1] - self.corners[0]).normalize();
@@ -51,13 +77,42 @@ impl Marker {
 pub struct Body {
     /// Its name; the neighbour's name on the network.
     pub name: String,
-    /// Its markers, by rising id.
+    /// Its markers, by rising id. Other markers are another body: see [`Body::with_markers`].
     pub markers: Vec<Marker>,
     /// Where the marker body sits on its drone.
     pub target_from_markers: Isometry3<f64>,
+    facets: Vec<Facet>,
 }
 
 impl Body {
+    /// A body of these markers, each on a white square [`FACET_PER_MARKER`] times as large. The
+    /// other flat sides of their convex hull are its blank facets; markers that do not all lie on
+    /// their hull, or that lie in one plane, have no others.
+    pub fn new(name: impl Into<String>, mut markers: Vec<Marker>) -> Self {
+        markers.sort_by_key(|marker| marker.id);
+        let quiet_zones_m: Vec<f64> = markers.iter().map(Marker::usual_quiet_zone_m).collect();
+        let facets = facets::round(&markers, &quiet_zones_m);
+        Self::of_parts(name, markers, facets)
+    }
+
+    /// `markers` come by rising id, and facets count them so.
+    fn of_parts(name: impl Into<String>, markers: Vec<Marker>, facets: Vec<Facet>) -> Self {
+        let target_from_markers = Isometry3::identity();
+        Self { name: name.into(), markers, target_from_markers, facets }
+    }
+
+    /// The same solid with its markers elsewhere: as they were glued, not as they were meant to be.
+    /// Facets stay where they are. `None` unless the ids are the same, in the same order.
+    pub fn with_markers(&self, markers: Vec<Marker>) -> Option<Self> {
+        let ids = |markers: &[Marker]| markers.iter().map(|marker| marker.id).collect::<Vec<_>>();
+        (ids(&markers) == ids(&self.markers)).then(|| Self { markers, ..self.clone() })
+    }
+
+    /// The solid's flat sides: first those with a marker, by rising id, then the blank ones.
+    pub fn facets(&self) -> &[Facet] {
+        &self.facets
+    }
+
     /// The marker with this id, if the body has it.
     pub fn marker(&self, id: u32) -> Option<&Marker> {
         self.markers.binary_search_by_key(&id, |marker| marker.id).ok().map(|k| &self.markers[k])
@@ -99,32 +154,6 @@ pub enum BodiesError {
     Contradictions(Vec<String>),
 }
 
-#[derive(Deserialize)]
-struct BodiesFile {
-    dictionary: String,
-    bodies: BTreeMap<String, BodyFile>,
-}
-
-#[derive(Deserialize)]
-struct BodyFile {
-    markers: Vec<MarkerFile>,
-    #[serde(default)]
-    target_from_markers: Option<MountFile>,
-}
-
-#[derive(Deserialize)]
-struct MarkerFile {
-    id: u32,
-    corners: [[f64; 3]; 4],
-}
-
-#[derive(Deserialize)]
-struct MountFile {
-    position: [f64; 3],
-    /// x y z w
-    orientation: [f64; 4],
-}
-
 impl Bodies {
     /// Checks that the bodies can be told apart and solved for.
     ///
@@ -146,6 +175,13 @@ impl Bodies {
             if body.markers.is_empty() {
                 problems.push(format!("body '{name}' has no marker; at least one is needed"));
             }
+            if body.markers.len() > MAX_MARKERS {
+                problems.push(format!(
+                    "body '{name}' has {} markers; at most {MAX_MARKERS} are allowed",
+                    body.markers.len()
+                ));
+                continue;
+            }
             for marker in &body.markers {
                 if let Some(owner) = owners.insert(marker.id, index) {
                     let owner = &bodies[owner].name;
@@ -165,29 +201,6 @@ impl Bodies {
         } else {
             Err(BodiesError::Contradictions(problems))
         }
-    }
-
-    /// Reads the JSON form: `{"dictionary", "bodies": {name: {"markers": [{"id", "corners"}]}}}`.
-    /// Bodies come in the order of their names; their index is their `target` number.
-    ///
-    /// # Errors
-    /// Malformed JSON with its line and column, or every contradiction ([`Bodies::new`]).
-    pub fn from_json(json: &str) -> Result<Self, BodiesError> {
-        let file: BodiesFile = serde_json::from_str(json)?;
-        let bodies = file.bodies.into_iter().map(|(name, body)| {
-            let mut markers: Vec<_> = body.markers.into_iter().map(marker_from_file).collect();
-            markers.sort_by_key(|marker| marker.id);
-            let target_from_markers =
-                body.target_from_markers.map_or_else(Isometry3::identity, |mount| {
-                    let [x, y, z, w] = mount.orientation;
-                    Isometry3::from_parts(
-                        Translation3::from(Vector3::from(mount.position)),
-                        UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z)),
-                    )
-                });
-            Body { name, markers, target_from_markers }
-        });
-        Self::new(file.dictionary, bodies.collect())
     }
 
     /// The bodies, in the order of their index.
@@ -217,14 +230,9 @@ impl Bodies {
     }
 }
 
-fn marker_from_file(marker: MarkerFile) -> Marker {
-    Marker { id: marker.id, corners: marker.corners.map(Point3::from) }
-}
-
 /// What keeps four corners from being a printed square, if anything does.
 fn square_problem(marker: &Marker) -> Option<String> {
-    let finite = marker.corners.iter().all(|corner| corner.coords.iter().all(|x| x.is_finite()));
-    if !finite {
+    if !marker.is_finite() {
         return Some("has a corner that is not a number".into());
     }
     let sides: Vec<f64> =
@@ -244,100 +252,18 @@ fn square_problem(marker: &Marker) -> Option<String> {
             "is no square: its sides are {sides:.4?} m, its diagonals {diagonals:.4?} m"
         ));
     }
+    // Diagonals of a flat square meet.
+    let diagonal = |k: usize| marker.corners[k + 2] - marker.corners[k];
+    let across = marker.corners[1] - marker.corners[0];
+    let gap = diagonal(0).cross(&diagonal(1)).normalize().dot(&across).abs();
+    if gap > 0.02 * side {
+        return Some(format!("is not flat: its diagonals pass at {:.1} mm", gap * 1e3));
+    }
     if marker.normal().dot(&marker.centre().coords) < -1e-6 {
         return Some("looks inwards: its corners must go clockwise seen from outside".into());
     }
     None
 }
 
-/// The rhombicuboctahedron with a marker on each square facet but the bottom one (preset
-/// `squares`): 17 ids from `first_id`: the top; the upper ring at azimuth 0, 90, 180, 270; the belt
-/// at 0, 45 .. 315; the lower ring. The printed up points to +z; on the top marker, to +x.
-///
-/// `edge` and `marker_side` in metres; the square facets lie (1 + sqrt 2)/2 edges from the centre.
-pub fn squares(name: &str, edge: f64, marker_side: f64, first_id: u32) -> Body {
-    let distance = (1.0 + 2f64.sqrt()) / 2.0 * edge;
-    let ring = |elevation: f64, count: u32| {
-        (0..count)
-            .map(move |k| (f64::from(k) * std::f64::consts::TAU / f64::from(count), elevation))
-    };
-    let quarter = std::f64::consts::FRAC_PI_4;
-    let facets = std::iter::once((0.0, 2.0 * quarter))
-        .chain(ring(quarter, 4))
-        .chain(ring(0.0, 8))
-        .chain(ring(-quarter, 4));
-    let markers = facets.zip(first_id..).map(|((azimuth, elevation), id)| {
-        let (sin_az, cos_az) = azimuth.sin_cos();
-        let (sin_el, cos_el) = elevation.sin_cos();
-        let normal = Vector3::new(cos_el * cos_az, cos_el * sin_az, sin_el);
-        // The top marker's up is +x; it tilts towards +z as the facet comes down.
-        let up = if elevation > 1.5 {
-            Vector3::x()
-        } else {
-            Vector3::new(-sin_el * cos_az, -sin_el * sin_az, cos_el)
-        };
-        let right = up.cross(&normal);
-        let half = marker_side / 2.0;
-        let at =
-            |x: f64, y: f64| Point3::from(normal * distance + right * (x * half) + up * (y * half));
-        Marker { id, corners: [at(-1.0, 1.0), at(1.0, 1.0), at(1.0, -1.0), at(-1.0, -1.0)] }
-    });
-    Body {
-        name: name.to_owned(),
-        markers: markers.collect(),
-        target_from_markers: Isometry3::identity(),
-    }
-}
-
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn bodies(list: Vec<Body>) -> Result<Bodies, BodiesError> {
-        Bodies::new("DICT_5X5_250".into(), list)
-    }
-
-    #[test]
-    fn the_preset_is_the_published_solid() {
-        let body = squares("alpha", 0.0625, 0.05, 0);
-        assert_eq!(body.markers.len(), 17);
-        // Corner values of an independently made body of the same size (its first two markers).
-        let top = &body.markers[0].corners[0];
-        assert!((top - Point3::new(0.025, 0.025, 0.075_444_174)).norm() < 1e-8);
-        let ring = &body.markers[1].corners[2];
-        assert!((ring - Point3::new(0.071_024_756, 0.025, 0.035_669_417)).norm() < 1e-8);
-        for marker in &body.markers {
-            assert!(marker.normal().dot(&marker.centre().coords.normalize()) > 0.999_999);
-            assert!((marker.side() - 0.05).abs() < 1e-12);
-        }
-    }
-
-    #[test]
-    fn shared_ids_are_all_named() {
-        let error = bodies(vec![squares("a", 0.06, 0.05, 0), squares("b", 0.06, 0.05, 15)])
-            .expect_err("ids 15 and 16 are shared")
-            .to_string();
-        assert!(error.contains("id 15 belongs to 'a' and to 'b'"), "{error}");
-        assert!(error.contains("id 16 belongs"), "{error}");
-    }
-
-    #[test]
-    fn inward_and_crooked_markers_are_refused() {
-        let mut body = squares("a", 0.06, 0.05, 0);
-        body.markers[3].corners.reverse();
-        body.markers[4].corners[0].x += 0.02;
-        let error = bodies(vec![body]).expect_err("two markers are wrong").to_string();
-        assert!(error.contains("marker 3 of body 'a' looks inwards"), "{error}");
-        assert!(error.contains("marker 4 of body 'a' is no square"), "{error}");
-    }
-
-    #[test]
-    fn owners_are_found_and_strangers_not() {
-        let bodies =
-            bodies(vec![squares("a", 0.06, 0.05, 0), squares("b", 0.06, 0.05, 17)]).expect("fine");
-        assert_eq!(
-            (bodies.owner(16), bodies.owner(17), bodies.owner(34)),
-            (Some(0), Some(1), None)
-        );
-    }
-}
+mod tests;

@@ -2,6 +2,7 @@
 
 use std::ffi::c_void;
 
+use flockeye_dictionary::Dictionary;
 use flockeye_geometry::view::ViewPixel;
 use flockeye_imaging::image::LumaImage;
 use opencv::aruco::{self, CORNER_REFINE_NONE, DetectorParameters as CvParameters};
@@ -9,7 +10,7 @@ use opencv::boxed_ref::BoxedRef;
 use opencv::core::{CV_8UC1, Mat, Point2f, Ptr, Vector};
 use opencv::prelude::*;
 
-use crate::{DetectError, DetectorParameters, Dictionary, Threshold};
+use crate::{DetectError, DetectorParameters, Threshold};
 
 /// A contour of a square with sides of s pixels has at least this many: those of a square on its
 /// corner, whose pixels join by their corners (4 s / sqrt 2), less some for what blur takes away.
@@ -36,7 +37,7 @@ pub fn find(
         let opencv = opencv_parameters(image, parameters, *threshold)?;
         aruco::detect_markers(
             &mat,
-            &dictionary.opencv,
+            dictionary.opencv(),
             &mut decoded,
             &mut ids,
             &opencv,

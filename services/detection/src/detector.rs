@@ -2,6 +2,7 @@
 
 use std::sync::{Mutex, PoisonError};
 
+use flockeye_dictionary::Dictionary;
 use flockeye_geometry::Ray;
 use flockeye_geometry::mask::Mask;
 use flockeye_geometry::view::{View, ViewPixel};
@@ -11,9 +12,9 @@ use flockeye_imaging::light::LinearLight;
 use flockeye_imaging::square::mean_side_px;
 use nalgebra::Vector2;
 
+use crate::DetectError;
 use crate::candidates::{self, Quad};
 use crate::reading::{Decoded, Reader, Reading};
-use crate::{DetectError, Dictionary};
 
 /// Images with a shorter side hold no marker, pixels.
 const MIN_IMAGE_PX: usize = 16;
@@ -101,7 +102,7 @@ pub struct Detector {
 }
 
 impl Detector {
-    /// A detector for the dictionary of this name (one of [`crate::PREDEFINED`], or a file's path).
+    /// A detector for the dictionary of this name (one of [`flockeye_dictionary::PREDEFINED`], or a file's path).
     ///
     /// # Errors
     /// An unknown dictionary, a broken file, or a parameter outside its range.
@@ -177,7 +178,7 @@ impl Detector {
         light: &LinearLight,
         quad: &Quad,
     ) -> Option<Found> {
-        let cells = self.dictionary.bits + 2;
+        let cells = self.dictionary.bits() + 2;
         let near = approach_corners(image, light, quad, cells)?;
         if mean_side_px(&near) < self.parameters.min_side_px {
             return None;
@@ -229,7 +230,7 @@ impl Detector {
         light: &LinearLight,
         corners: &Quad,
     ) -> Option<Decoded> {
-        let reading = Reading::new(image, light, corners, self.dictionary.bits)?;
+        let reading = Reading::new(image, light, corners, self.dictionary.bits())?;
         if reading.quiet_zone() < self.parameters.min_quiet_zone {
             return None;
         }
@@ -255,7 +256,7 @@ impl Detector {
 
     /// Whether the fitted edges are those of print, and no smooth shading.
     fn looks_printed(&self, refined: &RefinedCorners) -> bool {
-        let cell = mean_side_px(&refined.corners_in_view) / (self.dictionary.bits + 2) as f64;
+        let cell = mean_side_px(&refined.corners_in_view) / (self.dictionary.bits() + 2) as f64;
         let blur = (refined.blur_px[0] + refined.blur_px[1]) / 2.0;
         blur <= MAX_BLUR_CELLS * cell && refined.misfit <= MAX_MISFIT
     }

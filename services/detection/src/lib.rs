@@ -12,34 +12,19 @@
 
 pub mod candidates;
 mod detector;
-mod dictionary;
 mod reading;
 pub mod stage;
 
-pub use detector::{Detector, DetectorParameters, Found, Threshold, use_one_thread};
-pub use dictionary::{Dictionary, PREDEFINED};
+use flockeye_dictionary::DictionaryError;
 
-/// Why a dictionary could not be had, or a view not be searched.
+pub use detector::{Detector, DetectorParameters, Found, Threshold, use_one_thread};
+
+/// Why a detector could not be had, or a view not be searched.
 #[derive(Debug, thiserror::Error)]
 pub enum DetectError {
-    /// Neither a known name nor a file.
-    #[error(
-        "unknown dictionary '{name}'. Known are {}; a path to a dictionary file in OpenCV's YAML \
-         form is another way (is there such a file?)",
-        PREDEFINED.join(", ")
-    )]
-    UnknownDictionary {
-        /// What was asked for.
-        name: String,
-    },
-    /// A file that is no dictionary.
-    #[error("'{path}' is no dictionary file: {what}")]
-    DictionaryFile {
-        /// The file.
-        path: String,
-        /// What is wrong in it.
-        what: String,
-    },
+    /// The dictionary could not be had.
+    #[error(transparent)]
+    Dictionary(#[from] DictionaryError),
     /// A parameter outside its range.
     #[error("{name} is {value}; it must be {allowed}")]
     Parameter {

@@ -5,13 +5,12 @@
 //! it black. The measure is the correlation over the inner cells alone; the border, which all
 //! markers share, only has to be there.
 
+use flockeye_dictionary::Dictionary;
 use flockeye_geometry::view::ViewPixel;
 use flockeye_imaging::edges::MarkerPrint;
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::LinearLight;
 use flockeye_imaging::square::SquareInView;
-
-use crate::Dictionary;
 
 /// Blurs that markers are drawn with, in cells: sharp, as at 20 px of side, as at 12.
 const BLURS_CELLS: [f64; 3] = [0.15, 0.4, 0.65];
@@ -110,11 +109,11 @@ pub(crate) struct Reader {
 
 impl Reader {
     pub(crate) fn new(dictionary: &Dictionary) -> Self {
-        let bits = dictionary.bits;
+        let bits = dictionary.bits();
         let templates = BLURS_CELLS.map(|blur| {
             let kernel = kernel(blur);
-            let mut cells: Vec<f32> = Vec::with_capacity(dictionary.prints.len() * bits * bits);
-            for print in &dictionary.prints {
+            let mut cells: Vec<f32> = Vec::with_capacity(dictionary.marker_count() * bits * bits);
+            for print in dictionary.prints() {
                 let mut drawn = draw(print, bits, &kernel);
                 normalise(&mut drawn);
                 cells.extend(drawn);

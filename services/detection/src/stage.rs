@@ -58,10 +58,12 @@ impl Stage for DetectionStage {
             Response::Table => Some(pipeline.response_table()?),
             Response::Srgb | Response::Gamma | Response::Linear => None,
         };
+        let detector = Detector::new(&bodies.dictionary, parameters)?.with_mask(pipeline.mask()?);
+        detector.dictionary().check(&bodies)?;
         Ok(Self {
             views: ports.subscriber_of_lane(context.identity.replica as usize)?,
             detections: ports.publisher()?,
-            detector: Detector::new(&bodies.dictionary, parameters)?.with_mask(pipeline.mask()?),
+            detector,
             bodies,
             lights: BTreeMap::new(),
             measured,

@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
-use flockeye_detection::{DetectError, Detector, DetectorParameters, PREDEFINED, Threshold};
+use flockeye_detection::{DetectError, Detector, DetectorParameters, Threshold};
 use flockeye_geometry::camera::Camera;
 use flockeye_geometry::mask::Mask;
 use flockeye_geometry::view::View;
@@ -86,22 +86,6 @@ fn a_marker_on_the_own_airframe_is_not_read() {
     assert!(ids_beside(|column| column < 128).is_empty());
 }
 
-#[test]
-fn every_predefined_dictionary_is_known() {
-    for name in PREDEFINED {
-        let detector = Detector::new(name, DetectorParameters::default()).expect(name);
-        let count: usize = match name {
-            "DICT_ARUCO_ORIGINAL" => 1024,
-            "DICT_APRILTAG_16h5" => 30,
-            "DICT_APRILTAG_25h9" => 35,
-            "DICT_APRILTAG_36h10" => 2320,
-            "DICT_APRILTAG_36h11" => 587,
-            _ => name.rsplit('_').next().unwrap().parse().unwrap(),
-        };
-        assert_eq!(detector.dictionary().marker_count(), count, "{name}");
-    }
-}
-
 fn refused(name: &str, parameters: DetectorParameters) -> DetectError {
     match Detector::new(name, parameters) {
         Ok(_) => panic!("'{name}' was taken"),
@@ -113,22 +97,6 @@ fn refused(name: &str, parameters: DetectorParameters) -> DetectError {
 fn an_unknown_dictionary_is_refused_with_the_known_ones() {
     let error = refused("DICT_5X5_251", DetectorParameters::default()).to_string();
     assert!(error.contains("'DICT_5X5_251'") && error.contains("DICT_5X5_250"), "{error}");
-}
-
-#[test]
-fn a_broken_dictionary_file_is_refused_with_what_is_wrong() {
-    let path = std::env::temp_dir().join(format!("flockeye-dictionary-{}.yml", std::process::id()));
-    for (text, expected) in [
-        ("%YAML:1.0\nmarkersize: 4\n", "nmarkers"),
-        ("%YAML:1.0\nnmarkers: 1\nmarkersize: 4\nmarker_0: \"01010101\"\n", "marker_0"),
-        ("%YAML:1.0\nnmarkers: 2\nmarkersize: 2\nmarker_0: \"0110\"\n", "marker_1"),
-        ("no dictionary at all", "dictionary file"),
-    ] {
-        std::fs::write(&path, text).unwrap();
-        let error = refused(path.to_str().unwrap(), DetectorParameters::default()).to_string();
-        assert!(error.contains(expected), "{error}");
-    }
-    std::fs::remove_file(&path).unwrap();
 }
 
 #[test]

@@ -3,6 +3,7 @@
 use std::fmt::Write;
 
 use anyhow::Context;
+use flockeye_dictionary::Dictionary;
 use flockeye_geometry::partition;
 use flockeye_geometry::view::View;
 use flockeye_runtime::config::{Count, Flow, Pipeline};
@@ -19,6 +20,7 @@ use crate::screen::Screen;
 pub fn run(arguments: &Check) -> anyhow::Result<()> {
     let pipeline = arguments.configuration.load()?;
     let bodies = pipeline.bodies()?;
+    Dictionary::of(&bodies)?;
     let budget = Budget::of(&pipeline, pipeline.largest_view_px(bodies.largest_side())?);
     let (free, total) = shared_memory_space().context("cannot look at /dev/shm")?;
     let mut screen = Screen::new();

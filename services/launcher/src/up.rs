@@ -10,6 +10,7 @@ use anyhow::Context;
 use flockeye_contract::{
     Detections, FrameEnds, Frames, Healths, Plans, StageState, Tracks, Truths, Views,
 };
+use flockeye_dictionary::Dictionary;
 use flockeye_runtime::clock;
 use flockeye_runtime::config::Pipeline;
 use flockeye_runtime::health::Counters;
@@ -52,6 +53,7 @@ pub fn run(arguments: &Up) -> anyhow::Result<()> {
     let bodies = pipeline.bodies()?;
     // Read by the stages that need it; here only so that a wrong one is said once, and first.
     pipeline.mask()?;
+    Dictionary::of(&bodies)?;
     let budget = Budget::of(&pipeline, pipeline.largest_view_px(bodies.largest_side())?);
     let instance = Instance::named(&pipeline.instance.0);
     let ownership = instance.take()?;

@@ -3,9 +3,10 @@
 #![allow(clippy::expect_used)]
 
 use criterion::{Criterion, criterion_group, criterion_main};
+use flockeye_dictionary::Dictionary;
 use flockeye_geometry::body::{Bodies, squares};
 use flockeye_geometry::camera::{Camera, CameraModel, Lens};
-use flockeye_simulator::{Moment, PatternBook, Placement, World, WorldParameters};
+use flockeye_simulator::{Moment, Placement, World, WorldParameters};
 use nalgebra::{Isometry3, Rotation3, UnitQuaternion, Vector3};
 
 /// Bodies all round at `distance` metres, each moving sideways at half a metre per second.
@@ -24,7 +25,8 @@ fn world(count: u32, camera: Camera) -> World {
     let bodies = (0..count).map(|k| squares(&format!("body{k}"), 0.0625, 0.05, 17 * k));
     let bodies = Bodies::new("DICT_5X5_250".into(), bodies.collect()).expect("apart");
     let parameters = WorldParameters { camera, ..Default::default() };
-    World::new(parameters, &bodies, &PatternBook::dict_5x5_250()).expect("a world")
+    let dictionary = Dictionary::of(&bodies).expect("OpenCV's own");
+    World::new(parameters, &bodies, &dictionary).expect("a world")
 }
 
 /// Two equidistant lenses of 190 degrees, 16 mm apart, whose circles fill an image twice as wide as

@@ -1,14 +1,12 @@
 //! What flies: a marker body, as it is printed, on top of its drone.
 
-use flockeye_geometry::body::{Body, Marker};
+use flockeye_dictionary::Dictionary;
+use flockeye_geometry::body::solid::{FLATNESS_M, Face, Solid};
+use flockeye_geometry::body::{Body, Facet, Marker};
 use nalgebra::{Point3, Vector3};
 
 use crate::WorldError;
-use crate::patterns::PatternBook;
-use crate::solid::{FLATNESS_M, Face, Solid};
 
-/// Side of a marker's white facet, in sides of its black square.
-pub const FACET_PER_MARKER: f64 = 1.25;
 /// Reflectance of white print, of facets without marker, of black ink, and of the airframe.
 const WHITE: f64 = 0.85;
 const BLANK: f64 = 0.66;
@@ -64,25 +62,26 @@ pub struct Drone {
 }
 
 impl Drone {
-    /// Builds the drone of `body`: the convex hull of the markers' facets and, if wanted, an
-    /// airframe below it, in proportion.
+    /// Builds the drone of `body`: the convex hull of its facets and, if wanted, an airframe below
+    /// it, in proportion.
     ///
     /// # Errors
-    /// A marker whose pattern the book does not have; a body that is not convex.
-    pub fn new(body: &Body, patterns: &PatternBook, airframe: bool) -> Result<Self, WorldError> {
+    /// A marker that the dictionary does not have; a body that is not convex.
+    pub fn new(body: &Body, dictionary: &Dictionary, airframe: bool) -> Result<Self, WorldError> {
         let solid = body_solid(body)?;
         let mut faces: Vec<PaintedFace> = solid
             .faces
             .iter()
             .map(|face| PaintedFace { face: face.clone(), reflectance: BLANK, print: Vec::new() })
             .collect();
-        for marker in &body.markers {
-            let normal = marker.normal();
+        for facet in body.facets() {
+            let Some(marker) = facet.marker.map(|k| &body.markers[k]) else { continue };
+            let towards = |painted: &PaintedFace| painted.face.normal.dot(&facet.normal);
             let carrier = faces
                 .iter_mut()
-                .max_by(|a, b| a.face.normal.dot(&normal).total_cmp(&b.face.normal.dot(&normal)))
-                .ok_or_else(|| not_convex(body, marker))?;
-            print_marker(carrier, marker, patterns)?;
+                .max_by(|a, b| towards(a).total_cmp(&towards(b)))
+                .ok_or_else(|| not_convex(body, facet))?;
+            print_marker(carrier, facet, marker, body, dictionary)?;
         }
         let mut parts = vec![Part { solid, faces, opacity: 1.0 }];
         if airframe {
@@ -120,64 +119,57 @@ impl Drone {
     }
 }
 
-fn not_convex(body: &Body, marker: &Marker) -> WorldError {
-    WorldError::NotConvex { body: body.name.clone(), marker: marker.id }
+fn not_convex(body: &Body, facet: &Facet) -> WorldError {
+    let marker = facet.marker.map(|k| body.markers[k].id);
+    WorldError::NotConvex { body: body.name.clone(), marker }
 }
 
-/// Corners of the facet of a marker: its square, `scale` times as large.
-fn scaled(marker: &Marker, scale: f64) -> impl Iterator<Item = Point3<f64>> {
-    let centre = marker.centre();
-    marker.corners.iter().map(move |corner| centre + (corner - centre) * scale)
-}
-
-/// The convex hull of the markers' facets. Each of them must lie on its surface.
+/// The convex hull of the body's facets. Each of them must lie on its surface.
 fn body_solid(body: &Body) -> Result<Solid, WorldError> {
-    let normals: Vec<Vector3<f64>> = body.markers.iter().map(Marker::normal).collect();
-    let points: Vec<_> =
-        body.markers.iter().flat_map(|marker| scaled(marker, FACET_PER_MARKER)).collect();
+    let normals: Vec<Vector3<f64>> = body.facets().iter().map(|facet| facet.normal).collect();
+    let points: Vec<_> = body.facets().iter().flat_map(|facet| &facet.outline).copied().collect();
     let mut solid = Solid::hull(points.clone(), &normals);
     if solid.is_flat() {
         let behind = points.iter().map(|point| point - normals[0] * PLATE_M);
         solid = Solid::hull(points.iter().copied().chain(behind).collect(), &normals);
     }
-    let sunken = body.markers.iter().find(|marker| {
-        let (normal, height) = (marker.normal(), marker.normal().dot(&marker.centre().coords));
+    let sunken = body.facets().iter().find(|facet| {
+        let height = |p: &Point3<f64>| facet.normal.dot(&(p - facet.outline[0]));
         // Five times: a facet is wider than the square that its plane was measured on.
-        solid.corners.iter().any(|p| normal.dot(&p.coords) > height + 5.0 * FLATNESS_M)
+        solid.corners.iter().any(|p| height(p) > 5.0 * FLATNESS_M)
     });
-    sunken.map_or(Ok(solid), |marker| Err(not_convex(body, marker)))
+    sunken.map_or(Ok(solid), |facet| Err(not_convex(body, facet)))
 }
 
 /// Prints a marker and its white facet on the face that carries it.
 fn print_marker(
     carrier: &mut PaintedFace,
+    facet: &Facet,
     marker: &Marker,
-    patterns: &PatternBook,
+    body: &Body,
+    dictionary: &Dictionary,
 ) -> Result<(), WorldError> {
-    let cells = patterns.cells;
-    let is_white = |row, column| {
-        patterns.is_white(marker.id, row, column).ok_or_else(|| WorldError::UnknownMarker {
-            id: marker.id,
-            dictionary: patterns.dictionary.clone(),
-        })
-    };
+    let pattern = dictionary.print(marker.id).ok_or_else(|| WorldError::UnknownMarker {
+        body: body.name.clone(),
+        id: marker.id,
+        dictionary: dictionary.name().to_owned(),
+        last: dictionary.marker_count().saturating_sub(1),
+    })?;
+    let cells = pattern.cells();
     let mut print =
         |corners: Vec<Point3<f64>>, change| carrier.print.push(Patch { corners, change });
-    print(scaled(marker, FACET_PER_MARKER).collect(), WHITE - BLANK);
+    print(facet.outline.clone(), WHITE - BLANK);
     print(marker.corners.to_vec(), BLACK - WHITE);
     let [origin, right_end, _, down_end] = marker.corners;
-    let cell = 1.0 / f64::from(cells + 2);
+    let cell = 1.0 / cells as f64;
     let (right, down) = ((right_end - origin) * cell, (down_end - origin) * cell);
-    let at =
-        |row: u32, column: u32| origin + right * f64::from(column + 1) + down * f64::from(row + 1);
+    let at = |row: usize, column: usize| origin + right * column as f64 + down * row as f64;
+    let is_white = |row: usize, column: usize| pattern.is_white(row as isize, column as isize);
     for row in 0..cells {
         // White cells side by side are one rectangle.
         let mut start = 0;
         while start < cells {
-            let mut end = start;
-            while end < cells && is_white(row, end)? {
-                end += 1;
-            }
+            let end = (start..cells).find(|&column| !is_white(row, column)).unwrap_or(cells);
             if end > start {
                 let corners =
                     vec![at(row, start), at(row, end), at(row + 1, end), at(row + 1, start)];
@@ -251,13 +243,17 @@ mod tests {
 
     use super::*;
 
+    fn dict_5x5_250() -> Dictionary {
+        Dictionary::load("DICT_5X5_250").unwrap()
+    }
+
     fn alpha(first_id: u32) -> Body {
         squares("alpha", 0.0625, 0.05, first_id)
     }
 
     #[test]
     fn each_marker_is_printed_on_its_own_facet() {
-        let drone = Drone::new(&alpha(0), &PatternBook::dict_5x5_250(), true).unwrap();
+        let drone = Drone::new(&alpha(0), &dict_5x5_250(), true).unwrap();
         let body = &drone.parts[0];
         let printed = body.faces.iter().filter(|face| !face.print.is_empty()).count();
         assert_eq!((body.faces.len(), printed), (26, 17));
@@ -271,17 +267,17 @@ mod tests {
 
     #[test]
     fn an_airframe_hides_from_below_and_not_from_above() {
-        let drone = Drone::new(&alpha(0), &PatternBook::dict_5x5_250(), true).unwrap();
+        let drone = Drone::new(&alpha(0), &dict_5x5_250(), true).unwrap();
         let lower = drone.markers.iter().find(|marker| marker.id == 13).unwrap().centre();
         assert!(drone.hides(&Point3::new(0.15, 0.0, -1.0), &lower));
         assert!(!drone.hides(&Point3::new(2.0, 0.0, 0.0), &lower));
-        let bare = Drone::new(&alpha(0), &PatternBook::dict_5x5_250(), false).unwrap();
+        let bare = Drone::new(&alpha(0), &dict_5x5_250(), false).unwrap();
         assert!(!bare.hides(&Point3::new(0.15, 0.0, -1.0), &lower));
     }
 
     #[test]
     fn parts_come_farthest_first() {
-        let drone = Drone::new(&alpha(0), &PatternBook::dict_5x5_250(), true).unwrap();
+        let drone = Drone::new(&alpha(0), &dict_5x5_250(), true).unwrap();
         for eye in [[1.0, 0.3, 0.2], [0.1, -0.2, -0.9], [-0.5, 0.6, 0.8], [0.0, 0.0, 1.5]] {
             let eye = Point3::from(eye);
             let order = drone.back_to_front(&eye);
@@ -295,22 +291,21 @@ mod tests {
 
     #[test]
     fn flat_bodies_get_a_back_and_hollow_ones_are_refused() {
-        let mut plate = alpha(0);
-        plate.markers.truncate(1);
-        let drone = Drone::new(&plate, &PatternBook::dict_5x5_250(), false).unwrap();
+        let markers = alpha(0).markers;
+        let plate = Body::new("plate", markers[..1].to_vec());
+        let drone = Drone::new(&plate, &dict_5x5_250(), false).unwrap();
         assert_eq!(drone.parts[0].faces.len(), 6);
 
-        let mut hollow = alpha(0);
-        let marker = &mut hollow.markers[1];
-        let inwards = marker.normal() * -0.02;
-        marker.corners.iter_mut().for_each(|corner| *corner += inwards);
-        let error = Drone::new(&hollow, &PatternBook::dict_5x5_250(), false).unwrap_err();
+        let mut hollow = markers;
+        let inwards = hollow[1].normal() * -0.02;
+        hollow[1].corners.iter_mut().for_each(|corner| *corner += inwards);
+        let error = Drone::new(&Body::new("alpha", hollow), &dict_5x5_250(), false).unwrap_err();
         assert!(error.to_string().contains("marker 1 of body 'alpha'"), "{error}");
     }
 
     #[test]
     fn unknown_patterns_are_refused() {
-        let error = Drone::new(&alpha(240), &PatternBook::dict_5x5_250(), false).unwrap_err();
-        assert!(error.to_string().contains("250"), "{error}");
+        let error = Drone::new(&alpha(240), &dict_5x5_250(), false).unwrap_err();
+        assert!(error.to_string().contains("marker 250 of body 'alpha'"), "{error}");
     }
 }

@@ -4,14 +4,15 @@
 //! where every body was. Nothing here knows of processes, clocks or files.
 //!
 //! ```
+//! use flockeye_dictionary::Dictionary;
 //! use flockeye_geometry::body::{Bodies, squares};
 //! use flockeye_geometry::camera::Camera;
-//! use flockeye_simulator::{PatternBook, World, WorldParameters};
+//! use flockeye_simulator::{World, WorldParameters};
 //!
 //! let bodies = Bodies::new("DICT_5X5_250".into(), vec![squares("alpha", 0.0625, 0.05, 0)])?;
 //! let camera = Camera::equirectangular(512, 256);
 //! let parameters = WorldParameters { camera, ..Default::default() };
-//! let mut world = World::new(parameters, &bodies, &PatternBook::dict_5x5_250())?;
+//! let mut world = World::new(parameters, &bodies, &Dictionary::of(&bodies)?)?;
 //! let mut luma = vec![0; 512 * 256];
 //! let truth = world.render(0, &mut luma, 512)?;
 //! assert_eq!(truth.bodies[0].name, "alpha");
@@ -23,11 +24,10 @@
 //! | module | what it does |
 //! | --- | --- |
 //! | [`parameters`] | what a world can be told |
-//! | [`patterns`] | which cells of a marker are white |
 //! | [`trajectory`] | where the bodies are at a time |
 //! | [`eyes`] | where each part of the image is taken from: the camera's middle, or its lenses' places |
 //! | [`hall`], [`backdrop`] | the panorama behind them: painted and blurred once, then turned |
-//! | [`solid`], [`drone`] | bodies and airframes as painted convex parts |
+//! | [`drone`] | bodies and airframes as painted convex parts |
 //! | [`raster`], [`optics`], [`drawing`] | drawn with exact area coverage, blurred by lens and motion, for each eye |
 //! | [`density`] | how many pixels the image has round a body |
 //! | [`own_airframe`] | the observer's own legs over everything |
@@ -45,14 +45,12 @@ pub mod optics;
 pub mod own_airframe;
 pub mod panorama;
 pub mod parameters;
-pub mod patterns;
 pub mod picture;
 pub mod raster;
 pub mod response;
 pub mod scatter;
 pub mod schedule;
 pub mod sensor;
-pub mod solid;
 pub mod sphere;
 pub mod sphere_picture;
 pub mod stage;
@@ -63,7 +61,6 @@ pub mod truth;
 pub mod world;
 
 pub use parameters::{Quality, WorldParameters};
-pub use patterns::PatternBook;
 pub use response::Response;
 pub use truth::{FrameTruth, TargetTruth};
 pub use world::{Moment, Placement, RenderError, World, WorldError};

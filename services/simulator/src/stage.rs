@@ -5,6 +5,7 @@ use flockeye_contract::{
     BodyTruth, FrameHeader, FrameStamp, Frames, PixelFormat, Pose, Projection, Range, Transfer,
     TruthHeader, Truths,
 };
+use flockeye_dictionary::Dictionary;
 use flockeye_geometry::body::{Bodies, Body};
 use flockeye_imaging::light::TransferCurve;
 use flockeye_runtime::bodies::isometry;
@@ -17,7 +18,7 @@ use flockeye_runtime::{Context, Stage, Step, clock};
 use nalgebra::Isometry3;
 
 use crate::schedule::Schedule;
-use crate::{FrameTruth, PatternBook, Response, TargetTruth, World, WorldParameters};
+use crate::{FrameTruth, Response, TargetTruth, World, WorldParameters};
 
 /// Takes nothing (in a lossless run: plans, as credits); gives frames and their truth.
 pub struct SimulatorStage {
@@ -47,7 +48,7 @@ impl Stage for SimulatorStage {
         let flying = flying_bodies(pipeline)?;
         let parameters = parameters(pipeline)?;
         let world = match &flying {
-            Some(bodies) => World::new(parameters, bodies, &PatternBook::dict_5x5_250())?,
+            Some(bodies) => World::new(parameters, bodies, &Dictionary::of(bodies)?)?,
             None => World::empty(parameters)?,
         };
         context.counters.set_detail(format!(

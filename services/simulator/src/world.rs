@@ -2,6 +2,7 @@
 
 use std::f64::consts::TAU;
 
+use flockeye_dictionary::Dictionary;
 use flockeye_geometry::body::Bodies;
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 
@@ -10,7 +11,6 @@ use crate::drawing::{Drawing, Sharpness};
 use crate::drone::Drone;
 use crate::eyes::Eye;
 use crate::parameters::WorldParameters;
-use crate::patterns::PatternBook;
 use crate::picture::{Layer, Picture, Scene};
 use crate::sensor::Sensor;
 use crate::trajectory::{self, Trajectory};
@@ -25,38 +25,39 @@ pub enum WorldError {
     /// Values out of their range, all of them.
     #[error("{}", .0.join("; "))]
     Parameters(Vec<String>),
-    /// A marker whose pattern nobody gave.
+    /// A marker that the dictionary does not have.
     #[error(
-        "marker {id} is not in the pattern book of {dictionary}; give its pattern, or use a body of this dictionary"
+        "marker {id} of body '{body}' is not in {dictionary}, which has ids 0 to {last}; choose \
+         another id, or a larger dictionary"
     )]
     UnknownMarker {
+        /// The body.
+        body: String,
         /// The marker.
         id: u32,
-        /// The pattern book's dictionary.
+        /// The dictionary.
         dictionary: String,
+        /// Its last id.
+        last: usize,
     },
-    /// A pattern book for another dictionary than the bodies'.
-    #[error(
-        "the bodies' markers are from {bodies}, the pattern book is of {patterns}; give the patterns of {bodies}"
-    )]
+    /// Another dictionary than the bodies'.
+    #[error("the bodies' markers are from {bodies}, not from {given}; load {bodies}")]
     Dictionary {
         /// The bodies' dictionary.
         bodies: String,
-        /// The pattern book's.
-        patterns: String,
+        /// What was given.
+        given: String,
     },
-    /// A pattern book with more cells than fit.
-    #[error("patterns of {0} x {0} cells; 1 to 8 can be drawn")]
-    Cells(u32),
-    /// A body whose markers are not all on the surface of their hull.
+    /// A body whose facets are not all on the surface of their hull.
     #[error(
-        "marker {marker} of body '{body}' does not lie on the body's convex hull; only convex bodies can be simulated"
+        "{} does not lie on the body's convex hull; only convex bodies can be simulated",
+        described(.body, .marker)
     )]
     NotConvex {
         /// The body.
         body: String,
-        /// The marker.
-        marker: u32,
+        /// The marker on the facet, if there is one.
+        marker: Option<u32>,
     },
     /// A distance range that begins inside of a drone.
     #[error(
@@ -82,6 +83,13 @@ pub enum WorldError {
         /// Farthest distance, metres.
         far: f64,
     },
+}
+
+fn described(body: &str, marker: &Option<u32>) -> String {
+    match marker {
+        Some(id) => format!("marker {id} of body '{body}'"),
+        None => format!("a blank facet of body '{body}'"),
+    }
 }
 
 /// Why a frame cannot be rendered.
@@ -188,25 +196,22 @@ impl World {
     /// or two at 3840x1920.
     ///
     /// # Errors
-    /// [`WorldError`]: parameters out of range, markers without pattern, bodies that are not
+    /// [`WorldError`]: parameters out of range, markers beyond the dictionary, bodies that are not
     /// convex or cannot keep apart.
     pub fn new(
         parameters: WorldParameters,
         bodies: &Bodies,
-        patterns: &PatternBook,
+        dictionary: &Dictionary,
     ) -> Result<Self, WorldError> {
-        if bodies.dictionary != patterns.dictionary {
+        if bodies.dictionary != dictionary.name() {
             return Err(WorldError::Dictionary {
                 bodies: bodies.dictionary.clone(),
-                patterns: patterns.dictionary.clone(),
+                given: dictionary.name().to_owned(),
             });
-        }
-        if !(1..=8).contains(&patterns.cells) {
-            return Err(WorldError::Cells(patterns.cells));
         }
         let drones = bodies
             .iter()
-            .map(|body| Drone::new(body, patterns, parameters.airframes))
+            .map(|body| Drone::new(body, dictionary, parameters.airframes))
             .collect::<Result<Vec<_>, _>>()?;
         Self::with_drones(parameters, drones)
     }

@@ -2,10 +2,11 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
+use flockeye_dictionary::Dictionary;
 use flockeye_geometry::Ray;
 use flockeye_geometry::body::{Bodies, Body, Marker, squares};
 use flockeye_geometry::camera::{Camera, Equirectangular};
-use flockeye_simulator::{Moment, PatternBook, Placement, Quality, World, WorldParameters};
+use flockeye_simulator::{Moment, Placement, Quality, World, WorldParameters};
 use nalgebra::{Isometry3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 
 const CAMERA: Equirectangular = Equirectangular { width: 1920, height: 960 };
@@ -26,7 +27,7 @@ fn quiet_world(quality: Quality) -> World {
         ..Default::default()
     };
     let bodies = Bodies::new("DICT_5X5_250".into(), vec![body()]).unwrap();
-    World::new(parameters, &bodies, &PatternBook::dict_5x5_250()).unwrap()
+    World::new(parameters, &bodies, &Dictionary::of(&bodies).unwrap()).unwrap()
 }
 
 /// Linear light between the pixels. Written from the sRGB standard, not taken from the renderer.

@@ -4,10 +4,11 @@
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
+use flockeye_dictionary::Dictionary;
 use flockeye_geometry::body::{Bodies, Body, squares};
 use flockeye_geometry::camera::{Camera, Equirectangular};
 use flockeye_simulator::{
-    FrameTruth, Moment, PatternBook, Placement, RenderError, World, WorldError, WorldParameters,
+    FrameTruth, Moment, Placement, RenderError, World, WorldError, WorldParameters,
 };
 use nalgebra::{Isometry3, Point3, Unit, UnitQuaternion, Vector3};
 
@@ -23,7 +24,7 @@ fn world_with(count: u32, change: impl FnOnce(&mut WorldParameters)) -> Result<W
     let mut parameters = WorldParameters { camera, ..Default::default() };
     change(&mut parameters);
     let bodies = Bodies::new("DICT_5X5_250".into(), (0..count).map(body).collect()).unwrap();
-    World::new(parameters, &bodies, &PatternBook::dict_5x5_250())
+    World::new(parameters, &bodies, &Dictionary::of(&bodies).unwrap())
 }
 
 fn render(world: &mut World, frame: u64) -> (Vec<u8>, FrameTruth) {
@@ -108,7 +109,7 @@ fn a_body_overhead_is_the_same_body_turned() {
     for pose in [ahead, overhead] {
         let (luma, truth) = render_poses(&mut world, 0.0, &[pose]);
         assert!(truth.bodies[0].markers_visible_90 >= 5);
-        let book = PatternBook::dict_5x5_250();
+        let dictionary = Dictionary::load("DICT_5X5_250").unwrap();
         for marker in &body(0).markers {
             let towards_eye = -(pose * marker.centre()).coords;
             if (pose.rotation * marker.normal()).angle(&towards_eye) > 0.8 {
@@ -123,10 +124,11 @@ fn a_body_overhead_is_the_same_body_turned() {
                 let (u, v) = (pixel.x.round().max(0.0) as usize, pixel.y.round().max(0.0) as usize);
                 luma[v.min(HEIGHT - 1) * WIDTH + u.min(WIDTH - 1)]
             };
+            let print = dictionary.print(marker.id).unwrap();
             let border = (-1..6).map(|k| level(-1, k).max(level(5, k))).max().unwrap();
             for row in 0..5 {
                 for column in 0..5 {
-                    let is_white = book.is_white(marker.id, row, column).unwrap();
+                    let is_white = print.is_white(row + 1, column + 1);
                     let seen = level(row as i32, column as i32);
                     assert_eq!(
                         seen > border.saturating_add(10).max(85),
@@ -174,12 +176,11 @@ fn visibility_is_counted_as_it_is() {
 
 #[test]
 fn a_body_whose_markers_face_away_counts_none() {
-    let mut plate = body(0);
-    plate.markers.retain(|marker| marker.id == 5);
+    let plate = Body::new("plate", body(0).markers[5..6].to_vec());
     let bodies = Bodies::new("DICT_5X5_250".into(), vec![plate]).unwrap();
     let camera = Camera::equirectangular(1024, 512);
     let parameters = WorldParameters { camera, ..Default::default() };
-    let mut world = World::new(parameters, &bodies, &PatternBook::dict_5x5_250()).unwrap();
+    let mut world = World::new(parameters, &bodies, &Dictionary::of(&bodies).unwrap()).unwrap();
     // The belt's first marker looks along the body's +x.
     let (_, away) = render_poses(&mut world, 0.0, &[at(1.0, 0.0, 0.0)]);
     let (_, towards) = render_poses(&mut world, 0.0, &[at(-1.0, 0.0, 0.0)]);
@@ -221,7 +222,8 @@ fn worlds_that_cannot_be_are_refused_with_reasons() {
     assert!(why(1, |p| p.distance_m = [0.1, 2.0]).contains("raise distance_m"));
     assert!(why(3, |p| p.distance_m = [0.3, 0.31]).contains("3 bodies cannot keep apart"));
     let bodies = Bodies::new("DICT_4X4_50".into(), vec![body(0)]).unwrap();
-    let other = World::new(WorldParameters::default(), &bodies, &PatternBook::dict_5x5_250());
+    let dictionary = Dictionary::load("DICT_5X5_250").unwrap();
+    let other = World::new(WorldParameters::default(), &bodies, &dictionary);
     assert!(other.unwrap_err().to_string().contains("DICT_4X4_50"));
 }
 

@@ -7,9 +7,10 @@ mod sheet;
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
+use flockeye_dictionary::Dictionary;
 use flockeye_geometry::body::{Bodies, Body, Marker, squares};
 use flockeye_geometry::camera::SpherePixel;
-use flockeye_simulator::{FrameTruth, Moment, PatternBook, Placement, World, WorldParameters};
+use flockeye_simulator::{FrameTruth, Moment, Placement, World, WorldParameters};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 
 use crate::sheet::{
@@ -32,7 +33,7 @@ impl Sheet {
     fn world_of(&self, count: u32, parameters: WorldParameters) -> World {
         let bodies = (0..count).map(body).collect();
         let bodies = Bodies::new("DICT_5X5_250".into(), bodies).unwrap();
-        World::new(parameters, &bodies, &PatternBook::dict_5x5_250()).unwrap()
+        World::new(parameters, &bodies, &Dictionary::of(&bodies).unwrap()).unwrap()
     }
 
     fn render(&self, world: &mut World, placements: Vec<Placement>) -> (Vec<u8>, FrameTruth) {

@@ -62,19 +62,24 @@ impl Solid {
             for b in a + 1..count {
                 for c in b + 1..count {
                     let cross = (corners[b] - corners[a]).cross(&(corners[c] - corners[a]));
-                    let on_one_face = |face: &Face| {
-                        [a, b, c].iter().all(|&k| face.height(&corners[k]).abs() < FLATNESS_M)
-                    };
                     // Three points nearly in a line say nothing of a plane.
-                    if cross.norm() < 1e-8 || faces.iter().any(on_one_face) {
+                    if cross.norm() < 1e-8 {
                         continue;
                     }
                     let normal = cross.normalize();
                     let height = |k: usize| normal.dot(&(corners[k] - corners[a]));
-                    if (0..count).all(|k| height(k) < FLATNESS_M) {
-                        add_face(&mut faces, &corners, normal);
+                    let outwards = if (0..count).all(|k| height(k) < FLATNESS_M) {
+                        normal
                     } else if (0..count).all(|k| height(k) > -FLATNESS_M) {
-                        add_face(&mut faces, &corners, -normal);
+                        -normal
+                    } else {
+                        continue;
+                    };
+                    let on_one_face = |face: &Face| {
+                        [a, b, c].iter().all(|&k| face.height(&corners[k]).abs() < FLATNESS_M)
+                    };
+                    if !faces.iter().any(on_one_face) {
+                        add_face(&mut faces, &corners, outwards);
                     }
                 }
             }
@@ -134,20 +139,56 @@ impl Solid {
 fn add_face(faces: &mut Vec<Face>, corners: &[Point3<f64>], normal: Vector3<f64>) {
     let offset = corners.iter().map(|p| normal.dot(&p.coords)).fold(f64::NEG_INFINITY, f64::max);
     let mut face = Face { normal, offset, corners: Vec::new() };
-    let mut touching: Vec<Point3<f64>> =
+    let touching: Vec<Point3<f64>> =
         corners.iter().filter(|p| face.height(p) > -FLATNESS_M).copied().collect();
     let known = |f: &Face| f.normal.dot(&normal) > 0.999_999;
     if touching.len() < 3 || faces.iter().any(known) {
         return;
     }
-    let sum: Vector3<f64> = touching.iter().map(|p| p.coords).sum();
-    let middle = Point3::from(sum / touching.len() as f64);
-    let across = (touching[0] - middle).normalize();
+    face.corners = outline(&touching, &normal);
+    if face.corners.len() >= 3 {
+        faces.push(face);
+    }
+}
+
+/// The corners of the convex polygon round points of one plane, counter-clockwise round `normal`
+/// (Andrew's monotone chain, 1979). Points on its edges are left out.
+fn outline(points: &[Point3<f64>], normal: &Vector3<f64>) -> Vec<Point3<f64>> {
+    // The axis that the normal is farthest from.
+    let axis = Vector3::ith(normal.iamin(), 1.0);
+    let across = normal.cross(&axis).normalize();
     let along = normal.cross(&across);
-    let angle = |p: &Point3<f64>| along.dot(&(p - middle)).atan2(across.dot(&(p - middle)));
-    touching.sort_by(|a, b| angle(a).total_cmp(&angle(b)));
-    face.corners = touching;
-    faces.push(face);
+    let flat = |p: &Point3<f64>| (across.dot(&p.coords), along.dot(&p.coords));
+    let mut sorted = points.to_vec();
+    sorted.sort_by(|a, b| {
+        let (a, b) = (flat(a), flat(b));
+        a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1))
+    });
+    let turns_left = |a: &Point3<f64>, b: &Point3<f64>, c: &Point3<f64>| {
+        (b - a).cross(&(c - b)).dot(normal) > 1e-9
+    };
+    let chain = |points: &mut dyn Iterator<Item = &Point3<f64>>| {
+        let mut chain: Vec<Point3<f64>> = Vec::new();
+        for point in points {
+            while let [.., a, b] = chain.as_slice()
+                && !turns_left(a, b, point)
+            {
+                chain.pop();
+            }
+            chain.push(*point);
+        }
+        // The last is the other chain's first.
+        chain.pop();
+        chain
+    };
+    let mut corners = chain(&mut sorted.iter());
+    corners.extend(chain(&mut sorted.iter().rev()));
+    // By rounding, the chains may end in the middle of an edge.
+    let count = corners.len();
+    let is_corner = |k: usize| {
+        turns_left(&corners[(k + count - 1) % count], &corners[k], &corners[(k + 1) % count])
+    };
+    (0..count).filter(|&k| is_corner(k)).map(|k| corners[k]).collect()
 }
 
 #[cfg(test)]
@@ -175,7 +216,7 @@ mod tests {
 
     #[test]
     fn the_preset_body_is_a_rhombicuboctahedron() {
-        let body = flockeye_geometry::body::squares("a", 0.0625, 0.0625, 0);
+        let body = crate::body::squares("a", 0.0625, 0.0625, 0);
         let normals: Vec<_> = body.markers.iter().map(|marker| marker.normal()).collect();
         let hull = Solid::hull(body.corners().copied().collect(), &normals);
         let with = |sides: usize| hull.faces.iter().filter(|f| f.corners.len() == sides).count();

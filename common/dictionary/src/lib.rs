@@ -1,0 +1,229 @@
+//! Dictionaries: which cells belong to which id.
+//!
+//! OpenCV has 21 of its own, by name; others come in a file of the form that OpenCV writes. Every
+//! stage that looks at markers shares this one reading of them.
+//!
+//! ```
+//! use flockeye_dictionary::Dictionary;
+//! use flockeye_geometry::body::{Bodies, squares};
+//!
+//! let bodies = Bodies::new("DICT_5X5_250".into(), vec![squares("alpha", 0.0625, 0.05, 0)])?;
+//! let dictionary = Dictionary::of(&bodies)?;
+//! assert_eq!((dictionary.bits(), dictionary.marker_count()), (5, 250));
+//! assert!(dictionary.print(16).is_some());
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod read;
+
+use std::path::Path;
+
+use flockeye_geometry::body::Bodies;
+use flockeye_imaging::edges::MarkerPrint;
+use opencv::aruco::{self, Dictionary as CvDictionary};
+use opencv::core::Ptr;
+use opencv::prelude::*;
+
+/// OpenCV 4.6's predefined dictionaries, in the order of its own enumeration.
+pub const PREDEFINED: [&str; 21] = [
+    "DICT_4X4_50",
+    "DICT_4X4_100",
+    "DICT_4X4_250",
+    "DICT_4X4_1000",
+    "DICT_5X5_50",
+    "DICT_5X5_100",
+    "DICT_5X5_250",
+    "DICT_5X5_1000",
+    "DICT_6X6_50",
+    "DICT_6X6_100",
+    "DICT_6X6_250",
+    "DICT_6X6_1000",
+    "DICT_7X7_50",
+    "DICT_7X7_100",
+    "DICT_7X7_250",
+    "DICT_7X7_1000",
+    "DICT_ARUCO_ORIGINAL",
+    "DICT_APRILTAG_16h5",
+    "DICT_APRILTAG_25h9",
+    "DICT_APRILTAG_36h10",
+    "DICT_APRILTAG_36h11",
+];
+
+/// Why a dictionary could not be had, or does not fit the bodies.
+#[derive(Debug, thiserror::Error)]
+pub enum DictionaryError {
+    /// Neither a known name nor a file.
+    #[error(
+        "unknown dictionary '{name}'. Known are {}; a path to a dictionary file in OpenCV's YAML \
+         form is another way (is there such a file?)",
+        PREDEFINED.join(", ")
+    )]
+    Unknown {
+        /// What was asked for.
+        name: String,
+    },
+    /// A file that is no dictionary.
+    #[error("'{path}' is no dictionary file: {what}")]
+    File {
+        /// The file.
+        path: String,
+        /// What is wrong in it.
+        what: String,
+    },
+    /// Bodies with markers that the dictionary does not have: every such body is named.
+    #[error(
+        "{}; {name} has ids 0 to {last}. Cure: choose other ids, or a larger dictionary",
+        .outside.join("; ")
+    )]
+    Outside {
+        /// The dictionary.
+        name: String,
+        /// Its last id.
+        last: usize,
+        /// For each body that is wrong: which of its ids.
+        outside: Vec<String>,
+    },
+    /// OpenCV refused.
+    #[error("OpenCV: {0}")]
+    OpenCv(#[from] opencv::Error),
+}
+
+/// A set of markers, by id from 0.
+pub struct Dictionary {
+    name: String,
+    opencv: Ptr<CvDictionary>,
+    prints: Vec<MarkerPrint>,
+    bits: usize,
+}
+
+impl std::fmt::Debug for Dictionary {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} ({} markers of {} bits)", self.name, self.marker_count(), self.bits)
+    }
+}
+
+impl Dictionary {
+    /// One of [`PREDEFINED`], by name, or the dictionary in a file of OpenCV's own form (YAML or
+    /// XML with `nmarkers`, `markersize`, `maxCorrectionBits` and `marker_0` to `marker_<n-1>`),
+    /// by path.
+    ///
+    /// # Errors
+    /// A name that is neither, a file that is no dictionary (with what is wrong in it), or what
+    /// OpenCV says.
+    pub fn load(name: &str) -> Result<Self, DictionaryError> {
+        let opencv = match PREDEFINED.iter().position(|&known| known == name) {
+            // The enumeration counts from 0 without gaps.
+            Some(index) => aruco::get_predefined_dictionary_i32(index as i32)?,
+            None if Path::new(name).is_file() => read::file(name)?,
+            None => return Err(DictionaryError::Unknown { name: name.to_owned() }),
+        };
+        let size = opencv.marker_size();
+        let list = opencv.bytes_list();
+        let mut prints = Vec::with_capacity(list.rows() as usize);
+        for id in 0..list.rows() {
+            let bits = CvDictionary::get_bits_from_byte_list(&list.row(id)?, size)?;
+            let white: Vec<bool> = bits.data_bytes()?.iter().map(|&bit| bit != 0).collect();
+            prints
+                .push(MarkerPrint::of_bits(&white).ok_or_else(|| {
+                    read::refused(name, "its markers have less than 2 x 2 cells")
+                })?);
+        }
+        Ok(Self { name: name.to_owned(), opencv, prints, bits: size as usize })
+    }
+
+    /// The dictionary that `bodies` name, which has all of their markers.
+    ///
+    /// # Errors
+    /// As [`Dictionary::load`]; and ids that it does not have ([`DictionaryError::Outside`]).
+    pub fn of(bodies: &Bodies) -> Result<Self, DictionaryError> {
+        let dictionary = Self::load(&bodies.dictionary)?;
+        dictionary.check(bodies)?;
+        Ok(dictionary)
+    }
+
+    /// Whether it has every marker of `bodies`.
+    ///
+    /// # Errors
+    /// [`DictionaryError::Outside`]: each body with ids that it does not have.
+    pub fn check(&self, bodies: &Bodies) -> Result<(), DictionaryError> {
+        let outside = bodies.iter().filter_map(|body| {
+            let ids: Vec<String> = body
+                .markers
+                .iter()
+                .filter(|marker| self.print(marker.id).is_none())
+                .map(|marker| marker.id.to_string())
+                .collect();
+            let plural = if ids.len() == 1 { "" } else { "s" };
+            (!ids.is_empty())
+                .then(|| format!("body '{}' has marker{plural} {}", body.name, ids.join(", ")))
+        });
+        let outside: Vec<String> = outside.collect();
+        if outside.is_empty() {
+            return Ok(());
+        }
+        let last = self.marker_count().saturating_sub(1);
+        Err(DictionaryError::Outside { name: self.name.clone(), last, outside })
+    }
+
+    /// The name, or the path, that it was loaded by.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Cells along a side of a marker without its border: 5 for `DICT_5X5_250`.
+    pub fn bits(&self) -> usize {
+        self.bits
+    }
+
+    /// How many markers it has: ids are 0 to one less.
+    pub fn marker_count(&self) -> usize {
+        self.prints.len()
+    }
+
+    /// What marker `id` looks like.
+    pub fn print(&self, id: u32) -> Option<&MarkerPrint> {
+        self.prints.get(id as usize)
+    }
+
+    /// What the markers look like, by id.
+    pub fn prints(&self) -> &[MarkerPrint] {
+        &self.prints
+    }
+
+    /// The same as OpenCV has it.
+    pub fn opencv(&self) -> &Ptr<CvDictionary> {
+        &self.opencv
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use flockeye_geometry::body::squares;
+
+    use super::*;
+
+    #[test]
+    fn marker_zero_is_the_published_one() {
+        let dictionary = Dictionary::load("DICT_5X5_250").unwrap();
+        let print = dictionary.print(0).unwrap();
+        let rows = (1..=5).map(|row| {
+            (1..=5).map(|column| if print.is_white(row, column) { '#' } else { '.' }).collect()
+        });
+        let rows: Vec<String> = rows.collect();
+        assert_eq!(rows, ["#.#..", ".#.##", ".##..", "#.#.#", "###.."]);
+        assert!(dictionary.print(250).is_none());
+    }
+
+    #[test]
+    fn bodies_beyond_the_dictionary_are_all_named() {
+        let bodies = vec![squares("a", 0.06, 0.05, 33), squares("b", 0.06, 0.05, 50)];
+        let bodies = Bodies::new("DICT_4X4_50".into(), bodies).unwrap();
+        let error = Dictionary::of(&bodies).expect_err("17 ids too many").to_string();
+        assert!(error.starts_with("body 'b' has markers 50, 51, "), "{error}");
+        assert!(error.contains("66; DICT_4X4_50 has ids 0 to 49"), "{error}");
+        let bodies = Bodies::new("DICT_5X5_50".into(), vec![squares("a", 0.06, 0.05, 34)]).unwrap();
+        let error = Dictionary::of(&bodies).expect_err("one id too many").to_string();
+        assert!(error.starts_with("body 'a' has marker 50; DICT_5X5_50"), "{error}");
+    }
+}

@@ -1,0 +1,57 @@
+//! Dictionary files.
+
+use opencv::aruco::Dictionary as CvDictionary;
+use opencv::core::{FileStorage, FileStorage_READ, Mat, Ptr};
+use opencv::prelude::*;
+
+use crate::DictionaryError;
+
+/// Markers wider than this many cells (without border) are no dictionary of anybody's.
+const MAX_BITS: i32 = 16;
+/// Nor are more of them,
+const MAX_MARKERS: i32 = 100_000;
+/// nor larger files: that many of 16 x 16 cells take a third of it.
+const MAX_BYTES: u64 = 100_000_000;
+
+pub(crate) fn refused(path: &str, what: &str) -> DictionaryError {
+    DictionaryError::File { path: path.to_owned(), what: what.to_owned() }
+}
+
+/// Reads a file. OpenCV's own reader writes past its buffer when a row of bits is too long, so each
+/// is checked here.
+pub(crate) fn file(path: &str) -> Result<Ptr<CvDictionary>, DictionaryError> {
+    let bytes = std::fs::metadata(path).map_or(0, |metadata| metadata.len());
+    if bytes > MAX_BYTES {
+        let what = format!("it has {bytes} bytes, and at most {MAX_BYTES} are read");
+        return Err(refused(path, &what));
+    }
+    let file = FileStorage::new_def(path, FileStorage_READ)
+        .map_err(|error| refused(path, &error.message))?;
+    if !file.is_opened()? {
+        return Err(refused(path, "it cannot be opened"));
+    }
+    let number = |key: &str| -> Result<Option<i32>, DictionaryError> {
+        let node = file.get_node(key)?;
+        Ok(if node.is_int()? { Some(node.to_i32()?) } else { None })
+    };
+    let in_range = |key: &str, max: i32| {
+        let value = number(key)?.filter(|value| (1..=max).contains(value));
+        value.ok_or_else(|| refused(path, &format!("{key} must be a whole number from 1 to {max}")))
+    };
+    let count = in_range("nmarkers", MAX_MARKERS)?;
+    let size = in_range("markersize", MAX_BITS)?;
+    let correctable = number("maxCorrectionBits")?.unwrap_or(0);
+    let mut list = Mat::default();
+    for id in 0..count {
+        let node = file.get_node(&format!("marker_{id}"))?;
+        let text = if node.is_string()? { node.to_string()? } else { String::new() };
+        let bits: Vec<u8> = text.bytes().map(|bit| bit.wrapping_sub(b'0')).collect();
+        if bits.len() != (size * size) as usize || bits.iter().any(|&bit| bit > 1) {
+            let what = format!("marker_{id} must be a text of {} digits 0 and 1", size * size);
+            return Err(refused(path, &what));
+        }
+        let bits = Mat::new_rows_cols_with_data(size, size, &bits)?;
+        list.push_back(&CvDictionary::get_byte_list_from_bits(&bits)?)?;
+    }
+    Ok(Ptr::new(CvDictionary::new(&list, size, correctable)?))
+}
