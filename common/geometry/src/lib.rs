@@ -7,6 +7,7 @@
 //! | [`view`] | which ray does a pixel of a square pinhole view see, and back |
 //! | [`partition`] | which views cover the whole sphere |
 //! | [`body`] | where are a body's markers and their corners |
+//! | [`calibration`] | where were its markers really glued |
 //! | [`pose`] | which pose of a body explains a set of rays |
 //! | [`filter`] | where is a neighbour now, and where will it be |
 //! | [`search`] | where to look in the next frame |
@@ -15,6 +16,7 @@
 //! x right, y down, z forward. Every transform is named `target_from_source`.
 
 pub mod body;
+pub mod calibration;
 pub mod camera;
 pub mod filter;
 pub mod mask;

@@ -1,0 +1,382 @@
+//! The adjustment itself.
+
+use nalgebra::{
+    Cholesky, DMatrix, DVector, Isometry3, Matrix2x3, Matrix2x6, Matrix3, Matrix3x2, Matrix6,
+    Point3, UnitQuaternion, Vector2, Vector3, Vector6,
+};
+
+use super::gauge;
+use crate::body::{Body, Marker};
+use crate::pose::CornerRay;
+
+/// Scale of the robust cost, in spreads of the errors.
+const ROBUST_SCALE: f64 = 3.0;
+/// What Cauchy's weights leave of the squares of normal errors at that scale: with x of mean 2, the
+/// mean of x / (1 + x / 9) over 2.
+const WEIGHTED_SHARE: f64 = 0.7209;
+/// Most steps for one scale, and most scales.
+const MAX_STEPS: usize = 60;
+const MAX_SCALES: usize = 12;
+
+/// One ray: where it looks, across what, and how surely (1/radians).
+struct Sight {
+    ray: Vector3<f64>,
+    tangent: Matrix3x2<f64>,
+    weight: f64,
+}
+
+/// A marker in a frame.
+pub(super) struct Sighting {
+    /// Its index: in the body at first, then among the markers that are adjusted.
+    pub marker: usize,
+    sights: [Sight; 4],
+}
+
+impl Sighting {
+    /// Its rays come by corner.
+    pub(super) fn new(marker: usize, rays: &[CornerRay; 4]) -> Self {
+        let sights = rays.each_ref().map(|ray| {
+            let direction = ray.ray_in_camera.into_inner();
+            let across = direction.cross(&Vector3::ith(direction.iamin(), 1.0)).normalize();
+            Sight {
+                ray: direction,
+                tangent: Matrix3x2::from_columns(&[across, direction.cross(&across)]),
+                weight: 1.0 / ray.deviation_rad,
+            }
+        });
+        Self { marker, sights }
+    }
+}
+
+/// A frame in which the body is seen.
+pub(super) struct Frame {
+    pub camera_from_markers: Isometry3<f64>,
+    pub sightings: Vec<Sighting>,
+}
+
+/// Everything that is adjusted together.
+pub(super) struct Bundle {
+    pub frames: Vec<Frame>,
+    pub markers_from_marker: Vec<Isometry3<f64>>,
+    /// The printed corners in each marker's own frame.
+    in_marker: Vec<[Point3<f64>; 4]>,
+    /// Where they were meant to be.
+    designed: Vec<[Point3<f64>; 4]>,
+    /// Scale of the robust cost, in stated deviations.
+    scale: f64,
+}
+
+/// A frame's part of the normal equations: its own block, its gradient, and the block with each of
+/// its sightings.
+type FramePart = (Matrix6<f64>, Vector6<f64>, Vec<Matrix6<f64>>);
+
+/// A step of each frame and of each marker: shift, then turn.
+type Steps = (Vec<Vector6<f64>>, Vec<Vector6<f64>>);
+
+/// The normal equations, with the frames' part kept apart.
+struct Equations {
+    frames: Vec<FramePart>,
+    markers: Vec<(Matrix6<f64>, Vector6<f64>)>,
+    cost: f64,
+    /// Sum of weighted squared errors, and number of rays.
+    squares: f64,
+    rays: usize,
+}
+
+impl Bundle {
+    /// Of the markers `found` (indices into the body's), which all frames' sightings are of.
+    pub(super) fn new(body: &Body, found: &[usize], mut frames: Vec<Frame>) -> Self {
+        for frame in &mut frames {
+            // Both lists are complete: every sighting is of a marker that was found.
+            frame.sightings.retain_mut(|seen| match found.binary_search(&seen.marker) {
+                Ok(index) => {
+                    seen.marker = index;
+                    true
+                }
+                Err(_) => false,
+            });
+        }
+        let markers: Vec<&Marker> = found.iter().map(|&k| &body.markers[k]).collect();
+        let poses: Vec<_> = markers.iter().map(|marker| marker.markers_from_marker()).collect();
+        let in_marker = markers
+            .iter()
+            .zip(&poses)
+            .map(|(marker, pose)| marker.corners.map(|corner| pose.inverse() * corner));
+        Self {
+            frames,
+            in_marker: in_marker.collect(),
+            designed: markers.iter().map(|marker| marker.corners).collect(),
+            markers_from_marker: poses,
+            scale: ROBUST_SCALE,
+        }
+    }
+
+    /// Where a marker's corners are now, in the markers' frame.
+    pub(super) fn corners(&self, marker: usize) -> [Point3<f64>; 4] {
+        self.in_marker[marker].map(|corner| self.markers_from_marker[marker] * corner)
+    }
+
+    /// Levenberg-Marquardt, with a robust scale that follows the errors' spread.
+    pub(super) fn adjust(&mut self) {
+        for _ in 0..MAX_SCALES {
+            let before = self.scale;
+            self.scale = ROBUST_SCALE * self.spread().max(1.0);
+            self.descend();
+            if (self.scale / before - 1.0).abs() < 0.01 {
+                break;
+            }
+        }
+    }
+
+    /// Median error over that of errors as stated: of two normal coordinates, sqrt(2 ln 2).
+    fn spread(&self) -> f64 {
+        let mut errors: Vec<f64> = self.errors().map(|error| error.norm()).collect();
+        if errors.is_empty() {
+            return 1.0;
+        }
+        let middle = errors.len() / 2;
+        let (_, median, _) = errors.select_nth_unstable_by(middle, f64::total_cmp);
+        *median / (2.0 * 2f64.ln()).sqrt()
+    }
+
+    fn errors(&self) -> impl Iterator<Item = Vector2<f64>> {
+        self.frames.iter().flat_map(move |frame| {
+            frame.sightings.iter().flat_map(move |seen| {
+                let corners = self.corners(seen.marker);
+                (0..4)
+                    .map(move |k| error(&seen.sights[k], &(frame.camera_from_markers * corners[k])))
+            })
+        })
+    }
+
+    fn cost(&self) -> f64 {
+        self.errors().map(|error| self.cauchy(error.norm_squared())).sum()
+    }
+
+    fn cauchy(&self, squared: f64) -> f64 {
+        let scale = self.scale * self.scale;
+        scale * (squared / scale).ln_1p()
+    }
+
+    fn descend(&mut self) {
+        let mut damping = 1e-4;
+        let mut equations = self.equations();
+        for _ in 0..MAX_STEPS {
+            let Some((frames, markers)) = self.step(&equations, damping) else {
+                damping *= 10.0;
+                if damping > 1e6 {
+                    break;
+                }
+                continue;
+            };
+            let poses = self.frames.iter().map(|frame| frame.camera_from_markers);
+            let before = (poses.collect::<Vec<_>>(), self.markers_from_marker.clone());
+            for (frame, step) in self.frames.iter_mut().zip(&frames) {
+                frame.camera_from_markers = moved(&frame.camera_from_markers, step);
+            }
+            for (pose, step) in self.markers_from_marker.iter_mut().zip(&markers) {
+                *pose = moved(pose, step);
+            }
+            let cost = self.cost();
+            let gain = equations.cost - cost;
+            if gain > 0.0 {
+                equations = self.equations();
+                damping = (damping * 0.1).max(1e-12);
+                if gain < 1e-9 * cost {
+                    break;
+                }
+            } else {
+                for (frame, pose) in self.frames.iter_mut().zip(before.0) {
+                    frame.camera_from_markers = pose;
+                }
+                self.markers_from_marker = before.1;
+                damping *= 10.0;
+                if damping > 1e6 {
+                    break;
+                }
+            }
+        }
+    }
+
+    /// The normal equations, iteratively reweighted for the robust cost.
+    fn equations(&self) -> Equations {
+        let count = self.markers_from_marker.len();
+        let mut equations = Equations {
+            frames: Vec::with_capacity(self.frames.len()),
+            markers: vec![(Matrix6::zeros(), Vector6::zeros()); count],
+            cost: 0.0,
+            squares: 0.0,
+            rays: 0,
+        };
+        for frame in &self.frames {
+            let (mut own, mut gradient) = (Matrix6::zeros(), Vector6::zeros());
+            let mut joint = vec![Matrix6::zeros(); frame.sightings.len()];
+            for (seen, joint) in frame.sightings.iter().zip(&mut joint) {
+                let of_marker = &mut equations.markers[seen.marker];
+                let pose = &self.markers_from_marker[seen.marker];
+                for (sight, corner) in seen.sights.iter().zip(&self.in_marker[seen.marker]) {
+                    let (error, by_frame, by_marker) =
+                        linearized(sight, &frame.camera_from_markers, pose, corner);
+                    let squared = error.norm_squared();
+                    let weight = 1.0 / (1.0 + squared / (self.scale * self.scale));
+                    let (of_frame, of_own) =
+                        (by_frame.transpose() * weight, by_marker.transpose() * weight);
+                    own += of_frame * by_frame;
+                    gradient += of_frame * error;
+                    *joint += of_frame * by_marker;
+                    of_marker.0 += of_own * by_marker;
+                    of_marker.1 += of_own * error;
+                    equations.cost += self.cauchy(squared);
+                    equations.squares += weight * squared;
+                    equations.rays += 1;
+                }
+            }
+            equations.frames.push((own, gradient, joint));
+        }
+        equations
+    }
+
+    /// The equations of the markers alone (Schur's complement), and what each frame takes back from
+    /// their solution.
+    fn reduced(&self, equations: &Equations, damping: f64) -> Option<Reduced> {
+        let count = equations.markers.len();
+        let (mut matrix, mut gradient) =
+            (DMatrix::<f64>::zeros(6 * count, 6 * count), DVector::<f64>::zeros(6 * count));
+        for (k, (own, of_own)) in equations.markers.iter().enumerate() {
+            matrix.fixed_view_mut::<6, 6>(6 * k, 6 * k).copy_from(&damped(own, damping));
+            gradient.fixed_rows_mut::<6>(6 * k).copy_from(of_own);
+        }
+        let mut inverses = Vec::with_capacity(self.frames.len());
+        for (frame, (own, of_own, joint)) in self.frames.iter().zip(&equations.frames) {
+            let inverse = damped(own, damping).try_inverse()?;
+            for (a, with_a) in frame.sightings.iter().zip(joint) {
+                let taken = with_a.transpose() * inverse;
+                let mut rows = gradient.fixed_rows_mut::<6>(6 * a.marker);
+                rows -= taken * of_own;
+                for (b, with_b) in frame.sightings.iter().zip(joint) {
+                    let mut block = matrix.fixed_view_mut::<6, 6>(6 * a.marker, 6 * b.marker);
+                    block -= taken * with_b;
+                }
+            }
+            inverses.push(inverse);
+        }
+        Some(Reduced { matrix, gradient, inverses })
+    }
+
+    /// The damped step of every frame and every marker, which keeps the body as a whole in place.
+    fn step(&self, equations: &Equations, damping: f64) -> Option<Steps> {
+        let reduced = self.reduced(equations, damping)?;
+        let solved = self.held(reduced.matrix)?.0.solve(&-reduced.gradient);
+        let markers: Vec<Vector6<f64>> = (0..equations.markers.len())
+            .map(|k| solved.fixed_rows::<6>(6 * k).into_owned())
+            .collect();
+        let frames = self.frames.iter().zip(&equations.frames).zip(&reduced.inverses);
+        let frames = frames.map(|((frame, (_, of_own, joint)), inverse)| {
+            let taken = frame.sightings.iter().zip(joint);
+            let taken: Vector6<f64> = taken.map(|(seen, with)| with * markers[seen.marker]).sum();
+            -(inverse * (of_own + taken))
+        });
+        Some((frames.collect(), markers))
+    }
+
+    /// A matrix of the markers alone, which does not know where the body is, held by the conditions
+    /// of [`gauge`]; with these conditions.
+    fn held(&self, matrix: DMatrix<f64>) -> Option<(Cholesky<f64, nalgebra::Dyn>, DMatrix<f64>)> {
+        let corners: Vec<_> =
+            (0..self.markers_from_marker.len()).map(|k| self.corners(k)).collect();
+        let conditions = gauge::conditions(&corners);
+        let strength = matrix.trace() / matrix.nrows().max(1) as f64;
+        let held = matrix + conditions.transpose() * &conditions * strength;
+        Some((Cholesky::new(held)?, conditions))
+    }
+
+    /// Brings the body as a whole to where it was designed.
+    pub(super) fn align(&mut self) {
+        let count = self.markers_from_marker.len();
+        let found: Vec<_> = (0..count).flat_map(|k| self.corners(k)).collect();
+        let designed_from_found = gauge::alignment(&found, self.designed.as_flattened());
+        for pose in &mut self.markers_from_marker {
+            *pose = designed_from_found * *pose;
+        }
+        for frame in &mut self.frames {
+            frame.camera_from_markers *= designed_from_found.inverse();
+        }
+    }
+
+    /// The covariance of each marker's pose with the body held in place, and the errors that remain
+    /// in stated deviations.
+    pub(super) fn covariances(&self) -> Option<(Vec<Matrix6<f64>>, f64)> {
+        let equations = self.equations();
+        let count = equations.markers.len();
+        let unknowns = 6 * (self.frames.len() + count).saturating_sub(1);
+        let freedom = (2 * equations.rays).checked_sub(unknowns).filter(|&left| left > 0)?;
+        let scatter = equations.squares / (WEIGHTED_SHARE * freedom as f64);
+        let (held, conditions) = self.held(self.reduced(&equations, 0.0)?.matrix)?;
+        // What the conditions themselves leave open is taken out again.
+        let by_conditions = held.solve(&conditions.transpose());
+        let inner = (&conditions * &by_conditions).try_inverse()?;
+        let covariance = held.inverse() - &by_conditions * inner * by_conditions.transpose();
+        let enlarged =
+            |k: usize| covariance.fixed_view::<6, 6>(6 * k, 6 * k).into_owned() * scatter.max(1.0);
+        let all: Vec<_> = (0..count).map(enlarged).collect();
+        let is_sound = all.iter().all(|block| block.diagonal().iter().all(|x| *x > 0.0));
+        is_sound.then_some((all, scatter.sqrt()))
+    }
+}
+
+struct Reduced {
+    matrix: DMatrix<f64>,
+    gradient: DVector<f64>,
+    /// Inverses of the frames' own blocks.
+    inverses: Vec<Matrix6<f64>>,
+}
+
+fn damped(matrix: &Matrix6<f64>, damping: f64) -> Matrix6<f64> {
+    matrix + Matrix6::from_diagonal(&(matrix.diagonal() * damping))
+}
+
+/// Error of a ray in standard deviations across it: 2 tan(angle / 2) in its direction, which rises all
+/// the way to straight behind.
+fn error(sight: &Sight, in_camera: &Point3<f64>) -> Vector2<f64> {
+    let direction = in_camera.coords.normalize();
+    let along = (1.0 + sight.ray.dot(&direction)).max(1e-9);
+    sight.tangent.transpose() * direction * (2.0 * sight.weight / along)
+}
+
+/// The same with its derivatives by the frame's pose and by the marker's: shift, then turn about the
+/// own origin, in the camera's axes and in the markers'.
+fn linearized(
+    sight: &Sight,
+    camera_from_markers: &Isometry3<f64>,
+    markers_from_marker: &Isometry3<f64>,
+    corner: &Point3<f64>,
+) -> (Vector2<f64>, Matrix2x6<f64>, Matrix2x6<f64>) {
+    let arm_of_marker = markers_from_marker.rotation * corner.coords;
+    let in_markers = arm_of_marker + markers_from_marker.translation.vector;
+    let arm_of_body = camera_from_markers.rotation * in_markers;
+    let in_camera = arm_of_body + camera_from_markers.translation.vector;
+    let (range, direction) = (in_camera.norm(), in_camera.normalize());
+    let along = (1.0 + sight.ray.dot(&direction)).max(1e-9);
+    let scale = 2.0 * sight.weight / along;
+    let across = sight.tangent.transpose();
+    let error = across * direction * scale;
+    let by_direction: Matrix2x3<f64> = across * scale - error * sight.ray.transpose() / along;
+    let by_point = by_direction * (Matrix3::identity() - direction * direction.transpose()) / range;
+    let by_point_of_body = by_point * camera_from_markers.rotation.to_rotation_matrix().matrix();
+    let joined = |shift: &Matrix2x3<f64>, arm: &Vector3<f64>| {
+        let mut joined = Matrix2x6::zeros();
+        joined.fixed_columns_mut::<3>(0).copy_from(shift);
+        joined.fixed_columns_mut::<3>(3).copy_from(&(-shift * arm.cross_matrix()));
+        joined
+    };
+    (error, joined(&by_point, &arm_of_body), joined(&by_point_of_body, &arm_of_marker))
+}
+
+/// A pose moved by a shift and turned by a rotation vector about its own origin.
+fn moved(pose: &Isometry3<f64>, step: &Vector6<f64>) -> Isometry3<f64> {
+    let shift: Vector3<f64> = step.fixed_rows::<3>(0).into_owned();
+    let turn: Vector3<f64> = step.fixed_rows::<3>(3).into_owned();
+    let mut rotation = UnitQuaternion::from_scaled_axis(turn) * pose.rotation;
+    rotation.renormalize();
+    Isometry3::from_parts((pose.translation.vector + shift).into(), rotation)
+}
