@@ -3,26 +3,26 @@
 use std::fmt::{self, Write};
 
 /// A drawing in the making.
-pub(super) struct Svg {
+pub(crate) struct Svg {
     body: String,
     width: f64,
     height: f64,
 }
 
 impl Svg {
-    /// An empty drawing with a white ground.
-    pub(super) fn new(width: f64, height: f64) -> Self {
+    /// An empty drawing.
+    pub(crate) fn new(width: f64, height: f64) -> Self {
         Self { body: String::new(), width, height }
     }
 
-    /// Adds an element with its attributes; the texts are ours, so nothing has to be escaped.
-    pub(super) fn element(&mut self, element: fmt::Arguments<'_>) {
+    /// Adds an element with its attributes; a text that is not ours must be [`escaped`].
+    pub(crate) fn element(&mut self, element: fmt::Arguments<'_>) {
         // Writing to a String cannot fail.
         let _ = writeln!(self.body, "{element}");
     }
 
     /// Adds a line through points, where there are two or more.
-    pub(super) fn line(&mut self, points: &[(f64, f64)], attributes: &str) {
+    pub(crate) fn line(&mut self, points: &[(f64, f64)], attributes: &str) {
         if points.len() > 1 {
             let points: Vec<_> = points.iter().map(|(x, y)| format!("{x:.1},{y:.1}")).collect();
             let points = points.join(" ");
@@ -31,12 +31,23 @@ impl Svg {
     }
 
     /// Adds a text.
-    pub(super) fn text(&mut self, (x, y): (f64, f64), attributes: &str, text: &str) {
+    pub(crate) fn text(&mut self, (x, y): (f64, f64), attributes: &str, text: &str) {
         self.element(format_args!(r#"<text x="{x:.1}" y="{y:.1}" {attributes}>{text}</text>"#));
     }
 
-    /// The whole document.
-    pub(super) fn finish(self) -> String {
+    /// The drawing as an element of a page, on the page's ground and in its colours; `label` says
+    /// what it shows to who cannot see it, `attributes` go to the element.
+    pub(crate) fn finish_in_page(self, label: &str, attributes: &str) -> String {
+        let Self { body, width, height } = self;
+        format!(
+            "<svg viewBox=\"0 0 {width} {height}\" role=\"img\" aria-label=\"{}\" {attributes}>\n\
+             {body}</svg>\n",
+            escaped(label)
+        )
+    }
+
+    /// The whole document, on white.
+    pub(crate) fn finish(self) -> String {
         let Self { body, width, height } = self;
         format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" \
@@ -44,4 +55,20 @@ impl Svg {
              <rect width=\"{width}\" height=\"{height}\" fill=\"white\"/>\n{body}</svg>\n"
         )
     }
+}
+
+/// A text that may hold anything, for HTML and SVG.
+pub(crate) fn escaped(text: &str) -> String {
+    let mut safe = String::with_capacity(text.len());
+    for letter in text.chars() {
+        match letter {
+            '&' => safe += "&amp;",
+            '<' => safe += "&lt;",
+            '>' => safe += "&gt;",
+            '"' => safe += "&quot;",
+            '\'' => safe += "&#39;",
+            letter => safe.push(letter),
+        }
+    }
+    safe
 }
