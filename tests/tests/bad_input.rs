@@ -264,7 +264,7 @@ fn a_neighbour_that_nobody_told_us_about_is_ignored() {
         assert_eq!(row.target, "alpha", "a pose of nobody:\n{}", flight.output());
         let truth =
             truths.iter().find(|truth| (truth.frame, truth.body.as_str()) == (row.frame, "alpha"));
-        let off = (row.position() - truth.expect("alpha flies").position()).norm();
+        let off = (row.position - truth.expect("alpha flies").position()).norm();
         assert!(off < 0.3, "frame {}: {off:.3} m off, as if the stranger were alpha", row.frame);
     }
 }

@@ -326,7 +326,7 @@ fn assert_poses_are_right(poses: &[PoseRow], truths: &[TruthRow]) {
         let truth =
             truths.iter().find(|truth| (truth.frame, &truth.body) == (row.frame, &row.target));
         let truth = truth.expect("each frame has its truth");
-        let off = (row.position() - truth.position()).norm();
+        let off = (row.position - truth.position()).norm();
         assert!(off < 0.1, "frame {} is off by {off:.3} m", row.frame);
     }
 }

@@ -137,7 +137,7 @@ fn poses_flow_and_nothing_is_left_afterwards() {
         let truth =
             truths.iter().find(|truth| (truth.frame, &truth.body) == (row.frame, &row.target));
         let truth = truth.expect("each frame has its truth");
-        let off = (row.position() - truth.position()).norm();
+        let off = (row.position - truth.position()).norm();
         assert!(off < 0.1, "frame {} is off by {off:.3} m", row.frame);
     }
     assert!(flight.stages("").is_empty());

@@ -43,7 +43,7 @@ fn the_recorded_flight_is_followed_as_promised() {
     assert!(near.eligible > 0, "the truth has nobody within 1.5 m");
     let share = near.measured as f64 / near.eligible as f64;
     assert!(share >= 0.9, "only {:.1} % are measured within 1.5 m", 100.0 * share);
-    let median = near.median_mm.expect("some are measured");
+    let median = near.published.expect("some are measured").position_mm.median;
     assert!(median <= 30.0, "the median error within 1.5 m is {median:.1} mm");
     assert_eq!(evaluation.false_poses, 0, "{:?}", evaluation.false_at);
 }
@@ -59,7 +59,7 @@ fn unrelated_stills_give_no_false_pose() {
     assert!(evaluation.measured > 0, "nothing was seen at all:\n{output}");
     assert_eq!(evaluation.false_poses, 0, "{:?}", evaluation.false_at);
     // The stills have nothing to do with each other: nobody is carried from one to the next.
-    assert_eq!(evaluation.coasted, 0);
+    assert_eq!(evaluation.coasted.count, 0);
 }
 
 /// The equirectangular pictures of real cameras, with their sizes; the other pictures beside them

@@ -8,8 +8,10 @@
 //! error is (position, rotation vector, linear velocity, angular velocity), all in the observer's
 //! axes: `R_true = exp(rotation error) R`. So the leading 6x6 block is the project's pose covariance.
 
+mod chi_square;
 mod life;
 
+pub use chi_square::{chi_square_gate, chi_square_quantile};
 pub use life::{Happened, LifeCycle, TrackPolicy, TrackState};
 
 use nalgebra::{
@@ -297,21 +299,6 @@ impl MotionModel {
         }
         noise
     }
-}
-
-/// The squared distance that a right measurement of 6 degrees of freedom stays below with this
-/// probability: the chi-square quantile. 0.999 gives 22.46. Clamped to probabilities of 0 to
-/// 1 - 1e-12; NaN gives 0.
-pub fn chi_square_gate(probability: f64) -> f64 {
-    // An even number of degrees of freedom has a closed form: 1 - exp(-x/2) (1 + x/2 + x^2/8).
-    let tail = |x: f64| (-x / 2.0).exp() * (1.0 + x / 2.0 + x * x / 8.0);
-    let wanted = (1.0 - probability.max(0.0)).max(1e-12);
-    let (mut low, mut high) = (0.0, 100.0);
-    for _ in 0..80 {
-        let middle = (low + high) / 2.0;
-        if tail(middle) > wanted { low = middle } else { high = middle }
-    }
-    high
 }
 
 /// Left Jacobian of SO(3): `exp(v + d) = exp(Jl(v) d) exp(v)` to first order in d.

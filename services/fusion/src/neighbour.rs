@@ -117,7 +117,7 @@ impl Neighbour {
             measured,
             markers,
             state: self.life.state(),
-            age_s: at_s - self.life.started_s()?,
+            age_s: (at_s - self.life.started_s()?).max(0.0),
             unseen_s: (at_s - last_seen_s).max(0.0),
             track_id: self.track_id,
         })

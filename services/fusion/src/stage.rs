@@ -340,13 +340,24 @@ fn mode_code(mode: Mode) -> flockeye_contract::SearchMode {
 }
 
 fn filter_choice(pipeline: &Pipeline) -> FilterChoice {
-    match pipeline.fusion.filter {
+    let fusion = &pipeline.fusion;
+    let usual = MotionModel::default();
+    match fusion.filter {
         Filter::None => FilterChoice::None,
         Filter::ConstantVelocity => FilterChoice::Tracks(TrackPolicy {
-            motion: MotionModel::default(),
-            confirm_hits: pipeline.fusion.confirm_hits,
-            coast_s: pipeline.fusion.coast_s,
-            ..TrackPolicy::default()
+            motion: MotionModel {
+                acceleration: fusion.acceleration,
+                angular_acceleration: fusion.angular_acceleration,
+                // Who coasts is predicted.
+                longest_step_s: usual.longest_step_s.max(fusion.coast_s),
+                ..usual
+            },
+            confirm_hits: fusion.confirm_hits,
+            confirm_window: fusion.confirm_window,
+            coast_s: fusion.coast_s,
+            history_s: fusion.history_s,
+            gate_probability: fusion.gate_probability,
+            restart_after_gated: fusion.restart_after_gated,
         }),
     }
 }

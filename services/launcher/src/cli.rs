@@ -28,6 +28,8 @@ pub enum Command {
     Peers(Peers),
     /// Compare recorded poses with the truth.
     Eval(Eval),
+    /// Work out the paper's tables anew, and how consistent covariances are.
+    Experiment(Experiment),
     /// Tabulate and draw partitions of the sphere.
     Partition(Partition),
     /// Remove what dead runs left in shared memory.
@@ -60,7 +62,7 @@ pub struct Configuration {
 }
 
 /// How frames flow.
-#[derive(Debug, Clone, Copy, ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum FlowArgument {
     /// The newest frame wins.
     Latest,
@@ -116,6 +118,62 @@ pub struct Eval {
     /// The truth.
     #[arg(long, value_name = "FILE.csv")]
     pub truth: PathBuf,
+    /// One JSON object instead of a table.
+    #[arg(long)]
+    pub json: bool,
+    /// Write a page with the paper's figures for this run, index.html, into this folder.
+    #[arg(long, value_name = "DIR")]
+    pub report: Option<PathBuf>,
+}
+
+/// Arguments of `experiment`.
+#[derive(Debug, Args)]
+pub struct Experiment {
+    /// Which.
+    #[command(subcommand)]
+    pub kind: ExperimentKind,
+}
+
+/// The experiments.
+#[derive(Debug, Subcommand)]
+pub enum ExperimentKind {
+    /// The paper's Table I: 6, 12 and 24 views, cut its way and ours.
+    Partitions(Comparison),
+    /// The paper's Table II: how a frame is searched, its two ways and ours.
+    Search(Comparison),
+    /// Whether errors are as large as their covariances say, over many simulated flights.
+    Consistency(ConsistencyRuns),
+}
+
+/// Arguments of the experiments that compare.
+#[derive(Debug, Args)]
+pub struct Comparison {
+    /// Which configuration; its flow is lossless.
+    #[command(flatten)]
+    pub configuration: Configuration,
+    /// The truth of a recording; a simulated flight has its own.
+    #[arg(long, value_name = "FILE.csv")]
+    pub truth: Option<PathBuf>,
+    /// Frames of each flight, at most.
+    #[arg(long, default_value_t = 300, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
+    pub frames: u64,
+    /// One JSON object instead of a table.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Arguments of `experiment consistency`.
+#[derive(Debug, Args)]
+pub struct ConsistencyRuns {
+    /// Which configuration; its flow is lossless, its source simulated.
+    #[command(flatten)]
+    pub configuration: Configuration,
+    /// Flights, each from a seed of its own.
+    #[arg(long, default_value_t = 50, value_parser = clap::value_parser!(u32).range(2..=10_000))]
+    pub runs: u32,
+    /// Frames of each flight.
+    #[arg(long, default_value_t = 45, value_parser = clap::value_parser!(u64).range(2..=1_000_000))]
+    pub frames: u64,
     /// One JSON object instead of a table.
     #[arg(long)]
     pub json: bool,
@@ -198,7 +256,16 @@ impl Configuration {
     /// # Errors
     /// Everything that is wrong with it.
     pub fn load(&self) -> anyhow::Result<Pipeline> {
-        let overrides = self.overrides();
+        self.load_between(&[], &[])
+    }
+
+    /// The same with `KEY.PATH=VALUE` settings that the command line goes before, and such that go
+    /// before the command line.
+    ///
+    /// # Errors
+    /// Everything that is wrong with it.
+    pub fn load_between(&self, usual: &[String], fixed: &[String]) -> anyhow::Result<Pipeline> {
+        let overrides = [usual, &self.overrides(), fixed].concat();
         let here = PathBuf::from("pipeline.yaml");
         let pipeline = match &self.pipeline {
             Some(path) => Pipeline::load(path, &overrides)?,

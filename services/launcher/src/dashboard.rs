@@ -9,7 +9,7 @@ use flockeye_contract::{
 };
 use nalgebra::Vector3;
 
-use crate::evaluation::quantile;
+use crate::evaluation::statistics::quantile;
 
 /// A stage that says nothing for this long is not well, nanoseconds.
 const SILENCE_NS: i64 = 2_000_000_000;

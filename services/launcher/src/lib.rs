@@ -10,6 +10,8 @@
 //! | [`screen`] | the terminal: log lines above, the table below |
 //! | [`record`] | poses and truth as CSV |
 //! | [`evaluation`] | poses against the truth |
+//! | [`report`] | the same as a page with figures |
+//! | [`experiment`] | the paper's tables anew, and how consistent covariances are |
 //! | [`check`] | what a configuration means on this machine |
 //! | [`partition`] | partitions of the sphere as table, JSON and drawings |
 //! | [`peers`] | what the whole swarm reports over Zenoh |
@@ -22,10 +24,13 @@ pub mod cli;
 pub mod dashboard;
 pub mod evaluation;
 pub mod exec;
+pub mod experiment;
 pub mod partition;
 pub mod peers;
 pub mod process;
 pub mod record;
+pub mod report;
 pub mod schema;
 pub mod screen;
+mod svg;
 pub mod up;

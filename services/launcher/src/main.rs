@@ -4,7 +4,7 @@ use std::process::ExitCode;
 
 use clap::Parser;
 use flockeye_launcher::cli::{Command, Flockeye};
-use flockeye_launcher::{check, clean, evaluation, exec, partition, peers, schema, up};
+use flockeye_launcher::{check, clean, evaluation, exec, experiment, partition, peers, schema, up};
 
 fn main() -> ExitCode {
     flockeye_runtime::logs::init();
@@ -13,6 +13,7 @@ fn main() -> ExitCode {
         Command::Check(arguments) => check::run(&arguments),
         Command::Peers(arguments) => peers::run(&arguments),
         Command::Eval(arguments) => evaluation::run(&arguments),
+        Command::Experiment(arguments) => experiment::run(&arguments),
         Command::Partition(arguments) => partition::run(&arguments),
         Command::Clean(arguments) => clean::run(&arguments),
         Command::Schema => schema::run(),

@@ -4,7 +4,6 @@
 
 mod figure;
 mod picture;
-mod svg;
 
 use std::fmt;
 use std::path::Path;

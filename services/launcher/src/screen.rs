@@ -1,17 +1,33 @@
 //! The terminal: log lines run above, the table stays below.
 
+use std::collections::VecDeque;
 use std::io::{self, IsTerminal, Write};
+
+/// Lines that a screen without a terminal keeps.
+const KEPT_LINES: usize = 40;
 
 /// Where the launcher shows what goes on.
 pub struct Screen {
     is_terminal: bool,
     table_lines: usize,
+    /// The last lines, where they are kept instead of shown.
+    kept: Option<VecDeque<String>>,
 }
 
 impl Screen {
     /// Standard output.
     pub fn new() -> Self {
-        Self { is_terminal: io::stdout().is_terminal(), table_lines: 0 }
+        Self { is_terminal: io::stdout().is_terminal(), table_lines: 0, kept: None }
+    }
+
+    /// One that shows nothing and keeps the last lines, for when something goes wrong.
+    pub fn muted() -> Self {
+        Self { is_terminal: false, table_lines: 0, kept: Some(VecDeque::new()) }
+    }
+
+    /// The lines that were kept.
+    pub fn kept(&self) -> String {
+        self.kept.iter().flatten().fold(String::new(), |text, line| text + line + "\n")
     }
 
     /// Whether somebody is looking, so that a live table makes sense.
@@ -21,6 +37,12 @@ impl Screen {
 
     /// Shows a line that stays.
     pub fn line(&mut self, text: &str) {
+        if let Some(kept) = &mut self.kept {
+            if kept.len() == KEPT_LINES {
+                kept.pop_front();
+            }
+            return kept.push_back(text.to_owned());
+        }
         self.show(&format!("{}{text}\n", self.erasure()));
         self.table_lines = 0;
     }

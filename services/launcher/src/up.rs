@@ -1,5 +1,7 @@
 //! `flockeye up`: runs a pipeline until it ends.
 
+use std::collections::BTreeSet;
+use std::path::Path;
 use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -8,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use flockeye_contract::{
-    Detections, FrameEnds, Frames, Healths, Plans, StageState, Tracks, Truths, Views,
+    Detections, FrameEnds, FrameStamp, Frames, Healths, Plans, StageState, Tracks, Truths, Views,
 };
 use flockeye_dictionary::Dictionary;
 use flockeye_runtime::clock;
@@ -37,38 +39,108 @@ const QUIET_TIME: Duration = Duration::from_millis(1000);
 /// Lines of log that may wait to be shown.
 const LOG_LINES: usize = 1_000;
 
+/// What is asked of a flight beside its configuration.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Errand<'a> {
+    /// It stops after this long.
+    pub duration: Option<Duration>,
+    /// It stops after so many frames.
+    pub frames: Option<u64>,
+    /// Where poses are recorded.
+    pub poses: Option<&'a Path>,
+    /// Where the truth is recorded.
+    pub truth: Option<&'a Path>,
+    /// Whether what came of it is kept in memory.
+    pub keeps: bool,
+}
+
+/// What came of a flight.
+#[derive(Debug, Clone, Default)]
+pub struct Flown {
+    /// Every pose of the frames that ended; of no other frame.
+    pub poses: Vec<PoseRow>,
+    /// The truth, if the source has one; also of frames that did not end.
+    pub truth: Vec<TruthRow>,
+    /// Numbers of the frames that ended.
+    pub frames: BTreeSet<u64>,
+    /// From each frame's publication to its end, summed, seconds.
+    pub work_s: f64,
+    /// From the first frame's end to the last one's, seconds.
+    pub ends_s: f64,
+    /// When the first frame ended, CLOCK_MONOTONIC, nanoseconds.
+    pub first_end_ns: Option<i64>,
+}
+
+impl Flown {
+    /// A frame has ended.
+    fn end(&mut self, stamp: &FrameStamp, now_ns: i64) {
+        self.frames.insert(stamp.sequence);
+        self.work_s += (now_ns - stamp.published_ns) as f64 * 1e-9;
+        self.ends_s = (now_ns - *self.first_end_ns.get_or_insert(now_ns)) as f64 * 1e-9;
+    }
+}
+
 /// Runs it.
 ///
 /// # Errors
 /// The configuration is wrong, the instance is taken, memory is short, or a stage cannot work.
 pub fn run(arguments: &Up) -> anyhow::Result<()> {
+    let stopping = stopped_by_signals()?;
+    let pipeline = arguments.configuration.load()?;
+    let errand = Errand {
+        duration: arguments.duration,
+        poses: arguments.poses.as_deref(),
+        truth: arguments.truth.as_deref(),
+        ..Errand::default()
+    };
+    fly(&pipeline, &errand, &mut Screen::new(), &stopping).map(drop)
+}
+
+/// A flag that SIGINT, SIGTERM and SIGHUP raise.
+///
+/// # Errors
+/// The system does not let signals be caught.
+pub fn stopped_by_signals() -> anyhow::Result<Arc<AtomicBool>> {
     let stopping = Arc::new(AtomicBool::new(false));
     for signal in
         [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM, signal_hook::consts::SIGHUP]
     {
         signal_hook::flag::register(signal, stopping.clone()).context("cannot catch signals")?;
     }
+    Ok(stopping)
+}
+
+/// Runs a pipeline until its source ends, the errand is done or `stopping` is raised.
+///
+/// # Errors
+/// As [`run`].
+pub fn fly(
+    pipeline: &Pipeline,
+    errand: &Errand<'_>,
+    screen: &mut Screen,
+    stopping: &AtomicBool,
+) -> anyhow::Result<Flown> {
     set_log_level(LogLevel::Fatal);
-    let pipeline = arguments.configuration.load()?;
     let bodies = pipeline.bodies()?;
     // Read by the stages that need it; here only so that a wrong one is said once, and first.
     pipeline.mask()?;
     Dictionary::of(&bodies)?;
-    let budget = Budget::of(&pipeline, pipeline.largest_view_px(bodies.largest_side())?);
+    let budget = Budget::of(pipeline, pipeline.largest_view_px(bodies.largest_side())?);
     let instance = Instance::named(&pipeline.instance.0);
     let ownership = instance.take()?;
     let (free, total) = shared_memory_space().context("cannot look at /dev/shm")?;
     budget.check(free, total)?;
-    instance.write_configuration(&pipeline)?;
-    let mut launcher = Launcher::new(arguments, &pipeline, &instance, budget)?;
+    instance.write_configuration(pipeline)?;
+    let mut launcher = Launcher::new(errand, pipeline, &instance, budget, screen)?;
     launcher.start()?;
-    let outcome = launcher.watch(arguments.duration, &stopping);
+    let outcome = launcher.watch(stopping);
     launcher.stop();
-    launcher.finish(ownership)?;
-    outcome
+    let flown = launcher.finish(ownership)?;
+    outcome.map(|()| flown)
 }
 
-struct Launcher {
+struct Launcher<'a> {
+    errand: Errand<'a>,
     // Ports go before the services, the services before the node.
     tracks: Subscriber<Tracks>,
     healths: Subscriber<Healths>,
@@ -79,21 +151,23 @@ struct Launcher {
     source: Process,
     others: Vec<Process>,
     log: Receiver<LogLine>,
-    screen: Screen,
+    screen: &'a mut Screen,
     dashboard: Dashboard,
     poses: Option<Recorder>,
     truth: Option<Recorder>,
+    flown: Flown,
     started: Instant,
     last_track: Instant,
     next_show: Instant,
 }
 
-impl Launcher {
+impl<'a> Launcher<'a> {
     fn new(
-        arguments: &Up,
+        errand: &Errand<'a>,
         pipeline: &Pipeline,
         instance: &Instance,
         budget: Budget,
+        screen: &'a mut Screen,
     ) -> anyhow::Result<Self> {
         let node = Rc::new(
             NodeBuilder::new()
@@ -132,6 +206,7 @@ impl Launcher {
         others.push(process("rectification", 0)?);
         let now = Instant::now();
         Ok(Self {
+            errand: *errand,
             tracks: ports.subscriber()?,
             healths: ports.subscriber()?,
             truths: ports.subscriber()?,
@@ -141,10 +216,11 @@ impl Launcher {
             source: process(pipeline.source_stage(), 0)?,
             others,
             log,
-            screen: Screen::new(),
+            screen,
             dashboard: Dashboard::default(),
-            poses: arguments.poses.as_deref().map(Recorder::create).transpose()?,
-            truth: arguments.truth.as_deref().map(Recorder::create).transpose()?,
+            poses: errand.poses.map(Recorder::create).transpose()?,
+            truth: errand.truth.map(Recorder::create).transpose()?,
+            flown: Flown::default(),
             started: now,
             last_track: now,
             next_show: now,
@@ -157,7 +233,7 @@ impl Launcher {
     }
 
     /// Looks after everything until it is time to stop.
-    fn watch(&mut self, duration: Option<Duration>, stopping: &AtomicBool) -> anyhow::Result<()> {
+    fn watch(&mut self, stopping: &AtomicBool) -> anyhow::Result<()> {
         let Some(ports) = self.ports.take() else { return Ok(()) };
         let mut source_started: Option<Instant> = None;
         let outcome = ports.attend(|| {
@@ -171,10 +247,12 @@ impl Launcher {
                 source_started = Some(Instant::now());
                 self.last_track = Instant::now();
             }
-            let time_is_up = duration.is_some_and(|duration| {
+            let time_is_up = self.errand.duration.is_some_and(|duration| {
                 source_started.is_some_and(|start| start.elapsed() >= duration)
             });
-            if stopping.load(Ordering::Relaxed) || time_is_up || self.is_at_end() {
+            let is_enough =
+                self.errand.frames.is_some_and(|frames| self.dashboard.frames_ended() >= frames);
+            if stopping.load(Ordering::Relaxed) || time_is_up || is_enough || self.is_at_end() {
                 return Ok(None);
             }
             self.show();
@@ -190,9 +268,12 @@ impl Launcher {
         }
         while let Some(message) = self.truths.receive()? {
             self.dashboard.truth(&message.header, message.items());
-            if let Some(recorder) = &mut self.truth {
-                for body in message.items() {
-                    recorder.add(TruthRow::of(&message.header, body))?;
+            for row in message.items().iter().map(|body| TruthRow::of(&message.header, body)) {
+                if let Some(recorder) = &mut self.truth {
+                    recorder.add(&row)?;
+                }
+                if self.errand.keeps {
+                    self.flown.truth.push(row);
                 }
             }
         }
@@ -200,11 +281,19 @@ impl Launcher {
             let stamp = message.header.stamp;
             let is_last = message.header.is_last != 0;
             self.last_track = Instant::now();
-            self.dashboard.tracks(&stamp, message.items(), is_last, clock::monotonic_ns());
-            if let Some(recorder) = &mut self.poses {
-                for row in message.items().iter().filter_map(|track| PoseRow::of(&stamp, track)) {
-                    recorder.add(row)?;
+            let now_ns = clock::monotonic_ns();
+            self.dashboard.tracks(&stamp, message.items(), is_last, now_ns);
+            for row in message.items().iter().filter_map(|track| PoseRow::of(&stamp, track)) {
+                if let Some(recorder) = &mut self.poses {
+                    recorder.add(&row)?;
                 }
+                if self.errand.keeps {
+                    self.flown.poses.push(row);
+                }
+            }
+            let is_more = |frames| (self.flown.frames.len() as u64) < frames;
+            if is_last && self.errand.keeps && self.errand.frames.is_none_or(is_more) {
+                self.flown.end(&stamp, now_ns);
             }
         }
         Ok(())
@@ -311,7 +400,7 @@ impl Launcher {
     }
 
     /// Says what it came to, and gives everything back.
-    fn finish(mut self, ownership: Ownership) -> anyhow::Result<()> {
+    fn finish(mut self, ownership: Ownership) -> anyhow::Result<Flown> {
         self.receive()?;
         if self.dashboard.frames_ended() > 0 {
             self.screen.line(&self.dashboard.summary());
@@ -324,9 +413,11 @@ impl Launcher {
         if let Some(recorder) = self.truth.take() {
             recorder.finish()?;
         }
+        let mut flown = std::mem::take(&mut self.flown);
+        flown.poses.retain(|row| flown.frames.contains(&row.frame));
         // Shared memory is unmapped before its files are removed.
         drop(self);
         drop(ownership);
-        Ok(())
+        Ok(flown)
     }
 }

@@ -1,5 +1,8 @@
 //! The life of a track: when a neighbour is believed, and when it is given up.
 
+use std::cmp::Ordering;
+use std::collections::VecDeque;
+
 use nalgebra::{Isometry3, Matrix6};
 
 use super::{FilterError, Innovation, MotionModel, Prediction, Track, chi_square_gate};
@@ -28,6 +31,8 @@ pub struct TrackPolicy {
     pub confirm_window: u32,
     /// A confirmed track is lost when it was not seen for longer than this, seconds.
     pub coast_s: f64,
+    /// Frames that come at most this much later than newer ones are put where they belong, seconds.
+    pub history_s: f64,
     /// Probability that a right measurement passes the gate.
     pub gate_probability: f64,
     /// So many measurements in a row outside the gate mean that the track is wrong: it begins anew
@@ -36,13 +41,15 @@ pub struct TrackPolicy {
 }
 
 impl Default for TrackPolicy {
-    /// Confirmed by 3 hits in 5 frames, coasting for 1 s, 0.1 % of right measurements gated.
+    /// Confirmed by 3 hits in 5 frames, coasting for 1 s, half a second of history, 0.1 % of right
+    /// measurements gated.
     fn default() -> Self {
         Self {
             motion: MotionModel::default(),
             confirm_hits: 3,
             confirm_window: 5,
             coast_s: 1.0,
+            history_s: 0.5,
             gate_probability: 0.999,
             restart_after_gated: 3,
         }
@@ -64,11 +71,33 @@ pub enum Happened {
 
 /// The track of one neighbour and its state. Call [`LifeCycle::measured`] or
 /// [`LifeCycle::unseen`] once for each frame.
+///
+/// Frames may come late and in any order: what they said is kept for [`TrackPolicy::history_s`],
+/// with the state after each, and whatever lies after a late one is filtered anew. So within the
+/// history the order of arrival does not matter.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LifeCycle {
     policy: TrackPolicy,
     gate: f64,
-    life: Option<Life>,
+    /// The state before the first event that is kept.
+    base: Option<Life>,
+    /// By time; the newest is always there once there was one.
+    events: VecDeque<Event>,
+}
+
+/// What a frame said, and the state after it.
+#[derive(Debug, Clone, PartialEq)]
+struct Event {
+    stamp_s: f64,
+    /// `None`: it did not see the neighbour.
+    measured: Option<Measurement>,
+    after: Option<Life>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Measurement {
+    observer_from_target: Isometry3<f64>,
+    covariance: Matrix6<f64>,
 }
 
 #[derive(Debug, Clone, PartialEq)]
@@ -84,43 +113,50 @@ struct Life {
 impl LifeCycle {
     /// Nothing was seen of the neighbour yet.
     pub fn new(policy: TrackPolicy) -> Self {
-        Self { policy, gate: chi_square_gate(policy.gate_probability), life: None }
+        let gate = chi_square_gate(policy.gate_probability);
+        Self { policy, gate, base: None, events: VecDeque::new() }
     }
 
     /// Where the track is in its life; `None` before the first measurement.
     pub fn state(&self) -> Option<TrackState> {
-        self.life.as_ref().map(|life| life.state)
+        self.life().map(|life| life.state)
     }
 
     /// The filter, while the track is alive.
     pub fn track(&self) -> Option<&Track> {
-        self.life.as_ref().filter(|life| life.state != TrackState::Lost).map(|life| &life.track)
+        self.life().and_then(Life::alive)
     }
 
     /// When the track's first measurement was exposed, seconds.
     pub fn started_s(&self) -> Option<f64> {
-        self.life.as_ref().map(|life| life.started_s)
+        self.life().map(|life| life.started_s)
     }
 
     /// When its last measurement taken in was exposed, seconds; also of a lost track.
     pub fn last_seen_s(&self) -> Option<f64> {
-        self.life.as_ref().map(|life| life.track.stamp_s())
+        self.life().map(|life| life.track.stamp_s())
     }
 
-    /// Where the neighbour will be at `at_s`; `None` while there is no live track, or if the filter
-    /// knows nothing of that time.
+    /// Where the neighbour will be at `at_s`, or, for a time within the history, where it was as far
+    /// as the frames up to then say. `None` while there is no live track, or if the filter knows
+    /// nothing of that time.
     pub fn predict(&self, at_s: f64) -> Option<Prediction> {
-        self.track()?.predict(at_s).ok()
+        let track = self.track()?;
+        if at_s >= track.stamp_s() {
+            return track.predict(at_s).ok();
+        }
+        let until_then = self.events.partition_point(|event| event.stamp_s <= at_s);
+        self.life_before(until_then)?.alive()?.predict(at_s).ok()
     }
 
     /// A frame exposed at `stamp_s` in which the neighbour's pose was measured; `covariance` as in
-    /// [`Track::update`].
+    /// [`Track::update`]. It takes the place of a word that the same frame had not seen it.
     ///
-    /// A frame from before the last measurement is refused, unless it is from so long before
-    /// (`coast_s`) that the clock itself must have jumped: then the track begins anew.
+    /// A frame from before the history is refused, unless it is from so long before (`coast_s`) that
+    /// the clock itself must have jumped: then the track begins anew.
     ///
     /// # Errors
-    /// An unusable measurement ([`FilterError::Unusable`]) or one from the past
+    /// An unusable measurement ([`FilterError::Unusable`]) or one from too long ago
     /// ([`FilterError::Past`]); nothing changes then.
     pub fn measured(
         &mut self,
@@ -128,64 +164,139 @@ impl LifeCycle {
         observer_from_target: &Isometry3<f64>,
         covariance: &Matrix6<f64>,
     ) -> Result<Happened, FilterError> {
-        let fresh = Track::start(stamp_s, *observer_from_target, covariance, self.policy.motion)?;
-        let policy = self.policy;
-        let Some(life) = self.life.as_mut().filter(|life| life.state != TrackState::Lost) else {
-            self.life = Some(Life::begin(fresh, &policy));
-            return Ok(Happened::Started);
-        };
-        if stamp_s - life.track.stamp_s() > policy.coast_s {
-            *life = Life::begin(fresh, &policy);
-            return Ok(Happened::Started);
+        // What cannot begin a track is no measurement.
+        Track::start(stamp_s, *observer_from_target, covariance, self.policy.motion)?;
+        let mut jumped = false;
+        if let Some(newest_s) = self.too_late(stamp_s) {
+            if !self.is_jump(newest_s - stamp_s) {
+                return Err(FilterError::Past { at_s: stamp_s, stamp_s: newest_s });
+            }
+            jumped = self.track().is_some();
+            self.forget();
         }
-        match life.track.update(stamp_s, observer_from_target, covariance, self.gate) {
-            Ok(innovation) => {
-                life.gated_in_a_row = 0;
-                life.count(true, &policy);
-                Ok(Happened::Updated(innovation))
-            }
-            Err(FilterError::Gated { innovation, .. }) => {
-                life.gated_in_a_row += 1;
-                if life.state == TrackState::Tentative
-                    || life.gated_in_a_row >= policy.restart_after_gated
-                {
-                    *life = Life::begin(fresh, &policy);
-                    return Ok(Happened::Restarted);
-                }
-                life.count(false, &policy);
-                Ok(Happened::Gated(innovation))
-            }
-            Err(FilterError::Past { at_s, stamp_s }) if stamp_s - at_s <= policy.coast_s => {
-                Err(FilterError::Past { at_s, stamp_s })
-            }
-            Err(FilterError::Past { .. } | FilterError::Gap { .. }) => {
-                *life = Life::begin(fresh, &policy);
-                Ok(Happened::Restarted)
-            }
-            Err(unusable @ FilterError::Unusable { .. }) => Err(unusable),
-        }
+        let measured =
+            Measurement { observer_from_target: *observer_from_target, covariance: *covariance };
+        let (place, mut event) = self.placed(stamp_s, Some(measured));
+        let happened =
+            Life::measured(&mut event.after, stamp_s, &measured, &self.policy, self.gate)?;
+        self.insert(place, event);
+        Ok(if jumped { Happened::Restarted } else { happened })
     }
 
     /// A frame exposed at `stamp_s` in which nothing was measured of the neighbour although all
-    /// that was to be searched was. Returns the state after it.
+    /// that was to be searched was. Returns the state after all frames so far. A frame from before
+    /// the history, and one that something was measured in, changes nothing.
     pub fn unseen(&mut self, stamp_s: f64) -> Option<TrackState> {
-        let policy = self.policy;
-        let life = self.life.as_mut()?;
-        if life.state != TrackState::Lost {
-            // Either way round: a clock that jumped back leaves a track that means nothing.
-            let unseen_s = (stamp_s - life.track.stamp_s()).abs();
-            if unseen_s <= policy.coast_s {
-                life.count(false, &policy);
-            } else {
-                life.state = TrackState::Lost;
+        if let Some(newest_s) = self.too_late(stamp_s) {
+            if self.is_jump(newest_s - stamp_s) {
+                // A clock that jumped back leaves a track that means nothing.
+                let mut life = self.life().cloned();
+                if let Some(life) = &mut life {
+                    life.state = TrackState::Lost;
+                }
+                self.events.clear();
+                self.base = life;
             }
+        } else if stamp_s.is_finite() && !self.events.iter().any(|event| event.stamp_s == stamp_s) {
+            let (place, mut event) = self.placed(stamp_s, None);
+            event.step(&self.policy, self.gate);
+            self.insert(place, event);
         }
-        Some(life.state)
+        self.state()
     }
 
     /// Forgets the neighbour, as when the source begins anew.
     pub fn forget(&mut self) {
-        self.life = None;
+        self.base = None;
+        self.events.clear();
+    }
+
+    /// The newest state.
+    fn life(&self) -> Option<&Life> {
+        self.life_before(self.events.len())
+    }
+
+    /// The state before an event.
+    fn life_before(&self, index: usize) -> Option<&Life> {
+        match index.checked_sub(1).and_then(|before| self.events.get(before)) {
+            Some(event) => event.after.as_ref(),
+            None => self.base.as_ref(),
+        }
+    }
+
+    /// The newest event's time, if `stamp_s` lies so far before it that nothing is kept of then.
+    fn too_late(&self, stamp_s: f64) -> Option<f64> {
+        let newest_s = self.events.back()?.stamp_s;
+        (stamp_s < newest_s - self.policy.history_s).then_some(newest_s)
+    }
+
+    /// Whether a frame that comes so late says that the clock has jumped.
+    fn is_jump(&self, late_s: f64) -> bool {
+        late_s > self.policy.coast_s.max(self.policy.history_s)
+    }
+
+    /// An event and its place, with the state before it.
+    fn placed(&self, stamp_s: f64, measured: Option<Measurement>) -> (usize, Event) {
+        let mut event = Event { stamp_s, measured, after: None };
+        let place = self.events.partition_point(|other| other.is_before(&event));
+        event.after = self.life_before(place).cloned();
+        (place, event)
+    }
+
+    /// Keeps an event, filters anew what lies after it, and lets go of what is too old.
+    fn insert(&mut self, place: usize, event: Event) {
+        let stamp_s = event.stamp_s;
+        let is_measured = event.measured.is_some();
+        self.events.insert(place, event);
+        if is_measured {
+            self.events.retain(|event| event.stamp_s != stamp_s || event.measured.is_some());
+        }
+        for later in place + 1..self.events.len() {
+            let before = self.life_before(later).cloned();
+            if let Some(event) = self.events.get_mut(later) {
+                event.after = before;
+                event.step(&self.policy, self.gate);
+            }
+        }
+        let newest_s = self.events.back().map_or(stamp_s, |newest| newest.stamp_s);
+        while let Some(oldest) = self.events.front()
+            && oldest.stamp_s < newest_s - self.policy.history_s
+        {
+            self.base = self.events.pop_front().and_then(|oldest| oldest.after);
+        }
+    }
+}
+
+impl Event {
+    /// Events of one time have an order too, so that it does not matter which came first.
+    fn is_before(&self, other: &Self) -> bool {
+        let by_measurement = || match (&self.measured, &other.measured) {
+            (Some(measured), Some(other)) => measured.order(other),
+            // Measured first.
+            (measured, other) => other.is_some().cmp(&measured.is_some()),
+        };
+        self.stamp_s.total_cmp(&other.stamp_s).then_with(by_measurement).is_lt()
+    }
+
+    /// Moves the state in `after` on. A measurement that cannot be taken in leaves it as it was.
+    fn step(&mut self, policy: &TrackPolicy, gate: f64) {
+        if let Some(measured) = &self.measured {
+            let _ = Life::measured(&mut self.after, self.stamp_s, measured, policy, gate);
+        } else if let Some(life) = &mut self.after {
+            life.unseen(self.stamp_s, policy);
+        }
+    }
+}
+
+impl Measurement {
+    /// Any order that is always the same.
+    fn order(&self, other: &Self) -> Ordering {
+        let numbers = |measured: &Self| -> Vec<f64> {
+            let pose = &measured.observer_from_target;
+            let (at, turn) = (pose.translation.vector, pose.rotation.coords);
+            at.iter().chain(turn.iter()).chain(measured.covariance.iter()).copied().collect()
+        };
+        numbers(self).partial_cmp(&numbers(other)).unwrap_or(Ordering::Equal)
     }
 }
 
@@ -196,6 +307,59 @@ impl Life {
         let mut life = Self { track, state, hits: 0, gated_in_a_row: 0, started_s };
         life.count(true, policy);
         life
+    }
+
+    /// The filter of a life that is not over.
+    fn alive(&self) -> Option<&Track> {
+        (self.state != TrackState::Lost).then_some(&self.track)
+    }
+
+    /// Takes in what was measured at `stamp_s`.
+    fn measured(
+        life: &mut Option<Self>,
+        stamp_s: f64,
+        Measurement { observer_from_target, covariance }: &Measurement,
+        policy: &TrackPolicy,
+        gate: f64,
+    ) -> Result<Happened, FilterError> {
+        let fresh = Track::start(stamp_s, *observer_from_target, covariance, policy.motion)?;
+        let follows = |life: &Self| stamp_s - life.track.stamp_s() <= policy.coast_s;
+        let Some(old) = life.as_mut().filter(|life| life.alive().is_some() && follows(life)) else {
+            *life = Some(Self::begin(fresh, policy));
+            return Ok(Happened::Started);
+        };
+        match old.track.update(stamp_s, observer_from_target, covariance, gate) {
+            Ok(innovation) => {
+                old.gated_in_a_row = 0;
+                old.count(true, policy);
+                Ok(Happened::Updated(innovation))
+            }
+            Err(FilterError::Gated { innovation, .. }) => {
+                old.gated_in_a_row += 1;
+                if old.state == TrackState::Tentative
+                    || old.gated_in_a_row >= policy.restart_after_gated
+                {
+                    *old = Self::begin(fresh, policy);
+                    return Ok(Happened::Restarted);
+                }
+                old.count(false, policy);
+                Ok(Happened::Gated(innovation))
+            }
+            Err(FilterError::Gap { .. }) => {
+                *old = Self::begin(fresh, policy);
+                Ok(Happened::Restarted)
+            }
+            Err(error @ (FilterError::Past { .. } | FilterError::Unusable { .. })) => Err(error),
+        }
+    }
+
+    /// A frame that does not show it.
+    fn unseen(&mut self, stamp_s: f64, policy: &TrackPolicy) {
+        if stamp_s - self.track.stamp_s() <= policy.coast_s {
+            self.count(false, policy);
+        } else {
+            self.state = TrackState::Lost;
+        }
     }
 
     /// Counts a frame and moves the state on.

@@ -1,6 +1,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
 use nalgebra::Unit;
+use proptest::prelude::*;
 
 use super::*;
 use crate::pose::fixtures::{Chance, error};
@@ -53,52 +54,99 @@ fn the_left_jacobian_is_the_derivative_of_the_exponential() {
     }
 }
 
-/// Runs of targets that move just as the model says, so that the covariance must be right.
+/// A target that moves just as the model says, so that the covariance must be right.
+struct Wanderer {
+    truth: Isometry3<f64>,
+    velocity: Vector3<f64>,
+    rate: Vector3<f64>,
+}
+
+impl Wanderer {
+    fn new(motion: &MotionModel, chance: &mut Chance) -> Self {
+        Self {
+            truth: chance.pose(1.5),
+            velocity: Vector3::from(chance.normals::<3>()) * motion.initial_speed,
+            rate: Vector3::from(chance.normals::<3>()) * motion.initial_rate,
+        }
+    }
+
+    fn fly(&mut self, step: f64, motion: &MotionModel, chance: &mut Chance) {
+        // White noise over a step: one half of it acts on the mean velocity, and the part
+        // across it, sqrt(1/12), makes up the rest of the position's variance.
+        let mut drive = |density: f64| {
+            let change = Vector3::from(chance.normals::<3>()) * density * step.sqrt();
+            let across = Vector3::from(chance.normals::<3>()) * density * step.sqrt();
+            (change, (change / 2.0 + across / 12f64.sqrt()) * step)
+        };
+        let (faster, shift) = drive(motion.acceleration);
+        let (turning, turn) = drive(motion.angular_acceleration);
+        let way = self.velocity * step + shift;
+        let around = self.rate * step + turn;
+        let by = Vector6::from_iterator(way.iter().chain(around.iter()).copied());
+        self.truth = moved(&self.truth, &by);
+        self.velocity += faster;
+        self.rate += turning;
+    }
+
+    /// What a track's state is off by: position, rotation, both velocities.
+    fn error(&self, now: &Prediction) -> SVector<f64, 12> {
+        let mut off = SVector::<f64, 12>::zeros();
+        off.fixed_rows_mut::<6>(0).copy_from(&error(&self.truth, &now.observer_from_target));
+        off.fixed_rows_mut::<3>(6).copy_from(&(self.velocity - now.velocity));
+        off.fixed_rows_mut::<3>(9).copy_from(&(self.rate - now.rate));
+        off
+    }
+}
+
+/// The squared error of some rows, normalised by what the covariance says of them.
+fn normalised<const N: usize>(off: &SVector<f64, 12>, now: &Prediction, first: usize) -> f64 {
+    let covariance = now.covariance.fixed_view::<N, N>(first, first).into_owned();
+    let off = off.fixed_rows::<N>(first).into_owned();
+    off.dot(&covariance.cholesky().expect("a covariance").solve(&off))
+}
+
+/// Consistency over independent runs (Bar-Shalom, Li, Kirubarajan, section 5.4.2): at each time the
+/// mean of the normalised squared error over the runs is chi-square, divided by the runs.
 #[test]
 fn estimates_are_as_good_as_they_say() {
+    const RUNS: usize = 200;
+    const FRAMES: usize = 40;
     let (mut chance, motion) = (Chance::new(2), MotionModel::default());
     let step: f64 = 1.0 / 30.0;
-    let (mut sum, mut innovations, mut gated, mut count) = (0.0, 0.0, 0, 0);
-    for _ in 0..200 {
-        let mut truth = chance.pose(1.5);
-        let mut velocity = Vector3::from(chance.normals::<3>()) * motion.initial_speed;
-        let mut rate = Vector3::from(chance.normals::<3>()) * motion.initial_rate;
-        let mut track = start(measure(&truth, &mut chance));
-        for frame in 1..=40 {
-            // White noise over a step: one half of it acts on the mean velocity, and the part
-            // across it, sqrt(1/12), makes up the rest of the position's variance.
-            let mut drive = |density: f64| {
-                let change = Vector3::from(chance.normals::<3>()) * density * step.sqrt();
-                let across = Vector3::from(chance.normals::<3>()) * density * step.sqrt();
-                (change, (change / 2.0 + across / 12f64.sqrt()) * step)
-            };
-            let (faster, shift) = drive(motion.acceleration);
-            let (turning, turn) = drive(motion.angular_acceleration);
-            let way = velocity * step + shift;
-            let around = rate * step + turn;
-            truth =
-                moved(&truth, &Vector6::from_iterator(way.iter().chain(around.iter()).copied()));
-            velocity += faster;
-            rate += turning;
+    // Of all twelve, of the position, of the rotation; summed over the runs.
+    let mut sums = [[0.0; 3]; FRAMES];
+    let (mut innovations, mut gated) = (0.0, 0);
+    for _ in 0..RUNS {
+        let mut target = Wanderer::new(&motion, &mut chance);
+        let mut track = start(measure(&target.truth, &mut chance));
+        for (frame, sums) in (1..).zip(&mut sums) {
+            target.fly(step, &motion, &mut chance);
             let stamp_s = 10.0 + f64::from(frame) * step;
-            match track.update(stamp_s, &measure(&truth, &mut chance), &covariance(), GATE) {
+            match track.update(stamp_s, &measure(&target.truth, &mut chance), &covariance(), GATE) {
                 Ok(innovation) => innovations += innovation.distance_squared,
                 Err(FilterError::Gated { .. }) => gated += 1,
                 Err(other) => panic!("{other}"),
             }
             let now = track.predict(stamp_s).unwrap();
-            let mut off = SVector::<f64, 12>::zeros();
-            off.fixed_rows_mut::<6>(0).copy_from(&error(&truth, &now.observer_from_target));
-            off.fixed_rows_mut::<3>(6).copy_from(&(velocity - now.velocity));
-            off.fixed_rows_mut::<3>(9).copy_from(&(rate - now.rate));
-            sum += off.dot(&now.covariance.cholesky().unwrap().solve(&off));
-            count += 1;
+            let off = target.error(&now);
+            sums[0] += normalised::<12>(&off, &now, 0);
+            sums[1] += normalised::<3>(&off, &now, 0);
+            sums[2] += normalised::<3>(&off, &now, 3);
         }
     }
-    let count = f64::from(count);
-    // Chi-square of 12 and of 6 degrees of freedom; frames of one run are not independent.
-    assert!((11.0..13.2).contains(&(sum / count)), "{}", sum / count);
-    assert!((5.7..6.3).contains(&(innovations / count)), "{}", innovations / count);
+    for (which, degrees) in [(0, 12.0), (1, 3.0), (2, 3.0)] {
+        let all = degrees * RUNS as f64;
+        let (low, high) = (chi_square_quantile(all, 0.025), chi_square_quantile(all, 0.975));
+        let inside = sums.iter().filter(|sums| (low..high).contains(&sums[which])).count();
+        // 95 % of the frames should be inside. Neighbouring ones go together, so that 40 are worth
+        // some ten: more than two of ten outside would be chance once in a hundred times.
+        assert!(inside >= FRAMES * 4 / 5, "{which}: {inside} of {FRAMES} frames are inside");
+        let last = sums[FRAMES - 1][which];
+        assert!((low..high).contains(&last), "{which}: {last} at the end, not {low} to {high}");
+    }
+    // What was expected before each measurement is independent from frame to frame.
+    let count = (RUNS * FRAMES) as f64;
+    assert!((5.8..6.2).contains(&(innovations / count)), "{}", innovations / count);
     assert!(f64::from(gated) < 0.003 * count, "{gated}");
 }
 
@@ -246,11 +294,95 @@ fn a_life_survives_jumps_of_the_clock() {
         life.measured(frame(k), &pose, &covariance()).unwrap();
     }
     let before = life.clone();
-    assert!(matches!(life.measured(frame(3), &pose, &covariance()), Err(FilterError::Past { .. })));
+    let late = life.measured(frame(-2), &pose, &covariance());
+    assert!(matches!(late, Err(FilterError::Past { .. })));
+    assert_eq!(life.unseen(frame(-2)), Some(TrackState::Confirmed));
     assert!(life.measured(f64::NAN, &pose, &covariance()).is_err());
+    assert_eq!(life.unseen(f64::NAN), Some(TrackState::Confirmed));
     assert_eq!(life, before);
     // A second and more back, the source has begun anew; so it has after a long silence.
     assert_eq!(life.measured(1.0, &pose, &covariance()).unwrap(), Happened::Restarted);
     assert_eq!(life.measured(1e6, &pose, &covariance()).unwrap(), Happened::Started);
     assert_eq!(life.unseen(5.0), Some(TrackState::Lost));
+}
+
+/// What a frame says, and how much later than exposed it comes, seconds.
+#[derive(Debug, Clone)]
+struct Report {
+    measured: Option<Isometry3<f64>>,
+    late_s: f64,
+}
+
+/// Frames of a neighbour that flies by: measured, not seen, or measured quite elsewhere.
+fn reports(latest_s: f64) -> impl Strategy<Value = Vec<Report>> {
+    let report = (0..10, any::<u64>(), 0.0..latest_s);
+    prop::collection::vec(report, 2..60).prop_map(|reports| {
+        let all = reports.into_iter().zip(0..).map(|((kind, seed, late_s), k)| {
+            let truth = Isometry3::translation(1.0 + 0.02 * f64::from(k), 0.0, 0.0);
+            let pose = measure(&truth, &mut Chance::new(seed));
+            let measured = match kind {
+                0..7 => Some(pose),
+                7 => Some(Isometry3::translation(-1.0, 0.0, 0.0) * pose),
+                _ => None,
+            };
+            Report { measured, late_s }
+        });
+        all.collect()
+    })
+}
+
+fn tell(life: &mut LifeCycle, k: usize, report: &Report) {
+    let stamp_s = 10.0 + k as f64 / 30.0;
+    match &report.measured {
+        Some(pose) => assert!(life.measured(stamp_s, pose, &covariance()).is_ok()),
+        None => assert_eq!(life.unseen(stamp_s), life.state()),
+    }
+}
+
+proptest! {
+    /// However late and in whatever order frames come, as long as none is later than the history.
+    #[test]
+    fn the_order_of_arrival_does_not_matter_within_the_history(reports in reports(0.49)) {
+        let mut in_order = life();
+        let mut arrivals: Vec<_> = reports.iter().enumerate().collect();
+        arrivals.iter().for_each(|(k, report)| tell(&mut in_order, *k, report));
+        arrivals.sort_by(|(j, a), (k, b)| {
+            (*j as f64 / 30.0 + a.late_s).total_cmp(&(*k as f64 / 30.0 + b.late_s))
+        });
+        let mut as_it_came = life();
+        arrivals.iter().for_each(|(k, report)| tell(&mut as_it_came, *k, report));
+        prop_assert_eq!(as_it_came.state(), in_order.state());
+        prop_assert_eq!(as_it_came.track(), in_order.track());
+        prop_assert_eq!(as_it_came.started_s(), in_order.started_s());
+    }
+}
+
+#[test]
+fn a_late_measurement_takes_its_place() {
+    let pose = |k: i32| Isometry3::translation(1.0 + 0.05 * f64::from(k), 0.0, 0.0);
+    let (mut in_time, mut late) = (life(), life());
+    for k in 0..8 {
+        in_time.measured(frame(k), &pose(k), &covariance()).unwrap();
+        if k == 5 {
+            // Nothing is known of it yet, and that is said.
+            late.unseen(frame(k));
+        } else {
+            late.measured(frame(k), &pose(k), &covariance()).unwrap();
+        }
+    }
+    let without = late.track().unwrap().now();
+    assert!(matches!(
+        late.measured(frame(5), &pose(5), &covariance()).unwrap(),
+        Happened::Updated(_)
+    ));
+    assert_eq!(late.track(), in_time.track());
+    assert_eq!((late.state(), late.last_seen_s()), (in_time.state(), Some(frame(7))));
+    assert!(in_time.track().unwrap().now().covariance[(6, 6)] < without.covariance[(6, 6)]);
+    // What was seen stays seen.
+    assert_eq!(late.unseen(frame(5)), Some(TrackState::Confirmed));
+    assert_eq!(late, in_time);
+    // Of a time within the history, what was known up to then.
+    let then = late.predict(frame(5)).unwrap();
+    assert_eq!(then.stamp_s, frame(5));
+    assert!(late.predict(frame(0)).is_none());
 }

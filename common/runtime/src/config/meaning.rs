@@ -4,7 +4,8 @@ use flockeye_geometry::partition::{PartitionError, Weights};
 
 use super::document::Node;
 use super::{
-    BodySet, Count, Flow, Mount, Partition, Pipeline, Problem, Problems, Response, StageProcess,
+    BodySet, Count, Flow, Fusion, Mount, Partition, Pipeline, Problem, Problems, Response,
+    StageProcess,
 };
 use crate::sphere::SphereViewsError;
 
@@ -21,6 +22,7 @@ pub(super) fn check(pipeline: &Pipeline, document: &Node, problems: &mut Problem
     meaning.rising("source.reopen_s", pipeline.source.reopen_s, 0.01);
     meaning.rising("simulator.distance_m", pipeline.simulator.distance_m, 0.2);
     meaning.source(pipeline);
+    meaning.fusion(&pipeline.fusion);
     meaning.network(pipeline);
     meaning.stages(pipeline);
 }
@@ -187,6 +189,19 @@ impl Meaning<'_> {
             self.problem(
                 "source.at_end",
                 "a lossless run ends with its recording: use stop".into(),
+            );
+        }
+    }
+
+    fn fusion(&mut self, fusion: &Fusion) {
+        let Fusion { confirm_hits, confirm_window, .. } = *fusion;
+        if confirm_hits > confirm_window {
+            self.problem(
+                "fusion.confirm_hits",
+                format!(
+                    "{confirm_hits} measurements among {confirm_window} frames: raise \
+                     fusion.confirm_window"
+                ),
             );
         }
     }

@@ -358,9 +358,30 @@ pub struct Fusion {
     /// How long a neighbour that is not measured is predicted, seconds.
     #[schemars(range(min = 0.0, max = 60.0))]
     pub coast_s: f64,
-    /// Frames with a measurement until a neighbour is believed.
-    #[schemars(range(min = 1, max = 100))]
+    /// Frames with a measurement until a neighbour is believed...
+    #[schemars(range(min = 1, max = 64))]
     pub confirm_hits: u32,
+    /// ...among so many frames. One that is not believed yet is given up when so many frames in a
+    /// row do not show it.
+    #[schemars(range(min = 1, max = 64))]
+    pub confirm_window: u32,
+    /// Measurements that come at most this much later than newer ones are put where they belong,
+    /// seconds.
+    #[schemars(range(min = 0.0, max = 10.0))]
+    pub history_s: f64,
+    /// Probability that a right measurement passes the gate.
+    #[schemars(range(min = 0.5, max = 1.0))]
+    pub gate_probability: f64,
+    /// Measurements in a row outside the gate that make a track begin anew from the last of them.
+    #[schemars(range(min = 1, max = 1000))]
+    pub restart_after_gated: u32,
+    /// How wildly neighbours fly: white-noise acceleration along each axis, m/s^2 per root Hz. After
+    /// a second of it a velocity known before is uncertain by as many m/s.
+    #[schemars(range(min = 0.01, max = 1000.0))]
+    pub acceleration: f64,
+    /// The same of their rotation, rad/s^2 per root Hz.
+    #[schemars(range(min = 0.01, max = 1000.0))]
+    pub angular_acceleration: f64,
     /// How long a frame is waited for when a stage has died, milliseconds.
     #[schemars(range(min = 10.0, max = 60000.0))]
     pub deadline_ms: f64,
@@ -372,6 +393,12 @@ impl Default for Fusion {
             filter: Filter::ConstantVelocity,
             coast_s: 1.0,
             confirm_hits: 2,
+            confirm_window: 5,
+            history_s: 0.5,
+            gate_probability: 0.999,
+            restart_after_gated: 3,
+            acceleration: 4.0,
+            angular_acceleration: 6.0,
             deadline_ms: 3000.0,
         }
     }

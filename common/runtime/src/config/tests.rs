@@ -107,6 +107,10 @@ const WRONG: &[(&str, &[&str])] = &[
     ("flow: losless", &["latest, lossless", "did you mean 'lossless'?"]),
     ("flow: [latest]", &["must be one of latest, lossless, not a list"]),
     ("search: {mode: gazee}", &["greedy, optimized, exhaustive, gaze", "did you mean 'gaze'?"]),
+    (
+        "fusion: {confirm_hits: 6}",
+        &["fusion.confirm_hits", "6 measurements among 5 frames: raise fusion.confirm_window"],
+    ),
     ("instance: 'a b'", &["instance: 'a b' cannot be a name"]),
     ("observer: {name: a/b}", &["observer.name", "letters, digits"]),
     (

@@ -3,8 +3,8 @@
 use flockeye_geometry::partition::{Method, Partition, PartitionError};
 
 use super::images;
-use super::svg::Svg;
 use crate::cli;
+use crate::svg::Svg;
 
 const WIDTH: f64 = 960.0;
 const HEIGHT: f64 = 560.0;

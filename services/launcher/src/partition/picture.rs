@@ -7,7 +7,7 @@ use flockeye_geometry::partition::{Partition, PartitionError};
 use flockeye_geometry::view::{View, ViewPixel};
 use nalgebra::{Unit, Vector3};
 
-use super::svg::Svg;
+use crate::svg::Svg;
 
 const GLOBE: f64 = 230.0;
 const IMAGE_WIDTH: f64 = 960.0;

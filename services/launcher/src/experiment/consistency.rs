@@ -1,0 +1,248 @@
+//! Whether errors are as large as their covariances say, over many independent flights.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use anyhow::ensure;
+use flockeye_geometry::filter::chi_square_quantile;
+use nalgebra::{Matrix6, Vector3};
+use serde::Serialize;
+
+use super::Laboratory;
+use crate::cli::ConsistencyRuns;
+use crate::evaluation::consistency::{Nees, Verdict, in_series, normalised};
+use crate::evaluation::error::PoseError;
+use crate::evaluation::{of_measurement, of_track};
+use crate::record::{PoseRow, TruthRow};
+use crate::up::Flown;
+
+/// Half of the usual size in each direction, and half of the distances: bodies are as large in
+/// pixels, and a frame costs a quarter.
+const USUAL: [&str; 3] =
+    ["camera.width=1920", "camera.height=960", "simulator.distance_m=[0.4, 1.0]"];
+
+/// An error with its covariance.
+type Sample = (PoseError, Matrix6<f64>);
+
+/// Positions or rotations of all flights.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+struct Part {
+    /// Of all frames of all flights.
+    #[serde(flatten)]
+    nees: Nees,
+    /// Frame numbers at which at least half of the flights have a sample: at each of them the
+    /// samples are independent.
+    moments: usize,
+    /// Share of those at which the flights' mean lies within the bounds of its own 95 %.
+    inside: Option<f64>,
+}
+
+/// Positions and rotations.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+struct Parts {
+    position: Part,
+    rotation: Part,
+}
+
+/// What was found.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(super) struct Runs {
+    runs: u32,
+    frames: u64,
+    seeds: [u32; 2],
+    image_px: [u32; 2],
+    distance_m: [f64; 2],
+    /// Flights in which nothing was measured.
+    empty_runs: usize,
+    /// The frames' own measurements.
+    measurements: Option<Parts>,
+    /// The tracks in frames that were measured.
+    tracks: Option<Parts>,
+    /// Whether all means lie within their bounds.
+    passes: bool,
+}
+
+/// Flies with as many seeds as there are runs, from the configured one on.
+pub(super) fn work_out(arguments: &ConsistencyRuns) -> anyhow::Result<Runs> {
+    let mut laboratory =
+        Laboratory::new(&arguments.configuration, &USUAL, arguments.frames, arguments.json)?;
+    let first = laboratory.pipeline(&[])?;
+    ensure!(
+        first.source_stage() == "simulator",
+        "independent flights of '{}' cannot be had. Cure: simulate them (--source sim)",
+        first.source.input
+    );
+    let seed = first.simulator.seed;
+    let last = seed.checked_add(arguments.runs - 1);
+    let seeds = [seed, last.unwrap_or(u32::MAX)];
+    ensure!(last.is_some(), "simulator.seed {seed} leaves no room for {} more", arguments.runs);
+    let mut flights = Vec::new();
+    for (seed, number) in (seeds[0]..=seeds[1]).zip(1..) {
+        let pipeline = laboratory.pipeline(&[format!("simulator.seed={seed}")])?;
+        let what = format!("flight {number} of {}, seed {seed}", arguments.runs);
+        flights.push(laboratory.fly(&what, &pipeline)?);
+    }
+    let measurements = Parts::of(&flights, of_measurement);
+    let tracks = Parts::of(&flights, of_track);
+    let all = [&measurements, &tracks];
+    Ok(Runs {
+        runs: arguments.runs,
+        frames: arguments.frames,
+        seeds,
+        image_px: [first.camera.width, first.camera.height],
+        distance_m: first.simulator.distance_m,
+        empty_runs: flights.iter().filter(|flown| !has_measurement(flown)).count(),
+        passes: all.iter().all(|parts| parts.as_ref().is_some_and(Parts::passes)),
+        measurements,
+        tracks,
+    })
+}
+
+fn has_measurement(flown: &Flown) -> bool {
+    flown.poses.iter().any(PoseRow::is_measured)
+}
+
+impl Parts {
+    /// Of flights; `None` if there is no sample.
+    fn of(flights: &[Flown], sample: fn(&PoseRow, &TruthRow) -> Option<Sample>) -> Option<Self> {
+        let samples: Vec<Vec<(u64, Sample)>> =
+            flights.iter().flat_map(|flown| samples(flown, sample)).collect();
+        let part = |error: fn(&PoseError) -> Vector3<f64>, first: usize| {
+            let number = |(frame, (errors, covariance)): &(u64, Sample)| {
+                let block = covariance.fixed_view::<3, 3>(first, first).into_owned();
+                Some((*frame, normalised(&error(errors), &block)?))
+            };
+            let numbers: Vec<Vec<(u64, f64)>> =
+                samples.iter().map(|body| body.iter().filter_map(number).collect()).collect();
+            Part::of(numbers, flights.len())
+        };
+        Some(Self {
+            position: part(|error| error.position, 0)?,
+            rotation: part(|error| error.rotation, 3)?,
+        })
+    }
+
+    fn passes(&self) -> bool {
+        let right = |part: &Part| part.nees.verdict == Verdict::Consistent;
+        right(&self.position) && right(&self.rotation)
+    }
+}
+
+impl Part {
+    /// Of normalised errors with their frames, of each body in each flight.
+    fn of(numbers: Vec<Vec<(u64, f64)>>, flights: usize) -> Option<Self> {
+        let mut moments: BTreeMap<u64, Vec<f64>> = BTreeMap::new();
+        for &(frame, number) in numbers.iter().flatten() {
+            moments.entry(frame).or_default().push(number);
+        }
+        moments.retain(|_, numbers| 2 * numbers.len() >= flights);
+        let inside = moments.values().filter(|numbers| {
+            let degrees = 3.0 * numbers.len() as f64;
+            let sum: f64 = numbers.iter().sum();
+            let bound = |share| chi_square_quantile(degrees, share);
+            (bound(0.025)..bound(0.975)).contains(&sum)
+        });
+        let share = inside.count() as f64 / moments.len() as f64;
+        let series: Vec<Vec<f64>> = numbers.into_iter().flat_map(in_series).collect();
+        Some(Self {
+            nees: Nees::of(&series)?,
+            moments: moments.len(),
+            inside: (!moments.is_empty()).then_some(share),
+        })
+    }
+}
+
+/// Samples of the measured frames of each body.
+fn samples(
+    flown: &Flown,
+    sample: fn(&PoseRow, &TruthRow) -> Option<Sample>,
+) -> Vec<Vec<(u64, Sample)>> {
+    let truths: BTreeMap<(&str, u64), &TruthRow> =
+        flown.truth.iter().map(|row| ((row.body.as_str(), row.frame), row)).collect();
+    let mut bodies: BTreeMap<&str, Vec<(u64, Sample)>> = BTreeMap::new();
+    for pose in flown.poses.iter().filter(|pose| pose.is_measured()) {
+        let truth = truths.get(&(pose.target.as_str(), pose.frame));
+        if let Some(sample) = truth.and_then(|truth| sample(pose, truth)) {
+            bodies.entry(&pose.target).or_default().push((pose.frame, sample));
+        }
+    }
+    bodies.into_values().collect()
+}
+
+impl fmt::Display for Runs {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [width, height] = self.image_px;
+        let [near, far] = self.distance_m;
+        writeln!(
+            f,
+            "{} flights (seeds {} to {}) of {} frames of {width}x{height}, neighbours at {near} to \
+             {far} m; in {} nothing was measured",
+            self.runs, self.seeds[0], self.seeds[1], self.frames, self.empty_runs
+        )?;
+        for (what, parts) in [("measurements", &self.measurements), ("tracks", &self.tracks)] {
+            let Some(parts) = parts else {
+                writeln!(f, "NEES of {what}: no sample")?;
+                continue;
+            };
+            for (name, part) in [("position", &parts.position), ("rotation", &parts.rotation)] {
+                writeln!(f, "NEES of {what}, {name}: {}", part.nees.text())?;
+                if let Some(inside) = part.inside {
+                    writeln!(
+                        f,
+                        "  the flights' mean lies within its bounds in {:.0} % of {} frames (95 % \
+                         should)",
+                        100.0 * inside,
+                        part.moments
+                    )?;
+                }
+            }
+        }
+        write!(
+            f,
+            "{}",
+            if self.passes { "pass" } else { "no pass: not all means lie within their bounds" }
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::evaluation::samples::{pose_at, truth_at};
+    use flockeye_contract::TrackState;
+
+    fn flight(offsets_m: &[f64]) -> Flown {
+        let at = |x: f64| Vector3::new(x, 0.0, 0.0);
+        Flown {
+            poses: (0..)
+                .zip(offsets_m)
+                .map(|(frame, off)| pose_at(frame, at(1.0 + off), TrackState::Confirmed))
+                .collect(),
+            truth: (0..).zip(offsets_m).map(|(frame, _)| truth_at(frame, at(1.0))).collect(),
+            ..Flown::default()
+        }
+    }
+
+    #[test]
+    fn flights_are_independent_at_each_moment() {
+        // A deviation of 1 cm: 4, 1 and 1, 4; and one flight sees nobody in the last frame.
+        let flights = [flight(&[0.02, 0.01, 0.05]), flight(&[0.01, -0.02])];
+        let parts = Parts::of(&flights, of_track).expect("there are samples");
+        let position = &parts.position;
+        assert_eq!((position.nees.samples, position.moments), (5, 3));
+        assert!((position.nees.mean - (4.0 + 1.0 + 25.0 + 1.0 + 4.0) / 5.0).abs() < 1e-6);
+        // 5 of 6 degrees twice; 25 of 3 is too much.
+        assert!((position.inside.expect("moments") - 2.0 / 3.0).abs() < 1e-12);
+        // Nobody turned: much too good.
+        assert_eq!(parts.rotation.nees.verdict, Verdict::TooCautious);
+        assert!(!parts.passes());
+        assert!(Parts::of(&[Flown::default()], of_track).is_none());
+    }
+
+    #[test]
+    fn moments_that_few_flights_have_are_left_out() {
+        let flights = [flight(&[0.01]), flight(&[0.01]), flight(&[0.01, 0.01])];
+        let parts = Parts::of(&flights, of_measurement).expect("there are samples");
+        assert_eq!((parts.position.nees.samples, parts.position.moments), (4, 1));
+    }
+}

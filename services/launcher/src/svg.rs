@@ -1,0 +1,74 @@
+//! Just enough SVG.
+
+use std::fmt::{self, Write};
+
+/// A drawing in the making.
+pub(crate) struct Svg {
+    body: String,
+    width: f64,
+    height: f64,
+}
+
+impl Svg {
+    /// An empty drawing.
+    pub(crate) fn new(width: f64, height: f64) -> Self {
+        Self { body: String::new(), width, height }
+    }
+
+    /// Adds an element with its attributes; a text that is not ours must be [`escaped`].
+    pub(crate) fn element(&mut self, element: fmt::Arguments<'_>) {
+        // Writing to a String cannot fail.
+        let _ = writeln!(self.body, "{element}");
+    }
+
+    /// Adds a line through points, where there are two or more.
+    pub(crate) fn line(&mut self, points: &[(f64, f64)], attributes: &str) {
+        if points.len() > 1 {
+            let points: Vec<_> = points.iter().map(|(x, y)| format!("{x:.1},{y:.1}")).collect();
+            let points = points.join(" ");
+            self.element(format_args!(r#"<polyline points="{points}" fill="none" {attributes}/>"#));
+        }
+    }
+
+    /// Adds a text.
+    pub(crate) fn text(&mut self, (x, y): (f64, f64), attributes: &str, text: &str) {
+        self.element(format_args!(r#"<text x="{x:.1}" y="{y:.1}" {attributes}>{text}</text>"#));
+    }
+
+    /// The drawing as an element of a page, on the page's ground and in its colours; `label` says
+    /// what it shows to who cannot see it, `attributes` go to the element.
+    pub(crate) fn finish_in_page(self, label: &str, attributes: &str) -> String {
+        let Self { body, width, height } = self;
+        format!(
+            "<svg viewBox=\"0 0 {width} {height}\" role=\"img\" aria-label=\"{}\" {attributes}>\n\
+             {body}</svg>\n",
+            escaped(label)
+        )
+    }
+
+    /// The whole document, on white.
+    pub(crate) fn finish(self) -> String {
+        let Self { body, width, height } = self;
+        format!(
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" \
+             font-family=\"sans-serif\" font-size=\"14\">\n\
+             <rect width=\"{width}\" height=\"{height}\" fill=\"white\"/>\n{body}</svg>\n"
+        )
+    }
+}
+
+/// A text that may hold anything, for HTML and SVG.
+pub(crate) fn escaped(text: &str) -> String {
+    let mut safe = String::with_capacity(text.len());
+    for letter in text.chars() {
+        match letter {
+            '&' => safe += "&amp;",
+            '<' => safe += "&lt;",
+            '>' => safe += "&gt;",
+            '"' => safe += "&quot;",
+            '\'' => safe += "&#39;",
+            letter => safe.push(letter),
+        }
+    }
+    safe
+}
