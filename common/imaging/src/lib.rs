@@ -32,6 +32,7 @@
 #[cfg(test)]
 extern crate self as flockeye_imaging;
 
+pub mod align;
 pub mod edges;
 pub mod image;
 pub mod light;

@@ -121,6 +121,18 @@ impl Pipeline {
         }
     }
 
+    /// The light of each code where the camera's response was measured; `None` for the curves that
+    /// headers name.
+    ///
+    /// # Errors
+    /// As [`Pipeline::response_table`].
+    pub fn measured_response(&self) -> Result<Option<[f32; 256]>, CameraSettingError> {
+        match self.camera.response {
+            Response::Table => self.response_table().map(Some),
+            Response::Srgb | Response::Gamma | Response::Linear => Ok(None),
+        }
+    }
+
     /// `camera.response_table` for each code, interpolated: white is 1.
     ///
     /// # Errors

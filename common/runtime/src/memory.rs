@@ -103,6 +103,21 @@ pub struct TooLittleMemory {
     cure_mb: usize,
 }
 
+/// Views of all lanes that fusion holds until their records are in.
+pub fn held_views_waiting(pipeline: &Pipeline) -> usize {
+    // Rectification has so many in flight; one more may come before its predecessor's answer.
+    pipeline.detection_workers() as usize * pipeline.rectification.window as usize + 1
+}
+
+/// Views that fusion holds because they show a neighbour best: one for each body, and some of the
+/// frame that comes behind.
+pub fn held_views_best(pipeline: &Pipeline) -> usize {
+    // A file is not read for this; with more bodies in it, those of the highest numbers are measured
+    // by their corners alone when all are seen at once.
+    let bodies = if pipeline.bodies.file.is_some() { 8 } else { pipeline.bodies.list.len() };
+    bodies.clamp(1, MAX_TRACKS) + 2
+}
+
 impl Budget {
     /// The limits that a configuration needs.
     pub fn of(pipeline: &Pipeline, largest_view_px: u32) -> Self {
@@ -146,7 +161,8 @@ impl Budget {
                         publishers: 1,
                         subscribers: 4,
                         buffer: window + 2,
-                        borrowed: 2,
+                        // What fusion holds, all of it in one lane at worst, and one that it reads.
+                        borrowed: held_views_waiting(pipeline) + held_views_best(pipeline) + 1,
                         history: 0,
                         loaned: 1,
                     },

@@ -77,11 +77,11 @@ impl Assembly {
         }))
     }
 
-    /// A view was issued.
-    pub fn add_view(&mut self, view: ViewHeader, now_ns: i64) {
-        if let Some(frame) = self.frame(&view.stamp, view.plan_id, now_ns) {
-            frame.views.insert(view.view_index, view);
-        }
+    /// A view was issued. False if its frame has left.
+    pub fn add_view(&mut self, view: ViewHeader, now_ns: i64) -> bool {
+        let Some(frame) = self.frame(&view.stamp, view.plan_id, now_ns) else { return false };
+        frame.views.insert(view.view_index, view);
+        true
     }
 
     /// A view was searched. False if nobody waits for it: its frame has left, or another worker

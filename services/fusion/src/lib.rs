@@ -7,13 +7,17 @@
 //! | --- | --- |
 //! | [`assembly`] | puts a frame together from what the stages say of it |
 //! | [`parallax`] | rays of lenses beside the camera's middle |
-//! | [`sighting`] | one believed pose of a body from a frame's rays |
+//! | [`gallery`] | which views' pixels are held |
+//! | [`alignment`] | a body aligned with the pixels of the best view of it |
+//! | [`sighting`] | one believed pose of a body from a frame's rays and pixels |
 //! | [`neighbour`] | a neighbour's track from frame to frame |
 //! | [`swarm`] | all neighbours, and the plan for the next frame |
 //! | [`message`] | the same as the contract's messages |
 //! | [`stage`] | the ports around it |
 
+pub mod alignment;
 pub mod assembly;
+pub mod gallery;
 pub mod message;
 pub mod neighbour;
 pub mod parallax;

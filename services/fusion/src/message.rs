@@ -12,6 +12,7 @@ use flockeye_geometry::search::{self, Plan, PlannedView, Purpose};
 use nalgebra::{Isometry3, Matrix3, Matrix6, Vector3};
 
 use crate::neighbour::{Known, PoseEstimate};
+use crate::sighting;
 
 /// A transform as the contract has it.
 pub fn pose(isometry: &Isometry3<f64>) -> Pose {
@@ -49,7 +50,13 @@ pub fn track(
     observer_from_camera: &Isometry3<f64>,
 ) -> Track {
     let (observer_from_target, covariance) = mounted(&known.pose, body, observer_from_camera);
-    let measured = known.measured.map(|measured| mounted(&measured, body, observer_from_camera));
+    let measured =
+        known.measured.map(|(measured, _)| mounted(&measured, body, observer_from_camera));
+    let measured_by = match known.measured {
+        None => MeasuredBy::Nothing,
+        Some((_, sighting::MeasuredBy::Decoded)) => MeasuredBy::Decoded,
+        Some((_, sighting::MeasuredBy::Aligned)) => MeasuredBy::Aligned,
+    };
     let turn: Matrix3<f64> = observer_from_camera.rotation.to_rotation_matrix().into_inner();
     let offset = known.pose.camera_from_markers.rotation
         * body.target_from_markers.inverse().translation.vector;
@@ -76,8 +83,7 @@ pub fn track(
         target: target as u32,
         track_id: known.track_id,
         state: state.code(),
-        measured_by: if measured.is_some() { MeasuredBy::Decoded } else { MeasuredBy::Nothing }
-            .code(),
+        measured_by: measured_by.code(),
         markers: known.markers,
         reserved: 0,
     }

@@ -7,7 +7,7 @@ use flockeye_geometry::filter::{
 use flockeye_geometry::pose::PosePrior;
 use nalgebra::{Isometry3, Matrix6, Vector3};
 
-use crate::sighting::Sighting;
+use crate::sighting::{MeasuredBy, Sighting};
 
 /// What is known of a neighbour after a frame. Poses are of its markers in the camera frame.
 #[derive(Debug, Clone, PartialEq)]
@@ -18,8 +18,8 @@ pub struct Known {
     pub velocity: Vector3<f64>,
     /// Its angular velocity in the camera frame's axes, rad/s.
     pub rate: Vector3<f64>,
-    /// The frame's own measurement, where it was believed.
-    pub measured: Option<PoseEstimate>,
+    /// The frame's own measurement, where it was believed, and what it was measured by.
+    pub measured: Option<(PoseEstimate, MeasuredBy)>,
     /// Markers decoded in this frame.
     pub markers: u32,
     /// State of the track; `None`: there is no filter, the frame stands for itself.
@@ -75,8 +75,9 @@ impl Neighbour {
     /// A frame shows it. `None` where the measurement can mean nothing (a time that lies before
     /// the track's, numbers that are none).
     pub fn seen(&mut self, at_s: f64, sighting: &Sighting) -> Option<Known> {
-        let measured = sighting.pose;
-        let outcome = self.life.measured(at_s, &measured.camera_from_markers, &measured.covariance);
+        let pose = &sighting.pose;
+        let measured = (*pose, sighting.measured_by);
+        let outcome = self.life.measured(at_s, &pose.camera_from_markers, &pose.covariance);
         match outcome {
             Ok(Happened::Started | Happened::Restarted) => {
                 self.track_id += 1;
@@ -102,7 +103,12 @@ impl Neighbour {
         }
     }
 
-    fn known(&self, at_s: f64, measured: Option<PoseEstimate>, markers: u32) -> Option<Known> {
+    fn known(
+        &self,
+        at_s: f64,
+        measured: Option<(PoseEstimate, MeasuredBy)>,
+        markers: u32,
+    ) -> Option<Known> {
         let last_seen_s = self.life.last_seen_s()?;
         // A clock that jumped back leaves nothing to predict: what was known last is said then.
         let track = self.life.track()?;
@@ -132,7 +138,7 @@ impl Known {
             pose,
             velocity: Vector3::zeros(),
             rate: Vector3::zeros(),
-            measured: Some(pose),
+            measured: Some((pose, sighting.measured_by)),
             markers: sighting.markers,
             state: None,
             age_s: 0.0,

@@ -1,12 +1,13 @@
-//! One believed pose of a body from a frame's rays.
+//! One believed pose of a body from a frame's rays and pixels.
 
 use flockeye_contract::DetectedMarker;
 use flockeye_geometry::Ray;
 use flockeye_geometry::body::Body;
-use flockeye_geometry::pose::{CornerRay, PoseOptions, PosePrior, PoseSolution, choose, solve};
+use flockeye_geometry::pose::{CornerRay, PoseOptions, PosePrior, choose, solve};
 use flockeye_geometry::view::{View, ViewPixel};
-use nalgebra::{Unit, Vector2, Vector3};
+use nalgebra::{Isometry3, Unit, Vector2, Vector3};
 
+use crate::alignment::{Aligner, Picture, Start};
 use crate::neighbour::PoseEstimate;
 
 /// Markers that must agree on a pose before it is believed without a track to compare it with: one
@@ -16,13 +17,22 @@ pub const MARKERS_ALONE: usize = 2;
 /// A body farther than this cannot carry a marker that decodes, metres.
 const FARTHEST_M: f64 = 50.0;
 
+/// How a pose was measured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum MeasuredBy {
+    /// From the corners of decoded markers.
+    Decoded,
+    /// By the whole body's alignment with the image.
+    Aligned,
+}
+
 /// A pose of a body that the frame shows.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sighting {
-    /// The solution.
-    pub solution: PoseSolution,
-    /// The pose it gives.
+    /// The pose.
     pub pose: PoseEstimate,
+    /// What it was measured by.
+    pub measured_by: MeasuredBy,
     /// Markers of the body that were decoded.
     pub markers: u32,
 }
@@ -48,22 +58,90 @@ fn ray(components: [f64; 3]) -> Ray {
     Unit::new_normalize(Vector3::from(components))
 }
 
-/// The pose of `body` that explains `rays`, chosen with the track's prediction where there is one.
-///
-/// Without a prediction at least [`MARKERS_ALONE`] markers must agree.
-pub fn sight(body: &Body, rays: &[CornerRay], prior: Option<&PosePrior>) -> Option<Sighting> {
-    let solutions = solve(body, rays, &PoseOptions::default()).ok()?;
-    let choice = choose(&solutions, prior)?;
-    let solution = choice.solution.clone();
-    let needed = if prior.is_some() { 1 } else { MARKERS_ALONE };
-    let range = solution.camera_from_markers.translation.vector.norm();
-    let is_believed = solution.inlier_markers.len() >= needed && range < FARTHEST_M;
-    let markers = distinct_markers(rays);
-    let pose = PoseEstimate {
-        camera_from_markers: solution.camera_from_markers,
-        covariance: solution.inflated_covariance(),
-    };
-    is_believed.then_some(Sighting { solution, pose, markers })
+/// What there is to measure a body by in a frame.
+pub struct Look<'l> {
+    /// The body's number...
+    pub target: usize,
+    /// ...and the body.
+    pub body: &'l Body,
+    /// Rays of its decoded markers' corners.
+    pub rays: Vec<CornerRay>,
+    /// The distance that the rays are right for, metres; infinite where it does not matter.
+    pub rays_m: f64,
+    /// Its track's prediction, once it is believed.
+    pub prior: Option<PosePrior>,
+    /// Its track's prediction, believed or not.
+    pub predicted: Option<Isometry3<f64>>,
+    /// The best view of it.
+    pub picture: Option<Picture<'l>>,
+    /// Decoded markers that must agree where nothing is aligned, with a prior.
+    pub needed: usize,
+}
+
+/// Solutions from corners that alignment begins from, cheapest first: the right one may be dearer
+/// than its mirror image.
+const STARTS_FROM_CORNERS: usize = 3;
+
+impl Look<'_> {
+    /// The pose that alignment finds, from the corners' solutions or from the prediction; where it
+    /// finds none, that from corners.
+    pub fn measure(&self, aligner: &Aligner) -> Option<Sighting> {
+        let solutions = solve(self.body, &self.rays, &PoseOptions::default()).unwrap_or_default();
+        let chosen = choose(&solutions, self.prior.as_ref()).map(|choice| choice.solution);
+        let markers = distinct_markers(&self.rays);
+        if let Some(picture) = &self.picture {
+            let others = solutions.iter().filter(|solution| Some(*solution) != chosen);
+            let from_corners = chosen.into_iter().chain(others).take(STARTS_FROM_CORNERS);
+            let mut starts: Vec<Start> = from_corners
+                .map(|solution| Start {
+                    camera_from_markers: solution.camera_from_markers,
+                    is_rough: false,
+                })
+                .collect();
+            for is_rough in [false, true] {
+                starts.extend(
+                    self.predicted
+                        .map(|camera_from_markers| Start { camera_from_markers, is_rough }),
+                );
+            }
+            if let Some(found) = aligner.align(self.target, picture, &starts) {
+                let pose = PoseEstimate {
+                    camera_from_markers: found.camera_from_markers,
+                    covariance: found.covariance,
+                };
+                return Some(Sighting { pose, measured_by: MeasuredBy::Aligned, markers });
+            }
+        }
+        let solution = chosen?;
+        let needed = if self.prior.is_some() { self.needed } else { MARKERS_ALONE };
+        let range = solution.camera_from_markers.translation.vector.norm();
+        let is_believed = solution.inlier_markers.len() >= needed && range < FARTHEST_M;
+        let pose = PoseEstimate {
+            camera_from_markers: solution.camera_from_markers,
+            covariance: solution.inflated_covariance(),
+        };
+        is_believed.then_some(Sighting { pose, measured_by: MeasuredBy::Decoded, markers })
+    }
+}
+
+/// Measures several bodies, on up to so many threads; what comes out does not depend on how many.
+pub fn measure_all(looks: &[Look<'_>], aligner: &Aligner, threads: usize) -> Vec<Option<Sighting>> {
+    let threads = threads.clamp(1, looks.len().max(1));
+    if threads == 1 {
+        return looks.iter().map(|look| look.measure(aligner)).collect();
+    }
+    let mut sightings = vec![None; looks.len()];
+    std::thread::scope(|scope| {
+        let share = looks.len().div_ceil(threads);
+        for (looks, sightings) in looks.chunks(share).zip(sightings.chunks_mut(share)) {
+            scope.spawn(move || {
+                for (look, sighting) in looks.iter().zip(sightings) {
+                    *sighting = look.measure(aligner);
+                }
+            });
+        }
+    });
+    sightings
 }
 
 fn distinct_markers(rays: &[CornerRay]) -> u32 {
@@ -87,7 +165,8 @@ pub fn agrees_with_view(marker: &DetectedMarker, view: &View) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use flockeye_geometry::body::squares;
+    use flockeye_geometry::body::{Bodies, squares};
+    use flockeye_imaging::edges::MarkerPrint;
     use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion};
 
     fn seen(body: &Body, pose: &Isometry3<f64>, most: usize) -> Vec<DetectedMarker> {
@@ -109,6 +188,29 @@ mod tests {
             .collect()
     }
 
+    /// What the corners alone say.
+    fn sight(body: &Body, rays: Vec<CornerRay>, prior: Option<PosePrior>) -> Option<Sighting> {
+        let bodies = Bodies::new("DICT_5X5_250".into(), vec![body.clone()]).expect("one body");
+        let print = MarkerPrint::of_bits(&[true; 25]).expect("five by five");
+        let aligner = Aligner::new(&bodies, |_| Some(&print), 611.0).expect("small markers");
+        let look = Look {
+            target: 0,
+            body,
+            rays,
+            rays_m: f64::INFINITY,
+            prior,
+            predicted: None,
+            picture: None,
+            needed: 1,
+        };
+        look.measure(&aligner)
+    }
+
+    fn error_m(sighting: &Sighting, truth: &Isometry3<f64>) -> f64 {
+        let found = &sighting.pose.camera_from_markers;
+        (found.translation.vector - truth.translation.vector).norm()
+    }
+
     #[test]
     fn two_markers_are_believed_and_one_only_with_a_track() {
         let body = squares("alpha", 0.0625, 0.05, 0);
@@ -116,26 +218,16 @@ mod tests {
             Translation3::new(-0.7, 0.5, 0.3),
             UnitQuaternion::from_euler_angles(0.2, 0.1, 0.7),
         );
-        let rays = rays_of(&body, &seen(&body, &pose, 8));
-        let sighting = sight(&body, &rays, None).expect("several markers agree");
-        assert!(
-            (sighting.solution.camera_from_markers.translation.vector - pose.translation.vector)
-                .norm()
-                < 1e-6
-        );
+        let sighting =
+            sight(&body, rays_of(&body, &seen(&body, &pose, 8)), None).expect("several agree");
+        assert!(error_m(&sighting, &pose) < 1e-6);
         assert!(sighting.markers >= 2);
         let rays = rays_of(&body, &seen(&body, &pose, 1));
-        assert_eq!(sight(&body, &rays, None), None);
-        let prior = PosePrior {
-            camera_from_markers: pose,
-            covariance: nalgebra::Matrix6::identity() * 1e-4,
-        };
-        let sighting = sight(&body, &rays, Some(&prior)).expect("the track decides");
-        assert!(
-            (sighting.solution.camera_from_markers.translation.vector - pose.translation.vector)
-                .norm()
-                < 1e-3
-        );
+        assert_eq!(sight(&body, rays.clone(), None), None);
+        let covariance = nalgebra::Matrix6::identity() * 1e-4;
+        let prior = PosePrior { camera_from_markers: pose, covariance };
+        let sighting = sight(&body, rays, Some(prior)).expect("the track decides");
+        assert!(error_m(&sighting, &pose) < 1e-3);
     }
 
     #[test]

@@ -7,23 +7,26 @@ use flockeye_contract::{
     DetectionHeader, Detections, FrameEnds, FrameStamp, PlanHeader, Plans, StageLatency, Track,
     TrackHeader, Tracks, ViewHeader, ViewKind, Views,
 };
+use flockeye_dictionary::Dictionary;
 use flockeye_geometry::filter::{MotionModel, TrackPolicy};
 use flockeye_geometry::search::{Planner, Purpose, SearchMode, StopRule};
-use flockeye_geometry::view::View;
 use flockeye_runtime::bodies::isometry;
 use flockeye_runtime::config::{Filter, Flow, Mode, Pipeline};
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::logs::Throttle;
-use flockeye_runtime::memory::MAX_TRACKS;
+use flockeye_runtime::memory::{self, MAX_TRACKS};
 use flockeye_runtime::ports::{Message, Ports, Publisher, Subscriber};
 use flockeye_runtime::{Context, Stage, Step, clock};
-use nalgebra::{Isometry3, Quaternion, UnitQuaternion};
+use flockeye_viewing::{Lights, image_of, view_of};
+use nalgebra::Isometry3;
 
+use crate::alignment::{Aligner, Picture};
 use crate::assembly::{Assembly, Frame, Record};
+use crate::gallery::{FrameOrder, Gallery};
 use crate::message;
 use crate::parallax::Parallax;
 use crate::sighting::agrees_with_view;
-use crate::swarm::{FilterChoice, Purposes, Swarm, Update};
+use crate::swarm::{FilterChoice, Pictures, Purposes, Seen, Swarm, Update};
 
 /// Plans that are remembered, for frames that still follow them.
 const REMEMBERED_PLANS: usize = 16;
@@ -36,6 +39,8 @@ pub struct FusionStage {
     tracks: Publisher<Tracks>,
     plans: Publisher<Plans>,
     assembly: Assembly,
+    gallery: Gallery<Message<Views>>,
+    lights: Lights,
     swarm: Swarm,
     remembered: BTreeMap<u64, (Purposes, StopRule)>,
     plan_id: u64,
@@ -70,6 +75,9 @@ impl Stage for FusionStage {
                 planner.partition().len()
             );
         }
+        let camera = pipeline.camera_model()?;
+        let dictionary = Dictionary::load(&bodies.dictionary)?;
+        let aligner = Aligner::new(&bodies, |id| dictionary.print(id), camera.pixels_per_radian())?;
         Ok(Self {
             views: ports.subscribers_of_all_lanes()?,
             detections: ports.subscriber()?,
@@ -77,9 +85,19 @@ impl Stage for FusionStage {
             tracks: ports.publisher()?,
             plans: ports.publisher()?,
             assembly: Assembly::new((pipeline.fusion.deadline_ms * 1e6) as i64),
-            swarm: Swarm::new(&bodies, filter_choice(pipeline), planner).with_parallax(
-                Parallax::of(&pipeline.camera_model()?, pipeline.camera.assumed_distance_m),
+            gallery: Gallery::new(
+                memory::held_views_waiting(pipeline),
+                memory::held_views_best(pipeline),
             ),
+            lights: Lights::new(pipeline.measured_response()?)?,
+            swarm: Swarm::new(
+                &bodies,
+                filter_choice(pipeline),
+                planner,
+                aligner,
+                pipeline.fusion.threads as usize,
+            )
+            .with_parallax(Parallax::of(&camera, pipeline.camera.assumed_distance_m)),
             remembered: BTreeMap::new(),
             plan_id: 0,
             generation: context.identity.generation,
@@ -104,12 +122,17 @@ impl Stage for FusionStage {
         // A view passes before its record, so views are taken first.
         for lane in &mut self.views {
             while let Some(message) = lane.receive()? {
-                self.assembly.add_view(message.header, now_ns);
+                let header = message.header;
+                if self.assembly.add_view(header, now_ns) {
+                    self.gallery.add(header, message);
+                }
             }
         }
+        let mut taken = Vec::new();
         while let Some(message) = self.detections.receive()? {
-            self.take_record(&message, now_ns)?;
+            taken.extend(self.take_record(&message, now_ns));
         }
+        self.glance(&taken)?;
         while let Some(message) = self.frame_ends.receive()? {
             self.assembly.add_end(message.header, now_ns);
         }
@@ -131,7 +154,8 @@ impl Stage for FusionStage {
 }
 
 impl FusionStage {
-    fn take_record(&mut self, message: &Message<Detections>, now_ns: i64) -> anyhow::Result<()> {
+    /// Notes a record; `None` if nobody waits for it.
+    fn take_record(&mut self, message: &Message<Detections>, now_ns: i64) -> Option<Record> {
         let header = message.header;
         let mut markers = message.items().to_vec();
         let of_view =
@@ -157,18 +181,38 @@ impl FusionStage {
         let record = Record { header, markers };
         if !self.assembly.add_record(record.clone(), now_ns) {
             self.counters.add_dropped(1);
+            return None;
+        }
+        let purpose = self.purpose_of(&header, of_view.as_ref());
+        let shows = self.swarm.shown(&record, purpose, of_view.as_ref());
+        self.gallery.answered(header.stamp.order(), header.view_index, &shows);
+        Some(record)
+    }
+
+    /// Publishes what gaze views of the oldest open frame say, without waiting for the rest of it.
+    fn glance(&mut self, taken: &[Record]) -> anyhow::Result<()> {
+        // In a lossless run nothing may depend on which worker answers first.
+        if self.flow == Flow::Lossless {
             return Ok(());
         }
-        // In a lossless run nothing may depend on which worker answers first.
-        let is_oldest =
-            self.assembly.oldest().is_some_and(|frame| frame.stamp.is_same_frame(&header.stamp));
-        if self.flow == Flow::Latest && is_oldest {
-            let purpose = self.purpose_of(&header, of_view.as_ref());
-            let update =
-                self.swarm.glance(seconds(&header.stamp), purpose, &record, of_view.as_ref());
-            if let Some(update) = update {
-                self.send_tracks(&header.stamp, &[update], &[&record], false)?;
-            }
+        let Some(frame) = self.assembly.oldest() else { return Ok(()) };
+        let stamp = frame.stamp;
+        let of_frame: Vec<&Record> =
+            taken.iter().filter(|record| record.header.stamp.is_same_frame(&stamp)).collect();
+        let seen: Vec<Seen<'_>> = of_frame
+            .iter()
+            .map(|record| {
+                let view = frame.views.get(&record.header.view_index);
+                Seen { record, purpose: self.purpose_of(&record.header, view), view }
+            })
+            .collect();
+        if seen.is_empty() {
+            return Ok(());
+        }
+        let pictures = pictures(&self.gallery, &mut self.lights, &self.swarm, stamp.order());
+        let updates = self.swarm.glance(seconds(&stamp), &seen, &pictures);
+        if !updates.is_empty() {
+            self.send_tracks(&stamp, &updates, &of_frame, false)?;
         }
         Ok(())
     }
@@ -206,7 +250,12 @@ impl FusionStage {
         };
         let (purposes, stop_rule) =
             self.remembered.get(&frame.plan_id).cloned().unwrap_or_else(swept);
-        let updates = self.swarm.finish(seconds(&frame.stamp), frame, &purposes, stop_rule);
+        let order = frame.stamp.order();
+        let pictures = pictures(&self.gallery, &mut self.lights, &self.swarm, order);
+        let updates =
+            self.swarm.finish(seconds(&frame.stamp), frame, &purposes, stop_rule, &pictures);
+        drop(pictures);
+        self.gallery.forget(order);
         let records: Vec<&Record> = frame.records.values().collect();
         for part in updates.chunks(MAX_TRACKS) {
             self.send_tracks(&frame.stamp, part, &records, false)?;
@@ -304,13 +353,31 @@ fn seconds(stamp: &FrameStamp) -> f64 {
     stamp.exposure_ns as f64 * 1e-9
 }
 
-fn view_of(header: &ViewHeader) -> View {
-    let [x, y, z, w] = header.camera_from_view;
-    View {
-        camera_from_view: UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z)),
-        focal_px: header.focal_px,
-        size_px: header.size_px,
+/// The best views of a frame's neighbours, as images. What cannot be read is left out: detection
+/// says why.
+fn pictures<'g>(
+    gallery: &'g Gallery<Message<Views>>,
+    lights: &'g mut Lights,
+    swarm: &Swarm,
+    order: FrameOrder,
+) -> Pictures<'g> {
+    for (_, header, _) in gallery.of_frame(order) {
+        // Known from here on, or refused here and again below.
+        let _ = lights.of(header);
     }
+    let lights = &*lights;
+    gallery
+        .of_frame(order)
+        .filter_map(|(target, header, message)| {
+            let picture = Picture {
+                image: image_of(header, message.items()).ok()?,
+                view: view_of(header),
+                light: lights.known(header)?,
+                rays_m: swarm.rays_m(header),
+            };
+            Some((target, picture))
+        })
+        .collect()
 }
 
 fn purpose_stated(view: &ViewHeader) -> Option<Purpose> {

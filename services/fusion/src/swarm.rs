@@ -3,14 +3,16 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use flockeye_contract::{DetectedMarker, ViewHeader};
-use flockeye_geometry::body::Bodies;
+use flockeye_geometry::body::{Bodies, Body};
 use flockeye_geometry::filter::{Prediction, TrackPolicy};
 use flockeye_geometry::search::{Plan, Planner, PredictedNeighbour, Purpose, Searched, StopRule};
 
+use crate::alignment::{Aligner, Picture};
 use crate::assembly::{Frame, Record};
+use crate::gallery::Rank;
 use crate::neighbour::{Known, Neighbour};
 use crate::parallax::Parallax;
-use crate::sighting::{MARKERS_ALONE, rays_of, sight};
+use crate::sighting::{Look, MARKERS_ALONE, MeasuredBy, Sighting, measure_all, rays_of};
 
 /// How poses are carried from frame to frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -27,6 +29,20 @@ pub type Update = (usize, Known);
 /// What a view of a frame was cut for, by its place in the plan.
 pub type Purposes = BTreeMap<u32, Purpose>;
 
+/// The best view of each neighbour in a frame, by its number.
+pub type Pictures<'p> = BTreeMap<usize, Picture<'p>>;
+
+/// A record with what its view was cut for and, if it was seen passing, the view.
+#[derive(Debug, Clone, Copy)]
+pub struct Seen<'s> {
+    /// What was found.
+    pub record: &'s Record,
+    /// What for.
+    pub purpose: Option<Purpose>,
+    /// The view.
+    pub view: Option<&'s ViewHeader>,
+}
+
 /// All neighbours, and what was searched.
 pub struct Swarm {
     neighbours: Vec<Neighbour>,
@@ -35,8 +51,12 @@ pub struct Swarm {
     parallax: Option<Parallax>,
     searched: Searched,
     frames: u64,
+    aligner: Aligner,
+    threads: usize,
     /// Neighbours of the oldest open frame whose pose is out already.
     settled: BTreeSet<usize>,
+    /// Those whose gaze view was looked at already.
+    glanced: BTreeSet<usize>,
     last_s: Option<f64>,
     interval_s: f64,
 }
@@ -45,8 +65,14 @@ pub struct Swarm {
 const LONGEST_INTERVAL_S: f64 = 0.25;
 
 impl Swarm {
-    /// Nobody seen yet.
-    pub fn new(bodies: &Bodies, filter: FilterChoice, planner: Planner) -> Self {
+    /// Nobody seen yet. Neighbours of a frame are aligned on `threads` threads.
+    pub fn new(
+        bodies: &Bodies,
+        filter: FilterChoice,
+        planner: Planner,
+        aligner: Aligner,
+        threads: usize,
+    ) -> Self {
         let policy = match filter {
             FilterChoice::Tracks(policy) => policy,
             FilterChoice::None => TrackPolicy::default(),
@@ -59,7 +85,10 @@ impl Swarm {
             parallax: None,
             searched,
             frames: 0,
+            aligner,
+            threads,
             settled: BTreeSet::new(),
+            glanced: BTreeSet::new(),
             last_s: None,
             interval_s: 1.0 / 30.0,
         }
@@ -75,23 +104,60 @@ impl Swarm {
         &self.neighbours
     }
 
-    /// What a gaze view's record says of its neighbour, as soon as it is in: a pose need not wait
-    /// for the partitions. Called for records of the oldest open frame, with the view if it was
-    /// seen passing.
-    pub fn glance(
-        &mut self,
-        at_s: f64,
-        purpose: Option<Purpose>,
+    /// The distance that a view's rays are right for, metres; infinite where it does not matter.
+    pub fn rays_m(&self, view: &ViewHeader) -> f64 {
+        let parallax = self.parallax.as_ref();
+        parallax.map_or(f64::INFINITY, |parallax| parallax.distance_m(Some(view)))
+    }
+
+    /// The neighbours that a view was cut for, or shows markers of, and how well it shows them.
+    pub fn shown(
+        &self,
         record: &Record,
+        purpose: Option<Purpose>,
         view: Option<&ViewHeader>,
-    ) -> Option<Update> {
-        let Some(Purpose::Gaze(target)) = purpose else { return None };
-        if self.parallax.is_some() && view.is_none() {
-            // What its rays are right for is not known yet: `finish` knows.
-            return None;
+    ) -> Vec<(usize, Rank)> {
+        let Some(view) = view else { return Vec::new() };
+        let middle = (f64::from(view.size_px) - 1.0) / 2.0;
+        let rank = |target: usize, body: &Body| {
+            let is_own = purpose == Some(Purpose::Gaze(target));
+            let corners = record.markers.iter().filter(|marker| body.marker(marker.id).is_some());
+            let (mut sum, mut count) = ([0.0; 2], 0.0);
+            for [u, v] in corners.flat_map(|marker| marker.corners_in_view) {
+                sum = [sum[0] + f64::from(u), sum[1] + f64::from(v)];
+                count += 1.0;
+            }
+            let off_px = if count > 0.0 {
+                (sum[0] / count - middle).hypot(sum[1] / count - middle)
+            } else {
+                0.0
+            };
+            (is_own || count > 0.0).then_some(Rank {
+                is_own,
+                focal_px: view.focal_px,
+                off_centre: off_px / view.focal_px,
+                view_index: view.view_index,
+            })
+        };
+        let neighbours = self.neighbours.iter().enumerate();
+        neighbours
+            .filter_map(|(target, neighbour)| Some((target, rank(target, &neighbour.body)?)))
+            .collect()
+    }
+
+    /// What gaze views' records say of their neighbours, as soon as they are in: a pose need not
+    /// wait for the partitions. Called for records of the oldest open frame.
+    pub fn glance(&mut self, at_s: f64, seen: &[Seen<'_>], pictures: &Pictures<'_>) -> Vec<Update> {
+        let mut looks: Vec<(usize, Vec<Seen<'_>>)> = Vec::new();
+        for record in seen {
+            let Some(Purpose::Gaze(target)) = record.purpose else { continue };
+            // What a record's rays are right for is not known without its view: `finish` knows.
+            let is_known = self.parallax.is_none() || record.view.is_some();
+            if is_known && !self.settled.contains(&target) && self.glanced.insert(target) {
+                looks.push((target, vec![*record]));
+            }
         }
-        let known = self.settle(at_s, target, &[(record, view)], MARKERS_ALONE)?;
-        Some((target, known))
+        self.settle(at_s, &looks, pictures, MARKERS_ALONE)
     }
 
     /// Everything that is left to say of a frame: its remaining neighbours, and those that it does
@@ -102,90 +168,128 @@ impl Swarm {
         frame: &Frame,
         purposes: &Purposes,
         stop_rule: StopRule,
+        pictures: &Pictures<'_>,
     ) -> Vec<Update> {
         let counted = records_that_count(frame, stop_rule);
-        let mut updates = Vec::new();
+        let seen: Vec<Seen<'_>> = counted
+            .iter()
+            .map(|record| Seen {
+                record,
+                purpose: purposes.get(&record.header.view_index).copied(),
+                view: frame.views.get(&record.header.view_index),
+            })
+            .collect();
         // The same order as if each gaze record had come in time for `glance`: what a frame says
         // must not depend on when its parts came.
-        for record in &counted {
-            let purpose = purposes.get(&record.header.view_index).copied();
-            let view = frame.views.get(&record.header.view_index);
-            updates.extend(self.glance(at_s, purpose, record, view));
-        }
-        let viewed: Vec<(&Record, Option<&ViewHeader>)> = counted
-            .iter()
-            .map(|record| (*record, frame.views.get(&record.header.view_index)))
+        let mut updates = self.glance(at_s, &seen, pictures);
+        let looks: Vec<(usize, Vec<Seen<'_>>)> = (0..self.neighbours.len())
+            .filter(|target| !self.settled.contains(target))
+            .map(|target| (target, seen.clone()))
             .collect();
+        updates.extend(self.settle(at_s, &looks, pictures, 1));
         for target in 0..self.neighbours.len() {
             if self.settled.contains(&target) {
                 continue;
             }
-            match self.settle(at_s, target, &viewed, 1) {
-                Some(known) => updates.push((target, known)),
-                None => {
-                    let decoded = counted.iter().flat_map(|record| &record.markers);
-                    let decoded = distinct_ids(decoded, &self.neighbours[target]);
-                    let known = match self.filter {
-                        FilterChoice::Tracks(_) => self.neighbours[target].unseen(at_s, decoded),
-                        FilterChoice::None => None,
-                    };
-                    updates.extend(known.map(|known| (target, known)));
-                }
-            }
+            let decoded = counted.iter().flat_map(|record| &record.markers);
+            let decoded = distinct_ids(decoded, &self.neighbours[target]);
+            let known = match self.filter {
+                FilterChoice::Tracks(_) => self.neighbours[target].unseen(at_s, decoded),
+                FilterChoice::None => None,
+            };
+            updates.extend(known.map(|known| (target, known)));
         }
         self.remember(at_s, frame, &counted, purposes);
         updates
     }
 
-    /// Solves for a neighbour from some of a frame's records, each with its view as far as that was
-    /// seen passing, if they are enough, and takes it in.
+    /// Measures neighbours, each from some of a frame's records and its picture, and takes in what
+    /// was found.
     fn settle(
         &mut self,
         at_s: f64,
-        target: usize,
-        viewed: &[(&Record, Option<&ViewHeader>)],
+        looks: &[(usize, Vec<Seen<'_>>)],
+        pictures: &Pictures<'_>,
         needed: usize,
-    ) -> Option<Known> {
-        if self.settled.contains(&target) {
-            return None;
+    ) -> Vec<Update> {
+        let looks: Vec<Look<'_>> = looks
+            .iter()
+            .filter_map(|(target, seen)| self.look(at_s, *target, seen, pictures, needed))
+            .collect();
+        let sightings = measure_all(&looks, &self.aligner, self.threads);
+        let corrected: Vec<(usize, Sighting)> = looks
+            .iter()
+            .zip(sightings)
+            .filter_map(|(look, sighting)| {
+                let sighting = sighting?;
+                let rays_m = match sighting.measured_by {
+                    MeasuredBy::Decoded => look.rays_m,
+                    MeasuredBy::Aligned => look.picture.map_or(look.rays_m, |p| p.rays_m),
+                };
+                let pose = match &self.parallax {
+                    None => sighting.pose,
+                    Some(parallax) => parallax.corrected(&sighting.pose, rays_m),
+                };
+                Some((look.target, Sighting { pose, ..sighting }))
+            })
+            .collect();
+        let mut updates = Vec::new();
+        for (target, sighting) in corrected {
+            let known = match self.filter {
+                FilterChoice::Tracks(_) => self.neighbours[target].seen(at_s, &sighting),
+                FilterChoice::None => Some(Known::of_frame(&sighting)),
+            };
+            if let Some(known) = known {
+                self.settled.insert(target);
+                updates.push((target, known));
+            }
         }
-        let neighbour = self.neighbours.get_mut(target)?;
-        let prior = match self.filter {
-            FilterChoice::Tracks(_) => neighbour.prior(at_s),
-            FilterChoice::None => None,
+        updates
+    }
+
+    /// What there is to measure a neighbour by; `None` where there is nothing.
+    fn look<'l>(
+        &'l self,
+        at_s: f64,
+        target: usize,
+        seen: &[Seen<'_>],
+        pictures: &Pictures<'l>,
+        needed: usize,
+    ) -> Option<Look<'l>> {
+        let neighbour = self.neighbours.get(target)?;
+        let (prior, predicted) = match self.filter {
+            FilterChoice::Tracks(_) => (neighbour.prior(at_s), neighbour.predict(at_s)),
+            FilterChoice::None => (None, None),
         };
         // All rays are brought to the distance that is known best before the pose is.
-        let rays_m = self.parallax.as_ref().map(|parallax| {
+        let rays_m = self.parallax.as_ref().map_or(f64::INFINITY, |parallax| {
             let predicted = prior.as_ref().map(|prior| &prior.camera_from_markers.translation);
             predicted.map_or(parallax.assumed_m(), |position| position.vector.norm())
         });
         let mut rays = Vec::new();
-        for (record, view) in viewed {
+        for Seen { record, view, .. } in seen {
             let first = rays.len();
             rays.extend(rays_of(&neighbour.body, &record.markers));
-            if let (Some(parallax), Some(rays_m)) = (&self.parallax, rays_m) {
+            if let Some(parallax) = &self.parallax {
                 let from_m = parallax.distance_m(*view);
                 for ray in &mut rays[first..] {
                     ray.ray_in_camera = parallax.brought(&ray.ray_in_camera, from_m, rays_m);
                 }
             }
         }
-        if rays.is_empty() {
-            return None;
-        }
-        let mut sighting = sight(&neighbour.body, &rays, prior.as_ref())?;
-        if let (Some(parallax), Some(rays_m)) = (&self.parallax, rays_m) {
-            sighting.pose = parallax.corrected(&sighting.pose, rays_m);
-        }
-        if sighting.solution.inlier_markers.len() < needed {
-            return None;
-        }
-        let known = match self.filter {
-            FilterChoice::Tracks(_) => neighbour.seen(at_s, &sighting)?,
-            FilterChoice::None => Known::of_frame(&sighting),
-        };
-        self.settled.insert(target);
-        Some(known)
+        let predicted = predicted.map(|prediction| prediction.observer_from_target);
+        let picture = pictures.get(&target).copied();
+        let is_worth_it = !rays.is_empty() || (predicted.is_some() && picture.is_some());
+        is_worth_it.then_some(Look {
+            target,
+            body: &neighbour.body,
+            rays,
+            rays_m,
+            prior,
+            predicted,
+            picture,
+            needed,
+        })
     }
 
     /// Notes what was searched and hit, and starts afresh for the next frame.
@@ -208,6 +312,7 @@ impl Swarm {
         self.last_s = Some(at_s);
         self.frames += 1;
         self.settled.clear();
+        self.glanced.clear();
     }
 
     /// Where to look in the next frame, and each gaze view's prediction.

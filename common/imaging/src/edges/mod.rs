@@ -28,6 +28,7 @@ use crate::image::LumaImage;
 use crate::light::LinearLight;
 use crate::square::{SquareInView, mean_side_px};
 use line::EdgeLine;
+pub(crate) use model::gaussian;
 pub use print::MarkerPrint;
 use profile::Side;
 

@@ -63,7 +63,7 @@ impl Fit {
 
 /// Density and distribution function of the unit Gaussian at `a`, to 1e-7 (Abramowitz and Stegun,
 /// 7.1.26, which shares the exponential with the density).
-pub(super) fn gaussian(a: f64) -> (f64, f64) {
+pub(crate) fn gaussian(a: f64) -> (f64, f64) {
     let exponential = (-0.5 * a * a).exp();
     let t = 1.0 / (1.0 + 0.327_591_1 * a.abs() * FRAC_1_SQRT_2);
     let polynomial = t

@@ -385,6 +385,11 @@ pub struct Fusion {
     /// How long a frame is waited for when a stage has died, milliseconds.
     #[schemars(range(min = 10.0, max = 60000.0))]
     pub deadline_ms: f64,
+    /// Whether bodies are aligned with the pixels of their views; without, their corners are all.
+    pub align: bool,
+    /// Threads on which the neighbours of a frame are aligned.
+    #[schemars(range(min = 1, max = 64))]
+    pub threads: u32,
 }
 
 impl Default for Fusion {
@@ -400,6 +405,8 @@ impl Default for Fusion {
             acceleration: 4.0,
             angular_acceleration: 6.0,
             deadline_ms: 3000.0,
+            align: true,
+            threads: 1,
         }
     }
 }

@@ -1,0 +1,275 @@
+//! The whole body aligned with the image.
+//!
+//! Corners use a marker's four edges; everything else that is printed knows where it is too. Here
+//! the body's print is drawn at a pose, blurred as the lens and motion blur it, and compared with
+//! the light of the view's pixels; pose, blur and the light of each facet are changed until they
+//! agree (Gauss-Newton, `solve`). It needs no decoded marker, only a start about half a cell near.
+//! The idea is that of DodecaPen (Wu et al., UIST 2017), carried over to bodies of flat facets, and
+//! to drawing in closed form (`blurred`): no picture of the body is ever made.
+//!
+//! | module | what it answers |
+//! | --- | --- |
+//! | `print` | what is printed on a body |
+//! | `patch` | which light does the view show round it |
+//! | `geometry` | where does a pixel see a facet, and how does that move with the pose |
+//! | `blurred` | how light is a facet at a point, seen through a Gaussian |
+//! | `samples` | which pixels count |
+//! | `unknowns`, `levels`, `sums` | what is unknown, how light are facets, normal equations |
+//! | `solve` | which pose explains the pixels best, how sure is it |
+//! | `score` | is it that body at all |
+//! | `reacquire` | where else may it be, when it is not where it was predicted |
+
+mod blurred;
+mod gaussian;
+mod geometry;
+mod levels;
+mod patch;
+mod print;
+mod reacquire;
+mod samples;
+mod score;
+mod solve;
+mod sums;
+mod unknowns;
+
+pub use print::{BodyPrint, MAX_CELLS, PrintError};
+pub use score::Score;
+
+use flockeye_geometry::view::View;
+use nalgebra::{Isometry3, Matrix2, Matrix6};
+
+use crate::image::LumaImage;
+use crate::light::LinearLight;
+use patch::{Patch, Sampling};
+use solve::Settings;
+use unknowns::State;
+
+/// How a body is aligned, and when that is believed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AlignOptions {
+    /// Deviation of the lens's point spread, pixels of the sphere image.
+    pub blur_px: f64,
+    /// Patch pixels across a body at most: what is nearer is looked at less finely.
+    pub widest_px: f64,
+    /// Gauss-Newton steps at most.
+    pub iterations: usize,
+    /// Whether a first fit with more blur goes before, for a start that may be half a cell off.
+    pub coarse_first: bool,
+}
+
+impl Default for AlignOptions {
+    fn default() -> Self {
+        Self { blur_px: 0.9, widest_px: 75.0, iterations: 8, coarse_first: false }
+    }
+}
+
+/// A body found in a view.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Alignment {
+    /// The pose of the body's markers in the camera frame.
+    pub camera_from_markers: Isometry3<f64>,
+    /// Its covariance: position (m), then rotation vector (rad), in the camera frame's axes.
+    pub covariance: Matrix6<f64>,
+    /// Covariance of the point spread, pixels of the sphere image squared.
+    pub blur_px2: Matrix2<f64>,
+    /// How well the cells agree.
+    pub score: Score,
+    /// Pixels that were compared.
+    pub samples: usize,
+    /// Steps that were taken.
+    pub iterations: usize,
+}
+
+impl Alignment {
+    /// Whether it is a measurement: the body is there, and its pose is known well enough to be of
+    /// use to anybody.
+    pub fn is_believed(&self) -> bool {
+        let deviation = |first| self.covariance.fixed_view::<3, 3>(first, first).trace().sqrt();
+        self.score.is_accepted()
+            && deviation(0) < MAX_POSITION_DEVIATION_M
+            && deviation(3) < MAX_ROTATION_DEVIATION_RAD
+    }
+}
+
+/// A pose less certain than this, in all its axes together, is none.
+const MAX_POSITION_DEVIATION_M: f64 = 0.05;
+const MAX_ROTATION_DEVIATION_RAD: f64 = 0.09;
+
+/// Why nothing was aligned.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum AlignError {
+    /// The view does not show the place, or its numbers are none.
+    #[error("the view does not hold the body at that pose")]
+    NotInView,
+    /// Too little of it faces the camera, or nothing converged.
+    #[error("too little of the body can be compared with the view there")]
+    Nothing,
+}
+
+/// Aligns `print` with what `view` shows of it in `image`, from `start` (`camera_from_markers`).
+///
+/// `pixels_per_radian`: the sphere image's own resolution there, finer than which a magnified view
+/// shows nothing. Whether the result is the body is said by its [`Score`].
+///
+/// # Errors
+/// [`AlignError`]: nothing to compare there. Numbers that are none give an error, no panic.
+pub fn align(
+    print: &BodyPrint,
+    image: &LumaImage<'_>,
+    light: &LinearLight,
+    view: &View,
+    pixels_per_radian: f64,
+    start: &Isometry3<f64>,
+    options: &AlignOptions,
+) -> Result<Alignment, AlignError> {
+    if !is_sound(start, view, pixels_per_radian) {
+        return Err(AlignError::NotInView);
+    }
+    let frame = Frame::new(print, image, light, view, pixels_per_radian, start, options, 0.0)?;
+    let start = frame.state(print, start);
+    frame.align(print, view, start, options)
+}
+
+/// Finds `print` within [`REACH_RAD`] of where it was `predicted` (`camera_from_markers`), turned by
+/// up to some ten degrees: the most expensive look, for a body that nothing else found. `None`
+/// unless the result is believed.
+pub fn reacquire(
+    print: &BodyPrint,
+    image: &LumaImage<'_>,
+    light: &LinearLight,
+    view: &View,
+    pixels_per_radian: f64,
+    predicted: &Isometry3<f64>,
+    options: &AlignOptions,
+) -> Option<Alignment> {
+    if !is_sound(predicted, view, pixels_per_radian) {
+        return None;
+    }
+    let frame =
+        Frame::new(print, image, light, view, pixels_per_radian, predicted, options, REACH_RAD)
+            .ok()?;
+    let state = frame.state(print, predicted);
+    let extra_blur_px = SEARCH_CELLS * frame.cell_px(print, predicted);
+    if !extra_blur_px.is_finite() {
+        return None;
+    }
+    let reach_px = REACH_RAD * frame.patch.pinhole.focal_px;
+    let blurred = frame.patch.blurred(extra_blur_px);
+    let places = reacquire::places(&blurred, print, &state, extra_blur_px, reach_px);
+    let options = AlignOptions { coarse_first: true, ..*options };
+    places
+        .into_iter()
+        .filter_map(|place| {
+            let start = State { patch_from_markers: place.patch_from_markers, ..state.clone() };
+            frame.align(print, view, start, &options).ok().filter(Alignment::is_believed)
+        })
+        .max_by(|a, b| a.score.log_ratio.total_cmp(&b.score.log_ratio))
+}
+
+/// How far from its prediction a body is looked for, radians.
+pub const REACH_RAD: f64 = 0.014;
+/// Extra blur of that search, in the smallest marker's cells.
+const SEARCH_CELLS: f64 = 0.6;
+
+fn is_sound(start: &Isometry3<f64>, view: &View, pixels_per_radian: f64) -> bool {
+    start.translation.vector.iter().all(|x| x.is_finite())
+        && (start.rotation.quaternion().norm() - 1.0).abs() < 1e-6
+        && (view.camera_from_view.quaternion().norm() - 1.0).abs() < 1e-6
+        && (1.0..1e6).contains(&view.focal_px)
+        && (1.0..1e6).contains(&pixels_per_radian)
+}
+
+/// A view, cut down to what shows a body, and how it is to be fitted.
+struct Frame {
+    patch: Patch,
+    settings: Settings,
+    /// Patch pixels for each of the sphere's.
+    magnification: f64,
+}
+
+impl Frame {
+    #[expect(clippy::too_many_arguments, reason = "those of `align`, and how much further to look")]
+    fn new(
+        print: &BodyPrint,
+        image: &LumaImage<'_>,
+        light: &LinearLight,
+        view: &View,
+        pixels_per_radian: f64,
+        start: &Isometry3<f64>,
+        options: &AlignOptions,
+        reach_rad: f64,
+    ) -> Result<Self, AlignError> {
+        let sampling =
+            Sampling { pixels_per_radian, oversampling: 1.0, widest_px: options.widest_px };
+        let radius_m = print.radius_m();
+        let patch = Patch::cut(image, light, view, start, radius_m, reach_rad, &sampling)
+            .ok_or(AlignError::NotInView)?;
+        let magnification = sampling.magnification(&patch.pinhole);
+        let blur_px = options.blur_px * magnification;
+        // Averaging blocks, and interpolating the view, blur a little more.
+        let blur_px = (blur_px.powi(2) + 1.0 / 12.0).sqrt();
+        let settings = Settings {
+            blur_px,
+            blur_variance_px2: 0.5 * blur_px.powi(2),
+            extra_blur_px: 0.0,
+            iterations: options.iterations,
+            samples_per_pixel: magnification.powi(2).max(1.0),
+        };
+        Ok(Self { patch, settings, magnification })
+    }
+
+    /// The unknowns to begin with at a pose in the camera frame.
+    fn state(&self, print: &BodyPrint, camera_from_markers: &Isometry3<f64>) -> State {
+        State::new(print, self.patch.pose_in(camera_from_markers), self.settings.blur_px)
+    }
+
+    /// Side of the smallest marker's cells in the patch.
+    fn cell_px(&self, print: &BodyPrint, camera_from_markers: &Isometry3<f64>) -> f64 {
+        let range_m = camera_from_markers.translation.vector.norm();
+        print.smallest_cell_m() / range_m * self.patch.pinhole.focal_px
+    }
+
+    fn align(
+        &self,
+        print: &BodyPrint,
+        view: &View,
+        start: State,
+        options: &AlignOptions,
+    ) -> Result<Alignment, AlignError> {
+        let Self { patch, settings, magnification } = self;
+        let mut state = start;
+        if options.coarse_first {
+            let extra_blur_px = COARSE_CELLS * self.cell_px(print, &state.patch_from_markers);
+            let coarse = Settings { extra_blur_px, iterations: COARSE_ITERATIONS, ..*settings };
+            if extra_blur_px.is_finite()
+                && let Some(fit) =
+                    solve::fit(&patch.blurred(extra_blur_px), print, state.clone(), &coarse)
+            {
+                state = State { blur: state.blur, ..fit.state };
+            }
+        }
+        let fit = solve::fit(patch, print, state, settings).ok_or(AlignError::Nothing)?;
+        let score = score::score(patch, print, &fit, 0.0, settings.samples_per_pixel);
+        let camera_from_patch = view.camera_from_view;
+        let turn = camera_from_patch.to_rotation_matrix().into_inner();
+        let mut axes = Matrix6::zeros();
+        axes.fixed_view_mut::<3, 3>(0, 0).copy_from(&turn);
+        axes.fixed_view_mut::<3, 3>(3, 3).copy_from(&turn);
+        Ok(Alignment {
+            camera_from_markers: camera_from_patch * fit.state.patch_from_markers,
+            covariance: axes * fit.covariance * axes.transpose(),
+            blur_px2: fit.state.blur / magnification.powi(2),
+            score,
+            samples: fit.samples.len(),
+            iterations: fit.iterations,
+        })
+    }
+}
+
+/// Extra blur of the coarse fit, in the smallest marker's cells. More made it diverge: what is
+/// behind the body bleeds in.
+const COARSE_CELLS: f64 = 0.45;
+const COARSE_ITERATIONS: usize = 6;
+
+#[cfg(test)]
+mod tests;

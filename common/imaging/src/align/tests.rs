@@ -1,0 +1,206 @@
+//! Alignment against pictures that are drawn by sampling, blurred and coded as a camera would.
+
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+
+#[path = "../../tests/drawn/mod.rs"]
+mod drawn;
+
+use flockeye_geometry::body::{Body, squares};
+use flockeye_geometry::view::View;
+use nalgebra::{Isometry3, Matrix2, Translation3, UnitQuaternion, Vector2, Vector3};
+use proptest::prelude::*;
+
+use super::geometry::{Pinhole, seen_facets};
+use super::solve::{Scene, model};
+use super::unknowns::State;
+use super::*;
+use crate::light::{CodeRange, TransferCurve};
+use drawn::{Drawing, draw, prints};
+
+fn body(first_id: u32) -> Body {
+    squares("alpha", 0.0625, 0.05, first_id)
+}
+
+fn print_of(body: &Body) -> BodyPrint {
+    let prints = prints();
+    BodyPrint::new(body, |id| prints.get(&id)).unwrap()
+}
+
+fn srgb() -> LinearLight {
+    LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap()
+}
+
+fn pose(range_m: f64, euler: [f64; 3]) -> Isometry3<f64> {
+    let direction = Vector3::new(0.8, 0.5, 0.33).normalize();
+    Isometry3::from_parts(
+        Translation3::from(direction * range_m),
+        UnitQuaternion::from_euler_angles(euler[0], euler[1], euler[2]),
+    )
+}
+
+fn moved(pose: &Isometry3<f64>, shift: Vector3<f64>, turn: Vector3<f64>) -> Isometry3<f64> {
+    Isometry3::from_parts(
+        Translation3::from(pose.translation.vector + shift),
+        UnitQuaternion::from_scaled_axis(turn) * pose.rotation,
+    )
+}
+
+const PIXELS_PER_RADIAN: f64 = 611.0;
+
+fn run(
+    drawing: &Drawing,
+    print: &BodyPrint,
+    start: &Isometry3<f64>,
+) -> Result<Alignment, AlignError> {
+    let options = AlignOptions::default();
+    align(print, &drawing.image(), &srgb(), &drawing.view, PIXELS_PER_RADIAN, start, &options)
+}
+
+#[test]
+fn a_start_nearby_comes_to_the_truth() {
+    let print = print_of(&body(0));
+    for (range_m, tolerance_m, tolerance_rad) in
+        [(0.6, 0.5e-3, 2e-3), (1.0, 1e-3, 3e-3), (2.0, 4e-3, 8e-3), (2.8, 10e-3, 0.02)]
+    {
+        let truth = pose(range_m, [0.3, -0.2, 0.9]);
+        let drawing = draw(&body(0), &truth, PIXELS_PER_RADIAN, 0.9, 0.004);
+        let sight = truth.translation.vector.normalize();
+        let shift = sight * (0.01 * range_m) + Vector3::new(0.0, 0.0, 1e-3);
+        let start = moved(&truth, shift, Vector3::new(0.01, -0.015, 0.01));
+        let found = run(&drawing, &print, &start).expect("it is there");
+        let error = found.camera_from_markers.translation.vector - truth.translation.vector;
+        let turned = found.camera_from_markers.rotation.angle_to(&truth.rotation);
+        println!(
+            "{range_m} m: {:.3} mm, {:.4} rad, {:?}, blur {:.2} {:.2}, {} samples, {} steps, deviation {:.3} mm",
+            error.norm() * 1e3,
+            turned,
+            found.score,
+            found.blur_px2[(0, 0)].sqrt(),
+            found.blur_px2[(1, 1)].sqrt(),
+            found.samples,
+            found.iterations,
+            found.covariance.fixed_view::<3, 3>(0, 0).trace().sqrt() * 1e3
+        );
+        assert!(error.norm() < tolerance_m, "{} m at {range_m} m", error.norm());
+        assert!(turned < tolerance_rad, "{turned} rad at {range_m} m");
+        assert!(found.score.correlation > 0.7, "{:?}", found.score);
+    }
+}
+
+#[test]
+fn another_body_does_not_agree() {
+    let wrong = print_of(&body(17));
+    for range_m in [0.8, 1.5, 2.5] {
+        let truth = pose(range_m, [0.3, -0.2, 0.9]);
+        let drawing = draw(&body(0), &truth, PIXELS_PER_RADIAN, 0.9, 0.004);
+        if let Ok(found) = run(&drawing, &wrong, &truth) {
+            assert!(found.score.correlation < 0.35, "{range_m} m: {:?}", found.score);
+        }
+    }
+}
+
+#[test]
+fn numbers_that_are_none_and_lies_about_the_view_are_refused() {
+    let print = print_of(&body(0));
+    let truth = pose(1.0, [0.3, -0.2, 0.9]);
+    let drawing = draw(&body(0), &truth, PIXELS_PER_RADIAN, 0.9, 0.004);
+    let nowhere = Isometry3::translation(f64::NAN, 0.0, 0.0);
+    assert_eq!(run(&drawing, &print, &nowhere), Err(AlignError::NotInView));
+    let behind = Isometry3::translation(-1.0, -0.6, -0.4);
+    assert_eq!(run(&drawing, &print, &behind), Err(AlignError::NotInView));
+    let inside = Isometry3::translation(0.01, 0.0, 0.0);
+    assert_eq!(run(&drawing, &print, &inside), Err(AlignError::NotInView));
+    for focal_px in [f64::NAN, 0.0, -700.0, f64::INFINITY] {
+        let liar =
+            Drawing { view: View { focal_px, ..drawing.view }, pixels: drawing.pixels.clone() };
+        assert_eq!(run(&liar, &print, &truth), Err(AlignError::NotInView));
+    }
+    // A focal length that is half as long again, or a rotation that is another: nothing to believe.
+    for (focal, turn) in [(1.5, 0.0), (0.6, 0.0), (1.0, 0.6)] {
+        let view = View {
+            focal_px: drawing.view.focal_px * focal,
+            camera_from_view: drawing.view.camera_from_view
+                * UnitQuaternion::from_euler_angles(0.0, 0.0, turn),
+            ..drawing.view
+        };
+        let liar = Drawing { view, pixels: drawing.pixels.clone() };
+        if let Ok(found) = run(&liar, &print, &truth) {
+            assert!(found.score.correlation < 0.4, "{focal} {turn}: {:?}", found.score);
+        }
+    }
+}
+
+/// Facets that face the camera, modelled in a pinhole with the body in its middle.
+fn modelled(
+    print: &BodyPrint,
+    pose: &Isometry3<f64>,
+    blur: &Matrix2<f64>,
+    levels: &[[f64; 2]],
+    pinhole: &Pinhole,
+    at: Vector2<f64>,
+    facet: usize,
+    fixed_blur: Option<&Scene<'_>>,
+) -> Option<solve::Modelled> {
+    let seen = seen_facets(print, pose, pinhole);
+    seen[facet].as_ref()?;
+    let seams = vec![0.0; print.seams()];
+    let state = State { patch_from_markers: *pose, blur: *blur, levels: levels.to_vec(), seams };
+    let fresh = Scene::of(print, &state, pinhole, 0.0);
+    let scene = match fixed_blur {
+        None => fresh,
+        Some(fixed) => Scene { seen: fresh.seen, blurred: fixed.blurred.clone() },
+    };
+    Some(model(&scene, &state, std::iter::once(facet), std::iter::empty(), &pinhole.direction(at)))
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(200))]
+    /// Derivatives by pose against differences of the model, the point spread on each facet being
+    /// held as a step of the solver holds it; those by blur against differences of the point spread.
+    #[test]
+    fn derivatives_are_those_of_the_model(
+        euler in prop::array::uniform3(-3.0..3.0f64),
+        range_m in 0.5..3.0f64,
+        across in prop::array::uniform2(-0.7..0.7f64),
+    ) {
+        let print = print_of(&body(0));
+        let pose = Isometry3::from_parts(
+            Translation3::new(0.05 * range_m, -0.03 * range_m, range_m),
+            UnitQuaternion::from_euler_angles(euler[0], euler[1], euler[2]),
+        );
+        let pinhole = Pinhole { focal_px: 611.0, centre_px: Vector2::new(50.0, 50.0) };
+        let blur = Matrix2::new(1.0, 0.2, 0.2, 0.8);
+        let levels: Vec<[f64; 2]> = (0..print.facets.len()).map(|k| [0.5 + 0.01 * k as f64, 0.04]).collect();
+        let seen = seen_facets(&print, &pose, &pinhole);
+        for (index, facet) in seen.iter().enumerate() {
+            let Some(facet) = facet else { continue };
+            if facet.cosine < 0.4 { continue }
+            let point = pose * print.facets[index].markers_from_facet
+                * nalgebra::Point3::new(across[0] * 0.025, across[1] * 0.025, 0.0);
+            let at = pinhole.project(&point.coords).expect("ahead");
+            let base = Scene::of(&print, &State { patch_from_markers: pose, blur, levels: levels.clone(), seams: vec![0.0; print.seams()] }, &pinhole, 0.0);
+            let now = modelled(&print, &pose, &blur, &levels, &pinhole, at, index, None).expect("seen");
+            for k in 0..6 {
+                let step = 5e-5;
+                let mut change = [0.0; 6];
+                change[k] = step;
+                let shift = Vector3::new(change[0], change[1], change[2]);
+                let turn = Vector3::new(change[3], change[4], change[5]);
+                let ahead = modelled(&print, &moved(&pose, shift, turn), &blur, &levels, &pinhole, at, index, Some(&base)).expect("seen");
+                let behind = modelled(&print, &moved(&pose, -shift, -turn), &blur, &levels, &pinhole, at, index, Some(&base)).expect("seen");
+                let numeric = (ahead.light - behind.light) / (2.0 * step);
+                let limit = 0.02 * (numeric.abs() + now.by_common[..6].iter().fold(0.0f64, |a, b| a.max(b.abs()))) + 0.5;
+                prop_assert!((numeric - now.by_common[k]).abs() < limit, "facet {index}, unknown {k}: {numeric} and {}", now.by_common[k]);
+            }
+            for (k, change) in [Matrix2::new(1.0, 0.0, 0.0, 0.0), Matrix2::new(0.0, 1.0, 1.0, 0.0), Matrix2::new(0.0, 0.0, 0.0, 1.0)].into_iter().enumerate() {
+                let step = 0.02;
+                let ahead = modelled(&print, &pose, &(blur + change * step), &levels, &pinhole, at, index, None).expect("seen");
+                let behind = modelled(&print, &pose, &(blur - change * step), &levels, &pinhole, at, index, None).expect("seen");
+                let numeric = (ahead.light - behind.light) / (2.0 * step);
+                // The split of a slanting point spread is right to the fourth moment only.
+                let limit = if k == 1 { 0.3 } else { 0.2 } + 0.05 * numeric.abs();
+                prop_assert!((numeric - now.by_common[6 + k]).abs() < limit, "facet {index}, blur {k}: {numeric} and {}", now.by_common[6 + k]);
+            }
+        }
+    }
+}
