@@ -20,6 +20,7 @@ use flockeye_runtime::ports::{Ports, Subscriber, TopicServices, create_services}
 use iceoryx2::prelude::*;
 use rustix::process::Signal;
 
+use crate::calibrate::SeenRays;
 use crate::cli::Up;
 use crate::dashboard::Dashboard;
 use crate::process::{Change, LogLine, Process};
@@ -42,6 +43,14 @@ const LOG_LINES: usize = 1_000;
 /// # Errors
 /// The configuration is wrong, the instance is taken, memory is short, or a stage cannot work.
 pub fn run(arguments: &Up) -> anyhow::Result<()> {
+    fly(arguments, None).map(drop)
+}
+
+/// Runs it, and adds every frame's rays to `rays`, if these are wanted.
+///
+/// # Errors
+/// As [`run`].
+pub fn fly(arguments: &Up, rays: Option<SeenRays>) -> anyhow::Result<Option<SeenRays>> {
     let stopping = Arc::new(AtomicBool::new(false));
     for signal in
         [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM, signal_hook::consts::SIGHUP]
@@ -60,12 +69,12 @@ pub fn run(arguments: &Up) -> anyhow::Result<()> {
     let (free, total) = shared_memory_space().context("cannot look at /dev/shm")?;
     budget.check(free, total)?;
     instance.write_configuration(&pipeline)?;
-    let mut launcher = Launcher::new(arguments, &pipeline, &instance, budget)?;
+    let mut launcher = Launcher::new(arguments, rays, &pipeline, &instance, budget)?;
     launcher.start()?;
     let outcome = launcher.watch(arguments.duration, &stopping);
     launcher.stop();
-    launcher.finish(ownership)?;
-    outcome
+    let rays = launcher.finish(ownership)?;
+    outcome.map(|()| rays)
 }
 
 struct Launcher {
@@ -73,6 +82,7 @@ struct Launcher {
     tracks: Subscriber<Tracks>,
     healths: Subscriber<Healths>,
     truths: Subscriber<Truths>,
+    detections: Option<(Subscriber<Detections>, SeenRays)>,
     ports: Option<Ports>,
     _services: Vec<TopicServices>,
     node: Rc<Node<ipc::Service>>,
@@ -91,6 +101,7 @@ struct Launcher {
 impl Launcher {
     fn new(
         arguments: &Up,
+        rays: Option<SeenRays>,
         pipeline: &Pipeline,
         instance: &Instance,
         budget: Budget,
@@ -135,6 +146,7 @@ impl Launcher {
             tracks: ports.subscriber()?,
             healths: ports.subscriber()?,
             truths: ports.subscriber()?,
+            detections: rays.map(|rays| anyhow::Ok((ports.subscriber()?, rays))).transpose()?,
             ports: Some(ports),
             _services: services,
             node,
@@ -194,6 +206,11 @@ impl Launcher {
                 for body in message.items() {
                     recorder.add(TruthRow::of(&message.header, body))?;
                 }
+            }
+        }
+        if let Some((detections, rays)) = &mut self.detections {
+            while let Some(message) = detections.receive()? {
+                rays.add(&message.header, message.items());
             }
         }
         while let Some(message) = self.tracks.receive()? {
@@ -311,7 +328,7 @@ impl Launcher {
     }
 
     /// Says what it came to, and gives everything back.
-    fn finish(mut self, ownership: Ownership) -> anyhow::Result<()> {
+    fn finish(mut self, ownership: Ownership) -> anyhow::Result<Option<SeenRays>> {
         self.receive()?;
         if self.dashboard.frames_ended() > 0 {
             self.screen.line(&self.dashboard.summary());
@@ -324,9 +341,10 @@ impl Launcher {
         if let Some(recorder) = self.truth.take() {
             recorder.finish()?;
         }
+        let rays = self.detections.take().map(|(_, rays)| rays);
         // Shared memory is unmapped before its files are removed.
         drop(self);
         drop(ownership);
-        Ok(())
+        Ok(rays)
     }
 }
