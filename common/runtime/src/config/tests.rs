@@ -118,8 +118,8 @@ const WRONG: &[(&str, &[&str])] = &[
     ("bodies: {list: []}", &["there is no body"]),
     ("bodies: {list: [{marker_m: 0.07}]}", &["0.07 m does not fit a facet of 0.0625 m"]),
     (
-        "bodies: {list: [{preset: truncated, small_marker_m: 0.034}]}",
-        &["bodies.list.0.small_marker_m", "0.034 m does not fit a triangle with edges of 0.075 m"],
+        "bodies: {list: [{preset: truncated, small_marker_m: 0.04}]}",
+        &["bodies.list.0.small_marker_m", "0.04 m does not fit a triangle with edges of 0.075 m"],
     ),
     (
         "bodies: {list: [{preset: cube, small_shift_m: 0.001}]}",
