@@ -8,6 +8,8 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use flockeye_geometry::partition::{STORED_SEED, Weights};
 use flockeye_runtime::config::Pipeline;
 
+use crate::markers::Paper;
+
 /// Eyes for a flock: neighbours' poses from a spherical camera.
 #[derive(Debug, Parser)]
 #[command(name = "flockeye", version)]
@@ -32,6 +34,11 @@ pub enum Command {
     Experiment(Experiment),
     /// Tabulate and draw partitions of the sphere.
     Partition(Partition),
+    /// Draw a body's marker sheets at true scale, to print, cut out and glue.
+    Markers(Markers),
+    /// Find out how something was really built, from a recording of it.
+    #[command(subcommand)]
+    Calibrate(Calibrate),
     /// Remove what dead runs left in shared memory.
     Clean(Clean),
     /// Print the JSON Schema of pipeline.yaml.
@@ -42,7 +49,7 @@ pub enum Command {
 }
 
 /// Which configuration.
-#[derive(Debug, Args)]
+#[derive(Debug, Clone, Args)]
 pub struct Configuration {
     /// The configuration; without it, pipeline.yaml if there is one here, else the defaults.
     #[arg(value_name = "PIPELINE")]
@@ -225,6 +232,41 @@ pub enum MethodArgument {
     Covering,
     /// Spread points, then grow circles.
     Paper,
+}
+
+/// Arguments of `markers`.
+#[derive(Debug, Args)]
+pub struct Markers {
+    /// Which configuration: the bodies and their dictionary are taken from it.
+    #[command(flatten)]
+    pub configuration: Configuration,
+    /// Whose facets.
+    #[arg(long, value_name = "NAME")]
+    pub body: String,
+    /// The sheets: one PDF, or an SVG for each sheet.
+    #[arg(long, value_name = "FILE.pdf|.svg")]
+    pub out: PathBuf,
+    /// Size of the sheets.
+    #[arg(long, default_value = "a4")]
+    pub paper: Paper,
+}
+
+/// What is found out.
+#[derive(Debug, Subcommand)]
+pub enum Calibrate {
+    /// Where a body's markers really are: they were glued by hand.
+    Body(CalibrateBody),
+}
+
+/// Arguments of `calibrate body`.
+#[derive(Debug, Args)]
+pub struct CalibrateBody {
+    /// Which configuration: the camera, the bodies as designed, and what is recorded of them.
+    #[command(flatten)]
+    pub configuration: Configuration,
+    /// The bodies as they are found: a JSON file for --bodies.
+    #[arg(long, value_name = "FILE.json")]
+    pub out: PathBuf,
 }
 
 /// Arguments of `clean`.

@@ -14,10 +14,13 @@
 //! | [`experiment`] | the paper's tables anew, and how consistent covariances are |
 //! | [`check`] | what a configuration means on this machine |
 //! | [`partition`] | partitions of the sphere as table, JSON and drawings |
+//! | [`markers`] | a body's facets on paper, to print and glue |
+//! | [`calibrate`] | where a body's markers really are |
 //! | [`peers`] | what the whole swarm reports over Zenoh |
 //! | [`clean`] | removes what dead runs left behind |
 //! | [`exec`] | the first instructions of a stage's process |
 
+pub mod calibrate;
 pub mod check;
 pub mod clean;
 pub mod cli;
@@ -25,6 +28,7 @@ pub mod dashboard;
 pub mod evaluation;
 pub mod exec;
 pub mod experiment;
+pub mod markers;
 pub mod partition;
 pub mod peers;
 pub mod process;

@@ -3,8 +3,10 @@
 use std::process::ExitCode;
 
 use clap::Parser;
-use flockeye_launcher::cli::{Command, Flockeye};
-use flockeye_launcher::{check, clean, evaluation, exec, experiment, partition, peers, schema, up};
+use flockeye_launcher::cli::{Calibrate, Command, Flockeye};
+use flockeye_launcher::{
+    calibrate, check, clean, evaluation, exec, experiment, markers, partition, peers, schema, up,
+};
 
 fn main() -> ExitCode {
     flockeye_runtime::logs::init();
@@ -15,6 +17,8 @@ fn main() -> ExitCode {
         Command::Eval(arguments) => evaluation::run(&arguments),
         Command::Experiment(arguments) => experiment::run(&arguments),
         Command::Partition(arguments) => partition::run(&arguments),
+        Command::Markers(arguments) => markers::run(&arguments),
+        Command::Calibrate(Calibrate::Body(arguments)) => calibrate::run(&arguments),
         Command::Clean(arguments) => clean::run(&arguments),
         Command::Schema => schema::run(),
         Command::ExecStage(arguments) => exec::run(&arguments),

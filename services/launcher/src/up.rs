@@ -22,6 +22,7 @@ use flockeye_runtime::ports::{Ports, Subscriber, TopicServices, create_services}
 use iceoryx2::prelude::*;
 use rustix::process::Signal;
 
+use crate::calibrate::SeenRays;
 use crate::cli::Up;
 use crate::dashboard::Dashboard;
 use crate::process::{Change, LogLine, Process};
@@ -52,6 +53,8 @@ pub struct Errand<'a> {
     pub truth: Option<&'a Path>,
     /// Whether what came of it is kept in memory.
     pub keeps: bool,
+    /// Whether the rays of decoded markers are.
+    pub keeps_rays: bool,
 }
 
 /// What came of a flight.
@@ -61,6 +64,8 @@ pub struct Flown {
     pub poses: Vec<PoseRow>,
     /// The truth, if the source has one; also of frames that did not end.
     pub truth: Vec<TruthRow>,
+    /// Rays of decoded markers' corners, where they were asked for.
+    pub rays: SeenRays,
     /// Numbers of the frames that ended.
     pub frames: BTreeSet<u64>,
     /// From each frame's publication to its end, summed, seconds.
@@ -145,6 +150,7 @@ struct Launcher<'a> {
     tracks: Subscriber<Tracks>,
     healths: Subscriber<Healths>,
     truths: Subscriber<Truths>,
+    detections: Option<Subscriber<Detections>>,
     ports: Option<Ports>,
     _services: Vec<TopicServices>,
     node: Rc<Node<ipc::Service>>,
@@ -210,6 +216,7 @@ impl<'a> Launcher<'a> {
             tracks: ports.subscriber()?,
             healths: ports.subscriber()?,
             truths: ports.subscriber()?,
+            detections: errand.keeps_rays.then(|| ports.subscriber()).transpose()?,
             ports: Some(ports),
             _services: services,
             node,
@@ -275,6 +282,11 @@ impl<'a> Launcher<'a> {
                 if self.errand.keeps {
                     self.flown.truth.push(row);
                 }
+            }
+        }
+        if let Some(detections) = &mut self.detections {
+            while let Some(message) = detections.receive()? {
+                self.flown.rays.add(&message.header, message.items());
             }
         }
         while let Some(message) = self.tracks.receive()? {

@@ -187,7 +187,7 @@ fn pose(isometry: &Isometry3<f64>) -> Pose {
 
 /// The bodies that fly: the first of those configured.
 fn flying_bodies(pipeline: &Pipeline) -> anyhow::Result<Option<Bodies>> {
-    let all = pipeline.bodies()?;
+    let all = pipeline.simulated_bodies()?;
     let count = pipeline.simulator.neighbours as usize;
     anyhow::ensure!(
         count <= all.len(),

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use serde::Deserialize;
+use serde_json::{Map, Value, json};
 
 use super::{Bodies, BodiesError, Body, Marker, facets};
 
@@ -58,6 +59,30 @@ impl Bodies {
         // What is wrong with a marker is wrong with its facet too: markers come first.
         let bodies = Self::new(file.dictionary, bodies)?;
         if problems.is_empty() { Ok(bodies) } else { Err(BodiesError::Contradictions(problems)) }
+    }
+
+    /// The JSON form that [`Bodies::from_json`] reads, with every body's facets.
+    pub fn to_json(&self) -> Value {
+        let point = |p: &Point3<f64>| json!([p.x, p.y, p.z]);
+        let bodies = self.iter().map(|body| {
+            let markers = body.markers.iter().map(|marker| {
+                let corners: Vec<Value> = marker.corners.iter().map(point).collect();
+                json!({ "id": marker.id, "corners": corners })
+            });
+            let facets = body.facets().iter();
+            let facets = facets.map(|facet| facet.outline.iter().map(point).collect());
+            let mount = &body.target_from_markers;
+            let value = json!({
+                "markers": markers.collect::<Vec<Value>>(),
+                "facets": facets.collect::<Vec<Vec<Value>>>(),
+                "target_from_markers": {
+                    "position": mount.translation.vector.as_slice(),
+                    "orientation": mount.rotation.coords.as_slice(),
+                },
+            });
+            (body.name.clone(), value)
+        });
+        json!({ "dictionary": self.dictionary, "bodies": bodies.collect::<Map<String, Value>>() })
     }
 }
 

@@ -1,12 +1,14 @@
 //! What no schema can say: values that contradict each other, names, rotations.
 
+use flockeye_geometry::body::{Bodies, Body};
 use flockeye_geometry::partition::{PartitionError, Weights};
 
 use super::document::Node;
 use super::{
-    BodySet, Count, Flow, Fusion, Mount, Partition, Pipeline, Problem, Problems, Response,
-    StageProcess,
+    BodySet, Count, Flow, Fusion, Mount, Partition, Pipeline, Preset, PresetBody, Problem,
+    Problems, Response, StageProcess,
 };
+use crate::bodies::preset_body;
 use crate::sphere::SphereViewsError;
 
 /// Adds everything about `pipeline` that cannot be meant to `problems`.
@@ -93,25 +95,73 @@ impl Meaning<'_> {
         if bodies.file.is_some() {
             return; // read, and refused, by whoever opens it: see `Pipeline::bodies`
         }
-        for (index, body) in bodies.list.iter().enumerate() {
-            self.name(&format!("bodies.list.{index}.name"), &body.name);
-            self.mount(
-                &format!("bodies.list.{index}.target_from_markers"),
-                &body.target_from_markers,
-            );
-            if body.marker_m > body.edge_m {
-                self.problem(
-                    &format!("bodies.list.{index}.marker_m"),
-                    format!(
-                        "a marker of {} m does not fit a facet of {} m",
-                        body.marker_m, body.edge_m
-                    ),
-                );
-            }
+        let mut known = Vec::new();
+        for (index, entry) in bodies.list.iter().enumerate() {
+            let path = format!("bodies.list.{index}");
+            self.name(&format!("{path}.name"), &entry.name);
+            self.mount(&format!("{path}.target_from_markers"), &entry.target_from_markers);
+            self.keys_of_preset(&path, entry);
+            let Some(body) = preset_body(entry) else { continue };
+            self.sizes(&path, &body);
+            known.push(body);
         }
-        if let Err(error) = super::super::bodies::from_presets(bodies) {
+        // Those of a file are not known yet: see `Pipeline::bodies`.
+        let is_all = known.len() == bodies.list.len();
+        if (is_all || !known.is_empty())
+            && let Err(error) = Bodies::new(bodies.dictionary.clone(), known)
+        {
             self.problem("bodies.list", error.to_string());
         }
+    }
+
+    /// Keys that are for some presets only.
+    fn keys_of_preset(&mut self, path: &str, entry: &PresetBody) {
+        let is_custom = entry.preset == Preset::Custom;
+        if is_custom && entry.file.is_none() {
+            self.problem(
+                &format!("{path}.file"),
+                "a custom body is in a JSON file: say which".into(),
+            );
+        }
+        let sizes = [
+            ("edge_m", entry.edge_m, !is_custom),
+            ("marker_m", entry.marker_m, !is_custom),
+            ("small_marker_m", entry.small_marker_m, entry.preset == Preset::Truncated),
+            ("small_shift_m", entry.small_shift_m, entry.preset == Preset::Truncated),
+        ];
+        let mut foreign: Vec<&str> = sizes
+            .iter()
+            .filter(|(_, value, is_own)| value.is_some() && !is_own)
+            .map(|(key, ..)| *key)
+            .collect();
+        if entry.file.is_some() && !is_custom {
+            foreign.push("file");
+        }
+        for key in foreign {
+            let preset = entry.preset.name();
+            self.problem(
+                &format!("{path}.{key}"),
+                format!("the preset {preset} has no {key}: leave it out"),
+            );
+        }
+    }
+
+    /// Whether every marker fits its facet.
+    fn sizes(&mut self, path: &str, body: &Body) {
+        let misfit = body.facets().iter().find_map(|facet| {
+            let marker = &body.markers[facet.marker?];
+            (!facet.holds(marker, 1e-9)).then_some((facet, marker))
+        });
+        let Some((facet, marker)) = misfit else { return };
+        let (side, edge) = (marker.side(), (facet.outline[1] - facet.outline[0]).norm());
+        let (key, shape) = match facet.outline.len() {
+            3 => ("small_marker_m", "a triangle with edges"),
+            _ => ("marker_m", "a facet"),
+        };
+        self.problem(
+            &format!("{path}.{key}"),
+            format!("a marker of {} m does not fit {shape} of {} m", rounded(side), rounded(edge)),
+        );
     }
 
     fn partition(&mut self, pipeline: &Pipeline) {
@@ -120,10 +170,10 @@ impl Meaning<'_> {
             return self.problem("partition.weights", error.to_string());
         }
         // The markers of a file are not known yet: see `Pipeline::partition_views`.
-        let markers = pipeline.bodies.list.iter().map(|body| body.marker_m);
+        let markers = pipeline.bodies.list.iter().filter_map(preset_body);
         let largest_m = match pipeline.bodies.file {
             Some(_) => 0.0,
-            None => markers.fold(0.0, f64::max),
+            None => markers.map(|body| body.largest_side()).fold(0.0, f64::max),
         };
         let error = match pipeline.partition_field_rad(largest_m) {
             Err(error) => error,
@@ -153,7 +203,7 @@ impl Meaning<'_> {
         };
         let reason = match partition.margin_deg {
             Some(_) => String::new(),
-            None => format!("a marker of {largest_m} m at {} m: ", partition.nearest_m),
+            None => format!("a marker of {} m at {} m: ", rounded(largest_m), partition.nearest_m),
         };
         self.problem(path, format!("{reason}{error}"));
     }
@@ -237,6 +287,11 @@ impl Meaning<'_> {
             self.rising(&format!("stages.{name}.backoff_s"), stage.backoff_s, 0.01);
         }
     }
+}
+
+/// A size that comes back from corners, without their rounding.
+fn rounded(length_m: f64) -> f64 {
+    (length_m * 1e9).round() / 1e9
 }
 
 impl super::Stages {

@@ -4,6 +4,7 @@
 //! what is allowed. The document is checked in two passes: against the JSON Schema of the types in
 //! [`pipeline`] (which editors use too, see [`json_schema`]), then for what no schema can say.
 
+mod bodies;
 mod camera;
 mod document;
 mod meaning;
@@ -14,6 +15,7 @@ mod schema;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+pub use bodies::{BodySet, Preset, PresetBody};
 pub use camera::*;
 pub use document::Origin;
 pub use partition::{Auto, Count, Method, Partition};
@@ -98,14 +100,22 @@ impl Pipeline {
             .map_err(|error| ConfigError::Read { path: path.to_owned(), error })?;
         let folder = path.parent().unwrap_or(Path::new(""));
         let mut pipeline = Self::parse(&yaml, overrides, &path.display().to_string())?;
-        let files = [
-            ("bodies.file=", &mut pipeline.bodies.file),
-            ("camera.mask=", &mut pipeline.camera.mask),
+        // An override's path is the user's, relative to where the command was given.
+        let is_overridden =
+            |key: &str| overrides.iter().any(|text| text.starts_with(&format!("{key}=")));
+        let dictionary = folder.join(&pipeline.bodies.dictionary);
+        if !is_overridden("bodies.dictionary") && dictionary.is_file() {
+            pipeline.bodies.dictionary = dictionary.to_string_lossy().into_owned();
+        }
+        let mut files = vec![
+            ("bodies.file".to_owned(), &mut pipeline.bodies.file),
+            ("simulator.bodies".to_owned(), &mut pipeline.simulator.bodies),
+            ("camera.mask".to_owned(), &mut pipeline.camera.mask),
         ];
+        let list = pipeline.bodies.list.iter_mut().enumerate();
+        files.extend(list.map(|(k, body)| (format!("bodies.list.{k}.file"), &mut body.file)));
         for (key, file) in files {
-            // An override's path is the user's, relative to where the command was given.
-            let is_overridden = overrides.iter().any(|text| text.starts_with(key));
-            if let Some(file) = file.as_mut().filter(|_| !is_overridden) {
+            if let Some(file) = file.as_mut().filter(|_| !is_overridden(&key)) {
                 *file = folder.join(&*file);
             }
         }

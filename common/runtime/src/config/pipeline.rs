@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Camera, Partition};
+use super::{BodySet, Camera, Partition};
 
 /// A Flockeye pipeline.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -102,76 +102,6 @@ impl Default for Mount {
     }
 }
 
-/// What the neighbours carry.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct BodySet {
-    /// A JSON file of ids and corner positions; it replaces `dictionary` and `list`.
-    pub file: Option<PathBuf>,
-    /// Dictionary of all markers: one of OpenCV's names, or a dictionary file in OpenCV's YAML form.
-    pub dictionary: String,
-    /// The neighbours, by preset.
-    pub list: Vec<PresetBody>,
-}
-
-impl Default for BodySet {
-    fn default() -> Self {
-        let body = |name: &str, first_id| PresetBody {
-            name: name.into(),
-            first_id,
-            ..PresetBody::default()
-        };
-        Self {
-            file: None,
-            dictionary: "DICT_5X5_250".into(),
-            list: vec![body("alpha", 0), body("bravo", 17)],
-        }
-    }
-}
-
-/// A body from a preset.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct PresetBody {
-    /// The neighbour's name on the network.
-    pub name: String,
-    /// Which solid.
-    pub preset: Preset,
-    /// Edge of the solid, metres.
-    #[schemars(range(min = 0.005, max = 5.0))]
-    pub edge_m: f64,
-    /// Side of the markers' black squares, metres.
-    #[schemars(range(min = 0.005, max = 5.0))]
-    pub marker_m: f64,
-    /// Id of its first marker; the others follow.
-    #[schemars(range(min = 0, max = 1000000))]
-    pub first_id: u32,
-    /// Where the marker body sits on its drone.
-    pub target_from_markers: Mount,
-}
-
-impl Default for PresetBody {
-    fn default() -> Self {
-        Self {
-            name: "alpha".into(),
-            preset: Preset::Squares,
-            edge_m: 0.0625,
-            marker_m: 0.05,
-            first_id: 0,
-            target_from_markers: Mount::default(),
-        }
-    }
-}
-
-/// The solids that come with Flockeye.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Preset {
-    /// Rhombicuboctahedron with 17 markers: every square facet but the bottom one.
-    #[default]
-    Squares,
-}
-
 /// Where frames come from.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -246,6 +176,8 @@ pub struct Simulator {
     pub noise: f64,
     /// Whether airframes hide markers.
     pub airframes: bool,
+    /// A JSON file of the same bodies as they really are, if they differ from what is searched for.
+    pub bodies: Option<PathBuf>,
 }
 
 impl Default for Simulator {
@@ -261,6 +193,7 @@ impl Default for Simulator {
             lens_blur_px: 0.8,
             noise: 1.0,
             airframes: true,
+            bodies: None,
         }
     }
 }

@@ -121,6 +121,18 @@ const WRONG: &[(&str, &[&str])] = &[
     ("bodies: {list: [{name: a}, {name: a}]}", &["two bodies are called 'a'", "id 0 belongs to"]),
     ("bodies: {list: []}", &["there is no body"]),
     ("bodies: {list: [{marker_m: 0.07}]}", &["0.07 m does not fit a facet of 0.0625 m"]),
+    (
+        "bodies: {list: [{preset: truncated, small_marker_m: 0.04}]}",
+        &["bodies.list.0.small_marker_m", "0.04 m does not fit a triangle with edges of 0.075 m"],
+    ),
+    (
+        "bodies: {list: [{preset: cube, small_shift_m: 0.001}]}",
+        &["list.0.small_shift_m", "the preset cube has no small_shift_m"],
+    ),
+    ("bodies: {list: [{preset: custom}]}", &["list.0.file", "in a JSON file: say which"]),
+    ("bodies: {list: [{preset: plate, file: a.json}]}", &["plate has no file"]),
+    ("bodies: {list: [{edge_m: -0.1}]}", &["bodies.list.0.edge_m", "not -0.1"]),
+    ("bodies: {list: [{preset: sphere}]}", &["squares, truncated, cube, plate, custom"]),
     ("simulator: {neighbours: 3}", &["3 neighbours, but 2 bodies"]),
     ("simulator: {distance_m: [2, 1]}", &["two rising numbers", "[2, 1]"]),
     ("simulator: {exposure_ms: 50}", &["exposure of 50 ms in a frame of 33.33 ms"]),
