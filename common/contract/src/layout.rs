@@ -32,7 +32,7 @@ fn all_layouts() -> String {
             stride, kind, partition, target, has_prediction, transfer, gamma, range, reserved),
         layout!(DetectionHeader: stamp, plan_id, taken_ns, issued_ns, received_ns, sent_ns, generation,
             view_index, attempt, worker, hits, failed),
-        layout!(DetectedMarker: rays_in_camera, deviations, corners_in_view, id, reserved),
+        layout!(DetectedMarker: rays_in_camera, deviations, corners_in_view, id, doubtful),
         layout!(FrameEnd: stamp, plan_id, taken_ns, ended_ns, views_issued, views_abandoned, reason,
             generation),
         layout!(TrackHeader: stamp, generation, is_last),

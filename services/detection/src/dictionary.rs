@@ -41,7 +41,6 @@ const MAX_MARKERS: i32 = 100_000;
 
 /// A set of markers, by id from 0.
 pub struct Dictionary {
-    pub(crate) opencv: Ptr<CvDictionary>,
     pub(crate) prints: Vec<MarkerPrint>,
     pub(crate) bits: usize,
 }
@@ -69,7 +68,7 @@ impl Dictionary {
             let white: Vec<bool> = bits.data_bytes()?.iter().map(|&bit| bit != 0).collect();
             prints.push(MarkerPrint::of_bits(&white).ok_or_else(|| refused(name, "cells"))?);
         }
-        Ok(Self { opencv, prints, bits: size as usize })
+        Ok(Self { prints, bits: size as usize })
     }
 
     /// How many markers it has: ids are 0 to one less.

@@ -19,6 +19,7 @@ use flockeye_runtime::{Context, Stage, Step, clock};
 use nalgebra::{Quaternion, UnitQuaternion};
 
 use crate::detector::{Detector, DetectorParameters, Found, Threshold, use_one_thread};
+use crate::keep_plausible;
 
 /// Markers in one record: as many as the topic has room for, and below the contract's limit.
 const MAX_MARKERS: usize = 64;
@@ -61,7 +62,9 @@ impl Stage for DetectionStage {
         Ok(Self {
             views: ports.subscriber_of_lane(context.identity.replica as usize)?,
             detections: ports.publisher()?,
-            detector: Detector::new(&bodies.dictionary, parameters)?.with_mask(pipeline.mask()?),
+            detector: Detector::new(&bodies.dictionary, parameters)?
+                .with_mask(pipeline.mask()?)
+                .with_expected(bodies.iter().flat_map(|body| &body.markers).map(|m| m.id)),
             bodies,
             lights: BTreeMap::new(),
             measured,
@@ -97,7 +100,8 @@ impl DetectionStage {
         });
         found.truncate(MAX_MARKERS);
         let markers: Vec<DetectedMarker> = found.iter().map(detected).collect();
-        let hits = found.iter().filter(|found| self.bodies.owner(found.id).is_some()).count();
+        let is_hit = |found: &&Found| !found.is_doubtful && self.bodies.owner(found.id).is_some();
+        let hits = found.iter().filter(is_hit).count();
         let sent_ns = clock::monotonic_ns();
         self.counters.add_latency_ns(sent_ns - received_ns);
         let record = DetectionHeader {
@@ -136,7 +140,9 @@ impl DetectionStage {
         }
         let magnification = header.focal_px / self.pixels_per_radian;
         self.detector.set_thresholds(thresholds(header.kind, magnification))?;
-        Ok(self.detector.detect(&image, &view, &self.lights[&key])?)
+        self.detector.set_magnification(magnification);
+        let found = self.detector.detect(&image, &view, &self.lights[&key])?;
+        Ok(keep_plausible(found, &self.bodies))
     }
 }
 
@@ -186,7 +192,7 @@ fn detected(found: &Found) -> DetectedMarker {
         deviations: found.deviations_rad,
         corners_in_view: found.corners_in_view.map(|corner| [corner.0.x as f32, corner.0.y as f32]),
         id: found.id,
-        reserved: 0,
+        doubtful: u32::from(found.is_doubtful),
     }
 }
 
