@@ -218,6 +218,8 @@ mod tests {
                 let grid = Grid { left: 0, top: 0, columns: 15, rows: 15, step };
                 let blur = Matrix2::from_diagonal_element(sigma * sigma);
                 drawing.draw(&grid, &Cells::of(&print), &cells_from_view, &blur).unwrap();
+                // A place is the mean over a step, which blurs too.
+                let sigma = sigma.hypot(step as f64 / 12f64.sqrt());
                 // What a coordinate has of a blurred interval, and how that rises.
                 let black = |at: usize| {
                     let depth = (at * step) as f64 - left;
