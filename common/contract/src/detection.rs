@@ -30,13 +30,14 @@ pub struct DetectionHeader {
     pub attempt: u32,
     /// The worker that searched it.
     pub worker: u32,
-    /// Markers among the payload that belong to a configured body: the view is a hit if any do.
+    /// Markers among the payload that belong to a configured body, doubtful ones apart: the view is
+    /// a hit if any do.
     pub hits: u32,
     /// 1 if the view could not be searched (the log says why); it is acknowledged all the same.
     pub failed: u32,
 }
 
-/// One decoded marker.
+/// One decoded marker, or a square that may be one.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
 #[type_name("flockeye/DetectedMarker")]
 #[repr(C)]
@@ -50,8 +51,16 @@ pub struct DetectedMarker {
     pub corners_in_view: [[f32; 2]; 4],
     /// The marker's id in its dictionary.
     pub id: u32,
-    /// Keeps the size a multiple of 8; zero.
-    pub reserved: u32,
+    /// 1: not decoded, but a square that is probably this marker, of a configured body: a pose may
+    /// start from it, nothing may be concluded from it. 0: decoded.
+    pub doubtful: u32,
+}
+
+impl DetectedMarker {
+    /// Whether it was read, and is not only a square that may be it.
+    pub fn is_decoded(&self) -> bool {
+        self.doubtful == 0
+    }
 }
 
 /// Records with more markers than this are refused.
@@ -67,11 +76,12 @@ impl DetectionHeader {
                 max: MAX_DETECTED_MARKERS,
             });
         }
-        if self.hits as usize > markers.len() {
+        let decoded = markers.iter().filter(|marker| marker.is_decoded()).count();
+        if self.hits as usize > decoded {
             return Err(ContractError::TooMany {
                 what: "hits among the markers",
                 found: self.hits as usize,
-                max: markers.len(),
+                max: decoded,
             });
         }
         for marker in markers {

@@ -32,7 +32,7 @@ fn all_layouts() -> String {
             stride, kind, partition, target, has_prediction, transfer, gamma, range, reserved),
         layout!(DetectionHeader: stamp, plan_id, taken_ns, issued_ns, received_ns, sent_ns, generation,
             view_index, attempt, worker, hits, failed),
-        layout!(DetectedMarker: rays_in_camera, deviations, corners_in_view, id, reserved),
+        layout!(DetectedMarker: rays_in_camera, deviations, corners_in_view, id, doubtful),
         layout!(FrameEnd: stamp, plan_id, taken_ns, ended_ns, views_issued, views_abandoned, reason,
             generation),
         layout!(TrackHeader: stamp, generation, is_last),
@@ -162,6 +162,12 @@ fn senseless_plans_and_detections_are_refused() {
     assert!(Detections::check(&header, &[sure]).unwrap_err().to_string().contains("deviation"));
     let boasting = DetectionHeader { hits: 3, ..header };
     assert!(Detections::check(&boasting, &[marker]).unwrap_err().to_string().contains("3 hits"));
+    // A square that was not read is no hit.
+    let doubtful = DetectedMarker { doubtful: 1, ..marker };
+    assert_eq!(Detections::check(&header, &[doubtful]), Ok(()));
+    let hit = DetectionHeader { hits: 1, ..header };
+    assert_eq!(Detections::check(&hit, &[marker]), Ok(()));
+    assert!(Detections::check(&hit, &[doubtful]).is_err());
 }
 
 #[test]

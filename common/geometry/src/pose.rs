@@ -2,9 +2,10 @@
 //!
 //! [`solve`] goes four steps:
 //! 1. each marker seen whole gives two hypotheses, the two mirror solutions of a square
-//!    (`ippe`: Collins and Bartoli, "Infinitesimal Plane-Based Pose Estimation", 2014);
-//! 2. all hypotheses are scored on all rays: a marker that does not fit, or would face away, costs a
-//!    fixed amount, so that misread markers are outvoted;
+//!    (`ippe`: Collins and Bartoli, "Infinitesimal Plane-Based Pose Estimation", 2014), and, where
+//!    these leave rays unexplained, two more for each three of its corners;
+//! 2. all hypotheses are scored on all rays: what does not fit, or would face away, costs a fixed
+//!    amount, so that misread markers and wrong corners are outvoted;
 //! 3. the best are refined on all rays by Levenberg-Marquardt over the angular error ([`refine()`]);
 //! 4. what remains distinct is returned, cheapest first. Both mirror solutions are kept: [`choose`]
 //!    decides, with the track's prediction if there is one, and says how ambiguous that was.
@@ -30,10 +31,11 @@ use nalgebra::{Isometry3, Matrix6};
 pub struct PoseOptions {
     /// Scale of the robust (Cauchy) cost, in standard deviations: errors well below it count fully.
     pub robust_scale: f64,
-    /// A corner fits if its error is below so many standard deviations...
+    /// A corner fits if its error is below so many standard deviations, stated or as the corners that
+    /// fit scatter, whichever is more...
     pub gate_deviations: f64,
-    /// ...or below this share of its marker's apparent side: detectors' corners are biased by more
-    /// than they admit, while a misread or turned marker is off by about a side.
+    /// ...and, at first, if it is below this share of its marker's apparent side: detectors' corners
+    /// are biased by more than they admit, while a misread or turned marker is off by about a side.
     pub gate_side: f64,
     /// How many hypotheses are refined at most.
     pub refined_max: usize,
@@ -51,7 +53,7 @@ pub struct PoseSolution {
     /// The pose of the body's markers in the camera frame.
     pub camera_from_markers: Isometry3<f64>,
     /// Its covariance: position (m), then rotation vector (rad), both in the camera frame's axes,
-    /// from the robust normal matrix. It believes the rays' stated deviations; see
+    /// from the normal matrix of the rays that fit. It believes the rays' stated deviations; see
     /// [`PoseSolution::inflated_covariance`].
     pub covariance: Matrix6<f64>,
     /// Robust cost of all rays, in units of squared standard deviations; rays of markers that do
@@ -60,9 +62,9 @@ pub struct PoseSolution {
     /// Sum of the inliers' squared errors over their degrees of freedom (two for each ray, less
     /// six): about 1 if the stated deviations are right.
     pub reduced_chi_square: f64,
-    /// Ids of the markers all of whose rays fit, rising.
+    /// Ids of the markers more than half of whose rays fit, rising.
     pub inlier_markers: Vec<u32>,
-    /// Rays of those markers.
+    /// Rays of those markers that fit.
     pub inlier_corners: usize,
     /// Usable rays there were in all.
     pub corners: usize,

@@ -2,8 +2,8 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
-#[path = "../tests/drawn/mod.rs"]
-mod drawn;
+#[path = "../tests/drawn_body/mod.rs"]
+mod drawn_body;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use flockeye_geometry::body::squares;
@@ -15,7 +15,7 @@ const PIXELS_PER_RADIAN: f64 = 611.0;
 
 fn tracked(criterion: &mut Criterion) {
     let body = squares("alpha", 0.0625, 0.05, 0);
-    let prints = drawn::prints();
+    let prints = drawn_body::prints();
     let print = BodyPrint::new(&body, |id| prints.get(&id)).expect("all are there");
     let light = LinearLight::new(TransferCurve::Srgb, CodeRange::Full).expect("a curve");
     let mut group = criterion.benchmark_group("align a tracked body");
@@ -26,7 +26,7 @@ fn tracked(criterion: &mut Criterion) {
         );
         // As gaze views are: magnified until a marker has 80 px, three times at most.
         let magnification = (80.0 / (0.05 / range_m * PIXELS_PER_RADIAN)).clamp(1.0, 3.0);
-        let drawing = drawn::draw(
+        let drawing = drawn_body::draw(
             &body,
             &truth,
             PIXELS_PER_RADIAN * magnification,

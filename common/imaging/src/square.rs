@@ -39,6 +39,11 @@ impl SquareInView {
         Some(Self { view_from_square, square_from_view })
     }
 
+    /// The map itself, of homogeneous points.
+    pub(crate) fn view_from_square(&self) -> &Matrix3<f64> {
+        &self.view_from_square
+    }
+
     /// Where the view sees the point (`u`, `v`) of the square's plane.
     pub fn at(&self, u: f64, v: f64) -> ViewPixel {
         ViewPixel(mapped(&self.view_from_square, Vector2::new(u, v)))

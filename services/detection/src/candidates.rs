@@ -1,51 +1,92 @@
-//! Squares in a view, as OpenCV's ArUco finds them.
+//! Squares in a view.
+//!
+//! As OpenCV's ArUco finds them: what is darker than its surroundings is followed round, and outlines
+//! that are nearly quadrilaterals are squares. But OpenCV loses a square that touches something
+//! dark by one corner: there its outline runs on. [`crate::three_corners`] completes those.
 
 use std::ffi::c_void;
 
-use flockeye_dictionary::Dictionary;
 use flockeye_geometry::view::ViewPixel;
 use flockeye_imaging::image::LumaImage;
-use opencv::aruco::{self, CORNER_REFINE_NONE, DetectorParameters as CvParameters};
+use nalgebra::Vector2;
 use opencv::boxed_ref::BoxedRef;
-use opencv::core::{CV_8UC1, Mat, Point2f, Ptr, Vector};
-use opencv::prelude::*;
+use opencv::core::{CV_8UC1, Mat, Point, Vector};
+use opencv::imgproc::{
+    ADAPTIVE_THRESH_MEAN_C, CHAIN_APPROX_NONE, RETR_LIST, THRESH_BINARY_INV, adaptive_threshold,
+    approx_poly_dp, find_contours,
+};
 
-use crate::{DetectError, DetectorParameters, Threshold};
+use crate::{DetectError, DetectorParameters, three_corners};
 
-/// A contour of a square with sides of s pixels has at least this many: those of a square on its
+/// The outline of a square with sides of s pixels has at least this many: those of a square on its
 /// corner, whose pixels join by their corners (4 s / sqrt 2), less some for what blur takes away.
-const CONTOUR_PER_SIDE: f64 = 2.4;
+const OUTLINE_PER_SIDE: f64 = 2.4;
+
+/// Outlines longer than this many times the sides of the view belong to no square in it.
+const MAX_OUTLINE: f64 = 4.0;
+
+/// Corners nearer to each other than this share of the outline make no square.
+const MIN_SIDE: f64 = 0.05;
+
+/// Squares nearer to the image's border have no quiet zone in it, pixels.
+const MIN_TO_BORDER_PX: f64 = 1.0;
 
 /// A convex quadrilateral that is dark inside, clockwise from any of its corners.
 pub type Quad = [ViewPixel; 4];
 
-/// Every quadrilateral in `image`, whether OpenCV could read a marker in it or not.
+/// The squares in an image.
+#[derive(Debug, Default)]
+pub struct Candidates {
+    /// Outlines that are quadrilaterals.
+    pub whole: Vec<Quad>,
+    /// Those of which three corners are seen, and the fourth is where it should be.
+    pub completed: Vec<Quad>,
+}
+
+/// Every quadrilateral in `image`, whatever is printed in it.
 ///
 /// # Errors
 /// What OpenCV says.
 pub fn find(
     image: &LumaImage<'_>,
-    dictionary: &Dictionary,
     parameters: &DetectorParameters,
-) -> Result<Vec<Quad>, DetectError> {
+) -> Result<Candidates, DetectError> {
     let mat = borrow(image)?;
-    let mut quads = Vec::new();
+    let mut found = Candidates::default();
+    let mut dark = Mat::default();
+    let mut polygon = Vector::<Point>::new();
+    let shortest = (OUTLINE_PER_SIDE * parameters.min_side_px) as usize;
+    let longest = (MAX_OUTLINE * image.width().max(image.height()) as f64) as usize;
     for threshold in &parameters.thresholds {
-        let mut decoded = Vector::<Vector<Point2f>>::new();
-        let mut ids = Vector::<i32>::new();
-        let mut rejected = Vector::<Vector<Point2f>>::new();
-        let opencv = opencv_parameters(image, parameters, *threshold)?;
-        aruco::detect_markers(
+        adaptive_threshold(
             &mat,
-            dictionary.opencv(),
-            &mut decoded,
-            &mut ids,
-            &opencv,
-            &mut rejected,
+            &mut dark,
+            255.0,
+            ADAPTIVE_THRESH_MEAN_C,
+            THRESH_BINARY_INV,
+            threshold.window_px,
+            threshold.darker_by,
         )?;
-        quads.extend(decoded.iter().chain(&rejected).filter_map(|quad| quad_of(&quad)));
+        let mut outlines = Vector::<Vector<Point>>::new();
+        find_contours(&dark, &mut outlines, RETR_LIST, CHAIN_APPROX_NONE, Point::new(0, 0))?;
+        for outline in &outlines {
+            if !(shortest..=longest).contains(&outline.len()) {
+                continue;
+            }
+            let length = outline.len() as f64;
+            approx_poly_dp(&outline, &mut polygon, length * parameters.polygon_accuracy, true)?;
+            if let Some(quad) = quad_of(&polygon, MIN_SIDE * length, image) {
+                found.whole.push(quad);
+                continue;
+            }
+            approx_poly_dp(&outline, &mut polygon, parameters.corner_accuracy_px, true)?;
+            let corners: Vec<Vector2<f64>> = polygon.iter().map(point).collect();
+            let completed = three_corners::complete(&corners, parameters.min_side_px)
+                .filter(|quad| three_corners::is_dark_inside(image, quad, threshold.darker_by));
+            found.completed.extend(completed);
+        }
     }
-    Ok(quads)
+    Ok(found)
 }
 
 /// The image as OpenCV's matrix, without a copy.
@@ -66,28 +107,34 @@ fn borrow<'a>(image: &LumaImage<'a>) -> Result<BoxedRef<'a, Mat>, DetectError> {
     Ok(mat.into())
 }
 
-/// A new set each time: OpenCV writes into what it is given.
-fn opencv_parameters(
-    image: &LumaImage<'_>,
-    parameters: &DetectorParameters,
-    threshold: Threshold,
-) -> Result<Ptr<CvParameters>, DetectError> {
-    let mut opencv = CvParameters::create()?;
-    let size = image.width().max(image.height()) as f64;
-    opencv.set_adaptive_thresh_win_size_min(threshold.window_px);
-    opencv.set_adaptive_thresh_win_size_max(threshold.window_px);
-    opencv.set_adaptive_thresh_constant(threshold.darker_by);
-    opencv.set_min_marker_perimeter_rate(CONTOUR_PER_SIDE * parameters.min_side_px / size);
-    opencv.set_polygonal_approx_accuracy_rate(parameters.polygon_accuracy);
-    opencv.set_min_distance_to_border(1);
-    opencv.set_corner_refinement_method(CORNER_REFINE_NONE);
-    Ok(opencv)
+fn point(point: Point) -> Vector2<f64> {
+    Vector2::new(f64::from(point.x), f64::from(point.y))
 }
 
-fn quad_of(corners: &Vector<Point2f>) -> Option<Quad> {
-    let corner = |k| {
-        let point = corners.get(k).ok()?;
-        Some(ViewPixel::new(f64::from(point.x), f64::from(point.y)))
+/// The polygon, if it is a convex quadrilateral with sides of at least `min_side_px` that keeps off
+/// the image's border; clockwise.
+fn quad_of(polygon: &Vector<Point>, min_side_px: f64, image: &LumaImage<'_>) -> Option<Quad> {
+    if polygon.len() != 4 {
+        return None;
+    }
+    let mut corners = [Vector2::zeros(); 4];
+    for (corner, at) in corners.iter_mut().zip(polygon) {
+        *corner = point(at);
+    }
+    let turn = |k: usize| {
+        let (a, b, c) = (corners[k], corners[(k + 1) % 4], corners[(k + 2) % 4]);
+        (b - a).perp(&(c - b))
     };
-    Some([corner(0)?, corner(1)?, corner(2)?, corner(3)?])
+    let is_convex = (0..4).all(|k| turn(k) > 0.0) || (0..4).all(|k| turn(k) < 0.0);
+    let apart = (0..4).flat_map(|a| (0..a).map(move |b| (a, b)));
+    let is_large = apart.map(|(a, b)| (corners[a] - corners[b]).norm()).all(|d| d >= min_side_px);
+    let last = [image.width(), image.height()].map(|size| size as f64 - 1.0 - MIN_TO_BORDER_PX);
+    let is_inside = corners
+        .iter()
+        .all(|corner| (0..2).all(|k| (MIN_TO_BORDER_PX..=last[k]).contains(&corner[k])));
+    // Where y points down, a turn to the right is positive.
+    if turn(0) < 0.0 {
+        corners.reverse();
+    }
+    (is_convex && is_large && is_inside).then(|| corners.map(ViewPixel))
 }

@@ -6,21 +6,21 @@ use flockeye_dictionary::Dictionary;
 use flockeye_geometry::Ray;
 use flockeye_geometry::mask::Mask;
 use flockeye_geometry::view::{View, ViewPixel};
-use flockeye_imaging::edges::{RefinedCorners, approach_corners, refine_corners};
+use flockeye_imaging::edges::{Grain, RefinedCorners, approach_corners, refine_corners};
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::LinearLight;
 use flockeye_imaging::square::mean_side_px;
 use nalgebra::Vector2;
 
 use crate::DetectError;
-use crate::candidates::{self, Quad};
+use crate::candidates::{self, Candidates, Quad};
 use crate::reading::{Decoded, Reader, Reading};
 
 /// Images with a shorter side hold no marker, pixels.
 const MIN_IMAGE_PX: usize = 16;
 
 /// Standard deviation of a corner whose edges could not be fitted, pixels: something covers them, and
-/// contours are off by a pixel or three there.
+/// outlines are off by a pixel or three there.
 const UNREFINED_PX: f64 = 2.0;
 
 /// A pixel is dark if it is darker than its surroundings.
@@ -31,6 +31,13 @@ pub struct Threshold {
     /// By how much it must be darker, code values.
     pub darker_by: f64,
 }
+
+/// Doubtful markers in one view.
+pub const MAX_DOUBTFUL: usize = 4;
+
+/// Correlation with an expected marker from which on a square is offered as doubtful: the best of
+/// some forty markers has about 0.5 with random cells.
+const MIN_GUESS: f32 = 0.65;
 
 /// Markers blurred by more cells than this do not decode; texture that does is smoother.
 const MAX_BLUR_CELLS: f64 = 0.75;
@@ -49,8 +56,10 @@ pub struct DetectorParameters {
     /// Local thresholds that squares are looked for with: each one finds some that the others lose
     /// (where a marker's shadow side joins what is dark beside it, say), and costs another pass.
     pub thresholds: Vec<Threshold>,
-    /// How far a contour may deviate from a quadrilateral, as a share of its length.
+    /// How far an outline may deviate from a quadrilateral, as a share of its length.
     pub polygon_accuracy: f64,
+    /// How far an outline may deviate from one that has three of a square's corners, pixels.
+    pub corner_accuracy_px: f64,
     /// Correlation of the cells with those of the marker, blurred, from which on it is believed.
     pub min_agreement: f32,
     /// Logarithm of the likelihood ratio to the next id from which on it is believed.
@@ -69,6 +78,7 @@ impl Default for DetectorParameters {
                 Threshold { window_px: 61, darker_by: 10.0 },
             ],
             polygon_accuracy: 0.05,
+            corner_accuracy_px: 2.0,
             min_agreement: 0.85,
             min_certainty: 10.0,
             min_quiet_zone: 0.2,
@@ -87,10 +97,13 @@ pub struct Found {
     pub rays_in_camera: [Ray; 4],
     /// Standard deviation of each ray across itself, radians.
     pub deviations_rad: [f64; 4],
-    /// Whether the corners are those of fitted edges (or only of the contour).
+    /// Whether the corners are those of the fitted print (or only of the outline).
     pub is_refined: bool,
     /// Correlation of its cells with those of the marker: 1 is perfect.
     pub agreement: f32,
+    /// Whether it is only a square that is probably this marker: good to start from, and to be
+    /// confirmed by something else.
+    pub is_doubtful: bool,
 }
 
 /// Finds the markers of one dictionary.
@@ -99,6 +112,9 @@ pub struct Detector {
     reader: Reader,
     parameters: DetectorParameters,
     mask: Option<Mask>,
+    /// Ids that a doubtful square may be taken for.
+    expected: Vec<u32>,
+    grain: Grain,
 }
 
 impl Detector {
@@ -111,7 +127,14 @@ impl Detector {
         use_one_thread()?;
         let dictionary = Dictionary::load(dictionary)?;
         let reader = Reader::new(&dictionary);
-        Ok(Self { dictionary, reader, parameters, mask: None })
+        let grain = Grain::Pixels;
+        Ok(Self { dictionary, reader, parameters, mask: None, expected: Vec::new(), grain })
+    }
+
+    /// Offers squares that do not decode as doubtful markers, if they look like one of these.
+    pub fn with_expected(self, ids: impl IntoIterator<Item = u32>) -> Self {
+        let known = ids.into_iter().filter(|&id| self.dictionary.print(id).is_some());
+        Self { expected: known.collect(), ..self }
     }
 
     /// Leaves out squares on what `mask` hides.
@@ -135,7 +158,15 @@ impl Detector {
         Ok(())
     }
 
-    /// Every marker in `image`, which shows what `view` says; by rising id, each id once.
+    /// From now on images are views cut from others, with so many pixels for each of theirs along
+    /// either axis.
+    pub fn set_magnification(&mut self, magnification: f64) {
+        self.grain = Grain::Resampled { magnification };
+        self.parameters.corner_accuracy_px = 1.0 + magnification.max(1.0);
+    }
+
+    /// Every marker in `image`, which shows what `view` says; by rising id, each id once. Behind
+    /// them at most [`MAX_DOUBTFUL`] doubtful ones of other ids, the best first.
     ///
     /// # Errors
     /// What OpenCV says. A view without markers, however small or empty, is none.
@@ -148,29 +179,35 @@ impl Detector {
         if image.width().min(image.height()) < MIN_IMAGE_PX {
             return Ok(Vec::new());
         }
-        let quads = candidates::find(image, &self.dictionary, &self.parameters)?;
+        let Candidates { whole, completed } = candidates::find(image, &self.parameters)?;
         let mut found: Vec<Found> = Vec::new();
-        for quad in &quads {
-            if !self.is_hidden(view, quad)
-                && !found.iter().any(|marker| is_contour_of(marker, quad))
+        let mut doubtful: Vec<Found> = Vec::new();
+        for quad in whole.iter().chain(&completed) {
+            if self.is_hidden(view, quad) || found.iter().any(|marker| is_outline_of(marker, quad))
             {
-                found.extend(self.read(image, view, light, quad));
+                continue;
+            }
+            match self.read(image, view, light, quad) {
+                Some(marker) if marker.is_doubtful => doubtful.push(marker),
+                Some(marker) => found.push(marker),
+                None => {}
             }
         }
-        // One square may have several contours; nobody prints an id twice.
+        // One square may have several outlines; nobody prints an id twice.
         found.sort_by(|a, b| a.id.cmp(&b.id).then(b.agreement.total_cmp(&a.agreement)));
         found.dedup_by_key(|marker| marker.id);
+        add_doubtful(&mut found, doubtful);
         Ok(found)
     }
 
     /// Whether a quadrilateral's middle lies on the own airframe, or where no lens sees.
     fn is_hidden(&self, view: &View, quad: &Quad) -> bool {
         let Some(mask) = &self.mask else { return false };
-        let middle = quad.iter().map(|corner| corner.0).sum::<Vector2<f64>>() / 4.0;
-        mask.hides(&view.ray(ViewPixel(middle)))
+        mask.hides(&view.ray(ViewPixel(middle(quad))))
     }
 
-    /// The marker in a quadrilateral, if there is one to be believed.
+    /// The marker in a quadrilateral, if there is one to be believed, or else the one that it looks
+    /// most like, if it looks like any.
     fn read(
         &self,
         image: &LumaImage<'_>,
@@ -178,63 +215,73 @@ impl Detector {
         light: &LinearLight,
         quad: &Quad,
     ) -> Option<Found> {
-        let cells = self.dictionary.bits() + 2;
-        let near = approach_corners(image, light, quad, cells)?;
+        let near = approach_corners(image, light, quad, self.dictionary.bits() + 2)?;
         if mean_side_px(&near) < self.parameters.min_side_px {
             return None;
         }
-        let decoded = self.decode(image, light, &near)?;
+        let reading = self.reading(image, light, &near)?;
+        self.marker(image, view, light, &near, &reading)
+            .or_else(|| self.doubtful(view, &near, &reading))
+    }
+
+    /// The marker in a square, if there is one to be believed.
+    fn marker(
+        &self,
+        image: &LumaImage<'_>,
+        view: &View,
+        light: &LinearLight,
+        near: &Quad,
+        reading: &Reading,
+    ) -> Option<Found> {
+        let decoded = self.reader.decode(reading)?;
         if !self.is_worth_fitting(&decoded) {
             return None;
         }
-        let corners = turned(&near, decoded.first_corner);
+        let corners = turned(near, decoded.first_corner);
         let print = self.dictionary.print(decoded.id)?;
-        let mut refined = refine_corners(image, light, &corners, print);
+        let mut refined = refine_corners(image, light, &corners, print, self.grain);
         if refined.is_none() && self.is_beyond_doubt(&decoded) {
             refined = (0..4)
                 .map(|k| with_corner_opposite(&corners, k))
-                .find_map(|guess| refine_corners(image, light, &guess, print));
+                .find_map(|guess| refine_corners(image, light, &guess, print, self.grain));
         }
         let (corners_in_view, deviations_px) = match refined {
             Some(refined) => (refined.corners_in_view, refined.deviations_px),
             None => (corners, [UNREFINED_PX; 4]),
         };
         // What reads well only where the corners were guessed is no marker.
-        let confirmed = self.decode(image, light, &corners_in_view)?;
+        let confirmed = self.reader.decode(&self.reading(image, light, &corners_in_view)?)?;
         let is_same = (confirmed.id, confirmed.first_corner) == (decoded.id, 0);
         let is_believed = match refined {
             Some(refined) => self.is_marker(&confirmed) && self.looks_printed(&refined),
             None => self.is_beyond_doubt(&confirmed),
         };
-        if !(is_same && is_believed) {
-            return None;
-        }
-        let rays_in_camera = corners_in_view.map(|corner| view.ray(corner));
-        let deviations_rad = std::array::from_fn(|k| {
-            deviations_px[k].min(UNREFINED_PX) * radians_per_pixel(view, corners_in_view[k])
-        });
-        Some(Found {
-            id: decoded.id,
-            corners_in_view,
-            rays_in_camera,
-            deviations_rad,
+        (is_same && is_believed).then(|| Found {
             is_refined: refined.is_some(),
             agreement: confirmed.agreement,
+            ..seen(view, decoded.id, corners_in_view, deviations_px)
         })
     }
 
-    /// What is printed in a square that has a quiet zone.
-    fn decode(
+    /// The expected marker that a square looks most like.
+    fn doubtful(&self, view: &View, near: &Quad, reading: &Reading) -> Option<Found> {
+        let guessed = self.reader.decode_among(reading, &self.expected)?;
+        (guessed.agreement >= MIN_GUESS).then(|| Found {
+            agreement: guessed.agreement,
+            is_doubtful: true,
+            ..seen(view, guessed.id, turned(near, guessed.first_corner), [UNREFINED_PX; 4])
+        })
+    }
+
+    /// The cells of a square that has a quiet zone.
+    fn reading(
         &self,
         image: &LumaImage<'_>,
         light: &LinearLight,
         corners: &Quad,
-    ) -> Option<Decoded> {
-        let reading = Reading::new(image, light, corners, self.dictionary.bits())?;
-        if reading.quiet_zone() < self.parameters.min_quiet_zone {
-            return None;
-        }
-        self.reader.decode(&reading)
+    ) -> Option<Reading> {
+        Reading::new(image, light, corners, self.dictionary.bits())
+            .filter(|reading| reading.quiet_zone() >= self.parameters.min_quiet_zone)
     }
 
     /// Where corners were guessed, cells are read beside their middles.
@@ -262,8 +309,43 @@ impl Detector {
     }
 }
 
-/// Whether a quadrilateral is another contour of a marker that is known already.
-fn is_contour_of(marker: &Found, quad: &Quad) -> bool {
+/// A marker that `view` sees at these corners.
+fn seen(view: &View, id: u32, corners_in_view: Quad, deviations_px: [f64; 4]) -> Found {
+    Found {
+        id,
+        corners_in_view,
+        rays_in_camera: corners_in_view.map(|corner| view.ray(corner)),
+        deviations_rad: std::array::from_fn(|k| {
+            deviations_px[k].min(UNREFINED_PX) * radians_per_pixel(view, corners_in_view[k])
+        }),
+        is_refined: false,
+        agreement: 0.0,
+        is_doubtful: false,
+    }
+}
+
+/// Adds the best of the doubtful ones: each id once, none that was found for sure, none where
+/// another marker is.
+fn add_doubtful(found: &mut Vec<Found>, mut doubtful: Vec<Found>) {
+    doubtful.sort_by(|a, b| b.agreement.total_cmp(&a.agreement).then(a.id.cmp(&b.id)));
+    let most = found.len() + MAX_DOUBTFUL;
+    for marker in doubtful {
+        let is_new = found.iter().all(|known| {
+            let apart = middle(&known.corners_in_view) - middle(&marker.corners_in_view);
+            known.id != marker.id && apart.norm() > 0.3 * mean_side_px(&known.corners_in_view)
+        });
+        if is_new && found.len() < most {
+            found.push(marker);
+        }
+    }
+}
+
+fn middle(corners: &Quad) -> Vector2<f64> {
+    corners.iter().map(|corner| corner.0).sum::<Vector2<f64>>() / 4.0
+}
+
+/// Whether a quadrilateral is another outline of a marker that is known already.
+fn is_outline_of(marker: &Found, quad: &Quad) -> bool {
     let near = 2.0 + 0.05 * mean_side_px(&marker.corners_in_view);
     marker.is_refined
         && marker
@@ -272,7 +354,7 @@ fn is_contour_of(marker: &Found, quad: &Quad) -> bool {
             .all(|corner| quad.iter().any(|other| (other.0 - corner.0).norm() < near))
 }
 
-/// The corners with corner `k` where the other three, as a parallelogram, want it: contours lose a
+/// The corners with corner `k` where the other three, as a parallelogram, want it: outlines lose a
 /// corner where something dark touches it.
 fn with_corner_opposite(corners: &Quad, k: usize) -> Quad {
     let mut completed = *corners;
@@ -314,6 +396,12 @@ fn check(parameters: &DetectorParameters) -> Result<(), DetectError> {
             parameters.polygon_accuracy,
             parameters.polygon_accuracy > 0.0 && parameters.polygon_accuracy < 0.2,
             "between 0 and 0.2",
+        ),
+        (
+            "corner_accuracy_px",
+            parameters.corner_accuracy_px,
+            parameters.corner_accuracy_px > 0.0,
+            "above 0",
         ),
         (
             "min_agreement",

@@ -1,23 +1,26 @@
 //! Finds decoded markers in a view.
 //!
-//! OpenCV's ArUco says where squares are ([`candidates`]); what is printed in them is read in linear
+//! Outlines of what is dark say where squares are ([`candidates`]); what is printed in them is read in linear
 //! light and compared with the dictionary's markers as a lens would blur them ([`reading`]); and the
-//! corners are those of the edges fitted to the light ([`flockeye_imaging::edges`]), because
+//! corners are those of the print fitted to the light ([`flockeye_imaging::edges`]), because
 //! OpenCV's lie inside the true square by up to 0.85 px. [`Detector`] puts the three together.
 //!
 //! OpenCV's own decoding takes the nearest pixel of each cell's middle, so that a blurred marker is
 //! lost below some 20 px, and it does not look at the white round the square at all, so that texture
-//! with the right bits passes. Here squares that OpenCV could not decode are read as well, and none
-//! passes without its quiet zone.
+//! with the right bits passes. Here none passes without its quiet zone. docs/DETECTION.md says what
+//! is found, and how it compares.
 
 pub mod candidates;
 mod detector;
+mod plausible;
 mod reading;
 pub mod stage;
+mod three_corners;
 
 use flockeye_dictionary::DictionaryError;
 
-pub use detector::{Detector, DetectorParameters, Found, Threshold, use_one_thread};
+pub use detector::{Detector, DetectorParameters, Found, MAX_DOUBTFUL, Threshold, use_one_thread};
+pub use plausible::keep_plausible;
 
 /// Why a detector could not be had, or a view not be searched.
 #[derive(Debug, thiserror::Error)]

@@ -104,7 +104,7 @@ impl Reading {
 pub(crate) struct Reader {
     bits: usize,
     /// For each blur, the inner cells of all markers one after the other, with mean 0 and norm 1.
-    templates: Vec<Vec<f32>>,
+    templates: [Vec<f32>; BLURS_CELLS.len()],
 }
 
 impl Reader {
@@ -120,11 +120,25 @@ impl Reader {
             }
             cells
         });
-        Self { bits, templates: templates.into() }
+        Self { bits, templates }
     }
 
     /// The marker that a reading looks most like. `None` for a reading without contrast.
     pub(crate) fn decode(&self, reading: &Reading) -> Option<Decoded> {
+        let count = self.templates[0].len() / (self.bits * self.bits);
+        self.most_like(reading, 0..count as u32)
+    }
+
+    /// The same among these ids, all of the dictionary; its certainty is that among them.
+    pub(crate) fn decode_among(&self, reading: &Reading, ids: &[u32]) -> Option<Decoded> {
+        self.most_like(reading, ids.iter().copied())
+    }
+
+    fn most_like(
+        &self,
+        reading: &Reading,
+        ids: impl Iterator<Item = u32> + Clone,
+    ) -> Option<Decoded> {
         let mut best: Option<Decoded> = None;
         let mut runner_up: f32 = 0.0;
         let mut turned = reading.cells.clone();
@@ -133,7 +147,9 @@ impl Reader {
         }
         for first_corner in 0..4 {
             for templates in &self.templates {
-                for (id, template) in (0u32..).zip(templates.chunks_exact(turned.len())) {
+                for id in ids.clone() {
+                    let first = id as usize * turned.len();
+                    let template = &templates[first..first + turned.len()];
                     let agreement: f32 = template.iter().zip(&turned).map(|(a, b)| a * b).sum();
                     let is_same =
                         best.is_some_and(|best| (best.id, best.first_corner) == (id, first_corner));

@@ -1,24 +1,17 @@
 //! The ports around detection.
 
-use std::collections::BTreeMap;
-
-use anyhow::Context as _;
 use flockeye_contract::{
-    DetectedMarker, DetectionHeader, Detections, MAX_DETECTED_MARKERS, Range, Transfer, ViewHeader,
-    ViewKind, Views,
+    DetectedMarker, DetectionHeader, Detections, MAX_DETECTED_MARKERS, ViewHeader, ViewKind, Views,
 };
 use flockeye_geometry::body::Bodies;
-use flockeye_geometry::view::View;
-use flockeye_imaging::image::LumaImage;
-use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
-use flockeye_runtime::config::Response;
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::logs::Throttle;
 use flockeye_runtime::ports::{Message, Ports, Publisher, Subscriber};
 use flockeye_runtime::{Context, Stage, Step, clock};
-use nalgebra::{Quaternion, UnitQuaternion};
+use flockeye_viewing::{Lights, image_of, view_of};
 
 use crate::detector::{Detector, DetectorParameters, Found, Threshold, use_one_thread};
+use crate::keep_plausible;
 
 /// Markers in one record: as many as the topic has room for, and below the contract's limit.
 const MAX_MARKERS: usize = 64;
@@ -30,9 +23,7 @@ pub struct DetectionStage {
     detections: Publisher<Detections>,
     detector: Detector,
     bodies: Bodies,
-    lights: BTreeMap<(u32, u32, u32), LinearLight>,
-    /// The camera's own curve, where it was measured.
-    measured: Option<[f32; 256]>,
+    lights: Lights,
     /// The sphere image's own resolution.
     pixels_per_radian: f64,
     worker: u32,
@@ -54,19 +45,16 @@ impl Stage for DetectionStage {
         };
         context.counters.set_detail(bodies.dictionary.as_str());
         let pipeline = &context.pipeline;
-        let measured = match pipeline.camera.response {
-            Response::Table => Some(pipeline.response_table()?),
-            Response::Srgb | Response::Gamma | Response::Linear => None,
-        };
-        let detector = Detector::new(&bodies.dictionary, parameters)?.with_mask(pipeline.mask()?);
+        let detector = Detector::new(&bodies.dictionary, parameters)?
+            .with_mask(pipeline.mask()?)
+            .with_expected(bodies.iter().flat_map(|body| &body.markers).map(|marker| marker.id));
         detector.dictionary().check(&bodies)?;
         Ok(Self {
             views: ports.subscriber_of_lane(context.identity.replica as usize)?,
             detections: ports.publisher()?,
             detector,
             bodies,
-            lights: BTreeMap::new(),
-            measured,
+            lights: Lights::new(pipeline.measured_response()?)?,
             pixels_per_radian: context.pipeline.camera_model()?.pixels_per_radian(),
             worker: context.identity.replica,
             generation: context.identity.generation,
@@ -99,7 +87,8 @@ impl DetectionStage {
         });
         found.truncate(MAX_MARKERS);
         let markers: Vec<DetectedMarker> = found.iter().map(detected).collect();
-        let hits = found.iter().filter(|found| self.bodies.owner(found.id).is_some()).count();
+        let is_hit = |found: &&Found| !found.is_doubtful && self.bodies.owner(found.id).is_some();
+        let hits = found.iter().filter(is_hit).count();
         let sent_ns = clock::monotonic_ns();
         self.counters.add_latency_ns(sent_ns - received_ns);
         let record = DetectionHeader {
@@ -120,25 +109,12 @@ impl DetectionStage {
     }
 
     fn find(&mut self, header: &ViewHeader, pixels: &[u8]) -> anyhow::Result<Vec<Found>> {
-        let size = header.size_px as usize;
-        let image = LumaImage::new(pixels, size, size, header.stride as usize)?;
-        let [x, y, z, w] = header.camera_from_view;
-        let view = View {
-            camera_from_view: UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z)),
-            focal_px: header.focal_px,
-            size_px: header.size_px,
-        };
-        let key = (header.transfer, header.gamma.to_bits(), header.range);
-        if !self.lights.contains_key(&key) {
-            // A source that changes its curve with every frame must not fill the memory.
-            if self.lights.len() >= 8 {
-                self.lights.clear();
-            }
-            self.lights.insert(key, linear_light(header, self.measured.as_ref())?);
-        }
+        let (image, view) = (image_of(header, pixels)?, view_of(header));
         let magnification = header.focal_px / self.pixels_per_radian;
         self.detector.set_thresholds(thresholds(header.kind, magnification))?;
-        Ok(self.detector.detect(&image, &view, &self.lights[&key])?)
+        self.detector.set_magnification(magnification);
+        let found = self.detector.detect(&image, &view, self.lights.of(header)?)?;
+        Ok(keep_plausible(found, &self.bodies))
     }
 }
 
@@ -160,51 +136,12 @@ fn thresholds(kind: u32, magnification: f64) -> Vec<Threshold> {
         .collect()
 }
 
-/// The light that a view's codes stand for; `measured` is the configured table.
-fn linear_light(header: &ViewHeader, measured: Option<&[f32; 256]>) -> anyhow::Result<LinearLight> {
-    // Unknown codes were refused with the message; the defaults here are never taken.
-    let curve = match Transfer::try_from(header.transfer).unwrap_or(Transfer::Srgb) {
-        Transfer::Srgb => TransferCurve::Srgb,
-        Transfer::Gamma => TransferCurve::Gamma(header.gamma),
-        Transfer::Linear => TransferCurve::Linear,
-        Transfer::Table => {
-            let table = measured.context(
-                "its curve is a table, but the configuration has none. Cure: set camera.response \
-                 to table, and camera.response_table",
-            )?;
-            return Ok(LinearLight::from_table(*table)?);
-        }
-    };
-    let range = match Range::try_from(header.range).unwrap_or(Range::Full) {
-        Range::Full => CodeRange::Full,
-        Range::Limited => CodeRange::Limited,
-    };
-    Ok(LinearLight::new(curve, range)?)
-}
-
 fn detected(found: &Found) -> DetectedMarker {
     DetectedMarker {
         rays_in_camera: found.rays_in_camera.map(|ray| [ray.x, ray.y, ray.z]),
         deviations: found.deviations_rad,
         corners_in_view: found.corners_in_view.map(|corner| [corner.0.x as f32, corner.0.y as f32]),
         id: found.id,
-        reserved: 0,
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    #![allow(clippy::unwrap_used, clippy::expect_used)]
-    use super::*;
-
-    #[test]
-    fn a_measured_curve_is_taken_as_it_is() {
-        let header = ViewHeader { transfer: Transfer::Table.code(), ..ViewHeader::default() };
-        let table: [f32; 256] = std::array::from_fn(|code| (code as f32 / 255.0).sqrt());
-        let light = linear_light(&header, Some(&table)).unwrap();
-        assert_eq!(light, LinearLight::from_table(table).unwrap());
-        assert_ne!(light, LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap());
-        let message = linear_light(&header, None).unwrap_err().to_string();
-        assert!(message.contains("camera.response_table"), "{message}");
+        doubtful: u32::from(found.is_doubtful),
     }
 }

@@ -14,7 +14,7 @@ use flockeye_geometry::view::View;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
 use nalgebra::{Unit, Vector2, Vector3};
 use serde::Deserialize;
-use shared::{Picture, data};
+use shared::{Picture, data, partitions};
 
 #[derive(Deserialize)]
 struct Truth {
@@ -76,6 +76,7 @@ fn stills_near_the_observer() {
         .map(|line| serde_json::from_str(line).unwrap())
         .collect();
     let mut detector = Detector::new("DICT_5X5_250", DetectorParameters::default()).unwrap();
+    detector.set_magnification(2.0);
     let light = srgb();
     let mut tally = Tally::default();
     let mut pictures: BTreeMap<u32, Picture> = BTreeMap::new();
@@ -180,24 +181,6 @@ fn report(tally: &mut Tally) {
     );
 }
 
-/// Twelve views that cover the sphere: the faces of a dodecahedron.
-fn partitions(focal: f64) -> Vec<View> {
-    let golden = (1.0 + 5f64.sqrt()) / 2.0;
-    let mut views = Vec::new();
-    for a in [-1.0, 1.0] {
-        for b in [-golden, golden] {
-            for axis in [Vector3::new(0.0, a, b), Vector3::new(a, b, 0.0), Vector3::new(b, 0.0, a)]
-            {
-                let field = 75f64.to_radians();
-                let size = (2.0 * focal * (field / 2.0).tan()).ceil() as u32;
-                let direction = Unit::new_normalize(axis);
-                views.push(View::looking_at(&direction, field, size));
-            }
-        }
-    }
-    views
-}
-
 #[test]
 fn real_panoramas_hold_no_marker() {
     let Some(data) = data() else { return };
@@ -213,6 +196,7 @@ fn real_panoramas_hold_no_marker() {
             let picture = Picture::read(&data.join(file));
             let focal = picture.width as f64 / (2.0 * PI);
             for magnified in [1.0, 2.0] {
+                detector.set_magnification(magnified);
                 for view in partitions(magnified * focal) {
                     let cut = picture.cut(&view);
                     let found = detector.detect(&cut.image(), &view, &light).unwrap();

@@ -37,12 +37,14 @@ pub struct Sighting {
     pub markers: u32,
 }
 
-/// Rays of those of `markers` that `body` carries.
+/// Rays of those of `markers` that were decoded and that `body` carries.
 pub fn rays_of<'m>(
     body: &Body,
     markers: impl IntoIterator<Item = &'m DetectedMarker>,
 ) -> Vec<CornerRay> {
-    let own = markers.into_iter().filter(|marker| body.marker(marker.id).is_some());
+    let own = markers
+        .into_iter()
+        .filter(|marker| marker.is_decoded() && body.marker(marker.id).is_some());
     own.flat_map(|marker| {
         (0..4).map(|corner| CornerRay {
             marker_id: marker.id,

@@ -282,7 +282,10 @@ impl FusionStage {
                 let body = &self.swarm.neighbours()[*target].body;
                 let track = message::track(*target, known, body, &self.observer_from_camera);
                 let of_body = |record: &&&Record| {
-                    record.markers.iter().any(|marker| body.marker(marker.id).is_some())
+                    record
+                        .markers
+                        .iter()
+                        .any(|marker| marker.is_decoded() && body.marker(marker.id).is_some())
                 };
                 let last = records
                     .iter()

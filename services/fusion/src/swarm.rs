@@ -360,6 +360,7 @@ fn distinct_ids<'m>(
     markers: impl Iterator<Item = &'m DetectedMarker>,
     neighbour: &Neighbour,
 ) -> u32 {
-    let ids: BTreeSet<u32> = markers.map(|marker| marker.id).collect();
+    let decoded = markers.filter(|marker| marker.is_decoded());
+    let ids: BTreeSet<u32> = decoded.map(|marker| marker.id).collect();
     ids.iter().filter(|&&id| neighbour.body.marker(id).is_some()).count() as u32
 }

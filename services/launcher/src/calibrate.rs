@@ -79,7 +79,8 @@ fn find(configuration: Configuration, bodies: &Bodies) -> anyhow::Result<Vec<Bod
     let pipeline = configuration.load()?;
     let errand = Errand { keeps_rays: true, ..Errand::default() };
     let mut screen = Screen::new();
-    let flown = up::fly(&pipeline, &errand, &mut screen, &up::stopped_by_signals()?)?;
+    let stopping = up::stopped_by_signals()?;
+    let flown = up::fly(&pipeline, &errand, &mut screen, &stopping)?;
     let frames: Vec<Vec<CornerRay>> = flown.rays.frames.into_values().collect();
     let (mut found, mut refused) = (Vec::new(), None);
     for body in bodies.iter() {

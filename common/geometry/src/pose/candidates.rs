@@ -14,8 +14,8 @@ const DISTINCT: f64 = 0.02;
 /// or two where the rays leave a mirror image open.
 ///
 /// Rays of markers that the body does not have, rays that are no numbers, and corners seen twice are
-/// sorted out here ([`super::keep_sharpest`]). Up to 30 % of the markers may be misread where there
-/// are three or more. The same rays always give the same solutions.
+/// sorted out here ([`super::keep_sharpest`]). Where three or more markers are seen, up to 30 % of
+/// them may be misread, or 30 % of all corners be wrong. The same rays always give the same solutions.
 ///
 /// # Errors
 /// Too few rays, no whole marker, or nothing that fits: [`PoseError`].
@@ -29,31 +29,14 @@ pub fn solve(
     if usable < 4 {
         return Err(PoseError::TooFewRays { usable, given: rays.len() });
     }
-    let mut hypotheses: Vec<(f64, Isometry3<f64>)> = markers
-        .iter()
-        .filter_map(single_marker_poses)
-        .flatten()
-        .map(|pose| (rough_cost(&markers, &pose), pose))
-        .collect();
     if markers.iter().all(|marker| marker.sights.len() < 4) {
         return Err(PoseError::NoWholeMarker { markers: markers.len() });
     }
-    // A stable sort: equal ones stay in the order of their markers.
-    hypotheses.sort_by(|a, b| a.0.total_cmp(&b.0));
-
     let mut solutions: Vec<PoseSolution> = Vec::new();
-    let mut refined = 0;
-    for (_, start) in &hypotheses {
-        if refined >= options.refined_max.max(1) {
-            break;
-        }
-        // What starts where a solution already is would end there.
-        if solutions.iter().any(|known| is_near(&known.camera_from_markers, start, 2.0 * DISTINCT))
-        {
-            continue;
-        }
-        refined += 1;
-        keep_if_distinct(&mut solutions, refine_sighted(&markers, start, options));
+    refine_best(&mut solutions, &markers, whole_marker_poses, options);
+    // Where rays are left over, some of them are wrong, and whole markers may all hold one.
+    if cheapest(&solutions).is_none_or(|best| best.inlier_corners < usable) {
+        refine_best(&mut solutions, &markers, three_corner_poses, options);
     }
     // The mirror image of the whole set of the best's markers, which no single marker may show.
     if let Some(mirrored) = cheapest(&solutions).and_then(|best| mirror(&markers, best)) {
@@ -69,12 +52,56 @@ pub fn solve(
     Ok(solutions)
 }
 
-/// `camera_from_markers` of both mirror solutions of one marker seen whole.
-fn single_marker_poses(sighted: &SightedMarker<'_>) -> Option<[Isometry3<f64>; 2]> {
-    let [a, b, c, d] = sighted.sights.as_slice() else { return None };
-    let poses = ippe::square(sighted.marker.side(), &[a.ray, b.ray, c.ray, d.ray])?;
+/// Refines the hypotheses that agree best with all rays, and keeps what is new.
+fn refine_best(
+    solutions: &mut Vec<PoseSolution>,
+    markers: &[SightedMarker<'_>],
+    poses: fn(&SightedMarker<'_>) -> Vec<Isometry3<f64>>,
+    options: &PoseOptions,
+) {
+    let mut hypotheses: Vec<(f64, Isometry3<f64>)> =
+        markers.iter().flat_map(poses).map(|pose| (rough_cost(markers, &pose), pose)).collect();
+    // A stable sort: equal ones stay in the order of their markers.
+    hypotheses.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut refined = 0;
+    for (_, start) in &hypotheses {
+        if refined >= options.refined_max.max(1) {
+            break;
+        }
+        // What starts where a solution already is would end there.
+        let is_known =
+            |known: &PoseSolution| is_near(&known.camera_from_markers, start, 2.0 * DISTINCT);
+        if solutions.iter().any(is_known) {
+            continue;
+        }
+        refined += 1;
+        keep_if_distinct(solutions, refine_sighted(markers, start, options));
+    }
+}
+
+/// `camera_from_markers` of both mirror solutions of a marker seen whole.
+fn whole_marker_poses(sighted: &SightedMarker<'_>) -> Vec<Isometry3<f64>> {
+    let [a, b, c, d] = sighted.sights.as_slice() else { return Vec::new() };
+    poses_of(sighted, &[a.ray, b.ray, c.ray, d.ray])
+}
+
+/// The same, with one of the corners after the other put where the other three, as a parallelogram,
+/// want it.
+fn three_corner_poses(sighted: &SightedMarker<'_>) -> Vec<Isometry3<f64>> {
+    let [a, b, c, d] = sighted.sights.as_slice() else { return Vec::new() };
+    let rays = [a.ray, b.ray, c.ray, d.ray];
+    let completed = |k: usize| {
+        let mut completed = rays;
+        completed[k] = (rays[(k + 1) % 4] + rays[(k + 3) % 4] - rays[(k + 2) % 4]).normalize();
+        poses_of(sighted, &completed)
+    };
+    (0..4).flat_map(completed).collect()
+}
+
+fn poses_of(sighted: &SightedMarker<'_>, rays: &[Vector3<f64>; 4]) -> Vec<Isometry3<f64>> {
+    let Some(poses) = ippe::square(sighted.marker.side(), rays) else { return Vec::new() };
     let marker_from_markers = sighted.marker.markers_from_marker().inverse();
-    Some(poses.map(|camera_from_marker| camera_from_marker * marker_from_markers))
+    poses.iter().map(|camera_from_marker| camera_from_marker * marker_from_markers).collect()
 }
 
 fn cheapest(solutions: &[PoseSolution]) -> Option<&PoseSolution> {

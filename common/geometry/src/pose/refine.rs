@@ -3,7 +3,9 @@
 use nalgebra::{Isometry3, Matrix6};
 
 use super::rays::{CornerRay, Sight, SightedMarker, sighted};
-use super::residual::{cauchy, cost, error, facing, fits, moved, normal};
+use super::residual::{
+    Fitting, cauchy, cost, error, error_and_jacobian, facing, fitting, is_agreeing, moved, normal,
+};
 use super::{PoseError, PoseOptions, PoseSolution};
 use crate::body::Body;
 
@@ -34,30 +36,32 @@ pub fn refine(
         .ok_or(PoseError::NothingFits { markers: markers.len() })
 }
 
-/// First on all markers that roughly agree, errors within a fifth of a side counting fully; then on
+/// First on all rays that roughly agree, errors within a fifth of a side counting fully; then on
 /// those that fit, until these stay the same.
 pub(super) fn refine_sighted(
     markers: &[SightedMarker<'_>],
     start: &Isometry3<f64>,
     options: &PoseOptions,
 ) -> Option<PoseSolution> {
-    let roughly: Vec<bool> = markers.iter().map(|marker| roughly_fits(marker, start)).collect();
+    let roughly: Vec<Fitting> = markers.iter().map(|marker| roughly_fits(marker, start)).collect();
     let mut pose = *start;
     if count(markers, &roughly) >= 4 {
         pose = minimise(markers, &roughly, &pose, 8, |sight| {
             (COARSE_SIDE * sight.side).max(options.robust_scale)
         })?;
     }
-    let fitting = |pose: &Isometry3<f64>| -> Vec<bool> {
-        markers.iter().map(|marker| fits(marker, pose)).collect()
-    };
-    let mut inliers = fitting(&pose);
-    for _ in 0..4 {
+    let mut inliers: Vec<Fitting> =
+        markers.iter().map(|marker| fitting(marker, &pose, |sight| sight.gate)).collect();
+    for _ in 0..5 {
         if count(markers, &inliers) < 4 {
             return None;
         }
         pose = minimise(markers, &inliers, &pose, 30, |_| options.robust_scale)?;
-        let now = fitting(&pose);
+        let gate = options.gate_deviations * scatter(markers, &inliers, &pose);
+        let now: Vec<Fitting> = markers
+            .iter()
+            .map(|marker| fitting(marker, &pose, |sight| sight.gate.min(gate)))
+            .collect();
         if now == inliers {
             break;
         }
@@ -66,24 +70,37 @@ pub(super) fn refine_sighted(
     solution(markers, &inliers, pose, options)
 }
 
-/// Robust cost of all rays at a pose, in squared standard deviations: those of a marker that does
-/// not fit cost as much as at their gates.
+/// What the errors of these rays scatter, in stated deviations, and at least one: half of the errors
+/// of a Gaussian in two dimensions are below 1.18 deviations.
+fn scatter(markers: &[SightedMarker<'_>], inliers: &[Fitting], pose: &Isometry3<f64>) -> f64 {
+    let mut errors: Vec<f64> = chosen_sights(markers, inliers)
+        .filter_map(|sight| error(sight, pose))
+        .map(|error| error.norm())
+        .collect();
+    errors.sort_by(f64::total_cmp);
+    // A pose bends to a few rays: what is left of their errors is less than they are off.
+    let count = errors.len() as f64;
+    let bent = (2.0 * count / (2.0 * count - 6.0).max(2.0)).sqrt();
+    errors.get(errors.len() / 2).map_or(1.0, |error| (error / 1.177 * bent).max(1.0))
+}
+
+/// Robust cost of all rays at a pose, in squared standard deviations: those that do not fit cost as
+/// much as at their gates.
 pub(super) fn consensus_cost(
     markers: &[SightedMarker<'_>],
     pose: &Isometry3<f64>,
     options: &PoseOptions,
 ) -> f64 {
-    markers
-        .iter()
-        .map(|marker| {
-            let scale = options.robust_scale;
-            if fits(marker, pose) {
-                cost(marker.sights.iter(), pose, |_| scale)
-            } else {
-                marker.sights.iter().map(|sight| cauchy(sight.gate * sight.gate, scale)).sum()
-            }
-        })
-        .sum()
+    let scale = options.robust_scale;
+    let of_marker = |marker: &SightedMarker<'_>| -> f64 {
+        let fitting = fitting(marker, pose, |sight| sight.gate);
+        let of_sight = |(sight, fits): (&Sight, bool)| match error(sight, pose) {
+            Some(error) if fits => cauchy(error.norm_squared(), scale),
+            _ => cauchy(sight.gate * sight.gate, scale),
+        };
+        marker.sights.iter().zip(fitting).map(of_sight).sum()
+    };
+    markers.iter().map(of_marker).sum()
 }
 
 /// How badly a rough pose agrees with the rays, from 0 to 1 for each ray: errors are measured by the
@@ -106,29 +123,35 @@ pub(super) fn rough_cost(markers: &[SightedMarker<'_>], pose: &Isometry3<f64>) -
         .sum()
 }
 
-fn roughly_fits(marker: &SightedMarker<'_>, pose: &Isometry3<f64>) -> bool {
-    facing(marker, pose) > -0.2
-        && marker.sights.iter().all(|sight| {
-            error(sight, pose).is_some_and(|error| error.norm() < COARSE_GATE * sight.side)
-        })
+fn roughly_fits(marker: &SightedMarker<'_>, pose: &Isometry3<f64>) -> Fitting {
+    let mut roughly = [false; 4];
+    if facing(marker, pose) > -0.2 {
+        for (fits, sight) in roughly.iter_mut().zip(&marker.sights) {
+            *fits = error(sight, pose).is_some_and(|error| error.norm() < COARSE_GATE * sight.side);
+        }
+    }
+    if is_agreeing(marker, &roughly) { roughly } else { [false; 4] }
 }
 
-fn count(markers: &[SightedMarker<'_>], chosen: &[bool]) -> usize {
+fn count(markers: &[SightedMarker<'_>], chosen: &[Fitting]) -> usize {
     chosen_sights(markers, chosen).count()
 }
 
 fn chosen_sights<'a>(
     markers: &'a [SightedMarker<'_>],
-    chosen: &'a [bool],
+    chosen: &'a [Fitting],
 ) -> impl Iterator<Item = &'a Sight> + Clone {
-    markers.iter().zip(chosen).filter(|&(_, &chosen)| chosen).flat_map(|(marker, _)| &marker.sights)
+    let pairs = markers
+        .iter()
+        .zip(chosen)
+        .flat_map(|(marker, fitting)| marker.sights.iter().zip(fitting).filter(|&(_, &fits)| fits));
+    pairs.map(|(sight, _)| sight)
 }
 
-/// Levenberg-Marquardt (Marquardt's scaling by the diagonal) on the robust cost of the chosen
-/// markers.
+/// Levenberg-Marquardt (Marquardt's scaling by the diagonal) on the robust cost of the chosen rays.
 fn minimise(
     markers: &[SightedMarker<'_>],
-    chosen: &[bool],
+    chosen: &[Fitting],
     start: &Isometry3<f64>,
     iterations: usize,
     scale: impl Fn(&Sight) -> f64 + Copy,
@@ -171,7 +194,7 @@ fn minimise(
 /// What a refined pose says of itself; `None` if no marker fits or the rays leave it open.
 fn solution(
     markers: &[SightedMarker<'_>],
-    inliers: &[bool],
+    inliers: &[Fitting],
     pose: Isometry3<f64>,
     options: &PoseOptions,
 ) -> Option<PoseSolution> {
@@ -180,16 +203,19 @@ fn solution(
     if inlier_corners < 4 {
         return None;
     }
-    let matrix = normal(sights.clone(), &pose, |_| options.robust_scale)?.matrix;
-    let covariance: Matrix6<f64> = matrix.cholesky()?.inverse();
+    // Four rays or more: at least two degrees of freedom.
+    let freedom = (2 * inlier_corners - 6) as f64;
+    // A pose bends to its rays, so that what is weighed of their errors is less than these are.
+    let bent = (freedom / (2 * inlier_corners) as f64).sqrt();
+    let covariance = covariance(sights.clone(), &pose, options.robust_scale / bent)?;
     if !covariance.iter().chain(pose.translation.vector.iter()).all(|x| x.is_finite()) {
         return None;
     }
     let squares: f64 =
         sights.filter_map(|sight| error(sight, &pose)).map(|error| error.norm_squared()).sum();
-    // Four rays or more: at least two degrees of freedom.
-    let freedom = (2 * inlier_corners - 6) as f64;
-    let fitting = || markers.iter().zip(inliers).filter(|&(_, &inlier)| inlier);
+    let agreeing =
+        |&(marker, fitting): &(&SightedMarker<'_>, &Fitting)| is_agreeing(marker, fitting);
+    let fitting = || markers.iter().zip(inliers).filter(agreeing);
     Some(PoseSolution {
         camera_from_markers: pose,
         covariance,
@@ -200,4 +226,36 @@ fn solution(
         corners: markers.iter().map(|marker| marker.sights.len()).sum(),
         faces_camera: fitting().all(|(marker, _)| facing(marker, &pose) > 0.0),
     })
+}
+
+/// Covariance of the pose that minimises the robust cost of these rays, if their errors are Gaussian
+/// as stated: `(J^T J)^-1` times what the weights lose (P. Huber, Robust Statistics, 1981, 6.3), the
+/// mean of the squared influence over the squared mean of its slope.
+fn covariance<'a>(
+    sights: impl Iterator<Item = &'a Sight>,
+    pose: &Isometry3<f64>,
+    scale: f64,
+) -> Option<Matrix6<f64>> {
+    let mut matrix = Matrix6::zeros();
+    for sight in sights {
+        let (_, jacobian) = error_and_jacobian(sight, pose)?;
+        matrix += jacobian.transpose() * jacobian;
+    }
+    Some(matrix.cholesky()?.inverse() * loss(scale))
+}
+
+/// By how much Cauchy's cost of this scale loses to least squares on errors of two dimensions and a
+/// deviation of one: 1.03 for a scale of 3.
+fn loss(scale: f64) -> f64 {
+    const PARTS: u32 = 64;
+    let (mut influence, mut slope) = (0.0, 0.0);
+    for part in 0..PARTS {
+        // The squared error is distributed exponentially, with a mean of 2.
+        let below = (f64::from(part) + 0.5) / f64::from(PARTS);
+        let squared = -2.0 * (1.0 - below).ln();
+        let weight = 1.0 / (1.0 + squared / (scale * scale));
+        influence += weight * weight * squared / 2.0;
+        slope += weight - weight * weight * squared / (scale * scale);
+    }
+    influence * f64::from(PARTS) / (slope * slope)
 }

@@ -69,13 +69,30 @@ pub(super) fn facing(marker: &SightedMarker<'_>, camera_from_markers: &Isometry3
     centre.try_normalize(1e-9).map_or(-1.0, |direction| -normal.dot(&direction))
 }
 
-/// Whether the marker fits: its front is seen, or it is edge on, and each ray is within its gate.
-pub(super) fn fits(marker: &SightedMarker<'_>, camera_from_markers: &Isometry3<f64>) -> bool {
-    facing(marker, camera_from_markers) > -EDGE_ON
-        && marker.sights.iter().all(|sight| {
-            error(sight, camera_from_markers)
-                .is_some_and(|error| error.norm_squared() < sight.gate * sight.gate)
-        })
+/// Which rays of a marker fit: those within `gate` of it, if its front is seen, or it is edge on, and
+/// they are more than half of its rays. What few corners of a misread marker happen to lie right
+/// says nothing.
+pub(super) fn fitting(
+    marker: &SightedMarker<'_>,
+    camera_from_markers: &Isometry3<f64>,
+    gate: impl Fn(&Sight) -> f64,
+) -> Fitting {
+    let mut fitting = [false; 4];
+    if facing(marker, camera_from_markers) > -EDGE_ON {
+        for (fits, sight) in fitting.iter_mut().zip(&marker.sights) {
+            *fits = error(sight, camera_from_markers)
+                .is_some_and(|error| error.norm_squared() < gate(sight).powi(2));
+        }
+    }
+    if is_agreeing(marker, &fitting) { fitting } else { [false; 4] }
+}
+
+/// Which of a marker's rays fit, in their order.
+pub(super) type Fitting = [bool; 4];
+
+/// Whether more than half of a marker's rays fit.
+pub(super) fn is_agreeing(marker: &SightedMarker<'_>, fitting: &Fitting) -> bool {
+    2 * fitting.iter().filter(|&&fits| fits).count() > marker.sights.len()
 }
 
 /// The normal equations of the rays at a pose, robustly weighted.

@@ -167,27 +167,126 @@ proptest! {
     }
 }
 
+/// Mean squared Mahalanobis distances over runs, of the pose, its position, its rotation.
+#[derive(Default)]
+struct Consistency {
+    runs: f64,
+    sums: [f64; 3],
+}
+
+impl Consistency {
+    fn add(&mut self, pose: &nalgebra::Isometry3<f64>, found: &PoseSolution) {
+        let error = error(pose, &found.camera_from_markers);
+        let covariance = &found.covariance;
+        let part = |k: usize| {
+            let error = error.fixed_rows::<3>(k).into_owned();
+            let part = covariance.fixed_view::<3, 3>(k, k).into_owned();
+            error.dot(&part.cholesky().unwrap().solve(&error))
+        };
+        self.runs += 1.0;
+        let distances = [distance_squared(&error, covariance), part(0), part(3)];
+        for (sum, distance) in self.sums.iter_mut().zip(distances) {
+            *sum += distance;
+        }
+    }
+
+    /// That the means lie where 95 % of those of chi-square's do.
+    fn check(&self) {
+        let means = self.sums.map(|sum| sum / self.runs);
+        println!("{} runs: {means:.3?}", self.runs);
+        for (mean, freedom) in means.into_iter().zip([6.0, 3.0, 3.0f64]) {
+            let deviation = (2.0 * freedom / self.runs).sqrt();
+            assert!((mean - freedom).abs() < 1.96 * deviation, "{mean} +- {deviation}");
+        }
+    }
+}
+
 #[test]
 fn the_covariance_is_consistent() {
     let (mut chance, body) = (Chance::new(5), body());
-    let (mut runs, mut sum) = (0, 0.0);
-    while runs < 600 {
+    let mut consistency = Consistency::default();
+    while consistency.runs < 16000.0 {
         let range = chance.even(0.4, 2.5);
         let pose = chance.pose(range);
-        let markers = visible(&body, &pose, 0.25);
+        let markers = some_visible(&body, &pose, 3, &mut chance);
         if markers.len() < 3 {
             continue;
         }
         let rays: Vec<_> =
-            markers.iter().flat_map(|marker| see(marker, &pose, 5e-4, &mut chance)).collect();
+            markers.iter().flat_map(|marker| see(marker, &pose, 2e-4, &mut chance)).collect();
         let solutions = solve(&body, &rays, &PoseOptions::default()).unwrap();
-        let found = &solutions[0];
-        sum += distance_squared(&error(&pose, &found.camera_from_markers), &found.covariance);
-        runs += 1;
+        consistency.add(&pose, &solutions[0]);
     }
-    // Chi-square with 6 degrees averages 6; the robust weights make the covariance somewhat wide.
-    let mean = sum / f64::from(runs);
-    assert!((4.5..6.6).contains(&mean), "{mean}");
+    consistency.check();
+}
+
+#[test]
+fn a_third_of_wrong_corners_is_put_aside() {
+    let (mut chance, body) = (Chance::new(15), body());
+    let mut consistency = Consistency::default();
+    let (mut runs, mut right) = (0, 0);
+    while runs < 1500 {
+        let range = chance.even(0.4, 2.0);
+        let pose = chance.pose(range);
+        let markers = visible(&body, &pose, 0.25);
+        if markers.len() < 4 {
+            continue;
+        }
+        runs += 1;
+        let deviation = 0.15 / 611.0;
+        let mut rays: Vec<_> =
+            markers.iter().flat_map(|marker| see(marker, &pose, deviation, &mut chance)).collect();
+        // As where something covers a corner, and the edges of another thing cross.
+        let mut sound: Vec<usize> = (0..rays.len()).collect();
+        for _ in 0..rays.len() * 3 / 10 {
+            let wrong = sound.swap_remove(chance.even(0.0, sound.len() as f64) as usize);
+            let off = chance.direction().into_inner() * chance.even(0.3, 1.5) * 0.05 / range;
+            let ray = &mut rays[wrong].ray_in_camera;
+            *ray = Unit::new_normalize(ray.into_inner() + off);
+        }
+        let Ok(solutions) = solve(&body, &rays, &PoseOptions::default()) else { continue };
+        let found = &solutions[0];
+        if error(&pose, &found.camera_from_markers).fixed_rows::<3>(3).norm() < 0.2 {
+            right += 1;
+            consistency.add(&pose, found);
+        }
+    }
+    println!("{right} of {runs} right");
+    assert!(right * 100 >= runs * 98, "{right} of {runs}");
+    let mean = consistency.sums[0] / consistency.runs;
+    println!("mean squared distance {mean:.2}");
+    // Wrong corners that happen to lie nearly right are taken for right ones.
+    assert!(mean < 9.0, "{mean}");
+}
+
+/// Of two solutions the one meant, wherever the costs tell them apart.
+#[test]
+fn a_clear_choice_is_the_right_one() {
+    let (mut chance, body) = (Chance::new(25), body());
+    let (mut clear, mut wrong, mut unclear) = (0, 0, 0);
+    for _ in 0..3000 {
+        let range = chance.even(0.4, 4.0);
+        let pose = chance.pose(range);
+        let markers = some_visible(&body, &pose, 1, &mut chance);
+        let deviation = chance.even(0.05, 0.6) / 611.0;
+        let rays: Vec<_> =
+            markers.iter().flat_map(|marker| see(marker, &pose, deviation, &mut chance)).collect();
+        let Ok(solutions) = solve(&body, &rays, &PoseOptions::default()) else { continue };
+        let choice = choose(&solutions, None).unwrap();
+        if choice.cost_margin < 12.0 {
+            unclear += 1;
+            continue;
+        }
+        clear += 1;
+        let distance = distance_squared(
+            &error(&pose, &choice.solution.camera_from_markers),
+            &choice.solution.covariance,
+        );
+        wrong += i32::from(distance > 60.0);
+    }
+    println!("{clear} clear, {wrong} of them wrong, {unclear} unclear");
+    // A margin of 12 is a likelihood ratio of 400.
+    assert!(clear > 2000 && wrong * 400 < clear, "{wrong} of {clear}, {unclear} unclear");
 }
 
 #[test]

@@ -2,8 +2,8 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
-#[path = "../../tests/drawn/mod.rs"]
-mod drawn;
+#[path = "../../tests/drawn_body/mod.rs"]
+mod drawn_body;
 
 use flockeye_geometry::body::{Body, squares};
 use flockeye_geometry::view::View;
@@ -15,7 +15,7 @@ use super::solve::{Scene, model};
 use super::unknowns::State;
 use super::*;
 use crate::light::{CodeRange, TransferCurve};
-use drawn::{Drawing, draw, prints};
+use drawn_body::{Drawing, draw, prints};
 
 fn body(first_id: u32) -> Body {
     squares("alpha", 0.0625, 0.05, first_id)

@@ -16,10 +16,13 @@
 //!
 //! Up to three times, because the lines say better where to sample and where the cells lie.
 
+mod drawing;
+mod grain;
 mod line;
 mod model;
 mod print;
 mod profile;
+mod whole;
 
 use flockeye_geometry::view::ViewPixel;
 use nalgebra::Vector2;
@@ -27,10 +30,12 @@ use nalgebra::Vector2;
 use crate::image::LumaImage;
 use crate::light::LinearLight;
 use crate::square::{SquareInView, mean_side_px};
+pub use grain::Grain;
 use line::EdgeLine;
 pub(crate) use model::gaussian;
 pub use print::MarkerPrint;
 use profile::Side;
+use whole::State;
 
 /// Corners of a marker's black square, and how well they are known.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -64,6 +69,7 @@ pub fn refine_corners(
     light: &LinearLight,
     guess_in_view: &[ViewPixel; 4],
     print: &MarkerPrint,
+    grain: Grain,
 ) -> Option<RefinedCorners> {
     let size = mean_side_px(guess_in_view);
     // Written so that a NaN is too small.
@@ -74,7 +80,7 @@ pub fn refine_corners(
     SquareInView::new(guess_in_view)?;
     let mut corners = approach_corners(image, light, guess_in_view, print.cells())?;
     let mut before: Option<model::Fit> = None;
-    let mut refined = None;
+    let mut refined: Option<RefinedCorners> = None;
     for _ in 0..3 {
         let blur = before.as_ref().map_or([profile::FIRST_BLUR_PX; 2], |fit| fit.blur);
         let side = |k: usize| Side::sample(image, light, &corners, print, k, blur);
@@ -92,13 +98,62 @@ pub fn refine_corners(
             black: fit.black,
             misfit: fit.noise / (fit.white - fit.black),
         });
-        if moved < 0.05 {
+        if moved < STARTED_PX {
             break;
         }
         before = Some(fit);
     }
-    refined.filter(|refined| is_near(&refined.corners_in_view, guess_in_view))
+    let edges = refined.filter(|refined| is_near(&refined.corners_in_view, guess_in_view))?;
+    let whole = by_whole_print(image, light, &edges, print, grain)
+        .filter(|whole| is_near(&whole.corners_in_view, guess_in_view));
+    Some(whole.unwrap_or_else(|| RefinedCorners {
+        deviations_px: edges.deviations_px.map(|deviation| without_whole(deviation, &edges, print)),
+        ..edges
+    }))
 }
+
+/// Edges alone say less than they seem to where the whole print does not fit: something hides a part
+/// of it, or its cells are hardly wider than the blur.
+fn without_whole(deviation: f64, edges: &RefinedCorners, print: &MarkerPrint) -> f64 {
+    let corners = &edges.corners_in_view;
+    let narrowest = (0..4)
+        .map(|k| (corners[(k + 1) % 4].0 - corners[k].0).norm())
+        .fold(f64::INFINITY, f64::min)
+        / print.cells() as f64;
+    let blur = edges.blur_px[0].max(edges.blur_px[1]);
+    (2.0 * deviation).hypot(0.5 * (blur / narrowest).powi(2).min(1.0))
+}
+
+/// The corners by the whole print, which starts from those of the edges. `None` where it does not
+/// fit.
+fn by_whole_print(
+    image: &LumaImage<'_>,
+    light: &LinearLight,
+    edges: &RefinedCorners,
+    print: &MarkerPrint,
+    grain: Grain,
+) -> Option<RefinedCorners> {
+    let start = State::new(&edges.corners_in_view, edges.blur_px, edges.white, edges.black)?;
+    let fit = whole::fit(image, light, &start, print, grain)?;
+    let misfit = fit.noise / (fit.white - fit.black);
+    (0.0..=MAX_MISFIT).contains(&misfit).then_some(RefinedCorners {
+        corners_in_view: fit.corners,
+        deviations_px: fit.deviations.map(|deviation| deviation.hypot(FLOOR_PX)),
+        blur_px: fit.blur,
+        white: fit.white,
+        black: fit.black,
+        misfit: misfit.max(edges.misfit),
+    })
+}
+
+/// Edges known to this are good enough to start from, pixels.
+const STARTED_PX: f64 = 0.2;
+
+/// Residuals that scatter by more of the contrast than this are no blurred print.
+const MAX_MISFIT: f64 = 0.25;
+
+/// No corner is believed better than this, pixels: the model of a lens is not perfect.
+const FLOOR_PX: f64 = 0.003;
 
 /// Moves each side of a black square to where the light falls most steeply within 2 px of it, in
 /// steps of a quarter of a pixel: enough to read a marker whose contour was found, before anything

@@ -174,7 +174,7 @@ pub(super) fn fit(sides: &[Side; 4], before: Option<&Fit>) -> Option<Fit> {
     })
 }
 
-fn quantile(mut values: Vec<f64>, share: f64) -> Option<f64> {
+pub(super) fn quantile(mut values: Vec<f64>, share: f64) -> Option<f64> {
     let last = values.len().checked_sub(1)?;
     let at = (share * last as f64).round() as usize;
     Some(*values.select_nth_unstable_by(at, f64::total_cmp).1)

@@ -23,7 +23,7 @@ const MAX_PROFILES: usize = 16;
 const MAX_DEPTH_CELLS: f64 = 2.5;
 
 /// Codes from here on may stand for more light than they say: the camera clips.
-const CLIPPED_CODE: u8 = 254;
+pub(super) const CLIPPED_CODE: u8 = 254;
 
 /// One sample of a profile.
 #[derive(Debug, Clone, Copy)]

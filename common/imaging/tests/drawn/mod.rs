@@ -1,169 +1,199 @@
-//! Pictures of bodies, drawn by sampling, blurred and coded as a camera would: independent of how
-//! alignment draws.
+//! Markers that were drawn exactly: blurred in linear light, integrated over each pixel, encoded,
+//! with noise.
 
-use std::collections::BTreeMap;
+#![allow(clippy::unwrap_used, clippy::expect_used)]
 
-use flockeye_geometry::Ray;
-use flockeye_geometry::body::{Body, Facet};
-use flockeye_geometry::view::{View, ViewPixel};
+use flockeye_geometry::view::ViewPixel;
 use flockeye_imaging::edges::MarkerPrint;
-use flockeye_imaging::image::LumaImage;
-use nalgebra::{Isometry3, Point3, Unit};
+use flockeye_imaging::light::TransferCurve;
+use flockeye_imaging::square::SquareInView;
+use nalgebra::{Matrix3, Rotation3, Unit, Vector3};
 
-/// Prints of five by five cells, seventeen of them, all different.
-pub fn prints() -> BTreeMap<u32, MarkerPrint> {
-    let mut state = 0x2545_f491_u64;
-    let mut random = move || {
-        state ^= state << 13;
-        state ^= state >> 7;
-        state ^= state << 17;
-        state
+/// Cells along a marker's side.
+pub const CELLS: usize = 7;
+/// Points drawn for each pixel, along either axis.
+const FINE: usize = 8;
+
+/// xorshift64*: the same numbers on every machine.
+pub struct Dice(pub u64);
+
+impl Dice {
+    pub fn uniform(&mut self, from: f64, to: f64) -> f64 {
+        self.0 ^= self.0 >> 12;
+        self.0 ^= self.0 << 25;
+        self.0 ^= self.0 >> 27;
+        let bits = self.0.wrapping_mul(0x2545_f491_4f6c_dd1d) >> 11;
+        from + (to - from) * bits as f64 / (1u64 << 53) as f64
+    }
+
+    /// Mean 0, variance 1.
+    pub fn normal(&mut self) -> f64 {
+        (0..12).map(|_| self.uniform(0.0, 1.0)).sum::<f64>() - 6.0
+    }
+}
+
+/// Code values of light, with noise of this size: that of light and that of reading.
+pub fn encode(light: &[f64], curve: TransferCurve, noise: f64, dice: &mut Dice) -> Vec<u8> {
+    let code = |light: f64| match curve {
+        TransferCurve::Linear => light,
+        TransferCurve::Gamma(gamma) => light.max(0.0).powf(1.0 / f64::from(gamma)),
+        TransferCurve::Srgb if light <= 0.003_130_8 => 12.92 * light,
+        TransferCurve::Srgb => 1.055 * light.powf(1.0 / 2.4) - 0.055,
     };
-    (0..34)
-        .map(|id| {
-            let cells: Vec<bool> = (0..25).map(|_| random() >> 40 & 1 == 1).collect();
-            (id, MarkerPrint::of_bits(&cells).unwrap())
-        })
+    let noisy = |light: f64| light + noise * (0.1 + light).sqrt() * dice.normal();
+    light
+        .iter()
+        .copied()
+        .map(noisy)
+        .map(|x| (255.0 * code(x)).round().clamp(0.0, 255.0) as u8)
         .collect()
 }
 
-/// A picture of a body, by its truth.
-pub struct Drawing {
-    /// Code values.
-    pub pixels: Vec<u8>,
-    /// What it shows.
-    pub view: View,
+/// One marker before a camera.
+pub struct Scene {
+    pub size: usize,
+    pub corners: [ViewPixel; 4],
+    pub cells: [[bool; CELLS]; CELLS],
+    pub blur: f64,
+    pub white: f64,
+    pub black: f64,
+    /// Light beyond the quiet zone, on each side.
+    pub around: [f64; 4],
+    /// Share of the middle of the first side that something grey hides.
+    pub hidden: f64,
+    /// The corner that a dark strut, a quarter of a side wide, runs into from outside.
+    pub strut: Option<usize>,
 }
 
-impl Drawing {
-    /// The image.
-    pub fn image(&self) -> LumaImage<'_> {
-        let size = self.view.size_px as usize;
-        LumaImage::new(&self.pixels, size, size, size).unwrap()
-    }
-}
-
-/// Light of the point of the body that `ray` hits, by plain geometry: each facet is asked.
-fn light_of(
-    body: &Body,
-    prints: &BTreeMap<u32, MarkerPrint>,
-    markers_from_camera: &Isometry3<f64>,
-    ray: &Ray,
-    background: f64,
-) -> f64 {
-    let eye = markers_from_camera * Point3::origin();
-    let direction = markers_from_camera * ray.into_inner();
-    for (index, facet) in body.facets().iter().enumerate() {
-        let towards = facet.normal.dot(&direction);
-        let height = facet.normal.dot(&(eye - facet.outline[0]));
-        // Seen from its front.
-        if height <= 0.0 || towards >= 0.0 {
-            continue;
-        }
-        let at = eye - direction * (height / towards);
-        if !is_inside(facet, &at) {
-            continue;
-        }
-        // Each facet has its own light.
-        let white = 0.35 + 0.04 * (index % 11) as f64;
-        let Some(marker) = facet.marker.map(|marker| &body.markers[marker]) else {
-            return 0.8 * white;
-        };
-        let print = &prints[&marker.id];
-        let [origin, right, _, bottom] = marker.corners;
-        let along = |end: Point3<f64>| {
-            let axis = end - origin;
-            axis.dot(&(at - origin)) / axis.norm_squared() * print.cells() as f64
-        };
-        let (column, row) = (along(right).floor() as isize, along(bottom).floor() as isize);
-        return if print.is_white(row, column) { white } else { 0.05 * white };
-    }
-    background
-}
-
-fn is_inside(facet: &Facet, at: &Point3<f64>) -> bool {
-    let count = facet.outline.len();
-    (0..count).all(|k| {
-        let (from, to) = (facet.outline[k], facet.outline[(k + 1) % count]);
-        (to - from).cross(&(at - from)).dot(&facet.normal) >= 0.0
-    })
-}
-
-/// Draws what a view of `focal_px` sees: sampled 5 by 5 in each pixel, blurred in linear light by
-/// `blur_px`, with noise, coded as sRGB with 8 bit.
-pub fn draw(
-    body: &Body,
-    pose: &Isometry3<f64>,
-    focal_px: f64,
-    blur_px: f64,
-    noise: f64,
-) -> Drawing {
-    let prints = prints();
-    let markers_from_camera = pose.inverse();
-    let direction = Unit::new_normalize(pose.translation.vector);
-    let size = (2.0 * focal_px * 0.13 / pose.translation.vector.norm()).ceil() as u32 + 12;
-    let field = 2.0 * (f64::from(size) / (2.0 * focal_px)).atan();
-    let view = View::looking_at(&direction, field, size);
-    let side = size as usize;
-    let fine = 15;
-    let mut light = vec![0.0; side * side];
-    for y in 0..side {
-        for x in 0..side {
-            let mut sum = 0.0;
-            for sub in 0..fine * fine {
-                let shift = |k: usize| (k as f64 + 0.5) / fine as f64 - 0.5;
-                let at = ViewPixel::new(x as f64 + shift(sub % fine), y as f64 + shift(sub / fine));
-                sum += light_of(
-                    body,
-                    &prints,
-                    &markers_from_camera,
-                    &view.ray(at),
-                    0.2 + 0.1 * (x as f64 / 3.0).sin(),
-                );
-            }
-            light[y * side + x] = sum / (fine * fine) as f64;
-        }
-    }
-    let kernel: Vec<f64> =
-        (-8..=8).map(|k| (-0.5 * (f64::from(k) / blur_px).powi(2)).exp()).collect();
-    let total: f64 = kernel.iter().sum();
-    let blur = |values: &[f64], step: usize, stride: usize| -> Vec<f64> {
-        let mut out = vec![0.0; values.len()];
-        for line in 0..side {
-            for at in 0..side {
-                let sum: f64 = kernel
-                    .iter()
-                    .enumerate()
-                    .map(|(k, weight)| {
-                        let other = (at + k).saturating_sub(8).min(side - 1);
-                        weight * values[line * stride + other * step]
-                    })
-                    .sum();
-                out[line * stride + at * step] = sum / total;
+impl Scene {
+    /// A marker whose sides, seen frontally, would have `side` pixels, tilted by `tilt`.
+    pub fn new(dice: &mut Dice, side: f64, tilt: f64, blur: f64) -> Self {
+        let size = (1.7 * side) as usize + 16;
+        let axis = dice.uniform(0.0, 6.3);
+        let axis = Unit::new_normalize(Vector3::new(axis.cos(), axis.sin(), 0.0));
+        let turn = Rotation3::from_axis_angle(&axis, tilt)
+            * Rotation3::from_axis_angle(&Vector3::z_axis(), dice.uniform(0.0, 6.3));
+        let distance = dice.uniform(6.0, 20.0);
+        let middle = size as f64 / 2.0 + dice.uniform(-1.0, 1.0);
+        let corners = [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)].map(|(x, y)| {
+            let at = turn * Vector3::new(x, y, 0.0);
+            let scale = side * distance / (distance + at.z);
+            ViewPixel::new(middle + at.x * scale, middle + at.y * scale)
+        });
+        let mut cells = [[false; CELLS]; CELLS];
+        for row in &mut cells[1..CELLS - 1] {
+            for cell in &mut row[1..CELLS - 1] {
+                *cell = dice.uniform(0.0, 1.0) < 0.5;
             }
         }
-        out
-    };
-    let light = blur(&blur(&light, 1, side), side, 1);
-    let mut state = 7u64;
-    let mut random = move || {
-        state =
-            state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (state >> 33) as f64 / f64::from(1u32 << 31) - 0.5
-    };
-    let pixels = light
-        .iter()
-        .map(|light| {
-            // The sum of twelve has the variance of one.
-            let normal: f64 = (0..12).map(|_| random()).sum();
-            let noisy = (light + noise * normal).clamp(0.0, 1.0);
-            let code = if noisy <= 0.003_130_8 {
-                12.92 * noisy
-            } else {
-                1.055 * noisy.powf(1.0 / 2.4) - 0.055
-            };
-            (code * 255.0).round() as u8
+        let around = std::array::from_fn(|_| dice.uniform(0.1, 0.9));
+        Self {
+            size,
+            corners,
+            cells,
+            blur,
+            white: dice.uniform(0.4, 0.85),
+            black: dice.uniform(0.01, 0.05),
+            around,
+            hidden: 0.0,
+            strut: None,
+        }
+    }
+
+    /// Light of the printed plane; the black square is [0, 1] x [0, 1].
+    pub fn light(&self, u: f64, v: f64) -> f64 {
+        // 0.875 cells of quiet zone: facets of 62.5 mm with markers of 50 mm.
+        let quiet = 0.875 / CELLS as f64;
+        if self.hidden > 0.0 && (u - 0.5).abs() < self.hidden / 2.0 && v < 0.3 {
+            return 0.3;
+        }
+        if let Some(k) = self.strut {
+            let (corner_u, corner_v) = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)][k];
+            let (x, y) = (u - corner_u, v - corner_v);
+            let (right, down) = (2.0 * corner_u - 1.0, 2.0 * corner_v - 1.0);
+            let is_outside = x * right > 0.0 || y * down > 0.0;
+            if is_outside && x * right + y * down > -0.1 && (x * down - y * right).abs() < 0.18 {
+                return self.black;
+            }
+        }
+        let beyond =
+            [-quiet - v, u - 1.0 - quiet, v - 1.0 - quiet, -quiet - u].into_iter().enumerate();
+        let (side, outside) = beyond.max_by(|a, b| a.1.total_cmp(&b.1)).unwrap();
+        if outside > 0.0 {
+            return self.around[side];
+        }
+        if !(0.0..1.0).contains(&u) || !(0.0..1.0).contains(&v) {
+            return self.white;
+        }
+        let cell = |at: f64| (at * CELLS as f64) as usize;
+        if self.cells[cell(v)][cell(u)] { self.white } else { self.black }
+    }
+
+    pub fn print(&self) -> MarkerPrint {
+        let inner = self.cells[1..CELLS - 1].iter().flat_map(|row| row[1..CELLS - 1].iter());
+        MarkerPrint::of_bits(&inner.copied().collect::<Vec<bool>>()).unwrap()
+    }
+
+    /// The light that each pixel takes up.
+    pub fn render(&self) -> Vec<f64> {
+        let fine = self.size * FINE;
+        let square_from_view = homography(&self.corners).try_inverse().unwrap();
+        let at = |k: usize| (k as f64 + 0.5) / FINE as f64 - 0.5;
+        let mut light: Vec<f64> = Vec::with_capacity(fine * fine);
+        for y in 0..fine {
+            for x in 0..fine {
+                let p = square_from_view * Vector3::new(at(x), at(y), 1.0);
+                light.push(self.light(p.x / p.z, p.y / p.z));
+            }
+        }
+        // The lens blurs, the pixel takes the mean over its area: one kernel, along either axis.
+        let kernel = kernel(self.blur * FINE as f64);
+        let rows = reduce(&light, fine, self.size, &kernel);
+        reduce(&rows, fine, self.size, &kernel)
+    }
+}
+
+fn homography(corners: &[ViewPixel; 4]) -> Matrix3<f64> {
+    // From four points of the map that the library makes of the corners: exact up to a factor.
+    let square = SquareInView::new(corners).unwrap();
+    let columns = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)].map(|(u, v)| square.at(u, v).0.push(1.0));
+    let fourth = square.at(1.0, 1.0).0.push(1.0);
+    let base = Matrix3::from_columns(&columns);
+    // (u, v) is (1 - u - v, u, v) of the three, up to their scales; (1, 1) is (-1, 1, 1) of them.
+    let scale = base.try_inverse().unwrap() * fourth;
+    let scaled = base * Matrix3::from_diagonal(&Vector3::new(-scale.x, scale.y, scale.z));
+    let unit = Matrix3::new(-1.0, -1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0);
+    scaled * unit
+}
+
+/// Gaussian, then a box of one pixel, in fine steps.
+fn kernel(sigma: f64) -> Vec<f64> {
+    let half = (4.0 * sigma).ceil() as i32 + FINE as i32;
+    let gauss = |x: f64| (-0.5 * (x / sigma).powi(2)).exp();
+    let weights: Vec<f64> = (-half..half)
+        .map(|k| {
+            (0..FINE).map(|b| gauss(f64::from(k) + 0.5 - b as f64 + FINE as f64 / 2.0 - 0.5)).sum()
         })
         .collect();
-    Drawing { pixels, view }
+    let total: f64 = weights.iter().sum();
+    weights.iter().map(|weight| weight / total).collect()
+}
+
+/// Convolves the rows, keeps one value for each pixel, and turns the image by its diagonal.
+fn reduce(light: &[f64], fine: usize, size: usize, kernel: &[f64]) -> Vec<f64> {
+    let rows = light.len() / fine;
+    let mut out = vec![0.0; rows * size];
+    for y in 0..rows {
+        for x in 0..size {
+            // The pixel's middle lies between two fine points; the kernel has an even length.
+            let middle = (x * FINE + FINE / 2) as isize;
+            let first = middle - kernel.len() as isize / 2;
+            let value = kernel.iter().enumerate().map(|(k, weight)| {
+                let at = (first + k as isize).clamp(0, fine as isize - 1) as usize;
+                weight * light[y * fine + at]
+            });
+            out[x * rows + y] = value.sum();
+        }
+    }
+    out
 }

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use flockeye_geometry::camera::Equirectangular;
 use flockeye_geometry::view::{View, ViewPixel};
 use flockeye_imaging::image::LumaImage;
+use nalgebra::{Unit, Vector3};
 use opencv::imgcodecs::{IMREAD_GRAYSCALE, imread};
 use opencv::prelude::*;
 
@@ -59,4 +60,22 @@ impl Picture {
         }
         Picture { pixels, width: size, height: size }
     }
+}
+
+/// Twelve views that cover the sphere: the faces of a dodecahedron.
+pub fn partitions(focal: f64) -> Vec<View> {
+    let golden = (1.0 + 5f64.sqrt()) / 2.0;
+    let mut views = Vec::new();
+    for a in [-1.0, 1.0] {
+        for b in [-golden, golden] {
+            for axis in [Vector3::new(0.0, a, b), Vector3::new(a, b, 0.0), Vector3::new(b, 0.0, a)]
+            {
+                let field = 75f64.to_radians();
+                let size = (2.0 * focal * (field / 2.0).tan()).ceil() as u32;
+                let direction = Unit::new_normalize(axis);
+                views.push(View::looking_at(&direction, field, size));
+            }
+        }
+    }
+    views
 }

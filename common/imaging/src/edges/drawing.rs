@@ -1,0 +1,245 @@
+//! A print as a lens shows it: drawn on a grid of places, blurred by a Gaussian.
+
+use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
+
+use super::MarkerPrint;
+
+/// Places of a view, `step` pixels apart: column x, row y of the grid is the pixel
+/// (left + x * step, top + y * step).
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Grid {
+    pub left: usize,
+    pub top: usize,
+    pub columns: usize,
+    pub rows: usize,
+    pub step: usize,
+}
+
+impl Grid {
+    /// The pixel of a place.
+    pub(super) fn at(&self, column: usize, row: usize) -> (usize, usize) {
+        (self.left + column * self.step, self.top + row * self.step)
+    }
+}
+
+/// The share of white at each place of a grid, row by row, and how it changes to the right and
+/// downwards, by pixel.
+#[derive(Debug, Default)]
+pub(super) struct Drawing {
+    pub white: Vec<f32>,
+    pub by_x: Vec<f32>,
+    pub by_y: Vec<f32>,
+    /// The sharp print, with a rim; kept for its memory.
+    sharp: Vec<f32>,
+}
+
+/// Gaussians wider than this, in steps of the grid, are summed over one point for each place,
+/// narrower ones over four: an edge then moves by less than 0.01 steps with the grid's phase.
+const WIDE_STEPS: f64 = 0.85;
+
+/// Where Gaussians end, standard deviations.
+const REACH: f64 = 3.1;
+
+/// White or black of every cell, the white outside included.
+#[derive(Debug)]
+pub(super) struct Cells {
+    white: Vec<f32>,
+    count: usize,
+}
+
+impl Cells {
+    pub(super) fn of(print: &MarkerPrint) -> Self {
+        let count = print.cells();
+        let last = count as isize;
+        let white = (-1..=last).flat_map(|row| {
+            (-1..=last).map(move |column| f32::from(u8::from(print.is_white(row, column))))
+        });
+        Self { white: white.collect(), count }
+    }
+
+    /// Cells along a side.
+    pub(super) fn count(&self) -> usize {
+        self.count
+    }
+
+    /// The mean over a rectangle of `width` by `height` about the point (`a`, `b`), all in cells, if
+    /// it is no larger than one.
+    fn mean(&self, a: f32, b: f32, width: f32, height: f32) -> f32 {
+        let last = self.count as f32 + 0.49;
+        let (before, share) = nearest_edge(a.clamp(-0.5, last), width);
+        let (above, lower) = nearest_edge(b.clamp(-0.5, last), height);
+        let first = above * (self.count + 2) + before;
+        let row =
+            |first: usize| self.white[first] + share * (self.white[first + 1] - self.white[first]);
+        let upper = row(first);
+        upper + lower * (row(first + self.count + 2) - upper)
+    }
+}
+
+/// The cell (one outside counts too) before the edge nearest to `at`, and how much of a box of this
+/// width about `at` lies behind the edge.
+fn nearest_edge(at: f32, width: f32) -> (usize, f32) {
+    let edge = (at + 0.5).floor();
+    (edge as usize, ((at - edge) / width + 0.5).clamp(0.0, 1.0))
+}
+
+impl Drawing {
+    /// Draws cells on a grid: `cells_from_view` maps pixels to cells, `blur` is the Gaussian's
+    /// covariance in square pixels.
+    pub(super) fn draw(
+        &mut self,
+        grid: &Grid,
+        cells: &Cells,
+        cells_from_view: &Matrix3<f64>,
+        blur: &Matrix2<f64>,
+    ) -> Option<()> {
+        let in_steps = blur / (grid.step * grid.step) as f64;
+        let spread = in_steps.symmetric_eigenvalues();
+        let phases = if spread.min().sqrt() < WIDE_STEPS { 2 } else { 1 };
+        let rim = (REACH * spread.max().sqrt()).ceil() as usize;
+        let inverse = in_steps.try_inverse()?;
+        let size = grid.columns * grid.rows;
+        for plane in [&mut self.white, &mut self.by_x, &mut self.by_y] {
+            plane.clear();
+            plane.resize(size, 0.0);
+        }
+        // All phases' kernels have the sum of one.
+        let offset = |phase: usize| (phase as f64 + 0.5) / phases as f64 - 0.5;
+        let reach = rim as isize;
+        let mut total = 0.0;
+        for (y, x) in (0..phases).flat_map(|y| (0..phases).map(move |x| (y, x))) {
+            for (j, i) in (-reach..=reach).flat_map(|j| (-reach..=reach).map(move |i| (j, i))) {
+                let by = Vector2::new(i as f64 + offset(x), j as f64 + offset(y));
+                total += (-0.5 * (inverse * by).dot(&by)).exp();
+            }
+        }
+        for (phase_y, phase_x) in (0..phases).flat_map(|y| (0..phases).map(move |x| (y, x))) {
+            let offset = Vector2::new(offset(phase_x), offset(phase_y));
+            self.draw_sharp(grid, cells, cells_from_view, rim, offset, 1.0 / phases as f64);
+            let width = grid.columns + 2 * rim;
+            for j in -reach..=reach {
+                for i in -reach..=reach {
+                    let by = Vector2::new(i as f64, j as f64) + offset;
+                    let slope = inverse * by;
+                    let weight = (-0.5 * slope.dot(&by)).exp() / total;
+                    if weight < 1e-5 {
+                        continue;
+                    }
+                    let slope = slope * (weight / grid.step as f64);
+                    let taps = [weight as f32, slope.x as f32, slope.y as f32];
+                    let first = (j + reach) as usize * width + (i + reach) as usize;
+                    self.add(grid, width, first, taps);
+                }
+            }
+        }
+        Some(())
+    }
+
+    /// Adds the sharp print, shifted to begin at `first`, `taps` times to the three images.
+    fn add(&mut self, grid: &Grid, width: usize, first: usize, taps: [f32; 3]) {
+        let columns = grid.columns;
+        for row in 0..grid.rows {
+            let source = &self.sharp[first + row * width..][..columns];
+            let out = row * columns..(row + 1) * columns;
+            let white = &mut self.white[out.clone()];
+            let (by_x, by_y) = (&mut self.by_x[out.clone()], &mut self.by_y[out]);
+            for k in 0..columns {
+                white[k] += taps[0] * source[k];
+                by_x[k] += taps[1] * source[k];
+                by_y[k] += taps[2] * source[k];
+            }
+        }
+    }
+
+    /// The print without blur at the places of the grid and a rim of as many more round it, each
+    /// shifted by `offset`; a place is the mean over `share` of a step. All in steps.
+    fn draw_sharp(
+        &mut self,
+        grid: &Grid,
+        cells: &Cells,
+        cells_from_view: &Matrix3<f64>,
+        rim: usize,
+        offset: Vector2<f64>,
+        share: f64,
+    ) {
+        let step = grid.step as f64;
+        let place = |x: f64, y: f64| {
+            let (x, y) = (x - rim as f64 + offset.x, y - rim as f64 + offset.y);
+            cells_from_view
+                * Vector3::new(grid.left as f64 + x * step, grid.top as f64 + y * step, 1.0)
+        };
+        let (columns, rows) = (grid.columns + 2 * rim, grid.rows + 2 * rim);
+        // Boxes as wide as the places are apart in the middle.
+        let cell = |p: Vector3<f64>| p.xy() / p.z;
+        let (x, y) = (columns as f64 / 2.0, rows as f64 / 2.0);
+        let right = cell(place(x + 0.5, y)) - cell(place(x - 0.5, y));
+        let down = cell(place(x, y + 0.5)) - cell(place(x, y - 0.5));
+        let box_of = |k: usize| (share * right[k].hypot(down[k])).clamp(1e-3, 1.0) as f32;
+        let (wide, high) = (box_of(0), box_of(1));
+        let across = place(1.0, 0.0) - place(0.0, 0.0);
+        self.sharp.clear();
+        self.sharp.reserve(columns * rows);
+        for y in 0..rows {
+            let mut at = place(0.0, y as f64);
+            for _ in 0..columns {
+                let over = 1.0 / at.z;
+                self.sharp.push(cells.mean((at.x * over) as f32, (at.y * over) as f32, wide, high));
+                at += across;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use super::super::model::gaussian;
+    use super::*;
+
+    /// A black square of six cells, 18.6 px wide.
+    #[test]
+    fn a_black_square_is_drawn_as_its_closed_form() {
+        let print = MarkerPrint::of_bits(&[false; 16]).unwrap();
+        let (size, left) = (18.6, 5.3);
+        let cells_from_view = Matrix3::new(
+            6.0 / size,
+            0.0,
+            -left * 6.0 / size,
+            0.0,
+            6.0 / size,
+            -left * 6.0 / size,
+            0.0,
+            0.0,
+            1.0,
+        );
+        let mut drawing = Drawing::default();
+        for step in [1, 2] {
+            for sigma in [0.9, 1.2, 2.0].map(|sigma| sigma * step as f64) {
+                let grid = Grid { left: 0, top: 0, columns: 15, rows: 15, step };
+                let blur = Matrix2::from_diagonal_element(sigma * sigma);
+                drawing.draw(&grid, &Cells::of(&print), &cells_from_view, &blur).unwrap();
+                // A place is the mean over a step, which blurs too.
+                let sigma = sigma.hypot(step as f64 / 12f64.sqrt());
+                // What a coordinate has of a blurred interval, and how that rises.
+                let black = |at: usize| {
+                    let depth = (at * step) as f64 - left;
+                    let (near, far) = (gaussian(depth / sigma), gaussian((depth - size) / sigma));
+                    (near.1 - far.1, (near.0 - far.0) / sigma)
+                };
+                for (k, (row, column)) in
+                    (0..15).flat_map(|row| (0..15).map(move |column| (row, column))).enumerate()
+                {
+                    let ((x, by_x), (y, by_y)) = (black(column), black(row));
+                    for (drawn, exact) in [
+                        (drawing.white[k], 1.0 - x * y),
+                        (drawing.by_x[k], -by_x * y),
+                        (drawing.by_y[k], -by_y * x),
+                    ] {
+                        let error = f64::from(drawn) - exact;
+                        assert!(error.abs() < 0.03, "{row} {column} {sigma} {step}: {error}");
+                    }
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,453 @@
+//! The whole print, fitted to the pixels.
+//!
+//! Edges alone say where a small marker's sides are to within what their neighbours blur into them:
+//! the border's inner edge, and, beyond the quiet zone, nobody knows what. But the marker was
+//! decoded, so all of its cells are known, and the edges between them are as good as the outer ones,
+//! with nothing unknown behind. The light of a pixel is
+//!
+//! ```text
+//! I = B + (W - B) M + sum over the sides k of A_k F((d_k - q) / s_k)
+//! ```
+//!
+//! M is the share of white of the print, seen through a homography and blurred by a Gaussian of any
+//! direction ([`super::drawing`]). A_k is how much the light beyond side k's quiet zone, which ends q
+//! from it, differs from W; d_k the pixel's distance from the side, F the Gaussian distribution
+//! function. Seventeen unknowns: the homography, the Gaussian's covariance, W, B and the A_k; by
+//! Gauss-Newton, with Cauchy weights.
+
+use flockeye_geometry::view::ViewPixel;
+use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
+
+use super::drawing::{Cells, Drawing, Grid};
+use super::model::{gaussian, quantile};
+use super::profile::CLIPPED_CODE;
+use super::{Grain, MarkerPrint};
+use crate::image::LumaImage;
+use crate::light::LinearLight;
+use crate::square::SquareInView;
+
+const UNKNOWNS: usize = 17;
+/// The homography's come first: those of a projective map of the square's own plane.
+const PLACE: usize = 8;
+const BLUR: usize = 8;
+const WHITE: usize = 11;
+const BLACK: usize = 12;
+const BEYOND: usize = 13;
+
+const ITERATIONS: usize = 10;
+/// Steps that move no corner further end the fit, steps of the grid.
+const CONVERGED: f64 = 0.02;
+/// Residuals up to so many standard deviations are believed.
+const CAUCHY: f64 = 2.5;
+/// Narrower Gaussians than this cannot be told from a pixel's own width, steps of the grid.
+const MIN_BLUR: f64 = 0.4;
+
+/// Room for the unknowns, in fours.
+const ROOM: usize = 20;
+
+type Normal = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
+type Unknowns = SVector<f64, UNKNOWNS>;
+/// Columns of the upper triangle.
+type Triangle = [[f64; ROOM]; UNKNOWNS];
+
+/// Where the fit starts, or what it has come to.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct State {
+    /// From the square's plane, its middle the origin and its side 1, to the view.
+    view_from_square: Matrix3<f64>,
+    /// Covariance of the Gaussian, square pixels.
+    blur: Matrix2<f64>,
+    white: f64,
+    black: f64,
+    beyond: [f64; 4],
+}
+
+/// A marker's corners by its whole print.
+#[derive(Debug)]
+pub(super) struct WholeFit {
+    pub corners: [ViewPixel; 4],
+    /// Standard deviation along either axis, pixels.
+    pub deviations: [f64; 4],
+    /// Of the Gaussian, across the first and third side, and the second and fourth, pixels.
+    pub blur: [f64; 2],
+    pub white: f64,
+    pub black: f64,
+    /// Robust standard deviation of the light from the model's.
+    pub noise: f64,
+}
+
+const CORNERS: [(f64, f64); 4] = [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)];
+
+impl State {
+    /// `blur`: standard deviation across the first and third side, and the second and fourth.
+    pub(super) fn new(
+        corners: &[ViewPixel; 4],
+        blur: [f64; 2],
+        white: f64,
+        black: f64,
+    ) -> Option<Self> {
+        let to_unit = Matrix3::new(1.0, 0.0, 0.5, 0.0, 1.0, 0.5, 0.0, 0.0, 1.0);
+        let view_from_square = SquareInView::new(corners)?.view_from_square() * to_unit;
+        let [a, b] = blur.map(|blur| blur * blur);
+        let blur = Matrix2::from_diagonal_element((a + b) / 2.0);
+        Some(Self { view_from_square, blur, white, black, beyond: [0.0; 4] })
+    }
+
+    fn corners(&self) -> [ViewPixel; 4] {
+        CORNERS.map(|(p, q)| ViewPixel(cartesian(self.view_from_square * Vector3::new(p, q, 1.0))))
+    }
+
+    /// How a point of the view moves as one of the square's plane does.
+    fn jacobian(&self, (p, q): (f64, f64)) -> Matrix2<f64> {
+        let homography = &self.view_from_square;
+        let at = homography * Vector3::new(p, q, 1.0);
+        let (x, y, w) = (at.x / at.z, at.y / at.z, at.z);
+        Matrix2::new(
+            (homography[(0, 0)] - x * homography[(2, 0)]) / w,
+            (homography[(0, 1)] - x * homography[(2, 1)]) / w,
+            (homography[(1, 0)] - y * homography[(2, 0)]) / w,
+            (homography[(1, 1)] - y * homography[(2, 1)]) / w,
+        )
+    }
+
+    fn take(&self, step: &Unknowns) -> Self {
+        let change = Matrix3::new(
+            1.0 + step[0],
+            step[1],
+            step[2],
+            step[3],
+            1.0 + step[4],
+            step[5],
+            step[6],
+            step[7],
+            1.0,
+        );
+        let contrast = self.white - self.black;
+        let bounded = |index: usize, most: f64| step[index].clamp(-most, most);
+        // No more than the blur's derivatives hold for.
+        let most = 0.3 * self.blur.trace() / 2.0;
+        let turn = Matrix2::new(
+            bounded(BLUR, most),
+            bounded(BLUR + 1, most),
+            bounded(BLUR + 1, most),
+            bounded(BLUR + 2, most),
+        );
+        Self {
+            view_from_square: self.view_from_square * change,
+            blur: self.blur + turn,
+            white: self.white + bounded(WHITE, 0.5 * contrast),
+            black: self.black + bounded(BLACK, 0.5 * contrast),
+            beyond: std::array::from_fn(|k| self.beyond[k] + step[BEYOND + k]),
+        }
+    }
+}
+
+fn cartesian(point: Vector3<f64>) -> Vector2<f64> {
+    point.xy() / point.z
+}
+
+/// Change of a square's point (p, q) by the eight unknowns of its place, times a gradient there.
+fn by_place(gradient: Vector2<f64>, (p, q): (f64, f64)) -> [f64; PLACE] {
+    let (by_p, by_q) = (gradient.x, gradient.y);
+    let inwards = -(by_p * p + by_q * q);
+    [by_p * p, by_p * q, by_p, by_q * p, by_q * q, by_q, inwards * p, inwards * q]
+}
+
+/// What the pixels say of a state.
+struct Evidence {
+    /// Sum of the rows' products, weighted; if the scatter was asked for, by how much the residuals
+    /// that are believed change.
+    normal: Triangle,
+    /// The same, times the squares of the residuals that are believed, if it was asked for.
+    scattered: Option<Triangle>,
+    gradient: Unknowns,
+    /// Residuals' sizes.
+    sizes: Vec<f64>,
+    /// Of the weighted residuals: their squares' sum, and the sums of their products with the one to
+    /// the left and the one above.
+    squares: f64,
+    products: [f64; 2],
+}
+
+/// The pixels a marker is fitted to.
+struct Scene<'a> {
+    image: &'a LumaImage<'a>,
+    light: &'a LinearLight,
+    cells: Cells,
+    grid: Grid,
+    /// How far outside the square pixels are looked at, and where the quiet zone may end, in sides.
+    reach: f64,
+    quiet: f64,
+    contrast: f64,
+}
+
+/// Fits the print. `None` where it does not fit, or too little of it lies in the image.
+pub(super) fn fit(
+    image: &LumaImage<'_>,
+    light: &LinearLight,
+    start: &State,
+    print: &MarkerPrint,
+    grain: Grain,
+) -> Option<WholeFit> {
+    let cells = Cells::of(print);
+    let side = 1.0 / cells.count() as f64;
+    let reach = print.quiet_zone_cells().min(1.0) * side;
+    let step = grain.step(start.blur.symmetric_eigenvalues().min().sqrt());
+    let grid = grid(image, start, reach, step)?;
+    let scene = Scene {
+        image,
+        light,
+        cells,
+        grid,
+        reach,
+        quiet: (print.quiet_zone_cells() + QUIET_MORE_CELLS) * side,
+        contrast: (start.white - start.black).max(1e-6),
+    };
+    let mut state = *start;
+    let mut drawing = Drawing::default();
+    let mut noise = 0.1 * scene.contrast;
+    let noise_of = |sizes: Vec<f64>| -> Option<f64> {
+        Some((1.4826 * quantile(sizes, 0.5)?).max(0.002 * scene.contrast))
+    };
+    for _ in 0..ITERATIONS {
+        let evidence = scene.look(&state, noise, &mut drawing, false)?;
+        let step = symmetric(&evidence.normal).cholesky()?.solve(&evidence.gradient);
+        noise = noise_of(evidence.sizes)?;
+        let next = state.take(&step);
+        let is_blurred =
+            next.blur.symmetric_eigenvalues().min().sqrt() > MIN_BLUR * scene.grid.step as f64;
+        let moved = |(a, b): (&ViewPixel, &ViewPixel)| (a.0 - b.0).norm();
+        let before = state.corners();
+        let most = next.corners().iter().zip(&before).map(moved).fold(0.0, f64::max);
+        if !is_blurred || !most.is_finite() {
+            return None;
+        }
+        state = next;
+        if most < CONVERGED * scene.grid.step as f64 {
+            break;
+        }
+    }
+    let evidence = scene.look(&state, noise, &mut drawing, true)?;
+    let alike = evidence.products.map(|product| product / evidence.squares.max(1e-12));
+    let inverse = symmetric(&evidence.normal).cholesky()?.inverse();
+    let covariance =
+        inverse * evidence.scattered()? * inverse * grain.together(scene.grid.step, alike);
+    let place: SMatrix<f64, PLACE, PLACE> =
+        covariance.fixed_view::<PLACE, PLACE>(0, 0).into_owned();
+    let deviations = CORNERS.map(|at| {
+        let jacobian = state.jacobian(at);
+        let rows = [0, 1].map(|k| {
+            let row = SVector::from(by_place(jacobian.row(k).transpose(), at));
+            (place * row).dot(&row)
+        });
+        ((rows[0] + rows[1]) / 2.0).sqrt()
+    });
+    let is_number = deviations.iter().all(|deviation| deviation.is_finite());
+    let jacobian = state.jacobian((0.0, 0.0));
+    // The first side runs along the square's x axis.
+    let across = [jacobian.column(0), jacobian.column(1)].map(|along| {
+        let normal = Vector2::new(-along.y, along.x).normalize();
+        (state.blur * normal).dot(&normal).sqrt()
+    });
+    let crowding = (0..2).map(|k| {
+        let cell = scene.pixels_per_side(&state)[k] / scene.cells.count() as f64;
+        CROWDING * across[k] * (across[k] / cell).powi(2)
+    });
+    let crowding = crowding.fold(0.0, f64::max);
+    is_number.then(|| WholeFit {
+        corners: state.corners(),
+        deviations: deviations.map(|deviation| deviation.hypot(crowding)),
+        blur: across,
+        white: state.white,
+        black: state.black,
+        noise,
+    })
+}
+
+/// What lies beyond the quiet zone, and is modelled roughly, shifts corners by this share of the blur
+/// where a cell is as wide as the blur, and by less with the square of how much wider it is. Measured
+/// on drawn markers (`tests/corners.rs`).
+const CROWDING: f64 = 0.04;
+
+/// Quiet zones are cut rather wider than narrower.
+const QUIET_MORE_CELLS: f64 = 0.25;
+
+/// The places within `reach` sides of the square, as far as they lie in the image.
+fn grid(image: &LumaImage<'_>, state: &State, reach: f64, step: usize) -> Option<Grid> {
+    let out = 1.0 + 2.0 * reach;
+    let corners = CORNERS
+        .map(|(p, q)| cartesian(state.view_from_square * Vector3::new(p * out, q * out, 1.0)));
+    let span = |k: usize, size: usize| -> Option<(usize, usize)> {
+        let values = corners.map(|corner| corner[k]);
+        let least = values.iter().copied().fold(f64::INFINITY, f64::min).floor().max(0.0);
+        let most = values.iter().copied().fold(0.0, f64::max).ceil().min(size as f64 - 1.0);
+        // A NaN is no more than anything.
+        (most > least).then(|| (least as usize, (most - least) as usize / step + 1))
+    };
+    let (left, columns) = span(0, image.width())?;
+    let (top, rows) = span(1, image.height())?;
+    Some(Grid { left, top, columns, rows, step })
+}
+
+impl Scene<'_> {
+    /// What the pixels say of a state; with `scatter`, also what the residuals do to it.
+    fn look(
+        &self,
+        state: &State,
+        noise: f64,
+        drawing: &mut Drawing,
+        scatter: bool,
+    ) -> Option<Evidence> {
+        let square_from_view = state.view_from_square.try_inverse()?;
+        let count = self.cells.count() as f64;
+        let half = count / 2.0;
+        let cells_from_square = Matrix3::new(count, 0.0, half, 0.0, count, half, 0.0, 0.0, 1.0);
+        let cells_from_view = cells_from_square * square_from_view;
+        let Grid { columns, rows, step, .. } = self.grid;
+        drawing.draw(&self.grid, &self.cells, &cells_from_view, &state.blur)?;
+        let contrast = state.white - state.black;
+        let spread = (state.blur.trace() / 2.0).sqrt();
+        // How far a side of the marker, as the view sees it, is from the opposite one: pixels.
+        let scale = self.pixels_per_side(state);
+        let mut evidence = Evidence {
+            normal: [[0.0; ROOM]; UNKNOWNS],
+            scattered: scatter.then_some([[0.0; ROOM]; UNKNOWNS]),
+            gradient: Unknowns::zeros(),
+            sizes: Vec::with_capacity(columns * rows),
+            squares: 0.0,
+            products: [0.0; 2],
+        };
+        let limit = 0.5 + self.reach;
+        let mut above = vec![0.0; columns];
+        for row in 0..rows {
+            let mut left = 0.0;
+            let luma = self.image.row(self.grid.at(0, row).1);
+            for (column, above) in above.iter_mut().enumerate() {
+                let (x, y) = self.grid.at(column, row);
+                let at = square_from_view * Vector3::new(x as f64, y as f64, 1.0);
+                let (p, q) = (at.x / at.z, at.y / at.z);
+                let neighbours = [std::mem::take(&mut left), std::mem::take(above)];
+                // Written so that a NaN is outside.
+                if !(p.abs() < limit && q.abs() < limit) {
+                    continue;
+                }
+                let k = row * columns + column;
+                let white = f64::from(drawing.white[k]);
+                let mut values = [0.0; ROOM];
+                let mut last = BEYOND;
+                let mut model = state.black + contrast * white;
+                for (side, outside) in [-q, p, q, -p].into_iter().enumerate() {
+                    let depth = (outside - 0.5 - self.quiet) * scale[side % 2] / spread;
+                    if depth > -3.5 {
+                        let share = gaussian(depth).1;
+                        values[BEYOND + side] = share;
+                        last = UNKNOWNS;
+                        model += state.beyond[side] * share;
+                    }
+                }
+                let residual = f64::from(self.light.of(luma[x])) - model;
+                if luma[x] >= CLIPPED_CODE && residual < 0.0 {
+                    continue;
+                }
+                let gradient = Vector2::new(drawing.by_x[k].into(), drawing.by_y[k].into());
+                let jacobian = state.jacobian((p, q));
+                // A mark that moves right is darker where the print rises to the right.
+                let place = by_place(jacobian.transpose() * gradient * -contrast, (p, q));
+                values[..PLACE].copy_from_slice(&place);
+                // The heat equation: a Gaussian's covariance moves light by half the curvature.
+                let over = contrast / (4.0 * step as f64);
+                let across = (k - usize::from(column > 0), k + usize::from(column + 1 < columns));
+                let down = (
+                    if row > 0 { k - columns } else { k },
+                    if row + 1 < rows { k + columns } else { k },
+                );
+                let slope = |plane: &[f32], (from, to): (usize, usize)| {
+                    f64::from(plane[to] - plane[from]) * over
+                };
+                values[BLUR] = slope(&drawing.by_x, across);
+                values[BLUR + 1] = 2.0 * slope(&drawing.by_x, down);
+                values[BLUR + 2] = slope(&drawing.by_y, down);
+                values[WHITE] = white;
+                values[BLACK] = 1.0 - white;
+                let believed = evidence.add(&values, last, residual, noise);
+                evidence.squares += believed * believed;
+                for (product, neighbour) in evidence.products.iter_mut().zip(neighbours) {
+                    *product += believed * neighbour;
+                }
+                (left, *above) = (believed, believed);
+            }
+        }
+        if evidence.sizes.len() < 3 * UNKNOWNS {
+            return None;
+        }
+        // Priors of about a pixel's weight: they speak only where the pixels are silent.
+        let mut hold = |index: usize, deviation: f64, residual: f64| {
+            let weight = (noise / deviation).powi(2);
+            evidence.normal[index][index] += weight;
+            evidence.gradient[index] += weight * residual;
+        };
+        for index in 0..PLACE {
+            hold(index, 0.5, 0.0);
+        }
+        for index in BLUR..WHITE {
+            hold(index, spread * spread, 0.0);
+        }
+        hold(WHITE, self.contrast, 0.0);
+        hold(BLACK, self.contrast, 0.0);
+        for side in 0..4 {
+            hold(BEYOND + side, 0.5 * self.contrast, -state.beyond[side]);
+        }
+        Some(evidence)
+    }
+
+    /// Distance of the first side from the third, and of the second from the fourth, pixels.
+    fn pixels_per_side(&self, state: &State) -> [f64; 2] {
+        let jacobian = state.jacobian((0.0, 0.0));
+        let (across, down) = (jacobian.column(0), jacobian.column(1));
+        let area = across.perp(&down).abs();
+        [area / across.norm(), area / down.norm()]
+    }
+}
+
+impl Evidence {
+    /// Takes one pixel's row, of which the first `last` values are not zero, and gives the residual as
+    /// far as it is believed.
+    fn add(&mut self, values: &[f64; ROOM], last: usize, residual: f64, noise: f64) -> f64 {
+        let share = (residual / (CAUCHY * noise)).powi(2);
+        let weight = 1.0 / (1.0 + share);
+        self.sizes.push(residual.abs());
+        let mut slope = weight;
+        if let Some(scattered) = &mut self.scattered {
+            add_product(scattered, values, last, (weight * residual).powi(2));
+            // How much the believed residual changes with the model.
+            slope = weight * weight * (1.0 - share);
+        }
+        add_product(&mut self.normal, values, last, slope);
+        for (gradient, value) in self.gradient.iter_mut().zip(values) {
+            *gradient += weight * residual * value;
+        }
+        weight * residual
+    }
+
+    /// What the residuals' squares make of the unknowns' gradient, with the freedom that is left.
+    fn scattered(&self) -> Option<Normal> {
+        let count = self.sizes.len() as f64;
+        Some(symmetric(self.scattered.as_ref()?) * (count / (count - UNKNOWNS as f64)))
+    }
+}
+
+/// Adds `factor` times the product of a row with itself.
+fn add_product(triangle: &mut Triangle, values: &[f64; ROOM], last: usize, factor: f64) {
+    for (k, column) in triangle.iter_mut().enumerate().take(last) {
+        let scaled = factor * values[k];
+        // In fours, whatever lies beyond the diagonal.
+        let end = (k | 3) + 1;
+        for (sum, value) in column[..end].iter_mut().zip(&values[..end]) {
+            *sum += scaled * value;
+        }
+    }
+}
+
+fn symmetric(triangle: &Triangle) -> Normal {
+    Normal::from_fn(|row, column| triangle[row.max(column)][row.min(column)])
+}

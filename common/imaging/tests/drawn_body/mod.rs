@@ -1,0 +1,169 @@
+//! Pictures of bodies, drawn by sampling, blurred and coded as a camera would: independent of how
+//! alignment draws.
+
+use std::collections::BTreeMap;
+
+use flockeye_geometry::Ray;
+use flockeye_geometry::body::{Body, Facet};
+use flockeye_geometry::view::{View, ViewPixel};
+use flockeye_imaging::edges::MarkerPrint;
+use flockeye_imaging::image::LumaImage;
+use nalgebra::{Isometry3, Point3, Unit};
+
+/// Prints of five by five cells, seventeen of them, all different.
+pub fn prints() -> BTreeMap<u32, MarkerPrint> {
+    let mut state = 0x2545_f491_u64;
+    let mut random = move || {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        state
+    };
+    (0..34)
+        .map(|id| {
+            let cells: Vec<bool> = (0..25).map(|_| random() >> 40 & 1 == 1).collect();
+            (id, MarkerPrint::of_bits(&cells).unwrap())
+        })
+        .collect()
+}
+
+/// A picture of a body, by its truth.
+pub struct Drawing {
+    /// Code values.
+    pub pixels: Vec<u8>,
+    /// What it shows.
+    pub view: View,
+}
+
+impl Drawing {
+    /// The image.
+    pub fn image(&self) -> LumaImage<'_> {
+        let size = self.view.size_px as usize;
+        LumaImage::new(&self.pixels, size, size, size).unwrap()
+    }
+}
+
+/// Light of the point of the body that `ray` hits, by plain geometry: each facet is asked.
+fn light_of(
+    body: &Body,
+    prints: &BTreeMap<u32, MarkerPrint>,
+    markers_from_camera: &Isometry3<f64>,
+    ray: &Ray,
+    background: f64,
+) -> f64 {
+    let eye = markers_from_camera * Point3::origin();
+    let direction = markers_from_camera * ray.into_inner();
+    for (index, facet) in body.facets().iter().enumerate() {
+        let towards = facet.normal.dot(&direction);
+        let height = facet.normal.dot(&(eye - facet.outline[0]));
+        // Seen from its front.
+        if height <= 0.0 || towards >= 0.0 {
+            continue;
+        }
+        let at = eye - direction * (height / towards);
+        if !is_inside(facet, &at) {
+            continue;
+        }
+        // Each facet has its own light.
+        let white = 0.35 + 0.04 * (index % 11) as f64;
+        let Some(marker) = facet.marker.map(|marker| &body.markers[marker]) else {
+            return 0.8 * white;
+        };
+        let print = &prints[&marker.id];
+        let [origin, right, _, bottom] = marker.corners;
+        let along = |end: Point3<f64>| {
+            let axis = end - origin;
+            axis.dot(&(at - origin)) / axis.norm_squared() * print.cells() as f64
+        };
+        let (column, row) = (along(right).floor() as isize, along(bottom).floor() as isize);
+        return if print.is_white(row, column) { white } else { 0.05 * white };
+    }
+    background
+}
+
+fn is_inside(facet: &Facet, at: &Point3<f64>) -> bool {
+    let count = facet.outline.len();
+    (0..count).all(|k| {
+        let (from, to) = (facet.outline[k], facet.outline[(k + 1) % count]);
+        (to - from).cross(&(at - from)).dot(&facet.normal) >= 0.0
+    })
+}
+
+/// Draws what a view of `focal_px` sees: sampled 5 by 5 in each pixel, blurred in linear light by
+/// `blur_px`, with noise, coded as sRGB with 8 bit.
+pub fn draw(
+    body: &Body,
+    pose: &Isometry3<f64>,
+    focal_px: f64,
+    blur_px: f64,
+    noise: f64,
+) -> Drawing {
+    let prints = prints();
+    let markers_from_camera = pose.inverse();
+    let direction = Unit::new_normalize(pose.translation.vector);
+    let size = (2.0 * focal_px * 0.13 / pose.translation.vector.norm()).ceil() as u32 + 12;
+    let field = 2.0 * (f64::from(size) / (2.0 * focal_px)).atan();
+    let view = View::looking_at(&direction, field, size);
+    let side = size as usize;
+    let fine = 5;
+    let mut light = vec![0.0; side * side];
+    for y in 0..side {
+        for x in 0..side {
+            let mut sum = 0.0;
+            for sub in 0..fine * fine {
+                let shift = |k: usize| (k as f64 + 0.5) / fine as f64 - 0.5;
+                let at = ViewPixel::new(x as f64 + shift(sub % fine), y as f64 + shift(sub / fine));
+                sum += light_of(
+                    body,
+                    &prints,
+                    &markers_from_camera,
+                    &view.ray(at),
+                    0.2 + 0.1 * (x as f64 / 3.0).sin(),
+                );
+            }
+            light[y * side + x] = sum / (fine * fine) as f64;
+        }
+    }
+    let kernel: Vec<f64> =
+        (-8..=8).map(|k| (-0.5 * (f64::from(k) / blur_px).powi(2)).exp()).collect();
+    let total: f64 = kernel.iter().sum();
+    let blur = |values: &[f64], step: usize, stride: usize| -> Vec<f64> {
+        let mut out = vec![0.0; values.len()];
+        for line in 0..side {
+            for at in 0..side {
+                let sum: f64 = kernel
+                    .iter()
+                    .enumerate()
+                    .map(|(k, weight)| {
+                        let other = (at + k).saturating_sub(8).min(side - 1);
+                        weight * values[line * stride + other * step]
+                    })
+                    .sum();
+                out[line * stride + at * step] = sum / total;
+            }
+        }
+        out
+    };
+    let light = blur(&blur(&light, 1, side), side, 1);
+    let mut state = 7u64;
+    let mut random = move || {
+        state =
+            state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 33) as f64 / f64::from(1u32 << 31) - 0.5
+    };
+    let pixels = light
+        .iter()
+        .map(|light| {
+            // The sum of twelve has the variance of one.
+            let normal: f64 = (0..12).map(|_| random()).sum();
+            let noisy = (light + noise * normal).clamp(0.0, 1.0);
+            let code = if noisy <= 0.003_130_8 {
+                12.92 * noisy
+            } else {
+                1.055 * noisy.powf(1.0 / 2.4) - 0.055
+            };
+            (code * 255.0).round() as u8
+        })
+        .collect();
+    Drawing { pixels, view }
+}

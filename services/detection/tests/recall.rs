@@ -1,0 +1,119 @@
+//! Markers that were drawn: how many of them are found.
+
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+
+#[path = "../../../common/imaging/tests/drawn/mod.rs"]
+#[allow(dead_code, reason = "not all of it is needed here")]
+mod drawn;
+
+use drawn::{Dice, Scene, encode};
+use flockeye_detection::{Detector, DetectorParameters, Found};
+use flockeye_geometry::view::View;
+use flockeye_imaging::image::LumaImage;
+use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
+use nalgebra::Vector3;
+
+struct Recall {
+    detector: Detector,
+    light: LinearLight,
+    dice: Dice,
+}
+
+impl Recall {
+    fn new() -> Self {
+        flockeye_detection::use_one_thread().unwrap();
+        let detector = Detector::new("DICT_5X5_250", DetectorParameters::default()).unwrap();
+        let light = LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap();
+        Self { detector: detector.with_expected(0..34), light, dice: Dice(99) }
+    }
+
+    /// One marker of `side` px before it is tilted, and its id.
+    fn scene(&mut self, side: f64, tilt_deg: f64, blur: f64) -> (Scene, u32) {
+        let id = self.dice.uniform(0.0, 34.0) as u32;
+        let mut scene = Scene::new(&mut self.dice, side, tilt_deg.to_radians(), blur);
+        let print = self.detector.dictionary().print(id).unwrap();
+        for (row, cells) in (0..).zip(&mut scene.cells) {
+            for (column, cell) in (0..).zip(cells) {
+                *cell = print.is_white(row, column);
+            }
+        }
+        (scene, id)
+    }
+
+    fn find(&mut self, scene: &Scene) -> Vec<Found> {
+        let pixels = encode(&scene.render(), TransferCurve::Srgb, 0.01, &mut self.dice);
+        let image = LumaImage::new(&pixels, scene.size, scene.size, scene.size).unwrap();
+        let view = View::looking_at(&Vector3::x_axis(), 0.2, scene.size as u32);
+        self.detector.detect(&image, &view, &self.light).unwrap()
+    }
+
+    /// Of 40 markers each: how many are found, in percent, and how many only as doubtful.
+    fn measure(
+        &mut self,
+        side: f64,
+        tilt_deg: f64,
+        blur: f64,
+        change: impl Fn(&mut Scene, &mut Dice),
+    ) -> (u32, u32) {
+        const MARKERS: u32 = 40;
+        let (mut found, mut doubtful) = (0, 0);
+        for _ in 0..MARKERS {
+            let (mut scene, id) = self.scene(side, tilt_deg, blur);
+            change(&mut scene, &mut self.dice);
+            let markers = self.find(&scene);
+            let is_right = |marker: &&Found| {
+                marker.id == id
+                    && (0..4).all(|k| {
+                        let error = marker.corners_in_view[k].0 - scene.corners[k].0;
+                        error.norm() < 0.2 * side
+                    })
+            };
+            let wrong = markers.iter().find(|m| !m.is_doubtful && !is_right(m));
+            // Cells hardly wider than the blur may be misread: poses take two markers that agree.
+            let is_read = cell_in_blurs(side, tilt_deg, blur) > 2.0;
+            assert!(wrong.is_none() || !is_read, "a marker that is not there: {wrong:?}");
+            found += u32::from(markers.iter().any(|m| is_right(&m) && !m.is_doubtful));
+            doubtful += u32::from(markers.iter().any(|m| is_right(&m) && m.is_doubtful));
+        }
+        println!(
+            "side {side} tilt {tilt_deg} blur {blur}: {found} of {MARKERS}, {doubtful} doubtful"
+        );
+        (100 * found / MARKERS, 100 * doubtful / MARKERS)
+    }
+}
+
+/// A cell where the marker is narrowest, in blurs; a pixel's own width counts too.
+fn cell_in_blurs(side: f64, tilt_deg: f64, blur: f64) -> f64 {
+    side * tilt_deg.to_radians().cos() / 7.0 / blur.hypot(0.29)
+}
+
+#[test]
+fn markers_with_a_quiet_zone_are_found() {
+    let mut recall = Recall::new();
+    let mut shares = Vec::new();
+    for side in [14.0, 16.0, 20.0, 30.0, 60.0] {
+        for tilt in [0.0, 30.0, 50.0] {
+            for blur in [0.6, 0.9, 1.2] {
+                let (found, _) = recall.measure(side, tilt, blur, |_, _| {});
+                shares.push((side, tilt, blur, found));
+            }
+        }
+    }
+    for (side, tilt, blur, found) in shares {
+        let least = if cell_in_blurs(side, tilt, blur) > 2.0 { 90 } else { 0 };
+        assert!(found >= least, "side {side} tilt {tilt} blur {blur}: {found} %");
+    }
+}
+
+#[test]
+fn a_corner_touched_by_something_dark_loses_no_marker() {
+    let mut recall = Recall::new();
+    for side in [20.0, 30.0, 60.0] {
+        for tilt in [0.0, 30.0] {
+            let (found, _) = recall.measure(side, tilt, 0.9, |scene, dice| {
+                scene.strut = Some(dice.uniform(0.0, 4.0) as usize);
+            });
+            assert!(found >= 90, "side {side} tilt {tilt}: {found} %");
+        }
+    }
+}
