@@ -7,7 +7,7 @@ mod drawn;
 use drawn::{Dice, Scene, encode};
 use flockeye_geometry::camera::{Camera, Equirectangular, SpherePixel};
 use flockeye_geometry::view::{View, ViewPixel};
-use flockeye_imaging::edges::{Grain, MarkerPrint, RefinedCorners, refine_corners};
+use flockeye_imaging::edges::{Effort, Grain, MarkerPrint, RefinedCorners, refine_corners};
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
 use flockeye_imaging::sphere::{Cut, Interpolation, SphereImage, rectify_into};
@@ -64,7 +64,7 @@ impl Shot {
     fn refine(&self, guess: &[ViewPixel; 4], print: &MarkerPrint) -> Option<RefinedCorners> {
         let image = LumaImage::new(&self.pixels, self.size, self.size, self.size).unwrap();
         let light = LinearLight::new(self.curve, CodeRange::Full).unwrap();
-        refine_corners(&image, &light, guess, print, self.grain)
+        refine_corners(&image, &light, guess, print, self.grain, Effort::WholePrint)
     }
 
     fn middle(&self) -> Vector2<f64> {
@@ -257,24 +257,60 @@ fn without_a_marker_there_is_no_answer() {
     for flat in [0u8, 90, 255] {
         let pixels = [flat; 1600];
         let image = LumaImage::new(&pixels, 40, 40, 40).unwrap();
-        assert_eq!(refine_corners(&image, &light, &guess, &print, Grain::Pixels), None);
+        assert_eq!(
+            refine_corners(&image, &light, &guess, &print, Grain::Pixels, Effort::WholePrint),
+            None
+        );
     }
     // Too small, beyond the border, turned round, no numbers, one pixel.
     let pixels: Vec<u8> = (0..1600).map(|_| dice.uniform(0.0, 255.0) as u8).collect();
     let image = LumaImage::new(&pixels, 40, 40, 40).unwrap();
     let shifted =
         |scale: f64, by: f64| guess.map(|p| ViewPixel(p.0 * scale + Vector2::new(by, by)));
-    assert_eq!(refine_corners(&image, &light, &shifted(0.3, 0.0), &print, Grain::Pixels), None);
-    assert_eq!(refine_corners(&image, &light, &shifted(1.0, 100.0), &print, Grain::Pixels), None);
     assert_eq!(
-        refine_corners(&image, &light, &shifted(1.0, f64::NAN), &print, Grain::Pixels),
+        refine_corners(
+            &image,
+            &light,
+            &shifted(0.3, 0.0),
+            &print,
+            Grain::Pixels,
+            Effort::WholePrint
+        ),
+        None
+    );
+    assert_eq!(
+        refine_corners(
+            &image,
+            &light,
+            &shifted(1.0, 100.0),
+            &print,
+            Grain::Pixels,
+            Effort::WholePrint
+        ),
+        None
+    );
+    assert_eq!(
+        refine_corners(
+            &image,
+            &light,
+            &shifted(1.0, f64::NAN),
+            &print,
+            Grain::Pixels,
+            Effort::WholePrint
+        ),
         None
     );
     let mut turned = guess;
     turned.reverse();
-    assert_eq!(refine_corners(&image, &light, &turned, &print, Grain::Pixels), None);
+    assert_eq!(
+        refine_corners(&image, &light, &turned, &print, Grain::Pixels, Effort::WholePrint),
+        None
+    );
     let point = LumaImage::new(&pixels[..1], 1, 1, 1).unwrap();
-    assert_eq!(refine_corners(&point, &light, &guess, &print, Grain::Pixels), None);
+    assert_eq!(
+        refine_corners(&point, &light, &guess, &print, Grain::Pixels, Effort::WholePrint),
+        None
+    );
 }
 
 #[test]

@@ -6,7 +6,9 @@ use flockeye_dictionary::Dictionary;
 use flockeye_geometry::Ray;
 use flockeye_geometry::mask::Mask;
 use flockeye_geometry::view::{View, ViewPixel};
-use flockeye_imaging::edges::{Grain, RefinedCorners, approach_corners, refine_corners};
+use flockeye_imaging::edges::{
+    Effort, Grain, MarkerPrint, RefinedCorners, approach_corners, refine_corners,
+};
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::LinearLight;
 use flockeye_imaging::square::mean_side_px;
@@ -66,6 +68,8 @@ pub struct DetectorParameters {
     pub min_certainty: f32,
     /// How far the quiet zone must outshine the border, on each side, as a share of the contrast.
     pub min_quiet_zone: f32,
+    /// What is fitted to find a marker's corners.
+    pub effort: Effort,
 }
 
 impl Default for DetectorParameters {
@@ -82,6 +86,7 @@ impl Default for DetectorParameters {
             min_agreement: 0.85,
             min_certainty: 10.0,
             min_quiet_zone: 0.2,
+            effort: Effort::default(),
         }
     }
 }
@@ -239,11 +244,11 @@ impl Detector {
         }
         let corners = turned(near, decoded.first_corner);
         let print = self.dictionary.print(decoded.id)?;
-        let mut refined = refine_corners(image, light, &corners, print, self.grain);
+        let mut refined = self.refined(image, light, &corners, print);
         if refined.is_none() && self.is_beyond_doubt(&decoded) {
             refined = (0..4)
                 .map(|k| with_corner_opposite(&corners, k))
-                .find_map(|guess| refine_corners(image, light, &guess, print, self.grain));
+                .find_map(|guess| self.refined(image, light, &guess, print));
         }
         let (corners_in_view, deviations_px) = match refined {
             Some(refined) => (refined.corners_in_view, refined.deviations_px),
@@ -282,6 +287,16 @@ impl Detector {
     ) -> Option<Reading> {
         Reading::new(image, light, corners, self.dictionary.bits())
             .filter(|reading| reading.quiet_zone() >= self.parameters.min_quiet_zone)
+    }
+
+    fn refined(
+        &self,
+        image: &LumaImage<'_>,
+        light: &LinearLight,
+        guess: &Quad,
+        print: &MarkerPrint,
+    ) -> Option<RefinedCorners> {
+        refine_corners(image, light, guess, print, self.grain, self.parameters.effort)
     }
 
     /// Where corners were guessed, cells are read beside their middles.

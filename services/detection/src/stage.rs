@@ -4,6 +4,7 @@ use flockeye_contract::{
     DetectedMarker, DetectionHeader, Detections, MAX_DETECTED_MARKERS, ViewHeader, ViewKind, Views,
 };
 use flockeye_geometry::body::Bodies;
+use flockeye_imaging::edges::Effort;
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::logs::Throttle;
 use flockeye_runtime::ports::{Message, Ports, Publisher, Subscriber};
@@ -41,6 +42,11 @@ impl Stage for DetectionStage {
         let bodies = context.pipeline.bodies()?;
         let parameters = DetectorParameters {
             min_side_px: context.pipeline.detection.min_side_px,
+            // Where fusion aligns whole bodies, corners are what it begins from, and time matters.
+            effort: match context.pipeline.fusion.align {
+                true => Effort::Edges,
+                false => Effort::WholePrint,
+            },
             ..DetectorParameters::default()
         };
         context.counters.set_detail(bodies.dictionary.as_str());

@@ -2,7 +2,7 @@
 
 use flockeye_geometry::body::Bodies;
 use flockeye_geometry::view::View;
-use flockeye_imaging::align::{AlignOptions, Alignment, BodyPrint, PrintError, align};
+use flockeye_imaging::align::{AlignOptions, Alignment, BodyPrint, PrintError, align, reacquire};
 use flockeye_imaging::edges::MarkerPrint;
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::LinearLight;
@@ -66,6 +66,26 @@ impl Aligner {
             .ok()
             .filter(Alignment::is_believed)
         })
+    }
+}
+
+impl Aligner {
+    /// Looks for body `target` round where it was predicted.
+    pub fn reacquire(
+        &self,
+        target: usize,
+        picture: &Picture<'_>,
+        predicted: &Isometry3<f64>,
+    ) -> Option<Alignment> {
+        reacquire(
+            self.prints.get(target)?,
+            &picture.image,
+            picture.light,
+            &picture.view,
+            self.pixels_per_radian,
+            predicted,
+            &self.options,
+        )
     }
 }
 

@@ -42,9 +42,19 @@ pub fn rays_of<'m>(
     body: &Body,
     markers: impl IntoIterator<Item = &'m DetectedMarker>,
 ) -> Vec<CornerRay> {
-    let own = markers
-        .into_iter()
-        .filter(|marker| marker.is_decoded() && body.marker(marker.id).is_some());
+    own_rays(body, markers.into_iter().filter(|marker| marker.is_decoded()))
+}
+
+/// Rays of those that are only probably markers of `body`.
+pub fn doubtful_rays_of<'m>(
+    body: &Body,
+    markers: impl IntoIterator<Item = &'m DetectedMarker>,
+) -> Vec<CornerRay> {
+    own_rays(body, markers.into_iter().filter(|marker| !marker.is_decoded()))
+}
+
+fn own_rays<'m>(body: &Body, markers: impl Iterator<Item = &'m DetectedMarker>) -> Vec<CornerRay> {
+    let own = markers.filter(|marker| body.marker(marker.id).is_some());
     own.flat_map(|marker| {
         (0..4).map(|corner| CornerRay {
             marker_id: marker.id,
@@ -68,6 +78,8 @@ pub struct Look<'l> {
     pub body: &'l Body,
     /// Rays of its decoded markers' corners.
     pub rays: Vec<CornerRay>,
+    /// Rays of squares that are probably its markers: to begin an alignment from, and for nothing else.
+    pub doubtful: Vec<CornerRay>,
     /// The distance that the rays are right for, metres; infinite where it does not matter.
     pub rays_m: f64,
     /// Its track's prediction, once it is believed.
@@ -76,6 +88,9 @@ pub struct Look<'l> {
     pub predicted: Option<Isometry3<f64>>,
     /// The best view of it.
     pub picture: Option<Picture<'l>>,
+    /// Whether it may be searched for round its prediction where nothing else finds it: that takes
+    /// several times as long.
+    pub may_search: bool,
     /// Decoded markers that must agree where nothing is aligned, with a prior.
     pub needed: usize,
 }
@@ -100,13 +115,23 @@ impl Look<'_> {
                     is_rough: false,
                 })
                 .collect();
+            let doubtful =
+                solve(self.body, &self.doubtful, &PoseOptions::default()).unwrap_or_default();
+            starts.extend(doubtful.iter().take(STARTS_FROM_CORNERS).map(|solution| Start {
+                camera_from_markers: solution.camera_from_markers,
+                is_rough: true,
+            }));
             for is_rough in [false, true] {
                 starts.extend(
                     self.predicted
                         .map(|camera_from_markers| Start { camera_from_markers, is_rough }),
                 );
             }
-            if let Some(found) = aligner.align(self.target, picture, &starts) {
+            let found = aligner.align(self.target, picture, &starts).or_else(|| {
+                let predicted = self.predicted.filter(|_| self.may_search)?;
+                aligner.reacquire(self.target, picture, &predicted)
+            });
+            if let Some(found) = found {
                 let pose = PoseEstimate {
                     camera_from_markers: found.camera_from_markers,
                     covariance: found.covariance,
@@ -199,10 +224,12 @@ mod tests {
             target: 0,
             body,
             rays,
+            doubtful: Vec::new(),
             rays_m: f64::INFINITY,
             prior,
             predicted: None,
             picture: None,
+            may_search: false,
             needed: 1,
         };
         look.measure(&aligner)

@@ -46,6 +46,8 @@ pub struct FusionStage {
     plan_id: u64,
     generation: u32,
     flow: Flow,
+    /// Whether views' pixels are looked into.
+    aligns: bool,
     observer_from_camera: Isometry3<f64>,
     mode: Mode,
     counters: SharedCounters,
@@ -102,6 +104,7 @@ impl Stage for FusionStage {
             plan_id: 0,
             generation: context.identity.generation,
             flow: pipeline.flow,
+            aligns: pipeline.fusion.align,
             observer_from_camera: isometry(&pipeline.observer.observer_from_camera),
             mode: pipeline.search.mode,
             counters: context.counters.clone(),
@@ -123,7 +126,7 @@ impl Stage for FusionStage {
         for lane in &mut self.views {
             while let Some(message) = lane.receive()? {
                 let header = message.header;
-                if self.assembly.add_view(header, now_ns) {
+                if self.assembly.add_view(header, now_ns) && self.aligns {
                     self.gallery.add(header, message);
                 }
             }

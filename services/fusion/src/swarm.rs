@@ -12,7 +12,9 @@ use crate::assembly::{Frame, Record};
 use crate::gallery::Rank;
 use crate::neighbour::{Known, Neighbour};
 use crate::parallax::Parallax;
-use crate::sighting::{Look, MARKERS_ALONE, MeasuredBy, Sighting, measure_all, rays_of};
+use crate::sighting::{
+    Look, MARKERS_ALONE, MeasuredBy, Sighting, doubtful_rays_of, measure_all, rays_of,
+};
 
 /// How poses are carried from frame to frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -60,6 +62,9 @@ pub struct Swarm {
     last_s: Option<f64>,
     interval_s: f64,
 }
+
+/// A neighbour that is lost from sight is searched for round its prediction in every so manyth frame.
+const SEARCH_EVERY_FRAMES: u64 = 3;
 
 /// The longest time between two frames that is believed in when planning for the next, seconds.
 const LONGEST_INTERVAL_S: f64 = 0.25;
@@ -266,25 +271,36 @@ impl Swarm {
             let predicted = prior.as_ref().map(|prior| &prior.camera_from_markers.translation);
             predicted.map_or(parallax.assumed_m(), |position| position.vector.norm())
         });
-        let mut rays = Vec::new();
+        let (mut rays, mut doubtful) = (Vec::new(), Vec::new());
         for Seen { record, view, .. } in seen {
-            let first = rays.len();
-            rays.extend(rays_of(&neighbour.body, &record.markers));
-            if let Some(parallax) = &self.parallax {
-                let from_m = parallax.distance_m(*view);
-                for ray in &mut rays[first..] {
-                    ray.ray_in_camera = parallax.brought(&ray.ray_in_camera, from_m, rays_m);
+            for (all, mut of_view) in [
+                (&mut rays, rays_of(&neighbour.body, &record.markers)),
+                (&mut doubtful, doubtful_rays_of(&neighbour.body, &record.markers)),
+            ] {
+                if let Some(parallax) = &self.parallax {
+                    let from_m = parallax.distance_m(*view);
+                    for ray in &mut of_view {
+                        ray.ray_in_camera = parallax.brought(&ray.ray_in_camera, from_m, rays_m);
+                    }
                 }
+                all.extend(of_view);
             }
         }
         let predicted = predicted.map(|prediction| prediction.observer_from_target);
         let picture = pictures.get(&target).copied();
-        let is_worth_it = !rays.is_empty() || (predicted.is_some() && picture.is_some());
+        let has_start = predicted.is_some() || !doubtful.is_empty();
+        let is_worth_it = !rays.is_empty() || (has_start && picture.is_some());
+        // The dearest look is for one neighbour in some frames, and after those that are seen.
+        let turn = self.frames / SEARCH_EVERY_FRAMES % self.neighbours.len() as u64;
+        let may_search =
+            needed == 1 && self.frames.is_multiple_of(SEARCH_EVERY_FRAMES) && turn == target as u64;
         is_worth_it.then_some(Look {
             target,
             body: &neighbour.body,
             rays,
+            doubtful,
             rays_m,
+            may_search,
             prior,
             predicted,
             picture,

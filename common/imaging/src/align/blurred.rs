@@ -105,7 +105,7 @@ impl<'p> BlurredFacet<'p> {
     }
 
     /// A line of no width along edge `k`, blurred: its light for each unit of light times metres.
-    #[inline]
+    #[inline(always)]
     pub fn line(&self, k: usize, at: Vector2<f64>) -> f64 {
         let edge = &self.edges[k];
         let (density, _) = self.gaussian.at(self.depth(k, at));
@@ -113,7 +113,7 @@ impl<'p> BlurredFacet<'p> {
     }
 
     /// The facet's coverage.
-    #[inline]
+    #[inline(always)]
     pub fn coverage(&self, at: Vector2<f64>) -> Share {
         let at: Vector2<f32> = at.cast();
         let mut share = Share { value: 1.0, ..Share::default() };
@@ -144,7 +144,7 @@ impl<'p> BlurredFacet<'p> {
     }
 
     /// The share of black; nothing on a facet without marker.
-    #[inline]
+    #[inline(always)]
     pub fn black(&self, at: Vector2<f64>) -> Share {
         let Some(blurred) = &self.cells else { return Share::default() };
         let mut sum = Share::default();
@@ -207,7 +207,7 @@ impl<'p> BlurredFacet<'p> {
     /// Weights of the cells along one axis, seen at `at` (cells from the square's edge).
     ///
     /// They are written in place: moving them would take longer than finding them.
-    #[inline]
+    #[inline(always)]
     fn weigh(&self, weights: &mut Weights, at: f32, deviation: f32, count: usize) {
         weights.count = 0;
         let (per_deviation, reach) = (1.0 / deviation, REACH * deviation);

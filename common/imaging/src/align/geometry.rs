@@ -77,7 +77,8 @@ impl SeenFacet {
         let middle = in_camera(&facet.middle());
         let cosine = z.dot(&middle) / middle.norm();
         // A NaN faces nobody.
-        if !(cosine >= MIN_COSINE) {
+        let faces_camera = cosine >= MIN_COSINE;
+        if !faces_camera {
             return None;
         }
         let outline_px = facet
@@ -115,7 +116,7 @@ impl SeenFacet {
     ///
     /// A point of the body that moves by d leaves the pixel; what comes in its place lies at
     /// l e - d from it, with e the pixel's direction and l such that it lies in the plane.
-    #[inline]
+    #[inline(always)]
     pub fn flow(&self, direction: &Vector3<f64>) -> Flow {
         let slope = 1.0 / self.z.dot(direction);
         let point = direction * (self.offset * slope);
@@ -146,7 +147,7 @@ impl SeenFacet {
 impl Flow {
     /// Derivative of a value by the pose (shift of the markers' origin, then rotation about it,
     /// both in the camera's axes), where `slope` is its derivative by the facet's coordinates.
-    #[inline]
+    #[inline(always)]
     pub fn by_pose(&self, slope: Vector2<f64>) -> [f64; 6] {
         let shift = self.along_x * slope.x + self.along_y * slope.y;
         let turn = self.arm.cross(&shift);

@@ -12,6 +12,9 @@ const FINEST_NOISE: f64 = 1.5e-3;
 /// Two numbers for each facet need no more samples than about this.
 const LEVEL_SAMPLES: usize = 1500;
 
+/// A sample's facets, by their places, with the white and the black of each, and how many there are.
+pub(super) type Row = ([(usize, f64, f64); 3], usize);
+
 /// The levels that explain the samples best with everything else as it is; returns what is left
 /// over on each facet.
 pub(super) fn fit_levels(
@@ -28,7 +31,7 @@ pub(super) fn fit_levels(
     let step = (samples.len() / LEVEL_SAMPLES).max(1);
     let samples: Vec<Sample> = samples.iter().step_by(step).copied().collect();
     let samples = samples.as_slice();
-    let mut rows: Vec<([(usize, f64, f64); 3], usize)> = Vec::with_capacity(samples.len());
+    let mut rows: Vec<Row> = Vec::with_capacity(samples.len());
     for sample in samples {
         let mut row = [(0, 0.0, 0.0); 3];
         let mut used = 0;

@@ -251,13 +251,14 @@ impl Frame {
         let fit = solve::fit(patch, print, state, settings).ok_or(AlignError::Nothing)?;
         let score = score::score(patch, print, &fit, 0.0, settings.samples_per_pixel);
         let camera_from_patch = view.camera_from_view;
+        let along = self.common_error(print, &fit.state.patch_from_markers);
         let turn = camera_from_patch.to_rotation_matrix().into_inner();
         let mut axes = Matrix6::zeros();
         axes.fixed_view_mut::<3, 3>(0, 0).copy_from(&turn);
         axes.fixed_view_mut::<3, 3>(3, 3).copy_from(&turn);
         Ok(Alignment {
             camera_from_markers: camera_from_patch * fit.state.patch_from_markers,
-            covariance: axes * fit.covariance * axes.transpose(),
+            covariance: axes * (fit.covariance + along) * axes.transpose(),
             blur_px2: fit.state.blur / magnification.powi(2),
             score,
             samples: fit.samples.len(),
@@ -265,6 +266,25 @@ impl Frame {
         })
     }
 }
+
+impl Frame {
+    /// Covariance of what is wrong with all edges at once, and so in no residual: black grows or
+    /// shrinks by a few hundredths of a pixel with the response, the point spread's shape and the
+    /// compression, and moves the body along the line of sight.
+    fn common_error(&self, print: &BodyPrint, patch_from_markers: &Isometry3<f64>) -> Matrix6<f64> {
+        let position = patch_from_markers.translation.vector;
+        let sphere_px = self.patch.pinhole.focal_px / self.magnification;
+        // A body of radius R at range r spans f R/r pixels: an edge's error e is e r^2/(f R) of range.
+        let range_m = position.norm_squared() * EDGE_ERROR_PX / (sphere_px * print.radius_m());
+        let along = position.normalize() * range_m;
+        let mut covariance = Matrix6::zeros();
+        covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&(along * along.transpose()));
+        covariance
+    }
+}
+
+/// Deviation of what all edges are off together, pixels of the sphere image.
+const EDGE_ERROR_PX: f64 = 0.04;
 
 /// Extra blur of the coarse fit, in the smallest marker's cells. More made it diverge: what is
 /// behind the body bleeds in.

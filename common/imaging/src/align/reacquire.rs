@@ -7,6 +7,7 @@
 
 use nalgebra::{DMatrix, DVector, Isometry3, UnitQuaternion, Vector3};
 
+use super::levels::Row;
 use super::patch::Patch;
 use super::print::BodyPrint;
 use super::samples::{self, Sample};
@@ -68,7 +69,7 @@ fn attitudes() -> impl Iterator<Item = UnitQuaternion<f64>> {
 struct Drawing {
     samples: Vec<Sample>,
     /// For each sample: slots of the facets that show in it, with their white and black.
-    rows: Vec<([(usize, f64, f64); 3], usize)>,
+    rows: Vec<Row>,
     full: nalgebra::Cholesky<f64, nalgebra::Dyn>,
     plain: nalgebra::Cholesky<f64, nalgebra::Dyn>,
     facets: usize,

@@ -66,7 +66,7 @@ impl<const ROW: usize> Bundle<ROW> {
         Self { places, products: [[0.0; ROW]; ROW] }
     }
 
-    #[inline]
+    #[inline(always)]
     fn add(&mut self, row: &[f32; ROW], weight: f32) {
         // All of it, though half would do: so the compiler adds four numbers at a time.
         for (products, first) in self.products.iter_mut().zip(row) {
@@ -92,6 +92,23 @@ impl<const ROW: usize> Bundle<ROW> {
 
 impl Pass<'_> {
     pub fn sum(&self, scene: &Scene<'_>, state: &State) -> Sums {
+        #[cfg(target_arch = "x86_64")]
+        if std::arch::is_x86_feature_detected!("avx2") {
+            // SAFETY: the processor has AVX2, as was asked just now.
+            return unsafe { self.sum_avx2(scene, state) };
+        }
+        self.sum_plain(scene, state)
+    }
+
+    /// The same code, and the same sums to the last bit, with eight numbers in a register.
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn sum_avx2(&self, scene: &Scene<'_>, state: &State) -> Sums {
+        self.sum_plain(scene, state)
+    }
+
+    #[inline(always)]
+    fn sum_plain(&self, scene: &Scene<'_>, state: &State) -> Sums {
         let unknowns = self.layout.count;
         let columns = self.patch.width / BLOCK_PX + 1;
         let mut sums = Sums {
@@ -111,6 +128,7 @@ impl Pass<'_> {
         sums
     }
 
+    #[inline(always)]
     fn sum_run<const ROW: usize>(
         &self,
         scene: &Scene<'_>,

@@ -131,6 +131,7 @@ fn numbers_that_are_none_and_lies_about_the_view_are_refused() {
 }
 
 /// Facets that face the camera, modelled in a pinhole with the body in its middle.
+#[expect(clippy::too_many_arguments, reason = "the parts of one state")]
 fn modelled(
     print: &BodyPrint,
     pose: &Isometry3<f64>,

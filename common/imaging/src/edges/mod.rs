@@ -70,6 +70,7 @@ pub fn refine_corners(
     guess_in_view: &[ViewPixel; 4],
     print: &MarkerPrint,
     grain: Grain,
+    effort: Effort,
 ) -> Option<RefinedCorners> {
     let size = mean_side_px(guess_in_view);
     // Written so that a NaN is too small.
@@ -104,12 +105,26 @@ pub fn refine_corners(
         before = Some(fit);
     }
     let edges = refined.filter(|refined| is_near(&refined.corners_in_view, guess_in_view))?;
-    let whole = by_whole_print(image, light, &edges, print, grain)
-        .filter(|whole| is_near(&whole.corners_in_view, guess_in_view));
+    let whole = match effort {
+        Effort::Edges => None,
+        Effort::WholePrint => by_whole_print(image, light, &edges, print, grain)
+            .filter(|whole| is_near(&whole.corners_in_view, guess_in_view)),
+    };
     Some(whole.unwrap_or_else(|| RefinedCorners {
         deviations_px: edges.deviations_px.map(|deviation| without_whole(deviation, &edges, print)),
         ..edges
     }))
+}
+
+/// What is fitted to find corners.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Effort {
+    /// The four edges: enough to begin an alignment of the whole body from.
+    Edges,
+    /// The edges, then everything that is printed: many times the cost, for corners that are all
+    /// there will be.
+    #[default]
+    WholePrint,
 }
 
 /// Edges alone say less than they seem to where the whole print does not fit: something hides a part

@@ -11,7 +11,8 @@ use std::time::Instant;
 
 use criterion::{Criterion, criterion_group};
 use drawn::{CELLS, Dice, Scene, encode};
-use flockeye_detection::{Detector, DetectorParameters, Dictionary};
+use flockeye_detection::{Detector, DetectorParameters};
+use flockeye_dictionary::Dictionary;
 use flockeye_geometry::view::{View, ViewPixel};
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
