@@ -288,8 +288,9 @@ impl Swarm {
         }
         let predicted = predicted.map(|prediction| prediction.observer_from_target);
         let picture = pictures.get(&target).copied();
-        let has_start = predicted.is_some() || !doubtful.is_empty();
-        let is_worth_it = !rays.is_empty() || (has_start && picture.is_some());
+        let is_worth_it = !rays.is_empty() || (predicted.is_some() && picture.is_some());
+        // A neighbour that nobody has seen is not begun from squares that are probably its markers:
+        // on a chequered wall there are enough of them.
         // The dearest look is for one neighbour in some frames, and after those that are seen.
         let turn = self.frames / SEARCH_EVERY_FRAMES % self.neighbours.len() as u64;
         let may_search =

@@ -29,9 +29,12 @@ impl Score {
     /// Whether the body is there: the fewer the facets' cells agree on average (something hides part of
     /// it, say), the more they must say in all.
     pub fn is_accepted(&self) -> bool {
-        ACCEPTED.iter().any(|&(correlation, log_ratio)| {
-            self.correlation > correlation && self.log_ratio > log_ratio
-        })
+        // One facet far away is a handful of pixels, and may be anything chequered.
+        let is_seen_twice = self.agreeing_facets >= 2 || self.log_ratio > ONE_FACET_LOG_RATIO;
+        is_seen_twice
+            && ACCEPTED.iter().any(|&(correlation, log_ratio)| {
+                self.correlation > correlation && self.log_ratio > log_ratio
+            })
     }
 }
 
@@ -39,8 +42,11 @@ impl Score {
 /// bodies, and right ones at wrong poses, stay below 0.44 with 13 and below 0.2 with 90.
 const ACCEPTED: [(f64, f64); 3] = [(0.7, 8.0), (0.47, 30.0), (0.27, 200.0)];
 
+/// What a single facet must say.
+const ONE_FACET_LOG_RATIO: f64 = 100.0;
+
 /// Facets with fewer samples are not compared.
-const MIN_SAMPLES: u32 = 12;
+const MIN_SAMPLES: u32 = 16;
 /// Correlation of a facet that agrees.
 const AGREEING: f64 = 0.6;
 /// Correlations are capped: no picture is worth more.
