@@ -26,7 +26,7 @@ test: setup
 # The whole workspace, so that what `make test` built serves here too.
 bench: setup
 	cargo build --release --workspace --all-targets --locked
-	cargo bench --workspace --locked --bench rectify --bench corners --bench render --bench hop --bench pipeline
+	cargo bench --workspace --locked --bench rectify --bench corners --bench align --bench render --bench hop --bench pipeline
 
 format:
 	cargo fmt --all

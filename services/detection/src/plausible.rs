@@ -133,10 +133,12 @@ mod tests {
         let mut found = visible(alpha, &pose);
         let count = found.len();
         assert!(count >= 3);
-        // Far beside it; much nearer; from behind. Another body's marker, and a stranger, may be there.
+        // From behind, and read worse; much nearer. Another body's marker, and a stranger, may be there.
         let facing = &alpha.markers[usize::try_from(found[0].id).unwrap()];
-        let hidden = alpha.markers.iter().find(|marker| found.iter().all(|f| f.id != marker.id));
-        let mut wrong = vec![seen(hidden.unwrap(), &pose, 0.99)];
+        let ahead = pose.translation.vector;
+        let away = |marker: &&Marker| marker.normal().dot(&ahead);
+        let hidden = alpha.markers.iter().max_by(|a, b| away(a).total_cmp(&away(b)));
+        let mut wrong = vec![seen(hidden.unwrap(), &pose, 0.9)];
         found.retain(|marker| marker.id != facing.id);
         wrong.push(seen(facing, &Isometry3::translation(0.3, 0.06, 0.03), 0.99));
         let strangers = [
