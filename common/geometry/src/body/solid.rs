@@ -158,7 +158,10 @@ fn outline(points: &[Point3<f64>], normal: &Vector3<f64>) -> Vec<Point3<f64>> {
     let axis = Vector3::ith(normal.iamin(), 1.0);
     let across = normal.cross(&axis).normalize();
     let along = normal.cross(&across);
-    let flat = |p: &Point3<f64>| (across.dot(&p.coords), along.dot(&p.coords));
+    // Rounded, and without a negative zero, so that points above each other are sorted by height.
+    let nanometres = |x: f64| (x * 1e9).round() + 0.0;
+    let flat =
+        |p: &Point3<f64>| (nanometres(across.dot(&p.coords)), nanometres(along.dot(&p.coords)));
     let mut sorted = points.to_vec();
     sorted.sort_by(|a, b| {
         let (a, b) = (flat(a), flat(b));
