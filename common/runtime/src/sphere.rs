@@ -9,7 +9,7 @@ use flockeye_geometry::search::GazeOptions;
 use flockeye_geometry::view::View;
 
 use crate::camera::CameraSettingError;
-use crate::config::{Auto, Count, Pipeline};
+use crate::config::{Auto, Count, Filter, Pipeline};
 
 /// Why the sphere has no views.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -23,7 +23,8 @@ pub enum SphereViewsError {
     /// Views that no message can carry.
     #[error(
         "partition.count: {count} views of this camera's sphere have {size_px} px a side, and a view \
-         has {MAX_VIEW_PX} at most. Cure: more views, a smaller margin, or smaller frames"
+         has {MAX_VIEW_PX} at most. Cure: more views, a smaller margin, smaller frames, or a smaller \
+         partition.magnification"
     )]
     TooLarge {
         /// How many views.
@@ -98,14 +99,22 @@ impl Pipeline {
         self.sphere_partition()?.field_rad(self.partition_margin_rad(largest_marker_m))
     }
 
-    /// The partitions as views at the sphere's own resolution, which overlap by
-    /// [`Pipeline::partition_margin_rad`].
+    /// Pixels of the partitions' views for each of the sphere's, along a side.
+    pub fn partition_magnification(&self) -> f64 {
+        // Gaze views are magnified, but without tracks there are none.
+        let without_gaze = if self.fusion.filter == Filter::None { 2.0 } else { 1.0 };
+        self.partition.magnification.unwrap_or(without_gaze)
+    }
+
+    /// The partitions as views, at the sphere's resolution times
+    /// [`Pipeline::partition_magnification`], which overlap by [`Pipeline::partition_margin_rad`].
     ///
     /// # Errors
     /// A margin that leaves no view; a camera that cannot be.
     pub fn partition_views(&self, largest_marker_m: f64) -> Result<Vec<View>, SphereViewsError> {
         let margin_rad = self.partition_margin_rad(largest_marker_m);
-        let pixels_per_radian = self.camera_model()?.pixels_per_radian();
+        let pixels_per_radian =
+            self.camera_model()?.pixels_per_radian() * self.partition_magnification();
         let views = self.sphere_partition()?.views(margin_rad, pixels_per_radian)?;
         match views.iter().map(|view| view.size_px).max() {
             Some(size_px) if size_px > MAX_VIEW_PX => {

@@ -54,3 +54,8 @@ pub use parameters::{Paced, SourceParameters};
 pub use picture::Picture;
 pub use source::Source;
 pub use spec::SourceSpec;
+
+/// The capture stage's process. It is here so that it is compiled once, with the library.
+pub fn main() -> std::process::ExitCode {
+    flockeye_runtime::stage::main::<stage::CaptureStage>()
+}

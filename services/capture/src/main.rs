@@ -1,7 +1,5 @@
 //! The capture stage's process.
 
-use std::process::ExitCode;
-
-fn main() -> ExitCode {
-    flockeye_runtime::stage::main::<flockeye_capture::stage::CaptureStage>()
+fn main() -> std::process::ExitCode {
+    flockeye_capture::main()
 }

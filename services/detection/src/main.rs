@@ -1,7 +1,5 @@
 //! The detection stage's process.
 
-use std::process::ExitCode;
-
-fn main() -> ExitCode {
-    flockeye_runtime::stage::main::<flockeye_detection::stage::DetectionStage>()
+fn main() -> std::process::ExitCode {
+    flockeye_detection::main()
 }

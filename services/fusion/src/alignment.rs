@@ -1,22 +1,19 @@
 //! A body aligned with the pixels of the best view of it.
 
 use flockeye_geometry::body::Bodies;
-use flockeye_geometry::view::View;
-use flockeye_imaging::align::{AlignOptions, Alignment, BodyPrint, PrintError, align, reacquire};
+use flockeye_imaging::align::{
+    AlignOptions, Alignment, BodyPrint, Picture, PrintError, align, reacquire,
+};
 use flockeye_imaging::edges::MarkerPrint;
-use flockeye_imaging::image::LumaImage;
-use flockeye_imaging::light::LinearLight;
 use nalgebra::Isometry3;
 
-/// A view of a neighbour, with its pixels.
+/// The view that shows a body best.
 #[derive(Debug, Clone, Copy)]
-pub struct Picture<'p> {
-    /// The pixels.
-    pub image: LumaImage<'p>,
-    /// What they show.
-    pub view: View,
-    /// What light they stand for.
-    pub light: &'p LinearLight,
+pub struct BestView<'p> {
+    /// The view, with its pixels.
+    pub picture: Picture<'p>,
+    /// Its place in the plan.
+    pub view_index: u32,
     /// The distance that its rays are right for, metres; it matters for lenses beside the middle.
     pub rays_m: f64,
 }
@@ -28,6 +25,16 @@ pub struct Aligner {
     pixels_per_radian: f64,
     options: AlignOptions,
 }
+
+/// Two poses of a body are not the same one if they differ by more, radians, or by this share of
+/// the range.
+const OTHER_TURN_RAD: f64 = 0.2;
+const OTHER_PLACE: f64 = 0.05;
+/// Without a track, a pose that only one facet agrees with is believed if its facets agree so well
+/// on average, and any other pose has at most this share of its log-likelihood. One marker of 14 px
+/// was seen to reach 0.71 in the wrong attitude, and 1.2 times the right one's log-likelihood.
+const ALONE_CORRELATION: f64 = 0.8;
+const ALONE_RIVAL: f64 = 0.33;
 
 impl Aligner {
     /// For `bodies` with markers that look as `print_of` says, on a sphere image of this resolution.
@@ -44,32 +51,45 @@ impl Aligner {
         Ok(Self { prints, pixels_per_radian, options: AlignOptions::default() })
     }
 
-    /// Aligns body `target` from the first of `starts` that leads to it. `None` if none does.
-    pub fn align(
+    /// The sphere image's resolution.
+    pub fn pixels_per_radian(&self) -> f64 {
+        self.pixels_per_radian
+    }
+
+    /// Aligns body `target`, which is tracked, from the first of `starts` that leads to it. `None` if
+    /// none does.
+    pub fn follow(
         &self,
         target: usize,
         picture: &Picture<'_>,
         starts: &[Start],
     ) -> Option<Alignment> {
-        let print = self.prints.get(target)?;
-        starts.iter().find_map(|start| {
-            let options = AlignOptions { coarse_first: start.is_rough, ..self.options };
-            align(
-                print,
-                &picture.image,
-                picture.light,
-                &picture.view,
-                self.pixels_per_radian,
-                &start.camera_from_markers,
-                &options,
-            )
-            .ok()
-            .filter(Alignment::is_believed)
-        })
+        let mut found = starts.iter().filter_map(|start| self.align(target, picture, start));
+        found.find(Alignment::is_believed)
     }
-}
 
-impl Aligner {
+    /// Aligns body `target`, of which nothing is known yet, from all of `starts`. One facet can look
+    /// the same in two attitudes, mirror images of each other: the best pose is believed if two facets
+    /// agree with it, or if it stands out among what the other starts lead to.
+    pub fn discover(
+        &self,
+        target: usize,
+        picture: &Picture<'_>,
+        starts: &[Start],
+    ) -> Option<Alignment> {
+        let found: Vec<Alignment> =
+            starts.iter().filter_map(|start| self.align(target, picture, start)).collect();
+        let best = found
+            .iter()
+            .filter(|found| found.is_believed())
+            .max_by(|a, b| a.score.log_ratio.total_cmp(&b.score.log_ratio))?;
+        let others = || found.iter().filter(|other| !is_same(best, other));
+        let stands_out = best.score.correlation > ALONE_CORRELATION
+            && others().next().is_some()
+            && others().all(|other| other.score.log_ratio < ALONE_RIVAL * best.score.log_ratio);
+        (best.score.agreeing_facets >= 2 || stands_out).then(|| best.clone())
+    }
+
     /// Looks for body `target` round where it was predicted.
     pub fn reacquire(
         &self,
@@ -77,16 +97,20 @@ impl Aligner {
         picture: &Picture<'_>,
         predicted: &Isometry3<f64>,
     ) -> Option<Alignment> {
-        reacquire(
-            self.prints.get(target)?,
-            &picture.image,
-            picture.light,
-            &picture.view,
-            self.pixels_per_radian,
-            predicted,
-            &self.options,
-        )
+        reacquire(self.prints.get(target)?, picture, predicted, &self.options)
     }
+
+    fn align(&self, target: usize, picture: &Picture<'_>, start: &Start) -> Option<Alignment> {
+        let options = AlignOptions { coarse_first: start.is_rough, ..self.options };
+        align(self.prints.get(target)?, picture, &start.camera_from_markers, &options).ok()
+    }
+}
+
+fn is_same(one: &Alignment, other: &Alignment) -> bool {
+    let (one, other) = (&one.camera_from_markers, &other.camera_from_markers);
+    let (here, there) = (one.translation.vector, other.translation.vector);
+    one.rotation.angle_to(&other.rotation) < OTHER_TURN_RAD
+        && (here - there).norm() < OTHER_PLACE * here.norm()
 }
 
 /// Where alignment may begin.

@@ -24,3 +24,8 @@ pub mod parallax;
 pub mod sighting;
 pub mod stage;
 pub mod swarm;
+
+/// The fusion stage's process. It is here so that it is compiled once, with the library.
+pub fn main() -> std::process::ExitCode {
+    flockeye_runtime::stage::main::<stage::FusionStage>()
+}

@@ -7,7 +7,7 @@ use flockeye_geometry::pose::{CornerRay, PoseOptions, PosePrior, choose, solve};
 use flockeye_geometry::view::{View, ViewPixel};
 use nalgebra::{Isometry3, Unit, Vector2, Vector3};
 
-use crate::alignment::{Aligner, Picture, Start};
+use crate::alignment::{Aligner, BestView, Start};
 use crate::neighbour::PoseEstimate;
 
 /// Markers that must agree on a pose before it is believed without a track to compare it with: one
@@ -87,7 +87,7 @@ pub struct Look<'l> {
     /// Its track's prediction, believed or not.
     pub predicted: Option<Isometry3<f64>>,
     /// The best view of it.
-    pub picture: Option<Picture<'l>>,
+    pub best_view: Option<BestView<'l>>,
     /// Whether it may be searched for round its prediction where nothing else finds it: that takes
     /// several times as long.
     pub may_search: bool,
@@ -106,7 +106,7 @@ impl Look<'_> {
         let solutions = solve(self.body, &self.rays, &PoseOptions::default()).unwrap_or_default();
         let chosen = choose(&solutions, self.prior.as_ref()).map(|choice| choice.solution);
         let markers = distinct_markers(&self.rays);
-        if let Some(picture) = &self.picture {
+        if let Some(BestView { picture, .. }) = &self.best_view {
             let others = solutions.iter().filter(|solution| Some(*solution) != chosen);
             let from_corners = chosen.into_iter().chain(others).take(STARTS_FROM_CORNERS);
             let mut starts: Vec<Start> = from_corners
@@ -127,7 +127,12 @@ impl Look<'_> {
                         .map(|camera_from_markers| Start { camera_from_markers, is_rough }),
                 );
             }
-            let found = aligner.align(self.target, picture, &starts).or_else(|| {
+            let found = if self.prior.is_some() {
+                aligner.follow(self.target, picture, &starts)
+            } else {
+                aligner.discover(self.target, picture, &starts)
+            };
+            let found = found.or_else(|| {
                 let predicted = self.predicted.filter(|_| self.may_search)?;
                 aligner.reacquire(self.target, picture, &predicted)
             });
@@ -228,7 +233,7 @@ mod tests {
             rays_m: f64::INFINITY,
             prior,
             predicted: None,
-            picture: None,
+            best_view: None,
             may_search: false,
             needed: 1,
         };

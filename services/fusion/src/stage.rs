@@ -10,6 +10,7 @@ use flockeye_contract::{
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::filter::{MotionModel, TrackPolicy};
 use flockeye_geometry::search::{Planner, Purpose, SearchMode, StopRule};
+use flockeye_imaging::align::Picture;
 use flockeye_runtime::bodies::isometry;
 use flockeye_runtime::config::{Filter, Flow, Mode, Pipeline};
 use flockeye_runtime::health::SharedCounters;
@@ -20,13 +21,13 @@ use flockeye_runtime::{Context, Stage, Step, clock};
 use flockeye_viewing::{Lights, image_of, view_of};
 use nalgebra::Isometry3;
 
-use crate::alignment::{Aligner, Picture};
+use crate::alignment::{Aligner, BestView};
 use crate::assembly::{Assembly, Frame, Record};
 use crate::gallery::{FrameOrder, Gallery};
 use crate::message;
 use crate::parallax::Parallax;
 use crate::sighting::agrees_with_view;
-use crate::swarm::{FilterChoice, Pictures, Purposes, Seen, Swarm, Update};
+use crate::swarm::{BestViews, FilterChoice, Purposes, Seen, Swarm, Update};
 
 /// Plans that are remembered, for frames that still follow them.
 const REMEMBERED_PLANS: usize = 16;
@@ -187,7 +188,9 @@ impl FusionStage {
             return None;
         }
         let purpose = self.purpose_of(&header, of_view.as_ref());
-        let shows = self.swarm.shown(&record, purpose, of_view.as_ref());
+        let stop_rule =
+            self.remembered.get(&header.plan_id).map_or(StopRule::All, |(_, stop_rule)| *stop_rule);
+        let shows = self.swarm.shown(&record, purpose, of_view.as_ref(), stop_rule);
         self.gallery.answered(header.stamp.order(), header.view_index, &shows);
         Some(record)
     }
@@ -212,8 +215,8 @@ impl FusionStage {
         if seen.is_empty() {
             return Ok(());
         }
-        let pictures = pictures(&self.gallery, &mut self.lights, &self.swarm, stamp.order());
-        let updates = self.swarm.glance(seconds(&stamp), &seen, &pictures);
+        let best_views = best_views(&self.gallery, &mut self.lights, &self.swarm, stamp.order());
+        let updates = self.swarm.glance(seconds(&stamp), &seen, &best_views);
         if !updates.is_empty() {
             self.send_tracks(&stamp, &updates, &of_frame, false)?;
         }
@@ -254,10 +257,10 @@ impl FusionStage {
         let (purposes, stop_rule) =
             self.remembered.get(&frame.plan_id).cloned().unwrap_or_else(swept);
         let order = frame.stamp.order();
-        let pictures = pictures(&self.gallery, &mut self.lights, &self.swarm, order);
+        let best_views = best_views(&self.gallery, &mut self.lights, &self.swarm, order);
         let updates =
-            self.swarm.finish(seconds(&frame.stamp), frame, &purposes, stop_rule, &pictures);
-        drop(pictures);
+            self.swarm.finish(seconds(&frame.stamp), frame, &purposes, stop_rule, &best_views);
+        drop(best_views);
         self.gallery.forget(order);
         let records: Vec<&Record> = frame.records.values().collect();
         for part in updates.chunks(MAX_TRACKS) {
@@ -361,12 +364,12 @@ fn seconds(stamp: &FrameStamp) -> f64 {
 
 /// The best views of a frame's neighbours, as images. What cannot be read is left out: detection
 /// says why.
-fn pictures<'g>(
+fn best_views<'g>(
     gallery: &'g Gallery<Message<Views>>,
     lights: &'g mut Lights,
     swarm: &Swarm,
     order: FrameOrder,
-) -> Pictures<'g> {
+) -> BestViews<'g> {
     for (_, header, _) in gallery.of_frame(order) {
         // Known from here on, or refused here and again below.
         let _ = lights.of(header);
@@ -379,9 +382,10 @@ fn pictures<'g>(
                 image: image_of(header, message.items()).ok()?,
                 view: view_of(header),
                 light: lights.known(header)?,
-                rays_m: swarm.rays_m(header),
+                pixels_per_radian: swarm.pixels_per_radian(),
             };
-            Some((target, picture))
+            let (view_index, rays_m) = (header.view_index, swarm.rays_m(header));
+            Some((target, BestView { picture, view_index, rays_m }))
         })
         .collect()
 }

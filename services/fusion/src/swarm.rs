@@ -7,7 +7,7 @@ use flockeye_geometry::body::{Bodies, Body};
 use flockeye_geometry::filter::{Prediction, TrackPolicy};
 use flockeye_geometry::search::{Plan, Planner, PredictedNeighbour, Purpose, Searched, StopRule};
 
-use crate::alignment::{Aligner, Picture};
+use crate::alignment::{Aligner, BestView};
 use crate::assembly::{Frame, Record};
 use crate::gallery::Rank;
 use crate::neighbour::{Known, Neighbour};
@@ -32,7 +32,7 @@ pub type Update = (usize, Known);
 pub type Purposes = BTreeMap<u32, Purpose>;
 
 /// The best view of each neighbour in a frame, by its number.
-pub type Pictures<'p> = BTreeMap<usize, Picture<'p>>;
+pub type BestViews<'p> = BTreeMap<usize, BestView<'p>>;
 
 /// A record with what its view was cut for and, if it was seen passing, the view.
 #[derive(Debug, Clone, Copy)]
@@ -109,6 +109,11 @@ impl Swarm {
         &self.neighbours
     }
 
+    /// The sphere image's resolution.
+    pub fn pixels_per_radian(&self) -> f64 {
+        self.aligner.pixels_per_radian()
+    }
+
     /// The distance that a view's rays are right for, metres; infinite where it does not matter.
     pub fn rays_m(&self, view: &ViewHeader) -> f64 {
         let parallax = self.parallax.as_ref();
@@ -121,6 +126,7 @@ impl Swarm {
         record: &Record,
         purpose: Option<Purpose>,
         view: Option<&ViewHeader>,
+        stop_rule: StopRule,
     ) -> Vec<(usize, Rank)> {
         let Some(view) = view else { return Vec::new() };
         let middle = (f64::from(view.size_px) - 1.0) / 2.0;
@@ -137,12 +143,20 @@ impl Swarm {
             } else {
                 0.0
             };
-            (is_own || count > 0.0).then_some(Rank {
+            let rank = Rank {
                 is_own,
                 focal_px: view.focal_px,
                 off_centre: off_px / view.focal_px,
                 view_index: view.view_index,
-            })
+            };
+            // What is searched beyond the first hit must not take its place.
+            let rank = match stop_rule {
+                StopRule::All | StopRule::Deadline => rank,
+                StopRule::FirstHit => {
+                    Rank { is_own: false, focal_px: 0.0, off_centre: 0.0, ..rank }
+                }
+            };
+            (is_own || count > 0.0).then_some(rank)
         };
         let neighbours = self.neighbours.iter().enumerate();
         neighbours
@@ -152,7 +166,12 @@ impl Swarm {
 
     /// What gaze views' records say of their neighbours, as soon as they are in: a pose need not
     /// wait for the partitions. Called for records of the oldest open frame.
-    pub fn glance(&mut self, at_s: f64, seen: &[Seen<'_>], pictures: &Pictures<'_>) -> Vec<Update> {
+    pub fn glance(
+        &mut self,
+        at_s: f64,
+        seen: &[Seen<'_>],
+        best_views: &BestViews<'_>,
+    ) -> Vec<Update> {
         let mut looks: Vec<(usize, Vec<Seen<'_>>)> = Vec::new();
         for record in seen {
             let Some(Purpose::Gaze(target)) = record.purpose else { continue };
@@ -162,7 +181,7 @@ impl Swarm {
                 looks.push((target, vec![*record]));
             }
         }
-        self.settle(at_s, &looks, pictures, MARKERS_ALONE)
+        self.settle(at_s, &looks, best_views, MARKERS_ALONE)
     }
 
     /// Everything that is left to say of a frame: its remaining neighbours, and those that it does
@@ -173,9 +192,16 @@ impl Swarm {
         frame: &Frame,
         purposes: &Purposes,
         stop_rule: StopRule,
-        pictures: &Pictures<'_>,
+        best_views: &BestViews<'_>,
     ) -> Vec<Update> {
         let counted = records_that_count(frame, stop_rule);
+        let best_views: BestViews<'_> = best_views
+            .iter()
+            .filter(|(_, best)| {
+                counted.iter().any(|record| record.header.view_index == best.view_index)
+            })
+            .map(|(target, best)| (*target, *best))
+            .collect();
         let seen: Vec<Seen<'_>> = counted
             .iter()
             .map(|record| Seen {
@@ -186,12 +212,12 @@ impl Swarm {
             .collect();
         // The same order as if each gaze record had come in time for `glance`: what a frame says
         // must not depend on when its parts came.
-        let mut updates = self.glance(at_s, &seen, pictures);
+        let mut updates = self.glance(at_s, &seen, &best_views);
         let looks: Vec<(usize, Vec<Seen<'_>>)> = (0..self.neighbours.len())
             .filter(|target| !self.settled.contains(target))
             .map(|target| (target, seen.clone()))
             .collect();
-        updates.extend(self.settle(at_s, &looks, pictures, 1));
+        updates.extend(self.settle(at_s, &looks, &best_views, 1));
         for target in 0..self.neighbours.len() {
             if self.settled.contains(&target) {
                 continue;
@@ -214,12 +240,12 @@ impl Swarm {
         &mut self,
         at_s: f64,
         looks: &[(usize, Vec<Seen<'_>>)],
-        pictures: &Pictures<'_>,
+        best_views: &BestViews<'_>,
         needed: usize,
     ) -> Vec<Update> {
         let looks: Vec<Look<'_>> = looks
             .iter()
-            .filter_map(|(target, seen)| self.look(at_s, *target, seen, pictures, needed))
+            .filter_map(|(target, seen)| self.look(at_s, *target, seen, best_views, needed))
             .collect();
         let sightings = measure_all(&looks, &self.aligner, self.threads);
         let corrected: Vec<(usize, Sighting)> = looks
@@ -229,7 +255,7 @@ impl Swarm {
                 let sighting = sighting?;
                 let rays_m = match sighting.measured_by {
                     MeasuredBy::Decoded => look.rays_m,
-                    MeasuredBy::Aligned => look.picture.map_or(look.rays_m, |p| p.rays_m),
+                    MeasuredBy::Aligned => look.best_view.map_or(look.rays_m, |view| view.rays_m),
                 };
                 let pose = match &self.parallax {
                     None => sighting.pose,
@@ -258,7 +284,7 @@ impl Swarm {
         at_s: f64,
         target: usize,
         seen: &[Seen<'_>],
-        pictures: &Pictures<'l>,
+        best_views: &BestViews<'l>,
         needed: usize,
     ) -> Option<Look<'l>> {
         let neighbour = self.neighbours.get(target)?;
@@ -287,8 +313,8 @@ impl Swarm {
             }
         }
         let predicted = predicted.map(|prediction| prediction.observer_from_target);
-        let picture = pictures.get(&target).copied();
-        let is_worth_it = !rays.is_empty() || (predicted.is_some() && picture.is_some());
+        let best_view = best_views.get(&target).copied();
+        let is_worth_it = !rays.is_empty() || (predicted.is_some() && best_view.is_some());
         // A neighbour that nobody has seen is not begun from squares that are probably its markers:
         // on a chequered wall there are enough of them.
         // The dearest look is for one neighbour in some frames, and after those that are seen.
@@ -304,7 +330,7 @@ impl Swarm {
             may_search,
             prior,
             predicted,
-            picture,
+            best_view,
             needed,
         })
     }

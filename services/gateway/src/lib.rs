@@ -7,3 +7,8 @@
 
 pub mod report;
 pub mod stage;
+
+/// The gateway stage's process. It is here so that it is compiled once, with the library.
+pub fn main() -> std::process::ExitCode {
+    flockeye_runtime::stage::main::<stage::GatewayStage>()
+}

@@ -297,9 +297,7 @@ fn series(
 /// A file cannot be read or is not as it should be, the two have nothing to do with each other, or
 /// the report cannot be written.
 pub fn run(arguments: &Eval) -> anyhow::Result<()> {
-    // A flight in which nobody was seen leaves not even the columns' names.
-    let is_empty = std::fs::metadata(&arguments.poses).is_ok_and(|file| file.len() == 0);
-    let poses: Vec<PoseRow> = if is_empty { Vec::new() } else { record::read(&arguments.poses)? };
+    let poses: Vec<PoseRow> = record::read(&arguments.poses)?;
     let truth: Vec<TruthRow> = record::read(&arguments.truth)?;
     let [poses_file, truth_file] = [&arguments.poses, &arguments.truth].map(|path| path.display());
     ensure!(

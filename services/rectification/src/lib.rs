@@ -17,3 +17,8 @@ pub mod job;
 pub mod rectifier;
 pub mod stage;
 pub mod standby;
+
+/// The rectification stage's process. It is here so that it is compiled once, with the library.
+pub fn main() -> std::process::ExitCode {
+    flockeye_runtime::stage::main::<stage::RectificationStage>()
+}

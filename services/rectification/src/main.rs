@@ -1,7 +1,5 @@
 //! The rectification stage's process.
 
-use std::process::ExitCode;
-
-fn main() -> ExitCode {
-    flockeye_runtime::stage::main::<flockeye_rectification::stage::RectificationStage>()
+fn main() -> std::process::ExitCode {
+    flockeye_rectification::main()
 }

@@ -64,3 +64,8 @@ pub use parameters::{Quality, WorldParameters};
 pub use response::Response;
 pub use truth::{FrameTruth, TargetTruth};
 pub use world::{Moment, Placement, RenderError, World, WorldError};
+
+/// The simulator stage's process. It is here so that it is compiled once, with the library.
+pub fn main() -> std::process::ExitCode {
+    flockeye_runtime::stage::main::<stage::SimulatorStage>()
+}

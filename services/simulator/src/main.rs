@@ -1,7 +1,5 @@
 //! The simulator stage's process.
 
-use std::process::ExitCode;
-
-fn main() -> ExitCode {
-    flockeye_runtime::stage::main::<flockeye_simulator::stage::SimulatorStage>()
+fn main() -> std::process::ExitCode {
+    flockeye_simulator::main()
 }

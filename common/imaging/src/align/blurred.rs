@@ -104,6 +104,11 @@ impl<'p> BlurredFacet<'p> {
         self.edges[k].normal.dot(&at) + self.edges[k].offset
     }
 
+    /// How that depth grows, by the plane's metres.
+    pub fn inwards(&self, k: usize) -> Vector2<f32> {
+        self.edges[k].normal
+    }
+
     /// A line of no width along edge `k`, blurred: its light for each unit of light times metres.
     #[inline(always)]
     pub fn line(&self, k: usize, at: Vector2<f64>) -> f64 {

@@ -2,9 +2,9 @@
 
 use std::sync::LazyLock;
 
-/// Beyond so many standard deviations there is nothing: the distribution is cut off there, and
-/// stretched so that it goes from 0 to 1 without a step.
-pub(super) const REACH: f32 = 3.2;
+/// Beyond so many standard deviations there is nothing: the density is lowered by what it has
+/// there, and stretched so that the distribution goes from 0 to 1. So neither has a step.
+pub(super) const REACH: f32 = 3.6;
 /// Steps of the table for each standard deviation: linear between them is right to 1e-5.
 const STEPS: f32 = 128.0;
 const HALF: usize = (REACH * STEPS) as usize + 2;
@@ -12,12 +12,15 @@ const HALF: usize = (REACH * STEPS) as usize + 2;
 /// Density and distribution function, at -HALF to HALF steps.
 static TABLE: LazyLock<Vec<[f32; 2]>> = LazyLock::new(|| {
     let at = |step: usize| (step as f64 - HALF as f64) / f64::from(STEPS);
-    let (_, tail) = crate::edges::gaussian(-f64::from(REACH));
-    let kept = 1.0 - 2.0 * tail;
+    let end = f64::from(REACH);
+    let (floor, tail) = crate::edges::gaussian(-end);
+    let kept = 1.0 - 2.0 * tail - 2.0 * floor * end;
     (0..=2 * HALF)
         .map(|step| {
-            let (density, below) = crate::edges::gaussian(at(step));
-            [(density / kept) as f32, ((below - tail) / kept) as f32]
+            let z = at(step).clamp(-end, end);
+            let (density, below) = crate::edges::gaussian(z);
+            let above_floor = below - tail - floor * (z + end);
+            [((density - floor) / kept) as f32, (above_floor / kept) as f32]
         })
         .collect()
 });

@@ -32,6 +32,8 @@ pub(super) fn fit_levels(
     let samples: Vec<Sample> = samples.iter().step_by(step).copied().collect();
     let samples = samples.as_slice();
     let mut rows: Vec<Row> = Vec::with_capacity(samples.len());
+    // Without what shows beside the body.
+    let mut lights = Vec::with_capacity(samples.len());
     for sample in samples {
         let mut row = [(0, 0.0, 0.0); 3];
         let mut used = 0;
@@ -46,7 +48,8 @@ pub(super) fn fit_levels(
             row[used] = (slot, white, black);
             used += 1;
         }
-        let light = f64::from(sample.light);
+        let covered: f64 = row[..used].iter().map(|(_, white, black)| white + black).sum();
+        let light = f64::from(sample.light) - f64::from(sample.behind) * (1.0 - covered);
         for &(slot, white, black) in &row[..used] {
             right[2 * slot] += white * light;
             right[2 * slot + 1] += black * light;
@@ -58,6 +61,7 @@ pub(super) fn fit_levels(
             }
         }
         rows.push((row, used));
+        lights.push(light);
     }
     let mean =
         samples.iter().map(|sample| f64::from(sample.light)).sum::<f64>() / samples.len() as f64;
@@ -70,12 +74,12 @@ pub(super) fn fit_levels(
     }
     let levels = normal.cholesky()?.solve(&right);
     let mut residuals = Vec::with_capacity(samples.len());
-    for (sample, (row, used)) in samples.iter().zip(&rows) {
+    for (light, (row, used)) in lights.iter().zip(&rows) {
         let model: f64 = row[..*used]
             .iter()
             .map(|&(slot, white, black)| white * levels[2 * slot] + black * levels[2 * slot + 1])
             .sum();
-        residuals.push((f64::from(sample.light) - model) as f32);
+        residuals.push((light - model) as f32);
     }
     for (facet, at) in layout.facets() {
         state.levels[facet] = [levels[at - COMMON], levels[at - COMMON + 1]];

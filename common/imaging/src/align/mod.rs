@@ -40,7 +40,7 @@ use nalgebra::{Isometry3, Matrix2, Matrix6};
 
 use crate::image::LumaImage;
 use crate::light::LinearLight;
-use patch::{Patch, Sampling};
+use patch::Patch;
 use solve::Settings;
 use unknowns::State;
 
@@ -106,28 +106,33 @@ pub enum AlignError {
     Nothing,
 }
 
-/// Aligns `print` with what `view` shows of it in `image`, from `start` (`camera_from_markers`).
-///
-/// `pixels_per_radian`: the sphere image's own resolution there, finer than which a magnified view
-/// shows nothing. Whether the result is the body is said by its [`Score`].
+/// A view with its pixels.
+#[derive(Debug, Clone, Copy)]
+pub struct Picture<'p> {
+    /// The pixels.
+    pub image: LumaImage<'p>,
+    /// What they show.
+    pub view: View,
+    /// What light they stand for.
+    pub light: &'p LinearLight,
+    /// The sphere image's own resolution there, finer than which a magnified view shows nothing.
+    pub pixels_per_radian: f64,
+}
+
+/// Aligns `print` with what `picture` shows of it, from `start` (`camera_from_markers`). Whether the
+/// result is the body is said by its [`Score`].
 ///
 /// # Errors
 /// [`AlignError`]: nothing to compare there. Numbers that are none give an error, no panic.
 pub fn align(
     print: &BodyPrint,
-    image: &LumaImage<'_>,
-    light: &LinearLight,
-    view: &View,
-    pixels_per_radian: f64,
+    picture: &Picture<'_>,
     start: &Isometry3<f64>,
     options: &AlignOptions,
 ) -> Result<Alignment, AlignError> {
-    if !is_sound(start, view, pixels_per_radian) {
-        return Err(AlignError::NotInView);
-    }
-    let frame = Frame::new(print, image, light, view, pixels_per_radian, start, options, 0.0)?;
+    let frame = Frame::new(print, picture, start, options, 0.0)?;
     let start = frame.state(print, start);
-    frame.align(print, view, start, options)
+    frame.align(print, start, options)
 }
 
 /// Finds `print` within [`REACH_RAD`] of where it was `predicted` (`camera_from_markers`), turned by
@@ -135,19 +140,11 @@ pub fn align(
 /// unless the result is believed.
 pub fn reacquire(
     print: &BodyPrint,
-    image: &LumaImage<'_>,
-    light: &LinearLight,
-    view: &View,
-    pixels_per_radian: f64,
+    picture: &Picture<'_>,
     predicted: &Isometry3<f64>,
     options: &AlignOptions,
 ) -> Option<Alignment> {
-    if !is_sound(predicted, view, pixels_per_radian) {
-        return None;
-    }
-    let frame =
-        Frame::new(print, image, light, view, pixels_per_radian, predicted, options, REACH_RAD)
-            .ok()?;
+    let frame = Frame::new(print, picture, predicted, options, REACH_RAD).ok()?;
     let state = frame.state(print, predicted);
     let extra_blur_px = SEARCH_CELLS * frame.cell_px(print, predicted);
     if !extra_blur_px.is_finite() {
@@ -161,25 +158,27 @@ pub fn reacquire(
         .into_iter()
         .filter_map(|place| {
             let start = State { patch_from_markers: place.patch_from_markers, ..state.clone() };
-            frame.align(print, view, start, &options).ok().filter(Alignment::is_believed)
+            frame.align(print, start, &options).ok().filter(Alignment::is_believed)
         })
         .max_by(|a, b| a.score.log_ratio.total_cmp(&b.score.log_ratio))
 }
 
 /// How far from its prediction a body is looked for, radians.
 pub const REACH_RAD: f64 = 0.014;
+/// Beside the body, its patch shows so many deviations of the point spread of what is behind it.
+const BESIDE_BLURS: f64 = 4.0;
 /// Extra blur of that search, in the smallest marker's cells.
 const SEARCH_CELLS: f64 = 0.6;
 
-fn is_sound(start: &Isometry3<f64>, view: &View, pixels_per_radian: f64) -> bool {
+fn is_sound(start: &Isometry3<f64>, picture: &Picture<'_>) -> bool {
     start.translation.vector.iter().all(|x| x.is_finite())
         && (start.rotation.quaternion().norm() - 1.0).abs() < 1e-6
-        && (view.camera_from_view.quaternion().norm() - 1.0).abs() < 1e-6
-        && (1.0..1e6).contains(&view.focal_px)
-        && (1.0..1e6).contains(&pixels_per_radian)
+        && (picture.view.camera_from_view.quaternion().norm() - 1.0).abs() < 1e-6
+        && (1.0..1e6).contains(&picture.view.focal_px)
+        && (1.0..1e6).contains(&picture.pixels_per_radian)
 }
 
-/// A view, cut down to what shows a body, and how it is to be fitted.
+/// A picture, cut down to what shows a body, and how it is to be fitted.
 struct Frame {
     patch: Patch,
     settings: Settings,
@@ -188,23 +187,22 @@ struct Frame {
 }
 
 impl Frame {
-    #[expect(clippy::too_many_arguments, reason = "those of `align`, and how much further to look")]
+    /// What `picture` shows of a body at `start`, and `reach_rad` more all round.
     fn new(
         print: &BodyPrint,
-        image: &LumaImage<'_>,
-        light: &LinearLight,
-        view: &View,
-        pixels_per_radian: f64,
+        picture: &Picture<'_>,
         start: &Isometry3<f64>,
         options: &AlignOptions,
         reach_rad: f64,
     ) -> Result<Self, AlignError> {
-        let sampling =
-            Sampling { pixels_per_radian, oversampling: 1.0, widest_px: options.widest_px };
-        let radius_m = print.radius_m();
-        let patch = Patch::cut(image, light, view, start, radius_m, reach_rad, &sampling)
+        if !is_sound(start, picture) {
+            return Err(AlignError::NotInView);
+        }
+        let beside_rad = BESIDE_BLURS * options.blur_px / picture.pixels_per_radian;
+        let reach_rad = reach_rad + beside_rad;
+        let patch = Patch::cut(picture, start, print.radius_m(), reach_rad, options.widest_px)
             .ok_or(AlignError::NotInView)?;
-        let magnification = sampling.magnification(&patch.pinhole);
+        let magnification = patch.pinhole.focal_px / picture.pixels_per_radian;
         let blur_px = options.blur_px * magnification;
         // Averaging blocks, and interpolating the view, blur a little more.
         let blur_px = (blur_px.powi(2) + 1.0 / 12.0).sqrt();
@@ -232,7 +230,6 @@ impl Frame {
     fn align(
         &self,
         print: &BodyPrint,
-        view: &View,
         start: State,
         options: &AlignOptions,
     ) -> Result<Alignment, AlignError> {
@@ -249,8 +246,8 @@ impl Frame {
             }
         }
         let fit = solve::fit(patch, print, state, settings).ok_or(AlignError::Nothing)?;
-        let score = score::score(patch, print, &fit, 0.0, settings.samples_per_pixel);
-        let camera_from_patch = view.camera_from_view;
+        let score = score::score(patch, print, &fit, settings.samples_per_pixel);
+        let camera_from_patch = patch.view_from_camera.inverse();
         let along = self.common_error(print, &fit.state.patch_from_markers);
         let turn = camera_from_patch.to_rotation_matrix().into_inner();
         let mut axes = Matrix6::zeros();

@@ -1,11 +1,9 @@
 //! The part of a view that shows a body, in linear light, no finer than is worth its time.
 
-use flockeye_geometry::view::View;
 use nalgebra::{Isometry3, UnitQuaternion, Vector2, Vector3};
 
+use super::Picture;
 use super::geometry::Pinhole;
-use crate::image::LumaImage;
-use crate::light::LinearLight;
 
 /// Pixels of which one part is saturated are told by this code value: cameras clip a little below
 /// the end, and magnifying smooths.
@@ -25,18 +23,16 @@ impl Patch {
     /// The patch round the sphere of `radius_m` about the body's origin at `camera_from_markers`, and
     /// `reach_rad` more.
     ///
-    /// Pixels of the view are averaged `step` by `step`: as many as keep the patch's pixel below
-    /// `finest_rad` and the body's diameter above `widest_px`. `None` where the view does not
-    /// hold the body's middle.
+    /// Blocks of the view's pixels are averaged (`step`). `None` where the view does not hold the
+    /// body's middle.
     pub fn cut(
-        image: &LumaImage<'_>,
-        light: &LinearLight,
-        view: &View,
+        picture: &Picture<'_>,
         camera_from_markers: &Isometry3<f64>,
         radius_m: f64,
         reach_rad: f64,
-        sampling: &Sampling,
+        widest_px: f64,
     ) -> Option<Self> {
+        let Picture { image, view, light, .. } = picture;
         let view_from_camera = view.camera_from_view.inverse();
         let middle = view_from_camera * camera_from_markers.translation.vector;
         let range = middle.norm();
@@ -60,7 +56,7 @@ impl Patch {
         if !(right - left >= 4.0 && bottom - top >= 4.0) {
             return None;
         }
-        let step = sampling.step(view.focal_px, 2.0 * body);
+        let step = step(picture, 2.0 * body, widest_px);
         let (left, top) = (left as usize, top as usize);
         let columns = (right as usize - left) / step;
         let rows = (bottom as usize - top) / step;
@@ -98,6 +94,14 @@ impl Patch {
     #[inline]
     pub fn at(&self, x: usize, y: usize) -> f32 {
         self.light[y * self.width + x]
+    }
+
+    /// The light of the pixel nearest to a place, in the patch or at its rim. What is saturated is
+    /// as light as can be.
+    pub fn near(&self, x: f64, y: f64) -> f32 {
+        let within = |at: f64, size: usize| (at.round().max(0.0) as usize).min(size - 1);
+        let light = self.at(within(x, self.width), within(y, self.height));
+        if light.is_nan() { 1.0 } else { light }
     }
 
     /// A pose in the camera frame as one in the patch's, whose axes are the view's.
@@ -149,29 +153,12 @@ fn convolve(
     out
 }
 
-/// How finely a body is looked at.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Sampling {
-    /// The sphere image's own pixels for each radian, at the body.
-    pub pixels_per_radian: f64,
-    /// Patch pixels for each of the sphere's, at least.
-    pub oversampling: f64,
-    /// Patch pixels across a body that is larger than that.
-    pub widest_px: f64,
-}
-
-impl Sampling {
-    fn step(&self, focal_px: f64, diameter_px: f64) -> usize {
-        let for_sphere = focal_px / (self.pixels_per_radian * self.oversampling);
-        let for_body = diameter_px / self.widest_px;
-        // At least the one where the sphere's pixels suffice, more for a body that is near.
-        for_sphere.max(for_body).floor().clamp(1.0, 64.0) as usize
-    }
-
-    /// The patch's pixels for each of the sphere's.
-    pub fn magnification(&self, pinhole: &Pinhole) -> f64 {
-        pinhole.focal_px / self.pixels_per_radian
-    }
+/// Pixels of a picture that are averaged, along a side: as many as keep the patch as fine as the
+/// sphere image, and a body of `diameter_px` no wider than `widest_px`.
+fn step(picture: &Picture<'_>, diameter_px: f64, widest_px: f64) -> usize {
+    let for_sphere = picture.view.focal_px / picture.pixels_per_radian;
+    let for_body = diameter_px / widest_px;
+    for_sphere.max(for_body).floor().clamp(1.0, 64.0) as usize
 }
 
 /// The direction of a patch's pixel.

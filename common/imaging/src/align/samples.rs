@@ -8,13 +8,15 @@ use nalgebra::Vector3;
 
 /// Beyond so many deviations of the point spread, what lies across an edge does not count.
 const REACH: f32 = 3.0;
-/// Pixels nearer to the silhouette, in deviations, show what is behind the body too.
+/// Pixels nearer to the silhouette, in deviations, show more of what is behind the body than is known.
 const SILHOUETTE: f32 = 2.5;
+/// So far beyond the silhouette a pixel shows nothing of the body, deviations.
+pub(super) const BEHIND: f32 = 3.0;
 /// Nearer than this to two edges, the facet across their corner shows as well.
 const CORNER: f32 = 1.8;
 
 /// More samples than this cost time and tell little.
-const MOST: usize = 2600;
+const MOST: usize = 1400;
 
 /// A pixel that shows a facet.
 #[derive(Debug, Clone, Copy)]
@@ -22,6 +24,8 @@ pub(super) struct Sample {
     pub x: u16,
     pub y: u16,
     pub light: f32,
+    /// Light of what is next to the body, beyond the silhouette nearby; its own where there is none.
+    pub behind: f32,
     pub facet: u8,
     /// Edges of that facet that are within reach; [`NONE`] for none.
     edges: [u8; 2],
@@ -98,10 +102,20 @@ pub(super) fn choose(
                 }
                 let plane = plane_from_pixel * Vector3::new(x as f64, y as f64, 1.0);
                 let at = plane.xy() / plane.z;
-                if let Some((edges, neighbours)) = reach(facet, blurred_facet, seen, at) {
-                    let (x, y) = (x as u16, y as u16);
-                    samples.push(Sample { x, y, light, facet: number, edges, neighbours });
-                }
+                let Some(Reach { edges, neighbours, silhouette }) =
+                    reach(facet, blurred_facet, seen, at)
+                else {
+                    continue;
+                };
+                let behind = silhouette.map_or(light, |edge| {
+                    let slope = seen_facet.facet_from_pixel.transpose()
+                        * blurred_facet.inwards(edge).cast::<f64>();
+                    let depth = f64::from(blurred_facet.depth(edge, at) + BEHIND);
+                    let away = slope * (depth / slope.norm_squared());
+                    patch.near(x as f64 - away.x, y as f64 - away.y)
+                });
+                let (x, y) = (x as u16, y as u16);
+                samples.push(Sample { x, y, light, behind, facet: number, edges, neighbours });
             }
         }
     }
@@ -113,16 +127,26 @@ pub(super) fn choose(
     samples
 }
 
-/// Edges within reach of a point, and the facets across them; `None` if it lies outside, or too near
-/// to the silhouette or a corner.
+/// What a point of a facet is near to.
+struct Reach {
+    /// Edges within reach, and the facets across them.
+    edges: [u8; 2],
+    neighbours: [u8; 2],
+    /// The nearest edge across which there is nothing of the body.
+    silhouette: Option<usize>,
+}
+
+/// What is within reach of a point; `None` if it lies outside, or too near to the silhouette or a
+/// corner.
 #[inline]
 fn reach(
     facet: &PrintedFacet,
     blurred: &BlurredFacet<'_>,
     seen: &[Option<SeenFacet>],
     at: nalgebra::Vector2<f64>,
-) -> Option<([u8; 2], [u8; 2])> {
+) -> Option<Reach> {
     let (mut edges, mut neighbours) = ([NONE; 2], [NONE; 2]);
+    let mut silhouette: Option<(usize, f32)> = None;
     let mut count = 0;
     let mut near_edges = 0;
     for k in 0..facet.outline.len() {
@@ -146,8 +170,13 @@ fn reach(
             }
             Some(_) => return None,
             None if depth < SILHOUETTE => return None,
-            None => {}
+            None => {
+                if silhouette.is_none_or(|(_, nearest)| depth < nearest) {
+                    silhouette = Some((k, depth));
+                }
+            }
         }
     }
-    (near_edges < 2).then_some((edges, neighbours))
+    let silhouette = silhouette.map(|(edge, _)| edge);
+    (near_edges < 2).then_some(Reach { edges, neighbours, silhouette })
 }

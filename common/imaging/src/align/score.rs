@@ -60,14 +60,8 @@ struct Facet {
 }
 
 /// Scores a fit. `samples_per_pixel`: samples that count as one.
-pub(super) fn score(
-    patch: &Patch,
-    print: &BodyPrint,
-    fit: &Fit,
-    extra_blur_px: f64,
-    samples_per_pixel: f64,
-) -> Score {
-    let scene = Scene::new(print, &fit.state, patch, extra_blur_px);
+pub(super) fn score(patch: &Patch, print: &BodyPrint, fit: &Fit, samples_per_pixel: f64) -> Score {
+    let scene = Scene::new(print, &fit.state, patch, 0.0);
     let mut facets = vec![Facet::default(); print.facets.len()];
     for sample in fit.samples.iter().filter(|sample| sample.is_inside()) {
         let index = usize::from(sample.facet);

@@ -139,8 +139,9 @@ impl Pass<'_> {
         let mut bundle: Option<Bundle<ROW>> = None;
         for sample in run {
             let direction = sample.direction(self.patch);
-            let modelled =
-                model(scene, state, sample.facets(), sample.seams(self.print), &direction);
+            let behind = f64::from(sample.behind);
+            let seams = sample.seams(self.print);
+            let modelled = model(scene, state, sample.facets(), seams, behind, &direction);
             let residual = f64::from(sample.light) - modelled.light;
             sums.residuals.push(residual as f32);
             let precision = 1.0 / self.scales[usize::from(sample.facet)].powi(2);

@@ -13,7 +13,7 @@ pub(super) const COMMON: usize = 9;
 pub(super) const BLACK_SHARE: (f64, f64) = (0.06, 0.12);
 /// What a seam between two facets may add to the light or take from it: so wide a line of the
 /// facets' own white, metres. Bodies are folded, glued and bevelled, and edges lie where they may.
-const SEAM_M: f64 = 1e-4;
+const SEAM_M: f64 = 6e-5;
 /// Narrowest and widest point spread, pixels.
 const BLUR_PX: (f64, f64) = (0.35, 6.0);
 

@@ -89,8 +89,40 @@ fn is_inside(facet: &Facet, at: &Point3<f64>) -> bool {
     })
 }
 
+/// Samples along a side of each pixel.
+const FINE: usize = 5;
+
+/// Weights of the samples before, in and behind a pixel: a Gaussian, integrated over the pixel.
+fn kernel(blur_px: f64) -> Vec<f64> {
+    let deviation = blur_px * FINE as f64;
+    let reach = (4.0 * deviation).ceil() as i32;
+    let weight = |sample: i32| -> f64 {
+        (0..FINE as i32)
+            .map(|own| (-0.5 * (f64::from(sample - own) / deviation).powi(2)).exp())
+            .sum()
+    };
+    let weights: Vec<f64> = (-reach..FINE as i32 + reach).map(weight).collect();
+    let total: f64 = weights.iter().sum();
+    weights.iter().map(|weight| weight / total).collect()
+}
+
+/// Rows of fine samples as columns of `count` pixels, so that the same again does the columns.
+fn blurred(samples: &[f64], count: usize, rows: usize, kernel: &[f64]) -> Vec<f64> {
+    let length = count * FINE;
+    let before = (kernel.len() - FINE) / 2;
+    let mut pixels = vec![0.0; count * rows];
+    for (y, row) in samples.chunks_exact(length).enumerate() {
+        for x in 0..count {
+            let at = |k: usize| (x * FINE + k).saturating_sub(before).min(length - 1);
+            let sum = kernel.iter().enumerate().map(|(k, weight)| weight * row[at(k)]).sum();
+            pixels[x * rows + y] = sum;
+        }
+    }
+    pixels
+}
+
 /// Draws what a view of `focal_px` sees: sampled 5 by 5 in each pixel, blurred in linear light by
-/// `blur_px`, with noise, coded as sRGB with 8 bit.
+/// `blur_px` before pixels integrate it, with noise, coded as sRGB with 8 bit.
 pub fn draw(
     body: &Body,
     pose: &Isometry3<f64>,
@@ -105,46 +137,17 @@ pub fn draw(
     let field = 2.0 * (f64::from(size) / (2.0 * focal_px)).atan();
     let view = View::looking_at(&direction, field, size);
     let side = size as usize;
-    let fine = 5;
-    let mut light = vec![0.0; side * side];
-    for y in 0..side {
-        for x in 0..side {
-            let mut sum = 0.0;
-            for sub in 0..fine * fine {
-                let shift = |k: usize| (k as f64 + 0.5) / fine as f64 - 0.5;
-                let at = ViewPixel::new(x as f64 + shift(sub % fine), y as f64 + shift(sub / fine));
-                sum += light_of(
-                    body,
-                    &prints,
-                    &markers_from_camera,
-                    &view.ray(at),
-                    0.2 + 0.1 * (x as f64 / 3.0).sin(),
-                );
-            }
-            light[y * side + x] = sum / (fine * fine) as f64;
-        }
+    let mut light = vec![0.0; (side * FINE).pow(2)];
+    for (k, light) in light.iter_mut().enumerate() {
+        let place = |sample: usize| (sample as f64 + 0.5) / FINE as f64 - 0.5;
+        let (x, y) = (place(k % (side * FINE)), place(k / (side * FINE)));
+        let background = 0.2 + 0.1 * (x / 3.0).sin();
+        let ray = view.ray(ViewPixel::new(x, y));
+        *light = light_of(body, &prints, &markers_from_camera, &ray, background);
     }
-    let kernel: Vec<f64> =
-        (-8..=8).map(|k| (-0.5 * (f64::from(k) / blur_px).powi(2)).exp()).collect();
-    let total: f64 = kernel.iter().sum();
-    let blur = |values: &[f64], step: usize, stride: usize| -> Vec<f64> {
-        let mut out = vec![0.0; values.len()];
-        for line in 0..side {
-            for at in 0..side {
-                let sum: f64 = kernel
-                    .iter()
-                    .enumerate()
-                    .map(|(k, weight)| {
-                        let other = (at + k).saturating_sub(8).min(side - 1);
-                        weight * values[line * stride + other * step]
-                    })
-                    .sum();
-                out[line * stride + at * step] = sum / total;
-            }
-        }
-        out
-    };
-    let light = blur(&blur(&light, 1, side), side, 1);
+    let kernel = kernel(blur_px);
+    let across = blurred(&light, side, side * FINE, &kernel);
+    let light = blurred(&across, side, side, &kernel);
     let mut state = 7u64;
     let mut random = move || {
         state =

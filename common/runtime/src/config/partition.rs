@@ -26,6 +26,10 @@ pub struct Partition {
     /// Nearest working range, metres, for the margin.
     #[schemars(range(min = 0.1, max = 100.0))]
     pub nearest_m: f64,
+    /// Pixels of the views for each of the sphere's, along a side. Left out: 1; and 2 with
+    /// `fusion.filter: none`, where no second look at a neighbour follows the first.
+    #[schemars(range(min = 0.5, max = 3.0))]
+    pub magnification: Option<f64>,
 }
 
 impl Default for Partition {
@@ -37,6 +41,7 @@ impl Default for Partition {
             seed: 1,
             margin_deg: None,
             nearest_m: 0.4,
+            magnification: None,
         }
     }
 }

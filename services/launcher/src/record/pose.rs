@@ -4,6 +4,7 @@ use flockeye_contract::{FrameStamp, MeasuredBy, Track, TrackState};
 use nalgebra::{Matrix6, Quaternion, UnitQuaternion, Vector3};
 use serde::ser::{Serialize, SerializeStruct, Serializer};
 
+use super::Recorded;
 use super::table::{Cells, Row, TableError};
 
 /// A row of the poses: the target's pose in the observer's frame.
@@ -97,6 +98,14 @@ fn rotation([x, y, z, w]: [f64; 4]) -> UnitQuaternion<f64> {
 /// Rows and columns of the upper triangle, row by row.
 fn upper_triangle() -> impl Iterator<Item = (usize, usize)> {
     (0..6).flat_map(|row| (row..6).map(move |column| (row, column)))
+}
+
+impl Recorded for PoseRow {
+    fn names() -> Vec<&'static str> {
+        let before = ["frame", "stamp_s", "target"].into_iter().chain(POSE);
+        let own = before.chain(["state", "markers", "measured_by"]).chain(MEASURED);
+        own.chain(COVARIANCE).chain(MEASURED_COVARIANCE).chain(["latency_ms"]).collect()
+    }
 }
 
 impl Serialize for PoseRow {
@@ -277,6 +286,7 @@ mod tests {
                       m00,m01,m02,m03,m04,m05,m11,m12,m13,m14,m15,m22,m23,m24,m25,m33,m34,m35,m44,\
                       m45,m55,latency_ms";
         assert_eq!(text.lines().next(), Some(wanted));
+        assert_eq!(PoseRow::names().join(","), wanted);
         assert!(text.contains(",confirmed,3,nothing,,,,,,,,"), "{text}");
         assert_eq!(wanted.split(',').count(), 63);
     }

@@ -4,6 +4,7 @@ use flockeye_contract::{BodyTruth, TruthHeader};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use serde::Serialize;
 
+use super::Recorded;
 use super::table::{Cells, Row, TableError};
 
 /// A row of the truth: the body's pose in the camera frame. Columns of the reference recordings.
@@ -55,6 +56,36 @@ pub struct TruthRow {
     pub exposure_s: f64,
     /// 1 if a whole marker is seen at less than 65 degrees of incidence.
     pub localisable: u32,
+}
+
+impl Recorded for TruthRow {
+    fn names() -> Vec<&'static str> {
+        vec![
+            "frame",
+            "t_s",
+            "body",
+            "x",
+            "y",
+            "z",
+            "qw",
+            "qx",
+            "qy",
+            "qz",
+            "dist_m",
+            "az_deg",
+            "el_deg",
+            "n_markers_vis50",
+            "n_markers_vis90",
+            "best_side_px",
+            "blur_px",
+            "env",
+            "observer_yaw_deg",
+            "ev",
+            "iso",
+            "exposure_s",
+            "localisable",
+        ]
+    }
 }
 
 impl TruthRow {
@@ -167,11 +198,11 @@ mod tests {
         let row = TruthRow::of(&TruthHeader::zeroed(), &BodyTruth::zeroed());
         writer.serialize(row).expect("memory is there");
         let text = String::from_utf8(writer.into_inner().expect("flushed")).expect("text");
-        assert_eq!(
-            text.lines().next().expect("a header"),
-            "frame,t_s,body,x,y,z,qw,qx,qy,qz,dist_m,az_deg,el_deg,n_markers_vis50,n_markers_vis90,\
-             best_side_px,blur_px,env,observer_yaw_deg,ev,iso,exposure_s,localisable"
-        );
+        let wanted = "frame,t_s,body,x,y,z,qw,qx,qy,qz,dist_m,az_deg,el_deg,n_markers_vis50,\
+                      n_markers_vis90,best_side_px,blur_px,env,observer_yaw_deg,ev,iso,exposure_s,\
+                      localisable";
+        assert_eq!(text.lines().next(), Some(wanted));
+        assert_eq!(TruthRow::names().join(","), wanted);
     }
 
     #[test]

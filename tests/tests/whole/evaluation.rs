@@ -10,10 +10,14 @@ fn text(path: &Path) -> &str {
     path.to_str().expect("temporary paths are plain")
 }
 
-/// Runs `flockeye` with these arguments and the settings of the small flight, and reads the JSON
-/// object that it prints.
-fn found(arguments: &[&str], set: &[&str]) -> Value {
-    let settings = SMALL_FLIGHT.iter().chain(set).flat_map(|setting| ["--set", setting]);
+/// The small flight, seen well enough to be found within a few frames.
+fn settings() -> impl Iterator<Item = &'static str> {
+    SMALL_FLIGHT.iter().copied().chain(["camera.width=2048", "camera.height=1024"])
+}
+
+/// Runs `flockeye` with these arguments and these settings, and reads the JSON object that it prints.
+fn found(arguments: &[&str], set: &[&'static str]) -> Value {
+    let settings = settings().chain(set.iter().copied()).flat_map(|setting| ["--set", setting]);
     let arguments: Vec<&str> = arguments.iter().copied().chain(settings).collect();
     let (succeeded, output) = run(&arguments);
     assert!(succeeded, "{output}");
@@ -30,7 +34,7 @@ fn a_flight_is_judged_and_drawn() {
     let scratch = Scratch::new("judged");
     let (poses, truth) = (scratch.path("poses.csv"), scratch.path("truth.csv"));
     let arguments = ["--flow", "lossless", "--poses", text(&poses), "--truth", text(&truth)];
-    let set: Vec<&str> = SMALL_FLIGHT.iter().copied().chain(["simulator.frames=40"]).collect();
+    let set: Vec<&str> = settings().chain(["simulator.frames=40"]).collect();
     let mut flight = Flight::start("judged", &arguments, &set);
     assert!(flight.wait().success(), "{}", flight.output());
     flight.assert_nothing_left();
@@ -89,7 +93,11 @@ fn searches_are_compared_on_the_same_flight() {
     for row in rows {
         assert_eq!(row["frames"], 12, "{row}");
         assert_eq!(row["eligible"], rows[0]["eligible"], "another flight: {row}");
-        assert!(number(&row["captured"]) > 0.0 && number(&row["mean_error_cm"]) < 5.0, "{row}");
+        // The greedy search stops at the first marker, which alone does not tell a pose.
+        if row["mode"] != "greedy" {
+            assert!(number(&row["captured"]) > 0.0 && number(&row["mean_error_cm"]) < 5.0, "{row}");
+        }
+        assert_eq!(row["false_poses"], 0, "{row}");
         assert!(number(&row["frames_per_s"]) > number(&row["wall_frames_per_s"]), "{row}");
     }
     assert_eq!(number(&found["paper"][1]["captured"]), 395.0);
@@ -106,7 +114,7 @@ fn partitions_are_compared_on_the_same_flight() {
     for row in rows {
         assert_eq!((&row["frames"], &row["eligible"]), (&4.into(), &rows[0]["eligible"]), "{row}");
     }
-    // In four small frames not every cut shows it.
+    // In four frames not every cut shows it well enough.
     assert!(rows.iter().any(|row| number(&row["captured"]) > 0.0), "{rows:?}");
     // The smallest circles are no larger than those round spread points.
     for pair in rows.chunks(2) {

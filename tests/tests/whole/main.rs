@@ -1,0 +1,13 @@
+//! The whole pipeline: real processes, real shared memory, real sessions. One binary, because each
+//! would be linked with all of it.
+
+mod bad_input;
+mod calibration;
+mod cameras;
+mod evaluation;
+mod foreign;
+mod lifecycle;
+mod lossless;
+mod markers;
+mod real_time;
+mod recorded;
