@@ -40,7 +40,7 @@ impl Credits {
             Flow::Lossless => (Some(ports.subscriber()?), State::Closed),
         };
         // Fusion itself gives up on a frame after its deadline; who waits for fusion waits longer.
-        let patience_ns = (3.0 * pipeline.fusion.deadline_ms * 1e6) as i64;
+        let patience_ns = 3 * pipeline.frame_deadline().as_nanos() as i64;
         Ok(Self { plans, state, patience_ns })
     }
 

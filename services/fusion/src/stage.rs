@@ -87,7 +87,7 @@ impl Stage for FusionStage {
             frame_ends: ports.subscriber()?,
             tracks: ports.publisher()?,
             plans: ports.publisher()?,
-            assembly: Assembly::new((pipeline.fusion.deadline_ms * 1e6) as i64),
+            assembly: Assembly::new(pipeline.frame_deadline().as_nanos() as i64),
             gallery: Gallery::new(
                 memory::held_views_waiting(pipeline),
                 memory::held_views_best(pipeline),

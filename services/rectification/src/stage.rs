@@ -89,7 +89,7 @@ impl Stage for RectificationStage {
         let (rectifier, why) = choose_backend(choice, threads, &camera)?;
         tracing::info!("views are cut by {}: {why}", rectifier.name());
         let workers = pipeline.detection_workers() as usize;
-        let overdue = Duration::from_secs_f64(settings.overdue_ms * 1e-3);
+        let overdue = pipeline.view_overdue();
         Ok(Self {
             frames: ports.subscriber()?,
             plans: ports.subscriber()?,

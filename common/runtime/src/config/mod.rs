@@ -14,6 +14,7 @@ mod schema;
 
 use std::fmt;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 pub use bodies::{BodySet, Preset, PresetBody};
 pub use camera::*;
@@ -159,6 +160,25 @@ impl Pipeline {
     /// How many processes search views.
     pub fn detection_workers(&self) -> u32 {
         self.stages.detection.replicas.unwrap_or(2)
+    }
+
+    /// How long a frame is waited for: `fusion.deadline_ms`.
+    pub fn frame_deadline(&self) -> Duration {
+        Duration::from_secs_f64(self.fusion.deadline_ms * 1e-3 * self.patience())
+    }
+
+    /// After how long a worker's silence its views are given to another: `rectification.overdue_ms`.
+    pub fn view_overdue(&self) -> Duration {
+        Duration::from_secs_f64(self.rectification.overdue_ms * 1e-3 * self.patience())
+    }
+
+    /// Where each frame stands for itself and none may be lost, nothing is late, and all views are
+    /// magnified: ten times as long.
+    fn patience(&self) -> f64 {
+        match (self.flow, self.fusion.filter) {
+            (Flow::Lossless, Filter::None) => 10.0,
+            _ => 1.0,
+        }
     }
 
     /// Name of the stage that `source.input` needs.

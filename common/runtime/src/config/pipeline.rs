@@ -210,7 +210,8 @@ pub struct Rectification {
     /// Views in flight for each detection worker.
     #[schemars(range(min = 1, max = 16))]
     pub window: u32,
-    /// After how long a worker's silence its views are given to another, milliseconds.
+    /// After how long a worker's silence its views are given to another, milliseconds; ten times as long
+    /// in a lossless run without filter.
     #[schemars(range(min = 10.0, max = 60000.0))]
     pub overdue_ms: f64,
 }
@@ -315,7 +316,8 @@ pub struct Fusion {
     /// The same of their rotation, rad/s^2 per root Hz.
     #[schemars(range(min = 0.01, max = 1000.0))]
     pub angular_acceleration: f64,
-    /// How long a frame is waited for when a stage has died, milliseconds.
+    /// How long a frame is waited for when a stage has died, milliseconds; ten times as long
+    /// in a lossless run without filter.
     #[schemars(range(min = 10.0, max = 60000.0))]
     pub deadline_ms: f64,
     /// Whether bodies are aligned with the pixels of their views; without, their corners are all.
