@@ -67,6 +67,16 @@ impl<P> Gallery<P> {
         }
     }
 
+    /// Whether the next view would push out the oldest.
+    pub fn is_full(&self) -> bool {
+        self.waiting.len() >= self.waiting_most
+    }
+
+    /// Whether this view is held and was not answered yet.
+    pub fn is_waiting(&self, order: FrameOrder, view_index: u32) -> bool {
+        self.waiting.contains_key(&(order, view_index))
+    }
+
     /// A view was answered; `shows` are the neighbours it shows or was cut for, and how well. It is
     /// held for those that it shows best.
     pub fn answered(&mut self, order: FrameOrder, view_index: u32, shows: &[(usize, Rank)]) {

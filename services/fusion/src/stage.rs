@@ -125,16 +125,29 @@ impl Stage for FusionStage {
         let now_ns = clock::monotonic_ns();
         // A view passes before its record, so views are taken first.
         for lane in &mut self.views {
-            while let Some(message) = lane.receive()? {
-                let header = message.header;
-                if self.assembly.add_view(header, now_ns) && self.aligns {
-                    self.gallery.add(header, message);
-                }
+            // No more than can be held: records that are in already let go of some.
+            while !self.gallery.is_full()
+                && let Some(message) = lane.receive()?
+            {
+                take_view(&mut self.assembly, &mut self.gallery, self.aligns, message, now_ns);
             }
         }
         let mut taken = Vec::new();
         while let Some(message) = self.detections.receive()? {
+            let (order, index) = (message.header.stamp.order(), message.header.view_index);
+            for lane in &mut self.views {
+                while !self.gallery.is_waiting(order, index)
+                    && let Some(message) = lane.receive()?
+                {
+                    take_view(&mut self.assembly, &mut self.gallery, self.aligns, message, now_ns);
+                }
+            }
             taken.extend(self.take_record(&message, now_ns));
+        }
+        for lane in &mut self.views {
+            while let Some(message) = lane.receive()? {
+                take_view(&mut self.assembly, &mut self.gallery, self.aligns, message, now_ns);
+            }
         }
         self.glance(&taken)?;
         while let Some(message) = self.frame_ends.receive()? {
@@ -154,6 +167,20 @@ impl Stage for FusionStage {
             self.finish(&frame)?;
         }
         Ok(self.assembly.next_deadline_ns().map_or(Step::Wait, Step::WaitUntil))
+    }
+}
+
+/// Notes a view, and holds it if its pixels will be looked into.
+fn take_view(
+    assembly: &mut Assembly,
+    gallery: &mut Gallery<Message<Views>>,
+    aligns: bool,
+    message: Message<Views>,
+    now_ns: i64,
+) {
+    let header = message.header;
+    if assembly.add_view(header, now_ns) && aligns {
+        gallery.add(header, message);
     }
 }
 
