@@ -31,6 +31,8 @@ mod avx2;
 mod cubic;
 mod cut;
 mod equirectangular;
+#[cfg(target_arch = "x86_64")]
+mod fetch;
 mod mapping;
 mod patch;
 mod sample;
@@ -217,6 +219,11 @@ impl<'a> SphereImage<'a> {
     fn is_round(&self) -> bool {
         matches!(self.camera.model(), CameraModel::Equirectangular { .. })
     }
+}
+
+/// The vector instructions that views are cut with on this processor, for logs and benchmarks.
+pub fn instructions() -> &'static str {
+    cut::Kernel::of_processor().name()
 }
 
 /// Cuts one view into `out`, rows `out_stride` bytes apart, on the calling thread.

@@ -20,9 +20,10 @@ impl CpuRectifier {
 
 impl Rectifier for CpuRectifier {
     fn name(&self) -> String {
+        let instructions = flockeye_imaging::sphere::instructions();
         match self.threads {
-            1 => "cpu: 1 thread".into(),
-            threads => format!("cpu: {threads} threads"),
+            1 => format!("cpu: 1 thread, {instructions}"),
+            threads => format!("cpu: {threads} threads, {instructions}"),
         }
     }
 

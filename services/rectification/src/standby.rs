@@ -127,7 +127,7 @@ mod tests {
             greys.push(out[0]);
         }
         assert_eq!(greys, [1, 1, 70, 70]);
-        assert_eq!(rectifier.name(), "cpu: 1 thread");
+        assert!(rectifier.name().starts_with("cpu: 1 thread"));
     }
 
     #[test]

@@ -13,7 +13,7 @@ use proptest::prelude::*;
 
 use self::exact::{cameras, grey, panorama};
 use super::any_camera::CameraMapping;
-use super::cut::{Band, cut_band_plain};
+use super::cut::{Band, Kernel, cut_band_by};
 use super::equirectangular::EquirectangularMapping;
 use super::mapping::{Fit, LANES, Mapping, NOWHERE, ONE};
 use super::patch::Tile;
@@ -223,14 +223,24 @@ fn vector_code_gives_the_bytes_of_plain_code() {
         for view in views {
             for cut in [Cut::bilinear(view), Cut::cubic(view)] {
                 let size = view.size_px as usize;
-                let (mut fast, mut plain) = (vec![0; size * size], vec![1; size * size]);
-                rectify_into(&sphere, &cut, &mut fast, size).unwrap();
                 let rows = view.size_px;
-                cut_band_plain(
-                    &sphere,
-                    Band { cut: &cut, y: 0, rows, out: &mut plain, stride: size },
-                );
-                assert!(fast == plain, "{cut:?}");
+                let by = |kernel| {
+                    let mut out = vec![1; size * size];
+                    let band = Band { cut: &cut, y: 0, rows, out: &mut out, stride: size };
+                    cut_band_by(kernel, &sphere, band);
+                    out
+                };
+                let plain = by(Kernel::Plain);
+                #[cfg(target_arch = "x86_64")]
+                for kernel in [Kernel::Avx2, Kernel::Avx2Gather] {
+                    assert!(
+                        !kernel.works_on(&sphere) || by(kernel) == plain,
+                        "{kernel:?}, {cut:?}"
+                    );
+                }
+                let mut quickest = vec![0; size * size];
+                rectify_into(&sphere, &cut, &mut quickest, size).unwrap();
+                assert!(quickest == plain, "{cut:?}");
             }
         }
     }

@@ -5,8 +5,9 @@ use std::arch::x86_64::*;
 use super::SphereImage;
 use super::cubic;
 use super::cut::Target;
+use super::fetch::fetch;
 use super::mapping::LANES;
-use super::patch::Strip;
+use super::patch::{MAX_ROWS, Strip};
 use super::sample::{ROW_WEIGHT, WEIGHT_BITS};
 
 /// Longest stride whose products fit the 16-bit factors of the addresses, bytes.
@@ -20,7 +21,7 @@ pub(super) const MAX_STRIDE: usize = i16::MAX as usize;
 /// width - 1 and 0 <= row < height - 1 in whole pixels, and the stride must be at most
 /// [`MAX_STRIDE`].
 #[target_feature(enable = "avx2")]
-pub(super) unsafe fn cut_strip(
+pub(super) unsafe fn cut_strip<const GATHERED: bool>(
     sphere: &SphereImage<'_>,
     strip: &Strip,
     rows: usize,
@@ -33,8 +34,7 @@ pub(super) unsafe fn cut_strip(
     let upper = sphere.pixels().as_ptr();
     // Two bytes early, so that the lower row's pair comes to lie where it is blended in.
     let lower = upper.wrapping_add(sphere.stride() - 2);
-    // Low half 1, high half the stride: column + row * stride by one multiplication of pairs.
-    let address = _mm256_set1_epi32(((sphere.stride() as i32) << 16) | 1);
+    let offsets = offsets(strip, rows, sphere.stride());
     let right_byte = _mm256_setr_epi8(
         1, 1, 1, 1, 5, 5, 5, 5, 9, 9, 9, 9, 13, 13, 13, 13, 1, 1, 1, 1, 5, 5, 5, 5, 9, 9, 9, 9, 13,
         13, 13, 13,
@@ -51,19 +51,13 @@ pub(super) unsafe fn cut_strip(
 
     for first in (0..rows).step_by(4) {
         let mut greys = [_mm256_setzero_si256(); 4];
-        for grey in &mut greys {
-            let whole = _mm256_blend_epi16::<0xaa>(_mm256_srli_epi32::<16>(u), v);
-            let offset = _mm256_madd_epi16(whole, address);
+        for (grey, offsets) in greys.iter_mut().zip(&offsets[first..]) {
             // SAFETY: by the caller's word the offset is that of a pixel with a right and a lower
-            // neighbour. The upper gather reads it and the three bytes after, which end no later
-            // than its lower right neighbour as rows hold two pixels or more; the lower gather
+            // neighbour. The upper fetch reads it and the three bytes after, which end no later
+            // than its lower right neighbour as rows hold two pixels or more; the lower fetch
             // reads the lower pair and the two bytes before it.
-            let (above, below) = unsafe {
-                (
-                    _mm256_i32gather_epi32::<1>(upper.cast(), offset),
-                    _mm256_i32gather_epi32::<1>(lower.cast(), offset),
-                )
-            };
+            let (above, below) =
+                unsafe { (fetch::<GATHERED>(upper, offsets), fetch::<GATHERED>(lower, offsets)) };
             let pixels = _mm256_blend_epi16::<0xaa>(above, below);
             let pixels = _mm256_xor_si256(pixels, middle_grey);
             let across = _mm256_xor_si256(_mm256_shuffle_epi8(u, right_byte), left_bytes);
@@ -87,7 +81,7 @@ pub(super) unsafe fn cut_strip(
 /// width - 2 and 1 <= row < height - 2 in whole pixels, and the stride must be at most
 /// [`MAX_STRIDE`].
 #[target_feature(enable = "avx2")]
-pub(super) unsafe fn cut_strip_cubic(
+pub(super) unsafe fn cut_strip_cubic<const GATHERED: bool>(
     sphere: &SphereImage<'_>,
     strip: &Strip,
     rows: usize,
@@ -100,7 +94,7 @@ pub(super) unsafe fn cut_strip_cubic(
     let stride = sphere.stride();
     // The upper left of the sixteen neighbours, for a position at the image's first pixel.
     let corner = sphere.pixels().as_ptr().wrapping_sub(stride + 1);
-    let address = _mm256_set1_epi32(((stride as i32) << 16) | 1);
+    let offsets = offsets(strip, rows, stride);
     let zero = _mm256_setzero_si256();
     let row_rounding = _mm256_set1_epi32(1 << (cubic::ROW_SHIFT - 1));
     let end_rounding = _mm256_set1_epi32(1 << (cubic::END_SHIFT - 1));
@@ -108,9 +102,7 @@ pub(super) unsafe fn cut_strip_cubic(
 
     for first in (0..rows).step_by(4) {
         let mut greys = [zero; 4];
-        for grey in &mut greys {
-            let whole = _mm256_blend_epi16::<0xaa>(_mm256_srli_epi32::<16>(u), v);
-            let offset = _mm256_madd_epi16(whole, address);
+        for (grey, offsets) in greys.iter_mut().zip(&offsets[first..]) {
             // Weights of columns in the low halves, of rows in the high ones.
             let fractions = _mm256_blend_epi16::<0xaa>(u, _mm256_slli_epi32::<16>(v));
             let [w0, w1, w2, w3] = weights(fractions);
@@ -130,7 +122,7 @@ pub(super) unsafe fn cut_strip_cubic(
                 let line = corner.wrapping_add(k * stride);
                 // SAFETY: by the caller's word the position's column less 1 to plus 2 and its row
                 // less 1 to plus 2 lie in the image; this reads four bytes of one of these rows.
-                let pixels = unsafe { _mm256_i32gather_epi32::<1>(line.cast(), offset) };
+                let pixels = unsafe { fetch::<GATHERED>(line, offsets) };
                 let low = _mm256_madd_epi16(_mm256_unpacklo_epi8(pixels, zero), across_low);
                 let high = _mm256_madd_epi16(_mm256_unpackhi_epi8(pixels, zero), across_high);
                 let row = _mm256_add_epi32(_mm256_hadd_epi32(low, high), row_rounding);
@@ -168,6 +160,31 @@ fn weights(fractions: __m256i) -> [__m256i; 4] {
     let last = _mm256_srai_epi16::<2>(bend);
     let others = _mm256_add_epi16(first, _mm256_add_epi16(second, last));
     [first, second, _mm256_sub_epi16(one, others), last]
+}
+
+/// Where the pixels of a strip's rows lie from the image's first, bytes, for rows rounded up to
+/// fours. They go through memory at once: taken from a register one by one they cost more than the
+/// loads they are for.
+#[target_feature(enable = "avx2")]
+fn offsets(strip: &Strip, rows: usize, stride: usize) -> [[i32; LANES]; MAX_ROWS as usize] {
+    let [columns, lines] = &strip.series;
+    let (mut u, mut du, ddu) = (load(&columns.value), load(&columns.step), load(&columns.growth));
+    let (mut v, mut dv, ddv) = (load(&lines.value), load(&lines.step), load(&lines.growth));
+    // Low half 1, high half the stride: column + row * stride by one multiplication of pairs.
+    let address = _mm256_set1_epi32(((stride as i32) << 16) | 1);
+    let mut offsets = [[0; LANES]; MAX_ROWS as usize];
+    for row in offsets.iter_mut().take(rows.next_multiple_of(4)) {
+        let whole = _mm256_blend_epi16::<0xaa>(_mm256_srli_epi32::<16>(u), v);
+        // SAFETY: eight integers are as long as the vector; unaligned stores are allowed.
+        unsafe {
+            _mm256_storeu_si256(row.as_mut_ptr().cast(), _mm256_madd_epi16(whole, address));
+        }
+        u = _mm256_add_epi32(u, du);
+        v = _mm256_add_epi32(v, dv);
+        du = _mm256_add_epi32(du, ddu);
+        dv = _mm256_add_epi32(dv, ddv);
+    }
+    offsets
 }
 
 #[target_feature(enable = "avx2")]

@@ -90,17 +90,71 @@ pub(super) fn cut_views(
     });
 }
 
-fn cut_band(sphere: &SphereImage<'_>, band: Band<'_>) {
+/// Code that cuts; all of it gives the same bytes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Kernel {
+    /// Pixel by pixel.
+    Plain,
+    /// Eight columns at once, each pixel loaded by itself.
     #[cfg(target_arch = "x86_64")]
-    if is_x86_feature_detected!("avx2") && sphere.stride() <= super::avx2::MAX_STRIDE {
-        // SAFETY: the processor has AVX2.
-        unsafe { cut_band_avx2(sphere, band) };
-        return;
-    }
-    cut_band_plain(sphere, band);
+    Avx2,
+    /// Eight columns at once, loaded by the gather instruction.
+    #[cfg(target_arch = "x86_64")]
+    Avx2Gather,
 }
 
-pub(super) fn cut_band_plain(sphere: &SphereImage<'_>, band: Band<'_>) {
+impl Kernel {
+    /// The quickest that this processor has.
+    pub fn of_processor() -> Self {
+        #[cfg(target_arch = "x86_64")]
+        if is_x86_feature_detected!("avx2") {
+            return if super::fetch::gathers() { Self::Avx2Gather } else { Self::Avx2 };
+        }
+        Self::Plain
+    }
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Plain => "no vector instructions",
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx2 => "AVX2",
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx2Gather => "AVX2 with gathers",
+        }
+    }
+
+    /// Whether it works here, on images like this.
+    pub fn works_on(self, sphere: &SphereImage<'_>) -> bool {
+        match self {
+            Self::Plain => true,
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx2 | Self::Avx2Gather => {
+                is_x86_feature_detected!("avx2") && sphere.stride() <= super::avx2::MAX_STRIDE
+            }
+        }
+    }
+}
+
+fn cut_band(sphere: &SphereImage<'_>, band: Band<'_>) {
+    cut_band_by(Kernel::of_processor(), sphere, band);
+}
+
+/// Cuts with this kernel, or the plain one where it does not work.
+pub(super) fn cut_band_by(kernel: Kernel, sphere: &SphereImage<'_>, band: Band<'_>) {
+    match kernel {
+        // SAFETY: the processor has AVX2, and the stride is one it can do.
+        #[cfg(target_arch = "x86_64")]
+        Kernel::Avx2 if kernel.works_on(sphere) => unsafe { cut_band_avx2::<false>(sphere, band) },
+        // SAFETY: as above.
+        #[cfg(target_arch = "x86_64")]
+        Kernel::Avx2Gather if kernel.works_on(sphere) => unsafe {
+            cut_band_avx2::<true>(sphere, band);
+        },
+        _ => cut_band_plain(sphere, band),
+    }
+}
+
+fn cut_band_plain(sphere: &SphereImage<'_>, band: Band<'_>) {
     match band.cut.interpolation {
         Interpolation::Bilinear => cut_tiles(sphere, band, sample, |strip, rows, target| {
             cut_strip(sphere, sample, strip, rows, target);
@@ -113,7 +167,7 @@ pub(super) fn cut_band_plain(sphere: &SphereImage<'_>, band: Band<'_>) {
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-fn cut_band_avx2(sphere: &SphereImage<'_>, band: Band<'_>) {
+fn cut_band_avx2<const GATHERED: bool>(sphere: &SphereImage<'_>, band: Band<'_>) {
     let (columns, lines) = (sphere.camera.width() as i32, sphere.camera.height() as i32);
     // Positions whose neighbours all lie in the image, 1/65536 px: `before` of them in front of the
     // position, and `after` behind it.
@@ -132,7 +186,7 @@ fn cut_band_avx2(sphere: &SphereImage<'_>, band: Band<'_>) {
                 if stays(strip, rows, inside) {
                     // SAFETY: both coordinates were just seen to stay inside, over the rows rounded
                     // up, and the stride was before this function was called.
-                    unsafe { super::avx2::cut_strip(sphere, strip, rows, target) };
+                    unsafe { super::avx2::cut_strip::<GATHERED>(sphere, strip, rows, target) };
                 } else {
                     cut_strip(sphere, sample, strip, rows, target);
                 }
@@ -143,7 +197,9 @@ fn cut_band_avx2(sphere: &SphereImage<'_>, band: Band<'_>) {
             cut_tiles(sphere, band, sample_cubic, |strip, rows, target| {
                 if stays(strip, rows, inside) {
                     // SAFETY: as above, with the cubic's wider neighbourhood.
-                    unsafe { super::avx2::cut_strip_cubic(sphere, strip, rows, target) };
+                    unsafe {
+                        super::avx2::cut_strip_cubic::<GATHERED>(sphere, strip, rows, target)
+                    };
                 } else {
                     cut_strip(sphere, sample_cubic, strip, rows, target);
                 }

@@ -26,7 +26,10 @@ const ROUNDS: u32 = 41;
 /// Measures all and prints the table.
 pub fn print() {
     core::set_num_threads(1).unwrap();
-    println!("\nratios, processor time of one thread, medians of {ROUNDS} turns");
+    println!(
+        "\nratios, processor time of one thread, medians of {ROUNDS} turns; ours by {}",
+        flockeye_imaging::sphere::instructions()
+    );
     println!("{:<76} {:>9} {:>9} {:>7}", "", "ours", "theirs", "ratio");
     for interpolation in [Interpolation::Bilinear, Interpolation::Cubic] {
         partitions(interpolation);
