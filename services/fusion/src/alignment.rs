@@ -7,6 +7,16 @@ use flockeye_imaging::align::{
 use flockeye_imaging::edges::MarkerPrint;
 use nalgebra::Isometry3;
 
+/// Two poses of a body are not the same one if they differ by more, radians, or by this share of
+/// the range.
+const OTHER_TURN_RAD: f64 = 0.2;
+const OTHER_PLACE: f64 = 0.05;
+/// Without a track, a pose that only one facet agrees with is believed if its facets agree so well
+/// on average, and any other pose has at most this share of its log-likelihood. One marker of 14 px
+/// was seen to reach 0.71 in the wrong attitude, and 1.2 times the right one's log-likelihood.
+const ALONE_CORRELATION: f64 = 0.8;
+const ALONE_RIVAL: f64 = 0.33;
+
 /// The view that shows a body best.
 #[derive(Debug, Clone, Copy)]
 pub struct BestView<'p> {
@@ -25,16 +35,6 @@ pub struct Aligner {
     pixels_per_radian: f64,
     options: AlignOptions,
 }
-
-/// Two poses of a body are not the same one if they differ by more, radians, or by this share of
-/// the range.
-const OTHER_TURN_RAD: f64 = 0.2;
-const OTHER_PLACE: f64 = 0.05;
-/// Without a track, a pose that only one facet agrees with is believed if its facets agree so well
-/// on average, and any other pose has at most this share of its log-likelihood. One marker of 14 px
-/// was seen to reach 0.71 in the wrong attitude, and 1.2 times the right one's log-likelihood.
-const ALONE_CORRELATION: f64 = 0.8;
-const ALONE_RIVAL: f64 = 0.33;
 
 impl Aligner {
     /// For `bodies` with markers that look as `print_of` says, on a sphere image of this resolution.
@@ -56,16 +56,26 @@ impl Aligner {
         self.pixels_per_radian
     }
 
-    /// Aligns body `target`, which is tracked, from the first of `starts` that leads to it. `None` if
-    /// none does.
+    /// Aligns body `target`, which is tracked, from the first of `starts` that leads to it beyond
+    /// doubt, or from the one whose end says most for it. `None` if none does.
     pub fn follow(
         &self,
         target: usize,
         picture: &Picture<'_>,
         starts: &[Start],
     ) -> Option<Alignment> {
-        let mut found = starts.iter().filter_map(|start| self.align(target, picture, start));
-        found.find(Alignment::is_believed)
+        let mut best: Option<Alignment> = None;
+        for start in starts {
+            let Some(found) = self.align(target, picture, start) else { continue };
+            if found.is_believed() {
+                return Some(found);
+            }
+            let is_better = |best: &Alignment| found.score.log_ratio > best.score.log_ratio;
+            if found.confirms_track() && best.as_ref().is_none_or(is_better) {
+                best = Some(found);
+            }
+        }
+        best
     }
 
     /// Aligns body `target`, of which nothing is known yet, from all of `starts`. One facet can look

@@ -34,6 +34,9 @@ struct Hung<P> {
 pub struct Rank {
     /// Whether it was cut for this neighbour.
     pub is_own: bool,
+    /// Markers of the neighbour that were decoded in it: squares that only look like some are found
+    /// in many views.
+    pub decoded: u32,
     /// Its focal length, pixels.
     pub focal_px: f64,
     /// How far from its middle the neighbour is, as a tangent.
@@ -46,6 +49,7 @@ impl Rank {
     fn is_above(&self, other: &Self) -> bool {
         self.is_own
             .cmp(&other.is_own)
+            .then(self.decoded.cmp(&other.decoded))
             .then(self.focal_px.total_cmp(&other.focal_px))
             .then(other.off_centre.total_cmp(&self.off_centre))
             .then(other.view_index.cmp(&self.view_index))
@@ -124,7 +128,7 @@ mod tests {
     }
 
     fn rank(is_own: bool, focal_px: f64, off_centre: f64, view_index: u32) -> Rank {
-        Rank { is_own, focal_px, off_centre, view_index }
+        Rank { is_own, decoded: 0, focal_px, off_centre, view_index }
     }
 
     #[test]
@@ -146,6 +150,13 @@ mod tests {
                 gallery.of_frame((0, 0, 5)).map(|(target, _, pixels)| (target, *pixels)).collect();
             assert_eq!(best, [(7, 2)]);
         }
+    }
+
+    #[test]
+    fn decoded_markers_say_more_than_squares_that_look_like_some() {
+        let squares = rank(false, 1200.0, 0.0, 0);
+        let markers = Rank { decoded: 1, ..rank(false, 611.0, 0.4, 1) };
+        assert!(markers.is_above(&squares) && !squares.is_above(&markers));
     }
 
     #[test]

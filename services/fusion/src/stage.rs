@@ -124,31 +124,15 @@ impl Stage for FusionStage {
         self.plans.greet_newcomers()?;
         let now_ns = clock::monotonic_ns();
         // A view passes before its record, so views are taken first.
-        for lane in &mut self.views {
-            // No more than can be held: records that are in already let go of some.
-            while !self.gallery.is_full()
-                && let Some(message) = lane.receive()?
-            {
-                take_view(&mut self.assembly, &mut self.gallery, self.aligns, message, now_ns);
-            }
-        }
+        // No more than can be held: records that are in already let go of some.
+        self.take_views(now_ns, Gallery::is_full)?;
         let mut taken = Vec::new();
         while let Some(message) = self.detections.receive()? {
             let (order, index) = (message.header.stamp.order(), message.header.view_index);
-            for lane in &mut self.views {
-                while !self.gallery.is_waiting(order, index)
-                    && let Some(message) = lane.receive()?
-                {
-                    take_view(&mut self.assembly, &mut self.gallery, self.aligns, message, now_ns);
-                }
-            }
+            self.take_views(now_ns, |gallery| gallery.is_waiting(order, index))?;
             taken.extend(self.take_record(&message, now_ns));
         }
-        for lane in &mut self.views {
-            while let Some(message) = lane.receive()? {
-                take_view(&mut self.assembly, &mut self.gallery, self.aligns, message, now_ns);
-            }
-        }
+        self.take_views(now_ns, |_| false)?;
         self.glance(&taken)?;
         while let Some(message) = self.frame_ends.receive()? {
             self.assembly.add_end(message.header, now_ns);
@@ -170,21 +154,27 @@ impl Stage for FusionStage {
     }
 }
 
-/// Notes a view, and holds it if its pixels will be looked into.
-fn take_view(
-    assembly: &mut Assembly,
-    gallery: &mut Gallery<Message<Views>>,
-    aligns: bool,
-    message: Message<Views>,
-    now_ns: i64,
-) {
-    let header = message.header;
-    if assembly.add_view(header, now_ns) && aligns {
-        gallery.add(header, message);
-    }
-}
-
 impl FusionStage {
+    /// Notes the views that have come, of each lane until `is_enough`, and holds them if their pixels
+    /// will be looked into.
+    fn take_views(
+        &mut self,
+        now_ns: i64,
+        is_enough: impl Fn(&Gallery<Message<Views>>) -> bool,
+    ) -> anyhow::Result<()> {
+        for lane in &mut self.views {
+            while !is_enough(&self.gallery)
+                && let Some(message) = lane.receive()?
+            {
+                let header = message.header;
+                if self.assembly.add_view(header, now_ns) && self.aligns {
+                    self.gallery.add(header, message);
+                }
+            }
+        }
+        Ok(())
+    }
+
     /// Notes a record; `None` if nobody waits for it.
     fn take_record(&mut self, message: &Message<Detections>, now_ns: i64) -> Option<Record> {
         let header = message.header;

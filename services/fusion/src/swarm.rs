@@ -132,9 +132,11 @@ impl Swarm {
         let middle = (f64::from(view.size_px) - 1.0) / 2.0;
         let rank = |target: usize, body: &Body| {
             let is_own = purpose == Some(Purpose::Gaze(target));
-            let corners = record.markers.iter().filter(|marker| body.marker(marker.id).is_some());
+            let of_body = record.markers.iter().filter(|marker| body.marker(marker.id).is_some());
+            let decoded = of_body.clone().filter(|marker| marker.is_decoded()).count() as u32;
+            let counted = of_body.filter(|marker| marker.is_decoded() || decoded == 0);
             let (mut sum, mut count) = ([0.0; 2], 0.0);
-            for [u, v] in corners.flat_map(|marker| marker.corners_in_view) {
+            for [u, v] in counted.flat_map(|marker| marker.corners_in_view) {
                 sum = [sum[0] + f64::from(u), sum[1] + f64::from(v)];
                 count += 1.0;
             }
@@ -145,6 +147,7 @@ impl Swarm {
             };
             let rank = Rank {
                 is_own,
+                decoded,
                 focal_px: view.focal_px,
                 off_centre: off_px / view.focal_px,
                 view_index: view.view_index,
@@ -153,7 +156,7 @@ impl Swarm {
             let rank = match stop_rule {
                 StopRule::All | StopRule::Deadline => rank,
                 StopRule::FirstHit => {
-                    Rank { is_own: false, focal_px: 0.0, off_centre: 0.0, ..rank }
+                    Rank { is_own: false, decoded: 0, focal_px: 0.0, off_centre: 0.0, ..rank }
                 }
             };
             (is_own || count > 0.0).then_some(rank)
@@ -314,9 +317,9 @@ impl Swarm {
         }
         let predicted = predicted.map(|prediction| prediction.observer_from_target);
         let best_view = best_views.get(&target).copied();
-        let is_worth_it = !rays.is_empty() || (predicted.is_some() && best_view.is_some());
         // A neighbour that nobody has seen is not begun from squares that are probably its markers:
         // on a chequered wall there are enough of them.
+        let is_worth_it = !rays.is_empty() || (predicted.is_some() && best_view.is_some());
         // The dearest look is for one neighbour in some frames, and after those that are seen.
         let turn = self.frames / SEARCH_EVERY_FRAMES % self.neighbours.len() as u64;
         let may_search =

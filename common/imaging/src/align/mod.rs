@@ -41,7 +41,9 @@ use nalgebra::{Isometry3, Matrix2, Matrix6};
 use crate::image::LumaImage;
 use crate::light::LinearLight;
 use patch::Patch;
-use solve::Settings;
+use samples::Sample;
+use score::Verdict;
+use solve::{Fit, Settings};
 use unknowns::State;
 
 /// How a body is aligned, and when that is believed.
@@ -84,10 +86,18 @@ impl Alignment {
     /// Whether it is a measurement: the body is there, and its pose is known well enough to be of
     /// use to anybody.
     pub fn is_believed(&self) -> bool {
+        self.score.is_accepted() && self.is_certain()
+    }
+
+    /// The same for a body that is tracked: whether it is where it was expected is for the filter to
+    /// say, which knows how sure it was.
+    pub fn confirms_track(&self) -> bool {
+        self.score.confirms() && self.is_certain()
+    }
+
+    fn is_certain(&self) -> bool {
         let deviation = |first| self.covariance.fixed_view::<3, 3>(first, first).trace().sqrt();
-        self.score.is_accepted()
-            && deviation(0) < MAX_POSITION_DEVIATION_M
-            && deviation(3) < MAX_ROTATION_DEVIATION_RAD
+        deviation(0) < MAX_POSITION_DEVIATION_M && deviation(3) < MAX_ROTATION_DEVIATION_RAD
     }
 }
 
@@ -240,13 +250,12 @@ impl Frame {
             let coarse = Settings { extra_blur_px, iterations: COARSE_ITERATIONS, ..*settings };
             if extra_blur_px.is_finite()
                 && let Some(fit) =
-                    solve::fit(&patch.blurred(extra_blur_px), print, state.clone(), &coarse)
+                    solve::fit(&patch.blurred(extra_blur_px), print, state.clone(), &[], &coarse)
             {
                 state = State { blur: state.blur, ..fit.state };
             }
         }
-        let fit = solve::fit(patch, print, state, settings).ok_or(AlignError::Nothing)?;
-        let score = score::score(patch, print, &fit, settings.samples_per_pixel);
+        let (fit, score) = self.fit_what_is_seen(print, state)?;
         let camera_from_patch = patch.view_from_camera.inverse();
         let along = self.common_error(print, &fit.state.patch_from_markers);
         let turn = camera_from_patch.to_rotation_matrix().into_inner();
@@ -265,6 +274,39 @@ impl Frame {
 }
 
 impl Frame {
+    /// Fits the body, then again without the facets that turn out to be hidden: an arm in front of a
+    /// facet is dark, and pulls the body nearer than it is.
+    fn fit_what_is_seen(
+        &self,
+        print: &BodyPrint,
+        state: State,
+    ) -> Result<(Fit, Score), AlignError> {
+        let Self { patch, settings, .. } = self;
+        let judge = |state: &State, samples: &[Sample]| {
+            Verdict::new(patch, print, state, samples, settings.samples_per_pixel)
+        };
+        let mut fit = solve::fit(patch, print, state, &[], settings).ok_or(AlignError::Nothing)?;
+        let mut verdict = judge(&fit.state, &fit.samples);
+        let mut left_out = None;
+        for _ in 0..MOST_REFITS {
+            let hidden = verdict.hidden(print);
+            if hidden.is_none() || hidden == left_out {
+                break;
+            }
+            let without = hidden.as_deref().unwrap_or_default();
+            let Some(again) = solve::fit(patch, print, fit.state.clone(), without, settings) else {
+                break;
+            };
+            // What is left out is judged all the same.
+            let anew = judge(&again.state, &solve::samples_at(patch, print, &again.state));
+            if anew.score.log_ratio < verdict.score.log_ratio {
+                break;
+            }
+            (fit, verdict, left_out) = (again, anew, hidden);
+        }
+        Ok((fit, verdict.score))
+    }
+
     /// Covariance of what is wrong with all edges at once, and so in no residual: black grows or
     /// shrinks by a few hundredths of a pixel with the response, the point spread's shape and the
     /// compression, and moves the body along the line of sight.
@@ -282,6 +324,9 @@ impl Frame {
 
 /// Deviation of what all edges are off together, pixels of the sphere image.
 const EDGE_ERROR_PX: f64 = 0.04;
+
+/// So often a body is fitted again without what is hidden.
+const MOST_REFITS: usize = 2;
 
 /// Extra blur of the coarse fit, in the smallest marker's cells. More made it diverge: what is
 /// behind the body bleeds in.

@@ -10,6 +10,12 @@ use nalgebra::Vector3;
 const REACH: f32 = 3.0;
 /// Pixels nearer to the silhouette, in deviations, show more of what is behind the body than is known.
 const SILHOUETTE: f32 = 2.5;
+/// Beyond so many deviations nothing of what lies across an edge is left in the model.
+const OUT_OF_REACH: f32 = 3.6;
+/// Facets whose middle is farther than the first of these from all its edges, deviations, can do
+/// without pixels next to edges, where most of what is not modelled shows: folds, gaps, arms and
+/// shadows that begin there. From the second on they do without all within reach.
+const ROOMY: (f32, f32) = (8.0, 16.0);
 /// So far beyond the silhouette a pixel shows nothing of the body, deviations.
 pub(super) const BEHIND: f32 = 3.0;
 /// Nearer than this to two edges, the facet across their corner shows as well.
@@ -86,6 +92,7 @@ pub(super) fn choose(
         else {
             continue;
         };
+        let margins = Margins::of(facet, blurred_facet);
         let plane_from_pixel = seen_facet.plane_from_pixel(&patch.pinhole);
         let bounds = |axis: usize, size: usize| {
             let values = seen_facet.outline_px.iter().map(|corner| corner[axis]);
@@ -103,7 +110,7 @@ pub(super) fn choose(
                 let plane = plane_from_pixel * Vector3::new(x as f64, y as f64, 1.0);
                 let at = plane.xy() / plane.z;
                 let Some(Reach { edges, neighbours, silhouette }) =
-                    reach(facet, blurred_facet, seen, at)
+                    reach(facet, blurred_facet, seen, margins, at)
                 else {
                     continue;
                 };
@@ -127,6 +134,28 @@ pub(super) fn choose(
     samples
 }
 
+/// Pixels nearer than this to an edge of a facet do not count, deviations.
+#[derive(Debug, Clone, Copy)]
+struct Margins {
+    /// Where another facet that is seen begins.
+    seam: f32,
+    /// Where the body ends.
+    silhouette: f32,
+}
+
+impl Margins {
+    fn of(facet: &PrintedFacet, blurred: &BlurredFacet<'_>) -> Self {
+        let middle = nalgebra::Vector2::zeros();
+        let depths = (0..facet.outline.len()).map(|edge| blurred.depth(edge, middle));
+        let room = (depths.fold(f32::MAX, f32::min) - ROOMY.0) / (ROOMY.1 - ROOMY.0);
+        let room = room.clamp(0.0, 1.0);
+        Self {
+            seam: room * OUT_OF_REACH,
+            silhouette: SILHOUETTE + room * (OUT_OF_REACH - SILHOUETTE),
+        }
+    }
+}
+
 /// What a point of a facet is near to.
 struct Reach {
     /// Edges within reach, and the facets across them.
@@ -143,6 +172,7 @@ fn reach(
     facet: &PrintedFacet,
     blurred: &BlurredFacet<'_>,
     seen: &[Option<SeenFacet>],
+    margins: Margins,
     at: nalgebra::Vector2<f64>,
 ) -> Option<Reach> {
     let (mut edges, mut neighbours) = ([NONE; 2], [NONE; 2]);
@@ -156,11 +186,11 @@ fn reach(
         if !is_inside {
             return None;
         }
-        if depth >= REACH {
-            continue;
-        }
         near_edges += u32::from(depth < CORNER);
         match facet.neighbours[k].filter(|&(neighbour, _)| seen[neighbour].is_some()) {
+            Some(_) if depth < margins.seam => return None,
+            None if depth < margins.silhouette => return None,
+            _ if depth >= REACH => {}
             // Both fit: a facet with more than 254 edges, or a body with as many facets, has no such
             // sample.
             Some((neighbour, _)) if count < edges.len() => {
@@ -169,7 +199,6 @@ fn reach(
                 count += 1;
             }
             Some(_) => return None,
-            None if depth < SILHOUETTE => return None,
             None => {
                 if silhouette.is_none_or(|(_, nearest)| depth < nearest) {
                     silhouette = Some((k, depth));

@@ -8,8 +8,10 @@
 use nalgebra::Matrix5;
 
 use super::patch::Patch;
-use super::solve::{Fit, Scene};
-use crate::align::print::BodyPrint;
+use super::print::{BodyPrint, PrintedFacet};
+use super::samples::Sample;
+use super::solve::Scene;
+use super::unknowns::State;
 
 /// How well the cells of the facets that face the camera agree with the image.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -31,16 +33,30 @@ impl Score {
     pub fn is_accepted(&self) -> bool {
         // One facet far away is a handful of pixels, and may be anything chequered.
         let is_seen_twice = self.agreeing_facets >= 2 || self.log_ratio > ONE_FACET_LOG_RATIO;
-        is_seen_twice
-            && ACCEPTED.iter().any(|&(correlation, log_ratio)| {
-                self.correlation > correlation && self.log_ratio > log_ratio
-            })
+        is_seen_twice && self.exceeds(&ACCEPTED)
+    }
+
+    /// Whether the body is there, of which it is known from the frames before that it must be about
+    /// there: then a single small facet that agrees very well says enough, or one of a body whose
+    /// others are hidden.
+    pub fn confirms(&self) -> bool {
+        self.is_accepted() || self.exceeds(&CONFIRMING)
+    }
+
+    fn exceeds(&self, limits: &[(f64, f64)]) -> bool {
+        limits.iter().any(|&(correlation, log_ratio)| {
+            self.correlation > correlation && self.log_ratio > log_ratio
+        })
     }
 }
 
 /// Least mean correlation with least logarithm of the likelihood ratio. On rendered flights wrong
 /// bodies, and right ones at wrong poses, stay below 0.44 with 13 and below 0.2 with 90.
 const ACCEPTED: [(f64, f64); 3] = [(0.7, 8.0), (0.47, 30.0), (0.27, 200.0)];
+
+/// The same where the body is expected. Wrong bodies, started where the right ones are, reach 0.51
+/// with 16 and 0.22 with 25.
+const CONFIRMING: [(f64, f64); 2] = [(0.8, 25.0), (0.15, 150.0)];
 
 /// What a single facet must say.
 const ONE_FACET_LOG_RATIO: f64 = 100.0;
@@ -59,39 +75,73 @@ struct Facet {
     count: u32,
 }
 
-/// Scores a fit. `samples_per_pixel`: samples that count as one.
-pub(super) fn score(patch: &Patch, print: &BodyPrint, fit: &Fit, samples_per_pixel: f64) -> Score {
-    let scene = Scene::new(print, &fit.state, patch, 0.0);
-    let mut facets = vec![Facet::default(); print.facets.len()];
-    for sample in fit.samples.iter().filter(|sample| sample.is_inside()) {
-        let index = usize::from(sample.facet);
-        if print.facets[index].cells.is_none() {
-            continue;
+/// A score, and what each facet adds to it.
+#[derive(Debug)]
+pub(super) struct Verdict {
+    pub score: Score,
+    /// Each facet's own correlation, where it can be compared.
+    correlations: Vec<Option<f64>>,
+}
+
+impl Verdict {
+    /// Judges a state by `samples` of all facets; `samples_per_pixel` of them count as one.
+    pub fn new(
+        patch: &Patch,
+        print: &BodyPrint,
+        state: &State,
+        samples: &[Sample],
+        samples_per_pixel: f64,
+    ) -> Self {
+        let scene = Scene::new(print, state, patch, 0.0);
+        let mut facets = vec![Facet::default(); print.facets.len()];
+        for sample in samples.iter().filter(|sample| sample.is_inside()) {
+            let index = usize::from(sample.facet);
+            if print.facets[index].cells.is_none() {
+                continue;
+            }
+            let Some((seen, blurred)) = scene.facet(index) else { continue };
+            let parts = blurred.parts(seen.seen(&sample.direction(patch)));
+            let [black, square, inside] = [parts.black, parts.square, parts.inside].map(f64::from);
+            let border = square - inside;
+            let light = -f64::from(sample.light);
+            let row = nalgebra::Vector5::new(1.0, border, inside, black - border, light);
+            facets[index].products += row * row.transpose();
+            facets[index].count += 1;
         }
-        let Some((seen, blurred)) = scene.facet(index) else { continue };
-        let parts = blurred.parts(seen.seen(&sample.direction(patch)));
-        let [black, square, inside] = [parts.black, parts.square, parts.inside].map(f64::from);
-        let border = square - inside;
-        let row =
-            nalgebra::Vector5::new(1.0, border, inside, black - border, -f64::from(sample.light));
-        facets[index].products += row * row.transpose();
-        facets[index].count += 1;
+        let mut score = Score::default();
+        let (mut sum, mut weights) = (0.0, 0.0);
+        let mut correlations = vec![None; facets.len()];
+        for (facet, own) in facets.iter().zip(&mut correlations) {
+            if facet.count < MIN_SAMPLES {
+                continue;
+            }
+            let Some((correlation, worth)) = facet.partial_correlation() else { continue };
+            *own = Some(correlation);
+            let independent = f64::from(facet.count) / samples_per_pixel;
+            let squared = correlation.abs().min(MOST).powi(2);
+            score.log_ratio -= 0.5 * independent * (1.0 - squared).ln() * correlation.signum();
+            score.facets += 1;
+            score.agreeing_facets += u32::from(correlation >= AGREEING);
+            let weight = worth.sqrt();
+            sum += weight * correlation;
+            weights += weight;
+        }
+        score.correlation = if weights > 0.0 { sum / weights } else { 0.0 };
+        Self { score, correlations }
     }
-    let mut score = Score::default();
-    let (mut sum, mut weights) = (0.0, 0.0);
-    for facet in facets.iter().filter(|facet| facet.count >= MIN_SAMPLES) {
-        let Some((correlation, worth)) = facet.partial_correlation() else { continue };
-        let independent = f64::from(facet.count) / samples_per_pixel;
-        let squared = correlation.abs().min(MOST).powi(2);
-        score.log_ratio -= 0.5 * independent * (1.0 - squared).ln() * correlation.signum();
-        score.facets += 1;
-        score.agreeing_facets += u32::from(correlation >= AGREEING);
-        let weight = worth.sqrt();
-        sum += weight * correlation;
-        weights += weight;
+
+    /// Facets that something hides, if others say that the body is there: those that do not agree,
+    /// and blank ones next to them. `None` if that is all or nothing.
+    pub fn hidden(&self, print: &BodyPrint) -> Option<Vec<bool>> {
+        let disagrees = |facet: usize| self.correlations[facet].is_some_and(|own| own < AGREEING);
+        let is_hidden = |(index, facet): (usize, &PrintedFacet)| {
+            let mut beside = facet.neighbours.iter().flatten();
+            disagrees(index)
+                || (facet.cells.is_none() && beside.any(|&(neighbour, _)| disagrees(neighbour)))
+        };
+        let hidden: Vec<bool> = print.facets.iter().enumerate().map(is_hidden).collect();
+        (self.score.agreeing_facets > 0 && hidden.contains(&true)).then_some(hidden)
     }
-    score.correlation = if weights > 0.0 { sum / weights } else { 0.0 };
-    score
 }
 
 impl Facet {

@@ -167,15 +167,17 @@ pub(super) fn model(
     modelled
 }
 
-/// Fits a body to a patch, from `start`. `None` where nothing of it is seen, or nothing converges.
+/// Fits a body to a patch, from `start`, by all facets that face the camera but those that are
+/// `hidden` (none if that is empty). `None` where nothing of it is seen, or nothing converges.
 pub(super) fn fit(
     patch: &Patch,
     print: &BodyPrint,
     start: State,
+    hidden: &[bool],
     settings: &Settings,
 ) -> Option<Fit> {
     let mut state = start;
-    let (mut samples, mut layout, mut scales) = begin(patch, print, &mut state, settings)?;
+    let (mut samples, mut layout, mut scales) = begin(patch, print, &mut state, hidden, settings)?;
     let mut begun_at = state.patch_from_markers;
     for iteration in 1.. {
         let scene = Scene::new(print, &state, patch, settings.extra_blur_px);
@@ -193,11 +195,17 @@ pub(super) fn fit(
         scales = facet_scales(&samples, &sums.residuals, scales.len());
         // Where the body moved by half a pixel, other pixels show it.
         if shift_px(&begun_at, &state.patch_from_markers, print.radius_m(), patch) > 0.5 {
-            (samples, layout, scales) = begin(patch, print, &mut state, settings)?;
+            (samples, layout, scales) = begin(patch, print, &mut state, hidden, settings)?;
             begun_at = state.patch_from_markers;
         }
     }
     None
+}
+
+/// The pixels that show the body in a state, whatever hides it.
+pub(super) fn samples_at(patch: &Patch, print: &BodyPrint, state: &State) -> Vec<Sample> {
+    let scene = Scene::new(print, state, patch, 0.0);
+    samples::choose(patch, &print.facets, &scene.seen, &scene.blurred)
 }
 
 /// The samples at a state, the unknowns they show, and the noise; the facets' light is found.
@@ -205,10 +213,14 @@ fn begin(
     patch: &Patch,
     print: &BodyPrint,
     state: &mut State,
+    hidden: &[bool],
     settings: &Settings,
 ) -> Option<(Vec<Sample>, Layout, Vec<f64>)> {
     let scene = Scene::new(print, state, patch, settings.extra_blur_px);
-    let samples = samples::choose(patch, &print.facets, &scene.seen, &scene.blurred);
+    let mut samples = samples::choose(patch, &print.facets, &scene.seen, &scene.blurred);
+    if !hidden.is_empty() {
+        samples.retain(|sample| sample.facets().all(|facet| !hidden[facet]));
+    }
     if samples.len() < MIN_SAMPLES {
         return None;
     }
@@ -250,4 +262,4 @@ fn covariance(sums: &Sums, settings: &Settings) -> Option<Matrix6<f64>> {
 
 /// What light, paper and lens do that is modelled nowhere, against what the blocks admit: measured as
 /// NEES on rendered recordings.
-const UNMODELLED: f64 = 6.0;
+const UNMODELLED: f64 = 4.0;

@@ -105,6 +105,36 @@ fn another_body_does_not_agree() {
     }
 }
 
+/// The drawing with something dark before all below `share` of its height.
+fn covered(drawing: &Drawing, share: f64) -> Drawing {
+    let side = drawing.view.size_px as usize;
+    let first = (share * side as f64) as usize;
+    let mut pixels = drawing.pixels.clone();
+    for (y, row) in pixels.chunks_mut(side).enumerate().skip(first) {
+        // As soft as the lens makes it.
+        let dark = [0.3, 0.75, 1.0][(y - first).min(2)];
+        for code in row {
+            *code = (f64::from(*code) * (1.0 - dark) + 30.0 * dark) as u8;
+        }
+    }
+    Drawing { pixels, view: drawing.view }
+}
+
+#[test]
+fn a_body_behind_an_arm_is_where_it_is() {
+    let print = print_of(&body(0));
+    for turn in 0..6 {
+        let truth = pose(1.2, [0.3, -0.2, f64::from(turn)]);
+        let whole = draw(&body(0), &truth, PIXELS_PER_RADIAN, 0.9, 0.004);
+        for share in [0.5, 0.56] {
+            let found = run(&covered(&whole, share), &print, &truth).expect("half of it is there");
+            let error = found.camera_from_markers.translation.vector - truth.translation.vector;
+            assert!(found.confirms_track(), "turn {turn}: {:?}", found.score);
+            assert!(error.norm() < 3e-3, "turn {turn}, {share}: {:.2} mm", error.norm() * 1e3);
+        }
+    }
+}
+
 #[test]
 fn numbers_that_are_none_and_lies_about_the_view_are_refused() {
     let print = print_of(&body(0));
