@@ -131,3 +131,6 @@ pub struct Start {
     /// Whether it may be off by more than half a cell.
     pub is_rough: bool,
 }
+
+#[cfg(test)]
+mod tests;

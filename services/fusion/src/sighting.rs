@@ -16,6 +16,10 @@ pub const MARKERS_ALONE: usize = 2;
 
 /// A body farther than this cannot carry a marker that decodes, metres.
 const FARTHEST_M: f64 = 50.0;
+/// A pose from corners that is less certain than this, in all its axes together, is none: errors of
+/// 10 degrees and more are then as likely as not.
+const MAX_POSITION_DEVIATION_M: f64 = 0.1;
+const MAX_ROTATION_DEVIATION_RAD: f64 = 0.12;
 
 /// How a pose was measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -147,11 +151,13 @@ impl Look<'_> {
         let solution = chosen?;
         let needed = if self.prior.is_some() { self.needed } else { MARKERS_ALONE };
         let range = solution.camera_from_markers.translation.vector.norm();
-        let is_believed = solution.inlier_markers.len() >= needed && range < FARTHEST_M;
-        let pose = PoseEstimate {
-            camera_from_markers: solution.camera_from_markers,
-            covariance: solution.inflated_covariance(),
-        };
+        let covariance = solution.inflated_covariance();
+        let deviation = |first| covariance.fixed_view::<3, 3>(first, first).trace().sqrt();
+        let is_believed = solution.inlier_markers.len() >= needed
+            && range < FARTHEST_M
+            && deviation(0) < MAX_POSITION_DEVIATION_M
+            && deviation(3) < MAX_ROTATION_DEVIATION_RAD;
+        let pose = PoseEstimate { camera_from_markers: solution.camera_from_markers, covariance };
         is_believed.then_some(Sighting { pose, measured_by: MeasuredBy::Decoded, markers })
     }
 }

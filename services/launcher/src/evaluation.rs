@@ -181,7 +181,12 @@ impl Evaluation {
 
     /// Everything within 1.5 m, the paper's range.
     pub fn within_1_5_m(&self) -> Option<&Bin> {
-        self.bins.iter().find(|bin| (bin.from_m, bin.to_m) == (0.0, Some(1.5)))
+        self.between(0.0, 1.5)
+    }
+
+    /// Everything between two distances, metres; `None` if there is no such bin.
+    pub fn between(&self, from_m: f64, to_m: f64) -> Option<&Bin> {
+        self.bins.iter().find(|bin| (bin.from_m, bin.to_m) == (from_m, Some(to_m)))
     }
 
     /// Everything.

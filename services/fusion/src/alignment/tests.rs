@@ -1,0 +1,82 @@
+//! Bodies found in drawn pictures, and not found where they are not.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "of the drawings")]
+
+#[path = "../../../../common/imaging/tests/drawn_body/mod.rs"]
+mod drawn_body;
+
+use super::*;
+use drawn_body::{Drawing, draw, prints};
+use flockeye_geometry::body::squares;
+use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
+use nalgebra::{Translation3, UnitQuaternion, Vector3};
+
+const PIXELS_PER_RADIAN: f64 = 611.0;
+
+fn pose(range_m: f64, turn: f64) -> Isometry3<f64> {
+    Isometry3::from_parts(
+        Translation3::from(Vector3::new(0.8, 0.5, 0.33).normalize() * range_m),
+        UnitQuaternion::from_euler_angles(0.3, -0.2, turn),
+    )
+}
+
+/// Looks at body 0 in a picture of it, with what to look by.
+fn look<T>(truth: &Isometry3<f64>, by: impl FnOnce(&Aligner, &Picture<'_>) -> T) -> T {
+    let prints = prints();
+    let body = squares("alpha", 0.0625, 0.05, 0);
+    let bodies = Bodies::new("DICT_5X5_250".into(), vec![body.clone()]).unwrap();
+    let aligner = Aligner::new(&bodies, |id| prints.get(&id), PIXELS_PER_RADIAN).unwrap();
+    let drawing: Drawing = draw(&body, truth, PIXELS_PER_RADIAN, 0.9, 0.004);
+    let light = LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap();
+    let (image, view) = (drawing.image(), drawing.view);
+    let picture = Picture { image, view, light: &light, pixels_per_radian: PIXELS_PER_RADIAN };
+    by(&aligner, &picture)
+}
+
+fn start(camera_from_markers: Isometry3<f64>) -> Start {
+    Start { camera_from_markers, is_rough: false }
+}
+
+#[test]
+fn of_several_starts_the_right_one_is_discovered() {
+    for range_m in [0.8, 1.6, 2.4] {
+        let truth = pose(range_m, 0.9);
+        let starts = [pose(range_m, 2.0), pose(range_m, -0.6), truth].map(start);
+        let found = look(&truth, |aligner, picture| aligner.discover(0, picture, &starts));
+        let found = found.expect("one of them is right").camera_from_markers;
+        assert!(found.rotation.angle_to(&truth.rotation) < 0.02, "{range_m} m");
+        let error = found.translation.vector - truth.translation.vector;
+        assert!(error.norm() < 0.01, "{range_m} m: {} m", error.norm());
+    }
+}
+
+#[test]
+fn wrong_attitudes_discover_and_confirm_nothing() {
+    for range_m in [0.8, 1.6, 2.4, 3.2] {
+        let truth = pose(range_m, 0.9);
+        look(&truth, |aligner, picture| {
+            for turn in [1.6, 2.3, 3.1, 3.9, 4.7, 5.4] {
+                let starts = [start(pose(range_m, 0.9 + turn))];
+                let found =
+                    [aligner.discover(0, picture, &starts), aligner.follow(0, picture, &starts)];
+                for found in found.into_iter().flatten() {
+                    // It may find its way to the truth, and nowhere else.
+                    let rotation = found.camera_from_markers.rotation;
+                    assert!(rotation.angle_to(&truth.rotation) < 0.05, "{range_m} m, {turn} rad");
+                }
+            }
+        });
+    }
+}
+
+#[test]
+fn a_track_is_confirmed_farther_than_it_is_discovered() {
+    let truth = pose(3.8, 0.9);
+    let starts = [start(truth)];
+    look(&truth, |aligner, picture| {
+        assert!(aligner.discover(0, picture, &starts).is_none());
+        let found = aligner.follow(0, picture, &starts).expect("it is where it was expected");
+        let error = found.camera_from_markers.translation.vector - truth.translation.vector;
+        assert!(error.norm() < 0.05, "{} m", error.norm());
+    });
+}
