@@ -1,9 +1,9 @@
 //! Eight loads at once, in whichever way this processor is quicker at.
 //!
-//! AVX2's gather instruction is the quickest on processors that were built since 2022. On those
-//! before, microcode makes it safe against Downfall (CVE-2022-40982) by making it ten times as slow,
-//! and others never were good at it; there single loads are quicker. No list of processors tells
-//! which is which on a virtual machine, so it is measured, once in each process.
+//! AVX2's gather instruction is the quickest where it is made well. Microcode against Downfall
+//! (CVE-2022-40982) slows it on Intel's processors from Skylake to Tiger Lake, tenfold where that was
+//! measured; there single loads are quicker. A virtual machine does not tell which it has, so it is
+//! measured, once in each process.
 
 use std::arch::x86_64::*;
 use std::sync::LazyLock;
