@@ -106,6 +106,17 @@ impl LinearLight {
         &self.table
     }
 
+    /// How far code values c bend over light L, in their middle: -L c''/c', which is 1 - 1/g where code
+    /// values are the light's g-th root, and 0 where they are proportional to it. Where code values
+    /// are smoothed, this is what moves edges.
+    pub fn bend(&self) -> f64 {
+        let [dark, middle, light] = [68, 128, 188].map(|code: u8| f64::from(self.of(code)));
+        let (step, slope) = (60.0, (light - dark) / 120.0);
+        let curvature = (light - 2.0 * middle + dark) / (step * step);
+        // Of the inverse: with L = d(c), -L c''/c' = L d''/d'^2.
+        if slope > 0.0 { middle * curvature / (slope * slope) } else { 0.0 }
+    }
+
     /// The light at a point between pixels: bilinear, of linearised values. `None` where one of the
     /// four pixels round it is outside the image.
     pub fn at(&self, image: &LumaImage<'_>, at: ViewPixel) -> Option<f32> {
@@ -143,9 +154,20 @@ mod tests {
     use super::*;
 
     #[test]
+    fn code_values_in_proportion_to_light_do_not_bend() {
+        let linear = LinearLight::new(TransferCurve::Linear, CodeRange::Limited).unwrap();
+        assert!(linear.bend().abs() < 1e-6);
+        let square_root = LinearLight::new(TransferCurve::Gamma(2.0), CodeRange::Full).unwrap();
+        assert!((square_root.bend() - 0.5).abs() < 1e-3);
+        assert!(LinearLight::from_table([0.5; 256]).unwrap().bend() == 0.0);
+    }
+
+    #[test]
     fn known_values_of_the_standards() {
         let srgb = LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap();
         assert!((srgb.of(0), srgb.of(255)) == (0.0, 1.0));
+        // The curve's exponent is 2.4, less what the straight part near black takes off.
+        assert!((srgb.bend() - (1.0 - 1.0 / 2.4)).abs() < 0.03);
         // 18 % grey is code 118 in sRGB, 21 % is 128.
         assert!((srgb.of(118) - 0.1812).abs() < 1e-3 && (srgb.of(128) - 0.2159).abs() < 1e-3);
         let video = LinearLight::new(TransferCurve::Gamma(2.0), CodeRange::Limited).unwrap();

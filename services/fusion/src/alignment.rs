@@ -16,6 +16,12 @@ const OTHER_PLACE: f64 = 0.05;
 /// was seen to reach 0.71 in the wrong attitude, and 1.2 times the right one's log-likelihood.
 const ALONE_CORRELATION: f64 = 0.8;
 const ALONE_RIVAL: f64 = 0.33;
+/// With a track, a pose that has turned by more than this from the prediction, radians, is believed if
+/// so many facets agree: a neighbour that was out of sight for a third of a second may have turned by
+/// as much as a mirror image, and the filter's gate, which knows that, lets it pass. One facet and the
+/// chance agreement of another were seen to say 33 degrees too much.
+const SURPRISING_TURN_RAD: f64 = 0.35;
+const SURPRISED_FACETS: u32 = 3;
 
 /// The view that shows a body best.
 #[derive(Debug, Clone, Copy)]
@@ -51,22 +57,33 @@ impl Aligner {
         Ok(Self { prints, pixels_per_radian, options: AlignOptions::default() })
     }
 
+    /// Multiplies covariances by this; see [`AlignOptions::covariance_scale`].
+    pub fn with_covariance_scale(mut self, covariance_scale: f64) -> Self {
+        self.options.covariance_scale = covariance_scale;
+        self
+    }
+
     /// The sphere image's resolution.
     pub fn pixels_per_radian(&self) -> f64 {
         self.pixels_per_radian
     }
 
-    /// Aligns body `target`, which is tracked, from the first of `starts` that leads to it beyond
-    /// doubt, or from the one whose end says most for it. `None` if none does.
+    /// Aligns body `target`, which was `predicted` by its track, from the first of `starts` that leads to
+    /// it beyond doubt, or from the one whose end says most for it. `None` if none does.
     pub fn follow(
         &self,
         target: usize,
         picture: &Picture<'_>,
         starts: &[Start],
+        predicted: &Isometry3<f64>,
     ) -> Option<Alignment> {
         let mut best: Option<Alignment> = None;
         for start in starts {
             let Some(found) = self.align(target, picture, start) else { continue };
+            let turn_rad = found.camera_from_markers.rotation.angle_to(&predicted.rotation);
+            if turn_rad > SURPRISING_TURN_RAD && found.score.agreeing_facets < SURPRISED_FACETS {
+                continue;
+            }
             if found.is_believed() {
                 return Some(found);
             }

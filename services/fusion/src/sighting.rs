@@ -131,10 +131,11 @@ impl Look<'_> {
                         .map(|camera_from_markers| Start { camera_from_markers, is_rough }),
                 );
             }
-            let found = if self.prior.is_some() {
-                aligner.follow(self.target, picture, &starts)
-            } else {
-                aligner.discover(self.target, picture, &starts)
+            let found = match &self.prior {
+                Some(prior) => {
+                    aligner.follow(self.target, picture, &starts, &prior.camera_from_markers)
+                }
+                None => aligner.discover(self.target, picture, &starts),
             };
             let found = found.or_else(|| {
                 let predicted = self.predicted.filter(|_| self.may_search)?;

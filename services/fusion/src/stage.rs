@@ -80,7 +80,8 @@ impl Stage for FusionStage {
         }
         let camera = pipeline.camera_model()?;
         let dictionary = Dictionary::load(&bodies.dictionary)?;
-        let aligner = Aligner::new(&bodies, |id| dictionary.print(id), camera.pixels_per_radian())?;
+        let aligner = Aligner::new(&bodies, |id| dictionary.print(id), camera.pixels_per_radian())?
+            .with_covariance_scale(pipeline.fusion.covariance_scale);
         Ok(Self {
             views: ports.subscribers_of_all_lanes()?,
             detections: ports.subscriber()?,

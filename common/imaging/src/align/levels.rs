@@ -9,6 +9,9 @@ use super::unknowns::{BLACK_SHARE, COMMON, Layout, State};
 
 /// No sensor's light is known better than this, of nominal white.
 const FINEST_NOISE: f64 = 1.5e-3;
+/// Light differs from facet to facet, and its noise with it, but not by more than this: a facet whose
+/// residuals are larger is partly hidden, and its noise must not pass for that.
+const NOISIEST: f64 = 3.0;
 /// Two numbers for each facet need no more samples than about this.
 const LEVEL_SAMPLES: usize = 1500;
 
@@ -97,11 +100,34 @@ pub(super) fn facet_scales(samples: &[Sample], residuals: &[f32], facets: usize)
         let mut all: Vec<f32> = residuals.iter().map(|residual| residual.abs()).collect();
         deviation(&mut all)
     };
-    by_facet
+    let mut scales: Vec<f64> = by_facet
         .iter_mut()
         .map(|own| if own.len() < 20 { all_scale } else { deviation(own) })
         .map(|scale| scale.max(FINEST_NOISE))
-        .collect()
+        .collect();
+    let most = NOISIEST * reference_scale(&scales, samples);
+    for scale in &mut scales {
+        *scale = scale.min(most);
+    }
+    scales
+}
+
+/// The scale that facets have which nothing hides: a quarter of the samples lie on facets with less.
+pub(super) fn reference_scale(scales: &[f64], samples: &[Sample]) -> f64 {
+    let mut counts = vec![0usize; scales.len()];
+    for sample in samples {
+        counts[usize::from(sample.facet)] += 1;
+    }
+    let mut facets: Vec<(f64, usize)> = scales.iter().copied().zip(counts).collect();
+    facets.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut below = 0;
+    for (scale, count) in facets {
+        below += count;
+        if 4 * below > samples.len() {
+            return scale;
+        }
+    }
+    FINEST_NOISE
 }
 
 /// Standard deviation of normal noise with this median of its size.

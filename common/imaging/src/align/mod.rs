@@ -14,14 +14,17 @@
 //! | `geometry` | where does a pixel see a facet, and how does that move with the pose |
 //! | `blurred` | how light is a facet at a point, seen through a Gaussian |
 //! | `samples` | which pixels count |
+//! | `hidden` | which of them something else is before |
 //! | `unknowns`, `levels`, `sums` | what is unknown, how light are facets, normal equations |
-//! | `solve` | which pose explains the pixels best, how sure is it |
+//! | `solve` | which pose explains the pixels best |
+//! | `sureness` | how sure is it |
 //! | `score` | is it that body at all |
 //! | `reacquire` | where else may it be, when it is not where it was predicted |
 
 mod blurred;
 mod gaussian;
 mod geometry;
+mod hidden;
 mod levels;
 mod patch;
 mod print;
@@ -30,6 +33,7 @@ mod samples;
 mod score;
 mod solve;
 mod sums;
+mod sureness;
 mod unknowns;
 
 pub use print::{BodyPrint, MAX_CELLS, PrintError};
@@ -57,11 +61,20 @@ pub struct AlignOptions {
     pub iterations: usize,
     /// Whether a first fit with more blur goes before, for a start that may be half a cell off.
     pub coarse_first: bool,
+    /// The covariance that the pixels admit is multiplied by this, for what they do not show:
+    /// compression, calibration.
+    pub covariance_scale: f64,
 }
 
 impl Default for AlignOptions {
     fn default() -> Self {
-        Self { blur_px: 0.9, widest_px: 75.0, iterations: 8, coarse_first: false }
+        Self {
+            blur_px: 0.9,
+            widest_px: 75.0,
+            iterations: 8,
+            coarse_first: false,
+            covariance_scale: 1.0,
+        }
     }
 }
 
@@ -102,10 +115,10 @@ impl Alignment {
 }
 
 /// A pose less certain than this, in all its axes together, is none: where so little is known, errors
-/// are no longer normal. On simulated flights out to 4 m, poses that say 30 mm or less are off by
-/// 37 mm at most; of those that say more, two in five are off by over 60 mm or 10 degrees.
-const MAX_POSITION_DEVIATION_M: f64 = 0.033;
-const MAX_ROTATION_DEVIATION_RAD: f64 = 0.065;
+/// are no longer normal. On simulated flights out to 4 m, poses that say less are off by 60 mm at
+/// most, and one that said 32 mm was off by 133 mm and 11 degrees.
+const MAX_POSITION_DEVIATION_M: f64 = 0.028;
+const MAX_ROTATION_DEVIATION_RAD: f64 = 0.055;
 
 /// Why nothing was aligned.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
@@ -224,6 +237,7 @@ impl Frame {
             extra_blur_px: 0.0,
             iterations: options.iterations,
             samples_per_pixel: magnification.powi(2).max(1.0),
+            magnification,
         };
         Ok(Self { patch, settings, magnification })
     }
@@ -258,15 +272,16 @@ impl Frame {
             }
         }
         let (fit, score) = self.fit_what_is_seen(print, state)?;
-        let camera_from_patch = patch.view_from_camera.inverse();
         let along = self.common_error(print, &fit.state.patch_from_markers);
+        let covariance = fit.covariance * options.covariance_scale + along;
+        let camera_from_patch = patch.view_from_camera.inverse();
         let turn = camera_from_patch.to_rotation_matrix().into_inner();
         let mut axes = Matrix6::zeros();
         axes.fixed_view_mut::<3, 3>(0, 0).copy_from(&turn);
         axes.fixed_view_mut::<3, 3>(3, 3).copy_from(&turn);
         Ok(Alignment {
             camera_from_markers: camera_from_patch * fit.state.patch_from_markers,
-            covariance: axes * (fit.covariance + along) * axes.transpose(),
+            covariance: axes * covariance * axes.transpose(),
             blur_px2: fit.state.blur / magnification.powi(2),
             score,
             samples: fit.samples.len(),
@@ -289,29 +304,32 @@ impl Frame {
         };
         let mut fit = solve::fit(patch, print, state, &[], settings).ok_or(AlignError::Nothing)?;
         let mut verdict = judge(&fit.state, &fit.samples);
-        let mut left_out = None;
+        let mut left_out = vec![false; print.facets.len()];
         for _ in 0..MOST_REFITS {
-            let hidden = verdict.hidden(print);
-            if hidden.is_none() || hidden == left_out {
-                break;
+            let Some(hidden) = verdict.hidden(print) else { break };
+            for (out, hidden) in left_out.iter_mut().zip(hidden) {
+                *out |= hidden;
             }
-            let without = hidden.as_deref().unwrap_or_default();
-            let Some(again) = solve::fit(patch, print, fit.state.clone(), without, settings) else {
+            let Some(again) = solve::fit(patch, print, fit.state.clone(), &left_out, settings)
+            else {
                 break;
             };
-            // What is left out is judged all the same.
-            let anew = judge(&again.state, &solve::samples_at(patch, print, &again.state));
-            if anew.score.log_ratio < verdict.score.log_ratio {
+            let anew = judge(&again.state, &again.samples);
+            if anew.score.log_ratio < LOST * verdict.score.log_ratio {
                 break;
             }
-            (fit, verdict, left_out) = (again, anew, hidden);
+            (fit, verdict) = (again, anew);
+        }
+        if !fit.is_whole {
+            // What was left out is judged all the same.
+            verdict = judge(&fit.state, &solve::samples_at(patch, print, &fit.state));
         }
         Ok((fit, verdict.score))
     }
 
     /// Covariance of what is wrong with all edges at once, and so in no residual: black grows or
-    /// shrinks by a few hundredths of a pixel with the response, the point spread's shape and the
-    /// compression, and moves the body along the line of sight.
+    /// shrinks by some hundredths of a pixel with the response, the point spread's shape and what is
+    /// before the body unnoticed, and moves the body along the line of sight.
     fn common_error(&self, print: &BodyPrint, patch_from_markers: &Isometry3<f64>) -> Matrix6<f64> {
         let position = patch_from_markers.translation.vector;
         let sphere_px = self.patch.pinhole.focal_px / self.magnification;
@@ -325,7 +343,10 @@ impl Frame {
 }
 
 /// Deviation of what all edges are off together, pixels of the sphere image.
-const EDGE_ERROR_PX: f64 = 0.04;
+const EDGE_ERROR_PX: f64 = 0.012;
+
+/// A fit without hidden facets may have so little of the log-likelihood ratio that it had with them.
+const LOST: f64 = 0.8;
 
 /// So often a body is fitted again without what is hidden.
 const MOST_REFITS: usize = 2;

@@ -17,6 +17,8 @@ pub(super) struct Patch {
     pub light: Vec<f32>,
     pub pinhole: Pinhole,
     pub view_from_camera: UnitQuaternion<f64>,
+    /// How the code values that the light was decoded from bend.
+    pub code_bend: f64,
 }
 
 impl Patch {
@@ -87,7 +89,15 @@ impl Patch {
             focal_px: view.focal_px / fine,
             centre_px: (of_view.centre_px - first) / fine,
         };
-        Some(Self { width: columns, height: rows, light: pixels, pinhole, view_from_camera })
+        let code_bend = light.bend();
+        Some(Self {
+            width: columns,
+            height: rows,
+            light: pixels,
+            pinhole,
+            view_from_camera,
+            code_bend,
+        })
     }
 
     /// The light of a pixel.

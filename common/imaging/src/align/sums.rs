@@ -12,9 +12,7 @@ use super::solve::{Modelled, Scene, model};
 use super::unknowns::{COMMON, Layout, State};
 
 /// Scale of Cauchy's function, standard deviations.
-const CAUCHY: f64 = 2.4;
-/// Pixels along a side of the blocks that count as independent.
-const BLOCK_PX: usize = 6;
+pub(super) const CAUCHY: f64 = 2.4;
 
 /// Length of a row for a pixel that shows one facet: pose and blur, two levels, the residual.
 const INSIDE: usize = COMMON + 3;
@@ -26,8 +24,6 @@ pub(super) struct Sums {
     pub normal: DMatrix<f64>,
     pub right: DVector<f64>,
     pub residuals: Vec<f32>,
-    /// Gradients of blocks of pixels, for the covariance.
-    pub blocks: Vec<Option<DVector<f64>>>,
 }
 
 /// One pass over the samples.
@@ -110,12 +106,10 @@ impl Pass<'_> {
     #[inline(always)]
     fn sum_plain(&self, scene: &Scene<'_>, state: &State) -> Sums {
         let unknowns = self.layout.count;
-        let columns = self.patch.width / BLOCK_PX + 1;
         let mut sums = Sums {
             normal: DMatrix::zeros(unknowns, unknowns),
             right: DVector::zeros(unknowns),
             residuals: Vec::with_capacity(self.samples.len()),
-            blocks: vec![None; columns * (self.patch.height / BLOCK_PX + 1)],
         };
         // Samples of the same facets stand together.
         for run in self.samples.chunk_by(|a, b| a.shows() == b.shows()) {
@@ -162,22 +156,9 @@ impl Pass<'_> {
             row[ROW - 1] = residual as f32;
             let bundle = bundle.get_or_insert_with(|| Bundle::new(&modelled, self.layout));
             bundle.add(&row, weight as f32);
-            let gradient = sums.blocks[self.block(sample)]
-                .get_or_insert_with(|| DVector::zeros(self.layout.count));
-            let force = weight * residual;
-            for (place, by) in bundle.places.iter().zip(row) {
-                if let Some(place) = *place {
-                    gradient[place] += force * f64::from(by);
-                }
-            }
         }
         if let Some(bundle) = bundle {
             bundle.add_to(sums);
         }
-    }
-
-    fn block(&self, sample: &Sample) -> usize {
-        let columns = self.patch.width / BLOCK_PX + 1;
-        usize::from(sample.y) / BLOCK_PX * columns + usize::from(sample.x) / BLOCK_PX
     }
 }

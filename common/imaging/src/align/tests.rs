@@ -135,6 +135,60 @@ fn a_body_behind_an_arm_is_where_it_is() {
     }
 }
 
+/// Code values smoothed across and down, by a variance of a quarter of a pixel squared along each.
+fn smoothed(drawing: &Drawing) -> Drawing {
+    let side = drawing.view.size_px as usize;
+    let line = |pixels: &[f64], step: usize| -> Vec<f64> {
+        let smooth = |k: usize| match (pixels.get(k.wrapping_sub(step)), pixels.get(k + step)) {
+            (Some(before), Some(after)) => (before + after + 6.0 * pixels[k]) / 8.0,
+            _ => pixels[k],
+        };
+        (0..pixels.len()).map(smooth).collect()
+    };
+    let pixels: Vec<f64> = drawing.pixels.iter().map(|&code| f64::from(code)).collect();
+    let pixels = line(&line(&pixels, 1), side).iter().map(|code| code.round() as u8).collect();
+    Drawing { pixels, view: drawing.view }
+}
+
+#[test]
+fn smoothed_code_values_do_not_move_it() {
+    let print = print_of(&body(0));
+    let (mut sum_m, mut count) = (0.0, 0.0);
+    for turn in 0..8 {
+        let truth = pose(1.9, [0.3, -0.2, 0.8 * f64::from(turn)]);
+        let drawing = smoothed(&draw(&body(0), &truth, PIXELS_PER_RADIAN, 0.9, 0.002));
+        let found = run(&drawing, &print, &truth).expect("it is there");
+        let range_m = |pose: &Isometry3<f64>| pose.translation.vector.norm();
+        sum_m += range_m(&found.camera_from_markers) - range_m(&truth);
+        count += 1.0;
+    }
+    let bias_m: f64 = sum_m / count;
+    println!("bias {:.3} mm", bias_m * 1e3);
+    assert!(bias_m.abs() < 0.4e-3, "{:.2} mm", bias_m * 1e3);
+}
+
+#[test]
+fn what_is_thin_and_before_it_is_left_out() {
+    let print = print_of(&body(0));
+    for turn in 0..4 {
+        let truth = pose(1.3, [0.3, -0.2, f64::from(turn)]);
+        let mut drawing = draw(&body(0), &truth, PIXELS_PER_RADIAN, 0.9, 0.004);
+        let side = drawing.view.size_px as usize;
+        for row in drawing.pixels.chunks_mut(side) {
+            // A post of four pixels, as soft as the lens makes it.
+            for (x, dark) in [0.25, 0.7, 0.95, 1.0, 0.95, 0.7, 0.25].into_iter().enumerate() {
+                let code = &mut row[side / 2 + 3 + x];
+                *code = (f64::from(*code) * (1.0 - dark) + 45.0 * dark) as u8;
+            }
+        }
+        let found = run(&drawing, &print, &truth).expect("most of it is there");
+        let error = found.camera_from_markers.translation.vector - truth.translation.vector;
+        println!("turn {turn}: {:.2} mm", error.norm() * 1e3);
+        assert!(found.is_believed(), "turn {turn}: {:?}", found.score);
+        assert!(error.norm() < 1.5e-3, "turn {turn}: {:.2} mm", error.norm() * 1e3);
+    }
+}
+
 #[test]
 fn numbers_that_are_none_and_lies_about_the_view_are_refused() {
     let print = print_of(&body(0));
@@ -181,11 +235,13 @@ fn modelled(
     let seen = seen_facets(print, pose, pinhole);
     seen[facet].as_ref()?;
     let seams = vec![0.0; print.seams()];
-    let state = State { patch_from_markers: *pose, blur: *blur, levels: levels.to_vec(), seams };
-    let fresh = Scene::of(print, &state, pinhole, 0.0);
+    let patch_from_markers = *pose;
+    let levels = levels.to_vec();
+    let state = State { patch_from_markers, blur: *blur, coded_blur: 0.0, levels, seams };
+    let fresh = Scene::of(print, &state, pinhole, 0.0, 0.5);
     let scene = match fixed_blur {
         None => fresh,
-        Some(fixed) => Scene { seen: fresh.seen, blurred: fixed.blurred.clone() },
+        Some(fixed) => Scene { blurred: fixed.blurred.clone(), ..fresh },
     };
     Some(model(
         &scene,
@@ -222,7 +278,9 @@ proptest! {
             let point = pose * print.facets[index].markers_from_facet
                 * nalgebra::Point3::new(across[0] * 0.025, across[1] * 0.025, 0.0);
             let at = pinhole.project(&point.coords).expect("ahead");
-            let base = Scene::of(&print, &State { patch_from_markers: pose, blur, levels: levels.clone(), seams: vec![0.0; print.seams()] }, &pinhole, 0.0);
+            let seams = vec![0.0; print.seams()];
+            let state = State { patch_from_markers: pose, blur, coded_blur: 0.0, levels: levels.clone(), seams };
+            let base = Scene::of(&print, &state, &pinhole, 0.0, 0.5);
             let now = modelled(&print, &pose, &blur, &levels, &pinhole, at, index, None).expect("seen");
             for k in 0..6 {
                 let step = 5e-5;

@@ -7,8 +7,13 @@ use super::print::BodyPrint;
 use super::samples::Sample;
 use super::solve::{Scene, Settings};
 
-/// Unknowns of pose and blur.
-pub(super) const COMMON: usize = 9;
+/// Unknowns of pose, blur and coded blur.
+pub(super) const COMMON: usize = 10;
+/// Place of the coded blur among them.
+pub(super) const CODED: usize = 9;
+/// Variance that code values are blurred by, and how far it may be off that, pixels of the sphere
+/// image squared.
+const CODED_BLUR_PX2: (f64, f64) = (0.1, 0.15);
 /// Black as a share of white, and how far it may be off that.
 pub(super) const BLACK_SHARE: (f64, f64) = (0.06, 0.12);
 /// What a seam between two facets may add to the light or take from it: so wide a line of the
@@ -24,6 +29,8 @@ pub(super) struct State {
     pub patch_from_markers: Isometry3<f64>,
     /// Covariance of the point spread, pixels squared.
     pub blur: Matrix2<f64>,
+    /// Variance that code values, not light, were blurred by, pixels squared.
+    pub coded_blur: f64,
     /// Light of each facet's white and black.
     pub levels: Vec<[f64; 2]>,
     /// Light that the seams between facets add, as a line of no width: light times metres.
@@ -36,6 +43,7 @@ impl State {
         Self {
             patch_from_markers,
             blur: Matrix2::identity() * blur_px.powi(2),
+            coded_blur: 0.0,
             levels: vec![[0.0; 2]; print.facets.len()],
             seams: vec![0.0; print.seams()],
         }
@@ -114,6 +122,11 @@ pub(super) fn add_priors(
         normal[(k, k)] += precision;
         right[k] += precision * (wanted - is);
     }
+    let (wanted, spread) = CODED_BLUR_PX2;
+    let scale = settings.magnification.powi(2);
+    let precision = share / (spread * scale).powi(2);
+    normal[(CODED, CODED)] += precision;
+    right[CODED] += precision * (wanted * scale - state.coded_blur);
     let (black, spread) = BLACK_SHARE;
     let mut brightest: f64 = 0.01;
     for (facet, at) in layout.facets() {
@@ -162,6 +175,7 @@ pub(super) fn take(
     );
     state.blur += Matrix2::new(step[6], step[7], step[7], step[8]) * share;
     state.blur = within(&state.blur);
+    state.coded_blur += step[CODED] * share;
     for (facet, at) in layout.facets() {
         state.levels[facet][0] += step[at];
         state.levels[facet][1] += step[at + 1];

@@ -322,6 +322,10 @@ pub struct Fusion {
     pub deadline_ms: f64,
     /// Whether bodies are aligned with the pixels of their views; without, their corners are all.
     pub align: bool,
+    /// The covariance that an aligned view's pixels admit is multiplied by this, for what they do not
+    /// show: compression, a lens or body not quite as described.
+    #[schemars(range(min = 0.1, max = 1000.0))]
+    pub covariance_scale: f64,
     /// Threads on which the neighbours of a frame are aligned.
     #[schemars(range(min = 1, max = 64))]
     pub threads: u32,
@@ -341,6 +345,7 @@ impl Default for Fusion {
             angular_acceleration: 6.0,
             deadline_ms: 3000.0,
             align: true,
+            covariance_scale: 2.5,
             threads: 1,
         }
     }

@@ -57,8 +57,12 @@ fn wrong_attitudes_discover_and_confirm_nothing() {
         look(&truth, |aligner, picture| {
             for turn in [1.6, 2.3, 3.1, 3.9, 4.7, 5.4] {
                 let starts = [start(pose(range_m, 0.9 + turn))];
-                let found =
-                    [aligner.discover(0, picture, &starts), aligner.follow(0, picture, &starts)];
+                let [start] = starts;
+                let predicted = start.camera_from_markers;
+                let found = [
+                    aligner.discover(0, picture, &starts),
+                    aligner.follow(0, picture, &starts, &predicted),
+                ];
                 for found in found.into_iter().flatten() {
                     // It may find its way to the truth, and nowhere else.
                     let rotation = found.camera_from_markers.rotation;
@@ -75,8 +79,12 @@ fn a_track_is_confirmed_farther_than_it_is_discovered() {
     let starts = [start(truth)];
     look(&truth, |aligner, picture| {
         assert!(aligner.discover(0, picture, &starts).is_none());
-        let found = aligner.follow(0, picture, &starts).expect("it is where it was expected");
+        let found = aligner.follow(0, picture, &starts, &truth);
+        let found = found.expect("it is where it was expected");
         let error = found.camera_from_markers.translation.vector - truth.translation.vector;
         assert!(error.norm() < 0.05, "{} m", error.norm());
+        // A few facets may be others' mirror images: then it must not have turned far.
+        assert_eq!(found.score.agreeing_facets, 1);
+        assert!(aligner.follow(0, picture, &starts, &pose(3.8, 1.5)).is_none());
     });
 }

@@ -17,9 +17,14 @@ use crate::record::{PoseRow, TruthRow};
 use crate::up::Flown;
 
 /// Half of the usual size in each direction, and half of the distances: bodies are as large in
-/// pixels, and a frame costs a quarter.
-const USUAL: [&str; 3] =
-    ["camera.width=1920", "camera.height=960", "simulator.distance_m=[0.4, 1.0]"];
+/// pixels, and a frame costs a quarter. Simulated frames are not compressed, and lens and body are as
+/// described, so covariances are those that the pixels admit.
+const USUAL: [&str; 4] = [
+    "camera.width=1920",
+    "camera.height=960",
+    "simulator.distance_m=[0.4, 1.0]",
+    "fusion.covariance_scale=1",
+];
 
 /// An error with its covariance.
 type Sample = (PoseError, Matrix6<f64>);
