@@ -17,11 +17,12 @@
 //! | `hidden` | which of them something else is before |
 //! | `unknowns`, `levels`, `sums` | what is unknown, how light are facets, normal equations |
 //! | `solve` | which pose explains the pixels best |
-//! | `sureness` | how sure is it |
+//! | `covariance` | how sure is it |
 //! | `score` | is it that body at all |
 //! | `reacquire` | where else may it be, when it is not where it was predicted |
 
 mod blurred;
+mod covariance;
 mod gaussian;
 mod geometry;
 mod hidden;
@@ -33,7 +34,6 @@ mod samples;
 mod score;
 mod solve;
 mod sums;
-mod sureness;
 mod unknowns;
 
 pub use print::{BodyPrint, MAX_CELLS, PrintError};

@@ -17,6 +17,7 @@
 use nalgebra::{Isometry3, Matrix2, Matrix6, Vector3};
 
 use super::blurred::BlurredFacet;
+use super::covariance;
 use super::geometry::{Pinhole, SeenFacet, seen_facets};
 use super::hidden::Hidden;
 use super::levels::{facet_scales, fit_levels};
@@ -24,7 +25,6 @@ use super::patch::Patch;
 use super::print::BodyPrint;
 use super::samples::{self, Sample};
 use super::sums::Pass;
-use super::sureness;
 use super::unknowns::{CODED, COMMON, Layout, State, add_priors, take};
 
 /// A step that moves the body's rim by less, pixels, is the last: the next would be a fraction of it.
@@ -221,7 +221,7 @@ pub(super) fn fit(
         let step = sums.normal.clone().cholesky()?.solve(&sums.right);
         let moved = take(&mut state, &step, &layout, patch)?;
         if is_robust && knows_hidden && (moved < SETTLED_PX || iteration >= settings.iterations) {
-            let covariance = sureness::covariance(&sums, patch, &samples, &scales)?;
+            let covariance = covariance::of_pose(&sums, patch, &samples, &scales)?;
             let is_whole = hidden.is_empty();
             return Some(Fit { state, covariance, samples, is_whole, iterations: iteration });
         }

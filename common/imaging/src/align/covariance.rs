@@ -1,4 +1,4 @@
-//! How sure a fitted pose is.
+//! The covariance of a fitted pose.
 //!
 //! The inverse normal matrix believes that the pixels' errors are independent. They are not: views are
 //! interpolated, sensors and codecs smooth, and what the model does not know (a fold, a shadow, an
@@ -9,11 +9,11 @@
 //! n var(r) (1 + sum of their correlation with each neighbour)
 //! ```
 //!
-//! so that by which errors go together multiplies the covariance (the effective sample size of spatially
-//! correlated data; Cressie, "Statistics for Spatial Data", section 1.3). It is one number of all
-//! samples, and so hardly noisy itself; a cluster-robust covariance, which finds it for each unknown by
-//! itself, has a few dozen blocks to find it from and was twice too small. On simulated flights
-//! NEES is then what it should be at all distances and image sizes, without a factor of its own.
+//! and the bracket multiplies the covariance (the effective sample size of spatially correlated data;
+//! Cressie, "Statistics for Spatial Data", section 1.3), with the degrees of freedom that the unknowns
+//! take. It is one number of all samples, and so hardly noisy itself; a cluster-robust covariance, which
+//! finds it for each unknown by itself, has a few dozen blocks to find it from and was twice too small.
+//! On simulated flights NEES is then about what it should be at all distances and image sizes.
 
 use nalgebra::Matrix6;
 
@@ -23,10 +23,12 @@ use super::sums::{CAUCHY, Sums};
 
 /// Neighbours within so many pixels along each axis are asked. Farther, the sum gathers noise.
 const REACH: usize = 2;
+/// Unknowns that have priors take less than a sample each: some are always left.
+const LEAST_FREE: f64 = 0.5;
 
 /// Covariance of position (m) and rotation vector, in the patch's axes, of a fit with these sums.
 /// `None` where it is none.
-pub(super) fn covariance(
+pub(super) fn of_pose(
     sums: &Sums,
     patch: &Patch,
     samples: &[Sample],
@@ -46,8 +48,11 @@ pub(super) fn covariance(
             }
         })
         .collect();
-    let pose: Matrix6<f64> =
-        inverse.fixed_view::<6, 6>(0, 0) * together(patch.width, patch.height, &felt);
+    let together = together(patch.width, patch.height, &felt);
+    // What is left over is less than the noise by what the unknowns took of it.
+    let independent = samples.len() as f64 / together;
+    let free = (independent - sums.normal.nrows() as f64).max(LEAST_FREE * independent);
+    let pose: Matrix6<f64> = inverse.fixed_view::<6, 6>(0, 0) * (together * independent / free);
     pose.iter().all(|x| x.is_finite()).then_some((pose + pose.transpose()) / 2.0)
 }
 
