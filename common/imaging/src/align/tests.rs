@@ -167,26 +167,40 @@ fn smoothed_code_values_do_not_move_it() {
     assert!(bias_m.abs() < 0.4e-3, "{:.2} mm", bias_m * 1e3);
 }
 
-#[test]
-fn what_is_thin_and_before_it_is_left_out() {
-    let print = print_of(&body(0));
-    for turn in 0..4 {
-        let truth = pose(1.3, [0.3, -0.2, f64::from(turn)]);
-        let mut drawing = draw(&body(0), &truth, PIXELS_PER_RADIAN, 0.9, 0.004);
-        let side = drawing.view.size_px as usize;
-        for row in drawing.pixels.chunks_mut(side) {
-            // A post of four pixels, as soft as the lens makes it.
-            for (x, dark) in [0.25, 0.7, 0.95, 1.0, 0.95, 0.7, 0.25].into_iter().enumerate() {
-                let code = &mut row[side / 2 + 3 + x];
-                *code = (f64::from(*code) * (1.0 - dark) + 45.0 * dark) as u8;
-            }
-        }
-        let found = run(&drawing, &print, &truth).expect("most of it is there");
-        let error = found.camera_from_markers.translation.vector - truth.translation.vector;
-        println!("turn {turn}: {:.2} mm", error.norm() * 1e3);
-        assert!(found.is_believed(), "turn {turn}: {:?}", found.score);
-        assert!(error.norm() < 1.5e-3, "turn {turn}: {:.2} mm", error.norm() * 1e3);
+/// The drawing with a dark post before it, as soft as the lens makes it: a little beside the body's
+/// middle, and aslant by this many pixels for each row.
+fn behind_a_post(drawing: &Drawing, width_px: f64, slant: f64) -> Drawing {
+    let side = drawing.view.size_px as usize;
+    let mut pixels = drawing.pixels.clone();
+    for (k, code) in pixels.iter_mut().enumerate() {
+        let (x, y) = ((k % side) as f64, (k / side) as f64);
+        let middle = side as f64 / 2.0 + 4.0 + slant * (y - side as f64 / 2.0);
+        let depth_px = width_px / 2.0 - (x - middle).abs() / slant.hypot(1.0);
+        let dark = 0.97 / (1.0 + (-1.8 * depth_px).exp());
+        let light = f64::from(srgb().of(*code)) * (1.0 - dark) + 0.02 * dark;
+        *code = (255.0 * (1.055 * light.max(0.0031).powf(1.0 / 2.4) - 0.055)).round() as u8;
     }
+    Drawing { pixels, view: drawing.view }
+}
+
+#[test]
+fn what_is_before_it_is_left_out_with_its_soft_edges() {
+    let print = print_of(&body(0));
+    let mut errors_m = Vec::new();
+    for turn in 0..8 {
+        let truth = pose(2.1, [0.3, -0.2, 0.8 * f64::from(turn)]);
+        let whole = draw(&body(0), &truth, PIXELS_PER_RADIAN, 0.9, 0.004);
+        for (width_px, slant) in [(6.0, 0.0), (6.0, 0.6), (12.0, 0.0), (12.0, 0.6)] {
+            let drawing = behind_a_post(&whole, width_px, slant);
+            let found = run(&drawing, &print, &truth).expect("most of it is there");
+            let error = found.camera_from_markers.translation.vector - truth.translation.vector;
+            errors_m.push(error.norm());
+        }
+    }
+    // 0.9 mm; 1.7 mm where outliers only weigh less.
+    let mean_m: f64 = errors_m.iter().sum::<f64>() / errors_m.len() as f64;
+    println!("mean error {:.2} mm", mean_m * 1e3);
+    assert!(mean_m < 1.2e-3, "{:.2} mm", mean_m * 1e3);
 }
 
 #[test]
