@@ -21,7 +21,7 @@ const LEAST_SEEN: f64 = 0.25;
 const REACH: f64 = 2.5;
 
 /// What is left out of a fit.
-#[derive(Debug, Clone, Default, PartialEq)]
+#[derive(Debug, Default)]
 pub(super) struct Hidden {
     /// Of the patch's pixels; empty: none.
     pixels: Vec<bool>,

@@ -115,7 +115,7 @@ impl Alignment {
 }
 
 /// A pose less certain than this, in all its axes together, is none: where so little is known, errors
-/// are no longer normal. On simulated flights out to 4 m, poses that say less are off by 60 mm at
+/// are no longer normal. On simulated flights out to 4 m, poses that say less are off by 73 mm at
 /// most, and one that said 32 mm was off by 133 mm and 11 degrees.
 const MAX_POSITION_DEVIATION_M: f64 = 0.028;
 const MAX_ROTATION_DEVIATION_RAD: f64 = 0.055;
@@ -207,8 +207,6 @@ fn is_sound(start: &Isometry3<f64>, picture: &Picture<'_>) -> bool {
 struct Frame {
     patch: Patch,
     settings: Settings,
-    /// Patch pixels for each of the sphere's.
-    magnification: f64,
 }
 
 impl Frame {
@@ -236,10 +234,9 @@ impl Frame {
             blur_variance_px2: 0.5 * blur_px.powi(2),
             extra_blur_px: 0.0,
             iterations: options.iterations,
-            samples_per_pixel: magnification.powi(2).max(1.0),
             magnification,
         };
-        Ok(Self { patch, settings, magnification })
+        Ok(Self { patch, settings })
     }
 
     /// The unknowns to begin with at a pose in the camera frame.
@@ -259,7 +256,7 @@ impl Frame {
         start: State,
         options: &AlignOptions,
     ) -> Result<Alignment, AlignError> {
-        let Self { patch, settings, magnification } = self;
+        let Self { patch, settings } = self;
         let mut state = start;
         if options.coarse_first {
             let extra_blur_px = COARSE_CELLS * self.cell_px(print, &state.patch_from_markers);
@@ -282,7 +279,7 @@ impl Frame {
         Ok(Alignment {
             camera_from_markers: camera_from_patch * fit.state.patch_from_markers,
             covariance: axes * covariance * axes.transpose(),
-            blur_px2: fit.state.blur / magnification.powi(2),
+            blur_px2: fit.state.blur / settings.magnification.powi(2),
             score,
             samples: fit.samples.len(),
             iterations: fit.iterations,
@@ -298,9 +295,9 @@ impl Frame {
         print: &BodyPrint,
         state: State,
     ) -> Result<(Fit, Score), AlignError> {
-        let Self { patch, settings, .. } = self;
+        let Self { patch, settings } = self;
         let judge = |state: &State, samples: &[Sample]| {
-            Verdict::new(patch, print, state, samples, settings.samples_per_pixel)
+            Verdict::new(patch, print, state, samples, settings.samples_per_pixel())
         };
         let mut fit = solve::fit(patch, print, state, &[], settings).ok_or(AlignError::Nothing)?;
         let mut verdict = judge(&fit.state, &fit.samples);
@@ -332,7 +329,7 @@ impl Frame {
     /// before the body unnoticed, and moves the body along the line of sight.
     fn common_error(&self, print: &BodyPrint, patch_from_markers: &Isometry3<f64>) -> Matrix6<f64> {
         let position = patch_from_markers.translation.vector;
-        let sphere_px = self.patch.pinhole.focal_px / self.magnification;
+        let sphere_px = self.patch.pinhole.focal_px / self.settings.magnification;
         // A body of radius R at range r spans f R/r pixels: an edge's error e is e r^2/(f R) of range.
         let range_m = position.norm_squared() * EDGE_ERROR_PX / (sphere_px * print.radius_m());
         let along = position.normalize() * range_m;

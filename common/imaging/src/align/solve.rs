@@ -43,10 +43,15 @@ pub(super) struct Settings {
     /// Deviation of a Gaussian that the patch was blurred with beforehand, pixels.
     pub extra_blur_px: f64,
     pub iterations: usize,
-    /// Samples that count as one: neighbouring pixels are not independent.
-    pub samples_per_pixel: f64,
     /// Pixels for each of the sphere image's.
     pub magnification: f64,
+}
+
+impl Settings {
+    /// Samples that count as one: a magnified view's pixels are not independent.
+    pub fn samples_per_pixel(&self) -> f64 {
+        self.magnification.powi(2).max(1.0)
+    }
 }
 
 /// A fit's end.
@@ -218,10 +223,12 @@ pub(super) fn fit(
             Pass { print, patch, samples: &samples, layout: &layout, scales: &scales, is_robust };
         let mut sums = pass.sum(&scene, &state);
         add_priors(&mut sums.normal, &mut sums.right, &state, &layout, settings);
-        let step = sums.normal.clone().cholesky()?.solve(&sums.right);
+        let normal = sums.normal.cholesky()?;
+        let step = normal.solve(&sums.right);
         let moved = take(&mut state, &step, &layout, patch)?;
         if is_robust && knows_hidden && (moved < SETTLED_PX || iteration >= settings.iterations) {
-            let covariance = covariance::of_pose(&sums, patch, &samples, &scales)?;
+            let covariance =
+                covariance::of_pose(&normal, patch, &samples, &sums.residuals, &scales)?;
             let is_whole = hidden.is_empty();
             return Some(Fit { state, covariance, samples, is_whole, iterations: iteration });
         }

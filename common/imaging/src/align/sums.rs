@@ -12,7 +12,13 @@ use super::solve::{Modelled, Scene, model};
 use super::unknowns::{COMMON, Layout, State};
 
 /// Scale of Cauchy's function, standard deviations.
-pub(super) const CAUCHY: f64 = 2.4;
+const CAUCHY: f64 = 2.4;
+
+/// A residual of so many deviations, squared, weighs 1 / (1 + this): Cauchy's function.
+#[inline(always)]
+pub(super) fn damping(squared_deviations: f64) -> f64 {
+    squared_deviations / CAUCHY.powi(2)
+}
 
 /// Length of a row for a pixel that shows one facet: pose and blur, two levels, the residual.
 const INSIDE: usize = COMMON + 3;
@@ -139,8 +145,7 @@ impl Pass<'_> {
             let residual = f64::from(sample.light) - modelled.light;
             sums.residuals.push(residual as f32);
             let precision = 1.0 / self.scales[usize::from(sample.facet)].powi(2);
-            let damping =
-                if self.is_robust { residual.powi(2) * precision / CAUCHY.powi(2) } else { 0.0 };
+            let damping = if self.is_robust { damping(residual.powi(2) * precision) } else { 0.0 };
             let weight = precision / (1.0 + damping);
             let mut row = [0.0f32; ROW];
             for (value, by) in row.iter_mut().zip(modelled.by_common) {

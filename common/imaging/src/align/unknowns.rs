@@ -111,7 +111,7 @@ pub(super) fn add_priors(
     settings: &Settings,
 ) {
     // The samples count as fewer; so that priors keep their weight among them, it grows.
-    let share = settings.samples_per_pixel;
+    let share = settings.samples_per_pixel();
     let expected = settings.blur_px.powi(2);
     let precision = share / settings.blur_variance_px2.powi(2);
     for (k, wanted, is) in [

@@ -56,9 +56,8 @@ fn wrong_attitudes_discover_and_confirm_nothing() {
         let truth = pose(range_m, 0.9);
         look(&truth, |aligner, picture| {
             for turn in [1.6, 2.3, 3.1, 3.9, 4.7, 5.4] {
-                let starts = [start(pose(range_m, 0.9 + turn))];
-                let [start] = starts;
-                let predicted = start.camera_from_markers;
+                let predicted = pose(range_m, 0.9 + turn);
+                let starts = [start(predicted)];
                 let found = [
                     aligner.discover(0, picture, &starts),
                     aligner.follow(0, picture, &starts, &predicted),
