@@ -20,7 +20,7 @@ from pathlib import Path
 
 import iceoryx2 as iox2
 
-CONTRACT_VERSION = "1"
+CONTRACT_VERSION = "2"
 VERSION_ATTRIBUTE = "flockeye.contract"
 NONE = 0xFFFFFFFF
 
@@ -219,6 +219,7 @@ class Health(Contract):
         ("published", c_uint64),
         ("dropped", c_uint64),
         ("failed", c_uint64),
+        ("queued", c_uint64),
         ("processor_ns", c_uint64),
         ("resident_bytes", c_uint64),
         ("latency_median_ns", c_int64),

@@ -20,6 +20,8 @@ pub struct Health {
     pub dropped: u64,
     /// Messages that were refused or could not be worked on.
     pub failed: u64,
+    /// What was taken in or given out and is not done with now: frames open, views in flight.
+    pub queued: u64,
     /// Processor time used by the process, nanoseconds.
     pub processor_ns: u64,
     /// Resident memory of the process, bytes, shared memory included.

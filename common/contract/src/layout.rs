@@ -40,7 +40,7 @@ fn all_layouts() -> String {
         layout!(Track: observer_from_target, covariance, linear_velocity, angular_velocity,
             measured_observer_from_target, measured_covariance, age_ns, unseen_ns, latency, name, target,
             track_id, state, measured_by, markers, reserved),
-        layout!(Health: sent_ns, taken, published, dropped, failed, processor_ns, resident_bytes,
+        layout!(Health: sent_ns, taken, published, dropped, failed, queued, processor_ns, resident_bytes,
             latency_median_ns, latency_p99_ns, stage, detail, replica, generation, pid, state),
         layout!(TruthHeader: stamp, observer_yaw, exposure_s),
         layout!(BodyTruth: camera_from_markers, observer_from_target, best_side_px, blur_px, name, target,

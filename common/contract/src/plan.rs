@@ -55,7 +55,7 @@ pub struct PlannedView {
     pub size_px: u32,
     /// A [`ViewKind`].
     pub kind: u32,
-    /// Index of the partition, or [`NONE`].
+    /// Index of the partition (far views are numbered behind the partitions), or [`NONE`].
     pub partition: u32,
     /// Index of the target's body in the configuration, or [`NONE`].
     pub target: u32,

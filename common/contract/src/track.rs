@@ -93,9 +93,9 @@ pub struct StageLatency {
     pub capture_ns: i64,
     /// Frame published to view published.
     pub rectification_ns: i64,
-    /// View published to detection published.
+    /// View published to detection published; -1 where the pose did not wait for it.
     pub detection_ns: i64,
-    /// Detection published to track published.
+    /// Detection published (view published, where it was not waited for) to track published.
     pub fusion_ns: i64,
     /// Exposure (in a lossless run: frame published) to track published.
     pub total_ns: i64,
@@ -135,7 +135,7 @@ pub struct Track {
     pub state: u32,
     /// A [`MeasuredBy`].
     pub measured_by: u32,
-    /// Markers of the target decoded in this frame.
+    /// Markers of the target decoded in this frame, as far as it was searched by then.
     pub markers: u32,
     /// Keeps the size a multiple of 8; zero.
     pub reserved: u32,

@@ -45,7 +45,7 @@ pub struct ViewHeader {
     pub stride: u32,
     /// A [`ViewKind`].
     pub kind: u32,
-    /// Index of the partition, or [`crate::NONE`].
+    /// Index of the partition (far views are numbered behind the partitions), or [`crate::NONE`].
     pub partition: u32,
     /// Index of the target's body in the configuration, or [`crate::NONE`].
     pub target: u32,

@@ -5,9 +5,11 @@
 
 mod gaze;
 mod searched;
+mod sweep;
 
 pub use gaze::{GazeOptions, PredictedNeighbour, gaze_view};
 pub use searched::Searched;
+pub use sweep::least_recently_searched;
 
 use nalgebra::Vector3;
 
@@ -101,20 +103,14 @@ pub fn optimized(partition: &Partition, n: Option<usize>) -> Vec<usize> {
     sorted_parts
 }
 
-/// Partitions by when they were last searched: never, then longest ago; ties by number.
-pub fn least_recently_searched(searched: &Searched) -> Vec<usize> {
-    let mut order: Vec<usize> = (0..searched.partitions()).collect();
-    order.sort_by_key(|&part| searched.last_searched(Purpose::Partition(part)));
-    order
-}
-
 /// Makes the plan for each frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Planner {
     mode: SearchMode,
     partition: Partition,
+    /// Those of the partition, then the far ones.
     views: Vec<View>,
-    /// Partitions of which the camera sees nothing.
+    /// Views of which the camera sees nothing.
     hidden: Vec<bool>,
     mask: Option<Mask>,
     gaze: GazeOptions,
@@ -162,16 +158,36 @@ impl Planner {
         Ok(Self { mode, partition, views, hidden, mask: None, gaze })
     }
 
+    /// Sweeps the sphere in the mode [`SearchMode::Gaze`] with these views too, which show it at a
+    /// higher resolution, for neighbours that are too far for the partition's own. As
+    /// [`Purpose::Partition`] they are numbered behind those.
+    pub fn with_far_views(mut self, far_views: Vec<View>) -> Self {
+        self.views.truncate(self.partition.len());
+        self.views.extend(far_views);
+        self.hide();
+        self
+    }
+
+    /// How many views [`Purpose::Partition`] numbers: what [`Searched`] is to remember.
+    pub fn sweep_len(&self) -> usize {
+        self.views.len()
+    }
+
     /// Plans no view in which `mask` hides everything.
     pub fn with_mask(mut self, mask: Mask) -> Self {
-        self.hidden = self.views.iter().map(|view| mask.hides_view(view)).collect();
         self.mask = Some(mask);
+        self.hide();
         self
+    }
+
+    fn hide(&mut self) {
+        let is_hidden = |view| self.mask.as_ref().is_some_and(|mask| mask.hides_view(view));
+        self.hidden = self.views.iter().map(is_hidden).collect();
     }
 
     /// How many partitions are never searched, because the camera sees nothing of them.
     pub fn hidden_partitions(&self) -> usize {
-        self.hidden.iter().filter(|&&is_hidden| is_hidden).count()
+        self.hidden.iter().take(self.partition.len()).filter(|&&is_hidden| is_hidden).count()
     }
 
     /// The partition that is searched.
@@ -198,7 +214,7 @@ impl Planner {
     }
 
     /// One view for each neighbour, least recently looked at first (ties by the neighbours' own
-    /// order), then the partitions, least recently searched first.
+    /// order), then the partitions, least recently searched first, in turn with the far views.
     ///
     /// Where there are more than [`GazeOptions::views_before_partition`] neighbours, the first
     /// partition comes right after so many of their views: however many neighbours there are, a
@@ -211,7 +227,10 @@ impl Planner {
             gazes.retain(|planned| !mask.hides_view(&planned.view));
         }
         gazes.sort_by_key(|planned| searched.last_searched(planned.purpose));
-        let partitions = self.partition_views(&least_recently_searched(searched));
+        let seen = |parts: std::ops::Range<usize>| parts.filter(|&part| !self.hidden[part]);
+        let near = self.partition.len();
+        let order = least_recently_searched(searched, seen(0..near), seen(near..self.views.len()));
+        let partitions = self.partition_views(&order);
         let view_budget = gazes.len() + self.gaze.partitions_per_frame.min(partitions.len());
         let mut views = gazes;
         let early = views.len().min(self.gaze.views_before_partition);
@@ -222,16 +241,13 @@ impl Planner {
     }
 
     fn partition_views(&self, order: &[usize]) -> Vec<PlannedView> {
-        // A number that has no view is none of this partition's: `searched` was made for another.
         order
             .iter()
-            .filter(|&&part| !self.hidden.get(part).is_some_and(|&is_hidden| is_hidden))
-            .filter_map(|&part| {
-                self.views.get(part).map(|&view| PlannedView {
-                    view,
-                    purpose: Purpose::Partition(part),
-                    rate_in_camera: Vector3::zeros(),
-                })
+            .filter(|&&part| !self.hidden[part])
+            .map(|&part| PlannedView {
+                view: self.views[part],
+                purpose: Purpose::Partition(part),
+                rate_in_camera: Vector3::zeros(),
             })
             .collect()
     }

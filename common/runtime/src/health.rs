@@ -15,6 +15,7 @@ pub struct Counters {
     published: Cell<u64>,
     dropped: Cell<u64>,
     failed: Cell<u64>,
+    queued: Cell<u64>,
     latencies_ns: RefCell<Vec<i64>>,
     state: Cell<Option<StageState>>,
     detail: RefCell<String>,
@@ -42,6 +43,11 @@ impl Counters {
     /// Messages were refused, or could not be worked on.
     pub fn add_failed(&self, count: u64) {
         self.failed.set(self.failed.get() + count);
+    }
+
+    /// So many of them are not done with now.
+    pub fn set_queued(&self, count: usize) {
+        self.queued.set(count as u64);
     }
 
     /// One unit of the stage's work took this long.
@@ -72,6 +78,7 @@ impl Counters {
             published: self.published.get(),
             dropped: self.dropped.get(),
             failed: self.failed.get(),
+            queued: self.queued.get(),
             processor_ns: clock::processor_ns().unsigned_abs(),
             resident_bytes: resident_bytes().unwrap_or(0),
             latency_median_ns: quantile(&latencies, 0.5),
@@ -132,11 +139,14 @@ mod tests {
         let counters = Counters::default();
         counters.add_taken(3);
         counters.add_failed(1);
+        counters.set_queued(7);
+        counters.set_queued(4);
         counters.add_latency_ns(5);
         counters.set_detail("a detail");
         let identity = Identity { stage: "detection".into(), replica: 2, generation: 1 };
         let health = counters.report(&identity, StageState::Ready);
         assert_eq!((health.taken, health.failed, health.latency_median_ns), (3, 1, 5));
+        assert_eq!(health.queued, 4);
         assert_eq!((health.stage.to_string(), health.replica), ("detection".into(), 2));
         assert!(health.resident_bytes > 0);
         assert_eq!(counters.report(&identity, StageState::Ready).latency_median_ns, -1);

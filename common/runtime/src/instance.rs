@@ -115,6 +115,13 @@ impl Instance {
         names.iter().map(|name| Self::named(name)).collect()
     }
 
+    /// Whether a living process has it.
+    pub fn is_running(&self) -> bool {
+        // Its owner has the lock for itself; nobody else keeps it.
+        File::open(self.folder.join("lock"))
+            .is_ok_and(|lock| flock(&lock, FlockOperation::NonBlockingLockShared).is_err())
+    }
+
     /// Its name.
     pub fn name(&self) -> &str {
         &self.name

@@ -1,15 +1,16 @@
 //! The views that cover the configured camera's sphere.
 
+use std::f64::consts::PI;
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 use flockeye_contract::MAX_VIEW_PX;
-use flockeye_geometry::partition::{Criterion, Method, Partition, PartitionError, Weights};
+use flockeye_geometry::partition::{self, Criterion, Method, Partition, PartitionError, Weights};
 use flockeye_geometry::search::GazeOptions;
 use flockeye_geometry::view::View;
 
 use crate::camera::CameraSettingError;
-use crate::config::{Auto, Count, Filter, Pipeline};
+use crate::config::{Auto, Count, Filter, Mode, Pipeline};
 
 /// Why the sphere has no views.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -32,7 +33,19 @@ pub enum SphereViewsError {
         /// Their side, pixels.
         size_px: u32,
     },
+    /// Far views that no message can carry.
+    #[error(
+        "search.far_magnification: far views of this camera's sphere have {size_px} px a side, and a \
+         view has {MAX_VIEW_PX} at most. Cure: a smaller magnification, or smaller frames"
+    )]
+    FarTooLarge {
+        /// Their side, pixels.
+        size_px: u32,
+    },
 }
+
+/// Overlap of the far views, radians: who is looked for there is so far that its markers are smaller.
+const FAR_MARGIN_RAD: f64 = 2.5 / 180.0 * PI;
 
 /// Method, number of views and seed.
 type Key = (Method, usize, u64);
@@ -124,13 +137,39 @@ impl Pipeline {
         }
     }
 
+    /// The views that sweep the sphere for neighbours too far for the partitions: the stored covering by
+    /// most views, at the sphere's resolution times `search.far_magnification`. None where the
+    /// partitions see as much, and where no gaze view would follow.
+    ///
+    /// # Errors
+    /// A margin that leaves no view; a camera that cannot be.
+    pub fn far_views(&self) -> Result<Vec<View>, SphereViewsError> {
+        let magnification = self.search.far_magnification;
+        let is_swept = self.search.mode == Mode::Gaze
+            && self.fusion.filter != Filter::None
+            && magnification > self.partition_magnification();
+        if !is_swept {
+            return Ok(Vec::new());
+        }
+        let count = *partition::STORED.end();
+        let partition = Partition::of(Method::Covering, count, partition::STORED_SEED)?;
+        let pixels_per_radian = self.camera_model()?.pixels_per_radian() * magnification;
+        let views = partition.views(FAR_MARGIN_RAD, pixels_per_radian)?;
+        match views.iter().map(|view| view.size_px).max() {
+            Some(size_px) if size_px > MAX_VIEW_PX => {
+                Err(SphereViewsError::FarTooLarge { size_px })
+            }
+            _ => Ok(views),
+        }
+    }
+
     /// Pixels along the side of the largest view that this pipeline cuts.
     ///
     /// # Errors
     /// As [`Pipeline::partition_views`].
     pub fn largest_view_px(&self, largest_marker_m: f64) -> Result<u32, SphereViewsError> {
-        let partitions = self.partition_views(largest_marker_m)?;
-        let largest = partitions.iter().map(|view| view.size_px).max().unwrap_or(0);
+        let (near, far) = (self.partition_views(largest_marker_m)?, self.far_views()?);
+        let largest = near.iter().chain(&far).map(|view| view.size_px).max().unwrap_or(0);
         Ok(largest.max(self.gaze_options()?.size_max_px))
     }
 

@@ -60,6 +60,11 @@ impl Assembly {
         Self { deadline_ns, open: BTreeMap::new(), last_left: None }
     }
 
+    /// How many frames are open.
+    pub fn open_frames(&self) -> usize {
+        self.open.len()
+    }
+
     /// The open frame of this stamp; `None` if it has left already.
     fn frame(&mut self, stamp: &FrameStamp, plan_id: u64, now_ns: i64) -> Option<&mut Frame> {
         let order = stamp.order();
@@ -105,9 +110,9 @@ impl Assembly {
         }
     }
 
-    /// The oldest open frame: the only one of which something may be said already.
-    pub fn oldest(&self) -> Option<&Frame> {
-        self.open.first_key_value().map(|(_, frame)| frame)
+    /// The open frame of this stamp.
+    pub fn open_frame(&self, stamp: &FrameStamp) -> Option<&Frame> {
+        self.open.get(&stamp.order()).filter(|frame| frame.stamp.is_same_frame(stamp))
     }
 
     /// Takes the oldest frame out if it is complete, overdue, or one too many. The second value
@@ -126,7 +131,7 @@ impl Assembly {
 
     /// When the oldest frame will be overdue.
     pub fn next_deadline_ns(&self) -> Option<i64> {
-        self.oldest().map(|frame| frame.deadline_ns)
+        self.open.first_key_value().map(|(_, frame)| frame.deadline_ns)
     }
 }
 

@@ -81,6 +81,11 @@ impl<P> Gallery<P> {
         self.waiting.contains_key(&(order, view_index))
     }
 
+    /// A view that is held and was not answered yet, with its pixels.
+    pub fn waiting(&self, order: FrameOrder, view_index: u32) -> Option<(&ViewHeader, &P)> {
+        self.waiting.get(&(order, view_index)).map(|(header, pixels)| (header, &**pixels))
+    }
+
     /// A view was answered; `shows` are the neighbours it shows or was cut for, and how well. It is
     /// held for those that it shows best.
     pub fn answered(&mut self, order: FrameOrder, view_index: u32, shows: &[(usize, Rank)]) {
@@ -103,6 +108,11 @@ impl<P> Gallery<P> {
         self.best
             .range((order, 0)..=(order, usize::MAX))
             .map(|(&(_, target), hung)| (target, &hung.header, &*hung.pixels))
+    }
+
+    /// Lets go of a neighbour's best view in a frame: it was looked at.
+    pub fn release(&mut self, order: FrameOrder, target: usize) {
+        self.best.remove(&(order, target));
     }
 
     /// Lets go of everything up to and with this frame.

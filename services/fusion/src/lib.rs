@@ -12,6 +12,7 @@
 //! | [`sighting`] | one believed pose of a body from a frame's rays and pixels |
 //! | [`neighbour`] | a neighbour's track from frame to frame |
 //! | [`swarm`] | all neighbours, and the plan for the next frame |
+//! | [`settings`] | what the configuration means for it |
 //! | [`message`] | the same as the contract's messages |
 //! | [`stage`] | the ports around it |
 
@@ -21,9 +22,14 @@ pub mod gallery;
 pub mod message;
 pub mod neighbour;
 pub mod parallax;
+pub mod settings;
 pub mod sighting;
 pub mod stage;
 pub mod swarm;
+
+#[cfg(test)]
+#[path = "../../../common/imaging/tests/drawn_body/mod.rs"]
+mod drawn_body;
 
 /// The fusion stage's process. It is here so that it is compiled once, with the library.
 pub fn main() -> std::process::ExitCode {

@@ -4,13 +4,16 @@ use std::collections::BTreeMap;
 
 use flockeye_contract as contract;
 use flockeye_contract::{
-    MeasuredBy, NONE, Pose, StageLatency, StopRule, Track, TrackState, ViewKind,
+    FrameStamp, MeasuredBy, NONE, Pose, StageLatency, StopRule, Track, TrackState, ViewHeader,
+    ViewKind,
 };
 use flockeye_geometry::body::Body;
 use flockeye_geometry::filter::{self, Prediction};
 use flockeye_geometry::search::{self, Plan, PlannedView, Purpose};
+use flockeye_runtime::config::Flow;
 use nalgebra::{Isometry3, Matrix3, Matrix6, Vector3};
 
+use crate::assembly::Record;
 use crate::neighbour::{Known, PoseEstimate};
 use crate::sighting;
 
@@ -146,6 +149,58 @@ pub fn stop_rule(rule: search::StopRule) -> StopRule {
         search::StopRule::FirstHit => StopRule::FirstHit,
         search::StopRule::All => StopRule::All,
         search::StopRule::Deadline => StopRule::Deadline,
+    }
+}
+
+/// What led to tracks.
+#[derive(Debug, Clone, Copy)]
+pub enum Cause<'c> {
+    /// A view alone.
+    View(&'c ViewHeader),
+    /// What was found in views: of each body, in those that show it.
+    Records(&'c [&'c Record]),
+}
+
+/// How long each stage took with what led to a neighbour's track, published at `now_ns`.
+pub fn latency(
+    flow: Flow,
+    stamp: &FrameStamp,
+    cause: Cause<'_>,
+    body: &Body,
+    now_ns: i64,
+) -> StageLatency {
+    // In a lossless run the exposure has another clock.
+    let (capture_ns, since_ns) = match flow {
+        Flow::Latest => (stamp.published_ns - stamp.exposure_ns, stamp.exposure_ns),
+        Flow::Lossless => (-1, stamp.published_ns),
+    };
+    let total_ns = now_ns - since_ns;
+    let unknown = StageLatency {
+        capture_ns,
+        rectification_ns: -1,
+        detection_ns: -1,
+        fusion_ns: -1,
+        total_ns,
+    };
+    match cause {
+        Cause::View(view) => StageLatency {
+            rectification_ns: view.issued_ns - stamp.published_ns,
+            fusion_ns: now_ns - view.issued_ns,
+            ..unknown
+        },
+        Cause::Records(records) => {
+            let shows = |record: &&&Record| {
+                let mut decoded = record.markers.iter().filter(|marker| marker.is_decoded());
+                decoded.any(|marker| body.marker(marker.id).is_some())
+            };
+            let last = records.iter().filter(shows).max_by_key(|record| record.header.sent_ns);
+            last.map_or(unknown, |Record { header, .. }| StageLatency {
+                rectification_ns: header.issued_ns - stamp.published_ns,
+                detection_ns: header.sent_ns - header.issued_ns,
+                fusion_ns: now_ns - header.sent_ns,
+                ..unknown
+            })
+        }
     }
 }
 

@@ -61,6 +61,11 @@ impl Neighbour {
         self.life.predict(at_s)
     }
 
+    /// Whether its track is believed and was measured in its last frame.
+    pub fn is_measured(&self) -> bool {
+        self.life.state() == Some(TrackState::Confirmed)
+    }
+
     /// What its track, once believed, says of a frame before it is measured.
     pub fn prior(&self, at_s: f64) -> Option<PosePrior> {
         let is_believed =

@@ -4,15 +4,14 @@ use std::collections::BTreeMap;
 
 use anyhow::Context as _;
 use flockeye_contract::{
-    DetectionHeader, Detections, FrameEnds, FrameStamp, PlanHeader, Plans, StageLatency, Track,
-    TrackHeader, Tracks, ViewHeader, ViewKind, Views,
+    DetectionHeader, Detections, FrameEnds, FrameStamp, PlanHeader, Plans, Track, TrackHeader,
+    Tracks, ViewHeader, ViewKind, Views,
 };
 use flockeye_dictionary::Dictionary;
-use flockeye_geometry::filter::{MotionModel, TrackPolicy};
-use flockeye_geometry::search::{Planner, Purpose, SearchMode, StopRule};
+use flockeye_geometry::search::{Planner, Purpose, StopRule};
 use flockeye_imaging::align::Picture;
 use flockeye_runtime::bodies::isometry;
-use flockeye_runtime::config::{Filter, Flow, Mode, Pipeline};
+use flockeye_runtime::config::{Flow, Mode};
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::logs::Throttle;
 use flockeye_runtime::memory::{self, MAX_TRACKS};
@@ -24,10 +23,11 @@ use nalgebra::Isometry3;
 use crate::alignment::{Aligner, BestView};
 use crate::assembly::{Assembly, Frame, Record};
 use crate::gallery::{FrameOrder, Gallery};
-use crate::message;
+use crate::message::{self, Cause};
 use crate::parallax::Parallax;
+use crate::settings::{filter_choice, mode_code, search_mode};
 use crate::sighting::agrees_with_view;
-use crate::swarm::{BestViews, FilterChoice, Purposes, Seen, Swarm, Update};
+use crate::swarm::{BestViews, Purposes, Seen, Swarm, Update};
 
 /// Plans that are remembered, for frames that still follow them.
 const REMEMBERED_PLANS: usize = 16;
@@ -51,6 +51,8 @@ pub struct FusionStage {
     aligns: bool,
     observer_from_camera: Isometry3<f64>,
     mode: Mode,
+    /// Views that came and were not peeked into yet.
+    arrived: Vec<(FrameOrder, u32)>,
     counters: SharedCounters,
     disagreements: Throttle,
     strangers: Throttle,
@@ -70,6 +72,7 @@ impl Stage for FusionStage {
             views,
             pipeline.gaze_options()?,
         )?
+        .with_far_views(pipeline.far_views()?)
         .with_mask(pipeline.mask()?);
         if planner.hidden_partitions() > 0 {
             tracing::info!(
@@ -109,6 +112,7 @@ impl Stage for FusionStage {
             aligns: pipeline.fusion.align,
             observer_from_camera: isometry(&pipeline.observer.observer_from_camera),
             mode: pipeline.search.mode,
+            arrived: Vec::new(),
             counters: context.counters.clone(),
             disagreements: Throttle::default(),
             strangers: Throttle::default(),
@@ -127,6 +131,7 @@ impl Stage for FusionStage {
         // A view passes before its record, so views are taken first.
         // No more than can be held: records that are in already let go of some.
         self.take_views(now_ns, Gallery::is_full)?;
+        self.peek()?;
         let mut taken = Vec::new();
         while let Some(message) = self.detections.receive()? {
             let (order, index) = (message.header.stamp.order(), message.header.view_index);
@@ -151,6 +156,7 @@ impl Stage for FusionStage {
             }
             self.finish(&frame)?;
         }
+        self.counters.set_queued(self.assembly.open_frames());
         Ok(self.assembly.next_deadline_ns().map_or(Step::Wait, Step::WaitUntil))
     }
 }
@@ -170,6 +176,7 @@ impl FusionStage {
                 let header = message.header;
                 if self.assembly.add_view(header, now_ns) && self.aligns {
                     self.gallery.add(header, message);
+                    self.arrived.push((header.stamp.order(), header.view_index));
                 }
             }
         }
@@ -180,9 +187,8 @@ impl FusionStage {
     fn take_record(&mut self, message: &Message<Detections>, now_ns: i64) -> Option<Record> {
         let header = message.header;
         let mut markers = message.items().to_vec();
-        let of_view =
-            self.assembly.oldest().and_then(|frame| frame.views.get(&header.view_index)).copied();
-        let of_view = of_view.filter(|view| view.stamp.is_same_frame(&header.stamp));
+        let of_frame = self.assembly.open_frame(&header.stamp);
+        let of_view = of_frame.and_then(|frame| frame.views.get(&header.view_index)).copied();
         if let Some(view) = &of_view {
             let view = view_of(view);
             if let Some(marker) = markers.iter().find(|marker| !agrees_with_view(marker, &view)) {
@@ -213,30 +219,60 @@ impl FusionStage {
         Some(record)
     }
 
-    /// Publishes what gaze views of the oldest open frame say, without waiting for the rest of it.
+    /// Publishes what gaze views that have come show of confirmed neighbours, before they are searched.
+    fn peek(&mut self) -> anyhow::Result<()> {
+        let arrived = std::mem::take(&mut self.arrived);
+        // In a lossless run nothing may depend on who is faster.
+        if self.flow == Flow::Lossless {
+            return Ok(());
+        }
+        for (order, view_index) in arrived {
+            let Some((header, message)) = self.gallery.waiting(order, view_index) else { continue };
+            let Some(Purpose::Gaze(target)) = purpose_stated(header) else { continue };
+            // What cannot be read is left to detection, which says why.
+            let _ = self.lights.of(header);
+            let Some(view) = best_view(header, message, &self.lights, &self.swarm) else {
+                continue;
+            };
+            let header = *header;
+            let at_s = seconds(&header.stamp);
+            if let Some(update) = self.swarm.peek(order, at_s, target, &view) {
+                self.send_tracks(&header.stamp, &[update], Cause::View(&header), false)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Publishes what gaze views say, without waiting for the rest of their frames.
     fn glance(&mut self, taken: &[Record]) -> anyhow::Result<()> {
         // In a lossless run nothing may depend on which worker answers first.
         if self.flow == Flow::Lossless {
             return Ok(());
         }
-        let Some(frame) = self.assembly.oldest() else { return Ok(()) };
-        let stamp = frame.stamp;
-        let of_frame: Vec<&Record> =
-            taken.iter().filter(|record| record.header.stamp.is_same_frame(&stamp)).collect();
-        let seen: Vec<Seen<'_>> = of_frame
-            .iter()
-            .map(|record| {
-                let view = frame.views.get(&record.header.view_index);
-                Seen { record, purpose: self.purpose_of(&record.header, view), view }
-            })
-            .collect();
-        if seen.is_empty() {
-            return Ok(());
-        }
-        let best_views = best_views(&self.gallery, &mut self.lights, &self.swarm, stamp.order());
-        let updates = self.swarm.glance(seconds(&stamp), &seen, &best_views);
-        if !updates.is_empty() {
-            self.send_tracks(&stamp, &updates, &of_frame, false)?;
+        let mut stamps: Vec<FrameStamp> = taken.iter().map(|record| record.header.stamp).collect();
+        stamps.sort_by_key(FrameStamp::order);
+        stamps.dedup_by_key(|stamp| stamp.order());
+        for stamp in stamps {
+            let Some(frame) = self.assembly.open_frame(&stamp) else { continue };
+            let of_frame: Vec<&Record> =
+                taken.iter().filter(|record| record.header.stamp.is_same_frame(&stamp)).collect();
+            let seen: Vec<Seen<'_>> = of_frame
+                .iter()
+                .map(|record| {
+                    let view = frame.views.get(&record.header.view_index);
+                    Seen { record, purpose: self.purpose_of(&record.header, view), view }
+                })
+                .collect();
+            let order = stamp.order();
+            let best_views = best_views(&self.gallery, &mut self.lights, &self.swarm, order);
+            let updates = self.swarm.glance(order, seconds(&stamp), &seen, &best_views);
+            drop(best_views);
+            if !updates.is_empty() {
+                self.send_tracks(&stamp, &updates, Cause::Records(&of_frame), false)?;
+            }
+            for (target, _) in updates {
+                self.gallery.release(order, target);
+            }
         }
         Ok(())
     }
@@ -282,9 +318,9 @@ impl FusionStage {
         self.gallery.forget(order);
         let records: Vec<&Record> = frame.records.values().collect();
         for part in updates.chunks(MAX_TRACKS) {
-            self.send_tracks(&frame.stamp, part, &records, false)?;
+            self.send_tracks(&frame.stamp, part, Cause::Records(&records), false)?;
         }
-        self.send_tracks(&frame.stamp, &[], &records, true)?;
+        self.send_tracks(&frame.stamp, &[], Cause::Records(&[]), true)?;
         self.send_plan(Some(frame.stamp))?;
         if let Some(end) = frame.end {
             self.counters.add_latency_ns(clock::monotonic_ns() - end.taken_ns);
@@ -296,7 +332,7 @@ impl FusionStage {
         &self,
         stamp: &FrameStamp,
         updates: &[Update],
-        records: &[&Record],
+        cause: Cause<'_>,
         is_last: bool,
     ) -> anyhow::Result<()> {
         let now_ns = clock::monotonic_ns();
@@ -305,46 +341,13 @@ impl FusionStage {
             .map(|(target, known)| {
                 let body = &self.swarm.neighbours()[*target].body;
                 let track = message::track(*target, known, body, &self.observer_from_camera);
-                let of_body = |record: &&&Record| {
-                    record
-                        .markers
-                        .iter()
-                        .any(|marker| marker.is_decoded() && body.marker(marker.id).is_some())
-                };
-                let last = records
-                    .iter()
-                    .filter(of_body)
-                    .map(|record| record.header)
-                    .max_by_key(|header| header.sent_ns);
-                Track { latency: self.latency(stamp, last.as_ref(), now_ns), ..track }
+                let latency = message::latency(self.flow, stamp, cause, body, now_ns);
+                Track { latency, ..track }
             })
             .collect();
         let header =
             TrackHeader { stamp: *stamp, generation: self.generation, is_last: u32::from(is_last) };
         Ok(self.tracks.send(header, &tracks)?)
-    }
-
-    fn latency(
-        &self,
-        stamp: &FrameStamp,
-        record: Option<&DetectionHeader>,
-        now_ns: i64,
-    ) -> StageLatency {
-        // In a lossless run the exposure has another clock.
-        let (capture_ns, since_ns) = match self.flow {
-            Flow::Latest => (stamp.published_ns - stamp.exposure_ns, stamp.exposure_ns),
-            Flow::Lossless => (-1, stamp.published_ns),
-        };
-        let of_record = |duration: fn(&FrameStamp, &DetectionHeader, i64) -> i64| {
-            record.map_or(-1, |header| duration(stamp, header, now_ns))
-        };
-        StageLatency {
-            capture_ns,
-            rectification_ns: of_record(|stamp, header, _| header.issued_ns - stamp.published_ns),
-            detection_ns: of_record(|_, header, _| header.sent_ns - header.issued_ns),
-            fusion_ns: of_record(|_, header, now_ns| now_ns - header.sent_ns),
-            total_ns: now_ns - since_ns,
-        }
     }
 
     fn send_plan(&mut self, after: Option<FrameStamp>) -> anyhow::Result<()> {
@@ -396,63 +399,30 @@ fn best_views<'g>(
     gallery
         .of_frame(order)
         .filter_map(|(target, header, message)| {
-            let picture = Picture {
-                image: image_of(header, message.items()).ok()?,
-                view: view_of(header),
-                light: lights.known(header)?,
-                pixels_per_radian: swarm.pixels_per_radian(),
-            };
-            let (view_index, rays_m) = (header.view_index, swarm.rays_m(header));
-            Some((target, BestView { picture, view_index, rays_m }))
+            Some((target, best_view(header, message, lights, swarm)?))
         })
         .collect()
+}
+
+/// A view as an image; `None` where it cannot be read.
+fn best_view<'g>(
+    header: &ViewHeader,
+    message: &'g Message<Views>,
+    lights: &'g Lights,
+    swarm: &Swarm,
+) -> Option<BestView<'g>> {
+    let picture = Picture {
+        image: image_of(header, message.items()).ok()?,
+        view: view_of(header),
+        light: lights.known(header)?,
+        pixels_per_radian: swarm.pixels_per_radian(),
+    };
+    Some(BestView { picture, view_index: header.view_index, rays_m: swarm.rays_m(header) })
 }
 
 fn purpose_stated(view: &ViewHeader) -> Option<Purpose> {
     match ViewKind::try_from(view.kind).ok()? {
         ViewKind::Partition => Some(Purpose::Partition(view.partition as usize)),
         ViewKind::Gaze => Some(Purpose::Gaze(view.target as usize)),
-    }
-}
-
-/// Without tracks nothing says where to look, so everything is looked at.
-fn search_mode(pipeline: &Pipeline) -> SearchMode {
-    match (pipeline.search.mode, pipeline.fusion.filter) {
-        (Mode::Greedy, _) => SearchMode::Greedy,
-        (Mode::Optimized, _) => SearchMode::Optimized,
-        (Mode::Exhaustive, _) | (Mode::Gaze, Filter::None) => SearchMode::Exhaustive,
-        (Mode::Gaze, Filter::ConstantVelocity) => SearchMode::Gaze,
-    }
-}
-
-fn mode_code(mode: Mode) -> flockeye_contract::SearchMode {
-    match mode {
-        Mode::Greedy => flockeye_contract::SearchMode::Greedy,
-        Mode::Optimized => flockeye_contract::SearchMode::Optimized,
-        Mode::Exhaustive => flockeye_contract::SearchMode::Exhaustive,
-        Mode::Gaze => flockeye_contract::SearchMode::Gaze,
-    }
-}
-
-fn filter_choice(pipeline: &Pipeline) -> FilterChoice {
-    let fusion = &pipeline.fusion;
-    let usual = MotionModel::default();
-    match fusion.filter {
-        Filter::None => FilterChoice::None,
-        Filter::ConstantVelocity => FilterChoice::Tracks(TrackPolicy {
-            motion: MotionModel {
-                acceleration: fusion.acceleration,
-                angular_acceleration: fusion.angular_acceleration,
-                // Who coasts is predicted.
-                longest_step_s: usual.longest_step_s.max(fusion.coast_s),
-                ..usual
-            },
-            confirm_hits: fusion.confirm_hits,
-            confirm_window: fusion.confirm_window,
-            coast_s: fusion.coast_s,
-            history_s: fusion.history_s,
-            gate_probability: fusion.gate_probability,
-            restart_after_gated: fusion.restart_after_gated,
-        }),
     }
 }

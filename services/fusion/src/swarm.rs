@@ -6,14 +6,15 @@ use flockeye_contract::{DetectedMarker, ViewHeader};
 use flockeye_geometry::body::{Bodies, Body};
 use flockeye_geometry::filter::{Prediction, TrackPolicy};
 use flockeye_geometry::search::{Plan, Planner, PredictedNeighbour, Purpose, Searched, StopRule};
+use nalgebra::Isometry3;
 
-use crate::alignment::{Aligner, BestView};
+use crate::alignment::{Aligner, BestView, Start};
 use crate::assembly::{Frame, Record};
-use crate::gallery::Rank;
+use crate::gallery::{FrameOrder, Rank};
 use crate::neighbour::{Known, Neighbour};
 use crate::parallax::Parallax;
 use crate::sighting::{
-    Look, MARKERS_ALONE, MeasuredBy, Sighting, doubtful_rays_of, measure_all, rays_of,
+    Look, MARKERS_ALONE, MeasuredBy, Sighting, contradicts, doubtful_rays_of, measure_all, rays_of,
 };
 
 /// How poses are carried from frame to frame.
@@ -55,16 +56,33 @@ pub struct Swarm {
     frames: u64,
     aligner: Aligner,
     threads: usize,
-    /// Neighbours of the oldest open frame whose pose is out already.
-    settled: BTreeSet<usize>,
-    /// Those whose gaze view was looked at already.
-    glanced: BTreeSet<usize>,
+    /// Neighbours whose decoded markers contradicted their pose, and the frame in which they did.
+    doubted: BTreeMap<usize, u64>,
+    /// What was looked at of the open frames.
+    looked: BTreeMap<FrameOrder, Looked>,
     last_s: Option<f64>,
     interval_s: f64,
 }
 
+/// What was looked at of an open frame.
+#[derive(Debug, Clone, Default)]
+struct Looked {
+    /// Neighbours whose pose is out already.
+    settled: BTreeSet<usize>,
+    /// Those whose gaze view was looked at already.
+    glanced: BTreeSet<usize>,
+    /// Those whose pose came before their gaze view was searched, with the pose.
+    peeked: BTreeMap<usize, Isometry3<f64>>,
+}
+
 /// A neighbour that is lost from sight is searched for round its prediction in every so manyth frame.
 const SEARCH_EVERY_FRAMES: u64 = 3;
+
+/// For so many frames a neighbour's markers are waited for after they contradicted its pose.
+const DOUBTED_FRAMES: u64 = 15;
+
+/// Facets that must agree with a pose for which no marker is waited.
+const PEEKED_FACETS: u32 = 2;
 
 /// The longest time between two frames that is believed in when planning for the next, seconds.
 const LONGEST_INTERVAL_S: f64 = 0.25;
@@ -82,7 +100,7 @@ impl Swarm {
             FilterChoice::Tracks(policy) => policy,
             FilterChoice::None => TrackPolicy::default(),
         };
-        let searched = Searched::new(planner.partition().len());
+        let searched = Searched::new(planner.sweep_len());
         Self {
             neighbours: bodies.iter().map(|body| Neighbour::new(body.clone(), policy)).collect(),
             filter,
@@ -92,8 +110,8 @@ impl Swarm {
             frames: 0,
             aligner,
             threads,
-            settled: BTreeSet::new(),
-            glanced: BTreeSet::new(),
+            doubted: BTreeMap::new(),
+            looked: BTreeMap::new(),
             last_s: None,
             interval_s: 1.0 / 30.0,
         }
@@ -167,24 +185,72 @@ impl Swarm {
             .collect()
     }
 
-    /// What gaze views' records say of their neighbours, as soon as they are in: a pose need not
-    /// wait for the partitions. Called for records of the oldest open frame.
+    /// What the pixels of a confirmed neighbour's gaze view say before they are searched for markers:
+    /// aligned from its prediction alone. `None` where that is not beyond doubt; then its markers are
+    /// waited for, and so it is for some frames after they contradicted such a pose.
+    pub fn peek(
+        &mut self,
+        order: FrameOrder,
+        at_s: f64,
+        target: usize,
+        view: &BestView<'_>,
+    ) -> Option<Update> {
+        let neighbour = self.neighbours.get(target)?;
+        let is_doubted =
+            self.doubted.get(&target).is_some_and(|&since| self.frames < since + DOUBTED_FRAMES);
+        let is_settled =
+            self.looked.get(&order).is_some_and(|looked| looked.settled.contains(&target));
+        if is_doubted || is_settled || !neighbour.is_measured() {
+            return None;
+        }
+        let predicted = neighbour.prior(at_s)?.camera_from_markers;
+        let start = Start { camera_from_markers: predicted, is_rough: false };
+        let found = self.aligner.follow(target, &view.picture, &[start], &predicted)?;
+        if !found.is_believed() || found.score.agreeing_facets < PEEKED_FACETS {
+            return None;
+        }
+        let sighting = self.corrected(Sighting::aligned(&found, 0), view.rays_m);
+        let update = self.take_in(order, at_s, target, &sighting)?;
+        let looked = self.looked.entry(order).or_default();
+        looked.peeked.insert(target, found.camera_from_markers);
+        Some(update)
+    }
+
+    /// Notes where markers say something else than the pose that came before they were decoded.
+    fn check_peeked(&mut self, order: FrameOrder, seen: &[Seen<'_>]) {
+        let Some(looked) = self.looked.get(&order) else { return };
+        for record in seen {
+            let Some(Purpose::Gaze(target)) = record.purpose else { continue };
+            let Some(pose) = looked.peeked.get(&target) else { continue };
+            let rays = rays_of(&self.neighbours[target].body, &record.record.markers);
+            if contradicts(&self.neighbours[target].body, &rays, pose) {
+                self.doubted.insert(target, self.frames);
+            }
+        }
+    }
+
+    /// What gaze views' records of a frame say of their neighbours, as soon as they are in: a pose need
+    /// wait neither for the frame's partitions nor for those of the frame before. Frames may come in any
+    /// order; the tracks put each where it belongs.
     pub fn glance(
         &mut self,
+        order: FrameOrder,
         at_s: f64,
         seen: &[Seen<'_>],
         best_views: &BestViews<'_>,
     ) -> Vec<Update> {
+        self.check_peeked(order, seen);
         let mut looks: Vec<(usize, Vec<Seen<'_>>)> = Vec::new();
         for record in seen {
             let Some(Purpose::Gaze(target)) = record.purpose else { continue };
             // What a record's rays are right for is not known without its view: `finish` knows.
             let is_known = self.parallax.is_none() || record.view.is_some();
-            if is_known && !self.settled.contains(&target) && self.glanced.insert(target) {
+            let looked = self.looked.entry(order).or_default();
+            if is_known && !looked.settled.contains(&target) && looked.glanced.insert(target) {
                 looks.push((target, vec![*record]));
             }
         }
-        self.settle(at_s, &looks, best_views, MARKERS_ALONE)
+        self.settle(order, at_s, &looks, best_views, MARKERS_ALONE)
     }
 
     /// Everything that is left to say of a frame: its remaining neighbours, and those that it does
@@ -215,16 +281,13 @@ impl Swarm {
             .collect();
         // The same order as if each gaze record had come in time for `glance`: what a frame says
         // must not depend on when its parts came.
-        let mut updates = self.glance(at_s, &seen, &best_views);
-        let looks: Vec<(usize, Vec<Seen<'_>>)> = (0..self.neighbours.len())
-            .filter(|target| !self.settled.contains(target))
-            .map(|target| (target, seen.clone()))
-            .collect();
-        updates.extend(self.settle(at_s, &looks, &best_views, 1));
-        for target in 0..self.neighbours.len() {
-            if self.settled.contains(&target) {
-                continue;
-            }
+        let order = frame.stamp.order();
+        let mut updates = self.glance(order, at_s, &seen, &best_views);
+        let looks: Vec<(usize, Vec<Seen<'_>>)> =
+            self.unsettled(order).map(|target| (target, seen.clone())).collect();
+        updates.extend(self.settle(order, at_s, &looks, &best_views, 1));
+        let unsettled: Vec<usize> = self.unsettled(order).collect();
+        for target in unsettled {
             let decoded = counted.iter().flat_map(|record| &record.markers);
             let decoded = distinct_ids(decoded, &self.neighbours[target]);
             let known = match self.filter {
@@ -237,10 +300,18 @@ impl Swarm {
         updates
     }
 
+    /// Neighbours whose pose in a frame is not out yet.
+    fn unsettled(&self, order: FrameOrder) -> impl Iterator<Item = usize> {
+        let settled = self.looked.get(&order).map(|looked| &looked.settled);
+        (0..self.neighbours.len())
+            .filter(move |target| settled.is_none_or(|settled| !settled.contains(target)))
+    }
+
     /// Measures neighbours, each from some of a frame's records and its picture, and takes in what
     /// was found.
     fn settle(
         &mut self,
+        order: FrameOrder,
         at_s: f64,
         looks: &[(usize, Vec<Seen<'_>>)],
         best_views: &BestViews<'_>,
@@ -260,25 +331,34 @@ impl Swarm {
                     MeasuredBy::Decoded => look.rays_m,
                     MeasuredBy::Aligned => look.best_view.map_or(look.rays_m, |view| view.rays_m),
                 };
-                let pose = match &self.parallax {
-                    None => sighting.pose,
-                    Some(parallax) => parallax.corrected(&sighting.pose, rays_m),
-                };
-                Some((look.target, Sighting { pose, ..sighting }))
+                Some((look.target, self.corrected(sighting, rays_m)))
             })
             .collect();
-        let mut updates = Vec::new();
-        for (target, sighting) in corrected {
-            let known = match self.filter {
-                FilterChoice::Tracks(_) => self.neighbours[target].seen(at_s, &sighting),
-                FilterChoice::None => Some(Known::of_frame(&sighting)),
-            };
-            if let Some(known) = known {
-                self.settled.insert(target);
-                updates.push((target, known));
-            }
-        }
-        updates
+        corrected
+            .iter()
+            .filter_map(|(target, sighting)| self.take_in(order, at_s, *target, sighting))
+            .collect()
+    }
+
+    /// A sighting by rays that are right for this distance, brought to its own.
+    fn corrected(&self, sighting: Sighting, rays_m: f64) -> Sighting {
+        let Some(parallax) = &self.parallax else { return sighting };
+        Sighting { pose: parallax.corrected(&sighting.pose, rays_m), ..sighting }
+    }
+
+    fn take_in(
+        &mut self,
+        order: FrameOrder,
+        at_s: f64,
+        target: usize,
+        sighting: &Sighting,
+    ) -> Option<Update> {
+        let known = match self.filter {
+            FilterChoice::Tracks(_) => self.neighbours[target].seen(at_s, sighting),
+            FilterChoice::None => Some(Known::of_frame(sighting)),
+        }?;
+        self.looked.entry(order).or_default().settled.insert(target);
+        Some((target, known))
     }
 
     /// What there is to measure a neighbour by; `None` where there is nothing.
@@ -357,8 +437,8 @@ impl Swarm {
         }
         self.last_s = Some(at_s);
         self.frames += 1;
-        self.settled.clear();
-        self.glanced.clear();
+        // Frames end in order.
+        self.looked.retain(|order, _| *order > frame.stamp.order());
     }
 
     /// Where to look in the next frame, and each gaze view's prediction.
@@ -410,3 +490,6 @@ fn distinct_ids<'m>(
     let ids: BTreeSet<u32> = decoded.map(|marker| marker.id).collect();
     ids.iter().filter(|&&id| neighbour.body.marker(id).is_some()).count() as u32
 }
+
+#[cfg(test)]
+mod tests;

@@ -3,8 +3,10 @@
 //! | module | what it does |
 //! | --- | --- |
 //! | [`report`] | a track as what goes over the network |
+//! | [`newest`] | what was said of each neighbour last |
 //! | [`stage`] | the ports around it |
 
+pub mod newest;
 pub mod report;
 pub mod stage;
 

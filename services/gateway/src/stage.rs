@@ -12,6 +12,7 @@ use flockeye_runtime::network::{
 use flockeye_runtime::ports::{Ports, Subscriber};
 use flockeye_runtime::{Context, Stage, Step, clock};
 
+use crate::newest::Newest;
 use crate::report::{Utc, report};
 
 /// How often a network that cannot be had is tried again, nanoseconds.
@@ -27,6 +28,7 @@ pub struct GatewayStage {
     retry_ns: i64,
     detail_ns: i64,
     flow: Flow,
+    newest: Newest,
     counters: SharedCounters,
     failures: Throttle,
 }
@@ -50,6 +52,7 @@ impl Stage for GatewayStage {
             retry_ns: 0,
             detail_ns: 0,
             flow: context.pipeline.flow,
+            newest: Newest::default(),
             counters: context.counters.clone(),
             failures: Throttle::default(),
         })
@@ -61,8 +64,11 @@ impl Stage for GatewayStage {
             self.connect();
         }
         while let Some(message) = self.tracks.receive()? {
+            let stamp = message.header.stamp;
             for track in message.items() {
-                self.send(&message.header.stamp, track);
+                if self.newest.is_newest(track.target, &stamp) {
+                    self.send(&stamp, track);
+                }
             }
         }
         if let Some(link) = &self.link

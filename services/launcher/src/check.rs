@@ -6,7 +6,7 @@ use anyhow::Context;
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::partition;
 use flockeye_geometry::view::View;
-use flockeye_runtime::config::{Count, Flow, Pipeline};
+use flockeye_runtime::config::{Count, Filter, Flow, Mode, Pipeline};
 use flockeye_runtime::instance::Instance;
 use flockeye_runtime::memory::{Budget, shared_memory_space};
 
@@ -68,7 +68,7 @@ fn plan(
         pipeline.observer.swarm,
         if pipeline.gateway.enabled { "" } else { " (nothing goes over the network)" }
     )?;
-    writeln!(text, "search   {:?}", pipeline.search.mode)?;
+    writeln!(text, "search   {}", search(pipeline, views.len() - hidden)?)?;
     writeln!(text, "sphere   {}", sphere(pipeline, &views, bodies.largest_side())?)?;
     writeln!(text, "bodies   of {}", bodies.dictionary)?;
     for (target, body) in bodies.iter().enumerate() {
@@ -99,6 +99,32 @@ fn plan(
         }
     }
     write!(text, "{budget}")?;
+    Ok(text)
+}
+
+/// How it is searched, and how soon newcomers are found.
+fn search(pipeline: &Pipeline, partitions: usize) -> anyhow::Result<String> {
+    let mode = format!("{:?}", pipeline.search.mode).to_lowercase();
+    if pipeline.search.mode != Mode::Gaze || pipeline.fusion.filter == Filter::None {
+        return Ok(mode);
+    }
+    let mask = pipeline.mask()?;
+    let far_views = pipeline.far_views()?;
+    let far: Vec<_> = far_views.iter().filter(|view| !mask.hides_view(view)).collect();
+    let each = pipeline.search.lossless_partitions as usize;
+    // One of each kind in turn, until the fewer ones come a second time.
+    let frames = |count: usize| if far.is_empty() { count } else { 2 * count }.div_ceil(each);
+    let mut text = format!("{mode}, the partitions in turn");
+    if let Some(px) = far.iter().map(|view| view.size_px).max() {
+        text += &format!(" with {} far views of {px} px", far.len());
+    }
+    text += &format!(
+        "; of a lossless frame {each}: each partition every {} frames",
+        frames(partitions)
+    );
+    if !far.is_empty() {
+        text += &format!(", each far view every {}", frames(far.len()));
+    }
     Ok(text)
 }
 

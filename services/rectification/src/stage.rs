@@ -138,6 +138,7 @@ impl Stage for RectificationStage {
         self.take_up()?;
         self.prepare_next();
         let has_cut = self.cut_next()?;
+        self.counters.set_queued(self.dispatcher.outstanding());
         Ok(match (has_cut, self.held.is_empty()) {
             (true, _) => Step::Again,
             (false, true) => Step::Wait,

@@ -66,6 +66,8 @@ pub struct GazeOptions {
     pub pixels_per_radian: f64,
     /// Side that the smallest marker to be decoded gets in the view, pixels.
     pub marker_px: f64,
+    /// Side that it gets at least, however uncertain its direction, pixels: below, nothing decodes.
+    pub marker_least_px: f64,
     /// Largest magnification over the sphere's own resolution.
     pub magnification_max: f64,
     /// Smallest angle that a view's sides span, radians.
@@ -88,6 +90,7 @@ impl GazeOptions {
         Self {
             pixels_per_radian,
             marker_px: 80.0,
+            marker_least_px: 24.0,
             magnification_max: 3.0,
             field_min_rad: 4f64.to_radians(),
             field_max_rad: 70f64.to_radians(),
@@ -109,6 +112,13 @@ impl GazeOptions {
         let (least, most) = (self.field_min_rad, self.field_max_rad);
         within("pixels_per_radian", self.pixels_per_radian, 1.0, 1e5, "1 to 100000 are allowed")?;
         within("marker_px", self.marker_px, 4.0, 1e3, "4 to 1000 are allowed")?;
+        within(
+            "marker_least_px",
+            self.marker_least_px,
+            1.0,
+            self.marker_px,
+            "it lies between 1 and marker_px",
+        )?;
         within("magnification_max", self.magnification_max, 1.0, 16.0, "1 to 16 are allowed")?;
         within("field_min_rad", least, 0.01, 2.4, "0.01 to 2.4 are allowed")?;
         within("field_max_rad", most, least, 2.4, "it lies between field_min_rad and 2.4")?;
@@ -128,9 +138,11 @@ impl GazeOptions {
 /// the margins for uncertainty.
 ///
 /// It is magnified until the smallest marker gets [`GazeOptions::marker_px`], but not beyond
-/// [`GazeOptions::magnification_max`], and not beyond what lets the field fit the largest view.
-/// Where even the sphere's own resolution does not let it fit, a view of a close neighbour, whose
-/// markers are large enough anyway, is taken at less; of a small one the field is cut instead.
+/// [`GazeOptions::magnification_max`], and not beyond what lets the field fit the largest view, as
+/// long as markers get [`GazeOptions::marker_least_px`] and the sphere's own resolution: of a wide
+/// field in which nothing decodes nobody has anything, so it is cut instead, round where the neighbour
+/// is most likely. A view of a close neighbour, whose markers are large enough anyway, is taken at
+/// less than the sphere's resolution.
 ///
 /// `None` for a prediction that is not a number.
 pub fn gaze_view(neighbour: &PredictedNeighbour, options: &GazeOptions) -> Option<PlannedView> {
@@ -147,12 +159,11 @@ pub fn gaze_view(neighbour: &PredictedNeighbour, options: &GazeOptions) -> Optio
     // Pixels across the view for each pixel of focal length.
     let span = 2.0 * (field_rad / 2.0).tan();
     let own = options.pixels_per_radian;
-    let decodes_at = options.marker_px / neighbour.marker_rad;
+    let most = own * options.magnification_max;
+    let wanted_at = options.marker_px / neighbour.marker_rad;
+    let least = (options.marker_least_px / neighbour.marker_rad).clamp(own, most).min(wanted_at);
     let fits_at = f64::from(options.size_max_px) / span;
-    let focal_px = decodes_at
-        .clamp(own, own * options.magnification_max)
-        .min(fits_at)
-        .max(own.min(decodes_at));
+    let focal_px = wanted_at.clamp(own, most).min(fits_at).max(least);
     // f64 to u32 saturates, so an absurd option cannot wrap round.
     let size_px = ((focal_px * span).ceil() as u32).clamp(1, options.size_max_px);
     let upright = View::looking_at(&neighbour.direction_in_camera, field_rad, size_px);

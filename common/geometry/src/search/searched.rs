@@ -18,11 +18,6 @@ impl Searched {
         Self { partitions: vec![None; partitions], targets: BTreeMap::new(), last_hit: None }
     }
 
-    /// How many partitions there are.
-    pub fn partitions(&self) -> usize {
-        self.partitions.len()
-    }
-
     /// Notes that a view was cut and searched in frame number `frame`, which must rise from frame
     /// to frame (also where the source begins anew). Partitions that do not exist are ignored.
     pub fn record(&mut self, frame: u64, purpose: Purpose) {

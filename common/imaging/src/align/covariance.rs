@@ -15,7 +15,7 @@
 //! finds it for each unknown by itself, has a few dozen blocks to find it from and was twice too small.
 //! NEES is then 2.7 to 3.0 in `flockeye experiment consistency`, where 3 is right.
 
-use nalgebra::{Cholesky, Dyn, Matrix6};
+use nalgebra::{Cholesky, DMatrix, Dyn, Matrix6};
 
 use super::patch::Patch;
 use super::samples::Sample;
@@ -23,14 +23,15 @@ use super::sums::damping;
 
 /// Neighbours within so many pixels along each axis are asked. Farther, the sum gathers noise.
 const REACH: usize = 2;
-/// Unknowns that have priors take less than a sample each: some are always left.
+/// However few samples there are, some are left.
 const LEAST_FREE: f64 = 0.5;
 
 /// Covariance of position (m) and rotation vector, in the patch's axes, of a fit with this normal matrix,
-/// factored, and these residuals.
+/// factored, and these residuals. `seen` is what of the normal matrix comes from samples, not priors.
 /// `None` where it is none.
 pub(super) fn of_pose(
     normal: &Cholesky<f64, Dyn>,
+    seen: &DMatrix<f64>,
     patch: &Patch,
     samples: &[Sample],
     residuals: &[f32],
@@ -51,9 +52,11 @@ pub(super) fn of_pose(
         })
         .collect();
     let together = together(patch.width, patch.height, &felt);
-    // What is left over is less than the noise by what the unknowns took of it.
+    // What is left over is less than the noise by what the unknowns took of it: each the share in which
+    // samples, and no prior, say what it is (the effective degrees of freedom of a ridge regression).
     let independent = samples.len() as f64 / together;
-    let free = (independent - inverse.nrows() as f64).max(LEAST_FREE * independent);
+    let taken = inverse.component_mul(seen).sum();
+    let free = (independent - taken).max(LEAST_FREE * independent);
     let pose: Matrix6<f64> = inverse.fixed_view::<6, 6>(0, 0) * (together * independent / free);
     pose.iter().all(|x| x.is_finite()).then_some((pose + pose.transpose()) / 2.0)
 }

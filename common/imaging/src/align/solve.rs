@@ -222,13 +222,14 @@ pub(super) fn fit(
         let pass =
             Pass { print, patch, samples: &samples, layout: &layout, scales: &scales, is_robust };
         let mut sums = pass.sum(&scene, &state);
+        let seen = sums.normal.clone();
         add_priors(&mut sums.normal, &mut sums.right, &state, &layout, settings);
         let normal = sums.normal.cholesky()?;
         let step = normal.solve(&sums.right);
         let moved = take(&mut state, &step, &layout, patch)?;
         if is_robust && knows_hidden && (moved < SETTLED_PX || iteration >= settings.iterations) {
             let covariance =
-                covariance::of_pose(&normal, patch, &samples, &sums.residuals, &scales)?;
+                covariance::of_pose(&normal, &seen, patch, &samples, &sums.residuals, &scales)?;
             let is_whole = hidden.is_empty();
             return Some(Fit { state, covariance, samples, is_whole, iterations: iteration });
         }

@@ -260,11 +260,16 @@ pub struct Search {
     /// Partitions searched after the gaze views in each frame of a lossless run.
     #[schemars(range(min = 1, max = 128))]
     pub lossless_partitions: u32,
+    /// Pixels of the far views for each of the sphere's, along a side: gaze sweeps the sphere with
+    /// them too, in turn with the partitions, and finds neighbours so many times as far away. 1 (or no
+    /// more than `partition.magnification`): with the partitions alone.
+    #[schemars(range(min = 1.0, max = 3.0))]
+    pub far_magnification: f64,
 }
 
 impl Default for Search {
     fn default() -> Self {
-        Self { mode: Mode::Gaze, lossless_partitions: 4 }
+        Self { mode: Mode::Gaze, lossless_partitions: 4, far_magnification: 2.0 }
     }
 }
 
@@ -341,11 +346,11 @@ impl Default for Fusion {
             history_s: 0.5,
             gate_probability: 0.999,
             restart_after_gated: 3,
-            acceleration: 4.0,
-            angular_acceleration: 6.0,
+            acceleration: 1.5,
+            angular_acceleration: 3.0,
             deadline_ms: 3000.0,
             align: true,
-            covariance_scale: 2.5,
+            covariance_scale: 2.8,
             threads: 1,
         }
     }
@@ -419,6 +424,34 @@ pub struct StageProcess {
     pub restart: Restart,
     /// First and longest wait before it is started again, seconds; doubled each time in between.
     pub backoff_s: [f64; 2],
+    /// Processors that it may run on, by number from 0; empty: all.
+    pub cpus: Vec<u32>,
+    /// How far it gives way to others, -20 (never) to 19; below 0 asks for a privilege. Left out: 5 for
+    /// detection, since no tracked neighbour's pose waits for it, and 0 for all else.
+    #[schemars(range(min = -20, max = 19))]
+    pub nice: Option<i32>,
+    /// The scheduling class; fifo and round_robin ask for a privilege.
+    pub scheduling: Scheduling,
+    /// Priority within fifo and round_robin: 1 to 99, the highest.
+    #[schemars(range(min = 1, max = 99))]
+    pub priority: u8,
+}
+
+/// A scheduling class of the kernel (sched(7)).
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Scheduling {
+    /// Shares of the processors' time, by `nice`.
+    #[default]
+    Normal,
+    /// The same for what computes much and need not react soon.
+    Batch,
+    /// Only when nobody else wants to run.
+    Idle,
+    /// Before all of the classes above, until it waits.
+    Fifo,
+    /// The same, in turn with others of its priority.
+    RoundRobin,
 }
 
 impl Default for StageProcess {
@@ -428,6 +461,10 @@ impl Default for StageProcess {
             replicas: None,
             restart: Restart::OnFailure,
             backoff_s: [0.1, 5.0],
+            cpus: Vec::new(),
+            nice: None,
+            scheduling: Scheduling::Normal,
+            priority: 1,
         }
     }
 }

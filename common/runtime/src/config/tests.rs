@@ -40,7 +40,7 @@ const WRONG: &[(&str, &[&str])] = &[
     ("1: 2", &["key must be text"]),
     ("camra: {}", &["line 1, column 1", "unknown key", "did you mean 'camera'?"]),
     ("camera:\n  widht: 3840", &["line 2, column 3", "camera.widht", "did you mean 'width'?"]),
-    ("search: {qqq: 1}", &["unknown key (known are mode, lossless_partitions)"]),
+    ("search: {qqq: 1}", &["unknown key (known are mode, lossless_partitions, far_magnification)"]),
     ("camera: {width: wide}", &["camera.width", "must be a whole number", "the text 'wide'"]),
     ("camera: {width: 38.5}", &["must be a whole number, not 38.5"]),
     (
@@ -185,6 +185,11 @@ const WRONG: &[(&str, &[&str])] = &[
     ("gateway: {enabled: maybe}", &["must be true or false, not the text 'maybe'"]),
     ("stages: {fusion: {replicas: 2}}", &["only detection runs in several processes"]),
     ("stages: {detection: {restart: sometimes}}", &["never, on_failure, always"]),
+    ("stages: {fusion: {nice: 25}}", &["stages.fusion.nice", "-20", "19"]),
+    ("stages: {fusion: {scheduling: soon}}", &["normal, batch, idle, fifo, round_robin"]),
+    ("stages: {fusion: {priority: 0}}", &["stages.fusion.priority", "1", "99"]),
+    ("stages: {fusion: {cpus: 0}}", &["stages.fusion.cpus", "must be a list"]),
+    ("search: {far_magnification: 9}", &["search.far_magnification", "1", "3"]),
     (
         "stages: {detection: {command: python3 my.py}}",
         &["stages.detection.command", "must be a list"],

@@ -2,11 +2,8 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "of the drawings")]
 
-#[path = "../../../../common/imaging/tests/drawn_body/mod.rs"]
-mod drawn_body;
-
 use super::*;
-use drawn_body::{Drawing, draw, prints};
+use crate::drawn_body::{Drawing, draw, prints};
 use flockeye_geometry::body::squares;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
