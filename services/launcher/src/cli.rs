@@ -26,6 +26,10 @@ pub enum Command {
     Up(Up),
     /// Check a configuration, and say what it means on this machine.
     Check(Check),
+    /// Show what a running pipeline's stages do, and how old its poses are.
+    Top(Top),
+    /// Record frames' ways through a running pipeline, for Perfetto (ui.perfetto.dev).
+    Trace(Trace),
     /// Show what the swarm's drones report of each other over Zenoh.
     Peers(Peers),
     /// Compare recorded poses with the truth.
@@ -100,6 +104,45 @@ pub struct Check {
     /// Which configuration.
     #[command(flatten)]
     pub configuration: Configuration,
+}
+
+/// Which running pipeline.
+#[derive(Debug, Clone, Args)]
+pub struct Running {
+    /// Its instance; without it, the one that runs.
+    #[arg(long, value_name = "NAME")]
+    pub instance: Option<String>,
+}
+
+/// Arguments of `top`.
+#[derive(Debug, Args)]
+pub struct Top {
+    /// Which pipeline.
+    #[command(flatten)]
+    pub running: Running,
+    /// Look for two seconds, print once, and end.
+    #[arg(long)]
+    pub once: bool,
+    /// JSON: one object a line, each second, or one alone with --once.
+    #[arg(long)]
+    pub json: bool,
+    /// Stop after this long: 20s, 5m, 1h.
+    #[arg(long = "for", value_name = "DURATION", value_parser = duration)]
+    pub duration: Option<Duration>,
+}
+
+/// Arguments of `trace`.
+#[derive(Debug, Args)]
+pub struct Trace {
+    /// Which pipeline.
+    #[command(flatten)]
+    pub running: Running,
+    /// The trace, in Chrome's JSON format.
+    #[arg(long, value_name = "FILE.json")]
+    pub out: PathBuf,
+    /// How long to record: 10s, 1m.
+    #[arg(long = "for", value_name = "DURATION", value_parser = duration, default_value = "5s")]
+    pub duration: Duration,
 }
 
 /// Arguments of `peers`.
@@ -283,9 +326,34 @@ pub struct ExecStage {
     /// The process that must live as long as this one.
     #[arg(long)]
     pub parent: u32,
+    /// Processors that it may run on.
+    #[arg(long, value_delimiter = ',')]
+    pub cpus: Vec<u32>,
+    /// How far it gives way to others.
+    #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
+    pub nice: i32,
+    /// Its scheduling class, where it is not the normal one.
+    #[arg(long, value_enum)]
+    pub scheduling: Option<SchedulingArgument>,
+    /// Its priority within fifo and round-robin.
+    #[arg(long, default_value_t = 1)]
+    pub priority: u8,
     /// The stage's program and its arguments.
     #[arg(trailing_var_arg = true, allow_hyphen_values = true, required = true)]
     pub command: Vec<OsString>,
+}
+
+/// A scheduling class.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum SchedulingArgument {
+    /// For what computes much.
+    Batch,
+    /// When nobody else wants to run.
+    Idle,
+    /// Before all others, until it waits.
+    Fifo,
+    /// The same, in turn.
+    RoundRobin,
 }
 
 fn duration(text: &str) -> Result<Duration, String> {

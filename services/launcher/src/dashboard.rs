@@ -1,6 +1,8 @@
 //! What the stages and the neighbours are doing: gathered from health, tracks and truth, shown as a
 //! table, as a line, and as a summary at the end.
 
+mod report;
+
 use std::collections::{BTreeMap, VecDeque};
 use std::fmt::Write;
 
@@ -10,6 +12,7 @@ use flockeye_contract::{
 use nalgebra::Vector3;
 
 use crate::evaluation::statistics::quantile;
+pub use report::{LatencyReport, NeighbourReport, Report, StageReport};
 
 /// A stage that says nothing for this long is not well, nanoseconds.
 const SILENCE_NS: i64 = 2_000_000_000;
@@ -41,6 +44,8 @@ struct StageView {
 #[derive(Default)]
 struct Neighbour {
     last: Option<(Track, i64)>,
+    /// The frame that `last` is of.
+    stamp: Option<FrameStamp>,
     error_m: Option<f64>,
     measured: u64,
     coasted: u64,
@@ -149,7 +154,11 @@ impl Dashboard {
             } else {
                 neighbour.coasted += 1;
             }
-            neighbour.last = Some((*track, now_ns));
+            // What an older frame says may come behind what a newer one does.
+            if neighbour.stamp.is_none_or(|last| last.order() <= stamp.order()) {
+                neighbour.stamp = Some(*stamp);
+                neighbour.last = Some((*track, now_ns));
+            }
         }
         if is_last {
             self.frames_ended += 1;
@@ -173,13 +182,14 @@ impl Dashboard {
     /// The live table.
     pub fn table(&self, now_ns: i64) -> String {
         let mut text = format!(
-            "{:<16} {:<10} {:>7} {:>7} {:>8} {:>8} {:>7} {:>7} {:>6} {:>7}  {}\n",
+            "{:<16} {:<10} {:>7} {:>7} {:>8} {:>8} {:>6} {:>7} {:>7} {:>6} {:>7}  {}\n",
             "stage",
             "state",
             "in/s",
             "out/s",
             "ms",
             "99% ms",
+            "queued",
             "dropped",
             "failed",
             "cpu %",
@@ -188,19 +198,16 @@ impl Dashboard {
         );
         for ((stage, replica), view) in &self.stages {
             let label = if *replica == 0 { stage.clone() } else { format!("{stage}.{replica}") };
-            let state = match StageState::try_from(view.last.state) {
-                _ if now_ns - view.last.sent_ns > SILENCE_NS => "silent".to_owned(),
-                Ok(state) => format!("{state:?}").to_lowercase(),
-                Err(_) => "unknown".to_owned(),
-            };
+            let state = report::state_name(view.last.state, now_ns - view.last.sent_ns);
             let ms =
                 |ns: i64| if ns < 0 { "-".to_owned() } else { format!("{:.1}", ns as f64 * 1e-6) };
             text += &format!(
-                "{label:<16} {state:<10} {:>7.1} {:>7.1} {:>8} {:>8} {:>7} {:>7} {:>6.0} {:>7.0}  {}\n",
+                "{label:<16} {state:<10} {:>7.1} {:>7.1} {:>8} {:>8} {:>6} {:>7} {:>7} {:>6.0} {:>7.0}  {}\n",
                 view.taken_per_s,
                 view.published_per_s,
                 ms(view.latency_median_ns),
                 ms(view.latency_p99_ns),
+                view.last.queued,
                 view.last.dropped,
                 view.last.failed,
                 view.processor_share * 100.0,
@@ -222,8 +229,7 @@ impl Dashboard {
         for (name, neighbour) in &self.neighbours {
             let Some((track, arrived_ns)) = &neighbour.last else { continue };
             let [x, y, z] = track.observer_from_target.position;
-            let age_ms =
-                (now_ns - arrived_ns + track.latency.total_ns + track.unseen_ns) as f64 * 1e-6;
+            let age_ms = report::age_ms(track, *arrived_ns, now_ns);
             text += &format!(
                 "{name:<16} {:<10} {:>24} {:>8.2} {:>8.1} {age_ms:>7.0} {:>8} {:>9}\n",
                 state_name(track.state),

@@ -16,10 +16,14 @@
 //! | [`partition`] | partitions of the sphere as table, JSON and drawings |
 //! | [`markers`] | a body's facets on paper, to print and glue |
 //! | [`calibrate`] | where a body's markers really are |
+//! | [`top`] | where a running pipeline's time goes, live or as JSON |
+//! | [`trace`] | frames' ways through all processes, for Perfetto |
+//! | [`attach`] | a running pipeline's messages, read beside its stages |
 //! | [`peers`] | what the whole swarm reports over Zenoh |
 //! | [`clean`] | removes what dead runs left behind |
 //! | [`exec`] | the first instructions of a stage's process |
 
+pub mod attach;
 pub mod calibrate;
 pub mod check;
 pub mod clean;
@@ -37,4 +41,6 @@ pub mod report;
 pub mod schema;
 pub mod screen;
 mod svg;
+pub mod top;
+pub mod trace;
 pub mod up;

@@ -5,7 +5,8 @@ use std::process::ExitCode;
 use clap::Parser;
 use flockeye_launcher::cli::{Calibrate, Command, Flockeye};
 use flockeye_launcher::{
-    calibrate, check, clean, evaluation, exec, experiment, markers, partition, peers, schema, up,
+    calibrate, check, clean, evaluation, exec, experiment, markers, partition, peers, schema, top,
+    trace, up,
 };
 
 fn main() -> ExitCode {
@@ -13,6 +14,8 @@ fn main() -> ExitCode {
     let outcome = match Flockeye::parse().command {
         Command::Up(arguments) => up::run(&arguments),
         Command::Check(arguments) => check::run(&arguments),
+        Command::Top(arguments) => top::run(&arguments),
+        Command::Trace(arguments) => trace::run(&arguments),
         Command::Peers(arguments) => peers::run(&arguments),
         Command::Eval(arguments) => evaluation::run(&arguments),
         Command::Experiment(arguments) => experiment::run(&arguments),

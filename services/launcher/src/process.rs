@@ -8,7 +8,7 @@ use std::sync::mpsc::SyncSender;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use flockeye_runtime::config::{Restart, StageProcess};
+use flockeye_runtime::config::{Restart, Scheduling, StageProcess};
 use flockeye_runtime::instance::{
     FOLDER_VARIABLE, GENERATION_VARIABLE, REPLICA_VARIABLE, STAGE_VARIABLE,
 };
@@ -57,6 +57,8 @@ pub struct Process {
     child: Option<Child>,
     started: Instant,
     retry_at: Option<Instant>,
+    /// When it runs and where, as arguments of `exec-stage`.
+    turn: Vec<String>,
     log: SyncSender<LogLine>,
 }
 
@@ -76,6 +78,7 @@ impl Process {
             generation: 0,
             label,
             command: program(stage, configuration)?,
+            turn: turn(stage, configuration),
             folder: folder.to_owned(),
             restart: configuration.restart,
             backoff: Backoff::new(configuration.backoff_s),
@@ -109,7 +112,9 @@ impl Process {
             command.env("XDG_RUNTIME_DIR", &self.folder);
         }
         let mut child = command
-            .args(["exec-stage", "--parent", &std::process::id().to_string(), "--"])
+            .args(["exec-stage", "--parent", &std::process::id().to_string()])
+            .args(&self.turn)
+            .arg("--")
             .args(&self.command)
             .env(FOLDER_VARIABLE, &self.folder)
             .env(STAGE_VARIABLE, self.stage)
@@ -256,6 +261,29 @@ impl Backoff {
         self.next = (wait * 2).min(self.longest);
         wait
     }
+}
+
+/// How far detection gives way: no tracked neighbour's pose waits for it.
+const DETECTION_NICE: i32 = 5;
+
+/// What `exec-stage` is told of when and where a stage runs.
+fn turn(stage: &str, configuration: &StageProcess) -> Vec<String> {
+    let usual = if stage == "detection" { DETECTION_NICE } else { 0 };
+    let mut turn = vec![format!("--nice={}", configuration.nice.unwrap_or(usual))];
+    if !configuration.cpus.is_empty() {
+        let cpus: Vec<String> = configuration.cpus.iter().map(u32::to_string).collect();
+        turn.push(format!("--cpus={}", cpus.join(",")));
+    }
+    let class = match configuration.scheduling {
+        Scheduling::Normal => return turn,
+        Scheduling::Batch => "batch",
+        Scheduling::Idle => "idle",
+        Scheduling::Fifo => "fifo",
+        Scheduling::RoundRobin => "round-robin",
+    };
+    turn.push(format!("--scheduling={class}"));
+    turn.push(format!("--priority={}", configuration.priority));
+    turn
 }
 
 #[cfg(test)]

@@ -11,3 +11,5 @@ mod lossless;
 mod markers;
 mod real_time;
 mod recorded;
+mod scheduling;
+mod watching;

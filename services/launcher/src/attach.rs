@@ -1,0 +1,60 @@
+//! A running pipeline's messages, read beside its stages.
+
+use std::rc::Rc;
+
+use anyhow::{Context, bail, ensure};
+use flockeye_runtime::config::Pipeline;
+use flockeye_runtime::health::SharedCounters;
+use flockeye_runtime::instance::Instance;
+use flockeye_runtime::memory::Budget;
+use flockeye_runtime::ports::Ports;
+use iceoryx2::prelude::*;
+
+use crate::cli::Running;
+
+/// A pipeline that runs, and where its messages can be had.
+pub struct Attached {
+    /// What its messages are received with.
+    pub ports: Ports,
+    /// Its configuration.
+    pub pipeline: Pipeline,
+    /// Which it is.
+    pub instance: Instance,
+}
+
+/// Joins the running pipeline that is meant.
+///
+/// # Errors
+/// None runs, several do and none was named, or it has no room for another reader.
+pub fn attach(running: &Running) -> anyhow::Result<Attached> {
+    let instance = choose(running)?;
+    let pipeline = instance.pipeline()?;
+    let budget =
+        Budget::of(&pipeline, pipeline.largest_view_px(pipeline.bodies()?.largest_side())?);
+    set_log_level(LogLevel::Fatal);
+    let node = NodeBuilder::new()
+        .name(&NodeName::new("onlooker").context("node name")?)
+        .signal_handling_mode(SignalHandlingMode::Disabled)
+        .config(&instance.iceoryx2()?)
+        .create::<ipc::Service>()
+        .map_err(|error| {
+            anyhow::anyhow!("cannot join the instance '{}': {error:?}", instance.name())
+        })?;
+    let ports = Ports::new(Rc::new(node), budget, SharedCounters::default());
+    Ok(Attached { ports, pipeline, instance })
+}
+
+fn choose(running: &Running) -> anyhow::Result<Instance> {
+    let living: Vec<Instance> = Instance::all().into_iter().filter(Instance::is_running).collect();
+    let names = living.iter().map(Instance::name).collect::<Vec<_>>().join(", ");
+    if let Some(name) = &running.instance {
+        let others = if names.is_empty() { "none does".to_owned() } else { format!("{names} do") };
+        let found = living.into_iter().find(|instance| instance.name() == name);
+        return found.with_context(|| format!("no pipeline '{name}' runs here; {others}"));
+    }
+    ensure!(!living.is_empty(), "no pipeline runs here. Cure: start one with `flockeye up`");
+    match <[Instance; 1]>::try_from(living) {
+        Ok([only]) => Ok(only),
+        Err(_) => bail!("several pipelines run here: {names}. Cure: --instance NAME"),
+    }
+}

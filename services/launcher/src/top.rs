@@ -1,0 +1,82 @@
+//! `flockeye top`: where a running pipeline's time goes, and how old its poses are.
+
+use std::io::Write;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+use flockeye_contract::{Healths, Tracks, Truths};
+use flockeye_runtime::clock;
+
+use crate::attach::{Attached, attach};
+use crate::cli;
+use crate::dashboard::Dashboard;
+use crate::screen::Screen;
+use crate::up::stopped_by_signals;
+
+/// Health comes four times a second: after this long, rates are of several reports.
+const ONE_LOOK: Duration = Duration::from_secs(2);
+/// How often a table is shown, and how often a line or an object is printed.
+const LIVE_PERIOD: Duration = Duration::from_millis(250);
+const PRINT_PERIOD: Duration = Duration::from_secs(1);
+
+/// Shows it until Ctrl-C, or until the pipeline ends.
+///
+/// # Errors
+/// No such pipeline runs.
+pub fn run(arguments: &cli::Top) -> anyhow::Result<()> {
+    let stopping = stopped_by_signals()?;
+    let Attached { mut ports, instance, .. } = attach(&arguments.running)?;
+    let mut healths = ports.subscriber::<Healths>()?;
+    let mut tracks = ports.subscriber::<Tracks>()?;
+    let mut truths = ports.subscriber::<Truths>()?;
+    let mut dashboard = Dashboard::default();
+    let mut screen = Screen::new();
+    let start = Instant::now();
+    let period = if screen.is_live() && !arguments.json { LIVE_PERIOD } else { PRINT_PERIOD };
+    let mut next = start + if arguments.once { ONE_LOOK } else { period };
+    ports.attend(|| {
+        while let Some(message) = healths.receive()? {
+            dashboard.health(&message.header);
+        }
+        while let Some(message) = truths.receive()? {
+            dashboard.truth(&message.header, message.items());
+        }
+        while let Some(message) = tracks.receive()? {
+            let is_last = message.header.is_last != 0;
+            let now_ns = clock::monotonic_ns();
+            dashboard.tracks(&message.header.stamp, message.items(), is_last, now_ns);
+        }
+        let is_over = stopping.load(Ordering::Relaxed)
+            || arguments.duration.is_some_and(|duration| start.elapsed() >= duration);
+        if is_over {
+            return Ok(None);
+        }
+        let now = Instant::now();
+        if now >= next {
+            next = now + period;
+            if !instance.is_running() {
+                screen.line(&format!("the pipeline '{}' has ended", instance.name()));
+                return Ok(None);
+            }
+            let now_ns = clock::monotonic_ns();
+            let is_read = match arguments.json {
+                true => print(&serde_json::to_string(&dashboard.report(now_ns))?),
+                false if screen.is_live() && !arguments.once => {
+                    screen.table(&dashboard.table(now_ns));
+                    true
+                }
+                false => print(&dashboard.table(now_ns)),
+            };
+            if arguments.once || !is_read {
+                return Ok(None);
+            }
+        }
+        Ok(Some(next.saturating_duration_since(now).min(Duration::from_millis(100))))
+    })
+}
+
+/// Prints a line. False if nobody reads any more.
+fn print(text: &str) -> bool {
+    let mut out = std::io::stdout().lock();
+    writeln!(out, "{text}").and_then(|()| out.flush()).is_ok()
+}
