@@ -24,10 +24,10 @@ pub use event::Tracer;
 /// No such pipeline runs, nothing was heard, or the file cannot be written.
 pub fn run(arguments: &cli::Trace) -> anyhow::Result<()> {
     let stopping = stopped_by_signals()?;
+    let Attached { mut ports, instance, pipeline } = attach(&arguments.running)?;
     // Before anything is recorded, so that nothing is recorded in vain.
     let file = File::create(&arguments.out)
         .with_context(|| format!("cannot write {}", arguments.out.display()))?;
-    let Attached { mut ports, instance, pipeline } = attach(&arguments.running)?;
     let mut healths = ports.subscriber::<Healths>()?;
     let mut detections = ports.subscriber::<Detections>()?;
     let mut ends = ports.subscriber::<FrameEnds>()?;

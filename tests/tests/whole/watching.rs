@@ -59,6 +59,10 @@ fn a_running_pipeline_is_watched_and_traced() {
     .expect("four stages");
     assert!(!whole.is_empty(), "no frame went all the way: {} events", events.len());
 
+    let nowhere = "/nowhere/at/all.json";
+    let (is_well, said) = run(&["trace", "--instance", &name, "--out", nowhere]);
+    assert!(!is_well && said.contains("cannot write /nowhere/at/all.json"), "{said}");
+
     flight.signal(rustix::process::Signal::INT);
     assert!(flight.wait().success(), "{}", flight.output());
     flight.assert_nothing_left();
@@ -68,7 +72,11 @@ fn a_running_pipeline_is_watched_and_traced() {
 fn what_does_not_run_cannot_be_watched() {
     let (is_well, said) = run(&["top", "--instance", "nobody-here", "--once"]);
     assert!(!is_well && said.contains("no pipeline 'nobody-here' runs here"), "{said}");
-    let (is_well, said) =
-        run(&["trace", "--instance", "nobody-here", "--out", "/nowhere/at/all.json"]);
-    assert!(!is_well && said.contains("cannot write /nowhere/at/all.json"), "{said}");
+    let scratch = Scratch::new("nobody");
+    let out = scratch.path("trace.json");
+    let asked =
+        ["trace", "--instance", "nobody-here", "--out", out.to_str().expect("a plain path")];
+    let (is_well, said) = run(&asked);
+    assert!(!is_well && said.contains("no pipeline 'nobody-here' runs here"), "{said}");
+    assert!(!out.exists(), "nothing is left of what could not be recorded");
 }
