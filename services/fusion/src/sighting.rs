@@ -18,7 +18,7 @@ pub const MARKERS_ALONE: usize = 2;
 /// A body farther than this cannot carry a marker that decodes, metres.
 const FARTHEST_M: f64 = 50.0;
 /// A pose from corners that is less certain than this, in all its axes together, is none: of 29 that
-/// said 40 to 60 mm on simulated flights the worst was off by 94, and one beyond by 10 degrees.
+/// said 40 to 60 mm on simulated flights the worst was off by 94.
 const MAX_POSITION_DEVIATION_M: f64 = 0.05;
 const MAX_ROTATION_DEVIATION_RAD: f64 = 0.08;
 
