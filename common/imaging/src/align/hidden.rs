@@ -16,7 +16,7 @@ use super::unknowns::State;
 const NOISE_DEVIATIONS: f64 = 5.0;
 const SHARE_OF_WHITE: f64 = 0.12;
 /// Where less than this share of a body is left, what was taken for it is something else.
-const LEAST_SEEN: f64 = 0.25;
+pub(super) const LEAST_SEEN: f64 = 0.25;
 /// What it hides reaches so far, deviations of the point spread.
 const REACH: f64 = 2.5;
 
@@ -28,6 +28,8 @@ pub(super) struct Hidden {
     width: usize,
     /// Of the body's facets; empty: none.
     facets: Vec<bool>,
+    /// See [`Hidden::share_seen`].
+    share_seen: Option<f64>,
 }
 
 impl Hidden {
@@ -58,9 +60,16 @@ impl Hidden {
             }
         }
         let seen = samples.iter().filter(|sample| !self.has_pixel(sample)).count();
-        if seen == samples.len() || (seen as f64) < LEAST_SEEN * samples.len() as f64 {
+        let share_seen = seen as f64 / samples.len().max(1) as f64;
+        self.share_seen = Some(share_seen);
+        if seen == samples.len() || share_seen < LEAST_SEEN {
             self.pixels.clear();
         }
+    }
+
+    /// The share of the pixels that nothing was found to be before; all of them before it was asked.
+    pub fn share_seen(&self) -> f64 {
+        self.share_seen.unwrap_or(1.0)
     }
 
     /// Whether it hides any pixel by itself.

@@ -44,6 +44,7 @@ use nalgebra::{Isometry3, Matrix2, Matrix6};
 
 use crate::image::LumaImage;
 use crate::light::LinearLight;
+use hidden::LEAST_SEEN;
 use patch::Patch;
 use samples::Sample;
 use score::Verdict;
@@ -89,6 +90,8 @@ pub struct Alignment {
     pub blur_px2: Matrix2<f64>,
     /// How well the cells agree.
     pub score: Score,
+    /// The share of the pixels asked that nothing was found to be before.
+    pub share_seen: f64,
     /// Pixels that were compared.
     pub samples: usize,
     /// Steps that were taken.
@@ -99,13 +102,20 @@ impl Alignment {
     /// Whether it is a measurement: the body is there, and its pose is known well enough to be of
     /// use to anybody.
     pub fn is_believed(&self) -> bool {
-        self.score.is_accepted() && self.is_certain()
+        self.score.is_accepted() && self.is_seen() && self.is_certain()
     }
 
     /// The same for a body that is tracked: whether it is where it was expected is for the filter to
     /// say, which knows how sure it was.
     pub fn confirms_track(&self) -> bool {
-        self.score.confirms() && self.is_certain()
+        self.score.confirms() && self.is_seen() && self.is_certain()
+    }
+
+    /// Whether enough of the body is as modelled: facets can agree by chance where an airframe before
+    /// them explains the rest. On simulated flights out to 4 m, one of three poses of which less was
+    /// seen was wrong by 11 degrees, none of 1894 of which more was by as much as 7.
+    fn is_seen(&self) -> bool {
+        self.share_seen >= LEAST_SEEN
     }
 
     fn is_certain(&self) -> bool {
@@ -281,6 +291,7 @@ impl Frame {
             covariance: axes * covariance * axes.transpose(),
             blur_px2: fit.state.blur / settings.magnification.powi(2),
             score,
+            share_seen: fit.share_seen,
             samples: fit.samples.len(),
             iterations: fit.iterations,
         })

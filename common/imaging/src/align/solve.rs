@@ -64,6 +64,8 @@ pub(super) struct Fit {
     pub samples: Vec<Sample>,
     /// Whether these are all that face the camera: nothing was found to be hidden.
     pub is_whole: bool,
+    /// The share of the pixels asked that nothing was found to be before.
+    pub share_seen: f64,
     pub iterations: usize,
 }
 
@@ -230,8 +232,14 @@ pub(super) fn fit(
         if is_robust && knows_hidden && (moved < SETTLED_PX || iteration >= settings.iterations) {
             let covariance =
                 covariance::of_pose(&normal, &seen, patch, &samples, &sums.residuals, &scales)?;
-            let is_whole = hidden.is_empty();
-            return Some(Fit { state, covariance, samples, is_whole, iterations: iteration });
+            return Some(Fit {
+                state,
+                covariance,
+                samples,
+                is_whole: hidden.is_empty(),
+                share_seen: hidden.share_seen(),
+                iterations: iteration,
+            });
         }
         scales = facet_scales(&samples, &sums.residuals, scales.len());
         // Where the body moved by half a pixel, other pixels show it.
