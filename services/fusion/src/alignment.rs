@@ -69,13 +69,15 @@ impl Aligner {
     }
 
     /// Aligns body `target`, which was `predicted` by its track, from the first of `starts` that leads to
-    /// it beyond doubt, or from the one whose end says most for it. `None` if none does.
+    /// it beyond doubt, or from the one whose end says most for it. `None` if none does. `is_marked` says
+    /// whether markers were decoded where a pose has them.
     pub fn follow(
         &self,
         target: usize,
         picture: &Picture<'_>,
         starts: &[Start],
         predicted: &Isometry3<f64>,
+        is_marked: impl Fn(&Isometry3<f64>) -> bool,
     ) -> Option<Alignment> {
         let mut best: Option<Alignment> = None;
         for start in starts {
@@ -88,7 +90,9 @@ impl Aligner {
                 return Some(found);
             }
             let is_better = |best: &Alignment| found.score.log_ratio > best.score.log_ratio;
-            if found.confirms_track() && best.as_ref().is_none_or(is_better) {
+            let is_confirmed = found.confirms_track()
+                || (found.confirms_marker() && is_marked(&found.camera_from_markers));
+            if is_confirmed && best.as_ref().is_none_or(is_better) {
                 best = Some(found);
             }
         }
@@ -103,12 +107,16 @@ impl Aligner {
         target: usize,
         picture: &Picture<'_>,
         starts: &[Start],
+        is_marked: impl Fn(&Isometry3<f64>) -> bool,
     ) -> Option<Alignment> {
         let found: Vec<Alignment> =
             starts.iter().filter_map(|start| self.align(target, picture, start)).collect();
         let best = found
             .iter()
-            .filter(|found| found.is_believed())
+            .filter(|found| {
+                found.is_believed()
+                    || (found.confirms_marker() && is_marked(&found.camera_from_markers))
+            })
             .max_by(|a, b| a.score.log_ratio.total_cmp(&b.score.log_ratio))?;
         let others = || found.iter().filter(|other| !is_same(best, other));
         let stands_out = best.score.correlation > ALONE_CORRELATION

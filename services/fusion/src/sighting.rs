@@ -66,6 +66,20 @@ pub fn contradicts(body: &Body, rays: &[CornerRay], pose: &Isometry3<f64>) -> bo
     2 * off.count() > rays.len()
 }
 
+/// Whether all corners are seen where `pose` has them, by a twenty-fifth of their marker's side: a tilt
+/// or a range that is off by a tenth moves them farther.
+fn is_where_seen(body: &Body, rays: &[CornerRay], pose: &Isometry3<f64>) -> bool {
+    let is_near = |ray: &CornerRay| {
+        body.marker(ray.marker_id).is_some_and(|marker| {
+            let corner = pose * marker.corners[ray.corner];
+            let side_rad = marker.side() / corner.coords.norm();
+            let expected = Unit::new_normalize(corner.coords);
+            expected.angle(&ray.ray_in_camera) < 0.04 * side_rad
+        })
+    };
+    !rays.is_empty() && rays.iter().all(is_near)
+}
+
 /// Rays of those of `markers` that were decoded and that `body` carries.
 pub fn rays_of<'m>(
     body: &Body,
@@ -156,11 +170,13 @@ impl Look<'_> {
                         .map(|camera_from_markers| Start { camera_from_markers, is_rough }),
                 );
             }
+            let is_marked = |pose: &Isometry3<f64>| is_where_seen(self.body, &self.rays, pose);
             let found = match &self.prior {
                 Some(prior) => {
-                    aligner.follow(self.target, picture, &starts, &prior.camera_from_markers)
+                    let predicted = &prior.camera_from_markers;
+                    aligner.follow(self.target, picture, &starts, predicted, is_marked)
                 }
-                None => aligner.discover(self.target, picture, &starts),
+                None => aligner.discover(self.target, picture, &starts, is_marked),
             };
             let found = found.or_else(|| {
                 let predicted = self.predicted.filter(|_| self.may_search)?;

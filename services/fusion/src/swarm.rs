@@ -205,7 +205,7 @@ impl Swarm {
         }
         let predicted = neighbour.prior(at_s)?.camera_from_markers;
         let start = Start { camera_from_markers: predicted, is_rough: false };
-        let found = self.aligner.follow(target, &view.picture, &[start], &predicted)?;
+        let found = self.aligner.follow(target, &view.picture, &[start], &predicted, |_| false)?;
         if !found.is_believed() || found.score.agreeing_facets < PEEKED_FACETS {
             return None;
         }

@@ -111,6 +111,11 @@ impl Alignment {
         self.score.confirms() && self.is_seen() && self.is_certain()
     }
 
+    /// The same for a body of which markers were decoded where this pose has them.
+    pub fn confirms_marker(&self) -> bool {
+        self.score.supports_marker() && self.is_seen() && self.is_certain()
+    }
+
     /// Whether enough of the body is as modelled: facets can agree by chance where an airframe before
     /// them explains the rest. On simulated flights out to 4 m, one of three poses of which less was
     /// seen was wrong by 11 degrees, none of 1894 of which more was by as much as 7.

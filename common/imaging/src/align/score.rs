@@ -43,6 +43,12 @@ impl Score {
         self.is_accepted() || self.exceeds(&CONFIRMING)
     }
 
+    /// Whether the body is there, of which a marker was decoded where it would be: something may hide
+    /// most of it, but a second facet must say that it is not that marker's mirror image.
+    pub fn supports_marker(&self) -> bool {
+        self.agreeing_facets >= 2 && self.exceeds(&BESIDE_MARKER)
+    }
+
     fn exceeds(&self, limits: &[(f64, f64)]) -> bool {
         limits.iter().any(|&(correlation, log_ratio)| {
             self.correlation > correlation && self.log_ratio > log_ratio
@@ -57,6 +63,9 @@ const ACCEPTED: [(f64, f64); 3] = [(0.7, 8.0), (0.47, 30.0), (0.27, 200.0)];
 /// The same where the body is expected. Wrong bodies, started where the right ones are, reach 0.51
 /// with 16 and 0.22 with 25.
 const CONFIRMING: [(f64, f64); 2] = [(0.8, 25.0), (0.15, 150.0)];
+
+/// The same beside a decoded marker.
+const BESIDE_MARKER: [(f64, f64); 1] = [(0.15, 50.0)];
 
 /// What a single facet must say.
 const ONE_FACET_LOG_RATIO: f64 = 100.0;

@@ -39,7 +39,8 @@ fn of_several_starts_the_right_one_is_discovered() {
     for range_m in [0.8, 1.6, 2.4] {
         let truth = pose(range_m, 0.9);
         let starts = [pose(range_m, 2.0), pose(range_m, -0.6), truth].map(start);
-        let found = look(&truth, |aligner, picture| aligner.discover(0, picture, &starts));
+        let found =
+            look(&truth, |aligner, picture| aligner.discover(0, picture, &starts, |_| false));
         let found = found.expect("one of them is right").camera_from_markers;
         assert!(found.rotation.angle_to(&truth.rotation) < 0.02, "{range_m} m");
         let error = found.translation.vector - truth.translation.vector;
@@ -56,8 +57,8 @@ fn wrong_attitudes_discover_and_confirm_nothing() {
                 let predicted = pose(range_m, 0.9 + turn);
                 let starts = [start(predicted)];
                 let found = [
-                    aligner.discover(0, picture, &starts),
-                    aligner.follow(0, picture, &starts, &predicted),
+                    aligner.discover(0, picture, &starts, |_| false),
+                    aligner.follow(0, picture, &starts, &predicted, |_| false),
                 ];
                 for found in found.into_iter().flatten() {
                     // It may find its way to the truth, and nowhere else.
@@ -74,13 +75,13 @@ fn a_track_is_confirmed_farther_than_it_is_discovered() {
     let truth = pose(3.8, 0.9);
     let starts = [start(truth)];
     look(&truth, |aligner, picture| {
-        assert!(aligner.discover(0, picture, &starts).is_none());
-        let found = aligner.follow(0, picture, &starts, &truth);
+        assert!(aligner.discover(0, picture, &starts, |_| false).is_none());
+        let found = aligner.follow(0, picture, &starts, &truth, |_| false);
         let found = found.expect("it is where it was expected");
         let error = found.camera_from_markers.translation.vector - truth.translation.vector;
         assert!(error.norm() < 0.05, "{} m", error.norm());
         // A few facets may be others' mirror images: then it must not have turned far.
         assert_eq!(found.score.agreeing_facets, 1);
-        assert!(aligner.follow(0, picture, &starts, &pose(3.8, 1.5)).is_none());
+        assert!(aligner.follow(0, picture, &starts, &pose(3.8, 1.5), |_| false).is_none());
     });
 }

@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Matrix6, Vector3};
 use serde::Serialize;
 
 use super::error::PoseError;
-use super::statistics::{effective_samples, mean, quantile};
+use super::statistics::{effective_samples, effective_samples_of_runs, mean, quantile};
 
 /// Degrees of freedom of a position and of a rotation.
 const DEGREES: f64 = 3.0;
@@ -51,10 +51,18 @@ impl Nees {
     /// neighbouring frames go together, so that n is the number of independent samples that tell as
     /// much ([`effective_samples`]).
     pub fn of(series: &[Vec<f64>]) -> Option<Self> {
+        Self::with_effective(series, effective_samples(series))
+    }
+
+    /// The same of independent runs ([`effective_samples_of_runs`]).
+    pub fn of_runs(runs: &[Vec<f64>]) -> Option<Self> {
+        Self::with_effective(runs, effective_samples_of_runs(runs))
+    }
+
+    fn with_effective(series: &[Vec<f64>], effective: f64) -> Option<Self> {
         let mut all = series.concat();
         all.sort_by(f64::total_cmp);
         let mean = mean(&all)?;
-        let effective = effective_samples(series);
         let bound = |share: f64| chi_square_quantile(DEGREES * effective, share) / effective;
         let (low, high) = (bound(0.025), bound(0.975));
         Some(Self {

@@ -68,9 +68,63 @@ pub fn effective_samples(series: &[Vec<f64>]) -> f64 {
     (count / (1.0 + 2.0 * correlated)).max(1.0)
 }
 
+/// The same of independent runs, whatever goes together within each of them: what one flight's path
+/// hides, or its light, all its frames share. The variance of the mean is that of the runs' sums (the
+/// cluster-robust variance; Liang and Zeger, "Longitudinal data analysis using generalized linear
+/// models", 1986). Fewer than [`RUNS_THAT_TELL`] say too little of how they differ; then neighbours
+/// in time are asked as in [`effective_samples`].
+pub fn effective_samples_of_runs(runs: &[Vec<f64>]) -> f64 {
+    let runs: Vec<&[f64]> = runs.iter().map(Vec::as_slice).filter(|run| !run.is_empty()).collect();
+    let all: Vec<f64> = runs.concat();
+    let Some(mean) = mean(&all).filter(|_| runs.len() >= RUNS_THAT_TELL) else {
+        let series: Vec<Vec<f64>> = runs.iter().map(|run| run.to_vec()).collect();
+        return effective_samples(&series);
+    };
+    let squares: f64 = all.iter().map(|value| (value - mean).powi(2)).sum();
+    let of_runs = runs.iter().map(|run| run.iter().map(|value| value - mean).sum::<f64>().powi(2));
+    let of_runs: f64 = of_runs.sum();
+    let (count, runs) = (all.len() as f64, runs.len() as f64);
+    if squares <= 0.0 {
+        return 1.0;
+    }
+    // Runs that do not differ at all divide by nothing: then each sample counts.
+    (count * squares / of_runs * (runs - 1.0) / runs).clamp(1.0, count)
+}
+
+/// So many runs say how runs differ: the deviation of that is then about a sixth of it.
+const RUNS_THAT_TELL: usize = 20;
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn runs_that_differ_count_for_less() {
+        // Each run says one number ten times: ten samples count as one.
+        let alike: Vec<Vec<f64>> = (0..40).map(|run| vec![f64::from(run % 2); 10]).collect();
+        let found = effective_samples_of_runs(&alike);
+        assert!((found - 40.0 * 39.0 / 40.0).abs() < 1e-9, "{found}");
+        // Each says the same two numbers as often: runs do not differ.
+        let unlike: Vec<Vec<f64>> = (0..40).map(|_| vec![0.0, 1.0]).collect();
+        assert_eq!(effective_samples_of_runs(&unlike), 80.0);
+        assert_eq!(effective_samples_of_runs(&vec![vec![2.0]; 30]), 1.0);
+        // Of samples that know nothing of each other each counts.
+        let mut state = 3u64;
+        let mut noise = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            (state >> 11) as f64 / (1u64 << 53) as f64
+        };
+        let free: Vec<Vec<f64>> = (0..2000).map(|_| vec![noise(), noise()]).collect();
+        let share = effective_samples_of_runs(&free) / 4000.0;
+        assert!((share - 1.0).abs() < 0.1, "{share}");
+    }
+
+    #[test]
+    fn of_a_few_runs_neighbours_in_time_are_asked() {
+        let few = [vec![1.0, 1.0, -1.0, -1.0]];
+        assert_eq!(effective_samples_of_runs(&few), effective_samples(&few));
+        assert_eq!(effective_samples_of_runs(&[]), 0.0);
+    }
 
     #[test]
     fn spreads_are_those_computed_by_hand() {

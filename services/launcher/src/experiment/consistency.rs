@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use super::Laboratory;
 use crate::cli::ConsistencyRuns;
-use crate::evaluation::consistency::{Nees, Verdict, in_series, normalised};
+use crate::evaluation::consistency::{Nees, Verdict, normalised};
 use crate::evaluation::error::PoseError;
 use crate::evaluation::{of_measurement, of_track};
 use crate::record::{PoseRow, TruthRow};
@@ -148,9 +148,11 @@ impl Part {
             (bound(0.025)..bound(0.975)).contains(&sum)
         });
         let share = inside.count() as f64 / moments.len() as f64;
-        let series: Vec<Vec<f64>> = numbers.into_iter().flat_map(in_series).collect();
+        let without_frames = |run: Vec<(u64, f64)>| run.into_iter().map(|(_, number)| number);
+        let runs: Vec<Vec<f64>> =
+            numbers.into_iter().map(|run| without_frames(run).collect()).collect();
         Some(Self {
-            nees: Nees::of(&series)?,
+            nees: Nees::of_runs(&runs)?,
             moments: moments.len(),
             inside: (!moments.is_empty()).then_some(share),
         })
