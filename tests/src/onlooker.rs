@@ -1,29 +1,16 @@
 //! Somebody who reads a pipeline's own messages beside its stages, as a viewer does.
 
-use std::rc::Rc;
 use std::time::{Duration, Instant};
 
 use flockeye_contract::{FrameEnd, FrameEnds, Topic, Track, TrackHeader, Tracks};
-use flockeye_runtime::health::SharedCounters;
-use flockeye_runtime::memory::Budget;
+use flockeye_runtime::onlooker;
 use flockeye_runtime::ports::{Ports, Subscriber};
-use iceoryx2::prelude::{NodeBuilder, SignalHandlingMode, ipc};
 
 use crate::{Flight, Scratch, WATCHDOG, flockeye};
 
 /// Joins a pipeline as a tool does, once its launcher has written what there is to read.
 pub fn join(flight: &mut Flight) -> Ports {
-    retry(flight, |flight| {
-        let pipeline = flight.instance.pipeline().ok()?;
-        let largest_side = pipeline.bodies().ok()?.largest_side();
-        let budget = Budget::of(&pipeline, pipeline.largest_view_px(largest_side).ok()?);
-        let node = NodeBuilder::new()
-            .signal_handling_mode(SignalHandlingMode::Disabled)
-            .config(&flight.instance.iceoryx2().ok()?)
-            .create::<ipc::Service>()
-            .ok()?;
-        Some(Ports::new(Rc::new(node), budget, SharedCounters::default()))
-    })
+    retry(flight, |flight| Some(onlooker::join(&flight.instance).ok()?.0))
 }
 
 /// Subscribes to a topic, once the launcher has created it.

@@ -38,7 +38,19 @@ impl FrameStamp {
     pub fn is_same_frame(&self, other: &Self) -> bool {
         self.order() == other.order()
     }
+
+    /// Whether what this frame says comes too late beside what `newest` said. Fusion may say what one
+    /// frame shows of a neighbour after what the next does, and whoever wants only the last word must
+    /// not get an old one. A frame that is behind by more than [`LATEST_BY_FRAMES`], or of another epoch,
+    /// is not late: its source has begun anew.
+    pub fn is_late_beside(&self, newest: &Self) -> bool {
+        (self.source_generation, self.epoch) == (newest.source_generation, newest.epoch)
+            && (1..=LATEST_BY_FRAMES).contains(&newest.sequence.wrapping_sub(self.sequence))
+    }
 }
+
+/// See [`FrameStamp::is_late_beside`].
+pub const LATEST_BY_FRAMES: u64 = 64;
 
 /// Header of a frame. Payload: the luma plane, `stride * height` bytes, then chroma for `nv12`.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]

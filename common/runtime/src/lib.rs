@@ -10,6 +10,7 @@
 //! | [`instance`] | where one pipeline's shared memory and files live, and who owns it |
 //! | [`memory`] | how large each topic's shared memory is, and whether it fits |
 //! | [`ports`] | publishers and subscribers of the contract's topics |
+//! | [`onlooker`] | reading a running pipeline beside its stages |
 //! | [`stage`] | the loop: wait, step, send health, drain, stop |
 //! | [`credits`] | when a source may send its next frame |
 //! | [`sphere`] | the configured camera and the views that cover its sphere |
@@ -28,6 +29,7 @@ pub mod instance;
 pub mod logs;
 pub mod memory;
 pub mod network;
+pub mod onlooker;
 pub mod ports;
 pub mod sphere;
 pub mod stage;

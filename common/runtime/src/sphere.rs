@@ -47,6 +47,11 @@ pub enum SphereViewsError {
 /// Overlap of the far views, radians: who is looked for there is so far that its markers are smaller.
 const FAR_MARGIN_RAD: f64 = 2.5 / 180.0 * PI;
 
+/// The side of the largest of these views, pixels, if no message can carry it.
+fn too_large(views: &[View]) -> Option<u32> {
+    views.iter().map(|view| view.size_px).max().filter(|&size_px| size_px > MAX_VIEW_PX)
+}
+
 /// Method, number of views and seed.
 type Key = (Method, usize, u64);
 
@@ -129,11 +134,9 @@ impl Pipeline {
         let pixels_per_radian =
             self.camera_model()?.pixels_per_radian() * self.partition_magnification();
         let views = self.sphere_partition()?.views(margin_rad, pixels_per_radian)?;
-        match views.iter().map(|view| view.size_px).max() {
-            Some(size_px) if size_px > MAX_VIEW_PX => {
-                Err(SphereViewsError::TooLarge { count: views.len(), size_px })
-            }
-            _ => Ok(views),
+        match too_large(&views) {
+            Some(size_px) => Err(SphereViewsError::TooLarge { count: views.len(), size_px }),
+            None => Ok(views),
         }
     }
 
@@ -155,11 +158,9 @@ impl Pipeline {
         let partition = Partition::of(Method::Covering, count, partition::STORED_SEED)?;
         let pixels_per_radian = self.camera_model()?.pixels_per_radian() * magnification;
         let views = partition.views(FAR_MARGIN_RAD, pixels_per_radian)?;
-        match views.iter().map(|view| view.size_px).max() {
-            Some(size_px) if size_px > MAX_VIEW_PX => {
-                Err(SphereViewsError::FarTooLarge { size_px })
-            }
-            _ => Ok(views),
+        match too_large(&views) {
+            Some(size_px) => Err(SphereViewsError::FarTooLarge { size_px }),
+            None => Ok(views),
         }
     }
 

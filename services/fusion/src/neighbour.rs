@@ -77,6 +77,12 @@ impl Neighbour {
         })
     }
 
+    /// Whether a sighting is one that its track expects.
+    pub fn expects(&self, at_s: f64, sighting: &Sighting) -> bool {
+        let pose = &sighting.pose;
+        self.life.fits(at_s, &pose.camera_from_markers, &pose.covariance)
+    }
+
     /// A frame shows it. `None` where the measurement can mean nothing (a time that lies before
     /// the track's, numbers that are none).
     pub fn seen(&mut self, at_s: f64, sighting: &Sighting) -> Option<Known> {

@@ -210,6 +210,9 @@ impl Swarm {
             return None;
         }
         let sighting = self.corrected(Sighting::aligned(&found, 0), view.rays_m);
+        if !self.neighbours[target].expects(at_s, &sighting) {
+            return None;
+        }
         let update = self.take_in(order, at_s, target, &sighting)?;
         let looked = self.looked.entry(order).or_default();
         looked.peeked.insert(target, found.camera_from_markers);

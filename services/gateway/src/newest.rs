@@ -4,26 +4,19 @@ use std::collections::BTreeMap;
 
 use flockeye_contract::FrameStamp;
 
-/// A frame behind by more was not late: its source has begun anew without saying so.
-const LATEST_BY_FRAMES: u64 = 64;
-
 /// The newest frame of each target.
 #[derive(Debug, Default)]
 pub struct Newest(BTreeMap<u32, FrameStamp>);
 
 impl Newest {
-    /// Whether what this frame says of a target is not older than what was said of it before; then it
-    /// is what was said last. Fusion may say what one frame shows of a neighbour after what the next
-    /// does, and whoever hears only the last word must not get an old one.
+    /// Whether what this frame says of a target is not late ([`FrameStamp::is_late_beside`]); then it is
+    /// what was said last.
     pub fn is_newest(&mut self, target: u32, stamp: &FrameStamp) -> bool {
-        let is_older = self.0.get(&target).is_some_and(|last| {
-            (last.source_generation, last.epoch) == (stamp.source_generation, stamp.epoch)
-                && (1..=LATEST_BY_FRAMES).contains(&last.sequence.wrapping_sub(stamp.sequence))
-        });
-        if !is_older {
+        let is_late = self.0.get(&target).is_some_and(|last| stamp.is_late_beside(last));
+        if !is_late {
             self.0.insert(target, *stamp);
         }
-        !is_older
+        !is_late
     }
 }
 

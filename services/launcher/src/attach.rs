@@ -1,14 +1,11 @@
 //! A running pipeline's messages, read beside its stages.
 
-use std::rc::Rc;
-
 use anyhow::{Context, bail, ensure};
 use flockeye_runtime::config::Pipeline;
-use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::instance::Instance;
-use flockeye_runtime::memory::Budget;
+use flockeye_runtime::onlooker;
 use flockeye_runtime::ports::Ports;
-use iceoryx2::prelude::*;
+use iceoryx2::prelude::{LogLevel, set_log_level};
 
 use crate::cli::Running;
 
@@ -28,19 +25,8 @@ pub struct Attached {
 /// None runs, several do and none was named, or it has no room for another reader.
 pub fn attach(running: &Running) -> anyhow::Result<Attached> {
     let instance = choose(running)?;
-    let pipeline = instance.pipeline()?;
-    let budget =
-        Budget::of(&pipeline, pipeline.largest_view_px(pipeline.bodies()?.largest_side())?);
     set_log_level(LogLevel::Fatal);
-    let node = NodeBuilder::new()
-        .name(&NodeName::new("onlooker").context("node name")?)
-        .signal_handling_mode(SignalHandlingMode::Disabled)
-        .config(&instance.iceoryx2()?)
-        .create::<ipc::Service>()
-        .map_err(|error| {
-            anyhow::anyhow!("cannot join the instance '{}': {error:?}", instance.name())
-        })?;
-    let ports = Ports::new(Rc::new(node), budget, SharedCounters::default());
+    let (ports, pipeline) = onlooker::join(&instance)?;
     Ok(Attached { ports, pipeline, instance })
 }
 

@@ -1,8 +1,9 @@
 //! `flockeye check`: what a configuration means on this machine, before anything runs.
 
 use std::fmt::Write;
+use std::time::Duration;
 
-use anyhow::Context;
+use anyhow::{Context, ensure};
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::partition;
 use flockeye_geometry::view::View;
@@ -12,6 +13,7 @@ use flockeye_runtime::memory::{Budget, shared_memory_space};
 
 use crate::cli::Check;
 use crate::screen::Screen;
+use crate::up::{self, Errand};
 
 /// Checks, and prints the plan.
 ///
@@ -28,7 +30,42 @@ pub fn run(arguments: &Check) -> anyhow::Result<()> {
     screen.line(&format!("/dev/shm has {:.0} MB free", free as f64 / 1e6));
     budget.check(free, total)?;
     screen.line("everything is in order");
+    if let Some(duration) = arguments.measure {
+        screen.line(&measured(arguments, duration)?);
+    }
     Ok(())
+}
+
+/// What a short flight in an instance of its own says of this machine.
+fn measured(arguments: &Check, duration: Duration) -> anyhow::Result<String> {
+    let own = [format!("instance=m{}", std::process::id()), "gateway.enabled=false".to_owned()];
+    let pipeline = arguments.configuration.load_between(&[], &own)?;
+    let errand =
+        Errand { duration: Some(duration), keeps: true, watches_sweep: true, ..Errand::default() };
+    let mut log = Screen::muted();
+    let stopping = up::stopped_by_signals()?;
+    let flown = up::fly(&pipeline, &errand, &mut log, &stopping)
+        .with_context(|| format!("{}the flight to measure this machine", log.kept()))?;
+    let frames = flown.frames.len();
+    ensure!(
+        frames > 1,
+        "{}in {:.1} s no two frames were searched. Cure: measure for longer",
+        log.kept(),
+        duration.as_secs_f64()
+    );
+    let measured = flown.poses.iter().filter(|row| row.is_measured()).count();
+    let mut text = format!(
+        "measured {frames} frames, {:.1}/s, with {:.1} neighbours tracked",
+        (frames - 1) as f64 / flown.ends_s,
+        measured as f64 / frames as f64
+    );
+    match flown.sweep {
+        Some(sweep) => {
+            write!(text, ": {sweep}. A newcomer waits as long for its first search")?;
+        }
+        None => write!(text, ": every frame is searched from its beginning")?,
+    }
+    Ok(text)
 }
 
 fn plan(

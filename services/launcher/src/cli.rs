@@ -104,6 +104,9 @@ pub struct Check {
     /// Which configuration.
     #[command(flatten)]
     pub configuration: Configuration,
+    /// Fly it for so long, and say how soon a newcomer is found on this machine.
+    #[arg(long, value_name = "DURATION", value_parser = duration)]
+    pub measure: Option<Duration>,
 }
 
 /// Which running pipeline.

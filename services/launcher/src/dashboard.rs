@@ -12,6 +12,7 @@ use flockeye_contract::{
 use nalgebra::Vector3;
 
 use crate::evaluation::statistics::quantile;
+use crate::sweep::SweepReport;
 pub use report::{LatencyReport, NeighbourReport, Report, StageReport};
 
 /// A stage that says nothing for this long is not well, nanoseconds.
@@ -30,6 +31,7 @@ pub struct Dashboard {
     frames_skipped: u64,
     last_frame: Option<FrameStamp>,
     has_truth: bool,
+    sphere: Option<SweepReport>,
 }
 
 struct StageView {
@@ -129,6 +131,11 @@ impl Dashboard {
         }
     }
 
+    /// How often the sphere is searched.
+    pub fn sphere(&mut self, sphere: Option<SweepReport>) {
+        self.sphere = sphere;
+    }
+
     /// Tracks that came with a frame.
     pub fn tracks(&mut self, stamp: &FrameStamp, tracks: &[Track], is_last: bool, now_ns: i64) {
         let truth = self.truths.iter().rev().find(|(of, _)| of.is_same_frame(stamp));
@@ -154,8 +161,7 @@ impl Dashboard {
             } else {
                 neighbour.coasted += 1;
             }
-            // What an older frame says may come behind what a newer one does.
-            if neighbour.stamp.is_none_or(|last| last.order() <= stamp.order()) {
+            if neighbour.stamp.is_none_or(|last| !stamp.is_late_beside(&last)) {
                 neighbour.stamp = Some(*stamp);
                 neighbour.last = Some((*track, now_ns));
             }
@@ -239,6 +245,9 @@ impl Dashboard {
                 track.markers,
                 neighbour.error_m.map_or("-".to_owned(), |error| format!("{:.1}", error * 1e3)),
             );
+        }
+        if let Some(sphere) = &self.sphere {
+            text += &format!("sphere: {sphere}\n");
         }
         text
     }

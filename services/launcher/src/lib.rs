@@ -16,6 +16,7 @@
 //! | [`partition`] | partitions of the sphere as table, JSON and drawings |
 //! | [`markers`] | a body's facets on paper, to print and glue |
 //! | [`calibrate`] | where a body's markers really are |
+//! | [`sweep`] | how often each part of the sphere is searched |
 //! | [`top`] | where a running pipeline's time goes, live or as JSON |
 //! | [`trace`] | frames' ways through all processes, for Perfetto |
 //! | [`attach`] | a running pipeline's messages, read beside its stages |
@@ -41,6 +42,7 @@ pub mod report;
 pub mod schema;
 pub mod screen;
 mod svg;
+pub mod sweep;
 pub mod top;
 pub mod trace;
 pub mod up;

@@ -11,6 +11,7 @@ use crate::attach::{Attached, attach};
 use crate::cli;
 use crate::dashboard::Dashboard;
 use crate::screen::Screen;
+use crate::sweep::SweepWatch;
 use crate::up::stopped_by_signals;
 
 /// Health comes four times a second: after this long, rates are of several reports.
@@ -25,10 +26,11 @@ const PRINT_PERIOD: Duration = Duration::from_secs(1);
 /// No such pipeline runs.
 pub fn run(arguments: &cli::Top) -> anyhow::Result<()> {
     let stopping = stopped_by_signals()?;
-    let Attached { mut ports, instance, .. } = attach(&arguments.running)?;
+    let Attached { mut ports, instance, pipeline } = attach(&arguments.running)?;
     let mut healths = ports.subscriber::<Healths>()?;
     let mut tracks = ports.subscriber::<Tracks>()?;
     let mut truths = ports.subscriber::<Truths>()?;
+    let mut sweep = SweepWatch::open(&pipeline, &mut ports)?;
     let mut dashboard = Dashboard::default();
     let mut screen = Screen::new();
     let start = Instant::now();
@@ -45,6 +47,10 @@ pub fn run(arguments: &cli::Top) -> anyhow::Result<()> {
             let is_last = message.header.is_last != 0;
             let now_ns = clock::monotonic_ns();
             dashboard.tracks(&message.header.stamp, message.items(), is_last, now_ns);
+        }
+        if let Some(sweep) = &mut sweep {
+            sweep.receive()?;
+            dashboard.sphere(sweep.report());
         }
         let is_over = stopping.load(Ordering::Relaxed)
             || arguments.duration.is_some_and(|duration| start.elapsed() >= duration);

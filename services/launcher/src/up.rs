@@ -28,6 +28,7 @@ use crate::dashboard::Dashboard;
 use crate::process::{Change, LogLine, Process};
 use crate::record::{PoseRow, Recorder, TruthRow};
 use crate::screen::Screen;
+use crate::sweep::{SweepReport, SweepWatch};
 
 /// How long stages get to stop by themselves; with what follows, Ctrl-C takes under 2 seconds.
 const STOP_TIME: Duration = Duration::from_millis(1400);
@@ -55,6 +56,8 @@ pub struct Errand<'a> {
     pub keeps: bool,
     /// Whether the rays of decoded markers are.
     pub keeps_rays: bool,
+    /// Whether it is noted how often each part of the sphere is searched.
+    pub watches_sweep: bool,
 }
 
 /// What came of a flight.
@@ -74,6 +77,8 @@ pub struct Flown {
     pub ends_s: f64,
     /// When the first frame ended, CLOCK_MONOTONIC, nanoseconds.
     pub first_end_ns: Option<i64>,
+    /// How often each part of the sphere was searched, where that was asked for.
+    pub sweep: Option<SweepReport>,
 }
 
 impl Flown {
@@ -151,6 +156,7 @@ struct Launcher<'a> {
     healths: Subscriber<Healths>,
     truths: Subscriber<Truths>,
     detections: Option<Subscriber<Detections>>,
+    sweep: Option<SweepWatch>,
     ports: Option<Ports>,
     _services: Vec<TopicServices>,
     node: Rc<Node<ipc::Service>>,
@@ -217,6 +223,10 @@ impl<'a> Launcher<'a> {
             healths: ports.subscriber()?,
             truths: ports.subscriber()?,
             detections: errand.keeps_rays.then(|| ports.subscriber()).transpose()?,
+            sweep: match errand.watches_sweep {
+                true => SweepWatch::open(pipeline, &mut ports)?,
+                false => None,
+            },
             ports: Some(ports),
             _services: services,
             node,
@@ -288,6 +298,9 @@ impl<'a> Launcher<'a> {
             while let Some(message) = detections.receive()? {
                 self.flown.rays.add(&message.header, message.items());
             }
+        }
+        if let Some(sweep) = &mut self.sweep {
+            sweep.receive()?;
         }
         while let Some(message) = self.tracks.receive()? {
             let stamp = message.header.stamp;
@@ -426,6 +439,7 @@ impl<'a> Launcher<'a> {
             recorder.finish()?;
         }
         let mut flown = std::mem::take(&mut self.flown);
+        flown.sweep = self.sweep.as_ref().and_then(SweepWatch::report);
         flown.poses.retain(|row| flown.frames.contains(&row.frame));
         // Shared memory is unmapped before its files are removed.
         drop(self);

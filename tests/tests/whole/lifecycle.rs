@@ -2,18 +2,15 @@
 
 use std::net::TcpListener;
 use std::process::Command;
-use std::rc::Rc;
 use std::time::{Duration, Instant};
 
 use flockeye_contract::wire::{POSE_SCHEMA, PoseReport};
 use flockeye_contract::{Health, Healths, MeasuredBy, Track, TrackHeader, Tracks};
 use flockeye_launcher::record::{PoseRow, TruthRow, read};
 use flockeye_runtime::clock;
-use flockeye_runtime::health::SharedCounters;
-use flockeye_runtime::memory::Budget;
+use flockeye_runtime::onlooker;
 use flockeye_runtime::ports::{Ports, Subscriber};
 use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, flockeye, run, unique};
-use iceoryx2::prelude::{NodeBuilder, SignalHandlingMode, ipc};
 use rustix::process::{Pid, Signal, kill_process};
 
 /// What is said of the neighbour once it is tracked.
@@ -54,16 +51,7 @@ struct Onlooker {
 
 impl Onlooker {
     fn of(flight: &Flight) -> Self {
-        let pipeline = flight.instance.pipeline().expect("the flight has begun");
-        let largest_side = pipeline.bodies().expect("they were read before").largest_side();
-        let largest_view = pipeline.largest_view_px(largest_side).expect("as in the launcher");
-        let node = NodeBuilder::new()
-            .signal_handling_mode(SignalHandlingMode::Disabled)
-            .config(&flight.instance.iceoryx2().expect("its folder is known"))
-            .create::<ipc::Service>()
-            .expect("there is room for an onlooker");
-        let budget = Budget::of(&pipeline, largest_view);
-        let mut ports = Ports::new(Rc::new(node), budget, SharedCounters::default());
+        let (mut ports, _) = onlooker::join(&flight.instance).expect("the flight has begun");
         Self {
             tracks: ports.subscriber().expect("there is room for an onlooker"),
             healths: ports.subscriber().expect("there is room for an onlooker"),

@@ -1,8 +1,12 @@
 //! `flockeye top` and `flockeye trace` beside a running pipeline.
 
 use std::collections::BTreeSet;
+use std::time::{Duration, Instant};
 
-use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, run};
+use flockeye_contract::Tracks;
+use flockeye_launcher::sweep::SweepWatch;
+use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, onlooker, run};
+use rustix::process::{Signal, kill_process};
 use serde_json::Value;
 
 #[test]
@@ -25,6 +29,8 @@ fn a_running_pipeline_is_watched_and_traced() {
         assert!(stage["queued"].is_u64() && stage["dropped"].is_u64(), "{stage}");
         assert!(stage["latency_p99_ms"].as_f64() >= stage["latency_median_ms"].as_f64());
     }
+    let sphere = &report["sphere"]["partitions"];
+    assert!(sphere["views"].as_u64() >= Some(4) && sphere["worst_frames"].is_u64(), "{report}");
     let alpha = &report["neighbours"][0];
     assert_eq!(alpha["name"], "alpha");
     let age_ms = alpha["age_ms"].as_f64().expect("a number");
@@ -63,7 +69,66 @@ fn a_running_pipeline_is_watched_and_traced() {
     let (is_well, said) = run(&["trace", "--instance", &name, "--out", nowhere]);
     assert!(!is_well && said.contains("cannot write /nowhere/at/all.json"), "{said}");
 
-    flight.signal(rustix::process::Signal::INT);
+    flight.signal(Signal::INT);
+    assert!(flight.wait().success(), "{}", flight.output());
+    flight.assert_nothing_left();
+}
+
+#[test]
+fn check_measures_how_soon_a_newcomer_is_found() {
+    let set = SMALL_FLIGHT.iter().flat_map(|set| ["--set", *set]);
+    let arguments: Vec<&str> = ["check", "--measure", "3s"].into_iter().chain(set).collect();
+    let (is_well, said) = run(&arguments);
+    assert!(is_well, "{said}");
+    let measured = said.lines().last().expect("a line");
+    for part in ["measured ", "neighbours tracked", "each partition every ", " at most)"] {
+        assert!(measured.contains(part), "no {part:?} in:\n{said}");
+    }
+    let (is_well, said) = run(&["check", "--measure", "0s"]);
+    assert!(!is_well && said.contains("no two frames were searched. Cure:"), "{said}");
+}
+
+/// Fusion is replaced and knows nobody: its neighbour is a newcomer to it, who must be found as soon
+/// as the sphere is searched once, however slow the machine is.
+#[test]
+fn a_newcomer_is_found_before_the_sphere_is_searched_twice() {
+    let mut flight = Flight::start("newcomer", &[], SMALL_FLIGHT);
+    flight.wait_for("alpha confirmed");
+    let pipeline = flight.instance.pipeline().expect("it was written");
+    let mut ports = onlooker::join(&mut flight);
+    let mut tracks = onlooker::subscribe::<Tracks>(&mut flight, &mut ports);
+    let mut sweep = SweepWatch::open(&pipeline, &mut ports).expect("room").expect("gaze sweeps");
+    let (mut first, mut found) = (None, None);
+    let fusion = flight.stages("flockeye-fusion");
+    assert_eq!(fusion.len(), 1, "{fusion:?}");
+    kill_process(fusion[0], Signal::KILL).expect("it runs");
+    let start = Instant::now();
+    ports
+        .attend(|| {
+            assert!(start.elapsed() < WATCHDOG, "nobody is found:\n{}", flight.output());
+            sweep.receive()?;
+            while let Some(message) = tracks.receive()? {
+                if message.header.generation == 0 {
+                    continue;
+                }
+                let frame = message.header.stamp.sequence;
+                first.get_or_insert(frame);
+                if !message.items().is_empty() {
+                    found.get_or_insert(frame);
+                }
+            }
+            // What is searched meanwhile has gaps too: the longest is known at the end of a sweep.
+            let is_swept = sweep
+                .report()
+                .is_some_and(|report| report.partitions.mean_frames.is_some() && found.is_some());
+            Ok((!is_swept).then_some(Duration::from_millis(20)))
+        })
+        .expect("messages can be waited for");
+    let waited = found.expect("it was found") - first.expect("a frame was searched");
+    let report = sweep.report().expect("views were searched");
+    assert!(waited <= report.partitions.worst_frames, "found after {waited} frames; {report}");
+    drop((tracks, sweep, ports));
+    flight.signal(Signal::INT);
     assert!(flight.wait().success(), "{}", flight.output());
     flight.assert_nothing_left();
 }

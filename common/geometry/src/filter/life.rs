@@ -183,6 +183,17 @@ impl LifeCycle {
         Ok(if jumped { Happened::Restarted } else { happened })
     }
 
+    /// Whether the track would take in what was measured at `stamp_s`, and go on: it lies inside the gate.
+    pub fn fits(
+        &self,
+        stamp_s: f64,
+        observer_from_target: &Isometry3<f64>,
+        covariance: &Matrix6<f64>,
+    ) -> bool {
+        let happened = self.clone().measured(stamp_s, observer_from_target, covariance);
+        matches!(happened, Ok(Happened::Updated(_)))
+    }
+
     /// A frame exposed at `stamp_s` in which nothing was measured of the neighbour although all
     /// that was to be searched was. Returns the state after all frames so far. A frame from before
     /// the history, and one that something was measured in, changes nothing.

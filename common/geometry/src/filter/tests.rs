@@ -275,10 +275,13 @@ fn a_wrong_track_begins_anew_from_what_contradicts_it() {
         life.measured(frame(k), &pose, &covariance()).unwrap();
     }
     for k in 5..7 {
+        assert!(life.fits(frame(k), &pose, &covariance()));
+        assert!(!life.fits(frame(k), &other, &covariance()));
         let happened = life.measured(frame(k), &other, &covariance()).unwrap();
         assert!(matches!(happened, Happened::Gated(_)));
         assert_eq!(life.state(), Some(TrackState::Coasting));
     }
+    assert!(!life.fits(frame(7), &other, &covariance()), "it would begin anew");
     assert_eq!(life.measured(frame(7), &other, &covariance()).unwrap(), Happened::Restarted);
     assert_eq!(life.state(), Some(TrackState::Tentative));
     assert_eq!(life.track().unwrap().now().observer_from_target, other);

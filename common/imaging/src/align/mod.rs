@@ -285,7 +285,8 @@ impl Frame {
         }
         let (fit, score) = self.fit_what_is_seen(print, state)?;
         let along = self.common_error(print, &fit.state.patch_from_markers);
-        let covariance = fit.covariance * options.covariance_scale + along;
+        let unnoticed = 1.0 + RIM * (1.0 - fit.share_seen).powi(2);
+        let covariance = fit.covariance * (unnoticed * options.covariance_scale) + along;
         let camera_from_patch = patch.view_from_camera.inverse();
         let turn = camera_from_patch.to_rotation_matrix().into_inner();
         let mut axes = Matrix6::zeros();
@@ -357,6 +358,11 @@ impl Frame {
 
 /// Deviation of what all edges are off together, pixels of the sphere image.
 const EDGE_ERROR_PX: f64 = 0.009;
+
+/// What hides a body shows through the point spread beyond what is left out, all along its rim: that error
+/// grows with the share that is hidden, and the covariance of what is left with the square of it, by this.
+/// On simulated flights NEES was 2.9 where nothing was hidden, 4 to 7 where 30 to 60 % were.
+const RIM: f64 = 3.0;
 
 /// A fit without hidden facets may have so little of the log-likelihood ratio that it had with them.
 const LOST: f64 = 0.8;

@@ -178,12 +178,17 @@ impl Meaning<'_> {
         let error = match pipeline.partition_field_rad(largest_m) {
             Err(error) => error,
             Ok(_) => {
-                if let Err(error @ SphereViewsError::TooLarge { .. }) =
-                    pipeline.partition_views(largest_m)
-                {
+                let near = pipeline.partition_views(largest_m);
+                for error in [near.err(), pipeline.far_views().err()].into_iter().flatten() {
+                    let path = match error {
+                        SphereViewsError::TooLarge { .. } => "partition.count",
+                        SphereViewsError::FarTooLarge { .. } => "search.far_magnification",
+                        // A camera that cannot be is said where it is written.
+                        SphereViewsError::Camera(_) | SphereViewsError::Partition(_) => continue,
+                    };
                     let text = error.to_string();
-                    let what = text.trim_start_matches("partition.count: ").to_owned();
-                    self.problem("partition.count", what);
+                    let what = text.trim_start_matches(&format!("{path}: ")).to_owned();
+                    self.problem(path, what);
                 }
                 return;
             }

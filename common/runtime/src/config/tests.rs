@@ -191,6 +191,10 @@ const WRONG: &[(&str, &[&str])] = &[
     ("stages: {fusion: {cpus: 0}}", &["stages.fusion.cpus", "must be a list"]),
     ("search: {far_magnification: 9}", &["search.far_magnification", "1", "3"]),
     (
+        "camera: {width: 16384, height: 8192}\nsearch: {far_magnification: 3}",
+        &["line 2", "search.far_magnification: far views", "a smaller magnification"],
+    ),
+    (
         "stages: {detection: {command: python3 my.py}}",
         &["stages.detection.command", "must be a list"],
     ),

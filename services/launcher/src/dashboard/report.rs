@@ -4,6 +4,7 @@ use flockeye_contract::{MeasuredBy, StageState, Track};
 use serde::Serialize;
 
 use super::{Dashboard, SILENCE_NS};
+use crate::sweep::SweepReport;
 
 /// The pipeline at one moment.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -12,6 +13,8 @@ pub struct Report {
     pub frames: u64,
     /// Frames that the source sent meanwhile and nobody worked on.
     pub skipped: u64,
+    /// How often each part of the sphere was searched since one looks; none where it is not swept.
+    pub sphere: Option<SweepReport>,
     /// Each process, by stage and number.
     pub stages: Vec<StageReport>,
     /// Each neighbour that was seen since one looks, by name.
@@ -136,6 +139,7 @@ impl Dashboard {
         Report {
             frames: self.frames_ended,
             skipped: self.frames_skipped,
+            sphere: self.sphere,
             stages: stages.collect(),
             neighbours: neighbours.collect(),
         }

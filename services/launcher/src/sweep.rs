@@ -1,0 +1,259 @@
+//! How often each part of the sphere is searched, by what the stages say of their own work.
+//!
+//! A newcomer is found when the part that shows it is searched next. So the longest time between two
+//! searches of one part is how many frames a newcomer inside the detection range may stay unseen.
+
+use std::collections::VecDeque;
+use std::fmt;
+
+use flockeye_contract::{DetectionHeader, Detections, PlannedView, Plans};
+use flockeye_runtime::config::{Mode, Pipeline};
+use flockeye_runtime::ports::{PortError, Ports, Subscriber};
+use serde::Serialize;
+
+/// Plans that answers may still come to.
+const PLANS_KEPT: usize = 64;
+
+/// Frames between two searches of one part of the sphere.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Gaps {
+    /// Parts.
+    pub views: usize,
+    /// Their mean; a part that was not searched twice says nothing here.
+    pub mean_frames: Option<f64>,
+    /// The longest, the ones that still last included.
+    pub worst_frames: u64,
+}
+
+/// How often the sphere is searched.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct SweepReport {
+    /// Frames that were looked at.
+    pub frames: u64,
+    /// The partitions.
+    pub partitions: Gaps,
+    /// The far views, where there are any.
+    pub far_views: Option<Gaps>,
+}
+
+impl fmt::Display for SweepReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let every = |gaps: &Gaps| {
+            let mean = gaps.mean_frames.map_or("-".to_owned(), |mean| format!("{mean:.1}"));
+            format!("every {mean} frames ({} at most)", gaps.worst_frames)
+        };
+        write!(f, "each partition {}", every(&self.partitions))?;
+        match &self.far_views {
+            Some(far) => write!(f, ", each far view {}", every(far)),
+            None => Ok(()),
+        }
+    }
+}
+
+/// When each part of the sphere was searched.
+#[derive(Debug)]
+pub struct Sweep {
+    /// Partitions; what is numbered behind them are far views.
+    partitions: usize,
+    parts: Vec<Part>,
+    /// Of each plan, which part each of its views shows.
+    plans: VecDeque<(u64, Vec<u32>)>,
+    /// The source and its epoch; numbers of frames mean nothing across them.
+    epoch: Option<(u32, u32)>,
+    first: Option<u64>,
+    newest: u64,
+}
+
+#[derive(Debug, Clone, Copy, Default)]
+struct Part {
+    last: Option<u64>,
+    sum: u64,
+    gaps: u64,
+    worst: u64,
+}
+
+impl Sweep {
+    /// Of so many partitions and far views.
+    pub fn new(partitions: usize, far_views: usize) -> Self {
+        Self {
+            partitions,
+            parts: vec![Part::default(); partitions + far_views],
+            plans: VecDeque::new(),
+            epoch: None,
+            first: None,
+            newest: 0,
+        }
+    }
+
+    /// A plan was made.
+    pub fn plan(&mut self, plan_id: u64, views: &[PlannedView]) {
+        let parts = views.iter().map(|view| view.partition).collect();
+        self.plans.push_back((plan_id, parts));
+        if self.plans.len() > PLANS_KEPT {
+            self.plans.pop_front();
+        }
+    }
+
+    /// A view was searched.
+    pub fn searched(&mut self, header: &DetectionHeader) {
+        let stamp = &header.stamp;
+        let epoch = (stamp.source_generation, stamp.epoch);
+        if self.epoch != Some(epoch) {
+            self.epoch = Some(epoch);
+            (self.first, self.newest) = (None, stamp.sequence);
+            self.parts.iter_mut().for_each(|part| part.last = None);
+        }
+        self.first.get_or_insert(stamp.sequence);
+        self.newest = self.newest.max(stamp.sequence);
+        // Fusion's successor counts its plans anew: the newest of that number.
+        let plan = self.plans.iter().rev().find(|(id, _)| *id == header.plan_id);
+        let part = plan
+            .and_then(|(_, parts)| parts.get(header.view_index as usize))
+            .and_then(|&part| self.parts.get_mut(part as usize))
+            .filter(|_| header.failed == 0);
+        let Some(part) = part else { return };
+        // Records of a frame may come behind those of the next.
+        if let Some(gap) = part.last.map_or(Some(0), |last| stamp.sequence.checked_sub(last)) {
+            if part.last.is_some() && gap > 0 {
+                (part.sum, part.gaps) = (part.sum + gap, part.gaps + 1);
+                part.worst = part.worst.max(gap);
+            }
+            part.last = Some(stamp.sequence);
+        }
+    }
+
+    /// What it came to; `None` before the first record.
+    pub fn report(&self) -> Option<SweepReport> {
+        let first = self.first?;
+        let (near, far) = self.parts.split_at(self.partitions);
+        let gaps = |parts: &[Part]| {
+            let (sum, count) =
+                parts.iter().fold((0, 0), |(sum, gaps), part| (sum + part.sum, gaps + part.gaps));
+            let open = |part: &Part| self.newest - part.last.unwrap_or(first).min(self.newest);
+            Gaps {
+                views: parts.len(),
+                mean_frames: (count > 0).then(|| sum as f64 / count as f64),
+                worst_frames: parts
+                    .iter()
+                    .map(|part| part.worst.max(open(part)))
+                    .max()
+                    .unwrap_or(0),
+            }
+        };
+        Some(SweepReport {
+            frames: self.newest - first + 1,
+            partitions: gaps(near),
+            far_views: (!far.is_empty()).then(|| gaps(far)),
+        })
+    }
+}
+
+/// A [`Sweep`] of a running pipeline.
+pub struct SweepWatch {
+    plans: Subscriber<Plans>,
+    detections: Subscriber<Detections>,
+    sweep: Sweep,
+}
+
+impl SweepWatch {
+    /// Looks on. `None` where nothing is swept: other searches than gaze begin each frame anew.
+    ///
+    /// # Errors
+    /// The topics have no room for another reader; a configuration that cannot be followed.
+    pub fn open(pipeline: &Pipeline, ports: &mut Ports) -> anyhow::Result<Option<Self>> {
+        if pipeline.search.mode != Mode::Gaze {
+            return Ok(None);
+        }
+        let partitions = pipeline.partition_views(pipeline.bodies()?.largest_side())?.len();
+        let sweep = Sweep::new(partitions, pipeline.far_views()?.len());
+        let (plans, detections) = (ports.subscriber()?, ports.subscriber()?);
+        Ok(Some(Self { plans, detections, sweep }))
+    }
+
+    /// Takes in what has come.
+    ///
+    /// # Errors
+    /// The topics cannot be read.
+    pub fn receive(&mut self) -> Result<(), PortError> {
+        // First, for records answer to plans.
+        while let Some(plan) = self.plans.receive()? {
+            self.sweep.plan(plan.header.plan_id, plan.items());
+        }
+        while let Some(record) = self.detections.receive()? {
+            self.sweep.searched(&record.header);
+        }
+        Ok(())
+    }
+
+    /// See [`Sweep::report`].
+    pub fn report(&self) -> Option<SweepReport> {
+        self.sweep.report()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockeye_contract::FrameStamp;
+
+    fn plan_of(parts: &[u32]) -> Vec<PlannedView> {
+        parts.iter().map(|&partition| PlannedView { partition, ..PlannedView::default() }).collect()
+    }
+
+    fn search(sweep: &mut Sweep, sequence: u64, plan_id: u64, view_index: u32) {
+        let stamp = FrameStamp { sequence, ..FrameStamp::default() };
+        sweep.searched(&DetectionHeader {
+            stamp,
+            plan_id,
+            view_index,
+            ..DetectionHeader::default()
+        });
+    }
+
+    #[test]
+    fn gaps_are_those_counted_by_hand() {
+        let mut sweep = Sweep::new(2, 1);
+        assert_eq!(sweep.report(), None);
+        // A gaze view first, of no partition; then partition 1, partition 0 and the far view.
+        sweep.plan(1, &plan_of(&[u32::MAX, 1, 0, 2]));
+        for (sequence, views) in [(10, vec![0, 1, 2]), (11, vec![0, 3]), (14, vec![0, 1])] {
+            views.into_iter().for_each(|view| search(&mut sweep, sequence, 1, view));
+        }
+        search(&mut sweep, 16, 1, 1);
+        // Late, and searched before: it makes no gap.
+        search(&mut sweep, 12, 1, 1);
+        let report = sweep.report().expect("there are records");
+        assert_eq!(report.frames, 7);
+        // Partition 1: 10, 14, 16; partition 0: 10, and not again until 16.
+        let near = Gaps { views: 2, mean_frames: Some(3.0), worst_frames: 6 };
+        assert_eq!(report.partitions, near);
+        let far = Gaps { views: 1, mean_frames: None, worst_frames: 5 };
+        assert_eq!(report.far_views, Some(far));
+        assert_eq!(
+            report.to_string(),
+            "each partition every 3.0 frames (6 at most), each far view every - frames (5 at most)"
+        );
+    }
+
+    #[test]
+    fn what_cannot_be_followed_counts_for_nothing() {
+        let mut sweep = Sweep::new(1, 0);
+        sweep.plan(1, &plan_of(&[0]));
+        search(&mut sweep, 5, 1, 0);
+        search(&mut sweep, 9, 7, 0);
+        search(&mut sweep, 9, 1, 3);
+        let failed = DetectionHeader {
+            stamp: FrameStamp { sequence: 9, ..FrameStamp::default() },
+            plan_id: 1,
+            failed: 1,
+            ..DetectionHeader::default()
+        };
+        sweep.searched(&failed);
+        let report = sweep.report().expect("there are records");
+        assert_eq!((report.partitions.mean_frames, report.partitions.worst_frames), (None, 4));
+        // The source begins anew: numbers of frames do not go on.
+        let stamp = FrameStamp { epoch: 1, ..FrameStamp::default() };
+        sweep.searched(&DetectionHeader { stamp, plan_id: 1, ..DetectionHeader::default() });
+        assert_eq!(sweep.report().expect("a record").partitions.worst_frames, 0);
+    }
+}
