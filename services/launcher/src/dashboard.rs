@@ -53,6 +53,8 @@ struct Neighbour {
     coasted: u64,
     eligible: u64,
     eligible_measured: u64,
+    /// Frames it was measured in that have not ended: only ended ones are counted as localisable.
+    open: Vec<FrameStamp>,
     errors_mm: Samples,
     latencies_ms: Samples,
 }
@@ -155,9 +157,7 @@ impl Dashboard {
                 if let Some(error) = neighbour.error_m {
                     neighbour.errors_mm.add(error * 1e3);
                 }
-                if body.is_some_and(is_eligible) {
-                    neighbour.eligible_measured += 1;
-                }
+                neighbour.open.push(*stamp);
             } else {
                 neighbour.coasted += 1;
             }
@@ -175,7 +175,15 @@ impl Dashboard {
             }
             for body in truth.map(|(_, bodies)| bodies.as_slice()).unwrap_or_default() {
                 let neighbour = self.neighbours.entry(body.name.to_string()).or_default();
-                neighbour.eligible += u64::from(is_eligible(body));
+                if is_eligible(body) {
+                    neighbour.eligible += 1;
+                    let is_measured = neighbour.open.iter().any(|of| of.is_same_frame(stamp));
+                    neighbour.eligible_measured += u64::from(is_measured);
+                }
+            }
+            for neighbour in self.neighbours.values_mut() {
+                // Frames end in order.
+                neighbour.open.retain(|of| of.order() > stamp.order());
             }
         }
     }
@@ -350,4 +358,37 @@ fn deviation_m(track: &Track) -> f64 {
 fn state_name(code: u32) -> String {
     TrackState::try_from(code)
         .map_or("unknown".to_owned(), |state| format!("{state:?}").to_lowercase())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockeye_contract::Pose;
+
+    #[test]
+    fn what_is_measured_in_a_frame_that_has_not_ended_is_not_counted() {
+        let mut dashboard = Dashboard::default();
+        let body = BodyTruth {
+            name: "alpha".into(),
+            observer_from_target: Pose::default(),
+            localisable: 1,
+            markers_visible_90: 2,
+            ..BodyTruth::default()
+        };
+        let track = Track {
+            name: "alpha".into(),
+            state: TrackState::Confirmed.code(),
+            ..bytemuck::Zeroable::zeroed()
+        };
+        for sequence in 0..3 {
+            let stamp = FrameStamp { sequence, ..FrameStamp::default() };
+            dashboard.truth(&TruthHeader { stamp, ..TruthHeader::default() }, &[body]);
+            // Said twice, as where a better word follows; the last frame does not end.
+            dashboard.tracks(&stamp, &[track], false, 0);
+            dashboard.tracks(&stamp, &[track], sequence < 2, 0);
+        }
+        let alpha = &dashboard.neighbours["alpha"];
+        assert_eq!((alpha.eligible, alpha.eligible_measured), (2, 2));
+        assert_eq!(alpha.open.len(), 2, "of the frame that is open");
+    }
 }

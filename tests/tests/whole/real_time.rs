@@ -5,8 +5,9 @@ use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use flockeye_contract::{Healths, TrackState, Tracks};
+use flockeye_launcher::record::{PoseRow, read};
 use flockeye_tests::onlooker::{join, subscribe};
-use flockeye_tests::{Flight, WATCHDOG};
+use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG};
 use rustix::process::Signal;
 
 /// The longest time without a word on a neighbour who was found. It is a second on a machine of
@@ -80,6 +81,35 @@ fn poses_flow_the_whole_time_and_memory_does_not_grow() {
         println!("{stage:<14} {:>6.1} MB, then {:>6.1} MB", middle as f64 / 1e6, end as f64 / 1e6);
         let allowed = middle + middle / 10 + 5_000_000;
         assert!(end <= allowed, "{stage} grew from {middle} to {end} bytes");
+    }
+    flight.assert_nothing_left();
+}
+
+/// Two frames at once, a sixth of a second without any, a clock that jumps back by three seconds and
+/// ahead by forty: each costs its own frames at most.
+#[test]
+fn a_camera_that_keeps_no_time_is_followed() {
+    let scratch = Scratch::new("erratic");
+    let poses = scratch.path("poses.csv");
+    let command =
+        format!(r#"stages.simulator.command=["{}"]"#, env!("CARGO_BIN_EXE_erratic-camera"));
+    let set: Vec<&str> = SMALL_FLIGHT.iter().copied().chain([command.as_str()]).collect();
+    let arguments = ["--poses", poses.to_str().expect("a plain path")];
+    let mut flight = Flight::start("erratic", &arguments, &set);
+    assert!(flight.wait_for_end(WATCHDOG).success(), "{}", flight.output());
+    let output = flight.output();
+    assert!(!output.contains("started again"), "a stage did not survive it:\n{output}");
+    let rows: Vec<PoseRow> = read(&poses).expect("poses");
+    // A clock that jumped makes a new track; some frames may be skipped where processors are few.
+    for phase in [0..40, 40..60, 60..100, 100..150] {
+        let measured = rows.iter().filter(|row| row.is_measured() && phase.contains(&row.frame));
+        let wanted = (phase.end - phase.start) as usize / 4;
+        let found = measured.count();
+        assert!(found >= wanted, "{found} poses of frames {phase:?}:\n{output}");
+    }
+    for row in rows.iter().filter(|row| row.is_measured()) {
+        let range_m = row.position.norm();
+        assert!((0.4..0.7).contains(&range_m), "frame {}: {range_m} m", row.frame);
     }
     flight.assert_nothing_left();
 }
