@@ -1,13 +1,15 @@
 # make run    installs what is missing, builds, and shows 20 s of the default pipeline on its
 #             simulated flight, with the errors against the truth
 # make test   formatting, clippy, unit, doc and whole-pipeline tests
-# make bench  what it costs: functions, the hop between processes, the whole pipeline
+# make bench  what it costs: functions, the hop between processes, the whole pipeline; with
+#             RECORDING=FOLDER (a video and truth.csv, bodies.json above) also beside the paper's
+#             method in Python
 # make setup  only installs the missing Debian packages
 
 SHELL := /bin/bash
 FOR ?= 20s
 
-.PHONY: run test bench build setup cargo format
+.PHONY: run test bench peers build setup cargo format
 
 run: build
 	target/release/flockeye up --for $(FOR)
@@ -26,6 +28,16 @@ test: setup
 bench: setup
 	cargo build --release --workspace --all-targets --locked
 	cargo bench --workspace --locked --bench rectify --bench corners --bench align --bench render --bench hop --bench pipeline
+	$(if $(RECORDING),$(MAKE) peers)
+
+# Later versions of OpenCV search several times as long.
+peers: build target/peers/bin/python
+	target/peers/bin/python tests/peers/compare.py target/release/flockeye $(RECORDING)
+
+target/peers/bin/python:
+	@mkdir -p target
+	@python3 -m venv target/peers || { rm -rf target/peers; echo "Cure: install Debian's python3-venv."; exit 1; }
+	@target/peers/bin/pip install -q opencv-contrib-python-headless==4.10.0.84 || { rm -rf target/peers; exit 1; }
 
 format:
 	cargo fmt --all

@@ -1,17 +1,19 @@
 //! How long a frame takes from one process to the next, by the pipeline's own ports, and beside it
-//! the same bytes through a Unix domain socket.
+//! the same bytes through a Unix domain socket and through Zenoh on loopback.
 //!
 //! Two real processes: this one sends, and starts itself again as the one that receives. A frame
-//! is written before its clock starts, by both ways; what is measured is the way itself: to the
-//! wake-up of the consumer, and to the consumer having read each cache line.
+//! is written before its clock starts, by every way; what is measured is the way itself: to the
+//! wake-up of the consumer, and to the consumer having read each cache line. Zenoh wakes its
+//! consumer when a message is there as a whole, the socket when its first bytes are.
 
 use std::hint::black_box;
 use std::io::{Read, Write};
+use std::net::TcpListener;
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::rc::Rc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, ensure};
 use flockeye_contract::{FrameHeader, FrameStamp, Frames};
@@ -23,13 +25,19 @@ use flockeye_runtime::memory::Budget;
 use flockeye_runtime::ports::{Ports, create_services};
 use flockeye_tests::{Scratch, unique};
 use iceoryx2::prelude::{Node, NodeBuilder, SignalHandlingMode, ipc};
+use zenoh::Wait;
+use zenoh::qos::CongestionControl;
 
 /// Messages of each size and way, after those that only warm up.
 const MESSAGES: usize = 400;
 const WARM_UP: usize = 40;
 const PERIOD: Duration = Duration::from_millis(10);
-/// What each message of the socket begins with: when it was sent, and how long it is.
-const SOCKET_HEADER: usize = 16;
+/// What each message of the socket, and of Zenoh, begins with: when it was sent, and how long it is.
+const HEADER: usize = 16;
+/// Where Zenoh's messages go.
+const KEY: &str = "flockeye/hop";
+/// The receiver of Zenoh's messages is there by then, or never.
+const PATIENCE: Duration = Duration::from_secs(10);
 /// The frames' sizes: 1 KB, and a whole sphere.
 const SIZES: [(u32, u32); 2] = [(32, 32), (3840, 1920)];
 
@@ -38,6 +46,7 @@ fn main() -> anyhow::Result<()> {
     match arguments.get(1).map(String::as_str) {
         Some("receive-frames") => receive_frames(&arguments[2]),
         Some("receive-bytes") => receive_bytes(Path::new(&arguments[2])),
+        Some("receive-samples") => receive_samples(&arguments[2]),
         _ => measure(),
     }
 }
@@ -63,21 +72,26 @@ fn measure() -> anyhow::Result<()> {
         let bytes = width as usize * height as usize;
         let ports = through_ports(width, height)?;
         let socket = through_socket(bytes)?;
-        for (way, hop) in [("frame topic", &ports), ("Unix domain socket", &socket)] {
+        let zenoh = through_zenoh(bytes)?;
+        let ways =
+            [("frame topic", &ports), ("Unix domain socket", &socket), ("Zenoh, loopback", &zenoh)];
+        for (way, hop) in ways {
             println!(
                 "{way:<28} {bytes:>10} {:>10.0} {:>10.0} {:>12.0} {:>10.0}",
                 hop.woken_us[0], hop.woken_us[1], hop.read_us[0], hop.read_us[1]
             );
         }
-        rows.push((bytes, ports, socket));
+        rows.push((bytes, ports, [("the socket", socket), ("Zenoh", zenoh)]));
     }
     println!();
-    for (bytes, ports, socket) in &rows {
-        println!(
-            "{bytes} bytes all read: the socket takes {:.2} times as long as the topic (median), {:.2} times (99 %)",
-            socket.read_us[0] / ports.read_us[0],
-            socket.read_us[1] / ports.read_us[1]
-        );
+    for (bytes, ports, peers) in &rows {
+        for (peer, hop) in peers {
+            println!(
+                "{bytes} bytes all read: {peer} takes {:.2} times as long as the topic (median), {:.2} times (99 %)",
+                hop.read_us[0] / ports.read_us[0],
+                hop.read_us[1] / ports.read_us[1]
+            );
+        }
     }
     let [(_, small, _), (_, large, _)] = &rows[..] else { return Ok(()) };
     println!(
@@ -199,11 +213,11 @@ fn through_socket(bytes: usize) -> anyhow::Result<Hop> {
     let mut child = receiver("receive-bytes", path.to_str().context("a plain path")?)?;
     let (mut stream, _) = listener.accept()?;
     wait_until_ready(&mut child)?;
-    let mut message = vec![0; SOCKET_HEADER + bytes];
+    let mut message = vec![0; HEADER + bytes];
     for sequence in 0..MESSAGES + WARM_UP {
-        message[SOCKET_HEADER..].fill(sequence as u8);
+        message[HEADER..].fill(sequence as u8);
         message[..8].copy_from_slice(&monotonic_ns().to_le_bytes());
-        message[8..SOCKET_HEADER].copy_from_slice(&bytes.to_le_bytes());
+        message[8..HEADER].copy_from_slice(&bytes.to_le_bytes());
         stream.write_all(&message)?;
         std::thread::sleep(PERIOD);
     }
@@ -215,7 +229,7 @@ fn receive_bytes(path: &Path) -> anyhow::Result<()> {
     let mut stream = UnixStream::connect(path)?;
     println!("ready");
     let mut latencies = Vec::with_capacity(MESSAGES + WARM_UP);
-    let mut header = [0; SOCKET_HEADER];
+    let mut header = [0; HEADER];
     let mut pixels = Vec::new();
     while stream.read_exact(&mut header).is_ok() {
         let woken_ns = monotonic_ns();
@@ -224,6 +238,69 @@ fn receive_bytes(path: &Path) -> anyhow::Result<()> {
         pixels.resize(usize::from_le_bytes(length.try_into()?), 0);
         stream.read_exact(&mut pixels)?;
         touch(&pixels);
+        latencies.push((woken_ns - sent_ns, monotonic_ns() - sent_ns));
+    }
+    report(&latencies);
+    Ok(())
+}
+
+/// A session between this machine's processes alone.
+fn session(listen: &[&str], connect: &[&str]) -> anyhow::Result<zenoh::Session> {
+    let config = serde_json::json!({
+        "mode": "peer",
+        "listen": {"endpoints": listen},
+        "connect": {"endpoints": connect},
+        "scouting": {"multicast": {"enabled": false}},
+    });
+    let failed = |error: zenoh::Error| anyhow::anyhow!("{error}");
+    let config = zenoh::Config::from_json5(&config.to_string()).map_err(failed)?;
+    zenoh::open(config).wait().map_err(failed)
+}
+
+fn through_zenoh(bytes: usize) -> anyhow::Result<Hop> {
+    let port = TcpListener::bind("127.0.0.1:0")?.local_addr()?.port();
+    let endpoint = format!("tcp/127.0.0.1:{port}");
+    let failed = |error: zenoh::Error| anyhow::anyhow!("{error}");
+    let session = session(&[&endpoint], &[])?;
+    let publisher = session
+        .declare_publisher(KEY)
+        .congestion_control(CongestionControl::Block)
+        .wait()
+        .map_err(failed)?;
+    let mut child = receiver("receive-samples", &endpoint)?;
+    wait_until_ready(&mut child)?;
+    let start = Instant::now();
+    while !publisher.matching_status().wait().map_err(failed)?.matching() {
+        ensure!(start.elapsed() < PATIENCE, "nobody listens on Zenoh");
+        std::thread::sleep(PERIOD);
+    }
+    for sequence in 0..MESSAGES + WARM_UP {
+        let mut message = vec![sequence as u8; HEADER + bytes];
+        message[8..HEADER].copy_from_slice(&bytes.to_le_bytes());
+        message[..8].copy_from_slice(&monotonic_ns().to_le_bytes());
+        publisher.put(message).wait().map_err(failed)?;
+        std::thread::sleep(PERIOD);
+    }
+    // An empty one ends the receiver.
+    publisher.put(Vec::new()).wait().map_err(failed)?;
+    let hop = result_of(child)?;
+    session.close().wait().map_err(failed)?;
+    Ok(hop)
+}
+
+fn receive_samples(endpoint: &str) -> anyhow::Result<()> {
+    let failed = |error: zenoh::Error| anyhow::anyhow!("{error}");
+    let session = session(&[], &[endpoint])?;
+    let samples = session.declare_subscriber(KEY).wait().map_err(failed)?;
+    println!("ready");
+    let mut latencies = Vec::with_capacity(MESSAGES + WARM_UP);
+    loop {
+        let sample = samples.recv().map_err(failed)?;
+        let woken_ns = monotonic_ns();
+        let message = sample.payload().to_bytes();
+        let Some((header, pixels)) = message.split_at_checked(HEADER) else { break };
+        let sent_ns = i64::from_le_bytes(header[..8].try_into()?);
+        touch(pixels);
         latencies.push((woken_ns - sent_ns, monotonic_ns() - sent_ns));
     }
     report(&latencies);
