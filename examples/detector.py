@@ -69,6 +69,8 @@ def marker(header, corners, marker_id):
 
 def search(detector, header, pixels):
     """The markers in a view, read in place."""
+    if header.unsearched:
+        return []
     rows = np.frombuffer(pixels, np.uint8)[: header.size_px * header.stride]
     image = rows.reshape(header.size_px, header.stride)[:, : header.size_px]
     corners, ids, _ = detector.detectMarkers(image)

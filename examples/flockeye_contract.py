@@ -106,7 +106,7 @@ class PlannedView(Contract):
         ("partition", c_uint32),
         ("target", c_uint32),
         ("has_prediction", c_uint32),
-        ("reserved", c_uint32),
+        ("unsearched", c_uint32),
     ]
 
 
@@ -133,7 +133,7 @@ class ViewHeader(Contract):
         ("transfer", c_uint32),
         ("gamma", c_float),
         ("range", c_uint32),
-        ("reserved", c_uint32),
+        ("unsearched", c_uint32),
     ]
 
 

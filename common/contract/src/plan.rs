@@ -61,8 +61,8 @@ pub struct PlannedView {
     pub target: u32,
     /// 1 if `predicted_camera_from_markers` holds.
     pub has_prediction: u32,
-    /// Keeps the size a multiple of 8; zero.
-    pub reserved: u32,
+    /// 1 if its markers are not asked for, copied into the view.
+    pub unsearched: u32,
 }
 
 /// Plans with more views than this are refused.

@@ -57,8 +57,9 @@ pub struct ViewHeader {
     pub gamma: f32,
     /// A [`crate::Range`].
     pub range: u32,
-    /// Keeps the size a multiple of 8; zero.
-    pub reserved: u32,
+    /// 1 if its markers are not asked for: its pixels alone are; whoever searches views acknowledges it
+    /// unsearched.
+    pub unsearched: u32,
 }
 
 impl ViewHeader {

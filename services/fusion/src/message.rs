@@ -101,16 +101,23 @@ fn row_major(matrix: &Matrix6<f64>) -> [f64; 36] {
     std::array::from_fn(|k| matrix[(k / 6, k % 6)])
 }
 
-/// The views of a plan; gaze views carry their neighbour's prediction.
+/// The views of a plan; gaze views carry their neighbour's prediction. `needs_no_markers` says whose are
+/// not searched.
 pub fn planned_views(
     plan: &Plan,
     predictions: &BTreeMap<usize, Prediction>,
     reference_ns: i64,
+    needs_no_markers: impl Fn(usize) -> bool,
 ) -> Vec<contract::PlannedView> {
     plan.views
         .iter()
         .take(contract::MAX_PLANNED_VIEWS)
-        .map(|planned| planned_view(planned, predictions, reference_ns))
+        .map(|planned| {
+            let is_unsearched =
+                matches!(planned.purpose, Purpose::Gaze(target) if needs_no_markers(target));
+            let view = planned_view(planned, predictions, reference_ns);
+            contract::PlannedView { unsearched: u32::from(is_unsearched), ..view }
+        })
         .collect()
 }
 
@@ -139,7 +146,7 @@ fn planned_view(
         partition,
         target,
         has_prediction: u32::from(prediction.is_some()),
-        reserved: 0,
+        unsearched: 0,
     }
 }
 

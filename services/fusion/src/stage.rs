@@ -174,7 +174,13 @@ impl FusionStage {
                 && let Some(message) = lane.receive()?
             {
                 let header = message.header;
-                if self.assembly.add_view(header, now_ns) && self.aligns {
+                if !self.assembly.add_view(header, now_ns) {
+                    continue;
+                }
+                if let Some(purpose) = purpose_stated(&header) {
+                    self.swarm.note_cut(purpose);
+                }
+                if self.aligns {
                     self.gallery.add(header, message);
                     self.arrived.push((header.stamp.order(), header.view_index));
                 }
@@ -356,7 +362,9 @@ impl FusionStage {
             .values()
             .next()
             .map_or(0, |prediction| (prediction.stamp_s * 1e9).round() as i64);
-        let views = message::planned_views(&plan, &predictions, reference_ns);
+        let views = message::planned_views(&plan, &predictions, reference_ns, |target| {
+            self.swarm.needs_no_markers(target)
+        });
         self.plan_id += 1;
         let purposes =
             plan.views.iter().zip(0..).map(|(view, index)| (index, view.purpose)).collect();

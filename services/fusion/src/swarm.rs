@@ -1,5 +1,7 @@
 //! All neighbours, and the plan for the next frame.
 
+mod trust;
+
 use std::collections::{BTreeMap, BTreeSet};
 
 use flockeye_contract::{DetectedMarker, ViewHeader};
@@ -16,6 +18,7 @@ use crate::parallax::Parallax;
 use crate::sighting::{
     Look, MARKERS_ALONE, MeasuredBy, Sighting, contradicts, doubtful_rays_of, measure_all, rays_of,
 };
+use trust::Trust;
 
 /// How poses are carried from frame to frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -56,8 +59,7 @@ pub struct Swarm {
     frames: u64,
     aligner: Aligner,
     threads: usize,
-    /// Neighbours whose decoded markers contradicted their pose, and the frame in which they did.
-    doubted: BTreeMap<usize, u64>,
+    trust: Trust,
     /// What was looked at of the open frames.
     looked: BTreeMap<FrameOrder, Looked>,
     last_s: Option<f64>,
@@ -77,9 +79,6 @@ struct Looked {
 
 /// A neighbour that is lost from sight is searched for round its prediction in every so manyth frame.
 const SEARCH_EVERY_FRAMES: u64 = 3;
-
-/// For so many frames a neighbour's markers are waited for after they contradicted its pose.
-const DOUBTED_FRAMES: u64 = 15;
 
 /// Facets that must agree with a pose for which no marker is waited.
 const PEEKED_FACETS: u32 = 2;
@@ -110,7 +109,7 @@ impl Swarm {
             frames: 0,
             aligner,
             threads,
-            doubted: BTreeMap::new(),
+            trust: Trust::default(),
             looked: BTreeMap::new(),
             last_s: None,
             interval_s: 1.0 / 30.0,
@@ -196,11 +195,9 @@ impl Swarm {
         view: &BestView<'_>,
     ) -> Option<Update> {
         let neighbour = self.neighbours.get(target)?;
-        let is_doubted =
-            self.doubted.get(&target).is_some_and(|&since| self.frames < since + DOUBTED_FRAMES);
         let is_settled =
             self.looked.get(&order).is_some_and(|looked| looked.settled.contains(&target));
-        if is_doubted || is_settled || !neighbour.is_measured() {
+        if self.trust.is_doubted(target) || is_settled || !neighbour.is_measured() {
             return None;
         }
         let predicted = neighbour.prior(at_s)?.camera_from_markers;
@@ -227,7 +224,7 @@ impl Swarm {
             let Some(pose) = looked.peeked.get(&target) else { continue };
             let rays = rays_of(&self.neighbours[target].body, &record.record.markers);
             if contradicts(&self.neighbours[target].body, &rays, pose) {
-                self.doubted.insert(target, self.frames);
+                self.trust.doubt(target);
             }
         }
     }
@@ -421,11 +418,17 @@ impl Swarm {
         })
     }
 
+    /// A view was cut: it will be searched, and so need not be asked for in a plan that is made meanwhile.
+    pub fn note_cut(&mut self, purpose: Purpose) {
+        self.searched.record(self.frames, purpose);
+    }
+
     /// Notes what was searched and hit, and starts afresh for the next frame.
     fn remember(&mut self, at_s: f64, frame: &Frame, counted: &[&Record], purposes: &Purposes) {
-        for index in frame.records.keys() {
+        // Views that came were noted then.
+        for index in frame.records.keys().filter(|index| !frame.views.contains_key(index)) {
             if let Some(&purpose) = purposes.get(index) {
-                self.searched.record(self.frames, purpose);
+                self.note_cut(purpose);
             }
         }
         let first_hit = counted.iter().find(|record| record.header.hits > 0);
@@ -440,8 +443,17 @@ impl Swarm {
         }
         self.last_s = Some(at_s);
         self.frames += 1;
+        let looked = self.looked.get(&frame.stamp.order());
+        let peeked = looked.map(|looked| looked.peeked.keys().copied().collect());
+        self.trust.end_frame(&peeked.unwrap_or_default());
         // Frames end in order.
         self.looked.retain(|order, _| *order > frame.stamp.order());
+    }
+
+    /// Whether a neighbour's gaze view in the next frame need not be searched for markers: its pixels
+    /// alone told its pose in the last ones.
+    pub fn needs_no_markers(&self, target: usize) -> bool {
+        self.trust.needs_no_markers(target)
     }
 
     /// Where to look in the next frame, and each gaze view's prediction.

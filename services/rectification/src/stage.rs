@@ -337,7 +337,7 @@ impl RectificationStage {
             transfer: frame.transfer,
             gamma: frame.gamma,
             range: frame.range,
-            reserved: 0,
+            unsearched: planned.unsearched,
         };
         loan.send(header)?;
         self.counters.add_latency_ns(issued_ns - job.taken_ns);

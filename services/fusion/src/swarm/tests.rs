@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "of the drawings")]
 
+use super::trust::DOUBTED_FRAMES;
 use super::*;
 use crate::drawn_body::{Drawing, draw, prints};
 use flockeye_contract::{DetectionHeader, FrameEnd, FrameStamp};
@@ -141,9 +142,33 @@ fn a_confirmed_neighbour_is_measured_before_its_view_is_searched() {
         // The markers that are found later agree, and there is nothing to add.
         assert!(glance(&mut swarm, 3, &truth).is_empty());
         assert!(peek(&mut swarm, 3, view).is_none(), "once is enough");
+        assert!(!swarm.needs_no_markers(0), "frame 3 has not ended");
         assert!(finish(&mut swarm, 3).is_empty());
+        assert!(swarm.needs_no_markers(0));
         assert!(peek(&mut swarm, 4, view).is_some());
+        // Not seen at once in frame 5, and so searched for.
+        finish(&mut swarm, 4);
+        finish(&mut swarm, 5);
+        assert!(!swarm.needs_no_markers(0));
     });
+}
+
+#[test]
+fn what_is_being_searched_is_not_asked_for_again() {
+    let mut swarm = following(&pose(0.9));
+    let partition = |swarm: &Swarm| {
+        let (plan, _) = swarm.plan();
+        let mut purposes = plan.views.iter().map(|view| view.purpose);
+        purposes.find(|purpose| matches!(purpose, Purpose::Partition(_))).expect("it is swept")
+    };
+    // The frame that is searched has not ended when the next plans are made.
+    let mut asked = BTreeSet::new();
+    for _ in 0..5 {
+        let next = partition(&swarm);
+        swarm.note_cut(next);
+        asked.insert(format!("{next:?}"));
+    }
+    assert_eq!(asked.len(), 5, "{asked:?}");
 }
 
 #[test]
