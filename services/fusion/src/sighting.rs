@@ -134,6 +134,8 @@ pub struct Look<'l> {
     /// Whether it may be searched for round its prediction where nothing else finds it: that takes
     /// several times as long.
     pub may_search: bool,
+    /// Alignment begins from so many places at most.
+    pub starts: usize,
     /// Decoded markers that must agree where nothing is aligned, with a prior.
     pub needed: usize,
 }
@@ -170,6 +172,7 @@ impl Look<'_> {
                         .map(|camera_from_markers| Start { camera_from_markers, is_rough }),
                 );
             }
+            starts.truncate(self.starts);
             let is_marked = |pose: &Isometry3<f64>| is_where_seen(self.body, &self.rays, pose);
             let found = match &self.prior {
                 Some(prior) => {
@@ -279,6 +282,7 @@ mod tests {
             predicted: None,
             best_view: None,
             may_search: false,
+            starts: usize::MAX,
             needed: 1,
         };
         look.measure(&aligner)

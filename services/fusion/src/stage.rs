@@ -53,6 +53,8 @@ pub struct FusionStage {
     mode: Mode,
     /// Views that came and were not peeked into yet.
     arrived: Vec<(FrameOrder, u32)>,
+    /// The newest frame of which a view has come.
+    newest: Option<FrameStamp>,
     counters: SharedCounters,
     disagreements: Throttle,
     strangers: Throttle,
@@ -113,6 +115,7 @@ impl Stage for FusionStage {
             observer_from_camera: isometry(&pipeline.observer.observer_from_camera),
             mode: pipeline.search.mode,
             arrived: Vec::new(),
+            newest: None,
             counters: context.counters.clone(),
             disagreements: Throttle::default(),
             strangers: Throttle::default(),
@@ -176,6 +179,9 @@ impl FusionStage {
                 let header = message.header;
                 if !self.assembly.add_view(header, now_ns) {
                     continue;
+                }
+                if self.newest.is_none_or(|newest| !header.stamp.is_late_beside(&newest)) {
+                    self.newest = Some(header.stamp);
                 }
                 if let Some(purpose) = purpose_stated(&header) {
                     self.swarm.note_cut(purpose);
@@ -249,6 +255,14 @@ impl FusionStage {
         Ok(())
     }
 
+    /// Whether more than the next frame waits behind this one; in a lossless run time decides nothing.
+    fn is_behind(&self, stamp: &FrameStamp) -> bool {
+        let waits = |newest: &FrameStamp| {
+            stamp.is_late_beside(newest) && newest.sequence - stamp.sequence >= BEHIND_FRAMES
+        };
+        self.flow == Flow::Latest && self.newest.as_ref().is_some_and(waits)
+    }
+
     /// Publishes what gaze views say, without waiting for the rest of their frames.
     fn glance(&mut self, taken: &[Record]) -> anyhow::Result<()> {
         // In a lossless run nothing may depend on which worker answers first.
@@ -270,6 +284,7 @@ impl FusionStage {
                 })
                 .collect();
             let order = stamp.order();
+            self.swarm.hurry(self.is_behind(&stamp));
             let best_views = best_views(&self.gallery, &mut self.lights, &self.swarm, order);
             let updates = self.swarm.glance(order, seconds(&stamp), &seen, &best_views);
             drop(best_views);
@@ -317,6 +332,7 @@ impl FusionStage {
         let (purposes, stop_rule) =
             self.remembered.get(&frame.plan_id).cloned().unwrap_or_else(swept);
         let order = frame.stamp.order();
+        self.swarm.hurry(self.is_behind(&frame.stamp));
         let best_views = best_views(&self.gallery, &mut self.lights, &self.swarm, order);
         let updates =
             self.swarm.finish(seconds(&frame.stamp), frame, &purposes, stop_rule, &best_views);
@@ -386,6 +402,9 @@ impl FusionStage {
         self.plans.send(header, &views).context("the plan for the next frame")
     }
 }
+
+/// A frame is behind when so many newer ones have come.
+const BEHIND_FRAMES: u64 = 2;
 
 fn seconds(stamp: &FrameStamp) -> f64 {
     stamp.exposure_ns as f64 * 1e-9

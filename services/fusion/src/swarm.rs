@@ -1,10 +1,11 @@
 //! All neighbours, and the plan for the next frame.
 
+mod records;
 mod trust;
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use flockeye_contract::{DetectedMarker, ViewHeader};
+use flockeye_contract::ViewHeader;
 use flockeye_geometry::body::{Bodies, Body};
 use flockeye_geometry::filter::{Prediction, TrackPolicy};
 use flockeye_geometry::search::{Plan, Planner, PredictedNeighbour, Purpose, Searched, StopRule};
@@ -18,6 +19,7 @@ use crate::parallax::Parallax;
 use crate::sighting::{
     Look, MARKERS_ALONE, MeasuredBy, Sighting, contradicts, doubtful_rays_of, measure_all, rays_of,
 };
+use records::{distinct_ids, records_that_count};
 use trust::Trust;
 
 /// How poses are carried from frame to frame.
@@ -64,6 +66,7 @@ pub struct Swarm {
     looked: BTreeMap<FrameOrder, Looked>,
     last_s: Option<f64>,
     interval_s: f64,
+    is_behind: bool,
 }
 
 /// What was looked at of an open frame.
@@ -113,6 +116,7 @@ impl Swarm {
             looked: BTreeMap::new(),
             last_s: None,
             interval_s: 1.0 / 30.0,
+            is_behind: false,
         }
     }
 
@@ -410,12 +414,19 @@ impl Swarm {
             rays,
             doubtful,
             rays_m,
-            may_search,
+            may_search: may_search && !self.is_behind,
+            starts: if self.is_behind { 1 } else { usize::MAX },
             prior,
             predicted,
             best_view,
             needed,
         })
+    }
+
+    /// Whether newer frames wait from now on: then each neighbour gets one look of each kind, for poses
+    /// that come a second late are of use to nobody.
+    pub fn hurry(&mut self, is_behind: bool) {
+        self.is_behind = is_behind;
     }
 
     /// A view was cut: it will be searched, and so need not be asked for in a plan that is made meanwhile.
@@ -482,28 +493,6 @@ impl Swarm {
             .collect();
         (self.planner.plan(&self.searched, &predicted), predictions)
     }
-}
-
-/// A frame's records in plan order; with the rule `first_hit` those up to the first hit, because
-/// what several workers searched beyond it depends on time.
-fn records_that_count(frame: &Frame, stop_rule: StopRule) -> Vec<&Record> {
-    let mut counted = Vec::new();
-    for record in frame.records.values() {
-        counted.push(record);
-        if stop_rule == StopRule::FirstHit && record.header.hits > 0 {
-            break;
-        }
-    }
-    counted
-}
-
-fn distinct_ids<'m>(
-    markers: impl Iterator<Item = &'m DetectedMarker>,
-    neighbour: &Neighbour,
-) -> u32 {
-    let decoded = markers.filter(|marker| marker.is_decoded());
-    let ids: BTreeSet<u32> = decoded.map(|marker| marker.id).collect();
-    ids.iter().filter(|&&id| neighbour.body.marker(id).is_some()).count() as u32
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@
 use super::trust::DOUBTED_FRAMES;
 use super::*;
 use crate::drawn_body::{Drawing, draw, prints};
-use flockeye_contract::{DetectionHeader, FrameEnd, FrameStamp};
+use flockeye_contract::{DetectedMarker, DetectionHeader, FrameEnd, FrameStamp};
 use flockeye_geometry::body::squares;
 use flockeye_geometry::filter::TrackState;
 use flockeye_geometry::partition::Partition;
@@ -151,6 +151,24 @@ fn a_confirmed_neighbour_is_measured_before_its_view_is_searched() {
         finish(&mut swarm, 5);
         assert!(!swarm.needs_no_markers(0));
     });
+}
+
+#[test]
+fn who_is_behind_looks_from_one_start_and_does_not_search() {
+    let truth = pose(0.9);
+    let mut swarm = following(&truth);
+    let record = record(3, &truth);
+    let seen = [Seen { record: &record, purpose: Some(Purpose::Gaze(0)), view: None }];
+    let look = |swarm: &Swarm| {
+        let best_views = BestViews::new();
+        let look = swarm.look(at_s(3), 0, &seen, &best_views, 1).expect("markers are seen");
+        (look.starts, look.may_search)
+    };
+    assert_eq!(look(&swarm), (usize::MAX, true), "frame 3 is one of those that search");
+    swarm.hurry(true);
+    assert_eq!(look(&swarm), (1, false));
+    // Its markers tell its pose all the same.
+    assert!(glance(&mut swarm, 3, &truth)[0].1.measured.is_some());
 }
 
 #[test]
