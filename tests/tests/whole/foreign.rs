@@ -5,8 +5,8 @@ use std::time::{Duration, Instant};
 
 use flockeye_contract::{
     BodyTruth, CONTRACT_VERSION, DetectedMarker, DetectionHeader, Detections, FrameEnd, FrameEnds,
-    FrameHeader, Frames, Health, Healths, NONE, PixelFormat, PlanHeader, PlannedView, Plans, Pose,
-    StopReason, Topic, Track, TrackHeader, Tracks, Transfer, TruthHeader, Truths,
+    FrameHeader, Frames, Health, Healths, MeasuredBy, NONE, PixelFormat, PlanHeader, PlannedView,
+    Plans, Pose, StopReason, Topic, Track, TrackHeader, Tracks, Transfer, TruthHeader, Truths,
     VERSION_ATTRIBUTE, ViewHeader, ViewKind, Views,
 };
 use flockeye_launcher::record::{PoseRow, TruthRow, read};
@@ -305,7 +305,8 @@ fn a_foreign_publisher_that_lies_on_every_topic_is_refused_and_poses_stay_right(
     while after.len() < 20 {
         assert!(start.elapsed() < WATCHDOG, "no pose any more:\n{}", flight.output());
         while let Some(message) = tracks.receive().expect("tracks can be read") {
-            let is_measured = message.items().iter().any(|track| track.markers > 0);
+            let is_measured =
+                message.items().iter().any(|track| track.measured_by != MeasuredBy::Nothing.code());
             after.extend(is_measured.then_some(message.header.stamp.sequence));
         }
         std::thread::sleep(Duration::from_millis(10));
