@@ -258,7 +258,8 @@ impl FusionStage {
     /// Whether more than the next frame waits behind this one; in a lossless run time decides nothing.
     fn is_behind(&self, stamp: &FrameStamp) -> bool {
         let waits = |newest: &FrameStamp| {
-            stamp.is_late_beside(newest) && newest.sequence - stamp.sequence >= BEHIND_FRAMES
+            stamp.is_late_beside(newest)
+                && newest.sequence.wrapping_sub(stamp.sequence) >= BEHIND_FRAMES
         };
         self.flow == Flow::Latest && self.newest.as_ref().is_some_and(waits)
     }

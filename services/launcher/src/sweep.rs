@@ -115,7 +115,7 @@ impl Sweep {
         // Records of a frame may come behind those of the next.
         if let Some(gap) = part.last.map_or(Some(0), |last| stamp.sequence.checked_sub(last)) {
             if part.last.is_some() && gap > 0 {
-                (part.sum, part.gaps) = (part.sum + gap, part.gaps + 1);
+                (part.sum, part.gaps) = (part.sum.saturating_add(gap), part.gaps + 1);
                 part.worst = part.worst.max(gap);
             }
             part.last = Some(stamp.sequence);
@@ -127,8 +127,9 @@ impl Sweep {
         let first = self.first?;
         let (near, far) = self.parts.split_at(self.partitions);
         let gaps = |parts: &[Part]| {
-            let (sum, count) =
-                parts.iter().fold((0, 0), |(sum, gaps), part| (sum + part.sum, gaps + part.gaps));
+            let (sum, count) = parts.iter().fold((0u64, 0), |(sum, gaps), part| {
+                (sum.saturating_add(part.sum), gaps + part.gaps)
+            });
             let open = |part: &Part| self.newest - part.last.unwrap_or(first).min(self.newest);
             Gaps {
                 views: parts.len(),
@@ -141,7 +142,7 @@ impl Sweep {
             }
         };
         Some(SweepReport {
-            frames: self.newest - first + 1,
+            frames: (self.newest - first).saturating_add(1),
             partitions: gaps(near),
             far_views: (!far.is_empty()).then(|| gaps(far)),
         })
