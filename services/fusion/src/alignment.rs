@@ -90,8 +90,7 @@ impl Aligner {
                 return Some(found);
             }
             let is_better = |best: &Alignment| found.score.log_ratio > best.score.log_ratio;
-            let is_confirmed = found.confirms_track()
-                || (found.confirms_marker() && is_marked(&found.camera_from_markers));
+            let is_confirmed = found.confirms_track() || is_vouched_for(&found, &is_marked);
             if is_confirmed && best.as_ref().is_none_or(is_better) {
                 best = Some(found);
             }
@@ -113,10 +112,7 @@ impl Aligner {
             starts.iter().filter_map(|start| self.align(target, picture, start)).collect();
         let best = found
             .iter()
-            .filter(|found| {
-                found.is_believed()
-                    || (found.confirms_marker() && is_marked(&found.camera_from_markers))
-            })
+            .filter(|found| found.is_believed() || is_vouched_for(found, &is_marked))
             .max_by(|a, b| a.score.log_ratio.total_cmp(&b.score.log_ratio))?;
         let others = || found.iter().filter(|other| !is_same(best, other));
         let stands_out = best.score.correlation > ALONE_CORRELATION
@@ -139,6 +135,11 @@ impl Aligner {
         let options = AlignOptions { coarse_first: start.is_rough, ..self.options };
         align(self.prints.get(target)?, picture, &start.camera_from_markers, &options).ok()
     }
+}
+
+/// Whether markers that were decoded there speak for a pose.
+fn is_vouched_for(found: &Alignment, is_marked: impl Fn(&Isometry3<f64>) -> bool) -> bool {
+    found.confirms_marker() && is_marked(&found.camera_from_markers)
 }
 
 fn is_same(one: &Alignment, other: &Alignment) -> bool {

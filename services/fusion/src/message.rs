@@ -115,8 +115,7 @@ pub fn planned_views(
         .map(|planned| {
             let is_unsearched =
                 matches!(planned.purpose, Purpose::Gaze(target) if needs_no_markers(target));
-            let view = planned_view(planned, predictions, reference_ns);
-            contract::PlannedView { unsearched: u32::from(is_unsearched), ..view }
+            planned_view(planned, predictions, reference_ns, is_unsearched)
         })
         .collect()
 }
@@ -125,6 +124,7 @@ fn planned_view(
     planned: &PlannedView,
     predictions: &BTreeMap<usize, Prediction>,
     reference_ns: i64,
+    is_unsearched: bool,
 ) -> contract::PlannedView {
     let (kind, partition, target) = match planned.purpose {
         Purpose::Partition(partition) => (ViewKind::Partition, partition as u32, NONE),
@@ -146,7 +146,7 @@ fn planned_view(
         partition,
         target,
         has_prediction: u32::from(prediction.is_some()),
-        unsearched: 0,
+        unsearched: u32::from(is_unsearched),
     }
 }
 

@@ -56,28 +56,24 @@ impl Sighting {
 /// Whether most corners are seen elsewhere than `pose` has them: by a quarter of their marker's side.
 /// A mirror image, or a body one facet further, has them farther off; a right pose never.
 pub fn contradicts(body: &Body, rays: &[CornerRay], pose: &Isometry3<f64>) -> bool {
-    let off = rays.iter().filter(|ray| {
-        let Some(marker) = body.marker(ray.marker_id) else { return false };
-        let corner = pose * marker.corners[ray.corner];
-        let side_rad = marker.side() / corner.coords.norm();
-        let expected = Unit::new_normalize(corner.coords);
-        expected.angle(&ray.ray_in_camera) > 0.25 * side_rad
-    });
+    let off = rays.iter().filter(|ray| off_in_sides(body, ray, pose).is_some_and(|off| off > 0.25));
     2 * off.count() > rays.len()
 }
 
 /// Whether all corners are seen where `pose` has them, by a twenty-fifth of their marker's side: a tilt
 /// or a range that is off by a tenth moves them farther.
 fn is_where_seen(body: &Body, rays: &[CornerRay], pose: &Isometry3<f64>) -> bool {
-    let is_near = |ray: &CornerRay| {
-        body.marker(ray.marker_id).is_some_and(|marker| {
-            let corner = pose * marker.corners[ray.corner];
-            let side_rad = marker.side() / corner.coords.norm();
-            let expected = Unit::new_normalize(corner.coords);
-            expected.angle(&ray.ray_in_camera) < 0.04 * side_rad
-        })
-    };
+    let is_near = |ray: &CornerRay| off_in_sides(body, ray, pose).is_some_and(|off| off < 0.04);
     !rays.is_empty() && rays.iter().all(is_near)
+}
+
+/// How far from where `pose` has it a corner is seen, in sides of its marker; `None` if it is no marker
+/// of `body`.
+fn off_in_sides(body: &Body, ray: &CornerRay, pose: &Isometry3<f64>) -> Option<f64> {
+    let marker = body.marker(ray.marker_id)?;
+    let corner = pose * marker.corners[ray.corner];
+    let side_rad = marker.side() / corner.coords.norm();
+    Some(Unit::new_normalize(corner.coords).angle(&ray.ray_in_camera) / side_rad)
 }
 
 /// Rays of those of `markers` that were decoded and that `body` carries.

@@ -361,7 +361,7 @@ const EDGE_ERROR_PX: f64 = 0.009;
 
 /// What hides a body shows through the point spread beyond what is left out, all along its rim: that error
 /// grows with the share that is hidden, and the covariance of what is left with the square of it, by this.
-/// On simulated flights NEES was 2.9 where nothing was hidden, 4 to 7 where 30 to 60 % were.
+/// On simulated flights NEES was 2.9 where less than a tenth was hidden, 5 to 7 where 30 to 60 % were.
 const RIM: f64 = 3.0;
 
 /// A fit without hidden facets may have so little of the log-likelihood ratio that it had with them.

@@ -6,14 +6,13 @@ use std::collections::{BTreeMap, BTreeSet};
 pub(super) const DOUBTED_FRAMES: u64 = 15;
 
 /// Where a neighbour's pose waits for no marker, they are searched for in every so manyth frame all the
-/// same, to be compared with it. That search costs ten times what the pose does.
+/// same, to be compared with it. That search costs nine times what the pose does.
 const MARKERS_EVERY_FRAMES: u32 = 4;
 
 /// What the frames so far say.
 #[derive(Debug, Default)]
 pub struct Trust {
-    frames: u64,
-    /// Neighbours whose decoded markers contradicted their pose, and the frame in which they did.
+    /// Neighbours whose decoded markers contradicted their pose, and for how many frames that counts.
     doubted: BTreeMap<usize, u64>,
     /// In how many frames in a row each neighbour's pose did not wait for its markers.
     in_a_row: BTreeMap<usize, u32>,
@@ -22,17 +21,20 @@ pub struct Trust {
 impl Trust {
     /// Markers said something else than the pose that came before they were decoded.
     pub fn doubt(&mut self, target: usize) {
-        self.doubted.insert(target, self.frames);
+        self.doubted.insert(target, DOUBTED_FRAMES);
     }
 
     /// Whether a neighbour's markers are waited for.
     pub fn is_doubted(&self, target: usize) -> bool {
-        self.doubted.get(&target).is_some_and(|&since| self.frames < since + DOUBTED_FRAMES)
+        self.doubted.contains_key(&target)
     }
 
     /// A frame has ended in which the poses of these neighbours did not wait for their markers.
     pub fn end_frame(&mut self, peeked: &BTreeSet<usize>) {
-        self.frames += 1;
+        self.doubted.retain(|_, left| {
+            *left -= 1;
+            *left > 0
+        });
         self.in_a_row.retain(|target, _| peeked.contains(target));
         for &target in peeked {
             let in_a_row = self.in_a_row.entry(target).or_default();
