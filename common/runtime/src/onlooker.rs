@@ -35,7 +35,7 @@ pub enum JoinError {
 }
 
 /// Joins a pipeline whose launcher has written what there is to read: gives what its messages are
-/// received with, and its configuration. What is read there costs its stages nothing.
+/// received with, and its configuration.
 ///
 /// # Errors
 /// [`JoinError`].

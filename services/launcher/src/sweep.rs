@@ -7,6 +7,7 @@ use std::collections::VecDeque;
 use std::fmt;
 
 use flockeye_contract::{DetectionHeader, Detections, PlannedView, Plans};
+use flockeye_geometry::view::View;
 use flockeye_runtime::config::{Mode, Pipeline};
 use flockeye_runtime::ports::{PortError, Ports, Subscriber};
 use serde::Serialize;
@@ -55,7 +56,8 @@ impl fmt::Display for SweepReport {
 pub struct Sweep {
     /// Partitions; what is numbered behind them are far views.
     partitions: usize,
-    parts: Vec<Part>,
+    /// `None` where the camera sees nothing of a part: nobody searches it.
+    parts: Vec<Option<Part>>,
     /// Of each plan, which part each of its views shows.
     plans: VecDeque<(u64, Vec<u32>)>,
     /// The source and its epoch; numbers of frames mean nothing across them.
@@ -73,11 +75,12 @@ struct Part {
 }
 
 impl Sweep {
-    /// Of so many partitions and far views.
-    pub fn new(partitions: usize, far_views: usize) -> Self {
+    /// Of these partitions and far views: whether the camera sees anything of them.
+    pub fn new(partitions: &[bool], far_views: &[bool]) -> Self {
+        let parts = partitions.iter().chain(far_views);
         Self {
-            partitions,
-            parts: vec![Part::default(); partitions + far_views],
+            partitions: partitions.len(),
+            parts: parts.map(|is_seen| is_seen.then(Part::default)).collect(),
             plans: VecDeque::new(),
             epoch: None,
             first: None,
@@ -101,7 +104,7 @@ impl Sweep {
         if self.epoch != Some(epoch) {
             self.epoch = Some(epoch);
             (self.first, self.newest) = (None, stamp.sequence);
-            self.parts.iter_mut().for_each(|part| part.last = None);
+            self.parts.iter_mut().flatten().for_each(|part| part.last = None);
         }
         self.first.get_or_insert(stamp.sequence);
         self.newest = self.newest.max(stamp.sequence);
@@ -109,7 +112,7 @@ impl Sweep {
         let plan = self.plans.iter().rev().find(|(id, _)| *id == header.plan_id);
         let part = plan
             .and_then(|(_, parts)| parts.get(header.view_index as usize))
-            .and_then(|&part| self.parts.get_mut(part as usize))
+            .and_then(|&part| self.parts.get_mut(part as usize)?.as_mut())
             .filter(|_| header.failed == 0);
         let Some(part) = part else { return };
         // Records of a frame may come behind those of the next.
@@ -126,7 +129,8 @@ impl Sweep {
     pub fn report(&self) -> Option<SweepReport> {
         let first = self.first?;
         let (near, far) = self.parts.split_at(self.partitions);
-        let gaps = |parts: &[Part]| {
+        let gaps = |parts: &[Option<Part>]| {
+            let parts: Vec<Part> = parts.iter().copied().flatten().collect();
             let (sum, count) = parts.iter().fold((0u64, 0), |(sum, gaps), part| {
                 (sum.saturating_add(part.sum), gaps + part.gaps)
             });
@@ -165,8 +169,12 @@ impl SweepWatch {
         if pipeline.search.mode != Mode::Gaze {
             return Ok(None);
         }
-        let partitions = pipeline.partition_views(pipeline.bodies()?.largest_side())?.len();
-        let sweep = Sweep::new(partitions, pipeline.far_views()?.len());
+        let mask = pipeline.mask()?;
+        let seen = |views: &[View]| -> Vec<bool> {
+            views.iter().map(|view| !mask.hides_view(view)).collect()
+        };
+        let partitions = pipeline.partition_views(pipeline.bodies()?.largest_side())?;
+        let sweep = Sweep::new(&seen(&partitions), &seen(&pipeline.far_views()?));
         let (plans, detections) = (ports.subscriber()?, ports.subscriber()?);
         Ok(Some(Self { plans, detections, sweep }))
     }
@@ -213,10 +221,11 @@ mod tests {
 
     #[test]
     fn gaps_are_those_counted_by_hand() {
-        let mut sweep = Sweep::new(2, 1);
+        // What nothing can be seen of is never searched, and no gap.
+        let mut sweep = Sweep::new(&[true, true, false], &[true]);
         assert_eq!(sweep.report(), None);
         // A gaze view first, of no partition; then partition 1, partition 0 and the far view.
-        sweep.plan(1, &plan_of(&[u32::MAX, 1, 0, 2]));
+        sweep.plan(1, &plan_of(&[u32::MAX, 1, 0, 3]));
         for (sequence, views) in [(10, vec![0, 1, 2]), (11, vec![0, 3]), (14, vec![0, 1])] {
             views.into_iter().for_each(|view| search(&mut sweep, sequence, 1, view));
         }
@@ -238,7 +247,7 @@ mod tests {
 
     #[test]
     fn what_cannot_be_followed_counts_for_nothing() {
-        let mut sweep = Sweep::new(1, 0);
+        let mut sweep = Sweep::new(&[true], &[]);
         sweep.plan(1, &plan_of(&[0]));
         search(&mut sweep, 5, 1, 0);
         search(&mut sweep, 9, 7, 0);

@@ -97,30 +97,34 @@ fn a_newcomer_is_found_before_the_sphere_is_searched_twice() {
     let pipeline = flight.instance.pipeline().expect("it was written");
     let mut ports = onlooker::join(&mut flight);
     let mut tracks = onlooker::subscribe::<Tracks>(&mut flight, &mut ports);
-    let mut sweep = SweepWatch::open(&pipeline, &mut ports).expect("room").expect("gaze sweeps");
     let (mut first, mut found) = (None, None);
     let fusion = flight.stages("flockeye-fusion");
     assert_eq!(fusion.len(), 1, "{fusion:?}");
     kill_process(fusion[0], Signal::KILL).expect("it runs");
     let start = Instant::now();
-    ports
-        .attend(|| {
-            assert!(start.elapsed() < WATCHDOG, "nobody is found:\n{}", flight.output());
-            sweep.receive()?;
-            while let Some(message) = tracks.receive()? {
-                if message.header.generation == 0 {
-                    continue;
-                }
+    let mut look = || {
+        assert!(start.elapsed() < WATCHDOG, "nobody is found:\n{}", flight.output());
+        while let Some(message) = tracks.receive()?.filter(|_| found.is_none()) {
+            if message.header.generation > 0 {
                 let frame = message.header.stamp.sequence;
                 first.get_or_insert(frame);
-                if !message.items().is_empty() {
-                    found.get_or_insert(frame);
-                }
+                found = (!message.items().is_empty()).then_some(frame);
             }
+        }
+        anyhow::Ok((first.is_some(), found.is_some()))
+    };
+    let listened = ports.attend(|| Ok((!look()?.0).then_some(Duration::from_millis(5))));
+    listened.expect("messages can be waited for");
+    // From the successor's first frame on: who searches while fusion is away is not asked.
+    let mut sweep = SweepWatch::open(&pipeline, &mut ports).expect("room").expect("gaze sweeps");
+    ports
+        .attend(|| {
+            sweep.receive()?;
+            let is_found = look()?.1;
             // What is searched meanwhile has gaps too: the longest is known at the end of a sweep.
-            let is_swept = sweep
-                .report()
-                .is_some_and(|report| report.partitions.mean_frames.is_some() && found.is_some());
+            let report = sweep.report();
+            let is_swept =
+                report.is_some_and(|report| report.partitions.mean_frames.is_some() && is_found);
             Ok((!is_swept).then_some(Duration::from_millis(20)))
         })
         .expect("messages can be waited for");

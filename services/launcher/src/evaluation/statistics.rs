@@ -74,16 +74,15 @@ pub fn effective_samples(series: &[Vec<f64>]) -> f64 {
 /// models", 1986). Fewer than [`RUNS_THAT_TELL`] say too little of how they differ; then neighbours
 /// in time are asked as in [`effective_samples`].
 pub fn effective_samples_of_runs(runs: &[Vec<f64>]) -> f64 {
-    let runs: Vec<&[f64]> = runs.iter().map(Vec::as_slice).filter(|run| !run.is_empty()).collect();
     let all: Vec<f64> = runs.concat();
-    let Some(mean) = mean(&all).filter(|_| runs.len() >= RUNS_THAT_TELL) else {
-        let series: Vec<Vec<f64>> = runs.iter().map(|run| run.to_vec()).collect();
-        return effective_samples(&series);
+    let count_of_runs = runs.iter().filter(|run| !run.is_empty()).count();
+    let Some(mean) = mean(&all).filter(|_| count_of_runs >= RUNS_THAT_TELL) else {
+        return effective_samples(runs);
     };
     let squares: f64 = all.iter().map(|value| (value - mean).powi(2)).sum();
     let of_runs = runs.iter().map(|run| run.iter().map(|value| value - mean).sum::<f64>().powi(2));
     let of_runs: f64 = of_runs.sum();
-    let (count, runs) = (all.len() as f64, runs.len() as f64);
+    let (count, runs) = (all.len() as f64, count_of_runs as f64);
     if squares <= 0.0 {
         return 1.0;
     }

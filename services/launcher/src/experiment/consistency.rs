@@ -148,9 +148,10 @@ impl Part {
             (bound(0.025)..bound(0.975)).contains(&sum)
         });
         let share = inside.count() as f64 / moments.len() as f64;
-        let without_frames = |run: Vec<(u64, f64)>| run.into_iter().map(|(_, number)| number);
-        let runs: Vec<Vec<f64>> =
-            numbers.into_iter().map(|run| without_frames(run).collect()).collect();
+        let runs: Vec<Vec<f64>> = numbers
+            .into_iter()
+            .map(|run| run.into_iter().map(|(_, number)| number).collect())
+            .collect();
         Some(Self {
             nees: Nees::of_runs(&runs)?,
             moments: moments.len(),
