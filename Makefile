@@ -32,6 +32,7 @@ bench: setup
 
 # Later versions of OpenCV search several times as long.
 peers: build target/peers/bin/python
+	@[[ -n "$(RECORDING)" ]] || { echo "Whose recording? Cure: make peers RECORDING=FOLDER"; exit 1; }
 	target/peers/bin/python tests/peers/compare.py target/release/flockeye $(RECORDING)
 
 target/peers/bin/python:

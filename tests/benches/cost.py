@@ -5,7 +5,7 @@
 
 Simulated flights in the flow `lossless`, so that every frame is worked on however slow the machine
 is, and each searches as many partitions. Prints Markdown; OUT.svg is drawn beside it. Processor time
-is that of the stages' processes as Linux counts it, from the first frame searched to the last.
+is that of the stages' processes as Linux counts it, from frame 30 to the last.
 """
 
 import json

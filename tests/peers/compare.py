@@ -50,6 +50,8 @@ def row(name, evaluation, processor_s, duration_s):
 
 
 def main():
+    if len(sys.argv) != 3:
+        sys.exit(__doc__)
     flockeye, folder = Path(sys.argv[1]).resolve(), Path(sys.argv[2]).resolve()
     video, truth, bodies = next(folder.glob("*.mp4")), folder / "truth.csv", folder.parent / "bodies.json"
     peer = Path(__file__).with_name("paper.py")
