@@ -75,11 +75,13 @@ impl<'a> LumaImage<'a> {
     }
 
     /// Pixels in a row.
+    #[inline]
     pub fn width(&self) -> usize {
         self.width
     }
 
     /// Rows.
+    #[inline]
     pub fn height(&self) -> usize {
         self.height
     }
@@ -98,6 +100,7 @@ impl<'a> LumaImage<'a> {
     ///
     /// # Panics
     /// When there is no such row, as a slice does.
+    #[inline]
     pub fn row(&self, y: usize) -> &'a [u8] {
         &self.pixels[y * self.stride..][..self.width]
     }

@@ -34,6 +34,7 @@ extern crate self as flockeye_imaging;
 
 pub mod align;
 pub mod edges;
+mod gaussian;
 pub mod image;
 pub mod light;
 pub mod sphere;

@@ -97,6 +97,7 @@ impl LinearLight {
     }
 
     /// The light that `code` stands for.
+    #[inline]
     pub fn of(&self, code: u8) -> f32 {
         self.table[usize::from(code)]
     }
@@ -119,6 +120,7 @@ impl LinearLight {
 
     /// The light at a point between pixels: bilinear, of linearised values. `None` where one of the
     /// four pixels round it is outside the image.
+    #[inline(always)]
     pub fn at(&self, image: &LumaImage<'_>, at: ViewPixel) -> Option<f32> {
         let (x, y) = (at.0.x, at.0.y);
         let (last_x, last_y) = ((image.width() - 1) as f64, (image.height() - 1) as f64);
@@ -126,10 +128,12 @@ impl LinearLight {
         if !(x >= 0.0 && y >= 0.0 && x <= last_x && y <= last_y) {
             return None;
         }
-        let (left, top) = (x as usize, y as usize);
+        // No image is as large as an i32, which is had from a float in one instruction.
+        let (left, top) = (x as i32, y as i32);
+        let (fx, fy) = ((x - f64::from(left)) as f32, (y - f64::from(top)) as f32);
+        let (left, top) = (left as usize, top as usize);
         let (right, bottom) =
             ((left + 1).min(image.width() - 1), (top + 1).min(image.height() - 1));
-        let (fx, fy) = ((x - left as f64) as f32, (y - top as f64) as f32);
         let row = |y: usize| {
             let row = image.row(y);
             self.of(row[left]) * (1.0 - fx) + self.of(row[right]) * fx

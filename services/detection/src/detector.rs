@@ -1,7 +1,5 @@
 //! From a view to its markers.
 
-use std::sync::{Mutex, PoisonError};
-
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::Ray;
 use flockeye_geometry::mask::Mask;
@@ -15,8 +13,8 @@ use flockeye_imaging::square::mean_side_px;
 use nalgebra::Vector2;
 
 use crate::DetectError;
-use crate::candidates::{self, Candidates, Quad};
-use crate::reading::{Decoded, Reader, Reading};
+use crate::candidates::{Candidates, Finder, Quad};
+use crate::reading::{Decoded, Likeness, Reader, Reading};
 
 /// Images with a shorter side hold no marker, pixels.
 const MIN_IMAGE_PX: usize = 16;
@@ -120,6 +118,7 @@ pub struct Detector {
     /// Ids that a doubtful square may be taken for.
     expected: Vec<u32>,
     grain: Grain,
+    finder: Finder,
 }
 
 impl Detector {
@@ -129,11 +128,17 @@ impl Detector {
     /// An unknown dictionary, a broken file, or a parameter outside its range.
     pub fn new(dictionary: &str, parameters: DetectorParameters) -> Result<Self, DetectError> {
         check(&parameters)?;
-        use_one_thread()?;
         let dictionary = Dictionary::load(dictionary)?;
         let reader = Reader::new(&dictionary);
-        let grain = Grain::Pixels;
-        Ok(Self { dictionary, reader, parameters, mask: None, expected: Vec::new(), grain })
+        Ok(Self {
+            dictionary,
+            reader,
+            parameters,
+            mask: None,
+            expected: Vec::new(),
+            grain: Grain::Pixels,
+            finder: Finder::default(),
+        })
     }
 
     /// Offers squares that do not decode as doubtful markers, if they look like one of these.
@@ -172,19 +177,16 @@ impl Detector {
 
     /// Every marker in `image`, which shows what `view` says; by rising id, each id once. Behind
     /// them at most [`MAX_DOUBTFUL`] doubtful ones of other ids, the best first.
-    ///
-    /// # Errors
-    /// What OpenCV says. A view without markers, however small or empty, is none.
     pub fn detect(
         &mut self,
         image: &LumaImage<'_>,
         view: &View,
         light: &LinearLight,
-    ) -> Result<Vec<Found>, DetectError> {
+    ) -> Vec<Found> {
         if image.width().min(image.height()) < MIN_IMAGE_PX {
-            return Ok(Vec::new());
+            return Vec::new();
         }
-        let Candidates { whole, completed } = candidates::find(image, &self.parameters)?;
+        let Candidates { whole, completed } = self.finder.find(image, &self.parameters);
         let mut found: Vec<Found> = Vec::new();
         let mut doubtful: Vec<Found> = Vec::new();
         for quad in whole.iter().chain(&completed) {
@@ -202,7 +204,7 @@ impl Detector {
         found.sort_by(|a, b| a.id.cmp(&b.id).then(b.agreement.total_cmp(&a.agreement)));
         found.dedup_by_key(|marker| marker.id);
         add_doubtful(&mut found, doubtful);
-        Ok(found)
+        found
     }
 
     /// Whether a quadrilateral's middle lies on the own airframe, or where no lens sees.
@@ -224,9 +226,9 @@ impl Detector {
         if mean_side_px(&near) < self.parameters.min_side_px {
             return None;
         }
-        let reading = self.reading(image, light, &near)?;
-        self.marker(image, view, light, &near, &reading)
-            .or_else(|| self.doubtful(view, &near, &reading))
+        let likeness = self.reader.compare(&self.reading(image, light, &near)?)?;
+        self.marker(image, view, light, &near, &likeness)
+            .or_else(|| self.doubtful(view, &near, &likeness))
     }
 
     /// The marker in a square, if there is one to be believed.
@@ -236,9 +238,9 @@ impl Detector {
         view: &View,
         light: &LinearLight,
         near: &Quad,
-        reading: &Reading,
+        likeness: &Likeness,
     ) -> Option<Found> {
-        let decoded = self.reader.decode(reading)?;
+        let decoded = likeness.best()?;
         if !self.is_worth_fitting(&decoded) {
             return None;
         }
@@ -255,7 +257,8 @@ impl Detector {
             None => (corners, [UNREFINED_PX; 4]),
         };
         // What reads well only where the corners were guessed is no marker.
-        let confirmed = self.reader.decode(&self.reading(image, light, &corners_in_view)?)?;
+        let confirmed =
+            self.reader.compare(&self.reading(image, light, &corners_in_view)?)?.best()?;
         let is_same = (confirmed.id, confirmed.first_corner) == (decoded.id, 0);
         let is_believed = match refined {
             Some(refined) => self.is_marker(&confirmed) && self.looks_printed(&refined),
@@ -269,8 +272,8 @@ impl Detector {
     }
 
     /// The expected marker that a square looks most like.
-    fn doubtful(&self, view: &View, near: &Quad, reading: &Reading) -> Option<Found> {
-        let guessed = self.reader.decode_among(reading, &self.expected)?;
+    fn doubtful(&self, view: &View, near: &Quad, likeness: &Likeness) -> Option<Found> {
+        let guessed = likeness.best_among(self.expected.iter().copied())?;
         (guessed.agreement >= MIN_GUESS).then(|| Found {
             agreement: guessed.agreement,
             is_doubtful: true,
@@ -429,23 +432,6 @@ fn check(parameters: &DetectorParameters) -> Result<(), DetectError> {
         if !holds || !value.is_finite() {
             return Err(DetectError::Parameter { name, value, allowed });
         }
-    }
-    Ok(())
-}
-
-/// Keeps OpenCV to the calling thread: views are spread over processes already.
-///
-/// [`Detector::new`] does it too. Only the first call in a process reaches OpenCV: changing the
-/// number of threads while another thread detects crashes in its thread pool.
-///
-/// # Errors
-/// What OpenCV says.
-pub fn use_one_thread() -> Result<(), DetectError> {
-    static IS_DONE: Mutex<bool> = Mutex::new(false);
-    let mut is_done = IS_DONE.lock().unwrap_or_else(PoisonError::into_inner);
-    if !*is_done {
-        opencv::core::set_num_threads(1)?;
-        *is_done = true;
     }
     Ok(())
 }

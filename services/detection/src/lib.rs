@@ -10,16 +10,19 @@
 //! with the right bits passes. Here none passes without its quiet zone. docs/DETECTION.md says what
 //! is found, and how it compares.
 
-pub mod candidates;
+mod candidates;
+mod darkness;
 mod detector;
+mod outlines;
 mod plausible;
+mod polygon;
 mod reading;
 pub mod stage;
 mod three_corners;
 
 use flockeye_dictionary::DictionaryError;
 
-pub use detector::{Detector, DetectorParameters, Found, MAX_DOUBTFUL, Threshold, use_one_thread};
+pub use detector::{Detector, DetectorParameters, Found, MAX_DOUBTFUL, Threshold};
 pub use plausible::keep_plausible;
 
 /// Why a detector could not be had, or a view not be searched.
@@ -38,9 +41,6 @@ pub enum DetectError {
         /// What it may be.
         allowed: &'static str,
     },
-    /// OpenCV refused.
-    #[error("OpenCV: {0}")]
-    OpenCv(#[from] opencv::Error),
 }
 
 /// The detection stage's process. It is here so that it is compiled once, with the library.

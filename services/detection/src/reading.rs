@@ -100,78 +100,106 @@ impl Reading {
     }
 }
 
+/// Markers that are compared at once.
+const LANES: usize = 16;
+
 /// The markers of a dictionary, blurred, ready to be compared.
 pub(crate) struct Reader {
     bits: usize,
-    /// For each blur, the inner cells of all markers one after the other, with mean 0 and norm 1.
-    templates: [Vec<f32>; BLURS_CELLS.len()],
+    count: usize,
+    /// For each blur, the inner cells of all markers, with mean 0 and norm 1: of each [`LANES`] markers
+    /// the first cells, then the second ones, and so on. The last ones are filled up with zeros.
+    templates: [Vec<[f32; LANES]>; BLURS_CELLS.len()],
 }
 
 impl Reader {
     pub(crate) fn new(dictionary: &Dictionary) -> Self {
-        let bits = dictionary.bits();
+        let (bits, count) = (dictionary.bits(), dictionary.marker_count());
         let templates = BLURS_CELLS.map(|blur| {
             let kernel = kernel(blur);
-            let mut cells: Vec<f32> = Vec::with_capacity(dictionary.marker_count() * bits * bits);
-            for print in dictionary.prints() {
+            let mut templates = vec![[0.0; LANES]; count.div_ceil(LANES) * bits * bits];
+            for (id, print) in dictionary.prints().iter().enumerate() {
                 let mut drawn = draw(print, bits, &kernel);
                 normalise(&mut drawn);
-                cells.extend(drawn);
+                let first = id / LANES * bits * bits;
+                for (lanes, cell) in templates[first..].iter_mut().zip(drawn) {
+                    lanes[id % LANES] = cell;
+                }
             }
-            cells
+            templates
         });
-        Self { bits, templates }
+        Self { bits, count, templates }
     }
 
-    /// The marker that a reading looks most like. `None` for a reading without contrast.
-    pub(crate) fn decode(&self, reading: &Reading) -> Option<Decoded> {
-        let count = self.templates[0].len() / (self.bits * self.bits);
-        self.most_like(reading, 0..count as u32)
-    }
-
-    /// The same among these ids, all of the dictionary; its certainty is that among them.
-    pub(crate) fn decode_among(&self, reading: &Reading, ids: &[u32]) -> Option<Decoded> {
-        self.most_like(reading, ids.iter().copied())
-    }
-
-    fn most_like(
-        &self,
-        reading: &Reading,
-        ids: impl Iterator<Item = u32> + Clone,
-    ) -> Option<Decoded> {
-        let mut best: Option<Decoded> = None;
-        let mut runner_up: f32 = 0.0;
+    /// How much a reading looks like each marker. `None` for a reading without contrast.
+    pub(crate) fn compare(&self, reading: &Reading) -> Option<Likeness> {
         let mut turned = reading.cells.clone();
         if !normalise(&mut turned) {
             return None;
         }
-        for first_corner in 0..4 {
+        let cells = turned.len();
+        let agreements = std::array::from_fn(|first_corner| {
+            if first_corner > 0 {
+                turned = turn(&turned, self.bits);
+            }
+            let mut best = vec![[f32::MIN; LANES]; self.count.div_ceil(LANES)];
             for templates in &self.templates {
-                for id in ids.clone() {
-                    let first = id as usize * turned.len();
-                    let template = &templates[first..first + turned.len()];
-                    let agreement: f32 = template.iter().zip(&turned).map(|(a, b)| a * b).sum();
-                    let is_same =
-                        best.is_some_and(|best| (best.id, best.first_corner) == (id, first_corner));
-                    match &mut best {
-                        Some(best) if is_same => best.agreement = best.agreement.max(agreement),
-                        Some(best) if agreement <= best.agreement => {
-                            runner_up = runner_up.max(agreement);
+                for (best, markers) in best.iter_mut().zip(templates.chunks_exact(cells)) {
+                    let mut sums = [0.0; LANES];
+                    for (template, cell) in markers.iter().zip(&turned) {
+                        for (sum, template) in sums.iter_mut().zip(template) {
+                            *sum += template * cell;
                         }
-                        _ => {
-                            runner_up = best.map_or(0.0, |best| best.agreement).max(runner_up);
-                            best = Some(Decoded { id, first_corner, agreement, certainty: 0.0 });
-                        }
+                    }
+                    for (best, sum) in best.iter_mut().zip(sums) {
+                        *best = best.max(sum);
                     }
                 }
             }
-            turned = turn(&turned, self.bits);
+            best
+        });
+        Some(Likeness { cells, count: self.count, agreements })
+    }
+}
+
+/// How much a reading looks like each marker of a dictionary.
+pub(crate) struct Likeness {
+    cells: usize,
+    count: usize,
+    /// For each turn of the square, the correlation with each marker at the blur that suits it best.
+    agreements: [Vec<[f32; LANES]>; 4],
+}
+
+impl Likeness {
+    /// The marker that it looks most like.
+    pub(crate) fn best(&self) -> Option<Decoded> {
+        self.best_among(0..self.count as u32)
+    }
+
+    /// The same among these ids, all of the dictionary; its certainty is that among them.
+    pub(crate) fn best_among(&self, ids: impl Iterator<Item = u32> + Clone) -> Option<Decoded> {
+        let mut best: Option<Decoded> = None;
+        let mut runner_up: f32 = 0.0;
+        for (first_corner, agreements) in self.agreements.iter().enumerate() {
+            let agreements = agreements.as_flattened();
+            for id in ids.clone() {
+                let agreement = agreements[id as usize];
+                match best {
+                    Some(best) if agreement <= best.agreement => {
+                        runner_up = runner_up.max(agreement);
+                    }
+                    _ => {
+                        runner_up = best.map_or(0.0, |best| best.agreement).max(runner_up);
+                        best = Some(Decoded { id, first_corner, agreement, certainty: 0.0 });
+                    }
+                }
+            }
         }
         // Gaussian residuals of unknown size: their sum of squares is 1 - r^2 of the cells' own.
         let left_over = |agreement: f32| (1.0 - agreement * agreement).max(1e-4);
         best.map(|best| {
             let ratio = left_over(runner_up) / left_over(best.agreement);
-            Decoded { certainty: 0.5 * turned.len() as f32 * ratio.ln(), ..best }
+            Decoded { certainty: 0.5 * self.cells as f32 * ratio.ln(), ..best }
         })
     }
 }

@@ -11,7 +11,7 @@ use flockeye_runtime::ports::{Message, Ports, Publisher, Subscriber};
 use flockeye_runtime::{Context, Stage, Step, clock};
 use flockeye_viewing::{Lights, image_of, view_of};
 
-use crate::detector::{Detector, DetectorParameters, Found, Threshold, use_one_thread};
+use crate::detector::{Detector, DetectorParameters, Found, Threshold};
 use crate::keep_plausible;
 
 /// Markers in one record: as many as the topic has room for, and below the contract's limit.
@@ -37,8 +37,6 @@ impl Stage for DetectionStage {
     const NAME: &'static str = "detection";
 
     fn open(context: &Context, ports: &mut Ports) -> anyhow::Result<Self> {
-        // The work is spread over processes; OpenCV's threads would only be in each other's way.
-        use_one_thread()?;
         let bodies = context.pipeline.bodies()?;
         let parameters = DetectorParameters {
             min_side_px: context.pipeline.detection.min_side_px,
@@ -123,7 +121,7 @@ impl DetectionStage {
         let magnification = header.focal_px / self.pixels_per_radian;
         self.detector.set_thresholds(thresholds(header.kind, magnification))?;
         self.detector.set_magnification(magnification);
-        let found = self.detector.detect(&image, &view, self.lights.of(header)?)?;
+        let found = self.detector.detect(&image, &view, self.lights.of(header)?);
         Ok(keep_plausible(found, &self.bodies))
     }
 }

@@ -21,7 +21,6 @@ struct Recall {
 
 impl Recall {
     fn new() -> Self {
-        flockeye_detection::use_one_thread().unwrap();
         let detector = Detector::new("DICT_5X5_250", DetectorParameters::default()).unwrap();
         let light = LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap();
         Self { detector: detector.with_expected(0..34), light, dice: Dice(99) }
@@ -44,7 +43,7 @@ impl Recall {
         let pixels = encode(&scene.render(), TransferCurve::Srgb, 0.01, &mut self.dice);
         let image = LumaImage::new(&pixels, scene.size, scene.size, scene.size).unwrap();
         let view = View::looking_at(&Vector3::x_axis(), 0.2, scene.size as u32);
-        self.detector.detect(&image, &view, &self.light).unwrap()
+        self.detector.detect(&image, &view, &self.light)
     }
 
     /// Of 40 markers each: how many are found, in percent, and how many only as doubtful.

@@ -66,7 +66,6 @@ fn median(values: &mut [f64]) -> f64 {
 #[test]
 fn stills_near_the_observer() {
     let Some(data) = data() else { return };
-    flockeye_detection::use_one_thread().unwrap();
     let folder = data.join("stills");
     let mut truth = csv::Reader::from_path(folder.join("truth.csv")).unwrap();
     let truth: Vec<Truth> = truth.deserialize().map(Result::unwrap).collect();
@@ -92,7 +91,7 @@ fn stills_near_the_observer() {
         let field = 2.0 * (f64::from(size) / (2.0 * focal)).atan();
         let view = View::looking_at(&direction, field, size);
         let cut = picture.cut(&view);
-        let found = detector.detect(&cut.image(), &view, &light).unwrap();
+        let found = detector.detect(&cut.image(), &view, &light);
         let seen: Vec<&Marker> = corners
             .iter()
             .filter(|line| line.frame == body.frame)
@@ -184,7 +183,6 @@ fn report(tally: &mut Tally) {
 #[test]
 fn real_panoramas_hold_no_marker() {
     let Some(data) = data() else { return };
-    flockeye_detection::use_one_thread().unwrap();
     let light = srgb();
     for dictionary in ["DICT_5X5_250", "DICT_4X4_50", "DICT_6X6_250"] {
         let mut detector = Detector::new(dictionary, DetectorParameters::default()).unwrap();
@@ -199,7 +197,7 @@ fn real_panoramas_hold_no_marker() {
                 detector.set_magnification(magnified);
                 for view in partitions(magnified * focal) {
                     let cut = picture.cut(&view);
-                    let found = detector.detect(&cut.image(), &view, &light).unwrap();
+                    let found = detector.detect(&cut.image(), &view, &light);
                     assert!(found.is_empty(), "{dictionary} in {file}: {found:#?}");
                 }
             }
@@ -213,7 +211,7 @@ fn a_real_print_is_read() {
     let picture = Picture::read(&data.join("real/opencv_aruco/singlemarkersoriginal.jpg"));
     let view = View::looking_at(&Vector3::x_axis(), 1.0, picture.width as u32);
     let mut detector = Detector::new("DICT_6X6_250", DetectorParameters::default()).unwrap();
-    let found = detector.detect(&picture.image(), &view, &srgb()).unwrap();
+    let found = detector.detect(&picture.image(), &view, &srgb());
     let ids: Vec<u32> = found.iter().map(|marker| marker.id).collect();
     assert_eq!(ids, [23, 40, 62, 98, 124, 203]);
     assert!(found.iter().all(|marker| marker.is_refined), "{found:#?}");
@@ -229,7 +227,7 @@ fn a_dictionary_file_is_read() {
     let parameters = DetectorParameters::default();
     let mut detector = Detector::new(file.to_str().unwrap(), parameters).unwrap();
     assert_eq!(detector.dictionary().marker_count(), 35);
-    let found = detector.detect(&picture.image(), &view, &srgb()).unwrap();
+    let found = detector.detect(&picture.image(), &view, &srgb());
     println!("{} of 35 of the board", found.len());
     assert!(found.len() >= 30);
 }

@@ -18,7 +18,7 @@ fn markers_in(pixels: &[u8], width: usize, height: usize, stride: usize) -> usiz
     let view = View::looking_at(&Vector3::x_axis(), 1.0, width as u32);
     let light = LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap();
     let mut detector = Detector::new("DICT_5X5_250", DetectorParameters::default()).unwrap();
-    detector.detect(&image, &view, &light).unwrap().len()
+    detector.detect(&image, &view, &light).len()
 }
 
 #[test]
@@ -79,7 +79,7 @@ fn a_marker_on_the_own_airframe_is_not_read() {
         let mask = Mask::new(Camera::equirectangular(256, 128), [256, 128], seen).unwrap();
         let parameters = DetectorParameters::default();
         let mut detector = Detector::new("DICT_5X5_250", parameters).unwrap().with_mask(mask);
-        let found = detector.detect(&image, &view, &light).unwrap();
+        let found = detector.detect(&image, &view, &light);
         found.iter().map(|marker| marker.id).collect()
     };
     assert_eq!(ids_beside(|column| column >= 128), [7]);

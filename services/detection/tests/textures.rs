@@ -23,7 +23,6 @@ struct Observer {
 
 impl Observer {
     fn new(dictionary: &str) -> Self {
-        flockeye_detection::use_one_thread().unwrap();
         let list = vec![squares("alpha", 0.0625, 0.05, 0), squares("bravo", 0.0625, 0.05, 17)];
         let bodies = Bodies::new(dictionary.into(), list).unwrap();
         let detector = Detector::new(dictionary, DetectorParameters::default()).unwrap();
@@ -34,7 +33,7 @@ impl Observer {
 
     /// Markers that the bodies carry, decoded in a view.
     fn decoded(&mut self, picture: &Picture, view: &View) -> Vec<Found> {
-        let found = self.detector.detect(&picture.image(), view, &self.light).unwrap();
+        let found = self.detector.detect(&picture.image(), view, &self.light);
         let found = keep_plausible(found, &self.bodies);
         found
             .into_iter()

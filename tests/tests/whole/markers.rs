@@ -62,7 +62,7 @@ fn read(pixels: &[u8], width: usize, dictionary: &str) -> Vec<Found> {
     let view = View::looking_at(&Vector3::x_axis(), 1.0, width as u32);
     let light = LinearLight::new(TransferCurve::Linear, CodeRange::Full).expect("a curve");
     let mut detector = Detector::new(dictionary, DetectorParameters::default()).expect("known");
-    detector.detect(&image, &view, &light).expect("it looks")
+    detector.detect(&image, &view, &light)
 }
 
 /// Prints a body and reads it again: ids and sides in millimetres, by rising id.

@@ -15,8 +15,8 @@
 
 use nalgebra::{Matrix2, Vector2};
 
-use super::gaussian::{Gaussian, REACH};
 use super::print::{Cells, MAX_CELLS, PrintedFacet};
+use crate::gaussian::{Gaussian, REACH};
 
 /// A blurred indicator at a point of the plane: value, slope and curvature by the coordinates
 /// (metres; the curvature's entries are xx, xy, yy).

@@ -23,7 +23,6 @@
 
 mod blurred;
 mod covariance;
-mod gaussian;
 mod geometry;
 mod hidden;
 mod levels;

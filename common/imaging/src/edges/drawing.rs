@@ -193,8 +193,8 @@ impl Drawing {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
-    use super::super::model::gaussian;
     use super::*;
+    use crate::gaussian::density_and_share;
 
     /// A black square of six cells, 18.6 px wide.
     #[test]
@@ -223,7 +223,10 @@ mod tests {
                 // What a coordinate has of a blurred interval, and how that rises.
                 let black = |at: usize| {
                     let depth = (at * step) as f64 - left;
-                    let (near, far) = (gaussian(depth / sigma), gaussian((depth - size) / sigma));
+                    let (near, far) = (
+                        density_and_share(depth / sigma),
+                        density_and_share((depth - size) / sigma),
+                    );
                     (near.1 - far.1, (near.0 - far.0) / sigma)
                 };
                 for (k, (row, column)) in

@@ -32,7 +32,6 @@ use crate::light::LinearLight;
 use crate::square::{SquareInView, mean_side_px};
 pub use grain::Grain;
 use line::EdgeLine;
-pub(crate) use model::gaussian;
 pub use print::MarkerPrint;
 use profile::Side;
 use whole::State;
@@ -99,7 +98,8 @@ pub fn refine_corners(
             black: fit.black,
             misfit: fit.noise / (fit.white - fit.black),
         });
-        if moved < STARTED_PX {
+        // The first fit is a rough one.
+        if before.is_some() && moved < STARTED_PX {
             break;
         }
         before = Some(fit);

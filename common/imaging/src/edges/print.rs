@@ -1,5 +1,7 @@
 //! What a marker looks like on paper.
 
+use crate::gaussian::Gaussian;
+
 /// A printed marker: black and white cells in a black border of one cell, on white.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MarkerPrint {
@@ -55,12 +57,14 @@ impl MarkerPrint {
             2 => self.is_white(last - row, last - column),
             _ => self.is_white(last - column, row),
         };
+        let gaussian = Gaussian::get();
         let mut share = 1.0;
         let mut before = true;
         for column_edge in 0..=last + 1 {
             let white = cell(column_edge);
             if white != before {
-                let below = super::model::gaussian((column - column_edge as f64) / blur).1;
+                let (_, below) = gaussian.at(((column - column_edge as f64) / blur) as f32);
+                let below = f64::from(below);
                 share += if white { below } else { -below };
                 before = white;
             }

@@ -206,34 +206,35 @@ pub(super) fn approach(
     const STEP: f64 = 0.25;
     let cell = mean_side_px(guess) / cells as f64;
     let window = (0.5 * cell).clamp(1.0, 3.0);
-    let moved: Vec<(Side, EdgeLine)> = (0..4)
-        .map(|k| {
-            let (along, inward, middle, half) = frame_of_side(guess, k);
-            let places = (-2..=2).map(|n| middle + along * (half * 0.25 * f64::from(n)));
-            let places: Vec<Vector2<f64>> = places.collect();
-            let mean = |depth: f64| {
-                let sum: Option<f64> = places
-                    .iter()
-                    .map(|&base| sample(image, light, base, inward, depth).map(|s| s.light))
-                    .sum();
-                sum.map(|sum| sum / places.len() as f64)
-            };
-            // Mean light at each step of depth; places outside the image are no step at all.
-            let reach = ((SEARCH_PX + window) / STEP).round() as i32;
-            let values: Vec<Option<f64>> =
-                (-reach..=reach).map(|step| mean(f64::from(step) * STEP)).collect();
-            let width = (window / STEP).round() as i32;
-            let total = |from: i32| -> Option<f64> {
-                (from..from + width).map(|step| values[(step + reach) as usize]).sum()
-            };
-            let search = (SEARCH_PX / STEP) as i32;
-            let steepest = (-search..=search)
-                .filter_map(|step| Some((step, total(step - width)? - total(step + 1)?)))
-                .max_by(|a, b| a.1.total_cmp(&b.1))?;
-            let line = EdgeLine::level(f64::from(steepest.0) * STEP);
-            Some((Side { middle, along, inward, half, step: STEP, profiles: Vec::new() }, line))
-        })
-        .collect::<Option<_>>()?;
+    let width = (window / STEP).round() as usize;
+    let search = (SEARCH_PX / STEP) as usize;
+    // Light at each step of depth, from `search + width` steps outside the guess to as many inside.
+    let mut values = vec![0.0f32; 2 * (search + width) + 1];
+    let mut moved = Vec::with_capacity(4);
+    for k in 0..4 {
+        let (along, inward, middle, half) = frame_of_side(guess, k);
+        values.fill(0.0);
+        for place in -2..=2 {
+            let base = middle + along * (half * 0.25 * f64::from(place));
+            let outermost = base - inward * ((search + width) as f64 * STEP);
+            for (step, value) in values.iter_mut().enumerate() {
+                let at = ViewPixel(outermost + inward * (step as f64 * STEP));
+                // What is outside the image is no step at all: a NaN is in no sum that counts.
+                *value += light.at(image, at).unwrap_or(f32::NAN);
+            }
+        }
+        let falls = |at: usize| {
+            let outside: f32 = values[at..at + width].iter().sum();
+            let inside: f32 = values[at + width + 1..at + 2 * width + 1].iter().sum();
+            outside - inside
+        };
+        let steepest = (0..=2 * search)
+            .map(|at| (at, falls(at)))
+            .filter(|(_, fall)| fall.is_finite())
+            .max_by(|a, b| a.1.total_cmp(&b.1))?;
+        let line = EdgeLine::level((steepest.0 as f64 - search as f64) * STEP);
+        moved.push((Side { middle, along, inward, half, step: STEP, profiles: Vec::new() }, line));
+    }
     let corner = |k: usize| {
         let ((before, before_line), (side, line)) = (&moved[(k + 3) % 4], &moved[k]);
         cross((before, before_line), (side, line)).map(|corner| corner.0)

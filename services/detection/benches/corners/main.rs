@@ -70,7 +70,7 @@ impl Ours {
 
     fn corners(&mut self, picture: &Picture) -> Option<[ViewPixel; 4]> {
         let view = View::looking_at(&Vector3::x_axis(), 0.2, picture.scene.size as u32);
-        let found = self.detector.detect(&picture.image(), &view, &self.light).unwrap();
+        let found = self.detector.detect(&picture.image(), &view, &self.light);
         let marker = found.iter().find(|marker| marker.id == picture.id && marker.is_refined);
         marker.map(|marker| marker.corners_in_view)
     }

@@ -23,6 +23,7 @@ impl Theirs {
     /// All four. `APRILTAG`'s corners lie (+0.45, +0.45) px off the convention of the others, which
     /// is taken off here.
     pub fn all() -> Vec<Self> {
+        opencv::core::set_num_threads(1).unwrap();
         let ways = [
             ("OpenCV, NONE", CORNER_REFINE_NONE, 0.0),
             ("OpenCV, SUBPIX", CORNER_REFINE_SUBPIX, 0.0),
