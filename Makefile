@@ -27,7 +27,7 @@ test: setup
 
 bench: setup
 	cargo build --release --workspace --all-targets --locked
-	cargo bench --workspace --locked --bench rectify --bench corners --bench align --bench render --bench hop --bench pipeline
+	cargo bench --workspace --locked --bench rectify --bench corners --bench search --bench align --bench render --bench hop --bench pipeline
 	$(if $(RECORDING),$(MAKE) peers)
 
 # Later versions of OpenCV search several times as long.

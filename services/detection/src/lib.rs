@@ -10,7 +10,7 @@
 //! with the right bits passes. Here none passes without its quiet zone. docs/DETECTION.md says what
 //! is found, and how it compares.
 
-mod candidates;
+pub mod candidates;
 mod darkness;
 mod detector;
 mod outlines;

@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 pub(super) const DOUBTED_FRAMES: u64 = 15;
 
 /// Where a neighbour's pose waits for no marker, they are searched for in every so manyth frame all the
-/// same, to be compared with it. That search costs nine times what the pose does.
+/// same, to be compared with it. That search costs four times what the pose does.
 const MARKERS_EVERY_FRAMES: u32 = 4;
 
 /// What the frames so far say.

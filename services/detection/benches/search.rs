@@ -1,0 +1,168 @@
+//! What the search of a view without markers costs, by the texture in it: ours, and OpenCV's, by turns.
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used)]
+
+#[path = "../tests/shared/mod.rs"]
+mod shared;
+
+use std::time::Instant;
+
+use criterion::{Criterion, criterion_group};
+use flockeye_detection::candidates::Finder;
+use flockeye_detection::{Detector, DetectorParameters, Threshold};
+use flockeye_geometry::view::View;
+use flockeye_imaging::edges::Effort;
+use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
+use opencv::aruco::{self, PREDEFINED_DICTIONARY_NAME};
+use opencv::core::{Mat, Point, Vector};
+use opencv::imgproc::{
+    ADAPTIVE_THRESH_MEAN_C, CHAIN_APPROX_NONE, RETR_LIST, THRESH_BINARY_INV, adaptive_threshold,
+    approx_poly_dp, find_contours,
+};
+use opencv::prelude::*;
+use shared::{Picture, data, partitions};
+
+const DICTIONARY: &str = "DICT_5X5_250";
+/// Markers with sides of 11 px, as the stage looks for them in a partition.
+const SHORTEST: usize = 26;
+const TURNS: usize = 15;
+
+/// As the stage searches a partition.
+fn parameters() -> DetectorParameters {
+    DetectorParameters {
+        thresholds: vec![
+            Threshold { window_px: 7, darker_by: 4.0 },
+            Threshold { window_px: 31, darker_by: 10.0 },
+        ],
+        effort: Effort::Edges,
+        ..DetectorParameters::default()
+    }
+}
+
+/// Squares, as OpenCV's functions find them with the same windows.
+fn their_squares(image: &Mat) -> usize {
+    let mut squares = 0;
+    for Threshold { window_px, darker_by } in parameters().thresholds {
+        let (mut dark, method) = (Mat::default(), ADAPTIVE_THRESH_MEAN_C);
+        adaptive_threshold(
+            image,
+            &mut dark,
+            255.0,
+            method,
+            THRESH_BINARY_INV,
+            window_px,
+            darker_by,
+        )
+        .unwrap();
+        let mut outlines = Vector::<Vector<Point>>::new();
+        find_contours(&dark, &mut outlines, RETR_LIST, CHAIN_APPROX_NONE, Point::new(0, 0))
+            .unwrap();
+        let mut polygon = Vector::<Point>::new();
+        for outline in outlines.iter().filter(|outline| outline.len() >= SHORTEST) {
+            approx_poly_dp(&outline, &mut polygon, 0.05 * outline.len() as f64, true).unwrap();
+            squares += usize::from(polygon.len() == 4);
+        }
+    }
+    squares
+}
+
+fn their_markers(image: &Mat) -> usize {
+    let dictionary =
+        aruco::get_predefined_dictionary(PREDEFINED_DICTIONARY_NAME::DICT_5X5_250).unwrap();
+    let (mut corners, mut ids) = (Vector::<Mat>::new(), Vector::<i32>::new());
+    let parameters = aruco::DetectorParameters::create().unwrap();
+    let mut rejected = Vector::<Mat>::new();
+    aruco::detect_markers(image, &dictionary, &mut corners, &mut ids, &parameters, &mut rejected)
+        .unwrap();
+    ids.len()
+}
+
+/// A view, and what it was cut as.
+struct Scene {
+    view: View,
+    picture: Picture,
+    mat: Mat,
+}
+
+/// Views of a real panorama where there is one, else of random blocks.
+fn scenes() -> (Vec<Scene>, &'static str) {
+    let focal = 3840.0 / std::f64::consts::TAU;
+    let panorama = data().map(|data| data.join("real/panorama/examplepano.jpg"));
+    let sphere = panorama.filter(|path| path.is_file()).map(|path| Picture::read(&path));
+    let name = if sphere.is_some() { "real/panorama" } else { "random blocks" };
+    let cut = |view: View| {
+        let size = view.size_px as usize;
+        let block = |at: usize| {
+            let dice = (at % size / 24) * 7919 + (at / size / 24) * 104_729;
+            (dice * dice % 251) as u8
+        };
+        let picture = sphere.as_ref().map_or_else(
+            || Picture { pixels: (0..size * size).map(block).collect(), width: size, height: size },
+            |sphere| sphere.cut(&view),
+        );
+        let mat = Mat::new_rows_cols_with_data(size as i32, size as i32, &picture.pixels);
+        let mat = mat.unwrap().try_clone().unwrap();
+        Scene { view, picture, mat }
+    };
+    (partitions(focal).into_iter().map(cut).collect(), name)
+}
+
+fn search(criterion: &mut Criterion) {
+    opencv::core::set_num_threads(1).unwrap();
+    let (scenes, name) = scenes();
+    let scene = &scenes[0];
+    let mut detector = Detector::new(DICTIONARY, parameters()).unwrap();
+    let light = LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap();
+    let mut group = criterion.benchmark_group(format!("a partition of {name}"));
+    group.bench_function("ours", |b| {
+        b.iter(|| detector.detect(&scene.picture.image(), &scene.view, &light));
+    });
+    group.bench_function("OpenCV", |b| b.iter(|| their_markers(&scene.mat)));
+}
+
+/// Prints the time of all twelve partitions, medians of turns.
+fn table() {
+    let (scenes, name) = scenes();
+    let (mut finder, parameters) = (Finder::default(), parameters());
+    let mut detector = Detector::new(DICTIONARY, parameters.clone()).unwrap();
+    let light = LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap();
+    let mut times = [const { Vec::<f64>::new() }; 4];
+    for _ in 0..TURNS {
+        let mut ways: [&mut dyn FnMut(&Scene) -> usize; 4] = [
+            &mut |scene| finder.find(&scene.picture.image(), &parameters).whole.len(),
+            &mut |scene| their_squares(&scene.mat),
+            &mut |scene| detector.detect(&scene.picture.image(), &scene.view, &light).len(),
+            &mut |scene| their_markers(&scene.mat),
+        ];
+        for (times, way) in times.iter_mut().zip(&mut ways) {
+            let before = Instant::now();
+            for scene in &scenes {
+                std::hint::black_box(way(scene));
+            }
+            times.push(before.elapsed().as_secs_f64() * 1e3);
+        }
+    }
+    let [our_squares, their_squares, ours, theirs] = times.map(|mut times| {
+        times.sort_by(f64::total_cmp);
+        times[times.len() / 2]
+    });
+    let size = scenes[0].view.size_px;
+    println!("\ntwelve partitions of {size} px of {name}, one thread, ms");
+    println!("| | ours | OpenCV | ratio |\n| --- | --- | --- | --- |");
+    for (what, ours, theirs) in [
+        ("squares, two windows each", our_squares, their_squares),
+        ("markers (OpenCV: its three windows)", ours, theirs),
+    ] {
+        println!("| {what} | {ours:.0} | {theirs:.0} | {:.2} |", theirs / ours);
+    }
+}
+
+criterion_group!(search_group, search);
+
+fn main() {
+    search_group();
+    Criterion::default().configure_from_args().final_summary();
+    // As a test, one pass says that it runs.
+    if !std::env::args().any(|argument| argument == "--test") {
+        table();
+    }
+}
