@@ -69,7 +69,7 @@ impl Finder {
                 let corners: Vec<Vector2<f64>> = polygon.iter().map(point).collect();
                 let completed = three_corners::complete(&corners, parameters.min_side_px);
                 found.completed.extend(completed.filter(|quad| {
-                    three_corners::is_dark_inside(image, quad, threshold.darker_by)
+                    three_corners::is_dark_inside(image, quad, threshold.darker_by.into())
                 }));
             }
         }

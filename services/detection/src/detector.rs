@@ -26,10 +26,11 @@ const UNREFINED_PX: f64 = 2.0;
 /// A pixel is dark if it is darker than its surroundings.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Threshold {
-    /// Side of the square of surroundings whose mean counts, pixels; odd.
+    /// Side of the square of surroundings whose mean counts, pixels; odd. From 15 on it is one of
+    /// blocks: smaller by a tenth at most, and up to a fourteenth of it off.
     pub window_px: i32,
-    /// By how much it must be darker, code values.
-    pub darker_by: f64,
+    /// By how much it must be darker, code values; 1 or more.
+    pub darker_by: u8,
 }
 
 /// Doubtful markers in one view.
@@ -76,8 +77,8 @@ impl Default for DetectorParameters {
             min_side_px: 11.0,
             thresholds: vec![
                 // Small markers; and large or bright ones, whose corners touch something dark.
-                Threshold { window_px: 11, darker_by: 4.0 },
-                Threshold { window_px: 61, darker_by: 10.0 },
+                Threshold { window_px: 11, darker_by: 4 },
+                Threshold { window_px: 61, darker_by: 10 },
             ],
             polygon_accuracy: 0.05,
             corner_accuracy_px: 2.0,
@@ -408,6 +409,12 @@ fn check(parameters: &DetectorParameters) -> Result<(), DetectError> {
             f64::from(odd_one_out.unwrap_or(3)),
             odd_one_out.is_none(),
             "odd, and 3 or more",
+        ),
+        (
+            "darker_by",
+            0.0,
+            parameters.thresholds.iter().all(|threshold| threshold.darker_by > 0),
+            "1 or more",
         ),
         (
             "polygon_accuracy",

@@ -25,7 +25,7 @@ use flockeye_dictionary::DictionaryError;
 pub use detector::{Detector, DetectorParameters, Found, MAX_DOUBTFUL, Threshold};
 pub use plausible::keep_plausible;
 
-/// Why a detector could not be had, or a view not be searched.
+/// Why a detector could not be had, or not be given other thresholds.
 #[derive(Debug, thiserror::Error)]
 pub enum DetectError {
     /// The dictionary could not be had.

@@ -256,3 +256,55 @@ fn draw(print: &MarkerPrint, bits: usize, kernel: &[f32; 5]) -> Vec<f32> {
     }
     cells
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use super::*;
+
+    /// Each correlation, one by one, and for each blur the largest.
+    fn plainly(dictionary: &Dictionary, reading: &Reading, first_corner: usize, id: u32) -> f32 {
+        let bits = dictionary.bits();
+        let mut cells = reading.cells.clone();
+        assert!(normalise(&mut cells));
+        (0..first_corner).for_each(|_| cells = turn(&cells, bits));
+        let correlation = |blur: f64| -> f32 {
+            let mut drawn = draw(dictionary.print(id).unwrap(), bits, &kernel(blur));
+            normalise(&mut drawn);
+            drawn.iter().zip(&cells).map(|(a, b)| a * b).sum()
+        };
+        BLURS_CELLS.map(correlation).into_iter().fold(f32::MIN, f32::max)
+    }
+
+    #[test]
+    fn markers_compared_at_once_are_those_compared_one_by_one() {
+        // Neither number of markers is one of whole lanes.
+        for name in ["DICT_5X5_250", "DICT_4X4_50"] {
+            let dictionary = Dictionary::load(name).unwrap();
+            let (bits, last) = (dictionary.bits(), dictionary.marker_count() as u32 - 1);
+            let reader = Reader::new(&dictionary);
+            // The last marker, turned once, with light of its own in each cell.
+            let cells = draw(dictionary.print(last).unwrap(), bits, &kernel(0.3));
+            let cells = turn(&turn(&turn(&cells, bits), bits), bits);
+            let cells = cells.iter().enumerate().map(|(k, cell)| cell + 0.01 * (k % 7) as f32);
+            let reading = Reading { cells: cells.collect(), quiet_zone: 1.0 };
+            let likeness = reader.compare(&reading).unwrap();
+            for first_corner in 0..4 {
+                for id in 0..=last {
+                    let found = likeness.agreements[first_corner].as_flattened()[id as usize];
+                    let plain = plainly(&dictionary, &reading, first_corner, id);
+                    assert!((found - plain).abs() < 1e-5, "{name} {id}: {found}, {plain}");
+                }
+            }
+            let best = likeness.best().unwrap();
+            assert_eq!((best.id, best.first_corner), (last, 1));
+            assert!(best.agreement > 0.95 && best.certainty > 10.0, "{best:?}");
+            let best = likeness.best_among([3, last, 7].into_iter()).unwrap();
+            assert_eq!((best.id, best.first_corner), (last, 1));
+            assert!(likeness.best_among(std::iter::empty()).is_none());
+        }
+        let flat = Reading { cells: vec![0.5; 25], quiet_zone: 1.0 };
+        let dictionary = Dictionary::load("DICT_5X5_250").unwrap();
+        assert!(Reader::new(&dictionary).compare(&flat).is_none());
+    }
+}

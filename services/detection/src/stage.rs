@@ -132,8 +132,8 @@ impl DetectionStage {
 /// Lens blur is of a fixed size on the sphere, so what separates a marker from its surroundings is
 /// too: windows grow with a view's magnification. A small one finds markers in the shade and beside
 /// dark things, a large one those in bright light. Gaze views are small, and worth more passes.
-const PARTITION_WINDOWS: &[(f64, f64)] = &[(7.0, 4.0), (31.0, 10.0)];
-const GAZE_WINDOWS: &[(f64, f64)] = &[(5.5, 4.0), (7.5, 4.0), (15.0, 6.0), (31.0, 10.0)];
+const PARTITION_WINDOWS: &[(f64, u8)] = &[(7.0, 4), (31.0, 10)];
+const GAZE_WINDOWS: &[(f64, u8)] = &[(5.5, 4), (7.5, 4), (15.0, 6), (31.0, 10)];
 
 fn thresholds(kind: u32, magnification: f64) -> Vec<Threshold> {
     let windows = if kind == ViewKind::Gaze.code() { GAZE_WINDOWS } else { PARTITION_WINDOWS };

@@ -101,10 +101,12 @@ fn an_unknown_dictionary_is_refused_with_the_known_ones() {
 
 #[test]
 fn parameters_outside_their_range_are_refused() {
-    let even = Threshold { window_px: 10, darker_by: 3.0 };
+    let even = Threshold { window_px: 10, darker_by: 3 };
+    let all = Threshold { window_px: 11, darker_by: 0 };
     for parameters in [
         DetectorParameters { thresholds: Vec::new(), ..Default::default() },
         DetectorParameters { thresholds: vec![even], ..Default::default() },
+        DetectorParameters { thresholds: vec![all], ..Default::default() },
         DetectorParameters { min_side_px: f64::NAN, ..Default::default() },
         DetectorParameters { min_agreement: 1.5, ..Default::default() },
     ] {

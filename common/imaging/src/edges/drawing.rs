@@ -194,7 +194,7 @@ impl Drawing {
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
-    use crate::gaussian::density_and_share;
+    use crate::gaussian::density_and_distribution;
 
     /// A black square of six cells, 18.6 px wide.
     #[test]
@@ -224,8 +224,8 @@ mod tests {
                 let black = |at: usize| {
                     let depth = (at * step) as f64 - left;
                     let (near, far) = (
-                        density_and_share(depth / sigma),
-                        density_and_share((depth - size) / sigma),
+                        density_and_distribution(depth / sigma),
+                        density_and_distribution((depth - size) / sigma),
                     );
                     (near.1 - far.1, (near.0 - far.0) / sigma)
                 };

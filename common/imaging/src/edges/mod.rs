@@ -14,7 +14,8 @@
 //! 3. `line`: each profile then says where it sees the edge; a line is fitted to these places,
 //!    outliers (a propeller, another edge) put aside, and what they scatter gives the covariance.
 //!
-//! Up to three times, because the lines say better where to sample and where the cells lie.
+//! Two or three times, because the lines say better where to sample and where the cells lie: so the first
+//! time, `model` takes a few steps only.
 
 mod drawing;
 mod grain;

@@ -8,7 +8,7 @@
 //! I(x) = B + (W - B) (1 + sum over j of m_j F((x - e - D_j)/s))
 //! ```
 //!
-//! F is the Gaussian distribution function. The edge of side k lies at e = offset + slope * along.
+//! F is the Gaussian distribution function, ended at 3.6 standard deviations (`crate::gaussian`). The edge of side k lies at e = offset + slope * along.
 //! Twelve unknowns: offset and slope of four sides, the blur of two directions, W and B. They are
 //! found by Gauss-Newton with Cauchy weights.
 
@@ -23,16 +23,21 @@ const BLUR: usize = 8;
 const WHITE: usize = 10;
 const BLACK: usize = 11;
 
-/// Most steps, and how short, in pixels, the last one is: of the fit that only says where to look
-/// again, and of the others.
-const ROUGH: (usize, f64) = (4, 0.05);
-const FINE: (usize, f64) = (8, 0.01);
+/// How far a fit is taken.
+struct Care {
+    /// At most so many steps.
+    steps: usize,
+    /// A step shorter than this is the last, pixels.
+    converged_px: f64,
+    /// Residuals that scatter by more of the contrast than this are no blurred print.
+    max_misfit: f64,
+}
+
+/// Of the first fit, which only says where to look again.
+const ROUGH: Care = Care { steps: 4, converged_px: 0.05, max_misfit: 0.35 };
+const FINE: Care = Care { steps: 8, converged_px: 0.01, max_misfit: 0.25 };
 /// Light that white must be above black, of nominal white.
 const MIN_CONTRAST: f64 = 0.01;
-/// Residuals that scatter by more of the contrast than this are no blurred print.
-const MAX_MISFIT: f64 = 0.25;
-/// The same of the first fit, which has not come to its end.
-const MAX_ROUGH_MISFIT: f64 = 0.35;
 /// Residuals up to so many standard deviations are believed.
 const CAUCHY: f64 = 2.5;
 /// Narrower blurs than this cannot be told from none, wider ones are no edge, pixels.
@@ -134,8 +139,8 @@ pub(super) fn fit(sides: &[Side; 4], before: Option<&Fit>) -> Option<Fit> {
     unknowns.fixed_rows_mut::<4>(BLUR).copy_from_slice(&first);
     let mut normal = Normal::zeros();
     let mut residuals = Vec::with_capacity(samples().count());
-    let (iterations, converged_px) = if before.is_some() { FINE } else { ROUGH };
-    for _ in 0..iterations {
+    let care = if before.is_some() { FINE } else { ROUGH };
+    for _ in 0..care.steps {
         let (matrix, gradient) =
             normal_equations(sides, &unknowns, noise, (white, black), &mut residuals);
         let step = matrix.cholesky()?.solve(&gradient);
@@ -143,13 +148,12 @@ pub(super) fn fit(sides: &[Side; 4], before: Option<&Fit>) -> Option<Fit> {
         normal = matrix;
         // Of the residuals before the step: the next one weighs by it.
         noise = noise_of(&mut residuals).max(0.003 * contrast);
-        if step.fixed_rows::<BLUR>(0).amax() < converged_px {
+        if step.fixed_rows::<BLUR>(0).amax() < care.converged_px {
             break;
         }
     }
     let (white, black) = (unknowns[WHITE], unknowns[BLACK]);
-    let max_misfit = if before.is_some() { MAX_MISFIT } else { MAX_ROUGH_MISFIT };
-    if white - black < MIN_CONTRAST || noise > max_misfit * (white - black) {
+    if white - black < MIN_CONTRAST || noise > care.max_misfit * (white - black) {
         return None;
     }
     // Samples lie closer than pixels, and pixels of a magnified or blurred image closer than what

@@ -22,7 +22,7 @@ use super::drawing::{Cells, Drawing, Grid};
 use super::model::quantile;
 use super::profile::CLIPPED_CODE;
 use super::{Grain, MarkerPrint};
-use crate::gaussian::density_and_share;
+use crate::gaussian::density_and_distribution;
 use crate::image::LumaImage;
 use crate::light::LinearLight;
 use crate::square::SquareInView;
@@ -340,7 +340,7 @@ impl Scene<'_> {
                 for (side, outside) in [-q, p, q, -p].into_iter().enumerate() {
                     let depth = (outside - 0.5 - self.quiet) * scale[side % 2] / spread;
                     if depth > -3.5 {
-                        let share = density_and_share(depth).1;
+                        let share = density_and_distribution(depth).1;
                         values[BEYOND + side] = share;
                         last = UNKNOWNS;
                         model += state.beyond[side] * share;
