@@ -10,6 +10,7 @@
 //! with the right bits passes. Here none passes without its quiet zone. docs/DETECTION.md says what
 //! is found, and how it compares.
 
+// Public for the benchmark that compares it with OpenCV.
 pub mod candidates;
 mod darkness;
 mod detector;
