@@ -120,6 +120,7 @@ impl LinearLight {
 
     /// The light at a point between pixels: bilinear, of linearised values. `None` where one of the
     /// four pixels round it is outside the image.
+    // Asked for at hundreds of points of each square.
     #[inline(always)]
     pub fn at(&self, image: &LumaImage<'_>, at: ViewPixel) -> Option<f32> {
         let (x, y) = (at.0.x, at.0.y);

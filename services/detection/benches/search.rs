@@ -7,7 +7,9 @@ mod shared;
 use std::time::Instant;
 
 use criterion::{Criterion, criterion_group};
+use flockeye_contract::ViewKind;
 use flockeye_detection::candidates::Finder;
+use flockeye_detection::stage::thresholds;
 use flockeye_detection::{Detector, DetectorParameters, Threshold};
 use flockeye_geometry::view::View;
 use flockeye_imaging::edges::Effort;
@@ -29,10 +31,7 @@ const TURNS: usize = 15;
 /// As the stage searches a partition.
 fn parameters() -> DetectorParameters {
     DetectorParameters {
-        thresholds: vec![
-            Threshold { window_px: 7, darker_by: 4 },
-            Threshold { window_px: 31, darker_by: 10 },
-        ],
+        thresholds: thresholds(ViewKind::Partition.code(), 1.0),
         effort: Effort::Edges,
         ..DetectorParameters::default()
     }
@@ -49,7 +48,7 @@ fn their_squares(image: &Mat) -> usize {
             255.0,
             method,
             THRESH_BINARY_INV,
-            window_px,
+            window_px as i32,
             darker_by.into(),
         )
         .unwrap();

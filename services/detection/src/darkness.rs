@@ -28,7 +28,7 @@ pub(crate) struct Darkness {
 impl Darkness {
     /// Of each pixel of `image`, row by row, 1 if it is dark and 0 if it is not.
     pub(crate) fn of(&mut self, image: &LumaImage<'_>, threshold: Threshold) -> &[u8] {
-        let window = threshold.window_px.max(1) as usize;
+        let window = threshold.window_px;
         let shift = (window / MIN_BLOCKS).max(1).ilog2();
         let side = 1 << shift;
         // Odd, so that it has a middle.
@@ -175,7 +175,7 @@ mod tests {
         ) {
             let image = LumaImage::new(&pixels, width, height, width).unwrap();
             let mut darkness = Darkness::default();
-            let threshold = Threshold { window_px: window as i32, darker_by };
+            let threshold = Threshold { window_px: window, darker_by };
             let dark = darkness.of(&image, threshold);
             prop_assert_eq!(dark.len(), width * height);
             for (index, &dark) in dark.iter().enumerate() {
@@ -193,7 +193,7 @@ mod tests {
         fn large_windows_are_those_of_opencv(
             (slope, lean) in (-0.4..0.4f64, -0.4..0.4f64),
             dice in prop::collection::vec((0u8..9, 0u8..10), 203 * 150),
-            window_px in prop::sample::select(vec![15, 31, 61]),
+            window_px in prop::sample::select(vec![15usize, 31, 61]),
         ) {
             let (width, height) = (203, 150);
             let pixels: Vec<u8> = dice
@@ -215,13 +215,13 @@ mod tests {
                 1.0,
                 ADAPTIVE_THRESH_MEAN_C,
                 THRESH_BINARY_INV,
-                window_px,
+                window_px as i32,
                 10.0,
             )
             .unwrap();
             // Beyond the border the outermost pixel is repeated there, and the outermost block here.
             let inner = |k: &usize| {
-                let (x, y, reach) = (k % width, k / width, window_px as usize / 2);
+                let (x, y, reach) = (k % width, k / width, window_px / 2);
                 x.min(y).min(width - 1 - x).min(height - 1 - y) > reach
             };
             for k in (0..pixels.len()).filter(inner) {

@@ -28,7 +28,7 @@ const UNREFINED_PX: f64 = 2.0;
 pub struct Threshold {
     /// Side of the square of surroundings whose mean counts, pixels; odd. From 15 on it is one of
     /// blocks: smaller by a tenth at most, and up to a fourteenth of it off.
-    pub window_px: i32,
+    pub window_px: usize,
     /// By how much it must be darker, code values; 1 or more.
     pub darker_by: u8,
 }
@@ -401,15 +401,10 @@ fn check(parameters: &DetectorParameters) -> Result<(), DetectError> {
         return Err(DetectError::Parameter { name, value: 0.0, allowed });
     }
     let window = |threshold: &Threshold| threshold.window_px;
-    let odd_one_out = parameters.thresholds.iter().map(window).find(|w| *w < 3 || w % 2 == 0);
+    let wrong = parameters.thresholds.iter().map(window).find(|w| *w < 3 || w % 2 == 0);
     let rules = [
         ("min_side_px", parameters.min_side_px, parameters.min_side_px >= 8.0, "8 or more"),
-        (
-            "window_px",
-            f64::from(odd_one_out.unwrap_or(3)),
-            odd_one_out.is_none(),
-            "odd, and 3 or more",
-        ),
+        ("window_px", wrong.unwrap_or(3) as f64, wrong.is_none(), "odd, and 3 or more"),
         (
             "darker_by",
             0.0,

@@ -135,9 +135,11 @@ impl DetectionStage {
 const PARTITION_WINDOWS: &[(f64, u8)] = &[(7.0, 4), (31.0, 10)];
 const GAZE_WINDOWS: &[(f64, u8)] = &[(5.5, 4), (7.5, 4), (15.0, 6), (31.0, 10)];
 
-fn thresholds(kind: u32, magnification: f64) -> Vec<Threshold> {
+/// What is looked for in a view of this [`ViewKind`] and magnification.
+pub fn thresholds(kind: u32, magnification: f64) -> Vec<Threshold> {
     let windows = if kind == ViewKind::Gaze.code() { GAZE_WINDOWS } else { PARTITION_WINDOWS };
-    let odd = |window: f64| 2 * (window * magnification / 2.0).floor().clamp(1.0, 500.0) as i32 + 1;
+    let odd =
+        |window: f64| 2 * (window * magnification / 2.0).floor().clamp(1.0, 500.0) as usize + 1;
     windows
         .iter()
         .map(|&(window, darker_by)| Threshold { window_px: odd(window), darker_by })
