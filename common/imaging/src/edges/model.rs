@@ -8,9 +8,9 @@
 //! I(x) = B + (W - B) (1 + sum over j of m_j F((x - e - D_j)/s))
 //! ```
 //!
-//! F is the Gaussian distribution function, ended at 3.6 standard deviations (`crate::gaussian`). The edge of side k lies at e = offset + slope * along.
-//! Twelve unknowns: offset and slope of four sides, the blur of two directions, W and B. They are
-//! found by Gauss-Newton with Cauchy weights.
+//! F is the Gaussian distribution function, ended at 3.6 standard deviations (`crate::gaussian`). The
+//! edge of side k lies at e = offset + slope * along. Twelve unknowns: offset and slope of four sides,
+//! the blur of two directions, W and B. They are found by Gauss-Newton with Cauchy weights.
 
 use nalgebra::{Matrix2, SMatrix, SVector};
 
