@@ -1,8 +1,10 @@
 //! Puts a frame together from what the stages say of it, in whatever order that comes.
 //!
 //! A frame is complete when rectification has ended it and every view it issued is acknowledged.
-//! A stage that died would leave it open for ever: after a deadline it counts as complete too.
-//! Frames leave in the order of their exposure.
+//! A stage that died would leave it open for ever: after a deadline it leaves as it is. So does, as soon
+//! as a newer one is complete, a frame that follows no plan of this process: it was under way when the
+//! process began, which never hears what was said of it before. Frames leave in the order of their
+//! exposure.
 
 use std::collections::BTreeMap;
 
@@ -46,18 +48,36 @@ impl Frame {
 
 type Order = (u32, u32, u64);
 
+/// Why a frame left.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Leave {
+    /// All was said of it.
+    Complete,
+    /// Its deadline has passed, or too many are open.
+    Overdue,
+    /// It was under way when this process began.
+    HalfHeard,
+}
+
 /// The open frames.
 #[derive(Debug)]
 pub struct Assembly {
     deadline_ns: i64,
     open: BTreeMap<Order, Frame>,
     last_left: Option<Order>,
+    /// The newest plan of this process; 0 before the first.
+    plan_id: u64,
 }
 
 impl Assembly {
     /// None open yet; a frame stays open for `deadline_ns` at most.
     pub fn new(deadline_ns: i64) -> Self {
-        Self { deadline_ns, open: BTreeMap::new(), last_left: None }
+        Self { deadline_ns, open: BTreeMap::new(), last_left: None, plan_id: 0 }
+    }
+
+    /// This process made a plan; they are numbered from 1.
+    pub fn planned(&mut self, plan_id: u64) {
+        self.plan_id = plan_id;
     }
 
     /// How many frames are open.
@@ -115,18 +135,23 @@ impl Assembly {
         self.open.get(&stamp.order()).filter(|frame| frame.stamp.is_same_frame(stamp))
     }
 
-    /// Takes the oldest frame out if it is complete, overdue, or one too many. The second value
-    /// says whether it is complete.
-    pub fn take(&mut self, now_ns: i64) -> Option<(Frame, bool)> {
-        let entry = self.open.first_entry()?;
-        let is_complete = entry.get().is_complete();
-        let is_overdue = now_ns >= entry.get().deadline_ns;
-        if !is_complete && !is_overdue && self.open.len() <= MAX_OPEN_FRAMES {
+    /// Takes the oldest frame out if nothing more is to be waited for.
+    pub fn take(&mut self, now_ns: i64) -> Option<(Frame, Leave)> {
+        let (_, oldest) = self.open.first_key_value()?;
+        let leave = if oldest.is_complete() {
+            Leave::Complete
+        } else if now_ns >= oldest.deadline_ns || self.open.len() > MAX_OPEN_FRAMES {
+            Leave::Overdue
+        } else if !(1..=self.plan_id).contains(&oldest.plan_id)
+            && self.open.values().any(Frame::is_complete)
+        {
+            Leave::HalfHeard
+        } else {
             return None;
-        }
+        };
         let (order, frame) = self.open.pop_first()?;
         self.last_left = Some(order);
-        Some((frame, is_complete))
+        Some((frame, leave))
     }
 
     /// When the oldest frame will be overdue.
@@ -144,31 +169,41 @@ mod tests {
     }
 
     fn record(sequence: u64, view_index: u32) -> Record {
-        let header =
-            DetectionHeader { stamp: stamp(sequence), view_index, ..DetectionHeader::default() };
+        let header = DetectionHeader {
+            stamp: stamp(sequence),
+            plan_id: 1,
+            view_index,
+            ..DetectionHeader::default()
+        };
         Record { header, markers: Vec::new() }
     }
 
     fn end(sequence: u64, views_issued: u32) -> FrameEnd {
-        FrameEnd { stamp: stamp(sequence), views_issued, ..FrameEnd::default() }
+        FrameEnd { stamp: stamp(sequence), plan_id: 1, views_issued, ..FrameEnd::default() }
+    }
+
+    fn planned(deadline_ns: i64) -> Assembly {
+        let mut assembly = Assembly::new(deadline_ns);
+        assembly.planned(1);
+        assembly
     }
 
     #[test]
     fn a_frame_leaves_when_all_its_views_are_in() {
-        let mut assembly = Assembly::new(1000);
+        let mut assembly = planned(1000);
         assert!(assembly.add_record(record(0, 1), 0));
         assembly.add_end(end(0, 2), 0);
         assert_eq!(assembly.take(1), None);
         assert!(assembly.add_record(record(0, 0), 2));
         assert!(!assembly.add_record(record(0, 0), 2), "a second answer counts for nothing");
-        let (frame, is_complete) = assembly.take(2).expect("complete");
-        assert!(is_complete && frame.records.len() == 2);
+        let (frame, leave) = assembly.take(2).expect("complete");
+        assert_eq!((leave, frame.records.len()), (Leave::Complete, 2));
         assert!(!assembly.add_record(record(0, 5), 3), "the frame has left");
     }
 
     #[test]
     fn frames_leave_in_order() {
-        let mut assembly = Assembly::new(1000);
+        let mut assembly = planned(1000);
         assembly.add_end(end(7, 1), 0);
         assembly.add_end(end(8, 0), 0);
         assert_eq!(assembly.take(1), None, "8 is complete but 7 is older");
@@ -179,17 +214,38 @@ mod tests {
 
     #[test]
     fn a_dead_stage_holds_a_frame_only_to_its_deadline() {
-        let mut assembly = Assembly::new(1000);
+        let mut assembly = planned(1000);
         assembly.add_record(record(0, 0), 5);
         assert_eq!(assembly.next_deadline_ns(), Some(1005));
         assert_eq!(assembly.take(1004), None);
-        let (_, is_complete) = assembly.take(1005).expect("overdue");
-        assert!(!is_complete);
+        assert_eq!(assembly.take(1005).expect("overdue").1, Leave::Overdue);
+    }
+
+    #[test]
+    fn what_was_said_before_this_process_began_is_not_waited_for() {
+        let mut assembly = planned(1000);
+        let of_predecessor = |mut record: Record| {
+            record.header.plan_id = 24;
+            record
+        };
+        assert!(assembly.add_record(of_predecessor(record(6, 3)), 0));
+        assembly.add_end(FrameEnd { plan_id: 24, ..end(6, 4) }, 0);
+        assert!(assembly.add_record(record(7, 0), 1));
+        assert_eq!(assembly.take(2), None, "its records may still come");
+        assembly.add_end(end(7, 1), 3);
+        let left = [(); 2].map(|()| assembly.take(4).expect("both leave"));
+        let left = left.map(|(frame, leave)| (frame.stamp.sequence, leave));
+        assert_eq!(left, [(6, Leave::HalfHeard), (7, Leave::Complete)]);
+        // What follows its own plan is waited for, whoever else is complete.
+        assert!(assembly.add_record(record(8, 1), 5));
+        assembly.add_end(end(8, 2), 5);
+        assembly.add_end(end(9, 0), 5);
+        assert_eq!(assembly.take(6), None);
     }
 
     #[test]
     fn a_flood_of_frames_is_bounded() {
-        let mut assembly = Assembly::new(i64::MAX / 2);
+        let mut assembly = planned(i64::MAX / 2);
         for sequence in 0..100 {
             assembly.add_record(record(sequence, 0), 0);
             while assembly.take(0).is_some() {}

@@ -21,7 +21,7 @@ use flockeye_viewing::{Lights, image_of, view_of};
 use nalgebra::Isometry3;
 
 use crate::alignment::{Aligner, BestView};
-use crate::assembly::{Assembly, Frame, Record};
+use crate::assembly::{Assembly, Frame, Leave, Record};
 use crate::gallery::{FrameOrder, Gallery};
 use crate::message::{self, Cause};
 use crate::parallax::Parallax;
@@ -146,8 +146,8 @@ impl Stage for FusionStage {
         while let Some(message) = self.frame_ends.receive()? {
             self.assembly.add_end(message.header, now_ns);
         }
-        while let Some((frame, is_complete)) = self.assembly.take(clock::monotonic_ns()) {
-            if !is_complete {
+        while let Some((frame, leave)) = self.assembly.take(clock::monotonic_ns()) {
+            if leave == Leave::Overdue {
                 self.counters.add_failed(1);
                 if let Some(more) = self.incomplete.admit() {
                     tracing::warn!(
@@ -383,6 +383,7 @@ impl FusionStage {
             self.swarm.needs_no_markers(target)
         });
         self.plan_id += 1;
+        self.assembly.planned(self.plan_id);
         let purposes =
             plan.views.iter().zip(0..).map(|(view, index)| (index, view.purpose)).collect();
         self.remembered.insert(self.plan_id, (purposes, plan.stop_rule));

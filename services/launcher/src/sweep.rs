@@ -22,7 +22,7 @@ pub struct Gaps {
     pub views: usize,
     /// Their mean; a part that was not searched twice says nothing here.
     pub mean_frames: Option<f64>,
-    /// The longest, the ones that still last included.
+    /// The longest, the ones that still last and those before a part's first search included.
     pub worst_frames: u64,
 }
 
@@ -88,6 +88,23 @@ impl Sweep {
         }
     }
 
+    /// Of the sphere that a pipeline watches. `None` where nothing is swept: other searches than gaze
+    /// begin each frame anew.
+    ///
+    /// # Errors
+    /// A configuration that cannot be followed.
+    pub fn of(pipeline: &Pipeline) -> anyhow::Result<Option<Self>> {
+        if pipeline.search.mode != Mode::Gaze {
+            return Ok(None);
+        }
+        let mask = pipeline.mask()?;
+        let seen = |views: &[View]| -> Vec<bool> {
+            views.iter().map(|view| !mask.hides_view(view)).collect()
+        };
+        let partitions = pipeline.partition_views(pipeline.bodies()?.largest_side())?;
+        Ok(Some(Self::new(&seen(&partitions), &seen(&pipeline.far_views()?))))
+    }
+
     /// A plan was made.
     pub fn plan(&mut self, plan_id: u64, views: &[PlannedView]) {
         let parts = views.iter().map(|view| view.partition).collect();
@@ -106,7 +123,7 @@ impl Sweep {
             (self.first, self.newest) = (None, stamp.sequence);
             self.parts.iter_mut().flatten().for_each(|part| part.last = None);
         }
-        self.first.get_or_insert(stamp.sequence);
+        let first = *self.first.get_or_insert(stamp.sequence);
         self.newest = self.newest.max(stamp.sequence);
         // Fusion's successor counts its plans anew: the newest of that number.
         let plan = self.plans.iter().rev().find(|(id, _)| *id == header.plan_id);
@@ -116,13 +133,12 @@ impl Sweep {
             .filter(|_| header.failed == 0);
         let Some(part) = part else { return };
         // Records of a frame may come behind those of the next.
-        if let Some(gap) = part.last.map_or(Some(0), |last| stamp.sequence.checked_sub(last)) {
-            if part.last.is_some() && gap > 0 {
-                (part.sum, part.gaps) = (part.sum.saturating_add(gap), part.gaps + 1);
-                part.worst = part.worst.max(gap);
-            }
-            part.last = Some(stamp.sequence);
+        let Some(gap) = stamp.sequence.checked_sub(part.last.unwrap_or(first)) else { return };
+        if part.last.is_some() && gap > 0 {
+            (part.sum, part.gaps) = (part.sum.saturating_add(gap), part.gaps + 1);
         }
+        part.worst = part.worst.max(gap);
+        part.last = Some(stamp.sequence);
     }
 
     /// What it came to; `None` before the first record.
@@ -161,20 +177,12 @@ pub struct SweepWatch {
 }
 
 impl SweepWatch {
-    /// Looks on. `None` where nothing is swept: other searches than gaze begin each frame anew.
+    /// Looks on. `None` where nothing is swept.
     ///
     /// # Errors
     /// The topics have no room for another reader; a configuration that cannot be followed.
     pub fn open(pipeline: &Pipeline, ports: &mut Ports) -> anyhow::Result<Option<Self>> {
-        if pipeline.search.mode != Mode::Gaze {
-            return Ok(None);
-        }
-        let mask = pipeline.mask()?;
-        let seen = |views: &[View]| -> Vec<bool> {
-            views.iter().map(|view| !mask.hides_view(view)).collect()
-        };
-        let partitions = pipeline.partition_views(pipeline.bodies()?.largest_side())?;
-        let sweep = Sweep::new(&seen(&partitions), &seen(&pipeline.far_views()?));
+        let Some(sweep) = Sweep::of(pipeline)? else { return Ok(None) };
         let (plans, detections) = (ports.subscriber()?, ports.subscriber()?);
         Ok(Some(Self { plans, detections, sweep }))
     }
@@ -243,6 +251,18 @@ mod tests {
             report.to_string(),
             "each partition every 3.0 frames (6 at most), each far view every - frames (5 at most)"
         );
+    }
+
+    #[test]
+    fn a_part_that_is_searched_late_for_the_first_time_was_not_searched_before() {
+        let mut sweep = Sweep::new(&[true, true], &[]);
+        sweep.plan(1, &plan_of(&[0, 1]));
+        for (sequence, view) in [(20, 0), (21, 0), (27, 1), (28, 1), (28, 0)] {
+            search(&mut sweep, sequence, 1, view);
+        }
+        let report = sweep.report().expect("there are records");
+        assert_eq!(report.partitions.worst_frames, 7);
+        assert_eq!(report.partitions.mean_frames, Some(3.0), "what has no beginning has no length");
     }
 
     #[test]

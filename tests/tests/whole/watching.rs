@@ -3,8 +3,8 @@
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
-use flockeye_contract::Tracks;
-use flockeye_launcher::sweep::SweepWatch;
+use flockeye_contract::{Detections, Plans, Tracks};
+use flockeye_launcher::sweep::Sweep;
 use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, onlooker, run};
 use rustix::process::{Signal, kill_process};
 use serde_json::Value;
@@ -89,49 +89,55 @@ fn check_measures_how_soon_a_newcomer_is_found() {
 }
 
 /// Fusion is replaced and knows nobody: its neighbour is a newcomer to it, who must be found as soon
-/// as the sphere is searched once, however slow the machine is.
+/// as the sphere is searched once, however slow the machine is. Nothing hides markers in this flight:
+/// each frame alone shows enough of it.
 #[test]
 fn a_newcomer_is_found_before_the_sphere_is_searched_twice() {
-    let mut flight = Flight::start("newcomer", &[], SMALL_FLIGHT);
+    let set: Vec<&str> =
+        SMALL_FLIGHT.iter().copied().chain(["simulator.airframes=false"]).collect();
+    let mut flight = Flight::start("newcomer", &[], &set);
     flight.wait_for("alpha confirmed");
     let pipeline = flight.instance.pipeline().expect("it was written");
+    let mut sweep = Sweep::of(&pipeline).expect("it runs").expect("gaze sweeps");
     let mut ports = onlooker::join(&mut flight);
+    let mut plans = onlooker::subscribe::<Plans>(&mut flight, &mut ports);
+    let mut records = onlooker::subscribe::<Detections>(&mut flight, &mut ports);
     let mut tracks = onlooker::subscribe::<Tracks>(&mut flight, &mut ports);
-    let (mut first, mut found) = (None, None);
     let fusion = flight.stages("flockeye-fusion");
     assert_eq!(fusion.len(), 1, "{fusion:?}");
     kill_process(fusion[0], Signal::KILL).expect("it runs");
     let start = Instant::now();
+    // The successor hears nothing of the frames that were searched while fusion was away: it looks for
+    // newcomers from the first frame on that follows a plan of its own.
+    let (mut asked, mut first, mut found) = (0, None, None);
     let mut look = || {
         assert!(start.elapsed() < WATCHDOG, "nobody is found:\n{}", flight.output());
-        while let Some(message) = tracks.receive()?.filter(|_| found.is_none()) {
-            if message.header.generation > 0 {
-                let frame = message.header.stamp.sequence;
-                first.get_or_insert(frame);
-                found = (!message.items().is_empty()).then_some(frame);
+        while let Some(plan) = plans.receive()? {
+            if plan.header.generation > 0 {
+                asked = plan.header.plan_id;
+                sweep.plan(asked, plan.items());
             }
         }
-        anyhow::Ok((first.is_some(), found.is_some()))
+        while let Some(record) = records.receive()? {
+            if (1..=asked).contains(&record.header.plan_id) {
+                first.get_or_insert(record.header.stamp.sequence);
+                sweep.searched(&record.header);
+            }
+        }
+        while let Some(message) = tracks.receive()?.filter(|_| found.is_none()) {
+            let is_seen = message.header.generation > 0 && !message.items().is_empty();
+            found = is_seen.then_some(message.header.stamp.sequence);
+        }
+        // What is searched meanwhile has gaps too: the longest is known at the end of a sweep.
+        let is_swept = sweep.report().is_some_and(|report| report.partitions.mean_frames.is_some());
+        anyhow::Ok((!is_swept || found.is_none()).then_some(Duration::from_millis(5)))
     };
-    let listened = ports.attend(|| Ok((!look()?.0).then_some(Duration::from_millis(5))));
-    listened.expect("messages can be waited for");
-    // From the successor's first frame on: who searches while fusion is away is not asked.
-    let mut sweep = SweepWatch::open(&pipeline, &mut ports).expect("room").expect("gaze sweeps");
-    ports
-        .attend(|| {
-            sweep.receive()?;
-            let is_found = look()?.1;
-            // What is searched meanwhile has gaps too: the longest is known at the end of a sweep.
-            let report = sweep.report();
-            let is_swept =
-                report.is_some_and(|report| report.partitions.mean_frames.is_some() && is_found);
-            Ok((!is_swept).then_some(Duration::from_millis(20)))
-        })
-        .expect("messages can be waited for");
-    let waited = found.expect("it was found") - first.expect("a frame was searched");
+    ports.attend(&mut look).expect("messages can be waited for");
+    let waited = found.zip(first).map(|(found, first)| found.saturating_sub(first));
+    let waited = waited.expect("both are there");
     let report = sweep.report().expect("views were searched");
     assert!(waited <= report.partitions.worst_frames, "found after {waited} frames; {report}");
-    drop((tracks, sweep, ports));
+    drop((plans, records, tracks, ports));
     flight.signal(Signal::INT);
     assert!(flight.wait().success(), "{}", flight.output());
     flight.assert_nothing_left();

@@ -154,7 +154,7 @@ fn a_confirmed_neighbour_is_measured_before_its_view_is_searched() {
 }
 
 #[test]
-fn who_is_behind_looks_from_one_start_and_does_not_search() {
+fn who_is_behind_follows_from_one_start_and_does_not_search() {
     let truth = pose(0.9);
     let mut swarm = following(&truth);
     let record = record(3, &truth);
@@ -167,6 +167,10 @@ fn who_is_behind_looks_from_one_start_and_does_not_search() {
     assert_eq!(look(&swarm), (usize::MAX, true), "frame 3 is one of those that search");
     swarm.hurry(true);
     assert_eq!(look(&swarm), (1, false));
+    // A newcomer's mirror image is another start.
+    let mut stranger = self::swarm();
+    stranger.hurry(true);
+    assert_eq!(look(&stranger).0, usize::MAX);
     // Its markers tell its pose all the same.
     assert!(glance(&mut swarm, 3, &truth)[0].1.measured.is_some());
 }
