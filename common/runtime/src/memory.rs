@@ -4,13 +4,14 @@
 //! + history + loaned. Its defaults would take 34 frames; these are Flockeye's own limits.
 
 use std::fmt;
+use std::time::Duration;
 
 use flockeye_contract::{
     BodyTruth, DetectedMarker, Detections, FrameEnds, Frames, Healths, PlannedView, Plans, Topic,
     Track, Tracks, Truths, Views,
 };
 
-use crate::config::Pipeline;
+use crate::config::{Flow, Pipeline};
 
 /// Limits of one topic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -25,8 +26,11 @@ pub struct Limits {
     pub usual_publishers: usize,
     /// Subscribers at once, tools included.
     pub subscribers: usize,
-    /// Messages that wait at a subscriber; the oldest gives way.
+    /// Messages that wait at a subscriber.
     pub buffer: usize,
+    /// How long a publisher waits for a subscriber where so many wait. `None`: not at all, the oldest
+    /// gives way.
+    pub patience: Option<Duration>,
     /// Messages that a subscriber may hold.
     pub borrowed: usize,
     /// Messages that a late subscriber still gets.
@@ -152,10 +156,15 @@ impl Budget {
                 flockeye_contract::MAX_PLANNED_VIEWS,
             ),
             // One lane for each worker, so that a slow one costs no other its views: the worker, its
-            // successor, fusion and a tool listen to it.
+            // successor, fusion and a tool listen to it. A lossless run waits for fusion: what it sees
+            // must not depend on how soon it looks.
             Limits {
                 lanes: workers,
                 usual_publishers: workers,
+                patience: match pipeline.flow {
+                    Flow::Lossless => Some(pipeline.view_overdue()),
+                    Flow::Latest => None,
+                },
                 ..limits::<Views>(
                     Ports {
                         publishers: 1,
@@ -313,6 +322,7 @@ fn limits<T: Topic>(ports: Ports, items: usize) -> Limits {
         usual_publishers: ports.publishers,
         subscribers: ports.subscribers,
         buffer: ports.buffer,
+        patience: None,
         borrowed: ports.borrowed,
         history: ports.history,
         loaned: ports.loaned,

@@ -4,9 +4,11 @@
 //! the subscribers. The launcher creates both with explicit limits ([`create_services`]); stages
 //! open them, and are refused if they speak another version of the contract.
 
+use std::collections::BTreeSet;
 use std::fmt::Debug;
 use std::mem::MaybeUninit;
 use std::rc::Rc;
+use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use flockeye_contract::{CONTRACT_VERSION, Topic, VERSION_ATTRIBUTE};
@@ -15,6 +17,7 @@ use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher as IoxPublisher;
 use iceoryx2::port::subscriber::Subscriber as IoxSubscriber;
 use iceoryx2::port::update_connections::UpdateConnections;
+use iceoryx2::port::{BackpressureAction, BackpressureInfo};
 use iceoryx2::prelude::*;
 use iceoryx2::sample::Sample;
 use iceoryx2::sample_mut_uninit::SampleMutUninit;
@@ -109,7 +112,7 @@ fn create_lane<T: Topic + 'static>(
         .service_builder(&name)
         .publish_subscribe::<[T::Item]>()
         .user_header::<T::Header>()
-        .enable_safe_overflow(true)
+        .enable_safe_overflow(limits.patience.is_none())
         .max_publishers(limits.publishers)
         .max_subscribers(limits.subscribers)
         .max_nodes(MAX_NODES)
@@ -191,6 +194,7 @@ impl Ports {
             .initial_max_slice_len(limits.items.max(1))
             .allocation_strategy(AllocationStrategy::Static)
             .max_loaned_samples(limits.loaned)
+            .set_backpressure_handler(waits_for_readers(T::NAME, limits.patience))
             .create()
             .map_err(|error| join(&error))?;
         let notifier = wake.notifier_builder().create().map_err(|error| join(&error))?;
@@ -234,6 +238,7 @@ impl Ports {
         self.listeners.push(wake.listener_builder().create().map_err(|error| join(&error))?);
         Ok(Subscriber {
             subscriber,
+            service: data,
             counters: self.counters.clone(),
             refusals: Throttle::default(),
         })
@@ -293,6 +298,35 @@ impl Ports {
         let wake =
             self.node.service_builder(&name).event().open().map_err(|error| failed(&error))?;
         Ok((data, wake))
+    }
+}
+
+/// What a publisher does where a subscriber has no room: waits for `patience`, and for one that took
+/// nothing in that time never again.
+fn waits_for_readers(
+    topic: &'static str,
+    patience: Option<Duration>,
+) -> impl Fn(&BackpressureInfo) -> BackpressureAction + Send + 'static {
+    let given_up = Mutex::new(BTreeSet::new());
+    move |full| {
+        // Whoever panicked while it held the set left it whole.
+        let mut given_up = given_up.lock().unwrap_or_else(PoisonError::into_inner);
+        let reader = full.receiver_port_id;
+        match patience {
+            Some(patience) if !given_up.contains(&reader) => {
+                if full.elapsed_time < patience {
+                    return BackpressureAction::Retry;
+                }
+                given_up.insert(reader);
+                let milliseconds = patience.as_millis();
+                tracing::warn!(
+                    topic,
+                    "a reader took nothing for {milliseconds} ms: it is not waited for any more"
+                );
+                BackpressureAction::DiscardData
+            }
+            _ => BackpressureAction::DiscardData,
+        }
     }
 }
 
@@ -379,6 +413,7 @@ impl<T: Topic> Loan<'_, T> {
 /// Receives a topic. Messages that are not what they say are refused here, so no stage sees them.
 pub struct Subscriber<T: Topic> {
     subscriber: IoxSubscriber<Service, [T::Item], T::Header>,
+    service: DataService<T>,
     counters: SharedCounters,
     refusals: Throttle,
 }
@@ -428,6 +463,19 @@ impl<T: Topic> Subscriber<T> {
                 }
             }
         }
+    }
+
+    /// Whether anybody publishes this. From then on a publisher with patience waits for this subscriber;
+    /// before, it does not know that anybody is there.
+    ///
+    /// # Errors
+    /// [`PortError::Receive`] where a connection broke.
+    pub fn has_publisher(&self) -> Result<bool, PortError> {
+        let is_there = self.service.dynamic_config().number_of_publishers() > 0;
+        self.subscriber
+            .update_connections()
+            .map_err(|error| PortError::Receive { topic: T::NAME, reason: format!("{error:?}") })?;
+        Ok(is_there)
     }
 
     /// The newest message; older ones are dropped and counted.

@@ -85,10 +85,15 @@ impl Assembly {
         self.open.len()
     }
 
+    /// Whether a frame has left, or one behind it.
+    pub fn has_left(&self, stamp: &FrameStamp) -> bool {
+        self.last_left.is_some_and(|last| stamp.order() <= last)
+    }
+
     /// The open frame of this stamp; `None` if it has left already.
     fn frame(&mut self, stamp: &FrameStamp, plan_id: u64, now_ns: i64) -> Option<&mut Frame> {
         let order = stamp.order();
-        if self.last_left.is_some_and(|last| order <= last) {
+        if self.has_left(stamp) {
             return None;
         }
         let deadline_ns = now_ns + self.deadline_ns;

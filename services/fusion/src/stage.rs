@@ -29,6 +29,9 @@ use crate::settings::{filter_choice, mode_code, search_mode};
 use crate::sighting::agrees_with_view;
 use crate::swarm::{BestViews, Purposes, Seen, Swarm, Update};
 
+/// How often it is looked whether rectification has joined, nanoseconds.
+const JOINING_NS: i64 = 5_000_000;
+
 /// Plans that are remembered, for frames that still follow them.
 const REMEMBERED_PLANS: usize = 16;
 
@@ -53,6 +56,10 @@ pub struct FusionStage {
     mode: Mode,
     /// Views that came and were not peeked into yet.
     arrived: Vec<(FrameOrder, u32)>,
+    /// Records of a lossless run that came before their views.
+    early: Vec<Record>,
+    /// Until when a lossless run waits for rectification to join.
+    alone_until_ns: i64,
     /// The newest frame of which a view has come.
     newest: Option<FrameStamp>,
     counters: SharedCounters,
@@ -115,6 +122,8 @@ impl Stage for FusionStage {
             observer_from_camera: isometry(&pipeline.observer.observer_from_camera),
             mode: pipeline.search.mode,
             arrived: Vec::new(),
+            early: Vec::new(),
+            alone_until_ns: clock::monotonic_ns() + pipeline.frame_deadline().as_nanos() as i64,
             newest: None,
             counters: context.counters.clone(),
             disagreements: Throttle::default(),
@@ -124,24 +133,41 @@ impl Stage for FusionStage {
     }
 
     fn step(&mut self) -> anyhow::Result<Step> {
+        let is_live = self.flow == Flow::Latest;
+        let is_alone = !is_live && !self.is_waited_for()?;
         if self.plan_id == 0 {
+            let now_ns = clock::monotonic_ns();
+            if is_alone && now_ns < self.alone_until_ns {
+                return Ok(Step::WaitUntil(now_ns + JOINING_NS));
+            }
             // The first plan opens the flow: rectification has something to follow, and a lossless
             // source its first credit.
             self.send_plan(None)?;
         }
         self.plans.greet_newcomers()?;
         let now_ns = clock::monotonic_ns();
-        // A view passes before its record, so views are taken first.
-        // No more than can be held: records that are in already let go of some.
-        self.take_views(now_ns, Gallery::is_full)?;
-        self.peek()?;
-        let mut taken = Vec::new();
-        while let Some(message) = self.detections.receive()? {
-            let (order, index) = (message.header.stamp.order(), message.header.view_index);
-            self.take_views(now_ns, |gallery| gallery.is_waiting(order, index))?;
-            taken.extend(self.take_record(&message, now_ns));
+        // In a lossless run nothing may depend on who is faster: there each view is taken when its record
+        // comes, and what is not searched yet is left where it waits.
+        if is_live {
+            self.take_all_views(now_ns)?;
+            self.peek()?;
         }
-        self.take_views(now_ns, |_| false)?;
+        let mut records = std::mem::take(&mut self.early);
+        while let Some(message) = self.detections.receive()? {
+            records.push(Record { header: message.header, markers: message.items().to_vec() });
+        }
+        let mut taken = Vec::new();
+        for record in records {
+            self.take_view_of(&record.header, now_ns)?;
+            if is_live || !self.is_early(&record.header) {
+                taken.extend(self.take_record(record, now_ns));
+            } else {
+                self.early.push(record);
+            }
+        }
+        if is_live {
+            self.take_all_views(now_ns)?;
+        }
         self.glance(&taken)?;
         while let Some(message) = self.frame_ends.receive()? {
             self.assembly.add_end(message.header, now_ns);
@@ -165,29 +191,52 @@ impl Stage for FusionStage {
 }
 
 impl FusionStage {
-    /// Notes the views that have come, of each lane until `is_enough`, and holds them if their pixels
-    /// will be looked into.
+    /// Whether rectification knows that it has to wait for this stage where a lane is full.
+    fn is_waited_for(&self) -> anyhow::Result<bool> {
+        let publishers: Result<Vec<bool>, _> =
+            self.views.iter().map(Subscriber::has_publisher).collect();
+        Ok(publishers?.iter().all(|is_there| *is_there))
+    }
+
+    /// Takes the views that have come, as many as can be held.
+    fn take_all_views(&mut self, now_ns: i64) -> anyhow::Result<()> {
+        (0..self.views.len()).try_for_each(|lane| self.take_views(lane, now_ns, Gallery::is_full))
+    }
+
+    /// Takes the view that a record answers, which passed before it in its worker's lane.
+    fn take_view_of(&mut self, record: &DetectionHeader, now_ns: i64) -> anyhow::Result<()> {
+        let (order, index) = (record.stamp.order(), record.view_index);
+        let lane = record.worker as usize;
+        if self.knows_view_of(record) || lane >= self.views.len() {
+            return Ok(());
+        }
+        self.take_views(lane, now_ns, |gallery| gallery.is_waiting(order, index))
+    }
+
+    /// Takes the views that have come in a lane until `is_enough`, and holds them if their pixels will
+    /// be looked into.
     fn take_views(
         &mut self,
+        lane: usize,
         now_ns: i64,
         is_enough: impl Fn(&Gallery<Message<Views>>) -> bool,
     ) -> anyhow::Result<()> {
-        for lane in &mut self.views {
-            while !is_enough(&self.gallery)
-                && let Some(message) = lane.receive()?
-            {
-                let header = message.header;
-                if !self.assembly.add_view(header, now_ns) {
-                    continue;
-                }
-                if self.newest.is_none_or(|newest| !header.stamp.is_late_beside(&newest)) {
-                    self.newest = Some(header.stamp);
-                }
-                if let Some(purpose) = purpose_stated(&header) {
-                    self.swarm.note_cut(purpose);
-                }
-                if self.aligns {
-                    self.gallery.add(header, message);
+        while !is_enough(&self.gallery)
+            && let Some(message) = self.views[lane].receive()?
+        {
+            let header = message.header;
+            if !self.assembly.add_view(header, now_ns) {
+                continue;
+            }
+            if self.newest.is_none_or(|newest| !header.stamp.is_late_beside(&newest)) {
+                self.newest = Some(header.stamp);
+            }
+            if let Some(purpose) = purpose_stated(&header) {
+                self.swarm.note_cut(purpose);
+            }
+            if self.aligns {
+                self.gallery.add(header, message);
+                if self.flow == Flow::Latest {
                     self.arrived.push((header.stamp.order(), header.view_index));
                 }
             }
@@ -195,10 +244,20 @@ impl FusionStage {
         Ok(())
     }
 
+    /// Whether a record's view is still on its way here: rectification, which had to wait for room in this
+    /// stage's lane, had handed it to the worker before.
+    fn is_early(&self, record: &DetectionHeader) -> bool {
+        !self.knows_view_of(record) && !self.assembly.has_left(&record.stamp)
+    }
+
+    fn knows_view_of(&self, record: &DetectionHeader) -> bool {
+        let frame = self.assembly.open_frame(&record.stamp);
+        frame.is_some_and(|frame| frame.views.contains_key(&record.view_index))
+    }
+
     /// Notes a record; `None` if nobody waits for it.
-    fn take_record(&mut self, message: &Message<Detections>, now_ns: i64) -> Option<Record> {
-        let header = message.header;
-        let mut markers = message.items().to_vec();
+    fn take_record(&mut self, record: Record, now_ns: i64) -> Option<Record> {
+        let Record { header, mut markers } = record;
         let of_frame = self.assembly.open_frame(&header.stamp);
         let of_view = of_frame.and_then(|frame| frame.views.get(&header.view_index)).copied();
         if let Some(view) = &of_view {
@@ -234,10 +293,6 @@ impl FusionStage {
     /// Publishes what gaze views that have come show of confirmed neighbours, before they are searched.
     fn peek(&mut self) -> anyhow::Result<()> {
         let arrived = std::mem::take(&mut self.arrived);
-        // In a lossless run nothing may depend on who is faster.
-        if self.flow == Flow::Lossless {
-            return Ok(());
-        }
         for (order, view_index) in arrived {
             let Some((header, message)) = self.gallery.waiting(order, view_index) else { continue };
             let Some(Purpose::Gaze(target)) = purpose_stated(header) else { continue };

@@ -86,8 +86,9 @@ impl Refusals<'_> {
         }
     }
 
-    /// Tells a lie, and waits until each of its readers counts it as refused.
-    fn after(&mut self, what: &str, readers: &[&str], lie: impl FnOnce()) {
+    /// Tells a lie until each of its readers counts it as refused: of what waits for it, a stage takes the
+    /// newest, and an honest message may have come since.
+    fn after(&mut self, what: &str, readers: &[&str], lie: impl Fn()) {
         let before: Vec<_> = readers.iter().map(|reader| self.of(reader)).collect();
         lie();
         for (reader, before) in readers.iter().zip(before) {
@@ -98,6 +99,7 @@ impl Refusals<'_> {
                     "{reader} takes {what} for true:\n{}",
                     self.flight.output()
                 );
+                lie();
             }
         }
     }

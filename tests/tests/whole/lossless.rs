@@ -5,7 +5,7 @@ use std::path::Path;
 
 use flockeye_contract::{FrameStamp, MeasuredBy, StageLatency, Track, TrackHeader};
 use flockeye_tests::onlooker::Tape;
-use flockeye_tests::{SMALL_FLIGHT, Scratch};
+use flockeye_tests::{SMALL_FLIGHT, Scratch, flockeye};
 
 const FRAMES: u64 = 40;
 
@@ -22,6 +22,10 @@ fn fly(mode: &str, workers: u32) -> Flown {
 }
 
 fn fly_with(backend: &str, mode: &str, workers: u32) -> Flown {
+    fly_as(backend, mode, workers, &[])
+}
+
+fn fly_as(backend: &str, mode: &str, workers: u32, more: &[&str]) -> Flown {
     let scratch = Scratch::new("lossless");
     let poses = scratch.path("poses.csv");
     let frames = format!("simulator.frames={FRAMES}");
@@ -29,7 +33,7 @@ fn fly_with(backend: &str, mode: &str, workers: u32) -> Flown {
     let workers = format!("stages.detection.replicas={workers}");
     let backend = format!("rectification.backend={backend}");
     let own = [frames.as_str(), "simulator.neighbours=2", &mode, &workers, &backend];
-    let set: Vec<&str> = SMALL_FLIGHT.iter().copied().chain(own).collect();
+    let set: Vec<&str> = SMALL_FLIGHT.iter().chain(&own).chain(more).copied().collect();
     let arguments = ["--flow", "lossless", "--poses", poses.to_str().expect("a plain path")];
     let tape = Tape::record("lossless", &arguments, &set);
     tape.assert_every_frame_ended_once(FRAMES);
@@ -111,6 +115,18 @@ fn what_is_searched_beyond_the_first_hit_of_the_optimized_search_counts_for_noth
 #[test]
 fn an_exhaustive_search_does_not_depend_on_who_answers_first() {
     assert_same(&fly("exhaustive", 1), &fly("exhaustive", 3), "with three workers");
+}
+
+/// Fusion sleeps for 80 of each 100 ms for some seconds: whoever is slow makes the others wait, and loses nothing.
+#[test]
+fn who_sleeps_now_and_then_misses_nothing() {
+    let fusion = flockeye().with_file_name("flockeye-fusion");
+    let sleepy = format!(
+        r#"stages.fusion.command=["sh","-c","(for _ in $(seq 30); do kill -STOP $$; sleep 0.08; kill -CONT $$; sleep 0.02; done) & exec '{}'"]"#,
+        fusion.display()
+    );
+    let sleeping = fly_as("cpu", "exhaustive", 3, &[&sleepy]);
+    assert_same(&fly("exhaustive", 3), &sleeping, "with a fusion that sleeps");
 }
 
 #[test]

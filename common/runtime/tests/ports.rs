@@ -1,0 +1,148 @@
+//! Publishers and their slowest readers, over real shared memory.
+
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+
+use std::rc::Rc;
+use std::sync::mpsc;
+use std::thread;
+use std::time::Duration;
+
+use flockeye_contract::{FrameStamp, ViewHeader, Views};
+use flockeye_runtime::config::{Flow, Pipeline};
+use flockeye_runtime::health::SharedCounters;
+use flockeye_runtime::instance::Instance;
+use flockeye_runtime::memory::Budget;
+use flockeye_runtime::ports::{Ports, Publisher, Subscriber, create_services};
+use iceoryx2::prelude::{Node, NodeBuilder, SignalHandlingMode, ipc};
+
+const SIDE_PX: usize = 8;
+const WATCHDOG: Duration = Duration::from_secs(60);
+
+fn budget(flow: Flow) -> Budget {
+    let mut pipeline = Pipeline { flow, ..Pipeline::default() };
+    pipeline.rectification.overdue_ms = 50.0;
+    Budget::of(&pipeline, SIDE_PX as u32)
+}
+
+fn node_of(instance: &Instance) -> Rc<Node<ipc::Service>> {
+    let builder = NodeBuilder::new()
+        .signal_handling_mode(SignalHandlingMode::Disabled)
+        .config(&instance.iceoryx2().unwrap());
+    Rc::new(builder.create().unwrap())
+}
+
+/// Ports of a process of a running instance.
+fn ports_of(instance: &Instance, flow: Flow) -> Ports {
+    Ports::new(node_of(instance), budget(flow), SharedCounters::default())
+}
+
+fn buffer(flow: Flow) -> u64 {
+    budget(flow).topic::<Views>().buffer as u64
+}
+
+/// Runs `body` with an instance of its own, and fails when it does not come back.
+fn with_instance(name: &str, flow: Flow, body: impl FnOnce(&Instance) + Send + 'static) {
+    let instance = Instance::named(&format!("test-{name}-{}", std::process::id()));
+    let (done, finished) = mpsc::channel();
+    let test = thread::spawn(move || {
+        let ownership = instance.take().unwrap();
+        let node = node_of(&instance);
+        let services = create_services::<Views>(&node, budget(flow).topic::<Views>()).unwrap();
+        body(&instance);
+        drop((services, node, ownership));
+        assert!(instance.shared_memory().is_empty(), "{:?}", instance.shared_memory());
+        // The watchdog may be gone already.
+        let _ = done.send(());
+    });
+    let is_over = finished.recv_timeout(WATCHDOG);
+    assert!(is_over.is_ok() || test.is_finished(), "it hangs");
+    test.join().unwrap();
+}
+
+fn send(publisher: &Publisher<Views>, sequence: u64) {
+    let header = ViewHeader {
+        stamp: FrameStamp { sequence, ..FrameStamp::default() },
+        camera_from_view: [0.0, 0.0, 0.0, 1.0],
+        focal_px: 8.0,
+        size_px: SIDE_PX as u32,
+        stride: SIDE_PX as u32,
+        ..ViewHeader::default()
+    };
+    publisher.send(header, &[7; SIDE_PX * SIDE_PX]).unwrap();
+}
+
+fn received(subscriber: &mut Subscriber<Views>) -> Vec<u64> {
+    std::iter::from_fn(|| subscriber.receive().unwrap())
+        .map(|message| message.header.stamp.sequence)
+        .collect()
+}
+
+#[test]
+fn in_flight_the_newest_wins_and_nobody_waits() {
+    with_instance("newest", Flow::Latest, |instance| {
+        let mut ports = ports_of(instance, Flow::Latest);
+        let mut reader = ports.subscriber::<Views>().unwrap();
+        let publisher = ports.publisher::<Views>().unwrap();
+        assert!(reader.has_publisher().unwrap());
+        let all = buffer(Flow::Latest) + 3;
+        (0..all).for_each(|sequence| send(&publisher, sequence));
+        assert_eq!(received(&mut reader), (3..all).collect::<Vec<_>>());
+    });
+}
+
+#[test]
+fn a_lossless_publisher_waits_for_a_slow_reader() {
+    with_instance("slow", Flow::Lossless, |instance| {
+        let all = 5 * buffer(Flow::Lossless);
+        let (ready, is_ready) = mpsc::channel();
+        let (full, is_full) = mpsc::channel();
+        thread::scope(|scope| {
+            let reader = scope.spawn(move || {
+                let mut ports = ports_of(instance, Flow::Lossless);
+                let mut reader = ports.subscriber::<Views>().unwrap();
+                ready.send(reader.has_publisher().unwrap()).unwrap();
+                while !reader.has_publisher().unwrap() {
+                    thread::sleep(Duration::from_millis(1));
+                }
+                ready.send(true).unwrap();
+                // Nothing is taken before the publisher has filled the lane.
+                is_full.recv().unwrap();
+                let mut seen = Vec::new();
+                while (seen.len() as u64) < all {
+                    seen.extend(received(&mut reader));
+                }
+                seen
+            });
+            assert!(!is_ready.recv().unwrap(), "nobody publishes yet");
+            let publisher = ports_of(instance, Flow::Lossless).publisher::<Views>().unwrap();
+            assert!(is_ready.recv().unwrap());
+            for sequence in 0..all {
+                if sequence == buffer(Flow::Lossless) {
+                    full.send(()).unwrap();
+                }
+                send(&publisher, sequence);
+            }
+            assert_eq!(reader.join().unwrap(), (0..all).collect::<Vec<_>>());
+        });
+    });
+}
+
+#[test]
+fn a_reader_that_takes_nothing_costs_a_lossless_publisher_one_wait() {
+    with_instance("dead", Flow::Lossless, |instance| {
+        let mut ports = ports_of(instance, Flow::Lossless);
+        let mut dead = ports.subscriber::<Views>().unwrap();
+        let mut reader = ports.subscriber::<Views>().unwrap();
+        let publisher = ports.publisher::<Views>().unwrap();
+        assert!(dead.has_publisher().unwrap() && reader.has_publisher().unwrap());
+        // With a wait for each of them the watchdog would bite.
+        let mut seen = Vec::new();
+        for sequence in 0..2_000 {
+            send(&publisher, sequence);
+            seen.extend(received(&mut reader));
+        }
+        assert_eq!(seen, (0..2_000).collect::<Vec<_>>(), "who reads misses nothing");
+        let kept = (0..buffer(Flow::Lossless)).collect::<Vec<_>>();
+        assert_eq!(received(&mut dead), kept, "nothing gave way to what came later");
+    });
+}
