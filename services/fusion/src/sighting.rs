@@ -130,7 +130,7 @@ pub struct Look<'l> {
     /// Whether it may be searched for round its prediction where nothing else finds it: that takes
     /// several times as long.
     pub may_search: bool,
-    /// Alignment begins from so many places at most.
+    /// Alignment begins from so many places at most; without a prior from more if these are not enough.
     pub starts: usize,
     /// Decoded markers that must agree where nothing is aligned, with a prior.
     pub needed: usize,
@@ -168,14 +168,21 @@ impl Look<'_> {
                         .map(|camera_from_markers| Start { camera_from_markers, is_rough }),
                 );
             }
-            starts.truncate(self.starts);
+            let first = &starts[..starts.len().min(self.starts)];
             let is_marked = |pose: &Isometry3<f64>| is_where_seen(self.body, &self.rays, pose);
             let found = match &self.prior {
                 Some(prior) => {
                     let predicted = &prior.camera_from_markers;
-                    aligner.follow(self.target, picture, &starts, predicted, is_marked)
+                    aligner.follow(self.target, picture, first, predicted, is_marked)
                 }
-                None => aligner.discover(self.target, picture, &starts, is_marked),
+                None => {
+                    let discover = |starts: &[Start]| {
+                        aligner.discover(self.target, picture, starts, is_marked)
+                    };
+                    // A newcomer is told from its mirror image by what the other starts lead to.
+                    let needs_all = || (first.len() < starts.len()).then(|| discover(&starts));
+                    discover(first).or_else(|| needs_all().flatten())
+                }
             };
             let found = found.or_else(|| {
                 let predicted = self.predicted.filter(|_| self.may_search)?;
@@ -240,8 +247,11 @@ pub fn agrees_with_view(marker: &DetectedMarker, view: &View) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::drawn_body::{draw, prints};
     use flockeye_geometry::body::{Bodies, squares};
+    use flockeye_imaging::align::Picture;
     use flockeye_imaging::edges::MarkerPrint;
+    use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
     use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion};
 
     fn seen(body: &Body, pose: &Isometry3<f64>, most: usize) -> Vec<DetectedMarker> {
@@ -306,6 +316,41 @@ mod tests {
         let prior = PosePrior { camera_from_markers: pose, covariance };
         let sighting = sight(&body, rays, Some(prior)).expect("the track decides");
         assert!(error_m(&sighting, &pose) < 1e-3);
+    }
+
+    #[test]
+    fn a_newcomer_that_the_first_start_misses_gets_the_others() {
+        let body = squares("alpha", 0.0625, 0.05, 0);
+        let at = |turn| {
+            Isometry3::from_parts(
+                Translation3::new(0.7, 0.5, 0.3),
+                UnitQuaternion::from_euler_angles(0.3, -0.2, turn),
+            )
+        };
+        let (truth, wrong) = (at(0.9), at(4.0));
+        let bodies = Bodies::new("DICT_5X5_250".into(), vec![body.clone()]).expect("one body");
+        let prints = prints();
+        let aligner = Aligner::new(&bodies, |id| prints.get(&id), 611.0).expect("all are drawn");
+        let drawing = draw(&body, &truth, 611.0, 0.9, 0.004);
+        let light = LinearLight::new(TransferCurve::Srgb, CodeRange::Full).expect("a curve");
+        let (image, view) = (drawing.image(), drawing.view);
+        let picture = Picture { image, view, light: &light, pixels_per_radian: 611.0 };
+        let look = |predicted| Look {
+            target: 0,
+            body: &body,
+            rays: Vec::new(),
+            doubtful: rays_of(&body, &seen(&body, &wrong, 8)),
+            rays_m: f64::INFINITY,
+            prior: None,
+            predicted,
+            best_view: Some(BestView { picture, view_index: 0, rays_m: f64::INFINITY }),
+            may_search: false,
+            starts: 1,
+            needed: 1,
+        };
+        assert_eq!(look(None).measure(&aligner), None, "nothing leads to it");
+        let sighting = look(Some(truth)).measure(&aligner).expect("its prediction does");
+        assert!(error_m(&sighting, &truth) < 0.01);
     }
 
     #[test]

@@ -408,8 +408,6 @@ impl Swarm {
         let turn = self.frames / SEARCH_EVERY_FRAMES % self.neighbours.len() as u64;
         let may_search =
             needed == 1 && self.frames.is_multiple_of(SEARCH_EVERY_FRAMES) && turn == target as u64;
-        // A newcomer is told from its mirror image by what the other starts lead to.
-        let hurries = self.is_behind && prior.is_some();
         is_worth_it.then_some(Look {
             target,
             body: &neighbour.body,
@@ -417,7 +415,7 @@ impl Swarm {
             doubtful,
             rays_m,
             may_search: may_search && !self.is_behind,
-            starts: if hurries { 1 } else { usize::MAX },
+            starts: if self.is_behind { 1 } else { usize::MAX },
             prior,
             predicted,
             best_view,
@@ -425,8 +423,8 @@ impl Swarm {
         })
     }
 
-    /// Whether newer frames wait from now on: then who is tracked gets one look of each kind, for poses
-    /// that come a second late are of use to nobody.
+    /// Whether newer frames wait from now on: then each neighbour gets one look of each kind, newcomers
+    /// more if they need it, for poses that come a second late are of use to nobody.
     pub fn hurry(&mut self, is_behind: bool) {
         self.is_behind = is_behind;
     }
