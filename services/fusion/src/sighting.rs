@@ -109,6 +109,34 @@ fn ray(components: [f64; 3]) -> Ray {
     Unit::new_normalize(Vector3::from(components))
 }
 
+/// How much time there is for a look.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Pace {
+    /// As much as it takes: nothing is late in a lossless run.
+    #[default]
+    Unhurried,
+    /// The next frame is coming.
+    Live,
+    /// Newer frames wait already.
+    Behind,
+}
+
+impl Pace {
+    /// From how many starts alignment begins before it is asked whether they are enough: each takes some
+    /// 10 ms, and a newcomer, who has up to eight, makes everybody's poses late.
+    fn first_starts(self, is_newcomer: bool) -> usize {
+        match self {
+            Self::Behind => 1,
+            Self::Live if is_newcomer => 1,
+            Self::Live | Self::Unhurried => usize::MAX,
+        }
+    }
+}
+
+/// Facets that must agree with a newcomer's pose from the first start for the others to be spared: its
+/// mirror image may have two.
+const SURE_FACETS: u32 = 3;
+
 /// What there is to measure a body by in a frame.
 pub struct Look<'l> {
     /// The body's number...
@@ -130,8 +158,8 @@ pub struct Look<'l> {
     /// Whether it may be searched for round its prediction where nothing else finds it: that takes
     /// several times as long.
     pub may_search: bool,
-    /// Alignment begins from so many places at most; without a prior from more if these are not enough.
-    pub starts: usize,
+    /// How much time there is.
+    pub pace: Pace,
     /// Decoded markers that must agree where nothing is aligned, with a prior.
     pub needed: usize,
 }
@@ -168,7 +196,8 @@ impl Look<'_> {
                         .map(|camera_from_markers| Start { camera_from_markers, is_rough }),
                 );
             }
-            let first = &starts[..starts.len().min(self.starts)];
+            let first = self.pace.first_starts(self.prior.is_none()).min(starts.len());
+            let (first, has_more) = (&starts[..first], first < starts.len());
             let is_marked = |pose: &Isometry3<f64>| is_where_seen(self.body, &self.rays, pose);
             let found = match &self.prior {
                 Some(prior) => {
@@ -180,8 +209,10 @@ impl Look<'_> {
                         aligner.discover(self.target, picture, starts, is_marked)
                     };
                     // A newcomer is told from its mirror image by what the other starts lead to.
-                    let needs_all = || (first.len() < starts.len()).then(|| discover(&starts));
-                    discover(first).or_else(|| needs_all().flatten())
+                    let is_enough =
+                        |found: &Alignment| !has_more || found.score.agreeing_facets >= SURE_FACETS;
+                    let all = || has_more.then(|| discover(&starts)).flatten();
+                    discover(first).filter(is_enough).or_else(all)
                 }
             };
             let found = found.or_else(|| {
@@ -288,7 +319,7 @@ mod tests {
             predicted: None,
             best_view: None,
             may_search: false,
-            starts: usize::MAX,
+            pace: Pace::Unhurried,
             needed: 1,
         };
         look.measure(&aligner)
@@ -345,7 +376,7 @@ mod tests {
             predicted,
             best_view: Some(BestView { picture, view_index: 0, rays_m: f64::INFINITY }),
             may_search: false,
-            starts: 1,
+            pace: Pace::Live,
             needed: 1,
         };
         assert_eq!(look(None).measure(&aligner), None, "nothing leads to it");

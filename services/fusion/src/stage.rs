@@ -26,7 +26,7 @@ use crate::gallery::{FrameOrder, Gallery};
 use crate::message::{self, Cause};
 use crate::parallax::Parallax;
 use crate::settings::{filter_choice, mode_code, search_mode};
-use crate::sighting::agrees_with_view;
+use crate::sighting::{Pace, agrees_with_view};
 use crate::swarm::{BestViews, Purposes, Seen, Swarm, Update};
 
 /// How often it is looked whether rectification has joined, nanoseconds.
@@ -310,13 +310,17 @@ impl FusionStage {
         Ok(())
     }
 
-    /// Whether more than the next frame waits behind this one; in a lossless run time decides nothing.
-    fn is_behind(&self, stamp: &FrameStamp) -> bool {
+    /// How much time there is for a frame; in a lossless run time decides nothing.
+    fn pace(&self, stamp: &FrameStamp) -> Pace {
         let waits = |newest: &FrameStamp| {
             stamp.is_late_beside(newest)
                 && newest.sequence.wrapping_sub(stamp.sequence) >= BEHIND_FRAMES
         };
-        self.flow == Flow::Latest && self.newest.as_ref().is_some_and(waits)
+        match self.flow {
+            Flow::Lossless => Pace::Unhurried,
+            Flow::Latest if self.newest.as_ref().is_some_and(waits) => Pace::Behind,
+            Flow::Latest => Pace::Live,
+        }
     }
 
     /// Publishes what gaze views say, without waiting for the rest of their frames.
@@ -340,7 +344,7 @@ impl FusionStage {
                 })
                 .collect();
             let order = stamp.order();
-            self.swarm.hurry(self.is_behind(&stamp));
+            self.swarm.hurry(self.pace(&stamp));
             let best_views = best_views(&self.gallery, &mut self.lights, &self.swarm, order);
             let updates = self.swarm.glance(order, seconds(&stamp), &seen, &best_views);
             drop(best_views);
@@ -388,7 +392,7 @@ impl FusionStage {
         let (purposes, stop_rule) =
             self.remembered.get(&frame.plan_id).cloned().unwrap_or_else(swept);
         let order = frame.stamp.order();
-        self.swarm.hurry(self.is_behind(&frame.stamp));
+        self.swarm.hurry(self.pace(&frame.stamp));
         let best_views = best_views(&self.gallery, &mut self.lights, &self.swarm, order);
         let updates =
             self.swarm.finish(seconds(&frame.stamp), frame, &purposes, stop_rule, &best_views);

@@ -17,7 +17,8 @@ use crate::gallery::{FrameOrder, Rank};
 use crate::neighbour::{Known, Neighbour};
 use crate::parallax::Parallax;
 use crate::sighting::{
-    Look, MARKERS_ALONE, MeasuredBy, Sighting, contradicts, doubtful_rays_of, measure_all, rays_of,
+    Look, MARKERS_ALONE, MeasuredBy, Pace, Sighting, contradicts, doubtful_rays_of, measure_all,
+    rays_of,
 };
 use records::{distinct_ids, records_that_count};
 use trust::Trust;
@@ -66,7 +67,7 @@ pub struct Swarm {
     looked: BTreeMap<FrameOrder, Looked>,
     last_s: Option<f64>,
     interval_s: f64,
-    is_behind: bool,
+    pace: Pace,
 }
 
 /// What was looked at of an open frame.
@@ -116,7 +117,7 @@ impl Swarm {
             looked: BTreeMap::new(),
             last_s: None,
             interval_s: 1.0 / 30.0,
-            is_behind: false,
+            pace: Pace::default(),
         }
     }
 
@@ -414,8 +415,8 @@ impl Swarm {
             rays,
             doubtful,
             rays_m,
-            may_search: may_search && !self.is_behind,
-            starts: if self.is_behind { 1 } else { usize::MAX },
+            may_search: may_search && self.pace != Pace::Behind,
+            pace: self.pace,
             prior,
             predicted,
             best_view,
@@ -423,10 +424,10 @@ impl Swarm {
         })
     }
 
-    /// Whether newer frames wait from now on: then each neighbour gets one look of each kind, newcomers
-    /// more if they need it, for poses that come a second late are of use to nobody.
-    pub fn hurry(&mut self, is_behind: bool) {
-        self.is_behind = is_behind;
+    /// How much time there is from now on. Where newer frames wait, each neighbour gets one look of each
+    /// kind, newcomers more if they need it: poses that come a second late are of use to nobody.
+    pub fn hurry(&mut self, pace: Pace) {
+        self.pace = pace;
     }
 
     /// A view was cut: it will be searched, and so need not be asked for in a plan that is made meanwhile.

@@ -154,7 +154,7 @@ fn a_confirmed_neighbour_is_measured_before_its_view_is_searched() {
 }
 
 #[test]
-fn who_is_behind_follows_from_one_start_and_does_not_search() {
+fn who_is_behind_does_not_search() {
     let truth = pose(0.9);
     let mut swarm = following(&truth);
     let record = record(3, &truth);
@@ -162,11 +162,11 @@ fn who_is_behind_follows_from_one_start_and_does_not_search() {
     let look = |swarm: &Swarm| {
         let best_views = BestViews::new();
         let look = swarm.look(at_s(3), 0, &seen, &best_views, 1).expect("markers are seen");
-        (look.starts, look.may_search)
+        (look.pace, look.may_search)
     };
-    assert_eq!(look(&swarm), (usize::MAX, true), "frame 3 is one of those that search");
-    swarm.hurry(true);
-    assert_eq!(look(&swarm), (1, false));
+    assert_eq!(look(&swarm), (Pace::Unhurried, true), "frame 3 is one of those that search");
+    swarm.hurry(Pace::Behind);
+    assert_eq!(look(&swarm), (Pace::Behind, false));
     // Its markers tell its pose all the same.
     assert!(glance(&mut swarm, 3, &truth)[0].1.measured.is_some());
 }
