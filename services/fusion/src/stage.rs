@@ -285,7 +285,9 @@ impl FusionStage {
         let purpose = self.purpose_of(&header, of_view.as_ref());
         let stop_rule =
             self.remembered.get(&header.plan_id).map_or(StopRule::All, |(_, stop_rule)| *stop_rule);
-        let shows = self.swarm.shown(&record, purpose, of_view.as_ref(), stop_rule);
+        let mut shows = self.swarm.shown(&record, purpose, of_view.as_ref(), stop_rule);
+        // Who was measured by the pixels already needs no view to be held.
+        shows.retain(|(target, _)| !self.swarm.is_settled(header.stamp.order(), *target));
         self.gallery.answered(header.stamp.order(), header.view_index, &shows);
         Some(record)
     }

@@ -200,9 +200,10 @@ impl Swarm {
         view: &BestView<'_>,
     ) -> Option<Update> {
         let neighbour = self.neighbours.get(target)?;
-        let is_settled =
-            self.looked.get(&order).is_some_and(|looked| looked.settled.contains(&target));
-        if self.trust.is_doubted(target) || is_settled || !neighbour.is_measured() {
+        if self.trust.is_doubted(target)
+            || self.is_settled(order, target)
+            || !neighbour.is_measured()
+        {
             return None;
         }
         let predicted = neighbour.prior(at_s)?.camera_from_markers;
@@ -305,11 +306,14 @@ impl Swarm {
         updates
     }
 
+    /// Whether a neighbour's pose in a frame is out already.
+    pub fn is_settled(&self, order: FrameOrder, target: usize) -> bool {
+        self.looked.get(&order).is_some_and(|looked| looked.settled.contains(&target))
+    }
+
     /// Neighbours whose pose in a frame is not out yet.
     fn unsettled(&self, order: FrameOrder) -> impl Iterator<Item = usize> {
-        let settled = self.looked.get(&order).map(|looked| &looked.settled);
-        (0..self.neighbours.len())
-            .filter(move |target| settled.is_none_or(|settled| !settled.contains(target)))
+        (0..self.neighbours.len()).filter(move |target| !self.is_settled(order, *target))
     }
 
     /// Measures neighbours, each from some of a frame's records and its picture, and takes in what

@@ -139,6 +139,8 @@ fn a_confirmed_neighbour_is_measured_before_its_view_is_searched() {
         assert_eq!((target, by, known.markers), (0, MeasuredBy::Aligned, 0));
         let error = measured.camera_from_markers.translation.vector - truth.translation.vector;
         assert!(error.norm() < 2e-3, "{} m", error.norm());
+        let is_settled = |sequence| swarm.is_settled(stamp(sequence).order(), 0);
+        assert!(is_settled(3) && !is_settled(4), "its view in frame 3 need not be held");
         // The markers that are found later agree, and there is nothing to add.
         assert!(glance(&mut swarm, 3, &truth).is_empty());
         assert!(peek(&mut swarm, 3, view).is_none(), "once is enough");
