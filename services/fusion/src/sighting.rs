@@ -8,7 +8,7 @@ use flockeye_geometry::view::{View, ViewPixel};
 use flockeye_imaging::align::Alignment;
 use nalgebra::{Isometry3, Unit, Vector2, Vector3};
 
-use crate::alignment::{Aligner, BestView, Start};
+use crate::alignment::{Aligner, BestView, Pace, Start};
 use crate::neighbour::PoseEstimate;
 
 /// Markers that must agree on a pose before it is believed without a track to compare it with: one
@@ -109,34 +109,6 @@ fn ray(components: [f64; 3]) -> Ray {
     Unit::new_normalize(Vector3::from(components))
 }
 
-/// How much time there is for a look.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub enum Pace {
-    /// As much as it takes: nothing is late in a lossless run.
-    #[default]
-    Unhurried,
-    /// The next frame is coming.
-    Live,
-    /// Newer frames wait already.
-    Behind,
-}
-
-impl Pace {
-    /// From how many starts alignment begins before it is asked whether they are enough: each takes some
-    /// 10 ms, and a newcomer, who has up to eight, makes everybody's poses late.
-    fn first_starts(self, is_newcomer: bool) -> usize {
-        match self {
-            Self::Behind => 1,
-            Self::Live if is_newcomer => 1,
-            Self::Live | Self::Unhurried => usize::MAX,
-        }
-    }
-}
-
-/// Facets that must agree with a newcomer's pose from the first start for the others to be spared: its
-/// mirror image may have two.
-const SURE_FACETS: u32 = 3;
-
 /// What there is to measure a body by in a frame.
 pub struct Look<'l> {
     /// The body's number...
@@ -196,24 +168,13 @@ impl Look<'_> {
                         .map(|camera_from_markers| Start { camera_from_markers, is_rough }),
                 );
             }
-            let first = self.pace.first_starts(self.prior.is_none()).min(starts.len());
-            let (first, has_more) = (&starts[..first], first < starts.len());
             let is_marked = |pose: &Isometry3<f64>| is_where_seen(self.body, &self.rays, pose);
             let found = match &self.prior {
                 Some(prior) => {
                     let predicted = &prior.camera_from_markers;
-                    aligner.follow(self.target, picture, first, predicted, is_marked)
+                    aligner.follow(self.target, picture, &starts, predicted, self.pace, is_marked)
                 }
-                None => {
-                    let discover = |starts: &[Start]| {
-                        aligner.discover(self.target, picture, starts, is_marked)
-                    };
-                    // A newcomer is told from its mirror image by what the other starts lead to.
-                    let is_enough =
-                        |found: &Alignment| !has_more || found.score.agreeing_facets >= SURE_FACETS;
-                    let all = || has_more.then(|| discover(&starts)).flatten();
-                    discover(first).filter(is_enough).or_else(all)
-                }
+                None => aligner.discover(self.target, picture, &starts, self.pace, is_marked),
             };
             let found = found.or_else(|| {
                 let predicted = self.predicted.filter(|_| self.may_search)?;
@@ -278,11 +239,8 @@ pub fn agrees_with_view(marker: &DetectedMarker, view: &View) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::drawn_body::{draw, prints};
     use flockeye_geometry::body::{Bodies, squares};
-    use flockeye_imaging::align::Picture;
     use flockeye_imaging::edges::MarkerPrint;
-    use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
     use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion};
 
     fn seen(body: &Body, pose: &Isometry3<f64>, most: usize) -> Vec<DetectedMarker> {
@@ -347,41 +305,6 @@ mod tests {
         let prior = PosePrior { camera_from_markers: pose, covariance };
         let sighting = sight(&body, rays, Some(prior)).expect("the track decides");
         assert!(error_m(&sighting, &pose) < 1e-3);
-    }
-
-    #[test]
-    fn a_newcomer_that_the_first_start_misses_gets_the_others() {
-        let body = squares("alpha", 0.0625, 0.05, 0);
-        let at = |turn| {
-            Isometry3::from_parts(
-                Translation3::new(0.7, 0.5, 0.3),
-                UnitQuaternion::from_euler_angles(0.3, -0.2, turn),
-            )
-        };
-        let (truth, wrong) = (at(0.9), at(4.0));
-        let bodies = Bodies::new("DICT_5X5_250".into(), vec![body.clone()]).expect("one body");
-        let prints = prints();
-        let aligner = Aligner::new(&bodies, |id| prints.get(&id), 611.0).expect("all are drawn");
-        let drawing = draw(&body, &truth, 611.0, 0.9, 0.004);
-        let light = LinearLight::new(TransferCurve::Srgb, CodeRange::Full).expect("a curve");
-        let (image, view) = (drawing.image(), drawing.view);
-        let picture = Picture { image, view, light: &light, pixels_per_radian: 611.0 };
-        let look = |predicted| Look {
-            target: 0,
-            body: &body,
-            rays: Vec::new(),
-            doubtful: rays_of(&body, &seen(&body, &wrong, 8)),
-            rays_m: f64::INFINITY,
-            prior: None,
-            predicted,
-            best_view: Some(BestView { picture, view_index: 0, rays_m: f64::INFINITY }),
-            may_search: false,
-            pace: Pace::Live,
-            needed: 1,
-        };
-        assert_eq!(look(None).measure(&aligner), None, "nothing leads to it");
-        let sighting = look(Some(truth)).measure(&aligner).expect("its prediction does");
-        assert!(error_m(&sighting, &truth) < 0.01);
     }
 
     #[test]

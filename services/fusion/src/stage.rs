@@ -20,13 +20,13 @@ use flockeye_runtime::{Context, Stage, Step, clock};
 use flockeye_viewing::{Lights, image_of, view_of};
 use nalgebra::Isometry3;
 
-use crate::alignment::{Aligner, BestView};
+use crate::alignment::{Aligner, BestView, Pace};
 use crate::assembly::{Assembly, Frame, Leave, Record};
 use crate::gallery::{FrameOrder, Gallery};
 use crate::message::{self, Cause};
 use crate::parallax::Parallax;
 use crate::settings::{filter_choice, mode_code, search_mode};
-use crate::sighting::{Pace, agrees_with_view};
+use crate::sighting::agrees_with_view;
 use crate::swarm::{BestViews, Purposes, Seen, Swarm, Update};
 
 /// How often it is looked whether rectification has joined, nanoseconds.

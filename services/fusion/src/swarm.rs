@@ -11,14 +11,13 @@ use flockeye_geometry::filter::{Prediction, TrackPolicy};
 use flockeye_geometry::search::{Plan, Planner, PredictedNeighbour, Purpose, Searched, StopRule};
 use nalgebra::Isometry3;
 
-use crate::alignment::{Aligner, BestView, Start};
+use crate::alignment::{Aligner, BestView, Pace, Start};
 use crate::assembly::{Frame, Record};
 use crate::gallery::{FrameOrder, Rank};
 use crate::neighbour::{Known, Neighbour};
 use crate::parallax::Parallax;
 use crate::sighting::{
-    Look, MARKERS_ALONE, MeasuredBy, Pace, Sighting, contradicts, doubtful_rays_of, measure_all,
-    rays_of,
+    Look, MARKERS_ALONE, MeasuredBy, Sighting, contradicts, doubtful_rays_of, measure_all, rays_of,
 };
 use records::{distinct_ids, records_that_count};
 use trust::Trust;
@@ -208,7 +207,9 @@ impl Swarm {
         }
         let predicted = neighbour.prior(at_s)?.camera_from_markers;
         let start = Start { camera_from_markers: predicted, is_rough: false };
-        let found = self.aligner.follow(target, &view.picture, &[start], &predicted, |_| false)?;
+        let found =
+            self.aligner
+                .follow(target, &view.picture, &[start], &predicted, Pace::Live, |_| false)?;
         if !found.is_believed() || found.score.agreeing_facets < PEEKED_FACETS {
             return None;
         }

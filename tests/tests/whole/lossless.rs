@@ -122,7 +122,7 @@ fn an_exhaustive_search_does_not_depend_on_who_answers_first() {
 fn who_sleeps_now_and_then_misses_nothing() {
     let fusion = flockeye().with_file_name("flockeye-fusion");
     let sleepy = format!(
-        r#"stages.fusion.command=["sh","-c","(for _ in $(seq 30); do kill -STOP $$; sleep 0.08; kill -CONT $$; sleep 0.02; done) & exec '{}'"]"#,
+        r#"stages.fusion.command=["sh","-c","(for _ in $(seq 30); do kill -STOP $$ || exit; sleep 0.08; kill -CONT $$; sleep 0.02; done) & exec '{}'"]"#,
         fusion.display()
     );
     let sleeping = fly_as("cpu", "exhaustive", 3, &[&sleepy]);

@@ -39,8 +39,9 @@ fn of_several_starts_the_right_one_is_discovered() {
     for range_m in [0.8, 1.6, 2.4] {
         let truth = pose(range_m, 0.9);
         let starts = [pose(range_m, 2.0), pose(range_m, -0.6), truth].map(start);
-        let found =
-            look(&truth, |aligner, picture| aligner.discover(0, picture, &starts, |_| false));
+        let found = look(&truth, |aligner, picture| {
+            aligner.discover(0, picture, &starts, Pace::Unhurried, |_| false)
+        });
         let found = found.expect("one of them is right").camera_from_markers;
         assert!(found.rotation.angle_to(&truth.rotation) < 0.02, "{range_m} m");
         let error = found.translation.vector - truth.translation.vector;
@@ -57,8 +58,8 @@ fn wrong_attitudes_discover_and_confirm_nothing() {
                 let predicted = pose(range_m, 0.9 + turn);
                 let starts = [start(predicted)];
                 let found = [
-                    aligner.discover(0, picture, &starts, |_| false),
-                    aligner.follow(0, picture, &starts, &predicted, |_| false),
+                    aligner.discover(0, picture, &starts, Pace::Unhurried, |_| false),
+                    aligner.follow(0, picture, &starts, &predicted, Pace::Unhurried, |_| false),
                 ];
                 for found in found.into_iter().flatten() {
                     // It may find its way to the truth, and nowhere else.
@@ -75,13 +76,43 @@ fn a_track_is_confirmed_farther_than_it_is_discovered() {
     let truth = pose(3.8, 0.9);
     let starts = [start(truth)];
     look(&truth, |aligner, picture| {
-        assert!(aligner.discover(0, picture, &starts, |_| false).is_none());
-        let found = aligner.follow(0, picture, &starts, &truth, |_| false);
+        assert!(aligner.discover(0, picture, &starts, Pace::Unhurried, |_| false).is_none());
+        let found = aligner.follow(0, picture, &starts, &truth, Pace::Unhurried, |_| false);
         let found = found.expect("it is where it was expected");
         let error = found.camera_from_markers.translation.vector - truth.translation.vector;
         assert!(error.norm() < 0.05, "{} m", error.norm());
         // A few facets may be others' mirror images: then it must not have turned far.
         assert_eq!(found.score.agreeing_facets, 1);
-        assert!(aligner.follow(0, picture, &starts, &pose(3.8, 1.5), |_| false).is_none());
+        assert!(
+            aligner
+                .follow(0, picture, &starts, &pose(3.8, 1.5), Pace::Unhurried, |_| false)
+                .is_none()
+        );
+    });
+}
+
+#[test]
+fn a_newcomer_whom_the_first_start_misses_is_found_at_any_pace() {
+    let truth = pose(0.8, 0.9);
+    let wrong = start(pose(0.8, 4.0));
+    look(&truth, |aligner, picture| {
+        for pace in [Pace::Unhurried, Pace::Live, Pace::Behind] {
+            let discover = |starts: &[Start]| aligner.discover(0, picture, starts, pace, |_| false);
+            assert!(discover(&[wrong]).is_none(), "{pace:?}");
+            let found = discover(&[wrong, start(truth)]).expect("the second one is right");
+            let error = found.camera_from_markers.translation.vector - truth.translation.vector;
+            assert!(error.norm() < 0.01, "{pace:?}: {} m", error.norm());
+        }
+    });
+}
+
+#[test]
+fn who_is_behind_follows_from_the_first_start_alone() {
+    let truth = pose(0.8, 0.9);
+    let starts = [start(pose(0.8, 4.0)), start(truth)];
+    look(&truth, |aligner, picture| {
+        let follow = |pace| aligner.follow(0, picture, &starts, &truth, pace, |_| false);
+        assert!(follow(Pace::Unhurried).is_some() && follow(Pace::Live).is_some());
+        assert!(follow(Pace::Behind).is_none());
     });
 }
