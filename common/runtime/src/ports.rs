@@ -311,22 +311,20 @@ fn waits_for_readers(
     move |full| {
         // Whoever panicked while it held the set left it whole.
         let mut given_up = given_up.lock().unwrap_or_else(PoisonError::into_inner);
-        let reader = full.receiver_port_id;
-        match patience {
-            Some(patience) if !given_up.contains(&reader) => {
-                if full.elapsed_time < patience {
-                    return BackpressureAction::Retry;
-                }
-                given_up.insert(reader);
-                let milliseconds = patience.as_millis();
-                tracing::warn!(
-                    topic,
-                    "a reader took nothing for {milliseconds} ms: it is not waited for any more"
-                );
-                BackpressureAction::DiscardData
-            }
-            _ => BackpressureAction::DiscardData,
+        let Some(patience) = patience.filter(|_| !given_up.contains(&full.receiver_port_id)) else {
+            return BackpressureAction::DiscardData;
+        };
+        if full.elapsed_time < patience {
+            return BackpressureAction::Retry;
         }
+        given_up.insert(full.receiver_port_id);
+        tracing::warn!(
+            topic,
+            "a reader took nothing for {} ms: it is not waited for any more. Cure: end tools that look on \
+             at a lossless run; begin it anew if it was fusion",
+            patience.as_millis()
+        );
+        BackpressureAction::DiscardData
     }
 }
 
@@ -465,17 +463,17 @@ impl<T: Topic> Subscriber<T> {
         }
     }
 
-    /// Whether anybody publishes this. From then on a publisher with patience waits for this subscriber;
-    /// before, it does not know that anybody is there.
+    /// Connects with whoever publishes; false if nobody does. From then on a publisher with patience waits
+    /// for this subscriber: before, it does not know that anybody is there.
     ///
     /// # Errors
     /// [`PortError::Receive`] where a connection broke.
-    pub fn has_publisher(&self) -> Result<bool, PortError> {
-        let is_there = self.service.dynamic_config().number_of_publishers() > 0;
+    pub fn connect(&self) -> Result<bool, PortError> {
+        let is_published = self.service.dynamic_config().number_of_publishers() > 0;
         self.subscriber
             .update_connections()
             .map_err(|error| PortError::Receive { topic: T::NAME, reason: format!("{error:?}") })?;
-        Ok(is_there)
+        Ok(is_published)
     }
 
     /// The newest message; older ones are dropped and counted.

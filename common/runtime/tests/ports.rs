@@ -83,7 +83,7 @@ fn in_flight_the_newest_wins_and_nobody_waits() {
         let mut ports = ports_of(instance, Flow::Latest);
         let mut reader = ports.subscriber::<Views>().unwrap();
         let publisher = ports.publisher::<Views>().unwrap();
-        assert!(reader.has_publisher().unwrap());
+        assert!(reader.connect().unwrap());
         let all = buffer(Flow::Latest) + 3;
         (0..all).for_each(|sequence| send(&publisher, sequence));
         assert_eq!(received(&mut reader), (3..all).collect::<Vec<_>>());
@@ -100,8 +100,8 @@ fn a_lossless_publisher_waits_for_a_slow_reader() {
             let reader = scope.spawn(move || {
                 let mut ports = ports_of(instance, Flow::Lossless);
                 let mut reader = ports.subscriber::<Views>().unwrap();
-                ready.send(reader.has_publisher().unwrap()).unwrap();
-                while !reader.has_publisher().unwrap() {
+                ready.send(reader.connect().unwrap()).unwrap();
+                while !reader.connect().unwrap() {
                     thread::sleep(Duration::from_millis(1));
                 }
                 ready.send(true).unwrap();
@@ -134,7 +134,7 @@ fn a_reader_that_takes_nothing_costs_a_lossless_publisher_one_wait() {
         let mut dead = ports.subscriber::<Views>().unwrap();
         let mut reader = ports.subscriber::<Views>().unwrap();
         let publisher = ports.publisher::<Views>().unwrap();
-        assert!(dead.has_publisher().unwrap() && reader.has_publisher().unwrap());
+        assert!(dead.connect().unwrap() && reader.connect().unwrap());
         // With a wait for each of them the watchdog would bite.
         let mut seen = Vec::new();
         for sequence in 0..2_000 {

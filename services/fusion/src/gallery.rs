@@ -6,6 +6,10 @@ use std::collections::BTreeMap;
 use std::rc::Rc;
 
 use flockeye_contract::ViewHeader;
+use flockeye_geometry::body::Body;
+use flockeye_geometry::search::StopRule;
+
+use crate::assembly::Record;
 
 /// A frame's place among all frames.
 pub type FrameOrder = (u32, u32, u64);
@@ -46,6 +50,44 @@ pub struct Rank {
 }
 
 impl Rank {
+    /// How well a view shows a body, by what was found in it; `None` where it is not its own and shows
+    /// no marker of it.
+    pub fn of(
+        record: &Record,
+        view: &ViewHeader,
+        body: &Body,
+        is_own: bool,
+        stop_rule: StopRule,
+    ) -> Option<Self> {
+        let middle = (f64::from(view.size_px) - 1.0) / 2.0;
+        let of_body = record.markers.iter().filter(|marker| body.marker(marker.id).is_some());
+        let decoded = of_body.clone().filter(|marker| marker.is_decoded()).count() as u32;
+        let counted = of_body.filter(|marker| marker.is_decoded() || decoded == 0);
+        let (mut sum, mut count) = ([0.0; 2], 0.0);
+        for [u, v] in counted.flat_map(|marker| marker.corners_in_view) {
+            sum = [sum[0] + f64::from(u), sum[1] + f64::from(v)];
+            count += 1.0;
+        }
+        if !is_own && count == 0.0 {
+            return None;
+        }
+        let view_index = view.view_index;
+        Some(match stop_rule {
+            StopRule::All | StopRule::Deadline => {
+                let off_px = match count {
+                    0.0 => 0.0,
+                    _ => (sum[0] / count - middle).hypot(sum[1] / count - middle),
+                };
+                let (focal_px, off_centre) = (view.focal_px, off_px / view.focal_px);
+                Self { is_own, decoded, focal_px, off_centre, view_index }
+            }
+            // What is searched beyond the first hit must not take its place.
+            StopRule::FirstHit => {
+                Self { is_own: false, decoded: 0, focal_px: 0.0, off_centre: 0.0, view_index }
+            }
+        })
+    }
+
     fn is_above(&self, other: &Self) -> bool {
         self.is_own
             .cmp(&other.is_own)

@@ -8,6 +8,7 @@
 //! | [`assembly`] | puts a frame together from what the stages say of it |
 //! | [`parallax`] | rays of lenses beside the camera's middle |
 //! | [`gallery`] | which views' pixels are held |
+//! | [`pictures`] | held views as images |
 //! | [`alignment`] | a body aligned with the pixels of the best view of it |
 //! | [`sighting`] | one believed pose of a body from a frame's rays and pixels |
 //! | [`neighbour`] | a neighbour's track from frame to frame |
@@ -22,6 +23,7 @@ pub mod gallery;
 pub mod message;
 pub mod neighbour;
 pub mod parallax;
+pub mod pictures;
 pub mod settings;
 pub mod sighting;
 pub mod stage;

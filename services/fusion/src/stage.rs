@@ -9,7 +9,6 @@ use flockeye_contract::{
 };
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::search::{Planner, Purpose, StopRule};
-use flockeye_imaging::align::Picture;
 use flockeye_runtime::bodies::isometry;
 use flockeye_runtime::config::{Flow, Mode};
 use flockeye_runtime::health::SharedCounters;
@@ -17,17 +16,18 @@ use flockeye_runtime::logs::Throttle;
 use flockeye_runtime::memory::{self, MAX_TRACKS};
 use flockeye_runtime::ports::{Message, Ports, Publisher, Subscriber};
 use flockeye_runtime::{Context, Stage, Step, clock};
-use flockeye_viewing::{Lights, image_of, view_of};
+use flockeye_viewing::{Lights, view_of};
 use nalgebra::Isometry3;
 
-use crate::alignment::{Aligner, BestView, Pace};
+use crate::alignment::{Aligner, Pace};
 use crate::assembly::{Assembly, Frame, Leave, Record};
 use crate::gallery::{FrameOrder, Gallery};
 use crate::message::{self, Cause};
 use crate::parallax::Parallax;
+use crate::pictures::{best_view, best_views};
 use crate::settings::{filter_choice, mode_code, search_mode};
 use crate::sighting::agrees_with_view;
-use crate::swarm::{BestViews, Purposes, Seen, Swarm, Update};
+use crate::swarm::{Purposes, Seen, Swarm, Update};
 
 /// How often it is looked whether rectification has joined, nanoseconds.
 const JOINING_NS: i64 = 5_000_000;
@@ -134,7 +134,7 @@ impl Stage for FusionStage {
 
     fn step(&mut self) -> anyhow::Result<Step> {
         let is_live = self.flow == Flow::Latest;
-        let is_alone = !is_live && !self.is_waited_for()?;
+        let is_alone = !is_live && !self.connect()?;
         if self.plan_id == 0 {
             let now_ns = clock::monotonic_ns();
             if is_alone && now_ns < self.alone_until_ns {
@@ -191,11 +191,11 @@ impl Stage for FusionStage {
 }
 
 impl FusionStage {
-    /// Whether rectification knows that it has to wait for this stage where a lane is full.
-    fn is_waited_for(&self) -> anyhow::Result<bool> {
-        let publishers: Result<Vec<bool>, _> =
-            self.views.iter().map(Subscriber::has_publisher).collect();
-        Ok(publishers?.iter().all(|is_there| *is_there))
+    /// Lets rectification know that it has to wait for this stage where a lane is full; false while it is
+    /// not there.
+    fn connect(&self) -> anyhow::Result<bool> {
+        let lanes: Result<Vec<bool>, _> = self.views.iter().map(Subscriber::connect).collect();
+        Ok(lanes?.iter().all(|is_published| *is_published))
     }
 
     /// Takes the views that have come, as many as can be held.
@@ -285,9 +285,7 @@ impl FusionStage {
         let purpose = self.purpose_of(&header, of_view.as_ref());
         let stop_rule =
             self.remembered.get(&header.plan_id).map_or(StopRule::All, |(_, stop_rule)| *stop_rule);
-        let mut shows = self.swarm.shown(&record, purpose, of_view.as_ref(), stop_rule);
-        // Who was measured by the pixels already needs no view to be held.
-        shows.retain(|(target, _)| !self.swarm.is_settled(header.stamp.order(), *target));
+        let shows = self.swarm.shown(&record, purpose, of_view.as_ref(), stop_rule);
         self.gallery.answered(header.stamp.order(), header.view_index, &shows);
         Some(record)
     }
@@ -471,43 +469,6 @@ const BEHIND_FRAMES: u64 = 2;
 
 fn seconds(stamp: &FrameStamp) -> f64 {
     stamp.exposure_ns as f64 * 1e-9
-}
-
-/// The best views of a frame's neighbours, as images. What cannot be read is left out: detection
-/// says why.
-fn best_views<'g>(
-    gallery: &'g Gallery<Message<Views>>,
-    lights: &'g mut Lights,
-    swarm: &Swarm,
-    order: FrameOrder,
-) -> BestViews<'g> {
-    for (_, header, _) in gallery.of_frame(order) {
-        // Known from here on, or refused here and again below.
-        let _ = lights.of(header);
-    }
-    let lights = &*lights;
-    gallery
-        .of_frame(order)
-        .filter_map(|(target, header, message)| {
-            Some((target, best_view(header, message, lights, swarm)?))
-        })
-        .collect()
-}
-
-/// A view as an image; `None` where it cannot be read.
-fn best_view<'g>(
-    header: &ViewHeader,
-    message: &'g Message<Views>,
-    lights: &'g Lights,
-    swarm: &Swarm,
-) -> Option<BestView<'g>> {
-    let picture = Picture {
-        image: image_of(header, message.items()).ok()?,
-        view: view_of(header),
-        light: lights.known(header)?,
-        pixels_per_radian: swarm.pixels_per_radian(),
-    };
-    Some(BestView { picture, view_index: header.view_index, rays_m: swarm.rays_m(header) })
 }
 
 fn purpose_stated(view: &ViewHeader) -> Option<Purpose> {

@@ -6,7 +6,7 @@ mod trust;
 use std::collections::{BTreeMap, BTreeSet};
 
 use flockeye_contract::ViewHeader;
-use flockeye_geometry::body::{Bodies, Body};
+use flockeye_geometry::body::Bodies;
 use flockeye_geometry::filter::{Prediction, TrackPolicy};
 use flockeye_geometry::search::{Plan, Planner, PredictedNeighbour, Purpose, Searched, StopRule};
 use nalgebra::Isometry3;
@@ -141,7 +141,8 @@ impl Swarm {
         parallax.map_or(f64::INFINITY, |parallax| parallax.distance_m(Some(view)))
     }
 
-    /// The neighbours that a view was cut for, or shows markers of, and how well it shows them.
+    /// The neighbours that a view was cut for, or shows markers of, and how well it shows them. Nobody
+    /// needs a view of who is measured already.
     pub fn shown(
         &self,
         record: &Record,
@@ -150,41 +151,12 @@ impl Swarm {
         stop_rule: StopRule,
     ) -> Vec<(usize, Rank)> {
         let Some(view) = view else { return Vec::new() };
-        let middle = (f64::from(view.size_px) - 1.0) / 2.0;
-        let rank = |target: usize, body: &Body| {
-            let is_own = purpose == Some(Purpose::Gaze(target));
-            let of_body = record.markers.iter().filter(|marker| body.marker(marker.id).is_some());
-            let decoded = of_body.clone().filter(|marker| marker.is_decoded()).count() as u32;
-            let counted = of_body.filter(|marker| marker.is_decoded() || decoded == 0);
-            let (mut sum, mut count) = ([0.0; 2], 0.0);
-            for [u, v] in counted.flat_map(|marker| marker.corners_in_view) {
-                sum = [sum[0] + f64::from(u), sum[1] + f64::from(v)];
-                count += 1.0;
-            }
-            let off_px = if count > 0.0 {
-                (sum[0] / count - middle).hypot(sum[1] / count - middle)
-            } else {
-                0.0
-            };
-            let rank = Rank {
-                is_own,
-                decoded,
-                focal_px: view.focal_px,
-                off_centre: off_px / view.focal_px,
-                view_index: view.view_index,
-            };
-            // What is searched beyond the first hit must not take its place.
-            let rank = match stop_rule {
-                StopRule::All | StopRule::Deadline => rank,
-                StopRule::FirstHit => {
-                    Rank { is_own: false, decoded: 0, focal_px: 0.0, off_centre: 0.0, ..rank }
-                }
-            };
-            (is_own || count > 0.0).then_some(rank)
-        };
-        let neighbours = self.neighbours.iter().enumerate();
-        neighbours
-            .filter_map(|(target, neighbour)| Some((target, rank(target, &neighbour.body)?)))
+        self.unsettled(record.header.stamp.order())
+            .filter_map(|target| {
+                let is_own = purpose == Some(Purpose::Gaze(target));
+                let body = &self.neighbours[target].body;
+                Some((target, Rank::of(record, view, body, is_own, stop_rule)?))
+            })
             .collect()
     }
 
@@ -308,7 +280,7 @@ impl Swarm {
     }
 
     /// Whether a neighbour's pose in a frame is out already.
-    pub fn is_settled(&self, order: FrameOrder, target: usize) -> bool {
+    fn is_settled(&self, order: FrameOrder, target: usize) -> bool {
         self.looked.get(&order).is_some_and(|looked| looked.settled.contains(&target))
     }
 

@@ -1,0 +1,47 @@
+//! Views that are held, as images to be aligned with.
+
+use flockeye_contract::{ViewHeader, Views};
+use flockeye_imaging::align::Picture;
+use flockeye_runtime::ports::Message;
+use flockeye_viewing::{Lights, image_of, view_of};
+
+use crate::alignment::BestView;
+use crate::gallery::{FrameOrder, Gallery};
+use crate::swarm::{BestViews, Swarm};
+
+/// The best views of a frame's neighbours, as images. What cannot be read is left out: detection
+/// says why.
+pub fn best_views<'g>(
+    gallery: &'g Gallery<Message<Views>>,
+    lights: &'g mut Lights,
+    swarm: &Swarm,
+    order: FrameOrder,
+) -> BestViews<'g> {
+    for (_, header, _) in gallery.of_frame(order) {
+        // Known from here on, or refused here and again below.
+        let _ = lights.of(header);
+    }
+    let lights = &*lights;
+    gallery
+        .of_frame(order)
+        .filter_map(|(target, header, message)| {
+            Some((target, best_view(header, message, lights, swarm)?))
+        })
+        .collect()
+}
+
+/// A view as an image; `None` where it cannot be read.
+pub fn best_view<'g>(
+    header: &ViewHeader,
+    message: &'g Message<Views>,
+    lights: &'g Lights,
+    swarm: &Swarm,
+) -> Option<BestView<'g>> {
+    let picture = Picture {
+        image: image_of(header, message.items()).ok()?,
+        view: view_of(header),
+        light: lights.known(header)?,
+        pixels_per_radian: swarm.pixels_per_radian(),
+    };
+    Some(BestView { picture, view_index: header.view_index, rays_m: swarm.rays_m(header) })
+}
