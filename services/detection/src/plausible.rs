@@ -14,20 +14,21 @@ const MAX_TURNED: f64 = -0.8;
 
 /// Leaves out markers that no body could show beside the others: two of one body that look away from
 /// each other, or lie farther apart than it is wide, by their apparent size. Of each such
-/// pair the one goes that more of the body's markers contradict, or that reads worse. Markers that
+/// pair the one goes that more of the body's markers contradict, or that reads worse; but doubtful ones
+/// say nothing against one that was read: in a hall full of windows several contradict it. Markers that
 /// nobody carries stay.
 pub fn keep_plausible(mut found: Vec<Found>, bodies: &Bodies) -> Vec<Found> {
     loop {
         let contradicted: Vec<usize> = (0..found.len())
             .map(|k| {
                 let others = found.iter().enumerate().filter(|(other, _)| *other != k);
-                others.filter(|(_, other)| contradict(&found[k], other, bodies)).count()
+                let heard = others.filter(|(_, other)| found[k].is_doubtful || !other.is_doubtful);
+                heard.filter(|(_, other)| contradict(&found[k], other, bodies)).count()
             })
             .collect();
         let worst = (0..found.len()).filter(|&k| contradicted[k] > 0).max_by(|&a, &b| {
             contradicted[a]
                 .cmp(&contradicted[b])
-                .then(found[a].is_doubtful.cmp(&found[b].is_doubtful))
                 .then(found[b].agreement.total_cmp(&found[a].agreement))
         });
         let Some(worst) = worst else { return found };
@@ -149,5 +150,24 @@ mod tests {
         let kept = keep_plausible(all, &bodies);
         let expected: Vec<Found> = found.iter().chain(&strangers).cloned().collect();
         assert_eq!(kept, expected);
+    }
+
+    #[test]
+    fn squares_that_look_like_markers_say_nothing_against_one_that_was_read() {
+        let bodies = bodies();
+        let alpha = bodies.get(0).unwrap();
+        let pose = Isometry3::translation(1.0, 0.2, 0.1);
+        let read = visible(alpha, &pose)[0].clone();
+        let others = alpha.markers.iter().filter(|marker| marker.id != read.id);
+        // All over the view, at other distances.
+        let doubtful: Vec<Found> = (0..4)
+            .zip(others)
+            .map(|(k, marker)| {
+                let elsewhere = Isometry3::translation(0.4, 0.3 * f64::from(k) - 0.5, 0.2);
+                Found { is_doubtful: true, ..seen(marker, &elsewhere, 0.99) }
+            })
+            .collect();
+        let all = doubtful.iter().chain([&read]).cloned().collect();
+        assert_eq!(keep_plausible(all, &bodies), [read]);
     }
 }
