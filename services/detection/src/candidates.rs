@@ -7,10 +7,9 @@
 
 use flockeye_geometry::view::ViewPixel;
 use flockeye_imaging::image::LumaImage;
-use nalgebra::Vector2;
 
 use crate::darkness::Darkness;
-use crate::outlines::{Follower, Pixel};
+use crate::outlines::{Follower, Pixel, Round};
 use crate::polygon::Approximator;
 use crate::{DetectorParameters, three_corners};
 
@@ -55,19 +54,25 @@ impl Finder {
         let longest = (MAX_OUTLINE * image.width().max(image.height()) as f64) as usize;
         for &threshold in &parameters.thresholds {
             let dark = self.darkness.of(image, threshold);
-            let outlines = self.follower.follow(dark, image.width(), shortest..=longest);
-            for outline in outlines.iter() {
+            let outlines = self.follower.follow(dark, shortest..=longest);
+            for (round, outline) in outlines.iter() {
                 let length = outline.len() as f64;
+                self.approximator.set_outline(outline);
                 let accuracy_px = parameters.polygon_accuracy * length;
-                let polygon = self.approximator.approximate(outline, accuracy_px);
-                if let Some(quad) = quad_of(polygon, MIN_SIDE * length, image) {
-                    found.whole.push(quad);
+                // What goes round a hole is bright inside, and so no marker.
+                if round == Round::Dark {
+                    let polygon = self.approximator.approximate(accuracy_px);
+                    if let Some(quad) = quad_of(polygon, MIN_SIDE * length, image) {
+                        found.whole.push(quad);
+                        continue;
+                    }
+                }
+                // Nothing finer is seen of what is so short.
+                if accuracy_px <= parameters.corner_accuracy_px {
                     continue;
                 }
-                let accuracy_px = parameters.corner_accuracy_px;
-                let polygon = self.approximator.approximate(outline, accuracy_px);
-                let corners: Vec<Vector2<f64>> = polygon.iter().map(point).collect();
-                let completed = three_corners::complete(&corners, parameters.min_side_px);
+                let polygon = self.approximator.approximate(parameters.corner_accuracy_px);
+                let completed = three_corners::complete(polygon, parameters.min_side_px);
                 found.completed.extend(completed.filter(|quad| {
                     three_corners::is_dark_inside(image, quad, threshold.darker_by.into())
                 }));
@@ -77,15 +82,11 @@ impl Finder {
     }
 }
 
-fn point(pixel: &Pixel) -> Vector2<f64> {
-    pixel.cast()
-}
-
 /// The polygon, if it is a convex quadrilateral with sides of at least `min_side_px` that keeps off
 /// the image's border; clockwise.
 fn quad_of(polygon: &[Pixel], min_side_px: f64, image: &LumaImage<'_>) -> Option<Quad> {
     let polygon: &[Pixel; 4] = polygon.try_into().ok()?;
-    let mut corners = polygon.each_ref().map(point);
+    let mut corners = polygon.map(|pixel| pixel.cast::<f64>());
     let turn = |k: usize| {
         let (a, b, c) = (corners[k], corners[(k + 1) % 4], corners[(k + 2) % 4]);
         (b - a).perp(&(c - b))

@@ -22,12 +22,71 @@ pub(crate) struct Darkness {
     /// What pixels of each block, and of each column of the image, must be darker than.
     block_limits: Vec<u8>,
     limits: Vec<u8>,
-    dark: Vec<u8>,
+    dark: Dark,
+}
+
+/// What is dark in an image, with a border of one pixel that is not.
+#[derive(Debug, Default)]
+pub(crate) struct Dark {
+    /// Row by row: 1 for what is dark, 0 for what is not.
+    pixels: Vec<u8>,
+    stride: usize,
+}
+
+impl Dark {
+    /// Every pixel, border included.
+    pub(crate) fn pixels(&self) -> &[u8] {
+        &self.pixels
+    }
+
+    /// Pixels in a row, border included.
+    pub(crate) fn stride(&self) -> usize {
+        self.stride
+    }
+
+    /// Starts an image whose rows have so many pixels.
+    pub(crate) fn begin(&mut self, width: usize) {
+        self.stride = width + 2;
+        self.pixels.clear();
+        self.pixels.resize(self.stride, 0);
+    }
+
+    /// Adds a row.
+    #[inline(always)]
+    pub(crate) fn add(&mut self, row: impl Iterator<Item = u8>) {
+        self.pixels.push(0);
+        self.pixels.extend(row);
+        self.pixels.push(0);
+    }
+
+    /// Adds the border behind the last row.
+    pub(crate) fn end(&mut self) {
+        self.pixels.resize(self.pixels.len() + self.stride, 0);
+    }
 }
 
 impl Darkness {
-    /// Of each pixel of `image`, row by row, 1 if it is dark and 0 if it is not.
-    pub(crate) fn of(&mut self, image: &LumaImage<'_>, threshold: Threshold) -> &[u8] {
+    /// Tells what is dark in `image`.
+    pub(crate) fn of(&mut self, image: &LumaImage<'_>, threshold: Threshold) -> &Dark {
+        #[cfg(target_arch = "x86_64")]
+        if std::arch::is_x86_feature_detected!("avx2") {
+            // SAFETY: the processor has AVX2, as was asked just now.
+            unsafe { self.find_avx2(image, threshold) };
+            return &self.dark;
+        }
+        self.find(image, threshold);
+        &self.dark
+    }
+
+    /// The same code, with twice as many pixels in a register.
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn find_avx2(&mut self, image: &LumaImage<'_>, threshold: Threshold) {
+        self.find(image, threshold);
+    }
+
+    #[inline(always)]
+    fn find(&mut self, image: &LumaImage<'_>, threshold: Threshold) {
         let window = threshold.window_px;
         let shift = (window / MIN_BLOCKS).max(1).ilog2();
         let side = 1 << shift;
@@ -44,7 +103,7 @@ impl Darkness {
             let mean = ((u32::from(sum + half) * reciprocal) >> 16) as u16;
             (mean + 1).saturating_sub(darker_by).min(255) as u8
         };
-        self.dark.clear();
+        self.dark.begin(image.width());
         self.columns.clear();
         self.columns.resize(stride, 0);
         for row in 0..across - 1 {
@@ -72,13 +131,13 @@ impl Darkness {
             };
             for row in block_row * side..image.height().min((block_row + 1) * side) {
                 let pixels = image.row(row).iter().zip(limits);
-                self.dark.extend(pixels.map(|(pixel, limit)| u8::from(pixel < limit)));
+                self.dark.add(pixels.map(|(pixel, limit)| u8::from(pixel < limit)));
             }
             for (sum, block) in self.columns.iter_mut().zip(self.blocks.row(block_row)) {
                 *sum -= u16::from(*block);
             }
         }
-        &self.dark
+        self.dark.end();
     }
 }
 
@@ -96,6 +155,7 @@ impl Blocks {
     }
 
     /// Blocks of `side` pixels, and `around` more beyond each border.
+    #[inline(always)]
     fn find(&mut self, image: &LumaImage<'_>, side: usize, around: usize) {
         self.stride = image.width().div_ceil(side) + 2 * around;
         self.means.clear();
@@ -132,6 +192,7 @@ impl Blocks {
     }
 }
 
+#[inline(always)]
 fn add(sums: &mut [u16], row: &[u8]) {
     for (sum, &block) in sums.iter_mut().zip(row) {
         *sum += u16::from(block);
@@ -147,6 +208,25 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+
+    /// Of each pixel, row by row, 1 if it is dark and 0 if it is not; the border is neither.
+    fn dark(image: &LumaImage<'_>, window_px: usize, darker_by: u8) -> Vec<u8> {
+        let mut darkness = Darkness::default();
+        // Memory of another image is of no consequence.
+        darkness
+            .of(&LumaImage::new(&[9; 12], 4, 3, 4).unwrap(), Threshold { window_px: 5, darker_by });
+        let dark = darkness.of(image, Threshold { window_px, darker_by });
+        let rows: Vec<&[u8]> = dark.pixels().chunks_exact(dark.stride()).collect();
+        let (first, rest) = rows.split_first().unwrap();
+        let (last, rows) = rest.split_last().unwrap();
+        assert!(first.iter().chain(*last).all(|&dark| dark == 0) && rows.len() == image.height());
+        rows.iter()
+            .flat_map(|row| {
+                assert_eq!((row.len(), row[0], row[row.len() - 1]), (image.width() + 2, 0, 0));
+                row[1..row.len() - 1].to_vec()
+            })
+            .collect()
+    }
 
     /// Mean of the square round a pixel, the outermost ones repeated.
     fn mean(image: &LumaImage<'_>, x: usize, y: usize, window: usize) -> f64 {
@@ -174,10 +254,7 @@ mod tests {
             darker_by in prop::sample::select(vec![1u8, 4, 10]),
         ) {
             let image = LumaImage::new(&pixels, width, height, width).unwrap();
-            let mut darkness = Darkness::default();
-            let threshold = Threshold { window_px: window, darker_by };
-            let dark = darkness.of(&image, threshold);
-            prop_assert_eq!(dark.len(), width * height);
+            let dark = dark(&image, window, darker_by);
             for (index, &dark) in dark.iter().enumerate() {
                 let (x, y) = (index % width, index / width);
                 let below = mean(&image, x, y, window) - f64::from(pixels[index]);
@@ -206,8 +283,7 @@ mod tests {
                 })
                 .collect();
             let image = LumaImage::new(&pixels, width, height, width).unwrap();
-            let mut darkness = Darkness::default();
-            let dark = darkness.of(&image, Threshold { window_px, darker_by: 10 }).to_vec();
+            let dark = dark(&image, window_px, 10);
             let mut theirs = Mat::default();
             adaptive_threshold(
                 &Mat::new_rows_cols_with_data(height as i32, width as i32, &pixels).unwrap(),
@@ -237,10 +313,8 @@ mod tests {
         for code in [0, 1, 128, 255] {
             let pixels = [code; 50 * 40];
             let image = LumaImage::new(&pixels, 50, 40, 50).unwrap();
-            let mut darkness = Darkness::default();
             for window_px in [3, 31, 501] {
-                let dark = darkness.of(&image, Threshold { window_px, darker_by: 1 });
-                assert!(dark.len() == pixels.len() && dark.iter().all(|&dark| dark == 0));
+                assert!(dark(&image, window_px, 1).iter().all(|&dark| dark == 0));
             }
         }
     }

@@ -2,18 +2,20 @@
 //! analysis of digitized binary images by border following", 1985), without their tree.
 //!
 //! Gives the outlines that OpenCV's `findContours` gives, each from the same point and in the same
-//! direction, the first one first. A view of a hall has ten thousand of them, of which a few hundred are long enough for a marker:
-//! the others leave no trace.
+//! direction, the first one first; but none of a single pixel. A view of a hall has ten thousand of them,
+//! of which a few hundred are long enough for a marker: the others leave no trace.
 
 use std::ops::RangeInclusive;
 
 use nalgebra::Vector2;
 
-/// What is known of a dark pixel: nothing yet; that an outline goes through it; that one goes between
-/// it and its right neighbour.
-const NEW: u8 = 0;
+use crate::darkness::Dark;
+
+/// What is known of a dark pixel: that an outline goes through it; that one goes between it and its
+/// right neighbour; that it may be the first one of an outline.
 const FOLLOWED: u8 = 1;
 const FOLLOWED_RIGHT: u8 = 2;
+const FIRST: u8 = 4;
 
 /// The eight neighbours, counterclockwise from the right one: steps of column and row.
 const STEPS: [Pixel; 8] = [
@@ -26,21 +28,26 @@ const STEPS: [Pixel; 8] = [
     Pixel::new(0, 1),
     Pixel::new(1, 1),
 ];
-const RIGHT: u32 = 0;
-const LEFT: u32 = 4;
+const RIGHT: u8 = 0;
+const ABOVE_RIGHT: u8 = 1;
+const LEFT: u8 = 4;
 
-/// Pixels that are compared at once.
+/// The neighbours that come before a pixel, row by row.
+const BEFORE: u8 = 0b0001_1110;
+
+/// Pixels that are looked at at once.
 const WORD: usize = 8;
 
 /// Follows outlines; keeps its memory from image to image.
 #[derive(Debug, Default)]
 pub(crate) struct Follower {
-    /// 1 where it is dark, with a border of 0.
-    dark: Vec<u8>,
-    /// What is known of each pixel. Not in `dark`, because a processor waits for a byte that was just
-    /// written if it is read together with its neighbours.
+    /// Which neighbours of each pixel are dark: a bit for each of [`STEPS`], the first one lowest. An
+    /// outline's next pixel is known only when this is, so it is had for all of them at once, before.
+    neighbours: Vec<u8>,
+    /// What is known of each pixel.
     marks: Vec<u8>,
     stride: usize,
+    turns: Turns,
     outlines: Outlines,
 }
 
@@ -52,139 +59,213 @@ pub(crate) type Pixel = Vector2<i32>;
 pub(crate) struct Outlines {
     /// The points of all of them, one after the other.
     points: Vec<Pixel>,
-    /// Where each one's points end.
-    ends: Vec<usize>,
+    /// Where each one's points end, and what it goes round.
+    ends: Vec<(usize, Round)>,
+}
+
+/// What an outline goes round.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Round {
+    /// What is dark.
+    Dark,
+    /// A hole in it.
+    Hole,
 }
 
 impl Outlines {
     /// Each outline's points, neighbours beside each other, in pixels.
-    pub(crate) fn iter(&self) -> impl Iterator<Item = &[Pixel]> {
-        let starts = std::iter::once(&0).chain(&self.ends);
-        starts.zip(&self.ends).map(|(&start, &end)| &self.points[start..end])
+    pub(crate) fn iter(&self) -> impl Iterator<Item = (Round, &[Pixel])> {
+        let starts = std::iter::once(0).chain(self.ends.iter().map(|&(end, _)| end));
+        starts.zip(&self.ends).map(|(start, &(end, round))| (round, &self.points[start..end]))
     }
 
     /// Ends the outline of the points that were added last, or drops it.
-    fn end(&mut self, lengths: &RangeInclusive<usize>) {
-        let start = self.ends.last().copied().unwrap_or(0);
+    fn end(&mut self, round: Round, lengths: &RangeInclusive<usize>) {
+        let start = self.ends.last().map_or(0, |&(end, _)| end);
         if lengths.contains(&(self.points.len() - start)) {
-            self.ends.push(self.points.len());
+            self.ends.push((self.points.len(), round));
         } else {
             self.points.truncate(start);
         }
     }
 }
 
+/// How an outline leaves a pixel.
+#[derive(Debug, Clone, Copy, Default)]
+struct Turn {
+    /// To the next pixel: in memory, and along columns and rows.
+    step: i32,
+    columns: i8,
+    rows: i8,
+    /// On which side of the next pixel this one is.
+    came_from: u8,
+    /// What is known of this pixel now.
+    mark: u8,
+}
+
+/// Each way to leave a pixel, for rows of one length: by the side that an outline came from, and by
+/// the pixel's dark neighbours.
+#[derive(Debug, Default)]
+struct Turns {
+    stride: usize,
+    by_side: Vec<[Turn; 256]>,
+}
+
+impl Turns {
+    fn set_stride(&mut self, stride: usize) {
+        if self.stride == stride {
+            return;
+        }
+        self.stride = stride;
+        self.by_side.clear();
+        self.by_side.extend((0..8).map(|came_from| {
+            std::array::from_fn(|neighbours| turn(came_from, neighbours as u8, stride))
+        }));
+    }
+}
+
+/// Counterclockwise from where the outline came to the next dark neighbour; if there is no other, that
+/// is where it came from.
+fn turn(came_from: u8, neighbours: u8, stride: usize) -> Turn {
+    let first_side = (came_from + 1) % 8;
+    let bright = neighbours.rotate_right(first_side.into()).trailing_zeros() as u8;
+    let side = (first_side + bright) % 8;
+    let step = STEPS[usize::from(side)];
+    Turn {
+        step: step.y * stride as i32 + step.x,
+        columns: step.x as i8,
+        rows: step.y as i8,
+        came_from: (side + 4) % 8,
+        mark: if side != RIGHT && side <= came_from { FOLLOWED_RIGHT } else { FOLLOWED },
+    }
+}
+
 impl Follower {
-    /// Every outline with so many points of what is 1, and not 0, in rows of `width` pixels: of dark
-    /// regions and of holes in them.
-    pub(crate) fn follow(
-        &mut self,
-        dark: &[u8],
-        width: usize,
-        lengths: RangeInclusive<usize>,
-    ) -> &Outlines {
+    /// Every outline with so many points, two or more: of dark regions and of holes in them.
+    pub(crate) fn follow(&mut self, dark: &Dark, lengths: RangeInclusive<usize>) -> &Outlines {
         self.outlines.points.clear();
         self.outlines.ends.clear();
-        self.copy(dark, width);
-        let mut from = 0;
-        // Each run of dark pixels in a row.
-        while let Some(first) = next_of(&self.dark, 1, from) {
-            // There is one: behind each row there is a pixel that is not dark.
-            let Some(end) = next_of(&self.dark, 0, first) else { break };
-            if self.marks[first] == NEW {
-                self.trace(first, LEFT);
-                self.outlines.end(&lengths);
+        self.stride = dark.stride();
+        self.turns.set_stride(self.stride);
+        self.look_round(dark);
+        for word in 0..self.marks.len().div_ceil(WORD) {
+            let mut first = word_at(&self.marks, word) & u64::from_ne_bytes([FIRST; WORD]);
+            while first != 0 {
+                let at = word * WORD + first.trailing_zeros() as usize / 8;
+                first &= first - 1;
+                if self.neighbours[at] & 1 << ABOVE_RIGHT == 0 {
+                    if self.marks[at] == FIRST {
+                        self.trace(at, LEFT);
+                        self.outlines.end(Round::Dark, &lengths);
+                    }
+                } else if self.marks[at] & FOLLOWED_RIGHT == 0 {
+                    self.trace(at, RIGHT);
+                    self.outlines.end(Round::Hole, &lengths);
+                }
             }
-            // Unless an outline went between its last pixel and the bright one to the right.
-            if self.marks[end - 1] != FOLLOWED_RIGHT {
-                self.trace(end - 1, RIGHT);
-                self.outlines.end(&lengths);
-            }
-            from = end;
         }
         &self.outlines
     }
 
-    /// Copies what is dark.
-    fn copy(&mut self, dark: &[u8], width: usize) {
-        self.stride = width + 2;
-        self.dark.clear();
-        self.dark.resize(self.stride, 0);
-        for row in dark.chunks_exact(width.max(1)) {
-            self.dark.push(0);
-            self.dark.extend_from_slice(row);
-            self.dark.push(0);
+    /// Finds everybody's neighbours, and where outlines may begin.
+    fn look_round(&mut self, dark: &Dark) {
+        #[cfg(target_arch = "x86_64")]
+        if std::arch::is_x86_feature_detected!("avx2") {
+            // SAFETY: the processor has AVX2, as was asked just now.
+            unsafe { self.look_round_avx2(dark) };
+            return;
         }
-        let last = self.dark.len();
-        self.dark.resize(last + self.stride + WORD, 0);
+        self.look_round_plain(dark);
+    }
+
+    /// The same code, with twice as many pixels in a register.
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn look_round_avx2(&mut self, dark: &Dark) {
+        self.look_round_plain(dark);
+    }
+
+    #[inline(always)]
+    fn look_round_plain(&mut self, dark: &Dark) {
+        let (stride, count) = (dark.stride(), dark.pixels().len());
+        self.neighbours.clear();
+        self.neighbours.resize(count, 0);
         self.marks.clear();
-        self.marks.resize(last, NEW);
+        self.marks.resize(count, 0);
+        // Each row without its border.
+        let rows = (stride..count.saturating_sub(stride)).step_by(stride);
+        for row in rows.map(|start| start + 1..start + stride - 1) {
+            let pixels = |by: Pixel| {
+                let by = (by.y * stride as i32 + by.x) as isize;
+                &dark.pixels()[row.start.wrapping_add_signed(by)..][..row.len()]
+            };
+            let marks = &mut self.marks[row.clone()];
+            let neighbours = &mut self.neighbours[row.clone()];
+            find_neighbours(neighbours, marks, pixels(Pixel::zeros()), STEPS.map(pixels));
+        }
     }
 
     /// Follows the outline that goes between a dark pixel and its bright neighbour on that side.
-    fn trace(&mut self, start: usize, bright_side: u32) {
+    fn trace(&mut self, start: usize, bright_side: u8) {
         let stride = self.stride as i32;
-        let steps = STEPS.map(|step| (step.y * stride + step.x) as isize);
         let mut place = Pixel::new(start as i32 % stride - 1, start as i32 / stride - 1);
-        let dark = self.dark_neighbours(start);
-        if dark == 0 {
-            self.marks[start] = FOLLOWED_RIGHT;
-            self.outlines.points.push(place);
-            return;
-        }
+        let neighbours = self.neighbours[start];
         // Clockwise from the bright side to the first dark neighbour: there the outline comes back.
-        let bright = dark.rotate_right(bright_side).leading_zeros();
+        let bright = neighbours.rotate_right(bright_side.into()).leading_zeros() as u8;
         let last_side = (bright_side + 7 - bright) % 8;
-        let last = start.wrapping_add_signed(steps[last_side as usize]);
+        let step = STEPS[usize::from(last_side)];
+        let last = start.wrapping_add_signed((step.y * stride + step.x) as isize);
         let (mut here, mut came_from) = (start, last_side);
+        let (neighbours, marks) = (&self.neighbours[..], &mut self.marks[..]);
+        let (by_side, points) = (&self.turns.by_side[..], &mut self.outlines.points);
         loop {
-            // Counterclockwise from where the outline came to the next dark neighbour; if there is no
-            // other, that is where it came from.
-            let first_side = (came_from + 1) % 8;
-            let dark = self.dark_neighbours(here);
-            let side = (first_side + dark.rotate_right(first_side).trailing_zeros()) % 8;
-            if side != RIGHT && side <= came_from {
-                self.marks[here] = FOLLOWED_RIGHT;
-            } else if self.marks[here] == NEW {
-                self.marks[here] = FOLLOWED;
-            }
-            self.outlines.points.push(place);
-            let next = here.wrapping_add_signed(steps[side as usize]);
+            let turn = by_side[usize::from(came_from)][usize::from(neighbours[here])];
+            marks[here] |= turn.mark;
+            points.push(place);
+            let next = here.wrapping_add_signed(turn.step as isize);
             if next == start && here == last {
                 return;
             }
-            place += STEPS[side as usize];
-            (here, came_from) = (next, (side + 4) % 8);
+            place += Pixel::new(turn.columns.into(), turn.rows.into());
+            (here, came_from) = (next, turn.came_from);
         }
-    }
-
-    /// Which of the eight neighbours are dark: a bit for each of [`STEPS`], the first one lowest.
-    fn dark_neighbours(&self, at: usize) -> u8 {
-        let [above, beside, below] =
-            [at - self.stride, at, at + self.stride].map(|middle| &self.dark[middle - 1..][..3]);
-        beside[2]
-            | above[2] << 1
-            | above[1] << 2
-            | above[0] << 3
-            | beside[0] << 4
-            | below[0] << 5
-            | below[1] << 6
-            | below[2] << 7
     }
 }
 
-/// The first index from `from` on where there is this pixel; the last seven may not be looked at.
-fn next_of(dark: &[u8], pixel: u8, from: usize) -> Option<usize> {
-    let other = u64::from_ne_bytes([1 - pixel; WORD]);
-    let mut rest = dark.get(from..)?;
-    while let Some((word, behind)) = rest.split_first_chunk::<WORD>() {
-        let change = u64::from_le_bytes(*word) ^ other;
-        if change != 0 {
-            return Some(dark.len() - rest.len() + change.trailing_zeros() as usize / 8);
-        }
-        rest = behind;
+/// Neighbours of a row's pixels, from the rows of each of the eight, and where outlines may begin.
+#[inline(always)]
+fn find_neighbours(neighbours: &mut [u8], marks: &mut [u8], pixels: &[u8], at: [&[u8]; 8]) {
+    // Compilers do many pixels at once where they see that all rows are equally long.
+    let [a, b, c, d, e, f, g, h] = at.map(|row| &row[..neighbours.len()]);
+    for (k, bits) in neighbours.iter_mut().enumerate() {
+        let low = a[k] | b[k] << 1 | c[k] << 2 | d[k] << 3;
+        let high = e[k] | f[k] << 1 | g[k] << 2 | h[k] << 3;
+        *bits = low | high << 4;
     }
-    None
+    for ((mark, &neighbours), pixel) in marks.iter_mut().zip(&*neighbours).zip(pixels) {
+        *mark = FIRST * (pixel & may_be_first(neighbours));
+    }
+}
+
+/// 1 for a dark pixel with these neighbours if it may be the first one of an outline, row by row; not
+/// if it has none. The first one round a region has nothing dark before it; in the first one round a
+/// hole, the pixel to the right is the hole's first one, and what is above that is dark.
+#[inline(always)]
+fn may_be_first(neighbours: u8) -> u8 {
+    const AT_HOLE: u8 = 1 << RIGHT | 1 << ABOVE_RIGHT;
+    u8::from(neighbours & BEFORE == 0 && neighbours != 0)
+        | u8::from(neighbours & AT_HOLE == 1 << ABOVE_RIGHT)
+}
+
+/// Eight marks, the first one lowest; 0 beyond the last.
+fn word_at(marks: &[u8], word: usize) -> u64 {
+    let rest = &marks[word * WORD..];
+    let marks = rest.first_chunk::<WORD>().copied().unwrap_or_else(|| {
+        let mut padded = [0; WORD];
+        padded[..rest.len()].copy_from_slice(rest);
+        padded
+    });
+    u64::from_le_bytes(marks)
 }
 
 #[cfg(test)]
@@ -207,9 +288,18 @@ mod tests {
         outlines.iter().map(|outline| outline.iter().map(pixel).collect()).collect()
     }
 
+    fn bordered(pixels: &[u8], width: usize) -> Dark {
+        let mut dark = Dark::default();
+        dark.begin(width);
+        pixels.chunks_exact(width).for_each(|row| dark.add(row.iter().copied()));
+        dark.end();
+        dark
+    }
+
     fn ours(follower: &mut Follower, dark: &[u8], width: usize) -> Vec<Vec<Pixel>> {
-        let outlines = follower.follow(dark, width, 1..=usize::MAX);
-        outlines.iter().map(<[Pixel]>::to_vec).collect()
+        let dark = bordered(dark, width);
+        let outlines = follower.follow(&dark, 1..=usize::MAX);
+        outlines.iter().map(|(_, outline)| outline.to_vec()).collect()
     }
 
     proptest! {
@@ -227,6 +317,7 @@ mod tests {
             let mut theirs = theirs(&dark, width);
             // The last one found is the first of their list.
             theirs.reverse();
+            theirs.retain(|outline| outline.len() > 1);
             let found = ours(&mut follower, &dark, width);
             // Memory of another image is of no consequence.
             prop_assert_eq!(&ours(&mut follower, &dark, width), &found);
@@ -246,11 +337,15 @@ mod tests {
         ];
         let mut follower = Follower::default();
         let lengths = |follower: &mut Follower, lengths| -> Vec<usize> {
-            follower.follow(&dark, 5, lengths).iter().map(<[Pixel]>::len).collect()
+            follower
+                .follow(&bordered(&dark, 5), lengths)
+                .iter()
+                .map(|(_, outline)| outline.len())
+                .collect()
         };
-        assert_eq!(lengths(&mut follower, 1..=100), [1, 8, 4]);
+        assert_eq!(lengths(&mut follower, 1..=100), [8, 4]);
         assert_eq!(lengths(&mut follower, 2..=7), [4]);
         assert_eq!(lengths(&mut follower, 8..=8), [8]);
-        assert_eq!(follower.follow(&[], 0, 1..=9).iter().count(), 0);
+        assert_eq!(follower.follow(&bordered(&[], 1), 1..=9).iter().count(), 0);
     }
 }

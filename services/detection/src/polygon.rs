@@ -1,62 +1,75 @@
 //! Polygons for outlines (D. Douglas and T. Peucker, "Algorithms for the reduction of the number of
 //! points required to represent a digitized line or its caricature", 1973).
 
+use std::ops::Range;
+
 use crate::outlines::Pixel;
+
+/// Points of which the farthest is had at once, before it is said which it is.
+const GROUP: usize = 64;
 
 /// Approximates closed outlines; keeps its memory from one to the next.
 #[derive(Debug, Default)]
 pub(crate) struct Approximator {
     /// The outline from one of its corners on, once round.
-    points: Vec<Pixel>,
-    /// Stretches of it that are still to be looked at, the next one last.
-    stretches: Vec<(usize, usize)>,
+    points: Points,
+    /// Indices of corners, the first one's twice: at the beginning and at the end. Fewer than two of an
+    /// outline of less than two points.
+    corners: Vec<usize>,
+    /// Ends of stretches that are still to be looked at, the next one last.
+    ends: Vec<usize>,
     polygon: Vec<Pixel>,
 }
 
 impl Approximator {
-    /// Corners of a polygon from which no point of a closed outline is farther than `accuracy_px`, or twice
-    /// that where [`Self::drop_straight`] left out a corner; in the outline's order. At least one, if there
-    /// is any point.
-    pub(crate) fn approximate(&mut self, outline: &[Pixel], accuracy_px: f64) -> &[Pixel] {
-        self.polygon.clear();
-        let Some(&first) = outline.first() else { return &self.polygon };
-        // Two points that are far from each other are corners.
-        let start = farthest(outline, |point| squared(*point - first));
+    /// Approximates another outline from now on.
+    pub(crate) fn set_outline(&mut self, outline: &[Pixel]) {
         self.points.clear();
-        self.points.extend_from_slice(&outline[start..]);
-        self.points.extend_from_slice(&outline[..=start]);
-        let middle = farthest(&self.points, |point| squared(*point - outline[start]));
-        let last = self.points.len() - 1;
-        if middle == 0 {
-            self.polygon.push(first);
-            return &self.polygon;
+        self.corners.clear();
+        let Some(&first) = outline.first() else { return };
+        // Two points that are far from each other are corners.
+        self.points.extend(outline);
+        let start = self.points.farthest_from(first);
+        let (before, after) = outline.split_at(start);
+        self.points.clear();
+        self.points.extend(after);
+        self.points.extend(before);
+        self.points.extend(&after[..1]);
+        self.corners.push(0);
+        match self.points.farthest_from(after[0]) {
+            0 => {}
+            middle => self.corners.extend([middle, outline.len()]),
         }
+    }
+
+    /// Corners of a polygon from which no point of the outline is farther than `accuracy_px`, or twice
+    /// that where [`Self::drop_straight`] left out a corner; in the outline's order. At least one, if there
+    /// is any point. Goes on from the corners that it found in this outline before: finer than then, or not
+    /// at all.
+    pub(crate) fn approximate(&mut self, accuracy_px: f64) -> &[Pixel] {
         let limit = accuracy_px * accuracy_px;
-        self.stretches.clear();
-        self.stretches.extend([(middle, last), (0, middle)]);
-        while let Some((from, to)) = self.stretches.pop() {
-            let (start, along) = (self.points[from], self.points[to] - self.points[from]);
-            let inner = &self.points[from + 1..to];
-            // From the line, times the line's length; from its point where it has none.
-            let is_line = along != Pixel::zeros();
-            let off = |point: &Pixel| match is_line {
-                true => i64::from(along.perp(&(*point - start)).abs()),
-                false => squared(*point - start),
-            };
-            let at = farthest(inner, off);
-            let is_off = inner.get(at).map(off).is_some_and(|off| match is_line {
-                true => (off as f64).powi(2) > limit * squared(along) as f64,
-                false => off as f64 > limit,
-            });
-            if is_off {
-                let at = from + 1 + at;
-                self.stretches.extend([(at, to), (from, at)]);
-            } else {
-                self.polygon.push(start);
-            }
-        }
+        self.divide(limit);
+        self.polygon.clear();
+        let corners = self.corners.iter().take(1.max(self.corners.len().saturating_sub(1)));
+        self.polygon.extend(corners.map(|&at| self.points.at(at)));
         self.drop_straight(limit);
         &self.polygon
+    }
+
+    /// Divides stretches where a point is farther from their line than the root of `limit`.
+    fn divide(&mut self, limit: f64) {
+        self.ends.clear();
+        let first = self.corners.len().min(1);
+        self.ends.extend(self.corners.drain(first..).rev());
+        while let (Some(&from), Some(&to)) = (self.corners.last(), self.ends.last()) {
+            match self.points.off_line(from, to, limit) {
+                Some(at) => self.ends.push(at),
+                None => {
+                    self.ends.pop();
+                    self.corners.push(to);
+                }
+            }
+        }
     }
 
     /// Leaves out corners that the line between their neighbours passes, no two beside each other: those
@@ -64,13 +77,14 @@ impl Approximator {
     fn drop_straight(&mut self, limit: f64) {
         let mut at = 0;
         while self.polygon.len() > 2 && at < self.polygon.len() {
-            let count = self.polygon.len();
-            let before = self.polygon[(at + count - 1) % count];
-            let (here, after) = (self.polygon[at], self.polygon[(at + 1) % count]);
+            let last = self.polygon.len() - 1;
+            let before = self.polygon[if at == 0 { last } else { at - 1 }];
+            let (here, after) =
+                (self.polygon[at], self.polygon[if at == last { 0 } else { at + 1 }]);
             let along = after - before;
             let off = f64::from(along.perp(&(here - before))).powi(2);
             let is_onwards = (here - before).dot(&(after - here)) >= 0;
-            if is_onwards && off <= 0.5 * limit * squared(along) as f64 {
+            if is_onwards && off <= 0.5 * limit * f64::from(squared(along)) {
                 self.polygon.remove(at);
             }
             at += 1;
@@ -78,21 +92,109 @@ impl Approximator {
     }
 }
 
-/// Index of the point for which that is largest; 0 of none.
-fn farthest(points: &[Pixel], distance: impl Fn(&Pixel) -> i64) -> usize {
-    let mut best = (0, 0);
-    for (index, point) in points.iter().enumerate() {
-        let distance = distance(point);
-        if distance > best.1 {
-            best = (index, distance);
-        }
+/// Points whose columns lie beside each other, and whose rows do.
+#[derive(Debug, Default)]
+struct Points {
+    columns: Vec<i32>,
+    rows: Vec<i32>,
+}
+
+impl Points {
+    fn clear(&mut self) {
+        self.columns.clear();
+        self.rows.clear();
     }
-    best.0
+
+    #[inline(always)]
+    fn extend(&mut self, points: &[Pixel]) {
+        self.columns.extend(points.iter().map(|point| point.x));
+        self.rows.extend(points.iter().map(|point| point.y));
+    }
+
+    fn len(&self) -> usize {
+        self.columns.len()
+    }
+
+    fn at(&self, index: usize) -> Pixel {
+        Pixel::new(self.columns[index], self.rows[index])
+    }
+
+    /// Index of the point that is farthest from `point`; 0 if there is no other.
+    fn farthest_from(&self, point: Pixel) -> usize {
+        let distance = |other: Pixel| squared(other - point);
+        self.farthest(0..self.len(), distance, |distance| distance > 0).unwrap_or(0)
+    }
+
+    /// Index of the point between two others that is farthest from their line, if it is farther than the
+    /// root of `limit`.
+    fn off_line(&self, from: usize, to: usize, limit: f64) -> Option<usize> {
+        let start = self.at(from);
+        let along = self.at(to) - start;
+        if along == Pixel::zeros() {
+            let off = |point: Pixel| squared(point - start);
+            return self.farthest(from + 1..to, off, |off| f64::from(off) > limit);
+        }
+        // From the line, times the line's length.
+        let off = |point: Pixel| along.perp(&(point - start)).abs();
+        let limit = limit * f64::from(squared(along));
+        self.farthest(from + 1..to, off, |off| f64::from(off).powi(2) > limit)
+    }
+
+    /// Index, in all, of the first point among these for which a distance is largest, if that is far.
+    fn farthest(
+        &self,
+        among: Range<usize>,
+        distance: impl Fn(Pixel) -> i32,
+        is_far: impl Fn(i32) -> bool,
+    ) -> Option<usize> {
+        #[cfg(target_arch = "x86_64")]
+        if std::arch::is_x86_feature_detected!("avx2") {
+            // SAFETY: the processor has AVX2, as was asked just now.
+            return unsafe { self.farthest_avx2(among, distance, is_far) };
+        }
+        self.farthest_plain(among, distance, is_far)
+    }
+
+    /// The same code, with eight points in a register.
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn farthest_avx2(
+        &self,
+        among: Range<usize>,
+        distance: impl Fn(Pixel) -> i32,
+        is_far: impl Fn(i32) -> bool,
+    ) -> Option<usize> {
+        self.farthest_plain(among, distance, is_far)
+    }
+
+    #[inline(always)]
+    fn farthest_plain(
+        &self,
+        among: Range<usize>,
+        distance: impl Fn(Pixel) -> i32,
+        is_far: impl Fn(i32) -> bool,
+    ) -> Option<usize> {
+        let (columns, rows) = (&self.columns[among.clone()], &self.rows[among.clone()]);
+        let of = |(&column, &row): (&i32, &i32)| distance(Pixel::new(column, row));
+        let (mut group, mut largest) = (0, 0);
+        let groups = columns.chunks(GROUP).zip(rows.chunks(GROUP));
+        for (index, (columns, rows)) in groups.enumerate() {
+            let in_group = columns.iter().zip(rows).map(of).fold(0, i32::max);
+            if in_group > largest {
+                (group, largest) = (index * GROUP, in_group);
+            }
+        }
+        if !is_far(largest) {
+            return None;
+        }
+        let mut points = columns[group..].iter().zip(&rows[group..]);
+        Some(among.start + group + points.position(|point| of(point) == largest)?)
+    }
 }
 
 /// Views are some thousand pixels wide, so that products of their coordinates fit an `i32`.
-fn squared(a: Pixel) -> i64 {
-    i64::from(a.dot(&a))
+fn squared(a: Pixel) -> i32 {
+    a.dot(&a)
 }
 
 #[cfg(test)]
@@ -103,6 +205,14 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+
+    fn approximate(outline: &[Pixel], accuracy_px: f64) -> Vec<Pixel> {
+        let mut approximator = Approximator::default();
+        // Memory of another outline is of no consequence.
+        approximator.set_outline(&[Pixel::new(9, 2), Pixel::new(5, 7)]);
+        approximator.set_outline(outline);
+        approximator.approximate(accuracy_px).to_vec()
+    }
 
     fn from_line(point: Pixel, from: Pixel, to: Pixel) -> f64 {
         let [point, from, to] = [point, from, to].map(|pixel| pixel.cast::<f64>());
@@ -152,11 +262,10 @@ mod tests {
                 Pixel::new((radius * cosine).round() as i32, (radius * sine).round() as i32)
             };
             let outline: Vec<Pixel> = radii.iter().enumerate().map(pixel).collect();
-            let mut approximator = Approximator::default();
-            let polygon = approximator.approximate(&outline, accuracy_px);
+            let polygon = approximate(&outline, accuracy_px);
             prop_assert!(polygon.iter().all(|corner| outline.contains(corner)));
             for &point in &outline {
-                let off = from_polygon(point, polygon);
+                let off = from_polygon(point, &polygon);
                 prop_assert!(off < 2.0 * accuracy_px, "{} off by {}", point, off);
             }
         }
@@ -169,8 +278,7 @@ mod tests {
         ) {
             let (corners, outline) = square(side, turn, first);
             let accuracy_px = 0.05 * outline.len() as f64;
-            let mut approximator = Approximator::default();
-            let polygon = approximator.approximate(&outline, accuracy_px).to_vec();
+            let polygon = approximate(&outline, accuracy_px);
             prop_assert_eq!(polygon.len(), 4, "{:?}", polygon);
             for [x, y] in corners {
                 let near = |corner: &Pixel| (f64::from(corner.x) - x).hypot(f64::from(corner.y) - y);
@@ -194,10 +302,9 @@ mod tests {
 
     #[test]
     fn small_outlines_are_what_they_are() {
-        let mut approximator = Approximator::default();
-        assert!(approximator.approximate(&[], 1.0).is_empty());
+        assert!(approximate(&[], 1.0).is_empty());
         let point = [Pixel::new(3, 4)];
-        assert_eq!(approximator.approximate(&point, 1.0), point);
+        assert_eq!(approximate(&point, 1.0), point);
     }
 
     /// A square on a neck of one pixel: the outline comes back through where it went.
@@ -207,8 +314,7 @@ mod tests {
         let neck = (0..30).map(|k| square[0] - Pixel::new(30 - k, 0));
         let back = neck.clone().rev();
         let outline: Vec<Pixel> = neck.chain(square.iter().copied()).chain(back).collect();
-        let mut approximator = Approximator::default();
-        let polygon = approximator.approximate(&outline, 2.0);
-        assert!(outline.iter().all(|&point| from_polygon(point, polygon) < 4.0), "{polygon:?}");
+        let polygon = approximate(&outline, 2.0);
+        assert!(outline.iter().all(|&point| from_polygon(point, &polygon) < 4.0), "{polygon:?}");
     }
 }

@@ -8,6 +8,7 @@ use flockeye_imaging::image::LumaImage;
 use nalgebra::Vector2;
 
 use crate::candidates::Quad;
+use crate::outlines::Pixel;
 
 /// Of two neighbouring sides the shorter one is at least this share of the longer one: what is
 /// tilted further cannot be read.
@@ -24,21 +25,20 @@ const MIN_LEFT: f64 = 0.25;
 
 /// The quadrilaterals that three neighbouring corners of a closed polygon promise: whose next corner
 /// on either side lies where a fourth corner would be seen from there. Clockwise.
-pub(crate) fn complete(
-    polygon: &[Vector2<f64>],
-    min_side_px: f64,
-) -> impl Iterator<Item = Quad> + '_ {
+pub(crate) fn complete(polygon: &[Pixel], min_side_px: f64) -> impl Iterator<Item = Quad> + '_ {
     let count = polygon.len();
-    let at = move |k: usize| polygon[k % count];
+    let at = move |k: usize| polygon[k % count].cast::<f64>();
+    let shortest_px = 0.7 * min_side_px;
     (0..if count < 5 { 0 } else { count }).filter_map(move |k| {
-        let [before, a, b, c, after] = [0, 1, 2, 3, 4].map(|n| at(k + n));
+        let [before, a, b, c, after] = [0, 1, 2, 3, 4].map(|n| at(k + n).cast::<f64>());
         let (first, second) = (b - a, c - b);
-        let lengths = (first.norm(), second.norm());
-        let (shorter, longer) = (lengths.0.min(lengths.1), lengths.0.max(lengths.1));
+        // Squared: most corners are no square's, and roots take longer than all else.
+        let squares = (first.norm_squared(), second.norm_squared());
+        let (shorter, longer) = (squares.0.min(squares.1), squares.0.max(squares.1));
         let turn = first.perp(&second);
-        if shorter < 0.7 * min_side_px
-            || shorter < MIN_SIDES * longer
-            || turn.abs() < MIN_SINE * lengths.0 * lengths.1
+        if shorter < shortest_px.powi(2)
+            || shorter < MIN_SIDES.powi(2) * longer
+            || turn * turn < MIN_SINE.powi(2) * squares.0 * squares.1
         {
             return None;
         }
@@ -56,7 +56,8 @@ pub(crate) fn complete(
         let share = (a - c).perp(&backwards) / sine;
         let fourth = c + onwards * share;
         let length = share * onwards.norm();
-        if !(length > 0.5 * lengths.0 && length < 2.0 * lengths.0) {
+        let opposite = squares.0.sqrt();
+        if !(length > 0.5 * opposite && length < 2.0 * opposite) {
             return None;
         }
         let quad = if turn > 0.0 { [a, b, c, fourth] } else { [fourth, c, b, a] };
@@ -98,23 +99,15 @@ pub(crate) fn is_dark_inside(image: &LumaImage<'_>, quad: &Quad, darker_by: f64)
 mod tests {
     use super::*;
 
-    fn polygon(corners: &[(f64, f64)]) -> Vec<Vector2<f64>> {
-        corners.iter().map(|&(x, y)| Vector2::new(x, y)).collect()
+    fn polygon(corners: &[(i32, i32)]) -> Vec<Pixel> {
+        corners.iter().map(|&(x, y)| Pixel::new(x, y)).collect()
     }
 
     #[test]
     fn a_lost_corner_is_where_the_sides_cross() {
         // A square from 10 to 30 whose bottom right corner runs into a bar.
-        let outline = [
-            (10.0, 10.0),
-            (30.0, 10.0),
-            (30.0, 22.0),
-            (60.0, 22.0),
-            (60.0, 34.0),
-            (22.0, 34.0),
-            (22.0, 30.0),
-            (10.0, 30.0),
-        ];
+        let outline =
+            [(10, 10), (30, 10), (30, 22), (60, 22), (60, 34), (22, 34), (22, 30), (10, 30)];
         for reversed in [false, true] {
             let mut corners = polygon(&outline);
             if reversed {
@@ -123,23 +116,23 @@ mod tests {
             let found: Vec<Quad> = complete(&corners, 11.0).collect();
             assert_eq!(found.len(), 1, "{found:?}");
             // Clockwise either way; read backwards, the lost corner is the first.
-            let mut expected = polygon(&[(10.0, 30.0), (10.0, 10.0), (30.0, 10.0), (30.0, 30.0)]);
+            let mut expected = polygon(&[(10, 30), (10, 10), (30, 10), (30, 30)]);
             expected.rotate_right(usize::from(reversed));
             for (corner, expected) in found[0].iter().zip(expected) {
-                assert!((corner.0 - expected).norm() < 1e-9, "{found:?}");
+                assert!((corner.0 - expected.cast()).norm() < 1e-9, "{found:?}");
             }
         }
     }
 
     #[test]
     fn other_outlines_promise_nothing() {
-        let ell = [(0.0, 0.0), (40.0, 0.0), (40.0, 5.0), (5.0, 5.0), (5.0, 40.0), (0.0, 40.0)];
+        let ell = [(0, 0), (40, 0), (40, 5), (5, 5), (5, 40), (0, 40)];
         assert_eq!(complete(&polygon(&ell), 11.0).count(), 0);
-        let square = [(0.0, 0.0), (40.0, 0.0), (40.0, 40.0), (0.0, 40.0)];
+        let square = [(0, 0), (40, 0), (40, 40), (0, 40)];
         assert_eq!(complete(&polygon(&square), 11.0).count(), 0);
-        let round: Vec<Vector2<f64>> = (0..24)
-            .map(|k| Vector2::new((f64::from(k) * 0.26).cos(), (f64::from(k) * 0.26).sin()) * 40.0)
-            .collect();
-        assert_eq!(complete(&round, 5.0).count(), 0);
+        let at = |turn: f64| Vector2::new(turn.cos(), turn.sin()) * 400.0;
+        let round: Vec<Pixel> =
+            (0..24).map(|k| at(f64::from(k) * 0.26).map(|at| at.round() as i32)).collect();
+        assert_eq!(complete(&round, 50.0).count(), 0);
     }
 }
