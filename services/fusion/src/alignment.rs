@@ -115,7 +115,7 @@ impl Aligner {
 
     /// Aligns body `target`, of which nothing is known yet, from all of `starts`. One facet can look
     /// the same in two attitudes, mirror images of each other: the best pose is believed if two facets
-    /// agree with it, or if it stands out among what the other starts lead to. Unless there is time, the
+    /// agree with it, or if it stands out among what its mirror image and the other starts lead to. Unless there is time, the
     /// first one that leads to a sure pose is the last: all eight of a newcomer were seen to take 113 ms,
     /// in which everybody's poses wait.
     pub fn discover(
@@ -140,11 +140,19 @@ impl Aligner {
             .iter()
             .filter(|found| found.is_believed() || is_vouched_for(found, &is_marked))
             .max_by(|a, b| a.score.log_ratio.total_cmp(&b.score.log_ratio))?;
-        let others = || found.iter().filter(|other| !is_same(best, other));
-        let stands_out = best.score.correlation > ALONE_CORRELATION
-            && others().next().is_some()
-            && others().all(|other| other.score.log_ratio < ALONE_RIVAL * best.score.log_ratio);
-        (best.score.agreeing_facets >= 2 || stands_out).then(|| best.clone())
+        if best.score.agreeing_facets >= 2 {
+            return Some(best.clone());
+        }
+        if best.score.correlation <= ALONE_CORRELATION {
+            return None;
+        }
+        let pose = &best.camera_from_markers;
+        let mirrored = self.prints.get(target)?.mirrored(best.score.telling_facet, pose)?;
+        let mirrored =
+            self.align(target, picture, &Start { camera_from_markers: mirrored, is_rough: false });
+        let mut rivals = found.iter().chain(&mirrored).filter(|other| !is_same(best, other));
+        let least = ALONE_RIVAL * best.score.log_ratio;
+        rivals.all(|other| other.score.log_ratio < least).then(|| best.clone())
     }
 
     /// Looks for body `target` round where it was predicted.

@@ -25,6 +25,8 @@ pub struct Score {
     pub agreeing_facets: u32,
     /// Facets that were compared.
     pub facets: u32,
+    /// The number of the one that adds most to the logarithm; 0 if none adds anything.
+    pub telling_facet: u32,
 }
 
 impl Score {
@@ -118,9 +120,9 @@ impl Verdict {
             facets[index].count += 1;
         }
         let mut score = Score::default();
-        let (mut sum, mut weights) = (0.0, 0.0);
+        let (mut sum, mut weights, mut most) = (0.0, 0.0, 0.0);
         let mut correlations = vec![None; facets.len()];
-        for (facet, own) in facets.iter().zip(&mut correlations) {
+        for ((number, facet), own) in (0..).zip(&facets).zip(&mut correlations) {
             if facet.count < MIN_SAMPLES {
                 continue;
             }
@@ -128,7 +130,11 @@ impl Verdict {
             *own = Some(correlation);
             let independent = f64::from(facet.count) / samples_per_pixel;
             let squared = correlation.abs().min(MOST).powi(2);
-            score.log_ratio -= 0.5 * independent * (1.0 - squared).ln() * correlation.signum();
+            let says = -0.5 * independent * (1.0 - squared).ln() * correlation.signum();
+            score.log_ratio += says;
+            if says > most {
+                (most, score.telling_facet) = (says, number);
+            }
             score.facets += 1;
             score.agreeing_facets += u32::from(correlation >= AGREEING);
             let weight = worth.sqrt();

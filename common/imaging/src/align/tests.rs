@@ -7,7 +7,7 @@ mod drawn_body;
 
 use flockeye_geometry::body::{Body, squares};
 use flockeye_geometry::view::View;
-use nalgebra::{Isometry3, Matrix2, Translation3, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Isometry3, Matrix2, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
 use proptest::prelude::*;
 
 use super::geometry::{Pinhole, seen_facets};
@@ -271,6 +271,31 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
     /// Derivatives by pose against differences of the model, the point spread on each facet being
     /// held as a step of the solver holds it.
+    /// Seen from afar, a facet turned over shows its corners where they were, leaning the other way.
+    #[test]
+    fn mirror_images_look_the_same_from_afar(
+        euler in prop::array::uniform3(-3.0..3.0f64),
+        facet in 0u32..17,
+    ) {
+        let (body, pose) = (body(0), pose(40.0, euler));
+        let print = print_of(&body);
+        let mirrored = print.mirrored(facet, &pose).unwrap();
+        let printed = &print.facets[facet as usize];
+        let middle = Point3::from(printed.markers_from_facet.translation.vector);
+        prop_assert!((pose * middle - mirrored * middle).norm() < 1e-9);
+        for corner in printed.corners_in_markers() {
+            let [ray, other] = [pose * corner, mirrored * corner].map(|at| at.coords);
+            // Half its width, 45 mm to a corner, nearer or farther by as much at most.
+            prop_assert!(ray.angle(&other) < 2.0 * (0.045f64 / 40.0).powi(2));
+        }
+        let normal = |pose: &Isometry3<f64>| pose * (printed.markers_from_facet * Vector3::z());
+        let sight = (pose * middle).coords.normalize();
+        prop_assert!((normal(&pose).dot(&sight) - normal(&mirrored).dot(&sight)).abs() < 1e-9);
+        let twice = print.mirrored(facet, &mirrored).unwrap();
+        prop_assert!(twice.rotation.angle_to(&pose.rotation) < 1e-6);
+        prop_assert!(print.mirrored(99, &pose).is_none());
+    }
+
     #[test]
     fn derivatives_are_those_of_the_model(
         euler in prop::array::uniform3(-3.0..3.0f64),

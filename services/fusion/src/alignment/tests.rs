@@ -4,7 +4,7 @@
 
 use super::*;
 use crate::drawn_body::{Drawing, draw, prints};
-use flockeye_geometry::body::squares;
+use flockeye_geometry::body::{Body, plate, squares};
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
@@ -19,11 +19,19 @@ fn pose(range_m: f64, turn: f64) -> Isometry3<f64> {
 
 /// Looks at body 0 in a picture of it, with what to look by.
 fn look<T>(truth: &Isometry3<f64>, by: impl FnOnce(&Aligner, &Picture<'_>) -> T) -> T {
+    look_at(&squares("alpha", 0.0625, 0.05, 0), truth, by)
+}
+
+/// The same of any body.
+fn look_at<T>(
+    body: &Body,
+    truth: &Isometry3<f64>,
+    by: impl FnOnce(&Aligner, &Picture<'_>) -> T,
+) -> T {
     let prints = prints();
-    let body = squares("alpha", 0.0625, 0.05, 0);
     let bodies = Bodies::new("DICT_5X5_250".into(), vec![body.clone()]).unwrap();
     let aligner = Aligner::new(&bodies, |id| prints.get(&id), PIXELS_PER_RADIAN).unwrap();
-    let drawing: Drawing = draw(&body, truth, PIXELS_PER_RADIAN, 0.9, 0.004);
+    let drawing: Drawing = draw(body, truth, PIXELS_PER_RADIAN, 0.9, 0.004);
     let light = LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap();
     let (image, view) = (drawing.image(), drawing.view);
     let picture = Picture { image, view, light: &light, pixels_per_radian: PIXELS_PER_RADIAN };
@@ -67,6 +75,39 @@ fn wrong_attitudes_discover_and_confirm_nothing() {
                     assert!(rotation.angle_to(&truth.rotation) < 0.05, "{range_m} m, {turn} rad");
                 }
             }
+        });
+    }
+}
+
+/// One marker alone is told from its mirror image near by, where perspective tells them apart; and
+/// not far away, though its pose is the one to begin with.
+#[test]
+fn a_single_facet_is_discovered_where_its_mirror_image_looks_otherwise() {
+    let body = plate("plate", 0.07, 0.05, 3);
+    let normal = body.markers[0].normal();
+    let facing = |range_m: f64| {
+        let towards = Vector3::new(0.8, 0.5, 0.33).normalize();
+        let turn = UnitQuaternion::rotation_between(&normal, &-towards).unwrap();
+        let tilt = UnitQuaternion::from_euler_angles(0.0, 0.0, 0.7);
+        Isometry3::from_parts(Translation3::from(towards * range_m), tilt * turn)
+    };
+    for (range_m, is_found) in [(0.3, true), (0.4, true), (1.8, false)] {
+        let truth = facing(range_m);
+        look_at(&body, &truth, |aligner, picture| {
+            let starts = [start(truth)];
+            let found = aligner.discover(0, picture, &starts, Pace::Unhurried, |_| false);
+            assert_eq!(found.is_some(), is_found, "{range_m} m");
+            let turned =
+                found.map(|found| found.camera_from_markers.rotation.angle_to(&truth.rotation));
+            assert!(turned.is_none_or(|turned| turned < 0.02), "{range_m} m: {turned:?}");
+            // It does not matter which of the two is begun from.
+            let mirrored = aligner.prints[0].mirrored(0, &truth).unwrap();
+            assert!(mirrored.rotation.angle_to(&truth.rotation) > 0.5);
+            let found =
+                aligner.discover(0, picture, &[start(mirrored)], Pace::Unhurried, |_| false);
+            let turned =
+                found.map(|found| found.camera_from_markers.rotation.angle_to(&truth.rotation));
+            assert!(turned.is_none_or(|turned| turned < 0.02), "{range_m} m: {turned:?}");
         });
     }
 }
