@@ -271,6 +271,25 @@ mod tests {
         }
 
         #[test]
+        fn what_goes_on_from_a_rougher_polygon_comes_out_the_same(
+            dice in prop::collection::vec(-3i32..=3, 8..200),
+            rough_px in 2.0..12.0f64,
+        ) {
+            // Ragged, and through the same places again and again.
+            let steps = dice.iter().zip(dice.iter().cycle().skip(3));
+            let outline: Vec<Pixel> = steps
+                .scan(Pixel::new(700, 700), |at, (&x, &y)| {
+                    *at += Pixel::new(x, y);
+                    Some(*at)
+                })
+                .collect();
+            let mut approximator = Approximator::default();
+            approximator.set_outline(&outline);
+            approximator.approximate(rough_px);
+            prop_assert_eq!(approximator.approximate(1.5), approximate(&outline, 1.5));
+        }
+
+        #[test]
         fn a_rough_square_has_four_corners_as_in_opencv(
             turn in 0.0..std::f64::consts::TAU,
             side in 16.0..60.0f64,
