@@ -19,9 +19,9 @@ pub(crate) struct Darkness {
     /// Sum of each column of blocks over the height of a square, and of each square.
     columns: Vec<u16>,
     squares: Vec<u16>,
-    /// What pixels of each block, and of each column of the image, must be darker than.
-    block_limits: Vec<u8>,
+    /// What pixels of each column must be darker than; and the same for every other column.
     limits: Vec<u8>,
+    rougher: Vec<u8>,
     dark: Dark,
 }
 
@@ -53,10 +53,12 @@ impl Dark {
 
     /// Adds a row.
     #[inline(always)]
-    pub(crate) fn add(&mut self, row: impl Iterator<Item = u8>) {
-        self.pixels.push(0);
-        self.pixels.extend(row);
-        self.pixels.push(0);
+    pub(crate) fn add(&mut self, row: impl ExactSizeIterator<Item = u8>) {
+        let start = self.pixels.len() + 1;
+        self.pixels.resize(start + row.len() + 1, 0);
+        for (pixel, dark) in self.pixels[start..].iter_mut().zip(row) {
+            *pixel = dark;
+        }
     }
 
     /// Adds the border behind the last row.
@@ -118,19 +120,16 @@ impl Darkness {
                     *sum += column;
                 }
             }
-            self.block_limits.clear();
-            self.block_limits.extend(self.squares.iter().map(|&sum| limit_of(sum)));
-            let limits = match shift {
-                0 => &self.block_limits,
-                _ => {
-                    let column_limits = (0..image.width()).map(|x| self.block_limits[x >> shift]);
-                    self.limits.clear();
-                    self.limits.extend(column_limits);
-                    &self.limits
-                }
-            };
+            self.limits.resize(self.squares.len(), 0);
+            for (limit, &sum) in self.limits.iter_mut().zip(&self.squares) {
+                *limit = limit_of(sum);
+            }
+            for _ in 0..shift {
+                std::mem::swap(&mut self.limits, &mut self.rougher);
+                repeat_each(&mut self.limits, &self.rougher);
+            }
             for row in block_row * side..image.height().min((block_row + 1) * side) {
-                let pixels = image.row(row).iter().zip(limits);
+                let pixels = image.row(row).iter().zip(&self.limits);
                 self.dark.add(pixels.map(|(pixel, limit)| u8::from(pixel < limit)));
             }
             for (sum, block) in self.columns.iter_mut().zip(self.blocks.row(block_row)) {
@@ -189,6 +188,16 @@ impl Blocks {
                 self.means.extend_from_within(self.means.len() - self.stride..);
             }
         }
+    }
+}
+
+/// Each value twice.
+#[inline(always)]
+fn repeat_each(twice: &mut Vec<u8>, once: &[u8]) {
+    twice.resize(2 * once.len(), 0);
+    for (pair, &value) in twice.chunks_exact_mut(2).zip(once) {
+        pair[0] = value;
+        pair[1] = value;
     }
 }
 

@@ -145,8 +145,7 @@ impl Follower {
     pub(crate) fn follow(&mut self, dark: &Dark, lengths: RangeInclusive<usize>) -> &Outlines {
         self.outlines.points.clear();
         self.outlines.ends.clear();
-        self.stride = dark.stride();
-        self.turns.set_stride(self.stride);
+        self.turns.set_stride(dark.stride());
         self.look_round(dark);
         for word in 0..self.marks.len().div_ceil(WORD) {
             let mut first = word_at(&self.marks, word) & u64::from_ne_bytes([FIRST; WORD]);
@@ -188,10 +187,14 @@ impl Follower {
     #[inline(always)]
     fn look_round_plain(&mut self, dark: &Dark) {
         let (stride, count) = (dark.stride(), dark.pixels().len());
-        self.neighbours.clear();
-        self.neighbours.resize(count, 0);
-        self.marks.clear();
-        self.marks.resize(count, 0);
+        // All else is written below; of an image of the same size, the border is what it was.
+        if (self.stride, self.marks.len()) != (stride, count) {
+            self.stride = stride;
+            for memory in [&mut self.neighbours, &mut self.marks] {
+                memory.clear();
+                memory.resize(count, 0);
+            }
+        }
         // Each row without its border.
         let rows = (stride..count.saturating_sub(stride)).step_by(stride);
         for row in rows.map(|start| start + 1..start + stride - 1) {
@@ -320,6 +323,8 @@ mod tests {
             theirs.retain(|outline| outline.len() > 1);
             let found = ours(&mut follower, &dark, width);
             // Memory of another image is of no consequence.
+            let inverted: Vec<u8> = dark.iter().map(|dark| 1 - dark).collect();
+            ours(&mut follower, &inverted, width);
             prop_assert_eq!(&ours(&mut follower, &dark, width), &found);
             prop_assert_eq!(found, theirs);
         }
