@@ -115,9 +115,9 @@ impl Aligner {
 
     /// Aligns body `target`, of which nothing is known yet, from all of `starts`. One facet can look
     /// the same in two attitudes, mirror images of each other: the best pose is believed if two facets
-    /// agree with it, or if it stands out among what its mirror image and the other starts lead to. Unless there is time, the
-    /// first one that leads to a sure pose is the last: all eight of a newcomer were seen to take 113 ms,
-    /// in which everybody's poses wait.
+    /// agree with it, or if it stands out among what its mirror image and the other starts lead to.
+    /// Unless there is time, the first one that leads to a sure pose is the last: all eight of a newcomer
+    /// were seen to take 113 ms, in which everybody's poses wait.
     pub fn discover(
         &self,
         target: usize,
