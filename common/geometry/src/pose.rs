@@ -19,7 +19,7 @@ mod rays;
 mod refine;
 mod residual;
 
-pub use candidates::solve;
+pub use candidates::{mirror_image, solve};
 pub use choice::{Choice, PosePrior, choose};
 pub use rays::{CornerRay, keep_sharpest};
 pub use refine::refine;

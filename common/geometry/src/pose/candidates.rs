@@ -1,6 +1,6 @@
 //! Hypotheses, their vote, and what remains of them.
 
-use nalgebra::{Isometry3, Matrix3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use super::rays::{CornerRay, SightedMarker, sighted};
 use super::refine::{refine_sighted, rough_cost};
@@ -126,9 +126,7 @@ fn is_near(a: &Isometry3<f64>, b: &Isometry3<f64>, limit: f64) -> bool {
         && (a.translation.vector - b.translation.vector).norm() < limit * range
 }
 
-/// The pose in which the points of the solution's inliers, flattened onto their common plane, are
-/// seen at the same places: `R' = M_v R M_n`, with M the reflections at the planes across the line
-/// of sight v and across the points' flattest axis n (the ambiguity of weak perspective).
+/// The mirror image of the solution's inliers, flattened onto their common plane.
 fn mirror(markers: &[SightedMarker<'_>], solution: &PoseSolution) -> Option<Isometry3<f64>> {
     let points: Vec<Vector3<f64>> = markers
         .iter()
@@ -140,14 +138,23 @@ fn mirror(markers: &[SightedMarker<'_>], solution: &PoseSolution) -> Option<Isom
         points.iter().map(|point| (point - middle) * (point - middle).transpose()).sum();
     let axes = spread.symmetric_eigen();
     let flattest = axes.eigenvectors.column(axes.eigenvalues.imin()).into_owned();
-    let pose = &solution.camera_from_markers;
-    let seen = (pose * nalgebra::Point3::from(middle)).coords;
+    mirror_image(&solution.camera_from_markers, &Point3::from(middle), &flattest)
+}
+
+/// The other pose in which what is flat looks the same from afar: `R' = M_v R M_n`, with M the
+/// reflections at the planes across the line of sight v to its `middle` and across its unit `normal` n,
+/// both in the markers' frame (the ambiguity of weak perspective). The middle stays where it is seen.
+/// `None` where that is the camera itself.
+pub fn mirror_image(
+    camera_from_markers: &Isometry3<f64>,
+    middle: &Point3<f64>,
+    normal: &Vector3<f64>,
+) -> Option<Isometry3<f64>> {
+    let seen = (camera_from_markers * middle).coords;
     let sight = seen.try_normalize(1e-9)?;
     let reflect = |axis: &Vector3<f64>| Matrix3::identity() - axis * axis.transpose() * 2.0;
-    let rotation =
-        reflect(&sight) * pose.rotation.to_rotation_matrix().into_inner() * reflect(&flattest);
-    let rotation =
-        UnitQuaternion::from_rotation_matrix(&nalgebra::Rotation3::from_matrix_unchecked(rotation));
-    // The points' middle stays where it is seen.
-    Some(Isometry3::from_parts(Translation3::from(seen - rotation * middle), rotation))
+    let rotation = camera_from_markers.rotation.to_rotation_matrix().into_inner();
+    let rotation = Rotation3::from_matrix_unchecked(reflect(&sight) * rotation * reflect(normal));
+    let rotation = UnitQuaternion::from_rotation_matrix(&rotation);
+    Some(Isometry3::from_parts(Translation3::from(seen - rotation * middle.coords), rotation))
 }

@@ -1,8 +1,9 @@
 //! A body as it is printed: flat facets, white, with black cells on some.
 
 use flockeye_geometry::body::Body;
+use flockeye_geometry::pose::mirror_image;
 use nalgebra::{
-    Isometry3, Matrix3, Point2, Point3, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3,
+    Isometry3, Point2, Point3, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3,
 };
 
 use crate::edges::MarkerPrint;
@@ -132,10 +133,8 @@ impl BodyPrint {
         self.seams
     }
 
-    /// The other pose in which a facet looks the same from afar: turned over about the line of sight to its
-    /// middle, and so leaning away where it leant towards the camera, `R' = M_v R M_n` with the
-    /// reflections at the planes across the line of sight v and across the facet's normal n. `None` if there
-    /// is no such facet.
+    /// The pose in which a facet is seen as its own mirror image ([`mirror_image`]). `None` if there is no
+    /// such facet.
     pub fn mirrored(
         &self,
         facet: u32,
@@ -143,15 +142,7 @@ impl BodyPrint {
     ) -> Option<Isometry3<f64>> {
         let markers_from_facet = self.facets.get(facet as usize)?.markers_from_facet;
         let middle = Point3::from(markers_from_facet.translation.vector);
-        let normal = markers_from_facet * Vector3::z();
-        let seen = (camera_from_markers * middle).coords;
-        let sight = seen.try_normalize(1e-9)?;
-        let reflect = |axis: &Vector3<f64>| Matrix3::identity() - axis * axis.transpose() * 2.0;
-        let rotation = camera_from_markers.rotation.to_rotation_matrix().into_inner();
-        let rotation = reflect(&sight) * rotation * reflect(&normal);
-        let rotation =
-            UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation));
-        Some(Isometry3::from_parts(Translation3::from(seen - rotation * middle.coords), rotation))
+        mirror_image(camera_from_markers, &middle, &(markers_from_facet * Vector3::z()))
     }
 
     /// Side of its smallest marker's cells, metres; infinite without markers.
