@@ -147,7 +147,7 @@ impl Aligner {
             return None;
         }
         let pose = &best.camera_from_markers;
-        let mirrored = self.prints.get(target)?.mirrored(best.score.telling_facet, pose)?;
+        let mirrored = self.prints.get(target)?.mirrored(best.score.telling_facet?, pose)?;
         let mirrored =
             self.align(target, picture, &Start { camera_from_markers: mirrored, is_rough: false });
         let mut rivals = found.iter().chain(&mirrored).filter(|other| !is_same(best, other));

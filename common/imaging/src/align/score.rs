@@ -25,8 +25,8 @@ pub struct Score {
     pub agreeing_facets: u32,
     /// Facets that were compared.
     pub facets: u32,
-    /// The number of the one that adds most to the logarithm; 0 if none adds anything.
-    pub telling_facet: u32,
+    /// The number of the one that adds most to the logarithm, if any adds to it.
+    pub telling_facet: Option<u32>,
 }
 
 impl Score {
@@ -133,7 +133,7 @@ impl Verdict {
             let says = -0.5 * independent * (1.0 - squared).ln() * correlation.signum();
             score.log_ratio += says;
             if says > most {
-                (most, score.telling_facet) = (says, number);
+                (most, score.telling_facet) = (says, Some(number));
             }
             score.facets += 1;
             score.agreeing_facets += u32::from(correlation >= AGREEING);
