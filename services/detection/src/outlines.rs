@@ -46,7 +46,6 @@ pub(crate) struct Follower {
     neighbours: Vec<u8>,
     /// What is known of each pixel.
     marks: Vec<u8>,
-    stride: usize,
     turns: Turns,
     outlines: Outlines,
 }
@@ -112,15 +111,9 @@ struct Turns {
 }
 
 impl Turns {
-    fn set_stride(&mut self, stride: usize) {
-        if self.stride == stride {
-            return;
-        }
-        self.stride = stride;
-        self.by_side.clear();
-        self.by_side.extend((0..8).map(|came_from| {
-            std::array::from_fn(|neighbours| turn(came_from, neighbours as u8, stride))
-        }));
+    fn new(stride: usize) -> Self {
+        let of_side = |came_from| std::array::from_fn(|bits| turn(came_from, bits as u8, stride));
+        Self { stride, by_side: (0..8).map(of_side).collect() }
     }
 }
 
@@ -145,10 +138,11 @@ impl Follower {
     pub(crate) fn follow(&mut self, dark: &Dark, lengths: RangeInclusive<usize>) -> &Outlines {
         self.outlines.points.clear();
         self.outlines.ends.clear();
-        self.turns.set_stride(dark.stride());
+        self.set_size(dark);
         self.look_round(dark);
-        for word in 0..self.marks.len().div_ceil(WORD) {
-            let mut first = word_at(&self.marks, word) & u64::from_ne_bytes([FIRST; WORD]);
+        for word in 0..self.marks.len() / WORD {
+            let marks = u64::from_le_bytes(self.marks.as_chunks::<WORD>().0[word]);
+            let mut first = marks & u64::from_ne_bytes([FIRST; WORD]);
             while first != 0 {
                 let at = word * WORD + first.trailing_zeros() as usize / 8;
                 first &= first - 1;
@@ -166,35 +160,22 @@ impl Follower {
         &self.outlines
     }
 
-    /// Finds everybody's neighbours, and where outlines may begin.
-    fn look_round(&mut self, dark: &Dark) {
-        #[cfg(target_arch = "x86_64")]
-        if std::arch::is_x86_feature_detected!("avx2") {
-            // SAFETY: the processor has AVX2, as was asked just now.
-            unsafe { self.look_round_avx2(dark) };
+    /// Prepares memory for images of this size. What is not border is written for each image anew.
+    fn set_size(&mut self, dark: &Dark) {
+        let (stride, count) = (dark.stride(), dark.pixels().len());
+        if (self.turns.stride, self.neighbours.len()) == (stride, count) {
             return;
         }
-        self.look_round_plain(dark);
+        self.turns = Turns::new(stride);
+        self.neighbours.clear();
+        self.neighbours.resize(count, 0);
+        self.marks.clear();
+        self.marks.resize(count.next_multiple_of(WORD), 0);
     }
 
-    /// The same code, with twice as many pixels in a register.
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2")]
-    fn look_round_avx2(&mut self, dark: &Dark) {
-        self.look_round_plain(dark);
-    }
-
-    #[inline(always)]
-    fn look_round_plain(&mut self, dark: &Dark) {
+    /// Finds everybody's neighbours, and where outlines may begin.
+    fn look_round(&mut self, dark: &Dark) {
         let (stride, count) = (dark.stride(), dark.pixels().len());
-        // All else is written below; of an image of the same size, the border is what it was.
-        if (self.stride, self.marks.len()) != (stride, count) {
-            self.stride = stride;
-            for memory in [&mut self.neighbours, &mut self.marks] {
-                memory.clear();
-                memory.resize(count, 0);
-            }
-        }
         // Each row without its border.
         let rows = (stride..count.saturating_sub(stride)).step_by(stride);
         for row in rows.map(|start| start + 1..start + stride - 1) {
@@ -210,7 +191,7 @@ impl Follower {
 
     /// Follows the outline that goes between a dark pixel and its bright neighbour on that side.
     fn trace(&mut self, start: usize, bright_side: u8) {
-        let stride = self.stride as i32;
+        let stride = self.turns.stride as i32;
         let mut place = Pixel::new(start as i32 % stride - 1, start as i32 / stride - 1);
         let neighbours = self.neighbours[start];
         // Clockwise from the bright side to the first dark neighbour: there the outline comes back.
@@ -236,7 +217,6 @@ impl Follower {
 }
 
 /// Neighbours of a row's pixels, from the rows of each of the eight, and where outlines may begin.
-#[inline(always)]
 fn find_neighbours(neighbours: &mut [u8], marks: &mut [u8], pixels: &[u8], at: [&[u8]; 8]) {
     // Compilers do many pixels at once where they see that all rows are equally long.
     let [a, b, c, d, e, f, g, h] = at.map(|row| &row[..neighbours.len()]);
@@ -253,22 +233,10 @@ fn find_neighbours(neighbours: &mut [u8], marks: &mut [u8], pixels: &[u8], at: [
 /// 1 for a dark pixel with these neighbours if it may be the first one of an outline, row by row; not
 /// if it has none. The first one round a region has nothing dark before it; in the first one round a
 /// hole, the pixel to the right is the hole's first one, and what is above that is dark.
-#[inline(always)]
 fn may_be_first(neighbours: u8) -> u8 {
     const AT_HOLE: u8 = 1 << RIGHT | 1 << ABOVE_RIGHT;
     u8::from(neighbours & BEFORE == 0 && neighbours != 0)
         | u8::from(neighbours & AT_HOLE == 1 << ABOVE_RIGHT)
-}
-
-/// Eight marks, the first one lowest; 0 beyond the last.
-fn word_at(marks: &[u8], word: usize) -> u64 {
-    let rest = &marks[word * WORD..];
-    let marks = rest.first_chunk::<WORD>().copied().unwrap_or_else(|| {
-        let mut padded = [0; WORD];
-        padded[..rest.len()].copy_from_slice(rest);
-        padded
-    });
-    u64::from_le_bytes(marks)
 }
 
 #[cfg(test)]

@@ -105,7 +105,6 @@ impl Points {
         self.rows.clear();
     }
 
-    #[inline(always)]
     fn extend(&mut self, points: &[Pixel]) {
         self.columns.extend(points.iter().map(|point| point.x));
         self.rows.extend(points.iter().map(|point| point.y));
@@ -142,33 +141,6 @@ impl Points {
 
     /// Index, in all, of the first point among these for which a distance is largest, if that is far.
     fn farthest(
-        &self,
-        among: Range<usize>,
-        distance: impl Fn(Pixel) -> i32,
-        is_far: impl Fn(i32) -> bool,
-    ) -> Option<usize> {
-        #[cfg(target_arch = "x86_64")]
-        if std::arch::is_x86_feature_detected!("avx2") {
-            // SAFETY: the processor has AVX2, as was asked just now.
-            return unsafe { self.farthest_avx2(among, distance, is_far) };
-        }
-        self.farthest_plain(among, distance, is_far)
-    }
-
-    /// The same code, with eight points in a register.
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2")]
-    fn farthest_avx2(
-        &self,
-        among: Range<usize>,
-        distance: impl Fn(Pixel) -> i32,
-        is_far: impl Fn(i32) -> bool,
-    ) -> Option<usize> {
-        self.farthest_plain(among, distance, is_far)
-    }
-
-    #[inline(always)]
-    fn farthest_plain(
         &self,
         among: Range<usize>,
         distance: impl Fn(Pixel) -> i32,

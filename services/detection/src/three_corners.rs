@@ -27,10 +27,11 @@ const MIN_LEFT: f64 = 0.25;
 /// on either side lies where a fourth corner would be seen from there. Clockwise.
 pub(crate) fn complete(polygon: &[Pixel], min_side_px: f64) -> impl Iterator<Item = Quad> + '_ {
     let count = polygon.len();
-    let at = move |k: usize| polygon[k % count].cast::<f64>();
+    // From the last corner on to the first again.
+    let at = move |k: usize| polygon[if k < count { k } else { k - count }].cast::<f64>();
     let shortest_px = 0.7 * min_side_px;
     (0..if count < 5 { 0 } else { count }).filter_map(move |k| {
-        let [before, a, b, c, after] = [0, 1, 2, 3, 4].map(|n| at(k + n).cast::<f64>());
+        let [before, a, b, c, after] = [0, 1, 2, 3, 4].map(|n| at(k + n));
         let (first, second) = (b - a, c - b);
         // Squared: most corners are no square's, and roots take longer than all else.
         let squares = (first.norm_squared(), second.norm_squared());
