@@ -90,30 +90,37 @@ impl Stage for SimulatorStage {
             Flow::Lossless => {
                 let frame = self.next_frame;
                 let stream_ns = (self.world.time_of(frame) * 1e9).round() as i64;
-                self.send(frame, stream_ns)?;
+                self.send(frame, stream_ns, 0)?;
                 Ok(Step::Again)
             }
             Flow::Latest => {
                 let now_ns = clock::monotonic_ns();
-                let schedule = self
-                    .schedule
-                    .get_or_insert_with(|| Schedule::new(now_ns, self.frames_per_second));
+                let mut schedule = match self.schedule {
+                    Some(schedule) => schedule,
+                    None => {
+                        let exposure_s = self.world.parameters().exposure_s;
+                        Schedule::new(now_ns, self.frames_per_second, exposure_s)
+                    }
+                };
                 if let Some(due) = schedule.due(now_ns) {
-                    let exposure_ns = schedule.exposure_ns(due.frame);
                     self.counters.add_dropped(due.skipped);
                     if due.frame <= self.last_frame {
-                        self.send(due.frame, exposure_ns)?;
+                        let exposure_ns = schedule.exposure_ns(due.frame);
+                        let handover_ns = schedule.handover_ns(due.frame);
+                        schedule.drew(self.send(due.frame, exposure_ns, handover_ns)?);
                     }
                     self.next_frame = due.frame + 1;
                 }
-                Ok(Step::WaitUntil(self.schedule.map_or(now_ns, |schedule| schedule.next_ns())))
+                self.schedule = Some(schedule);
+                Ok(Step::WaitUntil(schedule.next_ns()))
             }
         }
     }
 }
 
 impl SimulatorStage {
-    fn send(&mut self, frame: u64, exposure_ns: i64) -> anyhow::Result<()> {
+    /// Draws a frame and hands it over, not before `handover_ns`; returns how long drawing took.
+    fn send(&mut self, frame: u64, exposure_ns: i64, handover_ns: i64) -> anyhow::Result<i64> {
         let begun_ns = clock::monotonic_ns();
         let camera = self.world.parameters().camera;
         let (width, height) = (camera.width(), camera.height());
@@ -122,6 +129,9 @@ impl SimulatorStage {
             .world
             .render(frame, loan.items_mut(), width as usize)
             .with_context(|| format!("frame {frame}"))?;
+        let drawn_ns = clock::monotonic_ns();
+        // It waits in the shared memory that it was drawn in.
+        std::thread::sleep(clock::until(handover_ns, drawn_ns));
         let published_ns = clock::monotonic_ns();
         let stamp = FrameStamp {
             sequence: frame,
@@ -152,10 +162,10 @@ impl SimulatorStage {
             range: Range::Full.code(),
             projection: self.projection.code(),
         })?;
-        self.counters.add_latency_ns(published_ns - begun_ns);
+        self.counters.add_latency_ns(drawn_ns - begun_ns);
         self.credits.note_sent(stamp);
         self.next_frame = frame + 1;
-        Ok(())
+        Ok(drawn_ns - begun_ns)
     }
 
     fn body_truth(&self, target: &TargetTruth, body: &Body) -> BodyTruth {
