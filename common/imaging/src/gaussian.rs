@@ -40,8 +40,9 @@ impl Gaussian {
     pub(crate) fn at(&self, z: f32) -> (f32, f32) {
         // A NaN becomes the lower end.
         let place = (z.clamp(-REACH, REACH) + REACH) * STEPS + (HALF as f32 - REACH * STEPS);
-        let index = place as usize;
-        let share = place - index as f32;
+        // Processors have no instruction for a `usize` and floats, and it would take longer than the rest.
+        let step = place as u16;
+        let (index, share) = (usize::from(step), place - f32::from(step));
         let ([d0, b0], [d1, b1]) = (self.0[index], self.0[index + 1]);
         (d0 + (d1 - d0) * share, b0 + (b1 - b0) * share)
     }

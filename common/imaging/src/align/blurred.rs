@@ -217,20 +217,22 @@ impl<'p> BlurredFacet<'p> {
         weights.count = 0;
         let (per_deviation, reach) = (1.0 / deviation, REACH * deviation);
         let (from, to) = (at - reach, at + reach);
+        // At most MAX_CELLS; see `Gaussian::at` for the type.
+        let count = count as u16;
         // Borders 0 to `count`, those in reach; written so that a NaN reaches none.
-        if !(to >= 0.0 && from <= count as f32) {
+        if !(to >= 0.0 && from <= f32::from(count)) {
             return;
         }
         // Casts cut off what is behind the point, and saturate.
-        let low = if from <= 0.0 { 0 } else { from as usize + 1 };
-        let high = (to as usize).min(count);
+        let low = if from <= 0.0 { 0 } else { from as u16 + 1 };
+        let high = (to as u16).min(count);
         // Cells from the one before the first such border to the one behind the last. Borders below
         // `low` lie far behind: F is 1 there, if there is a cell behind them.
-        weights.first = low.saturating_sub(1);
+        weights.first = usize::from(low.saturating_sub(1));
         let mut before = [1.0, 0.0, 0.0];
         let mut place = 0;
         for border in low..=high {
-            let z = (at - border as f32) * per_deviation;
+            let z = (at - f32::from(border)) * per_deviation;
             let (density, below) = self.gaussian.at(z);
             let slope = density * per_deviation;
             let here = [below, slope, -z * slope * per_deviation];

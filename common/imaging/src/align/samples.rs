@@ -1,10 +1,12 @@
 //! Which pixels of a patch say something of a body's pose.
 
+use std::ops::Range;
+
 use super::blurred::BlurredFacet;
 use super::geometry::SeenFacet;
 use super::patch::{Patch, direction};
 use super::print::{BodyPrint, PrintedFacet};
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector2, Vector3};
 
 /// Beyond so many deviations of the point spread, what lies across an edge does not count.
 const REACH: f32 = 3.0;
@@ -84,7 +86,7 @@ pub(super) fn choose(
     seen: &[Option<SeenFacet>],
     blurred: &[Option<BlurredFacet<'_>>],
 ) -> Vec<Sample> {
-    let mut samples = Vec::new();
+    let mut found: Vec<(u16, u16, u8, Reach)> = Vec::new();
     for (index, facet) in facets.iter().enumerate() {
         // Facets beyond 254 do not get a number: no body has so many.
         let (Some(seen_facet), Some(blurred_facet), Ok(number)) =
@@ -94,44 +96,108 @@ pub(super) fn choose(
         };
         let margins = Margins::of(facet, blurred_facet);
         let plane_from_pixel = seen_facet.plane_from_pixel(&patch.pinhole);
+        let sides = Sides::of(facet, blurred_facet, seen, margins, &plane_from_pixel);
         let bounds = |axis: usize, size: usize| {
             let values = seen_facet.outline_px.iter().map(|corner| corner[axis]);
             let (low, high) = values
                 .fold((f64::MAX, f64::MIN), |(low, high), value| (low.min(value), high.max(value)));
-            (low.ceil().max(0.0) as usize, ((high.floor() + 1.0).max(0.0) as usize).min(size))
+            low.ceil().max(0.0) as usize..((high.floor() + 1.0).max(0.0) as usize).min(size)
         };
-        let ((left, right), (top, bottom)) = (bounds(0, patch.width), bounds(1, patch.height));
-        for y in top..bottom {
-            for x in left..right {
-                let light = patch.at(x, y);
-                if light.is_nan() {
+        let columns = bounds(0, patch.width);
+        for y in bounds(1, patch.height) {
+            for x in sides.within(y, &columns) {
+                if patch.at(x, y).is_nan() {
                     continue;
                 }
-                let plane = plane_from_pixel * Vector3::new(x as f64, y as f64, 1.0);
-                let at = plane.xy() / plane.z;
-                let Some(Reach { edges, neighbours, silhouette }) =
-                    reach(facet, blurred_facet, seen, margins, at)
-                else {
-                    continue;
-                };
-                let behind = silhouette.map_or(light, |edge| {
-                    let slope = seen_facet.facet_from_pixel.transpose()
-                        * blurred_facet.inwards(edge).cast::<f64>();
-                    let depth = f64::from(blurred_facet.depth(edge, at) + BEHIND);
-                    let away = slope * (depth / slope.norm_squared());
-                    patch.near(x as f64 - away.x, y as f64 - away.y)
-                });
-                let (x, y) = (x as u16, y as u16);
-                samples.push(Sample { x, y, light, behind, facet: number, edges, neighbours });
+                let at = on_plane(&plane_from_pixel, x, y);
+                if let Some(reach) = reach(facet, blurred_facet, seen, margins, at) {
+                    found.push((x as u16, y as u16, number, reach));
+                }
             }
         }
     }
     // A body that is near has more than its pose needs.
-    let step = samples.len().div_ceil(MOST).max(1);
-    let mut samples: Vec<Sample> = samples.into_iter().step_by(step).collect();
+    let step = found.len().div_ceil(MOST).max(1);
+    let sample = |(x, y, number, reach): (u16, u16, u8, Reach)| {
+        let light = patch.at(x.into(), y.into());
+        let facet = usize::from(number);
+        let behind = match (reach.silhouette, &seen[facet], &blurred[facet]) {
+            (Some(edge), Some(seen), Some(blurred)) => {
+                beyond(patch, seen, blurred, edge, (x.into(), y.into()))
+            }
+            _ => light,
+        };
+        let Reach { edges, neighbours, .. } = reach;
+        Sample { x, y, light, behind, facet: number, edges, neighbours }
+    };
+    let mut samples: Vec<Sample> = found.into_iter().step_by(step).map(sample).collect();
     // By places in the image within each kind, so that sums are the same on every run.
     samples.sort_by_key(Sample::shows);
     samples
+}
+
+/// The light beyond the silhouette, next to a pixel near this edge of a facet.
+fn beyond(
+    patch: &Patch,
+    seen: &SeenFacet,
+    blurred: &BlurredFacet<'_>,
+    edge: usize,
+    (x, y): (usize, usize),
+) -> f32 {
+    let at = on_plane(&seen.plane_from_pixel(&patch.pinhole), x, y);
+    let slope = seen.facet_from_pixel.transpose() * blurred.inwards(edge).cast::<f64>();
+    let depth = f64::from(blurred.depth(edge, at) + BEHIND);
+    let away = slope * (depth / slope.norm_squared());
+    patch.near(x as f64 - away.x, y as f64 - away.y)
+}
+
+/// Where a pixel sees a facet's plane.
+#[inline]
+fn on_plane(plane_from_pixel: &Matrix3<f64>, x: usize, y: usize) -> Vector2<f64> {
+    let plane = plane_from_pixel * Vector3::new(x as f64, y as f64, 1.0);
+    plane.xy() / plane.z
+}
+
+/// Lines in the patch between which a facet's pixels lie: the edges, as far inside as they count.
+struct Sides(Vec<Vector3<f64>>);
+
+impl Sides {
+    fn of(
+        facet: &PrintedFacet,
+        blurred: &BlurredFacet<'_>,
+        seen: &[Option<SeenFacet>],
+        margins: Margins,
+        plane_from_pixel: &Matrix3<f64>,
+    ) -> Self {
+        // An edge's depth is linear in the plane, and so in the patch, once multiplied by what the
+        // plane's coordinates are divided by: that is the last line.
+        let edge = |k: usize| {
+            let normal = blurred.inwards(k).cast::<f64>();
+            let least = margins.at(facet, k, seen);
+            let offset = f64::from(blurred.depth(k, Vector2::zeros()) - least);
+            plane_from_pixel.transpose() * normal.push(offset)
+        };
+        let edges = (0..facet.outline.len()).map(edge);
+        let before = plane_from_pixel.row(2).transpose();
+        Self(edges.chain([before]).collect())
+    }
+
+    /// The columns of a row between them, or one more at either end.
+    fn within(&self, y: usize, columns: &Range<usize>) -> Range<usize> {
+        let (mut first, mut last) = (columns.start as f64, columns.end as f64 - 1.0);
+        for side in &self.0 {
+            let at_zero = side.y * y as f64 + side.z;
+            let crossing = -at_zero / side.x;
+            if side.x > 0.0 {
+                first = first.max(crossing.floor());
+            } else if side.x < 0.0 {
+                last = last.min(crossing.ceil());
+            } else if at_zero < 0.0 {
+                return 0..0;
+            }
+        }
+        first as usize..(last + 1.0).max(0.0) as usize
+    }
 }
 
 /// Pixels nearer than this to an edge of a facet do not count, deviations.
@@ -145,7 +211,7 @@ struct Margins {
 
 impl Margins {
     fn of(facet: &PrintedFacet, blurred: &BlurredFacet<'_>) -> Self {
-        let middle = nalgebra::Vector2::zeros();
+        let middle = Vector2::zeros();
         let depths = (0..facet.outline.len()).map(|edge| blurred.depth(edge, middle));
         let room = (depths.fold(f32::MAX, f32::min) - ROOMY.0) / (ROOMY.1 - ROOMY.0);
         let room = room.clamp(0.0, 1.0);
@@ -154,9 +220,25 @@ impl Margins {
             silhouette: SILHOUETTE + room * (OUT_OF_REACH - SILHOUETTE),
         }
     }
+
+    /// That of one edge.
+    fn at(self, facet: &PrintedFacet, edge: usize, seen: &[Option<SeenFacet>]) -> f32 {
+        match seen_across(facet, edge, seen) {
+            Some(_) => self.seam,
+            None => self.silhouette,
+        }
+    }
+}
+
+/// The facet across an edge, if it is seen.
+#[inline]
+fn seen_across(facet: &PrintedFacet, edge: usize, seen: &[Option<SeenFacet>]) -> Option<usize> {
+    let (neighbour, _) = facet.neighbours[edge]?;
+    seen[neighbour].is_some().then_some(neighbour)
 }
 
 /// What a point of a facet is near to.
+#[derive(Debug, Clone, Copy)]
 struct Reach {
     /// Edges within reach, and the facets across them.
     edges: [u8; 2],
@@ -173,7 +255,7 @@ fn reach(
     blurred: &BlurredFacet<'_>,
     seen: &[Option<SeenFacet>],
     margins: Margins,
-    at: nalgebra::Vector2<f64>,
+    at: Vector2<f64>,
 ) -> Option<Reach> {
     let (mut edges, mut neighbours) = ([NONE; 2], [NONE; 2]);
     let mut silhouette: Option<(usize, f32)> = None;
@@ -187,13 +269,13 @@ fn reach(
             return None;
         }
         near_edges += u32::from(depth < CORNER);
-        match facet.neighbours[k].filter(|&(neighbour, _)| seen[neighbour].is_some()) {
+        match seen_across(facet, k, seen) {
             Some(_) if depth < margins.seam => return None,
             None if depth < margins.silhouette => return None,
             _ if depth >= REACH => {}
             // Both fit: a facet with more than 254 edges, or a body with as many facets, has no such
             // sample.
-            Some((neighbour, _)) if count < edges.len() => {
+            Some(neighbour) if count < edges.len() => {
                 edges[count] = u8::try_from(k).ok()?;
                 neighbours[count] = u8::try_from(neighbour).ok()?;
                 count += 1;
