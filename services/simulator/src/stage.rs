@@ -17,7 +17,7 @@ use flockeye_runtime::ports::{Ports, Publisher};
 use flockeye_runtime::{Context, Stage, Step, clock};
 use nalgebra::Isometry3;
 
-use crate::schedule::Schedule;
+use crate::schedule::{Schedule, Times};
 use crate::{FrameTruth, Response, TargetTruth, World, WorldParameters};
 
 /// Takes nothing (in a lossless run: plans, as credits); gives frames and their truth.
@@ -90,28 +90,24 @@ impl Stage for SimulatorStage {
             Flow::Lossless => {
                 let frame = self.next_frame;
                 let stream_ns = (self.world.time_of(frame) * 1e9).round() as i64;
-                self.send(frame, stream_ns, 0)?;
+                self.send(frame, |drawn_ns| Times {
+                    exposure_ns: stream_ns,
+                    handover_ns: drawn_ns,
+                })?;
                 Ok(Step::Again)
             }
             Flow::Latest => {
-                let now_ns = clock::monotonic_ns();
-                let mut schedule = match self.schedule {
-                    Some(schedule) => schedule,
-                    None => {
-                        let exposure_s = self.world.parameters().exposure_s;
-                        Schedule::new(now_ns, self.frames_per_second, exposure_s)
-                    }
+                let Some(mut schedule) = self.schedule else {
+                    return self.begin();
                 };
-                if let Some(due) = schedule.due(now_ns) {
+                if let Some(due) = schedule.due(clock::monotonic_ns()) {
                     self.counters.add_dropped(due.skipped);
                     if due.frame <= self.last_frame {
-                        let exposure_ns = schedule.exposure_ns(due.frame);
-                        let handover_ns = schedule.handover_ns(due.frame);
-                        schedule.drew(self.send(due.frame, exposure_ns, handover_ns)?);
+                        schedule.drew(self.send(due.frame, |_| schedule.times(due.frame))?);
                     }
                     self.next_frame = due.frame + 1;
+                    self.schedule = Some(schedule);
                 }
-                self.schedule = Some(schedule);
                 Ok(Step::WaitUntil(schedule.next_ns()))
             }
         }
@@ -119,8 +115,23 @@ impl Stage for SimulatorStage {
 }
 
 impl SimulatorStage {
-    /// Draws a frame and hands it over, not before `handover_ns`; returns how long drawing took.
-    fn send(&mut self, frame: u64, exposure_ns: i64, handover_ns: i64) -> anyhow::Result<i64> {
+    /// Draws the first frame, which takes longer than any other. The others follow from when it is there.
+    fn begin(&mut self) -> anyhow::Result<Step> {
+        let half_exposure_ns = (self.world.parameters().exposure_s * 0.5e9).round() as i64;
+        let mut start_ns = 0;
+        let took_ns = self.send(0, |drawn_ns| {
+            start_ns = drawn_ns - half_exposure_ns;
+            Times { exposure_ns: start_ns, handover_ns: drawn_ns }
+        })?;
+        let mut schedule = Schedule::new(start_ns, self.frames_per_second, half_exposure_ns);
+        schedule.drew(took_ns);
+        self.schedule = Some(schedule);
+        Ok(Step::WaitUntil(schedule.next_ns()))
+    }
+
+    /// Draws a frame and hands it over, at the `times` that it is asked for once it is drawn; returns how
+    /// long drawing took.
+    fn send(&mut self, frame: u64, times: impl FnOnce(i64) -> Times) -> anyhow::Result<i64> {
         let begun_ns = clock::monotonic_ns();
         let camera = self.world.parameters().camera;
         let (width, height) = (camera.width(), camera.height());
@@ -130,6 +141,7 @@ impl SimulatorStage {
             .render(frame, loan.items_mut(), width as usize)
             .with_context(|| format!("frame {frame}"))?;
         let drawn_ns = clock::monotonic_ns();
+        let Times { exposure_ns, handover_ns } = times(drawn_ns);
         // It waits in the shared memory that it was drawn in.
         std::thread::sleep(clock::until(handover_ns, drawn_ns));
         let published_ns = clock::monotonic_ns();
