@@ -3,11 +3,13 @@
 # make test   formatting, clippy, unit, doc and whole-pipeline tests
 # make bench  what it costs: functions, the hop between processes, the whole pipeline; with
 #             RECORDING=FOLDER (a video and truth.csv, bodies.json above) also beside the paper's
-#             method in Python
+#             method in Python, with DORA=1 the hop also beside dora-rs
 # make setup  only installs the missing Debian packages
 
 SHELL := /bin/bash
 FOR ?= 20s
+DORA_COMMAND = $(CURDIR)/target/peers/bin/dora
+DORA_HOP = $(CURDIR)/target/peers/dora/release/dora-hop
 
 .PHONY: run test bench peers build setup cargo format
 
@@ -25,9 +27,9 @@ test: setup
 	cargo build --profile tested --workspace --bins --tests --locked
 	cargo test --profile tested --workspace --locked -- --test-threads=2
 
-bench: setup
+bench: setup $(if $(DORA),$(DORA_COMMAND) $(DORA_HOP))
 	cargo build --release --workspace --all-targets --locked
-	cargo bench --workspace --locked --bench rectify --bench corners --bench search --bench align --bench render --bench hop --bench pipeline
+	$(if $(DORA),FLOCKEYE_DORA=$(DORA_COMMAND) FLOCKEYE_DORA_HOP=$(DORA_HOP)) cargo bench --workspace --locked --bench rectify --bench corners --bench search --bench align --bench render --bench hop --bench pipeline
 	$(if $(RECORDING),$(MAKE) peers)
 
 # Later versions of OpenCV search several times as long.
@@ -39,6 +41,13 @@ target/peers/bin/python:
 	@mkdir -p target
 	@python3 -m venv target/peers || { rm -rf target/peers; echo "Cure: install Debian's python3-venv."; exit 1; }
 	@target/peers/bin/pip install -q opencv-contrib-python-headless==4.10.0.84 || { rm -rf target/peers; exit 1; }
+
+$(DORA_COMMAND): target/peers/bin/python
+	@target/peers/bin/pip install -q --no-deps dora-rs-cli==1.1.0
+
+# In a workspace of its own: nothing else needs its hundreds of dependencies.
+$(DORA_HOP): $(wildcard tests/peers/dora/src/*.rs tests/peers/dora/Cargo.*)
+	cargo build --release --locked --manifest-path tests/peers/dora/Cargo.toml --target-dir target/peers/dora
 
 format:
 	cargo fmt --all

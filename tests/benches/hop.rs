@@ -1,5 +1,6 @@
 //! How long a frame takes from one process to the next, by the pipeline's own ports, and beside it
-//! the same bytes through a Unix domain socket and through Zenoh on loopback.
+//! the same bytes through a Unix domain socket, through Zenoh on loopback and, where `FLOCKEYE_DORA` is
+//! dora's command and `FLOCKEYE_DORA_HOP` the program of `tests/peers/dora`, through dora-rs.
 //!
 //! Two real processes: this one sends, and starts itself again as the one that receives. A frame
 //! is written before its clock starts, by every way; what is measured is the way itself: to the
@@ -10,7 +11,7 @@ use std::hint::black_box;
 use std::io::{Read, Write};
 use std::net::TcpListener;
 use std::os::unix::net::{UnixListener, UnixStream};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::rc::Rc;
 use std::time::{Duration, Instant};
@@ -71,17 +72,18 @@ fn measure() -> anyhow::Result<()> {
     for (width, height) in SIZES {
         let bytes = width as usize * height as usize;
         let ports = through_ports(width, height)?;
-        let socket = through_socket(bytes)?;
-        let zenoh = through_zenoh(bytes)?;
-        let ways =
-            [("frame topic", &ports), ("Unix domain socket", &socket), ("Zenoh, loopback", &zenoh)];
-        for (way, hop) in ways {
+        let mut peers =
+            vec![("a Unix socket", through_socket(bytes)?), ("Zenoh", through_zenoh(bytes)?)];
+        peers.extend(through_dora(bytes)?.map(|hop| ("dora", hop)));
+        let show = |way: &str, hop: &Hop| {
             println!(
                 "{way:<28} {bytes:>10} {:>10.0} {:>10.0} {:>12.0} {:>10.0}",
                 hop.woken_us[0], hop.woken_us[1], hop.read_us[0], hop.read_us[1]
             );
-        }
-        rows.push((bytes, ports, [("the socket", socket), ("Zenoh", zenoh)]));
+        };
+        show("the frame topic", &ports);
+        peers.iter().for_each(|(way, hop)| show(way, hop));
+        rows.push((bytes, ports, peers));
     }
     println!();
     for (bytes, ports, peers) in &rows {
@@ -125,20 +127,25 @@ fn receiver(role: &str, of: &str) -> anyhow::Result<Child> {
         .context("this program can be started again")
 }
 
-/// What the receiver wrote: a line for each message, with both latencies.
+/// What the receiver wrote.
 fn result_of(child: Child) -> anyhow::Result<Hop> {
     let output = child.wait_with_output()?;
     ensure!(output.status.success(), "the receiver failed: {}", output.status);
-    let text = String::from_utf8(output.stdout)?;
+    hop_of(&String::from_utf8(output.stdout)?)
+}
+
+/// From a line for each message, with both latencies in nanoseconds.
+fn hop_of(text: &str) -> anyhow::Result<Hop> {
+    let arrived = text.lines().count();
+    ensure!(arrived > (MESSAGES + WARM_UP) * 9 / 10, "only {arrived} messages arrived");
     let mut columns = [Vec::new(), Vec::new()];
-    for line in text.lines().filter(|line| *line != "ready").skip(WARM_UP) {
+    for line in text.lines().skip(WARM_UP) {
         for (column, number) in columns.iter_mut().zip(line.split(' ')) {
             column.push(number.parse::<i64>()?);
         }
     }
     let [woken_us, read_us] = columns.map(|mut column| {
         column.sort_unstable();
-        assert!(column.len() > MESSAGES * 9 / 10, "only {} messages arrived", column.len());
         [0.5, 0.99].map(|share| quantile(&column, share) as f64 * 1e-3)
     });
     Ok(Hop { woken_us, read_us })
@@ -305,6 +312,45 @@ fn receive_samples(endpoint: &str) -> anyhow::Result<()> {
     }
     report(&latencies);
     Ok(())
+}
+
+/// `None` where there is no dora.
+fn through_dora(bytes: usize) -> anyhow::Result<Option<Hop>> {
+    let program = |variable| std::env::var_os(variable).map(PathBuf::from);
+    let (Some(dora), Some(node)) = (program("FLOCKEYE_DORA"), program("FLOCKEYE_DORA_HOP")) else {
+        return Ok(None);
+    };
+    let scratch = Scratch::new("hop");
+    let (dataflow, result) = (scratch.path("dataflow.yml"), scratch.path("latencies"));
+    let (messages, period_ms) = (MESSAGES + WARM_UP, PERIOD.as_millis());
+    let nodes = serde_json::json!({"nodes": [
+        {
+            "id": "sender",
+            "path": node,
+            "args": format!("send {bytes} {messages} {period_ms}"),
+            "outputs": ["frame"],
+            // By default there is room for one frame, and the second is copied.
+            "shared_memory_pool_size": 64 << 20,
+        },
+        {
+            "id": "receiver",
+            "path": node,
+            "args": format!("receive {}", result.display()),
+            "inputs": {"frame": {"source": "sender/frame", "queue_size": 16}},
+        },
+    ]});
+    // JSON is YAML.
+    std::fs::write(&dataflow, nodes.to_string())?;
+    let output = Command::new(&dora)
+        .arg("run")
+        .arg(&dataflow)
+        .current_dir(scratch.path("."))
+        .output()
+        .with_context(|| format!("{} cannot be started", dora.display()))?;
+    let said = String::from_utf8_lossy(&output.stderr);
+    ensure!(output.status.success(), "dora failed: {}\n{said}", output.status);
+    let text = std::fs::read_to_string(&result).with_context(|| format!("dora says:\n{said}"))?;
+    hop_of(&text).map(Some)
 }
 
 /// Reads one byte of each cache line.

@@ -291,3 +291,62 @@ fn reach(
     let silhouette = silhouette.map(|(edge, _)| edge);
     (near_edges < 2).then_some(Reach { edges, neighbours, silhouette })
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use nalgebra::{Isometry3, Matrix2, Translation3, UnitQuaternion};
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::align::geometry::{Pinhole, seen_facets};
+    use crate::align::tests::{body, print_of};
+
+    proptest! {
+        #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(40) })]
+
+        /// Near and far, so that facets are roomy and not, cut by the image and askew in it.
+        #[test]
+        fn every_pixel_that_counts_lies_between_the_sides(
+            euler in prop::array::uniform3(-3.0..3.0f64),
+            range_m in 0.2..2.0f64,
+            across in prop::array::uniform2(-0.2..0.2f64),
+            blur in 0.2..2.0f64,
+        ) {
+            const SIZE: usize = 64;
+            let print = print_of(&body(0));
+            let pose = Isometry3::from_parts(
+                Translation3::new(across[0] * range_m, across[1] * range_m, range_m),
+                UnitQuaternion::from_euler_angles(euler[0], euler[1], euler[2]),
+            );
+            let pinhole = Pinhole { focal_px: 250.0, centre_px: Vector2::new(31.5, 31.5) };
+            let seen = seen_facets(&print, &pose, &pinhole);
+            let (mut counting, mut looked_at) = (0, 0);
+            for (facet, seen_facet) in print.facets.iter().zip(&seen) {
+                let Some(seen_facet) = seen_facet else { continue };
+                let per_pixel = seen_facet.facet_from_pixel;
+                let spread = per_pixel * Matrix2::identity() * blur * per_pixel.transpose();
+                let blurred = BlurredFacet::new(facet, &spread);
+                let margins = Margins::of(facet, &blurred);
+                let plane = seen_facet.plane_from_pixel(&pinhole);
+                let sides = Sides::of(facet, &blurred, &seen, margins, &plane);
+                for y in 0..SIZE {
+                    let within = sides.within(y, &(0..SIZE));
+                    prop_assert!(within.end <= SIZE);
+                    looked_at += within.len();
+                    for x in 0..SIZE {
+                        let at = on_plane(&plane, x, y);
+                        // Behind the camera there is nothing of the plane.
+                        let is_ahead = (plane * Vector3::new(x as f64, y as f64, 1.0)).z > 0.0;
+                        if is_ahead && reach(facet, &blurred, &seen, margins, at).is_some() {
+                            counting += 1;
+                            prop_assert!(within.contains(&x), "{} {}: {:?}", x, y, within);
+                        }
+                    }
+                }
+            }
+            // Not much else does: a pixel or two of each row, and what is near a corner.
+            prop_assert!(looked_at < 2 * counting + 8 * SIZE * print.facets.len());
+        }
+    }
+}

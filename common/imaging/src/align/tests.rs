@@ -17,11 +17,11 @@ use super::*;
 use crate::light::{CodeRange, TransferCurve};
 use drawn_body::{Drawing, draw, prints};
 
-fn body(first_id: u32) -> Body {
+pub(super) fn body(first_id: u32) -> Body {
     squares("alpha", 0.0625, 0.05, first_id)
 }
 
-fn print_of(body: &Body) -> BodyPrint {
+pub(super) fn print_of(body: &Body) -> BodyPrint {
     let prints = prints();
     BodyPrint::new(body, |id| prints.get(&id)).unwrap()
 }
@@ -269,8 +269,6 @@ fn modelled(
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
-    /// Derivatives by pose against differences of the model, the point spread on each facet being
-    /// held as a step of the solver holds it.
     /// Seen from afar, a facet turned over shows its corners where they were, leaning the other way.
     #[test]
     fn mirror_images_look_the_same_from_afar(
@@ -296,6 +294,8 @@ proptest! {
         prop_assert!(print.mirrored(99, &pose).is_none());
     }
 
+    /// Derivatives by pose against differences of the model, the point spread on each facet being
+    /// held as a step of the solver holds it.
     #[test]
     fn derivatives_are_those_of_the_model(
         euler in prop::array::uniform3(-3.0..3.0f64),
