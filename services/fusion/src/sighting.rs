@@ -3,9 +3,9 @@
 use flockeye_contract::DetectedMarker;
 use flockeye_geometry::Ray;
 use flockeye_geometry::body::Body;
-use flockeye_geometry::pose::{CornerRay, PoseOptions, PosePrior, choose, solve};
+use flockeye_geometry::pose::{CornerRay, PoseOptions, PosePrior, PoseSolution, choose, solve};
 use flockeye_geometry::view::{View, ViewPixel};
-use flockeye_imaging::align::Alignment;
+use flockeye_imaging::align::{Alignment, Picture};
 use nalgebra::{Isometry3, Unit, Vector2, Vector3};
 
 use crate::alignment::{Aligner, BestView, Pace, Start};
@@ -134,6 +134,18 @@ pub struct Look<'l> {
     pub pace: Pace,
     /// Decoded markers that must agree where nothing is aligned, with a prior.
     pub needed: usize,
+    /// Whether alignment led nowhere from the same [`Basis`].
+    pub is_repeated: bool,
+}
+
+/// What of a frame a body's alignment begins from. Where it led nowhere once, it does so again.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Basis {
+    view_index: Option<u32>,
+    /// How many rays there are: a frame's records only add to them.
+    rays: usize,
+    doubtful: usize,
+    pace: Pace,
 }
 
 /// Solutions from corners that alignment begins from, cheapest first: the right one may be dearer
@@ -141,6 +153,16 @@ pub struct Look<'l> {
 const STARTS_FROM_CORNERS: usize = 3;
 
 impl Look<'_> {
+    /// What alignment begins from.
+    pub fn basis(&self) -> Basis {
+        Basis {
+            view_index: self.best_view.map(|view| view.view_index),
+            rays: self.rays.len(),
+            doubtful: self.doubtful.len(),
+            pace: self.pace,
+        }
+    }
+
     /// The pose that alignment finds, from the corners' solutions or from the prediction; where it
     /// finds none, that from corners.
     pub fn measure(&self, aligner: &Aligner) -> Option<Sighting> {
@@ -148,33 +170,10 @@ impl Look<'_> {
         let chosen = choose(&solutions, self.prior.as_ref()).map(|choice| choice.solution);
         let markers = distinct_markers(&self.rays);
         if let Some(BestView { picture, .. }) = &self.best_view {
-            let others = solutions.iter().filter(|solution| Some(*solution) != chosen);
-            let from_corners = chosen.into_iter().chain(others).take(STARTS_FROM_CORNERS);
-            let mut starts: Vec<Start> = from_corners
-                .map(|solution| Start {
-                    camera_from_markers: solution.camera_from_markers,
-                    is_rough: false,
-                })
-                .collect();
-            let doubtful =
-                solve(self.body, &self.doubtful, &PoseOptions::default()).unwrap_or_default();
-            starts.extend(doubtful.iter().take(STARTS_FROM_CORNERS).map(|solution| Start {
-                camera_from_markers: solution.camera_from_markers,
-                is_rough: true,
-            }));
-            for is_rough in [false, true] {
-                starts.extend(
-                    self.predicted
-                        .map(|camera_from_markers| Start { camera_from_markers, is_rough }),
-                );
-            }
-            let is_marked = |pose: &Isometry3<f64>| is_where_seen(self.body, &self.rays, pose);
-            let found = match &self.prior {
-                Some(prior) => {
-                    let predicted = &prior.camera_from_markers;
-                    aligner.follow(self.target, picture, &starts, predicted, self.pace, is_marked)
-                }
-                None => aligner.discover(self.target, picture, &starts, self.pace, is_marked),
+            let found = if self.is_repeated {
+                None
+            } else {
+                self.align(aligner, picture, &solutions, chosen)
             };
             let found = found.or_else(|| {
                 let predicted = self.predicted.filter(|_| self.may_search)?;
@@ -195,6 +194,43 @@ impl Look<'_> {
             && deviation(3) < MAX_ROTATION_DEVIATION_RAD;
         let pose = PoseEstimate { camera_from_markers: solution.camera_from_markers, covariance };
         is_believed.then_some(Sighting { pose, measured_by: MeasuredBy::Decoded, markers })
+    }
+
+    /// The body aligned from the corners' solutions, the `chosen` one first, or from the prediction.
+    fn align(
+        &self,
+        aligner: &Aligner,
+        picture: &Picture<'_>,
+        solutions: &[PoseSolution],
+        chosen: Option<&PoseSolution>,
+    ) -> Option<Alignment> {
+        let others = solutions.iter().filter(|solution| Some(*solution) != chosen);
+        let from_corners = chosen.into_iter().chain(others).take(STARTS_FROM_CORNERS);
+        let mut starts: Vec<Start> = from_corners
+            .map(|solution| Start {
+                camera_from_markers: solution.camera_from_markers,
+                is_rough: false,
+            })
+            .collect();
+        let doubtful =
+            solve(self.body, &self.doubtful, &PoseOptions::default()).unwrap_or_default();
+        starts.extend(doubtful.iter().take(STARTS_FROM_CORNERS).map(|solution| Start {
+            camera_from_markers: solution.camera_from_markers,
+            is_rough: true,
+        }));
+        for is_rough in [false, true] {
+            starts.extend(
+                self.predicted.map(|camera_from_markers| Start { camera_from_markers, is_rough }),
+            );
+        }
+        let is_marked = |pose: &Isometry3<f64>| is_where_seen(self.body, &self.rays, pose);
+        match &self.prior {
+            Some(prior) => {
+                let predicted = &prior.camera_from_markers;
+                aligner.follow(self.target, picture, &starts, predicted, self.pace, is_marked)
+            }
+            None => aligner.discover(self.target, picture, &starts, self.pace, is_marked),
+        }
     }
 }
 
@@ -279,6 +315,7 @@ mod tests {
             may_search: false,
             pace: Pace::Unhurried,
             needed: 1,
+            is_repeated: false,
         };
         look.measure(&aligner)
     }

@@ -17,7 +17,8 @@ use crate::gallery::{FrameOrder, Rank};
 use crate::neighbour::{Known, Neighbour};
 use crate::parallax::Parallax;
 use crate::sighting::{
-    Look, MARKERS_ALONE, MeasuredBy, Sighting, contradicts, doubtful_rays_of, measure_all, rays_of,
+    Basis, Look, MARKERS_ALONE, MeasuredBy, Sighting, contradicts, doubtful_rays_of, measure_all,
+    rays_of,
 };
 use records::{distinct_ids, records_that_count};
 use trust::Trust;
@@ -78,6 +79,8 @@ struct Looked {
     glanced: BTreeSet<usize>,
     /// Those whose pose came before their gaze view was searched, with the pose.
     peeked: BTreeMap<usize, Isometry3<f64>>,
+    /// What looks for neighbours last began from that led to nothing.
+    fruitless: BTreeMap<usize, Basis>,
 }
 
 /// A neighbour that is lost from sight is searched for round its prediction in every so manyth frame.
@@ -299,11 +302,19 @@ impl Swarm {
         best_views: &BestViews<'_>,
         needed: usize,
     ) -> Vec<Update> {
-        let looks: Vec<Look<'_>> = looks
+        let mut looks: Vec<Look<'_>> = looks
             .iter()
             .filter_map(|(target, seen)| self.look(at_s, *target, seen, best_views, needed))
             .collect();
+        let fruitless = self.looked.get(&order).map(|looked| &looked.fruitless);
+        for look in &mut looks {
+            let before = fruitless.and_then(|fruitless| fruitless.get(&look.target));
+            look.is_repeated = before == Some(&look.basis());
+        }
         let sightings = measure_all(&looks, &self.aligner, self.threads);
+        let nothing = looks.iter().zip(&sightings).filter(|(_, sighting)| sighting.is_none());
+        let fruitless: Vec<(usize, Basis)> =
+            nothing.map(|(look, _)| (look.target, look.basis())).collect();
         let corrected: Vec<(usize, Sighting)> = looks
             .iter()
             .zip(sightings)
@@ -316,6 +327,7 @@ impl Swarm {
                 Some((look.target, self.corrected(sighting, rays_m)))
             })
             .collect();
+        self.looked.entry(order).or_default().fruitless.extend(fruitless);
         corrected
             .iter()
             .filter_map(|(target, sighting)| self.take_in(order, at_s, *target, sighting))
@@ -398,6 +410,7 @@ impl Swarm {
             predicted,
             best_view,
             needed,
+            is_repeated: false,
         })
     }
 

@@ -161,6 +161,26 @@ fn a_confirmed_neighbour_is_measured_before_its_view_is_searched() {
 }
 
 #[test]
+fn what_led_nowhere_is_aligned_again_only_with_something_new() {
+    let truth = pose(0.9);
+    let mut swarm = following(&truth);
+    finish(&mut swarm, 3);
+    let header = DetectionHeader { stamp: stamp(4), ..DetectionHeader::default() };
+    let nothing = Record { header, markers: Vec::new() };
+    let seen = vec![Seen { record: &nothing, purpose: Some(Purpose::Gaze(0)), view: None }];
+    let mut settle = |view: BestView<'_>| {
+        let (looks, best_views) = ([(0, seen.clone())], BestViews::from([(0, view)]));
+        swarm.settle(stamp(4).order(), at_s(4), &looks, &best_views, 1).len()
+    };
+    with_view(&pose(2.4), |elsewhere| assert_eq!(settle(*elsewhere), 0));
+    with_view(&truth, |view| {
+        // It would be found, were it looked at.
+        assert_eq!(settle(*view), 0);
+        assert_eq!(settle(BestView { view_index: 1, ..*view }), 1);
+    });
+}
+
+#[test]
 fn who_is_behind_does_not_search() {
     let truth = pose(0.9);
     let mut swarm = following(&truth);
