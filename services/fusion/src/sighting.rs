@@ -134,11 +134,12 @@ pub struct Look<'l> {
     pub pace: Pace,
     /// Decoded markers that must agree where nothing is aligned, with a prior.
     pub needed: usize,
-    /// Whether alignment led nowhere from the same [`Basis`].
-    pub is_repeated: bool,
+    /// What alignment began from in this frame when it last led nowhere.
+    pub tried: Option<Basis>,
 }
 
-/// What of a frame a body's alignment begins from. Where it led nowhere once, it does so again.
+/// What of a frame a body's alignment begins from, beside its prediction. Where it led nowhere once, it
+/// does so again.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Basis {
     view_index: Option<u32>,
@@ -170,12 +171,7 @@ impl Look<'_> {
         let chosen = choose(&solutions, self.prior.as_ref()).map(|choice| choice.solution);
         let markers = distinct_markers(&self.rays);
         if let Some(BestView { picture, .. }) = &self.best_view {
-            let found = if self.is_repeated {
-                None
-            } else {
-                self.align(aligner, picture, &solutions, chosen)
-            };
-            let found = found.or_else(|| {
+            let found = self.align(aligner, picture, &solutions, chosen).or_else(|| {
                 let predicted = self.predicted.filter(|_| self.may_search)?;
                 aligner.reacquire(self.target, picture, &predicted)
             });
@@ -196,7 +192,8 @@ impl Look<'_> {
         is_believed.then_some(Sighting { pose, measured_by: MeasuredBy::Decoded, markers })
     }
 
-    /// The body aligned from the corners' solutions, the `chosen` one first, or from the prediction.
+    /// The body aligned from the corners' solutions, the `chosen` one first, from doubtful squares or from
+    /// the prediction; but not again from what led nowhere.
     fn align(
         &self,
         aligner: &Aligner,
@@ -204,24 +201,24 @@ impl Look<'_> {
         solutions: &[PoseSolution],
         chosen: Option<&PoseSolution>,
     ) -> Option<Alignment> {
-        let others = solutions.iter().filter(|solution| Some(*solution) != chosen);
-        let from_corners = chosen.into_iter().chain(others).take(STARTS_FROM_CORNERS);
-        let mut starts: Vec<Start> = from_corners
-            .map(|solution| Start {
-                camera_from_markers: solution.camera_from_markers,
-                is_rough: false,
-            })
-            .collect();
-        let doubtful =
-            solve(self.body, &self.doubtful, &PoseOptions::default()).unwrap_or_default();
-        starts.extend(doubtful.iter().take(STARTS_FROM_CORNERS).map(|solution| Start {
-            camera_from_markers: solution.camera_from_markers,
-            is_rough: true,
-        }));
-        for is_rough in [false, true] {
-            starts.extend(
-                self.predicted.map(|camera_from_markers| Start { camera_from_markers, is_rough }),
-            );
+        let basis = self.basis();
+        let doubtful = || solve(self.body, &self.doubtful, &PoseOptions::default());
+        let from_doubtful = || doubtful().unwrap_or_default().into_iter().take(STARTS_FROM_CORNERS);
+        let rough = |camera_from_markers| Start { camera_from_markers, is_rough: true };
+        let fine = |camera_from_markers| Start { camera_from_markers, is_rough: false };
+        let mut starts: Vec<Start> = Vec::new();
+        let tried =
+            self.tried.filter(|tried| Basis { doubtful: basis.doubtful, ..*tried } == basis);
+        if tried.is_none() {
+            let others = solutions.iter().filter(|solution| Some(*solution) != chosen);
+            let from_corners = chosen.into_iter().chain(others).take(STARTS_FROM_CORNERS);
+            starts.extend(from_corners.map(|solution| fine(solution.camera_from_markers)));
+        }
+        if tried != Some(basis) {
+            starts.extend(from_doubtful().map(|solution| rough(solution.camera_from_markers)));
+        }
+        if tried.is_none() {
+            starts.extend(self.predicted.into_iter().flat_map(|pose| [fine(pose), rough(pose)]));
         }
         let is_marked = |pose: &Isometry3<f64>| is_where_seen(self.body, &self.rays, pose);
         match &self.prior {
@@ -315,7 +312,7 @@ mod tests {
             may_search: false,
             pace: Pace::Unhurried,
             needed: 1,
-            is_repeated: false,
+            tried: None,
         };
         look.measure(&aligner)
     }

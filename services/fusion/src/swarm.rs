@@ -308,8 +308,7 @@ impl Swarm {
             .collect();
         let fruitless = self.looked.get(&order).map(|looked| &looked.fruitless);
         for look in &mut looks {
-            let before = fruitless.and_then(|fruitless| fruitless.get(&look.target));
-            look.is_repeated = before == Some(&look.basis());
+            look.tried = fruitless.and_then(|fruitless| fruitless.get(&look.target).copied());
         }
         let sightings = measure_all(&looks, &self.aligner, self.threads);
         let nothing = looks.iter().zip(&sightings).filter(|(_, sighting)| sighting.is_none());
@@ -410,7 +409,7 @@ impl Swarm {
             predicted,
             best_view,
             needed,
-            is_repeated: false,
+            tried: None,
         })
     }
 
