@@ -35,11 +35,13 @@ pub(crate) struct Decoded {
 /// The mailbox between GStreamer's threads and the consumer.
 pub(crate) type Frames = Mailbox<Decoded, Failure>;
 
-/// Builds the pipeline for an input; nothing runs yet.
+/// Builds the pipeline for an input; nothing runs yet. Up to `ahead` decoded frames wait for the
+/// sink to take them; with 0 the decoder waits itself.
 pub(crate) fn build(
     input: &Input,
     size: (u32, u32),
     threads: u32,
+    ahead: u32,
     frames: &Arc<Frames>,
 ) -> Result<(gst::Pipeline, gst_app::AppSink), CaptureError> {
     let (pipeline, decodebin) = input.pipeline(size)?;
@@ -51,16 +53,41 @@ pub(crate) fn build(
 
     let sink = sink(Arc::clone(frames), arrivals_of(&pipeline));
     pipeline.add(&sink).map_err(|error| CaptureError::GStreamer(error.to_string()))?;
-    let (inside, target, told) = (pipeline.downgrade(), sink.downgrade(), Arc::clone(frames));
+    let end = match ahead {
+        0 => sink.clone().upcast(),
+        ahead => waiting_room(&pipeline, &sink, ahead)?,
+    };
+    let (inside, target, told) = (pipeline.downgrade(), end.downgrade(), Arc::clone(frames));
     decodebin.connect_pad_added(move |_, pad| {
-        if let (Some(pipeline), Some(sink)) = (inside.upgrade(), target.upgrade())
-            && let Err(reason) = join(pad, &pipeline, &sink)
+        if let (Some(pipeline), Some(end)) = (inside.upgrade(), target.upgrade())
+            && let Err(reason) = join(pad, &pipeline, &end)
         {
             told.fail(Failure::of_ours(&reason));
         }
     });
     watch(&pipeline, Arc::clone(frames));
     Ok((pipeline, sink))
+}
+
+/// Frames that are farther apart wait one at a time: an error, which overtakes them, must not cost any.
+const AHEAD_AT_MOST: gst::ClockTime = gst::ClockTime::from_mseconds(200);
+
+/// Where decoded frames wait until the sink takes them, each when it is due: a decoder that needs
+/// longer for some frames (those that rest on no other) than for most is then late for none.
+fn waiting_room(
+    pipeline: &gst::Pipeline,
+    sink: &gst_app::AppSink,
+    room: u32,
+) -> Result<gst::Element, CaptureError> {
+    let queue = element("queue")?;
+    queue.set_property("max-size-buffers", room);
+    queue.set_property("max-size-bytes", 0_u32);
+    queue.set_property("max-size-time", AHEAD_AT_MOST.nseconds());
+    pipeline
+        .add(&queue)
+        .and_then(|()| queue.link(sink))
+        .map_err(|error| CaptureError::GStreamer(error.to_string()))?;
+    Ok(queue)
 }
 
 /// The sink that fills the mailbox. It takes whatever has a luma plane, in system memory.
@@ -153,10 +180,10 @@ fn slipped(sink: &gst_app::AppSink, due_ns: i64, now_ns: i64) -> i64 {
     now_ns
 }
 
-/// Joins a decoded stream to the sink, through a conversion to gray only where the stream has no
-/// luma plane. Further video streams of a file are left alone.
-fn join(pad: &gst::Pad, pipeline: &gst::Pipeline, sink: &gst_app::AppSink) -> Result<(), String> {
-    let Some(end) = sink.static_pad("sink").filter(|end| !end.is_linked()) else {
+/// Joins a decoded stream to the pipeline's end, through a conversion to gray only where the stream
+/// has no luma plane. Further video streams of a file are left alone.
+fn join(pad: &gst::Pad, pipeline: &gst::Pipeline, end: &gst::Element) -> Result<(), String> {
+    let Some(start) = end.static_pad("sink").filter(|pad| !pad.is_linked()) else {
         return Ok(());
     };
     let caps = pad.current_caps().unwrap_or_else(|| pad.query_caps(None));
@@ -165,7 +192,7 @@ fn join(pad: &gst::Pad, pipeline: &gst::Pipeline, sink: &gst_app::AppSink) -> Re
             .get::<&str>("format")
             .is_ok_and(|format| LUMA_FIRST.iter().any(|luma| luma.to_str() == format))
     });
-    if has_luma && pad.link(&end).is_ok() {
+    if has_luma && pad.link(&start).is_ok() {
         return Ok(());
     }
     let convert = element("videoconvert").map_err(|error| error.to_string())?;
@@ -174,13 +201,13 @@ fn join(pad: &gst::Pad, pipeline: &gst::Pipeline, sink: &gst_app::AppSink) -> Re
     gray.set_property("caps", format);
     let joined = || -> Result<(), gst::glib::BoolError> {
         pipeline.add_many([&convert, &gray])?;
-        gst::Element::link_many([&convert, &gray, sink.upcast_ref()])?;
+        gst::Element::link_many([&convert, &gray, end])?;
         convert.sync_state_with_parent()?;
         gray.sync_state_with_parent()
     };
     joined().map_err(|error| error.to_string())?;
-    let start = convert.static_pad("sink").ok_or("videoconvert has no input")?;
-    pad.link(&start)
+    let intake = convert.static_pad("sink").ok_or("videoconvert has no input")?;
+    pad.link(&intake)
         .map_err(|error| format!("video of the kind {caps} cannot be used: {error}"))?;
     Ok(())
 }
@@ -258,7 +285,45 @@ fn arrivals_of(pipeline: &gst::Pipeline) -> Arc<Arrivals> {
 
 #[cfg(test)]
 mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
+    use crate::mailbox::WhenFull;
+    use std::time::Instant;
+
+    /// How many decoded frames wait before a sink that takes each when it is due, once `expected` do;
+    /// `None` if there is no place for them.
+    fn waiting(frames_per_second: u32, ahead: u32, expected: u32) -> Option<u32> {
+        gst::init().unwrap();
+        let frames = Arc::new(Frames::new(1, WhenFull::ReplaceOldest));
+        let source = format!(
+            "videotestsrc ! video/x-raw,format=GRAY8,width=64,height=32,framerate={frames_per_second}/1"
+        );
+        let input = Input::Description(source);
+        let (pipeline, sink) = build(&input, (64, 32), 0, ahead, &frames).unwrap();
+        sink.set_sync(true);
+        let is_waiting_room = |element: &gst::Element| {
+            element.factory().is_some_and(|factory| factory.name() == "queue")
+        };
+        pipeline.set_state(gst::State::Playing).unwrap();
+        assert!(frames.wait_ready(Duration::from_secs(30)).unwrap());
+        let room = pipeline.children().into_iter().find(is_waiting_room);
+        let level = |room: &gst::Element| room.property::<u32>("current-level-buffers");
+        let until = Instant::now() + Duration::from_secs(30);
+        let mut most = room.as_ref().map(level);
+        while most.is_some_and(|most| most < expected) && Instant::now() < until {
+            std::thread::sleep(Duration::from_millis(1));
+            most = most.max(room.as_ref().map(level));
+        }
+        pipeline.set_state(gst::State::Null).unwrap();
+        most
+    }
+
+    #[test]
+    fn frames_are_decoded_ahead_of_their_time_where_that_is_asked_for() {
+        assert_eq!(waiting(30, 4, 4), Some(4));
+        assert_eq!(waiting(1, 4, 1), Some(1), "those that are far apart one at a time");
+        assert_eq!(waiting(30, 0, 0), None);
+    }
 
     #[test]
     fn arrivals_are_found_by_time_stamp_and_forgotten_in_time() {
