@@ -16,9 +16,11 @@
 //! | [`sphere`] | the configured camera and the views that cover its sphere |
 //! | [`health`] | counters and latency quantiles |
 //! | [`network`] | what goes over Zenoh |
+//! | [`background`] | threads for work that nobody waits for |
 //! | [`clock`] | CLOCK_MONOTONIC |
 //! | [`logs`] | structured logs, and warnings that are not repeated on every frame |
 
+pub mod background;
 pub mod bodies;
 pub mod camera;
 pub mod clock;

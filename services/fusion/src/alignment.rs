@@ -148,8 +148,7 @@ impl Aligner {
         }
         let pose = &best.camera_from_markers;
         let mirrored = self.prints.get(target)?.mirrored(best.score.telling_facet?, pose)?;
-        let mirrored =
-            self.align(target, picture, &Start { camera_from_markers: mirrored, is_rough: false });
+        let mirrored = self.align(target, picture, &Start::Fine(mirrored));
         let mut rivals = found.iter().chain(&mirrored).filter(|other| !is_same(best, other));
         let least = ALONE_RIVAL * best.score.log_ratio;
         rivals.all(|other| other.score.log_ratio < least).then(|| best.clone())
@@ -165,9 +164,15 @@ impl Aligner {
         reacquire(self.prints.get(target)?, picture, predicted, &self.options)
     }
 
-    fn align(&self, target: usize, picture: &Picture<'_>, start: &Start) -> Option<Alignment> {
-        let options = AlignOptions { coarse_first: start.is_rough, ..self.options };
-        align(self.prints.get(target)?, picture, &start.camera_from_markers, &options).ok()
+    /// What a start leads to, whether it is the body or not.
+    pub fn align(&self, target: usize, picture: &Picture<'_>, start: &Start) -> Option<Alignment> {
+        let (pose, coarse_first) = match start {
+            Start::Fine(pose) => (pose, false),
+            Start::Rough(pose) => (pose, true),
+            Start::Tried(found) => return found.clone().map(|found| *found),
+        };
+        let options = AlignOptions { coarse_first, ..self.options };
+        align(self.prints.get(target)?, picture, pose, &options).ok()
     }
 }
 
@@ -184,12 +189,14 @@ fn is_same(one: &Alignment, other: &Alignment) -> bool {
 }
 
 /// Where alignment may begin.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Start {
-    /// The pose.
-    pub camera_from_markers: Isometry3<f64>,
-    /// Whether it may be off by more than half a cell.
-    pub is_rough: bool,
+#[derive(Debug, Clone, PartialEq)]
+pub enum Start {
+    /// A pose (`camera_from_markers`) that is off by half a cell at most.
+    Fine(Isometry3<f64>),
+    /// One that may be off by more.
+    Rough(Isometry3<f64>),
+    /// One that was tried with the same picture before, and what it led to.
+    Tried(Option<Box<Alignment>>),
 }
 
 #[cfg(test)]

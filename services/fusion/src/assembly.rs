@@ -135,6 +135,11 @@ impl Assembly {
         }
     }
 
+    /// The open frame in this place.
+    pub fn of_order(&self, order: Order) -> Option<&Frame> {
+        self.open.get(&order)
+    }
+
     /// The open frame of this stamp.
     pub fn open_frame(&self, stamp: &FrameStamp) -> Option<&Frame> {
         self.open.get(&stamp.order()).filter(|frame| frame.stamp.is_same_frame(stamp))

@@ -11,6 +11,7 @@
 //! | [`pictures`] | held views as images |
 //! | [`alignment`] | a body aligned with the pixels of the best view of it |
 //! | [`sighting`] | one believed pose of a body from a frame's rays and pixels |
+//! | [`second_look`] | what takes long, on a thread of its own |
 //! | [`neighbour`] | a neighbour's track from frame to frame |
 //! | [`swarm`] | all neighbours, and the plan for the next frame |
 //! | [`settings`] | what the configuration means for it |
@@ -24,6 +25,7 @@ pub mod message;
 pub mod neighbour;
 pub mod parallax;
 pub mod pictures;
+pub mod second_look;
 pub mod settings;
 pub mod sighting;
 pub mod stage;

@@ -1,4 +1,4 @@
-//! What fusion knows and plans, as the contract's messages.
+//! The contract's messages: what is read from them, and what fusion knows and plans, written as them.
 
 use std::collections::BTreeMap;
 
@@ -16,6 +16,19 @@ use nalgebra::{Isometry3, Matrix3, Matrix6, Vector3};
 use crate::assembly::Record;
 use crate::neighbour::{Known, PoseEstimate};
 use crate::sighting;
+
+/// When a frame was exposed, seconds.
+pub fn seconds(stamp: &FrameStamp) -> f64 {
+    stamp.exposure_ns as f64 * 1e-9
+}
+
+/// What a view says it was cut for.
+pub fn purpose_stated(view: &ViewHeader) -> Option<Purpose> {
+    match ViewKind::try_from(view.kind).ok()? {
+        ViewKind::Partition => Some(Purpose::Partition(view.partition as usize)),
+        ViewKind::Gaze => Some(Purpose::Gaze(view.target as usize)),
+    }
+}
 
 /// A transform as the contract has it.
 pub fn pose(isometry: &Isometry3<f64>) -> Pose {

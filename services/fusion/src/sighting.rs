@@ -62,7 +62,7 @@ pub fn contradicts(body: &Body, rays: &[CornerRay], pose: &Isometry3<f64>) -> bo
 
 /// Whether all corners are seen where `pose` has them, by a twenty-fifth of their marker's side: a tilt
 /// or a range that is off by a tenth moves them farther.
-fn is_where_seen(body: &Body, rays: &[CornerRay], pose: &Isometry3<f64>) -> bool {
+pub fn is_where_seen(body: &Body, rays: &[CornerRay], pose: &Isometry3<f64>) -> bool {
     let is_near = |ray: &CornerRay| off_in_sides(body, ray, pose).is_some_and(|off| off < 0.04);
     !rays.is_empty() && rays.iter().all(is_near)
 }
@@ -136,6 +136,23 @@ pub struct Look<'l> {
     pub needed: usize,
     /// What alignment began from in this frame when it last led nowhere.
     pub tried: Option<Basis>,
+    /// What was tried before the view was searched for markers.
+    pub peek: Option<&'l Peek>,
+    /// Whether what takes long is left to a second look.
+    pub has_second: bool,
+    /// What a second look at this frame began from, if there was one.
+    pub second: Option<Basis>,
+}
+
+/// An alignment from a prediction alone, and what it led to, whether that is the body or not.
+#[derive(Debug, Clone)]
+pub struct Peek {
+    /// The prediction, `camera_from_markers`.
+    pub predicted: Isometry3<f64>,
+    /// The view.
+    pub view_index: u32,
+    /// Where it led.
+    pub found: Option<Box<Alignment>>,
 }
 
 /// What of a frame a body's alignment begins from, beside its prediction. Where it led nowhere once, it
@@ -147,6 +164,15 @@ pub struct Basis {
     rays: usize,
     doubtful: usize,
     pace: Pace,
+}
+
+impl Basis {
+    /// Whether looking by this finds nothing new where looking by `other` was in vain. Who is behind tries
+    /// only the first of what it begins from.
+    fn adds_nothing_to(&self, other: &Self) -> bool {
+        (Self { pace: other.pace, ..*self } == *other)
+            && (self.pace == other.pace || self.pace == Pace::Behind)
+    }
 }
 
 /// Solutions from corners that alignment begins from, cheapest first: the right one may be dearer
@@ -164,6 +190,11 @@ impl Look<'_> {
         }
     }
 
+    /// Whether a basis, given what was tried, is worth another look.
+    fn is_new(&self, basis: impl Fn(&Basis) -> Basis) -> bool {
+        self.tried.is_none_or(|tried| !basis(&tried).adds_nothing_to(&tried))
+    }
+
     /// The pose that alignment finds, from the corners' solutions or from the prediction; where it
     /// finds none, that from corners.
     pub fn measure(&self, aligner: &Aligner) -> Option<Sighting> {
@@ -172,7 +203,8 @@ impl Look<'_> {
         let markers = distinct_markers(&self.rays);
         if let Some(BestView { picture, .. }) = &self.best_view {
             let found = self.align(aligner, picture, &solutions, chosen).or_else(|| {
-                let predicted = self.predicted.filter(|_| self.may_search)?;
+                let is_last_look = !self.has_second;
+                let predicted = self.predicted.filter(|_| self.may_search && is_last_look)?;
                 aligner.reacquire(self.target, picture, &predicted)
             });
             if let Some(found) = found {
@@ -193,7 +225,8 @@ impl Look<'_> {
     }
 
     /// The body aligned from the corners' solutions, the `chosen` one first, from doubtful squares or from
-    /// the prediction; but not again from what led nowhere.
+    /// the prediction; but not again from what led nowhere. Rough starts are left to a second look where
+    /// there is one.
     fn align(
         &self,
         aligner: &Aligner,
@@ -202,23 +235,21 @@ impl Look<'_> {
         chosen: Option<&PoseSolution>,
     ) -> Option<Alignment> {
         let basis = self.basis();
-        let doubtful = || solve(self.body, &self.doubtful, &PoseOptions::default());
-        let from_doubtful = || doubtful().unwrap_or_default().into_iter().take(STARTS_FROM_CORNERS);
-        let rough = |camera_from_markers| Start { camera_from_markers, is_rough: true };
-        let fine = |camera_from_markers| Start { camera_from_markers, is_rough: false };
         let mut starts: Vec<Start> = Vec::new();
-        let tried =
-            self.tried.filter(|tried| Basis { doubtful: basis.doubtful, ..*tried } == basis);
-        if tried.is_none() {
+        let fine_is_new = self.is_new(|tried| Basis { doubtful: tried.doubtful, ..basis });
+        let rough_is_new = self.is_new(|_| basis);
+        if fine_is_new {
             let others = solutions.iter().filter(|solution| Some(*solution) != chosen);
             let from_corners = chosen.into_iter().chain(others).take(STARTS_FROM_CORNERS);
-            starts.extend(from_corners.map(|solution| fine(solution.camera_from_markers)));
+            starts.extend(from_corners.map(|solution| Start::Fine(solution.camera_from_markers)));
         }
-        if tried != Some(basis) {
-            starts.extend(from_doubtful().map(|solution| rough(solution.camera_from_markers)));
+        let is_rough_too = !self.has_second;
+        if is_rough_too && rough_is_new {
+            starts.extend(self.doubtful_starts());
         }
-        if tried.is_none() {
-            starts.extend(self.predicted.into_iter().flat_map(|pose| [fine(pose), rough(pose)]));
+        if fine_is_new && let Some(predicted) = self.predicted {
+            starts.push(self.peeked(&predicted).unwrap_or(Start::Fine(predicted)));
+            starts.extend(is_rough_too.then_some(Start::Rough(predicted)));
         }
         let is_marked = |pose: &Isometry3<f64>| is_where_seen(self.body, &self.rays, pose);
         match &self.prior {
@@ -228,6 +259,32 @@ impl Look<'_> {
             }
             None => aligner.discover(self.target, picture, &starts, self.pace, is_marked),
         }
+    }
+
+    fn doubtful_starts(&self) -> impl Iterator<Item = Start> {
+        let solutions = solve(self.body, &self.doubtful, &PoseOptions::default());
+        let solutions = solutions.unwrap_or_default().into_iter().take(STARTS_FROM_CORNERS);
+        solutions.map(|solution| Start::Rough(solution.camera_from_markers))
+    }
+
+    /// What the same start was seen to lead to in the same view.
+    fn peeked(&self, predicted: &Isometry3<f64>) -> Option<Start> {
+        let view_index = self.best_view?.view_index;
+        let is_same = |peek: &&Peek| peek.view_index == view_index && peek.predicted == *predicted;
+        self.peek.filter(is_same).map(|peek| Start::Tried(peek.found.clone()))
+    }
+
+    /// Whether a second look has something to begin from that no other of the same frame had.
+    pub fn wants_second(&self) -> bool {
+        self.has_second
+            && self.pace == Pace::Live
+            && self.second.is_none_or(|second| !self.basis().adds_nothing_to(&second))
+    }
+
+    /// What a second look begins from.
+    pub fn second_starts(&self) -> Vec<Start> {
+        let predicted = self.prior.as_ref().map(|prior| Start::Rough(prior.camera_from_markers));
+        self.doubtful_starts().chain(predicted).collect()
     }
 }
 
@@ -251,7 +308,8 @@ pub fn measure_all(looks: &[Look<'_>], aligner: &Aligner, threads: usize) -> Vec
     sightings
 }
 
-fn distinct_markers(rays: &[CornerRay]) -> u32 {
+/// How many markers these are corners of.
+pub fn distinct_markers(rays: &[CornerRay]) -> u32 {
     let mut ids: Vec<u32> = rays.iter().map(|ray| ray.marker_id).collect();
     ids.sort_unstable();
     ids.dedup();
@@ -313,6 +371,9 @@ mod tests {
             pace: Pace::Unhurried,
             needed: 1,
             tried: None,
+            peek: None,
+            has_second: false,
+            second: None,
         };
         look.measure(&aligner)
     }

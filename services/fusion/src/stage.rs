@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use anyhow::Context as _;
 use flockeye_contract::{
     DetectionHeader, Detections, FrameEnds, FrameStamp, PlanHeader, Plans, Track, TrackHeader,
-    Tracks, ViewHeader, ViewKind, Views,
+    Tracks, ViewHeader, Views,
 };
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::search::{Planner, Purpose, StopRule};
@@ -22,15 +22,21 @@ use nalgebra::Isometry3;
 use crate::alignment::{Aligner, Pace};
 use crate::assembly::{Assembly, Frame, Leave, Record};
 use crate::gallery::{FrameOrder, Gallery};
-use crate::message::{self, Cause};
+use crate::message::{self, Cause, purpose_stated, seconds};
 use crate::parallax::Parallax;
 use crate::pictures::{best_view, best_views};
 use crate::settings::{filter_choice, mode_code, search_mode};
 use crate::sighting::agrees_with_view;
-use crate::swarm::{Purposes, Seen, Swarm, Update};
+use crate::swarm::{FilterChoice, Purposes, Seen, Swarm, Update};
+
+/// How often it is looked, while its frame is open, whether a second look is over, nanoseconds.
+const LOOKING_AGAIN_NS: i64 = 4_000_000;
 
 /// How often it is looked whether rectification has joined, nanoseconds.
 const JOINING_NS: i64 = 5_000_000;
+
+/// A frame is behind when so many newer ones have come.
+const BEHIND_FRAMES: u64 = 2;
 
 /// Plans that are remembered, for frames that still follow them.
 const REMEMBERED_PLANS: usize = 16;
@@ -94,6 +100,15 @@ impl Stage for FusionStage {
         let dictionary = Dictionary::load(&bodies.dictionary)?;
         let aligner = Aligner::new(&bodies, |id| dictionary.print(id), camera.pixels_per_radian())?
             .with_covariance_scale(pipeline.fusion.covariance_scale);
+        let threads = pipeline.fusion.threads as usize;
+        let filter = filter_choice(pipeline);
+        let mut swarm = Swarm::new(&bodies, filter, planner, aligner, threads)
+            .with_parallax(Parallax::of(&camera, pipeline.camera.assumed_distance_m));
+        // What comes when it comes depends on time, and nothing may in a lossless run.
+        let is_tracked = matches!(filter, FilterChoice::Tracks(_));
+        if pipeline.flow == Flow::Latest && pipeline.fusion.align && is_tracked {
+            swarm = swarm.with_second_looks().context("a thread for second looks")?;
+        }
         Ok(Self {
             views: ports.subscribers_of_all_lanes()?,
             detections: ports.subscriber()?,
@@ -106,14 +121,7 @@ impl Stage for FusionStage {
                 memory::held_views_best(pipeline),
             ),
             lights: Lights::new(pipeline.measured_response()?)?,
-            swarm: Swarm::new(
-                &bodies,
-                filter_choice(pipeline),
-                planner,
-                aligner,
-                pipeline.fusion.threads as usize,
-            )
-            .with_parallax(Parallax::of(&camera, pipeline.camera.assumed_distance_m)),
+            swarm,
             remembered: BTreeMap::new(),
             plan_id: 0,
             generation: context.identity.generation,
@@ -169,6 +177,7 @@ impl Stage for FusionStage {
             self.take_all_views(now_ns)?;
         }
         self.glance(&taken)?;
+        self.take_second_look()?;
         while let Some(message) = self.frame_ends.receive()? {
             self.assembly.add_end(message.header, now_ns);
         }
@@ -186,6 +195,9 @@ impl Stage for FusionStage {
             self.finish(&frame)?;
         }
         self.counters.set_queued(self.assembly.open_frames());
+        if self.swarm.awaited().is_some_and(|order| self.assembly.of_order(order).is_some()) {
+            return Ok(Step::WaitUntil(clock::monotonic_ns() + LOOKING_AGAIN_NS));
+        }
         Ok(self.assembly.next_deadline_ns().map_or(Step::Wait, Step::WaitUntil))
     }
 }
@@ -358,6 +370,20 @@ impl FusionStage {
         Ok(())
     }
 
+    /// Publishes what a second look found, if its frame is still open; else the next one is the better for
+    /// it.
+    fn take_second_look(&mut self) -> anyhow::Result<()> {
+        if let Some((order, update)) = self.swarm.take_second_look()?
+            && let Some(frame) = self.assembly.of_order(order)
+        {
+            let records: Vec<&Record> = frame.records.values().collect();
+            let target = update.0;
+            self.send_tracks(&frame.stamp, &[update], Cause::Records(&records), false)?;
+            self.gallery.release(order, target);
+        }
+        Ok(())
+    }
+
     fn note_strangers(&mut self, markers: &[flockeye_contract::DetectedMarker]) {
         let is_owned = |id| {
             self.swarm.neighbours().iter().any(|neighbour| neighbour.body.marker(id).is_some())
@@ -461,19 +487,5 @@ impl FusionStage {
             reserved: 0,
         };
         self.plans.send(header, &views).context("the plan for the next frame")
-    }
-}
-
-/// A frame is behind when so many newer ones have come.
-const BEHIND_FRAMES: u64 = 2;
-
-fn seconds(stamp: &FrameStamp) -> f64 {
-    stamp.exposure_ns as f64 * 1e-9
-}
-
-fn purpose_stated(view: &ViewHeader) -> Option<Purpose> {
-    match ViewKind::try_from(view.kind).ok()? {
-        ViewKind::Partition => Some(Purpose::Partition(view.partition as usize)),
-        ViewKind::Gaze => Some(Purpose::Gaze(view.target as usize)),
     }
 }

@@ -1,9 +1,12 @@
 //! All neighbours, and the plan for the next frame.
 
+mod looks;
 mod records;
 mod trust;
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::io;
+use std::sync::Arc;
 
 use flockeye_contract::ViewHeader;
 use flockeye_geometry::body::Bodies;
@@ -16,10 +19,8 @@ use crate::assembly::{Frame, Record};
 use crate::gallery::{FrameOrder, Rank};
 use crate::neighbour::{Known, Neighbour};
 use crate::parallax::Parallax;
-use crate::sighting::{
-    Basis, Look, MARKERS_ALONE, MeasuredBy, Sighting, contradicts, doubtful_rays_of, measure_all,
-    rays_of,
-};
+use crate::second_look::SecondLooks;
+use crate::sighting::{Basis, MARKERS_ALONE, Peek, Sighting, contradicts, rays_of};
 use records::{distinct_ids, records_that_count};
 use trust::Trust;
 
@@ -60,11 +61,14 @@ pub struct Swarm {
     parallax: Option<Parallax>,
     searched: Searched,
     frames: u64,
-    aligner: Aligner,
+    aligner: Arc<Aligner>,
     threads: usize,
+    second_looks: Option<SecondLooks>,
     trust: Trust,
     /// What was looked at of the open frames.
     looked: BTreeMap<FrameOrder, Looked>,
+    /// The last frame that has ended.
+    ended: Option<FrameOrder>,
     last_s: Option<f64>,
     interval_s: f64,
     pace: Pace,
@@ -79,8 +83,12 @@ struct Looked {
     glanced: BTreeSet<usize>,
     /// Those whose pose came before their gaze view was searched, with the pose.
     peeked: BTreeMap<usize, Isometry3<f64>>,
+    /// What peeks at others led to, which was not beyond doubt.
+    peeks: BTreeMap<usize, Peek>,
     /// What looks for neighbours last began from that led to nothing.
     fruitless: BTreeMap<usize, Basis>,
+    /// The same of second looks, whatever they lead to.
+    seconds: BTreeMap<usize, Basis>,
 }
 
 /// A neighbour that is lost from sight is searched for round its prediction in every so manyth frame.
@@ -113,10 +121,12 @@ impl Swarm {
             parallax: None,
             searched,
             frames: 0,
-            aligner,
+            aligner: Arc::new(aligner),
             threads,
+            second_looks: None,
             trust: Trust::default(),
             looked: BTreeMap::new(),
+            ended: None,
             last_s: None,
             interval_s: 1.0 / 30.0,
             pace: Pace::default(),
@@ -126,6 +136,15 @@ impl Swarm {
     /// Brings rays and poses to their distances, for a camera with lenses beside its middle.
     pub fn with_parallax(self, parallax: Option<Parallax>) -> Self {
         Self { parallax, ..self }
+    }
+
+    /// Leaves to a thread of its own what takes several times as long as a look usually does.
+    ///
+    /// # Errors
+    /// The system starts no thread.
+    pub fn with_second_looks(mut self) -> io::Result<Self> {
+        self.second_looks = Some(SecondLooks::start(Arc::clone(&self.aligner))?);
+        Ok(self)
     }
 
     /// The bodies' names and geometry.
@@ -181,20 +200,25 @@ impl Swarm {
             return None;
         }
         let predicted = neighbour.prior(at_s)?.camera_from_markers;
-        let start = Start { camera_from_markers: predicted, is_rough: false };
-        let found =
-            self.aligner
-                .follow(target, &view.picture, &[start], &predicted, Pace::Live, |_| false)?;
-        if !found.is_believed() || found.score.agreeing_facets < PEEKED_FACETS {
+        let found = self.aligner.align(target, &view.picture, &Start::Fine(predicted));
+        let found = found.map(Box::new);
+        let starts = [Start::Tried(found.clone())];
+        let sure = self
+            .aligner
+            .follow(target, &view.picture, &starts, &predicted, Pace::Live, |_| false)
+            .filter(|sure| sure.is_believed() && sure.score.agreeing_facets >= PEEKED_FACETS);
+        let expected = sure.and_then(|sure| {
+            let sighting = self.corrected(Sighting::aligned(&sure, 0), view.rays_m);
+            let is_expected = self.neighbours[target].expects(at_s, &sighting);
+            is_expected.then_some((sure.camera_from_markers, sighting))
+        });
+        let Some((pose, sighting)) = expected else {
+            let peek = Peek { predicted, view_index: view.view_index, found };
+            self.looked.entry(order).or_default().peeks.insert(target, peek);
             return None;
-        }
-        let sighting = self.corrected(Sighting::aligned(&found, 0), view.rays_m);
-        if !self.neighbours[target].expects(at_s, &sighting) {
-            return None;
-        }
+        };
         let update = self.take_in(order, at_s, target, &sighting)?;
-        let looked = self.looked.entry(order).or_default();
-        looked.peeked.insert(target, found.camera_from_markers);
+        self.looked.entry(order).or_default().peeked.insert(target, pose);
         Some(update)
     }
 
@@ -292,127 +316,6 @@ impl Swarm {
         (0..self.neighbours.len()).filter(move |target| !self.is_settled(order, *target))
     }
 
-    /// Measures neighbours, each from some of a frame's records and its picture, and takes in what
-    /// was found.
-    fn settle(
-        &mut self,
-        order: FrameOrder,
-        at_s: f64,
-        looks: &[(usize, Vec<Seen<'_>>)],
-        best_views: &BestViews<'_>,
-        needed: usize,
-    ) -> Vec<Update> {
-        let mut looks: Vec<Look<'_>> = looks
-            .iter()
-            .filter_map(|(target, seen)| self.look(at_s, *target, seen, best_views, needed))
-            .collect();
-        let fruitless = self.looked.get(&order).map(|looked| &looked.fruitless);
-        for look in &mut looks {
-            look.tried = fruitless.and_then(|fruitless| fruitless.get(&look.target).copied());
-        }
-        let sightings = measure_all(&looks, &self.aligner, self.threads);
-        let nothing = looks.iter().zip(&sightings).filter(|(_, sighting)| sighting.is_none());
-        let fruitless: Vec<(usize, Basis)> =
-            nothing.map(|(look, _)| (look.target, look.basis())).collect();
-        let corrected: Vec<(usize, Sighting)> = looks
-            .iter()
-            .zip(sightings)
-            .filter_map(|(look, sighting)| {
-                let sighting = sighting?;
-                let rays_m = match sighting.measured_by {
-                    MeasuredBy::Decoded => look.rays_m,
-                    MeasuredBy::Aligned => look.best_view.map_or(look.rays_m, |view| view.rays_m),
-                };
-                Some((look.target, self.corrected(sighting, rays_m)))
-            })
-            .collect();
-        self.looked.entry(order).or_default().fruitless.extend(fruitless);
-        corrected
-            .iter()
-            .filter_map(|(target, sighting)| self.take_in(order, at_s, *target, sighting))
-            .collect()
-    }
-
-    /// A sighting by rays that are right for this distance, brought to its own.
-    fn corrected(&self, sighting: Sighting, rays_m: f64) -> Sighting {
-        let Some(parallax) = &self.parallax else { return sighting };
-        Sighting { pose: parallax.corrected(&sighting.pose, rays_m), ..sighting }
-    }
-
-    fn take_in(
-        &mut self,
-        order: FrameOrder,
-        at_s: f64,
-        target: usize,
-        sighting: &Sighting,
-    ) -> Option<Update> {
-        let known = match self.filter {
-            FilterChoice::Tracks(_) => self.neighbours[target].seen(at_s, sighting),
-            FilterChoice::None => Some(Known::of_frame(sighting)),
-        }?;
-        self.looked.entry(order).or_default().settled.insert(target);
-        Some((target, known))
-    }
-
-    /// What there is to measure a neighbour by; `None` where there is nothing.
-    fn look<'l>(
-        &'l self,
-        at_s: f64,
-        target: usize,
-        seen: &[Seen<'_>],
-        best_views: &BestViews<'l>,
-        needed: usize,
-    ) -> Option<Look<'l>> {
-        let neighbour = self.neighbours.get(target)?;
-        let (prior, predicted) = match self.filter {
-            FilterChoice::Tracks(_) => (neighbour.prior(at_s), neighbour.predict(at_s)),
-            FilterChoice::None => (None, None),
-        };
-        // All rays are brought to the distance that is known best before the pose is.
-        let rays_m = self.parallax.as_ref().map_or(f64::INFINITY, |parallax| {
-            let predicted = prior.as_ref().map(|prior| &prior.camera_from_markers.translation);
-            predicted.map_or(parallax.assumed_m(), |position| position.vector.norm())
-        });
-        let (mut rays, mut doubtful) = (Vec::new(), Vec::new());
-        for Seen { record, view, .. } in seen {
-            for (all, mut of_view) in [
-                (&mut rays, rays_of(&neighbour.body, &record.markers)),
-                (&mut doubtful, doubtful_rays_of(&neighbour.body, &record.markers)),
-            ] {
-                if let Some(parallax) = &self.parallax {
-                    let from_m = parallax.distance_m(*view);
-                    for ray in &mut of_view {
-                        ray.ray_in_camera = parallax.brought(&ray.ray_in_camera, from_m, rays_m);
-                    }
-                }
-                all.extend(of_view);
-            }
-        }
-        let predicted = predicted.map(|prediction| prediction.observer_from_target);
-        let best_view = best_views.get(&target).copied();
-        // A neighbour that nobody has seen is not begun from squares that are probably its markers:
-        // on a chequered wall there are enough of them.
-        let is_worth_it = !rays.is_empty() || (predicted.is_some() && best_view.is_some());
-        // The dearest look is for one neighbour in some frames, and after those that are seen.
-        let turn = self.frames / SEARCH_EVERY_FRAMES % self.neighbours.len() as u64;
-        let may_search =
-            needed == 1 && self.frames.is_multiple_of(SEARCH_EVERY_FRAMES) && turn == target as u64;
-        is_worth_it.then_some(Look {
-            target,
-            body: &neighbour.body,
-            rays,
-            doubtful,
-            rays_m,
-            may_search: may_search && self.pace != Pace::Behind,
-            pace: self.pace,
-            prior,
-            predicted,
-            best_view,
-            needed,
-            tried: None,
-        })
-    }
-
     /// How much time there is from now on. Where newer frames wait, each neighbour gets one look of each
     /// kind, newcomers more if they need it: poses that come a second late are of use to nobody.
     pub fn hurry(&mut self, pace: Pace) {
@@ -448,6 +351,7 @@ impl Swarm {
         let peeked = looked.map(|looked| looked.peeked.keys().copied().collect());
         self.trust.end_frame(&peeked.unwrap_or_default());
         // Frames end in order.
+        self.ended = Some(frame.stamp.order());
         self.looked.retain(|order, _| *order > frame.stamp.order());
     }
 

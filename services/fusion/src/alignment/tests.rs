@@ -38,15 +38,11 @@ fn look_at<T>(
     by(&aligner, &picture)
 }
 
-fn start(camera_from_markers: Isometry3<f64>) -> Start {
-    Start { camera_from_markers, is_rough: false }
-}
-
 #[test]
 fn of_several_starts_the_right_one_is_discovered() {
     for range_m in [0.8, 1.6, 2.4] {
         let truth = pose(range_m, 0.9);
-        let starts = [pose(range_m, 2.0), pose(range_m, -0.6), truth].map(start);
+        let starts = [pose(range_m, 2.0), pose(range_m, -0.6), truth].map(Start::Fine);
         let found = look(&truth, |aligner, picture| {
             aligner.discover(0, picture, &starts, Pace::Unhurried, |_| false)
         });
@@ -64,7 +60,7 @@ fn wrong_attitudes_discover_and_confirm_nothing() {
         look(&truth, |aligner, picture| {
             for turn in [1.6, 2.3, 3.1, 3.9, 4.7, 5.4] {
                 let predicted = pose(range_m, 0.9 + turn);
-                let starts = [start(predicted)];
+                let starts = [Start::Fine(predicted)];
                 let found = [
                     aligner.discover(0, picture, &starts, Pace::Unhurried, |_| false),
                     aligner.follow(0, picture, &starts, &predicted, Pace::Unhurried, |_| false),
@@ -95,7 +91,7 @@ fn a_single_facet_is_discovered_where_its_mirror_image_looks_otherwise() {
         let truth = facing(range_m);
         look_at(&body, &truth, |aligner, picture| {
             let turned_rad = |begun: Isometry3<f64>| {
-                let starts = [start(begun)];
+                let starts = [Start::Fine(begun)];
                 aligner
                     .discover(0, picture, &starts, Pace::Unhurried, |_| false)
                     .map(|found| found.camera_from_markers.rotation.angle_to(&truth.rotation))
@@ -115,7 +111,7 @@ fn a_single_facet_is_discovered_where_its_mirror_image_looks_otherwise() {
 #[test]
 fn a_track_is_confirmed_farther_than_it_is_discovered() {
     let truth = pose(3.8, 0.9);
-    let starts = [start(truth)];
+    let starts = [Start::Fine(truth)];
     look(&truth, |aligner, picture| {
         assert!(aligner.discover(0, picture, &starts, Pace::Unhurried, |_| false).is_none());
         let found = aligner.follow(0, picture, &starts, &truth, Pace::Unhurried, |_| false);
@@ -135,12 +131,13 @@ fn a_track_is_confirmed_farther_than_it_is_discovered() {
 #[test]
 fn a_newcomer_whom_the_first_start_misses_is_found_at_any_pace() {
     let truth = pose(0.8, 0.9);
-    let wrong = start(pose(0.8, 4.0));
+    let wrong = Start::Fine(pose(0.8, 4.0));
     look(&truth, |aligner, picture| {
         for pace in [Pace::Unhurried, Pace::Live, Pace::Behind] {
             let discover = |starts: &[Start]| aligner.discover(0, picture, starts, pace, |_| false);
-            assert!(discover(&[wrong]).is_none(), "{pace:?}");
-            let found = discover(&[wrong, start(truth)]).expect("the second one is right");
+            assert!(discover(std::slice::from_ref(&wrong)).is_none(), "{pace:?}");
+            let found =
+                discover(&[wrong.clone(), Start::Fine(truth)]).expect("the second one is right");
             let error = found.camera_from_markers.translation.vector - truth.translation.vector;
             assert!(error.norm() < 0.01, "{pace:?}: {} m", error.norm());
         }
@@ -150,7 +147,7 @@ fn a_newcomer_whom_the_first_start_misses_is_found_at_any_pace() {
 #[test]
 fn who_is_behind_follows_from_the_first_start_alone() {
     let truth = pose(0.8, 0.9);
-    let starts = [start(pose(0.8, 4.0)), start(truth)];
+    let starts = [Start::Fine(pose(0.8, 4.0)), Start::Fine(truth)];
     look(&truth, |aligner, picture| {
         let follow = |pace| aligner.follow(0, picture, &starts, &truth, pace, |_| false);
         assert!(follow(Pace::Unhurried).is_some() && follow(Pace::Live).is_some());
