@@ -15,6 +15,10 @@ fn nice(pid: Pid) -> String {
     stat(pid)[19 - 3].clone()
 }
 
+fn priority(pid: Pid) -> String {
+    stat(pid)[40 - 3].clone()
+}
+
 fn class(pid: Pid) -> String {
     stat(pid)[41 - 3].clone()
 }
@@ -50,6 +54,31 @@ fn stages_run_where_and_when_they_are_told_to() {
     if nice(own) == "0" {
         assert_eq!(nice(of("rectification")), "3");
         assert_eq!(nice(of("detection")), "5");
+    }
+    flight.signal(Signal::INT);
+    assert!(flight.wait().success(), "{}", flight.output());
+    flight.assert_nothing_left();
+}
+
+#[test]
+fn real_time_classes_are_had_with_the_privilege_and_refused_aloud_without() {
+    let more = [
+        "stages.detection.replicas=1",
+        "stages.fusion.scheduling=fifo",
+        "stages.fusion.priority=3",
+        "stages.rectification.scheduling=round_robin",
+    ];
+    let set: Vec<&str> = SMALL_FLIGHT.iter().chain(&more).copied().collect();
+    let mut flight = Flight::start("real-time", &[], &set);
+    flight.wait_for("alpha confirmed");
+    let of = |stage: &str| flight.stages(&format!("flockeye-{stage}"))[0];
+    let refused = "scheduling class fifo is not to be had";
+    if flight.output().contains(refused) {
+        assert_eq!([class(of("fusion")), class(of("rectification"))], ["0", "0"], "SCHED_OTHER");
+    } else {
+        assert_eq!((&*class(of("fusion")), &*priority(of("fusion"))), ("1", "3"), "SCHED_FIFO");
+        assert_eq!(class(of("rectification")), "2", "SCHED_RR");
+        assert_eq!(class(of("detection")), "0", "SCHED_OTHER");
     }
     flight.signal(Signal::INT);
     assert!(flight.wait().success(), "{}", flight.output());
