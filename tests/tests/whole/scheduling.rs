@@ -1,26 +1,42 @@
 //! Where and when stages run.
 
+use std::path::{Path, PathBuf};
+
 use flockeye_tests::{Flight, SMALL_FLIGHT};
 use rustix::process::{Pid, Signal};
 
-/// The fields of /proc/PID/stat behind the program's name, from the third on.
-fn stat(pid: Pid) -> Vec<String> {
-    let text =
-        std::fs::read_to_string(format!("/proc/{}/stat", pid.as_raw_nonzero())).expect("it runs");
-    let (_, fields) = text.rsplit_once(") ").expect("its name is in parentheses");
-    fields.split_whitespace().map(str::to_owned).collect()
+/// A field of the stat file of a process or thread (proc(5)), counted from 1.
+fn field(stat: &Path, number: usize) -> String {
+    let text = std::fs::read_to_string(stat).expect("it runs");
+    // The second, the program's name, may hold blanks.
+    let (_, from_third) = text.rsplit_once(") ").expect("its name is in parentheses");
+    from_third.split_whitespace().nth(number - 3).expect("there are 52").to_owned()
+}
+
+fn stat(pid: Pid) -> PathBuf {
+    PathBuf::from(format!("/proc/{}/stat", pid.as_raw_nonzero()))
+}
+
+/// The stat file of a process's thread of this name, if there is one.
+fn thread(pid: Pid, name: &str) -> Option<PathBuf> {
+    let threads = std::fs::read_dir(format!("/proc/{}/task", pid.as_raw_nonzero()));
+    let named = |path: &PathBuf| {
+        std::fs::read_to_string(path.join("comm")).is_ok_and(|comm| comm.trim() == name)
+    };
+    let threads = threads.expect("it runs").filter_map(|thread| Some(thread.ok()?.path()));
+    Some(threads.into_iter().find(named)?.join("stat"))
 }
 
 fn nice(pid: Pid) -> String {
-    stat(pid)[19 - 3].clone()
+    field(&stat(pid), 19)
 }
 
 fn priority(pid: Pid) -> String {
-    stat(pid)[40 - 3].clone()
+    field(&stat(pid), 40)
 }
 
 fn class(pid: Pid) -> String {
-    stat(pid)[41 - 3].clone()
+    field(&stat(pid), 41)
 }
 
 fn processors(pid: Pid) -> String {
@@ -80,6 +96,24 @@ fn real_time_classes_are_had_with_the_privilege_and_refused_aloud_without() {
         assert_eq!(class(of("rectification")), "2", "SCHED_RR");
         assert_eq!(class(of("detection")), "0", "SCHED_OTHER");
     }
+    // What nobody waits for is in no real-time class, and gives way to all else.
+    let aside = thread(of("fusion"), "second-look").expect("it looks again in flight");
+    assert_eq!(field(&aside, 41), "0", "SCHED_OTHER");
+    let own = Pid::from_raw(std::process::id().cast_signed()).expect("a process has a number");
+    let usual: i32 = nice(own).parse().expect("a number");
+    assert_eq!(field(&aside, 19), (usual.max(0) + 10).min(19).to_string());
+    flight.signal(Signal::INT);
+    assert!(flight.wait().success(), "{}", flight.output());
+    flight.assert_nothing_left();
+}
+
+#[test]
+fn a_lossless_run_leaves_nothing_to_a_thread_of_its_own() {
+    let more = ["stages.detection.replicas=1", "flow=lossless"];
+    let set: Vec<&str> = SMALL_FLIGHT.iter().chain(&more).copied().collect();
+    let mut flight = Flight::start("no-aside", &[], &set);
+    flight.wait_for("alpha confirmed");
+    assert_eq!(thread(flight.stages("flockeye-fusion")[0], "second-look"), None);
     flight.signal(Signal::INT);
     assert!(flight.wait().success(), "{}", flight.output());
     flight.assert_nothing_left();
