@@ -97,8 +97,7 @@ impl Aligner {
         let most = if pace == Pace::Behind { 1 } else { starts.len() };
         for start in starts.iter().take(most) {
             let Some(found) = self.align(target, picture, start) else { continue };
-            let turn_rad = found.camera_from_markers.rotation.angle_to(&predicted.rotation);
-            if turn_rad > SURPRISING_TURN_RAD && found.score.agreeing_facets < SURE_FACETS {
+            if is_surprising(&found, predicted) {
                 continue;
             }
             if found.is_believed() {
@@ -174,6 +173,12 @@ impl Aligner {
         let options = AlignOptions { coarse_first, ..self.options };
         align(self.prints.get(target)?, picture, pose, &options).ok()
     }
+}
+
+/// Whether a pose has turned farther from the prediction than is believed of it.
+pub fn is_surprising(found: &Alignment, predicted: &Isometry3<f64>) -> bool {
+    let turn_rad = found.camera_from_markers.rotation.angle_to(&predicted.rotation);
+    turn_rad > SURPRISING_TURN_RAD && found.score.agreeing_facets < SURE_FACETS
 }
 
 /// Whether markers that were decoded there speak for a pose.

@@ -12,9 +12,10 @@ use flockeye_contract::ViewHeader;
 use flockeye_geometry::body::Bodies;
 use flockeye_geometry::filter::{Prediction, TrackPolicy};
 use flockeye_geometry::search::{Plan, Planner, PredictedNeighbour, Purpose, Searched, StopRule};
+use flockeye_imaging::align::Alignment;
 use nalgebra::Isometry3;
 
-use crate::alignment::{Aligner, BestView, Pace, Start};
+use crate::alignment::{Aligner, BestView, Pace, Start, is_surprising};
 use crate::assembly::{Frame, Record};
 use crate::gallery::{FrameOrder, Rank};
 use crate::neighbour::{Known, Neighbour};
@@ -201,18 +202,18 @@ impl Swarm {
         }
         let predicted = neighbour.prior(at_s)?.camera_from_markers;
         let found = self.aligner.align(target, &view.picture, &Start::Fine(predicted));
-        let found = found.map(Box::new);
-        let starts = [Start::Tried(found.clone())];
-        let sure = self
-            .aligner
-            .follow(target, &view.picture, &starts, &predicted, Pace::Live, |_| false)
-            .filter(|sure| sure.is_believed() && sure.score.agreeing_facets >= PEEKED_FACETS);
-        let expected = sure.and_then(|sure| {
-            let sighting = self.corrected(Sighting::aligned(&sure, 0), view.rays_m);
+        let is_sure = |found: &&Alignment| {
+            found.is_believed()
+                && found.score.agreeing_facets >= PEEKED_FACETS
+                && !is_surprising(found, &predicted)
+        };
+        let expected = found.as_ref().filter(is_sure).and_then(|sure| {
+            let sighting = self.corrected(Sighting::aligned(sure, 0), view.rays_m);
             let is_expected = self.neighbours[target].expects(at_s, &sighting);
             is_expected.then_some((sure.camera_from_markers, sighting))
         });
         let Some((pose, sighting)) = expected else {
+            let found = found.map(Box::new);
             let peek = Peek { predicted, view_index: view.view_index, found };
             self.looked.entry(order).or_default().peeks.insert(target, peek);
             return None;
