@@ -52,6 +52,13 @@ fn left(truth: &Marker, found: &Marker) -> Vector6<f64> {
     Vector6::from_iterator(shift.iter().chain(turn.iter()).copied())
 }
 
+/// Squared errors by the stated covariances, for each number of a marker's pose: 1 is right.
+fn nees(found: &BodyCalibration, errors: &[Vector6<f64>]) -> f64 {
+    let of_markers = found.markers.iter().zip(errors);
+    let sum: f64 = of_markers.map(|(m, error)| distance_squared(error, &m.covariance)).sum();
+    sum / (6 * found.markers.len()) as f64
+}
+
 fn root_mean_square(errors: &[Vector6<f64>], from: usize) -> f64 {
     let squares = errors.iter().map(|error| error.fixed_rows::<3>(from).norm_squared());
     (squares.sum::<f64>() / errors.len() as f64).sqrt()
@@ -78,11 +85,10 @@ proptest! {
             let (before, after) = (root_mean_square(&before, from), root_mean_square(&after, from));
             prop_assert!(after < before / 8.0, "part {}: {} to {}", from, before, after);
         }
-        // Expected: 6 for each marker; 102 numbers of which 6 are tied spread by 15 %.
-        let nees = found.markers.iter().zip(&after);
-        let nees = nees.map(|(m, error)| distance_squared(error, &m.covariance)).sum::<f64>();
-        let nees = nees / (6.0 * 17.0);
-        prop_assert!((0.5..1.7).contains(&nees), "NEES {}", nees);
+        // Markers' errors go together: of 70 seeds the NEES spread by 18 % (0.59 to 1.44), and 0.46 was
+        // seen besides. Its mean is asked below.
+        let nees = nees(&found, &after);
+        prop_assert!((0.25..2.5).contains(&nees), "NEES {}", nees);
         prop_assert!((found.scatter - 1.0).abs() < 0.1, "scatter {}", found.scatter);
         for (marker, designed) in found.markers.iter().zip(&designed.markers) {
             prop_assert!((marker.marker.side() - designed.side()).abs() < 1e-9, "as printed");
@@ -90,6 +96,26 @@ proptest! {
             prop_assert!((shift - marker.shift_m).norm() < 1e-9);
         }
     }
+}
+
+#[test]
+fn deviations_are_right_in_the_mean() {
+    const SEEDS: u64 = 24;
+    let sum: f64 = (0..SEEDS)
+        .map(|seed| {
+            let mut chance = Chance::new(seed);
+            let designed = body();
+            let truth = glued(&designed, &mut chance);
+            let frames = recorded(&truth, 250, 1e-4, &mut chance);
+            let found = calibrate(&designed, &frames, &CalibrationOptions::default()).unwrap();
+            let truth = aligned(&truth, &designed);
+            let markers = truth.iter().zip(&found.body.markers);
+            nees(&found, &markers.map(|(truth, found)| left(truth, found)).collect::<Vec<_>>())
+        })
+        .sum();
+    let mean = sum / SEEDS as f64;
+    // 96 of 102 numbers are free: 0.94.
+    assert!((0.8..1.08).contains(&mean), "NEES {mean}");
 }
 
 #[test]
