@@ -52,17 +52,14 @@ fn left(truth: &Marker, found: &Marker) -> Vector6<f64> {
     Vector6::from_iterator(shift.iter().chain(turn.iter()).copied())
 }
 
-/// Squared errors by the stated covariances, for each number of a marker's pose: 1 is right.
-fn nees(found: &BodyCalibration, errors: &[Vector6<f64>]) -> f64 {
-    let of_markers = found.markers.iter().zip(errors);
-    let sum: f64 = of_markers.map(|(m, error)| distance_squared(error, &m.covariance)).sum();
-    sum / (6 * found.markers.len()) as f64
-}
-
 fn root_mean_square(errors: &[Vector6<f64>], from: usize) -> f64 {
     let squares = errors.iter().map(|error| error.fixed_rows::<3>(from).norm_squared());
     (squares.sum::<f64>() / errors.len() as f64).sqrt()
 }
+
+/// Recordings of each case: one alone has a NEES that spreads by 18 % (70 seeds), because markers' errors
+/// go together, and 0.46 was seen by chance.
+const RECORDINGS: usize = 4;
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 12, ..ProptestConfig::default() })]
@@ -72,50 +69,35 @@ proptest! {
     fn glued_markers_are_found_within_the_stated_deviations(seed in any::<u64>()) {
         let mut chance = Chance::new(seed);
         let designed = body();
-        let truth = glued(&designed, &mut chance);
-        let frames = recorded(&truth, 250, 1e-4, &mut chance);
-        let found = calibrate(&designed, &frames, &CalibrationOptions::default()).unwrap();
-        prop_assert_eq!(found.markers.len(), 17);
-        let truth = aligned(&truth, &designed);
-        let errors = |body: &Body| -> Vec<_> {
-            truth.iter().zip(&body.markers).map(|(truth, found)| left(truth, found)).collect()
-        };
-        let (before, after) = (errors(&designed), errors(&found.body));
-        for from in [0, 3] {
-            let (before, after) = (root_mean_square(&before, from), root_mean_square(&after, from));
-            prop_assert!(after < before / 8.0, "part {}: {} to {}", from, before, after);
-        }
-        // Markers' errors go together: of 70 seeds the NEES spread by 18 % (0.59 to 1.44), and 0.46 was
-        // seen besides. Its mean is asked below.
-        let nees = nees(&found, &after);
-        prop_assert!((0.25..2.5).contains(&nees), "NEES {}", nees);
-        prop_assert!((found.scatter - 1.0).abs() < 0.1, "scatter {}", found.scatter);
-        for (marker, designed) in found.markers.iter().zip(&designed.markers) {
-            prop_assert!((marker.marker.side() - designed.side()).abs() < 1e-9, "as printed");
-            let shift = marker.marker.centre() - designed.centre();
-            prop_assert!((shift - marker.shift_m).norm() < 1e-9);
-        }
-    }
-}
-
-#[test]
-fn deviations_are_right_in_the_mean() {
-    const SEEDS: u64 = 24;
-    let sum: f64 = (0..SEEDS)
-        .map(|seed| {
-            let mut chance = Chance::new(seed);
-            let designed = body();
+        let mut sum = 0.0;
+        for _ in 0..RECORDINGS {
             let truth = glued(&designed, &mut chance);
             let frames = recorded(&truth, 250, 1e-4, &mut chance);
             let found = calibrate(&designed, &frames, &CalibrationOptions::default()).unwrap();
+            prop_assert_eq!(found.markers.len(), 17);
             let truth = aligned(&truth, &designed);
-            let markers = truth.iter().zip(&found.body.markers);
-            nees(&found, &markers.map(|(truth, found)| left(truth, found)).collect::<Vec<_>>())
-        })
-        .sum();
-    let mean = sum / SEEDS as f64;
-    // 96 of 102 numbers are free: 0.94.
-    assert!((0.8..1.08).contains(&mean), "NEES {mean}");
+            let errors = |body: &Body| -> Vec<_> {
+                truth.iter().zip(&body.markers).map(|(truth, found)| left(truth, found)).collect()
+            };
+            let (before, after) = (errors(&designed), errors(&found.body));
+            for from in [0, 3] {
+                let [before, after] = [&before, &after].map(|errors| root_mean_square(errors, from));
+                prop_assert!(after < before / 8.0, "part {}: {} to {}", from, before, after);
+            }
+            let nees = found.markers.iter().zip(&after);
+            let nees = nees.map(|(m, error)| distance_squared(error, &m.covariance)).sum::<f64>();
+            sum += nees / (6.0 * 17.0);
+            prop_assert!((found.scatter - 1.0).abs() < 0.1, "scatter {}", found.scatter);
+            for (marker, designed) in found.markers.iter().zip(&designed.markers) {
+                prop_assert!((marker.marker.side() - designed.side()).abs() < 1e-9, "as printed");
+                let shift = marker.marker.centre() - designed.centre();
+                prop_assert!((shift - marker.shift_m).norm() < 1e-9);
+            }
+        }
+        // Expected: 0.94, since 6 of 102 numbers are tied. The mean of four spreads by 9 %.
+        let nees = sum / RECORDINGS as f64;
+        prop_assert!((0.5..1.3).contains(&nees), "NEES {}", nees);
+    }
 }
 
 #[test]
