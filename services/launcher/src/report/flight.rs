@@ -4,7 +4,7 @@ use nalgebra::{Rotation3, Vector3};
 
 use crate::svg::Svg;
 
-const SIDE: f64 = 420.0;
+const SIDE: f64 = 300.0;
 
 /// How the space is looked at: where its right and its up go on the drawing.
 struct Look {

@@ -20,10 +20,13 @@ body { background: var(--ground); color: var(--ink); font: 15px/1.5 system-ui, s
 h1, h2, h3 { line-height: 1.2; font-weight: 600 }
 p, figcaption { color: var(--soft); max-width: 46rem }
 figure { margin: 1.5rem 0 }
-.wide { overflow-x: auto }
-table { border-collapse: collapse; font-variant-numeric: tabular-nums; white-space: nowrap }
-th, td { padding: .2rem .7rem; text-align: right; border-bottom: 1px solid var(--grid) }
+.wide { overflow-x: auto; width: max-content; max-width: calc(100vw - 2rem); position: relative;
+  left: 50%; transform: translateX(-50%) }
+table { border-collapse: collapse; font-size: 14px; font-variant-numeric: tabular-nums;
+  white-space: nowrap }
+th, td { padding: .2rem .5rem; text-align: right; border-bottom: 1px solid var(--grid) }
 th:first-child, td:first-child { text-align: left; padding-left: 0 }
+th[colspan] { text-align: center; border-bottom-color: var(--ground) }
 th { font-weight: 600; color: var(--soft) }
 svg { display: block; width: 100%; font: 12px system-ui, sans-serif; fill: var(--ink) }
 .ways { display: grid; grid-template-columns: repeat(auto-fit, minmax(16rem, 1fr)); gap: .5rem }
@@ -94,10 +97,11 @@ fn summary(evaluation: &Evaluation) -> String {
 
 fn bins(title: &str, evaluation: &Evaluation, errors: impl Fn(&Bin) -> Option<&Errors>) -> String {
     let mut text = format!(
-        "<h3>{title}</h3>\n<div class=\"wide\"><table>\n<tr><th>distance, m<th>eligible<th>measured\
-         <th>share<th>position, mm: mean<th>median<th>95 %<th>worst<th>along: median<th>bias\
-         <th>across: median<th>distance: mean<th>bias<th>bearing, °: median<th>95 %\
-         <th>rotation, °: median<th>95 %<th>worst</tr>\n"
+        "<h3>{title}</h3>\n<div class=\"wide\"><table>\n<tr><th colspan=\"4\">\
+         <th colspan=\"4\">position, mm<th colspan=\"2\">along, mm<th colspan=\"1\">across, mm\
+         <th colspan=\"2\">distance, mm<th colspan=\"2\">bearing, °<th colspan=\"3\">rotation, °</tr>\n\
+         <tr><th>distance, m<th>eligible<th>measured<th>share<th>mean<th>median<th>95 %<th>worst\
+         <th>median<th>bias<th>median<th>mean<th>bias<th>median<th>95 %<th>median<th>95 %<th>worst</tr>\n"
     );
     for bin in evaluation.bins.iter().filter(|bin| bin.eligible > 0) {
         let share = bin.share().map_or(String::new(), |share| format!("{:.1} %", 100.0 * share));
