@@ -248,7 +248,7 @@ mod tests {
         assert!((outcome.frames_per_s - 20.0).abs() < 1e-9);
         assert!((outcome.wall_frames_per_s.expect("four") - 10.0).abs() < 1e-9);
         assert!((outcome.mean_error_cm.expect("two") - 2.0).abs() < 1e-9);
-        assert!((outcome.median_error_cm.expect("two") - 1.0).abs() < 1e-9);
+        assert!((outcome.median_error_cm.expect("two") - 2.0).abs() < 1e-9);
         assert_eq!(outcome.share, Some(0.5));
         // 20 of the 30 frames of a second can be worked on.
         assert!((outcome.share_in_real_time.expect("a rate") - 1.0 / 3.0).abs() < 1e-9);

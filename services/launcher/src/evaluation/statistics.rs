@@ -7,7 +7,7 @@ use serde::Serialize;
 pub struct Spread {
     /// Its mean.
     pub mean: f64,
-    /// Half are smaller.
+    /// Half are smaller; between the two in the middle where their number is even.
     pub median: f64,
     /// 95 % are smaller.
     pub p95: f64,
@@ -22,7 +22,7 @@ impl Spread {
         sizes.sort_by(f64::total_cmp);
         Some(Self {
             mean: mean(&sizes)?,
-            median: quantile(&sizes, 0.5)?,
+            median: median(&sizes)?,
             p95: quantile(&sizes, 0.95)?,
             worst: *sizes.last()?,
         })
@@ -33,6 +33,13 @@ impl Spread {
 pub fn quantile(values: &[f64], share: f64) -> Option<f64> {
     let rank = (share * values.len() as f64).ceil() as usize;
     values.get(rank.saturating_sub(1)).copied()
+}
+
+/// The median of rising values: the mean of the two in the middle where their number is even.
+pub fn median(values: &[f64]) -> Option<f64> {
+    let upper = values.get(values.len() / 2)?;
+    let lower = values[(values.len() - 1) / 2];
+    Some((lower + upper) / 2.0)
 }
 
 /// The mean; `None` of nothing.
@@ -128,7 +135,11 @@ mod tests {
     #[test]
     fn spreads_are_those_computed_by_hand() {
         let spread = Spread::of([3.0, -1.0, 2.0, 4.0]).expect("there are some");
-        assert_eq!(spread, Spread { mean: 2.5, median: 2.0, p95: 4.0, worst: 4.0 });
+        assert_eq!(spread, Spread { mean: 2.5, median: 2.5, p95: 4.0, worst: 4.0 });
+        assert_eq!(
+            (median(&[1.0, 2.0, 9.0]), median(&[7.0]), median(&[])),
+            (Some(2.0), Some(7.0), None)
+        );
         assert_eq!(Spread::of([]), None);
         let rising: Vec<f64> = (1..=100).map(f64::from).collect();
         assert_eq!((quantile(&rising, 0.95), quantile(&rising, 0.99)), (Some(95.0), Some(99.0)));
