@@ -38,13 +38,14 @@ pub struct MotionModel {
 }
 
 impl Default for MotionModel {
-    /// For small drones: 1.5 m/s^2 and 3 rad/s^2 per root Hz, 2 m/s and 1.5 rad/s at first. A tenth of
-    /// a second ahead that is 27 mm and 3 degrees along each axis, as much as 5 m/s^2 and 11 rad/s^2,
-    /// held, do; a whole second ahead 0.9 m. With more, a neighbour that is out of sight for some
-    /// frames needs so wide a view that nothing decodes in it.
+    /// For small drones that fly together: 0.7 m/s^2 and 3 rad/s^2 per root Hz, 2 m/s and 1.5 rad/s at
+    /// first. A tenth of a second ahead that is 13 mm and 3 degrees along each axis, as much as 2.5 m/s^2
+    /// and 11 rad/s^2, held, do; a whole second ahead 0.4 m. With more, less of the noise of measurements
+    /// is smoothed away, and a neighbour that is out of sight for some frames needs so wide a view that
+    /// nothing decodes in it.
     fn default() -> Self {
         Self {
-            acceleration: 1.5,
+            acceleration: 0.7,
             angular_acceleration: 3.0,
             initial_speed: 2.0,
             initial_rate: 1.5,

@@ -34,13 +34,16 @@ use super::sums::damping;
 const REACH: usize = 2;
 /// However few samples there are, some are left.
 const LEAST_FREE: f64 = 0.5;
+/// However much the last step explains, some is left.
+const LEAST_LEFT: f64 = 0.5;
 
 /// Covariance of position (m) and rotation vector, in the patch's axes, of a fit with this normal matrix,
-/// factored, and these residuals. `seen` is what of the normal matrix comes from samples, not priors.
-/// `None` where it is none.
+/// factored, and these residuals, of whose weighted squares, in deviations, the last step `explains` so
+/// much. `seen` is what of the normal matrix comes from samples, not priors. `None` where it is none.
 pub(super) fn of_pose(
     normal: &Cholesky<f64, Dyn>,
     seen: &DMatrix<f64>,
+    explains: f64,
     patch: &Patch,
     samples: &[Sample],
     residuals: &[f32],
@@ -66,15 +69,19 @@ pub(super) fn of_pose(
     let independent = samples.len() as f64 / together;
     let taken = inverse.component_mul(seen).sum();
     let free = (independent - taken).max(LEAST_FREE * independent);
-    let factor = robust.factor()? * together * independent / free;
+    let squares = robust.weighted_squares.max(f64::MIN_POSITIVE);
+    let left = (1.0 - explains / squares).clamp(LEAST_LEFT, 1.0);
+    let factor = robust.factor()? * left * together * independent / free;
     let pose: Matrix6<f64> = inverse.fixed_view::<6, 6>(0, 0) * factor;
     pose.iter().all(|x| x.is_finite()).then_some((pose + pose.transpose()) / 2.0)
 }
 
-/// Sums over residuals in deviations: of their weights w, of psi = w r, squared, and of psi's slope.
+/// Sums over residuals r in deviations: of their weights w, of w r^2, of psi = w r, squared, and of psi's
+/// slope.
 #[derive(Debug, Default)]
 struct Robust {
     weights: f64,
+    weighted_squares: f64,
     squares: f64,
     slopes: f64,
 }
@@ -86,6 +93,7 @@ impl Robust {
         let weight = 1.0 / (1.0 + damping);
         let felt = weight * deviations;
         self.weights += weight;
+        self.weighted_squares += felt * deviations;
         self.squares += felt * felt;
         self.slopes += weight.powi(2) * (1.0 - damping);
         felt

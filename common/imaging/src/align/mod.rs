@@ -283,7 +283,7 @@ impl Frame {
             }
         }
         let (fit, score) = self.fit_what_is_seen(print, state)?;
-        let along = self.common_error(print, &fit.state.patch_from_markers);
+        let along = self.common_error(print, &fit.patch_from_markers);
         let unnoticed = 1.0 + RIM * (1.0 - fit.share_seen).powi(2);
         let covariance = fit.covariance * (unnoticed * options.covariance_scale) + along;
         let camera_from_patch = patch.view_from_camera.inverse();
@@ -292,7 +292,7 @@ impl Frame {
         axes.fixed_view_mut::<3, 3>(0, 0).copy_from(&turn);
         axes.fixed_view_mut::<3, 3>(3, 3).copy_from(&turn);
         Ok(Alignment {
-            camera_from_markers: camera_from_patch * fit.state.patch_from_markers,
+            camera_from_markers: camera_from_patch * fit.patch_from_markers,
             covariance: axes * covariance * axes.transpose(),
             blur_px2: fit.state.blur / settings.magnification.powi(2),
             score,
@@ -360,8 +360,9 @@ const EDGE_ERROR_PX: f64 = 0.009;
 
 /// What hides a body shows through the point spread beyond what is left out, all along its rim: that error
 /// grows with the share that is hidden, and the covariance of what is left with the square of it, by this.
-/// On simulated flights NEES was 2.9 where less than a tenth was hidden, 5 to 7 where 30 to 60 % were.
-const RIM: f64 = 3.0;
+/// On simulated flights NEES was 2.9 where less than a tenth was hidden, 5 to 7 where 30 to 60 % were; the
+/// slopes of facets' light have taken some of that since.
+const RIM: f64 = 2.0;
 
 /// A fit without hidden facets may have so little of the log-likelihood ratio that it had with them.
 const LOST: f64 = 0.8;

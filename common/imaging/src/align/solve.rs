@@ -10,7 +10,9 @@
 //! Cameras and codecs smooth code values too, not only light, and that moves edges towards what is
 //! light: measured, by 0.1 px^2 of variance in views cut from plain frames, 0.25 in H.264.
 //! Unknown are six numbers of the pose, three of the point spread's covariance, that variance, w and b
-//! of each facet and the light of each seam, all of one step together. Residuals are weighted by Cauchy's
+//! of each facet and the light of each seam, all of one step together. In the last step light may also
+//! change along each facet, since lamps and windows are some metres away, and arms and hulls keep some of
+//! it off; not before, because what hides half a facet would pass for that. Residuals are weighted by Cauchy's
 //! function with a scale for each facet, so that a propeller or a shadow on one of them leaves the
 //! others alone.
 
@@ -57,8 +59,11 @@ impl Settings {
 /// A fit's end.
 #[derive(Debug, Clone)]
 pub(super) struct Fit {
+    /// With light that is the same all over each facet.
     pub state: State,
-    /// Covariance of position (m) and rotation vector, in the patch's axes.
+    /// The pose with light that changes along them.
+    pub patch_from_markers: Isometry3<f64>,
+    /// Its covariance: position (m) and rotation vector, in the patch's axes.
     pub covariance: Matrix6<f64>,
     /// The pixels that it rests on.
     pub samples: Vec<Sample>,
@@ -110,10 +115,12 @@ impl<'p> Scene<'p> {
     }
 }
 
-/// A pixel's model: its light, and the derivatives by pose and blur, by facets' levels and by seams.
+/// A pixel's model: its light, and the derivatives by pose and blur, by the slope of the light of the facet
+/// that it lies on (its relative change in a metre along the facet's axes), by facets' levels and by seams.
 pub(super) struct Modelled {
     pub light: f64,
     pub by_common: [f64; COMMON],
+    pub by_slope: [f64; 2],
     /// Facet, derivative by its white, by its black.
     by_levels: [(usize, f64, f64); 3],
     level_count: usize,
@@ -132,8 +139,9 @@ impl Modelled {
     }
 }
 
-/// Models one pixel that shows `facets`, the first of them with the seams at these edges of it, and
-/// the light `behind` them. A seam's own slope is left out: it is faint where it is right.
+/// Models one pixel that lies on the first of `facets` and shows the others as well, with the seams at
+/// these edges of the first, and the light `behind` them. A seam's own slope is left out: it is faint where
+/// it is right.
 #[inline(always)]
 pub(super) fn model(
     scene: &Scene<'_>,
@@ -146,6 +154,7 @@ pub(super) fn model(
     let mut modelled = Modelled {
         light: behind,
         by_common: [0.0; COMMON],
+        by_slope: [0.0; 2],
         by_levels: [(0, 0.0, 0.0); 3],
         level_count: 0,
         by_seams: [(0, 0.0); 2],
@@ -156,6 +165,7 @@ pub(super) fn model(
     for index in facets {
         // Seams are those of the first, whether it is still seen or not.
         let seams = seams.take();
+        let is_first = seams.is_some();
         let Some((seen, blurred)) = scene.facet(index) else { continue };
         let flow = seen.flow(direction);
         let coverage = blurred.coverage(flow.at);
@@ -178,8 +188,12 @@ pub(super) fn model(
         modelled.by_common[6] += in_pixels[(0, 0)] / 2.0;
         modelled.by_common[7] += in_pixels[(0, 1)];
         modelled.by_common[8] += in_pixels[(1, 1)] / 2.0;
+        let (m, k) = (f64::from(coverage.value), f64::from(black.value));
+        if is_first {
+            let light = w * (m - k) + b * k;
+            modelled.by_slope = [light * flow.at.x, light * flow.at.y];
+        }
         if modelled.level_count < modelled.by_levels.len() {
-            let (m, k) = (f64::from(coverage.value), f64::from(black.value));
             modelled.by_levels[modelled.level_count] = (index, m - k, k);
             modelled.level_count += 1;
         }
@@ -226,14 +240,23 @@ pub(super) fn fit(
         let mut sums = pass.sum(&scene, &state);
         let seen = sums.normal.clone();
         add_priors(&mut sums.normal, &mut sums.right, &state, &layout, settings);
-        let normal = sums.normal.cholesky()?;
-        let step = normal.solve(&sums.right);
+        let even = ..layout.even;
+        let normal = sums.normal.view_range(even, even).into_owned().cholesky()?;
+        let step = normal.solve(&sums.right.rows_range(even));
+        let before = state.clone();
         let moved = take(&mut state, &step, &layout, patch)?;
         if is_robust && knows_hidden && (moved < SETTLED_PX || iteration >= settings.iterations) {
+            let normal = sums.normal.cholesky()?;
+            let step = normal.solve(&sums.right);
+            let mut sloped = before;
+            take(&mut sloped, &step, &layout, patch)?;
+            let explains = step.dot(&sums.right);
+            let residuals = &sums.residuals;
             let covariance =
-                covariance::of_pose(&normal, &seen, patch, &samples, &sums.residuals, &scales)?;
+                covariance::of_pose(&normal, &seen, explains, patch, &samples, residuals, &scales)?;
             return Some(Fit {
                 state,
+                patch_from_markers: sloped.patch_from_markers,
                 covariance,
                 samples,
                 is_whole: hidden.is_empty(),

@@ -20,10 +20,13 @@ pub(super) fn damping(squared_deviations: f64) -> f64 {
     squared_deviations / CAUCHY.powi(2)
 }
 
-/// Length of a row for a pixel that shows one facet: pose and blur, two levels, the residual.
-const INSIDE: usize = COMMON + 3;
+/// Length of a row for a pixel that shows one facet: pose and blur, the two slopes of the light of the
+/// facet that it lies on, two levels, the residual.
+const INSIDE: usize = LEVELS + 2 + 1;
 /// For one at the edges of up to three: and two seams more.
-const ACROSS: usize = COMMON + 6 + 2 + 1;
+const ACROSS: usize = LEVELS + 6 + 2 + 1;
+/// Where a row has its levels.
+const LEVELS: usize = COMMON + 2;
 
 /// Sums over the samples.
 pub(super) struct Sums {
@@ -52,15 +55,19 @@ struct Bundle<const ROW: usize> {
 }
 
 impl<const ROW: usize> Bundle<ROW> {
-    fn new(modelled: &Modelled, layout: &Layout) -> Self {
+    /// For pixels that lie on this facet.
+    fn new(facet: usize, modelled: &Modelled, layout: &Layout) -> Self {
         let mut places = [None; ROW];
         for (k, place) in places.iter_mut().enumerate().take(COMMON) {
             *place = Some(k);
         }
+        let slope = layout.slope(facet);
+        places[COMMON] = slope;
+        places[COMMON + 1] = slope.map(|at| at + 1);
         for (k, &(facet, ..)) in modelled.levels().iter().enumerate() {
             let at = layout.level(facet);
-            places[COMMON + 2 * k] = at;
-            places[COMMON + 2 * k + 1] = at.map(|at| at + 1);
+            places[LEVELS + 2 * k] = at;
+            places[LEVELS + 2 * k + 1] = at.map(|at| at + 1);
         }
         for (k, &(seam, _)) in modelled.seams().iter().enumerate() {
             places[ROW - 3 + k] = layout.seam(seam);
@@ -151,15 +158,19 @@ impl Pass<'_> {
             for (value, by) in row.iter_mut().zip(modelled.by_common) {
                 *value = by as f32;
             }
+            for (value, by) in row[COMMON..].iter_mut().zip(modelled.by_slope) {
+                *value = by as f32;
+            }
             for (k, &(_, by_white, by_black)) in modelled.levels().iter().enumerate() {
-                row[COMMON + 2 * k] = by_white as f32;
-                row[COMMON + 2 * k + 1] = by_black as f32;
+                row[LEVELS + 2 * k] = by_white as f32;
+                row[LEVELS + 2 * k + 1] = by_black as f32;
             }
             for (k, &(_, by_seam)) in modelled.seams().iter().enumerate() {
                 row[ROW - 3 + k] = by_seam as f32;
             }
             row[ROW - 1] = residual as f32;
-            let bundle = bundle.get_or_insert_with(|| Bundle::new(&modelled, self.layout));
+            let facet = usize::from(sample.facet);
+            let bundle = bundle.get_or_insert_with(|| Bundle::new(facet, &modelled, self.layout));
             bundle.add(&row, weight as f32);
         }
         if let Some(bundle) = bundle {

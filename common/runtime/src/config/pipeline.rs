@@ -346,7 +346,7 @@ impl Default for Fusion {
             history_s: 0.5,
             gate_probability: 0.999,
             restart_after_gated: 3,
-            acceleration: 1.5,
+            acceleration: 0.7,
             angular_acceleration: 3.0,
             deadline_ms: 3000.0,
             align: true,

@@ -8,7 +8,7 @@ use crate::drawn_body::{Drawing, draw, prints};
 use crate::sighting::MeasuredBy;
 use flockeye_contract::{DetectedMarker, DetectionHeader, FrameEnd, FrameStamp};
 use flockeye_geometry::body::{Body, squares};
-use flockeye_geometry::filter::TrackState;
+use flockeye_geometry::filter::{MotionModel, TrackState};
 use flockeye_geometry::partition::Partition;
 use flockeye_geometry::search::{GazeOptions, SearchMode};
 use flockeye_imaging::align::Picture;
@@ -39,7 +39,9 @@ fn swarm() -> Swarm {
     let views = partition.views(0.1, PIXELS_PER_RADIAN).unwrap();
     let gaze = GazeOptions::new(PIXELS_PER_RADIAN);
     let planner = Planner::new(SearchMode::Gaze, partition, views, gaze).unwrap();
-    let filter = FilterChoice::Tracks(TrackPolicy::default());
+    // Neighbours jump here from one frame to the next, which takes wild ones.
+    let motion = MotionModel { acceleration: 1.5, ..MotionModel::default() };
+    let filter = FilterChoice::Tracks(TrackPolicy { motion, ..TrackPolicy::default() });
     Swarm::new(&bodies, filter, planner, aligner, 1)
 }
 
