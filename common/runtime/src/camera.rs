@@ -263,10 +263,9 @@ mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
 
+    /// A mask in the folder for temporary files, for one test to write and to remove.
     fn write_mask(name: &str, width: u32, height: u32, pixels: &[u8]) -> PathBuf {
-        let folder = std::env::temp_dir().join(format!("flockeye-mask-{}", std::process::id()));
-        std::fs::create_dir_all(&folder).unwrap();
-        let path = folder.join(name);
+        let path = std::env::temp_dir().join(format!("flockeye-{}-{name}", std::process::id()));
         let mut encoder = png::Encoder::new(File::create(&path).unwrap(), width, height);
         encoder.set_color(png::ColorType::Grayscale);
         encoder.write_header().unwrap().write_image_data(pixels).unwrap();
