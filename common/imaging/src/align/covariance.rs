@@ -22,7 +22,8 @@
 //! mean(psi^2) mean(w) / mean(psi')^2
 //! ```
 //!
-//! times the inverse normal matrix: 0.92 for normal noise, more where outliers are left.
+//! times the inverse normal matrix: 0.92 for normal noise, more where outliers are left. The residuals are
+//! those before the last step; what it explains of their squares is taken off.
 
 use nalgebra::{Cholesky, DMatrix, Dyn, Matrix6};
 
@@ -39,7 +40,8 @@ const LEAST_LEFT: f64 = 0.5;
 
 /// Covariance of position (m) and rotation vector, in the patch's axes, of a fit with this normal matrix,
 /// factored, and these residuals, of whose weighted squares, in deviations, the last step `explains` so
-/// much. `seen` is what of the normal matrix comes from samples, not priors. `None` where it is none.
+/// much, priors included. `seen` is what of the normal matrix comes from samples, not priors. `None` where
+/// it is none.
 pub(super) fn of_pose(
     normal: &Cholesky<f64, Dyn>,
     seen: &DMatrix<f64>,
@@ -69,11 +71,15 @@ pub(super) fn of_pose(
     let independent = samples.len() as f64 / together;
     let taken = inverse.component_mul(seen).sum();
     let free = (independent - taken).max(LEAST_FREE * independent);
-    let squares = robust.weighted_squares.max(f64::MIN_POSITIVE);
-    let left = (1.0 - explains / squares).clamp(LEAST_LEFT, 1.0);
+    let left = left(explains, robust.weighted_squares);
     let factor = robust.factor()? * left * together * independent / free;
     let pose: Matrix6<f64> = inverse.fixed_view::<6, 6>(0, 0) * factor;
     pose.iter().all(|x| x.is_finite()).then_some((pose + pose.transpose()) / 2.0)
+}
+
+/// The share of the residuals' `squares` that is left after a step that `explains` so much of them.
+fn left(explains: f64, squares: f64) -> f64 {
+    (1.0 - explains / squares.max(f64::MIN_POSITIVE)).clamp(LEAST_LEFT, 1.0)
 }
 
 /// Sums over residuals r in deviations: of their weights w, of w r^2, of psi = w r, squared, and of psi's
@@ -207,6 +213,12 @@ mod tests {
         };
         let together = together(SIDE, SIDE, &felt(mean));
         assert!((together - 9.0).abs() < 1.2, "{together}");
+    }
+
+    #[test]
+    fn a_step_leaves_what_it_does_not_explain_or_half() {
+        assert_eq!((left(30.0, 100.0), left(80.0, 100.0)), (0.7, LEAST_LEFT));
+        assert_eq!((left(0.0, 0.0), left(-1.0, 100.0)), (1.0, 1.0));
     }
 
     #[test]

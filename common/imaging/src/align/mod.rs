@@ -85,9 +85,10 @@ pub struct Alignment {
     pub camera_from_markers: Isometry3<f64>,
     /// Its covariance: position (m), then rotation vector (rad), in the camera frame's axes.
     pub covariance: Matrix6<f64>,
-    /// Covariance of the point spread, pixels of the sphere image squared.
+    /// Covariance of the point spread, pixels of the sphere image squared, where light is the same all over
+    /// a facet.
     pub blur_px2: Matrix2<f64>,
-    /// How well the cells agree.
+    /// How well the cells agree, where light is the same all over a facet.
     pub score: Score,
     /// The share of the pixels asked that nothing was found to be before.
     pub share_seen: f64,

@@ -33,6 +33,9 @@ use super::unknowns::{CODED, COMMON, Layout, State, add_priors, take};
 const SETTLED_PX: f64 = 0.03;
 /// After a step that moves it by less than this, what is still off is something else.
 const NEAR_PX: f64 = 0.3;
+/// Slopes of the light that would move it by more than this, pixels, are none: then something else is wrong,
+/// and it is left where light is the same all over a facet.
+const SLOPED_PX: f64 = 0.5;
 /// Pixels fewer than this say nothing.
 const MIN_SAMPLES: usize = 60;
 
@@ -61,7 +64,7 @@ impl Settings {
 pub(super) struct Fit {
     /// With light that is the same all over each facet.
     pub state: State,
-    /// The pose with light that changes along them.
+    /// The pose with light that changes along them, if that is next to it; else the state's.
     pub patch_from_markers: Isometry3<f64>,
     /// Its covariance: position (m) and rotation vector, in the patch's axes.
     pub covariance: Matrix6<f64>,
@@ -246,17 +249,28 @@ pub(super) fn fit(
         let before = state.clone();
         let moved = take(&mut state, &step, &layout, patch)?;
         if is_robust && knows_hidden && (moved < SETTLED_PX || iteration >= settings.iterations) {
-            let normal = sums.normal.cholesky()?;
-            let step = normal.solve(&sums.right);
-            let mut sloped = before;
-            take(&mut sloped, &step, &layout, patch)?;
-            let explains = step.dot(&sums.right);
-            let residuals = &sums.residuals;
-            let covariance =
-                covariance::of_pose(&normal, &seen, explains, patch, &samples, residuals, &scales)?;
+            let of_pose = |normal: &_, seen: &_, explains: f64| {
+                let residuals = &sums.residuals;
+                covariance::of_pose(normal, seen, explains, patch, &samples, residuals, &scales)
+            };
+            let with_slopes = || {
+                let normal = sums.normal.clone().cholesky()?;
+                let step = normal.solve(&sums.right);
+                let mut sloped = before;
+                let moved = take(&mut sloped, &step, &layout, patch)?;
+                let covariance = of_pose(&normal, &seen, step.dot(&sums.right))?;
+                (moved < SLOPED_PX).then_some((sloped.patch_from_markers, covariance))
+            };
+            let (patch_from_markers, covariance) = match with_slopes() {
+                Some(found) => found,
+                None => {
+                    let seen = seen.view_range(even, even).into_owned();
+                    (state.patch_from_markers, of_pose(&normal, &seen, 0.0)?)
+                }
+            };
             return Some(Fit {
                 state,
-                patch_from_markers: sloped.patch_from_markers,
+                patch_from_markers,
                 covariance,
                 samples,
                 is_whole: hidden.is_empty(),

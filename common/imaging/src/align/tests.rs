@@ -12,7 +12,7 @@ use proptest::prelude::*;
 
 use super::geometry::{Pinhole, seen_facets};
 use super::solve::{Scene, model};
-use super::unknowns::State;
+use super::unknowns::{Layout, State};
 use super::*;
 use crate::light::{CodeRange, TransferCurve};
 use drawn_body::{Drawing, draw, prints};
@@ -167,8 +167,8 @@ fn smoothed_code_values_do_not_move_it() {
     assert!(bias_m.abs() < 0.4e-3, "{:.2} mm", bias_m * 1e3);
 }
 
-/// The drawing with less light towards one side of it: of what there is in its middle, 30 % less at the
-/// body's rim, and 30 % more at the other.
+/// The drawing with less light towards one side of it: 30 % less than in its middle at one rim of the body,
+/// 30 % more at the opposite one.
 fn lit_from_a_side(drawing: &Drawing, range_m: f64, [across, down]: [f64; 2]) -> Drawing {
     let side = drawing.view.size_px as usize;
     let radius_px = 0.08 / range_m * PIXELS_PER_RADIAN;
@@ -185,6 +185,25 @@ fn lit_from_a_side(drawing: &Drawing, range_m: f64, [across, down]: [f64; 2]) ->
 /// The sRGB code of linear light.
 fn coded(light: f64) -> u8 {
     (255.0 * (1.055 * light.max(0.0031).powf(1.0 / 2.4) - 0.055)).round() as u8
+}
+
+#[test]
+fn slopes_have_the_last_places_among_the_unknowns() {
+    let print = print_of(&body(0));
+    let pinhole = Pinhole { focal_px: 611.0, centre_px: Vector2::new(50.0, 50.0) };
+    let ahead = Isometry3::from_parts(
+        Translation3::new(0.0, 0.0, 1.0),
+        UnitQuaternion::from_euler_angles(0.3, -0.2, 0.9),
+    );
+    let state = State::new(&print, ahead, 1.0);
+    let scene = Scene::of(&print, &state, &pinhole, 0.0, 0.5);
+    let layout = Layout::new(&print, &scene, &[]);
+    let slopes = layout.facets().filter_map(|(facet, _)| layout.slope(facet));
+    let places: Vec<usize> = slopes.flat_map(|at| [at, at + 1]).collect();
+    assert!(places.len() > 10);
+    assert_eq!(places, (layout.even..layout.count).collect::<Vec<_>>());
+    let away = scene.seen.iter().position(Option::is_none).expect("one faces away");
+    assert_eq!(layout.slope(away), None);
 }
 
 #[test]
@@ -326,7 +345,7 @@ proptest! {
         prop_assert!(print.mirrored(99, &pose).is_none());
     }
 
-    /// Derivatives by pose against differences of the model, the point spread on each facet being
+    /// Derivatives by pose and light against differences of the model, the point spread on each facet being
     /// held as a step of the solver holds it.
     #[test]
     fn derivatives_are_those_of_the_model(
@@ -368,8 +387,15 @@ proptest! {
                 prop_assert!((numeric - now.by_common[k]).abs() < limit, "facet {index}, unknown {k}: {numeric} and {}", now.by_common[k]);
             }
             let [white, black] = state.levels[index];
-            let by_level = now.levels()[0];
-            let light = white * by_level.1 + black * by_level.2;
+            let (_, by_white, by_black) = now.levels()[0];
+            // Light is linear in both, but for what code values that are smoothed make of it: nothing here.
+            for (level, by) in [by_white, by_black].into_iter().enumerate() {
+                let mut lighter = state.clone();
+                lighter.levels[index][level] += 0.25;
+                let numeric = (model(&lighter).light - now.light) / 0.25;
+                prop_assert!((numeric - by).abs() < 1e-6, "facet {index}, level {level}: {numeric} and {by}");
+            }
+            let light = white * by_white + black * by_black;
             // Where on the facet the pixel looks.
             let place = across.map(|share| share * 0.025);
             for (by, place) in now.by_slope.iter().zip(place) {

@@ -19,7 +19,7 @@ pub(super) const BLACK_SHARE: (f64, f64) = (0.06, 0.12);
 /// What a seam between two facets may add to the light or take from it: so wide a line of the
 /// facets' own white, metres. Bodies are folded, glued and bevelled, and edges lie where they may.
 const SEAM_M: f64 = 6e-5;
-/// By what share of itself a facet's light may change in a metre, as it does two metres from a lamp: 3 %
+/// By what share of itself a facet's light may change in a metre, as it does three metres from a lamp: 2 %
 /// from the middle of a facet of 6 cm to its edge. Arms and hulls next to the body keep more of it off.
 const SLOPE_PER_M: f64 = 0.7;
 /// Narrowest and widest point spread, pixels.
@@ -53,8 +53,8 @@ impl State {
     }
 }
 
-/// Where the unknowns of facets and seams stand; those that no sample shows have no place. The slopes of
-/// facets' light come last, so that all others can be solved for without them.
+/// Where the unknowns of facets and seams stand; facets that face away, and seams that no sample shows,
+/// have no place. The slopes of facets' light come last, so that all others can be solved for without them.
 #[derive(Debug)]
 pub(super) struct Layout {
     levels: Vec<Option<usize>>,
