@@ -127,7 +127,7 @@ codes! {
         Complete = 0,
         /// A view held a marker, and the rule was `first_hit`.
         Hit = 1,
-        /// A newer frame was there, and the rule was `deadline`.
+        /// A newer frame was there, or was due, and the rule was `deadline`.
         Newer = 2,
         /// The fixed number of views of a lossless run was reached.
         Budget = 3,

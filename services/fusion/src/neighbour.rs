@@ -61,6 +61,11 @@ impl Neighbour {
         self.life.predict(at_s)
     }
 
+    /// Whether it has a track.
+    pub fn is_tracked(&self) -> bool {
+        self.life.track().is_some()
+    }
+
     /// Whether its track is believed and was measured in its last frame.
     pub fn is_measured(&self) -> bool {
         self.life.state() == Some(TrackState::Confirmed)

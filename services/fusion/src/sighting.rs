@@ -257,7 +257,12 @@ impl Look<'_> {
                 let predicted = &prior.camera_from_markers;
                 aligner.follow(self.target, picture, &starts, predicted, self.pace, is_marked)
             }
-            None => aligner.discover(self.target, picture, &starts, self.pace, is_marked),
+            None => aligner
+                .discover(self.target, picture, &starts, self.pace, is_marked)
+                // What only one facet says of a newcomer is weighed against all other starts.
+                .filter(|found| {
+                    !self.has_second || self.predicted.is_some() || found.score.agreeing_facets > 1
+                }),
         }
     }
 
@@ -281,10 +286,19 @@ impl Look<'_> {
             && self.second.is_none_or(|second| !self.basis().adds_nothing_to(&second))
     }
 
-    /// What a second look begins from.
+    /// What a second look begins from: for a neighbour that is not known yet from its corners again too,
+    /// since what one start leads to is weighed against what the others do.
     pub fn second_starts(&self) -> Vec<Start> {
-        let predicted = self.prior.as_ref().map(|prior| Start::Rough(prior.camera_from_markers));
-        self.doubtful_starts().chain(predicted).collect()
+        let from_corners = match self.prior {
+            Some(_) => Vec::new(),
+            None => solve(self.body, &self.rays, &PoseOptions::default()).unwrap_or_default(),
+        };
+        let from_corners = from_corners.into_iter().take(STARTS_FROM_CORNERS);
+        from_corners
+            .map(|solution| Start::Fine(solution.camera_from_markers))
+            .chain(self.doubtful_starts())
+            .chain(self.predicted.map(Start::Rough))
+            .collect()
     }
 }
 

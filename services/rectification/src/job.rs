@@ -70,8 +70,8 @@ impl Job {
         }
     }
 
-    /// What to do next; `is_newer_there` says whether a newer frame waits.
-    pub fn next(&self, is_newer_there: bool) -> Next {
+    /// What to do next; `is_newer_due` says whether a newer frame waits, or should.
+    pub fn next(&self, is_newer_due: bool) -> Next {
         if let Some(&index) = self.recut.first() {
             return Next::Cut { index, is_yielding: false };
         }
@@ -93,7 +93,7 @@ impl Job {
         // A neighbour's view is never pushed out, and neither is a frame's first: under overload
         // every frame would be.
         let is_partition = view.kind == ViewKind::Partition.code();
-        if is_newer_there && is_partition && self.issued > 0 {
+        if is_newer_due && is_partition && self.issued > 0 {
             return Next::End(StopReason::Newer);
         }
         Next::Cut { index: self.issued as u32, is_yielding: is_partition && self.issued > 0 }

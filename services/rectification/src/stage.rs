@@ -19,6 +19,7 @@ use flockeye_runtime::ports::{Message, Ports, Publisher, Subscriber};
 use flockeye_runtime::{Context, Stage, Step, clock};
 use nalgebra::Vector3;
 
+use crate::cadence::Cadence;
 use crate::dispatch::{Answer, Dispatcher};
 use crate::job::{Job, Next, sweep};
 use crate::rectifier::{BackendChoice, FrameKey, Rectifier as _, choose_backend};
@@ -52,6 +53,7 @@ pub struct RectificationStage {
     searched: usize,
     plan: Option<(PlanHeader, Vec<PlannedView>)>,
     waiting: Option<Message<Frames>>,
+    cadence: Cadence,
     held: Vec<Held>,
     counters: SharedCounters,
     failures: Throttle,
@@ -111,6 +113,7 @@ impl Stage for RectificationStage {
             searched: 0,
             plan: None,
             waiting: None,
+            cadence: Cadence::default(),
             held: Vec::new(),
             counters: context.counters.clone(),
             failures: Throttle::default(),
@@ -168,6 +171,7 @@ impl RectificationStage {
             return Ok(());
         }
         while let Some(newer) = self.frames.receive()? {
+            self.cadence.note(&newer.header.stamp, clock::monotonic_ns());
             if self.waiting.replace(newer).is_some() {
                 self.counters.add_dropped(1);
             }
@@ -267,9 +271,10 @@ impl RectificationStage {
 
     /// Cuts one view, or ends a frame. False if there is nothing to do before something arrives.
     fn cut_next(&mut self) -> anyhow::Result<bool> {
-        let is_newer_there = self.waiting.is_some() && self.flow == Flow::Latest;
+        let is_due = || self.cadence.due_ns().is_some_and(|due_ns| due_ns <= clock::monotonic_ns());
+        let is_newer_due = self.flow == Flow::Latest && (self.waiting.is_some() || is_due());
         for position in 0..self.held.len() {
-            match self.held[position].job.next(is_newer_there) {
+            match self.held[position].job.next(is_newer_due) {
                 Next::Wait => {}
                 Next::End(reason) => {
                     self.end(position, reason)?;

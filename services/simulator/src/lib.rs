@@ -34,7 +34,10 @@
 //! | [`sphere`], [`sphere_picture`] | laid on the sphere image, row by row |
 //! | [`tiles`], [`panorama`], [`tiled_picture`] | laid on any other image, tile by tile |
 //! | [`response`], [`sensor`] | the curve to code values, clipping, noise |
+//! | [`schedule`], [`ahead`] | in flight: which frame is drawn when, before its time |
+//! | [`stage`] | the ports around it |
 
+pub mod ahead;
 pub mod backdrop;
 pub mod density;
 pub mod drawing;

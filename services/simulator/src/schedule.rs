@@ -1,11 +1,11 @@
 //! When which frame is exposed, drawn and handed over.
 
-/// A frame that is due.
+/// A frame to be drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Due {
     /// Its number.
     pub frame: u64,
-    /// Frames before it that could not be drawn in time.
+    /// Frames before it that cannot be drawn in time.
     pub skipped: u64,
 }
 
@@ -16,18 +16,19 @@ pub struct Times {
     pub exposure_ns: i64,
     /// When it is handed over.
     pub handover_ns: i64,
+    /// When the next one is: then it is too late for this one.
+    pub next_ns: i64,
 }
 
 /// What is left of the longest time that drawing took, after each frame: one slow frame lets the next
-/// hundred be drawn a little early.
+/// hundred be left out a little sooner.
 const FORGETTING: f64 = 0.97;
 
 /// Frames at a steady rate from a start.
 ///
 /// A frame is exposed round its scheduled instant, however long the work of drawing it takes, and handed
-/// over when its exposure ends: a camera's picture is there then. So it is drawn before, in the time that
-/// drawing was seen to take. Where that is too short it comes later; one that would come when the next one
-/// should be there is left out.
+/// over when its exposure ends: a camera's picture is there then. So frames are drawn before. One that
+/// would come when the next one should be there is left out.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Schedule {
     start_ns: i64,
@@ -52,29 +53,36 @@ impl Schedule {
 
     /// When frame `frame` is exposed and handed over.
     pub fn times(&self, frame: u64) -> Times {
-        let exposure_ns = self.start_ns + (frame as f64 * self.period_ns).round() as i64;
-        Times { exposure_ns, handover_ns: exposure_ns + self.half_exposure_ns }
-    }
-
-    /// When the next frame is to be drawn.
-    pub fn next_ns(&self) -> i64 {
-        self.times(self.next).handover_ns - self.drawing_ns as i64
-    }
-
-    /// The frame to draw now, if there is one: the newest that is to be there once it is drawn.
-    pub fn due(&mut self, now_ns: i64) -> Option<Due> {
-        if now_ns < self.next_ns() {
-            return None;
+        let exposure_ns = |frame: u64| {
+            self.start_ns.saturating_add((frame as f64 * self.period_ns).round() as i64)
+        };
+        let handover_ns = |frame| exposure_ns(frame).saturating_add(self.half_exposure_ns);
+        Times {
+            exposure_ns: exposure_ns(frame),
+            handover_ns: handover_ns(frame),
+            next_ns: handover_ns(frame.saturating_add(1)),
         }
+    }
+
+    /// When to begin drawing the next frame so that it is drawn so many frames before its time, and not
+    /// sooner: what was handed over last is being searched then.
+    pub fn begin_ns(&self, frames_ahead: u64) -> i64 {
+        let drawn_ns = self.times(self.next.saturating_sub(frames_ahead)).handover_ns;
+        drawn_ns.saturating_sub(self.drawing_ns as i64)
+    }
+
+    /// The frame to draw now: the next one, or, where it is late, the newest that should be there once it
+    /// is drawn.
+    pub fn draw(&mut self, now_ns: i64) -> Due {
         let drawn_ns = now_ns + self.drawing_ns as i64;
         let elapsed = (drawn_ns - self.times(0).handover_ns) as f64 / self.period_ns;
         let frame = (elapsed.floor() as u64).max(self.next);
         let skipped = frame - self.next;
         self.next = frame + 1;
-        Some(Due { frame, skipped })
+        Due { frame, skipped }
     }
 
-    /// Takes note of how long a frame took to draw. None is begun more than a period early.
+    /// Takes note of how long a frame took to draw; more than a period is not believed of the next one.
     pub fn drew(&mut self, took_ns: i64) {
         self.drawing_ns = (FORGETTING * self.drawing_ns).max(took_ns as f64).min(self.period_ns);
     }
@@ -84,43 +92,41 @@ impl Schedule {
 mod tests {
     use super::*;
 
-    fn frame(frame: u64) -> Option<Due> {
-        Some(Due { frame, skipped: 0 })
-    }
-
     #[test]
     fn frames_are_there_when_their_exposure_ends() {
-        let mut schedule = Schedule::new(1_000, 1e8, 2);
-        assert_eq!(schedule.times(1), Times { exposure_ns: 1_010, handover_ns: 1_012 });
-        assert_eq!((schedule.due(1_011), schedule.due(1_012)), (None, frame(1)));
-        assert_eq!((schedule.due(1_021), schedule.due(1_022)), (None, frame(2)));
+        let schedule = Schedule::new(1_000, 1e8, 2);
+        let times = Times { exposure_ns: 1_010, handover_ns: 1_012, next_ns: 1_022 };
+        assert_eq!(schedule.times(1), times);
+        let last = schedule.times(u64::MAX);
+        assert_eq!((last.handover_ns, last.next_ns), (i64::MAX, i64::MAX));
     }
 
     #[test]
-    fn they_are_drawn_before() {
+    fn they_are_drawn_one_after_the_other_however_early() {
         let mut schedule = Schedule::new(0, 1e8, 2);
-        schedule.drew(5);
-        assert_eq!((schedule.next_ns(), schedule.due(6), schedule.due(7)), (7, None, frame(1)));
-        // Faster for once: it is not believed at once.
-        schedule.drew(1);
-        assert_eq!(schedule.next_ns(), 22 - 4);
-        for _ in 0..200 {
-            schedule.drew(1);
+        for frame in 1..9 {
+            schedule.drew(5);
+            let there_ns = 10 * (frame as i64).max(2) + 2;
+            assert_eq!(schedule.begin_ns(0), there_ns.min(10 * frame as i64 + 2) - 5);
+            assert_eq!(schedule.begin_ns(2), there_ns - 20 - 5);
+            assert_eq!(schedule.draw(3), Due { frame, skipped: 0 });
         }
-        assert_eq!(schedule.next_ns(), 22 - 1);
-        // Never more than one frame ahead.
-        schedule.drew(1_000);
-        assert_eq!((schedule.due(11), schedule.due(12)), (None, frame(2)));
     }
 
     #[test]
     fn who_is_late_leaves_frames_out() {
         let mut schedule = Schedule::new(0, 1e8, 0);
-        assert_eq!(schedule.due(35), Some(Due { frame: 3, skipped: 2 }));
-        assert_eq!(schedule.due(39), None);
+        assert_eq!(schedule.draw(35), Due { frame: 3, skipped: 2 });
         schedule.drew(8);
         // Drawn by 49, before the next one should be there; then by 65, which is too late for 5.
-        assert_eq!(schedule.due(41), frame(4));
-        assert_eq!(schedule.due(57), Some(Due { frame: 6, skipped: 1 }));
+        assert_eq!(schedule.draw(41), Due { frame: 4, skipped: 0 });
+        assert_eq!(schedule.draw(57), Due { frame: 6, skipped: 1 });
+        // Quicker for once: it is not believed at once.
+        schedule.drew(1);
+        assert_eq!(schedule.draw(83), Due { frame: 9, skipped: 2 });
+        (0..200).for_each(|_| schedule.drew(1));
+        assert_eq!(schedule.draw(103), Due { frame: 10, skipped: 0 });
+        schedule.drew(1_000);
+        assert_eq!(schedule.draw(103), Due { frame: 11, skipped: 0 }, "one period at most");
     }
 }

@@ -17,7 +17,7 @@ use flockeye_runtime::ports::{Ports, Publisher};
 use flockeye_runtime::{Context, Stage, Step, clock};
 use nalgebra::Isometry3;
 
-use crate::schedule::{Schedule, Times};
+use crate::ahead::{Ahead, Drawn, Next};
 use crate::{FrameTruth, Response, TargetTruth, World, WorldParameters};
 
 /// Takes nothing (in a lossless run: plans, as credits); gives frames and their truth.
@@ -25,20 +25,29 @@ pub struct SimulatorStage {
     frames: Publisher<Frames>,
     truths: Publisher<Truths>,
     credits: Credits,
-    world: World,
+    drawing: Drawing,
+    /// Width and height of a frame.
+    size_px: (u32, u32),
     projection: Projection,
     /// Its code and its gamma.
     transfer: (Transfer, f32),
     bodies: Vec<Body>,
     observer_from_camera: Isometry3<f64>,
-    schedule: Option<Schedule>,
-    frames_per_second: f64,
-    flow: Flow,
-    next_frame: u64,
-    last_frame: u64,
     generation: u32,
     counters: SharedCounters,
 }
+
+/// Who draws.
+enum Drawing {
+    /// The stage, when it is asked for a frame: a lossless run.
+    OnDemand { world: Box<World>, next_frame: u64, last_frame: u64 },
+    /// A thread, and what waits for its time to come.
+    Ahead { ahead: Ahead, waiting: Option<Box<Drawn>> },
+}
+
+/// So long before its time a frame is brought into shared memory, nanoseconds: several times as long as
+/// that takes.
+const HANDOVER_NS: i64 = 10_000_000;
 
 impl Stage for SimulatorStage {
     const NAME: &'static str = "simulator";
@@ -57,23 +66,27 @@ impl Stage for SimulatorStage {
             pipeline.simulator.frames_per_second,
             pipeline.simulator.seed
         ));
+        let camera = pipeline.camera_model()?;
+        let last_frame = pipeline.simulator.frames.checked_sub(1).unwrap_or(u64::MAX);
+        let drawing = match pipeline.flow {
+            Flow::Lossless => {
+                Drawing::OnDemand { world: Box::new(world), next_frame: 0, last_frame }
+            }
+            Flow::Latest => {
+                let ahead = Ahead::start(world, last_frame).context("a thread that draws")?;
+                Drawing::Ahead { ahead, waiting: None }
+            }
+        };
         Ok(Self {
             frames: ports.publisher()?,
             truths: ports.side_publisher()?,
             credits: Credits::open(pipeline, ports)?,
-            world,
-            projection: projection_of(&pipeline.camera_model()?),
+            drawing,
+            size_px: (camera.width(), camera.height()),
+            projection: projection_of(&camera),
             transfer: pipeline.transfer(),
             bodies: flying.iter().flat_map(Bodies::iter).cloned().collect(),
             observer_from_camera: isometry(&pipeline.observer.observer_from_camera),
-            schedule: None,
-            frames_per_second: pipeline.simulator.frames_per_second,
-            flow: pipeline.flow,
-            next_frame: 0,
-            last_frame: match pipeline.simulator.frames {
-                0 => u64::MAX,
-                frames => frames - 1,
-            },
             generation: context.identity.generation,
             counters: context.counters.clone(),
         })
@@ -83,85 +96,90 @@ impl Stage for SimulatorStage {
         if !self.credits.may_send()? {
             return Ok(Step::WaitUntil(clock::monotonic_ns() + 100_000_000));
         }
-        if self.next_frame > self.last_frame {
-            return Ok(Step::Finished);
-        }
-        match self.flow {
-            Flow::Lossless => {
-                let frame = self.next_frame;
-                let stream_ns = (self.world.time_of(frame) * 1e9).round() as i64;
-                self.send(frame, |drawn_ns| Times {
-                    exposure_ns: stream_ns,
-                    handover_ns: drawn_ns,
-                })?;
-                Ok(Step::Again)
-            }
-            Flow::Latest => {
-                let Some(mut schedule) = self.schedule else {
-                    return self.begin();
+        match &mut self.drawing {
+            Drawing::OnDemand { .. } => self.draw_and_send(),
+            Drawing::Ahead { ahead, waiting } => {
+                let drawn = match waiting.take() {
+                    Some(drawn) => drawn,
+                    None => match ahead.take()? {
+                        Next::Frame(drawn) => drawn,
+                        Next::NotYet => return Ok(Step::Again),
+                        Next::Over => return Ok(Step::Finished),
+                    },
                 };
-                if let Some(due) = schedule.due(clock::monotonic_ns()) {
-                    self.counters.add_dropped(due.skipped);
-                    if due.frame <= self.last_frame {
-                        schedule.drew(self.send(due.frame, |_| schedule.times(due.frame))?);
-                    }
-                    self.next_frame = due.frame + 1;
-                    self.schedule = Some(schedule);
+                let early_ns = drawn.times.handover_ns.saturating_sub(HANDOVER_NS);
+                if clock::monotonic_ns() < early_ns {
+                    *waiting = Some(drawn);
+                    return Ok(Step::WaitUntil(early_ns));
                 }
-                Ok(Step::WaitUntil(schedule.next_ns()))
+                self.hand_over(*drawn)
             }
         }
     }
 }
 
 impl SimulatorStage {
-    /// Draws the first frame, which takes longer than any other. The others follow from when it is there.
-    fn begin(&mut self) -> anyhow::Result<Step> {
-        let half_exposure_ns = (self.world.parameters().exposure_s * 0.5e9).round() as i64;
-        let mut start_ns = 0;
-        let took_ns = self.send(0, |drawn_ns| {
-            start_ns = drawn_ns - half_exposure_ns;
-            Times { exposure_ns: start_ns, handover_ns: drawn_ns }
-        })?;
-        let mut schedule = Schedule::new(start_ns, self.frames_per_second, half_exposure_ns);
-        schedule.drew(took_ns);
-        self.schedule = Some(schedule);
-        Ok(Step::WaitUntil(schedule.next_ns()))
-    }
-
-    /// Draws a frame and hands it over, at the `times` that it is asked for once it is drawn; returns how
-    /// long drawing took.
-    fn send(&mut self, frame: u64, times: impl FnOnce(i64) -> Times) -> anyhow::Result<i64> {
+    /// Draws a frame where it will be read, and sends it.
+    fn draw_and_send(&mut self) -> anyhow::Result<Step> {
+        let Drawing::OnDemand { world, next_frame, last_frame } = &mut self.drawing else {
+            return Ok(Step::Again);
+        };
+        let frame = *next_frame;
+        if frame > *last_frame {
+            return Ok(Step::Finished);
+        }
         let begun_ns = clock::monotonic_ns();
-        let camera = self.world.parameters().camera;
-        let (width, height) = (camera.width(), camera.height());
+        let (width, height) = self.size_px;
         let mut loan = self.frames.loan(width as usize * height as usize)?;
-        let truth = self
-            .world
+        let truth = world
             .render(frame, loan.items_mut(), width as usize)
             .with_context(|| format!("frame {frame}"))?;
-        let drawn_ns = clock::monotonic_ns();
-        let Times { exposure_ns, handover_ns } = times(drawn_ns);
-        // It waits in the shared memory that it was drawn in.
-        std::thread::sleep(clock::until(handover_ns, drawn_ns));
-        let published_ns = clock::monotonic_ns();
-        let stamp = FrameStamp {
+        *next_frame = frame + 1;
+        let exposure_ns = (truth.time_s * 1e9).round() as i64;
+        self.counters.add_latency_ns(clock::monotonic_ns() - begun_ns);
+        let stamp = self.stamp(frame, exposure_ns, &truth);
+        self.send_truth(stamp, &truth)?;
+        loan.send(self.header(stamp, &truth))?;
+        self.credits.note_sent(stamp);
+        Ok(Step::Again)
+    }
+
+    /// Hands a frame over when its time has come, unless the next one's has.
+    fn hand_over(&mut self, drawn: Drawn) -> anyhow::Result<Step> {
+        let Drawn { frame, luma, truth, times, skipped, took_ns } = drawn;
+        self.counters.add_dropped(skipped);
+        self.counters.add_latency_ns(took_ns);
+        let is_too_late = times.next_ns <= clock::monotonic_ns();
+        if is_too_late {
+            self.counters.add_dropped(1);
+        } else {
+            let mut loan = self.frames.loan(luma.len())?;
+            loan.items_mut().copy_from_slice(&luma);
+            std::thread::sleep(clock::until(times.handover_ns, clock::monotonic_ns()));
+            let stamp = self.stamp(frame, times.exposure_ns, &truth);
+            self.send_truth(stamp, &truth)?;
+            loan.send(self.header(stamp, &truth))?;
+        }
+        if let Drawing::Ahead { ahead, .. } = &self.drawing {
+            ahead.reuse(luma);
+        }
+        Ok(Step::Again)
+    }
+
+    fn stamp(&self, frame: u64, exposure_ns: i64, truth: &FrameTruth) -> FrameStamp {
+        FrameStamp {
             sequence: frame,
             exposure_ns,
             stream_ns: (truth.time_s * 1e9).round() as i64,
-            published_ns,
+            published_ns: clock::monotonic_ns(),
             epoch: 0,
             source_generation: self.generation,
-        };
-        // Before the frame, so that whoever has a track of it has the truth too.
-        let bodies: Vec<BodyTruth> = truth
-            .bodies
-            .iter()
-            .zip(&self.bodies)
-            .map(|(target, body)| self.body_truth(target, body))
-            .collect();
-        self.truths.send(truth_header(stamp, &truth), &bodies)?;
-        loan.send(FrameHeader {
+        }
+    }
+
+    fn header(&self, stamp: FrameStamp, truth: &FrameTruth) -> FrameHeader {
+        let (width, height) = self.size_px;
+        FrameHeader {
             stamp,
             exposure_time_ns: (truth.exposure_s * 1e9).round() as u64,
             readout_ns: 0,
@@ -173,11 +191,15 @@ impl SimulatorStage {
             gamma: self.transfer.1,
             range: Range::Full.code(),
             projection: self.projection.code(),
-        })?;
-        self.counters.add_latency_ns(drawn_ns - begun_ns);
-        self.credits.note_sent(stamp);
-        self.next_frame = frame + 1;
-        Ok(drawn_ns - begun_ns)
+        }
+    }
+
+    /// Before the frame, so that whoever has a track of it has the truth too.
+    fn send_truth(&self, stamp: FrameStamp, truth: &FrameTruth) -> anyhow::Result<()> {
+        let targets = truth.bodies.iter().zip(&self.bodies);
+        let bodies: Vec<BodyTruth> =
+            targets.map(|(target, body)| self.body_truth(target, body)).collect();
+        Ok(self.truths.send(truth_header(stamp, truth), &bodies)?)
     }
 
     fn body_truth(&self, target: &TargetTruth, body: &Body) -> BodyTruth {

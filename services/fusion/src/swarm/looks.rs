@@ -34,9 +34,12 @@ impl Swarm {
                 look.peek = looked.peeks.get(&look.target);
                 look.second = looked.seconds.get(&look.target).copied();
             }
-            // Where there is no gaze view, all begins when the frame ends, and later is too late.
+            // Where there is no gaze view, all begins when the frame ends, and later is too late for that
+            // frame; where nobody else is tracked, nobody waits for it either.
             let is_glanced = looked.is_some_and(|looked| looked.glanced.contains(&look.target));
-            look.has_second &= second_looks.is_some() && is_glanced;
+            let is_in_time = look.prior.is_some() && is_glanced;
+            look.has_second &=
+                second_looks.is_some() && (is_in_time || self.tracks_others(look.target));
             look.may_search &= needed == 1 || look.has_second;
         }
         let sightings = measure_all(&looks, &self.aligner, self.threads);
@@ -74,21 +77,30 @@ impl Swarm {
             .collect()
     }
 
+    /// Whether any neighbour but this one is tracked.
+    fn tracks_others(&self, target: usize) -> bool {
+        let mut others = self.neighbours.iter().enumerate().filter(|(other, _)| *other != target);
+        others.any(|(_, neighbour)| neighbour.is_tracked())
+    }
+
     /// What a second look that is over found. Of a frame that has ended it only corrects a track that
-    /// goes on from there: what was found by the word of a track that is no more means nothing.
+    /// goes on from there, or begins one: what was found by the word of a track that is no more means
+    /// nothing.
     ///
     /// # Errors
     /// [`ThreadEnded`].
     pub fn take_second_look(&mut self) -> Result<Option<(FrameOrder, Update)>, ThreadEnded> {
         let Some(second_looks) = &mut self.second_looks else { return Ok(None) };
-        let Some(Answer { subject, sighting, rays_m }) = second_looks.take()? else {
-            return Ok(None);
-        };
+        let Some(answer) = second_looks.take()? else { return Ok(None) };
+        let Answer { subject, sighting, stands_alone, rays_m } = answer;
         let Subject { order, at_s, target } = subject;
         let is_late = self.ended.is_some_and(|ended| order <= ended);
-        let sighting = sighting
-            .map(|sighting| self.corrected(sighting, rays_m))
-            .filter(|sighting| !is_late || self.neighbours[target].expects(at_s, sighting));
+        let sighting =
+            sighting.map(|sighting| self.corrected(sighting, rays_m)).filter(|sighting| {
+                let neighbour = &self.neighbours[target];
+                let is_newcomer = stands_alone && !neighbour.is_tracked();
+                !is_late || is_newcomer || neighbour.expects(at_s, sighting)
+            });
         let update = sighting.and_then(|sighting| self.take_in(order, at_s, target, &sighting));
         Ok(update.map(|update| (order, update)))
     }
@@ -178,7 +190,7 @@ impl Swarm {
             needed,
             tried: None,
             peek: None,
-            has_second: self.pace != Pace::Unhurried && prior.is_some(),
+            has_second: self.pace != Pace::Unhurried,
             second: None,
         })
     }

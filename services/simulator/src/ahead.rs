@@ -1,0 +1,211 @@
+//! Frames drawn ahead of their time, on a thread of their own.
+//!
+//! A camera's picture is there when its exposure ends, however busy the processors are. Drawing one takes
+//! most of a frame's time; so some are drawn before, and one that takes longer makes none late.
+
+use std::io;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::thread::{Builder, JoinHandle};
+use std::time::Duration;
+
+use flockeye_runtime::clock;
+
+use crate::schedule::{Due, Schedule, Times};
+use crate::{FrameTruth, RenderError, World};
+
+/// Pictures that are drawn, or wait.
+const PICTURES: usize = 3;
+
+/// So many frames before its time a picture is there if all goes well.
+const FRAMES_AHEAD: u64 = 2;
+
+/// The longest that a picture is waited for at a time.
+const PATIENCE: Duration = Duration::from_millis(50);
+
+/// A frame that has been drawn.
+#[derive(Debug)]
+pub struct Drawn {
+    /// Its number.
+    pub frame: u64,
+    /// Its luma, row by row without gaps.
+    pub luma: Vec<u8>,
+    /// What is true of it.
+    pub truth: FrameTruth,
+    /// When it is exposed and handed over.
+    pub times: Times,
+    /// Frames before it that were left out.
+    pub skipped: u64,
+    /// How long drawing took, nanoseconds.
+    pub took_ns: i64,
+}
+
+/// The thread that draws.
+#[derive(Debug)]
+pub struct Ahead {
+    blank: SyncSender<Vec<u8>>,
+    drawn: Receiver<Result<Drawn, RenderError>>,
+    thread: Option<JoinHandle<()>>,
+    picture_bytes: usize,
+    has_begun: bool,
+}
+
+/// Why no more frames come.
+#[derive(Debug, thiserror::Error)]
+pub enum AheadError {
+    /// A frame could not be drawn.
+    #[error("a frame cannot be drawn")]
+    Render(#[from] RenderError),
+    /// The thread has panicked.
+    #[error("the thread that draws has ended; its panic was said before")]
+    ThreadEnded,
+}
+
+/// What is known of the next frame.
+#[derive(Debug)]
+pub enum Next {
+    /// Here it is.
+    Frame(Box<Drawn>),
+    /// It is not drawn yet.
+    NotYet,
+    /// There is none.
+    Over,
+}
+
+impl Ahead {
+    /// For the frames of `world` up to `last_frame`. Drawing begins when the first frame is asked for, which
+    /// takes longer than any other: the others' times follow from when it is there.
+    ///
+    /// # Errors
+    /// The system starts no thread.
+    pub fn start(world: World, last_frame: u64) -> io::Result<Self> {
+        let camera = world.parameters().camera;
+        let picture_bytes = camera.width() as usize * camera.height() as usize;
+        let (blank, blanks) = sync_channel(PICTURES);
+        let (tell, drawn) = sync_channel(PICTURES);
+        let thread = Builder::new()
+            .name("drawing".to_owned())
+            .spawn(move || draw_all(world, last_frame, &blanks, &tell))?;
+        Ok(Self { blank, drawn, thread: Some(thread), picture_bytes, has_begun: false })
+    }
+
+    /// The next frame, waited for a little.
+    ///
+    /// # Errors
+    /// [`AheadError`].
+    pub fn take(&mut self) -> Result<Next, AheadError> {
+        if !self.has_begun {
+            self.has_begun = true;
+            (0..PICTURES).for_each(|_| self.reuse(vec![0; self.picture_bytes]));
+        }
+        match self.drawn.recv_timeout(PATIENCE) {
+            Ok(drawn) => Ok(Next::Frame(Box::new(drawn?))),
+            Err(RecvTimeoutError::Timeout) => Ok(Next::NotYet),
+            Err(RecvTimeoutError::Disconnected) => {
+                let ended = self.thread.take().map(JoinHandle::join);
+                if ended.is_some_and(|ended| ended.is_err()) {
+                    return Err(AheadError::ThreadEnded);
+                }
+                Ok(Next::Over)
+            }
+        }
+    }
+
+    /// Gives a picture's memory back, to be drawn in again.
+    pub fn reuse(&self, luma: Vec<u8>) {
+        // There is room for all there are; and where the thread has ended, nobody draws any more.
+        let _ = self.blank.try_send(luma);
+    }
+}
+
+fn draw_all(
+    mut world: World,
+    last_frame: u64,
+    blanks: &Receiver<Vec<u8>>,
+    tell: &SyncSender<Result<Drawn, RenderError>>,
+) {
+    let width = world.parameters().camera.width() as usize;
+    let frames_per_second = world.parameters().frames_per_second;
+    let half_exposure_ns = (world.parameters().exposure_s * 0.5e9).round() as i64;
+    let mut schedule: Option<Schedule> = None;
+    while let Ok(mut luma) = blanks.recv() {
+        if let Some(schedule) = &schedule {
+            let begin_ns = schedule.begin_ns(FRAMES_AHEAD);
+            std::thread::sleep(clock::until(begin_ns, clock::monotonic_ns()));
+        }
+        let begun_ns = clock::monotonic_ns();
+        let first = Due { frame: 0, skipped: 0 };
+        let Due { frame, skipped } =
+            schedule.as_mut().map_or(first, |schedule| schedule.draw(begun_ns));
+        if frame > last_frame {
+            return;
+        }
+        let truth = world.render(frame, &mut luma, width);
+        let drawn_ns = clock::monotonic_ns();
+        let schedule = schedule.get_or_insert_with(|| {
+            Schedule::new(drawn_ns - half_exposure_ns, frames_per_second, half_exposure_ns)
+        });
+        let took_ns = drawn_ns - begun_ns;
+        schedule.drew(took_ns);
+        let times = schedule.times(frame);
+        let drawn = truth.map(|truth| Drawn { frame, luma, truth, times, skipped, took_ns });
+        let is_over = drawn.is_err();
+        if tell.send(drawn).is_err() || is_over {
+            return;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use super::*;
+    use crate::WorldParameters;
+    use flockeye_geometry::camera::Camera;
+    use std::time::Instant;
+
+    fn world(frames_per_second: f64) -> World {
+        let camera = Camera::equirectangular(256, 128);
+        World::empty(WorldParameters { camera, frames_per_second, ..Default::default() }).unwrap()
+    }
+
+    fn next(ahead: &mut Ahead) -> Option<Drawn> {
+        let until = Instant::now() + Duration::from_secs(60);
+        loop {
+            match ahead.take().expect("frames can be drawn") {
+                Next::Frame(drawn) => return Some(*drawn),
+                Next::Over => return None,
+                Next::NotYet => assert!(Instant::now() < until, "it is never drawn"),
+            }
+        }
+    }
+
+    #[test]
+    fn frames_are_drawn_in_order_and_as_they_are_without_the_thread() {
+        let rate = 20.0;
+        let mut ahead = Ahead::start(world(rate), 5).unwrap();
+        let mut again = world(rate);
+        let (mut last, mut luma) = (None, vec![0; 256 * 128]);
+        while let Some(drawn) = next(&mut ahead) {
+            // On a machine that is very busy some are left out, and said to be.
+            let expected = last.map_or(0, |last| last + 1) + drawn.skipped;
+            assert_eq!(drawn.frame, expected);
+            let truth = again.render(drawn.frame, &mut luma, 256).unwrap();
+            assert!(drawn.luma == luma && drawn.truth == truth, "frame {expected}");
+            let period_ns = drawn.times.next_ns - drawn.times.handover_ns;
+            assert!((period_ns - 50_000_000).abs() <= 1, "{period_ns} ns");
+            last = Some(drawn.frame);
+            ahead.reuse(drawn.luma);
+        }
+        assert!(last.is_some());
+    }
+
+    #[test]
+    fn no_more_are_drawn_than_there_are_pictures() {
+        let mut ahead = Ahead::start(world(100.0), u64::MAX).unwrap();
+        let held: Vec<Drawn> = (0..PICTURES).filter_map(|_| next(&mut ahead)).collect();
+        assert_eq!(held.len(), PICTURES);
+        assert!(matches!(ahead.take(), Ok(Next::NotYet)), "there is nothing to draw in");
+        held.into_iter().for_each(|drawn| ahead.reuse(drawn.luma));
+        assert!(next(&mut ahead).unwrap().skipped > 0, "their times have passed");
+    }
+}
