@@ -1,7 +1,8 @@
-//! When the next frame is due.
+//! When the next frame is due, and what still fits before it.
 //!
 //! What is left of a frame's time is for searching partitions. A source that is late, because it
-//! decodes or draws on the same processors, would be later still if the search went on until it came.
+//! decodes or draws on the same processors, would be later still if the search went on until it came; and
+//! its neighbours' views wait for a partition that is being cut when it comes.
 
 use std::collections::VecDeque;
 
@@ -10,10 +11,21 @@ use flockeye_contract::FrameStamp;
 /// Frames from which it is learnt: about a second.
 const FRAMES: usize = 32;
 
-/// The frames of a source that came last.
+/// The last cut's share in what cuts usually take.
+const CUT_SHARE: f64 = 0.1;
+
+/// What is left of the longest search after each partition: a slow one makes the next ten careful.
+const FORGETTING: f64 = 0.9;
+
+/// A worker that says that it searched a partition for longer is not believed, nanoseconds.
+const LONGEST_SEARCH_NS: i64 = 1_000_000_000;
+
+/// The frames of a source that came last, and what partitions took.
 #[derive(Debug, Clone, Default)]
 pub struct Cadence {
     frames: VecDeque<(FrameStamp, i64)>,
+    cut_ns: f64,
+    search_ns: f64,
 }
 
 impl Cadence {
@@ -30,6 +42,30 @@ impl Cadence {
             self.frames.pop_front();
         }
         self.frames.push_back((*stamp, received_ns));
+    }
+
+    /// A partition was cut.
+    pub fn note_cut(&mut self, took_ns: i64) {
+        self.cut_ns += CUT_SHARE * (took_ns as f64 - self.cut_ns);
+    }
+
+    /// A partition was searched, as its worker says.
+    pub fn note_search(&mut self, took_ns: i64) {
+        let took_ns = took_ns.clamp(0, LONGEST_SEARCH_NS) as f64;
+        self.search_ns = (FORGETTING * self.search_ns).max(took_ns);
+    }
+
+    /// Whether a partition can be cut before the next frame is due, or nothing is known of that.
+    pub fn has_time_to_cut(&self, now_ns: i64) -> bool {
+        let cut_ns = now_ns.saturating_add(self.cut_ns as i64);
+        self.due_ns().is_none_or(|due_ns| cut_ns < due_ns)
+    }
+
+    /// Whether a partition and the one that is being searched will both have been searched before the next
+    /// frame is due.
+    pub fn has_time_to_cut_ahead(&self, now_ns: i64) -> bool {
+        let searched_ns = now_ns.saturating_add(2 * self.search_ns as i64);
+        self.search_ns > 0.0 && self.due_ns().is_some_and(|due_ns| searched_ns < due_ns)
     }
 
     /// When the frame after the last one will be here if it is as quick as the quickest lately,
@@ -86,6 +122,36 @@ mod tests {
         let last_ms = 30 * FRAMES as i64;
         assert_eq!(cadence(&frames[..FRAMES]).due_ns(), Some(last_ms * MS));
         assert_eq!(cadence(&frames).due_ns(), Some((last_ms + 30 + 20) * MS));
+    }
+
+    #[test]
+    fn a_partition_that_would_not_be_cut_in_time_is_not_begun() {
+        let mut unknown = Cadence::default();
+        unknown.note_cut(5 * MS);
+        assert!(unknown.has_time_to_cut(0));
+        let mut due_at_160 = cadence(&[(0, 100, 100), (1, 130, 130)]);
+        assert!(due_at_160.has_time_to_cut(159 * MS) && !due_at_160.has_time_to_cut(160 * MS));
+        (0..100).for_each(|_| due_at_160.note_cut(5 * MS));
+        assert!(due_at_160.has_time_to_cut(154 * MS) && !due_at_160.has_time_to_cut(156 * MS));
+    }
+
+    #[test]
+    fn one_is_cut_ahead_while_two_can_be_searched_in_time() {
+        let mut due_at_160 = cadence(&[(0, 100, 100), (1, 130, 130)]);
+        assert!(!due_at_160.has_time_to_cut_ahead(130 * MS), "it is not known how long that takes");
+        due_at_160.note_search(5 * MS);
+        let is_ahead = |cadence: &Cadence, at_ms: i64| cadence.has_time_to_cut_ahead(at_ms * MS);
+        assert!(is_ahead(&due_at_160, 149) && !is_ahead(&due_at_160, 150));
+        due_at_160.note_search(10 * MS);
+        assert!(is_ahead(&due_at_160, 139) && !is_ahead(&due_at_160, 141), "slow once");
+        (0..10).for_each(|_| due_at_160.note_search(5 * MS));
+        assert!(is_ahead(&due_at_160, 149), "forgotten");
+        // Workers' words are not believed without bounds.
+        due_at_160.note_search(i64::MAX);
+        assert!(!is_ahead(&due_at_160, 130));
+        (0..60).for_each(|_| due_at_160.note_search(i64::MIN));
+        assert!(is_ahead(&due_at_160, 150));
+        assert!(!cadence(&[]).has_time_to_cut_ahead(0));
     }
 
     #[test]

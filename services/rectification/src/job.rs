@@ -136,6 +136,12 @@ impl Job {
         Some((at_exposure(planned, self.frame.stamp.exposure_ns), *planned))
     }
 
+    /// Whether that view is a partition.
+    pub fn is_partition(&self, index: u32) -> bool {
+        let view = self.views.get(index as usize);
+        view.is_some_and(|view| view.kind == ViewKind::Partition.code())
+    }
+
     /// The view was published.
     pub fn note_issued(&mut self, index: u32) {
         if !self.recut.remove(&index) {

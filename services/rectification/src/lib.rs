@@ -8,7 +8,7 @@
 //! | [`standby`] | the processor in place of a graphics processor that was lost |
 //! | [`job`] | which views of a frame are cut, which is next, and when it is enough |
 //! | [`dispatch`] | which worker gets the next view, and which views were lost |
-//! | [`cadence`] | when the next frame is due |
+//! | [`cadence`] | when the next frame is due, and what fits before |
 //! | [`stage`] | the ports around it |
 
 pub mod cadence;

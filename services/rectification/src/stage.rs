@@ -51,6 +51,8 @@ pub struct RectificationStage {
     swept: usize,
     /// Partitions that the frame which ended last came to.
     searched: usize,
+    /// Frames since one came to a partition.
+    unswept_frames: u32,
     plan: Option<(PlanHeader, Vec<PlannedView>)>,
     waiting: Option<Message<Frames>>,
     cadence: Cadence,
@@ -64,6 +66,9 @@ pub struct RectificationStage {
 
 /// A source that sends nothing for this long is worth a word, nanoseconds.
 const SILENCE_NS: i64 = 5_000_000_000;
+
+/// After so many frames in which there was time for neighbours only, one partition is cut all the same.
+const MOST_UNSWEPT_FRAMES: u32 = 4;
 
 /// Generation, epoch and sequence of a frame, and the place of a view in its plan.
 type ViewKey = ((u32, u32, u64), u32);
@@ -111,6 +116,7 @@ impl Stage for RectificationStage {
             partitions: seen_partitions(pipeline)?,
             swept: 0,
             searched: 0,
+            unswept_frames: 0,
             plan: None,
             waiting: None,
             cadence: Cadence::default(),
@@ -201,6 +207,9 @@ impl RectificationStage {
             let held = self.held.iter_mut().find(|held| held.job.frame.stamp.order() == order);
             if let (Answer::First, Some(held)) = (answer, held) {
                 held.job.note_answer(header.view_index, header.hits > 0);
+                if held.job.is_partition(header.view_index) {
+                    self.cadence.note_search(header.sent_ns.saturating_sub(header.received_ns));
+                }
             }
         }
         Ok(())
@@ -271,10 +280,13 @@ impl RectificationStage {
 
     /// Cuts one view, or ends a frame. False if there is nothing to do before something arrives.
     fn cut_next(&mut self) -> anyhow::Result<bool> {
-        let is_due = || self.cadence.due_ns().is_some_and(|due_ns| due_ns <= clock::monotonic_ns());
-        let is_newer_due = self.flow == Flow::Latest && (self.waiting.is_some() || is_due());
+        let is_time_over = || !self.cadence.has_time_to_cut(clock::monotonic_ns());
+        let is_newer_due = self.flow == Flow::Latest && (self.waiting.is_some() || is_time_over());
         for position in 0..self.held.len() {
-            match self.held[position].job.next(is_newer_due) {
+            let job = &self.held[position].job;
+            // Newcomers are found however little time there is.
+            let is_starved = self.unswept_frames >= MOST_UNSWEPT_FRAMES && job.searched() == 0;
+            match job.next(is_newer_due && !is_starved) {
                 Next::Wait => {}
                 Next::End(reason) => {
                     self.end(position, reason)?;
@@ -282,11 +294,7 @@ impl RectificationStage {
                 }
                 Next::Cut { index, is_yielding } => {
                     let Some(worker) = self.dispatcher.next_worker(now()) else { continue };
-                    // A partition waits for nobody, and one worker stays free of them: they would hold
-                    // up the next frame's neighbours.
-                    if is_yielding
-                        && self.dispatcher.outstanding() >= self.workers.saturating_sub(1).max(1)
-                    {
+                    if is_yielding && !self.has_room_for_partition() {
                         continue;
                     }
                     if let Err(error) = self.cut(position, index, worker) {
@@ -303,6 +311,15 @@ impl RectificationStage {
         Ok(false)
     }
 
+    /// Whether another partition may be on its way to the workers. One of them stays free of partitions, and
+    /// a single one gets one at a time, since they would hold up the next frame's neighbours; one more is cut
+    /// ahead while it and the one before will have been searched by then.
+    fn has_room_for_partition(&self) -> bool {
+        let is_ahead = self.cadence.has_time_to_cut_ahead(clock::monotonic_ns());
+        let most = self.workers.saturating_sub(1).max(1) + usize::from(is_ahead);
+        self.flow == Flow::Lossless || self.dispatcher.outstanding() < most
+    }
+
     fn cut(&mut self, position: usize, index: u32, worker: usize) -> anyhow::Result<()> {
         if !self.held[position].ordered.contains(&index) {
             let held = &mut self.held[position];
@@ -313,6 +330,7 @@ impl RectificationStage {
         let frame = message.header;
         let (view, planned) = job.view(index).context("it is not in the plan")?;
         let sphere = sphere_of(self.camera, &frame, message.items())?;
+        let begun_ns = clock::monotonic_ns();
         let size = view.size_px as usize;
         let publisher = self.views.get(worker).context("there is no such worker")?;
         let mut loan = publisher.loan(size * size)?;
@@ -346,6 +364,9 @@ impl RectificationStage {
         };
         loan.send(header)?;
         self.counters.add_latency_ns(issued_ns - job.taken_ns);
+        if job.is_partition(index) {
+            self.cadence.note_cut(issued_ns - begun_ns);
+        }
         self.held[position].job.note_issued(index);
         Ok(())
     }
@@ -360,6 +381,10 @@ impl RectificationStage {
             return Ok(());
         }
         self.searched = job.searched();
+        self.unswept_frames = match self.searched {
+            0 => self.unswept_frames.saturating_add(1),
+            _ => 0,
+        };
         if job.plan_id == 0 {
             self.swept = (self.swept + job.tally().0 as usize) % self.partitions.len().max(1);
         }
