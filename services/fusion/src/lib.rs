@@ -14,6 +14,7 @@
 //! | [`second_look`] | what takes long, on a thread of its own |
 //! | [`neighbour`] | a neighbour's track from frame to frame |
 //! | [`swarm`] | all neighbours, and the plan for the next frame |
+//! | [`parallel`] | the same done with several things at once |
 //! | [`settings`] | what the configuration means for it |
 //! | [`message`] | the same as the contract's messages |
 //! | [`stage`] | the ports around it |
@@ -24,6 +25,7 @@ pub mod gallery;
 pub mod message;
 pub mod neighbour;
 pub mod parallax;
+pub mod parallel;
 pub mod pictures;
 pub mod second_look;
 pub mod settings;

@@ -1,13 +1,15 @@
 //! Views that are held, as images to be aligned with.
 
 use flockeye_contract::{ViewHeader, Views};
+use flockeye_geometry::search::Purpose;
 use flockeye_imaging::align::Picture;
 use flockeye_runtime::ports::Message;
 use flockeye_viewing::{Lights, image_of, view_of};
 
 use crate::alignment::BestView;
 use crate::gallery::{FrameOrder, Gallery};
-use crate::swarm::{BestViews, Swarm};
+use crate::message::purpose_stated;
+use crate::swarm::{BestViews, Glimpse, Swarm};
 
 /// The best views of a frame's neighbours, as images. What cannot be read is left out: detection
 /// says why.
@@ -30,8 +32,30 @@ pub fn best_views<'g>(
         .collect()
 }
 
+/// Those of a frame's views that were cut for a neighbour and wait to be searched, with their headers. What
+/// cannot be read is left to detection, which says why.
+pub fn glimpses<'g>(
+    gallery: &'g Gallery<Message<Views>>,
+    lights: &'g mut Lights,
+    swarm: &Swarm,
+    views: &[(FrameOrder, u32)],
+) -> Vec<(ViewHeader, Glimpse<'g>)> {
+    let waiting = || views.iter().filter_map(|&(order, index)| gallery.waiting(order, index));
+    for (header, _) in waiting() {
+        let _ = lights.of(header);
+    }
+    let lights = &*lights;
+    waiting()
+        .filter_map(|(header, message)| {
+            let Some(Purpose::Gaze(target)) = purpose_stated(header) else { return None };
+            let view = best_view(header, message, lights, swarm)?;
+            Some((*header, Glimpse { target, view }))
+        })
+        .collect()
+}
+
 /// A view as an image; `None` where it cannot be read.
-pub fn best_view<'g>(
+fn best_view<'g>(
     header: &ViewHeader,
     message: &'g Message<Views>,
     lights: &'g Lights,

@@ -302,26 +302,6 @@ impl Look<'_> {
     }
 }
 
-/// Measures several bodies, on up to so many threads; what comes out does not depend on how many.
-pub fn measure_all(looks: &[Look<'_>], aligner: &Aligner, threads: usize) -> Vec<Option<Sighting>> {
-    let threads = threads.clamp(1, looks.len().max(1));
-    if threads == 1 {
-        return looks.iter().map(|look| look.measure(aligner)).collect();
-    }
-    let mut sightings = vec![None; looks.len()];
-    std::thread::scope(|scope| {
-        let share = looks.len().div_ceil(threads);
-        for (looks, sightings) in looks.chunks(share).zip(sightings.chunks_mut(share)) {
-            scope.spawn(move || {
-                for (look, sighting) in looks.iter().zip(sightings) {
-                    *sighting = look.measure(aligner);
-                }
-            });
-        }
-    });
-    sightings
-}
-
 /// How many markers these are corners of.
 pub fn distinct_markers(rays: &[CornerRay]) -> u32 {
     let mut ids: Vec<u32> = rays.iter().map(|ray| ray.marker_id).collect();

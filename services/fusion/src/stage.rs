@@ -24,10 +24,10 @@ use crate::assembly::{Assembly, Frame, Leave, Record};
 use crate::gallery::{FrameOrder, Gallery};
 use crate::message::{self, Cause, purpose_stated, seconds};
 use crate::parallax::Parallax;
-use crate::pictures::{best_view, best_views};
+use crate::pictures::{best_views, glimpses};
 use crate::settings::{filter_choice, mode_code, search_mode};
 use crate::sighting::agrees_with_view;
-use crate::swarm::{FilterChoice, Purposes, Seen, Swarm, Update};
+use crate::swarm::{FilterChoice, Glimpse, Purposes, Seen, Swarm, Update};
 
 /// How often it is looked, while its frame is open, whether a second look is over, nanoseconds.
 const LOOKING_AGAIN_NS: i64 = 4_000_000;
@@ -305,18 +305,26 @@ impl FusionStage {
     /// Publishes what gaze views that have come show of confirmed neighbours, before they are searched.
     fn peek(&mut self) -> anyhow::Result<()> {
         let arrived = std::mem::take(&mut self.arrived);
-        for (order, view_index) in arrived {
-            let Some((header, message)) = self.gallery.waiting(order, view_index) else { continue };
-            let Some(Purpose::Gaze(target)) = purpose_stated(header) else { continue };
-            // What cannot be read is left to detection, which says why.
-            let _ = self.lights.of(header);
-            let Some(view) = best_view(header, message, &self.lights, &self.swarm) else {
-                continue;
-            };
-            let header = *header;
-            let at_s = seconds(&header.stamp);
-            if let Some(update) = self.swarm.peek(order, at_s, target, &view) {
-                self.send_tracks(&header.stamp, &[update], Cause::View(&header), false)?;
+        // One after the other, or as many at once as there are threads.
+        for of_frame in arrived.chunk_by(|(one, _), (other, _)| one == other) {
+            for views in of_frame.chunks(self.swarm.threads()) {
+                self.peek_at(views)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The same for some views of one frame.
+    fn peek_at(&mut self, views: &[(FrameOrder, u32)]) -> anyhow::Result<()> {
+        let glimpses = glimpses(&self.gallery, &mut self.lights, &self.swarm, views);
+        let Some(stamp) = glimpses.first().map(|(header, _)| header.stamp) else { return Ok(()) };
+        let headers: BTreeMap<usize, ViewHeader> =
+            glimpses.iter().map(|(header, glimpse)| (glimpse.target, *header)).collect();
+        let glimpses: Vec<Glimpse<'_>> = glimpses.into_iter().map(|(_, glimpse)| glimpse).collect();
+        let updates = self.swarm.peek(stamp.order(), seconds(&stamp), &glimpses);
+        for update in updates {
+            if let Some(header) = headers.get(&update.0) {
+                self.send_tracks(&stamp, &[update], Cause::View(header), false)?;
             }
         }
         Ok(())

@@ -1,6 +1,7 @@
 //! All neighbours, and the plan for the next frame.
 
 mod looks;
+mod peeks;
 mod records;
 mod trust;
 
@@ -12,16 +13,16 @@ use flockeye_contract::ViewHeader;
 use flockeye_geometry::body::Bodies;
 use flockeye_geometry::filter::{Prediction, TrackPolicy};
 use flockeye_geometry::search::{Plan, Planner, PredictedNeighbour, Purpose, Searched, StopRule};
-use flockeye_imaging::align::Alignment;
 use nalgebra::Isometry3;
 
-use crate::alignment::{Aligner, BestView, Pace, Start, is_surprising};
+use crate::alignment::{Aligner, BestView, Pace};
 use crate::assembly::{Frame, Record};
 use crate::gallery::{FrameOrder, Rank};
 use crate::neighbour::{Known, Neighbour};
 use crate::parallax::Parallax;
 use crate::second_look::SecondLooks;
-use crate::sighting::{Basis, MARKERS_ALONE, Peek, Sighting, contradicts, rays_of};
+use crate::sighting::{Basis, MARKERS_ALONE, Peek};
+pub use peeks::Glimpse;
 use records::{distinct_ids, records_that_count};
 use trust::Trust;
 
@@ -95,9 +96,6 @@ struct Looked {
 /// A neighbour that is lost from sight is searched for round its prediction in every so manyth frame.
 const SEARCH_EVERY_FRAMES: u64 = 3;
 
-/// Facets that must agree with a pose for which no marker is waited.
-const PEEKED_FACETS: u32 = 2;
-
 /// The longest time between two frames that is believed in when planning for the next, seconds.
 const LONGEST_INTERVAL_S: f64 = 0.25;
 
@@ -153,6 +151,11 @@ impl Swarm {
         &self.neighbours
     }
 
+    /// How many threads neighbours are aligned on.
+    pub fn threads(&self) -> usize {
+        self.threads
+    }
+
     /// The sphere image's resolution.
     pub fn pixels_per_radian(&self) -> f64 {
         self.aligner.pixels_per_radian()
@@ -181,59 +184,6 @@ impl Swarm {
                 Some((target, Rank::of(record, view, body, is_own, stop_rule)?))
             })
             .collect()
-    }
-
-    /// What the pixels of a confirmed neighbour's gaze view say before they are searched for markers:
-    /// aligned from its prediction alone. `None` where that is not beyond doubt; then its markers are
-    /// waited for, and so it is for some frames after they contradicted such a pose.
-    pub fn peek(
-        &mut self,
-        order: FrameOrder,
-        at_s: f64,
-        target: usize,
-        view: &BestView<'_>,
-    ) -> Option<Update> {
-        let neighbour = self.neighbours.get(target)?;
-        if self.trust.is_doubted(target)
-            || self.is_settled(order, target)
-            || !neighbour.is_measured()
-        {
-            return None;
-        }
-        let predicted = neighbour.prior(at_s)?.camera_from_markers;
-        let found = self.aligner.align(target, &view.picture, &Start::Fine(predicted));
-        let is_sure = |found: &&Alignment| {
-            found.is_believed()
-                && found.score.agreeing_facets >= PEEKED_FACETS
-                && !is_surprising(found, &predicted)
-        };
-        let expected = found.as_ref().filter(is_sure).and_then(|sure| {
-            let sighting = self.corrected(Sighting::aligned(sure, 0), view.rays_m);
-            let is_expected = self.neighbours[target].expects(at_s, &sighting);
-            is_expected.then_some((sure.camera_from_markers, sighting))
-        });
-        let Some((pose, sighting)) = expected else {
-            let found = found.map(Box::new);
-            let peek = Peek { predicted, view_index: view.view_index, found };
-            self.looked.entry(order).or_default().peeks.insert(target, peek);
-            return None;
-        };
-        let update = self.take_in(order, at_s, target, &sighting)?;
-        self.looked.entry(order).or_default().peeked.insert(target, pose);
-        Some(update)
-    }
-
-    /// Notes where markers say something else than the pose that came before they were decoded.
-    fn check_peeked(&mut self, order: FrameOrder, seen: &[Seen<'_>]) {
-        let Some(looked) = self.looked.get(&order) else { return };
-        for record in seen {
-            let Some(Purpose::Gaze(target)) = record.purpose else { continue };
-            let Some(pose) = looked.peeked.get(&target) else { continue };
-            let rays = rays_of(&self.neighbours[target].body, &record.record.markers);
-            if contradicts(&self.neighbours[target].body, &rays, pose) {
-                self.trust.doubt(target);
-            }
-        }
     }
 
     /// What gaze views' records of a frame say of their neighbours, as soon as they are in: a pose need

@@ -351,7 +351,7 @@ impl Default for Fusion {
             deadline_ms: 3000.0,
             align: true,
             covariance_scale: 2.2,
-            threads: 1,
+            threads: 2,
         }
     }
 }

@@ -5,8 +5,9 @@ use std::collections::BTreeMap;
 use crate::alignment::Pace;
 use crate::gallery::FrameOrder;
 use crate::neighbour::Known;
+use crate::parallel;
 use crate::second_look::{Answer, SecondLooks, Subject, ThreadEnded};
-use crate::sighting::{Look, MeasuredBy, Sighting, doubtful_rays_of, measure_all, rays_of};
+use crate::sighting::{Look, MeasuredBy, Sighting, doubtful_rays_of, rays_of};
 
 use super::{BestViews, FilterChoice, SEARCH_EVERY_FRAMES, Seen, Swarm, Update};
 
@@ -42,7 +43,7 @@ impl Swarm {
                 second_looks.is_some() && (is_in_time || self.tracks_others(look.target));
             look.may_search &= needed == 1 || look.has_second;
         }
-        let sightings = measure_all(&looks, &self.aligner, self.threads);
+        let sightings = parallel::map(&looks, self.threads, |look| look.measure(&self.aligner));
         let nothing = looks.iter().zip(&sightings).filter(|(_, sighting)| sighting.is_none());
         let (mut fruitless, mut seconds) = (BTreeMap::new(), BTreeMap::new());
         for (look, _) in nothing {

@@ -5,7 +5,8 @@
 use super::trust::DOUBTED_FRAMES;
 use super::*;
 use crate::drawn_body::{Drawing, draw, prints};
-use crate::sighting::MeasuredBy;
+use crate::neighbour::PoseEstimate;
+use crate::sighting::{MeasuredBy, Sighting};
 use flockeye_contract::{DetectedMarker, DetectionHeader, FrameEnd, FrameStamp};
 use flockeye_geometry::body::{Body, squares};
 use flockeye_geometry::filter::{MotionModel, TrackState};
@@ -113,7 +114,8 @@ fn with_view<T>(pose: &Isometry3<f64>, by: impl FnOnce(&BestView<'_>) -> T) -> T
 }
 
 fn peek(swarm: &mut Swarm, sequence: u64, view: &BestView<'_>) -> Option<Update> {
-    swarm.peek(stamp(sequence).order(), at_s(sequence), 0, view)
+    let glimpse = Glimpse { target: 0, view: *view };
+    swarm.peek(stamp(sequence).order(), at_s(sequence), &[glimpse]).pop()
 }
 
 #[test]
@@ -280,6 +282,34 @@ fn markers_that_contradict_a_pose_are_waited_for_from_then_on() {
         }
         assert!(peek(&mut swarm, 4 + DOUBTED_FRAMES, view).is_some(), "and is forgiven");
     });
+}
+
+#[test]
+fn peeks_at_several_neighbours_say_the_same_on_several_threads() {
+    let bravo = squares("bravo", 0.0625, 0.05, 17);
+    let (here, there) = (pose(0.9), Isometry3::translation(-1.0, 0.2, 0.0));
+    let peeked = |threads| {
+        let mut swarm = swarm_of(vec![alpha(), bravo.clone()]);
+        swarm.threads = threads;
+        for sequence in 0..3 {
+            let order = stamp(sequence).order();
+            for (target, pose) in [(0, here), (1, there)] {
+                let certain = nalgebra::Matrix6::identity() * 1e-6;
+                let pose = PoseEstimate { camera_from_markers: pose, covariance: certain };
+                let sighting = Sighting { pose, measured_by: MeasuredBy::Decoded, markers: 2 };
+                swarm.take_in(order, at_s(sequence), target, &sighting);
+            }
+        }
+        // Where bravo should be its view shows nothing like it.
+        with_view(&here, |view| {
+            let glimpses = [0, 1].map(|target| Glimpse { target, view: *view });
+            swarm.peek(stamp(3).order(), at_s(3), &glimpses)
+        })
+    };
+    let alone = peeked(1);
+    assert_eq!(alone.iter().map(|(target, _)| *target).collect::<Vec<_>>(), [0]);
+    assert_eq!(peeked(2), alone);
+    assert_eq!(peeked(7), alone);
 }
 
 mod second_looks;
