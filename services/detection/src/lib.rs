@@ -20,6 +20,7 @@ mod polygon;
 mod reading;
 pub mod stage;
 mod three_corners;
+mod turns;
 
 use flockeye_dictionary::DictionaryError;
 

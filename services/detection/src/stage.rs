@@ -5,6 +5,7 @@ use flockeye_contract::{
 };
 use flockeye_geometry::body::Bodies;
 use flockeye_imaging::edges::Effort;
+use flockeye_runtime::config::{Flow, Mode};
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::logs::Throttle;
 use flockeye_runtime::ports::{Message, Ports, Publisher, Subscriber};
@@ -13,6 +14,7 @@ use flockeye_viewing::{Lights, image_of, view_of};
 
 use crate::detector::{Detector, DetectorParameters, Found, Threshold};
 use crate::keep_plausible;
+use crate::turns::Turns;
 
 /// Markers in one record: as many as the topic has room for, and below the contract's limit.
 const MAX_MARKERS: usize = 64;
@@ -23,6 +25,8 @@ pub struct DetectionStage {
     views: Subscriber<Views>,
     detections: Publisher<Detections>,
     detector: Detector,
+    /// Where the sphere is swept again and again.
+    turns: Option<Turns>,
     bodies: Bodies,
     lights: Lights,
     /// The sphere image's own resolution.
@@ -53,10 +57,13 @@ impl Stage for DetectionStage {
             .with_mask(pipeline.mask()?)
             .with_expected(bodies.iter().flat_map(|body| &body.markers).map(|marker| marker.id));
         detector.dictionary().check(&bodies)?;
+        // A lossless run must not depend on which worker searches, and the paper's searches are its own.
+        let sweeps = pipeline.flow == Flow::Latest && pipeline.search.mode == Mode::Gaze;
         Ok(Self {
             views: ports.subscriber_of_lane(context.identity.replica as usize)?,
             detections: ports.publisher()?,
             detector,
+            turns: sweeps.then(Turns::default),
             bodies,
             lights: Lights::new(pipeline.measured_response()?)?,
             pixels_per_radian: context.pipeline.camera_model()?.pixels_per_radian(),
@@ -119,7 +126,13 @@ impl DetectionStage {
     fn find(&mut self, header: &ViewHeader, pixels: &[u8]) -> anyhow::Result<Vec<Found>> {
         let (image, view) = (image_of(header, pixels)?, view_of(header));
         let magnification = header.focal_px / self.pixels_per_radian;
-        self.detector.set_thresholds(thresholds(header.kind, magnification))?;
+        let mut thresholds = thresholds(header.kind, magnification);
+        if let Some(turns) = &mut self.turns
+            && header.kind == ViewKind::Partition.code()
+        {
+            thresholds = turns.take(header.partition, &thresholds);
+        }
+        self.detector.set_thresholds(thresholds)?;
         self.detector.set_magnification(magnification);
         let found = self.detector.detect(&image, &view, self.lights.of(header)?);
         Ok(keep_plausible(found, &self.bodies))

@@ -61,7 +61,11 @@ fn measured(arguments: &Check, duration: Duration) -> anyhow::Result<String> {
     );
     match flown.sweep {
         Some(sweep) => {
-            write!(text, ": {sweep}. A newcomer waits as long for its first search")?;
+            write!(
+                text,
+                ": {sweep}. A newcomer waits as long for its first search, \
+                 and as long again for the other window"
+            )?;
         }
         None => write!(text, ": every frame is searched from its beginning")?,
     }
