@@ -19,14 +19,12 @@ impl Default for Turns {
 }
 
 impl Turns {
-    /// The one of `thresholds` whose turn it is in a partition; neighbouring partitions begin with
-    /// different ones.
+    /// The one of `thresholds` whose turn it is in a partition. The first is the one that finds most.
     pub fn take(&mut self, partition: u32, thresholds: &[Threshold]) -> Vec<Threshold> {
         let turn = &mut self.next[partition as usize % PARTITIONS];
-        let place = usize::from(*turn) + partition as usize;
+        let place = usize::from(*turn).checked_rem(thresholds.len()).unwrap_or(0);
         *turn = turn.wrapping_add(1);
-        let chosen = thresholds.get(place.checked_rem(thresholds.len()).unwrap_or(0));
-        chosen.copied().into_iter().collect()
+        thresholds.get(place).copied().into_iter().collect()
     }
 }
 
@@ -40,7 +38,7 @@ mod tests {
         let mut turns = Turns::default();
         let mut take = |partition| turns.take(partition, &windows)[0].window_px;
         assert_eq!([take(0), take(0), take(0)], [7, 31, 7]);
-        assert_eq!([take(5), take(6), take(5), take(6)], [31, 7, 7, 31]);
+        assert_eq!([take(5), take(6), take(5), take(6)], [7, 7, 31, 31]);
         // As many times as there is room to count, and whatever a foreign rectifier calls it.
         let seen: Vec<usize> = (0..600).map(|_| take(u32::MAX)).collect();
         assert!(seen.windows(2).all(|pair| pair[0] != pair[1]));
