@@ -115,7 +115,7 @@ codes! {
         FirstHit = 0,
         /// After the last view of the plan.
         All = 1,
-        /// When a newer frame is there; in a lossless run after a fixed number of views.
+        /// When a newer frame is there or due; in a lossless run after a fixed number of views.
         Deadline = 2,
     }
 }

@@ -38,7 +38,7 @@ pub enum StopRule {
     FirstHit,
     /// After the last view.
     All,
-    /// When a newer frame is there; in a lossless run after [`Plan::view_budget`] views.
+    /// When a newer frame is there or due; in a lossless run after [`Plan::view_budget`] views.
     Deadline,
 }
 

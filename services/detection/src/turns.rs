@@ -6,7 +6,8 @@ use crate::detector::Threshold;
 const PARTITIONS: usize = 256;
 
 /// By turns: in flight a partition is searched with one window at a time, so that the sphere is
-/// searched nearly twice as often. Most markers are found with either, and the others the next time.
+/// searched nearly twice as often. Most markers are found with either, and the others at one of the next
+/// visits: each worker counts its own, so of one visit more than there are workers two differ.
 #[derive(Debug, Clone)]
 pub struct Turns {
     next: [u8; PARTITIONS],

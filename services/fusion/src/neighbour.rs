@@ -66,6 +66,11 @@ impl Neighbour {
         self.life.track().is_some()
     }
 
+    /// Forgets all that was seen of it, and not seen.
+    pub fn forget(&mut self) {
+        self.life.forget();
+    }
+
     /// Whether its track is believed and was measured in its last frame.
     pub fn is_measured(&self) -> bool {
         self.life.state() == Some(TrackState::Confirmed)

@@ -4,7 +4,8 @@
 //! round its prediction; one that nobody knows yet, by trying whatever its markers may mean. On two busy
 //! processors starts were seen to take 20 to 70 ms and the search 60 to 150, in which nobody else's pose
 //! should wait. One is under way at a time; who asks meanwhile is refused: a newer frame will ask again.
-//! Only of one that nobody knows no newer frame need show anything for a while: its look waits.
+//! Only of one that nobody knows no newer frame need show anything for a while: its look may wait behind a
+//! tracked one's.
 
 use std::collections::BTreeSet;
 use std::io;
@@ -70,6 +71,8 @@ pub struct SecondLooks {
 #[derive(Debug)]
 struct UnderWay {
     subject: Subject,
+    /// Whether nobody knew the neighbour.
+    is_newcomer: bool,
     /// Whether the neighbour was measured in that frame meanwhile.
     is_moot: bool,
 }
@@ -94,13 +97,14 @@ impl SecondLooks {
     }
 
     /// Looks again, and says so; not while another look is under way, but for a neighbour that has no
-    /// track, which may wait; and not for who had the last one before those were asked who were refused
+    /// track, which may wait behind one that has; and not for who had the last one before those were asked who were refused
     /// meanwhile.
     pub fn ask(&mut self, subject: Subject, look: &Look<'_>) -> bool {
         let target = subject.target;
         if let Some(under_way) = &self.under_way {
             if under_way.subject.target != target {
-                if look.predicted.is_none() && self.waiting.is_none() {
+                let may_wait = look.predicted.is_none() && !under_way.is_newcomer;
+                if may_wait && self.waiting.is_none() {
                     self.waiting = Job::new(subject, look);
                     return self.waiting.is_some();
                 }
@@ -118,13 +122,13 @@ impl SecondLooks {
     }
 
     fn begin(&mut self, job: Job) -> bool {
-        let subject = job.subject;
+        let (subject, is_newcomer) = (job.subject, job.is_newcomer);
         // Where the thread has ended, that is said when its answer is asked for.
         let is_begun = self.jobs.send(job).is_ok();
         if is_begun {
             self.refused.remove(&subject.target);
             self.last = Some(subject.target);
-            self.under_way = Some(UnderWay { subject, is_moot: false });
+            self.under_way = Some(UnderWay { subject, is_newcomer, is_moot: false });
         }
         is_begun
     }
@@ -168,6 +172,8 @@ impl SecondLooks {
 #[derive(Debug)]
 struct Job {
     subject: Subject,
+    /// Whether it has no track.
+    is_newcomer: bool,
     body: Body,
     rays: Vec<CornerRay>,
     starts: Vec<Start>,
@@ -192,6 +198,7 @@ impl Job {
         (0..image.height()).for_each(|y| pixels.extend_from_slice(image.row(y)));
         Some(Self {
             subject,
+            is_newcomer: look.predicted.is_none(),
             body: look.body.clone(),
             rays: look.rays.clone(),
             starts: look.second_starts(),
@@ -339,11 +346,15 @@ mod tests {
             wait_while(looks, |looks| under_way(looks) == Some(subject(0)));
             assert_eq!(under_way(looks), Some(subject(1)));
             wait(looks);
+            // Newcomers do not wait behind each other: who is tracked would never get a turn.
+            assert!(ask(looks, 2, false));
+            assert!(!ask(looks, 1, false) && !ask(looks, 3, true));
+            wait(looks);
             // Another frame told of it before its turn came.
-            assert!(ask(looks, 2, true));
+            assert!(ask(looks, 3, true));
             assert!(ask(looks, 1, false));
             looks.settle((0, 0, 1), 1);
-            wait_while(looks, |looks| under_way(looks) == Some(subject(2)));
+            wait_while(looks, |looks| under_way(looks) == Some(subject(3)));
             assert_eq!(under_way(looks), None);
         });
     }

@@ -282,12 +282,12 @@ impl Look<'_> {
     /// Whether a second look has something to begin from that no other of the same frame had.
     pub fn wants_second(&self) -> bool {
         self.has_second
-            && self.pace == Pace::Live
+            && (self.pace == Pace::Live || self.prior.is_none())
             && self.second.is_none_or(|second| !self.basis().adds_nothing_to(&second))
     }
 
-    /// What a second look begins from: for a neighbour that is not known yet from its corners again too,
-    /// since what one start leads to is weighed against what the others do.
+    /// What a second look begins from: for a neighbour that is not believed yet from its corners again
+    /// too, since what one start leads to is weighed against what the others do.
     pub fn second_starts(&self) -> Vec<Start> {
         let from_corners = match self.prior {
             Some(_) => Vec::new(),

@@ -60,7 +60,7 @@ pub struct FusionStage {
     aligns: bool,
     observer_from_camera: Isometry3<f64>,
     mode: Mode,
-    /// Views that came and were not peeked into yet.
+    /// Gaze views that came and were not peeked into yet.
     arrived: Vec<(FrameOrder, u32)>,
     /// Records of a lossless run that came before their views.
     early: Vec<Record>,
@@ -243,12 +243,13 @@ impl FusionStage {
             if self.newest.is_none_or(|newest| !header.stamp.is_late_beside(&newest)) {
                 self.newest = Some(header.stamp);
             }
-            if let Some(purpose) = purpose_stated(&header) {
+            let purpose = purpose_stated(&header);
+            if let Some(purpose) = purpose {
                 self.swarm.note_cut(purpose);
             }
             if self.aligns {
                 self.gallery.add(header, message);
-                if self.flow == Flow::Latest {
+                if self.flow == Flow::Latest && matches!(purpose, Some(Purpose::Gaze(_))) {
                     self.arrived.push((header.stamp.order(), header.view_index));
                 }
             }

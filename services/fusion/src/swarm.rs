@@ -268,7 +268,7 @@ impl Swarm {
     }
 
     /// How much time there is from now on. Where newer frames wait, each neighbour gets one look of each
-    /// kind, newcomers more if they need it: poses that come a second late are of use to nobody.
+    /// kind, and only newcomers a second one: poses that come a second late are of use to nobody.
     pub fn hurry(&mut self, pace: Pace) {
         self.pace = pace;
     }

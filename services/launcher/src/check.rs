@@ -64,7 +64,7 @@ fn measured(arguments: &Check, duration: Duration) -> anyhow::Result<String> {
             write!(
                 text,
                 ": {sweep}. A newcomer waits as long for its first search, \
-                 and as long again for the other window"
+                 by one of two windows"
             )?;
         }
         None => write!(text, ": every frame is searched from its beginning")?,

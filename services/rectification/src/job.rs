@@ -90,13 +90,15 @@ impl Job {
         if self.issued >= self.budget {
             return Next::End(StopReason::Budget);
         }
-        // A neighbour's view is never pushed out, and neither is a frame's first: under overload
-        // every frame would be.
-        let is_partition = view.kind == ViewKind::Partition.code();
-        if is_newer_due && is_partition && self.issued > 0 {
+        // A neighbour's view is never pushed out, nor kept waiting by a partition before it, and neither
+        // is a frame's first: under overload every frame would be.
+        let is_yielding = view.kind == ViewKind::Partition.code()
+            && self.issued > 0
+            && self.views[self.issued..].iter().all(|view| view.kind == ViewKind::Partition.code());
+        if is_newer_due && is_yielding {
             return Next::End(StopReason::Newer);
         }
-        Next::Cut { index: self.issued as u32, is_yielding: is_partition && self.issued > 0 }
+        Next::Cut { index: self.issued as u32, is_yielding }
     }
 
     /// Views that are likely to be cut, when the frame before came to `searched` partitions: all
@@ -282,6 +284,8 @@ mod tests {
         assert_eq!(run(&mut searched, None, 0), (2, StopReason::Newer));
         let mut searched = job(StopRule::Deadline, &[Part; 5], usize::MAX);
         assert_eq!(run(&mut searched, None, 0), (1, StopReason::Newer), "one is always searched");
+        let mut searched = job(StopRule::Deadline, &[Gaze, Part, Gaze, Part, Part], usize::MAX);
+        assert_eq!(run(&mut searched, None, 0), (3, StopReason::Newer), "no neighbour is left out");
         let mut searched = job(StopRule::Deadline, &[Part; 5], 3);
         assert_eq!(run(&mut searched, None, u32::MAX), (3, StopReason::Budget));
     }

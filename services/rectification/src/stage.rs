@@ -52,7 +52,7 @@ pub struct RectificationStage {
     /// Partitions that the frame which ended last came to.
     searched: usize,
     /// Frames since one came to a partition.
-    unswept_frames: u32,
+    frames_since_partition: u32,
     plan: Option<(PlanHeader, Vec<PlannedView>)>,
     waiting: Option<Message<Frames>>,
     cadence: Cadence,
@@ -68,7 +68,7 @@ pub struct RectificationStage {
 const SILENCE_NS: i64 = 5_000_000_000;
 
 /// After so many frames in which there was time for neighbours only, one partition is cut all the same.
-const MOST_UNSWEPT_FRAMES: u32 = 4;
+const MOST_SINCE_PARTITION: u32 = 4;
 
 /// Generation, epoch and sequence of a frame, and the place of a view in its plan.
 type ViewKey = ((u32, u32, u64), u32);
@@ -116,7 +116,7 @@ impl Stage for RectificationStage {
             partitions: seen_partitions(pipeline)?,
             swept: 0,
             searched: 0,
-            unswept_frames: 0,
+            frames_since_partition: 0,
             plan: None,
             waiting: None,
             cadence: Cadence::default(),
@@ -285,7 +285,8 @@ impl RectificationStage {
         for position in 0..self.held.len() {
             let job = &self.held[position].job;
             // Newcomers are found however little time there is.
-            let is_starved = self.unswept_frames >= MOST_UNSWEPT_FRAMES && job.searched() == 0;
+            let is_starved =
+                self.frames_since_partition >= MOST_SINCE_PARTITION && job.searched() == 0;
             match job.next(is_newer_due && !is_starved) {
                 Next::Wait => {}
                 Next::End(reason) => {
@@ -313,7 +314,8 @@ impl RectificationStage {
 
     /// Whether another partition may be on its way to the workers. One of them stays free of partitions, and
     /// a single one gets one at a time, since they would hold up the next frame's neighbours; one more is cut
-    /// ahead while it and the one before will have been searched by then.
+    /// ahead while it and the one before will have been searched by then. In a lossless run nothing is held
+    /// up.
     fn has_room_for_partition(&self) -> bool {
         let is_ahead = self.cadence.has_time_to_cut_ahead(clock::monotonic_ns());
         let most = self.workers.saturating_sub(1).max(1) + usize::from(is_ahead);
@@ -381,8 +383,8 @@ impl RectificationStage {
             return Ok(());
         }
         self.searched = job.searched();
-        self.unswept_frames = match self.searched {
-            0 => self.unswept_frames.saturating_add(1),
+        self.frames_since_partition = match self.searched {
+            0 => self.frames_since_partition.saturating_add(1),
             _ => 0,
         };
         if job.plan_id == 0 {

@@ -43,8 +43,9 @@ pub struct Drawn {
 #[derive(Debug)]
 pub struct Ahead {
     blank: SyncSender<Vec<u8>>,
-    drawn: Receiver<Result<Drawn, RenderError>>,
-    thread: Option<JoinHandle<()>>,
+    drawn: Receiver<Result<Drawn, AheadError>>,
+    /// Ends with how many frames it left out at the end.
+    thread: Option<JoinHandle<u64>>,
     picture_bytes: usize,
     has_begun: bool,
 }
@@ -53,8 +54,13 @@ pub struct Ahead {
 #[derive(Debug, thiserror::Error)]
 pub enum AheadError {
     /// A frame could not be drawn.
-    #[error("a frame cannot be drawn")]
-    Render(#[from] RenderError),
+    #[error("frame {frame}")]
+    Render {
+        /// Its number.
+        frame: u64,
+        /// Why.
+        source: RenderError,
+    },
     /// The thread has panicked.
     #[error("the thread that draws has ended; its panic was said before")]
     ThreadEnded,
@@ -68,7 +74,10 @@ pub enum Next {
     /// It is not drawn yet.
     NotYet,
     /// There is none.
-    Over,
+    Over {
+        /// Frames that were left out at the end.
+        skipped: u64,
+    },
 }
 
 impl Ahead {
@@ -101,11 +110,9 @@ impl Ahead {
             Ok(drawn) => Ok(Next::Frame(Box::new(drawn?))),
             Err(RecvTimeoutError::Timeout) => Ok(Next::NotYet),
             Err(RecvTimeoutError::Disconnected) => {
-                let ended = self.thread.take().map(JoinHandle::join);
-                if ended.is_some_and(|ended| ended.is_err()) {
-                    return Err(AheadError::ThreadEnded);
-                }
-                Ok(Next::Over)
+                let skipped = self.thread.take().map_or(Ok(0), JoinHandle::join);
+                let skipped = skipped.map_err(|_| AheadError::ThreadEnded)?;
+                Ok(Next::Over { skipped })
             }
         }
     }
@@ -117,12 +124,13 @@ impl Ahead {
     }
 }
 
+/// Returns how many frames were left out at the end.
 fn draw_all(
     mut world: World,
     last_frame: u64,
     blanks: &Receiver<Vec<u8>>,
-    tell: &SyncSender<Result<Drawn, RenderError>>,
-) {
+    tell: &SyncSender<Result<Drawn, AheadError>>,
+) -> u64 {
     let width = world.parameters().camera.width() as usize;
     let frames_per_second = world.parameters().frames_per_second;
     let half_exposure_ns = (world.parameters().exposure_s * 0.5e9).round() as i64;
@@ -137,9 +145,10 @@ fn draw_all(
         let Due { frame, skipped } =
             schedule.as_mut().map_or(first, |schedule| schedule.draw(begun_ns));
         if frame > last_frame {
-            return;
+            return last_frame + 1 - (frame - skipped);
         }
         let truth = world.render(frame, &mut luma, width);
+        let truth = truth.map_err(|source| AheadError::Render { frame, source });
         let drawn_ns = clock::monotonic_ns();
         let schedule = schedule.get_or_insert_with(|| {
             Schedule::new(drawn_ns - half_exposure_ns, frames_per_second, half_exposure_ns)
@@ -150,9 +159,10 @@ fn draw_all(
         let drawn = truth.map(|truth| Drawn { frame, luma, truth, times, skipped, took_ns });
         let is_over = drawn.is_err();
         if tell.send(drawn).is_err() || is_over {
-            return;
+            break;
         }
     }
+    0
 }
 
 #[cfg(test)]
@@ -168,12 +178,13 @@ mod tests {
         World::empty(WorldParameters { camera, frames_per_second, ..Default::default() }).unwrap()
     }
 
-    fn next(ahead: &mut Ahead) -> Option<Drawn> {
+    /// The next frame, or how many were left out at the end.
+    fn next(ahead: &mut Ahead) -> Result<Drawn, u64> {
         let until = Instant::now() + Duration::from_secs(60);
         loop {
             match ahead.take().expect("frames can be drawn") {
-                Next::Frame(drawn) => return Some(*drawn),
-                Next::Over => return None,
+                Next::Frame(drawn) => return Ok(*drawn),
+                Next::Over { skipped } => return Err(skipped),
                 Next::NotYet => assert!(Instant::now() < until, "it is never drawn"),
             }
         }
@@ -184,25 +195,38 @@ mod tests {
         let rate = 20.0;
         let mut ahead = Ahead::start(world(rate), 5).unwrap();
         let mut again = world(rate);
-        let (mut last, mut luma) = (None, vec![0; 256 * 128]);
-        while let Some(drawn) = next(&mut ahead) {
+        let (mut drawn_or_left_out, mut luma) = (0, vec![0; 256 * 128]);
+        let at_the_end = loop {
+            let drawn = match next(&mut ahead) {
+                Ok(drawn) => drawn,
+                Err(at_the_end) => break at_the_end,
+            };
             // On a machine that is very busy some are left out, and said to be.
-            let expected = last.map_or(0, |last| last + 1) + drawn.skipped;
-            assert_eq!(drawn.frame, expected);
+            assert_eq!(drawn.frame, drawn_or_left_out + drawn.skipped);
             let truth = again.render(drawn.frame, &mut luma, 256).unwrap();
-            assert!(drawn.luma == luma && drawn.truth == truth, "frame {expected}");
+            assert!(drawn.luma == luma && drawn.truth == truth, "frame {}", drawn.frame);
             let period_ns = drawn.times.next_ns - drawn.times.handover_ns;
             assert!((period_ns - 50_000_000).abs() <= 1, "{period_ns} ns");
-            last = Some(drawn.frame);
+            drawn_or_left_out = drawn.frame + 1;
             ahead.reuse(drawn.luma);
-        }
-        assert!(last.is_some());
+        };
+        assert_eq!(drawn_or_left_out + at_the_end, 6);
+    }
+
+    #[test]
+    fn frames_left_out_at_the_end_are_counted() {
+        let mut ahead = Ahead::start(world(100.0), 9).unwrap();
+        let held: Vec<Drawn> = (0..PICTURES).filter_map(|_| next(&mut ahead).ok()).collect();
+        std::thread::sleep(Duration::from_millis(200));
+        let last = held.last().unwrap().frame;
+        held.into_iter().for_each(|drawn| ahead.reuse(drawn.luma));
+        assert_eq!(next(&mut ahead).map(|drawn| drawn.frame), Err(9 - last));
     }
 
     #[test]
     fn no_more_are_drawn_than_there_are_pictures() {
         let mut ahead = Ahead::start(world(100.0), u64::MAX).unwrap();
-        let held: Vec<Drawn> = (0..PICTURES).filter_map(|_| next(&mut ahead)).collect();
+        let held: Vec<Drawn> = (0..PICTURES).filter_map(|_| next(&mut ahead).ok()).collect();
         assert_eq!(held.len(), PICTURES);
         assert!(matches!(ahead.take(), Ok(Next::NotYet)), "there is nothing to draw in");
         held.into_iter().for_each(|drawn| ahead.reuse(drawn.luma));

@@ -104,7 +104,10 @@ impl Stage for SimulatorStage {
                     None => match ahead.take()? {
                         Next::Frame(drawn) => drawn,
                         Next::NotYet => return Ok(Step::Again),
-                        Next::Over => return Ok(Step::Finished),
+                        Next::Over { skipped } => {
+                            self.counters.add_dropped(skipped);
+                            return Ok(Step::Finished);
+                        }
                     },
                 };
                 let early_ns = drawn.times.handover_ns.saturating_sub(HANDOVER_NS);

@@ -84,6 +84,16 @@ impl Swarm {
         others.any(|(_, neighbour)| neighbour.is_tracked())
     }
 
+    /// Whether a frame is so recent that measurements of it still count.
+    fn remembers(&self, at_s: f64) -> bool {
+        match self.filter {
+            FilterChoice::Tracks(policy) => {
+                self.last_s.is_none_or(|last_s| last_s - at_s <= policy.history_s)
+            }
+            FilterChoice::None => false,
+        }
+    }
+
     /// What a second look that is over found. Of a frame that has ended it only corrects a track that
     /// goes on from there, or begins one: what was found by the word of a track that is no more means
     /// nothing.
@@ -96,11 +106,15 @@ impl Swarm {
         let Answer { subject, sighting, stands_alone, rays_m } = answer;
         let Subject { order, at_s, target } = subject;
         let is_late = self.ended.is_some_and(|ended| order <= ended);
+        let is_newcomer = stands_alone && !self.neighbours[target].is_tracked();
+        if is_late && is_newcomer && self.remembers(at_s) {
+            // That it was not found in the frames since says nothing: nobody knew where to look.
+            self.neighbours[target].forget();
+        }
         let sighting =
             sighting.map(|sighting| self.corrected(sighting, rays_m)).filter(|sighting| {
-                let neighbour = &self.neighbours[target];
-                let is_newcomer = stands_alone && !neighbour.is_tracked();
-                !is_late || is_newcomer || neighbour.expects(at_s, sighting)
+                let expects = || self.neighbours[target].expects(at_s, sighting);
+                !is_late || (is_newcomer && self.remembers(at_s)) || expects()
             });
         let update = sighting.and_then(|sighting| self.take_in(order, at_s, target, &sighting));
         Ok(update.map(|update| (order, update)))

@@ -69,6 +69,10 @@ impl Swarm {
         predicted: Isometry3<f64>,
         found: Option<Alignment>,
     ) -> Option<Update> {
+        // A view may come twice, cut again for another worker.
+        if self.is_settled(order, *target) {
+            return None;
+        }
         let is_sure = |found: &&Alignment| {
             found.is_believed()
                 && found.score.agreeing_facets >= PEEKED_FACETS

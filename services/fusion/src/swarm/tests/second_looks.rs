@@ -236,6 +236,17 @@ fn a_newcomer_holds_up_nobody_who_is_tracked() {
 }
 
 #[test]
+fn a_newcomer_is_looked_at_again_also_when_newer_frames_wait() {
+    let truth = pose(0.9);
+    with_view(&truth, |view| {
+        let mut swarm = swarm_with_bravo();
+        swarm.hurry(Pace::Behind);
+        assert!(settle(&mut swarm, &probably_alpha(1, &truth), view).is_empty());
+        assert!(second_look(&mut swarm).is_some());
+    });
+}
+
+#[test]
 fn a_newcomer_that_nobody_waits_for_is_found_at_once() {
     let truth = pose(0.9);
     with_view(&truth, |view| {
@@ -253,10 +264,14 @@ fn a_newcomers_track_may_begin_when_its_frame_has_ended() {
     with_view(&truth, |view| {
         let mut swarm = swarm_with_bravo();
         settle(&mut swarm, &probably_alpha(1, &truth), view);
-        finish(&mut swarm, 1);
-        finish(&mut swarm, 2);
+        (1..10).for_each(|sequence| drop(finish(&mut swarm, sequence)));
         assert!(second_look(&mut swarm).is_some());
         assert_known(&swarm, &truth);
+        // Nor when it was long ago.
+        let mut swarm = swarm_with_bravo();
+        settle(&mut swarm, &probably_alpha(1, &truth), view);
+        (1..30).for_each(|sequence| drop(finish(&mut swarm, sequence)));
+        assert!(second_look(&mut swarm).is_none());
         // But not in the place of one that another frame began meanwhile.
         let mut swarm = swarm_with_bravo();
         settle(&mut swarm, &probably_alpha(1, &truth), view);
