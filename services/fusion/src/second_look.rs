@@ -97,8 +97,8 @@ impl SecondLooks {
     }
 
     /// Looks again, and says so; not while another look is under way, but for a neighbour that has no
-    /// track, which may wait behind one that has; and not for who had the last one before those were asked who were refused
-    /// meanwhile.
+    /// track, which may wait behind one that has; and not for who had the last one before those were
+    /// asked who were refused meanwhile.
     pub fn ask(&mut self, subject: Subject, look: &Look<'_>) -> bool {
         let target = subject.target;
         if let Some(under_way) = &self.under_way {

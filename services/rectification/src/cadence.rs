@@ -20,12 +20,16 @@ const FORGETTING: f64 = 0.9;
 /// A worker that says that it searched a partition for longer is not believed, nanoseconds.
 const LONGEST_SEARCH_NS: i64 = 1_000_000_000;
 
+/// After so many frames in which there was time for neighbours only, one partition is cut all the same.
+const MOST_SINCE_PARTITION: u32 = 4;
+
 /// The frames of a source that came last, and what partitions took.
 #[derive(Debug, Clone, Default)]
 pub struct Cadence {
     frames: VecDeque<(FrameStamp, i64)>,
     cut_ns: f64,
     search_ns: f64,
+    frames_since_partition: u32,
 }
 
 impl Cadence {
@@ -66,6 +70,19 @@ impl Cadence {
     pub fn has_time_to_cut_ahead(&self, now_ns: i64) -> bool {
         let searched_ns = now_ns.saturating_add(2 * self.search_ns as i64);
         self.search_ns > 0.0 && self.due_ns().is_some_and(|due_ns| searched_ns < due_ns)
+    }
+
+    /// A frame has come to so many partitions, and is not cut further.
+    pub fn note_end(&mut self, partitions: usize) {
+        self.frames_since_partition = match partitions {
+            0 => self.frames_since_partition.saturating_add(1),
+            _ => 0,
+        };
+    }
+
+    /// Whether the next frame has to come to a partition, however little time there is.
+    pub fn owes_partition(&self) -> bool {
+        self.frames_since_partition >= MOST_SINCE_PARTITION
     }
 
     /// When the frame after the last one will be here if it is as quick as the quickest lately,
@@ -152,6 +169,20 @@ mod tests {
         (0..60).for_each(|_| due_at_160.note_search(i64::MIN));
         assert!(is_ahead(&due_at_160, 150));
         assert!(!cadence(&[]).has_time_to_cut_ahead(0));
+    }
+
+    #[test]
+    fn after_some_frames_for_neighbours_only_a_partition_is_owed() {
+        let mut busy = Cadence::default();
+        (0..4).for_each(|_| {
+            assert!(!busy.owes_partition());
+            busy.note_end(0);
+        });
+        assert!(busy.owes_partition());
+        busy.note_end(0);
+        assert!(busy.owes_partition());
+        busy.note_end(1);
+        assert!(!busy.owes_partition());
     }
 
     #[test]

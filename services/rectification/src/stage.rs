@@ -51,8 +51,6 @@ pub struct RectificationStage {
     swept: usize,
     /// Partitions that the frame which ended last came to.
     searched: usize,
-    /// Frames since one came to a partition.
-    frames_since_partition: u32,
     plan: Option<(PlanHeader, Vec<PlannedView>)>,
     waiting: Option<Message<Frames>>,
     cadence: Cadence,
@@ -66,9 +64,6 @@ pub struct RectificationStage {
 
 /// A source that sends nothing for this long is worth a word, nanoseconds.
 const SILENCE_NS: i64 = 5_000_000_000;
-
-/// After so many frames in which there was time for neighbours only, one partition is cut all the same.
-const MOST_SINCE_PARTITION: u32 = 4;
 
 /// Generation, epoch and sequence of a frame, and the place of a view in its plan.
 type ViewKey = ((u32, u32, u64), u32);
@@ -116,7 +111,6 @@ impl Stage for RectificationStage {
             partitions: seen_partitions(pipeline)?,
             swept: 0,
             searched: 0,
-            frames_since_partition: 0,
             plan: None,
             waiting: None,
             cadence: Cadence::default(),
@@ -285,9 +279,8 @@ impl RectificationStage {
         for position in 0..self.held.len() {
             let job = &self.held[position].job;
             // Newcomers are found however little time there is.
-            let is_starved =
-                self.frames_since_partition >= MOST_SINCE_PARTITION && job.searched() == 0;
-            match job.next(is_newer_due && !is_starved) {
+            let is_owed = self.cadence.owes_partition() && job.searched() == 0;
+            match job.next(is_newer_due && !is_owed) {
                 Next::Wait => {}
                 Next::End(reason) => {
                     self.end(position, reason)?;
@@ -383,10 +376,7 @@ impl RectificationStage {
             return Ok(());
         }
         self.searched = job.searched();
-        self.frames_since_partition = match self.searched {
-            0 => self.frames_since_partition.saturating_add(1),
-            _ => 0,
-        };
+        self.cadence.note_end(self.searched);
         if job.plan_id == 0 {
             self.swept = (self.swept + job.tally().0 as usize) % self.partitions.len().max(1);
         }

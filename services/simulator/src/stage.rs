@@ -97,7 +97,26 @@ impl Stage for SimulatorStage {
             return Ok(Step::WaitUntil(clock::monotonic_ns() + 100_000_000));
         }
         match &mut self.drawing {
-            Drawing::OnDemand { .. } => self.draw_and_send(),
+            Drawing::OnDemand { world, next_frame, last_frame } => {
+                let frame = *next_frame;
+                if frame > *last_frame {
+                    return Ok(Step::Finished);
+                }
+                *next_frame = frame + 1;
+                let begun_ns = clock::monotonic_ns();
+                let (width, height) = self.size_px;
+                let mut loan = self.frames.loan(width as usize * height as usize)?;
+                let truth = world
+                    .render(frame, loan.items_mut(), width as usize)
+                    .with_context(|| format!("frame {frame}"))?;
+                self.counters.add_latency_ns(clock::monotonic_ns() - begun_ns);
+                let exposure_ns = (truth.time_s * 1e9).round() as i64;
+                let stamp = self.stamp(frame, exposure_ns, &truth);
+                self.send_truth(stamp, &truth)?;
+                loan.send(self.header(stamp, &truth))?;
+                self.credits.note_sent(stamp);
+                Ok(Step::Again)
+            }
             Drawing::Ahead { ahead, waiting } => {
                 let drawn = match waiting.take() {
                     Some(drawn) => drawn,
@@ -122,31 +141,6 @@ impl Stage for SimulatorStage {
 }
 
 impl SimulatorStage {
-    /// Draws a frame where it will be read, and sends it.
-    fn draw_and_send(&mut self) -> anyhow::Result<Step> {
-        let Drawing::OnDemand { world, next_frame, last_frame } = &mut self.drawing else {
-            return Ok(Step::Again);
-        };
-        let frame = *next_frame;
-        if frame > *last_frame {
-            return Ok(Step::Finished);
-        }
-        let begun_ns = clock::monotonic_ns();
-        let (width, height) = self.size_px;
-        let mut loan = self.frames.loan(width as usize * height as usize)?;
-        let truth = world
-            .render(frame, loan.items_mut(), width as usize)
-            .with_context(|| format!("frame {frame}"))?;
-        *next_frame = frame + 1;
-        let exposure_ns = (truth.time_s * 1e9).round() as i64;
-        self.counters.add_latency_ns(clock::monotonic_ns() - begun_ns);
-        let stamp = self.stamp(frame, exposure_ns, &truth);
-        self.send_truth(stamp, &truth)?;
-        loan.send(self.header(stamp, &truth))?;
-        self.credits.note_sent(stamp);
-        Ok(Step::Again)
-    }
-
     /// Hands a frame over when its time has come, unless the next one's has.
     fn hand_over(&mut self, drawn: Drawn) -> anyhow::Result<Step> {
         let Drawn { frame, luma, truth, times, skipped, took_ns } = drawn;
