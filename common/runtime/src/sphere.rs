@@ -10,7 +10,7 @@ use flockeye_geometry::search::GazeOptions;
 use flockeye_geometry::view::View;
 
 use crate::camera::CameraSettingError;
-use crate::config::{Auto, Count, Filter, Mode, Pipeline};
+use crate::config::{Auto, Count, Filter, Pipeline};
 
 /// Why the sphere has no views.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -148,10 +148,7 @@ impl Pipeline {
     /// A margin that leaves no view; a camera that cannot be.
     pub fn far_views(&self) -> Result<Vec<View>, SphereViewsError> {
         let magnification = self.search.far_magnification;
-        let is_swept = self.search.mode == Mode::Gaze
-            && self.fusion.filter != Filter::None
-            && magnification > self.partition_magnification();
-        if !is_swept {
+        if !self.gazes() || magnification <= self.partition_magnification() {
             return Ok(Vec::new());
         }
         let count = *partition::STORED.end();

@@ -5,7 +5,6 @@ use flockeye_contract::{
 };
 use flockeye_geometry::body::Bodies;
 use flockeye_imaging::edges::Effort;
-use flockeye_runtime::config::{Filter, Flow, Mode};
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::logs::Throttle;
 use flockeye_runtime::ports::{Message, Ports, Publisher, Subscriber};
@@ -57,16 +56,11 @@ impl Stage for DetectionStage {
             .with_mask(pipeline.mask()?)
             .with_expected(bodies.iter().flat_map(|body| &body.markers).map(|marker| marker.id));
         detector.dictionary().check(&bodies)?;
-        // A lossless run must not depend on which worker searches, where nobody is tracked each frame
-        // stands for itself, and the paper's searches are its own.
-        let sweeps = pipeline.flow == Flow::Latest
-            && pipeline.search.mode == Mode::Gaze
-            && pipeline.fusion.filter != Filter::None;
         Ok(Self {
             views: ports.subscriber_of_lane(context.identity.replica as usize)?,
             detections: ports.publisher()?,
             detector,
-            turns: sweeps.then(Turns::default),
+            turns: pipeline.sweeps_by_turns().then(Turns::default),
             bodies,
             lights: Lights::new(pipeline.measured_response()?)?,
             pixels_per_radian: context.pipeline.camera_model()?.pixels_per_radian(),

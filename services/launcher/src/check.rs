@@ -7,7 +7,7 @@ use anyhow::{Context, ensure};
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::partition;
 use flockeye_geometry::view::View;
-use flockeye_runtime::config::{Count, Filter, Flow, Mode, Pipeline};
+use flockeye_runtime::config::{Count, Flow, Pipeline};
 use flockeye_runtime::instance::Instance;
 use flockeye_runtime::memory::{Budget, shared_memory_space};
 
@@ -61,11 +61,10 @@ fn measured(arguments: &Check, duration: Duration) -> anyhow::Result<String> {
     );
     match flown.sweep {
         Some(sweep) => {
-            write!(
-                text,
-                ": {sweep}. A newcomer waits as long for its first search, \
-                 by one of two windows"
-            )?;
+            write!(text, ": {sweep}. A newcomer waits as long for its first search")?;
+            if pipeline.sweeps_by_turns() {
+                text += ", by one of two windows";
+            }
         }
         None => write!(text, ": every frame is searched from its beginning")?,
     }
@@ -146,7 +145,7 @@ fn plan(
 /// How it is searched, and how soon newcomers are found.
 fn search(pipeline: &Pipeline, partitions: usize) -> anyhow::Result<String> {
     let mode = format!("{:?}", pipeline.search.mode).to_lowercase();
-    if pipeline.search.mode != Mode::Gaze || pipeline.fusion.filter == Filter::None {
+    if !pipeline.gazes() {
         return Ok(mode);
     }
     let mask = pipeline.mask()?;

@@ -8,7 +8,7 @@ use std::fmt;
 
 use flockeye_contract::{DetectionHeader, Detections, PlannedView, Plans};
 use flockeye_geometry::view::View;
-use flockeye_runtime::config::{Mode, Pipeline};
+use flockeye_runtime::config::Pipeline;
 use flockeye_runtime::ports::{PortError, Ports, Subscriber};
 use serde::Serialize;
 
@@ -94,7 +94,7 @@ impl Sweep {
     /// # Errors
     /// A configuration that cannot be followed.
     pub fn of(pipeline: &Pipeline) -> anyhow::Result<Option<Self>> {
-        if pipeline.search.mode != Mode::Gaze {
+        if !pipeline.gazes() {
             return Ok(None);
         }
         let mask = pipeline.mask()?;

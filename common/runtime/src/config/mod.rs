@@ -162,6 +162,19 @@ impl Pipeline {
         self.stages.detection.replicas.unwrap_or(2)
     }
 
+    /// Whether each neighbour is looked at where it is predicted, and the sphere is swept in the time
+    /// that is left: `search.mode: gaze`. Without tracks there is nothing to predict, and it means
+    /// `exhaustive`.
+    pub fn gazes(&self) -> bool {
+        self.search.mode == Mode::Gaze && self.fusion.filter != Filter::None
+    }
+
+    /// Whether the sweep searches a partition with one of its windows at a time. Not in a lossless run,
+    /// which must not depend on which worker searches.
+    pub fn sweeps_by_turns(&self) -> bool {
+        self.gazes() && self.flow == Flow::Latest
+    }
+
     /// How long a frame is waited for: `fusion.deadline_ms`.
     pub fn frame_deadline(&self) -> Duration {
         Duration::from_secs_f64(self.fusion.deadline_ms * 1e-3 * self.patience())

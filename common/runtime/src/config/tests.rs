@@ -255,3 +255,16 @@ fn a_partition_may_be_chosen() {
         Pipeline::default().sphere_partition().unwrap()
     );
 }
+
+#[test]
+fn the_sphere_is_swept_where_neighbours_are_followed_and_by_turns_in_flight_only() {
+    let says = |change: &dyn Fn(&mut Pipeline)| {
+        let mut pipeline = Pipeline::default();
+        change(&mut pipeline);
+        (pipeline.gazes(), pipeline.sweeps_by_turns())
+    };
+    assert_eq!(says(&|_| {}), (true, true));
+    assert_eq!(says(&|pipeline| pipeline.flow = Flow::Lossless), (true, false));
+    assert_eq!(says(&|pipeline| pipeline.fusion.filter = Filter::None), (false, false));
+    assert_eq!(says(&|pipeline| pipeline.search.mode = Mode::Exhaustive), (false, false));
+}
