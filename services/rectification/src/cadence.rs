@@ -91,8 +91,9 @@ impl Cadence {
         let ((first, _), (last, _)) = (self.frames.front()?, self.frames.back()?);
         let frames = i64::try_from(last.sequence.checked_sub(first.sequence)?).ok()?;
         let interval_ns = last.exposure_ns.checked_sub(first.exposure_ns)?.checked_div(frames)?;
-        let lags = self.frames.iter().map(|(stamp, at_ns)| at_ns.checked_sub(stamp.exposure_ns));
-        let lag_ns = lags.collect::<Option<Vec<i64>>>()?.into_iter().min()?;
+        let mut lags =
+            self.frames.iter().map(|(stamp, at_ns)| at_ns.checked_sub(stamp.exposure_ns));
+        let lag_ns = lags.try_fold(i64::MAX, |least_ns, lag_ns| Some(least_ns.min(lag_ns?)))?;
         let due_ns = last.exposure_ns.checked_add(interval_ns)?.checked_add(lag_ns)?;
         (interval_ns > 0).then_some(due_ns)
     }

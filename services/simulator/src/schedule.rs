@@ -106,9 +106,9 @@ mod tests {
         let mut schedule = Schedule::new(0, 1e8, 2);
         for frame in 1..9 {
             schedule.drew(5);
-            let there_ns = 10 * (frame as i64).max(2) + 2;
-            assert_eq!(schedule.begin_ns(0), there_ns.min(10 * frame as i64 + 2) - 5);
-            assert_eq!(schedule.begin_ns(2), there_ns - 20 - 5);
+            assert_eq!(schedule.begin_ns(0), schedule.times(frame).handover_ns - 5);
+            let two_before = schedule.times(frame.saturating_sub(2));
+            assert_eq!(schedule.begin_ns(2), two_before.handover_ns - 5);
             assert_eq!(schedule.draw(3), Due { frame, skipped: 0 });
         }
     }

@@ -134,7 +134,8 @@ impl Stage for SimulatorStage {
                     *waiting = Some(drawn);
                     return Ok(Step::WaitUntil(early_ns));
                 }
-                self.hand_over(*drawn)
+                self.hand_over(*drawn)?;
+                Ok(Step::Again)
             }
         }
     }
@@ -142,7 +143,7 @@ impl Stage for SimulatorStage {
 
 impl SimulatorStage {
     /// Hands a frame over when its time has come, unless the next one's has.
-    fn hand_over(&mut self, drawn: Drawn) -> anyhow::Result<Step> {
+    fn hand_over(&mut self, drawn: Drawn) -> anyhow::Result<()> {
         let Drawn { frame, luma, truth, times, skipped, took_ns } = drawn;
         self.counters.add_dropped(skipped);
         self.counters.add_latency_ns(took_ns);
@@ -160,7 +161,7 @@ impl SimulatorStage {
         if let Drawing::Ahead { ahead, .. } = &self.drawing {
             ahead.reuse(luma);
         }
-        Ok(Step::Again)
+        Ok(())
     }
 
     fn stamp(&self, frame: u64, exposure_ns: i64, truth: &FrameTruth) -> FrameStamp {
