@@ -2,7 +2,7 @@
 
 use flockeye_geometry::body::Bodies;
 use flockeye_imaging::align::{
-    AlignOptions, Alignment, BodyPrint, Picture, PrintError, align, reacquire,
+    AlignOptions, Alignment, BodyPrint, Picture, PrintError, SURE_FACETS, align, reacquire,
 };
 use flockeye_imaging::edges::MarkerPrint;
 use nalgebra::Isometry3;
@@ -11,14 +11,11 @@ use nalgebra::Isometry3;
 /// the range.
 const OTHER_TURN_RAD: f64 = 0.2;
 const OTHER_PLACE: f64 = 0.05;
-/// Without a track, a pose that only one facet agrees with is believed if its facets agree so well
+/// Without a track, a pose that only one facet tells is believed if its facets agree so well
 /// on average, and any other pose has at most this share of its log-likelihood. One marker of 14 px
 /// was seen to reach 0.71 in the wrong attitude, and 1.2 times the right one's log-likelihood.
 const ALONE_CORRELATION: f64 = 0.8;
 const ALONE_RIVAL: f64 = 0.33;
-/// A pose that so many facets agree with is no mirror image: one facet and the chance agreement of
-/// another were seen to say 33 degrees too much.
-const SURE_FACETS: u32 = 3;
 /// With a track, a pose that has turned by more than this from the prediction, radians, is believed if
 /// it is sure: a neighbour that was out of sight for a third of a second may have turned by as much as
 /// a mirror image, and the filter's gate, which knows that, lets it pass.
@@ -114,7 +111,7 @@ impl Aligner {
 
     /// Aligns body `target`, of which nothing is known yet, from all of `starts`. One facet can look
     /// the same in two attitudes, mirror images of each other: the best pose is believed if two facets
-    /// agree with it, or if it stands out among what its mirror image and the other starts lead to.
+    /// say so, or if it stands out among what its mirror image and the other starts lead to.
     /// Unless there is time, the first one that leads to a sure pose is the last: all eight of a newcomer
     /// were seen to take 113 ms, in which everybody's poses wait.
     pub fn discover(
@@ -138,8 +135,8 @@ impl Aligner {
         let best = found
             .iter()
             .filter(|found| found.is_believed() || is_vouched_for(found, &is_marked))
-            .max_by(|a, b| a.score.log_ratio.total_cmp(&b.score.log_ratio))?;
-        if best.score.agreeing_facets >= 2 {
+            .max_by(|a, b| a.score.evidence().total_cmp(&b.score.evidence()))?;
+        if best.score.is_told_twice() {
             return Some(best.clone());
         }
         if best.score.correlation <= ALONE_CORRELATION {

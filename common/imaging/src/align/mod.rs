@@ -36,7 +36,7 @@ mod sums;
 mod unknowns;
 
 pub use print::{BodyPrint, MAX_CELLS, PrintError};
-pub use score::Score;
+pub use score::{SURE_FACETS, Score};
 
 use flockeye_geometry::view::View;
 use nalgebra::{Isometry3, Matrix2, Matrix6};

@@ -27,6 +27,9 @@ pub struct Score {
     pub facets: u32,
     /// The number of the one that adds most to the logarithm, if any adds to it.
     pub telling_facet: Option<u32>,
+    /// What the second of the agreeing facets, by what they add, adds to the logarithm; zero where none
+    /// or one agrees.
+    pub second_log_ratio: f64,
 }
 
 impl Score {
@@ -51,6 +54,21 @@ impl Score {
         self.agreeing_facets >= 2 && self.exceeds(&BESIDE_MARKER)
     }
 
+    /// Whether two facets say that the body is there, and in this attitude: one can look the same in two,
+    /// and a second one of a few pixels agrees by chance with any.
+    pub fn is_told_twice(&self) -> bool {
+        self.agreeing_facets >= SURE_FACETS
+            || (self.agreeing_facets == 2 && self.second_log_ratio > SECOND_LOG_RATIO)
+    }
+
+    /// How much is said for a pose, to compare it with others of the same body in the same picture: what
+    /// its facets say, by how well they agree. The logarithm alone leaves out what a pose shows and the
+    /// picture does not, which something may hide, or which is not there: of a mirror image one facet
+    /// agrees as well as in the right attitude, and the others do not.
+    pub fn evidence(&self) -> f64 {
+        self.log_ratio.max(0.0) * self.correlation.max(0.0)
+    }
+
     fn exceeds(&self, limits: &[(f64, f64)]) -> bool {
         limits.iter().any(|&(correlation, log_ratio)| {
             self.correlation > correlation && self.log_ratio > log_ratio
@@ -71,6 +89,14 @@ const BESIDE_MARKER: [(f64, f64); 1] = [(0.15, 50.0)];
 
 /// What a single facet must say.
 const ONE_FACET_LOG_RATIO: f64 = 100.0;
+
+/// A pose that so many facets agree with is no mirror image: one facet and the chance agreement of
+/// another were seen to say 33 degrees too much.
+pub const SURE_FACETS: u32 = 3;
+/// What the second facet must say where only two agree. In 4210 views of simulated bodies at 0.8 to 3.2 m,
+/// looked at without a track, wrong attitudes that two or more agreed with had 14 in the median, 28 in one
+/// of ten; right ones that two agreed with 72, and 18 in one of ten.
+const SECOND_LOG_RATIO: f64 = 30.0;
 
 /// Facets with fewer samples are not compared.
 const MIN_SAMPLES: u32 = 16;
@@ -121,6 +147,8 @@ impl Verdict {
         }
         let mut score = Score::default();
         let (mut sum, mut weights, mut most) = (0.0, 0.0, 0.0);
+        // What the agreeing facets say, the most first.
+        let mut agreeing = [0.0; 2];
         let mut correlations = vec![None; facets.len()];
         for ((number, facet), own) in (0..).zip(&facets).zip(&mut correlations) {
             if facet.count < MIN_SAMPLES {
@@ -136,11 +164,16 @@ impl Verdict {
                 (most, score.telling_facet) = (says, Some(number));
             }
             score.facets += 1;
-            score.agreeing_facets += u32::from(correlation >= AGREEING);
+            if correlation >= AGREEING {
+                score.agreeing_facets += 1;
+                let [first, second] = agreeing;
+                agreeing = [says.max(first), second.max(says.min(first))];
+            }
             let weight = worth.sqrt();
             sum += weight * correlation;
             weights += weight;
         }
+        score.second_log_ratio = agreeing[1];
         score.correlation = if weights > 0.0 { sum / weights } else { 0.0 };
         Self { score, correlations }
     }
@@ -176,5 +209,32 @@ impl Facet {
         let (cells, light) = (left[(3, 3)], left[(4, 4)]);
         let is_told = cells > 1e-3 * f64::from(self.count) && light > 0.0;
         is_told.then(|| (left[(3, 4)] / (cells * light).sqrt(), cells))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn score(correlation: f64, log_ratio: f64, agreeing_facets: u32, second: f64) -> Score {
+        let second_log_ratio = second;
+        Score { correlation, log_ratio, agreeing_facets, second_log_ratio, ..Score::default() }
+    }
+
+    #[test]
+    fn two_facets_tell_a_pose_if_neither_is_a_few_pixels_and_three_do() {
+        assert!(score(0.5, 140.0, 2, 60.0).is_told_twice());
+        assert!(!score(0.5, 140.0, 2, 6.0).is_told_twice());
+        assert!(!score(0.9, 500.0, 1, 0.0).is_told_twice());
+        assert!(score(0.8, 90.0, 3, 16.0).is_told_twice());
+    }
+
+    #[test]
+    fn what_a_pose_shows_and_the_picture_does_not_counts_against_it() {
+        // Of one picture: the right attitude, and the mirror image of the facet that says most.
+        let [right, mirrored] = [score(0.68, 210.0, 3, 50.0), score(0.29, 215.0, 2, 10.0)];
+        assert!(right.is_accepted() && mirrored.is_accepted());
+        assert!(right.evidence() > 2.0 * mirrored.evidence());
+        assert_eq!(score(-0.2, -20.0, 0, 0.0).evidence(), 0.0);
     }
 }
