@@ -350,7 +350,7 @@ impl Default for Fusion {
             angular_acceleration: 3.0,
             deadline_ms: 3000.0,
             align: true,
-            covariance_scale: 2.2,
+            covariance_scale: 3.1,
             threads: 2,
         }
     }
