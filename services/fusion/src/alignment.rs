@@ -2,7 +2,7 @@
 
 use flockeye_geometry::body::Bodies;
 use flockeye_imaging::align::{
-    AlignOptions, Alignment, BodyPrint, Picture, PrintError, SURE_FACETS, align, reacquire,
+    AlignOptions, Alignment, BodyPrint, Picture, PrintError, SURE_FACETS, Score, align, reacquire,
 };
 use flockeye_imaging::edges::MarkerPrint;
 use nalgebra::Isometry3;
@@ -16,11 +16,12 @@ const OTHER_PLACE: f64 = 0.05;
 /// was seen to reach 0.71 in the wrong attitude, and 1.2 times the right one's log-likelihood.
 const ALONE_CORRELATION: f64 = 0.8;
 const ALONE_RIVAL: f64 = 0.33;
-/// One that two facets agree with is believed if any other pose has at most this share of its evidence:
-/// the second share where the second facet says little. In 5913 views of simulated bodies at 0.8 to 3.6 m,
-/// looked at without a track, that leaves 2 of 6 wrong poses that were believed before and takes 30 of
-/// 5466 right ones.
+/// One that two facets agree with is believed if any other pose has at most this share of its evidence.
 const TWICE_RIVAL: f64 = 0.9;
+/// Where the second facet says little, so much correlation and a smaller share are asked. In 5913 views of
+/// simulated bodies at 0.8 to 3.6 m, looked at without a track, that leaves 2 of 6 wrong poses that were
+/// believed when two facets were enough, and takes 45 of 5466 right ones.
+const BARELY_TWICE_CORRELATION: f64 = 0.45;
 const BARELY_TWICE_RIVAL: f64 = 0.6;
 /// With a track, a pose that has turned by more than this from the prediction, radians, is believed if
 /// it is sure: a neighbour that was out of sight for a third of a second may have turned by as much as
@@ -139,27 +140,22 @@ impl Aligner {
                 break;
             }
         }
-        let best = most_evident(&found, &is_marked)?;
+        let best = found
+            .iter()
+            .filter(|found| found.is_believed() || is_vouched_for(found, &is_marked))
+            .max_by(|a, b| a.score.evidence().total_cmp(&b.score.evidence()))?;
         if best.score.agreeing_facets >= SURE_FACETS {
             return Some(best.clone());
+        }
+        if !stands_alone(&best.score) {
+            return None;
         }
         let mirrored = best.score.telling_facet.and_then(|facet| {
             let mirrored = self.prints.get(target)?.mirrored(facet, &best.camera_from_markers)?;
             self.align(target, picture, &Start::Fine(mirrored))
         });
-        found.extend(mirrored);
-        let best = most_evident(&found, &is_marked)?;
-        let stands_out = found.iter().filter(|other| !is_same(best, other)).all(|rival| {
-            let (best, rival) = (&best.score, &rival.score);
-            match best.agreeing_facets {
-                SURE_FACETS.. => true,
-                2 if best.is_told_twice() => rival.evidence() < TWICE_RIVAL * best.evidence(),
-                2 => rival.evidence() < BARELY_TWICE_RIVAL * best.evidence(),
-                _ => rival.log_ratio < ALONE_RIVAL * best.log_ratio,
-            }
-        });
-        let is_told = best.score.agreeing_facets >= 2 || best.score.correlation > ALONE_CORRELATION;
-        (is_told && stands_out).then(|| best.clone())
+        let mut rivals = found.iter().chain(&mirrored).filter(|other| !is_same(best, other));
+        rivals.all(|rival| stands_out_against(&rival.score, &best.score)).then(|| best.clone())
     }
 
     /// Looks for body `target` round where it was predicted.
@@ -190,15 +186,23 @@ pub fn is_surprising(found: &Alignment, predicted: &Isometry3<f64>) -> bool {
     turn_rad > SURPRISING_TURN_RAD && found.score.agreeing_facets < SURE_FACETS
 }
 
-/// The pose that most is said for, of those that are measurements.
-fn most_evident<'f>(
-    found: &'f [Alignment],
-    is_marked: impl Fn(&Isometry3<f64>) -> bool,
-) -> Option<&'f Alignment> {
-    found
-        .iter()
-        .filter(|found| found.is_believed() || is_vouched_for(found, &is_marked))
-        .max_by(|a, b| a.score.evidence().total_cmp(&b.score.evidence()))
+/// Whether a pose says so much by itself that it may be believed where nothing else is known.
+fn stands_alone(score: &Score) -> bool {
+    match score.agreeing_facets {
+        SURE_FACETS.. => true,
+        2 => score.is_told_twice() || score.correlation > BARELY_TWICE_CORRELATION,
+        _ => score.correlation > ALONE_CORRELATION,
+    }
+}
+
+/// Whether so much more is said for the `best` pose than for another one that it may be believed.
+fn stands_out_against(rival: &Score, best: &Score) -> bool {
+    match best.agreeing_facets {
+        SURE_FACETS.. => true,
+        2 if best.is_told_twice() => rival.evidence() < TWICE_RIVAL * best.evidence(),
+        2 => rival.evidence() < BARELY_TWICE_RIVAL * best.evidence(),
+        _ => rival.log_ratio < ALONE_RIVAL * best.log_ratio,
+    }
 }
 
 /// Whether markers that were decoded there speak for a pose.
