@@ -11,18 +11,13 @@ use nalgebra::Isometry3;
 /// the range.
 const OTHER_TURN_RAD: f64 = 0.2;
 const OTHER_PLACE: f64 = 0.05;
-/// Without a track, a pose that only one facet agrees with is believed if its facets agree so well
+/// Without a track, a pose that only one facet tells is believed if its facets agree so well
 /// on average, and any other pose has at most this share of its log-likelihood. One marker of 14 px
 /// was seen to reach 0.71 in the wrong attitude, and 1.2 times the right one's log-likelihood.
 const ALONE_CORRELATION: f64 = 0.8;
 const ALONE_RIVAL: f64 = 0.33;
-/// One that two facets agree with is believed if any other pose has at most this share of its evidence.
+/// One that two facets tell is believed if any other pose has at most this share of its evidence.
 const TWICE_RIVAL: f64 = 0.9;
-/// Where the second facet says little, so much correlation and a smaller share are asked. In 5913 views of
-/// simulated bodies at 0.8 to 3.6 m, looked at without a track, that leaves 2 of 6 wrong poses that were
-/// believed when two facets were enough, and takes 45 of 5466 right ones.
-const BARELY_TWICE_CORRELATION: f64 = 0.45;
-const BARELY_TWICE_RIVAL: f64 = 0.6;
 /// With a track, a pose that has turned by more than this from the prediction, radians, is believed if
 /// it is sure: a neighbour that was out of sight for a third of a second may have turned by as much as
 /// a mirror image, and the filter's gate, which knows that, lets it pass.
@@ -119,7 +114,7 @@ impl Aligner {
     /// Aligns body `target`, of which nothing is known yet, from all of `starts`. One facet can look
     /// the same in two attitudes, mirror images of each other, and a second one agree by chance with the
     /// wrong one: the best pose is believed if three facets agree with it, or if it stands out among what
-    /// its mirror image and the other starts lead to.
+    /// its mirror image and the other starts lead to, by less if two facets tell it.
     /// Unless there is time, the first one that leads to a sure pose is the last: all eight of a newcomer
     /// were seen to take 113 ms, in which everybody's poses wait.
     pub fn discover(
@@ -147,7 +142,7 @@ impl Aligner {
         if best.score.agreeing_facets >= SURE_FACETS {
             return Some(best.clone());
         }
-        if !stands_alone(&best.score) {
+        if !best.score.is_told_twice() && best.score.correlation <= ALONE_CORRELATION {
             return None;
         }
         let mirrored = best.score.telling_facet.and_then(|facet| {
@@ -186,22 +181,12 @@ pub fn is_surprising(found: &Alignment, predicted: &Isometry3<f64>) -> bool {
     turn_rad > SURPRISING_TURN_RAD && found.score.agreeing_facets < SURE_FACETS
 }
 
-/// Whether a pose says so much by itself that it may be believed where nothing else is known.
-fn stands_alone(score: &Score) -> bool {
-    match score.agreeing_facets {
-        SURE_FACETS.. => true,
-        2 => score.is_told_twice() || score.correlation > BARELY_TWICE_CORRELATION,
-        _ => score.correlation > ALONE_CORRELATION,
-    }
-}
-
 /// Whether so much more is said for the `best` pose than for another one that it may be believed.
 fn stands_out_against(rival: &Score, best: &Score) -> bool {
-    match best.agreeing_facets {
-        SURE_FACETS.. => true,
-        2 if best.is_told_twice() => rival.evidence() < TWICE_RIVAL * best.evidence(),
-        2 => rival.evidence() < BARELY_TWICE_RIVAL * best.evidence(),
-        _ => rival.log_ratio < ALONE_RIVAL * best.log_ratio,
+    if best.is_told_twice() {
+        rival.evidence() < TWICE_RIVAL * best.evidence()
+    } else {
+        rival.log_ratio < ALONE_RIVAL * best.log_ratio
     }
 }
 
