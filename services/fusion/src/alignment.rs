@@ -145,7 +145,7 @@ impl Aligner {
         if !best.score.is_told_twice() && best.score.correlation <= ALONE_CORRELATION {
             return None;
         }
-        let mirrored = best.score.telling_facet.and_then(|facet| {
+        let mirrored = best.score.foremost_facet.and_then(|facet| {
             let mirrored = self.prints.get(target)?.mirrored(facet, &best.camera_from_markers)?;
             self.align(target, picture, &Start::Fine(mirrored))
         });

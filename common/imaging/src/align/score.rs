@@ -26,7 +26,7 @@ pub struct Score {
     /// Facets that were compared.
     pub facets: u32,
     /// The number of the one that adds most to the logarithm, if any adds to it.
-    pub telling_facet: Option<u32>,
+    pub foremost_facet: Option<u32>,
     /// Facets that tell by themselves that they are there: see [`Score::is_told_twice`].
     pub telling_facets: u32,
 }
@@ -158,7 +158,7 @@ impl Verdict {
             let says = -0.5 * independent * (1.0 - squared).ln() * correlation.signum();
             score.log_ratio += says;
             if says > most {
-                (most, score.telling_facet) = (says, Some(number));
+                (most, score.foremost_facet) = (says, Some(number));
             }
             score.facets += 1;
             score.agreeing_facets += u32::from(correlation >= AGREEING);
