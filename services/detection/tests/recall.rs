@@ -116,3 +116,13 @@ fn a_corner_touched_by_something_dark_loses_no_marker() {
         }
     }
 }
+
+/// As a view that is magnified twice shows them at 3.5 m: blurred by 0.8 of a cell.
+#[test]
+fn markers_far_away_are_read_though_blur_is_as_wide_as_their_cells() {
+    let mut recall = Recall::new();
+    for (side, blur) in [(16.0, 1.8), (18.0, 2.0)] {
+        let (found, _) = recall.measure(side, 0.0, blur, |_, _| {});
+        assert!(found >= 40, "side {side} blur {blur}: {found} %");
+    }
+}
