@@ -1,11 +1,11 @@
 //! A body aligned with the pixels of the best view of it.
 
-use flockeye_geometry::body::Bodies;
+use flockeye_geometry::body::{Bodies, Body};
 use flockeye_imaging::align::{
     AlignOptions, Alignment, BodyPrint, Picture, PrintError, SURE_FACETS, Score, align, reacquire,
 };
 use flockeye_imaging::edges::MarkerPrint;
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Unit, Vector3};
 
 /// Two poses of a body are not the same one if they differ by more, radians, or by this share of
 /// the range.
@@ -18,6 +18,10 @@ const ALONE_CORRELATION: f64 = 0.8;
 const ALONE_RIVAL: f64 = 0.33;
 /// One that two facets tell is believed if any other pose has at most this share of its evidence.
 const TWICE_RIVAL: f64 = 0.9;
+/// One whose tilt alone tells it from its mirror image is believed if any other pose that flies as level
+/// has at most this share of its evidence, and if so much of the body is as modelled.
+const LEVEL_RIVAL: f64 = 0.3;
+const LEVEL_SEEN: f64 = 0.5;
 /// With a track, a pose that has turned by more than this from the prediction, radians, is believed if
 /// it is sure: a neighbour that was out of sight for a third of a second may have turned by as much as
 /// a mirror image, and the filter's gate, which knows that, lets it pass.
@@ -52,6 +56,18 @@ pub struct Aligner {
     prints: Vec<BodyPrint>,
     pixels_per_radian: f64,
     options: AlignOptions,
+    level: Option<Level>,
+}
+
+/// How level everybody flies.
+#[derive(Debug, Clone)]
+struct Level {
+    /// Up on the observer, in the camera frame.
+    up_in_camera: Unit<Vector3<f64>>,
+    /// Up on each target, in its markers' frame; `None` where one may hang anyhow.
+    up_in_markers: Vec<Option<Unit<Vector3<f64>>>>,
+    /// No target is tilted by more than this from its observer, radians.
+    most_rad: f64,
 }
 
 impl Aligner {
@@ -66,12 +82,34 @@ impl Aligner {
     ) -> Result<Self, PrintError> {
         let prints =
             bodies.iter().map(|body| BodyPrint::new(body, &print_of)).collect::<Result<_, _>>()?;
-        Ok(Self { prints, pixels_per_radian, options: AlignOptions::default() })
+        Ok(Self { prints, pixels_per_radian, options: AlignOptions::default(), level: None })
     }
 
     /// Multiplies covariances by this; see [`AlignOptions::covariance_scale`].
     pub fn with_covariance_scale(mut self, covariance_scale: f64) -> Self {
         self.options.covariance_scale = covariance_scale;
+        self
+    }
+
+    /// Takes targets to be tilted by `most_rad` at most, as their observer sees them (with its camera
+    /// mounted so): of two poses that look alike one that is tilted by more is not the one. 0: nothing is
+    /// known of that, as it never is of one with a single marker, which may be stuck on anything.
+    pub fn with_level(
+        mut self,
+        bodies: &Bodies,
+        observer_from_camera: &Isometry3<f64>,
+        most_rad: f64,
+    ) -> Self {
+        let up_in_markers = |body: &Body| {
+            let up = body.target_from_markers.inverse() * Vector3::z_axis();
+            (body.markers.len() > 1).then_some(up)
+        };
+        let level = || Level {
+            up_in_camera: observer_from_camera.inverse() * Vector3::z_axis(),
+            up_in_markers: bodies.iter().map(up_in_markers).collect(),
+            most_rad,
+        };
+        self.level = (most_rad > 0.0).then(level);
         self
     }
 
@@ -114,7 +152,8 @@ impl Aligner {
     /// Aligns body `target`, of which nothing is known yet, from all of `starts`. One facet can look
     /// the same in two attitudes, mirror images of each other, and a second one agree by chance with the
     /// wrong one: the best pose is believed if three facets agree with it, or if it stands out among what
-    /// its mirror image and the other starts lead to, by less if two facets tell it.
+    /// its mirror image and the other starts lead to, by less if two facets tell it and it flies level.
+    /// Otherwise the best one that flies level is believed, if it stands out among those that do.
     /// Unless there is time, the first one that leads to a sure pose is the last: all eight of a newcomer
     /// were seen to take 113 ms, in which everybody's poses wait.
     pub fn discover(
@@ -135,22 +174,56 @@ impl Aligner {
                 break;
             }
         }
-        let best = found
+        let believed: Vec<&Alignment> = found
             .iter()
             .filter(|found| found.is_believed() || is_vouched_for(found, &is_marked))
-            .max_by(|a, b| a.score.evidence().total_cmp(&b.score.evidence()))?;
+            .collect();
+        let best = says_most(believed.iter().copied())?;
         if best.score.agreeing_facets >= SURE_FACETS {
             return Some(best.clone());
         }
-        if !best.score.is_told_twice() && best.score.correlation <= ALONE_CORRELATION {
-            return None;
-        }
-        let mirrored = best.score.foremost_facet.and_then(|facet| {
-            let mirrored = self.prints.get(target)?.mirrored(facet, &best.camera_from_markers)?;
-            self.align(target, picture, &Start::Fine(mirrored))
-        });
+        let mirrored = self.mirrored(target, picture, best);
         let mut rivals = found.iter().chain(&mirrored).filter(|other| !is_same(best, other));
-        rivals.all(|rival| stands_out_against(&rival.score, &best.score)).then(|| best.clone())
+        // Nobody flies on its side by the word of two facets.
+        let is_told_twice =
+            best.score.is_told_twice() && self.is_level(target, best) != Some(false);
+        let is_told = is_told_twice || best.score.correlation > ALONE_CORRELATION;
+        let stands_out = |rival: &Alignment| stands_out(&best.score, &rival.score, is_told_twice);
+        if is_told && rivals.all(stands_out) {
+            return Some(best.clone());
+        }
+        let is_level = |found: &&Alignment| self.is_level(target, found) == Some(true);
+        let level = says_most(believed.into_iter().filter(is_level))?;
+        let mirrored = if std::ptr::eq(level, best) {
+            mirrored
+        } else {
+            self.mirrored(target, picture, level)
+        };
+        let rivals = found.iter().chain(&mirrored).filter(|other| !is_same(level, other));
+        let rival_evidence = LEVEL_RIVAL * level.score.evidence();
+        let is_believed = level.share_seen >= LEVEL_SEEN
+            && rivals.filter(is_level).all(|rival| rival.score.evidence() < rival_evidence);
+        is_believed.then(|| level.clone())
+    }
+
+    /// What the mirror image of the facet that says most for a pose leads to.
+    fn mirrored(
+        &self,
+        target: usize,
+        picture: &Picture<'_>,
+        found: &Alignment,
+    ) -> Option<Alignment> {
+        let facet = found.score.foremost_facet?;
+        let mirrored = self.prints.get(target)?.mirrored(facet, &found.camera_from_markers)?;
+        self.align(target, picture, &Start::Fine(mirrored))
+    }
+
+    /// Whether body `target` flies as level in a pose as it does; `None` where that is not known.
+    fn is_level(&self, target: usize, found: &Alignment) -> Option<bool> {
+        let level = self.level.as_ref()?;
+        let up_in_markers = level.up_in_markers.get(target)?.as_ref()?;
+        let tilt_rad = (found.camera_from_markers * up_in_markers).angle(&level.up_in_camera);
+        Some(tilt_rad <= level.most_rad)
     }
 
     /// Looks for body `target` round where it was predicted.
@@ -181,9 +254,14 @@ pub fn is_surprising(found: &Alignment, predicted: &Isometry3<f64>) -> bool {
     turn_rad > SURPRISING_TURN_RAD && found.score.agreeing_facets < SURE_FACETS
 }
 
-/// Whether so much more is said for the `best` pose than for another one that it may be believed.
-fn stands_out_against(rival: &Score, best: &Score) -> bool {
-    if best.is_told_twice() {
+/// The pose that most is said for.
+fn says_most<'a>(found: impl Iterator<Item = &'a Alignment>) -> Option<&'a Alignment> {
+    found.max_by(|a, b| a.score.evidence().total_cmp(&b.score.evidence()))
+}
+
+/// Whether so much more is said for the `best` pose than for a `rival` that it may be believed.
+fn stands_out(best: &Score, rival: &Score, is_told_twice: bool) -> bool {
+    if is_told_twice {
         rival.evidence() < TWICE_RIVAL * best.evidence()
     } else {
         rival.log_ratio < ALONE_RIVAL * best.log_ratio

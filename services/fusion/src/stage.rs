@@ -97,9 +97,11 @@ impl Stage for FusionStage {
             );
         }
         let camera = pipeline.camera_model()?;
+        let observer_from_camera = isometry(&pipeline.observer.observer_from_camera);
         let dictionary = Dictionary::load(&bodies.dictionary)?;
         let aligner = Aligner::new(&bodies, |id| dictionary.print(id), camera.pixels_per_radian())?
-            .with_covariance_scale(pipeline.fusion.covariance_scale);
+            .with_covariance_scale(pipeline.fusion.covariance_scale)
+            .with_level(&bodies, &observer_from_camera, pipeline.fusion.level_deg.to_radians());
         let threads = pipeline.fusion.threads as usize;
         let filter = filter_choice(pipeline);
         let mut swarm = Swarm::new(&bodies, filter, planner, aligner, threads)
@@ -127,7 +129,7 @@ impl Stage for FusionStage {
             generation: context.identity.generation,
             flow: pipeline.flow,
             aligns: pipeline.fusion.align,
-            observer_from_camera: isometry(&pipeline.observer.observer_from_camera),
+            observer_from_camera,
             mode: pipeline.search.mode,
             arrived: Vec::new(),
             early: Vec::new(),

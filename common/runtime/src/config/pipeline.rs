@@ -331,6 +331,10 @@ pub struct Fusion {
     /// show: compression, a lens or body not quite as described.
     #[schemars(range(min = 0.1, max = 1000.0))]
     pub covariance_scale: f64,
+    /// How far a neighbour is tilted at most, seen from its observer, degrees: of a facet far away and
+    /// its mirror image the one that is tilted by more is not it. 0: nothing is known of that.
+    #[schemars(range(min = 0.0, max = 90.0))]
+    pub level_deg: f64,
     /// Threads on which the neighbours of a frame are aligned.
     #[schemars(range(min = 1, max = 64))]
     pub threads: u32,
@@ -351,6 +355,7 @@ impl Default for Fusion {
             deadline_ms: 3000.0,
             align: true,
             covariance_scale: 3.1,
+            level_deg: 45.0,
             threads: 2,
         }
     }

@@ -108,6 +108,48 @@ fn a_single_facet_is_discovered_where_its_mirror_image_looks_otherwise() {
     }
 }
 
+/// A marker that lies flat, seen from above: its mirror image stands on edge.
+#[test]
+fn a_single_facet_far_away_is_discovered_where_its_mirror_image_is_tilted() {
+    // Another one below, which is not seen.
+    let top = plate("plate", 0.07, 0.05, 3);
+    let mut below = top.markers[0].clone();
+    below.id = 4;
+    below.corners.reverse();
+    below.corners.iter_mut().for_each(|corner| corner.z = -0.02);
+    let body = Body::new("tablet", vec![top.markers[0].clone(), below]);
+    let bodies = Bodies::new("DICT_5X5_250".into(), vec![body.clone()]).unwrap();
+    let towards = Vector3::new(0.6, 0.3, -0.7).normalize();
+    let turn = UnitQuaternion::from_euler_angles(0.1, -0.05, 0.7);
+    let truth = Isometry3::from_parts(Translation3::from(towards * 1.8), turn);
+    look_at(&body, &truth, |aligner, picture| {
+        let mirrored = aligner.prints[0].mirrored(0, &truth).unwrap();
+        let found = |aligner: &Aligner, starts: &[Isometry3<f64>]| {
+            let starts: Vec<Start> = starts.iter().copied().map(Start::Fine).collect();
+            aligner
+                .discover(0, picture, &starts, Pace::Unhurried, |_| false)
+                .map(|found| found.camera_from_markers.rotation.angle_to(&truth.rotation))
+        };
+        let with_level = |camera: &Isometry3<f64>, most_deg: f64| {
+            aligner.clone().with_level(&bodies, camera, most_deg.to_radians())
+        };
+        let level = with_level(&Isometry3::identity(), 45.0);
+        for starts in [[truth, mirrored], [mirrored, truth]] {
+            assert_eq!(found(aligner, &starts), None, "nothing is known of how it flies");
+            assert_eq!(found(&with_level(&Isometry3::identity(), 0.0), &starts), None);
+            assert!(found(&level, &starts).is_some_and(|turned| turned < 0.05));
+        }
+        // A single marker may be stuck on a wall.
+        let single = Bodies::new("DICT_5X5_250".into(), vec![top.clone()]).unwrap();
+        let single = aligner.clone().with_level(&single, &Isometry3::identity(), 0.8);
+        assert_eq!(found(&single, &[truth, mirrored]), None);
+        // A camera that hangs on its side sees what is level tilted: where it is mounted counts.
+        let on_its_side = Isometry3::rotation(Vector3::x() * 1.6);
+        let turned = found(&with_level(&on_its_side, 45.0), &[truth, mirrored]);
+        assert!(turned.is_none_or(|turned| turned > 0.5), "{turned:?}");
+    });
+}
+
 #[test]
 fn what_two_facets_or_one_say_must_stand_out() {
     let score = |log_ratio, correlation, telling_facets| Score {
@@ -117,16 +159,17 @@ fn what_two_facets_or_one_say_must_stand_out() {
         ..Score::default()
     };
     let twice = score(265.0, 0.42, 2);
-    assert!(stands_out_against(&score(200.0, 0.42, 1), &twice));
-    assert!(!stands_out_against(&score(244.0, 0.42, 1), &twice));
+    assert!(stands_out(&twice, &score(200.0, 0.42, 1), true));
+    assert!(!stands_out(&twice, &score(244.0, 0.42, 1), true));
+    assert!(!stands_out(&twice, &score(200.0, 0.42, 1), false), "it stands on edge");
     let alone = score(131.0, 0.90, 1);
-    assert!(stands_out_against(&score(24.0, 0.44, 1), &alone));
-    assert!(!stands_out_against(&score(60.0, 0.10, 1), &alone));
+    assert!(stands_out(&alone, &score(24.0, 0.44, 1), false));
+    assert!(!stands_out(&alone, &score(60.0, 0.10, 1), false));
 }
 
 #[test]
 fn a_track_is_confirmed_farther_than_it_is_discovered() {
-    let truth = pose(3.8, 0.9);
+    let truth = pose(4.6, 0.9);
     let starts = [Start::Fine(truth)];
     look(&truth, |aligner, picture| {
         assert!(aligner.discover(0, picture, &starts, Pace::Unhurried, |_| false).is_none());
@@ -138,7 +181,7 @@ fn a_track_is_confirmed_farther_than_it_is_discovered() {
         assert_eq!(found.score.agreeing_facets, 1);
         assert!(
             aligner
-                .follow(0, picture, &starts, &pose(3.8, 1.5), Pace::Unhurried, |_| false)
+                .follow(0, picture, &starts, &pose(4.6, 1.5), Pace::Unhurried, |_| false)
                 .is_none()
         );
     });
