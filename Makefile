@@ -11,7 +11,7 @@ FOR ?= 20s
 DORA_COMMAND = $(CURDIR)/target/peers/bin/dora
 DORA_HOP = $(CURDIR)/target/peers/dora/release/dora-hop
 
-.PHONY: run test bench peers build setup cargo format
+.PHONY: run test bench peers build setup cargo format golden golden-check golden-write golden-compare
 
 run: build
 	target/release/flockeye up --for $(FOR)
@@ -48,6 +48,13 @@ $(DORA_COMMAND): target/peers/bin/python
 # In a workspace of its own: nothing else needs its hundreds of dependencies.
 $(DORA_HOP): $(wildcard tests/peers/dora/src/*.rs tests/peers/dora/Cargo.*)
 	cargo build --release --locked --manifest-path tests/peers/dora/Cargo.toml --target-dir target/peers/dora
+
+# Golden tracks: `make golden` at the commit you start from, `make golden-check` after each change.
+golden: golden-write
+golden-check: golden-compare
+golden-write golden-compare: golden-%: setup
+	cargo build --profile tested --workspace --bins --locked
+	target/tested/golden $* target/golden $(FLIGHTS)
 
 format:
 	cargo fmt --all

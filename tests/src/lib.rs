@@ -6,37 +6,27 @@
 pub mod onlooker;
 
 use std::io::{BufRead, BufReader, Read};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+pub use flockeye_require::{VULKAN, absent, recordings};
 use flockeye_runtime::instance::Instance;
 use rustix::process::{Pid, Signal, kill_process};
 
 /// The longest any single wait of a test may take: a loaded machine is slow, a hang is for ever.
 pub const WATCHDOG: Duration = Duration::from_secs(120);
 
-/// The folder of the reference recordings, or `None` with a line that says so.
-pub fn recordings() -> Option<PathBuf> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data");
-    if folder.is_dir() {
-        return Some(folder);
-    }
-    println!("SKIPPED: the reference recordings are not beside the repository (../shared/data)");
-    None
-}
-
 /// The `flockeye` command that was built with these tests.
 pub fn flockeye() -> PathBuf {
     let own = std::env::current_exe().expect("a test has a path");
-    // target/release/deps/test-0123 -> target/release/flockeye
-    let folder = own.parent().and_then(Path::parent).expect("tests are built two folders down");
-    let path = folder.join("flockeye");
-    assert!(path.exists(), "{} is missing: build the workspace first", path.display());
-    path
+    // target/release/deps/test-0123 or target/release/golden -> target/release/flockeye
+    let folders = own.ancestors().skip(1).take(2);
+    let path = folders.map(|folder| folder.join("flockeye")).find(|path| path.exists());
+    path.unwrap_or_else(|| panic!("no flockeye near {}: build the workspace first", own.display()))
 }
 
 /// A name that no other test has, here or in a process beside this one.

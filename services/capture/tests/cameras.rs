@@ -162,7 +162,7 @@ fn missing_elements_say_what_to_install() {
                 assert!(cure.contains("gstthetauvc"), "{cure}");
             }
             Err(other) => panic!("{other:?}"),
-            Ok(_) => println!("skipped: the Theta driver is installed here"),
+            Ok(_) => println!("SKIPPED: the Theta driver is installed here"),
         }
     });
 }

@@ -3,7 +3,6 @@
 
 mod common;
 
-use std::path::Path;
 use std::time::{Duration, Instant};
 
 use common::{open, play, watched};
@@ -12,12 +11,8 @@ use flockeye_contract::Range;
 
 #[test]
 fn the_flight_has_300_frames_a_thirtieth_of_a_second_apart() {
-    let flight =
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/flight1/flight1.mp4");
-    if !flight.exists() {
-        println!("skipped: {} is not here", flight.display());
-        return;
-    }
+    let Some(recordings) = flockeye_require::recordings() else { return };
+    let flight = recordings.join("flight1/flight1.mp4");
     watched(move || {
         let mut source = open(
             &flight,

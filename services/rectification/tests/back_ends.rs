@@ -19,7 +19,10 @@ fn back_ends() -> Vec<Box<dyn Rectifier>> {
     let mut back_ends: Vec<Box<dyn Rectifier>> = vec![Box::new(CpuRectifier::new(2))];
     match FoundAdapter::best() {
         Ok(found) => back_ends.push(Box::new(GpuRectifier::open(found).unwrap())),
-        Err(error) => println!("only the processor is tested: {error}"),
+        Err(error) => {
+            let what = format!("a Vulkan device, so only the processor is tested: {error}");
+            flockeye_require::absent(flockeye_require::VULKAN, &what);
+        }
     }
     back_ends
 }

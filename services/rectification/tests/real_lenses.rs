@@ -16,11 +16,7 @@ use opencv::{calib3d, imgcodecs, imgproc};
 /// the pictures are not.
 fn theta_s() -> Option<(Mat, Camera)> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../");
-    let data = root.join("../shared/data/real/theta_s");
-    if !data.exists() {
-        println!("skipped: {} is absent", data.display());
-        return None;
-    }
+    let data = flockeye_require::recordings()?.join("real/theta_s");
     let mut parts = Vector::<Mat>::new();
     for name in ["front.jpg", "back.jpg"] {
         let path = data.join(name);

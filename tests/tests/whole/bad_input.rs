@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use flockeye_launcher::record::{PoseRow, TruthRow, read};
 use flockeye_runtime::config::Pipeline;
-use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, flockeye, run, unique};
+use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, absent, flockeye, run, unique};
 use gstreamer as gst;
 use gstreamer::prelude::*;
 
@@ -280,9 +280,8 @@ fn too_little_shared_memory_is_said_before_it_is_used() {
     match in_private(&["true"]).output() {
         Ok(output) if output.status.success() => {}
         outcome => {
-            println!(
-                "SKIPPED: no /dev/shm of our own can be mounted here (root only): {outcome:?}"
-            );
+            let what = format!("a /dev/shm of our own, which root alone can mount: {outcome:?}");
+            absent("namespaces", &what);
             return;
         }
     }

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use flockeye_contract::{FrameStamp, MeasuredBy, StageLatency, Track, TrackHeader};
 use flockeye_tests::onlooker::Tape;
-use flockeye_tests::{SMALL_FLIGHT, Scratch, flockeye};
+use flockeye_tests::{SMALL_FLIGHT, Scratch, VULKAN, absent, flockeye};
 
 const FRAMES: u64 = 40;
 
@@ -135,7 +135,7 @@ fn views_cut_by_a_graphics_processor_give_the_same_bytes_twice() {
     let has_driver =
         |folder: &str| std::fs::read_dir(folder).is_ok_and(|mut drivers| drivers.next().is_some());
     if !drivers.into_iter().any(has_driver) {
-        println!("skipped: this machine has no Vulkan driver");
+        absent(VULKAN, "a Vulkan driver");
         return;
     }
     let first = fly_with("gpu", "gaze", 1);

@@ -1,7 +1,5 @@
 //! What the tests share: recordings with truth, and views cut from them.
 
-use std::path::PathBuf;
-
 use flockeye_geometry::camera::Equirectangular;
 use flockeye_geometry::view::{View, ViewPixel};
 use flockeye_imaging::image::LumaImage;
@@ -9,15 +7,7 @@ use nalgebra::{Unit, Vector3};
 use opencv::imgcodecs::{IMREAD_GRAYSCALE, imread};
 use opencv::prelude::*;
 
-/// The recordings' folder; `None`, said aloud, where a checkout has none.
-pub fn data() -> Option<PathBuf> {
-    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
-    if path.is_dir() {
-        return Some(path);
-    }
-    println!("skipped: there are no recordings at {}", path.display());
-    None
-}
+pub use flockeye_require::recordings as data;
 
 /// An 8-bit image that owns its pixels.
 pub struct Picture {

@@ -14,7 +14,7 @@ const CAMERA: Camera = Camera::equirectangular(64, 32);
 /// A rectifier for this memory, or for the device's best.
 fn gpu(memory: Option<Memory>) -> Option<GpuRectifier> {
     let Ok(found) = FoundAdapter::best() else {
-        println!("skipped: this machine has no Vulkan device");
+        flockeye_require::absent(flockeye_require::VULKAN, "a Vulkan device");
         return None;
     };
     let device = Device::open(&found, memory).unwrap();

@@ -1,0 +1,54 @@
+//! What tests need that not every machine has: the reference recordings, a Vulkan device.
+//!
+//! Such a test skips where that is absent, and says so. `FLOCKEYE_REQUIRE=recordings,vulkan` names
+//! what must be there (a third is `namespaces`: mounts of our own): then the test fails instead, so that a run that skipped cannot pass for one
+//! that tested.
+
+use std::path::{Path, PathBuf};
+
+/// The environment variable that names what must be there, separated by commas.
+pub const REQUIRE: &str = "FLOCKEYE_REQUIRE";
+
+/// The name of the reference recordings in [`REQUIRE`].
+pub const RECORDINGS: &str = "recordings";
+/// The name of a Vulkan device in [`REQUIRE`], hardware or software.
+pub const VULKAN: &str = "vulkan";
+
+/// The folder of the reference recordings. Where it is absent, says so and returns `None`; the test
+/// ends there.
+///
+/// # Panics
+/// Where it is absent but [`REQUIRE`] names it.
+pub fn recordings() -> Option<PathBuf> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
+    if folder.is_dir() {
+        return Some(folder);
+    }
+    absent(RECORDINGS, "the reference recordings, ../shared/data beside the repository");
+    None
+}
+
+/// Says that a test skips because `what` is absent.
+///
+/// # Panics
+/// Where [`REQUIRE`] has `name`.
+pub fn absent(name: &str, what: &str) {
+    let required = std::env::var(REQUIRE).unwrap_or_default();
+    assert!(!has(&required, name), "{what}: absent, but {REQUIRE} names '{name}'");
+    println!("SKIPPED, absent: {what}");
+}
+
+fn has(required: &str, name: &str) -> bool {
+    required.split(',').any(|required| required.trim() == name)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_separated_by_commas() {
+        assert!(has("recordings,vulkan", VULKAN) && has(" vulkan ", VULKAN));
+        assert!(!has("", VULKAN) && !has("vulkan2", VULKAN));
+    }
+}
