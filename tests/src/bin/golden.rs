@@ -45,7 +45,7 @@ const FLIGHTS: &[Flight] = &[
     Flight {
         name: "out-to-4-m",
         recording: None,
-        set: &["simulator.seed=13", "simulator.frames=120", "simulator.distance_m=[0.8, 4.0]"],
+        set: &["simulator.seed=903", "simulator.frames=200", "simulator.distance_m=[0.6, 4.0]"],
     },
     Flight {
         name: "behind-airframes",
