@@ -4,8 +4,8 @@
 //! acceleration (Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to Tracking and
 //! Navigation", section 6.2.2; Sola, "Quaternion kinematics for the error-state Kalman filter").
 //!
-//! The state is the target's pose in the observer's frame with its linear and angular velocity; the
-//! error is (position, rotation vector, linear velocity, angular velocity), all in the observer's
+//! The state is the pose of the markers in the camera frame with its linear and angular velocity; the
+//! error is (position, rotation vector, linear velocity, angular velocity), all in the camera's
 //! axes: `R_true = exp(rotation error) R`. So the leading 6x6 block is the project's pose covariance.
 
 mod chi_square;
@@ -58,7 +58,7 @@ impl Default for MotionModel {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Track {
     stamp_s: f64,
-    observer_from_target: Isometry3<f64>,
+    camera_from_markers: Isometry3<f64>,
     velocity: Vector3<f64>,
     rate: Vector3<f64>,
     covariance: StateCovariance,
@@ -70,18 +70,18 @@ pub struct Track {
 pub struct Prediction {
     /// The time it holds for, seconds.
     pub stamp_s: f64,
-    /// The target's pose in the observer's frame.
-    pub observer_from_target: Isometry3<f64>,
-    /// Velocity of the target's origin, in the observer's axes, m/s.
+    /// The pose of the body's markers in the camera frame.
+    pub camera_from_markers: Isometry3<f64>,
+    /// Velocity of the markers' origin, in the camera's axes, m/s.
     pub velocity: Vector3<f64>,
-    /// Angular velocity, in the observer's axes, rad/s.
+    /// Angular velocity, in the camera's axes, rad/s.
     pub rate: Vector3<f64>,
     /// Covariance of all of it; see [`StateCovariance`].
     pub covariance: StateCovariance,
 }
 
 impl Prediction {
-    /// Covariance of the pose: position (m), then rotation vector (rad), in the observer's axes.
+    /// Covariance of the pose: position (m), then rotation vector (rad), in the camera's axes.
     pub fn pose_covariance(&self) -> Matrix6<f64> {
         self.covariance.fixed_view::<6, 6>(0, 0).into_owned()
     }
@@ -90,7 +90,7 @@ impl Prediction {
 /// How far a measurement lay from what was predicted.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Innovation {
-    /// Measured less predicted: position (m), then rotation vector (rad), in the observer's axes.
+    /// Measured less predicted: position (m), then rotation vector (rad), in the camera's axes.
     pub difference: Vector6<f64>,
     /// Squared Mahalanobis distance: chi-square with 6 degrees of freedom if all is as assumed.
     pub distance_squared: f64,
@@ -138,17 +138,17 @@ pub enum FilterError {
 impl Track {
     /// A track that begins with a measured pose, of unknown velocity.
     ///
-    /// `covariance`: position (m), then rotation vector (rad), in the observer's axes.
+    /// `covariance`: position (m), then rotation vector (rad), in the camera's axes.
     ///
     /// # Errors
     /// [`FilterError::Unusable`].
     pub fn start(
         stamp_s: f64,
-        observer_from_target: Isometry3<f64>,
+        camera_from_markers: Isometry3<f64>,
         covariance: &Matrix6<f64>,
         motion: MotionModel,
     ) -> Result<Self, FilterError> {
-        check(stamp_s, &observer_from_target, covariance)?;
+        check(stamp_s, &camera_from_markers, covariance)?;
         let mut state = StateCovariance::zeros();
         state.fixed_view_mut::<6, 6>(0, 0).copy_from(covariance);
         for axis in 0..3 {
@@ -157,7 +157,7 @@ impl Track {
         }
         Ok(Self {
             stamp_s,
-            observer_from_target,
+            camera_from_markers,
             velocity: Vector3::zeros(),
             rate: Vector3::zeros(),
             covariance: state,
@@ -174,7 +174,7 @@ impl Track {
     pub fn now(&self) -> Prediction {
         Prediction {
             stamp_s: self.stamp_s,
-            observer_from_target: self.observer_from_target,
+            camera_from_markers: self.camera_from_markers,
             velocity: self.velocity,
             rate: self.rate,
             covariance: self.covariance,
@@ -199,8 +199,8 @@ impl Track {
             return Err(FilterError::Gap { at_s, stamp_s, longest_s });
         }
         let turn = UnitQuaternion::from_scaled_axis(self.rate * step);
-        let pose = &self.observer_from_target;
-        let observer_from_target = Isometry3::from_parts(
+        let pose = &self.camera_from_markers;
+        let camera_from_markers = Isometry3::from_parts(
             Translation3::from(pose.translation.vector + self.velocity * step),
             turn * pose.rotation,
         );
@@ -216,7 +216,7 @@ impl Track {
             transition * self.covariance * transition.transpose() + self.motion.noise(step);
         Ok(Prediction {
             stamp_s: at_s,
-            observer_from_target,
+            camera_from_markers,
             velocity: self.velocity,
             rate: self.rate,
             covariance,
@@ -226,7 +226,7 @@ impl Track {
     /// Takes in a pose measured at `stamp_s`, unless it lies outside `gate`: the largest squared
     /// Mahalanobis distance to pass (see [`chi_square_gate`]).
     ///
-    /// `covariance`: the measurement's: position (m), then rotation vector (rad), in the observer's
+    /// `covariance`: the measurement's: position (m), then rotation vector (rad), in the camera's
     /// axes.
     ///
     /// # Errors
@@ -240,7 +240,7 @@ impl Track {
     ) -> Result<Innovation, FilterError> {
         check(stamp_s, measured, covariance)?;
         let predicted = self.predict(stamp_s)?;
-        let pose = &predicted.observer_from_target;
+        let pose = &predicted.camera_from_markers;
         let mut difference = Vector6::zeros();
         difference
             .fixed_rows_mut::<3>(0)
@@ -276,11 +276,11 @@ impl Track {
         updated = reset * updated * reset.transpose();
 
         self.stamp_s = stamp_s;
-        self.observer_from_target = Isometry3::from_parts(
+        self.camera_from_markers = Isometry3::from_parts(
             Translation3::from(pose.translation.vector + correction.fixed_rows::<3>(0)),
             UnitQuaternion::from_scaled_axis(turned) * pose.rotation,
         );
-        self.observer_from_target.rotation.renormalize();
+        self.camera_from_markers.rotation.renormalize();
         self.velocity = predicted.velocity + correction.fixed_rows::<3>(6);
         self.rate = predicted.rate + correction.fixed_rows::<3>(9);
         self.covariance = (updated + updated.transpose()) / 2.0;

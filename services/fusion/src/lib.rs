@@ -1,41 +1,55 @@
 //! Stage: detections to tracks, and plans for where to look next.
 //!
-//! It takes views (their headers), detections and frame ends; it gives tracks and plans; between
-//! frames it keeps a filter for each neighbour and what was searched when.
+//! It takes views, detections and frame ends; it gives tracks and plans. Between frames it keeps a
+//! filter for each target and what was searched when. The core is pure: events with their times go in,
+//! messages come out. The stage around it moves messages.
 //!
 //! | module | what it does |
 //! | --- | --- |
-//! | [`assembly`] | puts a frame together from what the stages say of it |
-//! | [`parallax`] | rays of lenses beside the camera's middle |
-//! | [`gallery`] | which views' pixels are held |
-//! | [`pictures`] | held views as images |
-//! | [`alignment`] | a body aligned with the pixels of the best view of it |
-//! | [`sighting`] | one believed pose of a body from a frame's rays and pixels |
-//! | [`second_look`] | what takes long, on a thread of its own |
-//! | [`neighbour`] | a neighbour's track from frame to frame |
-//! | [`swarm`] | all neighbours, and the plan for the next frame |
-//! | [`parallel`] | the same done with several things at once |
-//! | [`settings`] | what the configuration means for it |
-//! | [`message`] | the same as the contract's messages |
-//! | [`stage`] | the ports around it |
+//! | [`stage`] | moves messages between the ports, the core and the background thread |
+//! | [`inbox`] | the ports that are read, and in which order |
+//! | [`core`] | decides what is done next; the one place where a pose leaves |
+//! | [`frame_assembly`] | what a frame still waits for |
+//! | [`view_cache`], [`pictures`] | views that are held for their pixels, as images |
+//! | [`planning`] | the plan for the next frame, and what was searched when |
+//! | [`tracker`] | all targets; the one place where a measurement enters a track |
+//! | [`target`] | one neighbour: its track, and its status in each open frame |
+//! | [`passes`] | the ways in which a frame can tell where a target is |
+//! | [`hypothesis`] | poses with their evidence, and the decision |
+//! | [`measurement`] | a measured pose, and corners as rays |
+//! | [`policy`] | which pass may run, and how thorough it may be |
+//! | [`parallax`] | rays of lenses that lie off the camera's centre |
+//! | [`output`] | tracks and plans as messages |
+//! | [`notices`] | what a person should know of |
+//! | [`background_thread`] | the thread of the background pass |
+//! | [`parallel`] | a parallel map that keeps order |
+//! | [`settings`] | the core as the configuration asks for it |
 
-pub mod alignment;
-pub mod assembly;
-pub mod gallery;
-pub mod message;
-pub mod neighbour;
+pub mod background_thread;
+pub mod core;
+pub mod frame_assembly;
+pub mod hypothesis;
+pub mod inbox;
+pub mod measurement;
+pub mod notices;
+pub mod output;
 pub mod parallax;
 pub mod parallel;
+pub mod passes;
 pub mod pictures;
-pub mod second_look;
+pub mod planning;
+pub mod policy;
 pub mod settings;
-pub mod sighting;
 pub mod stage;
-pub mod swarm;
+pub mod target;
+pub mod tracker;
+pub mod view_cache;
 
 #[cfg(test)]
 #[path = "../../../common/imaging/tests/drawn_body/mod.rs"]
 mod drawn_body;
+#[cfg(test)]
+mod fixtures;
 
 /// The fusion stage's process. It is here so that it is compiled once, with the library.
 pub fn main() -> std::process::ExitCode {

@@ -9,7 +9,7 @@ use flockeye_geometry::Ray;
 use flockeye_geometry::camera::{Camera, CameraModel};
 use nalgebra::{Isometry3, Matrix6, UnitQuaternion, Vector3};
 
-use crate::neighbour::PoseEstimate;
+use crate::measurement::PoseEstimate;
 
 /// The camera's lenses, as far as they sit beside its middle.
 #[derive(Debug, Clone, PartialEq)]

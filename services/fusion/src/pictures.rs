@@ -1,71 +1,88 @@
-//! Views that are held, as images to be aligned with.
+//! Cached views as pictures that alignment can read.
 
-use flockeye_contract::{ViewHeader, Views};
+use flockeye_contract::ViewHeader;
 use flockeye_geometry::search::Purpose;
 use flockeye_imaging::align::Picture;
-use flockeye_runtime::ports::Message;
 use flockeye_viewing::{Lights, image_of, view_of};
 
-use crate::alignment::BestView;
-use crate::gallery::{FrameOrder, Gallery};
-use crate::message::purpose_stated;
-use crate::swarm::{BestViews, Glimpse, Swarm};
+use crate::hypothesis::BestView;
+use crate::output::purpose_stated;
+use crate::parallax::Parallax;
+use crate::passes::BestViews;
+use crate::passes::direct::Region;
+use crate::view_cache::{FrameOrder, ViewCache};
 
-/// The best views of a frame's neighbours, as images. What cannot be read is left out: detection
-/// says why.
-pub fn best_views<'g>(
-    gallery: &'g Gallery<Message<Views>>,
-    lights: &'g mut Lights,
-    swarm: &Swarm,
-    order: FrameOrder,
-) -> BestViews<'g> {
-    for (_, header, _) in gallery.of_frame(order) {
-        // Known from here on, or refused here and again below.
-        let _ = lights.of(header);
-    }
-    let lights = &*lights;
-    gallery
-        .of_frame(order)
-        .filter_map(|(target, header, message)| {
-            Some((target, best_view(header, message, lights, swarm)?))
-        })
-        .collect()
+/// A hold on the pixels of a view.
+pub trait Pixels {
+    /// The pixels, row by row.
+    fn pixels(&self) -> &[u8];
 }
 
-/// Those of a frame's views that were cut for a neighbour and wait to be searched, with their headers. What
-/// cannot be read is left to detection, which says why.
-pub fn glimpses<'g>(
-    gallery: &'g Gallery<Message<Views>>,
-    lights: &'g mut Lights,
-    swarm: &Swarm,
-    views: &[(FrameOrder, u32)],
-) -> Vec<(ViewHeader, Glimpse<'g>)> {
-    let waiting = || views.iter().filter_map(|&(order, index)| gallery.waiting(order, index));
-    for (header, _) in waiting() {
-        let _ = lights.of(header);
-    }
-    let lights = &*lights;
-    waiting()
-        .filter_map(|(header, message)| {
-            let Some(Purpose::Gaze(target)) = purpose_stated(header) else { return None };
-            let view = best_view(header, message, lights, swarm)?;
-            Some((*header, Glimpse { target, view }))
-        })
-        .collect()
+/// What turns code values into radiance and rays into the right ones.
+#[derive(Debug)]
+pub struct PictureReader {
+    lights: Lights,
+    pixels_per_radian: f64,
+    parallax: Option<Parallax>,
 }
 
-/// A view as an image; `None` where it cannot be read.
-fn best_view<'g>(
-    header: &ViewHeader,
-    message: &'g Message<Views>,
-    lights: &'g Lights,
-    swarm: &Swarm,
-) -> Option<BestView<'g>> {
-    let picture = Picture {
-        image: image_of(header, message.items()).ok()?,
-        view: view_of(header),
-        light: lights.known(header)?,
-        pixels_per_radian: swarm.pixels_per_radian(),
-    };
-    Some(BestView { picture, view_index: header.view_index, rays_m: swarm.rays_m(header) })
+impl PictureReader {
+    /// For a sphere image of this resolution; `parallax` for a camera whose lenses lie off its centre.
+    pub fn new(lights: Lights, pixels_per_radian: f64, parallax: Option<Parallax>) -> Self {
+        Self { lights, pixels_per_radian, parallax }
+    }
+
+    /// The best views of a frame's targets. A view that cannot be read is left out; detection reports
+    /// why.
+    pub fn best_views<'c, P: Pixels>(
+        &'c mut self,
+        cache: &'c ViewCache<P>,
+        order: FrameOrder,
+    ) -> BestViews<'c> {
+        self.learn_curves(cache.best_of(order).map(|(_, header, _)| header));
+        let reader = &*self;
+        cache
+            .best_of(order)
+            .filter_map(|(target, header, pixels)| Some((target, reader.read(header, pixels)?)))
+            .collect()
+    }
+
+    /// Those of a frame's unanswered views that are regions of interest. A view that cannot be read is
+    /// left out; detection reports why.
+    pub fn regions<'c, P: Pixels>(
+        &'c mut self,
+        cache: &'c ViewCache<P>,
+        views: &[(FrameOrder, u32)],
+    ) -> Vec<(ViewHeader, Region<'c>)> {
+        let unanswered =
+            || views.iter().filter_map(|&(order, index)| cache.unanswered(order, index));
+        self.learn_curves(unanswered().map(|(header, _)| header));
+        let reader = &*self;
+        unanswered()
+            .filter_map(|(header, pixels)| {
+                let Some(Purpose::Gaze(target)) = purpose_stated(header) else { return None };
+                Some((*header, Region { target, view: reader.read(header, pixels)? }))
+            })
+            .collect()
+    }
+
+    /// Makes the transfer curves known that headers state. A curve that is refused here is refused
+    /// again in [`Self::read`].
+    fn learn_curves<'h>(&mut self, headers: impl Iterator<Item = &'h ViewHeader>) {
+        for header in headers {
+            let _ = self.lights.of(header);
+        }
+    }
+
+    fn read<'c, P: Pixels>(&'c self, header: &ViewHeader, pixels: &'c P) -> Option<BestView<'c>> {
+        let picture = Picture {
+            image: image_of(header, pixels.pixels()).ok()?,
+            view: view_of(header),
+            light: self.lights.known(header)?,
+            pixels_per_radian: self.pixels_per_radian,
+        };
+        let parallax = self.parallax.as_ref();
+        let rays_m = parallax.map_or(f64::INFINITY, |parallax| parallax.distance_m(Some(header)));
+        Some(BestView { picture, view_index: header.view_index, rays_m })
+    }
 }

@@ -1,13 +1,106 @@
-//! What the configuration means for fusion.
+//! The core of fusion, as the configuration asks for it.
 
+use std::sync::Arc;
+
+use anyhow::Context as _;
+use flockeye_dictionary::Dictionary;
 use flockeye_geometry::filter::{MotionModel, TrackPolicy};
-use flockeye_geometry::search::SearchMode;
-use flockeye_runtime::config::{Filter, Mode, Pipeline};
+use flockeye_geometry::search::{Planner, SearchMode};
+use flockeye_runtime::bodies::isometry;
+use flockeye_runtime::config::{Filter, Flow, Mode, Pipeline};
+use flockeye_runtime::memory;
+use flockeye_viewing::Lights;
 
-use crate::swarm::FilterChoice;
+use crate::core::{Core, Options, Schedule};
+use crate::frame_assembly::FrameAssembly;
+use crate::hypothesis::Aligner;
+use crate::output::Writer;
+use crate::parallax::Parallax;
+use crate::pictures::{PictureReader, Pixels};
+use crate::planning::Planning;
+use crate::tracker::{FilterChoice, Tracker};
+use crate::view_cache::ViewCache;
 
-/// Without tracks nothing says where to look, so everything is looked at.
-pub fn search_mode(pipeline: &Pipeline) -> SearchMode {
+/// A core, the writer of its messages, and the aligner that its background passes run with.
+pub struct Configured<P> {
+    /// The core.
+    pub core: Core<P>,
+    /// The writer.
+    pub writer: Writer,
+    /// The aligner.
+    pub aligner: Arc<Aligner>,
+    /// Whether the core hands out background passes.
+    pub has_background: bool,
+}
+
+/// What the configuration asks for.
+///
+/// # Errors
+/// A configuration that cannot be worked with: bodies, dictionary, mask, views.
+pub fn configured<P: Pixels>(
+    pipeline: &Pipeline,
+    generation: u32,
+) -> anyhow::Result<Configured<P>> {
+    let bodies = pipeline.bodies()?;
+    let views = pipeline.partition_views(bodies.largest_side())?;
+    let planner = Planner::new(
+        search_mode(pipeline),
+        pipeline.sphere_partition()?,
+        views,
+        pipeline.gaze_options()?,
+    )?
+    .with_far_views(pipeline.far_views()?)
+    .with_mask(pipeline.mask()?);
+    if planner.hidden_partitions() > 0 {
+        tracing::info!(
+            "{} of {} partitions are never searched: the camera sees nothing of them",
+            planner.hidden_partitions(),
+            planner.partition().len()
+        );
+    }
+    let camera = pipeline.camera_model()?;
+    let observer_from_camera = isometry(&pipeline.observer.observer_from_camera);
+    let dictionary = Dictionary::load(&bodies.dictionary)?;
+    let aligner = Aligner::new(&bodies, |id| dictionary.print(id), camera.pixels_per_radian())
+        .context("a body cannot be aligned")?
+        .with_covariance_scale(pipeline.fusion.covariance_scale)
+        .with_max_tilt(&bodies, &observer_from_camera, pipeline.fusion.level_deg.to_radians());
+    let aligner = Arc::new(aligner);
+    let parallax = Parallax::of(&camera, pipeline.camera.assumed_distance_m);
+    let filter = filter_choice(pipeline);
+    let is_live = pipeline.flow == Flow::Latest;
+    let is_tracked = matches!(filter, FilterChoice::Tracks(_));
+    let has_background = is_live && pipeline.fusion.align && is_tracked;
+    let threads = pipeline.fusion.threads as usize;
+    let mut tracker =
+        Tracker::new(&bodies, filter, aligner.clone(), threads).with_parallax(parallax.clone());
+    if has_background {
+        tracker = tracker.with_background();
+    }
+    let options = Options {
+        schedule: if is_live { Schedule::AsTheyCome } else { Schedule::WhenComplete },
+        is_limited: is_live,
+        aligns: pipeline.fusion.align,
+    };
+    let core = Core::new(
+        options,
+        FrameAssembly::new(pipeline.frame_deadline().as_nanos() as i64),
+        ViewCache::new(memory::held_views_waiting(pipeline), memory::held_views_best(pipeline)),
+        PictureReader::new(
+            Lights::new(pipeline.measured_response()?)?,
+            camera.pixels_per_radian(),
+            parallax,
+        ),
+        tracker,
+        Planning::new(planner),
+    );
+    let mode = mode_code(pipeline.search.mode);
+    let writer = Writer { bodies, observer_from_camera, flow: pipeline.flow, mode, generation };
+    Ok(Configured { core, writer, aligner, has_background })
+}
+
+/// Without tracks nothing says where to look, so everything is searched.
+fn search_mode(pipeline: &Pipeline) -> SearchMode {
     match (pipeline.search.mode, pipeline.fusion.filter) {
         (Mode::Greedy, _) => SearchMode::Greedy,
         (Mode::Optimized, _) => SearchMode::Optimized,
@@ -16,8 +109,8 @@ pub fn search_mode(pipeline: &Pipeline) -> SearchMode {
     }
 }
 
-/// The same for a plan's header.
-pub fn mode_code(mode: Mode) -> flockeye_contract::SearchMode {
+/// The configured mode, for a plan's header.
+fn mode_code(mode: Mode) -> flockeye_contract::SearchMode {
     match mode {
         Mode::Greedy => flockeye_contract::SearchMode::Greedy,
         Mode::Optimized => flockeye_contract::SearchMode::Optimized,
@@ -27,7 +120,7 @@ pub fn mode_code(mode: Mode) -> flockeye_contract::SearchMode {
 }
 
 /// How poses are carried from frame to frame.
-pub fn filter_choice(pipeline: &Pipeline) -> FilterChoice {
+fn filter_choice(pipeline: &Pipeline) -> FilterChoice {
     let fusion = &pipeline.fusion;
     let usual = MotionModel::default();
     match fusion.filter {
@@ -36,7 +129,7 @@ pub fn filter_choice(pipeline: &Pipeline) -> FilterChoice {
             motion: MotionModel {
                 acceleration: fusion.acceleration,
                 angular_acceleration: fusion.angular_acceleration,
-                // Who coasts is predicted.
+                // A coasting target is predicted all the while.
                 longest_step_s: usual.longest_step_s.max(fusion.coast_s),
                 ..usual
             },

@@ -96,7 +96,7 @@ struct Event {
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Measurement {
-    observer_from_target: Isometry3<f64>,
+    camera_from_markers: Isometry3<f64>,
     covariance: Matrix6<f64>,
 }
 
@@ -161,11 +161,11 @@ impl LifeCycle {
     pub fn measured(
         &mut self,
         stamp_s: f64,
-        observer_from_target: &Isometry3<f64>,
+        camera_from_markers: &Isometry3<f64>,
         covariance: &Matrix6<f64>,
     ) -> Result<Happened, FilterError> {
         // What cannot begin a track is no measurement.
-        Track::start(stamp_s, *observer_from_target, covariance, self.policy.motion)?;
+        Track::start(stamp_s, *camera_from_markers, covariance, self.policy.motion)?;
         let mut jumped = false;
         if let Some(newest_s) = self.too_late(stamp_s) {
             if !self.is_jump(newest_s - stamp_s) {
@@ -175,7 +175,7 @@ impl LifeCycle {
             self.forget();
         }
         let measured =
-            Measurement { observer_from_target: *observer_from_target, covariance: *covariance };
+            Measurement { camera_from_markers: *camera_from_markers, covariance: *covariance };
         let (place, mut event) = self.placed(stamp_s, Some(measured));
         let happened =
             Life::measured(&mut event.after, stamp_s, &measured, &self.policy, self.gate)?;
@@ -187,10 +187,10 @@ impl LifeCycle {
     pub fn fits(
         &self,
         stamp_s: f64,
-        observer_from_target: &Isometry3<f64>,
+        camera_from_markers: &Isometry3<f64>,
         covariance: &Matrix6<f64>,
     ) -> bool {
-        let happened = self.clone().measured(stamp_s, observer_from_target, covariance);
+        let happened = self.clone().measured(stamp_s, camera_from_markers, covariance);
         matches!(happened, Ok(Happened::Updated(_)))
     }
 
@@ -303,7 +303,7 @@ impl Measurement {
     /// Any order that is always the same.
     fn order(&self, other: &Self) -> Ordering {
         let numbers = |measured: &Self| -> Vec<f64> {
-            let pose = &measured.observer_from_target;
+            let pose = &measured.camera_from_markers;
             let (at, turn) = (pose.translation.vector, pose.rotation.coords);
             at.iter().chain(turn.iter()).chain(measured.covariance.iter()).copied().collect()
         };
@@ -329,17 +329,17 @@ impl Life {
     fn measured(
         life: &mut Option<Self>,
         stamp_s: f64,
-        Measurement { observer_from_target, covariance }: &Measurement,
+        Measurement { camera_from_markers, covariance }: &Measurement,
         policy: &TrackPolicy,
         gate: f64,
     ) -> Result<Happened, FilterError> {
-        let fresh = Track::start(stamp_s, *observer_from_target, covariance, policy.motion)?;
+        let fresh = Track::start(stamp_s, *camera_from_markers, covariance, policy.motion)?;
         let follows = |life: &Self| stamp_s - life.track.stamp_s() <= policy.coast_s;
         let Some(old) = life.as_mut().filter(|life| life.alive().is_some() && follows(life)) else {
             *life = Some(Self::begin(fresh, policy));
             return Ok(Happened::Started);
         };
-        match old.track.update(stamp_s, observer_from_target, covariance, gate) {
+        match old.track.update(stamp_s, camera_from_markers, covariance, gate) {
             Ok(innovation) => {
                 old.gated_in_a_row = 0;
                 old.count(true, policy);

@@ -91,7 +91,7 @@ impl Wanderer {
     /// What a track's state is off by: position, rotation, both velocities.
     fn error(&self, now: &Prediction) -> SVector<f64, 12> {
         let mut off = SVector::<f64, 12>::zeros();
-        off.fixed_rows_mut::<6>(0).copy_from(&error(&self.truth, &now.observer_from_target));
+        off.fixed_rows_mut::<6>(0).copy_from(&error(&self.truth, &now.camera_from_markers));
         off.fixed_rows_mut::<3>(6).copy_from(&(self.velocity - now.velocity));
         off.fixed_rows_mut::<3>(9).copy_from(&(self.rate - now.rate));
         off
@@ -167,9 +167,9 @@ fn a_moving_neighbour_is_predicted_where_it_will_be() {
     let truth = at(1.1);
     let direction = |pose: &Isometry3<f64>| Unit::new_normalize(pose.translation.vector);
     // Standing still it would be 4 degrees off.
-    let off = direction(&predicted.observer_from_target).angle(&direction(&truth));
+    let off = direction(&predicted.camera_from_markers).angle(&direction(&truth));
     assert!(off < 0.3f64.to_radians(), "{off}");
-    assert!(predicted.observer_from_target.rotation.angle_to(&truth.rotation) < 0.02);
+    assert!(predicted.camera_from_markers.rotation.angle_to(&truth.rotation) < 0.02);
     assert!((predicted.velocity - velocity).norm() < 0.03, "{}", predicted.velocity);
     assert!((predicted.rate - rate).norm() < 0.05, "{}", predicted.rate);
     // Farther ahead it is less sure.
@@ -284,7 +284,7 @@ fn a_wrong_track_begins_anew_from_what_contradicts_it() {
     assert!(!life.fits(frame(7), &other, &covariance()), "it would begin anew");
     assert_eq!(life.measured(frame(7), &other, &covariance()).unwrap(), Happened::Restarted);
     assert_eq!(life.state(), Some(TrackState::Tentative));
-    assert_eq!(life.track().unwrap().now().observer_from_target, other);
+    assert_eq!(life.track().unwrap().now().camera_from_markers, other);
     // A tentative one is not worth defending.
     assert_eq!(life.measured(frame(8), &pose, &covariance()).unwrap(), Happened::Restarted);
 }

@@ -1,4 +1,4 @@
-//! Bodies found in drawn pictures, and not found where they are not.
+//! Bodies in drawn pictures are found, and only where they are.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "of the drawings")]
 
@@ -17,13 +17,13 @@ fn pose(range_m: f64, turn: f64) -> Isometry3<f64> {
     )
 }
 
-/// Looks at body 0 in a picture of it, with what to look by.
-fn look<T>(truth: &Isometry3<f64>, by: impl FnOnce(&Aligner, &Picture<'_>) -> T) -> T {
-    look_at(&squares("alpha", 0.0625, 0.05, 0), truth, by)
+/// Gives `by` an aligner for one body, and a picture of the body.
+fn with_picture<T>(truth: &Isometry3<f64>, by: impl FnOnce(&Aligner, &Picture<'_>) -> T) -> T {
+    with_picture_of(&squares("alpha", 0.0625, 0.05, 0), truth, by)
 }
 
-/// The same of any body.
-fn look_at<T>(
+/// The same for any body.
+fn with_picture_of<T>(
     body: &Body,
     truth: &Isometry3<f64>,
     by: impl FnOnce(&Aligner, &Picture<'_>) -> T,
@@ -39,12 +39,12 @@ fn look_at<T>(
 }
 
 #[test]
-fn of_several_starts_the_right_one_is_discovered() {
+fn of_several_starts_the_right_one_initiates_a_track() {
     for range_m in [0.8, 1.6, 2.4] {
         let truth = pose(range_m, 0.9);
         let starts = [pose(range_m, 2.0), pose(range_m, -0.6), truth].map(Start::Fine);
-        let found = look(&truth, |aligner, picture| {
-            aligner.discover(0, picture, &starts, Pace::Unhurried, |_| false)
+        let found = with_picture(&truth, |aligner, picture| {
+            aligner.initiate(0, picture, &starts, TimeBudget::Unlimited, |_| false)
         });
         let found = found.expect("one of them is right").camera_from_markers;
         assert!(found.rotation.angle_to(&truth.rotation) < 0.02, "{range_m} m");
@@ -54,16 +54,17 @@ fn of_several_starts_the_right_one_is_discovered() {
 }
 
 #[test]
-fn wrong_attitudes_discover_and_confirm_nothing() {
+fn wrong_attitudes_neither_initiate_nor_confirm_a_track() {
     for range_m in [0.8, 1.6, 2.4, 3.2] {
         let truth = pose(range_m, 0.9);
-        look(&truth, |aligner, picture| {
+        with_picture(&truth, |aligner, picture| {
             for turn in [1.6, 2.3, 3.1, 3.9, 4.7, 5.4] {
                 let predicted = pose(range_m, 0.9 + turn);
                 let starts = [Start::Fine(predicted)];
                 let found = [
-                    aligner.discover(0, picture, &starts, Pace::Unhurried, |_| false),
-                    aligner.follow(0, picture, &starts, &predicted, Pace::Unhurried, |_| false),
+                    aligner.initiate(0, picture, &starts, TimeBudget::Unlimited, |_| false),
+                    aligner
+                        .confirm(0, picture, &starts, &predicted, TimeBudget::Unlimited, |_| false),
                 ];
                 for found in found.into_iter().flatten() {
                     // It may find its way to the truth, and nowhere else.
@@ -75,10 +76,10 @@ fn wrong_attitudes_discover_and_confirm_nothing() {
     }
 }
 
-/// One marker alone is told from its mirror image near by, where perspective tells them apart; and
-/// not far away, though its pose is the one to begin with.
+/// Near by, perspective tells one marker alone from its mirror pose. Far away it does not, even though
+/// alignment starts from the right pose.
 #[test]
-fn a_single_facet_is_discovered_where_its_mirror_image_looks_otherwise() {
+fn a_single_facet_initiates_a_track_where_perspective_excludes_its_mirror_pose() {
     let body = plate("plate", 0.07, 0.05, 3);
     let normal = body.markers[0].normal();
     let facing = |range_m: f64| {
@@ -89,17 +90,17 @@ fn a_single_facet_is_discovered_where_its_mirror_image_looks_otherwise() {
     };
     for (range_m, is_found) in [(0.3, true), (0.4, true), (1.8, false)] {
         let truth = facing(range_m);
-        look_at(&body, &truth, |aligner, picture| {
+        with_picture_of(&body, &truth, |aligner, picture| {
             let turned_rad = |begun: Isometry3<f64>| {
                 let starts = [Start::Fine(begun)];
                 aligner
-                    .discover(0, picture, &starts, Pace::Unhurried, |_| false)
+                    .initiate(0, picture, &starts, TimeBudget::Unlimited, |_| false)
                     .map(|found| found.camera_from_markers.rotation.angle_to(&truth.rotation))
             };
             let turned = turned_rad(truth);
             assert_eq!(turned.is_some(), is_found, "{range_m} m");
             assert!(turned.is_none_or(|turned| turned < 0.02), "{range_m} m: {turned:?}");
-            // Begun from its mirror image it may find its way to the truth, and nowhere else.
+            // Begun from its mirror pose it may find its way to the truth, and nowhere else.
             let mirrored = aligner.prints[0].mirrored(0, &truth).unwrap();
             assert!(mirrored.rotation.angle_to(&truth.rotation) > 0.5);
             let turned = turned_rad(mirrored);
@@ -108,9 +109,9 @@ fn a_single_facet_is_discovered_where_its_mirror_image_looks_otherwise() {
     }
 }
 
-/// A marker that lies flat, seen from above: its mirror image stands on edge.
+/// A marker that lies flat is seen from above. Its mirror pose stands on edge.
 #[test]
-fn a_single_facet_far_away_is_discovered_where_its_mirror_image_is_tilted() {
+fn a_single_facet_far_away_initiates_a_track_where_its_mirror_pose_is_tilted_too_far() {
     // Another one below, which is not seen.
     let top = plate("plate", 0.07, 0.05, 3);
     let mut below = top.markers[0].clone();
@@ -122,36 +123,36 @@ fn a_single_facet_far_away_is_discovered_where_its_mirror_image_is_tilted() {
     let towards = Vector3::new(0.6, 0.3, -0.7).normalize();
     let turn = UnitQuaternion::from_euler_angles(0.1, -0.05, 0.7);
     let truth = Isometry3::from_parts(Translation3::from(towards * 1.8), turn);
-    look_at(&body, &truth, |aligner, picture| {
+    with_picture_of(&body, &truth, |aligner, picture| {
         let mirrored = aligner.prints[0].mirrored(0, &truth).unwrap();
         let found = |aligner: &Aligner, starts: &[Isometry3<f64>]| {
             let starts: Vec<Start> = starts.iter().copied().map(Start::Fine).collect();
             aligner
-                .discover(0, picture, &starts, Pace::Unhurried, |_| false)
+                .initiate(0, picture, &starts, TimeBudget::Unlimited, |_| false)
                 .map(|found| found.camera_from_markers.rotation.angle_to(&truth.rotation))
         };
-        let with_level = |camera: &Isometry3<f64>, most_deg: f64| {
-            aligner.clone().with_level(&bodies, camera, most_deg.to_radians())
+        let limited = |camera: &Isometry3<f64>, max_deg: f64| {
+            aligner.clone().with_max_tilt(&bodies, camera, max_deg.to_radians())
         };
-        let level = with_level(&Isometry3::identity(), 45.0);
+        let level = limited(&Isometry3::identity(), 45.0);
         for starts in [[truth, mirrored], [mirrored, truth]] {
-            assert_eq!(found(aligner, &starts), None, "nothing is known of how it flies");
-            assert_eq!(found(&with_level(&Isometry3::identity(), 0.0), &starts), None);
+            assert_eq!(found(aligner, &starts), None, "no tilt limit is known");
+            assert_eq!(found(&limited(&Isometry3::identity(), 0.0), &starts), None);
             assert!(found(&level, &starts).is_some_and(|turned| turned < 0.05));
         }
         // A single marker may be stuck on a wall.
         let single = Bodies::new("DICT_5X5_250".into(), vec![top.clone()]).unwrap();
-        let single = aligner.clone().with_level(&single, &Isometry3::identity(), 0.8);
+        let single = aligner.clone().with_max_tilt(&single, &Isometry3::identity(), 0.8);
         assert_eq!(found(&single, &[truth, mirrored]), None);
         // A camera that hangs on its side sees what is level tilted: where it is mounted counts.
         let on_its_side = Isometry3::rotation(Vector3::x() * 1.6);
-        let turned = found(&with_level(&on_its_side, 45.0), &[truth, mirrored]);
+        let turned = found(&limited(&on_its_side, 45.0), &[truth, mirrored]);
         assert!(turned.is_none_or(|turned| turned > 0.5), "{turned:?}");
     });
 }
 
 #[test]
-fn what_two_facets_or_one_say_must_stand_out() {
+fn two_facets_or_one_need_a_margin_over_rivals() {
     let score = |log_ratio, correlation, telling_facets| Score {
         log_ratio,
         correlation,
@@ -159,57 +160,58 @@ fn what_two_facets_or_one_say_must_stand_out() {
         ..Score::default()
     };
     let twice = score(265.0, 0.42, 2);
-    assert!(stands_out(&twice, &score(200.0, 0.42, 1), true));
-    assert!(!stands_out(&twice, &score(244.0, 0.42, 1), true));
-    assert!(!stands_out(&twice, &score(200.0, 0.42, 1), false), "it stands on edge");
+    assert!(has_margin(&twice, &score(200.0, 0.42, 1), true));
+    assert!(!has_margin(&twice, &score(244.0, 0.42, 1), true));
+    assert!(!has_margin(&twice, &score(200.0, 0.42, 1), false), "it stands on edge");
     let alone = score(131.0, 0.90, 1);
-    assert!(stands_out(&alone, &score(24.0, 0.44, 1), false));
-    assert!(!stands_out(&alone, &score(60.0, 0.10, 1), false));
+    assert!(has_margin(&alone, &score(24.0, 0.44, 1), false));
+    assert!(!has_margin(&alone, &score(60.0, 0.10, 1), false));
 }
 
 #[test]
-fn a_track_is_confirmed_farther_than_it_is_discovered() {
+fn a_track_is_confirmed_farther_away_than_it_is_initiated() {
     let truth = pose(4.6, 0.9);
     let starts = [Start::Fine(truth)];
-    look(&truth, |aligner, picture| {
-        assert!(aligner.discover(0, picture, &starts, Pace::Unhurried, |_| false).is_none());
-        let found = aligner.follow(0, picture, &starts, &truth, Pace::Unhurried, |_| false);
+    with_picture(&truth, |aligner, picture| {
+        assert!(aligner.initiate(0, picture, &starts, TimeBudget::Unlimited, |_| false).is_none());
+        let found = aligner.confirm(0, picture, &starts, &truth, TimeBudget::Unlimited, |_| false);
         let found = found.expect("it is where it was expected");
         let error = found.camera_from_markers.translation.vector - truth.translation.vector;
         assert!(error.norm() < 0.05, "{} m", error.norm());
-        // A few facets may be others' mirror images: then it must not have turned far.
+        // A few facets may be others' mirror poses: then it must not have turned far.
         assert_eq!(found.score.agreeing_facets, 1);
         assert!(
             aligner
-                .follow(0, picture, &starts, &pose(4.6, 1.5), Pace::Unhurried, |_| false)
+                .confirm(0, picture, &starts, &pose(4.6, 1.5), TimeBudget::Unlimited, |_| false)
                 .is_none()
         );
     });
 }
 
 #[test]
-fn a_newcomer_whom_the_first_start_misses_is_found_at_any_pace() {
+fn an_untracked_target_that_the_first_start_misses_is_found_with_any_budget() {
     let truth = pose(0.8, 0.9);
     let wrong = Start::Fine(pose(0.8, 4.0));
-    look(&truth, |aligner, picture| {
-        for pace in [Pace::Unhurried, Pace::Live, Pace::Behind] {
-            let discover = |starts: &[Start]| aligner.discover(0, picture, starts, pace, |_| false);
-            assert!(discover(std::slice::from_ref(&wrong)).is_none(), "{pace:?}");
+    with_picture(&truth, |aligner, picture| {
+        for budget in [TimeBudget::Unlimited, TimeBudget::OneFrame, TimeBudget::Overspent] {
+            let initiate =
+                |starts: &[Start]| aligner.initiate(0, picture, starts, budget, |_| false);
+            assert!(initiate(std::slice::from_ref(&wrong)).is_none(), "{budget:?}");
             let found =
-                discover(&[wrong.clone(), Start::Fine(truth)]).expect("the second one is right");
+                initiate(&[wrong.clone(), Start::Fine(truth)]).expect("the second one is right");
             let error = found.camera_from_markers.translation.vector - truth.translation.vector;
-            assert!(error.norm() < 0.01, "{pace:?}: {} m", error.norm());
+            assert!(error.norm() < 0.01, "{budget:?}: {} m", error.norm());
         }
     });
 }
 
 #[test]
-fn who_is_behind_follows_from_the_first_start_alone() {
+fn with_a_spent_budget_only_the_first_start_counts() {
     let truth = pose(0.8, 0.9);
     let starts = [Start::Fine(pose(0.8, 4.0)), Start::Fine(truth)];
-    look(&truth, |aligner, picture| {
-        let follow = |pace| aligner.follow(0, picture, &starts, &truth, pace, |_| false);
-        assert!(follow(Pace::Unhurried).is_some() && follow(Pace::Live).is_some());
-        assert!(follow(Pace::Behind).is_none());
+    with_picture(&truth, |aligner, picture| {
+        let follow = |budget| aligner.confirm(0, picture, &starts, &truth, budget, |_| false);
+        assert!(follow(TimeBudget::Unlimited).is_some() && follow(TimeBudget::OneFrame).is_some());
+        assert!(follow(TimeBudget::Overspent).is_none());
     });
 }

@@ -61,7 +61,7 @@ pub enum Leave {
 
 /// The open frames.
 #[derive(Debug)]
-pub struct Assembly {
+pub struct FrameAssembly {
     deadline_ns: i64,
     open: BTreeMap<Order, Frame>,
     last_left: Option<Order>,
@@ -69,7 +69,7 @@ pub struct Assembly {
     plan_id: u64,
 }
 
-impl Assembly {
+impl FrameAssembly {
     /// None open yet; a frame stays open for `deadline_ns` at most.
     pub fn new(deadline_ns: i64) -> Self {
         Self { deadline_ns, open: BTreeMap::new(), last_left: None, plan_id: 0 }
@@ -192,8 +192,8 @@ mod tests {
         FrameEnd { stamp: stamp(sequence), plan_id: 1, views_issued, ..FrameEnd::default() }
     }
 
-    fn planned(deadline_ns: i64) -> Assembly {
-        let mut assembly = Assembly::new(deadline_ns);
+    fn planned(deadline_ns: i64) -> FrameAssembly {
+        let mut assembly = FrameAssembly::new(deadline_ns);
         assembly.planned(1);
         assembly
     }

@@ -1,0 +1,395 @@
+//! The core of fusion: events with their times in, tracks and plans out. It holds no port, no clock and
+//! no thread of its own.
+//!
+//! [`Core::on`] notes an event. [`Core::step`] does the most urgent piece of work and hands out what it
+//! led to; it is called again until there is nothing left to do.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use flockeye_contract::{DetectedMarker, FrameEnd, FrameStamp, ViewHeader};
+use flockeye_geometry::search::Purpose;
+use flockeye_viewing::view_of;
+
+use crate::frame_assembly::{Frame, FrameAssembly, Leave, Record};
+use crate::measurement::agrees_with_view;
+use crate::notices::Notice;
+use crate::output::{Cause, Outgoing, TrackMessage, purpose_stated, seconds};
+use crate::passes::AnsweredView;
+use crate::passes::background::{Answer, Job};
+use crate::passes::corners::records_that_count;
+use crate::passes::direct::Region;
+use crate::pictures::{PictureReader, Pixels};
+use crate::planning::{NextPlan, Planning, is_behind};
+use crate::policy::TimeBudget;
+use crate::tracker::{FrameTime, Tracker, Update};
+use crate::view_cache::{FrameOrder, ViewCache};
+
+/// What happens to fusion.
+#[derive(Debug)]
+pub enum Event<P> {
+    /// A view was cut; `P` holds its pixels.
+    View(ViewHeader, P),
+    /// A view was searched for markers.
+    Searched(Record),
+    /// Rectification is done with a frame.
+    FrameEnd(FrameEnd),
+    /// A background pass is over.
+    Background(Answer),
+}
+
+/// What a step led to, to be sent in this order.
+#[derive(Debug, Default)]
+pub struct Outputs {
+    /// Messages of the topic `track`.
+    pub tracks: Vec<TrackMessage>,
+    /// The plan for the next frame, and the frame that it was made after.
+    pub plan: Option<(NextPlan, Option<FrameStamp>)>,
+    /// A background pass to be run; its answer comes back as an [`Event`].
+    pub job: Option<Job>,
+    /// The frame that has ended, if one has.
+    pub ended: Option<EndedFrame>,
+    /// What a person should know of.
+    pub notices: Vec<Notice>,
+    /// Whether nothing was left to do.
+    pub is_idle: bool,
+}
+
+/// A frame that has ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct EndedFrame {
+    /// When rectification took it up, nanoseconds of CLOCK_MONOTONIC; `None` if that is not known.
+    pub taken_ns: Option<i64>,
+}
+
+/// When passes run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Schedule {
+    /// As soon as their inputs are there (flight).
+    AsTheyCome,
+    /// When the frame is complete, in the order of its plan: then nothing depends on who is faster.
+    WhenComplete,
+}
+
+/// How a core works.
+#[derive(Debug, Clone, Copy)]
+pub struct Options {
+    /// When passes run.
+    pub schedule: Schedule,
+    /// Whether a frame has a limited time. If it does not, all passes run for each frame.
+    pub is_limited: bool,
+    /// Whether the pixels of views are used.
+    pub aligns: bool,
+}
+
+/// What fusion keeps between events. `P` is the hold on a view's pixels.
+pub struct Core<P> {
+    options: Options,
+    assembly: FrameAssembly,
+    cache: ViewCache<P>,
+    reader: PictureReader,
+    tracker: Tracker,
+    planning: Planning,
+    /// Regions of interest that have come, for the direct pass.
+    cut_regions: Vec<(FrameOrder, u32)>,
+    /// Records that have come, for the corner pass.
+    searched: Vec<Record>,
+    answers: VecDeque<Answer>,
+    /// The newest frame of which a view has come.
+    newest: Option<FrameStamp>,
+    notices: Vec<Notice>,
+}
+
+impl<P: Pixels> Core<P> {
+    /// A core that has heard of no frame yet.
+    pub fn new(
+        options: Options,
+        assembly: FrameAssembly,
+        cache: ViewCache<P>,
+        reader: PictureReader,
+        tracker: Tracker,
+        planning: Planning,
+    ) -> Self {
+        Self {
+            options,
+            assembly,
+            cache,
+            reader,
+            tracker,
+            planning,
+            cut_regions: Vec::new(),
+            searched: Vec::new(),
+            answers: VecDeque::new(),
+            newest: None,
+            notices: Vec::new(),
+        }
+    }
+
+    /// Whether one more view would release the oldest that waits for its record.
+    pub fn is_full(&self) -> bool {
+        self.cache.is_full()
+    }
+
+    /// Whether the view of a record has come.
+    pub fn has_view_of(&self, record: &Record) -> bool {
+        let frame = self.assembly.open_frame(&record.header.stamp);
+        frame.is_some_and(|frame| frame.views.contains_key(&record.header.view_index))
+    }
+
+    /// Whether a frame has ended, or a newer one.
+    pub fn has_ended(&self, stamp: &FrameStamp) -> bool {
+        self.assembly.has_left(stamp)
+    }
+
+    /// How many frames are open.
+    pub fn open_frames(&self) -> usize {
+        self.assembly.open_frames()
+    }
+
+    /// How many plans were made.
+    pub fn plans(&self) -> u64 {
+        self.planning.plans()
+    }
+
+    /// The bodies, targets and their tracks.
+    pub fn tracker(&self) -> &Tracker {
+        &self.tracker
+    }
+
+    /// When the oldest frame will be overdue, nanoseconds.
+    pub fn next_deadline_ns(&self) -> Option<i64> {
+        self.assembly.next_deadline_ns()
+    }
+
+    /// Whether a background pass may still find something in a frame that is open.
+    pub fn awaits_background(&self) -> bool {
+        self.tracker.awaited().is_some_and(|order| self.assembly.of_order(order).is_some())
+    }
+
+    /// Notes an event that came at `now_ns`.
+    pub fn on(&mut self, event: Event<P>, now_ns: i64) {
+        match event {
+            Event::View(header, pixels) => self.on_view(header, pixels, now_ns),
+            Event::Searched(record) => self.on_record(record, now_ns),
+            Event::FrameEnd(end) => self.assembly.add_end(end, now_ns),
+            Event::Background(answer) => self.answers.push_back(answer),
+        }
+    }
+
+    fn on_view(&mut self, header: ViewHeader, pixels: P, now_ns: i64) {
+        if !self.assembly.add_view(header, now_ns) {
+            return;
+        }
+        if self.newest.is_none_or(|newest| !header.stamp.is_late_beside(&newest)) {
+            self.newest = Some(header.stamp);
+        }
+        let purpose = purpose_stated(&header);
+        if let Some(purpose) = purpose {
+            self.planning.note_cut(purpose);
+        }
+        if self.options.aligns {
+            self.cache.add(header, pixels);
+            if self.runs_early() && matches!(purpose, Some(Purpose::Gaze(_))) {
+                self.cut_regions.push((header.stamp.order(), header.view_index));
+            }
+        }
+    }
+
+    fn on_record(&mut self, mut record: Record, now_ns: i64) {
+        let header = record.header;
+        let frame = self.assembly.open_frame(&header.stamp);
+        let view = frame.and_then(|frame| frame.views.get(&header.view_index)).copied();
+        if let Some(view) = view.as_ref().map(view_of) {
+            let disagrees = |marker: &&DetectedMarker| !agrees_with_view(marker, &view);
+            if let Some(marker) = record.markers.iter().find(disagrees) {
+                let notice = Notice::RaysDisagree { worker: header.worker, marker: marker.id };
+                self.notices.push(notice);
+                record.markers.clear();
+            }
+        }
+        let is_known = |id| {
+            let mut targets = self.tracker.targets().iter();
+            targets.any(|target| target.body.marker(id).is_some())
+        };
+        if let Some(unknown) = record.markers.iter().find(|marker| !is_known(marker.id)) {
+            self.notices.push(Notice::UnknownMarker { marker: unknown.id });
+        }
+        if !self.assembly.add_record(record.clone(), now_ns) {
+            self.notices.push(Notice::LateRecord);
+            return;
+        }
+        let purpose = self.planning.purpose_of(header.plan_id, header.view_index, view.as_ref());
+        let stop_rule = self.planning.stop_rule_of(header.plan_id);
+        let shows = self.tracker.shown(&record, purpose, view.as_ref(), stop_rule);
+        self.cache.answered(header.stamp.order(), header.view_index, &shows);
+        if self.runs_early() {
+            self.searched.push(record);
+        }
+    }
+
+    fn runs_early(&self) -> bool {
+        self.options.schedule == Schedule::AsTheyCome
+    }
+
+    /// Does the most urgent piece of work: the first plan, then direct passes over some regions, corner
+    /// passes over one frame's records, an answer of the background pass, the end of one frame.
+    pub fn step(&mut self, now_ns: i64) -> Outputs {
+        let mut outputs =
+            Outputs { notices: std::mem::take(&mut self.notices), ..Outputs::default() };
+        if self.planning.plans() == 0 {
+            // The first plan opens the flow: rectification has something to follow, and a lossless source
+            // its first credit.
+            self.plan(None, &mut outputs);
+        } else if !self.cut_regions.is_empty() {
+            self.direct_pass(&mut outputs);
+        } else if !self.searched.is_empty() {
+            self.region_pass(&mut outputs);
+        } else if let Some(answer) = self.answers.pop_front() {
+            self.take_answer(answer, &mut outputs);
+        } else if let Some((frame, leave)) = self.assembly.take(now_ns) {
+            if leave == Leave::Overdue {
+                outputs.notices.push(Notice::Incomplete { sequence: frame.stamp.sequence });
+            }
+            self.end_frame(&frame, &mut outputs);
+        } else {
+            outputs.is_idle = true;
+        }
+        outputs.job = self.tracker.take_job();
+        outputs
+    }
+
+    fn time_of(&self, stamp: &FrameStamp) -> FrameTime {
+        FrameTime { order: stamp.order(), at_s: seconds(stamp), number: self.planning.frames() }
+    }
+
+    /// How much time the passes of a frame may take.
+    fn budget(&self, stamp: &FrameStamp) -> TimeBudget {
+        if !self.options.is_limited {
+            TimeBudget::Unlimited
+        } else if is_behind(stamp, self.newest.as_ref()) {
+            TimeBudget::Overspent
+        } else {
+            TimeBudget::OneFrame
+        }
+    }
+
+    /// Direct passes over regions of one frame, as many at once as there are threads.
+    fn direct_pass(&mut self, outputs: &mut Outputs) {
+        let (first, _) = self.cut_regions[0];
+        let same = self.cut_regions.iter().take_while(|(order, _)| *order == first).count();
+        let views: Vec<(FrameOrder, u32)> =
+            self.cut_regions.drain(..same.min(self.tracker.threads().max(1))).collect();
+        let read = self.reader.regions(&self.cache, &views);
+        let Some(stamp) = read.first().map(|(header, _)| header.stamp) else { return };
+        let time = FrameTime {
+            order: stamp.order(),
+            at_s: seconds(&stamp),
+            number: self.planning.frames(),
+        };
+        let headers: BTreeMap<usize, ViewHeader> =
+            read.iter().map(|(header, region)| (region.target, *header)).collect();
+        let regions: Vec<Region<'_>> = read.into_iter().map(|(_, region)| region).collect();
+        let updates = self.tracker.direct_pass(time, &regions);
+        for update in updates {
+            if let Some(header) = headers.get(&update.0) {
+                self.publish(&stamp, vec![(update, Cause::of_view(header))], outputs);
+            }
+        }
+    }
+
+    /// Corner passes over the regions of one frame that have been searched.
+    fn region_pass(&mut self, outputs: &mut Outputs) {
+        let oldest = self.searched.iter().map(|record| record.header.stamp);
+        let Some(stamp) = oldest.min_by_key(FrameStamp::order) else { return };
+        let (records, others): (Vec<Record>, Vec<Record>) = std::mem::take(&mut self.searched)
+            .into_iter()
+            .partition(|record| record.header.stamp.order() == stamp.order());
+        self.searched = others;
+        let Some(frame) = self.assembly.open_frame(&stamp) else { return };
+        let answered: Vec<AnsweredView<'_>> = records
+            .iter()
+            .filter(|record| record.header.stamp.is_same_frame(&stamp))
+            .map(|record| {
+                let (plan_id, index) = (record.header.plan_id, record.header.view_index);
+                let view = frame.views.get(&index);
+                let purpose = self.planning.purpose_of(plan_id, index, view);
+                AnsweredView { record, purpose, view }
+            })
+            .collect();
+        let (time, budget) = (self.time_of(&stamp), self.budget(&stamp));
+        let best_views = self.reader.best_views(&self.cache, stamp.order());
+        let updates = self.tracker.region_pass(time, &answered, &best_views, budget);
+        drop(best_views);
+        let records: Vec<&Record> = records.iter().collect();
+        let updates = self.caused_by(updates, &records);
+        self.publish(&stamp, updates, outputs);
+    }
+
+    /// Publishes what a background pass found, if its frame is still open. Otherwise it has corrected the
+    /// track, from which the next frame benefits.
+    fn take_answer(&mut self, answer: Answer, outputs: &mut Outputs) {
+        let Some((order, update)) = self.tracker.background_answer(answer) else { return };
+        let Some(frame) = self.assembly.of_order(order) else { return };
+        let stamp = frame.stamp;
+        let records: Vec<&Record> = frame.records.values().collect();
+        let updates = self.caused_by(vec![update], &records);
+        self.publish(&stamp, updates, outputs);
+    }
+
+    /// Ends a frame: what is left to measure, the estimates of who was not seen, and the next plan.
+    fn end_frame(&mut self, frame: &Frame, outputs: &mut Outputs) {
+        let (purposes, stop_rule) = self.planning.purposes_of(frame);
+        let order = frame.stamp.order();
+        let counted = records_that_count(frame, stop_rule);
+        let answered: Vec<AnsweredView<'_>> = counted
+            .iter()
+            .map(|record| AnsweredView {
+                record,
+                purpose: purposes.get(&record.header.view_index).copied(),
+                view: frame.views.get(&record.header.view_index),
+            })
+            .collect();
+        let (time, budget) = (self.time_of(&frame.stamp), self.budget(&frame.stamp));
+        let mut best_views = self.reader.best_views(&self.cache, order);
+        let counts =
+            |view_index| counted.iter().any(|record| record.header.view_index == view_index);
+        best_views.retain(|_, best| counts(best.view_index));
+        let updates = self.tracker.final_pass(time, &answered, &best_views, budget);
+        drop(best_views);
+        self.tracker.end_frame(frame, time.at_s);
+        self.planning.end_frame(frame, &counted, &purposes);
+        let records: Vec<&Record> = frame.records.values().collect();
+        let updates = self.caused_by(updates, &records);
+        self.publish(&frame.stamp, updates, outputs);
+        self.cache.release_until(order);
+        outputs.tracks.push(TrackMessage::last_of(frame.stamp));
+        self.plan(Some(frame.stamp), outputs);
+        outputs.ended = Some(EndedFrame { taken_ns: frame.end.map(|end| end.taken_ns) });
+    }
+
+    fn caused_by(&self, updates: Vec<Update>, records: &[&Record]) -> Vec<Outgoing> {
+        updates
+            .into_iter()
+            .map(|update| {
+                let cause = Cause::of_records(records, &self.tracker.targets()[update.0].body);
+                (update, cause)
+            })
+            .collect()
+    }
+
+    /// Sends estimates of a frame's targets: the one place where a pose leaves.
+    fn publish(&mut self, stamp: &FrameStamp, updates: Vec<Outgoing>, outputs: &mut Outputs) {
+        for ((target, _), _) in &updates {
+            self.cache.release(stamp.order(), *target);
+        }
+        outputs.tracks.extend(TrackMessage::of(*stamp, updates));
+    }
+
+    fn plan(&mut self, after: Option<FrameStamp>, outputs: &mut Outputs) {
+        let next = self.planning.next(&self.tracker);
+        self.assembly.planned(next.plan_id);
+        outputs.plan = Some((next, after));
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,256 @@
+//! What the core does with events, without any process.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "of the drawings")]
+
+use std::sync::OnceLock;
+
+use super::*;
+use crate::fixtures::*;
+use flockeye_contract::{DetectionHeader, Transfer, ViewKind};
+use flockeye_geometry::search::StopRule;
+use flockeye_geometry::view::View;
+use flockeye_viewing::Lights;
+
+impl Pixels for Vec<u8> {
+    fn pixels(&self) -> &[u8] {
+        self
+    }
+}
+
+const DEADLINE_NS: i64 = 1_000_000_000;
+
+fn core(schedule: Schedule, is_limited: bool) -> Core<Vec<u8>> {
+    let options = Options { schedule, is_limited, aligns: true };
+    let mut tracker = tracker_of(vec![alpha()], 1);
+    if is_limited {
+        tracker = tracker.with_background();
+    }
+    let lights = Lights::new(None).unwrap();
+    Core::new(
+        options,
+        FrameAssembly::new(DEADLINE_NS),
+        ViewCache::new(4, 4),
+        PictureReader::new(lights, PIXELS_PER_RADIAN, None),
+        tracker,
+        Planning::new(planner()),
+    )
+}
+
+/// All that a core has to say until it is idle.
+fn drain(core: &mut Core<Vec<u8>>, now_ns: i64) -> Vec<Outputs> {
+    let mut all = Vec::new();
+    loop {
+        let outputs = core.step(now_ns);
+        if outputs.is_idle && outputs.notices.is_empty() {
+            return all;
+        }
+        all.push(outputs);
+        assert!(all.len() < 100, "it is never idle");
+    }
+}
+
+/// Alpha at `pose(0.9)`. It is drawn once, because drawing takes longer than all else here.
+fn shown() -> &'static (View, Vec<u8>) {
+    static SHOWN: OnceLock<(View, Vec<u8>)> = OnceLock::new();
+    SHOWN.get_or_init(|| {
+        let drawing = drawing(&pose(0.9));
+        let image = drawing.image();
+        let pixels = (0..image.height()).flat_map(|y| image.row(y).to_vec()).collect();
+        (drawing.view, pixels)
+    })
+}
+
+/// View 0 of the plan `plan_id`: the region of alpha, which stands at `pose(0.9)`.
+fn region(sequence: u64, plan_id: u64) -> Event<Vec<u8>> {
+    let (view, pixels) = shown();
+    let header = ViewHeader {
+        stamp: stamp(sequence),
+        plan_id,
+        view_index: 0,
+        kind: ViewKind::Gaze.code(),
+        target: 0,
+        camera_from_view: view.camera_from_view.coords.into(),
+        focal_px: view.focal_px,
+        size_px: view.size_px,
+        stride: view.size_px,
+        transfer: Transfer::Srgb.code(),
+        ..ViewHeader::default()
+    };
+    Event::View(header, pixels.clone())
+}
+
+/// Its record, with alpha's markers at `pose(0.9)`.
+fn searched(sequence: u64, plan_id: u64) -> Event<Vec<u8>> {
+    let mut record = record(sequence, &pose(0.9));
+    let view = shown().0;
+    for marker in &mut record.markers {
+        marker.corners_in_view = marker.rays_in_camera.map(|ray| {
+            let ray = nalgebra::Unit::new_normalize(nalgebra::Vector3::from(ray));
+            let pixel = view.project(&ray).expect("it is in the view").0;
+            [pixel.x as f32, pixel.y as f32]
+        });
+    }
+    let header = DetectionHeader { plan_id, hits: record.markers.len() as u32, ..record.header };
+    Event::Searched(Record { header, ..record })
+}
+
+fn frame_end(sequence: u64, plan_id: u64, views_issued: u32) -> Event<Vec<u8>> {
+    let end = FrameEnd { stamp: stamp(sequence), plan_id, views_issued, ..FrameEnd::default() };
+    Event::FrameEnd(end)
+}
+
+/// A core that has measured alpha in frames 0 to 2, and the number of its last plan.
+fn tracking(schedule: Schedule, is_limited: bool) -> (Core<Vec<u8>>, u64) {
+    let mut core = core(schedule, is_limited);
+    let mut plan_id = drain(&mut core, 0)[0].plan.as_ref().expect("the first plan").0.plan_id;
+    for sequence in 0..3 {
+        // A plan that this process did not make: the view itself says what it is.
+        for event in [region(sequence, 0), searched(sequence, 0), frame_end(sequence, 0, 1)] {
+            core.on(event, 0);
+        }
+        let said = drain(&mut core, 0);
+        assert_eq!(poses(&said).len(), 1, "frame {sequence}");
+        plan_id =
+            said.iter().filter_map(|outputs| outputs.plan.as_ref()).next_back().unwrap().0.plan_id;
+    }
+    (core, plan_id)
+}
+
+/// The targets of all estimates with a measurement, in the order in which they leave.
+fn poses(said: &[Outputs]) -> Vec<usize> {
+    let messages = said.iter().flat_map(|outputs| &outputs.tracks);
+    let updates = messages.flat_map(|message| &message.updates);
+    updates
+        .filter(|((_, known), _)| known.measured.is_some())
+        .map(|((target, _), _)| *target)
+        .collect()
+}
+
+fn is_ended(said: &[Outputs]) -> bool {
+    said.iter().any(|outputs| outputs.ended.is_some())
+}
+
+#[test]
+fn the_first_step_makes_the_first_plan() {
+    let mut core = core(Schedule::AsTheyCome, true);
+    let said = drain(&mut core, 0);
+    let (plan, after) = said[0].plan.as_ref().expect("the first plan");
+    assert_eq!((said.len(), plan.plan_id, *after), (1, 1, None));
+    assert_eq!(plan.plan.stop_rule, StopRule::Deadline);
+}
+
+#[test]
+fn a_tracked_target_leaves_when_its_region_has_been_cut() {
+    let (mut core, plan_id) = tracking(Schedule::AsTheyCome, true);
+    core.on(region(3, plan_id), 0);
+    let said = drain(&mut core, 0);
+    assert_eq!(poses(&said), [0]);
+    assert!(matches!(said[0].tracks[0].updates[0].1, Cause::View { .. }));
+    // Its markers and the frame's end add no second pose.
+    core.on(searched(3, plan_id), 0);
+    core.on(frame_end(3, plan_id, 1), 0);
+    let said = drain(&mut core, 0);
+    assert!(poses(&said).is_empty());
+    assert!(is_ended(&said));
+    let last = said.last().unwrap();
+    assert!(last.tracks.last().unwrap().is_last && last.plan.is_some());
+}
+
+#[test]
+fn an_untracked_target_leaves_when_its_region_has_been_searched() {
+    let mut core = core(Schedule::AsTheyCome, true);
+    drain(&mut core, 0);
+    core.on(region(0, 0), 0);
+    assert!(poses(&drain(&mut core, 0)).is_empty(), "nothing predicts it");
+    core.on(searched(0, 0), 0);
+    let said = drain(&mut core, 0);
+    assert_eq!(poses(&said), [0]);
+    assert!(!is_ended(&said), "the frame is still open");
+    assert!(matches!(said[0].tracks[0].updates[0].1, Cause::Record { .. }));
+}
+
+#[test]
+fn where_order_must_not_count_nothing_leaves_before_the_frame_is_complete() {
+    let (mut core, plan_id) = tracking(Schedule::WhenComplete, false);
+    for event in [region(3, plan_id), searched(3, plan_id)] {
+        core.on(event, 0);
+        assert!(drain(&mut core, 0).is_empty());
+    }
+    core.on(frame_end(3, plan_id, 1), 0);
+    let said = drain(&mut core, 0);
+    assert_eq!(poses(&said), [0]);
+    assert!(is_ended(&said));
+}
+
+#[test]
+fn a_frame_whose_record_never_comes_ends_at_its_deadline() {
+    let (mut core, plan_id) = tracking(Schedule::AsTheyCome, true);
+    core.on(frame_end(3, plan_id, 1), 5);
+    assert!(drain(&mut core, 5).is_empty());
+    assert_eq!(core.next_deadline_ns(), Some(5 + DEADLINE_NS));
+    let said = drain(&mut core, 5 + DEADLINE_NS);
+    assert!(is_ended(&said));
+    assert!(said[0].notices.contains(&Notice::Incomplete { sequence: 3 }));
+    // A record that comes later is counted, and says nothing.
+    core.on(searched(3, plan_id), 6 + DEADLINE_NS);
+    let said = drain(&mut core, 6 + DEADLINE_NS);
+    assert!(poses(&said).is_empty());
+    assert!(said.iter().any(|outputs| outputs.notices.contains(&Notice::LateRecord)));
+}
+
+#[test]
+fn markers_whose_rays_disagree_with_their_corners_are_left_out() {
+    let mut core = core(Schedule::AsTheyCome, true);
+    drain(&mut core, 0);
+    core.on(region(0, 0), 0);
+    let Event::Searched(mut record) = searched(0, 0) else { unreachable!() };
+    record.markers[0].rays_in_camera.swap(0, 2);
+    let marker = record.markers[0].id;
+    core.on(Event::Searched(record), 0);
+    let said = drain(&mut core, 0);
+    assert!(said[0].notices.contains(&Notice::RaysDisagree { worker: 0, marker }));
+    assert!(poses(&said).is_empty());
+}
+
+#[test]
+fn a_marker_of_no_body_is_noticed_and_ignored() {
+    let mut core = core(Schedule::AsTheyCome, true);
+    drain(&mut core, 0);
+    core.on(region(0, 0), 0);
+    let Event::Searched(mut record) = searched(0, 0) else { unreachable!() };
+    record.markers.iter_mut().for_each(|marker| marker.id += 100);
+    let marker = record.markers[0].id;
+    core.on(Event::Searched(record), 0);
+    let said = drain(&mut core, 0);
+    assert!(said[0].notices.contains(&Notice::UnknownMarker { marker }));
+    assert!(poses(&said).is_empty());
+}
+
+#[test]
+fn a_background_pass_that_is_over_in_time_publishes() {
+    let (mut core, plan_id) = tracking(Schedule::AsTheyCome, true);
+    core.on(frame_end(3, plan_id, 0), 0);
+    drain(&mut core, 0);
+    // Nothing but a test asks for a job here: alpha coasts and its region shows something else.
+    let empty = Record {
+        header: DetectionHeader { stamp: stamp(4), plan_id: 0, ..DetectionHeader::default() },
+        markers: Vec::new(),
+    };
+    let Event::View(header, mut pixels) = region(4, 0) else { unreachable!() };
+    pixels.fill(128);
+    core.on(Event::View(header, pixels), 0);
+    core.on(Event::Searched(empty), 0);
+    let said = drain(&mut core, 0);
+    let job = said.into_iter().find_map(|outputs| outputs.job).expect("a background pass");
+    assert!(core.awaits_background());
+    let aligner = aligner(
+        &flockeye_geometry::body::Bodies::new("DICT_5X5_250".into(), vec![alpha()]).unwrap(),
+    );
+    let mut answer = job.run(&aligner);
+    assert!(answer.measurement.is_none(), "the picture is grey");
+    answer.measurement = Some(measurement(&pose(0.9)));
+    core.on(Event::Background(answer), 0);
+    let said = drain(&mut core, 0);
+    assert_eq!(poses(&said), [0]);
+    assert!(!core.awaits_background());
+}

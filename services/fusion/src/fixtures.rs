@@ -1,0 +1,169 @@
+//! What tests of fusion share: bodies, poses, records, and trackers that have seen them.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, missing_docs, reason = "of the drawings")]
+
+use std::sync::Arc;
+
+use flockeye_contract::{DetectedMarker, DetectionHeader, FrameEnd, FrameStamp};
+use flockeye_geometry::body::{Bodies, Body, squares};
+use flockeye_geometry::filter::{MotionModel, TrackPolicy};
+use flockeye_geometry::partition::Partition;
+use flockeye_geometry::search::{GazeOptions, Planner, Purpose, SearchMode};
+use flockeye_imaging::align::Picture;
+use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
+use nalgebra::{Isometry3, Matrix6, Point3, Translation3, UnitQuaternion};
+
+use crate::drawn_body::{Drawing, draw, prints};
+use crate::frame_assembly::{Frame, FrameAssembly, Record};
+use crate::hypothesis::{Aligner, BestView};
+use crate::measurement::{MeasuredBy, Measurement, PoseEstimate};
+use crate::passes::{AnsweredView, BestViews};
+use crate::policy::TimeBudget;
+use crate::tracker::{FilterChoice, FrameTime, Tracker, Update};
+
+pub const PIXELS_PER_RADIAN: f64 = 611.0;
+pub const INTERVAL_S: f64 = 1.0 / 30.0;
+
+pub fn alpha() -> Body {
+    squares("alpha", 0.0625, 0.05, 0)
+}
+
+pub fn bravo() -> Body {
+    squares("bravo", 0.0625, 0.05, 17)
+}
+
+/// `camera_from_markers`, turned by this angle in radians.
+pub fn pose(turn: f64) -> Isometry3<f64> {
+    Isometry3::from_parts(
+        Translation3::new(0.7, 0.5, 0.3),
+        UnitQuaternion::from_euler_angles(0.3, -0.2, turn),
+    )
+}
+
+pub fn aligner(bodies: &Bodies) -> Aligner {
+    let prints = prints();
+    Aligner::new(bodies, |id| prints.get(&id), PIXELS_PER_RADIAN).unwrap()
+}
+
+pub fn tracker_of(bodies: Vec<Body>, threads: usize) -> Tracker {
+    let bodies = Bodies::new("DICT_5X5_250".into(), bodies).unwrap();
+    // Targets jump here from one frame to the next, farther than real ones do.
+    let motion = MotionModel { acceleration: 1.5, ..MotionModel::default() };
+    let policy = TrackPolicy { motion, confirm_hits: 3, ..TrackPolicy::default() };
+    Tracker::new(&bodies, FilterChoice::Tracks(policy), Arc::new(aligner(&bodies)), threads)
+}
+
+pub fn planner() -> Planner {
+    let partition = Partition::icosahedron();
+    let views = partition.views(0.1, PIXELS_PER_RADIAN).unwrap();
+    let gaze = GazeOptions::new(PIXELS_PER_RADIAN);
+    Planner::new(SearchMode::Gaze, partition, views, gaze).unwrap()
+}
+
+pub fn stamp(sequence: u64) -> FrameStamp {
+    FrameStamp { sequence, exposure_ns: (at_s(sequence) * 1e9) as i64, ..FrameStamp::default() }
+}
+
+pub fn at_s(sequence: u64) -> f64 {
+    10.0 + sequence as f64 * INTERVAL_S
+}
+
+pub fn time(sequence: u64) -> FrameTime {
+    FrameTime { order: stamp(sequence).order(), at_s: at_s(sequence), number: sequence }
+}
+
+/// The first of a body's markers that face the camera, at most `most` of them.
+pub fn facing_markers(body: &Body, pose: &Isometry3<f64>, most: usize) -> Vec<DetectedMarker> {
+    let eye = pose.inverse_transform_point(&Point3::origin());
+    let facing = body
+        .markers
+        .iter()
+        .filter(|marker| marker.normal().dot(&(eye - marker.centre()).normalize()) > 0.5);
+    facing
+        .take(most)
+        .map(|marker| DetectedMarker {
+            rays_in_camera: marker.corners.map(|corner| (pose * corner).coords.normalize().into()),
+            deviations: [2e-4; 4],
+            id: marker.id,
+            ..DetectedMarker::default()
+        })
+        .collect()
+}
+
+/// What detection finds in a view of alpha at `pose`.
+pub fn record(sequence: u64, pose: &Isometry3<f64>) -> Record {
+    Record { markers: facing_markers(&alpha(), pose, usize::MAX), ..empty_record(sequence) }
+}
+
+/// A view in which no marker was found.
+pub fn empty_record(sequence: u64) -> Record {
+    let header = DetectionHeader { stamp: stamp(sequence), ..DetectionHeader::default() };
+    Record { header, markers: Vec::new() }
+}
+
+/// A record of alpha's region of interest.
+pub fn of_region(record: &Record) -> AnsweredView<'_> {
+    AnsweredView { record, purpose: Some(Purpose::Gaze(0)), view: None }
+}
+
+/// A record of a tile.
+pub fn of_tile(record: &Record) -> AnsweredView<'_> {
+    AnsweredView { record, purpose: Some(Purpose::Partition(0)), view: None }
+}
+
+/// The corner pass over alpha's region, in which its markers were found at `pose`.
+pub fn see(tracker: &mut Tracker, sequence: u64, pose: &Isometry3<f64>) -> Vec<Update> {
+    let record = record(sequence, pose);
+    let (answered, views) = ([of_region(&record)], BestViews::new());
+    tracker.region_pass(time(sequence), &answered, &views, TimeBudget::Unlimited)
+}
+
+/// Ends a frame of which nothing more is known.
+pub fn end(tracker: &mut Tracker, sequence: u64) -> Vec<Update> {
+    let (time, views) = (time(sequence), BestViews::new());
+    let updates = tracker.final_pass(time, &[], &views, TimeBudget::Unlimited);
+    tracker.end_frame(&empty_frame(sequence), at_s(sequence));
+    updates
+}
+
+pub fn empty_frame(sequence: u64) -> Frame {
+    let mut assembly = FrameAssembly::new(1_000);
+    assembly.add_end(FrameEnd { stamp: stamp(sequence), ..FrameEnd::default() }, 0);
+    assembly.take(0).expect("it has no views to wait for").0
+}
+
+/// A tracker that has measured alpha in frames 0 to 2.
+pub fn following(pose: &Isometry3<f64>) -> Tracker {
+    let mut tracker = tracker_of(vec![alpha()], 1);
+    for sequence in 0..3 {
+        assert_eq!(see(&mut tracker, sequence, pose).len(), 1);
+        assert!(end(&mut tracker, sequence).is_empty(), "its pose has left already");
+    }
+    tracker
+}
+
+/// A certain measurement.
+pub fn measurement(camera_from_markers: &Isometry3<f64>) -> Measurement {
+    let covariance = Matrix6::identity() * 1e-6;
+    let pose = PoseEstimate { camera_from_markers: *camera_from_markers, covariance };
+    Measurement { pose, measured_by: MeasuredBy::Decoded, markers: 2 }
+}
+
+/// A drawing of alpha at `pose`.
+pub fn drawing(pose: &Isometry3<f64>) -> Drawing {
+    draw(&alpha(), pose, PIXELS_PER_RADIAN, 0.9, 0.004)
+}
+
+/// Gives `by` a view that shows alpha at `pose`.
+pub fn with_view<T>(pose: &Isometry3<f64>, by: impl FnOnce(&BestView<'_>) -> T) -> T {
+    let drawing = drawing(pose);
+    let light = LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap();
+    let (image, view) = (drawing.image(), drawing.view);
+    let picture = Picture { image, view, light: &light, pixels_per_radian: PIXELS_PER_RADIAN };
+    by(&BestView { picture, view_index: 0, rays_m: f64::INFINITY })
+}
+
+/// How far a pose is off, metres.
+pub fn error_m(found: &Isometry3<f64>, truth: &Isometry3<f64>) -> f64 {
+    (found.translation.vector - truth.translation.vector).norm()
+}

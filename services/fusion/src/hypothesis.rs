@@ -1,0 +1,299 @@
+//! Poses with their evidence and priors, and the decision which of them is the body's.
+//!
+//! Two poses of a flat marker project almost alike (planar pose ambiguity), so one facet can agree with
+//! two attitudes, and a second facet of a few pixels agrees by chance with the wrong one. A track decides
+//! between them by its prediction ([`Aligner::confirm`]). Without one, hypotheses compete by their
+//! evidence ([`Aligner::initiate`]).
+
+use flockeye_geometry::body::{Bodies, Body};
+use flockeye_imaging::align::{
+    AlignOptions, Alignment, BodyPrint, Picture, PrintError, SURE_FACETS, Score, align, reacquire,
+};
+use flockeye_imaging::edges::MarkerPrint;
+use nalgebra::{Isometry3, Unit, Vector3};
+
+use crate::policy::TimeBudget;
+
+/// Two poses of a body are different if they differ by more than this rotation, radians, or by this
+/// share of the range.
+const DIFFERENT_ROTATION_RAD: f64 = 0.2;
+const DIFFERENT_POSITION: f64 = 0.05;
+/// Without a track, a pose on which only one facet decides needs this mean correlation, and every rival
+/// may have at most this share of its log-likelihood ratio. One marker of 14 px in the wrong attitude
+/// reached 0.71, and 1.2 times the right attitude's log-likelihood ratio.
+const ONE_FACET_CORRELATION: f64 = 0.8;
+const ONE_FACET_RIVAL: f64 = 0.33;
+/// Where two facets decide, every rival may have at most this share of the pose's evidence.
+const TWO_FACETS_RIVAL: f64 = 0.9;
+/// Where only the tilt tells a pose from its mirror pose, every rival within the tilt limit may have at
+/// most this share of its evidence, and at least this share of the body must look as modelled.
+const TILT_RIVAL: f64 = 0.3;
+const TILT_MIN_SHARE_SEEN: f64 = 0.5;
+/// A pose that has turned farther than this from its track's prediction, radians, needs enough agreeing
+/// facets. A neighbour that was out of sight for a third of a second may have turned by as much as its
+/// mirror pose, and the filter's gate allows for that.
+const IMPLAUSIBLE_TURN_RAD: f64 = 0.35;
+
+/// The view that shows a body best.
+#[derive(Debug, Clone, Copy)]
+pub struct BestView<'p> {
+    /// The view, with its pixels.
+    pub picture: Picture<'p>,
+    /// Its place in the plan.
+    pub view_index: u32,
+    /// The distance that its rays are right for, metres. It matters for lenses off the camera's centre.
+    pub rays_m: f64,
+}
+
+/// Where alignment may start.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Start {
+    /// A pose (`camera_from_markers`) that is off by half a cell at most.
+    Fine(Isometry3<f64>),
+    /// A pose that may be off by more.
+    Rough(Isometry3<f64>),
+    /// A pose that was tried before with the same picture, and what it led to.
+    Tried(Option<Box<Alignment>>),
+}
+
+/// Aligns the configured bodies with pictures, and decides which results are the bodies.
+#[derive(Debug, Clone)]
+pub struct Aligner {
+    prints: Vec<BodyPrint>,
+    pixels_per_radian: f64,
+    options: AlignOptions,
+    tilt: Option<TiltPrior>,
+}
+
+/// How far from level neighbours fly.
+#[derive(Debug, Clone)]
+struct TiltPrior {
+    /// Up on the observer, in the camera frame.
+    up_in_camera: Unit<Vector3<f64>>,
+    /// Up on each target, in its markers' frame. `None` for a target that may hang in any attitude.
+    up_in_markers: Vec<Option<Unit<Vector3<f64>>>>,
+    /// The largest tilt between a target and its observer, radians.
+    max_rad: f64,
+}
+
+impl Aligner {
+    /// For `bodies` whose markers look as `print_of` says, on a sphere image of this resolution.
+    ///
+    /// # Errors
+    /// A marker that cannot be drawn.
+    pub fn new<'p>(
+        bodies: &Bodies,
+        print_of: impl Fn(u32) -> Option<&'p MarkerPrint>,
+        pixels_per_radian: f64,
+    ) -> Result<Self, PrintError> {
+        let prints =
+            bodies.iter().map(|body| BodyPrint::new(body, &print_of)).collect::<Result<_, _>>()?;
+        Ok(Self { prints, pixels_per_radian, options: AlignOptions::default(), tilt: None })
+    }
+
+    /// Multiplies covariances by this; see [`AlignOptions::covariance_scale`].
+    pub fn with_covariance_scale(mut self, covariance_scale: f64) -> Self {
+        self.options.covariance_scale = covariance_scale;
+        self
+    }
+
+    /// Sets how far targets may be tilted from their observer, whose camera is mounted as given: of two
+    /// poses that look alike, one beyond `max_rad` is not the body's. With 0 nothing is known of the
+    /// tilt. Nor is it ever of a body with a single marker, which may be stuck on anything.
+    pub fn with_max_tilt(
+        mut self,
+        bodies: &Bodies,
+        observer_from_camera: &Isometry3<f64>,
+        max_rad: f64,
+    ) -> Self {
+        let up_in_markers = |body: &Body| {
+            let up = body.target_from_markers.inverse() * Vector3::z_axis();
+            (body.markers.len() > 1).then_some(up)
+        };
+        let tilt = || TiltPrior {
+            up_in_camera: observer_from_camera.inverse() * Vector3::z_axis(),
+            up_in_markers: bodies.iter().map(up_in_markers).collect(),
+            max_rad,
+        };
+        self.tilt = (max_rad > 0.0).then(tilt);
+        self
+    }
+
+    /// The sphere image's resolution.
+    pub fn pixels_per_radian(&self) -> f64 {
+        self.pixels_per_radian
+    }
+
+    /// Confirms where body `target` is, which its track `predicted`: aligns it from `starts` until one
+    /// leads to an accepted pose, else takes the result with the highest log-likelihood ratio that the
+    /// track or decoded markers support. Where the budget is spent, only the first start is tried.
+    /// `is_marked` tells whether markers were decoded where a pose has them.
+    pub fn confirm(
+        &self,
+        target: usize,
+        picture: &Picture<'_>,
+        starts: &[Start],
+        predicted: &Isometry3<f64>,
+        budget: TimeBudget,
+        is_marked: impl Fn(&Isometry3<f64>) -> bool,
+    ) -> Option<Alignment> {
+        let mut best: Option<Alignment> = None;
+        let max_starts = if budget == TimeBudget::Overspent { 1 } else { starts.len() };
+        for start in starts.iter().take(max_starts) {
+            let Some(found) = self.align(target, picture, start) else { continue };
+            if is_implausible_turn(&found, predicted) {
+                continue;
+            }
+            if found.is_believed() {
+                return Some(found);
+            }
+            let is_better = |best: &Alignment| found.score.log_ratio > best.score.log_ratio;
+            let is_supported =
+                found.confirms_track() || is_supported_by_markers(&found, &is_marked);
+            if is_supported && best.as_ref().is_none_or(is_better) {
+                best = Some(found);
+            }
+        }
+        best
+    }
+
+    /// Finds body `target`, of which no track is confirmed, from all of `starts`. The hypothesis with
+    /// the most evidence is accepted if enough facets agree with it, or if its rivals have much less.
+    /// Rivals are what the other starts led to, and the mirror pose of its most informative facet.
+    /// Where that does not decide, the best hypothesis within the tilt limit is compared with its rivals
+    /// within that limit.
+    ///
+    /// With a limited budget the first accepted pose with enough facets ends the search: all eight starts
+    /// of an untracked target took 113 ms, in which every other pose waits.
+    pub fn initiate(
+        &self,
+        target: usize,
+        picture: &Picture<'_>,
+        starts: &[Start],
+        budget: TimeBudget,
+        is_marked: impl Fn(&Isometry3<f64>) -> bool,
+    ) -> Option<Alignment> {
+        let mut found: Vec<Alignment> = Vec::new();
+        for start in starts {
+            found.extend(self.align(target, picture, start));
+            let is_certain = |found: &Alignment| {
+                found.is_believed() && found.score.agreeing_facets >= SURE_FACETS
+            };
+            if budget != TimeBudget::Unlimited && found.last().is_some_and(is_certain) {
+                break;
+            }
+        }
+        let candidates: Vec<&Alignment> = found
+            .iter()
+            .filter(|found| found.is_believed() || is_supported_by_markers(found, &is_marked))
+            .collect();
+        let best = with_most_evidence(candidates.iter().copied())?;
+        if best.score.agreeing_facets >= SURE_FACETS {
+            return Some(best.clone());
+        }
+        let mirror = self.mirror_of(target, picture, best);
+        if self.beats_rivals(target, best, found.iter().chain(&mirror)) {
+            return Some(best.clone());
+        }
+        let is_level = |found: &&Alignment| self.is_within_tilt(target, found) == Some(true);
+        let level = with_most_evidence(candidates.into_iter().filter(is_level))?;
+        let mirror =
+            if std::ptr::eq(level, best) { mirror } else { self.mirror_of(target, picture, level) };
+        let rivals = found.iter().chain(&mirror).filter(|other| !is_same(level, other));
+        let max_evidence = TILT_RIVAL * level.score.evidence();
+        let is_accepted = level.share_seen >= TILT_MIN_SHARE_SEEN
+            && rivals.filter(is_level).all(|rival| rival.score.evidence() < max_evidence);
+        is_accepted.then(|| level.clone())
+    }
+
+    /// Whether a hypothesis stands against all that differ from it.
+    fn beats_rivals<'a>(
+        &self,
+        target: usize,
+        best: &Alignment,
+        all: impl Iterator<Item = &'a Alignment>,
+    ) -> bool {
+        // Two facets are not enough for a pose that is tilted too far.
+        let by_two_facets =
+            best.score.is_told_twice() && self.is_within_tilt(target, best) != Some(false);
+        let is_discriminative = by_two_facets || best.score.correlation > ONE_FACET_CORRELATION;
+        let mut rivals = all.filter(|other| !is_same(best, other));
+        is_discriminative
+            && rivals.all(|rival| has_margin(&best.score, &rival.score, by_two_facets))
+    }
+
+    /// What the mirror pose of a hypothesis, about its most informative facet, leads to.
+    fn mirror_of(
+        &self,
+        target: usize,
+        picture: &Picture<'_>,
+        found: &Alignment,
+    ) -> Option<Alignment> {
+        let facet = found.score.foremost_facet?;
+        let mirror = self.prints.get(target)?.mirrored(facet, &found.camera_from_markers)?;
+        self.align(target, picture, &Start::Fine(mirror))
+    }
+
+    /// Whether body `target` is tilted within the limit in a pose; `None` where no limit is known.
+    fn is_within_tilt(&self, target: usize, found: &Alignment) -> Option<bool> {
+        let tilt = self.tilt.as_ref()?;
+        let up_in_markers = tilt.up_in_markers.get(target)?.as_ref()?;
+        let tilt_rad = (found.camera_from_markers * up_in_markers).angle(&tilt.up_in_camera);
+        Some(tilt_rad <= tilt.max_rad)
+    }
+
+    /// Searches for body `target` round where it was predicted.
+    pub fn reacquire(
+        &self,
+        target: usize,
+        picture: &Picture<'_>,
+        predicted: &Isometry3<f64>,
+    ) -> Option<Alignment> {
+        reacquire(self.prints.get(target)?, picture, predicted, &self.options)
+    }
+
+    /// What a start leads to, whether it is the body or not.
+    pub fn align(&self, target: usize, picture: &Picture<'_>, start: &Start) -> Option<Alignment> {
+        let (pose, coarse_first) = match start {
+            Start::Fine(pose) => (pose, false),
+            Start::Rough(pose) => (pose, true),
+            Start::Tried(found) => return found.clone().map(|found| *found),
+        };
+        let options = AlignOptions { coarse_first, ..self.options };
+        align(self.prints.get(target)?, picture, pose, &options).ok()
+    }
+}
+
+/// Whether a pose has turned farther from its track's prediction than so few facets can show.
+pub fn is_implausible_turn(found: &Alignment, predicted: &Isometry3<f64>) -> bool {
+    let turn_rad = found.camera_from_markers.rotation.angle_to(&predicted.rotation);
+    turn_rad > IMPLAUSIBLE_TURN_RAD && found.score.agreeing_facets < SURE_FACETS
+}
+
+fn with_most_evidence<'a>(found: impl Iterator<Item = &'a Alignment>) -> Option<&'a Alignment> {
+    found.max_by(|a, b| a.score.evidence().total_cmp(&b.score.evidence()))
+}
+
+/// Whether a hypothesis has enough margin over a rival.
+fn has_margin(best: &Score, rival: &Score, by_two_facets: bool) -> bool {
+    if by_two_facets {
+        rival.evidence() < TWO_FACETS_RIVAL * best.evidence()
+    } else {
+        rival.log_ratio < ONE_FACET_RIVAL * best.log_ratio
+    }
+}
+
+/// Whether a pose that is too weak alone is supported by markers that were decoded where it has them.
+fn is_supported_by_markers(found: &Alignment, is_marked: impl Fn(&Isometry3<f64>) -> bool) -> bool {
+    found.confirms_marker() && is_marked(&found.camera_from_markers)
+}
+
+fn is_same(one: &Alignment, other: &Alignment) -> bool {
+    let (one, other) = (&one.camera_from_markers, &other.camera_from_markers);
+    let (here, there) = (one.translation.vector, other.translation.vector);
+    one.rotation.angle_to(&other.rotation) < DIFFERENT_ROTATION_RAD
+        && (here - there).norm() < DIFFERENT_POSITION * here.norm()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,134 @@
+//! The ports that fusion reads, and in which order it reads them.
+
+use flockeye_contract::{DetectionHeader, Detections, FrameEnds, Views};
+use flockeye_runtime::config::Flow;
+use flockeye_runtime::ports::{Message, PortError, Ports, Subscriber};
+
+use crate::core::{Core, Event};
+use crate::frame_assembly::Record;
+use crate::pictures::Pixels;
+
+impl Pixels for Message<Views> {
+    fn pixels(&self) -> &[u8] {
+        self.items()
+    }
+}
+
+/// The ports that fusion reads.
+pub struct Inbox {
+    /// One lane for each detection worker.
+    views: Vec<Subscriber<Views>>,
+    detections: Subscriber<Detections>,
+    frame_ends: Subscriber<FrameEnds>,
+    flow: Flow,
+    /// Records of a lossless run that came before their views.
+    early: Vec<Record>,
+}
+
+impl Inbox {
+    /// Opens the ports.
+    ///
+    /// # Errors
+    /// A port that cannot be opened.
+    pub fn open(ports: &mut Ports, flow: Flow) -> Result<Self, PortError> {
+        Ok(Self {
+            views: ports.subscribers_of_all_lanes()?,
+            detections: ports.subscriber()?,
+            frame_ends: ports.subscriber()?,
+            flow,
+            early: Vec::new(),
+        })
+    }
+
+    /// Tells rectification that it has to wait for this stage where a lane is full. False while
+    /// rectification is not there.
+    ///
+    /// # Errors
+    /// A port that fails.
+    pub fn connect(&self) -> Result<bool, PortError> {
+        let lanes: Result<Vec<bool>, _> = self.views.iter().map(Subscriber::connect).collect();
+        Ok(lanes?.iter().all(|is_published| *is_published))
+    }
+
+    /// Gives the core all that has come, at `now_ns`.
+    ///
+    /// In flight views are taken as they come, as many as the core can hold. In a lossless run nothing may
+    /// depend on who is faster: there each view is taken when its record comes, and the others stay where
+    /// they wait.
+    ///
+    /// # Errors
+    /// A port that fails.
+    pub fn receive(
+        &mut self,
+        core: &mut Core<Message<Views>>,
+        now_ns: i64,
+    ) -> Result<(), PortError> {
+        self.take_all_views(core, now_ns)?;
+        let mut records = std::mem::take(&mut self.early);
+        while let Some(message) = self.detections.receive()? {
+            records.push(Record { header: message.header, markers: message.items().to_vec() });
+        }
+        for record in records {
+            self.take_view_of(core, &record, now_ns)?;
+            if self.flow == Flow::Lossless && is_early(core, &record) {
+                self.early.push(record);
+            } else {
+                core.on(Event::Searched(record), now_ns);
+            }
+        }
+        self.take_all_views(core, now_ns)?;
+        while let Some(message) = self.frame_ends.receive()? {
+            core.on(Event::FrameEnd(message.header), now_ns);
+        }
+        Ok(())
+    }
+
+    fn take_all_views(
+        &mut self,
+        core: &mut Core<Message<Views>>,
+        now_ns: i64,
+    ) -> Result<(), PortError> {
+        if self.flow == Flow::Lossless {
+            return Ok(());
+        }
+        (0..self.views.len())
+            .try_for_each(|lane| self.take_views(core, lane, now_ns, |core| core.is_full()))
+    }
+
+    /// Takes the view of a record, which passed before it in its worker's lane.
+    fn take_view_of(
+        &mut self,
+        core: &mut Core<Message<Views>>,
+        record: &Record,
+        now_ns: i64,
+    ) -> Result<(), PortError> {
+        let DetectionHeader { worker, .. } = record.header;
+        let lane = worker as usize;
+        if lane >= self.views.len() {
+            return Ok(());
+        }
+        self.take_views(core, lane, now_ns, |core| core.has_view_of(record))
+    }
+
+    /// Takes the views that have come in a lane, until `is_enough`.
+    fn take_views(
+        &mut self,
+        core: &mut Core<Message<Views>>,
+        lane: usize,
+        now_ns: i64,
+        is_enough: impl Fn(&Core<Message<Views>>) -> bool,
+    ) -> Result<(), PortError> {
+        while !is_enough(core)
+            && let Some(message) = self.views[lane].receive()?
+        {
+            core.on(Event::View(message.header, message), now_ns);
+        }
+        Ok(())
+    }
+}
+
+/// Whether a record's view is still on its way here: rectification had handed it to the worker before,
+/// while it waited for room in this stage's lane.
+fn is_early(core: &Core<Message<Views>>, record: &Record) -> bool {
+    !core.has_view_of(record) && !core.has_ended(&record.header.stamp)
+}

@@ -1,0 +1,167 @@
+//! What a frame says of one body: corners as rays, and a measured pose.
+
+use flockeye_contract::DetectedMarker;
+use flockeye_geometry::Ray;
+use flockeye_geometry::body::Body;
+use flockeye_geometry::pose::CornerRay;
+use flockeye_geometry::view::{View, ViewPixel};
+use flockeye_imaging::align::Alignment;
+use nalgebra::{Isometry3, Matrix6, Unit, Vector2, Vector3};
+
+/// A pose with its covariance.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PoseEstimate {
+    /// The pose of the markers in the camera frame.
+    pub camera_from_markers: Isometry3<f64>,
+    /// Covariance of position (m), then rotation vector (rad), in the camera frame's axes.
+    pub covariance: Matrix6<f64>,
+}
+
+/// How a pose was measured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum MeasuredBy {
+    /// From the corners of decoded markers.
+    Decoded,
+    /// By the whole body's alignment with the image.
+    Aligned,
+}
+
+/// A pose of a body, measured in one frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Measurement {
+    /// The pose.
+    pub pose: PoseEstimate,
+    /// What it was measured by.
+    pub measured_by: MeasuredBy,
+    /// How many markers of the body were decoded.
+    pub markers: u32,
+}
+
+impl Measurement {
+    /// An alignment's result, with so many markers decoded.
+    pub fn aligned(found: &Alignment, markers: u32) -> Self {
+        let pose = PoseEstimate {
+            camera_from_markers: found.camera_from_markers,
+            covariance: found.covariance,
+        };
+        Self { pose, measured_by: MeasuredBy::Aligned, markers }
+    }
+}
+
+/// A corner contradicts a pose that has it elsewhere by more than this share of its marker's side. A
+/// mirror pose, or a body turned by one facet, has corners farther off; a right pose never has.
+const CONTRADICTION_SIDES: f64 = 0.25;
+
+/// A corner supports a pose that has it within this share of its marker's side. A tilt or a range
+/// that is off by a tenth moves corners farther.
+const SUPPORT_SIDES: f64 = 0.04;
+
+/// Whether most corners lie elsewhere than `pose` has them.
+pub fn contradicts(body: &Body, rays: &[CornerRay], pose: &Isometry3<f64>) -> bool {
+    let is_elsewhere = |ray: &&CornerRay| {
+        offset_in_sides(body, ray, pose).is_some_and(|offset| offset > CONTRADICTION_SIDES)
+    };
+    2 * rays.iter().filter(is_elsewhere).count() > rays.len()
+}
+
+/// Whether there are corners, and all of them lie where `pose` has them.
+pub fn supports(body: &Body, rays: &[CornerRay], pose: &Isometry3<f64>) -> bool {
+    let is_near = |ray: &CornerRay| {
+        offset_in_sides(body, ray, pose).is_some_and(|offset| offset < SUPPORT_SIDES)
+    };
+    !rays.is_empty() && rays.iter().all(is_near)
+}
+
+/// The angle between a corner's ray and where `pose` has that corner, in sides of its marker. `None`
+/// for a marker that `body` does not carry.
+fn offset_in_sides(body: &Body, ray: &CornerRay, pose: &Isometry3<f64>) -> Option<f64> {
+    let marker = body.marker(ray.marker_id)?;
+    let corner = pose * marker.corners[ray.corner];
+    let side_rad = marker.side() / corner.coords.norm();
+    Some(Unit::new_normalize(corner.coords).angle(&ray.ray_in_camera) / side_rad)
+}
+
+/// Corner rays of the decoded markers that `body` carries.
+pub fn decoded_rays<'m>(
+    body: &Body,
+    markers: impl IntoIterator<Item = &'m DetectedMarker>,
+) -> Vec<CornerRay> {
+    own_rays(body, markers.into_iter().filter(|marker| marker.is_decoded()))
+}
+
+/// Corner rays of squares that are only probably markers of `body`. Alignment may start from them;
+/// no pose is measured by them.
+pub fn candidate_rays<'m>(
+    body: &Body,
+    markers: impl IntoIterator<Item = &'m DetectedMarker>,
+) -> Vec<CornerRay> {
+    own_rays(body, markers.into_iter().filter(|marker| !marker.is_decoded()))
+}
+
+fn own_rays<'m>(body: &Body, markers: impl Iterator<Item = &'m DetectedMarker>) -> Vec<CornerRay> {
+    let own = markers.filter(|marker| body.marker(marker.id).is_some());
+    own.flat_map(|marker| {
+        (0..4).map(|corner| CornerRay {
+            marker_id: marker.id,
+            corner,
+            ray_in_camera: ray(marker.rays_in_camera[corner]),
+            deviation_rad: marker.deviations[corner],
+        })
+    })
+    .collect()
+}
+
+fn ray(components: [f64; 3]) -> Ray {
+    Unit::new_normalize(Vector3::from(components))
+}
+
+/// How many different markers these are corners of.
+pub fn distinct_markers(rays: &[CornerRay]) -> u32 {
+    let mut ids: Vec<u32> = rays.iter().map(|ray| ray.marker_id).collect();
+    ids.sort_unstable();
+    ids.dedup();
+    ids.len() as u32
+}
+
+/// The rays of a foreign stage may differ from ours by rounding, but by no more than this, radians.
+const RAY_TOLERANCE_RAD: f64 = 1e-3;
+
+/// Whether a marker's rays are those of its corners in the view that was searched.
+pub fn agrees_with_view(marker: &DetectedMarker, view: &View) -> bool {
+    marker.corners_in_view.iter().zip(&marker.rays_in_camera).all(|(&[u, v], &stated)| {
+        let seen = view.ray(ViewPixel(Vector2::new(f64::from(u), f64::from(v))));
+        seen.angle(&ray(stated)) < RAY_TOLERANCE_RAD
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixtures::facing_markers;
+    use flockeye_geometry::body::squares;
+
+    #[test]
+    fn markers_of_other_bodies_are_left_out() {
+        let (alpha, bravo) =
+            (squares("alpha", 0.0625, 0.05, 0), squares("bravo", 0.0625, 0.05, 17));
+        let pose = Isometry3::translation(1.0, 0.0, 0.0);
+        assert!(decoded_rays(&bravo, &facing_markers(&alpha, &pose, 8)).is_empty());
+    }
+
+    #[test]
+    fn rays_that_disagree_with_their_corners_are_noticed() {
+        let view = View::looking_at(&Vector3::x_axis(), 1.0, 201);
+        let corners = [[90.0f32, 90.0], [110.0, 90.0], [110.0, 110.0], [90.0, 110.0]];
+        let mut marker = DetectedMarker {
+            corners_in_view: corners,
+            rays_in_camera: corners.map(|[u, v]| {
+                let ray = view.ray(ViewPixel::new(f64::from(u), f64::from(v)));
+                [ray.x, ray.y, ray.z]
+            }),
+            ..DetectedMarker::default()
+        };
+        assert!(agrees_with_view(&marker, &view));
+        marker.rays_in_camera.swap(0, 2);
+        assert!(!agrees_with_view(&marker, &view));
+    }
+}

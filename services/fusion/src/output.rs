@@ -1,0 +1,356 @@
+//! What leaves fusion: tracks and plans as the contract's messages.
+
+use std::collections::BTreeMap;
+
+use flockeye_contract as contract;
+use flockeye_contract::{
+    FrameStamp, MeasuredBy, NONE, PlanHeader, Pose, StageLatency, StopRule, Track, TrackHeader,
+    TrackState, ViewHeader, ViewKind,
+};
+use flockeye_geometry::body::{Bodies, Body};
+use flockeye_geometry::filter::{self, Prediction};
+use flockeye_geometry::search::{self, PlannedView, Purpose};
+use flockeye_runtime::config::Flow;
+use flockeye_runtime::memory::MAX_TRACKS;
+use nalgebra::{Isometry3, Matrix3, Matrix6, Vector3};
+
+use crate::frame_assembly::Record;
+use crate::measurement::{self, PoseEstimate};
+use crate::planning::NextPlan;
+use crate::target::TargetEstimate;
+use crate::tracker::Update;
+
+/// An estimate that leaves, and what led to it.
+pub type Outgoing = (Update, Cause);
+
+/// When the views that led to an estimate were cut and searched, nanoseconds of CLOCK_MONOTONIC.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Cause {
+    /// A view that was not searched yet.
+    View {
+        /// When it was handed out.
+        issued_ns: i64,
+    },
+    /// The last view that shows a marker of the target.
+    Record {
+        /// When it was handed out.
+        issued_ns: i64,
+        /// When its record was sent.
+        sent_ns: i64,
+    },
+    /// No view shows the target.
+    Nothing,
+}
+
+impl Cause {
+    /// The cause of a pose from a view alone.
+    pub fn of_view(view: &ViewHeader) -> Self {
+        Self::View { issued_ns: view.issued_ns }
+    }
+
+    /// The cause of a pose from records: the last one that shows a marker of `body`.
+    pub fn of_records(records: &[&Record], body: &Body) -> Self {
+        let shows = |record: &&&Record| {
+            let mut decoded = record.markers.iter().filter(|marker| marker.is_decoded());
+            decoded.any(|marker| body.marker(marker.id).is_some())
+        };
+        let last = records.iter().filter(shows).max_by_key(|record| record.header.sent_ns);
+        last.map_or(Self::Nothing, |Record { header, .. }| Self::Record {
+            issued_ns: header.issued_ns,
+            sent_ns: header.sent_ns,
+        })
+    }
+}
+
+/// Estimates of one frame that leave together.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TrackMessage {
+    /// The frame.
+    pub stamp: FrameStamp,
+    /// The estimates, at most [`MAX_TRACKS`].
+    pub updates: Vec<Outgoing>,
+    /// Whether nothing more will be said of the frame.
+    pub is_last: bool,
+}
+
+impl TrackMessage {
+    /// As many messages as these estimates need.
+    pub fn of(stamp: FrameStamp, updates: Vec<Outgoing>) -> impl Iterator<Item = Self> {
+        let mut updates = updates.into_iter().peekable();
+        std::iter::from_fn(move || {
+            updates.peek()?;
+            let updates = updates.by_ref().take(MAX_TRACKS).collect();
+            Some(Self { stamp, updates, is_last: false })
+        })
+    }
+
+    /// The message that ends a frame.
+    pub fn last_of(stamp: FrameStamp) -> Self {
+        Self { stamp, updates: Vec::new(), is_last: true }
+    }
+}
+
+/// Writes messages for one observer.
+#[derive(Debug)]
+pub struct Writer {
+    /// The configured bodies.
+    pub bodies: Bodies,
+    /// Where the camera sits on the observer.
+    pub observer_from_camera: Isometry3<f64>,
+    /// How frames flow: in a lossless run exposures have another clock than the stages.
+    pub flow: Flow,
+    /// The configured search mode.
+    pub mode: contract::SearchMode,
+    /// How often this stage has been started.
+    pub generation: u32,
+}
+
+impl Writer {
+    /// Estimates as a message of the topic `track`, sent at `now_ns`.
+    pub fn tracks(&self, message: &TrackMessage, now_ns: i64) -> (TrackHeader, Vec<Track>) {
+        let TrackMessage { stamp, updates, is_last } = message;
+        let tracks = updates.iter().filter_map(|((target, estimate), cause)| {
+            let body = self.bodies.get(*target)?;
+            let track = track(*target, estimate, body, &self.observer_from_camera);
+            Some(Track { latency: latency(self.flow, stamp, *cause, now_ns), ..track })
+        });
+        let header = TrackHeader {
+            stamp: *stamp,
+            generation: self.generation,
+            is_last: u32::from(*is_last),
+        };
+        (header, tracks.collect())
+    }
+
+    /// A plan as a message of the topic `plan`, made after the frame `after` and sent at `now_ns`.
+    pub fn plan(
+        &self,
+        next: &NextPlan,
+        after: Option<FrameStamp>,
+        now_ns: i64,
+    ) -> (PlanHeader, Vec<contract::PlannedView>) {
+        let NextPlan { plan_id, plan, predictions, unsearched } = next;
+        let reference_s = predictions.values().next().map_or(0.0, |first| first.stamp_s);
+        let reference_ns = nanoseconds(reference_s);
+        let views = plan.views.iter().take(contract::MAX_PLANNED_VIEWS).map(|planned| {
+            let is_unsearched =
+                matches!(planned.purpose, Purpose::Gaze(target) if unsearched.contains(&target));
+            planned_view(planned, predictions, reference_ns, is_unsearched)
+        });
+        let header = PlanHeader {
+            after: after.unwrap_or_default(),
+            plan_id: *plan_id,
+            made_ns: now_ns,
+            has_after: u32::from(after.is_some()),
+            generation: self.generation,
+            stop_rule: stop_rule(plan.stop_rule).code(),
+            mode: self.mode.code(),
+            view_budget: plan.view_budget as u32,
+            reserved: 0,
+        };
+        (header, views.collect())
+    }
+}
+
+/// When a frame was exposed, seconds.
+pub fn seconds(stamp: &FrameStamp) -> f64 {
+    stamp.exposure_ns as f64 * 1e-9
+}
+
+/// Why a view was cut, as it states itself.
+pub fn purpose_stated(view: &ViewHeader) -> Option<Purpose> {
+    match ViewKind::try_from(view.kind).ok()? {
+        ViewKind::Partition => Some(Purpose::Partition(view.partition as usize)),
+        ViewKind::Gaze => Some(Purpose::Gaze(view.target as usize)),
+    }
+}
+
+/// A transform in the contract's form.
+fn pose(isometry: &Isometry3<f64>) -> Pose {
+    let [x, y, z, w] = isometry.rotation.coords.into();
+    Pose { position: isometry.translation.vector.into(), orientation: [x, y, z, w] }
+}
+
+/// The pose of the target drone in the observer drone's frame, mounts applied, with its covariance.
+///
+/// A small rotation d of the markers moves the target's origin, which lies at r from theirs (both
+/// in the camera's axes), by d x r; so the covariance turns with J = [I, -[r]x; 0, I], then both
+/// with the camera's mount.
+fn mounted(
+    estimate: &PoseEstimate,
+    body: &Body,
+    observer_from_camera: &Isometry3<f64>,
+) -> (Isometry3<f64>, Matrix6<f64>) {
+    let markers_from_target = body.target_from_markers.inverse();
+    let camera_from_target = estimate.camera_from_markers * markers_from_target;
+    let offset = estimate.camera_from_markers.rotation * markers_from_target.translation.vector;
+    let turn = observer_from_camera.rotation.to_rotation_matrix().into_inner();
+    let mut jacobian = Matrix6::zeros();
+    jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(&turn);
+    jacobian.fixed_view_mut::<3, 3>(0, 3).copy_from(&(turn * -offset.cross_matrix()));
+    jacobian.fixed_view_mut::<3, 3>(3, 3).copy_from(&turn);
+    let covariance = jacobian * estimate.covariance * jacobian.transpose();
+    (observer_from_camera * camera_from_target, covariance)
+}
+
+/// An estimate as a track, without its latency.
+fn track(
+    target: usize,
+    estimate: &TargetEstimate,
+    body: &Body,
+    observer_from_camera: &Isometry3<f64>,
+) -> Track {
+    let (observer_from_target, covariance) = mounted(&estimate.pose, body, observer_from_camera);
+    let measured =
+        estimate.measured.map(|(measured, _)| mounted(&measured, body, observer_from_camera));
+    let measured_by = match estimate.measured {
+        None => MeasuredBy::Nothing,
+        Some((_, measurement::MeasuredBy::Decoded)) => MeasuredBy::Decoded,
+        Some((_, measurement::MeasuredBy::Aligned)) => MeasuredBy::Aligned,
+    };
+    let turn: Matrix3<f64> = observer_from_camera.rotation.to_rotation_matrix().into_inner();
+    let offset = estimate.pose.camera_from_markers.rotation
+        * body.target_from_markers.inverse().translation.vector;
+    let velocity: Vector3<f64> = turn * (estimate.velocity + estimate.rate.cross(&offset));
+    let state = match estimate.state {
+        None => TrackState::Measured,
+        Some(filter::TrackState::Tentative) if estimate.measured.is_none() => TrackState::Coasting,
+        Some(filter::TrackState::Tentative) => TrackState::Tentative,
+        Some(filter::TrackState::Confirmed) => TrackState::Confirmed,
+        Some(filter::TrackState::Coasting) => TrackState::Coasting,
+        Some(filter::TrackState::Lost) => TrackState::Lost,
+    };
+    Track {
+        observer_from_target: pose(&observer_from_target),
+        covariance: row_major(&covariance),
+        linear_velocity: velocity.into(),
+        angular_velocity: (turn * estimate.rate).into(),
+        measured_observer_from_target: measured.map_or_else(Pose::default, |(at, _)| pose(&at)),
+        measured_covariance: measured.map_or([0.0; 36], |(_, covariance)| row_major(&covariance)),
+        age_ns: nanoseconds(estimate.age_s),
+        unseen_ns: nanoseconds(estimate.unseen_s),
+        latency: StageLatency::default(),
+        name: body.name.as_str().into(),
+        target: target as u32,
+        track_id: estimate.track_id,
+        state: state.code(),
+        measured_by: measured_by.code(),
+        markers: estimate.markers,
+        reserved: 0,
+    }
+}
+
+fn nanoseconds(seconds: f64) -> i64 {
+    (seconds * 1e9).round() as i64
+}
+
+fn row_major(matrix: &Matrix6<f64>) -> [f64; 36] {
+    // nalgebra keeps columns; a covariance is symmetric, but rounding need not be.
+    std::array::from_fn(|k| matrix[(k / 6, k % 6)])
+}
+
+fn planned_view(
+    planned: &PlannedView,
+    predictions: &BTreeMap<usize, Prediction>,
+    reference_ns: i64,
+    is_unsearched: bool,
+) -> contract::PlannedView {
+    let (kind, partition, target) = match planned.purpose {
+        Purpose::Partition(partition) => (ViewKind::Partition, partition as u32, NONE),
+        Purpose::Gaze(target) => (ViewKind::Gaze, NONE, target as u32),
+    };
+    let prediction = match planned.purpose {
+        Purpose::Gaze(target) => predictions.get(&target),
+        Purpose::Partition(_) => None,
+    };
+    contract::PlannedView {
+        camera_from_view: planned.view.camera_from_view.coords.into(),
+        rate_in_camera: planned.rate_in_camera.into(),
+        reference_ns,
+        focal_px: planned.view.focal_px,
+        predicted_camera_from_markers: prediction
+            .map_or_else(Pose::default, |prediction| pose(&prediction.camera_from_markers)),
+        size_px: planned.view.size_px,
+        kind: kind.code(),
+        partition,
+        target,
+        has_prediction: u32::from(prediction.is_some()),
+        unsearched: u32::from(is_unsearched),
+    }
+}
+
+/// The code of a stop rule.
+fn stop_rule(rule: search::StopRule) -> StopRule {
+    match rule {
+        search::StopRule::FirstHit => StopRule::FirstHit,
+        search::StopRule::All => StopRule::All,
+        search::StopRule::Deadline => StopRule::Deadline,
+    }
+}
+
+/// How long each stage took with what led to an estimate, published at `now_ns`. Unknown times are -1.
+fn latency(flow: Flow, stamp: &FrameStamp, cause: Cause, now_ns: i64) -> StageLatency {
+    // In a lossless run exposures have another clock.
+    let (capture_ns, since_ns) = match flow {
+        Flow::Latest => (stamp.published_ns - stamp.exposure_ns, stamp.exposure_ns),
+        Flow::Lossless => (-1, stamp.published_ns),
+    };
+    let (rectification_ns, detection_ns, fusion_ns) = match cause {
+        Cause::View { issued_ns } => (issued_ns - stamp.published_ns, -1, now_ns - issued_ns),
+        Cause::Record { issued_ns, sent_ns } => {
+            (issued_ns - stamp.published_ns, sent_ns - issued_ns, now_ns - sent_ns)
+        }
+        Cause::Nothing => (-1, -1, -1),
+    };
+    let total_ns = now_ns - since_ns;
+    StageLatency { capture_ns, rectification_ns, detection_ns, fusion_ns, total_ns }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use flockeye_geometry::body::squares;
+    use nalgebra::{Translation3, UnitQuaternion, Vector6};
+
+    fn transform(x: f64, y: f64, z: f64, roll: f64, pitch: f64, yaw: f64) -> Isometry3<f64> {
+        Isometry3::from_parts(
+            Translation3::new(x, y, z),
+            UnitQuaternion::from_euler_angles(roll, pitch, yaw),
+        )
+    }
+
+    /// The covariance's Jacobian against differences of the transform itself.
+    #[test]
+    fn mounts_transform_the_covariance() {
+        let mut body = squares("alpha", 0.0625, 0.05, 0);
+        body.target_from_markers = transform(0.1, -0.2, 0.3, 0.3, 0.2, 0.1);
+        let observer_from_camera = transform(1.0, 2.0, 3.0, -0.4, 0.5, 0.6);
+        let at = transform(0.5, 0.6, -0.7, 1.0, -0.3, 2.0);
+        let moved = |change: &Vector6<f64>| {
+            let rotation = UnitQuaternion::from_scaled_axis(change.fixed_rows::<3>(3).into_owned());
+            let moved = Isometry3::from_parts(
+                Translation3::from(at.translation.vector + change.fixed_rows::<3>(0)),
+                rotation * at.rotation,
+            );
+            let estimate =
+                PoseEstimate { camera_from_markers: moved, covariance: Matrix6::identity() };
+            mounted(&estimate, &body, &observer_from_camera).0
+        };
+        let straight = moved(&Vector6::zeros());
+        let mut jacobian = Matrix6::zeros();
+        for k in 0..6 {
+            let mut change = Vector6::zeros();
+            change[k] = 1e-6;
+            let end = moved(&change);
+            let shift = end.translation.vector - straight.translation.vector;
+            let turn = (end.rotation * straight.rotation.inverse()).scaled_axis();
+            jacobian.fixed_view_mut::<3, 1>(0, k).copy_from(&(shift / 1e-6));
+            jacobian.fixed_view_mut::<3, 1>(3, k).copy_from(&(turn / 1e-6));
+        }
+        let spread = Matrix6::from_diagonal(&Vector6::new(1.0, 2.0, 3.0, 4.0, 5.0, 6.0));
+        let estimate = PoseEstimate { camera_from_markers: at, covariance: spread };
+        let (_, covariance) = mounted(&estimate, &body, &observer_from_camera);
+        assert!((covariance - jacobian * spread * jacobian.transpose()).norm() < 1e-4);
+    }
+}

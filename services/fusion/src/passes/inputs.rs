@@ -1,0 +1,283 @@
+//! What a frame offers to measure one target by, collected once.
+
+use flockeye_geometry::body::Body;
+use flockeye_geometry::pose::{CornerRay, PoseOptions, PoseSolution, choose, solve};
+use flockeye_imaging::align::Alignment;
+use nalgebra::Isometry3;
+
+use super::direct::RejectedAlignment;
+use crate::hypothesis::{Aligner, BestView, Start};
+use crate::measurement::{MeasuredBy, Measurement, PoseEstimate, distinct_markers, supports};
+use crate::policy::TimeBudget;
+use crate::target::TrackPrior;
+
+/// Markers that must agree on a pose where neither a track nor alignment supports it. One marker may be
+/// a misread square, and its mirror pose cannot be told from it.
+pub const MARKERS_WITHOUT_TRACK: usize = 2;
+
+/// Solutions from corners that alignment starts from, lowest cost first: the right one may cost more
+/// than its mirror pose.
+const STARTS_FROM_CORNERS: usize = 3;
+
+/// A body farther away than this cannot carry a marker that decodes, metres.
+const MAX_RANGE_M: f64 = 50.0;
+/// A pose from corners whose standard deviation is larger than this, all axes together, is refused. Of
+/// 29 poses on simulated flights that stated 40 to 60 mm, the worst was off by 94.
+const MAX_POSITION_SIGMA_M: f64 = 0.05;
+const MAX_ROTATION_SIGMA_RAD: f64 = 0.08;
+
+/// What the policy allows a corner pass to do.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Permit {
+    /// How much time there is.
+    pub budget: TimeBudget,
+    /// Whether rough starts and the search are left to the background pass.
+    pub is_deferred: bool,
+    /// Whether the target may be searched for round its prediction where nothing else finds it.
+    pub may_search: bool,
+    /// Decoded markers that must agree where there is a confirmed track but nothing was aligned.
+    pub min_markers: usize,
+}
+
+/// What the frame's earlier passes did for the target.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Earlier<'f> {
+    /// The inputs of the last attempt, if it failed.
+    pub failed: Option<Attempt>,
+    /// What the direct pass found but did not accept.
+    pub rejected: Option<&'f RejectedAlignment>,
+    /// The inputs of the background pass that was asked for.
+    pub background: Option<Attempt>,
+}
+
+/// What a frame offers to measure one target by.
+#[derive(Debug, Clone)]
+pub struct Inputs<'f> {
+    /// The target's number.
+    pub target: usize,
+    /// Its body.
+    pub body: &'f Body,
+    /// Rays of its decoded markers' corners.
+    pub decoded: Vec<CornerRay>,
+    /// Rays of squares that are probably its markers: alignment may start from them.
+    pub candidates: Vec<CornerRay>,
+    /// The distance that the rays are right for, metres; infinite where it does not matter.
+    pub rays_m: f64,
+    /// What its track says.
+    pub prior: TrackPrior,
+    /// The best view of it.
+    pub best_view: Option<BestView<'f>>,
+    /// What may be done.
+    pub permit: Permit,
+    /// What was done before.
+    pub earlier: Earlier<'f>,
+}
+
+/// The inputs of an attempt, as far as they decide whether a retry can find anything new.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Attempt {
+    view_index: Option<u32>,
+    /// Numbers of rays: a frame's records only add to them.
+    decoded: usize,
+    candidates: usize,
+    budget: TimeBudget,
+}
+
+impl Attempt {
+    /// Whether an attempt with these inputs is pointless after `failed` found nothing. A spent budget
+    /// allows only the first start, so it adds nothing to an attempt that had time.
+    fn is_pointless_after(&self, failed: &Self) -> bool {
+        (Self { budget: failed.budget, ..*self } == *failed)
+            && (self.budget == failed.budget || self.budget == TimeBudget::Overspent)
+    }
+}
+
+impl Inputs<'_> {
+    /// What these inputs are, to compare them with later ones.
+    pub fn attempt(&self) -> Attempt {
+        Attempt {
+            view_index: self.best_view.map(|view| view.view_index),
+            decoded: self.decoded.len(),
+            candidates: self.candidates.len(),
+            budget: self.permit.budget,
+        }
+    }
+
+    /// Whether an attempt, made from the failed one, is worth its time.
+    fn is_new(&self, attempt: impl Fn(&Attempt) -> Attempt) -> bool {
+        self.earlier.failed.is_none_or(|failed| !attempt(&failed).is_pointless_after(&failed))
+    }
+
+    /// Measures the target: by alignment from the corners' solutions and the prediction or, where none
+    /// is accepted, by corners alone.
+    pub fn measure(&self, aligner: &Aligner) -> Option<Measurement> {
+        let solutions =
+            solve(self.body, &self.decoded, &PoseOptions::default()).unwrap_or_default();
+        let chosen = choose(&solutions, self.prior.confirmed()).map(|choice| choice.solution);
+        if let Some(view) = &self.best_view {
+            let found = self.align(aligner, view, &solutions, chosen);
+            if let Some(found) = found.or_else(|| self.search(aligner, view)) {
+                return Some(Measurement::aligned(&found, distinct_markers(&self.decoded)));
+            }
+        }
+        self.measurement_of(chosen?)
+    }
+
+    /// Searches round the prediction, where that is not left to the background pass.
+    fn search(&self, aligner: &Aligner, view: &BestView<'_>) -> Option<Alignment> {
+        let may_search = self.permit.may_search && !self.permit.is_deferred;
+        let predicted = self.prior.predicted().filter(|_| may_search)?;
+        aligner.reacquire(self.target, &view.picture, predicted)
+    }
+
+    /// The pose that the corners give, if enough of them agree and it is certain enough.
+    fn measurement_of(&self, solution: &PoseSolution) -> Option<Measurement> {
+        let min_markers = match self.prior.confirmed() {
+            Some(_) => self.permit.min_markers,
+            None => MARKERS_WITHOUT_TRACK,
+        };
+        let range_m = solution.camera_from_markers.translation.vector.norm();
+        let covariance = solution.inflated_covariance();
+        let sigma = |first| covariance.fixed_view::<3, 3>(first, first).trace().sqrt();
+        let is_accepted = solution.inlier_markers.len() >= min_markers
+            && range_m < MAX_RANGE_M
+            && sigma(0) < MAX_POSITION_SIGMA_M
+            && sigma(3) < MAX_ROTATION_SIGMA_RAD;
+        is_accepted.then(|| Measurement {
+            pose: PoseEstimate { camera_from_markers: solution.camera_from_markers, covariance },
+            measured_by: MeasuredBy::Decoded,
+            markers: distinct_markers(&self.decoded),
+        })
+    }
+
+    /// The body aligned from the corners' solutions (the `chosen` one first), from candidate squares or
+    /// from the prediction, but not again from what failed before.
+    fn align(
+        &self,
+        aligner: &Aligner,
+        view: &BestView<'_>,
+        solutions: &[PoseSolution],
+        chosen: Option<&PoseSolution>,
+    ) -> Option<Alignment> {
+        let attempt = self.attempt();
+        let mut starts: Vec<Start> = Vec::new();
+        let fine_is_new =
+            self.is_new(|failed| Attempt { candidates: failed.candidates, ..attempt });
+        let rough_is_new = self.is_new(|_| attempt);
+        if fine_is_new {
+            let others = solutions.iter().filter(|solution| Some(*solution) != chosen);
+            let from_corners = chosen.into_iter().chain(others).take(STARTS_FROM_CORNERS);
+            starts.extend(from_corners.map(|solution| Start::Fine(solution.camera_from_markers)));
+        }
+        let is_deferred = self.permit.is_deferred;
+        if !is_deferred && rough_is_new {
+            starts.extend(self.candidate_starts());
+        }
+        if fine_is_new && let Some(predicted) = self.prior.predicted() {
+            starts.push(self.rejected_start(predicted).unwrap_or(Start::Fine(*predicted)));
+            starts.extend((!is_deferred).then_some(Start::Rough(*predicted)));
+        }
+        let budget = self.permit.budget;
+        let is_marked = |pose: &Isometry3<f64>| supports(self.body, &self.decoded, pose);
+        match &self.prior {
+            TrackPrior::Confirmed(prior) => {
+                let predicted = &prior.camera_from_markers;
+                aligner.confirm(self.target, &view.picture, &starts, predicted, budget, is_marked)
+            }
+            TrackPrior::Tentative(_) => {
+                aligner.initiate(self.target, &view.picture, &starts, budget, is_marked)
+            }
+            // One facet alone starts a track only if it wins against all starts, the deferred ones too.
+            TrackPrior::Untracked => aligner
+                .initiate(self.target, &view.picture, &starts, budget, is_marked)
+                .filter(|found| !is_deferred || found.score.is_told_twice()),
+        }
+    }
+
+    fn candidate_starts(&self) -> impl Iterator<Item = Start> {
+        let solutions = solve(self.body, &self.candidates, &PoseOptions::default());
+        let solutions = solutions.unwrap_or_default().into_iter().take(STARTS_FROM_CORNERS);
+        solutions.map(|solution| Start::Rough(solution.camera_from_markers))
+    }
+
+    /// What the direct pass found from the same start in the same view.
+    fn rejected_start(&self, predicted: &Isometry3<f64>) -> Option<Start> {
+        let view_index = self.best_view?.view_index;
+        let rejected = self.earlier.rejected?;
+        let is_same = rejected.view_index == view_index && rejected.predicted == *predicted;
+        is_same.then(|| Start::Tried(rejected.found.clone()))
+    }
+
+    /// Whether a background pass has something to start from that no other of this frame had.
+    pub fn wants_background(&self) -> bool {
+        let has_time =
+            self.permit.budget == TimeBudget::OneFrame || self.prior.confirmed().is_none();
+        let asked = self.earlier.background;
+        self.permit.is_deferred
+            && has_time
+            && asked.is_none_or(|asked| !self.attempt().is_pointless_after(&asked))
+    }
+
+    /// What a background pass starts from. Without a confirmed track the corners' solutions are among it
+    /// again, because what one start leads to is compared with what the others do.
+    pub fn background_starts(&self) -> Vec<Start> {
+        let from_corners = match self.prior.confirmed() {
+            Some(_) => Vec::new(),
+            None => solve(self.body, &self.decoded, &PoseOptions::default()).unwrap_or_default(),
+        };
+        let from_corners = from_corners.into_iter().take(STARTS_FROM_CORNERS);
+        from_corners
+            .map(|solution| Start::Fine(solution.camera_from_markers))
+            .chain(self.candidate_starts())
+            .chain(self.prior.predicted().copied().map(Start::Rough))
+            .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::expect_used)]
+    use super::*;
+    use crate::fixtures::{aligner, error_m, facing_markers};
+    use crate::measurement::decoded_rays;
+    use flockeye_geometry::body::{Bodies, squares};
+    use flockeye_geometry::pose::PosePrior;
+    use nalgebra::{Matrix6, Translation3, UnitQuaternion};
+
+    /// What the corners alone say.
+    fn measure(body: &Body, decoded: Vec<CornerRay>, prior: TrackPrior) -> Option<Measurement> {
+        let bodies = Bodies::new("DICT_5X5_250".into(), vec![body.clone()]).expect("one body");
+        let budget = TimeBudget::Unlimited;
+        let inputs = Inputs {
+            target: 0,
+            body,
+            decoded,
+            candidates: Vec::new(),
+            rays_m: f64::INFINITY,
+            prior,
+            best_view: None,
+            permit: Permit { budget, is_deferred: false, may_search: false, min_markers: 1 },
+            earlier: Earlier::default(),
+        };
+        inputs.measure(&aligner(&bodies))
+    }
+
+    #[test]
+    fn without_a_track_two_markers_are_needed() {
+        let body = squares("alpha", 0.0625, 0.05, 0);
+        let pose = Isometry3::from_parts(
+            Translation3::new(-0.7, 0.5, 0.3),
+            UnitQuaternion::from_euler_angles(0.2, 0.1, 0.7),
+        );
+        let rays = |most| decoded_rays(&body, &facing_markers(&body, &pose, most));
+        let found = measure(&body, rays(8), TrackPrior::Untracked).expect("several agree");
+        assert!(error_m(&found.pose.camera_from_markers, &pose) < 1e-6);
+        assert!(found.markers >= 2);
+        assert_eq!(measure(&body, rays(1), TrackPrior::Untracked), None);
+        let covariance = Matrix6::identity() * 1e-4;
+        let prior = PosePrior { camera_from_markers: pose, covariance };
+        let found = measure(&body, rays(1), TrackPrior::Confirmed(prior));
+        let found = found.expect("the track decides").pose.camera_from_markers;
+        assert!(error_m(&found, &pose) < 1e-3);
+    }
+}

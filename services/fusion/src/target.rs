@@ -1,0 +1,267 @@
+//! One neighbour: its body, its track, and its status in each open frame.
+
+use std::collections::BTreeMap;
+
+use flockeye_geometry::body::Body;
+use flockeye_geometry::filter::{
+    FilterError, Happened, LifeCycle, Prediction, TrackPolicy, TrackState,
+};
+use flockeye_geometry::pose::PosePrior;
+use nalgebra::{Isometry3, Vector3};
+
+use crate::measurement::{MeasuredBy, Measurement, PoseEstimate};
+use crate::passes::direct::RejectedAlignment;
+use crate::passes::inputs::Attempt;
+use crate::view_cache::FrameOrder;
+
+/// What is known of a target after a frame. Poses are of its markers in the camera frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TargetEstimate {
+    /// The filtered pose.
+    pub pose: PoseEstimate,
+    /// Its velocity in the camera frame's axes, m/s.
+    pub velocity: Vector3<f64>,
+    /// Its angular velocity in the camera frame's axes, rad/s.
+    pub rate: Vector3<f64>,
+    /// The frame's own measurement and how it was made, where the filter accepted one.
+    pub measured: Option<(PoseEstimate, MeasuredBy)>,
+    /// Markers decoded in this frame.
+    pub markers: u32,
+    /// State of the track. `None`: there is no filter, and the frame stands for itself.
+    pub state: Option<TrackState>,
+    /// Time since the track began, seconds.
+    pub age_s: f64,
+    /// Time since it was last measured, seconds.
+    pub unseen_s: f64,
+    /// Rises with each new track of this target.
+    pub track_id: u32,
+}
+
+impl TargetEstimate {
+    /// What one frame alone says (`fusion.filter: none`).
+    pub fn of_frame(measurement: &Measurement) -> Self {
+        let pose = measurement.pose;
+        Self {
+            pose,
+            velocity: Vector3::zeros(),
+            rate: Vector3::zeros(),
+            measured: Some((pose, measurement.measured_by)),
+            markers: measurement.markers,
+            state: None,
+            age_s: 0.0,
+            unseen_s: 0.0,
+            track_id: 0,
+        }
+    }
+}
+
+/// What a track says of a target before a frame measures it.
+#[derive(Debug, Clone)]
+#[allow(clippy::large_enum_variant, reason = "one for each target and pass, on the stack")]
+pub enum TrackPrior {
+    /// There is no track.
+    Untracked,
+    /// A track that is not confirmed yet: a pose to start from (`camera_from_markers`), no prior.
+    Tentative(Isometry3<f64>),
+    /// A confirmed track.
+    Confirmed(PosePrior),
+}
+
+impl TrackPrior {
+    /// The predicted `camera_from_markers`, confirmed or not.
+    pub fn predicted(&self) -> Option<&Isometry3<f64>> {
+        match self {
+            Self::Untracked => None,
+            Self::Tentative(pose) => Some(pose),
+            Self::Confirmed(prior) => Some(&prior.camera_from_markers),
+        }
+    }
+
+    /// The prediction of a confirmed track.
+    pub fn confirmed(&self) -> Option<&PosePrior> {
+        match self {
+            Self::Confirmed(prior) => Some(prior),
+            Self::Untracked | Self::Tentative(_) => None,
+        }
+    }
+}
+
+/// How far a target's measurement in one frame has come.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum Status {
+    /// It was not tried yet.
+    #[default]
+    Pending,
+    /// It was last tried with these inputs, which led to nothing. Only new inputs are worth a retry.
+    Failed(Attempt),
+    /// Its pose has left. `direct_pose` is that pose where it came from the direct pass: markers that
+    /// are decoded later are compared with it.
+    Published {
+        /// `camera_from_markers` of the direct pass.
+        direct_pose: Option<Isometry3<f64>>,
+    },
+}
+
+/// All that is kept of a target in one open frame.
+#[derive(Debug, Clone, Default)]
+pub struct InFrame {
+    /// How far its measurement has come.
+    pub status: Status,
+    /// Whether the corner pass over its region of interest has run.
+    pub is_region_tried: bool,
+    /// What the direct pass found but did not accept: the same start need not be aligned again.
+    pub rejected: Option<RejectedAlignment>,
+    /// The inputs of the background pass that was asked for.
+    pub background: Option<Attempt>,
+}
+
+/// One configured body, seen or not.
+#[derive(Debug, Clone)]
+pub struct Target {
+    /// Its body.
+    pub body: Body,
+    life: LifeCycle,
+    track_id: u32,
+    frames: BTreeMap<FrameOrder, InFrame>,
+}
+
+impl Target {
+    /// A target that was never seen.
+    pub fn new(body: Body, policy: TrackPolicy) -> Self {
+        Self { body, life: LifeCycle::new(policy), track_id: 0, frames: BTreeMap::new() }
+    }
+
+    /// What is kept of a frame, if anything.
+    pub fn in_frame(&self, order: FrameOrder) -> Option<&InFrame> {
+        self.frames.get(&order)
+    }
+
+    /// What is kept of a frame, to be changed.
+    pub fn in_frame_mut(&mut self, order: FrameOrder) -> &mut InFrame {
+        self.frames.entry(order).or_default()
+    }
+
+    /// Whether its pose in a frame has left.
+    pub fn is_published(&self, order: FrameOrder) -> bool {
+        let status = self.in_frame(order).map(|in_frame| in_frame.status);
+        matches!(status, Some(Status::Published { .. }))
+    }
+
+    /// The pose that the direct pass published in a frame, `camera_from_markers`.
+    pub fn direct_pose(&self, order: FrameOrder) -> Option<&Isometry3<f64>> {
+        match &self.in_frame(order)?.status {
+            Status::Published { direct_pose } => direct_pose.as_ref(),
+            Status::Pending | Status::Failed(_) => None,
+        }
+    }
+
+    /// Drops what was kept of all frames up to and with this one.
+    pub fn end_frame(&mut self, order: FrameOrder) {
+        self.frames = self.frames.split_off(&order);
+        self.frames.remove(&order);
+    }
+
+    /// Whether anything is kept of any frame.
+    #[cfg(test)]
+    pub fn keeps_frames(&self) -> bool {
+        !self.frames.is_empty()
+    }
+
+    /// Where it will be at a time, if it is tracked.
+    pub fn predict(&self, at_s: f64) -> Option<Prediction> {
+        self.life.predict(at_s)
+    }
+
+    /// Whether it has a track.
+    pub fn is_tracked(&self) -> bool {
+        self.life.track().is_some()
+    }
+
+    /// Forgets the track and every frame's word on it.
+    pub fn forget(&mut self) {
+        self.life.forget();
+    }
+
+    /// Whether its track is confirmed and was measured in its last frame.
+    pub fn is_measured(&self) -> bool {
+        self.life.state() == Some(TrackState::Confirmed)
+    }
+
+    /// What its track says of a frame before the frame measures it.
+    pub fn prior(&self, at_s: f64) -> TrackPrior {
+        let Some(prediction) = self.life.predict(at_s) else { return TrackPrior::Untracked };
+        let camera_from_markers = prediction.camera_from_markers;
+        match self.life.state() {
+            Some(TrackState::Confirmed | TrackState::Coasting) => {
+                let covariance = prediction.pose_covariance();
+                TrackPrior::Confirmed(PosePrior { camera_from_markers, covariance })
+            }
+            Some(TrackState::Tentative | TrackState::Lost) | None => {
+                TrackPrior::Tentative(camera_from_markers)
+            }
+        }
+    }
+
+    /// Whether a measurement passes the track's gate.
+    pub fn is_inside_gate(&self, at_s: f64, measurement: &Measurement) -> bool {
+        let pose = &measurement.pose;
+        self.life.fits(at_s, &pose.camera_from_markers, &pose.covariance)
+    }
+
+    /// Gives the filter a frame's measurement. `None` where the filter refuses it: its time lies before
+    /// the track's history, or its numbers are not finite.
+    pub fn update(&mut self, at_s: f64, measurement: &Measurement) -> Option<TargetEstimate> {
+        let pose = &measurement.pose;
+        let measured = (*pose, measurement.measured_by);
+        match self.life.measured(at_s, &pose.camera_from_markers, &pose.covariance) {
+            Ok(Happened::Started | Happened::Restarted) => {
+                self.track_id += 1;
+                self.estimate(at_s, Some(measured), measurement.markers)
+            }
+            Ok(Happened::Updated(_)) => self.estimate(at_s, Some(measured), measurement.markers),
+            Ok(Happened::Gated(_)) => self.estimate(at_s, None, measurement.markers),
+            Err(FilterError::Past { .. } | FilterError::Gap { .. }) => None,
+            Err(FilterError::Unusable { .. } | FilterError::Gated { .. }) => None,
+        }
+    }
+
+    /// Tells the filter that a frame did not measure the target. `None` if there is no track. The last
+    /// estimate of a track has the state `Lost`.
+    pub fn miss(&mut self, at_s: f64, markers: u32) -> Option<TargetEstimate> {
+        // A lost track has no pose any more, so its last message repeats the prediction from before.
+        let before = self.estimate(at_s, None, markers);
+        match self.life.unseen(at_s)? {
+            TrackState::Lost => {
+                self.life.forget();
+                before.map(|before| TargetEstimate { state: Some(TrackState::Lost), ..before })
+            }
+            _ => self.estimate(at_s, None, markers),
+        }
+    }
+
+    fn estimate(
+        &self,
+        at_s: f64,
+        measured: Option<(PoseEstimate, MeasuredBy)>,
+        markers: u32,
+    ) -> Option<TargetEstimate> {
+        let last_seen_s = self.life.last_seen_s()?;
+        let track = self.life.track()?;
+        // A clock that jumped back leaves nothing to predict; then the track's own time is used.
+        let prediction = self.life.predict(at_s).unwrap_or_else(|| track.now());
+        Some(TargetEstimate {
+            pose: PoseEstimate {
+                camera_from_markers: prediction.camera_from_markers,
+                covariance: prediction.pose_covariance(),
+            },
+            velocity: prediction.velocity,
+            rate: prediction.rate,
+            measured,
+            markers,
+            state: self.life.state(),
+            age_s: (at_s - self.life.started_s()?).max(0.0),
+            unseen_s: (at_s - last_seen_s).max(0.0),
+            track_id: self.track_id,
+        })
+    }
+}

@@ -1,0 +1,495 @@
+//! All targets with their tracks: runs the measurement passes and takes in what they find.
+//!
+//! A measurement enters a track in one place, [`Tracker::take_in`].
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use flockeye_contract::ViewHeader;
+use flockeye_geometry::body::Bodies;
+use flockeye_geometry::filter::{Prediction, TrackPolicy};
+use flockeye_geometry::search::{Purpose, StopRule};
+
+use crate::frame_assembly::{Frame, Record};
+use crate::hypothesis::Aligner;
+use crate::measurement::{MeasuredBy, Measurement, candidate_rays, contradicts, decoded_rays};
+use crate::parallax::Parallax;
+use crate::passes::background::{Answer, BackgroundQueue, Job, Subject};
+use crate::passes::corners::{self, Moment, distinct_decoded};
+use crate::passes::direct::{self, Candidate, Region, RejectedAlignment};
+use crate::passes::inputs::{Earlier, Inputs, Permit};
+use crate::passes::{AnsweredView, BestViews};
+use crate::policy::{DirectPassPolicy, TimeBudget, is_search_turn};
+use crate::target::{Status, Target, TargetEstimate, TrackPrior};
+use crate::view_cache::{FrameOrder, ViewQuality};
+
+/// How poses are carried from frame to frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum FilterChoice {
+    /// A track for each target.
+    Tracks(TrackPolicy),
+    /// Each frame for itself.
+    None,
+}
+
+/// A target's number, and what is known of it after a frame.
+pub type Update = (usize, TargetEstimate);
+
+/// Where a frame is in time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FrameTime {
+    /// Its place among all frames.
+    pub order: FrameOrder,
+    /// When it was exposed, seconds.
+    pub at_s: f64,
+    /// How many frames had ended before.
+    pub number: u64,
+}
+
+/// All targets with their tracks.
+pub struct Tracker {
+    targets: Vec<Target>,
+    filter: FilterChoice,
+    parallax: Option<Parallax>,
+    aligner: Arc<Aligner>,
+    threads: usize,
+    /// `None`: everything is done at once.
+    background: Option<BackgroundQueue>,
+    direct_policy: DirectPassPolicy,
+    /// The last frame that has ended, and when it was exposed, seconds.
+    ended: Option<(FrameOrder, f64)>,
+}
+
+impl Tracker {
+    /// Targets that were never seen. Those of one frame are measured on up to `threads` threads.
+    pub fn new(
+        bodies: &Bodies,
+        filter: FilterChoice,
+        aligner: Arc<Aligner>,
+        threads: usize,
+    ) -> Self {
+        let policy = match filter {
+            FilterChoice::Tracks(policy) => policy,
+            FilterChoice::None => TrackPolicy::default(),
+        };
+        Self {
+            targets: bodies.iter().map(|body| Target::new(body.clone(), policy)).collect(),
+            filter,
+            parallax: None,
+            aligner,
+            threads,
+            background: None,
+            direct_policy: DirectPassPolicy::default(),
+            ended: None,
+        }
+    }
+
+    /// Brings rays and poses to their distances, for a camera whose lenses lie off its centre.
+    pub fn with_parallax(self, parallax: Option<Parallax>) -> Self {
+        Self { parallax, ..self }
+    }
+
+    /// Leaves what takes long to the background pass, whose jobs [`Tracker::take_job`] hands out.
+    pub fn with_background(self) -> Self {
+        Self { background: Some(BackgroundQueue::default()), ..self }
+    }
+
+    /// The targets, by their numbers.
+    pub fn targets(&self) -> &[Target] {
+        &self.targets
+    }
+
+    /// How many threads targets are measured on.
+    pub fn threads(&self) -> usize {
+        self.threads
+    }
+
+    /// How well a view shows the targets that it is the region of, or shows markers of. Targets whose
+    /// pose in the frame has left need no view.
+    pub fn shown(
+        &self,
+        record: &Record,
+        purpose: Option<Purpose>,
+        view: Option<&ViewHeader>,
+        stop_rule: StopRule,
+    ) -> Vec<(usize, ViewQuality)> {
+        let Some(view) = view else { return Vec::new() };
+        self.unpublished(record.header.stamp.order())
+            .filter_map(|target| {
+                let is_own = purpose == Some(Purpose::Gaze(target));
+                let body = &self.targets[target].body;
+                Some((target, ViewQuality::of(record, view, body, is_own, stop_rule)?))
+            })
+            .collect()
+    }
+
+    /// The direct pass over regions of interest of one frame that have been cut. Targets whose pose is
+    /// not accepted wait for their markers.
+    pub fn direct_pass(&mut self, time: FrameTime, regions: &[Region<'_>]) -> Vec<Update> {
+        let candidates: Vec<Candidate<'_>> =
+            regions.iter().filter_map(|region| self.direct_candidate(time, *region)).collect();
+        let found = direct::align(&self.aligner, &candidates, self.threads);
+        let mut updates = Vec::new();
+        for (Candidate { region, predicted }, found) in candidates.into_iter().zip(found) {
+            let Region { target, view } = region;
+            // A view may come twice, cut again for another worker.
+            if self.targets[target].is_published(time.order) {
+                continue;
+            }
+            let accepted = found.as_ref().and_then(|found| {
+                let measurement = direct::accepted(found, &predicted)?;
+                let measurement = self.corrected(measurement, view.rays_m);
+                let target = &self.targets[target];
+                let is_inside = target.is_inside_gate(time.at_s, &measurement);
+                is_inside.then_some((measurement, found.camera_from_markers))
+            });
+            match accepted {
+                Some((measurement, pose)) => {
+                    let update = self.take_in(time, target, &measurement);
+                    if update.is_some() {
+                        let status = Status::Published { direct_pose: Some(pose) };
+                        self.targets[target].in_frame_mut(time.order).status = status;
+                    }
+                    updates.extend(update);
+                }
+                None => {
+                    let (view_index, found) = (view.view_index, found.map(Box::new));
+                    let rejected = RejectedAlignment { predicted, view_index, found };
+                    self.targets[target].in_frame_mut(time.order).rejected = Some(rejected);
+                }
+            }
+        }
+        updates
+    }
+
+    /// A region with its target's prediction, if the direct pass may measure it.
+    fn direct_candidate<'v>(&self, time: FrameTime, region: Region<'v>) -> Option<Candidate<'v>> {
+        let target = self.targets.get(region.target)?;
+        let may_run = target.is_measured()
+            && !self.direct_policy.is_suspended(region.target)
+            && !target.is_published(time.order);
+        match target.prior(time.at_s) {
+            TrackPrior::Confirmed(prior) if may_run => {
+                Some(Candidate { region, predicted: prior.camera_from_markers })
+            }
+            _ => None,
+        }
+    }
+
+    /// The corner pass over regions of interest of one frame that have been searched. A pose need wait
+    /// neither for the frame's tiles nor for the frame before, because the filter puts each measurement
+    /// where it belongs in time.
+    pub fn region_pass(
+        &mut self,
+        time: FrameTime,
+        answered: &[AnsweredView<'_>],
+        best_views: &BestViews<'_>,
+        budget: TimeBudget,
+    ) -> Vec<Update> {
+        self.compare_with_markers(time.order, answered);
+        let mut tried: Vec<(usize, &[AnsweredView<'_>])> = Vec::new();
+        for answer in answered {
+            let Some(target) = answer.region_of().filter(|&target| target < self.targets.len())
+            else {
+                continue;
+            };
+            // Without its view nobody knows what distance a record's rays are right for. Once the frame
+            // is complete, the assumed distance has to do.
+            let is_ready = self.parallax.is_none() || answer.view.is_some();
+            let is_published = self.targets[target].is_published(time.order);
+            let in_frame = self.targets[target].in_frame_mut(time.order);
+            if is_ready && !is_published && !std::mem::replace(&mut in_frame.is_region_tried, true)
+            {
+                tried.push((target, std::slice::from_ref(answer)));
+            }
+        }
+        self.corner_pass(time, &tried, best_views, Moment::RegionSearched, budget)
+    }
+
+    /// The last corner pass, once all of a frame has been searched. It gives an estimate also for tracked
+    /// targets that the frame does not show.
+    pub fn final_pass(
+        &mut self,
+        time: FrameTime,
+        answered: &[AnsweredView<'_>],
+        best_views: &BestViews<'_>,
+        budget: TimeBudget,
+    ) -> Vec<Update> {
+        // The same passes as if each region's record had come alone: what a frame says must not depend
+        // on when its parts came.
+        let mut updates = self.region_pass(time, answered, best_views, budget);
+        let left: Vec<(usize, &[AnsweredView<'_>])> =
+            self.unpublished(time.order).map(|target| (target, answered)).collect();
+        updates.extend(self.corner_pass(time, &left, best_views, Moment::FrameComplete, budget));
+        let missed: Vec<usize> = self.unpublished(time.order).collect();
+        for target in missed {
+            let decoded = answered.iter().flat_map(|answer| &answer.record.markers);
+            let decoded = distinct_decoded(decoded, &self.targets[target].body);
+            let estimate = match self.filter {
+                FilterChoice::Tracks(_) => self.targets[target].miss(time.at_s, decoded),
+                FilterChoice::None => None,
+            };
+            updates.extend(estimate.map(|estimate| (target, estimate)));
+        }
+        updates
+    }
+
+    /// Measures targets, each from some of a frame's records and its best view, and takes in what was
+    /// found.
+    pub(crate) fn corner_pass(
+        &mut self,
+        time: FrameTime,
+        tried: &[(usize, &[AnsweredView<'_>])],
+        best_views: &BestViews<'_>,
+        moment: Moment,
+        budget: TimeBudget,
+    ) -> Vec<Update> {
+        // Taken out meanwhile, because the inputs borrow from all else.
+        let mut background = self.background.take();
+        let has_background = background.is_some();
+        let inputs: Vec<Inputs<'_>> = tried
+            .iter()
+            .filter_map(|(target, answered)| {
+                let permit = self.permit(time, *target, moment, budget, has_background);
+                self.inputs(time, *target, answered, best_views, permit)
+            })
+            .collect();
+        let measured = corners::measure(&self.aligner, &inputs, self.threads);
+        let mut failed = Vec::new();
+        let mut found = Vec::new();
+        for (inputs, measurement) in inputs.iter().zip(measured) {
+            let target = inputs.target;
+            let Some(measurement) = measurement else {
+                let subject = Subject { order: time.order, at_s: time.at_s, target };
+                let is_in_background = inputs.wants_background()
+                    && background.as_mut().is_some_and(|queue| queue.request(subject, inputs));
+                failed.push((target, inputs.attempt(), is_in_background));
+                continue;
+            };
+            let rays_m = match measurement.measured_by {
+                MeasuredBy::Decoded => inputs.rays_m,
+                MeasuredBy::Aligned => inputs.best_view.map_or(inputs.rays_m, |view| view.rays_m),
+            };
+            found.push((target, self.corrected(measurement, rays_m)));
+        }
+        self.background = background;
+        for (target, attempt, is_in_background) in failed {
+            let in_frame = self.targets[target].in_frame_mut(time.order);
+            in_frame.status = Status::Failed(attempt);
+            if is_in_background {
+                in_frame.background = Some(attempt);
+            }
+        }
+        found
+            .iter()
+            .filter_map(|(target, measurement)| self.take_in(time, *target, measurement))
+            .collect()
+    }
+
+    /// What a corner pass may do for a target. What takes long is left to the background pass where
+    /// others wait for it: a tracked target's frame is still open, or another target is tracked.
+    fn permit(
+        &self,
+        time: FrameTime,
+        target: usize,
+        moment: Moment,
+        budget: TimeBudget,
+        has_background: bool,
+    ) -> Permit {
+        let in_frame = self.targets[target].in_frame(time.order);
+        let is_region_tried = in_frame.is_some_and(|in_frame| in_frame.is_region_tried);
+        let is_confirmed = self.prior(target, time.at_s).confirmed().is_some();
+        let is_open = is_confirmed && is_region_tried;
+        let is_deferred = budget != TimeBudget::Unlimited
+            && has_background
+            && (is_open || self.tracks_others(target));
+        let may_search = is_search_turn(time.number, target, self.targets.len())
+            && budget != TimeBudget::Overspent
+            && (moment == Moment::FrameComplete || is_deferred);
+        Permit { budget, is_deferred, may_search, min_markers: moment.min_markers() }
+    }
+
+    /// What its track says of a target at a time. Without a filter there is no track.
+    fn prior(&self, target: usize, at_s: f64) -> TrackPrior {
+        match self.filter {
+            FilterChoice::Tracks(_) => self.targets[target].prior(at_s),
+            FilterChoice::None => TrackPrior::Untracked,
+        }
+    }
+
+    /// Collects what there is to measure a target by; `None` where there is nothing.
+    pub(crate) fn inputs<'f>(
+        &'f self,
+        time: FrameTime,
+        target: usize,
+        answered: &[AnsweredView<'_>],
+        best_views: &BestViews<'f>,
+        permit: Permit,
+    ) -> Option<Inputs<'f>> {
+        let body = &self.targets.get(target)?.body;
+        let prior = self.prior(target, time.at_s);
+        // All rays are brought to the best known distance before the pose is solved.
+        let rays_m = self.parallax.as_ref().map_or(f64::INFINITY, |parallax| {
+            let predicted = prior.confirmed().map(|prior| prior.camera_from_markers.translation);
+            predicted.map_or(parallax.assumed_m(), |position| position.vector.norm())
+        });
+        let (mut decoded, mut candidates) = (Vec::new(), Vec::new());
+        for AnsweredView { record, view, .. } in answered {
+            for (all, mut of_view) in [
+                (&mut decoded, decoded_rays(body, &record.markers)),
+                (&mut candidates, candidate_rays(body, &record.markers)),
+            ] {
+                if let Some(parallax) = &self.parallax {
+                    let from_m = parallax.distance_m(*view);
+                    for ray in &mut of_view {
+                        ray.ray_in_camera = parallax.brought(&ray.ray_in_camera, from_m, rays_m);
+                    }
+                }
+                all.extend(of_view);
+            }
+        }
+        let best_view = best_views.get(&target).copied();
+        // An untracked target is not started from candidate squares alone: a chequered wall has enough
+        // of them.
+        let is_measurable =
+            !decoded.is_empty() || (prior.predicted().is_some() && best_view.is_some());
+        let in_frame = self.targets[target].in_frame(time.order);
+        let earlier = in_frame.map_or_else(Earlier::default, |in_frame| Earlier {
+            failed: match in_frame.status {
+                Status::Failed(attempt) => Some(attempt),
+                Status::Pending | Status::Published { .. } => None,
+            },
+            rejected: in_frame.rejected.as_ref(),
+            background: in_frame.background,
+        });
+        is_measurable.then_some(Inputs {
+            target,
+            body,
+            decoded,
+            candidates,
+            rays_m,
+            prior,
+            best_view,
+            permit,
+            earlier,
+        })
+    }
+
+    /// Suspends the direct pass of targets whose markers contradict what it published.
+    fn compare_with_markers(&mut self, order: FrameOrder, answered: &[AnsweredView<'_>]) {
+        for answer in answered {
+            let Some(target) = answer.region_of() else { continue };
+            let Some(Target { body, .. }) = self.targets.get(target) else { continue };
+            let Some(pose) = self.targets[target].direct_pose(order) else { continue };
+            let rays = decoded_rays(body, &answer.record.markers);
+            if contradicts(body, &rays, pose) {
+                self.direct_policy.suspend(target);
+            }
+        }
+    }
+
+    /// Whether any other target is tracked.
+    fn tracks_others(&self, target: usize) -> bool {
+        let mut others = self.targets.iter().enumerate().filter(|(other, _)| *other != target);
+        others.any(|(_, target)| target.is_tracked())
+    }
+
+    /// The background pass that is to be run now.
+    pub fn take_job(&mut self) -> Option<Job> {
+        self.background.as_mut()?.take_job()
+    }
+
+    /// The frame in which a background pass may still find something.
+    pub fn awaited(&self) -> Option<FrameOrder> {
+        self.background.as_ref().and_then(BackgroundQueue::awaited)
+    }
+
+    /// Takes in the answer of a background pass. If its frame has ended meanwhile, it only corrects a track
+    /// that it agrees with, or starts one: a pose that was found by the prior of a track that is lost
+    /// since then means nothing.
+    pub fn background_answer(&mut self, answer: Answer) -> Option<(FrameOrder, Update)> {
+        let answer = self.background.as_mut()?.finish(answer)?;
+        let Answer { subject: Subject { order, at_s, target }, .. } = answer;
+        let is_late = self.ended.is_some_and(|(ended, _)| order <= ended);
+        let may_start = answer.is_independent
+            && !self.targets[target].is_tracked()
+            && self.is_within_history(at_s);
+        if is_late && may_start {
+            // The frames since then did not show it only because nobody knew where to look.
+            self.targets[target].forget();
+        }
+        let measurement = self.corrected(answer.measurement?, answer.rays_m);
+        let is_accepted =
+            !is_late || may_start || self.targets[target].is_inside_gate(at_s, &measurement);
+        // The number of the frame matters only to passes that are still to run.
+        let time = FrameTime { order, at_s, number: 0 };
+        let update = is_accepted.then(|| self.take_in(time, target, &measurement))??;
+        Some((order, update))
+    }
+
+    /// Whether measurements of a frame that was exposed then still count.
+    fn is_within_history(&self, at_s: f64) -> bool {
+        match self.filter {
+            FilterChoice::Tracks(policy) => {
+                self.ended.is_none_or(|(_, ended_s)| ended_s - at_s <= policy.history_s)
+            }
+            FilterChoice::None => false,
+        }
+    }
+
+    /// A measurement whose rays were right for `rays_m`, corrected to its own distance.
+    fn corrected(&self, measurement: Measurement, rays_m: f64) -> Measurement {
+        let Some(parallax) = &self.parallax else { return measurement };
+        Measurement { pose: parallax.corrected(&measurement.pose, rays_m), ..measurement }
+    }
+
+    /// Takes a measurement into the track of its target: the one place where that happens. `None` where
+    /// the filter refuses it.
+    pub(crate) fn take_in(
+        &mut self,
+        time: FrameTime,
+        target: usize,
+        measurement: &Measurement,
+    ) -> Option<Update> {
+        let estimate = match self.filter {
+            FilterChoice::Tracks(_) => self.targets[target].update(time.at_s, measurement),
+            FilterChoice::None => Some(TargetEstimate::of_frame(measurement)),
+        }?;
+        let status = Status::Published { direct_pose: None };
+        self.targets[target].in_frame_mut(time.order).status = status;
+        if let Some(queue) = &mut self.background {
+            queue.cancel(time.order, target);
+        }
+        Some((target, estimate))
+    }
+
+    /// Numbers of the targets whose pose in a frame has not left.
+    fn unpublished(&self, order: FrameOrder) -> impl Iterator<Item = usize> {
+        (0..self.targets.len()).filter(move |&target| !self.targets[target].is_published(order))
+    }
+
+    /// Ends a frame. Frames end in their order.
+    pub fn end_frame(&mut self, frame: &Frame, at_s: f64) {
+        let order = frame.stamp.order();
+        let is_direct = |target: &usize| self.targets[*target].direct_pose(order).is_some();
+        let direct: BTreeSet<usize> = (0..self.targets.len()).filter(is_direct).collect();
+        self.direct_policy.end_frame(&direct);
+        self.ended = Some((order, at_s));
+        self.targets.iter_mut().for_each(|target| target.end_frame(order));
+    }
+
+    /// Whether a target's region of interest in the next frame need not be searched for markers.
+    pub fn needs_no_markers(&self, target: usize) -> bool {
+        self.direct_policy.needs_no_markers(target)
+    }
+
+    /// Where each tracked target will be at a time, by its number.
+    pub fn predictions(&self, at_s: f64) -> impl Iterator<Item = (usize, Prediction)> {
+        let is_tracked = matches!(self.filter, FilterChoice::Tracks(_));
+        let targets = self.targets.iter().enumerate().filter(move |_| is_tracked);
+        targets.filter_map(move |(target, track)| Some((target, track.predict(at_s)?)))
+    }
+}
+
+#[cfg(test)]
+mod tests;

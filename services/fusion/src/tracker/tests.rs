@@ -1,0 +1,210 @@
+//! Passes over frames whose parts come late, early, and in another order.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "of the drawings")]
+
+use super::*;
+use crate::fixtures::*;
+use crate::hypothesis::BestView;
+use crate::policy::SUSPENDED_FRAMES;
+use flockeye_geometry::filter::TrackState;
+use nalgebra::Isometry3;
+
+mod background;
+
+fn direct(tracker: &mut Tracker, sequence: u64, view: &BestView<'_>) -> Option<Update> {
+    tracker.direct_pass(time(sequence), &[Region { target: 0, view: *view }]).pop()
+}
+
+/// A last corner pass for alpha alone.
+fn final_corner_pass(
+    tracker: &mut Tracker,
+    sequence: u64,
+    record: &Record,
+    view: BestView<'_>,
+    budget: TimeBudget,
+) -> Vec<Update> {
+    let (answered, best_views) = ([of_tile(record)], BestViews::from([(0, view)]));
+    let tried = [(0, answered.as_slice())];
+    tracker.corner_pass(time(sequence), &tried, &best_views, Moment::FrameComplete, budget)
+}
+
+#[test]
+fn a_frame_need_not_wait_for_the_one_before() {
+    let truth = pose(0.9);
+    let mut tracker = following(&truth);
+    // Frame 4 is searched while frame 3 waits for a tile, in which nothing is found.
+    let updates = see(&mut tracker, 4, &truth);
+    assert!(updates[0].1.measured.is_some());
+    let late = end(&mut tracker, 3);
+    assert_eq!(late.len(), 1);
+    assert!(late[0].1.measured.is_none(), "frame 3 did not show it");
+    assert_eq!(tracker.targets[0].predict(at_s(5)).map(|p| p.stamp_s), Some(at_s(5)));
+    assert!(tracker.targets[0].is_measured(), "frame 4 did");
+    assert!(end(&mut tracker, 4).is_empty(), "its pose has left already");
+    assert!(!tracker.targets[0].keeps_frames(), "nothing is kept of frames that ended");
+}
+
+#[test]
+fn a_late_frame_is_put_where_it_belongs_in_time() {
+    let truth = pose(0.9);
+    let mut tracker = following(&truth);
+    assert_eq!(see(&mut tracker, 4, &truth).len(), 1);
+    let late = see(&mut tracker, 3, &truth);
+    assert!(late[0].1.measured.is_some());
+    assert_eq!(late[0].1.state, Some(TrackState::Confirmed));
+}
+
+#[test]
+fn a_confirmed_target_is_measured_before_its_region_is_searched() {
+    let truth = pose(0.9);
+    let mut tracker = following(&truth);
+    with_view(&truth, |view| {
+        let (target, estimate) = direct(&mut tracker, 3, view).expect("it is there");
+        let (measured, by) = estimate.measured.expect("it is measured");
+        assert_eq!((target, by, estimate.markers), (0, MeasuredBy::Aligned, 0));
+        let error_m = error_m(&measured.camera_from_markers, &truth);
+        assert!(error_m < 2e-3, "{error_m} m");
+        // Its view in this frame need not be held any more, that in the next one is.
+        let header = flockeye_contract::ViewHeader::default();
+        let shown = [3, 4].map(|sequence| {
+            let record = record(sequence, &truth);
+            let own = Some(Purpose::Gaze(0));
+            tracker.shown(&record, own, Some(&header), StopRule::Deadline).len()
+        });
+        assert_eq!(shown, [0, 1]);
+        // The markers that are found later agree, and there is nothing to add.
+        assert!(see(&mut tracker, 3, &truth).is_empty());
+        assert!(direct(&mut tracker, 3, view).is_none(), "once is enough");
+        assert!(!tracker.needs_no_markers(0), "frame 3 has not ended");
+        assert!(end(&mut tracker, 3).is_empty());
+        assert!(tracker.needs_no_markers(0));
+        assert!(direct(&mut tracker, 4, view).is_some());
+        // Frame 5 does not show it, so its markers are searched again.
+        end(&mut tracker, 4);
+        end(&mut tracker, 5);
+        assert!(!tracker.needs_no_markers(0));
+    });
+}
+
+#[test]
+fn a_failed_attempt_is_repeated_only_with_new_inputs() {
+    let truth = pose(0.9);
+    let mut tracker = following(&truth);
+    end(&mut tracker, 3);
+    let empty = empty_record(4);
+    let mut measure = |view: BestView<'_>| {
+        final_corner_pass(&mut tracker, 4, &empty, view, TimeBudget::Unlimited).len()
+    };
+    with_view(&pose(2.4), |elsewhere| assert_eq!(measure(*elsewhere), 0));
+    with_view(&truth, |view| {
+        // It would be found, were it aligned again.
+        assert_eq!(measure(*view), 0);
+        assert_eq!(measure(BestView { view_index: 1, ..*view }), 1);
+    });
+}
+
+#[test]
+fn the_start_of_a_rejected_direct_pass_is_not_aligned_again() {
+    let truth = pose(0.9);
+    let mut tracker = following(&truth);
+    let empty = empty_record(3);
+    let answered = [of_region(&empty)];
+    with_view(&pose(2.4), |elsewhere| assert!(direct(&mut tracker, 3, elsewhere).is_none()));
+    let is_measured = |tracker: &Tracker, view: &BestView<'_>| {
+        let best_views = BestViews::from([(0, *view)]);
+        let budget = TimeBudget::OneFrame;
+        let permit = Permit { budget, is_deferred: true, may_search: false, min_markers: 1 };
+        let inputs = tracker.inputs(time(3), 0, &answered, &best_views, permit);
+        inputs.expect("it was predicted").measure(&tracker.aligner).is_some()
+    };
+    with_view(&truth, |view| {
+        assert!(!is_measured(&tracker, view), "it would be found, were it aligned again");
+        let other = BestView { view_index: 1, ..*view };
+        assert!(is_measured(&tracker, &other), "another view may show more");
+    });
+}
+
+#[test]
+fn a_frame_without_time_is_not_searched_round_predictions() {
+    let truth = pose(0.9);
+    let mut tracker = following(&truth);
+    let may_search = |tracker: &Tracker, budget| {
+        tracker.permit(time(3), 0, Moment::FrameComplete, budget, true).may_search
+    };
+    assert!(may_search(&tracker, TimeBudget::OneFrame), "frame 3 is one of those that search");
+    assert!(!may_search(&tracker, TimeBudget::Overspent));
+    // Its markers tell its pose all the same.
+    let record = record(3, &truth);
+    let (answered, views) = ([of_region(&record)], BestViews::new());
+    let updates = tracker.region_pass(time(3), &answered, &views, TimeBudget::Overspent);
+    assert!(updates[0].1.measured.is_some());
+}
+
+#[test]
+fn only_confirmed_targets_have_a_direct_pass() {
+    let truth = pose(0.9);
+    with_view(&truth, |view| {
+        let mut tracker = tracker_of(vec![alpha()], 1);
+        assert!(direct(&mut tracker, 0, view).is_none(), "it has no track");
+        assert_eq!(see(&mut tracker, 0, &truth).len(), 1);
+        assert!(direct(&mut tracker, 1, view).is_none(), "it was seen once");
+        let mut tracker = following(&truth);
+        end(&mut tracker, 3);
+        assert!(direct(&mut tracker, 4, view).is_none(), "it coasts");
+    });
+    // A picture that does not show it is not accepted either.
+    with_view(&pose(2.4), |view| assert!(direct(&mut following(&truth), 3, view).is_none()));
+}
+
+#[test]
+fn markers_that_contradict_a_direct_pose_suspend_the_direct_pass() {
+    let truth = pose(0.9);
+    let mut tracker = following(&truth);
+    with_view(&truth, |view| {
+        assert!(direct(&mut tracker, 3, view).is_some());
+        // Turned by one facet.
+        see(&mut tracker, 3, &pose(0.9 + std::f64::consts::FRAC_PI_4));
+        end(&mut tracker, 3);
+        assert!(direct(&mut tracker, 4, view).is_none());
+        for sequence in 4..4 + SUSPENDED_FRAMES {
+            see(&mut tracker, sequence, &truth);
+            end(&mut tracker, sequence);
+        }
+        assert!(direct(&mut tracker, 4 + SUSPENDED_FRAMES, view).is_some(), "it runs again");
+    });
+}
+
+#[test]
+fn direct_passes_on_several_threads_give_the_same() {
+    let (here, there) = (pose(0.9), Isometry3::translation(-1.0, 0.2, 0.0));
+    let measured = |threads| {
+        let mut tracker = tracker_of(vec![alpha(), bravo()], threads);
+        for sequence in 0..3 {
+            for (target, pose) in [(0, here), (1, there)] {
+                tracker.take_in(time(sequence), target, &measurement(&pose));
+            }
+        }
+        // Where bravo should be, its view shows nothing like it.
+        with_view(&here, |view| {
+            let regions = [0, 1].map(|target| Region { target, view: *view });
+            tracker.direct_pass(time(3), &regions)
+        })
+    };
+    let alone = measured(1);
+    assert_eq!(alone.iter().map(|(target, _)| *target).collect::<Vec<_>>(), [0]);
+    assert_eq!(measured(2), alone);
+    assert_eq!(measured(7), alone);
+}
+
+#[test]
+fn regions_of_targets_that_do_not_exist_are_ignored() {
+    let truth = pose(0.9);
+    let mut tracker = following(&truth);
+    let record = record(3, &truth);
+    let answered = [AnsweredView { purpose: Some(Purpose::Gaze(9)), ..of_region(&record) }];
+    let updates = tracker.region_pass(time(3), &answered, &BestViews::new(), TimeBudget::Unlimited);
+    assert!(updates.is_empty());
+    with_view(&truth, |view| {
+        assert!(tracker.direct_pass(time(3), &[Region { target: 9, view: *view }]).is_empty());
+    });
+}

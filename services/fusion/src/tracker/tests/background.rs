@@ -1,0 +1,268 @@
+//! What is left to the background pass, and what becomes of its answers.
+
+use super::*;
+use nalgebra::Translation3;
+
+/// So far beside the truth a fine start does not converge, and a rough one does, metres.
+const OFF_M: f64 = 0.013;
+
+const BUDGET: TimeBudget = TimeBudget::OneFrame;
+
+fn beside(truth: &Isometry3<f64>, off_m: f64) -> Isometry3<f64> {
+    Translation3::new(-0.5 * off_m, 0.7 * off_m, 0.5 * off_m) * truth
+}
+
+/// A tracker with a background pass that predicts alpha `off_m` beside where it is.
+fn misled(truth: &Isometry3<f64>, off_m: f64) -> Tracker {
+    following(&beside(truth, off_m)).with_background()
+}
+
+/// The corner pass over alpha's region of interest, in which no marker was found.
+fn region_pass(
+    tracker: &mut Tracker,
+    time: FrameTime,
+    view: &BestView<'_>,
+    budget: TimeBudget,
+) -> Vec<Update> {
+    let empty = empty_record(time.order.2);
+    let (answered, best_views) = ([of_region(&empty)], BestViews::from([(0, *view)]));
+    tracker.region_pass(time, &answered, &best_views, budget)
+}
+
+/// Runs the background pass that was asked for.
+fn run(tracker: &mut Tracker) -> Option<Update> {
+    let answer = tracker.take_job()?.run(&tracker.aligner);
+    tracker.background_answer(answer).map(|(_, update)| update)
+}
+
+fn predicted(tracker: &Tracker, at_s: f64) -> Isometry3<f64> {
+    tracker.targets[0].predict(at_s).expect("it is tracked").camera_from_markers
+}
+
+fn assert_tracked_at(tracker: &Tracker, truth: &Isometry3<f64>, at_s: f64) {
+    let error_m = error_m(&predicted(tracker, at_s), truth);
+    assert!(error_m < 2e-3, "{error_m} m");
+}
+
+#[test]
+fn the_background_pass_finds_what_a_fine_start_misses() {
+    let truth = pose(0.9);
+    // The nearer one from a rough start, the other by the search, whose turn it is.
+    for off_m in [OFF_M, 2.0 * OFF_M] {
+        with_view(&truth, |view| {
+            let mut tracker = misled(&truth, off_m);
+            assert!(is_search_turn(time(3).number, 0, 1));
+            let updates = region_pass(&mut tracker, time(3), view, BUDGET);
+            assert!(updates.is_empty(), "a fine start does not converge");
+            assert_eq!(tracker.awaited(), Some(stamp(3).order()));
+            let (target, estimate) = run(&mut tracker).expect("it is there");
+            let (measured, by) = estimate.measured.expect("it is inside the gate");
+            assert_eq!((target, by), (0, MeasuredBy::Aligned));
+            let error_m = error_m(&measured.camera_from_markers, &truth);
+            assert!(error_m < 2e-3, "{off_m} m: {error_m} m");
+            assert_eq!(tracker.awaited(), None);
+            assert!(end(&mut tracker, 3).is_empty(), "its pose has left already");
+        });
+    }
+}
+
+#[test]
+fn a_target_so_far_off_is_found_only_by_the_search() {
+    let truth = pose(0.9);
+    with_view(&truth, |view| {
+        let mut tracker = misled(&truth, 2.0 * OFF_M);
+        end(&mut tracker, 3);
+        region_pass(&mut tracker, time(4), view, BUDGET);
+        assert_eq!(tracker.awaited(), Some(stamp(4).order()));
+        assert!(run(&mut tracker).is_none());
+    });
+}
+
+#[test]
+fn a_late_answer_corrects_the_track() {
+    let truth = pose(0.9);
+    with_view(&truth, |view| {
+        let mut tracker = misled(&truth, OFF_M);
+        region_pass(&mut tracker, time(3), view, BUDGET);
+        let coasted = end(&mut tracker, 3);
+        assert!(coasted[0].1.measured.is_none());
+        assert!(run(&mut tracker).is_some());
+        assert_tracked_at(&tracker, &truth, at_s(3));
+        assert!(tracker.targets[0].is_measured());
+        end(&mut tracker, 4);
+        assert!(!tracker.targets[0].keeps_frames(), "nothing is kept of frames that ended");
+    });
+}
+
+#[test]
+fn a_late_answer_means_nothing_to_a_track_that_has_gone_on_or_ended() {
+    let truth = pose(0.9);
+    with_view(&truth, |view| {
+        // Measured for more than a second since.
+        let mut tracker = misled(&truth, OFF_M);
+        let beside = predicted(&tracker, at_s(3));
+        region_pass(&mut tracker, time(3), view, BUDGET);
+        end(&mut tracker, 3);
+        let mut track_id = 0;
+        for sequence in 4..40 {
+            track_id = see(&mut tracker, sequence, &beside)[0].1.track_id;
+            end(&mut tracker, sequence);
+        }
+        assert!(run(&mut tracker).is_none());
+        assert!(tracker.targets[0].is_measured());
+        assert_eq!(see(&mut tracker, 40, &beside)[0].1.track_id, track_id);
+        // Lost since.
+        let mut tracker = misled(&truth, OFF_M);
+        region_pass(&mut tracker, time(3), view, BUDGET);
+        for sequence in 3..60 {
+            end(&mut tracker, sequence);
+        }
+        assert!(!tracker.targets[0].is_tracked());
+        assert!(run(&mut tracker).is_none());
+        assert!(!tracker.targets[0].is_tracked());
+    });
+}
+
+#[test]
+fn a_target_that_was_measured_meanwhile_cancels_its_background_pass() {
+    let truth = pose(0.9);
+    with_view(&truth, |view| {
+        let mut tracker = misled(&truth, OFF_M);
+        region_pass(&mut tracker, time(3), view, BUDGET);
+        let beside = predicted(&tracker, at_s(3));
+        assert!(tracker.take_in(time(3), 0, &measurement(&beside)).is_some());
+        assert_eq!(tracker.awaited(), None);
+        let known = predicted(&tracker, at_s(3));
+        assert!(run(&mut tracker).is_none());
+        assert_eq!(predicted(&tracker, at_s(3)), known);
+        // The next frame may ask again.
+        let later = FrameTime { order: stamp(5).order(), ..time(4) };
+        region_pass(&mut tracker, later, view, BUDGET);
+        assert_eq!(tracker.awaited(), Some(stamp(5).order()));
+    });
+}
+
+#[test]
+fn no_background_pass_is_asked_for_without_need() {
+    let truth = pose(0.9);
+    with_view(&truth, |view| {
+        // Found at once, or without time.
+        let mut tracker = misled(&truth, 0.0);
+        assert_eq!(region_pass(&mut tracker, time(3), view, BUDGET).len(), 1);
+        assert_eq!(tracker.awaited(), None);
+        let mut tracker = misled(&truth, OFF_M);
+        region_pass(&mut tracker, time(3), view, TimeBudget::Overspent);
+        assert_eq!(tracker.awaited(), None);
+        // With unlimited time everything is done at once.
+        assert_eq!(region_pass(&mut tracker, time(4), view, TimeBudget::Unlimited).len(), 1);
+        assert_eq!(tracker.awaited(), None);
+    });
+}
+
+#[test]
+fn a_single_target_without_a_region_is_measured_at_once() {
+    let truth = pose(0.9);
+    let mut tracker = misled(&truth, OFF_M);
+    with_view(&truth, |view| {
+        let updates = final_corner_pass(&mut tracker, 3, &empty_record(3), *view, BUDGET);
+        assert_eq!(updates.len(), 1);
+        assert_eq!(tracker.awaited(), None);
+    });
+}
+
+/// A tracker with a background pass that tracks bravo.
+fn tracking_bravo() -> Tracker {
+    let mut tracker = tracker_of(vec![alpha(), bravo()], 1).with_background();
+    let pose = Isometry3::translation(-1.0, 0.0, 0.0);
+    assert!(tracker.take_in(time(0), 1, &measurement(&pose)).is_some());
+    tracker
+}
+
+/// One decoded marker of alpha and candidate squares, seen so far beside where they are that only a rough
+/// start leads back. That is too little for a pose from corners.
+fn candidates_of_alpha(sequence: u64, truth: &Isometry3<f64>) -> Record {
+    let mut record = record(sequence, &beside(truth, OFF_M));
+    let first = record.markers[0];
+    record.markers.iter_mut().for_each(|marker| marker.doubtful = 1);
+    record.markers.push(first);
+    record
+}
+
+fn measure_alpha(tracker: &mut Tracker, record: &Record, view: &BestView<'_>) -> Vec<Update> {
+    final_corner_pass(tracker, record.header.stamp.sequence, record, *view, BUDGET)
+}
+
+#[test]
+fn an_untracked_target_holds_up_no_tracked_one() {
+    let truth = pose(0.9);
+    with_view(&truth, |view| {
+        let mut tracker = tracking_bravo();
+        assert!(measure_alpha(&mut tracker, &candidates_of_alpha(1, &truth), view).is_empty());
+        assert_eq!(tracker.awaited(), Some(stamp(1).order()));
+        let (target, estimate) = run(&mut tracker).expect("it is there");
+        assert_eq!((target, estimate.state), (0, Some(TrackState::Tentative)));
+        assert_tracked_at(&tracker, &truth, at_s(1));
+    });
+}
+
+#[test]
+fn an_untracked_target_has_its_background_pass_also_in_a_frame_without_time() {
+    let truth = pose(0.9);
+    with_view(&truth, |view| {
+        let mut tracker = tracking_bravo();
+        let record = candidates_of_alpha(1, &truth);
+        let budget = TimeBudget::Overspent;
+        assert!(final_corner_pass(&mut tracker, 1, &record, *view, budget).is_empty());
+        assert!(run(&mut tracker).is_some());
+    });
+}
+
+#[test]
+fn an_untracked_target_that_holds_up_nobody_is_found_at_once() {
+    let truth = pose(0.9);
+    with_view(&truth, |view| {
+        let mut tracker = tracker_of(vec![alpha()], 1).with_background();
+        let record = candidates_of_alpha(1, &truth);
+        assert_eq!(measure_alpha(&mut tracker, &record, view).len(), 1);
+        assert_eq!(tracker.awaited(), None);
+        assert_tracked_at(&tracker, &truth, at_s(1));
+    });
+}
+
+#[test]
+fn a_late_answer_may_start_a_track() {
+    let truth = pose(0.9);
+    with_view(&truth, |view| {
+        let mut tracker = tracking_bravo();
+        measure_alpha(&mut tracker, &candidates_of_alpha(1, &truth), view);
+        (1..10).for_each(|sequence| drop(end(&mut tracker, sequence)));
+        assert!(run(&mut tracker).is_some());
+        assert_tracked_at(&tracker, &truth, at_s(1));
+        // Not if the frame is too old.
+        let mut tracker = tracking_bravo();
+        measure_alpha(&mut tracker, &candidates_of_alpha(1, &truth), view);
+        (1..30).for_each(|sequence| drop(end(&mut tracker, sequence)));
+        assert!(run(&mut tracker).is_none());
+        // Nor in place of a track that another frame started meanwhile.
+        let mut tracker = tracking_bravo();
+        measure_alpha(&mut tracker, &candidates_of_alpha(1, &truth), view);
+        end(&mut tracker, 1);
+        let elsewhere = beside(&truth, 0.5);
+        tracker.take_in(time(2), 0, &measurement(&elsewhere));
+        assert!(run(&mut tracker).is_none());
+        assert!(error_m(&predicted(&tracker, at_s(2)), &elsewhere) < 1e-6);
+    });
+}
+
+#[test]
+fn a_tentative_track_holds_up_no_other_target() {
+    let truth = pose(0.9);
+    with_view(&truth, |view| {
+        let mut tracker = tracking_bravo();
+        tracker.take_in(time(0), 0, &measurement(&beside(&truth, OFF_M)));
+        assert!(measure_alpha(&mut tracker, &empty_record(1), view).is_empty());
+        assert_eq!(tracker.awaited(), Some(stamp(1).order()));
+        assert!(run(&mut tracker).is_some());
+        assert_tracked_at(&tracker, &truth, at_s(1));
+    });
+}
