@@ -1,7 +1,7 @@
 //! A running pipeline's messages, read beside its stages.
 
 use anyhow::{Context, bail, ensure};
-use flockeye_runtime::config::Pipeline;
+use flockeye_config::Pipeline;
 use flockeye_runtime::instance::Instance;
 use flockeye_runtime::onlooker;
 use flockeye_runtime::ports::Ports;

@@ -4,10 +4,10 @@ use std::fmt::Write;
 use std::time::Duration;
 
 use anyhow::{Context, ensure};
+use flockeye_config::{Count, Flow, Pipeline};
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::partition;
 use flockeye_geometry::view::View;
-use flockeye_runtime::config::{Count, Flow, Pipeline};
 use flockeye_runtime::instance::Instance;
 use flockeye_runtime::memory::{Budget, shared_memory_space};
 

@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use anyhow::{Context, bail, ensure};
-use flockeye_runtime::config::Pipeline;
+use flockeye_config::Pipeline;
 use serde::Serialize;
 
 use crate::cli::{Comparison, Configuration, Experiment, ExperimentKind, FlowArgument};

@@ -6,9 +6,9 @@
 use std::collections::VecDeque;
 use std::fmt;
 
+use flockeye_config::Pipeline;
 use flockeye_contract::{DetectionHeader, Detections, PlannedView, Plans};
 use flockeye_geometry::view::View;
-use flockeye_runtime::config::Pipeline;
 use flockeye_runtime::ports::{PortError, Ports, Subscriber};
 use serde::Serialize;
 

@@ -9,8 +9,8 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, ensure};
+use flockeye_config::Flow;
 use flockeye_contract::{Detections, FrameEnds, Healths, Tracks};
-use flockeye_runtime::config::Flow;
 
 use crate::attach::{Attached, attach};
 use crate::cli;
