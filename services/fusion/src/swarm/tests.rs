@@ -44,7 +44,8 @@ fn swarm_of(bodies: Vec<Body>) -> Swarm {
     let planner = Planner::new(SearchMode::Gaze, partition, views, gaze).unwrap();
     // Neighbours jump here from one frame to the next, by more than the usual ones do.
     let motion = MotionModel { acceleration: 1.5, ..MotionModel::default() };
-    let filter = FilterChoice::Tracks(TrackPolicy { motion, ..TrackPolicy::default() });
+    let filter =
+        FilterChoice::Tracks(TrackPolicy { motion, confirm_hits: 3, ..TrackPolicy::default() });
     Swarm::new(&bodies, filter, planner, aligner, 1)
 }
 
