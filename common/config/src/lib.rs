@@ -27,6 +27,7 @@ pub use instance_name::is_instance_name;
 pub use problem::{ConfigError, Origin, Problem};
 pub use read::json_schema;
 pub use resolve::{
-    BodySetError, CameraSettingError, MaskFileError, SphereViewsError, isometry, read_bodies,
+    BodySetError, CameraSettingError, Division, MaskFileError, ResolveError, Resolved,
+    SphereViewsError, bodies, isometry, read_bodies,
 };
 pub use types::*;

@@ -6,9 +6,10 @@ use flockeye_geometry::partition::{PartitionError, Weights};
 use crate::document::Node;
 use crate::instance_name::is_instance_name;
 use crate::problem::{Problem, Problems};
-use crate::resolve::{SphereViewsError, preset_body};
+use crate::resolve::{self, Division, SphereViewsError, preset_body};
 use crate::types::{
     AtEnd, BodySet, Count, Flow, Fusion, Mount, Partition, Pipeline, Preset, PresetBody, Response,
+    StageInfo,
 };
 
 /// Adds everything about `pipeline` that cannot be meant to `problems`.
@@ -81,11 +82,11 @@ impl Meaning<'_> {
         for (index, lens) in pipeline.camera.lenses.iter().enumerate() {
             self.mount(&format!("camera.lenses.{index}.camera_from_lens"), &lens.camera_from_lens);
         }
-        if let Err(fault) = pipeline.camera_model() {
+        if let Err(fault) = resolve::camera(&pipeline.camera) {
             self.problem(&fault.key, fault.reason);
         }
         if pipeline.camera.response == Response::Table
-            && let Err(fault) = pipeline.response_table()
+            && let Err(fault) = resolve::response_table(&pipeline.camera)
         {
             self.problem(&fault.key, fault.reason);
         }
@@ -93,7 +94,7 @@ impl Meaning<'_> {
 
     fn bodies(&mut self, bodies: &BodySet) {
         if bodies.file.is_some() {
-            return; // read, and refused, by whoever opens it: see `Pipeline::bodies`
+            return; // read, and refused, by whoever opens it: see `Resolved::of`
         }
         let mut known = Vec::new();
         for (index, entry) in bodies.list.iter().enumerate() {
@@ -105,7 +106,7 @@ impl Meaning<'_> {
             self.sizes(&path, &body);
             known.push(body);
         }
-        // Those of a file are not known yet: see `Pipeline::bodies`.
+        // Those of a file are not known yet: see `Resolved::of`.
         let is_all = known.len() == bodies.list.len();
         if (is_all || !known.is_empty())
             && let Err(error) = Bodies::new(bodies.dictionary.clone(), known)
@@ -169,22 +170,24 @@ impl Meaning<'_> {
         if let Err(error) = Weights::new(partition.weights) {
             return self.problem("partition.weights", error.to_string());
         }
-        // The markers of a file are not known yet: see `Pipeline::partition_views`.
+        // The markers of a file are not known yet: see `Resolved::of`.
         let markers = pipeline.bodies.list.iter().filter_map(preset_body);
         let largest_m = match pipeline.bodies.file {
             Some(_) => 0.0,
             None => markers.map(|body| body.largest_side()).fold(0.0, f64::max),
         };
-        let error = match pipeline.partition_field_rad(largest_m) {
+        let error = match Division::of(partition, largest_m) {
             Err(error) => error,
-            Ok(_) => {
-                let near = pipeline.partition_views(largest_m);
-                for error in [near.err(), pipeline.far_views().err()].into_iter().flatten() {
+            Ok(division) => {
+                // A camera that cannot be is reported where it is written.
+                let Ok(camera) = resolve::camera(&pipeline.camera) else { return };
+                let near = division.views(pipeline, &camera).err();
+                let far = resolve::far_views(pipeline, &camera).err();
+                for error in [near, far].into_iter().flatten() {
                     let path = match error {
                         SphereViewsError::TooLarge { .. } => "partition.count",
                         SphereViewsError::FarTooLarge { .. } => "search.far_magnification",
-                        // A camera that cannot be is said where it is written.
-                        SphereViewsError::Camera(_) | SphereViewsError::Partition(_) => continue,
+                        SphereViewsError::Partition(_) => continue,
                     };
                     let text = error.to_string();
                     let what = text.trim_start_matches(&format!("{path}: ")).to_owned();
@@ -282,8 +285,10 @@ impl Meaning<'_> {
     }
 
     fn stages(&mut self, pipeline: &Pipeline) {
-        for (name, stage) in pipeline.stages.iter() {
-            if stage.replicas.is_some_and(|replicas| replicas > 1) && name != "detection" {
+        for (stage_name, stage) in pipeline.stages.iter() {
+            let name = stage_name.name();
+            let may_have_replicas = StageInfo::of(stage_name).may_have_replicas;
+            if stage.replicas.is_some_and(|replicas| replicas > 1) && !may_have_replicas {
                 self.problem(
                     &format!("stages.{name}.replicas"),
                     format!("only detection runs in several processes, {name} in one"),

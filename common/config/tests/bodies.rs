@@ -4,7 +4,7 @@
 
 use std::path::{Path, PathBuf};
 
-use flockeye_config::{Pipeline, read_bodies};
+use flockeye_config::{Pipeline, Resolved, read_bodies};
 use flockeye_geometry::body::{Bodies, squares};
 
 /// A folder that is removed with the value.
@@ -72,13 +72,14 @@ fn a_custom_body_is_taken_from_its_file_beside_the_configuration() {
     folder.bodies("mine.json", "mine", 40, "DICT_5X5_250");
     let yaml = "bodies:\n  list:\n    - {name: mine, preset: custom, file: mine.json}\n    \
                 - {name: box, preset: cube, edge_m: 0.1}\n";
-    let bodies = load(&folder.write("a.yaml", yaml)).bodies().unwrap();
+    let bodies = Resolved::of(load(&folder.write("a.yaml", yaml))).unwrap().bodies;
     assert_eq!((bodies.owner(56), bodies.owner(4)), (Some(0), Some(1)));
     // In proportion to the edge: 0.05 of 0.0625.
     assert!((bodies.get(1).unwrap().largest_side() - 0.08).abs() < 1e-12);
 
-    let refused =
-        |name: &str, yaml: &str| load(&folder.write(name, yaml)).bodies().unwrap_err().to_string();
+    let refused = |name: &str, yaml: &str| {
+        Resolved::of(load(&folder.write(name, yaml))).unwrap_err().to_string()
+    };
     let error =
         refused("b.yaml", "bodies: {list: [{name: other, preset: custom, file: mine.json}]}");
     assert!(error.contains("mine.json has no body 'other'; it has mine"), "{error}");
@@ -104,7 +105,7 @@ fn a_dictionary_may_lie_beside_the_configuration() {
     let folder = Folder::new("beside");
     let dictionary = folder.write("mine.yml", "%YAML:1.0\n");
     let pipeline = load(&folder.write("a.yaml", "bodies: {dictionary: mine.yml}"));
-    assert_eq!(Path::new(&pipeline.bodies().unwrap().dictionary), dictionary);
+    assert_eq!(Path::new(&Resolved::of(pipeline).unwrap().bodies.dictionary), dictionary);
     let file = folder.bodies("bodies.json", "alpha", 0, "mine.yml");
     assert_eq!(Path::new(&read_bodies(&file).unwrap().dictionary), dictionary);
 }
@@ -114,11 +115,12 @@ fn simulated_bodies_replace_those_of_the_same_name() {
     let folder = Folder::new("simulated");
     folder.bodies("real.json", "alpha", 0, "DICT_5X5_250");
     let pipeline = load(&folder.write("a.yaml", "simulator: {bodies: real.json}"));
-    let (configured, flown) = (pipeline.bodies().unwrap(), pipeline.simulated_bodies().unwrap());
+    let resolved = Resolved::of(pipeline).unwrap();
+    let flown = resolved.simulated_bodies().unwrap();
     let sides = |bodies: &Bodies| bodies.iter().map(|b| b.largest_side()).collect::<Vec<_>>();
-    assert!((sides(&configured)[0] - 0.05).abs() < 1e-12);
+    assert!((sides(&resolved.bodies)[0] - 0.05).abs() < 1e-12);
     assert!((sides(&flown)[0] - 0.06).abs() < 1e-12 && (sides(&flown)[1] - 0.05).abs() < 1e-12);
     folder.bodies("real.json", "alpha", 100, "DICT_5X5_250");
-    let error = pipeline.simulated_bodies().unwrap_err().to_string();
+    let error = resolved.simulated_bodies().unwrap_err().to_string();
     assert!(error.contains("body 'alpha' has other marker ids"), "{error}");
 }

@@ -17,6 +17,7 @@ mod health;
 #[cfg(test)]
 mod layout;
 mod plan;
+mod stage;
 mod text;
 mod topic;
 mod track;
@@ -32,10 +33,11 @@ pub use detection::{DetectedMarker, DetectionHeader, MAX_DETECTED_MARKERS};
 pub use frame::{FrameHeader, FrameStamp};
 pub use health::Health;
 pub use plan::{MAX_PLANNED_VIEWS, MAX_VIEW_PX, PlanHeader, PlannedView};
+pub use stage::StageName;
 pub use text::Text;
 pub use topic::{
-    ALL_TOPICS, CONTRACT_VERSION, ContractError, Detections, FrameEnds, Frames, Healths, Plans,
-    Topic, Tracks, Truths, VERSION_ATTRIBUTE, Views,
+    CONTRACT_VERSION, ContractError, Detections, FrameEnds, Frames, Healths, Plans, TOPICS, Topic,
+    TopicId, TopicInfo, TopicVisitor, Tracks, Truths, VERSION_ATTRIBUTE, Views, visit_topics,
 };
 pub use track::{FrameEnd, Pose, StageLatency, Track, TrackHeader};
 pub use truth::{BodyTruth, TruthHeader};

@@ -11,7 +11,7 @@ use std::rc::Rc;
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
-use flockeye_contract::{CONTRACT_VERSION, Topic, VERSION_ATTRIBUTE};
+use flockeye_contract::{CONTRACT_VERSION, Topic, TopicVisitor, VERSION_ATTRIBUTE, visit_topics};
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher as IoxPublisher;
@@ -97,6 +97,33 @@ pub fn create_services<T: Topic + 'static>(
     (0..limits.lanes).map(|lane| create_lane::<T>(node, limits, lane)).collect()
 }
 
+/// Creates the services of all topics, with their limits.
+///
+/// # Errors
+/// [`PortError::Create`] with iceoryx2's reason.
+pub fn create_all_services(
+    node: &Node<Service>,
+    budget: &Budget,
+) -> Result<Vec<TopicServices>, PortError> {
+    struct Creation<'a> {
+        node: &'a Node<Service>,
+        budget: &'a Budget,
+        services: Vec<TopicServices>,
+    }
+    impl TopicVisitor for Creation<'_> {
+        type Error = PortError;
+
+        fn visit<T: Topic + 'static>(&mut self) -> Result<(), PortError> {
+            let limits = self.budget.topic::<T>();
+            self.services.extend(create_services::<T>(self.node, limits)?);
+            Ok(())
+        }
+    }
+    let mut creation = Creation { node, budget, services: Vec::new() };
+    visit_topics(&mut creation)?;
+    Ok(creation.services)
+}
+
 fn create_lane<T: Topic + 'static>(
     node: &Node<Service>,
     limits: &Limits,
@@ -134,7 +161,7 @@ fn create_lane<T: Topic + 'static>(
 
 /// A topic of one lane is a service of its name; of several, `NAME/0`, `NAME/1` ...
 fn service_name<T: Topic>(limits: &Limits, lane: usize) -> Result<ServiceName, PortError> {
-    let name = match limits.topic_has_lanes() {
+    let name = match limits.has_lanes {
         true => format!("{}/{lane}", T::NAME),
         false => T::NAME.to_owned(),
     };

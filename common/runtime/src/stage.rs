@@ -15,7 +15,7 @@ use crate::instance::{GENERATION_VARIABLE, Instance, REPLICA_VARIABLE};
 use crate::memory::Budget;
 use crate::ports::{Ports, Publisher};
 use crate::{clock, logs};
-use flockeye_config::Pipeline;
+use flockeye_config::Resolved;
 
 /// One box of the dataflow: what it takes, what it gives, what it keeps between frames.
 pub trait Stage: Sized {
@@ -59,8 +59,8 @@ pub enum Step {
 
 /// What a stage knows of the pipeline it is in.
 pub struct Context {
-    /// The configuration.
-    pub pipeline: Pipeline,
+    /// The configuration, and what is made of it.
+    pub resolved: Resolved,
     /// Which process this is.
     pub identity: Identity,
     /// Where the stage counts what it does.
@@ -112,7 +112,7 @@ fn start<S: Stage>() -> anyhow::Result<Running<S>> {
         signal_hook::flag::register(signal, stopping.clone()).context("cannot catch signals")?;
     }
     let instance = Instance::of_this_process()?;
-    let pipeline = instance.pipeline()?;
+    let resolved = Resolved::of(instance.pipeline()?)?;
     let identity = Identity {
         stage: S::NAME.to_owned(),
         replica: number_from(REPLICA_VARIABLE)?,
@@ -131,8 +131,7 @@ fn start<S: Stage>() -> anyhow::Result<Running<S>> {
                 anyhow::anyhow!("cannot join the instance '{}': {error:?}", instance.name())
             })?,
     );
-    let budget =
-        Budget::of(&pipeline, pipeline.largest_view_px(pipeline.bodies()?.largest_side())?);
+    let budget = Budget::of(&resolved.pipeline, resolved.largest_view_px());
     let counters: SharedCounters = Rc::new(Counters::default());
     // What is said of health is not counted as the stage's own output.
     let health = Ports::new(node.clone(), budget.clone(), SharedCounters::default());
@@ -144,7 +143,7 @@ fn start<S: Stage>() -> anyhow::Result<Running<S>> {
     };
     reporter.send(StageState::Starting)?;
     let mut ports = Ports::new(node, budget, counters.clone());
-    let stage = S::open(&Context { pipeline, identity, counters }, &mut ports)?;
+    let stage = S::open(&Context { resolved, identity, counters }, &mut ports)?;
     Ok(Running { stage, ports, reporter, stopping })
 }
 

@@ -45,7 +45,8 @@ impl Stage for CaptureStage {
     const NAME: &'static str = "capture";
 
     fn open(context: &Context, ports: &mut Ports) -> anyhow::Result<Self> {
-        let pipeline = &context.pipeline;
+        let resolved = &context.resolved;
+        let pipeline = &resolved.pipeline;
         let spec: SourceSpec = pipeline.source.input.parse()?;
         let source = Source::open(spec, parameters(pipeline))?;
         tracing::info!("{}", source.describe());
@@ -60,8 +61,8 @@ impl Stage for CaptureStage {
                 generation: context.identity.generation,
                 next_sequence: 0,
             },
-            transfer: pipeline.transfer(),
-            projection: projection_of(&pipeline.camera_model()?),
+            transfer: resolved.transfer,
+            projection: projection_of(&resolved.camera),
             readout_ns: (pipeline.camera.readout_ms * 1e6) as u64,
             has_ended: false,
             counters: context.counters.clone(),

@@ -40,30 +40,30 @@ impl Stage for DetectionStage {
     const NAME: &'static str = "detection";
 
     fn open(context: &Context, ports: &mut Ports) -> anyhow::Result<Self> {
-        let bodies = context.pipeline.bodies()?;
+        let resolved = &context.resolved;
+        let (pipeline, bodies) = (&resolved.pipeline, &resolved.bodies);
         let parameters = DetectorParameters {
-            min_side_px: context.pipeline.detection.min_side_px,
+            min_side_px: pipeline.detection.min_side_px,
             // Where fusion aligns whole bodies, corners are what it begins from, and time matters.
-            effort: match context.pipeline.fusion.align {
+            effort: match pipeline.fusion.align {
                 true => Effort::Edges,
                 false => Effort::WholePrint,
             },
             ..DetectorParameters::default()
         };
         context.counters.set_detail(bodies.dictionary.as_str());
-        let pipeline = &context.pipeline;
         let detector = Detector::new(&bodies.dictionary, parameters)?
-            .with_mask(pipeline.mask()?)
+            .with_mask(resolved.mask()?.clone())
             .with_expected(bodies.iter().flat_map(|body| &body.markers).map(|marker| marker.id));
-        detector.dictionary().check(&bodies)?;
+        detector.dictionary().check(bodies)?;
         Ok(Self {
             views: ports.subscriber_of_lane(context.identity.replica as usize)?,
             detections: ports.publisher()?,
             detector,
             turns: pipeline.sweeps_by_turns().then(Turns::default),
-            bodies,
-            lights: RadianceCache::new(pipeline.measured_response()?)?,
-            pixels_per_radian: context.pipeline.camera_model()?.pixels_per_radian(),
+            bodies: bodies.clone(),
+            lights: RadianceCache::new(resolved.measured_response)?,
+            pixels_per_radian: resolved.camera.pixels_per_radian(),
             worker: context.identity.replica,
             generation: context.identity.generation,
             counters: context.counters.clone(),

@@ -3,7 +3,6 @@
 use std::collections::BTreeMap;
 
 use anyhow::Context as _;
-use flockeye_config::isometry;
 use flockeye_config::{Flow, Mode};
 use flockeye_contract::{
     DetectionHeader, Detections, FrameEnds, FrameStamp, PlanHeader, Plans, Track, TrackHeader,
@@ -78,17 +77,16 @@ impl Stage for FusionStage {
     const NAME: &'static str = "fusion";
 
     fn open(context: &Context, ports: &mut Ports) -> anyhow::Result<Self> {
-        let pipeline = &context.pipeline;
-        let bodies = pipeline.bodies()?;
-        let views = pipeline.partition_views(bodies.largest_side())?;
+        let resolved = &context.resolved;
+        let (pipeline, bodies) = (&resolved.pipeline, &resolved.bodies);
         let planner = Planner::new(
             search_mode(pipeline),
-            pipeline.sphere_partition()?,
-            views,
-            pipeline.gaze_options()?,
+            resolved.division.partition.clone(),
+            resolved.partition_views.clone(),
+            resolved.gaze_options,
         )?
-        .with_far_views(pipeline.far_views()?)
-        .with_mask(pipeline.mask()?);
+        .with_far_views(resolved.far_views.clone())
+        .with_mask(resolved.mask()?.clone());
         if planner.hidden_partitions() > 0 {
             tracing::info!(
                 "{} of {} partitions are never searched: the camera sees nothing of them",
@@ -96,15 +94,15 @@ impl Stage for FusionStage {
                 planner.partition().len()
             );
         }
-        let camera = pipeline.camera_model()?;
-        let observer_from_camera = isometry(&pipeline.observer.observer_from_camera);
+        let camera = resolved.camera;
+        let observer_from_camera = resolved.observer_from_camera;
         let dictionary = Dictionary::load(&bodies.dictionary)?;
-        let aligner = Aligner::new(&bodies, |id| dictionary.print(id), camera.pixels_per_radian())?
+        let aligner = Aligner::new(bodies, |id| dictionary.print(id), camera.pixels_per_radian())?
             .with_covariance_scale(pipeline.fusion.covariance_scale)
-            .with_level(&bodies, &observer_from_camera, pipeline.fusion.level_deg.to_radians());
+            .with_level(bodies, &observer_from_camera, pipeline.fusion.level_deg.to_radians());
         let threads = pipeline.fusion.threads as usize;
         let filter = filter_choice(pipeline);
-        let mut swarm = Swarm::new(&bodies, filter, planner, aligner, threads)
+        let mut swarm = Swarm::new(bodies, filter, planner, aligner, threads)
             .with_parallax(Parallax::of(&camera, pipeline.camera.assumed_distance_m));
         // What comes when it comes depends on time, and nothing may in a lossless run.
         let is_tracked = matches!(filter, FilterChoice::Tracks(_));
@@ -122,7 +120,7 @@ impl Stage for FusionStage {
                 memory::held_views_waiting(pipeline),
                 memory::held_views_best(pipeline),
             ),
-            lights: RadianceCache::new(pipeline.measured_response()?)?,
+            lights: RadianceCache::new(resolved.measured_response)?,
             swarm,
             remembered: BTreeMap::new(),
             plan_id: 0,

@@ -42,7 +42,7 @@ impl Stage for GatewayStage {
     const NAME: &'static str = "gateway";
 
     fn open(context: &Context, ports: &mut Ports) -> anyhow::Result<Self> {
-        let parameters = NetworkParameters::of_drone(&context.pipeline);
+        let parameters = NetworkParameters::of_drone(&context.resolved.pipeline);
         // What can never work is said before the flight; what may come yet is waited for.
         parameters.check()?;
         Ok(Self {
@@ -51,7 +51,7 @@ impl Stage for GatewayStage {
             link: None,
             retry_ns: 0,
             detail_ns: 0,
-            flow: context.pipeline.flow,
+            flow: context.resolved.pipeline.flow,
             newest: Newest::default(),
             counters: context.counters.clone(),
             failures: Throttle::default(),

@@ -2,6 +2,7 @@
 use std::path::Path;
 
 use super::*;
+use crate::resolve::Resolved;
 use crate::types::*;
 
 fn parse(yaml: &str) -> Result<Pipeline, ConfigError> {
@@ -237,25 +238,29 @@ fn overrides_are_checked_like_the_file() {
     );
 }
 
+fn resolved(pipeline: &Pipeline) -> Resolved {
+    Resolved::of(pipeline.clone()).unwrap()
+}
+
 #[test]
 fn a_partition_may_be_chosen() {
     let pipeline = parse("partition: {count: auto}").unwrap();
-    assert_eq!(pipeline.partition_count().unwrap(), 12);
+    assert_eq!(resolved(&pipeline).partition_views.len(), 12);
     let few = parse("partition: {count: auto, weights: [0.6, 0.01, 0.39]}").unwrap();
-    assert!(few.partition_count().unwrap() < 12);
+    assert!(resolved(&few).partition_views.len() < 12);
     for count in [5, 32, 33, 128] {
         let pipeline = parse(&format!("partition: {{count: {count}}}")).unwrap();
-        let views = pipeline.partition_views(0.05).unwrap();
+        let views = resolved(&pipeline).partition_views;
         assert_eq!(views.len(), count);
-        assert_eq!(pipeline.partition_views(0.05).unwrap(), views);
+        assert_eq!(resolved(&pipeline).partition_views, views);
         // What the launcher resolved is what the stages read.
         let json = serde_json::to_string(&pipeline).unwrap();
         assert_eq!(serde_json::from_str::<Pipeline>(&json).unwrap(), pipeline);
     }
     let pipeline = parse("partition: {method: paper, seed: 3}").unwrap();
     assert_ne!(
-        pipeline.sphere_partition().unwrap(),
-        Pipeline::default().sphere_partition().unwrap()
+        resolved(&pipeline).division.partition,
+        resolved(&Pipeline::default()).division.partition
     );
 }
 

@@ -9,7 +9,7 @@ use flockeye_geometry::body::{
 };
 
 use super::mount::isometry;
-use crate::types::{Mount, Pipeline, Preset, PresetBody};
+use crate::types::{BodySet, Mount, Preset, PresetBody};
 
 /// A bodies file of 32 bodies with 100 markers each has a tenth of it.
 const MAX_FILE_BYTES: u64 = 16_000_000;
@@ -89,59 +89,50 @@ pub enum BodySetError {
     },
 }
 
-impl Pipeline {
-    /// The bodies of `bodies.file`, or else those of `bodies.list`. A body's place in them is the
-    /// `target` number of the contract.
-    ///
-    /// # Errors
-    /// A file cannot be read, or everything in it that contradicts.
-    pub fn bodies(&self) -> Result<Bodies, BodySetError> {
-        if let Some(path) = &self.bodies.file {
-            return read_bodies(path);
-        }
-        let wanted = &self.bodies.dictionary;
-        let bodies: Result<Vec<Body>, BodySetError> = self
-            .bodies
-            .list
-            .iter()
-            .map(|entry| match (preset_body(entry), &entry.file) {
-                (Some(body), _) => Ok(body),
-                (None, Some(path)) => custom_body(entry, path, wanted),
-                // Refused with the configuration: it has no marker, and says so once more.
-                (None, None) => Ok(Body::new(entry.name.as_str(), Vec::new())),
-            })
-            .collect();
-        Bodies::new(wanted.clone(), bodies?).map_err(BodySetError::List)
+/// The bodies of `bodies.file`, or else those of `bodies.list`. A body's place in them is the `target`
+/// number of the contract.
+///
+/// # Errors
+/// A file cannot be read, or everything in it that contradicts.
+pub fn bodies(settings: &BodySet) -> Result<Bodies, BodySetError> {
+    if let Some(path) = &settings.file {
+        return read_bodies(path);
     }
+    let wanted = &settings.dictionary;
+    let bodies: Result<Vec<Body>, BodySetError> = settings
+        .list
+        .iter()
+        .map(|entry| match (preset_body(entry), &entry.file) {
+            (Some(body), _) => Ok(body),
+            (None, Some(path)) => custom_body(entry, path, wanted),
+            // The check of the configuration refuses this; a body without markers is refused below.
+            (None, None) => Ok(Body::new(entry.name.as_str(), Vec::new())),
+        })
+        .collect();
+    Bodies::new(wanted.clone(), bodies?).map_err(BodySetError::List)
+}
 
-    /// The bodies as they fly in the simulated world: those of `simulator.bodies` instead of the
-    /// configured ones of the same name.
-    ///
-    /// # Errors
-    /// As [`Pipeline::bodies`]; and bodies of the same name with other ids.
-    pub fn simulated_bodies(&self) -> Result<Bodies, BodySetError> {
-        let configured = self.bodies()?;
-        let Some(path) = &self.simulator.bodies else { return Ok(configured) };
-        let real = read_bodies(path)?;
-        check_dictionary(path, &real, &configured.dictionary)?;
-        let bodies: Result<Vec<Body>, BodySetError> = configured
-            .iter()
-            .map(|body| {
-                let Some(real) = real.iter().find(|real| real.name == body.name) else {
-                    return Ok(body.clone());
-                };
-                let mut placed = real.clone();
-                placed.target_from_markers = body.target_from_markers;
-                let ids = |body: &Body| body.markers.iter().map(|m| m.id).collect::<Vec<_>>();
-                match ids(real) == ids(body) {
-                    true => Ok(placed),
-                    false => Err(BodySetError::Ids { path: path.clone(), name: body.name.clone() }),
-                }
-            })
-            .collect();
-        Bodies::new(configured.dictionary.clone(), bodies?)
-            .map_err(|error| BodySetError::File { path: path.clone(), error })
-    }
+/// The configured bodies, with those of the file at `path` in place of the ones of the same name.
+pub(crate) fn simulated_bodies(configured: &Bodies, path: &Path) -> Result<Bodies, BodySetError> {
+    let real = read_bodies(path)?;
+    check_dictionary(path, &real, &configured.dictionary)?;
+    let bodies: Result<Vec<Body>, BodySetError> = configured
+        .iter()
+        .map(|body| {
+            let Some(real) = real.iter().find(|real| real.name == body.name) else {
+                return Ok(body.clone());
+            };
+            let mut placed = real.clone();
+            placed.target_from_markers = body.target_from_markers;
+            let ids = |body: &Body| body.markers.iter().map(|m| m.id).collect::<Vec<_>>();
+            match ids(real) == ids(body) {
+                true => Ok(placed),
+                false => Err(BodySetError::Ids { path: path.to_owned(), name: body.name.clone() }),
+            }
+        })
+        .collect();
+    Bodies::new(configured.dictionary.clone(), bodies?)
+        .map_err(|error| BodySetError::File { path: path.to_owned(), error })
 }
 
 /// Reads a bodies file. Its dictionary, if that is a file, may lie beside it.

@@ -5,19 +5,15 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 use flockeye_contract::MAX_VIEW_PX;
+use flockeye_geometry::camera::Camera;
 use flockeye_geometry::partition::{self, Criterion, Method, Partition, PartitionError, Weights};
-use flockeye_geometry::search::GazeOptions;
 use flockeye_geometry::view::View;
 
-use super::camera::CameraSettingError;
-use crate::types::{Auto, Count, Filter, Pipeline};
+use crate::types::{self, Auto, Count, Filter, Pipeline};
 
 /// Why the sphere has no views.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum SphereViewsError {
-    /// The camera cannot be.
-    #[error(transparent)]
-    Camera(#[from] CameraSettingError),
     /// A margin that leaves no view.
     #[error("partition: {0}")]
     Partition(#[from] PartitionError),
@@ -58,127 +54,113 @@ type Key = (Method, usize, u64);
 /// Partitions that this process had to find.
 static FOUND: Mutex<Vec<(Key, Partition)>> = Mutex::new(Vec::new());
 
-impl Pipeline {
-    /// How many views cover the sphere.
-    ///
-    /// # Errors
-    /// Weights that are none.
-    pub fn partition_count(&self) -> Result<usize, PartitionError> {
-        match self.partition.count {
-            Count::Views(count) => Ok(count),
-            Count::Chosen(Auto::Auto) => {
-                Ok(Criterion::new(Weights::new(self.partition.weights)?).choice())
-            }
-        }
+/// How many views cover the sphere.
+fn partition_count(settings: &types::Partition) -> Result<usize, PartitionError> {
+    match settings.count {
+        Count::Views(count) => Ok(count),
+        Count::Chosen(Auto::Auto) => Ok(Criterion::new(Weights::new(settings.weights)?).choice()),
     }
+}
 
-    /// The directions that share the sphere: every process of a pipeline finds the same.
-    ///
-    /// # Errors
-    /// A number of views for which there is no partition.
-    pub fn sphere_partition(&self) -> Result<Partition, PartitionError> {
-        let method = self.partition.method.into();
-        let key = (method, self.partition_count()?, u64::from(self.partition.seed));
-        let (method, count, seed) = key;
-        if Partition::is_stored(method, count, seed) {
-            return Partition::of(method, count, seed);
-        }
-        // Found once in each process.
-        let mut found = FOUND.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((_, partition)) = found.iter().find(|(known, _)| *known == key) {
-            return Ok(partition.clone());
-        }
-        let start = Instant::now();
-        let partition = Partition::of(method, count, seed)?;
-        tracing::info!(
-            count,
-            seed,
-            seconds = start.elapsed().as_secs_f64(),
-            "this partition of the sphere is not stored: found it from its seed"
-        );
-        found.push((key, partition.clone()));
-        Ok(partition)
+/// The directions that share the sphere: every process of a pipeline finds the same.
+fn partition(settings: &types::Partition) -> Result<Partition, PartitionError> {
+    let method = settings.method.into();
+    let key = (method, partition_count(settings)?, u64::from(settings.seed));
+    let (method, count, seed) = key;
+    if Partition::is_stored(method, count, seed) {
+        return Partition::of(method, count, seed);
     }
+    // Found once in each process: the check of the configuration needs it, then the stage.
+    let mut found = FOUND.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some((_, partition)) = found.iter().find(|(known, _)| *known == key) {
+        return Ok(partition.clone());
+    }
+    let start = Instant::now();
+    let partition = Partition::of(method, count, seed)?;
+    tracing::info!(
+        count,
+        seed,
+        seconds = start.elapsed().as_secs_f64(),
+        "this partition of the sphere is not stored: found it from its seed"
+    );
+    found.push((key, partition.clone()));
+    Ok(partition)
+}
 
-    /// Overlap of the partitions, radians: `partition.margin_deg`, or `largest_marker_m` seen from
+/// Pixels of the partitions' views for each of the sphere's, along a side.
+fn magnification(pipeline: &Pipeline) -> f64 {
+    // Gaze views are magnified, but without tracks there are none.
+    let without_gaze = if pipeline.fusion.filter == Filter::None { 2.0 } else { 1.0 };
+    pipeline.partition.magnification.unwrap_or(without_gaze)
+}
+
+/// How the sphere is divided: the directions of the partitions, and how far their views overlap.
+#[derive(Debug, Clone)]
+pub struct Division {
+    /// The directions that share the sphere.
+    pub partition: Partition,
+    /// Overlap of the partitions, radians: `partition.margin_deg`, or the largest marker seen from
     /// `partition.nearest_m`.
-    pub fn partition_margin_rad(&self, largest_marker_m: f64) -> f64 {
-        match self.partition.margin_deg {
-            Some(degrees) => degrees.to_radians(),
-            None => 2.0 * (largest_marker_m / (2.0 * self.partition.nearest_m)).atan(),
-        }
-    }
-
+    pub margin_rad: f64,
     /// Field of the partitions' views, radians.
+    pub field_rad: f64,
+}
+
+impl Division {
+    /// The configured division for bodies whose largest marker has a side of `largest_marker_m`.
     ///
     /// # Errors
-    /// A margin that leaves no view.
-    pub fn partition_field_rad(&self, largest_marker_m: f64) -> Result<f64, PartitionError> {
-        self.sphere_partition()?.field_rad(self.partition_margin_rad(largest_marker_m))
+    /// A number of views for which there is no partition, or a margin that leaves no view.
+    pub(crate) fn of(
+        settings: &types::Partition,
+        largest_marker_m: f64,
+    ) -> Result<Self, PartitionError> {
+        let partition = partition(settings)?;
+        let margin_rad = match settings.margin_deg {
+            Some(degrees) => degrees.to_radians(),
+            None => 2.0 * (largest_marker_m / (2.0 * settings.nearest_m)).atan(),
+        };
+        let field_rad = partition.field_rad(margin_rad)?;
+        Ok(Self { partition, margin_rad, field_rad })
     }
 
-    /// Pixels of the partitions' views for each of the sphere's, along a side.
-    pub fn partition_magnification(&self) -> f64 {
-        // Gaze views are magnified, but without tracks there are none.
-        let without_gaze = if self.fusion.filter == Filter::None { 2.0 } else { 1.0 };
-        self.partition.magnification.unwrap_or(without_gaze)
-    }
-
-    /// The partitions as views, at the sphere's resolution times
-    /// [`Pipeline::partition_magnification`], which overlap by [`Pipeline::partition_margin_rad`].
+    /// The partitions as views, at the sphere's resolution times `partition.magnification`.
     ///
     /// # Errors
-    /// A margin that leaves no view; a camera that cannot be.
-    pub fn partition_views(&self, largest_marker_m: f64) -> Result<Vec<View>, SphereViewsError> {
-        let margin_rad = self.partition_margin_rad(largest_marker_m);
-        let pixels_per_radian =
-            self.camera_model()?.pixels_per_radian() * self.partition_magnification();
-        let views = self.sphere_partition()?.views(margin_rad, pixels_per_radian)?;
+    /// A margin that leaves no view; views that no message can carry.
+    pub(crate) fn views(
+        &self,
+        pipeline: &Pipeline,
+        camera: &Camera,
+    ) -> Result<Vec<View>, SphereViewsError> {
+        let pixels_per_radian = camera.pixels_per_radian() * magnification(pipeline);
+        let views = self.partition.views(self.margin_rad, pixels_per_radian)?;
         match too_large(&views) {
             Some(size_px) => Err(SphereViewsError::TooLarge { count: views.len(), size_px }),
             None => Ok(views),
         }
     }
+}
 
-    /// The views that sweep the sphere for neighbours too far for the partitions: the stored covering by
-    /// most views, at the sphere's resolution times `search.far_magnification`. None where the
-    /// partitions see as much, and where no gaze view would follow.
-    ///
-    /// # Errors
-    /// A margin that leaves no view; a camera that cannot be.
-    pub fn far_views(&self) -> Result<Vec<View>, SphereViewsError> {
-        let magnification = self.search.far_magnification;
-        if !self.gazes() || magnification <= self.partition_magnification() {
-            return Ok(Vec::new());
-        }
-        let count = *partition::STORED.end();
-        let partition = Partition::of(Method::Covering, count, partition::STORED_SEED)?;
-        let pixels_per_radian = self.camera_model()?.pixels_per_radian() * magnification;
-        let views = partition.views(FAR_MARGIN_RAD, pixels_per_radian)?;
-        match too_large(&views) {
-            Some(size_px) => Err(SphereViewsError::FarTooLarge { size_px }),
-            None => Ok(views),
-        }
+/// The views that sweep the sphere for neighbours too far for the partitions: the stored covering by
+/// most views, at the sphere's resolution times `search.far_magnification`. None where the partitions
+/// see as much, and where no gaze view would follow.
+///
+/// # Errors
+/// A margin that leaves no view; views that no message can carry.
+pub(crate) fn far_views(
+    pipeline: &Pipeline,
+    camera: &Camera,
+) -> Result<Vec<View>, SphereViewsError> {
+    let far_magnification = pipeline.search.far_magnification;
+    if !pipeline.gazes() || far_magnification <= magnification(pipeline) {
+        return Ok(Vec::new());
     }
-
-    /// Pixels along the side of the largest view that this pipeline cuts.
-    ///
-    /// # Errors
-    /// As [`Pipeline::partition_views`].
-    pub fn largest_view_px(&self, largest_marker_m: f64) -> Result<u32, SphereViewsError> {
-        let (near, far) = (self.partition_views(largest_marker_m)?, self.far_views()?);
-        let largest = near.iter().chain(&far).map(|view| view.size_px).max().unwrap_or(0);
-        Ok(largest.max(self.gaze_options()?.size_max_px))
-    }
-
-    /// How gaze views are cut from this camera's frames.
-    ///
-    /// # Errors
-    /// A camera that cannot be.
-    pub fn gaze_options(&self) -> Result<GazeOptions, CameraSettingError> {
-        Ok(GazeOptions {
-            partitions_per_frame: self.search.lossless_partitions as usize,
-            ..GazeOptions::new(self.camera_model()?.pixels_per_radian())
-        })
+    let count = *partition::STORED.end();
+    let partition = Partition::of(Method::Covering, count, partition::STORED_SEED)?;
+    let views = partition.views(FAR_MARGIN_RAD, camera.pixels_per_radian() * far_magnification)?;
+    match too_large(&views) {
+        Some(size_px) => Err(SphereViewsError::FarTooLarge { size_px }),
+        None => Ok(views),
     }
 }

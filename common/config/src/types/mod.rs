@@ -3,6 +3,8 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
+use flockeye_contract::StageName;
+use flockeye_geometry::filter::TrackPolicy;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -16,7 +18,7 @@ pub use bodies::{BodySet, Preset, PresetBody};
 pub use camera::{Camera, CameraModel, FisheyeLens, Response};
 pub use mount::Mount;
 pub use partition::{Auto, Count, Method, Partition};
-pub use stages::{Restart, Scheduling, StageProcess, Stages};
+pub use stages::{Restart, Scheduling, StageInfo, StageProcess, Stages};
 
 /// A Flockeye pipeline.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -56,7 +58,21 @@ pub struct Pipeline {
 impl Pipeline {
     /// How many processes search views.
     pub fn detection_workers(&self) -> u32 {
-        self.stages.detection.replicas.unwrap_or(2)
+        self.replicas(StageName::Detection)
+    }
+
+    /// How many processes run a stage, if it runs.
+    pub fn replicas(&self, stage: StageName) -> u32 {
+        self.stages.of(stage).replicas.unwrap_or(StageInfo::of(stage).replicas)
+    }
+
+    /// Whether a stage runs in this pipeline: of the sources one does, and the gateway may be off.
+    pub fn runs(&self, stage: StageName) -> bool {
+        match stage {
+            StageName::Gateway => self.gateway.enabled,
+            source if source.is_source() => source == self.source_stage(),
+            _ => true,
+        }
     }
 
     /// Whether each neighbour is looked at where it is predicted, and the sphere is swept in the time
@@ -91,9 +107,9 @@ impl Pipeline {
         }
     }
 
-    /// Name of the stage that `source.input` needs.
-    pub fn source_stage(&self) -> &'static str {
-        if self.source.input == "sim" { "simulator" } else { "capture" }
+    /// The stage that `source.input` needs.
+    pub fn source_stage(&self) -> StageName {
+        if self.source.input == "sim" { StageName::Simulator } else { StageName::Capture }
     }
 }
 
@@ -381,16 +397,17 @@ pub struct Fusion {
 
 impl Default for Fusion {
     fn default() -> Self {
+        let policy = TrackPolicy::default();
         Self {
             filter: Filter::ConstantVelocity,
-            coast_s: 1.0,
-            confirm_hits: 2,
-            confirm_window: 5,
-            history_s: 0.5,
-            gate_probability: 0.999,
-            restart_after_gated: 3,
-            acceleration: 0.7,
-            angular_acceleration: 3.0,
+            coast_s: policy.coast_s,
+            confirm_hits: policy.confirm_hits,
+            confirm_window: policy.confirm_window,
+            history_s: policy.history_s,
+            gate_probability: policy.gate_probability,
+            restart_after_gated: policy.restart_after_gated,
+            acceleration: policy.motion.acceleration,
+            angular_acceleration: policy.motion.angular_acceleration,
             deadline_ms: 3000.0,
             align: true,
             covariance_scale: 3.1,

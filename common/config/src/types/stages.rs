@@ -1,5 +1,6 @@
 //! How the stages' processes are run, as types.
 
+use flockeye_contract::StageName;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -94,16 +95,47 @@ pub enum Restart {
 }
 
 impl Stages {
-    /// Every stage with its name, in the order of the dataflow.
-    pub fn iter(&self) -> impl Iterator<Item = (&'static str, &StageProcess)> {
-        [
-            ("capture", &self.capture),
-            ("simulator", &self.simulator),
-            ("rectification", &self.rectification),
-            ("detection", &self.detection),
-            ("fusion", &self.fusion),
-            ("gateway", &self.gateway),
-        ]
-        .into_iter()
+    /// How one stage is run.
+    pub fn of(&self, stage: StageName) -> &StageProcess {
+        match stage {
+            StageName::Capture => &self.capture,
+            StageName::Simulator => &self.simulator,
+            StageName::Rectification => &self.rectification,
+            StageName::Detection => &self.detection,
+            StageName::Fusion => &self.fusion,
+            StageName::Gateway => &self.gateway,
+        }
+    }
+
+    /// Every stage, in the order of the dataflow.
+    pub fn iter(&self) -> impl Iterator<Item = (StageName, &StageProcess)> {
+        StageName::ALL.into_iter().map(|stage| (stage, self.of(stage)))
+    }
+}
+
+/// What holds for a stage where pipeline.yaml says nothing else. Every stage may be started again
+/// (`restart`).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct StageInfo {
+    /// How many processes run it.
+    pub replicas: u32,
+    /// Whether it may run in several processes.
+    pub may_have_replicas: bool,
+    /// How far it gives way to others.
+    pub nice: i32,
+}
+
+impl StageInfo {
+    /// The row of one stage.
+    pub const fn of(stage: StageName) -> Self {
+        match stage {
+            // No tracked neighbour's pose waits for detection, so it gives way.
+            StageName::Detection => Self { replicas: 2, may_have_replicas: true, nice: 5 },
+            StageName::Capture
+            | StageName::Simulator
+            | StageName::Rectification
+            | StageName::Fusion
+            | StageName::Gateway => Self { replicas: 1, may_have_replicas: false, nice: 0 },
+        }
     }
 }
