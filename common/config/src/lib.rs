@@ -2,17 +2,17 @@
 //!
 //! Everything that is wrong is reported at once, each problem with its place, what is wrong and
 //! what is allowed. The document is checked in two passes: against the JSON Schema of the types
-//! (which editors use too, see [`json_schema`]), then for what no schema can say.
+//! (which editors use too, see [`json_schema`]), then semantically.
 //!
 //! | module | what it is for |
 //! | --- | --- |
 //! | `types` | the configuration as types; their comments are the schema's descriptions |
 //! | `document` | YAML as a tree that remembers where each value was written |
 //! | `schema` | the document checked against the JSON Schema |
-//! | `meaning` | what no schema can say |
+//! | `meaning` | semantic validation: constraints that no schema can express |
 //! | `read` | text and overrides to a checked [`Pipeline`] |
 //! | `problem` | what is wrong, and where |
-//! | `resolve` | what is made of a configuration: bodies, camera, views |
+//! | `resolve` | what a process computes from a configuration: bodies, camera, views |
 
 mod document;
 mod instance_name;

@@ -1,4 +1,4 @@
-//! What no schema can say: values that contradict each other, names, rotations.
+//! Semantic validation: values that contradict each other, names, rotations.
 
 use flockeye_geometry::body::{Bodies, Body};
 use flockeye_geometry::partition::{PartitionError, Weights};
@@ -12,7 +12,7 @@ use crate::types::{
     StageInfo,
 };
 
-/// Adds everything about `pipeline` that cannot be meant to `problems`.
+/// Semantic validation: appends each violated constraint of `pipeline` to `problems`.
 pub(super) fn check(pipeline: &Pipeline, document: &Node, problems: &mut Problems) {
     let mut meaning = Meaning { document, problems };
     meaning.instance(&pipeline.instance.0);
@@ -199,7 +199,7 @@ impl Meaning<'_> {
         if !matches!(error, PartitionError::Field { .. }) {
             return self.problem("partition", error.to_string());
         }
-        // What was written and made it so.
+        // The key whose value caused it.
         let path = match (partition.margin_deg, partition.count) {
             (Some(_), _) => "partition.margin_deg",
             (None, Count::Chosen(_)) if partition.weights != Partition::default().weights => {

@@ -18,7 +18,7 @@ impl Pipeline {
             .map_err(|error| ConfigError::Read { path: path.to_owned(), error })?;
         let folder = path.parent().unwrap_or(Path::new(""));
         let mut pipeline = Self::parse(&yaml, overrides, &path.display().to_string())?;
-        // An override's path is the user's, relative to where the command was given.
+        // A path in an override is relative to the user's working directory.
         let is_overridden =
             |key: &str| overrides.iter().any(|text| text.starts_with(&format!("{key}=")));
         let dictionary = folder.join(&pipeline.bodies.dictionary);
@@ -62,8 +62,8 @@ impl Pipeline {
                         return Ok(pipeline);
                     }
                 }
-                // The schema is made from the same types, so this is a gap in the check above; the
-                // message still says what serde found.
+                // The schema is made from the same types, so the check above missed something. The
+                // message is serde's.
                 Err(error) => {
                     problems.add(Problem::new(document.origin.clone(), "", error.to_string()))
                 }

@@ -6,8 +6,8 @@ use bytemuck::Pod;
 use iceoryx2::prelude::ZeroCopySend;
 
 use crate::{
-    BodyTruth, DetectedMarker, DetectionHeader, FrameEnd, FrameHeader, Health, PlanHeader,
-    PlannedView, StageName, Track, TrackHeader, TruthHeader, UnknownCode, ViewHeader,
+    BodyTruth, ContractError, DetectedMarker, DetectionHeader, FrameEnd, FrameHeader, Health,
+    PlanHeader, PlannedView, StageName, Track, TrackHeader, TruthHeader, ViewHeader,
 };
 
 /// Version of everything in this crate. A stage of another version is refused.
@@ -15,86 +15,6 @@ pub const CONTRACT_VERSION: &str = "2";
 
 /// The iceoryx2 service attribute that carries [`CONTRACT_VERSION`].
 pub const VERSION_ATTRIBUTE: &str = "flockeye.contract";
-
-/// Why a message was refused.
-#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-pub enum ContractError {
-    /// An enumeration's code is unknown.
-    #[error(transparent)]
-    Code(#[from] UnknownCode),
-    /// The header announces more bytes than were sent.
-    #[error("the header announces {needed} bytes of payload, {found} are there")]
-    PayloadTooShort {
-        /// What the header announces.
-        needed: usize,
-        /// What came.
-        found: usize,
-    },
-    /// An image of no, or of absurd, size.
-    #[error("an image of {width}x{height} pixels (1 to {max} are allowed)")]
-    Size {
-        /// Pixels in a row.
-        width: u32,
-        /// Rows.
-        height: u32,
-        /// The most allowed.
-        max: u32,
-    },
-    /// Rows that overlap, or are absurdly far apart.
-    #[error("rows of {width} pixels that are {stride} bytes apart")]
-    Stride {
-        /// Bytes from row to row.
-        stride: u32,
-        /// Pixels in a row.
-        width: u32,
-    },
-    /// A curve that cannot be undone.
-    #[error("a transfer curve with gamma {gamma} (0.1 to 10 are allowed)")]
-    Gamma {
-        /// The exponent.
-        gamma: f32,
-    },
-    /// A quaternion that is no rotation.
-    #[error("a rotation whose quaternion has length {norm} instead of 1")]
-    Rotation {
-        /// Its length.
-        norm: f64,
-    },
-    /// A ray that is no direction.
-    #[error("a ray of length {norm} instead of 1")]
-    Ray {
-        /// Its length.
-        norm: f64,
-    },
-    /// A focal length that gives no picture.
-    #[error("a focal length of {focal_px} pixels")]
-    Focal {
-        /// Pixels.
-        focal_px: f64,
-    },
-    /// A number that is none, or out of all bounds.
-    #[error("{what} is not a finite number within its bounds")]
-    NotFinite {
-        /// Which.
-        what: &'static str,
-    },
-    /// More than anybody can mean.
-    #[error("{found} {what} (at most {max} are allowed)")]
-    TooMany {
-        /// Of what.
-        what: &'static str,
-        /// How many came.
-        found: usize,
-        /// The most allowed.
-        max: usize,
-    },
-    /// Something that must be there is not.
-    #[error("the {what} is missing")]
-    Missing {
-        /// What.
-        what: &'static str,
-    },
-}
 
 /// One publish-subscribe service: messages of one header and a slice of items.
 pub trait Topic {
@@ -107,10 +27,10 @@ pub trait Topic {
     /// Its row in the table of all topics.
     const INFO: TopicInfo;
 
-    /// Refuses a message that is not what it says, before anybody reads it.
+    /// Validates a message before it is read.
     ///
     /// # Errors
-    /// The first thing about the message that cannot be.
+    /// The first violation found.
     fn check(header: &Self::Header, items: &[Self::Item]) -> Result<(), ContractError>;
 }
 

@@ -1,4 +1,4 @@
-//! What crosses a process border, as types that carry the mathematics, and back.
+//! Conversions between contract types and the types of nalgebra, geometry and imaging.
 //!
 //! The contract has arrays and codes, which any language can read; geometry and imaging have
 //! nalgebra's types and enumerations. Every conversion between the two is here, so that all stages

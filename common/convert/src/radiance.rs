@@ -9,7 +9,7 @@ use flockeye_imaging::light::{LightError, LinearLight};
 use crate::codes::{code_range, transfer_curve};
 use crate::view::ViewError;
 
-/// Curves that are remembered: a source that changes its curve with every frame must not fill the
+/// Curves that are kept at most: a source that changes its curve with every frame must not fill the
 /// memory.
 const MAX_CURVES: usize = 8;
 
@@ -22,16 +22,16 @@ pub struct RadianceCache {
 }
 
 impl RadianceCache {
-    /// `measured`: the light of each code of a camera whose response is a table.
+    /// `measured`: the radiance of each code of a camera whose response is a table.
     ///
     /// # Errors
-    /// A table that falls.
+    /// A table that does not rise.
     pub fn new(measured: Option<[f32; 256]>) -> Result<Self, LightError> {
         let measured = measured.map(LinearLight::from_table).transpose()?;
         Ok(Self { measured, known: BTreeMap::new() })
     }
 
-    /// The light of a view's codes, if [`RadianceCache::of`] has found it before.
+    /// The radiance of a view's codes, if [`RadianceCache::of`] has found it before.
     pub fn known(&self, header: &ViewHeader) -> Option<&LinearLight> {
         match Transfer::try_from(header.transfer).ok()? {
             Transfer::Table => self.measured.as_ref(),
@@ -39,12 +39,12 @@ impl RadianceCache {
         }
     }
 
-    /// The light of a view's codes.
+    /// The radiance of a view's codes.
     ///
     /// # Errors
     /// A curve that cannot be undone, or a table where none was configured.
     pub fn of(&mut self, header: &ViewHeader) -> Result<&LinearLight, ViewError> {
-        // Unknown codes were refused with the message; the defaults here are never taken.
+        // The contract's check has refused unknown codes, so the default is never used.
         let transfer = Transfer::try_from(header.transfer).unwrap_or(Transfer::Srgb);
         if transfer == Transfer::Table {
             return self.measured.as_ref().ok_or(ViewError::NoTable);

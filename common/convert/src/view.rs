@@ -7,7 +7,7 @@ use flockeye_imaging::light::LightError;
 
 use crate::pose::rotation;
 
-/// Why a view cannot be looked into.
+/// Why a view's pixels cannot be used.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ViewError {
     /// Its pixels are not as many as its header says.
@@ -24,8 +24,8 @@ pub enum ViewError {
     NoTable,
 }
 
-/// The geometry that a header states. The rotation is normalised; whether it was one is for the
-/// contract's check to say.
+/// The geometry that a header states. The rotation is normalised; the contract's check has refused
+/// quaternions that are not of length 1.
 pub fn view_of(header: &ViewHeader) -> View {
     View {
         camera_from_view: rotation(header.camera_from_view),

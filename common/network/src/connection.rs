@@ -1,4 +1,4 @@
-//! The session, which may still be on its way.
+//! The Zenoh session, which may not be open yet.
 
 use std::{
     io,
@@ -16,10 +16,10 @@ use crate::parameters::{NetworkMode, NetworkParameters, listen_address};
 
 /// How long a client waits before it looks for its router again.
 const RETRY: Duration = Duration::from_secs(1);
-/// How often who waits for the session looks whether it is still wanted.
+/// How often a thread that waits for the session checks whether it should stop.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// A session that is there, or will be.
+/// A session that is open, or is being opened.
 #[derive(Debug, Default)]
 pub(crate) struct Connection {
     session: Mutex<Option<Session>>,
@@ -46,7 +46,7 @@ impl Connection {
         Ok(connection)
     }
 
-    /// The session, waited for until it is there or `stop` says that it is not wanted any more.
+    /// Waits until the session is open and returns it; `None` once `stop` returns true.
     pub(crate) fn session(&self, stop: impl Fn() -> bool) -> Option<Session> {
         let mut session = lock(&self.session);
         loop {
@@ -75,7 +75,7 @@ fn open(config: &str) -> Result<Session, NetworkError> {
     zenoh::open(config).wait().map_err(failed("open a session"))
 }
 
-/// Opens a client's session as often as it takes, until nobody holds the connection any more.
+/// Tries to open a client's session until it succeeds or the connection is dropped.
 fn look_for_router(config: &str, routers: &str, connection: &Weak<Connection>) {
     let mut told = false;
     while connection.strong_count() > 0 {
@@ -97,8 +97,8 @@ fn look_for_router(config: &str, routers: &str, connection: &Weak<Connection>) {
     }
 }
 
-/// Finds out what listening on `endpoint` would come to: Zenoh retries in silence whatever the
-/// reason, which is right for an interface that is not up yet and wrong for a port that is taken.
+/// Tries whether `endpoint` can be listened on. Zenoh itself retries silently whatever the reason. That
+/// is right for an interface that is not up yet, and wrong for a port that is in use.
 fn probe(endpoint: &str) -> Result<(), NetworkError> {
     let Ok(address) = listen_address(endpoint) else { return Ok(()) };
     let bound = if endpoint.starts_with("udp") {

@@ -1,15 +1,15 @@
-//! Everything Flockeye says to other drones, and hears from them, over Zenoh.
+//! What Flockeye sends to other drones, and receives from them, over Zenoh.
 //!
 //! - [`Network`]: one Zenoh session, opened from [`NetworkParameters`]. Opening never waits for a
 //!   neighbour to be there.
-//! - [`Reporter`]: says that this drone is alive and where it sees whom. It never makes its caller
-//!   wait for the radio.
+//! - [`Reporter`]: publishes that this drone is alive and where it sees its neighbours. It never makes
+//!   its caller wait for the radio.
 //! - [`Listener`]: keeps a table of who is alive and what each of them sees ([`Peers`]), and hands
 //!   out each report as it arrives ([`ReportStream`]).
-//! - [`utc_from_monotonic`]: the stamp that goes into a report.
+//! - [`utc_from_monotonic`]: the time stamp of a report.
 //!
-//! What the bytes mean is in [`flockeye_contract::wire`]; `docs/PEERS.md` says the same to writers
-//! of subscribers in other languages.
+//! The format is in [`flockeye_contract::wire`]; `docs/PEERS.md` describes it for subscribers in other
+//! languages.
 
 mod configured;
 mod connection;

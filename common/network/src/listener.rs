@@ -1,4 +1,4 @@
-//! Hears what the others say.
+//! Receives the reports of other drones.
 
 use std::{
     collections::BTreeSet,
@@ -26,14 +26,14 @@ use crate::lock::lock;
 use crate::peers::{Arrival, Peers, Refusal, Way, observer_in};
 use crate::stream::{Heard, ReportStream, Streams};
 
-/// How long an observer has for its last values; it publishes anew long before.
+/// How long an observer has to answer with its last values; it publishes new ones long before.
 const ANSWER_WITHIN: Duration = Duration::from_secs(2);
 
 /// Keeps a table of who is alive and what each of them sees, until dropped.
 ///
-/// Reports come in as they are published; whoever was there before is asked for its last values
-/// when it is first seen, so that a latecomer knows what the others do. Whatever is refused is
-/// counted and warned of, and touches nothing else.
+/// Reports are received as they are published. An observer that is first seen is asked for its last
+/// values, so that a drone that joins late knows what the others know. Refused messages are counted
+/// and logged, and have no other effect.
 #[derive(Debug)]
 pub struct Listener {
     hearing: Arc<Hearing>,
@@ -46,7 +46,7 @@ impl Listener {
             swarm: swarm.into(),
             peers: Mutex::default(),
             streams: Streams::default(),
-            newcomers: Mutex::default(),
+            unqueried: Mutex::default(),
             changed: Condvar::new(),
             warnings: Mutex::default(),
         });
@@ -61,7 +61,7 @@ impl Listener {
         Ok(Self { hearing, thread: Some(thread) })
     }
 
-    /// What is known now.
+    /// The table as it is now.
     pub fn snapshot(&self) -> Peers {
         lock(&self.hearing.peers).clone()
     }
@@ -75,7 +75,7 @@ impl Listener {
 
 impl Drop for Listener {
     fn drop(&mut self) {
-        lock(&self.hearing.newcomers).closed = true;
+        lock(&self.hearing.unqueried).closed = true;
         self.hearing.changed.notify_all();
         if let Some(thread) = self.thread.take()
             && thread.join().is_err()
@@ -91,15 +91,15 @@ struct Hearing {
     swarm: String,
     peers: Mutex<Peers>,
     streams: Streams,
-    newcomers: Mutex<Newcomers>,
+    unqueried: Mutex<Unqueried>,
     changed: Condvar,
     warnings: Mutex<Throttle>,
 }
 
-/// Observers to ask for their last values. They all stand in the table of peers, so there are no
-/// more than that holds.
+/// Observers that are still to be asked for their last values. All are in the table of peers, which
+/// bounds their number.
 #[derive(Debug, Default)]
-struct Newcomers {
+struct Unqueried {
     observers: BTreeSet<String>,
     closed: bool,
 }
@@ -107,7 +107,7 @@ struct Newcomers {
 impl Hearing {
     fn hear(&self, key: &str, payload: &ZBytes, way: Way) {
         let arrival = Arrival { at: Instant::now(), monotonic_ns: monotonic_ns(), way };
-        // Read no more of it than shows that it is too long.
+        // One byte more than allowed is enough to see that it is too long.
         let readable = payload.len() <= MAX_REPORT_BYTES;
         let payload_bytes = if readable { payload.to_bytes() } else { Default::default() };
         let taken = lock(&self.peers).take(key, &payload_bytes, arrival);
@@ -141,28 +141,28 @@ impl Hearing {
             return self.warn(key, &Refusal::TooManyObservers);
         }
         if alive {
-            lock(&self.newcomers).observers.insert(observer.into());
+            lock(&self.unqueried).observers.insert(observer.into());
             self.changed.notify_all();
         }
     }
 
     /// The next observer to ask; none when the listener is being dropped.
     fn next_newcomer(&self) -> Option<String> {
-        let mut newcomers = lock(&self.newcomers);
+        let mut unqueried = lock(&self.unqueried);
         loop {
-            if newcomers.closed {
+            if unqueried.closed {
                 return None;
             }
-            if let Some(observer) = newcomers.observers.pop_first() {
+            if let Some(observer) = unqueried.observers.pop_first() {
                 return Some(observer);
             }
-            newcomers = self.changed.wait(newcomers).unwrap_or_else(PoisonError::into_inner);
+            unqueried = self.changed.wait(unqueried).unwrap_or_else(PoisonError::into_inner);
         }
     }
 }
 
 fn run(hearing: &Arc<Hearing>, connection: &Connection) {
-    if let Some(session) = connection.session(|| lock(&hearing.newcomers).closed)
+    if let Some(session) = connection.session(|| lock(&hearing.unqueried).closed)
         && let Err(error) = listen(hearing, &session)
     {
         tracing::error!("the other drones cannot be heard: {error}");
@@ -189,7 +189,7 @@ fn listen(hearing: &Arc<Hearing>, session: &Session) -> zenoh::Result<()> {
             move |token| hearing.see(&token)
         })
         .wait()?;
-    // Everybody, also who reports without a token; then each as its token appears.
+    // First all observers, also those without a token; then each one when its token appears.
     ask(hearing, session, "*")?;
     while let Some(observer) = hearing.next_newcomer() {
         ask(hearing, session, &observer)?;
@@ -208,7 +208,7 @@ fn ask(hearing: &Arc<Hearing>, session: &Session, observer: &str) -> zenoh::Resu
         .priority(Priority::RealTime)
         .timeout(ANSWER_WITHIN)
         .callback(move |reply: Reply| {
-            // An error is a timeout or an observer without an answer: what it publishes comes.
+            // An error is a timeout or an observer without an answer; its next reports come anyway.
             if let Ok(sample) = reply.result() {
                 hearing.hear(sample.key_expr().as_str(), sample.payload(), Way::LastValue);
             }

@@ -1,7 +1,7 @@
-//! What waits to be sent, and what was last said of each target.
+//! Reports that wait to be sent, and the last report on each target.
 //!
-//! One slot for each target: a newer report takes the place of one that has not been sent. So the
-//! outbox is bounded, and what leaves it after a stall is the present, not the past.
+//! There is one slot for each target: a newer report replaces one that has not been sent. So the outbox
+//! is bounded, and after a stall it sends current reports, not old ones.
 
 use std::{
     collections::{BTreeMap, BTreeSet, VecDeque},
@@ -44,8 +44,7 @@ pub(crate) struct Outbox {
 
 #[derive(Debug, Default)]
 struct State {
-    /// At most one for each target, in the order in which the targets' turns came up, so that no
-    /// target starves another.
+    /// At most one for each target, first in first out by target, so that no target starves another.
     pending: VecDeque<Held>,
     last: BTreeMap<String, Held>,
     known: BTreeSet<String>,
@@ -110,7 +109,7 @@ impl Outbox {
         lock(&self.state).overwritten
     }
 
-    /// Takes nothing more; what is in is still sent.
+    /// Accepts nothing more; waiting reports are still sent.
     pub(crate) fn close(&self) {
         lock(&self.state).closed = true;
         self.changed.notify_all();

@@ -1,4 +1,4 @@
-//! How to reach the swarm, and the check that it can be reached so.
+//! How to reach the swarm, and the check of these parameters.
 
 use std::net::SocketAddr;
 
@@ -13,7 +13,7 @@ use crate::error::NetworkError;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NetworkMode {
-    /// Talks to every other peer directly, and tells peers of each other. What a drone is.
+    /// Talks to every other peer directly, and tells peers of each other. Drones are peers.
     #[default]
     Peer,
     /// Talks to one router (or peer) only, that of the first `connect` endpoint that answers.
@@ -29,22 +29,22 @@ pub enum NetworkMode {
 pub struct NetworkParameters {
     /// Name of the swarm; drones of other swarms are not heard. Letters, digits, `-`, `_`, `.`.
     pub swarm: String,
-    /// Name of this drone in the swarm, which no other bears.
+    /// Name of this drone, unique in the swarm.
     pub observer: String,
     /// What this session is to the others.
     pub mode: NetworkMode,
     /// Where to accept links: `tcp/ADDRESS:PORT` or `udp/ADDRESS:PORT`, port 0 for any, one
     /// interface each: its own address, or `tcp/0.0.0.0:PORT#iface=NAME`. Not used by a client.
     pub listen: Vec<String>,
-    /// Whom to link with: `tcp/HOST:PORT` or `udp/ADDRESS:PORT`. Who does not answer is tried
-    /// again in the background.
+    /// Endpoints to connect to: `tcp/HOST:PORT` or `udp/ADDRESS:PORT`. One that does not answer is
+    /// tried again in the background.
     pub connect: Vec<String>,
     /// The interface, by name or address, on which peers are looked for by UDP multicast
     /// (224.0.0.224:7446); none: they are not.
     pub scout_interface: Option<String>,
     /// How long a link may take to open, milliseconds.
     pub open_timeout_ms: u64,
-    /// How long a silent neighbour counts as there, milliseconds.
+    /// How long a silent neighbour counts as connected, milliseconds.
     pub lease_ms: u64,
 }
 
@@ -88,11 +88,12 @@ impl NetworkParameters {
         check_range("lease_ms", self.lease_ms, 500, 60_000)
     }
 
-    /// The same in Zenoh's words, as JSON. `DEFAULT_CONFIG.json5` of Zenoh explains each key.
+    /// The parameters as Zenoh's configuration, in JSON. Zenoh's `DEFAULT_CONFIG.json5` explains each
+    /// key.
     pub(crate) fn zenoh_config(&self) -> serde_json::Value {
         let client = self.mode == NetworkMode::Client;
-        // Endless for peers, whose links are made in the background anyway; a client's opening
-        // fails without a router, and is repeated by us where it can be given up.
+        // No limit for peers, which connect in the background. A client fails without a router; we
+        // retry ourselves, so that it can be cancelled.
         let connect_timeout_ms = if client { self.open_timeout_ms as i64 } else { -1 };
         let retry = json!({
             "period_init_ms": 500, "period_max_ms": 2_000, "period_increase_factor": 1.5,
@@ -127,16 +128,16 @@ impl NetworkParameters {
                 "link": {
                     "tx": {
                         "lease": self.lease_ms,
-                        // What waits in a queue while the radio is stuck is stale when it comes
-                        // out: one small batch of poses, and not much in the socket.
+                        // Poses that wait while the radio is stuck are stale when they are sent: so
+                        // one small batch in the queue, and a small socket buffer.
                         "batch_size": 8_192,
                         "queue": {
                             "size": { "real_time": 1 },
                             "congestion_control": { "block": { "wait_before_close": 2_000_000 } },
                         },
                     },
-                    // Nobody here says more than a few kilobytes at once; whoever does must not
-                    // take our memory (Zenoh's default is 1 GiB).
+                    // No message here has more than a few kilobytes; a larger one must not take
+                    // our memory (Zenoh's default is 1 GiB).
                     "rx": { "max_message_size": 65_536 },
                     "tcp": { "so_sndbuf": 32_768 },
                 },
@@ -218,7 +219,7 @@ fn check_connect(endpoint: &str) -> Result<(), String> {
     match address.parse::<SocketAddr>() {
         Ok(parsed) if parsed.port() == 0 => return Err("needs a port other than 0".into()),
         Ok(_) => return Ok(()),
-        // Zenoh resolves names of UDP endpoints while it opens, and does not open without.
+        // Zenoh resolves names of UDP endpoints while it opens, and fails if it cannot.
         Err(_) if parsed.protocol().as_str() == "udp" => {
             return Err("needs an IP address and a port (names work with tcp only)".into());
         }

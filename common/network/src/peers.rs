@@ -15,7 +15,7 @@ pub const MAX_OBSERVERS: usize = 64;
 /// What a listener knows at one moment.
 #[derive(Debug, Clone, Default)]
 pub struct Peers {
-    /// Everybody heard of, by name.
+    /// All known observers, by name.
     pub observers: BTreeMap<String, PeerState>,
     /// Messages refused that belong to none of them: keys that are no Flockeye keys, and observers
     /// beyond [`MAX_OBSERVERS`].
@@ -25,7 +25,7 @@ pub struct Peers {
 /// What is known of one observer.
 #[derive(Debug, Clone)]
 pub struct PeerState {
-    /// Whether its liveliness token stands.
+    /// Whether its liveliness token exists.
     pub alive: bool,
     /// When `alive` took its value.
     pub since: Instant,
@@ -38,7 +38,7 @@ pub struct PeerState {
 /// The latest report on one target.
 #[derive(Debug, Clone)]
 pub struct Received {
-    /// What was said.
+    /// The report.
     pub report: PoseReport,
     /// When it came in.
     pub arrived: Instant,
@@ -66,7 +66,7 @@ impl Received {
 /// Age at `now` of a pose whose report came in at `arrived`: the time since then and the latency
 /// that the sender reports. It needs no common clock, and leaves out the time on the air alone.
 pub fn age_of(arrived: Instant, latency_ms: f64, now: Instant) -> Duration {
-    // Any number may stand in a report; nonsense makes it old, never young.
+    // A report may hold any number; an invalid one makes the pose old, never young.
     let latency = Duration::try_from_secs_f64(latency_ms.max(0.0) / 1e3).unwrap_or(Duration::MAX);
     now.saturating_duration_since(arrived).saturating_add(latency)
 }
@@ -141,7 +141,7 @@ impl Peers {
         taken
     }
 
-    /// Takes in that the token of `observer` stands or fell. False where there is no room for it.
+    /// Notes whether the token of `observer` exists. False where there is no room for the observer.
     pub(crate) fn set_alive(&mut self, observer: &str, alive: bool, now: Instant) -> bool {
         let Some(peer) = self.peer(observer, now) else {
             self.refused += 1;
@@ -183,7 +183,7 @@ impl PeerState {
             self.targets.insert(report.target.clone(), received);
             return Ok(Some(report));
         };
-        // What is published is newer whatever its stamps say: a drone may have been restarted.
+        // A published report is newer whatever its stamps say: the drone may have been restarted.
         if arrival.way == Way::LastValue && report.stamp_utc_ns <= held.report.stamp_utc_ns {
             return Ok(None);
         }
@@ -210,7 +210,7 @@ fn read(payload: &[u8], observer: &str, target: &str) -> Result<PoseReport, Refu
     Ok(report)
 }
 
-/// A name from outside, cut to what a log line bears.
+/// A name from the network, shortened for a log line.
 fn shortened(name: String) -> String {
     name.chars().take(40).flat_map(char::escape_debug).collect()
 }

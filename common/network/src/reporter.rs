@@ -1,4 +1,4 @@
-//! Says where this drone sees whom.
+//! Publishes where this drone sees its neighbours.
 
 use std::{
     collections::{BTreeMap, btree_map::Entry},
@@ -24,10 +24,10 @@ use crate::connection::Connection;
 use crate::error::NetworkError;
 use crate::outbox::{Held, Outbox};
 
-/// Says that this drone is alive, and where it sees whom, until dropped.
+/// Publishes that this drone is alive and where it sees its neighbours, until dropped.
 ///
-/// [`report`](Self::report) puts a report into a slot and returns; a thread of its own takes it to
-/// Zenoh. So a stalled network cannot touch whoever calls it: reports are replaced by newer ones.
+/// [`report`](Self::report) puts a report into a slot and returns; a separate thread hands it to Zenoh.
+/// So a stalled network never blocks the caller: waiting reports are replaced by newer ones.
 #[derive(Debug)]
 pub struct Reporter {
     observer: String,
@@ -36,7 +36,7 @@ pub struct Reporter {
     thread: Option<JoinHandle<()>>,
 }
 
-/// What became of the reports so far.
+/// How many reports were sent, replaced and refused.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct ReporterCounters {
     /// Handed to Zenoh, which may still drop them on a congested link.
@@ -75,8 +75,8 @@ impl Reporter {
     }
 
     /// Sends `report` as soon as the network takes it, unless a newer one on the same target comes
-    /// first. Returns at once. A report of a lost track is sent, and then no longer answers the
-    /// queries of latecomers.
+    /// first. Returns at once. A report of a lost track is sent too, but it does not answer later
+    /// queries.
     ///
     /// # Errors
     /// [`NetworkError::Name`], [`NetworkError::Report`] and [`NetworkError::TooManyTargets`] for a
@@ -90,7 +90,7 @@ impl Reporter {
         put
     }
 
-    /// What became of the reports so far.
+    /// How many reports were sent, replaced and refused.
     pub fn counters(&self) -> ReporterCounters {
         ReporterCounters {
             sent: self.counts.sent.load(Relaxed),
@@ -117,8 +117,8 @@ impl Reporter {
 }
 
 impl Drop for Reporter {
-    /// Sends what is waiting, then says that this drone is gone. On a stalled link this may take
-    /// the two seconds after which Zenoh gives the link up.
+    /// Sends what is waiting, then withdraws the liveliness token. On a stalled link this may take two
+    /// seconds, after which Zenoh closes the link.
     fn drop(&mut self) {
         self.outbox.close();
         if let Some(thread) = self.thread.take()
@@ -143,12 +143,12 @@ impl Sender {
         if let Err(error) = self.serve(&session) {
             tracing::error!("reports no longer reach the network: {error}");
         }
-        // From here on the caller is told.
+        // From here on errors are returned to the caller.
         self.outbox.close();
     }
 
     fn serve(&self, session: &Session) -> zenoh::Result<()> {
-        // Latecomers ask when they see the token, so what answers them stands first.
+        // Drones that join later query when they see the token, so the queryable is declared first.
         let outbox = self.outbox.clone();
         let _last_values = session
             .declare_queryable(pose_key(&self.swarm, &self.observer, "*"))
@@ -201,7 +201,7 @@ impl Sender {
     }
 }
 
-/// Answers a latecomer with the last value of every target it asks for.
+/// Answers a query with the last value of every target that it asks for.
 fn answer(query: &Query, outbox: &Outbox, swarm: &str, observer: &str) {
     for held in outbox.last_values() {
         let key = pose_key(swarm, observer, &held.report.target);
@@ -214,7 +214,7 @@ fn answer(query: &Query, outbox: &Outbox, swarm: &str, observer: &str) {
             .map_err(zenoh::Error::from)
             .and_then(|json| query.reply(&key, json).encoding(Encoding::APPLICATION_JSON).wait());
         if let Err(error) = sent {
-            // Who asked has gone, or asks again; nothing here depends on it.
+            // The asking drone has left or asks again; nothing here depends on the answer.
             tracing::debug!("a query for {key} was not answered: {error}");
         }
     }

@@ -18,9 +18,9 @@ pub struct Network {
 }
 
 impl Network {
-    /// Opens a session. Peers and routers are ready on return, within a few hundred milliseconds
-    /// whether or not anybody is there; a client, which cannot exist without its router, goes on
-    /// trying in the background. Lost links are restored in the background too.
+    /// Opens a session. Peers and routers are ready on return, within a few hundred milliseconds, even if
+    /// there is no other drone. A client needs its router: if there is none yet, it keeps trying in the
+    /// background. Lost links are restored in the background too.
     ///
     /// # Errors
     /// [`NetworkError::Parameter`] and [`NetworkError::Listen`] say what to change. An address of
@@ -34,7 +34,7 @@ impl Network {
         })
     }
 
-    /// Says to the swarm that this drone is alive, until the reporter is dropped.
+    /// Publishes that this drone is alive, until the reporter is dropped.
     ///
     /// # Errors
     /// [`NetworkError::Thread`].
@@ -42,7 +42,7 @@ impl Network {
         Reporter::start(self.connection.clone(), &self.swarm, &self.observer)
     }
 
-    /// Hears everybody in the swarm, this session's own reporter included.
+    /// Receives from all drones of the swarm, this session's own reporter included.
     ///
     /// # Errors
     /// [`NetworkError::Thread`].

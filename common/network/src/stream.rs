@@ -1,4 +1,4 @@
-//! Reports one by one, for whoever wants each of them rather than the latest.
+//! Reports one by one, for readers that want each of them and not only the latest.
 
 use std::{
     collections::VecDeque,
@@ -16,7 +16,7 @@ use crate::lock::lock;
 pub struct Heard {
     /// Arrival, CLOCK_MONOTONIC of this machine, nanoseconds.
     pub arrived_monotonic_ns: i64,
-    /// What was said.
+    /// The report.
     pub report: PoseReport,
 }
 

@@ -1,7 +1,7 @@
-//! What every process of Flockeye does the same way.
+//! What all processes of Flockeye share.
 //!
 //! A stage is a type that implements [`Stage`]; its `main` is one line, [`stage::main`]. Everything
-//! around what the stage does is here, written once:
+//! that all stages share is here:
 //!
 //! | module | what it is for |
 //! | --- | --- |
@@ -12,7 +12,7 @@
 //! | [`stage`] | the loop: wait, step, send health, drain, stop |
 //! | [`credits`] | when a source may send its next frame |
 //! | [`health`] | counters and latency quantiles |
-//! | [`background`] | threads for work that nobody waits for |
+//! | [`background`] | threads for work in the background |
 //! | [`clock`] | CLOCK_MONOTONIC |
 //! | [`logs`] | structured logs, and warnings that are not repeated on every frame |
 

@@ -1,7 +1,7 @@
 //! How large each topic's shared memory is, and whether it fits.
 //!
-//! iceoryx2 takes, for each publisher, chunks for the worst case: subscribers * (buffer + borrowed)
-//! + history + loaned. Its defaults would take 34 frames; these are Flockeye's own limits.
+//! For each publisher, iceoryx2 reserves chunks for the worst case: subscribers * (buffer + borrowed)
+//! + history + loaned. Its default limits would reserve 34 frames, so Flockeye sets its own.
 
 use std::fmt;
 use std::time::Duration;
@@ -22,14 +22,14 @@ pub struct Limits {
     pub lanes: usize,
     /// Publishers at once: old, new, and dead ones not cleaned up yet.
     pub publishers: usize,
-    /// Publishers in the usual course, over all lanes, for the memory budget.
+    /// Publishers in normal operation, over all lanes, for the memory budget.
     pub usual_publishers: usize,
     /// Subscribers at once, tools included.
     pub subscribers: usize,
     /// Messages that wait at a subscriber.
     pub buffer: usize,
-    /// How long a publisher waits for a subscriber where so many wait. `None`: not at all, the oldest
-    /// gives way.
+    /// How long a publisher waits for a subscriber whose buffer is full. `None`: it does not wait, and
+    /// the oldest message is dropped.
     pub patience: Option<Duration>,
     /// Messages that a subscriber may hold.
     pub borrowed: usize,
@@ -57,7 +57,7 @@ impl Limits {
         self.chunks() * (self.items * self.item_bytes + self.header_bytes + 48)
     }
 
-    /// Bytes in the usual course.
+    /// Bytes in normal operation.
     pub fn bytes(&self) -> usize {
         self.usual_publishers * self.segment_bytes()
     }
@@ -104,15 +104,15 @@ pub struct TooLittleMemory {
 
 /// Views of all lanes that fusion holds until their records are in.
 pub fn held_views_waiting(pipeline: &Pipeline) -> usize {
-    // Rectification has so many in flight; one more may come before its predecessor's answer.
+    // Rectification has this many in flight; one more may come before the answer to the one before.
     pipeline.detection_workers() as usize * pipeline.rectification.window as usize + 1
 }
 
-/// Views that fusion holds because they show a neighbour best: one for each body, and some of the
-/// frame that comes behind.
+/// Views that fusion holds because they show a neighbour best: one for each body, and some of the next
+/// frame.
 pub fn held_views_best(pipeline: &Pipeline) -> usize {
-    // A file is not read for this; with more bodies in it, those of the highest numbers are measured
-    // by their corners alone when all are seen at once.
+    // The file is not read for this. If it has more bodies and all are seen at once, those with the
+    // highest numbers are measured by their corners alone.
     let bodies = if pipeline.bodies.file.is_some() { 8 } else { pipeline.bodies.list.len() };
     bodies.clamp(1, MAX_TRACKS) + 2
 }
@@ -150,12 +150,12 @@ fn sizes(topic: TopicId, pipeline: &Pipeline, largest_view_px: u32) -> Sizes {
         // To each lane listen its worker, that worker's successor, fusion and a tool.
         TopicId::Views => Sizes {
             buffer: pipeline.rectification.window as usize + 2,
-            // What fusion holds, all of it in one lane at worst, and one that it reads.
+            // In the worst case all views that fusion holds are of one lane; and it reads one more.
             borrowed: held_views_waiting(pipeline) + held_views_best(pipeline) + 1,
             items: (largest_view_px as usize).pow(2),
             ..usual
         },
-        // All answers to one frame wait where fusion is busy.
+        // While fusion is busy, all answers to one frame wait.
         TopicId::Detections => {
             let buffer = 64.max(pipeline.partition.count.most() + MAX_TRACKS);
             Sizes { buffer, items: MARKERS, ..usual }
@@ -172,7 +172,7 @@ fn frame_bytes(pipeline: &Pipeline) -> usize {
     pipeline.camera.width as usize * pipeline.camera.height as usize
 }
 
-/// Processes that publish a topic in the usual course: of the sources, one.
+/// Processes that publish a topic in normal operation. Of the sources, one runs.
 fn usual_publishers(topic: &TopicInfo, pipeline: &Pipeline) -> usize {
     let (sources, others): (Vec<_>, Vec<_>) =
         topic.publishers.iter().partition(|stage| stage.is_source());
@@ -189,7 +189,7 @@ fn limits(topic: &TopicInfo, pipeline: &Pipeline, largest_view_px: u32) -> Limit
         topic: topic.name,
         has_lanes: topic.has_lanes(),
         lanes,
-        // Twice as many as there usually are: a successor starts while the old one still runs.
+        // Twice as many as in normal operation: a successor starts while the old process still runs.
         publishers: 2 * publishers + 1,
         usual_publishers: lanes * publishers,
         subscribers: sizes.subscribers,
@@ -234,7 +234,7 @@ impl Budget {
         self.topics.iter().map(Limits::bytes).sum()
     }
 
-    /// Refuses a budget that free memory does not hold: running out later would be a SIGBUS.
+    /// Refuses a budget that exceeds free memory: running out later would end a process by SIGBUS.
     ///
     /// # Errors
     /// [`TooLittleMemory`], with both numbers and the cure.

@@ -16,8 +16,8 @@ pub enum JoinError {
     /// Its files cannot be read.
     #[error(transparent)]
     Instance(#[from] InstanceError),
-    /// Its configuration is none any more: a file that it names has changed or gone.
-    #[error("the configuration of the instance '{instance}' cannot be followed: {reason}")]
+    /// Its configuration is no longer valid: a file that it names has changed or is missing.
+    #[error("the configuration of the instance '{instance}' is no longer valid: {reason}")]
     Configuration {
         /// The instance.
         instance: String,
@@ -34,8 +34,8 @@ pub enum JoinError {
     },
 }
 
-/// Joins a pipeline whose launcher has written what there is to read: gives what its messages are
-/// received with, and its configuration.
+/// Joins a running pipeline, whose launcher has written its files. Returns ports to receive its
+/// messages, and its resolved configuration.
 ///
 /// # Errors
 /// [`JoinError`].

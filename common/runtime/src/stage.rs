@@ -17,7 +17,7 @@ use crate::ports::{Ports, Publisher};
 use crate::{clock, logs};
 use flockeye_config::Resolved;
 
-/// One box of the dataflow: what it takes, what it gives, what it keeps between frames.
+/// A stage of the dataflow: its inputs, its outputs, and its state between frames.
 pub trait Stage: Sized {
     /// Its name in pipeline.yaml.
     const NAME: &'static str;
@@ -28,14 +28,14 @@ pub trait Stage: Sized {
     /// Whatever keeps it from working; the process ends with the message.
     fn open(context: &Context, ports: &mut Ports) -> anyhow::Result<Self>;
 
-    /// Does what there is to do, and says when it wants to be called again. It is called whenever
-    /// an input has something, and must not block for long: health is sent between two calls.
+    /// Handles waiting inputs, and returns when it wants to be called again. It is called whenever an
+    /// input has a message. It must not block for long, because health is sent between two calls.
     ///
     /// # Errors
-    /// Only what keeps it from working at all. Bad input is its own to refuse.
+    /// Only what keeps it from working at all. Bad input is refused inside the stage.
     fn step(&mut self) -> anyhow::Result<Step>;
 
-    /// Finishes what it has taken in. Called once, before the process ends.
+    /// Finishes the messages in work. Called once, before the process ends.
     ///
     /// # Errors
     /// What keeps it from doing so.
@@ -53,7 +53,8 @@ pub enum Step {
     WaitUntil(i64),
     /// At once.
     Again,
-    /// Its input is at its end: it stays, so that what it sent can be read, until it is told to stop.
+    /// Its input has ended. The process stays until it is told to stop, so that its last messages can be
+    /// read.
     Finished,
 }
 
@@ -67,7 +68,7 @@ pub struct Context {
     pub counters: SharedCounters,
 }
 
-/// Exit status of a stage that could not start: trying again with the same input will not help.
+/// Exit status of a stage that could not start, where a restart with the same input cannot help.
 pub const CANNOT_START: u8 = 2;
 
 /// The whole `main` of a stage.
@@ -105,7 +106,7 @@ impl<S: Stage> Running<S> {
 }
 
 fn start<S: Stage>() -> anyhow::Result<Running<S>> {
-    // iceoryx2 says through its results what matters here.
+    // iceoryx2's results carry what matters here; its own log would repeat it.
     set_log_level(LogLevel::Fatal);
     let stopping = Arc::new(AtomicBool::new(false));
     for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT] {
@@ -133,7 +134,7 @@ fn start<S: Stage>() -> anyhow::Result<Running<S>> {
     );
     let budget = Budget::of(&resolved.pipeline, resolved.largest_view_px());
     let counters: SharedCounters = Rc::new(Counters::default());
-    // What is said of health is not counted as the stage's own output.
+    // Health messages are not counted as the stage's own output.
     let health = Ports::new(node.clone(), budget.clone(), SharedCounters::default());
     let mut reporter = Reporter {
         publisher: health.publisher::<Healths>()?,

@@ -11,10 +11,10 @@ use flockeye_geometry::body::{
 use super::mount::isometry;
 use crate::types::{BodySet, Mount, Preset, PresetBody};
 
-/// A bodies file of 32 bodies with 100 markers each has a tenth of it.
+/// Ten times the size of a file of 32 bodies with 100 markers each.
 const MAX_FILE_BYTES: u64 = 16_000_000;
 
-/// Why the bodies cannot be had.
+/// Why the bodies are invalid.
 #[derive(Debug, thiserror::Error)]
 pub enum BodySetError {
     /// The file cannot be read.
@@ -56,7 +56,7 @@ pub enum BodySetError {
         /// The name.
         name: String,
     },
-    /// A file without the body that is wanted of it.
+    /// The file lacks the named body.
     #[error("{path} has no body '{name}'; it has {}", .has.join(", "))]
     Missing {
         /// The file.
@@ -145,7 +145,7 @@ pub fn read_bodies(path: &Path) -> Result<Bodies, BodySetError> {
     let bytes = file.metadata().map_err(unreadable)?.len();
     let mut json = String::new();
     if bytes <= MAX_FILE_BYTES {
-        // One more than allowed: a device, or a file that grows, has no length to go by.
+        // One byte more than allowed, because a device or a growing file reports no final length.
         file.take(MAX_FILE_BYTES + 1).read_to_string(&mut json).map_err(unreadable)?;
     }
     if bytes.max(json.len() as u64) > MAX_FILE_BYTES {
@@ -174,7 +174,7 @@ fn custom_body(entry: &PresetBody, path: &Path, wanted: &str) -> Result<Body, Bo
         name: entry.name.clone(),
         has: bodies.iter().map(|body| body.name.clone()).collect(),
     })?;
-    // The file's own mount holds until another is configured.
+    // The file's own mount holds unless another is configured.
     if entry.target_from_markers != Mount::default() {
         body.target_from_markers = isometry(&entry.target_from_markers);
     }

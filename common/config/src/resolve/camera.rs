@@ -7,7 +7,7 @@ use nalgebra::Vector2;
 use super::mount::isometry;
 use crate::types::{self, FisheyeLens, Response};
 
-/// A setting of the camera that cannot be.
+/// An invalid camera setting.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{key}: {reason}")]
 pub struct CameraSettingError {
@@ -26,7 +26,7 @@ impl CameraSettingError {
 /// The camera model, right for `camera.assumed_distance_m`.
 ///
 /// # Errors
-/// A setting of which there is no camera.
+/// Settings that describe no possible camera.
 pub(crate) fn camera(settings: &types::Camera) -> Result<Camera, CameraSettingError> {
     let model = match settings.projection {
         types::CameraModel::Equirectangular => {
@@ -79,7 +79,7 @@ pub(crate) fn transfer(settings: &types::Camera) -> (Transfer, f32) {
     }
 }
 
-/// The light of each code where the camera's response was measured; `None` for the curves that
+/// The radiance of each code if the camera's response is a measured table; `None` for the curves that
 /// headers name.
 ///
 /// # Errors
@@ -106,7 +106,7 @@ pub(crate) fn response_table(settings: &types::Camera) -> Result<[f32; 256], Cam
             given.len()
         ));
     }
-    // NaN rises nowhere.
+    // Comparisons with NaN are false, so NaN is refused too.
     let rises = |pair: &[f64]| pair[1] > pair[0];
     if let Some(at) = given.windows(2).position(|pair| !rises(pair)) {
         let (before, after) = (given[at], given[at + 1]);
@@ -123,7 +123,7 @@ pub(crate) fn response_table(settings: &types::Camera) -> Result<[f32; 256], Cam
         let light = given[below] + share * (given[below + 1] - given[below]);
         ((light - black) / (white - black)) as f32
     });
-    // Steps too small, or numbers too large, for what works with it.
+    // In single precision, very small steps vanish.
     let rises = |pair: &[f32]| pair[1] > pair[0];
     match table.windows(2).position(|pair| !rises(pair)) {
         None => Ok(table),
@@ -171,8 +171,8 @@ mod tests {
 
     #[test]
     fn a_table_is_interpolated_between_its_entries() {
-        let mut settings = types::Camera::default();
-        settings.response_table = vec![1.0, 2.0, 5.0];
+        let response_table = vec![1.0, 2.0, 5.0];
+        let settings = types::Camera { response_table, ..types::Camera::default() };
         let table = response_table(&settings).unwrap();
         assert_eq!((table[0], table[255]), (0.0, 1.0));
         assert!((table[64] - 0.25 * 64.0 / 127.5).abs() < 1e-6, "{}", table[64]);

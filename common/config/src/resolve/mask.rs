@@ -45,9 +45,9 @@ const HIDDEN_BELOW: u8 = 128;
 /// # Errors
 /// The file cannot be read, or is of another size than the frames.
 pub(crate) fn mask(path: Option<&Path>, camera: &Camera) -> Result<Mask, MaskFileError> {
-    let Some(path) = path else { return Ok(Mask::nothing_hidden(camera.clone())) };
+    let Some(path) = path else { return Ok(Mask::nothing_hidden(*camera)) };
     let (sides, seen) = read_mask(path, camera)?;
-    Mask::new(camera.clone(), sides, seen)
+    Mask::new(*camera, sides, seen)
         .map_err(|error| MaskFileError::Size { path: path.to_owned(), error })
 }
 
@@ -62,7 +62,7 @@ fn read_mask(path: &Path, camera: &Camera) -> Result<([u32; 2], Vec<bool>), Mask
     let mut reader = decoder.read_info().map_err(decode)?;
     let (width, height) = reader.info().size();
     if (width, height) != (camera.width(), camera.height()) {
-        // Before memory is made for it.
+        // Refuse the size before allocating memory for it.
         return Ok(([width, height], Vec::new()));
     }
     let Some(bytes) = reader.output_buffer_size() else {

@@ -1,4 +1,4 @@
-//! What is made of a configuration, once for each process.
+//! What a process computes from a configuration, once.
 
 mod bodies;
 mod camera;
@@ -30,13 +30,13 @@ pub(crate) use bodies::preset_body;
 pub(crate) use camera::{camera, response_table};
 pub(crate) use sphere::far_views;
 
-/// Why nothing can be made of a configuration.
+/// Why a configuration cannot be resolved.
 #[derive(Debug, thiserror::Error)]
 pub enum ResolveError {
-    /// The bodies cannot be had.
+    /// The bodies are invalid.
     #[error(transparent)]
     Bodies(#[from] BodySetError),
-    /// The camera cannot be.
+    /// The camera is invalid.
     #[error(transparent)]
     Camera(#[from] CameraSettingError),
     /// The sphere has no views.
@@ -47,7 +47,7 @@ pub enum ResolveError {
     Partition(#[from] PartitionError),
 }
 
-/// A configuration, and what is made of it: bodies with their geometry, the camera, the views that
+/// A configuration, and what is computed from it: bodies with their geometry, the camera, the views that
 /// cover its sphere. Built once for each process.
 #[derive(Debug, Clone)]
 pub struct Resolved {
@@ -76,11 +76,11 @@ pub struct Resolved {
 }
 
 impl Resolved {
-    /// What `pipeline` comes to.
+    /// Resolves `pipeline`.
     ///
     /// # Errors
-    /// A bodies file that cannot be read; settings that only such a file makes impossible; and, for a
-    /// pipeline that was not read by [`Pipeline::load`], whatever that refuses.
+    /// A bodies file that cannot be read, or settings that contradict it. For a pipeline that was not read
+    /// by [`Pipeline::load`], also everything that `load` refuses.
     pub fn of(pipeline: Pipeline) -> Result<Self, ResolveError> {
         let bodies = bodies(&pipeline.bodies)?;
         let camera = camera(&pipeline.camera)?;

@@ -40,7 +40,8 @@ pub enum SphereViewsError {
     },
 }
 
-/// Overlap of the far views, radians: who is looked for there is so far that its markers are smaller.
+/// Overlap of the far views, radians. Small, because the neighbours searched there are far away and
+/// their markers look small.
 const FAR_MARGIN_RAD: f64 = 2.5 / 180.0 * PI;
 
 /// The side of the largest of these views, pixels, if no message can carry it.
@@ -51,7 +52,7 @@ fn too_large(views: &[View]) -> Option<u32> {
 /// Method, number of views and seed.
 type Key = (Method, usize, u64);
 
-/// Partitions that this process had to find.
+/// Partitions that this process computed, because they are not stored.
 static FOUND: Mutex<Vec<(Key, Partition)>> = Mutex::new(Vec::new());
 
 /// How many views cover the sphere.
@@ -81,7 +82,7 @@ fn partition(settings: &types::Partition) -> Result<Partition, PartitionError> {
         count,
         seed,
         seconds = start.elapsed().as_secs_f64(),
-        "this partition of the sphere is not stored: found it from its seed"
+        "this partition of the sphere is not stored: computed it from its seed"
     );
     found.push((key, partition.clone()));
     Ok(partition)
@@ -142,7 +143,7 @@ impl Division {
     }
 }
 
-/// The views that sweep the sphere for neighbours too far for the partitions: the stored covering by
+/// The high-resolution views for neighbours too far for the partitions: the stored covering with the
 /// most views, at the sphere's resolution times `search.far_magnification`. None where the partitions
 /// see as much, and where no gaze view would follow.
 ///

@@ -29,19 +29,19 @@ pub struct Camera {
     /// Of a stereographic image: angle across its circle, degrees.
     #[schemars(range(min = 1.0, max = 350.0))]
     pub stereographic_field_deg: f64,
-    /// The distance that rays are right for where no neighbour is predicted, metres. It matters
-    /// only if lenses sit beside the camera's middle.
+    /// The distance for which rays are exact where no neighbour is predicted, metres. It matters only if
+    /// lenses are off the camera's centre.
     #[schemars(range(min = 0.1, max = 1000.0))]
     pub assumed_distance_m: f64,
-    /// A PNG image of the frames' size, black where the own airframe hides the view for ever; left
-    /// out: everything is seen.
+    /// A PNG image of the frames' size, black where the own airframe always hides the view; left out:
+    /// everything is visible.
     pub mask: Option<PathBuf>,
     /// The curve between light and code values.
     pub response: Response,
     /// Exponent of `response: gamma`.
     #[schemars(range(min = 0.1, max = 10.0))]
     pub gamma: f32,
-    /// The light of codes at equal steps from 0 to 255, for `response: table`: 2 to 256 rising
+    /// The radiance of codes at equal steps from 0 to 255, for `response: table`: 2 to 256 rising
     /// numbers, in any unit.
     #[schemars(length(max = 256))]
     pub response_table: Vec<f64>,

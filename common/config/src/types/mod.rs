@@ -45,7 +45,7 @@ pub struct Pipeline {
     pub rectification: Rectification,
     /// How markers are found in views.
     pub detection: Detection,
-    /// Where fusion looks.
+    /// How fusion searches.
     pub search: Search,
     /// How poses are solved and filtered.
     pub fusion: Fusion,
@@ -75,9 +75,8 @@ impl Pipeline {
         }
     }
 
-    /// Whether each neighbour is looked at where it is predicted, and the sphere is swept in the time
-    /// that is left: `search.mode: gaze`. Without tracks there is nothing to predict, and it means
-    /// `exhaustive`.
+    /// Whether each neighbour is searched where it is predicted, and the sphere is swept in the remaining
+    /// time: `search.mode: gaze`. Without tracks there is no prediction, and `gaze` means `exhaustive`.
     pub fn gazes(&self) -> bool {
         self.search.mode == Mode::Gaze && self.fusion.filter != Filter::None
     }
@@ -98,8 +97,8 @@ impl Pipeline {
         Duration::from_secs_f64(self.rectification.overdue_ms * 1e-3 * self.patience())
     }
 
-    /// Where each frame stands for itself and none may be lost, nothing is late, and all views are
-    /// magnified: ten times as long.
+    /// Factor on deadlines: 10 for lossless runs without a filter, which are not in real time and whose
+    /// views are all magnified.
     fn patience(&self) -> f64 {
         match (self.flow, self.fusion.filter) {
             (Flow::Lossless, Filter::None) => 10.0,
@@ -265,7 +264,7 @@ pub struct Rectification {
     /// Views in flight for each detection worker.
     #[schemars(range(min = 1, max = 16))]
     pub window: u32,
-    /// After how long a worker's silence its views are given to another, milliseconds; ten times as long
+    /// If a worker does not answer for this long, its views go to another, milliseconds; ten times as long
     /// in a lossless run without filter.
     #[schemars(range(min = 10.0, max = 60000.0))]
     pub overdue_ms: f64,
@@ -305,11 +304,11 @@ impl Default for Detection {
     }
 }
 
-/// Where fusion looks.
+/// How fusion searches.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Search {
-    /// greedy and optimized are the paper's, exhaustive looks everywhere, gaze (the default) looks
+    /// greedy and optimized are the paper's; exhaustive searches everywhere; gaze (the default) searches
     /// where neighbours are predicted and sweeps the rest.
     pub mode: Mode,
     /// Partitions searched after the gaze views in each frame of a lossless run.
@@ -349,28 +348,29 @@ pub enum Mode {
 pub struct Fusion {
     /// constant_velocity, or none: each frame for itself (unrelated stills).
     pub filter: Filter,
-    /// How long a neighbour that is not measured is predicted, seconds.
+    /// How long a neighbour is predicted without a measurement, seconds.
     #[schemars(range(min = 0.0, max = 60.0))]
     pub coast_s: f64,
-    /// Frames with a measurement until a neighbour is believed...
+    /// Frames with a measurement until a track is confirmed...
     #[schemars(range(min = 1, max = 64))]
     pub confirm_hits: u32,
-    /// ...among so many frames. One that is not believed yet is given up when so many frames in a
-    /// row do not show it.
+    /// ...within this many frames. A track that is not confirmed is dropped after this many frames in a
+    /// row without a measurement.
     #[schemars(range(min = 1, max = 64))]
     pub confirm_window: u32,
-    /// Measurements that come at most this much later than newer ones are put where they belong,
-    /// seconds.
+    /// Out-of-sequence measurements are inserted in order if they come at most this much later than newer
+    /// ones, seconds.
     #[schemars(range(min = 0.0, max = 10.0))]
     pub history_s: f64,
-    /// Probability that a right measurement passes the gate.
+    /// Probability that a correct measurement passes the gate.
     #[schemars(range(min = 0.5, max = 1.0))]
     pub gate_probability: f64,
-    /// Measurements in a row outside the gate that make a track begin anew from the last of them.
+    /// After this many measurements in a row outside the gate, the track starts again from the last of
+    /// them.
     #[schemars(range(min = 1, max = 1000))]
     pub restart_after_gated: u32,
-    /// How wildly neighbours fly: white-noise acceleration along each axis, m/s^2 per root Hz. After
-    /// a second of it a velocity known before is uncertain by as many m/s.
+    /// How much neighbours manoeuvre: white-noise acceleration along each axis, m/s^2 per root Hz. After
+    /// one second, a known velocity is uncertain by as many m/s.
     #[schemars(range(min = 0.01, max = 1000.0))]
     pub acceleration: f64,
     /// The same of their rotation, rad/s^2 per root Hz.
@@ -380,14 +380,14 @@ pub struct Fusion {
     /// in a lossless run without filter.
     #[schemars(range(min = 10.0, max = 60000.0))]
     pub deadline_ms: f64,
-    /// Whether bodies are aligned with the pixels of their views; without, their corners are all.
+    /// Whether bodies are aligned with the pixels of their views; if not, only corners are used.
     pub align: bool,
-    /// The covariance that an aligned view's pixels admit is multiplied by this, for what they do not
-    /// show: compression, a lens or body not quite as described.
+    /// Factor on the covariance of an aligned pose, for errors that the pixels do not show: compression, a
+    /// lens or body that differs from its description.
     #[schemars(range(min = 0.1, max = 1000.0))]
     pub covariance_scale: f64,
-    /// How far a neighbour is tilted at most, seen from its observer, degrees: of a facet far away and
-    /// its mirror image the one that is tilted by more is not it. 0: nothing is known of that.
+    /// Maximum tilt of a neighbour relative to its observer, degrees. It resolves the mirror ambiguity of a
+    /// distant facet: the pose that is tilted by more is rejected. 0: no such limit.
     #[schemars(range(min = 0.0, max = 90.0))]
     pub level_deg: f64,
     /// Threads on which the neighbours of a frame are aligned.

@@ -19,15 +19,15 @@ pub struct Partition {
     /// Random start of what is not stored; stored is what 1 gave.
     #[schemars(range(min = 0, max = 4294967295u32))]
     pub seed: u32,
-    /// Overlap of neighbouring views, degrees: what is smaller lies wholly in one of them. Left
-    /// out: the largest marker at `nearest_m`.
+    /// Overlap of neighbouring views, degrees: anything smaller lies wholly in one of them. Left out: the
+    /// size of the largest marker at `nearest_m`.
     #[schemars(range(min = 0.0, max = 130.0))]
     pub margin_deg: Option<f64>,
     /// Nearest working range, metres, for the margin.
     #[schemars(range(min = 0.1, max = 100.0))]
     pub nearest_m: f64,
     /// Pixels of the views for each of the sphere's, along a side. Left out: 1; and 2 with
-    /// `fusion.filter: none`, where no second look at a neighbour follows the first.
+    /// `fusion.filter: none`, where no magnified view of a neighbour follows.
     #[schemars(range(min = 0.5, max = 3.0))]
     pub magnification: Option<f64>,
 }
@@ -46,13 +46,13 @@ impl Default for Partition {
     }
 }
 
-/// How many views cover the sphere.
+/// Number of views that cover the sphere.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 pub enum Count {
-    /// As many as cost the least by the paper's criterion, of the stored coverings.
+    /// The stored covering of least cost by the paper's criterion.
     Chosen(Auto),
-    /// So many.
+    /// This many.
     Views(
         #[schemars(
             range(min = 4, max = 128),
@@ -71,7 +71,7 @@ pub enum Auto {
 }
 
 impl Count {
-    /// The most views that it may come to.
+    /// The largest number of views that this can give.
     pub fn most(self) -> usize {
         match self {
             Self::Chosen(Auto::Auto) => *partition::STORED.end(),

@@ -28,8 +28,8 @@ pub struct Stages {
 pub struct StageProcess {
     /// Program and arguments of another implementation; empty: the one that comes with Flockeye.
     pub command: Vec<String>,
-    /// How many of them, for detection alone; left out: 2, so that a neighbour's view never waits
-    /// behind a partition.
+    /// Number of processes, for detection only. Left out: 2, so that a neighbour's view never waits behind
+    /// a partition.
     #[schemars(range(min = 1, max = 16))]
     pub replicas: Option<u32>,
     /// Whether it is started again when it ends.
@@ -38,11 +38,11 @@ pub struct StageProcess {
     pub backoff_s: [f64; 2],
     /// Processors that it may run on, by number from 0; empty: all.
     pub cpus: Vec<u32>,
-    /// How far it gives way to others, -20 (never) to 19; below 0 asks for a privilege. Left out: 5 for
-    /// detection, since no tracked neighbour's pose waits for it, and 0 for all else.
+    /// Nice value, -20 (first) to 19; below 0 needs a privilege. Left out: 5 for detection, because no
+    /// tracked neighbour's pose waits for it, and 0 for all other stages.
     #[schemars(range(min = -20, max = 19))]
     pub nice: Option<i32>,
-    /// The scheduling class; fifo and round_robin ask for a privilege.
+    /// The scheduling class; fifo and round_robin need a privilege.
     pub scheduling: Scheduling,
     /// Priority within fifo and round_robin: 1 to 99, the highest.
     #[schemars(range(min = 1, max = 99))]
@@ -56,11 +56,11 @@ pub enum Scheduling {
     /// Shares of the processors' time, by `nice`.
     #[default]
     Normal,
-    /// The same for what computes much and need not react soon.
+    /// The same, for long computations that need not react soon.
     Batch,
-    /// Only when nobody else wants to run.
+    /// Only when no other process wants to run.
     Idle,
-    /// Before all of the classes above, until it waits.
+    /// Before all classes above, until it blocks.
     Fifo,
     /// The same, in turn with others of its priority.
     RoundRobin,
@@ -121,7 +121,7 @@ pub struct StageInfo {
     pub replicas: u32,
     /// Whether it may run in several processes.
     pub may_have_replicas: bool,
-    /// How far it gives way to others.
+    /// Nice value.
     pub nice: i32,
 }
 
