@@ -115,7 +115,7 @@ codes! {
         FirstHit = 0,
         /// After the last view of the plan.
         All = 1,
-        /// When a newer frame is there or due; in a lossless run after a fixed number of views.
+        /// When a newer frame has come or is due; in a lossless run after a fixed number of views.
         Deadline = 2,
     }
 }
@@ -127,7 +127,7 @@ codes! {
         Complete = 0,
         /// A view held a marker, and the rule was `first_hit`.
         Hit = 1,
-        /// A newer frame was there, or was due, and the rule was `deadline`.
+        /// A newer frame had come, or was due, and the rule was `deadline`.
         Newer = 2,
         /// The fixed number of views of a lossless run was reached.
         Budget = 3,
@@ -135,13 +135,13 @@ codes! {
         Failed = 4,
         /// The stage was told to stop.
         Shutdown = 5,
-        /// A worker did not answer in time and no other was there.
+        /// A worker did not answer in time, and there was no other worker.
         Overdue = 6,
     }
 }
 
 codes! {
-    /// How fusion searches a frame (section III-C of the paper, and past it).
+    /// How fusion searches a frame: section III-C of the paper, and our own modes.
     SearchMode, "search mode" {
         /// Partitions in a fixed order until the first hit.
         Greedy = 0,
@@ -155,15 +155,15 @@ codes! {
 }
 
 codes! {
-    /// Where a neighbour's track is in its life.
+    /// State of a neighbour's track.
     TrackState, "track state" {
-        /// Seen too few times to be believed.
+        /// Measured too few times to be confirmed.
         Tentative = 0,
-        /// Believed, and measured in this frame.
+        /// Confirmed, and measured in this frame.
         Confirmed = 1,
-        /// Believed, but predicted only: nothing was measured in this frame.
+        /// Confirmed, but only predicted: nothing was measured in this frame.
         Coasting = 2,
-        /// Not seen for too long; the last message of a track.
+        /// Not measured for too long; the last message of a track.
         Lost = 3,
         /// Solved from this frame alone (`fusion.filter: none`).
         Measured = 4,
@@ -171,7 +171,7 @@ codes! {
 }
 
 codes! {
-    /// What a frame's measurement of a neighbour rests on.
+    /// What a frame's measurement of a neighbour was made from.
     MeasuredBy, "measurement source" {
         /// Nothing was measured in this frame.
         Nothing = 0,
@@ -183,7 +183,7 @@ codes! {
 }
 
 codes! {
-    /// What a stage says of itself.
+    /// State that a stage reports.
     StageState, "stage state" {
         /// Opening its ports and devices.
         Starting = 0,

@@ -30,10 +30,10 @@ pub struct DetectionHeader {
     pub attempt: u32,
     /// The worker that searched it.
     pub worker: u32,
-    /// Markers among the payload that belong to a configured body, doubtful ones apart: the view is
-    /// a hit if any do.
+    /// Decoded markers in the payload that belong to a configured body. The view is a hit if there is
+    /// one.
     pub hits: u32,
-    /// 1 if the view could not be searched (the log says why); it is acknowledged all the same.
+    /// 1 if the view could not be searched (the log says why); the record still acknowledges it.
     pub failed: u32,
 }
 
@@ -51,13 +51,13 @@ pub struct DetectedMarker {
     pub corners_in_view: [[f32; 2]; 4],
     /// The marker's id in its dictionary.
     pub id: u32,
-    /// 1: not decoded, but a square that is probably this marker, of a configured body: a pose may
-    /// start from it, nothing may be concluded from it. 0: decoded.
+    /// 0: decoded. 1: not decoded, but a square that is probably this marker of a configured body. A pose
+    /// may be initialised from it, but it is no evidence.
     pub doubtful: u32,
 }
 
 impl DetectedMarker {
-    /// Whether it was read, and is not only a square that may be it.
+    /// Whether it was decoded, and is not only a square that may be the marker.
     pub fn is_decoded(&self) -> bool {
         self.doubtful == 0
     }
@@ -67,7 +67,7 @@ impl DetectedMarker {
 pub const MAX_DETECTED_MARKERS: usize = 256;
 
 impl DetectionHeader {
-    /// Refuses records whose rays are no unit vectors or whose deviations are none.
+    /// Refuses records with rays that are no unit vectors or with invalid standard deviations.
     pub fn check(&self, markers: &[DetectedMarker]) -> Result<(), ContractError> {
         if markers.len() > MAX_DETECTED_MARKERS {
             return Err(ContractError::TooMany {

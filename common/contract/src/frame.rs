@@ -5,18 +5,18 @@ use iceoryx2::prelude::ZeroCopySend;
 
 use crate::{ContractError, PixelFormat, Projection, Range, Transfer};
 
-/// Which frame something belongs to, and when its light was caught.
+/// Which frame a message belongs to, and when that frame was exposed.
 ///
-/// It opens the header of every topic that follows from a frame, so that whatever comes out of
-/// the pipeline can be traced to the exposure it came from.
+/// It begins the header of every topic that follows from a frame, so that every output can be traced to
+/// its exposure.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Pod, Zeroable, ZeroCopySend)]
 #[type_name("flockeye/FrameStamp")]
 #[repr(C)]
 pub struct FrameStamp {
     /// Frames of the source, counted from 0 in each epoch.
     pub sequence: u64,
-    /// Middle of the exposure, CLOCK_MONOTONIC, nanoseconds. In a lossless run, where nothing
-    /// happens at its own pace, this clock is the stream's own and equals `stream_ns`.
+    /// Middle of the exposure, CLOCK_MONOTONIC, nanoseconds. In a lossless run, which is not in real
+    /// time, it equals `stream_ns`.
     pub exposure_ns: i64,
     /// Middle of the exposure in the recording's own time, nanoseconds from its start.
     pub stream_ns: i64,
@@ -29,7 +29,7 @@ pub struct FrameStamp {
 }
 
 impl FrameStamp {
-    /// What orders frames: a later epoch, then a later sequence number.
+    /// The key that orders frames: a later epoch, then a later sequence number.
     pub fn order(&self) -> (u32, u32, u64) {
         (self.source_generation, self.epoch, self.sequence)
     }
@@ -39,10 +39,10 @@ impl FrameStamp {
         self.order() == other.order()
     }
 
-    /// Whether what this frame says comes too late beside what `newest` said. Fusion may say what one
-    /// frame shows of a neighbour after what the next does, and whoever wants only the last word must
-    /// not get an old one. A frame that is behind by more than [`LATEST_BY_FRAMES`], or of another epoch,
-    /// is not late: its source has begun anew.
+    /// Whether a message of this frame is out of date, given one of `newest`. Fusion may publish a track
+    /// of one frame after a track of the next, and a reader that keeps only the latest must not go back.
+    /// A frame that is behind by more than [`LATEST_BY_FRAMES`], or of another epoch, is not late: its
+    /// source has started again.
     pub fn is_late_beside(&self, newest: &Self) -> bool {
         (self.source_generation, self.epoch) == (newest.source_generation, newest.epoch)
             && (1..=LATEST_BY_FRAMES).contains(&newest.sequence.wrapping_sub(self.sequence))
@@ -110,7 +110,7 @@ impl FrameHeader {
     }
 }
 
-/// Refuses an image of no, or of absurd, size, and rows that overlap.
+/// Refuses an image of invalid size, and rows that overlap.
 pub(crate) fn check_image(width: u32, height: u32, stride: u32) -> Result<(), ContractError> {
     if width == 0 || height == 0 || width > MAX_SIDE_PX || height > MAX_SIDE_PX {
         return Err(ContractError::Size { width, height, max: MAX_SIDE_PX });
@@ -121,7 +121,7 @@ pub(crate) fn check_image(width: u32, height: u32, stride: u32) -> Result<(), Co
     Ok(())
 }
 
-/// Refuses unknown curves and a gamma that cannot be undone.
+/// Refuses unknown curves and an invalid gamma.
 pub(crate) fn check_curve(transfer: u32, gamma: f32, range: u32) -> Result<(), ContractError> {
     Range::try_from(range)?;
     if Transfer::try_from(transfer)? == Transfer::Gamma && !(0.1..=10.0).contains(&gamma) {

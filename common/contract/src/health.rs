@@ -1,11 +1,11 @@
-//! `health`: what each stage says of itself, sent by the stage's own loop.
+//! `health`: each stage's state and counters, sent by the stage's own loop.
 
 use bytemuck::{Pod, Zeroable};
 use iceoryx2::prelude::ZeroCopySend;
 
 use crate::{ContractError, StageState, Text};
 
-/// Header of `health`. No payload. A hung stage goes silent, so silence is bad health.
+/// Header of `health`. No payload. A hung stage sends nothing, so silence means trouble.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
 #[type_name("flockeye/Health")]
 #[repr(C)]
@@ -45,7 +45,7 @@ pub struct Health {
 }
 
 impl Health {
-    /// Refuses a state that nobody knows.
+    /// Refuses an unknown state.
     pub fn check(&self) -> Result<(), ContractError> {
         StageState::try_from(self.state)?;
         Ok(())

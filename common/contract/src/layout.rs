@@ -1,4 +1,4 @@
-//! Pins the memory layout that `docs/CONTRACT.md` promises to writers in other languages.
+//! Pins the memory layout that `docs/CONTRACT.md` promises to stages in other languages.
 #![allow(clippy::unwrap_used)]
 
 use std::mem::{align_of, offset_of, size_of};
@@ -162,7 +162,7 @@ fn senseless_plans_and_detections_are_refused() {
     assert!(Detections::check(&header, &[sure]).unwrap_err().to_string().contains("deviation"));
     let boasting = DetectionHeader { hits: 3, ..header };
     assert!(Detections::check(&boasting, &[marker]).unwrap_err().to_string().contains("3 hits"));
-    // A square that was not read is no hit.
+    // A square that was not decoded is no hit.
     let doubtful = DetectedMarker { doubtful: 1, ..marker };
     assert_eq!(Detections::check(&header, &[doubtful]), Ok(()));
     let hit = DetectionHeader { hits: 1, ..header };

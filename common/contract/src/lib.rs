@@ -1,22 +1,24 @@
-//! What crosses a process border in Flockeye.
+//! The messages that cross a process border in Flockeye.
 //!
-//! Two borders, two vocabularies:
+//! There are two borders:
 //! - **shared memory**, between the stages on one machine: [`Topic`]s of `#[repr(C)]` headers and
 //!   items ([`FrameHeader`], [`PlanHeader`], [`ViewHeader`], [`DetectionHeader`], [`FrameEnd`],
 //!   [`TrackHeader`], [`Health`], [`TruthHeader`]);
 //! - **the network**, between drones: the JSON of [`wire`].
 //!
-//! Everything here is data and the check that it is what it says ([`Topic::check`]); how it is
-//! transported is the runtime's business. `docs/CONTRACT.md` describes the same bytes for writers
-//! in other languages, and the tests of [`layout`] pin every offset of it.
+//! This crate has the data and their validation ([`Topic::check`]); the runtime transports them.
+//! `docs/CONTRACT.md` describes the same bytes for stages in other languages, and the tests of [`layout`]
+//! pin every offset.
 
 mod codes;
 mod detection;
+mod error;
 mod frame;
 mod health;
 #[cfg(test)]
 mod layout;
 mod plan;
+mod stage;
 mod text;
 mod topic;
 mod track;
@@ -29,13 +31,15 @@ pub use codes::{
     TrackState, Transfer, UnknownCode, ViewKind,
 };
 pub use detection::{DetectedMarker, DetectionHeader, MAX_DETECTED_MARKERS};
+pub use error::ContractError;
 pub use frame::{FrameHeader, FrameStamp};
 pub use health::Health;
 pub use plan::{MAX_PLANNED_VIEWS, MAX_VIEW_PX, PlanHeader, PlannedView};
+pub use stage::StageName;
 pub use text::Text;
 pub use topic::{
-    ALL_TOPICS, CONTRACT_VERSION, ContractError, Detections, FrameEnds, Frames, Healths, Plans,
-    Topic, Tracks, Truths, VERSION_ATTRIBUTE, Views,
+    CONTRACT_VERSION, Detections, FrameEnds, Frames, Healths, Plans, TOPICS, Topic, TopicId,
+    TopicInfo, TopicVisitor, Tracks, Truths, VERSION_ATTRIBUTE, Views, visit_topics,
 };
 pub use track::{FrameEnd, Pose, StageLatency, Track, TrackHeader};
 pub use truth::{BodyTruth, TruthHeader};

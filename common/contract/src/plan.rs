@@ -1,4 +1,4 @@
-//! `plan`: where fusion wants rectification to look.
+//! `plan`: the views that fusion wants from rectification.
 
 use bytemuck::{Pod, Zeroable};
 use iceoryx2::prelude::ZeroCopySend;
@@ -34,7 +34,7 @@ pub struct PlanHeader {
 
 /// One view that a plan asks for.
 ///
-/// A gaze view turns with the neighbour it looks at: rectification moves it from `reference_ns`
+/// A gaze view turns with its neighbour: rectification rotates it from `reference_ns`
 /// to the frame's exposure with `rate_in_camera`.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
 #[type_name("flockeye/PlannedView")]
@@ -61,7 +61,7 @@ pub struct PlannedView {
     pub target: u32,
     /// 1 if `predicted_camera_from_markers` holds.
     pub has_prediction: u32,
-    /// 1 if its markers are not asked for, copied into the view.
+    /// 1 if only its pixels are wanted, not its markers; copied into the view.
     pub unsearched: u32,
 }
 
@@ -72,7 +72,7 @@ pub const MAX_PLANNED_VIEWS: usize = 256;
 pub const MAX_VIEW_PX: u32 = 4_096;
 
 impl PlanHeader {
-    /// Refuses codes that nobody knows and views that cannot be cut.
+    /// Refuses unknown codes and views that cannot be cut.
     pub fn check(&self, views: &[PlannedView]) -> Result<(), ContractError> {
         StopRule::try_from(self.stop_rule)?;
         SearchMode::try_from(self.mode)?;
@@ -104,7 +104,7 @@ impl PlannedView {
     }
 }
 
-/// Refuses rotations that are none, and sizes and focal lengths that give no picture.
+/// Refuses invalid rotations, sizes and focal lengths.
 pub(crate) fn check_view_geometry(
     camera_from_view: &[f64; 4],
     focal_px: f64,

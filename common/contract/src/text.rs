@@ -7,7 +7,7 @@ use iceoryx2::prelude::ZeroCopySend;
 
 /// UTF-8 text of at most `N` bytes, filled up with zero bytes.
 ///
-/// A name that does not fit is cut at a character's border. Bytes that are no UTF-8 (a foreign
+/// A name that does not fit is cut between two characters. Bytes that are no UTF-8 (a foreign
 /// stage may write anything) are shown as U+FFFD and never trusted.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ZeroCopySend)]
 #[repr(C)]

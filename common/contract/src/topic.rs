@@ -6,8 +6,8 @@ use bytemuck::Pod;
 use iceoryx2::prelude::ZeroCopySend;
 
 use crate::{
-    BodyTruth, DetectedMarker, DetectionHeader, FrameEnd, FrameHeader, Health, PlanHeader,
-    PlannedView, Track, TrackHeader, TruthHeader, UnknownCode, ViewHeader,
+    BodyTruth, ContractError, DetectedMarker, DetectionHeader, FrameEnd, FrameHeader, Health,
+    PlanHeader, PlannedView, StageName, Track, TrackHeader, TruthHeader, ViewHeader,
 };
 
 /// Version of everything in this crate. A stage of another version is refused.
@@ -15,86 +15,6 @@ pub const CONTRACT_VERSION: &str = "2";
 
 /// The iceoryx2 service attribute that carries [`CONTRACT_VERSION`].
 pub const VERSION_ATTRIBUTE: &str = "flockeye.contract";
-
-/// Why a message was refused.
-#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-pub enum ContractError {
-    /// An enumeration's code is unknown.
-    #[error(transparent)]
-    Code(#[from] UnknownCode),
-    /// The header announces more bytes than were sent.
-    #[error("the header announces {needed} bytes of payload, {found} are there")]
-    PayloadTooShort {
-        /// What the header announces.
-        needed: usize,
-        /// What came.
-        found: usize,
-    },
-    /// An image of no, or of absurd, size.
-    #[error("an image of {width}x{height} pixels (1 to {max} are allowed)")]
-    Size {
-        /// Pixels in a row.
-        width: u32,
-        /// Rows.
-        height: u32,
-        /// The most allowed.
-        max: u32,
-    },
-    /// Rows that overlap, or are absurdly far apart.
-    #[error("rows of {width} pixels that are {stride} bytes apart")]
-    Stride {
-        /// Bytes from row to row.
-        stride: u32,
-        /// Pixels in a row.
-        width: u32,
-    },
-    /// A curve that cannot be undone.
-    #[error("a transfer curve with gamma {gamma} (0.1 to 10 are allowed)")]
-    Gamma {
-        /// The exponent.
-        gamma: f32,
-    },
-    /// A quaternion that is no rotation.
-    #[error("a rotation whose quaternion has length {norm} instead of 1")]
-    Rotation {
-        /// Its length.
-        norm: f64,
-    },
-    /// A ray that is no direction.
-    #[error("a ray of length {norm} instead of 1")]
-    Ray {
-        /// Its length.
-        norm: f64,
-    },
-    /// A focal length that gives no picture.
-    #[error("a focal length of {focal_px} pixels")]
-    Focal {
-        /// Pixels.
-        focal_px: f64,
-    },
-    /// A number that is none, or out of all bounds.
-    #[error("{what} is not a finite number within its bounds")]
-    NotFinite {
-        /// Which.
-        what: &'static str,
-    },
-    /// More than anybody can mean.
-    #[error("{found} {what} (at most {max} are allowed)")]
-    TooMany {
-        /// Of what.
-        what: &'static str,
-        /// How many came.
-        found: usize,
-        /// The most allowed.
-        max: usize,
-    },
-    /// Something that must be there is not.
-    #[error("the {what} is missing")]
-    Missing {
-        /// What.
-        what: &'static str,
-    },
-}
 
 /// One publish-subscribe service: messages of one header and a slice of items.
 pub trait Topic {
@@ -104,16 +24,55 @@ pub trait Topic {
     type Item: ZeroCopySend + Pod + Debug;
     /// Name of the service and of the event service that wakes its subscribers.
     const NAME: &'static str;
+    /// Its row in the table of all topics.
+    const INFO: TopicInfo;
 
-    /// Refuses a message that is not what it says, before anybody reads it.
+    /// Validates a message before it is read.
     ///
     /// # Errors
-    /// The first thing about the message that cannot be.
+    /// The first violation found.
     fn check(header: &Self::Header, items: &[Self::Item]) -> Result<(), ContractError>;
 }
 
+/// A topic as a row of the table of all topics: who publishes what, and who reads it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct TopicInfo {
+    /// Which topic.
+    pub id: TopicId,
+    /// Name of its service.
+    pub name: &'static str,
+    /// The stages that publish it.
+    pub publishers: &'static [StageName],
+    /// The stages that read it. Tools may read any topic.
+    pub subscribers: &'static [StageName],
+    /// Bytes of the header.
+    pub header_bytes: usize,
+    /// Bytes of an item.
+    pub item_bytes: usize,
+}
+
+impl TopicInfo {
+    /// Whether there is a service for each detection worker, `NAME/0`, `NAME/1` ..., so that a slow
+    /// worker costs no other its messages.
+    pub fn has_lanes(&self) -> bool {
+        self.id == TopicId::Views
+    }
+}
+
+/// Something to do for each topic, with its types.
+pub trait TopicVisitor {
+    /// Why it can fail.
+    type Error;
+
+    /// Does it for topic `T`.
+    ///
+    /// # Errors
+    /// The visitor's own; no further topic is visited.
+    fn visit<T: Topic + 'static>(&mut self) -> Result<(), Self::Error>;
+}
+
 macro_rules! topics {
-    ($($(#[$doc:meta])* $name:ident = $service:literal, $header:ty, [$item:ty], |$h:ident, $i:ident| $check:expr;)+) => {
+    ($($(#[$doc:meta])* $name:ident = $service:literal, $header:ty, [$item:ty], [$($publisher:ident),*] => [$($subscriber:ident),*], |$h:ident, $i:ident| $check:expr;)+) => {
         $(
             $(#[$doc])*
             #[derive(Debug, Clone, Copy)]
@@ -123,6 +82,14 @@ macro_rules! topics {
                 type Header = $header;
                 type Item = $item;
                 const NAME: &'static str = $service;
+                const INFO: TopicInfo = TopicInfo {
+                    id: TopicId::$name,
+                    name: $service,
+                    publishers: &[$(StageName::$publisher),*],
+                    subscribers: &[$(StageName::$subscriber),*],
+                    header_bytes: size_of::<$header>(),
+                    item_bytes: size_of::<$item>(),
+                };
 
                 fn check($h: &$header, $i: &[$item]) -> Result<(), ContractError> {
                     $check
@@ -130,26 +97,92 @@ macro_rules! topics {
             }
         )+
 
-        /// Names of all topics.
-        pub const ALL_TOPICS: &[&str] = &[$($service),+];
+        /// The topics as values.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+        pub enum TopicId { $($(#[$doc])* $name),+ }
+
+        /// All topics, in the order of the dataflow.
+        pub const TOPICS: &[TopicInfo] = &[$($name::INFO),+];
+
+        /// Visits all topics, in the order of the dataflow.
+        ///
+        /// # Errors
+        /// The visitor's first.
+        pub fn visit_topics<V: TopicVisitor>(visitor: &mut V) -> Result<(), V::Error> {
+            $(visitor.visit::<$name>()?;)+
+            Ok(())
+        }
     };
 }
 
 topics! {
     /// Source to rectification: the luma plane of the whole sphere.
-    Frames = "flockeye/frame", FrameHeader, [u8], |header, items| header.check(items.len());
+    Frames = "flockeye/frame", FrameHeader, [u8],
+        [Capture, Simulator] => [Rectification], |header, items| header.check(items.len());
     /// Fusion to rectification (and, in a lossless run, to the source): where to look.
-    Plans = "flockeye/plan", PlanHeader, [PlannedView], |header, items| header.check(items);
+    Plans = "flockeye/plan", PlanHeader, [PlannedView],
+        [Fusion] => [Rectification, Capture, Simulator], |header, items| header.check(items);
     /// Rectification to detection and fusion: a square pinhole image.
-    Views = "flockeye/view", ViewHeader, [u8], |header, items| header.check(items.len());
+    Views = "flockeye/view", ViewHeader, [u8],
+        [Rectification] => [Detection, Fusion], |header, items| header.check(items.len());
     /// Detection to rectification and fusion: what a view holds.
-    Detections = "flockeye/detection", DetectionHeader, [DetectedMarker], |header, items| header.check(items);
+    Detections = "flockeye/detection", DetectionHeader, [DetectedMarker],
+        [Detection] => [Rectification, Fusion], |header, items| header.check(items);
     /// Rectification to fusion: no more views of a frame will come.
-    FrameEnds = "flockeye/frame_end", FrameEnd, [u8], |header, _items| header.check();
-    /// Fusion to whoever wants to know: the neighbours' poses.
-    Tracks = "flockeye/track", TrackHeader, [Track], |_header, items| items.iter().try_for_each(Track::check);
+    FrameEnds = "flockeye/frame_end", FrameEnd, [u8],
+        [Rectification] => [Fusion], |header, _items| header.check();
+    /// Fusion to the gateway and to tools: the neighbours' poses.
+    Tracks = "flockeye/track", TrackHeader, [Track],
+        [Fusion] => [Gateway], |_header, items| items.iter().try_for_each(Track::check);
     /// Every stage to the launcher.
-    Healths = "flockeye/health", Health, [u8], |header, _items| header.check();
+    Healths = "flockeye/health", Health, [u8],
+        [Capture, Simulator, Rectification, Detection, Fusion, Gateway] => [], |header, _items| header.check();
     /// Simulator to evaluation.
-    Truths = "flockeye/truth", TruthHeader, [BodyTruth], |header, items| header.check(items);
+    Truths = "flockeye/truth", TruthHeader, [BodyTruth],
+        [Simulator] => [], |header, items| header.check(items);
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+
+    #[test]
+    fn every_stage_is_connected() {
+        for stage in StageName::ALL {
+            let publishes = TOPICS.iter().any(|topic| topic.publishers.contains(&stage));
+            let reads = TOPICS.iter().any(|topic| topic.subscribers.contains(&stage));
+            assert!(publishes && reads, "{stage:?}");
+            assert_eq!(StageName::from_name(stage.name()), Some(stage));
+        }
+        assert_eq!(StageName::from_name("fusions"), None);
+    }
+
+    #[test]
+    fn names_and_order_are_those_of_the_table() {
+        let names: BTreeSet<_> = TOPICS.iter().map(|topic| topic.name).collect();
+        assert_eq!(names.len(), TOPICS.len());
+        struct Names(Vec<&'static str>);
+        impl TopicVisitor for Names {
+            type Error = ();
+            fn visit<T: Topic>(&mut self) -> Result<(), ()> {
+                self.0.push(T::NAME);
+                Ok(())
+            }
+        }
+        let mut visited = Names(Vec::new());
+        assert_eq!(visit_topics(&mut visited), Ok(()));
+        assert_eq!(visited.0, TOPICS.iter().map(|topic| topic.name).collect::<Vec<_>>());
+    }
+
+    /// What is not in CONTRACT.md cannot be spoken from another language.
+    #[test]
+    fn the_contract_document_names_every_topic() {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/CONTRACT.md");
+        let text = std::fs::read_to_string(path).expect("CONTRACT.md is in the repository");
+        for topic in TOPICS {
+            assert!(text.contains(topic.name.trim_start_matches("flockeye/")), "{}", topic.name);
+        }
+    }
 }

@@ -1,4 +1,4 @@
-//! `frame_end` and `track`: what a frame came to.
+//! `frame_end` and `track`: the results of a frame.
 
 use bytemuck::{Pod, Zeroable};
 use iceoryx2::prelude::ZeroCopySend;
@@ -29,7 +29,7 @@ pub struct FrameEnd {
 }
 
 impl FrameEnd {
-    /// Refuses a reason that nobody knows.
+    /// Refuses an unknown reason.
     pub fn check(&self) -> Result<(), ContractError> {
         StopReason::try_from(self.reason)?;
         Ok(())
@@ -54,7 +54,7 @@ impl Default for Pose {
 }
 
 impl Pose {
-    /// Refuses positions that are no numbers and orientations that are no rotations.
+    /// Refuses positions that are not finite and orientations that are no rotations.
     pub fn check(&self) -> Result<(), ContractError> {
         if !self.position.iter().all(|x| x.is_finite()) {
             return Err(ContractError::NotFinite { what: "position" });
@@ -123,7 +123,7 @@ pub struct Track {
     pub age_ns: i64,
     /// Time since it was last measured, nanoseconds.
     pub unseen_ns: i64,
-    /// Where the time went.
+    /// How long each stage took.
     pub latency: StageLatency,
     /// The target's name, as configured.
     pub name: Text<32>,
@@ -142,7 +142,7 @@ pub struct Track {
 }
 
 impl Track {
-    /// Refuses states that nobody knows and poses that are none.
+    /// Refuses unknown states and invalid poses.
     pub fn check(&self) -> Result<(), ContractError> {
         TrackState::try_from(self.state)?;
         self.observer_from_target.check()?;

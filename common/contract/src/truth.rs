@@ -44,7 +44,7 @@ pub struct BodyTruth {
 }
 
 impl TruthHeader {
-    /// Refuses truth that cannot be one.
+    /// Refuses invalid truth.
     pub fn check(&self, bodies: &[BodyTruth]) -> Result<(), ContractError> {
         bodies.iter().try_for_each(|body| {
             body.camera_from_markers.check()?;

@@ -57,8 +57,8 @@ pub struct ViewHeader {
     pub gamma: f32,
     /// A [`crate::Range`].
     pub range: u32,
-    /// 1 if its markers are not asked for: its pixels alone are; whoever searches views acknowledges it
-    /// unsearched.
+    /// 1 if only its pixels are wanted, not its markers: a detector acknowledges such a view without
+    /// searching it.
     pub unsearched: u32,
 }
 

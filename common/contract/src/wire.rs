@@ -1,6 +1,6 @@
 //! What goes over the network: JSON that any language reads, at most [`MAX_REPORT_BYTES`] long.
 //!
-//! `docs/PEERS.md` describes the same for writers of subscribers.
+//! `docs/PEERS.md` describes the same for authors of subscribers.
 
 use serde::{Deserialize, Serialize};
 
@@ -15,14 +15,14 @@ pub const MAX_REPORT_BYTES: usize = 1_200;
 /// Most characters of a swarm's, an observer's or a target's name.
 pub const MAX_NAME_CHARS: usize = 31;
 
-/// What one observer says of one target at one exposure.
+/// One observer's report on one target at one exposure.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PoseReport {
     /// [`POSE_SCHEMA`]. Readers refuse another major number and ignore unknown fields.
     pub schema: String,
-    /// Who saw.
+    /// The observer's name.
     pub observer: String,
-    /// Who was seen.
+    /// The target's name.
     pub target: String,
     /// The frame's number in its epoch.
     pub frame: u64,
@@ -39,7 +39,7 @@ pub struct PoseReport {
     pub latency_ms: f64,
     /// State of the track.
     pub state: TrackState,
-    /// What this frame's measurement rests on.
+    /// What this frame's measurement was made from.
     pub measured_by: MeasuredBy,
     /// Markers decoded in this frame.
     pub markers: u32,
@@ -70,13 +70,13 @@ pub enum WireError {
     /// Not JSON, or not of this form.
     #[error("not a pose report: {0}")]
     Json(#[from] serde_json::Error),
-    /// A schema from another world.
+    /// A schema that this version does not know.
     #[error("schema '{found}' instead of '{POSE_SCHEMA}'")]
     Schema {
         /// What it says.
         found: String,
     },
-    /// Numbers that cannot be a pose.
+    /// Invalid numbers.
     #[error("{what} is not finite or not a rotation")]
     Number {
         /// Which.
@@ -107,10 +107,10 @@ impl PoseReport {
         Ok(json)
     }
 
-    /// Reads a report that anybody may have sent.
+    /// Reads a report of untrusted origin.
     ///
     /// # Errors
-    /// See [`WireError`]; nothing else of the sender is touched.
+    /// See [`WireError`].
     pub fn from_json(bytes: &[u8]) -> Result<Self, WireError> {
         if bytes.len() > MAX_REPORT_BYTES {
             return Err(WireError::TooLong { found: bytes.len() });
@@ -151,12 +151,12 @@ pub fn alive_key(swarm: &str, observer: &str) -> String {
     format!("flockeye/{swarm}/{observer}/alive")
 }
 
-/// Key expression of everybody's reports in `swarm`.
+/// Key expression of all reports in `swarm`.
 pub fn all_poses_key(swarm: &str) -> String {
     pose_key(swarm, "*", "*")
 }
 
-/// Key expression of everybody's liveliness tokens in `swarm`.
+/// Key expression of all liveliness tokens in `swarm`.
 pub fn all_alive_key(swarm: &str) -> String {
     alive_key(swarm, "*")
 }

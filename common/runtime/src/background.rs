@@ -1,4 +1,4 @@
-//! Threads for work that nobody waits for.
+//! Threads for work in the background, which gives way to all else.
 
 use std::io;
 use std::process::{Command, Stdio};
@@ -7,14 +7,15 @@ use std::thread::{Builder, JoinHandle};
 use rustix::process::{getpriority_process, setpriority_process};
 use rustix::thread::gettid;
 
-/// So much nicer than its process, and than any that is not nice at all, is such a thread: under load it
-/// gets a tenth of what those get.
+/// Added to the process's nice value: under load such a thread gets a tenth of the processor time of a
+/// thread with nice value 0.
 const NICER: i32 = 10;
-/// The nicest there is.
+/// The largest nice value.
 const NICEST: i32 = 19;
 
-/// Starts a thread that gives way to the other threads and processes: by its nice value, and by leaving
-/// the real-time class where the process is in one. What the system refuses is left as it is.
+/// Starts a thread that gives way to other threads and processes: its nice value is raised, and it
+/// leaves the real-time class if the process is in one. If the system refuses either, the thread runs
+/// as it is.
 ///
 /// # Errors
 /// The system starts no thread.
@@ -25,7 +26,7 @@ pub fn spawn<T: Send + 'static>(
     Builder::new().name(name.to_owned()).spawn(move || {
         leave_real_time();
         let usual = getpriority_process(None).unwrap_or(0);
-        // Linux takes this for the calling thread's alone.
+        // On Linux this applies to the calling thread only.
         let _ = setpriority_process(None, (usual.max(0) + NICER).min(NICEST));
         work()
     })
@@ -69,7 +70,7 @@ mod tests {
     fn it_leaves_the_real_time_class() {
         let (of_others, background) = std::thread::spawn(|| {
             let thread = gettid().as_raw_nonzero().to_string();
-            // Without the privilege it stays where it is, and there is nothing to leave.
+            // Without the privilege the process is in no real-time class.
             let _ = Command::new("chrt").args(["--fifo", "--pid", "1", &thread]).output();
             (class(), spawn("background", class).unwrap().join().unwrap())
         })

@@ -1,15 +1,15 @@
 //! When a source may send its next frame.
 //!
-//! In the flow `latest` always. In the flow `lossless` after the plan for it has come back: fusion
-//! publishes a plan after each frame, and one to open the flow. So no frame overtakes another, and
-//! nothing is decided by time - but for a frame that a dying stage took with it, of which no plan
-//! ever comes: it is given up on after a while.
+//! In the flow `latest` it may always send. In the flow `lossless` it waits for a plan: fusion
+//! publishes one to open the flow, and one after each frame. So no frame overtakes another, and no
+//! result depends on time. One exception: a stage that dies may lose a frame, whose plan never
+//! comes. After a timeout the source stops waiting for it.
 
 use flockeye_contract::{FrameStamp, Plans};
 
 use crate::clock;
-use crate::config::{Flow, Pipeline};
 use crate::ports::{PortError, Ports, Subscriber};
+use flockeye_config::{Flow, Pipeline};
 
 /// The source's side of the flow.
 pub struct Credits {
@@ -39,7 +39,7 @@ impl Credits {
             Flow::Latest => (None, State::Open),
             Flow::Lossless => (Some(ports.subscriber()?), State::Closed),
         };
-        // Fusion itself gives up on a frame after its deadline; who waits for fusion waits longer.
+        // Fusion itself drops a frame after its deadline, so the source waits longer than that.
         let patience_ns = 3 * pipeline.frame_deadline().as_nanos() as i64;
         Ok(Self { plans, state, patience_ns })
     }

@@ -21,36 +21,36 @@ pub struct Counters {
     detail: RefCell<String>,
 }
 
-/// Latencies kept between two reports; what comes beyond is not sampled.
+/// Latencies kept between two reports; further ones are not sampled.
 const MAX_LATENCIES: usize = 4_096;
 
 impl Counters {
-    /// Messages were taken in.
+    /// Counts messages that were received.
     pub fn add_taken(&self, count: u64) {
         self.taken.set(self.taken.get() + count);
     }
 
-    /// Messages were published.
+    /// Counts messages that were published.
     pub fn add_published(&self, count: u64) {
         self.published.set(self.published.get() + count);
     }
 
-    /// Messages were overtaken by newer ones, or abandoned.
+    /// Counts messages that newer ones replaced, or that were abandoned.
     pub fn add_dropped(&self, count: u64) {
         self.dropped.set(self.dropped.get() + count);
     }
 
-    /// Messages were refused, or could not be worked on.
+    /// Counts messages that were refused or could not be processed.
     pub fn add_failed(&self, count: u64) {
         self.failed.set(self.failed.get() + count);
     }
 
-    /// So many of them are not done with now.
+    /// Sets how many messages are in work now.
     pub fn set_queued(&self, count: usize) {
         self.queued.set(count as u64);
     }
 
-    /// One unit of the stage's work took this long.
+    /// Records how long one unit of the stage's work took.
     pub fn add_latency_ns(&self, latency_ns: i64) {
         let mut latencies = self.latencies_ns.borrow_mut();
         if latencies.len() < MAX_LATENCIES {
@@ -63,7 +63,7 @@ impl Counters {
         *self.detail.borrow_mut() = detail.into();
     }
 
-    /// Overrides what the loop would report: `degraded` while a camera is away, say.
+    /// Overrides the state that the loop reports, for example `degraded` while a camera is away.
     pub fn set_state(&self, state: Option<StageState>) {
         self.state.set(state);
     }

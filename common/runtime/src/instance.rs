@@ -1,7 +1,7 @@
 //! Where one pipeline's shared memory and files live, and who owns it.
 //!
 //! Each instance has its own folder, with the resolved configuration, iceoryx2's files and a lock,
-//! and its own prefix in /dev/shm. Instances, tests and leftovers of dead runs never meet.
+//! and its own prefix in /dev/shm. Instances, tests and leftovers of dead runs never share a name.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read, Seek, Write};
@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use iceoryx2::prelude::*;
 use rustix::fs::{FlockOperation, flock};
 
-use crate::config::Pipeline;
+use flockeye_config::{Pipeline, is_instance_name};
 
 /// Environment variable with the instance's folder; every stage gets it.
 pub const FOLDER_VARIABLE: &str = "FLOCKEYE_INSTANCE_DIR";
@@ -43,7 +43,7 @@ pub enum InstanceError {
         /// The launcher of the other one.
         pid: String,
     },
-    /// A name that leads elsewhere than to a folder of its own.
+    /// A name that would not lead to a folder of its own.
     #[error("'{name}' cannot be an instance's name: use 1 to 31 letters, digits, '-' and '_'")]
     Name {
         /// The name.
@@ -117,7 +117,7 @@ impl Instance {
 
     /// Whether a living process has it.
     pub fn is_running(&self) -> bool {
-        // Its owner has the lock for itself; nobody else keeps it.
+        // Only the owner holds the lock for longer than this check.
         File::open(self.folder.join("lock"))
             .is_ok_and(|lock| flock(&lock, FlockOperation::NonBlockingLockShared).is_err())
     }
@@ -134,9 +134,9 @@ impl Instance {
 
     /// What the names of its shared memory begin with.
     ///
-    /// Of one length, and with a digest of the folder (which has the user's number and the name in
-    /// it) in place of a name: sockets' paths hold both folder and prefix, and have 107 bytes at most; and
-    /// no instance's prefix begins another's.
+    /// It is a digest of the folder's path, which contains the user's number and the instance's name. All
+    /// prefixes have the same length, for two reasons: a socket's path contains folder and prefix and has
+    /// 107 bytes at most, and no instance's prefix may be the beginning of another's.
     pub fn prefix(&self) -> String {
         // FNV-1a (Fowler, Noll, Vo), the same in every process and release.
         let bytes = self.folder.as_os_str().as_encoded_bytes();
@@ -167,8 +167,8 @@ impl Instance {
     /// Takes the instance for this process and clears what a dead run left behind.
     ///
     /// # Errors
-    /// [`InstanceError::Taken`] where a living process has it, [`InstanceError::Name`] for a name
-    /// that would make others' files its own.
+    /// [`InstanceError::Taken`] if a running process has it; [`InstanceError::Name`] for a name that
+    /// would lead to files of others.
     pub fn take(&self) -> Result<Ownership, InstanceError> {
         if !is_instance_name(&self.name) {
             return Err(InstanceError::Name { name: self.name.clone() });
@@ -278,18 +278,11 @@ impl Drop for Ownership {
         if let Err(error) = self.instance.remove_leftovers() {
             tracing::warn!("leftovers in {}: {error}", self.instance.folder.display());
         }
-        // The lock goes last: until then nobody else believes the name to be free.
+        // The lock is removed last: until then the name is not free for others.
         if let Err(error) = std::fs::remove_dir_all(&self.instance.folder) {
             tracing::warn!("leftovers in {}: {error}", self.instance.folder.display());
         }
     }
-}
-
-/// Whether `name` can be an instance's. It becomes the name of a folder that is emptied, so nothing
-/// that leads elsewhere (`..`, a path) is one.
-pub fn is_instance_name(name: &str) -> bool {
-    (1..=31).contains(&name.len())
-        && name.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"-_".contains(&byte))
 }
 
 /// Folder of all instances of this user.

@@ -1,7 +1,7 @@
 //! Structured logs, and warnings that are not repeated on every frame.
 //!
-//! Levels: `error` - the stage cannot go on; `warn` - something was lost, or will be; `info` - once
-//! in a process's life; `debug` - once in a while; `trace` - each frame.
+//! Levels: `error`: the stage cannot go on. `warn`: something was lost, or will be. `info`: once in a
+//! process's life. `debug`: now and then. `trace`: each frame.
 
 use std::io::IsTerminal;
 use std::time::{Duration, Instant};
@@ -30,7 +30,7 @@ pub fn init() {
     drop(outcome);
 }
 
-/// Lets one event through in each period, and counts those it held back.
+/// Lets one event through in each period, and counts the events that it suppressed.
 ///
 /// ```
 /// # use flockeye_runtime::logs::Throttle;
@@ -52,7 +52,7 @@ impl Default for Throttle {
 }
 
 impl Throttle {
-    /// The number of events held back since the last one let through, if this one is let through.
+    /// If this event is let through: the number of events suppressed since the last one.
     pub fn admit(&mut self) -> Option<u64> {
         let now = Instant::now();
         if self.last.is_some_and(|last| now - last < self.period) {

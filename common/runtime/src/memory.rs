@@ -1,35 +1,35 @@
 //! How large each topic's shared memory is, and whether it fits.
 //!
-//! iceoryx2 takes, for each publisher, chunks for the worst case: subscribers * (buffer + borrowed)
-//! + history + loaned. Its defaults would take 34 frames; these are Flockeye's own limits.
+//! For each publisher, iceoryx2 reserves chunks for the worst case: subscribers * (buffer + borrowed)
+//! + history + loaned. Its default limits would reserve 34 frames, so Flockeye sets its own.
 
 use std::fmt;
 use std::time::Duration;
 
+use flockeye_config::{Flow, Pipeline};
 use flockeye_contract::{
-    BodyTruth, DetectedMarker, Detections, FrameEnds, Frames, Healths, PlannedView, Plans, Topic,
-    Track, Tracks, Truths, Views,
+    BodyTruth, DetectedMarker, Frames, PlannedView, TOPICS, Topic, TopicId, TopicInfo, Track,
 };
-
-use crate::config::{Flow, Pipeline};
 
 /// Limits of one topic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
     /// The topic's name.
     pub topic: &'static str,
+    /// Whether the topic is split into lanes, which carry their number in their service's name.
+    pub has_lanes: bool,
     /// Services of this topic: one, or one for each detection worker.
     pub lanes: usize,
     /// Publishers at once: old, new, and dead ones not cleaned up yet.
     pub publishers: usize,
-    /// Publishers in the usual course, over all lanes, for the memory budget.
+    /// Publishers in normal operation, over all lanes, for the memory budget.
     pub usual_publishers: usize,
     /// Subscribers at once, tools included.
     pub subscribers: usize,
     /// Messages that wait at a subscriber.
     pub buffer: usize,
-    /// How long a publisher waits for a subscriber where so many wait. `None`: not at all, the oldest
-    /// gives way.
+    /// How long a publisher waits for a subscriber whose buffer is full. `None`: it does not wait, and
+    /// the oldest message is dropped.
     pub patience: Option<Duration>,
     /// Messages that a subscriber may hold.
     pub borrowed: usize,
@@ -46,11 +46,6 @@ pub struct Limits {
 }
 
 impl Limits {
-    /// Whether the topic is split into lanes, which carry their number in their service's name.
-    pub fn topic_has_lanes(&self) -> bool {
-        self.topic == Views::NAME
-    }
-
     /// Chunks of one publisher's data segment, by iceoryx2's formula.
     pub fn chunks(&self) -> usize {
         self.subscribers * (self.buffer + self.borrowed) + self.history + self.loaned
@@ -62,7 +57,7 @@ impl Limits {
         self.chunks() * (self.items * self.item_bytes + self.header_bytes + 48)
     }
 
-    /// Bytes in the usual course.
+    /// Bytes in normal operation.
     pub fn bytes(&self) -> usize {
         self.usual_publishers * self.segment_bytes()
     }
@@ -109,146 +104,129 @@ pub struct TooLittleMemory {
 
 /// Views of all lanes that fusion holds until their records are in.
 pub fn held_views_waiting(pipeline: &Pipeline) -> usize {
-    // Rectification has so many in flight; one more may come before its predecessor's answer.
+    // Rectification has this many in flight; one more may come before the answer to the one before.
     pipeline.detection_workers() as usize * pipeline.rectification.window as usize + 1
 }
 
-/// Views that fusion holds because they show a neighbour best: one for each body, and some of the
-/// frame that comes behind.
+/// Views that fusion holds because they show a neighbour best: one for each body, and some of the next
+/// frame.
 pub fn held_views_best(pipeline: &Pipeline) -> usize {
-    // A file is not read for this; with more bodies in it, those of the highest numbers are measured
-    // by their corners alone when all are seen at once.
+    // The file is not read for this. If it has more bodies and all are seen at once, those with the
+    // highest numbers are measured by their corners alone.
     let bodies = if pipeline.bodies.file.is_some() { 8 } else { pipeline.bodies.list.len() };
     bodies.clamp(1, MAX_TRACKS) + 2
 }
 
+/// What the table of topics does not say: how many messages of a topic there may be, and how large
+/// they are.
+struct Sizes {
+    /// Readers at once, tools and successors of stages included.
+    subscribers: usize,
+    /// Messages that wait at a reader.
+    buffer: usize,
+    /// Messages that a reader may hold.
+    borrowed: usize,
+    /// Messages that a late reader still gets.
+    history: usize,
+    /// Messages that a publisher may be writing.
+    loaned: usize,
+    /// Most items in a message.
+    items: usize,
+}
+
+fn sizes(topic: TopicId, pipeline: &Pipeline, largest_view_px: u32) -> Sizes {
+    let usual = Sizes { subscribers: 4, buffer: 64, borrowed: 2, history: 0, loaned: 1, items: 0 };
+    match topic {
+        // Rectification holds the frame that waits for answers, the one it cuts, the next one, and
+        // for a moment one newer than that; a tool may look on.
+        TopicId::Frames => {
+            let items = frame_bytes(pipeline);
+            Sizes { subscribers: 2, buffer: 1, borrowed: 4, loaned: 2, items, ..usual }
+        }
+        TopicId::Plans => {
+            let items = flockeye_contract::MAX_PLANNED_VIEWS;
+            Sizes { buffer: 2, history: 1, items, ..usual }
+        }
+        // To each lane listen its worker, that worker's successor, fusion and a tool.
+        TopicId::Views => Sizes {
+            buffer: pipeline.rectification.window as usize + 2,
+            // In the worst case all views that fusion holds are of one lane; and it reads one more.
+            borrowed: held_views_waiting(pipeline) + held_views_best(pipeline) + 1,
+            items: (largest_view_px as usize).pow(2),
+            ..usual
+        },
+        // While fusion is busy, all answers to one frame wait.
+        TopicId::Detections => {
+            let buffer = 64.max(pipeline.partition.count.most() + MAX_TRACKS);
+            Sizes { buffer, items: MARKERS, ..usual }
+        }
+        TopicId::FrameEnds => Sizes { buffer: 16, ..usual },
+        TopicId::Tracks => Sizes { subscribers: 8, items: MAX_TRACKS, ..usual },
+        TopicId::Healths => Sizes { subscribers: 8, ..usual },
+        TopicId::Truths => Sizes { items: TRUTH_BODIES, ..usual },
+    }
+}
+
+/// Bytes of a frame's luma plane.
+fn frame_bytes(pipeline: &Pipeline) -> usize {
+    pipeline.camera.width as usize * pipeline.camera.height as usize
+}
+
+/// Processes that publish a topic in normal operation. Of the sources, one runs.
+fn usual_publishers(topic: &TopicInfo, pipeline: &Pipeline) -> usize {
+    let (sources, others): (Vec<_>, Vec<_>) =
+        topic.publishers.iter().partition(|stage| stage.is_source());
+    let others: u32 = others.into_iter().map(|&stage| pipeline.replicas(stage)).sum();
+    usize::from(!sources.is_empty()) + others as usize
+}
+
+fn limits(topic: &TopicInfo, pipeline: &Pipeline, largest_view_px: u32) -> Limits {
+    let sizes = sizes(topic.id, pipeline, largest_view_px);
+    let lanes = if topic.has_lanes() { pipeline.detection_workers() as usize } else { 1 };
+    // Of each lane.
+    let publishers = usual_publishers(topic, pipeline);
+    Limits {
+        topic: topic.name,
+        has_lanes: topic.has_lanes(),
+        lanes,
+        // Twice as many as in normal operation: a successor starts while the old process still runs.
+        publishers: 2 * publishers + 1,
+        usual_publishers: lanes * publishers,
+        subscribers: sizes.subscribers,
+        buffer: sizes.buffer,
+        // A lossless run waits for fusion: what fusion sees must not depend on when it looks.
+        patience: match pipeline.flow {
+            Flow::Lossless if topic.has_lanes() => Some(pipeline.view_overdue()),
+            Flow::Lossless | Flow::Latest => None,
+        },
+        borrowed: sizes.borrowed,
+        history: sizes.history,
+        loaned: sizes.loaned,
+        items: sizes.items,
+        item_bytes: topic.item_bytes,
+        header_bytes: topic.header_bytes,
+    }
+}
+
 impl Budget {
-    /// The limits that a configuration needs.
+    /// The limits that a configuration needs, for each topic of the contract.
     pub fn of(pipeline: &Pipeline, largest_view_px: u32) -> Self {
-        let workers = pipeline.detection_workers() as usize;
-        let frame_bytes = pipeline.camera.width as usize * pipeline.camera.height as usize;
-        let view_bytes = (largest_view_px as usize).pow(2);
-        let window = pipeline.rectification.window as usize;
-        let stages = 5 + workers;
-        let topics = vec![
-            // Rectification holds the frame that waits for answers, the one it cuts, the next one, and
-            // for a moment one newer than that; a tool may look on.
-            limits::<Frames>(
-                Ports {
-                    publishers: 1,
-                    subscribers: 2,
-                    buffer: 1,
-                    borrowed: 4,
-                    history: 0,
-                    loaned: 2,
-                },
-                frame_bytes,
-            ),
-            limits::<Plans>(
-                Ports {
-                    publishers: 1,
-                    subscribers: 4,
-                    buffer: 2,
-                    borrowed: 2,
-                    history: 1,
-                    loaned: 1,
-                },
-                flockeye_contract::MAX_PLANNED_VIEWS,
-            ),
-            // One lane for each worker, so that a slow one costs no other its views: the worker, its
-            // successor, fusion and a tool listen to it. A lossless run waits for fusion: what it sees
-            // must not depend on how soon it looks.
-            Limits {
-                lanes: workers,
-                usual_publishers: workers,
-                patience: match pipeline.flow {
-                    Flow::Lossless => Some(pipeline.view_overdue()),
-                    Flow::Latest => None,
-                },
-                ..limits::<Views>(
-                    Ports {
-                        publishers: 1,
-                        subscribers: 4,
-                        buffer: window + 2,
-                        // What fusion holds, all of it in one lane at worst, and one that it reads.
-                        borrowed: held_views_waiting(pipeline) + held_views_best(pipeline) + 1,
-                        history: 0,
-                        loaned: 1,
-                    },
-                    view_bytes,
-                )
-            },
-            limits::<Detections>(
-                Ports {
-                    publishers: workers,
-                    subscribers: 4,
-                    // All answers to one frame wait where fusion is busy.
-                    buffer: 64.max(pipeline.partition.count.most() + MAX_TRACKS),
-                    borrowed: 2,
-                    history: 0,
-                    loaned: 1,
-                },
-                MARKERS,
-            ),
-            limits::<FrameEnds>(
-                Ports {
-                    publishers: 1,
-                    subscribers: 4,
-                    buffer: 16,
-                    borrowed: 2,
-                    history: 0,
-                    loaned: 1,
-                },
-                0,
-            ),
-            limits::<Tracks>(
-                Ports {
-                    publishers: 1,
-                    subscribers: 8,
-                    buffer: 64,
-                    borrowed: 2,
-                    history: 0,
-                    loaned: 1,
-                },
-                MAX_TRACKS,
-            ),
-            limits::<Truths>(
-                Ports {
-                    publishers: 1,
-                    subscribers: 4,
-                    buffer: 64,
-                    borrowed: 2,
-                    history: 0,
-                    loaned: 1,
-                },
-                TRUTH_BODIES,
-            ),
-            limits::<Healths>(
-                Ports {
-                    publishers: stages,
-                    subscribers: 8,
-                    buffer: 64,
-                    borrowed: 2,
-                    history: 0,
-                    loaned: 1,
-                },
-                0,
-            ),
-        ];
-        let frames = topics[0].chunks();
+        let topics: Vec<Limits> =
+            TOPICS.iter().map(|topic| limits(topic, pipeline, largest_view_px)).collect();
+        let frames = topics.iter().find(|limits| limits.topic == Frames::NAME);
         Self {
-            topics,
             camera: (pipeline.camera.width, pipeline.camera.height),
-            frame_bytes,
-            frames,
+            frame_bytes: frame_bytes(pipeline),
+            frames: frames.map_or(0, Limits::chunks),
+            topics,
         }
     }
 
     /// Limits of one topic.
-    #[expect(clippy::expect_used, reason = "a topic without limits is a mistake in this file")]
+    #[expect(clippy::expect_used, reason = "the budget has a row for each row of the table")]
     pub fn topic<T: Topic>(&self) -> &Limits {
         let found = self.topics.iter().find(|limits| limits.topic == T::NAME);
-        found.expect("limits of each topic") // a test counts that the list above has them all
+        found.expect("limits of each topic")
     }
 
     /// Bytes of all topics.
@@ -256,7 +234,7 @@ impl Budget {
         self.topics.iter().map(Limits::bytes).sum()
     }
 
-    /// Refuses a budget that free memory does not hold: running out later would be a SIGBUS.
+    /// Refuses a budget that exceeds free memory: running out later would end a process by SIGBUS.
     ///
     /// # Errors
     /// [`TooLittleMemory`], with both numbers and the cure.
@@ -304,34 +282,6 @@ impl fmt::Display for Budget {
     }
 }
 
-struct Ports {
-    publishers: usize,
-    subscribers: usize,
-    buffer: usize,
-    borrowed: usize,
-    history: usize,
-    loaned: usize,
-}
-
-fn limits<T: Topic>(ports: Ports, items: usize) -> Limits {
-    Limits {
-        topic: T::NAME,
-        lanes: 1,
-        // Twice as many as there usually are: a successor starts while the old one still runs.
-        publishers: 2 * ports.publishers + 1,
-        usual_publishers: ports.publishers,
-        subscribers: ports.subscribers,
-        buffer: ports.buffer,
-        patience: None,
-        borrowed: ports.borrowed,
-        history: ports.history,
-        loaned: ports.loaned,
-        items,
-        item_bytes: size_of::<T::Item>(),
-        header_bytes: size_of::<T::Header>(),
-    }
-}
-
 // The sizes that `items` above count in.
 const _: () = assert!(size_of::<DetectedMarker>() * MARKERS < 16_384);
 const _: () = assert!(size_of::<Track>() * MAX_TRACKS < 16_384);
@@ -342,22 +292,25 @@ const _: () = assert!(size_of::<PlannedView>() < 256);
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
+    use flockeye_contract::{Detections, Healths, Views};
 
     #[test]
-    fn every_topic_has_limits() {
+    fn limits_follow_the_table_of_topics() {
         let budget = Budget::of(&Pipeline::default(), 936);
         let names: Vec<_> = budget.topics.iter().map(|topic| topic.topic).collect();
-        for name in flockeye_contract::ALL_TOPICS {
-            assert!(names.contains(name), "{name}");
-        }
-        assert_eq!(names.len(), flockeye_contract::ALL_TOPICS.len());
+        assert_eq!(names, TOPICS.iter().map(|topic| topic.name).collect::<Vec<_>>());
+        assert_eq!(budget.topic::<Frames>().usual_publishers, 1, "one of the sources runs");
+        assert_eq!(budget.topic::<Detections>().usual_publishers, 2);
+        assert_eq!(budget.topic::<Healths>().usual_publishers, 6);
+        let views = budget.topic::<Views>();
+        assert_eq!((views.lanes, views.usual_publishers, views.publishers), (2, 2, 3));
     }
 
     #[test]
     fn a_frames_answers_wait_whole() {
         let overrides = ["partition.count=128".to_owned()];
         let pipeline = Pipeline::parse("", &overrides, "x").unwrap();
-        let budget = Budget::of(&pipeline, pipeline.largest_view_px(0.05).unwrap());
+        let budget = Budget::of(&pipeline, 936);
         assert!(budget.topic::<Detections>().buffer >= 128);
         let planned = flockeye_contract::MAX_PLANNED_VIEWS;
         assert!(128 + MAX_TRACKS <= planned);

@@ -4,11 +4,11 @@ use std::rc::Rc;
 
 use iceoryx2::prelude::{NodeBuilder, NodeName, SignalHandlingMode, ipc};
 
-use crate::config::Pipeline;
 use crate::health::SharedCounters;
 use crate::instance::{Instance, InstanceError};
 use crate::memory::Budget;
 use crate::ports::Ports;
+use flockeye_config::Resolved;
 
 /// Why a pipeline could not be joined.
 #[derive(Debug, thiserror::Error)]
@@ -16,8 +16,8 @@ pub enum JoinError {
     /// Its files cannot be read.
     #[error(transparent)]
     Instance(#[from] InstanceError),
-    /// Its configuration is none any more: a file that it names has changed or gone.
-    #[error("the configuration of the instance '{instance}' cannot be followed: {reason}")]
+    /// Its configuration is no longer valid: a file that it names has changed or is missing.
+    #[error("the configuration of the instance '{instance}' is no longer valid: {reason}")]
     Configuration {
         /// The instance.
         instance: String,
@@ -34,19 +34,16 @@ pub enum JoinError {
     },
 }
 
-/// Joins a pipeline whose launcher has written what there is to read: gives what its messages are
-/// received with, and its configuration.
+/// Joins a running pipeline, whose launcher has written its files. Returns ports to receive its
+/// messages, and its resolved configuration.
 ///
 /// # Errors
 /// [`JoinError`].
-pub fn join(instance: &Instance) -> Result<(Ports, Pipeline), JoinError> {
-    let pipeline = instance.pipeline()?;
-    let unfit =
-        |reason: String| JoinError::Configuration { instance: instance.name().to_owned(), reason };
-    let bodies = pipeline.bodies().map_err(|error| unfit(error.to_string()))?;
-    let largest_view_px = pipeline
-        .largest_view_px(bodies.largest_side())
-        .map_err(|error| unfit(error.to_string()))?;
+pub fn join(instance: &Instance) -> Result<(Ports, Resolved), JoinError> {
+    let resolved = Resolved::of(instance.pipeline()?).map_err(|error| {
+        let reason = error.to_string();
+        JoinError::Configuration { instance: instance.name().to_owned(), reason }
+    })?;
     let apart = |reason: String| JoinError::Node { instance: instance.name().to_owned(), reason };
     let node = NodeBuilder::new()
         .name(&NodeName::new("onlooker").map_err(|error| apart(format!("{error:?}")))?)
@@ -54,6 +51,6 @@ pub fn join(instance: &Instance) -> Result<(Ports, Pipeline), JoinError> {
         .config(&instance.iceoryx2()?)
         .create::<ipc::Service>()
         .map_err(|error| apart(format!("{error:?}")))?;
-    let budget = Budget::of(&pipeline, largest_view_px);
-    Ok((Ports::new(Rc::new(node), budget, SharedCounters::default()), pipeline))
+    let budget = Budget::of(&resolved.pipeline, resolved.largest_view_px());
+    Ok((Ports::new(Rc::new(node), budget, SharedCounters::default()), resolved))
 }

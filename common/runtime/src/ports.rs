@@ -11,7 +11,7 @@ use std::rc::Rc;
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
-use flockeye_contract::{CONTRACT_VERSION, Topic, VERSION_ATTRIBUTE};
+use flockeye_contract::{CONTRACT_VERSION, Topic, TopicVisitor, VERSION_ATTRIBUTE, visit_topics};
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher as IoxPublisher;
@@ -97,6 +97,33 @@ pub fn create_services<T: Topic + 'static>(
     (0..limits.lanes).map(|lane| create_lane::<T>(node, limits, lane)).collect()
 }
 
+/// Creates the services of all topics, with their limits.
+///
+/// # Errors
+/// [`PortError::Create`] with iceoryx2's reason.
+pub fn create_all_services(
+    node: &Node<Service>,
+    budget: &Budget,
+) -> Result<Vec<TopicServices>, PortError> {
+    struct Creation<'a> {
+        node: &'a Node<Service>,
+        budget: &'a Budget,
+        services: Vec<TopicServices>,
+    }
+    impl TopicVisitor for Creation<'_> {
+        type Error = PortError;
+
+        fn visit<T: Topic + 'static>(&mut self) -> Result<(), PortError> {
+            let limits = self.budget.topic::<T>();
+            self.services.extend(create_services::<T>(self.node, limits)?);
+            Ok(())
+        }
+    }
+    let mut creation = Creation { node, budget, services: Vec::new() };
+    visit_topics(&mut creation)?;
+    Ok(creation.services)
+}
+
 fn create_lane<T: Topic + 'static>(
     node: &Node<Service>,
     limits: &Limits,
@@ -132,9 +159,9 @@ fn create_lane<T: Topic + 'static>(
     Ok(TopicServices { _data: Box::new(data), _wake: wake })
 }
 
-/// A topic of one lane is a service of its name; of several, `NAME/0`, `NAME/1` ...
+/// Name of a lane's service: the topic's own name, or `NAME/0`, `NAME/1` ... for a topic with lanes.
 fn service_name<T: Topic>(limits: &Limits, lane: usize) -> Result<ServiceName, PortError> {
-    let name = match limits.topic_has_lanes() {
+    let name = match limits.has_lanes {
         true => format!("{}/{lane}", T::NAME),
         false => T::NAME.to_owned(),
     };
@@ -171,7 +198,7 @@ impl Ports {
         self.publisher_of_lane(0)
     }
 
-    /// A publisher of a topic that is not the stage's work, so that it does not count as such.
+    /// A publisher of a topic that is not the stage's main output: its messages are not counted.
     ///
     /// # Errors
     /// As [`Ports::publisher`].
@@ -244,8 +271,8 @@ impl Ports {
         })
     }
 
-    /// Calls `body` whenever a subscriber has something, and no later than after the time that
-    /// `body` asked for the last time; until it asks for none.
+    /// Calls `body` whenever a subscriber has a message, and at the latest after the time that `body`
+    /// returned. Ends when `body` returns `None`.
     ///
     /// # Errors
     /// Waiting is impossible, or what `body` returns.
@@ -268,10 +295,10 @@ impl Ports {
                 && let Err(error) = waiting
                     .wait_and_process_once_with_timeout(|_| CallbackProgression::Continue, timeout)
             {
-                // A signal interrupts the wait; `body` knows whether it was one to stop.
+                // A signal interrupts the wait; `body` knows whether it asks the process to stop.
                 tracing::debug!("waiting was interrupted: {error:?}");
             }
-            // A listener that is never drained wakes for ever.
+            // A listener that is not drained would wake this process again and again.
             for listener in &self.listeners {
                 if let Err(error) = listener.try_wait(|_| {}) {
                     tracing::debug!("a wake-up could not be read: {error:?}");
@@ -301,15 +328,15 @@ impl Ports {
     }
 }
 
-/// What a publisher does where a subscriber has no room: waits for `patience`, and for one that took
-/// nothing in that time never again.
+/// What a publisher does when a subscriber's buffer is full: it waits for `patience`. It never again
+/// waits for a subscriber that took nothing in that time.
 fn waits_for_readers(
     topic: &'static str,
     patience: Option<Duration>,
 ) -> impl Fn(&BackpressureInfo) -> BackpressureAction + Send + 'static {
     let given_up = Mutex::new(BTreeSet::new());
     move |full| {
-        // Whoever panicked while it held the set left it whole.
+        // A thread that panicked while it held the lock left the set valid.
         let mut given_up = given_up.lock().unwrap_or_else(PoisonError::into_inner);
         let Some(patience) = patience.filter(|_| !given_up.contains(&full.receiver_port_id)) else {
             return BackpressureAction::DiscardData;
@@ -363,7 +390,8 @@ impl<T: Topic> Publisher<T> {
         loan.send(header)
     }
 
-    /// Hands subscribers that came since the last message what the topic's history keeps for them.
+    /// Updates the connections to subscribers: those that joined since the last message get the topic's
+    /// history.
     ///
     /// # Errors
     /// [`PortError::Publish`] with iceoryx2's reason.
@@ -381,7 +409,7 @@ pub struct Loan<'p, T: Topic> {
 }
 
 impl<T: Topic> Loan<'_, T> {
-    /// The items, holding whatever was in the memory before.
+    /// The items; at first they hold what was in the memory before.
     pub fn items_mut(&mut self) -> &mut [T::Item] {
         let items = self.sample.payload_mut();
         // SAFETY: the memory is a mapped file, so every byte has a value, and every value is valid
@@ -408,7 +436,7 @@ impl<T: Topic> Loan<'_, T> {
     }
 }
 
-/// Receives a topic. Messages that are not what they say are refused here, so no stage sees them.
+/// Receives a topic. Messages that fail the contract's check are refused here, so no stage sees them.
 pub struct Subscriber<T: Topic> {
     subscriber: IoxSubscriber<Service, [T::Item], T::Header>,
     service: DataService<T>,
@@ -418,7 +446,7 @@ pub struct Subscriber<T: Topic> {
 
 /// A message, in shared memory, that has passed the contract's check.
 pub struct Message<T: Topic> {
-    /// Its header, copied: what was checked is what is read.
+    /// Its header, copied, so that later writes to shared memory cannot change what was checked.
     pub header: T::Header,
     sample: Sample<Service, [T::Item], T::Header>,
 }
@@ -463,8 +491,8 @@ impl<T: Topic> Subscriber<T> {
         }
     }
 
-    /// Connects with whoever publishes; false if nobody does. From then on a publisher with patience waits
-    /// for this subscriber: before, it does not know that anybody is there.
+    /// Updates the connections to publishers; false if there is no publisher. A publisher with patience
+    /// waits for this subscriber only once they are connected.
     ///
     /// # Errors
     /// [`PortError::Receive`] where a connection broke.

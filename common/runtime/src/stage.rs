@@ -10,14 +10,14 @@ use anyhow::Context as _;
 use flockeye_contract::{Health, Healths, StageState};
 use iceoryx2::prelude::*;
 
-use crate::config::Pipeline;
 use crate::health::{Counters, HEALTH_PERIOD, Identity, SharedCounters};
 use crate::instance::{GENERATION_VARIABLE, Instance, REPLICA_VARIABLE};
 use crate::memory::Budget;
 use crate::ports::{Ports, Publisher};
 use crate::{clock, logs};
+use flockeye_config::Resolved;
 
-/// One box of the dataflow: what it takes, what it gives, what it keeps between frames.
+/// A stage of the dataflow: its inputs, its outputs, and its state between frames.
 pub trait Stage: Sized {
     /// Its name in pipeline.yaml.
     const NAME: &'static str;
@@ -28,14 +28,14 @@ pub trait Stage: Sized {
     /// Whatever keeps it from working; the process ends with the message.
     fn open(context: &Context, ports: &mut Ports) -> anyhow::Result<Self>;
 
-    /// Does what there is to do, and says when it wants to be called again. It is called whenever
-    /// an input has something, and must not block for long: health is sent between two calls.
+    /// Handles waiting inputs, and returns when it wants to be called again. It is called whenever an
+    /// input has a message. It must not block for long, because health is sent between two calls.
     ///
     /// # Errors
-    /// Only what keeps it from working at all. Bad input is its own to refuse.
+    /// Only what keeps it from working at all. Bad input is refused inside the stage.
     fn step(&mut self) -> anyhow::Result<Step>;
 
-    /// Finishes what it has taken in. Called once, before the process ends.
+    /// Finishes the messages in work. Called once, before the process ends.
     ///
     /// # Errors
     /// What keeps it from doing so.
@@ -53,21 +53,22 @@ pub enum Step {
     WaitUntil(i64),
     /// At once.
     Again,
-    /// Its input is at its end: it stays, so that what it sent can be read, until it is told to stop.
+    /// Its input has ended. The process stays until it is told to stop, so that its last messages can be
+    /// read.
     Finished,
 }
 
 /// What a stage knows of the pipeline it is in.
 pub struct Context {
-    /// The configuration.
-    pub pipeline: Pipeline,
+    /// The configuration, and what is made of it.
+    pub resolved: Resolved,
     /// Which process this is.
     pub identity: Identity,
     /// Where the stage counts what it does.
     pub counters: SharedCounters,
 }
 
-/// Exit status of a stage that could not start: trying again with the same input will not help.
+/// Exit status of a stage that could not start, where a restart with the same input cannot help.
 pub const CANNOT_START: u8 = 2;
 
 /// The whole `main` of a stage.
@@ -105,14 +106,14 @@ impl<S: Stage> Running<S> {
 }
 
 fn start<S: Stage>() -> anyhow::Result<Running<S>> {
-    // iceoryx2 says through its results what matters here.
+    // iceoryx2's results carry what matters here; its own log would repeat it.
     set_log_level(LogLevel::Fatal);
     let stopping = Arc::new(AtomicBool::new(false));
     for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT] {
         signal_hook::flag::register(signal, stopping.clone()).context("cannot catch signals")?;
     }
     let instance = Instance::of_this_process()?;
-    let pipeline = instance.pipeline()?;
+    let resolved = Resolved::of(instance.pipeline()?)?;
     let identity = Identity {
         stage: S::NAME.to_owned(),
         replica: number_from(REPLICA_VARIABLE)?,
@@ -131,10 +132,9 @@ fn start<S: Stage>() -> anyhow::Result<Running<S>> {
                 anyhow::anyhow!("cannot join the instance '{}': {error:?}", instance.name())
             })?,
     );
-    let budget =
-        Budget::of(&pipeline, pipeline.largest_view_px(pipeline.bodies()?.largest_side())?);
+    let budget = Budget::of(&resolved.pipeline, resolved.largest_view_px());
     let counters: SharedCounters = Rc::new(Counters::default());
-    // What is said of health is not counted as the stage's own output.
+    // Health messages are not counted as the stage's own output.
     let health = Ports::new(node.clone(), budget.clone(), SharedCounters::default());
     let mut reporter = Reporter {
         publisher: health.publisher::<Healths>()?,
@@ -144,7 +144,7 @@ fn start<S: Stage>() -> anyhow::Result<Running<S>> {
     };
     reporter.send(StageState::Starting)?;
     let mut ports = Ports::new(node, budget, counters.clone());
-    let stage = S::open(&Context { pipeline, identity, counters }, &mut ports)?;
+    let stage = S::open(&Context { resolved, identity, counters }, &mut ports)?;
     Ok(Running { stage, ports, reporter, stopping })
 }
 

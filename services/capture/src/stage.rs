@@ -2,11 +2,11 @@
 
 use std::time::Duration;
 
+use flockeye_config::{AtEnd, Flow, Pipeline};
 use flockeye_contract::{
     FrameHeader, FrameStamp, Frames, PixelFormat, Projection, StageState, Transfer,
 };
-use flockeye_runtime::camera::projection_of;
-use flockeye_runtime::config::{AtEnd, Flow, Pipeline};
+use flockeye_convert::projection_of;
 use flockeye_runtime::credits::Credits;
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::logs::Throttle;
@@ -45,7 +45,8 @@ impl Stage for CaptureStage {
     const NAME: &'static str = "capture";
 
     fn open(context: &Context, ports: &mut Ports) -> anyhow::Result<Self> {
-        let pipeline = &context.pipeline;
+        let resolved = &context.resolved;
+        let pipeline = &resolved.pipeline;
         let spec: SourceSpec = pipeline.source.input.parse()?;
         let source = Source::open(spec, parameters(pipeline))?;
         tracing::info!("{}", source.describe());
@@ -60,8 +61,8 @@ impl Stage for CaptureStage {
                 generation: context.identity.generation,
                 next_sequence: 0,
             },
-            transfer: pipeline.transfer(),
-            projection: projection_of(&pipeline.camera_model()?),
+            transfer: resolved.transfer,
+            projection: projection_of(&resolved.camera),
             readout_ns: (pipeline.camera.readout_ms * 1e6) as u64,
             has_ended: false,
             counters: context.counters.clone(),

@@ -3,13 +3,13 @@
 use flockeye_contract::{
     DetectedMarker, DetectionHeader, Detections, MAX_DETECTED_MARKERS, ViewHeader, ViewKind, Views,
 };
+use flockeye_convert::{RadianceCache, image_of, view_of};
 use flockeye_geometry::body::Bodies;
 use flockeye_imaging::edges::Effort;
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::logs::Throttle;
 use flockeye_runtime::ports::{Message, Ports, Publisher, Subscriber};
 use flockeye_runtime::{Context, Stage, Step, clock};
-use flockeye_viewing::{Lights, image_of, view_of};
 
 use crate::detector::{Detector, DetectorParameters, Found, Threshold};
 use crate::keep_plausible;
@@ -27,7 +27,7 @@ pub struct DetectionStage {
     /// Where the sphere is swept again and again.
     turns: Option<Turns>,
     bodies: Bodies,
-    lights: Lights,
+    lights: RadianceCache,
     /// The sphere image's own resolution.
     pixels_per_radian: f64,
     worker: u32,
@@ -40,30 +40,30 @@ impl Stage for DetectionStage {
     const NAME: &'static str = "detection";
 
     fn open(context: &Context, ports: &mut Ports) -> anyhow::Result<Self> {
-        let bodies = context.pipeline.bodies()?;
+        let resolved = &context.resolved;
+        let (pipeline, bodies) = (&resolved.pipeline, &resolved.bodies);
         let parameters = DetectorParameters {
-            min_side_px: context.pipeline.detection.min_side_px,
+            min_side_px: pipeline.detection.min_side_px,
             // Where fusion aligns whole bodies, corners are what it begins from, and time matters.
-            effort: match context.pipeline.fusion.align {
+            effort: match pipeline.fusion.align {
                 true => Effort::Edges,
                 false => Effort::WholePrint,
             },
             ..DetectorParameters::default()
         };
         context.counters.set_detail(bodies.dictionary.as_str());
-        let pipeline = &context.pipeline;
         let detector = Detector::new(&bodies.dictionary, parameters)?
-            .with_mask(pipeline.mask()?)
+            .with_mask(resolved.mask()?.clone())
             .with_expected(bodies.iter().flat_map(|body| &body.markers).map(|marker| marker.id));
-        detector.dictionary().check(&bodies)?;
+        detector.dictionary().check(bodies)?;
         Ok(Self {
             views: ports.subscriber_of_lane(context.identity.replica as usize)?,
             detections: ports.publisher()?,
             detector,
             turns: pipeline.sweeps_by_turns().then(Turns::default),
-            bodies,
-            lights: Lights::new(pipeline.measured_response()?)?,
-            pixels_per_radian: context.pipeline.camera_model()?.pixels_per_radian(),
+            bodies: bodies.clone(),
+            lights: RadianceCache::new(resolved.measured_response)?,
+            pixels_per_radian: resolved.camera.pixels_per_radian(),
             worker: context.identity.replica,
             generation: context.identity.generation,
             counters: context.counters.clone(),

@@ -7,8 +7,8 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use flockeye_contract::{DetectedMarker, FrameEnd, FrameStamp, ViewHeader};
+use flockeye_convert::view_of;
 use flockeye_geometry::search::Purpose;
-use flockeye_viewing::view_of;
 
 use crate::frame_assembly::{Frame, FrameAssembly, Leave, Record};
 use crate::measurement::agrees_with_view;

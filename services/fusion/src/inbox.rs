@@ -1,7 +1,7 @@
 //! The ports that fusion reads, and in which order it reads them.
 
+use flockeye_config::Flow;
 use flockeye_contract::{DetectionHeader, Detections, FrameEnds, Views};
-use flockeye_runtime::config::Flow;
 use flockeye_runtime::ports::{Message, PortError, Ports, Subscriber};
 
 use crate::core::{Core, Event};

@@ -2,15 +2,16 @@
 
 use std::collections::BTreeMap;
 
+use flockeye_config::Flow;
 use flockeye_contract as contract;
 use flockeye_contract::{
-    FrameStamp, MeasuredBy, NONE, PlanHeader, Pose, StageLatency, StopRule, Track, TrackHeader,
-    TrackState, ViewHeader, ViewKind,
+    FrameStamp, MeasuredBy, NONE, PlanHeader, Pose, StageLatency, Track, TrackHeader, TrackState,
+    ViewHeader, ViewKind,
 };
+use flockeye_convert::{pose, row_major, stop_rule, xyzw};
 use flockeye_geometry::body::{Bodies, Body};
 use flockeye_geometry::filter::{self, Prediction};
-use flockeye_geometry::search::{self, PlannedView, Purpose};
-use flockeye_runtime::config::Flow;
+use flockeye_geometry::search::{PlannedView, Purpose};
 use flockeye_runtime::memory::MAX_TRACKS;
 use nalgebra::{Isometry3, Matrix3, Matrix6, Vector3};
 
@@ -165,12 +166,6 @@ pub fn purpose_stated(view: &ViewHeader) -> Option<Purpose> {
     }
 }
 
-/// A transform in the contract's form.
-fn pose(isometry: &Isometry3<f64>) -> Pose {
-    let [x, y, z, w] = isometry.rotation.coords.into();
-    Pose { position: isometry.translation.vector.into(), orientation: [x, y, z, w] }
-}
-
 /// The pose of the target drone in the observer drone's frame, mounts applied, with its covariance.
 ///
 /// A small rotation d of the markers moves the target's origin, which lies at r from theirs (both
@@ -244,11 +239,6 @@ fn nanoseconds(seconds: f64) -> i64 {
     (seconds * 1e9).round() as i64
 }
 
-fn row_major(matrix: &Matrix6<f64>) -> [f64; 36] {
-    // nalgebra keeps columns; a covariance is symmetric, but rounding need not be.
-    std::array::from_fn(|k| matrix[(k / 6, k % 6)])
-}
-
 fn planned_view(
     planned: &PlannedView,
     predictions: &BTreeMap<usize, Prediction>,
@@ -264,7 +254,7 @@ fn planned_view(
         Purpose::Partition(_) => None,
     };
     contract::PlannedView {
-        camera_from_view: planned.view.camera_from_view.coords.into(),
+        camera_from_view: xyzw(&planned.view.camera_from_view),
         rate_in_camera: planned.rate_in_camera.into(),
         reference_ns,
         focal_px: planned.view.focal_px,
@@ -276,15 +266,6 @@ fn planned_view(
         target,
         has_prediction: u32::from(prediction.is_some()),
         unsearched: u32::from(is_unsearched),
-    }
-}
-
-/// The code of a stop rule.
-fn stop_rule(rule: search::StopRule) -> StopRule {
-    match rule {
-        search::StopRule::FirstHit => StopRule::FirstHit,
-        search::StopRule::All => StopRule::All,
-        search::StopRule::Deadline => StopRule::Deadline,
     }
 }
 

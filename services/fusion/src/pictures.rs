@@ -1,9 +1,9 @@
 //! Cached views as pictures that alignment can read.
 
 use flockeye_contract::ViewHeader;
+use flockeye_convert::{RadianceCache, image_of, view_of};
 use flockeye_geometry::search::Purpose;
 use flockeye_imaging::align::Picture;
-use flockeye_viewing::{Lights, image_of, view_of};
 
 use crate::hypothesis::BestView;
 use crate::output::purpose_stated;
@@ -21,14 +21,14 @@ pub trait Pixels {
 /// What turns code values into radiance and rays into the right ones.
 #[derive(Debug)]
 pub struct PictureReader {
-    lights: Lights,
+    lights: RadianceCache,
     pixels_per_radian: f64,
     parallax: Option<Parallax>,
 }
 
 impl PictureReader {
     /// For a sphere image of this resolution; `parallax` for a camera whose lenses lie off its centre.
-    pub fn new(lights: Lights, pixels_per_radian: f64, parallax: Option<Parallax>) -> Self {
+    pub fn new(lights: RadianceCache, pixels_per_radian: f64, parallax: Option<Parallax>) -> Self {
         Self { lights, pixels_per_radian, parallax }
     }
 

@@ -3,13 +3,12 @@
 use std::sync::Arc;
 
 use anyhow::Context as _;
+use flockeye_config::{Filter, Flow, Mode, Pipeline, Resolved};
+use flockeye_convert::RadianceCache;
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::filter::{MotionModel, TrackPolicy};
 use flockeye_geometry::search::{Planner, SearchMode};
-use flockeye_runtime::bodies::isometry;
-use flockeye_runtime::config::{Filter, Flow, Mode, Pipeline};
 use flockeye_runtime::memory;
-use flockeye_viewing::Lights;
 
 use crate::core::{Core, Options, Schedule};
 use crate::frame_assembly::FrameAssembly;
@@ -38,19 +37,18 @@ pub struct Configured<P> {
 /// # Errors
 /// A configuration that cannot be worked with: bodies, dictionary, mask, views.
 pub fn configured<P: Pixels>(
-    pipeline: &Pipeline,
+    resolved: &Resolved,
     generation: u32,
 ) -> anyhow::Result<Configured<P>> {
-    let bodies = pipeline.bodies()?;
-    let views = pipeline.partition_views(bodies.largest_side())?;
+    let Resolved { pipeline, bodies, camera, observer_from_camera, .. } = resolved;
     let planner = Planner::new(
         search_mode(pipeline),
-        pipeline.sphere_partition()?,
-        views,
-        pipeline.gaze_options()?,
+        resolved.division.partition.clone(),
+        resolved.partition_views.clone(),
+        resolved.gaze_options,
     )?
-    .with_far_views(pipeline.far_views()?)
-    .with_mask(pipeline.mask()?);
+    .with_far_views(resolved.far_views.clone())
+    .with_mask(resolved.mask()?.clone());
     if planner.hidden_partitions() > 0 {
         tracing::info!(
             "{} of {} partitions are never searched: the camera sees nothing of them",
@@ -58,22 +56,20 @@ pub fn configured<P: Pixels>(
             planner.partition().len()
         );
     }
-    let camera = pipeline.camera_model()?;
-    let observer_from_camera = isometry(&pipeline.observer.observer_from_camera);
     let dictionary = Dictionary::load(&bodies.dictionary)?;
-    let aligner = Aligner::new(&bodies, |id| dictionary.print(id), camera.pixels_per_radian())
+    let aligner = Aligner::new(bodies, |id| dictionary.print(id), camera.pixels_per_radian())
         .context("a body cannot be aligned")?
         .with_covariance_scale(pipeline.fusion.covariance_scale)
-        .with_max_tilt(&bodies, &observer_from_camera, pipeline.fusion.level_deg.to_radians());
+        .with_max_tilt(bodies, observer_from_camera, pipeline.fusion.level_deg.to_radians());
     let aligner = Arc::new(aligner);
-    let parallax = Parallax::of(&camera, pipeline.camera.assumed_distance_m);
+    let parallax = Parallax::of(camera, pipeline.camera.assumed_distance_m);
     let filter = filter_choice(pipeline);
     let is_live = pipeline.flow == Flow::Latest;
     let is_tracked = matches!(filter, FilterChoice::Tracks(_));
     let has_background = is_live && pipeline.fusion.align && is_tracked;
     let threads = pipeline.fusion.threads as usize;
     let mut tracker =
-        Tracker::new(&bodies, filter, aligner.clone(), threads).with_parallax(parallax.clone());
+        Tracker::new(bodies, filter, aligner.clone(), threads).with_parallax(parallax.clone());
     if has_background {
         tracker = tracker.with_background();
     }
@@ -87,7 +83,7 @@ pub fn configured<P: Pixels>(
         FrameAssembly::new(pipeline.frame_deadline().as_nanos() as i64),
         ViewCache::new(memory::held_views_waiting(pipeline), memory::held_views_best(pipeline)),
         PictureReader::new(
-            Lights::new(pipeline.measured_response()?)?,
+            RadianceCache::new(resolved.measured_response)?,
             camera.pixels_per_radian(),
             parallax,
         ),
@@ -95,7 +91,13 @@ pub fn configured<P: Pixels>(
         Planning::new(planner),
     );
     let mode = mode_code(pipeline.search.mode);
-    let writer = Writer { bodies, observer_from_camera, flow: pipeline.flow, mode, generation };
+    let writer = Writer {
+        bodies: bodies.clone(),
+        observer_from_camera: *observer_from_camera,
+        flow: pipeline.flow,
+        mode,
+        generation,
+    };
     Ok(Configured { core, writer, aligner, has_background })
 }
 

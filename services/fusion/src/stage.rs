@@ -1,7 +1,7 @@
 //! The fusion stage: moves messages between the ports, the core and the background thread.
 
+use flockeye_config::Flow;
 use flockeye_contract::{Plans, Tracks, Views};
-use flockeye_runtime::config::Flow;
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::ports::{Message, Ports, Publisher};
 use flockeye_runtime::{Context, Stage, Step, clock};
@@ -40,9 +40,9 @@ impl Stage for FusionStage {
     const NAME: &'static str = "fusion";
 
     fn open(context: &Context, ports: &mut Ports) -> anyhow::Result<Self> {
-        let pipeline = &context.pipeline;
+        let pipeline = &context.resolved.pipeline;
         let Configured { core, writer, aligner, has_background } =
-            configured(pipeline, context.identity.generation)?;
+            configured(&context.resolved, context.identity.generation)?;
         let background = has_background.then(|| BackgroundThread::start(aligner)).transpose();
         Ok(Self {
             inbox: Inbox::open(ports, pipeline.flow)?,

@@ -1,7 +1,7 @@
 //! A running pipeline's messages, read beside its stages.
 
 use anyhow::{Context, bail, ensure};
-use flockeye_runtime::config::Pipeline;
+use flockeye_config::Resolved;
 use flockeye_runtime::instance::Instance;
 use flockeye_runtime::onlooker;
 use flockeye_runtime::ports::Ports;
@@ -14,7 +14,7 @@ pub struct Attached {
     /// What its messages are received with.
     pub ports: Ports,
     /// Its configuration.
-    pub pipeline: Pipeline,
+    pub resolved: Resolved,
     /// Which it is.
     pub instance: Instance,
 }
@@ -26,8 +26,8 @@ pub struct Attached {
 pub fn attach(running: &Running) -> anyhow::Result<Attached> {
     let instance = choose(running)?;
     set_log_level(LogLevel::Fatal);
-    let (ports, pipeline) = onlooker::join(&instance)?;
-    Ok(Attached { ports, pipeline, instance })
+    let (ports, resolved) = onlooker::join(&instance)?;
+    Ok(Attached { ports, resolved, instance })
 }
 
 fn choose(running: &Running) -> anyhow::Result<Instance> {

@@ -56,7 +56,7 @@ pub fn run(arguments: &CalibrateBody) -> anyhow::Result<()> {
         "gateway.enabled=false".to_owned(),
         format!("instance={instance}"),
     ]);
-    let bodies = configuration.load()?.bodies()?;
+    let bodies = flockeye_config::bodies(&configuration.load()?.bodies)?;
     // Said before the work, not after it.
     let is_new = !path.exists();
     let file = std::fs::OpenOptions::new().create(true).append(true).open(path);

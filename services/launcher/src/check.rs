@@ -4,10 +4,9 @@ use std::fmt::Write;
 use std::time::Duration;
 
 use anyhow::{Context, ensure};
+use flockeye_config::{Count, Flow, Resolved};
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::partition;
-use flockeye_geometry::view::View;
-use flockeye_runtime::config::{Count, Flow, Pipeline};
 use flockeye_runtime::instance::Instance;
 use flockeye_runtime::memory::{Budget, shared_memory_space};
 
@@ -21,12 +20,12 @@ use crate::up::{self, Errand};
 /// Everything that is wrong with the configuration, or memory that is too small.
 pub fn run(arguments: &Check) -> anyhow::Result<()> {
     let pipeline = arguments.configuration.load()?;
-    let bodies = pipeline.bodies()?;
-    Dictionary::of(&bodies)?;
-    let budget = Budget::of(&pipeline, pipeline.largest_view_px(bodies.largest_side())?);
+    let resolved = Resolved::of(pipeline)?;
+    Dictionary::of(&resolved.bodies)?;
+    let budget = Budget::of(&resolved.pipeline, resolved.largest_view_px());
     let (free, total) = shared_memory_space().context("cannot look at /dev/shm")?;
     let mut screen = Screen::new();
-    screen.line(&plan(&pipeline, &bodies, &budget)?);
+    screen.line(&plan(&resolved, &budget)?);
     screen.line(&format!("/dev/shm has {:.0} MB free", free as f64 / 1e6));
     budget.check(free, total)?;
     screen.line("everything is in order");
@@ -71,11 +70,9 @@ fn measured(arguments: &Check, duration: Duration) -> anyhow::Result<String> {
     Ok(text)
 }
 
-fn plan(
-    pipeline: &Pipeline,
-    bodies: &flockeye_geometry::body::Bodies,
-    budget: &Budget,
-) -> anyhow::Result<String> {
+fn plan(resolved: &Resolved, budget: &Budget) -> anyhow::Result<String> {
+    let (pipeline, bodies, views) =
+        (&resolved.pipeline, &resolved.bodies, &resolved.partition_views);
     let mut text = String::new();
     let instance = Instance::named(&pipeline.instance.0);
     let flow = match pipeline.flow {
@@ -84,12 +81,16 @@ fn plan(
     };
     writeln!(text, "instance '{}' in {}", pipeline.instance.0, instance.folder().display())?;
     writeln!(text, "flow     {flow}")?;
-    writeln!(text, "source   {} (stage {})", pipeline.source.input, pipeline.source_stage())?;
+    writeln!(
+        text,
+        "source   {} (stage {})",
+        pipeline.source.input,
+        pipeline.source_stage().name()
+    )?;
     let camera = &pipeline.camera;
     let projection = format!("{:?}", camera.projection);
     writeln!(text, "camera   {}x{}, {projection}", camera.width, camera.height)?;
-    let mask = pipeline.mask()?;
-    let views = pipeline.partition_views(bodies.largest_side())?;
+    let mask = resolved.mask()?;
     let hidden = views.iter().filter(|view| mask.hides_view(view)).count();
     if let Some(path) = &camera.mask {
         writeln!(text, "mask     {}", path.display())?;
@@ -108,8 +109,8 @@ fn plan(
         pipeline.observer.swarm,
         if pipeline.gateway.enabled { "" } else { " (nothing goes over the network)" }
     )?;
-    writeln!(text, "search   {}", search(pipeline, views.len() - hidden)?)?;
-    writeln!(text, "sphere   {}", sphere(pipeline, &views, bodies.largest_side())?)?;
+    writeln!(text, "search   {}", search(resolved, views.len() - hidden)?)?;
+    writeln!(text, "sphere   {}", sphere(resolved))?;
     writeln!(text, "bodies   of {}", bodies.dictionary)?;
     for (target, body) in bodies.iter().enumerate() {
         let ids = body.markers.first().zip(body.markers.last());
@@ -122,19 +123,14 @@ fn plan(
         )?;
     }
     writeln!(text, "stages")?;
-    for (name, stage) in pipeline.stages.iter() {
-        let is_used = match name {
-            "capture" | "simulator" => name == pipeline.source_stage(),
-            "gateway" => pipeline.gateway.enabled,
-            _ => true,
-        };
-        if is_used {
+    for (stage_name, stage) in pipeline.stages.iter() {
+        if pipeline.runs(stage_name) {
             let command = if stage.command.is_empty() {
                 "Flockeye's own".to_owned()
             } else {
                 stage.command.join(" ")
             };
-            let count = if name == "detection" { pipeline.detection_workers() } else { 1 };
+            let (name, count) = (stage_name.name(), pipeline.replicas(stage_name));
             writeln!(text, "  {name} x {count}: {command}, restart {:?}", stage.restart)?;
         }
     }
@@ -143,14 +139,14 @@ fn plan(
 }
 
 /// How it is searched, and how soon newcomers are found.
-fn search(pipeline: &Pipeline, partitions: usize) -> anyhow::Result<String> {
+fn search(resolved: &Resolved, partitions: usize) -> anyhow::Result<String> {
+    let pipeline = &resolved.pipeline;
     let mode = format!("{:?}", pipeline.search.mode).to_lowercase();
     if !pipeline.gazes() {
         return Ok(mode);
     }
-    let mask = pipeline.mask()?;
-    let far_views = pipeline.far_views()?;
-    let far: Vec<_> = far_views.iter().filter(|view| !mask.hides_view(view)).collect();
+    let mask = resolved.mask()?;
+    let far: Vec<_> = resolved.far_views.iter().filter(|view| !mask.hides_view(view)).collect();
     let each = pipeline.search.lossless_partitions as usize;
     // One of each kind in turn, until the fewer ones come a second time.
     let frames = |count: usize| if far.is_empty() { count } else { 2 * count }.div_ceil(each);
@@ -169,13 +165,14 @@ fn search(pipeline: &Pipeline, partitions: usize) -> anyhow::Result<String> {
 }
 
 /// What the views that cover the sphere are.
-fn sphere(pipeline: &Pipeline, views: &[View], largest_marker_m: f64) -> anyhow::Result<String> {
-    let partition = pipeline.sphere_partition()?;
+fn sphere(resolved: &Resolved) -> String {
+    let (pipeline, division) = (&resolved.pipeline, &resolved.division);
+    let (partition, views) = (&division.partition, &resolved.partition_views);
     let is_chosen = matches!(pipeline.partition.count, Count::Chosen(_));
     let seed = u64::from(pipeline.partition.seed);
     let is_stored =
         partition::Partition::is_stored(pipeline.partition.method.into(), partition.len(), seed);
-    Ok(format!(
+    format!(
         "{} partitions of {} px{}: circles of {:.2}° by {:?}, {}; squares of {:.2}° for a margin of {:.2}°",
         partition.len(),
         views.iter().map(|view| view.size_px).max().unwrap_or(0),
@@ -183,7 +180,7 @@ fn sphere(pipeline: &Pipeline, views: &[View], largest_marker_m: f64) -> anyhow:
         partition.covering_diameter_rad().to_degrees(),
         pipeline.partition.method,
         if is_stored { "stored".to_owned() } else { format!("found from seed {seed}") },
-        pipeline.partition_field_rad(largest_marker_m)?.to_degrees(),
-        pipeline.partition_margin_rad(largest_marker_m).to_degrees(),
-    ))
+        division.field_rad.to_degrees(),
+        division.margin_rad.to_degrees(),
+    )
 }

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use flockeye_config::Pipeline;
 use flockeye_geometry::partition::{STORED_SEED, Weights};
-use flockeye_runtime::config::Pipeline;
 
 use crate::markers::Paper;
 
@@ -431,6 +431,6 @@ mod tests {
         let Command::Up(up) = Flockeye::parse_from(arguments).command else { panic!("up") };
         let pipeline = Pipeline::parse("", &up.configuration.overrides(), "x").unwrap();
         assert_eq!(pipeline.source.input, "a: b ! c");
-        assert_eq!(pipeline.flow, flockeye_runtime::config::Flow::Lossless);
+        assert_eq!(pipeline.flow, flockeye_config::Flow::Lossless);
     }
 }

@@ -7,7 +7,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::fmt::Write;
 
 use flockeye_contract::{
-    BodyTruth, FrameStamp, Health, StageState, Track, TrackState, TruthHeader,
+    BodyTruth, FrameStamp, Health, StageName, StageState, Track, TrackState, TruthHeader,
 };
 use nalgebra::Vector3;
 
@@ -268,8 +268,10 @@ impl Dashboard {
             .filter(|(_, view)| now_ns - view.last.sent_ns > SILENCE_NS)
             .map(|((stage, _), _)| stage.as_str())
             .collect();
-        let source =
-            self.stages.iter().find(|((stage, _), _)| stage == "capture" || stage == "simulator");
+        let source = self
+            .stages
+            .iter()
+            .find(|((stage, _), _)| StageName::from_name(stage).is_some_and(StageName::is_source));
         let rate = source.map_or(0.0, |(_, view)| view.published_per_s);
         let mut text = format!("{} frames, {rate:.1}/s", self.frames_ended);
         for (name, neighbour) in &self.neighbours {
@@ -309,7 +311,7 @@ impl Dashboard {
             "{} frames searched, {} skipped; {} views searched for markers",
             self.frames_ended,
             self.frames_skipped,
-            count("detection", |health| health.published),
+            count(StageName::Detection.name(), |health| health.published),
         );
         for (name, neighbour) in &self.neighbours {
             let _ = write!(

@@ -10,7 +10,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use anyhow::{Context, bail, ensure};
-use flockeye_runtime::config::Pipeline;
+use flockeye_config::Pipeline;
+use flockeye_contract::StageName;
 use serde::Serialize;
 
 use crate::cli::{Comparison, Configuration, Experiment, ExperimentKind, FlowArgument};
@@ -203,7 +204,7 @@ fn rate(truth: &[TruthRow]) -> Option<f64> {
 /// The truth of a recording, if one is given: a simulated flight has its own.
 fn given_truth(arguments: &Comparison) -> anyhow::Result<Option<Vec<TruthRow>>> {
     let pipeline = arguments.configuration.load()?;
-    let is_simulated = pipeline.source_stage() == "simulator";
+    let is_simulated = pipeline.source_stage() == StageName::Simulator;
     match (&arguments.truth, is_simulated) {
         (Some(_), true) => bail!("a simulated flight has its own truth. Cure: leave out --truth"),
         (None, false) => bail!(

@@ -23,7 +23,7 @@ pub use page::Paper;
 /// A wrong configuration, an unknown body, a facet larger than the paper, or a file that cannot be
 /// written.
 pub fn run(arguments: &Markers) -> anyhow::Result<()> {
-    let bodies = arguments.configuration.load()?.bodies()?;
+    let bodies = flockeye_config::bodies(&arguments.configuration.load()?.bodies)?;
     let dictionary = Dictionary::of(&bodies)?;
     let body = bodies.iter().find(|body| body.name == arguments.body).with_context(|| {
         let names: Vec<_> = bodies.iter().map(|body| body.name.as_str()).collect();

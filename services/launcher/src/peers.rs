@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use flockeye_runtime::network::{Listener, Network, Peers};
+use flockeye_network::{Listener, Network, NetworkParameters, Peers};
 use nalgebra::Vector3;
 
 use crate::cli;
@@ -25,7 +25,7 @@ pub fn run(arguments: &cli::Peers) -> anyhow::Result<()> {
         signal_hook::flag::register(signal, stopping.clone()).context("cannot catch signals")?;
     }
     let pipeline = arguments.configuration.load()?;
-    let network = Network::open(&pipeline.onlooker_parameters())?;
+    let network = Network::open(&NetworkParameters::of_onlooker(&pipeline))?;
     let listener = network.listener()?;
     let end = arguments.duration.map(|duration| Instant::now() + duration);
     let is_over =

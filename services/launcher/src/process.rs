@@ -8,7 +8,8 @@ use std::sync::mpsc::SyncSender;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use flockeye_runtime::config::{Restart, Scheduling, StageProcess};
+use flockeye_config::{Restart, Scheduling, StageInfo, StageProcess};
+use flockeye_contract::StageName;
 use flockeye_runtime::instance::{
     FOLDER_VARIABLE, GENERATION_VARIABLE, REPLICA_VARIABLE, STAGE_VARIABLE,
 };
@@ -44,7 +45,7 @@ pub enum Change {
 /// A stage's process and what is to be done about it.
 pub struct Process {
     /// The stage's name in pipeline.yaml.
-    pub stage: &'static str,
+    pub stage: StageName,
     /// Which of its workers.
     pub replica: u32,
     /// How often it was replaced.
@@ -65,19 +66,22 @@ pub struct Process {
 impl Process {
     /// Worker `replica` of a stage; it is not started yet.
     pub fn new(
-        stage: &'static str,
+        stage: StageName,
         replica: u32,
         configuration: &StageProcess,
         folder: &Path,
         log: SyncSender<LogLine>,
     ) -> anyhow::Result<Self> {
-        let label = if replica > 0 { format!("{stage}.{replica}") } else { stage.to_owned() };
+        let label = match replica {
+            0 => stage.name().to_owned(),
+            _ => format!("{}.{replica}", stage.name()),
+        };
         Ok(Self {
             stage,
             replica,
             generation: 0,
             label,
-            command: program(stage, configuration)?,
+            command: program(stage.name(), configuration)?,
             turn: turn(stage, configuration),
             folder: folder.to_owned(),
             restart: configuration.restart,
@@ -117,7 +121,7 @@ impl Process {
             .arg("--")
             .args(&self.command)
             .env(FOLDER_VARIABLE, &self.folder)
-            .env(STAGE_VARIABLE, self.stage)
+            .env(STAGE_VARIABLE, self.stage.name())
             .env(REPLICA_VARIABLE, self.replica.to_string())
             .env(GENERATION_VARIABLE, self.generation.to_string())
             .stdin(Stdio::null())
@@ -263,12 +267,9 @@ impl Backoff {
     }
 }
 
-/// How far detection gives way: no tracked neighbour's pose waits for it.
-const DETECTION_NICE: i32 = 5;
-
 /// What `exec-stage` is told of when and where a stage runs.
-fn turn(stage: &str, configuration: &StageProcess) -> Vec<String> {
-    let usual = if stage == "detection" { DETECTION_NICE } else { 0 };
+fn turn(stage: StageName, configuration: &StageProcess) -> Vec<String> {
+    let usual = StageInfo::of(stage).nice;
     let mut turn = vec![format!("--nice={}", configuration.nice.unwrap_or(usual))];
     if !configuration.cpus.is_empty() {
         let cpus: Vec<String> = configuration.cpus.iter().map(u32::to_string).collect();

@@ -6,9 +6,9 @@
 use std::collections::VecDeque;
 use std::fmt;
 
+use flockeye_config::Resolved;
 use flockeye_contract::{DetectionHeader, Detections, PlannedView, Plans};
 use flockeye_geometry::view::View;
-use flockeye_runtime::config::Pipeline;
 use flockeye_runtime::ports::{PortError, Ports, Subscriber};
 use serde::Serialize;
 
@@ -93,16 +93,16 @@ impl Sweep {
     ///
     /// # Errors
     /// A configuration that cannot be followed.
-    pub fn of(pipeline: &Pipeline) -> anyhow::Result<Option<Self>> {
-        if !pipeline.gazes() {
+    pub fn of(resolved: &Resolved) -> anyhow::Result<Option<Self>> {
+        if !resolved.pipeline.gazes() {
             return Ok(None);
         }
-        let mask = pipeline.mask()?;
+        let mask = resolved.mask()?;
         let seen = |views: &[View]| -> Vec<bool> {
             views.iter().map(|view| !mask.hides_view(view)).collect()
         };
-        let partitions = pipeline.partition_views(pipeline.bodies()?.largest_side())?;
-        Ok(Some(Self::new(&seen(&partitions), &seen(&pipeline.far_views()?))))
+        let (near, far) = (seen(&resolved.partition_views), seen(&resolved.far_views));
+        Ok(Some(Self::new(&near, &far)))
     }
 
     /// A plan was made.
@@ -181,8 +181,8 @@ impl SweepWatch {
     ///
     /// # Errors
     /// The topics have no room for another reader; a configuration that cannot be followed.
-    pub fn open(pipeline: &Pipeline, ports: &mut Ports) -> anyhow::Result<Option<Self>> {
-        let Some(sweep) = Sweep::of(pipeline)? else { return Ok(None) };
+    pub fn open(resolved: &Resolved, ports: &mut Ports) -> anyhow::Result<Option<Self>> {
+        let Some(sweep) = Sweep::of(resolved)? else { return Ok(None) };
         let (plans, detections) = (ports.subscriber()?, ports.subscriber()?);
         Ok(Some(Self { plans, detections, sweep }))
     }

@@ -26,11 +26,11 @@ const PRINT_PERIOD: Duration = Duration::from_secs(1);
 /// No such pipeline runs.
 pub fn run(arguments: &cli::Top) -> anyhow::Result<()> {
     let stopping = stopped_by_signals()?;
-    let Attached { mut ports, instance, pipeline } = attach(&arguments.running)?;
+    let Attached { mut ports, instance, resolved } = attach(&arguments.running)?;
     let mut healths = ports.subscriber::<Healths>()?;
     let mut tracks = ports.subscriber::<Tracks>()?;
     let mut truths = ports.subscriber::<Truths>()?;
-    let mut sweep = SweepWatch::open(&pipeline, &mut ports)?;
+    let mut sweep = SweepWatch::open(&resolved, &mut ports)?;
     let mut dashboard = Dashboard::default();
     let mut screen = Screen::new();
     let start = Instant::now();

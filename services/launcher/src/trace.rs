@@ -9,8 +9,8 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, ensure};
+use flockeye_config::Flow;
 use flockeye_contract::{Detections, FrameEnds, Healths, Tracks};
-use flockeye_runtime::config::Flow;
 
 use crate::attach::{Attached, attach};
 use crate::cli;
@@ -24,7 +24,7 @@ pub use event::Tracer;
 /// No such pipeline runs, nothing was heard, or the file cannot be written.
 pub fn run(arguments: &cli::Trace) -> anyhow::Result<()> {
     let stopping = stopped_by_signals()?;
-    let Attached { mut ports, instance, pipeline } = attach(&arguments.running)?;
+    let Attached { mut ports, instance, resolved } = attach(&arguments.running)?;
     // Before anything is recorded, so that nothing is recorded in vain.
     let file = File::create(&arguments.out)
         .with_context(|| format!("cannot write {}", arguments.out.display()))?;
@@ -32,7 +32,10 @@ pub fn run(arguments: &cli::Trace) -> anyhow::Result<()> {
     let mut detections = ports.subscriber::<Detections>()?;
     let mut ends = ports.subscriber::<FrameEnds>()?;
     let mut tracks = ports.subscriber::<Tracks>()?;
-    let mut tracer = Tracer::new(pipeline.source_stage(), pipeline.flow == Flow::Latest);
+    let mut tracer = Tracer::new(
+        resolved.pipeline.source_stage().name(),
+        resolved.pipeline.flow == Flow::Latest,
+    );
     let start = Instant::now();
     ports.attend(|| {
         while let Some(message) = healths.receive()? {

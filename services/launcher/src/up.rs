@@ -9,16 +9,14 @@ use std::sync::mpsc::{Receiver, sync_channel};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use flockeye_contract::{
-    Detections, FrameEnds, FrameStamp, Frames, Healths, Plans, StageState, Tracks, Truths, Views,
-};
+use flockeye_config::{Pipeline, Resolved};
+use flockeye_contract::{Detections, FrameStamp, Healths, StageName, StageState, Tracks, Truths};
 use flockeye_dictionary::Dictionary;
 use flockeye_runtime::clock;
-use flockeye_runtime::config::Pipeline;
 use flockeye_runtime::health::Counters;
 use flockeye_runtime::instance::{Instance, Ownership};
 use flockeye_runtime::memory::{Budget, shared_memory_space};
-use flockeye_runtime::ports::{Ports, Subscriber, TopicServices, create_services};
+use flockeye_runtime::ports::{Ports, Subscriber, TopicServices, create_all_services};
 use iceoryx2::prelude::*;
 use rustix::process::Signal;
 
@@ -131,17 +129,17 @@ pub fn fly(
     stopping: &AtomicBool,
 ) -> anyhow::Result<Flown> {
     set_log_level(LogLevel::Fatal);
-    let bodies = pipeline.bodies()?;
-    // Read by the stages that need it; here only so that a wrong one is said once, and first.
-    pipeline.mask()?;
-    Dictionary::of(&bodies)?;
-    let budget = Budget::of(pipeline, pipeline.largest_view_px(bodies.largest_side())?);
+    let resolved = Resolved::of(pipeline.clone())?;
+    // Stages read these too; here a wrong one is reported once, before any process starts.
+    resolved.mask()?;
+    Dictionary::of(&resolved.bodies)?;
+    let budget = Budget::of(pipeline, resolved.largest_view_px());
     let instance = Instance::named(&pipeline.instance.0);
     let ownership = instance.take()?;
     let (free, total) = shared_memory_space().context("cannot look at /dev/shm")?;
     budget.check(free, total)?;
     instance.write_configuration(pipeline)?;
-    let mut launcher = Launcher::new(errand, pipeline, &instance, budget, screen)?;
+    let mut launcher = Launcher::new(errand, &resolved, &instance, budget, screen)?;
     launcher.start()?;
     let outcome = launcher.watch(stopping);
     launcher.stop();
@@ -176,7 +174,7 @@ struct Launcher<'a> {
 impl<'a> Launcher<'a> {
     fn new(
         errand: &Errand<'a>,
-        pipeline: &Pipeline,
+        resolved: &Resolved,
         instance: &Instance,
         budget: Budget,
         screen: &'a mut Screen,
@@ -189,33 +187,21 @@ impl<'a> Launcher<'a> {
                 .create::<ipc::Service>()
                 .map_err(|error| anyhow::anyhow!("cannot open shared memory: {error:?}"))?,
         );
-        let services = [
-            create_services::<Frames>(&node, budget.topic::<Frames>())?,
-            create_services::<Plans>(&node, budget.topic::<Plans>())?,
-            create_services::<Views>(&node, budget.topic::<Views>())?,
-            create_services::<Detections>(&node, budget.topic::<Detections>())?,
-            create_services::<FrameEnds>(&node, budget.topic::<FrameEnds>())?,
-            create_services::<Tracks>(&node, budget.topic::<Tracks>())?,
-            create_services::<Truths>(&node, budget.topic::<Truths>())?,
-            create_services::<Healths>(&node, budget.topic::<Healths>())?,
-        ];
-        let services = services.into_iter().flatten().collect();
+        let services = create_all_services(&node, &budget)?;
         let mut ports = Ports::new(node.clone(), budget, Rc::new(Counters::default()));
         let (sender, log) = sync_channel(LOG_LINES);
-        let process = |stage: &'static str, replica| {
-            let configuration = pipeline.stages.iter().find(|(name, _)| *name == stage);
-            let (_, configuration) = configuration.context("a stage without configuration")?;
+        let pipeline = &resolved.pipeline;
+        let process = |stage: StageName, replica| {
+            let configuration = pipeline.stages.of(stage);
             Process::new(stage, replica, configuration, instance.folder(), sender.clone())
         };
-        let mut others = Vec::new();
-        if pipeline.gateway.enabled {
-            others.push(process("gateway", 0)?);
-        }
-        others.push(process("fusion", 0)?);
-        for replica in 0..pipeline.detection_workers() {
-            others.push(process("detection", replica)?);
-        }
-        others.push(process("rectification", 0)?);
+        // Against the dataflow, so that who reads is there before who writes.
+        let consumers = StageName::ALL.into_iter().rev().filter(|stage| !stage.is_source());
+        let others = consumers
+            .filter(|&stage| pipeline.runs(stage))
+            .flat_map(|stage| (0..pipeline.replicas(stage)).map(move |replica| (stage, replica)))
+            .map(|(stage, replica)| process(stage, replica))
+            .collect::<anyhow::Result<Vec<_>>>()?;
         let now = Instant::now();
         Ok(Self {
             errand: *errand,
@@ -224,7 +210,7 @@ impl<'a> Launcher<'a> {
             truths: ports.subscriber()?,
             detections: errand.keeps_rays.then(|| ports.subscriber()).transpose()?,
             sweep: match errand.watches_sweep {
-                true => SweepWatch::open(pipeline, &mut ports)?,
+                true => SweepWatch::open(resolved, &mut ports)?,
                 false => None,
             },
             ports: Some(ports),
@@ -328,13 +314,13 @@ impl<'a> Launcher<'a> {
     /// gateway without its port, say, is waited for by nobody.
     fn all_are_ready(&self) -> bool {
         self.others.iter().all(|process| {
-            let state = self.dashboard.state_of(process.stage, process.replica);
+            let state = self.dashboard.state_of(process.stage.name(), process.replica);
             matches!(state, Some(StageState::Ready | StageState::Degraded))
         })
     }
 
     fn is_at_end(&self) -> bool {
-        self.dashboard.state_of(self.source.stage, 0) == Some(StageState::Finished)
+        self.dashboard.state_of(self.source.stage.name(), 0) == Some(StageState::Finished)
             && self.last_track.elapsed() > QUIET_TIME
     }
 
@@ -342,7 +328,7 @@ impl<'a> Launcher<'a> {
         let now_ns = clock::monotonic_ns();
         for process in self.others.iter_mut().chain([&mut self.source]) {
             let silence_ns = process.pid().and_then(|pid| {
-                self.dashboard.silence_ns(process.stage, process.replica, pid, now_ns)
+                self.dashboard.silence_ns(process.stage.name(), process.replica, pid, now_ns)
             });
             if silence_ns.is_some_and(|silence_ns| silence_ns > HUNG_NS) {
                 self.screen.line(&format!("{} is hung: it is ended", process.label()));

@@ -12,9 +12,9 @@
 use std::path::Path;
 
 use anyhow::{Context, bail, ensure};
+use flockeye_config::{Pipeline, Resolved};
 use flockeye_geometry::view::View;
 use flockeye_imaging::sphere::{Cut, Interpolation, SphereImage, rectify_into};
-use flockeye_runtime::config::Pipeline;
 use nalgebra::{Unit, Vector3};
 use opencv::core::{self, Mat, Vector};
 use opencv::imgcodecs;
@@ -32,7 +32,7 @@ fn main() -> anyhow::Result<()> {
         bail!("give CAMERA.yaml PICTURE OUT.png X,Y,Z FIELD_DEG SIZE_PX");
     };
     let pipeline = Pipeline::load(Path::new(camera), &overrides)?;
-    let camera = pipeline.camera_model()?;
+    let camera = Resolved::of(pipeline)?.camera;
     let picture = read(pictures)?;
     let pixels = picture.data_bytes()?;
     ensure!(
@@ -53,7 +53,7 @@ fn main() -> anyhow::Result<()> {
     let view = View::looking_at(&towards, field_deg.to_radians(), size_px);
     let cut = Cut {
         view,
-        distance_m: pipeline.camera.assumed_distance_m,
+        distance_m: camera.distance_m(),
         interpolation: Interpolation::suited_to(&view, &camera),
     };
     let size = size_px as usize;

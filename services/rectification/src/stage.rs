@@ -4,15 +4,15 @@ use std::collections::BTreeSet;
 use std::time::Duration;
 
 use anyhow::Context as _;
+use flockeye_config::{Backend, Flow, Resolved};
 use flockeye_contract::{
     Detections, FrameEnd, FrameEnds, FrameHeader, FrameStamp, Frames, PlanHeader, PlannedView,
     Plans, StopReason, StopRule, ViewHeader, Views,
 };
+use flockeye_convert::{projection_of, xyzw};
 use flockeye_geometry::camera::Camera;
 use flockeye_geometry::view::View;
 use flockeye_imaging::sphere::{Cut, Interpolation, SphereImage};
-use flockeye_runtime::camera::projection_of;
-use flockeye_runtime::config::{Backend, Flow, Pipeline};
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::logs::Throttle;
 use flockeye_runtime::ports::{Message, Ports, Publisher, Subscriber};
@@ -79,14 +79,15 @@ impl Stage for RectificationStage {
     const NAME: &'static str = "rectification";
 
     fn open(context: &Context, ports: &mut Ports) -> anyhow::Result<Self> {
-        let pipeline = &context.pipeline;
+        let resolved = &context.resolved;
+        let pipeline = &resolved.pipeline;
         let settings = &pipeline.rectification;
         let choice = match settings.backend {
             Backend::Auto => BackendChoice::Auto,
             Backend::Cpu => BackendChoice::Cpu,
             Backend::Gpu => BackendChoice::Gpu,
         };
-        let camera = pipeline.camera_model()?;
+        let camera = resolved.camera;
         let threads = settings.threads as usize;
         let (rectifier, why) = choose_backend(choice, threads, &camera)?;
         tracing::info!("views are cut by {}: {why}", rectifier.name());
@@ -108,7 +109,7 @@ impl Stage for RectificationStage {
             flow: pipeline.flow,
             generation: context.identity.generation,
             camera,
-            partitions: seen_partitions(pipeline)?,
+            partitions: seen_partitions(resolved)?,
             swept: 0,
             searched: 0,
             plan: None,
@@ -338,7 +339,7 @@ impl RectificationStage {
             plan_id: job.plan_id,
             taken_ns: job.taken_ns,
             issued_ns,
-            camera_from_view: view.camera_from_view.coords.into(),
+            camera_from_view: xyzw(&view.camera_from_view),
             focal_px: view.focal_px,
             predicted_camera_from_markers: planned.predicted_camera_from_markers,
             readout_ns: frame.readout_ns,
@@ -410,9 +411,9 @@ fn key(stamp: &FrameStamp) -> FrameKey {
 }
 
 /// The partitions that the mask does not wholly hide, with their numbers.
-fn seen_partitions(pipeline: &Pipeline) -> anyhow::Result<Vec<(u32, View)>> {
-    let mask = pipeline.mask()?;
-    let views = pipeline.partition_views(pipeline.bodies()?.largest_side())?;
+fn seen_partitions(resolved: &Resolved) -> anyhow::Result<Vec<(u32, View)>> {
+    let mask = resolved.mask()?;
+    let views = resolved.partition_views.iter().copied();
     Ok((0..).zip(views).filter(|(_, view)| !mask.hides_view(view)).collect())
 }
 

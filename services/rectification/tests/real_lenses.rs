@@ -3,10 +3,10 @@
 
 use std::path::Path;
 
+use flockeye_config::{Pipeline, Resolved};
 use flockeye_geometry::camera::{Camera, CameraModel, Lens};
 use flockeye_geometry::view::{View, ViewPixel};
 use flockeye_imaging::sphere::{Cut, SphereImage, rectify_into};
-use flockeye_runtime::config::Pipeline;
 use nalgebra::{Unit, Vector3};
 use opencv::core::{self, Mat, Point2f, Size, TermCriteria, Vector};
 use opencv::prelude::*;
@@ -25,7 +25,7 @@ fn theta_s() -> Option<(Mat, Camera)> {
     let mut frame = Mat::default();
     core::hconcat(&parts, &mut frame).unwrap();
     let pipeline = Pipeline::load(&root.join("docs/cameras/theta_s.yaml"), &[]).unwrap();
-    Some((frame, pipeline.camera_model().unwrap()))
+    Some((frame, Resolved::of(pipeline).unwrap().camera))
 }
 
 fn cut(frame: &Mat, camera: &Camera, cut: &Cut) -> Vec<u8> {

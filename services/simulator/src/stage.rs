@@ -1,16 +1,14 @@
 //! The ports around the simulated world.
 
 use anyhow::Context as _;
+use flockeye_config::{Flow, Resolved};
 use flockeye_contract::{
-    BodyTruth, FrameHeader, FrameStamp, Frames, PixelFormat, Pose, Projection, Range, Transfer,
+    BodyTruth, FrameHeader, FrameStamp, Frames, PixelFormat, Projection, Range, Transfer,
     TruthHeader, Truths,
 };
+use flockeye_convert::{pose, projection_of, transfer_curve};
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::body::{Bodies, Body};
-use flockeye_imaging::light::TransferCurve;
-use flockeye_runtime::bodies::isometry;
-use flockeye_runtime::camera::projection_of;
-use flockeye_runtime::config::{Flow, Pipeline};
 use flockeye_runtime::credits::Credits;
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::ports::{Ports, Publisher};
@@ -53,9 +51,10 @@ impl Stage for SimulatorStage {
     const NAME: &'static str = "simulator";
 
     fn open(context: &Context, ports: &mut Ports) -> anyhow::Result<Self> {
-        let pipeline = &context.pipeline;
-        let flying = flying_bodies(pipeline)?;
-        let parameters = parameters(pipeline)?;
+        let resolved = &context.resolved;
+        let pipeline = &resolved.pipeline;
+        let flying = flying_bodies(resolved)?;
+        let parameters = parameters(resolved)?;
         let world = match &flying {
             Some(bodies) => World::new(parameters, bodies, &Dictionary::of(bodies)?)?,
             None => World::empty(parameters)?,
@@ -66,7 +65,6 @@ impl Stage for SimulatorStage {
             pipeline.simulator.frames_per_second,
             pipeline.simulator.seed
         ));
-        let camera = pipeline.camera_model()?;
         let last_frame = pipeline.simulator.frames.checked_sub(1).unwrap_or(u64::MAX);
         let drawing = match pipeline.flow {
             Flow::Lossless => {
@@ -82,11 +80,11 @@ impl Stage for SimulatorStage {
             truths: ports.side_publisher()?,
             credits: Credits::open(pipeline, ports)?,
             drawing,
-            size_px: (camera.width(), camera.height()),
-            projection: projection_of(&camera),
-            transfer: pipeline.transfer(),
+            size_px: (resolved.camera.width(), resolved.camera.height()),
+            projection: projection_of(&resolved.camera),
+            transfer: resolved.transfer,
             bodies: flying.iter().flat_map(Bodies::iter).cloned().collect(),
-            observer_from_camera: isometry(&pipeline.observer.observer_from_camera),
+            observer_from_camera: resolved.observer_from_camera,
             generation: context.identity.generation,
             counters: context.counters.clone(),
         })
@@ -220,17 +218,10 @@ fn truth_header(stamp: FrameStamp, truth: &FrameTruth) -> TruthHeader {
     TruthHeader { stamp, observer_yaw: truth.observer_yaw, exposure_s: truth.exposure_s }
 }
 
-fn pose(isometry: &Isometry3<f64>) -> Pose {
-    Pose {
-        position: isometry.translation.vector.into(),
-        orientation: isometry.rotation.coords.into(),
-    }
-}
-
 /// The bodies that fly: the first of those configured.
-fn flying_bodies(pipeline: &Pipeline) -> anyhow::Result<Option<Bodies>> {
-    let all = pipeline.simulated_bodies()?;
-    let count = pipeline.simulator.neighbours as usize;
+fn flying_bodies(resolved: &Resolved) -> anyhow::Result<Option<Bodies>> {
+    let all = resolved.simulated_bodies()?;
+    let count = resolved.pipeline.simulator.neighbours as usize;
     anyhow::ensure!(
         count <= all.len(),
         "simulator.neighbours: {count} neighbours, but {} bodies are configured",
@@ -243,17 +234,16 @@ fn flying_bodies(pipeline: &Pipeline) -> anyhow::Result<Option<Bodies>> {
     Ok(Some(Bodies::new(all.dictionary.clone(), bodies)?))
 }
 
-fn parameters(pipeline: &Pipeline) -> anyhow::Result<WorldParameters> {
-    let (settings, usual) = (&pipeline.simulator, WorldParameters::default());
-    let response = match pipeline.transfer() {
-        (Transfer::Srgb, _) => Response::Curve(TransferCurve::Srgb),
-        (Transfer::Gamma, gamma) => Response::Curve(TransferCurve::Gamma(gamma)),
-        (Transfer::Linear, _) => Response::Curve(TransferCurve::Linear),
-        (Transfer::Table, _) => Response::Table(pipeline.response_table()?),
-    };
+fn parameters(resolved: &Resolved) -> anyhow::Result<WorldParameters> {
+    let (settings, usual) = (&resolved.pipeline.simulator, WorldParameters::default());
+    let (transfer, gamma) = resolved.transfer;
+    let curve = transfer_curve(transfer, gamma).map(Response::Curve);
+    let response = curve
+        .or(resolved.measured_response.map(Response::Table))
+        .context("camera.response: a table was not measured")?;
     Ok(WorldParameters {
         seed: u64::from(settings.seed),
-        camera: pipeline.camera_model()?,
+        camera: resolved.camera,
         response,
         frames_per_second: settings.frames_per_second,
         exposure_s: settings.exposure_ms * 1e-3,

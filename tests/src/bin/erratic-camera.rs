@@ -37,13 +37,13 @@ impl Stage for Erratic {
     const NAME: &'static str = "simulator";
 
     fn open(context: &Context, ports: &mut Ports) -> anyhow::Result<Self> {
-        let pipeline = &context.pipeline;
-        let all = pipeline.simulated_bodies()?;
+        let resolved = &context.resolved;
+        let all = resolved.simulated_bodies()?;
         let one = all.iter().take(1).cloned().collect();
         let bodies = Bodies::new(all.dictionary.clone(), one)?;
         let parameters = WorldParameters {
-            camera: pipeline.camera_model()?,
-            distance_m: pipeline.simulator.distance_m,
+            camera: resolved.camera,
+            distance_m: resolved.pipeline.simulator.distance_m,
             ..WorldParameters::default()
         };
         Ok(Self {

@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
+use flockeye_config::Resolved;
 use flockeye_contract::{Detections, Plans, Tracks};
 use flockeye_launcher::sweep::Sweep;
 use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, onlooker, run};
@@ -98,7 +99,8 @@ fn a_newcomer_is_found_before_the_sphere_is_searched_twice() {
     let mut flight = Flight::start("newcomer", &[], &set);
     flight.wait_for("alpha confirmed");
     let pipeline = flight.instance.pipeline().expect("it was written");
-    let mut sweep = Sweep::of(&pipeline).expect("it runs").expect("gaze sweeps");
+    let resolved = Resolved::of(pipeline).expect("the launcher resolved it too");
+    let mut sweep = Sweep::of(&resolved).expect("it runs").expect("gaze sweeps");
     let mut ports = onlooker::join(&mut flight);
     let mut plans = onlooker::subscribe::<Plans>(&mut flight, &mut ports);
     let mut records = onlooker::subscribe::<Detections>(&mut flight, &mut ports);

@@ -41,12 +41,12 @@ pub struct TrackPolicy {
 }
 
 impl Default for TrackPolicy {
-    /// Confirmed by 3 hits in 5 frames, coasting for 1 s, half a second of history, 0.1 % of right
+    /// What pipeline.yaml has by default: confirmed by 2 hits in 5 frames, coasting for 1 s, half a second of history, 0.1 % of right
     /// measurements gated.
     fn default() -> Self {
         Self {
             motion: MotionModel::default(),
-            confirm_hits: 3,
+            confirm_hits: 2,
             confirm_window: 5,
             coast_s: 1.0,
             history_s: 0.5,

@@ -221,7 +221,7 @@ fn time_may_jump_without_harm() {
 }
 
 fn life() -> LifeCycle {
-    LifeCycle::new(TrackPolicy::default())
+    LifeCycle::new(TrackPolicy { confirm_hits: 3, confirm_window: 5, ..TrackPolicy::default() })
 }
 
 fn frame(k: i32) -> f64 {

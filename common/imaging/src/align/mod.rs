@@ -67,13 +67,14 @@ pub struct AlignOptions {
 }
 
 impl Default for AlignOptions {
+    /// The covariance scale is that of pipeline.yaml (`fusion.covariance_scale`).
     fn default() -> Self {
         Self {
             blur_px: 0.9,
             widest_px: 75.0,
             iterations: 8,
             coarse_first: false,
-            covariance_scale: 1.0,
+            covariance_scale: 3.1,
         }
     }
 }

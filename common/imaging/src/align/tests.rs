@@ -59,7 +59,12 @@ fn run(
         light: &light,
         pixels_per_radian: PIXELS_PER_RADIAN,
     };
-    align(print, &picture, start, &AlignOptions::default())
+    align(
+        print,
+        &picture,
+        start,
+        &AlignOptions { covariance_scale: 1.0, ..AlignOptions::default() },
+    )
 }
 
 #[test]

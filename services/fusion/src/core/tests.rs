@@ -7,9 +7,9 @@ use std::sync::OnceLock;
 use super::*;
 use crate::fixtures::*;
 use flockeye_contract::{DetectionHeader, Transfer, ViewKind};
+use flockeye_convert::RadianceCache;
 use flockeye_geometry::search::StopRule;
 use flockeye_geometry::view::View;
-use flockeye_viewing::Lights;
 
 impl Pixels for Vec<u8> {
     fn pixels(&self) -> &[u8] {
@@ -25,7 +25,7 @@ fn core(schedule: Schedule, is_limited: bool) -> Core<Vec<u8>> {
     if is_limited {
         tracker = tracker.with_background();
     }
-    let lights = Lights::new(None).unwrap();
+    let lights = RadianceCache::new(None).unwrap();
     Core::new(
         options,
         FrameAssembly::new(DEADLINE_NS),

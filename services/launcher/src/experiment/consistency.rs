@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use anyhow::ensure;
+use flockeye_contract::StageName;
 use flockeye_geometry::filter::chi_square_quantile;
 use nalgebra::{Matrix6, Vector3};
 use serde::Serialize;
@@ -73,7 +74,7 @@ pub(super) fn work_out(arguments: &ConsistencyRuns) -> anyhow::Result<Runs> {
         Laboratory::new(&arguments.configuration, &USUAL, arguments.frames, arguments.json)?;
     let first = laboratory.pipeline(&[])?;
     ensure!(
-        first.source_stage() == "simulator",
+        first.source_stage() == StageName::Simulator,
         "independent flights of '{}' cannot be had. Cure: simulate them (--source sim)",
         first.source.input
     );

@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use flockeye_config::Resolved;
 use serde::Serialize;
 
 use super::{LEGEND, Laboratory, Outcome, given_truth, titles};
@@ -63,7 +64,11 @@ pub(super) fn work_out(arguments: &Comparison) -> anyhow::Result<Partitions> {
             let count = papers.count;
             let fixed = [format!("partition.count={count}"), format!("partition.method={method}")];
             let pipeline = laboratory.pipeline(&fixed)?;
-            let theta_deg = pipeline.sphere_partition()?.covering_diameter_rad().to_degrees();
+            let theta_deg = Resolved::of(pipeline.clone())?
+                .division
+                .partition
+                .covering_diameter_rad()
+                .to_degrees();
             let flown = laboratory.fly(&format!("N = {count}, {method}"), &pipeline)?;
             let outcome = Outcome::of(&flown, given.as_ref().unwrap_or(&flown.truth))?;
             rows.push(Row { count, method, theta_deg, outcome });

@@ -7,7 +7,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use flockeye_contract::{DetectionHeader, FrameEnd, FrameStamp, Health, Track, TrackHeader};
+use flockeye_contract::{
+    DetectionHeader, FrameEnd, FrameStamp, Health, StageName, Track, TrackHeader,
+};
 use serde_json::{Value, json};
 
 /// Source frames are exposed before the one before them is published: side by side they need rows of
@@ -170,12 +172,15 @@ impl Tracer {
 
     /// The number of a process, in the order of the dataflow.
     fn process(&mut self, stage: &str, replica: u32) -> u32 {
-        let rank = match stage {
-            "capture" | "simulator" => 1,
-            "rectification" => 2,
-            "detection" => 3,
-            "fusion" => 4,
-            _ => 5,
+        // Only one of the sources runs; both are first.
+        let mut others = StageName::ALL.into_iter().filter(|other| !other.is_source());
+        let rank = match StageName::from_name(stage) {
+            Some(name) if name.is_source() => 1,
+            // One that is not Flockeye's comes last.
+            Some(name) => {
+                others.position(|other| other == name).map_or(0, |place| place as u32) + 2
+            }
+            None => others.count() as u32 + 1,
         };
         let pid = 1000 * rank + replica;
         self.processes.entry(pid).or_insert_with(|| label(stage, replica));

@@ -1,0 +1,181 @@
+//! The configured camera: its model and its transfer curve.
+
+use flockeye_contract::Transfer;
+use flockeye_geometry::camera::{Camera, CameraModel, Lens, LensCurve};
+use nalgebra::Vector2;
+
+use super::mount::isometry;
+use crate::types::{self, FisheyeLens, Response};
+
+/// An invalid camera setting.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("{key}: {reason}")]
+pub struct CameraSettingError {
+    /// Its key in the configuration.
+    pub key: String,
+    /// What is wrong with it, and the cure.
+    pub reason: String,
+}
+
+impl CameraSettingError {
+    fn new(key: impl Into<String>, reason: impl Into<String>) -> Self {
+        Self { key: key.into(), reason: reason.into() }
+    }
+}
+
+/// The camera model, right for `camera.assumed_distance_m`.
+///
+/// # Errors
+/// Settings that describe no possible camera.
+pub(crate) fn camera(settings: &types::Camera) -> Result<Camera, CameraSettingError> {
+    let model = match settings.projection {
+        types::CameraModel::Equirectangular => {
+            if settings.width != 2 * settings.height {
+                let (width, height) = (settings.width, settings.height);
+                return Err(CameraSettingError::new(
+                    "camera.width",
+                    format!(
+                        "an equirectangular image is twice as wide as high, not {width}x{height}"
+                    ),
+                ));
+            }
+            CameraModel::Equirectangular { lens_distance_m: settings.lens_distance_m }
+        }
+        types::CameraModel::DualFisheye => {
+            let [one, other] = settings.lenses.as_slice() else {
+                return Err(CameraSettingError::new(
+                    "camera.lenses",
+                    format!(
+                        "a dual fisheye camera has two lenses, not {}. Cure: list both, as \
+                         docs/CAMERAS.md shows, or set camera.projection to what the camera \
+                         sends",
+                        settings.lenses.len()
+                    ),
+                ));
+            };
+            CameraModel::DualFisheye([lens(0, one)?, lens(1, other)?])
+        }
+        types::CameraModel::Stereographic => {
+            CameraModel::Stereographic { field_rad: settings.stereographic_field_deg.to_radians() }
+        }
+    };
+    let key = match settings.projection {
+        types::CameraModel::Equirectangular => "camera.lens_distance_m",
+        types::CameraModel::DualFisheye => "camera.lenses",
+        types::CameraModel::Stereographic => "camera.stereographic_field_deg",
+    };
+    let model = Camera::new(settings.width, settings.height, model)
+        .map_err(|error| CameraSettingError::new(key, error.to_string()))?;
+    Ok(model.at_distance(settings.assumed_distance_m))
+}
+
+/// The code of the camera's transfer curve, and its gamma where it has one.
+pub(crate) fn transfer(settings: &types::Camera) -> (Transfer, f32) {
+    match settings.response {
+        Response::Srgb => (Transfer::Srgb, 0.0),
+        Response::Gamma => (Transfer::Gamma, settings.gamma),
+        Response::Linear => (Transfer::Linear, 0.0),
+        Response::Table => (Transfer::Table, 0.0),
+    }
+}
+
+/// The radiance of each code if the camera's response is a measured table; `None` for the curves that
+/// headers name.
+///
+/// # Errors
+/// As [`response_table`].
+pub(crate) fn measured_response(
+    settings: &types::Camera,
+) -> Result<Option<[f32; 256]>, CameraSettingError> {
+    match settings.response {
+        Response::Table => response_table(settings).map(Some),
+        Response::Srgb | Response::Gamma | Response::Linear => Ok(None),
+    }
+}
+
+/// `camera.response_table` for each code, interpolated: white is 1.
+///
+/// # Errors
+/// Fewer than two entries, or entries that do not rise.
+pub(crate) fn response_table(settings: &types::Camera) -> Result<[f32; 256], CameraSettingError> {
+    let given = &settings.response_table;
+    let fault = |reason: String| Err(CameraSettingError::new("camera.response_table", reason));
+    if given.len() < 2 {
+        return fault(format!(
+            "response: table needs the light of 2 to 256 codes, not of {}",
+            given.len()
+        ));
+    }
+    // Comparisons with NaN are false, so NaN is refused too.
+    let rises = |pair: &[f64]| pair[1] > pair[0];
+    if let Some(at) = given.windows(2).position(|pair| !rises(pair)) {
+        let (before, after) = (given[at], given[at + 1]);
+        return fault(format!(
+            "a brighter code stands for more light, but entry {} is {after} after {before}",
+            at + 1
+        ));
+    }
+    let (black, white) = (given[0], given[given.len() - 1]);
+    let table: [f32; 256] = std::array::from_fn(|code| {
+        let place = code as f64 / 255.0 * (given.len() - 1) as f64;
+        let below = (place as usize).min(given.len() - 2);
+        let share = place - below as f64;
+        let light = given[below] + share * (given[below + 1] - given[below]);
+        ((light - black) / (white - black)) as f32
+    });
+    // In single precision, very small steps vanish.
+    let rises = |pair: &[f32]| pair[1] > pair[0];
+    match table.windows(2).position(|pair| !rises(pair)) {
+        None => Ok(table),
+        Some(code) => fault(format!(
+            "from code {code} to {} the light does not rise by anything that single precision \
+             can tell",
+            code + 1
+        )),
+    }
+}
+
+fn lens(index: usize, lens: &FisheyeLens) -> Result<Lens, CameraSettingError> {
+    let key = |name: &str| format!("camera.lenses.{index}.{name}");
+    let curve = match (lens.equidistant, lens.double_sphere, lens.unified) {
+        (None, None, None) => LensCurve::Equidistant([0.0; 4]),
+        (Some(terms), None, None) => LensCurve::Equidistant(terms),
+        (None, Some([xi, alpha]), None) => LensCurve::DoubleSphere { xi, alpha },
+        (None, None, Some([xi, k1, k2, p1, p2])) => {
+            LensCurve::Unified { xi, distortion: [k1, k2, p1, p2] }
+        }
+        _ => {
+            let reason = "a lens has one curve: keep one of equidistant, double_sphere and unified";
+            return Err(CameraSettingError::new(format!("camera.lenses.{index}"), reason));
+        }
+    };
+    let is_calibrated = curve != LensCurve::Equidistant([0.0; 4]);
+    if is_calibrated && lens.focal_px.is_none() {
+        let reason = "a calibrated curve needs the focal lengths it was calibrated with";
+        return Err(CameraSettingError::new(key("focal_px"), reason));
+    }
+    let filling = Lens::equidistant(
+        isometry(&lens.camera_from_lens),
+        lens.centre_px.into(),
+        lens.circle_px,
+        lens.field_deg.to_radians(),
+    );
+    let focal_px = lens.focal_px.map_or(filling.focal_px, Vector2::from);
+    Ok(Lens { focal_px, curve, ..filling })
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use super::*;
+
+    #[test]
+    fn a_table_is_interpolated_between_its_entries() {
+        let response_table = vec![1.0, 2.0, 5.0];
+        let settings = types::Camera { response_table, ..types::Camera::default() };
+        let table = super::response_table(&settings).unwrap();
+        assert_eq!((table[0], table[255]), (0.0, 1.0));
+        assert!((table[64] - 0.25 * 64.0 / 127.5).abs() < 1e-6, "{}", table[64]);
+        assert!(table.windows(2).all(|pair| pair[1] > pair[0]));
+    }
+}

@@ -1,0 +1,139 @@
+//! What a process computes from a configuration, once.
+
+mod bodies;
+mod camera;
+mod mask;
+mod mount;
+mod sphere;
+
+use std::sync::OnceLock;
+
+use flockeye_contract::Transfer;
+use flockeye_geometry::body::Bodies;
+use flockeye_geometry::camera::Camera;
+use flockeye_geometry::mask::Mask;
+use flockeye_geometry::partition::PartitionError;
+use flockeye_geometry::search::GazeOptions;
+use flockeye_geometry::view::View;
+use nalgebra::Isometry3;
+
+use crate::types::Pipeline;
+
+pub use bodies::{BodySetError, bodies, read_bodies};
+pub use camera::CameraSettingError;
+pub use mask::MaskFileError;
+pub use mount::isometry;
+pub use sphere::{Division, SphereViewsError};
+
+// What the check of a configuration needs of each part before all of them are right.
+pub(crate) use bodies::preset_body;
+pub(crate) use camera::{camera, response_table};
+pub(crate) use sphere::far_views;
+
+/// Why a configuration cannot be resolved.
+#[derive(Debug, thiserror::Error)]
+pub enum ResolveError {
+    /// The bodies are invalid.
+    #[error(transparent)]
+    Bodies(#[from] BodySetError),
+    /// The camera is invalid.
+    #[error(transparent)]
+    Camera(#[from] CameraSettingError),
+    /// The sphere has no views.
+    #[error(transparent)]
+    Views(#[from] SphereViewsError),
+    /// A margin that leaves no view.
+    #[error("partition: {0}")]
+    Partition(#[from] PartitionError),
+}
+
+/// A configuration, and what is computed from it: bodies with their geometry, the camera, the views that
+/// cover its sphere. Built once for each process.
+#[derive(Debug, Clone)]
+pub struct Resolved {
+    /// The configuration as it was read.
+    pub pipeline: Pipeline,
+    /// The neighbours' marker bodies. A body's place in them is the `target` number of the contract.
+    pub bodies: Bodies,
+    /// The camera model, right for `camera.assumed_distance_m`.
+    pub camera: Camera,
+    /// Where the camera sits on this drone.
+    pub observer_from_camera: Isometry3<f64>,
+    /// The code of the camera's transfer curve, and its gamma where it has one (else 0).
+    pub transfer: (Transfer, f32),
+    /// The radiance of each code, white being 1, where `camera.response` is a table; `None` for the
+    /// curves that headers name.
+    pub measured_response: Option<[f32; 256]>,
+    /// How the sphere is divided.
+    pub division: Division,
+    /// The partitions as views, in the order of their numbers.
+    pub partition_views: Vec<View>,
+    /// The views that sweep the sphere for neighbours too far for the partitions; may be none.
+    pub far_views: Vec<View>,
+    /// How gaze views are cut from this camera's frames.
+    pub gaze_options: GazeOptions,
+    mask: OnceLock<Mask>,
+}
+
+impl Resolved {
+    /// Resolves `pipeline`.
+    ///
+    /// # Errors
+    /// A bodies file that cannot be read, or settings that contradict it. For a pipeline that was not read
+    /// by [`Pipeline::load`], also everything that `load` refuses.
+    pub fn of(pipeline: Pipeline) -> Result<Self, ResolveError> {
+        let bodies = bodies(&pipeline.bodies)?;
+        let camera = camera(&pipeline.camera)?;
+        let division = Division::of(&pipeline.partition, bodies.largest_side())?;
+        Ok(Self {
+            observer_from_camera: isometry(&pipeline.observer.observer_from_camera),
+            transfer: camera::transfer(&pipeline.camera),
+            measured_response: camera::measured_response(&pipeline.camera)?,
+            partition_views: division.views(&pipeline, &camera)?,
+            far_views: far_views(&pipeline, &camera)?,
+            gaze_options: GazeOptions {
+                partitions_per_frame: pipeline.search.lossless_partitions as usize,
+                ..GazeOptions::new(camera.pixels_per_radian())
+            },
+            mask: OnceLock::new(),
+            pipeline,
+            bodies,
+            camera,
+            division,
+        })
+    }
+
+    /// What the camera sees: everything its image circles hold, less what `camera.mask` hides. The
+    /// file is read when it is first asked for, because only some processes need it.
+    ///
+    /// # Errors
+    /// The file cannot be read, or is of another size than the frames.
+    pub fn mask(&self) -> Result<&Mask, MaskFileError> {
+        match self.mask.get() {
+            Some(mask) => Ok(mask),
+            None => {
+                let mask = mask::mask(self.pipeline.camera.mask.as_deref(), &self.camera)?;
+                Ok(self.mask.get_or_init(|| mask))
+            }
+        }
+    }
+
+    /// The bodies as they fly in the simulated world: those of `simulator.bodies` instead of the
+    /// configured ones of the same name.
+    ///
+    /// # Errors
+    /// The file cannot be read, or has other ids or another dictionary.
+    pub fn simulated_bodies(&self) -> Result<Bodies, BodySetError> {
+        match &self.pipeline.simulator.bodies {
+            Some(path) => bodies::simulated_bodies(&self.bodies, path),
+            None => Ok(self.bodies.clone()),
+        }
+    }
+
+    /// Pixels along the side of the largest view that this pipeline cuts.
+    pub fn largest_view_px(&self) -> u32 {
+        let views = self.partition_views.iter().chain(&self.far_views);
+        let largest = views.map(|view| view.size_px).max().unwrap_or(0);
+        largest.max(self.gaze_options.size_max_px)
+    }
+}

@@ -1,0 +1,167 @@
+//! The views that cover the configured camera's sphere.
+
+use std::f64::consts::PI;
+use std::sync::{Mutex, PoisonError};
+use std::time::Instant;
+
+use flockeye_contract::MAX_VIEW_PX;
+use flockeye_geometry::camera::Camera;
+use flockeye_geometry::partition::{self, Criterion, Method, Partition, PartitionError, Weights};
+use flockeye_geometry::view::View;
+
+use crate::types::{self, Auto, Count, Filter, Pipeline};
+
+/// Why the sphere has no views.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum SphereViewsError {
+    /// A margin that leaves no view.
+    #[error("partition: {0}")]
+    Partition(#[from] PartitionError),
+    /// Views that no message can carry.
+    #[error(
+        "partition.count: {count} views of this camera's sphere have {size_px} px a side, and a view \
+         has {MAX_VIEW_PX} at most. Cure: more views, a smaller margin, smaller frames, or a smaller \
+         partition.magnification"
+    )]
+    TooLarge {
+        /// How many views.
+        count: usize,
+        /// Their side, pixels.
+        size_px: u32,
+    },
+    /// Far views that no message can carry.
+    #[error(
+        "search.far_magnification: far views of this camera's sphere have {size_px} px a side, and a \
+         view has {MAX_VIEW_PX} at most. Cure: a smaller magnification, or smaller frames"
+    )]
+    FarTooLarge {
+        /// Their side, pixels.
+        size_px: u32,
+    },
+}
+
+/// Overlap of the far views, radians. Small, because the neighbours searched there are far away and
+/// their markers look small.
+const FAR_MARGIN_RAD: f64 = 2.5 / 180.0 * PI;
+
+/// The side of the largest of these views, pixels, if no message can carry it.
+fn too_large(views: &[View]) -> Option<u32> {
+    views.iter().map(|view| view.size_px).max().filter(|&size_px| size_px > MAX_VIEW_PX)
+}
+
+/// Method, number of views and seed.
+type Key = (Method, usize, u64);
+
+/// Partitions that this process computed, because they are not stored.
+static FOUND: Mutex<Vec<(Key, Partition)>> = Mutex::new(Vec::new());
+
+/// How many views cover the sphere.
+fn partition_count(settings: &types::Partition) -> Result<usize, PartitionError> {
+    match settings.count {
+        Count::Views(count) => Ok(count),
+        Count::Chosen(Auto::Auto) => Ok(Criterion::new(Weights::new(settings.weights)?).choice()),
+    }
+}
+
+/// The directions that share the sphere: every process of a pipeline finds the same.
+fn partition(settings: &types::Partition) -> Result<Partition, PartitionError> {
+    let method = settings.method.into();
+    let key = (method, partition_count(settings)?, u64::from(settings.seed));
+    let (method, count, seed) = key;
+    if Partition::is_stored(method, count, seed) {
+        return Partition::of(method, count, seed);
+    }
+    // Found once in each process: the check of the configuration needs it, then the stage.
+    let mut found = FOUND.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some((_, partition)) = found.iter().find(|(known, _)| *known == key) {
+        return Ok(partition.clone());
+    }
+    let start = Instant::now();
+    let partition = Partition::of(method, count, seed)?;
+    tracing::info!(
+        count,
+        seed,
+        seconds = start.elapsed().as_secs_f64(),
+        "this partition of the sphere is not stored: computed it from its seed"
+    );
+    found.push((key, partition.clone()));
+    Ok(partition)
+}
+
+/// Pixels of the partitions' views for each of the sphere's, along a side.
+fn magnification(pipeline: &Pipeline) -> f64 {
+    // Gaze views are magnified, but without tracks there are none.
+    let without_gaze = if pipeline.fusion.filter == Filter::None { 2.0 } else { 1.0 };
+    pipeline.partition.magnification.unwrap_or(without_gaze)
+}
+
+/// How the sphere is divided: the directions of the partitions, and how far their views overlap.
+#[derive(Debug, Clone)]
+pub struct Division {
+    /// The directions that share the sphere.
+    pub partition: Partition,
+    /// Overlap of the partitions, radians: `partition.margin_deg`, or the largest marker seen from
+    /// `partition.nearest_m`.
+    pub margin_rad: f64,
+    /// Field of the partitions' views, radians.
+    pub field_rad: f64,
+}
+
+impl Division {
+    /// The configured division for bodies whose largest marker has a side of `largest_marker_m`.
+    ///
+    /// # Errors
+    /// A number of views for which there is no partition, or a margin that leaves no view.
+    pub(crate) fn of(
+        settings: &types::Partition,
+        largest_marker_m: f64,
+    ) -> Result<Self, PartitionError> {
+        let partition = partition(settings)?;
+        let margin_rad = match settings.margin_deg {
+            Some(degrees) => degrees.to_radians(),
+            None => 2.0 * (largest_marker_m / (2.0 * settings.nearest_m)).atan(),
+        };
+        let field_rad = partition.field_rad(margin_rad)?;
+        Ok(Self { partition, margin_rad, field_rad })
+    }
+
+    /// The partitions as views, at the sphere's resolution times `partition.magnification`.
+    ///
+    /// # Errors
+    /// A margin that leaves no view; views that no message can carry.
+    pub(crate) fn views(
+        &self,
+        pipeline: &Pipeline,
+        camera: &Camera,
+    ) -> Result<Vec<View>, SphereViewsError> {
+        let pixels_per_radian = camera.pixels_per_radian() * magnification(pipeline);
+        let views = self.partition.views(self.margin_rad, pixels_per_radian)?;
+        match too_large(&views) {
+            Some(size_px) => Err(SphereViewsError::TooLarge { count: views.len(), size_px }),
+            None => Ok(views),
+        }
+    }
+}
+
+/// The high-resolution views for neighbours too far for the partitions: the stored covering with the
+/// most views, at the sphere's resolution times `search.far_magnification`. None where the partitions
+/// see as much, and where no gaze view would follow.
+///
+/// # Errors
+/// A margin that leaves no view; views that no message can carry.
+pub(crate) fn far_views(
+    pipeline: &Pipeline,
+    camera: &Camera,
+) -> Result<Vec<View>, SphereViewsError> {
+    let far_magnification = pipeline.search.far_magnification;
+    if !pipeline.gazes() || far_magnification <= magnification(pipeline) {
+        return Ok(Vec::new());
+    }
+    let count = *partition::STORED.end();
+    let partition = Partition::of(Method::Covering, count, partition::STORED_SEED)?;
+    let views = partition.views(FAR_MARGIN_RAD, camera.pixels_per_radian() * far_magnification)?;
+    match too_large(&views) {
+        Some(size_px) => Err(SphereViewsError::FarTooLarge { size_px }),
+        None => Ok(views),
+    }
+}

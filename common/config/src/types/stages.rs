@@ -1,0 +1,141 @@
+//! How the stages' processes are run, as types.
+
+use flockeye_contract::StageName;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// How the stages' processes are run.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Stages {
+    /// Camera, video file, stream or image folder to frames.
+    pub capture: StageProcess,
+    /// The simulated world, in place of capture.
+    pub simulator: StageProcess,
+    /// Frames and plans to views.
+    pub rectification: StageProcess,
+    /// Views to detections.
+    pub detection: StageProcess,
+    /// Detections to tracks and plans.
+    pub fusion: StageProcess,
+    /// Tracks to Zenoh.
+    pub gateway: StageProcess,
+}
+
+/// How one stage's process is run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct StageProcess {
+    /// Program and arguments of another implementation; empty: the one that comes with Flockeye.
+    pub command: Vec<String>,
+    /// Number of processes, for detection only. Left out: 2, so that a neighbour's view never waits behind
+    /// a partition.
+    #[schemars(range(min = 1, max = 16))]
+    pub replicas: Option<u32>,
+    /// Whether it is started again when it ends.
+    pub restart: Restart,
+    /// First and longest wait before it is started again, seconds; doubled each time in between.
+    pub backoff_s: [f64; 2],
+    /// Processors that it may run on, by number from 0; empty: all.
+    pub cpus: Vec<u32>,
+    /// Nice value, -20 (first) to 19; below 0 needs a privilege. Left out: 5 for detection, because no
+    /// tracked neighbour's pose waits for it, and 0 for all other stages.
+    #[schemars(range(min = -20, max = 19))]
+    pub nice: Option<i32>,
+    /// The scheduling class; fifo and round_robin need a privilege.
+    pub scheduling: Scheduling,
+    /// Priority within fifo and round_robin: 1 to 99, the highest.
+    #[schemars(range(min = 1, max = 99))]
+    pub priority: u8,
+}
+
+/// A scheduling class of the kernel (sched(7)).
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Scheduling {
+    /// Shares of the processors' time, by `nice`.
+    #[default]
+    Normal,
+    /// The same, for long computations that need not react soon.
+    Batch,
+    /// Only when no other process wants to run.
+    Idle,
+    /// Before all classes above, until it blocks.
+    Fifo,
+    /// The same, in turn with others of its priority.
+    RoundRobin,
+}
+
+impl Default for StageProcess {
+    fn default() -> Self {
+        Self {
+            command: Vec::new(),
+            replicas: None,
+            restart: Restart::OnFailure,
+            backoff_s: [0.1, 5.0],
+            cpus: Vec::new(),
+            nice: None,
+            scheduling: Scheduling::Normal,
+            priority: 1,
+        }
+    }
+}
+
+/// Whether a stage is started again when it ends.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Restart {
+    /// Never: the pipeline stops with it.
+    Never,
+    /// When it failed.
+    #[default]
+    OnFailure,
+    /// Always.
+    Always,
+}
+
+impl Stages {
+    /// How one stage is run.
+    pub fn of(&self, stage: StageName) -> &StageProcess {
+        match stage {
+            StageName::Capture => &self.capture,
+            StageName::Simulator => &self.simulator,
+            StageName::Rectification => &self.rectification,
+            StageName::Detection => &self.detection,
+            StageName::Fusion => &self.fusion,
+            StageName::Gateway => &self.gateway,
+        }
+    }
+
+    /// Every stage, in the order of the dataflow.
+    pub fn iter(&self) -> impl Iterator<Item = (StageName, &StageProcess)> {
+        StageName::ALL.into_iter().map(|stage| (stage, self.of(stage)))
+    }
+}
+
+/// What holds for a stage where pipeline.yaml says nothing else. Every stage may be started again
+/// (`restart`).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct StageInfo {
+    /// How many processes run it.
+    pub replicas: u32,
+    /// Whether it may run in several processes.
+    pub may_have_replicas: bool,
+    /// Nice value.
+    pub nice: i32,
+}
+
+impl StageInfo {
+    /// The row of one stage.
+    pub const fn of(stage: StageName) -> Self {
+        match stage {
+            // No tracked neighbour's pose waits for detection, so it gives way.
+            StageName::Detection => Self { replicas: 2, may_have_replicas: true, nice: 5 },
+            StageName::Capture
+            | StageName::Simulator
+            | StageName::Rectification
+            | StageName::Fusion
+            | StageName::Gateway => Self { replicas: 1, may_have_replicas: false, nice: 0 },
+        }
+    }
+}
