@@ -1,26 +1,26 @@
-//! The terminal: log lines run above, the table stays below.
+//! The terminal: log lines scroll above, a live table stays below.
 
 use std::collections::VecDeque;
 use std::io::{self, IsTerminal, Write};
 
-/// Lines that a screen without a terminal keeps.
+/// Lines that a muted screen keeps.
 const KEPT_LINES: usize = 40;
 
-/// Where the launcher shows what goes on.
+/// Standard output, with an optional live table at its end.
 pub struct Screen {
     is_terminal: bool,
     table_lines: usize,
-    /// The last lines, where they are kept instead of shown.
+    /// The last lines of a muted screen.
     kept: Option<VecDeque<String>>,
 }
 
 impl Screen {
-    /// Standard output.
+    /// A screen that shows everything.
     pub fn new() -> Self {
         Self { is_terminal: io::stdout().is_terminal(), table_lines: 0, kept: None }
     }
 
-    /// One that shows nothing and keeps the last lines, for when something goes wrong.
+    /// A screen that shows nothing and keeps the last lines, for error messages.
     pub fn muted() -> Self {
         Self { is_terminal: false, table_lines: 0, kept: Some(VecDeque::new()) }
     }
@@ -30,7 +30,7 @@ impl Screen {
         self.kept.iter().flatten().fold(String::new(), |text, line| text + line + "\n")
     }
 
-    /// Whether somebody is looking, so that a live table makes sense.
+    /// Whether output goes to a terminal, so that a live table makes sense.
     pub fn is_live(&self) -> bool {
         self.is_terminal
     }
@@ -51,7 +51,7 @@ impl Screen {
     pub fn table(&mut self, text: &str) {
         let width = rustix::termios::tcgetwinsize(io::stdout())
             .map_or(80, |size| usize::from(size.ws_col).max(20));
-        // A line that wraps would not be erased as one.
+        // Lines that wrap would not be erased completely.
         let lines: Vec<String> =
             text.lines().map(|line| line.chars().take(width - 1).collect()).collect();
         self.show(&format!("{}{}\n", self.erasure(), lines.join("\n")));
@@ -67,7 +67,7 @@ impl Screen {
     }
 
     fn show(&self, text: &str) {
-        // A closed pipe (`flockeye up | head`) is no reason to stop flying.
+        // A closed pipe (`flockeye up | head`) must not stop the run.
         let mut out = io::stdout().lock();
         drop(out.write_all(text.as_bytes()).and_then(|()| out.flush()));
     }

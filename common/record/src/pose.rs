@@ -4,8 +4,8 @@ use flockeye_contract::{FrameStamp, MeasuredBy, Track, TrackState};
 use nalgebra::{Matrix6, Quaternion, UnitQuaternion, Vector3};
 use serde::ser::{Serialize, SerializeStruct, Serializer};
 
-use super::Recorded;
-use super::table::{Cells, Row, TableError};
+use crate::recorder::Recorded;
+use crate::table::{TableCells, TableError, TableRow};
 
 /// A row of the poses: the target's pose in the observer's frame.
 #[derive(Debug, Clone, PartialEq)]
@@ -142,8 +142,8 @@ impl Serialize for PoseRow {
     }
 }
 
-impl Row for PoseRow {
-    const NEEDED: &'static [&'static str] = &[
+impl TableRow for PoseRow {
+    const REQUIRED: &'static [&'static str] = &[
         "frame",
         "stamp_s",
         "target",
@@ -160,7 +160,7 @@ impl Row for PoseRow {
     ];
     const CURE: &'static str = "record the poses with flockeye up --poses";
 
-    fn parse(cells: &Cells<'_>) -> Result<Self, TableError> {
+    fn parse(cells: &TableCells<'_>) -> Result<Self, TableError> {
         let state = cells.text("state");
         let state = TrackState::ALL.iter().find(|known| name(**known) == state).copied();
         let state = state.ok_or_else(|| {
@@ -202,7 +202,7 @@ fn name(code: impl Serialize) -> String {
     }
 }
 
-fn measured(cells: &Cells<'_>) -> Result<Option<MeasuredPose>, TableError> {
+fn measured(cells: &TableCells<'_>) -> Result<Option<MeasuredPose>, TableError> {
     if MEASURED.iter().all(|column| cells.text(column).is_empty()) {
         return Ok(None);
     }
@@ -214,7 +214,10 @@ fn measured(cells: &Cells<'_>) -> Result<Option<MeasuredPose>, TableError> {
     }))
 }
 
-fn covariance(cells: &Cells<'_>, names: [&str; 21]) -> Result<Option<Matrix6<f64>>, TableError> {
+fn covariance(
+    cells: &TableCells<'_>,
+    names: [&str; 21],
+) -> Result<Option<Matrix6<f64>>, TableError> {
     if names.iter().all(|column| cells.text(column).is_empty()) {
         return Ok(None);
     }
@@ -230,7 +233,7 @@ fn covariance(cells: &Cells<'_>, names: [&str; 21]) -> Result<Option<Matrix6<f64
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::record::read;
+    use crate::table::read;
     use bytemuck::Zeroable;
     use flockeye_contract::Pose;
     use nalgebra::Vector6;

@@ -1,8 +1,4 @@
-//! Poses and truth as CSV.
-
-mod pose;
-mod table;
-mod truth;
+//! CSV files that are being written.
 
 use std::fs::File;
 use std::marker::PhantomData;
@@ -11,17 +7,13 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use serde::Serialize;
 
-pub use pose::{MeasuredPose, PoseRow};
-pub use table::{Cells, Row, TableError, read};
-pub use truth::TruthRow;
-
 /// A row that is written.
 pub trait Recorded: Serialize {
     /// The names of its columns, in the order in which it is serialized.
     fn names() -> Vec<&'static str>;
 }
 
-/// A CSV file of rows `R` that is being written; without a row it has its columns' names.
+/// A CSV file of rows `R` that is being written. Its first line names the columns.
 pub struct Recorder<R> {
     path: PathBuf,
     writer: csv::Writer<File>,
@@ -46,12 +38,12 @@ impl<R: Recorded> Recorder<R> {
     /// Adds a row.
     ///
     /// # Errors
-    /// It cannot be written: a full disk, say.
+    /// It cannot be written; for example the disk is full.
     pub fn add(&mut self, row: &R) -> anyhow::Result<()> {
         self.writer.serialize(row).with_context(|| format!("cannot write {}", self.path.display()))
     }
 
-    /// Brings everything to the file.
+    /// Writes what is still in memory to the file.
     ///
     /// # Errors
     /// As [`Recorder::add`].

@@ -1,45 +1,44 @@
-//! How often each part of the sphere is searched, by what the stages say of their own work.
+//! How often each part of the sphere is searched, from the plans and the detection records.
 //!
-//! A newcomer is found when the part that shows it is searched next. So the longest time between two
-//! searches of one part is how many frames a newcomer inside the detection range may stay unseen.
+//! An untracked target is found when the part of the sphere that shows it is searched next. So the
+//! longest time between two searches of one part bounds how many frames such a target waits.
 
 use std::collections::VecDeque;
 use std::fmt;
 
-use flockeye_contract::{DetectionHeader, Detections, PlannedView, Plans};
+use flockeye_contract::{DetectionHeader, PlannedView};
 use flockeye_geometry::view::View;
 use flockeye_runtime::config::Pipeline;
-use flockeye_runtime::ports::{PortError, Ports, Subscriber};
 use serde::Serialize;
 
-/// Plans that answers may still come to.
+/// Plans that detection records may still refer to.
 const PLANS_KEPT: usize = 64;
 
 /// Frames between two searches of one part of the sphere.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Gaps {
-    /// Parts.
+pub struct SearchGaps {
+    /// How many parts there are.
     pub views: usize,
-    /// Their mean; a part that was not searched twice says nothing here.
+    /// Their mean. A part counts once it was searched twice.
     pub mean_frames: Option<f64>,
-    /// The longest, the ones that still last and those before a part's first search included.
+    /// The longest. It includes gaps that still last, and those before a part's first search.
     pub worst_frames: u64,
 }
 
 /// How often the sphere is searched.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct SweepReport {
-    /// Frames that were looked at.
+    /// Frames from the first search to the newest.
     pub frames: u64,
     /// The partitions.
-    pub partitions: Gaps,
+    pub partitions: SearchGaps,
     /// The far views, where there are any.
-    pub far_views: Option<Gaps>,
+    pub far_views: Option<SearchGaps>,
 }
 
 impl fmt::Display for SweepReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let every = |gaps: &Gaps| {
+        let every = |gaps: &SearchGaps| {
             let mean = gaps.mean_frames.map_or("-".to_owned(), |mean| format!("{mean:.1}"));
             format!("every {mean} frames ({} at most)", gaps.worst_frames)
         };
@@ -54,20 +53,20 @@ impl fmt::Display for SweepReport {
 /// When each part of the sphere was searched.
 #[derive(Debug)]
 pub struct Sweep {
-    /// Partitions; what is numbered behind them are far views.
+    /// How many parts are partitions. Those after them are far views.
     partitions: usize,
-    /// `None` where the camera sees nothing of a part: nobody searches it.
-    parts: Vec<Option<Part>>,
-    /// Of each plan, which part each of its views shows.
+    /// `None` for a part that the camera does not see: it is never searched.
+    parts: Vec<Option<SweptPart>>,
+    /// For each plan, the part that each of its views shows.
     plans: VecDeque<(u64, Vec<u32>)>,
-    /// The source and its epoch; numbers of frames mean nothing across them.
+    /// The source's generation and epoch. Frame numbers are comparable within one epoch only.
     epoch: Option<(u32, u32)>,
     first: Option<u64>,
     newest: u64,
 }
 
 #[derive(Debug, Clone, Copy, Default)]
-struct Part {
+struct SweptPart {
     last: Option<u64>,
     sum: u64,
     gaps: u64,
@@ -75,12 +74,12 @@ struct Part {
 }
 
 impl Sweep {
-    /// Of these partitions and far views: whether the camera sees anything of them.
+    /// Starts with no search. The arguments say which partitions and far views the camera sees.
     pub fn new(partitions: &[bool], far_views: &[bool]) -> Self {
         let parts = partitions.iter().chain(far_views);
         Self {
             partitions: partitions.len(),
-            parts: parts.map(|is_seen| is_seen.then(Part::default)).collect(),
+            parts: parts.map(|is_seen| is_seen.then(SweptPart::default)).collect(),
             plans: VecDeque::new(),
             epoch: None,
             first: None,
@@ -88,11 +87,11 @@ impl Sweep {
         }
     }
 
-    /// Of the sphere that a pipeline watches. `None` where nothing is swept: other searches than gaze
-    /// begin each frame anew.
+    /// Starts with the partitions of a pipeline. `None` unless the search mode is gaze: other modes
+    /// search from the beginning in each frame.
     ///
     /// # Errors
-    /// A configuration that cannot be followed.
+    /// The configuration names files or a partition that cannot be used.
     pub fn of(pipeline: &Pipeline) -> anyhow::Result<Option<Self>> {
         if !pipeline.gazes() {
             return Ok(None);
@@ -105,7 +104,7 @@ impl Sweep {
         Ok(Some(Self::new(&seen(&partitions), &seen(&pipeline.far_views()?))))
     }
 
-    /// A plan was made.
+    /// Notes a plan.
     pub fn plan(&mut self, plan_id: u64, views: &[PlannedView]) {
         let parts = views.iter().map(|view| view.partition).collect();
         self.plans.push_back((plan_id, parts));
@@ -114,7 +113,7 @@ impl Sweep {
         }
     }
 
-    /// A view was searched.
+    /// Notes that a view was searched.
     pub fn searched(&mut self, header: &DetectionHeader) {
         let stamp = &header.stamp;
         let epoch = (stamp.source_generation, stamp.epoch);
@@ -125,14 +124,14 @@ impl Sweep {
         }
         let first = *self.first.get_or_insert(stamp.sequence);
         self.newest = self.newest.max(stamp.sequence);
-        // Fusion's successor counts its plans anew: the newest of that number.
+        // A restarted fusion counts its plans from 1 again: take the newest plan of that number.
         let plan = self.plans.iter().rev().find(|(id, _)| *id == header.plan_id);
         let part = plan
             .and_then(|(_, parts)| parts.get(header.view_index as usize))
             .and_then(|&part| self.parts.get_mut(part as usize)?.as_mut())
             .filter(|_| header.failed == 0);
         let Some(part) = part else { return };
-        // Records of a frame may come behind those of the next.
+        // Records of a frame may come after those of the next frame.
         let Some(gap) = stamp.sequence.checked_sub(part.last.unwrap_or(first)) else { return };
         if part.last.is_some() && gap > 0 {
             (part.sum, part.gaps) = (part.sum.saturating_add(gap), part.gaps + 1);
@@ -141,17 +140,17 @@ impl Sweep {
         part.last = Some(stamp.sequence);
     }
 
-    /// What it came to; `None` before the first record.
+    /// The gaps so far. `None` before the first record.
     pub fn report(&self) -> Option<SweepReport> {
         let first = self.first?;
         let (near, far) = self.parts.split_at(self.partitions);
-        let gaps = |parts: &[Option<Part>]| {
-            let parts: Vec<Part> = parts.iter().copied().flatten().collect();
+        let gaps = |parts: &[Option<SweptPart>]| {
+            let parts: Vec<SweptPart> = parts.iter().copied().flatten().collect();
             let (sum, count) = parts.iter().fold((0u64, 0), |(sum, gaps), part| {
                 (sum.saturating_add(part.sum), gaps + part.gaps)
             });
-            let open = |part: &Part| self.newest - part.last.unwrap_or(first).min(self.newest);
-            Gaps {
+            let open = |part: &SweptPart| self.newest - part.last.unwrap_or(first).min(self.newest);
+            SearchGaps {
                 views: parts.len(),
                 mean_frames: (count > 0).then(|| sum as f64 / count as f64),
                 worst_frames: parts
@@ -166,45 +165,6 @@ impl Sweep {
             partitions: gaps(near),
             far_views: (!far.is_empty()).then(|| gaps(far)),
         })
-    }
-}
-
-/// A [`Sweep`] of a running pipeline.
-pub struct SweepWatch {
-    plans: Subscriber<Plans>,
-    detections: Subscriber<Detections>,
-    sweep: Sweep,
-}
-
-impl SweepWatch {
-    /// Looks on. `None` where nothing is swept.
-    ///
-    /// # Errors
-    /// The topics have no room for another reader; a configuration that cannot be followed.
-    pub fn open(pipeline: &Pipeline, ports: &mut Ports) -> anyhow::Result<Option<Self>> {
-        let Some(sweep) = Sweep::of(pipeline)? else { return Ok(None) };
-        let (plans, detections) = (ports.subscriber()?, ports.subscriber()?);
-        Ok(Some(Self { plans, detections, sweep }))
-    }
-
-    /// Takes in what has come.
-    ///
-    /// # Errors
-    /// The topics cannot be read.
-    pub fn receive(&mut self) -> Result<(), PortError> {
-        // First, for records answer to plans.
-        while let Some(plan) = self.plans.receive()? {
-            self.sweep.plan(plan.header.plan_id, plan.items());
-        }
-        while let Some(record) = self.detections.receive()? {
-            self.sweep.searched(&record.header);
-        }
-        Ok(())
-    }
-
-    /// See [`Sweep::report`].
-    pub fn report(&self) -> Option<SweepReport> {
-        self.sweep.report()
     }
 }
 
@@ -229,23 +189,23 @@ mod tests {
 
     #[test]
     fn gaps_are_those_counted_by_hand() {
-        // What nothing can be seen of is never searched, and no gap.
+        // The camera does not see the third partition: it has no gap.
         let mut sweep = Sweep::new(&[true, true, false], &[true]);
         assert_eq!(sweep.report(), None);
-        // A gaze view first, of no partition; then partition 1, partition 0 and the far view.
+        // A neighbour's view first, which is no part; then partition 1, partition 0, the far view.
         sweep.plan(1, &plan_of(&[u32::MAX, 1, 0, 3]));
         for (sequence, views) in [(10, vec![0, 1, 2]), (11, vec![0, 3]), (14, vec![0, 1])] {
             views.into_iter().for_each(|view| search(&mut sweep, sequence, 1, view));
         }
         search(&mut sweep, 16, 1, 1);
-        // Late, and searched before: it makes no gap.
+        // It comes late, and the part was searched after it: no gap.
         search(&mut sweep, 12, 1, 1);
         let report = sweep.report().expect("there are records");
         assert_eq!(report.frames, 7);
         // Partition 1: 10, 14, 16; partition 0: 10, and not again until 16.
-        let near = Gaps { views: 2, mean_frames: Some(3.0), worst_frames: 6 };
+        let near = SearchGaps { views: 2, mean_frames: Some(3.0), worst_frames: 6 };
         assert_eq!(report.partitions, near);
-        let far = Gaps { views: 1, mean_frames: None, worst_frames: 5 };
+        let far = SearchGaps { views: 1, mean_frames: None, worst_frames: 5 };
         assert_eq!(report.far_views, Some(far));
         assert_eq!(
             report.to_string(),
@@ -254,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn a_part_that_is_searched_late_for_the_first_time_was_not_searched_before() {
+    fn the_wait_for_the_first_search_counts_as_a_gap() {
         let mut sweep = Sweep::new(&[true, true], &[]);
         sweep.plan(1, &plan_of(&[0, 1]));
         for (sequence, view) in [(20, 0), (21, 0), (27, 1), (28, 1), (28, 0)] {
@@ -262,11 +222,15 @@ mod tests {
         }
         let report = sweep.report().expect("there are records");
         assert_eq!(report.partitions.worst_frames, 7);
-        assert_eq!(report.partitions.mean_frames, Some(3.0), "what has no beginning has no length");
+        assert_eq!(
+            report.partitions.mean_frames,
+            Some(3.0),
+            "the first wait has no beginning, so the mean leaves it out"
+        );
     }
 
     #[test]
-    fn what_cannot_be_followed_counts_for_nothing() {
+    fn unknown_plans_and_failed_searches_are_ignored() {
         let mut sweep = Sweep::new(&[true], &[]);
         sweep.plan(1, &plan_of(&[0]));
         search(&mut sweep, 5, 1, 0);
@@ -281,7 +245,7 @@ mod tests {
         sweep.searched(&failed);
         let report = sweep.report().expect("there are records");
         assert_eq!((report.partitions.mean_frames, report.partitions.worst_frames), (None, 4));
-        // The source begins anew: numbers of frames do not go on.
+        // The source restarts: frame numbers begin again.
         let stamp = FrameStamp { epoch: 1, ..FrameStamp::default() };
         sweep.searched(&DetectionHeader { stamp, plan_id: 1, ..DetectionHeader::default() });
         assert_eq!(sweep.report().expect("a record").partitions.worst_frames, 0);

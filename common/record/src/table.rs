@@ -54,9 +54,9 @@ pub enum TableError {
 }
 
 /// A row of a table.
-pub trait Row: Sized {
+pub trait TableRow: Sized {
     /// Columns without which nothing can be said.
-    const NEEDED: &'static [&'static str];
+    const REQUIRED: &'static [&'static str];
     /// What writes a file with these columns.
     const CURE: &'static str;
 
@@ -64,18 +64,18 @@ pub trait Row: Sized {
     ///
     /// # Errors
     /// A cell does not hold what it should.
-    fn parse(cells: &Cells<'_>) -> Result<Self, TableError>;
+    fn parse(cells: &TableCells<'_>) -> Result<Self, TableError>;
 }
 
 /// The cells of a line, by the names of their columns.
-pub struct Cells<'a> {
+pub struct TableCells<'a> {
     path: &'a Path,
     columns: &'a BTreeMap<String, usize>,
     record: &'a StringRecord,
     line: u64,
 }
 
-impl Cells<'_> {
+impl TableCells<'_> {
     /// What a cell holds; empty if there is no such column.
     pub fn text(&self, column: &str) -> &str {
         self.columns.get(column).and_then(|&index| self.record.get(index)).unwrap_or("").trim()
@@ -166,7 +166,7 @@ impl Cells<'_> {
 /// # Errors
 /// The file cannot be read, columns are missing, or a cell is not as it should be: with its line and
 /// column.
-pub fn read<R: Row>(path: &Path) -> Result<Vec<R>, TableError> {
+pub fn read<R: TableRow>(path: &Path) -> Result<Vec<R>, TableError> {
     let unreadable = |error: csv::Error| TableError::Unreadable {
         path: path.to_owned(),
         reason: error.to_string(),
@@ -177,7 +177,7 @@ pub fn read<R: Row>(path: &Path) -> Result<Vec<R>, TableError> {
     let columns: BTreeMap<String, usize> =
         header.iter().map(|name| name.trim().to_owned()).zip(0..).collect();
     let missing: Vec<&'static str> =
-        R::NEEDED.iter().copied().filter(|name| !columns.contains_key(*name)).collect();
+        R::REQUIRED.iter().copied().filter(|name| !columns.contains_key(*name)).collect();
     if !missing.is_empty() {
         return Err(TableError::Columns {
             path: path.to_owned(),
@@ -190,7 +190,7 @@ pub fn read<R: Row>(path: &Path) -> Result<Vec<R>, TableError> {
     for record in reader.records() {
         let record = record.map_err(unreadable)?;
         let line = record.position().map_or(0, csv::Position::line);
-        rows.push(R::parse(&Cells { path, columns: &columns, record: &record, line })?);
+        rows.push(R::parse(&TableCells { path, columns: &columns, record: &record, line })?);
     }
     Ok(rows)
 }
@@ -204,11 +204,11 @@ mod tests {
         n: u64,
     }
 
-    impl Row for Point {
-        const NEEDED: &'static [&'static str] = &["x", "n"];
+    impl TableRow for Point {
+        const REQUIRED: &'static [&'static str] = &["x", "n"];
         const CURE: &'static str = "write both";
 
-        fn parse(cells: &Cells<'_>) -> Result<Self, TableError> {
+        fn parse(cells: &TableCells<'_>) -> Result<Self, TableError> {
             Ok(Self { x: cells.number("x")?, n: cells.count("n")? })
         }
     }

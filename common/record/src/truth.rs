@@ -4,8 +4,8 @@ use flockeye_contract::{BodyTruth, TruthHeader};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use serde::Serialize;
 
-use super::Recorded;
-use super::table::{Cells, Row, TableError};
+use crate::recorder::Recorded;
+use crate::table::{TableCells, TableError, TableRow};
 
 /// A row of the truth: the body's pose in the camera frame. Columns of the reference recordings.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -131,8 +131,8 @@ impl TruthRow {
     }
 }
 
-impl Row for TruthRow {
-    const NEEDED: &'static [&'static str] = &[
+impl TableRow for TruthRow {
+    const REQUIRED: &'static [&'static str] = &[
         "frame",
         "t_s",
         "body",
@@ -149,7 +149,7 @@ impl Row for TruthRow {
     const CURE: &'static str = "record the truth of a simulated flight with flockeye up --truth, or \
                                 write these columns of another one's";
 
-    fn parse(cells: &Cells<'_>) -> Result<Self, TableError> {
+    fn parse(cells: &TableCells<'_>) -> Result<Self, TableError> {
         let known = |column: &str| Ok(cells.maybe_number(column)?.unwrap_or(0.0));
         let [x, y, z] = [cells.number("x")?, cells.number("y")?, cells.number("z")?];
         let orientation = cells.rotation(["qx", "qy", "qz", "qw"])?;
@@ -189,7 +189,7 @@ impl Row for TruthRow {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::record::read;
+    use crate::table::read;
     use bytemuck::Zeroable;
 
     #[test]

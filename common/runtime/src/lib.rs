@@ -17,10 +17,13 @@
 //! | [`health`] | counters and latency quantiles |
 //! | [`network`] | what goes over Zenoh |
 //! | [`background`] | threads for work that nobody waits for |
+//! | [`scheduling`] | the scheduling policy of a thread |
+//! | [`backoff`] | waits between attempts |
 //! | [`clock`] | CLOCK_MONOTONIC |
 //! | [`logs`] | structured logs, and warnings that are not repeated on every frame |
 
 pub mod background;
+pub mod backoff;
 pub mod bodies;
 pub mod camera;
 pub mod clock;
@@ -33,6 +36,7 @@ pub mod memory;
 pub mod network;
 pub mod onlooker;
 pub mod ports;
+pub mod scheduling;
 pub mod sphere;
 pub mod stage;
 mod swarm;

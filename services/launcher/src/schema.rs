@@ -1,6 +1,6 @@
 //! `flockeye schema`: the JSON Schema of pipeline.yaml, for editors.
 
-use crate::screen::Screen;
+use flockeye_cli::Screen;
 
 /// Prints it.
 ///

@@ -1,55 +1,44 @@
 //! `flockeye calibrate body`: where a body's markers really are, from a recording of it.
 
 use std::collections::BTreeMap;
+use std::ffi::OsString;
+use std::path::PathBuf;
 
 use anyhow::Context;
-use flockeye_contract::{DetectedMarker, DetectionHeader};
+use clap::Args;
+use flockeye_cli::text_table::TextTable;
+use flockeye_cli::{Configuration, Screen, signals};
 use flockeye_geometry::body::Bodies;
 use flockeye_geometry::calibration::{
     BodyCalibration, CalibratedMarker, CalibrationOptions, calibrate,
 };
 use flockeye_geometry::pose::CornerRay;
+use flockeye_record::{MarkerRays, read};
 use nalgebra::{Unit, Vector3};
 use serde_json::{Value, json};
 
-use crate::cli::{CalibrateBody, Configuration};
-use crate::screen::Screen;
-use crate::up::{self, Errand};
+use crate::up_process;
 
-/// The rays of every frame of a run, as detection gave them.
-#[derive(Debug, Clone, Default)]
-pub struct SeenRays {
-    /// By epoch and number of the frame.
-    frames: BTreeMap<(u64, u64), Vec<CornerRay>>,
+/// Arguments of `calibrate body`.
+#[derive(Debug, Args)]
+pub struct CalibrateBodyArguments {
+    /// Which configuration: the camera, the bodies as designed, and what is recorded of them.
+    #[command(flatten)]
+    pub configuration: Configuration,
+    /// The bodies as they are found: a JSON file for --bodies.
+    #[arg(long, value_name = "FILE.json")]
+    pub out: PathBuf,
 }
 
-impl SeenRays {
-    /// Adds what was found in one view.
-    pub fn add(&mut self, header: &DetectionHeader, markers: &[DetectedMarker]) {
-        if markers.is_empty() {
-            return;
-        }
-        let key = (u64::from(header.stamp.epoch), header.stamp.sequence);
-        let rays = self.frames.entry(key).or_default();
-        for marker in markers {
-            rays.extend((0..4).map(|corner| CornerRay {
-                marker_id: marker.id,
-                corner,
-                ray_in_camera: Unit::new_normalize(Vector3::from(marker.rays_in_camera[corner])),
-                deviation_rad: marker.deviations[corner],
-            }));
-        }
-    }
-}
-
-/// Flies the recording without loss, refines the bodies that are seen in it, and writes them.
+/// Runs the recording lossless, refines the bodies that are seen in it, and writes them.
 ///
 /// # Errors
-/// As `flockeye up`; a body seen too seldom, with what is missing; or a file that cannot be written.
-pub fn run(arguments: &CalibrateBody) -> anyhow::Result<()> {
+/// `flockeye up` fails, no body is seen often enough (with what is missing), or the file cannot be
+/// written.
+pub fn run(arguments: &CalibrateBodyArguments) -> anyhow::Result<()> {
     let path = &arguments.out;
     let mut configuration = arguments.configuration.clone();
-    // Every frame is worked on, and nobody is told.
+    // Every frame is processed, and nothing goes over the network.
     let instance = format!("calibrate-{}", std::process::id());
     configuration.set.extend([
         "flow=lossless".to_owned(),
@@ -57,31 +46,33 @@ pub fn run(arguments: &CalibrateBody) -> anyhow::Result<()> {
         format!("instance={instance}"),
     ]);
     let bodies = configuration.load()?.bodies()?;
-    // Said before the work, not after it.
+    // First, so that an unwritable file is reported before the work.
     let is_new = !path.exists();
     let file = std::fs::OpenOptions::new().create(true).append(true).open(path);
     file.with_context(|| format!("cannot write {}", path.display()))?;
-    let outcome = find(configuration, &bodies).and_then(|found| {
+    let outcome = find(&configuration, &bodies).and_then(|found| {
         let text = serde_json::to_string_pretty(&document(&bodies, &found)?)? + "\n";
         std::fs::write(path, text).with_context(|| format!("cannot write {}", path.display()))
     });
     match &outcome {
         Ok(()) => Screen::new().line(&format!("written to {}", path.display())),
-        // Nobody takes an empty file for bodies.
+        // An empty file is no bodies file.
         Err(_) if is_new => drop(std::fs::remove_file(path)),
         Err(_) => {}
     }
     outcome
 }
 
-/// Flies, and finds the bodies that are seen.
-fn find(configuration: Configuration, bodies: &Bodies) -> anyhow::Result<Vec<BodyCalibration>> {
-    let pipeline = configuration.load()?;
-    let errand = Errand { keeps_rays: true, ..Errand::default() };
+/// Runs the recording, and calibrates the bodies that are seen in it.
+fn find(configuration: &Configuration, bodies: &Bodies) -> anyhow::Result<Vec<BodyCalibration>> {
     let mut screen = Screen::new();
-    let stopping = up::stopped_by_signals()?;
-    let flown = up::fly(&pipeline, &errand, &mut screen, &stopping)?;
-    let frames: Vec<Vec<CornerRay>> = flown.rays.frames.into_values().collect();
+    let stopping = signals::stop_flag()?;
+    let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
+    let file = folder.path().join("rays.csv");
+    let mut arguments: Vec<OsString> = vec!["--rays".into(), (&file).into()];
+    arguments.extend(configuration.to_arguments(&[], &[]));
+    up_process::run_visibly(&arguments, &stopping)?;
+    let frames = by_frame(&read(&file)?);
     let (mut found, mut refused) = (Vec::new(), None);
     for body in bodies.iter() {
         let is_seen = |ray: &CornerRay| body.marker(ray.marker_id).is_some();
@@ -91,10 +82,10 @@ fn find(configuration: Configuration, bodies: &Bodies) -> anyhow::Result<Vec<Bod
         }
         match calibrate(body, &frames, &CalibrationOptions::default()) {
             Ok(calibration) => {
-                screen.line(table(&calibration).trim_end());
+                screen.line(&table(&calibration));
                 found.push(calibration);
             }
-            // One that flies by in the background keeps nobody from calibrating the other.
+            // A body in the background must not prevent the calibration of another one.
             Err(error) => {
                 screen.line(&format!("body '{}' stays as designed: {error}", body.name));
                 refused = refused.or(Some(error));
@@ -108,27 +99,44 @@ fn find(configuration: Configuration, bodies: &Bodies) -> anyhow::Result<Vec<Bod
     }
 }
 
-/// What was found, for people.
-fn table(calibration: &BodyCalibration) -> String {
-    let body = &calibration.body;
-    let mut text = format!(
-        "body '{}': {} frames, errors of {:.2} stated deviations\n\
-         marker   shift mm          turn deg          frames\n",
-        body.name, calibration.frames, calibration.scatter
-    );
-    for found in &calibration.markers {
-        text += &format!(
-            "{:>6}   {:>6.2} +- {:<6.2}  {:>6.2} +- {:<6.2}  {:>6}\n",
-            found.marker.id,
-            found.shift_m.norm() * 1e3,
-            found.shift_deviation_m() * 1e3,
-            found.turn_rad.norm().to_degrees(),
-            found.turn_deviation_rad().to_degrees(),
-            found.frames,
-        );
+/// The rays of each frame.
+fn by_frame(rows: &[MarkerRays]) -> Vec<Vec<CornerRay>> {
+    let mut frames: BTreeMap<(u32, u64), Vec<CornerRay>> = BTreeMap::new();
+    for row in rows {
+        let rays = frames.entry((row.epoch, row.frame)).or_default();
+        rays.extend((0..4).map(|corner| CornerRay {
+            marker_id: row.marker,
+            corner,
+            ray_in_camera: Unit::new_normalize(Vector3::from(row.rays_in_camera[corner])),
+            deviation_rad: row.deviations_rad[corner],
+        }));
     }
+    frames.into_values().collect()
+}
+
+/// The calibration as text.
+fn table(calibration: &BodyCalibration) -> String {
+    let titles = ["marker", "shift mm", "+-", "turn deg", "+-", "frames"];
+    let mut table = TextTable::new(0, &titles);
+    for found in &calibration.markers {
+        table.row([
+            found.marker.id.to_string(),
+            format!("{:.2}", found.shift_m.norm() * 1e3),
+            format!("{:.2}", found.shift_deviation_m() * 1e3),
+            format!("{:.2}", found.turn_rad.norm().to_degrees()),
+            format!("{:.2}", found.turn_deviation_rad().to_degrees()),
+            found.frames.to_string(),
+        ]);
+    }
+    let mut text = format!(
+        "body '{}': {} frames, errors of {:.2} stated standard deviations\n{}",
+        calibration.body.name,
+        calibration.frames,
+        calibration.scatter,
+        table.text()
+    );
     for (id, frames) in &calibration.left {
-        text += &format!("{id:>6}   seen too seldom: it stays as designed  {frames:>2}\n");
+        text += &format!("\nmarker {id} was seen in {frames} frames only: it stays as designed");
     }
     text
 }

@@ -1,5 +1,5 @@
 //! Poses against the truth: how many of the localisable bodies were measured, how well, how soon,
-//! and whether errors are as large as they say.
+//! and whether errors are as large as their covariances say.
 //!
 //! | module | what it does |
 //! | --- | --- |
@@ -9,23 +9,20 @@
 
 pub mod consistency;
 pub mod error;
+#[cfg(test)]
+pub(crate) mod samples;
 pub mod statistics;
 mod text;
 
 use std::collections::BTreeMap;
 
-use anyhow::ensure;
 use flockeye_contract::{MeasuredBy, TrackState};
-use nalgebra::Matrix6;
+use flockeye_geometry::statistics::{median, quantile};
+use flockeye_record::{PoseRow, TruthRow};
 use serde::Serialize;
 
-use crate::cli::Eval;
-use crate::record::{self, PoseRow, TruthRow};
-use crate::report;
-use crate::screen::Screen;
 use consistency::{Consistency, in_series};
-use error::{Errors, PoseError};
-use statistics::{median, quantile};
+use error::{ErrorSample, Errors, PoseOffset};
 
 /// Ranges of distance, metres; then the range of the paper, the one beyond it, and everything.
 const RANGES_M: [(f64, Option<f64>); 8] = [
@@ -44,7 +41,7 @@ pub const FALSE_M: f64 = 0.1;
 /// The same of its rotation, degrees.
 pub const FALSE_DEG: f64 = 10.0;
 
-/// What came out in one range of distances.
+/// The results in one range of distances.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Bin {
     /// From this distance, metres.
@@ -70,21 +67,21 @@ pub struct Sources {
     pub aligned: usize,
 }
 
-/// Poses that were predicted only.
+/// Poses that were only predicted.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Coasted {
     /// How many.
     pub count: usize,
-    /// Their errors, where the body is there; `None` if it never is.
+    /// Their errors, where the truth has the body. `None` if it never has.
     pub errors: Option<Errors>,
 }
 
-/// A measurement that is no measurement of its body.
+/// A measurement that is too wrong, or of a body that is not there.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FalsePose {
     /// The frame.
     pub frame: u64,
-    /// Whose pose it should be.
+    /// The body that was reported.
     pub target: String,
     /// How far off it is, metres; `None`: the body is not there.
     pub position_m: Option<f64>,
@@ -95,11 +92,11 @@ pub struct FalsePose {
 /// Exposure (in a lossless run: frame published) to pose published, milliseconds, of measured poses.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Latency {
-    /// Half are sooner.
+    /// Half of the poses are sooner.
     pub median_ms: f64,
-    /// 95 % are sooner.
+    /// 95 % of the poses are sooner.
     pub p95_ms: f64,
-    /// 99 % are sooner.
+    /// 99 % of the poses are sooner.
     pub p99_ms: f64,
 }
 
@@ -114,7 +111,7 @@ pub struct Covariances {
     pub coasted: Option<Consistency>,
 }
 
-/// What came out.
+/// The results.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Evaluation {
     /// By distance; the last is everything.
@@ -135,17 +132,17 @@ pub struct Evaluation {
     pub nees: Covariances,
 }
 
-/// Frames and bodies, in their order.
-type Key<'a> = (&'a str, u64);
+/// A body and a frame.
+type BodyFrame<'a> = (&'a str, u64);
 
-fn by_key<'a>(poses: Vec<&'a PoseRow>) -> BTreeMap<Key<'a>, &'a PoseRow> {
+fn by_key<'a>(poses: Vec<&'a PoseRow>) -> BTreeMap<BodyFrame<'a>, &'a PoseRow> {
     poses.into_iter().map(|pose| ((pose.target.as_str(), pose.frame), pose)).collect()
 }
 
 impl Evaluation {
     /// Compares poses with the truth, row by row of frame and body.
     pub fn of(poses: &[PoseRow], truth: &[TruthRow]) -> Self {
-        let truths: BTreeMap<Key<'_>, &TruthRow> =
+        let truths: BTreeMap<BodyFrame<'_>, &TruthRow> =
             truth.iter().map(|row| ((row.body.as_str(), row.frame), row)).collect();
         let (measured, predicted): (Vec<_>, Vec<_>) =
             poses.iter().partition(|pose| pose.is_measured());
@@ -158,7 +155,8 @@ impl Evaluation {
             .collect();
         let mut latencies: Vec<f64> = measured.values().map(|pose| pose.latency_ms).collect();
         latencies.sort_by(f64::total_cmp);
-        let known = |(key, pose): (&Key<'_>, &&PoseRow)| Some(published(pose, truths.get(key)?));
+        let known =
+            |(key, pose): (&BodyFrame<'_>, &&PoseRow)| Some(published(pose, truths.get(key)?));
         let coasted: Vec<_> = predicted.iter().filter_map(known).collect();
         Self {
             bins,
@@ -172,9 +170,9 @@ impl Evaluation {
             false_at,
             latency: Latency::of(&latencies),
             nees: Covariances {
-                measurements: Consistency::of(&series(&measured, &truths, of_measurement)),
-                tracks: Consistency::of(&series(&measured, &truths, of_track)),
-                coasted: Consistency::of(&series(&predicted, &truths, of_track)),
+                measurements: Consistency::of(&series(&measured, &truths, measurement_sample)),
+                tracks: Consistency::of(&series(&measured, &truths, track_sample)),
+                coasted: Consistency::of(&series(&predicted, &truths, track_sample)),
             },
         }
     }
@@ -198,8 +196,8 @@ impl Evaluation {
 impl Bin {
     fn of(
         (from_m, to_m): (f64, Option<f64>),
-        measured: &BTreeMap<Key<'_>, &PoseRow>,
-        truths: &BTreeMap<Key<'_>, &TruthRow>,
+        measured: &BTreeMap<BodyFrame<'_>, &PoseRow>,
+        truths: &BTreeMap<BodyFrame<'_>, &TruthRow>,
     ) -> Self {
         let inside = |row: &TruthRow| row.dist_m >= from_m && to_m.is_none_or(|to| row.dist_m < to);
         let eligible: Vec<_> =
@@ -231,12 +229,12 @@ impl FalsePose {
         let error =
             truth.map(|truth| measurement(pose, truth).unwrap_or_else(|| published(pose, truth)));
         let is_right =
-            |error: &PoseError| error.position_m() <= FALSE_M && error.rotation_deg() <= FALSE_DEG;
+            |error: &PoseOffset| error.position_m() <= FALSE_M && error.rotation_deg() <= FALSE_DEG;
         (!error.as_ref().is_some_and(is_right)).then(|| Self {
             frame: pose.frame,
             target: pose.target.clone(),
-            position_m: error.as_ref().map(PoseError::position_m),
-            rotation_deg: error.as_ref().map(PoseError::rotation_deg),
+            position_m: error.as_ref().map(PoseOffset::position_m),
+            rotation_deg: error.as_ref().map(PoseOffset::rotation_deg),
         })
     }
 }
@@ -251,151 +249,46 @@ impl Latency {
     }
 }
 
-/// Whether a body can be asked for: localisable, with two markers wholly visible.
+/// Whether a body counts as eligible: localisable, with two markers wholly visible.
 pub fn is_eligible(truth: &TruthRow) -> bool {
     truth.localisable == 1 && truth.n_markers_vis90 >= 2
 }
 
 /// The error of the published pose.
-pub fn published(pose: &PoseRow, truth: &TruthRow) -> PoseError {
-    PoseError::of(&pose.position, &pose.orientation, truth)
+pub fn published(pose: &PoseRow, truth: &TruthRow) -> PoseOffset {
+    PoseOffset::of(&pose.position, &pose.orientation, truth)
 }
 
 /// The error of the frame's own measurement, where it was recorded.
-pub fn measurement(pose: &PoseRow, truth: &TruthRow) -> Option<PoseError> {
+pub fn measurement(pose: &PoseRow, truth: &TruthRow) -> Option<PoseOffset> {
     let measured = pose.measured.as_ref()?;
-    Some(PoseError::of(&measured.position, &measured.orientation, truth))
+    Some(PoseOffset::of(&measured.position, &measured.orientation, truth))
 }
 
-/// An error with its covariance.
-type Sample = (PoseError, Matrix6<f64>);
-
-/// Of the frame's own measurement.
-pub fn of_measurement(pose: &PoseRow, truth: &TruthRow) -> Option<Sample> {
+/// The error and the covariance of the frame's own measurement.
+pub fn measurement_sample(pose: &PoseRow, truth: &TruthRow) -> Option<ErrorSample> {
     Some((measurement(pose, truth)?, pose.measured.as_ref()?.covariance?))
 }
 
-/// Of the track, where there is a filter.
-pub fn of_track(pose: &PoseRow, truth: &TruthRow) -> Option<Sample> {
+/// The error and the covariance of the track. `None` without a filter.
+pub fn track_sample(pose: &PoseRow, truth: &TruthRow) -> Option<ErrorSample> {
     let has_filter = pose.state != TrackState::Measured;
     Some((published(pose, truth), pose.covariance.filter(|_| has_filter)?))
 }
 
-/// Samples of each body, in series of neighbouring frames.
+/// The samples of each body, cut into series of consecutive frames.
 fn series(
-    poses: &BTreeMap<Key<'_>, &PoseRow>,
-    truths: &BTreeMap<Key<'_>, &TruthRow>,
-    sample: fn(&PoseRow, &TruthRow) -> Option<Sample>,
-) -> Vec<Vec<Sample>> {
-    let mut bodies: BTreeMap<&str, Vec<(u64, Sample)>> = BTreeMap::new();
+    poses: &BTreeMap<BodyFrame<'_>, &PoseRow>,
+    truths: &BTreeMap<BodyFrame<'_>, &TruthRow>,
+    sample: fn(&PoseRow, &TruthRow) -> Option<ErrorSample>,
+) -> Vec<Vec<ErrorSample>> {
+    let mut bodies: BTreeMap<&str, Vec<(u64, ErrorSample)>> = BTreeMap::new();
     for (key, pose) in poses {
         if let Some(sample) = truths.get(key).and_then(|truth| sample(pose, truth)) {
             bodies.entry(key.0).or_default().push((key.1, sample));
         }
     }
     bodies.into_values().flat_map(in_series).collect()
-}
-
-/// `flockeye eval`.
-///
-/// # Errors
-/// A file cannot be read or is not as it should be, the two have nothing to do with each other, or
-/// the report cannot be written.
-pub fn run(arguments: &Eval) -> anyhow::Result<()> {
-    let poses: Vec<PoseRow> = record::read(&arguments.poses)?;
-    let truth: Vec<TruthRow> = record::read(&arguments.truth)?;
-    let [poses_file, truth_file] = [&arguments.poses, &arguments.truth].map(|path| path.display());
-    ensure!(
-        !truth.is_empty(),
-        "{truth_file} says nothing of any frame: there is nothing to compare with. Cure: give the \
-         truth of the same flight; only a simulated one writes it (flockeye up --truth), a camera \
-         or a recording has none of its own"
-    );
-    let frames = |numbers: Vec<u64>| {
-        let (first, last) = (numbers.iter().min(), numbers.iter().max());
-        format!("{} to {}", first.unwrap_or(&0), last.unwrap_or(&0))
-    };
-    let known: std::collections::BTreeSet<u64> = truth.iter().map(|row| row.frame).collect();
-    ensure!(
-        poses.is_empty() || poses.iter().any(|pose| known.contains(&pose.frame)),
-        "{poses_file} (frames {}) and {truth_file} (frames {}) share no frame. Cure: give poses \
-         and truth of the same flight",
-        frames(poses.iter().map(|pose| pose.frame).collect()),
-        frames(truth.iter().map(|row| row.frame).collect()),
-    );
-    let evaluation = Evaluation::of(&poses, &truth);
-    let mut screen = Screen::new();
-    if arguments.json {
-        screen.line(&serde_json::to_string(&evaluation)?);
-    } else {
-        screen.line(&evaluation.to_string());
-    }
-    if let Some(folder) = &arguments.report {
-        let source = format!("{poses_file} against {truth_file}");
-        let file = report::write(folder, &source, &evaluation, &poses, &truth)?;
-        if !arguments.json {
-            screen.line(&format!("the report is {}", file.display()));
-        }
-    }
-    Ok(())
-}
-
-#[cfg(test)]
-pub(crate) mod samples {
-    //! Rows for tests.
-
-    use super::*;
-    use crate::record::MeasuredPose;
-    use nalgebra::{UnitQuaternion, Vector3};
-
-    /// A pose of alpha, upright.
-    pub(crate) fn pose_at(frame: u64, position: Vector3<f64>, state: TrackState) -> PoseRow {
-        let orientation = UnitQuaternion::identity();
-        let is_measured = !matches!(state, TrackState::Coasting | TrackState::Lost);
-        let covariance = Some(Matrix6::identity() * 1e-4);
-        PoseRow {
-            frame,
-            stamp_s: frame as f64 / 30.0,
-            target: "alpha".into(),
-            position,
-            orientation,
-            state,
-            markers: 2,
-            measured_by: if is_measured { MeasuredBy::Decoded } else { MeasuredBy::Nothing },
-            measured: is_measured.then_some(MeasuredPose { position, orientation, covariance }),
-            covariance,
-            latency_ms: frame as f64,
-        }
-    }
-
-    /// The truth of alpha, upright, with three markers to be seen.
-    pub(crate) fn truth_at(frame: u64, position: Vector3<f64>) -> TruthRow {
-        TruthRow {
-            frame,
-            t_s: frame as f64 / 30.0,
-            body: "alpha".into(),
-            x: position.x,
-            y: position.y,
-            z: position.z,
-            qw: 1.0,
-            qx: 0.0,
-            qy: 0.0,
-            qz: 0.0,
-            dist_m: position.norm(),
-            az_deg: 0.0,
-            el_deg: 0.0,
-            n_markers_vis50: 3,
-            n_markers_vis90: 3,
-            best_side_px: 20.0,
-            blur_px: 0.0,
-            env: "test".into(),
-            observer_yaw_deg: 0.0,
-            ev: 0.0,
-            iso: 0,
-            exposure_s: 0.0,
-            localisable: 1,
-        }
-    }
 }
 
 #[cfg(test)]

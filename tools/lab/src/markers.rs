@@ -9,20 +9,36 @@ mod svg;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
+use clap::Args;
+use flockeye_cli::{Configuration, Screen};
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::body::Body;
 
-use crate::cli::Markers;
-use crate::screen::Screen;
-use page::Page;
-pub use page::Paper;
+use page::{Page, Paper};
+
+/// Arguments of `markers`.
+#[derive(Debug, Args)]
+pub struct MarkersArguments {
+    /// Which configuration: the bodies and their dictionary are taken from it.
+    #[command(flatten)]
+    pub configuration: Configuration,
+    /// Whose facets.
+    #[arg(long, value_name = "NAME")]
+    pub body: String,
+    /// The sheets: one PDF, or an SVG for each sheet.
+    #[arg(long, value_name = "FILE.pdf|.svg")]
+    pub out: PathBuf,
+    /// Size of the sheets.
+    #[arg(long, default_value = "a4")]
+    pub paper: Paper,
+}
 
 /// Writes the sheets.
 ///
 /// # Errors
 /// A wrong configuration, an unknown body, a facet larger than the paper, or a file that cannot be
 /// written.
-pub fn run(arguments: &Markers) -> anyhow::Result<()> {
+pub fn run(arguments: &MarkersArguments) -> anyhow::Result<()> {
     let bodies = arguments.configuration.load()?.bodies()?;
     let dictionary = Dictionary::of(&bodies)?;
     let body = bodies.iter().find(|body| body.name == arguments.body).with_context(|| {

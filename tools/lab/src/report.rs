@@ -2,19 +2,19 @@
 //! is fetched.
 
 mod chart;
-mod flight;
+mod flight_path;
 mod page;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
+use flockeye_record::{PoseRow, TruthRow};
 use nalgebra::Vector3;
 
 use crate::evaluation::{Evaluation, measurement, published};
-use crate::record::{PoseRow, TruthRow};
-use chart::{Axis, Chart, Mark, Series};
-use flight::Ways;
+use chart::{Axis, Chart, ChartSeries, Mark};
+use flight_path::FlightPath;
 
 /// Dots and corners of lines in a figure are thinned to about so many.
 const MOST_POINTS: usize = 2_000;
@@ -32,8 +32,10 @@ pub fn write(
     truth: &[TruthRow],
 ) -> anyhow::Result<PathBuf> {
     let bodies: BTreeSet<&str> = truth.iter().map(|row| row.body.as_str()).collect();
-    let figures: Vec<_> =
-        bodies.into_iter().map(|body| (body, figures(&Story::of(body, poses, truth)))).collect();
+    let figures: Vec<_> = bodies
+        .into_iter()
+        .map(|body| (body, figures(&BodyHihistory::of(body, poses, truth))))
+        .collect();
     let file = folder.join("index.html");
     std::fs::create_dir_all(folder)
         .with_context(|| format!("cannot make the folder {}", folder.display()))?;
@@ -42,8 +44,8 @@ pub fn write(
     Ok(file)
 }
 
-/// What happened to a body, frame by frame.
-struct Story<'a> {
+/// The truth and the poses of one body, frame by frame.
+struct BodyHihistory<'a> {
     body: &'a str,
     truth: Vec<&'a TruthRow>,
     /// Measured, with the truth where it is known.
@@ -51,7 +53,7 @@ struct Story<'a> {
     coasted: Vec<&'a PoseRow>,
 }
 
-impl<'a> Story<'a> {
+impl<'a> BodyHihistory<'a> {
     fn of(body: &'a str, poses: &'a [PoseRow], truth: &'a [TruthRow]) -> Self {
         let mut truth: Vec<_> = truth.iter().filter(|row| row.body == body).collect();
         truth.sort_by_key(|row| row.frame);
@@ -67,13 +69,13 @@ impl<'a> Story<'a> {
     }
 
     /// A number of each row over time: the truth as a line, what was measured and predicted as dots.
-    fn over_time(&self, number: impl Fn(&Vector3<f64>) -> f64) -> Vec<Series> {
+    fn over_time(&self, number: impl Fn(&Vector3<f64>) -> f64) -> Vec<ChartSeries> {
         let truth = thinned(&self.truth, |row| row.frame, |row| (row.t_s, number(&row.position())));
         let point = |pose: &PoseRow| (pose.stamp_s, number(&pose.position));
         let coasted: Vec<_> = self.coasted.iter().map(|pose| point(pose)).collect();
         let measured: Vec<_> = self.measured.iter().map(|(pose, _)| point(pose)).collect();
         vec![
-            Series { name: "truth", class: "truth", mark: Mark::Line, pieces: truth },
+            ChartSeries { name: "truth", class: "truth", mark: Mark::Line, pieces: truth },
             dots("predicted only", "coast", &coasted),
             dots("measured", "pose", &measured),
         ]
@@ -81,18 +83,18 @@ impl<'a> Story<'a> {
 }
 
 /// A dot for each point.
-fn dots(name: &'static str, class: &'static str, points: &[(f64, f64)]) -> Series {
+fn dots(name: &'static str, class: &'static str, points: &[(f64, f64)]) -> ChartSeries {
     let pieces = if points.is_empty() { Vec::new() } else { vec![every(points)] };
-    Series { name, class, mark: Mark::Dots, pieces }
+    ChartSeries { name, class, mark: Mark::Dots, pieces }
 }
 
 /// The drawings of a body, with their captions.
-fn figures(story: &Story<'_>) -> Vec<(String, String)> {
-    let time = |series: &[Series]| Axis::even(numbers(series, |point| point.0), 0.1);
+fn figures(history: &BodyHihistory<'_>) -> Vec<(String, String)> {
+    let time = |series: &[ChartSeries]| Axis::even(numbers(series, |point| point.0), 0.1);
     let over_time = |what: &str, height: f64, number: fn(&Vector3<f64>) -> f64| {
-        let series = story.over_time(number);
+        let series = history.over_time(number);
         Chart {
-            title: format!("{what} of {} over time", story.body),
+            title: format!("{what} of {} over time", history.body),
             x: (time(&series), "time, s"),
             y: (Axis::even(numbers(&series, |point| point.1), 0.1), format!("{what}, m")),
             height,
@@ -108,9 +110,9 @@ fn figures(story: &Story<'_>) -> Vec<(String, String)> {
         };
         over_time(name, 230.0, number)
     });
-    let ways = Ways {
-        truth: thinned(&story.truth, |row| row.frame, |row| row.position()),
-        measured: thinned(&story.measured, |(pose, _)| pose.frame, |(pose, _)| pose.position),
+    let path = FlightPath {
+        truth: thinned(&history.truth, |row| row.frame, |row| row.position()),
+        measured: thinned(&history.measured, |(pose, _)| pose.frame, |(pose, _)| pose.position),
     };
     vec![
         (
@@ -124,22 +126,22 @@ fn figures(story: &Story<'_>) -> Vec<(String, String)> {
             "Position along each axis of the observer: x forward, y left, z up.".to_owned(),
         ),
         (
-            flight::draw(story.body, &ways),
+            flight_path::draw(history.body, &path),
             "Flight path relative to the observer, who is where the axes meet (the paper: 3D flight \
              path relative to the observing drone)."
                 .to_owned(),
         ),
         (
-            error_against_distance(story),
+            error_against_distance(history),
             "Position error of measured frames against the true distance.".to_owned(),
         ),
     ]
 }
 
-fn error_against_distance(story: &Story<'_>) -> String {
+fn error_against_distance(history: &BodyHihistory<'_>) -> String {
     let mut of_frames = Vec::new();
     let mut of_tracks = Vec::new();
-    for (pose, truth) in &story.measured {
+    for (pose, truth) in &history.measured {
         let Some(truth) = truth else { continue };
         of_tracks.push((truth.dist_m, published(pose, truth).position_m() * 1e3));
         of_frames
@@ -150,7 +152,7 @@ fn error_against_distance(story: &Story<'_>) -> String {
         dots("published pose", "pose", &of_tracks),
     ];
     Chart {
-        title: format!("Position error of {} against distance", story.body),
+        title: format!("Position error of {} against distance", history.body),
         x: (Axis::even(numbers(&series, |point| point.0), 0.2), "true distance, m"),
         y: (Axis::decades(numbers(&series, |point| point.1)), "position error, mm".to_owned()),
         height: 340.0,
@@ -160,18 +162,18 @@ fn error_against_distance(story: &Story<'_>) -> String {
 }
 
 fn numbers(
-    series: &[Series],
+    series: &[ChartSeries],
     number: fn(&(f64, f64)) -> f64,
 ) -> impl Iterator<Item = f64> + use<'_> {
     series.iter().flat_map(|series| &series.pieces).flatten().map(number)
 }
 
-/// One of each few, so that no more than about [`MOST_POINTS`] are left.
+/// Every n-th point, so that about [`MOST_POINTS`] are left.
 fn every<T: Copy>(points: &[T]) -> Vec<T> {
     points.iter().step_by(points.len() / MOST_POINTS + 1).copied().collect()
 }
 
-/// What rows say, in pieces of neighbouring frames, thinned.
+/// Points of the rows, thinned, in pieces of consecutive frames.
 fn thinned<R, T>(rows: &[R], frame: impl Fn(&R) -> u64, point: impl Fn(&R) -> T) -> Vec<Vec<T>> {
     let step = rows.len() / MOST_POINTS + 1;
     rows.chunk_by(|one, next| frame(one) + 1 == frame(next))

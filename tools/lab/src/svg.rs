@@ -57,18 +57,7 @@ impl Svg {
     }
 }
 
-/// A text that may hold anything, for HTML and SVG.
+/// A text with its special characters escaped, for HTML and SVG.
 pub(crate) fn escaped(text: &str) -> String {
-    let mut safe = String::with_capacity(text.len());
-    for letter in text.chars() {
-        match letter {
-            '&' => safe += "&amp;",
-            '<' => safe += "&lt;",
-            '>' => safe += "&gt;",
-            '"' => safe += "&quot;",
-            '\'' => safe += "&#39;",
-            letter => safe.push(letter),
-        }
-    }
-    safe
+    maud::html!((text)).into_string()
 }

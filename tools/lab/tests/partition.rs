@@ -7,12 +7,16 @@ use std::process::{Command, Output, Stdio};
 
 use serde_json::Value;
 
-fn flockeye(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_flockeye")).arg("partition").args(arguments).output().unwrap()
+fn flockeye_lab(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_flockeye-lab"))
+        .arg("partition")
+        .args(arguments)
+        .output()
+        .unwrap()
 }
 
 fn printed(arguments: &[&str]) -> String {
-    let output = flockeye(arguments);
+    let output = flockeye_lab(arguments);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8(output.stdout).unwrap()
 }
@@ -76,7 +80,7 @@ fn wrong_arguments_are_refused_with_the_cure() {
         (["--margin", "nan"], "must be 0 or more"),
         (["--svg", "/nowhere/figure.svg"], "cannot write /nowhere/figure.svg"),
     ] {
-        let output = flockeye(&arguments);
+        let output = flockeye_lab(&arguments);
         let message = String::from_utf8_lossy(&output.stderr).into_owned();
         assert!(!output.status.success() && message.contains(wanted), "{arguments:?}: {message}");
     }
@@ -84,7 +88,7 @@ fn wrong_arguments_are_refused_with_the_cure() {
 
 #[test]
 fn a_closed_pipe_is_no_panic() {
-    let mut child = Command::new(env!("CARGO_BIN_EXE_flockeye"))
+    let mut child = Command::new(env!("CARGO_BIN_EXE_flockeye-lab"))
         .args(["partition", "--json"])
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())

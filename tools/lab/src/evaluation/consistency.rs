@@ -1,25 +1,26 @@
 //! Whether errors are as large as their covariances say.
 
 use flockeye_geometry::filter::chi_square_quantile;
+use flockeye_geometry::statistics::{mean, median};
 use nalgebra::{Matrix3, Matrix6, Vector3};
 use serde::Serialize;
 
-use super::error::PoseError;
-use super::statistics::{effective_samples, effective_samples_of_runs, mean, median};
+use super::error::{ErrorSample, PoseOffset};
+use super::statistics::{effective_samples, effective_samples_of_runs};
 
 /// Degrees of freedom of a position and of a rotation.
 const DEGREES: f64 = 3.0;
 
-/// What the errors say of the covariances.
+/// Whether errors are as large as their covariances say.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Verdict {
+pub enum NeesVerdict {
     /// The mean lies within its bounds.
     Consistent,
     /// Errors are larger than the covariances say.
-    TooSure,
+    Optimistic,
     /// Errors are smaller than the covariances say.
-    TooCautious,
+    Pessimistic,
 }
 
 /// Normalised errors squared (NEES), e' P^-1 e, of positions or of rotations. Where errors are as
@@ -40,7 +41,7 @@ pub struct Nees {
     /// The mean lies below this with 97.5 % if all is right.
     pub high: f64,
     /// Whether it does.
-    pub verdict: Verdict,
+    pub verdict: NeesVerdict,
 }
 
 impl Nees {
@@ -73,9 +74,9 @@ impl Nees {
             low,
             high,
             verdict: match mean {
-                mean if mean > high => Verdict::TooSure,
-                mean if mean < low => Verdict::TooCautious,
-                _ => Verdict::Consistent,
+                mean if mean > high => NeesVerdict::Optimistic,
+                mean if mean < low => NeesVerdict::Pessimistic,
+                _ => NeesVerdict::Consistent,
             },
         })
     }
@@ -93,9 +94,9 @@ pub struct Consistency {
 impl Consistency {
     /// Of series of errors with their covariances; `None` if there is no sample. A covariance that is
     /// none (not positive definite) gives no sample.
-    pub fn of(series: &[Vec<(PoseError, Matrix6<f64>)>]) -> Option<Self> {
-        let nees = |error: fn(&PoseError) -> Vector3<f64>, first: usize| {
-            let of_series = |series: &Vec<(PoseError, Matrix6<f64>)>| -> Vec<f64> {
+    pub fn of(series: &[Vec<ErrorSample>]) -> Option<Self> {
+        let nees = |error: fn(&PoseOffset) -> Vector3<f64>, first: usize| {
+            let of_series = |series: &Vec<ErrorSample>| -> Vec<f64> {
                 let block = |covariance: &Matrix6<f64>| {
                     covariance.fixed_view::<3, 3>(first, first).into_owned()
                 };
@@ -151,11 +152,11 @@ mod tests {
         let nees = Nees::of(&[vec![2.0], vec![4.0]]).expect("two");
         assert_eq!((nees.samples, nees.mean, nees.median), (2, 3.0, 3.0));
         assert!((nees.low - 0.618_67).abs() < 1e-4 && (nees.high - 7.224_7).abs() < 1e-4);
-        assert_eq!(nees.verdict, Verdict::Consistent);
+        assert_eq!(nees.verdict, NeesVerdict::Consistent);
         let verdict =
             |values: [f64; 2]| Nees::of(&values.map(|x| vec![x])).map(|nees| nees.verdict);
-        assert_eq!(verdict([9.0, 8.0]), Some(Verdict::TooSure));
-        assert_eq!(verdict([0.1, 0.2]), Some(Verdict::TooCautious));
+        assert_eq!(verdict([9.0, 8.0]), Some(NeesVerdict::Optimistic));
+        assert_eq!(verdict([0.1, 0.2]), Some(NeesVerdict::Pessimistic));
         assert_eq!(Nees::of(&[]), None);
     }
 
@@ -163,7 +164,7 @@ mod tests {
     fn position_and_rotation_have_their_own_blocks() {
         let truth = truth_at(0, Vector3::new(1.0, 0.0, 0.0));
         let turned = nalgebra::UnitQuaternion::from_euler_angles(0.02, 0.0, 0.0);
-        let error = PoseError::of(&Vector3::new(1.01, 0.0, 0.0), &turned, &truth);
+        let error = PoseOffset::of(&Vector3::new(1.01, 0.0, 0.0), &turned, &truth);
         let mut covariance = Matrix6::identity() * 1e-4;
         covariance[(0, 0)] = 4e-4;
         let found = Consistency::of(&[vec![(error, covariance)]]).expect("a sample");

@@ -1,14 +1,15 @@
 //! How far a pose is from the truth.
 
-use nalgebra::{UnitQuaternion, Vector3};
+use flockeye_geometry::statistics::mean;
+use flockeye_record::TruthRow;
+use nalgebra::{Matrix6, UnitQuaternion, Vector3};
 use serde::Serialize;
 
-use super::statistics::{Spread, mean};
-use crate::record::TruthRow;
+use super::statistics::Spread;
 
 /// One comparison of a pose with the truth.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PoseError {
+pub struct PoseOffset {
     /// Truth less pose, metres, in the observer's axes.
     pub position: Vector3<f64>,
     /// The rotation vector from the pose's orientation to the true one, radians, in the observer's
@@ -24,7 +25,7 @@ pub struct PoseError {
     pub bearing_deg: f64,
 }
 
-impl PoseError {
+impl PoseOffset {
     /// Compares a pose with the truth.
     pub fn of(
         position: &Vector3<f64>,
@@ -56,7 +57,10 @@ impl PoseError {
     }
 }
 
-/// What came of many comparisons.
+/// An error with its covariance.
+pub type ErrorSample = (PoseOffset, Matrix6<f64>);
+
+/// A summary of many comparisons.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Errors {
     /// How many.
@@ -81,23 +85,23 @@ pub struct Errors {
 
 impl Errors {
     /// Of comparisons; `None` if there is none.
-    pub fn of(errors: &[PoseError]) -> Option<Self> {
-        let spread = |size: fn(&PoseError) -> f64, unit: f64| {
+    pub fn of(errors: &[PoseOffset]) -> Option<Self> {
+        let spread = |size: fn(&PoseOffset) -> f64, unit: f64| {
             Spread::of(errors.iter().map(|e| size(e) * unit))
         };
-        let bias = |size: fn(&PoseError) -> f64| {
+        let bias = |size: fn(&PoseOffset) -> f64| {
             mean(&errors.iter().map(|error| size(error) * 1e3).collect::<Vec<_>>())
         };
         Some(Self {
             count: errors.len(),
-            position_mm: spread(PoseError::position_m, 1e3)?,
+            position_mm: spread(PoseOffset::position_m, 1e3)?,
             along_mm: spread(|error| error.along_m, 1e3)?,
             along_bias_mm: bias(|error| error.along_m)?,
             across_mm: spread(|error| error.across_m, 1e3)?,
             distance_mm: spread(|error| error.distance_m, 1e3)?,
             distance_bias_mm: bias(|error| error.distance_m)?,
             bearing_deg: spread(|error| error.bearing_deg, 1.0)?,
-            rotation_deg: spread(PoseError::rotation_deg, 1.0)?,
+            rotation_deg: spread(PoseOffset::rotation_deg, 1.0)?,
         })
     }
 }
@@ -111,7 +115,7 @@ mod tests {
     fn errors_are_split_along_and_across_the_line_of_sight() {
         let truth = truth_at(0, Vector3::new(0.0, 2.0, 0.0));
         let quarter = UnitQuaternion::from_euler_angles(0.0, 0.0, 0.1);
-        let error = PoseError::of(&Vector3::new(0.3, 2.4, 0.0), &quarter, &truth);
+        let error = PoseOffset::of(&Vector3::new(0.3, 2.4, 0.0), &quarter, &truth);
         assert!((error.position_m() - 0.5).abs() < 1e-12);
         assert!((error.along_m - 0.4).abs() < 1e-12 && (error.across_m - 0.3).abs() < 1e-12);
         assert!((error.distance_m - (0.3f64.hypot(2.4) - 2.0)).abs() < 1e-12);
@@ -124,7 +128,7 @@ mod tests {
     #[test]
     fn means_keep_their_sign_and_sizes_do_not() {
         let truth = truth_at(0, Vector3::new(1.0, 0.0, 0.0));
-        let at = |x: f64| PoseError::of(&Vector3::new(x, 0.0, 0.0), &truth.orientation(), &truth);
+        let at = |x: f64| PoseOffset::of(&Vector3::new(x, 0.0, 0.0), &truth.orientation(), &truth);
         let errors = Errors::of(&[at(1.01), at(0.97)]).expect("two");
         assert!((errors.along_bias_mm + 10.0).abs() < 1e-9, "{}", errors.along_bias_mm);
         assert!((errors.distance_bias_mm + 10.0).abs() < 1e-9);

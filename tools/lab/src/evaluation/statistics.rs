@@ -1,5 +1,6 @@
-//! Means and quantiles.
+//! How values are spread, and how many independent ones correlated samples are worth.
 
+use flockeye_geometry::statistics::{mean, median, quantile};
 use serde::Serialize;
 
 /// How a size is spread.
@@ -29,34 +30,17 @@ impl Spread {
     }
 }
 
-/// The value below which `share` of the rising `values` lie (nearest rank).
-pub fn quantile(values: &[f64], share: f64) -> Option<f64> {
-    let rank = (share * values.len() as f64).ceil() as usize;
-    values.get(rank.saturating_sub(1)).copied()
-}
-
-/// The median of rising values: the mean of the two in the middle where their number is even.
-pub fn median(values: &[f64]) -> Option<f64> {
-    let upper = values.get(values.len() / 2)?;
-    let lower = values[(values.len() - 1) / 2];
-    Some((lower + upper) / 2.0)
-}
-
-/// The mean; `None` of nothing.
-pub fn mean(values: &[f64]) -> Option<f64> {
-    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
-}
-
-/// How many independent samples tell as much of the mean as these do: n / (1 + 2 (r1 + r2 + ...)),
-/// r the correlation at each lag, up to the first that is not positive (Geyer, "Practical Markov
-/// chain Monte Carlo", 1992, in its plainest form). Samples of different series are independent.
+/// The effective sample size: how many independent samples determine the mean as well as these do. It
+/// is n / (1 + 2 (r1 + r2 + ...)) with the correlation r at each lag, up to the first that is not
+/// positive (Geyer, "Practical Markov chain Monte Carlo", 1992, in its plainest form). Samples of
+/// different series are independent.
 pub fn effective_samples(series: &[Vec<f64>]) -> f64 {
     let all: Vec<f64> = series.concat();
     let count = all.len() as f64;
     let Some(mean) = mean(&all) else { return 0.0 };
     let variance = all.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / count;
     if variance <= 0.0 {
-        // They are all the same: one value, said so many times.
+        // All samples are equal: they are worth one.
         return 1.0;
     }
     let longest = series.iter().map(Vec::len).max().unwrap_or(0);
@@ -69,21 +53,20 @@ pub fn effective_samples(series: &[Vec<f64>]) -> f64 {
         if correlation <= 0.0 {
             break;
         }
-        // Few pairs lie far apart.
+        // Long lags have fewer pairs: they count for less.
         correlated += correlation * f64::from(pairs) / count;
     }
     (count / (1.0 + 2.0 * correlated)).max(1.0)
 }
 
-/// The same of independent runs, whatever goes together within each of them: what one flight's path
-/// hides, or its light, all its frames share. The variance of the mean is that of the runs' sums (the
-/// cluster-robust variance; Liang and Zeger, "Longitudinal data analysis using generalized linear
-/// models", 1986). Fewer than [`RUNS_THAT_TELL`] say too little of how they differ; then neighbours
-/// in time are asked as in [`effective_samples`].
+/// The same for independent runs with any correlation within a run: all frames of a flight share its
+/// path and its light. The variance of the mean comes from the sums of the runs (cluster-robust
+/// variance; Liang and Zeger, "Longitudinal data analysis using generalized linear models", 1986).
+/// Fewer runs than [`FEWEST_RUNS`] do not show how runs differ. Then this is [`effective_samples`].
 pub fn effective_samples_of_runs(runs: &[Vec<f64>]) -> f64 {
     let all: Vec<f64> = runs.concat();
     let count_of_runs = runs.iter().filter(|run| !run.is_empty()).count();
-    let Some(mean) = mean(&all).filter(|_| count_of_runs >= RUNS_THAT_TELL) else {
+    let Some(mean) = mean(&all).filter(|_| count_of_runs >= FEWEST_RUNS) else {
         return effective_samples(runs);
     };
     let squares: f64 = all.iter().map(|value| (value - mean).powi(2)).sum();
@@ -93,12 +76,12 @@ pub fn effective_samples_of_runs(runs: &[Vec<f64>]) -> f64 {
     if squares <= 0.0 {
         return 1.0;
     }
-    // Runs that do not differ at all divide by nothing: then each sample counts.
+    // If the runs do not differ, this divides by zero: then each sample counts.
     (count * squares / of_runs * (runs - 1.0) / runs).clamp(1.0, count)
 }
 
-/// So many runs say how runs differ: the deviation of that is then about a sixth of it.
-const RUNS_THAT_TELL: usize = 20;
+/// The standard deviation of the variance between so many runs is about a sixth of that variance.
+const FEWEST_RUNS: usize = 20;
 
 #[cfg(test)]
 mod tests {
@@ -106,15 +89,15 @@ mod tests {
 
     #[test]
     fn runs_that_differ_count_for_less() {
-        // Each run says one number ten times: ten samples count as one.
+        // Each run repeats one number ten times: ten samples count as one.
         let alike: Vec<Vec<f64>> = (0..40).map(|run| vec![f64::from(run % 2); 10]).collect();
         let found = effective_samples_of_runs(&alike);
         assert!((found - 40.0 * 39.0 / 40.0).abs() < 1e-9, "{found}");
-        // Each says the same two numbers as often: runs do not differ.
+        // Each has the same two numbers: runs do not differ.
         let unlike: Vec<Vec<f64>> = (0..40).map(|_| vec![0.0, 1.0]).collect();
         assert_eq!(effective_samples_of_runs(&unlike), 80.0);
         assert_eq!(effective_samples_of_runs(&vec![vec![2.0]; 30]), 1.0);
-        // Of samples that know nothing of each other each counts.
+        // Independent samples count in full.
         let mut state = 3u64;
         let mut noise = || {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
@@ -126,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn of_a_few_runs_neighbours_in_time_are_asked() {
+    fn few_runs_fall_back_to_the_correlation_in_time() {
         let few = [vec![1.0, 1.0, -1.0, -1.0]];
         assert_eq!(effective_samples_of_runs(&few), effective_samples(&few));
         assert_eq!(effective_samples_of_runs(&[]), 0.0);
@@ -136,14 +119,7 @@ mod tests {
     fn spreads_are_those_computed_by_hand() {
         let spread = Spread::of([3.0, -1.0, 2.0, 4.0]).expect("there are some");
         assert_eq!(spread, Spread { mean: 2.5, median: 2.5, p95: 4.0, worst: 4.0 });
-        assert_eq!(
-            (median(&[1.0, 2.0, 9.0]), median(&[7.0]), median(&[])),
-            (Some(2.0), Some(7.0), None)
-        );
         assert_eq!(Spread::of([]), None);
-        let rising: Vec<f64> = (1..=100).map(f64::from).collect();
-        assert_eq!((quantile(&rising, 0.95), quantile(&rising, 0.99)), (Some(95.0), Some(99.0)));
-        assert_eq!((quantile(&rising, 0.0), quantile(&[], 0.5)), (Some(1.0), None));
     }
 
     #[test]
@@ -165,7 +141,7 @@ mod tests {
         // x' = 0.8 x + noise: the mean of n is worth n (1 - 0.8) / (1 + 0.8) samples.
         let (mut state, mut x) = (7u64, 0.0);
         let mut noise = || {
-            // Even numbers by Knuth's generator (MMIX).
+            // Uniform numbers by Knuth's generator (MMIX).
             state = state
                 .wrapping_mul(6_364_136_223_846_793_005)
                 .wrapping_add(1_442_695_040_888_963_407);

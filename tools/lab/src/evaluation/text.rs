@@ -1,8 +1,10 @@
-//! What came out, as a table.
+//! The results as text.
 
 use std::fmt;
 
-use super::consistency::{Consistency, Nees, Verdict};
+use flockeye_cli::text_table::TextTable;
+
+use super::consistency::{Consistency, Nees, NeesVerdict};
 use super::error::Errors;
 use super::{Bin, Evaluation, FALSE_DEG, FALSE_M};
 
@@ -16,13 +18,13 @@ impl Bin {
     }
 }
 
-impl Verdict {
+impl NeesVerdict {
     /// In words.
     pub fn text(self) -> &'static str {
         match self {
             Self::Consistent => "consistent",
-            Self::TooSure => "too sure: errors are larger than said",
-            Self::TooCautious => "too cautious: errors are smaller than said",
+            Self::Optimistic => "optimistic: errors are larger than their covariances say",
+            Self::Pessimistic => "pessimistic: errors are smaller than their covariances say",
         }
     }
 }
@@ -31,7 +33,7 @@ impl Nees {
     /// In words.
     pub fn text(&self) -> String {
         format!(
-            "mean {:.2} (95 %: {:.2} to {:.2}), median {:.2}, of {} samples worth {:.0}: {}",
+            "mean {:.2} (95 %: {:.2} to {:.2}), median {:.2}, of {} samples worth {:.0} independent ones: {}",
             self.mean,
             self.low,
             self.high,
@@ -78,39 +80,27 @@ fn columns(errors: &Errors) -> [String; 11] {
     ]
 }
 
-fn cells(columns: &[String]) -> String {
-    columns.iter().map(|text| format!(" {text:>10}")).collect()
-}
-
 impl fmt::Display for Evaluation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let titles = cells(&TITLES.map(str::to_owned));
-        writeln!(f, "published poses of measured frames")?;
-        writeln!(
-            f,
-            "{:<11} {:>8} {:>8} {:>7}{titles}",
-            "distance m", "eligible", "measured", "share"
-        )?;
+        let titles = [&["distance m", "eligible", "measured", "share"], &TITLES[..]].concat();
+        let mut published = TextTable::new(1, &titles);
         for bin in self.bins.iter().filter(|bin| bin.eligible > 0) {
             let share =
                 bin.share().map_or(String::new(), |share| format!("{:.1} %", 100.0 * share));
-            let columns = bin.published.as_ref().map_or(String::new(), |e| cells(&columns(e)));
-            writeln!(
-                f,
-                "{:<11} {:>8} {:>8} {share:>7}{columns}",
-                bin.range(),
-                bin.eligible,
-                bin.measured
-            )?;
+            let counts = [bin.range(), bin.eligible.to_string(), bin.measured.to_string(), share];
+            published.row(counts.into_iter().chain(bin.published.iter().flat_map(columns)));
         }
+        writeln!(f, "published poses of measured frames\n{}", published.text())?;
         if self.bins.iter().any(|bin| bin.measurement.is_some()) {
-            writeln!(f, "the frames' own measurements")?;
+            let titles = [&["distance m", "measured"], &TITLES[..]].concat();
+            let mut measurements = TextTable::new(1, &titles);
             for bin in &self.bins {
                 if let Some(errors) = &bin.measurement {
-                    let columns = cells(&columns(errors));
-                    writeln!(f, "{:<11} {:>25}{columns}", bin.range(), errors.count)?;
+                    let counts = [bin.range(), errors.count.to_string()];
+                    measurements.row(counts.into_iter().chain(columns(errors)));
                 }
             }
+            writeln!(f, "the frames' own measurements\n{}", measurements.text())?;
         }
         write!(
             f,

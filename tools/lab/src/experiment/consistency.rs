@@ -4,34 +4,48 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use anyhow::ensure;
+use clap::Args;
+use flockeye_cli::Configuration;
 use flockeye_geometry::filter::chi_square_quantile;
-use nalgebra::{Matrix6, Vector3};
+use flockeye_record::{PoseRow, TruthRow};
+use nalgebra::Vector3;
 use serde::Serialize;
 
-use super::Laboratory;
-use crate::cli::ConsistencyRuns;
-use crate::evaluation::consistency::{Nees, Verdict, normalised};
-use crate::evaluation::error::PoseError;
-use crate::evaluation::{of_measurement, of_track};
-use crate::record::{PoseRow, TruthRow};
-use crate::up::Flown;
+use super::laboratory::{FlightRecord, Laboratory};
+use crate::evaluation::consistency::{Nees, NeesVerdict, normalised};
+use crate::evaluation::error::{ErrorSample, PoseOffset};
+use crate::evaluation::{measurement_sample, track_sample};
 
-/// Half of the usual size in each direction, and half of the distances: bodies are as large in
-/// pixels, and a frame costs a quarter. Simulated frames are not compressed, and lens and body are as
-/// described, so covariances are those that the pixels admit.
-const USUAL: [&str; 4] = [
+/// Arguments of `experiment consistency`.
+#[derive(Debug, Args)]
+pub struct ConsistencyArguments {
+    /// Which configuration. Its flow is lossless, its source simulated.
+    #[command(flatten)]
+    pub configuration: Configuration,
+    /// How many flights, each with its own seed.
+    #[arg(long, default_value_t = 50, value_parser = clap::value_parser!(u32).range(2..=10_000))]
+    pub runs: u32,
+    /// Frames of each flight.
+    #[arg(long, default_value_t = 45, value_parser = clap::value_parser!(u64).range(2..=1_000_000))]
+    pub frames: u64,
+    /// One JSON object instead of a table.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Half of the usual image size and half of the distances: bodies are as large in pixels, and a frame
+/// costs a quarter. Simulated frames are not compressed, and lens and body are exactly as described, so
+/// covariances need no scale.
+const DEFAULTS: [&str; 4] = [
     "camera.width=1920",
     "camera.height=960",
     "simulator.distance_m=[0.4, 1.0]",
     "fusion.covariance_scale=1",
 ];
 
-/// An error with its covariance.
-type Sample = (PoseError, Matrix6<f64>);
-
 /// Positions or rotations of all flights.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-struct Part {
+struct NeesOverRuns {
     /// Of all frames of all flights.
     #[serde(flatten)]
     nees: Nees,
@@ -44,14 +58,14 @@ struct Part {
 
 /// Positions and rotations.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-struct Parts {
-    position: Part,
-    rotation: Part,
+struct PoseNeesOverRuns {
+    position: NeesOverRuns,
+    rotation: NeesOverRuns,
 }
 
-/// What was found.
+/// The results.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub(super) struct Runs {
+pub(super) struct ConsistencyResult {
     runs: u32,
     frames: u64,
     seeds: [u32; 2],
@@ -60,18 +74,18 @@ pub(super) struct Runs {
     /// Flights in which nothing was measured.
     empty_runs: usize,
     /// The frames' own measurements.
-    measurements: Option<Parts>,
+    measurements: Option<PoseNeesOverRuns>,
     /// The tracks in frames that were measured.
-    tracks: Option<Parts>,
+    tracks: Option<PoseNeesOverRuns>,
     /// Whether all means lie within their bounds.
     passes: bool,
 }
 
-/// Flies with as many seeds as there are runs, from the configured one on.
-pub(super) fn work_out(arguments: &ConsistencyRuns) -> anyhow::Result<Runs> {
+/// Flies once for each seed, from the configured one on.
+pub(super) fn run(arguments: &ConsistencyArguments) -> anyhow::Result<ConsistencyResult> {
     let mut laboratory =
-        Laboratory::new(&arguments.configuration, &USUAL, arguments.frames, arguments.json)?;
-    let first = laboratory.pipeline(&[])?;
+        Laboratory::new(&arguments.configuration, &DEFAULTS, arguments.frames, arguments.json)?;
+    let first = laboratory.plan(&[])?.pipeline;
     ensure!(
         first.source_stage() == "simulator",
         "independent flights of '{}' cannot be had. Cure: simulate them (--source sim)",
@@ -83,43 +97,46 @@ pub(super) fn work_out(arguments: &ConsistencyRuns) -> anyhow::Result<Runs> {
     ensure!(last.is_some(), "simulator.seed {seed} leaves no room for {} more", arguments.runs);
     let mut flights = Vec::new();
     for (seed, number) in (seeds[0]..=seeds[1]).zip(1..) {
-        let pipeline = laboratory.pipeline(&[format!("simulator.seed={seed}")])?;
+        let plan = laboratory.plan(&[format!("simulator.seed={seed}")])?;
         let what = format!("flight {number} of {}, seed {seed}", arguments.runs);
-        flights.push(laboratory.fly(&what, &pipeline)?);
+        flights.push(laboratory.fly(&what, &plan)?);
     }
-    let measurements = Parts::of(&flights, of_measurement);
-    let tracks = Parts::of(&flights, of_track);
+    let measurements = PoseNeesOverRuns::of(&flights, measurement_sample);
+    let tracks = PoseNeesOverRuns::of(&flights, track_sample);
     let all = [&measurements, &tracks];
-    Ok(Runs {
+    Ok(ConsistencyResult {
         runs: arguments.runs,
         frames: arguments.frames,
         seeds,
         image_px: [first.camera.width, first.camera.height],
         distance_m: first.simulator.distance_m,
-        empty_runs: flights.iter().filter(|flown| !has_measurement(flown)).count(),
-        passes: all.iter().all(|parts| parts.as_ref().is_some_and(Parts::passes)),
+        empty_runs: flights.iter().filter(|flight| !has_measurement(flight)).count(),
+        passes: all.iter().all(|parts| parts.as_ref().is_some_and(PoseNeesOverRuns::passes)),
         measurements,
         tracks,
     })
 }
 
-fn has_measurement(flown: &Flown) -> bool {
-    flown.poses.iter().any(PoseRow::is_measured)
+fn has_measurement(flight: &FlightRecord) -> bool {
+    flight.poses.iter().any(PoseRow::is_measured)
 }
 
-impl Parts {
+impl PoseNeesOverRuns {
     /// Of flights; `None` if there is no sample.
-    fn of(flights: &[Flown], sample: fn(&PoseRow, &TruthRow) -> Option<Sample>) -> Option<Self> {
-        let samples: Vec<Vec<(u64, Sample)>> =
-            flights.iter().flat_map(|flown| samples(flown, sample)).collect();
-        let part = |error: fn(&PoseError) -> Vector3<f64>, first: usize| {
-            let number = |(frame, (errors, covariance)): &(u64, Sample)| {
+    fn of(
+        flights: &[FlightRecord],
+        sample: fn(&PoseRow, &TruthRow) -> Option<ErrorSample>,
+    ) -> Option<Self> {
+        let samples: Vec<Vec<(u64, ErrorSample)>> =
+            flights.iter().flat_map(|flight| samples(flight, sample)).collect();
+        let part = |error: fn(&PoseOffset) -> Vector3<f64>, first: usize| {
+            let number = |(frame, (errors, covariance)): &(u64, ErrorSample)| {
                 let block = covariance.fixed_view::<3, 3>(first, first).into_owned();
                 Some((*frame, normalised(&error(errors), &block)?))
             };
             let numbers: Vec<Vec<(u64, f64)>> =
                 samples.iter().map(|body| body.iter().filter_map(number).collect()).collect();
-            Part::of(numbers, flights.len())
+            NeesOverRuns::of(numbers, flights.len())
         };
         Some(Self {
             position: part(|error| error.position, 0)?,
@@ -128,12 +145,12 @@ impl Parts {
     }
 
     fn passes(&self) -> bool {
-        let right = |part: &Part| part.nees.verdict == Verdict::Consistent;
+        let right = |part: &NeesOverRuns| part.nees.verdict == NeesVerdict::Consistent;
         right(&self.position) && right(&self.rotation)
     }
 }
 
-impl Part {
+impl NeesOverRuns {
     /// Of normalised errors with their frames, of each body in each flight.
     fn of(numbers: Vec<Vec<(u64, f64)>>, flights: usize) -> Option<Self> {
         let mut moments: BTreeMap<u64, Vec<f64>> = BTreeMap::new();
@@ -162,13 +179,13 @@ impl Part {
 
 /// Samples of the measured frames of each body.
 fn samples(
-    flown: &Flown,
-    sample: fn(&PoseRow, &TruthRow) -> Option<Sample>,
-) -> Vec<Vec<(u64, Sample)>> {
+    flight: &FlightRecord,
+    sample: fn(&PoseRow, &TruthRow) -> Option<ErrorSample>,
+) -> Vec<Vec<(u64, ErrorSample)>> {
     let truths: BTreeMap<(&str, u64), &TruthRow> =
-        flown.truth.iter().map(|row| ((row.body.as_str(), row.frame), row)).collect();
-    let mut bodies: BTreeMap<&str, Vec<(u64, Sample)>> = BTreeMap::new();
-    for pose in flown.poses.iter().filter(|pose| pose.is_measured()) {
+        flight.truth.iter().map(|row| ((row.body.as_str(), row.frame), row)).collect();
+    let mut bodies: BTreeMap<&str, Vec<(u64, ErrorSample)>> = BTreeMap::new();
+    for pose in flight.poses.iter().filter(|pose| pose.is_measured()) {
         let truth = truths.get(&(pose.target.as_str(), pose.frame));
         if let Some(sample) = truth.and_then(|truth| sample(pose, truth)) {
             bodies.entry(&pose.target).or_default().push((pose.frame, sample));
@@ -177,7 +194,7 @@ fn samples(
     bodies.into_values().collect()
 }
 
-impl fmt::Display for Runs {
+impl fmt::Display for ConsistencyResult {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let [width, height] = self.image_px;
         let [near, far] = self.distance_m;
@@ -219,38 +236,38 @@ mod tests {
     use crate::evaluation::samples::{pose_at, truth_at};
     use flockeye_contract::TrackState;
 
-    fn flight(offsets_m: &[f64]) -> Flown {
+    fn flight(offsets_m: &[f64]) -> FlightRecord {
         let at = |x: f64| Vector3::new(x, 0.0, 0.0);
-        Flown {
+        FlightRecord {
             poses: (0..)
                 .zip(offsets_m)
                 .map(|(frame, off)| pose_at(frame, at(1.0 + off), TrackState::Confirmed))
                 .collect(),
             truth: (0..).zip(offsets_m).map(|(frame, _)| truth_at(frame, at(1.0))).collect(),
-            ..Flown::default()
+            ..FlightRecord::default()
         }
     }
 
     #[test]
     fn flights_are_independent_at_each_moment() {
-        // A deviation of 1 cm: 4, 1 and 1, 4; and one flight sees nobody in the last frame.
+        // A standard deviation of 1 cm: 4, 1 and 1, 4; one flight sees nobody in the last frame.
         let flights = [flight(&[0.02, 0.01, 0.05]), flight(&[0.01, -0.02])];
-        let parts = Parts::of(&flights, of_track).expect("there are samples");
+        let parts = PoseNeesOverRuns::of(&flights, track_sample).expect("there are samples");
         let position = &parts.position;
         assert_eq!((position.nees.samples, position.moments), (5, 3));
         assert!((position.nees.mean - (4.0 + 1.0 + 25.0 + 1.0 + 4.0) / 5.0).abs() < 1e-6);
         // 5 of 6 degrees twice; 25 of 3 is too much.
         assert!((position.inside.expect("moments") - 2.0 / 3.0).abs() < 1e-12);
-        // Nobody turned: much too good.
-        assert_eq!(parts.rotation.nees.verdict, Verdict::TooCautious);
+        // No rotation error at all: pessimistic.
+        assert_eq!(parts.rotation.nees.verdict, NeesVerdict::Pessimistic);
         assert!(!parts.passes());
-        assert!(Parts::of(&[Flown::default()], of_track).is_none());
+        assert!(PoseNeesOverRuns::of(&[FlightRecord::default()], track_sample).is_none());
     }
 
     #[test]
-    fn moments_that_few_flights_have_are_left_out() {
+    fn moments_of_few_flights_are_left_out() {
         let flights = [flight(&[0.01]), flight(&[0.01]), flight(&[0.01, 0.01])];
-        let parts = Parts::of(&flights, of_measurement).expect("there are samples");
+        let parts = PoseNeesOverRuns::of(&flights, measurement_sample).expect("there are samples");
         assert_eq!((parts.position.nees.samples, parts.position.moments), (4, 1));
     }
 }

@@ -1,78 +1,84 @@
-//! `flockeye experiment`: the paper's tables anew, and how consistent covariances are. Each flight is
-//! the whole pipeline, lossless, in an instance of its own.
+//! Flights one after another, each a lossless run of the whole pipeline.
 
-mod consistency;
-mod partitions;
-mod search;
-
-use std::path::Path;
+use std::collections::BTreeSet;
+use std::ffi::OsString;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use anyhow::{Context, bail, ensure};
+use flockeye_cli::{Configuration, FlowChoice, Screen, signals};
+use flockeye_record::{FrameTimes, PoseRow, TruthRow, read};
 use flockeye_runtime::config::Pipeline;
-use serde::Serialize;
 
-use crate::cli::{Comparison, Configuration, Experiment, ExperimentKind, FlowArgument};
-use crate::evaluation::Evaluation;
-use crate::record::{TruthRow, read};
-use crate::screen::Screen;
-use crate::up::{self, Errand, Flown};
+use crate::up_process;
 
-/// Runs an experiment.
-///
-/// # Errors
-/// The configuration is wrong, there is no truth, or a flight fails.
-pub fn run(arguments: &Experiment) -> anyhow::Result<()> {
-    match &arguments.kind {
-        ExperimentKind::Partitions(arguments) => {
-            show(&partitions::work_out(arguments)?, arguments.json)
-        }
-        ExperimentKind::Search(arguments) => show(&search::work_out(arguments)?, arguments.json),
-        ExperimentKind::Consistency(arguments) => {
-            show(&consistency::work_out(arguments)?, arguments.json)
-        }
-    }
-}
-
-fn show<T: Serialize + ToString>(found: &T, json: bool) -> anyhow::Result<()> {
-    let text = if json { serde_json::to_string(found)? } else { found.to_string() };
-    Screen::new().line(&text);
-    Ok(())
-}
-
-/// What flights one after another have in common.
-struct Laboratory<'a> {
+/// What the flights of an experiment have in common.
+pub(super) struct Laboratory<'a> {
     configuration: &'a Configuration,
-    /// Settings that the user's go before.
-    usual: Vec<String>,
+    /// Settings that the user's override.
+    defaults: Vec<String>,
     frames: u64,
     stopping: Arc<AtomicBool>,
     screen: Screen,
 }
 
+/// A flight that is not flown yet.
+pub(super) struct FlightPlan {
+    /// Its configuration.
+    pub(super) pipeline: Pipeline,
+    /// The arguments of `flockeye up` that lead to it.
+    arguments: Vec<OsString>,
+}
+
+/// What was recorded of a flight.
+#[derive(Debug, Clone, Default)]
+pub(super) struct FlightRecord {
+    /// Every pose of the frames that ended, and of no other frame.
+    pub(super) poses: Vec<PoseRow>,
+    /// The truth, if the source has one; also of frames that did not end.
+    pub(super) truth: Vec<TruthRow>,
+    /// Numbers of the frames that ended.
+    pub(super) frames: BTreeSet<u64>,
+    /// From each frame's publication to its end, summed, seconds.
+    pub(super) work_s: f64,
+    /// From the first frame's end to the last one's, seconds.
+    pub(super) ends_s: f64,
+}
+
+impl FlightRecord {
+    fn new(mut poses: Vec<PoseRow>, truth: Vec<TruthRow>, times: &[FrameTimes]) -> Self {
+        let frames: BTreeSet<u64> = times.iter().map(|times| times.frame).collect();
+        poses.retain(|row| frames.contains(&row.frame));
+        let ends = times.first().zip(times.last());
+        let ends_ns = ends.map_or(0, |(first, last)| last.ended_ns.saturating_sub(first.ended_ns));
+        let work_s = times.iter().map(FrameTimes::work_s).sum();
+        Self { poses, truth, frames, work_s, ends_s: ends_ns as f64 * 1e-9 }
+    }
+}
+
 impl<'a> Laboratory<'a> {
-    fn new(
+    /// Flights of at most so many frames. Progress is shown unless the result is JSON.
+    pub(super) fn new(
         configuration: &'a Configuration,
-        usual: &[&str],
+        defaults: &[&str],
         frames: u64,
         json: bool,
     ) -> anyhow::Result<Self> {
         ensure!(
-            configuration.flow != Some(FlowArgument::Latest),
+            configuration.flow != Some(FlowChoice::Latest),
             "an experiment works on every frame. Cure: leave out --flow latest"
         );
         Ok(Self {
             configuration,
-            usual: usual.iter().map(|setting| (*setting).to_owned()).collect(),
+            defaults: defaults.iter().map(|setting| (*setting).to_owned()).collect(),
             frames,
-            stopping: up::stopped_by_signals()?,
+            stopping: signals::stop_flag()?,
             screen: if json { Screen::muted() } else { Screen::new() },
         })
     }
 
-    /// The configuration with settings that go before the user's.
-    fn pipeline(&self, fixed: &[String]) -> anyhow::Result<Pipeline> {
+    /// A flight with settings that override the user's.
+    pub(super) fn plan(&self, fixed: &[String]) -> anyhow::Result<FlightPlan> {
         static FLIGHTS: AtomicU32 = AtomicU32::new(0);
         let flight = FLIGHTS.fetch_add(1, Ordering::Relaxed);
         let own = [
@@ -81,177 +87,55 @@ impl<'a> Laboratory<'a> {
             format!("instance=x{}-{flight}", std::process::id()),
             format!("simulator.frames={}", self.frames),
         ];
-        self.configuration.load_between(&self.usual, &[&own, fixed].concat())
-    }
-
-    /// Flies once; `what` says which flight it is.
-    fn fly(&mut self, what: &str, pipeline: &Pipeline) -> anyhow::Result<Flown> {
-        if self.screen.is_live() {
-            self.screen.table(&format!("{what} ..."));
-        }
-        let errand = Errand { frames: Some(self.frames), keeps: true, ..Errand::default() };
-        let mut log = Screen::muted();
-        let flown = up::fly(pipeline, &errand, &mut log, &self.stopping)
-            .with_context(|| format!("{}{what}", log.kept()))?;
-        if self.stopping.load(Ordering::Relaxed) {
-            bail!("stopped");
-        }
-        ensure!(!flown.frames.is_empty(), "{}{what}: no frame was worked on", log.kept());
-        Ok(flown)
-    }
-}
-
-/// What one way of doing it came to.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-struct Outcome {
-    /// Frames worked on.
-    frames: usize,
-    /// In a second of the pipeline's work alone: from each frame's publication to its end.
-    frames_per_s: f64,
-    /// In a second of the clock, with what the source needs: decoding, or simulating.
-    wall_frames_per_s: Option<f64>,
-    /// Bodies to be seen: localisable, two markers wholly visible.
-    eligible: usize,
-    /// Those that were measured.
-    captured: usize,
-    /// Their share.
-    share: Option<f64>,
-    /// The share that is left at the source's own rate if each frame that comes while another is
-    /// worked on is lost: `share` times the part of the frames that there is time for.
-    share_in_real_time: Option<f64>,
-    /// Mean position error within 1.5 m, the paper's range, centimetres.
-    mean_error_cm: Option<f64>,
-    /// Median position error within 1.5 m, centimetres.
-    median_error_cm: Option<f64>,
-    /// Measurements that are wrong by more than 10 cm or 10 degrees, or of who is not there.
-    false_poses: usize,
-}
-
-impl Outcome {
-    /// Of a flight and the truth of its frames.
-    fn of(flown: &Flown, truth: &[TruthRow]) -> anyhow::Result<Self> {
-        let truth: Vec<TruthRow> =
-            truth.iter().filter(|row| flown.frames.contains(&row.frame)).cloned().collect();
-        ensure!(
-            !truth.is_empty(),
-            "the truth says nothing of any of the {} frames that were worked on. Cure: give the \
-             truth of the same recording",
-            flown.frames.len()
-        );
-        let evaluation = Evaluation::of(&flown.poses, &truth);
-        let all = evaluation.everything().context("no range holds everything")?;
-        let near = evaluation.within_1_5_m().and_then(|bin| bin.published);
-        let frames = flown.frames.len();
-        let frames_per_s = frames as f64 / flown.work_s;
-        let part = |rate: f64| (frames_per_s / rate).min(1.0);
-        Ok(Self {
-            frames,
-            frames_per_s,
-            wall_frames_per_s: (frames > 1).then(|| (frames - 1) as f64 / flown.ends_s),
-            eligible: all.eligible,
-            captured: all.measured,
-            share: all.share(),
-            share_in_real_time: all.share().zip(rate(&truth)).map(|(share, r)| share * part(r)),
-            mean_error_cm: near.map(|errors| errors.position_mm.mean / 10.0),
-            median_error_cm: near.map(|errors| errors.position_mm.median / 10.0),
-            false_poses: evaluation.false_poses,
+        let fixed = [&own, fixed].concat();
+        Ok(FlightPlan {
+            pipeline: self.configuration.load_with(&self.defaults, &fixed)?,
+            arguments: self.configuration.to_arguments(&self.defaults, &fixed),
         })
     }
 
-    /// Its columns, after what says which way it is.
-    fn columns(&self) -> String {
-        let number =
-            |x: Option<f64>, digits: usize| x.map_or("-".to_owned(), |x| format!("{x:.digits$}"));
-        let percent = |x: Option<f64>| x.map_or("-".to_owned(), |x| format!("{:.1} %", 100.0 * x));
-        format!(
-            "{:>8.1} {:>8} {:>9} {:>9} {:>8} {:>8} {:>8} {:>9} {:>6}",
-            self.frames_per_s,
-            number(self.wall_frames_per_s, 1),
-            number(self.mean_error_cm, 2),
-            number(self.median_error_cm, 2),
-            self.captured,
-            self.eligible,
-            percent(self.share),
-            percent(self.share_in_real_time),
-            self.false_poses
-        )
-    }
-}
-
-/// Titles of [`Outcome::columns`].
-fn titles() -> String {
-    format!(
-        "{:>8} {:>8} {:>9} {:>9} {:>8} {:>8} {:>8} {:>9} {:>6}",
-        "FpS", "wall", "error cm", "median", "captured", "of", "share", "real time", "false"
-    )
-}
-
-/// What the columns mean.
-const LEGEND: &str = "\
-FpS: frames a second of the pipeline's work alone, from a frame's publication to its end; wall: with the source's decoding or simulating
-error: of the published position within 1.5 m, mean and median; captured: localisable bodies with two markers wholly visible that were measured, at any distance
-real time: the share that would be left at the source's own rate, if frames that come while another is worked on are lost";
-
-/// Frames a second of a recording, from the times between neighbouring frames.
-fn rate(truth: &[TruthRow]) -> Option<f64> {
-    let first = truth.iter().min_by_key(|row| row.frame)?;
-    let last = truth.iter().max_by_key(|row| row.frame)?;
-    let seconds = last.t_s - first.t_s;
-    (seconds > 0.0).then(|| (last.frame - first.frame) as f64 / seconds)
-}
-
-/// The truth of a recording, if one is given: a simulated flight has its own.
-fn given_truth(arguments: &Comparison) -> anyhow::Result<Option<Vec<TruthRow>>> {
-    let pipeline = arguments.configuration.load()?;
-    let is_simulated = pipeline.source_stage() == "simulator";
-    match (&arguments.truth, is_simulated) {
-        (Some(_), true) => bail!("a simulated flight has its own truth. Cure: leave out --truth"),
-        (None, false) => bail!(
-            "'{}' has no truth of its own. Cure: give it with --truth FILE.csv, or simulate \
-             (--source sim)",
-            pipeline.source.input
-        ),
-        (Some(file), false) => {
-            let truth: Vec<TruthRow> = read(Path::new(file))?;
-            ensure!(!truth.is_empty(), "{} says nothing of any frame", file.display());
-            Ok(Some(truth))
+    /// Flies once. `what` names the flight.
+    pub(super) fn fly(&mut self, what: &str, plan: &FlightPlan) -> anyhow::Result<FlightRecord> {
+        if self.screen.is_live() {
+            self.screen.table(&format!("{what} ..."));
         }
-        (None, true) => Ok(None),
+        let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
+        let [poses, truth, times] =
+            ["poses.csv", "truth.csv", "frame-times.csv"].map(|name| folder.path().join(name));
+        let mut arguments: Vec<OsString> = vec!["--frames".into(), self.frames.to_string().into()];
+        for (option, file) in [("--poses", &poses), ("--truth", &truth), ("--frame-times", &times)]
+        {
+            arguments.extend([option.into(), file.into()]);
+        }
+        arguments.extend_from_slice(&plan.arguments);
+        let log = up_process::run_quietly(what, &arguments, &self.stopping)?;
+        if self.stopping.load(Ordering::Relaxed) {
+            bail!("stopped");
+        }
+        let times: Vec<FrameTimes> = read(&times)?;
+        ensure!(!times.is_empty(), "{log}{what}: no frame was searched to its end");
+        Ok(FlightRecord::new(read(&poses)?, read(&truth)?, &times))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::evaluation::samples::{pose_at, truth_at};
+    use crate::evaluation::samples::pose_at;
     use flockeye_contract::TrackState;
     use nalgebra::Vector3;
 
     #[test]
-    fn an_outcome_counts_the_frames_that_were_worked_on() {
-        let at = |x: f64| Vector3::new(x, 0.0, 0.0);
-        let flown = Flown {
-            poses: vec![
-                pose_at(0, at(1.01), TrackState::Confirmed),
-                pose_at(1, at(1.03), TrackState::Confirmed),
-                pose_at(2, at(2.01), TrackState::Coasting),
-            ],
-            frames: (0..4).collect(),
-            work_s: 0.2,
-            ends_s: 0.3,
-            ..Flown::default()
-        };
-        let truth = [1.0, 1.0, 2.0, 2.0, 2.0].iter().zip(0..).map(|(x, k)| truth_at(k, at(*x)));
-        let truth: Vec<TruthRow> = truth.collect();
-        let outcome = Outcome::of(&flown, &truth).expect("there is truth");
-        assert_eq!((outcome.frames, outcome.eligible, outcome.captured), (4, 4, 2));
-        assert!((outcome.frames_per_s - 20.0).abs() < 1e-9);
-        assert!((outcome.wall_frames_per_s.expect("four") - 10.0).abs() < 1e-9);
-        assert!((outcome.mean_error_cm.expect("two") - 2.0).abs() < 1e-9);
-        assert!((outcome.median_error_cm.expect("two") - 2.0).abs() < 1e-9);
-        assert_eq!(outcome.share, Some(0.5));
-        // 20 of the 30 frames of a second can be worked on.
-        assert!((outcome.share_in_real_time.expect("a rate") - 1.0 / 3.0).abs() < 1e-9);
-        assert!(Outcome::of(&flown, &[truth_at(9, at(1.0))]).is_err());
+    fn a_record_has_the_frames_that_ended_and_their_times() {
+        let pose = |frame| pose_at(frame, Vector3::x(), TrackState::Confirmed);
+        let times = |frame, published_ns, ended_ns| FrameTimes { frame, published_ns, ended_ns };
+        let times =
+            [times(0, 1_000_000_000, 1_500_000_000), times(2, 2_000_000_000, 2_250_000_000)];
+        let record = FlightRecord::new([0, 1, 2].map(pose).into(), Vec::new(), &times);
+        let frames: Vec<u64> = record.poses.iter().map(|pose| pose.frame).collect();
+        assert_eq!(frames, [0, 2]);
+        assert_eq!(record.frames, BTreeSet::from([0, 2]));
+        assert!((record.work_s - 0.75).abs() < 1e-12 && (record.ends_s - 0.75).abs() < 1e-12);
+        assert!(FlightRecord::new(Vec::new(), Vec::new(), &[]).frames.is_empty());
     }
 }

@@ -2,14 +2,15 @@
 
 use std::fmt;
 
+use flockeye_cli::text_table::TextTable;
 use serde::Serialize;
 
-use super::{LEGEND, Laboratory, Outcome, given_truth, titles};
-use crate::cli::Comparison;
+use super::comparison::{ComparisonArguments, FlightOutcome, LEGEND, TITLES, given_truth};
+use super::laboratory::Laboratory;
 
 /// A column of the paper's table.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-struct Papers {
+struct PaperPartition {
     /// N.
     count: usize,
     /// The circles' diameter, degrees.
@@ -23,82 +24,77 @@ struct Papers {
 }
 
 /// The paper's Table I, of its experiment 1.
-const TABLE_1: [Papers; 3] = [
-    Papers { count: 6, theta_deg: 110.0, frames_per_s: 6.0, error_cm: 9.9, captured: 281 },
-    Papers { count: 12, theta_deg: 74.0, frames_per_s: 4.5, error_cm: 3.8, captured: 395 },
-    Papers { count: 24, theta_deg: 62.0, frames_per_s: 2.8, error_cm: 6.6, captured: 299 },
+const TABLE_1: [PaperPartition; 3] = [
+    PaperPartition { count: 6, theta_deg: 110.0, frames_per_s: 6.0, error_cm: 9.9, captured: 281 },
+    PaperPartition { count: 12, theta_deg: 74.0, frames_per_s: 4.5, error_cm: 3.8, captured: 395 },
+    PaperPartition { count: 24, theta_deg: 62.0, frames_per_s: 2.8, error_cm: 6.6, captured: 299 },
 ];
 
-/// One way to cut the sphere.
+/// The result of one partition.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-struct Row {
+struct PartitionOutcome {
     /// N.
     count: usize,
     /// paper or covering.
     method: &'static str,
     /// The circles' diameter, degrees.
     theta_deg: f64,
-    /// What it came to.
+    /// The flight.
     #[serde(flatten)]
-    outcome: Outcome,
+    outcome: FlightOutcome,
 }
 
-/// What was found, and what the paper says.
+/// The results, and the paper's.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub(super) struct Partitions {
-    rows: Vec<Row>,
-    paper: [Papers; 3],
+pub(super) struct PartitionComparison {
+    rows: Vec<PartitionOutcome>,
+    paper: [PaperPartition; 3],
 }
 
-/// Flies once for each number of views and method. As in the paper, where its optimized search was
-/// used throughout, frames are searched by Algorithm 1 and each stands for itself.
-pub(super) fn work_out(arguments: &Comparison) -> anyhow::Result<Partitions> {
+/// Flies once for each number of views and method. As in the paper, frames are searched by its
+/// optimized search (Algorithm 1), and no filter links them.
+pub(super) fn run(arguments: &ComparisonArguments) -> anyhow::Result<PartitionComparison> {
     let given = given_truth(arguments)?;
-    let usual = ["search.mode=optimized", "fusion.filter=none"];
+    let defaults = ["search.mode=optimized", "fusion.filter=none"];
     let mut laboratory =
-        Laboratory::new(&arguments.configuration, &usual, arguments.frames, arguments.json)?;
+        Laboratory::new(&arguments.configuration, &defaults, arguments.frames, arguments.json)?;
     let mut rows = Vec::new();
-    for papers in &TABLE_1 {
+    for paper in &TABLE_1 {
         for method in ["paper", "covering"] {
-            let count = papers.count;
+            let count = paper.count;
             let fixed = [format!("partition.count={count}"), format!("partition.method={method}")];
-            let pipeline = laboratory.pipeline(&fixed)?;
-            let theta_deg = pipeline.sphere_partition()?.covering_diameter_rad().to_degrees();
-            let flown = laboratory.fly(&format!("N = {count}, {method}"), &pipeline)?;
-            let outcome = Outcome::of(&flown, given.as_ref().unwrap_or(&flown.truth))?;
-            rows.push(Row { count, method, theta_deg, outcome });
+            let plan = laboratory.plan(&fixed)?;
+            let theta_deg = plan.pipeline.sphere_partition()?.covering_diameter_rad().to_degrees();
+            let flight = laboratory.fly(&format!("N = {count}, {method}"), &plan)?;
+            let outcome = FlightOutcome::of(&flight, given.as_ref().unwrap_or(&flight.truth))?;
+            rows.push(PartitionOutcome { count, method, theta_deg, outcome });
         }
     }
-    Ok(Partitions { rows, paper: TABLE_1 })
+    Ok(PartitionComparison { rows, paper: TABLE_1 })
 }
 
-impl fmt::Display for Partitions {
+impl fmt::Display for PartitionComparison {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(f, "{:>3} {:<13} {:>7}{}", "N", "cut by", "θ °", titles())?;
-        for papers in &self.paper {
-            for row in self.rows.iter().filter(|row| row.count == papers.count) {
-                writeln!(
-                    f,
-                    "{:>3} {:<13} {:>7.2}{}",
-                    row.count,
-                    row.method,
-                    row.theta_deg,
-                    row.outcome.columns()
-                )?;
+        let titles = [&["N", "partition", "θ °"], &TITLES[..]].concat();
+        let mut table = TextTable::new(2, &titles);
+        for paper in &self.paper {
+            for row in self.rows.iter().filter(|row| row.count == paper.count) {
+                let cells =
+                    [row.count.to_string(), row.method.to_owned(), format!("{:.2}", row.theta_deg)];
+                table.row(cells.into_iter().chain(row.outcome.cells()));
             }
-            writeln!(
-                f,
-                "{:>3} {:<13} {:>7.0}{:>8.1} {:>8} {:>9.1} {:>9} {:>8}",
-                papers.count,
-                "(Table I)",
-                papers.theta_deg,
-                papers.frames_per_s,
-                "",
-                papers.error_cm,
-                "",
-                papers.captured
-            )?;
+            table.row([
+                paper.count.to_string(),
+                "(Table I)".to_owned(),
+                format!("{:.0}", paper.theta_deg),
+                format!("{:.1}", paper.frames_per_s),
+                String::new(),
+                format!("{:.1}", paper.error_cm),
+                String::new(),
+                paper.captured.to_string(),
+            ]);
         }
-        write!(f, "{LEGEND}\nTable I is the paper's, of its own flight and computer, in real time")
+        writeln!(f, "{}", table.text())?;
+        write!(f, "{LEGEND}\nTable I is the paper's: another flight and computer, in real time")
     }
 }

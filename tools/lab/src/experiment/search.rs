@@ -2,14 +2,15 @@
 
 use std::fmt;
 
+use flockeye_cli::text_table::TextTable;
 use serde::Serialize;
 
-use super::{LEGEND, Laboratory, Outcome, given_truth, titles};
-use crate::cli::Comparison;
+use super::comparison::{ComparisonArguments, FlightOutcome, LEGEND, TITLES, given_truth};
+use super::laboratory::Laboratory;
 
 /// A column of the paper's table.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-struct Papers {
+struct PaperSearch {
     /// The search.
     mode: &'static str,
     /// Frames in which the drone was localised.
@@ -19,61 +20,64 @@ struct Papers {
 }
 
 /// The paper's Table II, of its experiment 1.
-const TABLE_2: [Papers; 2] = [
-    Papers { mode: "greedy", captured: 147, available: 986 },
-    Papers { mode: "optimized", captured: 395, available: 986 },
+const TABLE_2: [PaperSearch; 2] = [
+    PaperSearch { mode: "greedy", captured: 147, available: 986 },
+    PaperSearch { mode: "optimized", captured: 395, available: 986 },
 ];
 
-/// One way to search.
+/// The result of one search mode.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-struct Row {
+struct SearchOutcome {
     /// greedy, optimized or gaze.
     mode: &'static str,
-    /// What it came to.
+    /// The flight.
     #[serde(flatten)]
-    outcome: Outcome,
+    outcome: FlightOutcome,
 }
 
-/// What was found, and what the paper says.
+/// The results, and the paper's.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub(super) struct Searches {
-    rows: Vec<Row>,
-    paper: [Papers; 2],
+pub(super) struct SearchComparison {
+    rows: Vec<SearchOutcome>,
+    paper: [PaperSearch; 2],
 }
 
 /// Flies once for each mode; all else is as configured.
-pub(super) fn work_out(arguments: &Comparison) -> anyhow::Result<Searches> {
+pub(super) fn run(arguments: &ComparisonArguments) -> anyhow::Result<SearchComparison> {
     let given = given_truth(arguments)?;
     let mut laboratory =
         Laboratory::new(&arguments.configuration, &[], arguments.frames, arguments.json)?;
     let mut rows = Vec::new();
     for mode in ["greedy", "optimized", "gaze"] {
-        let pipeline = laboratory.pipeline(&[format!("search.mode={mode}")])?;
-        let flown = laboratory.fly(&format!("search {mode}"), &pipeline)?;
-        let outcome = Outcome::of(&flown, given.as_ref().unwrap_or(&flown.truth))?;
-        rows.push(Row { mode, outcome });
+        let plan = laboratory.plan(&[format!("search.mode={mode}")])?;
+        let flight = laboratory.fly(&format!("search {mode}"), &plan)?;
+        let outcome = FlightOutcome::of(&flight, given.as_ref().unwrap_or(&flight.truth))?;
+        rows.push(SearchOutcome { mode, outcome });
     }
-    Ok(Searches { rows, paper: TABLE_2 })
+    Ok(SearchComparison { rows, paper: TABLE_2 })
 }
 
-impl fmt::Display for Searches {
+impl fmt::Display for SearchComparison {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(f, "{:<22}{}", "search", titles())?;
+        let mut table = TextTable::new(1, &[&["search"], &TITLES[..]].concat());
         for row in &self.rows {
-            writeln!(f, "{:<22}{}", row.mode, row.outcome.columns())?;
-            for papers in self.paper.iter().filter(|papers| papers.mode == row.mode) {
-                writeln!(
-                    f,
-                    "{:<22}{:>37} {:>8} {:>8} {:>8} {:>7.1} %",
-                    format!("{} (Table II)", papers.mode),
-                    "",
-                    papers.captured,
-                    papers.available,
-                    "",
-                    100.0 * papers.captured as f64 / papers.available as f64
-                )?;
+            table.row([row.mode.to_owned()].into_iter().chain(row.outcome.cells()));
+            for paper in self.paper.iter().filter(|paper| paper.mode == row.mode) {
+                let share = 100.0 * paper.captured as f64 / paper.available as f64;
+                table.row([
+                    format!("{} (Table II)", paper.mode),
+                    String::new(),
+                    String::new(),
+                    String::new(),
+                    String::new(),
+                    paper.captured.to_string(),
+                    paper.available.to_string(),
+                    String::new(),
+                    format!("{share:.1} %"),
+                ]);
             }
         }
-        write!(f, "{LEGEND}\nTable II is the paper's, of its own flight and computer, in real time")
+        writeln!(f, "{}", table.text())?;
+        write!(f, "{LEGEND}\nTable II is the paper's: another flight and computer, in real time")
     }
 }

@@ -3,6 +3,7 @@
 use std::fmt::Write;
 
 use super::page::{Page, Shape};
+use crate::svg::escaped;
 
 pub(super) fn document(page: &Page) -> String {
     let [width, height] = page.size_mm;
@@ -41,8 +42,4 @@ fn path(points: &[[f64; 2]]) -> String {
         let _ = write!(path, "{}{x:.4} {y:.4}", if index == 0 { "M" } else { "L" });
     }
     path + "Z"
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }

@@ -1,9 +1,8 @@
 //! The paper's figure "Pixel count and theta for different partitioning schemes".
 
-use flockeye_geometry::partition::{Method, Partition, PartitionError};
+use flockeye_geometry::partition::{Method, Partition, PartitionError, Terms};
 
-use super::images;
-use crate::cli;
+use super::arguments::PartitionArguments;
 use crate::svg::Svg;
 
 const WIDTH: f64 = 960.0;
@@ -18,7 +17,7 @@ const PAPERS_OWN: [(usize, f64); 3] = [(6, 110.0), (12, 74.0), (24, 62.0)];
 
 /// Number of views against the pixels of all circles, the points as large as theta: both methods,
 /// and the paper's own three.
-pub(super) fn draw(arguments: &cli::Partition) -> Result<String, PartitionError> {
+pub(super) fn draw(arguments: &PartitionArguments) -> Result<String, PartitionError> {
     let series = |method| -> Result<Vec<(usize, f64)>, PartitionError> {
         let found = arguments.counts.0.iter().map(|&count| {
             let partition = Partition::of(method, count, arguments.seed)?;
@@ -56,6 +55,11 @@ pub(super) fn draw(arguments: &cli::Partition) -> Result<String, PartitionError>
         svg.text((x, y + 30.0), r#"text-anchor="middle" font-size="12""#, &format!("{theta_deg}°"));
     }
     Ok(svg.finish())
+}
+
+/// The paper's p of N circles, sphere images.
+fn images(count: usize, theta_deg: f64) -> f64 {
+    Terms::new(count, theta_deg.to_radians()).pixels
 }
 
 /// Where N and images lie on the paper.

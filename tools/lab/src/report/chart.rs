@@ -20,7 +20,7 @@ pub(super) enum Mark {
 }
 
 /// Some samples.
-pub(super) struct Series {
+pub(super) struct ChartSeries {
     /// What the legend calls them.
     pub(super) name: &'static str,
     /// Their class in the page's style: their colour.
@@ -108,7 +108,7 @@ pub(super) struct Chart {
     /// Height of the drawing.
     pub(super) height: f64,
     /// What is drawn, the first at the back.
-    pub(super) series: Vec<Series>,
+    pub(super) series: Vec<ChartSeries>,
 }
 
 impl Chart {
@@ -150,7 +150,7 @@ impl Chart {
     fn draw_series(
         &self,
         svg: &mut Svg,
-        series: &Series,
+        series: &ChartSeries,
         place: impl Fn((f64, f64)) -> Option<(f64, f64)>,
     ) {
         for piece in &series.pieces {
@@ -163,7 +163,7 @@ impl Chart {
     }
 }
 
-fn draw_key(svg: &mut Svg, (x, y): (f64, f64), series: &Series) {
+fn draw_key(svg: &mut Svg, (x, y): (f64, f64), series: &ChartSeries) {
     match series.mark {
         Mark::Line => svg.line(&[(x, y), (x + 22.0, y)], &format!(r#"class="{}""#, series.class)),
         Mark::Dots => dot(svg, (x + 11.0, y), series.class),

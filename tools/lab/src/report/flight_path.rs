@@ -1,4 +1,4 @@
-//! The way of a body round the observer, in space.
+//! The path of a body round the observer, in space.
 
 use nalgebra::{Rotation3, Vector3};
 
@@ -6,44 +6,44 @@ use crate::svg::Svg;
 
 const SIDE: f64 = 300.0;
 
-/// How the space is looked at: where its right and its up go on the drawing.
-struct Look {
+/// From where the drawing shows the path: the directions that are right and up on it.
+struct Viewpoint {
     name: &'static str,
     right: Vector3<f64>,
     up: Vector3<f64>,
 }
 
-/// One body's way, in pieces that are not joined.
-pub(super) struct Ways {
-    /// As it was.
+/// One body's path, in pieces that are not joined.
+pub(super) struct FlightPath {
+    /// The true positions.
     pub(super) truth: Vec<Vec<Vector3<f64>>>,
-    /// As it was measured.
+    /// The measured positions.
     pub(super) measured: Vec<Vec<Vector3<f64>>>,
 }
 
-/// The way as seen from above, from the right, and at a slant; the last can be turned with the
+/// The path seen from above, from the right, and at a slant. The last drawing can be turned with the
 /// mouse where scripts run.
-pub(super) fn draw(body: &str, ways: &Ways) -> String {
+pub(super) fn draw(body: &str, path: &FlightPath) -> String {
     let slant = Rotation3::from_euler_angles(0.0, 0.5, 0.6);
-    let looks = [
-        Look { name: "from above", right: -Vector3::y(), up: Vector3::x() },
-        Look { name: "from the right", right: Vector3::x(), up: Vector3::z() },
-        Look {
+    let viewpoints = [
+        Viewpoint { name: "from above", right: -Vector3::y(), up: Vector3::x() },
+        Viewpoint { name: "from the right", right: Vector3::x(), up: Vector3::z() },
+        Viewpoint {
             name: "at a slant (drag to turn)",
             right: slant * -Vector3::y(),
             up: slant * Vector3::z(),
         },
     ];
-    let points = || ways.truth.iter().chain(&ways.measured).flatten();
+    let points = || path.truth.iter().chain(&path.measured).flatten();
     let reach_m = points().map(Vector3::norm).fold(0.1, f64::max);
     let scale = 0.46 * SIDE / reach_m;
     let arm_m = [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0]
         .into_iter()
         .rfind(|arm_m| *arm_m <= reach_m / 2.0)
         .unwrap_or(reach_m / 2.0);
-    let drawings = looks.map(|look| {
+    let drawings = viewpoints.map(|viewpoint| {
         let place = |point: &Vector3<f64>| {
-            let (x, y) = (point.dot(&look.right), point.dot(&look.up));
+            let (x, y) = (point.dot(&viewpoint.right), point.dot(&viewpoint.up));
             (SIDE / 2.0 + scale * x, SIDE / 2.0 - scale * y)
         };
         let mut svg = Svg::new(SIDE, SIDE);
@@ -52,7 +52,7 @@ pub(super) fn draw(body: &str, ways: &Ways) -> String {
             let end = arm * arm_m;
             svg.line(&[place(&Vector3::zeros()), place(&end)], &data("axis", &[end]));
             let (x, y) = place(&(end * 1.12));
-            // An axis that is looked along has no length and needs no name.
+            // An axis along the line of sight has no length and needs no name.
             let (x0, y0) = place(&Vector3::zeros());
             if (x - x0).hypot(y - y0) > 8.0 {
                 let attributes =
@@ -60,27 +60,27 @@ pub(super) fn draw(body: &str, ways: &Ways) -> String {
                 svg.text((x, y + 4.5), &attributes, name);
             }
         }
-        for (class, pieces) in [("truth", &ways.truth), ("pose", &ways.measured)] {
+        for (class, pieces) in [("truth", &path.truth), ("pose", &path.measured)] {
             for piece in pieces {
                 let line: Vec<_> = piece.iter().map(place).collect();
                 svg.line(&line, &data(class, piece));
             }
         }
-        let words = format!("{}; arms of {arm_m} m", look.name);
+        let words = format!("{}; arms of {arm_m} m", viewpoint.name);
         svg.text((8.0, SIDE - 8.0), "", &words);
-        let turns = if look.name.contains("drag") {
+        let turns = if viewpoint.name.contains("drag") {
             let numbers = |v: &Vector3<f64>| format!("{:.4} {:.4} {:.4}", v.x, v.y, v.z);
             format!(
                 r#"class="turns" data-scale="{scale:.4}" data-right="{}" data-up="{}""#,
-                numbers(&look.right),
-                numbers(&look.up)
+                numbers(&viewpoint.right),
+                numbers(&viewpoint.up)
             )
         } else {
             String::new()
         };
-        svg.finish_in_page(&format!("The way of {body} {}", look.name), &turns)
+        svg.finish_in_page(&format!("The path of {body} {}", viewpoint.name), &turns)
     });
-    format!("<div class=\"ways\">{}</div>\n", drawings.concat())
+    format!("<div class=\"paths\">{}</div>\n", drawings.concat())
 }
 
 /// A line's class, and its points in space for the script.

@@ -1,12 +1,11 @@
 //! The page round the figures.
 
-use std::fmt::Write;
+use maud::{DOCTYPE, Markup, PreEscaped, html};
 
-use super::flight::SCRIPT;
+use super::flight_path::SCRIPT;
 use crate::evaluation::consistency::{Consistency, Nees};
 use crate::evaluation::error::Errors;
 use crate::evaluation::{Bin, Evaluation, FALSE_DEG, FALSE_M};
-use crate::svg::escaped;
 
 const STYLE: &str = "
 :root { --ground: #ffffff; --ink: #1f2328; --soft: #59636e; --grid: #d8dee4;
@@ -29,7 +28,7 @@ th:first-child, td:first-child { text-align: left; padding-left: 0 }
 th[colspan] { text-align: center; border-bottom-color: var(--ground) }
 th { font-weight: 600; color: var(--soft) }
 svg { display: block; width: 100%; font: 12px system-ui, sans-serif; fill: var(--ink) }
-.ways { display: grid; grid-template-columns: repeat(auto-fit, minmax(16rem, 1fr)); gap: .5rem }
+.paths { display: grid; grid-template-columns: repeat(auto-fit, minmax(16rem, 1fr)); gap: .5rem }
 .turns { cursor: grab; touch-action: none }
 polyline { fill: none; stroke-linejoin: round }
 polyline.grid { stroke: var(--grid); stroke-width: .8 }
@@ -40,162 +39,191 @@ circle.pose { fill: var(--pose) }
 circle.coast { fill: var(--coast) }
 ";
 
-/// The page: what was compared, what came out, and each body's figures with their captions.
+/// The page: what was compared, the results, and each body's figures with their captions.
 pub(super) fn page(
     source: &str,
     evaluation: &Evaluation,
     figures: &[(&str, Vec<(String, String)>)],
 ) -> String {
-    let mut body = format!("<h1>Poses against the truth</h1>\n<p>{}</p>\n", escaped(source));
-    body += &summary(evaluation);
-    body += &bins("Published poses of measured frames", evaluation, |bin| bin.published.as_ref());
-    if evaluation.bins.iter().any(|bin| bin.measurement.is_some()) {
-        body += &bins("The frames' own measurements", evaluation, |bin| bin.measurement.as_ref());
-    }
-    body += &consistency(evaluation);
-    body += &false_poses(evaluation);
-    for (name, drawings) in figures {
-        body += &format!("<h2>{}</h2>\n", escaped(name));
-        for (drawing, caption) in drawings {
-            body += &format!("<figure>\n{drawing}<figcaption>{caption}</figcaption>\n</figure>\n");
-        }
-    }
-    format!(
-        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-         <title>Poses against the truth</title>\n<style>{STYLE}</style>\n</head>\n<body>\n{body}\
-         <script>{SCRIPT}</script>\n</body>\n</html>\n"
-    )
-}
-
-fn summary(evaluation: &Evaluation) -> String {
-    let mut text = format!(
-        "<p>{} poses were measured, {} by decoded markers and {} by alignment; {} were predicted only.",
-        evaluation.measured,
-        evaluation.sources.decoded,
-        evaluation.sources.aligned,
-        evaluation.coasted.count
-    );
-    // Writing to a String cannot fail.
-    if let Some(errors) = &evaluation.coasted.errors {
-        let spread = &errors.position_mm;
-        let _ = write!(
-            text,
-            " These are off by {:.1} mm in the median, {:.1} mm at 95 %, {:.1} mm at worst.",
-            spread.median, spread.p95, spread.worst
-        );
-    }
-    if let Some(latency) = &evaluation.latency {
-        let _ = write!(
-            text,
-            " Poses came {:.1} ms late in the median, {:.1} ms at 95 %, {:.1} ms at 99 %.",
-            latency.median_ms, latency.p95_ms, latency.p99_ms
-        );
-    }
-    text + " Eligible is who is localisable with two or more markers wholly visible.</p>\n"
-}
-
-fn bins(title: &str, evaluation: &Evaluation, errors: impl Fn(&Bin) -> Option<&Errors>) -> String {
-    let mut text = format!(
-        "<h3>{title}</h3>\n<div class=\"wide\"><table>\n<tr><th colspan=\"4\">\
-         <th colspan=\"4\">position, mm<th colspan=\"2\">along, mm<th colspan=\"1\">across, mm\
-         <th colspan=\"2\">distance, mm<th colspan=\"2\">bearing, °<th colspan=\"3\">rotation, °</tr>\n\
-         <tr><th>distance, m<th>eligible<th>measured<th>share<th>mean<th>median<th>95 %<th>worst\
-         <th>median<th>bias<th>median<th>mean<th>bias<th>median<th>95 %<th>median<th>95 %<th>worst</tr>\n"
-    );
-    for bin in evaluation.bins.iter().filter(|bin| bin.eligible > 0) {
-        let share = bin.share().map_or(String::new(), |share| format!("{:.1} %", 100.0 * share));
-        let _ = write!(
-            text,
-            "<tr><td>{}<td>{}<td>{}<td>{share}",
-            bin.range(),
-            bin.eligible,
-            bin.measured
-        );
-        if let Some(e) = errors(bin) {
-            let millimetres = [
-                format!("{:.1}", e.position_mm.mean),
-                format!("{:.1}", e.position_mm.median),
-                format!("{:.1}", e.position_mm.p95),
-                format!("{:.1}", e.position_mm.worst),
-                format!("{:.1}", e.along_mm.median),
-                format!("{:+.1}", e.along_bias_mm),
-                format!("{:.1}", e.across_mm.median),
-                format!("{:.1}", e.distance_mm.mean),
-                format!("{:+.1}", e.distance_bias_mm),
-            ];
-            let degrees = [
-                format!("{:.3}", e.bearing_deg.median),
-                format!("{:.3}", e.bearing_deg.p95),
-                format!("{:.2}", e.rotation_deg.median),
-                format!("{:.2}", e.rotation_deg.p95),
-                format!("{:.2}", e.rotation_deg.worst),
-            ];
-            for cell in millimetres.iter().chain(&degrees) {
-                let _ = write!(text, "<td>{cell}");
+    let title = "Poses against the truth";
+    let has_measurements = evaluation.bins.iter().any(|bin| bin.measurement.is_some());
+    let page = html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                title { (title) }
+                style { (PreEscaped(STYLE)) }
+            }
+            body {
+                h1 { (title) }
+                p { (source) }
+                (summary(evaluation))
+                h3 { "Published poses of measured frames" }
+                (bins(evaluation, |bin| bin.published.as_ref()))
+                @if has_measurements {
+                    h3 { "The frames' own measurements" }
+                    (bins(evaluation, |bin| bin.measurement.as_ref()))
+                }
+                (consistency(evaluation))
+                (false_poses(evaluation))
+                @for (name, drawings) in figures {
+                    h2 { (name) }
+                    @for (drawing, caption) in drawings {
+                        figure { (PreEscaped(drawing)) figcaption { (caption) } }
+                    }
+                }
+                script { (PreEscaped(SCRIPT)) }
             }
         }
-        text += "</tr>\n";
-    }
-    text + "</table></div>\n"
+    };
+    page.into_string()
 }
 
-fn consistency(evaluation: &Evaluation) -> String {
+fn summary(evaluation: &Evaluation) -> Markup {
+    html! {
+        p {
+            (evaluation.measured) " poses were measured, " (evaluation.sources.decoded)
+            " by decoded markers and " (evaluation.sources.aligned) " by alignment; "
+            (evaluation.coasted.count) " were only predicted."
+            @if let Some(errors) = &evaluation.coasted.errors {
+                @let spread = &errors.position_mm;
+                " The predicted ones are off by " (fixed(spread.median, 1)) " mm in the median, "
+                (fixed(spread.p95, 1)) " mm at 95 %, " (fixed(spread.worst, 1)) " mm at worst."
+            }
+            @if let Some(latency) = &evaluation.latency {
+                " The latency is " (fixed(latency.median_ms, 1)) " ms in the median, "
+                (fixed(latency.p95_ms, 1)) " ms at 95 %, " (fixed(latency.p99_ms, 1)) " ms at 99 %."
+            }
+            " Bodies are eligible if they are localisable with two or more markers wholly visible."
+        }
+    }
+}
+
+/// The columns of [`bins`]: what they are of, and the title of each.
+const GROUPS: [(&str, &[&str]); 7] = [
+    ("", &["distance, m", "eligible", "measured", "share"]),
+    ("position, mm", &["mean", "median", "95 %", "worst"]),
+    ("along, mm", &["median", "bias"]),
+    ("across, mm", &["median"]),
+    ("distance, mm", &["mean", "bias"]),
+    ("bearing, °", &["median", "95 %"]),
+    ("rotation, °", &["median", "95 %", "worst"]),
+];
+
+fn bins<'a>(evaluation: &'a Evaluation, errors: impl Fn(&'a Bin) -> Option<&'a Errors>) -> Markup {
+    html! {
+        div.wide {
+            table {
+                tr { @for (name, titles) in GROUPS { th colspan=(titles.len()) { (name) } } }
+                tr { @for title in GROUPS.iter().flat_map(|(_, titles)| *titles) { th { (title) } } }
+                @for bin in evaluation.bins.iter().filter(|bin| bin.eligible > 0) {
+                    tr {
+                        td { (bin.range()) }
+                        td { (bin.eligible) }
+                        td { (bin.measured) }
+                        td { @if let Some(share) = bin.share() { (fixed(100.0 * share, 1)) " %" } }
+                        @for cell in errors(bin).into_iter().flat_map(cells) { td { (cell) } }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// The errors of a row of [`bins`], from the position on.
+fn cells(errors: &Errors) -> [String; 14] {
+    [
+        fixed(errors.position_mm.mean, 1),
+        fixed(errors.position_mm.median, 1),
+        fixed(errors.position_mm.p95, 1),
+        fixed(errors.position_mm.worst, 1),
+        fixed(errors.along_mm.median, 1),
+        format!("{:+.1}", errors.along_bias_mm),
+        fixed(errors.across_mm.median, 1),
+        fixed(errors.distance_mm.mean, 1),
+        format!("{:+.1}", errors.distance_bias_mm),
+        fixed(errors.bearing_deg.median, 3),
+        fixed(errors.bearing_deg.p95, 3),
+        fixed(errors.rotation_deg.median, 2),
+        fixed(errors.rotation_deg.p95, 2),
+        fixed(errors.rotation_deg.worst, 2),
+    ]
+}
+
+fn consistency(evaluation: &Evaluation) -> Markup {
     let nees = &evaluation.nees;
-    let rows = [
+    let rows: Vec<(&str, &Consistency)> = [
         ("measurements", &nees.measurements),
         ("tracks", &nees.tracks),
         ("predicted only", &nees.coasted),
-    ];
-    if rows.iter().all(|(_, consistency)| consistency.is_none()) {
-        return String::new();
-    }
-    let mut text = "<h3>Errors against their covariances</h3>\n\
-         <p>The mean of the normalised errors squared (NEES) of 3 degrees of freedom should be 3. Its \
-         bounds hold with 95 % for so many independent samples as tell as much as these, whose \
-         errors go together from frame to frame.</p>\n\
-         <div class=\"wide\"><table>\n<tr><th>of<th>mean<th>bounds<th>median<th>samples<th>worth<th></tr>\n"
-        .to_owned();
-    for (what, consistency) in rows {
-        if let Some(Consistency { position, rotation }) = consistency {
-            for (part, nees) in [("position", position), ("rotation", rotation)] {
-                text += &consistency_row(&format!("{what}, {part}"), nees);
+    ]
+    .into_iter()
+    .filter_map(|(what, consistency)| Some((what, consistency.as_ref()?)))
+    .collect();
+    html! {
+        @if !rows.is_empty() {
+            h3 { "Errors against their covariances" }
+            p {
+                "The mean of the normalised estimation errors squared (NEES) of 3 degrees of freedom \
+                 should be 3. Errors of consecutive frames are correlated. The bounds hold with 95 % \
+                 for the number of independent samples that these are worth."
+            }
+            div.wide {
+                table {
+                    tr {
+                        @for title in ["of", "mean", "bounds", "median", "samples", "worth", ""] {
+                            th { (title) }
+                        }
+                    }
+                    @for (what, Consistency { position, rotation }) in rows {
+                        (consistency_row(what, "position", position))
+                        (consistency_row(what, "rotation", rotation))
+                    }
+                }
             }
         }
     }
-    text + "</table></div>\n"
 }
 
-fn consistency_row(what: &str, nees: &Nees) -> String {
-    format!(
-        "<tr><td>{what}<td>{:.2}<td>{:.2} to {:.2}<td>{:.2}<td>{}<td>{:.0}<td>{}</tr>\n",
-        nees.mean,
-        nees.low,
-        nees.high,
-        nees.median,
-        nees.samples,
-        nees.effective_samples,
-        nees.verdict.text()
-    )
-}
-
-fn false_poses(evaluation: &Evaluation) -> String {
-    let mut text = format!(
-        "<h3>False poses: {}</h3>\n<p>Measurements that are wrong by more than {:.0} cm or \
-         {FALSE_DEG:.0}°, or of a body that is not there.</p>\n<ul>\n",
-        evaluation.false_poses,
-        FALSE_M * 100.0
-    );
-    for at in &evaluation.false_at {
-        let target = escaped(&at.target);
-        let _ = match (at.position_m, at.rotation_deg) {
-            (Some(position_m), Some(rotation_deg)) => writeln!(
-                text,
-                "<li>frame {}: {target} is off by {position_m:.3} m and {rotation_deg:.1}°",
-                at.frame
-            ),
-            _ => writeln!(text, "<li>frame {}: {target} is not there", at.frame),
-        };
+fn consistency_row(what: &str, part: &str, nees: &Nees) -> Markup {
+    html! {
+        tr {
+            td { (what) ", " (part) }
+            td { (fixed(nees.mean, 2)) }
+            td { (fixed(nees.low, 2)) " to " (fixed(nees.high, 2)) }
+            td { (fixed(nees.median, 2)) }
+            td { (nees.samples) }
+            td { (fixed(nees.effective_samples, 0)) }
+            td { (nees.verdict.text()) }
+        }
     }
-    text + "</ul>\n"
+}
+
+fn false_poses(evaluation: &Evaluation) -> Markup {
+    html! {
+        h3 { "False poses: " (evaluation.false_poses) }
+        p {
+            "Measurements that are wrong by more than " (fixed(FALSE_M * 100.0, 0)) " cm or "
+            (fixed(FALSE_DEG, 0)) "°, or of a body that is not there."
+        }
+        ul {
+            @for at in &evaluation.false_at {
+                li {
+                    "frame " (at.frame) ": " (at.target)
+                    @if let (Some(position_m), Some(rotation_deg)) = (at.position_m, at.rotation_deg) {
+                        " is off by " (fixed(position_m, 3)) " m and " (fixed(rotation_deg, 1)) "°"
+                    } @else {
+                        " is not there"
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// A number with so many decimals.
+fn fixed(number: f64, decimals: usize) -> String {
+    format!("{number:.decimals$}")
 }

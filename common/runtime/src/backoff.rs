@@ -1,31 +1,31 @@
-//! How long to wait before a camera is opened again.
+//! How long to wait before something that failed is tried again.
 
 use std::time::Duration;
 
-/// Doubles with each failure up to a cap, and starts anew when a frame came through.
+/// Waits that double with each failure up to a longest one, and start again after a success.
 #[derive(Debug, Clone)]
-pub(crate) struct Backoff {
+pub struct Backoff {
     min: Duration,
     max: Duration,
     next: Duration,
 }
 
 impl Backoff {
-    /// Waits at least `min` and at most `max`.
-    pub(crate) fn new(min: Duration, max: Duration) -> Self {
+    /// Waits at least `min`, and 1 ms, and at most `max`.
+    pub fn new(min: Duration, max: Duration) -> Self {
         let min = min.max(Duration::from_millis(1));
         Self { min, max: max.max(min), next: min }
     }
 
     /// How long to wait after a failure.
-    pub(crate) fn after_failure(&mut self) -> Duration {
+    pub fn after_failure(&mut self) -> Duration {
         let wait = self.next;
         self.next = (wait * 2).min(self.max);
         wait
     }
 
-    /// The source is well: the next failure is a first one.
-    pub(crate) fn reset(&mut self) {
+    /// Notes a success: the next failure counts as the first.
+    pub fn reset(&mut self) {
         self.next = self.min;
     }
 }
