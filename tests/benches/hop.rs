@@ -17,10 +17,11 @@ use std::rc::Rc;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, ensure};
+use flockeye_config::Pipeline;
+use flockeye_config::Pipeline;
 use flockeye_contract::{FrameHeader, FrameStamp, Frames};
 use flockeye_geometry::statistics::{median, quantile};
 use flockeye_runtime::clock::monotonic_ns;
-use flockeye_runtime::config::Pipeline;
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::instance::Instance;
 use flockeye_runtime::memory::Budget;

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Args, ValueEnum};
-use flockeye_runtime::config::Pipeline;
+use flockeye_config::Pipeline;
 
 /// The arguments that choose a configuration.
 #[derive(Debug, Clone, Args)]
@@ -116,7 +116,7 @@ mod tests {
             ["--source", "a: b ! c", "--flow", "lossless", "--set", "search.mode=greedy"];
         let pipeline = parsed(&arguments).load_with(&[], &[]).unwrap();
         assert_eq!(pipeline.source.input, "a: b ! c");
-        assert_eq!(pipeline.flow, flockeye_runtime::config::Flow::Lossless);
+        assert_eq!(pipeline.flow, flockeye_config::Flow::Lossless);
     }
 
     #[test]

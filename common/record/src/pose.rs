@@ -1,7 +1,8 @@
 //! The rows of recorded poses.
 
 use flockeye_contract::{FrameStamp, MeasuredBy, Track, TrackState};
-use nalgebra::{Matrix6, Quaternion, UnitQuaternion, Vector3};
+use flockeye_convert::{matrix6, rotation};
+use nalgebra::{Matrix6, UnitQuaternion, Vector3};
 use serde::ser::{Serialize, SerializeStruct, Serializer};
 
 use crate::recorder::Recorded;
@@ -78,9 +79,9 @@ impl PoseRow {
             measured: (measured_by != MeasuredBy::Nothing).then(|| MeasuredPose {
                 position: measured.position.into(),
                 orientation: rotation(measured.orientation),
-                covariance: Some(Matrix6::from_row_slice(&track.measured_covariance)),
+                covariance: Some(matrix6(&track.measured_covariance)),
             }),
-            covariance: Some(Matrix6::from_row_slice(&track.covariance)),
+            covariance: Some(matrix6(&track.covariance)),
             latency_ms: track.latency.total_ns as f64 * 1e-6,
         })
     }
@@ -89,10 +90,6 @@ impl PoseRow {
     pub fn is_measured(&self) -> bool {
         self.measured_by != MeasuredBy::Nothing
     }
-}
-
-fn rotation([x, y, z, w]: [f64; 4]) -> UnitQuaternion<f64> {
-    UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z))
 }
 
 /// Rows and columns of the upper triangle, row by row.

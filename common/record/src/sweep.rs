@@ -6,9 +6,9 @@
 use std::collections::VecDeque;
 use std::fmt;
 
+use flockeye_config::Pipeline;
 use flockeye_contract::{DetectionHeader, PlannedView};
 use flockeye_geometry::view::View;
-use flockeye_runtime::config::Pipeline;
 use serde::Serialize;
 
 /// Plans that detection records may still refer to.

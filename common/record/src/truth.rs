@@ -1,7 +1,8 @@
 //! The rows of the truth.
 
 use flockeye_contract::{BodyTruth, TruthHeader};
-use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use flockeye_convert::rotation;
+use nalgebra::{UnitQuaternion, Vector3};
 use serde::Serialize;
 
 use crate::recorder::Recorded;
@@ -127,7 +128,7 @@ impl TruthRow {
 
     /// Its orientation.
     pub fn orientation(&self) -> UnitQuaternion<f64> {
-        UnitQuaternion::from_quaternion(Quaternion::new(self.qw, self.qx, self.qy, self.qz))
+        rotation([self.qx, self.qy, self.qz, self.qw])
     }
 }
 

@@ -8,8 +8,8 @@
 use flockeye_contract::{FrameStamp, Plans};
 
 use crate::clock;
-use crate::config::{Flow, Pipeline};
 use crate::ports::{PortError, Ports, Subscriber};
+use flockeye_config::{Flow, Pipeline};
 
 /// The source's side of the flow.
 pub struct Credits {

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use iceoryx2::prelude::*;
 use rustix::fs::{FlockOperation, flock};
 
-use crate::config::Pipeline;
+use flockeye_config::{Pipeline, is_instance_name};
 
 /// Environment variable with the instance's folder; every stage gets it.
 pub const FOLDER_VARIABLE: &str = "FLOCKEYE_INSTANCE_DIR";
@@ -283,13 +283,6 @@ impl Drop for Ownership {
             tracing::warn!("leftovers in {}: {error}", self.instance.folder.display());
         }
     }
-}
-
-/// Whether `name` can be an instance's. It becomes the name of a folder that is emptied, so nothing
-/// that leads elsewhere (`..`, a path) is one.
-pub fn is_instance_name(name: &str) -> bool {
-    (1..=31).contains(&name.len())
-        && name.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"-_".contains(&byte))
 }
 
 /// Folder of all instances of this user.

@@ -5,17 +5,13 @@
 //!
 //! | module | what it is for |
 //! | --- | --- |
-//! | [`config`] | pipeline.yaml: read, overridden, checked, typed |
-//! | [`bodies`] | the configured marker bodies, with their geometry |
 //! | [`instance`] | where one pipeline's shared memory and files live, and who owns it |
 //! | [`memory`] | how large each topic's shared memory is, and whether it fits |
 //! | [`ports`] | publishers and subscribers of the contract's topics |
 //! | [`onlooker`] | reading a running pipeline beside its stages |
 //! | [`stage`] | the loop: wait, step, send health, drain, stop |
 //! | [`credits`] | when a source may send its next frame |
-//! | [`sphere`] | the configured camera and the views that cover its sphere |
 //! | [`health`] | counters and latency quantiles |
-//! | [`network`] | what goes over Zenoh |
 //! | [`background`] | threads for work that nobody waits for |
 //! | [`scheduling`] | the scheduling policy of a thread |
 //! | [`backoff`] | waits between attempts |
@@ -24,21 +20,15 @@
 
 pub mod background;
 pub mod backoff;
-pub mod bodies;
-pub mod camera;
 pub mod clock;
-pub mod config;
 pub mod credits;
 pub mod health;
 pub mod instance;
 pub mod logs;
 pub mod memory;
-pub mod network;
 pub mod onlooker;
 pub mod ports;
 pub mod scheduling;
-pub mod sphere;
 pub mod stage;
-mod swarm;
 
 pub use stage::{Context, Stage, Step};

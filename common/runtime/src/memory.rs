@@ -11,7 +11,7 @@ use flockeye_contract::{
     Track, Tracks, Truths, Views,
 };
 
-use crate::config::{Flow, Pipeline};
+use flockeye_config::{Flow, Pipeline};
 
 /// Limits of one topic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -4,11 +4,11 @@ use std::rc::Rc;
 
 use iceoryx2::prelude::{NodeBuilder, NodeName, SignalHandlingMode, ipc};
 
-use crate::config::Pipeline;
 use crate::health::SharedCounters;
 use crate::instance::{Instance, InstanceError};
 use crate::memory::Budget;
 use crate::ports::Ports;
+use flockeye_config::Pipeline;
 
 /// Why a pipeline could not be joined.
 #[derive(Debug, thiserror::Error)]

@@ -10,12 +10,12 @@ use anyhow::Context as _;
 use flockeye_contract::{Health, Healths, StageState};
 use iceoryx2::prelude::*;
 
-use crate::config::Pipeline;
 use crate::health::{Counters, HEALTH_PERIOD, Identity, SharedCounters};
 use crate::instance::{GENERATION_VARIABLE, Instance, REPLICA_VARIABLE};
 use crate::memory::Budget;
 use crate::ports::{Ports, Publisher};
 use crate::{clock, logs};
+use flockeye_config::Pipeline;
 
 /// One box of the dataflow: what it takes, what it gives, what it keeps between frames.
 pub trait Stage: Sized {

@@ -7,8 +7,8 @@ use std::sync::mpsc;
 use std::thread;
 use std::time::Duration;
 
+use flockeye_config::{Flow, Pipeline};
 use flockeye_contract::{FrameStamp, ViewHeader, Views};
-use flockeye_runtime::config::{Flow, Pipeline};
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::instance::Instance;
 use flockeye_runtime::memory::Budget;

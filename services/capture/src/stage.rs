@@ -2,11 +2,11 @@
 
 use std::time::Duration;
 
+use flockeye_config::{AtEnd, Flow, Pipeline};
 use flockeye_contract::{
     FrameHeader, FrameStamp, Frames, PixelFormat, Projection, StageState, Transfer,
 };
-use flockeye_runtime::camera::projection_of;
-use flockeye_runtime::config::{AtEnd, Flow, Pipeline};
+use flockeye_convert::projection_of;
 use flockeye_runtime::credits::Credits;
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::logs::Throttle;

@@ -3,13 +3,13 @@
 use flockeye_contract::{
     DetectedMarker, DetectionHeader, Detections, MAX_DETECTED_MARKERS, ViewHeader, ViewKind, Views,
 };
+use flockeye_convert::{RadianceCache, image_of, view_of};
 use flockeye_geometry::body::Bodies;
 use flockeye_imaging::edges::Effort;
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::logs::Throttle;
 use flockeye_runtime::ports::{Message, Ports, Publisher, Subscriber};
 use flockeye_runtime::{Context, Stage, Step, clock};
-use flockeye_viewing::{Lights, image_of, view_of};
 
 use crate::detector::{Detector, DetectorParameters, Found, Threshold};
 use crate::keep_plausible;
@@ -27,7 +27,7 @@ pub struct DetectionStage {
     /// Where the sphere is swept again and again.
     turns: Option<Turns>,
     bodies: Bodies,
-    lights: Lights,
+    lights: RadianceCache,
     /// The sphere image's own resolution.
     pixels_per_radian: f64,
     worker: u32,
@@ -62,7 +62,7 @@ impl Stage for DetectionStage {
             detector,
             turns: pipeline.sweeps_by_turns().then(Turns::default),
             bodies,
-            lights: Lights::new(pipeline.measured_response()?)?,
+            lights: RadianceCache::new(pipeline.measured_response()?)?,
             pixels_per_radian: context.pipeline.camera_model()?.pixels_per_radian(),
             worker: context.identity.replica,
             generation: context.identity.generation,

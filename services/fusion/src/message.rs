@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use flockeye_config::Flow;
 use flockeye_contract as contract;
 use flockeye_contract::{
     FrameStamp, MeasuredBy, NONE, Pose, StageLatency, StopRule, Track, TrackState, ViewHeader,
@@ -10,7 +11,6 @@ use flockeye_contract::{
 use flockeye_geometry::body::Body;
 use flockeye_geometry::filter::{self, Prediction};
 use flockeye_geometry::search::{self, Plan, PlannedView, Purpose};
-use flockeye_runtime::config::Flow;
 use nalgebra::{Isometry3, Matrix3, Matrix6, Vector3};
 
 use crate::assembly::Record;

@@ -1,10 +1,10 @@
 //! Views that are held, as images to be aligned with.
 
 use flockeye_contract::{ViewHeader, Views};
+use flockeye_convert::{RadianceCache, image_of, view_of};
 use flockeye_geometry::search::Purpose;
 use flockeye_imaging::align::Picture;
 use flockeye_runtime::ports::Message;
-use flockeye_viewing::{Lights, image_of, view_of};
 
 use crate::alignment::BestView;
 use crate::gallery::{FrameOrder, Gallery};
@@ -15,7 +15,7 @@ use crate::swarm::{BestViews, Glimpse, Swarm};
 /// says why.
 pub fn best_views<'g>(
     gallery: &'g Gallery<Message<Views>>,
-    lights: &'g mut Lights,
+    lights: &'g mut RadianceCache,
     swarm: &Swarm,
     order: FrameOrder,
 ) -> BestViews<'g> {
@@ -36,7 +36,7 @@ pub fn best_views<'g>(
 /// cannot be read is left to detection, which says why.
 pub fn glimpses<'g>(
     gallery: &'g Gallery<Message<Views>>,
-    lights: &'g mut Lights,
+    lights: &'g mut RadianceCache,
     swarm: &Swarm,
     views: &[(FrameOrder, u32)],
 ) -> Vec<(ViewHeader, Glimpse<'g>)> {
@@ -58,7 +58,7 @@ pub fn glimpses<'g>(
 fn best_view<'g>(
     header: &ViewHeader,
     message: &'g Message<Views>,
-    lights: &'g Lights,
+    lights: &'g RadianceCache,
     swarm: &Swarm,
 ) -> Option<BestView<'g>> {
     let picture = Picture {

@@ -1,8 +1,8 @@
 //! What the configuration means for fusion.
 
+use flockeye_config::{Filter, Mode, Pipeline};
 use flockeye_geometry::filter::{MotionModel, TrackPolicy};
 use flockeye_geometry::search::SearchMode;
-use flockeye_runtime::config::{Filter, Mode, Pipeline};
 
 use crate::swarm::FilterChoice;
 

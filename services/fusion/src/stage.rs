@@ -3,20 +3,20 @@
 use std::collections::BTreeMap;
 
 use anyhow::Context as _;
+use flockeye_config::isometry;
+use flockeye_config::{Flow, Mode};
 use flockeye_contract::{
     DetectionHeader, Detections, FrameEnds, FrameStamp, PlanHeader, Plans, Track, TrackHeader,
     Tracks, ViewHeader, Views,
 };
+use flockeye_convert::{RadianceCache, view_of};
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::search::{Planner, Purpose, StopRule};
-use flockeye_runtime::bodies::isometry;
-use flockeye_runtime::config::{Flow, Mode};
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::logs::Throttle;
 use flockeye_runtime::memory::{self, MAX_TRACKS};
 use flockeye_runtime::ports::{Message, Ports, Publisher, Subscriber};
 use flockeye_runtime::{Context, Stage, Step, clock};
-use flockeye_viewing::{Lights, view_of};
 use nalgebra::Isometry3;
 
 use crate::alignment::{Aligner, Pace};
@@ -50,7 +50,7 @@ pub struct FusionStage {
     plans: Publisher<Plans>,
     assembly: Assembly,
     gallery: Gallery<Message<Views>>,
-    lights: Lights,
+    lights: RadianceCache,
     swarm: Swarm,
     remembered: BTreeMap<u64, (Purposes, StopRule)>,
     plan_id: u64,
@@ -122,7 +122,7 @@ impl Stage for FusionStage {
                 memory::held_views_waiting(pipeline),
                 memory::held_views_best(pipeline),
             ),
-            lights: Lights::new(pipeline.measured_response()?)?,
+            lights: RadianceCache::new(pipeline.measured_response()?)?,
             swarm,
             remembered: BTreeMap::new(),
             plan_id: 0,

@@ -2,13 +2,13 @@
 
 use std::time::Instant;
 
+use flockeye_config::Flow;
 use flockeye_contract::{FrameStamp, StageState, Track, Tracks};
-use flockeye_runtime::config::Flow;
-use flockeye_runtime::health::SharedCounters;
-use flockeye_runtime::logs::Throttle;
-use flockeye_runtime::network::{
+use flockeye_network::{
     Listener, Network, NetworkError, NetworkParameters, Peers, Reporter, utc_from_monotonic,
 };
+use flockeye_runtime::health::SharedCounters;
+use flockeye_runtime::logs::Throttle;
 use flockeye_runtime::ports::{Ports, Subscriber};
 use flockeye_runtime::{Context, Stage, Step, clock};
 
@@ -42,7 +42,7 @@ impl Stage for GatewayStage {
     const NAME: &'static str = "gateway";
 
     fn open(context: &Context, ports: &mut Ports) -> anyhow::Result<Self> {
-        let parameters = context.pipeline.network_parameters();
+        let parameters = NetworkParameters::of_drone(&context.pipeline);
         // What can never work is said before the flight; what may come yet is waited for.
         parameters.check()?;
         Ok(Self {

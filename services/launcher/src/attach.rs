@@ -2,7 +2,7 @@
 
 use anyhow::{Context, bail, ensure};
 use clap::Args;
-use flockeye_runtime::config::Pipeline;
+use flockeye_config::Pipeline;
 use flockeye_runtime::instance::Instance;
 use flockeye_runtime::onlooker;
 use flockeye_runtime::ports::Ports;

@@ -6,10 +6,10 @@ use std::time::Duration;
 use anyhow::{Context, ensure};
 use clap::Args;
 use flockeye_cli::{Configuration, Screen, duration, signals};
+use flockeye_config::{Count, Flow, Pipeline};
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::partition;
 use flockeye_geometry::view::View;
-use flockeye_runtime::config::{Count, Flow, Pipeline};
 use flockeye_runtime::instance::Instance;
 use flockeye_runtime::memory::{Budget, shared_memory_space};
 

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use clap::Args;
 use flockeye_cli::text_table::TextTable;
 use flockeye_cli::{Configuration, Screen, duration, signals};
-use flockeye_runtime::network::{Listener, Network, Peers};
+use flockeye_network::{Listener, Network, NetworkParameters, Peers};
 use nalgebra::Vector3;
 
 /// Arguments of `peers`.
@@ -34,7 +34,7 @@ const WAITING_REPORTS: usize = 1_024;
 pub fn run(arguments: &PeersArguments) -> anyhow::Result<()> {
     let stopping = signals::stop_flag()?;
     let pipeline = arguments.configuration.load()?;
-    let network = Network::open(&pipeline.onlooker_parameters())?;
+    let network = Network::open(&NetworkParameters::of_onlooker(&pipeline))?;
     let listener = network.listener()?;
     let end = arguments.duration.map(|duration| Instant::now() + duration);
     let is_over =

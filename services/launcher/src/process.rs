@@ -8,8 +8,8 @@ use std::sync::mpsc::SyncSender;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
+use flockeye_config::{Restart, Scheduling, StageProcess};
 use flockeye_runtime::backoff::Backoff;
-use flockeye_runtime::config::{Restart, Scheduling, StageProcess};
 use flockeye_runtime::instance::{
     FOLDER_VARIABLE, GENERATION_VARIABLE, REPLICA_VARIABLE, STAGE_VARIABLE,
 };

@@ -5,11 +5,11 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use flockeye_cli::duration;
+use flockeye_config::Pipeline;
 use flockeye_contract::{Detections, FrameStamp, Healths, StageState, Tracks, Truths};
 use flockeye_record::sweep::SweepReport;
 use flockeye_record::{FrameTimes, MarkerRays, PoseRow, Recorder, TruthRow};
 use flockeye_runtime::clock;
-use flockeye_runtime::config::Pipeline;
 use flockeye_runtime::ports::{Ports, Subscriber};
 
 use crate::dashboard::Dashboard;

@@ -7,7 +7,7 @@ use flockeye_cli::Screen;
 /// # Errors
 /// The schema is no JSON.
 pub fn run() -> anyhow::Result<()> {
-    let schema = serde_json::to_string_pretty(&flockeye_runtime::config::json_schema())?;
+    let schema = serde_json::to_string_pretty(&flockeye_config::json_schema())?;
     Screen::new().line(&schema);
     Ok(())
 }

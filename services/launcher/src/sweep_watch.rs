@@ -1,8 +1,8 @@
 //! How often a running pipeline searches each part of the sphere.
 
+use flockeye_config::Pipeline;
 use flockeye_contract::{Detections, Plans};
 use flockeye_record::sweep::{Sweep, SweepReport};
-use flockeye_runtime::config::Pipeline;
 use flockeye_runtime::ports::{PortError, Ports, Subscriber};
 
 /// A [`Sweep`] of a running pipeline.

@@ -10,8 +10,8 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, ensure};
 use clap::Args;
 use flockeye_cli::{Screen, duration, signals};
+use flockeye_config::Flow;
 use flockeye_contract::{Detections, FrameEnds, Healths, Tracks};
-use flockeye_runtime::config::Flow;
 
 use crate::attach::{Attached, PipelineChoice, attach};
 use crate::trace_events::Tracer;

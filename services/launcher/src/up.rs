@@ -8,12 +8,12 @@ use std::time::{Duration, Instant};
 use anyhow::Context;
 use clap::Args;
 use flockeye_cli::{Configuration, Screen, signals};
+use flockeye_config::Pipeline;
 use flockeye_contract::{
     Detections, FrameEnds, Frames, Healths, Plans, StageState, Tracks, Truths, Views,
 };
 use flockeye_dictionary::Dictionary;
 use flockeye_runtime::clock;
-use flockeye_runtime::config::Pipeline;
 use flockeye_runtime::health::Counters;
 use flockeye_runtime::instance::{Instance, Ownership};
 use flockeye_runtime::memory::{Budget, shared_memory_space};

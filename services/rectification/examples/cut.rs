@@ -12,9 +12,9 @@
 use std::path::Path;
 
 use anyhow::{Context, bail, ensure};
+use flockeye_config::Pipeline;
 use flockeye_geometry::view::View;
 use flockeye_imaging::sphere::{Cut, Interpolation, SphereImage, rectify_into};
-use flockeye_runtime::config::Pipeline;
 use nalgebra::{Unit, Vector3};
 use opencv::core::{self, Mat, Vector};
 use opencv::imgcodecs;

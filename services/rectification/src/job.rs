@@ -3,8 +3,9 @@
 use std::collections::BTreeSet;
 
 use flockeye_contract::{FrameHeader, NONE, PlannedView, StopReason, StopRule, ViewKind};
+use flockeye_convert::{rotation, xyzw};
 use flockeye_geometry::view::View;
-use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use nalgebra::{UnitQuaternion, Vector3};
 
 /// What is to be done with a frame.
 #[derive(Debug, Clone, PartialEq)]
@@ -189,8 +190,7 @@ impl Job {
 
 /// A planned view as it is at a frame's exposure: a gaze view turns with its neighbour.
 pub fn at_exposure(planned: &PlannedView, exposure_ns: i64) -> View {
-    let [x, y, z, w] = planned.camera_from_view;
-    let reference_from_view = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
+    let reference_from_view = rotation(planned.camera_from_view);
     let elapsed_s = (exposure_ns - planned.reference_ns) as f64 * 1e-9;
     let turn = Vector3::from(planned.rate_in_camera) * elapsed_s;
     // A prediction for another time than about now means nothing.
@@ -210,7 +210,7 @@ pub fn sweep(partitions: &[(u32, View)], first: usize) -> Vec<PlannedView> {
     (0..count)
         .map(|k| partitions[(first + k) % count])
         .map(|(partition, view)| PlannedView {
-            camera_from_view: view.camera_from_view.coords.into(),
+            camera_from_view: xyzw(&view.camera_from_view),
             focal_px: view.focal_px,
             size_px: view.size_px,
             kind: ViewKind::Partition.code(),

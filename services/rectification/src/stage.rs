@@ -4,15 +4,15 @@ use std::collections::BTreeSet;
 use std::time::Duration;
 
 use anyhow::Context as _;
+use flockeye_config::{Backend, Flow, Pipeline};
 use flockeye_contract::{
     Detections, FrameEnd, FrameEnds, FrameHeader, FrameStamp, Frames, PlanHeader, PlannedView,
     Plans, StopReason, StopRule, ViewHeader, Views,
 };
+use flockeye_convert::{projection_of, xyzw};
 use flockeye_geometry::camera::Camera;
 use flockeye_geometry::view::View;
 use flockeye_imaging::sphere::{Cut, Interpolation, SphereImage};
-use flockeye_runtime::camera::projection_of;
-use flockeye_runtime::config::{Backend, Flow, Pipeline};
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::logs::Throttle;
 use flockeye_runtime::ports::{Message, Ports, Publisher, Subscriber};
@@ -338,7 +338,7 @@ impl RectificationStage {
             plan_id: job.plan_id,
             taken_ns: job.taken_ns,
             issued_ns,
-            camera_from_view: view.camera_from_view.coords.into(),
+            camera_from_view: xyzw(&view.camera_from_view),
             focal_px: view.focal_px,
             predicted_camera_from_markers: planned.predicted_camera_from_markers,
             readout_ns: frame.readout_ns,

@@ -3,10 +3,10 @@
 
 use std::path::Path;
 
+use flockeye_config::Pipeline;
 use flockeye_geometry::camera::{Camera, CameraModel, Lens};
 use flockeye_geometry::view::{View, ViewPixel};
 use flockeye_imaging::sphere::{Cut, SphereImage, rectify_into};
-use flockeye_runtime::config::Pipeline;
 use nalgebra::{Unit, Vector3};
 use opencv::core::{self, Mat, Point2f, Size, TermCriteria, Vector};
 use opencv::prelude::*;

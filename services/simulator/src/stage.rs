@@ -1,16 +1,15 @@
 //! The ports around the simulated world.
 
 use anyhow::Context as _;
+use flockeye_config::isometry;
+use flockeye_config::{Flow, Pipeline};
 use flockeye_contract::{
-    BodyTruth, FrameHeader, FrameStamp, Frames, PixelFormat, Pose, Projection, Range, Transfer,
+    BodyTruth, FrameHeader, FrameStamp, Frames, PixelFormat, Projection, Range, Transfer,
     TruthHeader, Truths,
 };
+use flockeye_convert::{pose, projection_of, transfer_curve};
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::body::{Bodies, Body};
-use flockeye_imaging::light::TransferCurve;
-use flockeye_runtime::bodies::isometry;
-use flockeye_runtime::camera::projection_of;
-use flockeye_runtime::config::{Flow, Pipeline};
 use flockeye_runtime::credits::Credits;
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::ports::{Ports, Publisher};
@@ -220,13 +219,6 @@ fn truth_header(stamp: FrameStamp, truth: &FrameTruth) -> TruthHeader {
     TruthHeader { stamp, observer_yaw: truth.observer_yaw, exposure_s: truth.exposure_s }
 }
 
-fn pose(isometry: &Isometry3<f64>) -> Pose {
-    Pose {
-        position: isometry.translation.vector.into(),
-        orientation: isometry.rotation.coords.into(),
-    }
-}
-
 /// The bodies that fly: the first of those configured.
 fn flying_bodies(pipeline: &Pipeline) -> anyhow::Result<Option<Bodies>> {
     let all = pipeline.simulated_bodies()?;
@@ -245,11 +237,10 @@ fn flying_bodies(pipeline: &Pipeline) -> anyhow::Result<Option<Bodies>> {
 
 fn parameters(pipeline: &Pipeline) -> anyhow::Result<WorldParameters> {
     let (settings, usual) = (&pipeline.simulator, WorldParameters::default());
-    let response = match pipeline.transfer() {
-        (Transfer::Srgb, _) => Response::Curve(TransferCurve::Srgb),
-        (Transfer::Gamma, gamma) => Response::Curve(TransferCurve::Gamma(gamma)),
-        (Transfer::Linear, _) => Response::Curve(TransferCurve::Linear),
-        (Transfer::Table, _) => Response::Table(pipeline.response_table()?),
+    let (transfer, gamma) = pipeline.transfer();
+    let response = match transfer_curve(transfer, gamma) {
+        Some(curve) => Response::Curve(curve),
+        None => Response::Table(pipeline.response_table()?),
     };
     Ok(WorldParameters {
         seed: u64::from(settings.seed),

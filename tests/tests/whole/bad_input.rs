@@ -5,8 +5,8 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
+use flockeye_config::Pipeline;
 use flockeye_record::{PoseRow, TruthRow, read};
-use flockeye_runtime::config::Pipeline;
 use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, absent, flockeye, run, unique};
 use gstreamer as gst;
 use gstreamer::prelude::*;

@@ -3,6 +3,8 @@
 use std::process::Command;
 use std::time::{Duration, Instant};
 
+use flockeye_config::Pipeline;
+use flockeye_config::Pipeline;
 use flockeye_contract::{
     BodyTruth, CONTRACT_VERSION, DetectedMarker, DetectionHeader, Detections, FrameEnd, FrameEnds,
     FrameHeader, Frames, Health, Healths, MeasuredBy, NONE, PixelFormat, PlanHeader, PlannedView,
@@ -10,7 +12,6 @@ use flockeye_contract::{
     VERSION_ATTRIBUTE, ViewHeader, ViewKind, Views,
 };
 use flockeye_record::{PoseRow, TruthRow, read};
-use flockeye_runtime::config::Pipeline;
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::instance::Instance;
 use flockeye_runtime::memory::Budget;

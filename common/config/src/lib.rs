@@ -1,0 +1,32 @@
+//! pipeline.yaml: read, overridden from the command line, checked, typed, resolved.
+//!
+//! Everything that is wrong is reported at once, each problem with its place, what is wrong and
+//! what is allowed. The document is checked in two passes: against the JSON Schema of the types
+//! (which editors use too, see [`json_schema`]), then for what no schema can say.
+//!
+//! | module | what it is for |
+//! | --- | --- |
+//! | `types` | the configuration as types; their comments are the schema's descriptions |
+//! | `document` | YAML as a tree that remembers where each value was written |
+//! | `schema` | the document checked against the JSON Schema |
+//! | `meaning` | what no schema can say |
+//! | `read` | text and overrides to a checked [`Pipeline`] |
+//! | `problem` | what is wrong, and where |
+//! | `resolve` | what is made of a configuration: bodies, camera, views |
+
+mod document;
+mod instance_name;
+mod meaning;
+mod problem;
+mod read;
+mod resolve;
+mod schema;
+mod types;
+
+pub use instance_name::is_instance_name;
+pub use problem::{ConfigError, Origin, Problem};
+pub use read::json_schema;
+pub use resolve::{
+    BodySetError, CameraSettingError, MaskFileError, SphereViewsError, isometry, read_bodies,
+};
+pub use types::*;

@@ -1,0 +1,300 @@
+//! What no schema can say: values that contradict each other, names, rotations.
+
+use flockeye_geometry::body::{Bodies, Body};
+use flockeye_geometry::partition::{PartitionError, Weights};
+
+use crate::document::Node;
+use crate::instance_name::is_instance_name;
+use crate::problem::{Problem, Problems};
+use crate::resolve::{SphereViewsError, preset_body};
+use crate::types::{
+    AtEnd, BodySet, Count, Flow, Fusion, Mount, Partition, Pipeline, Preset, PresetBody, Response,
+};
+
+/// Adds everything about `pipeline` that cannot be meant to `problems`.
+pub(super) fn check(pipeline: &Pipeline, document: &Node, problems: &mut Problems) {
+    let mut meaning = Meaning { document, problems };
+    meaning.instance(&pipeline.instance.0);
+    meaning.name("observer.name", &pipeline.observer.name);
+    meaning.name("observer.swarm", &pipeline.observer.swarm);
+    meaning.mount("observer.observer_from_camera", &pipeline.observer.observer_from_camera);
+    meaning.camera(pipeline);
+    meaning.bodies(&pipeline.bodies);
+    meaning.partition(pipeline);
+    meaning.rising("source.reopen_s", pipeline.source.reopen_s, 0.01);
+    meaning.rising("simulator.distance_m", pipeline.simulator.distance_m, 0.2);
+    meaning.source(pipeline);
+    meaning.fusion(&pipeline.fusion);
+    meaning.network(pipeline);
+    meaning.stages(pipeline);
+}
+
+struct Meaning<'a> {
+    document: &'a Node,
+    problems: &'a mut Problems,
+}
+
+impl Meaning<'_> {
+    fn problem(&mut self, path: &str, what: String) {
+        self.problems.add(Problem::new(self.document.origin_of(path), path, what));
+    }
+
+    fn instance(&mut self, name: &str) {
+        if !is_instance_name(name) {
+            self.problem(
+                "instance",
+                format!("'{name}' cannot be a name here: use 1 to 31 letters, digits, '-' and '_'"),
+            );
+        }
+    }
+
+    fn name(&mut self, path: &str, name: &str) {
+        if !flockeye_contract::wire::is_name(name) {
+            self.problem(
+                path,
+                format!("'{name}' cannot be a name: use 1 to 31 letters, digits, '-', '_' and '.'"),
+            );
+        }
+    }
+
+    fn mount(&mut self, path: &str, mount: &Mount) {
+        let norm = mount.orientation.iter().map(|q| q * q).sum::<f64>().sqrt();
+        if (norm - 1.0).abs() > 1e-3 {
+            self.problem(
+                &format!("{path}.orientation"),
+                format!("a rotation's quaternion x, y, z, w has length 1, not {norm:.4}"),
+            );
+        }
+    }
+
+    /// Two positive numbers, the first no larger than the second.
+    fn rising(&mut self, path: &str, [low, high]: [f64; 2], least: f64) {
+        if !(low >= least && high >= low) {
+            self.problem(
+                path,
+                format!("must be two rising numbers from {least}, not [{low}, {high}]"),
+            );
+        }
+    }
+
+    fn camera(&mut self, pipeline: &Pipeline) {
+        for (index, lens) in pipeline.camera.lenses.iter().enumerate() {
+            self.mount(&format!("camera.lenses.{index}.camera_from_lens"), &lens.camera_from_lens);
+        }
+        if let Err(fault) = pipeline.camera_model() {
+            self.problem(&fault.key, fault.reason);
+        }
+        if pipeline.camera.response == Response::Table
+            && let Err(fault) = pipeline.response_table()
+        {
+            self.problem(&fault.key, fault.reason);
+        }
+    }
+
+    fn bodies(&mut self, bodies: &BodySet) {
+        if bodies.file.is_some() {
+            return; // read, and refused, by whoever opens it: see `Pipeline::bodies`
+        }
+        let mut known = Vec::new();
+        for (index, entry) in bodies.list.iter().enumerate() {
+            let path = format!("bodies.list.{index}");
+            self.name(&format!("{path}.name"), &entry.name);
+            self.mount(&format!("{path}.target_from_markers"), &entry.target_from_markers);
+            self.keys_of_preset(&path, entry);
+            let Some(body) = preset_body(entry) else { continue };
+            self.sizes(&path, &body);
+            known.push(body);
+        }
+        // Those of a file are not known yet: see `Pipeline::bodies`.
+        let is_all = known.len() == bodies.list.len();
+        if (is_all || !known.is_empty())
+            && let Err(error) = Bodies::new(bodies.dictionary.clone(), known)
+        {
+            self.problem("bodies.list", error.to_string());
+        }
+    }
+
+    /// Keys that are for some presets only.
+    fn keys_of_preset(&mut self, path: &str, entry: &PresetBody) {
+        let is_custom = entry.preset == Preset::Custom;
+        if is_custom && entry.file.is_none() {
+            self.problem(
+                &format!("{path}.file"),
+                "a custom body is in a JSON file: say which".into(),
+            );
+        }
+        let sizes = [
+            ("edge_m", entry.edge_m, !is_custom),
+            ("marker_m", entry.marker_m, !is_custom),
+            ("small_marker_m", entry.small_marker_m, entry.preset == Preset::Truncated),
+            ("small_shift_m", entry.small_shift_m, entry.preset == Preset::Truncated),
+        ];
+        let mut foreign: Vec<&str> = sizes
+            .iter()
+            .filter(|(_, value, is_own)| value.is_some() && !is_own)
+            .map(|(key, ..)| *key)
+            .collect();
+        if entry.file.is_some() && !is_custom {
+            foreign.push("file");
+        }
+        for key in foreign {
+            let preset = entry.preset.name();
+            self.problem(
+                &format!("{path}.{key}"),
+                format!("the preset {preset} has no {key}: leave it out"),
+            );
+        }
+    }
+
+    /// Whether every marker fits its facet.
+    fn sizes(&mut self, path: &str, body: &Body) {
+        let misfit = body.facets().iter().find_map(|facet| {
+            let marker = &body.markers[facet.marker?];
+            (!facet.holds(marker, 1e-9)).then_some((facet, marker))
+        });
+        let Some((facet, marker)) = misfit else { return };
+        let (side, edge) = (marker.side(), (facet.outline[1] - facet.outline[0]).norm());
+        let (key, shape) = match facet.outline.len() {
+            3 => ("small_marker_m", "a triangle with edges"),
+            _ => ("marker_m", "a facet"),
+        };
+        self.problem(
+            &format!("{path}.{key}"),
+            format!("a marker of {} m does not fit {shape} of {} m", rounded(side), rounded(edge)),
+        );
+    }
+
+    fn partition(&mut self, pipeline: &Pipeline) {
+        let partition = &pipeline.partition;
+        if let Err(error) = Weights::new(partition.weights) {
+            return self.problem("partition.weights", error.to_string());
+        }
+        // The markers of a file are not known yet: see `Pipeline::partition_views`.
+        let markers = pipeline.bodies.list.iter().filter_map(preset_body);
+        let largest_m = match pipeline.bodies.file {
+            Some(_) => 0.0,
+            None => markers.map(|body| body.largest_side()).fold(0.0, f64::max),
+        };
+        let error = match pipeline.partition_field_rad(largest_m) {
+            Err(error) => error,
+            Ok(_) => {
+                let near = pipeline.partition_views(largest_m);
+                for error in [near.err(), pipeline.far_views().err()].into_iter().flatten() {
+                    let path = match error {
+                        SphereViewsError::TooLarge { .. } => "partition.count",
+                        SphereViewsError::FarTooLarge { .. } => "search.far_magnification",
+                        // A camera that cannot be is said where it is written.
+                        SphereViewsError::Camera(_) | SphereViewsError::Partition(_) => continue,
+                    };
+                    let text = error.to_string();
+                    let what = text.trim_start_matches(&format!("{path}: ")).to_owned();
+                    self.problem(path, what);
+                }
+                return;
+            }
+        };
+        if !matches!(error, PartitionError::Field { .. }) {
+            return self.problem("partition", error.to_string());
+        }
+        // What was written and made it so.
+        let path = match (partition.margin_deg, partition.count) {
+            (Some(_), _) => "partition.margin_deg",
+            (None, Count::Chosen(_)) if partition.weights != Partition::default().weights => {
+                "partition.weights"
+            }
+            (None, Count::Chosen(_)) => "partition.nearest_m",
+            (None, count) if count == Partition::default().count => "partition.nearest_m",
+            (None, Count::Views(_)) => "partition.count",
+        };
+        let reason = match partition.margin_deg {
+            Some(_) => String::new(),
+            None => format!("a marker of {} m at {} m: ", rounded(largest_m), partition.nearest_m),
+        };
+        self.problem(path, format!("{reason}{error}"));
+    }
+
+    fn source(&mut self, pipeline: &Pipeline) {
+        if pipeline.source.input.trim().is_empty() {
+            self.problem(
+                "source.input",
+                "must not be empty: write sim, a file, a folder or a camera".into(),
+            );
+        }
+        let bodies = pipeline.bodies.list.len();
+        if pipeline.bodies.file.is_none() && pipeline.simulator.neighbours as usize > bodies {
+            self.problem(
+                "simulator.neighbours",
+                format!(
+                    "{} neighbours, but {bodies} bodies are configured",
+                    pipeline.simulator.neighbours
+                ),
+            );
+        }
+        let frame_ms = 1e3 / pipeline.simulator.frames_per_second;
+        if pipeline.simulator.exposure_ms > frame_ms {
+            self.problem(
+                "simulator.exposure_ms",
+                format!(
+                    "an exposure of {} ms in a frame of {frame_ms:.2} ms",
+                    pipeline.simulator.exposure_ms
+                ),
+            );
+        }
+        if pipeline.flow == Flow::Lossless && pipeline.source.at_end == AtEnd::Loop {
+            self.problem(
+                "source.at_end",
+                "a lossless run ends with its recording: use stop".into(),
+            );
+        }
+    }
+
+    fn fusion(&mut self, fusion: &Fusion) {
+        let Fusion { confirm_hits, confirm_window, .. } = *fusion;
+        if confirm_hits > confirm_window {
+            self.problem(
+                "fusion.confirm_hits",
+                format!(
+                    "{confirm_hits} measurements among {confirm_window} frames: raise \
+                     fusion.confirm_window"
+                ),
+            );
+        }
+    }
+
+    fn network(&mut self, pipeline: &Pipeline) {
+        let lists = [
+            ("gateway.listen", &pipeline.gateway.listen),
+            ("gateway.connect", &pipeline.gateway.connect),
+        ];
+        for (path, endpoints) in lists {
+            for (index, endpoint) in endpoints.iter().enumerate() {
+                let is_endpoint = endpoint.split_once('/').is_some_and(|(protocol, address)| {
+                    ["tcp", "udp"].contains(&protocol) && address.contains(':')
+                });
+                if !is_endpoint {
+                    self.problem(
+                        &format!("{path}.{index}"),
+                        format!("'{endpoint}' is no endpoint: write tcp/ADDRESS:PORT or udp/ADDRESS:PORT"),
+                    );
+                }
+            }
+        }
+    }
+
+    fn stages(&mut self, pipeline: &Pipeline) {
+        for (name, stage) in pipeline.stages.iter() {
+            if stage.replicas.is_some_and(|replicas| replicas > 1) && name != "detection" {
+                self.problem(
+                    &format!("stages.{name}.replicas"),
+                    format!("only detection runs in several processes, {name} in one"),
+                );
+            }
+            self.rising(&format!("stages.{name}.backoff_s"), stage.backoff_s, 0.01);
+        }
+    }
+}
+
+/// A size that comes back from corners, without their rounding.
+fn rounded(length_m: f64) -> f64 {
+    (length_m * 1e9).round() / 1e9
+}

@@ -1,0 +1,82 @@
+//! pipeline.yaml and overrides to a checked [`Pipeline`].
+
+use std::path::Path;
+
+use crate::document::Node;
+use crate::problem::{ConfigError, Problem, Problems};
+use crate::types::Pipeline;
+use crate::{meaning, schema};
+
+impl Pipeline {
+    /// Reads a configuration file, with overrides (`key.path=value`) on top. Relative paths in the
+    /// file are relative to it.
+    ///
+    /// # Errors
+    /// [`ConfigError`]: the file cannot be read, or everything that is wrong with it.
+    pub fn load(path: &Path, overrides: &[String]) -> Result<Self, ConfigError> {
+        let yaml = std::fs::read_to_string(path)
+            .map_err(|error| ConfigError::Read { path: path.to_owned(), error })?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let mut pipeline = Self::parse(&yaml, overrides, &path.display().to_string())?;
+        // An override's path is the user's, relative to where the command was given.
+        let is_overridden =
+            |key: &str| overrides.iter().any(|text| text.starts_with(&format!("{key}=")));
+        let dictionary = folder.join(&pipeline.bodies.dictionary);
+        if !is_overridden("bodies.dictionary") && dictionary.is_file() {
+            pipeline.bodies.dictionary = dictionary.to_string_lossy().into_owned();
+        }
+        let mut files = vec![
+            ("bodies.file".to_owned(), &mut pipeline.bodies.file),
+            ("simulator.bodies".to_owned(), &mut pipeline.simulator.bodies),
+            ("camera.mask".to_owned(), &mut pipeline.camera.mask),
+        ];
+        let list = pipeline.bodies.list.iter_mut().enumerate();
+        files.extend(list.map(|(k, body)| (format!("bodies.list.{k}.file"), &mut body.file)));
+        for (key, file) in files {
+            if let Some(file) = file.as_mut().filter(|_| !is_overridden(&key)) {
+                *file = folder.join(&*file);
+            }
+        }
+        Ok(pipeline)
+    }
+
+    /// Reads a configuration from text; `name` stands for it in messages.
+    ///
+    /// # Errors
+    /// Everything that is wrong with it.
+    pub fn parse(yaml: &str, overrides: &[String], name: &str) -> Result<Self, ConfigError> {
+        let refused = |problems| ConfigError::Problems { name: name.to_owned(), problems };
+        let mut document = Node::parse(yaml).map_err(|problem| refused(vec![problem]))?;
+        let mut problems = Problems::default();
+        for assignment in overrides {
+            if let Err(problem) = document.set(assignment) {
+                problems.add(problem);
+            }
+        }
+        schema::check(&document, json_schema().as_value(), &mut problems);
+        if problems.0.is_empty() {
+            match serde_json::from_value::<Self>(document.to_json()) {
+                Ok(pipeline) => {
+                    meaning::check(&pipeline, &document, &mut problems);
+                    if problems.0.is_empty() {
+                        return Ok(pipeline);
+                    }
+                }
+                // The schema is made from the same types, so this is a gap in the check above; the
+                // message still says what serde found.
+                Err(error) => {
+                    problems.add(Problem::new(document.origin.clone(), "", error.to_string()))
+                }
+            }
+        }
+        Err(refused(problems.0))
+    }
+}
+
+/// The JSON Schema of pipeline.yaml, for editors.
+pub fn json_schema() -> schemars::Schema {
+    schemars::schema_for!(Pipeline)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,273 @@
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+use std::path::Path;
+
+use super::*;
+use crate::types::*;
+
+fn parse(yaml: &str) -> Result<Pipeline, ConfigError> {
+    Pipeline::parse(yaml, &[], "pipeline.yaml")
+}
+
+#[test]
+fn an_empty_file_is_the_default() {
+    assert_eq!(parse("").unwrap(), Pipeline::default());
+    assert_eq!(parse("search:\n").unwrap(), Pipeline::default());
+}
+
+#[test]
+fn the_shipped_file_says_the_defaults() {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../pipeline.yaml");
+    assert_eq!(Pipeline::load(Path::new(path), &[]).unwrap(), Pipeline::default());
+}
+
+#[test]
+fn the_shipped_file_names_every_key() {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../pipeline.yaml");
+    let text = std::fs::read_to_string(path).unwrap();
+    let schema = serde_json::to_value(json_schema()).unwrap();
+    let sections = schema["$defs"].as_object().unwrap().values().chain([&schema]);
+    let keys =
+        sections.filter_map(|section| section["properties"].as_object()).flat_map(|p| p.keys());
+    let missing: Vec<_> = keys.filter(|key| !text.contains(&format!("{key}:"))).collect();
+    assert!(missing.is_empty(), "pipeline.yaml does not mention {missing:?}");
+}
+
+/// Every malformed or senseless file, and what the message has to say.
+const WRONG: &[(&str, &[&str])] = &[
+    ("camera: [1, 2", &["not YAML"]),
+    ("camera:\n\twidth: 1", &["not YAML"]),
+    ("camera: {width: 1}\ncamera: {width: 2}", &["line 2", "duplicated key"]),
+    ("- camera", &["must be a section", "not a list"]),
+    ("just text", &["must be a section", "the text 'just text'"]),
+    ("---\na: 1\n---\nb: 2", &["2 documents"]),
+    ("1: 2", &["key must be text"]),
+    ("camra: {}", &["line 1, column 1", "unknown key", "did you mean 'camera'?"]),
+    ("camera:\n  widht: 3840", &["line 2, column 3", "camera.widht", "did you mean 'width'?"]),
+    ("search: {qqq: 1}", &["unknown key (known are mode, lossless_partitions, far_magnification)"]),
+    ("camera: {width: wide}", &["camera.width", "must be a whole number", "the text 'wide'"]),
+    ("camera: {width: 38.5}", &["must be a whole number, not 38.5"]),
+    (
+        "camera: {width: 20000, height: 10000}",
+        &["from 64 to 16384, not 20000", "from 32 to 8192, not 10000"],
+    ),
+    (
+        "camera: {width: 3840, height: 2160}",
+        &["line 1, column 17", "twice as wide as high", "3840x2160"],
+    ),
+    (
+        "camera: {projection: dual_fisheye}",
+        &["camera.lenses", "has two lenses, not 0", "docs/CAMERAS.md"],
+    ),
+    (
+        "camera: {projection: dual_fisheye, lenses: [{circle_px: 3, field_deg: 190}]}",
+        &["camera.lenses.0.centre_px: is missing", "camera.lenses.0.camera_from_lens: is missing"],
+    ),
+    (
+        "camera:\n  width: 1280\n  height: 640\n  projection: dual_fisheye\n  lenses:\n    - \
+         {centre_px: [319.5, 319.5], circle_px: 330, field_deg: 190, camera_from_lens: {}}\n    - \
+         {centre_px: [959.5, 319.5], circle_px: 310, field_deg: 190, camera_from_lens: {}}",
+        &["line 6", "camera.lenses", "image circle of lens 0", "leaves the image of 1280x640"],
+    ),
+    (
+        "camera:\n  projection: dual_fisheye\n  lenses:\n    - {centre_px: [959, 959], circle_px: \
+         900, field_deg: 190, camera_from_lens: {}, double_sphere: [0.1, 0.6]}\n    - {centre_px: \
+         [2879, 959], circle_px: 900, field_deg: 190, camera_from_lens: {}}",
+        &["line 4", "camera.lenses.0.focal_px", "needs the focal lengths"],
+    ),
+    (
+        "camera:\n  projection: dual_fisheye\n  lenses:\n    - {centre_px: [959, 959], circle_px: \
+         900, field_deg: 190, camera_from_lens: {}, focal_px: [9, 9], double_sphere: [0.1, 0.6], \
+         equidistant: [0, 0, 0, 0]}\n    - {centre_px: [2879, 959], circle_px: 900, field_deg: 190, \
+         camera_from_lens: {}}",
+        &["line 4", "camera.lenses.0: a lens has one curve"],
+    ),
+    (
+        "camera:\n  projection: dual_fisheye\n  lenses:\n    - {centre_px: [959, 959], circle_px: \
+         900, field_deg: 190, camera_from_lens: {orientation: [1, 1, 0, 0]}}\n    - {centre_px: \
+         [2879, 959], circle_px: 900, field_deg: 190, camera_from_lens: {}}",
+        &["line 4", "camera.lenses.0.camera_from_lens.orientation", "has length 1, not 1.4142"],
+    ),
+    (
+        "camera: {projection: stereographic, stereographic_field_deg: 360}",
+        &["camera.stereographic_field_deg", "from 1 to 350, not 360"],
+    ),
+    ("camera: {lens_distance_m: -0.1}", &["from 0 to 1, not -0.1"]),
+    (
+        "camera: {response: table, response_table: [0, 1, 1.00000000001]}",
+        &["camera.response_table", "single precision"],
+    ),
+    (
+        "camera: {width: 7680, height: 3840}\npartition: {count: 5}",
+        &["line 2", "partition.count", "px a side", "4096 at most"],
+    ),
+    ("camera: {response: table}", &["camera.response_table", "2 to 256 codes, not of 0"]),
+    (
+        "camera: {response: table, response_table: [0, 2, 2]}",
+        &["camera.response_table", "entry 2 is 2 after 2"],
+    ),
+    ("camera: {latency_ms: -1}", &["from 0 to 10000, not -1"]),
+    ("camera: {latency_ms: .inf}", &["not a finite number"]),
+    ("flow: losless", &["latest, lossless", "did you mean 'lossless'?"]),
+    ("flow: [latest]", &["must be one of latest, lossless, not a list"]),
+    ("search: {mode: gazee}", &["greedy, optimized, exhaustive, gaze", "did you mean 'gaze'?"]),
+    (
+        "fusion: {confirm_hits: 6}",
+        &["fusion.confirm_hits", "6 measurements among 5 frames: raise fusion.confirm_window"],
+    ),
+    ("instance: 'a b'", &["instance: 'a b' cannot be a name"]),
+    ("observer: {name: a/b}", &["observer.name", "letters, digits"]),
+    (
+        "observer: {observer_from_camera: {position: [0, 0]}}",
+        &["must have exactly 3 entries, not 2"],
+    ),
+    ("observer: {observer_from_camera: {orientation: [0, 0, 0, 0]}}", &["length 1, not 0.0000"]),
+    ("bodies: {list: [{name: a}, {name: a}]}", &["two bodies are called 'a'", "id 0 belongs to"]),
+    ("bodies: {list: []}", &["there is no body"]),
+    ("bodies: {list: [{marker_m: 0.07}]}", &["0.07 m does not fit a facet of 0.0625 m"]),
+    (
+        "bodies: {list: [{preset: truncated, small_marker_m: 0.04}]}",
+        &["bodies.list.0.small_marker_m", "0.04 m does not fit a triangle with edges of 0.075 m"],
+    ),
+    (
+        "bodies: {list: [{preset: cube, small_shift_m: 0.001}]}",
+        &["list.0.small_shift_m", "the preset cube has no small_shift_m"],
+    ),
+    ("bodies: {list: [{preset: custom}]}", &["list.0.file", "in a JSON file: say which"]),
+    ("bodies: {list: [{preset: plate, file: a.json}]}", &["plate has no file"]),
+    ("bodies: {list: [{edge_m: -0.1}]}", &["bodies.list.0.edge_m", "not -0.1"]),
+    ("bodies: {list: [{preset: sphere}]}", &["squares, truncated, cube, plate, custom"]),
+    ("simulator: {neighbours: 3}", &["3 neighbours, but 2 bodies"]),
+    ("simulator: {distance_m: [2, 1]}", &["two rising numbers", "[2, 1]"]),
+    ("simulator: {exposure_ms: 50}", &["exposure of 50 ms in a frame of 33.33 ms"]),
+    (
+        "partition:\n  count: 3",
+        &[
+            "line 2, column 10",
+            "partition.count",
+            "from 4 to 128, not 3",
+            "three flat images never",
+        ],
+    ),
+    ("partition: {count: 129}", &["from 4 to 128, not 129", "never all searched in time"]),
+    ("partition: {count: -1}", &["from 4 to 128, not -1"]),
+    ("partition: {count: 12.5}", &["must be auto or a whole number from 4 to 128, not 12.5"]),
+    ("partition: {count: all}", &["must be auto or a whole number", "not the text 'all'"]),
+    ("partition: {count: [12]}", &["must be auto or a whole number", "not a list"]),
+    ("partition: {method: tammes}", &["partition.method", "must be one of covering, paper"]),
+    ("partition: {weights: [1, 0]}", &["partition.weights", "must have exactly 3 entries, not 2"]),
+    (
+        "partition:\n  weights: [0.5, 0.5, 0.5]",
+        &["line 2, column 12", "must sum to 1", "[0.3333, 0.3333, 0.3333]"],
+    ),
+    ("partition: {weights: [1.0, 0.0, 0.0]}", &["each weight must be above 0", "use 0.01"]),
+    ("partition: {weights: [2.0, -0.5, -0.5]}", &["each weight must be above 0"]),
+    ("partition: {seed: -1}", &["partition.seed", "not -1"]),
+    ("partition: {margin_deg: -1}", &["from 0 to 130, not -1"]),
+    (
+        "partition:\n  margin_deg: 80",
+        &["line 2, column 15", "80.0 degrees wide", "largest margin of so many is"],
+    ),
+    (
+        "partition: {count: 4, margin_deg: 7}",
+        &["column 35", "largest margin of so many is 3.", "fewest views for this margin are 5"],
+    ),
+    (
+        "partition:\n  count: 4",
+        &["line 2, column 10", "a marker of 0.05 m at 0.4 m", "fewest views for this margin are 5"],
+    ),
+    (
+        "partition: {nearest_m: 0.1}\nbodies: {list: [{edge_m: 2, marker_m: 2}]}",
+        &["partition.nearest_m", "a marker of 2 m at 0.1 m", "no number of views does"],
+    ),
+    (
+        "partition: {count: auto, weights: [0.98, 0.01, 0.01]}",
+        &["partition.weights", "4 views that hold", "fewest views for this margin are 5"],
+    ),
+    ("partition: {count: 5, method: paper}", &["partition.count", "fewest views"]),
+    ("gateway: {listen: [localhost]}", &["gateway.listen.0", "tcp/ADDRESS:PORT"]),
+    ("gateway: {enabled: maybe}", &["must be true or false, not the text 'maybe'"]),
+    ("stages: {fusion: {replicas: 2}}", &["only detection runs in several processes"]),
+    ("stages: {detection: {restart: sometimes}}", &["never, on_failure, always"]),
+    ("stages: {fusion: {nice: 25}}", &["stages.fusion.nice", "-20", "19"]),
+    ("stages: {fusion: {scheduling: soon}}", &["normal, batch, idle, fifo, round_robin"]),
+    ("stages: {fusion: {priority: 0}}", &["stages.fusion.priority", "1", "99"]),
+    ("stages: {fusion: {cpus: 0}}", &["stages.fusion.cpus", "must be a list"]),
+    ("search: {far_magnification: 9}", &["search.far_magnification", "1", "3"]),
+    (
+        "camera: {width: 16384, height: 8192}\nsearch: {far_magnification: 3}",
+        &["line 2", "search.far_magnification: far views", "a smaller magnification"],
+    ),
+    (
+        "stages: {detection: {command: python3 my.py}}",
+        &["stages.detection.command", "must be a list"],
+    ),
+    ("source: {input: ''}", &["source.input", "must not be empty"]),
+    ("flow: lossless\nsource: {at_end: loop}", &["line 2", "a lossless run ends"]),
+];
+
+#[test]
+fn wrong_files_are_refused_with_place_and_cure() {
+    for (yaml, wanted) in WRONG {
+        let message = parse(yaml).expect_err(yaml).to_string();
+        for part in *wanted {
+            assert!(message.contains(part), "{yaml:?} must say {part:?}, but says:\n{message}");
+        }
+        assert!(message.contains("line "), "{yaml:?} must say where:\n{message}");
+    }
+}
+
+#[test]
+fn all_problems_come_at_once() {
+    let error =
+        parse("camra: {}\nflow: fast\nsearch: {mode: 3, lossless_partitions: 0}\n").unwrap_err();
+    let ConfigError::Problems { problems, .. } = &error else { panic!("{error}") };
+    assert_eq!(problems.len(), 4, "{error}");
+    assert!(error.to_string().starts_with("pipeline.yaml has 4 problems:"), "{error}");
+}
+
+#[test]
+fn overrides_are_checked_like_the_file() {
+    let overrides = ["search.mode=exhaustive".to_owned(), "fusion.filter=none".to_owned()];
+    let pipeline = Pipeline::parse("", &overrides, "pipeline.yaml").unwrap();
+    assert_eq!((pipeline.search.mode, pipeline.fusion.filter), (Mode::Exhaustive, Filter::None));
+    let error = Pipeline::parse("", &["serach.mode=gaze".to_owned()], "x").unwrap_err().to_string();
+    assert!(
+        error.contains("--set serach.mode=gaze") && error.contains("did you mean 'search'?"),
+        "{error}"
+    );
+}
+
+#[test]
+fn a_partition_may_be_chosen() {
+    let pipeline = parse("partition: {count: auto}").unwrap();
+    assert_eq!(pipeline.partition_count().unwrap(), 12);
+    let few = parse("partition: {count: auto, weights: [0.6, 0.01, 0.39]}").unwrap();
+    assert!(few.partition_count().unwrap() < 12);
+    for count in [5, 32, 33, 128] {
+        let pipeline = parse(&format!("partition: {{count: {count}}}")).unwrap();
+        let views = pipeline.partition_views(0.05).unwrap();
+        assert_eq!(views.len(), count);
+        assert_eq!(pipeline.partition_views(0.05).unwrap(), views);
+        // What the launcher resolved is what the stages read.
+        let json = serde_json::to_string(&pipeline).unwrap();
+        assert_eq!(serde_json::from_str::<Pipeline>(&json).unwrap(), pipeline);
+    }
+    let pipeline = parse("partition: {method: paper, seed: 3}").unwrap();
+    assert_ne!(
+        pipeline.sphere_partition().unwrap(),
+        Pipeline::default().sphere_partition().unwrap()
+    );
+}
+
+#[test]
+fn the_sphere_is_swept_where_neighbours_are_followed_and_by_turns_in_flight_only() {
+    let says = |change: &dyn Fn(&mut Pipeline)| {
+        let mut pipeline = Pipeline::default();
+        change(&mut pipeline);
+        (pipeline.gazes(), pipeline.sweeps_by_turns())
+    };
+    assert_eq!(says(&|_| {}), (true, true));
+    assert_eq!(says(&|pipeline| pipeline.flow = Flow::Lossless), (true, false));
+    assert_eq!(says(&|pipeline| pipeline.fusion.filter = Filter::None), (false, false));
+    assert_eq!(says(&|pipeline| pipeline.search.mode = Mode::Exhaustive), (false, false));
+}

@@ -1,0 +1,128 @@
+//! The camera's part of the configuration.
+
+use std::path::PathBuf;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::mount::Mount;
+
+/// The spherical camera.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Camera {
+    /// Pixels in a row.
+    #[schemars(range(min = 64, max = 16384))]
+    pub width: u32,
+    /// Rows.
+    #[schemars(range(min = 32, max = 8192))]
+    pub height: u32,
+    /// The camera model.
+    pub projection: CameraModel,
+    /// Of an equirectangular camera: the distance between the two lenses it was stitched from, one
+    /// looking ahead and one back, metres; 0 for a camera with one centre.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub lens_distance_m: f64,
+    /// Of a dual fisheye camera: its two lenses, the one that looks ahead first.
+    #[schemars(length(max = 2))]
+    pub lenses: Vec<FisheyeLens>,
+    /// Of a stereographic image: angle across its circle, degrees.
+    #[schemars(range(min = 1.0, max = 350.0))]
+    pub stereographic_field_deg: f64,
+    /// The distance that rays are right for where no neighbour is predicted, metres. It matters
+    /// only if lenses sit beside the camera's middle.
+    #[schemars(range(min = 0.1, max = 1000.0))]
+    pub assumed_distance_m: f64,
+    /// A PNG image of the frames' size, black where the own airframe hides the view for ever; left
+    /// out: everything is seen.
+    pub mask: Option<PathBuf>,
+    /// The curve between light and code values.
+    pub response: Response,
+    /// Exponent of `response: gamma`.
+    #[schemars(range(min = 0.1, max = 10.0))]
+    pub gamma: f32,
+    /// The light of codes at equal steps from 0 to 255, for `response: table`: 2 to 256 rising
+    /// numbers, in any unit.
+    #[schemars(length(max = 256))]
+    pub response_table: Vec<f64>,
+    /// Time between a frame's exposure and its arrival, milliseconds: subtracted from arrival.
+    #[schemars(range(min = 0.0, max = 10000.0))]
+    pub latency_ms: f64,
+    /// Time between the first and the last row's exposure, milliseconds.
+    #[schemars(range(min = 0.0, max = 1000.0))]
+    pub readout_ms: f64,
+}
+
+impl Default for Camera {
+    fn default() -> Self {
+        Self {
+            width: 3840,
+            height: 1920,
+            projection: CameraModel::Equirectangular,
+            lens_distance_m: 0.0,
+            lenses: Vec::new(),
+            stereographic_field_deg: 300.0,
+            assumed_distance_m: 1.5,
+            mask: None,
+            response: Response::Srgb,
+            gamma: 2.2,
+            response_table: Vec::new(),
+            latency_ms: 0.0,
+            readout_ms: 0.0,
+        }
+    }
+}
+
+/// The camera model.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum CameraModel {
+    /// Longitude along the rows, latitude along the columns; twice as wide as high.
+    #[default]
+    Equirectangular,
+    /// Two fisheye lenses, each with its image circle.
+    DualFisheye,
+    /// The paper's plane: stereographic about the camera's x axis.
+    Stereographic,
+}
+
+/// A fisheye lens of a dual fisheye camera.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct FisheyeLens {
+    /// Where its axis meets the image, pixels.
+    pub centre_px: [f64; 2],
+    /// Radius of its image circle, pixels.
+    #[schemars(range(min = 1.0, max = 16384.0))]
+    pub circle_px: f64,
+    /// Angle across its field, degrees.
+    #[schemars(range(min = 10.0, max = 300.0))]
+    pub field_deg: f64,
+    /// Where the lens (x right and y down in the image, z along its axis) sits in the camera.
+    pub camera_from_lens: Mount,
+    /// Calibrated focal lengths along rows and columns, pixels; left out: the field fills the
+    /// circle, equidistantly.
+    pub focal_px: Option<[f64; 2]>,
+    /// Calibrated k1 to k4 of Kannala and Brandt's curve (OpenCV's `fisheye`).
+    pub equidistant: Option<[f64; 4]>,
+    /// Calibrated xi and alpha of the double sphere model (Kalibr's `ds`).
+    pub double_sphere: Option<[f64; 2]>,
+    /// Calibrated xi, k1, k2, p1, p2 of the unified model with a pinhole's distortion (Kalibr's
+    /// `omni-radtan`, camodocal's `MEI`).
+    pub unified: Option<[f64; 5]>,
+}
+
+/// The curve between light and code values.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Response {
+    /// The sRGB curve.
+    #[default]
+    Srgb,
+    /// code = light^(1/gamma).
+    Gamma,
+    /// Code values proportional to light.
+    Linear,
+    /// As `response_table` says.
+    Table,
+}

@@ -1,0 +1,437 @@
+//! The configuration as types. Their doc comments are the descriptions in the JSON Schema.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+mod bodies;
+mod camera;
+mod mount;
+mod partition;
+mod stages;
+
+pub use bodies::{BodySet, Preset, PresetBody};
+pub use camera::{Camera, CameraModel, FisheyeLens, Response};
+pub use mount::Mount;
+pub use partition::{Auto, Count, Method, Partition};
+pub use stages::{Restart, Scheduling, StageProcess, Stages};
+
+/// A Flockeye pipeline.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Pipeline {
+    /// Name of this pipeline on this machine: two run side by side under two names.
+    pub instance: Instance,
+    /// latest: the newest frame wins everywhere (flight). lossless: every frame is worked on,
+    /// however long it takes (evaluation).
+    pub flow: Flow,
+    /// This drone.
+    pub observer: Observer,
+    /// The spherical camera.
+    pub camera: Camera,
+    /// What the neighbours carry.
+    pub bodies: BodySet,
+    /// Where frames come from.
+    pub source: Source,
+    /// The simulated world, for `source.input: sim`.
+    pub simulator: Simulator,
+    /// How the sphere is cut.
+    pub partition: Partition,
+    /// How views are cut from frames.
+    pub rectification: Rectification,
+    /// How markers are found in views.
+    pub detection: Detection,
+    /// Where fusion looks.
+    pub search: Search,
+    /// How poses are solved and filtered.
+    pub fusion: Fusion,
+    /// What goes over the network.
+    pub gateway: Gateway,
+    /// How the stages' processes are run.
+    pub stages: Stages,
+}
+
+impl Pipeline {
+    /// How many processes search views.
+    pub fn detection_workers(&self) -> u32 {
+        self.stages.detection.replicas.unwrap_or(2)
+    }
+
+    /// Whether each neighbour is looked at where it is predicted, and the sphere is swept in the time
+    /// that is left: `search.mode: gaze`. Without tracks there is nothing to predict, and it means
+    /// `exhaustive`.
+    pub fn gazes(&self) -> bool {
+        self.search.mode == Mode::Gaze && self.fusion.filter != Filter::None
+    }
+
+    /// Whether the sweep searches a partition with one of its windows at a time. Not in a lossless run,
+    /// which must not depend on which worker searches.
+    pub fn sweeps_by_turns(&self) -> bool {
+        self.gazes() && self.flow == Flow::Latest
+    }
+
+    /// How long a frame is waited for: `fusion.deadline_ms`.
+    pub fn frame_deadline(&self) -> Duration {
+        Duration::from_secs_f64(self.fusion.deadline_ms * 1e-3 * self.patience())
+    }
+
+    /// After how long a worker's silence its views are given to another: `rectification.overdue_ms`.
+    pub fn view_overdue(&self) -> Duration {
+        Duration::from_secs_f64(self.rectification.overdue_ms * 1e-3 * self.patience())
+    }
+
+    /// Where each frame stands for itself and none may be lost, nothing is late, and all views are
+    /// magnified: ten times as long.
+    fn patience(&self) -> f64 {
+        match (self.flow, self.fusion.filter) {
+            (Flow::Lossless, Filter::None) => 10.0,
+            _ => 1.0,
+        }
+    }
+
+    /// Name of the stage that `source.input` needs.
+    pub fn source_stage(&self) -> &'static str {
+        if self.source.input == "sim" { "simulator" } else { "capture" }
+    }
+}
+
+/// Name of a pipeline on a machine: letters, digits, `-` and `_`, at most 31.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(transparent)]
+pub struct Instance(pub String);
+
+impl Default for Instance {
+    fn default() -> Self {
+        Self("flockeye".into())
+    }
+}
+
+/// How frames flow.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Flow {
+    /// The newest frame wins at every border; what is dropped is counted.
+    #[default]
+    Latest,
+    /// Every frame is worked on; results do not depend on time.
+    Lossless,
+}
+
+/// This drone.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Observer {
+    /// Its name on the network.
+    pub name: String,
+    /// The swarm it flies in.
+    pub swarm: String,
+    /// Where the camera sits on the drone.
+    pub observer_from_camera: Mount,
+}
+
+impl Default for Observer {
+    fn default() -> Self {
+        Self {
+            name: "observer".into(),
+            swarm: "swarm".into(),
+            observer_from_camera: Mount::default(),
+        }
+    }
+}
+
+/// Where frames come from.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Source {
+    /// `sim`, a video file, a folder of images, `v4l2:/dev/video0`, `theta`, or a GStreamer
+    /// description (with a `!` in it, or behind `gst:`).
+    pub input: String,
+    /// What happens at the end of a recording.
+    pub at_end: AtEnd,
+    /// Pace of a folder of images in real time, images a second.
+    #[schemars(range(min = 0.01, max = 1000.0))]
+    pub images_per_second: f64,
+    /// Threads of a software video decoder; 0 lets it choose.
+    #[schemars(range(min = 0, max = 64))]
+    pub decoder_threads: u32,
+    /// First and longest wait before a camera that went away is opened again, seconds.
+    pub reopen_s: [f64; 2],
+}
+
+impl Default for Source {
+    fn default() -> Self {
+        Self {
+            input: "sim".into(),
+            at_end: AtEnd::Stop,
+            images_per_second: 1.0,
+            decoder_threads: 0,
+            reopen_s: [0.5, 8.0],
+        }
+    }
+}
+
+/// What happens at the end of a recording.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum AtEnd {
+    /// The pipeline stops.
+    #[default]
+    Stop,
+    /// It begins again, with the next epoch.
+    Loop,
+}
+
+/// The simulated world.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Simulator {
+    /// The same seed gives the same flight.
+    #[schemars(range(min = 0, max = 4294967295u32))]
+    pub seed: u32,
+    /// How many of the configured bodies fly.
+    #[schemars(range(min = 0, max = 32))]
+    pub neighbours: u32,
+    /// Frames a second.
+    #[schemars(range(min = 0.1, max = 240.0))]
+    pub frames_per_second: f64,
+    /// Frames until the flight ends; 0: it does not.
+    #[schemars(range(min = 0))]
+    pub frames: u64,
+    /// Length of the exposure, milliseconds.
+    #[schemars(range(min = 0.01, max = 1000.0))]
+    pub exposure_ms: f64,
+    /// Nearest and farthest distance of the neighbours, metres.
+    pub distance_m: [f64; 2],
+    /// The observer's own yaw, degrees a second.
+    #[schemars(range(min = -360.0, max = 360.0))]
+    pub yaw_deg_s: f64,
+    /// Blur of the lens, sigma in pixels of the sphere image.
+    #[schemars(range(min = 0.0, max = 5.0))]
+    pub lens_blur_px: f64,
+    /// Sensor noise as a multiple of the default camera's; 0: none.
+    #[schemars(range(min = 0.0, max = 20.0))]
+    pub noise: f64,
+    /// Whether airframes hide markers.
+    pub airframes: bool,
+    /// A JSON file of the same bodies as they really are, if they differ from what is searched for.
+    pub bodies: Option<PathBuf>,
+}
+
+impl Default for Simulator {
+    fn default() -> Self {
+        Self {
+            seed: 1,
+            neighbours: 1,
+            frames_per_second: 30.0,
+            frames: 0,
+            exposure_ms: 6.25,
+            distance_m: [0.6, 2.0],
+            yaw_deg_s: 12.0,
+            lens_blur_px: 0.8,
+            noise: 1.0,
+            airframes: true,
+            bodies: None,
+        }
+    }
+}
+
+/// How views are cut from frames.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Rectification {
+    /// auto: the graphics processor if there is a real one, else the processor.
+    pub backend: Backend,
+    /// Threads of the processor back end.
+    #[schemars(range(min = 1, max = 64))]
+    pub threads: u32,
+    /// Views in flight for each detection worker.
+    #[schemars(range(min = 1, max = 16))]
+    pub window: u32,
+    /// After how long a worker's silence its views are given to another, milliseconds; ten times as long
+    /// in a lossless run without filter.
+    #[schemars(range(min = 10.0, max = 60000.0))]
+    pub overdue_ms: f64,
+}
+
+impl Default for Rectification {
+    fn default() -> Self {
+        Self { backend: Backend::Auto, threads: 1, window: 2, overdue_ms: 500.0 }
+    }
+}
+
+/// What cuts views.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Backend {
+    /// The graphics processor if there is a real one, else the processor.
+    #[default]
+    Auto,
+    /// The processor.
+    Cpu,
+    /// The graphics processor, or Vulkan in software where there is none.
+    Gpu,
+}
+
+/// How markers are found in views.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Detection {
+    /// Markers with shorter sides are not looked for, pixels of the view.
+    #[schemars(range(min = 8.0, max = 200.0))]
+    pub min_side_px: f64,
+}
+
+impl Default for Detection {
+    fn default() -> Self {
+        Self { min_side_px: 11.0 }
+    }
+}
+
+/// Where fusion looks.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Search {
+    /// greedy and optimized are the paper's, exhaustive looks everywhere, gaze (the default) looks
+    /// where neighbours are predicted and sweeps the rest.
+    pub mode: Mode,
+    /// Partitions searched after the gaze views in each frame of a lossless run.
+    #[schemars(range(min = 1, max = 128))]
+    pub lossless_partitions: u32,
+    /// Pixels of the far views for each of the sphere's, along a side: gaze sweeps the sphere with
+    /// them too, in turn with the partitions, and finds neighbours so many times as far away. 1 (or no
+    /// more than `partition.magnification`): with the partitions alone.
+    #[schemars(range(min = 1.0, max = 3.0))]
+    pub far_magnification: f64,
+}
+
+impl Default for Search {
+    fn default() -> Self {
+        Self { mode: Mode::Gaze, lossless_partitions: 4, far_magnification: 2.0 }
+    }
+}
+
+/// How a frame is searched.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Mode {
+    /// Partitions in a fixed order until the first hit.
+    Greedy,
+    /// The paper's Algorithm 1.
+    Optimized,
+    /// Every partition of every frame.
+    Exhaustive,
+    /// Predicted neighbours first, magnified; then partitions, least recently searched first.
+    #[default]
+    Gaze,
+}
+
+/// How poses are solved and filtered.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Fusion {
+    /// constant_velocity, or none: each frame for itself (unrelated stills).
+    pub filter: Filter,
+    /// How long a neighbour that is not measured is predicted, seconds.
+    #[schemars(range(min = 0.0, max = 60.0))]
+    pub coast_s: f64,
+    /// Frames with a measurement until a neighbour is believed...
+    #[schemars(range(min = 1, max = 64))]
+    pub confirm_hits: u32,
+    /// ...among so many frames. One that is not believed yet is given up when so many frames in a
+    /// row do not show it.
+    #[schemars(range(min = 1, max = 64))]
+    pub confirm_window: u32,
+    /// Measurements that come at most this much later than newer ones are put where they belong,
+    /// seconds.
+    #[schemars(range(min = 0.0, max = 10.0))]
+    pub history_s: f64,
+    /// Probability that a right measurement passes the gate.
+    #[schemars(range(min = 0.5, max = 1.0))]
+    pub gate_probability: f64,
+    /// Measurements in a row outside the gate that make a track begin anew from the last of them.
+    #[schemars(range(min = 1, max = 1000))]
+    pub restart_after_gated: u32,
+    /// How wildly neighbours fly: white-noise acceleration along each axis, m/s^2 per root Hz. After
+    /// a second of it a velocity known before is uncertain by as many m/s.
+    #[schemars(range(min = 0.01, max = 1000.0))]
+    pub acceleration: f64,
+    /// The same of their rotation, rad/s^2 per root Hz.
+    #[schemars(range(min = 0.01, max = 1000.0))]
+    pub angular_acceleration: f64,
+    /// How long a frame is waited for when a stage has died, milliseconds; ten times as long
+    /// in a lossless run without filter.
+    #[schemars(range(min = 10.0, max = 60000.0))]
+    pub deadline_ms: f64,
+    /// Whether bodies are aligned with the pixels of their views; without, their corners are all.
+    pub align: bool,
+    /// The covariance that an aligned view's pixels admit is multiplied by this, for what they do not
+    /// show: compression, a lens or body not quite as described.
+    #[schemars(range(min = 0.1, max = 1000.0))]
+    pub covariance_scale: f64,
+    /// How far a neighbour is tilted at most, seen from its observer, degrees: of a facet far away and
+    /// its mirror image the one that is tilted by more is not it. 0: nothing is known of that.
+    #[schemars(range(min = 0.0, max = 90.0))]
+    pub level_deg: f64,
+    /// Threads on which the neighbours of a frame are aligned.
+    #[schemars(range(min = 1, max = 64))]
+    pub threads: u32,
+}
+
+impl Default for Fusion {
+    fn default() -> Self {
+        Self {
+            filter: Filter::ConstantVelocity,
+            coast_s: 1.0,
+            confirm_hits: 2,
+            confirm_window: 5,
+            history_s: 0.5,
+            gate_probability: 0.999,
+            restart_after_gated: 3,
+            acceleration: 0.7,
+            angular_acceleration: 3.0,
+            deadline_ms: 3000.0,
+            align: true,
+            covariance_scale: 3.1,
+            level_deg: 45.0,
+            threads: 2,
+        }
+    }
+}
+
+/// How poses are filtered.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Filter {
+    /// A constant-velocity filter for each neighbour.
+    #[default]
+    ConstantVelocity,
+    /// None: each frame for itself.
+    None,
+}
+
+/// What goes over the network.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Gateway {
+    /// false: nothing goes over the network.
+    pub enabled: bool,
+    /// Zenoh endpoints to listen on (`tcp/192.168.1.7:7447`), each on a named interface's address.
+    pub listen: Vec<String>,
+    /// Zenoh endpoints to connect to.
+    pub connect: Vec<String>,
+    /// Interface on which peers are looked for by multicast; left out: they are not.
+    pub scout_interface: Option<String>,
+}
+
+impl Default for Gateway {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            listen: vec!["tcp/127.0.0.1:7447".into()],
+            connect: Vec::new(),
+            scout_interface: None,
+        }
+    }
+}

@@ -1,0 +1,43 @@
+//! Codes of the contract and the types of geometry and imaging that they stand for.
+
+use flockeye_contract as contract;
+use flockeye_contract::{Projection, Range, Transfer};
+use flockeye_geometry::camera::{Camera, CameraModel};
+use flockeye_geometry::search;
+use flockeye_imaging::light::{CodeRange, TransferCurve};
+
+/// The contract's code of a camera's model.
+pub fn projection_of(camera: &Camera) -> Projection {
+    match camera.model() {
+        CameraModel::Equirectangular { .. } => Projection::Equirectangular,
+        CameraModel::DualFisheye(_) => Projection::DualFisheye,
+        CameraModel::Stereographic { .. } => Projection::Stereographic,
+    }
+}
+
+/// The curve that a code stands for; `None` for a measured table, which the configuration has.
+pub fn transfer_curve(transfer: Transfer, gamma: f32) -> Option<TransferCurve> {
+    match transfer {
+        Transfer::Srgb => Some(TransferCurve::Srgb),
+        Transfer::Gamma => Some(TransferCurve::Gamma(gamma)),
+        Transfer::Linear => Some(TransferCurve::Linear),
+        Transfer::Table => None,
+    }
+}
+
+/// The code values that stand for black and white.
+pub fn code_range(range: Range) -> CodeRange {
+    match range {
+        Range::Full => CodeRange::Full,
+        Range::Limited => CodeRange::Limited,
+    }
+}
+
+/// The contract's code of a stop rule.
+pub fn stop_rule(rule: search::StopRule) -> contract::StopRule {
+    match rule {
+        search::StopRule::FirstHit => contract::StopRule::FirstHit,
+        search::StopRule::All => contract::StopRule::All,
+        search::StopRule::Deadline => contract::StopRule::Deadline,
+    }
+}

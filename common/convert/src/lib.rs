@@ -1,0 +1,15 @@
+//! What crosses a process border, as types that carry the mathematics, and back.
+//!
+//! The contract has arrays and codes, which any language can read; geometry and imaging have
+//! nalgebra's types and enumerations. Every conversion between the two is here, so that all stages
+//! understand a message alike.
+
+mod codes;
+mod pose;
+mod radiance;
+mod view;
+
+pub use codes::{code_range, projection_of, stop_rule, transfer_curve};
+pub use pose::{isometry, matrix6, pose, rotation, row_major, xyzw};
+pub use radiance::RadianceCache;
+pub use view::{ViewError, image_of, view_of};

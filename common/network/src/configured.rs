@@ -1,0 +1,31 @@
+//! The network as pipeline.yaml configures it.
+
+use flockeye_config::Pipeline;
+
+use crate::parameters::NetworkParameters;
+
+impl NetworkParameters {
+    /// How the gateway takes part in the swarm.
+    pub fn of_drone(pipeline: &Pipeline) -> Self {
+        Self {
+            swarm: pipeline.observer.swarm.clone(),
+            observer: pipeline.observer.name.clone(),
+            listen: pipeline.gateway.listen.clone(),
+            connect: pipeline.gateway.connect.clone(),
+            scout_interface: pipeline.gateway.scout_interface.clone(),
+            ..Self::default()
+        }
+    }
+
+    /// How an onlooker, which is no drone of the swarm, joins: through this machine's own gateway, and
+    /// through the endpoints that the gateway connects to.
+    pub fn of_onlooker(pipeline: &Pipeline) -> Self {
+        let own = pipeline.gateway.listen.iter().chain(&pipeline.gateway.connect);
+        Self {
+            // Port 0 stands for any port, so there is nothing to connect to.
+            connect: own.filter(|endpoint| !endpoint.ends_with(":0")).cloned().collect(),
+            listen: Vec::new(),
+            ..Self::of_drone(pipeline)
+        }
+    }
+}

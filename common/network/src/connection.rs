@@ -1,0 +1,117 @@
+//! The session, which may still be on its way.
+
+use std::{
+    io,
+    net::{TcpListener, UdpSocket},
+    sync::{Arc, Condvar, Mutex, Weak},
+    thread,
+    time::Duration,
+};
+
+use zenoh::{Session, Wait};
+
+use crate::error::NetworkError;
+use crate::lock::lock;
+use crate::parameters::{NetworkMode, NetworkParameters, listen_address};
+
+/// How long a client waits before it looks for its router again.
+const RETRY: Duration = Duration::from_secs(1);
+/// How often who waits for the session looks whether it is still wanted.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// A session that is there, or will be.
+#[derive(Debug, Default)]
+pub(crate) struct Connection {
+    session: Mutex<Option<Session>>,
+    opened: Condvar,
+}
+
+impl Connection {
+    /// Opens a peer's or a router's session, or starts to look for a client's router.
+    pub(crate) fn open(parameters: &NetworkParameters) -> Result<Arc<Self>, NetworkError> {
+        let config = parameters.zenoh_config().to_string();
+        let connection = Arc::new(Self::default());
+        if parameters.mode == NetworkMode::Client {
+            let weak = Arc::downgrade(&connection);
+            let routers = parameters.connect.join(", ");
+            let name = "zenoh-client";
+            thread::Builder::new()
+                .name(name.into())
+                .spawn(move || look_for_router(&config, &routers, &weak))
+                .map_err(|source| NetworkError::Thread { name, source })?;
+        } else {
+            parameters.listen.iter().try_for_each(|endpoint| probe(endpoint))?;
+            *lock(&connection.session) = Some(open(&config)?);
+        }
+        Ok(connection)
+    }
+
+    /// The session, waited for until it is there or `stop` says that it is not wanted any more.
+    pub(crate) fn session(&self, stop: impl Fn() -> bool) -> Option<Session> {
+        let mut session = lock(&self.session);
+        loop {
+            if let Some(session) = &*session {
+                return Some(session.clone());
+            }
+            if stop() {
+                return None;
+            }
+            session = match self.opened.wait_timeout(session, LOOK) {
+                Ok((session, _)) => session,
+                Err(poisoned) => poisoned.into_inner().0,
+            };
+        }
+    }
+
+    pub(crate) fn is_open(&self) -> bool {
+        lock(&self.session).is_some()
+    }
+}
+
+fn open(config: &str) -> Result<Session, NetworkError> {
+    let failed =
+        |what| move |error: zenoh::Error| NetworkError::Zenoh { what, reason: error.to_string() };
+    let config = zenoh::Config::from_json5(config).map_err(failed("read its configuration"))?;
+    zenoh::open(config).wait().map_err(failed("open a session"))
+}
+
+/// Opens a client's session as often as it takes, until nobody holds the connection any more.
+fn look_for_router(config: &str, routers: &str, connection: &Weak<Connection>) {
+    let mut told = false;
+    while connection.strong_count() > 0 {
+        match open(config) {
+            Ok(session) => {
+                if let Some(connection) = connection.upgrade() {
+                    *lock(&connection.session) = Some(session);
+                    connection.opened.notify_all();
+                }
+                return;
+            }
+            Err(error) if !told => {
+                tracing::warn!("no router at {routers} yet, still trying: {error}");
+                told = true;
+            }
+            Err(_) => {}
+        }
+        thread::sleep(RETRY);
+    }
+}
+
+/// Finds out what listening on `endpoint` would come to: Zenoh retries in silence whatever the
+/// reason, which is right for an interface that is not up yet and wrong for a port that is taken.
+fn probe(endpoint: &str) -> Result<(), NetworkError> {
+    let Ok(address) = listen_address(endpoint) else { return Ok(()) };
+    let bound = if endpoint.starts_with("udp") {
+        UdpSocket::bind(address).map(drop)
+    } else {
+        TcpListener::bind(address).map(drop)
+    };
+    match bound {
+        Err(error) if error.kind() == io::ErrorKind::AddrNotAvailable => {
+            tracing::warn!("{endpoint}: no interface has this address yet; still trying");
+            Ok(())
+        }
+        Err(source) => Err(NetworkError::Listen { endpoint: endpoint.into(), source }),
+        Ok(()) => Ok(()),
+    }
+}

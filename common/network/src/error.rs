@@ -1,0 +1,73 @@
+//! What can go wrong with the network.
+
+use flockeye_contract::wire::WireError;
+
+/// Most targets that one observer reports on.
+pub const MAX_TARGETS: usize = 64;
+
+/// What can go wrong with the network. None of these ends a stage that is already running.
+#[derive(Debug, thiserror::Error)]
+pub enum NetworkError {
+    /// A parameter that cannot work.
+    #[error("{field}: '{found}' {reason}")]
+    Parameter {
+        /// Name of the field, with its index in a list.
+        field: String,
+        /// What it holds.
+        found: String,
+        /// Why it cannot work, and what would.
+        reason: String,
+    },
+    /// An address that cannot be listened on.
+    #[error(
+        "cannot listen on {endpoint}: {source}. Cure: end the process that holds the port \
+         (ss -lntup), or name another in listen"
+    )]
+    Listen {
+        /// The endpoint as configured.
+        endpoint: String,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// Zenoh refused.
+    #[error("Zenoh cannot {what}: {reason}")]
+    Zenoh {
+        /// What was asked of it.
+        what: &'static str,
+        /// What it says.
+        reason: String,
+    },
+    /// A thread could not be started.
+    #[error("cannot start the thread {name}: {source}")]
+    Thread {
+        /// Its name.
+        name: &'static str,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// A report that no listener would accept.
+    #[error("report on '{target}' is unreadable for others: {source}")]
+    Report {
+        /// The report's target.
+        target: String,
+        /// What a listener would say.
+        source: WireError,
+    },
+    /// A report with a name that cannot stand in a key, or in somebody else's name.
+    #[error("report on '{target}': {reason}")]
+    Name {
+        /// The report's target.
+        target: String,
+        /// Which name, and why not.
+        reason: String,
+    },
+    /// More targets than a listener keeps.
+    #[error("report on '{target}': already {MAX_TARGETS} targets, which is the most")]
+    TooManyTargets {
+        /// The report's target.
+        target: String,
+    },
+    /// The session is over.
+    #[error("the network session is closed")]
+    Closed,
+}

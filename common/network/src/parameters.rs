@@ -1,0 +1,303 @@
+//! How to reach the swarm, and the check that it can be reached so.
+
+use std::net::SocketAddr;
+
+use flockeye_contract::wire::{MAX_NAME_CHARS, is_name};
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+use zenoh::config::EndPoint;
+
+use crate::error::NetworkError;
+
+/// What this session is to the others.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum NetworkMode {
+    /// Talks to every other peer directly, and tells peers of each other. What a drone is.
+    #[default]
+    Peer,
+    /// Talks to one router (or peer) only, that of the first `connect` endpoint that answers.
+    Client,
+    /// Passes messages on between others.
+    Router,
+}
+
+/// How to reach the swarm. By default nothing leaves the machine: name the radio's address in
+/// `listen`, and a neighbour in `connect` or set `scout_interface`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct NetworkParameters {
+    /// Name of the swarm; drones of other swarms are not heard. Letters, digits, `-`, `_`, `.`.
+    pub swarm: String,
+    /// Name of this drone in the swarm, which no other bears.
+    pub observer: String,
+    /// What this session is to the others.
+    pub mode: NetworkMode,
+    /// Where to accept links: `tcp/ADDRESS:PORT` or `udp/ADDRESS:PORT`, port 0 for any, one
+    /// interface each: its own address, or `tcp/0.0.0.0:PORT#iface=NAME`. Not used by a client.
+    pub listen: Vec<String>,
+    /// Whom to link with: `tcp/HOST:PORT` or `udp/ADDRESS:PORT`. Who does not answer is tried
+    /// again in the background.
+    pub connect: Vec<String>,
+    /// The interface, by name or address, on which peers are looked for by UDP multicast
+    /// (224.0.0.224:7446); none: they are not.
+    pub scout_interface: Option<String>,
+    /// How long a link may take to open, milliseconds.
+    pub open_timeout_ms: u64,
+    /// How long a silent neighbour counts as there, milliseconds.
+    pub lease_ms: u64,
+}
+
+impl Default for NetworkParameters {
+    fn default() -> Self {
+        Self {
+            swarm: "swarm".into(),
+            observer: "observer".into(),
+            mode: NetworkMode::Peer,
+            listen: vec!["tcp/127.0.0.1:0".into()],
+            connect: Vec::new(),
+            scout_interface: None,
+            open_timeout_ms: 1_000,
+            lease_ms: 3_000,
+        }
+    }
+}
+
+impl NetworkParameters {
+    /// Refuses what cannot work.
+    ///
+    /// # Errors
+    /// [`NetworkError::Parameter`] names the field and the cure.
+    pub fn check(&self) -> Result<(), NetworkError> {
+        check_name("swarm", &self.swarm)?;
+        check_name("observer", &self.observer)?;
+        for (index, endpoint) in self.listen.iter().enumerate() {
+            check_listen(endpoint)
+                .map_err(|reason| wrong_item("listen", index, endpoint, reason))?;
+        }
+        for (index, endpoint) in self.connect.iter().enumerate() {
+            check_connect(endpoint)
+                .map_err(|reason| wrong_item("connect", index, endpoint, reason))?;
+        }
+        if self.mode == NetworkMode::Client && self.connect.is_empty() {
+            let reason = "needs a router to connect to. Cure: name one in connect";
+            return Err(wrong("mode", "client", reason));
+        }
+        self.scout_interface.as_deref().map_or(Ok(()), check_interface)?;
+        check_range("open_timeout_ms", self.open_timeout_ms, 100, 10_000)?;
+        check_range("lease_ms", self.lease_ms, 500, 60_000)
+    }
+
+    /// The same in Zenoh's words, as JSON. `DEFAULT_CONFIG.json5` of Zenoh explains each key.
+    pub(crate) fn zenoh_config(&self) -> serde_json::Value {
+        let client = self.mode == NetworkMode::Client;
+        // Endless for peers, whose links are made in the background anyway; a client's opening
+        // fails without a router, and is repeated by us where it can be given up.
+        let connect_timeout_ms = if client { self.open_timeout_ms as i64 } else { -1 };
+        let retry = json!({
+            "period_init_ms": 500, "period_max_ms": 2_000, "period_increase_factor": 1.5,
+        });
+        json!({
+            "mode": self.mode,
+            "listen": {
+                "endpoints": if client { &[][..] } else { &self.listen[..] },
+                "timeout_ms": -1,
+                "exit_on_failure": false,
+                "retry": retry,
+            },
+            "connect": {
+                "endpoints": self.connect,
+                "timeout_ms": connect_timeout_ms,
+                "exit_on_failure": client,
+                "retry": retry,
+            },
+            "scouting": {
+                // How long opening waits for the first links, whether or not anybody is there.
+                "delay": 200,
+                "multicast": {
+                    "enabled": self.scout_interface.is_some(),
+                    "interface": self.scout_interface.as_deref().unwrap_or("lo"),
+                },
+            },
+            "transport": {
+                "unicast": {
+                    "open_timeout": self.open_timeout_ms,
+                    "accept_timeout": self.open_timeout_ms,
+                },
+                "link": {
+                    "tx": {
+                        "lease": self.lease_ms,
+                        // What waits in a queue while the radio is stuck is stale when it comes
+                        // out: one small batch of poses, and not much in the socket.
+                        "batch_size": 8_192,
+                        "queue": {
+                            "size": { "real_time": 1 },
+                            "congestion_control": { "block": { "wait_before_close": 2_000_000 } },
+                        },
+                    },
+                    // Nobody here says more than a few kilobytes at once; whoever does must not
+                    // take our memory (Zenoh's default is 1 GiB).
+                    "rx": { "max_message_size": 65_536 },
+                    "tcp": { "so_sndbuf": 32_768 },
+                },
+                "shared_memory": { "enabled": false },
+            },
+        })
+    }
+}
+
+fn wrong(field: &str, found: &str, reason: impl Into<String>) -> NetworkError {
+    NetworkError::Parameter { field: field.into(), found: found.into(), reason: reason.into() }
+}
+
+fn wrong_item(field: &str, index: usize, found: &str, reason: String) -> NetworkError {
+    wrong(&format!("{field}[{index}]"), found, reason)
+}
+
+fn check_name(field: &str, name: &str) -> Result<(), NetworkError> {
+    if is_name(name) {
+        return Ok(());
+    }
+    let reason = format!("is no name: 1 to {MAX_NAME_CHARS} letters, digits, '-', '_' or '.'");
+    Err(wrong(field, name, reason))
+}
+
+fn check_range(field: &str, found: u64, least: u64, most: u64) -> Result<(), NetworkError> {
+    if (least..=most).contains(&found) {
+        return Ok(());
+    }
+    Err(wrong(field, &found.to_string(), format!("must be {least} to {most}")))
+}
+
+fn check_interface(name: &str) -> Result<(), NetworkError> {
+    let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.:@".contains(&byte);
+    if name == "auto" || name.is_empty() || !name.bytes().all(is_plain) {
+        let reason = "must name one interface or its address, such as wlan0 or 10.0.0.7";
+        return Err(wrong("scout_interface", name, reason));
+    }
+    Ok(())
+}
+
+/// Parses what every endpoint must be.
+fn parse(endpoint: &str) -> Result<EndPoint, String> {
+    let form = "is no endpoint. Write it tcp/ADDRESS:PORT or udp/ADDRESS:PORT";
+    let parsed: EndPoint = endpoint.parse().map_err(|_| form.to_owned())?;
+    if !["tcp", "udp"].contains(&parsed.protocol().as_str()) {
+        return Err(form.into());
+    }
+    Ok(parsed)
+}
+
+fn check_listen(endpoint: &str) -> Result<(), String> {
+    let address = listen_address(endpoint)?;
+    let on_one_interface =
+        !address.ip().is_unspecified() || parse(endpoint)?.config().get("iface").is_some();
+    if !on_one_interface {
+        let port = address.port();
+        return Err(format!(
+            "would listen on every interface. Cure: the address of one, or #iface=NAME \
+             (tcp/0.0.0.0:{port}#iface=wlan0)"
+        ));
+    }
+    Ok(())
+}
+
+/// Address and port of an endpoint to listen on.
+pub(crate) fn listen_address(endpoint: &str) -> Result<SocketAddr, String> {
+    let parsed = parse(endpoint)?;
+    let address = parsed.address();
+    address.as_str().parse().map_err(|_| {
+        format!("needs an IP address and a port (not '{}'), 0 for any port", address.as_str())
+    })
+}
+
+fn check_connect(endpoint: &str) -> Result<(), String> {
+    let parsed = parse(endpoint)?;
+    let address = parsed.address();
+    let address = address.as_str();
+    match address.parse::<SocketAddr>() {
+        Ok(parsed) if parsed.port() == 0 => return Err("needs a port other than 0".into()),
+        Ok(_) => return Ok(()),
+        // Zenoh resolves names of UDP endpoints while it opens, and does not open without.
+        Err(_) if parsed.protocol().as_str() == "udp" => {
+            return Err("needs an IP address and a port (names work with tcp only)".into());
+        }
+        Err(_) => {}
+    }
+    match address.rsplit_once(':') {
+        Some((host, port)) if !host.is_empty() && port.parse::<u16>().is_ok_and(|p| p != 0) => {
+            Ok(())
+        }
+        _ => Err("needs a host and a port".into()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use super::*;
+
+    fn refused(change: impl FnOnce(&mut NetworkParameters)) -> String {
+        let mut parameters = NetworkParameters::default();
+        change(&mut parameters);
+        parameters.check().expect_err("refused").to_string()
+    }
+
+    #[test]
+    fn errors_name_the_field_and_the_cure() {
+        NetworkParameters::default().check().unwrap();
+        let message = refused(|p| p.observer = "a/b".into());
+        assert!(message.starts_with("observer: 'a/b' is no name"), "{message}");
+        let message = refused(|p| p.swarm = "*".into());
+        assert!(message.starts_with("swarm"), "{message}");
+        let message = refused(|p| p.listen.push("tcp/0.0.0.0:7447".into()));
+        assert!(message.starts_with("listen[1]") && message.contains("#iface=wlan0"));
+        let message = refused(|p| p.listen = vec!["quic/127.0.0.1:1".into()]);
+        assert!(message.contains("tcp/ADDRESS:PORT"), "{message}");
+        let message = refused(|p| p.listen = vec!["tcp/wlan0:7447".into()]);
+        assert!(message.contains("'wlan0:7447'"), "{message}");
+        let message = refused(|p| p.connect = vec!["tcp/127.0.0.1:0".into()]);
+        assert!(message.starts_with("connect[0]"), "{message}");
+        let message = refused(|p| p.connect = vec!["udp/kite.local:7447".into()]);
+        assert!(message.contains("names work with tcp only"), "{message}");
+        let message = refused(|p| p.mode = NetworkMode::Client);
+        assert!(message.contains("connect"), "{message}");
+        let message = refused(|p| p.lease_ms = 3);
+        assert!(message.contains("500 to 60000"), "{message}");
+        let message = refused(|p| p.scout_interface = Some("auto".into()));
+        assert!(message.contains("wlan0"), "{message}");
+    }
+
+    #[test]
+    fn what_flies_is_accepted() {
+        let parameters = NetworkParameters {
+            listen: vec!["tcp/0.0.0.0:7447#iface=wlan0".into(), "udp/[::1]:7447".into()],
+            connect: vec!["tcp/kite.local:7447".into(), "tcp/[fe80::1]:7447".into()],
+            scout_interface: Some("wlan0".into()),
+            ..Default::default()
+        };
+        parameters.check().unwrap();
+    }
+
+    #[test]
+    fn zenoh_understands_its_configuration() {
+        for mode in [NetworkMode::Peer, NetworkMode::Client, NetworkMode::Router] {
+            let parameters = NetworkParameters {
+                mode,
+                connect: vec!["tcp/127.0.0.1:7447".into()],
+                ..Default::default()
+            };
+            let config = zenoh::Config::from_json5(&parameters.zenoh_config().to_string()).unwrap();
+            let read = |key| config.get_json(key).unwrap();
+            assert_eq!(read("transport/shared_memory/enabled"), "false");
+            assert_eq!(read("scouting/multicast/enabled"), "false");
+            assert_eq!(read("transport/link/tx/lease"), "3000");
+            assert_eq!(read("transport/link/tx/queue/size/real_time"), "1");
+            assert_eq!(read("transport/link/tx/queue/size/control"), "2", "the rest stays");
+            assert_eq!(
+                read("transport/link/tx/queue/congestion_control/drop/wait_before_drop"),
+                "1000"
+            );
+        }
+    }
+}

@@ -1,0 +1,148 @@
+//! Reports one by one, for whoever wants each of them rather than the latest.
+
+use std::{
+    collections::VecDeque,
+    sync::{Arc, Condvar, Mutex, Weak},
+    time::{Duration, Instant},
+};
+
+use flockeye_contract::wire::PoseReport;
+use serde::Serialize;
+
+use crate::lock::lock;
+
+/// One report as it came in.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Heard {
+    /// Arrival, CLOCK_MONOTONIC of this machine, nanoseconds.
+    pub arrived_monotonic_ns: i64,
+    /// What was said.
+    pub report: PoseReport,
+}
+
+/// A bounded queue of reports. A reader that falls behind loses the oldest, and can see how many.
+#[derive(Debug)]
+pub struct ReportStream {
+    queue: Arc<Queue>,
+}
+
+#[derive(Debug)]
+struct Queue {
+    capacity: usize,
+    state: Mutex<State>,
+    arrived: Condvar,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    reports: VecDeque<Heard>,
+    dropped: u64,
+    closed: bool,
+}
+
+impl ReportStream {
+    /// The next report, or none when none came within `timeout` or the listener is gone.
+    pub fn recv_timeout(&self, timeout: Duration) -> Option<Heard> {
+        let deadline = Instant::now() + timeout;
+        let mut state = lock(&self.queue.state);
+        loop {
+            if let Some(heard) = state.reports.pop_front() {
+                return Some(heard);
+            }
+            let left = deadline.saturating_duration_since(Instant::now());
+            if state.closed || left.is_zero() {
+                return None;
+            }
+            state = match self.queue.arrived.wait_timeout(state, left) {
+                Ok((state, _)) => state,
+                Err(poisoned) => poisoned.into_inner().0,
+            };
+        }
+    }
+
+    /// How many reports this reader was too slow for.
+    pub fn dropped(&self) -> u64 {
+        lock(&self.queue.state).dropped
+    }
+
+    /// Whether the listener is gone and every report has been read.
+    pub fn is_over(&self) -> bool {
+        let state = lock(&self.queue.state);
+        state.closed && state.reports.is_empty()
+    }
+}
+
+/// The listener's end of its streams.
+#[derive(Debug, Default)]
+pub(crate) struct Streams {
+    queues: Mutex<Vec<Weak<Queue>>>,
+}
+
+impl Streams {
+    /// A new stream that keeps at most `capacity` reports (at least one).
+    pub(crate) fn subscribe(&self, capacity: usize) -> ReportStream {
+        let queue = Arc::new(Queue {
+            capacity: capacity.max(1),
+            state: Mutex::default(),
+            arrived: Condvar::new(),
+        });
+        lock(&self.queues).push(Arc::downgrade(&queue));
+        ReportStream { queue }
+    }
+
+    /// Hands `heard` to every stream that still has a reader.
+    pub(crate) fn send(&self, heard: &Heard) {
+        lock(&self.queues).retain(|queue| {
+            let Some(queue) = queue.upgrade() else { return false };
+            let mut state = lock(&queue.state);
+            if state.reports.len() == queue.capacity {
+                state.reports.pop_front();
+                state.dropped += 1;
+            }
+            state.reports.push_back(heard.clone());
+            queue.arrived.notify_one();
+            true
+        });
+    }
+
+    /// Tells every reader that nothing more will come.
+    pub(crate) fn close(&self) {
+        for queue in lock(&self.queues).drain(..).filter_map(|queue| queue.upgrade()) {
+            lock(&queue.state).closed = true;
+            queue.arrived.notify_all();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use super::*;
+    use crate::outbox::tests::report;
+
+    fn heard(frame: u64) -> Heard {
+        let mut report = report("kite");
+        report.frame = frame;
+        Heard { arrived_monotonic_ns: 0, report }
+    }
+
+    #[test]
+    fn a_slow_reader_loses_the_oldest_and_knows_how_many() {
+        let streams = Streams::default();
+        let stream = streams.subscribe(2);
+        (1..=5).for_each(|frame| streams.send(&heard(frame)));
+        let next = || stream.recv_timeout(Duration::ZERO).map(|heard| heard.report.frame);
+        assert_eq!([next(), next(), next()], [Some(4), Some(5), None]);
+        assert_eq!(stream.dropped(), 3);
+        streams.close();
+        assert!(stream.is_over());
+    }
+
+    #[test]
+    fn a_stream_without_a_reader_is_forgotten() {
+        let streams = Streams::default();
+        drop(streams.subscribe(2));
+        streams.send(&heard(1));
+        assert!(lock(&streams.queues).is_empty());
+    }
+}
