@@ -22,7 +22,7 @@ pub struct Attached {
     pub ports: Ports,
     /// Its configuration.
     pub pipeline: Pipeline,
-    /// Which it is.
+    /// Its name, folder and owner.
     pub instance: Instance,
 }
 
@@ -41,7 +41,7 @@ fn choose(running: &PipelineChoice) -> anyhow::Result<Instance> {
     let living: Vec<Instance> = Instance::all().into_iter().filter(Instance::is_running).collect();
     let names = living.iter().map(Instance::name).collect::<Vec<_>>().join(", ");
     if let Some(name) = &running.instance {
-        let others = if names.is_empty() { "none does".to_owned() } else { format!("{names} do") };
+        let others = if names.is_empty() { "none runs".to_owned() } else { format!("{names} run") };
         let found = living.into_iter().find(|instance| instance.name() == name);
         return found.with_context(|| format!("no pipeline '{name}' runs here; {others}"));
     }

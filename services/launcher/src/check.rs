@@ -30,7 +30,7 @@ pub struct CheckArguments {
 /// Checks the configuration, and prints what it means.
 ///
 /// # Errors
-/// Everything that is wrong with the configuration, or memory that is too small.
+/// The configuration is wrong (all problems are listed), or shared memory is too small.
 pub fn run(arguments: &CheckArguments) -> anyhow::Result<()> {
     let pipeline = arguments.configuration.load()?;
     let bodies = pipeline.bodies()?;
@@ -48,7 +48,7 @@ pub fn run(arguments: &CheckArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// What a short run in an instance of its own says of this machine.
+/// Measures this machine by a short run in an instance of its own.
 fn measured(arguments: &CheckArguments, duration: Duration) -> anyhow::Result<String> {
     let own = [format!("instance=m{}", std::process::id()), "gateway.enabled=false".to_owned()];
     let pipeline = arguments.configuration.load_with(&[], &own)?;
@@ -108,7 +108,7 @@ fn plan(
     if hidden > 0 {
         writeln!(
             text,
-            "         the camera sees nothing of {hidden} of {} partitions",
+            "         {hidden} of {} partitions are hidden from the camera",
             views.len()
         )?;
     }

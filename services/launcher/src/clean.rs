@@ -1,4 +1,4 @@
-//! `flockeye clean`: removes what dead runs left in shared memory. Living ones are left alone.
+//! `flockeye clean`: removes what dead runs left in shared memory. Running pipelines are not touched.
 
 use clap::Args;
 use flockeye_cli::Screen;
@@ -12,7 +12,7 @@ pub struct CleanArguments {
     pub instance: Option<String>,
 }
 
-/// Removes it, and says what.
+/// Removes the files of dead runs, and lists them.
 ///
 /// # Errors
 /// The files cannot be removed.

@@ -97,7 +97,7 @@ impl Dashboard {
         });
         let seconds = (health.sent_ns - view.last.sent_ns) as f64 * 1e-9;
         if health.pid == view.last.pid && seconds > 0.1 {
-            // Averaged over some reports, so that the numbers can be read.
+            // Smoothed over some reports, so that the numbers are readable.
             let rate = |now: u64, before: u64| now.saturating_sub(before) as f64 / seconds;
             let blend = |old: f64, new: f64| old + 0.3 * (new - old);
             view.taken_per_s = blend(view.taken_per_s, rate(health.taken, view.last.taken));
@@ -205,7 +205,7 @@ fn error_m(track: &Track, body: &BodyTruth) -> f64 {
     difference.norm()
 }
 
-/// Root of the position covariance's trace.
+/// Root of the trace of the position covariance, metres.
 fn deviation_m(track: &Track) -> f64 {
     (track.covariance[0] + track.covariance[7] + track.covariance[14]).max(0.0).sqrt()
 }
@@ -225,7 +225,7 @@ fn stage_state_name(code: u32, silent_ns: i64) -> String {
     }
 }
 
-/// Age of the light that a pose was last measured by, milliseconds.
+/// Age of the exposure that a pose was last measured in, milliseconds.
 fn age_ms(track: &Track, arrived_ns: i64, now_ns: i64) -> f64 {
     (now_ns - arrived_ns + track.latency.total_ns + track.unseen_ns) as f64 * 1e-6
 }

@@ -19,7 +19,7 @@ use rustix::thread::{CpuSet, sched_setaffinity};
 /// Arguments of `exec-stage`.
 #[derive(Debug, Args)]
 pub struct ExecArguments {
-    /// The process that must live as long as this one.
+    /// The launcher: this process must not outlive it.
     #[arg(long)]
     pub parent: u32,
     /// Processors that it may run on.
@@ -28,7 +28,7 @@ pub struct ExecArguments {
     /// Its nice value.
     #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
     pub nice: i32,
-    /// Its scheduling policy, where it is not the normal one.
+    /// Its scheduling policy: batch, idle, fifo or round-robin.
     #[arg(long)]
     pub scheduling: Option<SchedulingPolicy>,
     /// Its priority within fifo and round-robin.
@@ -44,12 +44,13 @@ pub struct ExecArguments {
 /// # Errors
 /// The launcher is dead, or the program cannot be started.
 pub fn run(arguments: &ExecArguments) -> anyhow::Result<()> {
-    set_parent_process_death_signal(Some(Signal::KILL)).context("cannot follow the launcher")?;
+    set_parent_process_death_signal(Some(Signal::KILL))
+        .context("cannot ask for a signal at the launcher's death")?;
     let parent = getppid().map(|pid| pid.as_raw_nonzero().get().unsigned_abs());
     if parent != Some(arguments.parent) {
-        bail!("the launcher (process {}) is gone", arguments.parent);
+        bail!("the launcher (process {}) has ended", arguments.parent);
     }
-    // A stage whose scheduling wishes are refused still works.
+    // A stage still works if its scheduling is refused.
     let refusals = [apply_cpus(arguments), apply_nice(arguments), apply_policy(arguments)];
     for refusal in refusals.into_iter().flatten() {
         eprintln!("{refusal}");
@@ -59,7 +60,7 @@ pub fn run(arguments: &ExecArguments) -> anyhow::Result<()> {
     };
     let error = Command::new(program).args(rest).exec();
     eprintln!("cannot start {}: {error}", program.to_string_lossy());
-    // A program that is not there will not be there at the next attempt either.
+    // Another attempt would not find the program either.
     std::process::exit(i32::from(CANNOT_START))
 }
 
@@ -87,7 +88,7 @@ fn apply_nice(arguments: &ExecArguments) -> Option<String> {
     }
     let refused = setpriority_process(None, arguments.nice).err()?;
     Some(format!(
-        "nice {} is not allowed ({refused}): it runs with what it inherits. Cure: LimitNICE in the \
+        "nice {} is not allowed ({refused}): it keeps the inherited value. Cure: LimitNICE in the \
          unit, or CAP_SYS_NICE",
         arguments.nice
     ))

@@ -27,7 +27,7 @@ pub fn become_lab(arguments: &[OsString]) -> anyhow::Result<()> {
         let command = arguments.first().map(|name| name.to_string_lossy()).unwrap_or_default();
         format!("`flockeye {command}` is a command of {PROGRAM}")
     })?;
-    // The name shows in the lab's help and messages: users typed `flockeye`.
+    // The lab's help shows this name, because users typed it.
     let error = Command::new(&path).arg0("flockeye").args(arguments).exec();
     Err(error).with_context(|| format!("cannot start {}", path.display()))
 }

@@ -16,7 +16,7 @@ pub struct PeersArguments {
     /// Which configuration: the swarm and the network are taken from it.
     #[command(flatten)]
     pub configuration: Configuration,
-    /// One JSON object a line for each report.
+    /// Print one JSON object per line for each report.
     #[arg(long)]
     pub json: bool,
     /// Stop after this long: 20s, 5m, 1h.
@@ -27,10 +27,10 @@ pub struct PeersArguments {
 /// Reports that may wait to be printed as JSON.
 const WAITING_REPORTS: usize = 1_024;
 
-/// Shows it until Ctrl-C.
+/// Shows the reports until Ctrl-C.
 ///
 /// # Errors
-/// The configuration is wrong, or the network cannot be had.
+/// The configuration is wrong, or the network cannot be opened.
 pub fn run(arguments: &PeersArguments) -> anyhow::Result<()> {
     let stopping = signals::stop_flag()?;
     let pipeline = arguments.configuration.load()?;
@@ -42,7 +42,7 @@ pub fn run(arguments: &PeersArguments) -> anyhow::Result<()> {
     if arguments.json { print_json(&listener, is_over) } else { show_table(&listener, is_over) }
 }
 
-/// One JSON object a line for each report; a closed pipe ends it.
+/// Prints one JSON object per line for each report. A closed pipe ends it.
 fn print_json(listener: &Listener, is_over: impl Fn() -> bool) -> anyhow::Result<()> {
     let reports = listener.stream(WAITING_REPORTS);
     let mut out = std::io::stdout().lock();

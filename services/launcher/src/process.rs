@@ -19,7 +19,7 @@ use rustix::process::{Pid, Signal, kill_process_group};
 /// A line that a stage wrote.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct LogLine {
-    /// Which stage, with the number of the worker where there are several.
+    /// The stage, with the worker's number if there are several.
     pub stage: String,
     /// What it wrote.
     pub text: String,
@@ -47,7 +47,7 @@ pub enum ProcessChange {
 pub struct Process {
     /// The stage's name in pipeline.yaml.
     pub stage: &'static str,
-    /// Which of its workers.
+    /// The worker's number, from 0.
     pub replica: u32,
     /// How often it was replaced.
     pub generation: u32,
@@ -65,7 +65,7 @@ pub struct Process {
 }
 
 impl Process {
-    /// Worker `replica` of a stage; it is not started yet.
+    /// Prepares worker `replica` of a stage without starting it.
     pub fn new(
         stage: &'static str,
         replica: u32,
@@ -241,7 +241,7 @@ fn describe(status: ExitStatus) -> String {
     }
 }
 
-/// A process that lived this long did not fail because of its start.
+/// A process that lived this long did not fail at its start.
 const LONG_LIFE: Duration = Duration::from_secs(10);
 
 fn backoff([first_s, longest_s]: [f64; 2]) -> Backoff {

@@ -41,7 +41,7 @@ pub struct RunOptions {
     pub watches_sweep: bool,
 }
 
-/// What a run came to.
+/// The summary of a run.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct RunSummary {
     /// Frames that ended.
@@ -64,7 +64,7 @@ pub struct RunLog {
     recorders: Recorders,
     /// What is shown of the run.
     pub dashboard: Dashboard,
-    /// Frames after these are not recorded.
+    /// How many frames were asked for. Times of further frames are not recorded.
     most_frames: u64,
     measured: u64,
     first_end_ns: Option<i64>,
@@ -176,13 +176,12 @@ impl RunLog {
         self.dashboard.frames_ended() >= self.most_frames
     }
 
-    /// How long no track has come; counted from the start of the run or the last
-    /// [`RunLog::expect_tracks`].
+    /// Time since the last track, or since [`RunLog::expect_tracks`] if that was later.
     pub fn quiet_time(&self) -> Duration {
         self.last_track.elapsed()
     }
 
-    /// Starts the quiet time now: the source begins.
+    /// Restarts the quiet time, because the source starts now.
     pub fn expect_tracks(&mut self) {
         self.last_track = Instant::now();
     }

@@ -36,10 +36,10 @@ const ONCE_AFTER: Duration = Duration::from_secs(2);
 const LIVE_PERIOD: Duration = Duration::from_millis(250);
 const PRINT_PERIOD: Duration = Duration::from_secs(1);
 
-/// Shows it until Ctrl-C, or until the pipeline ends.
+/// Shows the dashboard until Ctrl-C, or until the pipeline ends.
 ///
 /// # Errors
-/// No such pipeline runs.
+/// No such pipeline runs, or its topics have no room for another reader.
 pub fn run(arguments: &TopArguments) -> anyhow::Result<()> {
     let stopping = signals::stop_flag()?;
     let Attached { mut ports, instance, pipeline } = attach(&arguments.running)?;
@@ -97,7 +97,7 @@ pub fn run(arguments: &TopArguments) -> anyhow::Result<()> {
     })
 }
 
-/// Prints a line. False if nobody reads any more.
+/// Prints a line. Returns false if the pipe is closed.
 fn print(text: &str) -> bool {
     let mut out = std::io::stdout().lock();
     writeln!(out, "{text}").and_then(|()| out.flush()).is_ok()

@@ -30,10 +30,10 @@ pub struct TraceArguments {
     pub duration: Duration,
 }
 
-/// Records it.
+/// Records the trace.
 ///
 /// # Errors
-/// No such pipeline runs, nothing was heard, or the file cannot be written.
+/// No such pipeline runs, no message came, or the file cannot be written.
 pub fn run(arguments: &TraceArguments) -> anyhow::Result<()> {
     let stopping = signals::stop_flag()?;
     let Attached { mut ports, instance, pipeline } = attach(&arguments.running)?;
@@ -66,7 +66,7 @@ pub fn run(arguments: &TraceArguments) -> anyhow::Result<()> {
     })?;
     ensure!(
         tracer.frames() > 0,
-        "nothing came through the pipeline '{}' in {:.1} s: `flockeye top` says what its stages do",
+        "no frame passed through the pipeline '{}' in {:.1} s. Cure: see what its stages do with `flockeye top`",
         instance.name(),
         start.elapsed().as_secs_f64()
     );

@@ -1,35 +1,41 @@
-//! From messages' times to trace events.
+//! Makes trace events from the times in messages.
 //!
-//! The format is Chrome's ("Trace Event Format"): processes with threads with slices, and arrows from
-//! slice to slice. Each stage is a process. A frame's exposure and publication are one slice of the
-//! source, its cutting one of rectification with one for each view in it, each view's search one of a
-//! detection process, each neighbour's pose one of fusion; arrows lead from each to the next.
+//! The format is Chrome's "Trace Event Format": processes have threads, threads have slices, and arrows
+//! lead from slice to slice. Each stage is a process.
+//!
+//! | stage | slices |
+//! | --- | --- |
+//! | the source | each frame, from exposure to publication |
+//! | rectification | each frame, and in it each view that is cut |
+//! | detection | each view that is searched |
+//! | fusion | each neighbour's pose |
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use flockeye_contract::{DetectionHeader, FrameEnd, FrameStamp, Health, Track, TrackHeader};
 use serde_json::{Value, json};
 
-/// Source frames are exposed before the one before them is published: side by side they need rows of
-/// their own.
+/// A frame is exposed before the previous one is published, so their slices overlap. Overlapping slices
+/// need rows of their own.
 const SOURCE_ROWS: u64 = 16;
 
-/// Gathers events.
+/// Collects events.
 #[derive(Debug)]
 pub struct Tracer {
     source: &'static str,
     events: Vec<Value>,
     frames: BTreeSet<(u32, u32, u64)>,
-    /// Whether exposures are times of this machine's clock.
+    /// Whether exposure times are of this machine's clock.
     is_live: bool,
     /// Names of the processes, by their numbers in the trace.
     processes: BTreeMap<u32, String>,
-    /// When rectification began with what it did last.
+    /// For each frame: when rectification finished the previous view.
     cutting_since_ns: BTreeMap<(u32, u32, u64), i64>,
 }
 
 impl Tracer {
-    /// Nothing yet; frames come from the stage `source`, at their exposures' times if they are live.
+    /// Starts without events. `source` is the stage that frames come from. If `is_live`, a frame's slice
+    /// starts at its exposure.
     pub fn new(source: &'static str, is_live: bool) -> Self {
         Self {
             source,
@@ -41,12 +47,12 @@ impl Tracer {
         }
     }
 
-    /// Frames of which something is known.
+    /// How many frames have events.
     pub fn frames(&self) -> usize {
         self.frames.len()
     }
 
-    /// A stage has reported.
+    /// Takes a stage's report.
     pub fn health(&mut self, health: &Health) {
         let stage = health.stage.to_string();
         let pid = self.process(&stage, health.replica);
@@ -57,7 +63,7 @@ impl Tracer {
         }));
     }
 
-    /// A view was searched.
+    /// Takes a detection record.
     pub fn detection(&mut self, header: &DetectionHeader) {
         self.frame(&header.stamp);
         let order = header.stamp.order();
@@ -66,8 +72,8 @@ impl Tracer {
             "frame": header.stamp.sequence, "view": header.view_index, "attempt": header.attempt,
             "hits": header.hits, "waited_ms": (header.received_ns - header.issued_ns) as f64 * 1e-6,
         });
-        // Views of a frame are cut one after the other, and answered in about that order: what was
-        // cut before this one ended when this one began.
+        // Views of a frame are cut one after another, and searched in about that order. So this cut
+        // began when the previous one ended.
         let since_ns = self.cutting_since_ns.get(&order).copied().unwrap_or(header.taken_ns);
         if header.issued_ns > since_ns {
             self.slice("rectification", 0, 0, &view, since_ns..header.issued_ns, args.clone());
@@ -80,7 +86,7 @@ impl Tracer {
         self.arrow("f", &id, "detection", header.worker, header.received_ns);
     }
 
-    /// Rectification is done with a frame.
+    /// Takes a frame's end in rectification.
     pub fn end(&mut self, end: &FrameEnd) {
         self.frame(&end.stamp);
         self.cutting_since_ns.remove(&end.stamp.order());
@@ -89,7 +95,7 @@ impl Tracer {
         self.slice("rectification", 0, 0, &name, end.taken_ns..end.ended_ns, args);
     }
 
-    /// Poses came out.
+    /// Takes the tracks of a frame.
     pub fn tracks(&mut self, header: &TrackHeader, tracks: &[Track]) {
         let stamp = &header.stamp;
         self.frame(stamp);
@@ -130,7 +136,7 @@ impl Tracer {
         json!({"traceEvents": self.events, "displayTimeUnit": "ms"})
     }
 
-    /// Notes a frame; the first time, what its source did with it.
+    /// Adds the slice of a frame's source, once.
     fn frame(&mut self, stamp: &FrameStamp) {
         if !self.frames.insert(stamp.order()) {
             return;

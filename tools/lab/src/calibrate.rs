@@ -22,10 +22,10 @@ use crate::up_process;
 /// Arguments of `calibrate body`.
 #[derive(Debug, Args)]
 pub struct CalibrateBodyArguments {
-    /// Which configuration: the camera, the bodies as designed, and what is recorded of them.
+    /// Which configuration: the camera, the bodies as designed, and the recording as its source.
     #[command(flatten)]
     pub configuration: Configuration,
-    /// The bodies as they are found: a JSON file for --bodies.
+    /// Where to write the calibrated bodies: a JSON file for --bodies.
     #[arg(long, value_name = "FILE.json")]
     pub out: PathBuf,
 }
@@ -141,7 +141,7 @@ fn table(calibration: &BodyCalibration) -> String {
     text
 }
 
-/// The bodies file: as it is read, with the deviations of what was found.
+/// The bodies file, with the standard deviations of what was calibrated.
 fn document(bodies: &Bodies, found: &[BodyCalibration]) -> anyhow::Result<Value> {
     let all = bodies.iter().map(|body| {
         let calibrated = found.iter().find(|found| found.body.name == body.name);

@@ -31,8 +31,7 @@ pub struct EvalArguments {
 /// Prints the comparison, and writes the report if one is asked for.
 ///
 /// # Errors
-/// A file cannot be read or is not as it should be, the two have nothing to do with each other, or
-/// the report cannot be written.
+/// A file cannot be read or is invalid, the two share no frame, or the report cannot be written.
 pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
     let poses: Vec<PoseRow> = read(&arguments.poses)?;
     let truth: Vec<TruthRow> = read(&arguments.truth)?;

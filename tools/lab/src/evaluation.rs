@@ -38,7 +38,7 @@ const RANGES_M: [(f64, Option<f64>); 8] = [
 
 /// A measurement that is wrong by more than this is a false one, metres.
 pub const FALSE_M: f64 = 0.1;
-/// The same of its rotation, degrees.
+/// The same for its rotation, degrees.
 pub const FALSE_DEG: f64 = 10.0;
 
 /// The results in one range of distances.
@@ -46,7 +46,7 @@ pub const FALSE_DEG: f64 = 10.0;
 pub struct Bin {
     /// From this distance, metres.
     pub from_m: f64,
-    /// To this distance, metres; `None` to any.
+    /// To this distance, metres; `None`: to any distance.
     pub to_m: Option<f64>,
     /// Bodies with two or more markers wholly visible and localisable.
     pub eligible: usize,
@@ -83,9 +83,9 @@ pub struct FalsePose {
     pub frame: u64,
     /// The body that was reported.
     pub target: String,
-    /// How far off it is, metres; `None`: the body is not there.
+    /// Its position error, metres; `None`: the body is not there.
     pub position_m: Option<f64>,
-    /// How far it is turned, degrees.
+    /// Its rotation error, degrees.
     pub rotation_deg: Option<f64>,
 }
 
@@ -118,17 +118,17 @@ pub struct Evaluation {
     pub bins: Vec<Bin>,
     /// Measured poses, eligible or not.
     pub measured: usize,
-    /// What they rest on.
+    /// How many rest on what.
     pub sources: Sources,
-    /// Poses that were predicted only.
+    /// Poses that were only predicted.
     pub coasted: Coasted,
     /// Measurements that are wrong by more than 10 cm or 10 degrees, or of a body that is not there.
     pub false_poses: usize,
     /// Where they are.
     pub false_at: Vec<FalsePose>,
-    /// How late poses are; `None` if there are none.
+    /// The latency of measured poses; `None` if there are none.
     pub latency: Option<Latency>,
-    /// Whether errors are as large as they say.
+    /// Whether errors are as large as their covariances say.
     pub nees: Covariances,
 }
 
@@ -224,7 +224,7 @@ impl Bin {
 }
 
 impl FalsePose {
-    /// Judges the frame's own measurement, where it was recorded, else the pose published for it.
+    /// Checks the frame's own measurement if it was recorded, else the published pose. `None` if right.
     fn of(pose: &PoseRow, truth: Option<&TruthRow>) -> Option<Self> {
         let error =
             truth.map(|truth| measurement(pose, truth).unwrap_or_else(|| published(pose, truth)));
@@ -365,7 +365,7 @@ mod tests {
         ];
         let truths = [truth(0, 1.0, 2), truth(1, 1.0, 2), truth(2, 1.0, 2)];
         let nees = Evaluation::of(&poses, &truths).nees;
-        // A deviation of 1 cm: 1 and 9, and 4 where it was predicted.
+        // A standard deviation of 1 cm: 1 and 9, and 4 where it was predicted.
         let tracks = nees.tracks.expect("two");
         assert!((tracks.position.mean - 5.0).abs() < 1e-9 && tracks.position.samples == 2);
         assert_eq!(nees.measurements, nees.tracks);

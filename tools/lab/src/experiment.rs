@@ -17,7 +17,7 @@ use consistency::ConsistencyArguments;
 /// Arguments of `experiment`.
 #[derive(Debug, Args)]
 pub struct ExperimentArguments {
-    /// Which.
+    /// Which experiment.
     #[command(subcommand)]
     kind: ExperimentKind,
 }

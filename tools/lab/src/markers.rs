@@ -22,7 +22,7 @@ pub struct MarkersArguments {
     /// Which configuration: the bodies and their dictionary are taken from it.
     #[command(flatten)]
     pub configuration: Configuration,
-    /// Whose facets.
+    /// The body whose facets are drawn.
     #[arg(long, value_name = "NAME")]
     pub body: String,
     /// The sheets: one PDF, or an SVG for each sheet.
@@ -55,7 +55,7 @@ pub fn run(arguments: &MarkersArguments) -> anyhow::Result<()> {
     };
     match path.extension().and_then(|extension| extension.to_str()) {
         Some("pdf") => write(path, &pdf(&pages))?,
-        // One file for each page: an SVG has one.
+        // An SVG file holds one page.
         Some("svg") if pages.len() == 1 => write(path, svg(&pages[0]).as_bytes())?,
         Some("svg") => {
             for (index, page) in pages.iter().enumerate() {

@@ -30,7 +30,7 @@ pub fn run(arguments: &PartitionArguments) -> anyhow::Result<()> {
     }
     Screen::new().line(&if arguments.json { table.to_json()? } else { table.to_string() });
     if let Some(path) = &arguments.picture {
-        // The first that has views with this margin; if none has, the first one's reason counts.
+        // The first that has views with this margin. If none has, the first one's error is reported.
         let mut pictures =
             partitions.iter().map(|p| picture::draw(p, arguments.margin.to_radians()));
         let first = pictures.next().context("there is no partition to draw")?;
@@ -40,8 +40,7 @@ pub fn run(arguments: &PartitionArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The partition of `count` views that the arguments ask for; says how long it took where it was
-/// looked for.
+/// The partition of `count` views that the arguments ask for. Logs the time if it is computed.
 fn find(arguments: &PartitionArguments, count: usize) -> Result<Partition, PartitionError> {
     let method = arguments.method.into();
     if !arguments.compute {

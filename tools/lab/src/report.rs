@@ -1,5 +1,4 @@
-//! One page on a run: the paper's figures for it, and its table. Everything is in the file; nothing
-//! is fetched.
+//! One page on a run: the paper's figures for it, and its table. The file is complete in itself.
 
 mod chart;
 mod flight_path;
@@ -68,7 +67,7 @@ impl<'a> BodyHihistory<'a> {
         Self { body, truth, measured, coasted }
     }
 
-    /// A number of each row over time: the truth as a line, what was measured and predicted as dots.
+    /// A number of each row over time: the truth as a line, measured and predicted poses as dots.
     fn over_time(&self, number: impl Fn(&Vector3<f64>) -> f64) -> Vec<ChartSeries> {
         let truth = thinned(&self.truth, |row| row.frame, |row| (row.t_s, number(&row.position())));
         let point = |pose: &PoseRow| (pose.stamp_s, number(&pose.position));

@@ -1,8 +1,8 @@
-//! Just enough SVG.
+//! SVG drawings of lines, texts and a few other elements.
 
 use std::fmt::{self, Write};
 
-/// A drawing in the making.
+/// A drawing that elements are added to.
 pub(crate) struct Svg {
     body: String,
     width: f64,
@@ -15,13 +15,13 @@ impl Svg {
         Self { body: String::new(), width, height }
     }
 
-    /// Adds an element with its attributes; a text that is not ours must be [`escaped`].
+    /// Adds an element with its attributes. Text from outside must be [`escaped`].
     pub(crate) fn element(&mut self, element: fmt::Arguments<'_>) {
         // Writing to a String cannot fail.
         let _ = writeln!(self.body, "{element}");
     }
 
-    /// Adds a line through points, where there are two or more.
+    /// Adds a line through two or more points. Fewer are ignored.
     pub(crate) fn line(&mut self, points: &[(f64, f64)], attributes: &str) {
         if points.len() > 1 {
             let points: Vec<_> = points.iter().map(|(x, y)| format!("{x:.1},{y:.1}")).collect();
@@ -35,8 +35,8 @@ impl Svg {
         self.element(format_args!(r#"<text x="{x:.1}" y="{y:.1}" {attributes}>{text}</text>"#));
     }
 
-    /// The drawing as an element of a page, on the page's ground and in its colours; `label` says
-    /// what it shows to who cannot see it, `attributes` go to the element.
+    /// The drawing as an element of a page, in the page's colours. `label` describes it for screen
+    /// readers, `attributes` go to the element.
     pub(crate) fn finish_in_page(self, label: &str, attributes: &str) -> String {
         let Self { body, width, height } = self;
         format!(

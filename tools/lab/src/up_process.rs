@@ -21,7 +21,7 @@ const ERROR_PREFIX: &str = "flockeye: ";
 /// Runs `flockeye up` with these arguments to its end. What it writes goes to this terminal.
 ///
 /// # Errors
-/// It cannot be started, or it fails; its reason then stands on the terminal.
+/// It cannot be started, or it fails. Its own message is then on the terminal.
 pub fn run_visibly(arguments: &[OsString], stopping: &AtomicBool) -> anyhow::Result<()> {
     let mut child = start(arguments, Stdio::inherit, Stdio::inherit)?;
     let status = wait(&mut child, stopping)?;

@@ -30,32 +30,32 @@ pub enum NeesVerdict {
 pub struct Nees {
     /// How many there are.
     pub samples: usize,
-    /// How many independent ones tell as much of the mean.
+    /// How many independent samples they are worth.
     pub effective_samples: f64,
-    /// Their mean; 3 is right.
+    /// Their mean; 3 is expected.
     pub mean: f64,
-    /// Their median; 2.37 is right. Outliers move the mean alone.
+    /// Their median; 2.37 is expected. Outliers move only the mean.
     pub median: f64,
-    /// The mean lies above this with 97.5 % if all is right.
+    /// Lower bound of the mean (97.5 %) if errors are as large as their covariances say.
     pub low: f64,
-    /// The mean lies below this with 97.5 % if all is right.
+    /// Upper bound of the mean (97.5 %) in the same case.
     pub high: f64,
-    /// Whether it does.
+    /// Where the mean lies.
     pub verdict: NeesVerdict,
 }
 
 impl Nees {
-    /// Of series of samples that follow each other in time; different series are independent. `None`
-    /// if there is no sample.
+    /// Summarizes series of samples that are consecutive in time. Different series are independent.
+    /// `None` without a sample.
     ///
     /// The sum of n independent samples is chi-square of 3 n degrees of freedom. Errors of
-    /// neighbouring frames go together, so that n is the number of independent samples that tell as
-    /// much ([`effective_samples`]).
+    /// consecutive frames are correlated, so n is their effective sample size
+    /// ([`effective_samples`]).
     pub fn of(series: &[Vec<f64>]) -> Option<Self> {
         Self::with_effective(series, effective_samples(series))
     }
 
-    /// The same of independent runs ([`effective_samples_of_runs`]).
+    /// The same for independent runs ([`effective_samples_of_runs`]).
     pub fn of_runs(runs: &[Vec<f64>]) -> Option<Self> {
         Self::with_effective(runs, effective_samples_of_runs(runs))
     }

@@ -1,14 +1,14 @@
-//! How values are spread, and how many independent ones correlated samples are worth.
+//! Distributions of values, and effective sample sizes.
 
 use flockeye_geometry::statistics::{mean, median, quantile};
 use serde::Serialize;
 
-/// How a size is spread.
+/// The distribution of a magnitude.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Spread {
     /// Its mean.
     pub mean: f64,
-    /// Half are smaller; between the two in the middle where their number is even.
+    /// Half are smaller.
     pub median: f64,
     /// 95 % are smaller.
     pub p95: f64,
@@ -17,7 +17,7 @@ pub struct Spread {
 }
 
 impl Spread {
-    /// Of sizes; `None` if there is none. Signs do not count.
+    /// The distribution of the values' magnitudes. `None` without values.
     pub fn of(values: impl IntoIterator<Item = f64>) -> Option<Self> {
         let mut sizes: Vec<f64> = values.into_iter().map(f64::abs).collect();
         sizes.sort_by(f64::total_cmp);

@@ -55,7 +55,7 @@ pub(super) struct FlightOutcome {
 }
 
 impl FlightOutcome {
-    /// Of a flight and the truth of its frames.
+    /// Compares a flight with the truth of its frames.
     pub(super) fn of(flight: &FlightRecord, truth: &[TruthRow]) -> anyhow::Result<Self> {
         let truth: Vec<TruthRow> =
             truth.iter().filter(|row| flight.frames.contains(&row.frame)).cloned().collect();
@@ -114,7 +114,7 @@ FpS: frames a second of the pipeline's work alone, from a frame's publication to
 error: of the published position within 1.5 m, mean and median; captured: localisable bodies with two markers wholly visible that were measured, at any distance
 real time: the share that would be left at the source's own rate, if frames that come while another is processed are lost";
 
-/// Frames a second of a recording, from the times between neighbouring frames.
+/// Frames per second of a recording, from the times of its frames.
 fn rate(truth: &[TruthRow]) -> Option<f64> {
     let first = truth.iter().min_by_key(|row| row.frame)?;
     let last = truth.iter().max_by_key(|row| row.frame)?;

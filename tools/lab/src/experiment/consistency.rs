@@ -52,7 +52,7 @@ struct NeesOverRuns {
     /// Frame numbers at which at least half of the flights have a sample: at each of them the
     /// samples are independent.
     moments: usize,
-    /// Share of those at which the flights' mean lies within the bounds of its own 95 %.
+    /// Share of those at which the mean over the flights lies within its 95 % bounds.
     inside: Option<f64>,
 }
 
@@ -122,7 +122,7 @@ fn has_measurement(flight: &FlightRecord) -> bool {
 }
 
 impl PoseNeesOverRuns {
-    /// Of flights; `None` if there is no sample.
+    /// Summarizes flights. `None` without a sample.
     fn of(
         flights: &[FlightRecord],
         sample: fn(&PoseRow, &TruthRow) -> Option<ErrorSample>,
@@ -151,7 +151,7 @@ impl PoseNeesOverRuns {
 }
 
 impl NeesOverRuns {
-    /// Of normalised errors with their frames, of each body in each flight.
+    /// Summarizes the normalised errors, with their frames, of each body in each flight.
     fn of(numbers: Vec<Vec<(u64, f64)>>, flights: usize) -> Option<Self> {
         let mut moments: BTreeMap<u64, Vec<f64>> = BTreeMap::new();
         for &(frame, number) in numbers.iter().flatten() {
@@ -250,7 +250,7 @@ mod tests {
 
     #[test]
     fn flights_are_independent_at_each_moment() {
-        // A standard deviation of 1 cm: 4, 1 and 1, 4; one flight sees nobody in the last frame.
+        // A standard deviation of 1 cm: 4, 1 and 1, 4; one flight has no sample in the last frame.
         let flights = [flight(&[0.02, 0.01, 0.05]), flight(&[0.01, -0.02])];
         let parts = PoseNeesOverRuns::of(&flights, track_sample).expect("there are samples");
         let position = &parts.position;

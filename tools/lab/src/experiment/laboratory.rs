@@ -26,7 +26,7 @@ pub(super) struct Laboratory<'a> {
 pub(super) struct FlightPlan {
     /// Its configuration.
     pub(super) pipeline: Pipeline,
-    /// The arguments of `flockeye up` that lead to it.
+    /// The arguments that give `flockeye up` this configuration.
     arguments: Vec<OsString>,
 }
 

@@ -3,7 +3,7 @@
 use super::page::{Page, Paper, Shape};
 use super::piece::Piece;
 
-/// What printers leave white, and room between facets.
+/// The margin that printers leave white, and the space between facets.
 const MARGIN_MM: f64 = 10.0;
 const GAP_MM: f64 = 4.0;
 /// Room for the title above and for the ruler below.

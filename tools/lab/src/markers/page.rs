@@ -45,7 +45,7 @@ pub struct Page {
 /// Something drawn.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Shape {
-    /// Black between its loops (even-odd), so that white cells are what they leave out.
+    /// A black area with holes: the loops are filled by the even-odd rule.
     Black(Vec<Vec<[f64; 2]>>),
     /// A closed grey line of a fifth of a millimetre: where to cut.
     Outline {
@@ -64,7 +64,7 @@ pub enum Shape {
 }
 
 impl Shape {
-    /// The same elsewhere.
+    /// The shape moved by so many millimetres.
     pub fn moved(&self, [x, y]: [f64; 2]) -> Self {
         let place = |points: &[[f64; 2]]| points.iter().map(|p| [p[0] + x, p[1] + y]).collect();
         match self {

@@ -72,7 +72,7 @@ fn path(points: &[[f64; 2]]) -> String {
     path + "h "
 }
 
-/// A PDF text: brackets and what is not ASCII would end or garble it.
+/// Escapes a PDF text: brackets would end it, and other letters than ASCII would garble it.
 fn escaped(text: &str) -> String {
     text.chars()
         .map(|letter| match letter {

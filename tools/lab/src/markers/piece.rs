@@ -59,7 +59,7 @@ impl Piece {
     }
 }
 
-/// Where up is on a facet: the printed top, or what points to +z, or +x on level ones.
+/// The direction that is up on a facet: the top of its marker, else +z, or +x on a horizontal facet.
 fn up_of(facet: &Facet, marker: Option<&Marker>) -> Vector3<f64> {
     let towards = match marker {
         Some(marker) => marker.corners[0] - marker.corners[3],
@@ -69,7 +69,7 @@ fn up_of(facet: &Facet, marker: Option<&Marker>) -> Vector3<f64> {
     (towards - facet.normal * facet.normal.dot(&towards)).normalize()
 }
 
-/// The black square less its white cells: each row's neighbouring ones as one loop.
+/// The black square without its white cells. White cells side by side in a row are one loop.
 fn cells(
     corners: &[[f64; 2]; 4],
     count: usize,
