@@ -19,8 +19,9 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, ensure};
 use flockeye_config::Pipeline;
 use flockeye_contract::{FrameHeader, FrameStamp, Frames};
+use flockeye_geometry::statistics::{median, quantile};
 use flockeye_runtime::clock::monotonic_ns;
-use flockeye_runtime::health::{SharedCounters, quantile};
+use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::instance::Instance;
 use flockeye_runtime::memory::Budget;
 use flockeye_runtime::ports::{Ports, create_services};
@@ -141,14 +142,15 @@ fn hop_of(text: &str) -> anyhow::Result<Hop> {
     let mut columns = [Vec::new(), Vec::new()];
     for line in text.lines().skip(WARM_UP) {
         for (column, number) in columns.iter_mut().zip(line.split(' ')) {
-            column.push(number.parse::<i64>()?);
+            column.push(number.parse::<i64>()? as f64 * 1e-3);
         }
     }
     let [woken_us, read_us] = columns.map(|mut column| {
-        column.sort_unstable();
-        [0.5, 0.99].map(|share| quantile(&column, share) as f64 * 1e-3)
+        column.sort_unstable_by(f64::total_cmp);
+        Some([median(&column)?, quantile(&column, 0.99)?])
     });
-    Ok(Hop { woken_us, read_us })
+    let missing = "a receiver wrote no latencies";
+    Ok(Hop { woken_us: woken_us.context(missing)?, read_us: read_us.context(missing)? })
 }
 
 /// Waits for the line by which a receiver says that it listens.

@@ -11,6 +11,7 @@
 //! | [`pose`] | which pose of a body explains a set of rays |
 //! | [`filter`] | where is a neighbour now, and where will it be |
 //! | [`search`] | where to look in the next frame |
+//! | [`statistics`] | what are the mean, the median and the quantiles of some values |
 //!
 //! Frames are right-handed; body and camera frames are x forward, y left, z up; a view's frame is
 //! x right, y down, z forward. Every transform is named `target_from_source`.
@@ -23,6 +24,7 @@ pub mod mask;
 pub mod partition;
 pub mod pose;
 pub mod search;
+pub mod statistics;
 pub mod view;
 
 /// A unit direction. What it is relative to is said by the name of the variable that holds it.

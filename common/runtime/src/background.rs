@@ -1,11 +1,11 @@
 //! Threads for work in the background, which gives way to all else.
 
 use std::io;
-use std::process::{Command, Stdio};
 use std::thread::{Builder, JoinHandle};
 
 use rustix::process::{getpriority_process, setpriority_process};
-use rustix::thread::gettid;
+
+use crate::scheduling::SchedulingPolicy;
 
 /// Added to the process's nice value: under load such a thread gets a tenth of the processor time of a
 /// thread with nice value 0.
@@ -32,24 +32,12 @@ pub fn spawn<T: Send + 'static>(
     })
 }
 
-/// Brings the calling thread into the normal scheduling class, by util-linux's `chrt`, as the launcher
-/// brings processes out of it.
+/// Brings the calling thread from real time to the normal policy.
 fn leave_real_time() {
-    const REAL_TIME: [u32; 2] = [1, 2];
-    if class().is_some_and(|class| REAL_TIME.contains(&class)) {
-        let thread = gettid().as_raw_nonzero().to_string();
-        let mut chrt = Command::new("chrt");
-        chrt.args(["--other", "--pid", "0", &thread]);
-        let _ = chrt.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).status();
+    if SchedulingPolicy::of_this_thread().is_some_and(SchedulingPolicy::is_real_time) {
+        // Leaving real time needs no privilege. If it is refused all the same, the thread still works.
+        let _ = SchedulingPolicy::Normal.apply_to_this_thread(0);
     }
-}
-
-/// The calling thread's scheduling class: field 41 of its stat file (proc(5)).
-fn class() -> Option<u32> {
-    let text = std::fs::read_to_string("/proc/thread-self/stat").ok()?;
-    // The name, in parentheses, may hold blanks.
-    let (_, from_third) = text.rsplit_once(") ")?;
-    from_third.split_whitespace().nth(41 - 3)?.parse().ok()
 }
 
 #[cfg(test)]
@@ -69,14 +57,14 @@ mod tests {
     #[test]
     fn it_leaves_the_real_time_class() {
         let (of_others, background) = std::thread::spawn(|| {
-            let thread = gettid().as_raw_nonzero().to_string();
-            // Without the privilege the process is in no real-time class.
-            let _ = Command::new("chrt").args(["--fifo", "--pid", "1", &thread]).output();
-            (class(), spawn("background", class).unwrap().join().unwrap())
+            // Without the privilege this is refused, and there is nothing to leave.
+            let _ = SchedulingPolicy::Fifo.apply_to_this_thread(1);
+            let policy = SchedulingPolicy::of_this_thread;
+            (policy(), spawn("background", policy).unwrap().join().unwrap())
         })
         .join()
         .unwrap();
         assert!(of_others.is_some());
-        assert_eq!(background, Some(0), "others: {of_others:?}");
+        assert_eq!(background, Some(SchedulingPolicy::Normal), "others: {of_others:?}");
     }
 }

@@ -5,6 +5,7 @@ use std::rc::Rc;
 use std::time::Duration;
 
 use flockeye_contract::{Health, StageState, Text};
+use flockeye_geometry::statistics::{median, quantile};
 
 use crate::clock;
 
@@ -70,8 +71,11 @@ impl Counters {
 
     /// The report, and a fresh start for the latencies.
     pub(crate) fn report(&self, identity: &Identity, state: StageState) -> Health {
-        let mut latencies = std::mem::take(&mut *self.latencies_ns.borrow_mut());
-        latencies.sort_unstable();
+        let latencies = std::mem::take(&mut *self.latencies_ns.borrow_mut());
+        let mut latencies: Vec<f64> = latencies.into_iter().map(|ns| ns as f64).collect();
+        latencies.sort_unstable_by(f64::total_cmp);
+        // The contract says -1 where nothing was done.
+        let latency_ns = |found: Option<f64>| found.map_or(-1, |ns| ns.round() as i64);
         Health {
             sent_ns: clock::monotonic_ns(),
             taken: self.taken.get(),
@@ -81,8 +85,8 @@ impl Counters {
             queued: self.queued.get(),
             processor_ns: clock::processor_ns().unsigned_abs(),
             resident_bytes: resident_bytes().unwrap_or(0),
-            latency_median_ns: quantile(&latencies, 0.5),
-            latency_p99_ns: quantile(&latencies, 0.99),
+            latency_median_ns: latency_ns(median(&latencies)),
+            latency_p99_ns: latency_ns(quantile(&latencies, 0.99)),
             stage: identity.stage.as_str().into(),
             detail: Text::from(self.detail.borrow().as_str()),
             replica: identity.replica,
@@ -107,12 +111,6 @@ pub struct Identity {
 /// How often health is sent.
 pub const HEALTH_PERIOD: Duration = Duration::from_millis(250);
 
-/// The value below which `share` of the rising `values` lie (nearest rank); -1 where there is none.
-pub fn quantile(values: &[i64], share: f64) -> i64 {
-    let rank = (share * values.len() as f64).ceil() as usize;
-    values.get(rank.saturating_sub(1)).copied().unwrap_or(-1)
-}
-
 /// Resident memory of this process, from /proc.
 fn resident_bytes() -> Option<u64> {
     let statm = std::fs::read_to_string("/proc/self/statm").ok()?;
@@ -128,13 +126,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn quantiles_are_of_nearest_rank() {
-        let values: Vec<i64> = (1..=100).collect();
-        assert_eq!((quantile(&values, 0.5), quantile(&values, 0.99)), (50, 99));
-        assert_eq!((quantile(&[7], 0.99), quantile(&[], 0.5)), (7, -1));
-    }
-
-    #[test]
     fn a_report_says_what_was_counted() {
         let counters = Counters::default();
         counters.add_taken(3);
@@ -142,10 +133,12 @@ mod tests {
         counters.set_queued(7);
         counters.set_queued(4);
         counters.add_latency_ns(5);
+        counters.add_latency_ns(9);
         counters.set_detail("a detail");
         let identity = Identity { stage: "detection".into(), replica: 2, generation: 1 };
         let health = counters.report(&identity, StageState::Ready);
-        assert_eq!((health.taken, health.failed, health.latency_median_ns), (3, 1, 5));
+        assert_eq!((health.taken, health.failed, health.latency_median_ns), (3, 1, 7));
+        assert_eq!(health.latency_p99_ns, 9);
         assert_eq!(health.queued, 4);
         assert_eq!((health.stage.to_string(), health.replica), ("detection".into(), 2));
         assert!(health.resident_bytes > 0);

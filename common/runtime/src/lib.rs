@@ -12,11 +12,14 @@
 //! | [`stage`] | the loop: wait, step, send health, drain, stop |
 //! | [`credits`] | when a source may send its next frame |
 //! | [`health`] | counters and latency quantiles |
-//! | [`background`] | threads for work in the background |
+//! | [`background`] | threads for work that nobody waits for |
+//! | [`scheduling`] | the scheduling policy of a thread |
+//! | [`backoff`] | waits between attempts |
 //! | [`clock`] | CLOCK_MONOTONIC |
 //! | [`logs`] | structured logs, and warnings that are not repeated on every frame |
 
 pub mod background;
+pub mod backoff;
 pub mod clock;
 pub mod credits;
 pub mod health;
@@ -25,6 +28,7 @@ pub mod logs;
 pub mod memory;
 pub mod onlooker;
 pub mod ports;
+pub mod scheduling;
 pub mod stage;
 
 pub use stage::{Context, Stage, Step};

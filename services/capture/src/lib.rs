@@ -29,7 +29,6 @@
 //! [`Source::next`] takes from it. In [`Paced::RealTime`] the newest frame replaces the one that
 //! nobody took; in [`Paced::Lossless`] the decoder waits until there is room.
 
-mod backoff;
 mod census;
 mod clock;
 mod decoder;

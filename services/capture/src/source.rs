@@ -2,9 +2,9 @@
 
 use std::time::{Duration, Instant};
 
+use flockeye_runtime::backoff::Backoff;
 use gstreamer as gst;
 
-use crate::backoff::Backoff;
 use crate::file;
 use crate::folder::{Folder, FolderStep};
 use crate::input::Input;

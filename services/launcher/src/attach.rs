@@ -1,40 +1,47 @@
 //! A running pipeline's messages, read beside its stages.
 
 use anyhow::{Context, bail, ensure};
+use clap::Args;
 use flockeye_config::Resolved;
 use flockeye_runtime::instance::Instance;
 use flockeye_runtime::onlooker;
 use flockeye_runtime::ports::Ports;
 use iceoryx2::prelude::{LogLevel, set_log_level};
 
-use crate::cli::Running;
+/// The argument that chooses a running pipeline.
+#[derive(Debug, Clone, Args)]
+pub struct PipelineChoice {
+    /// Its instance. Without it: the only one that runs.
+    #[arg(long, value_name = "NAME")]
+    pub instance: Option<String>,
+}
 
-/// A pipeline that runs, and where its messages can be had.
+/// A running pipeline, and the ports that receive its messages.
 pub struct Attached {
-    /// What its messages are received with.
+    /// They receive its messages.
     pub ports: Ports,
     /// Its configuration.
     pub resolved: Resolved,
-    /// Which it is.
+    /// Its name, folder and owner.
     pub instance: Instance,
 }
 
-/// Joins the running pipeline that is meant.
+/// Joins the chosen pipeline.
 ///
 /// # Errors
 /// None runs, several do and none was named, or it has no room for another reader.
-pub fn attach(running: &Running) -> anyhow::Result<Attached> {
+pub fn attach(running: &PipelineChoice) -> anyhow::Result<Attached> {
     let instance = choose(running)?;
     set_log_level(LogLevel::Fatal);
     let (ports, resolved) = onlooker::join(&instance)?;
     Ok(Attached { ports, resolved, instance })
 }
 
-fn choose(running: &Running) -> anyhow::Result<Instance> {
+fn choose(running: &PipelineChoice) -> anyhow::Result<Instance> {
     let living: Vec<Instance> = Instance::all().into_iter().filter(Instance::is_running).collect();
     let names = living.iter().map(Instance::name).collect::<Vec<_>>().join(", ");
     if let Some(name) = &running.instance {
-        let others = if names.is_empty() { "none does".to_owned() } else { format!("{names} do") };
+        let others = if names.is_empty() { "none runs".to_owned() } else { format!("{names} run") };
         let found = living.into_iter().find(|instance| instance.name() == name);
         return found.with_context(|| format!("no pipeline '{name}' runs here; {others}"));
     }

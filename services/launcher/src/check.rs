@@ -4,21 +4,33 @@ use std::fmt::Write;
 use std::time::Duration;
 
 use anyhow::{Context, ensure};
+use clap::Args;
+use flockeye_cli::{Configuration, Screen, duration, signals};
 use flockeye_config::{Count, Flow, Resolved};
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::partition;
 use flockeye_runtime::instance::Instance;
 use flockeye_runtime::memory::{Budget, shared_memory_space};
 
-use crate::cli::Check;
-use crate::screen::Screen;
-use crate::up::{self, Errand};
+use crate::run_log::RunOptions;
+use crate::up::run_pipeline;
 
-/// Checks, and prints the plan.
+/// Arguments of `check`.
+#[derive(Debug, Args)]
+pub struct CheckArguments {
+    /// Which configuration.
+    #[command(flatten)]
+    pub configuration: Configuration,
+    /// Run it for this long, and say how soon an untracked target is found on this machine.
+    #[arg(long, value_name = "DURATION", value_parser = duration)]
+    pub measure: Option<Duration>,
+}
+
+/// Checks the configuration, and prints what it means.
 ///
 /// # Errors
-/// Everything that is wrong with the configuration, or memory that is too small.
-pub fn run(arguments: &Check) -> anyhow::Result<()> {
+/// The configuration is wrong (all problems are listed), or shared memory is too small.
+pub fn run(arguments: &CheckArguments) -> anyhow::Result<()> {
     let pipeline = arguments.configuration.load()?;
     let resolved = Resolved::of(pipeline)?;
     Dictionary::of(&resolved.bodies)?;
@@ -35,32 +47,31 @@ pub fn run(arguments: &Check) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// What a short flight in an instance of its own says of this machine.
-fn measured(arguments: &Check, duration: Duration) -> anyhow::Result<String> {
+/// Measures this machine by a short run in an instance of its own.
+fn measured(arguments: &CheckArguments, duration: Duration) -> anyhow::Result<String> {
     let own = [format!("instance=m{}", std::process::id()), "gateway.enabled=false".to_owned()];
-    let pipeline = arguments.configuration.load_between(&[], &own)?;
-    let errand =
-        Errand { duration: Some(duration), keeps: true, watches_sweep: true, ..Errand::default() };
+    let pipeline = arguments.configuration.load_with(&[], &own)?;
+    let options =
+        RunOptions { duration: Some(duration), watches_sweep: true, ..RunOptions::default() };
     let mut log = Screen::muted();
-    let stopping = up::stopped_by_signals()?;
-    let flown = up::fly(&pipeline, &errand, &mut log, &stopping)
-        .with_context(|| format!("{}the flight to measure this machine", log.kept()))?;
-    let frames = flown.frames.len();
+    let stopping = signals::stop_flag()?;
+    let run = run_pipeline(&pipeline, &options, &mut log, &stopping)
+        .with_context(|| format!("{}the run that measures this machine", log.kept()))?;
     ensure!(
-        frames > 1,
+        run.frames > 1,
         "{}in {:.1} s no two frames were searched. Cure: measure for longer",
         log.kept(),
         duration.as_secs_f64()
     );
-    let measured = flown.poses.iter().filter(|row| row.is_measured()).count();
     let mut text = format!(
-        "measured {frames} frames, {:.1}/s, with {:.1} neighbours tracked",
-        (frames - 1) as f64 / flown.ends_s,
-        measured as f64 / frames as f64
+        "measured {} frames, {:.1}/s, with {:.1} neighbours tracked",
+        run.frames,
+        (run.frames - 1) as f64 / run.ends_s,
+        run.measured as f64 / run.frames as f64
     );
-    match flown.sweep {
+    match run.sweep {
         Some(sweep) => {
-            write!(text, ": {sweep}. A newcomer waits as long for its first search")?;
+            write!(text, ": {sweep}. An untracked target waits as long for its first search")?;
             if pipeline.sweeps_by_turns() {
                 text += ", by one of two windows";
             }
@@ -77,7 +88,7 @@ fn plan(resolved: &Resolved, budget: &Budget) -> anyhow::Result<String> {
     let instance = Instance::named(&pipeline.instance.0);
     let flow = match pipeline.flow {
         Flow::Latest => "latest: the newest frame wins",
-        Flow::Lossless => "lossless: every frame is worked on",
+        Flow::Lossless => "lossless: every frame is processed",
     };
     writeln!(text, "instance '{}' in {}", pipeline.instance.0, instance.folder().display())?;
     writeln!(text, "flow     {flow}")?;
@@ -98,7 +109,7 @@ fn plan(resolved: &Resolved, budget: &Budget) -> anyhow::Result<String> {
     if hidden > 0 {
         writeln!(
             text,
-            "         the camera sees nothing of {hidden} of {} partitions",
+            "         {hidden} of {} partitions are hidden from the camera",
             views.len()
         )?;
     }
@@ -138,7 +149,7 @@ fn plan(resolved: &Resolved, budget: &Budget) -> anyhow::Result<String> {
     Ok(text)
 }
 
-/// How it is searched, and how soon newcomers are found.
+/// How frames are searched, and how often each part of the sphere is.
 fn search(resolved: &Resolved, partitions: usize) -> anyhow::Result<String> {
     let pipeline = &resolved.pipeline;
     let mode = format!("{:?}", pipeline.search.mode).to_lowercase();
@@ -148,7 +159,7 @@ fn search(resolved: &Resolved, partitions: usize) -> anyhow::Result<String> {
     let mask = resolved.mask()?;
     let far: Vec<_> = resolved.far_views.iter().filter(|view| !mask.hides_view(view)).collect();
     let each = pipeline.search.lossless_partitions as usize;
-    // One of each kind in turn, until the fewer ones come a second time.
+    // One of each kind in turn, until those of the smaller kind come a second time.
     let frames = |count: usize| if far.is_empty() { count } else { 2 * count }.div_ceil(each);
     let mut text = format!("{mode}, the partitions in turn");
     if let Some(px) = far.iter().map(|view| view.size_px).max() {
@@ -164,7 +175,7 @@ fn search(resolved: &Resolved, partitions: usize) -> anyhow::Result<String> {
     Ok(text)
 }
 
-/// What the views that cover the sphere are.
+/// The views that cover the sphere.
 fn sphere(resolved: &Resolved) -> String {
     let (pipeline, division) = (&resolved.pipeline, &resolved.division);
     let (partition, views) = (&division.partition, &resolved.partition_views);

@@ -1,15 +1,22 @@
-//! `flockeye clean`: removes what dead runs left in shared memory. Living ones are left alone.
+//! `flockeye clean`: removes what dead runs left in shared memory. Running pipelines are not touched.
 
+use clap::Args;
+use flockeye_cli::Screen;
 use flockeye_runtime::instance::{Instance, InstanceError};
 
-use crate::cli::Clean;
-use crate::screen::Screen;
+/// Arguments of `clean`.
+#[derive(Debug, Args)]
+pub struct CleanArguments {
+    /// Only this instance.
+    #[arg(long, value_name = "NAME")]
+    pub instance: Option<String>,
+}
 
-/// Removes it, and says what.
+/// Removes the files of dead runs, and lists them.
 ///
 /// # Errors
 /// The files cannot be removed.
-pub fn run(arguments: &Clean) -> anyhow::Result<()> {
+pub fn run(arguments: &CleanArguments) -> anyhow::Result<()> {
     let instances = match &arguments.instance {
         Some(name) => vec![Instance::named(name)],
         None => Instance::all(),

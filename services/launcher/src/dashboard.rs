@@ -1,31 +1,32 @@
-//! What the stages and the neighbours are doing: gathered from health, tracks and truth, shown as a
-//! table, as a line, and as a summary at the end.
+//! What the stages and the neighbours are doing, gathered from health, tracks and truth.
+//!
+//! | module | what it does |
+//! | --- | --- |
+//! | [`text`] | shows it as a table, as a line, and as a summary at the end |
+//! | [`report`] | the same as one value for programs |
 
-mod report;
+pub mod report;
+pub mod text;
 
 use std::collections::{BTreeMap, VecDeque};
-use std::fmt::Write;
 
 use flockeye_contract::{
-    BodyTruth, FrameStamp, Health, StageName, StageState, Track, TrackState, TruthHeader,
+    BodyTruth, FrameStamp, Health, StageState, Track, TrackState, TruthHeader,
 };
+use flockeye_record::sweep::SweepReport;
 use nalgebra::Vector3;
 
-use crate::evaluation::statistics::quantile;
-use crate::sweep::SweepReport;
-pub use report::{LatencyReport, NeighbourReport, Report, StageReport};
-
-/// A stage that says nothing for this long is not well, nanoseconds.
+/// A stage that reports nothing for this long is shown as silent, nanoseconds.
 const SILENCE_NS: i64 = 2_000_000_000;
 
 /// Frames whose truth is kept until their tracks come.
 const TRUTH_FRAMES: usize = 256;
 
-/// Everything that is shown.
+/// What is known of the stages, of the neighbours and of the search.
 #[derive(Default)]
 pub struct Dashboard {
     stages: BTreeMap<(String, u32), StageView>,
-    neighbours: BTreeMap<String, Neighbour>,
+    neighbours: BTreeMap<String, NeighbourView>,
     truths: VecDeque<(FrameStamp, Vec<BodyTruth>)>,
     frames_ended: u64,
     frames_skipped: u64,
@@ -44,7 +45,7 @@ struct StageView {
 }
 
 #[derive(Default)]
-struct Neighbour {
+struct NeighbourView {
     last: Option<(Track, i64)>,
     /// The frame that `last` is of.
     stamp: Option<FrameStamp>,
@@ -53,20 +54,20 @@ struct Neighbour {
     coasted: u64,
     eligible: u64,
     eligible_measured: u64,
-    /// Frames it was measured in that have not ended: only ended ones are counted as localisable.
+    /// Frames in which it was measured and that have not ended. Only ended frames count as localisable.
     open: Vec<FrameStamp>,
-    errors_mm: Samples,
-    latencies_ms: Samples,
+    errors_mm: NewestSamples,
+    latencies_ms: NewestSamples,
 }
 
-/// The newest values of something, so that a long flight does not fill the memory.
+/// The newest values of something: a long flight must not fill the memory.
 #[derive(Default)]
-struct Samples(VecDeque<f64>);
+struct NewestSamples(VecDeque<f64>);
 
 /// An hour of frames.
 const MAX_SAMPLES: usize = 108_000;
 
-impl Samples {
+impl NewestSamples {
     fn add(&mut self, value: f64) {
         if self.0.len() == MAX_SAMPLES {
             self.0.pop_front();
@@ -74,16 +75,16 @@ impl Samples {
         self.0.push_back(value);
     }
 
-    fn quantiles<const N: usize>(&self, shares: [f64; N]) -> Option<[f64; N]> {
-        let mut sorted: Vec<_> = self.0.iter().copied().collect();
-        sorted.sort_by(f64::total_cmp);
-        let found: Vec<f64> = shares.iter().filter_map(|&share| quantile(&sorted, share)).collect();
-        found.try_into().ok()
+    /// The values in rising order.
+    fn rising(&self) -> Vec<f64> {
+        let mut rising: Vec<_> = self.0.iter().copied().collect();
+        rising.sort_by(f64::total_cmp);
+        rising
     }
 }
 
 impl Dashboard {
-    /// A stage has reported.
+    /// Takes a stage's report.
     pub fn health(&mut self, health: &Health) {
         let key = (health.stage.to_string(), health.replica);
         let view = self.stages.entry(key).or_insert_with(|| StageView {
@@ -96,7 +97,7 @@ impl Dashboard {
         });
         let seconds = (health.sent_ns - view.last.sent_ns) as f64 * 1e-9;
         if health.pid == view.last.pid && seconds > 0.1 {
-            // Averaged over some reports, so that the numbers can be read.
+            // Smoothed over some reports, so that the numbers are readable.
             let rate = |now: u64, before: u64| now.saturating_sub(before) as f64 / seconds;
             let blend = |old: f64, new: f64| old + 0.3 * (new - old);
             view.taken_per_s = blend(view.taken_per_s, rate(health.taken, view.last.taken));
@@ -124,7 +125,7 @@ impl Dashboard {
         (view.last.pid == pid).then(|| now_ns - view.last.sent_ns)
     }
 
-    /// The truth of a frame.
+    /// Takes the truth of a frame.
     pub fn truth(&mut self, header: &TruthHeader, bodies: &[BodyTruth]) {
         self.has_truth = true;
         self.truths.push_back((header.stamp, bodies.to_vec()));
@@ -133,12 +134,12 @@ impl Dashboard {
         }
     }
 
-    /// How often the sphere is searched.
+    /// Takes how often the sphere is searched.
     pub fn sphere(&mut self, sphere: Option<SweepReport>) {
         self.sphere = sphere;
     }
 
-    /// Tracks that came with a frame.
+    /// Takes the tracks of a frame.
     pub fn tracks(&mut self, stamp: &FrameStamp, tracks: &[Track], is_last: bool, now_ns: i64) {
         let truth = self.truths.iter().rev().find(|(of, _)| of.is_same_frame(stamp));
         for track in tracks {
@@ -188,157 +189,9 @@ impl Dashboard {
         }
     }
 
-    /// How many frames came to their end.
+    /// How many frames have ended.
     pub fn frames_ended(&self) -> u64 {
         self.frames_ended
-    }
-
-    /// The live table.
-    pub fn table(&self, now_ns: i64) -> String {
-        let mut text = format!(
-            "{:<16} {:<10} {:>7} {:>7} {:>8} {:>8} {:>6} {:>7} {:>7} {:>6} {:>7}  {}\n",
-            "stage",
-            "state",
-            "in/s",
-            "out/s",
-            "ms",
-            "99% ms",
-            "queued",
-            "dropped",
-            "failed",
-            "cpu %",
-            "MB",
-            "with"
-        );
-        for ((stage, replica), view) in &self.stages {
-            let label = if *replica == 0 { stage.clone() } else { format!("{stage}.{replica}") };
-            let state = report::state_name(view.last.state, now_ns - view.last.sent_ns);
-            let ms =
-                |ns: i64| if ns < 0 { "-".to_owned() } else { format!("{:.1}", ns as f64 * 1e-6) };
-            text += &format!(
-                "{label:<16} {state:<10} {:>7.1} {:>7.1} {:>8} {:>8} {:>6} {:>7} {:>7} {:>6.0} {:>7.0}  {}\n",
-                view.taken_per_s,
-                view.published_per_s,
-                ms(view.latency_median_ns),
-                ms(view.latency_p99_ns),
-                view.last.queued,
-                view.last.dropped,
-                view.last.failed,
-                view.processor_share * 100.0,
-                view.last.resident_bytes as f64 / 1e6,
-                view.last.detail,
-            );
-        }
-        text += &format!(
-            "{:<16} {:<10} {:>24} {:>8} {:>8} {:>7} {:>8} {:>9}\n",
-            "neighbour",
-            "state",
-            "position m (x y z)",
-            "dist m",
-            "dev mm",
-            "age ms",
-            "markers",
-            "error mm"
-        );
-        for (name, neighbour) in &self.neighbours {
-            let Some((track, arrived_ns)) = &neighbour.last else { continue };
-            let [x, y, z] = track.observer_from_target.position;
-            let age_ms = report::age_ms(track, *arrived_ns, now_ns);
-            text += &format!(
-                "{name:<16} {:<10} {:>24} {:>8.2} {:>8.1} {age_ms:>7.0} {:>8} {:>9}\n",
-                state_name(track.state),
-                format!("{x:.3} {y:.3} {z:.3}"),
-                Vector3::new(x, y, z).norm(),
-                deviation_m(track) * 1e3,
-                track.markers,
-                neighbour.error_m.map_or("-".to_owned(), |error| format!("{:.1}", error * 1e3)),
-            );
-        }
-        if let Some(sphere) = &self.sphere {
-            text += &format!("sphere: {sphere}\n");
-        }
-        text
-    }
-
-    /// The same in a line.
-    pub fn line(&self, now_ns: i64) -> String {
-        let silent: Vec<_> = self
-            .stages
-            .iter()
-            .filter(|(_, view)| now_ns - view.last.sent_ns > SILENCE_NS)
-            .map(|((stage, _), _)| stage.as_str())
-            .collect();
-        let source = self
-            .stages
-            .iter()
-            .find(|((stage, _), _)| StageName::from_name(stage).is_some_and(StageName::is_source));
-        let rate = source.map_or(0.0, |(_, view)| view.published_per_s);
-        let mut text = format!("{} frames, {rate:.1}/s", self.frames_ended);
-        for (name, neighbour) in &self.neighbours {
-            let Some((track, _)) = &neighbour.last else { continue };
-            let [x, y, z] = track.observer_from_target.position;
-            // Writing to a String cannot fail.
-            let _ = write!(
-                text,
-                " | {name} {} {:.3} {:.3} {:.3} m, {} markers, {:.1} ms",
-                state_name(track.state),
-                x,
-                y,
-                z,
-                track.markers,
-                track.latency.total_ns as f64 * 1e-6
-            );
-            if let Some(error) = neighbour.error_m {
-                let _ = write!(text, ", error {:.1} mm", error * 1e3);
-            }
-        }
-        if !silent.is_empty() {
-            let _ = write!(text, " | silent: {}", silent.join(", "));
-        }
-        text
-    }
-
-    /// What it all came to.
-    pub fn summary(&self) -> String {
-        let count = |name: &str, of: fn(&Health) -> u64| -> u64 {
-            self.stages
-                .iter()
-                .filter(|((stage, _), _)| stage == name)
-                .map(|(_, view)| of(&view.last))
-                .sum()
-        };
-        let mut text = format!(
-            "{} frames searched, {} skipped; {} views searched for markers",
-            self.frames_ended,
-            self.frames_skipped,
-            count(StageName::Detection.name(), |health| health.published),
-        );
-        for (name, neighbour) in &self.neighbours {
-            let _ = write!(
-                text,
-                "\n{name}: measured in {} frames, predicted in {}",
-                neighbour.measured, neighbour.coasted
-            );
-            if self.has_truth && neighbour.eligible > 0 {
-                let _ = write!(
-                    text,
-                    "; {} of {} localisable ({:.1} %)",
-                    neighbour.eligible_measured,
-                    neighbour.eligible,
-                    100.0 * neighbour.eligible_measured as f64 / neighbour.eligible as f64
-                );
-            }
-            if let Some([median, p95, worst]) = neighbour.errors_mm.quantiles([0.5, 0.95, 1.0]) {
-                let _ = write!(
-                    text,
-                    "; error median {median:.1} mm, 95 % {p95:.1} mm, worst {worst:.1} mm"
-                );
-            }
-            if let Some([median, p99]) = neighbour.latencies_ms.quantiles([0.5, 0.99]) {
-                let _ = write!(text, "; latency median {median:.1} ms, 99 % {p99:.1} ms");
-            }
-        }
-        text
     }
 }
 
@@ -352,14 +205,29 @@ fn error_m(track: &Track, body: &BodyTruth) -> f64 {
     difference.norm()
 }
 
-/// Root of the position covariance's trace.
+/// Root of the trace of the position covariance, metres.
 fn deviation_m(track: &Track) -> f64 {
     (track.covariance[0] + track.covariance[7] + track.covariance[14]).max(0.0).sqrt()
 }
 
-fn state_name(code: u32) -> String {
+/// The name of a track's state.
+fn track_state_name(code: u32) -> String {
     TrackState::try_from(code)
         .map_or("unknown".to_owned(), |state| format!("{state:?}").to_lowercase())
+}
+
+/// The name of a stage's state.
+fn stage_state_name(code: u32, silent_ns: i64) -> String {
+    match StageState::try_from(code) {
+        _ if silent_ns > SILENCE_NS => "silent".to_owned(),
+        Ok(state) => format!("{state:?}").to_lowercase(),
+        Err(_) => "unknown".to_owned(),
+    }
+}
+
+/// Age of the exposure that a pose was last measured in, milliseconds.
+fn age_ms(track: &Track, arrived_ns: i64, now_ns: i64) -> f64 {
+    (now_ns - arrived_ns + track.latency.total_ns + track.unseen_ns) as f64 * 1e-6
 }
 
 #[cfg(test)]
@@ -368,7 +236,7 @@ mod tests {
     use flockeye_contract::Pose;
 
     #[test]
-    fn what_is_measured_in_a_frame_that_has_not_ended_is_not_counted() {
+    fn measurements_in_frames_that_have_not_ended_are_not_counted() {
         let mut dashboard = Dashboard::default();
         let body = BodyTruth {
             name: "alpha".into(),
@@ -385,12 +253,12 @@ mod tests {
         for sequence in 0..3 {
             let stamp = FrameStamp { sequence, ..FrameStamp::default() };
             dashboard.truth(&TruthHeader { stamp, ..TruthHeader::default() }, &[body]);
-            // Said twice, as where a better word follows; the last frame does not end.
+            // Twice, as when a better pose follows; the last frame does not end.
             dashboard.tracks(&stamp, &[track], false, 0);
             dashboard.tracks(&stamp, &[track], sequence < 2, 0);
         }
         let alpha = &dashboard.neighbours["alpha"];
         assert_eq!((alpha.eligible, alpha.eligible_measured), (2, 2));
-        assert_eq!(alpha.open.len(), 2, "of the frame that is open");
+        assert_eq!(alpha.open.len(), 2, "the frame that has not ended");
     }
 }

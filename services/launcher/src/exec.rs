@@ -1,32 +1,58 @@
 //! `flockeye exec-stage`: the first instructions of a stage's process.
 //!
-//! The stage dies with the launcher, even if the launcher is killed: the kernel is asked to see to
-//! it, and because the launcher may have died just before, its life is checked after asking. Then
-//! this process becomes the stage, whatever language it is written in. What it is told of processors
-//! and priority it asks for before that: they go on in whatever it becomes.
+//! The stage must die with the launcher, even if that is killed. So this process first asks the kernel
+//! for a signal at the launcher's death, then checks that the launcher still lives. It also asks for
+//! processors, nice value and scheduling policy, which survive the exec. Then it becomes the stage,
+//! whatever language that is written in.
 
+use std::ffi::OsString;
 use std::os::unix::process::CommandExt;
 use std::process::Command;
 
 use anyhow::{Context, bail};
+use clap::Args;
+use flockeye_runtime::scheduling::SchedulingPolicy;
 use flockeye_runtime::stage::CANNOT_START;
 use rustix::process::{Signal, getppid, set_parent_process_death_signal, setpriority_process};
 use rustix::thread::{CpuSet, sched_setaffinity};
 
-use crate::cli::{ExecStage, SchedulingArgument};
+/// Arguments of `exec-stage`.
+#[derive(Debug, Args)]
+pub struct ExecArguments {
+    /// The launcher: this process must not outlive it.
+    #[arg(long)]
+    pub parent: u32,
+    /// Processors that it may run on.
+    #[arg(long, value_delimiter = ',')]
+    pub cpus: Vec<u32>,
+    /// Its nice value.
+    #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
+    pub nice: i32,
+    /// Its scheduling policy: batch, idle, fifo or round-robin.
+    #[arg(long)]
+    pub scheduling: Option<SchedulingPolicy>,
+    /// Its priority within fifo and round-robin.
+    #[arg(long, default_value_t = 1)]
+    pub priority: u8,
+    /// The stage's program and its arguments.
+    #[arg(trailing_var_arg = true, allow_hyphen_values = true, required = true)]
+    pub command: Vec<OsString>,
+}
 
 /// Becomes the stage.
 ///
 /// # Errors
 /// The launcher is dead, or the program cannot be started.
-pub fn run(arguments: &ExecStage) -> anyhow::Result<()> {
-    set_parent_process_death_signal(Some(Signal::KILL)).context("cannot follow the launcher")?;
+pub fn run(arguments: &ExecArguments) -> anyhow::Result<()> {
+    set_parent_process_death_signal(Some(Signal::KILL))
+        .context("cannot ask for a signal at the launcher's death")?;
     let parent = getppid().map(|pid| pid.as_raw_nonzero().get().unsigned_abs());
     if parent != Some(arguments.parent) {
-        bail!("the launcher (process {}) is gone", arguments.parent);
+        bail!("the launcher (process {}) has ended", arguments.parent);
     }
-    // A stage that does not get its turn as wished still works.
-    for refusal in [place(arguments), yielding(arguments), class(arguments)].into_iter().flatten() {
+    // A stage still works if its scheduling is refused.
+    let refusals = [apply_cpus(arguments), apply_nice(arguments), apply_policy(arguments)];
+    for refusal in refusals.into_iter().flatten() {
         eprintln!("{refusal}");
     }
     let Some((program, rest)) = arguments.command.split_first() else {
@@ -34,12 +60,12 @@ pub fn run(arguments: &ExecStage) -> anyhow::Result<()> {
     };
     let error = Command::new(program).args(rest).exec();
     eprintln!("cannot start {}: {error}", program.to_string_lossy());
-    // A program that is not there will not be there at the next attempt either.
+    // Another attempt would not find the program either.
     std::process::exit(i32::from(CANNOT_START))
 }
 
-/// Asks for the processors; says why it does not get them.
-fn place(arguments: &ExecStage) -> Option<String> {
+/// Asks for the processors, and says why they are refused.
+fn apply_cpus(arguments: &ExecArguments) -> Option<String> {
     if arguments.cpus.is_empty() {
         return None;
     }
@@ -49,43 +75,31 @@ fn place(arguments: &ExecStage) -> Option<String> {
     }
     let refused = sched_setaffinity(None, &set).err()?;
     Some(format!(
-        "processors {:?} are not to be had ({refused}): it runs on any. Cure: `cpus` with some of 0 to {}",
+        "processors {:?} are refused ({refused}): it runs on any. Cure: `cpus` with some of 0 to {}",
         arguments.cpus,
         std::thread::available_parallelism().map_or(0, |count| count.get() - 1)
     ))
 }
 
-/// Asks to give way to others, or not to.
-fn yielding(arguments: &ExecStage) -> Option<String> {
+/// Asks for the nice value, and says why it is refused.
+fn apply_nice(arguments: &ExecArguments) -> Option<String> {
     if arguments.nice == 0 {
         return None;
     }
     let refused = setpriority_process(None, arguments.nice).err()?;
     Some(format!(
-        "nice {} is not allowed ({refused}): it runs with what it inherits. Cure: LimitNICE in the \
+        "nice {} is not allowed ({refused}): it keeps the inherited value. Cure: LimitNICE in the \
          unit, or CAP_SYS_NICE",
         arguments.nice
     ))
 }
 
-/// Asks for the scheduling class, by util-linux's `chrt`, which every Debian has.
-fn class(arguments: &ExecStage) -> Option<String> {
-    let (option, priority) = match arguments.scheduling? {
-        SchedulingArgument::Batch => ("--batch", 0),
-        SchedulingArgument::Idle => ("--idle", 0),
-        SchedulingArgument::Fifo => ("--fifo", arguments.priority),
-        SchedulingArgument::RoundRobin => ("--rr", arguments.priority),
-    };
-    let own = std::process::id().to_string();
-    let asked = Command::new("chrt").args([option, "--pid", &priority.to_string(), &own]).output();
-    let refused = match asked {
-        Ok(output) if output.status.success() => return None,
-        Ok(output) => String::from_utf8_lossy(&output.stderr).trim().to_owned(),
-        Err(error) => format!("chrt cannot be started: {error}"),
-    };
+/// Asks for the scheduling policy, and says why it is refused.
+fn apply_policy(arguments: &ExecArguments) -> Option<String> {
+    let policy = arguments.scheduling?;
+    let refused = policy.apply_to_this_thread(arguments.priority).err()?;
     Some(format!(
-        "the scheduling class {} is not to be had ({refused}): it runs in the normal one. Cure: \
-         LimitRTPRIO in the unit, or CAP_SYS_NICE",
-        option.trim_start_matches("--")
+        "the scheduling policy {policy} is refused ({refused}): it runs with the normal one. Cure: \
+         LimitRTPRIO in the unit, or CAP_SYS_NICE"
     ))
 }

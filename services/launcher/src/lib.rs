@@ -1,48 +1,38 @@
 //! The `flockeye` command: it creates the shared memory, starts and watches the stages' processes,
-//! and shows what they do. The data path never needs it.
+//! and shows what they do. The data path does not need it. Commands that evaluate are passed on to
+//! `flockeye-lab`.
 //!
 //! | module | what it does |
 //! | --- | --- |
-//! | [`cli`] | the command line |
+//! | [`commands`] | the command line |
+//! | [`lab`] | passes commands on to `flockeye-lab` |
 //! | [`up`] | runs a pipeline until it ends |
+//! | [`run_log`] | what a run receives: shown, recorded and summed up |
 //! | [`process`] | one stage's process: started, restarted, stopped, never an orphan |
-//! | [`dashboard`] | what the stages and the neighbours are doing, as a table |
-//! | [`screen`] | the terminal: log lines above, the table below |
-//! | [`record`] | poses and truth as CSV |
-//! | [`evaluation`] | poses against the truth |
-//! | [`report`] | the same as a page with figures |
-//! | [`experiment`] | the paper's tables anew, and how consistent covariances are |
+//! | [`dashboard`] | what the stages and the neighbours are doing, as a table and as JSON |
 //! | [`check`] | what a configuration means on this machine |
-//! | [`partition`] | partitions of the sphere as table, JSON and drawings |
-//! | [`markers`] | a body's facets on paper, to print and glue |
-//! | [`calibrate`] | where a body's markers really are |
-//! | [`sweep`] | how often each part of the sphere is searched |
 //! | [`top`] | where a running pipeline's time goes, live or as JSON |
-//! | [`trace`] | frames' ways through all processes, for Perfetto |
+//! | [`trace`] | frames' paths through all processes, for Perfetto |
 //! | [`attach`] | a running pipeline's messages, read beside its stages |
+//! | [`sweep_watch`] | how often a running pipeline searches each part of the sphere |
 //! | [`peers`] | what the whole swarm reports over Zenoh |
 //! | [`clean`] | removes what dead runs left behind |
+//! | [`schema`] | the JSON Schema of pipeline.yaml |
 //! | [`exec`] | the first instructions of a stage's process |
 
 pub mod attach;
-pub mod calibrate;
 pub mod check;
 pub mod clean;
-pub mod cli;
+pub mod commands;
 pub mod dashboard;
-pub mod evaluation;
 pub mod exec;
-pub mod experiment;
-pub mod markers;
-pub mod partition;
+pub mod lab;
 pub mod peers;
 pub mod process;
-pub mod record;
-pub mod report;
+pub mod run_log;
 pub mod schema;
-pub mod screen;
-mod svg;
-pub mod sweep;
+pub mod sweep_watch;
 pub mod top;
 pub mod trace;
+mod trace_events;
 pub mod up;

@@ -1,29 +1,38 @@
 //! `flockeye peers`: what the whole swarm reports over Zenoh, as a live table or as JSON lines.
 
 use std::io::Write;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use anyhow::Context;
+use clap::Args;
+use flockeye_cli::text_table::TextTable;
+use flockeye_cli::{Configuration, Screen, duration, signals};
 use flockeye_network::{Listener, Network, NetworkParameters, Peers};
 use nalgebra::Vector3;
 
-use crate::cli;
-use crate::screen::Screen;
+/// Arguments of `peers`.
+#[derive(Debug, Args)]
+pub struct PeersArguments {
+    /// Which configuration: the swarm and the network are taken from it.
+    #[command(flatten)]
+    pub configuration: Configuration,
+    /// Print one JSON object per line for each report.
+    #[arg(long)]
+    pub json: bool,
+    /// Stop after this long: 20s, 5m, 1h.
+    #[arg(long = "for", value_name = "DURATION", value_parser = duration)]
+    pub duration: Option<Duration>,
+}
 
 /// Reports that may wait to be printed as JSON.
 const WAITING_REPORTS: usize = 1_024;
 
-/// Shows it until Ctrl-C.
+/// Shows the reports until Ctrl-C.
 ///
 /// # Errors
-/// The configuration is wrong, or the network cannot be had.
-pub fn run(arguments: &cli::Peers) -> anyhow::Result<()> {
-    let stopping = Arc::new(AtomicBool::new(false));
-    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
-        signal_hook::flag::register(signal, stopping.clone()).context("cannot catch signals")?;
-    }
+/// The configuration is wrong, or the network cannot be opened.
+pub fn run(arguments: &PeersArguments) -> anyhow::Result<()> {
+    let stopping = signals::stop_flag()?;
     let pipeline = arguments.configuration.load()?;
     let network = Network::open(&NetworkParameters::of_onlooker(&pipeline))?;
     let listener = network.listener()?;
@@ -33,7 +42,7 @@ pub fn run(arguments: &cli::Peers) -> anyhow::Result<()> {
     if arguments.json { print_json(&listener, is_over) } else { show_table(&listener, is_over) }
 }
 
-/// One JSON object a line for each report; a closed pipe ends it.
+/// Prints one JSON object per line for each report. A closed pipe ends it.
 fn print_json(listener: &Listener, is_over: impl Fn() -> bool) -> anyhow::Result<()> {
     let reports = listener.stream(WAITING_REPORTS);
     let mut out = std::io::stdout().lock();
@@ -63,16 +72,15 @@ fn show_table(listener: &Listener, is_over: impl Fn() -> bool) -> anyhow::Result
     Ok(())
 }
 
-/// Everybody's latest reports.
+/// The latest report of each observer on each target.
 fn table(peers: &Peers, now: Instant) -> String {
-    let mut text = format!(
-        "{:<16} {:<16} {:<10} {:>24} {:>8} {:>8} {:>7} {:>6}",
-        "observer", "target", "state", "position m (x y z)", "dist m", "age ms", "per s", "marks"
-    );
+    let titles =
+        ["observer", "target", "state", "position m (x y z)", "dist m", "age ms", "per s", "marks"];
+    let mut table = TextTable::new(3, &titles).at_least(&[16, 16, 10, 24, 8, 8, 7, 6]);
     for (observer, peer) in &peers.observers {
         if peer.targets.is_empty() {
             let state = if peer.alive { "sees nobody" } else { "gone" };
-            text += &format!("\n{observer:<16} {state}");
+            table.row([observer.as_str(), state]);
         }
         for (target, received) in &peer.targets {
             let report = &received.report;
@@ -82,18 +90,21 @@ fn table(peers: &Peers, now: Instant) -> String {
             } else {
                 "gone".to_owned()
             };
-            text += &format!(
-                "\n{observer:<16} {target:<16} {state:<10} {:>24} {:>8.2} {:>8.0} {:>7} {:>6}",
+            table.row([
+                observer.to_string(),
+                target.to_string(),
+                state,
                 format!("{x:.3} {y:.3} {z:.3}"),
-                Vector3::new(x, y, z).norm(),
-                received.age(now).as_secs_f64() * 1e3,
+                format!("{:.2}", Vector3::new(x, y, z).norm()),
+                format!("{:.0}", received.age(now).as_secs_f64() * 1e3),
                 received.rate_hz(now).map_or("-".to_owned(), |rate| format!("{rate:.1}")),
-                report.markers,
-            );
+                report.markers.to_string(),
+            ]);
         }
     }
+    let mut text = table.text();
     if peers.observers.is_empty() {
-        text += "\nnobody is heard of yet";
+        text += "\nno report has come yet";
     }
     text
 }

@@ -10,43 +10,45 @@ use std::time::{Duration, Instant};
 use anyhow::Context;
 use flockeye_config::{Restart, Scheduling, StageInfo, StageProcess};
 use flockeye_contract::StageName;
+use flockeye_runtime::backoff::Backoff;
 use flockeye_runtime::instance::{
     FOLDER_VARIABLE, GENERATION_VARIABLE, REPLICA_VARIABLE, STAGE_VARIABLE,
 };
+use flockeye_runtime::scheduling::SchedulingPolicy;
 use rustix::process::{Pid, Signal, kill_process_group};
 
 /// A line that a stage wrote.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct LogLine {
-    /// Which stage, with the number of the worker where there are several.
+    /// The stage, with the worker's number if there are several.
     pub stage: String,
     /// What it wrote.
     pub text: String,
 }
 
-/// What happened to a process since it was last looked at.
+/// What happened to a process since the last check.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Change {
+pub enum ProcessChange {
     /// Nothing.
     None,
-    /// It ended, and is started again at the given time unless that is `None`.
+    /// It ended. It is started again after a wait unless that is `None`.
     Ended {
         /// How it ended, in words.
         how: String,
-        /// Whether it said that trying again is of no use.
+        /// Whether its exit status says that another attempt is useless.
         is_hopeless: bool,
-        /// In how long it is started again.
+        /// How long until it is started again.
         retry_in: Option<Duration>,
     },
-    /// It was started again: dead nodes should have been cleaned before.
+    /// It was started again, after the caller cleaned up dead nodes.
     Restarted,
 }
 
-/// A stage's process and what is to be done about it.
+/// A stage's process: its command, its restart policy and its child while it runs.
 pub struct Process {
     /// The stage's name in pipeline.yaml.
     pub stage: StageName,
-    /// Which of its workers.
+    /// The worker's number, from 0.
     pub replica: u32,
     /// How often it was replaced.
     pub generation: u32,
@@ -58,13 +60,13 @@ pub struct Process {
     child: Option<Child>,
     started: Instant,
     retry_at: Option<Instant>,
-    /// When it runs and where, as arguments of `exec-stage`.
-    turn: Vec<String>,
+    /// Its scheduling and its processors, as arguments of `exec-stage`.
+    scheduling: Vec<String>,
     log: SyncSender<LogLine>,
 }
 
 impl Process {
-    /// Worker `replica` of a stage; it is not started yet.
+    /// Prepares worker `replica` of a stage without starting it.
     pub fn new(
         stage: StageName,
         replica: u32,
@@ -82,10 +84,10 @@ impl Process {
             generation: 0,
             label,
             command: program(stage.name(), configuration)?,
-            turn: turn(stage, configuration),
+            scheduling: scheduling_arguments(stage, configuration),
             folder: folder.to_owned(),
             restart: configuration.restart,
-            backoff: Backoff::new(configuration.backoff_s),
+            backoff: backoff(configuration.backoff_s),
             child: None,
             started: Instant::now(),
             retry_at: None,
@@ -103,21 +105,21 @@ impl Process {
         self.child.as_ref().map(Child::id)
     }
 
-    /// Starts it. The calling thread must live as long as the launcher: the kernel ends a child
-    /// with the *thread* that started it.
+    /// Starts it. The calling thread must live as long as the launcher, because the kernel kills a
+    /// child with the *thread* that started it.
     ///
     /// # Errors
     /// The system cannot start a process.
     pub fn start(&mut self) -> anyhow::Result<()> {
-        // Not its path: an update may have put another file there since.
+        // Not by its path: an update may have put another file there.
         let mut command = Command::new("/proc/self/exe");
         if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
-            // Graphics drivers complain without one.
+            // Graphics drivers warn without one.
             command.env("XDG_RUNTIME_DIR", &self.folder);
         }
         let mut child = command
             .args(["exec-stage", "--parent", &std::process::id().to_string()])
-            .args(&self.turn)
+            .args(&self.scheduling)
             .arg("--")
             .args(&self.command)
             .env(FOLDER_VARIABLE, &self.folder)
@@ -142,45 +144,48 @@ impl Process {
         Ok(())
     }
 
-    /// Passes a stream on, line by line, from a thread of its own that ends with the stream.
+    /// Forwards a stream line by line, from a thread of its own that ends with the stream.
     fn forward(&self, output: impl Read + Send + 'static) {
         let (stage, log) = (self.label.clone(), self.log.clone());
         std::thread::spawn(move || {
             for line in BufReader::new(output).split(b'\n') {
                 let Ok(line) = line else { break };
                 let text = String::from_utf8_lossy(&line).trim_end().to_owned();
-                // A launcher that does not keep up must not hold the stage: the line is lost.
+                // A slow launcher must not block the stage: the line is dropped instead.
                 drop(log.try_send(LogLine { stage: stage.clone(), text }));
             }
         });
     }
 
-    /// Looks after it: reaps it if it has ended, starts it again when it is time.
+    /// Checks on it: reaps it if it has ended, starts it again when its wait is over.
     ///
     /// # Errors
     /// It cannot be started again.
-    pub fn attend(&mut self, before_restart: impl FnOnce()) -> anyhow::Result<Change> {
+    pub fn attend(&mut self, before_restart: impl FnOnce()) -> anyhow::Result<ProcessChange> {
         if let Some(child) = &mut self.child {
             let Some(status) =
                 child.try_wait().with_context(|| format!("waiting for {}", self.label))?
             else {
-                return Ok(Change::None);
+                return Ok(ProcessChange::None);
             };
             self.child = None;
-            let retry_in = wants_restart(self.restart, status)
-                .then(|| self.backoff.next(self.started.elapsed()));
+            if self.started.elapsed() > LONG_LIFE {
+                self.backoff.reset();
+            }
+            let retry_in =
+                wants_restart(self.restart, status).then(|| self.backoff.after_failure());
             self.retry_at = retry_in.map(|wait| Instant::now() + wait);
             let is_hopeless =
                 status.code() == Some(i32::from(flockeye_runtime::stage::CANNOT_START));
-            return Ok(Change::Ended { how: describe(status), is_hopeless, retry_in });
+            return Ok(ProcessChange::Ended { how: describe(status), is_hopeless, retry_in });
         }
         if self.retry_at.is_some_and(|time| Instant::now() >= time) {
             before_restart();
             self.generation += 1;
             self.start()?;
-            return Ok(Change::Restarted);
+            return Ok(ProcessChange::Restarted);
         }
-        Ok(Change::None)
+        Ok(ProcessChange::None)
     }
 
     /// Whether it runs, or will again.
@@ -188,18 +193,18 @@ impl Process {
         self.child.is_some() || self.retry_at.is_some()
     }
 
-    /// Sends a signal to it and whatever it has started.
+    /// Sends a signal to it and to every process that it has started.
     pub fn signal(&self, signal: Signal) {
         let pid = self.pid().and_then(|pid| Pid::from_raw(pid.cast_signed()));
         if let Some(pid) = pid
             && let Err(error) = kill_process_group(pid, signal)
         {
-            // It may have ended in between, which is what is wanted.
+            // It may have ended in between.
             tracing::debug!("signal to {}: {error}", self.label);
         }
     }
 
-    /// Takes its end for good: it is not started again. True once it has ended.
+    /// Whether it has ended. It is not started again from now on.
     pub fn has_ended(&mut self) -> bool {
         self.retry_at = None;
         match &mut self.child {
@@ -240,64 +245,37 @@ fn describe(status: ExitStatus) -> String {
     }
 }
 
-/// Waits that double from the first to the longest, and start over after a long life.
-#[derive(Debug, Clone)]
-struct Backoff {
-    first: Duration,
-    longest: Duration,
-    next: Duration,
-}
-
-/// A process that lived this long did not fail because of its start.
+/// A process that lived this long did not fail at its start.
 const LONG_LIFE: Duration = Duration::from_secs(10);
 
-impl Backoff {
-    fn new([first, longest]: [f64; 2]) -> Self {
-        let seconds = |s: f64| Duration::try_from_secs_f64(s).unwrap_or(Duration::from_secs(1));
-        Self { first: seconds(first), longest: seconds(longest), next: seconds(first) }
-    }
-
-    fn next(&mut self, lived: Duration) -> Duration {
-        if lived > LONG_LIFE {
-            self.next = self.first;
-        }
-        let wait = self.next;
-        self.next = (wait * 2).min(self.longest);
-        wait
-    }
+fn backoff([first_s, longest_s]: [f64; 2]) -> Backoff {
+    let wait = |s: f64| Duration::try_from_secs_f64(s).unwrap_or(Duration::from_secs(1));
+    Backoff::new(wait(first_s), wait(longest_s))
 }
 
-/// What `exec-stage` is told of when and where a stage runs.
-fn turn(stage: StageName, configuration: &StageProcess) -> Vec<String> {
+/// The arguments of `exec-stage` that say how and on which processors a stage runs.
+fn scheduling_arguments(stage: StageName, configuration: &StageProcess) -> Vec<String> {
     let usual = StageInfo::of(stage).nice;
-    let mut turn = vec![format!("--nice={}", configuration.nice.unwrap_or(usual))];
+    let mut arguments = vec![format!("--nice={}", configuration.nice.unwrap_or(usual))];
     if !configuration.cpus.is_empty() {
         let cpus: Vec<String> = configuration.cpus.iter().map(u32::to_string).collect();
-        turn.push(format!("--cpus={}", cpus.join(",")));
+        arguments.push(format!("--cpus={}", cpus.join(",")));
     }
-    let class = match configuration.scheduling {
-        Scheduling::Normal => return turn,
-        Scheduling::Batch => "batch",
-        Scheduling::Idle => "idle",
-        Scheduling::Fifo => "fifo",
-        Scheduling::RoundRobin => "round-robin",
+    let policy = match configuration.scheduling {
+        Scheduling::Normal => return arguments,
+        Scheduling::Batch => SchedulingPolicy::Batch,
+        Scheduling::Idle => SchedulingPolicy::Idle,
+        Scheduling::Fifo => SchedulingPolicy::Fifo,
+        Scheduling::RoundRobin => SchedulingPolicy::RoundRobin,
     };
-    turn.push(format!("--scheduling={class}"));
-    turn.push(format!("--priority={}", configuration.priority));
-    turn
+    arguments.push(format!("--scheduling={policy}"));
+    arguments.push(format!("--priority={}", configuration.priority));
+    arguments
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn waits_double_up_to_the_longest() {
-        let mut backoff = Backoff::new([0.1, 0.5]);
-        let waits: Vec<_> = (0..5).map(|_| backoff.next(Duration::ZERO).as_millis()).collect();
-        assert_eq!(waits, [100, 200, 400, 500, 500]);
-        assert_eq!(backoff.next(Duration::from_secs(11)).as_millis(), 100);
-    }
 
     #[test]
     fn policies_decide_on_restarts() {

@@ -1,11 +1,11 @@
 //! `flockeye schema`: the JSON Schema of pipeline.yaml, for editors.
 
-use crate::screen::Screen;
+use flockeye_cli::Screen;
 
 /// Prints it.
 ///
 /// # Errors
-/// The schema is no JSON.
+/// The schema cannot be written as JSON.
 pub fn run() -> anyhow::Result<()> {
     let schema = serde_json::to_string_pretty(&flockeye_config::json_schema())?;
     Screen::new().line(&schema);

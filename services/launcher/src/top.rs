@@ -4,28 +4,44 @@ use std::io::Write;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
+use clap::Args;
+use flockeye_cli::{Screen, duration, signals};
 use flockeye_contract::{Healths, Tracks, Truths};
 use flockeye_runtime::clock;
 
-use crate::attach::{Attached, attach};
-use crate::cli;
+use crate::attach::{Attached, PipelineChoice, attach};
 use crate::dashboard::Dashboard;
-use crate::screen::Screen;
-use crate::sweep::SweepWatch;
-use crate::up::stopped_by_signals;
+use crate::sweep_watch::SweepWatch;
 
-/// Health comes four times a second: after this long, rates are of several reports.
-const ONE_LOOK: Duration = Duration::from_secs(2);
+/// Arguments of `top`.
+#[derive(Debug, Args)]
+pub struct TopArguments {
+    /// Which pipeline.
+    #[command(flatten)]
+    pub running: PipelineChoice,
+    /// Watch for two seconds, print once, and end.
+    #[arg(long)]
+    pub once: bool,
+    /// JSON: one object per line each second, or a single one with --once.
+    #[arg(long)]
+    pub json: bool,
+    /// Stop after this long: 20s, 5m, 1h.
+    #[arg(long = "for", value_name = "DURATION", value_parser = duration)]
+    pub duration: Option<Duration>,
+}
+
+/// Health comes four times a second. After this long, rates average several reports.
+const ONCE_AFTER: Duration = Duration::from_secs(2);
 /// How often a table is shown, and how often a line or an object is printed.
 const LIVE_PERIOD: Duration = Duration::from_millis(250);
 const PRINT_PERIOD: Duration = Duration::from_secs(1);
 
-/// Shows it until Ctrl-C, or until the pipeline ends.
+/// Shows the dashboard until Ctrl-C, or until the pipeline ends.
 ///
 /// # Errors
-/// No such pipeline runs.
-pub fn run(arguments: &cli::Top) -> anyhow::Result<()> {
-    let stopping = stopped_by_signals()?;
+/// No such pipeline runs, or its topics have no room for another reader.
+pub fn run(arguments: &TopArguments) -> anyhow::Result<()> {
+    let stopping = signals::stop_flag()?;
     let Attached { mut ports, instance, resolved } = attach(&arguments.running)?;
     let mut healths = ports.subscriber::<Healths>()?;
     let mut tracks = ports.subscriber::<Tracks>()?;
@@ -35,7 +51,7 @@ pub fn run(arguments: &cli::Top) -> anyhow::Result<()> {
     let mut screen = Screen::new();
     let start = Instant::now();
     let period = if screen.is_live() && !arguments.json { LIVE_PERIOD } else { PRINT_PERIOD };
-    let mut next = start + if arguments.once { ONE_LOOK } else { period };
+    let mut next = start + if arguments.once { ONCE_AFTER } else { period };
     ports.attend(|| {
         while let Some(message) = healths.receive()? {
             dashboard.health(&message.header);
@@ -81,7 +97,7 @@ pub fn run(arguments: &cli::Top) -> anyhow::Result<()> {
     })
 }
 
-/// Prints a line. False if nobody reads any more.
+/// Prints a line. Returns false if the pipe is closed.
 fn print(text: &str) -> bool {
     let mut out = std::io::stdout().lock();
     writeln!(out, "{text}").and_then(|()| out.flush()).is_ok()

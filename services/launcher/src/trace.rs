@@ -1,31 +1,43 @@
-//! `flockeye trace`: frames' ways through all processes of a running pipeline, as a file that
+//! `flockeye trace`: frames' paths through all processes of a running pipeline, as a file that
 //! Perfetto (ui.perfetto.dev) and Chrome's `about:tracing` open.
-
-mod event;
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
+use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, ensure};
+use clap::Args;
+use flockeye_cli::{Screen, duration, signals};
 use flockeye_config::Flow;
 use flockeye_contract::{Detections, FrameEnds, Healths, Tracks};
 
-use crate::attach::{Attached, attach};
-use crate::cli;
-use crate::screen::Screen;
-use crate::up::stopped_by_signals;
-pub use event::Tracer;
+use crate::attach::{Attached, PipelineChoice, attach};
+use crate::trace_events::Tracer;
 
-/// Records it.
+/// Arguments of `trace`.
+#[derive(Debug, Args)]
+pub struct TraceArguments {
+    /// Which pipeline.
+    #[command(flatten)]
+    pub running: PipelineChoice,
+    /// The trace, in Chrome's JSON format.
+    #[arg(long, value_name = "FILE.json")]
+    pub out: PathBuf,
+    /// How long to record: 10s, 1m.
+    #[arg(long = "for", value_name = "DURATION", value_parser = duration, default_value = "5s")]
+    pub duration: Duration,
+}
+
+/// Records the trace.
 ///
 /// # Errors
-/// No such pipeline runs, nothing was heard, or the file cannot be written.
-pub fn run(arguments: &cli::Trace) -> anyhow::Result<()> {
-    let stopping = stopped_by_signals()?;
+/// No such pipeline runs, no message came, or the file cannot be written.
+pub fn run(arguments: &TraceArguments) -> anyhow::Result<()> {
+    let stopping = signals::stop_flag()?;
     let Attached { mut ports, instance, resolved } = attach(&arguments.running)?;
-    // Before anything is recorded, so that nothing is recorded in vain.
+    // First, so that an unwritable file is reported before the recording.
     let file = File::create(&arguments.out)
         .with_context(|| format!("cannot write {}", arguments.out.display()))?;
     let mut healths = ports.subscriber::<Healths>()?;
@@ -57,7 +69,7 @@ pub fn run(arguments: &cli::Trace) -> anyhow::Result<()> {
     })?;
     ensure!(
         tracer.frames() > 0,
-        "nothing came through the pipeline '{}' in {:.1} s: `flockeye top` says what its stages do",
+        "no frame passed through the pipeline '{}' in {:.1} s. Cure: see what its stages do with `flockeye top`",
         instance.name(),
         start.elapsed().as_secs_f64()
     );

@@ -10,7 +10,7 @@ use flockeye_contract::{
     Plans, Pose, StopReason, Topic, Track, TrackHeader, Tracks, Transfer, TruthHeader, Truths,
     VERSION_ATTRIBUTE, ViewHeader, ViewKind, Views,
 };
-use flockeye_launcher::record::{PoseRow, TruthRow, read};
+use flockeye_record::{PoseRow, TruthRow, read};
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::instance::Instance;
 use flockeye_runtime::memory::Budget;

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use flockeye_contract::wire::{POSE_SCHEMA, PoseReport};
 use flockeye_contract::{Health, Healths, MeasuredBy, Track, TrackHeader, Tracks};
-use flockeye_launcher::record::{PoseRow, TruthRow, read};
+use flockeye_record::{PoseRow, TruthRow, read};
 use flockeye_runtime::clock;
 use flockeye_runtime::onlooker;
 use flockeye_runtime::ports::{Ports, Subscriber};
@@ -306,7 +306,7 @@ fn a_stage_that_fails_and_must_not_be_restarted_ends_the_flight_with_the_reason(
     let output = flight.output();
     let wanted = [
         "no lens today",
-        "detection ended with status 7, and its restart policy leaves it at that",
+        "detection ended with status 7, and its restart policy does not start it again",
     ];
     for part in wanted {
         assert!(output.contains(part), "{part:?} is missing in:\n{output}");
@@ -323,8 +323,9 @@ fn a_stage_that_dies_in_flight_and_must_not_be_restarted_ends_the_flight() {
     assert_eq!(flight.wait().code(), Some(1), "{}", flight.output());
     let output = flight.output();
     assert!(
-        output
-            .contains("detection was killed by signal 9, and its restart policy leaves it at that"),
+        output.contains(
+            "detection was killed by signal 9, and its restart policy does not start it again"
+        ),
         "{output}"
     );
     assert!(flight.stages("").is_empty());
@@ -339,7 +340,7 @@ fn a_stage_that_does_not_listen_is_ended_all_the_same() {
     flight.signal(Signal::INT);
     assert!(flight.wait().success(), "{}", flight.output());
     let output = flight.output();
-    assert!(output.contains("gateway does not stop: it is ended"), "{output}");
+    assert!(output.contains("gateway does not stop and is killed"), "{output}");
     wait_until_no_stage_runs(&flight);
     flight.assert_nothing_left();
 }

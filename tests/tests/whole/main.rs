@@ -6,6 +6,7 @@ mod calibration;
 mod cameras;
 mod evaluation;
 mod foreign;
+mod lab;
 mod lifecycle;
 mod lossless;
 mod markers;

@@ -5,8 +5,8 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use flockeye_launcher::evaluation::Evaluation;
-use flockeye_launcher::record::{PoseRow, read};
+use flockeye_lab::evaluation::Evaluation;
+use flockeye_record::{PoseRow, read};
 use flockeye_tests::{Flight, Scratch, recordings};
 
 /// A flight of 300 frames of 3840x1920 on loaded cores.

@@ -88,7 +88,7 @@ fn real_time_classes_are_had_with_the_privilege_and_refused_aloud_without() {
     let mut flight = Flight::start("real-time", &[], &set);
     flight.wait_for("alpha confirmed");
     let of = |stage: &str| flight.stages(&format!("flockeye-{stage}"))[0];
-    let refused = "scheduling class fifo is not to be had";
+    let refused = "scheduling policy fifo is refused";
     if flight.output().contains(refused) {
         assert_eq!([class(of("fusion")), class(of("rectification"))], ["0", "0"], "SCHED_OTHER");
     } else {
@@ -124,7 +124,7 @@ fn what_the_system_refuses_is_said_and_costs_nothing_else() {
     let more = ["stages.detection.replicas=1", "stages.fusion.cpus=[9999]"];
     let set: Vec<&str> = SMALL_FLIGHT.iter().chain(&more).copied().collect();
     let mut flight = Flight::start("refused", &[], &set);
-    flight.wait_for("processors [9999] are not to be had");
+    flight.wait_for("processors [9999] are refused");
     flight.wait_for("alpha confirmed");
     flight.signal(Signal::INT);
     assert!(flight.wait().success(), "{}", flight.output());

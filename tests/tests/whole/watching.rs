@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use flockeye_config::Resolved;
 use flockeye_contract::{Detections, Plans, Tracks};
-use flockeye_launcher::sweep::Sweep;
+use flockeye_record::sweep::Sweep;
 use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, onlooker, run};
 use rustix::process::{Signal, kill_process};
 use serde_json::Value;

@@ -1,23 +1,23 @@
-//! What is shown, for programs: one serializable value.
+//! The dashboard as one serializable value, for programs.
 
-use flockeye_contract::{MeasuredBy, StageState, Track};
+use flockeye_contract::MeasuredBy;
+use flockeye_record::sweep::SweepReport;
 use serde::Serialize;
 
-use super::{Dashboard, SILENCE_NS};
-use crate::sweep::SweepReport;
+use super::{Dashboard, age_ms, deviation_m, stage_state_name, track_state_name};
 
 /// The pipeline at one moment.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Report {
-    /// Frames that came to their end since one looks.
+pub struct DashboardReport {
+    /// Frames that ended since watching began.
     pub frames: u64,
-    /// Frames that the source sent meanwhile and nobody worked on.
+    /// Frames that the source sent meanwhile and that were skipped.
     pub skipped: u64,
-    /// How often each part of the sphere was searched since one looks; none where it is not swept.
+    /// How often each part of the sphere was searched since then. None where nothing is swept.
     pub sphere: Option<SweepReport>,
     /// Each process, by stage and number.
     pub stages: Vec<StageReport>,
-    /// Each neighbour that was seen since one looks, by name.
+    /// Each neighbour that was seen since then, by name.
     pub neighbours: Vec<NeighbourReport>,
 }
 
@@ -32,9 +32,9 @@ pub struct StageReport {
     pub pid: u32,
     /// How often it was replaced.
     pub generation: u32,
-    /// starting, ready, degraded, draining, finished, or silent if it has not said anything for long.
+    /// starting, ready, degraded, draining, finished, or silent if it has not reported for long.
     pub state: String,
-    /// What it works with.
+    /// What it works with, in words.
     pub detail: String,
     /// Messages taken in each second.
     pub taken_per_s: f64,
@@ -44,11 +44,11 @@ pub struct StageReport {
     pub latency_median_ms: Option<f64>,
     /// The same: 99 % quantile.
     pub latency_p99_ms: Option<f64>,
-    /// What it has taken in or given out and is not done with.
+    /// Messages taken in or given out that are not finished.
     pub queued: u64,
-    /// Messages that newer ones overtook, since it started.
+    /// Messages replaced by newer ones, since it started.
     pub dropped: u64,
-    /// Messages that were refused or could not be worked on, since it started.
+    /// Messages that were refused or could not be processed, since it started.
     pub failed: u64,
     /// Share of one processor.
     pub processor_share: f64,
@@ -63,7 +63,7 @@ pub struct NeighbourReport {
     pub name: String,
     /// State of its track.
     pub state: String,
-    /// What its last frame measured it by: nothing, decoded or aligned.
+    /// What its measurement in the last frame rests on: nothing, decoded or aligned.
     pub measured_by: String,
     /// Position in the observer's frame, metres.
     pub position_m: [f64; 3],
@@ -95,14 +95,14 @@ pub struct LatencyReport {
 }
 
 impl Dashboard {
-    /// What is shown now.
-    pub fn report(&self, now_ns: i64) -> Report {
+    /// The values now.
+    pub fn report(&self, now_ns: i64) -> DashboardReport {
         let stages = self.stages.iter().map(|((stage, replica), view)| StageReport {
             stage: stage.clone(),
             replica: *replica,
             pid: view.last.pid,
             generation: view.last.generation,
-            state: state_name(view.last.state, now_ns - view.last.sent_ns),
+            state: stage_state_name(view.last.state, now_ns - view.last.sent_ns),
             detail: view.last.detail.to_string(),
             taken_per_s: view.taken_per_s,
             published_per_s: view.published_per_s,
@@ -119,11 +119,11 @@ impl Dashboard {
             let latency = &track.latency;
             Some(NeighbourReport {
                 name: name.clone(),
-                state: super::state_name(track.state),
+                state: track_state_name(track.state),
                 measured_by: MeasuredBy::try_from(track.measured_by)
                     .map_or("unknown".to_owned(), |by| format!("{by:?}").to_lowercase()),
                 position_m: track.observer_from_target.position,
-                deviation_m: super::deviation_m(track),
+                deviation_m: deviation_m(track),
                 age_ms: age_ms(track, *arrived_ns, now_ns),
                 markers: track.markers,
                 latency_ms: LatencyReport {
@@ -136,27 +136,13 @@ impl Dashboard {
                 error_m: neighbour.error_m,
             })
         });
-        Report {
+        DashboardReport {
             frames: self.frames_ended,
             skipped: self.frames_skipped,
             sphere: self.sphere,
             stages: stages.collect(),
             neighbours: neighbours.collect(),
         }
-    }
-}
-
-/// Age of the light that a pose was last measured by, milliseconds.
-pub(super) fn age_ms(track: &Track, arrived_ns: i64, now_ns: i64) -> f64 {
-    (now_ns - arrived_ns + track.latency.total_ns + track.unseen_ns) as f64 * 1e-6
-}
-
-/// A stage's state in words.
-pub(super) fn state_name(code: u32, silent_ns: i64) -> String {
-    match StageState::try_from(code) {
-        _ if silent_ns > SILENCE_NS => "silent".to_owned(),
-        Ok(state) => format!("{state:?}").to_lowercase(),
-        Err(_) => "unknown".to_owned(),
     }
 }
 

@@ -1,0 +1,38 @@
+//! The commands of `flockeye-lab`, which `flockeye` has too: it passes them on.
+
+/// The program that has them.
+pub const PROGRAM: &str = "flockeye-lab";
+
+/// A command and what it does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct LabCommand {
+    /// Its name on the command line.
+    pub name: &'static str,
+    /// What it does, in one line.
+    pub about: &'static str,
+}
+
+/// Compares poses with the truth.
+pub const EVAL: LabCommand =
+    LabCommand { name: "eval", about: "Compare recorded poses with the truth" };
+/// Runs experiments.
+pub const EXPERIMENT: LabCommand = LabCommand {
+    name: "experiment",
+    about: "Compute the paper's tables again, and check whether covariances are consistent",
+};
+/// Shows partitions.
+pub const PARTITION: LabCommand =
+    LabCommand { name: "partition", about: "Tabulate and draw partitions of the sphere" };
+/// Draws marker sheets.
+pub const MARKERS: LabCommand = LabCommand {
+    name: "markers",
+    about: "Draw a body's marker sheets at true scale, to print, cut out and glue",
+};
+/// Calibrates bodies.
+pub const CALIBRATE: LabCommand = LabCommand {
+    name: "calibrate",
+    about: "Measure from a recording how something was really built",
+};
+
+/// All of them, in the order of the help.
+pub const COMMANDS: [LabCommand; 5] = [EVAL, EXPERIMENT, PARTITION, MARKERS, CALIBRATE];

@@ -1,0 +1,20 @@
+//! What the command lines of `flockeye` and `flockeye-lab` share.
+//!
+//! | module | what it holds |
+//! | --- | --- |
+//! | [`arguments`] | the arguments that choose a configuration, and durations |
+//! | [`lab`] | the commands that `flockeye` passes on to `flockeye-lab` |
+//! | [`program`] | where the other program is |
+//! | [`screen`] | the terminal: log lines above, a live table below |
+//! | [`signals`] | a flag that Ctrl-C raises |
+//! | [`text_table`] | tables of plain text |
+
+pub mod arguments;
+pub mod lab;
+pub mod program;
+pub mod screen;
+pub mod signals;
+pub mod text_table;
+
+pub use arguments::{Configuration, FlowChoice, duration};
+pub use screen::Screen;

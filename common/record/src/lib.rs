@@ -1,0 +1,26 @@
+//! What a run is judged by. `flockeye up` writes these tables, `flockeye-lab` reads them.
+//!
+//! | module | what it holds |
+//! | --- | --- |
+//! | [`recorder`] | a CSV file that is being written |
+//! | [`table`] | CSV files read by the names of their columns |
+//! | [`pose`] | each neighbour's pose in each frame |
+//! | [`truth`] | the true poses, of a simulated flight or of a recording |
+//! | [`frame_times`] | when each frame was published and when it ended |
+//! | [`rays`] | the corner rays of detected markers |
+//! | [`sweep`] | how often each part of the sphere is searched |
+
+pub mod frame_times;
+pub mod pose;
+pub mod rays;
+pub mod recorder;
+pub mod sweep;
+pub mod table;
+pub mod truth;
+
+pub use frame_times::FrameTimes;
+pub use pose::{MeasuredPose, PoseRow};
+pub use rays::MarkerRays;
+pub use recorder::{Recorded, Recorder};
+pub use table::{TableError, read};
+pub use truth::TruthRow;

@@ -1,0 +1,53 @@
+//! CSV files that are being written.
+
+use std::fs::File;
+use std::marker::PhantomData;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use serde::Serialize;
+
+/// A row that is written.
+pub trait Recorded: Serialize {
+    /// The names of its columns, in the order in which it is serialized.
+    fn names() -> Vec<&'static str>;
+}
+
+/// A CSV file of rows `R` that is being written. Its first line names the columns.
+pub struct Recorder<R> {
+    path: PathBuf,
+    writer: csv::Writer<File>,
+    row: PhantomData<fn(R)>,
+}
+
+impl<R: Recorded> Recorder<R> {
+    /// Creates the file.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub fn create(path: &Path) -> anyhow::Result<Self> {
+        let create = || -> csv::Result<_> {
+            let mut writer = csv::WriterBuilder::new().has_headers(false).from_path(path)?;
+            writer.write_record(R::names())?;
+            Ok(writer)
+        };
+        let writer = create().with_context(|| format!("cannot write {}", path.display()))?;
+        Ok(Self { path: path.to_owned(), writer, row: PhantomData })
+    }
+
+    /// Adds a row.
+    ///
+    /// # Errors
+    /// It cannot be written; for example the disk is full.
+    pub fn add(&mut self, row: &R) -> anyhow::Result<()> {
+        self.writer.serialize(row).with_context(|| format!("cannot write {}", self.path.display()))
+    }
+
+    /// Writes what is still in memory to the file.
+    ///
+    /// # Errors
+    /// As [`Recorder::add`].
+    pub fn finish(mut self) -> anyhow::Result<()> {
+        self.writer.flush().with_context(|| format!("cannot write {}", self.path.display()))
+    }
+}

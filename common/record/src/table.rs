@@ -1,0 +1,250 @@
+//! CSV files read by the names of their columns.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use csv::StringRecord;
+use nalgebra::{Quaternion, UnitQuaternion};
+
+/// Why a table cannot be read.
+#[derive(Debug, thiserror::Error)]
+pub enum TableError {
+    /// It cannot be opened, or is no CSV file.
+    #[error("cannot read {path}: {reason}")]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        reason: String,
+    },
+    /// Columns are not there.
+    #[error(
+        "{path} has no column {}. Cure: {cure}; the first line names the columns, and here it is \
+         '{header}'",
+        .missing.join(", ")
+    )]
+    Columns {
+        /// The file.
+        path: PathBuf,
+        /// Those that are not there.
+        missing: Vec<&'static str>,
+        /// What writes them.
+        cure: &'static str,
+        /// The first line.
+        header: String,
+    },
+    /// A cell does not hold what it should.
+    #[error(
+        "{path}, line {line}, column {column}: '{text}' is not {wanted}. Cure: correct it, or remove the line"
+    )]
+    Cell {
+        /// The file.
+        path: PathBuf,
+        /// Counted from 1, the header's.
+        line: u64,
+        /// Its name.
+        column: String,
+        /// What it holds.
+        text: String,
+        /// What it should hold.
+        wanted: &'static str,
+    },
+}
+
+/// A row of a table.
+pub trait TableRow: Sized {
+    /// Columns without which nothing can be said.
+    const REQUIRED: &'static [&'static str];
+    /// What writes a file with these columns.
+    const CURE: &'static str;
+
+    /// Takes its values from the cells.
+    ///
+    /// # Errors
+    /// A cell does not hold what it should.
+    fn parse(cells: &TableCells<'_>) -> Result<Self, TableError>;
+}
+
+/// The cells of a line, by the names of their columns.
+pub struct TableCells<'a> {
+    path: &'a Path,
+    columns: &'a BTreeMap<String, usize>,
+    record: &'a StringRecord,
+    line: u64,
+}
+
+impl TableCells<'_> {
+    /// What a cell holds; empty if there is no such column.
+    pub fn text(&self, column: &str) -> &str {
+        self.columns.get(column).and_then(|&index| self.record.get(index)).unwrap_or("").trim()
+    }
+
+    /// What a cell holds, as `wanted` says; `None` if it is empty.
+    ///
+    /// # Errors
+    /// It holds something else.
+    pub fn value<T: FromStr>(
+        &self,
+        column: &str,
+        wanted: &'static str,
+    ) -> Result<Option<T>, TableError> {
+        let text = self.text(column);
+        if text.is_empty() {
+            return Ok(None);
+        }
+        text.parse().map(Some).map_err(|_| self.refuse(column, wanted))
+    }
+
+    /// A number that there may be.
+    ///
+    /// # Errors
+    /// It is no finite number.
+    pub fn maybe_number(&self, column: &str) -> Result<Option<f64>, TableError> {
+        let wanted = "a finite number";
+        match self.value::<f64>(column, wanted)? {
+            Some(number) if !number.is_finite() => Err(self.refuse(column, wanted)),
+            number => Ok(number),
+        }
+    }
+
+    /// A number that there must be.
+    ///
+    /// # Errors
+    /// It is no finite number.
+    pub fn number(&self, column: &str) -> Result<f64, TableError> {
+        self.maybe_number(column)?.ok_or_else(|| self.refuse(column, "a finite number"))
+    }
+
+    /// A whole number, 0 or more, that there must be.
+    ///
+    /// # Errors
+    /// It is none.
+    pub fn count(&self, column: &str) -> Result<u64, TableError> {
+        let wanted = "a whole number from 0";
+        self.value(column, wanted)?.ok_or_else(|| self.refuse(column, wanted))
+    }
+
+    /// A whole number, 0 or more, of 32 bits, that there must be.
+    ///
+    /// # Errors
+    /// It is none.
+    pub fn small_count(&self, column: &str) -> Result<u32, TableError> {
+        u32::try_from(self.count(column)?)
+            .map_err(|_| self.refuse(column, "a whole number below 4294967296"))
+    }
+
+    /// A rotation from the columns of its quaternion x, y, z, w.
+    ///
+    /// # Errors
+    /// A number is none, or the quaternion's length is not 1 within 1 %.
+    pub fn rotation(&self, xyzw: [&str; 4]) -> Result<UnitQuaternion<f64>, TableError> {
+        let [x, y, z, w] = xyzw;
+        let quaternion =
+            Quaternion::new(self.number(w)?, self.number(x)?, self.number(y)?, self.number(z)?);
+        if (quaternion.norm() - 1.0).abs() > 0.01 {
+            return Err(self.refuse(w, "the w of a quaternion of length 1"));
+        }
+        Ok(UnitQuaternion::from_quaternion(quaternion))
+    }
+
+    /// The error that a cell deserves.
+    pub fn refuse(&self, column: &str, wanted: &'static str) -> TableError {
+        TableError::Cell {
+            path: self.path.to_owned(),
+            line: self.line,
+            column: column.to_owned(),
+            text: self.text(column).to_owned(),
+            wanted,
+        }
+    }
+}
+
+/// Reads a CSV file by its column names.
+///
+/// # Errors
+/// The file cannot be read, columns are missing, or a cell is not as it should be: with its line and
+/// column.
+pub fn read<R: TableRow>(path: &Path) -> Result<Vec<R>, TableError> {
+    let unreadable = |error: csv::Error| TableError::Unreadable {
+        path: path.to_owned(),
+        reason: error.to_string(),
+    };
+    let file = File::open(path).map_err(|error| unreadable(error.into()))?;
+    let mut reader = csv::Reader::from_reader(file);
+    let header = reader.headers().map_err(unreadable)?.clone();
+    let columns: BTreeMap<String, usize> =
+        header.iter().map(|name| name.trim().to_owned()).zip(0..).collect();
+    let missing: Vec<&'static str> =
+        R::REQUIRED.iter().copied().filter(|name| !columns.contains_key(*name)).collect();
+    if !missing.is_empty() {
+        return Err(TableError::Columns {
+            path: path.to_owned(),
+            missing,
+            cure: R::CURE,
+            header: header.iter().collect::<Vec<_>>().join(","),
+        });
+    }
+    let mut rows = Vec::new();
+    for record in reader.records() {
+        let record = record.map_err(unreadable)?;
+        let line = record.position().map_or(0, csv::Position::line);
+        rows.push(R::parse(&TableCells { path, columns: &columns, record: &record, line })?);
+    }
+    Ok(rows)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    struct Point {
+        x: f64,
+        n: u64,
+    }
+
+    impl TableRow for Point {
+        const REQUIRED: &'static [&'static str] = &["x", "n"];
+        const CURE: &'static str = "write both";
+
+        fn parse(cells: &TableCells<'_>) -> Result<Self, TableError> {
+            Ok(Self { x: cells.number("x")?, n: cells.count("n")? })
+        }
+    }
+
+    fn read_text(name: &str, text: &str) -> Result<Vec<Point>, String> {
+        let path = std::env::temp_dir().join(format!("flockeye-{}-{name}.csv", std::process::id()));
+        std::fs::write(&path, text).expect("it can be written");
+        let rows = read(&path).map_err(|error| error.to_string());
+        std::fs::remove_file(&path).expect("it can be removed");
+        rows
+    }
+
+    #[test]
+    fn columns_are_found_by_name() {
+        let rows = read_text("order", "n, more ,x\n3,,1.5\n4,z, 2e-3\n").expect("a table");
+        assert_eq!(
+            rows.iter().map(|row| (row.x, row.n)).collect::<Vec<_>>(),
+            [(1.5, 3), (2e-3, 4)]
+        );
+    }
+
+    #[test]
+    fn errors_name_the_place_and_the_cure() {
+        for (name, text, wanted) in [
+            ("missing", "a,b\n1,2\n", &["has no column x, n. Cure: write both", "'a,b'"][..]),
+            ("empty", "", &["has no column x, n"]),
+            ("word", "x,n\n1,2\nten,3\n", &["line 3, column x: 'ten' is not a finite number"]),
+            ("nan", "x,n\nNaN,2\n", &["line 2, column x: 'NaN' is not a finite"]),
+            ("hole", "x,n\n1,\n", &["line 2, column n: '' is not a whole number"]),
+            ("minus", "x,n\n1,-2\n", &["'-2' is not a whole number from 0", "Cure: "]),
+            ("short", "x,n\n1\n", &["cannot read ", "line: 2"]),
+        ] {
+            let error = read_text(name, text).err().expect("it is wrong");
+            assert!(wanted.iter().all(|part| error.contains(part)), "{name}: {error}");
+        }
+        let error = read::<Point>(Path::new("/nowhere/x.csv")).err().expect("it is not there");
+        assert!(error.to_string().starts_with("cannot read /nowhere/x.csv: "), "{error}");
+    }
+}

@@ -1,0 +1,100 @@
+//! The command line.
+
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+use flockeye_cli::lab::COMMANDS;
+
+use crate::check::{self, CheckArguments};
+use crate::clean::{self, CleanArguments};
+use crate::exec::{self, ExecArguments};
+use crate::peers::{self, PeersArguments};
+use crate::top::{self, TopArguments};
+use crate::trace::{self, TraceArguments};
+use crate::up::{self, UpArguments};
+use crate::{lab, schema};
+
+/// Eyes for a flock: neighbours' poses from a spherical camera.
+#[derive(Debug, Parser)]
+#[command(name = "flockeye", version)]
+struct Flockeye {
+    /// What to do.
+    #[command(subcommand)]
+    command: FlockeyeCommand,
+}
+
+#[derive(Debug, Subcommand)]
+enum FlockeyeCommand {
+    /// Run a pipeline until its source ends, or until Ctrl-C.
+    Up(UpArguments),
+    /// Check a configuration, and say what it means on this machine.
+    Check(CheckArguments),
+    /// Show what a running pipeline's stages do, and how old its poses are.
+    Top(TopArguments),
+    /// Record the path of frames through a running pipeline, for Perfetto (ui.perfetto.dev).
+    Trace(TraceArguments),
+    /// Show what the swarm's drones report of each other over Zenoh.
+    Peers(PeersArguments),
+    /// Remove what dead runs left in shared memory.
+    Clean(CleanArguments),
+    /// Print the JSON Schema of pipeline.yaml.
+    Schema,
+    /// Become a stage's process (used by `up`).
+    #[command(hide = true)]
+    ExecStage(ExecArguments),
+}
+
+/// Reads the command line and does what it asks for.
+///
+/// # Errors
+/// As the command.
+pub fn run() -> anyhow::Result<()> {
+    let matches = command().get_matches();
+    let command = Flockeye::from_arg_matches(&matches).unwrap_or_else(|error| error.exit()).command;
+    match command {
+        FlockeyeCommand::Up(arguments) => up::run(&arguments),
+        FlockeyeCommand::Check(arguments) => check::run(&arguments),
+        FlockeyeCommand::Top(arguments) => top::run(&arguments),
+        FlockeyeCommand::Trace(arguments) => trace::run(&arguments),
+        FlockeyeCommand::Peers(arguments) => peers::run(&arguments),
+        FlockeyeCommand::Clean(arguments) => clean::run(&arguments),
+        FlockeyeCommand::Schema => schema::run(),
+        FlockeyeCommand::ExecStage(arguments) => exec::run(&arguments),
+    }
+}
+
+/// The whole command line. The lab's commands are in it for the help, and so that a misspelled one
+/// gets a suggestion; they never arrive here ([`lab::is_asked_for`]).
+fn command() -> clap::Command {
+    let hidden = COMMANDS.map(|command| clap::Command::new(command.name).hide(true));
+    let template = format!(
+        "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\nCommands:\n{{subcommands}}\n\n\
+         Evaluation and preparation (by flockeye-lab):\n{}\n\nOptions:\n{{options}}{{after-help}}",
+        lab::listing()
+    );
+    Flockeye::command().help_template(template).subcommands(hidden)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_well_formed() {
+        command().debug_assert();
+    }
+
+    #[test]
+    fn the_help_lists_the_commands_of_both_programs() {
+        let help = command().render_help().to_string();
+        for wanted in ["  up ", "  schema ", "  eval ", "  calibrate ", "(by flockeye-lab):"] {
+            assert!(help.contains(wanted), "{wanted:?} is missing in:\n{help}");
+        }
+        assert!(!help.contains("exec-stage"), "{help}");
+    }
+
+    #[test]
+    fn misspelled_commands_of_the_lab_get_a_suggestion() {
+        let error = command().try_get_matches_from(["flockeye", "evl"]).map(drop);
+        let text = error.expect_err("there is no such command").to_string();
+        assert!(text.contains("'eval'"), "{text}");
+    }
+}

@@ -1,0 +1,66 @@
+//! The commands that `flockeye` passes on to `flockeye-lab`.
+
+use std::ffi::OsString;
+use std::os::unix::process::CommandExt;
+use std::process::Command;
+
+use anyhow::Context;
+use flockeye_cli::lab::{COMMANDS, PROGRAM};
+use flockeye_cli::program;
+
+/// Whether these arguments of `flockeye` name a command of the lab, or ask for its help.
+pub fn is_asked_for(arguments: &[OsString]) -> bool {
+    let name = match arguments {
+        [help, name, ..] if help == "help" => name,
+        [name, ..] => name,
+        [] => return false,
+    };
+    COMMANDS.iter().any(|command| name == command.name)
+}
+
+/// Replaces this process by the lab. Signals and the exit status are then the lab's own.
+///
+/// # Errors
+/// The lab is not installed, or cannot be started.
+pub fn become_lab(arguments: &[OsString]) -> anyhow::Result<()> {
+    let path = program::find(PROGRAM).with_context(|| {
+        let command = arguments.first().map(|name| name.to_string_lossy()).unwrap_or_default();
+        format!("`flockeye {command}` is a command of {PROGRAM}")
+    })?;
+    // The lab's help shows this name, because users typed it.
+    let error = Command::new(&path).arg0("flockeye").args(arguments).exec();
+    Err(error).with_context(|| format!("cannot start {}", path.display()))
+}
+
+/// The lab's commands with their descriptions, for the help of `flockeye`.
+pub fn listing() -> String {
+    let widest = COMMANDS.iter().map(|command| command.name.len()).max().unwrap_or(0);
+    let line = |name: &str, about: &str| format!("  {name:<widest$}  {about}");
+    COMMANDS.map(|command| line(command.name, command.about)).join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn asked(arguments: &[&str]) -> bool {
+        is_asked_for(&arguments.iter().map(OsString::from).collect::<Vec<_>>())
+    }
+
+    #[test]
+    fn commands_of_the_lab_are_recognized() {
+        for arguments in [&["eval"][..], &["partition", "--json"], &["help", "markers"]] {
+            assert!(asked(arguments), "{arguments:?}");
+        }
+        for arguments in [&[][..], &["up", "eval"], &["help"], &["help", "up"], &["--help"]] {
+            assert!(!asked(arguments), "{arguments:?}");
+        }
+    }
+
+    #[test]
+    fn every_command_is_listed_with_what_it_does() {
+        let listing = listing();
+        assert!(listing.contains("  eval        Compare recorded poses with the truth\n"));
+        assert_eq!(listing.lines().count(), COMMANDS.len());
+    }
+}

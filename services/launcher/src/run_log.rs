@@ -1,0 +1,213 @@
+//! What a run receives from its stages: shown, recorded and summed up.
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use clap::Args;
+use flockeye_cli::duration;
+use flockeye_config::Resolved;
+use flockeye_contract::{Detections, FrameStamp, Healths, StageState, Tracks, Truths};
+use flockeye_record::sweep::SweepReport;
+use flockeye_record::{FrameTimes, MarkerRays, PoseRow, Recorder, TruthRow};
+use flockeye_runtime::clock;
+use flockeye_runtime::ports::{Ports, Subscriber};
+
+use crate::dashboard::Dashboard;
+use crate::sweep_watch::SweepWatch;
+
+/// What ends a run, and what is recorded of it.
+#[derive(Debug, Clone, Default, Args)]
+pub struct RunOptions {
+    /// Stop after this long: 20s, 5m, 1h.
+    #[arg(long = "for", value_name = "DURATION", value_parser = duration)]
+    pub duration: Option<Duration>,
+    /// Stop after so many frames.
+    #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u64).range(1..))]
+    pub frames: Option<u64>,
+    /// Record each neighbour's pose in each frame.
+    #[arg(long, value_name = "FILE.csv")]
+    pub poses: Option<PathBuf>,
+    /// Record the truth of a simulated flight.
+    #[arg(long, value_name = "FILE.csv")]
+    pub truth: Option<PathBuf>,
+    /// Record when each frame was published and when it ended.
+    #[arg(long, value_name = "FILE.csv")]
+    pub frame_times: Option<PathBuf>,
+    /// Record the corner rays of all detected markers.
+    #[arg(long, value_name = "FILE.csv")]
+    pub rays: Option<PathBuf>,
+    /// Note how often each part of the sphere is searched.
+    #[arg(skip)]
+    pub watches_sweep: bool,
+}
+
+/// The summary of a run.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct RunSummary {
+    /// Frames that ended.
+    pub frames: u64,
+    /// Poses that were measured, in all frames.
+    pub measured: u64,
+    /// From the first frame's end to the last one's, seconds.
+    pub ends_s: f64,
+    /// How often each part of the sphere was searched, if that was asked for.
+    pub sweep: Option<SweepReport>,
+}
+
+/// Receives the messages of a run.
+pub struct RunLog {
+    tracks: Subscriber<Tracks>,
+    healths: Subscriber<Healths>,
+    truths: Subscriber<Truths>,
+    detections: Option<Subscriber<Detections>>,
+    sweep: Option<SweepWatch>,
+    recorders: Recorders,
+    /// What is shown of the run.
+    pub dashboard: Dashboard,
+    /// How many frames were asked for. Times of further frames are not recorded.
+    most_frames: u64,
+    measured: u64,
+    first_end_ns: Option<i64>,
+    last_end_ns: i64,
+    last_track: Instant,
+}
+
+/// The files that are written.
+struct Recorders {
+    poses: Option<Recorder<PoseRow>>,
+    truth: Option<Recorder<TruthRow>>,
+    frame_times: Option<Recorder<FrameTimes>>,
+    rays: Option<Recorder<MarkerRays>>,
+}
+
+impl RunLog {
+    /// Subscribes to the topics and creates the files.
+    ///
+    /// # Errors
+    /// A topic has no room for another reader, or a file cannot be written.
+    pub fn open(
+        resolved: &Resolved,
+        options: &RunOptions,
+        ports: &mut Ports,
+    ) -> anyhow::Result<Self> {
+        let sweep = options.watches_sweep.then(|| SweepWatch::open(resolved, ports)).transpose()?;
+        let rays = options.rays.is_some();
+        Ok(Self {
+            tracks: ports.subscriber()?,
+            healths: ports.subscriber()?,
+            truths: ports.subscriber()?,
+            detections: rays.then(|| ports.subscriber()).transpose()?,
+            sweep: sweep.flatten(),
+            recorders: Recorders {
+                poses: options.poses.as_deref().map(Recorder::create).transpose()?,
+                truth: options.truth.as_deref().map(Recorder::create).transpose()?,
+                frame_times: options.frame_times.as_deref().map(Recorder::create).transpose()?,
+                rays: options.rays.as_deref().map(Recorder::create).transpose()?,
+            },
+            dashboard: Dashboard::default(),
+            most_frames: options.frames.unwrap_or(u64::MAX),
+            measured: 0,
+            first_end_ns: None,
+            last_end_ns: 0,
+            last_track: Instant::now(),
+        })
+    }
+
+    /// Takes the messages that have come.
+    ///
+    /// # Errors
+    /// A topic cannot be read, or a file cannot be written.
+    pub fn receive(&mut self) -> anyhow::Result<()> {
+        while let Some(message) = self.healths.receive()? {
+            self.dashboard.health(&message.header);
+        }
+        while let Some(message) = self.truths.receive()? {
+            self.dashboard.truth(&message.header, message.items());
+            if let Some(recorder) = &mut self.recorders.truth {
+                for body in message.items() {
+                    recorder.add(&TruthRow::of(&message.header, body))?;
+                }
+            }
+        }
+        if let (Some(detections), Some(recorder)) = (&mut self.detections, &mut self.recorders.rays)
+        {
+            while let Some(message) = detections.receive()? {
+                for marker in message.items() {
+                    recorder.add(&MarkerRays::new(&message.header, marker))?;
+                }
+            }
+        }
+        if let Some(sweep) = &mut self.sweep {
+            sweep.receive()?;
+        }
+        while let Some(message) = self.tracks.receive()? {
+            let stamp = message.header.stamp;
+            let is_last = message.header.is_last != 0;
+            self.last_track = Instant::now();
+            let now_ns = clock::monotonic_ns();
+            self.dashboard.tracks(&stamp, message.items(), is_last, now_ns);
+            for row in message.items().iter().filter_map(|track| PoseRow::of(&stamp, track)) {
+                self.measured += u64::from(row.is_measured());
+                if let Some(recorder) = &mut self.recorders.poses {
+                    recorder.add(&row)?;
+                }
+            }
+            if is_last {
+                self.end(&stamp, now_ns)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Notes that a frame has ended.
+    fn end(&mut self, stamp: &FrameStamp, now_ns: i64) -> anyhow::Result<()> {
+        self.first_end_ns.get_or_insert(now_ns);
+        self.last_end_ns = now_ns;
+        match &mut self.recorders.frame_times {
+            Some(recorder) if self.dashboard.frames_ended() <= self.most_frames => {
+                recorder.add(&FrameTimes::new(stamp, now_ns))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Whether as many frames have ended as were asked for.
+    pub fn is_complete(&self) -> bool {
+        self.dashboard.frames_ended() >= self.most_frames
+    }
+
+    /// Time since the last track, or since [`RunLog::expect_tracks`] if that was later.
+    pub fn quiet_time(&self) -> Duration {
+        self.last_track.elapsed()
+    }
+
+    /// Restarts the quiet time, because the source starts now.
+    pub fn expect_tracks(&mut self) {
+        self.last_track = Instant::now();
+    }
+
+    /// The state that a stage reported last, if it ever did.
+    pub fn state_of(&self, stage: &str, replica: u32) -> Option<StageState> {
+        self.dashboard.state_of(stage, replica)
+    }
+
+    /// Takes the last messages and completes the files.
+    ///
+    /// # Errors
+    /// As [`RunLog::receive`].
+    pub fn finish(&mut self) -> anyhow::Result<RunSummary> {
+        self.receive()?;
+        let Recorders { poses, truth, frame_times, rays } = &mut self.recorders;
+        poses.take().map(Recorder::finish).transpose()?;
+        truth.take().map(Recorder::finish).transpose()?;
+        frame_times.take().map(Recorder::finish).transpose()?;
+        rays.take().map(Recorder::finish).transpose()?;
+        let first_end_ns = self.first_end_ns.unwrap_or(self.last_end_ns);
+        Ok(RunSummary {
+            frames: self.dashboard.frames_ended(),
+            measured: self.measured,
+            ends_s: (self.last_end_ns - first_end_ns) as f64 * 1e-9,
+            sweep: self.sweep.as_ref().and_then(SweepWatch::report),
+        })
+    }
+}

@@ -1,0 +1,45 @@
+//! How often a running pipeline searches each part of the sphere.
+
+use flockeye_config::Resolved;
+use flockeye_contract::{Detections, Plans};
+use flockeye_record::sweep::{Sweep, SweepReport};
+use flockeye_runtime::ports::{PortError, Ports, Subscriber};
+
+/// A [`Sweep`] of a running pipeline.
+pub struct SweepWatch {
+    plans: Subscriber<Plans>,
+    detections: Subscriber<Detections>,
+    sweep: Sweep,
+}
+
+impl SweepWatch {
+    /// Subscribes to plans and detection records. `None` where the search mode sweeps nothing.
+    ///
+    /// # Errors
+    /// The topics have no room for another reader, or the configuration cannot be used.
+    pub fn open(resolved: &Resolved, ports: &mut Ports) -> anyhow::Result<Option<Self>> {
+        let Some(sweep) = Sweep::of(resolved)? else { return Ok(None) };
+        let (plans, detections) = (ports.subscriber()?, ports.subscriber()?);
+        Ok(Some(Self { plans, detections, sweep }))
+    }
+
+    /// Takes the messages that have come.
+    ///
+    /// # Errors
+    /// The topics cannot be read.
+    pub fn receive(&mut self) -> Result<(), PortError> {
+        // Plans first, because records refer to them.
+        while let Some(plan) = self.plans.receive()? {
+            self.sweep.plan(plan.header.plan_id, plan.items());
+        }
+        while let Some(record) = self.detections.receive()? {
+            self.sweep.searched(&record.header);
+        }
+        Ok(())
+    }
+
+    /// See [`Sweep::report`].
+    pub fn report(&self) -> Option<SweepReport> {
+        self.sweep.report()
+    }
+}

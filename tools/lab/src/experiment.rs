@@ -1,0 +1,54 @@
+//! `flockeye experiment`: the paper's tables again, and how consistent covariances are. Each flight is
+//! a lossless run of the whole pipeline, in an instance of its own.
+
+mod comparison;
+mod consistency;
+mod laboratory;
+mod partitions;
+mod search;
+
+use clap::{Args, Subcommand};
+use flockeye_cli::Screen;
+use serde::Serialize;
+
+use comparison::ComparisonArguments;
+use consistency::ConsistencyArguments;
+
+/// Arguments of `experiment`.
+#[derive(Debug, Args)]
+pub struct ExperimentArguments {
+    /// Which experiment.
+    #[command(subcommand)]
+    kind: ExperimentKind,
+}
+
+/// The experiments.
+#[derive(Debug, Subcommand)]
+enum ExperimentKind {
+    /// The paper's Table I: 6, 12 and 24 views, with its partitions and ours.
+    Partitions(ComparisonArguments),
+    /// The paper's Table II: how a frame is searched, its two ways and ours.
+    Search(ComparisonArguments),
+    /// Whether errors are as large as their covariances say, over many simulated flights.
+    Consistency(ConsistencyArguments),
+}
+
+/// Runs an experiment.
+///
+/// # Errors
+/// The configuration is wrong, there is no truth, or a flight fails.
+pub fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
+    match &arguments.kind {
+        ExperimentKind::Partitions(arguments) => show(&partitions::run(arguments)?, arguments.json),
+        ExperimentKind::Search(arguments) => show(&search::run(arguments)?, arguments.json),
+        ExperimentKind::Consistency(arguments) => {
+            show(&consistency::run(arguments)?, arguments.json)
+        }
+    }
+}
+
+fn show<T: Serialize + ToString>(found: &T, json: bool) -> anyhow::Result<()> {
+    let text = if json { serde_json::to_string(found)? } else { found.to_string() };
+    Screen::new().line(&text);
+    Ok(())
+}

@@ -1,0 +1,141 @@
+//! Flights one after another, each a lossless run of the whole pipeline.
+
+use std::collections::BTreeSet;
+use std::ffi::OsString;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+
+use anyhow::{Context, bail, ensure};
+use flockeye_cli::{Configuration, FlowChoice, Screen, signals};
+use flockeye_config::Pipeline;
+use flockeye_record::{FrameTimes, PoseRow, TruthRow, read};
+
+use crate::up_process;
+
+/// What the flights of an experiment have in common.
+pub(super) struct Laboratory<'a> {
+    configuration: &'a Configuration,
+    /// Settings that the user's override.
+    defaults: Vec<String>,
+    frames: u64,
+    stopping: Arc<AtomicBool>,
+    screen: Screen,
+}
+
+/// A flight that is not flown yet.
+pub(super) struct FlightPlan {
+    /// Its configuration.
+    pub(super) pipeline: Pipeline,
+    /// The arguments that give `flockeye up` this configuration.
+    arguments: Vec<OsString>,
+}
+
+/// What was recorded of a flight.
+#[derive(Debug, Clone, Default)]
+pub(super) struct FlightRecord {
+    /// Every pose of the frames that ended, and of no other frame.
+    pub(super) poses: Vec<PoseRow>,
+    /// The truth, if the source has one; also of frames that did not end.
+    pub(super) truth: Vec<TruthRow>,
+    /// Numbers of the frames that ended.
+    pub(super) frames: BTreeSet<u64>,
+    /// From each frame's publication to its end, summed, seconds.
+    pub(super) work_s: f64,
+    /// From the first frame's end to the last one's, seconds.
+    pub(super) ends_s: f64,
+}
+
+impl FlightRecord {
+    fn new(mut poses: Vec<PoseRow>, truth: Vec<TruthRow>, times: &[FrameTimes]) -> Self {
+        let frames: BTreeSet<u64> = times.iter().map(|times| times.frame).collect();
+        poses.retain(|row| frames.contains(&row.frame));
+        let ends = times.first().zip(times.last());
+        let ends_ns = ends.map_or(0, |(first, last)| last.ended_ns.saturating_sub(first.ended_ns));
+        let work_s = times.iter().map(FrameTimes::work_s).sum();
+        Self { poses, truth, frames, work_s, ends_s: ends_ns as f64 * 1e-9 }
+    }
+}
+
+impl<'a> Laboratory<'a> {
+    /// Flights of at most so many frames. Progress is shown unless the result is JSON.
+    pub(super) fn new(
+        configuration: &'a Configuration,
+        defaults: &[&str],
+        frames: u64,
+        json: bool,
+    ) -> anyhow::Result<Self> {
+        ensure!(
+            configuration.flow != Some(FlowChoice::Latest),
+            "an experiment works on every frame. Cure: leave out --flow latest"
+        );
+        Ok(Self {
+            configuration,
+            defaults: defaults.iter().map(|setting| (*setting).to_owned()).collect(),
+            frames,
+            stopping: signals::stop_flag()?,
+            screen: if json { Screen::muted() } else { Screen::new() },
+        })
+    }
+
+    /// A flight with settings that override the user's.
+    pub(super) fn plan(&self, fixed: &[String]) -> anyhow::Result<FlightPlan> {
+        static FLIGHTS: AtomicU32 = AtomicU32::new(0);
+        let flight = FLIGHTS.fetch_add(1, Ordering::Relaxed);
+        let own = [
+            "flow=lossless".to_owned(),
+            "gateway.enabled=false".to_owned(),
+            format!("instance=x{}-{flight}", std::process::id()),
+            format!("simulator.frames={}", self.frames),
+        ];
+        let fixed = [&own, fixed].concat();
+        Ok(FlightPlan {
+            pipeline: self.configuration.load_with(&self.defaults, &fixed)?,
+            arguments: self.configuration.to_arguments(&self.defaults, &fixed),
+        })
+    }
+
+    /// Flies once. `what` names the flight.
+    pub(super) fn fly(&mut self, what: &str, plan: &FlightPlan) -> anyhow::Result<FlightRecord> {
+        if self.screen.is_live() {
+            self.screen.table(&format!("{what} ..."));
+        }
+        let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
+        let [poses, truth, times] =
+            ["poses.csv", "truth.csv", "frame-times.csv"].map(|name| folder.path().join(name));
+        let mut arguments: Vec<OsString> = vec!["--frames".into(), self.frames.to_string().into()];
+        for (option, file) in [("--poses", &poses), ("--truth", &truth), ("--frame-times", &times)]
+        {
+            arguments.extend([option.into(), file.into()]);
+        }
+        arguments.extend_from_slice(&plan.arguments);
+        let log = up_process::run_quietly(what, &arguments, &self.stopping)?;
+        if self.stopping.load(Ordering::Relaxed) {
+            bail!("stopped");
+        }
+        let times: Vec<FrameTimes> = read(&times)?;
+        ensure!(!times.is_empty(), "{log}{what}: no frame was searched to its end");
+        Ok(FlightRecord::new(read(&poses)?, read(&truth)?, &times))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::evaluation::samples::pose_at;
+    use flockeye_contract::TrackState;
+    use nalgebra::Vector3;
+
+    #[test]
+    fn a_record_has_the_frames_that_ended_and_their_times() {
+        let pose = |frame| pose_at(frame, Vector3::x(), TrackState::Confirmed);
+        let times = |frame, published_ns, ended_ns| FrameTimes { frame, published_ns, ended_ns };
+        let times =
+            [times(0, 1_000_000_000, 1_500_000_000), times(2, 2_000_000_000, 2_250_000_000)];
+        let record = FlightRecord::new([0, 1, 2].map(pose).into(), Vec::new(), &times);
+        let frames: Vec<u64> = record.poses.iter().map(|pose| pose.frame).collect();
+        assert_eq!(frames, [0, 2]);
+        assert_eq!(record.frames, BTreeSet::from([0, 2]));
+        assert!((record.work_s - 0.75).abs() < 1e-12 && (record.ends_s - 0.75).abs() < 1e-12);
+        assert!(FlightRecord::new(Vec::new(), Vec::new(), &[]).frames.is_empty());
+    }
+}

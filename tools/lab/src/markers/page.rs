@@ -1,0 +1,78 @@
+//! What is on a sheet, in millimetres from its top left corner.
+
+use clap::ValueEnum;
+
+/// Paper sizes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Paper {
+    /// 210 x 297 mm.
+    A4,
+    /// 215.9 x 279.4 mm.
+    Letter,
+    /// 297 x 420 mm.
+    A3,
+}
+
+impl Paper {
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::A4 => "a4",
+            Self::Letter => "letter",
+            Self::A3 => "a3",
+        }
+    }
+
+    /// Width and height, millimetres.
+    pub fn size_mm(self) -> [f64; 2] {
+        match self {
+            Self::A4 => [210.0, 297.0],
+            Self::Letter => [215.9, 279.4],
+            Self::A3 => [297.0, 420.0],
+        }
+    }
+}
+
+/// A sheet.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Page {
+    /// Width and height, millimetres.
+    pub size_mm: [f64; 2],
+    /// What is on it, the lowest first. The sheet itself is white.
+    pub shapes: Vec<Shape>,
+}
+
+/// Something drawn.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Shape {
+    /// A black area with holes: the loops are filled by the even-odd rule.
+    Black(Vec<Vec<[f64; 2]>>),
+    /// A closed grey line of a fifth of a millimetre: where to cut.
+    Outline {
+        /// Its corners.
+        corners: Vec<[f64; 2]>,
+    },
+    /// A text, from the left end of its baseline.
+    Text {
+        /// Where.
+        at: [f64; 2],
+        /// Its height.
+        height_mm: f64,
+        /// ASCII.
+        text: String,
+    },
+}
+
+impl Shape {
+    /// The shape moved by so many millimetres.
+    pub fn moved(&self, [x, y]: [f64; 2]) -> Self {
+        let place = |points: &[[f64; 2]]| points.iter().map(|p| [p[0] + x, p[1] + y]).collect();
+        match self {
+            Self::Black(loops) => Self::Black(loops.iter().map(|points| place(points)).collect()),
+            Self::Outline { corners } => Self::Outline { corners: place(corners) },
+            Self::Text { at, height_mm, text } => {
+                Self::Text { at: [at[0] + x, at[1] + y], height_mm: *height_mm, text: text.clone() }
+            }
+        }
+    }
+}

@@ -1,0 +1,137 @@
+//! Arguments of `partition`.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use flockeye_geometry::partition::{FEWEST, MOST, Method, PartitionError, STORED_SEED, Weights};
+
+/// Arguments of `partition`.
+#[derive(Debug, Args)]
+pub struct PartitionArguments {
+    /// Numbers of views, from 4 to 128: 12, 6,12,24 or 4..32 (inclusive).
+    #[arg(long, default_value = "4..32", value_parser = counts)]
+    pub counts: ViewCounts,
+    /// covering: the smallest circles. paper: spread points, then grow circles.
+    #[arg(long, default_value = "covering")]
+    pub method: PartitionMethod,
+    /// Weights of the number of views, their pixels and their distortion in the cost.
+    #[arg(long, value_name = "A1,A2,A3", value_parser = weights)]
+    pub weights: Option<Weights>,
+    /// Anything up to this width lies wholly in one view, degrees; a marker of 5 cm at 40 cm is 7.15.
+    #[arg(long, value_name = "DEGREES", default_value_t = 7.15)]
+    pub margin: f64,
+    /// Pixels in a row of the sphere image.
+    #[arg(long, value_name = "PIXELS", default_value_t = 3840, value_parser = clap::value_parser!(u32).range(64..=16384))]
+    pub width: u32,
+    /// Another random start; coverings by up to 32 circles are stored for 1.
+    #[arg(long, default_value_t = STORED_SEED)]
+    pub seed: u64,
+    /// Compute stored partitions again.
+    #[arg(long)]
+    pub compute: bool,
+    /// JSON with directions and rolls instead of a table.
+    #[arg(long)]
+    pub json: bool,
+    /// Draw the paper's figure: number of views against pixels, both methods.
+    #[arg(long, value_name = "FILE.svg")]
+    pub svg: Option<PathBuf>,
+    /// Draw the (first) partition's circles and views on the sphere and on the sphere image.
+    #[arg(long, value_name = "FILE.svg")]
+    pub picture: Option<PathBuf>,
+}
+
+/// Numbers of views.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ViewCounts(pub Vec<usize>);
+
+/// How the directions of a partition are found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum PartitionMethod {
+    /// The smallest circles.
+    Covering,
+    /// Spread points, then grow circles.
+    Paper,
+}
+
+impl From<PartitionMethod> for Method {
+    fn from(method: PartitionMethod) -> Self {
+        match method {
+            PartitionMethod::Covering => Self::Covering,
+            PartitionMethod::Paper => Self::Paper,
+        }
+    }
+}
+
+/// Reads numbers of views: `12`, `6,12,24`, `4..32`.
+///
+/// # Errors
+/// What is wrong with it.
+pub fn counts(text: &str) -> Result<ViewCounts, String> {
+    let number = |text: &str| {
+        let number = text.trim().parse::<usize>();
+        let number =
+            number.map_err(|_| format!("'{text}' is no number: write 12, 6,12,24 or 4..32"))?;
+        let is_allowed = (FEWEST..=MOST).contains(&number);
+        is_allowed.then_some(number).ok_or(PartitionError::Count { count: number }.to_string())
+    };
+    let mut counts = Vec::new();
+    for part in text.split(',') {
+        match part.split_once("..") {
+            Some((first, last)) => {
+                let (first, last) = (number(first)?, number(last)?);
+                if first > last {
+                    return Err(format!("{first}..{last} is empty: write {last}..{first}"));
+                }
+                counts.extend(first..=last);
+            }
+            None => counts.push(number(part)?),
+        }
+    }
+    Ok(ViewCounts(counts))
+}
+
+/// Reads weights: `0.2,0.02,0.78`.
+///
+/// # Errors
+/// What is wrong with them.
+pub fn weights(text: &str) -> Result<Weights, String> {
+    let numbers = text.split(',').map(|part| part.trim().parse::<f64>());
+    let numbers = numbers.collect::<Result<Vec<_>, _>>().ok();
+    let numbers = numbers.and_then(|numbers| <[f64; 3]>::try_from(numbers).ok());
+    let numbers =
+        numbers.ok_or_else(|| format!("'{text}' must be three numbers, as in 0.2,0.02,0.78"))?;
+    Weights::new(numbers).map_err(|error| error.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn counts_are_numbers_lists_and_ranges() {
+        assert_eq!(counts("12").unwrap().0, [12]);
+        assert_eq!(counts("6, 12,24").unwrap().0, [6, 12, 24]);
+        assert_eq!(counts("4..6,128").unwrap().0, [4, 5, 6, 128]);
+        for (text, wanted) in [
+            ("3..8", "4 to 128 views, not 3"),
+            ("4..129", "not 129"),
+            ("8..4", "write 4..8"),
+            ("", "write 12"),
+            ("4..", "write 12"),
+            ("-5", "write 12"),
+            ("4..x", "'x' is no number"),
+        ] {
+            let error = counts(text).unwrap_err();
+            assert!(error.contains(wanted), "{text:?}: {error}");
+        }
+    }
+
+    #[test]
+    fn weights_are_three_shares() {
+        assert_eq!(weights("0.2, 0.02, 0.78").unwrap(), Weights::default());
+        assert!(weights("0.2,0.8").unwrap_err().contains("three numbers"));
+        assert!(weights("a,b,c").unwrap_err().contains("three numbers"));
+        assert!(weights("0.5,0.5,0.5").unwrap_err().contains("sum to 1"));
+    }
+}
