@@ -8,10 +8,12 @@
 //!
 //! Everything here is data and the check that it is what it says ([`Topic::check`]); how it is
 //! transported is the runtime's business. `docs/CONTRACT.md` describes the same bytes for writers
-//! in other languages, and the tests of [`layout`] pin every offset of it.
+//! in other languages; the tests of `layout` and `documents` pin every offset, code and version in it.
 
 mod codes;
 mod detection;
+#[cfg(test)]
+mod documents;
 mod frame;
 mod health;
 #[cfg(test)]
@@ -25,8 +27,8 @@ mod view;
 pub mod wire;
 
 pub use codes::{
-    MeasuredBy, PixelFormat, Projection, Range, SearchMode, StageState, StopReason, StopRule,
-    TrackState, Transfer, UnknownCode, ViewKind,
+    MeasuredBy, PixelFormat, Projection, Range, Search, SearchMode, StageState, StopReason,
+    StopRule, TrackState, Transfer, UnknownCode, ViewKind,
 };
 pub use detection::{DetectedMarker, DetectionHeader, MAX_DETECTED_MARKERS};
 pub use frame::{FrameHeader, FrameStamp};

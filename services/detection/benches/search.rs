@@ -7,9 +7,9 @@ mod shared;
 use std::time::Instant;
 
 use criterion::{Criterion, criterion_group};
-use flockeye_contract::ViewKind;
+use flockeye_contract::{Search, ViewKind};
 use flockeye_detection::candidates::Finder;
-use flockeye_detection::stage::thresholds;
+use flockeye_detection::windows::thresholds;
 use flockeye_detection::{Detector, DetectorParameters, Threshold};
 use flockeye_geometry::view::View;
 use flockeye_imaging::edges::Effort;
@@ -31,7 +31,7 @@ const TURNS: usize = 15;
 /// As the stage searches a partition.
 fn parameters() -> DetectorParameters {
     DetectorParameters {
-        thresholds: thresholds(ViewKind::Partition.code(), 1.0),
+        thresholds: thresholds(ViewKind::Partition, Search::AllWindows, 1.0).collect(),
         effort: Effort::Edges,
         ..DetectorParameters::default()
     }

@@ -20,7 +20,7 @@ mod polygon;
 mod reading;
 pub mod stage;
 mod three_corners;
-mod turns;
+pub mod windows;
 
 use flockeye_dictionary::DictionaryError;
 

@@ -1,7 +1,8 @@
 //! The ports around detection.
 
 use flockeye_contract::{
-    DetectedMarker, DetectionHeader, Detections, MAX_DETECTED_MARKERS, ViewHeader, ViewKind, Views,
+    DetectedMarker, DetectionHeader, Detections, MAX_DETECTED_MARKERS, Search, ViewHeader,
+    ViewKind, Views,
 };
 use flockeye_geometry::body::Bodies;
 use flockeye_imaging::edges::Effort;
@@ -11,9 +12,9 @@ use flockeye_runtime::ports::{Message, Ports, Publisher, Subscriber};
 use flockeye_runtime::{Context, Stage, Step, clock};
 use flockeye_viewing::{Lights, image_of, view_of};
 
-use crate::detector::{Detector, DetectorParameters, Found, Threshold};
+use crate::detector::{Detector, DetectorParameters, Found};
 use crate::keep_plausible;
-use crate::turns::Turns;
+use crate::windows::thresholds;
 
 /// Markers in one record: as many as the topic has room for, and below the contract's limit.
 const MAX_MARKERS: usize = 64;
@@ -24,8 +25,6 @@ pub struct DetectionStage {
     views: Subscriber<Views>,
     detections: Publisher<Detections>,
     detector: Detector,
-    /// Where the sphere is swept again and again.
-    turns: Option<Turns>,
     bodies: Bodies,
     lights: Lights,
     /// The sphere image's own resolution.
@@ -60,7 +59,6 @@ impl Stage for DetectionStage {
             views: ports.subscriber_of_lane(context.identity.replica as usize)?,
             detections: ports.publisher()?,
             detector,
-            turns: pipeline.sweeps_by_turns().then(Turns::default),
             bodies,
             lights: Lights::new(pipeline.measured_response()?)?,
             pixels_per_radian: context.pipeline.camera_model()?.pixels_per_radian(),
@@ -85,9 +83,9 @@ impl DetectionStage {
         let received_ns = clock::monotonic_ns();
         let header = message.header;
         // Fusion looks at its pixels alone.
-        let outcome = match header.unsearched {
-            0 => self.find(&header, message.items()),
-            _ => Ok(Vec::new()),
+        let outcome = match Search::try_from(header.search)? {
+            Search::Nothing => Ok(Vec::new()),
+            search => self.find(&header, search, message.items()),
         };
         let failed = u32::from(outcome.is_err());
         let mut found = outcome.unwrap_or_else(|error| {
@@ -120,40 +118,20 @@ impl DetectionStage {
         Ok(self.detections.send(record, &markers)?)
     }
 
-    fn find(&mut self, header: &ViewHeader, pixels: &[u8]) -> anyhow::Result<Vec<Found>> {
+    fn find(
+        &mut self,
+        header: &ViewHeader,
+        search: Search,
+        pixels: &[u8],
+    ) -> anyhow::Result<Vec<Found>> {
         let (image, view) = (image_of(header, pixels)?, view_of(header));
         let magnification = header.focal_px / self.pixels_per_radian;
-        let mut thresholds = thresholds(header.kind, magnification);
-        if let Some(turns) = &mut self.turns
-            && header.kind == ViewKind::Partition.code()
-        {
-            thresholds = turns.take(header.partition, &thresholds);
-        }
-        self.detector.set_thresholds(thresholds)?;
+        let kind = ViewKind::try_from(header.kind)?;
+        self.detector.set_thresholds(thresholds(kind, search, magnification).collect())?;
         self.detector.set_magnification(magnification);
         let found = self.detector.detect(&image, &view, self.lights.of(header)?);
         Ok(keep_plausible(found, &self.bodies))
     }
-}
-
-/// Windows of the local threshold, pixels of the sphere's own resolution, and how much darker than
-/// its window a pixel of a marker is.
-///
-/// Lens blur is of a fixed size on the sphere, so what separates a marker from its surroundings is
-/// too: windows grow with a view's magnification. A small one finds markers in the shade and beside
-/// dark things, a large one those in bright light. Gaze views are small, and worth more passes.
-const PARTITION_WINDOWS: &[(f64, u8)] = &[(7.0, 4), (31.0, 10)];
-const GAZE_WINDOWS: &[(f64, u8)] = &[(5.5, 4), (7.5, 4), (15.0, 6), (31.0, 10)];
-
-/// What is looked for in a view of this [`ViewKind`] and magnification.
-pub fn thresholds(kind: u32, magnification: f64) -> Vec<Threshold> {
-    let windows = if kind == ViewKind::Gaze.code() { GAZE_WINDOWS } else { PARTITION_WINDOWS };
-    let odd =
-        |window: f64| 2 * (window * magnification / 2.0).floor().clamp(1.0, 500.0) as usize + 1;
-    windows
-        .iter()
-        .map(|&(window, darker_by)| Threshold { window_px: odd(window), darker_by })
-        .collect()
 }
 
 fn detected(found: &Found) -> DetectedMarker {

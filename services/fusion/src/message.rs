@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use flockeye_contract as contract;
 use flockeye_contract::{
-    FrameStamp, MeasuredBy, NONE, Pose, StageLatency, StopRule, Track, TrackState, ViewHeader,
-    ViewKind,
+    FrameStamp, MeasuredBy, NONE, Pose, Search, StageLatency, StopRule, Track, TrackState,
+    ViewHeader, ViewKind,
 };
 use flockeye_geometry::body::Body;
 use flockeye_geometry::filter::{self, Prediction};
@@ -25,8 +25,28 @@ pub fn seconds(stamp: &FrameStamp) -> f64 {
 /// What a view says it was cut for.
 pub fn purpose_stated(view: &ViewHeader) -> Option<Purpose> {
     match ViewKind::try_from(view.kind).ok()? {
-        ViewKind::Partition => Some(Purpose::Partition(view.partition as usize)),
+        ViewKind::Partition => Some(Purpose::Partition(view.tile as usize)),
+        ViewKind::HighResolution => Some(Purpose::HighResolution(view.tile as usize)),
         ViewKind::Gaze => Some(Purpose::Gaze(view.target as usize)),
+    }
+}
+
+/// How a view is searched. An unknown code, which no checked view has, counts as all windows.
+pub fn search_stated(view: &ViewHeader) -> search::Search {
+    match Search::try_from(view.search).unwrap_or(Search::AllWindows) {
+        Search::AllWindows => search::Search::AllWindows,
+        Search::FineWindow => search::Search::FineWindow,
+        Search::CoarseWindow => search::Search::CoarseWindow,
+        Search::Nothing => search::Search::Nothing,
+    }
+}
+
+fn search_code(search: search::Search) -> Search {
+    match search {
+        search::Search::AllWindows => Search::AllWindows,
+        search::Search::FineWindow => Search::FineWindow,
+        search::Search::CoarseWindow => Search::CoarseWindow,
+        search::Search::Nothing => Search::Nothing,
     }
 }
 
@@ -114,8 +134,8 @@ fn row_major(matrix: &Matrix6<f64>) -> [f64; 36] {
     std::array::from_fn(|k| matrix[(k / 6, k % 6)])
 }
 
-/// The views of a plan; gaze views carry their neighbour's prediction. `needs_no_markers` says whose are
-/// not searched.
+/// The views of a plan; regions of interest carry their neighbour's prediction. `needs_no_markers` says
+/// of which neighbours' only the pixels are wanted.
 pub fn planned_views(
     plan: &Plan,
     predictions: &BTreeMap<usize, Prediction>,
@@ -126,9 +146,11 @@ pub fn planned_views(
         .iter()
         .take(contract::MAX_PLANNED_VIEWS)
         .map(|planned| {
-            let is_unsearched =
-                matches!(planned.purpose, Purpose::Gaze(target) if needs_no_markers(target));
-            planned_view(planned, predictions, reference_ns, is_unsearched)
+            let search = match planned.purpose {
+                Purpose::Gaze(target) if needs_no_markers(target) => Search::Nothing,
+                _ => search_code(planned.search),
+            };
+            planned_view(planned, predictions, reference_ns, search)
         })
         .collect()
 }
@@ -137,15 +159,16 @@ fn planned_view(
     planned: &PlannedView,
     predictions: &BTreeMap<usize, Prediction>,
     reference_ns: i64,
-    is_unsearched: bool,
+    search: Search,
 ) -> contract::PlannedView {
-    let (kind, partition, target) = match planned.purpose {
-        Purpose::Partition(partition) => (ViewKind::Partition, partition as u32, NONE),
+    let (kind, tile, target) = match planned.purpose {
+        Purpose::Partition(tile) => (ViewKind::Partition, tile as u32, NONE),
+        Purpose::HighResolution(tile) => (ViewKind::HighResolution, tile as u32, NONE),
         Purpose::Gaze(target) => (ViewKind::Gaze, NONE, target as u32),
     };
     let prediction = match planned.purpose {
         Purpose::Gaze(target) => predictions.get(&target),
-        Purpose::Partition(_) => None,
+        Purpose::Partition(_) | Purpose::HighResolution(_) => None,
     };
     contract::PlannedView {
         camera_from_view: planned.view.camera_from_view.coords.into(),
@@ -156,10 +179,10 @@ fn planned_view(
             .map_or_else(Pose::default, |prediction| pose(&prediction.observer_from_target)),
         size_px: planned.view.size_px,
         kind: kind.code(),
-        partition,
+        tile,
         target,
         has_prediction: u32::from(prediction.is_some()),
-        unsearched: u32::from(is_unsearched),
+        search: search.code(),
     }
 }
 

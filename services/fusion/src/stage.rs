@@ -22,7 +22,7 @@ use nalgebra::Isometry3;
 use crate::alignment::{Aligner, Pace};
 use crate::assembly::{Assembly, Frame, Leave, Record};
 use crate::gallery::{FrameOrder, Gallery};
-use crate::message::{self, Cause, purpose_stated, seconds};
+use crate::message::{self, Cause, purpose_stated, search_stated, seconds};
 use crate::parallax::Parallax;
 use crate::pictures::{best_views, glimpses};
 use crate::settings::{filter_choice, mode_code, search_mode};
@@ -87,7 +87,8 @@ impl Stage for FusionStage {
             views,
             pipeline.gaze_options()?,
         )?
-        .with_far_views(pipeline.far_views()?)
+        .with_high_resolution_tiles(pipeline.far_views()?)
+        .with_alternating_windows(pipeline.sweeps_by_turns())
         .with_mask(pipeline.mask()?);
         if planner.hidden_partitions() > 0 {
             tracing::info!(
@@ -247,7 +248,7 @@ impl FusionStage {
             }
             let purpose = purpose_stated(&header);
             if let Some(purpose) = purpose {
-                self.swarm.note_cut(purpose);
+                self.swarm.note_cut(purpose, search_stated(&header));
             }
             if self.aligns {
                 self.gallery.add(header, message);

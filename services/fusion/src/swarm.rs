@@ -12,7 +12,9 @@ use std::sync::Arc;
 use flockeye_contract::ViewHeader;
 use flockeye_geometry::body::Bodies;
 use flockeye_geometry::filter::{Prediction, TrackPolicy};
-use flockeye_geometry::search::{Plan, Planner, PredictedNeighbour, Purpose, Searched, StopRule};
+use flockeye_geometry::search::{
+    Plan, Planner, PredictedNeighbour, Purpose, Search, Searched, StopRule,
+};
 use nalgebra::Isometry3;
 
 use crate::alignment::{Aligner, BestView, Pace};
@@ -112,7 +114,7 @@ impl Swarm {
             FilterChoice::Tracks(policy) => policy,
             FilterChoice::None => TrackPolicy::default(),
         };
-        let searched = Searched::new(planner.sweep_len());
+        let searched = planner.nothing_searched();
         Self {
             neighbours: bodies.iter().map(|body| Neighbour::new(body.clone(), policy)).collect(),
             filter,
@@ -274,8 +276,9 @@ impl Swarm {
     }
 
     /// A view was cut: it will be searched, and so need not be asked for in a plan that is made meanwhile.
-    pub fn note_cut(&mut self, purpose: Purpose) {
+    pub fn note_cut(&mut self, purpose: Purpose, search: Search) {
         self.searched.record(self.frames, purpose);
+        self.searched.record_window(purpose, search);
     }
 
     /// Notes what was searched and hit, and starts afresh for the next frame.
@@ -283,7 +286,7 @@ impl Swarm {
         // Views that came were noted then.
         for index in frame.records.keys().filter(|index| !frame.views.contains_key(index)) {
             if let Some(&purpose) = purposes.get(index) {
-                self.note_cut(purpose);
+                self.searched.record(self.frames, purpose);
             }
         }
         let first_hit = counted.iter().find(|record| record.header.hits > 0);

@@ -156,14 +156,14 @@ fn search(pipeline: &Pipeline, partitions: usize) -> anyhow::Result<String> {
     let frames = |count: usize| if far.is_empty() { count } else { 2 * count }.div_ceil(each);
     let mut text = format!("{mode}, the partitions in turn");
     if let Some(px) = far.iter().map(|view| view.size_px).max() {
-        text += &format!(" with {} far views of {px} px", far.len());
+        text += &format!(" with {} high-resolution tiles of {px} px", far.len());
     }
     text += &format!(
         "; of a lossless frame {each}: each partition every {} frames",
         frames(partitions)
     );
     if !far.is_empty() {
-        text += &format!(", each far view every {}", frames(far.len()));
+        text += &format!(", each high-resolution tile every {}", frames(far.len()));
     }
     Ok(text)
 }

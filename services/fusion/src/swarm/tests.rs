@@ -244,7 +244,7 @@ fn what_is_being_searched_is_not_asked_for_again() {
     let mut asked = BTreeSet::new();
     for _ in 0..5 {
         let next = partition(&swarm);
-        swarm.note_cut(next);
+        swarm.note_cut(next, Search::FineWindow);
         asked.insert(format!("{next:?}"));
     }
     assert_eq!(asked.len(), 5, "{asked:?}");
