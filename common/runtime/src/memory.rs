@@ -7,9 +7,10 @@ use std::fmt;
 use std::time::Duration;
 
 use flockeye_contract::{
-    BodyTruth, DetectedMarker, Detections, FrameEnds, Frames, Healths, PlannedView, Plans, Topic,
-    Track, Tracks, Truths, Views,
+    BodyTruth, DetectedMarker, Detections, FrameEnds, Frames, Healths, MAX_PLANNED_VIEWS,
+    PlannedView, Plans, Topic, Track, Tracks, Truths, Views,
 };
+use flockeye_geometry::partition;
 
 use crate::config::{Flow, Pipeline};
 
@@ -122,6 +123,24 @@ pub fn held_views_best(pipeline: &Pipeline) -> usize {
     bodies.clamp(1, MAX_TRACKS) + 2
 }
 
+/// Frames that rectification has in flight: one that waits for answers, and one that is being cut.
+const FRAMES_IN_FLIGHT: usize = 2;
+
+/// Detection records of one worker that may wait for a subscriber, so that none is lost while fusion
+/// sleeps over the answers to all frames in flight. Each worker has a buffer of its own.
+///
+/// At worst one worker answers all views of those frames, because the others are stalled. A stalled worker
+/// that wakes up also answers its window of views that others have answered meanwhile.
+fn records_in_flight(pipeline: &Pipeline) -> usize {
+    let has_high_resolution =
+        pipeline.gazes() && pipeline.search.far_magnification > pipeline.partition_magnification();
+    let high_resolution_tiles = if has_high_resolution { *partition::STORED.end() } else { 0 };
+    // A configuration without a partition is refused elsewhere.
+    let tiles = pipeline.partition_count().unwrap_or(pipeline.partition.count.most());
+    let planned = (tiles + high_resolution_tiles + MAX_TRACKS).min(MAX_PLANNED_VIEWS);
+    FRAMES_IN_FLIGHT * planned + pipeline.rectification.window as usize
+}
+
 impl Budget {
     /// The limits that a configuration needs.
     pub fn of(pipeline: &Pipeline, largest_view_px: u32) -> Self {
@@ -182,8 +201,7 @@ impl Budget {
                 Ports {
                     publishers: workers,
                     subscribers: 4,
-                    // All answers to one frame wait where fusion is busy.
-                    buffer: 64.max(pipeline.partition.count.most() + MAX_TRACKS),
+                    buffer: records_in_flight(pipeline),
                     borrowed: 2,
                     history: 0,
                     loaned: 1,
@@ -354,13 +372,22 @@ mod tests {
     }
 
     #[test]
-    fn a_frames_answers_wait_whole() {
-        let overrides = ["partition.count=128".to_owned()];
-        let pipeline = Pipeline::parse("", &overrides, "x").unwrap();
-        let budget = Budget::of(&pipeline, pipeline.largest_view_px(0.05).unwrap());
-        assert!(budget.topic::<Detections>().buffer >= 128);
-        let planned = flockeye_contract::MAX_PLANNED_VIEWS;
-        assert!(128 + MAX_TRACKS <= planned);
+    fn the_answers_to_all_frames_in_flight_wait_whole() {
+        for overrides in [
+            vec![],
+            vec!["partition.count=128"],
+            vec!["search.mode=exhaustive"],
+            vec!["search.far_magnification=1", "rectification.window=16"],
+        ] {
+            let overrides: Vec<String> = overrides.into_iter().map(String::from).collect();
+            let pipeline = Pipeline::parse("", &overrides, "x").unwrap();
+            let budget = Budget::of(&pipeline, pipeline.largest_view_px(0.05).unwrap());
+            let tiles = pipeline.partition_views(0.05).unwrap().len();
+            let planned = tiles + pipeline.far_views().unwrap().len() + MAX_TRACKS;
+            assert!(planned <= MAX_PLANNED_VIEWS);
+            let late = pipeline.rectification.window as usize;
+            assert_eq!(budget.topic::<Detections>().buffer, 2 * planned + late, "{overrides:?}");
+        }
     }
 
     #[test]
