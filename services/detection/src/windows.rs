@@ -2,7 +2,15 @@
 
 use flockeye_contract::{Search, ViewKind};
 
-use crate::Threshold;
+/// A pixel is dark if it is darker than its surroundings by some code values.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Threshold {
+    /// Side of the square of surroundings whose mean counts, pixels; odd. From 15 px on the square is
+    /// made of blocks: it is up to a tenth smaller, and up to a fourteenth of its side off centre.
+    pub window_px: usize,
+    /// By how many code values the pixel must be darker; 1 or more.
+    pub darker_by: u8,
+}
 
 /// A window, in pixels of the sphere's own resolution, and by how many code values a marker's pixel is
 /// darker than the window's mean.
@@ -30,7 +38,7 @@ pub fn thresholds(
     kind: ViewKind,
     search: Search,
     magnification: f64,
-) -> impl Iterator<Item = Threshold> {
+) -> impl Iterator<Item = Threshold> + Clone {
     let windows = match kind {
         ViewKind::Partition | ViewKind::HighResolution => TILE_WINDOWS,
         ViewKind::Gaze => REGION_WINDOWS,
