@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from flockeye_contract import (
-    DETECTION, DRAINING, READY, STARTING,
+    DETECTION, DRAINING, READY, SEARCH_NOTHING, STARTING,
     DetectedMarker, DetectionHeader, HealthReporter, Instance, view,
 )  # fmt: skip
 
@@ -69,7 +69,8 @@ def marker(header, corners, marker_id):
 
 def search(detector, header, pixels):
     """The markers in a view, read in place."""
-    if header.unsearched:
+    # OpenCV has windows of its own; only views whose pixels alone are wanted are left out.
+    if header.search == SEARCH_NOTHING:
         return []
     rows = np.frombuffer(pixels, np.uint8)[: header.size_px * header.stride]
     image = rows.reshape(header.size_px, header.stride)[:, : header.size_px]

@@ -20,11 +20,12 @@ from pathlib import Path
 
 import iceoryx2 as iox2
 
-CONTRACT_VERSION = "2"
+CONTRACT_VERSION = "3"
 VERSION_ATTRIBUTE = "flockeye.contract"
 NONE = 0xFFFFFFFF
 
 TRACK_STATES = ["tentative", "confirmed", "coasting", "lost", "measured"]
+ALL_WINDOWS, FINE_WINDOW, COARSE_WINDOW, SEARCH_NOTHING = range(4)
 STARTING, READY, DRAINING, FINISHED, DEGRADED = range(5)
 HEALTH_PERIOD_S = 0.25
 
@@ -103,10 +104,10 @@ class PlannedView(Contract):
         ("predicted_camera_from_markers", Pose),
         ("size_px", c_uint32),
         ("kind", c_uint32),
-        ("partition", c_uint32),
+        ("tile", c_uint32),
         ("target", c_uint32),
         ("has_prediction", c_uint32),
-        ("unsearched", c_uint32),
+        ("search", c_uint32),
     ]
 
 
@@ -127,13 +128,13 @@ class ViewHeader(Contract):
         ("size_px", c_uint32),
         ("stride", c_uint32),
         ("kind", c_uint32),
-        ("partition", c_uint32),
+        ("tile", c_uint32),
         ("target", c_uint32),
         ("has_prediction", c_uint32),
         ("transfer", c_uint32),
         ("gamma", c_float),
         ("range", c_uint32),
-        ("unsearched", c_uint32),
+        ("search", c_uint32),
     ]
 
 

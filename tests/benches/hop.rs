@@ -17,7 +17,7 @@ use std::rc::Rc;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, ensure};
-use flockeye_config::Pipeline;
+use flockeye_config::{Pipeline, Resolved};
 use flockeye_contract::{FrameHeader, FrameStamp, Frames};
 use flockeye_geometry::statistics::{median, quantile};
 use flockeye_runtime::clock::monotonic_ns;
@@ -106,8 +106,8 @@ fn measure() -> anyhow::Result<()> {
 }
 
 /// The instance's limits: those of the default pipeline.
-fn budget() -> Budget {
-    Budget::of(&Pipeline::default(), 1024)
+fn budget() -> anyhow::Result<Budget> {
+    Ok(Budget::for_views_of(&Resolved::of(Pipeline::default())?, 1024))
 }
 
 fn node_of(instance: &Instance) -> anyhow::Result<Rc<Node<ipc::Service>>> {
@@ -166,8 +166,8 @@ fn through_ports(width: u32, height: u32) -> anyhow::Result<Hop> {
     let instance = Instance::named(&unique("hop"));
     let ownership = instance.take()?;
     let node = node_of(&instance)?;
-    let services = create_services::<Frames>(&node, budget().topic::<Frames>())?;
-    let ports = Ports::new(node, budget(), SharedCounters::default());
+    let services = create_services::<Frames>(&node, budget()?.topic::<Frames>())?;
+    let ports = Ports::new(node, budget()?, SharedCounters::default());
     let publisher = ports.publisher::<Frames>()?;
     let mut child = receiver("receive-frames", instance.name())?;
     wait_until_ready(&mut child)?;
@@ -194,7 +194,7 @@ fn through_ports(width: u32, height: u32) -> anyhow::Result<Hop> {
 
 fn receive_frames(instance: &str) -> anyhow::Result<()> {
     let instance = Instance::named(instance);
-    let mut ports = Ports::new(node_of(&instance)?, budget(), SharedCounters::default());
+    let mut ports = Ports::new(node_of(&instance)?, budget()?, SharedCounters::default());
     let mut frames = ports.subscriber::<Frames>()?;
     println!("ready");
     let mut latencies = Vec::with_capacity(MESSAGES + WARM_UP);

@@ -182,11 +182,11 @@ impl Meaning<'_> {
                 // A camera that cannot be is reported where it is written.
                 let Ok(camera) = resolve::camera(&pipeline.camera) else { return };
                 let near = division.views(pipeline, &camera).err();
-                let far = resolve::far_views(pipeline, &camera).err();
+                let far = resolve::high_resolution_tiles(pipeline, &camera).err();
                 for error in [near, far].into_iter().flatten() {
                     let path = match error {
                         SphereViewsError::TooLarge { .. } => "partition.count",
-                        SphereViewsError::FarTooLarge { .. } => "search.far_magnification",
+                        SphereViewsError::TilesTooLarge { .. } => "search.far_magnification",
                         SphereViewsError::Partition(_) => continue,
                     };
                     let text = error.to_string();

@@ -101,10 +101,26 @@ codes! {
 codes! {
     /// Why a view was cut.
     ViewKind, "view kind" {
-        /// One of the partitions of the sphere.
+        /// A tile of the sphere: one of the partition's views.
         Partition = 0,
-        /// A small view centred on where a neighbour is predicted.
+        /// A region of interest: a small view centred on where a neighbour is predicted.
         Gaze = 1,
+        /// A high-resolution tile: one of the finer tiles that show neighbours at long range.
+        HighResolution = 2,
+    }
+}
+
+codes! {
+    /// How a view is searched for markers.
+    Search, "search" {
+        /// With every threshold window that the detector has for views of this kind.
+        AllWindows = 0,
+        /// With the finest window alone, which finds most markers.
+        FineWindow = 1,
+        /// With the coarsest window alone, which finds bright markers that touch something dark.
+        CoarseWindow = 2,
+        /// Not at all: only the pixels are wanted. The view is acknowledged all the same.
+        Nothing = 3,
     }
 }
 

@@ -26,10 +26,10 @@ fn all_layouts() -> String {
         layout!(PlanHeader: after, plan_id, made_ns, has_after, generation, stop_rule, mode, view_budget,
             reserved),
         layout!(PlannedView: camera_from_view, rate_in_camera, reference_ns, focal_px,
-            predicted_camera_from_markers, size_px, kind, partition, target, has_prediction, unsearched),
+            predicted_camera_from_markers, size_px, kind, tile, target, has_prediction, search),
         layout!(ViewHeader: stamp, plan_id, taken_ns, issued_ns, camera_from_view, focal_px,
             predicted_camera_from_markers, readout_ns, generation, view_index, attempt, worker, size_px,
-            stride, kind, partition, target, has_prediction, transfer, gamma, range, unsearched),
+            stride, kind, tile, target, has_prediction, transfer, gamma, range, search),
         layout!(DetectionHeader: stamp, plan_id, taken_ns, issued_ns, received_ns, sent_ns, generation,
             view_index, attempt, worker, hits, failed),
         layout!(DetectedMarker: rays_in_camera, deviations, corners_in_view, id, doubtful),
@@ -139,6 +139,8 @@ fn senseless_plans_and_detections_are_refused() {
     assert!(refused(&|view| view.size_px = 16_000).contains("16000x16000"));
     assert!(refused(&|view| view.focal_px = f64::INFINITY).contains("focal length"));
     assert!(refused(&|view| view.rate_in_camera[1] = f64::NAN).contains("view rate"));
+    assert!(refused(&|view| view.search = 77).contains("unknown search code 77"));
+    assert!(refused(&|view| view.kind = 77).contains("unknown view kind code 77"));
     assert!(
         refused(&|view| (view.kind, view.target) = (ViewKind::Gaze.code(), u32::MAX))
             .contains("target")

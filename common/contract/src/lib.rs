@@ -7,11 +7,13 @@
 //! - **the network**, between drones: the JSON of [`wire`].
 //!
 //! This crate has the data and their validation ([`Topic::check`]); the runtime transports them.
-//! `docs/CONTRACT.md` describes the same bytes for stages in other languages, and the tests of [`layout`]
-//! pin every offset.
+//! `docs/CONTRACT.md` describes the same bytes for stages in other languages, and the tests of `layout`
+//! and `documents` pin every offset, code and version in it.
 
 mod codes;
 mod detection;
+#[cfg(test)]
+mod documents;
 mod error;
 mod frame;
 mod health;
@@ -27,8 +29,8 @@ mod view;
 pub mod wire;
 
 pub use codes::{
-    MeasuredBy, PixelFormat, Projection, Range, SearchMode, StageState, StopReason, StopRule,
-    TrackState, Transfer, UnknownCode, ViewKind,
+    MeasuredBy, PixelFormat, Projection, Range, Search, SearchMode, StageState, StopReason,
+    StopRule, TrackState, Transfer, UnknownCode, ViewKind,
 };
 pub use detection::{DetectedMarker, DetectionHeader, MAX_DETECTED_MARKERS};
 pub use error::ContractError;

@@ -4,7 +4,7 @@ use bytemuck::{Pod, Zeroable};
 use iceoryx2::prelude::ZeroCopySend;
 
 use crate::frame::MAX_SIDE_PX;
-use crate::{ContractError, FrameStamp, NONE, Pose, SearchMode, StopRule, ViewKind};
+use crate::{ContractError, FrameStamp, NONE, Pose, Search, SearchMode, StopRule, ViewKind};
 
 /// Header of a plan. Payload: its [`PlannedView`]s, in the order in which they are to be cut.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
@@ -34,8 +34,8 @@ pub struct PlanHeader {
 
 /// One view that a plan asks for.
 ///
-/// A gaze view turns with its neighbour: rectification rotates it from `reference_ns`
-/// to the frame's exposure with `rate_in_camera`.
+/// A region of interest follows its neighbour: rectification turns it from `reference_ns` to the
+/// frame's exposure with `rate_in_camera`.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
 #[type_name("flockeye/PlannedView")]
 #[repr(C)]
@@ -55,14 +55,14 @@ pub struct PlannedView {
     pub size_px: u32,
     /// A [`ViewKind`].
     pub kind: u32,
-    /// Index of the partition (far views are numbered behind the partitions), or [`NONE`].
-    pub partition: u32,
+    /// Index of the tile, counted from 0 in its own kind; [`NONE`] in a region of interest.
+    pub tile: u32,
     /// Index of the target's body in the configuration, or [`NONE`].
     pub target: u32,
     /// 1 if `predicted_camera_from_markers` holds.
     pub has_prediction: u32,
-    /// 1 if only its pixels are wanted, not its markers; copied into the view.
-    pub unsearched: u32,
+    /// A [`Search`], copied into the view.
+    pub search: u32,
 }
 
 /// Plans with more views than this are refused.
@@ -88,8 +88,14 @@ impl PlanHeader {
 }
 
 impl PlannedView {
+    /// Whether it is a tile of the sphere of either resolution, rather than a region of interest.
+    pub fn is_tile(&self) -> bool {
+        [ViewKind::Partition.code(), ViewKind::HighResolution.code()].contains(&self.kind)
+    }
+
     fn check(&self) -> Result<(), ContractError> {
         let kind = ViewKind::try_from(self.kind)?;
+        Search::try_from(self.search)?;
         check_view_geometry(&self.camera_from_view, self.focal_px, self.size_px)?;
         if !self.rate_in_camera.iter().all(|rate| rate.is_finite() && rate.abs() < 1e3) {
             return Err(ContractError::NotFinite { what: "view rate" });

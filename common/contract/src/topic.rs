@@ -11,7 +11,7 @@ use crate::{
 };
 
 /// Version of everything in this crate. A stage of another version is refused.
-pub const CONTRACT_VERSION: &str = "2";
+pub const CONTRACT_VERSION: &str = "3";
 
 /// The iceoryx2 service attribute that carries [`CONTRACT_VERSION`].
 pub const VERSION_ATTRIBUTE: &str = "flockeye.contract";

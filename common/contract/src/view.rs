@@ -5,7 +5,7 @@ use iceoryx2::prelude::ZeroCopySend;
 
 use crate::frame::{check_curve, check_image};
 use crate::plan::{MAX_VIEW_PX, check_view_geometry};
-use crate::{ContractError, FrameStamp, Pose, ViewKind};
+use crate::{ContractError, FrameStamp, Pose, Search, ViewKind};
 
 /// Header of a view. Payload: `stride * size_px` bytes of luma.
 ///
@@ -45,8 +45,8 @@ pub struct ViewHeader {
     pub stride: u32,
     /// A [`ViewKind`].
     pub kind: u32,
-    /// Index of the partition (far views are numbered behind the partitions), or [`crate::NONE`].
-    pub partition: u32,
+    /// Index of the tile, counted from 0 in its own kind; [`crate::NONE`] in a region of interest.
+    pub tile: u32,
     /// Index of the target's body in the configuration, or [`crate::NONE`].
     pub target: u32,
     /// 1 if `predicted_camera_from_markers` holds.
@@ -57,9 +57,8 @@ pub struct ViewHeader {
     pub gamma: f32,
     /// A [`crate::Range`].
     pub range: u32,
-    /// 1 if only its pixels are wanted, not its markers: a detector acknowledges such a view without
-    /// searching it.
-    pub unsearched: u32,
+    /// A [`Search`]: how it is searched for markers.
+    pub search: u32,
 }
 
 impl ViewHeader {
@@ -69,6 +68,7 @@ impl ViewHeader {
         check_view_geometry(&self.camera_from_view, self.focal_px, self.size_px)?;
         check_curve(self.transfer, self.gamma, self.range)?;
         ViewKind::try_from(self.kind)?;
+        Search::try_from(self.search)?;
         if self.view_index as usize >= crate::plan::MAX_PLANNED_VIEWS {
             return Err(ContractError::TooMany {
                 what: "views in a frame",

@@ -1,7 +1,7 @@
 //! Codes of the contract and the types of geometry and imaging that they stand for.
 
 use flockeye_contract as contract;
-use flockeye_contract::{Projection, Range, Transfer};
+use flockeye_contract::{Projection, Range, Transfer, ViewHeader};
 use flockeye_geometry::camera::{Camera, CameraModel};
 use flockeye_geometry::search;
 use flockeye_imaging::light::{CodeRange, TransferCurve};
@@ -39,5 +39,26 @@ pub fn stop_rule(rule: search::StopRule) -> contract::StopRule {
         search::StopRule::FirstHit => contract::StopRule::FirstHit,
         search::StopRule::All => contract::StopRule::All,
         search::StopRule::Deadline => contract::StopRule::Deadline,
+    }
+}
+
+/// How a view says that it is searched. An unknown code, which no checked view has, counts as all
+/// windows.
+pub fn search_of(view: &ViewHeader) -> search::Search {
+    match contract::Search::try_from(view.search) {
+        Ok(contract::Search::FineWindow) => search::Search::FineWindow,
+        Ok(contract::Search::CoarseWindow) => search::Search::CoarseWindow,
+        Ok(contract::Search::Nothing) => search::Search::Nothing,
+        Ok(contract::Search::AllWindows) | Err(_) => search::Search::AllWindows,
+    }
+}
+
+/// The contract's code of a way to search a view.
+pub fn search_code(search: search::Search) -> contract::Search {
+    match search {
+        search::Search::AllWindows => contract::Search::AllWindows,
+        search::Search::FineWindow => contract::Search::FineWindow,
+        search::Search::CoarseWindow => contract::Search::CoarseWindow,
+        search::Search::Nothing => contract::Search::Nothing,
     }
 }

@@ -2,6 +2,10 @@
 //!
 //! The orders are plain functions ([`greedy`], [`optimized`], [`least_recently_searched`],
 //! [`gaze_view`]); a [`Planner`] makes a [`Plan`] of them, from what [`Searched`] remembers.
+//!
+//! The sphere is covered by *tiles*, the partition's views, and beside them by *high-resolution
+//! tiles* for neighbours at long range. A tracked neighbour has a *region of interest*, a small view
+//! at where it is predicted.
 
 mod gaze;
 mod searched;
@@ -45,10 +49,25 @@ pub enum StopRule {
 /// Why a view is planned.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Purpose {
-    /// To search this partition.
+    /// To search this tile, by the index of its partition.
     Partition(usize),
-    /// To follow this target: the number of its body.
+    /// To search this high-resolution tile; they have indices of their own, from 0.
+    HighResolution(usize),
+    /// To follow this target, by the index of its body.
     Gaze(usize),
+}
+
+/// How a view is searched for markers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Search {
+    /// With every threshold window of the detector.
+    AllWindows,
+    /// With its finest window alone.
+    FineWindow,
+    /// With its coarsest window alone.
+    CoarseWindow,
+    /// Not at all: only the pixels are wanted.
+    Nothing,
 }
 
 /// One view of a plan.
@@ -58,8 +77,10 @@ pub struct PlannedView {
     pub view: View,
     /// Why.
     pub purpose: Purpose,
+    /// How it is searched for markers.
+    pub search: Search,
     /// How the view turns with what it follows: rotation vector a second, in the camera frame,
-    /// radians/s. Zero for partitions.
+    /// radians/s. Zero for tiles.
     pub rate_in_camera: Vector3<f64>,
 }
 
@@ -108,12 +129,29 @@ pub fn optimized(partition: &Partition, n: Option<usize>) -> Vec<usize> {
 pub struct Planner {
     mode: SearchMode,
     partition: Partition,
-    /// Those of the partition, then the far ones.
-    views: Vec<View>,
-    /// Views of which the camera sees nothing.
-    hidden: Vec<bool>,
+    tiles: Vec<Tile>,
+    high_resolution: Vec<Tile>,
     mask: Option<Mask>,
     gaze: GazeOptions,
+    alternates_windows: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Tile {
+    view: View,
+    /// Whether the camera sees nothing of it.
+    is_hidden: bool,
+}
+
+impl Tile {
+    fn new(view: View, mask: Option<&Mask>) -> Self {
+        Self { view, is_hidden: mask.is_some_and(|mask| mask.hides_view(&view)) }
+    }
+}
+
+/// Indices of the tiles of which the camera sees something.
+fn visible(tiles: &[Tile]) -> impl Iterator<Item = usize> {
+    tiles.iter().enumerate().filter(|(_, tile)| !tile.is_hidden).map(|(index, _)| index)
 }
 
 /// Why a planner could not be made.
@@ -154,40 +192,52 @@ impl Planner {
             return Err(PlannerError::Views { views: views.len(), partitions: partition.len() });
         }
         gaze.check()?;
-        let hidden = vec![false; views.len()];
-        Ok(Self { mode, partition, views, hidden, mask: None, gaze })
+        let tiles = views.into_iter().map(|view| Tile::new(view, None)).collect();
+        Ok(Self {
+            mode,
+            partition,
+            tiles,
+            high_resolution: Vec::new(),
+            mask: None,
+            gaze,
+            alternates_windows: false,
+        })
     }
 
-    /// Sweeps the sphere in the mode [`SearchMode::Gaze`] with these views too, which show it at a
-    /// higher resolution, for neighbours that are too far for the partition's own. As
-    /// [`Purpose::Partition`] they are numbered behind those.
-    pub fn with_far_views(mut self, far_views: Vec<View>) -> Self {
-        self.views.truncate(self.partition.len());
-        self.views.extend(far_views);
-        self.hide();
+    /// In the mode [`SearchMode::Gaze`], also sweeps the sphere with these views of a higher
+    /// resolution, for neighbours that are too far for the partition's own.
+    pub fn with_high_resolution_tiles(mut self, views: Vec<View>) -> Self {
+        let tile = |view| Tile::new(view, self.mask.as_ref());
+        self.high_resolution = views.into_iter().map(tile).collect();
         self
-    }
-
-    /// How many views [`Purpose::Partition`] numbers: what [`Searched`] is to remember.
-    pub fn sweep_len(&self) -> usize {
-        self.views.len()
     }
 
     /// Plans no view in which `mask` hides everything.
     pub fn with_mask(mut self, mask: Mask) -> Self {
+        for tile in self.tiles.iter_mut().chain(&mut self.high_resolution) {
+            *tile = Tile::new(tile.view, Some(&mask));
+        }
         self.mask = Some(mask);
-        self.hide();
         self
     }
 
-    fn hide(&mut self) {
-        let is_hidden = |view| self.mask.as_ref().is_some_and(|mask| mask.hides_view(view));
-        self.hidden = self.views.iter().map(is_hidden).collect();
+    /// Whether each tile is searched with one threshold window at a time, the fine and the coarse one
+    /// in turn, instead of all of them.
+    ///
+    /// That takes about half the time for each tile, so that the sphere is swept nearly twice as
+    /// often. Most markers are found with either window, the others at the next visit.
+    pub fn with_alternating_windows(self, alternates_windows: bool) -> Self {
+        Self { alternates_windows, ..self }
+    }
+
+    /// A record of searches with room for this planner's tiles, in which nothing was searched yet.
+    pub fn nothing_searched(&self) -> Searched {
+        Searched::new(self.tiles.len(), self.high_resolution.len())
     }
 
     /// How many partitions are never searched, because the camera sees nothing of them.
     pub fn hidden_partitions(&self) -> usize {
-        self.hidden.iter().take(self.partition.len()).filter(|&&is_hidden| is_hidden).count()
+        self.tiles.len() - visible(&self.tiles).count()
     }
 
     /// The partition that is searched.
@@ -200,7 +250,8 @@ impl Planner {
     /// The same arguments always give the same plan.
     pub fn plan(&self, searched: &Searched, neighbours: &[PredictedNeighbour]) -> Plan {
         let whole = |order: Vec<usize>, stop_rule| {
-            let views = self.partition_views(&order);
+            let order: Vec<Purpose> = order.into_iter().map(Purpose::Partition).collect();
+            let views = self.tile_views(searched, &order);
             Plan { view_budget: views.len(), views, stop_rule }
         };
         match self.mode {
@@ -213,13 +264,14 @@ impl Planner {
         }
     }
 
-    /// One view for each neighbour, least recently looked at first (ties by the neighbours' own
-    /// order), then the partitions, least recently searched first, in turn with the far views.
+    /// One region of interest for each neighbour, least recently searched first (ties by the
+    /// neighbours' own order). Then the tiles of both resolutions in turn, least recently searched
+    /// first.
     ///
-    /// Where there are more than [`GazeOptions::views_before_partition`] neighbours, the first
-    /// partition comes right after so many of their views: however many neighbours there are, a
-    /// frame with time for one view more than that searches at least one partition, so all
-    /// N are searched within N such frames, and a neighbour left out comes first in the next.
+    /// Where there are more than [`GazeOptions::views_before_partition`] neighbours, the first tile
+    /// comes right after that many of their views. So a frame with time for one view more searches at
+    /// least one tile, and all N tiles are searched within N such frames, however many neighbours
+    /// there are. A neighbour left out comes first in the next frame.
     fn gaze_plan(&self, searched: &Searched, neighbours: &[PredictedNeighbour]) -> Plan {
         let mut gazes: Vec<PlannedView> =
             neighbours.iter().filter_map(|neighbour| gaze_view(neighbour, &self.gaze)).collect();
@@ -227,29 +279,37 @@ impl Planner {
             gazes.retain(|planned| !mask.hides_view(&planned.view));
         }
         gazes.sort_by_key(|planned| searched.last_searched(planned.purpose));
-        let seen = |parts: std::ops::Range<usize>| parts.filter(|&part| !self.hidden[part]);
-        let near = self.partition.len();
-        let order = least_recently_searched(searched, seen(0..near), seen(near..self.views.len()));
-        let partitions = self.partition_views(&order);
-        let view_budget = gazes.len() + self.gaze.partitions_per_frame.min(partitions.len());
+        let order =
+            least_recently_searched(searched, visible(&self.tiles), visible(&self.high_resolution));
+        let tiles = self.tile_views(searched, &order);
+        let view_budget = gazes.len() + self.gaze.partitions_per_frame.min(tiles.len());
         let mut views = gazes;
         let early = views.len().min(self.gaze.views_before_partition);
-        let (first, others) = partitions.split_at(partitions.len().min(1));
+        let (first, others) = tiles.split_at(tiles.len().min(1));
         views.splice(early..early, first.iter().copied());
         views.extend_from_slice(others);
         Plan { views, stop_rule: StopRule::Deadline, view_budget }
     }
 
-    fn partition_views(&self, order: &[usize]) -> Vec<PlannedView> {
-        order
-            .iter()
-            .filter(|&&part| !self.hidden[part])
-            .map(|&part| PlannedView {
-                view: self.views[part],
-                purpose: Purpose::Partition(part),
+    /// The tiles in this order, without those of which the camera sees nothing.
+    fn tile_views(&self, searched: &Searched, order: &[Purpose]) -> Vec<PlannedView> {
+        let tile = |purpose: &Purpose| {
+            let tile = match *purpose {
+                Purpose::Partition(index) => self.tiles.get(index)?,
+                Purpose::HighResolution(index) => self.high_resolution.get(index)?,
+                Purpose::Gaze(_) => return None,
+            };
+            (!tile.is_hidden).then(|| PlannedView {
+                view: tile.view,
+                purpose: *purpose,
+                search: match self.alternates_windows {
+                    true => searched.next_window(*purpose),
+                    false => Search::AllWindows,
+                },
                 rate_in_camera: Vector3::zeros(),
             })
-            .collect()
+        };
+        order.iter().filter_map(tile).collect()
     }
 }
 

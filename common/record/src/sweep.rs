@@ -1,13 +1,13 @@
-//! How often each part of the sphere is searched, from the plans and the detection records.
+//! How often each tile of the sphere is searched, by the plans and records of the stages.
 //!
-//! An untracked target is found when the part of the sphere that shows it is searched next. So the
-//! longest time between two searches of one part bounds how many frames such a target waits.
+//! An untracked target is found when the tile that shows it is searched next. So the longest time between
+//! two searches of one tile is how many frames a target inside the detection range may stay unseen.
 
 use std::collections::VecDeque;
 use std::fmt;
 
 use flockeye_config::Resolved;
-use flockeye_contract::{DetectionHeader, PlannedView};
+use flockeye_contract::{DetectionHeader, PlannedView, ViewKind};
 use flockeye_geometry::view::View;
 use serde::Serialize;
 
@@ -30,10 +30,10 @@ pub struct SearchGaps {
 pub struct SweepReport {
     /// Frames from the first search to the newest.
     pub frames: u64,
-    /// The partitions.
+    /// The tiles of the partition.
     pub partitions: SearchGaps,
-    /// The far views, where there are any.
-    pub far_views: Option<SearchGaps>,
+    /// The high-resolution tiles, where there are any.
+    pub high_resolution: Option<SearchGaps>,
 }
 
 impl fmt::Display for SweepReport {
@@ -43,8 +43,8 @@ impl fmt::Display for SweepReport {
             format!("every {mean} frames ({} at most)", gaps.worst_frames)
         };
         write!(f, "each partition {}", every(&self.partitions))?;
-        match &self.far_views {
-            Some(far) => write!(f, ", each far view {}", every(far)),
+        match &self.high_resolution {
+            Some(fine) => write!(f, ", each high-resolution tile {}", every(fine)),
             None => Ok(()),
         }
     }
@@ -53,13 +53,12 @@ impl fmt::Display for SweepReport {
 /// When each part of the sphere was searched.
 #[derive(Debug)]
 pub struct Sweep {
-    /// How many parts are partitions. Those after them are far views.
-    partitions: usize,
-    /// `None` for a part that the camera does not see: it is never searched.
-    parts: Vec<Option<SweptPart>>,
-    /// For each plan, the part that each of its views shows.
-    plans: VecDeque<(u64, Vec<u32>)>,
-    /// The source's generation and epoch. Frame numbers are comparable within one epoch only.
+    /// `None` where the camera sees nothing of a tile: nobody searches it.
+    partitions: Vec<Option<SweptPart>>,
+    high_resolution: Vec<Option<SweptPart>>,
+    /// Of each plan, the kind of each of its views and the tile that it shows.
+    plans: VecDeque<(u64, Vec<(u32, u32)>)>,
+    /// The source and its epoch; numbers of frames mean nothing across them.
     epoch: Option<(u32, u32)>,
     first: Option<u64>,
     newest: u64,
@@ -74,12 +73,12 @@ struct SweptPart {
 }
 
 impl Sweep {
-    /// Starts with no search. The arguments say which partitions and far views the camera sees.
-    pub fn new(partitions: &[bool], far_views: &[bool]) -> Self {
-        let parts = partitions.iter().chain(far_views);
+    /// Of these partitions and high-resolution tiles: whether the camera sees anything of them.
+    pub fn new(partitions: &[bool], high_resolution: &[bool]) -> Self {
+        let parts = |seen: &[bool]| seen.iter().map(|seen| seen.then(SweptPart::default)).collect();
         Self {
-            partitions: partitions.len(),
-            parts: parts.map(|is_seen| is_seen.then(SweptPart::default)).collect(),
+            partitions: parts(partitions),
+            high_resolution: parts(high_resolution),
             plans: VecDeque::new(),
             epoch: None,
             first: None,
@@ -100,14 +99,14 @@ impl Sweep {
         let seen = |views: &[View]| -> Vec<bool> {
             views.iter().map(|view| !mask.hides_view(view)).collect()
         };
-        let (near, far) = (seen(&resolved.partition_views), seen(&resolved.far_views));
+        let (near, far) = (seen(&resolved.partition_views), seen(&resolved.high_resolution_tiles));
         Ok(Some(Self::new(&near, &far)))
     }
 
     /// Notes a plan.
     pub fn plan(&mut self, plan_id: u64, views: &[PlannedView]) {
-        let parts = views.iter().map(|view| view.partition).collect();
-        self.plans.push_back((plan_id, parts));
+        let tiles = views.iter().map(|view| (view.kind, view.tile)).collect();
+        self.plans.push_back((plan_id, tiles));
         if self.plans.len() > PLANS_KEPT {
             self.plans.pop_front();
         }
@@ -120,15 +119,23 @@ impl Sweep {
         if self.epoch != Some(epoch) {
             self.epoch = Some(epoch);
             (self.first, self.newest) = (None, stamp.sequence);
-            self.parts.iter_mut().flatten().for_each(|part| part.last = None);
+            let parts = self.partitions.iter_mut().chain(&mut self.high_resolution);
+            parts.flatten().for_each(|part| part.last = None);
         }
         let first = *self.first.get_or_insert(stamp.sequence);
         self.newest = self.newest.max(stamp.sequence);
         // A restarted fusion counts its plans from 1 again: take the newest plan of that number.
         let plan = self.plans.iter().rev().find(|(id, _)| *id == header.plan_id);
         let part = plan
-            .and_then(|(_, parts)| parts.get(header.view_index as usize))
-            .and_then(|&part| self.parts.get_mut(part as usize)?.as_mut())
+            .and_then(|(_, tiles)| tiles.get(header.view_index as usize))
+            .and_then(|&(kind, tile)| {
+                let parts = match ViewKind::try_from(kind).ok()? {
+                    ViewKind::Partition => &mut self.partitions,
+                    ViewKind::HighResolution => &mut self.high_resolution,
+                    ViewKind::Gaze => return None,
+                };
+                parts.get_mut(tile as usize)?.as_mut()
+            })
             .filter(|_| header.failed == 0);
         let Some(part) = part else { return };
         // Records of a frame may come after those of the next frame.
@@ -143,7 +150,6 @@ impl Sweep {
     /// The gaps so far. `None` before the first record.
     pub fn report(&self) -> Option<SweepReport> {
         let first = self.first?;
-        let (near, far) = self.parts.split_at(self.partitions);
         let gaps = |parts: &[Option<SweptPart>]| {
             let parts: Vec<SweptPart> = parts.iter().copied().flatten().collect();
             let (sum, count) = parts.iter().fold((0u64, 0), |(sum, gaps), part| {
@@ -162,8 +168,9 @@ impl Sweep {
         };
         Some(SweepReport {
             frames: (self.newest - first).saturating_add(1),
-            partitions: gaps(near),
-            far_views: (!far.is_empty()).then(|| gaps(far)),
+            partitions: gaps(&self.partitions),
+            high_resolution: (!self.high_resolution.is_empty())
+                .then(|| gaps(&self.high_resolution)),
         })
     }
 }
@@ -173,8 +180,14 @@ mod tests {
     use super::*;
     use flockeye_contract::FrameStamp;
 
-    fn plan_of(parts: &[u32]) -> Vec<PlannedView> {
-        parts.iter().map(|&partition| PlannedView { partition, ..PlannedView::default() }).collect()
+    use ViewKind::{Gaze, HighResolution, Partition};
+
+    fn plan_of(views: &[(ViewKind, u32)]) -> Vec<PlannedView> {
+        let view = |&(kind, tile): &(ViewKind, u32)| {
+            let kind = kind.code();
+            PlannedView { kind, tile, ..PlannedView::default() }
+        };
+        views.iter().map(view).collect()
     }
 
     fn search(sweep: &mut Sweep, sequence: u64, plan_id: u64, view_index: u32) {
@@ -192,8 +205,9 @@ mod tests {
         // The camera does not see the third partition: it has no gap.
         let mut sweep = Sweep::new(&[true, true, false], &[true]);
         assert_eq!(sweep.report(), None);
-        // A neighbour's view first, which is no part; then partition 1, partition 0, the far view.
-        sweep.plan(1, &plan_of(&[u32::MAX, 1, 0, 3]));
+        // A region of interest first; then partition 1, partition 0 and a high-resolution tile.
+        let views = [(Gaze, u32::MAX), (Partition, 1), (Partition, 0), (HighResolution, 0)];
+        sweep.plan(1, &plan_of(&views));
         for (sequence, views) in [(10, vec![0, 1, 2]), (11, vec![0, 3]), (14, vec![0, 1])] {
             views.into_iter().for_each(|view| search(&mut sweep, sequence, 1, view));
         }
@@ -206,17 +220,17 @@ mod tests {
         let near = SearchGaps { views: 2, mean_frames: Some(3.0), worst_frames: 6 };
         assert_eq!(report.partitions, near);
         let far = SearchGaps { views: 1, mean_frames: None, worst_frames: 5 };
-        assert_eq!(report.far_views, Some(far));
+        assert_eq!(report.high_resolution, Some(far));
         assert_eq!(
             report.to_string(),
-            "each partition every 3.0 frames (6 at most), each far view every - frames (5 at most)"
+            "each partition every 3.0 frames (6 at most), each high-resolution tile every - frames (5 at most)"
         );
     }
 
     #[test]
     fn the_wait_for_the_first_search_counts_as_a_gap() {
         let mut sweep = Sweep::new(&[true, true], &[]);
-        sweep.plan(1, &plan_of(&[0, 1]));
+        sweep.plan(1, &plan_of(&[(Partition, 0), (Partition, 1)]));
         for (sequence, view) in [(20, 0), (21, 0), (27, 1), (28, 1), (28, 0)] {
             search(&mut sweep, sequence, 1, view);
         }
@@ -232,7 +246,7 @@ mod tests {
     #[test]
     fn unknown_plans_and_failed_searches_are_ignored() {
         let mut sweep = Sweep::new(&[true], &[]);
-        sweep.plan(1, &plan_of(&[0]));
+        sweep.plan(1, &plan_of(&[(Partition, 0)]));
         search(&mut sweep, 5, 1, 0);
         search(&mut sweep, 9, 7, 0);
         search(&mut sweep, 9, 1, 3);

@@ -6,9 +6,10 @@
 use std::fmt;
 use std::time::Duration;
 
-use flockeye_config::{Flow, Pipeline};
+use flockeye_config::{Flow, Pipeline, Resolved};
 use flockeye_contract::{
-    BodyTruth, DetectedMarker, Frames, PlannedView, TOPICS, Topic, TopicId, TopicInfo, Track,
+    BodyTruth, DetectedMarker, Frames, MAX_PLANNED_VIEWS, PlannedView, TOPICS, Topic, TopicId,
+    TopicInfo, Track,
 };
 
 /// Limits of one topic.
@@ -110,11 +111,8 @@ pub fn held_views_waiting(pipeline: &Pipeline) -> usize {
 
 /// Views that fusion holds because they show a neighbour best: one for each body, and some of the next
 /// frame.
-pub fn held_views_best(pipeline: &Pipeline) -> usize {
-    // The file is not read for this. If it has more bodies and all are seen at once, those with the
-    // highest numbers are measured by their corners alone.
-    let bodies = if pipeline.bodies.file.is_some() { 8 } else { pipeline.bodies.list.len() };
-    bodies.clamp(1, MAX_TRACKS) + 2
+pub fn held_views_best(resolved: &Resolved) -> usize {
+    resolved.bodies.len().clamp(1, MAX_TRACKS) + 2
 }
 
 /// What the table of topics does not say: how many messages of a topic there may be, and how large
@@ -134,7 +132,8 @@ struct Sizes {
     items: usize,
 }
 
-fn sizes(topic: TopicId, pipeline: &Pipeline, largest_view_px: u32) -> Sizes {
+fn sizes(topic: TopicId, resolved: &Resolved, largest_view_px: u32) -> Sizes {
+    let pipeline = &resolved.pipeline;
     let usual = Sizes { subscribers: 4, buffer: 64, borrowed: 2, history: 0, loaned: 1, items: 0 };
     match topic {
         // Rectification holds the frame that waits for answers, the one it cuts, the next one, and
@@ -143,28 +142,37 @@ fn sizes(topic: TopicId, pipeline: &Pipeline, largest_view_px: u32) -> Sizes {
             let items = frame_bytes(pipeline);
             Sizes { subscribers: 2, buffer: 1, borrowed: 4, loaned: 2, items, ..usual }
         }
-        TopicId::Plans => {
-            let items = flockeye_contract::MAX_PLANNED_VIEWS;
-            Sizes { buffer: 2, history: 1, items, ..usual }
-        }
+        TopicId::Plans => Sizes { buffer: 2, history: 1, items: MAX_PLANNED_VIEWS, ..usual },
         // To each lane listen its worker, that worker's successor, fusion and a tool.
         TopicId::Views => Sizes {
             buffer: pipeline.rectification.window as usize + 2,
             // In the worst case all views that fusion holds are of one lane; and it reads one more.
-            borrowed: held_views_waiting(pipeline) + held_views_best(pipeline) + 1,
+            borrowed: held_views_waiting(pipeline) + held_views_best(resolved) + 1,
             items: (largest_view_px as usize).pow(2),
             ..usual
         },
-        // While fusion is busy, all answers to one frame wait.
         TopicId::Detections => {
-            let buffer = 64.max(pipeline.partition.count.most() + MAX_TRACKS);
-            Sizes { buffer, items: MARKERS, ..usual }
+            Sizes { buffer: records_in_flight(resolved), items: MARKERS, ..usual }
         }
         TopicId::FrameEnds => Sizes { buffer: 16, ..usual },
         TopicId::Tracks => Sizes { subscribers: 8, items: MAX_TRACKS, ..usual },
         TopicId::Healths => Sizes { subscribers: 8, ..usual },
         TopicId::Truths => Sizes { items: TRUTH_BODIES, ..usual },
     }
+}
+
+/// Frames that rectification has in flight: one that waits for answers, and one that is being cut.
+const FRAMES_IN_FLIGHT: usize = 2;
+
+/// Detection records of one worker that may wait for a subscriber, so that none is lost while fusion
+/// sleeps over the answers to all frames in flight. Each worker has a buffer of its own.
+///
+/// At worst one worker answers all views of those frames, because the others are stalled. A stalled worker
+/// that wakes up also answers its window of views that others have answered meanwhile.
+fn records_in_flight(resolved: &Resolved) -> usize {
+    let tiles = resolved.partition_views.len() + resolved.high_resolution_tiles.len();
+    let planned = (tiles + MAX_TRACKS).min(MAX_PLANNED_VIEWS);
+    FRAMES_IN_FLIGHT * planned + resolved.pipeline.rectification.window as usize
 }
 
 /// Bytes of a frame's luma plane.
@@ -180,8 +188,9 @@ fn usual_publishers(topic: &TopicInfo, pipeline: &Pipeline) -> usize {
     usize::from(!sources.is_empty()) + others as usize
 }
 
-fn limits(topic: &TopicInfo, pipeline: &Pipeline, largest_view_px: u32) -> Limits {
-    let sizes = sizes(topic.id, pipeline, largest_view_px);
+fn limits(topic: &TopicInfo, resolved: &Resolved, largest_view_px: u32) -> Limits {
+    let pipeline = &resolved.pipeline;
+    let sizes = sizes(topic.id, resolved, largest_view_px);
     let lanes = if topic.has_lanes() { pipeline.detection_workers() as usize } else { 1 };
     // Of each lane.
     let publishers = usual_publishers(topic, pipeline);
@@ -210,9 +219,15 @@ fn limits(topic: &TopicInfo, pipeline: &Pipeline, largest_view_px: u32) -> Limit
 
 impl Budget {
     /// The limits that a configuration needs, for each topic of the contract.
-    pub fn of(pipeline: &Pipeline, largest_view_px: u32) -> Self {
+    pub fn of(resolved: &Resolved) -> Self {
+        Self::for_views_of(resolved, resolved.largest_view_px())
+    }
+
+    /// The same, where the largest view has sides of `largest_view_px` pixels.
+    pub fn for_views_of(resolved: &Resolved, largest_view_px: u32) -> Self {
+        let pipeline = &resolved.pipeline;
         let topics: Vec<Limits> =
-            TOPICS.iter().map(|topic| limits(topic, pipeline, largest_view_px)).collect();
+            TOPICS.iter().map(|topic| limits(topic, resolved, largest_view_px)).collect();
         let frames = topics.iter().find(|limits| limits.topic == Frames::NAME);
         Self {
             camera: (pipeline.camera.width, pipeline.camera.height),
@@ -296,7 +311,7 @@ mod tests {
 
     #[test]
     fn limits_follow_the_table_of_topics() {
-        let budget = Budget::of(&Pipeline::default(), 936);
+        let budget = Budget::of(&Resolved::of(Pipeline::default()).unwrap());
         let names: Vec<_> = budget.topics.iter().map(|topic| topic.topic).collect();
         assert_eq!(names, TOPICS.iter().map(|topic| topic.name).collect::<Vec<_>>());
         assert_eq!(budget.topic::<Frames>().usual_publishers, 1, "one of the sources runs");
@@ -307,18 +322,27 @@ mod tests {
     }
 
     #[test]
-    fn a_frames_answers_wait_whole() {
-        let overrides = ["partition.count=128".to_owned()];
-        let pipeline = Pipeline::parse("", &overrides, "x").unwrap();
-        let budget = Budget::of(&pipeline, 936);
-        assert!(budget.topic::<Detections>().buffer >= 128);
-        let planned = flockeye_contract::MAX_PLANNED_VIEWS;
-        assert!(128 + MAX_TRACKS <= planned);
+    fn the_answers_to_all_frames_in_flight_wait_whole() {
+        for overrides in [
+            vec![],
+            vec!["partition.count=128"],
+            vec!["search.mode=exhaustive"],
+            vec!["search.far_magnification=1", "rectification.window=16"],
+        ] {
+            let overrides: Vec<String> = overrides.into_iter().map(String::from).collect();
+            let resolved = Resolved::of(Pipeline::parse("", &overrides, "x").unwrap()).unwrap();
+            let tiles = resolved.partition_views.len() + resolved.high_resolution_tiles.len();
+            let planned = tiles + MAX_TRACKS;
+            assert!(planned <= MAX_PLANNED_VIEWS);
+            let late = resolved.pipeline.rectification.window as usize;
+            let buffer = Budget::of(&resolved).topic::<Detections>().buffer;
+            assert_eq!(buffer, 2 * planned + late, "{overrides:?}");
+        }
     }
 
     #[test]
     fn too_little_memory_names_numbers_and_cure() {
-        let budget = Budget::of(&Pipeline::default(), 936);
+        let budget = Budget::of(&Resolved::of(Pipeline::default()).unwrap());
         assert_eq!(budget.check(10_000_000_000, 20_000_000_000), Ok(()));
         let error = budget.check(12_000_000, 64_000_000).expect_err("12 MB do not do").to_string();
         assert!(

@@ -51,6 +51,6 @@ pub fn join(instance: &Instance) -> Result<(Ports, Resolved), JoinError> {
         .config(&instance.iceoryx2()?)
         .create::<ipc::Service>()
         .map_err(|error| apart(format!("{error:?}")))?;
-    let budget = Budget::of(&resolved.pipeline, resolved.largest_view_px());
+    let budget = Budget::of(&resolved);
     Ok((Ports::new(Rc::new(node), budget, SharedCounters::default()), resolved))
 }

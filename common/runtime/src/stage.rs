@@ -132,7 +132,7 @@ fn start<S: Stage>() -> anyhow::Result<Running<S>> {
                 anyhow::anyhow!("cannot join the instance '{}': {error:?}", instance.name())
             })?,
     );
-    let budget = Budget::of(&resolved.pipeline, resolved.largest_view_px());
+    let budget = Budget::of(&resolved);
     let counters: SharedCounters = Rc::new(Counters::default());
     // Health messages are not counted as the stage's own output.
     let health = Ports::new(node.clone(), budget.clone(), SharedCounters::default());

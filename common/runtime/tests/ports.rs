@@ -7,7 +7,7 @@ use std::sync::mpsc;
 use std::thread;
 use std::time::Duration;
 
-use flockeye_config::{Flow, Pipeline};
+use flockeye_config::{Flow, Pipeline, Resolved};
 use flockeye_contract::{FrameStamp, ViewHeader, Views};
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::instance::Instance;
@@ -21,7 +21,7 @@ const WATCHDOG: Duration = Duration::from_secs(60);
 fn budget(flow: Flow) -> Budget {
     let mut pipeline = Pipeline { flow, ..Pipeline::default() };
     pipeline.rectification.overdue_ms = 50.0;
-    Budget::of(&pipeline, SIDE_PX as u32)
+    Budget::for_views_of(&Resolved::of(pipeline).unwrap(), SIDE_PX as u32)
 }
 
 fn node_of(instance: &Instance) -> Rc<Node<ipc::Service>> {

@@ -1,4 +1,5 @@
-//! What the search of views full of texture costs that hold no marker: ours, and OpenCV's, by turns.
+//! The time of searching views that are full of texture and hold no marker: ours and OpenCV's, measured
+//! alternately.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used)]
 
 #[path = "../tests/shared/mod.rs"]
@@ -7,9 +8,7 @@ mod shared;
 use std::time::Instant;
 
 use criterion::{Criterion, criterion_group};
-use flockeye_contract::ViewKind;
 use flockeye_detection::candidates::Finder;
-use flockeye_detection::stage::thresholds;
 use flockeye_detection::{Detector, DetectorParameters, Threshold};
 use flockeye_geometry::view::View;
 use flockeye_imaging::edges::Effort;
@@ -24,17 +23,14 @@ use opencv::prelude::*;
 use shared::{Picture, data, partitions};
 
 const DICTIONARY: &str = "DICT_5X5_250";
-/// The shortest outline of a marker with sides of 11 px, as ours has it.
+/// The shortest outline of a marker with sides of 11 px, as in our search.
 const SHORTEST: usize = 26;
-const TURNS: usize = 15;
+/// How often each way is measured for the table.
+const ROUNDS: usize = 15;
 
-/// As the stage searches a partition.
+/// The stage's parameters for a tile, where fusion aligns whole bodies.
 fn parameters() -> DetectorParameters {
-    DetectorParameters {
-        thresholds: thresholds(ViewKind::Partition.code(), 1.0),
-        effort: Effort::Edges,
-        ..DetectorParameters::default()
-    }
+    DetectorParameters { effort: Effort::Edges, ..DetectorParameters::default() }
 }
 
 /// Squares, as OpenCV's functions find them with the same windows.
@@ -56,7 +52,7 @@ fn their_squares(image: &Mat) -> usize {
         find_contours(&dark, &mut outlines, RETR_LIST, CHAIN_APPROX_NONE, Point::new(0, 0))
             .unwrap();
         let mut polygon = Vector::<Point>::new();
-        // This copies each outline, as a user of the binding would.
+        // This copies each outline, as any user of the binding must.
         for outline in outlines.iter().filter(|outline| outline.len() >= SHORTEST) {
             approx_poly_dp(&outline, &mut polygon, 0.05 * outline.len() as f64, true).unwrap();
             squares += usize::from(polygon.len() == 4);
@@ -76,14 +72,14 @@ fn their_markers(image: &Mat) -> usize {
     ids.len()
 }
 
-/// A view, its image, and the same as OpenCV's matrix.
+/// A view and its image, also as OpenCV's matrix.
 struct Scene {
     view: View,
     picture: Picture,
     mat: Mat,
 }
 
-/// Views of a real panorama where there is one, else of random blocks.
+/// Views of a real panorama if the recordings are there, else of random blocks.
 fn scenes() -> (Vec<Scene>, &'static str) {
     let focal = 3840.0 / std::f64::consts::TAU;
     let panorama = data().map(|data| data.join("real/panorama/examplepano.jpg"));
@@ -112,21 +108,21 @@ fn search(criterion: &mut Criterion) {
     let scene = &scenes[0];
     let mut detector = Detector::new(DICTIONARY, parameters()).unwrap();
     let light = LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap();
-    let mut group = criterion.benchmark_group(format!("a partition of {name}"));
+    let mut group = criterion.benchmark_group(format!("a tile of {name}"));
     group.bench_function("ours", |b| {
         b.iter(|| detector.detect(&scene.picture.image(), &scene.view, &light));
     });
     group.bench_function("OpenCV", |b| b.iter(|| their_markers(&scene.mat)));
 }
 
-/// Prints the time of all twelve partitions, medians of turns.
+/// Prints the time of all twelve tiles, the median of several rounds.
 fn table() {
     let (scenes, name) = scenes();
     let (mut finder, parameters) = (Finder::default(), parameters());
     let mut detector = Detector::new(DICTIONARY, parameters.clone()).unwrap();
     let light = LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap();
     let mut times = [const { Vec::<f64>::new() }; 4];
-    for _ in 0..TURNS {
+    for _ in 0..ROUNDS {
         let mut ways: [&mut dyn FnMut(&Scene) -> usize; 4] = [
             &mut |scene| finder.find(&scene.picture.image(), &parameters).whole.len(),
             &mut |scene| their_squares(&scene.mat),
@@ -146,7 +142,7 @@ fn table() {
         times[times.len() / 2]
     });
     let size = scenes[0].view.size_px;
-    println!("\ntwelve partitions of {size} px of {name}, one thread, ms");
+    println!("\ntwelve tiles of {size} px of {name}, one thread, ms");
     println!("| | ours | OpenCV | ratio |\n| --- | --- | --- | --- |");
     for (what, ours, theirs) in [
         ("squares, two windows each", our_squares, their_squares),
@@ -161,7 +157,7 @@ criterion_group!(search_group, search);
 fn main() {
     search_group();
     Criterion::default().configure_from_args().final_summary();
-    // As a test, one pass says that it runs.
+    // Run as a test, the benchmark only shows that it works.
     if std::env::args().any(|argument| argument == "--bench") {
         table();
     }

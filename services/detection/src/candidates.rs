@@ -1,44 +1,47 @@
 //! Squares in a view.
 //!
-//! As OpenCV's ArUco finds them: what is darker than its surroundings ([`crate::darkness`]) is followed
-//! round ([`crate::outlines`]), and outlines that are nearly quadrilaterals ([`crate::polygon`]) are
-//! squares. But OpenCV loses a square that touches something dark by one corner: there its outline runs
-//! on. [`crate::three_corners`] completes those.
+//! The steps are those of OpenCV's ArUco. Pixels darker than their surroundings are found
+//! ([`crate::darkness`]), their outlines are followed ([`crate::outlines`]), and outlines that are
+//! nearly quadrilaterals ([`crate::polygon`]) are squares. OpenCV loses a square that touches
+//! something dark with one corner, because its outline goes on around that. Those are completed by
+//! [`crate::three_corners`].
 
 use flockeye_geometry::view::ViewPixel;
 use flockeye_imaging::image::LumaImage;
 
 use crate::darkness::Darkness;
-use crate::outlines::{Follower, Pixel, Round};
+use crate::outlines::{Encloses, Follower, Pixel};
+use crate::parameters::DetectorParameters;
 use crate::polygon::Approximator;
-use crate::{DetectorParameters, three_corners};
+use crate::quad::Quad;
+use crate::three_corners;
 
-/// The outline of a square with sides of s pixels has at least this many: those of a square on its
-/// corner, whose pixels join by their corners (4 s / sqrt 2), less some for what blur takes away.
-const OUTLINE_PER_SIDE: f64 = 2.4;
+/// Least pixels in the outline of a square, for each pixel of its side. A square that stands on its
+/// corner has the shortest outline, because its pixels join diagonally: 4 / sqrt 2 = 2.8, less some for
+/// what blur takes away.
+const MIN_OUTLINE_PER_SIDE: f64 = 2.4;
 
-/// Outlines longer than this many times the sides of the view belong to no square in it.
-const MAX_OUTLINE: f64 = 4.0;
+/// Longest outline of a square, in sides of the view: a square as large as the view has four.
+const MAX_OUTLINE_PER_VIEW: f64 = 4.0;
 
-/// Corners nearer to each other than this share of the outline make no square.
-const MIN_SIDE: f64 = 0.05;
+/// Shortest side and diagonal of a quadrilateral, as a share of its outline. OpenCV's
+/// `minCornerDistanceRate` has the same default.
+const MIN_SIDE_SHARE: f64 = 0.05;
 
-/// Squares nearer to the image's border have no quiet zone in it, pixels.
+/// Least distance of a corner from the image's border, pixels: nearer, the quiet zone is not in the
+/// image.
 const MIN_TO_BORDER_PX: f64 = 1.0;
-
-/// A convex quadrilateral that is dark inside, clockwise from any of its corners.
-pub type Quad = [ViewPixel; 4];
 
 /// The squares in an image.
 #[derive(Debug, Default)]
 pub struct Candidates {
     /// Outlines that are quadrilaterals.
     pub whole: Vec<Quad>,
-    /// Those of which three corners are seen, and the fourth is where it should be.
+    /// Squares of which three corners are seen, with the fourth computed from them.
     pub completed: Vec<Quad>,
 }
 
-/// Finds squares; keeps its memory from image to image.
+/// Finds squares; reuses its memory for the next image.
 #[derive(Debug, Default)]
 pub struct Finder {
     darkness: Darkness,
@@ -50,24 +53,24 @@ impl Finder {
     /// Every quadrilateral in `image`, whatever is printed in it.
     pub fn find(&mut self, image: &LumaImage<'_>, parameters: &DetectorParameters) -> Candidates {
         let mut found = Candidates::default();
-        let shortest = (OUTLINE_PER_SIDE * parameters.min_side_px) as usize;
-        let longest = (MAX_OUTLINE * image.width().max(image.height()) as f64) as usize;
+        let shortest = (MIN_OUTLINE_PER_SIDE * parameters.min_side_px) as usize;
+        let longest = (MAX_OUTLINE_PER_VIEW * image.width().max(image.height()) as f64) as usize;
         for &threshold in &parameters.thresholds {
             let dark = self.darkness.of(image, threshold);
             let outlines = self.follower.follow(dark, shortest..=longest);
-            for (round, outline) in outlines.iter() {
+            for (encloses, outline) in outlines.iter() {
                 let length = outline.len() as f64;
                 self.approximator.set_outline(outline);
                 let accuracy_px = parameters.polygon_accuracy * length;
-                // What goes round a hole is bright inside, and so no marker.
-                if round == Round::Dark {
+                // An outline around a hole is bright inside: it is no marker's.
+                if encloses == Encloses::Dark {
                     let polygon = self.approximator.approximate(accuracy_px);
-                    if let Some(quad) = quad_of(polygon, MIN_SIDE * length, image) {
+                    if let Some(quad) = quad_of(polygon, MIN_SIDE_SHARE * length, image) {
                         found.whole.push(quad);
                         continue;
                     }
                 }
-                // Nothing finer is seen of what is so short.
+                // For so short an outline the second polygon would be no finer.
                 if accuracy_px <= parameters.corner_accuracy_px {
                     continue;
                 }
@@ -82,8 +85,8 @@ impl Finder {
     }
 }
 
-/// The polygon, if it is a convex quadrilateral with sides of at least `min_side_px` that keeps off
-/// the image's border; clockwise.
+/// The polygon, clockwise, if it is a convex quadrilateral with sides and diagonals of at least
+/// `min_side_px`, and not too near to the image's border.
 fn quad_of(polygon: &[Pixel], min_side_px: f64, image: &LumaImage<'_>) -> Option<Quad> {
     let polygon: &[Pixel; 4] = polygon.try_into().ok()?;
     let mut corners = polygon.map(|pixel| pixel.cast::<f64>());
@@ -98,7 +101,7 @@ fn quad_of(polygon: &[Pixel], min_side_px: f64, image: &LumaImage<'_>) -> Option
     let is_inside = corners
         .iter()
         .all(|corner| (0..2).all(|k| (MIN_TO_BORDER_PX..=last[k]).contains(&corner[k])));
-    // Where y points down, a turn to the right is positive.
+    // With y pointing down, a turn to the right is positive.
     if turn(0) < 0.0 {
         corners.reverse();
     }

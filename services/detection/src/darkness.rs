@@ -1,34 +1,35 @@
-//! What is darker than its surroundings.
+//! Which pixels are darker than their surroundings.
 //!
-//! A pixel is dark if it is darker by some code values than the mean of the square round it, as in
-//! OpenCV's `adaptiveThreshold`. But the mean of a large square changes little from pixel to pixel: it
-//! is had from the means of blocks, which takes a fraction of the time.
+//! A pixel is dark if it is darker by some code values than the mean of the square window around it,
+//! as in OpenCV's `adaptiveThreshold`. The mean of a large window changes little from pixel to pixel.
+//! So it is computed from the means of blocks, which takes a fraction of the time.
 
 use flockeye_imaging::image::LumaImage;
 
-use crate::Threshold;
+use crate::windows::Threshold;
 
-/// A square is less than twice so many blocks wide, so that the sum of their means fits 16 bits; and at
-/// least so many, or as many as it has pixels, so that it is nearly where it should be.
+/// Least blocks along the side of a window that has as many pixels. Decides how far a window may be off
+/// its place: half a block. A window has less than twice as many blocks, so that the sum of their means
+/// fits 16 bits.
 const MIN_BLOCKS: usize = 7;
 
-/// Tells what is dark in images; keeps its memory from one to the next.
+/// Finds the dark pixels of an image; reuses its memory for the next one.
 #[derive(Debug, Default)]
 pub(crate) struct Darkness {
     blocks: Blocks,
-    /// Sum of each column of blocks over the height of a square, and of each square.
+    /// Sum of each column of blocks over the height of a window, and of each whole window.
     columns: Vec<u16>,
-    squares: Vec<u16>,
-    /// What pixels of each column must be darker than; and the same for every other column.
+    windows: Vec<u16>,
+    /// The code value below which a pixel is dark: one for each column, and one for each two columns.
     limits: Vec<u8>,
-    rougher: Vec<u8>,
+    coarser: Vec<u8>,
     dark: Dark,
 }
 
-/// What is dark in an image, with a border of one pixel that is not.
+/// The dark pixels of an image, with a border of one pixel that is not dark.
 #[derive(Debug, Default)]
 pub(crate) struct Dark {
-    /// Row by row: 1 for what is dark, 0 for what is not.
+    /// Row by row: 1 for a dark pixel, 0 for another.
     pixels: Vec<u8>,
     stride: usize,
 }
@@ -44,7 +45,7 @@ impl Dark {
         self.stride
     }
 
-    /// Starts an image whose rows have so many pixels.
+    /// Starts an image with rows of `width` pixels.
     pub(crate) fn begin(&mut self, width: usize) {
         self.stride = width + 2;
         self.pixels.clear();
@@ -61,18 +62,18 @@ impl Dark {
         }
     }
 
-    /// Adds the border behind the last row.
+    /// Adds the border after the last row.
     pub(crate) fn end(&mut self) {
         self.pixels.resize(self.pixels.len() + self.stride, 0);
     }
 }
 
 impl Darkness {
-    /// Tells what is dark in `image`.
+    /// Finds the dark pixels of `image`.
     pub(crate) fn of(&mut self, image: &LumaImage<'_>, threshold: Threshold) -> &Dark {
         #[cfg(target_arch = "x86_64")]
         if std::arch::is_x86_feature_detected!("avx2") {
-            // SAFETY: the processor has AVX2, as was asked just now.
+            // SAFETY: the line above has checked that the processor has AVX2.
             unsafe { self.find_avx2(image, threshold) };
             return &self.dark;
         }
@@ -80,7 +81,7 @@ impl Darkness {
         &self.dark
     }
 
-    /// The same code, with twice as many pixels in a register.
+    /// The same code, compiled for registers with twice as many pixels.
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
     fn find_avx2(&mut self, image: &LumaImage<'_>, threshold: Threshold) {
@@ -92,14 +93,14 @@ impl Darkness {
         let window = threshold.window_px;
         let shift = (window / MIN_BLOCKS).max(1).ilog2();
         let side = 1 << shift;
-        // Odd, so that it has a middle.
+        // Odd, so that the window has a block in its middle.
         let across = window / side / 2 * 2 + 1;
         self.blocks.find(image, side, across / 2);
         let stride = self.blocks.stride;
         let darker_by = u16::from(threshold.darker_by);
         let area = (across * across) as u32;
-        // Whole numbers of 16 bits: for these compilers know instructions that do eight at once. The
-        // reciprocal is right to a fifth of a code.
+        // In integers of 16 bits, of which the compiler divides eight at once by this multiplication. Its
+        // result is right to a fifth of a code value.
         let (reciprocal, half) = ((65536 + area / 2) / area, (area / 2) as u16);
         let limit_of = |sum: u16| {
             let mean = ((u32::from(sum + half) * reciprocal) >> 16) as u16;
@@ -113,20 +114,20 @@ impl Darkness {
         }
         for block_row in 0..image.height().div_ceil(side) {
             add(&mut self.columns, self.blocks.row(block_row + across - 1));
-            self.squares.clear();
-            self.squares.extend_from_slice(&self.columns[..stride + 1 - across]);
+            self.windows.clear();
+            self.windows.extend_from_slice(&self.columns[..stride + 1 - across]);
             for next in 1..across {
-                for (sum, column) in self.squares.iter_mut().zip(&self.columns[next..]) {
+                for (sum, column) in self.windows.iter_mut().zip(&self.columns[next..]) {
                     *sum += column;
                 }
             }
-            self.limits.resize(self.squares.len(), 0);
-            for (limit, &sum) in self.limits.iter_mut().zip(&self.squares) {
+            self.limits.resize(self.windows.len(), 0);
+            for (limit, &sum) in self.limits.iter_mut().zip(&self.windows) {
                 *limit = limit_of(sum);
             }
             for _ in 0..shift {
-                std::mem::swap(&mut self.limits, &mut self.rougher);
-                repeat_each(&mut self.limits, &self.rougher);
+                std::mem::swap(&mut self.limits, &mut self.coarser);
+                repeat_each(&mut self.limits, &self.coarser);
             }
             for row in block_row * side..image.height().min((block_row + 1) * side) {
                 let pixels = image.row(row).iter().zip(&self.limits);
@@ -140,7 +141,7 @@ impl Darkness {
     }
 }
 
-/// Means of an image's square blocks, those at its borders repeated beyond them.
+/// Means of an image's square blocks. Those at its borders are repeated beyond them.
 #[derive(Debug, Default)]
 struct Blocks {
     means: Vec<u8>,
@@ -153,7 +154,7 @@ impl Blocks {
         &self.means[row * self.stride..][..self.stride]
     }
 
-    /// Blocks of `side` pixels, and `around` more beyond each border.
+    /// Computes the means of blocks of `side` pixels, with `around` more blocks beyond each border.
     #[inline(always)]
     fn find(&mut self, image: &LumaImage<'_>, side: usize, around: usize) {
         self.stride = image.width().div_ceil(side) + 2 * around;
@@ -191,7 +192,7 @@ impl Blocks {
     }
 }
 
-/// Each value twice.
+/// Writes each value of `once` twice.
 #[inline(always)]
 fn repeat_each(twice: &mut Vec<u8>, once: &[u8]) {
     twice.resize(2 * once.len(), 0);
@@ -218,10 +219,10 @@ mod tests {
 
     use super::*;
 
-    /// Of each pixel, row by row, 1 if it is dark and 0 if it is not; the border is neither.
+    /// The result for each pixel without the border, row by row: 1 for a dark one.
     fn dark(image: &LumaImage<'_>, window_px: usize, darker_by: u8) -> Vec<u8> {
         let mut darkness = Darkness::default();
-        // Memory of another image is of no consequence.
+        // What is left in memory of another image must not matter.
         darkness
             .of(&LumaImage::new(&[9; 12], 4, 3, 4).unwrap(), Threshold { window_px: 5, darker_by });
         let dark = darkness.of(image, Threshold { window_px, darker_by });
@@ -237,7 +238,7 @@ mod tests {
             .collect()
     }
 
-    /// Mean of the square round a pixel, the outermost ones repeated.
+    /// Mean of the window around a pixel, with the outermost pixels repeated beyond the border.
     fn mean(image: &LumaImage<'_>, x: usize, y: usize, window: usize) -> f64 {
         let around = window as i32 / 2;
         let at =
@@ -267,14 +268,14 @@ mod tests {
             for (index, &dark) in dark.iter().enumerate() {
                 let (x, y) = (index % width, index / width);
                 let below = mean(&image, x, y, window) - f64::from(pixels[index]);
-                // A mean is rounded to a code.
+                // Means are rounded to code values, so near the limit either result is right.
                 if (below - f64::from(darker_by)).abs() > 0.7 {
                     prop_assert_eq!(dark == 1, below > f64::from(darker_by), "{} {}", x, y);
                 }
             }
         }
 
-        /// Dark spots on what changes slowly: here as there where there is no doubt.
+        /// Dark spots on a slowly changing background: the results agree where spots stand out clearly.
         #[test]
         fn large_windows_are_those_of_opencv(
             (slope, lean) in (-0.4..0.4f64, -0.4..0.4f64),
@@ -304,7 +305,7 @@ mod tests {
                 10.0,
             )
             .unwrap();
-            // Beyond the border the outermost pixel is repeated there, and the outermost block here.
+            // OpenCV repeats the outermost pixel beyond the border, we repeat the outermost block.
             let inner = |k: &usize| {
                 let (x, y, reach) = (k % width, k / width, window_px / 2);
                 x.min(y).min(width - 1 - x).min(height - 1 - y) > reach
@@ -318,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_darker_than_itself() {
+    fn uniform_images_have_no_dark_pixels() {
         for code in [0, 1, 128, 255] {
             let pixels = [code; 50 * 40];
             let image = LumaImage::new(&pixels, 50, 40, 50).unwrap();

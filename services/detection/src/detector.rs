@@ -1,103 +1,77 @@
 //! From a view to its markers.
 
+use std::collections::HashSet;
+
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::Ray;
 use flockeye_geometry::mask::Mask;
 use flockeye_geometry::view::{View, ViewPixel};
 use flockeye_imaging::edges::{
-    Effort, Grain, MarkerPrint, RefinedCorners, approach_corners, refine_corners,
+    Grain, MarkerPrint, RefinedCorners, approach_corners, refine_corners,
 };
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::LinearLight;
 use flockeye_imaging::square::mean_side_px;
-use nalgebra::Vector2;
 
-use crate::DetectError;
-use crate::candidates::{Candidates, Finder, Quad};
-use crate::reading::{Decoded, Likeness, Reader, Reading};
+use crate::candidates::{Candidates, Finder};
+use crate::parameters::{DetectError, DetectorParameters, check_thresholds};
+use crate::quad::{Quad, centre, rotated, with_parallelogram_corner};
+use crate::reading::{Correlations, Decoded, Reader, Reading};
+use crate::windows::Threshold;
 
-/// Images with a shorter side hold no marker, pixels.
+/// Images with a shorter side are not searched, pixels: they hold no marker with its quiet zone.
 const MIN_IMAGE_PX: usize = 16;
 
-/// Standard deviation of a corner whose edges could not be fitted, pixels: something covers them, and
-/// outlines are off by a pixel or three there.
+/// Standard deviation of a corner whose edges could not be fitted, pixels. Something covers them then, and
+/// outlines are off by one to three pixels.
 const UNREFINED_PX: f64 = 2.0;
 
-/// A pixel is dark if it is darker than its surroundings.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Threshold {
-    /// Side of the square of surroundings whose mean counts, pixels; odd. From 15 on it is one of
-    /// blocks: smaller by a tenth at most, and up to a fourteenth of it off.
-    pub window_px: usize,
-    /// By how much it must be darker, code values; 1 or more.
-    pub darker_by: u8,
-}
-
-/// Doubtful markers in one view.
+/// Most doubtful markers that a view gives.
 pub const MAX_DOUBTFUL: usize = 4;
 
-/// Correlation with an expected marker from which on a square is offered as doubtful: the best of
-/// some forty markers has about 0.5 with random cells.
-const MIN_GUESS: f32 = 0.65;
+/// Least correlation of a doubtful square with an expected marker. The best of some forty markers
+/// correlates with random cells by about 0.5.
+const MIN_DOUBTFUL_CORRELATION: f32 = 0.65;
 
-/// Print deviates from its blurred image by a few hundredths of its contrast, texture by more.
+/// Largest residual of the fitted print, as a share of its contrast. Print differs from its blurred image
+/// by a few hundredths, texture by more.
 const MAX_MISFIT: f64 = 0.15;
 
-/// Texture that reads as a marker is smooth: what is blurred by more cells than this must read and fit
-/// as texture never does.
+/// Largest blur of a marker, cells. Texture that reads as a marker is smooth; wider blurs must pass
+/// [`BLURRED`].
 const MAX_BLUR_CELLS: f64 = 0.75;
 
-/// What is blurred by more cells is no marker. Small ones far away are blurred by 0.8 to 1.
-const MAX_BLUR_CELLS_AT_ALL: f64 = 1.1;
+/// Largest blur of a marker that passes [`BLURRED`], cells. Small markers at long range are blurred by 0.8
+/// to 1.
+const MAX_BLUR_CELLS_AT_RANGE: f64 = 1.1;
 
-/// Least agreement and certainty, and the largest misfit, of such a one. In a hall, in panoramas and in a
-/// simulated world, 7100 squares blurred by 0.75 to 1.1 cells that are no markers read as one with a
-/// certainty of 8 at most; of 197 that are, 167 pass.
-const FAINT: (f32, f32, f64) = (0.93, 11.0, 0.06);
+/// What markers blurred by more than [`MAX_BLUR_CELLS`] must reach. Chosen on a hall, panoramas and a
+/// simulated world: of 7,100 squares there that are blurred as much and are no markers, none reads as one
+/// with a log-likelihood ratio above 8. Of 197 that are markers, 167 pass.
+const BLURRED: BlurredLimits =
+    BlurredLimits { min_correlation: 0.93, min_log_likelihood_ratio: 11.0, max_misfit: 0.06 };
 
-/// What is looked for, and what is believed.
-///
-/// The defaults were chosen on renderings and on real panoramas without markers, where what passes
-/// for a marker by its cells alone has a certainty of up to 13 (its edges then tell).
-#[derive(Debug, Clone, PartialEq)]
-pub struct DetectorParameters {
-    /// Markers with shorter sides are not looked for, pixels.
-    pub min_side_px: f64,
-    /// Local thresholds that squares are looked for with: each one finds some that the others lose
-    /// (where a marker's shadow side joins what is dark beside it, say), and costs another pass.
-    pub thresholds: Vec<Threshold>,
-    /// How far an outline may deviate from a quadrilateral, as a share of its length.
-    pub polygon_accuracy: f64,
-    /// How far an outline may deviate from one that has three of a square's corners, pixels.
-    pub corner_accuracy_px: f64,
-    /// Correlation of the cells with those of the marker, blurred, from which on it is believed.
-    pub min_agreement: f32,
-    /// Logarithm of the likelihood ratio to the next id from which on it is believed.
-    pub min_certainty: f32,
-    /// How far the quiet zone must outshine the border, on each side, as a share of the contrast.
-    pub min_quiet_zone: f32,
-    /// What is fitted to find a marker's corners.
-    pub effort: Effort,
+struct BlurredLimits {
+    min_correlation: f32,
+    min_log_likelihood_ratio: f32,
+    max_misfit: f64,
 }
 
-impl Default for DetectorParameters {
-    fn default() -> Self {
-        Self {
-            min_side_px: 11.0,
-            thresholds: vec![
-                // Small markers; and large or bright ones, whose corners touch something dark.
-                Threshold { window_px: 11, darker_by: 4 },
-                Threshold { window_px: 61, darker_by: 10 },
-            ],
-            polygon_accuracy: 0.05,
-            corner_accuracy_px: 2.0,
-            min_agreement: 0.85,
-            min_certainty: 10.0,
-            min_quiet_zone: 0.2,
-            effort: Effort::default(),
-        }
-    }
-}
+/// Where corners are only approximate, cells are sampled off their middles. A reading there is worth a fit
+/// from these shares of the limits of correlation and log-likelihood ratio on.
+const WORTH_FITTING: (f32, f32) = (0.85, 0.5);
+
+/// Without fitted edges a marker is accepted from this multiple of the least log-likelihood ratio on, and
+/// from half of what the least correlation leaves to 1.
+const UNREFINED_RATIO: f32 = 2.0;
+
+/// A square is another outline of a refined marker if each of its corners lies this near to one of the
+/// marker's: pixels, and a share of the marker's side.
+const SAME_CORNER: (f64, f64) = (2.0, 0.05);
+
+/// A doubtful square is on a marker already found if their centres are nearer than this share of the
+/// marker's side.
+const SAME_PLACE_SHARE: f64 = 0.3;
 
 /// A marker in a view.
 #[derive(Debug, Clone, PartialEq)]
@@ -106,16 +80,16 @@ pub struct Found {
     pub id: u32,
     /// Its corners in ArUco's order: clockwise from the printed top left.
     pub corners_in_view: [ViewPixel; 4],
-    /// The rays that see them, in the camera frame.
+    /// The rays to them, in the camera frame.
     pub rays_in_camera: [Ray; 4],
     /// Standard deviation of each ray across itself, radians.
     pub deviations_rad: [f64; 4],
-    /// Whether the corners are those of the fitted print (or only of the outline).
+    /// Whether the corners are those of the fitted print, rather than of the outline.
     pub is_refined: bool,
-    /// Correlation of its cells with those of the marker: 1 is perfect.
-    pub agreement: f32,
-    /// Whether it is only a square that is probably this marker: good to start from, and to be
-    /// confirmed by something else.
+    /// Normalized correlation of its cells with those of the marker: 1 is perfect.
+    pub correlation: f32,
+    /// Whether it was not decoded, but is a square that is probably this marker. A pose may start from
+    /// it and must be confirmed by something else.
     pub is_doubtful: bool,
 }
 
@@ -125,19 +99,20 @@ pub struct Detector {
     reader: Reader,
     parameters: DetectorParameters,
     mask: Option<Mask>,
-    /// Ids that a doubtful square may be taken for.
+    /// Ids that a doubtful square may have.
     expected: Vec<u32>,
     grain: Grain,
     finder: Finder,
 }
 
 impl Detector {
-    /// A detector for the dictionary of this name (one of [`flockeye_dictionary::PREDEFINED`], or a file's path).
+    /// A detector for the dictionary of this name (one of [`flockeye_dictionary::PREDEFINED`], or a
+    /// file's path).
     ///
     /// # Errors
     /// An unknown dictionary, a broken file, or a parameter outside its range.
     pub fn new(dictionary: &str, parameters: DetectorParameters) -> Result<Self, DetectError> {
-        check(&parameters)?;
+        parameters.check()?;
         let dictionary = Dictionary::load(dictionary)?;
         let reader = Reader::new(&dictionary);
         Ok(Self {
@@ -151,7 +126,7 @@ impl Detector {
         })
     }
 
-    /// Offers squares that do not decode as doubtful markers, if they look like one of these.
+    /// Gives squares that cannot be decoded as doubtful markers, if they look like one of these.
     pub fn with_expected(self, ids: impl IntoIterator<Item = u32>) -> Self {
         let known = ids.into_iter().filter(|&id| self.dictionary.print(id).is_some());
         Self { expected: known.collect(), ..self }
@@ -167,26 +142,29 @@ impl Detector {
         &self.dictionary
     }
 
-    /// Looks for squares with other thresholds from now on.
+    /// Sets the thresholds for the next images.
     ///
     /// # Errors
-    /// As [`Detector::new`]: none at all, or windows that are none.
-    pub fn set_thresholds(&mut self, thresholds: Vec<Threshold>) -> Result<(), DetectError> {
-        let parameters = DetectorParameters { thresholds, ..self.parameters.clone() };
-        check(&parameters)?;
-        self.parameters = parameters;
+    /// None at all, or one that no image can be searched with. The former ones stay then.
+    pub fn set_thresholds(
+        &mut self,
+        thresholds: impl Iterator<Item = Threshold> + Clone,
+    ) -> Result<(), DetectError> {
+        check_thresholds(thresholds.clone())?;
+        self.parameters.thresholds.clear();
+        self.parameters.thresholds.extend(thresholds);
         Ok(())
     }
 
-    /// From now on images are views cut from others, with so many pixels for each of theirs along
-    /// either axis.
+    /// Sets how many pixels the next images have for each pixel of the sphere's image, along either
+    /// axis.
     pub fn set_magnification(&mut self, magnification: f64) {
         self.grain = Grain::Resampled { magnification };
         self.parameters.corner_accuracy_px = 1.0 + magnification.max(1.0);
     }
 
-    /// Every marker in `image`, which shows what `view` says; by rising id, each id once. Behind
-    /// them at most [`MAX_DOUBTFUL`] doubtful ones of other ids, the best first.
+    /// Finds every marker in `image`, which shows what `view` says: by rising id, each id once. After
+    /// them come at most [`MAX_DOUBTFUL`] doubtful ones of other ids, the best first.
     pub fn detect(
         &mut self,
         image: &LumaImage<'_>,
@@ -199,8 +177,12 @@ impl Detector {
         let Candidates { whole, completed } = self.finder.find(image, &self.parameters);
         let mut found: Vec<Found> = Vec::new();
         let mut doubtful: Vec<Found> = Vec::new();
+        // Several thresholds may give the same square; it would be read with the same result.
+        let mut read = HashSet::new();
         for quad in whole.iter().chain(&completed) {
-            if self.is_hidden(view, quad) || found.iter().any(|marker| is_outline_of(marker, quad))
+            if self.is_hidden(view, quad)
+                || found.iter().any(|marker| is_outline_of(marker, quad))
+                || !read.insert(quad.map(|corner| [corner.0.x.to_bits(), corner.0.y.to_bits()]))
             {
                 continue;
             }
@@ -210,21 +192,20 @@ impl Detector {
                 None => {}
             }
         }
-        // One square may have several outlines; nobody prints an id twice.
-        found.sort_by(|a, b| a.id.cmp(&b.id).then(b.agreement.total_cmp(&a.agreement)));
+        // One square may have several outlines, but no id is printed twice.
+        found.sort_by(|a, b| a.id.cmp(&b.id).then(b.correlation.total_cmp(&a.correlation)));
         found.dedup_by_key(|marker| marker.id);
         add_doubtful(&mut found, doubtful);
         found
     }
 
-    /// Whether a quadrilateral's middle lies on the own airframe, or where no lens sees.
+    /// Whether the centre of a quadrilateral lies on the own airframe, or where no lens sees.
     fn is_hidden(&self, view: &View, quad: &Quad) -> bool {
         let Some(mask) = &self.mask else { return false };
-        mask.hides(&view.ray(ViewPixel(middle(quad))))
+        mask.hides(&view.ray(ViewPixel(centre(quad))))
     }
 
-    /// The marker in a quadrilateral, if there is one to be believed, or else the one that it looks
-    /// most like, if it looks like any.
+    /// The marker in a quadrilateral, decoded or doubtful.
     fn read(
         &self,
         image: &LumaImage<'_>,
@@ -236,58 +217,60 @@ impl Detector {
         if mean_side_px(&near) < self.parameters.min_side_px {
             return None;
         }
-        let likeness = self.reader.compare(&self.reading(image, light, &near)?)?;
-        self.marker(image, view, light, &near, &likeness)
-            .or_else(|| self.doubtful(view, &near, &likeness))
+        let correlations = self.reader.compare(&self.reading(image, light, &near)?)?;
+        self.decoded(image, view, light, &near, &correlations)
+            .or_else(|| self.doubtful(view, &near, &correlations))
     }
 
-    /// The marker in a square, if there is one to be believed.
-    fn marker(
+    /// The marker in a square, if one is accepted.
+    fn decoded(
         &self,
         image: &LumaImage<'_>,
         view: &View,
         light: &LinearLight,
         near: &Quad,
-        likeness: &Likeness,
+        correlations: &Correlations,
     ) -> Option<Found> {
-        let decoded = likeness.best()?;
+        let decoded = correlations.best()?;
         if !self.is_worth_fitting(&decoded) {
             return None;
         }
-        let corners = turned(near, decoded.first_corner);
+        let corners = rotated(near, decoded.first_corner);
         let print = self.dictionary.print(decoded.id)?;
         let mut refined = self.refined(image, light, &corners, print);
-        if refined.is_none() && self.is_beyond_doubt(&decoded) {
+        if refined.is_none() && self.is_accepted_unrefined(&decoded) {
             refined = (0..4)
-                .map(|k| with_corner_opposite(&corners, k))
+                .map(|k| with_parallelogram_corner(&corners, k))
                 .find_map(|guess| self.refined(image, light, &guess, print));
         }
         let (corners_in_view, deviations_px) = match refined {
             Some(refined) => (refined.corners_in_view, refined.deviations_px),
             None => (corners, [UNREFINED_PX; 4]),
         };
-        // What reads well only where the corners were guessed is no marker.
+        // It must read as the same marker with its final corners.
         let confirmed =
             self.reader.compare(&self.reading(image, light, &corners_in_view)?)?.best()?;
         let is_same = (confirmed.id, confirmed.first_corner) == (decoded.id, 0);
-        let is_believed = match refined {
-            Some(refined) => self.is_marker(&confirmed) && self.looks_printed(&refined, &confirmed),
-            None => self.is_beyond_doubt(&confirmed),
+        let is_accepted = match refined {
+            Some(refined) => {
+                self.reads_as_marker(&confirmed) && self.looks_printed(&refined, &confirmed)
+            }
+            None => self.is_accepted_unrefined(&confirmed),
         };
-        (is_same && is_believed).then(|| Found {
+        (is_same && is_accepted).then(|| Found {
             is_refined: refined.is_some(),
-            agreement: confirmed.agreement,
-            ..seen(view, decoded.id, corners_in_view, deviations_px)
+            correlation: confirmed.correlation,
+            ..found_at(view, decoded.id, corners_in_view, deviations_px)
         })
     }
 
-    /// The expected marker that a square looks most like.
-    fn doubtful(&self, view: &View, near: &Quad, likeness: &Likeness) -> Option<Found> {
-        let guessed = likeness.best_among(self.expected.iter().copied())?;
-        (guessed.agreement >= MIN_GUESS).then(|| Found {
-            agreement: guessed.agreement,
+    /// The expected marker that a square looks most like, if it looks enough like it.
+    fn doubtful(&self, view: &View, near: &Quad, correlations: &Correlations) -> Option<Found> {
+        let likely = correlations.best_among(self.expected.iter().copied())?;
+        (likely.correlation >= MIN_DOUBTFUL_CORRELATION).then(|| Found {
+            correlation: likely.correlation,
             is_doubtful: true,
-            ..seen(view, guessed.id, turned(near, guessed.first_corner), [UNREFINED_PX; 4])
+            ..found_at(view, likely.id, rotated(near, likely.first_corner), [UNREFINED_PX; 4])
         })
     }
 
@@ -312,38 +295,39 @@ impl Detector {
         refine_corners(image, light, guess, print, self.grain, self.parameters.effort)
     }
 
-    /// Where corners were guessed, cells are read beside their middles.
+    /// Whether a reading at approximate corners may be a marker's. See [`WORTH_FITTING`].
     fn is_worth_fitting(&self, decoded: &Decoded) -> bool {
-        decoded.agreement >= 0.85 * self.parameters.min_agreement
-            && decoded.certainty >= 0.5 * self.parameters.min_certainty
+        let (correlation, ratio) = WORTH_FITTING;
+        decoded.correlation >= correlation * self.parameters.min_correlation
+            && decoded.log_likelihood_ratio >= ratio * self.parameters.min_log_likelihood_ratio
     }
 
-    fn is_marker(&self, decoded: &Decoded) -> bool {
-        decoded.agreement >= self.parameters.min_agreement
-            && decoded.certainty >= self.parameters.min_certainty
+    fn reads_as_marker(&self, decoded: &Decoded) -> bool {
+        decoded.correlation >= self.parameters.min_correlation
+            && decoded.log_likelihood_ratio >= self.parameters.min_log_likelihood_ratio
     }
 
-    /// Enough to believe a marker whose edges could not be fitted.
-    fn is_beyond_doubt(&self, decoded: &Decoded) -> bool {
-        decoded.agreement >= (1.0 + self.parameters.min_agreement) / 2.0
-            && decoded.certainty >= 2.0 * self.parameters.min_certainty
+    /// Whether a reading alone is enough, without fitted edges. See [`UNREFINED_RATIO`].
+    fn is_accepted_unrefined(&self, decoded: &Decoded) -> bool {
+        decoded.correlation >= (1.0 + self.parameters.min_correlation) / 2.0
+            && decoded.log_likelihood_ratio
+                >= UNREFINED_RATIO * self.parameters.min_log_likelihood_ratio
     }
 
-    /// Whether the fitted edges are those of print, and no smooth shading.
+    /// Whether the fitted edges are those of print, rather than of smooth shading.
     fn looks_printed(&self, refined: &RefinedCorners, decoded: &Decoded) -> bool {
         let cell = mean_side_px(&refined.corners_in_view) / (self.dictionary.bits() + 2) as f64;
         let blur = (refined.blur_px[0] + refined.blur_px[1]) / 2.0 / cell;
-        let (agreement, certainty, misfit) = FAINT;
-        let is_told_though_faint = decoded.agreement >= agreement
-            && decoded.certainty >= certainty
-            && refined.misfit <= misfit;
+        let passes_blurred = decoded.correlation >= BLURRED.min_correlation
+            && decoded.log_likelihood_ratio >= BLURRED.min_log_likelihood_ratio
+            && refined.misfit <= BLURRED.max_misfit;
         refined.misfit <= MAX_MISFIT
-            && (blur <= MAX_BLUR_CELLS || (blur <= MAX_BLUR_CELLS_AT_ALL && is_told_though_faint))
+            && (blur <= MAX_BLUR_CELLS || (blur <= MAX_BLUR_CELLS_AT_RANGE && passes_blurred))
     }
 }
 
-/// A marker that `view` sees at these corners.
-fn seen(view: &View, id: u32, corners_in_view: Quad, deviations_px: [f64; 4]) -> Found {
+/// A marker that `view` shows at these corners.
+fn found_at(view: &View, id: u32, corners_in_view: Quad, deviations_px: [f64; 4]) -> Found {
     Found {
         id,
         corners_in_view,
@@ -352,20 +336,21 @@ fn seen(view: &View, id: u32, corners_in_view: Quad, deviations_px: [f64; 4]) ->
             deviations_px[k].min(UNREFINED_PX) * radians_per_pixel(view, corners_in_view[k])
         }),
         is_refined: false,
-        agreement: 0.0,
+        correlation: 0.0,
         is_doubtful: false,
     }
 }
 
-/// Adds the best of the doubtful ones: each id once, none that was found for sure, none where
-/// another marker is.
+/// Adds the best of the doubtful markers: each id once, none that was decoded, and none at the place of
+/// another marker.
 fn add_doubtful(found: &mut Vec<Found>, mut doubtful: Vec<Found>) {
-    doubtful.sort_by(|a, b| b.agreement.total_cmp(&a.agreement).then(a.id.cmp(&b.id)));
+    doubtful.sort_by(|a, b| b.correlation.total_cmp(&a.correlation).then(a.id.cmp(&b.id)));
     let most = found.len() + MAX_DOUBTFUL;
     for marker in doubtful {
         let is_new = found.iter().all(|known| {
-            let apart = middle(&known.corners_in_view) - middle(&marker.corners_in_view);
-            known.id != marker.id && apart.norm() > 0.3 * mean_side_px(&known.corners_in_view)
+            let apart = centre(&known.corners_in_view) - centre(&marker.corners_in_view);
+            let side_px = mean_side_px(&known.corners_in_view);
+            known.id != marker.id && apart.norm() > SAME_PLACE_SHARE * side_px
         });
         if is_new && found.len() < most {
             found.push(marker);
@@ -373,13 +358,10 @@ fn add_doubtful(found: &mut Vec<Found>, mut doubtful: Vec<Found>) {
     }
 }
 
-fn middle(corners: &Quad) -> Vector2<f64> {
-    corners.iter().map(|corner| corner.0).sum::<Vector2<f64>>() / 4.0
-}
-
-/// Whether a quadrilateral is another outline of a marker that is known already.
+/// Whether a quadrilateral is another outline of a marker that was found already.
 fn is_outline_of(marker: &Found, quad: &Quad) -> bool {
-    let near = 2.0 + 0.05 * mean_side_px(&marker.corners_in_view);
+    let (pixels, share) = SAME_CORNER;
+    let near = pixels + share * mean_side_px(&marker.corners_in_view);
     marker.is_refined
         && marker
             .corners_in_view
@@ -387,67 +369,10 @@ fn is_outline_of(marker: &Found, quad: &Quad) -> bool {
             .all(|corner| quad.iter().any(|other| (other.0 - corner.0).norm() < near))
 }
 
-/// The corners with corner `k` where the other three, as a parallelogram, want it: outlines lose a
-/// corner where something dark touches it.
-fn with_corner_opposite(corners: &Quad, k: usize) -> Quad {
-    let mut completed = *corners;
-    let [before, after, opposite] = [3, 1, 2].map(|n| corners[(k + n) % 4].0);
-    completed[k] = ViewPixel(before + after - opposite);
-    completed
-}
-
-/// The corners, beginning with the one of this index.
-fn turned(corners: &Quad, first: usize) -> Quad {
-    std::array::from_fn(|k| corners[(k + first) % 4])
-}
-
-/// Angle that a pixel spans at `at`, mean of along and across the direction from the middle.
+/// The angle that a pixel spans at `at`, mean of that along and across the direction from the middle.
 fn radians_per_pixel(view: &View, at: ViewPixel) -> f64 {
     let (x, y) = (at.0.x - view.centre_px(), at.0.y - view.centre_px());
     let squared = x * x + y * y + view.focal_px * view.focal_px;
     let (radial, tangential) = (view.focal_px / squared, 1.0 / squared.sqrt());
     ((radial * radial + tangential * tangential) / 2.0).sqrt()
-}
-
-fn check(parameters: &DetectorParameters) -> Result<(), DetectError> {
-    if parameters.thresholds.is_empty() {
-        let (name, allowed) = ("thresholds", "one or more");
-        return Err(DetectError::Parameter { name, value: 0.0, allowed });
-    }
-    let window = |threshold: &Threshold| threshold.window_px;
-    let wrong = parameters.thresholds.iter().map(window).find(|w| *w < 3 || w % 2 == 0);
-    let rules = [
-        ("min_side_px", parameters.min_side_px, parameters.min_side_px >= 8.0, "8 or more"),
-        ("window_px", wrong.unwrap_or(3) as f64, wrong.is_none(), "odd, and 3 or more"),
-        (
-            "darker_by",
-            0.0,
-            parameters.thresholds.iter().all(|threshold| threshold.darker_by > 0),
-            "1 or more",
-        ),
-        (
-            "polygon_accuracy",
-            parameters.polygon_accuracy,
-            parameters.polygon_accuracy > 0.0 && parameters.polygon_accuracy < 0.2,
-            "between 0 and 0.2",
-        ),
-        (
-            "corner_accuracy_px",
-            parameters.corner_accuracy_px,
-            parameters.corner_accuracy_px > 0.0,
-            "above 0",
-        ),
-        (
-            "min_agreement",
-            f64::from(parameters.min_agreement),
-            (0.0..=1.0).contains(&parameters.min_agreement),
-            "from 0 to 1",
-        ),
-    ];
-    for (name, value, holds, allowed) in rules {
-        if !holds || !value.is_finite() {
-            return Err(DetectError::Parameter { name, value, allowed });
-        }
-    }
-    Ok(())
 }

@@ -1,9 +1,10 @@
-//! Outlines of what is dark in a view: border following (S. Suzuki and K. Abe, "Topological structural
-//! analysis of digitized binary images by border following", 1985), without their tree.
+//! Outlines of dark regions: border following (S. Suzuki and K. Abe, "Topological structural analysis
+//! of digitized binary images by border following", 1985), without the tree of borders.
 //!
-//! Gives the outlines that OpenCV's `findContours` gives, each from the same point and in the same
-//! direction, the first one first; but none of a single pixel. A view of a hall has ten thousand of them,
-//! of which a few hundred are long enough for a marker: the others leave no trace.
+//! The outlines are those of OpenCV's `findContours`, each from the same point and in the same
+//! direction, in the order of their first points. Regions of a single pixel are left out. A view of a
+//! hall has ten thousand outlines, of which a few hundred are long enough for a marker. Only those are
+//! kept.
 
 use std::ops::RangeInclusive;
 
@@ -11,10 +12,11 @@ use nalgebra::Vector2;
 
 use crate::darkness::Dark;
 
-/// What is known of a dark pixel: that an outline goes through it; that one goes between it and its
-/// right neighbour; that it may be the first one of an outline.
+/// Mark of a pixel: an outline goes through it.
 const FOLLOWED: u8 = 1;
+/// Mark of a pixel: an outline goes between it and its right neighbour.
 const FOLLOWED_RIGHT: u8 = 2;
+/// Mark of a pixel: it may be the first one of an outline.
 const FIRST: u8 = 4;
 
 /// The eight neighbours, counterclockwise from the right one: steps of column and row.
@@ -32,21 +34,21 @@ const RIGHT: u8 = 0;
 const ABOVE_RIGHT: u8 = 1;
 const LEFT: u8 = 4;
 
-/// The neighbours that come before a pixel, row by row.
+/// The neighbours that precede a pixel in the order of rows and columns.
 const BEFORE: u8 = 0b0001_1110;
 
-/// Pixels that are looked at at once.
+/// Marks that are tested at once.
 const WORD: usize = 8;
 
-/// Follows outlines; keeps its memory from image to image.
+/// Follows outlines; reuses its memory for the next image.
 #[derive(Debug, Default)]
 pub(crate) struct Follower {
-    /// Which neighbours of each pixel are dark: a bit for each of [`STEPS`], the first one lowest. An
-    /// outline's next pixel is known only when this is, so it is had for all of them at once, before.
+    /// Which neighbours of each pixel are dark: a bit for each of [`STEPS`], the first one lowest. It
+    /// decides where an outline goes next, and is computed for all pixels at once beforehand.
     neighbours: Vec<u8>,
-    /// What is known of each pixel.
+    /// [`FOLLOWED`], [`FOLLOWED_RIGHT`] and [`FIRST`] of each pixel.
     marks: Vec<u8>,
-    turns: Turns,
+    exits: Exits,
     outlines: Outlines,
 }
 
@@ -58,31 +60,31 @@ pub(crate) type Pixel = Vector2<i32>;
 pub(crate) struct Outlines {
     /// The points of all of them, one after the other.
     points: Vec<Pixel>,
-    /// Where each one's points end, and what it goes round.
-    ends: Vec<(usize, Round)>,
+    /// Where each outline's points end, and what it encloses.
+    ends: Vec<(usize, Encloses)>,
 }
 
-/// What an outline goes round.
+/// What an outline encloses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Round {
-    /// What is dark.
+pub(crate) enum Encloses {
+    /// A dark region.
     Dark,
-    /// A hole in it.
+    /// A bright hole in a dark region.
     Hole,
 }
 
 impl Outlines {
-    /// Each outline's points, neighbours beside each other, in pixels.
-    pub(crate) fn iter(&self) -> impl Iterator<Item = (Round, &[Pixel])> {
+    /// What each outline encloses, and its points, each a neighbour of the next.
+    pub(crate) fn iter(&self) -> impl Iterator<Item = (Encloses, &[Pixel])> {
         let starts = std::iter::once(0).chain(self.ends.iter().map(|&(end, _)| end));
-        starts.zip(&self.ends).map(|(start, &(end, round))| (round, &self.points[start..end]))
+        starts.zip(&self.ends).map(|(start, &(end, encloses))| (encloses, &self.points[start..end]))
     }
 
-    /// Ends the outline of the points that were added last, or drops it.
-    fn end(&mut self, round: Round, lengths: &RangeInclusive<usize>) {
+    /// Ends the outline whose points were added last. Drops it if its length is not wanted.
+    fn end(&mut self, encloses: Encloses, lengths: &RangeInclusive<usize>) {
         let start = self.ends.last().map_or(0, |&(end, _)| end);
         if lengths.contains(&(self.points.len() - start)) {
-            self.ends.push((self.points.len(), round));
+            self.ends.push((self.points.len(), encloses));
         } else {
             self.points.truncate(start);
         }
@@ -91,40 +93,40 @@ impl Outlines {
 
 /// How an outline leaves a pixel.
 #[derive(Debug, Clone, Copy, Default)]
-struct Turn {
-    /// To the next pixel: in memory, and along columns and rows.
+struct Exit {
+    /// The step to the next pixel: in memory, and along columns and rows.
     step: i32,
     columns: i8,
     rows: i8,
-    /// On which side of the next pixel this one is.
+    /// On which side of the next pixel this one lies.
     came_from: u8,
-    /// What is known of this pixel now.
+    /// The mark that this pixel gets.
     mark: u8,
 }
 
-/// Each way to leave a pixel, for rows of one length: by the side that an outline came from, and by
-/// the pixel's dark neighbours.
+/// The exit from a pixel, by the side that an outline came from and by the pixel's dark neighbours.
+/// Holds for rows of one length.
 #[derive(Debug, Default)]
-struct Turns {
+struct Exits {
     stride: usize,
-    by_side: Vec<[Turn; 256]>,
+    by_side: Vec<[Exit; 256]>,
 }
 
-impl Turns {
+impl Exits {
     fn new(stride: usize) -> Self {
-        let of_side = |came_from| std::array::from_fn(|bits| turn(came_from, bits as u8, stride));
+        let of_side = |came_from| std::array::from_fn(|bits| exit(came_from, bits as u8, stride));
         Self { stride, by_side: (0..8).map(of_side).collect() }
     }
 }
 
-/// Counterclockwise from where the outline came to the next dark neighbour; if there is no other, that
-/// is where it came from.
-fn turn(came_from: u8, neighbours: u8, stride: usize) -> Turn {
+/// The exit to the next dark neighbour, counterclockwise from where the outline came. If there is no
+/// other, it goes back.
+fn exit(came_from: u8, neighbours: u8, stride: usize) -> Exit {
     let first_side = (came_from + 1) % 8;
     let bright = neighbours.rotate_right(first_side.into()).trailing_zeros() as u8;
     let side = (first_side + bright) % 8;
     let step = STEPS[usize::from(side)];
-    Turn {
+    Exit {
         step: step.y * stride as i32 + step.x,
         columns: step.x as i8,
         rows: step.y as i8,
@@ -134,12 +136,12 @@ fn turn(came_from: u8, neighbours: u8, stride: usize) -> Turn {
 }
 
 impl Follower {
-    /// Every outline with so many points, two or more: of dark regions and of holes in them.
+    /// The outlines of dark regions and of holes in them that have so many points, two or more.
     pub(crate) fn follow(&mut self, dark: &Dark, lengths: RangeInclusive<usize>) -> &Outlines {
         self.outlines.points.clear();
         self.outlines.ends.clear();
         self.set_size(dark);
-        self.look_round(dark);
+        self.find_all_neighbours(dark);
         for word in 0..self.marks.len() / WORD {
             let marks = u64::from_le_bytes(self.marks.as_chunks::<WORD>().0[word]);
             let mut first = marks & u64::from_ne_bytes([FIRST; WORD]);
@@ -149,32 +151,32 @@ impl Follower {
                 if self.neighbours[at] & 1 << ABOVE_RIGHT == 0 {
                     if self.marks[at] == FIRST {
                         self.trace(at, LEFT);
-                        self.outlines.end(Round::Dark, &lengths);
+                        self.outlines.end(Encloses::Dark, &lengths);
                     }
                 } else if self.marks[at] & FOLLOWED_RIGHT == 0 {
                     self.trace(at, RIGHT);
-                    self.outlines.end(Round::Hole, &lengths);
+                    self.outlines.end(Encloses::Hole, &lengths);
                 }
             }
         }
         &self.outlines
     }
 
-    /// Prepares memory for images of this size. What is not border is written for each image anew.
+    /// Prepares memory for images of this size. Everything but the border is written for each image.
     fn set_size(&mut self, dark: &Dark) {
         let (stride, count) = (dark.stride(), dark.pixels().len());
-        if (self.turns.stride, self.neighbours.len()) == (stride, count) {
+        if (self.exits.stride, self.neighbours.len()) == (stride, count) {
             return;
         }
-        self.turns = Turns::new(stride);
+        self.exits = Exits::new(stride);
         self.neighbours.clear();
         self.neighbours.resize(count, 0);
         self.marks.clear();
         self.marks.resize(count.next_multiple_of(WORD), 0);
     }
 
-    /// Finds everybody's neighbours, and where outlines may begin.
-    fn look_round(&mut self, dark: &Dark) {
+    /// Finds the dark neighbours of all pixels, and where outlines may begin.
+    fn find_all_neighbours(&mut self, dark: &Dark) {
         let (stride, count) = (dark.stride(), dark.pixels().len());
         // Each row without its border.
         let rows = (stride..count.saturating_sub(stride)).step_by(stride);
@@ -189,36 +191,37 @@ impl Follower {
         }
     }
 
-    /// Follows the outline that goes between a dark pixel and its bright neighbour on that side.
+    /// Follows the outline that passes between a dark pixel and its bright neighbour on that side.
     fn trace(&mut self, start: usize, bright_side: u8) {
-        let stride = self.turns.stride as i32;
+        let stride = self.exits.stride as i32;
         let mut place = Pixel::new(start as i32 % stride - 1, start as i32 / stride - 1);
         let neighbours = self.neighbours[start];
-        // Clockwise from the bright side to the first dark neighbour: there the outline comes back.
+        // The outline ends at the first dark neighbour, clockwise from the bright side.
         let bright = neighbours.rotate_right(bright_side.into()).leading_zeros() as u8;
         let last_side = (bright_side + 7 - bright) % 8;
         let step = STEPS[usize::from(last_side)];
         let last = start.wrapping_add_signed((step.y * stride + step.x) as isize);
         let (mut here, mut came_from) = (start, last_side);
         let (neighbours, marks) = (&self.neighbours[..], &mut self.marks[..]);
-        let (by_side, points) = (&self.turns.by_side[..], &mut self.outlines.points);
+        let (by_side, points) = (&self.exits.by_side[..], &mut self.outlines.points);
         loop {
-            let turn = by_side[usize::from(came_from)][usize::from(neighbours[here])];
-            marks[here] |= turn.mark;
+            let exit = by_side[usize::from(came_from)][usize::from(neighbours[here])];
+            marks[here] |= exit.mark;
             points.push(place);
-            let next = here.wrapping_add_signed(turn.step as isize);
+            let next = here.wrapping_add_signed(exit.step as isize);
             if next == start && here == last {
                 return;
             }
-            place += Pixel::new(turn.columns.into(), turn.rows.into());
-            (here, came_from) = (next, turn.came_from);
+            place += Pixel::new(exit.columns.into(), exit.rows.into());
+            (here, came_from) = (next, exit.came_from);
         }
     }
 }
 
-/// Neighbours of a row's pixels, from the rows of each of the eight, and where outlines may begin.
+/// Finds the dark neighbours of a row's pixels, and where outlines may begin. `at` holds the row shifted
+/// by each of the eight steps.
 fn find_neighbours(neighbours: &mut [u8], marks: &mut [u8], pixels: &[u8], at: [&[u8]; 8]) {
-    // Compilers do many pixels at once where they see that all rows are equally long.
+    // With slices of equal length the compiler handles many pixels at once.
     let [a, b, c, d, e, f, g, h] = at.map(|row| &row[..neighbours.len()]);
     for (k, bits) in neighbours.iter_mut().enumerate() {
         let low = a[k] | b[k] << 1 | c[k] << 2 | d[k] << 3;
@@ -230,9 +233,9 @@ fn find_neighbours(neighbours: &mut [u8], marks: &mut [u8], pixels: &[u8], at: [
     }
 }
 
-/// 1 for a dark pixel with these neighbours if it may be the first one of an outline, row by row; not
-/// if it has none. The first one round a region has nothing dark before it; in the first one round a
-/// hole, the pixel to the right is the hole's first one, and what is above that is dark.
+/// 1 if a dark pixel with these neighbours may be the first one of an outline, in the order of rows and
+/// columns; 0 if it has none. The first pixel around a region has no dark one before it. The first pixel
+/// around a hole has the hole's first pixel to its right, and a dark one above that.
 fn may_be_first(neighbours: u8) -> u8 {
     const AT_HOLE: u8 = 1 << RIGHT | 1 << ABOVE_RIGHT;
     u8::from(neighbours & BEFORE == 0 && neighbours != 0)
@@ -286,11 +289,11 @@ mod tests {
                 dice[..width * height].iter().map(|&dice| u8::from(dice < share)).collect();
             let mut follower = Follower::default();
             let mut theirs = theirs(&dark, width);
-            // The last one found is the first of their list.
+            // OpenCV lists the outline found last first.
             theirs.reverse();
             theirs.retain(|outline| outline.len() > 1);
             let found = ours(&mut follower, &dark, width);
-            // Memory of another image is of no consequence.
+            // What is left in memory of another image must not matter.
             let inverted: Vec<u8> = dark.iter().map(|dark| 1 - dark).collect();
             ours(&mut follower, &inverted, width);
             prop_assert_eq!(&ours(&mut follower, &dark, width), &found);
@@ -299,7 +302,7 @@ mod tests {
     }
 
     #[test]
-    fn only_outlines_of_a_length_are_kept() {
+    fn only_outlines_of_the_wanted_lengths_are_kept() {
         // One pixel, and a square of three with a hole.
         #[rustfmt::skip]
         let dark = [

@@ -3,40 +3,47 @@
 use flockeye_geometry::Ray;
 use flockeye_geometry::body::{Bodies, Body, Marker};
 
-use crate::Found;
+use crate::detector::Found;
 
-/// Markers' distances from the camera, by their longest sides, are right to within this share: noise,
-/// and what a near marker's tilt adds.
-const RANGE_SHARE: f64 = 0.3;
+/// Largest relative error of a marker's range by its longest side. It covers noise, and what the tilt of a
+/// near marker adds.
+const RANGE_ERROR: f64 = 0.3;
 
-/// Markers whose normals point more than the angle of this cosine apart are never seen together.
-const MAX_TURNED: f64 = -0.8;
+/// Two markers are never visible together if the cosine between their normals is below this: they face
+/// away from each other by more than 143 degrees.
+const MIN_NORMAL_COSINE: f64 = -0.8;
 
-/// Leaves out markers that no body could show beside the others: two of one body that look away from
-/// each other, or lie farther apart than it is wide, by their apparent size. Of each such
-/// pair the one goes that more of the body's markers contradict, or that reads worse; but doubtful ones
-/// say nothing against one that was read: in a hall full of windows several contradict it. Markers that
-/// nobody carries stay.
+/// How far a marker's centre may be off its place on the body, in sides of the marker.
+const CENTRE_SLACK: f64 = 0.5;
+
+/// Leaves out markers that contradict others of the same body.
+///
+/// Two markers contradict each other if they face away from each other, or if their apparent sizes put
+/// them farther apart than they are on the body. Of the contradicting markers the one with most
+/// contradictions goes first, then the one with the lowest correlation. Doubtful markers count against
+/// doubtful ones only: in a hall full of windows several would contradict a decoded marker. Markers
+/// that no configured body carries stay.
 pub fn keep_plausible(mut found: Vec<Found>, bodies: &Bodies) -> Vec<Found> {
     loop {
         let contradicted: Vec<usize> = (0..found.len())
             .map(|k| {
                 let others = found.iter().enumerate().filter(|(other, _)| *other != k);
-                let heard = others.filter(|(_, other)| found[k].is_doubtful || !other.is_doubtful);
-                heard.filter(|(_, other)| contradict(&found[k], other, bodies)).count()
+                let counted =
+                    others.filter(|(_, other)| found[k].is_doubtful || !other.is_doubtful);
+                counted.filter(|(_, other)| contradict(&found[k], other, bodies)).count()
             })
             .collect();
         let worst = (0..found.len()).filter(|&k| contradicted[k] > 0).max_by(|&a, &b| {
             contradicted[a]
                 .cmp(&contradicted[b])
-                .then(found[b].agreement.total_cmp(&found[a].agreement))
+                .then(found[b].correlation.total_cmp(&found[a].correlation))
         });
         let Some(worst) = worst else { return found };
         found.remove(worst);
     }
 }
 
-/// Whether two markers are of one body, which cannot show both as they are.
+/// Whether two markers belong to one body that cannot show both where they are.
 fn contradict(a: &Found, b: &Found, bodies: &Bodies) -> bool {
     let owner = bodies.owner(a.id);
     if a.id == b.id || owner.is_none() || owner != bodies.owner(b.id) {
@@ -45,7 +52,7 @@ fn contradict(a: &Found, b: &Found, bodies: &Bodies) -> bool {
     let body = owner.and_then(|index| bodies.get(index));
     let markers = |body: &'_ Body| Some((body.marker(a.id)?.clone(), body.marker(b.id)?.clone()));
     let Some((first, second)) = body.and_then(markers) else { return false };
-    if first.normal().dot(&second.normal()) < MAX_TURNED {
+    if first.normal().dot(&second.normal()) < MIN_NORMAL_COSINE {
         return true;
     }
     let (near, far) = {
@@ -53,20 +60,20 @@ fn contradict(a: &Found, b: &Found, bodies: &Bodies) -> bool {
         (ranges[0].min(ranges[1]), ranges[0].max(ranges[1]))
     };
     let apart = (first.centre() - second.centre()).norm();
-    let slack = RANGE_SHARE * far;
-    let angle = middle(a).angle(&middle(b));
+    let slack = RANGE_ERROR * far;
+    let angle = central_ray(a).angle(&central_ray(b));
     far - near > apart + slack
-        || near * angle.sin().abs() > apart * (1.0 + RANGE_SHARE) + 0.5 * first.side()
+        || near * angle.sin().abs() > apart * (1.0 + RANGE_ERROR) + CENTRE_SLACK * first.side()
 }
 
-/// How far a marker is, by the longest of its sides, metres: what a tilt shortens least.
+/// The range of a marker, metres, by its longest side: the one that a tilt shortens least.
 fn range(found: &Found, marker: &Marker) -> f64 {
     let rays = &found.rays_in_camera;
     let longest = (0..4).map(|k| rays[k].angle(&rays[(k + 1) % 4])).fold(0.0, f64::max);
     marker.side() / longest.max(1e-6)
 }
 
-fn middle(found: &Found) -> Ray {
+fn central_ray(found: &Found) -> Ray {
     let sum = found.rays_in_camera.iter().map(|ray| ray.into_inner()).sum();
     Ray::new_normalize(sum)
 }
@@ -85,14 +92,14 @@ mod tests {
         Bodies::new("DICT_5X5_250".into(), list).unwrap()
     }
 
-    fn seen(marker: &Marker, pose: &Isometry3<f64>, agreement: f32) -> Found {
+    fn seen(marker: &Marker, pose: &Isometry3<f64>, correlation: f32) -> Found {
         Found {
             id: marker.id,
             corners_in_view: [ViewPixel::new(0.0, 0.0); 4],
             rays_in_camera: marker.corners.map(|corner| Ray::new_normalize((pose * corner).coords)),
             deviations_rad: [1e-4; 4],
             is_refined: true,
-            agreement,
+            correlation,
             is_doubtful: false,
         }
     }
@@ -109,7 +116,7 @@ mod tests {
         #![proptest_config(ProptestConfig { failure_persistence: None, ..Default::default() })]
 
         #[test]
-        fn what_a_body_shows_stays(
+        fn markers_that_a_body_shows_together_are_kept(
             range in 0.2..4.0f64,
             turn in prop::array::uniform3(-3.0..3.0f64),
             at in prop::array::uniform3(-1.0..1.0f64),
@@ -127,14 +134,15 @@ mod tests {
     }
 
     #[test]
-    fn what_it_cannot_show_goes() {
+    fn markers_that_a_body_cannot_show_together_are_left_out() {
         let bodies = bodies();
         let alpha = bodies.get(0).unwrap();
         let pose = Isometry3::translation(1.0, 0.2, 0.1);
         let mut found = visible(alpha, &pose);
         let count = found.len();
         assert!(count >= 3);
-        // From behind, and read worse; much nearer. Another body's marker, and a stranger, may be there.
+        // One marker seen from behind, with a lower correlation, and one at a much shorter range. Another
+        // body's marker and one of no body are no contradiction.
         let facing = &alpha.markers[usize::try_from(found[0].id).unwrap()];
         let ahead = pose.translation.vector;
         let away = |marker: &&Marker| marker.normal().dot(&ahead);
@@ -142,24 +150,24 @@ mod tests {
         let mut wrong = vec![seen(hidden.unwrap(), &pose, 0.9)];
         found.retain(|marker| marker.id != facing.id);
         wrong.push(seen(facing, &Isometry3::translation(0.3, 0.06, 0.03), 0.99));
-        let strangers = [
+        let unrelated = [
             seen(&bodies.get(1).unwrap().markers[7], &Isometry3::translation(0.0, 2.0, 0.0), 0.9),
             Found { id: 99, ..seen(facing, &pose, 0.9) },
         ];
-        let all: Vec<Found> = found.iter().chain(&wrong).chain(&strangers).cloned().collect();
+        let all: Vec<Found> = found.iter().chain(&wrong).chain(&unrelated).cloned().collect();
         let kept = keep_plausible(all, &bodies);
-        let expected: Vec<Found> = found.iter().chain(&strangers).cloned().collect();
+        let expected: Vec<Found> = found.iter().chain(&unrelated).cloned().collect();
         assert_eq!(kept, expected);
     }
 
     #[test]
-    fn squares_that_look_like_markers_say_nothing_against_one_that_was_read() {
+    fn doubtful_markers_do_not_contradict_a_decoded_one() {
         let bodies = bodies();
         let alpha = bodies.get(0).unwrap();
         let pose = Isometry3::translation(1.0, 0.2, 0.1);
         let read = visible(alpha, &pose)[0].clone();
         let others = alpha.markers.iter().filter(|marker| marker.id != read.id);
-        // All over the view, at other distances.
+        // At other places of the view and other ranges.
         let doubtful: Vec<Found> = (0..4)
             .zip(others)
             .map(|(k, marker)| {

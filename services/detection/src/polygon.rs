@@ -5,29 +5,30 @@ use std::ops::Range;
 
 use crate::outlines::Pixel;
 
-/// Points of which the farthest is had at once, before it is said which it is.
+/// Points whose largest distance is computed at once, before the point is searched among them. Decides
+/// speed only.
 const GROUP: usize = 64;
 
-/// Approximates closed outlines; keeps its memory from one to the next.
+/// Approximates closed outlines; reuses its memory for the next one.
 #[derive(Debug, Default)]
 pub(crate) struct Approximator {
-    /// The outline from one of its corners on, once round.
+    /// The closed outline, beginning and ending with one of its corners.
     points: Points,
-    /// Indices of corners, the first one's twice: at the beginning and at the end. Fewer than two of an
-    /// outline of less than two points.
+    /// Indices of corners. The first corner is there twice, at the beginning and at the end, but for
+    /// outlines of less than two points.
     corners: Vec<usize>,
-    /// Ends of stretches that are still to be looked at, the next one last.
+    /// Ends of stretches that are still to be divided, the next one last.
     ends: Vec<usize>,
     polygon: Vec<Pixel>,
 }
 
 impl Approximator {
-    /// Approximates another outline from now on.
+    /// Sets the outline to be approximated.
     pub(crate) fn set_outline(&mut self, outline: &[Pixel]) {
         self.points.clear();
         self.corners.clear();
         let Some(&first) = outline.first() else { return };
-        // Two points that are far from each other are corners.
+        // To begin with, two points that are far from each other are taken for corners.
         self.points.extend(outline);
         let start = self.points.farthest_from(first);
         let (before, after) = outline.split_at(start);
@@ -42,10 +43,11 @@ impl Approximator {
         }
     }
 
-    /// Corners of a polygon from which no point of the outline is farther than `accuracy_px`, or twice
-    /// that where [`Self::drop_straight`] left out a corner; in the outline's order. At least one, if there
-    /// is any point. Goes on from the corners that it found in this outline before: finer than then, or not
-    /// at all.
+    /// The corners of a polygon, in the outline's order; at least one, if the outline has any point.
+    ///
+    /// No point of the outline is farther from the polygon than `accuracy_px`, or twice that where
+    /// [`Self::drop_straight`] left out a corner. A second call refines the first call's corners, so
+    /// `accuracy_px` must not be larger then.
     pub(crate) fn approximate(&mut self, accuracy_px: f64) -> &[Pixel] {
         let limit = accuracy_px * accuracy_px;
         self.divide(limit);
@@ -56,7 +58,7 @@ impl Approximator {
         &self.polygon
     }
 
-    /// Divides stretches where a point is farther from their line than the root of `limit`.
+    /// Divides stretches that have a point farther from their line than the root of `limit`.
     fn divide(&mut self, limit: f64) {
         self.ends.clear();
         let first = self.corners.len().min(1);
@@ -72,8 +74,8 @@ impl Approximator {
         }
     }
 
-    /// Leaves out corners that the line between their neighbours passes, no two beside each other: those
-    /// to start from need not have been any.
+    /// Leaves out corners that lie on the line between their neighbours, but no two adjacent ones. The two
+    /// points that the division began with need not be corners.
     fn drop_straight(&mut self, limit: f64) {
         let mut at = 0;
         while self.polygon.len() > 2 && at < self.polygon.len() {
@@ -92,7 +94,7 @@ impl Approximator {
     }
 }
 
-/// Points whose columns lie beside each other, and whose rows do.
+/// Points, with all columns in one array and all rows in another.
 #[derive(Debug, Default)]
 struct Points {
     columns: Vec<i32>,
@@ -118,14 +120,14 @@ impl Points {
         Pixel::new(self.columns[index], self.rows[index])
     }
 
-    /// Index of the point that is farthest from `point`; 0 if there is no other.
+    /// Index of the point farthest from `point`; 0 if all are equal to it.
     fn farthest_from(&self, point: Pixel) -> usize {
         let distance = |other: Pixel| squared(other - point);
         self.farthest(0..self.len(), distance, |distance| distance > 0).unwrap_or(0)
     }
 
-    /// Index of the point between two others that is farthest from their line, if it is farther than the
-    /// root of `limit`.
+    /// Index of the point between two others that is farthest from their line, if its distance exceeds
+    /// the root of `limit`.
     fn off_line(&self, from: usize, to: usize, limit: f64) -> Option<usize> {
         let start = self.at(from);
         let along = self.at(to) - start;
@@ -133,13 +135,13 @@ impl Points {
             let off = |point: Pixel| squared(point - start);
             return self.farthest(from + 1..to, off, |off| f64::from(off) > limit);
         }
-        // From the line, times the line's length.
+        // The distance from the line, times the line's length.
         let off = |point: Pixel| along.perp(&(point - start)).abs();
         let limit = limit * f64::from(squared(along));
         self.farthest(from + 1..to, off, |off| f64::from(off).powi(2) > limit)
     }
 
-    /// Index, in all, of the first point among these for which a distance is largest, if that is far.
+    /// Index of the first point among these whose distance is largest, if `is_far` holds for that.
     fn farthest(
         &self,
         among: Range<usize>,
@@ -164,7 +166,7 @@ impl Points {
     }
 }
 
-/// Views are some thousand pixels wide, so that products of their coordinates fit an `i32`.
+/// The squared length. Views are at most 4,096 pixels wide, so products of coordinates fit an `i32`.
 fn squared(a: Pixel) -> i32 {
     a.dot(&a)
 }
@@ -180,7 +182,7 @@ mod tests {
 
     fn approximate(outline: &[Pixel], accuracy_px: f64) -> Vec<Pixel> {
         let mut approximator = Approximator::default();
-        // Memory of another outline is of no consequence.
+        // What is left in memory of another outline must not matter.
         approximator.set_outline(&[Pixel::new(9, 2), Pixel::new(5, 7)]);
         approximator.set_outline(outline);
         approximator.approximate(accuracy_px).to_vec()
@@ -199,7 +201,7 @@ mod tests {
         sides.fold(f64::INFINITY, f64::min)
     }
 
-    /// The outline of a square of such a side, turned, from one of its pixels on.
+    /// The corners and the outline of a rotated square; the outline begins at pixel `first`.
     fn square(side: f64, turn: f64, first: usize) -> ([[f64; 2]; 4], Vec<Pixel>) {
         let (sine, cosine) = turn.sin_cos();
         let corners = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)].map(|(x, y)| {
@@ -224,7 +226,7 @@ mod tests {
         #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
 
         #[test]
-        fn no_point_is_far_from_its_polygon(
+        fn no_point_is_far_from_the_polygon(
             radii in prop::collection::vec(20.0..40.0f64, 12..80),
             accuracy_px in 1.0..6.0f64,
         ) {
@@ -243,11 +245,11 @@ mod tests {
         }
 
         #[test]
-        fn what_goes_on_from_a_rougher_polygon_comes_out_the_same(
+        fn refining_a_rougher_polygon_gives_the_same_result(
             dice in prop::collection::vec(-3i32..=3, 8..200),
             rough_px in 2.0..12.0f64,
         ) {
-            // Ragged, and through the same places again and again.
+            // A ragged outline that passes the same places repeatedly.
             let steps = dice.iter().zip(dice.iter().cycle().skip(3));
             let outline: Vec<Pixel> = steps
                 .scan(Pixel::new(700, 700), |at, (&x, &y)| {
@@ -292,15 +294,15 @@ mod tests {
     }
 
     #[test]
-    fn small_outlines_are_what_they_are() {
+    fn outlines_of_one_point_or_none_are_kept() {
         assert!(approximate(&[], 1.0).is_empty());
         let point = [Pixel::new(3, 4)];
         assert_eq!(approximate(&point, 1.0), point);
     }
 
-    /// A square on a neck of one pixel: the outline comes back through where it went.
+    /// A square at the end of a line of one pixel: the outline passes the line in both directions.
     #[test]
-    fn what_hangs_on_a_neck_is_not_lost() {
+    fn a_square_at_the_end_of_a_line_is_kept() {
         let (_, square) = square(20.0, 0.0, 0);
         let neck = (0..30).map(|k| square[0] - Pixel::new(30 - k, 0));
         let back = neck.clone().rev();

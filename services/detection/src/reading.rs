@@ -1,8 +1,8 @@
 //! Reading what is printed in a square.
 //!
-//! Each cell's light is compared with that of the dictionary's markers *as they would look blurred*:
-//! a white cell among black ones never becomes white in a small marker, and a threshold would call
-//! it black. The measure is the correlation over the inner cells alone; the border, which all
+//! The radiance of each cell is compared with that of the dictionary's markers *after blurring them*.
+//! In a small marker a white cell among black ones never becomes white, and a threshold would read it
+//! as black. The measure is the normalized correlation over the inner cells. The border, which all
 //! markers share, only has to be there.
 
 use flockeye_dictionary::Dictionary;
@@ -12,18 +12,30 @@ use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::LinearLight;
 use flockeye_imaging::square::SquareInView;
 
-/// Blurs that markers are drawn with, in cells: sharp, as at 20 px of side, as at 12.
+/// Standard deviations of the blurs that markers are compared at, in cells: a sharp marker, one with a
+/// side of 20 px, and one of 12 px, all with a lens's blur of about a pixel.
 const BLURS_CELLS: [f64; 3] = [0.15, 0.4, 0.65];
 
-/// Where the quiet zone is looked at, cells outside the square's edge.
+/// Where the quiet zone is sampled, cells outside the square's edge: near the middle of its first cell.
 const QUIET_CELLS: f64 = 0.45;
 
-/// The light of a square's cells.
+/// Places of a cell where its radiance is sampled, along both axes, cells from its middle.
+const SAMPLE_CELLS: f64 = 0.2;
+
+/// Least contrast of a reading that is compared: the norm of its cells' deviations from their mean, where
+/// white paper has a radiance of up to 1. Below, there is nothing but rounding.
+const MIN_CONTRAST: f32 = 1e-4;
+
+/// Least share of the cells' variance that a marker is taken to leave unexplained. It bounds the likelihood
+/// ratio of a perfect reading.
+const MIN_RESIDUAL: f32 = 1e-4;
+
+/// The radiance of a square's cells.
 pub(crate) struct Reading {
     /// Inner cells, row by row from the square's first corner.
     cells: Vec<f32>,
-    /// How far the quiet zone outshines the border: the side where it does least, as a share of the
-    /// contrast inside the square.
+    /// By how much the quiet zone is brighter than the border, as a share of the contrast inside the
+    /// square: the least of the four sides.
     quiet_zone: f32,
 }
 
@@ -33,15 +45,15 @@ pub(crate) struct Decoded {
     pub id: u32,
     /// Which of the square's corners is the printed top left.
     pub first_corner: usize,
-    /// Correlation with the marker, at most 1.
-    pub agreement: f32,
-    /// By how much this id is more likely than any other one: logarithm of the ratio.
-    pub certainty: f32,
+    /// Normalized correlation with the marker, at most 1.
+    pub correlation: f32,
+    /// Logarithm of the likelihood ratio of this id to the next likely one.
+    pub log_likelihood_ratio: f32,
 }
 
 impl Reading {
-    /// Reads the square with these corners. `None` where it or its quiet zone leaves the image, or
-    /// where a side of the quiet zone is darker than the border.
+    /// Reads the square with these corners. `None` if it or its quiet zone is not wholly inside the
+    /// image, or if the quiet zone is darker than the border on some side.
     pub(crate) fn new(
         image: &LumaImage<'_>,
         light: &LinearLight,
@@ -54,12 +66,12 @@ impl Reading {
         let cell = |column: usize, row: usize| -> Option<f32> {
             let (column, row) = (column as f64 + 0.5, row as f64 + 0.5);
             let mut sum = 0.0;
-            for (dx, dy) in [(-0.2, -0.2), (0.2, -0.2), (0.2, 0.2), (-0.2, 0.2)] {
-                sum += at(column + dx, row + dy)?;
+            for (dx, dy) in [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)] {
+                sum += at(column + dx * SAMPLE_CELLS, row + dy * SAMPLE_CELLS)?;
             }
             Some(sum / 4.0)
         };
-        // The quiet zone and the border's middle, side by side, for each side.
+        // For each side, the mean radiance of the quiet zone and that of the border beside it.
         let mut sides = [(0.0, 0.0); 4];
         for k in 1..=bits {
             let along = k as f64 + 0.5;
@@ -76,7 +88,7 @@ impl Reading {
                 sum.1 += at(border.0, border.1)? / bits as f32;
             }
         }
-        // Most squares in a view are no markers: no more work for them.
+        // Most squares in a view are no markers. They end here, at little cost.
         if sides.iter().any(|(quiet, border)| quiet <= border) {
             return None;
         }
@@ -94,21 +106,22 @@ impl Reading {
         Some(Self { cells, quiet_zone })
     }
 
-    /// How far the quiet zone outshines the border, as a share of the contrast, where it does least.
+    /// By how much the quiet zone is brighter than the border on the side where it is least so, as a share
+    /// of the contrast.
     pub(crate) fn quiet_zone(&self) -> f32 {
         self.quiet_zone
     }
 }
 
-/// Markers that are compared at once.
+/// Markers that are compared at once: as many as two registers of AVX2 hold.
 const LANES: usize = 16;
 
-/// The markers of a dictionary, blurred, ready to be compared.
+/// Compares readings with the blurred markers of a dictionary.
 pub(crate) struct Reader {
     bits: usize,
     count: usize,
-    /// For each blur, the inner cells of all markers, with mean 0 and norm 1: of each [`LANES`] markers
-    /// the first cells, then the second ones, and so on. The last ones are filled up with zeros.
+    /// For each blur, the inner cells of all markers, with mean 0 and norm 1. For each [`LANES`] markers
+    /// come the first cells of all, then the second cells, and so on; the last lanes are zeros.
     templates: [Vec<[f32; LANES]>; BLURS_CELLS.len()],
 }
 
@@ -131,22 +144,22 @@ impl Reader {
         Self { bits, count, templates }
     }
 
-    /// How much a reading looks like each marker. `None` for a reading without contrast.
-    pub(crate) fn compare(&self, reading: &Reading) -> Option<Likeness> {
-        let mut turned = reading.cells.clone();
-        if !normalise(&mut turned) {
+    /// Correlates a reading with each marker. `None` for a reading without contrast.
+    pub(crate) fn compare(&self, reading: &Reading) -> Option<Correlations> {
+        let mut rotated = reading.cells.clone();
+        if !normalise(&mut rotated) {
             return None;
         }
-        let cells = turned.len();
-        let agreements = std::array::from_fn(|first_corner| {
+        let cells = rotated.len();
+        let by_rotation = std::array::from_fn(|first_corner| {
             if first_corner > 0 {
-                turned = turn(&turned, self.bits);
+                rotated = rotate(&rotated, self.bits);
             }
             let mut best = vec![[f32::MIN; LANES]; self.count.div_ceil(LANES)];
             for templates in &self.templates {
                 for (best, markers) in best.iter_mut().zip(templates.chunks_exact(cells)) {
                     let mut sums = [0.0; LANES];
-                    for (template, cell) in markers.iter().zip(&turned) {
+                    for (template, cell) in markers.iter().zip(&rotated) {
                         for (sum, template) in sums.iter_mut().zip(template) {
                             *sum += template * cell;
                         }
@@ -158,74 +171,82 @@ impl Reader {
             }
             best
         });
-        Some(Likeness { cells, count: self.count, agreements })
+        Some(Correlations { cells, count: self.count, by_rotation })
     }
 }
 
-/// How much a reading looks like each marker of a dictionary.
-pub(crate) struct Likeness {
+/// The correlation of a reading with each marker of a dictionary.
+pub(crate) struct Correlations {
     cells: usize,
     count: usize,
-    /// For each turn of the square, the correlation with each marker at the blur that suits it best.
-    agreements: [Vec<[f32; LANES]>; 4],
+    /// For each rotation of the square, the correlation with each marker at the best of the blurs.
+    by_rotation: [Vec<[f32; LANES]>; 4],
 }
 
-impl Likeness {
-    /// The marker that it looks most like.
+impl Correlations {
+    /// The marker with the largest correlation.
     pub(crate) fn best(&self) -> Option<Decoded> {
         self.best_among(0..self.count as u32)
     }
 
-    /// The same among these ids, all of the dictionary; its certainty is that among them.
+    /// The one with the largest correlation among these ids, which are of the dictionary. The likelihood
+    /// ratio is that to the next of them.
     pub(crate) fn best_among(&self, ids: impl Iterator<Item = u32> + Clone) -> Option<Decoded> {
         let mut best: Option<Decoded> = None;
         let mut runner_up: f32 = 0.0;
-        for (first_corner, agreements) in self.agreements.iter().enumerate() {
-            let agreements = agreements.as_flattened();
+        for (first_corner, correlations) in self.by_rotation.iter().enumerate() {
+            let correlations = correlations.as_flattened();
             for id in ids.clone() {
-                let agreement = agreements[id as usize];
+                let correlation = correlations[id as usize];
                 match best {
-                    Some(best) if agreement <= best.agreement => {
-                        runner_up = runner_up.max(agreement);
+                    Some(best) if correlation <= best.correlation => {
+                        runner_up = runner_up.max(correlation);
                     }
                     _ => {
-                        runner_up = best.map_or(0.0, |best| best.agreement).max(runner_up);
-                        best = Some(Decoded { id, first_corner, agreement, certainty: 0.0 });
+                        runner_up = best.map_or(0.0, |best| best.correlation).max(runner_up);
+                        best = Some(Decoded {
+                            id,
+                            first_corner,
+                            correlation,
+                            log_likelihood_ratio: 0.0,
+                        });
                     }
                 }
             }
         }
-        // Gaussian residuals of unknown size: their sum of squares is 1 - r^2 of the cells' own.
-        let left_over = |agreement: f32| (1.0 - agreement * agreement).max(1e-4);
+        // With Gaussian residuals of unknown variance, the log-likelihood is -n/2 ln(1 - r^2): a fit with
+        // correlation r leaves the share 1 - r^2 of the sum of squares.
+        let residual = |correlation: f32| (1.0 - correlation * correlation).max(MIN_RESIDUAL);
         best.map(|best| {
-            let ratio = left_over(runner_up) / left_over(best.agreement);
-            Decoded { certainty: 0.5 * self.cells as f32 * ratio.ln(), ..best }
+            let ratio = residual(runner_up) / residual(best.correlation);
+            Decoded { log_likelihood_ratio: 0.5 * self.cells as f32 * ratio.ln(), ..best }
         })
     }
 }
 
-/// The cells as they read when the square begins with its next corner.
-fn turn(cells: &[f32], bits: usize) -> Vec<f32> {
-    let mut turned = Vec::with_capacity(cells.len());
+/// The cells read from the square's next corner on.
+fn rotate(cells: &[f32], bits: usize) -> Vec<f32> {
+    let mut rotated = Vec::with_capacity(cells.len());
     for row in 0..bits {
         for column in 0..bits {
-            turned.push(cells[column * bits + bits - 1 - row]);
+            rotated.push(cells[column * bits + bits - 1 - row]);
         }
     }
-    turned
+    rotated
 }
 
-/// Mean 0 and norm 1; false where all cells are alike.
+/// Shifts and scales cells to mean 0 and norm 1. False if they have no contrast.
 fn normalise(cells: &mut [f32]) -> bool {
     let mean = cells.iter().sum::<f32>() / cells.len() as f32;
     let norm = cells.iter().map(|cell| (cell - mean) * (cell - mean)).sum::<f32>().sqrt();
     for cell in cells.iter_mut() {
         *cell = (*cell - mean) / norm.max(1e-12);
     }
-    norm > 1e-4
+    norm > MIN_CONTRAST
 }
 
-/// Share that cells two before to two after have in the light of a cell's middle.
+/// The weights of a cell and its two neighbours on either side in the radiance at the cell's middle,
+/// after a Gaussian blur with this standard deviation, cells.
 fn kernel(blur: f64) -> [f32; 5] {
     let steps = 40;
     let weights = [-2, -1, 0, 1, 2].map(|cell| {
@@ -238,7 +259,7 @@ fn kernel(blur: f64) -> [f32; 5] {
     weights.map(|weight| (weight / total) as f32)
 }
 
-/// The inner cells of a marker, blurred along both axes, border and quiet zone included.
+/// The inner cells of a marker, blurred along both axes together with its border and quiet zone.
 fn draw(print: &MarkerPrint, bits: usize, kernel: &[f32; 5]) -> Vec<f32> {
     let mut cells = Vec::with_capacity(bits * bits);
     for row in 1..=bits as isize {
@@ -262,12 +283,17 @@ mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
 
-    /// Each correlation, one by one, and for each blur the largest.
-    fn plainly(dictionary: &Dictionary, reading: &Reading, first_corner: usize, id: u32) -> f32 {
+    /// The same correlation computed plainly: one marker, one blur at a time, and the largest.
+    fn plain_correlation(
+        dictionary: &Dictionary,
+        reading: &Reading,
+        first_corner: usize,
+        id: u32,
+    ) -> f32 {
         let bits = dictionary.bits();
         let mut cells = reading.cells.clone();
         assert!(normalise(&mut cells));
-        (0..first_corner).for_each(|_| cells = turn(&cells, bits));
+        (0..first_corner).for_each(|_| cells = rotate(&cells, bits));
         let correlation = |blur: f64| -> f32 {
             let mut drawn = draw(dictionary.print(id).unwrap(), bits, &kernel(blur));
             normalise(&mut drawn);
@@ -277,31 +303,31 @@ mod tests {
     }
 
     #[test]
-    fn markers_compared_at_once_are_those_compared_one_by_one() {
-        // Neither number of markers is one of whole lanes.
+    fn comparing_many_markers_at_once_gives_the_plain_correlations() {
+        // Neither number of markers is a multiple of the lanes.
         for name in ["DICT_5X5_250", "DICT_4X4_50"] {
             let dictionary = Dictionary::load(name).unwrap();
             let (bits, last) = (dictionary.bits(), dictionary.marker_count() as u32 - 1);
             let reader = Reader::new(&dictionary);
-            // The last marker, turned once, with light of its own in each cell.
+            // The last marker, rotated once, with a small error in each cell.
             let cells = draw(dictionary.print(last).unwrap(), bits, &kernel(0.3));
-            let cells = turn(&turn(&turn(&cells, bits), bits), bits);
+            let cells = rotate(&rotate(&rotate(&cells, bits), bits), bits);
             let cells = cells.iter().enumerate().map(|(k, cell)| cell + 0.01 * (k % 7) as f32);
             let reading = Reading { cells: cells.collect(), quiet_zone: 1.0 };
-            let likeness = reader.compare(&reading).unwrap();
+            let correlations = reader.compare(&reading).unwrap();
             for first_corner in 0..4 {
                 for id in 0..=last {
-                    let found = likeness.agreements[first_corner].as_flattened()[id as usize];
-                    let plain = plainly(&dictionary, &reading, first_corner, id);
+                    let found = correlations.by_rotation[first_corner].as_flattened()[id as usize];
+                    let plain = plain_correlation(&dictionary, &reading, first_corner, id);
                     assert!((found - plain).abs() < 1e-5, "{name} {id}: {found}, {plain}");
                 }
             }
-            let best = likeness.best().unwrap();
+            let best = correlations.best().unwrap();
             assert_eq!((best.id, best.first_corner), (last, 1));
-            assert!(best.agreement > 0.95 && best.certainty > 10.0, "{best:?}");
-            let best = likeness.best_among([3, last, 7].into_iter()).unwrap();
+            assert!(best.correlation > 0.95 && best.log_likelihood_ratio > 10.0, "{best:?}");
+            let best = correlations.best_among([3, last, 7].into_iter()).unwrap();
             assert_eq!((best.id, best.first_corner), (last, 1));
-            assert!(likeness.best_among(std::iter::empty()).is_none());
+            assert!(correlations.best_among(std::iter::empty()).is_none());
         }
         let flat = Reading { cells: vec![0.5; 25], quiet_zone: 1.0 };
         let dictionary = Dictionary::load("DICT_5X5_250").unwrap();

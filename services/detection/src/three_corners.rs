@@ -1,64 +1,81 @@
-//! Squares of whose outline one corner is lost.
+//! Squares of which one corner is lost.
 //!
-//! A marker that touches something dark by one corner has no outline of its own: the thing's runs
-//! round both. But three corners and the beginnings of the two sides to the fourth are in it.
+//! A marker that touches something dark with one corner has no outline of its own: one outline goes
+//! around both. But it holds three of the marker's corners, and the beginnings of the two sides that
+//! lead to the fourth.
 
 use flockeye_geometry::view::ViewPixel;
 use flockeye_imaging::image::LumaImage;
 use nalgebra::Vector2;
 
-use crate::candidates::Quad;
 use crate::outlines::Pixel;
+use crate::quad::Quad;
 
-/// Of two neighbouring sides the shorter one is at least this share of the longer one: what is
-/// tilted further cannot be read.
-const MIN_SIDES: f64 = 0.35;
+// These limits decide which corners are taken for a square's. They are wide, because what passes is
+// still read: `tests/recall.rs` draws markers with a strut across one corner and counts what is found.
 
-/// Sides at a corner enclose at least an angle with this sine.
+/// Least ratio of the shorter to the longer of two neighbouring sides: that of a square tilted by
+/// 69 degrees about one of its sides. What is tilted further cannot be read.
+const MIN_SIDE_RATIO: f64 = 0.35;
+
+/// Least sine of the angle between two neighbouring sides.
 const MIN_SINE: f64 = 0.35;
 
-/// What is left of a side points along the opposite one to within an angle with this cosine.
-const MIN_PARALLEL: f64 = 0.85;
+/// Least cosine of the angle between the rest of a side and the opposite side.
+const MIN_PARALLEL_COSINE: f64 = 0.85;
 
-/// What is left of a side is at least this share of the opposite one.
-const MIN_LEFT: f64 = 0.25;
+/// Least length of the rest of a side, as a share of the opposite side.
+const MIN_REST_SHARE: f64 = 0.25;
 
-/// The quadrilaterals that three neighbouring corners of a closed polygon promise: whose next corner
-/// on either side lies where a fourth corner would be seen from there. Clockwise.
+/// Shortest of the two seen sides, as a share of the shortest side that is searched for: a tilt shortens
+/// one of them.
+const MIN_SEEN_SIDE_SHARE: f64 = 0.7;
+
+/// Least and largest length of the computed side, as a share of the opposite side.
+const COMPUTED_SIDE_SHARES: (f64, f64) = (0.5, 2.0);
+
+/// Of the twelve places that are compared across the sides, how many must be dark inside and bright
+/// outside: of the two sides to the lost corner one may be hidden.
+const MIN_DARKER: u32 = 9;
+
+/// The quadrilaterals that three successive corners of a closed polygon are part of. The polygon's next
+/// vertex on either side must lie towards the fourth corner. Clockwise.
 pub(crate) fn complete(polygon: &[Pixel], min_side_px: f64) -> impl Iterator<Item = Quad> + '_ {
     let count = polygon.len();
-    // From the last corner on to the first again.
+    // The polygon is closed: after the last corner comes the first.
     let at = move |k: usize| polygon[if k < count { k } else { k - count }].cast::<f64>();
-    let shortest_px = 0.7 * min_side_px;
+    let shortest_px = MIN_SEEN_SIDE_SHARE * min_side_px;
     (0..if count < 5 { 0 } else { count }).filter_map(move |k| {
         let [before, a, b, c, after] = [0, 1, 2, 3, 4].map(|n| at(k + n));
         let (first, second) = (b - a, c - b);
-        // Squared: most corners are no square's, and roots take longer than all else.
+        // Squared lengths, because most corners are no square's, and roots would take most of the time.
         let squares = (first.norm_squared(), second.norm_squared());
         let (shorter, longer) = (squares.0.min(squares.1), squares.0.max(squares.1));
         let turn = first.perp(&second);
         if shorter < shortest_px.powi(2)
-            || shorter < MIN_SIDES.powi(2) * longer
+            || shorter < MIN_SIDE_RATIO.powi(2) * longer
             || turn * turn < MIN_SINE.powi(2) * squares.0 * squares.1
         {
             return None;
         }
-        // From c on parallel to the first side, backwards; from a parallel to the second.
+        // The rest of the third side begins at c, against the first side; that of the fourth at a,
+        // along the second.
         let (onwards, backwards) = (after - c, before - a);
-        let is_left = |rest: Vector2<f64>, side: Vector2<f64>| {
-            rest.dot(&side) > MIN_PARALLEL * rest.norm() * side.norm()
-                && rest.norm() > MIN_LEFT * side.norm()
+        let is_rest = |rest: Vector2<f64>, side: Vector2<f64>| {
+            rest.dot(&side) > MIN_PARALLEL_COSINE * rest.norm() * side.norm()
+                && rest.norm() > MIN_REST_SHARE * side.norm()
         };
-        if !(is_left(onwards, -first) && is_left(backwards, second)) {
+        if !(is_rest(onwards, -first) && is_rest(backwards, second)) {
             return None;
         }
-        // Where the two sides cross.
+        // The fourth corner is where the two sides meet.
         let sine = onwards.perp(&backwards);
         let share = (a - c).perp(&backwards) / sine;
         let fourth = c + onwards * share;
         let length = share * onwards.norm();
         let opposite = squares.0.sqrt();
-        if !(length > 0.5 * opposite && length < 2.0 * opposite) {
+        let (least, most) = COMPUTED_SIDE_SHARES;
+        if !(length > least * opposite && length < most * opposite) {
             return None;
         }
         let quad = if turn > 0.0 { [a, b, c, fourth] } else { [fourth, c, b, a] };
@@ -66,8 +83,8 @@ pub(crate) fn complete(polygon: &[Pixel], min_side_px: f64) -> impl Iterator<Ite
     })
 }
 
-/// Whether the sides of a quadrilateral are dark inside and brighter outside, by `darker_by` code
-/// values, at nearly all places looked at.
+/// Whether a quadrilateral's sides are darker inside than outside by `darker_by` code values, at
+/// [`MIN_DARKER`] of twelve places.
 pub(crate) fn is_dark_inside(image: &LumaImage<'_>, quad: &Quad, darker_by: f64) -> bool {
     const SHARES: [f64; 3] = [0.25, 0.5, 0.75];
     let code = |at: Vector2<f64>| -> Option<f64> {
@@ -92,8 +109,7 @@ pub(crate) fn is_dark_inside(image: &LumaImage<'_>, quad: &Quad, darker_by: f64)
             darker += u32::from(outside - inside > darker_by);
         }
     }
-    // One of the two sides to the lost corner may be hidden for the better part.
-    darker >= 9
+    darker >= MIN_DARKER
 }
 
 #[cfg(test)]
@@ -105,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lost_corner_is_where_the_sides_cross() {
+    fn a_lost_corner_is_where_the_sides_meet() {
         // A square from 10 to 30 whose bottom right corner runs into a bar.
         let outline =
             [(10, 10), (30, 10), (30, 22), (60, 22), (60, 34), (22, 34), (22, 30), (10, 30)];
@@ -116,7 +132,7 @@ mod tests {
             }
             let found: Vec<Quad> = complete(&corners, 11.0).collect();
             assert_eq!(found.len(), 1, "{found:?}");
-            // Clockwise either way; read backwards, the lost corner is the first.
+            // Clockwise in both directions; in the reversed outline the lost corner comes first.
             let mut expected = polygon(&[(10, 30), (10, 10), (30, 10), (30, 30)]);
             expected.rotate_right(usize::from(reversed));
             for (corner, expected) in found[0].iter().zip(expected) {
@@ -126,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn other_outlines_promise_nothing() {
+    fn other_outlines_give_no_square() {
         let ell = [(0, 0), (40, 0), (40, 5), (5, 5), (5, 40), (0, 40)];
         assert_eq!(complete(&polygon(&ell), 11.0).count(), 0);
         let square = [(0, 0), (40, 0), (40, 40), (0, 40)];

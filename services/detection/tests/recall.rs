@@ -1,4 +1,4 @@
-//! Markers that were drawn: how many of them are found.
+//! How many of drawn markers are found.
 
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
@@ -26,7 +26,7 @@ impl Recall {
         Self { detector: detector.with_expected(0..34), light, dice: Dice(99) }
     }
 
-    /// One marker of `side` px before it is tilted, and its id.
+    /// One marker with a side of `side` px before it is tilted, and its id.
     fn scene(&mut self, side: f64, tilt_deg: f64, blur: f64) -> (Scene, u32) {
         let id = self.dice.uniform(0.0, 34.0) as u32;
         let mut scene = Scene::new(&mut self.dice, side, tilt_deg.to_radians(), blur);
@@ -46,7 +46,7 @@ impl Recall {
         self.detector.detect(&image, &view, &self.light)
     }
 
-    /// Of 40 markers each: how many are found, in percent, and how many only as doubtful.
+    /// Draws 40 markers. Returns how many are found, and how many are found only as doubtful, percent.
     fn measure(
         &mut self,
         side: f64,
@@ -68,7 +68,8 @@ impl Recall {
                     })
             };
             let wrong = markers.iter().find(|m| !m.is_doubtful && !is_right(m));
-            // Cells hardly wider than the blur may be misread: poses take two markers that agree.
+            // A marker whose cells are hardly wider than the blur may be misread. So a pose needs two
+            // markers that agree.
             let is_read = cell_in_blurs(side, tilt_deg, blur) > 2.0;
             assert!(wrong.is_none() || !is_read, "a marker that is not there: {wrong:?}");
             found += u32::from(markers.iter().any(|m| is_right(&m) && !m.is_doubtful));
@@ -81,13 +82,14 @@ impl Recall {
     }
 }
 
-/// A cell where the marker is narrowest, in blurs; a pixel's own width counts too.
+/// Width of a cell where the marker is narrowest, in standard deviations of the blur, to which a pixel's
+/// own width adds.
 fn cell_in_blurs(side: f64, tilt_deg: f64, blur: f64) -> f64 {
     side * tilt_deg.to_radians().cos() / 7.0 / blur.hypot(0.29)
 }
 
 #[test]
-fn markers_with_a_quiet_zone_are_found() {
+fn markers_are_found_where_cells_are_wider_than_the_blur() {
     let mut recall = Recall::new();
     let mut shares = Vec::new();
     for side in [14.0, 16.0, 20.0, 30.0, 60.0] {
@@ -105,7 +107,7 @@ fn markers_with_a_quiet_zone_are_found() {
 }
 
 #[test]
-fn a_corner_touched_by_something_dark_loses_no_marker() {
+fn markers_with_a_strut_across_one_corner_are_found() {
     let mut recall = Recall::new();
     for side in [20.0, 30.0, 60.0] {
         for tilt in [0.0, 30.0] {
@@ -117,9 +119,9 @@ fn a_corner_touched_by_something_dark_loses_no_marker() {
     }
 }
 
-/// As a view that is magnified twice shows them at 3.5 m: blurred by 0.8 of a cell.
+/// Markers as a view magnified twice shows them at 3.5 m: blurred by 0.8 of a cell.
 #[test]
-fn markers_far_away_are_read_though_blur_is_as_wide_as_their_cells() {
+fn markers_at_long_range_are_found_although_blurred_by_a_cell() {
     let mut recall = Recall::new();
     for (side, blur) in [(16.0, 1.8), (18.0, 2.0)] {
         let (found, _) = recall.measure(side, 0.0, blur, |_, _| {});

@@ -1,4 +1,4 @@
-//! Stills with truth: what is found, what is not, and how far corners are off.
+//! Still images with ground truth: which markers are found, and the errors of their corners.
 
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
@@ -46,7 +46,7 @@ fn srgb() -> LinearLight {
     LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap()
 }
 
-/// How many were there, and how many were found, by side of the marker in the view.
+/// Counts of visible and of found markers by their side in the view, and the errors of corners.
 #[derive(Default)]
 struct Tally {
     there: BTreeMap<u32, (u32, u32)>,

@@ -1,4 +1,4 @@
-//! Views without markers, however odd: no marker, no panic.
+//! Odd views without markers give no marker and no panic; wrong parameters are refused.
 
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
@@ -22,7 +22,7 @@ fn markers_in(pixels: &[u8], width: usize, height: usize, stride: usize) -> usiz
 }
 
 #[test]
-fn flat_views_hold_no_marker() {
+fn uniform_views_give_no_marker() {
     for side in [1, 2, 15, 16, 17, 400] {
         for code in [0, 128, 255] {
             assert_eq!(markers_in(&vec![code; side * side], side, side, side), 0);
@@ -36,7 +36,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 64, failure_persistence: None, ..Default::default() })]
 
     #[test]
-    fn noise_holds_no_marker(
+    fn noise_gives_no_marker(
         width in 1usize..160,
         height in 1usize..160,
         gap in 0usize..9,
@@ -44,7 +44,7 @@ proptest! {
         seed in any::<u64>(),
     ) {
         let stride = width + gap;
-        // Blocks of one code, so that there are squares among them.
+        // Blocks of one code value, so that there are squares among them.
         let pixels: Vec<u8> = (0..stride * height)
             .map(|k| {
                 let (x, y) = (k % stride / block, k / stride / block);
@@ -58,7 +58,7 @@ proptest! {
 }
 
 #[test]
-fn a_marker_on_the_own_airframe_is_not_read() {
+fn a_marker_on_the_own_airframe_is_left_out() {
     let (size, side, left, top) = (400usize, 120usize, 60usize, 140usize);
     let dictionary = aruco::get_predefined_dictionary(PREDEFINED_DICTIONARY_NAME::DICT_5X5_250);
     let mut marker = Mat::default();
@@ -74,7 +74,7 @@ fn a_marker_on_the_own_airframe_is_not_read() {
     let view = View::looking_at(&Vector3::x_axis(), 1.0, size as u32);
     let light = LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap();
     let ids_beside = |hides: fn(usize) -> bool| -> Vec<u32> {
-        // The view's left half is the left half of the sphere's image, too.
+        // The left half of the view is in the left half of the sphere's image.
         let seen = (0..256 * 128).map(|k| !hides(k % 256)).collect();
         let mask = Mask::new(Camera::equirectangular(256, 128), [256, 128], seen).unwrap();
         let parameters = DetectorParameters::default();
@@ -101,14 +101,14 @@ fn an_unknown_dictionary_is_refused_with_the_known_ones() {
 
 #[test]
 fn parameters_outside_their_range_are_refused() {
-    let even = Threshold { window_px: 10, darker_by: 3 };
-    let all = Threshold { window_px: 11, darker_by: 0 };
+    let even_window = Threshold { window_px: 10, darker_by: 3 };
+    let every_pixel = Threshold { window_px: 11, darker_by: 0 };
     for parameters in [
         DetectorParameters { thresholds: Vec::new(), ..Default::default() },
-        DetectorParameters { thresholds: vec![even], ..Default::default() },
-        DetectorParameters { thresholds: vec![all], ..Default::default() },
+        DetectorParameters { thresholds: vec![even_window], ..Default::default() },
+        DetectorParameters { thresholds: vec![every_pixel], ..Default::default() },
         DetectorParameters { min_side_px: f64::NAN, ..Default::default() },
-        DetectorParameters { min_agreement: 1.5, ..Default::default() },
+        DetectorParameters { min_correlation: 1.5, ..Default::default() },
     ] {
         let error = refused("DICT_5X5_250", parameters);
         assert!(matches!(error, DetectError::Parameter { .. }), "{error}");

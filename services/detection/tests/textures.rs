@@ -1,4 +1,4 @@
-//! Textures full of squares, and real panoramas, without markers: no pose.
+//! Textures full of squares and real panoramas, without markers, give no pose.
 
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
@@ -14,7 +14,7 @@ use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
 use nalgebra::Vector3;
 use shared::{Picture, data, partitions};
 
-/// A detector, and two bodies that carry its first ids.
+/// A detector, and two bodies that carry the first ids of its dictionary.
 struct Observer {
     detector: Detector,
     bodies: Bodies,
@@ -31,7 +31,7 @@ impl Observer {
         Self { detector, bodies, light }
     }
 
-    /// Markers that the bodies carry, decoded in a view.
+    /// The decoded markers in a view that belong to the bodies.
     fn decoded(&mut self, picture: &Picture, view: &View) -> Vec<Found> {
         let found = self.detector.detect(&picture.image(), view, &self.light);
         let found = keep_plausible(found, &self.bodies);
@@ -64,7 +64,7 @@ impl Observer {
     }
 }
 
-/// xorshift64*: the same numbers on every machine.
+/// The generator xorshift64*, which gives the same numbers on every machine.
 struct Dice(u64);
 
 impl Dice {
@@ -79,7 +79,7 @@ impl Dice {
 
 const SIZE: usize = 600;
 
-/// Squares of random cells on white, each turned anyhow, as labels and codes are.
+/// Squares of random cells on white, each rotated at random, like labels and codes.
 fn labels(dice: &mut Dice, cells: usize) -> Vec<f64> {
     let mut light = vec![0.75; SIZE * SIZE];
     for _ in 0..60 {
@@ -107,7 +107,7 @@ fn labels(dice: &mut Dice, cells: usize) -> Vec<f64> {
     light
 }
 
-/// A checkerboard, turned and scaled anyhow.
+/// A checkerboard, rotated and scaled at random.
 fn checkerboard(dice: &mut Dice) -> Vec<f64> {
     let side = dice.uniform(12.0, 60.0);
     let (sine, cosine) = dice.uniform(0.0, 2.0 * PI).sin_cos();
@@ -120,7 +120,7 @@ fn checkerboard(dice: &mut Dice) -> Vec<f64> {
     light
 }
 
-/// Black and white blocks, a quarter of them with blocks of a quarter of the size in them.
+/// Black and white blocks, with blocks of a quarter of the size over a quarter of the area.
 fn blocks(dice: &mut Dice) -> Vec<f64> {
     let mut light = vec![0.6; SIZE * SIZE];
     for divisor in [1.0, 4.0] {
@@ -164,7 +164,7 @@ fn paint(
     }
 }
 
-/// Blurred by about a pixel, with noise, in sRGB.
+/// The radiance as an image: blurred by about a pixel, with noise, in sRGB.
 fn picture(light: &[f64], dice: &mut Dice) -> Picture {
     let mut blurred = light.to_vec();
     for step in [1, SIZE] {

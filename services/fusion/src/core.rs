@@ -7,7 +7,7 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use flockeye_contract::{DetectedMarker, FrameEnd, FrameStamp, ViewHeader};
-use flockeye_convert::view_of;
+use flockeye_convert::{search_of, view_of};
 use flockeye_geometry::search::Purpose;
 
 use crate::frame_assembly::{Frame, FrameAssembly, Leave, Record};
@@ -184,7 +184,7 @@ impl<P: Pixels> Core<P> {
         }
         let purpose = purpose_stated(&header);
         if let Some(purpose) = purpose {
-            self.planning.note_cut(purpose);
+            self.planning.note_cut(purpose, search_of(&header));
         }
         if self.options.aligns {
             self.cache.add(header, pixels);

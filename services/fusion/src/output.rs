@@ -8,10 +8,10 @@ use flockeye_contract::{
     FrameStamp, MeasuredBy, NONE, PlanHeader, Pose, StageLatency, Track, TrackHeader, TrackState,
     ViewHeader, ViewKind,
 };
-use flockeye_convert::{pose, row_major, stop_rule, xyzw};
+use flockeye_convert::{pose, row_major, search_code, stop_rule, xyzw};
 use flockeye_geometry::body::{Bodies, Body};
 use flockeye_geometry::filter::{self, Prediction};
-use flockeye_geometry::search::{PlannedView, Purpose};
+use flockeye_geometry::search::{PlannedView, Purpose, Search};
 use flockeye_runtime::memory::MAX_TRACKS;
 use nalgebra::{Isometry3, Matrix3, Matrix6, Vector3};
 
@@ -134,9 +134,11 @@ impl Writer {
         let reference_s = predictions.values().next().map_or(0.0, |first| first.stamp_s);
         let reference_ns = nanoseconds(reference_s);
         let views = plan.views.iter().take(contract::MAX_PLANNED_VIEWS).map(|planned| {
-            let is_unsearched =
-                matches!(planned.purpose, Purpose::Gaze(target) if unsearched.contains(&target));
-            planned_view(planned, predictions, reference_ns, is_unsearched)
+            let search = match planned.purpose {
+                Purpose::Gaze(target) if unsearched.contains(&target) => Search::Nothing,
+                _ => planned.search,
+            };
+            planned_view(planned, predictions, reference_ns, search)
         });
         let header = PlanHeader {
             after: after.unwrap_or_default(),
@@ -161,7 +163,8 @@ pub fn seconds(stamp: &FrameStamp) -> f64 {
 /// Why a view was cut, as it states itself.
 pub fn purpose_stated(view: &ViewHeader) -> Option<Purpose> {
     match ViewKind::try_from(view.kind).ok()? {
-        ViewKind::Partition => Some(Purpose::Partition(view.partition as usize)),
+        ViewKind::Partition => Some(Purpose::Partition(view.tile as usize)),
+        ViewKind::HighResolution => Some(Purpose::HighResolution(view.tile as usize)),
         ViewKind::Gaze => Some(Purpose::Gaze(view.target as usize)),
     }
 }
@@ -243,15 +246,16 @@ fn planned_view(
     planned: &PlannedView,
     predictions: &BTreeMap<usize, Prediction>,
     reference_ns: i64,
-    is_unsearched: bool,
+    search: Search,
 ) -> contract::PlannedView {
-    let (kind, partition, target) = match planned.purpose {
-        Purpose::Partition(partition) => (ViewKind::Partition, partition as u32, NONE),
+    let (kind, tile, target) = match planned.purpose {
+        Purpose::Partition(tile) => (ViewKind::Partition, tile as u32, NONE),
+        Purpose::HighResolution(tile) => (ViewKind::HighResolution, tile as u32, NONE),
         Purpose::Gaze(target) => (ViewKind::Gaze, NONE, target as u32),
     };
     let prediction = match planned.purpose {
         Purpose::Gaze(target) => predictions.get(&target),
-        Purpose::Partition(_) => None,
+        Purpose::Partition(_) | Purpose::HighResolution(_) => None,
     };
     contract::PlannedView {
         camera_from_view: xyzw(&planned.view.camera_from_view),
@@ -262,10 +266,10 @@ fn planned_view(
             .map_or_else(Pose::default, |prediction| pose(&prediction.camera_from_markers)),
         size_px: planned.view.size_px,
         kind: kind.code(),
-        partition,
+        tile,
         target,
         has_prediction: u32::from(prediction.is_some()),
-        unsearched: u32::from(is_unsearched),
+        search: search_code(search).code(),
     }
 }
 

@@ -4,7 +4,9 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use flockeye_contract::{FrameStamp, ViewHeader};
 use flockeye_geometry::filter::Prediction;
-use flockeye_geometry::search::{Plan, Planner, PredictedNeighbour, Purpose, Searched, StopRule};
+use flockeye_geometry::search::{
+    Plan, Planner, PredictedNeighbour, Purpose, Search, Searched, StopRule,
+};
 
 use crate::frame_assembly::{Frame, Record};
 use crate::output::{purpose_stated, seconds};
@@ -50,7 +52,7 @@ pub struct NextPlan {
 impl Planning {
     /// Nothing was searched yet.
     pub fn new(planner: Planner) -> Self {
-        let searched = Searched::new(planner.sweep_len());
+        let searched = planner.nothing_searched();
         Self {
             planner,
             searched,
@@ -74,8 +76,9 @@ impl Planning {
 
     /// Notes that a view was cut. It will be searched, so plans that are made meanwhile need not ask for
     /// it again.
-    pub fn note_cut(&mut self, purpose: Purpose) {
+    pub fn note_cut(&mut self, purpose: Purpose, search: Search) {
         self.searched.record(self.frames, purpose);
+        self.searched.record_window(purpose, search);
     }
 
     /// Why a view was cut: as planned or, where rectification followed no plan of this process, as the
@@ -111,7 +114,7 @@ impl Planning {
         // Views that came were noted when they did.
         for index in frame.records.keys().filter(|index| !frame.views.contains_key(index)) {
             if let Some(&purpose) = purposes.get(index) {
-                self.note_cut(purpose);
+                self.searched.record(self.frames, purpose);
             }
         }
         let first_hit = counted.iter().find(|record| record.header.hits > 0);
@@ -187,7 +190,7 @@ mod tests {
         let mut asked = BTreeSet::new();
         for _ in 0..5 {
             let next = planning.next(&tracker).plan.views[0].purpose;
-            planning.note_cut(next);
+            planning.note_cut(next, Search::FineWindow);
             asked.insert(format!("{next:?}"));
         }
         assert_eq!(asked.len(), 5, "{asked:?}");

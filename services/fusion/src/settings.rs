@@ -47,7 +47,8 @@ pub fn configured<P: Pixels>(
         resolved.partition_views.clone(),
         resolved.gaze_options,
     )?
-    .with_far_views(resolved.far_views.clone())
+    .with_high_resolution_tiles(resolved.high_resolution_tiles.clone())
+    .with_alternating_windows(pipeline.sweeps_by_turns())
     .with_mask(resolved.mask()?.clone());
     if planner.hidden_partitions() > 0 {
         tracing::info!(
@@ -81,7 +82,7 @@ pub fn configured<P: Pixels>(
     let core = Core::new(
         options,
         FrameAssembly::new(pipeline.frame_deadline().as_nanos() as i64),
-        ViewCache::new(memory::held_views_waiting(pipeline), memory::held_views_best(pipeline)),
+        ViewCache::new(memory::held_views_waiting(pipeline), memory::held_views_best(resolved)),
         PictureReader::new(
             RadianceCache::new(resolved.measured_response)?,
             camera.pixels_per_radian(),

@@ -34,7 +34,7 @@ pub fn run(arguments: &CheckArguments) -> anyhow::Result<()> {
     let pipeline = arguments.configuration.load()?;
     let resolved = Resolved::of(pipeline)?;
     Dictionary::of(&resolved.bodies)?;
-    let budget = Budget::of(&resolved.pipeline, resolved.largest_view_px());
+    let budget = Budget::of(&resolved);
     let (free, total) = shared_memory_space().context("cannot look at /dev/shm")?;
     let mut screen = Screen::new();
     screen.line(&plan(&resolved, &budget)?);
@@ -157,20 +157,21 @@ fn search(resolved: &Resolved, partitions: usize) -> anyhow::Result<String> {
         return Ok(mode);
     }
     let mask = resolved.mask()?;
-    let far: Vec<_> = resolved.far_views.iter().filter(|view| !mask.hides_view(view)).collect();
+    let far: Vec<_> =
+        resolved.high_resolution_tiles.iter().filter(|view| !mask.hides_view(view)).collect();
     let each = pipeline.search.lossless_partitions as usize;
     // One of each kind in turn, until those of the smaller kind come a second time.
     let frames = |count: usize| if far.is_empty() { count } else { 2 * count }.div_ceil(each);
     let mut text = format!("{mode}, the partitions in turn");
     if let Some(px) = far.iter().map(|view| view.size_px).max() {
-        text += &format!(" with {} far views of {px} px", far.len());
+        text += &format!(" with {} high-resolution tiles of {px} px", far.len());
     }
     text += &format!(
         "; of a lossless frame {each}: each partition every {} frames",
         frames(partitions)
     );
     if !far.is_empty() {
-        text += &format!(", each far view every {}", frames(far.len()));
+        text += &format!(", each high-resolution tile every {}", frames(far.len()));
     }
     Ok(text)
 }

@@ -69,7 +69,7 @@ pub fn run_pipeline(
     // The stages read both. They are checked here too, so that an error is reported once and first.
     resolved.mask()?;
     Dictionary::of(&resolved.bodies)?;
-    let budget = Budget::of(pipeline, resolved.largest_view_px());
+    let budget = Budget::of(&resolved);
     let instance = Instance::named(&pipeline.instance.0);
     let ownership = instance.take()?;
     let (free, total) = shared_memory_space().context("cannot look at /dev/shm")?;

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use flockeye_contract::{FrameHeader, NONE, PlannedView, StopReason, StopRule, ViewKind};
+use flockeye_contract::{FrameHeader, NONE, PlannedView, Search, StopReason, StopRule, ViewKind};
 use flockeye_convert::{rotation, xyzw};
 use flockeye_geometry::view::View;
 use nalgebra::{UnitQuaternion, Vector3};
@@ -93,9 +93,9 @@ impl Job {
         }
         // A neighbour's view is never pushed out, nor kept waiting by a partition before it, and neither
         // is a frame's first: under overload every frame would be.
-        let is_yielding = view.kind == ViewKind::Partition.code()
+        let is_yielding = view.is_tile()
             && self.issued > 0
-            && self.views[self.issued..].iter().all(|view| view.kind == ViewKind::Partition.code());
+            && self.views[self.issued..].iter().all(PlannedView::is_tile);
         if is_newer_due && is_yielding {
             return Next::End(StopReason::Newer);
         }
@@ -110,9 +110,8 @@ impl Job {
             StopRule::FirstHit | StopRule::Deadline => searched + SPARE_PARTITIONS,
         };
         let mut is_likely = |view: &PlannedView| {
-            let is_partition = view.kind == ViewKind::Partition.code();
-            let fits = !is_partition || partitions > 0;
-            partitions = partitions.saturating_sub(usize::from(is_partition));
+            let fits = !view.is_tile() || partitions > 0;
+            partitions = partitions.saturating_sub(usize::from(view.is_tile()));
             fits
         };
         self.from(0).filter(|&index| is_likely(&self.views[index as usize])).collect()
@@ -130,7 +129,7 @@ impl Job {
     /// Partitions published.
     pub fn searched(&self) -> usize {
         let views = self.views.iter().take(self.issued);
-        views.filter(|view| view.kind == ViewKind::Partition.code()).count()
+        views.filter(|view| view.is_tile()).count()
     }
 
     /// A view's place, turned to the frame's exposure.
@@ -139,10 +138,9 @@ impl Job {
         Some((at_exposure(planned, self.frame.stamp.exposure_ns), *planned))
     }
 
-    /// Whether that view is a partition.
-    pub fn is_partition(&self, index: u32) -> bool {
-        let view = self.views.get(index as usize);
-        view.is_some_and(|view| view.kind == ViewKind::Partition.code())
+    /// Whether that view is a tile of either resolution.
+    pub fn is_tile(&self, index: u32) -> bool {
+        self.views.get(index as usize).is_some_and(PlannedView::is_tile)
     }
 
     /// The view was published.
@@ -209,13 +207,14 @@ pub fn sweep(partitions: &[(u32, View)], first: usize) -> Vec<PlannedView> {
     let count = partitions.len();
     (0..count)
         .map(|k| partitions[(first + k) % count])
-        .map(|(partition, view)| PlannedView {
+        .map(|(tile, view)| PlannedView {
             camera_from_view: xyzw(&view.camera_from_view),
             focal_px: view.focal_px,
             size_px: view.size_px,
             kind: ViewKind::Partition.code(),
-            partition,
+            tile,
             target: NONE,
+            search: Search::AllWindows.code(),
             ..PlannedView::default()
         })
         .collect()
@@ -262,7 +261,7 @@ mod tests {
         }
     }
 
-    use ViewKind::{Gaze, Partition as Part};
+    use ViewKind::{Gaze, HighResolution, Partition as Part};
 
     #[test]
     fn the_paper_stops_at_the_first_hit() {
@@ -288,6 +287,12 @@ mod tests {
         assert_eq!(run(&mut searched, None, 0), (3, StopReason::Newer), "no neighbour is left out");
         let mut searched = job(StopRule::Deadline, &[Part; 5], 3);
         assert_eq!(run(&mut searched, None, u32::MAX), (3, StopReason::Budget));
+        let mut searched = job(StopRule::Deadline, &[Gaze, HighResolution, Part], usize::MAX);
+        assert_eq!(
+            run(&mut searched, None, 0),
+            (1, StopReason::Newer),
+            "tiles of both resolutions"
+        );
     }
 
     #[test]
@@ -338,7 +343,7 @@ mod tests {
     fn a_sweep_goes_on_where_the_last_one_stopped() {
         let views = Partition::icosahedron().views(0.1, 600.0).expect("fits");
         let partitions: Vec<_> = (0..).zip(views).collect();
-        let order: Vec<_> = sweep(&partitions, 10).iter().map(|view| view.partition).collect();
+        let order: Vec<_> = sweep(&partitions, 10).iter().map(|view| view.tile).collect();
         assert_eq!(order, [10, 11, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9]);
     }
 }

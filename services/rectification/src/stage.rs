@@ -202,7 +202,7 @@ impl RectificationStage {
             let held = self.held.iter_mut().find(|held| held.job.frame.stamp.order() == order);
             if let (Answer::First, Some(held)) = (answer, held) {
                 held.job.note_answer(header.view_index, header.hits > 0);
-                if held.job.is_partition(header.view_index) {
+                if held.job.is_tile(header.view_index) {
                     self.cadence.note_search(header.sent_ns.saturating_sub(header.received_ns));
                 }
             }
@@ -350,17 +350,17 @@ impl RectificationStage {
             size_px: view.size_px,
             stride: view.size_px,
             kind: planned.kind,
-            partition: planned.partition,
+            tile: planned.tile,
             target: planned.target,
             has_prediction: planned.has_prediction,
             transfer: frame.transfer,
             gamma: frame.gamma,
             range: frame.range,
-            unsearched: planned.unsearched,
+            search: planned.search,
         };
         loan.send(header)?;
         self.counters.add_latency_ns(issued_ns - job.taken_ns);
-        if job.is_partition(index) {
+        if job.is_tile(index) {
             self.cadence.note_cut(issued_ns - begun_ns);
         }
         self.held[position].job.note_issued(index);

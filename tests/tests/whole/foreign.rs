@@ -3,7 +3,7 @@
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use flockeye_config::Pipeline;
+use flockeye_config::{Pipeline, Resolved};
 use flockeye_contract::{
     BodyTruth, CONTRACT_VERSION, DetectedMarker, DetectionHeader, Detections, FrameEnd, FrameEnds,
     FrameHeader, Frames, Health, Healths, MeasuredBy, NONE, PixelFormat, PlanHeader, PlannedView,
@@ -165,6 +165,7 @@ fn lie_with_views(node: &Node<ipc::Service>, refusals: &mut Refusals<'_>) {
         ("a view that is not turned", ViewHeader { camera_from_view: [f64::NAN; 4], ..honest }),
         ("the thousandth view of a frame", ViewHeader { view_index: 1_000, ..honest }),
         ("a view cut for nothing known", ViewHeader { kind: 77, ..honest }),
+        ("a view to be searched in no known way", ViewHeader { search: 77, ..honest }),
         (
             "a neighbour predicted nowhere",
             ViewHeader { has_prediction: 1, predicted_camera_from_markers: nowhere, ..honest },
@@ -190,7 +191,8 @@ fn lie_with_plans(node: &Node<ipc::Service>, refusals: &mut Refusals<'_>) {
         ("a view of 16000 pixels", PlannedView { size_px: 16_000, ..view }),
         ("a view at infinity", PlannedView { focal_px: f64::INFINITY, ..view }),
         ("a view that spins", PlannedView { rate_in_camera: [f64::NAN; 3], ..view }),
-        ("a gaze at nobody", PlannedView { kind: ViewKind::Gaze.code(), ..view }),
+        ("a search in no known way", PlannedView { search: 77, ..view }),
+        ("a region of interest of nobody", PlannedView { kind: ViewKind::Gaze.code(), ..view }),
     ];
     for (what, view) in lies {
         let plan = PlanHeader { plan_id: 1, ..PlanHeader::default() };
@@ -379,7 +381,8 @@ fn a_stage_of_another_contract_version_is_refused_and_told_the_versions() {
         .expect("it is not there yet");
     let bell = node.service_builder(&name).event().create().expect("it is not there yet");
 
-    let budget = Budget::of(&pipeline, 900);
+    let resolved = Resolved::of(pipeline).expect("a configuration");
+    let budget = Budget::of(&resolved);
     let mut ports = Ports::new(std::rc::Rc::new(node), budget, SharedCounters::default());
     let refused = ports.subscriber::<Healths>().err().expect("it is another version");
     let text = refused.to_string();

@@ -196,7 +196,7 @@ const WRONG: &[(&str, &[&str])] = &[
     ("search: {far_magnification: 9}", &["search.far_magnification", "1", "3"]),
     (
         "camera: {width: 16384, height: 8192}\nsearch: {far_magnification: 3}",
-        &["line 2", "search.far_magnification: far views", "a smaller magnification"],
+        &["line 2", "search.far_magnification: high-resolution tiles", "a smaller magnification"],
     ),
     (
         "stages: {detection: {command: python3 my.py}}",

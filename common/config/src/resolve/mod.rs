@@ -28,7 +28,7 @@ pub use sphere::{Division, SphereViewsError};
 // What the check of a configuration needs of each part before all of them are right.
 pub(crate) use bodies::preset_body;
 pub(crate) use camera::{camera, response_table};
-pub(crate) use sphere::far_views;
+pub(crate) use sphere::high_resolution_tiles;
 
 /// Why a configuration cannot be resolved.
 #[derive(Debug, thiserror::Error)]
@@ -69,7 +69,7 @@ pub struct Resolved {
     /// The partitions as views, in the order of their numbers.
     pub partition_views: Vec<View>,
     /// The views that sweep the sphere for neighbours too far for the partitions; may be none.
-    pub far_views: Vec<View>,
+    pub high_resolution_tiles: Vec<View>,
     /// How gaze views are cut from this camera's frames.
     pub gaze_options: GazeOptions,
     mask: OnceLock<Mask>,
@@ -90,7 +90,7 @@ impl Resolved {
             transfer: camera::transfer(&pipeline.camera),
             measured_response: camera::measured_response(&pipeline.camera)?,
             partition_views: division.views(&pipeline, &camera)?,
-            far_views: far_views(&pipeline, &camera)?,
+            high_resolution_tiles: high_resolution_tiles(&pipeline, &camera)?,
             gaze_options: GazeOptions {
                 partitions_per_frame: pipeline.search.lossless_partitions as usize,
                 ..GazeOptions::new(camera.pixels_per_radian())
@@ -132,7 +132,7 @@ impl Resolved {
 
     /// Pixels along the side of the largest view that this pipeline cuts.
     pub fn largest_view_px(&self) -> u32 {
-        let views = self.partition_views.iter().chain(&self.far_views);
+        let views = self.partition_views.iter().chain(&self.high_resolution_tiles);
         let largest = views.map(|view| view.size_px).max().unwrap_or(0);
         largest.max(self.gaze_options.size_max_px)
     }

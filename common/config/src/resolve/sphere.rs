@@ -31,16 +31,16 @@ pub enum SphereViewsError {
     },
     /// Far views that no message can carry.
     #[error(
-        "search.far_magnification: far views of this camera's sphere have {size_px} px a side, and a \
+        "search.far_magnification: high-resolution tiles of this camera's sphere have {size_px} px a side, and a \
          view has {MAX_VIEW_PX} at most. Cure: a smaller magnification, or smaller frames"
     )]
-    FarTooLarge {
+    TilesTooLarge {
         /// Their side, pixels.
         size_px: u32,
     },
 }
 
-/// Overlap of the far views, radians. Small, because the neighbours searched there are far away and
+/// Overlap of the high-resolution tiles, radians. Small, because the neighbours searched there are far away and
 /// their markers look small.
 const FAR_MARGIN_RAD: f64 = 2.5 / 180.0 * PI;
 
@@ -149,7 +149,7 @@ impl Division {
 ///
 /// # Errors
 /// A margin that leaves no view; views that no message can carry.
-pub(crate) fn far_views(
+pub(crate) fn high_resolution_tiles(
     pipeline: &Pipeline,
     camera: &Camera,
 ) -> Result<Vec<View>, SphereViewsError> {
@@ -161,7 +161,7 @@ pub(crate) fn far_views(
     let partition = Partition::of(Method::Covering, count, partition::STORED_SEED)?;
     let views = partition.views(FAR_MARGIN_RAD, camera.pixels_per_radian() * far_magnification)?;
     match too_large(&views) {
-        Some(size_px) => Err(SphereViewsError::FarTooLarge { size_px }),
+        Some(size_px) => Err(SphereViewsError::TilesTooLarge { size_px }),
         None => Ok(views),
     }
 }

@@ -314,9 +314,9 @@ pub struct Search {
     /// Partitions searched after the gaze views in each frame of a lossless run.
     #[schemars(range(min = 1, max = 128))]
     pub lossless_partitions: u32,
-    /// Pixels of the far views for each of the sphere's, along a side: gaze sweeps the sphere with
-    /// them too, in turn with the partitions, and finds neighbours so many times as far away. 1 (or no
-    /// more than `partition.magnification`): with the partitions alone.
+    /// Resolution of the high-resolution tiles, as a multiple of the sphere's along a side. The mode gaze
+    /// searches them in turn with the partitions, and finds neighbours that many times as far away. With 1
+    /// (or no more than `partition.magnification`) there are none.
     #[schemars(range(min = 1.0, max = 3.0))]
     pub far_magnification: f64,
 }

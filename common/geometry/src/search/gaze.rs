@@ -2,7 +2,7 @@
 
 use nalgebra::{Isometry3, Matrix3, Unit, Vector3};
 
-use super::{PlannedView, PlannerError, Purpose};
+use super::{PlannedView, PlannerError, Purpose, Search};
 use crate::Ray;
 use crate::body::{Body, Marker};
 use crate::view::View;
@@ -170,6 +170,7 @@ pub fn gaze_view(neighbour: &PredictedNeighbour, options: &GazeOptions) -> Optio
     Some(PlannedView {
         view: View { focal_px, ..upright },
         purpose: Purpose::Gaze(neighbour.target),
+        search: Search::AllWindows,
         rate_in_camera: neighbour.rate_in_camera,
     })
 }

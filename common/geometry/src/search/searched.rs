@@ -2,34 +2,63 @@
 
 use std::collections::BTreeMap;
 
-use super::Purpose;
+use super::{Purpose, Search};
 
-/// Which partitions and targets were looked at in which frame, and the partition of the last hit.
+/// When each tile and each target's region of interest was searched last, and which tile had the last
+/// hit.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Searched {
-    partitions: Vec<Option<u64>>,
+    partitions: Vec<LastSearch>,
+    high_resolution: Vec<LastSearch>,
     targets: BTreeMap<usize, u64>,
     last_hit: Option<usize>,
 }
 
+/// The last search of a tile.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+struct LastSearch {
+    frame: Option<u64>,
+    /// Whether it was searched with the fine window alone, so that the coarse one is next.
+    was_fine: bool,
+}
+
 impl Searched {
-    /// Nothing of `partitions` partitions was searched yet.
-    pub fn new(partitions: usize) -> Self {
-        Self { partitions: vec![None; partitions], targets: BTreeMap::new(), last_hit: None }
+    /// Nothing was searched yet of so many partitions and high-resolution tiles.
+    pub fn new(partitions: usize, high_resolution_tiles: usize) -> Self {
+        Self {
+            partitions: vec![LastSearch::default(); partitions],
+            high_resolution: vec![LastSearch::default(); high_resolution_tiles],
+            targets: BTreeMap::new(),
+            last_hit: None,
+        }
     }
 
     /// Notes that a view was cut and searched in frame number `frame`, which must rise from frame
-    /// to frame (also where the source begins anew). Partitions that do not exist are ignored.
+    /// to frame (also where the source begins anew). Tiles that do not exist are ignored.
     pub fn record(&mut self, frame: u64, purpose: Purpose) {
-        match purpose {
-            Purpose::Partition(part) => {
-                if let Some(last) = self.partitions.get_mut(part) {
-                    *last = Some(frame);
-                }
-            }
-            Purpose::Gaze(target) => {
-                self.targets.insert(target, frame);
-            }
+        if let Some(tile) = self.tile_mut(purpose) {
+            tile.frame = Some(frame);
+        } else if let Purpose::Gaze(target) = purpose {
+            self.targets.insert(target, frame);
+        }
+    }
+
+    /// Notes how a tile was searched, which decides its [`Searched::next_window`].
+    ///
+    /// What counts is the last window used, not the number of searches: two frames may follow one
+    /// plan, and both search the tile with the same window.
+    pub fn record_window(&mut self, purpose: Purpose, search: Search) {
+        if let Some(tile) = self.tile_mut(purpose) {
+            tile.was_fine = search == Search::FineWindow;
+        }
+    }
+
+    /// The window for a tile's next search, where windows alternate: the fine one first, because it
+    /// finds more markers.
+    pub fn next_window(&self, purpose: Purpose) -> Search {
+        match self.tile(purpose) {
+            Some(tile) if tile.was_fine => Search::CoarseWindow,
+            _ => Search::FineWindow,
         }
     }
 
@@ -51,8 +80,24 @@ impl Searched {
     /// The frame in which this was last searched; `None`, which sorts before every frame, if never.
     pub fn last_searched(&self, purpose: Purpose) -> Option<u64> {
         match purpose {
-            Purpose::Partition(part) => self.partitions.get(part).copied().flatten(),
             Purpose::Gaze(target) => self.targets.get(&target).copied(),
+            _ => self.tile(purpose)?.frame,
+        }
+    }
+
+    fn tile(&self, purpose: Purpose) -> Option<&LastSearch> {
+        match purpose {
+            Purpose::Partition(index) => self.partitions.get(index),
+            Purpose::HighResolution(index) => self.high_resolution.get(index),
+            Purpose::Gaze(_) => None,
+        }
+    }
+
+    fn tile_mut(&mut self, purpose: Purpose) -> Option<&mut LastSearch> {
+        match purpose {
+            Purpose::Partition(index) => self.partitions.get_mut(index),
+            Purpose::HighResolution(index) => self.high_resolution.get_mut(index),
+            Purpose::Gaze(_) => None,
         }
     }
 }

@@ -30,7 +30,7 @@ fn partitions(plan: &Plan) -> Vec<usize> {
         .iter()
         .filter_map(|planned| match planned.purpose {
             Purpose::Partition(part) => Some(part),
-            Purpose::Gaze(_) => None,
+            _ => None,
         })
         .collect()
 }
@@ -40,7 +40,7 @@ fn targets(plan: &Plan) -> Vec<usize> {
         .iter()
         .filter_map(|planned| match planned.purpose {
             Purpose::Gaze(target) => Some(target),
-            Purpose::Partition(_) => None,
+            _ => None,
         })
         .collect()
 }
@@ -66,7 +66,7 @@ fn algorithm_1_begins_where_the_last_detection_was() {
 #[test]
 fn the_papers_modes_stop_at_the_first_hit() {
     let gaze = GazeOptions::new(RESOLUTION);
-    let mut searched = Searched::new(12);
+    let mut searched = Searched::new(12, 0);
     let neighbours = [neighbour(0)];
     let optimized = planner(SearchMode::Optimized, gaze);
     let greedy = planner(SearchMode::Greedy, gaze);
@@ -88,7 +88,7 @@ fn the_papers_modes_stop_at_the_first_hit() {
 #[test]
 fn a_plan_gazes_first_and_then_goes_round() {
     let planner = planner(SearchMode::Gaze, GazeOptions::new(RESOLUTION));
-    let mut searched = Searched::new(12);
+    let mut searched = Searched::new(12, 0);
     for part in [0, 1, 2] {
         searched.record(1, Purpose::Partition(part));
     }
@@ -108,7 +108,7 @@ fn a_crowd_does_not_hide_the_partitions_nor_each_other() {
     // Time for five views a frame, and nine neighbours.
     let planner = planner(SearchMode::Gaze, GazeOptions::new(RESOLUTION));
     let neighbours: Vec<_> = (0..9).map(neighbour).collect();
-    let mut searched = Searched::new(12);
+    let mut searched = Searched::new(12, 0);
     let mut gazed = [0; 9];
     for frame in 0..36 {
         for planned in &planner.plan(&searched, &neighbours).views[..5] {
@@ -124,53 +124,97 @@ fn a_crowd_does_not_hide_the_partitions_nor_each_other() {
     }
 }
 
-/// A planner with 12 partitions and 32 far views.
-fn far_planner(partitions_per_frame: usize) -> Planner {
+/// A planner with 12 partitions and 32 high-resolution tiles.
+fn fine_planner(partitions_per_frame: usize) -> Planner {
     let gaze = GazeOptions { partitions_per_frame, ..GazeOptions::new(RESOLUTION) };
-    let far = Partition::stored(32).unwrap().views(0.05, 2.0 * RESOLUTION).unwrap();
-    planner(SearchMode::Gaze, gaze).with_far_views(far)
+    let fine = Partition::stored(32).unwrap().views(0.05, 2.0 * RESOLUTION).unwrap();
+    planner(SearchMode::Gaze, gaze).with_high_resolution_tiles(fine)
 }
 
 #[test]
-fn near_and_far_are_swept_in_turn_however_little_time_there_is() {
+fn both_resolutions_are_swept_in_turn_however_little_time_there_is() {
     for per_frame in [1, 3, 4] {
-        let planner = far_planner(per_frame);
-        assert_eq!(planner.sweep_len(), 44);
-        let mut searched = Searched::new(planner.sweep_len());
+        let planner = fine_planner(per_frame);
+        let mut searched = planner.nothing_searched();
         let mut order = Vec::new();
         for frame in 0..100 {
             let plan = planner.plan(&searched, &[]);
             assert_eq!(plan.views.len(), 44);
             for planned in &plan.views[..plan.view_budget] {
                 searched.record(frame, planned.purpose);
-                let Purpose::Partition(part) = planned.purpose else { panic!("nobody is known") };
-                assert_eq!(part >= 12, planned.view.focal_px > 1.5 * RESOLUTION);
-                order.push(part);
+                let is_fine = matches!(planned.purpose, Purpose::HighResolution(_));
+                assert_eq!(is_fine, planned.view.focal_px > 1.5 * RESOLUTION);
+                assert_eq!(planned.search, Search::AllWindows);
+                order.push(planned.purpose);
             }
         }
-        // Who is near is looked for everywhere before anybody far is.
-        assert!(order[..12].iter().all(|&part| part < 12));
+        // The partition is searched once as a whole before any high-resolution tile.
+        assert!(order[..12].iter().all(|purpose| matches!(purpose, Purpose::Partition(_))));
         for part in 0..12 {
-            let at = order[12..].iter().enumerate().filter(|(_, other)| **other == part);
-            let at: Vec<usize> = at.map(|(at, _)| at).collect();
+            let is_part = |(_, other): &(usize, &Purpose)| **other == Purpose::Partition(part);
+            let at: Vec<usize> =
+                order[12..].iter().enumerate().filter(is_part).map(|(at, _)| at).collect();
             assert!(at.windows(2).all(|pair| pair[1] - pair[0] <= 26), "{per_frame}: {at:?}");
         }
-        for part in 12..44 {
-            let first = order.iter().position(|&other| other == part).unwrap();
-            assert!(first < 12 + 2 * 32 + per_frame, "{per_frame}: {part} is {first}th");
+        for tile in 0..32 {
+            let is_tile = |other: &Purpose| *other == Purpose::HighResolution(tile);
+            let first = order.iter().position(is_tile).unwrap();
+            assert!(first < 12 + 2 * 32 + per_frame, "{per_frame}: {tile} is {first}th");
         }
     }
 }
 
 #[test]
-fn far_views_that_the_mask_hides_are_not_planned() {
+fn high_resolution_tiles_that_the_mask_hides_are_not_planned() {
     let camera = crate::camera::Camera::equirectangular(64, 32);
     let seen = (0..64 * 32).map(|pixel| pixel < 16 * 64).collect();
-    let planner = far_planner(4).with_mask(Mask::new(camera, [64, 32], seen).unwrap());
-    let plan = planner.plan(&Searched::new(planner.sweep_len()), &[]);
-    let far = plan.views.iter().filter(|planned| planned.view.focal_px > 1.5 * RESOLUTION).count();
-    assert!((14..28).contains(&far), "{far}");
-    assert_eq!(plan.views.len() - far, 12 - planner.hidden_partitions());
+    let mask = Mask::new(camera, [64, 32], seen).unwrap();
+    let planner = fine_planner(4).with_mask(mask.clone());
+    let plan = planner.plan(&planner.nothing_searched(), &[]);
+    let is_fine = |planned: &&PlannedView| matches!(planned.purpose, Purpose::HighResolution(_));
+    let fine = plan.views.iter().filter(is_fine).count();
+    assert!((14..28).contains(&fine), "{fine}");
+    assert_eq!(plan.views.len() - fine, 12 - planner.hidden_partitions());
+    // Whichever is given first.
+    let tiles = fine_planner(4).high_resolution.iter().map(|tile| tile.view).collect();
+    let other = self::planner(SearchMode::Gaze, planner.gaze).with_mask(mask);
+    assert_eq!(other.with_high_resolution_tiles(tiles), planner);
+}
+
+#[test]
+fn hits_in_high_resolution_tiles_are_not_the_papers_n() {
+    let mut searched = Searched::new(12, 32);
+    searched.hit(Purpose::HighResolution(3));
+    assert_eq!(searched.last_hit(), None);
+}
+
+#[test]
+fn windows_alternate_for_each_tile_and_neighbours_get_all() {
+    let planner = fine_planner(44).with_alternating_windows(true);
+    let mut searched = planner.nothing_searched();
+    for (frame, window) in
+        [Search::FineWindow, Search::CoarseWindow].into_iter().cycle().enumerate().take(4)
+    {
+        let plan = planner.plan(&searched, &[neighbour(0)]);
+        assert_eq!(plan.views.len(), 45);
+        for planned in &plan.views {
+            let is_followed = matches!(planned.purpose, Purpose::Gaze(_));
+            let wanted = if is_followed { Search::AllWindows } else { window };
+            assert_eq!(planned.search, wanted, "{:?}", planned.purpose);
+            searched.record(frame as u64, planned.purpose);
+            searched.record_window(planned.purpose, planned.search);
+        }
+    }
+    // Two frames that follow the same plan use the same window: the other one is still next.
+    let tile = Purpose::Partition(5);
+    searched.record_window(tile, Search::FineWindow);
+    searched.record_window(tile, Search::FineWindow);
+    assert_eq!(searched.next_window(tile), Search::CoarseWindow);
+    // After a search with all windows, as rectification's own sweep does, the fine one is next.
+    searched.record_window(tile, Search::AllWindows);
+    assert_eq!(searched.next_window(tile), Search::FineWindow);
+    // A tile that does not exist is ignored.
+    searched.record_window(Purpose::HighResolution(99), Search::FineWindow);
 }
 
 proptest! {
@@ -183,7 +227,7 @@ proptest! {
         let gaze = GazeOptions { partitions_per_frame, ..GazeOptions::new(RESOLUTION) };
         let planner = planner(SearchMode::Gaze, gaze);
         let neighbours: Vec<_> = (0..crowd).map(neighbour).collect();
-        let mut searched = Searched::new(12);
+        let mut searched = Searched::new(12, 0);
         let mut history = history;
         history.sort_unstable();
         for (frame, part) in history {
@@ -263,7 +307,7 @@ fn predictions_that_are_none_give_no_view() {
     let options = GazeOptions::new(RESOLUTION);
     let broken = PredictedNeighbour { deviation_rad: f64::NAN, ..neighbour(0) };
     assert_eq!(gaze_view(&broken, &options), None);
-    let plan = planner(SearchMode::Gaze, options).plan(&Searched::new(12), &[broken]);
+    let plan = planner(SearchMode::Gaze, options).plan(&Searched::new(12, 0), &[broken]);
     assert_eq!((plan.views.len(), plan.view_budget), (12, 2));
 }
 

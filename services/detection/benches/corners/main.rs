@@ -1,5 +1,5 @@
-//! What finding a marker's corners costs, and how right they are: ours, and OpenCV's four
-//! refinements. Ends with a table of both.
+//! The time of finding a marker's corners, and their errors: ours and OpenCV's four refinements. Ends
+//! with a table of both.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used)]
 
 #[path = "../../../../common/imaging/tests/drawn/mod.rs"]
@@ -23,7 +23,7 @@ use self::theirs::Theirs;
 const DICTIONARY: &str = "DICT_5X5_250";
 /// Markers for each row of the table.
 const MARKERS: usize = 150;
-/// The lens's, and that of the box of a pixel besides, pixels.
+/// Standard deviation of the lens's blur, pixels. The box of a pixel adds to it.
 const BLUR_PX: f64 = 0.9;
 const NOISE: f64 = 0.01;
 
@@ -56,7 +56,7 @@ impl Picture {
     }
 }
 
-/// Ours, as a stage uses it.
+/// Our detector, with its defaults.
 struct Ours {
     detector: Detector,
     light: LinearLight,
@@ -87,7 +87,7 @@ fn one_marker(criterion: &mut Criterion) {
     }
 }
 
-/// Prints, for each size and each way, the mean radial error, the scatter about it, and the time.
+/// Prints, for each size and each method, the mean radial error, the scatter, and the time.
 fn table() {
     println!(
         "\nmarkers of {DICTIONARY} tilted by 0 to 60 degrees, blur {BLUR_PX} px, sRGB, noise {NOISE}; \
@@ -146,7 +146,7 @@ criterion_group!(corners, one_marker);
 fn main() {
     corners();
     Criterion::default().configure_from_args().final_summary();
-    // As a test, one pass says that it runs.
+    // Run as a test, the benchmark only shows that it works.
     if std::env::args().any(|argument| argument == "--bench") {
         table();
     }

@@ -10,41 +10,42 @@ use opencv::prelude::*;
 
 use crate::Picture;
 
-/// One of OpenCV's ways.
+/// One of OpenCV's refinements.
 pub struct Theirs {
     pub name: &'static str,
     method: i32,
-    /// Where the way's corners lie against the others' convention, pixels along either axis.
+    /// Offset of this method's corners from the convention of the others, pixels along either axis.
     offset: f64,
     dictionary: Ptr<CvDictionary>,
 }
 
 impl Theirs {
-    /// All four. `APRILTAG`'s corners lie (+0.45, +0.45) px off the convention of the others, which
-    /// is taken off here.
+    /// All four. The corners of `APRILTAG` are offset by (+0.45, +0.45) px from the convention of the
+    /// others, which is subtracted here.
     pub fn all() -> Vec<Self> {
         opencv::core::set_num_threads(1).unwrap();
-        let ways = [
+        let methods = [
             ("OpenCV, NONE", CORNER_REFINE_NONE, 0.0),
             ("OpenCV, SUBPIX", CORNER_REFINE_SUBPIX, 0.0),
             ("OpenCV, CONTOUR", CORNER_REFINE_CONTOUR, 0.0),
             ("OpenCV, APRILTAG", CORNER_REFINE_APRILTAG, 0.45),
         ];
         let dictionary = PREDEFINED_DICTIONARY_NAME::DICT_5X5_250;
-        ways.map(|(name, method, offset)| Self {
-            name,
-            method,
-            offset,
-            dictionary: aruco::get_predefined_dictionary(dictionary).unwrap(),
-        })
-        .into()
+        methods
+            .map(|(name, method, offset)| Self {
+                name,
+                method,
+                offset,
+                dictionary: aruco::get_predefined_dictionary(dictionary).unwrap(),
+            })
+            .into()
     }
 
-    /// The marker's corners, with OpenCV's default parameters but for the refinement.
+    /// The marker's corners, with OpenCV's default parameters except for the refinement.
     pub fn corners(&self, picture: &Picture) -> Option<[ViewPixel; 4]> {
         let size = picture.scene.size as i32;
         let mat = Mat::new_rows_cols_with_data(size, size, &picture.pixels).unwrap();
-        // A new set each time: OpenCV writes into what it is given.
+        // A new set each time, because OpenCV writes into the parameters.
         let mut parameters = aruco::DetectorParameters::create().unwrap();
         parameters.set_corner_refinement_method(self.method);
         let (mut corners, mut ids) = (Vector::<Vector<Point2f>>::new(), Vector::<i32>::new());

@@ -1,4 +1,4 @@
-//! What the tests share: recordings with truth, and views cut from them.
+//! What the tests share: recordings with ground truth, and views cut from them.
 
 use flockeye_geometry::camera::Equirectangular;
 use flockeye_geometry::view::{View, ViewPixel};
@@ -17,7 +17,7 @@ pub struct Picture {
 }
 
 impl Picture {
-    /// A file's luma.
+    /// The luma of an image file.
     pub fn read(path: &std::path::Path) -> Self {
         let mat = imread(path.to_str().expect("a readable path"), IMREAD_GRAYSCALE).expect("read");
         let pixels = mat.data_bytes().expect("continuous").to_vec();
@@ -28,7 +28,7 @@ impl Picture {
         LumaImage::new(&self.pixels, self.width, self.height, self.width).expect("consistent")
     }
 
-    /// What `view` shows of this sphere: bilinear between code values.
+    /// Cuts `view` from this image of the whole sphere, interpolating linearly between code values.
     pub fn cut(&self, view: &View) -> Picture {
         let camera = Equirectangular { width: self.width as u32, height: self.height as u32 };
         let size = view.size_px as usize;

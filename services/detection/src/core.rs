@@ -1,0 +1,276 @@
+//! What detection does with a view: a pure function of the view, without port, clock or thread.
+
+use flockeye_config::Resolved;
+use flockeye_contract::{
+    DetectedMarker, DetectionHeader, MAX_DETECTED_MARKERS, Search, ViewHeader, ViewKind,
+};
+use flockeye_convert::{RadianceCache, image_of, view_of};
+use flockeye_geometry::body::Bodies;
+use flockeye_imaging::edges::Effort;
+
+use crate::detector::{Detector, Found};
+use crate::parameters::DetectorParameters;
+use crate::plausible::keep_plausible;
+use crate::windows::thresholds;
+
+/// Most markers in one record: as many as the topic has room for, and no more than the contract allows.
+pub const MAX_MARKERS: usize = 64;
+const _: () = assert!(MAX_MARKERS <= MAX_DETECTED_MARKERS);
+
+/// Answers the views that are meant for one worker. An answer depends on the view alone, never on
+/// earlier ones.
+pub struct Core {
+    detector: Detector,
+    bodies: Bodies,
+    lights: RadianceCache,
+    /// The sphere image's own resolution.
+    pixels_per_radian: f64,
+    worker: u32,
+    generation: u32,
+}
+
+/// The answer to a view.
+#[derive(Debug)]
+pub struct Record {
+    /// The record's header, without the times of the search.
+    pub header: DetectionHeader,
+    /// The markers found, doubtful ones last.
+    pub markers: Vec<DetectedMarker>,
+    /// Why the view could not be searched. The record acknowledges it all the same.
+    pub failure: Option<anyhow::Error>,
+}
+
+impl Core {
+    /// For `worker`, whose process was replaced `generation` times.
+    ///
+    /// # Errors
+    /// A configuration that cannot be followed; files that it names and that cannot be read.
+    pub fn new(resolved: &Resolved, worker: u32, generation: u32) -> anyhow::Result<Self> {
+        let (pipeline, bodies) = (&resolved.pipeline, &resolved.bodies);
+        let parameters = DetectorParameters {
+            min_side_px: pipeline.detection.min_side_px,
+            // Where fusion aligns whole bodies it only begins from corners, and time matters more.
+            effort: match pipeline.fusion.align {
+                true => Effort::Edges,
+                false => Effort::WholePrint,
+            },
+            ..DetectorParameters::default()
+        };
+        let detector = Detector::new(&bodies.dictionary, parameters)?
+            .with_mask(resolved.mask()?.clone())
+            .with_expected(bodies.iter().flat_map(|body| &body.markers).map(|marker| marker.id));
+        detector.dictionary().check(bodies)?;
+        Ok(Self {
+            detector,
+            bodies: bodies.clone(),
+            lights: RadianceCache::new(resolved.measured_response)?,
+            pixels_per_radian: resolved.camera.pixels_per_radian(),
+            worker,
+            generation,
+        })
+    }
+
+    /// The name of the dictionary whose markers are found.
+    pub fn dictionary(&self) -> &str {
+        &self.bodies.dictionary
+    }
+
+    /// The record for a view. `None` if the view is meant for another worker.
+    pub fn on_view(&mut self, header: &ViewHeader, pixels: &[u8]) -> Option<Record> {
+        if header.worker != self.worker {
+            return None;
+        }
+        let (mut found, failure) = match self.find(header, pixels) {
+            Ok(found) => (found, None),
+            Err(error) => (Vec::new(), Some(error)),
+        };
+        found.truncate(MAX_MARKERS);
+        let is_hit = |found: &&Found| !found.is_doubtful && self.bodies.owner(found.id).is_some();
+        let header = DetectionHeader {
+            stamp: header.stamp,
+            plan_id: header.plan_id,
+            taken_ns: header.taken_ns,
+            issued_ns: header.issued_ns,
+            received_ns: 0,
+            sent_ns: 0,
+            generation: self.generation,
+            view_index: header.view_index,
+            attempt: header.attempt,
+            worker: self.worker,
+            hits: found.iter().filter(is_hit).count() as u32,
+            failed: u32::from(failure.is_some()),
+        };
+        Some(Record { header, markers: found.iter().map(detected).collect(), failure })
+    }
+
+    fn find(&mut self, header: &ViewHeader, pixels: &[u8]) -> anyhow::Result<Vec<Found>> {
+        let search = Search::try_from(header.search)?;
+        if search == Search::Nothing {
+            return Ok(Vec::new());
+        }
+        let (image, view) = (image_of(header, pixels)?, view_of(header));
+        let magnification = header.focal_px / self.pixels_per_radian;
+        let kind = ViewKind::try_from(header.kind)?;
+        self.detector.set_thresholds(thresholds(kind, search, magnification))?;
+        self.detector.set_magnification(magnification);
+        let found = self.detector.detect(&image, &view, self.lights.of(header)?);
+        Ok(keep_plausible(found, &self.bodies))
+    }
+}
+
+fn detected(found: &Found) -> DetectedMarker {
+    DetectedMarker {
+        rays_in_camera: found.rays_in_camera.map(|ray| [ray.x, ray.y, ray.z]),
+        deviations: found.deviations_rad,
+        corners_in_view: found.corners_in_view.map(|corner| [corner.0.x as f32, corner.0.y as f32]),
+        id: found.id,
+        doubtful: u32::from(found.is_doubtful),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use flockeye_contract::{FrameStamp, Transfer};
+    use flockeye_dictionary::Dictionary;
+
+    use super::*;
+
+    const SIZE: u32 = 600;
+    /// Focal length of the default camera's sphere: 3840 pixels for the whole circle.
+    const FOCAL_PX: f64 = 3840.0 / std::f64::consts::TAU;
+
+    fn core() -> Core {
+        let overrides = ["bodies.list=[{name: alpha, preset: squares}]".to_owned()];
+        let pipeline = flockeye_config::Pipeline::parse("", &overrides, "a test");
+        let resolved = Resolved::of(pipeline.expect("a configuration")).expect("its files");
+        Core::new(&resolved, 2, 5).expect("nothing is missing")
+    }
+
+    /// A white view with these markers, each with its first corner at a column and a row, and with
+    /// `cell` pixels for each cell.
+    fn drawn(markers: &[(u32, usize, usize)], cell: usize) -> Vec<u8> {
+        let dictionary = Dictionary::load(core().dictionary()).expect("a known one");
+        let size = SIZE as usize;
+        let mut pixels = vec![220; size * size];
+        for &(id, left, top) in markers {
+            let print = dictionary.print(id).expect("it is in the dictionary");
+            let side = print.cells() * cell;
+            for (y, x) in (0..side).flat_map(|y| (0..side).map(move |x| (y, x))) {
+                if !print.is_white((y / cell) as isize, (x / cell) as isize) {
+                    pixels[(top + y) * size + left + x] = 30;
+                }
+            }
+        }
+        pixels
+    }
+
+    fn view() -> ViewHeader {
+        ViewHeader {
+            stamp: FrameStamp { sequence: 7, epoch: 1, ..FrameStamp::default() },
+            plan_id: 3,
+            taken_ns: 11,
+            issued_ns: 12,
+            camera_from_view: [0.0, 0.0, 0.0, 1.0],
+            focal_px: FOCAL_PX,
+            size_px: SIZE,
+            stride: SIZE,
+            view_index: 4,
+            attempt: 1,
+            worker: 2,
+            ..ViewHeader::default()
+        }
+    }
+
+    #[test]
+    fn a_view_is_answered_with_its_markers() {
+        let pixels = drawn(&[(3, 100, 200), (240, 400, 300)], 6);
+        let record = core().on_view(&view(), &pixels).expect("it is ours");
+        assert!(record.failure.is_none());
+        let header = record.header;
+        assert_eq!(header.check(&record.markers), Ok(()));
+        assert_eq!((header.stamp, header.plan_id), (view().stamp, 3));
+        assert_eq!((header.taken_ns, header.issued_ns), (11, 12));
+        assert_eq!((header.view_index, header.attempt), (4, 1));
+        assert_eq!((header.worker, header.generation, header.failed), (2, 5, 0));
+        let ids: Vec<u32> = record.markers.iter().map(|marker| marker.id).collect();
+        assert_eq!(ids, [3, 240]);
+        // Only the first belongs to the configured body.
+        assert_eq!(header.hits, 1);
+        let [x, y] = record.markers[0].corners_in_view[0];
+        assert!((x - 99.5).abs() < 0.2 && (y - 199.5).abs() < 0.2, "{x} {y}");
+        let [right, down, _] = record.markers[0].rays_in_camera[0];
+        assert!(right < 0.0 && down < 0.0, "it is left of the middle, and above it");
+    }
+
+    #[test]
+    fn a_view_for_another_worker_is_not_answered() {
+        let header = ViewHeader { worker: 1, ..view() };
+        assert!(core().on_view(&header, &drawn(&[], 6)).is_none());
+    }
+
+    #[test]
+    fn a_view_whose_pixels_alone_are_wanted_is_acknowledged_unsearched() {
+        let header = ViewHeader { search: Search::Nothing.code(), ..view() };
+        let record = core().on_view(&header, &drawn(&[(3, 100, 200)], 6)).expect("it is ours");
+        assert!(record.markers.is_empty() && record.failure.is_none());
+        assert_eq!((record.header.hits, record.header.failed), (0, 0));
+    }
+
+    #[test]
+    fn a_view_that_cannot_be_searched_is_acknowledged_as_failed() {
+        let pixels = drawn(&[(3, 100, 200)], 6);
+        let refused = |change: &dyn Fn(&mut ViewHeader)| {
+            let mut header = view();
+            change(&mut header);
+            let record = core().on_view(&header, &pixels).expect("it is ours");
+            assert!(record.markers.is_empty());
+            assert_eq!((record.header.hits, record.header.failed), (0, 1));
+            record.failure.expect("it says why").to_string()
+        };
+        let no_table = refused(&|header| header.transfer = Transfer::Table.code());
+        assert!(no_table.contains("camera.response_table"), "{no_table}");
+        let too_short = refused(&|header| (header.size_px, header.stride) = (900, 900));
+        assert!(!too_short.is_empty());
+        assert!(refused(&|header| header.search = 77).contains("unknown search code 77"));
+        assert!(refused(&|header| header.kind = 77).contains("unknown view kind code 77"));
+    }
+
+    #[test]
+    fn each_window_alone_finds_a_plain_marker() {
+        let pixels = drawn(&[(3, 100, 200)], 4);
+        for search in [Search::FineWindow, Search::CoarseWindow, Search::AllWindows] {
+            let header = ViewHeader { search: search.code(), ..view() };
+            let record = core().on_view(&header, &pixels).expect("it is ours");
+            assert_eq!(record.header.hits, 1, "{search:?}");
+        }
+    }
+
+    #[test]
+    fn an_answer_does_not_depend_on_earlier_views() {
+        let pixels = drawn(&[(3, 100, 200), (190, 300, 120)], 5);
+        let fresh = core().on_view(&view(), &pixels).expect("it is ours");
+        let mut used = core();
+        let magnified = ViewHeader {
+            kind: ViewKind::Gaze.code(),
+            focal_px: 3.0 * FOCAL_PX,
+            search: Search::CoarseWindow.code(),
+            ..view()
+        };
+        used.on_view(&magnified, &drawn(&[(5, 50, 50)], 9)).expect("it is ours");
+        let again = used.on_view(&view(), &pixels).expect("it is ours");
+        assert_eq!((again.header, again.markers), (fresh.header, fresh.markers));
+    }
+
+    #[test]
+    fn a_view_full_of_markers_gives_as_many_as_a_record_holds() {
+        // Nine rows of nine markers of 35 px; one is a body's, with the lowest id.
+        let id = |k: usize| if k == 40 { 3 } else { 100 + k as u32 };
+        let markers: Vec<(u32, usize, usize)> =
+            (0..81).map(|k| (id(k), 20 + k % 9 * 62, 20 + k / 9 * 62)).collect();
+        let record = core().on_view(&view(), &drawn(&markers, 5)).expect("it is ours");
+        assert_eq!(record.markers.len(), MAX_MARKERS);
+        assert_eq!(record.header.check(&record.markers), Ok(()));
+        assert_eq!(record.header.hits, 1);
+    }
+}

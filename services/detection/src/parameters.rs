@@ -1,0 +1,120 @@
+//! What the detector searches for and accepts, with its defaults: the values that the stage flies with.
+
+use flockeye_contract::{Search, ViewKind};
+use flockeye_dictionary::DictionaryError;
+use flockeye_imaging::edges::Effort;
+
+use crate::windows::{Threshold, thresholds};
+
+/// What is searched for, and what is accepted as a marker.
+///
+/// The defaults are those of a view at the sphere's own resolution. They were chosen on renderings and
+/// on real panoramas without markers. There, squares that pass for a marker by their cells alone have
+/// log-likelihood ratios of up to 13; their edges then tell them from print.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DetectorParameters {
+    /// Markers with shorter sides are not searched for, pixels. At 11 px a cell of a marker with 5 x 5
+    /// bits is hardly wider than the lens's blur.
+    pub min_side_px: f64,
+    /// The local thresholds. Each one finds squares that the others lose, for example where the
+    /// shaded side of a marker joins something dark; each costs another pass over the view.
+    pub thresholds: Vec<Threshold>,
+    /// How far an outline may deviate from a quadrilateral, as a share of its length. Decides how
+    /// rounded the corners of small markers may be.
+    pub polygon_accuracy: f64,
+    /// How far an outline may deviate from a polygon that has three of a square's corners, pixels.
+    pub corner_accuracy_px: f64,
+    /// Least normalized correlation of the cells with the blurred marker's.
+    pub min_correlation: f32,
+    /// Least log-likelihood ratio of the id to the next one.
+    pub min_log_likelihood_ratio: f32,
+    /// Least brightness of the quiet zone over the border, on each side, as a share of the contrast.
+    pub min_quiet_zone: f32,
+    /// What is fitted to find a marker's corners.
+    pub effort: Effort,
+}
+
+impl Default for DetectorParameters {
+    fn default() -> Self {
+        Self {
+            min_side_px: 11.0,
+            thresholds: thresholds(ViewKind::Partition, Search::AllWindows, 1.0).collect(),
+            polygon_accuracy: 0.05,
+            corner_accuracy_px: 2.0,
+            min_correlation: 0.85,
+            min_log_likelihood_ratio: 10.0,
+            min_quiet_zone: 0.2,
+            effort: Effort::default(),
+        }
+    }
+}
+
+/// Why a detector could not be made, or not be given other thresholds.
+#[derive(Debug, thiserror::Error)]
+pub enum DetectError {
+    /// The dictionary could not be loaded.
+    #[error(transparent)]
+    Dictionary(#[from] DictionaryError),
+    /// A parameter outside its range.
+    #[error("{name} is {value}; it must be {allowed}")]
+    Parameter {
+        /// The parameter.
+        name: &'static str,
+        /// What it was.
+        value: f64,
+        /// What it may be.
+        allowed: &'static str,
+    },
+}
+
+impl DetectorParameters {
+    /// Refuses parameters outside their ranges.
+    pub(crate) fn check(&self) -> Result<(), DetectError> {
+        check_thresholds(self.thresholds.iter().copied())?;
+        let rules = [
+            ("min_side_px", self.min_side_px, self.min_side_px >= 8.0, "8 or more"),
+            (
+                "polygon_accuracy",
+                self.polygon_accuracy,
+                self.polygon_accuracy > 0.0 && self.polygon_accuracy < 0.2,
+                "between 0 and 0.2",
+            ),
+            (
+                "corner_accuracy_px",
+                self.corner_accuracy_px,
+                self.corner_accuracy_px > 0.0,
+                "above 0",
+            ),
+            (
+                "min_correlation",
+                f64::from(self.min_correlation),
+                (0.0..=1.0).contains(&self.min_correlation),
+                "from 0 to 1",
+            ),
+        ];
+        for (name, value, holds, allowed) in rules {
+            if !holds || !value.is_finite() {
+                return Err(DetectError::Parameter { name, value, allowed });
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Refuses no thresholds at all, and those that no image can be searched with.
+pub(crate) fn check_thresholds(
+    thresholds: impl Iterator<Item = Threshold>,
+) -> Result<(), DetectError> {
+    let refused = |name, value, allowed| Err(DetectError::Parameter { name, value, allowed });
+    let mut is_empty = true;
+    for threshold in thresholds {
+        is_empty = false;
+        if threshold.window_px < 3 || threshold.window_px.is_multiple_of(2) {
+            return refused("window_px", threshold.window_px as f64, "odd, and 3 or more");
+        }
+        if threshold.darker_by == 0 {
+            return refused("darker_by", 0.0, "1 or more");
+        }
+    }
+    if is_empty { refused("thresholds", 0.0, "one or more") } else { Ok(()) }
+}

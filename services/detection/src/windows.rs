@@ -1,0 +1,87 @@
+//! The windows of the local threshold that a view is searched with.
+
+use flockeye_contract::{Search, ViewKind};
+
+/// A pixel is dark if it is darker than its surroundings by some code values.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Threshold {
+    /// Side of the square of surroundings whose mean counts, pixels; odd. From 15 px on the square is
+    /// made of blocks: it is up to a tenth smaller, and up to a fourteenth of its side off centre.
+    pub window_px: usize,
+    /// By how many code values the pixel must be darker; 1 or more.
+    pub darker_by: u8,
+}
+
+/// A window, in pixels of the sphere's own resolution, and by how many code values a marker's pixel is
+/// darker than the window's mean.
+type Window = (f64, u8);
+
+/// Windows for tiles, finest first.
+///
+/// The fine one finds markers in the shade and beside dark things, the coarse one bright markers. On
+/// drawn markers of 14 to 30 px, in a hall and in a panorama, these two found most for their time: see
+/// the table of windows in docs/DETECTION.md.
+const TILE_WINDOWS: &[Window] = &[(7.0, 4), (31.0, 10)];
+
+/// Windows for regions of interest, finest first. These views are small, and a neighbour is expected
+/// in them, so more passes are worth their time.
+const REGION_WINDOWS: &[Window] = &[(5.5, 4), (7.5, 4), (15.0, 6), (31.0, 10)];
+
+/// The widest window to each side of its middle, pixels of the view.
+const MAX_REACH_PX: f64 = 500.0;
+
+/// The thresholds for a view of this kind, cut with `magnification` pixels for each of the sphere's.
+///
+/// Lens blur has a fixed size on the sphere, so what separates a marker from its surroundings has one
+/// too: windows grow with the magnification.
+pub fn thresholds(
+    kind: ViewKind,
+    search: Search,
+    magnification: f64,
+) -> impl Iterator<Item = Threshold> + Clone {
+    let windows = match kind {
+        ViewKind::Partition | ViewKind::HighResolution => TILE_WINDOWS,
+        ViewKind::Gaze => REGION_WINDOWS,
+    };
+    let chosen = match search {
+        Search::AllWindows => windows,
+        Search::FineWindow => &windows[..1],
+        Search::CoarseWindow => &windows[windows.len() - 1..],
+        Search::Nothing => &[],
+    };
+    chosen.iter().map(move |&(window, darker_by)| {
+        let reach_px = (window * magnification / 2.0).floor().clamp(1.0, MAX_REACH_PX);
+        Threshold { window_px: 2 * reach_px as usize + 1, darker_by }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn windows_px(kind: ViewKind, search: Search, magnification: f64) -> Vec<usize> {
+        thresholds(kind, search, magnification).map(|threshold| threshold.window_px).collect()
+    }
+
+    #[test]
+    fn each_way_to_search_has_its_windows() {
+        for kind in [ViewKind::Partition, ViewKind::HighResolution] {
+            assert_eq!(windows_px(kind, Search::AllWindows, 1.0), [7, 31]);
+            assert_eq!(windows_px(kind, Search::FineWindow, 1.0), [7]);
+            assert_eq!(windows_px(kind, Search::CoarseWindow, 1.0), [31]);
+            assert!(windows_px(kind, Search::Nothing, 1.0).is_empty());
+        }
+        assert_eq!(windows_px(ViewKind::Gaze, Search::AllWindows, 1.0), [5, 7, 15, 31]);
+        assert_eq!(windows_px(ViewKind::Gaze, Search::FineWindow, 1.0), [5]);
+    }
+
+    #[test]
+    fn windows_grow_with_the_magnification_and_stay_odd() {
+        assert_eq!(windows_px(ViewKind::Partition, Search::AllWindows, 2.0), [15, 63]);
+        for magnification in [0.0, 1e-9, 0.7, 3.3, 1e12, f64::INFINITY, f64::NAN] {
+            let windows = windows_px(ViewKind::Gaze, Search::AllWindows, magnification);
+            let is_allowed = |window: &usize| window % 2 == 1 && (1..=1001).contains(window);
+            assert!(windows.iter().all(is_allowed), "{magnification}: {windows:?}");
+        }
+    }
+}
