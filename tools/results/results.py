@@ -234,7 +234,7 @@ def measured_on(entry):
 
 
 def flight_section(entry):
-    lines = [f"## {entry['title']}: {entry['way']}", "", "```sh", entry["command"], "```", ""]
+    lines = [f"## {entry['title'][0].upper()}{entry['title'][1:]}: {entry['way']}", "", "```sh", entry["command"], "```", ""]
     lines += ["| distance m | eligible | measured | share | median mm | 95 % | 99 % | "
               "rotation, median ° | false |", "| --- " * 9 + "|"]
     for bin in entry["bins"]:
