@@ -4,6 +4,7 @@
     make counts                             compares the commit BEFORE with the working tree
     tools/counts/counts.py --rev REV        another commit to compare with
     tools/counts/counts.py --print          only prints the table
+    tools/counts/counts.py --edges          who uses what within each circle of this tree
 
 Python's standard library and git are enough. The rules, which are the same for both columns:
 
@@ -189,8 +190,9 @@ class Crate:
                         return further
         return at if at in self.modules else None
 
-    def circles(self):
-        edges = defaultdict(set)
+    def edges(self):
+        """Which modules each module uses, and by which paths."""
+        edges = defaultdict(dict)
         for module, file in self.modules.items():
             paths = [path for path, _, public in self.uses[module] if not public]
             body = re.sub(r"^[ \t]*(pub(?:\([^)]*\))?\s+)?use\s+[^;]+;", " ", file.code, flags=re.M)
@@ -199,9 +201,17 @@ class Crate:
             for path in paths:
                 target = self.resolve(module, path)
                 if target is not None and target != module:
-                    edges[module].add(target)
-        return [sorted(str(self.modules[m].path) for m in circle)
-                for circle in components(self.modules, edges) if len(circle) > 1]
+                    edges[module].setdefault(target, "::".join(path))
+        return edges
+
+    def circles(self):
+        """The circles, as lists of files, and the uses within each: (file, file, path)."""
+        edges = self.edges()
+        for circle in components(self.modules, edges):
+            if len(circle) > 1:
+                name = {module: str(self.modules[module].path) for module in circle}
+                uses = [(name[a], name[b], edges[a][b]) for a in circle for b in edges[a] if b in name]
+                yield sorted(name.values()), sorted(uses)
 
 
 def components(nodes, edges):
@@ -275,7 +285,7 @@ def count(root):
         if "target" in manifest.relative_to(root).parts or not folder.is_dir():
             continue
         inside = [f for f in files if folder.relative_to(root) in f.path.parents]
-        circles += Crate(folder.relative_to(root), inside).circles()
+        circles += list(Crate(folder.relative_to(root), inside).circles())
     documents = {}
     for path in [root / "README.md", *sorted((root / "docs").glob("*.md")), root / "deploy/README.md"]:
         if path.exists():
@@ -312,7 +322,7 @@ def table(before, now, name):
         both = [sum(c["tuned"][part][at] for part in TUNED) for c in (before, now)]
         rows.append((f"{what} in all three", *both))
     rows += [("circles of files", len(before["circles"]), len(now["circles"])),
-             ("files in circles", *(sum(map(len, c["circles"])) for c in (before, now)))]
+             ("files in circles", *(sum(len(files) for files, _ in c["circles"]) for c in (before, now)))]
     lines = ["# Results: counts", "", "Written by `make counts`; do not edit.",
              "`tools/counts/counts.py` states the rules. "
              f"*Before* is commit `{name}`, *now* is this tree.", "",
@@ -335,7 +345,7 @@ def table(before, now, name):
         lines += ["", f"## Names used for more than one type, {title}", "", listed or "None."]
     for title, counted in (("before", before), ("now", now)):
         lines += ["", f"## Circles of files, {title}", ""]
-        lines += [f"- {', '.join(f'`{path}`' for path in circle)}" for circle in counted["circles"]]
+        lines += [f"- {', '.join(f'`{path}`' for path in circle)}" for circle, _ in counted["circles"]]
         lines += [] if counted["circles"] else ["None."]
     return "\n".join(lines) + "\n"
 
@@ -344,7 +354,13 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rev", default="0e45afb", help="the commit to compare with (%(default)s)")
     parser.add_argument("--print", action="store_true", help="print the page, write nothing")
+    parser.add_argument("--edges", action="store_true", help="print the uses within each circle")
     arguments = parser.parse_args()
+    if arguments.edges:
+        for files, uses in count(ROOT)["circles"]:
+            print(f"circle of {len(files)}")
+            print("".join(f"  {a} -> {b}: {path}\n" for a, b, path in uses), end="")
+        return
     page = table(revision(arguments.rev), count(ROOT), arguments.rev)
     if arguments.print:
         print(page, end="")
