@@ -328,6 +328,11 @@ def render(store):
     (ROOT / "README.md").write_text(f"{before}{begin}\n{readme_table(store)}\n{end}{after}")
 
 
+def stored():
+    """What was measured before, by the names of the runs."""
+    return json.loads(STORE.read_text()) if STORE.exists() else {}
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("parts", nargs="*", help="what to fly; everything if none is named")
@@ -343,16 +348,17 @@ def main():
     unknown = set(arguments.parts) - set(PARTS)
     if unknown:
         sys.exit(f"results: no part {', '.join(sorted(unknown))}: there are {', '.join(PARTS)}")
-    store = json.loads(STORE.read_text()) if STORE.exists() else {}
-    if not arguments.render:
-        (ROOT / WORK).mkdir(parents=True, exist_ok=True)
-        for part in arguments.parts or PARTS:
-            print(part, file=sys.stderr, flush=True)
-            store.update(run_part(part, arguments.data, arguments.way or list(WAYS)))
-            # In the order of PARTS, whatever was flown first.
-            store = dict(sorted(store.items(), key=lambda e: PARTS.index(e[0].split("-")[0])))
-            render(store)
-    render(store)
+    parts = [] if arguments.render else arguments.parts or PARTS
+    (ROOT / WORK).mkdir(parents=True, exist_ok=True)
+    for part in parts:
+        print(part, file=sys.stderr, flush=True)
+        entries = run_part(part, arguments.data, arguments.way or list(WAYS))
+        # Read again: another run may have added to it meanwhile.
+        store = stored() | entries
+        # In the order of PARTS, whatever was flown first.
+        render(dict(sorted(store.items(), key=lambda e: PARTS.index(e[0].split("-")[0]))))
+    if not parts:
+        render(stored())
 
 
 if __name__ == "__main__":
