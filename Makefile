@@ -4,6 +4,10 @@
 # make bench  what it costs: functions, the hop between processes, the whole pipeline; with
 #             RECORDING=FOLDER (a video and truth.csv, bodies.json above) also beside the paper's
 #             method in Python, with DORA=1 the hop also beside dora-rs
+# make golden, make golden-check  lossless poses of this build, and whether another build's are the same
+# make results  flies recordings and simulated flights and writes docs/results; PARTS="flight1 far"
+#             flies these alone, FLOCKEYE=PROGRAM takes another build
+# make counts writes docs/results/counts.md: code and prose, at commit BEFORE and now
 # make setup  only installs the missing Debian packages
 
 SHELL := /bin/bash
@@ -11,7 +15,7 @@ FOR ?= 20s
 DORA_COMMAND = $(CURDIR)/target/peers/bin/dora
 DORA_HOP = $(CURDIR)/target/peers/dora/release/dora-hop
 
-.PHONY: run test bench peers build setup cargo format golden golden-check golden-write golden-compare
+.PHONY: run test bench peers build setup cargo format golden golden-check golden-write golden-compare results counts
 
 run: build
 	target/release/flockeye up --for $(FOR)
@@ -55,6 +59,14 @@ golden-check: golden-compare
 golden-write golden-compare: golden-%: setup
 	cargo build --profile tested --workspace --bins --locked
 	target/tested/golden $* target/golden $(FLIGHTS)
+
+# Tables that documents link to: Python's standard library alone.
+BEFORE ?= 0e45afb
+results: $(if $(FLOCKEYE),,build)
+	FLOCKEYE=$(or $(FLOCKEYE),target/release/flockeye) python3 tools/results/results.py $(PARTS)
+
+counts:
+	python3 tools/counts/counts.py --rev $(BEFORE)
 
 format:
 	cargo fmt --all

@@ -23,7 +23,7 @@ from flockeye_contract import (
 
 # Room in one record.
 MAX_MARKERS = 64
-# What is believed of OpenCV's corners.
+# Assumed standard deviation of OpenCV's corners.
 DEVIATION_PX = 0.5
 
 

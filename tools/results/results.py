@@ -1,0 +1,365 @@
+#!/usr/bin/env python3
+"""Flies recordings and simulated flights with one build and writes docs/results.
+
+    make results                            every part, with target/release/flockeye
+    make results PARTS="flight1 far"        these parts; the others keep their tables
+    tools/results/results.py --list         what parts there are
+    tools/results/results.py --render       the tables anew from docs/results/results.json
+
+The variable FLOCKEYE names another build. Recordings are read from ../shared/data (or --data);
+a part whose recording is absent is left out, and says so. Python's standard library is enough.
+
+Each run becomes an entry of docs/results/results.json. The tables of docs/results and the short
+table of README.md are written from that file, so nobody types a figure.
+"""
+
+import argparse
+import csv
+import json
+import math
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+STORE = ROOT / "docs/results/results.json"
+WORK = Path("target/results")
+README_MARKS = ("<!-- results: written by make results -->", "<!-- end of results -->")
+BINS = [(0.0, 1.5), (1.5, 2.2), (2.2, 3.0), (3.0, 4.0)]
+# Nothing in the code was chosen on these flights.
+SEEDS = range(2001, 2009)
+QUIET = ["--set", "gateway.enabled=false", "--set", "instance=results"]
+WAYS = {
+    "lossless": "every frame, `--flow lossless`",
+    "real time": "the camera's own rate, `--flow latest`",
+}
+
+# Name: what it is, the recording below the data folder, settings, and the ways it is flown.
+RECORDINGS = {
+    "flight1": ("rendered flight `flight1`, 300 frames", "flight1/flight1.mp4", "flight1/truth.csv",
+                [], ["lossless", "real time"]),
+    "flight4": ("rendered flight `flight4` in wind, 120 frames", "flight4/flight4.mp4",
+                "flight4/truth.csv", [], ["lossless", "real time"]),
+    "stills": ("20 rendered stills, each for itself", "stills/images", "stills/truth.csv",
+               ["fusion.filter=none"], ["lossless"]),
+}
+SIMULATED = {
+    "near": ("simulated flights at 0.6 to 2 m", []),
+    "far": ("simulated flights at 0.6 to 4 m", ["simulator.distance_m=[0.6,4.0]"]),
+}
+# Commands whose own words are kept: title, arguments, and which lines.
+EXPERIMENTS = {
+    "consistency": ("Consistency of covariances", ["experiment", "consistency", "--runs", "50"], ""),
+    "search": ("The paper's Table II: searches", ["experiment", "search"], ""),
+    "partitions": ("The paper's Table I: partitions", ["experiment", "partitions"], ""),
+    "cadence": ("How often a part of the sphere is searched", ["check", "--measure", "20s", *QUIET],
+                "search |measured "),
+}
+PARTS = [*RECORDINGS, *SIMULATED, *EXPERIMENTS]
+
+
+def flockeye():
+    """The program to fly with, as a path relative to the repository where it lies there."""
+    program = Path(os.environ.get("FLOCKEYE", "target/release/flockeye"))
+    if not (ROOT / program).exists():
+        sys.exit(f"results: {program} does not exist. Cure: make build, or set FLOCKEYE")
+    return program
+
+
+def machine():
+    """Cores, processor and clock, and how busy the machine was."""
+    text = Path("/proc/cpuinfo").read_text()
+    clocks = [float(mhz) for mhz in re.findall(r"cpu MHz\s*: ([\d.]+)", text)]
+    model = re.search(r"model name\s*: (.+)", text)
+    return {
+        "cores": os.cpu_count(),
+        "processor": model.group(1).strip() if model else "unknown",
+        "mhz": round(max(clocks)) if clocks else None,
+        "load": round(os.getloadavg()[0], 1),
+    }
+
+
+def call(arguments, may_fail=False):
+    """Runs flockeye in the repository's root and gives what it wrote to standard output. An
+    experiment that does not pass says so there, and fails."""
+    done = subprocess.run([str(flockeye()), *arguments], cwd=ROOT, capture_output=True, text=True)
+    if done.returncode != 0 and not (may_fail and done.stdout.strip()):
+        sys.exit(f"results: {shown(arguments)} ended with {done.returncode}:\n{done.stderr}")
+    return done.stdout
+
+
+def shown(arguments):
+    """A command as one would type it."""
+    quote = lambda word: f"'{word}'" if re.search(r"[\[\] ]", word) else word
+    return " ".join(["flockeye", *map(quote, arguments)])
+
+
+def rows(path):
+    with open(ROOT / path, newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def pooled(flights, name):
+    """Poses and truth of several flights as one, with frames numbered apart."""
+    paths = []
+    for kind in (0, 1):
+        path = WORK / f"{name}-{('poses', 'truth')[kind]}.csv"
+        with open(ROOT / path, "w", newline="") as file:
+            writer = None
+            for number, flight in enumerate(flights):
+                for row in rows(flight[kind]):
+                    row["frame"] = int(row["frame"]) + number * 1_000_000
+                    writer = writer or csv.DictWriter(file, row.keys())
+                    if number == 0 and file.tell() == 0:
+                        writer.writeheader()
+                    writer.writerow(row)
+        paths.append(path)
+    return paths
+
+
+def errors_mm(poses, truth):
+    """Distance and position error of each eligible body's own measurement, of the same bodies as
+    `flockeye eval` counts. Mounts must be the default."""
+    measured = {(row["target"], int(row["frame"])): row for row in poses
+                if row["measured_by"] != "nothing"}
+    found = []
+    for row in truth:
+        pose = measured.get((row["body"], int(row["frame"])))
+        if pose and int(row["localisable"]) == 1 and int(row["n_markers_vis90"]) >= 2:
+            error = math.dist([float(pose[k]) for k in ("mx", "my", "mz")],
+                              [float(row[k]) for k in "xyz"])
+            found.append((float(row["dist_m"]), 1e3 * error))
+    return found
+
+
+def quantile(values, share):
+    """Nearest rank, as `flockeye eval` counts."""
+    values = sorted(values)
+    return values[max(math.ceil(share * len(values)), 1) - 1]
+
+
+def evaluated(poses, truth):
+    """What `flockeye eval` says, with the 99 % quantile and the false poses of each bin."""
+    said = json.loads(call(["eval", "--poses", str(poses), "--truth", str(truth), "--json"]))
+    truth_rows = rows(truth)
+    errors = errors_mm(rows(poses), truth_rows)
+    distances = {(row["body"], int(row["frame"])): float(row["dist_m"]) for row in truth_rows}
+    bins = []
+    for low, high in BINS:
+        bin = next(b for b in said["bins"] if (b["from_m"], b["to_m"]) == (low, high))
+        inside = [error for distance, error in errors if low <= distance < high]
+        of = bin["measurement"]
+        if len(inside) != bin["measured"]:
+            sys.exit(f"results: {len(inside)} errors where eval has {bin['measured']}")
+        false = sum(low <= distances.get((f["target"], f["frame"]), -1.0) < high
+                    for f in said["false_at"])
+        bins.append({
+            "from_m": low, "to_m": high,
+            "eligible": bin["eligible"], "measured": bin["measured"], "false": false,
+            "median_mm": of and of["position_mm"]["median"],
+            "p95_mm": of and of["position_mm"]["p95"],
+            "p99_mm": quantile(inside, 0.99) if inside else None,
+            "rotation_deg": of and of["rotation_deg"]["median"],
+        })
+    nees = said["nees"]["measurements"]
+    return {"bins": bins, "false": said["false_poses"], "latency": said["latency"],
+            "measured": said["measured"], "nees": nees}
+
+
+def fly(arguments, way, name, truth):
+    """One flight; gives its poses and its truth."""
+    poses = WORK / f"{name}.csv"
+    flow = "lossless" if way == "lossless" else "latest"
+    command = ["up", *arguments, "--flow", flow, *QUIET, "--poses", str(poses)]
+    if truth is None:
+        truth = WORK / f"{name}-truth.csv"
+        command += ["--truth", str(truth)]
+    print(f"  {shown(command)}", file=sys.stderr, flush=True)
+    counted = re.search(r"(\d+) frames searched, (\d+) skipped", call(command))
+    if not counted:
+        sys.exit(f"results: {shown(command)} does not say how many frames it searched")
+    return command, poses, truth, [int(number) for number in counted.groups()]
+
+
+def run_part(part, data, wanted_ways):
+    """The entries of one part, by their names."""
+    if part in EXPERIMENTS:
+        title, arguments, kept = EXPERIMENTS[part]
+        print(f"  {shown(arguments)}", file=sys.stderr, flush=True)
+        before = machine()
+        lines = call(arguments, may_fail=True).splitlines()
+        return {part: {"title": title, "command": shown(arguments), "machine": before,
+                       "output": [line.rstrip() for line in lines if re.match(kept, line)]}}
+    entries = {}
+    if part in RECORDINGS:
+        title, recording, truth, settings, ways = RECORDINGS[part]
+        if not (ROOT / data / recording).exists():
+            print(f"results: {part} is left out: {data / recording} is absent", file=sys.stderr)
+            return {}
+        source = ["--source", str(data / recording), "--bodies", str(data / "bodies.json")]
+    else:
+        title, settings = SIMULATED[part]
+        title += f", seeds {SEEDS[0]} to {SEEDS[-1]}, 300 frames each"
+        settings, ways, source, truth = [*settings, "simulator.frames=300"], list(WAYS), [], None
+    arguments = source + [word for key in settings for word in ("--set", key)]
+    for way in [way for way in ways if way in wanted_ways]:
+        before = machine()
+        name = f"{part}-{way.replace(' ', '-')}"
+        if part in RECORDINGS:
+            command, poses, truth_file, frames = fly(arguments, way, name, data / truth)
+        else:
+            flights = []
+            for seed in SEEDS:
+                seeded = arguments + ["--set", f"simulator.seed={seed}"]
+                command, *flight = fly(seeded, way, f"{name}-{seed}", None)
+                flights.append(flight)
+            command = [word.replace(str(SEEDS[-1]), "SEED") for word in command]
+            poses, truth_file = pooled(flights, name)
+            frames = [sum(flight[2][kind] for flight in flights) for kind in (0, 1)]
+        entries[name] = {"title": title, "way": way, "command": shown(command), "machine": before,
+                         "searched": frames[0], "skipped": frames[1],
+                         **evaluated(poses, truth_file)}
+    return entries
+
+
+def number(value, digits):
+    return "" if value is None else f"{value:.{digits}f}"
+
+
+def share(bin):
+    return f"{100 * bin['measured'] / bin['eligible']:.1f} %" if bin["eligible"] else ""
+
+
+def measured_on(entry):
+    facts = entry["machine"]
+    clock = f" at {facts['mhz']} MHz" if facts["mhz"] else ""
+    return (f"{facts['cores']} cores, {facts['processor']}{clock}, load average {facts['load']} "
+            "before the run.")
+
+
+def flight_section(entry):
+    lines = [f"## {entry['title'][0].upper()}{entry['title'][1:]}: {entry['way']}", "", "```sh", entry["command"], "```", ""]
+    lines += ["| distance m | eligible | measured | share | median mm | 95 % | 99 % | "
+              "rotation, median ° | false |", "| --- " * 9 + "|"]
+    for bin in entry["bins"]:
+        if bin["eligible"] or bin["measured"]:
+            lines.append(
+                f"| {bin['from_m']:g} to {bin['to_m']:g} | {bin['eligible']} | {bin['measured']} | "
+                f"{share(bin)} | {number(bin['median_mm'], 1)} | {number(bin['p95_mm'], 1)} | "
+                f"{number(bin['p99_mm'], 1)} | {number(bin['rotation_deg'], 2)} | {bin['false']} |")
+    lines.append("")
+    if "searched" in entry:
+        lines.append(f"- {entry['searched']} frames searched, {entry['skipped']} skipped.")
+    lines += [f"- False poses in all: {entry['false']} of {entry['measured']} measured."]
+    if entry["latency"]:
+        since = "frame published" if entry["way"] == "lossless" else "exposure"
+        latency = entry["latency"]
+        lines.append(f"- Latency from {since} to pose: median {latency['median_ms']:.1f} ms, "
+                     f"95 % {latency['p95_ms']:.1f} ms, 99 % {latency['p99_ms']:.1f} ms.")
+    for what in ("position", "rotation"):
+        nees = entry["nees"] and entry["nees"][what]
+        if nees:
+            lines.append(f"- NEES, {what}: mean {nees['mean']:.2f}, median {nees['median']:.2f}, "
+                         f"95 % bounds of the mean {nees['low']:.2f} to {nees['high']:.2f}.")
+    return lines + [f"- {measured_on(entry)}", ""]
+
+
+def flights_page(title, intro, entries):
+    lines = [f"# {title}", "", *intro, ""]
+    for entry in entries:
+        lines += flight_section(entry)
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def experiments_page(entries):
+    lines = ["# Results: experiments", "", "Written by `make results`; do not edit.",
+             "[EXPERIMENTS.md](../EXPERIMENTS.md) says what each column means.", ""]
+    for entry in entries:
+        lines += [f"## {entry['title']}", "", "```sh", entry["command"], "```", "", "```",
+                  *entry["output"], "```", "", measured_on(entry), ""]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def readme_table(store):
+    lines = ["| flight | flown | within 1.5 m | 1.5 to 2.2 m | 2.2 to 3 m | 3 to 4 m | false | "
+             "latency median, 99 % |", "| --- " * 8 + "|"]
+    for entry in store.values():
+        if "bins" not in entry:
+            continue
+        cells = []
+        for bin in entry["bins"]:
+            median = f", {number(bin['median_mm'], 1)} mm" if bin["measured"] else ""
+            cells.append(f"{bin['measured']} of {bin['eligible']}{median}" if bin["eligible"] else "")
+        latency = entry["latency"] if entry["way"] == "real time" else None
+        cells.append(str(entry["false"]))
+        cells.append(f"{latency['median_ms']:.0f}, {latency['p99_ms']:.0f} ms" if latency else "")
+        title = entry["title"].split(", seeds")[0]
+        lines.append(f"| {title} | {entry['way']} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def render(store):
+    """Writes the tables of docs/results and the short one of README.md."""
+    intro = [
+        "Written by `make results`; do not edit. [EVALUATION.md](../EVALUATION.md) defines the words.",
+        "Errors are those of each frame's own measurement, before the filter.",
+    ]
+    of = lambda parts: [e for name, e in store.items() if name.split("-")[0] in parts]
+    folder = STORE.parent
+    folder.mkdir(parents=True, exist_ok=True)
+    STORE.write_text(json.dumps(store, indent=1) + "\n")
+    recordings = flights_page("Results: recordings", intro, of(RECORDINGS))
+    (folder / "recordings.md").write_text(recordings)
+    chosen = [
+        "Nothing in the code was chosen on these seeds. Replace `SEED` by each of them.",
+        "A frame that was skipped in real time has no truth, so its bodies are not counted.",
+    ]
+    simulated = flights_page("Results: simulated flights", intro + chosen, of(SIMULATED))
+    (folder / "simulated.md").write_text(simulated)
+    (folder / "experiments.md").write_text(experiments_page(of(EXPERIMENTS)))
+    readme = (ROOT / "README.md").read_text()
+    begin, end = README_MARKS
+    before, found, rest = readme.partition(begin)
+    _, found_end, after = rest.partition(end)
+    if not (found and found_end):
+        sys.exit(f"results: README.md lacks the marks {begin} and {end}")
+    (ROOT / "README.md").write_text(f"{before}{begin}\n{readme_table(store)}\n{end}{after}")
+
+
+def stored():
+    """What was measured before, by the names of the runs."""
+    return json.loads(STORE.read_text()) if STORE.exists() else {}
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("parts", nargs="*", help="what to fly; everything if none is named")
+    parser.add_argument("--way", choices=WAYS, action="append", help="only flown this way")
+    parser.add_argument("--data", type=Path, default=Path("../shared/data"),
+                        help="the folder of recordings")
+    parser.add_argument("--list", action="store_true", help="list the parts")
+    parser.add_argument("--render", action="store_true", help="only write the tables anew")
+    arguments = parser.parse_args()
+    if arguments.list:
+        print("\n".join(PARTS))
+        return
+    unknown = set(arguments.parts) - set(PARTS)
+    if unknown:
+        sys.exit(f"results: no part {', '.join(sorted(unknown))}: there are {', '.join(PARTS)}")
+    parts = [] if arguments.render else arguments.parts or PARTS
+    (ROOT / WORK).mkdir(parents=True, exist_ok=True)
+    for part in parts:
+        print(part, file=sys.stderr, flush=True)
+        entries = run_part(part, arguments.data, arguments.way or list(WAYS))
+        # Read again: another run may have added to it meanwhile.
+        store = stored() | entries
+        # In the order of PARTS, whatever was flown first.
+        render(dict(sorted(store.items(), key=lambda e: PARTS.index(e[0].split("-")[0]))))
+    if not parts:
+        render(stored())
+
+
+if __name__ == "__main__":
+    main()
