@@ -263,7 +263,7 @@ impl Detector {
                 .find_map(|guess| self.refined(image, light, &guess, print));
         }
         let (corners_in_view, deviations_px) = match refined {
-            Some(refined) => (refined.corners_in_view, refined.deviations_px),
+            Some(refined) => (refined.corners_in_view, refined.sigmas_px),
             None => (corners, [UNREFINED_PX; 4]),
         };
         // What reads well only where the corners were guessed is no marker.
@@ -336,8 +336,8 @@ impl Detector {
         let (agreement, certainty, misfit) = FAINT;
         let is_told_though_faint = decoded.agreement >= agreement
             && decoded.certainty >= certainty
-            && refined.misfit <= misfit;
-        refined.misfit <= MAX_MISFIT
+            && refined.residual_sigma <= misfit;
+        refined.residual_sigma <= MAX_MISFIT
             && (blur <= MAX_BLUR_CELLS || (blur <= MAX_BLUR_CELLS_AT_ALL && is_told_though_faint))
     }
 }

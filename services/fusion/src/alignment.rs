@@ -2,7 +2,8 @@
 
 use flockeye_geometry::body::{Bodies, Body};
 use flockeye_imaging::align::{
-    AlignOptions, Alignment, BodyPrint, Picture, PrintError, SURE_FACETS, Score, align, reacquire,
+    AlignOptions, Alignment, BodyPrint, Evidence, Picture, PrintError, UNAMBIGUOUS_FACETS, align,
+    reacquire,
 };
 use flockeye_imaging::edges::MarkerPrint;
 use nalgebra::{Isometry3, Unit, Vector3};
@@ -137,11 +138,12 @@ impl Aligner {
             if is_surprising(&found, predicted) {
                 continue;
             }
-            if found.is_believed() {
+            if found.is_accepted() {
                 return Some(found);
             }
-            let is_better = |best: &Alignment| found.score.log_ratio > best.score.log_ratio;
-            let is_confirmed = found.confirms_track() || is_vouched_for(&found, &is_marked);
+            let is_better = |best: &Alignment| found.evidence.log_ratio > best.evidence.log_ratio;
+            let is_confirmed =
+                found.is_accepted_with_track_prior() || is_vouched_for(&found, &is_marked);
             if is_confirmed && best.as_ref().is_none_or(is_better) {
                 best = Some(found);
             }
@@ -168,7 +170,7 @@ impl Aligner {
         for start in starts {
             found.extend(self.align(target, picture, start));
             let is_sure = |found: &Alignment| {
-                found.is_believed() && found.score.agreeing_facets >= SURE_FACETS
+                found.is_accepted() && found.evidence.agreeing_facets >= UNAMBIGUOUS_FACETS
             };
             if pace != Pace::Unhurried && found.last().is_some_and(is_sure) {
                 break;
@@ -176,19 +178,20 @@ impl Aligner {
         }
         let believed: Vec<&Alignment> = found
             .iter()
-            .filter(|found| found.is_believed() || is_vouched_for(found, &is_marked))
+            .filter(|found| found.is_accepted() || is_vouched_for(found, &is_marked))
             .collect();
         let best = says_most(believed.iter().copied())?;
-        if best.score.agreeing_facets >= SURE_FACETS {
+        if best.evidence.agreeing_facets >= UNAMBIGUOUS_FACETS {
             return Some(best.clone());
         }
         let mirrored = self.mirrored(target, picture, best);
         let mut rivals = found.iter().chain(&mirrored).filter(|other| !is_same(best, other));
         // Nobody flies on its side by the word of two facets.
         let is_told_twice =
-            best.score.is_told_twice() && self.is_level(target, best) != Some(false);
-        let is_told = is_told_twice || best.score.correlation > ALONE_CORRELATION;
-        let stands_out = |rival: &Alignment| stands_out(&best.score, &rival.score, is_told_twice);
+            best.evidence.is_unambiguous() && self.is_level(target, best) != Some(false);
+        let is_told = is_told_twice || best.evidence.correlation > ALONE_CORRELATION;
+        let stands_out =
+            |rival: &Alignment| stands_out(&best.evidence, &rival.evidence, is_told_twice);
         if is_told && rivals.all(stands_out) {
             return Some(best.clone());
         }
@@ -200,9 +203,11 @@ impl Aligner {
             self.mirrored(target, picture, level)
         };
         let rivals = found.iter().chain(&mirrored).filter(|other| !is_same(level, other));
-        let rival_evidence = LEVEL_RIVAL * level.score.evidence();
-        let is_believed = level.share_seen >= LEVEL_SEEN
-            && rivals.filter(is_level).all(|rival| rival.score.evidence() < rival_evidence);
+        let rival_evidence = LEVEL_RIVAL * level.evidence.weighted_log_ratio();
+        let is_believed = level.visible_share >= LEVEL_SEEN
+            && rivals
+                .filter(is_level)
+                .all(|rival| rival.evidence.weighted_log_ratio() < rival_evidence);
         is_believed.then(|| level.clone())
     }
 
@@ -213,7 +218,7 @@ impl Aligner {
         picture: &Picture<'_>,
         found: &Alignment,
     ) -> Option<Alignment> {
-        let facet = found.score.foremost_facet?;
+        let facet = found.evidence.most_informative_facet?;
         let mirrored = self.prints.get(target)?.mirrored(facet, &found.camera_from_markers)?;
         self.align(target, picture, &Start::Fine(mirrored))
     }
@@ -251,18 +256,18 @@ impl Aligner {
 /// Whether a pose has turned farther from the prediction than is believed of it.
 pub fn is_surprising(found: &Alignment, predicted: &Isometry3<f64>) -> bool {
     let turn_rad = found.camera_from_markers.rotation.angle_to(&predicted.rotation);
-    turn_rad > SURPRISING_TURN_RAD && found.score.agreeing_facets < SURE_FACETS
+    turn_rad > SURPRISING_TURN_RAD && found.evidence.agreeing_facets < UNAMBIGUOUS_FACETS
 }
 
 /// The pose that most is said for.
 fn says_most<'a>(found: impl Iterator<Item = &'a Alignment>) -> Option<&'a Alignment> {
-    found.max_by(|a, b| a.score.evidence().total_cmp(&b.score.evidence()))
+    found.max_by(|a, b| a.evidence.weighted_log_ratio().total_cmp(&b.evidence.weighted_log_ratio()))
 }
 
 /// Whether so much more is said for the `best` pose than for a `rival` that it may be believed.
-fn stands_out(best: &Score, rival: &Score, is_told_twice: bool) -> bool {
+fn stands_out(best: &Evidence, rival: &Evidence, is_told_twice: bool) -> bool {
     if is_told_twice {
-        rival.evidence() < TWICE_RIVAL * best.evidence()
+        rival.weighted_log_ratio() < TWICE_RIVAL * best.weighted_log_ratio()
     } else {
         rival.log_ratio < ALONE_RIVAL * best.log_ratio
     }
@@ -270,7 +275,7 @@ fn stands_out(best: &Score, rival: &Score, is_told_twice: bool) -> bool {
 
 /// Whether markers that were decoded there speak for a pose.
 fn is_vouched_for(found: &Alignment, is_marked: impl Fn(&Isometry3<f64>) -> bool) -> bool {
-    found.confirms_marker() && is_marked(&found.camera_from_markers)
+    found.is_accepted_with_markers() && is_marked(&found.camera_from_markers)
 }
 
 fn is_same(one: &Alignment, other: &Alignment) -> bool {

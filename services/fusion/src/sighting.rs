@@ -261,7 +261,7 @@ impl Look<'_> {
                 .discover(self.target, picture, &starts, self.pace, is_marked)
                 // What only one facet says of a newcomer is weighed against all other starts.
                 .filter(|found| {
-                    !self.has_second || self.predicted.is_some() || found.score.is_told_twice()
+                    !self.has_second || self.predicted.is_some() || found.evidence.is_unambiguous()
                 }),
         }
     }

@@ -152,11 +152,11 @@ fn a_single_facet_far_away_is_discovered_where_its_mirror_image_is_tilted() {
 
 #[test]
 fn what_two_facets_or_one_say_must_stand_out() {
-    let score = |log_ratio, correlation, telling_facets| Score {
+    let score = |log_ratio, correlation, discriminative_facets| Evidence {
         log_ratio,
         correlation,
-        telling_facets,
-        ..Score::default()
+        discriminative_facets,
+        ..Evidence::default()
     };
     let twice = score(265.0, 0.42, 2);
     assert!(stands_out(&twice, &score(200.0, 0.42, 1), true));
@@ -178,7 +178,7 @@ fn a_track_is_confirmed_farther_than_it_is_discovered() {
         let error = found.camera_from_markers.translation.vector - truth.translation.vector;
         assert!(error.norm() < 0.05, "{} m", error.norm());
         // A few facets may be others' mirror images: then it must not have turned far.
-        assert_eq!(found.score.agreeing_facets, 1);
+        assert_eq!(found.evidence.agreeing_facets, 1);
         assert!(
             aligner
                 .follow(0, picture, &starts, &pose(4.6, 1.5), Pace::Unhurried, |_| false)

@@ -74,8 +74,8 @@ impl Swarm {
             return None;
         }
         let is_sure = |found: &&Alignment| {
-            found.is_believed()
-                && found.score.agreeing_facets >= PEEKED_FACETS
+            found.is_accepted()
+                && found.evidence.agreeing_facets >= PEEKED_FACETS
                 && !is_surprising(found, &predicted)
         };
         let expected = found.as_ref().filter(is_sure).and_then(|sure| {
