@@ -1,4 +1,4 @@
-//! What it costs to align a tracked body, by its distance: a start as a track predicts it.
+//! The cost of aligning a tracked body from its predicted pose, by distance.
 
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
@@ -24,7 +24,7 @@ fn tracked(criterion: &mut Criterion) {
             Translation3::from(Vector3::new(0.8, 0.5, 0.33).normalize() * range_m),
             UnitQuaternion::from_euler_angles(0.3, -0.2, 0.9),
         );
-        // As gaze views are: magnified until a marker has 80 px, three times at most.
+        // Like the region of interest of a tracked body: magnified until a marker has 80 px, three times at most.
         let magnification = (80.0 / (0.05 / range_m * PIXELS_PER_RADIAN)).clamp(1.0, 3.0);
         let drawing = drawn_body::draw(
             &body,

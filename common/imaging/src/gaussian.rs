@@ -1,16 +1,16 @@
-//! The unit Gaussian, from a table.
+//! The unit Gaussian, tabulated.
 
 use std::f64::consts::FRAC_1_SQRT_2;
 use std::sync::LazyLock;
 
-/// Beyond so many standard deviations there is nothing: the density is lowered by what it has
-/// there, and stretched so that the distribution goes from 0 to 1. So neither has a step.
+/// The Gaussian is truncated at this many standard deviations. The density is lowered by its value there, and
+/// scaled so that the distribution goes from 0 to 1. So neither function has a step.
 pub(crate) const REACH: f32 = 3.6;
-/// Steps of the table for each standard deviation: linear between them is right to 1e-5.
+/// Steps of the table for each standard deviation. Linear interpolation between them is exact to 1e-5.
 const STEPS: f32 = 128.0;
 const HALF: usize = (REACH * STEPS) as usize + 2;
 
-/// Density and distribution function, at -HALF to HALF steps.
+/// Density and distribution function at -HALF to HALF steps.
 static TABLE: LazyLock<Vec<[f32; 2]>> = LazyLock::new(|| {
     let at = |step: usize| (step as f64 - HALF as f64) / f64::from(STEPS);
     let end = f64::from(REACH);
@@ -26,7 +26,7 @@ static TABLE: LazyLock<Vec<[f32; 2]>> = LazyLock::new(|| {
         .collect()
 });
 
-/// The table, looked up once for a whole run over samples.
+/// The table. A caller gets it once for many samples.
 #[derive(Clone, Copy)]
 pub(crate) struct Gaussian(&'static [[f32; 2]]);
 
@@ -35,12 +35,12 @@ impl Gaussian {
         Self(&TABLE)
     }
 
-    /// Density and distribution function at `z`; beyond [`REACH`] they stay as they are there.
+    /// Density and distribution function at `z`. Beyond [`REACH`] they are constant.
     #[inline]
     pub(crate) fn at(&self, z: f32) -> (f32, f32) {
         // A NaN becomes the lower end.
         let place = (z.clamp(-REACH, REACH) + REACH) * STEPS + (HALF as f32 - REACH * STEPS);
-        // Processors have no instruction for a `usize` and floats, and it would take longer than the rest.
+        // Processors have no instruction from float to `usize`; it would take longer than the rest.
         let step = place as u16;
         let (index, share) = (usize::from(step), place - f32::from(step));
         let ([d0, b0], [d1, b1]) = (self.0[index], self.0[index + 1]);
@@ -48,8 +48,8 @@ impl Gaussian {
     }
 }
 
-/// Density and distribution function of the unit Gaussian at `a`, to 1e-7 (Abramowitz and Stegun,
-/// 7.1.26, which shares the exponential with the density).
+/// Density and distribution function of the unit Gaussian at `a`, exact to 1e-7 (Abramowitz and Stegun, 7.1.26,
+/// which uses the density's exponential).
 pub(crate) fn density_and_distribution(a: f64) -> (f64, f64) {
     let exponential = (-0.5 * a * a).exp();
     let t = 1.0 / (1.0 + 0.327_591_1 * a.abs() * FRAC_1_SQRT_2);
@@ -67,7 +67,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn density_and_distribution_are_those_in_print() {
+    fn density_and_distribution_have_their_published_values() {
         for (a, density, below) in [
             (0.0, 0.398_942_3, 0.5),
             (1.0, 0.241_970_7, 0.841_344_7),
@@ -80,7 +80,7 @@ mod tests {
     }
 
     #[test]
-    fn the_table_is_the_gaussian_ended_where_it_ends() {
+    fn the_table_is_the_truncated_gaussian() {
         let gaussian = Gaussian::get();
         for (z, end) in [(-REACH, 0.0), (-9.0, 0.0), (REACH, 1.0), (9.0, 1.0)] {
             let (density, below) = gaussian.at(z);
@@ -91,7 +91,7 @@ mod tests {
             let z = f32::from(step) / 1000.0;
             let (density, below) = gaussian.at(z);
             let (exact, exact_below) = density_and_distribution(f64::from(z));
-            // Ending it takes half a percent from its density, which the middle gets.
+            // Truncation moves half a percent of the density to the middle.
             assert!((f64::from(density) - exact).abs() < 2e-3, "{z}: {density}, {exact}");
             assert!((f64::from(below) - exact_below).abs() < 2e-3, "{z}: {below}, {exact_below}");
             assert!(below >= before, "{z}");

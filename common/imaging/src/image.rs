@@ -1,11 +1,11 @@
-//! Images somebody else owns, borrowed for a look.
+//! Borrowed images.
 
 use thiserror::Error;
 
 /// Why bytes were refused as an image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 pub enum ImageError {
-    /// There is not one pixel.
+    /// There are no pixels.
     #[error("an image of {width}x{height} has no pixel")]
     Empty {
         /// Pixels in a row.
@@ -23,24 +23,24 @@ pub enum ImageError {
         /// Bytes from one row to the next.
         stride: usize,
     },
-    /// The last row would leave the memory.
+    /// The last row would end outside the memory.
     #[error("{height} rows, {stride} bytes apart, need {needed} bytes; there are {found}")]
     TooShort {
         /// Rows.
         height: usize,
         /// Bytes from one row to the next.
         stride: usize,
-        /// Bytes such an image has at least.
+        /// Bytes that such an image needs at least.
         needed: usize,
-        /// Bytes that were given.
+        /// Bytes that there are.
         found: usize,
     },
 }
 
-/// An 8-bit luma image in memory that somebody else owns (a view in shared memory, say).
+/// An 8-bit luma image in borrowed memory, for example a view in shared memory.
 ///
-/// Whoever holds one may read `height` rows of `width` bytes, `stride` apart: [`LumaImage::new`]
-/// has checked that they lie inside `pixels`.
+/// It has `height` rows of `width` bytes, `stride` bytes apart. [`LumaImage::new`] has checked that they lie
+/// inside `pixels`.
 #[derive(Debug, Clone, Copy)]
 pub struct LumaImage<'a> {
     pixels: &'a [u8],
@@ -50,8 +50,8 @@ pub struct LumaImage<'a> {
 }
 
 impl<'a> LumaImage<'a> {
-    /// Borrows `height` rows of `width` pixels that begin `stride` bytes apart. The last row may
-    /// end with its last pixel.
+    /// Borrows `height` rows of `width` pixels that begin `stride` bytes apart. The memory may end with the last
+    /// pixel of the last row.
     ///
     /// # Errors
     /// An image without pixels, rows that overlap, or memory that is too short.
@@ -91,7 +91,7 @@ impl<'a> LumaImage<'a> {
         self.stride
     }
 
-    /// The memory from the first pixel on: at least `stride * (height - 1) + width` bytes.
+    /// The memory from the first pixel on, at least `stride * (height - 1) + width` bytes.
     pub fn pixels(&self) -> &'a [u8] {
         self.pixels
     }
@@ -99,7 +99,7 @@ impl<'a> LumaImage<'a> {
     /// Row `y`, counted from the top.
     ///
     /// # Panics
-    /// When there is no such row, as a slice does.
+    /// If there is no such row, as for a slice.
     #[inline]
     pub fn row(&self, y: usize) -> &'a [u8] {
         &self.pixels[y * self.stride..][..self.width]
@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn what_leaves_the_memory_is_refused() {
+    fn images_outside_their_memory_are_refused() {
         let pixels = [0u8; 10];
         assert_eq!(
             LumaImage::new(&pixels, 3, 3, 4).unwrap_err(),

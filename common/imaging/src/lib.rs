@@ -3,9 +3,11 @@
 //! | module | what it answers |
 //! | --- | --- |
 //! | [`image`] | which bytes are an image |
-//! | [`light`] | how much light does a code value stand for |
-//! | [`square`] | where does a view see a point of a printed square |
-//! | [`edges`] | where exactly are a marker's corners |
+//! | [`light`] | which radiance a code value stands for |
+//! | [`square`] | where a view shows a point of a printed square |
+//! | [`edges`] | where exactly the corners of a marker are |
+//! | [`align`] | which pose of a whole body explains a view best, and whether the body is there |
+//! | [`sphere`] | how a view is cut from a spherical image |
 //!
 //! ```
 //! use flockeye_geometry::view::ViewPixel;
@@ -28,7 +30,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
-// What the unit tests share with tests outside names this crate as those do.
+// Files that unit tests share with integration tests use this crate's own name.
 #[cfg(test)]
 extern crate self as flockeye_imaging;
 

@@ -1,22 +1,22 @@
-//! From code values back to light.
+//! From code values back to radiance (linear light).
 //!
-//! An edge that a lens blurred and a camera then encoded moves towards the dark side, because the
-//! curve lifts dark values more than bright ones: on a 20 px marker by some tenths of a pixel.
-//! Whatever measures edges therefore works on linearised values.
+//! A lens blurs an edge, then the camera encodes it. That moves the edge towards the dark side, because the
+//! curve lifts dark values more than bright ones: by some tenths of a pixel on a 20 px marker. So everything that
+//! measures edges works on linear values.
 
 use flockeye_geometry::view::ViewPixel;
 use thiserror::Error;
 
 use crate::image::LumaImage;
 
-/// The curve between light and code values.
+/// The curve from radiance to code values.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum TransferCurve {
     /// The sRGB curve (IEC 61966-2-1).
     Srgb,
-    /// code = light^(1/gamma).
+    /// code = radiance^(1/gamma).
     Gamma(f32),
-    /// Code values proportional to light.
+    /// Code values proportional to radiance.
     Linear,
 }
 
@@ -29,7 +29,7 @@ pub enum CodeRange {
     Limited,
 }
 
-/// Why a curve cannot be undone.
+/// Why a curve cannot be inverted.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 pub enum LightError {
     /// No camera has such an exponent.
@@ -38,29 +38,29 @@ pub enum LightError {
         /// The exponent given.
         gamma: f32,
     },
-    /// A brighter code must stand for no less light.
+    /// A larger code value must not stand for less radiance.
     #[error(
         "code {code} stands for {light}, the code before it for {before}; light must not fall, and be finite"
     )]
     Table {
-        /// The code where the table breaks.
+        /// The code value where the table is wrong.
         code: u8,
-        /// What the table has there.
+        /// The radiance of that code value.
         light: f32,
-        /// What it has before.
+        /// The radiance of the code value before.
         before: f32,
     },
 }
 
-/// The light that each code value stands for: black is 0, nominal white is 1.
+/// The radiance that each code value stands for: black is 0, nominal white is 1.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LinearLight {
     table: [f32; 256],
 }
 
 impl LinearLight {
-    /// The table that undoes `curve`. Codes past nominal black and white continue the curve (below
-    /// black with the sign turned), so that noise about black keeps its mean.
+    /// The table that inverts `curve`. Code values beyond nominal black and white continue the curve, below black
+    /// with a negative sign, so that noise around black keeps its mean.
     ///
     /// # Errors
     /// A gamma outside 0.1 to 10.
@@ -81,10 +81,10 @@ impl LinearLight {
         Ok(Self { table })
     }
 
-    /// A measured response: the light that each code stands for, up to a common factor.
+    /// A measured response: the radiance that each code value stands for, up to a common factor.
     ///
     /// # Errors
-    /// The first code at which the light falls or is not a finite number.
+    /// The first code value at which the radiance falls or is not finite.
     pub fn from_table(table: [f32; 256]) -> Result<Self, LightError> {
         let mut before = f32::MIN;
         for (code, &light) in (0u8..=255).zip(&table) {
@@ -96,40 +96,41 @@ impl LinearLight {
         Ok(Self { table })
     }
 
-    /// The light that `code` stands for.
+    /// The radiance that `code` stands for.
     #[inline]
     pub fn of(&self, code: u8) -> f32 {
         self.table[usize::from(code)]
     }
 
-    /// The light of every code.
+    /// The radiance of every code value.
     pub fn table(&self) -> &[f32; 256] {
         &self.table
     }
 
-    /// How far code values c bend over light L, in their middle: -L c''/c', which is 1 - 1/g where code
-    /// values are the light's g-th root, and 0 where they are proportional to it. Where code values
-    /// are smoothed, this is what moves edges.
+    /// Curvature -L c''/c' of code values c over radiance L, in the middle of the range.
+    ///
+    /// It is 1 - 1/g where code values are the g-th root of radiance, and 0 where they are proportional to it.
+    /// Where code values are smoothed, it determines how far edges move.
     pub fn bend(&self) -> f64 {
         let [dark, middle, light] = [68, 128, 188].map(|code: u8| f64::from(self.of(code)));
         let (step, slope) = (60.0, (light - dark) / 120.0);
         let curvature = (light - 2.0 * middle + dark) / (step * step);
-        // Of the inverse: with L = d(c), -L c''/c' = L d''/d'^2.
+        // By the inverse function: with L = d(c), -L c''/c' = L d''/d'^2.
         if slope > 0.0 { middle * curvature / (slope * slope) } else { 0.0 }
     }
 
-    /// The light at a point between pixels: bilinear, of linearised values. `None` where one of the
-    /// four pixels round it is outside the image.
-    // Asked for at hundreds of points of each square.
+    /// The radiance at a point between pixels, interpolated bilinearly between linear values. `None` where one of
+    /// the four pixels around it is outside the image.
+    // Called for hundreds of points of each square.
     #[inline(always)]
     pub fn at(&self, image: &LumaImage<'_>, at: ViewPixel) -> Option<f32> {
         let (x, y) = (at.0.x, at.0.y);
         let (last_x, last_y) = ((image.width() - 1) as f64, (image.height() - 1) as f64);
-        // Written so that a NaN is outside too.
+        // Written so that a NaN counts as outside.
         if !(x >= 0.0 && y >= 0.0 && x <= last_x && y <= last_y) {
             return None;
         }
-        // An i32 is had from a float in fewer instructions than a usize, and no image is as wide.
+        // Converting a float to i32 takes fewer instructions than to usize, and no image is wider.
         let (left, top) = (x as i32, y as i32);
         let (fx, fy) = ((x - f64::from(left)) as f32, (y - f64::from(top)) as f32);
         let (left, top) = (left as usize, top as usize);
@@ -143,7 +144,7 @@ impl LinearLight {
     }
 }
 
-/// The light in [0, 1] that the encoded `value` >= 0 stands for.
+/// The radiance in [0, 1] that the encoded `value` >= 0 stands for.
 fn undo(curve: TransferCurve, value: f64) -> f64 {
     match curve {
         TransferCurve::Srgb if value <= 0.04045 => value / 12.92,
@@ -159,7 +160,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn code_values_in_proportion_to_light_do_not_bend() {
+    fn code_values_proportional_to_radiance_have_no_curvature() {
         let linear = LinearLight::new(TransferCurve::Linear, CodeRange::Limited).unwrap();
         assert!(linear.bend().abs() < 1e-6);
         let square_root = LinearLight::new(TransferCurve::Gamma(2.0), CodeRange::Full).unwrap();
@@ -168,10 +169,10 @@ mod tests {
     }
 
     #[test]
-    fn known_values_of_the_standards() {
+    fn standard_curves_have_their_known_values() {
         let srgb = LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap();
         assert!((srgb.of(0), srgb.of(255)) == (0.0, 1.0));
-        // The curve's exponent is 2.4, less what the straight part near black takes off.
+        // The curve's exponent is 2.4; the straight part near black lowers the effective one.
         assert!((srgb.bend() - (1.0 - 1.0 / 2.4)).abs() < 0.03);
         // 18 % grey is code 118 in sRGB, 21 % is 128.
         assert!((srgb.of(118) - 0.1812).abs() < 1e-3 && (srgb.of(128) - 0.2159).abs() < 1e-3);
@@ -182,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn every_table_rises() {
+    fn every_table_increases() {
         for curve in [TransferCurve::Srgb, TransferCurve::Gamma(2.2), TransferCurve::Linear] {
             for range in [CodeRange::Full, CodeRange::Limited] {
                 let light = LinearLight::new(curve, range).unwrap();
@@ -193,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_undone_is_refused() {
+    fn curves_that_cannot_be_inverted_are_refused() {
         for gamma in [0.0, -1.0, f32::NAN, 11.0] {
             assert!(LinearLight::new(TransferCurve::Gamma(gamma), CodeRange::Full).is_err());
         }
@@ -206,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn light_is_interpolated_after_the_curve_was_undone() {
+    fn radiance_is_interpolated_between_linear_values() {
         let light = LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap();
         let pixels = [0, 255, 0, 255];
         let image = LumaImage::new(&pixels, 2, 2, 2).unwrap();

@@ -1,13 +1,14 @@
-//! Views cut from the sphere: square gnomonic images sampled from a spherical camera's.
+//! Cuts views from the image of a spherical camera: square gnomonic images.
 //!
-//! The mapping from a view's pixels to the sphere's is evaluated exactly at nine points of a tile
-//! and interpolated quadratically between them, in integers of 1/65536 px, within
-//! [`MAX_MAPPING_ERROR_PX`]; tiles that cannot be are split, down to single pixels: next to a pole,
-//! where the columns run together, and along the border between two lenses. So nothing is prepared
-//! for a view, and one that moves with each frame costs the same as one that stands still. Pixels
-//! are interpolated bilinearly or by a cubic; of an equirectangular image the first and the last
-//! column are neighbours, and beyond the first and the last row lies the same row half a turn
-//! further. What the camera does not see is black.
+//! A view is divided into tiles. The mapping from its pixels to the sphere image is evaluated exactly at nine
+//! points of a tile and interpolated quadratically between them, in integers of 1/65536 px. The error is at most
+//! [`MAX_MAPPING_ERROR_PX`]. Where that is not possible, a tile is split, down to single pixels: next to a pole,
+//! where the columns converge, and along the border between two lenses. Nothing is precomputed for a view, so one
+//! that moves with each frame costs the same as one that does not.
+//!
+//! Pixels are interpolated bilinearly or by a cubic. In an equirectangular image the first and the last column are
+//! neighbours. Beyond the first and the last row lies the same row, half a turn further. What the camera does not
+//! see is black.
 //!
 //! ```
 //! use flockeye_geometry::{camera::Camera, view::View};
@@ -30,209 +31,35 @@ mod any_camera;
 mod avx2;
 mod cubic;
 mod cut;
+mod cut_request;
 mod equirectangular;
+mod error;
 #[cfg(target_arch = "x86_64")]
 mod fetch;
+mod fixed_point;
+mod image;
 mod mapping;
 mod patch;
 mod sample;
+mod target;
 
-use flockeye_geometry::camera::{Camera, CameraModel};
-use flockeye_geometry::view::View;
+pub use cut_request::{Cut, Interpolation, MAGNIFIED};
+pub use error::{MAX_SIDE_PX, SphereError};
+pub use fixed_point::MAX_MAPPING_ERROR_PX;
+pub use image::SphereImage;
 
-/// How far the interpolated mapping may lie from the exact one, pixels of the sphere image along
-/// its rows and along its columns.
-pub const MAX_MAPPING_ERROR_PX: f64 = 0.02;
-
-/// Sides, of the sphere image and of views, longer than this are refused, pixels.
-pub const MAX_SIDE_PX: u32 = 16_384;
-
-/// Why no view was cut.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum SphereError {
-    /// The sides of the sphere image are out of range.
-    #[error(
-        "a sphere image of {width} x {height} px cannot be sampled; sides of 2 to {MAX_SIDE_PX} px \
-         can, of an equirectangular one with an even width"
-    )]
-    Sides {
-        /// Columns, pixels.
-        width: u32,
-        /// Rows, pixels.
-        height: u32,
-    },
-    /// Rows overlap.
-    #[error("rows of {width} px cannot be {stride} bytes apart; the stride must be at least that")]
-    Stride {
-        /// Bytes from one row to the next.
-        stride: usize,
-        /// Pixels in a row.
-        width: u32,
-    },
-    /// A buffer is too short for its image.
-    #[error("{what} needs {needed} bytes, but its buffer holds {found}")]
-    TooShort {
-        /// Which image.
-        what: &'static str,
-        /// Bytes from its first to its last pixel.
-        needed: usize,
-        /// Bytes that are there.
-        found: usize,
-    },
-    /// A view that shows nothing.
-    #[error(
-        "a view of {size_px} px with focal length {focal_px} px cannot be cut; it needs 1 to \
-         {MAX_SIDE_PX} px, a positive focal length and a unit quaternion"
-    )]
-    View {
-        /// Pixels along a side.
-        size_px: u32,
-        /// Focal length, pixels.
-        focal_px: f64,
-    },
-    /// Views and buffers do not pair up.
-    #[error("{views} views need as many outputs, but there are {outputs}")]
-    Outputs {
-        /// Views to cut.
-        views: usize,
-        /// Buffers given.
-        outputs: usize,
-    },
-}
-
-/// The luma plane of a spherical camera's image.
-#[derive(Debug, Clone, Copy)]
-pub struct SphereImage<'a> {
-    pixels: &'a [u8],
-    stride: usize,
-    camera: Camera,
-}
-
-/// A view to be cut.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Cut {
-    /// The view.
-    pub view: View,
-    /// The distance it is to be right for, metres: see [`Camera::at_distance`].
-    pub distance_m: f64,
-    /// How pixels are interpolated.
-    pub interpolation: Interpolation,
-}
-
-/// How a grey value between pixels comes about.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Interpolation {
-    /// From the four pixels around it.
-    #[default]
-    Bilinear,
-    /// From the sixteen around it, by the cubic convolution that is exact for parabolas (Keys:
-    /// *Cubic convolution interpolation for digital image processing*, 1981; Catmull-Rom). Sharper
-    /// where a view is magnified, at about three times the cost.
-    Cubic,
-}
-
-/// Views magnified more than this, against the sphere image, gain from cubic interpolation.
-pub const MAGNIFIED: f64 = 1.25;
-
-impl Interpolation {
-    /// Cubic for magnified views, bilinear for others.
-    pub fn suited_to(view: &View, camera: &Camera) -> Self {
-        if view.focal_px > MAGNIFIED * camera.pixels_per_radian() {
-            Self::Cubic
-        } else {
-            Self::Bilinear
-        }
-    }
-}
-
-impl Cut {
-    /// A view of things far away, interpolated bilinearly.
-    pub fn bilinear(view: View) -> Self {
-        Self { view, distance_m: f64::INFINITY, interpolation: Interpolation::Bilinear }
-    }
-
-    /// A view of things far away, interpolated by the cubic.
-    pub fn cubic(view: View) -> Self {
-        Self { interpolation: Interpolation::Cubic, ..Self::bilinear(view) }
-    }
-
-    /// Refuses a view that shows nothing.
-    ///
-    /// # Errors
-    /// [`SphereError::View`].
-    pub fn check(&self) -> Result<(), SphereError> {
-        let View { camera_from_view, focal_px, size_px } = self.view;
-        // NaN compares false, so it is refused here too.
-        let is_unit = (camera_from_view.norm() - 1.0).abs() < 1e-3;
-        let is_lens = focal_px > 0.0 && focal_px.is_finite();
-        if !is_unit || !is_lens || !(1..=MAX_SIDE_PX).contains(&size_px) {
-            return Err(SphereError::View { size_px, focal_px });
-        }
-        Ok(())
-    }
-}
-
-impl<'a> SphereImage<'a> {
-    /// Rows of the camera's width in bytes, `stride` bytes apart; what lies between them is not
-    /// looked at.
-    ///
-    /// # Errors
-    /// Sides out of range (an equirectangular image's odd width among them: half a turn must be
-    /// whole pixels), overlapping rows, a slice that ends before the last pixel.
-    pub fn new(pixels: &'a [u8], stride: usize, camera: Camera) -> Result<Self, SphereError> {
-        let (width, height) = (camera.width(), camera.height());
-        let sides = 2..=MAX_SIDE_PX;
-        let must_be_even = matches!(camera.model(), CameraModel::Equirectangular { .. });
-        if !sides.contains(&width)
-            || !sides.contains(&height)
-            || (must_be_even && !width.is_multiple_of(2))
-        {
-            return Err(SphereError::Sides { width, height });
-        }
-        if stride < width as usize {
-            return Err(SphereError::Stride { stride, width });
-        }
-        let needed = stride.saturating_mul(height as usize - 1).saturating_add(width as usize);
-        if pixels.len() < needed {
-            let found = pixels.len();
-            return Err(SphereError::TooShort { what: "the sphere image", needed, found });
-        }
-        Ok(Self { pixels, stride, camera })
-    }
-
-    /// The bytes, row by row.
-    pub fn pixels(&self) -> &'a [u8] {
-        self.pixels
-    }
-
-    /// Bytes from one row to the next.
-    pub fn stride(&self) -> usize {
-        self.stride
-    }
-
-    /// The camera model, with the image's sides.
-    pub fn camera(&self) -> &Camera {
-        &self.camera
-    }
-
-    /// Whether columns go round and rows beyond the poles come back.
-    fn is_round(&self) -> bool {
-        matches!(self.camera.model(), CameraModel::Equirectangular { .. })
-    }
-}
-
-/// The vector instructions that views are cut with on this processor, for logs and benchmarks.
+/// The vector instructions used on this processor, for logs and benchmarks.
 pub fn instructions() -> &'static str {
     cut::Kernel::of_processor().name()
 }
 
-/// Cuts one view into `out`, rows `out_stride` bytes apart, on the calling thread.
+/// Cuts one view into `out`, with rows `out_stride` bytes apart, on the calling thread.
 ///
-/// Within 2 grey levels, and 0.5 on average, of exact sampling of a picture as sharp as a camera's
+/// The result is within 2 grey levels, and 0.5 on average, of exact sampling, for a picture as sharp as a camera's
 /// (blurred by 0.8 px).
 ///
 /// # Errors
-/// A view that shows nothing, overlapping rows, an `out` too short for the view.
+/// A view that shows nothing, overlapping rows, or an `out` that is too short for the view.
 pub fn rectify_into(
     sphere: &SphereImage<'_>,
     cut: &Cut,
@@ -244,11 +71,11 @@ pub fn rectify_into(
     Ok(())
 }
 
-/// Makes `cuts` into `outputs`, rows as far apart as a view is wide, on up to `threads` threads.
-/// The same bytes come out whatever their number.
+/// Cuts several views into `outputs`, with rows as far apart as a view is wide, on up to `threads` threads. The
+/// bytes do not depend on the number of threads.
 ///
 /// # Errors
-/// As [`rectify_into`], and as many outputs as views are needed; nothing is written then.
+/// As [`rectify_into`], or if the number of outputs is not that of the views. Then nothing is written.
 pub fn rectify_all(
     sphere: &SphereImage<'_>,
     cuts: &[Cut],
@@ -260,7 +87,7 @@ pub fn rectify_all(
     Ok(())
 }
 
-/// Refuses views that cannot be cut into `outputs`, rows as far apart as a view is wide.
+/// Refuses views that cannot be cut into `outputs`, with rows as far apart as a view is wide.
 ///
 /// # Errors
 /// As [`rectify_all`].
@@ -292,6 +119,8 @@ mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
 
     use super::*;
+    use flockeye_geometry::camera::Camera;
+    use flockeye_geometry::view::View;
     use nalgebra::Vector3;
 
     const CAMERA: Camera = Camera::equirectangular(64, 32);

@@ -1,4 +1,4 @@
-//! A printed square as a view sees it.
+//! The perspective image of a printed square in a view.
 
 use flockeye_geometry::view::ViewPixel;
 use nalgebra::{Matrix3, Vector2};
@@ -12,16 +12,16 @@ pub struct SquareInView {
 }
 
 impl SquareInView {
-    /// The map that sends the unit square's corners to `corners_in_view`, in ArUco's order
-    /// (clockwise from the top left). `None` unless they are a convex quadrilateral, clockwise in
-    /// the image (a marker seen from its front).
+    /// The map from the unit square's corners to `corners_in_view`, in ArUco's order (clockwise from the top
+    /// left). `None` unless these are a convex quadrilateral, clockwise in the image, as that of a marker seen from
+    /// its front.
     ///
     /// Source: P. Heckbert, Fundamentals of Texture Mapping and Image Warping (1989), 2.2.3.
     pub fn new(corners_in_view: &[ViewPixel; 4]) -> Option<Self> {
         let corner = corners_in_view.map(|pixel| pixel.0);
         let convex = (0..4).all(|k| {
             let (a, b, c) = (corner[k], corner[(k + 1) % 4], corner[(k + 2) % 4]);
-            // Positive for a turn to the right where y points down. NaN fails.
+            // Positive for a turn to the right, because y points down. False for a NaN.
             (b - a).perp(&(c - b)) > 1e-9
         });
         if !convex {
@@ -39,17 +39,17 @@ impl SquareInView {
         Some(Self { view_from_square, square_from_view })
     }
 
-    /// The map itself, of homogeneous points.
+    /// The homography from the square to the view.
     pub(crate) fn view_from_square(&self) -> &Matrix3<f64> {
         &self.view_from_square
     }
 
-    /// Where the view sees the point (`u`, `v`) of the square's plane.
+    /// The pixel of the point (`u`, `v`) of the square's plane.
     pub fn at(&self, u: f64, v: f64) -> ViewPixel {
         ViewPixel(mapped(&self.view_from_square, Vector2::new(u, v)))
     }
 
-    /// The point (u, v) of the square's plane that the view sees at `pixel`.
+    /// The point (u, v) of the square's plane at `pixel`.
     pub fn seen_at(&self, pixel: ViewPixel) -> (f64, f64) {
         let point = mapped(&self.square_from_view, pixel.0);
         (point.x, point.y)
@@ -75,7 +75,7 @@ mod tests {
     const CORNERS: [(f64, f64); 4] = [(10.0, 12.0), (40.0, 9.0), (45.0, 50.0), (8.0, 39.0)];
 
     #[test]
-    fn corners_go_to_corners_and_diagonals_cross_in_the_middle() {
+    fn corners_map_to_corners_and_diagonals_cross_in_the_middle() {
         let corners = CORNERS.map(|(x, y)| ViewPixel::new(x, y));
         let square = SquareInView::new(&corners).unwrap();
         for ((u, v), corner) in [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)].iter().zip(corners)
@@ -92,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_square_seen_from_its_front_is_refused() {
+    fn quadrilaterals_that_are_not_a_square_seen_from_its_front_are_refused() {
         let mut corners = CORNERS.map(|(x, y)| ViewPixel::new(x, y));
         corners.reverse();
         assert_eq!(SquareInView::new(&corners), None);

@@ -1,4 +1,4 @@
-//! Corners of markers that were drawn exactly.
+//! Corners of exactly rendered markers.
 
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
@@ -14,24 +14,30 @@ use flockeye_imaging::sphere::{Cut, Interpolation, SphereImage, rectify_into};
 use flockeye_imaging::square::mean_side_px;
 use nalgebra::Vector2;
 
-/// A scene, as a camera saw it.
+/// A scene as a camera shows it.
 struct Shot {
     pixels: Vec<u8>,
     size: usize,
     curve: TransferCurve,
     grain: Grain,
-    /// Where the corners are.
+    /// The true corners.
     corners: [ViewPixel; 4],
 }
 
 impl Shot {
-    fn of(scene: &Scene, light: &[f64], curve: TransferCurve, noise: f64, dice: &mut Dice) -> Self {
-        let pixels = encode(light, curve, noise, dice);
+    fn of(
+        scene: &Scene,
+        radiances: &[f64],
+        curve: TransferCurve,
+        noise: f64,
+        dice: &mut Dice,
+    ) -> Self {
+        let pixels = encode(radiances, curve, noise, dice);
         let (size, corners) = (scene.size, scene.corners);
         Self { pixels, size, curve, grain: Grain::Pixels, corners }
     }
 
-    /// A view, magnified so many times, of a panorama that has the shot's pixels at its middle.
+    /// A magnified view of a panorama that has the shot's pixels at its middle.
     fn cut(&self, magnification: f64, sphere: &mut [u8]) -> Self {
         let (width, height) = (PANORAMA.width as usize, PANORAMA.height as usize);
         let (left, top) = ((width - self.size) / 2, (height - self.size) / 2);
@@ -39,7 +45,7 @@ impl Shot {
             sphere[(top + y) * width + left..][..self.size].copy_from_slice(row);
         }
         let focal = magnification * PANORAMA.pixels_per_radian();
-        // Without the shot's outermost pixels, beside which the panorama is black.
+        // Without the shot's outermost pixels, because the panorama is black beside them.
         let size = (magnification * (self.size as f64 - 4.0)) as u32;
         let at = SpherePixel::new(
             left as f64 + (self.size as f64 - 1.0) / 2.0,
@@ -71,7 +77,7 @@ impl Shot {
         self.corners.iter().map(|corner| corner.0).sum::<Vector2<f64>>() / 4.0
     }
 
-    /// A guess as contours make them: inside, and on whole pixels.
+    /// A guess as by a contour: inside the corners, at whole pixels.
     fn guess(&self, dice: &mut Dice) -> [ViewPixel; 4] {
         let middle = self.middle();
         self.corners.map(|corner| {
@@ -81,11 +87,11 @@ impl Shot {
     }
 }
 
-/// As a camera's of 3840 x 1920.
+/// The image of a camera of 3840 x 1920.
 const PANORAMA: Equirectangular = Equirectangular { width: 3840, height: 1920 };
 
-/// Over many markers: how many there were and were refined; sums of the radial errors (outwards is
-/// positive), of squared errors along an axis, and of the stated variances.
+/// Sums over many markers: shots and refined ones, radial errors (positive outwards), squared errors along an axis, and
+/// stated variances.
 #[derive(Default, Clone, Copy)]
 struct Outcome {
     shots: usize,
@@ -106,7 +112,7 @@ impl Outcome {
             let error = found.corners_in_view[k].0 - shot.corners[k].0;
             self.radial += error.dot(&(shot.corners[k].0 - middle).normalize());
             self.squares += error.norm_squared() / 2.0;
-            self.stated += found.deviations_px[k].powi(2);
+            self.stated += found.sigmas_px[k].powi(2);
         }
     }
 
@@ -118,14 +124,14 @@ impl Outcome {
         (self.squares / (4 * self.refined) as f64).sqrt()
     }
 
-    /// Real deviation over the stated one.
+    /// True standard deviation relative to the stated one.
     fn excess(&self) -> f64 {
         (self.squares / self.stated).sqrt()
     }
 }
 
-/// What is wrong with an outcome, if anything is.
-fn verdict(what: &str, outcome: &Outcome, magnification: f64) -> Option<String> {
+/// Describes an outcome that is not good enough.
+fn failure(what: &str, outcome: &Outcome, magnification: f64) -> Option<String> {
     let text = format!(
         "{what}: refined {:3} of {:3}, radial bias {:+.3} px, scatter {:.3} px, over stated {:.2}",
         outcome.refined,
@@ -142,7 +148,7 @@ fn verdict(what: &str, outcome: &Outcome, magnification: f64) -> Option<String> 
 }
 
 #[test]
-fn corners_are_unbiased_and_their_deviations_honest() {
+fn corners_are_unbiased_and_their_standard_deviations_true() {
     let mut wrong = Vec::new();
     for (index, side) in [14.0, 20.0, 30.0, 60.0].into_iter().enumerate() {
         for tilt in [0.0, 30.0, 60.0f64] {
@@ -156,18 +162,18 @@ fn corners_are_unbiased_and_their_deviations_honest() {
                 let mut outcomes = [Outcome::default(); 3];
                 for _ in 0..if side > 50.0 { 6 } else { 10 } {
                     let scene = Scene::new(&mut dice, side, tilt.to_radians(), blur);
-                    let light = scene.render();
+                    let radiances = scene.render();
                     for (outcome, (_, curve, noise)) in outcomes.iter_mut().zip(conditions) {
                         for _ in 0..2 {
-                            let shot = Shot::of(&scene, &light, curve, noise, &mut dice);
+                            let shot = Shot::of(&scene, &radiances, curve, noise, &mut dice);
                             outcome.add(&shot, &scene, &mut dice);
                         }
                     }
                 }
                 for (outcome, (name, ..)) in outcomes.iter().zip(conditions) {
                     let what = format!("side {side} tilt {tilt} blur {blur} {name}");
-                    let wrongs = verdict(&what, outcome, 1.0);
-                    // A cell where the marker is narrowest, in blurs: below this no eye reads it.
+                    let wrongs = failure(&what, outcome, 1.0);
+                    // Narrower cells, relative to the blur, cannot be read by eye either.
                     let cell = side * tilt.to_radians().cos() / 7.0;
                     wrong.extend(wrongs.filter(|_| cell > 1.2 * blur));
                 }
@@ -178,7 +184,7 @@ fn corners_are_unbiased_and_their_deviations_honest() {
 }
 
 #[test]
-fn magnified_views_know_no_more_than_their_image() {
+fn corners_in_magnified_views_are_as_uncertain_as_in_their_image() {
     let mut sphere = vec![90; (PANORAMA.width * PANORAMA.height) as usize];
     let mut wrong = Vec::new();
     for (index, side) in [14.0, 20.0, 30.0].into_iter().enumerate() {
@@ -189,11 +195,11 @@ fn magnified_views_know_no_more_than_their_image() {
                 let mut outcomes = [Outcome::default(); 3];
                 for _ in 0..10 {
                     let scene = Scene::new(&mut dice, side, tilt.to_radians(), blur);
-                    let light = scene.render();
+                    let radiances = scene.render();
                     for (outcome, magnification) in outcomes.iter_mut().zip(magnifications) {
                         for _ in 0..2 {
                             let shot =
-                                Shot::of(&scene, &light, TransferCurve::Srgb, 0.02, &mut dice);
+                                Shot::of(&scene, &radiances, TransferCurve::Srgb, 0.02, &mut dice);
                             let cut = shot.cut(magnification, &mut sphere);
                             outcome.add(&cut, &scene, &mut dice);
                         }
@@ -201,7 +207,7 @@ fn magnified_views_know_no_more_than_their_image() {
                 }
                 for (outcome, magnification) in outcomes.iter().zip(magnifications) {
                     let what = format!("side {side} tilt {tilt} blur {blur} x {magnification}");
-                    wrong.extend(verdict(&what, outcome, magnification));
+                    wrong.extend(failure(&what, outcome, magnification));
                 }
             }
         }
@@ -210,12 +216,12 @@ fn magnified_views_know_no_more_than_their_image() {
 }
 
 #[test]
-fn a_hidden_piece_of_a_side_does_little_harm() {
+fn an_occluded_part_of_a_side_moves_corners_little() {
     let mut dice = Dice(5);
     let mut errors = Vec::new();
     for _ in 0..30 {
         let mut scene = Scene::new(&mut dice, 36.0, 0.4, 0.9);
-        scene.hidden = 0.2;
+        scene.occluded = 0.2;
         let shot = Shot::of(&scene, &scene.render(), TransferCurve::Srgb, 0.005, &mut dice);
         if let Some(found) = shot.refine(&shot.guess(&mut dice), &scene.print()) {
             errors.extend((0..4).map(|k| (found.corners_in_view[k].0 - scene.corners[k].0).norm()));
@@ -248,7 +254,7 @@ fn clipped_whites_do_not_move_the_edge() {
 }
 
 #[test]
-fn without_a_marker_there_is_no_answer() {
+fn images_without_a_marker_are_refused() {
     let light = LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap();
     let guess = [(10.0, 10.0), (30.0, 10.0), (30.0, 30.0), (10.0, 30.0)];
     let guess = guess.map(|(x, y)| ViewPixel::new(x, y));
@@ -262,7 +268,7 @@ fn without_a_marker_there_is_no_answer() {
             None
         );
     }
-    // Too small, beyond the border, turned round, no numbers, one pixel.
+    // Too small, outside the image, not finite, counterclockwise, an image of one pixel.
     let pixels: Vec<u8> = (0..1600).map(|_| dice.uniform(0.0, 255.0) as u8).collect();
     let image = LumaImage::new(&pixels, 40, 40, 40).unwrap();
     let shifted =
@@ -314,7 +320,7 @@ fn without_a_marker_there_is_no_answer() {
 }
 
 #[test]
-fn guesses_a_pixel_and_a_half_off_lead_to_the_same_corners() {
+fn guesses_off_by_a_pixel_and_a_half_lead_to_the_same_corners() {
     let mut dice = Dice(21);
     for _ in 0..20 {
         let scene = Scene::new(&mut dice, 28.0, 0.5, 0.9);

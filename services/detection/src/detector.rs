@@ -244,7 +244,7 @@ impl Detector {
                 .find_map(|guess| self.refined(image, light, &guess, print));
         }
         let (corners_in_view, deviations_px) = match refined {
-            Some(refined) => (refined.corners_in_view, refined.deviations_px),
+            Some(refined) => (refined.corners_in_view, refined.sigmas_px),
             None => (corners, [UNREFINED_PX; 4]),
         };
         // It must read as the same marker with its final corners.
@@ -320,8 +320,8 @@ impl Detector {
         let blur = (refined.blur_px[0] + refined.blur_px[1]) / 2.0 / cell;
         let passes_blurred = decoded.correlation >= BLURRED.min_correlation
             && decoded.log_likelihood_ratio >= BLURRED.min_log_likelihood_ratio
-            && refined.misfit <= BLURRED.max_misfit;
-        refined.misfit <= MAX_MISFIT
+            && refined.residual_sigma <= BLURRED.max_misfit;
+        refined.residual_sigma <= MAX_MISFIT
             && (blur <= MAX_BLUR_CELLS || (blur <= MAX_BLUR_CELLS_AT_RANGE && passes_blurred))
     }
 }

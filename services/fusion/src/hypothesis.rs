@@ -7,7 +7,8 @@
 
 use flockeye_geometry::body::{Bodies, Body};
 use flockeye_imaging::align::{
-    AlignOptions, Alignment, BodyPrint, Picture, PrintError, SURE_FACETS, Score, align, reacquire,
+    AlignOptions, Alignment, BodyPrint, Evidence, Picture, PrintError, UNAMBIGUOUS_FACETS, align,
+    reacquire,
 };
 use flockeye_imaging::edges::MarkerPrint;
 use nalgebra::{Isometry3, Unit, Vector3};
@@ -144,12 +145,12 @@ impl Aligner {
             if is_implausible_turn(&found, predicted) {
                 continue;
             }
-            if found.is_believed() {
+            if found.is_accepted() {
                 return Some(found);
             }
-            let is_better = |best: &Alignment| found.score.log_ratio > best.score.log_ratio;
+            let is_better = |best: &Alignment| found.evidence.log_ratio > best.evidence.log_ratio;
             let is_supported =
-                found.confirms_track() || is_supported_by_markers(&found, &is_marked);
+                found.is_accepted_with_track_prior() || is_supported_by_markers(&found, &is_marked);
             if is_supported && best.as_ref().is_none_or(is_better) {
                 best = Some(found);
             }
@@ -177,7 +178,7 @@ impl Aligner {
         for start in starts {
             found.extend(self.align(target, picture, start));
             let is_certain = |found: &Alignment| {
-                found.is_believed() && found.score.agreeing_facets >= SURE_FACETS
+                found.is_accepted() && found.evidence.agreeing_facets >= UNAMBIGUOUS_FACETS
             };
             if budget != TimeBudget::Unlimited && found.last().is_some_and(is_certain) {
                 break;
@@ -185,10 +186,10 @@ impl Aligner {
         }
         let candidates: Vec<&Alignment> = found
             .iter()
-            .filter(|found| found.is_believed() || is_supported_by_markers(found, &is_marked))
+            .filter(|found| found.is_accepted() || is_supported_by_markers(found, &is_marked))
             .collect();
         let best = with_most_evidence(candidates.iter().copied())?;
-        if best.score.agreeing_facets >= SURE_FACETS {
+        if best.evidence.agreeing_facets >= UNAMBIGUOUS_FACETS {
             return Some(best.clone());
         }
         let mirror = self.mirror_of(target, picture, best);
@@ -200,9 +201,11 @@ impl Aligner {
         let mirror =
             if std::ptr::eq(level, best) { mirror } else { self.mirror_of(target, picture, level) };
         let rivals = found.iter().chain(&mirror).filter(|other| !is_same(level, other));
-        let max_evidence = TILT_RIVAL * level.score.evidence();
-        let is_accepted = level.share_seen >= TILT_MIN_SHARE_SEEN
-            && rivals.filter(is_level).all(|rival| rival.score.evidence() < max_evidence);
+        let max_evidence = TILT_RIVAL * level.evidence.weighted_log_ratio();
+        let is_accepted = level.visible_share >= TILT_MIN_SHARE_SEEN
+            && rivals
+                .filter(is_level)
+                .all(|rival| rival.evidence.weighted_log_ratio() < max_evidence);
         is_accepted.then(|| level.clone())
     }
 
@@ -215,11 +218,11 @@ impl Aligner {
     ) -> bool {
         // Two facets are not enough for a pose that is tilted too far.
         let by_two_facets =
-            best.score.is_told_twice() && self.is_within_tilt(target, best) != Some(false);
-        let is_discriminative = by_two_facets || best.score.correlation > ONE_FACET_CORRELATION;
+            best.evidence.is_unambiguous() && self.is_within_tilt(target, best) != Some(false);
+        let is_discriminative = by_two_facets || best.evidence.correlation > ONE_FACET_CORRELATION;
         let mut rivals = all.filter(|other| !is_same(best, other));
         is_discriminative
-            && rivals.all(|rival| has_margin(&best.score, &rival.score, by_two_facets))
+            && rivals.all(|rival| has_margin(&best.evidence, &rival.evidence, by_two_facets))
     }
 
     /// What the mirror pose of a hypothesis, about its most informative facet, leads to.
@@ -229,7 +232,7 @@ impl Aligner {
         picture: &Picture<'_>,
         found: &Alignment,
     ) -> Option<Alignment> {
-        let facet = found.score.foremost_facet?;
+        let facet = found.evidence.most_informative_facet?;
         let mirror = self.prints.get(target)?.mirrored(facet, &found.camera_from_markers)?;
         self.align(target, picture, &Start::Fine(mirror))
     }
@@ -267,17 +270,17 @@ impl Aligner {
 /// Whether a pose has turned farther from its track's prediction than so few facets can show.
 pub fn is_implausible_turn(found: &Alignment, predicted: &Isometry3<f64>) -> bool {
     let turn_rad = found.camera_from_markers.rotation.angle_to(&predicted.rotation);
-    turn_rad > IMPLAUSIBLE_TURN_RAD && found.score.agreeing_facets < SURE_FACETS
+    turn_rad > IMPLAUSIBLE_TURN_RAD && found.evidence.agreeing_facets < UNAMBIGUOUS_FACETS
 }
 
 fn with_most_evidence<'a>(found: impl Iterator<Item = &'a Alignment>) -> Option<&'a Alignment> {
-    found.max_by(|a, b| a.score.evidence().total_cmp(&b.score.evidence()))
+    found.max_by(|a, b| a.evidence.weighted_log_ratio().total_cmp(&b.evidence.weighted_log_ratio()))
 }
 
 /// Whether a hypothesis has enough margin over a rival.
-fn has_margin(best: &Score, rival: &Score, by_two_facets: bool) -> bool {
+fn has_margin(best: &Evidence, rival: &Evidence, by_two_facets: bool) -> bool {
     if by_two_facets {
-        rival.evidence() < TWO_FACETS_RIVAL * best.evidence()
+        rival.weighted_log_ratio() < TWO_FACETS_RIVAL * best.weighted_log_ratio()
     } else {
         rival.log_ratio < ONE_FACET_RIVAL * best.log_ratio
     }
@@ -285,7 +288,7 @@ fn has_margin(best: &Score, rival: &Score, by_two_facets: bool) -> bool {
 
 /// Whether a pose that is too weak alone is supported by markers that were decoded where it has them.
 fn is_supported_by_markers(found: &Alignment, is_marked: impl Fn(&Isometry3<f64>) -> bool) -> bool {
-    found.confirms_marker() && is_marked(&found.camera_from_markers)
+    found.is_accepted_with_markers() && is_marked(&found.camera_from_markers)
 }
 
 fn is_same(one: &Alignment, other: &Alignment) -> bool {

@@ -1,55 +1,70 @@
-//! The part of a view that shows a body, in linear light, no finer than is worth its time.
+//! The part of a view that shows a body, as radiance, no finer than the fit needs.
 
-use nalgebra::{Isometry3, UnitQuaternion, Vector2, Vector3};
+use flockeye_geometry::view::View;
+use nalgebra::{Isometry3, UnitQuaternion, Vector2};
 
-use super::Picture;
-use super::geometry::Pinhole;
+use super::pinhole::Pinhole;
+use crate::image::LumaImage;
+use crate::light::LinearLight;
 
-/// Pixels of which one part is saturated are told by this code value: cameras clip a little below
-/// the end, and magnifying smooths.
+/// Code values from here on count as saturated. Cameras clip a little below the end of the range, and
+/// magnification smooths.
 const SATURATED: u8 = 252;
 
-/// Linear light, row by row; NaN where a pixel says nothing.
+/// A view with its pixels.
+#[derive(Debug, Clone, Copy)]
+pub struct Picture<'p> {
+    /// The pixels, as code values.
+    pub image: LumaImage<'p>,
+    /// The view that they show.
+    pub view: View,
+    /// The radiance that each code value stands for.
+    pub light: &'p LinearLight,
+    /// Resolution of the sphere image there. A view magnified beyond it has no more detail.
+    pub pixels_per_radian: f64,
+}
+
+/// Radiance of pixels, row by row; NaN where a pixel is saturated.
 #[derive(Debug, Clone)]
 pub(super) struct Patch {
     pub width: usize,
     pub height: usize,
-    pub light: Vec<f32>,
+    pub radiance: Vec<f32>,
     pub pinhole: Pinhole,
     pub view_from_camera: UnitQuaternion<f64>,
-    /// How the code values that the light was decoded from bend.
+    /// Curvature of the camera's curve; see [`LinearLight::bend`].
     pub code_bend: f64,
 }
 
 impl Patch {
-    /// The patch round the sphere of `radius_m` about the body's origin at `camera_from_markers`, and
-    /// `reach_rad` more.
+    /// The patch that shows the sphere of `radius_m` about the body's origin at `camera_from_markers`, and
+    /// `margin_rad` around it.
     ///
-    /// Blocks of the view's pixels are averaged (`step`). `None` where the view does not hold the
-    /// body's middle.
+    /// Blocks of the view's pixels are averaged (see [`block_side`]). `None` where the view does not
+    /// show the middle of the body.
     pub fn cut(
         picture: &Picture<'_>,
         camera_from_markers: &Isometry3<f64>,
         radius_m: f64,
-        reach_rad: f64,
-        widest_px: f64,
+        margin_rad: f64,
+        max_body_px: f64,
     ) -> Option<Self> {
         let Picture { image, view, light, .. } = picture;
         let view_from_camera = view.camera_from_view.inverse();
         let middle = view_from_camera * camera_from_markers.translation.vector;
         let range = middle.norm();
-        // Written so that a NaN has no patch.
+        // Written so that a NaN gives no patch.
         if !(middle.z > 0.05 * range && range > radius_m) {
             return None;
         }
         let of_view =
             Pinhole { focal_px: view.focal_px, centre_px: Vector2::repeat(view.centre_px()) };
         let at = of_view.project(&middle)?;
-        // Towards a view's rim a pinhole stretches radially by 1/cos^2.
+        // Towards the rim of a view, a pinhole stretches radially by 1/cos^2.
         let stretch = (range / middle.z).powi(2);
         let margin = 1.05;
         let body = margin * view.focal_px * (radius_m / range).asin().tan() * stretch;
-        let half = body + view.focal_px * reach_rad * stretch;
+        let half = body + view.focal_px * margin_rad * stretch;
         let (width, height) = (image.width() as f64, image.height() as f64);
         let left = (at.x - half).floor().max(0.0);
         let top = (at.y - half).floor().max(0.0);
@@ -58,7 +73,7 @@ impl Patch {
         if !(right - left >= 4.0 && bottom - top >= 4.0) {
             return None;
         }
-        let step = step(picture, 2.0 * body, widest_px);
+        let step = block_side(picture, 2.0 * body, max_body_px);
         let (left, top) = (left as usize, top as usize);
         let columns = (right as usize - left) / step;
         let rows = (bottom as usize - top) / step;
@@ -74,7 +89,7 @@ impl Patch {
                 let row = &image.row(top + y * step + line)[left..];
                 for (out, block) in out.iter_mut().zip(row.chunks_exact(step)) {
                     for &code in block {
-                        // NaN stays NaN whatever is added.
+                        // A sum with a NaN is NaN.
                         *out += if code >= SATURATED { f32::NAN } else { table[usize::from(code)] };
                     }
                 }
@@ -93,45 +108,48 @@ impl Patch {
         Some(Self {
             width: columns,
             height: rows,
-            light: pixels,
+            radiance: pixels,
             pinhole,
             view_from_camera,
             code_bend,
         })
     }
 
-    /// The light of a pixel.
+    /// The radiance of a pixel; NaN where it is saturated.
     #[inline]
     pub fn at(&self, x: usize, y: usize) -> f32 {
-        self.light[y * self.width + x]
+        self.radiance[y * self.width + x]
     }
 
-    /// The light of the pixel nearest to a place, in the patch or at its rim. What is saturated is
-    /// as light as can be.
-    pub fn near(&self, x: f64, y: f64) -> f32 {
+    /// The radiance of the pixel nearest to a point; outside the patch, that of the nearest pixel at the
+    /// rim. Saturated pixels count as nominal white.
+    pub fn nearest(&self, x: f64, y: f64) -> f32 {
         let within = |at: f64, size: usize| (at.round().max(0.0) as usize).min(size - 1);
-        let light = self.at(within(x, self.width), within(y, self.height));
-        if light.is_nan() { 1.0 } else { light }
+        let radiance = self.at(within(x, self.width), within(y, self.height));
+        if radiance.is_nan() { 1.0 } else { radiance }
     }
 
-    /// A pose in the camera frame as one in the patch's, whose axes are the view's.
-    pub fn pose_in(&self, camera_from_markers: &Isometry3<f64>) -> Isometry3<f64> {
+    /// A pose in the camera frame, turned into the patch's frame, whose axes are the view's.
+    pub fn patch_from_markers(&self, camera_from_markers: &Isometry3<f64>) -> Isometry3<f64> {
         self.view_from_camera * camera_from_markers
     }
 
-    /// The patch blurred by a Gaussian of `deviation_px`. What is NaN stays out of it, and NaN.
-    pub fn blurred(&self, deviation_px: f64) -> Self {
-        let reach = (3.0 * deviation_px).ceil() as usize;
+    /// The patch blurred by a Gaussian of standard deviation `sigma_px`. NaN pixels add nothing and stay
+    /// NaN.
+    pub fn blurred(&self, sigma_px: f64) -> Self {
+        let reach = (3.0 * sigma_px).ceil() as usize;
         let kernel: Vec<f32> =
-            (0..=reach).map(|k| (-0.5 * (k as f64 / deviation_px).powi(2)).exp() as f32).collect();
-        let across = convolve(&self.light, self.width, self.height, 1, self.width, &kernel);
-        let light = convolve(&across, self.height, self.width, self.width, 1, &kernel);
-        Self { light, ..self.clone() }
+            (0..=reach).map(|k| (-0.5 * (k as f64 / sigma_px).powi(2)).exp() as f32).collect();
+        let across = convolve(&self.radiance, self.width, self.height, 1, self.width, &kernel);
+        let radiance = convolve(&across, self.height, self.width, self.width, 1, &kernel);
+        Self { radiance, ..self.clone() }
     }
 }
 
-/// Convolves `lines` lines of `length` values, `step` apart along a line and `stride` from line to
-/// line, with a symmetric kernel; at the ends, and about NaN, with what there is of it.
+/// Convolves `lines` lines of `length` values with a symmetric kernel.
+///
+/// Values are `step` apart along a line and `stride` apart from line to line. At the ends and next to NaN
+/// the kernel is normalized over the values that exist.
 fn convolve(
     values: &[f32],
     length: usize,
@@ -163,16 +181,10 @@ fn convolve(
     out
 }
 
-/// Pixels of a picture that are averaged, along a side: as many as keep the patch as fine as the
-/// sphere image, and a body of `diameter_px` no wider than `widest_px`.
-fn step(picture: &Picture<'_>, diameter_px: f64, widest_px: f64) -> usize {
+/// Side of the blocks of pixels that are averaged: the patch is no finer than the sphere image, and a
+/// body of `diameter_px` no wider than `max_body_px`.
+fn block_side(picture: &Picture<'_>, diameter_px: f64, max_body_px: f64) -> usize {
     let for_sphere = picture.view.focal_px / picture.pixels_per_radian;
-    let for_body = diameter_px / widest_px;
+    let for_body = diameter_px / max_body_px;
     for_sphere.max(for_body).floor().clamp(1.0, 64.0) as usize
-}
-
-/// The direction of a patch's pixel.
-#[inline]
-pub(super) fn direction(pinhole: &Pinhole, x: usize, y: usize) -> Vector3<f64> {
-    pinhole.direction(Vector2::new(x as f64, y as f64))
 }

@@ -1,4 +1,4 @@
-//! A body as it is printed: flat facets, white, with black cells on some.
+//! The printed surface of a body: flat white facets, some of them with the black cells of a marker.
 
 use flockeye_geometry::body::Body;
 use flockeye_geometry::pose::mirror_image;
@@ -8,14 +8,14 @@ use nalgebra::{
 
 use crate::edges::MarkerPrint;
 
-/// Cells along a side of a marker, its border included, that alignment can draw.
+/// Most cells along a side of a marker, its border included, that alignment can model.
 pub const MAX_CELLS: usize = 16;
 
-/// Corners of two facets nearer to each other than this are one, metres: bodies are measured, and
-/// written down, no finer.
+/// Corners of two facets nearer to each other than this are the same corner, metres. Bodies are not
+/// measured more precisely.
 const SAME_CORNER_M: f64 = 5e-4;
 
-/// The printed surface of a body, in its markers' frame.
+/// The printed surface of a body, in the markers' frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BodyPrint {
     pub(super) facets: Vec<PrintedFacet>,
@@ -23,16 +23,19 @@ pub struct BodyPrint {
     radius_m: f64,
 }
 
-/// One flat side. Its own frame has x to the printed right, y to the printed bottom and z into the
-/// body; the origin is the marker's middle, or the facet's where there is none.
+/// One flat side of a body.
+///
+/// Its frame has x to the printed right, y to the printed bottom and z into the body. The origin is the
+/// middle of the marker, or of the facet where there is no marker.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct PrintedFacet {
     pub markers_from_facet: Isometry3<f64>,
-    /// Corners in the facet's plane, in order round it, metres.
+    /// Corners in the facet's plane, in order, metres.
     pub outline: Vec<Point2<f64>>,
-    /// The facet on the other side of the edge from corner k to corner k + 1, and the number of the
-    /// seam between them.
+    /// For the edge from corner k to corner k + 1: the facet on its other side, and the number of the
+    /// seam between both.
     pub neighbours: Vec<Option<(usize, usize)>>,
+    /// The marker's cells; `None` on a blank facet.
     pub cells: Option<Cells>,
 }
 
@@ -43,11 +46,11 @@ pub(super) struct Cells {
     pub side_m: f64,
     /// Cells along a side, border included.
     pub count: usize,
-    /// Row by row: 1 where black.
+    /// Row by row: 1 for black, 0 for white.
     pub black: Vec<f32>,
 }
 
-/// Why a body cannot be drawn.
+/// Why a body cannot be modelled.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum PrintError {
     /// The dictionary does not have one of the body's markers.
@@ -58,7 +61,7 @@ pub enum PrintError {
         /// The marker.
         id: u32,
     },
-    /// A marker of more cells than can be drawn.
+    /// A marker has more cells than can be modelled.
     #[error(
         "marker {id} of body '{body}' has {cells} cells along a side; alignment draws {MAX_CELLS} at most"
     )]
@@ -73,10 +76,10 @@ pub enum PrintError {
 }
 
 impl BodyPrint {
-    /// The print of `body`, whose markers look as `print_of` says for their ids.
+    /// The print of `body`; `print_of` gives the print of a marker by its id.
     ///
     /// # Errors
-    /// A marker that is not in the dictionary, or has too many cells.
+    /// A marker that is not in the dictionary, or that has too many cells.
     pub fn new<'p>(
         body: &Body,
         print_of: impl Fn(u32) -> Option<&'p MarkerPrint>,
@@ -123,18 +126,18 @@ impl BodyPrint {
         Ok(Self { facets, seams, radius_m })
     }
 
-    /// Radius of the sphere round the markers' origin that holds all facets, metres.
+    /// Radius of the sphere about the markers' origin that contains all facets, metres.
     pub fn radius_m(&self) -> f64 {
         self.radius_m
     }
 
-    /// How many edges have a facet on either side.
+    /// Number of edges that two facets share.
     pub(super) fn seams(&self) -> usize {
         self.seams
     }
 
-    /// The pose in which a facet is seen as its own mirror image ([`mirror_image`]). `None` if there is no
-    /// such facet.
+    /// The other pose in which this facet looks almost the same ([`mirror_image`]; planar pose ambiguity).
+    /// `None` if there is no such facet.
     pub fn mirrored(
         &self,
         facet: u32,
@@ -145,7 +148,7 @@ impl BodyPrint {
         mirror_image(camera_from_markers, &middle, &(markers_from_facet * Vector3::z()))
     }
 
-    /// Side of its smallest marker's cells, metres; infinite without markers.
+    /// Side of the smallest marker's cells, metres; infinite without markers.
     pub(super) fn smallest_cell_m(&self) -> f64 {
         let cells = self.facets.iter().filter_map(|facet| facet.cells.as_ref());
         cells.map(|cells| cells.side_m).fold(f64::INFINITY, f64::min)
@@ -159,7 +162,7 @@ impl PrintedFacet {
             .map(|corner| self.markers_from_facet * Point3::from(corner.coords.push(0.0)))
     }
 
-    /// The plane's point that is most in the middle.
+    /// Mean of the corners, in the facet's plane.
     pub(super) fn middle(&self) -> Point2<f64> {
         let sum: Vector2<f64> = self.outline.iter().map(|corner| corner.coords).sum();
         Point2::from(sum / self.outline.len().max(1) as f64)
@@ -179,12 +182,12 @@ impl Cells {
     }
 }
 
-/// A frame in the plane of a facet without marker; which way it is turned means nothing.
+/// A frame in the plane of a facet without a marker. Its rotation in the plane is arbitrary.
 fn frame_of_blank(outline: &[Point3<f64>]) -> Isometry3<f64> {
     let sum: nalgebra::Vector3<f64> = outline.iter().map(|corner| corner.coords).sum();
     let middle = sum / outline.len().max(1) as f64;
     let x = (outline[1] - outline[0]).normalize();
-    // Newell's sum is right for every outline, also with three corners in a line.
+    // Newell's sum works for every outline, even with three corners on a line.
     let outward: nalgebra::Vector3<f64> = (0..outline.len())
         .map(|k| {
             let (a, b) =
@@ -197,7 +200,7 @@ fn frame_of_blank(outline: &[Point3<f64>]) -> Isometry3<f64> {
     Isometry3::from_parts(Translation3::from(middle), UnitQuaternion::from_rotation_matrix(&axes))
 }
 
-/// Facets that share both ends of an edge lie on either side of it. Returns how many seams there are.
+/// Finds the facets that share both ends of an edge. Returns the number of seams.
 fn find_neighbours(facets: &mut [PrintedFacet]) -> usize {
     let corners: Vec<Vec<Point3<f64>>> =
         facets.iter().map(|facet| facet.corners_in_markers().collect()).collect();
@@ -215,7 +218,7 @@ fn find_neighbours(facets: &mut [PrintedFacet]) -> usize {
             let across = (0..corners.len()).filter(|&b| b != a).find_map(|b| {
                 let (i, j) = (place(b, &from)?, place(b, &to)?);
                 let count = corners[b].len();
-                // The same edge, from either end.
+                // The same edge, in either direction.
                 match () {
                     () if (i + 1) % count == j => Some((b, i)),
                     () if (j + 1) % count == i => Some((b, j)),

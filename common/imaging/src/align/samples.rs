@@ -1,43 +1,48 @@
-//! Which pixels of a patch say something of a body's pose.
+//! The pixels of a patch that a body is fitted to.
 
 use std::ops::Range;
 
-use super::blurred::BlurredFacet;
-use super::geometry::SeenFacet;
-use super::patch::{Patch, direction};
+use super::model::blurred::BlurredFacet;
+use super::model::geometry::VisibleFacet;
+use super::patch::Patch;
 use super::print::{BodyPrint, PrintedFacet};
 use nalgebra::{Matrix3, Vector2, Vector3};
 
-/// Beyond so many deviations of the point spread, what lies across an edge does not count.
+// Distances from edges are in standard deviations of the point spread.
+
+/// An edge farther away than this is out of reach: what lies across it does not show in the pixel.
 const REACH: f32 = 3.0;
-/// Pixels nearer to the silhouette, in deviations, show more of what is behind the body than is known.
-const SILHOUETTE: f32 = 2.5;
-/// Beyond so many deviations nothing of what lies across an edge is left in the model.
-const OUT_OF_REACH: f32 = 3.6;
-/// Facets whose middle is farther than the first of these from all its edges, deviations, can do
-/// without pixels next to edges, where most of what is not modelled shows: folds, gaps, arms and
-/// shadows that begin there. From the second on they do without all within reach.
-const ROOMY: (f32, f32) = (8.0, 16.0);
-/// So far beyond the silhouette a pixel shows nothing of the body, deviations.
-pub(super) const BEHIND: f32 = 3.0;
+/// Pixels nearer to the silhouette than this are left out, because they show too much of an unknown
+/// background.
+const SILHOUETTE_MARGIN: f32 = 2.5;
+/// Beyond this distance from an edge, the model has nothing of what lies across it.
+const NO_INFLUENCE: f32 = 3.6;
+/// Large facets do without the pixels next to edges, where most model errors are: folds, gaps, arms and
+/// shadows that begin there. The margin grows from zero, where the middle of the facet is as far from its
+/// edges as the first of these, to [`NO_INFLUENCE`] at the second.
+const LARGE_FACET: (f32, f32) = (8.0, 16.0);
+/// The background is measured this far outside the silhouette, where nothing of the body shows.
+const BACKGROUND_DISTANCE: f32 = 3.0;
 /// Nearer than this to two edges, the facet across their corner shows as well.
 const CORNER: f32 = 1.8;
 
-/// More samples than this cost time and tell little.
-const MOST: usize = 1400;
+/// More samples than this cost time and add little information.
+const MAX_SAMPLES: usize = 1400;
 
 /// A pixel that shows a facet.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Sample {
     pub x: u16,
     pub y: u16,
-    pub light: f32,
-    /// Light of what is next to the body, beyond the silhouette nearby; its own where there is none.
-    pub behind: f32,
+    pub radiance: f32,
+    /// Radiance of the background next to the body, outside the nearest silhouette edge. The pixel's own
+    /// radiance where no silhouette is within reach.
+    pub background: f32,
+    /// The facet that the pixel lies on.
     pub facet: u8,
-    /// Edges of that facet that are within reach; [`NONE`] for none.
+    /// Edges of that facet within reach; [`NONE`] for none.
     edges: [u8; 2],
-    /// The facets across them.
+    /// The facets across these edges.
     neighbours: [u8; 2],
 }
 
@@ -45,9 +50,10 @@ pub(super) struct Sample {
 const NONE: u8 = u8::MAX;
 
 impl Sample {
+    /// The direction of the pixel, scaled to depth 1.
     #[inline]
     pub fn direction(&self, patch: &Patch) -> Vector3<f64> {
-        direction(&patch.pinhole, usize::from(self.x), usize::from(self.y))
+        patch.pinhole.direction(Vector2::new(f64::from(self.x), f64::from(self.y)))
     }
 
     /// Whether no edge is within reach.
@@ -56,7 +62,7 @@ impl Sample {
         self.edges == [NONE; 2]
     }
 
-    /// Edges of its facet within reach, and the seams along them.
+    /// Edges of its facet within reach, and the number of the seam along each.
     #[inline]
     pub fn seams(&self, print: &BodyPrint) -> impl Iterator<Item = (usize, usize)> {
         let neighbours = &print.facets[usize::from(self.facet)].neighbours;
@@ -64,7 +70,7 @@ impl Sample {
         edges.filter_map(|edge| Some((edge, neighbours[edge]?.1)))
     }
 
-    /// The numbers of the facets that show in it, as a key.
+    /// A key that is the same for samples that show the same facets.
     #[inline]
     pub fn shows(&self) -> [u8; 3] {
         [self.facet, self.edges[0], self.edges[1]]
@@ -78,27 +84,27 @@ impl Sample {
     }
 }
 
-/// The pixels inside facets that face the camera, away from the silhouette; those that show the same
-/// facets stand together.
+/// The pixels inside facets that face the camera, away from the silhouette. Those that show the same
+/// facets are neighbours in the list.
 pub(super) fn choose(
     patch: &Patch,
     facets: &[PrintedFacet],
-    seen: &[Option<SeenFacet>],
+    visible: &[Option<VisibleFacet>],
     blurred: &[Option<BlurredFacet<'_>>],
 ) -> Vec<Sample> {
     let mut found: Vec<(u16, u16, u8, Reach)> = Vec::new();
     for (index, facet) in facets.iter().enumerate() {
-        // Facets beyond 254 do not get a number: no body has so many.
-        let (Some(seen_facet), Some(blurred_facet), Ok(number)) =
-            (&seen[index], &blurred[index], u8::try_from(index))
+        // Facets beyond number 254 are left out: no body has as many.
+        let (Some(visible_facet), Some(blurred_facet), Ok(number)) =
+            (&visible[index], &blurred[index], u8::try_from(index))
         else {
             continue;
         };
         let margins = Margins::of(facet, blurred_facet);
-        let plane_from_pixel = seen_facet.plane_from_pixel(&patch.pinhole);
-        let sides = Sides::of(facet, blurred_facet, seen, margins, &plane_from_pixel);
+        let plane_from_pixel = visible_facet.plane_from_pixel(&patch.pinhole);
+        let sides = Sides::of(facet, blurred_facet, visible, margins, &plane_from_pixel);
         let bounds = |axis: usize, size: usize| {
-            let values = seen_facet.outline_px.iter().map(|corner| corner[axis]);
+            let values = visible_facet.outline_px.iter().map(|corner| corner[axis]);
             let (low, high) = values
                 .fold((f64::MAX, f64::MIN), |(low, high), value| (low.min(value), high.max(value)));
             low.ceil().max(0.0) as usize..((high.floor() + 1.0).max(0.0) as usize).min(size)
@@ -110,70 +116,70 @@ pub(super) fn choose(
                     continue;
                 }
                 let at = on_plane(&plane_from_pixel, x, y);
-                if let Some(reach) = reach(facet, blurred_facet, seen, margins, at) {
+                if let Some(reach) = reach(facet, blurred_facet, visible, margins, at) {
                     found.push((x as u16, y as u16, number, reach));
                 }
             }
         }
     }
-    // A body that is near has more than its pose needs.
-    let step = found.len().div_ceil(MOST).max(1);
+    // A body nearby has more pixels than its pose needs.
+    let step = found.len().div_ceil(MAX_SAMPLES).max(1);
     let sample = |(x, y, number, reach): (u16, u16, u8, Reach)| {
-        let light = patch.at(x.into(), y.into());
+        let radiance = patch.at(x.into(), y.into());
         let facet = usize::from(number);
-        let behind = match (reach.silhouette, &seen[facet], &blurred[facet]) {
-            (Some(edge), Some(seen), Some(blurred)) => {
-                beyond(patch, seen, blurred, edge, (x.into(), y.into()))
+        let background = match (reach.silhouette, &visible[facet], &blurred[facet]) {
+            (Some(edge), Some(visible), Some(blurred)) => {
+                background(patch, visible, blurred, edge, (x.into(), y.into()))
             }
-            _ => light,
+            _ => radiance,
         };
         let Reach { edges, neighbours, .. } = reach;
-        Sample { x, y, light, behind, facet: number, edges, neighbours }
+        Sample { x, y, radiance, background, facet: number, edges, neighbours }
     };
     let mut samples: Vec<Sample> = found.into_iter().step_by(step).map(sample).collect();
-    // By places in the image within each kind, so that sums are the same on every run.
+    // A stable sort keeps the order within a kind, so that sums are the same in every run.
     samples.sort_by_key(Sample::shows);
     samples
 }
 
-/// The light beyond the silhouette, next to a pixel near this edge of a facet.
-fn beyond(
+/// Radiance of the background next to a pixel near this silhouette edge of a facet.
+fn background(
     patch: &Patch,
-    seen: &SeenFacet,
+    visible: &VisibleFacet,
     blurred: &BlurredFacet<'_>,
     edge: usize,
     (x, y): (usize, usize),
 ) -> f32 {
-    let at = on_plane(&seen.plane_from_pixel(&patch.pinhole), x, y);
-    let slope = seen.facet_from_pixel.transpose() * blurred.inwards(edge).cast::<f64>();
-    let depth = f64::from(blurred.depth(edge, at) + BEHIND);
+    let at = on_plane(&visible.plane_from_pixel(&patch.pinhole), x, y);
+    let slope = visible.facet_from_pixel.transpose() * blurred.inwards(edge).cast::<f64>();
+    let depth = f64::from(blurred.depth(edge, at) + BACKGROUND_DISTANCE);
     let away = slope * (depth / slope.norm_squared());
-    patch.near(x as f64 - away.x, y as f64 - away.y)
+    patch.nearest(x as f64 - away.x, y as f64 - away.y)
 }
 
-/// Where a pixel sees a facet's plane.
+/// The point of a facet's plane under a pixel, in the facet's frame.
 #[inline]
 fn on_plane(plane_from_pixel: &Matrix3<f64>, x: usize, y: usize) -> Vector2<f64> {
     let plane = plane_from_pixel * Vector3::new(x as f64, y as f64, 1.0);
     plane.xy() / plane.z
 }
 
-/// Lines in the patch between which a facet's pixels lie: the edges, as far inside as they count.
+/// Lines in the patch that enclose a facet's pixels: its edges, moved inwards by their margins.
 struct Sides(Vec<Vector3<f64>>);
 
 impl Sides {
     fn of(
         facet: &PrintedFacet,
         blurred: &BlurredFacet<'_>,
-        seen: &[Option<SeenFacet>],
+        visible: &[Option<VisibleFacet>],
         margins: Margins,
         plane_from_pixel: &Matrix3<f64>,
     ) -> Self {
-        // An edge's depth is linear in the plane, and so in the patch, once multiplied by what the
-        // plane's coordinates are divided by: that is the last line.
+        // The depth inside an edge is linear in the plane. Multiplied by the homography's denominator it
+        // is also linear in the patch. The last line is that denominator itself.
         let edge = |k: usize| {
             let normal = blurred.inwards(k).cast::<f64>();
-            let least = margins.at(facet, k, seen);
+            let least = margins.at(facet, k, visible);
             let offset = f64::from(blurred.depth(k, Vector2::zeros()) - least);
             plane_from_pixel.transpose() * normal.push(offset)
         };
@@ -182,7 +188,7 @@ impl Sides {
         Self(edges.chain([before]).collect())
     }
 
-    /// The columns of a row between them, or one more at either end.
+    /// The columns of a row between the lines, or one more at either end.
     fn within(&self, y: usize, columns: &Range<usize>) -> Range<usize> {
         let (mut first, mut last) = (columns.start as f64, columns.end as f64 - 1.0);
         for side in &self.0 {
@@ -200,12 +206,12 @@ impl Sides {
     }
 }
 
-/// Pixels nearer than this to an edge of a facet do not count, deviations.
+/// Pixels nearer than this to an edge of a facet are left out.
 #[derive(Debug, Clone, Copy)]
 struct Margins {
-    /// Where another facet that is seen begins.
+    /// At an edge to another visible facet.
     seam: f32,
-    /// Where the body ends.
+    /// At an edge where the body ends.
     silhouette: f32,
 }
 
@@ -213,47 +219,52 @@ impl Margins {
     fn of(facet: &PrintedFacet, blurred: &BlurredFacet<'_>) -> Self {
         let middle = Vector2::zeros();
         let depths = (0..facet.outline.len()).map(|edge| blurred.depth(edge, middle));
-        let room = (depths.fold(f32::MAX, f32::min) - ROOMY.0) / (ROOMY.1 - ROOMY.0);
+        let room =
+            (depths.fold(f32::MAX, f32::min) - LARGE_FACET.0) / (LARGE_FACET.1 - LARGE_FACET.0);
         let room = room.clamp(0.0, 1.0);
         Self {
-            seam: room * OUT_OF_REACH,
-            silhouette: SILHOUETTE + room * (OUT_OF_REACH - SILHOUETTE),
+            seam: room * NO_INFLUENCE,
+            silhouette: SILHOUETTE_MARGIN + room * (NO_INFLUENCE - SILHOUETTE_MARGIN),
         }
     }
 
-    /// That of one edge.
-    fn at(self, facet: &PrintedFacet, edge: usize, seen: &[Option<SeenFacet>]) -> f32 {
-        match seen_across(facet, edge, seen) {
+    /// The margin of one edge.
+    fn at(self, facet: &PrintedFacet, edge: usize, visible: &[Option<VisibleFacet>]) -> f32 {
+        match visible_across(facet, edge, visible) {
             Some(_) => self.seam,
             None => self.silhouette,
         }
     }
 }
 
-/// The facet across an edge, if it is seen.
+/// The facet across an edge, if it faces the camera.
 #[inline]
-fn seen_across(facet: &PrintedFacet, edge: usize, seen: &[Option<SeenFacet>]) -> Option<usize> {
+fn visible_across(
+    facet: &PrintedFacet,
+    edge: usize,
+    visible: &[Option<VisibleFacet>],
+) -> Option<usize> {
     let (neighbour, _) = facet.neighbours[edge]?;
-    seen[neighbour].is_some().then_some(neighbour)
+    visible[neighbour].is_some().then_some(neighbour)
 }
 
-/// What a point of a facet is near to.
+/// The edges that a point of a facet is near to.
 #[derive(Debug, Clone, Copy)]
 struct Reach {
     /// Edges within reach, and the facets across them.
     edges: [u8; 2],
     neighbours: [u8; 2],
-    /// The nearest edge across which there is nothing of the body.
+    /// The nearest silhouette edge.
     silhouette: Option<usize>,
 }
 
-/// What is within reach of a point; `None` if it lies outside, or too near to the silhouette or a
-/// corner.
+/// The edges within reach of a point. `None` if the point lies outside the facet, within a margin or too
+/// near to a corner.
 #[inline]
 fn reach(
     facet: &PrintedFacet,
     blurred: &BlurredFacet<'_>,
-    seen: &[Option<SeenFacet>],
+    visible: &[Option<VisibleFacet>],
     margins: Margins,
     at: Vector2<f64>,
 ) -> Option<Reach> {
@@ -263,18 +274,18 @@ fn reach(
     let mut near_edges = 0;
     for k in 0..facet.outline.len() {
         let depth = blurred.depth(k, at);
-        // A NaN is outside too.
+        // False for a NaN.
         let is_inside = depth >= 0.0;
         if !is_inside {
             return None;
         }
         near_edges += u32::from(depth < CORNER);
-        match seen_across(facet, k, seen) {
+        match visible_across(facet, k, visible) {
             Some(_) if depth < margins.seam => return None,
             None if depth < margins.silhouette => return None,
             _ if depth >= REACH => {}
-            // Both fit: a facet with more than 254 edges, or a body with as many facets, has no such
-            // sample.
+            // The numbers fit into a byte unless the facet has more than 254 edges or the body as many
+            // facets; then there is no such sample.
             Some(neighbour) if count < edges.len() => {
                 edges[count] = u8::try_from(k).ok()?;
                 neighbours[count] = u8::try_from(neighbour).ok()?;
@@ -299,15 +310,16 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::align::geometry::{Pinhole, seen_facets};
+    use crate::align::model::geometry::visible_facets;
+    use crate::align::pinhole::Pinhole;
     use crate::align::tests::{body, print_of};
 
     proptest! {
         #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(40) })]
 
-        /// Near and far, so that facets are roomy and not, cut by the image and askew in it.
+        /// Near and far, so that facets are large and small, cut by the image and rotated in it.
         #[test]
-        fn every_pixel_that_counts_lies_between_the_sides(
+        fn every_sample_lies_between_the_sides(
             euler in prop::array::uniform3(-3.0..3.0f64),
             range_m in 0.2..2.0f64,
             across in prop::array::uniform2(-0.2..0.2f64),
@@ -320,33 +332,33 @@ mod tests {
                 UnitQuaternion::from_euler_angles(euler[0], euler[1], euler[2]),
             );
             let pinhole = Pinhole { focal_px: 250.0, centre_px: Vector2::new(31.5, 31.5) };
-            let seen = seen_facets(&print, &pose, &pinhole);
-            let (mut counting, mut looked_at) = (0, 0);
-            for (facet, seen_facet) in print.facets.iter().zip(&seen) {
-                let Some(seen_facet) = seen_facet else { continue };
-                let per_pixel = seen_facet.facet_from_pixel;
+            let visible = visible_facets(&print, &pose, &pinhole);
+            let (mut samples, mut between) = (0, 0);
+            for (facet, visible_facet) in print.facets.iter().zip(&visible) {
+                let Some(visible_facet) = visible_facet else { continue };
+                let per_pixel = visible_facet.facet_from_pixel;
                 let spread = per_pixel * Matrix2::identity() * blur * per_pixel.transpose();
                 let blurred = BlurredFacet::new(facet, &spread);
                 let margins = Margins::of(facet, &blurred);
-                let plane = seen_facet.plane_from_pixel(&pinhole);
-                let sides = Sides::of(facet, &blurred, &seen, margins, &plane);
+                let plane = visible_facet.plane_from_pixel(&pinhole);
+                let sides = Sides::of(facet, &blurred, &visible, margins, &plane);
                 for y in 0..SIZE {
                     let within = sides.within(y, &(0..SIZE));
                     prop_assert!(within.end <= SIZE);
-                    looked_at += within.len();
+                    between += within.len();
                     for x in 0..SIZE {
                         let at = on_plane(&plane, x, y);
-                        // Behind the camera there is nothing of the plane.
+                        // Behind the camera the plane has no points.
                         let is_ahead = (plane * Vector3::new(x as f64, y as f64, 1.0)).z > 0.0;
-                        if is_ahead && reach(facet, &blurred, &seen, margins, at).is_some() {
-                            counting += 1;
+                        if is_ahead && reach(facet, &blurred, &visible, margins, at).is_some() {
+                            samples += 1;
                             prop_assert!(within.contains(&x), "{} {}: {:?}", x, y, within);
                         }
                     }
                 }
             }
-            // Not much else does: a pixel or two of each row, and what is near a corner.
-            prop_assert!(looked_at < 2 * counting + 8 * SIZE * print.facets.len());
+            // Few other pixels do: one or two of each row, and those near a corner.
+            prop_assert!(between < 2 * samples + 8 * SIZE * print.facets.len());
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Alignment against pictures that are drawn by sampling, blurred and coded as a camera would.
+//! Alignment against pictures that are rendered by sampling, blurred and encoded as by a camera.
 
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
@@ -10,11 +10,11 @@ use flockeye_geometry::view::View;
 use nalgebra::{Isometry3, Matrix2, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
 use proptest::prelude::*;
 
-use super::geometry::{Pinhole, seen_facets};
-use super::solve::{Scene, model};
-use super::unknowns::{Layout, State};
+use super::model::geometry::visible_facets;
+use super::model::{Modelled, Scene, model};
+use super::pinhole::Pinhole;
 use super::*;
-use crate::light::{CodeRange, TransferCurve};
+use crate::light::{CodeRange, LinearLight, TransferCurve};
 use drawn_body::{Drawing, draw, prints};
 
 pub(super) fn body(first_id: u32) -> Body {
@@ -68,7 +68,7 @@ fn run(
 }
 
 #[test]
-fn a_start_nearby_comes_to_the_truth() {
+fn a_start_nearby_converges_to_the_truth() {
     let print = print_of(&body(0));
     for (range_m, tolerance_m, tolerance_rad) in
         [(0.6, 0.5e-3, 2e-3), (1.0, 1e-3, 3e-3), (2.0, 4e-3, 8e-3), (2.8, 10e-3, 0.02)]
@@ -82,10 +82,10 @@ fn a_start_nearby_comes_to_the_truth() {
         let error = found.camera_from_markers.translation.vector - truth.translation.vector;
         let turned = found.camera_from_markers.rotation.angle_to(&truth.rotation);
         println!(
-            "{range_m} m: {:.3} mm, {:.4} rad, {:?}, blur {:.2} {:.2}, {} samples, {} steps, deviation {:.3} mm",
+            "{range_m} m: {:.3} mm, {:.4} rad, {:?}, blur {:.2} {:.2}, {} samples, {} steps, sigma {:.3} mm",
             error.norm() * 1e3,
             turned,
-            found.score,
+            found.evidence,
             found.blur_px2[(0, 0)].sqrt(),
             found.blur_px2[(1, 1)].sqrt(),
             found.samples,
@@ -94,29 +94,29 @@ fn a_start_nearby_comes_to_the_truth() {
         );
         assert!(error.norm() < tolerance_m, "{} m at {range_m} m", error.norm());
         assert!(turned < tolerance_rad, "{turned} rad at {range_m} m");
-        assert!(found.score.correlation > 0.7, "{:?}", found.score);
+        assert!(found.evidence.correlation > 0.7, "{:?}", found.evidence);
     }
 }
 
 #[test]
-fn another_body_does_not_agree() {
+fn another_body_does_not_correlate() {
     let wrong = print_of(&body(17));
     for range_m in [0.8, 1.5, 2.5] {
         let truth = pose(range_m, [0.3, -0.2, 0.9]);
         let drawing = draw(&body(0), &truth, PIXELS_PER_RADIAN, 0.9, 0.004);
         if let Ok(found) = run(&drawing, &wrong, &truth) {
-            assert!(found.score.correlation < 0.35, "{range_m} m: {:?}", found.score);
+            assert!(found.evidence.correlation < 0.35, "{range_m} m: {:?}", found.evidence);
         }
     }
 }
 
-/// The drawing with something dark before all below `share` of its height.
+/// The drawing with something dark in front of everything below `share` of its height.
 fn covered(drawing: &Drawing, share: f64) -> Drawing {
     let side = drawing.view.size_px as usize;
     let first = (share * side as f64) as usize;
     let mut pixels = drawing.pixels.clone();
     for (y, row) in pixels.chunks_mut(side).enumerate().skip(first) {
-        // As soft as the lens makes it.
+        // As soft an edge as the lens makes.
         let dark = [0.3, 0.75, 1.0][(y - first).min(2)];
         for code in row {
             *code = (f64::from(*code) * (1.0 - dark) + 30.0 * dark) as u8;
@@ -126,7 +126,7 @@ fn covered(drawing: &Drawing, share: f64) -> Drawing {
 }
 
 #[test]
-fn a_body_behind_an_arm_is_where_it_is() {
+fn an_arm_in_front_of_a_body_does_not_move_it() {
     let print = print_of(&body(0));
     for turn in 0..6 {
         let truth = pose(1.2, [0.3, -0.2, f64::from(turn)]);
@@ -134,13 +134,13 @@ fn a_body_behind_an_arm_is_where_it_is() {
         for share in [0.5, 0.56] {
             let found = run(&covered(&whole, share), &print, &truth).expect("half of it is there");
             let error = found.camera_from_markers.translation.vector - truth.translation.vector;
-            assert!(found.confirms_track(), "turn {turn}: {:?}", found.score);
+            assert!(found.is_accepted_with_track_prior(), "turn {turn}: {:?}", found.evidence);
             assert!(error.norm() < 3e-3, "turn {turn}, {share}: {:.2} mm", error.norm() * 1e3);
         }
     }
 }
 
-/// Code values smoothed across and down, by a variance of a quarter of a pixel squared along each.
+/// The drawing with code values smoothed along both axes, with a variance of a quarter of a pixel squared.
 fn smoothed(drawing: &Drawing) -> Drawing {
     let side = drawing.view.size_px as usize;
     let line = |pixels: &[f64], step: usize| -> Vec<f64> {
@@ -156,7 +156,7 @@ fn smoothed(drawing: &Drawing) -> Drawing {
 }
 
 #[test]
-fn smoothed_code_values_do_not_move_it() {
+fn smoothed_code_values_do_not_bias_the_range() {
     let print = print_of(&body(0));
     let (mut sum_m, mut count) = (0.0, 0.0);
     for turn in 0..8 {
@@ -172,8 +172,8 @@ fn smoothed_code_values_do_not_move_it() {
     assert!(bias_m.abs() < 0.4e-3, "{:.2} mm", bias_m * 1e3);
 }
 
-/// The drawing with less light towards one side of it: 30 % less than in its middle at one rim of the body,
-/// 30 % more at the opposite one.
+/// The drawing lit from one side: 30 % darker than in the middle at one rim of the body, 30 % brighter at
+/// the opposite one.
 fn lit_from_a_side(drawing: &Drawing, range_m: f64, [across, down]: [f64; 2]) -> Drawing {
     let side = drawing.view.size_px as usize;
     let radius_px = 0.08 / range_m * PIXELS_PER_RADIAN;
@@ -187,13 +187,13 @@ fn lit_from_a_side(drawing: &Drawing, range_m: f64, [across, down]: [f64; 2]) ->
     Drawing { pixels, view: drawing.view }
 }
 
-/// The sRGB code of linear light.
-fn coded(light: f64) -> u8 {
-    (255.0 * (1.055 * light.max(0.0031).powf(1.0 / 2.4) - 0.055)).round() as u8
+/// The sRGB code of a radiance.
+fn coded(radiance: f64) -> u8 {
+    (255.0 * (1.055 * radiance.max(0.0031).powf(1.0 / 2.4) - 0.055)).round() as u8
 }
 
 #[test]
-fn slopes_have_the_last_places_among_the_unknowns() {
+fn radiance_gradients_are_the_last_unknowns() {
     let print = print_of(&body(0));
     let pinhole = Pinhole { focal_px: 611.0, centre_px: Vector2::new(50.0, 50.0) };
     let ahead = Isometry3::from_parts(
@@ -202,17 +202,17 @@ fn slopes_have_the_last_places_among_the_unknowns() {
     );
     let state = State::new(&print, ahead, 1.0);
     let scene = Scene::of(&print, &state, &pinhole, 0.0, 0.5);
-    let layout = Layout::new(&print, &scene, &[]);
-    let slopes = layout.facets().filter_map(|(facet, _)| layout.slope(facet));
-    let places: Vec<usize> = slopes.flat_map(|at| [at, at + 1]).collect();
-    assert!(places.len() > 10);
-    assert_eq!(places, (layout.even..layout.count).collect::<Vec<_>>());
-    let away = scene.seen.iter().position(Option::is_none).expect("one faces away");
-    assert_eq!(layout.slope(away), None);
+    let layout = solve::layout(&print, &scene, &[]);
+    let gradients = layout.facets().filter_map(|(facet, _)| layout.gradient(facet));
+    let indices: Vec<usize> = gradients.flat_map(|at| [at, at + 1]).collect();
+    assert!(indices.len() > 10);
+    assert_eq!(indices, (layout.uniform_count..layout.count).collect::<Vec<_>>());
+    let away = scene.visible.iter().position(Option::is_none).expect("one faces away");
+    assert_eq!(layout.gradient(away), None);
 }
 
 #[test]
-fn light_from_a_side_does_not_move_it() {
+fn light_from_one_side_does_not_move_it() {
     let print = print_of(&body(0));
     let (mut sum_m, mut count) = (0.0, 0.0);
     for turn in 0..8 {
@@ -226,14 +226,14 @@ fn light_from_a_side_does_not_move_it() {
             count += 1.0;
         }
     }
-    // 0.3 mm; 0.55 mm where light is taken for the same all over a facet.
+    // Measured: 0.3 mm; 0.55 mm without radiance gradients.
     let mean_m: f64 = sum_m / count;
     println!("mean error {:.2} mm", mean_m * 1e3);
     assert!(mean_m < 0.45e-3, "{:.2} mm", mean_m * 1e3);
 }
 
-/// The drawing with a dark post before it, as soft as the lens makes it: a little beside the body's
-/// middle, and aslant by this many pixels for each row.
+/// The drawing with a dark post in front of the body, a little beside its middle, with edges as soft as
+/// the lens makes them. The post is slanted by `slant` pixels for each row.
 fn behind_a_post(drawing: &Drawing, width_px: f64, slant: f64) -> Drawing {
     let side = drawing.view.size_px as usize;
     let mut pixels = drawing.pixels.clone();
@@ -248,7 +248,7 @@ fn behind_a_post(drawing: &Drawing, width_px: f64, slant: f64) -> Drawing {
 }
 
 #[test]
-fn what_is_before_it_is_left_out_with_its_soft_edges() {
+fn occluded_pixels_are_left_out_with_the_occluders_soft_edges() {
     let print = print_of(&body(0));
     let mut errors_m = Vec::new();
     for turn in 0..8 {
@@ -261,14 +261,14 @@ fn what_is_before_it_is_left_out_with_its_soft_edges() {
             errors_m.push(error.norm());
         }
     }
-    // 1.1 mm; 1.7 mm where outliers only weigh less.
+    // Measured: 1.1 mm; 1.7 mm where outliers are only weighted down.
     let mean_m: f64 = errors_m.iter().sum::<f64>() / errors_m.len() as f64;
     println!("mean error {:.2} mm", mean_m * 1e3);
     assert!(mean_m < 1.2e-3, "{:.2} mm", mean_m * 1e3);
 }
 
 #[test]
-fn numbers_that_are_none_and_lies_about_the_view_are_refused() {
+fn values_that_are_not_finite_and_wrong_views_are_refused() {
     let print = print_of(&body(0));
     let truth = pose(1.0, [0.3, -0.2, 0.9]);
     let drawing = draw(&body(0), &truth, PIXELS_PER_RADIAN, 0.9, 0.004);
@@ -279,11 +279,11 @@ fn numbers_that_are_none_and_lies_about_the_view_are_refused() {
     let inside = Isometry3::translation(0.01, 0.0, 0.0);
     assert_eq!(run(&drawing, &print, &inside), Err(AlignError::NotInView));
     for focal_px in [f64::NAN, 0.0, -700.0, f64::INFINITY] {
-        let liar =
+        let wrong =
             Drawing { view: View { focal_px, ..drawing.view }, pixels: drawing.pixels.clone() };
-        assert_eq!(run(&liar, &print, &truth), Err(AlignError::NotInView));
+        assert_eq!(run(&wrong, &print, &truth), Err(AlignError::NotInView));
     }
-    // A focal length that is half as long again, or a rotation that is another: nothing to believe.
+    // With a wrong focal length or a wrong rotation, the cells do not correlate.
     for (focal, turn) in [(1.5, 0.0), (0.6, 0.0), (1.0, 0.6)] {
         let view = View {
             focal_px: drawing.view.focal_px * focal,
@@ -291,14 +291,14 @@ fn numbers_that_are_none_and_lies_about_the_view_are_refused() {
                 * UnitQuaternion::from_euler_angles(0.0, 0.0, turn),
             ..drawing.view
         };
-        let liar = Drawing { view, pixels: drawing.pixels.clone() };
-        if let Ok(found) = run(&liar, &print, &truth) {
-            assert!(found.score.correlation < 0.4, "{focal} {turn}: {:?}", found.score);
+        let wrong = Drawing { view, pixels: drawing.pixels.clone() };
+        if let Ok(found) = run(&wrong, &print, &truth) {
+            assert!(found.evidence.correlation < 0.4, "{focal} {turn}: {:?}", found.evidence);
         }
     }
 }
 
-/// One facet modelled in a pinhole, at a pixel; `None` where it does not face the camera.
+/// The model of one facet at a pixel; `None` where it does not face the camera.
 fn modelled(
     print: &BodyPrint,
     state: &State,
@@ -306,7 +306,7 @@ fn modelled(
     at: Vector2<f64>,
     facet: usize,
     fixed_blur: Option<&Scene<'_>>,
-) -> Option<solve::Modelled> {
+) -> Option<Modelled> {
     let fresh = Scene::of(print, state, pinhole, 0.0, 0.5);
     fresh.facet(facet)?;
     let scene = match fixed_blur {
@@ -325,9 +325,10 @@ fn modelled(
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
-    /// Seen from afar, a facet turned over shows its corners where they were, leaning the other way.
+    /// From far away, the mirrored pose shows a facet's corners in the same places, with the facet tilted
+    /// the other way.
     #[test]
-    fn mirror_images_look_the_same_from_afar(
+    fn mirrored_poses_look_the_same_from_far_away(
         euler in prop::array::uniform3(-3.0..3.0f64),
         facet in 0u32..17,
     ) {
@@ -339,7 +340,7 @@ proptest! {
         prop_assert!((pose * middle - mirrored * middle).norm() < 1e-9);
         for corner in printed.corners_in_markers() {
             let [ray, other] = [pose * corner, mirrored * corner].map(|at| at.coords);
-            // Half its width, 45 mm to a corner, nearer or farther by as much at most.
+            // A corner lies 45 mm from the middle, so it is nearer or farther by at most as much.
             prop_assert!(ray.angle(&other) < 2.0 * (0.045f64 / 40.0).powi(2));
         }
         let normal = |pose: &Isometry3<f64>| pose * (printed.markers_from_facet * Vector3::z());
@@ -350,8 +351,8 @@ proptest! {
         prop_assert!(print.mirrored(99, &pose).is_none());
     }
 
-    /// Derivatives by pose and light against differences of the model, the point spread on each facet being
-    /// held as a step of the solver holds it.
+    /// Derivatives by pose and levels against differences of the model. The point spread on each facet is
+    /// held fixed, as in a step of the solver.
     #[test]
     fn derivatives_are_those_of_the_model(
         euler in prop::array::uniform3(-3.0..3.0f64),
@@ -369,8 +370,8 @@ proptest! {
             levels: (0..print.facets.len()).map(|k| [0.5 + 0.01 * k as f64, 0.04]).collect(),
             ..State::new(&print, pose, 1.0)
         };
-        let seen = seen_facets(&print, &pose, &pinhole);
-        for (index, facet) in seen.iter().enumerate() {
+        let visible = visible_facets(&print, &pose, &pinhole);
+        for (index, facet) in visible.iter().enumerate() {
             let Some(facet) = facet else { continue };
             if facet.cosine < 0.4 { continue }
             let point = pose * print.facets[index].markers_from_facet
@@ -386,25 +387,25 @@ proptest! {
                 change[k] = step;
                 let shift = Vector3::new(change[0], change[1], change[2]);
                 let turn = Vector3::new(change[3], change[4], change[5]);
-                let at_pose = |pose| model(&State { patch_from_markers: pose, ..state.clone() }).light;
+                let at_pose = |pose| model(&State { patch_from_markers: pose, ..state.clone() }).radiance;
                 let numeric = (at_pose(moved(&pose, shift, turn)) - at_pose(moved(&pose, -shift, -turn))) / (2.0 * step);
                 let limit = 0.02 * (numeric.abs() + largest) + 0.5;
                 prop_assert!((numeric - now.by_common[k]).abs() < limit, "facet {index}, unknown {k}: {numeric} and {}", now.by_common[k]);
             }
             let [white, black] = state.levels[index];
             let (_, by_white, by_black) = now.levels()[0];
-            // Light is linear in both, but for what code values that are smoothed make of it: nothing here.
+            // Radiance is linear in both levels, because the code blur is zero here.
             for (level, by) in [by_white, by_black].into_iter().enumerate() {
-                let mut lighter = state.clone();
-                lighter.levels[index][level] += 0.25;
-                let numeric = (model(&lighter).light - now.light) / 0.25;
+                let mut brighter = state.clone();
+                brighter.levels[index][level] += 0.25;
+                let numeric = (model(&brighter).radiance - now.radiance) / 0.25;
                 prop_assert!((numeric - by).abs() < 1e-6, "facet {index}, level {level}: {numeric} and {by}");
             }
-            let light = white * by_white + black * by_black;
-            // Where on the facet the pixel looks.
+            let radiance = white * by_white + black * by_black;
+            // Where the pixel sees the facet.
             let place = across.map(|share| share * 0.025);
-            for (by, place) in now.by_slope.iter().zip(place) {
-                prop_assert!((by - light * place).abs() < 1e-9, "facet {index}: {by}");
+            for (by, place) in now.by_gradient.iter().zip(place) {
+                prop_assert!((by - radiance * place).abs() < 1e-9, "facet {index}: {by}");
             }
         }
     }

@@ -1,10 +1,10 @@
-//! A print as a lens shows it: drawn on a grid of places, blurred by a Gaussian.
+//! Renders a print on a grid of pixels, blurred by a Gaussian.
 
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
-use super::MarkerPrint;
+use super::print::MarkerPrint;
 
-/// Places of a view, `step` pixels apart: column x, row y of the grid is the pixel
+/// Every `step`-th pixel of a view: column x, row y of the grid is the pixel
 /// (left + x * step, top + y * step).
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Grid {
@@ -16,31 +16,30 @@ pub(super) struct Grid {
 }
 
 impl Grid {
-    /// The pixel of a place.
+    /// The pixel of a grid point.
     pub(super) fn at(&self, column: usize, row: usize) -> (usize, usize) {
         (self.left + column * self.step, self.top + row * self.step)
     }
 }
 
-/// The share of white at each place of a grid, row by row, and how it changes to the right and
-/// downwards, by pixel.
+/// The share of white at each grid point, row by row, and its derivatives by x and y, per pixel.
 #[derive(Debug, Default)]
 pub(super) struct Drawing {
     pub white: Vec<f32>,
     pub by_x: Vec<f32>,
     pub by_y: Vec<f32>,
-    /// The sharp print, with a rim; kept for its memory.
+    /// The print without blur, with a rim. Kept to reuse its memory.
     sharp: Vec<f32>,
 }
 
-/// Gaussians wider than this, in steps of the grid, are summed over one point for each place,
-/// narrower ones over four: an edge then moves by less than 0.01 steps with the grid's phase.
+/// Gaussians wider than this, in steps of the grid, are summed over one point for each grid point, narrower
+/// ones over four. Then an edge moves by less than 0.01 steps with the phase of the grid.
 const WIDE_STEPS: f64 = 0.85;
 
-/// Where Gaussians end, standard deviations.
+/// Gaussians are truncated here, standard deviations.
 const REACH: f64 = 3.1;
 
-/// White or black of every cell, the white outside included.
+/// White (1) or black (0) of every cell, with one row of white cells around.
 #[derive(Debug)]
 pub(super) struct Cells {
     white: Vec<f32>,
@@ -62,8 +61,8 @@ impl Cells {
         self.count
     }
 
-    /// The mean over a rectangle of `width` by `height` about the point (`a`, `b`), all in cells, if
-    /// it is no larger than one.
+    /// The mean over a rectangle of `width` by `height` about the point (`a`, `b`), all in cells. The rectangle
+    /// must not be larger than a cell.
     fn mean(&self, a: f32, b: f32, width: f32, height: f32) -> f32 {
         let last = self.count as f32 + 0.49;
         let (before, share) = nearest_edge(a.clamp(-0.5, last), width);
@@ -76,16 +75,16 @@ impl Cells {
     }
 }
 
-/// The cell (one outside counts too) before the edge nearest to `at`, and how much of a box of this
-/// width about `at` lies behind the edge.
+/// The cell before the edge nearest to `at`, counted from the row around the square, and the share of a box of
+/// this width about `at` that lies behind the edge.
 fn nearest_edge(at: f32, width: f32) -> (usize, f32) {
     let edge = (at + 0.5).floor();
     (edge as usize, ((at - edge) / width + 0.5).clamp(0.0, 1.0))
 }
 
 impl Drawing {
-    /// Draws cells on a grid: `cells_from_view` maps pixels to cells, `blur` is the Gaussian's
-    /// covariance in square pixels.
+    /// Renders cells on a grid. `cells_from_view` maps pixels to cells, `blur` is the Gaussian's covariance in
+    /// pixels squared. `None` if the covariance is singular.
     pub(super) fn draw(
         &mut self,
         grid: &Grid,
@@ -103,7 +102,7 @@ impl Drawing {
             plane.clear();
             plane.resize(size, 0.0);
         }
-        // All phases' kernels have the sum of one.
+        // The kernels of all phases sum up to one.
         let offset = |phase: usize| (phase as f64 + 0.5) / phases as f64 - 0.5;
         let reach = rim as isize;
         let mut total = 0.0;
@@ -135,7 +134,7 @@ impl Drawing {
         Some(())
     }
 
-    /// Adds the sharp print, shifted to begin at `first`, `taps` times to the three images.
+    /// Adds the print without blur, shifted to begin at `first`, to the three images, weighted by `taps`.
     fn add(&mut self, grid: &Grid, width: usize, first: usize, taps: [f32; 3]) {
         let columns = grid.columns;
         for row in 0..grid.rows {
@@ -151,8 +150,8 @@ impl Drawing {
         }
     }
 
-    /// The print without blur at the places of the grid and a rim of as many more round it, each
-    /// shifted by `offset`; a place is the mean over `share` of a step. All in steps.
+    /// Renders the print without blur at the grid points and a rim of `rim` points around them, all shifted by
+    /// `offset` steps. Each point is the mean over `share` of a step.
     fn draw_sharp(
         &mut self,
         grid: &Grid,
@@ -169,7 +168,7 @@ impl Drawing {
                 * Vector3::new(grid.left as f64 + x * step, grid.top as f64 + y * step, 1.0)
         };
         let (columns, rows) = (grid.columns + 2 * rim, grid.rows + 2 * rim);
-        // Boxes as wide as the places are apart in the middle.
+        // The boxes are as large as in the middle of the grid.
         let cell = |p: Vector3<f64>| p.xy() / p.z;
         let (x, y) = (columns as f64 / 2.0, rows as f64 / 2.0);
         let right = cell(place(x + 0.5, y)) - cell(place(x - 0.5, y));
@@ -198,7 +197,7 @@ mod tests {
 
     /// A black square of six cells, 18.6 px wide.
     #[test]
-    fn a_black_square_is_drawn_as_its_closed_form() {
+    fn a_black_square_is_rendered_as_its_closed_form() {
         let print = MarkerPrint::of_bits(&[false; 16]).unwrap();
         let (size, left) = (18.6, 5.3);
         let cells_from_view = Matrix3::new(
@@ -218,9 +217,9 @@ mod tests {
                 let grid = Grid { left: 0, top: 0, columns: 15, rows: 15, step };
                 let blur = Matrix2::from_diagonal_element(sigma * sigma);
                 drawing.draw(&grid, &Cells::of(&print), &cells_from_view, &blur).unwrap();
-                // A place is the mean over a step, which blurs too.
+                // A grid point is the mean over a step, which blurs too.
                 let sigma = sigma.hypot(step as f64 / 12f64.sqrt());
-                // What a coordinate has of a blurred interval, and how that rises.
+                // A blurred interval along one coordinate, and its derivative.
                 let black = |at: usize| {
                     let depth = (at * step) as f64 - left;
                     let (near, far) = (

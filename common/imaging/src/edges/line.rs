@@ -1,28 +1,28 @@
-//! Lines through the places where profiles see an edge, and where they cross.
+//! Lines through the positions of an edge in the profiles, and the corners where they cross.
 
 use flockeye_geometry::view::ViewPixel;
 use nalgebra::{Matrix2, Vector2};
 
-use super::profile::Side;
+use super::side::SideFrame;
 
-/// No corner is believed better than this, pixels: the model of an edge is not perfect.
-const FLOOR_PX: f64 = 0.03;
+/// Least standard deviation of a corner, pixels: the model of an edge is not perfect.
+const MIN_SIGMA_PX: f64 = 0.03;
 
-/// Places whose median distance from their line is larger belong to no edge, pixels.
+/// Positions whose median distance from their line is larger than this belong to no edge, pixels.
 const MAX_SCATTER_PX: f64 = 1.0;
 
-/// Where one profile sees the edge.
+/// Position of the edge in one profile.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Place {
-    /// Where along the side: -1 at its first corner, 1 at its second.
+    /// Position of the profile along the side: -1 at the first corner, 1 at the second.
     pub along: f64,
-    /// Distance from the side's guess, inwards, pixels.
+    /// Distance from the guessed side, inwards, pixels.
     pub depth: f64,
-    /// Inverse variance, up to a factor that all places share.
+    /// Inverse variance, up to a factor that all positions share.
     pub weight: f64,
 }
 
-/// A line along a side: it lies `offset + slope * along` pixels inside the side's guess.
+/// A line along a side. It lies `offset + slope * along` pixels inside the guessed side.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct EdgeLine {
     offset: f64,
@@ -31,14 +31,14 @@ pub(super) struct EdgeLine {
 }
 
 impl EdgeLine {
-    /// A line parallel to the guess, `offset` pixels inside it, known to a pixel.
-    pub(super) fn level(offset: f64) -> Self {
+    /// A line parallel to the guess, `offset` pixels inside it, with a standard deviation of one pixel.
+    pub(super) fn parallel(offset: f64) -> Self {
         Self { offset, slope: 0.0, covariance: Matrix2::from_diagonal_element(1.0) }
     }
 
-    /// The same line, `deviation` pixels less certain all along.
-    pub(super) fn less_certain(mut self, deviation: f64) -> Self {
-        self.covariance[(0, 0)] += deviation * deviation;
+    /// The same line with an additional error of its offset, standard deviation in pixels.
+    pub(super) fn with_offset_error(mut self, sigma_px: f64) -> Self {
+        self.covariance[(0, 0)] += sigma_px * sigma_px;
         self
     }
 
@@ -52,14 +52,14 @@ impl EdgeLine {
     }
 }
 
-/// Fits a line by weighted least squares of the distances across the side, which to the first
-/// order in the slope is total least squares (the guess is within a degree or two of the line).
+/// Fits a line by weighted least squares of the distances across the side. To first order in the slope that
+/// is total least squares, because the guess is within a degree or two of the line.
 ///
-/// Places further off than the others scatter are put aside (Tukey's weights, from a start that
-/// bears nearly half of them wrong). The covariance is
-/// what the places scatter, raised where neighbours deviate together, and no smaller than
-/// `expected`, the covariance that the samples' noise explains. `None` where fewer than half of the
-/// places, or fewer than four, agree on a line.
+/// Outliers are rejected by Tukey's weights, starting from a repeated median, which tolerates nearly half of
+/// the positions being wrong. The covariance follows from the scatter and from the correlation of neighbours.
+/// It is no smaller than `expected`, the covariance that the noise of the samples explains.
+///
+/// `None` where fewer than four positions, or fewer than half of them, agree on a line.
 pub(super) fn fit(places: &[Place], expected: Matrix2<f64>) -> Option<EdgeLine> {
     if places.len() < 4 {
         return None;
@@ -91,19 +91,20 @@ pub(super) fn fit(places: &[Place], expected: Matrix2<f64>) -> Option<EdgeLine> 
         places.iter().zip(&robust).map(|(place, robust)| place.weight * robust).collect();
     let freedom = robust.iter().sum::<f64>() - 2.0;
     let squares: f64 = weights.iter().zip(&residuals).map(|(w, r)| w * r * r).sum();
-    let scattered = inverse * (squares / freedom.max(1.0) * together(&weights, &residuals));
+    let scattered =
+        inverse * (squares / freedom.max(1.0) * residual_correlation(&weights, &residuals));
     let covariance = if scattered.trace() > expected.trace() { scattered } else { expected };
     Some(EdgeLine { offset, slope, covariance })
 }
 
-/// How far a place lies from the line of this offset and slope.
+/// Distance of a position from the line of this offset and slope.
 fn distance(place: &Place, line: Vector2<f64>) -> f64 {
     place.depth - line[0] - line[1] * place.along
 }
 
-/// Tukey's weights: 1 on the line, 0 beyond 4.7 times what the residuals scatter.
+/// Tukey's weights: 1 on the line, 0 beyond 4.7 robust standard deviations.
 fn tukey(residuals: &[f64]) -> Vec<f64> {
-    let scale = (1.4826 * median(residuals.iter().map(|r| r.abs()).collect())).max(FLOOR_PX);
+    let scale = (1.4826 * median(residuals.iter().map(|r| r.abs()).collect())).max(MIN_SIGMA_PX);
     let weight = |residual: &f64| {
         let share = residual / (4.7 * scale);
         if share.abs() < 1.0 { (1.0 - share * share).powi(2) } else { 0.0 }
@@ -111,8 +112,8 @@ fn tukey(residuals: &[f64]) -> Vec<f64> {
     residuals.iter().map(weight).collect()
 }
 
-/// Offset and slope of a line that up to half of the places do not move far (A. Siegel, Robust
-/// regression using repeated medians, Biometrika 69, 1982).
+/// Offset and slope of the repeated median line, which nearly half of the positions cannot move far
+/// (A. Siegel, Robust regression using repeated medians, Biometrika 69, 1982).
 fn repeated_median(places: &[Place]) -> Vector2<f64> {
     let slopes = places.iter().map(|from| {
         let others = places.iter().filter(|to| (to.along - from.along).abs() > 1e-9);
@@ -123,15 +124,15 @@ fn repeated_median(places: &[Place]) -> Vector2<f64> {
     Vector2::new(offset, slope)
 }
 
-/// 0 of nothing.
+/// The median; 0 of no values.
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
-/// By how much the variance of a mean is larger than if neighbours were independent: (1 + r)/(1 - r)
-/// for a first-order autocorrelation r.
-fn together(weights: &[f64], residuals: &[f64]) -> f64 {
+/// Variance of a mean relative to that of independent residuals: (1 + r)/(1 - r) for a first-order
+/// autocorrelation r.
+fn residual_correlation(weights: &[f64], residuals: &[f64]) -> f64 {
     let size = |k: usize| weights[k].sqrt() * residuals[k];
     let squares: f64 = (0..residuals.len()).map(|k| size(k).powi(2)).sum();
     let products: f64 = (1..residuals.len()).map(|k| size(k - 1) * size(k)).sum();
@@ -139,11 +140,11 @@ fn together(weights: &[f64], residuals: &[f64]) -> f64 {
     (1.0 + r) / (1.0 - r)
 }
 
-/// Where two neighbouring sides' lines cross, and its standard deviation along either axis, pixels.
+/// Where the lines of two neighbouring sides cross, and the standard deviation along each axis, pixels.
 /// `None` where they are nearly parallel.
 pub(super) fn cross(
-    before: (&Side, &EdgeLine),
-    after: (&Side, &EdgeLine),
+    before: (&SideFrame, &EdgeLine),
+    after: (&SideFrame, &EdgeLine),
 ) -> Option<(ViewPixel, f64)> {
     let (from, along) = ends(before);
     let (start, other) = ends(after);
@@ -152,14 +153,15 @@ pub(super) fn cross(
         return None;
     }
     let at = from + along * ((start - from).perp(&other) / determinant);
-    // A shift of each line across itself moves the corner along the other line.
+    // Shifting one line sideways moves the corner along the other line.
     let sine = determinant / (along.norm() * other.norm());
     let variance = (before.1.variance(1.0) + after.1.variance(-1.0)) / (2.0 * sine * sine);
-    Some((ViewPixel(at), variance.sqrt().hypot(FLOOR_PX)))
+    Some((ViewPixel(at), variance.sqrt().hypot(MIN_SIGMA_PX)))
 }
 
-/// The line's point abreast of the side's first corner, and the vector to that of the second.
-fn ends((side, line): (&Side, &EdgeLine)) -> (Vector2<f64>, Vector2<f64>) {
+/// The line's point next to the side's first corner, and the vector from there to the point next to the
+/// second corner.
+fn ends((side, line): (&SideFrame, &EdgeLine)) -> (Vector2<f64>, Vector2<f64>) {
     let at = |along: f64| {
         side.middle + side.along * (side.half * along) + side.inward * line.depth(along)
     };
@@ -176,13 +178,13 @@ mod tests {
     }
 
     #[test]
-    fn an_occluded_third_is_put_aside() {
+    fn an_occluded_third_of_a_side_is_rejected() {
         let places: Vec<Place> = (0..15)
             .map(|k| {
                 let along = f64::from(k) / 7.0 - 1.0;
                 let scatter = 0.02 * f64::from(k * 7 % 5 - 2);
-                let hidden = if k < 5 { 1.5 } else { 0.0 };
-                place(along, 0.3 - 0.2 * along + scatter + hidden)
+                let occluded = if k < 5 { 1.5 } else { 0.0 };
+                place(along, 0.3 - 0.2 * along + scatter + occluded)
             })
             .collect();
         let line = fit(&places, Matrix2::zeros()).unwrap();
@@ -191,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn places_that_agree_on_nothing_are_no_line() {
+    fn positions_that_lie_on_no_line_are_refused() {
         let depths = [0.0, 4.0, -5.0, 3.0, -4.0, 6.0, -7.0, 2.0];
         let places: Vec<Place> =
             (0u8..).zip(depths).map(|(k, depth)| place(f64::from(k) / 3.5 - 1.0, depth)).collect();
@@ -200,21 +202,21 @@ mod tests {
     }
 
     #[test]
-    fn lines_cross_where_they_should() {
-        let side = |middle: (f64, f64), along: Vector2<f64>| Side {
+    fn lines_cross_at_the_corner() {
+        let side = |middle: (f64, f64), along: Vector2<f64>| SideFrame {
             middle: Vector2::new(middle.0, middle.1),
             along,
             inward: Vector2::new(-along.y, along.x),
             half: 5.0,
-            step: 0.5,
-            profiles: Vec::new(),
         };
         let left = side((0.0, 5.0), -Vector2::y());
         let top = side((5.0, 0.0), Vector2::x());
-        let (corner, deviation) =
-            cross((&left, &EdgeLine::level(0.25)), (&top, &EdgeLine::level(-0.5))).unwrap();
+        let (corner, sigma_px) =
+            cross((&left, &EdgeLine::parallel(0.25)), (&top, &EdgeLine::parallel(-0.5))).unwrap();
         assert!((corner.0 - Vector2::new(0.25, -0.5)).norm() < 1e-12);
-        assert!((deviation - 2f64.sqrt()).abs() < 1e-3, "{deviation}");
-        assert!(cross((&left, &EdgeLine::level(0.0)), (&left, &EdgeLine::level(1.0))).is_none());
+        assert!((sigma_px - 2f64.sqrt()).abs() < 1e-3, "{sigma_px}");
+        assert!(
+            cross((&left, &EdgeLine::parallel(0.0)), (&left, &EdgeLine::parallel(1.0))).is_none()
+        );
     }
 }

@@ -1,69 +1,73 @@
-//! A marker's corners, from its four edges.
+//! The corners of a marker, refined by its four edges and its print.
 //!
-//! OpenCV's corners lie where a threshold or a gradient of *code values* does, and that is inside
-//! the true square by 0.2 to 0.85 px. Here each corner is where two lines cross, each fitted to
-//! the place where the light steps from the white quiet zone to the black border:
+//! OpenCV finds corners by a threshold or a gradient of *code values*. They lie inside the true square by
+//! 0.2 to 0.85 px. Here each corner is where two lines cross. Each line is fitted to the place where the
+//! radiance steps from the white quiet zone to the black border:
 //!
-//! 1. `profile`: light is sampled across each side, at many places along it, away from the
-//!    corners, from within the quiet zone to a few cells deep.
-//! 2. `model`: the blurred print is fitted to all samples of all four sides: white and black are
-//!    the whole marker's, the blur is that of each direction (motion blurs one more than the
-//!    other), the position and turn of each edge its own. Because the marker was decoded, what
-//!    lies behind the edge is known: on small markers the border is hardly wider than the blur, and
-//!    an edge fitted as if the border had no end is some tenths of a pixel too far out.
-//! 3. `line`: each profile then says where it sees the edge; a line is fitted to these places,
-//!    outliers (a propeller, another edge) put aside, and what they scatter gives the covariance.
+//! 1. `approach` moves each side to the steepest fall of radiance.
+//! 2. `profile` samples the radiance across each side, in many places along it but away from the corners,
+//!    from within the quiet zone to a few cells deep.
+//! 3. `model` fits the blurred print to all samples of all four sides. All sides share white and black. Each
+//!    direction has its own blur, because motion blurs one more than the other. Each edge has its own
+//!    position and slope. The marker was decoded, so the cells behind the edge are known. On small markers
+//!    the border is hardly wider than the blur, and an edge fitted as if the border had no end would be some
+//!    tenths of a pixel too far outside.
+//! 4. `line` fits a line to the edge's position in each profile, without outliers such as a propeller or
+//!    another edge. The scatter of the positions gives the covariance.
 //!
-//! Two or three times, because the lines say better where to sample and where the cells lie: so the first
-//! time, `model` takes a few steps only.
+//! Steps 2 to 4 are done two or three times, because the lines tell better where to sample and where the
+//! cells are. The first time, `model` takes only a few steps.
+//!
+//! 5. `whole` fits all cells of the print to the pixels, starting from these corners ([`Effort::WholePrint`]).
 
+mod approach;
 mod drawing;
 mod grain;
 mod line;
 mod model;
 mod print;
 mod profile;
+mod side;
 mod whole;
 
 use flockeye_geometry::view::ViewPixel;
-use nalgebra::Vector2;
 
 use crate::image::LumaImage;
 use crate::light::LinearLight;
 use crate::square::{SquareInView, mean_side_px};
+pub use approach::approach_corners;
 pub use grain::Grain;
 use line::EdgeLine;
 pub use print::MarkerPrint;
 use profile::Side;
 use whole::State;
 
-/// Corners of a marker's black square, and how well they are known.
+/// Corners of a marker's black square, with their precision.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RefinedCorners {
     /// The corners, in the order of the guesses.
     pub corners_in_view: [ViewPixel; 4],
     /// Standard deviation of each corner along either axis, pixels.
-    pub deviations_px: [f64; 4],
-    /// Standard deviation of the Gaussian that blurs the first and third side, and the second and
-    /// fourth, pixels.
+    pub sigmas_px: [f64; 4],
+    /// Standard deviation of the blur across the first and third side, then across the second and fourth,
+    /// pixels.
     pub blur_px: [f64; 2],
-    /// Light of the quiet zone.
+    /// Radiance of the quiet zone.
     pub white: f64,
-    /// Light of the border.
+    /// Radiance of the border.
     pub black: f64,
-    /// What the light deviates from the blurred print, as a share of white less black (a robust
-    /// standard deviation).
-    pub misfit: f64,
+    /// Robust standard deviation of the radiance from the blurred print, as a share of white minus black.
+    pub residual_sigma: f64,
 }
 
-/// Markers with smaller sides are not refined, pixels: their border is hardly wider than a pixel.
+/// Markers with shorter sides are not refined, pixels: their border is hardly wider than a pixel.
 pub const MIN_SIDE_PX: f64 = 8.0;
 
-/// Finds where the corners of a black square on white are, given where they are within about 1.5 px.
+/// Refines the corners of a black square on white, from a guess that is off by about 1.5 px at most.
 ///
-/// `guess_in_view`: in ArUco's order (clockwise from the printed top left). `None` where the marker
-/// is too small (below [`MIN_SIDE_PX`]), cut by the image's border, has too little contrast, or
-/// no four straight edges near the guess, or where the light is not that of `print`.
+/// `guess_in_view` is in ArUco's order: clockwise from the printed top left. `None` where the marker is
+/// smaller than [`MIN_SIDE_PX`], is cut by the image's border, has too little contrast, has no four straight
+/// edges near the guess, or does not look like `print`.
 pub fn refine_corners(
     image: &LumaImage<'_>,
     light: &LinearLight,
@@ -73,7 +77,7 @@ pub fn refine_corners(
     effort: Effort,
 ) -> Option<RefinedCorners> {
     let size = mean_side_px(guess_in_view);
-    // Written so that a NaN is too small.
+    // False for a NaN.
     let is_large_enough = size >= MIN_SIDE_PX;
     if !is_large_enough {
         return None;
@@ -93,14 +97,14 @@ pub fn refine_corners(
         corners = crossed.map(|corner| corner.0);
         refined = Some(RefinedCorners {
             corners_in_view: corners,
-            deviations_px: crossed.map(|corner| corner.1),
+            sigmas_px: crossed.map(|corner| corner.1),
             blur_px: fit.blur,
             white: fit.white,
             black: fit.black,
-            misfit: fit.noise / (fit.white - fit.black),
+            residual_sigma: fit.noise / (fit.white - fit.black),
         });
-        // The first fit is a rough one.
-        if before.is_some() && moved < STARTED_PX {
+        // The first fit is a coarse one.
+        if before.is_some() && moved < CONVERGED_PX {
             break;
         }
         before = Some(fit);
@@ -112,36 +116,34 @@ pub fn refine_corners(
             .filter(|whole| is_near(&whole.corners_in_view, guess_in_view)),
     };
     Some(whole.unwrap_or_else(|| RefinedCorners {
-        deviations_px: edges.deviations_px.map(|deviation| without_whole(deviation, &edges, print)),
+        sigmas_px: edges.sigmas_px.map(|sigma_px| without_whole(sigma_px, &edges, print)),
         ..edges
     }))
 }
 
-/// What is fitted to find corners.
+/// How much is fitted to refine corners.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Effort {
-    /// The four edges: enough to begin an alignment of the whole body from.
+    /// The four edges: enough as a start for aligning the whole body.
     Edges,
-    /// The edges, then everything that is printed: many times the cost, for corners that are all
-    /// there will be.
+    /// The edges, then the whole print: many times the cost, for corners that nothing refines later.
     #[default]
     WholePrint,
 }
 
-/// Edges alone say less than they seem to where the whole print does not fit: something hides a part
-/// of it, or its cells are hardly wider than the blur.
-fn without_whole(deviation: f64, edges: &RefinedCorners, print: &MarkerPrint) -> f64 {
+/// Standard deviation of corners by edges alone, larger than their scatter says. The whole print did not
+/// fit: a part of it is occluded, or its cells are hardly wider than the blur.
+fn without_whole(sigma_px: f64, edges: &RefinedCorners, print: &MarkerPrint) -> f64 {
     let corners = &edges.corners_in_view;
     let narrowest = (0..4)
         .map(|k| (corners[(k + 1) % 4].0 - corners[k].0).norm())
         .fold(f64::INFINITY, f64::min)
         / print.cells() as f64;
     let blur = edges.blur_px[0].max(edges.blur_px[1]);
-    (2.0 * deviation).hypot(0.5 * (blur / narrowest).powi(2).min(1.0))
+    (2.0 * sigma_px).hypot(0.5 * (blur / narrowest).powi(2).min(1.0))
 }
 
-/// The corners by the whole print, which starts from those of the edges. `None` where it does not
-/// fit.
+/// The corners by the whole print, starting from those by the edges. `None` where the print does not fit.
 fn by_whole_print(
     image: &LumaImage<'_>,
     light: &LinearLight,
@@ -151,83 +153,59 @@ fn by_whole_print(
 ) -> Option<RefinedCorners> {
     let start = State::new(&edges.corners_in_view, edges.blur_px, edges.white, edges.black)?;
     let fit = whole::fit(image, light, &start, print, grain)?;
-    let misfit = fit.noise / (fit.white - fit.black);
-    (0.0..=MAX_MISFIT).contains(&misfit).then_some(RefinedCorners {
+    let residual_sigma = fit.noise / (fit.white - fit.black);
+    (0.0..=MAX_RESIDUAL_SIGMA).contains(&residual_sigma).then_some(RefinedCorners {
         corners_in_view: fit.corners,
-        deviations_px: fit.deviations.map(|deviation| deviation.hypot(FLOOR_PX)),
+        sigmas_px: fit.sigmas_px.map(|sigma_px| sigma_px.hypot(MIN_SIGMA_PX)),
         blur_px: fit.blur,
         white: fit.white,
         black: fit.black,
-        misfit: misfit.max(edges.misfit),
+        residual_sigma: residual_sigma.max(edges.residual_sigma),
     })
 }
 
-/// Edges known to this are good enough to start from, pixels.
-const STARTED_PX: f64 = 0.2;
+/// If the corners move by less than this in one round, no further round is needed, pixels.
+const CONVERGED_PX: f64 = 0.2;
 
-/// Residuals that scatter by more of the contrast than this are no blurred print.
-const MAX_MISFIT: f64 = 0.25;
+/// A print whose residual sigma is a larger share of the contrast than this does not fit.
+const MAX_RESIDUAL_SIGMA: f64 = 0.25;
 
-/// No corner is believed better than this, pixels: the model of a lens is not perfect.
-const FLOOR_PX: f64 = 0.003;
+/// Least standard deviation of a corner, pixels: the model of a lens is not perfect.
+const MIN_SIGMA_PX: f64 = 0.003;
 
-/// Moves each side of a black square to where the light falls most steeply within 2 px of it, in
-/// steps of a quarter of a pixel: enough to read a marker whose contour was found, before anything
-/// is known of its cells but how many there are along a side, border included.
-///
-/// `None` where the image ends, or the sides no longer cross.
-pub fn approach_corners(
-    image: &LumaImage<'_>,
-    light: &LinearLight,
-    guess_in_view: &[ViewPixel; 4],
-    cells: usize,
-) -> Option<[ViewPixel; 4]> {
-    profile::approach(image, light, guess_in_view, cells)
-}
-
-/// The line along each side.
+/// Fits the line along each side.
 fn fit_lines(sides: &[Side; 4], fit: &model::Fit) -> Option<[EdgeLine; 4]> {
     let line = |k: usize| {
         let line = line::fit(&model::places(&sides[k], fit, k), fit.line_covariance(k))?;
         let blur = fit.blur[k % 2];
-        Some(line.less_certain(crowding(blur, sides[k].border()).hypot(MODEL_SHARE * blur)))
+        Some(line.with_offset_error(crowding(blur, sides[k].border()).hypot(MODEL_SHARE * blur)))
     };
     Some([line(0)?, line(1)?, line(2)?, line(3)?])
 }
 
-/// An edge is where the model says to within this share of its blur: compression, sharpening and a
-/// point spread that is no Gaussian shift it, for all profiles alike.
+/// Standard deviation of an edge's position by errors of the model, as a share of the blur. Compression,
+/// sharpening and a point spread that is not Gaussian shift an edge in all profiles alike.
 const MODEL_SHARE: f64 = 0.03;
 
-/// How far off an edge may be because its neighbours (the border's inner edge, what lies beyond the
-/// quiet zone) are blurred into it, pixels: it is not in the scatter, because all profiles share it.
-/// Measured on drawn markers (`tests/corners.rs`) of 14 to 60 px.
+/// Standard deviation of an edge's position because its neighbours are blurred into it, pixels: the border's
+/// inner edge, and what lies beyond the quiet zone. All profiles share this error, so it is not in their
+/// scatter. Measured on rendered markers of 14 to 60 px (`tests/corners.rs`).
 fn crowding(blur: f64, border: f64) -> f64 {
     (blur / border).powf(3.5)
 }
 
-/// Corner k, where side k - 1 and side k cross, and its standard deviation in pixels.
+/// The corners, and the standard deviation of each, pixels. Corner k is where side k - 1 and side k cross.
 fn cross(sides: &[Side; 4], lines: &[EdgeLine; 4]) -> Option<[(ViewPixel, f64); 4]> {
     let corner = |k: usize| {
         let before = (k + 3) % 4;
-        line::cross((&sides[before], &lines[before]), (&sides[k], &lines[k]))
+        line::cross((&sides[before].frame, &lines[before]), (&sides[k].frame, &lines[k]))
     };
     Some([corner(0)?, corner(1)?, corner(2)?, corner(3)?])
 }
 
-/// Whether the corners are still those that were meant.
+/// Whether the corners are near enough to the guess to be the same ones.
 fn is_near(corners: &[ViewPixel; 4], guess: &[ViewPixel; 4]) -> bool {
     let limit = 3.0 + 0.05 * mean_side_px(guess);
     corners.iter().zip(guess).all(|(a, b)| (a.0 - b.0).norm() <= limit)
         && SquareInView::new(corners).is_some()
-}
-
-/// The direction along side `k`, the one into the marker, the side's middle and half its length.
-fn frame_of_side(
-    corners: &[ViewPixel; 4],
-    k: usize,
-) -> (Vector2<f64>, Vector2<f64>, Vector2<f64>, f64) {
-    let (from, to) = (corners[k].0, corners[(k + 1) % 4].0);
-    let along = (to - from).normalize();
-    (along, Vector2::new(-along.y, along.x), (from + to) / 2.0, (to - from).norm() / 2.0)
 }

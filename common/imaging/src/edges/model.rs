@@ -1,16 +1,16 @@
-//! The blurred print, fitted to the samples of all four sides at once.
+//! Fits the blurred print to the samples of all four sides at once.
 //!
-//! Along a profile the print changes from white to black at its edge e, and on at the depths D_j
-//! behind it, by m_j of the way from black B to white W. Blurred by a Gaussian of standard
-//! deviation s, the light at depth x is
+//! Along a profile, the print changes from white to black at its edge e. At the depths D_j behind the edge it
+//! changes by m_j of the way from black B to white W. Blurred by a Gaussian of standard deviation s, the
+//! radiance at depth x is
 //!
 //! ```text
 //! I(x) = B + (W - B) (1 + sum over j of m_j F((x - e - D_j)/s))
 //! ```
 //!
-//! F is the Gaussian distribution function, ended at 3.6 standard deviations (`crate::gaussian`). The
-//! edge of side k lies at e = offset + slope * along. Twelve unknowns: offset and slope of four sides,
-//! the blur of two directions, W and B. They are found by Gauss-Newton with Cauchy weights.
+//! F is the Gaussian distribution function, truncated at 3.6 standard deviations (`crate::gaussian`). The edge
+//! of side k lies at e = offset + slope * along. There are twelve unknowns: offset and slope of four sides, the
+//! blur of two directions, W and B. They are found by Gauss-Newton with Cauchy weights.
 
 use nalgebra::{Matrix2, SMatrix, SVector};
 
@@ -23,52 +23,52 @@ const BLUR: usize = 8;
 const WHITE: usize = 10;
 const BLACK: usize = 11;
 
-/// How far a fit is taken.
-struct Care {
-    /// At most so many steps.
+/// When a fit ends, and when it is rejected.
+struct Limits {
+    /// Steps at most.
     steps: usize,
     /// A step shorter than this is the last, pixels.
     converged_px: f64,
-    /// Residuals that scatter by more of the contrast than this are no blurred print.
-    max_misfit: f64,
+    /// Largest residual sigma of a fit that is kept, as a share of the contrast.
+    max_residual_sigma: f64,
 }
 
-/// Of the first fit, which only says where to look again.
-const ROUGH: Care = Care { steps: 4, converged_px: 0.05, max_misfit: 0.35 };
-const FINE: Care = Care { steps: 8, converged_px: 0.01, max_misfit: 0.25 };
-/// Light that white must be above black, of nominal white.
+/// For the first fit, which only tells where to sample again.
+const COARSE: Limits = Limits { steps: 4, converged_px: 0.05, max_residual_sigma: 0.35 };
+const FINE: Limits = Limits { steps: 8, converged_px: 0.01, max_residual_sigma: 0.25 };
+/// Least radiance of white above black, share of nominal white.
 const MIN_CONTRAST: f64 = 0.01;
-/// Residuals up to so many standard deviations are believed.
+/// Scale of Cauchy's weight function, standard deviations.
 const CAUCHY: f64 = 2.5;
-/// Narrower blurs than this cannot be told from none, wider ones are no edge, pixels.
+/// Limits of the blur, pixels. A narrower one looks like none, with a wider one there is no edge.
 const BLUR_PX: std::ops::RangeInclusive<f64> = 0.3..=5.0;
 
 type Normal = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 type Unknowns = SVector<f64, UNKNOWNS>;
 
-/// What was fitted to a marker's four sides.
+/// The fit to a marker's four sides.
 #[derive(Debug)]
 pub(super) struct Fit {
     unknowns: Unknowns,
-    /// Blur of the first and third side, of the second and fourth, pixels.
+    /// Blur of the first and third side, then of the second and fourth, pixels.
     pub blur: [f64; 2],
-    /// Light of the quiet zone.
+    /// Radiance of the quiet zone.
     pub white: f64,
-    /// Light of the border.
+    /// Radiance of the border.
     pub black: f64,
-    /// Robust standard deviation of the residuals, light.
+    /// Robust standard deviation of the residuals, radiance.
     pub noise: f64,
     covariance: Normal,
 }
 
 impl Fit {
-    /// Covariance of offset and slope of side `k`, from the normal matrix, pixels squared.
+    /// Covariance of the offset and slope of side `k`, from the normal matrix, pixels squared.
     pub(super) fn line_covariance(&self, k: usize) -> Matrix2<f64> {
         self.covariance.fixed_view::<2, 2>(2 * k, 2 * k).into_owned()
     }
 }
 
-/// The print at one sample: the share of white, and its derivatives by edge and blur.
+/// Share of white at one sample, and its derivatives by the edge's position and by the blur.
 struct Share {
     white: f64,
     by_edge: f64,
@@ -84,7 +84,7 @@ fn share(gaussian: Gaussian, profile: &Profile, depth: f64, edge: f64, blur: f64
             continue;
         }
         if at < -f64::from(REACH) {
-            // This change and those behind it are out of sight.
+            // This change and those behind it are out of reach.
             break;
         }
         let (density, below) = gaussian.at(at as f32);
@@ -96,37 +96,42 @@ fn share(gaussian: Gaussian, profile: &Profile, depth: f64, edge: f64, blur: f64
     share
 }
 
-/// Edge of side `k` at `along`.
+/// Position of the edge of side `k` at `along`.
 fn edge(unknowns: &Unknowns, k: usize, along: f64) -> f64 {
     unknowns[2 * k] + unknowns[2 * k + 1] * along
 }
 
-/// Calls `see` with each sample of a profile that says something against the model: share of white,
-/// and residual. Where the camera clipped and the model is above, there is nothing to say.
-fn look(unknowns: &Unknowns, k: usize, profile: &Profile, mut see: impl FnMut(&Share, f64)) {
+/// Calls `visit` with share and residual of each sample of a profile. Clipped samples below the model are left
+/// out, because the true radiance may be higher.
+fn visit_samples(
+    unknowns: &Unknowns,
+    k: usize,
+    profile: &Profile,
+    mut visit: impl FnMut(&Share, f64),
+) {
     let edge = edge(unknowns, k, profile.along);
     let blur = unknowns[BLUR + k % 2];
     let gaussian = Gaussian::get();
-    for &Sample { depth, light, is_clipped } in &profile.samples {
+    for &Sample { depth, radiance, is_clipped } in &profile.samples {
         let share = share(gaussian, profile, depth, edge, blur);
         let model = unknowns[BLACK] + (unknowns[WHITE] - unknowns[BLACK]) * share.white;
-        if !is_clipped || light > model {
-            see(&share, light - model);
+        if !is_clipped || radiance > model {
+            visit(&share, radiance - model);
         }
     }
 }
 
-/// How much a residual counts (Cauchy).
+/// Cauchy's weight of a residual.
 fn weight(residual: f64, noise: f64) -> f64 {
     1.0 / (1.0 + (residual / (CAUCHY * noise)).powi(2))
 }
 
-/// Fits the model, roughly at first; `before` is where it starts, if there was a fit. `None` without
-/// contrast, or where it does not fit.
+/// Fits the model: coarsely without a fit `before`, and else starting from it. `None` without contrast, or
+/// where the model does not fit.
 pub(super) fn fit(sides: &[Side; 4], before: Option<&Fit>) -> Option<Fit> {
     let samples = || sides.iter().flat_map(|s| &s.profiles).flat_map(|p| &p.samples);
-    let lights: Vec<f64> = samples().map(|sample| sample.light).collect();
-    let (white, black) = (quantile(lights.clone(), 0.9)?, quantile(lights, 0.1)?);
+    let radiances: Vec<f64> = samples().map(|sample| sample.radiance).collect();
+    let (white, black) = (quantile(radiances.clone(), 0.9)?, quantile(radiances, 0.1)?);
     let contrast = white - black;
     if contrast < MIN_CONTRAST {
         return None;
@@ -139,27 +144,27 @@ pub(super) fn fit(sides: &[Side; 4], before: Option<&Fit>) -> Option<Fit> {
     unknowns.fixed_rows_mut::<4>(BLUR).copy_from_slice(&first);
     let mut normal = Normal::zeros();
     let mut residuals = Vec::with_capacity(samples().count());
-    let care = if before.is_some() { FINE } else { ROUGH };
-    for _ in 0..care.steps {
+    let limits = if before.is_some() { FINE } else { COARSE };
+    for _ in 0..limits.steps {
         let (matrix, gradient) =
             normal_equations(sides, &unknowns, noise, (white, black), &mut residuals);
         let step = matrix.cholesky()?.solve(&gradient);
         apply(&mut unknowns, &step, contrast);
         normal = matrix;
-        // Of the residuals before the step: the next one weighs by it.
+        // From the residuals before the step, for the weights of the next one.
         noise = noise_of(&mut residuals).max(0.003 * contrast);
-        if step.fixed_rows::<BLUR>(0).amax() < care.converged_px {
+        if step.fixed_rows::<BLUR>(0).amax() < limits.converged_px {
             break;
         }
     }
     let (white, black) = (unknowns[WHITE], unknowns[BLACK]);
-    if white - black < MIN_CONTRAST || noise > care.max_misfit * (white - black) {
+    if white - black < MIN_CONTRAST || noise > limits.max_residual_sigma * (white - black) {
         return None;
     }
-    // Samples lie closer than pixels, and pixels of a magnified or blurred image closer than what
-    // they say anew: each says the same as its neighbours within about the blur.
-    let alike = unknowns[BLUR].max(1.0) * unknowns[BLUR + 1].max(1.0);
-    let density = (sides.iter().map(samples_per_pixel).fold(0.0, f64::max) * alike).max(1.0);
+    // Samples are denser than pixels, and pixels of a blurred image depend on their neighbours within about
+    // the blur. So this many samples carry the information of one.
+    let dependent = unknowns[BLUR].max(1.0) * unknowns[BLUR + 1].max(1.0);
+    let density = (sides.iter().map(samples_per_pixel).fold(0.0, f64::max) * dependent).max(1.0);
     Some(Fit {
         blur: [unknowns[BLUR], unknowns[BLUR + 1]],
         white,
@@ -176,7 +181,7 @@ pub(super) fn quantile(mut values: Vec<f64>, share: f64) -> Option<f64> {
     Some(*values.select_nth_unstable_by(at, f64::total_cmp).1)
 }
 
-/// Normal matrix and gradient of one Gauss-Newton step; the residuals' sizes are put in `sizes`.
+/// Normal matrix and gradient of one Gauss-Newton step. Puts the absolute residuals in `sizes`.
 fn normal_equations(
     sides: &[Side; 4],
     unknowns: &Unknowns,
@@ -193,7 +198,7 @@ fn normal_equations(
             // Rows: edge, blur, white, black.
             let mut local = SMatrix::<f64, 4, 4>::zeros();
             let mut right = SVector::<f64, 4>::zeros();
-            look(unknowns, k, profile, |share, residual| {
+            visit_samples(unknowns, k, profile, |share, residual| {
                 sizes.push(residual.abs());
                 let row = SVector::<f64, 4>::new(
                     (white - black) * share.by_edge,
@@ -220,11 +225,11 @@ fn normal_equations(
             }
         }
     }
-    // Priors of about a sample's weight: they speak only where the samples are silent (all white
-    // clipped, an edge too short for its turn).
+    // Priors of about one sample's weight. They matter only where samples determine nothing: all white
+    // clipped, or an edge too short for its slope.
     let contrast = first_white - first_black;
-    let mut hold = |index: usize, deviation: f64, residual: f64| {
-        let weight = (noise / deviation).powi(2);
+    let mut hold = |index: usize, sigma: f64, residual: f64| {
+        let weight = (noise / sigma).powi(2);
         matrix[(index, index)] += weight;
         gradient[index] += weight * residual;
     };
@@ -238,7 +243,7 @@ fn normal_equations(
     (matrix, gradient)
 }
 
-/// Takes a step, no longer than the model is linear.
+/// Applies a step, limited to where the model is about linear.
 fn apply(unknowns: &mut Unknowns, step: &Unknowns, contrast: f64) {
     for index in 0..BLUR {
         unknowns[index] += step[index].clamp(-0.8, 0.8);
@@ -253,7 +258,7 @@ fn apply(unknowns: &mut Unknowns, step: &Unknowns, contrast: f64) {
     }
 }
 
-/// Robust standard deviation of residuals, given their sizes.
+/// Robust standard deviation of residuals, from their absolute values.
 fn noise_of(sizes: &mut [f64]) -> f64 {
     let middle = sizes.len() / 2;
     if sizes.is_empty() {
@@ -262,27 +267,27 @@ fn noise_of(sizes: &mut [f64]) -> f64 {
     1.4826 * *sizes.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
-/// Samples for each pixel of the area that they cover.
+/// Number of samples for each pixel of the area that they cover.
 fn samples_per_pixel(side: &Side) -> f64 {
     let (Some(first), Some(last)) = (side.profiles.first(), side.profiles.last()) else {
         return 1.0;
     };
-    let length = (last.along - first.along) * side.half;
+    let length = (last.along - first.along) * side.frame.half;
     side.profiles.len() as f64 / (length + 1.0) / side.step
 }
 
-/// Where each profile of side `k` sees the edge, the blur and the levels being what was fitted.
+/// Position of the edge in each profile of side `k`, with the fitted blur, white and black.
 pub(super) fn places(side: &Side, fit: &Fit, k: usize) -> Vec<Place> {
     let contrast = fit.white - fit.black;
     let places = side.profiles.iter().filter_map(|profile| {
         let (mut information, mut right) = (0.0, 0.0);
-        look(&fit.unknowns, k, profile, |share, residual| {
+        visit_samples(&fit.unknowns, k, profile, |share, residual| {
             let slope = contrast * share.by_edge;
             let weight = weight(residual, fit.noise);
             information += weight * slope * slope;
             right += weight * slope * residual;
         });
-        // A profile whose contrast is gone says nothing of the edge.
+        // A profile without contrast does not determine the edge.
         let least = 0.02 * contrast * contrast / fit.blur[k % 2];
         (information > least).then(|| Place {
             along: profile.along,

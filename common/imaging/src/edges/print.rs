@@ -11,8 +11,8 @@ pub struct MarkerPrint {
 }
 
 impl MarkerPrint {
-    /// A marker of these cells (true is white), row by row from the printed top left, with a quiet
-    /// zone of half a cell. `None` unless they make a square of at least two by two.
+    /// A marker of these cells (true is white), row by row from the printed top left, with a quiet zone of
+    /// half a cell. `None` unless the cells form a square of at least two by two.
     pub fn of_bits(white: &[bool]) -> Option<Self> {
         let bits = white.len().isqrt();
         (bits >= 2 && bits * bits == white.len()).then(|| Self {
@@ -22,8 +22,8 @@ impl MarkerPrint {
         })
     }
 
-    /// The same with another quiet zone: the width of the white round the black square, in cells.
-    /// What lies beyond is not looked at.
+    /// The same marker with another quiet zone: the width of the white around the black square, in cells. What
+    /// lies beyond it is ignored.
     pub fn with_quiet_zone(self, quiet_zone_cells: f64) -> Self {
         Self { quiet_zone_cells, ..self }
     }
@@ -38,7 +38,7 @@ impl MarkerPrint {
         self.quiet_zone_cells
     }
 
-    /// Whether a cell is white. (0, 0) is the border's top left; outside the square all is white.
+    /// Whether a cell is white. (0, 0) is the border's top left cell. Everything outside the square is white.
     pub fn is_white(&self, row: isize, column: isize) -> bool {
         let last = self.bits as isize + 1;
         let outside = row < 0 || column < 0 || row > last || column > last;
@@ -46,9 +46,9 @@ impl MarkerPrint {
         outside || (!border && self.white[(row as usize - 1) * self.bits + column as usize - 1])
     }
 
-    /// Share of white in `row`, seen at `column` (0 is the square's edge, 1 the border's inner
-    /// edge) through a Gaussian along the row of standard deviation `blur`, both in cells; the
-    /// marker being turned by `quarters` clockwise, so that another side is its top.
+    /// Share of white in `row` at `column`, blurred along the row by a Gaussian of standard deviation `blur`,
+    /// both in cells. Column 0 is the square's edge, 1 the border's inner edge. The marker is rotated clockwise
+    /// by `quarters` of a turn, so that another side is its top.
     pub(super) fn white_share(&self, quarters: usize, row: isize, column: f64, blur: f64) -> f64 {
         let last = self.bits as isize + 1;
         let cell = |column: isize| match quarters {
@@ -84,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn cells_stand_in_a_black_border_on_white() {
+    fn cells_have_a_black_border_on_white() {
         let print = print();
         assert_eq!(print.cells(), 4);
         let row =
@@ -96,12 +96,12 @@ mod tests {
     }
 
     #[test]
-    fn each_side_sees_the_marker_turned() {
+    fn each_side_has_the_marker_rotated() {
         let print = MarkerPrint::of_bits(&[true, true, false, false]).unwrap();
         let share = |quarters, row, column| print.white_share(quarters, row, column, 0.05);
         let row = |quarters| [1.5, 2.5].map(|column| share(quarters, 1, column).round());
         assert_eq!(row(0), [1.0, 1.0]);
-        // From the right side, the printed top is on the left.
+        // With the right side as the top, the printed top is on the left.
         assert_eq!(row(1), [1.0, 0.0]);
         assert_eq!(row(2), [0.0, 0.0]);
         assert_eq!(row(3), [0.0, 1.0]);

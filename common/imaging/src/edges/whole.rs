@@ -1,34 +1,41 @@
-//! The whole print, fitted to the pixels.
+//! Fits the whole print to the pixels.
 //!
-//! Edges alone say where a small marker's sides are to within what their neighbours blur into them:
-//! the border's inner edge, and, beyond the quiet zone, nobody knows what. But the marker was
-//! decoded, so all of its cells are known, and the edges between them are as good as the outer ones,
-//! with nothing unknown behind. The light of a pixel is
+//! On a small marker, the position of an outer edge depends on what is blurred into it: the border's inner
+//! edge, and the unknown surroundings beyond the quiet zone. But the marker was decoded, so all of its cells
+//! are known. The edges between cells are as good as the outer ones, with nothing unknown behind them. The
+//! radiance of a pixel is
 //!
 //! ```text
 //! I = B + (W - B) M + sum over the sides k of A_k F((d_k - q) / s_k)
 //! ```
 //!
-//! M is the share of white of the print, seen through a homography and blurred by a Gaussian of any
-//! direction ([`super::drawing`]). A_k is how much the light beyond side k's quiet zone, which ends q
-//! from it, differs from W; d_k the pixel's distance from the side, F the Gaussian distribution
-//! function. Seventeen unknowns: the homography, the Gaussian's covariance, W, B and the A_k; by
-//! Gauss-Newton, with Cauchy weights.
+//! | symbol | meaning |
+//! | --- | --- |
+//! | W, B | radiance of white and of black |
+//! | M | share of white of the print, seen through a homography and blurred ([`super::drawing`]) |
+//! | A_k | how much the surroundings beyond side k's quiet zone differ from W |
+//! | d_k, q | distance of the pixel from side k, and of the end of the quiet zone |
+//! | s_k | standard deviation of the blur across side k |
+//! | F | Gaussian distribution function |
+//!
+//! There are seventeen unknowns: eight of the homography, three of the blur's covariance, W, B and four A_k.
+//! They are found by Gauss-Newton with Cauchy weights.
 
 use flockeye_geometry::view::ViewPixel;
 use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
 
 use super::drawing::{Cells, Drawing, Grid};
+use super::grain::Grain;
 use super::model::quantile;
+use super::print::MarkerPrint;
 use super::profile::CLIPPED_CODE;
-use super::{Grain, MarkerPrint};
 use crate::gaussian::density_and_distribution;
 use crate::image::LumaImage;
 use crate::light::LinearLight;
 use crate::square::SquareInView;
 
 const UNKNOWNS: usize = 17;
-/// The homography's come first: those of a projective map of the square's own plane.
+/// The unknowns of the homography come first. They are those of a projective map of the square's own plane.
 const PLACE: usize = 8;
 const BLUR: usize = 8;
 const WHITE: usize = 11;
@@ -36,51 +43,51 @@ const BLACK: usize = 12;
 const BEYOND: usize = 13;
 
 const ITERATIONS: usize = 10;
-/// Steps that move no corner further end the fit, steps of the grid.
+/// A step that moves no corner by more than this is the last, steps of the grid.
 const CONVERGED: f64 = 0.02;
-/// Residuals up to so many standard deviations are believed.
+/// Scale of Cauchy's weight function, standard deviations.
 const CAUCHY: f64 = 2.5;
-/// Narrower Gaussians than this cannot be told from a pixel's own width, steps of the grid.
+/// Narrower blur than this cannot be told from the width of a pixel, steps of the grid.
 const MIN_BLUR: f64 = 0.4;
 
-/// Room for the unknowns, in fours.
+/// Length of a row: the number of unknowns, rounded up to a multiple of four.
 const ROOM: usize = 20;
 
 type Normal = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 type Unknowns = SVector<f64, UNKNOWNS>;
-/// Columns of the upper triangle.
+/// Columns of the upper triangle of a symmetric matrix.
 type Triangle = [[f64; ROOM]; UNKNOWNS];
 
-/// Where the fit starts, or what it has come to.
+/// Values of the unknowns.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct State {
-    /// From the square's plane, its middle the origin and its side 1, to the view.
+    /// From the square's plane to the view. The square has its middle at the origin and sides of length 1.
     view_from_square: Matrix3<f64>,
-    /// Covariance of the Gaussian, square pixels.
+    /// Covariance of the blur, pixels squared.
     blur: Matrix2<f64>,
     white: f64,
     black: f64,
     beyond: [f64; 4],
 }
 
-/// A marker's corners by its whole print.
+/// The corners of a marker by its whole print.
 #[derive(Debug)]
 pub(super) struct WholeFit {
     pub corners: [ViewPixel; 4],
-    /// Standard deviation along either axis, pixels.
-    pub deviations: [f64; 4],
-    /// Of the Gaussian, across the first and third side, and the second and fourth, pixels.
+    /// Standard deviation of each corner along each axis, pixels.
+    pub sigmas_px: [f64; 4],
+    /// Standard deviation of the blur across the first and third side, then the second and fourth, pixels.
     pub blur: [f64; 2],
     pub white: f64,
     pub black: f64,
-    /// Robust standard deviation of the light from the model's.
+    /// Robust standard deviation of the residuals, radiance.
     pub noise: f64,
 }
 
 const CORNERS: [(f64, f64); 4] = [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)];
 
 impl State {
-    /// `blur`: standard deviation across the first and third side, and the second and fourth.
+    /// `blur` is the standard deviation across the first and third side, then the second and fourth, pixels.
     pub(super) fn new(
         corners: &[ViewPixel; 4],
         blur: [f64; 2],
@@ -98,7 +105,7 @@ impl State {
         CORNERS.map(|(p, q)| ViewPixel(cartesian(self.view_from_square * Vector3::new(p, q, 1.0))))
     }
 
-    /// How a point of the view moves as one of the square's plane does.
+    /// Derivative of a point in the view by the point (p, q) of the square's plane.
     fn jacobian(&self, (p, q): (f64, f64)) -> Matrix2<f64> {
         let homography = &self.view_from_square;
         let at = homography * Vector3::new(p, q, 1.0);
@@ -111,7 +118,8 @@ impl State {
         )
     }
 
-    fn take(&self, step: &Unknowns) -> Self {
+    /// The state after a step, limited to where the model is about linear.
+    fn after(&self, step: &Unknowns) -> Self {
         let change = Matrix3::new(
             1.0 + step[0],
             step[1],
@@ -125,7 +133,7 @@ impl State {
         );
         let contrast = self.white - self.black;
         let bounded = |index: usize, most: f64| step[index].clamp(-most, most);
-        // No more than the blur's derivatives hold for.
+        // As far as the derivatives by the blur hold.
         let most = 0.3 * self.blur.trace() / 2.0;
         let turn = Matrix2::new(
             bounded(BLUR, most),
@@ -147,42 +155,44 @@ fn cartesian(point: Vector3<f64>) -> Vector2<f64> {
     point.xy() / point.z
 }
 
-/// Change of a square's point (p, q) by the eight unknowns of its place, times a gradient there.
+/// Derivatives by the eight unknowns of the homography, where `gradient` is the derivative by the square's
+/// point (p, q).
 fn by_place(gradient: Vector2<f64>, (p, q): (f64, f64)) -> [f64; PLACE] {
     let (by_p, by_q) = (gradient.x, gradient.y);
     let inwards = -(by_p * p + by_q * q);
     [by_p * p, by_p * q, by_p, by_q * p, by_q * q, by_q, inwards * p, inwards * q]
 }
 
-/// What the pixels say of a state.
-struct Evidence {
-    /// Sum of the rows' products, weighted; if the scatter was asked for, by how much the residuals
-    /// that are believed change.
+/// Sums over the pixels at one state.
+struct Sums {
+    /// Sum of the products of the rows, times the weights. If the scatter was requested, times the slopes of
+    /// the influence function instead.
     normal: Triangle,
-    /// The same, times the squares of the residuals that are believed, if it was asked for.
+    /// Sum of the products of the rows, times the squares of the weighted residuals, if requested.
     scattered: Option<Triangle>,
     gradient: Unknowns,
-    /// Residuals' sizes.
+    /// Absolute residuals.
     sizes: Vec<f64>,
-    /// Of the weighted residuals: their squares' sum, and the sums of their products with the one to
-    /// the left and the one above.
+    /// Sum of the squares of the weighted residuals, and sums of their products with the one to the left and
+    /// the one above.
     squares: f64,
     products: [f64; 2],
 }
 
-/// The pixels a marker is fitted to.
+/// The pixels that a marker is fitted to.
 struct Scene<'a> {
     image: &'a LumaImage<'a>,
     light: &'a LinearLight,
     cells: Cells,
     grid: Grid,
-    /// How far outside the square pixels are looked at, and where the quiet zone may end, in sides.
+    /// Pixels up to this far outside the square are used, sides of the square.
     reach: f64,
+    /// Where the quiet zone may end, sides of the square from its edge.
     quiet: f64,
     contrast: f64,
 }
 
-/// Fits the print. `None` where it does not fit, or too little of it lies in the image.
+/// Fits the print. `None` where it does not fit, or too little of it is in the image.
 pub(super) fn fit(
     image: &LumaImage<'_>,
     light: &LinearLight,
@@ -201,7 +211,7 @@ pub(super) fn fit(
         cells,
         grid,
         reach,
-        quiet: (print.quiet_zone_cells() + QUIET_MORE_CELLS) * side,
+        quiet: (print.quiet_zone_cells() + QUIET_MARGIN_CELLS) * side,
         contrast: (start.white - start.black).max(1e-6),
     };
     let mut state = *start;
@@ -211,10 +221,10 @@ pub(super) fn fit(
         Some((1.4826 * quantile(sizes, 0.5)?).max(0.002 * scene.contrast))
     };
     for _ in 0..ITERATIONS {
-        let evidence = scene.look(&state, noise, &mut drawing, false)?;
-        let step = symmetric(&evidence.normal).cholesky()?.solve(&evidence.gradient);
-        noise = noise_of(evidence.sizes)?;
-        let next = state.take(&step);
+        let sums = scene.sum(&state, noise, &mut drawing, false)?;
+        let step = symmetric(&sums.normal).cholesky()?.solve(&sums.gradient);
+        noise = noise_of(sums.sizes)?;
+        let next = state.after(&step);
         let is_blurred =
             next.blur.symmetric_eigenvalues().min().sqrt() > MIN_BLUR * scene.grid.step as f64;
         let moved = |(a, b): (&ViewPixel, &ViewPixel)| (a.0 - b.0).norm();
@@ -228,14 +238,14 @@ pub(super) fn fit(
             break;
         }
     }
-    let evidence = scene.look(&state, noise, &mut drawing, true)?;
-    let alike = evidence.products.map(|product| product / evidence.squares.max(1e-12));
-    let inverse = symmetric(&evidence.normal).cholesky()?.inverse();
+    let sums = scene.sum(&state, noise, &mut drawing, true)?;
+    let correlation = sums.products.map(|product| product / sums.squares.max(1e-12));
+    let inverse = symmetric(&sums.normal).cholesky()?.inverse();
     let covariance =
-        inverse * evidence.scattered()? * inverse * grain.together(scene.grid.step, alike);
+        inverse * sums.scattered()? * inverse * grain.variance_factor(scene.grid.step, correlation);
     let place: SMatrix<f64, PLACE, PLACE> =
         covariance.fixed_view::<PLACE, PLACE>(0, 0).into_owned();
-    let deviations = CORNERS.map(|at| {
+    let sigmas_px = CORNERS.map(|at| {
         let jacobian = state.jacobian(at);
         let rows = [0, 1].map(|k| {
             let row = SVector::from(by_place(jacobian.row(k).transpose(), at));
@@ -243,7 +253,7 @@ pub(super) fn fit(
         });
         ((rows[0] + rows[1]) / 2.0).sqrt()
     });
-    let is_number = deviations.iter().all(|deviation| deviation.is_finite());
+    let is_finite = sigmas_px.iter().all(|sigma_px| sigma_px.is_finite());
     let jacobian = state.jacobian((0.0, 0.0));
     // The first side runs along the square's x axis.
     let across = [jacobian.column(0), jacobian.column(1)].map(|along| {
@@ -255,9 +265,9 @@ pub(super) fn fit(
         CROWDING * across[k] * (across[k] / cell).powi(2)
     });
     let crowding = crowding.fold(0.0, f64::max);
-    is_number.then(|| WholeFit {
+    is_finite.then(|| WholeFit {
         corners: state.corners(),
-        deviations: deviations.map(|deviation| deviation.hypot(crowding)),
+        sigmas_px: sigmas_px.map(|sigma_px| sigma_px.hypot(crowding)),
         blur: across,
         white: state.white,
         black: state.black,
@@ -265,15 +275,15 @@ pub(super) fn fit(
     })
 }
 
-/// What lies beyond the quiet zone, and is modelled roughly, shifts corners by this share of the blur
-/// where a cell is as wide as the blur, and by less with the square of how much wider it is. Measured
-/// on drawn markers (`tests/corners.rs`).
+/// The surroundings beyond the quiet zone are modelled coarsely. They shift corners by this share of the blur
+/// where a cell is as wide as the blur, and by less with the square of the ratio where it is wider. Measured on
+/// rendered markers (`tests/corners.rs`).
 const CROWDING: f64 = 0.04;
 
-/// Quiet zones are cut rather wider than narrower.
-const QUIET_MORE_CELLS: f64 = 0.25;
+/// The quiet zone may be wider than stated by this, because prints are cut generously.
+const QUIET_MARGIN_CELLS: f64 = 0.25;
 
-/// The places within `reach` sides of the square, as far as they lie in the image.
+/// The grid of pixels within `reach` sides of the square, as far as they lie in the image.
 fn grid(image: &LumaImage<'_>, state: &State, reach: f64, step: usize) -> Option<Grid> {
     let out = 1.0 + 2.0 * reach;
     let corners = CORNERS
@@ -282,7 +292,7 @@ fn grid(image: &LumaImage<'_>, state: &State, reach: f64, step: usize) -> Option
         let values = corners.map(|corner| corner[k]);
         let least = values.iter().copied().fold(f64::INFINITY, f64::min).floor().max(0.0);
         let most = values.iter().copied().fold(0.0, f64::max).ceil().min(size as f64 - 1.0);
-        // A NaN is no more than anything.
+        // False for a NaN.
         (most > least).then(|| (least as usize, (most - least) as usize / step + 1))
     };
     let (left, columns) = span(0, image.width())?;
@@ -291,14 +301,9 @@ fn grid(image: &LumaImage<'_>, state: &State, reach: f64, step: usize) -> Option
 }
 
 impl Scene<'_> {
-    /// What the pixels say of a state; with `scatter`, also what the residuals do to it.
-    fn look(
-        &self,
-        state: &State,
-        noise: f64,
-        drawing: &mut Drawing,
-        scatter: bool,
-    ) -> Option<Evidence> {
+    /// Sums over the pixels at a state. With `scatter`, also the products that the covariance needs. `None`
+    /// where too few pixels are left.
+    fn sum(&self, state: &State, noise: f64, drawing: &mut Drawing, scatter: bool) -> Option<Sums> {
         let square_from_view = state.view_from_square.try_inverse()?;
         let count = self.cells.count() as f64;
         let half = count / 2.0;
@@ -308,9 +313,9 @@ impl Scene<'_> {
         drawing.draw(&self.grid, &self.cells, &cells_from_view, &state.blur)?;
         let contrast = state.white - state.black;
         let spread = (state.blur.trace() / 2.0).sqrt();
-        // How far a side of the marker, as the view sees it, is from the opposite one: pixels.
+        // Distances of opposite sides in the view, pixels.
         let scale = self.pixels_per_side(state);
-        let mut evidence = Evidence {
+        let mut sums = Sums {
             normal: [[0.0; ROOM]; UNKNOWNS],
             scattered: scatter.then_some([[0.0; ROOM]; UNKNOWNS]),
             gradient: Unknowns::zeros(),
@@ -328,7 +333,7 @@ impl Scene<'_> {
                 let at = square_from_view * Vector3::new(x as f64, y as f64, 1.0);
                 let (p, q) = (at.x / at.z, at.y / at.z);
                 let neighbours = [std::mem::take(&mut left), std::mem::take(above)];
-                // Written so that a NaN is outside.
+                // Written so that a NaN counts as outside.
                 if !(p.abs() < limit && q.abs() < limit) {
                     continue;
                 }
@@ -352,10 +357,10 @@ impl Scene<'_> {
                 }
                 let gradient = Vector2::new(drawing.by_x[k].into(), drawing.by_y[k].into());
                 let jacobian = state.jacobian((p, q));
-                // A mark that moves right is darker where the print rises to the right.
+                // Moving the print to the right darkens a pixel where white increases to the right.
                 let place = by_place(jacobian.transpose() * gradient * -contrast, (p, q));
                 values[..PLACE].copy_from_slice(&place);
-                // The heat equation: a Gaussian's covariance moves light by half the curvature.
+                // The heat equation: adding to a Gaussian's covariance adds half the curvature.
                 let over = contrast / (4.0 * step as f64);
                 let across = (k - usize::from(column > 0), k + usize::from(column + 1 < columns));
                 let down = (
@@ -370,22 +375,22 @@ impl Scene<'_> {
                 values[BLUR + 2] = slope(&drawing.by_y, down);
                 values[WHITE] = white;
                 values[BLACK] = 1.0 - white;
-                let believed = evidence.add(&values, last, residual, noise);
-                evidence.squares += believed * believed;
-                for (product, neighbour) in evidence.products.iter_mut().zip(neighbours) {
-                    *product += believed * neighbour;
+                let weighted = sums.add(&values, last, residual, noise);
+                sums.squares += weighted * weighted;
+                for (product, neighbour) in sums.products.iter_mut().zip(neighbours) {
+                    *product += weighted * neighbour;
                 }
-                (left, *above) = (believed, believed);
+                (left, *above) = (weighted, weighted);
             }
         }
-        if evidence.sizes.len() < 3 * UNKNOWNS {
+        if sums.sizes.len() < 3 * UNKNOWNS {
             return None;
         }
-        // Priors of about a pixel's weight: they speak only where the pixels are silent.
-        let mut hold = |index: usize, deviation: f64, residual: f64| {
-            let weight = (noise / deviation).powi(2);
-            evidence.normal[index][index] += weight;
-            evidence.gradient[index] += weight * residual;
+        // Priors of about one pixel's weight. They matter only where the pixels determine nothing.
+        let mut hold = |index: usize, sigma: f64, residual: f64| {
+            let weight = (noise / sigma).powi(2);
+            sums.normal[index][index] += weight;
+            sums.gradient[index] += weight * residual;
         };
         for index in 0..PLACE {
             hold(index, 0.5, 0.0);
@@ -398,10 +403,10 @@ impl Scene<'_> {
         for side in 0..4 {
             hold(BEYOND + side, 0.5 * self.contrast, -state.beyond[side]);
         }
-        Some(evidence)
+        Some(sums)
     }
 
-    /// Distance of the first side from the third, and of the second from the fourth, pixels.
+    /// Distance of the first side from the third, then of the second from the fourth, pixels.
     fn pixels_per_side(&self, state: &State) -> [f64; 2] {
         let jacobian = state.jacobian((0.0, 0.0));
         let (across, down) = (jacobian.column(0), jacobian.column(1));
@@ -410,9 +415,8 @@ impl Scene<'_> {
     }
 }
 
-impl Evidence {
-    /// Takes one pixel's row, of which the first `last` values are not zero, and gives the residual as
-    /// far as it is believed.
+impl Sums {
+    /// Adds one pixel's row, of which only the first `last` values are not zero. Returns the weighted residual.
     fn add(&mut self, values: &[f64; ROOM], last: usize, residual: f64, noise: f64) -> f64 {
         let share = (residual / (CAUCHY * noise)).powi(2);
         let weight = 1.0 / (1.0 + share);
@@ -420,7 +424,7 @@ impl Evidence {
         let mut slope = weight;
         if let Some(scattered) = &mut self.scattered {
             add_product(scattered, values, last, (weight * residual).powi(2));
-            // How much the believed residual changes with the model.
+            // The slope of the influence function.
             slope = weight * weight * (1.0 - share);
         }
         add_product(&mut self.normal, values, last, slope);
@@ -430,7 +434,7 @@ impl Evidence {
         weight * residual
     }
 
-    /// What the residuals' squares make of the unknowns' gradient, with the freedom that is left.
+    /// Covariance of the gradient, from the residuals' squares, corrected for the degrees of freedom.
     fn scattered(&self) -> Option<Normal> {
         let count = self.sizes.len() as f64;
         Some(symmetric(self.scattered.as_ref()?) * (count / (count - UNKNOWNS as f64)))
@@ -441,7 +445,7 @@ impl Evidence {
 fn add_product(triangle: &mut Triangle, values: &[f64; ROOM], last: usize, factor: f64) {
     for (k, column) in triangle.iter_mut().enumerate().take(last) {
         let scaled = factor * values[k];
-        // In fours, whatever lies beyond the diagonal.
+        // In multiples of four, even if that goes beyond the diagonal.
         let end = (k | 3) + 1;
         for (sum, value) in column[..end].iter_mut().zip(&values[..end]) {
             *sum += scaled * value;

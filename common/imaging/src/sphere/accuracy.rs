@@ -1,4 +1,4 @@
-//! The fast paths against exact ones in double precision.
+//! Compares the fast paths with exact ones in double precision.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
 #[path = "../../tests/exact/mod.rs"]
@@ -7,6 +7,7 @@ mod exact;
 
 use std::f64::consts::TAU;
 
+use flockeye_geometry::camera::{Camera, CameraModel};
 use flockeye_geometry::view::{View, ViewPixel};
 use nalgebra::{Quaternion, Unit, UnitQuaternion, Vector3};
 use proptest::prelude::*;
@@ -15,13 +16,14 @@ use self::exact::{cameras, grey, panorama};
 use super::any_camera::CameraMapping;
 use super::cut::{Band, Kernel, cut_band_by};
 use super::equirectangular::EquirectangularMapping;
-use super::mapping::{Fit, LANES, Mapping, NOWHERE, ONE};
+use super::fixed_point::{LANES, NOWHERE, ONE};
+use super::mapping::{Fit, Mapping};
 use super::patch::Tile;
 use super::*;
 
 const CAMERA: Camera = Camera::equirectangular(3840, 1920);
 
-/// How a test asks for any mapping.
+/// Calls `ask` with the mapping for this camera.
 fn with_mapping<T>(camera: &Camera, view: &View, ask: impl FnOnce(&dyn Mapping) -> T) -> T {
     match camera.as_equirectangular() {
         Some(camera) => ask(&EquirectangularMapping::new(camera, view)),
@@ -29,8 +31,8 @@ fn with_mapping<T>(camera: &Camera, view: &View, ask: impl FnOnce(&dyn Mapping) 
     }
 }
 
-/// Numbers that look random: splitmix64 (Steele, Lea, Flood: *Fast splittable pseudorandom number
-/// generators*, OOPSLA 2014).
+/// Pseudorandom numbers: splitmix64 (Steele, Lea, Flood: *Fast splittable pseudorandom number generators*, OOPSLA
+/// 2014).
 struct Numbers(u64);
 
 impl Numbers {
@@ -56,7 +58,7 @@ impl Numbers {
         }
     }
 
-    /// Any rotation, fields of 4 to 110 degrees, magnified 0.5 to 4 times.
+    /// Any rotation, fields of view of 4 to 110 degrees, magnified 0.5 to 4 times.
     fn view(&mut self) -> View {
         let field = self.between(4f64.to_radians(), 110f64.to_radians());
         let focal_px = self.between(0.5, 4.0) * CAMERA.pixels_per_radian();
@@ -65,7 +67,7 @@ impl Numbers {
     }
 }
 
-/// Views where something can go wrong: the poles, the seam, both, and the corners of wide views.
+/// Views of difficult places: the poles, the seam, both, and the corners of wide views.
 fn hard_views() -> Vec<View> {
     let directions = [
         Vector3::new(0.0, 0.0, 1.0),
@@ -87,7 +89,7 @@ fn hard_views() -> Vec<View> {
     views
 }
 
-/// Columns and rows between two points; an equirectangular image goes round.
+/// Distance between two points, the larger of columns and rows. An equirectangular image wraps around.
 fn apart(camera: &Camera, columns: f64, rows: f64) -> f64 {
     let turn = f64::from(camera.width());
     let columns = match camera.model() {
@@ -117,7 +119,7 @@ fn interpolated_positions_are_within_the_stated_error() {
                 for first in (0..width).step_by(LANES) {
                     let [mut columns, mut rows] = patch.strip(first).series;
                     for y in 0..height {
-                        // The outermost columns and one inside are enough: tiles lie everywhere.
+                        // The outermost columns and one inside are enough, because tiles lie everywhere.
                         for k in [0, 3, 7] {
                             let at = ViewPixel::new(
                                 f64::from(tile.x + first) + k as f64,
@@ -189,7 +191,7 @@ fn views_differ_from_exact_ones_by_two_greys_at_most() {
                 let mut out = vec![0; (size * size) as usize];
                 rectify_into(&sphere, &cut, &mut out, size as usize).unwrap();
                 let mut of_view = (0.0, 0u32);
-                // Steps prime to the tiles and strips, so that every place in them comes up.
+                // Steps prime to the sizes of tiles and strips, so that every position in them is tested.
                 let step = if size > 1000 { 13 } else { 5 };
                 for y in (0..size).step_by(step) {
                     for x in (0..size).step_by(step) {
@@ -247,7 +249,7 @@ fn vector_code_gives_the_bytes_of_plain_code() {
 }
 
 #[test]
-fn what_no_lens_sees_is_black() {
+fn directions_that_no_lens_sees_are_black() {
     let plane = CameraModel::Stereographic { field_rad: 200f64.to_radians() };
     let camera = Camera::new(800, 800, plane).unwrap();
     let pixels = vec![200; 800 * 800];
@@ -270,7 +272,7 @@ fn what_no_lens_sees_is_black() {
 }
 
 #[test]
-fn threads_give_the_bytes_of_one() {
+fn several_threads_give_the_bytes_of_one() {
     let pixels = panorama(&CAMERA, 3840);
     let sphere = SphereImage::new(&pixels, 3840, CAMERA).unwrap();
     let cuts: Vec<_> = hard_views().into_iter().take(12).map(Cut::bilinear).collect();
@@ -306,7 +308,7 @@ fn only_the_view_is_written_whatever_its_size() {
 }
 
 #[test]
-fn strides_too_long_for_vector_code_are_cut_all_the_same() {
+fn images_with_strides_too_long_for_vector_code_are_cut() {
     let stride = 40_000;
     let camera = Camera::equirectangular(128, 64);
     let pixels: Vec<u8> = (0..stride * 64).map(|k| (k % stride) as u8).collect();
@@ -318,7 +320,7 @@ fn strides_too_long_for_vector_code_are_cut_all_the_same() {
 }
 
 proptest! {
-    /// However odd the sphere and the view: no panic, and the greys lie between the sphere's.
+    /// For any sphere image and view there is no panic, and the grey values lie between the sphere image's.
     #[test]
     fn any_view_of_any_sphere_can_be_cut(
         half_width in 1..40u32,

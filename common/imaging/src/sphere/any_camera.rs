@@ -1,28 +1,29 @@
-//! The mapping into the image of any camera, by evaluating its model.
+//! The mapping into the image of any camera, by its camera model.
 
 use flockeye_geometry::camera::{Camera, CameraModel, SpherePixel};
 use flockeye_geometry::view::{View, ViewPixel};
 
-use super::mapping::{Fit, LANES, Mapping, NOWHERE, ONE, Positions, fixed};
+use super::fixed_point::{LANES, NOWHERE, ONE, Positions, fixed};
+use super::mapping::{Fit, Mapping};
 use super::patch::{NODE_COUNT, NODES, Patch, Tile};
 
-/// A view over the image of a camera.
+/// A view of the image of a camera.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct CameraMapping<'a> {
     camera: &'a Camera,
     view: &'a View,
-    /// Columns after which the image begins again; 0 if it does not.
+    /// Columns after which the image repeats; 0 if it does not.
     turn: f64,
 }
 
-/// Between the nodes, where the first term that a quadratic leaves out is nearly at its largest.
+/// Points between the nodes where the first term that a quadratic omits is nearly largest.
 const CHECKS: [[f64; 2]; 4] = [[-0.55, -0.55], [0.55, -0.55], [-0.55, 0.55], [0.55, 0.55]];
 
-/// How far the quadratic may lie from the model at the checks, pixels. Less than
-/// [`super::patch::MAX_INTERPOLATION_ERROR_PX`]: between the checks it may be a little worse.
+/// Largest error of the quadratic at the checks, pixels. It is less than
+/// [`super::patch::MAX_INTERPOLATION_ERROR_PX`], because between the checks the error may be a little larger.
 const MAX_CHECKED_ERROR_PX: f64 = 0.008;
 
-/// Tiles up to this side are taken for blank if none of their nodes is seen, pixels.
+/// Tiles up to this side count as blank if the camera sees none of their nodes, pixels.
 const BLANK_SIDE: u32 = 16;
 
 impl<'a> CameraMapping<'a> {
@@ -39,7 +40,7 @@ impl<'a> CameraMapping<'a> {
         self.camera.project(&self.view.ray(ViewPixel::new(x, y)))
     }
 
-    /// Columns from `middle` to `column`, the short way round.
+    /// Columns from `middle` to `column`, the shorter way around.
     fn columns_from(&self, middle: f64, column: f64) -> f64 {
         let columns = column - middle;
         if self.turn > 0.0 { columns - (columns / self.turn).round() * self.turn } else { columns }
@@ -54,7 +55,7 @@ impl Mapping for CameraMapping<'_> {
             self.point(centre[0] + half[0] * across, centre[1] + half[1] * along)
         };
         let mut nodes = [None; NODE_COUNT];
-        // The last three repeat the middle, the fifth.
+        // The last three nodes repeat the fifth one, the middle.
         for k in 0..9 {
             nodes[k] = at(NODES[0][k], NODES[1][k]);
         }

@@ -1,20 +1,20 @@
-//! Strips of eight columns at once, by AVX2.
+//! Cuts strips of eight columns at once, with AVX2.
 
 use std::arch::x86_64::*;
 
-use super::SphereImage;
 use super::cubic;
-use super::cut::Target;
 use super::fetch::fetch;
-use super::mapping::LANES;
+use super::fixed_point::LANES;
+use super::image::SphereImage;
 use super::patch::{MAX_ROWS, Strip};
 use super::sample::{ROW_WEIGHT, WEIGHT_BITS};
+use super::target::Target;
 
-/// Longest stride whose products fit the 16-bit factors of the addresses, bytes.
+/// Longest stride that fits the 16-bit factors of the addresses, bytes.
 pub(super) const MAX_STRIDE: usize = i16::MAX as usize;
 
-/// Cuts one strip, whose positions all lie from the image's first column and row to the last but
-/// one, into the first `rows` rows of `target`. The same greys as [`super::sample::sample`].
+/// Cuts one strip into the first `rows` rows of `target`, bilinearly. Its positions must lie between the image's first
+/// and last but one column and row. The grey values are those of [`super::sample::sample`].
 ///
 /// # Safety
 /// Each position of the strip's first `rows` rows, rounded up to fours, must have 0 <= column <
@@ -32,7 +32,7 @@ pub(super) unsafe fn cut_strip<const GATHERED: bool>(
     let (mut v, mut dv, ddv) = (load(&lines.value), load(&lines.step), load(&lines.growth));
 
     let upper = sphere.pixels().as_ptr();
-    // Two bytes early, so that the lower row's pair comes to lie where it is blended in.
+    // Two bytes earlier, so that the pair of the lower row is where it is blended in.
     let lower = upper.wrapping_add(sphere.stride() - 2);
     let offsets = offsets(strip, rows, sphere.stride());
     let right_byte = _mm256_setr_epi8(
@@ -52,10 +52,9 @@ pub(super) unsafe fn cut_strip<const GATHERED: bool>(
     for first in (0..rows).step_by(4) {
         let mut greys = [_mm256_setzero_si256(); 4];
         for (grey, offsets) in greys.iter_mut().zip(&offsets[first..]) {
-            // SAFETY: by the caller's word the offset is that of a pixel with a right and a lower
-            // neighbour. The upper fetch reads it and the three bytes after, which end no later
-            // than its lower right neighbour as rows hold two pixels or more; the lower fetch
-            // reads the lower pair and the two bytes before it.
+            // SAFETY: the caller guarantees that the offset is that of a pixel with a right and a lower neighbour. The
+            // upper fetch reads it and the three bytes after it. These end no later than its lower right neighbour,
+            // because rows have two pixels or more. The lower fetch reads the lower pair and the two bytes before it.
             let (above, below) =
                 unsafe { (fetch::<GATHERED>(upper, offsets), fetch::<GATHERED>(lower, offsets)) };
             let pixels = _mm256_blend_epi16::<0xaa>(above, below);
@@ -74,7 +73,7 @@ pub(super) unsafe fn cut_strip<const GATHERED: bool>(
     }
 }
 
-/// As [`cut_strip`], by the cubic: the same greys as [`super::sample::sample_cubic`].
+/// Like [`cut_strip`], by the cubic. The grey values are those of [`super::sample::sample_cubic`].
 ///
 /// # Safety
 /// Each position of the strip's first `rows` rows, rounded up to fours, must have 1 <= column <
@@ -92,7 +91,7 @@ pub(super) unsafe fn cut_strip_cubic<const GATHERED: bool>(
     let (mut v, mut dv, ddv) = (load(&lines.value), load(&lines.step), load(&lines.growth));
 
     let stride = sphere.stride();
-    // The upper left of the sixteen neighbours, for a position at the image's first pixel.
+    // Address of the upper left of the sixteen neighbours, for a position at the image's first pixel.
     let corner = sphere.pixels().as_ptr().wrapping_sub(stride + 1);
     let offsets = offsets(strip, rows, stride);
     let zero = _mm256_setzero_si256();
@@ -120,8 +119,8 @@ pub(super) unsafe fn cut_strip_cubic<const GATHERED: bool>(
             let mut sums = [zero; 4];
             for (k, sum) in sums.iter_mut().enumerate() {
                 let line = corner.wrapping_add(k * stride);
-                // SAFETY: by the caller's word the position's column less 1 to plus 2 and its row
-                // less 1 to plus 2 lie in the image; this reads four bytes of one of these rows.
+                // SAFETY: the caller guarantees that the columns and rows from the position - 1 to the position + 2 lie
+                // in the image. This reads four bytes of one of these rows.
                 let pixels = unsafe { fetch::<GATHERED>(line, offsets) };
                 let low = _mm256_madd_epi16(_mm256_unpacklo_epi8(pixels, zero), across_low);
                 let high = _mm256_madd_epi16(_mm256_unpackhi_epi8(pixels, zero), across_high);
@@ -144,7 +143,7 @@ pub(super) unsafe fn cut_strip_cubic<const GATHERED: bool>(
     }
 }
 
-/// [`cubic::weights`] of sixteen fractions of 16 binary digits.
+/// [`cubic::weights`] of sixteen fractions of 16 bits.
 #[target_feature(enable = "avx2")]
 fn weights(fractions: __m256i) -> [__m256i; 4] {
     let t = _mm256_srli_epi16::<1>(fractions);
@@ -162,15 +161,14 @@ fn weights(fractions: __m256i) -> [__m256i; 4] {
     [first, second, _mm256_sub_epi16(one, others), last]
 }
 
-/// Where the pixels of a strip's rows lie from the image's first, bytes, for rows rounded up to
-/// fours. They go through memory at once: taken from a register one by one they cost more than the
-/// loads they are for.
+/// Offsets of the pixels of a strip's rows from the image's first pixel, bytes, for rows rounded up to fours. They are
+/// stored in memory all at once, because extracting them from a register one by one would cost more than the loads.
 #[target_feature(enable = "avx2")]
 fn offsets(strip: &Strip, rows: usize, stride: usize) -> [[i32; LANES]; MAX_ROWS as usize] {
     let [columns, lines] = &strip.series;
     let (mut u, mut du, ddu) = (load(&columns.value), load(&columns.step), load(&columns.growth));
     let (mut v, mut dv, ddv) = (load(&lines.value), load(&lines.step), load(&lines.growth));
-    // Low half 1, high half the stride: column + row * stride by one multiplication of pairs.
+    // Low half 1, high half the stride: one multiplication of pairs gives column + row * stride.
     let address = _mm256_set1_epi32(((stride as i32) << 16) | 1);
     let mut offsets = [[0; LANES]; MAX_ROWS as usize];
     for row in offsets.iter_mut().take(rows.next_multiple_of(4)) {
@@ -193,12 +191,12 @@ fn load(values: &[i32; LANES]) -> __m256i {
     unsafe { _mm256_loadu_si256(values.as_ptr().cast()) }
 }
 
-/// Writes four rows of eight greys, each in a lane of 32 bits, as far as there are rows.
+/// Writes four rows of eight grey values, each in a lane of 32 bits, as far as there are rows.
 #[target_feature(enable = "avx2")]
 fn put_four(greys: [__m256i; 4], first: usize, rows: usize, target: &mut Target<'_>) {
     let rows_in_order = _mm256_setr_epi32(0, 4, 1, 5, 2, 6, 3, 7);
     let [a, b, c, d] = greys;
-    // Saturating: what overshoots ends at 0 and 255.
+    // Saturating packs clamp overshoot to 0 and 255.
     let bytes = _mm256_packus_epi16(_mm256_packs_epi32(a, b), _mm256_packs_epi32(c, d));
     let bytes = _mm256_permutevar8x32_epi32(bytes, rows_in_order);
     let lines = [

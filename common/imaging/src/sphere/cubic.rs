@@ -1,25 +1,25 @@
-//! Cubic convolution, in integers: the same on every back end.
+//! Cubic convolution in integers, so that every back end gives the same bytes.
 
-/// Binary digits of a weight: one is 2^14.
+/// Bits of a weight: 1 is 2^14.
 pub(super) const WEIGHT_BITS: u32 = 14;
 
-/// Digits dropped after a row of pixels was weighted, so that the sum fits 16 bits.
+/// Bits dropped after a row of pixels was weighted, so that the sum fits into 16 bits.
 pub(super) const ROW_SHIFT: u32 = 8;
 
-/// Digits dropped at the end.
+/// Bits dropped at the end.
 pub(super) const END_SHIFT: u32 = 2 * WEIGHT_BITS - ROW_SHIFT;
 
-/// Half of what one stands for after a product of two numbers of 15 binary digits.
+/// Half of 1 in a product of two numbers of 15 fractional bits, for rounding.
 const HALF: i32 = 1 << 14;
 
-/// A product of two fractions of 15 binary digits, rounded to as many.
+/// A product of two fractions of 15 bits, rounded to 15 bits.
 #[inline(always)]
 fn product(a: i32, b: i32) -> i32 {
     (a * b + HALF) >> 15
 }
 
-/// Weights of four neighbours at `fraction` (1/65536) from the second to the third; their sum is
-/// exactly one.
+/// Weights of four neighbours for a position at `fraction` (1/65536) from the second to the third. Their sum is
+/// exactly 1.
 #[inline(always)]
 pub(super) fn weights(fraction: i32) -> [i32; 4] {
     let t = (fraction & 0xffff) >> 1;
@@ -32,8 +32,8 @@ pub(super) fn weights(fraction: i32) -> [i32; 4] {
     [first, second, one - first - second - last, last]
 }
 
-/// The grey value at the fractions of the position (column, row), 1/65536 px, between the middle
-/// four of `pixels`, row by row.
+/// The grey value at a position between the middle four of `pixels`, given row by row. The position is (column, row)
+/// in 1/65536 px, of which only the fractions count.
 #[inline(always)]
 pub(super) fn blend([column, row]: [i32; 2], pixels: [[u8; 4]; 4]) -> u8 {
     let (across, along) = (weights(column), weights(row));
@@ -51,7 +51,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn weights_are_the_cubic_convolutions() {
+    fn weights_are_those_of_the_cubic_convolution() {
         for fraction in (0..65_536).step_by(7) {
             let t = f64::from(fraction) / 65_536.0;
             let exact = [
@@ -69,7 +69,7 @@ mod tests {
     }
 
     #[test]
-    fn parabolas_come_back() {
+    fn parabolas_are_reproduced() {
         let height = |x: f64| 20.0 + 15.0 * x + 9.0 * x * x;
         let line = [-1.0, 0.0, 1.0, 2.0].map(|x| height(x) as u8);
         for fraction in (0..65_536).step_by(97) {
@@ -80,7 +80,7 @@ mod tests {
     }
 
     #[test]
-    fn overshoot_ends_at_black_and_white() {
+    fn overshoot_is_clamped_to_black_and_white() {
         assert_eq!(blend([40_000, 0], [[0, 0, 0, 255]; 4]), 0);
         assert_eq!(blend([40_000, 0], [[255, 255, 255, 0]; 4]), 255);
     }

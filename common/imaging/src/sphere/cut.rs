@@ -1,13 +1,16 @@
-//! A view cut tile by tile, and views spread over threads.
+//! Cuts views tile by tile, and distributes them over threads.
 
 use std::sync::{Mutex, PoisonError};
 
 use super::any_camera::CameraMapping;
+use super::cut_request::{Cut, Interpolation};
 use super::equirectangular::EquirectangularMapping;
-use super::mapping::{Fit, LANES, Mapping};
+use super::fixed_point::LANES;
+use super::image::SphereImage;
+use super::mapping::{Fit, Mapping};
 use super::patch::{MAX_ROWS, Strip, Tile};
 use super::sample::{sample, sample_cubic};
-use super::{Cut, Interpolation, SphereImage};
+use super::target::Target;
 
 /// Widest tile, pixels.
 const MAX_COLUMNS: u32 = 32;
@@ -15,7 +18,7 @@ const MAX_COLUMNS: u32 = 32;
 /// Rows of a view that one thread cuts at a time.
 const BAND_ROWS: u32 = 4 * MAX_ROWS;
 
-/// Fewer pixels than this are cut sooner than a thread is started.
+/// Fewer pixels than this are cut in less time than a thread needs to start.
 const MIN_PIXELS_PER_THREAD: usize = 20_000;
 
 /// Neighbouring rows of a view.
@@ -24,33 +27,17 @@ pub(super) struct Band<'a> {
     /// The first row.
     pub y: u32,
     pub rows: u32,
-    /// From the first row on, rows `stride` bytes apart.
+    /// The output from the first row on, with rows `stride` bytes apart.
     pub out: &'a mut [u8],
     pub stride: usize,
 }
 
-/// Where a strip of `LANES` columns goes.
-pub(super) struct Target<'a> {
-    /// From its first pixel on.
-    out: &'a mut [u8],
-    stride: usize,
-}
-
-impl Target<'_> {
-    /// Writes the strip's row `row`.
-    #[inline(always)]
-    pub(super) fn put(&mut self, row: usize, greys: [u8; LANES]) {
-        let at = row * self.stride;
-        self.out[at..at + LANES].copy_from_slice(&greys);
-    }
-}
-
-/// Cuts one view; `out` and the view have been checked.
+/// Cuts one view. `out` and the view have been checked.
 pub(super) fn cut_view(sphere: &SphereImage<'_>, cut: &Cut, out: &mut [u8], stride: usize) {
     cut_band(sphere, Band { cut, y: 0, rows: cut.view.size_px, out, stride });
 }
 
-/// Cuts views, rows as far apart as each is wide, with up to `threads` threads; all checked.
+/// Cuts views, with rows as far apart as each is wide, on up to `threads` threads. All have been checked.
 pub(super) fn cut_views(
     sphere: &SphereImage<'_>,
     cuts: &[Cut],
@@ -76,7 +63,7 @@ pub(super) fn cut_views(
     let bands = Mutex::new(bands);
     let work = || {
         loop {
-            // Poisoned by a panic elsewhere, which the scope passes on anyway.
+            // It is poisoned by a panic in another thread, which the scope passes on.
             let next = bands.lock().unwrap_or_else(PoisonError::into_inner).next();
             let Some(band) = next else { break };
             cut_band(sphere, band);
@@ -90,7 +77,7 @@ pub(super) fn cut_views(
     });
 }
 
-/// Code that cuts; all of it gives the same bytes.
+/// Implementations that cut views. All give the same bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Kernel {
     /// Pixel by pixel.
@@ -104,7 +91,7 @@ pub(super) enum Kernel {
 }
 
 impl Kernel {
-    /// The quickest that this processor has.
+    /// The fastest one for this processor.
     pub fn of_processor() -> Self {
         #[cfg(target_arch = "x86_64")]
         if is_x86_feature_detected!("avx2") {
@@ -123,7 +110,7 @@ impl Kernel {
         }
     }
 
-    /// Whether it works here, on images like this.
+    /// Whether it works on this processor, for this image.
     pub fn works_on(self, sphere: &SphereImage<'_>) -> bool {
         match self {
             Self::Plain => true,
@@ -139,10 +126,10 @@ fn cut_band(sphere: &SphereImage<'_>, band: Band<'_>) {
     cut_band_by(Kernel::of_processor(), sphere, band);
 }
 
-/// Cuts with this kernel, or the plain one where it does not work.
+/// Cuts with this kernel, or with the plain one where it does not work.
 pub(super) fn cut_band_by(kernel: Kernel, sphere: &SphereImage<'_>, band: Band<'_>) {
     match kernel {
-        // SAFETY: the processor has AVX2, and the stride is one it can do.
+        // SAFETY: `works_on` has checked that the processor has AVX2, and that the stride is within its limit.
         #[cfg(target_arch = "x86_64")]
         Kernel::Avx2 if kernel.works_on(sphere) => unsafe { cut_band_avx2::<false>(sphere, band) },
         // SAFETY: as above.
@@ -169,7 +156,7 @@ fn cut_band_plain(sphere: &SphereImage<'_>, band: Band<'_>) {
 #[target_feature(enable = "avx2")]
 fn cut_band_avx2<const GATHERED: bool>(sphere: &SphereImage<'_>, band: Band<'_>) {
     let (columns, lines) = (sphere.camera.width() as i32, sphere.camera.height() as i32);
-    // Positions whose neighbours all lie in the image, 1/65536 px: `before` of them in front of the
+    // Range of the positions whose neighbours all lie in the image, 1/65536 px: `before` pixels in front of the
     // position, and `after` behind it.
     let inside = |before: i32, after: i32| {
         [columns, lines].map(|side| [before << 16, ((side - after) << 16) - 1])
@@ -184,8 +171,8 @@ fn cut_band_avx2<const GATHERED: bool>(sphere: &SphereImage<'_>, band: Band<'_>)
             let inside = inside(0, 1);
             cut_tiles(sphere, band, sample, |strip, rows, target| {
                 if stays(strip, rows, inside) {
-                    // SAFETY: both coordinates were just seen to stay inside, over the rows rounded
-                    // up, and the stride was before this function was called.
+                    // SAFETY: `stays` has checked both coordinates over the rows rounded up to fours, and
+                    // `works_on` the stride before this function was called.
                     unsafe { super::avx2::cut_strip::<GATHERED>(sphere, strip, rows, target) };
                 } else {
                     cut_strip(sphere, sample, strip, rows, target);
@@ -212,7 +199,7 @@ fn cut_band_avx2<const GATHERED: bool>(sphere: &SphereImage<'_>, band: Band<'_>)
 trait Sample: Fn(&SphereImage<'_>, [i32; 2]) -> u8 + Copy {}
 impl<F: Fn(&SphereImage<'_>, [i32; 2]) -> u8 + Copy> Sample for F {}
 
-/// Cuts a strip pixel by pixel, across the seam or not.
+/// Cuts a strip pixel by pixel, also across the seam.
 #[inline(always)]
 fn cut_strip(
     sphere: &SphereImage<'_>,
@@ -233,8 +220,8 @@ fn cut_strip(
     }
 }
 
-/// Divides a band into tiles and cuts each: its strips with `cut_strip`, and where the mapping
-/// cannot be interpolated, pixel by pixel with `sample`.
+/// Divides a band into tiles and cuts each of them: strip by strip with `cut_strip`, and where the mapping cannot be
+/// interpolated, pixel by pixel with `sample`.
 #[inline(always)]
 fn cut_tiles(
     sphere: &SphereImage<'_>,
@@ -270,13 +257,13 @@ fn cut_tiles_by(
     for y in (0..rows).step_by(MAX_ROWS as usize) {
         for x in (0..size).step_by(MAX_COLUMNS as usize) {
             let width = (size - x).min(MAX_COLUMNS);
-            // Whole strips: the last tile reaches back over what its left neighbour has cut.
+            // Whole strips: the last tile overlaps with its left neighbour.
             let whole = width.next_multiple_of(LANES as u32).min(size);
             let height = (rows - y).min(MAX_ROWS);
             pending.push(Tile { x: x + width - whole, y: top + y, width: whole, height });
             while let Some(tile) = pending.pop() {
                 let at = (tile.y - top) as usize * stride + tile.x as usize;
-                // A view narrower than a strip has no whole ones.
+                // A view narrower than a strip has no whole strips.
                 let is_whole = tile.width.is_multiple_of(LANES as u32);
                 match if is_whole { mapping.fit(tile) } else { Fit::Split } {
                     Fit::Patch(patch) => {
@@ -301,7 +288,7 @@ fn cut_tiles_by(
     }
 }
 
-/// A tile's halves, of whole strips; `None` for the smallest tiles.
+/// The halves of a tile, of whole strips. `None` for the smallest tiles.
 fn halves(tile: Tile) -> Option<[Tile; 2]> {
     let smallest = LANES as u32;
     if tile.width > smallest && tile.width >= tile.height {

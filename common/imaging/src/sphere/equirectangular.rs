@@ -1,5 +1,5 @@
-//! The mapping into an equirectangular image with one centre: a known bound of the interpolation's
-//! error, and angles by polynomial.
+//! The mapping into an equirectangular image with one centre, with a known bound of the interpolation error, and with
+//! angles by polynomials.
 
 use std::f64::consts::{FRAC_1_PI, TAU};
 
@@ -8,18 +8,19 @@ use flockeye_geometry::view::View;
 use nalgebra::Vector3;
 
 use super::angle::{atan, atan2};
-use super::mapping::{Fit, LANES, Mapping, ONE, Positions, fixed};
+use super::fixed_point::{LANES, ONE, Positions, fixed};
+use super::mapping::{Fit, Mapping};
 use super::patch::{MAX_INTERPOLATION_ERROR_PX, NODE_COUNT, NODES, Patch, Tile};
 
-/// A view over a sphere image. Directions are in the camera frame, in units of the view's pixels:
-/// the view's plane lies `focal_px` away.
+/// A view of a sphere image. Directions are in the camera frame, in pixels of the view: the view's plane lies
+/// `focal_px` away.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct EquirectangularMapping {
     /// Direction of the view's first pixel.
     corner: Vector3<f64>,
-    /// From one pixel to its right neighbour.
+    /// Vector from one pixel to its right neighbour.
     right: Vector3<f64>,
-    /// From one pixel to the one below.
+    /// Vector from one pixel to the one below.
     down: Vector3<f64>,
     /// Focal length, pixels.
     focal_px: f64,
@@ -75,12 +76,13 @@ impl EquirectangularMapping {
 }
 
 impl Mapping for EquirectangularMapping {
-    /// The error bound of the columns is strict: longitude is the imaginary part of log(w) for
-    /// w = x + iy, which runs linearly over the view's plane, so its third derivative along a step
-    /// s is at most 2 |s/w|^3. Quadratic interpolation through -1, 0, 1 leaves at most
-    /// sqrt(3)/27 of it, and interpolating along the other coordinate as well adds 5/4 of the
-    /// other's. The bound of the rows, 1 + 1/|w|^2 in units of the focal length, is
-    /// an envelope of what was found over random tiles.
+    /// The error bound of the columns is strict. Longitude is the imaginary part of log(w) for w = x + iy, and w is
+    /// linear over the view's plane, so the third derivative along a step s is at most 2 |s/w|^3. Quadratic
+    /// interpolation through -1, 0, 1 leaves at most sqrt(3)/27 of it. Interpolating along the other coordinate adds
+    /// 5/4 of that one's error.
+    ///
+    /// The bound of the rows, 1 + 1/|w|^2 in units of the focal length, is an envelope of the errors found over random
+    /// tiles.
     #[inline(always)]
     fn fit(&self, tile: Tile) -> Fit {
         let (half_width, half_height) = (f64::from(tile.width) * 0.5, f64::from(tile.height) * 0.5);
@@ -91,7 +93,7 @@ impl Mapping for EquirectangularMapping {
         let radius = length(middle.x, middle.y);
         let (reach_x, reach_y) = (length(right.x, right.y), length(down.x, down.y));
         let nearest = radius - reach_x - reach_y;
-        // Farther from the pole than wide: angles from the middle stay below 45 degrees.
+        // The tile is farther from the pole than it is wide, so angles from its middle are below 45 degrees.
         if nearest <= radius * 0.5 {
             return Fit::Split;
         }
@@ -115,7 +117,7 @@ impl Mapping for EquirectangularMapping {
             let dx = right.x * across_nodes[k] + down.x * along_nodes[k];
             let dy = right.y * across_nodes[k] + down.y * along_nodes[k];
             let dz = right.z * across_nodes[k] + down.z * along_nodes[k];
-            // Angles from the middle's longitude and latitude: arguments of complex quotients.
+            // Angles relative to the middle's longitude and latitude, as arguments of complex quotients.
             let turned = dy * middle.x - dx * middle.y;
             let ahead = radius * radius + dx * middle.x + dy * middle.y;
             columns[k] = column_scale * atan(turned / ahead);

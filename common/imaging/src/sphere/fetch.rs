@@ -1,26 +1,25 @@
-//! Eight loads at once, in whichever way this processor is quicker at.
+//! Eight loads at once, in the way that is faster on this processor.
 //!
-//! AVX2's gather instruction is the quickest where it is made well. Microcode against Downfall
-//! (CVE-2022-40982) slows it on Intel's processors from Skylake to Tiger Lake, tenfold where that was
-//! measured; there single loads are quicker. A virtual machine does not tell which it has, so it is
-//! measured, once in each process.
+//! AVX2's gather instruction is usually the fastest. Microcode against Downfall (CVE-2022-40982) slows it down on
+//! Intel's processors from Skylake to Tiger Lake, by a factor of ten where that was measured. There, single loads are
+//! faster. A virtual machine does not tell which processor it has, so both are timed once in each process.
 
 use std::arch::x86_64::*;
 use std::sync::LazyLock;
 use std::time::{Duration, Instant};
 
-use super::mapping::LANES;
+use super::fixed_point::LANES;
 
-/// Whether gathering is quicker than single loads here; found within some 20 us when first asked.
+/// Whether gathering is faster than single loads here. The first call takes about 20 us to measure it.
 pub(super) fn gathers() -> bool {
     static GATHERS: LazyLock<bool> = LazyLock::new(|| {
-        // SAFETY: only asked where the processor has AVX2.
+        // SAFETY: this function is called only where the processor has AVX2.
         unsafe { time::<true>() < time::<false>() }
     });
     *GATHERS
 }
 
-/// Four bytes each at eight offsets from `base`.
+/// Loads four bytes at each of eight offsets from `base`.
 ///
 /// # Safety
 /// The four bytes at each offset must be readable.
@@ -31,18 +30,18 @@ pub(super) unsafe fn fetch<const GATHERED: bool>(
     offsets: &[i32; LANES],
 ) -> __m256i {
     if GATHERED {
-        // SAFETY: eight integers are as long as the vector; the rest is the caller's word.
+        // SAFETY: eight integers are as long as the vector; the caller guarantees the rest.
         return unsafe {
             let offsets = _mm256_loadu_si256(offsets.as_ptr().cast());
             _mm256_i32gather_epi32::<1>(base.cast(), offsets)
         };
     }
-    // SAFETY: the caller's word.
+    // SAFETY: the caller guarantees that these four bytes are readable.
     let at = |k: usize| unsafe { base.offset(offsets[k] as isize).cast::<i32>().read_unaligned() };
     _mm256_setr_epi32(at(0), at(1), at(2), at(3), at(4), at(5), at(6), at(7))
 }
 
-/// The shortest of a few turns of fetching some 500 numbers.
+/// The shortest time of a few rounds of fetching about 500 numbers.
 #[target_feature(enable = "avx2")]
 fn time<const GATHERED: bool>() -> Duration {
     const TURNS: usize = 8;

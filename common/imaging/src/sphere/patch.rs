@@ -1,24 +1,24 @@
 //! The mapping interpolated over a tile of a view.
 
-use super::mapping::{LANES, ONE, fixed, rounded};
+use super::fixed_point::{LANES, ONE, fixed, rounded};
 
-/// What interpolation may add to the error of a position, pixels; rounding adds less than the rest
-/// of [`super::MAX_MAPPING_ERROR_PX`].
+/// Largest interpolation error of a position, pixels. Rounding adds less than the rest of
+/// [`super::fixed_point::MAX_MAPPING_ERROR_PX`].
 pub(super) const MAX_INTERPOLATION_ERROR_PX: f64 = 0.012;
 
-/// Twelve, not nine: whole vectors of four. The last three repeat the middle.
+/// Number of nodes: twelve instead of nine, for whole vectors of four. The last three repeat the middle.
 pub(super) const NODE_COUNT: usize = 12;
 
-/// Where a tile's mapping is evaluated, in halves of its sides from its middle: across, then along.
+/// Where the mapping of a tile is evaluated, relative to its middle in halves of its sides: across, then along.
 pub(super) const NODES: [[f64; NODE_COUNT]; 2] = [
     [-1., 0., 1., -1., 0., 1., -1., 0., 1., 0., 0., 0.],
     [-1., -1., -1., 0., 0., 0., 1., 1., 1., 0., 0., 0.],
 ];
 
-/// Most rows of a tile: the rounding of a second difference grows with their square.
+/// Most rows of a tile. The rounding error of a second difference grows with the square of the rows.
 pub(super) const MAX_ROWS: u32 = 32;
 
-/// Part of a view: pixels, the first one's place and the sides.
+/// A rectangle of a view: its first pixel and its sides, pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Tile {
     pub x: u32,
@@ -27,15 +27,14 @@ pub(super) struct Tile {
     pub height: u32,
 }
 
-/// A quadratic in each coordinate: `terms[power of y][power of x]`, 1/65536 px, for x and y that
-/// run from -1 to 1 over the tile.
+/// A quadratic in each coordinate: `terms[power of y][power of x]`, 1/65536 px, for x and y from -1 to 1 over the
+/// tile.
 type Quadratic = [[f32; 3]; 3];
 
-/// Positions in the sphere image, relative to that of the tile's middle, over the tile.
+/// Positions in the sphere image over a tile, relative to that of the tile's middle.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Patch {
-    /// Position of the middle, 1/65536 px; the column may lie one turn off for pixels beyond the
-    /// seam.
+    /// Position of the middle, 1/65536 px. The column may be off by one turn for pixels beyond the seam.
     middle: [i32; 2],
     /// Columns, then rows.
     terms: [Quadratic; 2],
@@ -44,27 +43,27 @@ pub(super) struct Patch {
     half_height: f32,
 }
 
-/// Positions down `LANES` neighbouring columns of a view, by forward differences.
+/// Positions along `LANES` neighbouring columns of a view, by forward differences.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Strip {
     /// Columns, then rows, of the sphere image.
     pub series: [Series; 2],
 }
 
-/// For each lane a quadratic sequence, 1/65536 px.
+/// A quadratic sequence for each lane, 1/65536 px.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Series {
-    /// Its first value.
+    /// The first value.
     pub value: [i32; LANES],
-    /// Its second value less its first.
+    /// The second value minus the first.
     pub step: [i32; LANES],
-    /// What each step is longer than the one before.
+    /// The second difference: how much each step is longer than the one before.
     pub growth: [i32; LANES],
 }
 
 impl Patch {
-    /// The quadratic through positions at the [`NODES`] of `tile`: columns and rows relative to
-    /// the middle's, which is `middle` in pixels.
+    /// The quadratic through the positions at the [`NODES`] of `tile`. `columns` and `rows` are relative to `middle`,
+    /// the position of the middle in pixels.
     #[inline(always)]
     pub(super) fn through(
         tile: Tile,
@@ -80,7 +79,8 @@ impl Patch {
         }
     }
 
-    /// Pixels from the middle's position to that of a point of the tile, in halves of its sides.
+    /// Position of a point of the tile relative to that of its middle, pixels. The point is given in halves of the
+    /// tile's sides.
     pub(super) fn offset_px(&self, across: f64, along: f64) -> [f64; 2] {
         self.terms.map(|terms| {
             let [constant, linear, square] = terms
@@ -89,7 +89,7 @@ impl Patch {
         })
     }
 
-    /// Positions down the `LANES` columns from column `first` of the tile on.
+    /// Positions along the `LANES` columns from column `first` of the tile on.
     #[inline(always)]
     pub(super) fn strip(&self, first: u32) -> Strip {
         Strip { series: [self.series(0, first), self.series(1, first)] }
@@ -104,8 +104,8 @@ impl Patch {
             let x = (first as f32 + k as f32 + 0.5 - self.half_width) / self.half_width;
             let at = |terms: &[f32; 3]| terms[0] + x * (terms[1] + x * terms[2]);
             let slope = at(linear) * per_row;
-            // What is lost of the growth by rounding is lost of the whole quadratic, which is
-            // taken about the middle, so that it matters least.
+            // The second difference is rounded first, and the other terms are computed with the rounded one, about the
+            // middle, where the error matters least.
             let growth = rounded(f64::from(2.0 * at(square) * (per_row * per_row)));
             let bend = growth as f32;
             let value = at(constant) + top * (slope + 0.5 * bend * top);
@@ -119,29 +119,29 @@ impl Patch {
 }
 
 impl Series {
-    /// Whether every one of the first `rows` values lies in `first` ..= `last`, in 1/65536 px;
-    /// `false` may be said of some that do.
+    /// Whether all of the first `rows` values lie in `first` ..= `last`, in 1/65536 px. It may be `false` although they
+    /// do.
     #[inline(always)]
     pub(super) fn stays_within(&self, rows: i32, [first, last]: [i32; 2]) -> bool {
         let steps = rows - 1;
         let mut is_inside = true;
         for k in 0..LANES {
             let (value, step, growth) = (self.value[k], self.step[k], self.growth[k]);
-            // So small that nothing below overflows: 32 rows of 32 px, bent by as much.
-            let is_tame = step.unsigned_abs() < 1 << 21 && growth.unsigned_abs() < 1 << 16;
+            // So small that nothing below overflows: 32 rows of 32 px, with a curvature of as much.
+            let is_small = step.unsigned_abs() < 1 << 21 && growth.unsigned_abs() < 1 << 16;
             let end = value
                 .wrapping_add(step.wrapping_mul(steps))
                 .wrapping_add(growth.wrapping_mul(steps * (steps - 1) / 2));
-            // A parabola leaves its chord by at most growth (n/2)^2 / 2.
+            // A parabola is at most growth (n/2)^2 / 2 away from its chord.
             let bulge = growth.wrapping_abs().wrapping_mul(rows * rows / 8 + 1);
-            is_inside &= is_tame
+            is_inside &= is_small
                 & (value.min(end) >= first.wrapping_add(bulge))
                 & (value.max(end) <= last.wrapping_sub(bulge));
         }
         is_inside
     }
 
-    /// Goes on by one row.
+    /// Moves on by one row.
     #[inline(always)]
     pub(super) fn advance(&mut self) {
         for k in 0..LANES {

@@ -1,5 +1,4 @@
-//! Markers that were drawn exactly: blurred in linear light, integrated over each pixel, encoded,
-//! with noise.
+//! Exactly rendered markers: blurred as radiance, integrated over each pixel, with noise, and encoded.
 
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
@@ -11,10 +10,10 @@ use nalgebra::{Matrix3, Rotation3, Unit, Vector3};
 
 /// Cells along a marker's side.
 pub const CELLS: usize = 7;
-/// Points drawn for each pixel, along either axis.
+/// Points rendered for each pixel, along each axis.
 const FINE: usize = 8;
 
-/// xorshift64*: the same numbers on every machine.
+/// Pseudorandom numbers by xorshift64*, the same on every machine.
 pub struct Dice(pub u64);
 
 impl Dice {
@@ -32,16 +31,16 @@ impl Dice {
     }
 }
 
-/// Code values of light, with noise of this size: that of light and that of reading.
-pub fn encode(light: &[f64], curve: TransferCurve, noise: f64, dice: &mut Dice) -> Vec<u8> {
-    let code = |light: f64| match curve {
-        TransferCurve::Linear => light,
-        TransferCurve::Gamma(gamma) => light.max(0.0).powf(1.0 / f64::from(gamma)),
-        TransferCurve::Srgb if light <= 0.003_130_8 => 12.92 * light,
-        TransferCurve::Srgb => 1.055 * light.powf(1.0 / 2.4) - 0.055,
+/// Code values of radiances, with noise of this size. The noise is that of photons and of the readout.
+pub fn encode(radiances: &[f64], curve: TransferCurve, noise: f64, dice: &mut Dice) -> Vec<u8> {
+    let code = |radiance: f64| match curve {
+        TransferCurve::Linear => radiance,
+        TransferCurve::Gamma(gamma) => radiance.max(0.0).powf(1.0 / f64::from(gamma)),
+        TransferCurve::Srgb if radiance <= 0.003_130_8 => 12.92 * radiance,
+        TransferCurve::Srgb => 1.055 * radiance.powf(1.0 / 2.4) - 0.055,
     };
-    let noisy = |light: f64| light + noise * (0.1 + light).sqrt() * dice.normal();
-    light
+    let noisy = |radiance: f64| radiance + noise * (0.1 + radiance).sqrt() * dice.normal();
+    radiances
         .iter()
         .copied()
         .map(noisy)
@@ -49,7 +48,7 @@ pub fn encode(light: &[f64], curve: TransferCurve, noise: f64, dice: &mut Dice) 
         .collect()
 }
 
-/// One marker before a camera.
+/// One marker in front of a camera.
 pub struct Scene {
     pub size: usize,
     pub corners: [ViewPixel; 4],
@@ -57,10 +56,10 @@ pub struct Scene {
     pub blur: f64,
     pub white: f64,
     pub black: f64,
-    /// Light beyond the quiet zone, on each side.
+    /// Radiance beyond the quiet zone, on each side.
     pub around: [f64; 4],
-    /// Share of the middle of the first side that something grey hides.
-    pub hidden: f64,
+    /// Share of the first side, about its middle, that something grey occludes.
+    pub occluded: f64,
     /// The corner that a dark strut, a quarter of a side wide, runs into from outside.
     pub strut: Option<usize>,
 }
@@ -95,16 +94,16 @@ impl Scene {
             white: dice.uniform(0.4, 0.85),
             black: dice.uniform(0.01, 0.05),
             around,
-            hidden: 0.0,
+            occluded: 0.0,
             strut: None,
         }
     }
 
-    /// Light of the printed plane; the black square is [0, 1] x [0, 1].
-    pub fn light(&self, u: f64, v: f64) -> f64 {
+    /// Radiance of the printed plane. The black square is [0, 1] x [0, 1].
+    pub fn radiance(&self, u: f64, v: f64) -> f64 {
         // 0.875 cells of quiet zone: facets of 62.5 mm with markers of 50 mm.
         let quiet = 0.875 / CELLS as f64;
-        if self.hidden > 0.0 && (u - 0.5).abs() < self.hidden / 2.0 && v < 0.3 {
+        if self.occluded > 0.0 && (u - 0.5).abs() < self.occluded / 2.0 && v < 0.3 {
             return 0.3;
         }
         if let Some(k) = self.strut {
@@ -134,27 +133,27 @@ impl Scene {
         MarkerPrint::of_bits(&inner.copied().collect::<Vec<bool>>()).unwrap()
     }
 
-    /// The light that each pixel takes up.
+    /// The radiance that each pixel integrates.
     pub fn render(&self) -> Vec<f64> {
         let fine = self.size * FINE;
         let square_from_view = homography(&self.corners).try_inverse().unwrap();
         let at = |k: usize| (k as f64 + 0.5) / FINE as f64 - 0.5;
-        let mut light: Vec<f64> = Vec::with_capacity(fine * fine);
+        let mut radiances: Vec<f64> = Vec::with_capacity(fine * fine);
         for y in 0..fine {
             for x in 0..fine {
                 let p = square_from_view * Vector3::new(at(x), at(y), 1.0);
-                light.push(self.light(p.x / p.z, p.y / p.z));
+                radiances.push(self.radiance(p.x / p.z, p.y / p.z));
             }
         }
-        // The lens blurs, the pixel takes the mean over its area: one kernel, along either axis.
+        // The lens blurs, and the pixel takes the mean over its area: one kernel along each axis.
         let kernel = kernel(self.blur * FINE as f64);
-        let rows = reduce(&light, fine, self.size, &kernel);
+        let rows = reduce(&radiances, fine, self.size, &kernel);
         reduce(&rows, fine, self.size, &kernel)
     }
 }
 
 fn homography(corners: &[ViewPixel; 4]) -> Matrix3<f64> {
-    // From four points of the map that the library makes of the corners: exact up to a factor.
+    // From four points of the library's map, which is exact up to a factor.
     let square = SquareInView::new(corners).unwrap();
     let columns = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)].map(|(u, v)| square.at(u, v).0.push(1.0));
     let fourth = square.at(1.0, 1.0).0.push(1.0);
@@ -166,7 +165,7 @@ fn homography(corners: &[ViewPixel; 4]) -> Matrix3<f64> {
     scaled * unit
 }
 
-/// Gaussian, then a box of one pixel, in fine steps.
+/// A Gaussian convolved with a box of one pixel, in fine steps.
 fn kernel(sigma: f64) -> Vec<f64> {
     let half = (4.0 * sigma).ceil() as i32 + FINE as i32;
     let gauss = |x: f64| (-0.5 * (x / sigma).powi(2)).exp();
@@ -179,9 +178,9 @@ fn kernel(sigma: f64) -> Vec<f64> {
     weights.iter().map(|weight| weight / total).collect()
 }
 
-/// Convolves the rows, keeps one value for each pixel, and turns the image by its diagonal.
-fn reduce(light: &[f64], fine: usize, size: usize, kernel: &[f64]) -> Vec<f64> {
-    let rows = light.len() / fine;
+/// Convolves the rows, keeps one value for each pixel, and transposes the image.
+fn reduce(radiances: &[f64], fine: usize, size: usize, kernel: &[f64]) -> Vec<f64> {
+    let rows = radiances.len() / fine;
     let mut out = vec![0.0; rows * size];
     for y in 0..rows {
         for x in 0..size {
@@ -190,7 +189,7 @@ fn reduce(light: &[f64], fine: usize, size: usize, kernel: &[f64]) -> Vec<f64> {
             let first = middle - kernel.len() as isize / 2;
             let value = kernel.iter().enumerate().map(|(k, weight)| {
                 let at = (first + k as isize).clamp(0, fine as isize - 1) as usize;
-                weight * light[y * fine + at]
+                weight * radiances[y * fine + at]
             });
             out[x * rows + y] = value.sum();
         }

@@ -1,5 +1,5 @@
-//! Pictures of bodies, drawn by sampling, blurred and coded as a camera would: independent of how
-//! alignment draws.
+//! Pictures of bodies, rendered by sampling, then blurred and encoded as by a camera. They do not use the model of
+//! alignment.
 
 use std::collections::BTreeMap;
 
@@ -27,11 +27,11 @@ pub fn prints() -> BTreeMap<u32, MarkerPrint> {
         .collect()
 }
 
-/// A picture of a body, by its truth.
+/// A picture of a body at a known pose.
 pub struct Drawing {
     /// Code values.
     pub pixels: Vec<u8>,
-    /// What it shows.
+    /// The view that they show.
     pub view: View,
 }
 
@@ -43,8 +43,8 @@ impl Drawing {
     }
 }
 
-/// Light of the point of the body that `ray` hits, by plain geometry: each facet is asked.
-fn light_of(
+/// Radiance of the point of the body that `ray` hits, by testing each facet.
+fn radiance_of(
     body: &Body,
     prints: &BTreeMap<u32, MarkerPrint>,
     markers_from_camera: &Isometry3<f64>,
@@ -64,7 +64,7 @@ fn light_of(
         if !is_inside(facet, &at) {
             continue;
         }
-        // Each facet has its own light.
+        // Each facet has its own radiance.
         let white = 0.35 + 0.04 * (index % 11) as f64;
         let Some(marker) = facet.marker.map(|marker| &body.markers[marker]) else {
             return 0.8 * white;
@@ -92,21 +92,19 @@ fn is_inside(facet: &Facet, at: &Point3<f64>) -> bool {
 /// Samples along a side of each pixel.
 const FINE: usize = 5;
 
-/// Weights of the samples before, in and behind a pixel: a Gaussian, integrated over the pixel.
+/// Weights of the samples around and in a pixel: a Gaussian, integrated over the pixel.
 fn kernel(blur_px: f64) -> Vec<f64> {
-    let deviation = blur_px * FINE as f64;
-    let reach = (4.0 * deviation).ceil() as i32;
+    let sigma = blur_px * FINE as f64;
+    let reach = (4.0 * sigma).ceil() as i32;
     let weight = |sample: i32| -> f64 {
-        (0..FINE as i32)
-            .map(|own| (-0.5 * (f64::from(sample - own) / deviation).powi(2)).exp())
-            .sum()
+        (0..FINE as i32).map(|own| (-0.5 * (f64::from(sample - own) / sigma).powi(2)).exp()).sum()
     };
     let weights: Vec<f64> = (-reach..FINE as i32 + reach).map(weight).collect();
     let total: f64 = weights.iter().sum();
     weights.iter().map(|weight| weight / total).collect()
 }
 
-/// Rows of fine samples as columns of `count` pixels, so that the same again does the columns.
+/// Blurs rows of fine samples into `count` pixels each, and transposes them, so that a second call blurs the columns.
 fn blurred(samples: &[f64], count: usize, rows: usize, kernel: &[f64]) -> Vec<f64> {
     let length = count * FINE;
     let before = (kernel.len() - FINE) / 2;
@@ -121,8 +119,8 @@ fn blurred(samples: &[f64], count: usize, rows: usize, kernel: &[f64]) -> Vec<f6
     pixels
 }
 
-/// Draws what a view of `focal_px` sees: sampled 5 by 5 in each pixel, blurred in linear light by
-/// `blur_px` before pixels integrate it, with noise, coded as sRGB with 8 bit.
+/// Renders what a view of `focal_px` sees. The radiance is sampled 5 by 5 in each pixel, blurred by `blur_px` and
+/// integrated over the pixels. Noise is added, and the result is encoded as sRGB with 8 bits.
 pub fn draw(
     body: &Body,
     pose: &Isometry3<f64>,
@@ -137,29 +135,29 @@ pub fn draw(
     let field = 2.0 * (f64::from(size) / (2.0 * focal_px)).atan();
     let view = View::looking_at(&direction, field, size);
     let side = size as usize;
-    let mut light = vec![0.0; (side * FINE).pow(2)];
-    for (k, light) in light.iter_mut().enumerate() {
+    let mut radiances = vec![0.0; (side * FINE).pow(2)];
+    for (k, radiance) in radiances.iter_mut().enumerate() {
         let place = |sample: usize| (sample as f64 + 0.5) / FINE as f64 - 0.5;
         let (x, y) = (place(k % (side * FINE)), place(k / (side * FINE)));
         let background = 0.2 + 0.1 * (x / 3.0).sin();
         let ray = view.ray(ViewPixel::new(x, y));
-        *light = light_of(body, &prints, &markers_from_camera, &ray, background);
+        *radiance = radiance_of(body, &prints, &markers_from_camera, &ray, background);
     }
     let kernel = kernel(blur_px);
-    let across = blurred(&light, side, side * FINE, &kernel);
-    let light = blurred(&across, side, side, &kernel);
+    let across = blurred(&radiances, side, side * FINE, &kernel);
+    let radiances = blurred(&across, side, side, &kernel);
     let mut state = 7u64;
     let mut random = move || {
         state =
             state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (state >> 33) as f64 / f64::from(1u32 << 31) - 0.5
     };
-    let pixels = light
+    let pixels = radiances
         .iter()
-        .map(|light| {
-            // The sum of twelve has the variance of one.
+        .map(|radiance| {
+            // A sum of twelve uniform numbers has a variance of one.
             let normal: f64 = (0..12).map(|_| random()).sum();
-            let noisy = (light + noise * normal).clamp(0.0, 1.0);
+            let noisy = (radiance + noise * normal).clamp(0.0, 1.0);
             let code = if noisy <= 0.003_130_8 {
                 12.92 * noisy
             } else {

@@ -1,11 +1,11 @@
-//! Views in double precision, pixel by pixel, and what is needed to compare with them.
+//! Views in double precision, pixel by pixel, for comparison.
 
 use flockeye_geometry::camera::{Camera, CameraModel, Lens, LensCurve, SpherePixel};
 use flockeye_geometry::view::{View, ViewPixel};
 use flockeye_imaging::sphere::{Cut, Interpolation, SphereImage};
 use nalgebra::{Isometry3, Rotation3, Translation3, Unit, UnitQuaternion, Vector3};
 
-/// Every model: with one centre and with lenses beside it.
+/// Cameras of every model, with one centre and with two lenses.
 pub fn cameras() -> [Camera; 6] {
     let lens = |ahead: f64, u: f64, curve, focal_px| {
         let axis = Vector3::x() * ahead;
@@ -43,8 +43,8 @@ pub fn cameras() -> [Camera; 6] {
     ]
 }
 
-/// Views where something can go wrong: the poles, the seam, both, the border between two lenses,
-/// what no lens sees, the corners of wide views; and one where nothing can.
+/// Views of difficult places: the poles, the seam, both, the border between two lenses, directions that no lens sees,
+/// the corners of wide views. One is easy.
 pub fn hard_views() -> Vec<View> {
     let directions = [
         (0.0, 0.0, 1.0),
@@ -69,7 +69,7 @@ pub fn hard_views() -> Vec<View> {
     views
 }
 
-/// Noise of full contrast, blurred by a Gaussian of 0.8 px; the first column follows the last.
+/// Noise of full contrast, blurred by a Gaussian of 0.8 px. The first column is the last one's neighbour.
 pub fn panorama(camera: &Camera, stride: usize) -> Vec<u8> {
     let (width, height) = (camera.width() as usize, camera.height() as usize);
     let kernel: Vec<f32> = (-3..=3).map(|k| (-(k * k) as f32 / (2.0 * 0.64)).exp()).collect();
@@ -107,7 +107,7 @@ pub fn position(camera: &Camera, cut: &Cut, x: f64, y: f64) -> Option<SpherePixe
     camera.at_distance(cut.distance_m).project(&cut.view.ray(ViewPixel::new(x, y)))
 }
 
-/// Interpolation where the cut's pixel (x, y) lies in the sphere image; black where it does not.
+/// The grey value of the cut's pixel (x, y), interpolated in the sphere image; black where that does not show it.
 pub fn grey(sphere: &SphereImage<'_>, cut: &Cut, x: f64, y: f64) -> f64 {
     let camera = sphere.camera();
     let Some(at) = position(camera, cut, x, y) else { return 0.0 };

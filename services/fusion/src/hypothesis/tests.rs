@@ -153,11 +153,11 @@ fn a_single_facet_far_away_initiates_a_track_where_its_mirror_pose_is_tilted_too
 
 #[test]
 fn two_facets_or_one_need_a_margin_over_rivals() {
-    let score = |log_ratio, correlation, telling_facets| Score {
+    let score = |log_ratio, correlation, discriminative_facets| Evidence {
         log_ratio,
         correlation,
-        telling_facets,
-        ..Score::default()
+        discriminative_facets,
+        ..Evidence::default()
     };
     let twice = score(265.0, 0.42, 2);
     assert!(has_margin(&twice, &score(200.0, 0.42, 1), true));
@@ -179,7 +179,7 @@ fn a_track_is_confirmed_farther_away_than_it_is_initiated() {
         let error = found.camera_from_markers.translation.vector - truth.translation.vector;
         assert!(error.norm() < 0.05, "{} m", error.norm());
         // A few facets may be others' mirror poses: then it must not have turned far.
-        assert_eq!(found.score.agreeing_facets, 1);
+        assert_eq!(found.evidence.agreeing_facets, 1);
         assert!(
             aligner
                 .confirm(0, picture, &starts, &pose(4.6, 1.5), TimeBudget::Unlimited, |_| false)

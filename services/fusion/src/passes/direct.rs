@@ -60,8 +60,8 @@ pub fn align(
 
 /// The measurement that an alignment gives without any marker, if it is unambiguous.
 pub fn accepted(found: &Alignment, predicted: &Isometry3<f64>) -> Option<Measurement> {
-    let is_unambiguous = found.is_believed()
-        && found.score.agreeing_facets >= MIN_FACETS
+    let is_unambiguous = found.is_accepted()
+        && found.evidence.agreeing_facets >= MIN_FACETS
         && !is_implausible_turn(found, predicted);
     is_unambiguous.then(|| Measurement::aligned(found, 0))
 }

@@ -190,7 +190,7 @@ impl Inputs<'_> {
             // One facet alone starts a track only if it wins against all starts, the deferred ones too.
             TrackPrior::Untracked => aligner
                 .initiate(self.target, &view.picture, &starts, budget, is_marked)
-                .filter(|found| !is_deferred || found.score.is_told_twice()),
+                .filter(|found| !is_deferred || found.evidence.is_unambiguous()),
         }
     }
 

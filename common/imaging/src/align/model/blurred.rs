@@ -1,46 +1,46 @@
-//! A printed facet seen through a Gaussian, in closed form.
+//! A printed facet blurred by a Gaussian, in closed form.
 //!
-//! The point spread, a Gaussian of covariance S in the image, is one of covariance Q S Q' in the
-//! facet's plane, Q being the plane's coordinates by pixels. Axis-parallel cells blurred along the
-//! axes are products of differences of the Gaussian's distribution function F. A covariance that is
-//! no diagonal, as on a facet seen aslant, is split: with correlation r and deviations (a, b),
+//! A point spread of covariance S in the image has covariance Q S Q' in the facet's plane, with Q the
+//! derivative of the plane's coordinates by the pixel. If that covariance is diagonal, a blurred cell is
+//! a product of differences of the Gaussian's distribution function F. On a facet seen at an angle it is
+//! not diagonal. Then it is split: with correlation r and standard deviations (a, b),
 //!
 //! ```text
 //! [a^2, r a b; r a b, b^2] = (1 - |r|) diag(a^2, b^2) + |r| d d',   d = (a, sign(r) b)
 //! ```
 //!
-//! and the blur along the single direction d is summed by Gauss-Hermite nodes, one, two or three as
-//! r asks for. Edges of the facet's outline are straight, so each is F of the distance over the
-//! deviation across it, whatever the covariance; where two meet, their product.
+//! and the blur along the direction d is summed over one, two or three Gauss-Hermite nodes, depending
+//! on r. The edges of the outline are straight, so each is F(distance / standard deviation across the
+//! edge) for any covariance. Where two edges meet, their product is taken.
 
 use nalgebra::{Matrix2, Vector2};
 
-use super::print::{Cells, MAX_CELLS, PrintedFacet};
+use crate::align::print::{Cells, MAX_CELLS, PrintedFacet};
 use crate::gaussian::{Gaussian, REACH};
 
-/// A blurred indicator at a point of the plane: value, slope and curvature by the coordinates
-/// (metres; the curvature's entries are xx, xy, yy).
+/// A blurred indicator function at a point of the plane, with its derivatives by the coordinates in
+/// metres. The second derivatives are xx, xy, yy.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Share {
+pub(in crate::align) struct Share {
     pub value: f32,
     pub slope: [f32; 2],
     pub curvature: [f32; 3],
 }
 
-/// Parts of a marker, blurred: what acceptance compares the image with.
+/// Blurred parts of a marker that the evidence compares the image with.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Parts {
+pub(in crate::align) struct Parts {
     /// All black cells.
     pub black: f32,
     /// The whole black square, as if all its cells were black.
     pub square: f32,
-    /// The square within the border.
+    /// The square inside the border.
     pub inside: f32,
 }
 
 /// One facet with one point spread.
 #[derive(Clone)]
-pub(super) struct BlurredFacet<'p> {
+pub(in crate::align) struct BlurredFacet<'p> {
     cells: Option<BlurredCells<'p>>,
     edges: Vec<Edge>,
     gaussian: Gaussian,
@@ -49,25 +49,27 @@ pub(super) struct BlurredFacet<'p> {
 #[derive(Clone)]
 struct BlurredCells<'p> {
     cells: &'p Cells,
-    /// Deviations along x and y, cells.
-    deviation: [f32; 2],
-    /// Weights of the nodes, and where they lie, cells.
+    /// Standard deviations along x and y, cells.
+    sigma: [f32; 2],
+    /// Weights and positions of the Gauss-Hermite nodes, cells.
     nodes: Vec<(f32, [f32; 2])>,
 }
 
 #[derive(Clone)]
 struct Edge {
-    /// Distance inwards is `normal . at + offset`, in deviations across the edge.
+    /// The depth inside the edge is `normal . at + offset`, in standard deviations across the edge.
     normal: Vector2<f32>,
     offset: f32,
 }
 
-/// The cells that a Gaussian reaches, from the first on: for each its weight, a difference of F at
-/// its borders, and the weight's first and second derivative by the coordinate.
+/// Weights of the cells within reach of the Gaussian, along one axis.
+///
+/// A cell's weight is the difference of F at its two borders.
 struct Weights {
+    /// The first cell within reach.
     first: usize,
     count: usize,
-    /// Value, slope and curvature.
+    /// Weight, with its first and second derivative by the coordinate.
     cells: [[f32; 3]; MAX_CELLS],
 }
 
@@ -76,7 +78,7 @@ impl Weights {
 }
 
 impl<'p> BlurredFacet<'p> {
-    /// `covariance`: of the point spread in the facet's plane, metres squared.
+    /// `covariance` is that of the point spread in the facet's plane, metres squared.
     pub fn new(facet: &'p PrintedFacet, covariance: &Matrix2<f64>) -> Self {
         let cells = facet.cells.as_ref().map(|cells| BlurredCells::new(cells, covariance));
         let middle = facet.middle();
@@ -87,29 +89,30 @@ impl<'p> BlurredFacet<'p> {
                 let along = (to - from).normalize();
                 let across = Vector2::new(-along.y, along.x);
                 let inwards = if across.dot(&(middle - from)) < 0.0 { -across } else { across };
-                let deviation = inwards.dot(&(covariance * inwards)).sqrt();
+                let sigma = inwards.dot(&(covariance * inwards)).sqrt();
                 Edge {
-                    normal: (inwards / deviation).cast(),
-                    offset: (-inwards.dot(&from.coords) / deviation) as f32,
+                    normal: (inwards / sigma).cast(),
+                    offset: (-inwards.dot(&from.coords) / sigma) as f32,
                 }
             })
             .collect();
         Self { cells, edges, gaussian: Gaussian::get() }
     }
 
-    /// How far inside of edge `k` a point lies, in deviations of the point spread.
+    /// Depth of a point inside edge `k`, standard deviations of the point spread.
     #[inline]
     pub fn depth(&self, k: usize, at: Vector2<f64>) -> f32 {
         let at: Vector2<f32> = at.cast();
         self.edges[k].normal.dot(&at) + self.edges[k].offset
     }
 
-    /// How that depth grows, by the plane's metres.
+    /// Derivative of that depth by the plane's coordinates, per metre.
     pub fn inwards(&self, k: usize) -> Vector2<f32> {
         self.edges[k].normal
     }
 
-    /// A line of no width along edge `k`, blurred: its light for each unit of light times metres.
+    /// A blurred line without width along edge `k`: its radiance at a point, for a line of one unit of
+    /// radiance times metres.
     #[inline(always)]
     pub fn line(&self, k: usize, at: Vector2<f64>) -> f64 {
         let edge = &self.edges[k];
@@ -117,7 +120,7 @@ impl<'p> BlurredFacet<'p> {
         f64::from(density * edge.normal.norm())
     }
 
-    /// The facet's coverage.
+    /// The facet's blurred coverage.
     #[inline(always)]
     pub fn coverage(&self, at: Vector2<f64>) -> Share {
         let at: Vector2<f32> = at.cast();
@@ -148,7 +151,7 @@ impl<'p> BlurredFacet<'p> {
         share
     }
 
-    /// The share of black; nothing on a facet without marker.
+    /// The blurred share of black; zero on a facet without a marker.
     #[inline(always)]
     pub fn black(&self, at: Vector2<f64>) -> Share {
         let Some(blurred) = &self.cells else { return Share::default() };
@@ -158,8 +161,8 @@ impl<'p> BlurredFacet<'p> {
         let (mut across, mut down) = (Weights::NONE, Weights::NONE);
         for &(weight, [dx, dy]) in &blurred.nodes {
             let count = blurred.cells.count;
-            self.weigh(&mut across, x + dx, blurred.deviation[0], count);
-            self.weigh(&mut down, y + dy, blurred.deviation[1], count);
+            self.weigh(&mut across, x + dx, blurred.sigma[0], count);
+            self.weigh(&mut down, y + dy, blurred.sigma[1], count);
             let mut node = Share::default();
             for (row, &[value, slope, curvature]) in down.cells[..down.count].iter().enumerate() {
                 let start = (down.first + row) * count + across.first;
@@ -188,20 +191,20 @@ impl<'p> BlurredFacet<'p> {
         sum
     }
 
-    /// The marker's parts; nothing on a facet without one.
+    /// The marker's blurred parts; zero on a facet without one.
     pub fn parts(&self, at: Vector2<f64>) -> Parts {
         let Some(blurred) = &self.cells else { return Parts::default() };
         let count = blurred.cells.count;
         let mut sum = Parts { black: self.black(at).value, ..Parts::default() };
         let [x, y] = blurred.in_cells(at);
         for &(weight, [dx, dy]) in &blurred.nodes {
-            let between = |at: f32, deviation: f32, from: usize, to: usize| {
-                let below = |border: usize| self.gaussian.at((at - border as f32) / deviation).1;
+            let between = |at: f32, sigma: f32, from: usize, to: usize| {
+                let below = |border: usize| self.gaussian.at((at - border as f32) / sigma).1;
                 below(from) - below(to)
             };
             let both = |from, to| {
-                between(x + dx, blurred.deviation[0], from, to)
-                    * between(y + dy, blurred.deviation[1], from, to)
+                between(x + dx, blurred.sigma[0], from, to)
+                    * between(y + dy, blurred.sigma[1], from, to)
             };
             sum.square += weight * both(0, count);
             sum.inside += weight * both(1, count - 1);
@@ -209,33 +212,34 @@ impl<'p> BlurredFacet<'p> {
         sum
     }
 
-    /// Weights of the cells along one axis, seen at `at` (cells from the square's edge).
+    /// Computes the weights of the cells along one axis for a point `at`, in cells from the square's
+    /// edge.
     ///
-    /// They are written in place: moving them would take longer than finding them.
+    /// They are written in place, because moving them would take longer than computing them.
     #[inline(always)]
-    fn weigh(&self, weights: &mut Weights, at: f32, deviation: f32, count: usize) {
+    fn weigh(&self, weights: &mut Weights, at: f32, sigma: f32, count: usize) {
         weights.count = 0;
-        let (per_deviation, reach) = (1.0 / deviation, REACH * deviation);
+        let (per_sigma, reach) = (1.0 / sigma, REACH * sigma);
         let (from, to) = (at - reach, at + reach);
-        // At most MAX_CELLS; see `Gaussian::at` for the type.
+        // At most MAX_CELLS. See `Gaussian::at` for the type.
         let count = count as u16;
-        // Borders 0 to `count`, those in reach; written so that a NaN reaches none.
+        // No border from 0 to `count` within reach. Written so that a NaN reaches none.
         if !(to >= 0.0 && from <= f32::from(count)) {
             return;
         }
-        // Casts cut off what is behind the point, and saturate.
+        // The casts truncate and saturate.
         let low = if from <= 0.0 { 0 } else { from as u16 + 1 };
         let high = (to as u16).min(count);
-        // Cells from the one before the first such border to the one behind the last. Borders below
-        // `low` lie far behind: F is 1 there, if there is a cell behind them.
+        // From the cell before the first border within reach to the cell after the last one. At borders
+        // below `low`, F is 1.
         weights.first = usize::from(low.saturating_sub(1));
         let mut before = [1.0, 0.0, 0.0];
         let mut place = 0;
         for border in low..=high {
-            let z = (at - f32::from(border)) * per_deviation;
+            let z = (at - f32::from(border)) * per_sigma;
             let (density, below) = self.gaussian.at(z);
-            let slope = density * per_deviation;
-            let here = [below, slope, -z * slope * per_deviation];
+            let slope = density * per_sigma;
+            let here = [below, slope, -z * slope * per_sigma];
             if border > 0 {
                 weights.cells[place] =
                     [before[0] - here[0], before[1] - here[1], before[2] - here[2]];
@@ -251,18 +255,18 @@ impl<'p> BlurredFacet<'p> {
     }
 }
 
-/// Deviations of the point spread below so many cells are narrow.
-const FINE_CELLS: f64 = 0.3;
+/// A point spread whose standard deviation is below this many cells is narrow.
+const NARROW_BLUR_CELLS: f64 = 0.3;
 
 impl<'p> BlurredCells<'p> {
     fn new(cells: &'p Cells, covariance: &Matrix2<f64>) -> Self {
         let (a, b) = (covariance[(0, 0)].sqrt(), covariance[(1, 1)].sqrt());
         let correlation = (covariance[(0, 1)] / (a * b)).clamp(-0.98, 0.98);
         let along = Vector2::new(a, b * correlation.signum()) / cells.side_m;
-        // Where a node lies on the direction d, in its deviations.
-        // Straight edges are right with any nodes; what they are for is where edges meet, which is
-        // nowhere in particular on cells that are much wider than the blur.
-        let tolerance = if a.max(b) < FINE_CELLS * cells.side_m { 0.25 } else { 0.1 };
+        // Nodes are (weight, position along d in standard deviations). Straight edges are exact with any
+        // number of nodes; more nodes matter at the corners of cells. On cells much wider than the blur few
+        // pixels lie near a corner.
+        let tolerance = if a.max(b) < NARROW_BLUR_CELLS * cells.side_m { 0.25 } else { 0.1 };
         let (share, nodes): (f64, &[(f64, f64)]) = match correlation.abs() {
             r if r < tolerance => (0.0, &[(1.0, 0.0)]),
             r if r < 2.0 * tolerance => (r, &[(0.5, -1.0), (0.5, 1.0)]),
@@ -283,10 +287,10 @@ impl<'p> BlurredCells<'p> {
                 (weight as f32, [at.x as f32, at.y as f32])
             })
             .collect();
-        Self { cells, deviation: [(a * own) as f32, (b * own) as f32], nodes }
+        Self { cells, sigma: [(a * own) as f32, (b * own) as f32], nodes }
     }
 
-    /// A point of the plane in cells from the square's top left.
+    /// A point of the plane, in cells from the square's top left corner.
     #[inline]
     fn in_cells(&self, at: Vector2<f64>) -> [f32; 2] {
         let half = self.cells.count as f32 / 2.0;

@@ -1,68 +1,50 @@
-//! Where a patch sees a body's facets, and how that moves with the pose.
+//! Where a patch sees the facets of a body, and how that changes with the pose.
 
 use nalgebra::{Isometry3, Matrix2, Matrix3, Point2, Vector2, Vector3};
 
-use super::print::{BodyPrint, PrintedFacet};
+use crate::align::pinhole::Pinhole;
+use crate::align::print::{BodyPrint, PrintedFacet};
 
-/// A facet is drawn if the cosine of its incidence is at least this; what is seen more edge on is a
-/// sliver of which nothing can be read, and counts as silhouette.
-pub(super) const MIN_COSINE: f64 = 0.17;
-
-/// A pinhole camera: where a patch's pixels look. x right, y down, z forward.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Pinhole {
-    pub focal_px: f64,
-    pub centre_px: Vector2<f64>,
-}
-
-impl Pinhole {
-    /// The direction that pixel `at` sees, of depth 1.
-    #[inline]
-    pub fn direction(&self, at: Vector2<f64>) -> Vector3<f64> {
-        ((at - self.centre_px) / self.focal_px).push(1.0)
-    }
-
-    /// Where `point` is seen; `None` behind the camera or next to it.
-    pub fn project(&self, point: &Vector3<f64>) -> Option<Vector2<f64>> {
-        (point.z > 1e-3).then(|| point.xy() / point.z * self.focal_px + self.centre_px)
-    }
-}
+/// A facet is drawn if the cosine of its angle of incidence is at least this. A facet seen more edge-on
+/// is too narrow to be read; its edges count as silhouette.
+const MIN_COSINE: f64 = 0.17;
 
 /// A facet that faces the camera, at one pose.
 #[derive(Debug, Clone)]
-pub(super) struct SeenFacet {
-    /// Axes of the facet's frame, in the camera's.
+pub(in crate::align) struct VisibleFacet {
+    /// Axes of the facet's frame, in the camera frame.
     x: Vector3<f64>,
     y: Vector3<f64>,
     z: Vector3<f64>,
-    /// The facet's origin.
+    /// Origin of the facet's frame.
     origin: Vector3<f64>,
-    /// The markers' origin.
+    /// Origin of the markers' frame.
     markers: Vector3<f64>,
-    /// Distance of the plane along z.
+    /// Distance of the facet's plane from the camera, along z.
     offset: f64,
-    /// The plane's coordinates by pixels, to first order, at the facet's middle.
+    /// Derivative of the plane's coordinates (metres) by the pixel, at the facet's middle.
     pub facet_from_pixel: Matrix2<f64>,
-    /// The outline, as the patch sees it.
+    /// The outline in the patch, pixels.
     pub outline_px: Vec<Vector2<f64>>,
-    /// Cosine of the incidence at its middle.
+    /// Cosine of the angle of incidence at the middle.
     #[cfg(test)]
     pub cosine: f64,
 }
 
-/// How a facet's point under a fixed pixel moves with the pose.
+/// How the facet's point under a fixed pixel moves with the pose.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Flow {
-    /// Where the pixel sees the plane, in the facet's frame, metres.
+pub(in crate::align) struct Flow {
+    /// The point of the plane under the pixel, in the facet's frame, metres.
     pub at: Vector2<f64>,
-    /// The same point from the markers' origin, in the camera's axes.
+    /// The same point relative to the markers' origin, in the camera's axes.
     arm: Vector3<f64>,
     along_x: Vector3<f64>,
     along_y: Vector3<f64>,
 }
 
-impl SeenFacet {
-    /// The facet at `camera_from_markers`; `None` if it faces away, is seen edge on or lies behind.
+impl VisibleFacet {
+    /// The facet at `camera_from_markers`; `None` if it faces away, is seen edge-on or lies behind the
+    /// camera.
     pub fn new(
         facet: &PrintedFacet,
         camera_from_markers: &Isometry3<f64>,
@@ -76,7 +58,7 @@ impl SeenFacet {
         let in_camera = |point: &Point2<f64>| origin + x * point.x + y * point.y;
         let middle = in_camera(&facet.middle());
         let cosine = z.dot(&middle) / middle.norm();
-        // A NaN faces nobody.
+        // False for a NaN.
         let faces_camera = cosine >= MIN_COSINE;
         if !faces_camera {
             return None;
@@ -105,17 +87,17 @@ impl SeenFacet {
         })
     }
 
-    /// The plane's point, in the facet's frame, that `direction` sees.
+    /// The point of the plane in this `direction`, in the facet's frame.
     #[inline]
-    pub fn seen(&self, direction: &Vector3<f64>) -> Vector2<f64> {
+    pub fn point(&self, direction: &Vector3<f64>) -> Vector2<f64> {
         let from_origin = direction * (self.offset / self.z.dot(direction)) - self.origin;
         Vector2::new(self.x.dot(&from_origin), self.y.dot(&from_origin))
     }
 
-    /// The point that `direction` sees, and how it moves with the pose.
+    /// The point in this `direction`, and how it moves with the pose.
     ///
-    /// A point of the body that moves by d leaves the pixel; what comes in its place lies at
-    /// l e - d from it, with e the pixel's direction and l such that it lies in the plane.
+    /// When the body moves by d, its point leaves the pixel. The point that takes its place lies at
+    /// l e - d from it, with e the direction of the pixel and l such that it lies in the plane.
     #[inline(always)]
     pub fn flow(&self, direction: &Vector3<f64>) -> Flow {
         let slope = 1.0 / self.z.dot(direction);
@@ -129,12 +111,12 @@ impl SeenFacet {
         }
     }
 
-    /// Homography from pixels to the facet's plane, for deciding which pixels it covers.
+    /// Homography from pixels to the facet's plane. It is used to find the pixels that the facet covers.
     pub fn plane_from_pixel(&self, pinhole: &Pinhole) -> Matrix3<f64> {
         let (f, c) = (pinhole.focal_px, pinhole.centre_px);
         let camera_from_pixel =
             Matrix3::new(1.0 / f, 0.0, -c.x / f, 0.0, 1.0 / f, -c.y / f, 0.0, 0.0, 1.0);
-        // point = direction * offset / (z . direction), so all is linear before the division.
+        // point = direction * offset / (z . direction), so everything before the division is linear.
         let row = |axis: &Vector3<f64>| axis * self.offset - self.z * axis.dot(&self.origin);
         Matrix3::from_rows(&[
             row(&self.x).transpose(),
@@ -145,8 +127,8 @@ impl SeenFacet {
 }
 
 impl Flow {
-    /// Derivative of a value by the pose (shift of the markers' origin, then rotation about it,
-    /// both in the camera's axes), where `slope` is its derivative by the facet's coordinates.
+    /// Derivative of a value by the pose: by the shift of the markers' origin, then by the rotation
+    /// about it, both in the camera's axes. `slope` is its derivative by the facet's coordinates.
     #[inline(always)]
     pub fn by_pose(&self, slope: Vector2<f64>) -> [f64; 6] {
         let shift = self.along_x * slope.x + self.along_y * slope.y;
@@ -155,12 +137,12 @@ impl Flow {
     }
 }
 
-/// The facets that face the camera at a pose; `None` in place of the others.
-pub(super) fn seen_facets(
+/// The facets of a body at a pose; `None` for those that do not face the camera.
+pub(in crate::align) fn visible_facets(
     print: &BodyPrint,
     camera_from_markers: &Isometry3<f64>,
     pinhole: &Pinhole,
-) -> Vec<Option<SeenFacet>> {
-    let see = |facet| SeenFacet::new(facet, camera_from_markers, pinhole);
-    print.facets.iter().map(see).collect()
+) -> Vec<Option<VisibleFacet>> {
+    let visible = |facet| VisibleFacet::new(facet, camera_from_markers, pinhole);
+    print.facets.iter().map(visible).collect()
 }

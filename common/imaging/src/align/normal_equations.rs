@@ -1,37 +1,30 @@
 //! The normal equations, summed over samples.
 //!
-//! Samples that show the same facets depend on the same few unknowns. They are summed as a bundle of
-//! fixed size first, which the compiler adds four numbers at a time, and spread out once.
+//! Samples that show the same facets depend on the same few unknowns. They are first summed in a block
+//! of fixed size, which the compiler vectorizes, and the block is added to the full matrix once.
 
 use nalgebra::{DMatrix, DVector};
 
+use super::model::{Modelled, Scene, model};
 use super::patch::Patch;
 use super::print::BodyPrint;
+use super::robust::cauchy_term;
 use super::samples::Sample;
-use super::solve::{Modelled, Scene, model};
-use super::unknowns::{COMMON, Layout, State};
+use super::state::{COMMON, Layout, State};
 
-/// Scale of Cauchy's function, standard deviations.
-const CAUCHY: f64 = 2.4;
-
-/// A residual of so many deviations, squared, weighs 1 / (1 + this): Cauchy's function.
-#[inline(always)]
-pub(super) fn damping(squared_deviations: f64) -> f64 {
-    squared_deviations / CAUCHY.powi(2)
-}
-
-/// Length of a row for a pixel that shows one facet: pose and blur, the two slopes of the light of the
-/// facet that it lies on, two levels, the residual.
+/// Length of the row of a pixel that shows one facet: common unknowns, two radiance gradients, two
+/// levels, the residual.
 const INSIDE: usize = LEVELS + 2 + 1;
-/// For one at the edges of up to three: and two seams more.
+/// Length of the row of a pixel that shows up to three facets: six levels and two seams.
 const ACROSS: usize = LEVELS + 6 + 2 + 1;
-/// Where a row has its levels.
+/// Where the levels begin in a row.
 const LEVELS: usize = COMMON + 2;
 
-/// Sums over the samples.
+/// The normal equations `normal * step = right`.
 pub(super) struct Sums {
     pub normal: DMatrix<f64>,
     pub right: DVector<f64>,
+    /// Residual of each sample, radiance.
     pub residuals: Vec<f32>,
 }
 
@@ -41,43 +34,43 @@ pub(super) struct Pass<'s> {
     pub patch: &'s Patch,
     pub samples: &'s [Sample],
     pub layout: &'s Layout,
-    /// Noise of each facet.
-    pub scales: &'s [f64],
-    /// Whether residuals beyond the noise weigh less.
+    /// Residual sigma of each facet.
+    pub sigmas: &'s [f64],
+    /// Whether large residuals are weighted down.
     pub is_robust: bool,
 }
 
-/// Sums over pixels of the same unknowns, of `ROW` numbers each, the residual the last.
-struct Bundle<const ROW: usize> {
-    /// Where the row's numbers stand among the unknowns.
-    places: [Option<usize>; ROW],
+/// Sums over pixels that depend on the same unknowns. A row has `ROW` numbers, the residual last.
+struct Block<const ROW: usize> {
+    /// Index of the unknown that each number of the row belongs to.
+    indices: [Option<usize>; ROW],
     products: [[f32; ROW]; ROW],
 }
 
-impl<const ROW: usize> Bundle<ROW> {
-    /// For pixels that lie on this facet.
+impl<const ROW: usize> Block<ROW> {
+    /// A block for pixels that lie on this facet.
     fn new(facet: usize, modelled: &Modelled, layout: &Layout) -> Self {
-        let mut places = [None; ROW];
-        for (k, place) in places.iter_mut().enumerate().take(COMMON) {
-            *place = Some(k);
+        let mut indices = [None; ROW];
+        for (k, index) in indices.iter_mut().enumerate().take(COMMON) {
+            *index = Some(k);
         }
-        let slope = layout.slope(facet);
-        places[COMMON] = slope;
-        places[COMMON + 1] = slope.map(|at| at + 1);
+        let gradient = layout.gradient(facet);
+        indices[COMMON] = gradient;
+        indices[COMMON + 1] = gradient.map(|at| at + 1);
         for (k, &(facet, ..)) in modelled.levels().iter().enumerate() {
             let at = layout.level(facet);
-            places[LEVELS + 2 * k] = at;
-            places[LEVELS + 2 * k + 1] = at.map(|at| at + 1);
+            indices[LEVELS + 2 * k] = at;
+            indices[LEVELS + 2 * k + 1] = at.map(|at| at + 1);
         }
         for (k, &(seam, _)) in modelled.seams().iter().enumerate() {
-            places[ROW - 3 + k] = layout.seam(seam);
+            indices[ROW - 3 + k] = layout.seam(seam);
         }
-        Self { places, products: [[0.0; ROW]; ROW] }
+        Self { indices, products: [[0.0; ROW]; ROW] }
     }
 
     #[inline(always)]
     fn add(&mut self, row: &[f32; ROW], weight: f32) {
-        // All of it, though half would do: so the compiler adds four numbers at a time.
+        // The whole matrix, although half would do, so that the compiler can vectorize it.
         for (products, first) in self.products.iter_mut().zip(row) {
             let weighted = weight * first;
             for (product, second) in products.iter_mut().zip(row) {
@@ -87,9 +80,9 @@ impl<const ROW: usize> Bundle<ROW> {
     }
 
     fn add_to(&self, sums: &mut Sums) {
-        for (row, at) in self.places.iter().enumerate() {
+        for (row, at) in self.indices.iter().enumerate() {
             let Some(at) = *at else { continue };
-            for (column, to) in self.places.iter().enumerate() {
+            for (column, to) in self.indices.iter().enumerate() {
                 if let Some(to) = *to {
                     sums.normal[(at, to)] += f64::from(self.products[row][column]);
                 }
@@ -100,16 +93,17 @@ impl<const ROW: usize> Bundle<ROW> {
 }
 
 impl Pass<'_> {
+    /// Sums the normal equations at a state.
     pub fn sum(&self, scene: &Scene<'_>, state: &State) -> Sums {
         #[cfg(target_arch = "x86_64")]
         if std::arch::is_x86_feature_detected!("avx2") {
-            // SAFETY: the processor has AVX2, as was asked just now.
+            // SAFETY: the line above checked that the processor has AVX2.
             return unsafe { self.sum_avx2(scene, state) };
         }
         self.sum_plain(scene, state)
     }
 
-    /// The same code, and the same sums to the last bit, with eight numbers in a register.
+    /// The same code and the same sums to the last bit, compiled for AVX2.
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
     fn sum_avx2(&self, scene: &Scene<'_>, state: &State) -> Sums {
@@ -124,7 +118,7 @@ impl Pass<'_> {
             right: DVector::zeros(unknowns),
             residuals: Vec::with_capacity(self.samples.len()),
         };
-        // Samples of the same facets stand together.
+        // Samples that show the same facets are neighbours in the list.
         for run in self.samples.chunk_by(|a, b| a.shows() == b.shows()) {
             if run[0].is_inside() {
                 self.sum_run::<INSIDE>(scene, state, run, &mut sums);
@@ -143,22 +137,22 @@ impl Pass<'_> {
         run: &[Sample],
         sums: &mut Sums,
     ) {
-        let mut bundle: Option<Bundle<ROW>> = None;
+        let mut block: Option<Block<ROW>> = None;
         for sample in run {
             let direction = sample.direction(self.patch);
-            let behind = f64::from(sample.behind);
+            let background = f64::from(sample.background);
             let seams = sample.seams(self.print);
-            let modelled = model(scene, state, sample.facets(), seams, behind, &direction);
-            let residual = f64::from(sample.light) - modelled.light;
+            let modelled = model(scene, state, sample.facets(), seams, background, &direction);
+            let residual = f64::from(sample.radiance) - modelled.radiance;
             sums.residuals.push(residual as f32);
-            let precision = 1.0 / self.scales[usize::from(sample.facet)].powi(2);
-            let damping = if self.is_robust { damping(residual.powi(2) * precision) } else { 0.0 };
-            let weight = precision / (1.0 + damping);
+            let precision = 1.0 / self.sigmas[usize::from(sample.facet)].powi(2);
+            let term = if self.is_robust { cauchy_term(residual.powi(2) * precision) } else { 0.0 };
+            let weight = precision / (1.0 + term);
             let mut row = [0.0f32; ROW];
             for (value, by) in row.iter_mut().zip(modelled.by_common) {
                 *value = by as f32;
             }
-            for (value, by) in row[COMMON..].iter_mut().zip(modelled.by_slope) {
+            for (value, by) in row[COMMON..].iter_mut().zip(modelled.by_gradient) {
                 *value = by as f32;
             }
             for (k, &(_, by_white, by_black)) in modelled.levels().iter().enumerate() {
@@ -170,11 +164,11 @@ impl Pass<'_> {
             }
             row[ROW - 1] = residual as f32;
             let facet = usize::from(sample.facet);
-            let bundle = bundle.get_or_insert_with(|| Bundle::new(facet, &modelled, self.layout));
-            bundle.add(&row, weight as f32);
+            let block = block.get_or_insert_with(|| Block::new(facet, &modelled, self.layout));
+            block.add(&row, weight as f32);
         }
-        if let Some(bundle) = bundle {
-            bundle.add_to(sums);
+        if let Some(block) = block {
+            block.add_to(sums);
         }
     }
 }

@@ -1,0 +1,64 @@
+//! What an alignment is asked for and what it returns.
+
+use nalgebra::{Isometry3, Matrix2, Matrix6};
+
+use super::evidence::Evidence;
+
+/// How a body is aligned.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AlignOptions {
+    /// Expected standard deviation of the lens's point spread, pixels of the sphere image.
+    pub blur_px: f64,
+    /// Pixels of the patch across a body at most. A body that is nearer is seen at a coarser resolution.
+    pub max_body_px: f64,
+    /// Gauss-Newton steps at most.
+    pub max_iterations: usize,
+    /// Whether to fit with more blur first, for a start that may be off by more than half a cell.
+    pub coarse_first: bool,
+    /// Factor of the covariance, for errors that the pixels do not show: compression, calibration.
+    pub covariance_scale: f64,
+}
+
+impl Default for AlignOptions {
+    /// The covariance scale is that of pipeline.yaml (`fusion.covariance_scale`).
+    fn default() -> Self {
+        Self {
+            blur_px: 0.9,
+            max_body_px: 75.0,
+            max_iterations: 8,
+            coarse_first: false,
+            covariance_scale: 3.1,
+        }
+    }
+}
+
+/// A body aligned with a view.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Alignment {
+    /// The pose of the body's markers in the camera frame.
+    pub camera_from_markers: Isometry3<f64>,
+    /// Its covariance: position (m), then rotation vector (rad), in the camera frame's axes.
+    pub covariance: Matrix6<f64>,
+    /// Covariance of the point spread, pixels of the sphere image squared, fitted with uniform radiance on
+    /// each facet.
+    pub blur_px2: Matrix2<f64>,
+    /// How well the cells agree with the image, with uniform radiance on each facet.
+    pub evidence: Evidence,
+    /// The share of the samples for which no occlusion was found.
+    pub visible_share: f64,
+    /// Number of pixels that were fitted.
+    pub samples: usize,
+    /// Number of Gauss-Newton steps.
+    pub iterations: usize,
+}
+
+/// Why nothing was aligned.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum AlignError {
+    /// The view does not show the place, or the pose or the view is not finite.
+    #[error("the view does not hold the body at that pose")]
+    NotInView,
+    /// Too little of the body faces the camera, or the fit did not converge.
+    #[error("too little of the body can be compared with the view there")]
+    Nothing,
+}

@@ -1,0 +1,133 @@
+//! Parts of a body that something in front of it occludes: an arm, a propeller, the own airframe.
+//!
+//! An occluder is mostly darker than paper, and its soft edge moves every edge next to it: by millimetres
+//! at 2 m, where alignment is good to a tenth of that. Robust weights do not help there, because a pixel
+//! that is a little too dark is no outlier. So occluded parts are left out in two ways:
+//!
+//! - Pixels with large residuals are left out, with all pixels that the point spread mixes with them.
+//! - Facets whose cells do not agree with the image are left out as a whole ([`occluded_facets`]).
+
+use super::acceptance::{AGREEING_CORRELATION, MIN_VISIBLE_SHARE};
+use super::evidence::FacetCorrelations;
+use super::patch::Patch;
+use super::print::{BodyPrint, PrintedFacet};
+use super::robust::reference_sigma;
+use super::samples::Sample;
+use super::state::State;
+
+/// A pixel is occluded if its residual exceeds both this many standard deviations of the noise and
+/// [`MIN_RESIDUAL_SHARE`]. Edges of a pose that has not converged yet have smaller residuals.
+const MIN_RESIDUAL_SIGMAS: f64 = 5.0;
+/// Residual of an occluded pixel at least, as a share of the facet's white level.
+const MIN_RESIDUAL_SHARE: f64 = 0.12;
+/// Pixels this near to an occluded one are left out too, standard deviations of the point spread.
+const REACH_BLURS: f64 = 2.5;
+
+/// What is left out of a fit.
+#[derive(Debug, Default)]
+pub(super) struct Occlusion {
+    /// Whether each pixel of the patch is left out; empty if none is.
+    pixels: Vec<bool>,
+    width: usize,
+    /// Whether each facet of the body is left out; empty if none is.
+    facets: Vec<bool>,
+    /// See [`Occlusion::visible_share`].
+    visible_share: Option<f64>,
+}
+
+impl Occlusion {
+    /// An occlusion of these facets, and of no pixels.
+    pub fn of_facets(facets: &[bool]) -> Self {
+        Self { facets: facets.to_vec(), ..Self::default() }
+    }
+
+    /// Adds the pixels with large `residuals` at `state`, and those next to them.
+    ///
+    /// If these are nearly all pixels, none is added: that only means that the body is not there.
+    pub fn add_pixels(
+        &mut self,
+        patch: &Patch,
+        state: &State,
+        sigmas: &[f64],
+        samples: &[Sample],
+        residuals: &[f32],
+    ) {
+        let noise = MIN_RESIDUAL_SIGMAS * reference_sigma(sigmas, samples);
+        let reach_px = REACH_BLURS * (state.blur.trace().max(0.0) / 2.0).sqrt();
+        let reach = reach_px.ceil().min(patch.width as f64) as isize;
+        self.width = patch.width;
+        self.pixels = vec![false; patch.width * patch.height];
+        for (sample, &residual) in samples.iter().zip(residuals) {
+            let [white, _] = state.levels[usize::from(sample.facet)];
+            if f64::from(residual).abs() > noise.max(MIN_RESIDUAL_SHARE * white) {
+                mark_disc(&mut self.pixels, patch, sample, reach);
+            }
+        }
+        let visible = samples.iter().filter(|sample| !self.has_pixel(sample)).count();
+        let visible_share = visible as f64 / samples.len().max(1) as f64;
+        self.visible_share = Some(visible_share);
+        if visible == samples.len() || visible_share < MIN_VISIBLE_SHARE {
+            self.pixels.clear();
+        }
+    }
+
+    /// The share of the samples that are not occluded; 1 before [`Occlusion::add_pixels`].
+    pub fn visible_share(&self) -> f64 {
+        self.visible_share.unwrap_or(1.0)
+    }
+
+    /// Whether any single pixels are left out.
+    pub fn has_pixels(&self) -> bool {
+        !self.pixels.is_empty()
+    }
+
+    /// Whether nothing is left out.
+    pub fn is_empty(&self) -> bool {
+        self.pixels.is_empty() && self.facets.is_empty()
+    }
+
+    #[inline]
+    fn has_pixel(&self, sample: &Sample) -> bool {
+        let (x, y) = (usize::from(sample.x), usize::from(sample.y));
+        self.pixels.get(y * self.width + x).is_some_and(|&is_occluded| is_occluded)
+    }
+
+    /// Whether a sample is left out, as a pixel or because it shows an occluded facet.
+    #[inline]
+    pub fn contains(&self, sample: &Sample) -> bool {
+        self.has_pixel(sample)
+            || (!self.facets.is_empty() && sample.facets().any(|facet| self.facets[facet]))
+    }
+}
+
+/// The facets that something occludes: those whose cells do not agree with the image, and blank facets
+/// next to them.
+///
+/// `None` if no facet is occluded, or if no facet agrees, because then the body may not be there at all.
+pub(super) fn occluded_facets(
+    print: &BodyPrint,
+    agreeing_facets: u32,
+    correlations: &FacetCorrelations,
+) -> Option<Vec<bool>> {
+    let disagrees =
+        |facet: usize| correlations[facet].is_some_and(|own| own < AGREEING_CORRELATION);
+    let is_occluded = |(index, facet): (usize, &PrintedFacet)| {
+        let mut beside = facet.neighbours.iter().flatten();
+        disagrees(index)
+            || (facet.cells.is_none() && beside.any(|&(neighbour, _)| disagrees(neighbour)))
+    };
+    let occluded: Vec<bool> = print.facets.iter().enumerate().map(is_occluded).collect();
+    (agreeing_facets > 0 && occluded.contains(&true)).then_some(occluded)
+}
+
+fn mark_disc(pixels: &mut [bool], patch: &Patch, sample: &Sample, reach: isize) {
+    let (x, y) = (sample.x as isize, sample.y as isize);
+    let rows = (y - reach).max(0)..=(y + reach).min(patch.height as isize - 1);
+    for row in rows {
+        let half = f64::from((reach * reach - (row - y).pow(2)) as i32).sqrt() as isize;
+        let first = (x - half).max(0) as usize;
+        let last = (x + half).min(patch.width as isize - 1) as usize;
+        let start = row as usize * patch.width;
+        pixels[start + first..=start + last].fill(true);
+    }
+}

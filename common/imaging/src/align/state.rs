@@ -1,0 +1,243 @@
+//! The unknowns of an alignment: their values, their places in the normal equations, their priors.
+
+use nalgebra::{DMatrix, DVector, Isometry3, Matrix2, Translation3, UnitQuaternion, Vector3};
+
+use super::print::BodyPrint;
+
+/// Unknowns that do not belong to one facet: six of the pose, three of the blur, one of the code blur.
+pub(super) const COMMON: usize = 10;
+/// Index of the code blur.
+pub(super) const CODE_BLUR: usize = 9;
+/// Code blur, expected value and standard deviation, pixels of the sphere image squared. Measured: 0.1
+/// in views cut from plain frames, 0.25 after H.264.
+const CODE_BLUR_PRIOR_PX2: (f64, f64) = (0.1, 0.15);
+/// Black as a share of white, expected value and standard deviation.
+pub(super) const BLACK_SHARE_PRIOR: (f64, f64) = (0.06, 0.12);
+/// Standard deviation of a seam's radiance, as the width in metres of a line as bright as white. Bodies
+/// are folded, glued and bevelled, so the radiance along a seam is not known beforehand.
+const SEAM_SIGMA_M: f64 = 6e-5;
+/// Standard deviation of the radiance gradient along a facet, relative to its radiance, per metre. It
+/// is that of a facet three metres from a lamp: 2 % from the middle of a facet of 6 cm to its edge. Arms
+/// and hulls near the body shade more than that.
+const GRADIENT_SIGMA_PER_M: f64 = 0.7;
+/// Narrowest and widest point spread (standard deviation), pixels.
+const BLUR_LIMITS_PX: (f64, f64) = (0.35, 6.0);
+
+/// Values of the unknowns.
+#[derive(Debug, Clone)]
+pub(super) struct State {
+    /// Pose of the markers in the patch's frame, whose axes are the view's.
+    pub patch_from_markers: Isometry3<f64>,
+    /// Covariance of the point spread, pixels squared.
+    pub blur: Matrix2<f64>,
+    /// Variance of the blur that acts on code values instead of radiance, pixels squared.
+    pub code_blur: f64,
+    /// White and black level of each facet.
+    pub levels: Vec<[f64; 2]>,
+    /// Radiance that each seam between two facets adds, as a line without width: radiance times metres.
+    pub seams: Vec<f64>,
+}
+
+impl State {
+    /// A body at a pose, its white and black levels not known yet.
+    pub fn new(print: &BodyPrint, patch_from_markers: Isometry3<f64>, blur_px: f64) -> Self {
+        Self {
+            patch_from_markers,
+            blur: Matrix2::identity() * blur_px.powi(2),
+            code_blur: 0.0,
+            levels: vec![[0.0; 2]; print.facets.len()],
+            seams: vec![0.0; print.seams()],
+        }
+    }
+}
+
+/// What is expected of the point spread, and how pixels of the patch relate to the sphere image's.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Prior {
+    /// Expected standard deviation of the point spread, pixels.
+    pub blur_px: f64,
+    /// Standard deviation of the point spread's variance, pixels squared.
+    pub blur_sigma_px2: f64,
+    /// Pixels of the patch for each pixel of the sphere image, along one axis.
+    pub magnification: f64,
+}
+
+impl Prior {
+    /// How many samples carry the information of one: pixels of a magnified view are not independent.
+    pub fn samples_per_pixel(&self) -> f64 {
+        self.magnification.powi(2).max(1.0)
+    }
+}
+
+/// Index of each unknown of facets and seams in the normal equations.
+///
+/// Facets that face away and seams that no sample shows have none. The radiance gradients come last, so
+/// that all other unknowns can be solved for without them.
+#[derive(Debug)]
+pub(super) struct Layout {
+    levels: Vec<Option<usize>>,
+    seams: Vec<Option<usize>>,
+    /// Number of unknowns without the radiance gradients.
+    pub uniform_count: usize,
+    /// Number of all unknowns.
+    pub count: usize,
+}
+
+impl Layout {
+    /// `is_visible` says for each facet whether it faces the camera; `seams_shown` are the seams that
+    /// samples show, in the samples' order.
+    pub fn new(
+        is_visible: impl Iterator<Item = bool>,
+        seam_count: usize,
+        seams_shown: impl Iterator<Item = usize>,
+    ) -> Self {
+        let mut count = COMMON;
+        let levels: Vec<_> = is_visible
+            .map(|is_visible| {
+                is_visible.then(|| {
+                    count += 2;
+                    count - 2
+                })
+            })
+            .collect();
+        let mut seams = vec![None; seam_count];
+        for seam in seams_shown {
+            seams[seam].get_or_insert_with(|| {
+                count += 1;
+                count - 1
+            });
+        }
+        let facets = levels.iter().flatten().count();
+        Self { levels, seams, uniform_count: count, count: count + 2 * facets }
+    }
+
+    /// Index of a facet's white level; its black level is the next.
+    pub fn level(&self, facet: usize) -> Option<usize> {
+        self.levels[facet]
+    }
+
+    /// Index of a facet's radiance gradient along its x axis; that along y is the next.
+    pub fn gradient(&self, facet: usize) -> Option<usize> {
+        // Levels come in pairs too, in the same order.
+        Some(self.uniform_count + (self.levels[facet]? - COMMON))
+    }
+
+    /// Index of a seam's radiance.
+    pub fn seam(&self, seam: usize) -> Option<usize> {
+        self.seams[seam]
+    }
+
+    /// Facets with an index, and the index of their white level.
+    pub fn facets(&self) -> impl Iterator<Item = (usize, usize)> {
+        self.levels.iter().enumerate().filter_map(|(facet, at)| Some((facet, (*at)?)))
+    }
+
+    fn seams(&self) -> impl Iterator<Item = (usize, usize)> {
+        self.seams.iter().enumerate().filter_map(|(seam, at)| Some((seam, (*at)?)))
+    }
+}
+
+/// Adds the priors to the normal equations.
+///
+/// They expect the lens's point spread, black that is a small share of white, uniform radiance over each
+/// facet, and seams that hardly show.
+pub(super) fn add_priors(
+    normal: &mut DMatrix<f64>,
+    right: &mut DVector<f64>,
+    state: &State,
+    layout: &Layout,
+    prior: &Prior,
+) {
+    // Dependent samples are summed as if they were independent. The priors grow with them, so that
+    // their relative weight stays.
+    let share = prior.samples_per_pixel();
+    let expected = prior.blur_px.powi(2);
+    let precision = share / prior.blur_sigma_px2.powi(2);
+    for (k, wanted, is) in [
+        (6, expected, state.blur[(0, 0)]),
+        (7, 0.0, state.blur[(0, 1)]),
+        (8, expected, state.blur[(1, 1)]),
+    ] {
+        normal[(k, k)] += precision;
+        right[k] += precision * (wanted - is);
+    }
+    let (wanted, sigma) = CODE_BLUR_PRIOR_PX2;
+    let scale = prior.magnification.powi(2);
+    let precision = share / (sigma * scale).powi(2);
+    normal[(CODE_BLUR, CODE_BLUR)] += precision;
+    right[CODE_BLUR] += precision * (wanted * scale - state.code_blur);
+    let (black, sigma) = BLACK_SHARE_PRIOR;
+    let mut brightest: f64 = 0.01;
+    for (facet, at) in layout.facets() {
+        let [w, b] = state.levels[facet];
+        brightest = brightest.max(w);
+        let precision = share / (sigma * w.abs().max(0.01)).powi(2);
+        // The equation b - black w = 0.
+        let residual = black * w - b;
+        normal[(at, at)] += precision * black * black + 1e-6;
+        normal[(at + 1, at + 1)] += precision + 1e-6;
+        normal[(at, at + 1)] -= precision * black;
+        normal[(at + 1, at)] -= precision * black;
+        right[at] -= precision * black * residual;
+        right[at + 1] += precision * residual;
+        if let Some(at) = layout.gradient(facet) {
+            normal[(at, at)] += share / GRADIENT_SIGMA_PER_M.powi(2);
+            normal[(at + 1, at + 1)] += share / GRADIENT_SIGMA_PER_M.powi(2);
+        }
+    }
+    for (seam, at) in layout.seams() {
+        let precision = share / (SEAM_SIGMA_M * brightest).powi(2);
+        normal[(at, at)] += precision;
+        right[at] -= precision * state.seams[seam];
+    }
+}
+
+/// Applies a step, shortened where it is too long, without its radiance gradients.
+///
+/// Returns how far the body moved in a patch of this focal length, pixels. `None` for a step that is not
+/// finite.
+pub(super) fn apply_step(
+    state: &mut State,
+    step: &DVector<f64>,
+    layout: &Layout,
+    focal_px: f64,
+) -> Option<f64> {
+    if !step.iter().all(|x| x.is_finite()) {
+        return None;
+    }
+    let pose = &state.patch_from_markers;
+    let position = pose.translation.vector;
+    let shift = Vector3::new(step[0], step[1], step[2]);
+    let turn = Vector3::new(step[3], step[4], step[5]);
+    let sight = position.normalize();
+    let along = shift.dot(&sight);
+    let across = (shift - sight * along).norm() / position.norm() * focal_px;
+    let largest = (turn.norm() / 0.1).max(across / 2.0).max(along.abs() / position.norm() / 0.05);
+    let share = 1.0 / largest.max(1.0);
+    state.patch_from_markers = Isometry3::from_parts(
+        Translation3::from(position + shift * share),
+        UnitQuaternion::from_scaled_axis(turn * share) * pose.rotation,
+    );
+    state.blur += Matrix2::new(step[6], step[7], step[7], step[8]) * share;
+    state.blur = within_limits(&state.blur);
+    state.code_blur += step[CODE_BLUR] * share;
+    for (facet, at) in layout.facets() {
+        state.levels[facet][0] += step[at];
+        state.levels[facet][1] += step[at + 1];
+    }
+    for (seam, at) in layout.seams() {
+        state.seams[seam] += step[at];
+    }
+    let turned = turn.norm() * 0.08 / position.norm() * focal_px;
+    let nearer = along.abs() / position.norm() * 0.08 / position.norm() * focal_px;
+    Some(across.max(turned).max(nearer) * share)
+}
+
+/// The nearest point spread within [`BLUR_LIMITS_PX`].
+fn within_limits(blur: &Matrix2<f64>) -> Matrix2<f64> {
+    let mut axes = blur.symmetric_eigen();
+    for value in axes.eigenvalues.iter_mut() {
+        *value = value.clamp(BLUR_LIMITS_PX.0.powi(2), BLUR_LIMITS_PX.1.powi(2));
+    }
+    axes.recompose()
+}
