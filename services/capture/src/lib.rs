@@ -31,6 +31,7 @@
 
 mod census;
 mod clock;
+pub mod core;
 mod decoder;
 mod error;
 mod event;

@@ -2,6 +2,8 @@
 
 use std::time::Duration;
 
+use flockeye_config::{AtEnd, Flow, Pipeline};
+
 /// Who sets the pace.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Paced {
@@ -51,6 +53,24 @@ impl SourceParameters {
             reopen_max: Duration::from_secs(10),
             images_per_second: 1.0,
             decoder_threads: 0,
+        }
+    }
+
+    /// What a configuration chooses.
+    pub fn of(pipeline: &Pipeline) -> Self {
+        let seconds = |s: f64| Duration::try_from_secs_f64(s).unwrap_or(Duration::from_secs(1));
+        Self {
+            flow: match pipeline.flow {
+                Flow::Latest => Paced::RealTime,
+                Flow::Lossless => Paced::Lossless,
+            },
+            looping: pipeline.source.at_end == AtEnd::Loop,
+            latency: seconds(pipeline.camera.latency_ms * 1e-3),
+            reopen_min: seconds(pipeline.source.reopen_s[0]),
+            reopen_max: seconds(pipeline.source.reopen_s[1]),
+            images_per_second: pipeline.source.images_per_second,
+            decoder_threads: pipeline.source.decoder_threads,
+            ..Self::new(pipeline.camera.width, pipeline.camera.height)
         }
     }
 }

@@ -9,6 +9,8 @@ use gstreamer_video as gst_video;
 use gstreamer_video::prelude::*;
 use gstreamer_video::{VideoColorRange, VideoFormat, VideoTransferFunction};
 
+use crate::core::PictureTime;
+
 /// The raw formats whose first plane is 8-bit luma with nothing in between.
 pub(crate) const LUMA_FIRST: &[VideoFormat] = &[
     VideoFormat::Gray8,
@@ -134,6 +136,15 @@ impl Picture {
     /// the latency) and for a recording in real time; the stream's own time in lossless flow.
     pub fn exposure_monotonic_ns(&self) -> i64 {
         self.stamp.exposure_ns
+    }
+
+    /// All that the source says of its time.
+    pub fn time(&self) -> PictureTime {
+        PictureTime {
+            sequence: self.sequence(),
+            stream_ns: i64::try_from(self.stream_time().as_nanos()).unwrap_or(i64::MAX),
+            exposure_ns: self.exposure_monotonic_ns(),
+        }
     }
 
     pub(crate) fn set_stamp(&mut self, stamp: PictureStamp) {
