@@ -4,8 +4,10 @@
 //! | --- | --- |
 //! | [`report`] | a track as what goes over the network |
 //! | [`newest`] | what was said of each neighbour last |
+//! | [`hearsay`] | what the peers say, in words for people |
 //! | [`stage`] | the ports around it |
 
+pub mod hearsay;
 pub mod newest;
 pub mod report;
 pub mod stage;

@@ -1,17 +1,16 @@
 //! The ports around the network.
 
-use std::time::Instant;
-
 use flockeye_config::Flow;
 use flockeye_contract::{FrameStamp, StageState, Track, Tracks};
 use flockeye_network::{
-    Listener, Network, NetworkError, NetworkParameters, Peers, Reporter, utc_from_monotonic,
+    Listener, Network, NetworkError, NetworkParameters, Reporter, utc_from_monotonic,
 };
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::logs::Throttle;
 use flockeye_runtime::ports::{Ports, Subscriber};
 use flockeye_runtime::{Context, Stage, Step, clock};
 
+use crate::hearsay::in_words;
 use crate::newest::Newest;
 use crate::report::{Utc, report};
 
@@ -133,31 +132,4 @@ impl GatewayStage {
 fn open(parameters: &NetworkParameters) -> Result<Link, NetworkError> {
     let network = Network::open(parameters)?;
     Ok(Link { reporter: network.reporter()?, listener: network.listener()? })
-}
-
-/// Who is there and what they see, for people.
-fn in_words(peers: &Peers, own_name: &str) -> String {
-    let now = Instant::now();
-    let others = peers.observers.iter().filter(|(name, _)| *name != own_name);
-    let mut parts: Vec<String> = others
-        .map(|(name, peer)| {
-            let seen: Vec<_> = peer
-                .targets
-                .iter()
-                .map(|(target, received)| match received.rate_hz(now) {
-                    Some(rate) => format!("{target} {rate:.0}/s"),
-                    None => target.clone(),
-                })
-                .collect();
-            match (peer.alive, seen.is_empty()) {
-                (false, _) => format!("{name} is gone"),
-                (true, true) => format!("{name} is there"),
-                (true, false) => format!("{name} sees {}", seen.join(" ")),
-            }
-        })
-        .collect();
-    if parts.is_empty() {
-        parts.push("no peers".into());
-    }
-    parts.join(", ")
 }

@@ -1,0 +1,32 @@
+//! What the peers say, in words for people.
+
+use std::time::Instant;
+
+use flockeye_network::Peers;
+
+/// Who is there and what they see, for people.
+pub fn in_words(peers: &Peers, own_name: &str) -> String {
+    let now = Instant::now();
+    let others = peers.observers.iter().filter(|(name, _)| *name != own_name);
+    let mut parts: Vec<String> = others
+        .map(|(name, peer)| {
+            let seen: Vec<_> = peer
+                .targets
+                .iter()
+                .map(|(target, received)| match received.rate_hz(now) {
+                    Some(rate) => format!("{target} {rate:.0}/s"),
+                    None => target.clone(),
+                })
+                .collect();
+            match (peer.alive, seen.is_empty()) {
+                (false, _) => format!("{name} is gone"),
+                (true, true) => format!("{name} is there"),
+                (true, false) => format!("{name} sees {}", seen.join(" ")),
+            }
+        })
+        .collect();
+    if parts.is_empty() {
+        parts.push("no peers".into());
+    }
+    parts.join(", ")
+}
