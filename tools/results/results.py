@@ -57,7 +57,9 @@ EXPERIMENTS = {
     "cadence": ("How often a part of the sphere is searched", ["check", "--measure", "20s", *QUIET],
                 "search |measured "),
 }
-PARTS = [*RECORDINGS, *SIMULATED, *EXPERIMENTS]
+# A benchmark of its own: what the virtual clock of lossless runs goes by.
+COSTS = ["cargo", "bench", "--locked", "-p", "flockeye-tests", "--bench", "costs"]
+PARTS = [*RECORDINGS, *SIMULATED, *EXPERIMENTS, "costs"]
 
 
 def flockeye():
@@ -192,6 +194,14 @@ def run_part(part, data, wanted_ways):
         lines = call(arguments, may_fail=True).splitlines()
         return {part: {"title": title, "command": shown(arguments), "machine": before,
                        "output": [line.rstrip() for line in lines if re.match(kept, line)]}}
+    if part == "costs":
+        before = machine()
+        print(f"  {' '.join(COSTS)}", file=sys.stderr, flush=True)
+        done = subprocess.run(COSTS, cwd=ROOT, capture_output=True, text=True)
+        measured = re.findall(r"\| `(\w+)` \| ([\d.]+) \| ([\d.]+) \|", done.stdout)
+        if done.returncode != 0 or not measured:
+            sys.exit(f"results: {' '.join(COSTS)} ended with {done.returncode}:\n{done.stderr}")
+        return {part: {"machine": before, "costs": measured}}
     entries = {}
     if part in RECORDINGS:
         title, recording, truth, settings, ways = RECORDINGS[part]
@@ -282,6 +292,20 @@ def experiments_page(entries):
     return "\n".join(lines).rstrip() + "\n"
 
 
+def costs_page(entry):
+    stated = (ROOT / "pipeline.yaml").read_text()
+    lines = ["# Results: costs", "", "Written by `make results PARTS=costs`; do not edit.",
+             "Each piece of work alone on one processor, in milliseconds, beside what `search.costs` of",
+             "`pipeline.yaml` states. [SCHEDULING.md](../SCHEDULING.md) says what they are for.", "",
+             "| cost | stated | median | most |", "| --- " * 4 + "|"]
+    for name, median, most in entry["costs"]:
+        default = re.search(rf"^    {name}: ([\d.]+)", stated, re.MULTILINE)
+        lines.append(f"| `{name}` | {default.group(1) if default else ''} | {median} | {most} |")
+    lines += ["", "`source_ms` was measured on the simulator; decoding H.264 at 3840x1920 costs about 25 ms.",
+              measured_on(entry)]
+    return "\n".join(lines) + "\n"
+
+
 def readme_table(store):
     lines = ["| flight | flown | within 1.5 m | 1.5 to 2.2 m | 2.2 to 3 m | 3 to 4 m | false | "
              "latency median, 99 % |", "| --- " * 8 + "|"]
@@ -319,6 +343,8 @@ def render(store):
     simulated = flights_page("Results: simulated flights", intro + chosen, of(SIMULATED))
     (folder / "simulated.md").write_text(simulated)
     (folder / "experiments.md").write_text(experiments_page(of(EXPERIMENTS)))
+    if "costs" in store:
+        (folder / "costs.md").write_text(costs_page(store["costs"]))
     readme = (ROOT / "README.md").read_text()
     begin, end = README_MARKS
     before, found, rest = readme.partition(begin)

@@ -39,6 +39,21 @@ impl FrameStamp {
         self.order() == other.order()
     }
 
+    /// The middle of the exposure, seconds.
+    pub fn exposure_s(&self) -> f64 {
+        self.exposure_ns as f64 * 1e-9
+    }
+
+    /// The time from one frame to the next, on average since `earlier`, nanoseconds of the exposures.
+    /// `None` across epochs, and where the exposures do not rise.
+    pub fn interval_ns(&self, earlier: &Self) -> Option<i64> {
+        let frames = i64::try_from(self.sequence.checked_sub(earlier.sequence)?).ok()?;
+        let elapsed_ns = self.exposure_ns.checked_sub(earlier.exposure_ns)?;
+        let interval_ns = elapsed_ns.checked_div(frames)?;
+        let is_same = self.order().0 == earlier.order().0 && self.epoch == earlier.epoch;
+        (is_same && interval_ns > 0).then_some(interval_ns)
+    }
+
     /// Whether a message of this frame is out of date, given one of `newest`. Fusion may publish a track
     /// of one frame after a track of the next, and a reader that keeps only the latest must not go back.
     /// A frame that is behind by more than [`LATEST_BY_FRAMES`], or of another epoch, is not late: its

@@ -53,6 +53,17 @@ pub fn search_of(view: &ViewHeader) -> search::Search {
     }
 }
 
+/// Why a view was cut, as it states itself. `None` for an unknown code.
+pub fn purpose_of(view: &ViewHeader) -> Option<search::Purpose> {
+    match contract::ViewKind::try_from(view.kind).ok()? {
+        contract::ViewKind::Partition => Some(search::Purpose::Partition(view.tile as usize)),
+        contract::ViewKind::HighResolution => {
+            Some(search::Purpose::HighResolution(view.tile as usize))
+        }
+        contract::ViewKind::Gaze => Some(search::Purpose::Gaze(view.target as usize)),
+    }
+}
+
 /// The contract's code of a way to search a view.
 pub fn search_code(search: search::Search) -> contract::Search {
     match search {

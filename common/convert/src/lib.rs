@@ -9,7 +9,9 @@ mod pose;
 mod radiance;
 mod view;
 
-pub use codes::{code_range, projection_of, search_code, search_of, stop_rule, transfer_curve};
+pub use codes::{
+    code_range, projection_of, purpose_of, search_code, search_of, stop_rule, transfer_curve,
+};
 pub use pose::{isometry, matrix6, pose, rotation, row_major, xyzw};
 pub use radiance::RadianceCache;
 pub use view::{ViewError, image_of, view_of};

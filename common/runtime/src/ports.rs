@@ -395,7 +395,7 @@ impl<T: Topic> Publisher<T> {
     ///
     /// # Errors
     /// [`PortError::Publish`] with iceoryx2's reason.
-    pub fn greet_newcomers(&self) -> Result<(), PortError> {
+    pub fn update_connections(&self) -> Result<(), PortError> {
         self.publisher
             .update_connections()
             .map_err(|error| PortError::Publish { topic: T::NAME, reason: format!("{error:?}") })

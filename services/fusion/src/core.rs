@@ -7,22 +7,23 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use flockeye_contract::{DetectedMarker, FrameEnd, FrameStamp, ViewHeader};
-use flockeye_convert::{search_of, view_of};
+use flockeye_convert::{purpose_of, search_of, view_of};
 use flockeye_geometry::search::Purpose;
 
 use crate::frame_assembly::{Frame, FrameAssembly, Leave, Record};
 use crate::measurement::agrees_with_view;
 use crate::notices::Notice;
-use crate::output::{Cause, Outgoing, TrackMessage, purpose_stated, seconds};
-use crate::passes::AnsweredView;
+use crate::output::{Cause, Outgoing, TrackMessage};
 use crate::passes::background::{Answer, Job};
 use crate::passes::corners::records_that_count;
 use crate::passes::direct::Region;
+use crate::passes::{AnsweredView, BestViews};
 use crate::pictures::{PictureReader, Pixels};
-use crate::planning::{NextPlan, Planning, is_behind};
+use crate::planning::{NextPlan, Planning};
 use crate::policy::TimeBudget;
+use crate::schedule::Schedule;
 use crate::tracker::{FrameTime, Tracker, Update};
-use crate::view_cache::{FrameOrder, ViewCache};
+use crate::view_cache::{FrameOrder, ViewCache, ViewQuality};
 
 /// What happens to fusion.
 #[derive(Debug)]
@@ -61,29 +62,18 @@ pub struct EndedFrame {
     pub taken_ns: Option<i64>,
 }
 
-/// When passes run.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Schedule {
-    /// As soon as their inputs are there (flight).
-    AsTheyCome,
-    /// When the frame is complete, in the order of its plan: then nothing depends on who is faster.
-    WhenComplete,
-}
+/// A pass over the records of a frame: [`Tracker::region_pass`] or [`Tracker::final_pass`].
+type Pass =
+    fn(&mut Tracker, FrameTime, &[AnsweredView<'_>], &BestViews<'_>, TimeBudget) -> Vec<Update>;
 
-/// How a core works.
-#[derive(Debug, Clone, Copy)]
-pub struct Options {
-    /// When passes run.
-    pub schedule: Schedule,
-    /// Whether a frame has a limited time. If it does not, all passes run for each frame.
-    pub is_limited: bool,
-    /// Whether the pixels of views are used.
-    pub aligns: bool,
-}
+/// What the view at this place in a frame's plan shows: targets, and how well.
+type Shown = (FrameOrder, u32, Vec<(usize, ViewQuality)>);
 
 /// What fusion keeps between events. `P` is the hold on a view's pixels.
 pub struct Core<P> {
-    options: Options,
+    schedule: Schedule,
+    /// Whether the pixels of views are used.
+    aligns: bool,
     assembly: FrameAssembly,
     cache: ViewCache<P>,
     reader: PictureReader,
@@ -91,9 +81,16 @@ pub struct Core<P> {
     planning: Planning,
     /// Regions of interest that have come, for the direct pass.
     cut_regions: Vec<(FrameOrder, u32)>,
+    /// What direct passes found in a frame that is published when it is complete.
+    found: Vec<Outgoing>,
     /// Records that have come, for the corner pass.
     searched: Vec<Record>,
-    answers: VecDeque<Answer>,
+    /// Records whose views still wait for the direct pass.
+    shown: Vec<Shown>,
+    /// Answers of the background pass, and from when on they count, nanoseconds of a virtual clock.
+    answers: VecDeque<(i64, Answer)>,
+    /// A complete frame whose regions have been measured.
+    complete: Option<Frame>,
     /// The newest frame of which a view has come.
     newest: Option<FrameStamp>,
     notices: Vec<Notice>,
@@ -102,7 +99,8 @@ pub struct Core<P> {
 impl<P: Pixels> Core<P> {
     /// A core that has heard of no frame yet.
     pub fn new(
-        options: Options,
+        schedule: Schedule,
+        aligns: bool,
         assembly: FrameAssembly,
         cache: ViewCache<P>,
         reader: PictureReader,
@@ -110,15 +108,19 @@ impl<P: Pixels> Core<P> {
         planning: Planning,
     ) -> Self {
         Self {
-            options,
+            schedule,
+            aligns,
             assembly,
             cache,
             reader,
             tracker,
             planning,
             cut_regions: Vec::new(),
+            found: Vec::new(),
             searched: Vec::new(),
+            shown: Vec::new(),
             answers: VecDeque::new(),
+            complete: None,
             newest: None,
             notices: Vec::new(),
         }
@@ -171,7 +173,7 @@ impl<P: Pixels> Core<P> {
             Event::View(header, pixels) => self.on_view(header, pixels, now_ns),
             Event::Searched(record) => self.on_record(record, now_ns),
             Event::FrameEnd(end) => self.assembly.add_end(end, now_ns),
-            Event::Background(answer) => self.answers.push_back(answer),
+            Event::Background(answer) => self.on_background(answer),
         }
     }
 
@@ -182,13 +184,13 @@ impl<P: Pixels> Core<P> {
         if self.newest.is_none_or(|newest| !header.stamp.is_late_beside(&newest)) {
             self.newest = Some(header.stamp);
         }
-        let purpose = purpose_stated(&header);
+        let purpose = purpose_of(&header);
         if let Some(purpose) = purpose {
             self.planning.note_cut(purpose, search_of(&header));
         }
-        if self.options.aligns {
+        if self.aligns {
             self.cache.add(header, pixels);
-            if self.runs_early() && matches!(purpose, Some(Purpose::Gaze(_))) {
+            if self.schedule.has_direct_pass() && matches!(purpose, Some(Purpose::Gaze(_))) {
                 self.cut_regions.push((header.stamp.order(), header.view_index));
             }
         }
@@ -220,14 +222,24 @@ impl<P: Pixels> Core<P> {
         let purpose = self.planning.purpose_of(header.plan_id, header.view_index, view.as_ref());
         let stop_rule = self.planning.stop_rule_of(header.plan_id);
         let shows = self.tracker.shown(&record, purpose, view.as_ref(), stop_rule);
-        self.cache.answered(header.stamp.order(), header.view_index, &shows);
-        if self.runs_early() {
+        let view = (header.stamp.order(), header.view_index);
+        // A region stays until the direct pass has seen it.
+        if !self.schedule.is_flight() && self.cut_regions.contains(&view) {
+            self.shown.push((view.0, view.1, shows));
+        } else {
+            self.cache.answered(view.0, view.1, &shows);
+        }
+        if self.schedule.is_flight() {
             self.searched.push(record);
         }
     }
 
-    fn runs_early(&self) -> bool {
-        self.options.schedule == Schedule::AsTheyCome
+    fn on_background(&mut self, answer: Answer) {
+        let over_ns = match &self.schedule {
+            Schedule::Virtual(clock) => clock.background_over_ns(),
+            Schedule::Flight | Schedule::Unlimited => i64::MIN,
+        };
+        self.answers.push_back((over_ns, answer));
     }
 
     /// Does the most urgent piece of work: the first plan, then direct passes over some regions, corner
@@ -243,13 +255,21 @@ impl<P: Pixels> Core<P> {
             self.direct_pass(&mut outputs);
         } else if !self.searched.is_empty() {
             self.region_pass(&mut outputs);
-        } else if let Some(answer) = self.answers.pop_front() {
+        } else if self.schedule.is_flight()
+            && let Some((_, answer)) = self.answers.pop_front()
+        {
             self.take_answer(answer, &mut outputs);
+        } else if self.complete.is_some() {
+            self.take_answers(&mut outputs);
+            if let Some(frame) = self.complete.take() {
+                self.end_frame(&frame, &mut outputs);
+            }
         } else if let Some((frame, leave)) = self.assembly.take(now_ns) {
             if leave == Leave::Overdue {
                 outputs.notices.push(Notice::Incomplete { sequence: frame.stamp.sequence });
             }
-            self.end_frame(&frame, &mut outputs);
+            self.complete_frame(&frame, &mut outputs);
+            self.complete = Some(frame);
         } else {
             outputs.is_idle = true;
         }
@@ -258,18 +278,12 @@ impl<P: Pixels> Core<P> {
     }
 
     fn time_of(&self, stamp: &FrameStamp) -> FrameTime {
-        FrameTime { order: stamp.order(), at_s: seconds(stamp), number: self.planning.frames() }
+        FrameTime { order: stamp.order(), at_s: stamp.exposure_s(), number: self.planning.frames() }
     }
 
     /// How much time the passes of a frame may take.
     fn budget(&self, stamp: &FrameStamp) -> TimeBudget {
-        if !self.options.is_limited {
-            TimeBudget::Unlimited
-        } else if is_behind(stamp, self.newest.as_ref()) {
-            TimeBudget::Overspent
-        } else {
-            TimeBudget::OneFrame
-        }
+        self.schedule.budget(stamp, self.newest.as_ref())
     }
 
     /// Direct passes over regions of one frame, as many at once as there are threads.
@@ -278,20 +292,33 @@ impl<P: Pixels> Core<P> {
         let same = self.cut_regions.iter().take_while(|(order, _)| *order == first).count();
         let views: Vec<(FrameOrder, u32)> =
             self.cut_regions.drain(..same.min(self.tracker.threads().max(1))).collect();
-        let read = self.reader.regions(&self.cache, &views);
+        self.measure_regions(&views, outputs);
+        for (order, view_index, shows) in std::mem::take(&mut self.shown) {
+            if self.cut_regions.contains(&(order, view_index)) {
+                self.shown.push((order, view_index, shows));
+            } else {
+                self.cache.answered(order, view_index, &shows);
+            }
+        }
+    }
+
+    /// The direct pass over regions of one frame.
+    fn measure_regions(&mut self, views: &[(FrameOrder, u32)], outputs: &mut Outputs) {
+        let read = self.reader.regions(&self.cache, views);
         let Some(stamp) = read.first().map(|(header, _)| header.stamp) else { return };
-        let time = FrameTime {
-            order: stamp.order(),
-            at_s: seconds(&stamp),
-            number: self.planning.frames(),
-        };
+        let (order, number) = (stamp.order(), self.planning.frames());
+        let time = FrameTime { order, at_s: stamp.exposure_s(), number };
         let headers: BTreeMap<usize, ViewHeader> =
             read.iter().map(|(header, region)| (region.target, *header)).collect();
         let regions: Vec<Region<'_>> = read.into_iter().map(|(_, region)| region).collect();
         let updates = self.tracker.direct_pass(time, &regions);
         for update in updates {
-            if let Some(header) = headers.get(&update.0) {
-                self.publish(&stamp, vec![(update, Cause::of_view(header))], outputs);
+            let Some(header) = headers.get(&update.0) else { continue };
+            let found = (update, Cause::of_view(header));
+            match self.schedule.is_flight() {
+                true => self.publish(&stamp, vec![found], outputs),
+                // Their order must not depend on who is faster.
+                false => self.found.push(found),
             }
         }
     }
@@ -328,17 +355,67 @@ impl<P: Pixels> Core<P> {
     /// track, from which the next frame benefits.
     fn take_answer(&mut self, answer: Answer, outputs: &mut Outputs) {
         let Some((order, update)) = self.tracker.background_answer(answer) else { return };
-        let Some(frame) = self.assembly.of_order(order) else { return };
+        let complete = self.complete.as_ref().filter(|frame| frame.stamp.order() == order);
+        let Some(frame) = self.assembly.of_order(order).or(complete) else { return };
         let stamp = frame.stamp;
         let records: Vec<&Record> = frame.records.values().collect();
         let updates = self.caused_by(vec![update], &records);
         self.publish(&stamp, updates, outputs);
     }
 
+    /// A frame is complete. By a virtual clock, its regions are measured now, as in flight while its tiles
+    /// are searched, and then it is the time at which flight would be done with them.
+    fn complete_frame(&mut self, frame: &Frame, outputs: &mut Outputs) {
+        let Schedule::Virtual(clock) = &mut self.schedule else { return };
+        clock.begin_frame(&frame.stamp);
+        clock.spend_ms(self.found.len() as f64 * clock.costs().direct_pass_ms);
+        self.take_answers(outputs);
+        let mut found = std::mem::take(&mut self.found);
+        found.sort_by_key(|((target, _), _)| *target);
+        self.publish(&frame.stamp, found, outputs);
+        self.measure(frame, outputs, Tracker::region_pass);
+        if let Schedule::Virtual(clock) = &mut self.schedule {
+            clock.complete_frame(&frame.stamp);
+        }
+    }
+
+    /// Takes in the answers that are over by a virtual clock.
+    fn take_answers(&mut self, outputs: &mut Outputs) {
+        let Schedule::Virtual(clock) = &self.schedule else { return };
+        let now_ns = clock.now_ns();
+        while self.answers.front().is_some_and(|(over_ns, _)| *over_ns <= now_ns)
+            && let Some((_, answer)) = self.answers.pop_front()
+        {
+            self.take_answer(answer, outputs);
+            self.note_background();
+        }
+    }
+
+    /// Notes when a background pass begins that was asked for just now.
+    fn note_background(&mut self) {
+        if let Schedule::Virtual(clock) = &mut self.schedule
+            && self.tracker.has_job()
+        {
+            clock.begin_background();
+        }
+    }
+
     /// Ends a frame: what is left to measure, the estimates of who was not seen, and the next plan.
     fn end_frame(&mut self, frame: &Frame, outputs: &mut Outputs) {
+        self.measure(frame, outputs, Tracker::final_pass);
         let (purposes, stop_rule) = self.planning.purposes_of(frame);
-        let order = frame.stamp.order();
+        let counted = records_that_count(frame, stop_rule);
+        self.tracker.end_frame(frame, frame.stamp.exposure_s());
+        self.planning.end_frame(frame, &counted, &purposes);
+        self.cache.release_until(frame.stamp.order());
+        outputs.tracks.push(TrackMessage::last_of(frame.stamp));
+        self.plan(Some(frame.stamp), outputs);
+        outputs.ended = Some(EndedFrame { taken_ns: frame.end.map(|end| end.taken_ns) });
+    }
+
+    /// Runs a pass over all of a complete frame, and publishes what it finds.
+    fn measure(&mut self, frame: &Frame, outputs: &mut Outputs, pass: Pass) {
+        let (purposes, stop_rule) = self.planning.purposes_of(frame);
         let counted = records_that_count(frame, stop_rule);
         let answered: Vec<AnsweredView<'_>> = counted
             .iter()
@@ -349,21 +426,22 @@ impl<P: Pixels> Core<P> {
             })
             .collect();
         let (time, budget) = (self.time_of(&frame.stamp), self.budget(&frame.stamp));
-        let mut best_views = self.reader.best_views(&self.cache, order);
+        let mut best_views = self.reader.best_views(&self.cache, frame.stamp.order());
         let counts =
             |view_index| counted.iter().any(|record| record.header.view_index == view_index);
         best_views.retain(|_, best| counts(best.view_index));
-        let updates = self.tracker.final_pass(time, &answered, &best_views, budget);
+        let updates = pass(&mut self.tracker, time, &answered, &best_views, budget);
         drop(best_views);
-        self.tracker.end_frame(frame, time.at_s);
-        self.planning.end_frame(frame, &counted, &purposes);
+        let attempts = self.tracker.take_attempts();
+        if let Schedule::Virtual(clock) = &mut self.schedule {
+            let costs = clock.costs();
+            let tracked_ms = f64::from(attempts.tracked) * costs.corner_pass_ms;
+            clock.spend_ms(tracked_ms + f64::from(attempts.untracked) * costs.initiation_ms);
+        }
+        self.note_background();
         let records: Vec<&Record> = frame.records.values().collect();
         let updates = self.caused_by(updates, &records);
         self.publish(&frame.stamp, updates, outputs);
-        self.cache.release_until(order);
-        outputs.tracks.push(TrackMessage::last_of(frame.stamp));
-        self.plan(Some(frame.stamp), outputs);
-        outputs.ended = Some(EndedFrame { taken_ns: frame.end.map(|end| end.taken_ns) });
     }
 
     fn caused_by(&self, updates: Vec<Update>, records: &[&Record]) -> Vec<Outgoing> {

@@ -6,7 +6,7 @@
 //!
 //! | module | what it does |
 //! | --- | --- |
-//! | [`stage`] | moves messages between the ports, the core and the background thread |
+//! | [`stage`] | moves messages between the ports, the core and the background pass |
 //! | [`inbox`] | the ports that are read, and in which order |
 //! | [`core`] | decides what is done next; the one place where a pose leaves |
 //! | [`frame_assembly`] | what a frame still waits for |
@@ -14,18 +14,20 @@
 //! | [`planning`] | the plan for the next frame, and what was searched when |
 //! | [`tracker`] | all targets; the one place where a measurement enters a track |
 //! | [`target`] | one neighbour: its track, and its status in each open frame |
+//! | [`track_prior`] | what a track says of a target before a frame measures it |
 //! | [`passes`] | the ways in which a frame can tell where a target is |
 //! | [`hypothesis`] | poses with their evidence, and the decision |
 //! | [`measurement`] | a measured pose, and corners as rays |
+//! | [`schedule`] | when passes run, and how much time they have: by the clock or by stated costs |
 //! | [`policy`] | which pass may run, and how thorough it may be |
 //! | [`parallax`] | rays of lenses that lie off the camera's centre |
 //! | [`output`] | tracks and plans as messages |
 //! | [`notices`] | what a person should know of |
-//! | [`background_thread`] | the thread of the background pass |
+//! | [`background_runner`] | where background passes run |
 //! | [`parallel`] | a parallel map that keeps order |
 //! | [`settings`] | the core as the configuration asks for it |
 
-pub mod background_thread;
+pub mod background_runner;
 pub mod core;
 pub mod frame_assembly;
 pub mod hypothesis;
@@ -39,9 +41,11 @@ pub mod passes;
 pub mod pictures;
 pub mod planning;
 pub mod policy;
+pub mod schedule;
 pub mod settings;
 pub mod stage;
 pub mod target;
+pub mod track_prior;
 pub mod tracker;
 pub mod view_cache;
 

@@ -155,20 +155,6 @@ impl Writer {
     }
 }
 
-/// When a frame was exposed, seconds.
-pub fn seconds(stamp: &FrameStamp) -> f64 {
-    stamp.exposure_ns as f64 * 1e-9
-}
-
-/// Why a view was cut, as it states itself.
-pub fn purpose_stated(view: &ViewHeader) -> Option<Purpose> {
-    match ViewKind::try_from(view.kind).ok()? {
-        ViewKind::Partition => Some(Purpose::Partition(view.tile as usize)),
-        ViewKind::HighResolution => Some(Purpose::HighResolution(view.tile as usize)),
-        ViewKind::Gaze => Some(Purpose::Gaze(view.target as usize)),
-    }
-}
-
 /// The pose of the target drone in the observer drone's frame, mounts applied, with its covariance.
 ///
 /// A small rotation d of the markers moves the target's origin, which lies at r from theirs (both

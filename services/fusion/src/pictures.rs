@@ -1,12 +1,11 @@
 //! Cached views as pictures that alignment can read.
 
 use flockeye_contract::ViewHeader;
-use flockeye_convert::{RadianceCache, image_of, view_of};
+use flockeye_convert::{RadianceCache, image_of, purpose_of, view_of};
 use flockeye_geometry::search::Purpose;
 use flockeye_imaging::align::Picture;
 
 use crate::hypothesis::BestView;
-use crate::output::purpose_stated;
 use crate::parallax::Parallax;
 use crate::passes::BestViews;
 use crate::passes::direct::Region;
@@ -60,7 +59,7 @@ impl PictureReader {
         let reader = &*self;
         unanswered()
             .filter_map(|(header, pixels)| {
-                let Some(Purpose::Gaze(target)) = purpose_stated(header) else { return None };
+                let Some(Purpose::Gaze(target)) = purpose_of(header) else { return None };
                 Some((*header, Region { target, view: reader.read(header, pixels)? }))
             })
             .collect()

@@ -2,14 +2,14 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use flockeye_contract::{FrameStamp, ViewHeader};
+use flockeye_contract::ViewHeader;
+use flockeye_convert::purpose_of;
 use flockeye_geometry::filter::Prediction;
 use flockeye_geometry::search::{
     Plan, Planner, PredictedNeighbour, Purpose, Search, Searched, StopRule,
 };
 
 use crate::frame_assembly::{Frame, Record};
-use crate::output::{purpose_stated, seconds};
 use crate::tracker::Tracker;
 
 /// Why each view of a frame was cut, by the view's place in the plan.
@@ -91,7 +91,7 @@ impl Planning {
     ) -> Option<Purpose> {
         match self.remembered.get(&plan_id) {
             Some((purposes, _)) => purposes.get(&view_index).copied(),
-            None => view.and_then(purpose_stated),
+            None => view.and_then(purpose_of),
         }
     }
 
@@ -104,7 +104,7 @@ impl Planning {
     pub fn purposes_of(&self, frame: &Frame) -> (Purposes, StopRule) {
         self.remembered.get(&frame.plan_id).cloned().unwrap_or_else(|| {
             let stated = frame.views.iter();
-            let stated = stated.filter_map(|(index, view)| Some((*index, purpose_stated(view)?)));
+            let stated = stated.filter_map(|(index, view)| Some((*index, purpose_of(view)?)));
             (stated.collect(), StopRule::All)
         })
     }
@@ -122,7 +122,7 @@ impl Planning {
         {
             self.searched.hit(purpose);
         }
-        let at_s = seconds(&frame.stamp);
+        let at_s = frame.stamp.exposure_s();
         if let Some(interval_s) = self.last_s.map(|last_s| at_s - last_s)
             && (0.0..MAX_INTERVAL_S).contains(&interval_s)
         {
@@ -166,21 +166,11 @@ impl Planning {
     }
 }
 
-/// Whether a frame is so far behind the newest one that its time is spent.
-pub fn is_behind(stamp: &FrameStamp, newest: Option<&FrameStamp>) -> bool {
-    /// A frame is behind when so many newer ones have come.
-    const BEHIND_FRAMES: u64 = 2;
-    newest.is_some_and(|newest| {
-        stamp.is_late_beside(newest)
-            && newest.sequence.wrapping_sub(stamp.sequence) >= BEHIND_FRAMES
-    })
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
-    use crate::fixtures::{alpha, planner, stamp, tracker_of};
+    use crate::fixtures::{alpha, planner, tracker_of};
 
     #[test]
     fn a_tile_that_is_being_searched_is_not_asked_for_again() {
@@ -194,14 +184,6 @@ mod tests {
             asked.insert(format!("{next:?}"));
         }
         assert_eq!(asked.len(), 5, "{asked:?}");
-    }
-
-    #[test]
-    fn a_frame_is_behind_when_two_newer_ones_have_come() {
-        assert!(!is_behind(&stamp(5), None));
-        assert!(!is_behind(&stamp(5), Some(&stamp(6))));
-        assert!(is_behind(&stamp(5), Some(&stamp(7))));
-        assert!(!is_behind(&stamp(7), Some(&stamp(5))), "it is newer itself");
     }
 
     #[test]

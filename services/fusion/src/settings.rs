@@ -3,20 +3,21 @@
 use std::sync::Arc;
 
 use anyhow::Context as _;
-use flockeye_config::{Filter, Flow, Mode, Pipeline, Resolved};
+use flockeye_config::{Filter, Flow, Mode, Pipeline, Resolved, SearchBudget};
 use flockeye_convert::RadianceCache;
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::filter::{MotionModel, TrackPolicy};
 use flockeye_geometry::search::{Planner, SearchMode};
 use flockeye_runtime::memory;
 
-use crate::core::{Core, Options, Schedule};
+use crate::core::Core;
 use crate::frame_assembly::FrameAssembly;
 use crate::hypothesis::Aligner;
 use crate::output::Writer;
 use crate::parallax::Parallax;
 use crate::pictures::{PictureReader, Pixels};
 use crate::planning::Planning;
+use crate::schedule::{Schedule, VirtualClock};
 use crate::tracker::{FilterChoice, Tracker};
 use crate::view_cache::ViewCache;
 
@@ -48,7 +49,7 @@ pub fn configured<P: Pixels>(
         resolved.gaze_options,
     )?
     .with_high_resolution_tiles(resolved.high_resolution_tiles.clone())
-    .with_alternating_windows(pipeline.sweeps_by_turns())
+    .with_alternating_windows(pipeline.alternates_windows())
     .with_mask(resolved.mask()?.clone());
     if planner.hidden_partitions() > 0 {
         tracing::info!(
@@ -65,22 +66,24 @@ pub fn configured<P: Pixels>(
     let aligner = Arc::new(aligner);
     let parallax = Parallax::of(camera, pipeline.camera.assumed_distance_m);
     let filter = filter_choice(pipeline);
-    let is_live = pipeline.flow == Flow::Latest;
     let is_tracked = matches!(filter, FilterChoice::Tracks(_));
-    let has_background = is_live && pipeline.fusion.align && is_tracked;
+    let has_background = pipeline.is_limited() && pipeline.fusion.align && is_tracked;
     let threads = pipeline.fusion.threads as usize;
     let mut tracker =
         Tracker::new(bodies, filter, aligner.clone(), threads).with_parallax(parallax.clone());
     if has_background {
         tracker = tracker.with_background();
     }
-    let options = Options {
-        schedule: if is_live { Schedule::AsTheyCome } else { Schedule::WhenComplete },
-        is_limited: is_live,
-        aligns: pipeline.fusion.align,
+    let schedule = match (pipeline.flow, pipeline.search.budget) {
+        (Flow::Latest, _) => Schedule::Flight,
+        (Flow::Lossless, SearchBudget::Flight) => {
+            Schedule::Virtual(VirtualClock::new(pipeline.search.costs.clone()))
+        }
+        (Flow::Lossless, SearchBudget::Unlimited) => Schedule::Unlimited,
     };
     let core = Core::new(
-        options,
+        schedule,
+        pipeline.fusion.align,
         FrameAssembly::new(pipeline.frame_deadline().as_nanos() as i64),
         ViewCache::new(memory::held_views_waiting(pipeline), memory::held_views_best(resolved)),
         PictureReader::new(

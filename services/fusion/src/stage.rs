@@ -1,4 +1,4 @@
-//! The fusion stage: moves messages between the ports, the core and the background thread.
+//! The fusion stage: moves messages between the ports, the core and the background pass.
 
 use flockeye_config::Flow;
 use flockeye_contract::{Plans, Tracks, Views};
@@ -8,7 +8,7 @@ use flockeye_runtime::{Context, Stage, Step, clock};
 
 use anyhow::Context as _;
 
-use crate::background_thread::BackgroundThread;
+use crate::background_runner::BackgroundRunner;
 use crate::core::{Core, Event, Outputs};
 use crate::inbox::Inbox;
 use crate::notices::Reporter;
@@ -28,7 +28,7 @@ pub struct FusionStage {
     plans: Publisher<Plans>,
     core: Core<Message<Views>>,
     writer: Writer,
-    background: Option<BackgroundThread>,
+    background: Option<BackgroundRunner>,
     reporter: Reporter,
     counters: SharedCounters,
     flow: Flow,
@@ -43,14 +43,17 @@ impl Stage for FusionStage {
         let pipeline = &context.resolved.pipeline;
         let Configured { core, writer, aligner, has_background } =
             configured(&context.resolved, context.identity.generation)?;
-        let background = has_background.then(|| BackgroundThread::start(aligner)).transpose();
+        let background = has_background.then(|| match pipeline.flow {
+            Flow::Latest => BackgroundRunner::thread(aligner),
+            Flow::Lossless => Ok(BackgroundRunner::inline(aligner)),
+        });
         Ok(Self {
             inbox: Inbox::open(ports, pipeline.flow)?,
             tracks: ports.publisher()?,
             plans: ports.publisher()?,
             core,
             writer,
-            background: background.context("a thread for the background pass")?,
+            background: background.transpose().context("a thread for the background pass")?,
             reporter: Reporter::new(context.counters.clone()),
             counters: context.counters.clone(),
             flow: pipeline.flow,
@@ -64,10 +67,10 @@ impl Stage for FusionStage {
         if is_alone && self.core.plans() == 0 && now_ns < self.join_until_ns {
             return Ok(Step::WaitUntil(now_ns + JOIN_POLL_NS));
         }
-        self.plans.greet_newcomers()?;
+        self.plans.update_connections()?;
         self.inbox.receive(&mut self.core, now_ns)?;
-        if let Some(thread) = &self.background
-            && let Some(answer) = thread.answer()?
+        if let Some(runner) = &mut self.background
+            && let Some(answer) = runner.answer()?
         {
             self.core.on(Event::Background(answer), now_ns);
         }
@@ -95,8 +98,8 @@ impl FusionStage {
             let (header, views) = self.writer.plan(next, *after, clock::monotonic_ns());
             self.plans.send(header, &views).context("the plan for the next frame")?;
         }
-        if let (Some(job), Some(thread)) = (outputs.job, &self.background) {
-            thread.run(job)?;
+        if let (Some(job), Some(runner)) = (outputs.job, &mut self.background) {
+            runner.run(job)?;
         }
         if let Some(taken_ns) = outputs.ended.and_then(|ended| ended.taken_ns) {
             self.counters.add_latency_ns(clock::monotonic_ns() - taken_ns);

@@ -12,6 +12,7 @@ use nalgebra::{Isometry3, Vector3};
 use crate::measurement::{MeasuredBy, Measurement, PoseEstimate};
 use crate::passes::direct::RejectedAlignment;
 use crate::passes::inputs::Attempt;
+use crate::track_prior::TrackPrior;
 use crate::view_cache::FrameOrder;
 
 /// What is known of a target after a frame. Poses are of its markers in the camera frame.
@@ -51,37 +52,6 @@ impl TargetEstimate {
             age_s: 0.0,
             unseen_s: 0.0,
             track_id: 0,
-        }
-    }
-}
-
-/// What a track says of a target before a frame measures it.
-#[derive(Debug, Clone)]
-#[allow(clippy::large_enum_variant, reason = "one for each target and pass, on the stack")]
-pub enum TrackPrior {
-    /// There is no track.
-    Untracked,
-    /// A track that is not confirmed yet: a pose to start from (`camera_from_markers`), no prior.
-    Tentative(Isometry3<f64>),
-    /// A confirmed track.
-    Confirmed(PosePrior),
-}
-
-impl TrackPrior {
-    /// The predicted `camera_from_markers`, confirmed or not.
-    pub fn predicted(&self) -> Option<&Isometry3<f64>> {
-        match self {
-            Self::Untracked => None,
-            Self::Tentative(pose) => Some(pose),
-            Self::Confirmed(prior) => Some(&prior.camera_from_markers),
-        }
-    }
-
-    /// The prediction of a confirmed track.
-    pub fn confirmed(&self) -> Option<&PosePrior> {
-        match self {
-            Self::Confirmed(prior) => Some(prior),
-            Self::Untracked | Self::Tentative(_) => None,
         }
     }
 }

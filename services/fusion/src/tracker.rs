@@ -20,7 +20,8 @@ use crate::passes::direct::{self, Candidate, Region, RejectedAlignment};
 use crate::passes::inputs::{Earlier, Inputs, Permit};
 use crate::passes::{AnsweredView, BestViews};
 use crate::policy::{DirectPassPolicy, TimeBudget, is_search_turn};
-use crate::target::{Status, Target, TargetEstimate, TrackPrior};
+use crate::target::{Status, Target, TargetEstimate};
+use crate::track_prior::TrackPrior;
 use crate::view_cache::{FrameOrder, ViewQuality};
 
 /// How poses are carried from frame to frame.
@@ -46,6 +47,15 @@ pub struct FrameTime {
     pub number: u64,
 }
 
+/// How often the corner pass has tried to measure a target.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Attempts {
+    /// From a prediction.
+    pub tracked: u32,
+    /// Without one.
+    pub untracked: u32,
+}
+
 /// All targets with their tracks.
 pub struct Tracker {
     targets: Vec<Target>,
@@ -56,6 +66,7 @@ pub struct Tracker {
     /// `None`: everything is done at once.
     background: Option<BackgroundQueue>,
     direct_policy: DirectPassPolicy,
+    attempts: Attempts,
     /// The last frame that has ended, and when it was exposed, seconds.
     ended: Option<(FrameOrder, f64)>,
 }
@@ -80,6 +91,7 @@ impl Tracker {
             threads,
             background: None,
             direct_policy: DirectPassPolicy::default(),
+            attempts: Attempts::default(),
             ended: None,
         }
     }
@@ -102,6 +114,11 @@ impl Tracker {
     /// How many threads targets are measured on.
     pub fn threads(&self) -> usize {
         self.threads
+    }
+
+    /// The attempts since this was asked last.
+    pub fn take_attempts(&mut self) -> Attempts {
+        std::mem::take(&mut self.attempts)
     }
 
     /// How well a view shows the targets that it is the region of, or shows markers of. Targets whose
@@ -254,6 +271,11 @@ impl Tracker {
                 self.inputs(time, *target, answered, best_views, permit)
             })
             .collect();
+        let tracked = inputs.iter().filter(|inputs| inputs.prior.predicted().is_some()).count();
+        let attempts = Attempts {
+            tracked: self.attempts.tracked + tracked as u32,
+            untracked: self.attempts.untracked + (inputs.len() - tracked) as u32,
+        };
         let measured = corners::measure(&self.aligner, &inputs, self.threads);
         let mut failed = Vec::new();
         let mut found = Vec::new();
@@ -272,7 +294,7 @@ impl Tracker {
             };
             found.push((target, self.corrected(measurement, rays_m)));
         }
-        self.background = background;
+        (self.background, self.attempts) = (background, attempts);
         for (target, attempt, is_in_background) in failed {
             let in_frame = self.targets[target].in_frame_mut(time.order);
             in_frame.status = Status::Failed(attempt);
@@ -392,6 +414,11 @@ impl Tracker {
     fn tracks_others(&self, target: usize) -> bool {
         let mut others = self.targets.iter().enumerate().filter(|(other, _)| *other != target);
         others.any(|(_, target)| target.is_tracked())
+    }
+
+    /// Whether a background pass is to be run now.
+    pub fn has_job(&self) -> bool {
+        self.background.as_ref().is_some_and(BackgroundQueue::has_job)
     }
 
     /// The background pass that is to be run now.

@@ -6,7 +6,7 @@ use std::time::Duration;
 use anyhow::{Context, ensure};
 use clap::Args;
 use flockeye_cli::{Configuration, Screen, duration, signals};
-use flockeye_config::{Count, Flow, Resolved};
+use flockeye_config::{Count, Flow, Resolved, SearchBudget};
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::partition;
 use flockeye_runtime::instance::Instance;
@@ -72,7 +72,7 @@ fn measured(arguments: &CheckArguments, duration: Duration) -> anyhow::Result<St
     match run.sweep {
         Some(sweep) => {
             write!(text, ": {sweep}. An untracked target waits as long for its first search")?;
-            if pipeline.sweeps_by_turns() {
+            if pipeline.alternates_windows() {
                 text += ", by one of two windows";
             }
         }
@@ -159,13 +159,17 @@ fn search(resolved: &Resolved, partitions: usize) -> anyhow::Result<String> {
     let mask = resolved.mask()?;
     let far: Vec<_> =
         resolved.high_resolution_tiles.iter().filter(|view| !mask.hides_view(view)).collect();
-    let each = pipeline.search.lossless_partitions as usize;
-    // One of each kind in turn, until those of the smaller kind come a second time.
-    let frames = |count: usize| if far.is_empty() { count } else { 2 * count }.div_ceil(each);
     let mut text = format!("{mode}, the partitions in turn");
     if let Some(px) = far.iter().map(|view| view.size_px).max() {
         text += &format!(" with {} high-resolution tiles of {px} px", far.len());
     }
+    if pipeline.search.budget == SearchBudget::Flight {
+        text += "; of a lossless frame as many as fit by search.costs";
+        return Ok(text);
+    }
+    let each = pipeline.search.lossless_partitions as usize;
+    // One of each kind in turn, until those of the smaller kind come a second time.
+    let frames = |count: usize| if far.is_empty() { count } else { 2 * count }.div_ceil(each);
     text += &format!(
         "; of a lossless frame {each}: each partition every {} frames",
         frames(partitions)

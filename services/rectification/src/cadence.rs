@@ -1,35 +1,34 @@
 //! When the next frame is due, and what still fits before it.
 //!
-//! What is left of a frame's time is for searching partitions. A source that is late, because it
-//! decodes or draws on the same processors, would be later still if the search went on until it came; and
-//! its neighbours' views wait for a partition that is being cut when it comes.
+//! Tiles are searched in the time that is left of a frame. A late source, which decodes or draws on the
+//! same processors, would be later still if the search went on until its frame came. And the regions of
+//! interest of that frame would wait for the tile that is being cut.
 
 use std::collections::VecDeque;
 
 use flockeye_contract::FrameStamp;
 
-/// Frames from which it is learnt: about a second.
+/// Frames that the interval is estimated from: about a second.
 const FRAMES: usize = 32;
 
-/// The last cut's share in what cuts usually take.
+/// The weight of the last cut in the mean time of a cut.
 const CUT_SHARE: f64 = 0.1;
 
-/// What is left of the longest search after each partition: a slow one makes the next ten careful.
+/// The longest search decays by this factor with each tile, so that one slow search counts for about ten.
 const FORGETTING: f64 = 0.9;
 
-/// A worker that says that it searched a partition for longer is not believed, nanoseconds.
+/// Bursts that must have been seen before they are expected.
+const MIN_BURSTS: usize = 4;
+
+/// Longer searches are counted as this long, whatever a worker says. Nanoseconds.
 const LONGEST_SEARCH_NS: i64 = 1_000_000_000;
 
-/// After so many frames in which there was time for neighbours only, one partition is cut all the same.
-const MOST_SINCE_PARTITION: u32 = 4;
-
-/// The frames of a source that came last, and what partitions took.
+/// The last frames of a source, and how long tiles took.
 #[derive(Debug, Clone, Default)]
 pub struct Cadence {
     frames: VecDeque<(FrameStamp, i64)>,
     cut_ns: f64,
     search_ns: f64,
-    frames_since_partition: u32,
 }
 
 impl Cadence {
@@ -48,41 +47,28 @@ impl Cadence {
         self.frames.push_back((*stamp, received_ns));
     }
 
-    /// A partition was cut.
+    /// A tile was cut.
     pub fn note_cut(&mut self, took_ns: i64) {
         self.cut_ns += CUT_SHARE * (took_ns as f64 - self.cut_ns);
     }
 
-    /// A partition was searched, as its worker says.
+    /// A tile was searched for `took_ns`, as its worker says.
     pub fn note_search(&mut self, took_ns: i64) {
         let took_ns = took_ns.clamp(0, LONGEST_SEARCH_NS) as f64;
         self.search_ns = (FORGETTING * self.search_ns).max(took_ns);
     }
 
-    /// Whether a partition can be cut before the next frame is due, or nothing is known of that.
+    /// Whether a tile can be cut before the next frame is due. True while that is not known.
     pub fn has_time_to_cut(&self, now_ns: i64) -> bool {
         let cut_ns = now_ns.saturating_add(self.cut_ns as i64);
         self.due_ns().is_none_or(|due_ns| cut_ns < due_ns)
     }
 
-    /// Whether a partition and the one that is being searched will both have been searched before the next
-    /// frame is due.
+    /// Whether a tile and the one that is being searched will both have been searched before the next frame
+    /// is due.
     pub fn has_time_to_cut_ahead(&self, now_ns: i64) -> bool {
         let searched_ns = now_ns.saturating_add(2 * self.search_ns as i64);
         self.search_ns > 0.0 && self.due_ns().is_some_and(|due_ns| searched_ns < due_ns)
-    }
-
-    /// A frame has come to so many partitions, and is not cut further.
-    pub fn note_end(&mut self, partitions: usize) {
-        self.frames_since_partition = match partitions {
-            0 => self.frames_since_partition.saturating_add(1),
-            _ => 0,
-        };
-    }
-
-    /// Whether the next frame has to come to a partition, however little time there is.
-    pub fn owes_partition(&self) -> bool {
-        self.frames_since_partition >= MOST_SINCE_PARTITION
     }
 
     /// When the frame after the last one will be here if it is as quick as the quickest lately,
@@ -95,7 +81,26 @@ impl Cadence {
             self.frames.iter().map(|(stamp, at_ns)| at_ns.checked_sub(stamp.exposure_ns));
         let lag_ns = lags.try_fold(i64::MAX, |least_ns, lag_ns| Some(least_ns.min(lag_ns?)))?;
         let due_ns = last.exposure_ns.checked_add(interval_ns)?.checked_add(lag_ns)?;
-        (interval_ns > 0).then_some(due_ns)
+        let next_burst_ns = self.next_burst_ns(interval_ns).unwrap_or(i64::MIN);
+        (interval_ns > 0).then_some(due_ns.max(next_burst_ns))
+    }
+
+    /// When the next burst begins, if frames of this interval come in bursts: a pause follows each burst,
+    /// and ending the search with the frame's own interval would waste it. `None` for a steady source.
+    fn next_burst_ns(&self, interval_ns: i64) -> Option<i64> {
+        let mut begun: Vec<i64> = Vec::new();
+        let mut last_ns = None;
+        for &(_, at_ns) in &self.frames {
+            let gap_ns = last_ns.and_then(|last_ns| at_ns.checked_sub(last_ns));
+            if gap_ns.is_none_or(|gap_ns| gap_ns > interval_ns / 2) {
+                begun.push(at_ns);
+            }
+            last_ns = Some(at_ns);
+        }
+        let gaps = begun.windows(2).map(|pair| pair[1].saturating_sub(pair[0]));
+        let shortest_ns = gaps.min().filter(|_| begun.len() >= MIN_BURSTS)?;
+        let is_bursty = shortest_ns > interval_ns.saturating_add(interval_ns / 2);
+        is_bursty.then(|| begun.last()?.checked_add(shortest_ns))?
     }
 }
 
@@ -129,6 +134,20 @@ mod tests {
     }
 
     #[test]
+    fn the_pause_after_a_burst_is_used() {
+        // Two frames of 33 ms each come together, every 66 ms.
+        let bursts: Vec<_> =
+            (0..10).map(|n: i64| (n as u64, 33 * n, 66 * (n / 2) + 40 + n % 2)).collect();
+        let due_ms = |frames: &[_]| cadence(frames).due_ns().map(|due_ns| due_ns / MS);
+        assert_eq!(due_ms(&bursts), Some(66 * 4 + 40 + 66));
+        assert_eq!(due_ms(&bursts[..4]), Some(33 * 4 + 8), "two bursts may be chance");
+        // One frame in time, and the source is steady.
+        let mut mixed = bursts.clone();
+        mixed.extend([(10, 330, 370), (11, 363, 403)]);
+        assert_eq!(due_ms(&mixed), Some(363 + 33 + 8));
+    }
+
+    #[test]
     fn it_is_learnt_anew_from_another_source_and_forgets_the_old() {
         let mut learnt = cadence(&[(0, 100, 104), (1, 130, 133)]);
         let restarted = FrameStamp { epoch: 1, ..stamp(0, 160) };
@@ -143,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn a_partition_that_would_not_be_cut_in_time_is_not_begun() {
+    fn a_tile_that_would_not_be_cut_in_time_is_not_begun() {
         let mut unknown = Cadence::default();
         unknown.note_cut(5 * MS);
         assert!(unknown.has_time_to_cut(0));
@@ -164,7 +183,7 @@ mod tests {
         assert!(is_ahead(&due_at_160, 139) && !is_ahead(&due_at_160, 141), "slow once");
         (0..10).for_each(|_| due_at_160.note_search(5 * MS));
         assert!(is_ahead(&due_at_160, 149), "forgotten");
-        // Workers' words are not believed without bounds.
+        // Times that workers state are bounded.
         due_at_160.note_search(i64::MAX);
         assert!(!is_ahead(&due_at_160, 130));
         (0..60).for_each(|_| due_at_160.note_search(i64::MIN));
@@ -173,21 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn after_some_frames_for_neighbours_only_a_partition_is_owed() {
-        let mut busy = Cadence::default();
-        (0..4).for_each(|_| {
-            assert!(!busy.owes_partition());
-            busy.note_end(0);
-        });
-        assert!(busy.owes_partition());
-        busy.note_end(0);
-        assert!(busy.owes_partition());
-        busy.note_end(1);
-        assert!(!busy.owes_partition());
-    }
-
-    #[test]
-    fn clocks_that_mean_nothing_make_nothing_due() {
+    fn broken_clocks_make_nothing_due() {
         assert_eq!(cadence(&[(0, 100, 104), (1, 100, 134)]).due_ns(), None, "it stands");
         assert_eq!(cadence(&[(0, 130, 104), (1, 100, 134)]).due_ns(), None, "it goes back");
         let mut wild = Cadence::default();

@@ -89,6 +89,11 @@ impl<K: Ord + Copy> Dispatcher<K> {
         }
     }
 
+    /// The number that the next attempt of `view` will have, from 0.
+    pub fn next_attempt(&self, view: K) -> u32 {
+        self.views.get(&view).map_or(0, |issued| issued.attempts)
+    }
+
     /// Notes that `view` went to `worker`, and tells the number of this attempt, from 0.
     pub fn issued(&mut self, view: K, worker: usize, now: Duration) -> u32 {
         let issued = self.views.entry(view).or_default();

@@ -23,6 +23,8 @@ pub struct Job {
     unanswered: BTreeSet<u32>,
     recut: BTreeSet<u32>,
     has_hit: bool,
+    /// Whether a view of it could not be cut.
+    has_failed: bool,
     ended: Option<StopReason>,
 }
 
@@ -67,12 +69,16 @@ impl Job {
             unanswered: BTreeSet::new(),
             recut: BTreeSet::new(),
             has_hit: false,
+            has_failed: false,
             ended: None,
         }
     }
 
     /// What to do next; `is_newer_due` says whether a newer frame waits, or should.
     pub fn next(&self, is_newer_due: bool) -> Next {
+        if self.has_failed {
+            return Next::End(StopReason::Failed);
+        }
         if let Some(&index) = self.recut.first() {
             return Next::Cut { index, is_yielding: false };
         }
@@ -165,8 +171,19 @@ impl Job {
         }
     }
 
+    /// A view could not be cut: no other is tried.
+    pub fn fail(&mut self) {
+        self.has_failed = true;
+    }
+
+    /// The view that comes next in the plan's order.
+    pub fn next_view(&self) -> Option<&PlannedView> {
+        self.views.get(self.issued)
+    }
+
     /// The end of the frame was published.
     pub fn note_end(&mut self, reason: StopReason) {
+        self.has_failed = false;
         self.ended = Some(reason);
     }
 

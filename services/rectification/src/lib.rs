@@ -9,16 +9,26 @@
 //! | [`job`] | which views of a frame are cut, which is next, and when it is enough |
 //! | [`dispatch`] | which worker gets the next view, and which views were lost |
 //! | [`cadence`] | when the next frame is due, and what fits before |
-//! | [`stage`] | the ports around it |
+//! | [`virtual_budget`] | what fits into a frame by stated costs, in a lossless run |
+//! | [`frame_clock`] | which of the two decides |
+//! | [`core`] | all decisions: events in, orders out |
+//! | [`cutting`] | a view cut by a back end, as a message |
+//! | [`inbox`] | the ports that are read |
+//! | [`stage`] | moves messages between ports, core and back end |
 
 pub mod cadence;
+pub mod core;
 pub mod cpu;
+pub mod cutting;
 pub mod dispatch;
+pub mod frame_clock;
 pub mod gpu;
+pub mod inbox;
 pub mod job;
 pub mod rectifier;
 pub mod stage;
 pub mod standby;
+pub mod virtual_budget;
 
 /// The rectification stage's process. It is here so that it is compiled once, with the library.
 pub fn main() -> std::process::ExitCode {

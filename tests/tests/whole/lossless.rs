@@ -1,11 +1,14 @@
 //! A lossless flight is the same flight every time, however many workers there are: nothing in it
 //! is decided by time.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use flockeye_contract::{FrameStamp, MeasuredBy, StageLatency, Track, TrackHeader};
+use flockeye_record::PoseRow;
 use flockeye_tests::onlooker::Tape;
-use flockeye_tests::{SMALL_FLIGHT, Scratch, VULKAN, absent, flockeye};
+use flockeye_tests::{SMALL_FLIGHT, Scratch, VULKAN, absent, flockeye, run, unique};
+use nalgebra::Vector3;
 
 const FRAMES: u64 = 40;
 
@@ -140,4 +143,43 @@ fn views_cut_by_a_graphics_processor_give_the_same_bytes_twice() {
     }
     let first = fly_with("gpu", "gaze", 1);
     assert_same(&first, &fly_with("gpu", "gaze", 3), "with three workers");
+}
+
+/// The measured positions of a flight by frame and target.
+fn measured(flow: &str, budget: &str) -> BTreeMap<(u64, String), Vector3<f64>> {
+    let scratch = Scratch::new("budget");
+    let poses = scratch.path("poses.csv");
+    let instance = format!("instance={}", unique("budget"));
+    let budget = format!("search.budget={budget}");
+    let frames = format!("simulator.frames={FRAMES}");
+    let own = [instance.as_str(), &budget, &frames, "simulator.neighbours=2"];
+    let mut arguments = vec!["up", "--flow", flow, "--poses", poses.to_str().expect("plain")];
+    for set in SMALL_FLIGHT.iter().chain(&own) {
+        arguments.extend(["--set", set]);
+    }
+    let (is_good, output) = run(&arguments);
+    assert!(is_good, "{output}");
+    let rows: Vec<PoseRow> = flockeye_record::read(&poses).expect("poses");
+    let measured = rows.into_iter().filter_map(|row| {
+        row.measured.map(|measured| ((row.frame, row.target), measured.position))
+    });
+    measured.collect()
+}
+
+/// A budget says which passes run, and not what a frame says: whatever both flights measured is the same
+/// but for where alignment started from. Bodies are as small here as at 2 m in frames of 3840x1920.
+#[test]
+fn flight_by_the_clock_by_stated_costs_and_without_limit_gives_the_same_poses() {
+    let unlimited = measured("lossless", "unlimited");
+    for (flow, least_share) in [("lossless", 0.9), ("latest", 0.25)] {
+        let limited = measured(flow, "flight");
+        let both: Vec<f64> = limited
+            .iter()
+            .filter_map(|(key, position)| Some((unlimited.get(key)? - position).norm()))
+            .collect();
+        let share = both.len() as f64 / unlimited.len() as f64;
+        assert!(share > least_share, "{flow}: {share} of {} measurements", unlimited.len());
+        let worst_m = both.iter().copied().fold(0.0, f64::max);
+        assert!(worst_m < 5e-3, "{flow}: {worst_m} m apart");
+    }
 }

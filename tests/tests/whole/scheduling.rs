@@ -97,7 +97,7 @@ fn real_time_classes_are_had_with_the_privilege_and_refused_aloud_without() {
         assert_eq!(class(of("detection")), "0", "SCHED_OTHER");
     }
     // What nobody waits for is in no real-time class, and gives way to all else.
-    let aside = thread(of("fusion"), "second-look").expect("it looks again in flight");
+    let aside = thread(of("fusion"), "background-pass").expect("it looks again in flight");
     assert_eq!(field(&aside, 41), "0", "SCHED_OTHER");
     let own = Pid::from_raw(std::process::id().cast_signed()).expect("a process has a number");
     let usual: i32 = nice(own).parse().expect("a number");
@@ -113,7 +113,7 @@ fn a_lossless_run_leaves_nothing_to_a_thread_of_its_own() {
     let set: Vec<&str> = SMALL_FLIGHT.iter().chain(&more).copied().collect();
     let mut flight = Flight::start("no-aside", &[], &set);
     flight.wait_for("alpha confirmed");
-    assert_eq!(thread(flight.stages("flockeye-fusion")[0], "second-look"), None);
+    assert_eq!(thread(flight.stages("flockeye-fusion")[0], "background-pass"), None);
     flight.signal(Signal::INT);
     assert!(flight.wait().success(), "{}", flight.output());
     flight.assert_nothing_left();

@@ -76,7 +76,7 @@ fn a_running_pipeline_is_watched_and_traced() {
 }
 
 #[test]
-fn check_measures_how_soon_a_newcomer_is_found() {
+fn check_measures_how_soon_an_untracked_target_is_found() {
     let set = SMALL_FLIGHT.iter().flat_map(|set| ["--set", *set]);
     let arguments: Vec<&str> = ["check", "--measure", "3s"].into_iter().chain(set).collect();
     let (is_well, said) = run(&arguments);
@@ -89,14 +89,14 @@ fn check_measures_how_soon_a_newcomer_is_found() {
     assert!(!is_well && said.contains("no two frames were searched. Cure:"), "{said}");
 }
 
-/// Fusion is replaced and knows nobody: its neighbour is a newcomer to it, who must be found as soon
+/// Fusion is replaced and knows nobody: its neighbour is untracked and must be found as soon
 /// as the sphere is searched once, however slow the machine is. Nothing hides markers in this flight:
 /// each frame alone shows enough of it.
 #[test]
-fn a_newcomer_is_found_before_the_sphere_is_searched_twice() {
+fn an_untracked_target_is_found_before_the_sphere_is_searched_twice() {
     let set: Vec<&str> =
         SMALL_FLIGHT.iter().copied().chain(["simulator.airframes=false"]).collect();
-    let mut flight = Flight::start("newcomer", &[], &set);
+    let mut flight = Flight::start("untracked", &[], &set);
     flight.wait_for("alpha confirmed");
     let pipeline = flight.instance.pipeline().expect("it was written");
     let resolved = Resolved::of(pipeline).expect("the launcher resolved it too");
@@ -110,7 +110,7 @@ fn a_newcomer_is_found_before_the_sphere_is_searched_twice() {
     kill_process(fusion[0], Signal::KILL).expect("it runs");
     let start = Instant::now();
     // The successor hears nothing of the frames that were searched while fusion was away: it looks for
-    // newcomers from the first frame on that follows a plan of its own.
+    // untracked targets from the first frame on that follows a plan of its own.
     let (mut asked, mut first, mut found) = (0, None, None);
     let mut look = || {
         assert!(start.elapsed() < WATCHDOG, "nobody is found:\n{}", flight.output());

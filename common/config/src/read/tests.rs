@@ -44,7 +44,10 @@ const WRONG: &[(&str, &[&str])] = &[
     ("1: 2", &["key must be text"]),
     ("camra: {}", &["line 1, column 1", "unknown key", "did you mean 'camera'?"]),
     ("camera:\n  widht: 3840", &["line 2, column 3", "camera.widht", "did you mean 'width'?"]),
-    ("search: {qqq: 1}", &["unknown key (known are mode, lossless_partitions, far_magnification)"]),
+    (
+        "search: {qqq: 1}",
+        &["unknown key (known are mode, budget, costs, lossless_partitions, far_magnification)"],
+    ),
     ("camera: {width: wide}", &["camera.width", "must be a whole number", "the text 'wide'"]),
     ("camera: {width: 38.5}", &["must be a whole number, not 38.5"]),
     (
@@ -265,14 +268,19 @@ fn a_partition_may_be_chosen() {
 }
 
 #[test]
-fn the_sphere_is_swept_where_neighbours_are_followed_and_by_turns_in_flight_only() {
+fn tiles_alternate_windows_where_targets_are_followed_and_time_is_limited() {
     let says = |change: &dyn Fn(&mut Pipeline)| {
         let mut pipeline = Pipeline::default();
         change(&mut pipeline);
-        (pipeline.gazes(), pipeline.sweeps_by_turns())
+        (pipeline.gazes(), pipeline.alternates_windows())
     };
     assert_eq!(says(&|_| {}), (true, true));
-    assert_eq!(says(&|pipeline| pipeline.flow = Flow::Lossless), (true, false));
+    assert_eq!(says(&|pipeline| pipeline.flow = Flow::Lossless), (true, true));
+    let unlimited = says(&|pipeline| {
+        pipeline.flow = Flow::Lossless;
+        pipeline.search.budget = SearchBudget::Unlimited;
+    });
+    assert_eq!(unlimited, (true, false));
     assert_eq!(says(&|pipeline| pipeline.fusion.filter = Filter::None), (false, false));
     assert_eq!(says(&|pipeline| pipeline.search.mode = Mode::Exhaustive), (false, false));
 }

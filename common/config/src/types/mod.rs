@@ -10,12 +10,14 @@ use serde::{Deserialize, Serialize};
 
 mod bodies;
 mod camera;
+mod costs;
 mod mount;
 mod partition;
 mod stages;
 
 pub use bodies::{BodySet, Preset, PresetBody};
 pub use camera::{Camera, CameraModel, FisheyeLens, Response};
+pub use costs::{Costs, SearchBudget};
 pub use mount::Mount;
 pub use partition::{Auto, Count, Method, Partition};
 pub use stages::{Restart, Scheduling, StageInfo, StageProcess, Stages};
@@ -81,10 +83,14 @@ impl Pipeline {
         self.search.mode == Mode::Gaze && self.fusion.filter != Filter::None
     }
 
-    /// Whether the sweep searches a partition with one of its windows at a time. Not in a lossless run,
-    /// which must not depend on which worker searches.
-    pub fn sweeps_by_turns(&self) -> bool {
-        self.gazes() && self.flow == Flow::Latest
+    /// Whether each frame has a limited time, be it by the clock or by stated costs.
+    pub fn is_limited(&self) -> bool {
+        self.flow == Flow::Latest || self.search.budget == SearchBudget::Flight
+    }
+
+    /// Whether a tile is searched with one threshold window at a time, the windows in turn.
+    pub fn alternates_windows(&self) -> bool {
+        self.gazes() && self.is_limited()
     }
 
     /// How long a frame is waited for: `fusion.deadline_ms`.
@@ -311,7 +317,13 @@ pub struct Search {
     /// greedy and optimized are the paper's; exhaustive searches everywhere; gaze (the default) searches
     /// where neighbours are predicted and sweeps the rest.
     pub mode: Mode,
-    /// Partitions searched after the gaze views in each frame of a lossless run.
+    /// How much of a frame a lossless run works on. flight (the default): what flight has time for, by
+    /// `costs`, so that it gives the poses that flight gives. unlimited: all passes, and
+    /// `lossless_partitions` tiles, for each frame.
+    pub budget: SearchBudget,
+    /// What each piece of work costs, for the budget flight.
+    pub costs: Costs,
+    /// Tiles searched after the regions of interest in each frame of a lossless run without limit.
     #[schemars(range(min = 1, max = 128))]
     pub lossless_partitions: u32,
     /// Resolution of the high-resolution tiles, as a multiple of the sphere's along a side. The mode gaze
@@ -323,7 +335,13 @@ pub struct Search {
 
 impl Default for Search {
     fn default() -> Self {
-        Self { mode: Mode::Gaze, lossless_partitions: 4, far_magnification: 2.0 }
+        Self {
+            mode: Mode::Gaze,
+            budget: SearchBudget::Flight,
+            costs: Costs::default(),
+            lossless_partitions: 4,
+            far_magnification: 2.0,
+        }
     }
 }
 

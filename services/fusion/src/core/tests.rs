@@ -6,6 +6,8 @@ use std::sync::OnceLock;
 
 use super::*;
 use crate::fixtures::*;
+use crate::schedule::VirtualClock;
+use flockeye_config::Costs;
 use flockeye_contract::{DetectionHeader, Transfer, ViewKind};
 use flockeye_convert::RadianceCache;
 use flockeye_geometry::search::StopRule;
@@ -19,21 +21,26 @@ impl Pixels for Vec<u8> {
 
 const DEADLINE_NS: i64 = 1_000_000_000;
 
-fn core(schedule: Schedule, is_limited: bool) -> Core<Vec<u8>> {
-    let options = Options { schedule, is_limited, aligns: true };
+fn core(schedule: Schedule) -> Core<Vec<u8>> {
+    let is_limited = !matches!(schedule, Schedule::Unlimited);
     let mut tracker = tracker_of(vec![alpha()], 1);
     if is_limited {
         tracker = tracker.with_background();
     }
     let lights = RadianceCache::new(None).unwrap();
     Core::new(
-        options,
+        schedule,
+        true,
         FrameAssembly::new(DEADLINE_NS),
         ViewCache::new(4, 4),
         PictureReader::new(lights, PIXELS_PER_RADIAN, None),
         tracker,
         Planning::new(planner()),
     )
+}
+
+fn virtual_clock(costs: Costs) -> Schedule {
+    Schedule::Virtual(VirtualClock::new(costs))
 }
 
 /// All that a core has to say until it is idle.
@@ -100,8 +107,8 @@ fn frame_end(sequence: u64, plan_id: u64, views_issued: u32) -> Event<Vec<u8>> {
 }
 
 /// A core that has measured alpha in frames 0 to 2, and the number of its last plan.
-fn tracking(schedule: Schedule, is_limited: bool) -> (Core<Vec<u8>>, u64) {
-    let mut core = core(schedule, is_limited);
+fn tracking(schedule: Schedule) -> (Core<Vec<u8>>, u64) {
+    let mut core = core(schedule);
     let mut plan_id = drain(&mut core, 0)[0].plan.as_ref().expect("the first plan").0.plan_id;
     for sequence in 0..3 {
         // A plan that this process did not make: the view itself says what it is.
@@ -132,7 +139,7 @@ fn is_ended(said: &[Outputs]) -> bool {
 
 #[test]
 fn the_first_step_makes_the_first_plan() {
-    let mut core = core(Schedule::AsTheyCome, true);
+    let mut core = core(Schedule::Flight);
     let said = drain(&mut core, 0);
     let (plan, after) = said[0].plan.as_ref().expect("the first plan");
     assert_eq!((said.len(), plan.plan_id, *after), (1, 1, None));
@@ -141,7 +148,7 @@ fn the_first_step_makes_the_first_plan() {
 
 #[test]
 fn a_tracked_target_leaves_when_its_region_has_been_cut() {
-    let (mut core, plan_id) = tracking(Schedule::AsTheyCome, true);
+    let (mut core, plan_id) = tracking(Schedule::Flight);
     core.on(region(3, plan_id), 0);
     let said = drain(&mut core, 0);
     assert_eq!(poses(&said), [0]);
@@ -158,7 +165,7 @@ fn a_tracked_target_leaves_when_its_region_has_been_cut() {
 
 #[test]
 fn an_untracked_target_leaves_when_its_region_has_been_searched() {
-    let mut core = core(Schedule::AsTheyCome, true);
+    let mut core = core(Schedule::Flight);
     drain(&mut core, 0);
     core.on(region(0, 0), 0);
     assert!(poses(&drain(&mut core, 0)).is_empty(), "nothing predicts it");
@@ -171,20 +178,22 @@ fn an_untracked_target_leaves_when_its_region_has_been_searched() {
 
 #[test]
 fn where_order_must_not_count_nothing_leaves_before_the_frame_is_complete() {
-    let (mut core, plan_id) = tracking(Schedule::WhenComplete, false);
-    for event in [region(3, plan_id), searched(3, plan_id)] {
-        core.on(event, 0);
-        assert!(drain(&mut core, 0).is_empty());
+    for schedule in [Schedule::Unlimited, virtual_clock(Costs::default())] {
+        let (mut core, plan_id) = tracking(schedule);
+        for event in [region(3, plan_id), searched(3, plan_id)] {
+            core.on(event, 0);
+            assert!(poses(&drain(&mut core, 0)).is_empty());
+        }
+        core.on(frame_end(3, plan_id, 1), 0);
+        let said = drain(&mut core, 0);
+        assert_eq!(poses(&said), [0]);
+        assert!(is_ended(&said));
     }
-    core.on(frame_end(3, plan_id, 1), 0);
-    let said = drain(&mut core, 0);
-    assert_eq!(poses(&said), [0]);
-    assert!(is_ended(&said));
 }
 
 #[test]
 fn a_frame_whose_record_never_comes_ends_at_its_deadline() {
-    let (mut core, plan_id) = tracking(Schedule::AsTheyCome, true);
+    let (mut core, plan_id) = tracking(Schedule::Flight);
     core.on(frame_end(3, plan_id, 1), 5);
     assert!(drain(&mut core, 5).is_empty());
     assert_eq!(core.next_deadline_ns(), Some(5 + DEADLINE_NS));
@@ -200,7 +209,7 @@ fn a_frame_whose_record_never_comes_ends_at_its_deadline() {
 
 #[test]
 fn markers_whose_rays_disagree_with_their_corners_are_left_out() {
-    let mut core = core(Schedule::AsTheyCome, true);
+    let mut core = core(Schedule::Flight);
     drain(&mut core, 0);
     core.on(region(0, 0), 0);
     let Event::Searched(mut record) = searched(0, 0) else { unreachable!() };
@@ -214,7 +223,7 @@ fn markers_whose_rays_disagree_with_their_corners_are_left_out() {
 
 #[test]
 fn a_marker_of_no_body_is_noticed_and_ignored() {
-    let mut core = core(Schedule::AsTheyCome, true);
+    let mut core = core(Schedule::Flight);
     drain(&mut core, 0);
     core.on(region(0, 0), 0);
     let Event::Searched(mut record) = searched(0, 0) else { unreachable!() };
@@ -226,12 +235,12 @@ fn a_marker_of_no_body_is_noticed_and_ignored() {
     assert!(poses(&said).is_empty());
 }
 
-#[test]
-fn a_background_pass_that_is_over_in_time_publishes() {
-    let (mut core, plan_id) = tracking(Schedule::AsTheyCome, true);
+/// A core that tracks alpha and has asked for a background pass in frame 4, which shows nothing. The
+/// answer says that alpha was found all the same.
+fn answered_in_background(schedule: Schedule) -> (Core<Vec<u8>>, Answer) {
+    let (mut core, plan_id) = tracking(schedule);
     core.on(frame_end(3, plan_id, 0), 0);
     drain(&mut core, 0);
-    // Nothing but a test asks for a job here: alpha coasts and its region shows something else.
     let empty = Record {
         header: DetectionHeader { stamp: stamp(4), plan_id: 0, ..DetectionHeader::default() },
         markers: Vec::new(),
@@ -240,17 +249,40 @@ fn a_background_pass_that_is_over_in_time_publishes() {
     pixels.fill(128);
     core.on(Event::View(header, pixels), 0);
     core.on(Event::Searched(empty), 0);
-    let said = drain(&mut core, 0);
-    let job = said.into_iter().find_map(|outputs| outputs.job).expect("a background pass");
-    assert!(core.awaits_background());
-    let aligner = aligner(
-        &flockeye_geometry::body::Bodies::new("DICT_5X5_250".into(), vec![alpha()]).unwrap(),
-    );
-    let mut answer = job.run(&aligner);
+    if !core.schedule.is_flight() {
+        core.on(frame_end(4, 0, 1), 0);
+    }
+    let mut job = None;
+    while job.is_none() {
+        let outputs = core.step(0);
+        assert!(!outputs.is_idle, "a background pass is asked for");
+        job = outputs.job;
+    }
+    let bodies = flockeye_geometry::body::Bodies::new("DICT_5X5_250".into(), vec![alpha()]);
+    let mut answer = job.unwrap().run(&aligner(&bodies.unwrap()));
     assert!(answer.measurement.is_none(), "the picture is grey");
     answer.measurement = Some(measurement(&pose(0.9)));
+    (core, answer)
+}
+
+#[test]
+fn a_background_pass_that_is_over_in_time_publishes() {
+    let (mut core, answer) = answered_in_background(Schedule::Flight);
+    assert!(core.awaits_background());
     core.on(Event::Background(answer), 0);
     let said = drain(&mut core, 0);
     assert_eq!(poses(&said), [0]);
     assert!(!core.awaits_background());
+}
+
+#[test]
+fn by_a_virtual_clock_a_background_pass_publishes_if_its_cost_fits_into_the_frame() {
+    for (background_pass_ms, expected) in [(20.0, vec![0]), (50.0, vec![])] {
+        let costs = Costs { background_pass_ms, ..Costs::default() };
+        let (mut core, answer) = answered_in_background(virtual_clock(costs));
+        core.on(Event::Background(answer), 0);
+        let said = drain(&mut core, 0);
+        assert_eq!(poses(&said), expected, "{background_pass_ms} ms of a frame's 33");
+        assert!(is_ended(&said));
+    }
 }

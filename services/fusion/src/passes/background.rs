@@ -107,6 +107,11 @@ impl BackgroundQueue {
         self.to_run = Some(job);
     }
 
+    /// Whether a job is to be run now.
+    pub fn has_job(&self) -> bool {
+        self.to_run.is_some()
+    }
+
     /// The job that is to be run now, once.
     pub fn take_job(&mut self) -> Option<Job> {
         self.to_run.take()
@@ -226,7 +231,7 @@ mod tests {
     use super::*;
     use crate::hypothesis::BestView;
     use crate::passes::inputs::{Earlier, Permit};
-    use crate::target::TrackPrior;
+    use crate::track_prior::TrackPrior;
     use flockeye_geometry::body::squares;
     use flockeye_geometry::pose::PosePrior;
     use flockeye_imaging::light::{CodeRange, TransferCurve};

@@ -9,7 +9,7 @@ use super::direct::RejectedAlignment;
 use crate::hypothesis::{Aligner, BestView, Start};
 use crate::measurement::{MeasuredBy, Measurement, PoseEstimate, distinct_markers, supports};
 use crate::policy::TimeBudget;
-use crate::target::TrackPrior;
+use crate::track_prior::TrackPrior;
 
 /// Markers that must agree on a pose where neither a track nor alignment supports it. One marker may be
 /// a misread square, and its mirror pose cannot be told from it.

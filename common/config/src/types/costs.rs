@@ -1,0 +1,65 @@
+//! What each piece of work costs: the virtual clock of a lossless run.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// How much of a lossless frame is worked on.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum SearchBudget {
+    /// What flight has time for, by `search.costs`: the same passes in the same order.
+    #[default]
+    Flight,
+    /// `search.lossless_partitions` tiles with all windows, and all passes at once.
+    Unlimited,
+}
+
+/// Processor time of each piece of work. A lossless run with `search.budget: flight` goes by it instead of
+/// the time, so that it does what flight does and repeats byte by byte. Flight itself goes by the time.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Costs {
+    /// How many processors work on a frame. Two logical ones that share a core, and a pipeline that waits
+    /// for one stage after another, do the work of about 1.3: then as many views of a recording are
+    /// searched as at its own rate.
+    #[schemars(range(min = 0.25, max = 256.0))]
+    pub processors: f64,
+    /// What a frame takes before it is searched, decoding above all, milliseconds.
+    #[schemars(range(min = 0.0, max = 1000.0))]
+    pub source_ms: f64,
+    /// Cutting a view, for each million of its pixels, milliseconds.
+    #[schemars(range(min = 0.0, max = 1000.0))]
+    pub cut_ms_per_megapixel: f64,
+    /// Searching a view for markers with one threshold window, for each million of its pixels,
+    /// milliseconds.
+    #[schemars(range(min = 0.0, max = 1000.0))]
+    pub window_ms_per_megapixel: f64,
+    /// Aligning a tracked neighbour from its prediction, milliseconds.
+    #[schemars(range(min = 0.0, max = 1000.0))]
+    pub direct_pass_ms: f64,
+    /// Measuring a tracked neighbour from its markers, milliseconds.
+    #[schemars(range(min = 0.0, max = 1000.0))]
+    pub corner_pass_ms: f64,
+    /// Measuring an untracked neighbour, milliseconds.
+    #[schemars(range(min = 0.0, max = 1000.0))]
+    pub initiation_ms: f64,
+    /// A background pass until its answer, milliseconds.
+    #[schemars(range(min = 0.0, max = 10000.0))]
+    pub background_pass_ms: f64,
+}
+
+impl Default for Costs {
+    /// Two logical processors of the machine that `docs/results/costs.md` names.
+    fn default() -> Self {
+        Self {
+            processors: 1.3,
+            source_ms: 20.0,
+            cut_ms_per_megapixel: 2.5,
+            window_ms_per_megapixel: 4.0,
+            direct_pass_ms: 3.5,
+            corner_pass_ms: 4.0,
+            initiation_ms: 8.0,
+            background_pass_ms: 45.0,
+        }
+    }
+}

@@ -1,0 +1,160 @@
+//! When passes run, and how much time a frame's passes have.
+
+use flockeye_config::Costs;
+use flockeye_contract::FrameStamp;
+
+use crate::policy::TimeBudget;
+
+/// When passes run.
+#[derive(Debug, Clone)]
+pub enum Schedule {
+    /// As soon as their inputs are there, in the time that is left.
+    Flight,
+    /// The same passes in a lossless run: by stated costs instead of the time, so that nothing depends on
+    /// who is faster.
+    Virtual(VirtualClock),
+    /// When a frame is complete, and all of them.
+    Unlimited,
+}
+
+/// A frame is behind when this many newer ones have come, or would have.
+const BEHIND_FRAMES: u64 = 2;
+
+impl Schedule {
+    /// How much time the passes of a frame may take. `newest` is the newest frame that has come.
+    pub fn budget(&self, stamp: &FrameStamp, newest: Option<&FrameStamp>) -> TimeBudget {
+        let is_behind = match self {
+            Self::Flight => is_behind(stamp, newest),
+            Self::Virtual(clock) => clock.is_behind(stamp),
+            Self::Unlimited => return TimeBudget::Unlimited,
+        };
+        if is_behind { TimeBudget::Overspent } else { TimeBudget::OneFrame }
+    }
+
+    /// Whether passes run as soon as their inputs are there.
+    pub fn is_flight(&self) -> bool {
+        matches!(self, Self::Flight)
+    }
+
+    /// Whether regions of interest are measured before they are searched.
+    pub fn has_direct_pass(&self) -> bool {
+        !matches!(self, Self::Unlimited)
+    }
+}
+
+/// Whether newer frames have come since, so that a frame's time is spent.
+fn is_behind(stamp: &FrameStamp, newest: Option<&FrameStamp>) -> bool {
+    newest.is_some_and(|newest| {
+        stamp.is_late_beside(newest)
+            && newest.sequence.wrapping_sub(stamp.sequence) >= BEHIND_FRAMES
+    })
+}
+
+/// A clock that only stated costs move on. It begins each frame at its exposure, or when the work on the
+/// frame before is done.
+#[derive(Debug, Clone)]
+pub struct VirtualClock {
+    costs: Costs,
+    last: Option<FrameStamp>,
+    interval_ns: i64,
+    now_ns: i64,
+    /// When the last background pass began.
+    background_ns: i64,
+}
+
+impl VirtualClock {
+    /// A clock with these costs, before the first frame.
+    pub fn new(costs: Costs) -> Self {
+        Self { costs, last: None, interval_ns: 0, now_ns: i64::MIN, background_ns: i64::MIN }
+    }
+
+    /// What each piece of work costs.
+    pub fn costs(&self) -> &Costs {
+        &self.costs
+    }
+
+    /// The time, on the clock of the exposures, nanoseconds.
+    pub fn now_ns(&self) -> i64 {
+        self.now_ns
+    }
+
+    /// A frame begins.
+    pub fn begin_frame(&mut self, stamp: &FrameStamp) {
+        let source = |stamp: &FrameStamp| (stamp.source_generation, stamp.epoch);
+        let goes_on = self.last.is_some_and(|last| source(&last) == source(stamp));
+        self.now_ns = if goes_on { self.now_ns.max(stamp.exposure_ns) } else { stamp.exposure_ns };
+        self.interval_ns = self.last.and_then(|last| stamp.interval_ns(&last)).unwrap_or_default();
+        self.last = Some(*stamp);
+    }
+
+    /// Work is done that costs `ms`.
+    pub fn spend_ms(&mut self, ms: f64) {
+        self.now_ns = self.now_ns.saturating_add((ms * 1e6) as i64);
+    }
+
+    /// All of a frame has been searched: in flight, that is when the next one is due.
+    pub fn complete_frame(&mut self, stamp: &FrameStamp) {
+        self.now_ns = self.now_ns.max(stamp.exposure_ns.saturating_add(self.interval_ns));
+    }
+
+    /// A background pass begins. One is under way at a time.
+    pub fn begin_background(&mut self) {
+        self.background_ns = self.now_ns;
+    }
+
+    /// When the background pass is over that began last, nanoseconds.
+    pub fn background_over_ns(&self) -> i64 {
+        self.background_ns.saturating_add((self.costs.background_pass_ms * 1e6) as i64)
+    }
+
+    fn is_behind(&self, stamp: &FrameStamp) -> bool {
+        let late_ns = self.now_ns.saturating_sub(stamp.exposure_ns);
+        self.interval_ns > 0 && late_ns > BEHIND_FRAMES as i64 * self.interval_ns
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixtures::stamp;
+
+    const MS: i64 = 1_000_000;
+
+    #[test]
+    fn a_frame_is_behind_when_two_newer_ones_have_come() {
+        assert!(!is_behind(&stamp(5), None));
+        assert!(!is_behind(&stamp(5), Some(&stamp(6))));
+        assert!(is_behind(&stamp(5), Some(&stamp(7))));
+        assert!(!is_behind(&stamp(7), Some(&stamp(5))), "it is newer itself");
+    }
+
+    #[test]
+    fn only_costs_and_exposures_move_a_virtual_clock() {
+        let at = |sequence: u64| FrameStamp {
+            sequence,
+            exposure_ns: 40 * MS * sequence as i64,
+            ..FrameStamp::default()
+        };
+        let mut clock = VirtualClock::new(Costs { background_pass_ms: 30.0, ..Costs::default() });
+        clock.begin_frame(&at(1));
+        clock.spend_ms(5.0);
+        clock.complete_frame(&at(1));
+        assert_eq!(clock.now_ns(), 45 * MS, "the interval is not known yet");
+        clock.begin_frame(&at(2));
+        assert_eq!(clock.now_ns(), 80 * MS);
+        clock.spend_ms(15.0);
+        clock.begin_background();
+        clock.spend_ms(3.0);
+        assert_eq!(clock.background_over_ns(), 125 * MS);
+        clock.complete_frame(&at(2));
+        assert_eq!(clock.now_ns(), 120 * MS);
+        clock.begin_frame(&at(3));
+        clock.spend_ms(79.0);
+        assert!(!clock.is_behind(&at(3)));
+        clock.spend_ms(2.0);
+        assert!(clock.is_behind(&at(3)), "two frames would have come");
+        let again = FrameStamp { epoch: 1, ..at(0) };
+        clock.begin_frame(&again);
+        assert_eq!(clock.now_ns(), 0, "the source has started again");
+    }
+}

@@ -1,0 +1,35 @@
+//! What a track says of a target before a frame measures it.
+
+use flockeye_geometry::pose::PosePrior;
+use nalgebra::Isometry3;
+
+/// What a track says of a target before a frame measures it.
+#[derive(Debug, Clone)]
+#[allow(clippy::large_enum_variant, reason = "one for each target and pass, on the stack")]
+pub enum TrackPrior {
+    /// There is no track.
+    Untracked,
+    /// A track that is not confirmed yet: a pose to start from (`camera_from_markers`), no prior.
+    Tentative(Isometry3<f64>),
+    /// A confirmed track.
+    Confirmed(PosePrior),
+}
+
+impl TrackPrior {
+    /// The predicted `camera_from_markers`, confirmed or not.
+    pub fn predicted(&self) -> Option<&Isometry3<f64>> {
+        match self {
+            Self::Untracked => None,
+            Self::Tentative(pose) => Some(pose),
+            Self::Confirmed(prior) => Some(&prior.camera_from_markers),
+        }
+    }
+
+    /// The prediction of a confirmed track.
+    pub fn confirmed(&self) -> Option<&PosePrior> {
+        match self {
+            Self::Confirmed(prior) => Some(prior),
+            Self::Untracked | Self::Tentative(_) => None,
+        }
+    }
+}

@@ -1,0 +1,265 @@
+//! What the core does with events, without any process.
+
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+
+use super::*;
+use crate::cadence::Cadence;
+use crate::frame_clock::Clock;
+use crate::virtual_budget::VirtualBudget;
+use flockeye_config::Costs;
+use flockeye_contract::{FrameStamp, ViewKind};
+use flockeye_geometry::partition::Partition;
+
+const MS: i64 = 1_000_000;
+
+fn core(flow: Flow, clock: Clock, workers: usize) -> Core<()> {
+    let views = Partition::icosahedron().views(0.1, 600.0).unwrap();
+    let options =
+        Options { flow, generation: 3, workers, window: 2, overdue: Duration::from_millis(500) };
+    Core::new(options, FrameClock::new(clock), (0..).zip(views).collect(), 0)
+}
+
+fn flying(workers: usize) -> Core<()> {
+    core(Flow::Latest, Clock::Live(Cadence::default()), workers)
+}
+
+fn stamp(sequence: u64) -> FrameStamp {
+    FrameStamp { sequence, exposure_ns: 33 * MS * sequence as i64, ..FrameStamp::default() }
+}
+
+fn frame(sequence: u64) -> Event<()> {
+    Event::Frame(FrameHeader { stamp: stamp(sequence), ..FrameHeader::default() }, ())
+}
+
+/// A plan of these views, made at `made_ns`.
+fn plan(plan_id: u64, kinds: &[ViewKind], made_ns: i64) -> Event<()> {
+    let rule = StopRule::Deadline;
+    let header = PlanHeader {
+        plan_id,
+        made_ns,
+        stop_rule: rule.code(),
+        view_budget: 3,
+        ..PlanHeader::default()
+    };
+    let view = |kind: &ViewKind| PlannedView {
+        camera_from_view: [0.0, 0.0, 0.0, 1.0],
+        focal_px: 600.0,
+        size_px: 1000,
+        kind: kind.code(),
+        ..PlannedView::default()
+    };
+    Event::Plan(header, kinds.iter().map(view).collect())
+}
+
+fn answer(order: CutOrder) -> Event<()> {
+    let (_, _, sequence) = order.frame;
+    Event::Answer(DetectionHeader {
+        stamp: stamp(sequence),
+        view_index: order.view_index,
+        worker: order.worker as u32,
+        attempt: order.attempt,
+        ..DetectionHeader::default()
+    })
+}
+
+/// Cuts and answers views at once until there is nothing to do: how many of each frame, and the ends.
+fn run(core: &mut Core<()>, now_ns: i64) -> (Vec<CutOrder>, Vec<FrameEnd>) {
+    let (mut orders, mut ends) = (Vec::new(), Vec::new());
+    loop {
+        match core.step(now_ns) {
+            Action::TakeUp(_) => {}
+            Action::Cut(order) => {
+                orders.push(order);
+                core.on(Event::Published { order, took_ns: MS }, now_ns);
+                core.on(answer(order), now_ns);
+            }
+            Action::End(end) => ends.push(end),
+            Action::Wait(_) => return (orders, ends),
+        }
+        assert!(orders.len() < 1000);
+    }
+}
+
+/// The next view to be cut.
+fn next_cut(core: &mut Core<()>, now_ns: i64) -> CutOrder {
+    loop {
+        match core.step(now_ns) {
+            Action::TakeUp(_) => {}
+            Action::Cut(order) => return order,
+            other => panic!("{other:?}"),
+        }
+    }
+}
+
+fn reason(end: &FrameEnd) -> StopReason {
+    StopReason::try_from(end.reason).unwrap()
+}
+
+use ViewKind::{Gaze, Partition as Tile};
+
+#[test]
+fn a_frame_without_a_plan_is_swept_from_where_the_last_one_stopped() {
+    let mut core = flying(2);
+    core.on(frame(0), 0);
+    for _ in 0..4 {
+        let order = next_cut(&mut core, 0);
+        core.on(Event::Published { order, took_ns: MS }, 0);
+        core.on(answer(order), 0);
+    }
+    assert!(!core.on(frame(1), MS), "none waited");
+    assert!(matches!(core.step(MS), Action::End(end) if reason(&end) == StopReason::Newer));
+    let order = next_cut(&mut core, MS);
+    let held = core.held_mut(order.frame).unwrap();
+    assert_eq!((held.job.plan_id, held.job.view(0).unwrap().1.tile), (0, 4));
+    assert_eq!(core.outstanding(), 0);
+}
+
+#[test]
+fn the_newest_frame_waits_and_the_others_are_dropped() {
+    let mut core = flying(2);
+    assert!(!core.on(frame(0), 0) && core.on(frame(1), 1) && core.on(frame(2), 2));
+    assert!(matches!(core.step(3), Action::TakeUp((0, 0, 2))));
+    assert!(!core.has_waiting());
+}
+
+#[test]
+fn a_plan_is_followed_until_it_is_stale() {
+    let mut core = flying(2);
+    core.on(plan(7, &[Gaze, Tile], 0), 0);
+    core.on(frame(0), 0);
+    let (orders, ends) = run(&mut core, 0);
+    assert_eq!((orders.len(), ends[0].plan_id, ends[0].generation), (2, 7, 3));
+    assert_eq!(reason(&ends[0]), StopReason::Complete);
+    core.on(frame(1), STALE_PLAN_NS);
+    assert_eq!(run(&mut core, STALE_PLAN_NS).1[0].plan_id, 0, "fusion has died since");
+    let mut lossless = self::core(Flow::Lossless, Clock::Unlimited, 2);
+    lossless.on(plan(7, &[Gaze, Tile, Tile, Tile], 0), 0);
+    lossless.on(frame(1), STALE_PLAN_NS);
+    let (orders, ends) = run(&mut lossless, STALE_PLAN_NS);
+    assert_eq!((orders.len(), ends[0].plan_id), (3, 7), "its budget is three views");
+    assert_eq!(reason(&ends[0]), StopReason::Budget);
+}
+
+#[test]
+fn regions_are_cut_at_once_and_tiles_one_at_a_time() {
+    let mut core = flying(2);
+    core.on(plan(1, &[Gaze, Gaze, Tile, Tile], 0), 0);
+    core.on(frame(0), 0);
+    let cut = |core: &mut Core<()>| {
+        let order = next_cut(core, 0);
+        core.on(Event::Published { order, took_ns: MS }, 0);
+        order
+    };
+    let orders = [cut(&mut core), cut(&mut core)];
+    assert_eq!(orders.map(|order| (order.view_index, order.worker)), [(0, 0), (1, 1)]);
+    assert!(matches!(core.step(0), Action::Wait(Some(_))), "one worker stays free of tiles");
+    core.on(answer(orders[0]), 0);
+    assert!(matches!(core.step(0), Action::Wait(Some(_))));
+    core.on(answer(orders[1]), 0);
+    assert_eq!(cut(&mut core).view_index, 2);
+    assert!(matches!(core.step(0), Action::Wait(Some(_))));
+}
+
+#[test]
+fn the_views_of_a_silent_worker_go_to_another() {
+    let mut core = flying(2);
+    core.on(plan(1, &[Gaze, Gaze], 0), 0);
+    core.on(frame(0), 0);
+    let mut orders = Vec::new();
+    for _ in 0..2 {
+        let order = next_cut(&mut core, 0);
+        core.on(Event::Published { order, took_ns: MS }, 0);
+        orders.push(order);
+    }
+    core.on(answer(orders[0]), MS);
+    assert!(matches!(core.step(MS), Action::End(_)));
+    assert!(matches!(core.step(400 * MS), Action::Wait(Some(_))));
+    let again = next_cut(&mut core, 500 * MS);
+    assert_eq!((again.view_index, again.worker, again.attempt), (1, 0, 1));
+    core.on(Event::Published { order: again, took_ns: MS }, 500 * MS);
+    assert!(core.held_mut((0, 0, 0)).is_some());
+    core.on(answer(again), 510 * MS);
+    assert_eq!(core.step(510 * MS), Action::Wait(None), "the frame is released");
+}
+
+#[test]
+fn a_frame_that_cannot_be_cut_ends_as_failed_and_the_next_goes_on() {
+    let mut core = flying(2);
+    core.on(plan(1, &[Gaze, Gaze], 0), 0);
+    core.on(frame(0), 0);
+    assert!(matches!(core.step(0), Action::TakeUp(_)));
+    core.on(Event::Refused((0, 0, 0)), 0);
+    let (orders, ends) = run(&mut core, 0);
+    assert!(orders.is_empty());
+    assert_eq!((reason(&ends[0]), ends[0].views_issued), (StopReason::Failed, 0));
+    core.on(frame(1), 0);
+    let order = next_cut(&mut core, 0);
+    core.on(Event::CutFailed(order), 0);
+    assert!(matches!(core.step(0), Action::End(end) if reason(&end) == StopReason::Failed));
+    core.on(frame(2), 0);
+    assert_eq!(run(&mut core, 0).0.len(), 2);
+}
+
+#[test]
+fn a_view_that_cannot_be_cut_again_releases_its_frame() {
+    let mut core = flying(1);
+    core.on(plan(1, &[Gaze], 0), 0);
+    core.on(frame(0), 0);
+    let order = next_cut(&mut core, 0);
+    core.on(Event::Published { order, took_ns: MS }, 0);
+    assert!(matches!(core.step(0), Action::End(_)));
+    // The worker is tried again after half of the time.
+    assert!(matches!(core.step(500 * MS), Action::Wait(Some(_))));
+    let again = next_cut(&mut core, 750 * MS);
+    assert_eq!(again.attempt, 1);
+    core.on(Event::CutFailed(again), 750 * MS);
+    assert_eq!(core.step(750 * MS), Action::Wait(None), "its end is out already");
+    assert_eq!((core.outstanding(), core.held_mut(order.frame).is_none()), (0, true));
+}
+
+#[test]
+fn a_lossless_frame_is_cut_as_far_as_its_costs_allow_whatever_the_time() {
+    let tiles = |late_ns: i64| {
+        let costs = Costs {
+            processors: 1.0,
+            source_ms: 3.0,
+            direct_pass_ms: 1.0,
+            cut_ms_per_megapixel: 1.0,
+            window_ms_per_megapixel: 2.0,
+            ..Costs::default()
+        };
+        let clock = Clock::Virtual(VirtualBudget::new(costs));
+        let mut core = core(Flow::Lossless, clock, 2);
+        core.on(plan(1, &[&[Gaze][..], &[Tile; 20][..]].concat(), 0), 0);
+        let mut cut = Vec::new();
+        for sequence in 0..3 {
+            core.on(frame(sequence), late_ns * sequence as i64);
+            cut.push(run(&mut core, late_ns * sequence as i64).0.len());
+        }
+        cut
+    };
+    // 33 ms less 3 for the source and 6 for the region; 5 ms for each tile.
+    assert_eq!(tiles(0), [5, 5, 5]);
+    assert_eq!(tiles(0), tiles(10_000 * MS));
+}
+
+#[test]
+fn silence_counts_from_the_last_frame_that_came() {
+    let mut core = flying(1);
+    assert_eq!(core.silence_ns(9), 9);
+    core.on(frame(0), 10);
+    assert_eq!(core.silence_ns(99), 0, "it waits");
+    run(&mut core, 10);
+    assert_eq!(core.silence_ns(30), 20);
+}
+
+#[test]
+fn open_frames_are_ended_when_the_stage_stops() {
+    let mut core = flying(1);
+    core.on(frame(4), 0);
+    assert!(matches!(core.step(0), Action::TakeUp(_)));
+    let ends = core.shut_down(1);
+    assert_eq!((ends.len(), ends[0].stamp.sequence), (1, 4));
+    assert_eq!(reason(&ends[0]), StopReason::Shutdown);
+    assert!(core.shut_down(1).is_empty());
+}

@@ -1,0 +1,178 @@
+//! How much of a frame may be cut: by the time in flight, by stated costs in a lossless run.
+
+use flockeye_config::{Flow, Pipeline, SearchBudget};
+use flockeye_contract::{FrameStamp, PlannedView};
+
+use crate::cadence::Cadence;
+use crate::virtual_budget::VirtualBudget;
+
+/// After this many frames with time for regions of interest only, one tile is cut all the same. So
+/// untracked targets are found however little time there is.
+const MAX_FRAMES_WITHOUT_TILE: u32 = 4;
+
+/// What decides how many tiles of a frame are cut.
+#[derive(Debug, Clone)]
+pub enum Clock {
+    /// The time, in flight.
+    Live(Cadence),
+    /// Stated costs, in a lossless run that does what flight does.
+    Virtual(VirtualBudget),
+    /// The plan's own budget of views.
+    Unlimited,
+}
+
+/// Decides whether there is time for one more tile.
+#[derive(Debug, Clone)]
+pub struct FrameClock {
+    /// What it goes by.
+    pub clock: Clock,
+    frames_without_tile: u32,
+}
+
+impl FrameClock {
+    /// The clock that a configuration asks for.
+    pub fn of(pipeline: &Pipeline) -> Self {
+        Self::new(match (pipeline.flow, pipeline.search.budget) {
+            (Flow::Latest, _) => Clock::Live(Cadence::default()),
+            (Flow::Lossless, SearchBudget::Flight) => {
+                Clock::Virtual(VirtualBudget::new(pipeline.search.costs.clone()))
+            }
+            (Flow::Lossless, SearchBudget::Unlimited) => Clock::Unlimited,
+        })
+    }
+
+    /// Goes by `clock`.
+    pub fn new(clock: Clock) -> Self {
+        Self { clock, frames_without_tile: 0 }
+    }
+
+    /// Whether a plan's own budget of views holds.
+    pub fn is_unlimited(&self) -> bool {
+        matches!(self.clock, Clock::Unlimited)
+    }
+
+    /// A frame came at `now_ns`.
+    pub fn note_arrival(&mut self, stamp: &FrameStamp, now_ns: i64) {
+        if let Clock::Live(cadence) = &mut self.clock {
+            cadence.note(stamp, now_ns);
+        }
+    }
+
+    /// A frame is taken up.
+    pub fn begin_frame(&mut self, stamp: &FrameStamp) {
+        if let Clock::Virtual(budget) = &mut self.clock {
+            budget.begin_frame(stamp);
+        }
+    }
+
+    /// A view was cut, which took `took_ns`.
+    pub fn note_cut(&mut self, planned: &PlannedView, took_ns: i64) {
+        match &mut self.clock {
+            Clock::Live(cadence) if planned.is_tile() => cadence.note_cut(took_ns),
+            Clock::Virtual(budget) => budget.spend(planned),
+            Clock::Live(_) | Clock::Unlimited => {}
+        }
+    }
+
+    /// A tile was searched for `took_ns`, as its worker says.
+    pub fn note_search(&mut self, took_ns: i64) {
+        if let Clock::Live(cadence) = &mut self.clock {
+            cadence.note_search(took_ns);
+        }
+    }
+
+    /// A frame is not cut further; so many of its tiles were.
+    pub fn end_frame(&mut self, tiles: usize) {
+        self.frames_without_tile = match tiles {
+            0 => self.frames_without_tile.saturating_add(1),
+            _ => 0,
+        };
+    }
+
+    /// Whether there is no time for the view `next`: a newer frame waits or is due, or the frame's time
+    /// is spent. A frame that has come to no tile yet, as those before it, has time for one.
+    pub fn is_over(
+        &self,
+        next: Option<&PlannedView>,
+        tiles: usize,
+        is_newer_waiting: bool,
+        now_ns: i64,
+    ) -> bool {
+        if tiles == 0 && self.frames_without_tile >= MAX_FRAMES_WITHOUT_TILE {
+            return false;
+        }
+        match &self.clock {
+            Clock::Live(cadence) => is_newer_waiting || !cadence.has_time_to_cut(now_ns),
+            Clock::Virtual(budget) => next.is_some_and(|next| !budget.fits(next)),
+            Clock::Unlimited => false,
+        }
+    }
+
+    /// Whether another tile may be on its way to `workers`, which have not answered `outstanding` views.
+    ///
+    /// In flight one worker stays free of tiles, because they would hold up the next frame's regions of
+    /// interest. A single worker gets one tile at a time. One more is cut ahead while it and the one
+    /// before will have been searched before the next frame is due.
+    pub fn has_room_for_tile(&self, outstanding: usize, workers: usize, now_ns: i64) -> bool {
+        let Clock::Live(cadence) = &self.clock else { return true };
+        let is_ahead = cadence.has_time_to_cut_ahead(now_ns);
+        outstanding < workers.saturating_sub(1).max(1) + usize::from(is_ahead)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockeye_contract::ViewKind;
+
+    const MS: i64 = 1_000_000;
+
+    fn tile() -> PlannedView {
+        PlannedView { kind: ViewKind::Partition.code(), ..PlannedView::default() }
+    }
+
+    #[test]
+    fn after_some_frames_for_regions_only_a_tile_is_due() {
+        let mut clock = FrameClock::new(Clock::Live(Cadence::default()));
+        (0..4).for_each(|_| {
+            assert!(clock.is_over(Some(&tile()), 0, true, 0));
+            clock.end_frame(0);
+        });
+        assert!(!clock.is_over(Some(&tile()), 0, true, 0), "a tile is due");
+        assert!(clock.is_over(Some(&tile()), 1, true, 0), "one is enough");
+        clock.end_frame(0);
+        assert!(!clock.is_over(Some(&tile()), 0, true, 0));
+        clock.end_frame(1);
+        assert!(clock.is_over(Some(&tile()), 0, true, 0));
+    }
+
+    #[test]
+    fn one_worker_stays_free_of_tiles_unless_they_are_searched_in_time() {
+        let mut cadence = Cadence::default();
+        for (sequence, at_ms) in [(0, 100), (1, 130)] {
+            let stamp = FrameStamp { sequence, exposure_ns: at_ms * MS, ..FrameStamp::default() };
+            cadence.note(&stamp, at_ms * MS);
+        }
+        let unknown = FrameClock::new(Clock::Live(cadence.clone()));
+        assert!(unknown.has_room_for_tile(0, 1, 0) && !unknown.has_room_for_tile(1, 2, 0));
+        assert!(unknown.has_room_for_tile(1, 3, 0));
+        cadence.note_search(5 * MS);
+        let quick = FrameClock::new(Clock::Live(cadence));
+        assert!(quick.has_room_for_tile(1, 2, 140 * MS));
+        assert!(!quick.has_room_for_tile(1, 2, 155 * MS));
+        assert!(FrameClock::new(Clock::Unlimited).has_room_for_tile(9, 1, 0));
+    }
+
+    #[test]
+    fn a_configuration_chooses_the_clock() {
+        let of = |overrides: &[&str]| {
+            let overrides: Vec<String> = overrides.iter().map(ToString::to_string).collect();
+            let pipeline = Pipeline::parse("", &overrides, "a test").expect("a configuration");
+            FrameClock::of(&pipeline).clock
+        };
+        assert!(matches!(of(&["search.budget=unlimited"]), Clock::Live(_)));
+        assert!(matches!(of(&["flow=lossless"]), Clock::Virtual(_)));
+        let unlimited = of(&["flow=lossless", "search.budget=unlimited"]);
+        assert!(matches!(unlimited, Clock::Unlimited));
+    }
+}

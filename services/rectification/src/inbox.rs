@@ -1,0 +1,53 @@
+//! The ports that rectification reads, and in which order it reads them.
+
+use flockeye_config::Flow;
+use flockeye_contract::{Detections, Frames, Plans};
+use flockeye_runtime::clock;
+use flockeye_runtime::ports::{Message, PortError, Ports, Subscriber};
+
+use crate::core::{Core, Event};
+
+/// The ports that rectification reads.
+pub struct Inbox {
+    frames: Subscriber<Frames>,
+    plans: Subscriber<Plans>,
+    detections: Subscriber<Detections>,
+    flow: Flow,
+}
+
+impl Inbox {
+    /// Opens the ports.
+    ///
+    /// # Errors
+    /// A port that cannot be opened.
+    pub fn open(ports: &mut Ports, flow: Flow) -> Result<Self, PortError> {
+        Ok(Self {
+            frames: ports.subscriber()?,
+            plans: ports.subscriber()?,
+            detections: ports.subscriber()?,
+            flow,
+        })
+    }
+
+    /// Gives the core all that has come, and says how many frames were dropped. A lossless source sends a
+    /// frame after it has the plan for it, so frames come first.
+    ///
+    /// # Errors
+    /// A port that fails.
+    pub fn receive(&mut self, core: &mut Core<Message<Frames>>) -> Result<u64, PortError> {
+        let mut dropped = 0;
+        while (self.flow == Flow::Latest || !core.has_waiting())
+            && let Some(frame) = self.frames.receive()?
+        {
+            let is_dropped = core.on(Event::Frame(frame.header, frame), clock::monotonic_ns());
+            dropped += u64::from(is_dropped);
+        }
+        if let Some(plan) = self.plans.newest()? {
+            core.on(Event::Plan(plan.header, plan.items().to_vec()), clock::monotonic_ns());
+        }
+        while let Some(record) = self.detections.receive()? {
+            core.on(Event::Answer(record.header), clock::monotonic_ns());
+        }
+        Ok(dropped)
+    }
+}
