@@ -2,7 +2,8 @@
 //!
 //! | module | what it answers |
 //! | --- | --- |
-//! | [`rectifier`] | who cuts views, and which back end is chosen |
+//! | [`rectifier`] | what cuts views |
+//! | [`backend`] | which back end is chosen |
 //! | [`cpu`] | views cut by the processor |
 //! | [`gpu`] | views cut by the graphics processor |
 //! | [`standby`] | the processor in place of a graphics processor that was lost |
@@ -11,6 +12,7 @@
 //! | [`cadence`] | when the next frame is due, and what fits before |
 //! | [`stage`] | the ports around it |
 
+pub mod backend;
 pub mod cadence;
 pub mod cpu;
 pub mod dispatch;

@@ -19,10 +19,11 @@ use flockeye_runtime::ports::{Message, Ports, Publisher, Subscriber};
 use flockeye_runtime::{Context, Stage, Step, clock};
 use nalgebra::Vector3;
 
+use crate::backend::{BackendChoice, choose_backend};
 use crate::cadence::Cadence;
 use crate::dispatch::{Answer, Dispatcher};
 use crate::job::{Job, Next, sweep};
-use crate::rectifier::{BackendChoice, FrameKey, Rectifier as _, choose_backend};
+use crate::rectifier::{FrameKey, Rectifier as _};
 use crate::standby::Standby;
 
 /// A plan older than this is fusion's last word before it died, nanoseconds.
