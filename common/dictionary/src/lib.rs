@@ -14,6 +14,8 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod error;
+mod predefined;
 mod read;
 
 use std::path::Path;
@@ -24,69 +26,8 @@ use opencv::aruco::{self, Dictionary as CvDictionary};
 use opencv::core::Ptr;
 use opencv::prelude::*;
 
-/// OpenCV 4.6's predefined dictionaries, in the order of its own enumeration.
-pub const PREDEFINED: [&str; 21] = [
-    "DICT_4X4_50",
-    "DICT_4X4_100",
-    "DICT_4X4_250",
-    "DICT_4X4_1000",
-    "DICT_5X5_50",
-    "DICT_5X5_100",
-    "DICT_5X5_250",
-    "DICT_5X5_1000",
-    "DICT_6X6_50",
-    "DICT_6X6_100",
-    "DICT_6X6_250",
-    "DICT_6X6_1000",
-    "DICT_7X7_50",
-    "DICT_7X7_100",
-    "DICT_7X7_250",
-    "DICT_7X7_1000",
-    "DICT_ARUCO_ORIGINAL",
-    "DICT_APRILTAG_16h5",
-    "DICT_APRILTAG_25h9",
-    "DICT_APRILTAG_36h10",
-    "DICT_APRILTAG_36h11",
-];
-
-/// Why a dictionary could not be had, or does not fit the bodies.
-#[derive(Debug, thiserror::Error)]
-pub enum DictionaryError {
-    /// Neither a known name nor a file.
-    #[error(
-        "unknown dictionary '{name}'. Known are {}; a path to a dictionary file in OpenCV's YAML \
-         form is another way (is there such a file?)",
-        PREDEFINED.join(", ")
-    )]
-    Unknown {
-        /// What was asked for.
-        name: String,
-    },
-    /// A file that is no dictionary.
-    #[error("'{path}' is no dictionary file: {what}")]
-    File {
-        /// The file.
-        path: String,
-        /// What is wrong in it.
-        what: String,
-    },
-    /// Bodies with markers that the dictionary does not have: every such body is named.
-    #[error(
-        "{}; {name} has ids 0 to {last}. Cure: choose other ids, or a larger dictionary",
-        .outside.join("; ")
-    )]
-    Outside {
-        /// The dictionary.
-        name: String,
-        /// Its last id.
-        last: usize,
-        /// For each body that is wrong: which of its ids.
-        outside: Vec<String>,
-    },
-    /// OpenCV refused.
-    #[error("OpenCV: {0}")]
-    OpenCv(#[from] opencv::Error),
-}
+pub use crate::error::DictionaryError;
+pub use crate::predefined::PREDEFINED;
 
 /// A set of markers, by id from 0.
 pub struct Dictionary {

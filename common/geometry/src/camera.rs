@@ -6,26 +6,20 @@
 //! lenses is right for one distance at a time: [`Camera::at_distance`].
 
 mod equirectangular;
+mod error;
 mod lens;
+mod pixel;
 mod stereographic;
 
-use nalgebra::{Vector2, Vector3};
+use nalgebra::Vector3;
 
 pub use self::equirectangular::Equirectangular;
+use self::error::check_offset;
+pub use self::error::{CameraError, MAX_OFFSET_M};
 pub use self::lens::{Lens, LensCurve};
+pub use self::pixel::SpherePixel;
 pub use self::stereographic::Stereographic;
 use crate::Ray;
-
-/// A point of the sphere image, pixels; (0, 0) is the *centre* of the first pixel.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SpherePixel(pub Vector2<f64>);
-
-impl SpherePixel {
-    /// The point at column `u`, row `v`.
-    pub fn new(u: f64, v: f64) -> Self {
-        Self(Vector2::new(u, v))
-    }
-}
 
 /// A spherical camera: its model, the sides of its image, and the distance it is right for.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -57,84 +51,6 @@ pub enum CameraModel {
         field_rad: f64,
     },
 }
-
-/// Why there is no such camera.
-#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-pub enum CameraError {
-    /// No pixels.
-    #[error("an image of {width}x{height} pixels shows no sphere: both sides must be 2 or more")]
-    Sides {
-        /// Columns.
-        width: u32,
-        /// Rows.
-        height: u32,
-    },
-    /// An image circle of which a part is missing.
-    #[error(
-        "the image circle of lens {lens}, {radius_px} px round ({u}, {v}), leaves the image of \
-         {width}x{height} px; correct its centre or radius, or the image's sides"
-    )]
-    CircleOutside {
-        /// 0 or 1.
-        lens: usize,
-        /// Radius of the circle, pixels.
-        radius_px: f64,
-        /// Its middle's column.
-        u: f64,
-        /// Its middle's row.
-        v: f64,
-        /// Columns of the image.
-        width: u32,
-        /// Rows of the image.
-        height: u32,
-    },
-    /// A pixel would belong to two lenses.
-    #[error("the two image circles overlap by {overlap_px:.1} px; correct their centres or radii")]
-    CirclesOverlap {
-        /// By how much, pixels.
-        overlap_px: f64,
-    },
-    /// A number that no lens has.
-    #[error("lens {lens}: {what} is {value}; it must be {must}")]
-    Lens {
-        /// 0 or 1.
-        lens: usize,
-        /// Which number.
-        what: &'static str,
-        /// What was given.
-        value: f64,
-        /// What is allowed.
-        must: &'static str,
-    },
-    /// Two angles would fall on one pixel.
-    #[error(
-        "lens {lens}: its curve does not rise any more {angle_deg:.1} degrees from the axis, within \
-         its field of {field_deg:.1} degrees; correct the coefficients or make the field smaller"
-    )]
-    Curve {
-        /// 0 or 1.
-        lens: usize,
-        /// Where, degrees from the axis.
-        angle_deg: f64,
-        /// The field asked for, degrees across.
-        field_deg: f64,
-    },
-    /// A stereographic image of nothing, or of more than there is.
-    #[error("a stereographic field of {:.1} degrees; 1 to 350 can be used", .field_rad.to_degrees())]
-    Field {
-        /// Angle across the circle, radians.
-        field_rad: f64,
-    },
-    /// Lenses farther apart than the camera is from anything it sees.
-    #[error("lenses {metres} m from the camera's middle; 0 to {MAX_OFFSET_M} m can be used")]
-    Offset {
-        /// How far, metres.
-        metres: f64,
-    },
-}
-
-/// Lenses farther from the camera's middle than this are refused, metres.
-pub const MAX_OFFSET_M: f64 = 0.5;
 
 /// A distance is taken for at least this many times the lenses' offset from the middle.
 const NEAREST_IN_OFFSETS: f64 = 2.0;
@@ -314,15 +230,6 @@ fn from_middle(seen: &Ray, lens: &Vector3<f64>) -> Ray {
     let along = lens.dot(seen);
     let reach = (1.0 - lens.norm_squared() + along * along).sqrt() - along;
     Ray::new_normalize(lens + seen.into_inner() * reach)
-}
-
-fn check_offset(metres: f64) -> Result<(), CameraError> {
-    // Written so that NaN is refused too.
-    if (0.0..=MAX_OFFSET_M).contains(&metres) {
-        Ok(())
-    } else {
-        Err(CameraError::Offset { metres })
-    }
 }
 
 #[cfg(test)]

@@ -21,6 +21,7 @@ mod tests;
 
 use std::f64::consts::{FRAC_PI_2, PI};
 use std::ops::RangeInclusive;
+use std::sync::LazyLock;
 
 use nalgebra::{Unit, UnitQuaternion, Vector3};
 
@@ -83,6 +84,14 @@ pub struct Partition {
     /// Of the directions' hull: the holes between the circles.
     facets: Vec<Facet>,
 }
+
+/// The stored ones, measured once.
+#[expect(clippy::expect_used, reason = "the file is part of the program; a test reads all of it")]
+static PARTITIONS: LazyLock<Vec<Partition>> = LazyLock::new(|| {
+    let partitions = stored::coverings()
+        .map(|(directions, rolls_deg)| Partition::new(directions, rolls_deg).expect("a covering"));
+    partitions.collect()
+});
 
 /// Why there is no partition, or none with such views.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
@@ -175,7 +184,7 @@ impl Partition {
     /// The stored covering by `count` circles, at no cost; `None` where there is none (see
     /// [`STORED`]).
     pub fn stored(count: usize) -> Option<Self> {
-        stored::partition(count)
+        PARTITIONS.iter().find(|partition| partition.len() == count).cloned()
     }
 
     /// Whether a partition costs nothing.

@@ -5,6 +5,7 @@ mod adapter;
 mod batch;
 mod device;
 mod layout;
+mod memory;
 mod shader;
 mod slot;
 

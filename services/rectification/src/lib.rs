@@ -2,7 +2,8 @@
 //!
 //! | module | what it answers |
 //! | --- | --- |
-//! | [`rectifier`] | who cuts views, and which back end is chosen |
+//! | [`rectifier`] | what cuts views |
+//! | [`backend`] | which back end is chosen |
 //! | [`cpu`] | views cut by the processor |
 //! | [`gpu`] | views cut by the graphics processor |
 //! | [`standby`] | the processor in place of a graphics processor that was lost |
@@ -16,6 +17,7 @@
 //! | [`inbox`] | the ports that are read |
 //! | [`stage`] | moves messages between ports, core and back end |
 
+pub mod backend;
 pub mod cadence;
 pub mod core;
 pub mod cpu;

@@ -8,10 +8,10 @@ use flockeye_runtime::logs::Throttle;
 use flockeye_runtime::ports::{Message, Ports, Publisher};
 use flockeye_runtime::{Context, Stage, Step, clock};
 
+use crate::backend::{BackendChoice, choose_backend};
 use crate::core::{Action, Core, CutOrder, Event, FrameOrder};
 use crate::cutting::{Cutter, view_header};
 use crate::inbox::Inbox;
-use crate::rectifier::{BackendChoice, choose_backend};
 use crate::standby::Standby;
 
 /// A source that sends nothing for this long is reported, nanoseconds.

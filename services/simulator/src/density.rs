@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix2x3, Rotation3, Vector3};
 
-use crate::world::Placement;
+use crate::moment::Placement;
 
 /// Pixels for small changes of direction, round one direction.
 #[derive(Debug, Clone, Copy, PartialEq)]

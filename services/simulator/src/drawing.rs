@@ -10,12 +10,12 @@ use nalgebra::{Matrix3, Point2, Point3, Vector3};
 
 use crate::density::{Density, Stretch};
 use crate::drone::{Drone, Part};
+use crate::moment::Placement;
 use crate::optics::{blur_kernel, blur_row, blur_rows};
 use crate::raster::{Accumulator, CHANNELS};
 use crate::sensor::Sensor;
 use crate::sphere::SphereGrid;
 use crate::tiles::RayRow;
-use crate::world::Placement;
 
 /// Variance that the drawing adds by itself, square samples: areas of one sample (1/12), and
 /// linear interpolation between samples (1/6 on average).

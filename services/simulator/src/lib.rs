@@ -24,13 +24,18 @@
 //! | module | what it does |
 //! | --- | --- |
 //! | [`parameters`] | what a world can be told |
+//! | [`world`] | makes it all, once, and is asked for frames |
+//! | [`error`] | what keeps a world or a frame from being made |
 //! | [`trajectory`] | where the bodies are at a time |
+//! | [`moment`] | where everything is at an instant |
 //! | [`eyes`] | where each part of the image is taken from: the camera's middle, or its lenses' places |
 //! | [`hall`], [`backdrop`] | the panorama behind them: painted and blurred once, then turned |
 //! | [`drone`] | bodies and airframes as painted convex parts |
 //! | [`raster`], [`optics`], [`drawing`] | drawn with exact area coverage, blurred by lens and motion, for each eye |
 //! | [`density`] | how many pixels the image has round a body |
+//! | [`sight`] | where an eye sees a body, and how finely |
 //! | [`own_airframe`] | the observer's own legs over everything |
+//! | [`scene`], [`picture`] | what a frame is made from, and the image that it is laid on |
 //! | [`sphere`], [`sphere_picture`] | laid on the sphere image, row by row |
 //! | [`tiles`], [`panorama`], [`tiled_picture`] | laid on any other image, tile by tile |
 //! | [`response`], [`sensor`] | the curve to code values, clipping, noise |
@@ -42,8 +47,10 @@ pub mod backdrop;
 pub mod density;
 pub mod drawing;
 pub mod drone;
+pub mod error;
 pub mod eyes;
 pub mod hall;
+pub mod moment;
 pub mod optics;
 pub mod own_airframe;
 pub mod panorama;
@@ -52,8 +59,10 @@ pub mod picture;
 pub mod raster;
 pub mod response;
 pub mod scatter;
+pub mod scene;
 pub mod schedule;
 pub mod sensor;
+pub mod sight;
 pub mod sphere;
 pub mod sphere_picture;
 pub mod stage;
@@ -63,10 +72,12 @@ pub mod trajectory;
 pub mod truth;
 pub mod world;
 
+pub use error::{RenderError, WorldError};
+pub use moment::{Moment, Placement};
 pub use parameters::{Quality, WorldParameters};
 pub use response::Response;
 pub use truth::{FrameTruth, TargetTruth};
-pub use world::{Moment, Placement, RenderError, World, WorldError};
+pub use world::World;
 
 /// The simulator stage's process. It is here so that it is compiled once, with the library.
 pub fn main() -> std::process::ExitCode {

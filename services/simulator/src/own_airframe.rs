@@ -2,6 +2,8 @@
 
 use std::f32::consts::{FRAC_PI_2, FRAC_PI_4, TAU};
 
+use crate::density::Density;
+use crate::parameters::WorldParameters;
 use crate::sensor::Sensor;
 use crate::sphere::SphereGrid;
 
@@ -103,4 +105,10 @@ pub fn blend(cover: f32, sensor: &Sensor, level: &mut u8, sigma: &mut u8) {
 /// four standard deviations looks like the blur.
 pub fn edge_softness(lens_blur_px: f64, pixels_per_turn: f64) -> f32 {
     (4.0 * lens_blur_px) as f32 * TAU / pixels_per_turn as f32
+}
+
+/// Width of its soft edges where the image has `density`, radians.
+pub fn softness(parameters: &WorldParameters, density: &Density) -> f32 {
+    let pixels_per_turn = density.pixels_per_radian() * std::f64::consts::TAU;
+    edge_softness(parameters.lens_blur_px, pixels_per_turn)
 }

@@ -1,39 +1,18 @@
 //! How the layers of a frame become its pixels: on the sphere image row by row, on any other image
 //! tile by tile.
 
-use std::f64::consts::{FRAC_PI_2, TAU};
+use std::f64::consts::FRAC_PI_2;
 
 use flockeye_geometry::camera::CameraModel;
 
 use crate::density::Density;
-use crate::drawing::Drawing;
 use crate::eyes::Eye;
-use crate::own_airframe::edge_softness;
+use crate::moment::Placement;
 use crate::parameters::WorldParameters;
+use crate::scene::Scene;
 use crate::sensor::Sensor;
 use crate::sphere_picture::SpherePicture;
 use crate::tiled_picture::TiledPicture;
-use crate::world::Placement;
-
-/// One drawing over the others, from the eye of this index.
-#[derive(Debug, Clone, Copy)]
-pub struct Layer<'a> {
-    /// Which eye sees it.
-    pub eye: usize,
-    /// What is seen.
-    pub drawing: &'a Drawing,
-}
-
-/// Everything that a frame is made from.
-#[derive(Debug, Clone, Copy)]
-pub struct Scene<'a> {
-    /// Chooses the noise.
-    pub frame: u64,
-    /// The observer's yaw in the world, radians.
-    pub observer_yaw: f64,
-    /// The bodies, farthest first.
-    pub layers: &'a [Layer<'a>],
-}
 
 /// The image of a camera, with what is the same in all its frames.
 #[derive(Debug)]
@@ -85,10 +64,5 @@ impl Picture {
         let motion = seen.angular_speed() * parameters.exposure_s;
         let reach = (radius / at.norm()).min(1.0).asin() + blur + motion;
         (apart <= reach.min(FRAC_PI_2)).then_some(density)
-    }
-
-    /// Width of the own airframe's soft edges where the image has `density`, radians.
-    pub fn softness(parameters: &WorldParameters, density: &Density) -> f32 {
-        edge_softness(parameters.lens_blur_px, density.pixels_per_radian() * TAU)
     }
 }

@@ -12,7 +12,7 @@ use crate::density::Density;
 use crate::eyes::Eye;
 use crate::own_airframe::OwnAirframe;
 use crate::parameters::WorldParameters;
-use crate::picture::Scene;
+use crate::scene::Scene;
 use crate::sensor::Sensor;
 use crate::sphere::SphereGrid;
 

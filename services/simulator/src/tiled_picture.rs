@@ -7,7 +7,7 @@ use crate::eyes::Eye;
 use crate::own_airframe;
 use crate::panorama::{Outlook, Panoramas};
 use crate::parameters::WorldParameters;
-use crate::picture::{Picture, Scene};
+use crate::scene::Scene;
 use crate::sensor::Sensor;
 use crate::tiles::{TILE, Tile, bands};
 
@@ -107,7 +107,7 @@ impl TiledPicture {
 
 /// What the own airframe covers of a tile.
 fn covered(tile: &Tile, parameters: &WorldParameters) -> Covered {
-    let softness = Picture::softness(parameters, &tile.density);
+    let softness = own_airframe::softness(parameters, &tile.density);
     let mut covered = Vec::new();
     for row in 0..TILE {
         for column in tile.seen_in(row) {

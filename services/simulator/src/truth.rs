@@ -6,10 +6,10 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use crate::density::Density;
 use crate::drone::Drone;
 use crate::eyes::Eye;
+use crate::moment::{Moment, Placement};
 use crate::own_airframe;
 use crate::parameters::WorldParameters;
-use crate::picture::Picture;
-use crate::world::{Moment, Placement, Sight};
+use crate::sight::Sight;
 
 /// Points along each side of a marker's black square that are tried for visibility.
 const GRID: u32 = 10;
@@ -151,8 +151,10 @@ fn view<'a>(
         })
         .map(|(_, (drone, place))| (drone, place.camera_from_markers))
         .collect();
-    let own_airframe =
-        viewer.parameters.airframes.then(|| Picture::softness(viewer.parameters, &sight.density));
+    let own_airframe = viewer
+        .parameters
+        .airframes
+        .then(|| own_airframe::softness(viewer.parameters, &sight.density));
     View { eye, sight: *sight, hiding, own_airframe }
 }
 

@@ -4,179 +4,23 @@ use std::f64::consts::TAU;
 
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::body::Bodies;
-use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use nalgebra::{UnitQuaternion, Vector3};
 
-use crate::density::Density;
 use crate::drawing::{Drawing, Sharpness};
 use crate::drone::Drone;
+use crate::error::{RenderError, WorldError};
 use crate::eyes::Eye;
+use crate::moment::{Moment, Placement};
 use crate::parameters::WorldParameters;
-use crate::picture::{Layer, Picture, Scene};
+use crate::picture::Picture;
+use crate::scene::{Layer, Scene};
 use crate::sensor::Sensor;
+use crate::sight::Sight;
 use crate::trajectory::{self, Trajectory};
 use crate::truth::{self, FrameTruth, Viewer};
 
 /// Least distance of a drone that can be drawn, in its radii.
 const LEAST_DISTANCE: f64 = 1.2;
-
-/// Why a world cannot be made.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum WorldError {
-    /// Values out of their range, all of them.
-    #[error("{}", .0.join("; "))]
-    Parameters(Vec<String>),
-    /// A marker that the dictionary does not have.
-    #[error(
-        "marker {id} of body '{body}' is not in {dictionary}, which has ids 0 to {last}; choose \
-         another id, or a larger dictionary"
-    )]
-    UnknownMarker {
-        /// The body.
-        body: String,
-        /// The marker.
-        id: u32,
-        /// The dictionary.
-        dictionary: String,
-        /// Its last id.
-        last: usize,
-    },
-    /// Another dictionary than the bodies'.
-    #[error("the bodies' markers are from {bodies}, not from {given}; load {bodies}")]
-    Dictionary {
-        /// The bodies' dictionary.
-        bodies: String,
-        /// What was given.
-        given: String,
-    },
-    /// A body whose facets are not all on the surface of their hull.
-    #[error(
-        "{} does not lie on the body's convex hull; only convex bodies can be simulated",
-        described(.body, .marker)
-    )]
-    NotConvex {
-        /// The body.
-        body: String,
-        /// The marker on the facet, if there is one.
-        marker: Option<u32>,
-    },
-    /// A distance range that begins inside of a drone.
-    #[error(
-        "body '{body}' comes as near as {near} m, and must stay {least:.2} m away; raise distance_m's first value"
-    )]
-    TooNear {
-        /// The body.
-        body: String,
-        /// Nearest distance, metres.
-        near: f64,
-        /// What is needed, metres.
-        least: f64,
-    },
-    /// More bodies than can fly without meeting.
-    #[error(
-        "{bodies} bodies cannot keep apart between {near} m and {far} m; raise distance_m, or simulate fewer bodies"
-    )]
-    Crowded {
-        /// How many.
-        bodies: usize,
-        /// Nearest distance, metres.
-        near: f64,
-        /// Farthest distance, metres.
-        far: f64,
-    },
-}
-
-fn described(body: &str, marker: &Option<u32>) -> String {
-    match marker {
-        Some(id) => format!("marker {id} of body '{body}'"),
-        None => format!("a blank facet of body '{body}'"),
-    }
-}
-
-/// Why a frame cannot be rendered.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum RenderError {
-    /// Rows that overlap.
-    #[error("a stride of {stride} bytes is shorter than a row of {width} pixels")]
-    Stride {
-        /// Bytes from row to row.
-        stride: usize,
-        /// Pixels in a row.
-        width: usize,
-    },
-    /// Memory that ends before the picture does.
-    #[error("the frame needs {needed} bytes; the memory given has {given}")]
-    Memory {
-        /// Bytes that are needed.
-        needed: usize,
-        /// Bytes that were given.
-        given: usize,
-    },
-    /// A moment that places another number of bodies than the world has.
-    #[error("the moment places {placed} bodies; the world has {bodies}")]
-    Placements {
-        /// How many are placed.
-        placed: usize,
-        /// How many there are.
-        bodies: usize,
-    },
-    /// A body too near to be drawn, or at no finite place.
-    #[error("body '{body}' is at {distance} m; it can be drawn from {least:.2} m on")]
-    TooNear {
-        /// The body.
-        body: String,
-        /// Its distance, metres.
-        distance: f64,
-        /// What is needed, metres.
-        least: f64,
-    },
-}
-
-/// Where a body is, and how it moves, as the camera sees it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Placement {
-    /// Pose of the body's markers in the camera frame.
-    pub camera_from_markers: Isometry3<f64>,
-    /// Velocity relative to the turning camera, in its frame, metres per second.
-    pub velocity_in_camera: Vector3<f64>,
-}
-
-impl Placement {
-    /// Position of the body's centre in the camera frame, metres.
-    pub fn position(&self) -> Vector3<f64> {
-        self.camera_from_markers.translation.vector
-    }
-
-    /// The same as an eye sees it, from its own place and along the camera's axes.
-    pub fn seen_from(&self, eye: &Eye) -> Self {
-        Self { camera_from_markers: eye.sees(&self.camera_from_markers), ..*self }
-    }
-
-    /// How fast the centre moves across the sphere, radians per second.
-    pub fn angular_speed(&self) -> f64 {
-        let at = self.position();
-        at.cross(&self.velocity_in_camera).norm() / at.norm_squared()
-    }
-}
-
-/// A body in the part of the image that one eye takes.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sight {
-    /// Where the eye sees it.
-    pub placement: Placement,
-    /// How many pixels the image has there.
-    pub density: Density,
-}
-
-/// Everything that moves, at one instant.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Moment {
-    /// Seconds since the middle of frame 0's exposure.
-    pub time_s: f64,
-    /// The observer's yaw in the world, radians.
-    pub observer_yaw: f64,
-    /// Every body, by its index in the configuration.
-    pub placements: Vec<Placement>,
-}
 
 /// A synthetic world, seen by a spherical camera at its origin.
 #[derive(Debug)]

@@ -2,7 +2,7 @@
 
 use nalgebra::{Point3, Vector3};
 
-use super::Marker;
+use super::marker::{MAX_MARKERS, Marker};
 use super::solid::{FLATNESS_M, Solid};
 
 /// A flat side of a body: white where it carries a marker, else blank.
@@ -41,7 +41,7 @@ pub(super) fn round(markers: &[Marker], quiet_zones_m: &[f64]) -> Vec<Facet> {
         || own.iter().all(|facet| points.iter().all(|p| height(facet, p) <= CONVEXITY_M));
     let is_flat =
         || own.iter().any(|facet| points.iter().all(|p| height(facet, p).abs() <= CONVEXITY_M));
-    if markers.len() > super::MAX_MARKERS || !is_convex() || is_flat() {
+    if markers.len() > MAX_MARKERS || !is_convex() || is_flat() {
         return own;
     }
     let normals: Vec<Vector3<f64>> = own.iter().map(|facet| facet.normal).collect();

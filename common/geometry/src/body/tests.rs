@@ -1,5 +1,6 @@
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
+use nalgebra::Vector3;
 use proptest::prelude::*;
 
 use super::solid::Solid;

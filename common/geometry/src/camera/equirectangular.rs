@@ -4,7 +4,7 @@ use std::f64::consts::{PI, TAU};
 
 use nalgebra::{Unit, Vector3};
 
-use super::SpherePixel;
+use super::pixel::SpherePixel;
 use crate::Ray;
 
 /// Longitude along the rows, latitude along the columns.

@@ -4,7 +4,8 @@ use std::f64::consts::PI;
 
 use nalgebra::{Isometry3, Matrix2, Unit, Vector2, Vector3};
 
-use super::{CameraError, SpherePixel, check_offset};
+use super::error::{CameraError, check_offset};
+use super::pixel::SpherePixel;
 use crate::Ray;
 
 /// A fisheye lens. Its own frame is x right and y down in the image, z along its axis.

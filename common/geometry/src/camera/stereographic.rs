@@ -2,7 +2,7 @@
 
 use nalgebra::{Unit, Vector3};
 
-use super::SpherePixel;
+use super::pixel::SpherePixel;
 use crate::Ray;
 
 /// A stereographic image about the camera's x axis: left of its middle is +y, above it +z.

@@ -2,7 +2,7 @@
 
 use wgpu::{DeviceType, Features};
 
-use super::device::Memory;
+use super::memory::Memory;
 use crate::rectifier::RectifyError;
 
 /// A Vulkan device that was found, not yet opened.

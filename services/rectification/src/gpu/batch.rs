@@ -4,8 +4,9 @@ use flockeye_geometry::camera::Camera;
 use flockeye_imaging::sphere::Cut;
 use wgpu::{BindGroup, Buffer, BufferUsages, BufferView, MapMode, SubmissionIndex};
 
-use super::device::{Device, Mapped, Memory};
+use super::device::{Device, Mapped};
 use super::layout::{BatchHeader, Layout, ViewParameters};
+use super::memory::Memory;
 use super::shader::Interpolations;
 use crate::rectifier::RectifyError;
 

@@ -6,20 +6,12 @@ use std::time::Duration;
 use wgpu::{BufferAsyncError, BufferUsages, Features, Limits, MapMode, SubmissionIndex};
 
 use super::adapter::FoundAdapter;
+use super::memory::Memory;
 use super::shader::Shader;
 use crate::rectifier::RectifyError;
 
 /// Work that takes longer than this is not waited for: the device hangs.
 const TIMEOUT: Duration = Duration::from_secs(5);
-
-/// Whose memory the shader works in.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Memory {
-    /// The processor's: what either writes the other reads in place.
-    Shared,
-    /// The device's own: what it reads or writes is copied to or from memory that both see.
-    Apart,
-}
 
 /// An opened device with its shader.
 #[derive(Debug)]

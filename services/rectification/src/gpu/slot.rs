@@ -4,8 +4,9 @@ use flockeye_imaging::sphere::{Cut, SphereImage};
 use wgpu::{Buffer, BufferUsages, MapMode, SubmissionIndex};
 
 use super::batch::Batch;
-use super::device::{Device, Memory};
+use super::device::Device;
 use super::layout::SphereUniform;
+use super::memory::Memory;
 use crate::rectifier::{FrameKey, RectifyError};
 
 /// What may be too large.

@@ -5,7 +5,7 @@ use flockeye_geometry::view::View;
 use flockeye_runtime::health::SharedCounters;
 use nalgebra::{Unit, Vector3};
 
-use super::device::Memory;
+use super::memory::Memory;
 use super::*;
 use crate::standby::Standby;
 

@@ -1,0 +1,79 @@
+//! The choice between the back ends.
+
+use flockeye_geometry::camera::Camera;
+
+use crate::cpu::CpuRectifier;
+use crate::gpu::{FoundAdapter, GpuRectifier};
+use crate::rectifier::{Rectifier, RectifyError};
+
+/// Which back end a user asks for (`rectification.backend` in pipeline.yaml).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum BackendChoice {
+    /// A graphics processor if there is a real one, the processor otherwise.
+    #[default]
+    Auto,
+    /// The processor.
+    Cpu,
+    /// A graphics processor, be it a software one.
+    Gpu,
+}
+
+/// The back end for `choice` and frames of `camera`, and in words why it is that one. The processor
+/// works with up to `threads` threads.
+///
+/// # Errors
+/// `Gpu` was asked for and there is none that works, or it cannot hold a frame.
+pub fn choose_backend(
+    choice: BackendChoice,
+    threads: usize,
+    camera: &Camera,
+) -> Result<(Box<dyn Rectifier>, String), RectifyError> {
+    let cpu = |why: String| -> (Box<dyn Rectifier>, String) {
+        (Box::new(CpuRectifier::new(threads)), why)
+    };
+    let gpu = |found| -> Result<Box<dyn Rectifier>, RectifyError> {
+        let gpu = GpuRectifier::open(found)?;
+        gpu.check_frame(camera)?;
+        Ok(Box::new(gpu))
+    };
+    match choice {
+        BackendChoice::Cpu => Ok(cpu("the configuration asks for it".into())),
+        BackendChoice::Gpu => {
+            Ok((gpu(FoundAdapter::best()?)?, "the configuration asks for it".into()))
+        }
+        BackendChoice::Auto => Ok(match FoundAdapter::best() {
+            Err(_) => cpu("there is no Vulkan device".into()),
+            Ok(found) if found.is_software() => {
+                let name = found.name();
+                cpu(format!("the only Vulkan device, '{name}', is software on this processor"))
+            }
+            Ok(found) => match gpu(found) {
+                Err(error) => cpu(error.to_string()),
+                Ok(gpu) => (gpu, "there is a graphics processor".into()),
+            },
+        }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use super::*;
+
+    const CAMERA: Camera = Camera::equirectangular(3840, 1920);
+
+    #[test]
+    fn who_asks_for_the_processor_gets_it() {
+        let (backend, why) = choose_backend(BackendChoice::Cpu, 2, &CAMERA).unwrap();
+        assert!(backend.name().starts_with("cpu"), "{}", backend.name());
+        assert!(why.contains("asks"), "{why}");
+    }
+
+    #[test]
+    fn auto_never_takes_a_software_device() {
+        let (backend, why) = choose_backend(BackendChoice::Auto, 1, &CAMERA).unwrap();
+        let has_real = FoundAdapter::best().is_ok_and(|found| !found.is_software());
+        // A real device may fail to open; a software one must not be taken.
+        assert!(has_real || backend.name().starts_with("cpu"), "{}: {why}", backend.name());
+    }
+}

@@ -1,0 +1,43 @@
+//! Where the bodies are at one instant.
+
+use nalgebra::{Isometry3, Vector3};
+
+use crate::eyes::Eye;
+
+/// Where a body is, and how it moves, as the camera sees it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Placement {
+    /// Pose of the body's markers in the camera frame.
+    pub camera_from_markers: Isometry3<f64>,
+    /// Velocity relative to the turning camera, in its frame, metres per second.
+    pub velocity_in_camera: Vector3<f64>,
+}
+
+impl Placement {
+    /// Position of the body's centre in the camera frame, metres.
+    pub fn position(&self) -> Vector3<f64> {
+        self.camera_from_markers.translation.vector
+    }
+
+    /// The same as an eye sees it, from its own place and along the camera's axes.
+    pub fn seen_from(&self, eye: &Eye) -> Self {
+        Self { camera_from_markers: eye.sees(&self.camera_from_markers), ..*self }
+    }
+
+    /// How fast the centre moves across the sphere, radians per second.
+    pub fn angular_speed(&self) -> f64 {
+        let at = self.position();
+        at.cross(&self.velocity_in_camera).norm() / at.norm_squared()
+    }
+}
+
+/// Everything that moves, at one instant.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Moment {
+    /// Seconds since the middle of frame 0's exposure.
+    pub time_s: f64,
+    /// The observer's yaw in the world, radians.
+    pub observer_yaw: f64,
+    /// Every body, by its index in the configuration.
+    pub placements: Vec<Placement>,
+}

@@ -1,0 +1,23 @@
+//! What a frame is made from.
+
+use crate::drawing::Drawing;
+
+/// One drawing over the others, from the eye of this index.
+#[derive(Debug, Clone, Copy)]
+pub struct Layer<'a> {
+    /// Which eye sees it.
+    pub eye: usize,
+    /// What is seen.
+    pub drawing: &'a Drawing,
+}
+
+/// Everything that a frame is made from.
+#[derive(Debug, Clone, Copy)]
+pub struct Scene<'a> {
+    /// Chooses the noise.
+    pub frame: u64,
+    /// The observer's yaw in the world, radians.
+    pub observer_yaw: f64,
+    /// The bodies, farthest first.
+    pub layers: &'a [Layer<'a>],
+}
