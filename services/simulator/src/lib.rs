@@ -40,6 +40,8 @@
 //! | [`tiles`], [`panorama`], [`tiled_picture`] | laid on any other image, tile by tile |
 //! | [`response`], [`sensor`] | the curve to code values, clipping, noise |
 //! | [`schedule`], [`ahead`] | in flight: which frame is drawn when, before its time |
+//! | [`settings`] | the world as the configuration asks for it |
+//! | [`messages`] | what the world draws, as messages |
 //! | [`stage`] | the ports around it |
 
 pub mod ahead;
@@ -50,6 +52,7 @@ pub mod drone;
 pub mod error;
 pub mod eyes;
 pub mod hall;
+pub mod messages;
 pub mod moment;
 pub mod optics;
 pub mod own_airframe;
@@ -62,6 +65,7 @@ pub mod scatter;
 pub mod scene;
 pub mod schedule;
 pub mod sensor;
+pub mod settings;
 pub mod sight;
 pub mod sphere;
 pub mod sphere_picture;

@@ -1,22 +1,18 @@
-//! The ports around the simulated world.
+//! The simulator stage: moves what the world draws to the ports.
 
 use anyhow::Context as _;
-use flockeye_config::{Flow, Resolved};
-use flockeye_contract::{
-    BodyTruth, FrameHeader, FrameStamp, Frames, PixelFormat, Projection, Range, Transfer,
-    TruthHeader, Truths,
-};
-use flockeye_convert::{pose, projection_of, transfer_curve};
+use flockeye_config::Flow;
+use flockeye_contract::{FrameStamp, Frames, Truths};
 use flockeye_dictionary::Dictionary;
-use flockeye_geometry::body::{Bodies, Body};
 use flockeye_runtime::credits::Credits;
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::ports::{Ports, Publisher};
 use flockeye_runtime::{Context, Stage, Step, clock};
-use nalgebra::Isometry3;
 
 use crate::ahead::{Ahead, Drawn, Next};
-use crate::{FrameTruth, Response, TargetTruth, World, WorldParameters};
+use crate::messages::Writer;
+use crate::settings::{flying_bodies, parameters};
+use crate::{FrameTruth, World};
 
 /// Takes nothing (in a lossless run: plans, as credits); gives frames and their truth.
 pub struct SimulatorStage {
@@ -24,14 +20,7 @@ pub struct SimulatorStage {
     truths: Publisher<Truths>,
     credits: Credits,
     drawing: Drawing,
-    /// Width and height of a frame.
-    size_px: (u32, u32),
-    projection: Projection,
-    /// Its code and its gamma.
-    transfer: (Transfer, f32),
-    bodies: Vec<Body>,
-    observer_from_camera: Isometry3<f64>,
-    generation: u32,
+    writer: Writer,
     counters: SharedCounters,
 }
 
@@ -80,12 +69,7 @@ impl Stage for SimulatorStage {
             truths: ports.side_publisher()?,
             credits: Credits::open(pipeline, ports)?,
             drawing,
-            size_px: (resolved.camera.width(), resolved.camera.height()),
-            projection: projection_of(&resolved.camera),
-            transfer: resolved.transfer,
-            bodies: flying.iter().flat_map(Bodies::iter).cloned().collect(),
-            observer_from_camera: resolved.observer_from_camera,
-            generation: context.identity.generation,
+            writer: Writer::new(resolved, flying.as_ref(), context.identity.generation),
             counters: context.counters.clone(),
         })
     }
@@ -102,16 +86,16 @@ impl Stage for SimulatorStage {
                 }
                 *next_frame = frame + 1;
                 let begun_ns = clock::monotonic_ns();
-                let (width, height) = self.size_px;
+                let (width, height) = self.writer.size_px();
                 let mut loan = self.frames.loan(width as usize * height as usize)?;
                 let truth = world
                     .render(frame, loan.items_mut(), width as usize)
                     .with_context(|| format!("frame {frame}"))?;
                 self.counters.add_latency_ns(clock::monotonic_ns() - begun_ns);
                 let exposure_ns = (truth.time_s * 1e9).round() as i64;
-                let stamp = self.stamp(frame, exposure_ns, &truth);
+                let stamp = self.writer.stamp(frame, exposure_ns, &truth, clock::monotonic_ns());
                 self.send_truth(stamp, &truth)?;
-                loan.send(self.header(stamp, &truth))?;
+                loan.send(self.writer.frame(stamp, &truth))?;
                 self.credits.note_sent(stamp);
                 Ok(Step::Again)
             }
@@ -152,9 +136,9 @@ impl SimulatorStage {
             let mut loan = self.frames.loan(luma.len())?;
             loan.items_mut().copy_from_slice(&luma);
             std::thread::sleep(clock::until(times.handover_ns, clock::monotonic_ns()));
-            let stamp = self.stamp(frame, times.exposure_ns, &truth);
+            let stamp = self.writer.stamp(frame, times.exposure_ns, &truth, clock::monotonic_ns());
             self.send_truth(stamp, &truth)?;
-            loan.send(self.header(stamp, &truth))?;
+            loan.send(self.writer.frame(stamp, &truth))?;
         }
         if let Drawing::Ahead { ahead, .. } = &self.drawing {
             ahead.reuse(luma);
@@ -162,97 +146,9 @@ impl SimulatorStage {
         Ok(())
     }
 
-    fn stamp(&self, frame: u64, exposure_ns: i64, truth: &FrameTruth) -> FrameStamp {
-        FrameStamp {
-            sequence: frame,
-            exposure_ns,
-            stream_ns: (truth.time_s * 1e9).round() as i64,
-            published_ns: clock::monotonic_ns(),
-            epoch: 0,
-            source_generation: self.generation,
-        }
-    }
-
-    fn header(&self, stamp: FrameStamp, truth: &FrameTruth) -> FrameHeader {
-        let (width, height) = self.size_px;
-        FrameHeader {
-            stamp,
-            exposure_time_ns: (truth.exposure_s * 1e9).round() as u64,
-            readout_ns: 0,
-            width,
-            height,
-            stride: width,
-            pixel_format: PixelFormat::Gray8.code(),
-            transfer: self.transfer.0.code(),
-            gamma: self.transfer.1,
-            range: Range::Full.code(),
-            projection: self.projection.code(),
-        }
-    }
-
     /// Before the frame, so that whoever has a track of it has the truth too.
     fn send_truth(&self, stamp: FrameStamp, truth: &FrameTruth) -> anyhow::Result<()> {
-        let targets = truth.bodies.iter().zip(&self.bodies);
-        let bodies: Vec<BodyTruth> =
-            targets.map(|(target, body)| self.body_truth(target, body)).collect();
-        Ok(self.truths.send(truth_header(stamp, truth), &bodies)?)
+        let (header, bodies) = self.writer.truth(stamp, truth);
+        Ok(self.truths.send(header, &bodies)?)
     }
-
-    fn body_truth(&self, target: &TargetTruth, body: &Body) -> BodyTruth {
-        let camera_from_target = target.camera_from_markers * body.target_from_markers.inverse();
-        BodyTruth {
-            camera_from_markers: pose(&target.camera_from_markers),
-            observer_from_target: pose(&(self.observer_from_camera * camera_from_target)),
-            best_side_px: target.best_side_px,
-            blur_px: target.blur_px,
-            name: target.name.as_str().into(),
-            target: target.target as u32,
-            markers_visible_50: target.markers_visible_50,
-            markers_visible_90: target.markers_visible_90,
-            localisable: u32::from(target.localisable),
-        }
-    }
-}
-
-fn truth_header(stamp: FrameStamp, truth: &FrameTruth) -> TruthHeader {
-    TruthHeader { stamp, observer_yaw: truth.observer_yaw, exposure_s: truth.exposure_s }
-}
-
-/// The bodies that fly: the first of those configured.
-fn flying_bodies(resolved: &Resolved) -> anyhow::Result<Option<Bodies>> {
-    let all = resolved.simulated_bodies()?;
-    let count = resolved.pipeline.simulator.neighbours as usize;
-    anyhow::ensure!(
-        count <= all.len(),
-        "simulator.neighbours: {count} neighbours, but {} bodies are configured",
-        all.len()
-    );
-    if count == 0 {
-        return Ok(None);
-    }
-    let bodies = all.iter().take(count).cloned().collect();
-    Ok(Some(Bodies::new(all.dictionary.clone(), bodies)?))
-}
-
-fn parameters(resolved: &Resolved) -> anyhow::Result<WorldParameters> {
-    let (settings, usual) = (&resolved.pipeline.simulator, WorldParameters::default());
-    let (transfer, gamma) = resolved.transfer;
-    let curve = transfer_curve(transfer, gamma).map(Response::Curve);
-    let response = curve
-        .or(resolved.measured_response.map(Response::Table))
-        .context("camera.response: a table was not measured")?;
-    Ok(WorldParameters {
-        seed: u64::from(settings.seed),
-        camera: resolved.camera,
-        response,
-        frames_per_second: settings.frames_per_second,
-        exposure_s: settings.exposure_ms * 1e-3,
-        read_noise: usual.read_noise * settings.noise,
-        shot_noise: usual.shot_noise * settings.noise,
-        lens_blur_px: settings.lens_blur_px,
-        observer_yaw_rate_deg_s: settings.yaw_deg_s,
-        distance_m: settings.distance_m,
-        airframes: settings.airframes,
-        ..usual
-    })
 }

@@ -1,0 +1,54 @@
+//! The world as the configuration asks for it.
+
+use anyhow::Context as _;
+use flockeye_config::Resolved;
+use flockeye_convert::transfer_curve;
+use flockeye_geometry::body::Bodies;
+
+use crate::{Response, WorldParameters};
+
+/// The bodies that fly: the first of those configured. `None` if none does.
+///
+/// # Errors
+/// Fewer bodies than neighbours, or a file of bodies that cannot be read.
+pub fn flying_bodies(resolved: &Resolved) -> anyhow::Result<Option<Bodies>> {
+    let all = resolved.simulated_bodies()?;
+    let count = resolved.pipeline.simulator.neighbours as usize;
+    anyhow::ensure!(
+        count <= all.len(),
+        "simulator.neighbours: {count} neighbours, but {} bodies are configured",
+        all.len()
+    );
+    if count == 0 {
+        return Ok(None);
+    }
+    let bodies = all.iter().take(count).cloned().collect();
+    Ok(Some(Bodies::new(all.dictionary.clone(), bodies)?))
+}
+
+/// The parameters of the world.
+///
+/// # Errors
+/// A response that was not measured.
+pub fn parameters(resolved: &Resolved) -> anyhow::Result<WorldParameters> {
+    let (settings, usual) = (&resolved.pipeline.simulator, WorldParameters::default());
+    let (transfer, gamma) = resolved.transfer;
+    let curve = transfer_curve(transfer, gamma).map(Response::Curve);
+    let response = curve
+        .or(resolved.measured_response.map(Response::Table))
+        .context("camera.response: a table was not measured")?;
+    Ok(WorldParameters {
+        seed: u64::from(settings.seed),
+        camera: resolved.camera,
+        response,
+        frames_per_second: settings.frames_per_second,
+        exposure_s: settings.exposure_ms * 1e-3,
+        read_noise: usual.read_noise * settings.noise,
+        shot_noise: usual.shot_noise * settings.noise,
+        lens_blur_px: settings.lens_blur_px,
+        observer_yaw_rate_deg_s: settings.yaw_deg_s,
+        distance_m: settings.distance_m,
+        airframes: settings.airframes,
+        ..usual
+    })
+}
