@@ -7,6 +7,7 @@
 //! | [`square`] | where a view shows a point of a printed square |
 //! | [`edges`] | where exactly the corners of a marker are |
 //! | [`align`] | which pose of a whole body explains a view best, and whether the body is there |
+//! | [`gyroscope`] | how the camera has turned between two frames |
 //! | [`sphere`] | how a view is cut from a spherical image |
 //!
 //! ```
@@ -37,6 +38,7 @@ extern crate self as flockeye_imaging;
 pub mod align;
 pub mod edges;
 mod gaussian;
+pub mod gyroscope;
 pub mod image;
 pub mod light;
 pub mod sphere;

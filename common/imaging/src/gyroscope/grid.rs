@@ -1,0 +1,214 @@
+//! The sphere as small images of longitude and latitude.
+
+use flockeye_geometry::Ray;
+use flockeye_geometry::camera::Camera;
+use flockeye_geometry::mask::Mask;
+use nalgebra::{Unit, Vector3};
+
+use crate::sphere::SphereImage;
+
+/// Columns of the finest level; it has half as many rows.
+pub const COLUMNS: usize = 480;
+/// Levels, each half as wide as the one before.
+pub const LEVELS: usize = 3;
+/// Camera pixels that are averaged for one of the finest level where the camera is not equirectangular:
+/// along either side.
+const SAMPLES: usize = 4;
+
+/// One level: code values by row from the zenith down and by column, as in an equirectangular image.
+#[derive(Debug, Clone)]
+pub struct Level {
+    columns: usize,
+    rows: usize,
+    values: Vec<f32>,
+}
+
+impl Level {
+    fn new(columns: usize, values: Vec<f32>) -> Self {
+        Self { columns, rows: columns / 2, values }
+    }
+
+    /// Columns.
+    pub fn columns(&self) -> usize {
+        self.columns
+    }
+
+    /// Rows.
+    pub fn rows(&self) -> usize {
+        self.rows
+    }
+
+    /// The angle between two rows, radians.
+    pub fn pixel_rad(&self) -> f64 {
+        std::f64::consts::PI / self.rows as f64
+    }
+
+    /// The value of a pixel, by its place in rows.
+    pub fn at(&self, pixel: usize) -> f32 {
+        self.values[pixel]
+    }
+
+    /// A row's values.
+    pub fn row(&self, row: usize) -> &[f32] {
+        &self.values[row * self.columns..(row + 1) * self.columns]
+    }
+
+    /// The value at a column (which wraps) and a row, and bilinearly in between.
+    pub fn sample(&self, column: f32, row: f32) -> f32 {
+        let row = row.clamp(0.0, (self.rows - 1) as f32);
+        // From 0 up, so that the conversion rounds down.
+        let column = if column < 0.0 { column + self.columns as f32 } else { column };
+        let (left, top) = ((column as usize).min(self.columns - 1), row as usize);
+        let (x, y) = (column - left as f32, row - top as f32);
+        let right = if left + 1 == self.columns { 0 } else { left + 1 };
+        let (upper, lower) = (self.row(top), self.row((top + 1).min(self.rows - 1)));
+        let upper = upper[left] + (upper[right] - upper[left]) * x;
+        let lower = lower[left] + (lower[right] - lower[left]) * x;
+        upper + (lower - upper) * y
+    }
+
+    /// Half as many columns and rows.
+    fn halved(&self) -> Self {
+        let columns = self.columns / 2;
+        let values = (0..columns * columns / 2)
+            .map(|pixel| {
+                let (row, column) = (pixel / columns * 2, pixel % columns * 2);
+                let of = |row: usize| {
+                    let at = row * self.columns + column;
+                    self.values[at] + self.values[at + 1]
+                };
+                0.25 * (of(row) + of(row + 1))
+            })
+            .collect();
+        Self::new(columns, values)
+    }
+}
+
+/// A frame at all levels, the finest first.
+#[derive(Debug, Clone)]
+pub struct Pyramid {
+    levels: Vec<Level>,
+}
+
+impl Pyramid {
+    /// The levels, the finest first.
+    pub fn levels(&self) -> &[Level] {
+        &self.levels
+    }
+}
+
+/// The direction of a pixel of a level with so many columns.
+pub fn direction(columns: usize, pixel: usize) -> Ray {
+    let (row, column) = ((pixel / columns) as f64, (pixel % columns) as f64);
+    at(columns, column, row)
+}
+
+fn at(columns: usize, column: f64, row: f64) -> Ray {
+    let columns = columns as f64;
+    let longitude = (0.5 - (column + 0.5) / columns) * std::f64::consts::TAU;
+    let latitude = (0.5 - (row + 0.5) / (columns / 2.0)) * std::f64::consts::PI;
+    let (sin, cos) = latitude.sin_cos();
+    Unit::new_unchecked(Vector3::new(cos * longitude.cos(), cos * longitude.sin(), sin))
+}
+
+/// Averages frames of one camera to the finest level.
+#[derive(Debug, Clone)]
+pub struct Sampler {
+    /// Whether rows and columns of the camera are blocks of the level's.
+    block: Option<usize>,
+    /// Otherwise, for each pixel of the level, those of the camera: offsets are taken with its stride.
+    table: Vec<[(u32, u32); SAMPLES * SAMPLES]>,
+    /// For each level its pixels' directions; `None` where the camera sees nothing.
+    directions: Vec<Vec<Option<Vector3<f32>>>>,
+}
+
+impl Sampler {
+    /// For this camera, and what `mask` leaves of it.
+    pub fn new(camera: &Camera, mask: &Mask) -> Self {
+        let is_seen = |ray: &Ray| !mask.hides(ray) && camera.project(ray).is_some();
+        let of_level = |columns: usize| {
+            (0..columns * columns / 2)
+                .map(|pixel| Some(direction(columns, pixel)).filter(is_seen))
+                .map(|ray| Some(ray?.cast::<f32>().into_inner()))
+                .collect()
+        };
+        let directions = (0..LEVELS).map(|level| of_level(COLUMNS >> level)).collect();
+        let width = camera.width() as usize;
+        let is_equirectangular = camera.as_equirectangular().is_some();
+        if is_equirectangular
+            && width.is_multiple_of(COLUMNS)
+            && camera.height() as usize * 2 == width
+        {
+            return Self { block: Some(width / COLUMNS), table: Vec::new(), directions };
+        }
+        let table = (0..COLUMNS * COLUMNS / 2).map(|pixel| samples(camera, pixel)).collect();
+        Self { block: None, table, directions }
+    }
+
+    /// The direction of a pixel of the level with so many columns, in the camera's frame. `None` where the
+    /// camera sees nothing.
+    pub fn direction(&self, columns: usize, pixel: usize) -> Option<Vector3<f32>> {
+        let level = (COLUMNS / columns).trailing_zeros() as usize;
+        self.directions.get(level)?.get(pixel).copied().flatten()
+    }
+
+    /// A frame at all levels.
+    pub fn pyramid(&self, frame: &SphereImage<'_>) -> Pyramid {
+        let finest = match self.block {
+            Some(side) => averaged(frame, side),
+            None => self.looked_up(frame),
+        };
+        let mut levels = vec![Level::new(COLUMNS, finest)];
+        for _ in 1..LEVELS {
+            let next = levels[levels.len() - 1].halved();
+            levels.push(next);
+        }
+        Pyramid { levels }
+    }
+
+    fn looked_up(&self, frame: &SphereImage<'_>) -> Vec<f32> {
+        let (pixels, stride) = (frame.pixels(), frame.stride());
+        self.table
+            .iter()
+            .map(|samples| {
+                let of = |&(column, row): &(u32, u32)| {
+                    u32::from(pixels[row as usize * stride + column as usize])
+                };
+                samples.iter().map(of).sum::<u32>() as f32 / (SAMPLES * SAMPLES) as f32
+            })
+            .collect()
+    }
+}
+
+/// The camera's pixels that are averaged for one of the level; black ones where it sees nothing.
+fn samples(camera: &Camera, pixel: usize) -> [(u32, u32); SAMPLES * SAMPLES] {
+    let (row, column) = ((pixel / COLUMNS) as f64, (pixel % COLUMNS) as f64);
+    std::array::from_fn(|k| {
+        let offset = |k: usize| (k as f64 + 0.5) / SAMPLES as f64 - 0.5;
+        let ray = at(COLUMNS, column + offset(k % SAMPLES), row + offset(k / SAMPLES));
+        let Some(pixel) = camera.project(&ray) else { return (0, 0) };
+        let clamp = |x: f64, side: u32| x.round().clamp(0.0, f64::from(side - 1)) as u32;
+        (clamp(pixel.0.x, camera.width()), clamp(pixel.0.y, camera.height()))
+    })
+}
+
+/// Averages blocks of `side` x `side` pixels.
+fn averaged(frame: &SphereImage<'_>, side: usize) -> Vec<f32> {
+    let (pixels, stride) = (frame.pixels(), frame.stride());
+    let width = COLUMNS * side;
+    let scale = 1.0 / (side * side) as f32;
+    let mut sums = vec![0u16; width];
+    let mut values = Vec::with_capacity(COLUMNS * COLUMNS / 2);
+    for block in 0..COLUMNS / 2 {
+        sums.fill(0);
+        for row in block * side..(block + 1) * side {
+            let row = &pixels[row * stride..row * stride + width];
+            for (sum, &value) in sums.iter_mut().zip(row) {
+                *sum += u16::from(value);
+            }
+        }
+        let of = |sums: &[u16]| sums.iter().map(|&sum| u32::from(sum)).sum::<u32>() as f32;
+        values.extend(sums.chunks_exact(side).map(|sums| of(sums) * scale));
+    }
+    values
+}
