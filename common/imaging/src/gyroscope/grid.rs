@@ -14,6 +14,8 @@ pub const LEVELS: usize = 3;
 /// Camera pixels that are averaged for one of the finest level where the camera is not equirectangular:
 /// along either side.
 const SAMPLES: usize = 4;
+/// Blocks of at least so many rows are averaged over every other one.
+const MANY_ROWS: usize = 8;
 
 /// One level: code values by row from the zenith down and by column, as in an equirectangular image.
 #[derive(Debug, Clone)]
@@ -111,6 +113,29 @@ fn at(columns: usize, column: f64, row: f64) -> Ray {
     Unit::new_unchecked(Vector3::new(cos * longitude.cos(), cos * longitude.sin(), sin))
 }
 
+/// Columns of cells, in which points are taken together; half as many rows.
+pub const CELL_COLUMNS: usize = 48;
+
+/// Where a pixel is on the sphere.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Place {
+    /// Its direction in the camera's frame.
+    pub direction: Vector3<f32>,
+    /// The number of its cell.
+    pub cell: usize,
+}
+
+impl Place {
+    fn of(ray: &Ray) -> Self {
+        let share = 0.5 - ray.y.atan2(ray.x) / std::f64::consts::TAU;
+        let column = ((share * CELL_COLUMNS as f64) as usize).min(CELL_COLUMNS - 1);
+        let rows = CELL_COLUMNS / 2;
+        let share = 0.5 - ray.z.clamp(-1.0, 1.0).asin() / std::f64::consts::PI;
+        let row = ((share * rows as f64) as usize).min(rows - 1);
+        Self { direction: ray.cast::<f32>().into_inner(), cell: row * CELL_COLUMNS + column }
+    }
+}
+
 /// Averages frames of one camera to the finest level.
 #[derive(Debug, Clone)]
 pub struct Sampler {
@@ -119,7 +144,7 @@ pub struct Sampler {
     /// Otherwise, for each pixel of the level, those of the camera: offsets are taken with its stride.
     table: Vec<[(u32, u32); SAMPLES * SAMPLES]>,
     /// For each level its pixels' directions; `None` where the camera sees nothing.
-    directions: Vec<Vec<Option<Vector3<f32>>>>,
+    directions: Vec<Vec<Option<Place>>>,
 }
 
 impl Sampler {
@@ -129,7 +154,7 @@ impl Sampler {
         let of_level = |columns: usize| {
             (0..columns * columns / 2)
                 .map(|pixel| Some(direction(columns, pixel)).filter(is_seen))
-                .map(|ray| Some(ray?.cast::<f32>().into_inner()))
+                .map(|ray| Some(Place::of(&ray?)))
                 .collect()
         };
         let directions = (0..LEVELS).map(|level| of_level(COLUMNS >> level)).collect();
@@ -145,9 +170,8 @@ impl Sampler {
         Self { block: None, table, directions }
     }
 
-    /// The direction of a pixel of the level with so many columns, in the camera's frame. `None` where the
-    /// camera sees nothing.
-    pub fn direction(&self, columns: usize, pixel: usize) -> Option<Vector3<f32>> {
+    /// The place of a pixel of the level with so many columns. `None` where the camera sees nothing.
+    pub fn place(&self, columns: usize, pixel: usize) -> Option<Place> {
         let level = (COLUMNS / columns).trailing_zeros() as usize;
         self.directions.get(level)?.get(pixel).copied().flatten()
     }
@@ -192,16 +216,17 @@ fn samples(camera: &Camera, pixel: usize) -> [(u32, u32); SAMPLES * SAMPLES] {
     })
 }
 
-/// Averages blocks of `side` x `side` pixels.
+/// Averages blocks of `side` x `side` pixels, of which every other row is enough where there are many.
 fn averaged(frame: &SphereImage<'_>, side: usize) -> Vec<f32> {
     let (pixels, stride) = (frame.pixels(), frame.stride());
     let width = COLUMNS * side;
-    let scale = 1.0 / (side * side) as f32;
+    let step = if side >= MANY_ROWS { 2 } else { 1 };
+    let scale = 1.0 / (side * side.div_ceil(step)) as f32;
     let mut sums = vec![0u16; width];
     let mut values = Vec::with_capacity(COLUMNS * COLUMNS / 2);
     for block in 0..COLUMNS / 2 {
         sums.fill(0);
-        for row in block * side..(block + 1) * side {
+        for row in (block * side..(block + 1) * side).step_by(step) {
             let row = &pixels[row * stride..row * stride + width];
             for (sum, &value) in sums.iter_mut().zip(row) {
                 *sum += u16::from(value);

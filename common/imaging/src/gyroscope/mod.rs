@@ -32,7 +32,7 @@ use nalgebra::{Matrix3, UnitQuaternion};
 use self::grid::{Pyramid, Sampler};
 use self::own_airframe::OwnAirframe;
 use self::points::Points;
-use self::solve::{Fit, Seen};
+use self::solve::Fit;
 use crate::sphere::SphereImage;
 
 /// A rotation that is less certain than this says nothing, radians (half a degree).
@@ -124,11 +124,10 @@ fn learn(
     else {
         return;
     };
-    for Seen { index, residual } in &fit.seen {
-        let point = &points.all[*index];
+    let turn = fit.rotation.scaled_axis().cast::<f32>() / later.pixel_rad() as f32;
+    for (point, &turns) in points.all.iter().zip(&fit.residuals) {
         let stays = later.at(point.pixel) - earlier.at(point.pixel);
-        let moved_px = solve::moved_rad(&fit.rotation, point) / later.pixel_rad();
-        airframe.note(point.direction, *residual, stays, moved_px);
+        airframe.note(point.cell, turns, stays, turn.cross(&point.direction).norm());
     }
 }
 

@@ -1,11 +1,9 @@
 //! Where the drone sees itself: what stays put in the picture while the camera turns.
 
-use nalgebra::Vector3;
+use super::grid::CELL_COLUMNS;
 
-/// Cells of longitude; half as many of latitude.
-const COLUMNS: usize = 48;
 /// Only where a point must have moved by so many pixels does the comparison say anything.
-const MIN_MOVED_PX: f64 = 0.7;
+const MIN_MOVED_PX: f32 = 0.7;
 /// What was noted is halved after about so many points of a cell.
 const MEMORY: f32 = 400.0;
 /// So many points must have been seen in a cell before it is left out.
@@ -30,34 +28,24 @@ pub struct OwnAirframe {
 
 impl Default for OwnAirframe {
     fn default() -> Self {
-        Self { cells: vec![Cell::default(); COLUMNS * COLUMNS / 2] }
+        Self { cells: vec![Cell::default(); CELL_COLUMNS * CELL_COLUMNS / 2] }
     }
-}
-
-/// The number of the cell that a direction is in.
-fn cell_of(direction: Vector3<f32>) -> usize {
-    let longitude = direction.y.atan2(direction.x);
-    let column = ((0.5 - longitude / std::f32::consts::TAU) * COLUMNS as f32) as usize;
-    let latitude = direction.z.clamp(-1.0, 1.0).asin();
-    let rows = COLUMNS / 2;
-    let row = ((0.5 - latitude / std::f32::consts::PI) * rows as f32) as usize;
-    row.min(rows - 1) * COLUMNS + column.min(COLUMNS - 1)
 }
 
 impl OwnAirframe {
-    /// Whether a direction shows the drone itself, as far as is known.
-    pub fn is_at(&self, direction: Vector3<f32>) -> bool {
-        let cell = &self.cells[cell_of(direction)];
+    /// Whether a cell shows the drone itself, as far as is known.
+    pub fn is_at(&self, cell: usize) -> bool {
+        let cell = &self.cells[cell];
         cell.points > MIN_POINTS && cell.turning > RATIO * cell.staying
     }
 
-    /// Notes how well a point agrees with the later frame: `turning` with the rotation, `staying` without
+    /// Notes how well a point of a cell agrees with the later frame: `turning` with the rotation, `staying` without
     /// it, code values; it moves by `moved_px` between the two.
-    pub fn note(&mut self, direction: Vector3<f32>, turning: f32, staying: f32, moved_px: f64) {
+    pub fn note(&mut self, cell: usize, turning: f32, staying: f32, moved_px: f32) {
         if moved_px < MIN_MOVED_PX {
             return;
         }
-        let cell = &mut self.cells[cell_of(direction)];
+        let cell = &mut self.cells[cell];
         let squared = |residual: f32| residual.clamp(-MAX_RESIDUAL, MAX_RESIDUAL).powi(2);
         cell.points += 1.0;
         cell.turning += squared(turning);

@@ -2,10 +2,10 @@
 
 use nalgebra::Vector3;
 
-use super::grid::{Level, Sampler};
+use super::grid::{Level, Place, Sampler};
 
 /// One point is taken of each block of so many pixels, the one with the strongest gradient.
-const BLOCK: usize = 3;
+const BLOCK: usize = 4;
 /// Weaker gradients say nothing beside noise and compression, code values per pixel.
 const MIN_GRADIENT: f32 = 1.5;
 /// Columns are too narrow beyond this latitude, as a sine.
@@ -24,6 +24,8 @@ pub struct Point {
     pub value: f32,
     /// Its direction in the camera's frame.
     pub direction: Vector3<f32>,
+    /// The cell that it is in.
+    pub cell: usize,
     /// How the value changes with the direction, code values per radian, across the direction.
     pub gradient: Vector3<f32>,
 }
@@ -80,7 +82,7 @@ fn squared_gradients(level: &Level, row: usize, squared: &mut [f32]) {
 fn point(level: &Level, sampler: &Sampler, row: usize, column: usize) -> Option<Point> {
     let columns = level.columns();
     let pixel = row * columns + column;
-    let d = sampler.direction(columns, pixel)?;
+    let Place { direction: d, cell } = sampler.place(columns, pixel)?;
     if d.z.abs() > MAX_SIN_LATITUDE || d.z < MIN_SIN_LATITUDE {
         return None;
     }
@@ -95,5 +97,5 @@ fn point(level: &Level, sampler: &Sampler, row: usize, column: usize) -> Option<
     let east = Vector3::new(-d.y, d.x, 0.0) / cos_latitude;
     let north = d.cross(&east);
     let gradient = (east * (-across / cos_latitude) - north * down) * per_radian;
-    Some(Point { pixel, value: here[column], direction: d, gradient })
+    Some(Point { pixel, value: here[column], direction: d, cell, gradient })
 }

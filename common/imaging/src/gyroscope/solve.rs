@@ -3,13 +3,13 @@
 use nalgebra::{Matrix3, SVector, UnitQuaternion, Vector3};
 
 use super::MIN_POINTS;
-use super::grid::{Level, Pyramid};
+use super::grid::{CELL_COLUMNS, Level, Pyramid};
 use super::normal_equations::{Gradient, NormalEquations, UNKNOWNS};
 use super::own_airframe::OwnAirframe;
 use super::points::{Point, Points};
 
 /// Steps at each level, the finest first.
-const STEPS: [usize; 3] = [4, 4, 6];
+const STEPS: [usize; 3] = [3, 3, 5];
 /// A shorter step ends a level, radians.
 const SHORT_RAD: f64 = 2e-5;
 /// The scale of the residuals is at least this, code values: quantization.
@@ -22,15 +22,6 @@ const PARALLAX_SHARE: f64 = 0.07;
 /// Sectors whose sums count as independent: columns and rows.
 const SECTORS: [usize; 2] = [12, 6];
 
-/// A point that the fit has looked up, and how far it is off, code values.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Seen {
-    /// Its place among the points of the finest level.
-    pub index: usize,
-    /// Later less earlier value.
-    pub residual: f32,
-}
-
 /// What a fit leads to.
 #[derive(Debug, Clone)]
 pub struct Fit {
@@ -40,8 +31,8 @@ pub struct Fit {
     pub covariance: Matrix3<f64>,
     /// Points that it rests on.
     pub points: usize,
-    /// The points of the finest level, also those that were left out.
-    pub seen: Vec<Seen>,
+    /// Later less earlier values of all points of the finest level, code values.
+    pub residuals: Vec<f32>,
 }
 
 /// How a direction of the earlier frame comes into the later one.
@@ -52,12 +43,6 @@ struct Warp {
     translation: Vector3<f64>,
     offset: f32,
     gain: f32,
-}
-
-/// How far the rotation moves a point, radians.
-pub fn moved_rad(rotation: &UnitQuaternion<f64>, point: &Point) -> f64 {
-    let direction = point.direction.cast::<f64>();
-    (rotation * direction - direction).norm()
 }
 
 /// The rotation from the points of an earlier frame to a later frame. `None` where there is too little
@@ -74,7 +59,7 @@ pub fn rotation(
     let mut last = None;
     for ((points, level), steps) in levels.rev() {
         let counted: Vec<usize> = (0..points.all.len())
-            .filter(|&index| !airframe.is_at(points.all[index].direction))
+            .filter(|&index| !airframe.is_at(points.all[index].cell))
             .collect();
         if counted.len() < MIN_POINTS {
             continue;
@@ -91,12 +76,11 @@ pub fn rotation(
         last = Some((points, level, counted));
     }
     let (points, level, counted) = last?;
-    let residuals_counted = residuals(&points.all, &counted, level, &warp);
-    let covariance = covariance(&points.all, &counted, &residuals_counted, &warp)?;
     let all: Vec<usize> = (0..points.all.len()).collect();
-    let seen = residuals(&points.all, &all, level, &warp);
-    let seen = all.into_iter().zip(seen).map(|(index, residual)| Seen { index, residual });
-    Some(Fit { rotation: warp.rotation, covariance, points: counted.len(), seen: seen.collect() })
+    let residuals = residuals(&points.all, &all, level, &warp);
+    let of_counted: Vec<f32> = counted.iter().map(|&index| residuals[index]).collect();
+    let covariance = covariance(&points.all, &counted, &of_counted, &warp)?;
+    Some(Fit { rotation: warp.rotation, covariance, points: counted.len(), residuals })
 }
 
 impl Warp {
@@ -198,7 +182,7 @@ fn covariance(
         let point = &points[index];
         let weight = weight(point, residual, scale) * residual;
         let weighted = SVector::<f32, UNKNOWNS>::from(row(point)) * weight;
-        sums[sector_of(point.direction)] += weighted.cast::<f64>();
+        sums[sector_of(point.cell)] += weighted.cast::<f64>();
     }
     let used = sums.iter().filter(|sum| sum.norm() > 0.0).count() as f64;
     if used <= UNKNOWNS as f64 {
@@ -213,10 +197,8 @@ fn covariance(
     covariance.iter().all(|x| x.is_finite()).then_some(covariance)
 }
 
-fn sector_of(direction: Vector3<f32>) -> usize {
-    let longitude = direction.y.atan2(direction.x);
-    let column = ((0.5 - longitude / std::f32::consts::TAU) * SECTORS[0] as f32) as usize;
-    // Rows of the same area.
-    let row = ((0.5 - direction.z / 2.0) * SECTORS[1] as f32) as usize;
-    row.min(SECTORS[1] - 1) * SECTORS[0] + column.min(SECTORS[0] - 1)
+fn sector_of(cell: usize) -> usize {
+    let (row, column) = (cell / CELL_COLUMNS, cell % CELL_COLUMNS);
+    let rows = CELL_COLUMNS / 2;
+    row * SECTORS[1] / rows * SECTORS[0] + column * SECTORS[0] / CELL_COLUMNS
 }
