@@ -7,7 +7,7 @@ const MIN_MOVED_PX: f32 = 0.7;
 /// What was noted is halved after about so many points of a cell.
 const MEMORY: f32 = 400.0;
 /// So many points must have been seen in a cell before it is left out.
-const MIN_POINTS: f32 = 60.0;
+const MIN_POINTS: f32 = 30.0;
 /// A cell is the airframe's where points that stay agree so many times better, in squares.
 const RATIO: f32 = 2.0;
 /// Residuals count up to this, code values.
