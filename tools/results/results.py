@@ -57,9 +57,10 @@ EXPERIMENTS = {
     "cadence": ("How often a part of the sphere is searched", ["check", "--measure", "20s", *QUIET],
                 "search |measured "),
 }
-# A benchmark of its own: what the virtual clock of lossless runs goes by.
-COSTS = ["cargo", "bench", "--locked", "-p", "flockeye-tests", "--bench", "costs"]
-PARTS = [*RECORDINGS, *SIMULATED, *EXPERIMENTS, "costs"]
+# Benchmarks whose words are kept: what the virtual clock of lossless runs goes by, and the camera's rotation.
+BENCH = ["cargo", "bench", "--locked", "-p", "flockeye-tests", "--bench"]
+BENCHES = {"gyroscope": "The visual gyroscope", "costs": "Costs"}
+PARTS = [*RECORDINGS, *SIMULATED, *EXPERIMENTS, *BENCHES]
 
 
 def flockeye():
@@ -185,6 +186,21 @@ def fly(arguments, way, name, truth):
     return command, poses, truth, [int(number) for number in counted.groups()]
 
 
+def benched(part):
+    """What one benchmark says."""
+    before = machine()
+    command = [*BENCH, part]
+    print(f"  {' '.join(command)}", file=sys.stderr, flush=True)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    if done.returncode != 0:
+        sys.exit(f"results: {' '.join(command)} ended with {done.returncode}:\n{done.stderr}")
+    entry = {"title": BENCHES[part], "command": " ".join(command), "machine": before}
+    if part == "costs":
+        rows = re.findall(r"\| `(\w+)` \| ([\d.]+) \| ([\d.]+) \|", done.stdout)
+        return entry | {"costs": rows}
+    return entry | {"output": done.stdout.strip().splitlines()}
+
+
 def run_part(part, data, wanted_ways):
     """The entries of one part, by their names."""
     if part in EXPERIMENTS:
@@ -194,14 +210,8 @@ def run_part(part, data, wanted_ways):
         lines = call(arguments, may_fail=True).splitlines()
         return {part: {"title": title, "command": shown(arguments), "machine": before,
                        "output": [line.rstrip() for line in lines if re.match(kept, line)]}}
-    if part == "costs":
-        before = machine()
-        print(f"  {' '.join(COSTS)}", file=sys.stderr, flush=True)
-        done = subprocess.run(COSTS, cwd=ROOT, capture_output=True, text=True)
-        measured = re.findall(r"\| `(\w+)` \| ([\d.]+) \| ([\d.]+) \|", done.stdout)
-        if done.returncode != 0 or not measured:
-            sys.exit(f"results: {' '.join(COSTS)} ended with {done.returncode}:\n{done.stderr}")
-        return {part: {"machine": before, "costs": measured}}
+    if part in BENCHES:
+        return {part: benched(part)}
     entries = {}
     if part in RECORDINGS:
         title, recording, truth, settings, ways = RECORDINGS[part]
@@ -342,7 +352,7 @@ def render(store):
     ]
     simulated = flights_page("Results: simulated flights", intro + chosen, of(SIMULATED))
     (folder / "simulated.md").write_text(simulated)
-    (folder / "experiments.md").write_text(experiments_page(of(EXPERIMENTS)))
+    (folder / "experiments.md").write_text(experiments_page(of([*EXPERIMENTS, "gyroscope"])))
     if "costs" in store:
         (folder / "costs.md").write_text(costs_page(store["costs"]))
     readme = (ROOT / "README.md").read_text()
