@@ -58,7 +58,8 @@ EXPERIMENTS = {
                 "search |measured "),
 }
 # Benchmarks whose words are kept: what the virtual clock of lossless runs goes by, and the camera's rotation.
-BENCH = ["cargo", "bench", "--locked", "-p", "flockeye-tests", "--bench"]
+# In the profile of the tests, whose computing crates are optimized like the release profile's.
+BENCH = ["cargo", "bench", "--locked", "--profile", "tested", "-p", "flockeye-tests", "--bench"]
 BENCHES = {"gyroscope": "The visual gyroscope", "costs": "Costs"}
 PARTS = [*RECORDINGS, *SIMULATED, *EXPERIMENTS, *BENCHES]
 
