@@ -32,7 +32,7 @@ BINS = [(0.0, 1.5), (1.5, 2.2), (2.2, 3.0), (3.0, 4.0)]
 SEEDS = range(2001, 2009)
 QUIET = ["--set", "gateway.enabled=false", "--set", "instance=results"]
 WAYS = {
-    "lossless": "every frame, `--flow lossless`",
+    "lossless": "every frame, `--flow lossless`, in the time that flight has by `search.costs`",
     "real time": "the camera's own rate, `--flow latest`",
 }
 
