@@ -28,9 +28,12 @@ pub struct FrameStamp {
     pub source_generation: u32,
 }
 
+/// A frame's place among all frames: generation of the source, epoch, sequence.
+pub type FrameOrder = (u32, u32, u64);
+
 impl FrameStamp {
     /// The key that orders frames: a later epoch, then a later sequence number.
-    pub fn order(&self) -> (u32, u32, u64) {
+    pub fn order(&self) -> FrameOrder {
         (self.source_generation, self.epoch, self.sequence)
     }
 

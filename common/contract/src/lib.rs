@@ -34,7 +34,7 @@ pub use codes::{
 };
 pub use detection::{DetectedMarker, DetectionHeader, MAX_DETECTED_MARKERS};
 pub use error::ContractError;
-pub use frame::{FrameHeader, FrameStamp};
+pub use frame::{FrameHeader, FrameOrder, FrameStamp};
 pub use health::Health;
 pub use plan::{MAX_PLANNED_VIEWS, MAX_VIEW_PX, PlanHeader, PlannedView};
 pub use stage::StageName;

@@ -6,7 +6,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use flockeye_contract::{DetectedMarker, FrameEnd, FrameStamp, ViewHeader};
+use flockeye_contract::{DetectedMarker, FrameEnd, FrameOrder, FrameStamp, ViewHeader};
 use flockeye_convert::{purpose_of, search_of, view_of};
 use flockeye_geometry::search::Purpose;
 
@@ -23,7 +23,7 @@ use crate::planning::{NextPlan, Planning};
 use crate::policy::TimeBudget;
 use crate::schedule::Schedule;
 use crate::tracker::{FrameTime, Tracker, Update};
-use crate::view_cache::{FrameOrder, ViewCache, ViewQuality};
+use crate::view_cache::{ViewCache, ViewQuality};
 
 /// What happens to fusion.
 #[derive(Debug)]

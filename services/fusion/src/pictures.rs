@@ -1,6 +1,6 @@
 //! Cached views as pictures that alignment can read.
 
-use flockeye_contract::ViewHeader;
+use flockeye_contract::{FrameOrder, ViewHeader};
 use flockeye_convert::{RadianceCache, image_of, purpose_of, view_of};
 use flockeye_geometry::search::Purpose;
 use flockeye_imaging::align::Picture;
@@ -9,7 +9,7 @@ use crate::hypothesis::BestView;
 use crate::parallax::Parallax;
 use crate::passes::BestViews;
 use crate::passes::direct::Region;
-use crate::view_cache::{FrameOrder, ViewCache};
+use crate::view_cache::ViewCache;
 
 /// A hold on the pixels of a view.
 pub trait Pixels {

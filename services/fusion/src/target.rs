@@ -1,5 +1,6 @@
 //! One neighbour: its body, its track, and its status in each open frame.
 
+use flockeye_contract::FrameOrder;
 use std::collections::BTreeMap;
 
 use flockeye_geometry::body::Body;
@@ -13,7 +14,6 @@ use crate::measurement::{MeasuredBy, Measurement, PoseEstimate};
 use crate::passes::direct::RejectedAlignment;
 use crate::passes::inputs::Attempt;
 use crate::track_prior::TrackPrior;
-use crate::view_cache::FrameOrder;
 
 /// What is known of a target after a frame. Poses are of its markers in the camera frame.
 #[derive(Debug, Clone, PartialEq)]

@@ -5,7 +5,7 @@
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-use flockeye_contract::ViewHeader;
+use flockeye_contract::{FrameOrder, ViewHeader};
 use flockeye_geometry::body::Bodies;
 use flockeye_geometry::filter::{Prediction, TrackPolicy};
 use flockeye_geometry::search::{Purpose, StopRule};
@@ -22,7 +22,7 @@ use crate::passes::{AnsweredView, BestViews};
 use crate::policy::{DirectPassPolicy, TimeBudget, is_search_turn};
 use crate::target::{Status, Target, TargetEstimate};
 use crate::track_prior::TrackPrior;
-use crate::view_cache::{FrameOrder, ViewQuality};
+use crate::view_cache::ViewQuality;
 
 /// How poses are carried from frame to frame.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -6,14 +6,11 @@
 use std::collections::BTreeMap;
 use std::rc::Rc;
 
-use flockeye_contract::ViewHeader;
+use flockeye_contract::{FrameOrder, ViewHeader};
 use flockeye_geometry::body::Body;
 use flockeye_geometry::search::StopRule;
 
 use crate::frame_assembly::Record;
-
-/// A frame's place among all frames.
-pub type FrameOrder = (u32, u32, u64);
 
 /// Held views, with `P` the hold on their pixels.
 #[derive(Debug)]

@@ -10,7 +10,8 @@ use std::time::Duration;
 
 use flockeye_config::{Flow, Resolved};
 use flockeye_contract::{
-    DetectionHeader, FrameEnd, FrameHeader, PlanHeader, PlannedView, StopReason, StopRule,
+    DetectionHeader, FrameEnd, FrameHeader, FrameOrder, PlanHeader, PlannedView, StopReason,
+    StopRule,
 };
 use flockeye_geometry::view::View;
 
@@ -23,9 +24,6 @@ const STALE_PLAN_NS: i64 = 1_000_000_000;
 
 /// Frames held at once: one that waits for its answers, and the one that is being cut.
 const MAX_HELD_FRAMES: usize = 2;
-
-/// Generation, epoch and sequence of a frame.
-pub type FrameOrder = (u32, u32, u64);
 
 /// A frame, and the place of a view in its plan.
 type ViewKey = (FrameOrder, u32);

@@ -2,14 +2,14 @@
 
 use anyhow::Context as _;
 use flockeye_config::Backend;
-use flockeye_contract::{FrameEnds, Frames, Views};
+use flockeye_contract::{FrameEnds, FrameOrder, Frames, Views};
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::logs::Throttle;
 use flockeye_runtime::ports::{Message, Ports, Publisher};
 use flockeye_runtime::{Context, Stage, Step, clock};
 
 use crate::backend::{BackendChoice, choose_backend};
-use crate::core::{Action, Core, CutOrder, Event, FrameOrder};
+use crate::core::{Action, Core, CutOrder, Event};
 use crate::cutting::{Cutter, view_header};
 use crate::inbox::Inbox;
 use crate::standby::Standby;

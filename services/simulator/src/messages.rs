@@ -12,7 +12,7 @@ use crate::{FrameTruth, TargetTruth};
 
 /// Writes the messages of one flight.
 #[derive(Debug)]
-pub struct Writer {
+pub struct TruthWriter {
     /// Width and height of a frame.
     size_px: (u32, u32),
     projection: Projection,
@@ -23,7 +23,7 @@ pub struct Writer {
     generation: u32,
 }
 
-impl Writer {
+impl TruthWriter {
     /// For these bodies, and generation `generation` of this stage.
     pub fn new(resolved: &Resolved, flying: Option<&Bodies>, generation: u32) -> Self {
         Self {

@@ -10,7 +10,7 @@ use flockeye_runtime::ports::{Ports, Publisher};
 use flockeye_runtime::{Context, Stage, Step, clock};
 
 use crate::ahead::{Ahead, Drawn, Next};
-use crate::messages::Writer;
+use crate::messages::TruthWriter;
 use crate::settings::{flying_bodies, parameters};
 use crate::{FrameTruth, World};
 
@@ -20,7 +20,7 @@ pub struct SimulatorStage {
     truths: Publisher<Truths>,
     credits: Credits,
     drawing: Drawing,
-    writer: Writer,
+    writer: TruthWriter,
     counters: SharedCounters,
 }
 
@@ -69,7 +69,7 @@ impl Stage for SimulatorStage {
             truths: ports.side_publisher()?,
             credits: Credits::open(pipeline, ports)?,
             drawing,
-            writer: Writer::new(resolved, flying.as_ref(), context.identity.generation),
+            writer: TruthWriter::new(resolved, flying.as_ref(), context.identity.generation),
             counters: context.counters.clone(),
         })
     }

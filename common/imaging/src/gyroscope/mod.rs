@@ -31,15 +31,12 @@ use nalgebra::{Matrix3, UnitQuaternion};
 
 use self::grid::{Pyramid, Sampler};
 use self::own_airframe::OwnAirframe;
-use self::points::Points;
-use self::solve::Fit;
+use self::points::{MIN_POINTS, Points};
+use self::solve::RotationFit;
 use crate::sphere::SphereImage;
 
 /// A rotation that is less certain than this says nothing, radians (half a degree).
 const MAX_SIGMA_RAD: f64 = 0.0087;
-
-/// A frame with fewer points at each level says nothing.
-const MIN_POINTS: usize = 60;
 
 /// The camera's rotation from one frame to the next.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -114,7 +111,7 @@ impl Gyroscope {
 /// Learns where the drone sees itself, from how well points agree that turn and that stay.
 fn learn(
     airframe: &mut OwnAirframe,
-    fit: &Fit,
+    fit: &RotationFit,
     earlier: &Pyramid,
     points: &[Points],
     later: &Pyramid,

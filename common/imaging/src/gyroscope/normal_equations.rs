@@ -6,12 +6,12 @@ use nalgebra::{SMatrix, SVector};
 pub(super) const UNKNOWNS: usize = 8;
 
 pub(super) type Gradient = SVector<f64, UNKNOWNS>;
-type Square = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
+type Matrix8 = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 
 /// Sums over points. Single precision is enough for some points, and several of them fit into a register.
 #[derive(Debug, Clone)]
 pub(super) struct NormalEquations {
-    normal: Square,
+    normal: Matrix8,
     right: Gradient,
     partial_normal: [[f32; UNKNOWNS]; UNKNOWNS],
     partial_right: [f32; UNKNOWNS],
@@ -29,7 +29,7 @@ impl NormalEquations {
     pub fn new() -> Self {
         let priors = Gradient::from_iterator(PRIOR_SIGMAS.iter().map(|sigma| sigma.powi(-2)));
         Self {
-            normal: Square::from_diagonal(&priors),
+            normal: Matrix8::from_diagonal(&priors),
             right: Gradient::zeros(),
             partial_normal: [[0.0; UNKNOWNS]; UNKNOWNS],
             partial_right: [0.0; UNKNOWNS],
@@ -67,7 +67,7 @@ impl NormalEquations {
     }
 
     /// The step, and the inverse of the normal matrix.
-    pub fn solve(mut self) -> Option<(Gradient, Square)> {
+    pub fn solve(mut self) -> Option<(Gradient, Matrix8)> {
         self.gather();
         let inverse = self.normal.cholesky()?.inverse();
         Some((inverse * self.right, inverse))

@@ -4,6 +4,8 @@ use nalgebra::Vector3;
 
 use super::grid::{Level, Place, Sampler};
 
+/// A frame with fewer points at each level says nothing.
+pub const MIN_POINTS: usize = 60;
 /// One point is taken of each block of so many pixels, the one with the strongest gradient.
 const BLOCK: usize = 4;
 /// Weaker gradients say nothing beside noise and compression, code values per pixel.

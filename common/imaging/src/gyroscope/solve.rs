@@ -2,11 +2,10 @@
 
 use nalgebra::{Matrix3, SVector, UnitQuaternion, Vector3};
 
-use super::MIN_POINTS;
 use super::grid::{CELL_COLUMNS, Level, Pyramid};
 use super::normal_equations::{Gradient, NormalEquations, UNKNOWNS};
 use super::own_airframe::OwnAirframe;
-use super::points::{Point, Points};
+use super::points::{MIN_POINTS, Point, Points};
 
 /// Steps at each level, the finest first.
 const STEPS: [usize; 3] = [3, 3, 5];
@@ -24,7 +23,7 @@ const SECTORS: [usize; 2] = [12, 6];
 
 /// What a fit leads to.
 #[derive(Debug, Clone)]
-pub struct Fit {
+pub struct RotationFit {
     /// Turns directions in the earlier camera's frame into the later one's.
     pub rotation: UnitQuaternion<f64>,
     /// Covariance of the rotation vector in the later camera's frame, radians squared.
@@ -52,7 +51,7 @@ pub fn rotation(
     later: &Pyramid,
     start: &UnitQuaternion<f64>,
     airframe: &OwnAirframe,
-) -> Option<Fit> {
+) -> Option<RotationFit> {
     let translation = Vector3::zeros();
     let mut warp = Warp { rotation: *start, translation, offset: 0.0, gain: 1.0 };
     let levels = points.iter().zip(later.levels()).zip(STEPS);
@@ -80,7 +79,7 @@ pub fn rotation(
     let residuals = residuals(&points.all, &all, level, &warp);
     let of_counted: Vec<f32> = counted.iter().map(|&index| residuals[index]).collect();
     let covariance = covariance(&points.all, &counted, &of_counted, &warp)?;
-    Some(Fit { rotation: warp.rotation, covariance, points: counted.len(), residuals })
+    Some(RotationFit { rotation: warp.rotation, covariance, points: counted.len(), residuals })
 }
 
 impl Warp {

@@ -7,6 +7,7 @@
 //! while another is under way, because a newer frame will ask again. Only an untracked target may queue
 //! behind a tracked one: no newer frame need show anything of it for a while.
 
+use flockeye_contract::FrameOrder;
 use std::collections::BTreeSet;
 
 use flockeye_geometry::body::Body;
@@ -21,7 +22,6 @@ use super::inputs::Inputs;
 use crate::hypothesis::{Aligner, Start};
 use crate::measurement::{Measurement, distinct_markers, supports};
 use crate::policy::TimeBudget;
-use crate::view_cache::FrameOrder;
 
 /// Which target a background pass looks for, in which frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
