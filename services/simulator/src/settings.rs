@@ -1,7 +1,7 @@
 //! The world as the configuration asks for it.
 
 use anyhow::Context as _;
-use flockeye_config::Resolved;
+use flockeye_config::{Resolved, Simulator};
 use flockeye_convert::transfer_curve;
 use flockeye_geometry::body::Bodies;
 
@@ -51,4 +51,10 @@ pub fn parameters(resolved: &Resolved) -> anyhow::Result<WorldParameters> {
         airframes: settings.airframes,
         ..usual
     })
+}
+
+/// What flies, for people.
+pub fn in_words(settings: &Simulator) -> String {
+    let Simulator { neighbours, frames_per_second, seed, .. } = settings;
+    format!("{neighbours} neighbours, {frames_per_second} frames/s, seed {seed}")
 }

@@ -11,7 +11,7 @@ use flockeye_runtime::{Context, Stage, Step, clock};
 
 use crate::ahead::{Ahead, Drawn, Next};
 use crate::messages::TruthWriter;
-use crate::settings::{flying_bodies, parameters};
+use crate::settings::{flying_bodies, in_words, parameters};
 use crate::{FrameTruth, World};
 
 /// Takes nothing (in a lossless run: plans, as credits); gives frames and their truth.
@@ -48,12 +48,7 @@ impl Stage for SimulatorStage {
             Some(bodies) => World::new(parameters, bodies, &Dictionary::of(bodies)?)?,
             None => World::empty(parameters)?,
         };
-        context.counters.set_detail(format!(
-            "{} neighbours, {} frames/s, seed {}",
-            pipeline.simulator.neighbours,
-            pipeline.simulator.frames_per_second,
-            pipeline.simulator.seed
-        ));
+        context.counters.set_detail(in_words(&pipeline.simulator));
         let last_frame = pipeline.simulator.frames.checked_sub(1).unwrap_or(u64::MAX);
         let drawing = match pipeline.flow {
             Flow::Lossless => {
