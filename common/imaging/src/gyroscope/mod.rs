@@ -1,6 +1,6 @@
 //! The camera's own rotation between two frames, seen in the sphere itself: a visual gyroscope.
 //!
-//! Both frames are averaged to a few thousand pixels a level. Points with texture of the earlier frame
+//! Both frames are averaged to 480x240 pixels, and to two levels below. Points with texture of the earlier frame
 //! are looked up in the later one, and the rotation that makes them agree is found by robust
 //! Gauss-Newton steps, coarse level first. Beside the rotation there are five more unknowns: the camera's
 //! translation over one common distance (a point at direction d moves by t - d (d t)), and the gain and
@@ -66,12 +66,6 @@ impl Gyroscope {
         Self { sampler, earlier: None, last: UnitQuaternion::identity(), airframe }
     }
 
-    /// Forgets the last frame: the next one does not follow it.
-    pub fn reset(&mut self) {
-        self.earlier = None;
-        self.last = UnitQuaternion::identity();
-    }
-
     /// Takes the next frame, and says how the camera has turned since the one before. `expected` is the
     /// rotation to start from where something else knows it; otherwise the last one is.
     ///
@@ -97,8 +91,6 @@ impl Gyroscope {
             learn(&mut self.airframe, fit, earlier, of_earlier, &pyramid);
         }
         self.last = found.as_ref().map_or_else(UnitQuaternion::identity, |fit| fit.rotation);
-        let points =
-            pyramid.levels().iter().map(|level| Points::of(level, &self.sampler)).collect();
         self.earlier = Some((pyramid, points));
         found.map(|fit| CameraRotation {
             later_from_earlier: fit.rotation,

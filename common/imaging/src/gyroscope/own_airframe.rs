@@ -7,7 +7,7 @@ const MIN_MOVED_PX: f32 = 0.7;
 /// What was noted is halved after about so many points of a cell.
 const MEMORY: f32 = 400.0;
 /// So many points must have been seen in a cell before it is left out.
-const MIN_POINTS: f32 = 30.0;
+const MIN_CELL_POINTS: f32 = 30.0;
 /// A cell is the airframe's where points that stay agree so many times better, in squares.
 const RATIO: f32 = 2.0;
 /// Residuals count up to this, code values.
@@ -18,6 +18,12 @@ struct Cell {
     points: f32,
     turning: f32,
     staying: f32,
+}
+
+impl Cell {
+    fn is_airframe(&self) -> bool {
+        self.points > MIN_CELL_POINTS && self.turning > RATIO * self.staying
+    }
 }
 
 /// Where the drone sees itself.
@@ -35,12 +41,11 @@ impl Default for OwnAirframe {
 impl OwnAirframe {
     /// Whether a cell shows the drone itself, as far as is known.
     pub fn is_at(&self, cell: usize) -> bool {
-        let cell = &self.cells[cell];
-        cell.points > MIN_POINTS && cell.turning > RATIO * cell.staying
+        self.cells[cell].is_airframe()
     }
 
-    /// Notes how well a point of a cell agrees with the later frame: `turning` with the rotation, `staying` without
-    /// it, code values; it moves by `moved_px` between the two.
+    /// Notes how well a point of a cell agrees with the later frame, code values: `turning` with the
+    /// rotation, `staying` without it. The rotation moves it by `moved_px`.
     pub fn note(&mut self, cell: usize, turning: f32, staying: f32, moved_px: f32) {
         if moved_px < MIN_MOVED_PX {
             return;
@@ -61,7 +66,7 @@ impl OwnAirframe {
 
     /// The share of the cells that are left out.
     pub fn share(&self) -> f64 {
-        let hidden = |cell: &&Cell| cell.points > MIN_POINTS && cell.turning > RATIO * cell.staying;
-        self.cells.iter().filter(hidden).count() as f64 / self.cells.len() as f64
+        let hidden = self.cells.iter().filter(|cell| cell.is_airframe());
+        hidden.count() as f64 / self.cells.len() as f64
     }
 }

@@ -83,6 +83,18 @@ proptest! {
 }
 
 #[test]
+fn a_turn_that_something_else_knows_is_found_however_large() {
+    let turn = UnitQuaternion::from_euler_angles(0.2, -0.3, 0.5);
+    let wrong = UnitQuaternion::from_euler_angles(0.01, 0.02, -0.01);
+    let mut gyroscope = gyroscope();
+    next(&mut gyroscope, &frame(&UnitQuaternion::identity(), nothing_of_itself));
+    let later = frame(&turn, nothing_of_itself);
+    let image = SphereImage::new(&later, WIDTH as usize, camera()).unwrap();
+    let found = gyroscope.next(&image, Some(wrong * turn)).unwrap();
+    assert!(error_deg(&found, &turn) < 0.02, "{}", error_deg(&found, &turn));
+}
+
+#[test]
 fn a_change_of_brightness_is_no_turn() {
     let mut gyroscope = gyroscope();
     let attitude = UnitQuaternion::from_euler_angles(0.1, 0.2, 0.3);
