@@ -17,8 +17,8 @@ DORA_HOP = $(CURDIR)/target/peers/dora/release/dora-hop
 
 .PHONY: run test bench peers build setup cargo format golden golden-check golden-write golden-compare results counts
 
-# The profile of the tests: a first build takes half as long as one of the release profile, which the
-# drone gets (`make build`), and both measure the same poses at the same rate.
+# The profile of the tests, which builds sooner than the release profile that the drone gets (`make
+# build`). docs/results is measured with it.
 run: setup
 	cargo build --profile tested --workspace --exclude flockeye-tests --bins --locked
 	target/tested/flockeye up --for $(FOR)
