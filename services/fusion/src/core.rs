@@ -277,10 +277,6 @@ impl<P: Pixels> Core<P> {
         outputs
     }
 
-    fn time_of(&self, stamp: &FrameStamp) -> FrameTime {
-        FrameTime { order: stamp.order(), at_s: stamp.exposure_s(), number: self.planning.frames() }
-    }
-
     /// How much time the passes of a frame may take.
     fn budget(&self, stamp: &FrameStamp) -> TimeBudget {
         self.schedule.budget(stamp, self.newest.as_ref())
@@ -306,8 +302,7 @@ impl<P: Pixels> Core<P> {
     fn measure_regions(&mut self, views: &[(FrameOrder, u32)], outputs: &mut Outputs) {
         let read = self.reader.regions(&self.cache, views);
         let Some(stamp) = read.first().map(|(header, _)| header.stamp) else { return };
-        let (order, number) = (stamp.order(), self.planning.frames());
-        let time = FrameTime { order, at_s: stamp.exposure_s(), number };
+        let time = time_of(&self.planning, &stamp);
         let headers: BTreeMap<usize, ViewHeader> =
             read.iter().map(|(header, region)| (region.target, *header)).collect();
         let regions: Vec<Region<'_>> = read.into_iter().map(|(_, region)| region).collect();
@@ -342,7 +337,7 @@ impl<P: Pixels> Core<P> {
                 AnsweredView { record, purpose, view }
             })
             .collect();
-        let (time, budget) = (self.time_of(&stamp), self.budget(&stamp));
+        let (time, budget) = (time_of(&self.planning, &stamp), self.budget(&stamp));
         let best_views = self.reader.best_views(&self.cache, stamp.order());
         let updates = self.tracker.region_pass(time, &answered, &best_views, budget);
         drop(best_views);
@@ -368,7 +363,7 @@ impl<P: Pixels> Core<P> {
     fn complete_frame(&mut self, frame: &Frame, outputs: &mut Outputs) {
         let Schedule::Virtual(clock) = &mut self.schedule else { return };
         clock.begin_frame(&frame.stamp);
-        clock.spend_ms(self.found.len() as f64 * clock.costs().direct_pass_ms);
+        clock.spend(self.tracker.take_attempts());
         self.take_answers(outputs);
         let mut found = std::mem::take(&mut self.found);
         found.sort_by_key(|((target, _), _)| *target);
@@ -425,7 +420,7 @@ impl<P: Pixels> Core<P> {
                 view: frame.views.get(&record.header.view_index),
             })
             .collect();
-        let (time, budget) = (self.time_of(&frame.stamp), self.budget(&frame.stamp));
+        let (time, budget) = (time_of(&self.planning, &frame.stamp), self.budget(&frame.stamp));
         let mut best_views = self.reader.best_views(&self.cache, frame.stamp.order());
         let counts =
             |view_index| counted.iter().any(|record| record.header.view_index == view_index);
@@ -434,9 +429,7 @@ impl<P: Pixels> Core<P> {
         drop(best_views);
         let attempts = self.tracker.take_attempts();
         if let Schedule::Virtual(clock) = &mut self.schedule {
-            let costs = clock.costs();
-            let tracked_ms = f64::from(attempts.tracked) * costs.corner_pass_ms;
-            clock.spend_ms(tracked_ms + f64::from(attempts.untracked) * costs.initiation_ms);
+            clock.spend(attempts);
         }
         self.note_background();
         let records: Vec<&Record> = frame.records.values().collect();
@@ -467,6 +460,10 @@ impl<P: Pixels> Core<P> {
         self.assembly.planned(next.plan_id);
         outputs.plan = Some((next, after));
     }
+}
+
+fn time_of(planning: &Planning, stamp: &FrameStamp) -> FrameTime {
+    FrameTime { order: stamp.order(), at_s: stamp.exposure_s(), number: planning.frames() }
 }
 
 #[cfg(test)]

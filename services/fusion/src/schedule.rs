@@ -50,6 +50,17 @@ fn is_behind(stamp: &FrameStamp, newest: Option<&FrameStamp>) -> bool {
     })
 }
 
+/// How often passes have tried to measure a target, whether they found it or not.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Attempts {
+    /// Direct passes.
+    pub direct: u32,
+    /// Corner passes with a prediction.
+    pub tracked: u32,
+    /// Corner passes without one.
+    pub untracked: u32,
+}
+
 /// A clock that only stated costs move on. It begins each frame at its exposure, or when the work on the
 /// frame before is done.
 #[derive(Debug, Clone)]
@@ -68,11 +79,6 @@ impl VirtualClock {
         Self { costs, last: None, interval_ns: 0, now_ns: i64::MIN, background_ns: i64::MIN }
     }
 
-    /// What each piece of work costs.
-    pub fn costs(&self) -> &Costs {
-        &self.costs
-    }
-
     /// The time, on the clock of the exposures, nanoseconds.
     pub fn now_ns(&self) -> i64 {
         self.now_ns
@@ -87,8 +93,18 @@ impl VirtualClock {
         self.last = Some(*stamp);
     }
 
-    /// Work is done that costs `ms`.
-    pub fn spend_ms(&mut self, ms: f64) {
+    /// Passes have run.
+    pub fn spend(&mut self, attempts: Attempts) {
+        let Attempts { direct, tracked, untracked } = attempts;
+        let costs = &self.costs;
+        self.spend_ms(
+            f64::from(direct) * costs.direct_pass_ms
+                + f64::from(tracked) * costs.corner_pass_ms
+                + f64::from(untracked) * costs.initiation_ms,
+        );
+    }
+
+    fn spend_ms(&mut self, ms: f64) {
         self.now_ns = self.now_ns.saturating_add((ms * 1e6) as i64);
     }
 
@@ -126,6 +142,20 @@ mod tests {
         assert!(!is_behind(&stamp(5), Some(&stamp(6))));
         assert!(is_behind(&stamp(5), Some(&stamp(7))));
         assert!(!is_behind(&stamp(7), Some(&stamp(5))), "it is newer itself");
+    }
+
+    #[test]
+    fn each_pass_costs_what_is_stated() {
+        let costs = Costs {
+            direct_pass_ms: 3.0,
+            corner_pass_ms: 5.0,
+            initiation_ms: 7.0,
+            ..Costs::default()
+        };
+        let mut clock = VirtualClock::new(costs);
+        clock.begin_frame(&FrameStamp::default());
+        clock.spend(Attempts { direct: 1, tracked: 2, untracked: 3 });
+        assert_eq!(clock.now_ns(), 34 * MS);
     }
 
     #[test]

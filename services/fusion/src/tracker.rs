@@ -20,6 +20,7 @@ use crate::passes::direct::{self, Candidate, Region, RejectedAlignment};
 use crate::passes::inputs::{Earlier, Inputs, Permit};
 use crate::passes::{AnsweredView, BestViews};
 use crate::policy::{DirectPassPolicy, TimeBudget, is_search_turn};
+use crate::schedule::Attempts;
 use crate::target::{Status, Target, TargetEstimate};
 use crate::track_prior::TrackPrior;
 use crate::view_cache::ViewQuality;
@@ -45,15 +46,6 @@ pub struct FrameTime {
     pub at_s: f64,
     /// How many frames had ended before.
     pub number: u64,
-}
-
-/// How often the corner pass has tried to measure a target.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Attempts {
-    /// From a prediction.
-    pub tracked: u32,
-    /// Without one.
-    pub untracked: u32,
 }
 
 /// All targets with their tracks.
@@ -146,6 +138,7 @@ impl Tracker {
         let candidates: Vec<Candidate<'_>> =
             regions.iter().filter_map(|region| self.direct_candidate(time, *region)).collect();
         let found = direct::align(&self.aligner, &candidates, self.threads);
+        self.attempts.direct += candidates.len() as u32;
         let mut updates = Vec::new();
         for (Candidate { region, predicted }, found) in candidates.into_iter().zip(found) {
             let Region { target, view } = region;
@@ -271,11 +264,13 @@ impl Tracker {
                 self.inputs(time, *target, answered, best_views, permit)
             })
             .collect();
-        let tracked = inputs.iter().filter(|inputs| inputs.prior.predicted().is_some()).count();
-        let attempts = Attempts {
-            tracked: self.attempts.tracked + tracked as u32,
-            untracked: self.attempts.untracked + (inputs.len() - tracked) as u32,
-        };
+        let mut attempts = self.attempts;
+        for inputs in &inputs {
+            match inputs.prior.predicted() {
+                Some(_) => attempts.tracked += 1,
+                None => attempts.untracked += 1,
+            }
+        }
         let measured = corners::measure(&self.aligner, &inputs, self.threads);
         let mut failed = Vec::new();
         let mut found = Vec::new();
