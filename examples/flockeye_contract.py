@@ -20,7 +20,7 @@ from pathlib import Path
 
 import iceoryx2 as iox2
 
-CONTRACT_VERSION = "3"
+CONTRACT_VERSION = "4"
 VERSION_ATTRIBUTE = "flockeye.contract"
 NONE = 0xFFFFFFFF
 
@@ -78,6 +78,31 @@ class FrameHeader(Contract):
         ("gamma", c_float),
         ("range", c_uint32),
         ("projection", c_uint32),
+    ]
+
+
+class ImuHeader(Contract):
+    _fields_ = [("sent_ns", c_int64), ("epoch", c_uint32), ("generation", c_uint32)]
+
+
+class ImuSample(Contract):
+    _fields_ = [
+        ("measured_ns", c_int64),
+        ("angular_velocity", c_double * 3),
+        ("specific_force", c_double * 3),
+    ]
+
+
+class Rotation(Contract):
+    _fields_ = [
+        ("stamp", FrameStamp),
+        ("earlier_exposure_ns", c_int64),
+        ("later_from_earlier", c_double * 4),
+        ("covariance", c_double * 9),
+        ("rate_in_camera", c_double * 3),
+        ("rate_covariance", c_double * 9),
+        ("source", c_uint32),
+        ("generation", c_uint32),
     ]
 
 
@@ -200,6 +225,9 @@ class Track(Contract):
         ("angular_velocity", c_double * 3),
         ("measured_observer_from_target", Pose),
         ("measured_covariance", c_double * 36),
+        ("predicted_observer_from_target", Pose),
+        ("predicted_covariance", c_double * 36),
+        ("predicted_ns", c_int64),
         ("age_ns", c_int64),
         ("unseen_ns", c_int64),
         ("latency", StageLatency),
@@ -235,7 +263,12 @@ class Health(Contract):
 
 
 class TruthHeader(Contract):
-    _fields_ = [("stamp", FrameStamp), ("observer_yaw", c_double), ("exposure_s", c_double)]
+    _fields_ = [
+        ("stamp", FrameStamp),
+        ("world_from_camera", c_double * 4),
+        ("observer_yaw", c_double),
+        ("exposure_s", c_double),
+    ]
 
 
 class BodyTruth(Contract):
@@ -254,6 +287,8 @@ class BodyTruth(Contract):
 
 # Name of the service, type of the user header, type of the payload's items.
 FRAME = ("flockeye/frame", FrameHeader, c_uint8)
+IMU = ("flockeye/imu", ImuHeader, ImuSample)
+ROTATION = ("flockeye/rotation", Rotation, c_uint8)
 PLAN = ("flockeye/plan", PlanHeader, PlannedView)
 DETECTION = ("flockeye/detection", DetectionHeader, DetectedMarker)
 FRAME_END = ("flockeye/frame_end", FrameEnd, c_uint8)

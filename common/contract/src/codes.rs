@@ -99,6 +99,20 @@ codes! {
 }
 
 codes! {
+    /// What the camera's own rotation was measured by.
+    RotationSource, "rotation source" {
+        /// It is not known.
+        Nothing = 0,
+        /// By the picture of the sphere.
+        Picture = 1,
+        /// By the inertial sensor.
+        Imu = 2,
+        /// By both.
+        PictureAndImu = 3,
+    }
+}
+
+codes! {
     /// Why a view was cut.
     ViewKind, "view kind" {
         /// A tile of the sphere: one of the partition's views.

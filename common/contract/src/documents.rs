@@ -6,8 +6,9 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 
 use crate::{
-    CONTRACT_VERSION, MeasuredBy, PixelFormat, Projection, Range, Search, SearchMode, StageState,
-    StopReason, StopRule, TrackState, Transfer, VERSION_ATTRIBUTE, ViewKind,
+    CONTRACT_VERSION, MeasuredBy, PixelFormat, Projection, Range, RotationSource, Search,
+    SearchMode, StageState, StopReason, StopRule, TrackState, Transfer, VERSION_ATTRIBUTE,
+    ViewKind,
 };
 
 const DOCUMENT: &str = include_str!("../../../docs/CONTRACT.md");
@@ -101,6 +102,7 @@ fn the_documented_codes_are_the_contracts() {
         ("transfer curve", names(Transfer::ALL)),
         ("range", names(Range::ALL)),
         ("projection", names(Projection::ALL)),
+        ("rotation source", names(RotationSource::ALL)),
         ("view kind", names(ViewKind::ALL)),
         ("search", names(Search::ALL)),
         ("stop rule", names(StopRule::ALL)),

@@ -5,7 +5,8 @@ use std::mem::{align_of, offset_of, size_of};
 
 use crate::{
     BodyTruth, DetectedMarker, DetectionHeader, FrameEnd, FrameHeader, FrameStamp, Health,
-    PlanHeader, PlannedView, Pose, StageLatency, Text, Track, TrackHeader, TruthHeader, ViewHeader,
+    ImuHeader, ImuSample, PlanHeader, PlannedView, Pose, Rotation, StageLatency, Text, Track,
+    TrackHeader, TruthHeader, ViewHeader,
 };
 
 /// The layout of a type as text: name, size, alignment, then the offset of each field.
@@ -23,6 +24,10 @@ fn all_layouts() -> String {
         layout!(Pose: position, orientation),
         layout!(FrameHeader: stamp, exposure_time_ns, readout_ns, width, height, stride, pixel_format,
             transfer, gamma, range, projection),
+        layout!(ImuHeader: sent_ns, epoch, generation),
+        layout!(ImuSample: measured_ns, angular_velocity, specific_force),
+        layout!(Rotation: stamp, earlier_exposure_ns, later_from_earlier, covariance, rate_in_camera,
+            rate_covariance, source, generation),
         layout!(PlanHeader: after, plan_id, made_ns, has_after, generation, stop_rule, mode, view_budget,
             reserved),
         layout!(PlannedView: camera_from_view, rate_in_camera, reference_ns, focal_px,
@@ -38,11 +43,12 @@ fn all_layouts() -> String {
         layout!(TrackHeader: stamp, generation, is_last),
         layout!(StageLatency: capture_ns, rectification_ns, detection_ns, fusion_ns, total_ns),
         layout!(Track: observer_from_target, covariance, linear_velocity, angular_velocity,
-            measured_observer_from_target, measured_covariance, age_ns, unseen_ns, latency, name, target,
+            measured_observer_from_target, measured_covariance,
+            predicted_observer_from_target, predicted_covariance, predicted_ns, age_ns, unseen_ns, latency, name, target,
             track_id, state, measured_by, markers, reserved),
         layout!(Health: sent_ns, taken, published, dropped, failed, queued, processor_ns, resident_bytes,
             latency_median_ns, latency_p99_ns, stage, detail, replica, generation, pid, state),
-        layout!(TruthHeader: stamp, observer_yaw, exposure_s),
+        layout!(TruthHeader: stamp, world_from_camera, observer_yaw, exposure_s),
         layout!(BodyTruth: camera_from_markers, observer_from_target, best_side_px, blur_px, name, target,
             markers_visible_50, markers_visible_90, localisable),
     ]
@@ -67,6 +73,9 @@ fn type_names_are_pinned() {
     let names = unsafe {
         [
             FrameHeader::type_name(),
+            ImuHeader::type_name(),
+            ImuSample::type_name(),
+            Rotation::type_name(),
             PlanHeader::type_name(),
             PlannedView::type_name(),
             ViewHeader::type_name(),
@@ -82,6 +91,9 @@ fn type_names_are_pinned() {
     };
     let wanted = [
         "flockeye/FrameHeader",
+        "flockeye/ImuHeader",
+        "flockeye/ImuSample",
+        "flockeye/Rotation",
         "flockeye/PlanHeader",
         "flockeye/PlannedView",
         "flockeye/ViewHeader",

@@ -2,7 +2,7 @@
 //!
 //! There are two borders:
 //! - **shared memory**, between the stages on one machine: [`Topic`]s of `#[repr(C)]` headers and
-//!   items ([`FrameHeader`], [`PlanHeader`], [`ViewHeader`], [`DetectionHeader`], [`FrameEnd`],
+//!   items ([`FrameHeader`], [`ImuHeader`], [`Rotation`], [`PlanHeader`], [`ViewHeader`], [`DetectionHeader`], [`FrameEnd`],
 //!   [`TrackHeader`], [`Health`], [`TruthHeader`]);
 //! - **the network**, between drones: the JSON of [`wire`].
 //!
@@ -20,6 +20,7 @@ mod health;
 #[cfg(test)]
 mod layout;
 mod plan;
+mod rotation;
 mod stage;
 mod text;
 mod topic;
@@ -29,19 +30,21 @@ mod view;
 pub mod wire;
 
 pub use codes::{
-    MeasuredBy, PixelFormat, Projection, Range, Search, SearchMode, StageState, StopReason,
-    StopRule, TrackState, Transfer, UnknownCode, ViewKind,
+    MeasuredBy, PixelFormat, Projection, Range, RotationSource, Search, SearchMode, StageState,
+    StopReason, StopRule, TrackState, Transfer, UnknownCode, ViewKind,
 };
 pub use detection::{DetectedMarker, DetectionHeader, MAX_DETECTED_MARKERS};
 pub use error::ContractError;
 pub use frame::{FrameHeader, FrameOrder, FrameStamp};
 pub use health::Health;
 pub use plan::{MAX_PLANNED_VIEWS, MAX_VIEW_PX, PlanHeader, PlannedView};
+pub use rotation::{ImuHeader, ImuSample, MAX_IMU_SAMPLES, Rotation};
 pub use stage::StageName;
 pub use text::Text;
 pub use topic::{
-    CONTRACT_VERSION, Detections, FrameEnds, Frames, Healths, Plans, TOPICS, Topic, TopicId,
-    TopicInfo, TopicVisitor, Tracks, Truths, VERSION_ATTRIBUTE, Views, visit_topics,
+    CONTRACT_VERSION, Detections, FrameEnds, Frames, Healths, Imus, Plans, Rotations, TOPICS,
+    Topic, TopicId, TopicInfo, TopicVisitor, Tracks, Truths, VERSION_ATTRIBUTE, Views,
+    visit_topics,
 };
 pub use track::{FrameEnd, Pose, StageLatency, Track, TrackHeader};
 pub use truth::{BodyTruth, TruthHeader};

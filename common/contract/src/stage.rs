@@ -7,6 +7,8 @@ pub enum StageName {
     Capture,
     /// The simulated world to frames, in place of capture.
     Simulator,
+    /// Frames and inertial samples to the camera's own rotation.
+    Egomotion,
     /// Frames and plans to views.
     Rectification,
     /// Views to detections.
@@ -19,9 +21,10 @@ pub enum StageName {
 
 impl StageName {
     /// Every stage, in the order of the dataflow.
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 7] = [
         Self::Capture,
         Self::Simulator,
+        Self::Egomotion,
         Self::Rectification,
         Self::Detection,
         Self::Fusion,
@@ -33,6 +36,7 @@ impl StageName {
         match self {
             Self::Capture => "capture",
             Self::Simulator => "simulator",
+            Self::Egomotion => "egomotion",
             Self::Rectification => "rectification",
             Self::Detection => "detection",
             Self::Fusion => "fusion",

@@ -7,11 +7,12 @@ use iceoryx2::prelude::ZeroCopySend;
 
 use crate::{
     BodyTruth, ContractError, DetectedMarker, DetectionHeader, FrameEnd, FrameHeader, Health,
-    PlanHeader, PlannedView, StageName, Track, TrackHeader, TruthHeader, ViewHeader,
+    ImuHeader, ImuSample, PlanHeader, PlannedView, Rotation, StageName, Track, TrackHeader,
+    TruthHeader, ViewHeader,
 };
 
 /// Version of everything in this crate. A stage of another version is refused.
-pub const CONTRACT_VERSION: &str = "3";
+pub const CONTRACT_VERSION: &str = "4";
 
 /// The iceoryx2 service attribute that carries [`CONTRACT_VERSION`].
 pub const VERSION_ATTRIBUTE: &str = "flockeye.contract";
@@ -118,7 +119,13 @@ macro_rules! topics {
 topics! {
     /// Source to rectification: the luma plane of the whole sphere.
     Frames = "flockeye/frame", FrameHeader, [u8],
-        [Capture, Simulator] => [Rectification], |header, items| header.check(items.len());
+        [Capture, Simulator] => [Rectification, Egomotion], |header, items| header.check(items.len());
+    /// Inertial sensor to egomotion: angular velocity and specific force.
+    Imus = "flockeye/imu", ImuHeader, [ImuSample],
+        [Capture, Simulator] => [Egomotion], |header, items| header.check(items);
+    /// Egomotion to fusion: how the camera has turned since the frame before.
+    Rotations = "flockeye/rotation", Rotation, [u8],
+        [Egomotion] => [Fusion], |header, _items| header.check();
     /// Fusion to rectification (and, in a lossless run, to the source): where to look.
     Plans = "flockeye/plan", PlanHeader, [PlannedView],
         [Fusion] => [Rectification, Capture, Simulator], |header, items| header.check(items);
@@ -136,7 +143,7 @@ topics! {
         [Fusion] => [Gateway], |_header, items| items.iter().try_for_each(Track::check);
     /// Every stage to the launcher.
     Healths = "flockeye/health", Health, [u8],
-        [Capture, Simulator, Rectification, Detection, Fusion, Gateway] => [], |header, _items| header.check();
+        [Capture, Simulator, Egomotion, Rectification, Detection, Fusion, Gateway] => [], |header, _items| header.check();
     /// Simulator to evaluation.
     Truths = "flockeye/truth", TruthHeader, [BodyTruth],
         [Simulator] => [], |header, items| header.check(items);

@@ -111,14 +111,24 @@ pub struct Track {
     /// Its covariance, 6x6 row-major: position (m), then rotation vector (rad), both in the
     /// observer's frame.
     pub covariance: [f64; 36],
-    /// Velocity of the target in the observer's frame, m/s.
+    /// Velocity of the target relative to the observer, along the observer's axes, m/s. Where the
+    /// observer's own rotation is known (`rotation`), it is taken out: a neighbour that stands still has
+    /// none while the observer yaws. Otherwise it is the change of the position in the observer's frame.
     pub linear_velocity: [f64; 3],
-    /// Angular velocity of the target in the observer's frame, rad/s.
+    /// Angular velocity of the target along the observer's axes, rad/s; the observer's own rotation is
+    /// taken out as above.
     pub angular_velocity: [f64; 3],
     /// This frame's own measurement of the same pose, where `measured_by` is not `nothing`.
     pub measured_observer_from_target: Pose,
     /// Its covariance, as above.
     pub measured_covariance: [f64; 36],
+    /// The filtered pose, predicted for `predicted_ns`, in the observer's frame of then.
+    pub predicted_observer_from_target: Pose,
+    /// Its covariance, as above.
+    pub predicted_covariance: [f64; 36],
+    /// When the message was sent, on the clock of the exposures: what `predicted_observer_from_target`
+    /// holds for. In a lossless run, which is not in real time, it is the exposure.
+    pub predicted_ns: i64,
     /// Time since the track began, nanoseconds.
     pub age_ns: i64,
     /// Time since it was last measured, nanoseconds.
@@ -152,6 +162,10 @@ impl Track {
         let velocities = self.linear_velocity.iter().chain(&self.angular_velocity);
         if !velocities.into_iter().all(|x| x.is_finite()) {
             return Err(ContractError::NotFinite { what: "velocity" });
+        }
+        self.predicted_observer_from_target.check()?;
+        if !self.predicted_covariance.iter().all(|x| x.is_finite()) {
+            return Err(ContractError::NotFinite { what: "predicted covariance" });
         }
         if MeasuredBy::try_from(self.measured_by)? != MeasuredBy::Nothing {
             self.measured_observer_from_target.check()?;

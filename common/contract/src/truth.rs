@@ -12,6 +12,8 @@ use crate::{ContractError, FrameStamp, Pose, Text};
 pub struct TruthHeader {
     /// The frame.
     pub stamp: FrameStamp,
+    /// Orientation of the camera in the world, unit quaternion x y z w; all zero where it is not known.
+    pub world_from_camera: [f64; 4],
     /// The observer's own yaw in the world, radians.
     pub observer_yaw: f64,
     /// Length of the exposure, seconds.

@@ -7,6 +7,7 @@
 mod codes;
 mod pose;
 mod radiance;
+mod turn;
 mod view;
 
 pub use codes::{
@@ -14,4 +15,5 @@ pub use codes::{
 };
 pub use pose::{isometry, matrix6, pose, rotation, row_major, xyzw};
 pub use radiance::RadianceCache;
+pub use turn::{camera_turn, rotation_message};
 pub use view::{ViewError, image_of, view_of};

@@ -7,6 +7,11 @@
 //! The state is the pose of the markers in the camera frame with its linear and angular velocity; the
 //! error is (position, rotation vector, linear velocity, angular velocity), all in the camera's
 //! axes: `R_true = exp(rotation error) R`. So the leading 6x6 block is the project's pose covariance.
+//!
+//! The camera turns, and a turn is no acceleration of all neighbours at once. So velocities are those in
+//! axes that do not turn, along the camera's axes of the moment, and a step turns the whole state by the
+//! camera's own rotation ([`EgoRotation`]), whose uncertainty it takes on. Where that is not known, the
+//! camera is taken not to turn, and velocities are those that the camera sees.
 
 mod chi_square;
 mod life;
@@ -14,6 +19,7 @@ mod life;
 pub use chi_square::{chi_square_gate, chi_square_quantile};
 pub use life::{Happened, LifeCycle, TrackPolicy, TrackState};
 
+use crate::ego_rotation::{EgoRotation, Turned};
 use nalgebra::{
     Isometry3, Matrix3, Matrix6, SMatrix, SVector, Translation3, UnitQuaternion, Vector3, Vector6,
 };
@@ -72,18 +78,49 @@ pub struct Prediction {
     pub stamp_s: f64,
     /// The pose of the body's markers in the camera frame.
     pub camera_from_markers: Isometry3<f64>,
-    /// Velocity of the markers' origin, in the camera's axes, m/s.
+    /// Velocity of the markers' origin in axes that do not turn, along those of the camera, m/s.
     pub velocity: Vector3<f64>,
-    /// Angular velocity, in the camera's axes, rad/s.
+    /// Angular velocity in axes that do not turn, along those of the camera, rad/s.
     pub rate: Vector3<f64>,
+    /// The camera's own angular velocity, in its axes, rad/s.
+    pub camera_rate: Vector3<f64>,
     /// Covariance of all of it; see [`StateCovariance`].
     pub covariance: StateCovariance,
 }
 
 impl Prediction {
+    /// The velocity that the camera sees: to a camera that turns, what stands still moves, m/s.
+    pub fn apparent_velocity(&self) -> Vector3<f64> {
+        self.velocity - self.camera_rate.cross(&self.camera_from_markers.translation.vector)
+    }
+
     /// Covariance of the pose: position (m), then rotation vector (rad), in the camera's axes.
     pub fn pose_covariance(&self) -> Matrix6<f64> {
         self.covariance.fixed_view::<6, 6>(0, 0).into_owned()
+    }
+
+    /// The same in the axes of a camera that has turned meanwhile.
+    ///
+    /// If the camera has really turned by exp(d) more, a vector v is off by d x v, and the attitude by d.
+    fn turned(self, turned: &Turned) -> Self {
+        let camera = &turned.later_from_earlier;
+        let camera_from_markers = Isometry3::from_parts(
+            Translation3::from(camera * self.camera_from_markers.translation.vector),
+            camera * self.camera_from_markers.rotation,
+        );
+        let (velocity, rate) = (camera * self.velocity, camera * self.rate);
+        let matrix = camera.to_rotation_matrix().into_inner();
+        let mut turn = StateCovariance::zeros();
+        (0..12).step_by(3).for_each(|k| turn.fixed_view_mut::<3, 3>(k, k).copy_from(&matrix));
+        let mut doubt = SMatrix::<f64, 12, 3>::zeros();
+        let position = &camera_from_markers.translation.vector;
+        for (row, vector) in [(0, position), (6, &velocity), (9, &rate)] {
+            doubt.fixed_view_mut::<3, 3>(row, 0).copy_from(&-vector.cross_matrix());
+        }
+        doubt.fixed_view_mut::<3, 3>(3, 0).fill_diagonal(1.0);
+        let covariance = turn * self.covariance * turn.transpose()
+            + doubt * turned.covariance * doubt.transpose();
+        Self { camera_from_markers, velocity, rate, covariance, ..self }
     }
 }
 
@@ -177,16 +214,17 @@ impl Track {
             camera_from_markers: self.camera_from_markers,
             velocity: self.velocity,
             rate: self.rate,
+            camera_rate: Vector3::zeros(),
             covariance: self.covariance,
         }
     }
 
     /// Where the neighbour will be at `at_s` (seconds, on the clock of the measurements) if it
-    /// keeps its velocity; the covariance says how sure that is.
+    /// keeps its velocity, seen by a camera that turns as `ego` says; the covariance says how sure that is.
     ///
     /// # Errors
     /// A time before the track's, more than [`MotionModel::longest_step_s`] after it, or no number.
-    pub fn predict(&self, at_s: f64) -> Result<Prediction, FilterError> {
+    pub fn predict(&self, at_s: f64, ego: &EgoRotation) -> Result<Prediction, FilterError> {
         if !at_s.is_finite() {
             return Err(FilterError::Unusable { what: "time" });
         }
@@ -214,16 +252,18 @@ impl Track {
             .copy_from(&(left_jacobian(&(self.rate * step)) * step));
         let covariance =
             transition * self.covariance * transition.transpose() + self.motion.noise(step);
-        Ok(Prediction {
+        let moved = Prediction {
             stamp_s: at_s,
             camera_from_markers,
             velocity: self.velocity,
             rate: self.rate,
+            camera_rate: ego.rate_at(at_s),
             covariance,
-        })
+        };
+        Ok(moved.turned(&ego.between(stamp_s, at_s)))
     }
 
-    /// Takes in a pose measured at `stamp_s`, unless it lies outside `gate`: the largest squared
+    /// Takes in a pose measured at `stamp_s` by a camera that turned as `ego` says, unless it lies outside `gate`: the largest squared
     /// Mahalanobis distance to pass (see [`chi_square_gate`]).
     ///
     /// `covariance`: the measurement's: position (m), then rotation vector (rad), in the camera's
@@ -237,9 +277,10 @@ impl Track {
         measured: &Isometry3<f64>,
         covariance: &Matrix6<f64>,
         gate: f64,
+        ego: &EgoRotation,
     ) -> Result<Innovation, FilterError> {
         check(stamp_s, measured, covariance)?;
-        let predicted = self.predict(stamp_s)?;
+        let predicted = self.predict(stamp_s, ego)?;
         let pose = &predicted.camera_from_markers;
         let mut difference = Vector6::zeros();
         difference

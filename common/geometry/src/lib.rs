@@ -19,6 +19,7 @@
 pub mod body;
 pub mod calibration;
 pub mod camera;
+pub mod ego_rotation;
 pub mod filter;
 pub mod mask;
 pub mod partition;

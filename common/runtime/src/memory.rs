@@ -8,8 +8,8 @@ use std::time::Duration;
 
 use flockeye_config::{Flow, Pipeline, Resolved};
 use flockeye_contract::{
-    BodyTruth, DetectedMarker, Frames, MAX_PLANNED_VIEWS, PlannedView, TOPICS, Topic, TopicId,
-    TopicInfo, Track,
+    BodyTruth, DetectedMarker, Frames, MAX_IMU_SAMPLES, MAX_PLANNED_VIEWS, PlannedView, TOPICS,
+    Topic, TopicId, TopicInfo, Track,
 };
 
 /// Limits of one topic.
@@ -137,11 +137,13 @@ fn sizes(topic: TopicId, resolved: &Resolved, largest_view_px: u32) -> Sizes {
     let usual = Sizes { subscribers: 4, buffer: 64, borrowed: 2, history: 0, loaned: 1, items: 0 };
     match topic {
         // Rectification holds the frame that waits for answers, the one it cuts, the next one, and
-        // for a moment one newer than that; a tool may look on.
+        // for a moment one newer than that. Egomotion holds one, and a tool may look on.
         TopicId::Frames => {
             let items = frame_bytes(pipeline);
-            Sizes { subscribers: 2, buffer: 1, borrowed: 4, loaned: 2, items, ..usual }
+            Sizes { subscribers: 3, buffer: 1, borrowed: 4, loaned: 2, items, ..usual }
         }
+        TopicId::Imus => Sizes { items: MAX_IMU_SAMPLES, ..usual },
+        TopicId::Rotations => Sizes { buffer: 16, ..usual },
         TopicId::Plans => Sizes { buffer: 2, history: 1, items: MAX_PLANNED_VIEWS, ..usual },
         // To each lane listen its worker, that worker's successor, fusion and a tool.
         TopicId::Views => Sizes {
@@ -299,7 +301,7 @@ impl fmt::Display for Budget {
 
 // The sizes that `items` above count in.
 const _: () = assert!(size_of::<DetectedMarker>() * MARKERS < 16_384);
-const _: () = assert!(size_of::<Track>() * MAX_TRACKS < 16_384);
+const _: () = assert!(size_of::<Track>() * MAX_TRACKS < 20_480);
 const _: () = assert!(size_of::<BodyTruth>() * TRUTH_BODIES < 8_192);
 const _: () = assert!(size_of::<PlannedView>() < 256);
 
@@ -316,7 +318,7 @@ mod tests {
         assert_eq!(names, TOPICS.iter().map(|topic| topic.name).collect::<Vec<_>>());
         assert_eq!(budget.topic::<Frames>().usual_publishers, 1, "one of the sources runs");
         assert_eq!(budget.topic::<Detections>().usual_publishers, 2);
-        assert_eq!(budget.topic::<Healths>().usual_publishers, 6);
+        assert_eq!(budget.topic::<Healths>().usual_publishers, 7);
         let views = budget.topic::<Views>();
         assert_eq!((views.lanes, views.usual_publishers, views.publishers), (2, 2, 3));
     }
@@ -346,7 +348,7 @@ mod tests {
         assert_eq!(budget.check(10_000_000_000, 20_000_000_000), Ok(()));
         let error = budget.check(12_000_000, 64_000_000).expect_err("12 MB do not do").to_string();
         assert!(
-            error.starts_with("camera 3840x1920 needs 12 frames of shared memory (89 MB)"),
+            error.starts_with("camera 3840x1920 needs 17 frames of shared memory (126 MB)"),
             "{error}"
         );
         assert!(error.contains("has 12 MB free. Cure: mount -o remount,size="), "{error}");

@@ -6,8 +6,8 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use flockeye_contract::{DetectedMarker, FrameEnd, FrameOrder, FrameStamp, ViewHeader};
-use flockeye_convert::{purpose_of, search_of, view_of};
+use flockeye_contract::{DetectedMarker, FrameEnd, FrameOrder, FrameStamp, Rotation, ViewHeader};
+use flockeye_convert::{camera_turn, purpose_of, search_of, view_of};
 use flockeye_geometry::search::Purpose;
 
 use crate::frame_assembly::{Frame, FrameAssembly, Leave, Record};
@@ -34,6 +34,8 @@ pub enum Event<P> {
     Searched(Record),
     /// Rectification is done with a frame.
     FrameEnd(FrameEnd),
+    /// How the camera has turned since the frame before.
+    Rotation(Rotation),
     /// A background pass is over.
     Background(Answer),
 }
@@ -89,6 +91,8 @@ pub struct Core<P> {
     shown: Vec<Shown>,
     /// Answers of the background pass, and from when on they count, nanoseconds of a virtual clock.
     answers: VecDeque<(i64, Answer)>,
+    /// How the camera has turned, for frames that are not complete.
+    rotations: VecDeque<Rotation>,
     /// A complete frame whose regions have been measured.
     complete: Option<Frame>,
     /// The newest frame of which a view has come.
@@ -120,6 +124,7 @@ impl<P: Pixels> Core<P> {
             searched: Vec::new(),
             shown: Vec::new(),
             answers: VecDeque::new(),
+            rotations: VecDeque::new(),
             complete: None,
             newest: None,
             notices: Vec::new(),
@@ -173,6 +178,7 @@ impl<P: Pixels> Core<P> {
             Event::View(header, pixels) => self.on_view(header, pixels, now_ns),
             Event::Searched(record) => self.on_record(record, now_ns),
             Event::FrameEnd(end) => self.assembly.add_end(end, now_ns),
+            Event::Rotation(rotation) => self.on_rotation(rotation),
             Event::Background(answer) => self.on_background(answer),
         }
     }
@@ -231,6 +237,21 @@ impl<P: Pixels> Core<P> {
         }
         if self.schedule.is_flight() {
             self.searched.push(record);
+        }
+    }
+
+    /// In flight a rotation counts at once. Otherwise it counts when its frame is complete: what a frame
+    /// says must not depend on who is faster.
+    fn on_rotation(&mut self, rotation: Rotation) {
+        match self.schedule.is_flight() {
+            true => self.turn_camera(&rotation),
+            false => self.rotations.push_back(rotation),
+        }
+    }
+
+    fn turn_camera(&mut self, rotation: &Rotation) {
+        if let Some(turn) = camera_turn(rotation) {
+            self.tracker.turn_camera(&turn);
         }
     }
 
@@ -361,6 +382,12 @@ impl<P: Pixels> Core<P> {
     /// A frame is complete. By a virtual clock, its regions are measured now, as in flight while its tiles
     /// are searched, and then it is the time at which flight would be done with them.
     fn complete_frame(&mut self, frame: &Frame, outputs: &mut Outputs) {
+        let is_due = |rotation: &Rotation| rotation.stamp.order() <= frame.stamp.order();
+        while self.rotations.front().is_some_and(is_due)
+            && let Some(rotation) = self.rotations.pop_front()
+        {
+            self.turn_camera(&rotation);
+        }
         let Schedule::Virtual(clock) = &mut self.schedule else { return };
         clock.begin_frame(&frame.stamp);
         clock.spend(self.tracker.take_attempts());

@@ -1,7 +1,11 @@
 //! The ports that fusion reads, and in which order it reads them.
 
-use flockeye_config::Flow;
-use flockeye_contract::{DetectionHeader, Detections, FrameEnds, Views};
+use std::collections::VecDeque;
+
+use flockeye_config::{Flow, Pipeline};
+use flockeye_contract::{
+    DetectionHeader, Detections, FrameEnd, FrameEnds, FrameOrder, Rotations, StageName, Views,
+};
 use flockeye_runtime::ports::{Message, PortError, Ports, Subscriber};
 
 use crate::core::{Core, Event};
@@ -20,9 +24,24 @@ pub struct Inbox {
     views: Vec<Subscriber<Views>>,
     detections: Subscriber<Detections>,
     frame_ends: Subscriber<FrameEnds>,
+    rotations: Subscriber<Rotations>,
     flow: Flow,
     /// Records of a lossless run that came before their views.
     early: Vec<Record>,
+    turns: AwaitedTurns,
+}
+
+/// Ends of frames of a lossless run, which wait until it is known how the camera has turned.
+struct AwaitedTurns {
+    /// Whether the ends of frames wait at all: in a lossless run with egomotion.
+    waits: bool,
+    /// Whether egomotion was waited for in vain, and nothing has come from it since.
+    is_away: bool,
+    patience_ns: i64,
+    /// The newest frame whose rotation has come.
+    newest: Option<FrameOrder>,
+    /// With the time at which each came, nanoseconds.
+    ends: VecDeque<(FrameEnd, i64)>,
 }
 
 impl Inbox {
@@ -30,13 +49,22 @@ impl Inbox {
     ///
     /// # Errors
     /// A port that cannot be opened.
-    pub fn open(ports: &mut Ports, flow: Flow) -> Result<Self, PortError> {
+    pub fn open(ports: &mut Ports, pipeline: &Pipeline) -> Result<Self, PortError> {
         Ok(Self {
             views: ports.subscribers_of_all_lanes()?,
             detections: ports.subscriber()?,
             frame_ends: ports.subscriber()?,
-            flow,
+            rotations: ports.subscriber()?,
+            flow: pipeline.flow,
             early: Vec::new(),
+            turns: AwaitedTurns {
+                waits: pipeline.flow == Flow::Lossless && pipeline.runs(StageName::Egomotion),
+                is_away: false,
+                // A frame itself is given up later.
+                patience_ns: pipeline.frame_deadline().as_nanos() as i64 / 2,
+                newest: None,
+                ends: VecDeque::new(),
+            },
         })
     }
 
@@ -77,10 +105,22 @@ impl Inbox {
             }
         }
         self.take_all_views(core, now_ns)?;
+        while let Some(message) = self.rotations.receive()? {
+            self.turns.note(message.header.stamp.order());
+            core.on(Event::Rotation(message.header), now_ns);
+        }
         while let Some(message) = self.frame_ends.receive()? {
-            core.on(Event::FrameEnd(message.header), now_ns);
+            self.turns.ends.push_back((message.header, now_ns));
+        }
+        while let Some(end) = self.turns.take(now_ns) {
+            core.on(Event::FrameEnd(end), now_ns);
         }
         Ok(())
+    }
+
+    /// When a frame will have waited long enough for its rotation, nanoseconds.
+    pub fn next_deadline_ns(&self) -> Option<i64> {
+        self.turns.next_deadline_ns()
     }
 
     fn take_all_views(
@@ -124,6 +164,35 @@ impl Inbox {
             core.on(Event::View(message.header, message), now_ns);
         }
         Ok(())
+    }
+}
+
+impl AwaitedTurns {
+    /// The rotation of a frame has come.
+    fn note(&mut self, order: FrameOrder) {
+        self.is_away = false;
+        self.newest = self.newest.max(Some(order));
+    }
+
+    /// The next end of a frame that need not wait any more. Who once waited in vain waits no more until
+    /// a rotation comes.
+    fn take(&mut self, now_ns: i64) -> Option<FrameEnd> {
+        let (end, since_ns) = *self.ends.front()?;
+        let is_known = self.newest >= Some(end.stamp.order());
+        if self.waits && !self.is_away && !is_known {
+            if now_ns - since_ns < self.patience_ns {
+                return None;
+            }
+            self.is_away = true;
+            let frame = end.stamp.sequence;
+            tracing::warn!(frame, "no rotation of the camera has come: egomotion is away");
+        }
+        self.ends.pop_front();
+        Some(end)
+    }
+
+    fn next_deadline_ns(&self) -> Option<i64> {
+        self.ends.front().map(|(_, since_ns)| since_ns + self.patience_ns)
     }
 }
 

@@ -19,7 +19,7 @@ use crate::frame_assembly::Record;
 use crate::measurement::{self, PoseEstimate};
 use crate::planning::NextPlan;
 use crate::target::TargetEstimate;
-use crate::tracker::Update;
+use crate::tracker::{Tracker, Update};
 
 /// An estimate that leaves, and what led to it.
 pub type Outgoing = (Update, Cause);
@@ -107,12 +107,34 @@ pub struct Writer {
 }
 
 impl Writer {
-    /// Estimates as a message of the topic `track`, sent at `now_ns`.
-    pub fn tracks(&self, message: &TrackMessage, now_ns: i64) -> (TrackHeader, Vec<Track>) {
+    /// Estimates as a message of the topic `track`, sent at `now_ns`, with what `tracker` predicts for
+    /// then.
+    pub fn tracks(
+        &self,
+        message: &TrackMessage,
+        tracker: &Tracker,
+        now_ns: i64,
+    ) -> (TrackHeader, Vec<Track>) {
         let TrackMessage { stamp, updates, is_last } = message;
+        // In a lossless run exposures have another clock, and the time of sending means nothing.
+        let predicted_ns = match self.flow {
+            Flow::Latest => now_ns,
+            Flow::Lossless => stamp.exposure_ns,
+        };
         let tracks = updates.iter().filter_map(|((target, estimate), cause)| {
             let body = self.bodies.get(*target)?;
             let track = track(*target, estimate, body, &self.observer_from_camera);
+            let predicted = tracker.prediction(*target, predicted_ns as f64 * 1e-9);
+            let track = match predicted {
+                Some(predicted) => self.with_prediction(track, &predicted, predicted_ns, body),
+                // A lost track, or no filter: it stays where it was.
+                None => Track {
+                    predicted_observer_from_target: track.observer_from_target,
+                    predicted_covariance: track.covariance,
+                    predicted_ns: stamp.exposure_ns,
+                    ..track
+                },
+            };
             Some(Track { latency: latency(self.flow, stamp, *cause, now_ns), ..track })
         });
         let header = TrackHeader {
@@ -121,6 +143,27 @@ impl Writer {
             is_last: u32::from(*is_last),
         };
         (header, tracks.collect())
+    }
+
+    /// A track with what is predicted for another time.
+    fn with_prediction(
+        &self,
+        track: Track,
+        predicted: &Prediction,
+        predicted_ns: i64,
+        body: &Body,
+    ) -> Track {
+        let estimate = PoseEstimate {
+            camera_from_markers: predicted.camera_from_markers,
+            covariance: predicted.pose_covariance(),
+        };
+        let (at, covariance) = mounted(&estimate, body, &self.observer_from_camera);
+        Track {
+            predicted_observer_from_target: pose(&at),
+            predicted_covariance: row_major(&covariance),
+            predicted_ns,
+            ..track
+        }
     }
 
     /// A plan as a message of the topic `plan`, made after the frame `after` and sent at `now_ns`.
@@ -211,6 +254,9 @@ fn track(
         angular_velocity: (turn * estimate.rate).into(),
         measured_observer_from_target: measured.map_or_else(Pose::default, |(at, _)| pose(&at)),
         measured_covariance: measured.map_or([0.0; 36], |(_, covariance)| row_major(&covariance)),
+        predicted_observer_from_target: Pose::default(),
+        predicted_covariance: [0.0; 36],
+        predicted_ns: 0,
         age_ns: nanoseconds(estimate.age_s),
         unseen_ns: nanoseconds(estimate.unseen_s),
         latency: StageLatency::default(),

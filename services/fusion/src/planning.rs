@@ -158,7 +158,7 @@ impl Planning {
                     &tracker.targets()[target].body,
                     &prediction.camera_from_markers,
                     &prediction.pose_covariance().fixed_view::<3, 3>(0, 0).into_owned(),
-                    &prediction.velocity,
+                    &prediction.apparent_velocity(),
                 )
             })
             .collect();

@@ -48,7 +48,7 @@ impl Stage for FusionStage {
             Flow::Lossless => Ok(BackgroundRunner::inline(aligner)),
         });
         Ok(Self {
-            inbox: Inbox::open(ports, pipeline.flow)?,
+            inbox: Inbox::open(ports, pipeline)?,
             tracks: ports.publisher()?,
             plans: ports.publisher()?,
             core,
@@ -84,14 +84,16 @@ impl Stage for FusionStage {
         if self.core.awaits_background() {
             return Ok(Step::WaitUntil(clock::monotonic_ns() + BACKGROUND_POLL_NS));
         }
-        Ok(self.core.next_deadline_ns().map_or(Step::Wait, Step::WaitUntil))
+        let deadlines = [self.core.next_deadline_ns(), self.inbox.next_deadline_ns()];
+        Ok(deadlines.into_iter().flatten().min().map_or(Step::Wait, Step::WaitUntil))
     }
 }
 
 impl FusionStage {
     fn send(&mut self, outputs: Outputs) -> anyhow::Result<()> {
         for message in &outputs.tracks {
-            let (header, tracks) = self.writer.tracks(message, clock::monotonic_ns());
+            let tracker = self.core.tracker();
+            let (header, tracks) = self.writer.tracks(message, tracker, clock::monotonic_ns());
             self.tracks.send(header, &tracks)?;
         }
         if let Some((next, after)) = &outputs.plan {

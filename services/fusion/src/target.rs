@@ -4,6 +4,7 @@ use flockeye_contract::FrameOrder;
 use std::collections::BTreeMap;
 
 use flockeye_geometry::body::Body;
+use flockeye_geometry::ego_rotation::EgoRotation;
 use flockeye_geometry::filter::{
     FilterError, Happened, LifeCycle, Prediction, TrackPolicy, TrackState,
 };
@@ -20,9 +21,9 @@ use crate::track_prior::TrackPrior;
 pub struct TargetEstimate {
     /// The filtered pose.
     pub pose: PoseEstimate,
-    /// Its velocity in the camera frame's axes, m/s.
+    /// Its velocity in axes that do not turn, along the camera's, m/s.
     pub velocity: Vector3<f64>,
-    /// Its angular velocity in the camera frame's axes, rad/s.
+    /// Its angular velocity in axes that do not turn, along the camera's, rad/s.
     pub rate: Vector3<f64>,
     /// The frame's own measurement and how it was made, where the filter accepted one.
     pub measured: Option<(PoseEstimate, MeasuredBy)>,
@@ -138,8 +139,8 @@ impl Target {
     }
 
     /// Where it will be at a time, if it is tracked.
-    pub fn predict(&self, at_s: f64) -> Option<Prediction> {
-        self.life.predict(at_s)
+    pub fn predict(&self, at_s: f64, ego: &EgoRotation) -> Option<Prediction> {
+        self.life.predict(at_s, ego)
     }
 
     /// Whether it has a track.
@@ -158,8 +159,8 @@ impl Target {
     }
 
     /// What its track says of a frame before the frame measures it.
-    pub fn prior(&self, at_s: f64) -> TrackPrior {
-        let Some(prediction) = self.life.predict(at_s) else { return TrackPrior::Untracked };
+    pub fn prior(&self, at_s: f64, ego: &EgoRotation) -> TrackPrior {
+        let Some(prediction) = self.life.predict(at_s, ego) else { return TrackPrior::Untracked };
         let camera_from_markers = prediction.camera_from_markers;
         match self.life.state() {
             Some(TrackState::Confirmed | TrackState::Coasting) => {
@@ -173,23 +174,35 @@ impl Target {
     }
 
     /// Whether a measurement passes the track's gate.
-    pub fn is_inside_gate(&self, at_s: f64, measurement: &Measurement) -> bool {
+    pub fn is_inside_gate(&self, at_s: f64, measurement: &Measurement, ego: &EgoRotation) -> bool {
         let pose = &measurement.pose;
-        self.life.fits(at_s, &pose.camera_from_markers, &pose.covariance)
+        self.life.fits(at_s, &pose.camera_from_markers, &pose.covariance, ego)
+    }
+
+    /// How the camera has turned since then is known better now.
+    pub fn refilter(&mut self, since_s: f64, ego: &EgoRotation) {
+        self.life.refilter(since_s, ego);
     }
 
     /// Gives the filter a frame's measurement. `None` where the filter refuses it: its time lies before
     /// the track's history, or its numbers are not finite.
-    pub fn update(&mut self, at_s: f64, measurement: &Measurement) -> Option<TargetEstimate> {
+    pub fn update(
+        &mut self,
+        at_s: f64,
+        measurement: &Measurement,
+        ego: &EgoRotation,
+    ) -> Option<TargetEstimate> {
         let pose = &measurement.pose;
         let measured = (*pose, measurement.measured_by);
-        match self.life.measured(at_s, &pose.camera_from_markers, &pose.covariance) {
+        match self.life.measured(at_s, &pose.camera_from_markers, &pose.covariance, ego) {
             Ok(Happened::Started | Happened::Restarted) => {
                 self.track_id += 1;
-                self.estimate(at_s, Some(measured), measurement.markers)
+                self.estimate(at_s, Some(measured), measurement.markers, ego)
             }
-            Ok(Happened::Updated(_)) => self.estimate(at_s, Some(measured), measurement.markers),
-            Ok(Happened::Gated(_)) => self.estimate(at_s, None, measurement.markers),
+            Ok(Happened::Updated(_)) => {
+                self.estimate(at_s, Some(measured), measurement.markers, ego)
+            }
+            Ok(Happened::Gated(_)) => self.estimate(at_s, None, measurement.markers, ego),
             Err(FilterError::Past { .. } | FilterError::Gap { .. }) => None,
             Err(FilterError::Unusable { .. } | FilterError::Gated { .. }) => None,
         }
@@ -197,15 +210,15 @@ impl Target {
 
     /// Tells the filter that a frame did not measure the target. `None` if there is no track. The last
     /// estimate of a track has the state `Lost`.
-    pub fn miss(&mut self, at_s: f64, markers: u32) -> Option<TargetEstimate> {
+    pub fn miss(&mut self, at_s: f64, markers: u32, ego: &EgoRotation) -> Option<TargetEstimate> {
         // A lost track has no pose any more, so its last message repeats the prediction from before.
-        let before = self.estimate(at_s, None, markers);
-        match self.life.unseen(at_s)? {
+        let before = self.estimate(at_s, None, markers, ego);
+        match self.life.unseen(at_s, ego)? {
             TrackState::Lost => {
                 self.life.forget();
                 before.map(|before| TargetEstimate { state: Some(TrackState::Lost), ..before })
             }
-            _ => self.estimate(at_s, None, markers),
+            _ => self.estimate(at_s, None, markers, ego),
         }
     }
 
@@ -214,11 +227,12 @@ impl Target {
         at_s: f64,
         measured: Option<(PoseEstimate, MeasuredBy)>,
         markers: u32,
+        ego: &EgoRotation,
     ) -> Option<TargetEstimate> {
         let last_seen_s = self.life.last_seen_s()?;
         let track = self.life.track()?;
         // A clock that jumped back leaves nothing to predict; then the track's own time is used.
-        let prediction = self.life.predict(at_s).unwrap_or_else(|| track.now());
+        let prediction = self.life.predict(at_s, ego).unwrap_or_else(|| track.now());
         Some(TargetEstimate {
             pose: PoseEstimate {
                 camera_from_markers: prediction.camera_from_markers,

@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use flockeye_contract::{FrameOrder, ViewHeader};
 use flockeye_geometry::body::Bodies;
+use flockeye_geometry::ego_rotation::{CameraTurn, EgoRotation};
 use flockeye_geometry::filter::{Prediction, TrackPolicy};
 use flockeye_geometry::search::{Purpose, StopRule};
 
@@ -52,6 +53,7 @@ pub struct FrameTime {
 pub struct Tracker {
     targets: Vec<Target>,
     filter: FilterChoice,
+    ego: EgoRotation,
     parallax: Option<Parallax>,
     aligner: Arc<Aligner>,
     threads: usize,
@@ -78,6 +80,8 @@ impl Tracker {
         Self {
             targets: bodies.iter().map(|body| Target::new(body.clone(), policy)).collect(),
             filter,
+            // Predictions reach back to the last measurement, and not farther than this.
+            ego: EgoRotation::new(policy.motion.longest_step_s + policy.history_s),
             parallax: None,
             aligner,
             threads,
@@ -150,7 +154,7 @@ impl Tracker {
                 let measurement = direct::accepted(found, &predicted)?;
                 let measurement = self.corrected(measurement, view.rays_m);
                 let target = &self.targets[target];
-                let is_inside = target.is_inside_gate(time.at_s, &measurement);
+                let is_inside = target.is_inside_gate(time.at_s, &measurement, &self.ego);
                 is_inside.then_some((measurement, found.camera_from_markers))
             });
             match accepted {
@@ -178,7 +182,7 @@ impl Tracker {
         let may_run = target.is_measured()
             && !self.direct_policy.is_suspended(region.target)
             && !target.is_published(time.order);
-        match target.prior(time.at_s) {
+        match target.prior(time.at_s, &self.ego) {
             TrackPrior::Confirmed(prior) if may_run => {
                 Some(Candidate { region, predicted: prior.camera_from_markers })
             }
@@ -236,7 +240,7 @@ impl Tracker {
             let decoded = answered.iter().flat_map(|answer| &answer.record.markers);
             let decoded = distinct_decoded(decoded, &self.targets[target].body);
             let estimate = match self.filter {
-                FilterChoice::Tracks(_) => self.targets[target].miss(time.at_s, decoded),
+                FilterChoice::Tracks(_) => self.targets[target].miss(time.at_s, decoded, &self.ego),
                 FilterChoice::None => None,
             };
             updates.extend(estimate.map(|estimate| (target, estimate)));
@@ -329,7 +333,7 @@ impl Tracker {
     /// What its track says of a target at a time. Without a filter there is no track.
     fn prior(&self, target: usize, at_s: f64) -> TrackPrior {
         match self.filter {
-            FilterChoice::Tracks(_) => self.targets[target].prior(at_s),
+            FilterChoice::Tracks(_) => self.targets[target].prior(at_s, &self.ego),
             FilterChoice::None => TrackPrior::Untracked,
         }
     }
@@ -441,8 +445,9 @@ impl Tracker {
             self.targets[target].forget();
         }
         let measurement = self.corrected(answer.measurement?, answer.rays_m);
-        let is_accepted =
-            !is_late || may_start || self.targets[target].is_inside_gate(at_s, &measurement);
+        let is_accepted = !is_late
+            || may_start
+            || self.targets[target].is_inside_gate(at_s, &measurement, &self.ego);
         // The number of the frame matters only to passes that are still to run.
         let time = FrameTime { order, at_s, number: 0 };
         let update = is_accepted.then(|| self.take_in(time, target, &measurement))??;
@@ -474,7 +479,9 @@ impl Tracker {
         measurement: &Measurement,
     ) -> Option<Update> {
         let estimate = match self.filter {
-            FilterChoice::Tracks(_) => self.targets[target].update(time.at_s, measurement),
+            FilterChoice::Tracks(_) => {
+                self.targets[target].update(time.at_s, measurement, &self.ego)
+            }
             FilterChoice::None => Some(TargetEstimate::of_frame(measurement)),
         }?;
         let status = Status::Published { direct_pose: None };
@@ -488,6 +495,20 @@ impl Tracker {
     /// Numbers of the targets whose pose in a frame has not left.
     fn unpublished(&self, order: FrameOrder) -> impl Iterator<Item = usize> {
         (0..self.targets.len()).filter(move |&target| !self.targets[target].is_published(order))
+    }
+
+    /// The camera has turned. What was measured since then is filtered anew.
+    pub fn turn_camera(&mut self, turn: &CameraTurn) {
+        self.ego.add(turn);
+        self.targets.iter_mut().for_each(|target| target.refilter(turn.earlier_s, &self.ego));
+    }
+
+    /// Where a tracked target is at a time.
+    pub fn prediction(&self, target: usize, at_s: f64) -> Option<Prediction> {
+        match self.filter {
+            FilterChoice::Tracks(_) => self.targets.get(target)?.predict(at_s, &self.ego),
+            FilterChoice::None => None,
+        }
     }
 
     /// Ends a frame. Frames end in their order.
@@ -507,9 +528,8 @@ impl Tracker {
 
     /// Where each tracked target will be at a time, by its number.
     pub fn predictions(&self, at_s: f64) -> impl Iterator<Item = (usize, Prediction)> {
-        let is_tracked = matches!(self.filter, FilterChoice::Tracks(_));
-        let targets = self.targets.iter().enumerate().filter(move |_| is_tracked);
-        targets.filter_map(move |(target, track)| Some((target, track.predict(at_s)?)))
+        let targets = 0..self.targets.len();
+        targets.filter_map(move |target| Some((target, self.prediction(target, at_s)?)))
     }
 }
 

@@ -4,9 +4,9 @@ use flockeye_config::Resolved;
 use flockeye_contract::{
     BodyTruth, FrameHeader, FrameStamp, PixelFormat, Projection, Range, Transfer, TruthHeader,
 };
-use flockeye_convert::{pose, projection_of};
+use flockeye_convert::{pose, projection_of, xyzw};
 use flockeye_geometry::body::{Bodies, Body};
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 
 use crate::{FrameTruth, TargetTruth};
 
@@ -81,8 +81,14 @@ impl TruthWriter {
     pub fn truth(&self, stamp: FrameStamp, truth: &FrameTruth) -> (TruthHeader, Vec<BodyTruth>) {
         let targets = truth.bodies.iter().zip(&self.bodies);
         let bodies = targets.map(|(target, body)| self.body_truth(target, body)).collect();
-        let header =
-            TruthHeader { stamp, observer_yaw: truth.observer_yaw, exposure_s: truth.exposure_s };
+        let world_from_camera =
+            UnitQuaternion::from_axis_angle(&Vector3::z_axis(), truth.observer_yaw);
+        let header = TruthHeader {
+            stamp,
+            world_from_camera: xyzw(&world_from_camera),
+            observer_yaw: truth.observer_yaw,
+            exposure_s: truth.exposure_s,
+        };
         (header, bodies)
     }
 

@@ -41,6 +41,8 @@ pub struct Pipeline {
     pub source: Source,
     /// The simulated world, for `source.input: sim`.
     pub simulator: Simulator,
+    /// How the camera's own rotation is measured.
+    pub egomotion: Egomotion,
     /// How the sphere is cut.
     pub partition: Partition,
     /// How views are cut from frames.
@@ -68,10 +70,12 @@ impl Pipeline {
         self.stages.of(stage).replicas.unwrap_or(StageInfo::of(stage).replicas)
     }
 
-    /// Whether a stage runs in this pipeline: of the sources one does, and the gateway may be off.
+    /// Whether a stage runs in this pipeline: of the sources one does, the gateway may be off, and
+    /// where each frame stands for itself nobody asks how the camera has turned.
     pub fn runs(&self, stage: StageName) -> bool {
         match stage {
             StageName::Gateway => self.gateway.enabled,
+            StageName::Egomotion => self.egomotion.enabled && self.fusion.filter != Filter::None,
             source if source.is_source() => source == self.source_stage(),
             _ => true,
         }
@@ -255,6 +259,20 @@ impl Default for Simulator {
             airframes: true,
             bodies: None,
         }
+    }
+}
+
+/// How the camera's own rotation is measured.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Egomotion {
+    /// false: neighbours are tracked as if the camera did not turn.
+    pub enabled: bool,
+}
+
+impl Default for Egomotion {
+    fn default() -> Self {
+        Self { enabled: true }
     }
 }
 

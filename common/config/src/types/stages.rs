@@ -12,6 +12,8 @@ pub struct Stages {
     pub capture: StageProcess,
     /// The simulated world, in place of capture.
     pub simulator: StageProcess,
+    /// Frames and inertial samples to the camera's own rotation.
+    pub egomotion: StageProcess,
     /// Frames and plans to views.
     pub rectification: StageProcess,
     /// Views to detections.
@@ -100,6 +102,7 @@ impl Stages {
         match stage {
             StageName::Capture => &self.capture,
             StageName::Simulator => &self.simulator,
+            StageName::Egomotion => &self.egomotion,
             StageName::Rectification => &self.rectification,
             StageName::Detection => &self.detection,
             StageName::Fusion => &self.fusion,
@@ -133,6 +136,7 @@ impl StageInfo {
             StageName::Detection => Self { replicas: 2, may_have_replicas: true, nice: 5 },
             StageName::Capture
             | StageName::Simulator
+            | StageName::Egomotion
             | StageName::Rectification
             | StageName::Fusion
             | StageName::Gateway => Self { replicas: 1, may_have_replicas: false, nice: 0 },

@@ -5,6 +5,8 @@ use std::collections::VecDeque;
 
 use nalgebra::{Isometry3, Matrix6};
 
+use crate::ego_rotation::EgoRotation;
+
 use super::{FilterError, Innovation, MotionModel, Prediction, Track, chi_square_gate};
 
 /// Where a track is in its life.
@@ -140,13 +142,13 @@ impl LifeCycle {
     /// Where the neighbour will be at `at_s`, or, for a time within the history, where it was as far
     /// as the frames up to then say. `None` while there is no live track, or if the filter knows
     /// nothing of that time.
-    pub fn predict(&self, at_s: f64) -> Option<Prediction> {
+    pub fn predict(&self, at_s: f64, ego: &EgoRotation) -> Option<Prediction> {
         let track = self.track()?;
         if at_s >= track.stamp_s() {
-            return track.predict(at_s).ok();
+            return track.predict(at_s, ego).ok();
         }
         let until_then = self.events.partition_point(|event| event.stamp_s <= at_s);
-        self.life_before(until_then)?.alive()?.predict(at_s).ok()
+        self.life_before(until_then)?.alive()?.predict(at_s, ego).ok()
     }
 
     /// A frame exposed at `stamp_s` in which the neighbour's pose was measured; `covariance` as in
@@ -163,6 +165,7 @@ impl LifeCycle {
         stamp_s: f64,
         camera_from_markers: &Isometry3<f64>,
         covariance: &Matrix6<f64>,
+        ego: &EgoRotation,
     ) -> Result<Happened, FilterError> {
         // What cannot begin a track is no measurement.
         Track::start(stamp_s, *camera_from_markers, covariance, self.policy.motion)?;
@@ -178,8 +181,8 @@ impl LifeCycle {
             Measurement { camera_from_markers: *camera_from_markers, covariance: *covariance };
         let (place, mut event) = self.placed(stamp_s, Some(measured));
         let happened =
-            Life::measured(&mut event.after, stamp_s, &measured, &self.policy, self.gate)?;
-        self.insert(place, event);
+            Life::measured(&mut event.after, stamp_s, &measured, &self.policy, self.gate, ego)?;
+        self.insert(place, event, ego);
         Ok(if jumped { Happened::Restarted } else { happened })
     }
 
@@ -189,15 +192,16 @@ impl LifeCycle {
         stamp_s: f64,
         camera_from_markers: &Isometry3<f64>,
         covariance: &Matrix6<f64>,
+        ego: &EgoRotation,
     ) -> bool {
-        let happened = self.clone().measured(stamp_s, camera_from_markers, covariance);
+        let happened = self.clone().measured(stamp_s, camera_from_markers, covariance, ego);
         matches!(happened, Ok(Happened::Updated(_)))
     }
 
     /// A frame exposed at `stamp_s` in which nothing was measured of the neighbour although all
     /// that was to be searched was. Returns the state after all frames so far. A frame from before
     /// the history, and one that something was measured in, changes nothing.
-    pub fn unseen(&mut self, stamp_s: f64) -> Option<TrackState> {
+    pub fn unseen(&mut self, stamp_s: f64, ego: &EgoRotation) -> Option<TrackState> {
         if let Some(newest_s) = self.too_late(stamp_s) {
             if self.is_jump(newest_s - stamp_s) {
                 // A clock that jumped back leaves a track that means nothing.
@@ -210,10 +214,26 @@ impl LifeCycle {
             }
         } else if stamp_s.is_finite() && !self.events.iter().any(|event| event.stamp_s == stamp_s) {
             let (place, mut event) = self.placed(stamp_s, None);
-            event.step(&self.policy, self.gate);
-            self.insert(place, event);
+            event.step(&self.policy, self.gate, ego);
+            self.insert(place, event, ego);
         }
         self.state()
+    }
+
+    /// Filters anew what was seen from `since_s` on: how the camera turned since then is known better now.
+    pub fn refilter(&mut self, since_s: f64, ego: &EgoRotation) {
+        let first = self.events.partition_point(|event| event.stamp_s < since_s);
+        self.refilter_from(first, ego);
+    }
+
+    fn refilter_from(&mut self, first: usize, ego: &EgoRotation) {
+        for later in first..self.events.len() {
+            let before = self.life_before(later).cloned();
+            if let Some(event) = self.events.get_mut(later) {
+                event.after = before;
+                event.step(&self.policy, self.gate, ego);
+            }
+        }
     }
 
     /// Forgets the neighbour, as when the source begins anew.
@@ -255,20 +275,14 @@ impl LifeCycle {
     }
 
     /// Keeps an event, filters anew what lies after it, and lets go of what is too old.
-    fn insert(&mut self, place: usize, event: Event) {
+    fn insert(&mut self, place: usize, event: Event, ego: &EgoRotation) {
         let stamp_s = event.stamp_s;
         let is_measured = event.measured.is_some();
         self.events.insert(place, event);
         if is_measured {
             self.events.retain(|event| event.stamp_s != stamp_s || event.measured.is_some());
         }
-        for later in place + 1..self.events.len() {
-            let before = self.life_before(later).cloned();
-            if let Some(event) = self.events.get_mut(later) {
-                event.after = before;
-                event.step(&self.policy, self.gate);
-            }
-        }
+        self.refilter_from(place + 1, ego);
         let newest_s = self.events.back().map_or(stamp_s, |newest| newest.stamp_s);
         while let Some(oldest) = self.events.front()
             && oldest.stamp_s < newest_s - self.policy.history_s
@@ -290,9 +304,9 @@ impl Event {
     }
 
     /// Moves the state in `after` on. A measurement that cannot be taken in leaves it as it was.
-    fn step(&mut self, policy: &TrackPolicy, gate: f64) {
+    fn step(&mut self, policy: &TrackPolicy, gate: f64, ego: &EgoRotation) {
         if let Some(measured) = &self.measured {
-            let _ = Life::measured(&mut self.after, self.stamp_s, measured, policy, gate);
+            let _ = Life::measured(&mut self.after, self.stamp_s, measured, policy, gate, ego);
         } else if let Some(life) = &mut self.after {
             life.unseen(self.stamp_s, policy);
         }
@@ -332,6 +346,7 @@ impl Life {
         Measurement { camera_from_markers, covariance }: &Measurement,
         policy: &TrackPolicy,
         gate: f64,
+        ego: &EgoRotation,
     ) -> Result<Happened, FilterError> {
         let fresh = Track::start(stamp_s, *camera_from_markers, covariance, policy.motion)?;
         let follows = |life: &Self| stamp_s - life.track.stamp_s() <= policy.coast_s;
@@ -339,7 +354,7 @@ impl Life {
             *life = Some(Self::begin(fresh, policy));
             return Ok(Happened::Started);
         };
-        match old.track.update(stamp_s, camera_from_markers, covariance, gate) {
+        match old.track.update(stamp_s, camera_from_markers, covariance, gate, ego) {
             Ok(innovation) => {
                 old.gated_in_a_row = 0;
                 old.count(true, policy);

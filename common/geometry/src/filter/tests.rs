@@ -4,6 +4,7 @@ use nalgebra::Unit;
 use proptest::prelude::*;
 
 use super::*;
+use crate::ego_rotation::CameraTurn;
 use crate::pose::fixtures::{Chance, error};
 
 const GATE: f64 = 22.46;
@@ -28,6 +29,11 @@ fn moved(pose: &Isometry3<f64>, by: &Vector6<f64>) -> Isometry3<f64> {
         (pose.translation.vector + by.fixed_rows::<3>(0)).into(),
         turn * pose.rotation,
     )
+}
+
+/// A camera that does not turn, as far as is known.
+fn still() -> EgoRotation {
+    EgoRotation::new(2.0)
 }
 
 fn start(pose: Isometry3<f64>) -> Track {
@@ -122,12 +128,18 @@ fn estimates_are_as_good_as_they_say() {
         for (frame, sums) in (1..).zip(&mut sums) {
             target.fly(step, &motion, &mut chance);
             let stamp_s = 10.0 + f64::from(frame) * step;
-            match track.update(stamp_s, &measure(&target.truth, &mut chance), &covariance(), GATE) {
+            match track.update(
+                stamp_s,
+                &measure(&target.truth, &mut chance),
+                &covariance(),
+                GATE,
+                &still(),
+            ) {
                 Ok(innovation) => innovations += innovation.distance_squared,
                 Err(FilterError::Gated { .. }) => gated += 1,
                 Err(other) => panic!("{other}"),
             }
-            let now = track.predict(stamp_s).unwrap();
+            let now = track.predict(stamp_s, &still()).unwrap();
             let off = target.error(&now);
             sums[0] += normalised::<12>(&off, &now, 0);
             sums[1] += normalised::<3>(&off, &now, 0);
@@ -161,9 +173,9 @@ fn a_moving_neighbour_is_predicted_where_it_will_be() {
     let mut track = start(at(0.0));
     for frame in 1..=30 {
         let time = f64::from(frame) / 30.0;
-        track.update(10.0 + time, &at(time), &covariance(), GATE).unwrap();
+        track.update(10.0 + time, &at(time), &covariance(), GATE, &still()).unwrap();
     }
-    let predicted = track.predict(11.1).unwrap();
+    let predicted = track.predict(11.1, &still()).unwrap();
     let truth = at(1.1);
     let direction = |pose: &Isometry3<f64>| Unit::new_normalize(pose.translation.vector);
     // Standing still it would be 4 degrees off.
@@ -173,9 +185,9 @@ fn a_moving_neighbour_is_predicted_where_it_will_be() {
     assert!((predicted.velocity - velocity).norm() < 0.03, "{}", predicted.velocity);
     assert!((predicted.rate - rate).norm() < 0.05, "{}", predicted.rate);
     // Farther ahead it is less sure.
-    let later = track.predict(11.3).unwrap().pose_covariance();
+    let later = track.predict(11.3, &still()).unwrap().pose_covariance();
     assert!((0..6).all(|k| later[(k, k)] > predicted.pose_covariance()[(k, k)]));
-    assert_eq!(track.predict(track.stamp_s()).unwrap(), track.now());
+    assert_eq!(track.predict(track.stamp_s(), &still()).unwrap(), track.now());
 }
 
 #[test]
@@ -183,7 +195,9 @@ fn outliers_leave_the_track_as_it_was() {
     let mut track = start(Isometry3::translation(1.0, 0.0, 0.0));
     for frame in 1..=10 {
         let stamp_s = 10.0 + f64::from(frame) / 30.0;
-        track.update(stamp_s, &Isometry3::translation(1.0, 0.0, 0.0), &covariance(), GATE).unwrap();
+        track
+            .update(stamp_s, &Isometry3::translation(1.0, 0.0, 0.0), &covariance(), GATE, &still())
+            .unwrap();
     }
     let before = track.clone();
     let stamp_s = 10.0 + 11.0 / 30.0;
@@ -192,13 +206,13 @@ fn outliers_leave_the_track_as_it_was() {
         UnitQuaternion::from_euler_angles(0.0, 0.9, 0.0),
     );
     for wrong in [mirrored, Isometry3::translation(1.5, 0.0, 0.0)] {
-        let refused = track.update(stamp_s, &wrong, &covariance(), GATE).unwrap_err();
+        let refused = track.update(stamp_s, &wrong, &covariance(), GATE, &still()).unwrap_err();
         assert!(matches!(refused, FilterError::Gated { innovation, .. }
             if innovation.distance_squared > GATE));
         assert_eq!(track, before);
     }
     let right = measure(&Isometry3::translation(1.0, 0.0, 0.0), &mut Chance::new(3));
-    assert!(track.update(stamp_s, &right, &covariance(), GATE).is_ok());
+    assert!(track.update(stamp_s, &right, &covariance(), GATE, &still()).is_ok());
 }
 
 #[test]
@@ -206,17 +220,17 @@ fn time_may_jump_without_harm() {
     let pose = Isometry3::translation(1.0, 0.0, 0.0);
     let mut track = start(pose);
     let before = track.clone();
-    assert!(matches!(track.predict(9.9), Err(FilterError::Past { .. })));
-    assert!(matches!(track.predict(1e9), Err(FilterError::Gap { .. })));
-    assert!(matches!(track.predict(f64::NAN), Err(FilterError::Unusable { .. })));
-    assert!(track.update(9.0, &pose, &covariance(), GATE).is_err());
-    assert!(track.update(f64::INFINITY, &pose, &covariance(), GATE).is_err());
+    assert!(matches!(track.predict(9.9, &still()), Err(FilterError::Past { .. })));
+    assert!(matches!(track.predict(1e9, &still()), Err(FilterError::Gap { .. })));
+    assert!(matches!(track.predict(f64::NAN, &still()), Err(FilterError::Unusable { .. })));
+    assert!(track.update(9.0, &pose, &covariance(), GATE, &still()).is_err());
+    assert!(track.update(f64::INFINITY, &pose, &covariance(), GATE, &still()).is_err());
     let broken = Isometry3::translation(f64::NAN, 0.0, 0.0);
-    assert!(track.update(10.1, &broken, &covariance(), GATE).is_err());
-    assert!(track.update(10.1, &pose, &Matrix6::zeros(), GATE).is_err());
+    assert!(track.update(10.1, &broken, &covariance(), GATE, &still()).is_err());
+    assert!(track.update(10.1, &pose, &Matrix6::zeros(), GATE, &still()).is_err());
     assert_eq!(track, before);
     // Twice in one frame is once more knowledge, not more time.
-    track.update(10.0, &pose, &covariance(), GATE).unwrap();
+    track.update(10.0, &pose, &covariance(), GATE, &still()).unwrap();
     assert!(track.now().covariance[(0, 0)] < 0.6 * before.now().covariance[(0, 0)]);
 }
 
@@ -232,26 +246,29 @@ fn frame(k: i32) -> f64 {
 fn a_neighbour_is_believed_coasts_and_is_lost() {
     let pose = Isometry3::translation(1.0, 0.0, 0.0);
     let mut life = life();
-    assert_eq!((life.state(), life.unseen(frame(0))), (None, None));
-    assert_eq!(life.measured(frame(0), &pose, &covariance()).unwrap(), Happened::Started);
+    assert_eq!((life.state(), life.unseen(frame(0), &still())), (None, None));
+    assert_eq!(life.measured(frame(0), &pose, &covariance(), &still()).unwrap(), Happened::Started);
     assert_eq!(life.state(), Some(TrackState::Tentative));
-    assert_eq!(life.unseen(frame(1)), Some(TrackState::Tentative));
-    life.measured(frame(2), &pose, &covariance()).unwrap();
+    assert_eq!(life.unseen(frame(1), &still()), Some(TrackState::Tentative));
+    life.measured(frame(2), &pose, &covariance(), &still()).unwrap();
     assert_eq!(life.state(), Some(TrackState::Tentative));
-    let third = life.measured(frame(3), &pose, &covariance()).unwrap();
+    let third = life.measured(frame(3), &pose, &covariance(), &still()).unwrap();
     assert!(matches!(third, Happened::Updated(_)));
     assert_eq!(life.state(), Some(TrackState::Confirmed));
     for k in 4..13 {
-        assert_eq!(life.unseen(frame(k)), Some(TrackState::Coasting));
-        assert!(life.predict(frame(k)).is_some());
+        assert_eq!(life.unseen(frame(k), &still()), Some(TrackState::Coasting));
+        assert!(life.predict(frame(k), &still()).is_some());
     }
-    life.measured(frame(13), &pose, &covariance()).unwrap();
+    life.measured(frame(13), &pose, &covariance(), &still()).unwrap();
     assert_eq!(life.state(), Some(TrackState::Confirmed));
-    assert_eq!(life.unseen(frame(24)), Some(TrackState::Lost));
-    assert_eq!(life.unseen(frame(25)), Some(TrackState::Lost));
-    assert!(life.track().is_none() && life.predict(frame(25)).is_none());
+    assert_eq!(life.unseen(frame(24), &still()), Some(TrackState::Lost));
+    assert_eq!(life.unseen(frame(25), &still()), Some(TrackState::Lost));
+    assert!(life.track().is_none() && life.predict(frame(25), &still()).is_none());
     assert_eq!((life.started_s(), life.last_seen_s()), (Some(frame(0)), Some(frame(13))));
-    assert_eq!(life.measured(frame(26), &pose, &covariance()).unwrap(), Happened::Started);
+    assert_eq!(
+        life.measured(frame(26), &pose, &covariance(), &still()).unwrap(),
+        Happened::Started
+    );
     assert_eq!((life.state(), life.started_s()), (Some(TrackState::Tentative), Some(frame(26))));
     life.forget();
     assert_eq!(life.state(), None);
@@ -260,8 +277,9 @@ fn a_neighbour_is_believed_coasts_and_is_lost() {
 #[test]
 fn a_single_sighting_is_soon_forgotten() {
     let mut life = life();
-    life.measured(frame(0), &Isometry3::translation(1.0, 0.0, 0.0), &covariance()).unwrap();
-    let states: Vec<_> = (1..6).map(|k| life.unseen(frame(k)).unwrap()).collect();
+    life.measured(frame(0), &Isometry3::translation(1.0, 0.0, 0.0), &covariance(), &still())
+        .unwrap();
+    let states: Vec<_> = (1..6).map(|k| life.unseen(frame(k), &still()).unwrap()).collect();
     assert_eq!(states[..4], [TrackState::Tentative; 4]);
     assert_eq!(states[4], TrackState::Lost);
 }
@@ -272,21 +290,27 @@ fn a_wrong_track_begins_anew_from_what_contradicts_it() {
         (Isometry3::translation(1.0, 0.0, 0.0), Isometry3::translation(-9.0, 0.0, 0.0));
     let mut life = life();
     for k in 0..5 {
-        life.measured(frame(k), &pose, &covariance()).unwrap();
+        life.measured(frame(k), &pose, &covariance(), &still()).unwrap();
     }
     for k in 5..7 {
-        assert!(life.fits(frame(k), &pose, &covariance()));
-        assert!(!life.fits(frame(k), &other, &covariance()));
-        let happened = life.measured(frame(k), &other, &covariance()).unwrap();
+        assert!(life.fits(frame(k), &pose, &covariance(), &still()));
+        assert!(!life.fits(frame(k), &other, &covariance(), &still()));
+        let happened = life.measured(frame(k), &other, &covariance(), &still()).unwrap();
         assert!(matches!(happened, Happened::Gated(_)));
         assert_eq!(life.state(), Some(TrackState::Coasting));
     }
-    assert!(!life.fits(frame(7), &other, &covariance()), "it would begin anew");
-    assert_eq!(life.measured(frame(7), &other, &covariance()).unwrap(), Happened::Restarted);
+    assert!(!life.fits(frame(7), &other, &covariance(), &still()), "it would begin anew");
+    assert_eq!(
+        life.measured(frame(7), &other, &covariance(), &still()).unwrap(),
+        Happened::Restarted
+    );
     assert_eq!(life.state(), Some(TrackState::Tentative));
     assert_eq!(life.track().unwrap().now().camera_from_markers, other);
     // A tentative one is not worth defending.
-    assert_eq!(life.measured(frame(8), &pose, &covariance()).unwrap(), Happened::Restarted);
+    assert_eq!(
+        life.measured(frame(8), &pose, &covariance(), &still()).unwrap(),
+        Happened::Restarted
+    );
 }
 
 #[test]
@@ -294,19 +318,19 @@ fn a_life_survives_jumps_of_the_clock() {
     let pose = Isometry3::translation(1.0, 0.0, 0.0);
     let mut life = life();
     for k in 0..5 {
-        life.measured(frame(k), &pose, &covariance()).unwrap();
+        life.measured(frame(k), &pose, &covariance(), &still()).unwrap();
     }
     let before = life.clone();
-    let late = life.measured(frame(-2), &pose, &covariance());
+    let late = life.measured(frame(-2), &pose, &covariance(), &still());
     assert!(matches!(late, Err(FilterError::Past { .. })));
-    assert_eq!(life.unseen(frame(-2)), Some(TrackState::Confirmed));
-    assert!(life.measured(f64::NAN, &pose, &covariance()).is_err());
-    assert_eq!(life.unseen(f64::NAN), Some(TrackState::Confirmed));
+    assert_eq!(life.unseen(frame(-2), &still()), Some(TrackState::Confirmed));
+    assert!(life.measured(f64::NAN, &pose, &covariance(), &still()).is_err());
+    assert_eq!(life.unseen(f64::NAN, &still()), Some(TrackState::Confirmed));
     assert_eq!(life, before);
     // A second and more back, the source has begun anew; so it has after a long silence.
-    assert_eq!(life.measured(1.0, &pose, &covariance()).unwrap(), Happened::Restarted);
-    assert_eq!(life.measured(1e6, &pose, &covariance()).unwrap(), Happened::Started);
-    assert_eq!(life.unseen(5.0), Some(TrackState::Lost));
+    assert_eq!(life.measured(1.0, &pose, &covariance(), &still()).unwrap(), Happened::Restarted);
+    assert_eq!(life.measured(1e6, &pose, &covariance(), &still()).unwrap(), Happened::Started);
+    assert_eq!(life.unseen(5.0, &still()), Some(TrackState::Lost));
 }
 
 /// What a frame says, and how much later than exposed it comes, seconds.
@@ -337,8 +361,8 @@ fn reports(latest_s: f64) -> impl Strategy<Value = Vec<Report>> {
 fn tell(life: &mut LifeCycle, k: usize, report: &Report) {
     let stamp_s = 10.0 + k as f64 / 30.0;
     match &report.measured {
-        Some(pose) => assert!(life.measured(stamp_s, pose, &covariance()).is_ok()),
-        None => assert_eq!(life.unseen(stamp_s), life.state()),
+        Some(pose) => assert!(life.measured(stamp_s, pose, &covariance(), &still()).is_ok()),
+        None => assert_eq!(life.unseen(stamp_s, &still()), life.state()),
     }
 }
 
@@ -365,27 +389,105 @@ fn a_late_measurement_takes_its_place() {
     let pose = |k: i32| Isometry3::translation(1.0 + 0.05 * f64::from(k), 0.0, 0.0);
     let (mut in_time, mut late) = (life(), life());
     for k in 0..8 {
-        in_time.measured(frame(k), &pose(k), &covariance()).unwrap();
+        in_time.measured(frame(k), &pose(k), &covariance(), &still()).unwrap();
         if k == 5 {
             // Nothing is known of it yet, and that is said.
-            late.unseen(frame(k));
+            late.unseen(frame(k), &still());
         } else {
-            late.measured(frame(k), &pose(k), &covariance()).unwrap();
+            late.measured(frame(k), &pose(k), &covariance(), &still()).unwrap();
         }
     }
     let without = late.track().unwrap().now();
     assert!(matches!(
-        late.measured(frame(5), &pose(5), &covariance()).unwrap(),
+        late.measured(frame(5), &pose(5), &covariance(), &still()).unwrap(),
         Happened::Updated(_)
     ));
     assert_eq!(late.track(), in_time.track());
     assert_eq!((late.state(), late.last_seen_s()), (in_time.state(), Some(frame(7))));
     assert!(in_time.track().unwrap().now().covariance[(6, 6)] < without.covariance[(6, 6)]);
     // What was seen stays seen.
-    assert_eq!(late.unseen(frame(5)), Some(TrackState::Confirmed));
+    assert_eq!(late.unseen(frame(5), &still()), Some(TrackState::Confirmed));
     assert_eq!(late, in_time);
     // Of a time within the history, what was known up to then.
-    let then = late.predict(frame(5)).unwrap();
+    let then = late.predict(frame(5), &still()).unwrap();
     assert_eq!(then.stamp_s, frame(5));
-    assert!(late.predict(frame(0)).is_none());
+    assert!(late.predict(frame(0), &still()).is_none());
+}
+
+/// A camera that yaws unevenly: how it turns from frame to frame of a flight at 30 frames/s.
+fn yawing(frames: u32) -> Vec<CameraTurn> {
+    let yaw = |at_s: f64| 1.2 * at_s + 0.3 * (4.0 * at_s).sin();
+    let camera_from_world =
+        |at_s: f64| UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -yaw(at_s));
+    (1..=frames)
+        .map(|k| {
+            let (earlier_s, later_s) = (10.0 + f64::from(k - 1) / 30.0, 10.0 + f64::from(k) / 30.0);
+            CameraTurn {
+                earlier_s,
+                later_s,
+                later_from_earlier: camera_from_world(later_s)
+                    * camera_from_world(earlier_s).inverse(),
+                covariance: Matrix3::from_diagonal_element(1e-8),
+                rate_in_camera: Vector3::z() * (1.2 + 1.2 * (4.0 * later_s).cos()),
+                rate_covariance: Matrix3::from_diagonal_element(1e-6),
+            }
+        })
+        .collect()
+}
+
+/// What a camera that turned like this since the first turn sees of what stands still in the world.
+fn seen_at(turns: &[CameraTurn], pose: &Isometry3<f64>) -> Isometry3<f64> {
+    turns.iter().fold(*pose, |seen, turn| turn.later_from_earlier * seen)
+}
+
+#[test]
+fn a_yaw_is_no_movement_of_the_neighbour() {
+    let world = Isometry3::translation(1.5, 0.5, -0.2);
+    let turns = yawing(40);
+    let (mut ego, mut track) = (still(), start(world));
+    for (k, turn) in turns.iter().enumerate() {
+        ego.add(turn);
+        let seen = seen_at(&turns[..=k], &world);
+        track.update(turn.later_s, &seen, &covariance(), GATE, &ego).unwrap();
+    }
+    let now = track.predict(turns[39].later_s, &ego).unwrap();
+    assert!(now.velocity.norm() < 1e-3 && now.rate.norm() < 1e-3, "{now:?}");
+    // To the camera it moves past at the yaw rate times the distance.
+    let expected = turns[39].rate_in_camera.norm() * 1.58;
+    assert!((now.apparent_velocity().norm() - expected).abs() < 0.02 * expected);
+    // The covariance of what the camera knows less well than it thinks grows across the line of sight.
+    let mut doubtful = turns[39];
+    doubtful.covariance *= 1e4;
+    let mut doubting = still();
+    turns[..39].iter().chain([&doubtful]).for_each(|turn| doubting.add(turn));
+    let earlier = turns[38].later_s;
+    let mut before = start(world);
+    for (k, turn) in turns[..39].iter().enumerate() {
+        let seen = seen_at(&turns[..=k], &world);
+        before.update(turn.later_s, &seen, &covariance(), GATE, &ego).unwrap();
+    }
+    assert_eq!(before.stamp_s(), earlier);
+    let [sure, unsure] =
+        [&ego, &doubting].map(|ego| before.predict(turns[39].later_s, ego).unwrap());
+    let sight = sure.camera_from_markers.translation.vector.normalize();
+    let grown = (unsure.covariance - sure.covariance).fixed_view::<3, 3>(0, 0).into_owned();
+    assert!((sight.transpose() * grown * sight)[0] < 1e-9, "a turn changes no distance");
+    assert!((grown.trace() - 2.0 * 1e-4 * 1.58f64.powi(2)).abs() < 0.2 * grown.trace());
+}
+
+#[test]
+fn a_turn_that_is_known_late_counts_as_if_known_in_time() {
+    let world = Isometry3::translation(1.5, 0.5, -0.2);
+    let turns = yawing(12);
+    let (mut in_time, mut late) = (life(), life());
+    let (mut ego, mut late_ego) = (still(), still());
+    for (k, turn) in turns.iter().enumerate() {
+        let seen = seen_at(&turns[..=k], &world);
+        ego.add(turn);
+        in_time.measured(turn.later_s, &seen, &covariance(), &ego).unwrap();
+        late.measured(turn.later_s, &seen, &covariance(), &late_ego).unwrap();
+        late_ego.add(turn);
+        late.refilter(turn.earlier_s, &late_ego);
+    }
+    assert_eq!(in_time.track(), late.track());
 }

@@ -28,7 +28,7 @@ impl PredictedNeighbour {
     /// What a predicted pose of `body`'s markers says of the view to take.
     ///
     /// `position_covariance` (m^2) and `velocity_in_camera` (m/s) are those of the markers' origin
-    /// in the camera frame. `None` for a pose that is not a number or has the camera inside it.
+    /// in the camera frame, the velocity as the camera sees it. `None` for a pose that is not a number or has the camera inside it.
     pub fn from_pose(
         target: usize,
         body: &Body,

@@ -38,7 +38,7 @@ fn a_frame_need_not_wait_for_the_one_before() {
     let late = end(&mut tracker, 3);
     assert_eq!(late.len(), 1);
     assert!(late[0].1.measured.is_none(), "frame 3 did not show it");
-    assert_eq!(tracker.targets[0].predict(at_s(5)).map(|p| p.stamp_s), Some(at_s(5)));
+    assert_eq!(tracker.prediction(0, at_s(5)).map(|p| p.stamp_s), Some(at_s(5)));
     assert!(tracker.targets[0].is_measured(), "frame 4 did");
     assert!(end(&mut tracker, 4).is_empty(), "its pose has left already");
     assert!(!tracker.targets[0].keeps_frames(), "nothing is kept of frames that ended");

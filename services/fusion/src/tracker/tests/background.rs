@@ -36,7 +36,7 @@ fn run(tracker: &mut Tracker) -> Option<Update> {
 }
 
 fn predicted(tracker: &Tracker, at_s: f64) -> Isometry3<f64> {
-    tracker.targets[0].predict(at_s).expect("it is tracked").camera_from_markers
+    tracker.prediction(0, at_s).expect("it is tracked").camera_from_markers
 }
 
 fn assert_tracked_at(tracker: &Tracker, truth: &Isometry3<f64>, at_s: f64) {

@@ -1,0 +1,187 @@
+//! `rotation` and `imu`: how the observer's camera turns.
+
+use bytemuck::{Pod, Zeroable};
+use iceoryx2::prelude::ZeroCopySend;
+
+use crate::{ContractError, FrameStamp, RotationSource};
+
+/// Header of `rotation`: how the camera has turned from an earlier frame to this one. No payload.
+///
+/// There is one for each frame that egomotion takes up, also where it does not know the rotation.
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[type_name("flockeye/Rotation")]
+#[repr(C)]
+pub struct Rotation {
+    /// The frame.
+    pub stamp: FrameStamp,
+    /// Middle of the earlier frame's exposure, on the clock of `stamp.exposure_ns`.
+    pub earlier_exposure_ns: i64,
+    /// Turns directions in the camera frame of then into that of now: unit quaternion x y z w.
+    pub later_from_earlier: [f64; 4],
+    /// Its covariance, 3x3 row-major: rotation vector (rad) in the camera frame of now.
+    pub covariance: [f64; 9],
+    /// The camera's own angular velocity in the middle of the exposure, in its own axes, rad/s.
+    pub rate_in_camera: [f64; 3],
+    /// Its covariance, 3x3 row-major, (rad/s)^2.
+    pub rate_covariance: [f64; 9],
+    /// A [`RotationSource`]: what it was measured by. With `nothing`, only the stamp means anything.
+    pub source: u32,
+    /// Rises each time egomotion's process is replaced.
+    pub generation: u32,
+}
+
+impl Default for Rotation {
+    fn default() -> Self {
+        Self {
+            stamp: FrameStamp::default(),
+            earlier_exposure_ns: 0,
+            later_from_earlier: [0.0, 0.0, 0.0, 1.0],
+            covariance: [0.0; 9],
+            rate_in_camera: [0.0; 3],
+            rate_covariance: [0.0; 9],
+            source: RotationSource::Nothing.code(),
+            generation: 0,
+        }
+    }
+}
+
+impl Rotation {
+    /// Refuses an unknown source, and numbers that are no rotation or no covariance.
+    pub fn check(&self) -> Result<(), ContractError> {
+        if RotationSource::try_from(self.source)? == RotationSource::Nothing {
+            return Ok(());
+        }
+        let norm = self.later_from_earlier.iter().map(|q| q * q).sum::<f64>().sqrt();
+        // NaN compares false, so it is refused here too.
+        let is_unit = (norm - 1.0).abs() < 1e-3;
+        if !is_unit {
+            return Err(ContractError::Rotation { norm });
+        }
+        check_finite("rate of the camera", &self.rate_in_camera)?;
+        check_covariance("covariance of the rotation", &self.covariance)?;
+        check_covariance("covariance of the rate", &self.rate_covariance)?;
+        if self.earlier_exposure_ns >= self.stamp.exposure_ns {
+            return Err(ContractError::NotFinite { what: "time between the two exposures" });
+        }
+        Ok(())
+    }
+}
+
+/// Header of `imu`. Payload: [`ImuSample`]s in the order of their times.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Pod, Zeroable, ZeroCopySend)]
+#[type_name("flockeye/ImuHeader")]
+#[repr(C)]
+pub struct ImuHeader {
+    /// When the message was sent, CLOCK_MONOTONIC, nanoseconds. A latency field.
+    pub sent_ns: i64,
+    /// Rises each time the sensor's clock starts again: samples of another epoch are not compared.
+    pub epoch: u32,
+    /// Rises each time the sender's process is replaced.
+    pub generation: u32,
+}
+
+/// What an inertial sensor measures at one time, in its own axes.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[type_name("flockeye/ImuSample")]
+#[repr(C)]
+pub struct ImuSample {
+    /// When it was measured, on the clock of the frames' `exposure_ns`, before `imu.delay_ms` is taken off.
+    pub measured_ns: i64,
+    /// Angular velocity, rad/s.
+    pub angular_velocity: [f64; 3],
+    /// Specific force (acceleration less gravity: a sensor at rest shows g upwards), m/s^2.
+    pub specific_force: [f64; 3],
+}
+
+/// Samples in one message, at most: a quarter of a second of a fast sensor.
+pub const MAX_IMU_SAMPLES: usize = 256;
+
+/// Angular velocities beyond this are no drone's, rad/s (some 11,000 degrees/s).
+const MAX_RATE: f64 = 200.0;
+
+impl ImuHeader {
+    /// Refuses samples that are not finite, that no drone could turn, or that go back in time.
+    pub fn check(&self, samples: &[ImuSample]) -> Result<(), ContractError> {
+        let found = samples.len();
+        if found > MAX_IMU_SAMPLES {
+            return Err(ContractError::TooMany { what: "samples", found, max: MAX_IMU_SAMPLES });
+        }
+        for sample in samples {
+            check_finite("specific force", &sample.specific_force)?;
+            // NaN compares false, so it is refused here too.
+            if !sample.angular_velocity.iter().all(|rate| rate.abs() <= MAX_RATE) {
+                return Err(ContractError::NotFinite { what: "angular velocity" });
+            }
+        }
+        match samples.windows(2).any(|pair| pair[0].measured_ns > pair[1].measured_ns) {
+            true => Err(ContractError::NotFinite { what: "time from sample to sample" }),
+            false => Ok(()),
+        }
+    }
+}
+
+fn check_finite(what: &'static str, numbers: &[f64]) -> Result<(), ContractError> {
+    match numbers.iter().all(|number| number.is_finite()) {
+        true => Ok(()),
+        false => Err(ContractError::NotFinite { what }),
+    }
+}
+
+/// Refuses what is not symmetric or has a variance below zero.
+fn check_covariance(what: &'static str, numbers: &[f64; 9]) -> Result<(), ContractError> {
+    check_finite(what, numbers)?;
+    let at = |row: usize, column: usize| numbers[3 * row + column];
+    let is_covariance = (0..3).all(|row| {
+        at(row, row) >= 0.0
+            && (0..row).all(|column| {
+                let difference = (at(row, column) - at(column, row)).abs();
+                difference <= 1e-6 * (at(row, row) + at(column, column))
+            })
+    });
+    if is_covariance { Ok(()) } else { Err(ContractError::NotFinite { what }) }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use super::*;
+    use crate::{Imus, Rotations, Topic};
+
+    fn rotation() -> Rotation {
+        let stamp = FrameStamp { exposure_ns: 40_000_000, ..FrameStamp::default() };
+        Rotation { stamp, source: RotationSource::Picture.code(), ..Rotation::default() }
+    }
+
+    #[test]
+    fn rotations_that_are_none_are_refused() {
+        assert_eq!(Rotations::check(&rotation(), &[]), Ok(()));
+        let refused = |change: &dyn Fn(&mut Rotation)| {
+            let mut rotation = rotation();
+            change(&mut rotation);
+            Rotations::check(&rotation, &[]).expect_err("it is wrong").to_string()
+        };
+        assert!(refused(&|rotation| rotation.later_from_earlier[3] = 2.0).contains("length 2"));
+        assert!(refused(&|rotation| rotation.rate_in_camera[1] = f64::NAN).contains("rate"));
+        assert!(refused(&|rotation| rotation.covariance[0] = -1.0).contains("covariance"));
+        assert!(refused(&|rotation| rotation.covariance[1] = 1.0).contains("covariance"));
+        assert!(refused(&|rotation| rotation.earlier_exposure_ns = 40_000_000).contains("time"));
+        assert!(refused(&|rotation| rotation.source = 9).contains("rotation source code 9"));
+        // What is not known need not be right.
+        let unknown = Rotation { later_from_earlier: [f64::NAN; 4], ..Rotation::default() };
+        assert_eq!(Rotations::check(&unknown, &[]), Ok(()));
+    }
+
+    #[test]
+    fn inertial_samples_that_are_none_are_refused() {
+        let sample = |measured_ns| ImuSample { measured_ns, ..ImuSample::default() };
+        let check = |samples: &[ImuSample]| Imus::check(&ImuHeader::default(), samples);
+        assert_eq!(check(&[sample(1), sample(2)]), Ok(()));
+        assert!(check(&[sample(2), sample(1)]).expect_err("back").to_string().contains("time"));
+        let spinning = ImuSample { angular_velocity: [0.0, 1e3, 0.0], ..sample(1) };
+        assert!(check(&[spinning]).expect_err("fast").to_string().contains("angular velocity"));
+        let broken = ImuSample { specific_force: [f64::NAN; 3], ..sample(1) };
+        assert!(check(&[broken]).expect_err("NaN").to_string().contains("specific force"));
+        let many = vec![sample(1); MAX_IMU_SAMPLES + 1];
+        assert!(check(&many).expect_err("many").to_string().contains("257 samples"));
+    }
+}

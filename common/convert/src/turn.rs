@@ -1,0 +1,79 @@
+//! The camera's own rotation: messages of the contract and types of geometry.
+
+use flockeye_contract::{FrameStamp, Rotation, RotationSource};
+use flockeye_geometry::ego_rotation::CameraTurn;
+use nalgebra::Matrix3;
+
+use crate::pose::{rotation, xyzw};
+
+/// The turn that a message states; `None` where it says that nothing is known.
+pub fn camera_turn(message: &Rotation) -> Option<CameraTurn> {
+    if message.source == RotationSource::Nothing.code() {
+        return None;
+    }
+    Some(CameraTurn {
+        earlier_s: message.earlier_exposure_ns as f64 * 1e-9,
+        later_s: message.stamp.exposure_s(),
+        later_from_earlier: rotation(message.later_from_earlier),
+        covariance: Matrix3::from_row_slice(&message.covariance),
+        rate_in_camera: message.rate_in_camera.into(),
+        rate_covariance: Matrix3::from_row_slice(&message.rate_covariance),
+    })
+}
+
+/// The message for a turn between the exposures of two frames.
+pub fn rotation_message(
+    earlier: &FrameStamp,
+    stamp: &FrameStamp,
+    turn: &CameraTurn,
+    source: RotationSource,
+    generation: u32,
+) -> Rotation {
+    Rotation {
+        stamp: *stamp,
+        earlier_exposure_ns: earlier.exposure_ns,
+        later_from_earlier: xyzw(&turn.later_from_earlier),
+        covariance: row_major(&turn.covariance),
+        rate_in_camera: turn.rate_in_camera.into(),
+        rate_covariance: row_major(&turn.rate_covariance),
+        source: source.code(),
+        generation,
+    }
+}
+
+/// A covariance row by row. It is made symmetric: rounding need not leave it so.
+fn row_major(matrix: &Matrix3<f64>) -> [f64; 9] {
+    let symmetric = (matrix + matrix.transpose()) / 2.0;
+    std::array::from_fn(|k| symmetric[(k / 3, k % 3)])
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::expect_used)]
+    use super::*;
+    use flockeye_contract::{Rotations, Topic};
+    use nalgebra::{UnitQuaternion, Vector3};
+
+    #[test]
+    fn a_turn_comes_back_as_it_was() {
+        let at = |exposure_ns| FrameStamp { exposure_ns, ..FrameStamp::default() };
+        let turn = CameraTurn {
+            earlier_s: 2.0,
+            later_s: 2.5,
+            later_from_earlier: UnitQuaternion::from_euler_angles(0.1, -0.2, 0.3),
+            covariance: Matrix3::new(3.0, 0.5, 0.1, 0.5, 4.0, 0.2, 0.1, 0.2, 5.0),
+            rate_in_camera: Vector3::new(0.1, -0.2, 0.3),
+            rate_covariance: Matrix3::from_diagonal_element(0.01),
+        };
+        let (earlier, later) = (at(2_000_000_000), at(2_500_000_000));
+        let message = rotation_message(&earlier, &later, &turn, RotationSource::Picture, 3);
+        assert_eq!(Rotations::check(&message, &[]), Ok(()));
+        let read = camera_turn(&message).expect("it is known");
+        // The quaternion is normalised once more.
+        assert!(read.later_from_earlier.angle_to(&turn.later_from_earlier) < 1e-12);
+        let later_from_earlier = turn.later_from_earlier;
+        assert_eq!(CameraTurn { later_from_earlier, ..read }, turn);
+        let unknown = Rotation { source: RotationSource::Nothing.code(), ..message };
+        assert_eq!(camera_turn(&unknown), None);
+    }
+}

@@ -1,0 +1,319 @@
+//! How the camera itself has turned: what carries neighbours on while it does.
+
+use std::collections::VecDeque;
+
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+
+/// How fast angular acceleration changes: white-noise jerk, rad/s^3 per root Hz. A drone in gusts that
+/// rolls by 15 degrees at 0.6 Hz has 14 rad/s^3, which over a frame is as much.
+const JERK: f64 = 2.5;
+
+/// An acceleration is not expected to last longer than this, seconds.
+const ACCELERATION_LASTS_S: f64 = 0.1;
+
+/// A rate is not expected to last longer than this, seconds.
+const RATE_LASTS_S: f64 = 0.3;
+
+/// How the camera turned from one time to a later one.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CameraTurn {
+    /// The earlier time, seconds.
+    pub earlier_s: f64,
+    /// The later time, seconds.
+    pub later_s: f64,
+    /// Turns directions in the camera frame of then into that of later.
+    pub later_from_earlier: UnitQuaternion<f64>,
+    /// Covariance of its rotation vector in the later camera frame, rad^2.
+    pub covariance: Matrix3<f64>,
+    /// The camera's angular velocity at the later time, in its own axes, rad/s.
+    pub rate_in_camera: Vector3<f64>,
+    /// Covariance of the rate, (rad/s)^2.
+    pub rate_covariance: Matrix3<f64>,
+}
+
+/// A rotation of the camera between two times, and how certain it is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Turned {
+    /// Turns directions in the camera frame of then into that of later.
+    pub later_from_earlier: UnitQuaternion<f64>,
+    /// Covariance of its rotation vector in the later camera frame, rad^2.
+    pub covariance: Matrix3<f64>,
+}
+
+impl Turned {
+    fn none() -> Self {
+        Self { later_from_earlier: UnitQuaternion::identity(), covariance: Matrix3::zeros() }
+    }
+
+    /// This turn, then another.
+    fn then(&self, later: &Self) -> Self {
+        let turn = later.later_from_earlier.to_rotation_matrix();
+        Self {
+            later_from_earlier: later.later_from_earlier * self.later_from_earlier,
+            covariance: turn.matrix() * self.covariance * turn.matrix().transpose()
+                + later.covariance,
+        }
+    }
+
+    /// A share of this turn, 0 to 1.
+    fn share(&self, share: f64) -> Self {
+        Self {
+            later_from_earlier: self.later_from_earlier.powf(share),
+            covariance: self.covariance * share,
+        }
+    }
+}
+
+/// The camera's own rotation over the last seconds. While nothing is known of it, the camera is taken not
+/// to turn, with certainty: then a track is what it is in the camera's axes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct EgoRotation {
+    keep_s: f64,
+    knots: VecDeque<Knot>,
+}
+
+/// The camera at one time.
+#[derive(Debug, Clone, PartialEq)]
+struct Knot {
+    at_s: f64,
+    /// How it has turned since the knot before.
+    turned: Turned,
+    rate: Vector3<f64>,
+    rate_covariance: Matrix3<f64>,
+    /// Change of the rate since the knot before, rad/s^2.
+    acceleration: Vector3<f64>,
+}
+
+impl EgoRotation {
+    /// Nothing is known yet. Turns are kept for `keep_s` seconds.
+    pub fn new(keep_s: f64) -> Self {
+        Self { keep_s, knots: VecDeque::new() }
+    }
+
+    /// Takes in the next turn. One that ends before the last one is left out, unless it lies so far before
+    /// it that the clock itself must have jumped: then all begins anew.
+    pub fn add(&mut self, turn: &CameraTurn) {
+        let turned =
+            Turned { later_from_earlier: turn.later_from_earlier, covariance: turn.covariance };
+        if self.knots.back().is_some_and(|last| turn.later_s < last.at_s - self.keep_s) {
+            self.knots.clear();
+        }
+        let Some(last) = self.knots.back() else {
+            self.knots.push_back(Knot::of(turn, Turned::none(), turn.earlier_s, None));
+            self.knots.push_back(Knot::of(turn, turned, turn.later_s, None));
+            return;
+        };
+        if turn.later_s <= last.at_s {
+            return;
+        }
+        // Frames that nothing is known of lie between, or turns that overlap.
+        let turned = match turn.earlier_s - last.at_s {
+            gap_s if gap_s > 0.0 => last.ahead(gap_s).then(&turned),
+            overlap_s => {
+                let all_s = turn.later_s - turn.earlier_s;
+                turned.share(((all_s + overlap_s) / all_s).clamp(0.0, 1.0))
+            }
+        };
+        let knot = Knot::of(turn, turned, turn.later_s, Some(last));
+        self.knots.push_back(knot);
+        while self.knots.front().is_some_and(|oldest| oldest.at_s < turn.later_s - self.keep_s) {
+            self.knots.pop_front();
+        }
+    }
+
+    /// Until when the rotation is known, seconds; `None` while it never was.
+    pub fn known_until_s(&self) -> Option<f64> {
+        self.knots.back().map(|last| last.at_s)
+    }
+
+    /// How the camera turns from one time to another, not earlier, one. Beyond what is known, it is
+    /// expected to turn on as it did, ever less certainly.
+    pub fn between(&self, earlier_s: f64, later_s: f64) -> Turned {
+        let (Some(first), Some(last)) = (self.knots.front(), self.knots.back()) else {
+            return Turned::none();
+        };
+        let mut turned = Turned::none();
+        if earlier_s < first.at_s {
+            turned = first.back_to(first.at_s - earlier_s);
+        }
+        for (before, knot) in self.knots.iter().zip(self.knots.iter().skip(1)) {
+            let (from_s, to_s) = (earlier_s.max(before.at_s), later_s.min(knot.at_s));
+            if from_s < to_s {
+                let share = (to_s - from_s) / (knot.at_s - before.at_s);
+                turned = turned.then(&knot.turned.share(share));
+            }
+        }
+        if later_s > last.at_s {
+            let ahead = last.ahead(later_s - last.at_s);
+            let ahead = match earlier_s > last.at_s {
+                // Only what it turns by after `earlier_s`; how certain that is, is that of the whole way.
+                true => Turned {
+                    later_from_earlier: ahead.later_from_earlier
+                        * last.ahead(earlier_s - last.at_s).later_from_earlier.inverse(),
+                    ..ahead
+                },
+                false => ahead,
+            };
+            turned = turned.then(&ahead);
+        }
+        turned
+    }
+
+    /// The camera's angular velocity at a time, in its own axes, rad/s.
+    pub fn rate_at(&self, at_s: f64) -> Vector3<f64> {
+        let after = self.knots.partition_point(|knot| knot.at_s < at_s);
+        match (after.checked_sub(1).and_then(|k| self.knots.get(k)), self.knots.get(after)) {
+            (Some(before), Some(knot)) => {
+                let share = (at_s - before.at_s) / (knot.at_s - before.at_s);
+                before.rate.lerp(&knot.rate, share)
+            }
+            (Some(last), None) if at_s - last.at_s < RATE_LASTS_S => {
+                last.rate + last.acceleration * (at_s - last.at_s).min(ACCELERATION_LASTS_S)
+            }
+            (None, Some(first)) => first.rate,
+            (Some(_) | None, None) => Vector3::zeros(),
+        }
+    }
+}
+
+impl Knot {
+    fn of(turn: &CameraTurn, turned: Turned, at_s: f64, before: Option<&Self>) -> Self {
+        let acceleration = before.map_or_else(Vector3::zeros, |before| {
+            let since_s = at_s - before.at_s;
+            match since_s < ACCELERATION_LASTS_S {
+                true => (turn.rate_in_camera - before.rate) / since_s,
+                false => Vector3::zeros(),
+            }
+        });
+        Self {
+            at_s,
+            turned,
+            rate: turn.rate_in_camera,
+            rate_covariance: turn.rate_covariance,
+            acceleration,
+        }
+    }
+
+    /// How the camera is expected to turn in the `ahead_s` seconds after this.
+    fn ahead(&self, ahead_s: f64) -> Turned {
+        let rate_s = ahead_s.min(RATE_LASTS_S);
+        let bent_s = ahead_s.min(ACCELERATION_LASTS_S);
+        // The acceleration changes the rate for a while, and the rate lasts.
+        let bent = self.acceleration * (bent_s * bent_s / 2.0 + bent_s * (rate_s - bent_s));
+        Turned {
+            later_from_earlier: UnitQuaternion::from_scaled_axis(-(self.rate * rate_s + bent)),
+            covariance: self.doubt(ahead_s),
+        }
+    }
+
+    /// How the camera turned in the seconds before this, if it turned as it did then.
+    fn back_to(&self, before_s: f64) -> Turned {
+        Turned {
+            later_from_earlier: UnitQuaternion::from_scaled_axis(
+                -self.rate * before_s.min(RATE_LASTS_S),
+            ),
+            covariance: self.doubt(before_s),
+        }
+    }
+
+    /// Covariance of a rotation that is expected and not measured, over so many seconds.
+    fn doubt(&self, over_s: f64) -> Matrix3<f64> {
+        let jerk = JERK * JERK * over_s.powi(5) / 20.0;
+        self.rate_covariance * (over_s * over_s) + Matrix3::from_diagonal_element(jerk)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// A camera that rolls, pitches and yaws: `world_from_camera`.
+    fn flown(at_s: f64) -> UnitQuaternion<f64> {
+        let swing = |hz: f64, start: f64| 0.26 * (std::f64::consts::TAU * hz * at_s + start).sin();
+        UnitQuaternion::from_euler_angles(swing(0.6, 0.0), swing(0.5, 1.0), 1.2 * at_s)
+    }
+
+    fn turn(earlier_s: f64, later_s: f64) -> CameraTurn {
+        let step = 1e-5;
+        let rate = (flown(later_s - step).inverse() * flown(later_s + step)).scaled_axis();
+        CameraTurn {
+            earlier_s,
+            later_s,
+            later_from_earlier: flown(later_s).inverse() * flown(earlier_s),
+            covariance: Matrix3::from_diagonal_element(1e-7),
+            rate_in_camera: rate / (2.0 * step),
+            rate_covariance: Matrix3::from_diagonal_element(1e-4),
+        }
+    }
+
+    fn followed(until: u32) -> EgoRotation {
+        let mut ego = EgoRotation::new(2.0);
+        (1..=until).for_each(|k| ego.add(&turn(f64::from(k - 1) / 30.0, f64::from(k) / 30.0)));
+        ego
+    }
+
+    #[test]
+    fn a_camera_of_which_nothing_is_known_does_not_turn() {
+        let ego = EgoRotation::new(2.0);
+        let turned = ego.between(1.0, 3.0);
+        assert_eq!(turned, Turned::none());
+        assert_eq!((ego.rate_at(2.0), ego.known_until_s()), (Vector3::zeros(), None));
+    }
+
+    proptest! {
+        #[test]
+        fn turns_between_any_times_are_those_flown(earlier in 0.0..2.0f64, way in 0.0..2.0f64) {
+            let later = (earlier + way).min(2.0);
+            let found = followed(60).between(earlier, later);
+            let truth = flown(later).inverse() * flown(earlier);
+            // Between knots a constant rate is assumed.
+            prop_assert!(found.later_from_earlier.angle_to(&truth) < 0.004);
+            let deviation = found.covariance.trace().sqrt();
+            prop_assert!(deviation <= (3.0 * 1e-7 * (30.0 * way + 2.0)).sqrt() + 1e-9);
+        }
+
+        #[test]
+        fn the_next_frame_is_foreseen_to_a_fraction_of_a_pixel(frame in 5u32..55) {
+            let (last, next) = (f64::from(frame) / 30.0, f64::from(frame + 1) / 30.0);
+            let found = followed(frame).between(last, next);
+            let truth = flown(next).inverse() * flown(last);
+            let pixel = std::f64::consts::TAU / 3840.0;
+            prop_assert!(found.later_from_earlier.angle_to(&truth) < 0.25 * pixel);
+            prop_assert!((followed(frame).rate_at(next) - turn(last, next).rate_in_camera).norm() < 0.05);
+        }
+    }
+
+    #[test]
+    fn doubt_grows_where_nothing_is_known() {
+        let ego = followed(30);
+        let deviation = |later_s: f64| ego.between(1.0, later_s).covariance.trace().sqrt();
+        assert!(deviation(1.1) < deviation(1.5) && deviation(1.5) < deviation(2.0));
+        // A manoeuvre of half a second may be anything up to some 15 degrees.
+        assert!((0.05..0.4).contains(&deviation(1.5)), "{}", deviation(1.5));
+    }
+
+    #[test]
+    fn frames_that_nothing_is_known_of_are_bridged() {
+        let mut ego = followed(30);
+        ego.add(&turn(34.0 / 30.0, 35.0 / 30.0));
+        let found = ego.between(1.0, 35.0 / 30.0);
+        let truth = flown(35.0 / 30.0).inverse() * flown(1.0);
+        let off = found.later_from_earlier.angle_to(&truth);
+        assert!(off < 3.0 * found.covariance.trace().sqrt() && off > 0.0, "{off}");
+    }
+
+    #[test]
+    fn old_turns_are_left_out_and_a_clock_that_jumps_begins_anew() {
+        let mut ego = followed(30);
+        let before = ego.clone();
+        ego.add(&turn(0.5, 0.6));
+        assert_eq!(ego, before);
+        // Half of this turn is known.
+        ego.add(&turn(29.0 / 30.0, 31.0 / 30.0));
+        let truth = flown(31.0 / 30.0).inverse() * flown(0.9);
+        assert!(ego.between(0.9, 31.0 / 30.0).later_from_earlier.angle_to(&truth) < 0.004);
+        ego.add(&turn(-9.1, -9.0));
+        assert_eq!(ego.known_until_s(), Some(-9.0));
+    }
+}

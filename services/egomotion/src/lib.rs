@@ -1,0 +1,13 @@
+//! How the camera itself turns, from the sphere that it sees.
+//!
+//! [`core`] follows the rotation from frame to frame ([`flockeye_imaging::gyroscope`]) and its rate during
+//! each exposure ([`rate`]). docs/EGOMOTION.md describes the method and what it reaches.
+
+pub mod core;
+pub mod rate;
+mod stage;
+
+/// The egomotion stage's process. It is here so that it is compiled once, with the library.
+pub fn main() -> std::process::ExitCode {
+    flockeye_runtime::stage::main::<stage::EgomotionStage>()
+}

@@ -1,0 +1,5 @@
+//! The egomotion stage's process.
+
+fn main() -> std::process::ExitCode {
+    flockeye_egomotion::main()
+}

@@ -1,0 +1,156 @@
+//! The camera's rate at the middle of an exposure, from the rotations between exposures.
+//!
+//! A rotation between two frames gives the mean rate between them, which is that of half a frame ago. A
+//! drone in gusts changes its rate by some degrees a second meanwhile. So the rate is filtered together
+//! with its change: a Kalman filter with white-noise jerk (Bar-Shalom, Li, Kirubarajan, section 6.2.3), one
+//! for all axes, because all have the same noise.
+
+use nalgebra::{Matrix2, Matrix3, RowVector2, Vector3};
+
+/// White-noise jerk about each axis, rad/s^3 per root Hz: see
+/// [`flockeye_geometry::ego_rotation`], which expects the same.
+const JERK: f64 = 2.5;
+
+/// Of the first rate, and of its change: as fast as a drone turns, rad/s and rad/s^2.
+const FIRST_DEVIATIONS: [f64; 2] = [3.0, 10.0];
+
+/// The rate and its change, and how certain both are.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RateFilter {
+    state: Option<State>,
+}
+
+#[derive(Debug, Clone, PartialEq)]
+struct State {
+    rate: Vector3<f64>,
+    acceleration: Vector3<f64>,
+    /// Of rate and acceleration about any one axis.
+    covariance: Matrix2<f64>,
+}
+
+impl RateFilter {
+    /// Nothing was measured yet.
+    pub fn new() -> Self {
+        Self { state: None }
+    }
+
+    /// Forgets all.
+    pub fn forget(&mut self) {
+        self.state = None;
+    }
+
+    /// The rotation vector that is expected over the next `step_s` seconds, in the camera's axes, radians.
+    pub fn expected(&self, step_s: f64) -> Option<Vector3<f64>> {
+        let state = self.state.as_ref()?;
+        Some(state.rate * step_s + state.acceleration * (step_s * step_s / 2.0))
+    }
+
+    /// Takes in the camera's rotation vector over the last `step_s` seconds, in its axes, with its
+    /// covariance (rad^2), and says what the rate is now (rad/s), with its covariance.
+    pub fn update(
+        &mut self,
+        step_s: f64,
+        turned: &Vector3<f64>,
+        covariance: &Matrix3<f64>,
+    ) -> (Vector3<f64>, Matrix3<f64>) {
+        let [rate, change] = FIRST_DEVIATIONS;
+        let state = self.state.take().unwrap_or_else(|| State {
+            rate: turned / step_s,
+            acceleration: Vector3::zeros(),
+            covariance: Matrix2::new(rate * rate, 0.0, 0.0, change * change),
+        });
+        let transition = Matrix2::new(1.0, step_s, 0.0, 1.0);
+        let noise =
+            Matrix2::new(step_s.powi(3) / 3.0, step_s.powi(2) / 2.0, step_s.powi(2) / 2.0, step_s)
+                * (JERK * JERK);
+        let predicted = transition * state.covariance * transition.transpose() + noise;
+        let (rate, acceleration) = (state.rate + state.acceleration * step_s, state.acceleration);
+        // The mean rate over the step: the rate now, less half of its change.
+        let seen = RowVector2::new(1.0, -step_s / 2.0);
+        let variance = covariance.trace() / 3.0 / (step_s * step_s);
+        let spread = (seen * predicted * seen.transpose())[0] + variance;
+        let gain = predicted * seen.transpose() / spread;
+        let innovation = turned / step_s - (rate - acceleration * (step_s / 2.0));
+        let state = State {
+            rate: rate + innovation * gain[0],
+            acceleration: acceleration + innovation * gain[1],
+            covariance: predicted - gain * spread * gain.transpose(),
+        };
+        let found = (state.rate, Matrix3::from_diagonal_element(state.covariance[(0, 0)]));
+        self.state = Some(state);
+        found
+    }
+}
+
+impl Default for RateFilter {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const STEP_S: f64 = 1.0 / 30.0;
+
+    /// A rate that swings as that of a drone in gusts, and the angle turned by then.
+    fn swinging(hz: f64, start: f64) -> impl Fn(f64) -> [f64; 2] {
+        let (fast, angle) = (std::f64::consts::TAU * hz, 0.26);
+        move |at_s: f64| {
+            let phase = fast * at_s + start;
+            [angle * fast * phase.cos(), angle * phase.sin()]
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn the_rate_is_that_of_now_and_not_of_half_a_frame_ago(hz in 0.1..0.7f64, start in 0.0..6.0f64) {
+            let way = swinging(hz, start);
+            let mut filter = RateFilter::new();
+            let covariance = Matrix3::from_diagonal_element(3.5e-4f64.powi(2));
+            for frame in 1..60 {
+                let at_s = f64::from(frame) * STEP_S;
+                let turned = way(at_s)[1] - way(at_s - STEP_S)[1];
+                let (rate, _) = filter.update(STEP_S, &Vector3::new(0.0, turned, 0.0), &covariance);
+                let off_deg_s = (rate.y - way(at_s)[0]).to_degrees();
+                prop_assert!(frame < 8 || off_deg_s.abs() < 1.0, "frame {frame}: {off_deg_s}");
+            }
+            let next_s = 60.0 * STEP_S;
+            let expected = filter.expected(STEP_S).map(|turned| turned.y);
+            let truth = way(next_s)[1] - way(next_s - STEP_S)[1];
+            prop_assert!((expected.unwrap_or(9.0) - truth).abs().to_degrees() < 0.05);
+        }
+    }
+
+    #[test]
+    fn noise_is_smoothed_and_stated() {
+        let mut filter = RateFilter::new();
+        let deviation = 3.5e-4;
+        let covariance = Matrix3::from_diagonal_element(deviation * deviation);
+        let (mut squares, mut stated) = (0.0, 0.0);
+        // Errors that are alike on average, without a generator: the golden angle's steps.
+        for k in 0..2000u32 {
+            let noise = deviation * 2f64.sqrt() * (f64::from(k) * 2.399_963).sin();
+            let (rate, covariance) =
+                filter.update(STEP_S, &Vector3::new(noise, 0.0, 0.0), &covariance);
+            if k > 20 {
+                squares += rate.x * rate.x;
+                stated += covariance[(0, 0)];
+            }
+        }
+        let ratio = squares / stated;
+        assert!((0.1..1.2).contains(&ratio), "{ratio}");
+        assert!((stated / 1979.0).sqrt() < 1.5 * deviation / STEP_S);
+    }
+
+    #[test]
+    fn what_is_forgotten_expects_nothing() {
+        let mut filter = RateFilter::default();
+        filter.update(STEP_S, &Vector3::x(), &Matrix3::identity());
+        assert!(filter.expected(STEP_S).is_some());
+        filter.forget();
+        assert_eq!(filter.expected(STEP_S), None);
+    }
+}
