@@ -23,7 +23,7 @@ use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
 use flockeye_imaging::sphere::{Cut, SphereImage};
 use flockeye_rectification::cpu::CpuRectifier;
 use flockeye_rectification::rectifier::{FrameKey, Rectifier as _};
-use flockeye_simulator::{Moment, Placement, World, WorldParameters};
+use flockeye_simulator::{Attitude, Moment, Placement, World, WorldParameters};
 use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
 
 const DICTIONARY: &str = "DICT_5X5_250";
@@ -93,7 +93,7 @@ fn measure(distance_m: f64, rounds: u64, costs: &mut Costs) {
         ),
         velocity_in_camera: Vector3::new(-0.2, 0.3, 0.1),
     };
-    let moment = Moment { time_s: 0.0, observer_yaw: 0.7, placements: vec![placement] };
+    let moment = Moment { time_s: 0.0, camera: Attitude::level(0.7), placements: vec![placement] };
     let mut luma = vec![0; (WIDTH * WIDTH / 2) as usize];
     for frame in 0..rounds {
         timed(&mut costs.source, 1.0, || {

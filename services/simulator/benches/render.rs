@@ -6,7 +6,7 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::body::{Bodies, squares};
 use flockeye_geometry::camera::{Camera, CameraModel, Lens};
-use flockeye_simulator::{Moment, Placement, World, WorldParameters};
+use flockeye_simulator::{Attitude, Moment, Placement, World, WorldParameters};
 use nalgebra::{Isometry3, Rotation3, UnitQuaternion, Vector3};
 
 /// Bodies all round at `distance` metres, each moving sideways at half a metre per second.
@@ -18,7 +18,7 @@ fn ring(count: u32, distance: f64) -> Moment {
             velocity_in_camera: Vector3::new(-sin, cos, 0.3) * 0.5,
         }
     });
-    Moment { time_s: 0.0, observer_yaw: 0.7, placements: placements.collect() }
+    Moment { time_s: 0.0, camera: Attitude::level(0.7), placements: placements.collect() }
 }
 
 fn world(count: u32, camera: Camera) -> World {

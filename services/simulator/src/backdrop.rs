@@ -44,9 +44,19 @@ impl Backdrop {
 /// The hall in linear light on this grid, blurred by the lens, `lens_blur_px` of the grid's own
 /// pixels, and by the observer's steady yaw.
 pub fn painted(parameters: &WorldParameters, grid: &SphereGrid) -> Vec<f32> {
+    let width = grid.width as f64;
+    let swept = parameters.observer_yaw_rate().abs() * parameters.exposure_s * (width / TAU);
+    painted_and_swept(parameters, grid, swept)
+}
+
+/// The same for an observer that does not turn.
+pub fn painted_still(parameters: &WorldParameters, grid: &SphereGrid) -> Vec<f32> {
+    painted_and_swept(parameters, grid, 0.0)
+}
+
+fn painted_and_swept(parameters: &WorldParameters, grid: &SphereGrid, swept: f64) -> Vec<f32> {
     let hall = Hall::new(parameters.seed);
     let width = grid.width;
-    let swept = parameters.observer_yaw_rate().abs() * parameters.exposure_s * (width as f64 / TAU);
     let mut blurred_along = vec![0.0f32; width * grid.height];
     for_rows(&mut blurred_along, width, |row, out| {
         let sigma = parameters.lens_blur_px / f64::from(grid.rows[row][0]).max(1e-3);

@@ -27,9 +27,11 @@
 //! | [`world`] | makes it all, once, and is asked for frames |
 //! | [`error`] | what keeps a world or a frame from being made |
 //! | [`trajectory`] | where the bodies are at a time |
+//! | [`gusts`] | how gusts make the observer and the bodies lean and sway |
 //! | [`moment`] | where everything is at an instant |
 //! | [`eyes`] | where each part of the image is taken from: the camera's middle, or its lenses' places |
 //! | [`hall`], [`backdrop`] | the panorama behind them: painted and blurred once, then turned |
+//! | [`cube`] | the same for an observer that leans and turns unevenly, blurred along the way in each frame |
 //! | [`drone`] | bodies and airframes as painted convex parts |
 //! | [`raster`], [`optics`], [`drawing`] | drawn with exact area coverage, blurred by lens and motion, for each eye |
 //! | [`density`] | how many pixels the image has round a body |
@@ -46,11 +48,13 @@
 
 pub mod ahead;
 pub mod backdrop;
+pub mod cube;
 pub mod density;
 pub mod drawing;
 pub mod drone;
 pub mod error;
 pub mod eyes;
+pub mod gusts;
 pub mod hall;
 pub mod messages;
 pub mod moment;
@@ -77,7 +81,7 @@ pub mod truth;
 pub mod world;
 
 pub use error::{RenderError, WorldError};
-pub use moment::{Moment, Placement};
+pub use moment::{Attitude, Moment, Placement};
 pub use parameters::{Quality, WorldParameters};
 pub use response::Response;
 pub use truth::{FrameTruth, TargetTruth};

@@ -6,7 +6,7 @@ use flockeye_contract::{
 };
 use flockeye_convert::{pose, projection_of, xyzw};
 use flockeye_geometry::body::{Bodies, Body};
-use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use nalgebra::Isometry3;
 
 use crate::{FrameTruth, TargetTruth};
 
@@ -81,12 +81,10 @@ impl TruthWriter {
     pub fn truth(&self, stamp: FrameStamp, truth: &FrameTruth) -> (TruthHeader, Vec<BodyTruth>) {
         let targets = truth.bodies.iter().zip(&self.bodies);
         let bodies = targets.map(|(target, body)| self.body_truth(target, body)).collect();
-        let world_from_camera =
-            UnitQuaternion::from_axis_angle(&Vector3::z_axis(), truth.observer_yaw);
         let header = TruthHeader {
             stamp,
-            world_from_camera: xyzw(&world_from_camera),
-            observer_yaw: truth.observer_yaw,
+            world_from_camera: xyzw(&truth.camera.world_from_camera),
+            observer_yaw: truth.camera.yaw(),
             exposure_s: truth.exposure_s,
         };
         (header, bodies)

@@ -1,6 +1,6 @@
 //! Where the bodies are at one instant.
 
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 
 use crate::eyes::Eye;
 
@@ -31,13 +31,44 @@ impl Placement {
     }
 }
 
+/// How the camera is turned, and how it turns.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Attitude {
+    /// Its orientation in the world.
+    pub world_from_camera: UnitQuaternion<f64>,
+    /// Its angular velocity in its own axes, radians per second.
+    pub rate_in_camera: Vector3<f64>,
+}
+
+impl Attitude {
+    /// Level, turned left by `yaw` radians.
+    pub fn level(yaw: f64) -> Self {
+        Self {
+            world_from_camera: UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw),
+            rate_in_camera: Vector3::zeros(),
+        }
+    }
+
+    /// The yaw, radians, -pi to pi.
+    pub fn yaw(&self) -> f64 {
+        let ahead = self.world_from_camera * Vector3::x();
+        ahead.y.atan2(ahead.x)
+    }
+
+    /// The same so many seconds later.
+    pub fn after(&self, time_s: f64) -> Self {
+        let turned = UnitQuaternion::from_scaled_axis(self.rate_in_camera * time_s);
+        Self { world_from_camera: self.world_from_camera * turned, ..*self }
+    }
+}
+
 /// Everything that moves, at one instant.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Moment {
     /// Seconds since the middle of frame 0's exposure.
     pub time_s: f64,
-    /// The observer's yaw in the world, radians.
-    pub observer_yaw: f64,
+    /// The camera's.
+    pub camera: Attitude,
     /// Every body, by its index in the configuration.
     pub placements: Vec<Placement>,
 }

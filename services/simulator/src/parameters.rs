@@ -50,6 +50,12 @@ pub struct WorldParameters {
     pub lens_blur_px: f64,
     /// Rate at which the observer turns to its left, degrees per second.
     pub observer_yaw_rate_deg_s: f64,
+    /// Farthest that gusts make drones lean, the observer and all others, degrees. 0: calm air.
+    pub tilt_deg: f64,
+    /// By how much gusts turn drones faster or slower than they would, degrees per second.
+    pub yaw_swing_deg_s: f64,
+    /// Time between the exposures of the first and the last row, seconds. 0: a global shutter.
+    pub readout_s: f64,
     /// Nearest and farthest distance of the bodies' centres from the camera, metres.
     pub distance_m: [f64; 2],
     /// Greatest speed of any body, metres per second.
@@ -76,6 +82,9 @@ impl Default for WorldParameters {
             shot_noise: 0.0078,
             lens_blur_px: 0.8,
             observer_yaw_rate_deg_s: 12.0,
+            tilt_deg: 0.0,
+            yaw_swing_deg_s: 0.0,
+            readout_s: 0.0,
             distance_m: [0.6, 2.0],
             speed_m_s: 0.8,
             airframes: true,
@@ -131,6 +140,18 @@ impl WorldParameters {
                 self.observer_yaw_rate_deg_s
             ),
         );
+        refuse(
+            !within(self.tilt_deg, 0.0, 45.0),
+            format!("tilt_deg {}: must be 0 to 45", self.tilt_deg),
+        );
+        refuse(
+            !within(self.yaw_swing_deg_s, 0.0, 360.0),
+            format!("yaw_swing_deg_s {}: must be 0 to 360", self.yaw_swing_deg_s),
+        );
+        refuse(
+            !(self.readout_s >= 0.0 && self.readout_s * rate <= 1.0),
+            format!("readout_s {}: must be 0 to one frame's time", self.readout_s),
+        );
         let [near, far] = self.distance_m;
         refuse(
             !(near > 0.0 && near <= far && far <= 100.0),
@@ -141,6 +162,11 @@ impl WorldParameters {
             format!("speed_m_s {}: must be 0 to 20", self.speed_m_s),
         );
         problems
+    }
+
+    /// Whether the observer stays level and turns evenly, and all rows are exposed at once.
+    pub fn is_calm(&self) -> bool {
+        self.tilt_deg == 0.0 && self.yaw_swing_deg_s == 0.0 && self.readout_s == 0.0
     }
 
     /// Rate at which the observer turns, radians per second.

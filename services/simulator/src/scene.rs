@@ -1,6 +1,7 @@
 //! What a frame is made from.
 
 use crate::drawing::Drawing;
+use crate::moment::Attitude;
 
 /// One drawing over the others, from the eye of this index.
 #[derive(Debug, Clone, Copy)]
@@ -16,8 +17,8 @@ pub struct Layer<'a> {
 pub struct Scene<'a> {
     /// Chooses the noise.
     pub frame: u64,
-    /// The observer's yaw in the world, radians.
-    pub observer_yaw: f64,
+    /// The camera's, in the middle of the exposure.
+    pub camera: Attitude,
     /// The bodies, farthest first.
     pub layers: &'a [Layer<'a>],
 }

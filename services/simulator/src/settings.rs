@@ -47,6 +47,9 @@ pub fn parameters(resolved: &Resolved) -> anyhow::Result<WorldParameters> {
         shot_noise: usual.shot_noise * settings.noise,
         lens_blur_px: settings.lens_blur_px,
         observer_yaw_rate_deg_s: settings.yaw_deg_s,
+        tilt_deg: settings.tilt_deg,
+        yaw_swing_deg_s: settings.yaw_swing_deg_s,
+        readout_s: resolved.pipeline.camera.readout_ms * 1e-3,
         distance_m: settings.distance_m,
         airframes: settings.airframes,
         ..usual

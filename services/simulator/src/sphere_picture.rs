@@ -8,6 +8,7 @@ use flockeye_geometry::camera::SpherePixel;
 use nalgebra::Vector3;
 
 use crate::backdrop::Backdrop;
+use crate::cube::{BAND_ROWS, CubeBackdrop};
 use crate::density::Density;
 use crate::eyes::Eye;
 use crate::own_airframe::OwnAirframe;
@@ -20,12 +21,21 @@ use crate::sphere::SphereGrid;
 #[derive(Debug)]
 pub struct SpherePicture {
     grid: SphereGrid,
-    backdrop: Backdrop,
+    backdrop: Behind,
     own_airframe: Option<OwnAirframe>,
     parts: Vec<SpherePart>,
-    /// A row's levels and sigmas: kept from frame to frame for their memory alone.
+    /// Levels and sigmas of a row, or of a band of rows: kept from frame to frame for their memory alone.
     levels: Vec<u8>,
     sigmas: Vec<u8>,
+}
+
+/// What is behind the bodies.
+#[derive(Debug)]
+enum Behind {
+    /// For a level observer that turns evenly: rows are turned and copied.
+    Calm(Backdrop),
+    /// For one in gusts: pixels are looked up.
+    Gusty(CubeBackdrop),
 }
 
 /// What one eye takes of the image.
@@ -59,13 +69,16 @@ impl SpherePicture {
         let camera = &parameters.camera;
         let grid = SphereGrid::new(camera.width() as usize, camera.height() as usize);
         Self {
-            backdrop: Backdrop::new(parameters, &grid, sensor),
+            backdrop: match parameters.is_calm() {
+                true => Behind::Calm(Backdrop::new(parameters, &grid, sensor)),
+                false => Behind::Gusty(CubeBackdrop::new(parameters, sensor)),
+            },
             own_airframe: parameters
                 .airframes
                 .then(|| OwnAirframe::new(&grid, parameters.lens_blur_px, sensor)),
             parts: eyes.iter().map(|eye| SpherePart::new(eye, &grid)).collect(),
-            levels: vec![0; grid.width],
-            sigmas: vec![0; grid.width],
+            levels: vec![0; grid.width * BAND_ROWS],
+            sigmas: vec![0; grid.width * BAND_ROWS],
             grid,
         }
     }
@@ -82,25 +95,38 @@ impl SpherePicture {
     /// Lays the layers over each other, row by row, and adds the noise.
     pub fn expose(&mut self, scene: Scene<'_>, sensor: &Sensor, luma: &mut [u8], stride: usize) {
         let width = self.grid.width;
-        let turned = (scene.observer_yaw / TAU * width as f64).round() as i64;
+        let turned = (scene.camera.yaw() / TAU * width as f64).round() as i64;
         let shift = turned.rem_euclid(width as i64) as usize;
         let layers: Vec<_> =
             scene.layers.iter().map(|layer| (layer, layer.drawing.rows(&self.grid))).collect();
         for (row, out) in luma.chunks_mut(stride).take(self.grid.height).enumerate() {
             let out = &mut out[..width];
-            let [left, right] = self.backdrop.row(row, shift);
             let own_airframe = self.own_airframe.as_ref().filter(|own| own.touches(row));
-            if own_airframe.is_none() && layers.iter().all(|(_, rows)| !rows.contains(&row)) {
-                let (out_left, out_right) = out.split_at_mut(shift);
-                sensor.expose(scene.frame, row, 0, left.0, left.1, out_left);
-                sensor.expose(scene.frame, row, shift, right.0, right.1, out_right);
-                continue;
+            let in_band = match &self.backdrop {
+                Behind::Calm(_) => 0..width,
+                Behind::Gusty(backdrop) => {
+                    if row % BAND_ROWS == 0 {
+                        let (levels, sigmas) = (&mut self.levels, &mut self.sigmas);
+                        backdrop.fill_band(&self.grid, &scene.camera, row, levels, sigmas);
+                    }
+                    row % BAND_ROWS * width..(row % BAND_ROWS + 1) * width
+                }
+            };
+            let levels = &mut self.levels[in_band.clone()];
+            let sigmas = &mut self.sigmas[in_band];
+            if let Behind::Calm(backdrop) = &self.backdrop {
+                let [left, right] = backdrop.row(row, shift);
+                if own_airframe.is_none() && layers.iter().all(|(_, rows)| !rows.contains(&row)) {
+                    let (out_left, out_right) = out.split_at_mut(shift);
+                    sensor.expose(scene.frame, row, 0, left.0, left.1, out_left);
+                    sensor.expose(scene.frame, row, shift, right.0, right.1, out_right);
+                    continue;
+                }
+                levels[..shift].copy_from_slice(left.0);
+                levels[shift..].copy_from_slice(right.0);
+                sigmas[..shift].copy_from_slice(left.1);
+                sigmas[shift..].copy_from_slice(right.1);
             }
-            let (levels, sigmas) = (&mut self.levels[..], &mut self.sigmas[..]);
-            levels[..shift].copy_from_slice(left.0);
-            levels[shift..].copy_from_slice(right.0);
-            sigmas[..shift].copy_from_slice(left.1);
-            sigmas[shift..].copy_from_slice(right.1);
             for (layer, _) in layers.iter().filter(|(_, rows)| rows.contains(&row)) {
                 let columns = &self.parts[layer.eye].columns;
                 layer.drawing.draw_row(row, columns, &self.grid, sensor, levels, sigmas);

@@ -2,6 +2,7 @@
 
 use nalgebra::Vector3;
 
+use crate::cube::CubeBackdrop;
 use crate::density::Density;
 use crate::eyes::Eye;
 use crate::own_airframe;
@@ -20,6 +21,8 @@ pub struct TiledPicture {
     width: usize,
     height: usize,
     bands: Vec<Vec<Tile>>,
+    /// In gusts.
+    cube: Option<CubeBackdrop>,
     panoramas: Panoramas,
     outlooks: Vec<Vec<Outlook>>,
     own_airframe: Vec<Vec<Covered>>,
@@ -45,6 +48,7 @@ impl TiledPicture {
             height: height as usize,
             own_airframe: bands.iter().map(|band| band.iter().map(covered).collect()).collect(),
             bands,
+            cube: (!parameters.is_calm()).then(|| CubeBackdrop::new(parameters, sensor)),
             panoramas,
             outlooks,
             black: [sensor.level(0.0), sensor.sigma_of_light(0.0)],
@@ -70,7 +74,7 @@ impl TiledPicture {
         let row_length = self.levels.len() / TILE;
         let mut rows = luma.chunks_mut(stride).take(self.height).enumerate();
         let still = self.outlooks.iter().zip(&self.own_airframe);
-        for (band, (outlooks, own_airframe)) in self.bands.iter().zip(still) {
+        for (index, (band, (outlooks, own_airframe))) in self.bands.iter().zip(still).enumerate() {
             self.levels.fill(self.black[0]);
             self.sigmas.fill(self.black[1]);
             for ((tile, outlook), covered) in band.iter().zip(outlooks).zip(own_airframe) {
@@ -84,7 +88,18 @@ impl TiledPicture {
                     let at = row * row_length + tile.column;
                     let levels = &mut self.levels[at..at + TILE];
                     let sigmas = &mut self.sigmas[at..at + TILE];
-                    self.panoramas.fill(tile, outlook, row, scene.observer_yaw, levels, sigmas);
+                    let yaw = scene.camera.yaw();
+                    match &self.cube {
+                        None => self.panoramas.fill(tile, outlook, row, yaw, levels, sigmas),
+                        Some(cube) => {
+                            let height = (index * TILE + row) as f64 / self.height as f64;
+                            for column in tile.seen_in(row) {
+                                let ray = tile.rays[row].map(|axis| f64::from(axis[column]));
+                                let seen = cube.of_ray(&scene.camera, &ray.into(), height);
+                                [levels[column], sigmas[column]] = seen;
+                            }
+                        }
+                    }
                     for layer in &near {
                         layer.drawing.draw_rays(&tile.rays[row], sensor, levels, sigmas);
                     }

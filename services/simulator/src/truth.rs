@@ -6,7 +6,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use crate::density::Density;
 use crate::drone::Drone;
 use crate::eyes::Eye;
-use crate::moment::{Moment, Placement};
+use crate::moment::{Attitude, Moment, Placement};
 use crate::own_airframe;
 use crate::parameters::WorldParameters;
 use crate::sight::Sight;
@@ -27,8 +27,8 @@ pub struct FrameTruth {
     pub exposure_s: f64,
     /// Sensitivity.
     pub iso: u32,
-    /// The observer's own yaw in the world, radians, -pi to pi.
-    pub observer_yaw: f64,
+    /// The camera's attitude in the middle of the exposure.
+    pub camera: Attitude,
     /// Every body, by its index in the configuration.
     pub bodies: Vec<TargetTruth>,
 }

@@ -4,13 +4,14 @@ use std::f64::consts::TAU;
 
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::body::Bodies;
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Unit, UnitQuaternion, Vector3};
 
 use crate::drawing::{Drawing, Sharpness};
 use crate::drone::Drone;
 use crate::error::{RenderError, WorldError};
 use crate::eyes::Eye;
-use crate::moment::{Moment, Placement};
+use crate::gusts::Gusts;
+use crate::moment::{Attitude, Moment, Placement};
 use crate::parameters::WorldParameters;
 use crate::picture::Picture;
 use crate::scene::{Layer, Scene};
@@ -22,12 +23,17 @@ use crate::truth::{self, FrameTruth, Viewer};
 /// Least distance of a drone that can be drawn, in its radii.
 const LEAST_DISTANCE: f64 = 1.2;
 
+/// Step of the differences that give velocities in gusts, seconds.
+const STEP_S: f64 = 1e-4;
+
 /// A synthetic world, seen by a spherical camera at its origin.
 #[derive(Debug)]
 pub struct World {
     parameters: WorldParameters,
     drones: Vec<Drone>,
     trajectories: Vec<Trajectory>,
+    /// On the observer, then on each drone; none in calm air.
+    gusts: Vec<Gusts>,
     sensor: Sensor,
     eyes: Vec<Eye>,
     picture: Picture,
@@ -75,19 +81,28 @@ impl World {
         }
         let eyes = Eye::all(&parameters.camera);
         let near = parameters.distance_m[0];
-        let aside = eyes.iter().map(|eye| eye.position_m.norm()).fold(0.0, f64::max);
+        let [tilt, swing] = [parameters.tilt_deg, parameters.yaw_swing_deg_s].map(f64::to_radians);
+        // Gusts bring both drones out of their places.
+        let aside = eyes.iter().map(|eye| eye.position_m.norm()).fold(0.0, f64::max)
+            + 2.0 * Gusts::reach_m(tilt);
         if let Some(drone) = drones.iter().find(|drone| near < least_distance(drone) + aside) {
             let least = least_distance(drone) + aside;
             return Err(WorldError::TooNear { body: drone.name.clone(), near, least });
         }
         let radii: Vec<f64> = drones.iter().map(|drone| drone.radius).collect();
         let trajectories = trajectory::draw(&parameters, &radii)?;
+        let gust = |drone| Gusts::draw(parameters.seed, drone, tilt, swing);
+        let gusts = match parameters.is_calm() {
+            true => Vec::new(),
+            false => (0..=drones.len() as u64).map(gust).collect(),
+        };
         let sensor = Sensor::new(&parameters);
         Ok(Self {
             picture: Picture::new(&parameters, &eyes, &sensor),
             drawings: drones.iter().flat_map(|_| &eyes).map(|_| Drawing::default()).collect(),
             parameters,
             drones,
+            gusts,
             trajectories,
             sensor,
             eyes,
@@ -106,18 +121,74 @@ impl World {
 
     /// Where everything is at a time, seconds since the middle of frame 0's exposure.
     pub fn moment(&self, time_s: f64) -> Moment {
+        match self.gusts.split_first() {
+            Some((observer, others)) => self.gusty_moment(observer, others, time_s),
+            None => self.calm_moment(time_s),
+        }
+    }
+
+    fn calm_moment(&self, time_s: f64) -> Moment {
         let rate = self.parameters.observer_yaw_rate();
-        let observer_yaw = wrapped(rate * time_s);
-        let camera_from_world = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -observer_yaw);
+        let turning = Vector3::z() * rate;
+        let camera =
+            Attitude { rate_in_camera: turning, ..Attitude::level(wrapped(rate * time_s)) };
+        let camera_from_world = camera.world_from_camera.inverse();
         let place = |way: &Trajectory| {
             let camera_from_markers = camera_from_world * way.world_from_markers(time_s);
             // In a turning frame everything turns the other way.
-            let turning = Vector3::z() * rate;
             let velocity_in_camera = camera_from_world * way.velocity(time_s)
                 - turning.cross(&camera_from_markers.translation.vector);
             Placement { camera_from_markers, velocity_in_camera }
         };
-        Moment { time_s, observer_yaw, placements: self.trajectories.iter().map(place).collect() }
+        Moment { time_s, camera, placements: self.trajectories.iter().map(place).collect() }
+    }
+
+    fn gusty_moment(&self, observer: &Gusts, others: &[Gusts], time_s: f64) -> Moment {
+        let turned_at = |time_s: f64| self.swaying_camera(observer, time_s).rotation;
+        let turned = turned_at(time_s - STEP_S).inverse() * turned_at(time_s + STEP_S);
+        let camera = Attitude {
+            world_from_camera: turned_at(time_s),
+            rate_in_camera: turned.scaled_axis() / (2.0 * STEP_S),
+        };
+        let height = f64::from(self.parameters.camera.height());
+        let place = |target: usize| {
+            let seen = |time_s: f64| self.seen_in_gusts(observer, &others[target], target, time_s);
+            // Its rows are exposed a little before or after the middle one.
+            let middle = Unit::new_normalize(seen(time_s).translation.vector);
+            let share = self.parameters.camera.project(&middle).map_or(0.5, |at| at.0.y / height);
+            let at_s = time_s + (share - 0.5) * self.parameters.readout_s;
+            let [before, after] =
+                [-STEP_S, STEP_S].map(|step| seen(at_s + step).translation.vector);
+            Placement {
+                camera_from_markers: seen(at_s),
+                velocity_in_camera: (after - before) / (2.0 * STEP_S),
+            }
+        };
+        Moment { time_s, camera, placements: (0..others.len()).map(place).collect() }
+    }
+
+    /// The pose of a body's markers in the camera frame at a time, both in gusts.
+    fn seen_in_gusts(
+        &self,
+        observer: &Gusts,
+        gusts: &Gusts,
+        target: usize,
+        time_s: f64,
+    ) -> Isometry3<f64> {
+        let steady = self.trajectories[target].world_from_markers(time_s);
+        let sway = gusts.sway(time_s);
+        let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), gusts.yaw(time_s));
+        let world_from_markers = Isometry3::from_parts(
+            (steady.translation.vector + sway.translation.vector).into(),
+            sway.rotation * yaw * steady.rotation,
+        );
+        self.swaying_camera(observer, time_s).inverse() * world_from_markers
+    }
+
+    /// The camera's pose in the world, in gusts.
+    fn swaying_camera(&self, observer: &Gusts, time_s: f64) -> Isometry3<f64> {
+        let yaw = self.parameters.observer_yaw_rate() * time_s + observer.yaw(time_s);
+        observer.sway(time_s) * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), wrapped(yaw))
     }
 
     /// Writes the luma plane of a frame (8 bit, the parameters' curve, full range) and says what is true of
@@ -132,8 +203,18 @@ impl World {
         luma: &mut [u8],
         stride: usize,
     ) -> Result<FrameTruth, RenderError> {
-        let moment = self.moment(self.time_of(frame));
-        self.render_moment(frame, &moment, luma, stride)
+        let time_s = self.time_of(frame);
+        let moment = self.moment(time_s);
+        let mut truth = self.render_moment(frame, &moment, luma, stride)?;
+        // What is true of a frame holds for the middle of its exposure, whenever a body's rows were exposed.
+        if self.parameters.readout_s > 0.0
+            && let Some((observer, others)) = self.gusts.split_first()
+        {
+            for (body, gusts) in truth.bodies.iter_mut().zip(others) {
+                body.camera_from_markers = self.seen_in_gusts(observer, gusts, body.target, time_s);
+            }
+        }
+        Ok(truth)
     }
 
     /// As [`World::render`], with everything where `moment` says. `frame` chooses the noise.
@@ -148,8 +229,7 @@ impl World {
         stride: usize,
     ) -> Result<FrameTruth, RenderError> {
         self.check(moment, luma.len(), stride)?;
-        let world_from_camera =
-            UnitQuaternion::from_axis_angle(&Vector3::z_axis(), moment.observer_yaw);
+        let world_from_camera = moment.camera.world_from_camera;
         let sights = self.sights(moment);
         let sharpness = self.sharpness();
         let bodies = self.drones.iter().zip(&sights);
@@ -164,14 +244,14 @@ impl World {
         // Farthest first: what is nearer hides it.
         layers.sort_by(|(a, _), (b, _)| b.total_cmp(a));
         let layers: Vec<Layer<'_>> = layers.into_iter().map(|(_, layer)| layer).collect();
-        let scene = Scene { frame, observer_yaw: moment.observer_yaw, layers: &layers };
+        let scene = Scene { frame, camera: moment.camera, layers: &layers };
         self.picture.expose(scene, &self.sensor, luma, stride);
         Ok(FrameTruth {
             frame,
             time_s: moment.time_s,
             exposure_s: self.parameters.exposure_s,
             iso: self.parameters.iso,
-            observer_yaw: moment.observer_yaw,
+            camera: moment.camera,
             bodies: truth::targets(
                 &self.drones,
                 moment,

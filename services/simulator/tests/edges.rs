@@ -6,7 +6,7 @@ use flockeye_dictionary::Dictionary;
 use flockeye_geometry::Ray;
 use flockeye_geometry::body::{Bodies, Body, Marker, squares};
 use flockeye_geometry::camera::{Camera, Equirectangular};
-use flockeye_simulator::{Moment, Placement, Quality, World, WorldParameters};
+use flockeye_simulator::{Attitude, Moment, Placement, Quality, World, WorldParameters};
 use nalgebra::{Isometry3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 
 const CAMERA: Equirectangular = Equirectangular { width: 1920, height: 960 };
@@ -85,7 +85,7 @@ fn edge_error(picture: &Picture, pose: &Isometry3<f64>, marker: &Marker, k: usiz
 
 /// Errors of all edges of all markers that are seen at less than 45 degrees.
 fn edge_errors(world: &mut World, placement: Placement) -> Vec<f64> {
-    let moment = Moment { time_s: 0.0, observer_yaw: 0.4, placements: vec![placement] };
+    let moment = Moment { time_s: 0.0, camera: Attitude::level(0.4), placements: vec![placement] };
     let mut luma = vec![0; (CAMERA.width * CAMERA.height) as usize];
     world.render_moment(0, &moment, &mut luma, CAMERA.width as usize).unwrap();
     let picture = Picture::of(&luma);

@@ -8,7 +8,7 @@ use flockeye_dictionary::Dictionary;
 use flockeye_geometry::body::{Bodies, Body, squares};
 use flockeye_geometry::camera::{Camera, Equirectangular};
 use flockeye_simulator::{
-    FrameTruth, Moment, Placement, RenderError, World, WorldError, WorldParameters,
+    Attitude, FrameTruth, Moment, Placement, RenderError, World, WorldError, WorldParameters,
 };
 use nalgebra::{Isometry3, Point3, Unit, UnitQuaternion, Vector3};
 
@@ -43,7 +43,7 @@ fn render_poses(
         velocity_in_camera: Vector3::zeros(),
     };
     let placements = poses.iter().map(place).collect();
-    let moment = Moment { time_s: 0.0, observer_yaw, placements };
+    let moment = Moment { time_s: 0.0, camera: Attitude::level(observer_yaw), placements };
     let mut luma = vec![0; WIDTH * HEIGHT];
     let truth = world.render_moment(0, &moment, &mut luma, WIDTH).unwrap();
     (luma, truth)
@@ -198,7 +198,7 @@ fn truth_says_where_and_when() {
     let mut world = world_with(1, |p| p.observer_yaw_rate_deg_s = -30.0).unwrap();
     let (_, truth) = render(&mut world, 45);
     assert!((truth.time_s - 1.5).abs() < 1e-12);
-    assert!((truth.observer_yaw.to_degrees() + 45.0).abs() < 1e-9);
+    assert!((truth.camera.yaw().to_degrees() + 45.0).abs() < 1e-9);
     let body = &truth.bodies[0];
     let (sin_az, cos_az) = body.azimuth.sin_cos();
     let (sin_el, cos_el) = body.elevation.sin_cos();

@@ -232,6 +232,12 @@ pub struct Simulator {
     /// The observer's own yaw, degrees a second.
     #[schemars(range(min = -360.0, max = 360.0))]
     pub yaw_deg_s: f64,
+    /// Farthest that gusts make drones lean, the observer and its neighbours, degrees. 0: calm air.
+    #[schemars(range(min = 0.0, max = 45.0))]
+    pub tilt_deg: f64,
+    /// By how much gusts make drones yaw faster or slower than they would, degrees a second.
+    #[schemars(range(min = 0.0, max = 360.0))]
+    pub yaw_swing_deg_s: f64,
     /// Blur of the lens, sigma in pixels of the sphere image.
     #[schemars(range(min = 0.0, max = 5.0))]
     pub lens_blur_px: f64,
@@ -254,6 +260,8 @@ impl Default for Simulator {
             exposure_ms: 6.25,
             distance_m: [0.6, 2.0],
             yaw_deg_s: 12.0,
+            tilt_deg: 0.0,
+            yaw_swing_deg_s: 0.0,
             lens_blur_px: 0.8,
             noise: 1.0,
             airframes: true,

@@ -10,7 +10,7 @@ use std::f64::consts::{FRAC_PI_2, PI};
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::body::{Bodies, Body, Marker, squares};
 use flockeye_geometry::camera::SpherePixel;
-use flockeye_simulator::{FrameTruth, Moment, Placement, World, WorldParameters};
+use flockeye_simulator::{Attitude, FrameTruth, Moment, Placement, World, WorldParameters};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 
 use crate::sheet::{
@@ -38,7 +38,7 @@ impl Sheet {
 
     fn render(&self, world: &mut World, placements: Vec<Placement>) -> (Vec<u8>, FrameTruth) {
         let mut luma = vec![0; (self.width * self.height) as usize];
-        let moment = Moment { time_s: 0.0, observer_yaw: 0.4, placements };
+        let moment = Moment { time_s: 0.0, camera: Attitude::level(0.4), placements };
         let truth = world.render_moment(0, &moment, &mut luma, self.width as usize).unwrap();
         (luma, truth)
     }

@@ -1,0 +1,343 @@
+//! The panorama behind the bodies for an observer that leans and turns unevenly.
+//!
+//! It is painted once, on the six faces of a cube, which have no poles. Each frame looks it up along the
+//! way that its pixels take while the shutter is open, in linear light: so the backdrop is blurred as the
+//! camera turned, and each row by when it was exposed.
+
+use std::f64::consts::TAU;
+
+use nalgebra::{UnitQuaternion, Vector3};
+
+use crate::backdrop::painted_still;
+use crate::moment::Attitude;
+use crate::parameters::WorldParameters;
+use crate::sensor::Sensor;
+use crate::sphere::SphereGrid;
+
+/// Units of a stored value for each unit of light: lamps have three.
+const LIGHT_UNITS: f32 = 16_384.0;
+/// Values in the table from light to levels.
+const LIGHTS: usize = 1 << 16;
+/// Pixels along the side of the blocks in which places on a face are interpolated.
+const BLOCK: usize = 8;
+/// Longest way between two looks, pixels, and the most looks.
+const LOOK_PX: f64 = 1.5;
+const MAX_LOOKS: usize = 8;
+/// Fixed-point bits of a place.
+const BITS: u32 = 12;
+
+/// The panorama on a cube.
+#[derive(Debug)]
+pub struct CubeBackdrop {
+    /// Texels along the side of a face.
+    side: usize,
+    /// Faces +x, -x, +y, -y, +z, -z, each with one more row and column than it has texels.
+    texels: Vec<u16>,
+    /// Level and sigma of a light.
+    encoded: Vec<[u8; 2]>,
+    exposure_s: f64,
+    readout_s: f64,
+    pixels_per_radian: f64,
+}
+
+/// A place on a face: which one, and texels from its corner.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Place {
+    face: u8,
+    at: [f32; 2],
+}
+
+impl CubeBackdrop {
+    /// Paints the hall as finely as the camera's image shows it.
+    pub fn new(parameters: &WorldParameters, sensor: &Sensor) -> Self {
+        let pixels_per_radian = parameters.camera.pixels_per_radian();
+        // The middle of a face is its coarsest place.
+        let side = ((2.0 * pixels_per_radian).ceil() as usize).max(8);
+        let width = ((pixels_per_radian * TAU).round() as usize).max(16) / 2 * 2;
+        let grid = SphereGrid::new(width, width / 2);
+        let light = painted_still(parameters, &grid);
+        let mut texels = Vec::with_capacity(6 * (side + 1) * (side + 1));
+        for face in 0..6 {
+            for row in 0..=side {
+                for column in 0..=side {
+                    let at = [column, row].map(|k| 2.0 * k as f64 / side as f64 - 1.0);
+                    let value = looked_up(&light, &grid, &direction(face, at)) * LIGHT_UNITS;
+                    texels.push(value.clamp(0.0, 65_535.0) as u16);
+                }
+            }
+        }
+        let light = |value: usize| value as f32 / LIGHT_UNITS;
+        let encoded = (0..LIGHTS)
+            .map(|value| [sensor.level(light(value)), sensor.sigma_of_light(light(value))]);
+        Self {
+            side,
+            texels,
+            encoded: encoded.collect(),
+            exposure_s: parameters.exposure_s,
+            readout_s: parameters.readout_s,
+            pixels_per_radian,
+        }
+    }
+
+    /// Levels and sigmas of a band of [`BLOCK`] rows of the sphere image, from `first_row` on, row by row.
+    pub fn fill_band(
+        &self,
+        grid: &SphereGrid,
+        camera: &Attitude,
+        first_row: usize,
+        levels: &mut [u8],
+        sigmas: &mut [u8],
+    ) {
+        let begin_end = self.begin_end(camera, first_row as f64 / grid.height as f64);
+        let node = |row: usize, column: usize, turn: &UnitQuaternion<f64>| {
+            self.place(&(turn * ray(grid, row, column)))
+        };
+        let rows = BLOCK.min(grid.height - first_row);
+        let last_row = first_row + BLOCK;
+        // What the four corners of a block see when the shutter opens and when it closes.
+        let column_nodes = |column: usize| {
+            begin_end.map(|turn| [first_row, last_row].map(|row| node(row, column, &turn)))
+        };
+        let looks = self.looks(camera);
+        let mut left = column_nodes(0);
+        for first in (0..grid.width).step_by(BLOCK) {
+            let right = column_nodes(first + BLOCK);
+            let columns = BLOCK.min(grid.width - first);
+            let all = left.iter().chain(&right).flatten();
+            let is_on_one_face = { all }.all(|place| place.face == left[0][0].face);
+            for row in 0..rows {
+                let out = row * grid.width + first;
+                for column in 0..columns {
+                    let light = if is_on_one_face {
+                        let [s, t] = [column, row].map(|k| k as f32 / BLOCK as f32);
+                        let [begin, end] =
+                            [0, 1].map(|when| between(&left[when], &right[when], s, t));
+                        self.along(left[0][0].face, begin, end, looks)
+                    } else {
+                        let ray = ray(grid, first_row + row, first + column);
+                        self.exactly(&begin_end, &ray, looks)
+                    };
+                    [levels[out + column], sigmas[out + column]] = self.encoded[usize::from(light)];
+                }
+            }
+            left = right;
+        }
+    }
+
+    /// Level and sigma of what one ray sees, in a row at this share of the image's height.
+    pub fn of_ray(&self, camera: &Attitude, ray: &Vector3<f64>, height: f64) -> [u8; 2] {
+        let light = self.exactly(&self.begin_end(camera, height), ray, self.looks(camera));
+        self.encoded[usize::from(light)]
+    }
+
+    /// The camera's orientation when a row's exposure begins and when it ends.
+    fn begin_end(&self, camera: &Attitude, height: f64) -> [UnitQuaternion<f64>; 2] {
+        let middle_s = (height - 0.5) * self.readout_s;
+        [-0.5, 0.5].map(|share| camera.after(middle_s + share * self.exposure_s).world_from_camera)
+    }
+
+    /// At how many places along its way a pixel looks.
+    fn looks(&self, camera: &Attitude) -> usize {
+        let way_px = camera.rate_in_camera.norm() * self.exposure_s * self.pixels_per_radian;
+        ((way_px / LOOK_PX).ceil() as usize).clamp(1, MAX_LOOKS)
+    }
+
+    fn exactly(
+        &self,
+        [begin, end]: &[UnitQuaternion<f64>; 2],
+        ray: &Vector3<f64>,
+        looks: usize,
+    ) -> u16 {
+        let (first, last) = (begin * ray, end * ray);
+        let mut sum = 0;
+        for look in 0..looks {
+            let share = (look as f64 + 0.5) / looks as f64;
+            let Place { face, at } = self.place(&first.lerp(&last, share));
+            sum += u32::from(self.texel(face, at.map(fixed)));
+        }
+        (sum / looks as u32) as u16
+    }
+
+    /// Mean light along a way on one face.
+    #[inline]
+    fn along(&self, face: u8, begin: [f32; 2], end: [f32; 2], looks: usize) -> u16 {
+        let mut sum = 0;
+        for look in 0..looks {
+            let share = (look as f32 + 0.5) / looks as f32;
+            let at = [0, 1].map(|k| fixed(begin[k] + (end[k] - begin[k]) * share));
+            sum += u32::from(self.texel(face, at));
+        }
+        (sum / looks as u32) as u16
+    }
+
+    /// Light at a place, interpolated.
+    #[inline]
+    fn texel(&self, face: u8, [across, down]: [i32; 2]) -> u16 {
+        let most = ((self.side as i32) << BITS) - 1;
+        let (across, down) = (across.clamp(0, most), down.clamp(0, most));
+        let row_length = self.side + 1;
+        let (column, row) = ((across >> BITS) as usize, (down >> BITS) as usize);
+        let (s, t) = (across & ((1 << BITS) - 1), down & ((1 << BITS) - 1));
+        let at = (usize::from(face) * row_length + row) * row_length + column;
+        let mix = |one: i32, other: i32, share: i32| one + (((other - one) * share) >> BITS);
+        let pair = |at: usize| mix(i32::from(self.texels[at]), i32::from(self.texels[at + 1]), s);
+        mix(pair(at), pair(at + row_length), t) as u16
+    }
+
+    fn place(&self, direction: &Vector3<f64>) -> Place {
+        let [x, y, z] = [direction.x, direction.y, direction.z];
+        let [wide, deep, high] = [x.abs(), y.abs(), z.abs()];
+        // The same axes as in `direction`.
+        let (face, along, [u, v]) = if wide >= deep && wide >= high {
+            (usize::from(x < 0.0), wide, [y, z])
+        } else if deep >= high {
+            (2 + usize::from(y < 0.0), deep, [x, z])
+        } else {
+            (4 + usize::from(z < 0.0), high, [x, y])
+        };
+        let at = [u, v].map(|k| ((k / along + 1.0) / 2.0 * self.side as f64) as f32);
+        Place { face: face as u8, at }
+    }
+}
+
+fn fixed(texels: f32) -> i32 {
+    (texels * (1 << BITS) as f32) as i32
+}
+
+/// A place between those of a block's corners, `s` across and `t` down.
+#[inline]
+fn between(left: &[Place; 2], right: &[Place; 2], s: f32, t: f32) -> [f32; 2] {
+    [0, 1].map(|k| {
+        let down = |places: &[Place; 2]| places[0].at[k] + (places[1].at[k] - places[0].at[k]) * t;
+        down(left) + (down(right) - down(left)) * s
+    })
+}
+
+/// The direction of a place on a face, each coordinate -1 to 1; not of length 1.
+fn direction(face: usize, [u, v]: [f64; 2]) -> Vector3<f64> {
+    let along = if face.is_multiple_of(2) { 1.0 } else { -1.0 };
+    match face / 2 {
+        0 => Vector3::new(along, u, v),
+        1 => Vector3::new(u, along, v),
+        _ => Vector3::new(u, v, along),
+    }
+}
+
+/// The direction of a pixel of the sphere image, which may lie beyond its last row or column.
+fn ray(grid: &SphereGrid, row: usize, column: usize) -> Vector3<f64> {
+    let longitude = (0.5 - (column as f64 + 0.5) / grid.width as f64) * TAU;
+    let latitude = (0.5 - (row as f64 + 0.5) / grid.height as f64) * TAU / 2.0;
+    let ((sin_lon, cos_lon), (sin_lat, cos_lat)) = (longitude.sin_cos(), latitude.sin_cos());
+    Vector3::new(cos_lat * cos_lon, cos_lat * sin_lon, sin_lat)
+}
+
+/// The painted light in a direction, interpolated.
+fn looked_up(light: &[f32], grid: &SphereGrid, direction: &Vector3<f64>) -> f32 {
+    let (width, height) = (grid.width as f64, grid.height as f64);
+    let across = (0.5 - direction.y.atan2(direction.x) / TAU) * width - 0.5;
+    let latitude = direction.z.atan2(direction.x.hypot(direction.y));
+    let down = ((0.5 - latitude / (TAU / 2.0)) * height - 0.5).clamp(0.0, height - 1.0);
+    let (column, row) = (across.floor(), down.floor());
+    let (s, t) = ((across - column) as f32, (down - row) as f32);
+    let at = |column: f64, row: f64| {
+        let column = column.rem_euclid(width) as usize % grid.width;
+        light[(row.min(height - 1.0)) as usize * grid.width + column]
+    };
+    let pair = |row: f64| at(column, row) * (1.0 - s) + at(column + 1.0, row) * s;
+    pair(row) * (1.0 - t) + pair(row + 1.0) * t
+}
+
+/// Rows of a band.
+pub const BAND_ROWS: usize = BLOCK;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockeye_geometry::camera::Camera;
+    use proptest::prelude::*;
+
+    fn backdrop(change: impl FnOnce(&mut WorldParameters)) -> (CubeBackdrop, SphereGrid) {
+        let camera = Camera::equirectangular(512, 256);
+        let mut parameters = WorldParameters { camera, iso: 0, ..Default::default() };
+        change(&mut parameters);
+        let backdrop = CubeBackdrop::new(&parameters, &Sensor::new(&parameters));
+        (backdrop, SphereGrid::new(512, 256))
+    }
+
+    fn picture(backdrop: &CubeBackdrop, grid: &SphereGrid, camera: &Attitude) -> Vec<u8> {
+        let mut levels = vec![0; grid.width * grid.height];
+        let mut sigmas = levels.clone();
+        let band = grid.width * BAND_ROWS;
+        let bands = levels.chunks_mut(band).zip(sigmas.chunks_mut(band));
+        for (index, (levels, sigmas)) in bands.enumerate() {
+            backdrop.fill_band(grid, camera, index * BAND_ROWS, levels, sigmas);
+        }
+        levels
+    }
+
+    proptest! {
+        #[test]
+        fn every_direction_has_its_place(x in -1.0..1.0f64, y in -1.0..1.0f64, z in -1.0..1.0f64) {
+            let way = Vector3::new(x, y, z);
+            prop_assume!(way.norm() > 0.1);
+            let (cube, _) = backdrop(|_| ());
+            let Place { face, at } = cube.place(&way);
+            let at = at.map(|k| 2.0 * f64::from(k) / cube.side as f64 - 1.0);
+            prop_assert!(direction(usize::from(face), at).angle(&way) < 1e-5);
+        }
+    }
+
+    #[test]
+    fn a_turned_camera_sees_what_the_level_one_sees_elsewhere() {
+        let (cube, grid) = backdrop(|_| ());
+        let level = picture(&cube, &grid, &Attitude::level(0.0));
+        let tilt = UnitQuaternion::from_euler_angles(0.2, -0.15, 1.0);
+        let tilted =
+            picture(&cube, &grid, &Attitude { world_from_camera: tilt, ..Attitude::level(0.0) });
+        let (mut off, mut count) = (0.0, 0.0);
+        for row in (20..236).step_by(7) {
+            for column in (0..512).step_by(11) {
+                let seen = tilt * ray(&grid, row, column);
+                let light: Vec<f32> = level.iter().map(|&level| f32::from(level)).collect();
+                let expected = looked_up(&light, &grid, &seen);
+                off += f64::from((f32::from(tilted[row * 512 + column]) - expected).abs());
+                count += 1.0;
+            }
+        }
+        // Interpolated twice, some edges are softer.
+        assert!(off / count < 4.0, "{}", off / count);
+        assert_ne!(level, tilted);
+    }
+
+    #[test]
+    fn a_turn_blurs_along_its_way_and_keeps_the_light() {
+        let (cube, grid) = backdrop(|p| p.exposure_s = 0.02);
+        let still = Attitude::level(0.3);
+        let turning = Attitude { rate_in_camera: Vector3::z() * 3.0, ..still };
+        let [sharp, blurred] = [still, turning].map(|camera| picture(&cube, &grid, &camera));
+        let roughness = |picture: &[u8], step: usize| -> f64 {
+            let rows = 100 * 512..160 * 512;
+            let pairs = picture[rows.clone()].iter().zip(&picture[rows.start + step..]);
+            pairs.map(|(a, b)| f64::from(a.abs_diff(*b))).sum()
+        };
+        let across = roughness(&blurred, 1) / roughness(&sharp, 1);
+        let down = roughness(&blurred, 512) / roughness(&sharp, 512);
+        assert!(across < 0.75 && across < 0.8 * down, "{across} {down}");
+        let mean = |picture: &[u8]| picture.iter().map(|&x| f64::from(x)).sum::<f64>();
+        assert!((mean(&blurred) / mean(&sharp) - 1.0).abs() < 0.01);
+    }
+
+    #[test]
+    fn rows_are_exposed_one_after_the_other() {
+        let (cube, grid) = backdrop(|p| (p.readout_s, p.exposure_s) = (0.03, 0.0));
+        let turning = Attitude { rate_in_camera: Vector3::z() * 2.0, ..Attitude::level(0.0) };
+        let rolling = picture(&cube, &grid, &turning);
+        for (row, height) in [(16usize, 16.0 / 256.0), (200, 200.0 / 256.0)] {
+            let then = turning.after((height - 0.5) * 0.03);
+            let at_once =
+                picture(&cube, &grid, &Attitude { rate_in_camera: Vector3::zeros(), ..then });
+            let row = row * 512..(row + 1) * 512;
+            assert_eq!(rolling[row.clone()], at_once[row]);
+        }
+    }
+}
