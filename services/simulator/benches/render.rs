@@ -70,6 +70,29 @@ fn other_cameras(criterion: &mut Criterion) {
     }
 }
 
+/// An observer in gusts: the backdrop is looked up along the way of each pixel.
+fn in_gusts(criterion: &mut Criterion) {
+    let body = squares("body0", 0.0625, 0.05, 0);
+    let bodies = Bodies::new("DICT_5X5_250".into(), vec![body]).expect("one");
+    let parameters = WorldParameters {
+        tilt_deg: 15.0,
+        yaw_swing_deg_s: 60.0,
+        exposure_s: 0.01,
+        distance_m: [1.0, 2.0],
+        ..Default::default()
+    };
+    let dictionary = Dictionary::of(&bodies).expect("OpenCV's own");
+    let mut world = World::new(parameters, &bodies, &dictionary).expect("a world");
+    let mut luma = vec![0; 3840 * 1920];
+    let mut frame = 0;
+    criterion.bench_function("1 in gusts", |bencher| {
+        bencher.iter(|| {
+            frame += 1;
+            world.render(frame, &mut luma, 3840).expect("a frame")
+        });
+    });
+}
+
 fn render(criterion: &mut Criterion) {
     for count in [1, 4] {
         let mut world = world(count, Camera::equirectangular(3840, 1920));
@@ -87,5 +110,5 @@ fn render(criterion: &mut Criterion) {
     }
 }
 
-criterion_group!(benches, render, other_cameras);
+criterion_group!(benches, render, in_gusts, other_cameras);
 criterion_main!(benches);

@@ -8,7 +8,7 @@ use flockeye_geometry::camera::SpherePixel;
 use nalgebra::Vector3;
 
 use crate::backdrop::Backdrop;
-use crate::cube::{BAND_ROWS, CubeBackdrop};
+use crate::cube::CubeBackdrop;
 use crate::density::Density;
 use crate::eyes::Eye;
 use crate::own_airframe::OwnAirframe;
@@ -24,7 +24,8 @@ pub struct SpherePicture {
     backdrop: Behind,
     own_airframe: Option<OwnAirframe>,
     parts: Vec<SpherePart>,
-    /// Levels and sigmas of a row, or of a band of rows: kept from frame to frame for their memory alone.
+    /// Levels and sigmas of a row, in gusts of the whole image: kept from frame to frame for their memory
+    /// alone.
     levels: Vec<u8>,
     sigmas: Vec<u8>,
 }
@@ -68,6 +69,7 @@ impl SpherePicture {
     pub fn new(parameters: &WorldParameters, eyes: &[Eye], sensor: &Sensor) -> Self {
         let camera = &parameters.camera;
         let grid = SphereGrid::new(camera.width() as usize, camera.height() as usize);
+        let room = if parameters.is_calm() { grid.width } else { grid.width * grid.height };
         Self {
             backdrop: match parameters.is_calm() {
                 true => Behind::Calm(Backdrop::new(parameters, &grid, sensor)),
@@ -77,8 +79,8 @@ impl SpherePicture {
                 .airframes
                 .then(|| OwnAirframe::new(&grid, parameters.lens_blur_px, sensor)),
             parts: eyes.iter().map(|eye| SpherePart::new(eye, &grid)).collect(),
-            levels: vec![0; grid.width * BAND_ROWS],
-            sigmas: vec![0; grid.width * BAND_ROWS],
+            levels: vec![0; room],
+            sigmas: vec![0; room],
             grid,
         }
     }
@@ -97,23 +99,20 @@ impl SpherePicture {
         let width = self.grid.width;
         let turned = (scene.camera.yaw() / TAU * width as f64).round() as i64;
         let shift = turned.rem_euclid(width as i64) as usize;
+        if let Behind::Gusty(backdrop) = &self.backdrop {
+            backdrop.fill(&self.grid, &scene.camera, &mut self.levels, &mut self.sigmas);
+        }
         let layers: Vec<_> =
             scene.layers.iter().map(|layer| (layer, layer.drawing.rows(&self.grid))).collect();
         for (row, out) in luma.chunks_mut(stride).take(self.grid.height).enumerate() {
             let out = &mut out[..width];
             let own_airframe = self.own_airframe.as_ref().filter(|own| own.touches(row));
-            let in_band = match &self.backdrop {
+            let place = match &self.backdrop {
                 Behind::Calm(_) => 0..width,
-                Behind::Gusty(backdrop) => {
-                    if row % BAND_ROWS == 0 {
-                        let (levels, sigmas) = (&mut self.levels, &mut self.sigmas);
-                        backdrop.fill_band(&self.grid, &scene.camera, row, levels, sigmas);
-                    }
-                    row % BAND_ROWS * width..(row % BAND_ROWS + 1) * width
-                }
+                Behind::Gusty(_) => row * width..(row + 1) * width,
             };
-            let levels = &mut self.levels[in_band.clone()];
-            let sigmas = &mut self.sigmas[in_band];
+            let levels = &mut self.levels[place.clone()];
+            let sigmas = &mut self.sigmas[place];
             if let Behind::Calm(backdrop) = &self.backdrop {
                 let [left, right] = backdrop.row(row, shift);
                 if own_airframe.is_none() && layers.iter().all(|(_, rows)| !rows.contains(&row)) {
