@@ -7,7 +7,7 @@ mod drawn_body;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use flockeye_geometry::body::squares;
-use flockeye_imaging::align::{AlignOptions, BodyPrint, Picture, align};
+use flockeye_imaging::align::{AlignOptions, BodyPrint, Motion, Picture, align};
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
@@ -43,6 +43,7 @@ fn tracked(criterion: &mut Criterion) {
             view: drawing.view,
             light: &light,
             pixels_per_radian: PIXELS_PER_RADIAN,
+            motion: Motion::default(),
         };
         let run = || align(&print, &picture, &start, &options).expect("there");
         let found = run();

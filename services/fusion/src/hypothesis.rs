@@ -7,8 +7,8 @@
 
 use flockeye_geometry::body::{Bodies, Body};
 use flockeye_imaging::align::{
-    AlignOptions, Alignment, BodyPrint, Evidence, Picture, PrintError, UNAMBIGUOUS_FACETS, align,
-    reacquire,
+    AlignOptions, Alignment, BodyPrint, Evidence, Motion, Picture, PrintError, UNAMBIGUOUS_FACETS,
+    align, reacquire,
 };
 use flockeye_imaging::edges::MarkerPrint;
 use nalgebra::{Isometry3, Unit, Vector3};
@@ -44,6 +44,13 @@ pub struct BestView<'p> {
     pub view_index: u32,
     /// The distance that its rays are right for, metres. It matters for lenses off the camera's centre.
     pub rays_m: f64,
+}
+
+impl BestView<'_> {
+    /// The same view of a body that moves.
+    pub fn moving(&self, motion: Motion) -> Self {
+        Self { picture: Picture { motion, ..self.picture }, ..*self }
+    }
 }
 
 /// Where alignment may start.

@@ -20,6 +20,7 @@
 //! | [`measurement`] | a measured pose, and corners as rays |
 //! | [`schedule`] | when passes run, and how much time they have: by the clock or by stated costs |
 //! | [`policy`] | which pass may run, and how thorough it may be |
+//! | [`exposure`] | how long frames are exposed |
 //! | [`parallax`] | rays of lenses that lie off the camera's centre |
 //! | [`output`] | tracks and plans as messages |
 //! | [`notices`] | what a person should know of |
@@ -29,6 +30,7 @@
 
 pub mod background_runner;
 pub mod core;
+pub mod exposure;
 pub mod frame_assembly;
 pub mod hypothesis;
 pub mod inbox;

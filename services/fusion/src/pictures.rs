@@ -3,7 +3,7 @@
 use flockeye_contract::{FrameOrder, ViewHeader};
 use flockeye_convert::{RadianceCache, image_of, purpose_of, view_of};
 use flockeye_geometry::search::Purpose;
-use flockeye_imaging::align::Picture;
+use flockeye_imaging::align::{Motion, Picture};
 
 use crate::hypothesis::BestView;
 use crate::parallax::Parallax;
@@ -79,6 +79,7 @@ impl PictureReader {
             view: view_of(header),
             light: self.lights.known(header)?,
             pixels_per_radian: self.pixels_per_radian,
+            motion: Motion::default(),
         };
         let parallax = self.parallax.as_ref();
         let rays_m = parallax.map_or(f64::INFINITY, |parallax| parallax.distance_m(Some(header)));

@@ -69,8 +69,9 @@ pub fn configured<P: Pixels>(
     let is_tracked = matches!(filter, FilterChoice::Tracks(_));
     let has_background = pipeline.is_limited() && pipeline.fusion.align && is_tracked;
     let threads = pipeline.fusion.threads as usize;
-    let mut tracker =
-        Tracker::new(bodies, filter, aligner.clone(), threads).with_parallax(parallax.clone());
+    let mut tracker = Tracker::new(bodies, filter, aligner.clone(), threads)
+        .with_parallax(parallax.clone())
+        .with_exposure(pipeline.exposure_s());
     if has_background {
         tracker = tracker.with_background();
     }

@@ -10,7 +10,9 @@ use flockeye_geometry::body::Bodies;
 use flockeye_geometry::ego_rotation::{CameraTurn, EgoRotation};
 use flockeye_geometry::filter::{Prediction, TrackPolicy};
 use flockeye_geometry::search::{Purpose, StopRule};
+use flockeye_imaging::align::Motion;
 
+use crate::exposure::Exposure;
 use crate::frame_assembly::{Frame, Record};
 use crate::hypothesis::Aligner;
 use crate::measurement::{MeasuredBy, Measurement, candidate_rays, contradicts, decoded_rays};
@@ -60,6 +62,7 @@ pub struct Tracker {
     /// `None`: everything is done at once.
     background: Option<BackgroundQueue>,
     direct_policy: DirectPassPolicy,
+    exposure: Exposure,
     attempts: Attempts,
     /// The last frame that has ended, and when it was exposed, seconds.
     ended: Option<(FrameOrder, f64)>,
@@ -83,6 +86,7 @@ impl Tracker {
             // Predictions reach back to the last measurement, and not farther than this.
             ego: EgoRotation::new(policy.motion.longest_step_s + policy.history_s),
             parallax: None,
+            exposure: Exposure::new(None, aligner.pixels_per_radian()),
             aligner,
             threads,
             background: None,
@@ -95,6 +99,12 @@ impl Tracker {
     /// Brings rays and poses to their distances, for a camera whose lenses lie off its centre.
     pub fn with_parallax(self, parallax: Option<Parallax>) -> Self {
         Self { parallax, ..self }
+    }
+
+    /// States how long frames are exposed, seconds. Without it the blur of moving bodies shows it in time.
+    pub fn with_exposure(self, known_s: Option<f64>) -> Self {
+        let exposure = Exposure::new(known_s, self.aligner.pixels_per_radian());
+        Self { exposure, ..self }
     }
 
     /// Leaves what takes long to the background pass, whose jobs [`Tracker::take_job`] hands out.
@@ -157,6 +167,12 @@ impl Tracker {
                 let is_inside = target.is_inside_gate(time.at_s, &measurement, &self.ego);
                 is_inside.then_some((measurement, found.camera_from_markers))
             });
+            if let (Some(_), Some(stretch_px2)) =
+                (&accepted, found.as_ref().and_then(|found| found.stretch_px2))
+            {
+                let rate = view.picture.motion.rate_in_camera.norm();
+                self.exposure.note(target, stretch_px2, rate);
+            }
             match accepted {
                 Some((measurement, pose)) => {
                     let update = self.take_in(time, target, &measurement);
@@ -184,6 +200,8 @@ impl Tracker {
             && !target.is_published(time.order);
         match target.prior(time.at_s, &self.ego) {
             TrackPrior::Confirmed(prior) if may_run => {
+                let view = region.view.moving(self.motion(region.target, time.at_s));
+                let region = Region { view, ..region };
                 Some(Candidate { region, predicted: prior.camera_from_markers })
             }
             _ => None,
@@ -330,6 +348,18 @@ impl Tracker {
         Permit { budget, is_deferred, may_search, min_markers: moment.min_markers() }
     }
 
+    /// How a target moves across the line of sight while a frame is exposed, as far as its track says.
+    fn motion(&self, target: usize, at_s: f64) -> Motion {
+        let is_confirmed = self.prior(target, at_s).confirmed().is_some();
+        let prediction = self.prediction(target, at_s).filter(|_| is_confirmed);
+        let Some(prediction) = prediction else { return Motion::default() };
+        let position = prediction.camera_from_markers.translation.vector;
+        let (sight, velocity) = (position.normalize(), prediction.apparent_velocity());
+        let across = velocity - sight * sight.dot(&velocity);
+        let rate_in_camera = across / position.norm();
+        Motion { rate_in_camera, exposure_s: self.exposure.seconds() }
+    }
+
     /// What its track says of a target at a time. Without a filter there is no track.
     fn prior(&self, target: usize, at_s: f64) -> TrackPrior {
         match self.filter {
@@ -369,7 +399,8 @@ impl Tracker {
                 all.extend(of_view);
             }
         }
-        let best_view = best_views.get(&target).copied();
+        let motion = self.motion(target, time.at_s);
+        let best_view = best_views.get(&target).map(|view| view.moving(motion));
         // An untracked target is not started from candidate squares alone: a chequered wall has enough
         // of them.
         let is_measurable =
@@ -517,6 +548,7 @@ impl Tracker {
         let is_direct = |target: &usize| self.targets[*target].direct_pose(order).is_some();
         let direct: BTreeSet<usize> = (0..self.targets.len()).filter(is_direct).collect();
         self.direct_policy.end_frame(&direct);
+        self.exposure.end_frame();
         self.ended = Some((order, at_s));
         self.targets.iter_mut().for_each(|target| target.end_frame(order));
     }

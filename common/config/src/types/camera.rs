@@ -51,6 +51,10 @@ pub struct Camera {
     /// Time between the first and the last row's exposure, milliseconds.
     #[schemars(range(min = 0.0, max = 1000.0))]
     pub readout_ms: f64,
+    /// How long a frame is exposed, milliseconds; 0: not known. Then the blur of moving neighbours shows it
+    /// after some seconds.
+    #[schemars(range(min = 0.0, max = 1000.0))]
+    pub exposure_ms: f64,
 }
 
 impl Default for Camera {
@@ -69,6 +73,7 @@ impl Default for Camera {
             response_table: Vec::new(),
             latency_ms: 0.0,
             readout_ms: 0.0,
+            exposure_ms: 0.0,
         }
     }
 }

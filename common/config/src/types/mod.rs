@@ -97,6 +97,15 @@ impl Pipeline {
         self.gazes() && self.is_limited()
     }
 
+    /// How long a frame is exposed, seconds, if that is known.
+    pub fn exposure_s(&self) -> Option<f64> {
+        let exposure_ms = match self.source_stage() {
+            StageName::Simulator => self.simulator.exposure_ms,
+            _ => self.camera.exposure_ms,
+        };
+        (exposure_ms > 0.0).then_some(exposure_ms * 1e-3)
+    }
+
     /// How long a frame is waited for: `fusion.deadline_ms`.
     pub fn frame_deadline(&self) -> Duration {
         Duration::from_secs_f64(self.fusion.deadline_ms * 1e-3 * self.patience())

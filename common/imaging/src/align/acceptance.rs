@@ -77,6 +77,9 @@ const MAX_SIGMAS_WELL_AGREEING: (f64, f64) = (0.04, 0.087);
 /// See [`MAX_SIGMAS_WELL_AGREEING`].
 const WELL_AGREEING_CORRELATION: f64 = 0.8;
 
+/// Least visible share of a body of which hardly anything is occluded: its errors are normal.
+const CLEAR_SHARE: f64 = 0.9;
+
 /// A fit without the occluded facets is kept if it has at least this share of the log-likelihood ratio
 /// that it had with them.
 const MIN_KEPT_LOG_RATIO: f64 = 0.8;
@@ -91,7 +94,8 @@ impl Alignment {
     /// The same for a body that a track predicts there. Whether it is where the track expects it is for
     /// the filter to decide.
     pub fn is_accepted_with_track_prior(&self) -> bool {
-        self.evidence.is_accepted_with_track_prior() && self.is_visible() && self.is_precise()
+        let is_precise = self.is_precise() || self.is_clear_and_precise();
+        self.evidence.is_accepted_with_track_prior() && self.is_visible() && is_precise
     }
 
     /// The same for a body of which markers were decoded where this pose has them.
@@ -104,11 +108,21 @@ impl Alignment {
     }
 
     fn is_precise(&self) -> bool {
-        let sigma = |first| self.covariance.fixed_view::<3, 3>(first, first).trace().sqrt();
         let agrees_well = self.evidence.agreeing_facets >= UNAMBIGUOUS_FACETS
             && self.evidence.correlation >= WELL_AGREEING_CORRELATION;
-        let (position_m, rotation_rad) =
-            if agrees_well { MAX_SIGMAS_WELL_AGREEING } else { MAX_SIGMAS };
+        self.has_sigmas_below(if agrees_well { MAX_SIGMAS_WELL_AGREEING } else { MAX_SIGMAS })
+    }
+
+    /// Whether little is occluded, what is seen agrees well, and the pose is of some use to a track, which
+    /// knows the attitude as well: it takes in of each axis what is known of it.
+    fn is_clear_and_precise(&self) -> bool {
+        self.evidence.correlation >= WELL_AGREEING_CORRELATION
+            && self.visible_share >= CLEAR_SHARE
+            && self.has_sigmas_below(MAX_SIGMAS_WELL_AGREEING)
+    }
+
+    fn has_sigmas_below(&self, (position_m, rotation_rad): (f64, f64)) -> bool {
+        let sigma = |first| self.covariance.fixed_view::<3, 3>(first, first).trace().sqrt();
         sigma(0) < position_m && sigma(3) < rotation_rad
     }
 }

@@ -42,6 +42,9 @@ pub struct Alignment {
     /// Covariance of the point spread, pixels of the sphere image squared, fitted with uniform radiance on
     /// each facet.
     pub blur_px2: Matrix2<f64>,
+    /// By how much the point spread's variance along the apparent motion exceeds that across it, pixels of
+    /// the sphere image squared; `None` where the motion is not known. It shows how long the exposure was.
+    pub stretch_px2: Option<f64>,
     /// How well the cells agree with the image, with uniform radiance on each facet.
     pub evidence: Evidence,
     /// The share of the samples for which no occlusion was found.

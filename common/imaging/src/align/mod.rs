@@ -46,10 +46,10 @@ mod state;
 pub use acceptance::UNAMBIGUOUS_FACETS;
 pub use alignment::{AlignError, AlignOptions, Alignment};
 pub use evidence::Evidence;
-pub use patch::Picture;
+pub use patch::{Motion, Picture};
 pub use print::{BodyPrint, MAX_CELLS, PrintError};
 
-use nalgebra::{Isometry3, Matrix6};
+use nalgebra::{Isometry3, Matrix6, Unit, Vector3};
 
 use evidence::Comparison;
 use patch::Patch;
@@ -63,6 +63,10 @@ pub const REACQUIRE_RADIUS_RAD: f64 = 0.014;
 const REACQUIRE_BLUR_CELLS: f64 = 0.6;
 /// The patch shows this much of the background beside the body, standard deviations of the point spread.
 const PATCH_MARGIN_BLURS: f64 = 4.0;
+/// The direction of the motion is that of the path in so short a time, seconds.
+const MOMENT_S: f64 = 1e-3;
+/// A motion that is slower than this, pixels of the patch in that time, has no direction.
+const MIN_MOTION_PX: f64 = 1e-3;
 /// Extra blur of the coarse fit, in cells of the smallest marker. With more it diverged, because the
 /// background bleeds in.
 const COARSE_BLUR_CELLS: f64 = 0.45;
@@ -153,7 +157,10 @@ impl PreparedView {
         if !is_valid(start, picture) {
             return Err(AlignError::NotInView);
         }
-        let beside_rad = PATCH_MARGIN_BLURS * options.blur_px / picture.pixels_per_radian;
+        let Motion { rate_in_camera, exposure_s } = picture.motion;
+        let path_rad = rate_in_camera * exposure_s;
+        let lens_rad = options.blur_px / picture.pixels_per_radian;
+        let beside_rad = PATCH_MARGIN_BLURS * lens_rad.hypot(path_rad.norm() / 12f64.sqrt());
         let margin_rad = margin_rad + beside_rad;
         let patch = Patch::cut(picture, start, print.radius_m(), margin_rad, options.max_body_px)
             .ok_or(AlignError::NotInView)?;
@@ -161,7 +168,15 @@ impl PreparedView {
         let blur_px = options.blur_px * magnification;
         // Averaging blocks and interpolating the view add a little blur.
         let blur_px = (blur_px.powi(2) + 1.0 / 12.0).sqrt();
-        let prior = Prior { blur_px, blur_sigma_px2: 0.5 * blur_px.powi(2), magnification };
+        let sight = start.translation.vector.normalize();
+        let seen_px = |along: Vector3<f64>| {
+            let there = patch.view_from_camera * (sight + along);
+            patch.pinhole.project(&there).unwrap_or(patch.pinhole.centre_px)
+        };
+        let motion = seen_px(rate_in_camera * MOMENT_S) - seen_px(Vector3::zeros());
+        let motion = Unit::try_new(motion, MIN_MOTION_PX);
+        let path_px = seen_px(path_rad) - seen_px(Vector3::zeros());
+        let prior = Prior::new(blur_px, path_px, motion, magnification);
         let max_iterations = options.max_iterations;
         Ok(Self { patch, settings: Settings { prior, extra_blur_px: 0.0, max_iterations } })
     }
@@ -169,7 +184,7 @@ impl PreparedView {
     /// The state to start from at a pose in the camera frame.
     fn state(&self, print: &BodyPrint, camera_from_markers: &Isometry3<f64>) -> State {
         let patch_from_markers = self.patch.patch_from_markers(camera_from_markers);
-        State::new(print, patch_from_markers, self.settings.prior.blur_px)
+        State::new(print, patch_from_markers, &self.settings.prior)
     }
 
     /// Side of the smallest marker's cells in the patch, pixels, with the markers at this pose in the
@@ -200,6 +215,7 @@ impl PreparedView {
             camera_from_markers: camera_from_patch * fit.patch_from_markers,
             covariance: axes * covariance * axes.transpose(),
             blur_px2: fit.state.blur / settings.prior.magnification.powi(2),
+            stretch_px2: settings.prior.stretch_px2(&fit.state.blur),
             evidence,
             visible_share: fit.visible_share,
             samples: fit.samples.len(),

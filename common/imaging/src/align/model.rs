@@ -73,7 +73,8 @@ impl<'p> Scene<'p> {
             .zip(&visible)
             .map(|(facet, visible)| {
                 let per_pixel = visible.as_ref()?.facet_from_pixel;
-                Some(BlurredFacet::new(facet, &(per_pixel * blur * per_pixel.transpose())))
+                let covariance = per_pixel * blur * per_pixel.transpose();
+                Some(BlurredFacet::new(facet, &covariance, &(per_pixel * state.way_px)))
             })
             .collect();
         Self { visible, blurred, code_bend }

@@ -1,7 +1,7 @@
 //! The part of a view that shows a body, as radiance, no finer than the fit needs.
 
 use flockeye_geometry::view::View;
-use nalgebra::{Isometry3, UnitQuaternion, Vector2};
+use nalgebra::{Isometry3, UnitQuaternion, Vector2, Vector3};
 
 use super::pinhole::Pinhole;
 use crate::image::LumaImage;
@@ -22,6 +22,18 @@ pub struct Picture<'p> {
     pub light: &'p LinearLight,
     /// Resolution of the sphere image there. A view magnified beyond it has no more detail.
     pub pixels_per_radian: f64,
+    /// How the body moves during the exposure, as far as that is known.
+    pub motion: Motion,
+}
+
+/// How a body moves across the line of sight during the exposure.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Motion {
+    /// Apparent velocity of its middle, across the line of sight, in the camera's axes, rad/s. Zero where
+    /// it is not known.
+    pub rate_in_camera: Vector3<f64>,
+    /// How long the picture was exposed, seconds; 0 where it is not known.
+    pub exposure_s: f64,
 }
 
 /// Radiance of pixels, row by row; NaN where a pixel is saturated.

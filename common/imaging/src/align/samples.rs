@@ -338,7 +338,7 @@ mod tests {
                 let Some(visible_facet) = visible_facet else { continue };
                 let per_pixel = visible_facet.facet_from_pixel;
                 let spread = per_pixel * Matrix2::identity() * blur * per_pixel.transpose();
-                let blurred = BlurredFacet::new(facet, &spread);
+                let blurred = BlurredFacet::new(facet, &spread, &Vector2::zeros());
                 let margins = Margins::of(facet, &blurred);
                 let plane = visible_facet.plane_from_pixel(&pinhole);
                 let sides = Sides::of(facet, &blurred, &visible, margins, &plane);

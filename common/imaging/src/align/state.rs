@@ -1,6 +1,8 @@
 //! The unknowns of an alignment: their values, their places in the normal equations, their priors.
 
-use nalgebra::{DMatrix, DVector, Isometry3, Matrix2, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{
+    DMatrix, DVector, Isometry3, Matrix2, Translation3, Unit, UnitQuaternion, Vector2, Vector3,
+};
 
 use super::print::BodyPrint;
 
@@ -20,15 +22,36 @@ const SEAM_SIGMA_M: f64 = 6e-5;
 /// is that of a facet three metres from a lamp: 2 % from the middle of a facet of 6 cm to its edge. Arms
 /// and hulls near the body shade more than that.
 const GRADIENT_SIGMA_PER_M: f64 = 0.7;
+/// Standard deviation of the variance that the path adds, as a share of it: track and gyroscope know the
+/// apparent velocity to some per cent.
+const PATH_UNCERTAINTY: f64 = 0.1;
+/// A path that is longer than this, in standard deviations of the lens's point spread, is no Gaussian.
+const LONG_PATH_BLURS: f64 = 2.0;
 /// Narrowest and widest point spread (standard deviation), pixels.
 const BLUR_LIMITS_PX: (f64, f64) = (0.35, 6.0);
+
+/// An even blur along a way, as the mean of two Gaussians: one a share [`Way::OFFSET`] of the way before
+/// its middle, one as far behind, each with a share [`Way::VARIANCE`] of the squared way as variance along
+/// it. With these two, second and fourth moments are those of the even blur.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Way;
+
+impl Way {
+    /// Fourth root of 1/240.
+    pub const OFFSET: f64 = 0.254_066;
+    /// 1/12 less the square of the offset.
+    pub const VARIANCE: f64 = 0.018_784;
+}
 
 /// Values of the unknowns.
 #[derive(Debug, Clone)]
 pub(super) struct State {
     /// Pose of the markers in the patch's frame, whose axes are the view's.
     pub patch_from_markers: Isometry3<f64>,
-    /// Covariance of the point spread, pixels squared.
+    /// How far the body moves during the exposure, pixels: known, and not fitted. Zero where it is not
+    /// known, or so short that a Gaussian shows it as well.
+    pub way_px: Vector2<f64>,
+    /// Covariance of the point spread, beside what the way does, pixels squared.
     pub blur: Matrix2<f64>,
     /// Variance of the blur that acts on code values instead of radiance, pixels squared.
     pub code_blur: f64,
@@ -39,11 +62,12 @@ pub(super) struct State {
 }
 
 impl State {
-    /// A body at a pose, its white and black levels not known yet.
-    pub fn new(print: &BodyPrint, patch_from_markers: Isometry3<f64>, blur_px: f64) -> Self {
+    /// A body at a pose with a point spread as expected, its white and black levels not known yet.
+    pub fn new(print: &BodyPrint, patch_from_markers: Isometry3<f64>, prior: &Prior) -> Self {
         Self {
             patch_from_markers,
-            blur: Matrix2::identity() * blur_px.powi(2),
+            way_px: prior.way_px,
+            blur: within_limits(&prior.blur),
             code_blur: 0.0,
             levels: vec![[0.0; 2]; print.facets.len()],
             seams: vec![0.0; print.seams()],
@@ -54,15 +78,49 @@ impl State {
 /// What is expected of the point spread, and how pixels of the patch relate to the sphere image's.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Prior {
-    /// Expected standard deviation of the point spread, pixels.
-    pub blur_px: f64,
+    /// How far the body moves during the exposure, pixels; see [`State::way_px`].
+    pub way_px: Vector2<f64>,
+    /// Expected covariance of the point spread beside that, pixels squared.
+    pub blur: Matrix2<f64>,
     /// Standard deviation of the point spread's variance, pixels squared.
     pub blur_sigma_px2: f64,
+    /// Direction of the apparent motion in the patch; `None` where it is not known.
+    pub motion: Option<Unit<Vector2<f64>>>,
     /// Pixels of the patch for each pixel of the sphere image, along one axis.
     pub magnification: f64,
 }
 
 impl Prior {
+    /// A lens with this point spread, its standard deviation in pixels of the patch, and a body that moves
+    /// by `path_px` during the exposure and in the direction `motion`.
+    ///
+    /// A short path of length d blurs along itself like a Gaussian of variance d^2 / 12; a long one is
+    /// modelled as it is ([`Way`]).
+    pub fn new(
+        lens_px: f64,
+        path_px: Vector2<f64>,
+        motion: Option<Unit<Vector2<f64>>>,
+        magnification: f64,
+    ) -> Self {
+        let is_long = path_px.norm() > LONG_PATH_BLURS * lens_px;
+        let (way_px, share) =
+            if is_long { (path_px, Way::VARIANCE) } else { (Vector2::zeros(), 1.0 / 12.0) };
+        let blur = Matrix2::identity() * lens_px.powi(2) + path_px * path_px.transpose() * share;
+        let (of_lens, of_path) =
+            (0.5 * lens_px.powi(2), PATH_UNCERTAINTY * path_px.norm_squared() / 12.0);
+        Self { way_px, blur, blur_sigma_px2: of_lens.hypot(of_path), motion, magnification }
+    }
+
+    /// By how much the variance of a point spread along the motion exceeds that across it, pixels of the
+    /// sphere image squared.
+    pub fn stretch_px2(&self, blur: &Matrix2<f64>) -> Option<f64> {
+        let along = self.motion?.into_inner();
+        let across = Vector2::new(-along.y, along.x);
+        let variance = |axis: Vector2<f64>| axis.dot(&(blur * axis));
+        let of_way = self.way_px.norm_squared() * (1.0 / 12.0 - Way::VARIANCE);
+        Some((variance(along) - variance(across) + of_way) / self.magnification.powi(2))
+    }
+
     /// How many samples carry the information of one: pixels of a magnified view are not independent.
     pub fn samples_per_pixel(&self) -> f64 {
         self.magnification.powi(2).max(1.0)
@@ -151,12 +209,11 @@ pub(super) fn add_priors(
     // Dependent samples are summed as if they were independent. The priors grow with them, so that
     // their relative weight stays.
     let share = prior.samples_per_pixel();
-    let expected = prior.blur_px.powi(2);
     let precision = share / prior.blur_sigma_px2.powi(2);
     for (k, wanted, is) in [
-        (6, expected, state.blur[(0, 0)]),
-        (7, 0.0, state.blur[(0, 1)]),
-        (8, expected, state.blur[(1, 1)]),
+        (6, prior.blur[(0, 0)], state.blur[(0, 0)]),
+        (7, prior.blur[(0, 1)], state.blur[(0, 1)]),
+        (8, prior.blur[(1, 1)], state.blur[(1, 1)]),
     ] {
         normal[(k, k)] += precision;
         right[k] += precision * (wanted - is);

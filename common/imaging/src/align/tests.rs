@@ -10,9 +10,11 @@ use flockeye_geometry::view::View;
 use nalgebra::{Isometry3, Matrix2, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
 use proptest::prelude::*;
 
+use super::model::blurred::BlurredFacet;
 use super::model::geometry::visible_facets;
 use super::model::{Modelled, Scene, model};
 use super::pinhole::Pinhole;
+use super::state::Way;
 use super::*;
 use crate::light::{CodeRange, LinearLight, TransferCurve};
 use drawn_body::{Drawing, draw, prints};
@@ -58,6 +60,7 @@ fn run(
         view: drawing.view,
         light: &light,
         pixels_per_radian: PIXELS_PER_RADIAN,
+        motion: Motion::default(),
     };
     align(
         print,
@@ -193,6 +196,37 @@ fn coded(radiance: f64) -> u8 {
 }
 
 #[test]
+fn an_even_blur_is_the_mean_along_its_way() {
+    let print = print_of(&body(0));
+    let facet = print.facets.iter().find(|facet| facet.cells.is_some()).expect("a marker");
+    // Lens of 2 mm; ways of up to two and a half cells of 7 mm.
+    let lens = Matrix2::identity() * 0.002f64.powi(2);
+    let sharp = BlurredFacet::new(facet, &lens, &Vector2::zeros());
+    for way in [[0.006, 0.0], [0.0, 0.012], [0.008, 0.008], [0.0145, -0.01]] {
+        let way = Vector2::from(way);
+        let gaussian = |share: f64| lens + way * way.transpose() * share;
+        let moving = BlurredFacet::new(facet, &gaussian(Way::VARIANCE), &way);
+        let alike = BlurredFacet::new(facet, &gaussian(1.0 / 12.0), &Vector2::zeros());
+        let (mut off, mut off_alike) = (0.0f64, 0.0f64);
+        for place in 0..121 {
+            let at = Vector2::new(f64::from(place % 11) - 5.0, f64::from(place / 11) - 5.0) * 0.005;
+            let mean = |of: &dyn Fn(Vector2<f64>) -> f32| {
+                let steps = (0..101).map(|k| (f64::from(k) - 50.0) / 101.0);
+                steps.map(|share| f64::from(of(at + way * share))).sum::<f64>() / 101.0
+            };
+            let black = mean(&|at| sharp.black(at).value);
+            let coverage = mean(&|at| sharp.coverage(at).value);
+            for (facet, off) in [(&moving, &mut off), (&alike, &mut off_alike)] {
+                let by_black = (black - f64::from(facet.black(at).value)).abs();
+                let by_coverage = (coverage - f64::from(facet.coverage(at).value)).abs();
+                *off = off.max(by_black).max(by_coverage);
+            }
+        }
+        assert!(off < 0.05 && off < 0.6 * off_alike, "{way:?}: {off} {off_alike}");
+    }
+}
+
+#[test]
 fn radiance_gradients_are_the_last_unknowns() {
     let print = print_of(&body(0));
     let pinhole = Pinhole { focal_px: 611.0, centre_px: Vector2::new(50.0, 50.0) };
@@ -200,7 +234,7 @@ fn radiance_gradients_are_the_last_unknowns() {
         Translation3::new(0.0, 0.0, 1.0),
         UnitQuaternion::from_euler_angles(0.3, -0.2, 0.9),
     );
-    let state = State::new(&print, ahead, 1.0);
+    let state = State::new(&print, ahead, &Prior::new(1.0, Vector2::zeros(), None, 1.0));
     let scene = Scene::of(&print, &state, &pinhole, 0.0, 0.5);
     let layout = solve::layout(&print, &scene, &[]);
     let gradients = layout.facets().filter_map(|(facet, _)| layout.gradient(facet));
@@ -358,6 +392,7 @@ proptest! {
         euler in prop::array::uniform3(-3.0..3.0f64),
         range_m in 0.5..3.0f64,
         across in prop::array::uniform2(-0.7..0.7f64),
+        way in prop::array::uniform2(-6.0..6.0f64),
     ) {
         let print = print_of(&body(0));
         let pose = Isometry3::from_parts(
@@ -368,7 +403,7 @@ proptest! {
         let state = State {
             blur: Matrix2::new(1.0, 0.2, 0.2, 0.8),
             levels: (0..print.facets.len()).map(|k| [0.5 + 0.01 * k as f64, 0.04]).collect(),
-            ..State::new(&print, pose, 1.0)
+            ..State::new(&print, pose, &Prior::new(1.0, Vector2::from(way), None, 1.0))
         };
         let visible = visible_facets(&print, &pose, &pinhole);
         for (index, facet) in visible.iter().enumerate() {

@@ -13,7 +13,7 @@ use std::collections::BTreeSet;
 use flockeye_geometry::body::Body;
 use flockeye_geometry::pose::CornerRay;
 use flockeye_geometry::view::View;
-use flockeye_imaging::align::Picture;
+use flockeye_imaging::align::{Motion, Picture};
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::LinearLight;
 use nalgebra::Isometry3;
@@ -162,6 +162,7 @@ pub struct Job {
     view: View,
     light: LinearLight,
     pixels_per_radian: f64,
+    motion: Motion,
     rays_m: f64,
 }
 
@@ -186,6 +187,7 @@ impl Job {
             view: best.picture.view,
             light: best.picture.light.clone(),
             pixels_per_radian: best.picture.pixels_per_radian,
+            motion: best.picture.motion,
             rays_m: best.rays_m,
         })
     }
@@ -209,6 +211,7 @@ impl Job {
             view: self.view,
             light: &self.light,
             pixels_per_radian: self.pixels_per_radian,
+            motion: self.motion,
         };
         let (target, starts, budget) = (self.subject.target, &self.starts, TimeBudget::OneFrame);
         let is_marked = |pose: &Isometry3<f64>| supports(&self.body, &self.decoded, pose);
@@ -249,6 +252,7 @@ mod tests {
             view: View::looking_at(&Vector3::x_axis(), 0.5, 64),
             light: &light,
             pixels_per_radian: 611.0,
+            motion: Motion::default(),
         };
         let camera_from_markers = Isometry3::translation(1.0, 0.0, 0.0);
         let covariance = Matrix6::identity();

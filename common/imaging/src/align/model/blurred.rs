@@ -12,10 +12,15 @@
 //! and the blur along the direction d is summed over one, two or three Gauss-Hermite nodes, depending
 //! on r. The edges of the outline are straight, so each is F(distance / standard deviation across the
 //! edge) for any covariance. Where two edges meet, their product is taken.
+//!
+//! A body that moves during the exposure is also blurred along its way, evenly and not like a Gaussian: a
+//! way as long as two cells leaves nothing of them, and a longer one turns black into white. So the facet
+//! is modelled twice, a little before and a little after ([`Way`]), and the mean is taken.
 
 use nalgebra::{Matrix2, Vector2};
 
 use crate::align::print::{Cells, MAX_CELLS, PrintedFacet};
+use crate::align::state::Way;
 use crate::gaussian::{Gaussian, REACH};
 
 /// A blurred indicator function at a point of the plane, with its derivatives by the coordinates in
@@ -43,6 +48,8 @@ pub(in crate::align) struct Parts {
 pub(in crate::align) struct BlurredFacet<'p> {
     cells: Option<BlurredCells<'p>>,
     edges: Vec<Edge>,
+    /// Whether the body moves during the exposure.
+    moves: bool,
     gaussian: Gaussian,
 }
 
@@ -57,9 +64,23 @@ struct BlurredCells<'p> {
 
 #[derive(Clone)]
 struct Edge {
-    /// The depth inside the edge is `normal . at + offset`, in standard deviations across the edge.
+    /// The depth inside the edge is `normal . at + offset`, in standard deviations across the edge of all
+    /// blur together.
     normal: Vector2<f32>,
     offset: f32,
+    /// Standard deviation of all blur together, in those of the Gaussian alone.
+    steepness: f32,
+    /// How much deeper the point lies at the one end of the way, in standard deviations of the Gaussian.
+    shift: f32,
+}
+
+impl Edge {
+    /// The depth of a point at one end of the way (1) or the other (-1), in standard deviations of the
+    /// Gaussian.
+    #[inline(always)]
+    fn depth_at(&self, at: &Vector2<f32>, end: f32) -> f32 {
+        (self.normal.dot(at) + self.offset) * self.steepness + end * self.shift
+    }
 }
 
 /// Weights of the cells within reach of the Gaussian, along one axis.
@@ -78,9 +99,11 @@ impl Weights {
 }
 
 impl<'p> BlurredFacet<'p> {
-    /// `covariance` is that of the point spread in the facet's plane, metres squared.
-    pub fn new(facet: &'p PrintedFacet, covariance: &Matrix2<f64>) -> Self {
-        let cells = facet.cells.as_ref().map(|cells| BlurredCells::new(cells, covariance));
+    /// `covariance` is that of the Gaussian in the facet's plane, metres squared, `way` how far the body
+    /// moves there during the exposure, metres.
+    pub fn new(facet: &'p PrintedFacet, covariance: &Matrix2<f64>, way: &Vector2<f64>) -> Self {
+        let aside = way * Way::OFFSET;
+        let cells = facet.cells.as_ref().map(|cells| BlurredCells::new(cells, covariance, &aside));
         let middle = facet.middle();
         let count = facet.outline.len();
         let edges = (0..count)
@@ -89,14 +112,18 @@ impl<'p> BlurredFacet<'p> {
                 let along = (to - from).normalize();
                 let across = Vector2::new(-along.y, along.x);
                 let inwards = if across.dot(&(middle - from)) < 0.0 { -across } else { across };
-                let sigma = inwards.dot(&(covariance * inwards)).sqrt();
+                let of_gaussian = inwards.dot(&(covariance * inwards)).sqrt();
+                let shift = inwards.dot(&aside);
+                let sigma = if shift == 0.0 { of_gaussian } else { of_gaussian.hypot(shift) };
                 Edge {
                     normal: (inwards / sigma).cast(),
                     offset: (-inwards.dot(&from.coords) / sigma) as f32,
+                    steepness: (sigma / of_gaussian) as f32,
+                    shift: (shift / of_gaussian) as f32,
                 }
             })
             .collect();
-        Self { cells, edges, gaussian: Gaussian::get() }
+        Self { cells, edges, moves: *way != Vector2::zeros(), gaussian: Gaussian::get() }
     }
 
     /// Depth of a point inside edge `k`, standard deviations of the point spread.
@@ -115,23 +142,39 @@ impl<'p> BlurredFacet<'p> {
     /// radiance times metres.
     #[inline(always)]
     pub fn line(&self, k: usize, at: Vector2<f64>) -> f64 {
-        let edge = &self.edges[k];
-        let (density, _) = self.gaussian.at(self.depth(k, at));
-        f64::from(density * edge.normal.norm())
+        let (edge, at) = (&self.edges[k], at.cast());
+        let density = |end| self.gaussian.at(edge.depth_at(&at, end)).0;
+        let density = if self.moves { (density(1.0) + density(-1.0)) / 2.0 } else { density(0.0) };
+        f64::from(density * edge.steepness * edge.normal.norm())
     }
 
     /// The facet's blurred coverage.
     #[inline(always)]
     pub fn coverage(&self, at: Vector2<f64>) -> Share {
         let at: Vector2<f32> = at.cast();
+        if !self.moves {
+            return self.coverage_at(&at, 0.0);
+        }
+        let (before, after) = (self.coverage_at(&at, -1.0), self.coverage_at(&at, 1.0));
+        let mean = |one: f32, other: f32| (one + other) / 2.0;
+        Share {
+            value: mean(before.value, after.value),
+            slope: std::array::from_fn(|k| mean(before.slope[k], after.slope[k])),
+            curvature: std::array::from_fn(|k| mean(before.curvature[k], after.curvature[k])),
+        }
+    }
+
+    /// The coverage at one end of the way (1), the other (-1), or without a way (0).
+    #[inline(always)]
+    fn coverage_at(&self, at: &Vector2<f32>, end: f32) -> Share {
         let mut share = Share { value: 1.0, ..Share::default() };
         for edge in &self.edges {
-            let z = edge.normal.dot(&at) + edge.offset;
+            let z = edge.depth_at(at, end);
             if z >= REACH {
                 continue;
             }
             let (density, below) = self.gaussian.at(z);
-            let (normal, bend) = (edge.normal, -z * density);
+            let (normal, bend) = (edge.normal * edge.steepness, -z * density);
             let (value, [sx, sy], [xx, xy, yy]) = (share.value, share.slope, share.curvature);
             share = Share {
                 value: value * below,
@@ -259,7 +302,7 @@ impl<'p> BlurredFacet<'p> {
 const NARROW_BLUR_CELLS: f64 = 0.3;
 
 impl<'p> BlurredCells<'p> {
-    fn new(cells: &'p Cells, covariance: &Matrix2<f64>) -> Self {
+    fn new(cells: &'p Cells, covariance: &Matrix2<f64>, aside: &Vector2<f64>) -> Self {
         let (a, b) = (covariance[(0, 0)].sqrt(), covariance[(1, 1)].sqrt());
         let correlation = (covariance[(0, 1)] / (a * b)).clamp(-0.98, 0.98);
         let along = Vector2::new(a, b * correlation.signum()) / cells.side_m;
@@ -286,7 +329,17 @@ impl<'p> BlurredCells<'p> {
                 let at = along * (share.sqrt() * place);
                 (weight as f32, [at.x as f32, at.y as f32])
             })
-            .collect();
+            .collect::<Vec<_>>();
+        let aside = (aside / cells.side_m).cast::<f32>();
+        let nodes = match aside == Vector2::zeros() {
+            true => nodes,
+            false => nodes
+                .iter()
+                .flat_map(|&(weight, [x, y])| {
+                    [1.0, -1.0].map(|end| (weight / 2.0, [x + end * aside.x, y + end * aside.y]))
+                })
+                .collect(),
+        };
         Self { cells, sigma: [(a * own) as f32, (b * own) as f32], nodes }
     }
 

@@ -1,0 +1,125 @@
+//! How long frames are exposed: as the configuration says, or as the blur of moving bodies shows.
+
+use std::collections::BTreeMap;
+
+/// Standard deviation of a measured stretch (see
+/// [`Alignment::stretch_px2`](flockeye_imaging::align::Alignment::stretch_px2)), pixels of the sphere image
+/// squared.
+const STRETCH_SIGMA_PX2: f64 = 0.3;
+/// The square of the exposure is used once its standard deviation is this share of it.
+const MAX_UNCERTAINTY: f64 = 0.3;
+/// What was seen loses this share of its weight with each frame: exposures change with the light.
+const FORGETTING: f64 = 0.01;
+/// Longer stretches are not used, pixels of the sphere image squared (a path of 4 px): a Gaussian stretches
+/// more than the path that it stands for where that is as long as a marker's cells.
+const MAX_STRETCH_PX2: f64 = 1.3;
+/// No exposure is taken for longer than this, seconds.
+const MAX_EXPOSURE_S: f64 = 0.05;
+
+/// How long frames are exposed.
+///
+/// A body that moves at `s` radians per second during an exposure `T` is blurred along its path by a
+/// variance of (s T)^2 / 12, beside what the lens does in all directions. So T^2 / 12 is the slope of the
+/// stretch over s^2.
+#[derive(Debug, Clone)]
+pub struct Exposure {
+    known_s: Option<f64>,
+    pixels_per_radian: f64,
+    /// Sums over targets and frames: stretch times s^2, and s^4.
+    stretch: f64,
+    weight: f64,
+    /// What the open frame adds, by target, so that the sums do not depend on who was measured first.
+    pending: BTreeMap<usize, (f64, f64)>,
+}
+
+impl Exposure {
+    /// Exposures of a camera whose sphere image has this resolution; `known_s` is the exposure where the
+    /// configuration states it, seconds.
+    pub fn new(known_s: Option<f64>, pixels_per_radian: f64) -> Self {
+        Self { known_s, pixels_per_radian, stretch: 0.0, weight: 0.0, pending: BTreeMap::new() }
+    }
+
+    /// The exposure, seconds; 0 while it is not known.
+    pub fn seconds(&self) -> f64 {
+        self.known_s.or_else(|| self.learned_s()).unwrap_or_default()
+    }
+
+    /// What the blur shows, if it shows anything yet.
+    fn learned_s(&self) -> Option<f64> {
+        let squared = 12.0 * self.stretch / self.weight;
+        let sigma_rad2 = STRETCH_SIGMA_PX2 / self.pixels_per_radian.powi(2);
+        let uncertainty = 12.0 * sigma_rad2 / self.weight.sqrt();
+        let is_known = squared > 0.0 && uncertainty < MAX_UNCERTAINTY * squared;
+        is_known.then(|| squared.sqrt().min(MAX_EXPOSURE_S))
+    }
+
+    /// A target that moved at this rate, radians per second, was blurred along its motion by so much more
+    /// than across it, pixels of the sphere image squared.
+    pub fn note(&mut self, target: usize, stretch_px2: f64, rate: f64) {
+        let stretch = stretch_px2 / self.pixels_per_radian.powi(2);
+        if stretch_px2 < MAX_STRETCH_PX2 && stretch.is_finite() && rate.is_finite() {
+            self.pending.insert(target, (stretch, rate));
+        }
+    }
+
+    /// Ends a frame.
+    pub fn end_frame(&mut self) {
+        for (stretch, rate) in std::mem::take(&mut self.pending).into_values() {
+            self.stretch = (1.0 - FORGETTING) * self.stretch + stretch * rate.powi(2);
+            self.weight = (1.0 - FORGETTING) * self.weight + rate.powi(4);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PIXELS_PER_RADIAN: f64 = 611.0;
+
+    fn seen(exposure_s: f64, rates: &[f64]) -> Exposure {
+        let mut exposure = Exposure::new(None, PIXELS_PER_RADIAN);
+        for (k, &rate) in rates.iter().enumerate() {
+            let path_px = rate * exposure_s * PIXELS_PER_RADIAN;
+            let noise = if k.is_multiple_of(2) { 0.2 } else { -0.2 };
+            exposure.note(0, path_px.powi(2) / 12.0 + noise, rate);
+            exposure.end_frame();
+        }
+        exposure
+    }
+
+    #[test]
+    fn it_is_learned_from_fast_bodies_and_not_from_slow_ones() {
+        let of = |exposure_s: f64, rate: f64| seen(exposure_s, &[rate; 40]).seconds();
+        assert!((of(0.010, 0.55) - 0.010).abs() < 5e-4, "{}", of(0.010, 0.55));
+        // A path as long as this is not used.
+        assert_eq!(of(0.010, 1.0), 0.0);
+        assert!((of(0.005, 1.0) - 0.005).abs() < 5e-4, "{}", of(0.005, 1.0));
+        assert_eq!(of(0.005, 0.1), 0.0);
+        assert_eq!(seen(0.005, &[]).seconds(), 0.0);
+    }
+
+    #[test]
+    fn it_follows_the_light() {
+        let mut exposure = seen(0.010, &[0.55; 300]);
+        for _ in 0..400 {
+            let path_px = 0.55 * 0.004 * PIXELS_PER_RADIAN;
+            exposure.note(0, path_px.powi(2) / 12.0, 0.55);
+            exposure.end_frame();
+        }
+        assert!((exposure.seconds() - 0.004).abs() < 5e-4, "{}", exposure.seconds());
+    }
+
+    #[test]
+    fn a_stated_exposure_is_taken_as_it_is_and_numbers_that_are_none_are_left_out() {
+        let mut exposure = Exposure::new(Some(0.007), PIXELS_PER_RADIAN);
+        exposure.note(0, 100.0, 1.0);
+        exposure.end_frame();
+        assert_eq!(exposure.seconds(), 0.007);
+        let mut exposure = seen(0.010, &[0.55; 40]);
+        exposure.note(0, f64::NAN, 1.0);
+        exposure.note(1, 1.0, f64::INFINITY);
+        exposure.end_frame();
+        assert!((exposure.seconds() - 0.010).abs() < 5e-4);
+    }
+}
