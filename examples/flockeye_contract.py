@@ -81,18 +81,6 @@ class FrameHeader(Contract):
     ]
 
 
-class ImuHeader(Contract):
-    _fields_ = [("sent_ns", c_int64), ("epoch", c_uint32), ("generation", c_uint32)]
-
-
-class ImuSample(Contract):
-    _fields_ = [
-        ("measured_ns", c_int64),
-        ("angular_velocity", c_double * 3),
-        ("specific_force", c_double * 3),
-    ]
-
-
 class Rotation(Contract):
     _fields_ = [
         ("stamp", FrameStamp),
@@ -287,7 +275,6 @@ class BodyTruth(Contract):
 
 # Name of the service, type of the user header, type of the payload's items.
 FRAME = ("flockeye/frame", FrameHeader, c_uint8)
-IMU = ("flockeye/imu", ImuHeader, ImuSample)
 ROTATION = ("flockeye/rotation", Rotation, c_uint8)
 PLAN = ("flockeye/plan", PlanHeader, PlannedView)
 DETECTION = ("flockeye/detection", DetectionHeader, DetectedMarker)

@@ -2,7 +2,10 @@
 
 use std::time::{Duration, Instant};
 
-use flockeye_contract::{FrameEnd, FrameEnds, Topic, Track, TrackHeader, Tracks};
+use flockeye_contract::{
+    FrameEnd, FrameEnds, Rotation, Rotations, Topic, Track, TrackHeader, Tracks, TruthHeader,
+    Truths,
+};
 use flockeye_runtime::onlooker;
 use flockeye_runtime::ports::{Ports, Subscriber};
 
@@ -30,12 +33,16 @@ fn retry<R>(flight: &mut Flight, mut attempt: impl FnMut(&Flight) -> Option<R>) 
     }
 }
 
-/// Everything that fusion and rectification said of a simulated flight's frames.
+/// Everything that egomotion, fusion and rectification said of a simulated flight's frames, and the truth.
 pub struct Tape {
     /// The messages of `track`, in the order in which they came.
     pub tracks: Vec<(TrackHeader, Vec<Track>)>,
     /// The messages of `frame_end`.
     pub ends: Vec<FrameEnd>,
+    /// The messages of `rotation`.
+    pub rotations: Vec<Rotation>,
+    /// The headers of `truth`.
+    pub truths: Vec<TruthHeader>,
     /// What the launcher wrote.
     pub output: String,
 }
@@ -56,8 +63,16 @@ impl Tape {
         let mut ports = join(&mut flight);
         let mut tracks = subscribe::<Tracks>(&mut flight, &mut ports);
         let mut ends = subscribe::<FrameEnds>(&mut flight, &mut ports);
+        let mut rotations = subscribe::<Rotations>(&mut flight, &mut ports);
+        let mut truths = subscribe::<Truths>(&mut flight, &mut ports);
         std::fs::write(&gate, "").expect("the gate can be opened");
-        let mut tape = Self { tracks: Vec::new(), ends: Vec::new(), output: String::new() };
+        let mut tape = Self {
+            tracks: Vec::new(),
+            ends: Vec::new(),
+            rotations: Vec::new(),
+            truths: Vec::new(),
+            output: String::new(),
+        };
         let start = Instant::now();
         let mut ended = false;
         ports
@@ -69,12 +84,18 @@ impl Tape {
                 while let Some(message) = ends.receive()? {
                     tape.ends.push(message.header);
                 }
+                while let Some(message) = rotations.receive()? {
+                    tape.rotations.push(message.header);
+                }
+                while let Some(message) = truths.receive()? {
+                    tape.truths.push(message.header);
+                }
                 assert!(start.elapsed() < WATCHDOG, "it does not end:\n{}", flight.output());
                 ended = flight.has_ended();
                 Ok((!was_ended).then_some(Duration::from_millis(50)))
             })
             .expect("messages can be waited for");
-        drop((tracks, ends, ports));
+        drop((tracks, ends, rotations, truths, ports));
         assert!(flight.wait().success(), "{}", flight.output());
         flight.assert_nothing_left();
         tape.output = flight.output();

@@ -105,10 +105,6 @@ codes! {
         Nothing = 0,
         /// By the picture of the sphere.
         Picture = 1,
-        /// By the inertial sensor.
-        Imu = 2,
-        /// By both.
-        PictureAndImu = 3,
     }
 }
 

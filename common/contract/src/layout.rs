@@ -5,8 +5,8 @@ use std::mem::{align_of, offset_of, size_of};
 
 use crate::{
     BodyTruth, DetectedMarker, DetectionHeader, FrameEnd, FrameHeader, FrameStamp, Health,
-    ImuHeader, ImuSample, PlanHeader, PlannedView, Pose, Rotation, StageLatency, Text, Track,
-    TrackHeader, TruthHeader, ViewHeader,
+    PlanHeader, PlannedView, Pose, Rotation, StageLatency, Text, Track, TrackHeader, TruthHeader,
+    ViewHeader,
 };
 
 /// The layout of a type as text: name, size, alignment, then the offset of each field.
@@ -24,8 +24,6 @@ fn all_layouts() -> String {
         layout!(Pose: position, orientation),
         layout!(FrameHeader: stamp, exposure_time_ns, readout_ns, width, height, stride, pixel_format,
             transfer, gamma, range, projection),
-        layout!(ImuHeader: sent_ns, epoch, generation),
-        layout!(ImuSample: measured_ns, angular_velocity, specific_force),
         layout!(Rotation: stamp, earlier_exposure_ns, later_from_earlier, covariance, rate_in_camera,
             rate_covariance, source, generation),
         layout!(PlanHeader: after, plan_id, made_ns, has_after, generation, stop_rule, mode, view_budget,
@@ -73,8 +71,6 @@ fn type_names_are_pinned() {
     let names = unsafe {
         [
             FrameHeader::type_name(),
-            ImuHeader::type_name(),
-            ImuSample::type_name(),
             Rotation::type_name(),
             PlanHeader::type_name(),
             PlannedView::type_name(),
@@ -91,8 +87,6 @@ fn type_names_are_pinned() {
     };
     let wanted = [
         "flockeye/FrameHeader",
-        "flockeye/ImuHeader",
-        "flockeye/ImuSample",
         "flockeye/Rotation",
         "flockeye/PlanHeader",
         "flockeye/PlannedView",

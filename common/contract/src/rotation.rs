@@ -1,4 +1,4 @@
-//! `rotation` and `imu`: how the observer's camera turns.
+//! `rotation`: how the observer's camera turns.
 
 use bytemuck::{Pod, Zeroable};
 use iceoryx2::prelude::ZeroCopySend;
@@ -67,59 +67,6 @@ impl Rotation {
     }
 }
 
-/// Header of `imu`. Payload: [`ImuSample`]s in the order of their times.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Pod, Zeroable, ZeroCopySend)]
-#[type_name("flockeye/ImuHeader")]
-#[repr(C)]
-pub struct ImuHeader {
-    /// When the message was sent, CLOCK_MONOTONIC, nanoseconds. A latency field.
-    pub sent_ns: i64,
-    /// Rises each time the sensor's clock starts again: samples of another epoch are not compared.
-    pub epoch: u32,
-    /// Rises each time the sender's process is replaced.
-    pub generation: u32,
-}
-
-/// What an inertial sensor measures at one time, in its own axes.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
-#[type_name("flockeye/ImuSample")]
-#[repr(C)]
-pub struct ImuSample {
-    /// When it was measured, on the clock of the frames' `exposure_ns`, before `imu.delay_ms` is taken off.
-    pub measured_ns: i64,
-    /// Angular velocity, rad/s.
-    pub angular_velocity: [f64; 3],
-    /// Specific force (acceleration less gravity: a sensor at rest shows g upwards), m/s^2.
-    pub specific_force: [f64; 3],
-}
-
-/// Samples in one message, at most: a quarter of a second of a fast sensor.
-pub const MAX_IMU_SAMPLES: usize = 256;
-
-/// Angular velocities beyond this are no drone's, rad/s (some 11,000 degrees/s).
-const MAX_RATE: f64 = 200.0;
-
-impl ImuHeader {
-    /// Refuses samples that are not finite, that no drone could turn, or that go back in time.
-    pub fn check(&self, samples: &[ImuSample]) -> Result<(), ContractError> {
-        let found = samples.len();
-        if found > MAX_IMU_SAMPLES {
-            return Err(ContractError::TooMany { what: "samples", found, max: MAX_IMU_SAMPLES });
-        }
-        for sample in samples {
-            check_finite("specific force", &sample.specific_force)?;
-            // NaN compares false, so it is refused here too.
-            if !sample.angular_velocity.iter().all(|rate| rate.abs() <= MAX_RATE) {
-                return Err(ContractError::NotFinite { what: "angular velocity" });
-            }
-        }
-        match samples.windows(2).any(|pair| pair[0].measured_ns > pair[1].measured_ns) {
-            true => Err(ContractError::NotFinite { what: "time from sample to sample" }),
-            false => Ok(()),
-        }
-    }
-}
-
 fn check_finite(what: &'static str, numbers: &[f64]) -> Result<(), ContractError> {
     match numbers.iter().all(|number| number.is_finite()) {
         true => Ok(()),
@@ -145,7 +92,7 @@ fn check_covariance(what: &'static str, numbers: &[f64; 9]) -> Result<(), Contra
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
-    use crate::{Imus, Rotations, Topic};
+    use crate::{Rotations, Topic};
 
     fn rotation() -> Rotation {
         let stamp = FrameStamp { exposure_ns: 40_000_000, ..FrameStamp::default() };
@@ -169,19 +116,5 @@ mod tests {
         // What is not known need not be right.
         let unknown = Rotation { later_from_earlier: [f64::NAN; 4], ..Rotation::default() };
         assert_eq!(Rotations::check(&unknown, &[]), Ok(()));
-    }
-
-    #[test]
-    fn inertial_samples_that_are_none_are_refused() {
-        let sample = |measured_ns| ImuSample { measured_ns, ..ImuSample::default() };
-        let check = |samples: &[ImuSample]| Imus::check(&ImuHeader::default(), samples);
-        assert_eq!(check(&[sample(1), sample(2)]), Ok(()));
-        assert!(check(&[sample(2), sample(1)]).expect_err("back").to_string().contains("time"));
-        let spinning = ImuSample { angular_velocity: [0.0, 1e3, 0.0], ..sample(1) };
-        assert!(check(&[spinning]).expect_err("fast").to_string().contains("angular velocity"));
-        let broken = ImuSample { specific_force: [f64::NAN; 3], ..sample(1) };
-        assert!(check(&[broken]).expect_err("NaN").to_string().contains("specific force"));
-        let many = vec![sample(1); MAX_IMU_SAMPLES + 1];
-        assert!(check(&many).expect_err("many").to_string().contains("257 samples"));
     }
 }

@@ -7,7 +7,7 @@ pub enum StageName {
     Capture,
     /// The simulated world to frames, in place of capture.
     Simulator,
-    /// Frames and inertial samples to the camera's own rotation.
+    /// Frames to the camera's own rotation.
     Egomotion,
     /// Frames and plans to views.
     Rectification,

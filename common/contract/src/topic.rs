@@ -7,8 +7,7 @@ use iceoryx2::prelude::ZeroCopySend;
 
 use crate::{
     BodyTruth, ContractError, DetectedMarker, DetectionHeader, FrameEnd, FrameHeader, Health,
-    ImuHeader, ImuSample, PlanHeader, PlannedView, Rotation, StageName, Track, TrackHeader,
-    TruthHeader, ViewHeader,
+    PlanHeader, PlannedView, Rotation, StageName, Track, TrackHeader, TruthHeader, ViewHeader,
 };
 
 /// Version of everything in this crate. A stage of another version is refused.
@@ -120,9 +119,6 @@ topics! {
     /// Source to rectification: the luma plane of the whole sphere.
     Frames = "flockeye/frame", FrameHeader, [u8],
         [Capture, Simulator] => [Rectification, Egomotion], |header, items| header.check(items.len());
-    /// Inertial sensor to egomotion: angular velocity and specific force.
-    Imus = "flockeye/imu", ImuHeader, [ImuSample],
-        [Capture, Simulator] => [Egomotion], |header, items| header.check(items);
     /// Egomotion to fusion: how the camera has turned since the frame before.
     Rotations = "flockeye/rotation", Rotation, [u8],
         [Egomotion] => [Fusion], |header, _items| header.check();

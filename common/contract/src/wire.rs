@@ -52,9 +52,10 @@ pub struct PoseReport {
     /// Covariance of position and rotation vector in the observer's frame: the upper triangle of
     /// the 6x6 matrix, row by row.
     pub covariance: [f64; 21],
-    /// Velocity in the observer's frame, m/s.
+    /// Velocity relative to the observer, along its axes, m/s; its own rotation is taken out where it is
+    /// known.
     pub linear_velocity: [f64; 3],
-    /// Angular velocity in the observer's frame, rad/s.
+    /// Angular velocity, the same, rad/s.
     pub angular_velocity: [f64; 3],
 }
 

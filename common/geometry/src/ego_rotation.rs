@@ -4,9 +4,9 @@ use std::collections::VecDeque;
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
-/// How fast angular acceleration changes: white-noise jerk, rad/s^3 per root Hz. A drone in gusts that
-/// rolls by 15 degrees at 0.6 Hz has 14 rad/s^3, which over a frame is as much.
-const JERK: f64 = 2.5;
+/// How fast angular acceleration changes: white-noise jerk about each axis, rad/s^3 per root Hz. A drone in
+/// gusts that rolls by 15 degrees at 0.7 Hz has up to 22 rad/s^3, which over a frame of 33 ms is as much.
+pub const JERK: f64 = 3.5;
 
 /// An acceleration is not expected to last longer than this, seconds.
 const ACCELERATION_LASTS_S: f64 = 0.1;

@@ -8,8 +8,8 @@ use std::time::Duration;
 
 use flockeye_config::{Flow, Pipeline, Resolved};
 use flockeye_contract::{
-    BodyTruth, DetectedMarker, Frames, MAX_IMU_SAMPLES, MAX_PLANNED_VIEWS, PlannedView, TOPICS,
-    Topic, TopicId, TopicInfo, Track,
+    BodyTruth, DetectedMarker, Frames, MAX_PLANNED_VIEWS, PlannedView, TOPICS, Topic, TopicId,
+    TopicInfo, Track,
 };
 
 /// Limits of one topic.
@@ -142,7 +142,6 @@ fn sizes(topic: TopicId, resolved: &Resolved, largest_view_px: u32) -> Sizes {
             let items = frame_bytes(pipeline);
             Sizes { subscribers: 3, buffer: 1, borrowed: 4, loaned: 2, items, ..usual }
         }
-        TopicId::Imus => Sizes { items: MAX_IMU_SAMPLES, ..usual },
         TopicId::Rotations => Sizes { buffer: 16, ..usual },
         TopicId::Plans => Sizes { buffer: 2, history: 1, items: MAX_PLANNED_VIEWS, ..usual },
         // To each lane listen its worker, that worker's successor, fusion and a tool.

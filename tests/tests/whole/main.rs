@@ -4,6 +4,7 @@
 mod bad_input;
 mod calibration;
 mod cameras;
+mod egomotion;
 mod evaluation;
 mod foreign;
 mod lab;

@@ -12,7 +12,7 @@ pub struct Stages {
     pub capture: StageProcess,
     /// The simulated world, in place of capture.
     pub simulator: StageProcess,
-    /// Frames and inertial samples to the camera's own rotation.
+    /// Frames to the camera's own rotation.
     pub egomotion: StageProcess,
     /// Frames and plans to views.
     pub rectification: StageProcess,
