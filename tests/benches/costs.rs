@@ -13,11 +13,14 @@ use flockeye_fusion::hypothesis::{Aligner, Start};
 use flockeye_fusion::policy::TimeBudget;
 use flockeye_geometry::body::{Bodies, Body, squares};
 use flockeye_geometry::camera::Camera;
+use flockeye_geometry::mask::Mask;
 use flockeye_geometry::partition::Partition;
 use flockeye_geometry::pose::{CornerRay, PoseOptions, solve};
 use flockeye_geometry::view::View;
 use flockeye_imaging::align::{Motion, Picture};
 use flockeye_imaging::edges::Effort;
+use flockeye_imaging::gyroscope::Gyroscope;
+use flockeye_imaging::gyroscope::grid::Sampler;
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
 use flockeye_imaging::sphere::{Cut, SphereImage};
@@ -49,6 +52,7 @@ fn main() {
 #[derive(Default)]
 struct Costs {
     source: Vec<f64>,
+    egomotion: Vec<f64>,
     cut: Vec<f64>,
     window: Vec<f64>,
     direct_pass: Vec<f64>,
@@ -58,9 +62,10 @@ struct Costs {
 }
 
 impl Costs {
-    fn rows(&mut self) -> [(&'static str, &mut Vec<f64>); 7] {
+    fn rows(&mut self) -> [(&'static str, &mut Vec<f64>); 8] {
         [
             ("source_ms", &mut self.source),
+            ("egomotion_ms", &mut self.egomotion),
             ("cut_ms_per_megapixel", &mut self.cut),
             ("window_ms_per_megapixel", &mut self.window),
             ("direct_pass_ms", &mut self.direct_pass),
@@ -95,10 +100,13 @@ fn measure(distance_m: f64, rounds: u64, costs: &mut Costs) {
     };
     let moment = Moment { time_s: 0.0, camera: Attitude::level(0.7), placements: vec![placement] };
     let mut luma = vec![0; (WIDTH * WIDTH / 2) as usize];
+    let mut gyroscope = Gyroscope::new(Sampler::new(&camera, &Mask::nothing_hidden(camera)));
     for frame in 0..rounds {
         timed(&mut costs.source, 1.0, || {
             world.render_moment(frame, &moment, &mut luma, WIDTH as usize).unwrap();
         });
+        let sphere = SphereImage::new(&luma, WIDTH as usize, camera).unwrap();
+        timed(&mut costs.egomotion, 1.0, || gyroscope.next(&sphere, None));
     }
     let sphere = SphereImage::new(&luma, WIDTH as usize, camera).unwrap();
     tiles(&sphere, camera, costs);

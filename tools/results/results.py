@@ -51,7 +51,7 @@ SIMULATED = {
     "far": ("simulated flights at 0.6 to 4 m", ["simulator.distance_m=[0.6,4.0]"],
             range(2001, 2009), 300, list(WAYS)),
     "gusts": ("simulated flights in gusts at 0.8 to 2.6 m, 10 ms exposures", GUSTS,
-              range(2001, 2021), 150, ["lossless"]),
+              range(2001, 2021), 100, ["lossless"]),
 }
 # Commands whose own words are kept: title, arguments, and which lines.
 EXPERIMENTS = {

@@ -1,7 +1,7 @@
 //! How much of a frame may be cut: by the time in flight, by stated costs in a lossless run.
 
 use flockeye_config::{Flow, Pipeline, SearchBudget};
-use flockeye_contract::{FrameStamp, PlannedView};
+use flockeye_contract::{FrameStamp, PlannedView, StageName};
 
 use crate::cadence::Cadence;
 use crate::virtual_budget::VirtualBudget;
@@ -35,7 +35,8 @@ impl FrameClock {
         Self::new(match (pipeline.flow, pipeline.search.budget) {
             (Flow::Latest, _) => Clock::Live(Cadence::default()),
             (Flow::Lossless, SearchBudget::Flight) => {
-                Clock::Virtual(VirtualBudget::new(pipeline.search.costs.clone()))
+                let has_egomotion = pipeline.runs(StageName::Egomotion);
+                Clock::Virtual(VirtualBudget::new(pipeline.search.costs.clone(), has_egomotion))
             }
             (Flow::Lossless, SearchBudget::Unlimited) => Clock::Unlimited,
         })

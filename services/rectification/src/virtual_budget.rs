@@ -18,14 +18,19 @@ const MAX_INTERVAL_NS: i64 = 1_000_000_000;
 #[derive(Debug, Clone)]
 pub struct VirtualBudget {
     costs: Costs,
+    /// What each frame takes before its views.
+    each_frame_ms: f64,
     last: Option<FrameStamp>,
     left_ms: f64,
 }
 
 impl VirtualBudget {
-    /// A budget with these costs, before the first frame.
-    pub fn new(costs: Costs) -> Self {
-        Self { costs, last: None, left_ms: 0.0 }
+    /// A budget with these costs, before the first frame. `has_egomotion`: whether the camera's rotation is
+    /// measured.
+    pub fn new(costs: Costs, has_egomotion: bool) -> Self {
+        let egomotion_ms = if has_egomotion { costs.egomotion_ms } else { 0.0 };
+        let each_frame_ms = costs.source_ms + egomotion_ms;
+        Self { costs, each_frame_ms, last: None, left_ms: 0.0 }
     }
 
     /// A frame is taken up.
@@ -36,7 +41,7 @@ impl VirtualBudget {
         let whole_ms = interval_ns as f64 * 1e-6 * self.costs.processors;
         // Flight skips frames when it is a whole frame late.
         let overdrawn_ms = self.left_ms.clamp(-whole_ms, 0.0);
-        self.left_ms = whole_ms + overdrawn_ms - self.costs.source_ms;
+        self.left_ms = whole_ms + overdrawn_ms - self.each_frame_ms;
     }
 
     /// Whether a view fits into what is left.
@@ -102,7 +107,7 @@ mod tests {
 
     #[test]
     fn tiles_get_what_source_and_regions_leave() {
-        let mut budget = VirtualBudget::new(costs());
+        let mut budget = VirtualBudget::new(costs(), false);
         budget.begin_frame(&stamp(0, 0));
         assert_eq!(tiles(&mut budget), 5, "2 * 33.3 - 10 = 56.7 ms, a tile takes 10");
         budget.begin_frame(&stamp(1, 50));
@@ -119,7 +124,7 @@ mod tests {
 
     #[test]
     fn a_frame_that_takes_longer_takes_it_from_the_next() {
-        let mut budget = VirtualBudget::new(costs());
+        let mut budget = VirtualBudget::new(costs(), false);
         budget.begin_frame(&stamp(0, 0));
         let region = planned(ViewKind::Gaze, Search::AllWindows);
         (0..4).for_each(|_| budget.spend(&region));

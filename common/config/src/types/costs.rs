@@ -27,6 +27,9 @@ pub struct Costs {
     /// What a frame takes before it is searched, decoding above all, milliseconds.
     #[schemars(range(min = 0.0, max = 1000.0))]
     pub source_ms: f64,
+    /// What the camera's own rotation takes in each frame, milliseconds.
+    #[schemars(range(min = 0.0, max = 1000.0))]
+    pub egomotion_ms: f64,
     /// Cutting a view, for each million of its pixels, milliseconds.
     #[schemars(range(min = 0.0, max = 1000.0))]
     pub cut_ms_per_megapixel: f64,
@@ -54,6 +57,7 @@ impl Default for Costs {
         Self {
             processors: 1.3,
             source_ms: 20.0,
+            egomotion_ms: 6.0,
             cut_ms_per_megapixel: 2.5,
             window_ms_per_megapixel: 4.0,
             direct_pass_ms: 3.5,

@@ -228,7 +228,7 @@ fn a_lossless_frame_is_cut_as_far_as_its_costs_allow_whatever_the_time() {
             window_ms_per_megapixel: 2.0,
             ..Costs::default()
         };
-        let clock = Clock::Virtual(VirtualBudget::new(costs));
+        let clock = Clock::Virtual(VirtualBudget::new(costs, false));
         let mut core = core(Flow::Lossless, clock, 2);
         core.on(plan(1, &[&[Gaze][..], &[Tile; 20][..]].concat(), 0), 0);
         let mut cut = Vec::new();
