@@ -90,12 +90,12 @@ impl EgoRotation {
         Self { keep_s, knots: VecDeque::new() }
     }
 
-    /// Takes in the next turn. One that ends before the last one is left out, unless it lies so far before
-    /// it that the clock itself must have jumped: then all begins anew.
+    /// Takes in the next turn. One that ends with the last one is left out. One that ends before it says that
+    /// the clock has jumped, because turns come in order: then all begins anew.
     pub fn add(&mut self, turn: &CameraTurn) {
         let turned =
             Turned { later_from_earlier: turn.later_from_earlier, covariance: turn.covariance };
-        if self.knots.back().is_some_and(|last| turn.later_s < last.at_s - self.keep_s) {
+        if self.knots.back().is_some_and(|last| turn.later_s < last.at_s) {
             self.knots.clear();
         }
         let Some(last) = self.knots.back() else {
@@ -103,7 +103,7 @@ impl EgoRotation {
             self.knots.push_back(Knot::of(turn, turned, turn.later_s, None));
             return;
         };
-        if turn.later_s <= last.at_s {
+        if turn.later_s == last.at_s {
             return;
         }
         // Frames that nothing is known of lie between, or turns that overlap.
@@ -304,16 +304,20 @@ mod tests {
     }
 
     #[test]
-    fn old_turns_are_left_out_and_a_clock_that_jumps_begins_anew() {
+    fn a_turn_counts_once_and_a_clock_that_jumps_begins_anew() {
         let mut ego = followed(30);
         let before = ego.clone();
-        ego.add(&turn(0.5, 0.6));
+        ego.add(&turn(0.5, 1.0));
         assert_eq!(ego, before);
         // Half of this turn is known.
         ego.add(&turn(29.0 / 30.0, 31.0 / 30.0));
         let truth = flown(31.0 / 30.0).inverse() * flown(0.9);
         assert!(ego.between(0.9, 31.0 / 30.0).later_from_earlier.angle_to(&truth) < 0.004);
-        ego.add(&turn(-9.1, -9.0));
-        assert_eq!(ego.known_until_s(), Some(-9.0));
+        ego.add(&turn(0.5, 0.6));
+        assert_eq!(ego.known_until_s(), Some(0.6));
+        // Nothing of before is used: the turn at that time is not known any more.
+        assert!(
+            ego.between(0.6, 0.9).covariance.trace() > before.between(0.6, 0.9).covariance.trace()
+        );
     }
 }

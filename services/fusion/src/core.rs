@@ -71,6 +71,9 @@ type Pass =
 /// What the view at this place in a frame's plan shows: targets, and how well.
 type Shown = (FrameOrder, u32, Vec<(usize, ViewQuality)>);
 
+/// Rotations that wait for their frames, at most; a lossless source has one frame under way.
+const MAX_ROTATIONS: usize = 64;
+
 /// What fusion keeps between events. `P` is the hold on a view's pixels.
 pub struct Core<P> {
     schedule: Schedule,
@@ -245,7 +248,12 @@ impl<P: Pixels> Core<P> {
     fn on_rotation(&mut self, rotation: Rotation) {
         match self.schedule.is_flight() {
             true => self.turn_camera(&rotation),
-            false => self.rotations.push_back(rotation),
+            false => {
+                self.rotations.push_back(rotation);
+                if self.rotations.len() > MAX_ROTATIONS {
+                    self.rotations.pop_front();
+                }
+            }
         }
     }
 
