@@ -40,8 +40,8 @@ pub struct StageProcess {
     pub backoff_s: [f64; 2],
     /// Processors that it may run on, by number from 0; empty: all.
     pub cpus: Vec<u32>,
-    /// Nice value, -20 (first) to 19; below 0 needs a privilege. Left out: 5 for detection, because no
-    /// tracked neighbour's pose waits for it, and 0 for all other stages.
+    /// Nice value, -20 (first) to 19; below 0 needs a privilege. Left out: 5 for detection and
+    /// egomotion, because no tracked neighbour's pose waits for them, and 0 for all other stages.
     #[schemars(range(min = -20, max = 19))]
     pub nice: Option<i32>,
     /// The scheduling class; fifo and round_robin need a privilege.
@@ -132,11 +132,11 @@ impl StageInfo {
     /// The row of one stage.
     pub const fn of(stage: StageName) -> Self {
         match stage {
-            // No tracked neighbour's pose waits for detection, so it gives way.
+            // No tracked neighbour's pose waits for either of them, so they give way.
+            StageName::Egomotion => Self { replicas: 1, may_have_replicas: false, nice: 5 },
             StageName::Detection => Self { replicas: 2, may_have_replicas: true, nice: 5 },
             StageName::Capture
             | StageName::Simulator
-            | StageName::Egomotion
             | StageName::Rectification
             | StageName::Fusion
             | StageName::Gateway => Self { replicas: 1, may_have_replicas: false, nice: 0 },
