@@ -167,7 +167,7 @@ fn measured(flow: &str, budget: &str) -> BTreeMap<(u64, String), Vector3<f64>> {
 }
 
 /// A budget says which passes run, and not what a frame says: whatever both flights measured is the same
-/// but for where alignment started from. Bodies are as small here as at 2 m in frames of 3840x1920.
+/// but for where alignment started from, and the path along which its track expects it to be blurred. Bodies are as small here as at 2 m in frames of 3840x1920.
 #[test]
 fn flight_by_the_clock_by_stated_costs_and_without_limit_gives_the_same_poses() {
     let unlimited = measured("lossless", "unlimited");
@@ -180,6 +180,6 @@ fn flight_by_the_clock_by_stated_costs_and_without_limit_gives_the_same_poses() 
         let share = both.len() as f64 / unlimited.len() as f64;
         assert!(share > least_share, "{flow}: {share} of {} measurements", unlimited.len());
         let worst_m = both.iter().copied().fold(0.0, f64::max);
-        assert!(worst_m < 5e-3, "{flow}: {worst_m} m apart");
+        assert!(worst_m < 8e-3, "{flow}: {worst_m} m apart");
     }
 }

@@ -21,7 +21,10 @@ fn a_running_pipeline_is_watched_and_traced() {
     let report: Value = serde_json::from_str(said.trim()).expect("one JSON object");
     let stages = report["stages"].as_array().expect("a list");
     let names: BTreeSet<&str> = stages.iter().filter_map(|stage| stage["stage"].as_str()).collect();
-    assert_eq!(names, BTreeSet::from(["detection", "fusion", "rectification", "simulator"]));
+    assert_eq!(
+        names,
+        BTreeSet::from(["detection", "egomotion", "fusion", "rectification", "simulator"])
+    );
     for stage in stages {
         assert_eq!(stage["state"], "ready", "{stage}");
         for key in ["published_per_s", "processor_share", "resident_mb"] {
