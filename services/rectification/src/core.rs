@@ -299,9 +299,10 @@ impl<F> Core<F> {
     fn cut_next(&mut self, now_ns: i64) -> Option<Action> {
         for position in 0..self.held.len() {
             let job = &self.held[position].job;
-            let is_over =
-                self.clock.is_over(job.next_view(), job.searched(), self.waiting.is_some(), now_ns);
-            match job.next(is_over) {
+            let is_newer_waiting = self.waiting.is_some();
+            let why_over =
+                self.clock.why_over(job.next_view(), job.searched(), is_newer_waiting, now_ns);
+            match job.next(why_over) {
                 Next::Wait => {}
                 Next::End(reason) => {
                     if let Some(end) = self.end(position, reason, now_ns) {

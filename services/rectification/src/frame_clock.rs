@@ -1,7 +1,7 @@
 //! How much of a frame may be cut: by the time in flight, by stated costs in a lossless run.
 
 use flockeye_config::{Flow, Pipeline, SearchBudget};
-use flockeye_contract::{FrameStamp, PlannedView, StageName};
+use flockeye_contract::{FrameStamp, PlannedView, StageName, StopReason};
 
 use crate::cadence::Cadence;
 use crate::virtual_budget::VirtualBudget;
@@ -90,22 +90,27 @@ impl FrameClock {
         };
     }
 
-    /// Whether there is no time for the view `next`: a newer frame waits or is due, or the frame's time
-    /// is spent. A frame that has come to no tile yet, as those before it, has time for one.
-    pub fn is_over(
+    /// Why there is no time for the view `next`: a newer frame waits or is due, or the frame's budget is
+    /// spent. `None` where there is. A frame that has come to no tile yet, as those before it, has time for
+    /// one.
+    pub fn why_over(
         &self,
         next: Option<&PlannedView>,
         tiles: usize,
         is_newer_waiting: bool,
         now_ns: i64,
-    ) -> bool {
+    ) -> Option<StopReason> {
         if tiles == 0 && self.frames_without_tile >= MAX_FRAMES_WITHOUT_TILE {
-            return false;
+            return None;
         }
         match &self.clock {
-            Clock::Live(cadence) => is_newer_waiting || !cadence.has_time_to_cut(now_ns),
-            Clock::Virtual(budget) => next.is_some_and(|next| !budget.fits(next)),
-            Clock::Unlimited => false,
+            Clock::Live(cadence) => {
+                (is_newer_waiting || !cadence.has_time_to_cut(now_ns)).then_some(StopReason::Newer)
+            }
+            Clock::Virtual(budget) => {
+                next.is_some_and(|next| !budget.fits(next)).then_some(StopReason::Budget)
+            }
+            Clock::Unlimited => None,
         }
     }
 
@@ -136,15 +141,15 @@ mod tests {
     fn after_some_frames_for_regions_only_a_tile_is_due() {
         let mut clock = FrameClock::new(Clock::Live(Cadence::default()));
         (0..4).for_each(|_| {
-            assert!(clock.is_over(Some(&tile()), 0, true, 0));
+            assert_eq!(clock.why_over(Some(&tile()), 0, true, 0), Some(StopReason::Newer));
             clock.end_frame(0);
         });
-        assert!(!clock.is_over(Some(&tile()), 0, true, 0), "a tile is due");
-        assert!(clock.is_over(Some(&tile()), 1, true, 0), "one is enough");
+        assert_eq!(clock.why_over(Some(&tile()), 0, true, 0), None, "a tile is due");
+        assert!(clock.why_over(Some(&tile()), 1, true, 0).is_some(), "one is enough");
         clock.end_frame(0);
-        assert!(!clock.is_over(Some(&tile()), 0, true, 0));
+        assert_eq!(clock.why_over(Some(&tile()), 0, true, 0), None);
         clock.end_frame(1);
-        assert!(clock.is_over(Some(&tile()), 0, true, 0));
+        assert_eq!(clock.why_over(Some(&tile()), 0, true, 0), Some(StopReason::Newer));
     }
 
     #[test]

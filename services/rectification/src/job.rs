@@ -74,8 +74,8 @@ impl Job {
         }
     }
 
-    /// What to do next; `is_newer_due` says whether a newer frame waits, or should.
-    pub fn next(&self, is_newer_due: bool) -> Next {
+    /// What to do next; `why_over` says why there is no time for another view, if there is none.
+    pub fn next(&self, why_over: Option<StopReason>) -> Next {
         if self.has_failed {
             return Next::End(StopReason::Failed);
         }
@@ -102,8 +102,8 @@ impl Job {
         let is_yielding = view.is_tile()
             && self.issued > 0
             && self.views[self.issued..].iter().all(PlannedView::is_tile);
-        if is_newer_due && is_yielding {
-            return Next::End(StopReason::Newer);
+        if let Some(reason) = why_over.filter(|_| is_yielding) {
+            return Next::End(reason);
         }
         Next::Cut { index: self.issued as u32, is_yielding }
     }
@@ -261,7 +261,7 @@ mod tests {
     fn run(job: &mut Job, hit: Option<u32>, newer_from: u32) -> (u32, StopReason) {
         let mut cut = 0;
         loop {
-            match job.next(cut >= newer_from) {
+            match job.next((cut >= newer_from).then_some(StopReason::Newer)) {
                 Next::Cut { index, .. } => {
                     assert_eq!(index, cut);
                     job.note_issued(index);
@@ -320,9 +320,16 @@ mod tests {
         searched.note_end(StopReason::Complete);
         searched.note_answer(1, false);
         searched.take_back(1);
-        assert_eq!(searched.next(true), Next::Wait, "an answered view is not taken back");
+        assert_eq!(
+            searched.next(Some(StopReason::Newer)),
+            Next::Wait,
+            "an answered view is not taken back"
+        );
         searched.take_back(0);
-        assert_eq!(searched.next(true), Next::Cut { index: 0, is_yielding: false });
+        assert_eq!(
+            searched.next(Some(StopReason::Newer)),
+            Next::Cut { index: 0, is_yielding: false }
+        );
         searched.note_issued(0);
         assert!(!searched.is_done());
         searched.note_answer(0, false);

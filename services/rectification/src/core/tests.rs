@@ -234,7 +234,9 @@ fn a_lossless_frame_is_cut_as_far_as_its_costs_allow_whatever_the_time() {
         let mut cut = Vec::new();
         for sequence in 0..3 {
             core.on(frame(sequence), late_ns * sequence as i64);
-            cut.push(run(&mut core, late_ns * sequence as i64).0.len());
+            let (views, ends) = run(&mut core, late_ns * sequence as i64);
+            assert!(ends.iter().all(|end| reason(end) == StopReason::Budget), "{ends:?}");
+            cut.push(views.len());
         }
         cut
     };
