@@ -17,7 +17,7 @@ use flockeye_geometry::mask::Mask;
 use flockeye_geometry::partition::Partition;
 use flockeye_geometry::pose::{CornerRay, PoseOptions, solve};
 use flockeye_geometry::view::View;
-use flockeye_imaging::align::{Motion, Picture};
+use flockeye_imaging::align::Picture;
 use flockeye_imaging::edges::Effort;
 use flockeye_imaging::gyroscope::Gyroscope;
 use flockeye_imaging::gyroscope::grid::Sampler;
@@ -152,13 +152,7 @@ fn region(
     let size = view.size_px as usize;
     let image = LumaImage::new(&pixels, size, size, size).unwrap();
     let light = light();
-    let picture = Picture {
-        image,
-        view,
-        light: &light,
-        pixels_per_radian: camera.pixels_per_radian(),
-        motion: Motion::default(),
-    };
+    let picture = Picture::still(image, view, &light, camera.pixels_per_radian());
     let aligner =
         Aligner::new(bodies, |id| dictionary.print(id), camera.pixels_per_radian()).unwrap();
     let mut detector = Detector::new(DICTIONARY, DetectorParameters::default()).unwrap();

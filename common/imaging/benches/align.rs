@@ -7,7 +7,7 @@ mod drawn_body;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use flockeye_geometry::body::squares;
-use flockeye_imaging::align::{AlignOptions, BodyPrint, Motion, Picture, align};
+use flockeye_imaging::align::{AlignOptions, BodyPrint, Picture, align};
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
@@ -38,13 +38,7 @@ fn tracked(criterion: &mut Criterion) {
             UnitQuaternion::from_euler_angles(0.003, 0.002, -0.003) * truth.rotation,
         );
         let options = AlignOptions::default();
-        let picture = Picture {
-            image: drawing.image(),
-            view: drawing.view,
-            light: &light,
-            pixels_per_radian: PIXELS_PER_RADIAN,
-            motion: Motion::default(),
-        };
+        let picture = Picture::still(drawing.image(), drawing.view, &light, PIXELS_PER_RADIAN);
         let run = || align(&print, &picture, &start, &options).expect("there");
         let found = run();
         let name = format!("{range_m} m, {} samples, {} steps", found.samples, found.iterations);

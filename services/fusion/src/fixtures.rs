@@ -9,7 +9,7 @@ use flockeye_geometry::body::{Bodies, Body, squares};
 use flockeye_geometry::filter::{MotionModel, TrackPolicy};
 use flockeye_geometry::partition::Partition;
 use flockeye_geometry::search::{GazeOptions, Planner, Purpose, SearchMode};
-use flockeye_imaging::align::{Motion, Picture};
+use flockeye_imaging::align::Picture;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
 use nalgebra::{Isometry3, Matrix6, Point3, Translation3, UnitQuaternion};
 
@@ -159,13 +159,7 @@ pub fn with_view<T>(pose: &Isometry3<f64>, by: impl FnOnce(&BestView<'_>) -> T) 
     let drawing = drawing(pose);
     let light = LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap();
     let (image, view) = (drawing.image(), drawing.view);
-    let picture = Picture {
-        image,
-        view,
-        light: &light,
-        pixels_per_radian: PIXELS_PER_RADIAN,
-        motion: Motion::default(),
-    };
+    let picture = Picture::still(image, view, &light, PIXELS_PER_RADIAN);
     by(&BestView { picture, view_index: 0, rays_m: f64::INFINITY })
 }
 

@@ -3,7 +3,7 @@
 use flockeye_contract::{FrameOrder, ViewHeader};
 use flockeye_convert::{RadianceCache, image_of, purpose_of, view_of};
 use flockeye_geometry::search::Purpose;
-use flockeye_imaging::align::{Motion, Picture};
+use flockeye_imaging::align::Picture;
 
 use crate::hypothesis::BestView;
 use crate::parallax::Parallax;
@@ -74,13 +74,12 @@ impl PictureReader {
     }
 
     fn read<'c, P: Pixels>(&'c self, header: &ViewHeader, pixels: &'c P) -> Option<BestView<'c>> {
-        let picture = Picture {
-            image: image_of(header, pixels.pixels()).ok()?,
-            view: view_of(header),
-            light: self.lights.known(header)?,
-            pixels_per_radian: self.pixels_per_radian,
-            motion: Motion::default(),
-        };
+        let picture = Picture::still(
+            image_of(header, pixels.pixels()).ok()?,
+            view_of(header),
+            self.lights.known(header)?,
+            self.pixels_per_radian,
+        );
         let parallax = self.parallax.as_ref();
         let rays_m = parallax.map_or(f64::INFINITY, |parallax| parallax.distance_m(Some(header)));
         Some(BestView { picture, view_index: header.view_index, rays_m })

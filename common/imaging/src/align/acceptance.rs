@@ -77,7 +77,8 @@ const MAX_SIGMAS_WELL_AGREEING: (f64, f64) = (0.04, 0.087);
 /// See [`MAX_SIGMAS_WELL_AGREEING`].
 const WELL_AGREEING_CORRELATION: f64 = 0.8;
 
-/// Least visible share of a body of which hardly anything is occluded: its errors are normal.
+/// Least visible share of a body of which hardly anything is occluded. Chosen on one rendered flight in wind,
+/// whose track was lost where clear poses of one facet were refused; no curve was read for it.
 const CLEAR_SHARE: f64 = 0.9;
 
 /// A fit without the occluded facets is kept if it has at least this share of the log-likelihood ratio

@@ -74,7 +74,7 @@ impl<'p> Scene<'p> {
             .map(|(facet, visible)| {
                 let per_pixel = visible.as_ref()?.facet_from_pixel;
                 let covariance = per_pixel * blur * per_pixel.transpose();
-                Some(BlurredFacet::new(facet, &covariance, &(per_pixel * state.way_px)))
+                Some(BlurredFacet::new(facet, &covariance, &(per_pixel * state.even_path_px)))
             })
             .collect();
         Self { visible, blurred, code_bend }

@@ -26,6 +26,18 @@ pub struct Picture<'p> {
     pub motion: Motion,
 }
 
+impl<'p> Picture<'p> {
+    /// A view of a body of whose motion nothing is known.
+    pub fn still(
+        image: LumaImage<'p>,
+        view: View,
+        light: &'p LinearLight,
+        pixels_per_radian: f64,
+    ) -> Self {
+        Self { image, view, light, pixels_per_radian, motion: Motion::default() }
+    }
+}
+
 /// How a body moves across the line of sight during the exposure.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Motion {

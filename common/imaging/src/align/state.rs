@@ -30,13 +30,13 @@ const LONG_PATH_BLURS: f64 = 2.0;
 /// Narrowest and widest point spread (standard deviation), pixels.
 const BLUR_LIMITS_PX: (f64, f64) = (0.35, 6.0);
 
-/// An even blur along a way, as the mean of two Gaussians: one a share [`Way::OFFSET`] of the way before
-/// its middle, one as far behind, each with a share [`Way::VARIANCE`] of the squared way as variance along
+/// An even blur along a path, as the mean of two Gaussians: one a share [`PathBlur::OFFSET`] of the path before
+/// its middle, one as far behind, each with a share [`PathBlur::VARIANCE`] of the squared path as variance along
 /// it. With these two, second and fourth moments are those of the even blur.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Way;
+pub(super) struct PathBlur;
 
-impl Way {
+impl PathBlur {
     /// Fourth root of 1/240.
     pub const OFFSET: f64 = 0.254_066;
     /// 1/12 less the square of the offset.
@@ -50,8 +50,8 @@ pub(super) struct State {
     pub patch_from_markers: Isometry3<f64>,
     /// How far the body moves during the exposure, pixels: known, and not fitted. Zero where it is not
     /// known, or so short that a Gaussian shows it as well.
-    pub way_px: Vector2<f64>,
-    /// Covariance of the point spread, beside what the way does, pixels squared.
+    pub even_path_px: Vector2<f64>,
+    /// Covariance of the point spread, beside what the path does, pixels squared.
     pub blur: Matrix2<f64>,
     /// Variance of the blur that acts on code values instead of radiance, pixels squared.
     pub code_blur: f64,
@@ -66,7 +66,7 @@ impl State {
     pub fn new(print: &BodyPrint, patch_from_markers: Isometry3<f64>, prior: &Prior) -> Self {
         Self {
             patch_from_markers,
-            way_px: prior.way_px,
+            even_path_px: prior.even_path_px,
             blur: within_limits(&prior.blur),
             code_blur: 0.0,
             levels: vec![[0.0; 2]; print.facets.len()],
@@ -78,8 +78,8 @@ impl State {
 /// What is expected of the point spread, and how pixels of the patch relate to the sphere image's.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Prior {
-    /// How far the body moves during the exposure, pixels; see [`State::way_px`].
-    pub way_px: Vector2<f64>,
+    /// How far the body moves during the exposure, pixels; see [`State::even_path_px`].
+    pub even_path_px: Vector2<f64>,
     /// Expected covariance of the point spread beside that, pixels squared.
     pub blur: Matrix2<f64>,
     /// Standard deviation of the point spread's variance, pixels squared.
@@ -95,7 +95,7 @@ impl Prior {
     /// by `path_px` during the exposure and in the direction `motion`.
     ///
     /// A short path of length d blurs along itself like a Gaussian of variance d^2 / 12; a long one is
-    /// modelled as it is ([`Way`]).
+    /// modelled as it is ([`PathBlur`]).
     pub fn new(
         lens_px: f64,
         path_px: Vector2<f64>,
@@ -103,12 +103,12 @@ impl Prior {
         magnification: f64,
     ) -> Self {
         let is_long = path_px.norm() > LONG_PATH_BLURS * lens_px;
-        let (way_px, share) =
-            if is_long { (path_px, Way::VARIANCE) } else { (Vector2::zeros(), 1.0 / 12.0) };
+        let (even_path_px, share) =
+            if is_long { (path_px, PathBlur::VARIANCE) } else { (Vector2::zeros(), 1.0 / 12.0) };
         let blur = Matrix2::identity() * lens_px.powi(2) + path_px * path_px.transpose() * share;
         let (of_lens, of_path) =
             (0.5 * lens_px.powi(2), PATH_UNCERTAINTY * path_px.norm_squared() / 12.0);
-        Self { way_px, blur, blur_sigma_px2: of_lens.hypot(of_path), motion, magnification }
+        Self { even_path_px, blur, blur_sigma_px2: of_lens.hypot(of_path), motion, magnification }
     }
 
     /// By how much the variance of a point spread along the motion exceeds that across it, pixels of the
@@ -117,8 +117,8 @@ impl Prior {
         let along = self.motion?.into_inner();
         let across = Vector2::new(-along.y, along.x);
         let variance = |axis: Vector2<f64>| axis.dot(&(blur * axis));
-        let of_way = self.way_px.norm_squared() * (1.0 / 12.0 - Way::VARIANCE);
-        Some((variance(along) - variance(across) + of_way) / self.magnification.powi(2))
+        let of_path = self.even_path_px.norm_squared() * (1.0 / 12.0 - PathBlur::VARIANCE);
+        Some((variance(along) - variance(across) + of_path) / self.magnification.powi(2))
     }
 
     /// How many samples carry the information of one: pixels of a magnified view are not independent.

@@ -14,7 +14,7 @@ use super::model::blurred::BlurredFacet;
 use super::model::geometry::visible_facets;
 use super::model::{Modelled, Scene, model};
 use super::pinhole::Pinhole;
-use super::state::Way;
+use super::state::PathBlur;
 use super::*;
 use crate::light::{CodeRange, LinearLight, TransferCurve};
 use drawn_body::{Drawing, draw, prints};
@@ -55,13 +55,7 @@ fn run(
     start: &Isometry3<f64>,
 ) -> Result<Alignment, AlignError> {
     let light = srgb();
-    let picture = Picture {
-        image: drawing.image(),
-        view: drawing.view,
-        light: &light,
-        pixels_per_radian: PIXELS_PER_RADIAN,
-        motion: Motion::default(),
-    };
+    let picture = Picture::still(drawing.image(), drawing.view, &light, PIXELS_PER_RADIAN);
     align(
         print,
         &picture,
@@ -196,23 +190,23 @@ fn coded(radiance: f64) -> u8 {
 }
 
 #[test]
-fn an_even_blur_is_the_mean_along_its_way() {
+fn an_even_blur_is_the_mean_along_its_path() {
     let print = print_of(&body(0));
     let facet = print.facets.iter().find(|facet| facet.cells.is_some()).expect("a marker");
-    // Lens of 2 mm; ways of up to two and a half cells of 7 mm.
+    // Lens of 2 mm; paths of up to two and a half cells of 7 mm.
     let lens = Matrix2::identity() * 0.002f64.powi(2);
     let sharp = BlurredFacet::new(facet, &lens, &Vector2::zeros());
-    for way in [[0.006, 0.0], [0.0, 0.012], [0.008, 0.008], [0.0145, -0.01]] {
-        let way = Vector2::from(way);
-        let gaussian = |share: f64| lens + way * way.transpose() * share;
-        let moving = BlurredFacet::new(facet, &gaussian(Way::VARIANCE), &way);
+    for path in [[0.006, 0.0], [0.0, 0.012], [0.008, 0.008], [0.0145, -0.01]] {
+        let path = Vector2::from(path);
+        let gaussian = |share: f64| lens + path * path.transpose() * share;
+        let moving = BlurredFacet::new(facet, &gaussian(PathBlur::VARIANCE), &path);
         let alike = BlurredFacet::new(facet, &gaussian(1.0 / 12.0), &Vector2::zeros());
         let (mut off, mut off_alike) = (0.0f64, 0.0f64);
         for place in 0..121 {
             let at = Vector2::new(f64::from(place % 11) - 5.0, f64::from(place / 11) - 5.0) * 0.005;
             let mean = |of: &dyn Fn(Vector2<f64>) -> f32| {
                 let steps = (0..101).map(|k| (f64::from(k) - 50.0) / 101.0);
-                steps.map(|share| f64::from(of(at + way * share))).sum::<f64>() / 101.0
+                steps.map(|share| f64::from(of(at + path * share))).sum::<f64>() / 101.0
             };
             let black = mean(&|at| sharp.black(at).value);
             let coverage = mean(&|at| sharp.coverage(at).value);
@@ -222,7 +216,7 @@ fn an_even_blur_is_the_mean_along_its_way() {
                 *off = off.max(by_black).max(by_coverage);
             }
         }
-        assert!(off < 0.05 && off < 0.6 * off_alike, "{way:?}: {off} {off_alike}");
+        assert!(off < 0.05 && off < 0.6 * off_alike, "{path:?}: {off} {off_alike}");
     }
 }
 
@@ -392,7 +386,7 @@ proptest! {
         euler in prop::array::uniform3(-3.0..3.0f64),
         range_m in 0.5..3.0f64,
         across in prop::array::uniform2(-0.7..0.7f64),
-        way in prop::array::uniform2(-6.0..6.0f64),
+        path in prop::array::uniform2(-6.0..6.0f64),
     ) {
         let print = print_of(&body(0));
         let pose = Isometry3::from_parts(
@@ -403,7 +397,7 @@ proptest! {
         let state = State {
             blur: Matrix2::new(1.0, 0.2, 0.2, 0.8),
             levels: (0..print.facets.len()).map(|k| [0.5 + 0.01 * k as f64, 0.04]).collect(),
-            ..State::new(&print, pose, &Prior::new(1.0, Vector2::from(way), None, 1.0))
+            ..State::new(&print, pose, &Prior::new(1.0, Vector2::from(path), None, 1.0))
         };
         let visible = visible_facets(&print, &pose, &pinhole);
         for (index, facet) in visible.iter().enumerate() {

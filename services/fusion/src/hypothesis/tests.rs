@@ -34,13 +34,7 @@ fn with_picture_of<T>(
     let drawing: Drawing = draw(body, truth, PIXELS_PER_RADIAN, 0.9, 0.004);
     let light = LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap();
     let (image, view) = (drawing.image(), drawing.view);
-    let picture = Picture {
-        image,
-        view,
-        light: &light,
-        pixels_per_radian: PIXELS_PER_RADIAN,
-        motion: Motion::default(),
-    };
+    let picture = Picture::still(image, view, &light, PIXELS_PER_RADIAN);
     by(&aligner, &picture)
 }
 

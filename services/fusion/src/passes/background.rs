@@ -247,13 +247,9 @@ mod tests {
         let body = squares("alpha", 0.0625, 0.05, 0);
         let (pixels, light) =
             ([128; 64 * 64], LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap());
-        let picture = Picture {
-            image: LumaImage::new(&pixels, 64, 64, 64).unwrap(),
-            view: View::looking_at(&Vector3::x_axis(), 0.5, 64),
-            light: &light,
-            pixels_per_radian: 611.0,
-            motion: Motion::default(),
-        };
+        let image = LumaImage::new(&pixels, 64, 64, 64).unwrap();
+        let view = View::looking_at(&Vector3::x_axis(), 0.5, 64);
+        let picture = Picture::still(image, view, &light, 611.0);
         let camera_from_markers = Isometry3::translation(1.0, 0.0, 0.0);
         let covariance = Matrix6::identity();
         let request = |queue: &mut BackgroundQueue, target: usize, is_tracked: bool| {

@@ -13,14 +13,14 @@
 //! on r. The edges of the outline are straight, so each is F(distance / standard deviation across the
 //! edge) for any covariance. Where two edges meet, their product is taken.
 //!
-//! A body that moves during the exposure is also blurred along its way, evenly and not like a Gaussian: a
-//! way as long as two cells leaves nothing of them, and a longer one turns black into white. So the facet
-//! is modelled twice, a little before and a little after ([`Way`]), and the mean is taken.
+//! A body that moves during the exposure is also blurred along its path, evenly and not like a Gaussian: a
+//! path as long as two cells leaves nothing of them, and a longer one turns black into white. So the facet
+//! is modelled twice, a little before and a little after ([`PathBlur`]), and the mean is taken.
 
 use nalgebra::{Matrix2, Vector2};
 
 use crate::align::print::{Cells, MAX_CELLS, PrintedFacet};
-use crate::align::state::Way;
+use crate::align::state::PathBlur;
 use crate::gaussian::{Gaussian, REACH};
 
 /// A blurred indicator function at a point of the plane, with its derivatives by the coordinates in
@@ -70,12 +70,12 @@ struct Edge {
     offset: f32,
     /// Standard deviation of all blur together, in those of the Gaussian alone.
     steepness: f32,
-    /// How much deeper the point lies at the one end of the way, in standard deviations of the Gaussian.
+    /// How much deeper the point lies at the one end of the path, in standard deviations of the Gaussian.
     shift: f32,
 }
 
 impl Edge {
-    /// The depth of a point at one end of the way (1) or the other (-1), in standard deviations of the
+    /// The depth of a point at one end of the path (1) or the other (-1), in standard deviations of the
     /// Gaussian.
     #[inline(always)]
     fn depth_at(&self, at: &Vector2<f32>, end: f32) -> f32 {
@@ -99,10 +99,10 @@ impl Weights {
 }
 
 impl<'p> BlurredFacet<'p> {
-    /// `covariance` is that of the Gaussian in the facet's plane, metres squared, `way` how far the body
+    /// `covariance` is that of the Gaussian in the facet's plane, metres squared, `path` how far the body
     /// moves there during the exposure, metres.
-    pub fn new(facet: &'p PrintedFacet, covariance: &Matrix2<f64>, way: &Vector2<f64>) -> Self {
-        let aside = way * Way::OFFSET;
+    pub fn new(facet: &'p PrintedFacet, covariance: &Matrix2<f64>, path: &Vector2<f64>) -> Self {
+        let aside = path * PathBlur::OFFSET;
         let cells = facet.cells.as_ref().map(|cells| BlurredCells::new(cells, covariance, &aside));
         let middle = facet.middle();
         let count = facet.outline.len();
@@ -123,7 +123,7 @@ impl<'p> BlurredFacet<'p> {
                 }
             })
             .collect();
-        Self { cells, edges, moves: *way != Vector2::zeros(), gaussian: Gaussian::get() }
+        Self { cells, edges, moves: *path != Vector2::zeros(), gaussian: Gaussian::get() }
     }
 
     /// Depth of a point inside edge `k`, standard deviations of the point spread.
@@ -164,7 +164,7 @@ impl<'p> BlurredFacet<'p> {
         }
     }
 
-    /// The coverage at one end of the way (1), the other (-1), or without a way (0).
+    /// The coverage at one end of the path (1), the other (-1), or without a path (0).
     #[inline(always)]
     fn coverage_at(&self, at: &Vector2<f32>, end: f32) -> Share {
         let mut share = Share { value: 1.0, ..Share::default() };
