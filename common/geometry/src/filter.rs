@@ -9,9 +9,9 @@
 //! axes: `R_true = exp(rotation error) R`. So the leading 6x6 block is the project's pose covariance.
 //!
 //! The camera turns, and a turn is no acceleration of all neighbours at once. So velocities are those in
-//! axes that do not turn, along the camera's axes of the moment, and a step turns the whole state by the
-//! camera's own rotation ([`EgoRotation`]), whose uncertainty it takes on. Where that is not known, the
-//! camera is taken not to turn, and velocities are those that the camera sees.
+//! axes that do not turn. They are written along the camera's axes of the moment. A step turns the whole
+//! state by the camera's own rotation ([`EgoRotation`]), and takes on that rotation's uncertainty. Where the
+//! rotation is not known, the camera is taken not to turn, and velocities are those that the camera sees.
 
 mod chi_square;
 mod life;
@@ -263,7 +263,8 @@ impl Track {
         Ok(moved.turned(&ego.between(stamp_s, at_s)))
     }
 
-    /// Takes in a pose measured at `stamp_s` by a camera that turned as `ego` says, unless it lies outside `gate`: the largest squared
+    /// Takes in a pose measured at `stamp_s` by a camera that turned as `ego` says, unless it lies outside
+    /// `gate`: the largest squared
     /// Mahalanobis distance to pass (see [`chi_square_gate`]).
     ///
     /// `covariance`: the measurement's: position (m), then rotation vector (rad), in the camera's

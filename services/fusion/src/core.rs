@@ -4,9 +4,13 @@
 //! [`Core::on`] notes an event. [`Core::step`] does the most urgent piece of work and hands out what it
 //! led to; it is called again until there is nothing left to do.
 
+mod events;
+
+pub use events::{EndedFrame, Event, Outputs};
+
 use std::collections::{BTreeMap, VecDeque};
 
-use flockeye_contract::{DetectedMarker, FrameEnd, FrameOrder, FrameStamp, Rotation, ViewHeader};
+use flockeye_contract::{DetectedMarker, FrameOrder, FrameStamp, Rotation, ViewHeader};
 use flockeye_convert::{camera_turn, purpose_of, search_of, view_of};
 use flockeye_geometry::search::Purpose;
 
@@ -14,55 +18,16 @@ use crate::frame_assembly::{Frame, FrameAssembly, Leave, Record};
 use crate::measurement::agrees_with_view;
 use crate::notices::Notice;
 use crate::output::{Cause, Outgoing, TrackMessage};
-use crate::passes::background::{Answer, Job};
+use crate::passes::background::Answer;
 use crate::passes::corners::records_that_count;
 use crate::passes::direct::Region;
 use crate::passes::{AnsweredView, BestViews};
 use crate::pictures::{PictureReader, Pixels};
-use crate::planning::{NextPlan, Planning};
+use crate::planning::Planning;
 use crate::policy::TimeBudget;
 use crate::schedule::Schedule;
 use crate::tracker::{FrameTime, Tracker, Update};
 use crate::view_cache::{ViewCache, ViewQuality};
-
-/// What happens to fusion.
-#[derive(Debug)]
-pub enum Event<P> {
-    /// A view was cut; `P` holds its pixels.
-    View(ViewHeader, P),
-    /// A view was searched for markers.
-    Searched(Record),
-    /// Rectification is done with a frame.
-    FrameEnd(FrameEnd),
-    /// How the camera has turned since the frame before.
-    Rotation(Rotation),
-    /// A background pass is over.
-    Background(Answer),
-}
-
-/// What a step led to, to be sent in this order.
-#[derive(Debug, Default)]
-pub struct Outputs {
-    /// Messages of the topic `track`.
-    pub tracks: Vec<TrackMessage>,
-    /// The plan for the next frame, and the frame that it was made after.
-    pub plan: Option<(NextPlan, Option<FrameStamp>)>,
-    /// A background pass to be run; its answer comes back as an [`Event`].
-    pub job: Option<Job>,
-    /// The frame that has ended, if one has.
-    pub ended: Option<EndedFrame>,
-    /// What a person should know of.
-    pub notices: Vec<Notice>,
-    /// Whether nothing was left to do.
-    pub is_idle: bool,
-}
-
-/// A frame that has ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct EndedFrame {
-    /// When rectification took it up, nanoseconds of CLOCK_MONOTONIC; `None` if that is not known.
-    pub taken_ns: Option<i64>,
-}
 
 /// A pass over the records of a frame: [`Tracker::region_pass`] or [`Tracker::final_pass`].
 type Pass =

@@ -19,8 +19,8 @@ const MAX_EXPOSURE_S: f64 = 0.05;
 /// How long frames are exposed.
 ///
 /// A body that moves at `s` radians per second during an exposure `T` is blurred along its path by a
-/// variance of (s T)^2 / 12, beside what the lens does in all directions. So T^2 / 12 is the slope of the
-/// stretch over s^2.
+/// variance of (s T)^2 / 12. The lens blurs alike in all directions, so the stretch shows the path alone:
+/// T^2 / 12 is its slope over s^2.
 #[derive(Debug, Clone)]
 pub struct Exposure {
     known_s: Option<f64>,

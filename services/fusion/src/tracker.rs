@@ -7,17 +7,16 @@ use std::sync::Arc;
 
 use flockeye_contract::{FrameOrder, ViewHeader};
 use flockeye_geometry::body::Bodies;
-use flockeye_geometry::ego_rotation::{CameraTurn, EgoRotation};
-use flockeye_geometry::filter::{Prediction, TrackPolicy};
+use flockeye_geometry::ego_rotation::EgoRotation;
+use flockeye_geometry::filter::TrackPolicy;
 use flockeye_geometry::search::{Purpose, StopRule};
-use flockeye_imaging::align::Motion;
 
 use crate::exposure::Exposure;
 use crate::frame_assembly::{Frame, Record};
 use crate::hypothesis::Aligner;
 use crate::measurement::{MeasuredBy, Measurement, candidate_rays, contradicts, decoded_rays};
 use crate::parallax::Parallax;
-use crate::passes::background::{Answer, BackgroundQueue, Job, Subject};
+use crate::passes::background::{BackgroundQueue, Subject};
 use crate::passes::corners::{self, Moment, distinct_decoded};
 use crate::passes::direct::{self, Candidate, Region, RejectedAlignment};
 use crate::passes::inputs::{Earlier, Inputs, Permit};
@@ -25,7 +24,6 @@ use crate::passes::{AnsweredView, BestViews};
 use crate::policy::{DirectPassPolicy, TimeBudget, is_search_turn};
 use crate::schedule::Attempts;
 use crate::target::{Status, Target, TargetEstimate};
-use crate::track_prior::TrackPrior;
 use crate::view_cache::ViewQuality;
 
 /// How poses are carried from frame to frame.
@@ -198,14 +196,10 @@ impl Tracker {
         let may_run = target.is_measured()
             && !self.direct_policy.is_suspended(region.target)
             && !target.is_published(time.order);
-        match target.prior(time.at_s, &self.ego) {
-            TrackPrior::Confirmed(prior) if may_run => {
-                let view = region.view.moving(self.motion(region.target, time.at_s));
-                let region = Region { view, ..region };
-                Some(Candidate { region, predicted: prior.camera_from_markers })
-            }
-            _ => None,
-        }
+        let prior = target.prior(time.at_s, &self.ego);
+        let predicted = prior.confirmed().filter(|_| may_run)?.camera_from_markers;
+        let view = region.view.moving(self.motion(region.target, time.at_s, &prior));
+        Some(Candidate { region: Region { view, ..region }, predicted })
     }
 
     /// The corner pass over regions of interest of one frame that have been searched. A pose need wait
@@ -348,26 +342,6 @@ impl Tracker {
         Permit { budget, is_deferred, may_search, min_markers: moment.min_markers() }
     }
 
-    /// How a target moves across the line of sight while a frame is exposed, as far as its track says.
-    fn motion(&self, target: usize, at_s: f64) -> Motion {
-        let is_confirmed = self.prior(target, at_s).confirmed().is_some();
-        let prediction = self.prediction(target, at_s).filter(|_| is_confirmed);
-        let Some(prediction) = prediction else { return Motion::default() };
-        let position = prediction.camera_from_markers.translation.vector;
-        let (sight, velocity) = (position.normalize(), prediction.apparent_velocity());
-        let across = velocity - sight * sight.dot(&velocity);
-        let rate_in_camera = across / position.norm();
-        Motion { rate_in_camera, exposure_s: self.exposure.seconds() }
-    }
-
-    /// What its track says of a target at a time. Without a filter there is no track.
-    fn prior(&self, target: usize, at_s: f64) -> TrackPrior {
-        match self.filter {
-            FilterChoice::Tracks(_) => self.targets[target].prior(at_s, &self.ego),
-            FilterChoice::None => TrackPrior::Untracked,
-        }
-    }
-
     /// Collects what there is to measure a target by; `None` where there is nothing.
     pub(crate) fn inputs<'f>(
         &'f self,
@@ -399,7 +373,7 @@ impl Tracker {
                 all.extend(of_view);
             }
         }
-        let motion = self.motion(target, time.at_s);
+        let motion = self.motion(target, time.at_s, &prior);
         let best_view = best_views.get(&target).map(|view| view.moving(motion));
         // An untracked target is not started from candidate squares alone: a chequered wall has enough
         // of them.
@@ -446,55 +420,6 @@ impl Tracker {
         others.any(|(_, target)| target.is_tracked())
     }
 
-    /// Whether a background pass is to be run now.
-    pub fn has_job(&self) -> bool {
-        self.background.as_ref().is_some_and(BackgroundQueue::has_job)
-    }
-
-    /// The background pass that is to be run now.
-    pub fn take_job(&mut self) -> Option<Job> {
-        self.background.as_mut()?.take_job()
-    }
-
-    /// The frame in which a background pass may still find something.
-    pub fn awaited(&self) -> Option<FrameOrder> {
-        self.background.as_ref().and_then(BackgroundQueue::awaited)
-    }
-
-    /// Takes in the answer of a background pass. If its frame has ended meanwhile, it only corrects a track
-    /// that it agrees with, or starts one: a pose that was found by the prior of a track that is lost
-    /// since then means nothing.
-    pub fn background_answer(&mut self, answer: Answer) -> Option<(FrameOrder, Update)> {
-        let answer = self.background.as_mut()?.finish(answer)?;
-        let Answer { subject: Subject { order, at_s, target }, .. } = answer;
-        let is_late = self.ended.is_some_and(|(ended, _)| order <= ended);
-        let may_start = answer.is_independent
-            && !self.targets[target].is_tracked()
-            && self.is_within_history(at_s);
-        if is_late && may_start {
-            // The frames since then did not show it only because nobody knew where to look.
-            self.targets[target].forget();
-        }
-        let measurement = self.corrected(answer.measurement?, answer.rays_m);
-        let is_accepted = !is_late
-            || may_start
-            || self.targets[target].is_inside_gate(at_s, &measurement, &self.ego);
-        // The number of the frame matters only to passes that are still to run.
-        let time = FrameTime { order, at_s, number: 0 };
-        let update = is_accepted.then(|| self.take_in(time, target, &measurement))??;
-        Some((order, update))
-    }
-
-    /// Whether measurements of a frame that was exposed then still count.
-    fn is_within_history(&self, at_s: f64) -> bool {
-        match self.filter {
-            FilterChoice::Tracks(policy) => {
-                self.ended.is_none_or(|(_, ended_s)| ended_s - at_s <= policy.history_s)
-            }
-            FilterChoice::None => false,
-        }
-    }
-
     /// A measurement whose rays were right for `rays_m`, corrected to its own distance.
     fn corrected(&self, measurement: Measurement, rays_m: f64) -> Measurement {
         let Some(parallax) = &self.parallax else { return measurement };
@@ -528,20 +453,6 @@ impl Tracker {
         (0..self.targets.len()).filter(move |&target| !self.targets[target].is_published(order))
     }
 
-    /// The camera has turned. What was measured since then is filtered anew.
-    pub fn turn_camera(&mut self, turn: &CameraTurn) {
-        self.ego.add(turn);
-        self.targets.iter_mut().for_each(|target| target.refilter(turn.earlier_s, &self.ego));
-    }
-
-    /// Where a tracked target is at a time.
-    pub fn prediction(&self, target: usize, at_s: f64) -> Option<Prediction> {
-        match self.filter {
-            FilterChoice::Tracks(_) => self.targets.get(target)?.predict(at_s, &self.ego),
-            FilterChoice::None => None,
-        }
-    }
-
     /// Ends a frame. Frames end in their order.
     pub fn end_frame(&mut self, frame: &Frame, at_s: f64) {
         let order = frame.stamp.order();
@@ -557,13 +468,9 @@ impl Tracker {
     pub fn needs_no_markers(&self, target: usize) -> bool {
         self.direct_policy.needs_no_markers(target)
     }
-
-    /// Where each tracked target will be at a time, by its number.
-    pub fn predictions(&self, at_s: f64) -> impl Iterator<Item = (usize, Prediction)> {
-        let targets = 0..self.targets.len();
-        targets.filter_map(move |target| Some((target, self.prediction(target, at_s)?)))
-    }
 }
 
+mod late_answers;
+mod predictions;
 #[cfg(test)]
 mod tests;

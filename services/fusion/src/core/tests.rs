@@ -8,7 +8,7 @@ use super::*;
 use crate::fixtures::*;
 use crate::schedule::VirtualClock;
 use flockeye_config::Costs;
-use flockeye_contract::{DetectionHeader, Transfer, ViewKind};
+use flockeye_contract::{DetectionHeader, FrameEnd, Transfer, ViewKind};
 use flockeye_convert::RadianceCache;
 use flockeye_geometry::search::StopRule;
 use flockeye_geometry::view::View;

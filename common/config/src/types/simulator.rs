@@ -1,0 +1,68 @@
+//! The simulated world, as types.
+
+use std::path::PathBuf;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// The simulated world.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Simulator {
+    /// The same seed gives the same flight.
+    #[schemars(range(min = 0, max = 4294967295u32))]
+    pub seed: u32,
+    /// How many of the configured bodies fly.
+    #[schemars(range(min = 0, max = 32))]
+    pub neighbours: u32,
+    /// Frames a second.
+    #[schemars(range(min = 0.1, max = 240.0))]
+    pub frames_per_second: f64,
+    /// Frames until the flight ends; 0: it does not.
+    #[schemars(range(min = 0))]
+    pub frames: u64,
+    /// Length of the exposure, milliseconds.
+    #[schemars(range(min = 0.01, max = 1000.0))]
+    pub exposure_ms: f64,
+    /// Nearest and farthest distance of the neighbours, metres.
+    pub distance_m: [f64; 2],
+    /// The observer's own yaw, degrees a second.
+    #[schemars(range(min = -360.0, max = 360.0))]
+    pub yaw_deg_s: f64,
+    /// Farthest that gusts make drones lean, the observer and its neighbours, degrees. 0: calm air.
+    #[schemars(range(min = 0.0, max = 45.0))]
+    pub tilt_deg: f64,
+    /// By how much gusts make drones yaw faster or slower than they would, degrees a second.
+    #[schemars(range(min = 0.0, max = 360.0))]
+    pub yaw_swing_deg_s: f64,
+    /// Blur of the lens, sigma in pixels of the sphere image.
+    #[schemars(range(min = 0.0, max = 5.0))]
+    pub lens_blur_px: f64,
+    /// Sensor noise as a multiple of the default camera's; 0: none.
+    #[schemars(range(min = 0.0, max = 20.0))]
+    pub noise: f64,
+    /// Whether airframes hide markers.
+    pub airframes: bool,
+    /// A JSON file of the same bodies as they really are, if they differ from what is searched for.
+    pub bodies: Option<PathBuf>,
+}
+
+impl Default for Simulator {
+    fn default() -> Self {
+        Self {
+            seed: 1,
+            neighbours: 1,
+            frames_per_second: 30.0,
+            frames: 0,
+            exposure_ms: 6.25,
+            distance_m: [0.6, 2.0],
+            yaw_deg_s: 12.0,
+            tilt_deg: 0.0,
+            yaw_swing_deg_s: 0.0,
+            lens_blur_px: 0.8,
+            noise: 1.0,
+            airframes: true,
+            bodies: None,
+        }
+    }
+}

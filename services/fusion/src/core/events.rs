@@ -1,0 +1,48 @@
+//! What goes into the core and what comes out of it.
+
+use flockeye_contract::{FrameEnd, FrameStamp, Rotation, ViewHeader};
+
+use crate::frame_assembly::Record;
+use crate::notices::Notice;
+use crate::output::TrackMessage;
+use crate::passes::background::{Answer, Job};
+use crate::planning::NextPlan;
+
+/// What happens to fusion.
+#[derive(Debug)]
+pub enum Event<P> {
+    /// A view was cut; `P` holds its pixels.
+    View(ViewHeader, P),
+    /// A view was searched for markers.
+    Searched(Record),
+    /// Rectification is done with a frame.
+    FrameEnd(FrameEnd),
+    /// How the camera has turned since the frame before.
+    Rotation(Rotation),
+    /// A background pass is over.
+    Background(Answer),
+}
+
+/// What a step led to, to be sent in this order.
+#[derive(Debug, Default)]
+pub struct Outputs {
+    /// Messages of the topic `track`.
+    pub tracks: Vec<TrackMessage>,
+    /// The plan for the next frame, and the frame that it was made after.
+    pub plan: Option<(NextPlan, Option<FrameStamp>)>,
+    /// A background pass to be run; its answer comes back as an [`Event`].
+    pub job: Option<Job>,
+    /// The frame that has ended, if one has.
+    pub ended: Option<EndedFrame>,
+    /// What a person should know of.
+    pub notices: Vec<Notice>,
+    /// Whether nothing was left to do.
+    pub is_idle: bool,
+}
+
+/// A frame that has ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct EndedFrame {
+    /// When rectification took it up, nanoseconds of CLOCK_MONOTONIC; `None` if that is not known.
+    pub taken_ns: Option<i64>,
+}

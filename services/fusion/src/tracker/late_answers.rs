@@ -1,0 +1,57 @@
+//! Background passes: their jobs, and their answers, whose frames may have ended meanwhile.
+
+use flockeye_contract::FrameOrder;
+
+use super::{FilterChoice, FrameTime, Tracker, Update};
+use crate::passes::background::{Answer, BackgroundQueue, Job, Subject};
+
+impl Tracker {
+    /// Whether a background pass is to be run now.
+    pub fn has_job(&self) -> bool {
+        self.background.as_ref().is_some_and(BackgroundQueue::has_job)
+    }
+
+    /// The background pass that is to be run now.
+    pub fn take_job(&mut self) -> Option<Job> {
+        self.background.as_mut()?.take_job()
+    }
+
+    /// The frame in which a background pass may still find something.
+    pub fn awaited(&self) -> Option<FrameOrder> {
+        self.background.as_ref().and_then(BackgroundQueue::awaited)
+    }
+
+    /// Takes in the answer of a background pass. If its frame has ended meanwhile, it only corrects a track
+    /// that it agrees with, or starts one: a pose that was found by the prior of a track that is lost
+    /// since then means nothing.
+    pub fn background_answer(&mut self, answer: Answer) -> Option<(FrameOrder, Update)> {
+        let answer = self.background.as_mut()?.finish(answer)?;
+        let Answer { subject: Subject { order, at_s, target }, .. } = answer;
+        let is_late = self.ended.is_some_and(|(ended, _)| order <= ended);
+        let may_start = answer.is_independent
+            && !self.targets[target].is_tracked()
+            && self.is_within_history(at_s);
+        if is_late && may_start {
+            // The frames since then did not show it only because nobody knew where to look.
+            self.targets[target].forget();
+        }
+        let measurement = self.corrected(answer.measurement?, answer.rays_m);
+        let is_accepted = !is_late
+            || may_start
+            || self.targets[target].is_inside_gate(at_s, &measurement, &self.ego);
+        // The number of the frame matters only to passes that are still to run.
+        let time = FrameTime { order, at_s, number: 0 };
+        let update = is_accepted.then(|| self.take_in(time, target, &measurement))??;
+        Some((order, update))
+    }
+
+    /// Whether measurements of a frame that was exposed then still count.
+    fn is_within_history(&self, at_s: f64) -> bool {
+        match self.filter {
+            FilterChoice::Tracks(policy) => {
+                self.ended.is_none_or(|(_, ended_s)| ended_s - at_s <= policy.history_s)
+            }
+            FilterChoice::None => false,
+        }
+    }
+}
