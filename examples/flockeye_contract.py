@@ -20,7 +20,7 @@ from pathlib import Path
 
 import iceoryx2 as iox2
 
-CONTRACT_VERSION = "4"
+CONTRACT_VERSION = "5"
 VERSION_ATTRIBUTE = "flockeye.contract"
 NONE = 0xFFFFFFFF
 
@@ -81,6 +81,18 @@ class FrameHeader(Contract):
     ]
 
 
+class ImuHeader(Contract):
+    _fields_ = [("sent_ns", c_int64), ("epoch", c_uint32), ("generation", c_uint32)]
+
+
+class ImuSample(Contract):
+    _fields_ = [
+        ("at_ns", c_int64),
+        ("rate", c_double * 3),
+        ("specific_force", c_double * 3),
+    ]
+
+
 class Rotation(Contract):
     _fields_ = [
         ("stamp", FrameStamp),
@@ -89,6 +101,11 @@ class Rotation(Contract):
         ("covariance", c_double * 9),
         ("rate_in_camera", c_double * 3),
         ("rate_covariance", c_double * 9),
+        ("ahead_ns", c_int64),
+        ("ahead_from_later", c_double * 4),
+        ("ahead_covariance", c_double * 9),
+        ("ahead_rate_in_camera", c_double * 3),
+        ("ahead_rate_covariance", c_double * 9),
         ("source", c_uint32),
         ("generation", c_uint32),
     ]

@@ -1,5 +1,6 @@
 //! Semantic validation: values that contradict each other, names, rotations.
 
+use flockeye_contract::StageName;
 use flockeye_geometry::body::{Bodies, Body};
 use flockeye_geometry::partition::{PartitionError, Weights};
 
@@ -8,8 +9,8 @@ use crate::instance_name::is_instance_name;
 use crate::problem::{Problem, Problems};
 use crate::resolve::{self, Division, SphereViewsError, preset_body};
 use crate::types::{
-    AtEnd, BodySet, Count, Flow, Fusion, Mount, Partition, Pipeline, Preset, PresetBody, Response,
-    StageInfo,
+    AtEnd, BodySet, Count, Flow, Fusion, InertialSource, Mount, Partition, Pipeline, Preset,
+    PresetBody, Response, StageInfo,
 };
 
 /// Semantic validation: appends each violated constraint of `pipeline` to `problems`.
@@ -25,6 +26,7 @@ pub(super) fn check(pipeline: &Pipeline, document: &Node, problems: &mut Problem
     meaning.rising("source.reopen_s", pipeline.source.reopen_s, 0.01);
     meaning.rising("simulator.distance_m", pipeline.simulator.distance_m, 0.2);
     meaning.source(pipeline);
+    meaning.inertial(pipeline);
     meaning.fusion(&pipeline.fusion);
     meaning.network(pipeline);
     meaning.stages(pipeline);
@@ -59,10 +61,14 @@ impl Meaning<'_> {
     }
 
     fn mount(&mut self, path: &str, mount: &Mount) {
-        let norm = mount.orientation.iter().map(|q| q * q).sum::<f64>().sqrt();
+        self.rotation(&format!("{path}.orientation"), &mount.orientation);
+    }
+
+    fn rotation(&mut self, path: &str, quaternion: &[f64; 4]) {
+        let norm = quaternion.iter().map(|q| q * q).sum::<f64>().sqrt();
         if (norm - 1.0).abs() > 1e-3 {
             self.problem(
-                &format!("{path}.orientation"),
+                path,
                 format!("a rotation's quaternion x, y, z, w has length 1, not {norm:.4}"),
             );
         }
@@ -248,6 +254,34 @@ impl Meaning<'_> {
                 "source.at_end",
                 "a lossless run ends with its recording: use stop".into(),
             );
+        }
+    }
+
+    fn inertial(&mut self, pipeline: &Pipeline) {
+        let path = "inertial.source";
+        self.rotation("inertial.camera_from_sensor", &pipeline.inertial.camera_from_sensor);
+        self.rotation(
+            "simulator.inertial.camera_from_sensor",
+            &pipeline.simulator.inertial.camera_from_sensor,
+        );
+        let is_simulated = pipeline.source_stage() == StageName::Simulator;
+        match pipeline.inertial.parsed_source() {
+            Err(problem) => self.problem(path, problem),
+            Ok(InertialSource::Simulated) if !is_simulated => {
+                self.problem(
+                    path,
+                    "only the simulated world has this one: source.input: sim".into(),
+                );
+            }
+            Ok(InertialSource::Recorded(_)) if is_simulated => self.problem(
+                path,
+                "a recorded sensor belongs to a recording, not to source.input: sim".into(),
+            ),
+            Ok(InertialSource::Mavlink(_)) if pipeline.flow == Flow::Lossless => self.problem(
+                path,
+                "a lossless run is not in real time, an autopilot is: use flow: latest".into(),
+            ),
+            Ok(_) => {}
         }
     }
 

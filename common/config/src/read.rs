@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::document::Node;
 use crate::problem::{ConfigError, Problem, Problems};
-use crate::types::Pipeline;
+use crate::types::{InertialSource, Pipeline};
 use crate::{meaning, schema};
 
 impl Pipeline {
@@ -36,6 +36,11 @@ impl Pipeline {
             if let Some(file) = file.as_mut().filter(|_| !is_overridden(&key)) {
                 *file = folder.join(&*file);
             }
+        }
+        if let Ok(InertialSource::Recorded(file)) = pipeline.inertial.parsed_source()
+            && !is_overridden("inertial.source")
+        {
+            pipeline.inertial.source = folder.join(file).to_string_lossy().into_owned();
         }
         Ok(pipeline)
     }

@@ -105,6 +105,10 @@ codes! {
         Nothing = 0,
         /// By the picture of the sphere.
         Picture = 1,
+        /// By the inertial sensor alone, because the picture did not tell.
+        Inertial = 2,
+        /// By both.
+        PictureAndInertial = 3,
     }
 }
 

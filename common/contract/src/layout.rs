@@ -5,8 +5,8 @@ use std::mem::{align_of, offset_of, size_of};
 
 use crate::{
     BodyTruth, DetectedMarker, DetectionHeader, FrameEnd, FrameHeader, FrameStamp, Health,
-    PlanHeader, PlannedView, Pose, Rotation, StageLatency, Text, Track, TrackHeader, TruthHeader,
-    ViewHeader,
+    ImuHeader, ImuSample, PlanHeader, PlannedView, Pose, Rotation, StageLatency, Text, Track,
+    TrackHeader, TruthHeader, ViewHeader,
 };
 
 /// The layout of a type as text: name, size, alignment, then the offset of each field.
@@ -24,8 +24,11 @@ fn all_layouts() -> String {
         layout!(Pose: position, orientation),
         layout!(FrameHeader: stamp, exposure_time_ns, readout_ns, width, height, stride, pixel_format,
             transfer, gamma, range, projection),
+        layout!(ImuHeader: sent_ns, epoch, generation),
+        layout!(ImuSample: at_ns, rate, specific_force),
         layout!(Rotation: stamp, earlier_exposure_ns, later_from_earlier, covariance, rate_in_camera,
-            rate_covariance, source, generation),
+            rate_covariance, ahead_ns, ahead_from_later, ahead_covariance, ahead_rate_in_camera,
+            ahead_rate_covariance, source, generation),
         layout!(PlanHeader: after, plan_id, made_ns, has_after, generation, stop_rule, mode, view_budget,
             reserved),
         layout!(PlannedView: camera_from_view, rate_in_camera, reference_ns, focal_px,
@@ -71,6 +74,8 @@ fn type_names_are_pinned() {
     let names = unsafe {
         [
             FrameHeader::type_name(),
+            ImuHeader::type_name(),
+            ImuSample::type_name(),
             Rotation::type_name(),
             PlanHeader::type_name(),
             PlannedView::type_name(),
@@ -87,6 +92,8 @@ fn type_names_are_pinned() {
     };
     let wanted = [
         "flockeye/FrameHeader",
+        "flockeye/ImuHeader",
+        "flockeye/ImuSample",
         "flockeye/Rotation",
         "flockeye/PlanHeader",
         "flockeye/PlannedView",

@@ -2,7 +2,7 @@
 //!
 //! There are two borders:
 //! - **shared memory**, between the stages on one machine: [`Topic`]s of `#[repr(C)]` headers and
-//!   items ([`FrameHeader`], [`Rotation`], [`PlanHeader`], [`ViewHeader`], [`DetectionHeader`], [`FrameEnd`],
+//!   items ([`FrameHeader`], [`ImuHeader`], [`Rotation`], [`PlanHeader`], [`ViewHeader`], [`DetectionHeader`], [`FrameEnd`],
 //!   [`TrackHeader`], [`Health`], [`TruthHeader`]);
 //! - **the network**, between drones: the JSON of [`wire`].
 //!
@@ -17,6 +17,7 @@ mod documents;
 mod error;
 mod frame;
 mod health;
+mod imu;
 #[cfg(test)]
 mod layout;
 mod plan;
@@ -37,13 +38,15 @@ pub use detection::{DetectedMarker, DetectionHeader, MAX_DETECTED_MARKERS};
 pub use error::ContractError;
 pub use frame::{FrameHeader, FrameOrder, FrameStamp};
 pub use health::Health;
+pub use imu::{ImuHeader, ImuSample, MAX_IMU_SAMPLES};
 pub use plan::{MAX_PLANNED_VIEWS, MAX_VIEW_PX, PlanHeader, PlannedView};
 pub use rotation::Rotation;
 pub use stage::StageName;
 pub use text::Text;
 pub use topic::{
-    CONTRACT_VERSION, Detections, FrameEnds, Frames, Healths, Plans, Rotations, TOPICS, Topic,
-    TopicId, TopicInfo, TopicVisitor, Tracks, Truths, VERSION_ATTRIBUTE, Views, visit_topics,
+    CONTRACT_VERSION, Detections, FrameEnds, Frames, Healths, Imus, Plans, Rotations, TOPICS,
+    Topic, TopicId, TopicInfo, TopicVisitor, Tracks, Truths, VERSION_ATTRIBUTE, Views,
+    visit_topics,
 };
 pub use track::{FrameEnd, Pose, StageLatency, Track, TrackHeader};
 pub use truth::{BodyTruth, TruthHeader};

@@ -24,6 +24,17 @@ pub struct Rotation {
     pub rate_in_camera: [f64; 3],
     /// Its covariance, 3x3 row-major, (rad/s)^2.
     pub rate_covariance: [f64; 9],
+    /// Until when the inertial sensor knows the rotation beyond the exposure, on the same clock; where it does
+    /// not, this is `stamp.exposure_ns`, and the next four fields mean nothing.
+    pub ahead_ns: i64,
+    /// Turns directions in the camera frame of the exposure into that of `ahead_ns`: x y z w.
+    pub ahead_from_later: [f64; 4],
+    /// Its covariance, 3x3 row-major: rotation vector (rad) in the camera frame of `ahead_ns`.
+    pub ahead_covariance: [f64; 9],
+    /// The camera's own angular velocity at `ahead_ns`, in its own axes, rad/s.
+    pub ahead_rate_in_camera: [f64; 3],
+    /// Its covariance, 3x3 row-major, (rad/s)^2.
+    pub ahead_rate_covariance: [f64; 9],
     /// A [`RotationSource`]: what it was measured by. With `nothing`, only the stamp means anything.
     pub source: u32,
     /// Rises each time egomotion's process is replaced.
@@ -39,6 +50,11 @@ impl Default for Rotation {
             covariance: [0.0; 9],
             rate_in_camera: [0.0; 3],
             rate_covariance: [0.0; 9],
+            ahead_ns: 0,
+            ahead_from_later: [0.0, 0.0, 0.0, 1.0],
+            ahead_covariance: [0.0; 9],
+            ahead_rate_in_camera: [0.0; 3],
+            ahead_rate_covariance: [0.0; 9],
             source: RotationSource::Nothing.code(),
             generation: 0,
         }
@@ -51,20 +67,33 @@ impl Rotation {
         if RotationSource::try_from(self.source)? == RotationSource::Nothing {
             return Ok(());
         }
-        let norm = self.later_from_earlier.iter().map(|q| q * q).sum::<f64>().sqrt();
-        // NaN compares false, so it is refused here too.
-        let is_unit = (norm - 1.0).abs() < 1e-3;
-        if !is_unit {
-            return Err(ContractError::Rotation { norm });
-        }
+        check_unit(&self.later_from_earlier)?;
         check_finite("rate of the camera", &self.rate_in_camera)?;
         check_covariance("covariance of the rotation", &self.covariance)?;
         check_covariance("covariance of the rate", &self.rate_covariance)?;
         if self.earlier_exposure_ns >= self.stamp.exposure_ns {
             return Err(ContractError::NotFinite { what: "time between the two exposures" });
         }
+        if self.is_known_ahead() {
+            check_unit(&self.ahead_from_later)?;
+            check_finite("rate of the camera ahead", &self.ahead_rate_in_camera)?;
+            check_covariance("covariance of the rotation ahead", &self.ahead_covariance)?;
+            check_covariance("covariance of the rate ahead", &self.ahead_rate_covariance)?;
+        }
         Ok(())
     }
+
+    /// Whether the rotation is known beyond the exposure.
+    pub fn is_known_ahead(&self) -> bool {
+        self.ahead_ns > self.stamp.exposure_ns
+    }
+}
+
+fn check_unit(quaternion: &[f64; 4]) -> Result<(), ContractError> {
+    let norm = quaternion.iter().map(|q| q * q).sum::<f64>().sqrt();
+    // NaN compares false, so it is refused here too.
+    let is_unit = (norm - 1.0).abs() < 1e-3;
+    if is_unit { Ok(()) } else { Err(ContractError::Rotation { norm }) }
 }
 
 fn check_finite(what: &'static str, numbers: &[f64]) -> Result<(), ContractError> {
@@ -112,6 +141,21 @@ mod tests {
         assert!(refused(&|rotation| rotation.covariance[0] = -1.0).contains("covariance"));
         assert!(refused(&|rotation| rotation.covariance[1] = 1.0).contains("covariance"));
         assert!(refused(&|rotation| rotation.earlier_exposure_ns = 40_000_000).contains("time"));
+        let ahead = |rotation: &mut Rotation| rotation.ahead_ns = 50_000_000;
+        assert!(
+            refused(&|rotation| {
+                ahead(rotation);
+                rotation.ahead_from_later[0] = 1.0;
+            })
+            .contains("length 1.41")
+        );
+        assert!(
+            refused(&|rotation| {
+                ahead(rotation);
+                rotation.ahead_rate_covariance[4] = -1.0;
+            })
+            .contains("rate ahead")
+        );
         assert!(refused(&|rotation| rotation.source = 9).contains("rotation source code 9"));
         // What is not known need not be right.
         let unknown = Rotation { later_from_earlier: [f64::NAN; 4], ..Rotation::default() };

@@ -7,7 +7,9 @@ pub enum StageName {
     Capture,
     /// The simulated world to frames, in place of capture.
     Simulator,
-    /// Frames to the camera's own rotation.
+    /// An autopilot's inertial sensor to samples.
+    Inertial,
+    /// Frames and samples to the camera's own rotation.
     Egomotion,
     /// Frames and plans to views.
     Rectification,
@@ -21,9 +23,10 @@ pub enum StageName {
 
 impl StageName {
     /// Every stage, in the order of the dataflow.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::Capture,
         Self::Simulator,
+        Self::Inertial,
         Self::Egomotion,
         Self::Rectification,
         Self::Detection,
@@ -36,6 +39,7 @@ impl StageName {
         match self {
             Self::Capture => "capture",
             Self::Simulator => "simulator",
+            Self::Inertial => "inertial",
             Self::Egomotion => "egomotion",
             Self::Rectification => "rectification",
             Self::Detection => "detection",

@@ -7,11 +7,12 @@ use iceoryx2::prelude::ZeroCopySend;
 
 use crate::{
     BodyTruth, ContractError, DetectedMarker, DetectionHeader, FrameEnd, FrameHeader, Health,
-    PlanHeader, PlannedView, Rotation, StageName, Track, TrackHeader, TruthHeader, ViewHeader,
+    ImuHeader, ImuSample, PlanHeader, PlannedView, Rotation, StageName, Track, TrackHeader,
+    TruthHeader, ViewHeader,
 };
 
 /// Version of everything in this crate. A stage of another version is refused.
-pub const CONTRACT_VERSION: &str = "4";
+pub const CONTRACT_VERSION: &str = "5";
 
 /// The iceoryx2 service attribute that carries [`CONTRACT_VERSION`].
 pub const VERSION_ATTRIBUTE: &str = "flockeye.contract";
@@ -119,6 +120,9 @@ topics! {
     /// Source to rectification: the luma plane of the whole sphere.
     Frames = "flockeye/frame", FrameHeader, [u8],
         [Capture, Simulator] => [Rectification, Egomotion], |header, items| header.check(items.len());
+    /// Inertial sensor to egomotion: how the drone turns and accelerates.
+    Imus = "flockeye/imu", ImuHeader, [ImuSample],
+        [Capture, Simulator, Inertial] => [Egomotion], |header, items| header.check(items);
     /// Egomotion to fusion: how the camera has turned since the frame before.
     Rotations = "flockeye/rotation", Rotation, [u8],
         [Egomotion] => [Fusion], |header, _items| header.check();
@@ -139,7 +143,7 @@ topics! {
         [Fusion] => [Gateway], |_header, items| items.iter().try_for_each(Track::check);
     /// Every stage to the launcher.
     Healths = "flockeye/health", Health, [u8],
-        [Capture, Simulator, Egomotion, Rectification, Detection, Fusion, Gateway] => [], |header, _items| header.check();
+        [Capture, Simulator, Inertial, Egomotion, Rectification, Detection, Fusion, Gateway] => [], |header, _items| header.check();
     /// Simulator to evaluation.
     Truths = "flockeye/truth", TruthHeader, [BodyTruth],
         [Simulator] => [], |header, items| header.check(items);
@@ -156,7 +160,8 @@ mod tests {
         for stage in StageName::ALL {
             let publishes = TOPICS.iter().any(|topic| topic.publishers.contains(&stage));
             let reads = TOPICS.iter().any(|topic| topic.subscribers.contains(&stage));
-            assert!(publishes && reads, "{stage:?}");
+            // The inertial sensor is a beginning: it reads nothing.
+            assert!(publishes && (reads || stage == StageName::Inertial), "{stage:?}");
             assert_eq!(StageName::from_name(stage.name()), Some(stage));
         }
         assert_eq!(StageName::from_name("fusions"), None);

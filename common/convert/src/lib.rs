@@ -5,6 +5,7 @@
 //! understand a message alike.
 
 mod codes;
+mod imu;
 mod pose;
 mod radiance;
 mod turn;
@@ -13,6 +14,7 @@ mod view;
 pub use codes::{
     code_range, projection_of, purpose_of, search_code, search_of, stop_rule, transfer_curve,
 };
+pub use imu::rate_sample;
 pub use pose::{isometry, matrix6, pose, rotation, row_major, xyzw};
 pub use radiance::RadianceCache;
 pub use turn::{camera_turn, rotation_message};

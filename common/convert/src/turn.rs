@@ -1,7 +1,7 @@
 //! The camera's own rotation: messages of the contract and types of geometry.
 
 use flockeye_contract::{FrameStamp, Rotation, RotationSource};
-use flockeye_geometry::ego_rotation::CameraTurn;
+use flockeye_geometry::ego_rotation::{CameraTurn, TurnAhead};
 use nalgebra::Matrix3;
 
 use crate::pose::{rotation, xyzw};
@@ -18,6 +18,13 @@ pub fn camera_turn(message: &Rotation) -> Option<CameraTurn> {
         covariance: Matrix3::from_row_slice(&message.covariance),
         rate_in_camera: message.rate_in_camera.into(),
         rate_covariance: Matrix3::from_row_slice(&message.rate_covariance),
+        ahead: message.is_known_ahead().then(|| TurnAhead {
+            until_s: message.ahead_ns as f64 * 1e-9,
+            ahead_from_later: rotation(message.ahead_from_later),
+            covariance: Matrix3::from_row_slice(&message.ahead_covariance),
+            rate_in_camera: message.ahead_rate_in_camera.into(),
+            rate_covariance: Matrix3::from_row_slice(&message.ahead_rate_covariance),
+        }),
     })
 }
 
@@ -29,7 +36,7 @@ pub fn rotation_message(
     source: RotationSource,
     generation: u32,
 ) -> Rotation {
-    Rotation {
+    let known = Rotation {
         stamp: *stamp,
         earlier_exposure_ns: earlier.exposure_ns,
         later_from_earlier: xyzw(&turn.later_from_earlier),
@@ -38,6 +45,17 @@ pub fn rotation_message(
         rate_covariance: row_major(&turn.rate_covariance),
         source: source.code(),
         generation,
+        ahead_ns: stamp.exposure_ns,
+        ..Rotation::default()
+    };
+    let Some(ahead) = &turn.ahead else { return known };
+    Rotation {
+        ahead_ns: (ahead.until_s * 1e9).round() as i64,
+        ahead_from_later: xyzw(&ahead.ahead_from_later),
+        ahead_covariance: row_major(&ahead.covariance),
+        ahead_rate_in_camera: ahead.rate_in_camera.into(),
+        ahead_rate_covariance: row_major(&ahead.rate_covariance),
+        ..known
     }
 }
 
@@ -64,6 +82,13 @@ mod tests {
             covariance: Matrix3::new(3.0, 0.5, 0.1, 0.5, 4.0, 0.2, 0.1, 0.2, 5.0),
             rate_in_camera: Vector3::new(0.1, -0.2, 0.3),
             rate_covariance: Matrix3::from_diagonal_element(0.01),
+            ahead: Some(TurnAhead {
+                until_s: 2.75,
+                ahead_from_later: UnitQuaternion::identity(),
+                covariance: Matrix3::from_diagonal_element(1e-6),
+                rate_in_camera: Vector3::new(0.2, -0.1, 0.3),
+                rate_covariance: Matrix3::from_diagonal_element(0.02),
+            }),
         };
         let (earlier, later) = (at(2_000_000_000), at(2_500_000_000));
         let message = rotation_message(&earlier, &later, &turn, RotationSource::Picture, 3);

@@ -29,6 +29,24 @@ pub struct CameraTurn {
     pub rate_in_camera: Vector3<f64>,
     /// Covariance of the rate, (rad/s)^2.
     pub rate_covariance: Matrix3<f64>,
+    /// How it has turned on since the later time, where an inertial sensor knows that.
+    pub ahead: Option<TurnAhead>,
+}
+
+/// How the camera turned on after its newest picture, by an inertial sensor. The next picture's turn stands for
+/// the same time and replaces it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TurnAhead {
+    /// Until when this is known, seconds.
+    pub until_s: f64,
+    /// Turns directions in the camera frame of the picture into that of then.
+    pub ahead_from_later: UnitQuaternion<f64>,
+    /// Covariance of its rotation vector in the camera frame of then, rad^2.
+    pub covariance: Matrix3<f64>,
+    /// The camera's angular velocity then, in its own axes, rad/s.
+    pub rate_in_camera: Vector3<f64>,
+    /// Covariance of the rate, (rad/s)^2.
+    pub rate_covariance: Matrix3<f64>,
 }
 
 /// A rotation of the camera between two times, and how certain it is.
@@ -70,6 +88,8 @@ impl Turned {
 pub struct EgoRotation {
     keep_s: f64,
     knots: VecDeque<Knot>,
+    /// Whether the last knot is of a [`TurnAhead`], which the next turn replaces.
+    is_ahead: bool,
 }
 
 /// The camera at one time.
@@ -87,12 +107,36 @@ struct Knot {
 impl EgoRotation {
     /// Nothing is known yet. Turns are kept for `keep_s` seconds.
     pub fn new(keep_s: f64) -> Self {
-        Self { keep_s, knots: VecDeque::new() }
+        Self { keep_s, knots: VecDeque::new(), is_ahead: false }
     }
 
     /// Takes in the next turn. One that ends with the last one is left out. One that ends before it says that
     /// the clock has jumped, because turns come in order: then all begins anew.
     pub fn add(&mut self, turn: &CameraTurn) {
+        let measured = self.knots.len().checked_sub(1 + usize::from(self.is_ahead));
+        if measured
+            .and_then(|last| self.knots.get(last))
+            .is_some_and(|last| turn.later_s == last.at_s)
+        {
+            return;
+        }
+        if self.is_ahead {
+            self.knots.pop_back();
+        }
+        self.add_measured(turn);
+        let last = self.knots.back();
+        let ahead = turn.ahead.filter(|ahead| ahead.until_s > turn.later_s);
+        self.is_ahead = match (ahead, last) {
+            (Some(ahead), Some(last)) => {
+                let knot = Knot::ahead_of(last, &ahead);
+                self.knots.push_back(knot);
+                true
+            }
+            _ => false,
+        };
+    }
+
+    fn add_measured(&mut self, turn: &CameraTurn) {
         let turned =
             Turned { later_from_earlier: turn.later_from_earlier, covariance: turn.covariance };
         if self.knots.back().is_some_and(|last| turn.later_s < last.at_s) {
@@ -103,9 +147,6 @@ impl EgoRotation {
             self.knots.push_back(Knot::of(turn, turned, turn.later_s, None));
             return;
         };
-        if turn.later_s == last.at_s {
-            return;
-        }
         // Frames that nothing is known of lie between, or turns that overlap.
         let turned = match turn.earlier_s - last.at_s {
             gap_s if gap_s > 0.0 => last.ahead(gap_s).then(&turned),
@@ -121,7 +162,7 @@ impl EgoRotation {
         }
     }
 
-    /// Until when the rotation is known, seconds; `None` while it never was.
+    /// Until when the rotation is known, by pictures or by an inertial sensor beyond them, seconds; `None` while it never was.
     pub fn known_until_s(&self) -> Option<f64> {
         self.knots.back().map(|last| last.at_s)
     }
@@ -194,6 +235,26 @@ impl Knot {
         }
     }
 
+    /// The camera when an inertial sensor last told of it, after the knot of a picture.
+    fn ahead_of(last: &Self, ahead: &TurnAhead) -> Self {
+        let since_s = ahead.until_s - last.at_s;
+        // Over a few milliseconds a difference of rates is mostly noise.
+        let acceleration = match since_s > ACCELERATION_LASTS_S / 5.0 {
+            true => (ahead.rate_in_camera - last.rate) / since_s,
+            false => last.acceleration,
+        };
+        Self {
+            at_s: ahead.until_s,
+            turned: Turned {
+                later_from_earlier: ahead.ahead_from_later,
+                covariance: ahead.covariance,
+            },
+            rate: ahead.rate_in_camera,
+            rate_covariance: ahead.rate_covariance,
+            acceleration,
+        }
+    }
+
     /// How the camera is expected to turn in the `ahead_s` seconds after this.
     fn ahead(&self, ahead_s: f64) -> Turned {
         let rate_s = ahead_s.min(RATE_LASTS_S);
@@ -244,6 +305,7 @@ mod tests {
             covariance: Matrix3::from_diagonal_element(1e-7),
             rate_in_camera: rate / (2.0 * step),
             rate_covariance: Matrix3::from_diagonal_element(1e-4),
+            ahead: None,
         }
     }
 
@@ -301,6 +363,40 @@ mod tests {
         let truth = flown(35.0 / 30.0).inverse() * flown(1.0);
         let off = found.later_from_earlier.angle_to(&truth);
         assert!(off < 3.0 * found.covariance.trace().sqrt() && off > 0.0, "{off}");
+    }
+
+    #[test]
+    fn an_inertial_sensor_knows_more_until_the_next_picture() {
+        let (later_s, until_s) = (31.0 / 30.0, 1.28);
+        let now = turn(later_s, until_s);
+        let ahead = TurnAhead {
+            until_s,
+            ahead_from_later: now.later_from_earlier,
+            covariance: now.covariance,
+            rate_in_camera: now.rate_in_camera,
+            rate_covariance: now.rate_covariance,
+        };
+        let mut ego = followed(30);
+        ego.add(&CameraTurn { ahead: Some(ahead), ..turn(1.0, later_s) });
+        assert_eq!(ego.known_until_s(), Some(until_s));
+        let off = |ego: &EgoRotation, to_s: f64| {
+            let truth = flown(to_s).inverse() * flown(1.0);
+            ego.between(1.0, to_s).later_from_earlier.angle_to(&truth)
+        };
+        let mut without = followed(30);
+        without.add(&turn(1.0, later_s));
+        assert!(off(&ego, until_s) < 1e-6, "{}", off(&ego, until_s));
+        assert!(off(&without, until_s) > 0.005, "{}", off(&without, until_s));
+        assert!(off(&ego, 1.3) < 0.1 * off(&without, 1.3));
+        let doubt = |ego: &EgoRotation| ego.between(1.0, 1.3).covariance.trace();
+        assert!(doubt(&ego) < 0.01 * doubt(&without));
+        // The same picture again changes nothing; the next one replaces what was known ahead.
+        let before = ego.clone();
+        ego.add(&turn(1.0, later_s));
+        assert_eq!(ego, before);
+        ego.add(&turn(later_s, 32.0 / 30.0));
+        without.add(&turn(later_s, 32.0 / 30.0));
+        assert_eq!(ego, without);
     }
 
     #[test]

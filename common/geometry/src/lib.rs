@@ -9,6 +9,8 @@
 //! | [`body`] | where are a body's markers and their corners |
 //! | [`calibration`] | where were its markers really glued |
 //! | [`pose`] | which pose of a body explains a set of rays |
+//! | [`ego_rotation`] | how has the camera itself turned |
+//! | [`inertial`] | what does an inertial sensor say of that, and how far is it right |
 //! | [`filter`] | where is a neighbour now, and where will it be |
 //! | [`search`] | where to look in the next frame |
 //! | [`statistics`] | what are the mean, the median and the quantiles of some values |
@@ -21,6 +23,7 @@ pub mod calibration;
 pub mod camera;
 pub mod ego_rotation;
 pub mod filter;
+pub mod inertial;
 pub mod mask;
 pub mod partition;
 pub mod pose;

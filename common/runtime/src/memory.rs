@@ -8,8 +8,8 @@ use std::time::Duration;
 
 use flockeye_config::{Flow, Pipeline, Resolved};
 use flockeye_contract::{
-    BodyTruth, DetectedMarker, Frames, MAX_PLANNED_VIEWS, PlannedView, TOPICS, Topic, TopicId,
-    TopicInfo, Track,
+    BodyTruth, DetectedMarker, Frames, MAX_IMU_SAMPLES, MAX_PLANNED_VIEWS, PlannedView, TOPICS,
+    Topic, TopicId, TopicInfo, Track,
 };
 
 /// Limits of one topic.
@@ -142,6 +142,7 @@ fn sizes(topic: TopicId, resolved: &Resolved, largest_view_px: u32) -> Sizes {
             let items = frame_bytes(pipeline);
             Sizes { subscribers: 3, buffer: 1, borrowed: 4, loaned: 2, items, ..usual }
         }
+        TopicId::Imus => Sizes { items: MAX_IMU_SAMPLES, ..usual },
         TopicId::Rotations => Sizes { buffer: 16, ..usual },
         TopicId::Plans => Sizes { buffer: 2, history: 1, items: MAX_PLANNED_VIEWS, ..usual },
         // To each lane listen its worker, that worker's successor, fusion and a tool.
@@ -317,7 +318,7 @@ mod tests {
         assert_eq!(names, TOPICS.iter().map(|topic| topic.name).collect::<Vec<_>>());
         assert_eq!(budget.topic::<Frames>().usual_publishers, 1, "one of the sources runs");
         assert_eq!(budget.topic::<Detections>().usual_publishers, 2);
-        assert_eq!(budget.topic::<Healths>().usual_publishers, 7);
+        assert_eq!(budget.topic::<Healths>().usual_publishers, 8);
         let views = budget.topic::<Views>();
         assert_eq!((views.lanes, views.usual_publishers, views.publishers), (2, 2, 3));
     }

@@ -1,19 +1,24 @@
 //! What egomotion does with frames: no port, no clock, no thread.
 
 use flockeye_config::Resolved;
-use flockeye_contract::{FrameHeader, FrameStamp, Rotation, RotationSource};
-use flockeye_convert::rotation_message;
+use flockeye_contract::{FrameHeader, FrameStamp, ImuHeader, ImuSample, Rotation, RotationSource};
+use flockeye_convert::{rate_sample, rotation, rotation_message};
 use flockeye_geometry::camera::Camera;
-use flockeye_geometry::ego_rotation::CameraTurn;
+use flockeye_geometry::ego_rotation::{CameraTurn, TurnAhead};
+use flockeye_geometry::inertial::errors::Corrected;
 use flockeye_imaging::gyroscope::Gyroscope;
 use flockeye_imaging::gyroscope::grid::Sampler;
 use flockeye_imaging::sphere::{SphereError, SphereImage};
 use nalgebra::UnitQuaternion;
 
+use crate::inertial::{Notice, Sensor, Turned};
 use crate::rate::RateFilter;
 
 /// Frames that lie farther apart are not compared, seconds: too little of what both show is the same.
 const LONGEST_STEP_S: f64 = 0.3;
+
+/// Over so long the inertial sensor's rate is averaged where the exposure is not known, seconds.
+const RATE_WIDTH_S: f64 = 0.01;
 
 /// Follows the camera's rotation from frame to frame.
 pub struct Core {
@@ -21,6 +26,13 @@ pub struct Core {
     gyroscope: Gyroscope,
     sampler: Sampler,
     rate: RateFilter,
+    sensor: Sensor,
+    /// The inertial sensor as it is configured.
+    camera_from_sensor: UnitQuaternion<f64>,
+    time_offset_s: f64,
+    /// Which run of the inertial sensor its last samples are of: generation and epoch.
+    sensor_run: (u32, u32),
+    exposure_s: f64,
     /// The frame before.
     earlier: Option<FrameStamp>,
     generation: u32,
@@ -33,14 +45,38 @@ impl Core {
     /// A mask that cannot be read.
     pub fn new(resolved: &Resolved, generation: u32) -> anyhow::Result<Self> {
         let sampler = Sampler::new(&resolved.camera, resolved.mask()?);
+        let inertial = &resolved.pipeline.inertial;
         Ok(Self {
             camera: resolved.camera,
             gyroscope: Gyroscope::new(sampler.clone()),
             sampler,
             rate: RateFilter::new(),
+            sensor: Sensor::new(),
+            camera_from_sensor: rotation(inertial.camera_from_sensor),
+            time_offset_s: inertial.time_offset_ms * 1e-3,
+            sensor_run: (0, 0),
+            exposure_s: resolved.pipeline.exposure_s().unwrap_or(RATE_WIDTH_S),
             earlier: None,
             generation,
         })
+    }
+
+    /// Takes in samples of the inertial sensor.
+    pub fn on_samples(&mut self, header: &ImuHeader, samples: &[ImuSample]) {
+        let run = (header.generation, header.epoch);
+        if run != self.sensor_run {
+            self.sensor_run = run;
+            self.sensor.begin_epoch();
+        }
+        for sample in samples {
+            let sample = rate_sample(sample, &self.camera_from_sensor, self.time_offset_s);
+            self.sensor.push(sample);
+        }
+    }
+
+    /// What the inertial sensor has done since this was asked last.
+    pub fn take_notices(&mut self) -> Vec<Notice> {
+        self.sensor.take_notices()
     }
 
     /// How the camera has turned since the frame before.
@@ -59,28 +95,89 @@ impl Core {
             self.gyroscope = Gyroscope::new(self.sampler.clone());
             self.rate.forget();
         }
-        let step_s = earlier.map_or(0.0, |earlier| stamp.exposure_s() - earlier.exposure_s());
-        // The sphere turns the other way than the camera.
-        let expected = self.rate.expected(step_s);
-        let expected = expected.map(|turned| UnitQuaternion::from_scaled_axis(-turned));
-        let found = self.gyroscope.next(&frame, expected);
-        let (Some(earlier), Some(found)) = (earlier, found) else {
-            self.rate.forget();
-            return Ok(Rotation { stamp, generation: self.generation, ..Rotation::default() });
-        };
-        let turned = found.later_from_earlier.inverse().scaled_axis();
-        let (rate_in_camera, rate_covariance) =
-            self.rate.update(step_s, &turned, &found.covariance);
-        let turn = CameraTurn {
-            earlier_s: earlier.exposure_s(),
-            later_s: stamp.exposure_s(),
+        let times = earlier.map(|earlier| (earlier.exposure_s(), stamp.exposure_s()));
+        let by_sensor = times.and_then(|(from_s, to_s)| self.sensor.between(from_s, to_s));
+        let expected = self.expected(times, by_sensor.as_ref());
+        let by_picture = self.gyroscope.next(&frame, expected).map(|found| Turned {
             later_from_earlier: found.later_from_earlier,
             covariance: found.covariance,
-            rate_in_camera,
-            rate_covariance,
+        });
+        let unknown = Rotation { stamp, generation: self.generation, ..Rotation::default() };
+        let Some(earlier) = earlier else { return Ok(unknown) };
+        let Some((turned, source)) = self.turned(&earlier, &stamp, by_picture, by_sensor) else {
+            self.rate.forget();
+            return Ok(unknown);
         };
-        let source = RotationSource::Picture;
+        let turn = self.turn(&earlier, &stamp, &turned);
         Ok(rotation_message(&earlier, &stamp, &turn, source, self.generation))
+    }
+
+    /// Where the picture's rotation is looked for: where the sensor has it, or where the rate leads.
+    fn expected(
+        &self,
+        times: Option<(f64, f64)>,
+        by_sensor: Option<&Corrected>,
+    ) -> Option<UnitQuaternion<f64>> {
+        if let Some(corrected) = by_sensor.filter(|_| self.sensor.counts()) {
+            return Some(corrected.later_from_earlier);
+        }
+        let (from_s, to_s) = times?;
+        // The sphere turns the other way than the camera.
+        let expected = self.rate.expected(to_s - from_s);
+        expected.map(|turned| UnitQuaternion::from_scaled_axis(-turned))
+    }
+
+    /// The rotation between two frames by whatever knows it.
+    fn turned(
+        &mut self,
+        earlier: &FrameStamp,
+        stamp: &FrameStamp,
+        by_picture: Option<Turned>,
+        by_sensor: Option<Corrected>,
+    ) -> Option<(Turned, RotationSource)> {
+        let step_s = stamp.exposure_s() - earlier.exposure_s();
+        match (by_picture, by_sensor) {
+            (Some(picture), Some(corrected)) => {
+                Some(match self.sensor.with_picture(&corrected, &picture, step_s) {
+                    Some(both) => (both, RotationSource::PictureAndInertial),
+                    None => (picture, RotationSource::Picture),
+                })
+            }
+            (Some(picture), None) => Some((picture, RotationSource::Picture)),
+            (None, Some(corrected)) if self.sensor.counts() => {
+                Some((Turned::from(&corrected), RotationSource::Inertial))
+            }
+            (None, _) => None,
+        }
+    }
+
+    /// The rotation with the rate at the exposure, and with what the sensor knows beyond.
+    fn turn(&mut self, earlier: &FrameStamp, stamp: &FrameStamp, turned: &Turned) -> CameraTurn {
+        let (earlier_s, later_s) = (earlier.exposure_s(), stamp.exposure_s());
+        let vector = turned.later_from_earlier.inverse().scaled_axis();
+        let mut rate = self.rate.update(later_s - earlier_s, &vector, &turned.covariance);
+        if let Some((by_sensor, covariance)) = self.sensor.rate(later_s, self.exposure_s) {
+            rate = self.rate.observe(&by_sensor, &covariance);
+        }
+        let ahead = self.sensor.ahead(later_s).and_then(|(until_s, turned)| {
+            let (rate_in_camera, rate_covariance) = self.sensor.rate(until_s, 0.0)?;
+            Some(TurnAhead {
+                until_s,
+                ahead_from_later: turned.later_from_earlier,
+                covariance: turned.covariance,
+                rate_in_camera,
+                rate_covariance,
+            })
+        });
+        CameraTurn {
+            earlier_s,
+            later_s,
+            later_from_earlier: turned.later_from_earlier,
+            covariance: turned.covariance,
+            rate_in_camera: rate.0,
+            rate_covariance: rate.1,
+            ahead,
+        }
     }
 }
 
@@ -93,107 +190,4 @@ fn follows(stamp: &FrameStamp, earlier: &FrameStamp) -> bool {
 }
 
 #[cfg(test)]
-mod tests {
-    #![allow(clippy::unwrap_used, clippy::expect_used)]
-    use super::*;
-    use flockeye_config::Pipeline;
-    use flockeye_geometry::camera::SpherePixel;
-    use nalgebra::Vector3;
-
-    const SIZE: [u32; 2] = [640, 320];
-
-    fn core() -> Core {
-        let size: Vec<String> = vec!["camera.width=640".into(), "camera.height=320".into()];
-        let resolved = Resolved::of(Pipeline::parse("", &size, "x").unwrap()).unwrap();
-        Core::new(&resolved, 3).unwrap()
-    }
-
-    /// What a camera that yaws shows of a world of waves, at a frame's time.
-    fn picture(yaw: f64) -> Vec<u8> {
-        let camera = Camera::equirectangular(SIZE[0], SIZE[1]);
-        let world_from_camera = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
-        let light = |k: u32| {
-            let pixel = SpherePixel::new(f64::from(k % SIZE[0]), f64::from(k / SIZE[0]));
-            let ray = world_from_camera * *camera.ray(pixel).unwrap();
-            let waves = (0..20).map(|k| {
-                let of = |n: u32| f64::from((k * 7919 + n * 104_729) % 1000) / 500.0 - 1.0;
-                let wave = Vector3::new(of(1), of(2), of(3)) * (3.0 + f64::from(k));
-                (wave.dot(&ray) + 3.0 * of(4)).sin()
-            });
-            (128.0 + 12.0 * waves.sum::<f64>()).round().clamp(0.0, 255.0) as u8
-        };
-        (0..SIZE[0] * SIZE[1]).map(light).collect()
-    }
-
-    fn header(sequence: u64, epoch: u32) -> FrameHeader {
-        let exposure_ns = sequence as i64 * 33_333_333;
-        let stamp = FrameStamp { sequence, exposure_ns, epoch, ..FrameStamp::default() };
-        FrameHeader {
-            stamp,
-            width: SIZE[0],
-            height: SIZE[1],
-            stride: SIZE[0],
-            ..FrameHeader::default()
-        }
-    }
-
-    fn is_known(rotation: &Rotation) -> bool {
-        rotation.source != RotationSource::Nothing.code()
-    }
-
-    #[test]
-    fn a_yaw_and_its_rate_are_found() {
-        let mut core = core();
-        let rate = 0.6;
-        for sequence in 0..12 {
-            let yaw = rate * sequence as f64 / 30.0;
-            let found = core.on_frame(&header(sequence, 0), &picture(yaw)).unwrap();
-            assert_eq!(is_known(&found), sequence > 0, "frame {sequence}");
-            assert_eq!(found.generation, 3);
-            if sequence > 5 {
-                let off = Vector3::from(found.rate_in_camera) - Vector3::z() * rate;
-                assert!(off.norm().to_degrees() < 1.0, "{off}");
-                assert_eq!(found.earlier_exposure_ns, (sequence as i64 - 1) * 33_333_333);
-            }
-        }
-    }
-
-    #[test]
-    fn black_frames_and_a_covered_camera_say_nothing_and_harm_nothing() {
-        let mut core = core();
-        let black = vec![16; (SIZE[0] * SIZE[1]) as usize];
-        let mut known = |sequence: u64, pixels: &[u8]| {
-            is_known(&core.on_frame(&header(sequence, 0), pixels).unwrap())
-        };
-        assert!(!known(0, &picture(0.0)));
-        assert!(known(1, &picture(0.02)));
-        // A white frame, two seconds of black ones, and fog.
-        assert!(!known(2, &vec![255; black.len()]));
-        (3..63).for_each(|sequence| assert!(!known(sequence, &black)));
-        let fog: Vec<u8> = picture(0.1).iter().map(|value| 128 + value / 200).collect();
-        assert!(!known(63, &fog));
-        assert!(!known(64, &picture(0.5)), "there is nothing before it to compare with");
-        assert!(known(65, &picture(0.52)));
-    }
-
-    #[test]
-    fn frames_of_another_flight_or_too_far_apart_are_not_compared() {
-        let mut core = core();
-        let mut known = |sequence: u64, epoch: u32| {
-            is_known(&core.on_frame(&header(sequence, epoch), &picture(0.0)).unwrap())
-        };
-        assert!(!known(0, 0));
-        assert!(known(1, 0));
-        assert!(!known(20, 0), "more than half a second");
-        assert!(!known(0, 1), "the recording has begun anew");
-        assert!(known(1, 1));
-        assert!(!known(1, 1), "time does not go on");
-    }
-
-    #[test]
-    fn a_frame_of_another_size_is_refused() {
-        let mut core = core();
-        let small = FrameHeader { stride: 320, ..header(0, 0) };
-        assert!(core.on_frame(&small, &vec![0; 320 * 160]).is_err());
-    }
-}
+mod tests;

@@ -1,9 +1,10 @@
 //! How the camera itself turns, from the sphere that it sees.
 //!
 //! [`core`] follows the rotation from frame to frame ([`flockeye_imaging::gyroscope`]) and its rate during
-//! each exposure ([`rate`]). docs/EGOMOTION.md describes the method and what it reaches.
+//! each exposure ([`rate`]). An inertial sensor adds to both where there is one and it agrees ([`inertial`]). docs/EGOMOTION.md describes the method and what it reaches.
 
 pub mod core;
+pub mod inertial;
 pub mod rate;
 mod stage;
 

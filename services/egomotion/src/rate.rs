@@ -77,6 +77,34 @@ impl RateFilter {
         self.state = Some(state);
         found
     }
+
+    /// Takes in the rate at the same time from an inertial sensor, rad/s, with its covariance, and says what
+    /// the rate is now. It is called after [`Self::update`].
+    pub fn observe(
+        &mut self,
+        rate: &Vector3<f64>,
+        covariance: &Matrix3<f64>,
+    ) -> (Vector3<f64>, Matrix3<f64>) {
+        let [_, change] = FIRST_DEVIATIONS;
+        let variance = covariance.trace() / 3.0;
+        let state = self.state.take().unwrap_or_else(|| State {
+            rate: *rate,
+            acceleration: Vector3::zeros(),
+            covariance: Matrix2::new(variance, 0.0, 0.0, change * change),
+        });
+        let seen = RowVector2::new(1.0, 0.0);
+        let spread = state.covariance[(0, 0)] + variance;
+        let gain = state.covariance * seen.transpose() / spread;
+        let innovation = rate - state.rate;
+        let state = State {
+            rate: state.rate + innovation * gain[0],
+            acceleration: state.acceleration + innovation * gain[1],
+            covariance: state.covariance - gain * spread * gain.transpose(),
+        };
+        let found = (state.rate, Matrix3::from_diagonal_element(state.covariance[(0, 0)]));
+        self.state = Some(state);
+        found
+    }
 }
 
 impl Default for RateFilter {
@@ -140,6 +168,31 @@ mod tests {
         let ratio = squares / stated;
         assert!((0.1..1.2).contains(&ratio), "{ratio}");
         assert!((stated / 1979.0).sqrt() < 1.8 * deviation / STEP_S);
+    }
+
+    #[test]
+    fn a_sensor_that_measures_the_rate_itself_is_followed() {
+        let way = swinging(0.6, 0.3);
+        let (mut by_both, mut by_picture) = (RateFilter::new(), RateFilter::new());
+        let covariance = Matrix3::from_diagonal_element(3.5e-4f64.powi(2));
+        let sensor = Matrix3::from_diagonal_element(2e-3f64.powi(2));
+        for frame in 1..40 {
+            let at_s = f64::from(frame) * STEP_S;
+            let turned = Vector3::x() * (way(at_s)[1] - way(at_s - STEP_S)[1]);
+            by_picture.update(STEP_S, &turned, &covariance);
+            by_both.update(STEP_S, &turned, &covariance);
+            let (rate, stated) = by_both.observe(&(Vector3::x() * way(at_s)[0]), &sensor);
+            assert!(frame < 4 || (rate.x - way(at_s)[0]).abs() < 2e-3, "frame {frame}: {rate}");
+            assert!(stated[(0, 0)] <= sensor[(0, 0)] * 1.0001);
+        }
+        let next_s = 40.0 * STEP_S;
+        let truth = way(next_s)[1] - way(next_s - STEP_S)[1];
+        let off =
+            |filter: &RateFilter| (filter.expected(STEP_S).unwrap_or_default().x - truth).abs();
+        assert!(off(&by_both) < off(&by_picture), "{} {}", off(&by_both), off(&by_picture));
+        // With nothing before, the sensor's rate is the rate.
+        let (rate, _) = RateFilter::new().observe(&Vector3::y(), &sensor);
+        assert_eq!(rate, Vector3::y());
     }
 
     #[test]

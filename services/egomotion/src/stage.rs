@@ -1,17 +1,21 @@
 //! The ports around egomotion.
 
 use flockeye_config::Flow;
-use flockeye_contract::{Frames, Rotations};
+use flockeye_contract::{Frames, Imus, Rotations};
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::logs::Throttle;
 use flockeye_runtime::ports::{Ports, Publisher, Subscriber};
 use flockeye_runtime::{Context, Stage, Step, clock};
+use nalgebra::Vector3;
 
 use crate::core::Core;
+use crate::inertial::Notice;
 
-/// Takes frames; gives the camera's rotation to each.
+/// Takes frames and an inertial sensor's samples; gives the camera's rotation to each frame.
 pub struct EgomotionStage {
     frames: Subscriber<Frames>,
+    /// Where there is a sensor.
+    imus: Option<Subscriber<Imus>>,
     rotations: Publisher<Rotations>,
     core: Core,
     flow: Flow,
@@ -23,8 +27,10 @@ impl Stage for EgomotionStage {
     const NAME: &'static str = "egomotion";
 
     fn open(context: &Context, ports: &mut Ports) -> anyhow::Result<Self> {
+        let has_sensor = context.resolved.pipeline.has_inertial_sensor();
         Ok(Self {
             frames: ports.subscriber()?,
+            imus: if has_sensor { Some(ports.subscriber()?) } else { None },
             rotations: ports.publisher()?,
             core: Core::new(&context.resolved, context.identity.generation)?,
             flow: context.resolved.pipeline.flow,
@@ -34,6 +40,12 @@ impl Stage for EgomotionStage {
     }
 
     fn step(&mut self) -> anyhow::Result<Step> {
+        // First: a source sends the samples that cover a frame before the frame.
+        if let Some(imus) = &mut self.imus {
+            while let Some(samples) = imus.receive()? {
+                self.core.on_samples(&samples.header, samples.items());
+            }
+        }
         let frame = match self.flow {
             Flow::Latest => self.frames.newest()?,
             Flow::Lossless => self.frames.receive()?,
@@ -45,6 +57,7 @@ impl Stage for EgomotionStage {
                 drop(frame);
                 self.rotations.send(rotation, &[])?;
                 self.counters.add_latency_ns(clock::monotonic_ns() - begun_ns);
+                self.core.take_notices().into_iter().for_each(log);
             }
             Err(error) => {
                 self.counters.add_failed(1);
@@ -55,5 +68,28 @@ impl Stage for EgomotionStage {
             }
         }
         Ok(Step::Again)
+    }
+}
+
+/// A line for what the inertial sensor has done: each is said once until the next.
+fn log(notice: Notice) {
+    let degrees = |rate: Vector3<f64>| {
+        let [x, y, z] = rate.map(f64::to_degrees).into();
+        format!("{x:.1}, {y:.1}, {z:.1} degrees/s about x, y, z")
+    };
+    match notice {
+        Notice::Agrees { bias } => {
+            tracing::info!("the inertial sensor agrees with the picture; bias {}", degrees(bias));
+        }
+        Notice::Disagrees { off } => tracing::warn!(
+            "the inertial sensor disagrees with the picture by {} and is left out. Cure: check its axes and \
+             its clock with flockeye calibrate imu",
+            degrees(off)
+        ),
+        Notice::Silent => tracing::warn!(
+            "no samples of the inertial sensor cover the frames: is it sending, and is \
+             inertial.time_offset_ms right?"
+        ),
+        Notice::Heard => tracing::info!("the inertial sensor sends again"),
     }
 }

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 mod bodies;
 mod camera;
 mod costs;
+mod inertial;
 mod mount;
 mod partition;
 mod simulator;
@@ -18,9 +19,10 @@ mod stages;
 pub use bodies::{BodySet, Preset, PresetBody};
 pub use camera::{Camera, CameraModel, FisheyeLens, Response};
 pub use costs::{Costs, SearchBudget};
+pub use inertial::{Inertial, InertialSource, MavlinkAddress};
 pub use mount::Mount;
 pub use partition::{Auto, Count, Method, Partition};
-pub use simulator::Simulator;
+pub use simulator::{SimulatedInertial, Simulator};
 pub use stages::{Restart, Scheduling, StageInfo, StageProcess, Stages};
 
 /// A Flockeye pipeline.
@@ -42,6 +44,8 @@ pub struct Pipeline {
     pub source: Source,
     /// The simulated world, for `source.input: sim`.
     pub simulator: Simulator,
+    /// This drone's inertial sensor.
+    pub inertial: Inertial,
     /// How the camera's own rotation is measured.
     pub egomotion: Egomotion,
     /// How the sphere is cut.
@@ -71,12 +75,17 @@ impl Pipeline {
         self.stages.of(stage).replicas.unwrap_or(StageInfo::of(stage).replicas)
     }
 
-    /// Whether a stage runs in this pipeline: of the sources one does, the gateway may be off, and
-    /// where each frame stands for itself nobody asks how the camera has turned.
+    /// Whether a stage runs in this pipeline: of the sources one does, the gateway may be off,
+    /// where each frame stands for itself nobody asks how the camera has turned, and most inertial sensors
+    /// are part of the source.
     pub fn runs(&self, stage: StageName) -> bool {
         match stage {
             StageName::Gateway => self.gateway.enabled,
             StageName::Egomotion => self.egomotion.enabled && self.fusion.filter != Filter::None,
+            StageName::Inertial => {
+                let source = self.inertial.parsed_source();
+                self.runs(StageName::Egomotion) && matches!(source, Ok(InertialSource::Mavlink(_)))
+            }
             source if source.is_source() => source == self.source_stage(),
             _ => true,
         }
@@ -124,6 +133,11 @@ impl Pipeline {
             (Flow::Lossless, Filter::None) => 10.0,
             _ => 1.0,
         }
+    }
+
+    /// Whether an inertial sensor is configured, wherever its samples come from.
+    pub fn has_inertial_sensor(&self) -> bool {
+        !matches!(self.inertial.parsed_source(), Ok(InertialSource::None) | Err(_))
     }
 
     /// The stage that `source.input` needs.

@@ -43,6 +43,8 @@ pub struct Simulator {
     pub noise: f64,
     /// Whether airframes hide markers.
     pub airframes: bool,
+    /// Its inertial sensor, for `inertial.source: sim`.
+    pub inertial: SimulatedInertial,
     /// A JSON file of the same bodies as they really are, if they differ from what is searched for.
     pub bodies: Option<PathBuf>,
 }
@@ -62,7 +64,40 @@ impl Default for Simulator {
             lens_blur_px: 0.8,
             noise: 1.0,
             airframes: true,
+            inertial: SimulatedInertial::default(),
             bodies: None,
+        }
+    }
+}
+
+/// The simulated inertial sensor as it really is: what `inertial` in the configuration need not know.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct SimulatedInertial {
+    /// Samples a second.
+    #[schemars(range(min = 20.0, max = 4000.0))]
+    pub rate_hz: f64,
+    /// Constant error of the rate about each axis, degrees a second, of a sign of its own.
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub bias_deg_s: f64,
+    /// White noise of each sample's rate, degrees a second.
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub noise_deg_s: f64,
+    /// Turns the sensor's axes into the camera's: unit quaternion x, y, z, w.
+    pub camera_from_sensor: [f64; 4],
+    /// What has to be added to the sensor's time to get the camera's, milliseconds.
+    #[schemars(range(min = -1000.0, max = 1000.0))]
+    pub time_offset_ms: f64,
+}
+
+impl Default for SimulatedInertial {
+    fn default() -> Self {
+        Self {
+            rate_hz: 200.0,
+            bias_deg_s: 0.5,
+            noise_deg_s: 0.1,
+            camera_from_sensor: [0.0, 0.0, 0.0, 1.0],
+            time_offset_ms: 0.0,
         }
     }
 }

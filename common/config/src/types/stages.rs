@@ -12,7 +12,9 @@ pub struct Stages {
     pub capture: StageProcess,
     /// The simulated world, in place of capture.
     pub simulator: StageProcess,
-    /// Frames to the camera's own rotation.
+    /// An autopilot's inertial sensor to samples.
+    pub inertial: StageProcess,
+    /// Frames and samples to the camera's own rotation.
     pub egomotion: StageProcess,
     /// Frames and plans to views.
     pub rectification: StageProcess,
@@ -102,6 +104,7 @@ impl Stages {
         match stage {
             StageName::Capture => &self.capture,
             StageName::Simulator => &self.simulator,
+            StageName::Inertial => &self.inertial,
             StageName::Egomotion => &self.egomotion,
             StageName::Rectification => &self.rectification,
             StageName::Detection => &self.detection,
@@ -137,6 +140,7 @@ impl StageInfo {
             StageName::Detection => Self { replicas: 2, may_have_replicas: true, nice: 5 },
             StageName::Capture
             | StageName::Simulator
+            | StageName::Inertial
             | StageName::Rectification
             | StageName::Fusion
             | StageName::Gateway => Self { replicas: 1, may_have_replicas: false, nice: 0 },

@@ -429,6 +429,7 @@ fn yawing(frames: u32) -> Vec<CameraTurn> {
                     * camera_from_world(earlier_s).inverse(),
                 covariance: Matrix3::from_diagonal_element(1e-8),
                 rate_in_camera: Vector3::z() * (1.2 + 1.2 * (4.0 * later_s).cos()),
+                ahead: None,
                 rate_covariance: Matrix3::from_diagonal_element(1e-6),
             }
         })

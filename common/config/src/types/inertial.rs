@@ -1,0 +1,132 @@
+//! The observer's inertial sensor, as types.
+
+use std::path::PathBuf;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// This drone's inertial sensor. Nothing needs one.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Inertial {
+    /// `none`, `sim` (that of the simulated world), `mavlink:udp:ADDRESS:PORT` to listen on,
+    /// `mavlink:serial:DEVICE:BAUD`, or a CSV file beside a recording (columns t_s, gx, gy, gz, ax, ay, az).
+    pub source: String,
+    /// Turns the sensor's axes into the camera's: unit quaternion x, y, z, w. `flockeye calibrate imu` finds
+    /// it.
+    pub camera_from_sensor: [f64; 4],
+    /// What has to be added to the sensor's time to get the camera's, milliseconds. `flockeye calibrate imu`
+    /// finds it.
+    #[schemars(range(min = -1000.0, max = 1000.0))]
+    pub time_offset_ms: f64,
+}
+
+impl Default for Inertial {
+    fn default() -> Self {
+        Self {
+            source: "none".into(),
+            camera_from_sensor: [0.0, 0.0, 0.0, 1.0],
+            time_offset_ms: 0.0,
+        }
+    }
+}
+
+/// Where samples of the inertial sensor come from.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum InertialSource {
+    /// There is none.
+    None,
+    /// The simulated world has one.
+    Simulated,
+    /// A CSV file beside a recording.
+    Recorded(PathBuf),
+    /// An autopilot.
+    Mavlink(MavlinkAddress),
+}
+
+/// Where an autopilot is heard.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum MavlinkAddress {
+    /// On this machine's address and port (`0.0.0.0:14550`); answers go to whoever sends.
+    Udp(String),
+    /// On a serial line.
+    Serial {
+        /// The device.
+        device: String,
+        /// Bits a second.
+        baud: u32,
+    },
+}
+
+impl Inertial {
+    /// What [`Self::source`] names.
+    ///
+    /// # Errors
+    /// What is wrong with it, and what would be right.
+    pub fn parsed_source(&self) -> Result<InertialSource, String> {
+        let wrong = |what: &str| Err(format!("'{}' {what}", self.source));
+        match self.source.as_str() {
+            "none" | "" => return Ok(InertialSource::None),
+            "sim" => return Ok(InertialSource::Simulated),
+            _ => {}
+        }
+        let Some(address) = self.source.strip_prefix("mavlink:") else {
+            return match self.source.ends_with(".csv") {
+                true => Ok(InertialSource::Recorded(self.source.clone().into())),
+                false => wrong("is no inertial sensor: use none, sim, mavlink:.., or FILE.csv"),
+            };
+        };
+        match address.split_once(':') {
+            Some(("udp", address)) if address.parse::<std::net::SocketAddr>().is_ok() => {
+                Ok(InertialSource::Mavlink(MavlinkAddress::Udp(address.to_owned())))
+            }
+            Some(("udp", _)) => wrong("has no address to listen on: mavlink:udp:0.0.0.0:14550"),
+            Some(("serial", line)) => {
+                match line.rsplit_once(':').map(|(d, baud)| (d, baud.parse())) {
+                    Some((device, Ok(baud))) if !device.is_empty() => {
+                        let device = device.to_owned();
+                        Ok(InertialSource::Mavlink(MavlinkAddress::Serial { device, baud }))
+                    }
+                    _ => wrong("has no device and rate: mavlink:serial:/dev/ttyACM0:921600"),
+                }
+            }
+            _ => wrong("is no way to an autopilot: mavlink:udp:.. or mavlink:serial:.."),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parsed(source: &str) -> Result<InertialSource, String> {
+        Inertial { source: source.into(), ..Inertial::default() }.parsed_source()
+    }
+
+    #[test]
+    fn sources_are_told_apart() {
+        assert_eq!(parsed("none"), Ok(InertialSource::None));
+        assert_eq!(parsed("sim"), Ok(InertialSource::Simulated));
+        assert_eq!(parsed("a/imu.csv"), Ok(InertialSource::Recorded("a/imu.csv".into())));
+        let udp = MavlinkAddress::Udp("0.0.0.0:14550".into());
+        assert_eq!(parsed("mavlink:udp:0.0.0.0:14550"), Ok(InertialSource::Mavlink(udp)));
+        let serial = MavlinkAddress::Serial { device: "/dev/ttyACM0".into(), baud: 921_600 };
+        assert_eq!(
+            parsed("mavlink:serial:/dev/ttyACM0:921600"),
+            Ok(InertialSource::Mavlink(serial))
+        );
+    }
+
+    #[test]
+    fn wrong_sources_say_what_is_right() {
+        for (source, cure) in [
+            ("imu.txt", "FILE.csv"),
+            ("mavlink:udp:14550", "mavlink:udp:0.0.0.0:14550"),
+            ("mavlink:serial:/dev/ttyACM0", "921600"),
+            ("mavlink:serial::5", "921600"),
+            ("mavlink:can:0", "mavlink:serial"),
+        ] {
+            assert!(parsed(source).is_err_and(|error| error.contains(cure)), "{source}");
+        }
+    }
+}

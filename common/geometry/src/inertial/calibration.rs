@@ -1,0 +1,359 @@
+//! Mounting, time offset and bias of an inertial sensor, from a flight of which nothing is known before.
+//!
+//! For each time offset within [`SEARCHED_S`] the mounting and the bias that agree best with the picture's
+//! rates have a closed form (Kabsch, Acta Crystallographica A32, 1976). The best offset's solution is refined
+//! by Gauss-Newton steps over all seven unknowns, whose normal matrix states the deviations.
+
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+
+use super::errors::{Matrix7, Vector7, by_errors};
+use super::record::RateRecord;
+
+/// Time offsets are searched up to this, either way, seconds.
+pub const SEARCHED_S: f64 = 0.8;
+/// The first search's step, seconds: rates of drones change slowly over it.
+const STEP_S: f64 = 0.005;
+/// Fewest comparisons that can be calibrated from.
+const FEWEST: usize = 30;
+/// Steps of refinement. The closed form is within milliseconds and tenths of degrees already.
+const REFINEMENTS: usize = 5;
+/// A residual beyond so many deviations is taken for the picture's error and left out.
+const OUTLIER: f64 = 4.0;
+/// Share of the rates' variation that is left at least where sensor and picture do not belong together.
+const UNRELATED: f64 = 0.5;
+
+/// Mirrored axes that leave so many times less than proper ones are mirrored.
+const MIRRORED: f64 = 4.0;
+
+/// What the picture shows between two frames.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TurnSeen {
+    /// Exposure of the earlier frame, seconds.
+    pub earlier_s: f64,
+    /// Exposure of the later frame, seconds.
+    pub later_s: f64,
+    /// The mean angular velocity between, in the camera's axes, rad/s.
+    pub rate: Vector3<f64>,
+}
+
+/// What a calibration found.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SensorCalibration {
+    /// Turns the sensor's axes into the camera's.
+    pub camera_from_sensor: UnitQuaternion<f64>,
+    /// What has to be added to the sensor's time to get the camera's, seconds.
+    pub time_offset_s: f64,
+    /// Along the camera's axes, rad/s.
+    pub bias: Vector3<f64>,
+    /// Standard deviations of the mounting about the camera's axes, radians.
+    pub mounting_deviation: Vector3<f64>,
+    /// Standard deviation of the time offset, seconds.
+    pub offset_deviation_s: f64,
+    /// Root mean square of what is left between picture and sensor about each axis, rad/s.
+    pub residual: f64,
+    /// Comparisons that it rests on.
+    pub comparisons: usize,
+}
+
+/// Why there is no calibration.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum CalibrationError {
+    /// Too little was recorded by both.
+    #[error(
+        "picture and sensor have {found} frames in common, {FEWEST} are needed: is the sensor sending?"
+    )]
+    TooFew {
+        /// Comparisons found.
+        found: usize,
+    },
+    /// They do not move together.
+    #[error(
+        "the sensor does not turn as the picture does, at no time offset within {SEARCHED_S} s ({left:.0} \
+         % of the rates' variation is left): is it on this drone, and was the drone turned?"
+    )]
+    Unrelated {
+        /// Percent of the variation that is left.
+        left: f64,
+    },
+    /// One or three axes have the wrong sign.
+    #[error(
+        "the sensor's axes are left-handed: one axis has the wrong sign. No mounting cures that; mend it \
+         where samples are read"
+    )]
+    LeftHanded,
+    /// The rotation was about one axis only.
+    #[error(
+        "the mounting about an axis is known to {deviation_deg:.1} degrees only: turn the drone about all \
+         three axes, by 20 degrees and more"
+    )]
+    OneAxis {
+        /// Largest standard deviation of the mounting, degrees.
+        deviation_deg: f64,
+    },
+}
+
+/// Mean rates of the picture and of the sensor over the same frames.
+struct Pair {
+    seen: TurnSeen,
+    sensor: Vector3<f64>,
+}
+
+/// The closed form's solution at one time offset.
+struct Fit {
+    rotation: Matrix3<f64>,
+    bias: Vector3<f64>,
+    /// Mean squared residual, and the same where the axes may be mirrored.
+    left: f64,
+    left_mirrored: f64,
+}
+
+/// Finds mounting, time offset and bias of the sensor whose samples are in `record`, from what the picture
+/// shows of the same flight.
+///
+/// # Errors
+/// [`CalibrationError`] says what is missing.
+pub fn calibrate(
+    seen: &[TurnSeen],
+    record: &RateRecord,
+) -> Result<SensorCalibration, CalibrationError> {
+    let at = |offset_s: f64| pairs(seen, record, offset_s);
+    let steps = (SEARCHED_S / STEP_S) as i32;
+    let offsets = (-steps..=steps).map(|k| f64::from(k) * STEP_S);
+    let mut best: Option<(f64, Fit)> = None;
+    let (mut most, mut least_mirrored) = (0, f64::INFINITY);
+    for offset_s in offsets {
+        let pairs = at(offset_s);
+        most = most.max(pairs.len());
+        // An offset at which half of the comparisons are missing says little.
+        if pairs.len() < FEWEST.max(seen.len() / 2) {
+            continue;
+        }
+        let fit = fit(&pairs);
+        least_mirrored = fit.left_mirrored.min(least_mirrored);
+        if best.as_ref().is_none_or(|(_, least)| fit.left < least.left) {
+            best = Some((offset_s, fit));
+        }
+    }
+    let Some((offset_s, fit)) = best else {
+        return Err(CalibrationError::TooFew { found: most });
+    };
+    let varied = variation(&at(offset_s));
+    if least_mirrored < fit.left / MIRRORED {
+        return Err(CalibrationError::LeftHanded);
+    }
+    if fit.left > UNRELATED * varied {
+        return Err(CalibrationError::Unrelated { left: 100.0 * fit.left / varied });
+    }
+    refined(seen, record, offset_s, &fit)
+}
+
+/// Means of both over the same frames, the sensor's time moved by `offset_s`.
+fn pairs(seen: &[TurnSeen], record: &RateRecord, offset_s: f64) -> Vec<Pair> {
+    let pair = |seen: &TurnSeen| {
+        let (from_s, to_s) = (seen.earlier_s - offset_s, seen.later_s - offset_s);
+        let turned = record.turned(from_s, to_s, |rate| rate)?;
+        let sensor = -turned.later_from_earlier.scaled_axis() / (to_s - from_s);
+        Some(Pair { seen: *seen, sensor })
+    };
+    seen.iter().filter_map(pair).collect()
+}
+
+/// The rotation and the bias that make the sensor's rates agree best with the picture's.
+fn fit(pairs: &[Pair]) -> Fit {
+    let count = pairs.len() as f64;
+    let mean_seen = pairs.iter().map(|pair| pair.seen.rate).sum::<Vector3<f64>>() / count;
+    let mean_sensor = pairs.iter().map(|pair| pair.sensor).sum::<Vector3<f64>>() / count;
+    let together: Matrix3<f64> = pairs
+        .iter()
+        .map(|pair| (pair.seen.rate - mean_seen) * (pair.sensor - mean_sensor).transpose())
+        .sum();
+    let squares: f64 = pairs
+        .iter()
+        .map(|pair| {
+            (pair.seen.rate - mean_seen).norm_squared() + (pair.sensor - mean_sensor).norm_squared()
+        })
+        .sum();
+    let svd = together.svd(true, true);
+    let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else {
+        // Both were asked for.
+        return Fit {
+            rotation: Matrix3::identity(),
+            bias: Vector3::zeros(),
+            left: f64::INFINITY,
+            left_mirrored: f64::INFINITY,
+        };
+    };
+    let sign = (u * v_t).determinant().signum();
+    let least = svd.singular_values.imin();
+    let mut signs = Vector3::repeat(1.0);
+    signs[least] = sign;
+    let rotation = u * Matrix3::from_diagonal(&signs) * v_t;
+    let all = svd.singular_values.sum();
+    let smallest = svd.singular_values[least];
+    // A proper rotation reaches the sum of the singular values, the smallest with the sign that it needs.
+    let left = |signed: f64| (squares - 2.0 * (all - smallest + signed * smallest)) / count;
+    Fit {
+        rotation,
+        bias: rotation * mean_sensor - mean_seen,
+        left: left(sign).max(0.0),
+        left_mirrored: left(-sign).max(0.0),
+    }
+}
+
+/// Mean squared variation of the picture's rates.
+fn variation(pairs: &[Pair]) -> f64 {
+    let count = pairs.len().max(1) as f64;
+    let mean = pairs.iter().map(|pair| pair.seen.rate).sum::<Vector3<f64>>() / count;
+    pairs.iter().map(|pair| (pair.seen.rate - mean).norm_squared()).sum::<f64>() / count
+}
+
+/// Gauss-Newton steps over bias, mounting and offset, from the closed form's solution.
+fn refined(
+    seen: &[TurnSeen],
+    record: &RateRecord,
+    mut offset_s: f64,
+    fit: &Fit,
+) -> Result<SensorCalibration, CalibrationError> {
+    let mut mounting = UnitQuaternion::from_matrix(&fit.rotation);
+    let mut bias = fit.bias;
+    let mut deviation = (fit.left / 3.0).sqrt();
+    let (mut normal, mut used) = (Matrix7::zeros(), 0);
+    for _ in 0..REFINEMENTS {
+        normal = Matrix7::zeros();
+        let mut right = Vector7::zeros();
+        let (mut squares, mut kept) = (0.0, 0);
+        let pairs = pairs(seen, record, offset_s);
+        for Pair { seen, sensor } in &pairs {
+            let rate = mounting * sensor - bias;
+            let off = seen.rate - rate;
+            if off.norm() > OUTLIER * deviation * 3f64.sqrt() {
+                continue;
+            }
+            let ends = [seen.earlier_s, seen.later_s].map(|at_s| record.rate_at(at_s - offset_s));
+            let [Some(from), Some(to)] = ends else { continue };
+            let change = mounting * (to - from) / (seen.later_s - seen.earlier_s);
+            let by_errors = by_errors(&rate, 1.0, &change);
+            normal += by_errors.transpose() * by_errors;
+            right += by_errors.transpose() * off;
+            squares += off.norm_squared();
+            kept += 1;
+        }
+        let Some(solver) = normal.cholesky() else {
+            return Err(CalibrationError::OneAxis { deviation_deg: 180.0 });
+        };
+        let step = solver.solve(&right);
+        bias += step.fixed_rows::<3>(0);
+        let turned: Vector3<f64> = step.fixed_rows::<3>(3).into();
+        mounting = UnitQuaternion::from_scaled_axis(turned) * mounting;
+        offset_s += step[6];
+        deviation = (squares / (3.0 * f64::from(kept.max(1)))).sqrt();
+        used = kept as usize;
+    }
+    if used < FEWEST {
+        return Err(CalibrationError::TooFew { found: used });
+    }
+    let Some(covariance) = normal.try_inverse() else {
+        return Err(CalibrationError::OneAxis { deviation_deg: 180.0 });
+    };
+    let deviations = covariance.map_diagonal(|variance| deviation * variance.max(0.0).sqrt());
+    let mounting_deviation: Vector3<f64> = deviations.fixed_rows::<3>(3).into();
+    let largest_deg = mounting_deviation.max().to_degrees();
+    if largest_deg > 1.0 {
+        return Err(CalibrationError::OneAxis { deviation_deg: largest_deg });
+    }
+    Ok(SensorCalibration {
+        camera_from_sensor: mounting,
+        time_offset_s: offset_s,
+        bias,
+        mounting_deviation,
+        offset_deviation_s: deviations[6],
+        residual: deviation,
+        comparisons: used,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::inertial::record::RateSample;
+    use proptest::prelude::*;
+
+    /// A camera that rolls, pitches and yaws as gusts make it: `world_from_camera`.
+    fn flown(at_s: f64) -> UnitQuaternion<f64> {
+        let swing = |hz: f64, start: f64| 0.2 * (std::f64::consts::TAU * hz * at_s + start).sin();
+        let yaw = 0.3 * at_s + 0.4 * (1.7 * at_s).sin();
+        UnitQuaternion::from_euler_angles(swing(0.6, 0.0), swing(0.53, 1.0), yaw)
+    }
+
+    fn rate(at_s: f64) -> Vector3<f64> {
+        let step = 1e-5;
+        (flown(at_s - step).inverse() * flown(at_s + step)).scaled_axis() / (2.0 * step)
+    }
+
+    fn noise(k: u32, size: f64) -> Vector3<f64> {
+        let of = |n: u32| (f64::from(k * 3 + n) * 2.399_963).sin() * 2f64.sqrt() * size;
+        Vector3::new(of(0), of(1), of(2))
+    }
+
+    fn seen(seconds: u32) -> Vec<TurnSeen> {
+        let turn = |k: u32| {
+            let (earlier_s, later_s) = (f64::from(k) / 30.0, f64::from(k + 1) / 30.0);
+            let turned = (flown(earlier_s).inverse() * flown(later_s)).scaled_axis();
+            TurnSeen { earlier_s, later_s, rate: turned * 30.0 + noise(k, 0.016) }
+        };
+        (30..30 + 30 * seconds).map(turn).collect()
+    }
+
+    fn record(of: impl Fn(f64) -> Vector3<f64>) -> RateRecord {
+        let mut record = RateRecord::new(1000.0);
+        for k in 0..3000u32 {
+            let at_s = f64::from(k) / 200.0;
+            record.push(RateSample { at_s, rate: of(at_s) + noise(k, 0.002) });
+        }
+        record
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(24))]
+        #[test]
+        fn any_mounting_and_offset_is_found(
+            turned in prop::array::uniform3(-1.8..1.8f64), offset_s in -0.6..0.6f64,
+        ) {
+            let camera_from_sensor = UnitQuaternion::from_scaled_axis(Vector3::from(turned));
+            let bias = Vector3::new(0.01, -0.02, 0.015);
+            let record = record(|at_s| camera_from_sensor.inverse() * (rate(at_s + offset_s) + bias));
+            let found = calibrate(&seen(10), &record).unwrap();
+            let off = found.camera_from_sensor.angle_to(&camera_from_sensor);
+            prop_assert!(off < 0.006 && off < 5.0 * found.mounting_deviation.norm(), "{off}");
+            let off_s = (found.time_offset_s - offset_s).abs();
+            prop_assert!(off_s < 0.002 && off_s < 5.0 * found.offset_deviation_s, "{off_s}");
+            prop_assert!((found.bias - bias).norm() < 0.004);
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_calibrated_says_why() {
+        let still = record(|_| Vector3::zeros());
+        assert!(matches!(calibrate(&seen(10), &still), Err(CalibrationError::Unrelated { .. })));
+        let another =
+            record(|at_s| Vector3::new((3.1 * at_s).sin(), (2.3 * at_s).cos(), at_s.sin()));
+        assert!(matches!(calibrate(&seen(10), &another), Err(CalibrationError::Unrelated { .. })));
+        let mirrored = record(|at_s| rate(at_s).component_mul(&Vector3::new(1.0, -1.0, 1.0)));
+        assert_eq!(calibrate(&seen(10), &mirrored), Err(CalibrationError::LeftHanded));
+        let empty = RateRecord::new(1.0);
+        assert_eq!(calibrate(&seen(10), &empty), Err(CalibrationError::TooFew { found: 0 }));
+        assert!(calibrate(&[], &still).is_err());
+        // A drone on a turntable.
+        let yawing = |at_s: f64| Vector3::z() * (1.0 + at_s.sin());
+        let turns: Vec<TurnSeen> = (30..200u32)
+            .map(|k| {
+                let (earlier_s, later_s) = (f64::from(k) / 30.0, f64::from(k + 1) / 30.0);
+                let rate = yawing((earlier_s + later_s) / 2.0) + noise(k, 0.016);
+                TurnSeen { earlier_s, later_s, rate }
+            })
+            .collect();
+        let found = calibrate(&turns, &record(yawing));
+        assert!(matches!(found, Err(CalibrationError::OneAxis { .. })), "{found:?}");
+    }
+}

@@ -1,0 +1,261 @@
+//! Bias, mounting and time offset of an inertial sensor, by comparison with the picture.
+//!
+//! The camera's angular velocity is w(t) = exp(m) w_s(t - o) - b, where w_s is what the sensor says in its
+//! configured mounting, m a small rotation vector (the mounting's error), o a time offset and b the bias. The
+//! mean rate that the picture shows between two frames measures all seven, as a Kalman filter takes them in
+//! (Mirzaei and Roumeliotis, IEEE Trans. Robotics 24, 2008; Li and Mourikis, IJRR 33, 2014, for the offset).
+
+use nalgebra::{Matrix3, SMatrix, SVector, UnitQuaternion, Vector3};
+
+use super::record::{RateRecord, SensorTurn};
+
+/// Standard deviations before anything was compared: bias of a sensor of this class (rad/s: 3 degrees/s),
+/// mounting by hand or by calibration (2 degrees), time offset (10 ms).
+const FIRST_BIAS: f64 = 0.052;
+const FIRST_MOUNTING: f64 = 0.035;
+const FIRST_OFFSET_S: f64 = 0.01;
+
+/// How fast the bias wanders: 0.05 degrees/s in a second, 0.4 in a minute.
+const BIAS_WALK: f64 = 8.7e-4;
+
+/// Scale and cross-axis errors, as a share of the rate. Data sheets of such sensors say 0.5 % and 1 % at most.
+const SCALE_ERROR: f64 = 0.003;
+
+pub(super) type Vector7 = SVector<f64, 7>;
+pub(super) type Matrix7 = SMatrix<f64, 7, 7>;
+pub(super) type Matrix3x7 = SMatrix<f64, 3, 7>;
+
+/// What is wrong with a sensor, and how certain that is.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SensorErrors {
+    /// Of the rate, along the camera's axes, rad/s.
+    bias: Vector3<f64>,
+    /// Turns the configured sensor's axes into the true ones.
+    mounting: UnitQuaternion<f64>,
+    /// To be added to the sensor's time, seconds.
+    offset_s: f64,
+    /// Of bias, mounting's rotation vector and offset.
+    covariance: Matrix7,
+}
+
+/// A rotation by the sensor, with its errors taken out.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Corrected {
+    /// Turns directions in the camera frame of the earlier time into that of the later one.
+    pub later_from_earlier: UnitQuaternion<f64>,
+    /// Covariance of its rotation vector, rad^2.
+    pub covariance: Matrix3<f64>,
+    /// How the rotation vector changes with the errors.
+    by_errors: Matrix3x7,
+}
+
+impl SensorErrors {
+    /// Nothing was compared yet.
+    pub fn new() -> Self {
+        let deviations = [FIRST_BIAS, FIRST_MOUNTING, FIRST_OFFSET_S];
+        let variances = Vector7::from_fn(|k, _| deviations[k / 3].powi(2));
+        Self {
+            bias: Vector3::zeros(),
+            mounting: UnitQuaternion::identity(),
+            offset_s: 0.0,
+            covariance: Matrix7::from_diagonal(&variances),
+        }
+    }
+
+    /// The bias along the camera's axes, rad/s.
+    pub fn bias(&self) -> Vector3<f64> {
+        self.bias
+    }
+
+    /// The camera's time at a time of the sensor, seconds.
+    pub fn camera_time_s(&self, sensor_s: f64) -> f64 {
+        sensor_s + self.offset_s
+    }
+
+    /// The rotation of the camera between two of its times, with the sensor's errors taken out. `None` where
+    /// samples are missing.
+    pub fn turned(&self, record: &RateRecord, earlier_s: f64, later_s: f64) -> Option<Corrected> {
+        let correct = |rate: Vector3<f64>| self.mounting * rate - self.bias;
+        let (from_s, to_s) = (earlier_s - self.offset_s, later_s - self.offset_s);
+        let SensorTurn { later_from_earlier, noise_variance } =
+            record.turned(from_s, to_s, correct)?;
+        let step_s = later_s - earlier_s;
+        let change = record.rate_at(to_s)? - record.rate_at(from_s)?;
+        let turned = -later_from_earlier.scaled_axis();
+        let by_errors = by_errors(&turned, step_s, &(self.mounting * change));
+        let scale = (SCALE_ERROR * turned.norm()).powi(2);
+        let covariance = by_errors * self.covariance * by_errors.transpose()
+            + Matrix3::from_diagonal_element(noise_variance + scale);
+        Some(Corrected { later_from_earlier, covariance, by_errors })
+    }
+
+    /// The camera's angular velocity, averaged over `width_s` round a time, rad/s, with its covariance.
+    pub fn rate(
+        &self,
+        record: &RateRecord,
+        at_s: f64,
+        width_s: f64,
+    ) -> Option<(Vector3<f64>, Matrix3<f64>)> {
+        let (rate, noise_variance) = record.rate_around(at_s - self.offset_s, width_s)?;
+        let turned = self.mounting * rate;
+        let scale = (SCALE_ERROR * turned.norm()).powi(2);
+        // The time offset is left out: by the picture it is known to a millisecond soon.
+        let by_errors = by_errors(&turned, 1.0, &Vector3::zeros());
+        let covariance = by_errors * self.covariance * by_errors.transpose()
+            + Matrix3::from_diagonal_element(noise_variance + scale);
+        Some((turned - self.bias, covariance))
+    }
+
+    /// How far the sensor is from the picture, as a squared Mahalanobis distance (chi-square of 3 degrees of
+    /// freedom where both are right): the picture's rotation and its covariance, in rad^2.
+    pub fn distance(
+        &self,
+        corrected: &Corrected,
+        later_from_earlier: &UnitQuaternion<f64>,
+        covariance: &Matrix3<f64>,
+    ) -> Option<f64> {
+        let off = off(corrected, later_from_earlier);
+        (corrected.covariance + covariance).cholesky().map(|spread| off.dot(&spread.solve(&off)))
+    }
+
+    /// Takes in what the picture shows over `step_s` seconds, where the sensor says `corrected`.
+    pub fn compare(
+        &mut self,
+        corrected: &Corrected,
+        later_from_earlier: &UnitQuaternion<f64>,
+        covariance: &Matrix3<f64>,
+        step_s: f64,
+    ) {
+        let walk = BIAS_WALK * BIAS_WALK * step_s;
+        (0..3).for_each(|k| self.covariance[(k, k)] += walk);
+        let off = off(corrected, later_from_earlier);
+        let seen = &corrected.by_errors;
+        // What the samples' noise and scale leave is in the sensor's own covariance.
+        let rest = corrected.covariance - seen * self.covariance * seen.transpose();
+        let rest = rest.map_diagonal(|variance| variance.max(0.0));
+        let spread =
+            seen * self.covariance * seen.transpose() + covariance + Matrix3::from_diagonal(&rest);
+        let Some(spread) = spread.cholesky() else { return };
+        let gain = self.covariance * seen.transpose() * spread.inverse();
+        let change = gain * off;
+        let kept = Matrix7::identity() - gain * seen;
+        // Joseph's form stays symmetric and positive.
+        let noise = covariance + Matrix3::from_diagonal(&rest);
+        self.covariance =
+            kept * self.covariance * kept.transpose() + gain * noise * gain.transpose();
+        self.apply(&change);
+    }
+
+    /// Changes the errors by a step of bias, mounting and offset.
+    pub(super) fn apply(&mut self, change: &Vector7) {
+        self.bias += change.fixed_rows::<3>(0);
+        let turned: Vector3<f64> = change.fixed_rows::<3>(3).into();
+        self.mounting = UnitQuaternion::from_scaled_axis(turned) * self.mounting;
+        self.offset_s += change[6];
+    }
+}
+
+impl Default for SensorErrors {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// The camera's rotation vector by the picture, less that by the sensor.
+fn off(corrected: &Corrected, later_from_earlier: &UnitQuaternion<f64>) -> Vector3<f64> {
+    corrected.later_from_earlier.scaled_axis() - later_from_earlier.scaled_axis()
+}
+
+/// How a rotation vector by the sensor changes with bias, mounting and time offset: `turned` over `step_s`,
+/// the rate changing by `change` meanwhile.
+pub(super) fn by_errors(turned: &Vector3<f64>, step_s: f64, change: &Vector3<f64>) -> Matrix3x7 {
+    let mut by_errors = Matrix3x7::zeros();
+    by_errors.fixed_view_mut::<3, 3>(0, 0).copy_from(&Matrix3::from_diagonal_element(-step_s));
+    by_errors.fixed_view_mut::<3, 3>(0, 3).copy_from(&-turned.cross_matrix());
+    by_errors.fixed_view_mut::<3, 1>(0, 6).copy_from(&-change);
+    by_errors
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::inertial::record::RateSample;
+
+    /// A camera that rolls, pitches and yaws: `world_from_camera`.
+    fn flown(at_s: f64) -> UnitQuaternion<f64> {
+        let swing = |hz: f64, start: f64| 0.2 * (std::f64::consts::TAU * hz * at_s + start).sin();
+        let yaw = 0.3 * at_s + 0.4 * (1.7 * at_s).sin();
+        UnitQuaternion::from_euler_angles(swing(0.6, 0.0), swing(0.5, 1.0), yaw)
+    }
+
+    fn rate(at_s: f64) -> Vector3<f64> {
+        let step = 1e-5;
+        (flown(at_s - step).inverse() * flown(at_s + step)).scaled_axis() / (2.0 * step)
+    }
+
+    /// What a sensor with these errors says.
+    fn record(bias: Vector3<f64>, mounting: Vector3<f64>, offset_s: f64) -> RateRecord {
+        let mut record = RateRecord::new(100.0);
+        let turned = UnitQuaternion::from_scaled_axis(mounting).inverse();
+        for k in 0..1400u32 {
+            let at_s = f64::from(k) / 200.0;
+            record.push(RateSample { at_s, rate: turned * (rate(at_s + offset_s) + bias) });
+        }
+        record
+    }
+
+    fn picture(k: u32) -> (f64, f64, UnitQuaternion<f64>) {
+        let (earlier_s, later_s) = (f64::from(k) / 30.0, f64::from(k + 1) / 30.0);
+        (earlier_s, later_s, flown(later_s).inverse() * flown(earlier_s))
+    }
+
+    #[test]
+    fn bias_mounting_and_offset_are_found() {
+        let bias = Vector3::new(0.01, -0.02, 0.008);
+        let mounting = Vector3::new(0.02, -0.03, 0.015);
+        let record = record(bias, mounting, 0.007);
+        let covariance = Matrix3::from_diagonal_element(5e-4f64.powi(2));
+        let mut errors = SensorErrors::new();
+        for k in 2..200 {
+            let (earlier_s, later_s, seen) = picture(k);
+            let corrected = errors.turned(&record, earlier_s, later_s).unwrap();
+            let distance = errors.distance(&corrected, &seen, &covariance).unwrap();
+            assert!(distance < 16.0, "frame {k}: {distance}");
+            errors.compare(&corrected, &seen, &covariance, later_s - earlier_s);
+        }
+        assert!((errors.bias() - bias).norm() < 0.002, "{}", errors.bias());
+        let off = errors.mounting.scaled_axis() - mounting;
+        assert!(off.norm() < 0.004, "{off}");
+        assert!((errors.offset_s - 0.007).abs() < 0.001, "{}", errors.offset_s);
+        let (earlier_s, later_s, seen) = picture(202);
+        let corrected = errors.turned(&record, earlier_s, later_s).unwrap();
+        let off = corrected.later_from_earlier.angle_to(&seen);
+        assert!(off < 1e-4 && off < 4.0 * corrected.covariance.trace().sqrt(), "{off}");
+        let (found, deviations) = errors.rate(&record, 4.0, 0.01).unwrap();
+        let off = found - rate(4.0);
+        assert!(off.norm() < 0.006 && off.norm() < 4.0 * deviations.trace().sqrt(), "{off}");
+    }
+
+    #[test]
+    fn an_upside_down_sensor_and_a_clock_half_a_second_off_are_far_from_the_picture() {
+        let upside_down = Vector3::new(std::f64::consts::PI, 0.0, 0.0);
+        let covariance = Matrix3::from_diagonal_element(5e-4f64.powi(2));
+        for record in [
+            record(Vector3::zeros(), upside_down, 0.0),
+            record(Vector3::zeros(), Vector3::zeros(), 0.5),
+        ] {
+            let mut errors = SensorErrors::new();
+            let mut far = 0;
+            for k in 2..60 {
+                let (earlier_s, later_s, seen) = picture(k);
+                let corrected = errors.turned(&record, earlier_s, later_s).unwrap();
+                match errors.distance(&corrected, &seen, &covariance).unwrap() {
+                    distance if distance > 16.0 => far += 1,
+                    _ => errors.compare(&corrected, &seen, &covariance, later_s - earlier_s),
+                }
+            }
+            assert!(far > 20, "{far} of 58");
+        }
+    }
+}
