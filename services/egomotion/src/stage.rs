@@ -10,6 +10,7 @@ use nalgebra::Vector3;
 
 use crate::core::Core;
 use crate::inertial::Notice;
+use crate::words::RotationCount;
 
 /// Takes frames and an inertial sensor's samples; gives the camera's rotation to each frame.
 pub struct EgomotionStage {
@@ -20,6 +21,7 @@ pub struct EgomotionStage {
     core: Core,
     flow: Flow,
     counters: SharedCounters,
+    count: RotationCount,
     refusals: Throttle,
 }
 
@@ -35,6 +37,7 @@ impl Stage for EgomotionStage {
             core: Core::new(&context.resolved, context.identity.generation)?,
             flow: context.resolved.pipeline.flow,
             counters: context.counters.clone(),
+            count: RotationCount::default(),
             refusals: Throttle::default(),
         })
     }
@@ -55,6 +58,7 @@ impl Stage for EgomotionStage {
         match self.core.on_frame(&frame.header, frame.items()) {
             Ok(rotation) => {
                 drop(frame);
+                self.counters.set_detail(self.count.in_words(&rotation));
                 self.rotations.send(rotation, &[])?;
                 self.counters.add_latency_ns(clock::monotonic_ns() - begun_ns);
                 self.core.take_notices().into_iter().for_each(log);

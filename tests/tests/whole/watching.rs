@@ -33,6 +33,12 @@ fn a_running_pipeline_is_watched_and_traced() {
         assert!(stage["queued"].is_u64() && stage["dropped"].is_u64(), "{stage}");
         assert!(stage["latency_p99_ms"].as_f64() >= stage["latency_median_ms"].as_f64());
     }
+    let egomotion = stages.iter().find(|stage| stage["stage"] == "egomotion").expect("it runs");
+    let turning = egomotion["detail"].as_str().expect("words");
+    assert!(
+        turning.starts_with("turning ") && turning.contains("degrees/s by picture"),
+        "{turning}"
+    );
     let sphere = &report["sphere"]["partitions"];
     assert!(sphere["views"].as_u64() >= Some(4) && sphere["worst_frames"].is_u64(), "{report}");
     let alpha = &report["neighbours"][0];

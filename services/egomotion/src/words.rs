@@ -1,0 +1,66 @@
+//! What egomotion's health says of the camera's rotation.
+
+use flockeye_contract::{Rotation, RotationSource};
+use nalgebra::{Matrix3, Vector3};
+
+/// How often the rotation was known since this process started, for its health.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct RotationCount {
+    known: u64,
+    frames: u64,
+}
+
+impl RotationCount {
+    /// Counts a frame's rotation, and says in words how the camera turns: its rate and the standard
+    /// deviation stated for it (root of the covariance's trace), both in degrees/s, what it was measured
+    /// by, and of how many frames it was known. At most 96 bytes, as `Health` holds.
+    pub fn in_words(&mut self, rotation: &Rotation) -> String {
+        self.frames += 1;
+        // The contract's check refuses unknown codes before anyone reads them.
+        let source = RotationSource::try_from(rotation.source).unwrap_or(RotationSource::Nothing);
+        if source == RotationSource::Nothing {
+            return format!(
+                "rotation not known; known in {} of {} frames",
+                self.known, self.frames
+            );
+        }
+        self.known += 1;
+        let rate_deg_s = Vector3::from(rotation.rate_in_camera).norm().to_degrees();
+        let variance = Matrix3::from_row_slice(&rotation.rate_covariance).trace();
+        format!(
+            "turning {rate_deg_s:.1} ± {:.1} degrees/s by {}; known in {} of {} frames",
+            variance.max(0.0).sqrt().to_degrees(),
+            format!("{source:?}").to_lowercase(),
+            self.known,
+            self.frames
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_words_say_rate_deviation_source_and_how_often() {
+        let mut count = RotationCount::default();
+        assert_eq!(
+            count.in_words(&Rotation::default()),
+            "rotation not known; known in 0 of 1 frames"
+        );
+        let variance = 0.01_f64.powi(2) / 3.0;
+        let mut rotation = Rotation {
+            source: RotationSource::Picture.code(),
+            rate_in_camera: [0.3, 0.0, -0.4],
+            rate_covariance: [variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, variance],
+            ..Rotation::default()
+        };
+        let words = count.in_words(&rotation);
+        assert_eq!(words, "turning 28.6 ± 0.6 degrees/s by picture; known in 1 of 2 frames");
+        // A day of frames at a wild rate.
+        rotation.rate_in_camera = [20.0, 0.0, 0.0];
+        let mut count = RotationCount { known: 2_591_999, frames: 2_591_999 };
+        let words = count.in_words(&rotation);
+        assert!(words.len() <= 96, "{} bytes: {words}", words.len());
+    }
+}
