@@ -61,11 +61,13 @@ EXPERIMENTS = {
     "cadence": ("How often a part of the sphere is searched", ["check", "--measure", "20s", *QUIET],
                 "search |measured "),
 }
-# Benchmarks whose words are kept: what the virtual clock of lossless runs goes by, and the camera's rotation.
+# A flight whose rotations are compared with the recording's gyroscope: title, recording, gyroscope.
+ROTATIONS = {"gyroscope": ("The visual gyroscope", "flight4/flight4.mp4", "flight4/imu.csv")}
+# Benchmarks whose words are kept: what the virtual clock of lossless runs goes by.
 # In the profile of the tests, whose computing crates are optimized like the release profile's.
 BENCH = ["cargo", "bench", "--locked", "--profile", "tested", "-p", "flockeye-tests", "--bench"]
-BENCHES = {"gyroscope": "The visual gyroscope", "costs": "Costs"}
-PARTS = [*RECORDINGS, *SIMULATED, *EXPERIMENTS, *BENCHES]
+BENCHES = {"costs": "Costs"}
+PARTS = [*RECORDINGS, *SIMULATED, *EXPERIMENTS, *ROTATIONS, *BENCHES]
 
 
 def flockeye():
@@ -110,10 +112,10 @@ def rows(path):
 
 
 def pooled(flights, name):
-    """Poses and truth of several flights as one, with frames numbered apart."""
+    """Poses, truth and rotations of several flights as one, with frames numbered apart."""
     paths = []
-    for kind in (0, 1):
-        path = WORK / f"{name}-{('poses', 'truth')[kind]}.csv"
+    for kind, table in enumerate(("poses", "truth", "rotations")):
+        path = WORK / f"{name}-{table}.csv"
         with open(ROOT / path, "w", newline="") as file:
             writer = None
             for number, flight in enumerate(flights):
@@ -148,9 +150,10 @@ def quantile(values, share):
     return values[max(math.ceil(share * len(values)), 1) - 1]
 
 
-def evaluated(poses, truth):
+def evaluated(poses, truth, rotations=None):
     """What `flockeye eval` says, with the 99 % quantile and the false poses of each bin."""
-    said = json.loads(call(["eval", "--poses", str(poses), "--truth", str(truth), "--json"]))
+    turned = ["--rotations", str(rotations)] if rotations else []
+    said = json.loads(call(["eval", "--poses", str(poses), "--truth", str(truth), *turned, "--json"]))
     truth_rows = rows(truth)
     errors = errors_mm(rows(poses), truth_rows)
     distances = {(row["body"], int(row["frame"])): float(row["dist_m"]) for row in truth_rows}
@@ -173,22 +176,24 @@ def evaluated(poses, truth):
         })
     nees = said["nees"]["measurements"]
     return {"bins": bins, "false": said["false_poses"], "latency": said["latency"],
-            "measured": said["measured"], "nees": nees}
+            "measured": said["measured"], "nees": nees, "predictions": said["predictions"],
+            "rotations": said.get("rotations")}
 
 
 def fly(arguments, way, name, truth):
-    """One flight; gives its poses and its truth."""
+    """One flight; gives its poses, its truth and, of a simulated one, its rotations."""
     poses = WORK / f"{name}.csv"
     flow = "lossless" if way == "lossless" else "latest"
     command = ["up", *arguments, "--flow", flow, *QUIET, "--poses", str(poses)]
+    rotations = None
     if truth is None:
-        truth = WORK / f"{name}-truth.csv"
-        command += ["--truth", str(truth)]
+        truth, rotations = (WORK / f"{name}-{table}.csv" for table in ("truth", "rotations"))
+        command += ["--truth", str(truth), "--rotations", str(rotations)]
     print(f"  {shown(command)}", file=sys.stderr, flush=True)
     counted = re.search(r"(\d+) frames searched, (\d+) skipped", call(command))
     if not counted:
         sys.exit(f"results: {shown(command)} does not say how many frames it searched")
-    return command, poses, truth, [int(number) for number in counted.groups()]
+    return command, poses, truth, rotations, [int(number) for number in counted.groups()]
 
 
 def benched(part):
@@ -206,6 +211,22 @@ def benched(part):
     return entry | {"output": done.stdout.strip().splitlines()}
 
 
+def turned(part, data):
+    """The rotations of a recording beside its gyroscope, in the words of `flockeye eval`."""
+    title, recording, gyroscope = ROTATIONS[part]
+    if not (ROOT / data / recording).exists():
+        print(f"results: {part} is left out: {data / recording} is absent", file=sys.stderr)
+        return {}
+    before, rotations = machine(), WORK / f"{part}-rotations.csv"
+    flight = ["up", "--source", str(data / recording), "--bodies", str(data / "bodies.json"),
+              "--flow", "lossless", *QUIET, "--rotations", str(rotations)]
+    judged = ["eval", "--rotations", str(rotations), "--gyro", str(data / gyroscope)]
+    print(f"  {shown(flight)}", file=sys.stderr, flush=True)
+    call(flight)
+    return {part: {"title": title, "command": f"{shown(flight)}\n{shown(judged)}",
+                   "machine": before, "output": call(judged).strip().splitlines()}}
+
+
 def run_part(part, data, wanted_ways):
     """The entries of one part, by their names."""
     if part in EXPERIMENTS:
@@ -217,6 +238,8 @@ def run_part(part, data, wanted_ways):
                        "output": [line.rstrip() for line in lines if re.match(kept, line)]}}
     if part in BENCHES:
         return {part: benched(part)}
+    if part in ROTATIONS:
+        return turned(part, data)
     entries = {}
     if part in RECORDINGS:
         title, recording, truth, settings, ways = RECORDINGS[part]
@@ -233,7 +256,7 @@ def run_part(part, data, wanted_ways):
         before = machine()
         name = f"{part}-{way.replace(' ', '-')}"
         if part in RECORDINGS:
-            command, poses, truth_file, frames = fly(arguments, way, name, data / truth)
+            command, *files, frames = fly(arguments, way, name, data / truth)
         else:
             flights = []
             for seed in seeds:
@@ -241,11 +264,11 @@ def run_part(part, data, wanted_ways):
                 command, *flight = fly(seeded, way, f"{name}-{seed}", None)
                 flights.append(flight)
             command = [word.replace(str(seeds[-1]), "SEED") for word in command]
-            poses, truth_file = pooled(flights, name)
-            frames = [sum(flight[2][kind] for flight in flights) for kind in (0, 1)]
+            files = pooled(flights, name)
+            frames = [sum(flight[-1][kind] for flight in flights) for kind in (0, 1)]
         entries[name] = {"title": title, "way": way, "command": shown(command), "machine": before,
                          "searched": frames[0], "skipped": frames[1],
-                         **evaluated(poses, truth_file)}
+                         **evaluated(*files)}
     return entries
 
 
@@ -262,6 +285,38 @@ def measured_on(entry):
     clock = f" at {facts['mhz']} MHz" if facts["mhz"] else ""
     return (f"{facts['cores']} cores, {facts['processor']}{clock}, load average {facts['load']} "
             "before the run.")
+
+
+def spread(found, unit, digits):
+    return (f"median {found['median']:.{digits}f}{unit}, 95 % {found['p95']:.{digits}f}, "
+            f"99 % {found['p99']:.{digits}f}")
+
+
+def rotation_lines(found):
+    """What is said of the camera's own rotation."""
+    if not found or not found["error_deg"]:
+        return []
+    rates = found["rate_error_deg_s"]
+    return [f"- The camera's rotation: known in {found['known']} frames, not known in "
+            f"{found['not_known']}; error {spread(found['error_deg'], '°', 3)}; NEES mean "
+            f"{found['nees']['mean']:.2f}, median {found['nees']['median']:.2f}, "
+            f"{100 * found['nees']['inside_99']:.1f} % inside 99 %.",
+            *([f"- Its rate: error {spread(rates, ' degrees/s', 2)}; NEES mean "
+               f"{found['rate_nees']['mean']:.2f}, median {found['rate_nees']['median']:.2f}, "
+               f"{100 * found['rate_nees']['inside_99']:.1f} % inside 99 %."] if rates else [])]
+
+
+def prediction_lines(found):
+    """What is said of poses predicted for the time of sending, measured in their frame."""
+    found = found and found["measured"]
+    if not found or not found["position_mm"]:
+        return []
+    inside = lambda part: f"{100 * found['nees'][part]['inside_99']:.1f} %"
+    return [f"- Predicted for the time of sending, {found['ahead_ms']['median']:.0f} ms (median) after "
+            f"the exposure: position error {spread(found['position_mm'], ' mm', 1)}, "
+            f"{inside('position')} inside 99 %; rotation error {spread(found['rotation_deg'], '°', 2)}, "
+            f"{inside('rotation')} inside 99 %. The exposure's own pose taken for it would be off by "
+            f"{spread(found['held_position_mm'], ' mm', 1)}."]
 
 
 def flight_section(entry):
@@ -288,6 +343,7 @@ def flight_section(entry):
         if nees:
             lines.append(f"- NEES, {what}: mean {nees['mean']:.2f}, median {nees['median']:.2f}, "
                          f"95 % bounds of the mean {nees['low']:.2f} to {nees['high']:.2f}.")
+    lines += rotation_lines(entry.get("rotations")) + prediction_lines(entry.get("predictions"))
     return lines + [f"- {measured_on(entry)}", ""]
 
 
@@ -357,7 +413,7 @@ def render(store):
     ]
     simulated = flights_page("Results: simulated flights", intro + chosen, of(SIMULATED))
     (folder / "simulated.md").write_text(simulated)
-    (folder / "experiments.md").write_text(experiments_page(of([*EXPERIMENTS, "gyroscope"])))
+    (folder / "experiments.md").write_text(experiments_page(of([*EXPERIMENTS, *ROTATIONS])))
     if "costs" in store:
         (folder / "costs.md").write_text(costs_page(store["costs"]))
     readme = (ROOT / "README.md").read_text()

@@ -7,20 +7,26 @@
 //! | [`pose`] | each neighbour's pose in each frame |
 //! | [`truth`] | the true poses, of a simulated flight or of a recording |
 //! | [`frame_times`] | when each frame was published and when it ended |
+//! | [`rotation`] | how the camera has turned to each frame |
+//! | [`gyroscope`] | what an inertial sensor says of the same |
 //! | [`rays`] | the corner rays of detected markers |
 //! | [`sweep`] | how often each part of the sphere is searched |
 
 pub mod frame_times;
+pub mod gyroscope;
 pub mod pose;
 pub mod rays;
 pub mod recorder;
+pub mod rotation;
 pub mod sweep;
 pub mod table;
 pub mod truth;
 
 pub use frame_times::FrameTimes;
-pub use pose::{MeasuredPose, PoseRow};
+pub use gyroscope::GyroscopeRow;
+pub use pose::{MeasuredPose, PoseRow, PredictedPose};
 pub use rays::MarkerRays;
 pub use recorder::{Recorded, Recorder};
+pub use rotation::{RecordedTurn, RotationRow};
 pub use table::{TableError, read};
 pub use truth::TruthRow;

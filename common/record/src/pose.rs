@@ -32,6 +32,8 @@ pub struct PoseRow {
     /// Covariance of the pose: position (m), then rotation vector (rad), both in the observer's
     /// frame; `None` where it was not recorded.
     pub covariance: Option<Matrix6<f64>>,
+    /// The pose predicted for the time of sending; `None` where it was not recorded.
+    pub predicted: Option<PredictedPose>,
     /// Exposure (in a lossless run: frame published) to pose published.
     pub latency_ms: f64,
 }
@@ -45,6 +47,19 @@ pub struct MeasuredPose {
     pub orientation: UnitQuaternion<f64>,
     /// As the track's.
     pub covariance: Option<Matrix6<f64>>,
+}
+
+/// A pose predicted for another time, in the observer's frame of then.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PredictedPose {
+    /// That time, stream time, seconds. In a lossless run it is the exposure's.
+    pub at_s: f64,
+    /// Position, metres.
+    pub position: Vector3<f64>,
+    /// Orientation.
+    pub orientation: UnitQuaternion<f64>,
+    /// As the track's.
+    pub covariance: Matrix6<f64>,
 }
 
 /// The columns of a pose.
@@ -61,15 +76,32 @@ const MEASURED_COVARIANCE: [&str; 21] = [
     "m00", "m01", "m02", "m03", "m04", "m05", "m11", "m12", "m13", "m14", "m15", "m22", "m23",
     "m24", "m25", "m33", "m34", "m35", "m44", "m45", "m55",
 ];
+/// The columns of the predicted pose.
+const PREDICTED: [&str; 7] = [
+    "predicted_x",
+    "predicted_y",
+    "predicted_z",
+    "predicted_qx",
+    "predicted_qy",
+    "predicted_qz",
+    "predicted_qw",
+];
+/// The same of the prediction's.
+const PREDICTED_COVARIANCE: [&str; 21] = [
+    "p00", "p01", "p02", "p03", "p04", "p05", "p11", "p12", "p13", "p14", "p15", "p22", "p23",
+    "p24", "p25", "p33", "p34", "p35", "p44", "p45", "p55",
+];
 
 impl PoseRow {
     /// The row of a track; `None` for one whose state is unknown here.
     pub fn of(stamp: &FrameStamp, track: &Track) -> Option<Self> {
         let measured_by = MeasuredBy::try_from(track.measured_by).ok()?;
         let measured = &track.measured_observer_from_target;
+        let predicted = &track.predicted_observer_from_target;
+        let stamp_s = stamp.stream_ns as f64 * 1e-9;
         Some(Self {
             frame: stamp.sequence,
-            stamp_s: stamp.stream_ns as f64 * 1e-9,
+            stamp_s,
             target: track.name.to_string(),
             position: track.observer_from_target.position.into(),
             orientation: rotation(track.observer_from_target.orientation),
@@ -82,6 +114,12 @@ impl PoseRow {
                 covariance: Some(matrix6(&track.measured_covariance)),
             }),
             covariance: Some(matrix6(&track.covariance)),
+            predicted: Some(PredictedPose {
+                at_s: stamp_s + (track.predicted_ns - stamp.exposure_ns) as f64 * 1e-9,
+                position: predicted.position.into(),
+                orientation: rotation(predicted.orientation),
+                covariance: matrix6(&track.predicted_covariance),
+            }),
             latency_ms: track.latency.total_ns as f64 * 1e-6,
         })
     }
@@ -101,13 +139,14 @@ impl Recorded for PoseRow {
     fn names() -> Vec<&'static str> {
         let before = ["frame", "stamp_s", "target"].into_iter().chain(POSE);
         let own = before.chain(["state", "markers", "measured_by"]).chain(MEASURED);
-        own.chain(COVARIANCE).chain(MEASURED_COVARIANCE).chain(["latency_ms"]).collect()
+        let own = own.chain(COVARIANCE).chain(MEASURED_COVARIANCE).chain(["latency_ms"]);
+        own.chain(["predicted_s"]).chain(PREDICTED).chain(PREDICTED_COVARIANCE).collect()
     }
 }
 
 impl Serialize for PoseRow {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let mut row = serializer.serialize_struct("PoseRow", 63)?;
+        let mut row = serializer.serialize_struct("PoseRow", 92)?;
         row.serialize_field("frame", &self.frame)?;
         row.serialize_field("stamp_s", &self.stamp_s)?;
         row.serialize_field("target", &self.target)?;
@@ -135,6 +174,15 @@ impl Serialize for PoseRow {
             }
         }
         row.serialize_field("latency_ms", &self.latency_ms)?;
+        let predicted = self.predicted.as_ref();
+        row.serialize_field("predicted_s", &predicted.map(|predicted| predicted.at_s))?;
+        let pose = predicted.map(|pose| numbers(&pose.position, &pose.orientation));
+        for (index, name) in PREDICTED.into_iter().enumerate() {
+            row.serialize_field(name, &pose.as_ref().map(|numbers| numbers[index]))?;
+        }
+        for (name, place) in PREDICTED_COVARIANCE.into_iter().zip(upper_triangle()) {
+            row.serialize_field(name, &predicted.map(|predicted| predicted.covariance[place]))?;
+        }
         row.end()
     }
 }
@@ -158,21 +206,16 @@ impl TableRow for PoseRow {
     const CURE: &'static str = "record the poses with flockeye up --poses";
 
     fn parse(cells: &TableCells<'_>) -> Result<Self, TableError> {
-        let state = cells.text("state");
-        let state = TrackState::ALL.iter().find(|known| name(**known) == state).copied();
-        let state = state.ok_or_else(|| {
-            cells.refuse("state", "tentative, confirmed, coasting, lost or measured")
-        })?;
-        let measured = measured(cells)?;
+        let state = cells.code(
+            TrackState::ALL,
+            "state",
+            "tentative, confirmed, coasting, lost or measured",
+        )?;
         let measured_by = match cells.text("measured_by") {
             // Recorded without it: the state says whether something was measured.
             "" if matches!(state, TrackState::Coasting | TrackState::Lost) => MeasuredBy::Nothing,
             "" => MeasuredBy::Decoded,
-            text => MeasuredBy::ALL
-                .iter()
-                .find(|known| name(**known) == text)
-                .copied()
-                .ok_or_else(|| cells.refuse("measured_by", "nothing, decoded or aligned"))?,
+            _ => cells.code(MeasuredBy::ALL, "measured_by", "nothing, decoded or aligned")?,
         };
         let [px, py, pz, qx, qy, qz, qw] = POSE;
         Ok(Self {
@@ -184,18 +227,11 @@ impl TableRow for PoseRow {
             state,
             markers: cells.small_count("markers")?,
             measured_by,
-            measured,
+            measured: measured(cells)?,
             covariance: covariance(cells, COVARIANCE)?,
+            predicted: predicted(cells)?,
             latency_ms: cells.number("latency_ms")?,
         })
-    }
-}
-
-/// What a code is called in a file.
-fn name(code: impl Serialize) -> String {
-    match serde_json::to_value(code) {
-        Ok(serde_json::Value::String(name)) => name,
-        _ => String::new(),
     }
 }
 
@@ -208,6 +244,21 @@ fn measured(cells: &TableCells<'_>) -> Result<Option<MeasuredPose>, TableError> 
         position: Vector3::new(cells.number(x)?, cells.number(y)?, cells.number(z)?),
         orientation: cells.rotation([qx, qy, qz, qw])?,
         covariance: covariance(cells, MEASURED_COVARIANCE)?,
+    }))
+}
+
+fn predicted(cells: &TableCells<'_>) -> Result<Option<PredictedPose>, TableError> {
+    let (Some(at_s), Some(covariance)) =
+        (cells.maybe_number("predicted_s")?, covariance(cells, PREDICTED_COVARIANCE)?)
+    else {
+        return Ok(None);
+    };
+    let [x, y, z, qx, qy, qz, qw] = PREDICTED;
+    Ok(Some(PredictedPose {
+        at_s,
+        position: Vector3::new(cells.number(x)?, cells.number(y)?, cells.number(z)?),
+        orientation: cells.rotation([qx, qy, qz, qw])?,
+        covariance,
     }))
 }
 
@@ -267,6 +318,12 @@ mod tests {
                 orientation: [0.0, 0.6, 0.0, 0.8],
             },
             measured_covariance: spread(1e-4),
+            predicted_observer_from_target: Pose {
+                position: [1.02, -2.0, 0.1],
+                orientation: [0.0, 0.0, 0.6, 0.8],
+            },
+            predicted_covariance: spread(2e-5),
+            predicted_ns: 25_000_000,
             name: "alpha".into(),
             state: TrackState::Confirmed.code(),
             measured_by: measured_by.code(),
@@ -284,11 +341,14 @@ mod tests {
                       c00,c01,c02,c03,c04,c05,c11,c12,c13,c14,c15,c22,c23,c24,c25,c33,c34,c35,c44,\
                       c45,c55,\
                       m00,m01,m02,m03,m04,m05,m11,m12,m13,m14,m15,m22,m23,m24,m25,m33,m34,m35,m44,\
-                      m45,m55,latency_ms";
+                      m45,m55,latency_ms,predicted_s,predicted_x,predicted_y,predicted_z,\
+                      predicted_qx,predicted_qy,predicted_qz,predicted_qw,\
+                      p00,p01,p02,p03,p04,p05,p11,p12,p13,p14,p15,p22,p23,p24,p25,p33,p34,p35,p44,\
+                      p45,p55";
         assert_eq!(text.lines().next(), Some(wanted));
         assert_eq!(PoseRow::names().join(","), wanted);
         assert!(text.contains(",confirmed,3,nothing,,,,,,,,"), "{text}");
-        assert_eq!(wanted.split(',').count(), 63);
+        assert_eq!(wanted.split(',').count(), 92);
     }
 
     #[test]
@@ -303,6 +363,9 @@ mod tests {
         let covariance = rows[1].measured.and_then(|measured| measured.covariance);
         let covariance = covariance.expect("it was measured");
         assert_eq!((covariance[(1, 1)], covariance[(4, 0)]), (2e-4, 1e-4 / 7.0));
+        let predicted = rows[0].predicted.expect("it was recorded");
+        assert_eq!((predicted.at_s, predicted.position.x), (0.025, 1.02));
+        assert_eq!(predicted.covariance[(4, 0)], 2e-5 / 7.0);
     }
 
     #[test]
@@ -314,6 +377,7 @@ mod tests {
         let rows: Vec<PoseRow> = read(&path).expect("they are right");
         assert_eq!(rows.iter().map(PoseRow::is_measured).collect::<Vec<_>>(), [true, false]);
         assert_eq!((rows[0].measured, rows[0].covariance), (None, None));
+        assert_eq!(rows[0].predicted, None);
         for (wrong, wanted) in [
             (row("unsure"), "column state: 'unsure' is not tentative, confirmed"),
             (row("lost").replace("0,0,0,1,", "0,0,0,0,"), "column qw: '0' is not the w of a"),

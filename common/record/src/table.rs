@@ -7,6 +7,7 @@ use std::str::FromStr;
 
 use csv::StringRecord;
 use nalgebra::{Quaternion, UnitQuaternion};
+use serde::Serialize;
 
 /// Why a table cannot be read.
 #[derive(Debug, thiserror::Error)]
@@ -149,6 +150,21 @@ impl TableCells<'_> {
         Ok(UnitQuaternion::from_quaternion(quaternion))
     }
 
+    /// One of the codes that a cell names.
+    ///
+    /// # Errors
+    /// It names none of them.
+    pub fn code<T: Copy + Serialize>(
+        &self,
+        codes: &[T],
+        column: &str,
+        wanted: &'static str,
+    ) -> Result<T, TableError> {
+        let text = self.text(column);
+        let named = codes.iter().find(|code| name(code) == text);
+        named.copied().ok_or_else(|| self.refuse(column, wanted))
+    }
+
     /// The error that a cell deserves.
     pub fn refuse(&self, column: &str, wanted: &'static str) -> TableError {
         TableError::Cell {
@@ -158,6 +174,14 @@ impl TableCells<'_> {
             text: self.text(column).to_owned(),
             wanted,
         }
+    }
+}
+
+/// What a code is called in a file.
+fn name(code: impl Serialize) -> String {
+    match serde_json::to_value(code) {
+        Ok(serde_json::Value::String(name)) => name,
+        _ => String::new(),
     }
 }
 

@@ -8,7 +8,8 @@ use serde::Serialize;
 use crate::recorder::Recorded;
 use crate::table::{TableCells, TableError, TableRow};
 
-/// A row of the truth: the body's pose in the camera frame. Columns of the reference recordings.
+/// A row of the truth: the body's pose in the camera frame. Columns of the reference recordings, and the
+/// camera's own attitude.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TruthRow {
     /// The source's frame, from 0.
@@ -57,6 +58,15 @@ pub struct TruthRow {
     pub exposure_s: f64,
     /// 1 if a whole marker is seen at less than 65 degrees of incidence.
     pub localisable: u32,
+    /// The camera's attitude in the world: turns directions in the camera frame into the world's. All
+    /// four are empty where it is not known.
+    pub camera_qw: Option<f64>,
+    /// Attitude.
+    pub camera_qx: Option<f64>,
+    /// Attitude.
+    pub camera_qy: Option<f64>,
+    /// Attitude.
+    pub camera_qz: Option<f64>,
 }
 
 impl Recorded for TruthRow {
@@ -85,6 +95,10 @@ impl Recorded for TruthRow {
             "iso",
             "exposure_s",
             "localisable",
+            "camera_qw",
+            "camera_qx",
+            "camera_qy",
+            "camera_qz",
         ]
     }
 }
@@ -94,6 +108,10 @@ impl TruthRow {
     pub fn of(header: &TruthHeader, body: &BodyTruth) -> Self {
         let [x, y, z] = body.camera_from_markers.position;
         let [qx, qy, qz, qw] = body.camera_from_markers.orientation;
+        let attitude = header.world_from_camera;
+        let is_known = attitude.iter().any(|&number| number != 0.0);
+        let [camera_qx, camera_qy, camera_qz, camera_qw] =
+            attitude.map(|number| is_known.then_some(number));
         Self {
             frame: header.stamp.sequence,
             t_s: header.stamp.stream_ns as f64 * 1e-9,
@@ -118,7 +136,16 @@ impl TruthRow {
             iso: 0,
             exposure_s: header.exposure_s,
             localisable: body.localisable,
+            camera_qw,
+            camera_qx,
+            camera_qy,
+            camera_qz,
         }
+    }
+
+    /// The camera's attitude in the world, where it is known.
+    pub fn world_from_camera(&self) -> Option<UnitQuaternion<f64>> {
+        Some(rotation([self.camera_qx?, self.camera_qy?, self.camera_qz?, self.camera_qw?]))
     }
 
     /// Its position.
@@ -154,6 +181,10 @@ impl TableRow for TruthRow {
         let known = |column: &str| Ok(cells.maybe_number(column)?.unwrap_or(0.0));
         let [x, y, z] = [cells.number("x")?, cells.number("y")?, cells.number("z")?];
         let orientation = cells.rotation(["qx", "qy", "qz", "qw"])?;
+        let attitude = match cells.text("camera_qw") {
+            "" => None,
+            _ => Some(cells.rotation(["camera_qx", "camera_qy", "camera_qz", "camera_qw"])?),
+        };
         let n_markers_vis90 = cells.small_count("n_markers_vis90")?;
         let n_markers_vis50 = match cells.text("n_markers_vis50") {
             "" => n_markers_vis90,
@@ -183,6 +214,10 @@ impl TableRow for TruthRow {
             iso: cells.value("iso", "a whole number from 0")?.unwrap_or(0),
             exposure_s: known("exposure_s")?,
             localisable: cells.small_count("localisable")?,
+            camera_qw: attitude.map(|attitude| attitude.w),
+            camera_qx: attitude.map(|attitude| attitude.i),
+            camera_qy: attitude.map(|attitude| attitude.j),
+            camera_qz: attitude.map(|attitude| attitude.k),
         })
     }
 }
@@ -194,16 +229,37 @@ mod tests {
     use bytemuck::Zeroable;
 
     #[test]
-    fn the_truth_has_the_columns_of_the_reference_recordings() {
+    fn the_truth_has_the_columns_of_the_reference_recordings_and_the_attitude() {
         let mut writer = csv::Writer::from_writer(Vec::new());
         let row = TruthRow::of(&TruthHeader::zeroed(), &BodyTruth::zeroed());
         writer.serialize(row).expect("memory is there");
         let text = String::from_utf8(writer.into_inner().expect("flushed")).expect("text");
         let wanted = "frame,t_s,body,x,y,z,qw,qx,qy,qz,dist_m,az_deg,el_deg,n_markers_vis50,\
                       n_markers_vis90,best_side_px,blur_px,env,observer_yaw_deg,ev,iso,exposure_s,\
-                      localisable";
+                      localisable,camera_qw,camera_qx,camera_qy,camera_qz";
         assert_eq!(text.lines().next(), Some(wanted));
         assert_eq!(TruthRow::names().join(","), wanted);
+        assert!(text.ends_with(",0,,,,\n"), "no attitude is none: {text}");
+    }
+
+    #[test]
+    fn the_attitude_is_read_as_it_was_written() {
+        let header =
+            TruthHeader { world_from_camera: [0.0, 0.6, 0.0, 0.8], ..TruthHeader::zeroed() };
+        let body = BodyTruth {
+            camera_from_markers: flockeye_contract::Pose::default(),
+            ..BodyTruth::zeroed()
+        };
+        let row = TruthRow::of(&header, &body);
+        let path = std::env::temp_dir().join(format!("flockeye-{}-turned.csv", std::process::id()));
+        let mut recorder = crate::Recorder::create(&path).expect("it can be written");
+        recorder.add(&row).expect("there is room");
+        recorder.finish().expect("there is room");
+        let rows: Vec<TruthRow> = read(&path).expect("it is right");
+        std::fs::remove_file(path).expect("it can be removed");
+        assert_eq!(rows, [row]);
+        let turned = rows[0].world_from_camera().expect("it is known").angle();
+        assert!((turned - 2.0 * 0.8_f64.acos()).abs() < 1e-12, "{turned}");
     }
 
     #[test]

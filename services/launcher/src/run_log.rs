@@ -6,9 +6,9 @@ use std::time::{Duration, Instant};
 use clap::Args;
 use flockeye_cli::duration;
 use flockeye_config::Resolved;
-use flockeye_contract::{Detections, FrameStamp, Healths, StageState, Tracks, Truths};
+use flockeye_contract::{Detections, FrameStamp, Healths, Rotations, StageState, Tracks, Truths};
 use flockeye_record::sweep::SweepReport;
-use flockeye_record::{FrameTimes, MarkerRays, PoseRow, Recorder, TruthRow};
+use flockeye_record::{FrameTimes, MarkerRays, PoseRow, Recorder, RotationRow, TruthRow};
 use flockeye_runtime::clock;
 use flockeye_runtime::ports::{Ports, Subscriber};
 
@@ -30,6 +30,9 @@ pub struct RunOptions {
     /// Record the truth of a simulated flight.
     #[arg(long, value_name = "FILE.csv")]
     pub truth: Option<PathBuf>,
+    /// Record how the camera has turned to each frame.
+    #[arg(long, value_name = "FILE.csv")]
+    pub rotations: Option<PathBuf>,
     /// Record when each frame was published and when it ended.
     #[arg(long, value_name = "FILE.csv")]
     pub frame_times: Option<PathBuf>,
@@ -60,6 +63,9 @@ pub struct RunLog {
     healths: Subscriber<Healths>,
     truths: Subscriber<Truths>,
     detections: Option<Subscriber<Detections>>,
+    rotations: Option<Subscriber<Rotations>>,
+    /// The frame of the rotation before.
+    last_rotation: Option<FrameStamp>,
     sweep: Option<SweepWatch>,
     recorders: Recorders,
     /// What is shown of the run.
@@ -76,6 +82,7 @@ pub struct RunLog {
 struct Recorders {
     poses: Option<Recorder<PoseRow>>,
     truth: Option<Recorder<TruthRow>>,
+    rotations: Option<Recorder<RotationRow>>,
     frame_times: Option<Recorder<FrameTimes>>,
     rays: Option<Recorder<MarkerRays>>,
 }
@@ -91,16 +98,19 @@ impl RunLog {
         ports: &mut Ports,
     ) -> anyhow::Result<Self> {
         let sweep = options.watches_sweep.then(|| SweepWatch::open(resolved, ports)).transpose()?;
-        let rays = options.rays.is_some();
+        let (rays, turns) = (options.rays.is_some(), options.rotations.is_some());
         Ok(Self {
             tracks: ports.subscriber()?,
             healths: ports.subscriber()?,
             truths: ports.subscriber()?,
             detections: rays.then(|| ports.subscriber()).transpose()?,
+            rotations: turns.then(|| ports.subscriber()).transpose()?,
+            last_rotation: None,
             sweep: sweep.flatten(),
             recorders: Recorders {
                 poses: options.poses.as_deref().map(Recorder::create).transpose()?,
                 truth: options.truth.as_deref().map(Recorder::create).transpose()?,
+                rotations: options.rotations.as_deref().map(Recorder::create).transpose()?,
                 frame_times: options.frame_times.as_deref().map(Recorder::create).transpose()?,
                 rays: options.rays.as_deref().map(Recorder::create).transpose()?,
             },
@@ -135,6 +145,14 @@ impl RunLog {
                 for marker in message.items() {
                     recorder.add(&MarkerRays::new(&message.header, marker))?;
                 }
+            }
+        }
+        if let (Some(rotations), Some(recorder)) =
+            (&mut self.rotations, &mut self.recorders.rotations)
+        {
+            while let Some(message) = rotations.receive()? {
+                let before = self.last_rotation.replace(message.header.stamp);
+                recorder.add(&RotationRow::of(&message.header, before.as_ref()))?;
             }
         }
         if let Some(sweep) = &mut self.sweep {
@@ -197,9 +215,10 @@ impl RunLog {
     /// As [`RunLog::receive`].
     pub fn finish(&mut self) -> anyhow::Result<RunSummary> {
         self.receive()?;
-        let Recorders { poses, truth, frame_times, rays } = &mut self.recorders;
+        let Recorders { poses, truth, rotations, frame_times, rays } = &mut self.recorders;
         poses.take().map(Recorder::finish).transpose()?;
         truth.take().map(Recorder::finish).transpose()?;
+        rotations.take().map(Recorder::finish).transpose()?;
         frame_times.take().map(Recorder::finish).transpose()?;
         rays.take().map(Recorder::finish).transpose()?;
         let first_end_ns = self.first_end_ns.unwrap_or(self.last_end_ns);

@@ -3,9 +3,10 @@
 use flockeye_contract::{MeasuredBy, RotationSource};
 use flockeye_convert::{camera_turn, rotation};
 use flockeye_tests::onlooker::Tape;
-use flockeye_tests::{Flight, SMALL_FLIGHT};
+use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, run};
 use nalgebra::Vector3;
 use rustix::process::{Signal, kill_process};
+use serde_json::Value;
 
 const FRAMES: u64 = 45;
 
@@ -69,6 +70,50 @@ fn the_rotation_in_gusts_is_that_of_the_truth_and_velocities_do_without_it() {
     let last = tape.tracks.iter().rev().find_map(|(_, tracks)| tracks.first()).expect("a track");
     let speed = Vector3::from(last.linear_velocity).norm();
     assert!(speed < 2.0, "{speed} m/s");
+}
+
+#[test]
+fn recorded_rotations_are_judged_by_the_truth() {
+    let scratch = Scratch::new("rotations");
+    let files = ["poses.csv", "truth.csv", "rotations.csv"].map(|name| scratch.path(name));
+    let [poses, truth, rotations] =
+        [&files[0], &files[1], &files[2]].map(|file| file.to_str().expect("a plain path"));
+    let frames = format!("simulator.frames={FRAMES}");
+    let set: Vec<&str> = SMALL_FLIGHT.iter().chain(GUSTS).copied().chain([&*frames]).collect();
+    let recorded = ["--poses", poses, "--truth", truth, "--rotations", rotations];
+    let arguments = [&["--flow", "lossless"], &recorded[..]].concat();
+    let mut flight = Flight::start("rotations", &arguments, &set);
+    assert!(flight.wait().success(), "{}", flight.output());
+    flight.assert_nothing_left();
+
+    let (succeeded, output) = run(&[&["eval", "--json"], &recorded[..]].concat());
+    assert!(succeeded, "{output}");
+    let found: Value = serde_json::from_str(&output).expect("nothing but JSON");
+    // The first frame has none before it.
+    let judged = &found["rotations"];
+    assert_eq!((&judged["known"], &judged["not_known"]), (&(FRAMES - 1).into(), &1.into()));
+    assert_eq!(judged["compared"], FRAMES - 1);
+    let number = |value: &Value| value.as_f64().unwrap_or_else(|| panic!("{value} in {judged}"));
+    assert!(number(&judged["error_deg"]["median"]) < 0.06, "{judged}");
+    assert!((0.3..12.0).contains(&number(&judged["nees"]["mean"])), "{judged}");
+    // The rate settles in some frames.
+    assert!(number(&judged["rate_error_deg_s"]["median"]) < 2.0, "{judged}");
+    // A lossless run predicts to the exposure itself: nothing to judge.
+    assert!(found["predictions"].is_null() && number(&found["measured"]) > 0.0, "{found}");
+
+    let (succeeded, output) = run(&["eval", "--rotations", rotations, "--truth", truth]);
+    assert!(succeeded, "{output}");
+    for wanted in ["known in 44 frames, not known in 1", "error to each frame median", "its NEES"] {
+        assert!(output.contains(wanted), "{wanted:?} is missing in:\n{output}");
+    }
+    for (arguments, wanted) in [
+        (&["--rotations", rotations][..], "there is nothing to compare"),
+        (&["--rotations", poses, "--truth", truth], "no column source, earlier_s"),
+        (&["--rotations", rotations, "--gyro", truth], "no column gx, gy, gz. Cure: write"),
+    ] {
+        let (succeeded, output) = run(&[&["eval"], arguments].concat());
+        assert!(!succeeded && output.contains(wanted), "{wanted:?}:\n{output}");
+    }
 }
 
 #[test]

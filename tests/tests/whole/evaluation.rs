@@ -83,6 +83,29 @@ fn a_flight_is_judged_and_drawn() {
 }
 
 #[test]
+fn poses_predicted_for_the_time_of_sending_are_judged_by_the_truth_of_then() {
+    let scratch = Scratch::new("predicted");
+    let (poses, truth) = (scratch.path("poses.csv"), scratch.path("truth.csv"));
+    let recorded = ["--poses", text(&poses), "--truth", text(&truth)];
+    let arguments = [&["--flow", "latest", "--for", "4s"], &recorded[..]].concat();
+    let mut flight = Flight::start("predicted", &arguments, SMALL_FLIGHT);
+    assert!(flight.wait().success(), "{}", flight.output());
+    flight.assert_nothing_left();
+    let (succeeded, output) = run(&[&["eval", "--json"], &recorded[..]].concat());
+    assert!(succeeded, "{output}");
+    let found: Value = serde_json::from_str(&output).expect("nothing but JSON");
+    let predictions = &found["predictions"]["measured"];
+    assert!(number(&predictions["compared"]) > 10.0, "{predictions}");
+    // A pose leaves some milliseconds after its exposure, and moves less meanwhile than it is off.
+    assert!(number(&predictions["ahead_ms"]["median"]) > 1.0, "{predictions}");
+    assert!(number(&predictions["position_mm"]["median"]) < 20.0, "{predictions}");
+    assert!(number(&predictions["rotation_deg"]["median"]) < 5.0, "{predictions}");
+    assert!(number(&predictions["nees"]["position"]["inside_99"]) > 0.5, "{predictions}");
+    let (succeeded, output) = run(&[&["eval"], &recorded[..]].concat());
+    assert!(succeeded && output.contains("poses predicted for the time of sending"), "{output}");
+}
+
+#[test]
 fn searches_are_compared_on_the_same_flight() {
     let found = found(&["experiment", "search", "--frames", "12", "--json"], &[]);
     let rows = found["rows"].as_array().expect("rows");

@@ -1,31 +1,56 @@
-//! `flockeye eval`: compares recorded poses with the truth.
+//! `flockeye eval`: compares recorded poses and rotations with the truth.
 
 use std::collections::BTreeSet;
+use std::path::Path;
 use std::path::PathBuf;
 
-use anyhow::ensure;
+use anyhow::{Context, ensure};
 use clap::Args;
 use flockeye_cli::Screen;
-use flockeye_record::{PoseRow, TruthRow, read};
+use flockeye_record::{GyroscopeRow, PoseRow, RotationRow, TruthRow, read};
+use serde::Serialize;
 
 use crate::evaluation::Evaluation;
+use crate::evaluation::rotations::{RotationEvaluation, TrueRotation};
 use crate::report;
 
 /// Arguments of `eval`.
 #[derive(Debug, Args)]
 pub struct EvalArguments {
     /// The recorded poses.
-    #[arg(long, value_name = "FILE.csv")]
-    pub poses: PathBuf,
+    #[arg(
+        long,
+        value_name = "FILE.csv",
+        requires = "truth",
+        required_unless_present = "rotations"
+    )]
+    pub poses: Option<PathBuf>,
     /// The truth.
     #[arg(long, value_name = "FILE.csv")]
-    pub truth: PathBuf,
+    pub truth: Option<PathBuf>,
+    /// The recorded rotations of the camera, against the attitudes of the truth or a gyroscope.
+    #[arg(long, value_name = "FILE.csv")]
+    pub rotations: Option<PathBuf>,
+    /// A gyroscope's samples, in the camera's axes, to compare rotations with: t_s, gx, gy, gz (s, rad/s).
+    #[arg(long, value_name = "FILE.csv", requires = "rotations")]
+    pub gyro: Option<PathBuf>,
     /// One JSON object instead of a table.
     #[arg(long)]
     pub json: bool,
     /// Write a page with the paper's figures for this run, index.html, into this folder.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", requires = "poses")]
     pub report: Option<PathBuf>,
+}
+
+/// What is printed.
+#[derive(Debug, Serialize)]
+struct Results {
+    /// What is said of poses.
+    #[serde(flatten)]
+    poses: Option<Evaluation>,
+    /// What is said of rotations.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    rotations: Option<RotationEvaluation>,
 }
 
 /// Prints the comparison, and writes the report if one is asked for.
@@ -33,40 +58,114 @@ pub struct EvalArguments {
 /// # Errors
 /// A file cannot be read or is invalid, the two share no frame, or the report cannot be written.
 pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
-    let poses: Vec<PoseRow> = read(&arguments.poses)?;
-    let truth: Vec<TruthRow> = read(&arguments.truth)?;
-    let [poses_file, truth_file] = [&arguments.poses, &arguments.truth].map(|path| path.display());
-    ensure!(
-        !truth.is_empty(),
-        "{truth_file} says nothing of any frame: there is nothing to compare with. Cure: give the \
-         truth of the same flight; only a simulated one writes it (flockeye up --truth), a camera \
-         or a recording has none of its own"
-    );
-    let frames = |numbers: Vec<u64>| {
+    let truth: Vec<TruthRow> = match &arguments.truth {
+        Some(file) => {
+            let truth = read(file)?;
+            ensure!(
+                !truth.is_empty(),
+                "{} says nothing of any frame: there is nothing to compare with. Cure: give the \
+                 truth of the same flight; only a simulated one writes it (flockeye up --truth), a \
+                 camera or a recording has none of its own",
+                file.display()
+            );
+            truth
+        }
+        None => Vec::new(),
+    };
+    let poses: Option<Vec<PoseRow>> = arguments.poses.as_deref().map(read).transpose()?;
+    if let (Some(poses), Some(poses_file), Some(truth_file)) =
+        (&poses, &arguments.poses, &arguments.truth)
+    {
+        share_a_frame(poses.iter().map(|pose| pose.frame), poses_file, &truth, truth_file)?;
+    }
+    let rotations = arguments.rotations.as_deref();
+    let rotations = rotations.map(|file| compare_rotations(file, arguments, &truth)).transpose()?;
+    let results =
+        Results { poses: poses.as_deref().map(|poses| Evaluation::of(poses, &truth)), rotations };
+    let mut screen = Screen::new();
+    if arguments.json {
+        screen.line(&serde_json::to_string(&results)?);
+    } else {
+        let Results { poses, rotations } = &results;
+        let poses = poses.as_ref().map(Evaluation::to_string);
+        let rotations = rotations.as_ref().map(RotationEvaluation::to_string);
+        poses.iter().chain(&rotations).for_each(|text| screen.line(text));
+    }
+    if let (Some(folder), Some(poses), Some(evaluation)) =
+        (&arguments.report, &poses, &results.poses)
+    {
+        let shown = |file: &Option<PathBuf>| {
+            file.as_ref().map_or(String::new(), |file| file.display().to_string())
+        };
+        let source = format!("{} against {}", shown(&arguments.poses), shown(&arguments.truth));
+        let file = report::write(folder, &source, evaluation, poses, &truth)?;
+        if !arguments.json {
+            screen.line(&format!("the report is {}", file.display()));
+        }
+    }
+    Ok(())
+}
+
+/// Compares rotations with the gyroscope if one is given, else with the attitudes of the truth.
+fn compare_rotations(
+    file: &Path,
+    arguments: &EvalArguments,
+    truth: &[TruthRow],
+) -> anyhow::Result<RotationEvaluation> {
+    let rows: Vec<RotationRow> = read(file)?;
+    let known = match (&arguments.gyro, &arguments.truth) {
+        (Some(gyro), _) => {
+            let samples: Vec<GyroscopeRow> = read(gyro)?;
+            ensure!(
+                samples.len() > 1,
+                "{} has {} samples: there is nothing to compare with. Cure: give the gyroscope's \
+                 samples of the same flight",
+                gyro.display(),
+                samples.len()
+            );
+            TrueRotation::of_gyroscope(samples)
+        }
+        (None, Some(truth_file)) => {
+            share_a_frame(rows.iter().map(|row| row.frame), file, truth, truth_file)?;
+            TrueRotation::of_truth(truth).with_context(|| {
+                format!(
+                    "{} does not say how the camera was turned (camera_qw and so on). Cure: record \
+                     the truth of a simulated flight anew with flockeye up --truth, or give a \
+                     recording's gyroscope with --gyro",
+                    truth_file.display()
+                )
+            })?
+        }
+        (None, None) => anyhow::bail!(
+            "there is nothing to compare {} with. Cure: give --truth of the same simulated flight, or \
+             a recording's gyroscope with --gyro",
+            file.display()
+        ),
+    };
+    Ok(RotationEvaluation::of(&rows, known))
+}
+
+/// Refuses a recording of another flight than the truth's.
+fn share_a_frame(
+    recorded: impl Iterator<Item = u64> + Clone,
+    recorded_file: &Path,
+    truth: &[TruthRow],
+    truth_file: &Path,
+) -> anyhow::Result<()> {
+    let frames = |numbers: &mut dyn Iterator<Item = u64>| {
+        let numbers: Vec<u64> = numbers.collect();
         let (first, last) = (numbers.iter().min(), numbers.iter().max());
         format!("{} to {}", first.unwrap_or(&0), last.unwrap_or(&0))
     };
     let known: BTreeSet<u64> = truth.iter().map(|row| row.frame).collect();
     ensure!(
-        poses.is_empty() || poses.iter().any(|pose| known.contains(&pose.frame)),
-        "{poses_file} (frames {}) and {truth_file} (frames {}) share no frame. Cure: give poses \
-         and truth of the same flight",
-        frames(poses.iter().map(|pose| pose.frame).collect()),
-        frames(truth.iter().map(|row| row.frame).collect()),
+        recorded.clone().next().is_none() || recorded.clone().any(|frame| known.contains(&frame)),
+        "{} (frames {}) and {} (frames {}) share no frame. Cure: give what was recorded and the truth \
+         of the same flight",
+        recorded_file.display(),
+        frames(&mut recorded.clone()),
+        truth_file.display(),
+        frames(&mut truth.iter().map(|row| row.frame)),
     );
-    let evaluation = Evaluation::of(&poses, &truth);
-    let mut screen = Screen::new();
-    if arguments.json {
-        screen.line(&serde_json::to_string(&evaluation)?);
-    } else {
-        screen.line(&evaluation.to_string());
-    }
-    if let Some(folder) = &arguments.report {
-        let source = format!("{poses_file} against {truth_file}");
-        let file = report::write(folder, &source, &evaluation, &poses, &truth)?;
-        if !arguments.json {
-            screen.line(&format!("the report is {}", file.display()));
-        }
-    }
     Ok(())
 }

@@ -6,9 +6,15 @@
 //! | [`error`] | how far a pose is from the truth |
 //! | [`statistics`] | means, quantiles, correlated samples |
 //! | [`consistency`] | errors against their covariances |
+//! | [`path`] | the truth between frames |
+//! | [`predictions`] | poses predicted for the time of sending |
+//! | [`rotations`] | the camera's own rotation |
 
 pub mod consistency;
 pub mod error;
+pub mod path;
+pub mod predictions;
+pub mod rotations;
 #[cfg(test)]
 pub(crate) mod samples;
 pub mod statistics;
@@ -23,6 +29,7 @@ use serde::Serialize;
 
 use consistency::{Consistency, in_series};
 use error::{ErrorSample, Errors, PoseOffset};
+use predictions::Predictions;
 
 /// Ranges of distance, metres; then the range of the paper, the one beyond it, and everything.
 const RANGES_M: [(f64, Option<f64>); 8] = [
@@ -122,6 +129,8 @@ pub struct Evaluation {
     pub sources: Sources,
     /// Poses that were only predicted.
     pub coasted: Coasted,
+    /// Poses predicted for the time of sending; `None` where none reaches beyond its exposure.
+    pub predictions: Option<Predictions>,
     /// Measurements that are wrong by more than 10 cm or 10 degrees, or of a body that is not there.
     pub false_poses: usize,
     /// Where they are.
@@ -166,6 +175,7 @@ impl Evaluation {
                 aligned: count(MeasuredBy::Aligned),
             },
             coasted: Coasted { count: predicted.len(), errors: Errors::of(&coasted) },
+            predictions: Predictions::of(poses, truth),
             false_poses: false_at.len(),
             false_at,
             latency: Latency::of(&latencies),

@@ -36,6 +36,8 @@ pub struct Nees {
     pub mean: f64,
     /// Their median; 2.37 is expected. Outliers move only the mean.
     pub median: f64,
+    /// The share of them within the ellipsoid that 99 % should lie in.
+    pub inside_99: f64,
     /// Lower bound of the mean (97.5 %) if errors are as large as their covariances say.
     pub low: f64,
     /// Upper bound of the mean (97.5 %) in the same case.
@@ -66,11 +68,14 @@ impl Nees {
         let mean = mean(&all)?;
         let bound = |share: f64| chi_square_quantile(DEGREES * effective, share) / effective;
         let (low, high) = (bound(0.025), bound(0.975));
+        let ellipsoid = chi_square_quantile(DEGREES, 0.99);
+        let inside = all.iter().filter(|value| **value <= ellipsoid).count();
         Some(Self {
             samples: all.len(),
             effective_samples: effective,
             mean,
             median: median(&all)?,
+            inside_99: inside as f64 / all.len() as f64,
             low,
             high,
             verdict: match mean {
@@ -153,6 +158,9 @@ mod tests {
         assert_eq!((nees.samples, nees.mean, nees.median), (2, 3.0, 3.0));
         assert!((nees.low - 0.618_67).abs() < 1e-4 && (nees.high - 7.224_7).abs() < 1e-4);
         assert_eq!(nees.verdict, NeesVerdict::Consistent);
+        // The 99 % quantile of chi-square of 3 is 11.345.
+        let inside = Nees::of(&[vec![11.3, 11.4, 2.0, 50.0]]).map(|nees| nees.inside_99);
+        assert_eq!(inside, Some(0.5));
         let verdict =
             |values: [f64; 2]| Nees::of(&values.map(|x| vec![x])).map(|nees| nees.verdict);
         assert_eq!(verdict([9.0, 8.0]), Some(NeesVerdict::Optimistic));

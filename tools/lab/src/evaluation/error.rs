@@ -32,17 +32,26 @@ impl PoseOffset {
         orientation: &UnitQuaternion<f64>,
         truth: &TruthRow,
     ) -> Self {
-        let there = truth.position();
+        Self::between(position, orientation, &truth.position(), &truth.orientation())
+    }
+
+    /// Compares a pose with the true position and orientation.
+    pub fn between(
+        position: &Vector3<f64>,
+        orientation: &UnitQuaternion<f64>,
+        there: &Vector3<f64>,
+        turned: &UnitQuaternion<f64>,
+    ) -> Self {
         let off = position - there;
         let sight = there.try_normalize(0.0).unwrap_or_else(Vector3::zeros);
         let along_m = off.dot(&sight);
         Self {
             position: -off,
-            rotation: (truth.orientation() * orientation.inverse()).scaled_axis(),
+            rotation: (turned * orientation.inverse()).scaled_axis(),
             along_m,
             across_m: (off - sight * along_m).norm(),
             distance_m: position.norm() - there.norm(),
-            bearing_deg: position.angle(&there).to_degrees(),
+            bearing_deg: position.angle(there).to_degrees(),
         }
     }
 

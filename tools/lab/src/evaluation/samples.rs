@@ -20,6 +20,7 @@ pub(crate) fn pose_at(frame: u64, position: Vector3<f64>, state: TrackState) -> 
         measured_by: if is_measured { MeasuredBy::Decoded } else { MeasuredBy::Nothing },
         measured: is_measured.then_some(MeasuredPose { position, orientation, covariance }),
         covariance,
+        predicted: None,
         latency_ms: frame as f64,
     }
 }
@@ -50,5 +51,9 @@ pub(crate) fn truth_at(frame: u64, position: Vector3<f64>) -> TruthRow {
         iso: 0,
         exposure_s: 0.0,
         localisable: 1,
+        camera_qw: None,
+        camera_qx: None,
+        camera_qy: None,
+        camera_qz: None,
     }
 }

@@ -12,6 +12,8 @@ pub struct Spread {
     pub median: f64,
     /// 95 % are smaller.
     pub p95: f64,
+    /// 99 % are smaller.
+    pub p99: f64,
     /// The largest.
     pub worst: f64,
 }
@@ -25,6 +27,7 @@ impl Spread {
             mean: mean(&sizes)?,
             median: median(&sizes)?,
             p95: quantile(&sizes, 0.95)?,
+            p99: quantile(&sizes, 0.99)?,
             worst: *sizes.last()?,
         })
     }
@@ -118,7 +121,7 @@ mod tests {
     #[test]
     fn spreads_are_those_computed_by_hand() {
         let spread = Spread::of([3.0, -1.0, 2.0, 4.0]).expect("there are some");
-        assert_eq!(spread, Spread { mean: 2.5, median: 2.5, p95: 4.0, worst: 4.0 });
+        assert_eq!(spread, Spread { mean: 2.5, median: 2.5, p95: 4.0, p99: 4.0, worst: 4.0 });
         assert_eq!(Spread::of([]), None);
     }
 

@@ -6,6 +6,9 @@ use flockeye_cli::text_table::TextTable;
 
 use super::consistency::{Consistency, Nees, NeesVerdict};
 use super::error::Errors;
+use super::predictions::{PredictionErrors, Predictions};
+use super::rotations::RotationEvaluation;
+use super::statistics::Spread;
 use super::{Bin, Evaluation, FALSE_DEG, FALSE_M};
 
 /// Places of false poses that are listed.
@@ -33,15 +36,102 @@ impl Nees {
     /// In words.
     pub fn text(&self) -> String {
         format!(
-            "mean {:.2} (95 %: {:.2} to {:.2}), median {:.2}, of {} samples worth {:.0} independent ones: {}",
+            "mean {:.2} (95 %: {:.2} to {:.2}), median {:.2}, {:.1} % inside 99 %, of {} samples worth {:.0} independent ones: {}",
             self.mean,
             self.low,
             self.high,
             self.median,
+            100.0 * self.inside_99,
             self.samples,
             self.effective_samples,
             self.verdict.text()
         )
+    }
+}
+
+impl Spread {
+    /// Median, 95 %, 99 % and worst in words, with so many digits behind the point.
+    fn text(&self, unit: &str, digits: usize) -> String {
+        format!(
+            "median {:.digits$}{unit}, 95 % {:.digits$}, 99 % {:.digits$}, worst {:.digits$}",
+            self.median, self.p95, self.p99, self.worst
+        )
+    }
+}
+
+impl fmt::Display for Predictions {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "poses predicted for the time of sending")?;
+        for (what, errors) in
+            [("measured in their frame", &self.measured), ("predicted only", &self.coasted)]
+        {
+            if let Some(errors) = errors {
+                write!(f, "\n {what}: {errors}")?;
+            }
+        }
+        Ok(())
+    }
+}
+
+impl fmt::Display for PredictionErrors {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} compared", self.compared)?;
+        if self.without_truth > 0 {
+            write!(f, ", {} more have no truth around their time", self.without_truth)?;
+        }
+        if let Some(ahead_ms) = &self.ahead_ms {
+            write!(f, "; ahead of the exposure by {}", ahead_ms.text(" ms", 1))?;
+        }
+        for (what, predicted, held, unit, digits) in [
+            ("position", &self.position_mm, &self.held_position_mm, " mm", 1),
+            ("rotation", &self.rotation_deg, &self.held_rotation_deg, "°", 2),
+        ] {
+            if let (Some(predicted), Some(held)) = (predicted, held) {
+                write!(
+                    f,
+                    "\n  {what} error {}; of the exposure's own pose {}",
+                    predicted.text(unit, digits),
+                    held.text(unit, digits)
+                )?;
+            }
+        }
+        if let Some(Consistency { position, rotation }) = &self.nees {
+            write!(f, "\n  NEES, position: {}", position.text())?;
+            write!(f, "\n  NEES, rotation: {}", rotation.text())?;
+        }
+        Ok(())
+    }
+}
+
+impl fmt::Display for RotationEvaluation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "the camera's rotation: known in {} frames, not known in {}; {} compared",
+            self.known, self.not_known, self.compared
+        )?;
+        if let Some(bias) = self.gyroscope_bias_deg_s {
+            write!(f, " with a gyroscope, whose bias of {bias:.2} degrees/s is taken out")?;
+        }
+        for (what, error, stated, nees, unit, digits) in [
+            ("error to each frame", &self.error_deg, self.stated_deg, &self.nees, "°", 3),
+            (
+                "error of the rate",
+                &self.rate_error_deg_s,
+                self.rate_stated_deg_s,
+                &self.rate_nees,
+                " degrees/s",
+                2,
+            ),
+        ] {
+            if let (Some(error), Some(stated)) = (error, stated) {
+                write!(f, "\n  {what} {}; stated {stated:.digits$}", error.text(unit, digits))?;
+            }
+            if let Some(nees) = nees {
+                write!(f, "\n  its NEES: {}", nees.text())?;
+            }
+        }
+        Ok(())
     }
 }
 
@@ -130,6 +220,9 @@ impl fmt::Display for Evaluation {
                 write!(f, "\nNEES of {what}, position: {}", position.text())?;
                 write!(f, "\nNEES of {what}, rotation: {}", rotation.text())?;
             }
+        }
+        if let Some(predictions) = &self.predictions {
+            write!(f, "\n{predictions}")?;
         }
         write!(
             f,

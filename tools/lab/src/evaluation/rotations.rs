@@ -1,0 +1,293 @@
+//! The camera's recorded rotation against its true attitude, or against an inertial sensor.
+
+use flockeye_geometry::statistics::median;
+use flockeye_record::{GyroscopeRow, RecordedTurn, RotationRow, TruthRow};
+use nalgebra::{UnitQuaternion, Vector3};
+use serde::Serialize;
+
+use super::consistency::{Nees, in_series, normalised};
+use super::path::TruePath;
+use super::statistics::Spread;
+
+/// What rotations are compared with.
+#[derive(Debug, Clone)]
+pub enum TrueRotation {
+    /// The attitudes of a simulated flight.
+    Attitudes(TruePath),
+    /// A gyroscope's samples, in rising order of time.
+    Gyroscope(Vec<GyroscopeRow>),
+}
+
+/// How well the camera's rotation was known.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct RotationEvaluation {
+    /// Frames whose rotation was known.
+    pub known: usize,
+    /// Frames of which it was said that it is not; the first frame of a flight is one.
+    pub not_known: usize,
+    /// Rotations that were compared.
+    pub compared: usize,
+    /// Of the rotation from one frame to the next, degrees.
+    pub error_deg: Option<Spread>,
+    /// The standard deviation stated for it (root of the covariance's trace), median, degrees.
+    pub stated_deg: Option<f64>,
+    /// Of the rate at the exposure, degrees/s.
+    pub rate_error_deg_s: Option<Spread>,
+    /// The same stated for the rate, degrees/s.
+    pub rate_stated_deg_s: Option<f64>,
+    /// Whether rotations are as wrong as their covariances say.
+    pub nees: Option<Nees>,
+    /// The same of rates.
+    pub rate_nees: Option<Nees>,
+    /// The constant bias of the gyroscope, which was taken out: the median difference of the two, degrees/s.
+    pub gyroscope_bias_deg_s: Option<f64>,
+}
+
+impl TrueRotation {
+    /// The attitudes of the truth. `None` where it has none.
+    pub fn of_truth(truth: &[TruthRow]) -> Option<Self> {
+        TruePath::of_camera(truth).map(Self::Attitudes)
+    }
+
+    /// A gyroscope's samples.
+    pub fn of_gyroscope(mut rows: Vec<GyroscopeRow>) -> Self {
+        rows.sort_by(|one, other| one.t_s.total_cmp(&other.t_s));
+        Self::Gyroscope(rows)
+    }
+
+    /// How the camera has turned: from directions of the earlier exposure to those of the frame's.
+    fn turned(&self, row: &RotationRow, turn: &RecordedTurn) -> Option<UnitQuaternion<f64>> {
+        match self {
+            Self::Attitudes(path) => {
+                let later = path.pose(row.frame, 0.0)?.rotation;
+                let earlier = path.pose(row.frame, turn.earlier_s - row.stamp_s)?.rotation;
+                Some(later.inverse() * earlier)
+            }
+            Self::Gyroscope(samples) => {
+                let (first, last) = (samples.first()?.t_s, samples.last()?.t_s);
+                if turn.earlier_s < first || row.stamp_s > last {
+                    return None;
+                }
+                let mut turned = UnitQuaternion::identity();
+                for pair in samples.windows(2) {
+                    let begin_s = pair[0].t_s.max(turn.earlier_s);
+                    let end_s = pair[1].t_s.min(row.stamp_s);
+                    if end_s > begin_s {
+                        let rate = between(&pair[0], &pair[1], (begin_s + end_s) / 2.0);
+                        turned *= UnitQuaternion::from_scaled_axis(rate * (end_s - begin_s));
+                    }
+                }
+                // The sensor turns with the camera, directions in its frame the other way.
+                Some(turned.inverse())
+            }
+        }
+    }
+
+    /// The rate at a frame's exposure, rad/s.
+    fn rate(&self, row: &RotationRow) -> Option<Vector3<f64>> {
+        match self {
+            Self::Attitudes(path) => path.rate(row.frame),
+            Self::Gyroscope(samples) => {
+                let after = samples.partition_point(|sample| sample.t_s < row.stamp_s);
+                let (before, after) = (samples.get(after.checked_sub(1)?)?, samples.get(after)?);
+                Some(between(before, after, row.stamp_s))
+            }
+        }
+    }
+
+    /// What is constant in the difference from the rotations recorded, rad/s, if this is a gyroscope: the
+    /// median along each axis, which single wrong rotations do not move.
+    fn bias(&self, rows: &[RotationRow]) -> Option<Vector3<f64>> {
+        let Self::Gyroscope(_) = self else { return None };
+        let differences = rows.iter().filter_map(|row| {
+            let turn = row.turn.as_ref()?;
+            let off = turn.later_from_earlier.scaled_axis() - self.turned(row, turn)?.scaled_axis();
+            let step_s = row.stamp_s - turn.earlier_s;
+            (step_s > 0.0).then(|| off / step_s)
+        });
+        let differences: Vec<Vector3<f64>> = differences.collect();
+        let along = |axis: usize| middle(differences.iter().map(|rate| rate[axis]).collect());
+        Some(Vector3::new(along(0)?, along(1)?, along(2)?))
+    }
+
+    /// The same without that bias.
+    fn without(self, bias: Option<Vector3<f64>>) -> Self {
+        match (self, bias) {
+            (Self::Gyroscope(samples), Some(bias)) => {
+                let corrected = samples.into_iter().map(|sample| GyroscopeRow {
+                    rate_in_camera: sample.rate_in_camera - bias,
+                    ..sample
+                });
+                Self::Gyroscope(corrected.collect())
+            }
+            (unbiased, _) => unbiased,
+        }
+    }
+}
+
+/// The median of values in any order.
+fn middle(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    median(&values)
+}
+
+/// A gyroscope's rate between two samples.
+fn between(before: &GyroscopeRow, after: &GyroscopeRow, at_s: f64) -> Vector3<f64> {
+    let step_s = after.t_s - before.t_s;
+    let share = if step_s > 0.0 { (at_s - before.t_s) / step_s } else { 0.0 };
+    before.rate_in_camera.lerp(&after.rate_in_camera, share)
+}
+
+impl RotationEvaluation {
+    /// Compares recorded rotations. What is constant in the difference from a gyroscope is taken for
+    /// the sensor's bias; its noise counts as error.
+    pub fn of(rows: &[RotationRow], truth: TrueRotation) -> Self {
+        let bias = truth.bias(rows);
+        let truth = truth.without(bias);
+        let known = rows.iter().filter(|row| row.turn.is_some()).count();
+        let (mut errors, mut stated, mut nees) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut rate_errors, mut rate_stated, mut rate_nees) =
+            (Vec::new(), Vec::new(), Vec::new());
+        for row in rows {
+            let Some(turn) = &row.turn else { continue };
+            if let Some(expected) = truth.turned(row, turn) {
+                let off = (turn.later_from_earlier * expected.inverse()).scaled_axis();
+                errors.push(off.norm().to_degrees());
+                stated.push(turn.covariance.trace().max(0.0).sqrt().to_degrees());
+                nees.extend(normalised(&off, &turn.covariance).map(|nees| (row.frame, nees)));
+            }
+            if let Some(expected) = truth.rate(row) {
+                let off = turn.rate_in_camera - expected;
+                rate_errors.push(off.norm().to_degrees());
+                rate_stated.push(turn.rate_covariance.trace().max(0.0).sqrt().to_degrees());
+                let normalised = normalised(&off, &turn.rate_covariance);
+                rate_nees.extend(normalised.map(|nees| (row.frame, nees)));
+            }
+        }
+        Self {
+            known,
+            not_known: rows.len() - known,
+            compared: errors.len(),
+            error_deg: Spread::of(errors),
+            stated_deg: middle(stated),
+            rate_error_deg_s: Spread::of(rate_errors),
+            rate_stated_deg_s: middle(rate_stated),
+            nees: Nees::of(&in_series(nees)),
+            rate_nees: Nees::of(&in_series(rate_nees)),
+            gyroscope_bias_deg_s: bias.map(|bias| bias.norm().to_degrees()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::evaluation::samples::truth_at;
+    use flockeye_contract::RotationSource;
+    use nalgebra::Matrix3;
+
+    const FRAMES: u64 = 30;
+    const STEP_S: f64 = 1.0 / 30.0;
+    /// Of each rotation recorded here: its error, and the standard deviation stated for each axis.
+    const OFF_RAD: f64 = 1e-3;
+
+    /// The camera leans and yaws.
+    fn world_from_camera(at_s: f64) -> UnitQuaternion<f64> {
+        UnitQuaternion::from_euler_angles(0.2 * (3.0 * at_s).sin(), 0.1 * at_s, 0.8 * at_s)
+    }
+
+    fn rate(at_s: f64) -> Vector3<f64> {
+        let step_s = 1e-5;
+        let turned = world_from_camera(at_s - step_s).inverse() * world_from_camera(at_s + step_s);
+        turned.scaled_axis() / (2.0 * step_s)
+    }
+
+    /// Rotations that are wrong by `OFF_RAD`, each about another axis, and rates by 0.01 rad/s; the first one
+    /// is not known.
+    fn rotations() -> Vec<RotationRow> {
+        let row = |frame: u64| {
+            let (earlier_s, stamp_s) = ((frame as f64 - 1.0) * STEP_S, frame as f64 * STEP_S);
+            let truth = world_from_camera(stamp_s).inverse() * world_from_camera(earlier_s);
+            // The golden angle's steps: on average the errors are none.
+            let (sin, cos) = (frame as f64 * 2.399_963).sin_cos();
+            let axis = Vector3::new(cos, sin, 0.0);
+            let turn = RecordedTurn {
+                source: RotationSource::Picture,
+                earlier_s,
+                later_from_earlier: UnitQuaternion::from_scaled_axis(axis * OFF_RAD) * truth,
+                covariance: Matrix3::from_diagonal_element(OFF_RAD * OFF_RAD),
+                rate_in_camera: rate(stamp_s) + axis * 0.01,
+                rate_covariance: Matrix3::from_diagonal_element(0.02 * 0.02),
+            };
+            RotationRow { frame, stamp_s, turn: (frame > 0).then_some(turn) }
+        };
+        (0..FRAMES).map(row).collect()
+    }
+
+    fn attitudes() -> TrueRotation {
+        let rows: Vec<TruthRow> = (0..FRAMES)
+            .map(|frame| {
+                let turned = world_from_camera(frame as f64 * STEP_S);
+                TruthRow {
+                    camera_qw: Some(turned.w),
+                    camera_qx: Some(turned.i),
+                    camera_qy: Some(turned.j),
+                    camera_qz: Some(turned.k),
+                    ..truth_at(frame, Vector3::x())
+                }
+            })
+            .collect();
+        TrueRotation::of_truth(&rows).expect("it has attitudes")
+    }
+
+    /// 200 samples a second, with a bias.
+    fn gyroscope(bias: Vector3<f64>) -> TrueRotation {
+        let sample = |k: i32| {
+            let t_s = f64::from(k) / 200.0;
+            GyroscopeRow { t_s, rate_in_camera: rate(t_s) + bias }
+        };
+        TrueRotation::of_gyroscope((-20..220).map(sample).collect())
+    }
+
+    fn assert_as_made(found: &RotationEvaluation, tolerance: f64) {
+        assert_eq!((found.known, found.not_known), (29, 1));
+        let close = |found: Option<f64>, wanted: f64| {
+            let found = found.expect("there are some");
+            assert!((found / wanted - 1.0).abs() < tolerance, "{found} is not {wanted}");
+        };
+        close(found.error_deg.map(|error| error.median), OFF_RAD.to_degrees());
+        close(found.stated_deg, (3.0_f64.sqrt() * OFF_RAD).to_degrees());
+        close(found.nees.map(|nees| nees.mean), 1.0);
+        close(found.rate_error_deg_s.map(|error| error.median), 0.01_f64.to_degrees());
+        close(found.rate_nees.map(|nees| nees.mean), 0.25);
+    }
+
+    #[test]
+    fn rotations_are_compared_with_attitudes() {
+        let found = RotationEvaluation::of(&rotations(), attitudes());
+        assert_as_made(&found, 0.02);
+        assert_eq!((found.compared, found.gyroscope_bias_deg_s), (29, None));
+        // The first two and the last two frames do not have five around them; the first is not known.
+        assert_eq!(found.rate_nees.map(|nees| nees.samples), Some(26));
+    }
+
+    #[test]
+    fn a_gyroscopes_bias_is_taken_out() {
+        let bias = Vector3::new(0.01, -0.02, 0.005);
+        let found = RotationEvaluation::of(&rotations(), gyroscope(bias));
+        assert_as_made(&found, 0.06);
+        let bias_deg_s = found.gyroscope_bias_deg_s.expect("it is a gyroscope");
+        assert!((bias_deg_s - bias.norm().to_degrees()).abs() < 0.1, "{bias_deg_s}");
+        assert_eq!(found.compared, 29);
+    }
+
+    #[test]
+    fn what_the_truth_does_not_reach_is_not_compared() {
+        let TrueRotation::Gyroscope(samples) = gyroscope(Vector3::zeros()) else { unreachable!() };
+        let short = samples.into_iter().filter(|sample| sample.t_s < 0.5).collect();
+        let found = RotationEvaluation::of(&rotations(), TrueRotation::of_gyroscope(short));
+        assert_eq!((found.known, found.compared), (29, 14));
+        let none = RotationEvaluation::of(&[], attitudes());
+        assert_eq!((none.compared, none.error_deg, none.nees), (0, None, None));
+    }
+}
