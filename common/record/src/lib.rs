@@ -8,12 +8,12 @@
 //! | [`truth`] | the true poses, of a simulated flight or of a recording |
 //! | [`frame_times`] | when each frame was published and when it ended |
 //! | [`rotation`] | how the camera has turned to each frame |
-//! | [`gyroscope`] | what an inertial sensor says of the same |
+//! | [`imu`] | what an inertial sensor measures |
 //! | [`rays`] | the corner rays of detected markers |
 //! | [`sweep`] | how often each part of the sphere is searched |
 
 pub mod frame_times;
-pub mod gyroscope;
+pub mod imu;
 pub mod pose;
 pub mod rays;
 pub mod recorder;
@@ -23,7 +23,7 @@ pub mod table;
 pub mod truth;
 
 pub use frame_times::FrameTimes;
-pub use gyroscope::GyroscopeRow;
+pub use imu::ImuRow;
 pub use pose::{MeasuredPose, PoseRow, PredictedPose};
 pub use rays::MarkerRays;
 pub use recorder::{Recorded, Recorder};

@@ -185,6 +185,7 @@ mod tests {
             rate_covariance: [1e-4, 0.0, 0.0, 0.0, 1e-4, 0.0, 0.0, 0.0, 2e-4],
             source: RotationSource::Picture.code(),
             generation: 0,
+            ..Rotation::default()
         }
     }
 

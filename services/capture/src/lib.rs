@@ -38,6 +38,7 @@ mod event;
 mod explain;
 mod file;
 mod folder;
+pub mod inertial;
 mod input;
 mod mailbox;
 mod parameters;

@@ -11,14 +11,17 @@ use flockeye_runtime::ports::{Ports, Publisher};
 use flockeye_runtime::{Context, Stage, Step, clock};
 
 use crate::core::{Core, Stamped};
+use crate::inertial::InertialPort;
 use crate::{EndReason, Event, Picture, Source, SourceParameters, SourceSpec};
 
 /// How long the source is waited for between two looks at everything else.
 const WAIT: Duration = Duration::from_millis(50);
 
-/// Takes nothing (in a lossless run: plans, as credits); gives frames.
+/// Takes nothing (in a lossless run: plans, as credits); gives frames, and the samples of a
+/// recording's inertial sensor.
 pub struct CaptureStage {
     frames: Publisher<Frames>,
+    inertial: Option<InertialPort>,
     credits: Credits,
     source: Source,
     core: Core,
@@ -42,6 +45,7 @@ impl Stage for CaptureStage {
         context.counters.set_detail(source.describe());
         Ok(Self {
             frames: ports.publisher()?,
+            inertial: InertialPort::open(pipeline, context.identity.generation, ports)?,
             credits: Credits::open(pipeline, ports)?,
             source,
             core: Core::new(pipeline.flow, context.identity.generation),
@@ -72,7 +76,7 @@ impl Stage for CaptureStage {
             }
             Event::Looped { after } => {
                 tracing::debug!("{after}; it begins again");
-                self.core.begin_epoch();
+                self.begin_epoch();
             }
             Event::Lost { reason, retry_in } => {
                 self.counters.set_state(Some(StageState::Degraded));
@@ -83,7 +87,7 @@ impl Stage for CaptureStage {
                         retry_in.as_secs_f64()
                     );
                 }
-                self.core.begin_epoch();
+                self.begin_epoch();
             }
             Event::End(reason) => {
                 match &reason {
@@ -98,6 +102,13 @@ impl Stage for CaptureStage {
 }
 
 impl CaptureStage {
+    fn begin_epoch(&mut self) {
+        self.core.begin_epoch();
+        if let Some(inertial) = &mut self.inertial {
+            inertial.begin_epoch();
+        }
+    }
+
     /// Copies the luma plane from the decoder's buffer into shared memory: the one copy there is.
     fn send(&mut self, picture: &Picture) -> anyhow::Result<()> {
         let begun_ns = clock::monotonic_ns();
@@ -111,6 +122,9 @@ impl CaptureStage {
         let published_ns = clock::monotonic_ns();
         let Stamped { stamp, dropped } = self.core.on_picture(picture.time(), published_ns);
         self.counters.add_dropped(dropped);
+        if let Some(inertial) = &mut self.inertial {
+            inertial.send_before(&stamp)?;
+        }
         loan.send(FrameHeader {
             stamp,
             exposure_time_ns: 0,

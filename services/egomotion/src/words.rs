@@ -30,10 +30,19 @@ impl RotationCount {
         format!(
             "turning {rate_deg_s:.1} ± {:.1} degrees/s by {}; known in {} of {} frames",
             variance.max(0.0).sqrt().to_degrees(),
-            format!("{source:?}").to_lowercase(),
+            words(source),
             self.known,
             self.frames
         )
+    }
+}
+
+fn words(source: RotationSource) -> &'static str {
+    match source {
+        RotationSource::Nothing => "nothing",
+        RotationSource::Picture => "picture",
+        RotationSource::Inertial => "sensor",
+        RotationSource::PictureAndInertial => "picture and sensor",
     }
 }
 
@@ -59,6 +68,7 @@ mod tests {
         assert_eq!(words, "turning 28.6 ± 0.6 degrees/s by picture; known in 1 of 2 frames");
         // A day of frames at a wild rate.
         rotation.rate_in_camera = [20.0, 0.0, 0.0];
+        rotation.source = RotationSource::PictureAndInertial.code();
         let mut count = RotationCount { known: 2_591_999, frames: 2_591_999 };
         let words = count.in_words(&rotation);
         assert!(words.len() <= 96, "{} bytes: {words}", words.len());

@@ -13,7 +13,7 @@ use rand::{RngExt, SeedableRng};
 use crate::scatter::mix;
 
 /// Gravity, m/s^2.
-const GRAVITY: f64 = 9.81;
+pub const GRAVITY: f64 = 9.81;
 /// Share of the lean that accelerates the drone.
 const ACCELERATING: f64 = 0.4;
 /// Slowest and fastest swing, Hz: what a small multirotor's position control leaves over.

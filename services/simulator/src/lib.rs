@@ -28,6 +28,8 @@
 //! | [`error`] | what keeps a world or a frame from being made |
 //! | [`trajectory`] | where the bodies are at a time |
 //! | [`gusts`] | how gusts make the observer and the bodies lean and sway |
+//! | [`camera_motion`] | how the camera moves, and what an inertial sensor in it feels |
+//! | [`inertial`] | that sensor, with bias, noise, mounting and a clock of its own |
 //! | [`moment`] | where everything is at an instant |
 //! | [`eyes`] | where each part of the image is taken from: the camera's middle, or its lenses' places |
 //! | [`hall`], [`backdrop`] | the panorama behind them: painted and blurred once, then turned |
@@ -48,6 +50,7 @@
 
 pub mod ahead;
 pub mod backdrop;
+pub mod camera_motion;
 pub mod cube;
 pub mod density;
 pub mod drawing;
@@ -56,6 +59,7 @@ pub mod error;
 pub mod eyes;
 pub mod gusts;
 pub mod hall;
+pub mod inertial;
 pub mod messages;
 pub mod moment;
 pub mod optics;

@@ -1,8 +1,8 @@
 //! The simulator stage: moves what the world draws to the ports.
 
 use anyhow::Context as _;
-use flockeye_config::Flow;
-use flockeye_contract::{FrameStamp, Frames, Truths};
+use flockeye_config::{Flow, InertialSource};
+use flockeye_contract::{FrameStamp, Frames, ImuHeader, Imus, MAX_IMU_SAMPLES, Truths};
 use flockeye_dictionary::Dictionary;
 use flockeye_runtime::credits::Credits;
 use flockeye_runtime::health::SharedCounters;
@@ -10,14 +10,17 @@ use flockeye_runtime::ports::{Ports, Publisher};
 use flockeye_runtime::{Context, Stage, Step, clock};
 
 use crate::ahead::{Ahead, Drawn, Next};
+use crate::inertial::InertialSensor;
 use crate::messages::TruthWriter;
 use crate::settings::{flying_bodies, in_words, parameters};
 use crate::{FrameTruth, World};
 
-/// Takes nothing (in a lossless run: plans, as credits); gives frames and their truth.
+/// Takes nothing (in a lossless run: plans, as credits); gives frames and their truth, and samples of an
+/// inertial sensor if they are asked for.
 pub struct SimulatorStage {
     frames: Publisher<Frames>,
     truths: Publisher<Truths>,
+    inertial: Option<Inertial>,
     credits: Credits,
     drawing: Drawing,
     writer: TruthWriter,
@@ -30,6 +33,28 @@ enum Drawing {
     OnDemand { world: Box<World>, next_frame: u64, last_frame: u64 },
     /// A thread, and what waits for its time to come.
     Ahead { ahead: Ahead, waiting: Option<Box<Drawn>> },
+}
+
+/// The inertial sensor, and its port.
+struct Inertial {
+    sensor: InertialSensor,
+    imus: Publisher<Imus>,
+    generation: u32,
+}
+
+impl Inertial {
+    /// Sends what the sensor has measured when the exposure ends and the picture is there: before the frame,
+    /// so that egomotion has it first.
+    fn send(&mut self, stamp: FrameStamp, truth: &FrameTruth) -> anyhow::Result<()> {
+        let zero_ns = stamp.exposure_ns - stamp.stream_ns;
+        let samples = self.sensor.until(truth.time_s + truth.exposure_s / 2.0, zero_ns);
+        let header =
+            ImuHeader { sent_ns: clock::monotonic_ns(), epoch: 0, generation: self.generation };
+        for samples in samples.chunks(MAX_IMU_SAMPLES) {
+            self.imus.send(header, samples)?;
+        }
+        Ok(())
+    }
 }
 
 /// So long before its time a frame is brought into shared memory, nanoseconds: several times as long as
@@ -49,6 +74,16 @@ impl Stage for SimulatorStage {
             None => World::empty(parameters)?,
         };
         context.counters.set_detail(in_words(&pipeline.simulator));
+        let inertial = match pipeline.inertial.parsed_source() {
+            Ok(InertialSource::Simulated) => {
+                let settings = &pipeline.simulator.inertial;
+                let seed = world.parameters().seed;
+                let sensor = InertialSensor::new(world.motion().clone(), settings, seed);
+                let generation = context.identity.generation;
+                Some(Inertial { sensor, imus: ports.publisher()?, generation })
+            }
+            _ => None,
+        };
         let last_frame = pipeline.simulator.frames.checked_sub(1).unwrap_or(u64::MAX);
         let drawing = match pipeline.flow {
             Flow::Lossless => {
@@ -62,6 +97,7 @@ impl Stage for SimulatorStage {
         Ok(Self {
             frames: ports.publisher()?,
             truths: ports.side_publisher()?,
+            inertial,
             credits: Credits::open(pipeline, ports)?,
             drawing,
             writer: TruthWriter::new(resolved, flying.as_ref(), context.identity.generation),
@@ -89,6 +125,9 @@ impl Stage for SimulatorStage {
                 self.counters.add_latency_ns(clock::monotonic_ns() - begun_ns);
                 let exposure_ns = (truth.time_s * 1e9).round() as i64;
                 let stamp = self.writer.stamp(frame, exposure_ns, &truth, clock::monotonic_ns());
+                if let Some(inertial) = &mut self.inertial {
+                    inertial.send(stamp, &truth)?;
+                }
                 self.send_truth(stamp, &truth)?;
                 loan.send(self.writer.frame(stamp, &truth))?;
                 self.credits.note_sent(stamp);
@@ -132,6 +171,9 @@ impl SimulatorStage {
             loan.items_mut().copy_from_slice(&luma);
             std::thread::sleep(clock::until(times.handover_ns, clock::monotonic_ns()));
             let stamp = self.writer.stamp(frame, times.exposure_ns, &truth, clock::monotonic_ns());
+            if let Some(inertial) = &mut self.inertial {
+                inertial.send(stamp, &truth)?;
+            }
             self.send_truth(stamp, &truth)?;
             loan.send(self.writer.frame(stamp, &truth))?;
         }

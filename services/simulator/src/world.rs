@@ -1,17 +1,16 @@
 //! The world: made once, then asked for frames.
 
-use std::f64::consts::TAU;
-
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::body::Bodies;
 use nalgebra::{Isometry3, Unit, UnitQuaternion, Vector3};
 
+use crate::camera_motion::{CameraMotion, STEP_S};
 use crate::drawing::{Drawing, Sharpness};
 use crate::drone::Drone;
 use crate::error::{RenderError, WorldError};
 use crate::eyes::Eye;
 use crate::gusts::Gusts;
-use crate::moment::{Attitude, Moment, Placement};
+use crate::moment::{Moment, Placement};
 use crate::parameters::WorldParameters;
 use crate::picture::Picture;
 use crate::scene::{Layer, Scene};
@@ -23,16 +22,14 @@ use crate::truth::{self, FrameTruth, Viewer};
 /// Least distance of a drone that can be drawn, in its radii.
 const LEAST_DISTANCE: f64 = 1.2;
 
-/// Step of the differences that give velocities in gusts, seconds.
-const STEP_S: f64 = 1e-4;
-
 /// A synthetic world, seen by a spherical camera at its origin.
 #[derive(Debug)]
 pub struct World {
     parameters: WorldParameters,
     drones: Vec<Drone>,
     trajectories: Vec<Trajectory>,
-    /// On the observer, then on each drone; none in calm air.
+    motion: CameraMotion,
+    /// On each drone; none in calm air.
     gusts: Vec<Gusts>,
     sensor: Sensor,
     eyes: Vec<Eye>,
@@ -91,13 +88,15 @@ impl World {
         }
         let radii: Vec<f64> = drones.iter().map(|drone| drone.radius).collect();
         let trajectories = trajectory::draw(&parameters, &radii)?;
+        // Number 0 is the observer.
         let gust = |drone| Gusts::draw(parameters.seed, drone, tilt, swing);
         let gusts = match parameters.is_calm() {
             true => Vec::new(),
-            false => (0..=drones.len() as u64).map(gust).collect(),
+            false => (1..=drones.len() as u64).map(gust).collect(),
         };
         let sensor = Sensor::new(&parameters);
         Ok(Self {
+            motion: CameraMotion::of(&parameters),
             picture: Picture::new(&parameters, &eyes, &sensor),
             drawings: drones.iter().flat_map(|_| &eyes).map(|_| Drawing::default()).collect(),
             parameters,
@@ -121,38 +120,35 @@ impl World {
 
     /// Where everything is at a time, seconds since the middle of frame 0's exposure.
     pub fn moment(&self, time_s: f64) -> Moment {
-        match self.gusts.split_first() {
-            Some((observer, others)) => self.gusty_moment(observer, others, time_s),
-            None => self.calm_moment(time_s),
+        match self.parameters.is_calm() {
+            true => self.calm_moment(time_s),
+            false => self.gusty_moment(time_s),
         }
     }
 
+    /// How the camera moves.
+    pub fn motion(&self) -> &CameraMotion {
+        &self.motion
+    }
+
     fn calm_moment(&self, time_s: f64) -> Moment {
-        let rate = self.parameters.observer_yaw_rate();
-        let turning = Vector3::z() * rate;
-        let camera =
-            Attitude { rate_in_camera: turning, ..Attitude::level(wrapped(rate * time_s)) };
+        let camera = self.motion.attitude(time_s);
         let camera_from_world = camera.world_from_camera.inverse();
         let place = |way: &Trajectory| {
             let camera_from_markers = camera_from_world * way.world_from_markers(time_s);
             // In a turning frame everything turns the other way.
             let velocity_in_camera = camera_from_world * way.velocity(time_s)
-                - turning.cross(&camera_from_markers.translation.vector);
+                - camera.rate_in_camera.cross(&camera_from_markers.translation.vector);
             Placement { camera_from_markers, velocity_in_camera }
         };
         Moment { time_s, camera, placements: self.trajectories.iter().map(place).collect() }
     }
 
-    fn gusty_moment(&self, observer: &Gusts, others: &[Gusts], time_s: f64) -> Moment {
-        let turned_at = |time_s: f64| self.swaying_camera(observer, time_s).rotation;
-        let turned = turned_at(time_s - STEP_S).inverse() * turned_at(time_s + STEP_S);
-        let camera = Attitude {
-            world_from_camera: turned_at(time_s),
-            rate_in_camera: turned.scaled_axis() / (2.0 * STEP_S),
-        };
+    fn gusty_moment(&self, time_s: f64) -> Moment {
+        let camera = self.motion.attitude(time_s);
         let height = f64::from(self.parameters.camera.height());
         let place = |target: usize| {
-            let seen = |time_s: f64| self.seen_in_gusts(observer, &others[target], target, time_s);
+            let seen = |time_s: f64| self.seen_in_gusts(&self.gusts[target], target, time_s);
             // Its rows are exposed a little before or after the middle one.
             let middle = Unit::new_normalize(seen(time_s).translation.vector);
             let share = self.parameters.camera.project(&middle).map_or(0.5, |at| at.0.y / height);
@@ -164,17 +160,11 @@ impl World {
                 velocity_in_camera: (after - before) / (2.0 * STEP_S),
             }
         };
-        Moment { time_s, camera, placements: (0..others.len()).map(place).collect() }
+        Moment { time_s, camera, placements: (0..self.gusts.len()).map(place).collect() }
     }
 
     /// The pose of a body's markers in the camera frame at a time, both in gusts.
-    fn seen_in_gusts(
-        &self,
-        observer: &Gusts,
-        gusts: &Gusts,
-        target: usize,
-        time_s: f64,
-    ) -> Isometry3<f64> {
+    fn seen_in_gusts(&self, gusts: &Gusts, target: usize, time_s: f64) -> Isometry3<f64> {
         let steady = self.trajectories[target].world_from_markers(time_s);
         let sway = gusts.sway(time_s);
         let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), gusts.yaw(time_s));
@@ -182,13 +172,7 @@ impl World {
             (steady.translation.vector + sway.translation.vector).into(),
             sway.rotation * yaw * steady.rotation,
         );
-        self.swaying_camera(observer, time_s).inverse() * world_from_markers
-    }
-
-    /// The camera's pose in the world, in gusts.
-    fn swaying_camera(&self, observer: &Gusts, time_s: f64) -> Isometry3<f64> {
-        let yaw = self.parameters.observer_yaw_rate() * time_s + observer.yaw(time_s);
-        observer.sway(time_s) * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), wrapped(yaw))
+        self.motion.world_from_camera(time_s).inverse() * world_from_markers
     }
 
     /// Writes the luma plane of a frame (8 bit, the parameters' curve, full range) and says what is true of
@@ -207,11 +191,9 @@ impl World {
         let moment = self.moment(time_s);
         let mut truth = self.render_moment(frame, &moment, luma, stride)?;
         // What is true of a frame holds for the middle of its exposure, whenever a body's rows were exposed.
-        if self.parameters.readout_s > 0.0
-            && let Some((observer, others)) = self.gusts.split_first()
-        {
-            for (body, gusts) in truth.bodies.iter_mut().zip(others) {
-                body.camera_from_markers = self.seen_in_gusts(observer, gusts, body.target, time_s);
+        if self.parameters.readout_s > 0.0 {
+            for (body, gusts) in truth.bodies.iter_mut().zip(&self.gusts) {
+                body.camera_from_markers = self.seen_in_gusts(gusts, body.target, time_s);
             }
         }
         Ok(truth)
@@ -317,9 +299,4 @@ impl World {
 
 fn least_distance(drone: &Drone) -> f64 {
     drone.radius * LEAST_DISTANCE
-}
-
-/// An angle as -pi to pi.
-fn wrapped(angle: f64) -> f64 {
-    angle - (angle / TAU).round() * TAU
 }

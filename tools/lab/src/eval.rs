@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use anyhow::{Context, ensure};
 use clap::Args;
 use flockeye_cli::Screen;
-use flockeye_record::{GyroscopeRow, PoseRow, RotationRow, TruthRow, read};
+use flockeye_record::{ImuRow, PoseRow, RotationRow, TruthRow, read};
 use serde::Serialize;
 
 use crate::evaluation::Evaluation;
@@ -115,7 +115,7 @@ fn compare_rotations(
     let rows: Vec<RotationRow> = read(file)?;
     let known = match (&arguments.gyro, &arguments.truth) {
         (Some(gyro), _) => {
-            let samples: Vec<GyroscopeRow> = read(gyro)?;
+            let samples: Vec<ImuRow> = read(gyro)?;
             ensure!(
                 samples.len() > 1,
                 "{} has {} samples: there is nothing to compare with. Cure: give the gyroscope's \

@@ -1,7 +1,7 @@
 //! The camera's recorded rotation against its true attitude, or against an inertial sensor.
 
 use flockeye_geometry::statistics::median;
-use flockeye_record::{GyroscopeRow, RecordedTurn, RotationRow, TruthRow};
+use flockeye_record::{ImuRow, RecordedTurn, RotationRow, TruthRow};
 use nalgebra::{UnitQuaternion, Vector3};
 use serde::Serialize;
 
@@ -15,7 +15,7 @@ pub enum TrueRotation {
     /// The attitudes of a simulated flight.
     Attitudes(TruePath),
     /// A gyroscope's samples, in rising order of time.
-    Gyroscope(Vec<GyroscopeRow>),
+    Gyroscope(Vec<ImuRow>),
 }
 
 /// How well the camera's rotation was known.
@@ -49,8 +49,8 @@ impl TrueRotation {
         TruePath::of_camera(truth).map(Self::Attitudes)
     }
 
-    /// A gyroscope's samples.
-    pub fn of_gyroscope(mut rows: Vec<GyroscopeRow>) -> Self {
+    /// The samples of a gyroscope whose axes are the camera's.
+    pub fn of_gyroscope(mut rows: Vec<ImuRow>) -> Self {
         rows.sort_by(|one, other| one.t_s.total_cmp(&other.t_s));
         Self::Gyroscope(rows)
     }
@@ -114,10 +114,8 @@ impl TrueRotation {
     fn without(self, bias: Option<Vector3<f64>>) -> Self {
         match (self, bias) {
             (Self::Gyroscope(samples), Some(bias)) => {
-                let corrected = samples.into_iter().map(|sample| GyroscopeRow {
-                    rate_in_camera: sample.rate_in_camera - bias,
-                    ..sample
-                });
+                let corrected =
+                    samples.into_iter().map(|sample| ImuRow { rate: sample.rate - bias, ..sample });
                 Self::Gyroscope(corrected.collect())
             }
             (unbiased, _) => unbiased,
@@ -132,10 +130,10 @@ fn middle(mut values: Vec<f64>) -> Option<f64> {
 }
 
 /// A gyroscope's rate between two samples.
-fn between(before: &GyroscopeRow, after: &GyroscopeRow, at_s: f64) -> Vector3<f64> {
+fn between(before: &ImuRow, after: &ImuRow, at_s: f64) -> Vector3<f64> {
     let step_s = after.t_s - before.t_s;
     let share = if step_s > 0.0 { (at_s - before.t_s) / step_s } else { 0.0 };
-    before.rate_in_camera.lerp(&after.rate_in_camera, share)
+    before.rate.lerp(&after.rate, share)
 }
 
 impl RotationEvaluation {
@@ -244,7 +242,7 @@ mod tests {
     fn gyroscope(bias: Vector3<f64>) -> TrueRotation {
         let sample = |k: i32| {
             let t_s = f64::from(k) / 200.0;
-            GyroscopeRow { t_s, rate_in_camera: rate(t_s) + bias }
+            ImuRow { t_s, rate: rate(t_s) + bias, specific_force: None }
         };
         TrueRotation::of_gyroscope((-20..220).map(sample).collect())
     }

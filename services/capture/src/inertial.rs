@@ -1,0 +1,176 @@
+//! A recording's inertial sensor: the samples of a CSV file, sent with the frames that they belong to.
+
+use std::path::Path;
+
+use anyhow::Context as _;
+use flockeye_config::{InertialSource, Pipeline};
+use flockeye_contract::{FrameStamp, ImuHeader, ImuSample, Imus, MAX_IMU_SAMPLES};
+use flockeye_record::ImuRow;
+use flockeye_runtime::clock;
+use flockeye_runtime::ports::{Ports, Publisher};
+
+/// Samples reach so far beyond an exposure, seconds, besides `camera.latency_ms`: what has been measured when
+/// the picture is there.
+const BEYOND_S: f64 = 0.01;
+
+/// The samples of a recording, between frames.
+#[derive(Debug)]
+pub struct RecordedSensor {
+    rows: Vec<ImuRow>,
+    /// The next row to send.
+    next: usize,
+    epoch: u32,
+    /// What is to be added to the sensor's time to get the camera's, seconds.
+    time_offset_s: f64,
+    latency_s: f64,
+}
+
+/// The sensor, and its port.
+pub struct InertialPort {
+    sensor: RecordedSensor,
+    imus: Publisher<Imus>,
+    generation: u32,
+}
+
+impl RecordedSensor {
+    /// Reads a recording's samples.
+    ///
+    /// # Errors
+    /// The file cannot be read, is empty, or its times do not rise.
+    pub fn read(path: &Path, pipeline: &Pipeline) -> anyhow::Result<Self> {
+        let rows: Vec<ImuRow> = flockeye_record::read(path).context("inertial.source")?;
+        anyhow::ensure!(!rows.is_empty(), "inertial.source: {} has no samples", path.display());
+        if let Some(k) = rows.windows(2).position(|pair| pair[1].t_s <= pair[0].t_s) {
+            let (line, t_s) = (k + 3, rows[k + 1].t_s);
+            anyhow::bail!(
+                "inertial.source: {}, line {line}: t_s {t_s} is not later than the line before. Cure: sort \
+                 the lines by their time, one of each",
+                path.display()
+            );
+        }
+        Ok(Self::of(rows, pipeline))
+    }
+
+    fn of(rows: Vec<ImuRow>, pipeline: &Pipeline) -> Self {
+        let time_offset_s = pipeline.inertial.time_offset_ms * 1e-3;
+        let latency_s = pipeline.camera.latency_ms * 1e-3;
+        Self { rows, next: 0, epoch: 0, time_offset_s, latency_s }
+    }
+
+    /// The recording begins again.
+    pub fn begin_epoch(&mut self) {
+        self.next = 0;
+        self.epoch += 1;
+    }
+
+    /// The samples that have been measured when a frame is there and that were not sent yet, on the frame's
+    /// clock.
+    pub fn until(&mut self, stamp: &FrameStamp) -> Vec<ImuSample> {
+        let until_s = stamp.stream_ns as f64 * 1e-9 + self.latency_s + BEYOND_S;
+        let zero_ns = stamp.exposure_ns - stamp.stream_ns;
+        let rest = self.rows.get(self.next..).unwrap_or_default();
+        let count = rest.partition_point(|row| row.t_s + self.time_offset_s <= until_s);
+        self.next += count;
+        rest[..count]
+            .iter()
+            .map(|row| ImuSample {
+                at_ns: zero_ns + (row.t_s * 1e9).round() as i64,
+                rate: row.rate.into(),
+                specific_force: row.specific_force.map_or([f64::NAN; 3], Into::into),
+            })
+            .collect()
+    }
+}
+
+impl InertialPort {
+    /// Opens the recording's sensor where one is configured.
+    ///
+    /// # Errors
+    /// As [`RecordedSensor::read`], or the port cannot be opened.
+    pub fn open(
+        pipeline: &Pipeline,
+        generation: u32,
+        ports: &mut Ports,
+    ) -> anyhow::Result<Option<Self>> {
+        let Ok(InertialSource::Recorded(path)) = pipeline.inertial.parsed_source() else {
+            return Ok(None);
+        };
+        let sensor = RecordedSensor::read(&path, pipeline)?;
+        Ok(Some(Self { sensor, imus: ports.publisher()?, generation }))
+    }
+
+    /// Sends what has been measured when a frame is there: before the frame, so that egomotion has it first.
+    ///
+    /// # Errors
+    /// The port's.
+    pub fn send_before(&mut self, stamp: &FrameStamp) -> anyhow::Result<()> {
+        let samples = self.sensor.until(stamp);
+        let sent_ns = clock::monotonic_ns();
+        let header = ImuHeader { sent_ns, epoch: self.sensor.epoch, generation: self.generation };
+        for samples in samples.chunks(MAX_IMU_SAMPLES) {
+            self.imus.send(header, samples)?;
+        }
+        Ok(())
+    }
+
+    /// The recording begins again.
+    pub fn begin_epoch(&mut self) {
+        self.sensor.begin_epoch();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use std::fs::write;
+
+    fn pipeline(overrides: &[&str]) -> Pipeline {
+        let overrides: Vec<String> = overrides.iter().map(|&text| text.into()).collect();
+        Pipeline::parse("", &overrides, "x").unwrap()
+    }
+
+    fn stamp(stream_ms: i64, exposure_ms: i64) -> FrameStamp {
+        let (stream_ns, exposure_ns) = (stream_ms * 1_000_000, exposure_ms * 1_000_000);
+        FrameStamp { stream_ns, exposure_ns, ..FrameStamp::default() }
+    }
+
+    fn read(text: &str, overrides: &[&str]) -> anyhow::Result<RecordedSensor> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("imu.csv");
+        write(&path, text).unwrap();
+        RecordedSensor::read(&path, &pipeline(overrides))
+    }
+
+    fn sent(sensor: &mut RecordedSensor, stamp: FrameStamp) -> Vec<i64> {
+        sensor.until(&stamp).iter().map(|sample| sample.at_ns / 1_000_000).collect()
+    }
+
+    #[test]
+    fn samples_go_with_their_frames_once_on_the_frames_clock() {
+        let text = "t_s,gx,gy,gz\n-0.02,0,0,1\n0.0,0,0,1\n0.02,0,0,1\n0.04,0,0,1\n0.06,0,0,1\n";
+        let mut sensor = read(text, &[]).unwrap();
+        assert_eq!(sent(&mut sensor, stamp(0, 1000)), [980, 1000]);
+        assert_eq!(sent(&mut sensor, stamp(0, 1000)), Vec::<i64>::new());
+        assert_eq!(sent(&mut sensor, stamp(33, 1033)), [1020, 1040]);
+        assert_eq!(sent(&mut sensor, stamp(200, 1200)), [1060]);
+        assert_eq!(sent(&mut sensor, stamp(400, 1400)), Vec::<i64>::new());
+        sensor.begin_epoch();
+        assert_eq!(sent(&mut sensor, stamp(0, 2000)), [1980, 2000]);
+        // A sensor that is 20 ms behind, and a camera that is 20 ms late.
+        let mut sensor = read(text, &["inertial.time_offset_ms=20"]).unwrap();
+        assert_eq!(sent(&mut sensor, stamp(0, 1000)), [980]);
+        let mut sensor = read(text, &["camera.latency_ms=20"]).unwrap();
+        assert_eq!(sent(&mut sensor, stamp(0, 1000)), [980, 1000, 1020]);
+    }
+
+    #[test]
+    fn what_is_wrong_with_a_file_is_said_with_its_place() {
+        let refused = |text: &str| format!("{:#}", read(text, &[]).unwrap_err());
+        assert!(refused("t_s,gx,gy\n").contains("has no column gz"));
+        assert!(refused("t_s,gx,gy,gz\n").contains("has no samples"));
+        let text = "t_s,gx,gy,gz\n0,0,0,0\n0.01,0,0,0\n0.01,0,0,0\n";
+        assert!(refused(text).contains("line 4: t_s 0.01 is not later"), "{}", refused(text));
+        assert!(refused("t_s,gx,gy,gz\n0,0,much,0\n").contains("line 2, column gy: 'much'"));
+    }
+}
