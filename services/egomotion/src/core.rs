@@ -26,7 +26,8 @@ pub struct Core {
     gyroscope: Gyroscope,
     sampler: Sampler,
     rate: RateFilter,
-    sensor: Sensor,
+    /// Where an inertial sensor is configured.
+    sensor: Option<Sensor>,
     /// The inertial sensor as it is configured.
     camera_from_sensor: UnitQuaternion<f64>,
     time_offset_s: f64,
@@ -51,7 +52,7 @@ impl Core {
             gyroscope: Gyroscope::new(sampler.clone()),
             sampler,
             rate: RateFilter::new(),
-            sensor: Sensor::new(),
+            sensor: resolved.pipeline.has_inertial_sensor().then(Sensor::new),
             camera_from_sensor: rotation(inertial.camera_from_sensor),
             time_offset_s: inertial.time_offset_ms * 1e-3,
             sensor_run: (0, 0),
@@ -63,20 +64,21 @@ impl Core {
 
     /// Takes in samples of the inertial sensor.
     pub fn on_samples(&mut self, header: &ImuHeader, samples: &[ImuSample]) {
+        let Some(sensor) = &mut self.sensor else { return };
         let run = (header.generation, header.epoch);
         if run != self.sensor_run {
             self.sensor_run = run;
-            self.sensor.begin_epoch();
+            sensor.begin_epoch();
         }
         for sample in samples {
             let sample = rate_sample(sample, &self.camera_from_sensor, self.time_offset_s);
-            self.sensor.push(sample);
+            sensor.push(sample);
         }
     }
 
     /// What the inertial sensor has done since this was asked last.
     pub fn take_notices(&mut self) -> Vec<Notice> {
-        self.sensor.take_notices()
+        self.sensor.as_mut().map(Sensor::take_notices).unwrap_or_default()
     }
 
     /// How the camera has turned since the frame before.
@@ -96,7 +98,9 @@ impl Core {
             self.rate.forget();
         }
         let times = earlier.map(|earlier| (earlier.exposure_s(), stamp.exposure_s()));
-        let by_sensor = times.and_then(|(from_s, to_s)| self.sensor.between(from_s, to_s));
+        let by_sensor = times
+            .zip(self.sensor.as_mut())
+            .and_then(|((from_s, to_s), sensor)| sensor.between(from_s, to_s));
         let expected = self.expected(times, by_sensor.as_ref());
         let by_picture = self.gyroscope.next(&frame, expected).map(|found| Turned {
             later_from_earlier: found.later_from_earlier,
@@ -112,13 +116,17 @@ impl Core {
         Ok(rotation_message(&earlier, &stamp, &turn, source, self.generation))
     }
 
+    fn sensor_counts(&self) -> bool {
+        self.sensor.as_ref().is_some_and(Sensor::counts)
+    }
+
     /// Where the picture's rotation is looked for: where the sensor has it, or where the rate leads.
     fn expected(
         &self,
         times: Option<(f64, f64)>,
         by_sensor: Option<&Corrected>,
     ) -> Option<UnitQuaternion<f64>> {
-        if let Some(corrected) = by_sensor.filter(|_| self.sensor.counts()) {
+        if let Some(corrected) = by_sensor.filter(|_| self.sensor_counts()) {
             return Some(corrected.later_from_earlier);
         }
         let (from_s, to_s) = times?;
@@ -138,13 +146,16 @@ impl Core {
         let step_s = stamp.exposure_s() - earlier.exposure_s();
         match (by_picture, by_sensor) {
             (Some(picture), Some(corrected)) => {
-                Some(match self.sensor.with_picture(&corrected, &picture, step_s) {
+                let sensor = self.sensor.as_mut();
+                let both =
+                    sensor.and_then(|sensor| sensor.with_picture(&corrected, &picture, step_s));
+                Some(match both {
                     Some(both) => (both, RotationSource::PictureAndInertial),
                     None => (picture, RotationSource::Picture),
                 })
             }
             (Some(picture), None) => Some((picture, RotationSource::Picture)),
-            (None, Some(corrected)) if self.sensor.counts() => {
+            (None, Some(corrected)) if self.sensor_counts() => {
                 Some((Turned::from(&corrected), RotationSource::Inertial))
             }
             (None, _) => None,
@@ -156,11 +167,14 @@ impl Core {
         let (earlier_s, later_s) = (earlier.exposure_s(), stamp.exposure_s());
         let vector = turned.later_from_earlier.inverse().scaled_axis();
         let mut rate = self.rate.update(later_s - earlier_s, &vector, &turned.covariance);
-        if let Some((by_sensor, covariance)) = self.sensor.rate(later_s, self.exposure_s) {
+        let sensor = self.sensor.as_ref();
+        let by_sensor = sensor.and_then(|sensor| sensor.rate(later_s, self.exposure_s));
+        if let Some((by_sensor, covariance)) = by_sensor {
             rate = self.rate.observe(&by_sensor, &covariance);
         }
-        let ahead = self.sensor.ahead(later_s).and_then(|(until_s, turned)| {
-            let (rate_in_camera, rate_covariance) = self.sensor.rate(until_s, 0.0)?;
+        let ahead = sensor.and_then(|sensor| {
+            let (until_s, turned) = sensor.ahead(later_s)?;
+            let (rate_in_camera, rate_covariance) = sensor.rate(until_s, 0.0)?;
             Some(TurnAhead {
                 until_s,
                 ahead_from_later: turned.later_from_earlier,

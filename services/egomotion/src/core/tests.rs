@@ -7,7 +7,12 @@ use nalgebra::Vector3;
 const SIZE: [u32; 2] = [640, 320];
 
 fn core() -> Core {
-    let size: Vec<String> = vec!["camera.width=640".into(), "camera.height=320".into()];
+    core_with("none")
+}
+
+fn core_with(sensor: &str) -> Core {
+    let sensor = format!("inertial.source={sensor}");
+    let size: Vec<String> = vec!["camera.width=640".into(), "camera.height=320".into(), sensor];
     let resolved = Resolved::of(Pipeline::parse("", &size, "x").unwrap()).unwrap();
     Core::new(&resolved, 3).unwrap()
 }
@@ -93,7 +98,7 @@ fn samples(from_s: f64, to_s: f64, rate: impl Fn(f64) -> f64) -> Vec<ImuSample> 
 
 #[test]
 fn an_inertial_sensor_carries_the_rotation_through_a_covered_camera() {
-    let mut core = core();
+    let mut core = core_with("sim");
     let (fast, swing) = (4.0, 0.3);
     let yaw = |at_s: f64| swing * (fast * at_s).sin();
     let black = vec![16; (SIZE[0] * SIZE[1]) as usize];
