@@ -1,0 +1,126 @@
+//! Which samples go out: those of one autopilot, in one kind of message, on this machine's clock.
+
+use flockeye_contract::ImuSample;
+
+use crate::message::{AutopilotSample, MessageKind};
+use crate::sensor_clock::{Mapped, SensorClock};
+
+/// After so long without samples another autopilot, or another message, is taken, nanoseconds.
+const SILENT_NS: i64 = 1_000_000_000;
+
+/// Who sent a message: system and component.
+pub type Sender = (u32, u8);
+
+/// The samples of one sensor.
+#[derive(Debug, Default)]
+pub struct Core {
+    clock: SensorClock,
+    heard: Option<Heard>,
+    epoch: u32,
+    has_begun: bool,
+    last_at_ns: i64,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Heard {
+    sender: Sender,
+    kind: MessageKind,
+    at_ns: i64,
+}
+
+impl Core {
+    /// Takes in a sample that arrived at `arrived_ns` (CLOCK_MONOTONIC), and gives it as it goes out. `None`
+    /// where it does not: it is another drone's, a better message carries the same, or it is not new.
+    pub fn on_sample(
+        &mut self,
+        sender: Sender,
+        sample: &AutopilotSample,
+        arrived_ns: i64,
+    ) -> Option<ImuSample> {
+        let heard = self.heard.filter(|heard| arrived_ns - heard.at_ns < SILENT_NS);
+        if heard.is_some_and(|heard| heard.sender != sender || heard.kind > sample.kind) {
+            return None;
+        }
+        // Another sensor has another clock.
+        let is_another = heard.is_none_or(|heard| heard.kind != sample.kind);
+        if is_another {
+            self.clock = SensorClock::default();
+        }
+        self.heard = Some(Heard { sender, kind: sample.kind, at_ns: arrived_ns });
+        // Autopilots count from their start, or from 1970: both fit.
+        let sensor_ns = i64::try_from(sample.time_us).ok()?.checked_mul(1000)?;
+        let Mapped { at_ns, begins_anew } = self.clock.map(sensor_ns, arrived_ns);
+        if begins_anew && std::mem::replace(&mut self.has_begun, true) {
+            self.epoch += 1;
+            self.last_at_ns = i64::MIN;
+        }
+        if at_ns <= self.last_at_ns {
+            return None;
+        }
+        self.last_at_ns = at_ns;
+        let AutopilotSample { rate, specific_force, .. } = *sample;
+        Some(ImuSample { at_ns, rate, specific_force })
+    }
+
+    /// Rises each time the sensor's clock begins anew.
+    pub fn epoch(&self) -> u32 {
+        self.epoch
+    }
+
+    /// Whether samples have come within the last second, and in which message.
+    pub fn heard(&self, now_ns: i64) -> Option<MessageKind> {
+        self.heard.filter(|heard| now_ns - heard.at_ns < SILENT_NS).map(|heard| heard.kind)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: i64 = 1_000_000;
+    const OURS: Sender = (1, 1);
+
+    fn sample(kind: MessageKind, time_ms: u64) -> AutopilotSample {
+        AutopilotSample {
+            kind,
+            time_us: time_ms * 1000,
+            rate: [0.1, 0.2, 0.3],
+            specific_force: [0.0; 3],
+        }
+    }
+
+    #[test]
+    fn one_autopilot_and_its_best_message_are_taken() {
+        use MessageKind::{AttitudeQuaternion, HighresImu};
+        let mut core = Core::default();
+        let mut taken = |sender: Sender, kind, time_ms: u64, arrived_ms: i64| {
+            core.on_sample(sender, &sample(kind, time_ms), arrived_ms * MS).is_some()
+        };
+        assert!(taken(OURS, AttitudeQuaternion, 10, 1010));
+        assert!(!taken((2, 1), HighresImu, 10, 1011), "another drone's");
+        assert!(taken(OURS, HighresImu, 15, 1015));
+        assert!(!taken(OURS, AttitudeQuaternion, 20, 1020), "the other is better");
+        assert!(!taken(OURS, HighresImu, 15, 1021), "not new");
+        assert!(taken(OURS, HighresImu, 25, 1025));
+        // It falls silent.
+        assert!(taken((2, 1), AttitudeQuaternion, 9000, 3000));
+        assert_eq!(core.heard(3100 * MS), Some(AttitudeQuaternion));
+        assert_eq!(core.heard(9000 * MS), None);
+    }
+
+    #[test]
+    fn times_rise_and_a_restart_raises_the_epoch() {
+        let mut core = Core::default();
+        let mut at = |time_ms: u64, arrived_ms: i64| {
+            let sample = sample(MessageKind::HighresImu, time_ms);
+            let sent = core.on_sample(OURS, &sample, arrived_ms * MS);
+            (sent.map(|sample| sample.at_ns / MS), core.epoch())
+        };
+        assert_eq!(at(60_000, 100), (Some(100), 0));
+        // This one came sooner after it was taken: the clocks are 2 ms closer than it seemed.
+        assert_eq!(at(60_005, 103), (Some(103), 0));
+        assert_eq!(at(60_010, 120), (Some(108), 0));
+        assert_eq!(at(7, 200), (Some(200), 1));
+        assert_eq!(at(u64::MAX / 1000, 205), (None, 1));
+    }
+}

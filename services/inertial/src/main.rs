@@ -1,0 +1,5 @@
+//! The inertial stage's process.
+
+fn main() -> std::process::ExitCode {
+    flockeye_inertial::main()
+}
