@@ -3,16 +3,63 @@
 use gstreamer as gst;
 use gstreamer::prelude::*;
 
+use crate::input::Input;
+use crate::parameters::{Paced, SourceParameters};
+
+/// How a software decoder uses several processors.
+///
+/// libav's decoders can decode several frames at a time. That makes use of all processors, and holds
+/// back one frame for each further one. Or they decode the slices of a frame at a time, which
+/// holds none back, and is as fast only if the stream has several slices. Left alone they do the first
+/// unless the source says that it is live, and not every camera's driver says so.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Threading {
+    /// The decoder chooses, with so many threads; 0 leaves that to it too.
+    Chosen(u32),
+    /// Slices of one frame at a time.
+    Slices,
+    /// So many frames at a time.
+    Frames(u32),
+}
+
+impl Threading {
+    /// For an input, with the threads that are configured.
+    pub(crate) fn of(input: &Input, params: &SourceParameters) -> Self {
+        match (params.flow, input.is_camera(), params.decoder_threads) {
+            (Paced::RealTime, true, 0) => Self::Slices,
+            (Paced::RealTime, true, threads) if threads > 1 => Self::Frames(threads),
+            (_, _, threads) => Self::Chosen(threads),
+        }
+    }
+
+    /// What decodes faster than this and holds one frame more back; `None` if no processor is left for it.
+    pub(crate) fn faster(self, processors: u32) -> Option<Self> {
+        let frames = match self {
+            Self::Frames(frames) => frames + 1,
+            Self::Slices | Self::Chosen(_) => 2,
+        };
+        (frames <= processors).then_some(Self::Frames(frames))
+    }
+}
+
 /// Sets an element of the decoding bin as soon as it is chosen.
-pub(crate) fn configure(element: &gst::Element, threads: u32) {
+pub(crate) fn configure(element: &gst::Element, threading: Threading) {
     if !is_decoder(element) {
         return;
     }
+    let (kind, threads) = match threading {
+        Threading::Chosen(threads) => (None, threads),
+        Threading::Slices => (Some("slice"), 0),
+        Threading::Frames(threads) => (Some("frame"), threads),
+    };
     if threads > 0 {
         // libav's decoders have the first, libvpx's the second.
         for name in ["max-threads", "threads"] {
             set_if_there(element, name, &threads.to_string());
         }
+    }
+    if let Some(kind) = kind {
+        set_if_there(element, "thread-type", kind);
     }
     // The default, ifast, is off by up to several code values and hardly faster.
     set_if_there(element, "idct-method", "islow");
@@ -52,7 +99,7 @@ pub(crate) fn streams(pipeline: &gst::Pipeline) -> usize {
     count
 }
 
-fn is_decoder(element: &gst::Element) -> bool {
+pub(crate) fn is_decoder(element: &gst::Element) -> bool {
     let class = class_of(element);
     class.contains("Decoder") && (class.contains("Video") || class.contains("Image"))
 }

@@ -24,6 +24,11 @@ pub enum Event {
         /// Why, and what to do about it.
         why: String,
     },
+    /// A camera's frames come later than they could. Said once, while all goes on.
+    Late {
+        /// Why, what it costs, and what to do about it.
+        what: String,
+    },
     /// A camera went away, or did not come back. Later calls open it again; sequence and stream
     /// time then count from 0. Raise the epoch.
     Lost {

@@ -160,6 +160,8 @@ fn decode(path: &Path, params: &SourceParameters) -> Result<Picture, String> {
     match playback.next(Duration::from_secs(20)).map_err(|error| error.to_string())? {
         Step::Picture(picture) => Ok(picture),
         Step::Over { fault: Some(fault) } => Err(fault),
-        Step::Over { fault: None } | Step::Idle => Err("no picture came out of it".to_owned()),
+        Step::Over { fault: None } | Step::Idle | Step::Late(_) | Step::Behind { .. } => {
+            Err("no picture came out of it".to_owned())
+        }
     }
 }

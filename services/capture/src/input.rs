@@ -30,6 +30,16 @@ impl Input {
         }
     }
 
+    /// Whether it is a camera by its name. Whether a description is one is known once it runs, except
+    /// for the Theta's driver, which does not say that it is a live source.
+    pub(crate) fn is_camera(&self) -> bool {
+        match self {
+            Self::V4l2(_) | Self::Theta => true,
+            Self::Description(text) => text.contains("thetauvcsrc"),
+            Self::File(_) => false,
+        }
+    }
+
     /// A pipeline from the source to a decoder, and that decoder, whose pads are still to come.
     pub(crate) fn pipeline(
         &self,

@@ -17,6 +17,7 @@
 //!         Event::Idle => {}
 //!         Event::Looped { .. } => println!("from the start again"),
 //!         Event::Lost { reason, retry_in } => println!("{reason}; trying again in {retry_in:?}"),
+//!         Event::Late { what } => println!("{what}"),
 //!         Event::Skipped { what, why } => println!("{what} skipped: {why}"),
 //!         Event::End(reason) => break println!("{reason}"),
 //!     }
@@ -38,6 +39,7 @@ mod event;
 mod explain;
 mod file;
 mod folder;
+mod holding;
 pub mod inertial;
 mod input;
 mod mailbox;

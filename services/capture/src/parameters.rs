@@ -35,7 +35,8 @@ pub struct SourceParameters {
     pub reopen_max: Duration,
     /// How many images of a folder make a second.
     pub images_per_second: f64,
-    /// Threads of the software decoder; 0 leaves it to the decoder.
+    /// Threads of the software decoder; 0 leaves it to the decoder. More than 1: as many frames of a
+    /// camera at a time.
     pub decoder_threads: u32,
 }
 

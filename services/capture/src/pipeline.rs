@@ -11,7 +11,9 @@ use gstreamer_video as gst_video;
 
 use crate::census::Census;
 use crate::clock::monotonic_ns;
+use crate::decoder::Threading;
 use crate::explain::Failure;
+use crate::holding::DecoderWatch;
 use crate::input::{Input, element};
 use crate::mailbox::Mailbox;
 use crate::picture::LUMA_FIRST;
@@ -35,23 +37,41 @@ pub(crate) struct Decoded {
 /// The mailbox between GStreamer's threads and the consumer.
 pub(crate) type Frames = Mailbox<Decoded, Failure>;
 
+/// A pipeline that does not run yet.
+pub(crate) struct Built {
+    pub(crate) pipeline: gst::Pipeline,
+    pub(crate) sink: gst_app::AppSink,
+    pub(crate) decoders: Arc<DecoderWatch>,
+}
+
 /// Builds the pipeline for an input; nothing runs yet. Up to `ahead` decoded frames wait for the
 /// sink to take them; with 0 the decoder waits itself.
 pub(crate) fn build(
     input: &Input,
     size: (u32, u32),
-    threads: u32,
+    threading: Threading,
     ahead: u32,
     frames: &Arc<Frames>,
-) -> Result<(gst::Pipeline, gst_app::AppSink), CaptureError> {
+) -> Result<Built, CaptureError> {
     let (pipeline, decodebin) = input.pipeline(size)?;
     // The system clock is CLOCK_MONOTONIC, so that the pipeline's times are the machine's.
     pipeline.use_clock(Some(&gst::SystemClock::obtain()));
     decodebin.set_property("caps", gst::Caps::builder("video/x-raw").any_features().build());
     decodebin.set_property("expose-all-streams", false);
-    pipeline.connect_deep_element_added(move |_, _, element| decoder::configure(element, threads));
+    let arrivals = arrivals_of(&pipeline);
+    let decoders = DecoderWatch::new(Arc::clone(&arrivals));
+    // A description may name a decoder of its own. It stays as it was written.
+    let mut elements = pipeline.iterate_recurse();
+    while let Ok(Some(element)) = elements.next() {
+        decoders.attach(&element);
+    }
+    let watching = Arc::clone(&decoders);
+    pipeline.connect_deep_element_added(move |_, _, element| {
+        decoder::configure(element, threading);
+        watching.attach(element);
+    });
 
-    let sink = sink(Arc::clone(frames), arrivals_of(&pipeline));
+    let sink = sink(Arc::clone(frames), arrivals);
     pipeline.add(&sink).map_err(|error| CaptureError::GStreamer(error.to_string()))?;
     let end = match ahead {
         0 => sink.clone().upcast(),
@@ -66,7 +86,7 @@ pub(crate) fn build(
         }
     });
     watch(&pipeline, Arc::clone(frames));
-    Ok((pipeline, sink))
+    Ok(Built { pipeline, sink, decoders })
 }
 
 /// Frames that are farther apart wait one at a time: an error, which overtakes them, must not cost any.
@@ -260,7 +280,7 @@ impl Arrivals {
         entries.push_back((pts, arrival_ns));
     }
 
-    fn find(&self, pts: gst::ClockTime) -> Option<i64> {
+    pub(crate) fn find(&self, pts: gst::ClockTime) -> Option<i64> {
         let entries = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         entries.iter().find(|&&(known, _)| known == pts).map(|&(_, arrival_ns)| arrival_ns)
     }
@@ -299,7 +319,9 @@ mod tests {
             "videotestsrc ! video/x-raw,format=GRAY8,width=64,height=32,framerate={frames_per_second}/1"
         );
         let input = Input::Description(source);
-        let (pipeline, sink) = build(&input, (64, 32), 0, ahead, &frames).unwrap();
+        let threading = Threading::Chosen(0);
+        let Built { pipeline, sink, .. } =
+            build(&input, (64, 32), threading, ahead, &frames).unwrap();
         sink.set_sync(true);
         let is_waiting_room = |element: &gst::Element| {
             element.factory().is_some_and(|factory| factory.name() == "queue")

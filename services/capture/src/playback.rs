@@ -9,12 +9,14 @@ use gstreamer_app as gst_app;
 use gstreamer_video as gst_video;
 
 use crate::clock::monotonic_ns;
+use crate::decoder::Threading;
 use crate::explain::Failure;
+use crate::holding::{DecoderWatch, Noticed};
 use crate::input::Input;
 use crate::mailbox::{Taken, WhenFull};
 use crate::parameters::{Paced, SourceParameters};
 use crate::picture::{Picture, PictureStamp, range_of};
-use crate::pipeline::{Decoded, Frames, build};
+use crate::pipeline::{Built, Decoded, Frames, build};
 use crate::{CaptureError, decoder};
 
 /// What a pipeline has to say.
@@ -22,6 +24,13 @@ use crate::{CaptureError, decoder};
 pub(crate) enum Step {
     Picture(Picture),
     Idle,
+    /// Its frames come later than they could, for this reason.
+    Late(String),
+    /// Its decoder does not keep up: so long do frames wait before it, and this would be faster.
+    Behind {
+        by: Duration,
+        faster: Option<Threading>,
+    },
     /// It is over: because of a fault, or just at its end.
     Over {
         fault: Option<String>,
@@ -48,6 +57,12 @@ pub(crate) struct Playback {
     pipeline: gst::Pipeline,
     sink: gst_app::AppSink,
     frames: Arc<Frames>,
+    decoders: Arc<DecoderWatch>,
+    threading: Threading,
+    /// Whether the number of threads was configured, and is not to be changed.
+    is_threading_fixed: bool,
+    /// Frames that the decoder holds back.
+    held: usize,
     timing: Timing,
     expected: (u32, u32),
     latency: Duration,
@@ -76,7 +91,8 @@ impl Playback {
     /// here. It plays from the first [`Self::next`] on.
     pub(crate) fn recording(input: Input, params: &SourceParameters) -> Result<Self, CaptureError> {
         let timing = if params.flow == Paced::Lossless { Timing::Stream } else { Timing::Paced };
-        let mut playback = Self::build(input, params, timing)?;
+        let threading = Threading::of(&input, params);
+        let mut playback = Self::build(input, params, timing, threading)?;
         let started = playback.pipeline.set_state(gst::State::Paused);
         let live = matches!(started, Ok(gst::StateChangeSuccess::NoPreroll));
         let patience = if started.is_ok() { OPENING } else { Duration::ZERO };
@@ -102,9 +118,15 @@ impl Playback {
         Ok(playback)
     }
 
-    /// Starts a camera. One that does not start says so in [`Self::next`].
-    pub(crate) fn camera(input: Input, params: &SourceParameters) -> Result<Self, CaptureError> {
-        let mut playback = Self::build(input, params, Timing::Arrival)?;
+    /// Starts a camera. One that does not start says so in [`Self::next`]. `threading` is what its decoder
+    /// turned out to need; `None` at first.
+    pub(crate) fn camera(
+        input: Input,
+        params: &SourceParameters,
+        threading: Option<Threading>,
+    ) -> Result<Self, CaptureError> {
+        let threading = threading.unwrap_or_else(|| Threading::of(&input, params));
+        let mut playback = Self::build(input, params, Timing::Arrival, threading)?;
         playback.stall = Some(params.stall);
         let started = playback.pipeline.set_state(gst::State::Paused);
         let live = matches!(started, Ok(gst::StateChangeSuccess::NoPreroll));
@@ -113,7 +135,7 @@ impl Playback {
             Input::V4l2(_) => Timing::Driver,
             Input::Theta => Timing::Arrival,
             // The Theta's driver does not say that it is a live source.
-            Input::Description(text) if live || text.contains("thetauvcsrc") => Timing::Arrival,
+            Input::Description(_) if live || playback.input.is_camera() => Timing::Arrival,
             Input::Description(_) | Input::File(_) => Timing::Paced,
         };
         playback.play();
@@ -124,6 +146,7 @@ impl Playback {
         input: Input,
         params: &SourceParameters,
         timing: Timing,
+        threading: Threading,
     ) -> Result<Self, CaptureError> {
         let expected = (params.width, params.height);
         let frames = Arc::new(match params.flow {
@@ -135,12 +158,17 @@ impl Playback {
             (Input::File(_), Timing::Paced) => AHEAD,
             _ => 0,
         };
-        let (pipeline, sink) = build(&input, expected, params.decoder_threads, ahead, &frames)?;
+        let Built { pipeline, sink, decoders } =
+            build(&input, expected, threading, ahead, &frames)?;
         Ok(Self {
             input,
             pipeline,
             sink,
             frames,
+            decoders,
+            threading,
+            is_threading_fixed: params.decoder_threads > 0,
+            held: 0,
             timing,
             expected,
             latency: params.latency,
@@ -179,6 +207,9 @@ impl Playback {
         if !self.playing {
             self.play();
         }
+        if let Some(noticed) = self.decoders.take().filter(|_| self.is_timed_by_arrival()) {
+            return Ok(self.late(noticed));
+        }
         Ok(match self.frames.take(timeout) {
             Taken::Item(decoded) => Step::Picture(self.picture(decoded)?),
             Taken::Ended => Step::Over { fault: self.shortage() },
@@ -194,6 +225,37 @@ impl Playback {
                 _ => Step::Idle,
             },
         })
+    }
+
+    /// Whether what the decoder holds back makes frames older: others are decoded ahead of their time.
+    fn is_timed_by_arrival(&self) -> bool {
+        matches!(self.timing, Timing::Arrival | Timing::Driver)
+    }
+
+    fn late(&mut self, noticed: Noticed) -> Step {
+        match noticed {
+            Noticed::IsBehind(by) => {
+                let processors = std::thread::available_parallelism()
+                    .map_or(1, |count| u32::try_from(count.get()).unwrap_or(u32::MAX));
+                let faster = self.threading.faster(processors);
+                Step::Behind { by, faster: faster.filter(|_| !self.is_threading_fixed) }
+            }
+            Noticed::Holds { frames, delay, reordered } => {
+                self.held = frames;
+                let by_threads = match self.threading {
+                    Threading::Frames(threads) => threads.saturating_sub(1) as usize,
+                    Threading::Slices | Threading::Chosen(_) => 0,
+                };
+                Step::Late(format!(
+                    "{}: {} holds {frames} frame{} back, which makes each {:.0} ms older: {}",
+                    self.input.name(),
+                    decoder::chosen(&self.pipeline).join(", "),
+                    if frames == 1 { "" } else { "s" },
+                    delay.as_secs_f64() * 1e3,
+                    why_held(frames, by_threads, reordered, self.is_threading_fixed)
+                ))
+            }
+        }
     }
 
     fn picture(&mut self, decoded: Decoded) -> Result<Picture, CaptureError> {
@@ -295,9 +357,13 @@ impl Playback {
             names if names.is_empty() => "not coded".to_owned(),
             names => format!("decoded by {}", names.join(", ")),
         };
+        let held = match self.held {
+            0 => String::new(),
+            held => format!(", {held} frames late"),
+        };
         let range = format!("{:?}", range_of(&info)).to_lowercase();
         format!(
-            "{name}: {}x{}{rate}, {} ({range} range), {decoders}",
+            "{name}: {}x{}{rate}, {} ({range} range), {decoders}{held}",
             info.width(),
             info.height(),
             info.name()
@@ -313,6 +379,36 @@ impl Drop for Playback {
             tracing::warn!(source = self.input.name(), "the source does not stop cleanly");
         }
     }
+}
+
+/// Why so many frames are held back, and what to do about it. Of them `by_threads` are being decoded beside
+/// the one that is given.
+fn why_held(frames: usize, by_threads: usize, reordered: bool, is_fixed: bool) -> String {
+    let mut reasons = Vec::new();
+    if by_threads > 0 {
+        reasons.push(format!(
+            "{} frames are decoded at a time{}",
+            by_threads + 1,
+            match is_fixed {
+                true => ". Cure: source.decoder_threads: 0, or 1",
+                false => ", because one thread does not keep up. Cure: a hardware decoder",
+            }
+        ));
+    }
+    if frames > by_threads && reordered {
+        reasons.push(
+            "the stream has frames that rest on later ones (B-frames). Cure: switch them off in the \
+             camera's encoder"
+                .to_owned(),
+        );
+    } else if frames > by_threads {
+        reasons.push(
+            "it waits for frames to be reordered, and none are. Cure: an encoder that says so (baseline \
+             profile, or max_num_reorder_frames 0), or another decoder"
+                .to_owned(),
+        );
+    }
+    reasons.join("; ")
 }
 
 /// Whether a driver's stamp can be on this machine's clock.

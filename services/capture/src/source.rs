@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 use flockeye_runtime::backoff::Backoff;
 use gstreamer as gst;
 
+use crate::decoder::Threading;
 use crate::file;
 use crate::folder::{Folder, FolderStep};
 use crate::input::Input;
@@ -18,6 +19,10 @@ pub struct Source {
     params: SourceParameters,
     state: State,
     backoff: Backoff,
+    /// What a camera's decoder turned out to need.
+    threading: Option<Threading>,
+    has_said_late: bool,
+    has_said_behind: bool,
 }
 
 #[derive(Debug)]
@@ -47,7 +52,15 @@ impl Source {
         }
         let state = start(&spec, &params)?;
         let backoff = Backoff::new(params.reopen_min, params.reopen_max);
-        Ok(Self { spec, params, state, backoff })
+        Ok(Self {
+            spec,
+            params,
+            state,
+            backoff,
+            threading: None,
+            has_said_late: false,
+            has_said_behind: false,
+        })
     }
 
     /// Waits for at most `timeout` for something to happen. Opening a camera or a recording anew,
@@ -58,7 +71,8 @@ impl Source {
         match &mut self.state {
             State::Recording(playback) => Ok(match playback.next(timeout)? {
                 Step::Picture(picture) => Event::Frame(picture),
-                Step::Idle => Event::Idle,
+                // A recording's frames are decoded before they are due.
+                Step::Idle | Step::Late(_) | Step::Behind { .. } => Event::Idle,
                 Step::Over { fault } => {
                     let decoded = playback.handed_out();
                     let reason = match fault {
@@ -84,6 +98,33 @@ impl Source {
                     Event::Frame(picture)
                 }
                 Step::Idle => Event::Idle,
+                Step::Late(what) => match std::mem::replace(&mut self.has_said_late, true) {
+                    false => Event::Late { what },
+                    true => Event::Idle,
+                },
+                Step::Behind { by, faster: Some(faster) } => {
+                    let reason = format!(
+                        "{}: its frames wait {:.0} ms before the decoder, which now decodes several at \
+                         a time",
+                        input.name(),
+                        by.as_secs_f64() * 1e3
+                    );
+                    self.threading = Some(faster);
+                    self.state = State::Lost(input.clone(), Instant::now());
+                    Event::Lost { reason, retry_in: Duration::ZERO }
+                }
+                Step::Behind { by, faster: None } => {
+                    let what = format!(
+                        "{}: its frames wait {:.0} ms before the decoder, ever longer. Cure: \
+                         source.decoder_threads: 0, a hardware decoder, or smaller frames",
+                        input.name(),
+                        by.as_secs_f64() * 1e3
+                    );
+                    match std::mem::replace(&mut self.has_said_behind, true) {
+                        false => Event::Late { what },
+                        true => Event::Idle,
+                    }
+                }
                 Step::Over { fault } => {
                     let reason =
                         fault.unwrap_or_else(|| format!("{}: its stream has ended", input.name()));
@@ -99,7 +140,7 @@ impl Source {
                     return Ok(Event::Idle);
                 }
                 let input = input.clone();
-                let playback = Playback::camera(input.clone(), &self.params)?;
+                let playback = Playback::camera(input.clone(), &self.params, self.threading)?;
                 self.state = State::Camera(input, playback);
                 self.next(timeout)
             }
@@ -136,7 +177,8 @@ impl Source {
 
 fn start(spec: &SourceSpec, params: &SourceParameters) -> Result<State, CaptureError> {
     let recording = |input: Input| Ok(State::Recording(Playback::recording(input, params)?));
-    let camera = |input: Input| Ok(State::Camera(input.clone(), Playback::camera(input, params)?));
+    let camera =
+        |input: Input| Ok(State::Camera(input.clone(), Playback::camera(input, params, None)?));
     match spec {
         SourceSpec::File(path) => {
             file::check(path)?;

@@ -78,6 +78,10 @@ impl Stage for CaptureStage {
                 tracing::debug!("{after}; it begins again");
                 self.begin_epoch();
             }
+            Event::Late { what } => {
+                tracing::warn!("{what}");
+                self.counters.set_detail(self.source.describe());
+            }
             Event::Lost { reason, retry_in } => {
                 self.counters.set_state(Some(StageState::Degraded));
                 if let Some(more) = self.losses.admit() {

@@ -202,7 +202,8 @@ pub struct Source {
     /// Pace of a folder of images in real time, images a second.
     #[schemars(range(min = 0.01, max = 1000.0))]
     pub images_per_second: f64,
-    /// Threads of a software video decoder; 0 lets it choose.
+    /// Threads of a software video decoder; 0 lets it choose, so that a camera's frames are not held back.
+    /// More than 1: as many frames of a camera at a time, each but one of them held back.
     #[schemars(range(min = 0, max = 64))]
     pub decoder_threads: u32,
     /// First and longest wait before a camera that went away is opened again, seconds.

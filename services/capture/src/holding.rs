@@ -1,0 +1,273 @@
+//! Whether the decoder holds frames back, and whether it keeps up.
+//!
+//! Coded frames are counted into the decoder and pictures out of it, by their time stamps. A decoder that
+//! gives each picture as soon as it has its data has none inside at that moment. One that decodes several
+//! frames at a time, or waits for a picture that is to be shown earlier, always has some. Frames that wait
+//! before the decoder, ever longer, say that it does not keep up.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use gstreamer as gst;
+use gstreamer::prelude::*;
+
+use crate::clock::monotonic_ns;
+use crate::decoder;
+use crate::pipeline::Arrivals;
+
+/// Pictures over which frames inside are counted: what is inside at each of them is held back. That is a
+/// second at 30 pictures a second.
+const WINDOW: u32 = 30;
+/// Of a window, so many pictures must be known by their time stamp: some streams stamp anew in the decoder.
+const MATCHED: u32 = 24;
+/// No decoder holds so many: their time stamps are others than those of the pictures.
+const MOST_INSIDE: usize = 64;
+/// Frames that wait before the decoder by so much longer than at first are too many for it.
+const BEHIND_NS: i64 = 100_000_000;
+
+/// What was noticed of a decoder.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Noticed {
+    /// It holds frames back.
+    Holds {
+        /// How many, at least.
+        frames: usize,
+        /// What that costs, by the rate at which pictures came.
+        delay: Duration,
+        /// Whether frames came in another order than they are shown in.
+        reordered: bool,
+    },
+    /// It does not keep up: frames wait before it.
+    IsBehind(Duration),
+}
+
+/// Counts the frames of one pipeline's decoder.
+#[derive(Debug)]
+pub(crate) struct DecoderWatch {
+    count: Mutex<Count>,
+    arrivals: Arc<Arrivals>,
+}
+
+impl DecoderWatch {
+    pub(crate) fn new(arrivals: Arc<Arrivals>) -> Arc<Self> {
+        Arc::new(Self { count: Mutex::new(Count::default()), arrivals })
+    }
+
+    /// Counts what goes through an element, if that is a decoder.
+    pub(crate) fn attach(self: &Arc<Self>, element: &gst::Element) {
+        let pads = (element.static_pad("sink"), element.static_pad("src"));
+        let (true, (Some(sink), Some(src))) = (decoder::is_decoder(element), pads) else { return };
+        let watch = Arc::clone(self);
+        sink.add_probe(gst::PadProbeType::BUFFER, move |_, info| {
+            if let Some(pts) = info.buffer().and_then(|buffer| buffer.pts()) {
+                let arrival_ns = watch.arrivals.find(pts);
+                let waited_ns = arrival_ns.map(|arrival_ns| monotonic_ns() - arrival_ns);
+                watch.count().enter(pts, waited_ns);
+            }
+            gst::PadProbeReturn::Ok
+        });
+        let watch = Arc::clone(self);
+        src.add_probe(gst::PadProbeType::BUFFER, move |_, info| {
+            if let Some(pts) = info.buffer().and_then(|buffer| buffer.pts()) {
+                watch.count().leave(pts, monotonic_ns());
+            }
+            gst::PadProbeReturn::Ok
+        });
+    }
+
+    /// What was noticed since the last call.
+    pub(crate) fn take(&self) -> Option<Noticed> {
+        self.count().noticed.pop_front()
+    }
+
+    fn count(&self) -> std::sync::MutexGuard<'_, Count> {
+        self.count.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// What is counted.
+#[derive(Debug, Default)]
+struct Count {
+    /// Frames that went in and have not come out, in that order.
+    inside: VecDeque<gst::ClockTime>,
+    newest: Option<gst::ClockTime>,
+    reordered: bool,
+    window: Option<Window>,
+    windows: u32,
+    /// How long frames waited when all was well.
+    usual_wait_ns: Option<i64>,
+    has_said_held: bool,
+    has_said_behind: bool,
+    noticed: VecDeque<Noticed>,
+}
+
+#[derive(Debug)]
+struct Window {
+    begun_ns: i64,
+    pictures: u32,
+    matched: u32,
+    least_held: usize,
+    least_wait_ns: Option<i64>,
+}
+
+impl Count {
+    /// A coded frame goes in, `waited_ns` after it arrived, where that is known.
+    fn enter(&mut self, pts: gst::ClockTime, waited_ns: Option<i64>) {
+        self.reordered |= self.newest.is_some_and(|newest| pts < newest);
+        self.newest = Some(pts);
+        if self.inside.back() != Some(&pts) {
+            self.inside.push_back(pts);
+        }
+        if self.inside.len() > MOST_INSIDE {
+            self.inside.pop_front();
+        }
+        if let (Some(window), Some(waited_ns)) = (&mut self.window, waited_ns) {
+            let least = window.least_wait_ns.unwrap_or(i64::MAX);
+            window.least_wait_ns = Some(least.min(waited_ns));
+        }
+    }
+
+    /// A picture comes out.
+    fn leave(&mut self, pts: gst::ClockTime, now_ns: i64) {
+        let is_known = self.inside.contains(&pts);
+        // Pictures come out in the order of their time stamps: one before this was lost.
+        self.inside.retain(|inside| *inside > pts);
+        let held = self.inside.len();
+        let Some(window) = &mut self.window else {
+            self.window = Some(Window::begin(now_ns));
+            return;
+        };
+        window.pictures += 1;
+        window.matched += u32::from(is_known);
+        window.least_held = window.least_held.min(held);
+        if window.pictures == WINDOW
+            && let Some(window) = self.window.replace(Window::begin(now_ns))
+        {
+            self.judge(&window, now_ns);
+        }
+    }
+
+    fn judge(&mut self, window: &Window, now_ns: i64) {
+        self.windows += 1;
+        // While it starts, anything may happen.
+        if self.windows == 1 {
+            return;
+        }
+        let frames = window.least_held;
+        let is_counted = window.matched >= MATCHED && frames < MOST_INSIDE / 2;
+        if is_counted && frames > 0 && !self.has_said_held {
+            self.has_said_held = true;
+            let each_ns = (now_ns - window.begun_ns).max(0).unsigned_abs() / u64::from(WINDOW);
+            let delay = Duration::from_nanos(each_ns * frames as u64);
+            let reordered = self.reordered;
+            self.noticed.push_back(Noticed::Holds { frames, delay, reordered });
+        }
+        let Some(wait_ns) = window.least_wait_ns else { return };
+        let usual_ns = *self.usual_wait_ns.get_or_insert(wait_ns);
+        if wait_ns - usual_ns > BEHIND_NS && !self.has_said_behind {
+            self.has_said_behind = true;
+            let behind = Duration::from_nanos((wait_ns - usual_ns).unsigned_abs());
+            self.noticed.push_back(Noticed::IsBehind(behind));
+        }
+    }
+}
+
+impl Window {
+    fn begin(begun_ns: i64) -> Self {
+        Self { begun_ns, pictures: 0, matched: 0, least_held: usize::MAX, least_wait_ns: None }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use super::*;
+
+    const STEP_NS: i64 = 33_333_333;
+
+    fn pts(frame: i64) -> gst::ClockTime {
+        gst::ClockTime::from_nseconds((frame * STEP_NS).unsigned_abs())
+    }
+
+    /// A decoder that gives each frame when `after` later ones are in.
+    fn delayed(after: i64) -> Count {
+        let mut count = Count::default();
+        for frame in 0..100 {
+            count.enter(pts(frame), Some(1_000_000));
+            if frame >= after {
+                count.leave(pts(frame - after), frame * STEP_NS);
+            }
+        }
+        // At the end it gives what it has.
+        (100 - after..100).for_each(|frame| count.leave(pts(frame), 100 * STEP_NS));
+        count
+    }
+
+    #[test]
+    fn what_a_decoder_holds_back_is_said_once() {
+        assert!(delayed(0).noticed.is_empty());
+        let noticed = delayed(3).noticed;
+        let Some(Noticed::Holds { frames: 3, delay, reordered: false }) = noticed.front() else {
+            panic!("{noticed:?}");
+        };
+        assert_eq!((noticed.len(), delay.as_millis()), (1, 99));
+    }
+
+    #[test]
+    fn frames_that_rest_on_later_ones_are_noticed_as_such() {
+        let mut count = Count::default();
+        let mut out = 0;
+        // Each third frame comes before the two that are shown before it.
+        for group in 0..40 {
+            for frame in [3 * group + 2, 3 * group, 3 * group + 1] {
+                count.enter(pts(frame), None);
+                if frame != 3 * group + 2 {
+                    count.leave(pts(out), out * STEP_NS);
+                    out += 1;
+                }
+            }
+            count.leave(pts(out), out * STEP_NS);
+            out += 1;
+        }
+        // The last of each group is out as soon as the group is in; the first ones have the last inside.
+        assert!(count.reordered && count.noticed.is_empty(), "{:?}", count.noticed);
+        assert!(!delayed(3).reordered);
+    }
+
+    #[test]
+    fn frames_that_are_lost_or_stamped_anew_are_not_held() {
+        let mut count = Count::default();
+        for frame in 0..200 {
+            count.enter(pts(frame), None);
+            // One in five is broken: nothing comes out for it. The rest is given at once.
+            if frame % 5 != 0 {
+                count.leave(pts(frame), frame * STEP_NS);
+            }
+        }
+        let mut anew = Count::default();
+        for frame in 0..200 {
+            anew.enter(pts(frame), None);
+            anew.leave(pts(frame + 1_000_000), frame * STEP_NS);
+        }
+        assert!(anew.noticed.is_empty(), "{:?}", anew.noticed);
+        assert!(count.noticed.is_empty(), "{:?}", count.noticed);
+    }
+
+    #[test]
+    fn a_decoder_that_does_not_keep_up_is_noticed() {
+        let waiting = |of: fn(i64) -> i64| {
+            let mut count = Count::default();
+            for frame in 0..300 {
+                count.enter(pts(frame), Some(of(frame)));
+                count.leave(pts(frame), frame * STEP_NS);
+            }
+            count.noticed
+        };
+        // An encoder in between may take its time, as long as it is always the same.
+        assert!(waiting(|_| 500_000_000).is_empty());
+        let noticed = waiting(|frame| 2_000_000 * frame);
+        let Some(Noticed::IsBehind(by)) = noticed.front() else { panic!("{noticed:?}") };
+        assert!(noticed.len() == 1 && by.as_millis() > 100, "{noticed:?}");
+    }
+}
