@@ -13,7 +13,7 @@
 SHELL := /bin/bash
 FOR ?= 20s
 # A flight as drones fly it in wind. Drawing it takes longer than real time.
-GUSTS = $(addprefix --set simulator.,frames=90 tilt_deg=12 yaw_deg_s=20 yaw_swing_deg_s=40 exposure_ms=8)
+GUSTS = $(addprefix --set simulator.,frames=90 tilt_deg=12 yaw_deg_s=20 yaw_swing_deg_s=40 exposure_ms=8) --set inertial.source=sim
 DORA_COMMAND = $(CURDIR)/target/peers/bin/dora
 DORA_HOP = $(CURDIR)/target/peers/dora/release/dora-hop
 

@@ -31,7 +31,7 @@ pub const MARKERS: LabCommand = LabCommand {
 /// Calibrates bodies.
 pub const CALIBRATE: LabCommand = LabCommand {
     name: "calibrate",
-    about: "Measure from a recording how something was really built",
+    about: "Measure how a body was really built, or how the inertial sensor lies",
 };
 
 /// All of them, in the order of the help.

@@ -1,7 +1,10 @@
 //! The rows of an inertial sensor's file.
 
+use flockeye_contract::ImuSample;
 use nalgebra::Vector3;
+use serde::ser::{Serialize, SerializeStruct, Serializer};
 
+use crate::recorder::Recorded;
 use crate::table::{TableCells, TableError, TableRow};
 
 /// A sample of an inertial sensor.
@@ -13,6 +16,42 @@ pub struct ImuRow {
     pub rate: Vector3<f64>,
     /// Specific force along the sensor's axes, m/s^2; `None` where the file has none.
     pub specific_force: Option<Vector3<f64>>,
+}
+
+impl ImuRow {
+    /// The row of a sample. `zero_ns` is the frames' clock at the beginning of the stream, nanoseconds.
+    pub fn of(sample: &ImuSample, zero_ns: i64) -> Self {
+        let force = Vector3::from(sample.specific_force);
+        Self {
+            t_s: (sample.at_ns - zero_ns) as f64 * 1e-9,
+            rate: sample.rate.into(),
+            specific_force: force.iter().all(|force| force.is_finite()).then_some(force),
+        }
+    }
+}
+
+const COLUMNS: [&str; 7] = ["t_s", "gx", "gy", "gz", "ax", "ay", "az"];
+
+impl Recorded for ImuRow {
+    fn names() -> Vec<&'static str> {
+        COLUMNS.to_vec()
+    }
+}
+
+impl Serialize for ImuRow {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut row = serializer.serialize_struct("ImuRow", COLUMNS.len())?;
+        let [time, rate @ .., _, _, _] = COLUMNS;
+        let [.., ax, ay, az] = COLUMNS;
+        row.serialize_field(time, &self.t_s)?;
+        for (k, name) in rate.into_iter().enumerate() {
+            row.serialize_field(name, &self.rate[k])?;
+        }
+        for (k, name) in [ax, ay, az].into_iter().enumerate() {
+            row.serialize_field(name, &self.specific_force.map(|force| force[k]))?;
+        }
+        row.end()
+    }
 }
 
 impl TableRow for ImuRow {
@@ -29,5 +68,34 @@ impl TableRow for ImuRow {
             _ => None,
         };
         Ok(Self { t_s: cells.number("t_s")?, rate, specific_force })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::recorder::Recorder;
+    use crate::table::read;
+
+    #[test]
+    fn samples_are_read_as_they_were_written() {
+        let folder = std::env::temp_dir().join(format!("flockeye-imu-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let path = folder.join("imu.csv");
+        let sample = ImuSample {
+            at_ns: 7_250_000_000,
+            rate: [0.1, -0.2, 0.3],
+            specific_force: [0.0, 0.5, 9.8],
+        };
+        let no_force = ImuSample { at_ns: 7_255_000_000, specific_force: [f64::NAN; 3], ..sample };
+        let rows = [sample, no_force].map(|sample| ImuRow::of(&sample, 7_000_000_000));
+        let mut recorder = Recorder::create(&path).unwrap();
+        rows.iter().for_each(|row| recorder.add(row).unwrap());
+        recorder.finish().unwrap();
+        let found: Vec<ImuRow> = read(&path).unwrap();
+        assert_eq!(found, rows);
+        assert_eq!((found[0].t_s, found[1].specific_force), (0.25, None));
+        std::fs::remove_dir_all(&folder).unwrap();
     }
 }

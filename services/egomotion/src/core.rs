@@ -52,7 +52,7 @@ impl Core {
             gyroscope: Gyroscope::new(sampler.clone()),
             sampler,
             rate: RateFilter::new(),
-            sensor: resolved.pipeline.has_inertial_sensor().then(Sensor::new),
+            sensor: resolved.pipeline.uses_inertial_sensor().then(Sensor::new),
             camera_from_sensor: rotation(inertial.camera_from_sensor),
             time_offset_s: inertial.time_offset_ms * 1e-3,
             sensor_run: (0, 0),

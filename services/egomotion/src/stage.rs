@@ -29,7 +29,7 @@ impl Stage for EgomotionStage {
     const NAME: &'static str = "egomotion";
 
     fn open(context: &Context, ports: &mut Ports) -> anyhow::Result<Self> {
-        let has_sensor = context.resolved.pipeline.has_inertial_sensor();
+        let has_sensor = context.resolved.pipeline.uses_inertial_sensor();
         Ok(Self {
             frames: ports.subscriber()?,
             imus: if has_sensor { Some(ports.subscriber()?) } else { None },

@@ -22,6 +22,7 @@
 //! | [`policy`] | which pass may run, and how thorough it may be |
 //! | [`exposure`] | how long frames are exposed |
 //! | [`parallax`] | rays of lenses that lie off the camera's centre |
+//! | [`readout`] | rows that are exposed one after the other |
 //! | [`output`] | tracks and plans as messages |
 //! | [`notices`] | what a person should know of |
 //! | [`background_runner`] | where background passes run |
@@ -43,6 +44,7 @@ pub mod passes;
 pub mod pictures;
 pub mod planning;
 pub mod policy;
+pub mod readout;
 pub mod schedule;
 pub mod settings;
 pub mod stage;

@@ -17,6 +17,7 @@ use crate::output::Writer;
 use crate::parallax::Parallax;
 use crate::pictures::{PictureReader, Pixels};
 use crate::planning::Planning;
+use crate::readout::Readout;
 use crate::schedule::{Schedule, VirtualClock};
 use crate::tracker::{FilterChoice, Tracker};
 use crate::view_cache::ViewCache;
@@ -71,6 +72,7 @@ pub fn configured<P: Pixels>(
     let threads = pipeline.fusion.threads as usize;
     let mut tracker = Tracker::new(bodies, filter, aligner.clone(), threads)
         .with_parallax(parallax.clone())
+        .with_readout(Readout::of(camera, pipeline.camera.readout_ms * 1e-3))
         .with_exposure(pipeline.exposure_s());
     if has_background {
         tracker = tracker.with_background();

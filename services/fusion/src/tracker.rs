@@ -22,6 +22,7 @@ use crate::passes::direct::{self, Candidate, Region, RejectedAlignment};
 use crate::passes::inputs::{Earlier, Inputs, Permit};
 use crate::passes::{AnsweredView, BestViews};
 use crate::policy::{DirectPassPolicy, TimeBudget, is_search_turn};
+use crate::readout::Readout;
 use crate::schedule::Attempts;
 use crate::target::{Status, Target, TargetEstimate};
 use crate::view_cache::ViewQuality;
@@ -55,6 +56,7 @@ pub struct Tracker {
     filter: FilterChoice,
     ego: EgoRotation,
     parallax: Option<Parallax>,
+    readout: Option<Readout>,
     aligner: Arc<Aligner>,
     threads: usize,
     /// `None`: everything is done at once.
@@ -84,6 +86,7 @@ impl Tracker {
             // Predictions reach back to the last measurement, and not farther than this.
             ego: EgoRotation::new(policy.motion.longest_step_s + policy.history_s),
             parallax: None,
+            readout: None,
             exposure: Exposure::new(None, aligner.pixels_per_radian()),
             aligner,
             threads,
@@ -97,6 +100,11 @@ impl Tracker {
     /// Brings rays and poses to their distances, for a camera whose lenses lie off its centre.
     pub fn with_parallax(self, parallax: Option<Parallax>) -> Self {
         Self { parallax, ..self }
+    }
+
+    /// Takes into account that rows are exposed one after the other.
+    pub fn with_readout(self, readout: Option<Readout>) -> Self {
+        Self { readout, ..self }
     }
 
     /// States how long frames are exposed, seconds. Without it the blur of moving bodies shows it in time.
@@ -160,7 +168,7 @@ impl Tracker {
             }
             let accepted = found.as_ref().and_then(|found| {
                 let measurement = direct::accepted(found, &predicted)?;
-                let measurement = self.corrected(measurement, view.rays_m);
+                let measurement = self.corrected(measurement, view.rays_m, target, time.at_s);
                 let target = &self.targets[target];
                 let is_inside = target.is_inside_gate(time.at_s, &measurement, &self.ego);
                 is_inside.then_some((measurement, found.camera_from_markers))
@@ -196,7 +204,7 @@ impl Tracker {
         let may_run = target.is_measured()
             && !self.direct_policy.is_suspended(region.target)
             && !target.is_published(time.order);
-        let prior = target.prior(time.at_s, &self.ego);
+        let prior = self.prior(region.target, time.at_s);
         let predicted = prior.confirmed().filter(|_| may_run)?.camera_from_markers;
         let view = region.view.moving(self.motion(region.target, time.at_s, &prior));
         Some(Candidate { region: Region { view, ..region }, predicted })
@@ -303,7 +311,7 @@ impl Tracker {
                 MeasuredBy::Decoded => inputs.rays_m,
                 MeasuredBy::Aligned => inputs.best_view.map_or(inputs.rays_m, |view| view.rays_m),
             };
-            found.push((target, self.corrected(measurement, rays_m)));
+            found.push((target, self.corrected(measurement, rays_m, target, time.at_s)));
         }
         (self.background, self.attempts) = (background, attempts);
         for (target, attempt, is_in_background) in failed {
@@ -420,10 +428,25 @@ impl Tracker {
         others.any(|(_, target)| target.is_tracked())
     }
 
-    /// A measurement whose rays were right for `rays_m`, corrected to its own distance.
-    fn corrected(&self, measurement: Measurement, rays_m: f64) -> Measurement {
-        let Some(parallax) = &self.parallax else { return measurement };
-        Measurement { pose: parallax.corrected(&measurement.pose, rays_m), ..measurement }
+    /// A target's measurement whose rays were right for `rays_m`, corrected to its own distance, and to the
+    /// middle of the exposure at `at_s`.
+    fn corrected(
+        &self,
+        measurement: Measurement,
+        rays_m: f64,
+        target: usize,
+        at_s: f64,
+    ) -> Measurement {
+        let mut pose = measurement.pose;
+        if let Some(parallax) = &self.parallax {
+            pose = parallax.corrected(&pose, rays_m);
+        }
+        if let Some(readout) = &self.readout {
+            let shown = pose.camera_from_markers;
+            let motion = self.apparent_motion(target, at_s, &shown);
+            pose.camera_from_markers = motion.carried(&shown, -readout.after_s(&shown));
+        }
+        Measurement { pose, ..measurement }
     }
 
     /// Takes a measurement into the track of its target: the one place where that happens. `None` where

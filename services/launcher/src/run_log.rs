@@ -6,9 +6,11 @@ use std::time::{Duration, Instant};
 use clap::Args;
 use flockeye_cli::duration;
 use flockeye_config::Resolved;
-use flockeye_contract::{Detections, FrameStamp, Healths, Rotations, StageState, Tracks, Truths};
+use flockeye_contract::{
+    Detections, FrameStamp, Healths, ImuSample, Imus, Rotations, StageState, Tracks, Truths,
+};
 use flockeye_record::sweep::SweepReport;
-use flockeye_record::{FrameTimes, MarkerRays, PoseRow, Recorder, RotationRow, TruthRow};
+use flockeye_record::{FrameTimes, ImuRow, MarkerRays, PoseRow, Recorder, RotationRow, TruthRow};
 use flockeye_runtime::clock;
 use flockeye_runtime::ports::{Ports, Subscriber};
 
@@ -33,6 +35,9 @@ pub struct RunOptions {
     /// Record how the camera has turned to each frame.
     #[arg(long, value_name = "FILE.csv")]
     pub rotations: Option<PathBuf>,
+    /// Record the samples of the inertial sensor, as `inertial.source` takes them.
+    #[arg(long, value_name = "FILE.csv")]
+    pub imu: Option<PathBuf>,
     /// Record when each frame was published and when it ended.
     #[arg(long, value_name = "FILE.csv")]
     pub frame_times: Option<PathBuf>,
@@ -64,6 +69,11 @@ pub struct RunLog {
     truths: Subscriber<Truths>,
     detections: Option<Subscriber<Detections>>,
     rotations: Option<Subscriber<Rotations>>,
+    imus: Option<Subscriber<Imus>>,
+    /// Samples that came before the first frame: then it is not known when the stream began.
+    early_samples: Vec<ImuSample>,
+    /// The frames' clock at the beginning of the stream, nanoseconds.
+    zero_ns: Option<i64>,
     /// The frame of the rotation before.
     last_rotation: Option<FrameStamp>,
     sweep: Option<SweepWatch>,
@@ -83,6 +93,7 @@ struct Recorders {
     poses: Option<Recorder<PoseRow>>,
     truth: Option<Recorder<TruthRow>>,
     rotations: Option<Recorder<RotationRow>>,
+    imu: Option<Recorder<ImuRow>>,
     frame_times: Option<Recorder<FrameTimes>>,
     rays: Option<Recorder<MarkerRays>>,
 }
@@ -99,18 +110,27 @@ impl RunLog {
     ) -> anyhow::Result<Self> {
         let sweep = options.watches_sweep.then(|| SweepWatch::open(resolved, ports)).transpose()?;
         let (rays, turns) = (options.rays.is_some(), options.rotations.is_some());
+        let has_sensor = resolved.pipeline.has_inertial_sensor();
+        anyhow::ensure!(
+            has_sensor || options.imu.is_none(),
+            "--imu: there is no inertial sensor. Cure: inertial.source"
+        );
         Ok(Self {
             tracks: ports.subscriber()?,
             healths: ports.subscriber()?,
             truths: ports.subscriber()?,
             detections: rays.then(|| ports.subscriber()).transpose()?,
             rotations: turns.then(|| ports.subscriber()).transpose()?,
+            imus: options.imu.as_ref().map(|_| ports.subscriber()).transpose()?,
+            early_samples: Vec::new(),
+            zero_ns: None,
             last_rotation: None,
             sweep: sweep.flatten(),
             recorders: Recorders {
                 poses: options.poses.as_deref().map(Recorder::create).transpose()?,
                 truth: options.truth.as_deref().map(Recorder::create).transpose()?,
                 rotations: options.rotations.as_deref().map(Recorder::create).transpose()?,
+                imu: options.imu.as_deref().map(Recorder::create).transpose()?,
                 frame_times: options.frame_times.as_deref().map(Recorder::create).transpose()?,
                 rays: options.rays.as_deref().map(Recorder::create).transpose()?,
             },
@@ -155,6 +175,7 @@ impl RunLog {
                 recorder.add(&RotationRow::of(&message.header, before.as_ref()))?;
             }
         }
+        self.record_samples()?;
         if let Some(sweep) = &mut self.sweep {
             sweep.receive()?;
         }
@@ -162,6 +183,7 @@ impl RunLog {
             let stamp = message.header.stamp;
             let is_last = message.header.is_last != 0;
             self.last_track = Instant::now();
+            self.zero_ns.get_or_insert(stamp.exposure_ns - stamp.stream_ns);
             let now_ns = clock::monotonic_ns();
             self.dashboard.tracks(&stamp, message.items(), is_last, now_ns);
             for row in message.items().iter().filter_map(|track| PoseRow::of(&stamp, track)) {
@@ -172,6 +194,22 @@ impl RunLog {
             }
             if is_last {
                 self.end(&stamp, now_ns)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Records the samples that have come, once a frame has told when the stream began.
+    fn record_samples(&mut self) -> anyhow::Result<()> {
+        let (Some(imus), Some(recorder)) = (&mut self.imus, &mut self.recorders.imu) else {
+            return Ok(());
+        };
+        while let Some(message) = imus.receive()? {
+            self.early_samples.extend_from_slice(message.items());
+        }
+        if let Some(zero_ns) = self.zero_ns {
+            for sample in self.early_samples.drain(..) {
+                recorder.add(&ImuRow::of(&sample, zero_ns))?;
             }
         }
         Ok(())
@@ -215,10 +253,12 @@ impl RunLog {
     /// As [`RunLog::receive`].
     pub fn finish(&mut self) -> anyhow::Result<RunSummary> {
         self.receive()?;
-        let Recorders { poses, truth, rotations, frame_times, rays } = &mut self.recorders;
+        self.record_samples()?;
+        let Recorders { poses, truth, rotations, imu, frame_times, rays } = &mut self.recorders;
         poses.take().map(Recorder::finish).transpose()?;
         truth.take().map(Recorder::finish).transpose()?;
         rotations.take().map(Recorder::finish).transpose()?;
+        imu.take().map(Recorder::finish).transpose()?;
         frame_times.take().map(Recorder::finish).transpose()?;
         rays.take().map(Recorder::finish).transpose()?;
         let first_end_ns = self.first_end_ns.unwrap_or(self.last_end_ns);

@@ -18,6 +18,7 @@ pub struct TruthWriter {
     projection: Projection,
     /// Its code and its gamma.
     transfer: (Transfer, f32),
+    readout_ns: u64,
     bodies: Vec<Body>,
     observer_from_camera: Isometry3<f64>,
     generation: u32,
@@ -30,6 +31,7 @@ impl TruthWriter {
             size_px: (resolved.camera.width(), resolved.camera.height()),
             projection: projection_of(&resolved.camera),
             transfer: resolved.transfer,
+            readout_ns: (resolved.pipeline.camera.readout_ms * 1e6) as u64,
             bodies: flying.into_iter().flat_map(Bodies::iter).cloned().collect(),
             observer_from_camera: resolved.observer_from_camera,
             generation,
@@ -65,7 +67,7 @@ impl TruthWriter {
         FrameHeader {
             stamp,
             exposure_time_ns: (truth.exposure_s * 1e9).round() as u64,
-            readout_ns: 0,
+            readout_ns: self.readout_ns,
             width,
             height,
             stride: width,

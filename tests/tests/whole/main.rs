@@ -7,6 +7,7 @@ mod cameras;
 mod egomotion;
 mod evaluation;
 mod foreign;
+mod inertial;
 mod lab;
 mod lifecycle;
 mod lossless;

@@ -3,7 +3,7 @@
 use clap::{Parser, Subcommand};
 use flockeye_cli::lab;
 
-use crate::calibrate::{self, CalibrateBodyArguments};
+use crate::calibrate::{self, CalibrateBodyArguments, CalibrateImuArguments};
 use crate::eval::{self, EvalArguments};
 use crate::experiment::{self, ExperimentArguments};
 use crate::markers::{self, MarkersArguments};
@@ -37,6 +37,8 @@ enum LabSubcommand {
 enum CalibrateSubcommand {
     /// Measure where a body's hand-glued markers really are.
     Body(CalibrateBodyArguments),
+    /// Measure how the inertial sensor lies to the camera, and its time offset.
+    Imu(CalibrateImuArguments),
 }
 
 /// Reads the command line and does what it asks for.
@@ -50,7 +52,10 @@ pub fn run() -> anyhow::Result<()> {
         LabSubcommand::Partition(arguments) => partition::run(&arguments),
         LabSubcommand::Markers(arguments) => markers::run(&arguments),
         LabSubcommand::Calibrate(CalibrateSubcommand::Body(arguments)) => {
-            calibrate::run(&arguments)
+            calibrate::body::run(&arguments)
+        }
+        LabSubcommand::Calibrate(CalibrateSubcommand::Imu(arguments)) => {
+            calibrate::imu::run(&arguments)
         }
     }
 }

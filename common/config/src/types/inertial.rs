@@ -12,6 +12,8 @@ pub struct Inertial {
     /// `none`, `sim` (that of the simulated world), `mavlink:udp:ADDRESS:PORT` to listen on,
     /// `mavlink:serial:DEVICE:BAUD`, or a CSV file beside a recording (columns t_s, gx, gy, gz, ax, ay, az).
     pub source: String,
+    /// false: its samples are recorded and not used.
+    pub used: bool,
     /// Turns the sensor's axes into the camera's: unit quaternion x, y, z, w. `flockeye calibrate imu` finds
     /// it.
     pub camera_from_sensor: [f64; 4],
@@ -25,6 +27,7 @@ impl Default for Inertial {
     fn default() -> Self {
         Self {
             source: "none".into(),
+            used: true,
             camera_from_sensor: [0.0, 0.0, 0.0, 1.0],
             time_offset_ms: 0.0,
         }

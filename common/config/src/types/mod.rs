@@ -140,6 +140,11 @@ impl Pipeline {
         !matches!(self.inertial.parsed_source(), Ok(InertialSource::None) | Err(_))
     }
 
+    /// Whether egomotion uses it.
+    pub fn uses_inertial_sensor(&self) -> bool {
+        self.inertial.used && self.has_inertial_sensor()
+    }
+
     /// The stage that `source.input` needs.
     pub fn source_stage(&self) -> StageName {
         if self.source.input == "sim" { StageName::Simulator } else { StageName::Capture }

@@ -35,7 +35,7 @@ impl Tracker {
             // The frames since then did not show it only because nobody knew where to look.
             self.targets[target].forget();
         }
-        let measurement = self.corrected(answer.measurement?, answer.rays_m);
+        let measurement = self.corrected(answer.measurement?, answer.rays_m, target, at_s);
         let is_accepted = !is_late
             || may_start
             || self.targets[target].is_inside_gate(at_s, &measurement, &self.ego);

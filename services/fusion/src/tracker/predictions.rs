@@ -3,8 +3,10 @@
 use flockeye_geometry::ego_rotation::CameraTurn;
 use flockeye_geometry::filter::Prediction;
 use flockeye_imaging::align::Motion;
+use nalgebra::Isometry3;
 
 use super::{FilterChoice, Tracker};
+use crate::readout::ApparentMotion;
 use crate::track_prior::TrackPrior;
 
 impl Tracker {
@@ -22,10 +24,43 @@ impl Tracker {
         }
     }
 
-    /// Where each tracked target will be at a time, by its number.
+    /// Where the picture of a frame that is exposed at a time will show each tracked target, by its number.
     pub fn predictions(&self, at_s: f64) -> impl Iterator<Item = (usize, Prediction)> {
         let targets = 0..self.targets.len();
-        targets.filter_map(move |target| Some((target, self.prediction(target, at_s)?)))
+        targets.filter_map(move |target| {
+            let shown = self.prediction(target, self.shown_s(target, at_s))?;
+            // It stands for the frame, whenever the body's rows are exposed.
+            Some((target, Prediction { stamp_s: at_s, ..shown }))
+        })
+    }
+
+    /// When the rows are exposed that show a tracked target in the frame of a time, seconds.
+    fn shown_s(&self, target: usize, at_s: f64) -> f64 {
+        let Some(readout) = &self.readout else { return at_s };
+        let prediction = self.prediction(target, at_s);
+        at_s + prediction.map_or(0.0, |known| readout.after_s(&known.camera_from_markers))
+    }
+
+    /// How a target with this pose moves as the camera sees it: as its track says, or as what stands still.
+    pub(super) fn apparent_motion(
+        &self,
+        target: usize,
+        at_s: f64,
+        camera_from_markers: &Isometry3<f64>,
+    ) -> ApparentMotion {
+        // A late answer is of a time before the track's.
+        let at_end = || self.prediction(target, self.ended?.1);
+        match self.prediction(target, at_s).or_else(at_end) {
+            Some(known) => ApparentMotion {
+                velocity: known.apparent_velocity(),
+                rate: known.rate - known.camera_rate,
+            },
+            None => {
+                let turning = -self.ego.rate_at(at_s);
+                let velocity = turning.cross(&camera_from_markers.translation.vector);
+                ApparentMotion { velocity, rate: turning }
+            }
+        }
     }
 
     /// How a target moves across the line of sight while a frame is exposed, as far as its track says: no
@@ -40,10 +75,12 @@ impl Tracker {
         Motion { rate_in_camera, exposure_s: self.exposure.seconds() }
     }
 
-    /// What its track says of a target at a time. Without a filter there is no track.
+    /// What its track says of where the frame of a time shows a target. Without a filter there is no track.
     pub(super) fn prior(&self, target: usize, at_s: f64) -> TrackPrior {
         match self.filter {
-            FilterChoice::Tracks(_) => self.targets[target].prior(at_s, &self.ego),
+            FilterChoice::Tracks(_) => {
+                self.targets[target].prior(self.shown_s(target, at_s), &self.ego)
+            }
             FilterChoice::None => TrackPrior::Untracked,
         }
     }

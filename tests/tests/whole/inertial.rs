@@ -1,0 +1,202 @@
+//! An inertial sensor beside the picture: simulated, recorded, and an autopilot's.
+
+use std::net::UdpSocket;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::Duration;
+
+use flockeye_contract::RotationSource;
+use flockeye_convert::{camera_turn, rotation};
+use flockeye_tests::onlooker::Tape;
+use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, run};
+use mavlink::dialects::common::{
+    HEARTBEAT_DATA, HIGHRES_IMU_DATA, HighresImuUpdatedFlags, MavMessage,
+};
+use mavlink::{Connectable, Connection, MavConnection, MavHeader, UdpConfig, UdpMode};
+use rustix::process::Signal;
+use serde_json::Value;
+
+const FRAMES: u64 = 75;
+
+/// An observer that leans by up to 12 degrees and yaws unevenly.
+const GUSTS: &[&str] = &[
+    "camera.width=1280",
+    "camera.height=640",
+    "simulator.frames=75",
+    "simulator.tilt_deg=12",
+    "simulator.yaw_swing_deg_s=40",
+    "inertial.source=sim",
+];
+
+fn set<'a>(more: &[&'a str]) -> Vec<&'a str> {
+    SMALL_FLIGHT.iter().chain(GUSTS).chain(more).copied().collect()
+}
+
+fn sources(tape: &Tape) -> Vec<u32> {
+    tape.rotations.iter().map(|rotation| rotation.source).collect()
+}
+
+#[test]
+fn a_sensor_that_agrees_makes_the_rotation_better() {
+    let tape = Tape::record("inertial", &["--flow", "lossless"], &set(&[]));
+    tape.assert_every_frame_ended_once(FRAMES);
+    assert_eq!(tape.output.matches("the inertial sensor agrees").count(), 1, "{}", tape.output);
+    let both = RotationSource::PictureAndInertial.code();
+    let of_both = sources(&tape).iter().filter(|source| **source == both).count();
+    assert!(of_both > 30, "{:?}", sources(&tape));
+    let truth = |sequence: u64| {
+        let of_frame = tape.truths.iter().find(|truth| truth.stamp.sequence == sequence);
+        rotation(of_frame.expect("each frame has its truth").world_from_camera)
+    };
+    let (mut errors_deg, mut ahead_deg, mut normalised) = (Vec::new(), Vec::new(), 0.0);
+    for message in tape.rotations.iter().filter(|message| message.source == both) {
+        let turn = camera_turn(message).expect("it is known");
+        let sequence = message.stamp.sequence;
+        let expected = truth(sequence).inverse() * truth(sequence - 1);
+        let off = (turn.later_from_earlier * expected.inverse()).scaled_axis();
+        errors_deg.push(off.norm().to_degrees());
+        let information = turn.covariance.try_inverse().expect("it is positive");
+        normalised += off.dot(&(information * off)) / of_both as f64;
+        let ahead = turn.ahead.expect("the sensor is ahead of the picture");
+        assert!((0.0..0.02).contains(&(ahead.until_s - turn.later_s)), "{ahead:?}");
+        ahead_deg.push(ahead.ahead_from_later.angle().to_degrees());
+    }
+    errors_deg.sort_by(f64::total_cmp);
+    // The picture alone has more than that.
+    assert!(errors_deg[of_both / 2] < 0.03, "{errors_deg:?}");
+    assert!((0.3..8.0).contains(&normalised), "NEES {normalised}, 3 is right: {errors_deg:?}");
+    assert!(ahead_deg.iter().any(|degrees| *degrees > 0.01), "{ahead_deg:?}");
+}
+
+#[test]
+fn a_sensor_that_hangs_upside_down_is_said_once_and_left_out() {
+    let upside_down = "simulator.inertial.camera_from_sensor=[1, 0, 0, 0]";
+    let tape = Tape::record("upside-down", &["--flow", "lossless"], &set(&[upside_down]));
+    tape.assert_every_frame_ended_once(FRAMES);
+    assert_eq!(tape.output.matches("the inertial sensor disagrees").count(), 1, "{}", tape.output);
+    assert!(!tape.output.contains("agrees with the picture;"), "{}", tape.output);
+    let [nothing, picture] = [RotationSource::Nothing, RotationSource::Picture].map(|s| s.code());
+    assert_eq!(sources(&tape)[0], nothing);
+    assert!(sources(&tape)[1..].iter().all(|source| *source == picture), "{:?}", sources(&tape));
+}
+
+#[test]
+fn mounting_and_clock_are_calibrated_from_a_flight() {
+    // Turned by 90 degrees about z, and 120 ms late.
+    let mounted = "simulator.inertial.camera_from_sensor=[0, 0, 0.70710678, 0.70710678]";
+    let set = set(&[mounted, "simulator.inertial.time_offset_ms=-120", "simulator.frames=90"]);
+    let set: Vec<&str> = set.iter().flat_map(|assignment| ["--set", assignment]).collect();
+    let (succeeded, output) = run(&[&["calibrate", "imu", "--json"], &set[..]].concat());
+    assert!(succeeded, "{output}");
+    let found: Value = serde_json::from_str(&output).expect("nothing but JSON");
+    let number = |value: &Value| value.as_f64().unwrap_or_else(|| panic!("{value} in {found}"));
+    assert!((number(&found["time_offset_ms"]) + 120.0).abs() < 4.0, "{found}");
+    let mounting: Vec<f64> =
+        found["camera_from_sensor"].as_array().expect("four numbers").iter().map(number).collect();
+    let off = rotation([0.0, 0.0, 0.5f64.sqrt(), 0.5f64.sqrt()]).angle_to(&rotation([
+        mounting[0],
+        mounting[1],
+        mounting[2],
+        mounting[3],
+    ]));
+    assert!(off.to_degrees() < 1.0, "{found}");
+
+    let (succeeded, output) = run(&["calibrate", "imu", "--set", "simulator.frames=9"]);
+    assert!(!succeeded && output.contains("there is no inertial sensor"), "{output}");
+}
+
+#[test]
+fn samples_that_were_recorded_can_be_read_again() {
+    let scratch = Scratch::new("imu");
+    let file = scratch.path("imu.csv");
+    let path = file.to_str().expect("a plain path");
+    let set = set(&["simulator.frames=6"]);
+    let mut flight = Flight::start("imu", &["--flow", "lossless", "--imu", path], &set);
+    assert!(flight.wait().success(), "{}", flight.output());
+    flight.assert_nothing_left();
+    let rows: Vec<flockeye_record::ImuRow> = flockeye_record::read(&file).expect("they are read");
+    assert!(rows.len() > 100, "{}", rows.len());
+    assert!(rows.windows(2).all(|pair| ((pair[1].t_s - pair[0].t_s) * 200.0 - 1.0).abs() < 1e-3));
+    assert!((rows[0].t_s + 0.5).abs() < 1e-6, "{:?}", rows[0]);
+    // A recorded sensor belongs to a recording.
+    let source = format!("inertial.source={path}");
+    let (succeeded, output) = run(&["check", "--set", &source]);
+    assert!(!succeeded && output.contains("inertial.source: a recorded sensor"), "{output}");
+}
+
+/// An autopilot that sends `HIGHRES_IMU` 200 times a second until it is dropped: of a drone that yaws as the
+/// simulated one, times a factor in percent that can be changed.
+struct SimulatedAutopilot {
+    percent: Arc<AtomicU32>,
+    thread: Option<std::thread::JoinHandle<()>>,
+}
+
+/// Ends the thread.
+const STOP: u32 = u32::MAX;
+
+impl SimulatedAutopilot {
+    fn start(address: String) -> Self {
+        let percent = Arc::new(AtomicU32::new(100));
+        let factor = percent.clone();
+        let thread = std::thread::spawn(move || {
+            let line: Connection<MavMessage> =
+                UdpConfig::new(address, UdpMode::Udpout).connect().expect("a socket");
+            let header = MavHeader { system_id: 1, component_id: 1, sequence: 0 };
+            for sample in 0u64.. {
+                let percent = factor.load(Ordering::Relaxed);
+                if percent == STOP {
+                    return;
+                }
+                if sample % 200 == 0 {
+                    // Nobody may be there yet, or any more.
+                    let _ = line.send(&header, &MavMessage::HEARTBEAT(HEARTBEAT_DATA::DEFAULT));
+                }
+                let yaw = 5f32.to_radians() * percent as f32 / 100.0;
+                let imu = HIGHRES_IMU_DATA {
+                    time_usec: 5000 * sample,
+                    // Down is MAVLink's third axis.
+                    zgyro: -yaw,
+                    zacc: -9.81,
+                    fields_updated: HighresImuUpdatedFlags::all(),
+                    ..HIGHRES_IMU_DATA::DEFAULT
+                };
+                let _ = line.send(&header, &MavMessage::HIGHRES_IMU(imu));
+                std::thread::sleep(Duration::from_millis(5));
+            }
+        });
+        Self { percent, thread: Some(thread) }
+    }
+
+    fn set_percent(&self, percent: u32) {
+        self.percent.store(percent, Ordering::Relaxed);
+    }
+}
+
+impl Drop for SimulatedAutopilot {
+    fn drop(&mut self) {
+        self.set_percent(STOP);
+        if let Some(thread) = self.thread.take() {
+            thread.join().expect("the autopilot has not panicked");
+        }
+    }
+}
+
+#[test]
+fn an_autopilot_is_heard_judged_and_missed() {
+    let address =
+        UdpSocket::bind("127.0.0.1:0").expect("a port").local_addr().expect("its address");
+    let source = format!("inertial.source=mavlink:udp:{address}");
+    let set: Vec<&str> = SMALL_FLIGHT.iter().copied().chain([source.as_str()]).collect();
+    let mut flight = Flight::start("autopilot", &[], &set);
+    let autopilot = SimulatedAutopilot::start(address.to_string());
+    flight.wait_for("samples come in HIGHRES_IMU");
+    flight.wait_for("the inertial sensor agrees with the picture");
+    // Its rates become ten times as large.
+    autopilot.set_percent(1000);
+    flight.wait_for("the inertial sensor disagrees with the picture");
+    drop(autopilot);
+    flight.wait_for("samples have stopped");
+    flight.signal(Signal::INT);
+    assert!(flight.wait().success(), "{}", flight.output());
+    flight.assert_nothing_left();
+}

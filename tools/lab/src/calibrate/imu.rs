@@ -1,0 +1,192 @@
+//! `flockeye calibrate imu`: how the inertial sensor lies to the camera, and how its clock goes.
+
+use std::ffi::OsString;
+use std::path::Path;
+use std::time::Duration;
+
+use anyhow::{Context, ensure};
+use clap::Args;
+use flockeye_cli::{Configuration, Screen, duration, signals};
+use flockeye_config::{InertialSource, Pipeline};
+use flockeye_geometry::inertial::{RateRecord, RateSample, SensorCalibration, TurnSeen, calibrate};
+use flockeye_record::{ImuRow, RotationRow, read};
+use serde_json::{Value, json};
+
+use crate::up_process;
+
+/// So long it is flown where the source does not end by itself.
+const USUAL_FLIGHT: Duration = Duration::from_secs(30);
+
+/// Arguments of `calibrate imu`.
+#[derive(Debug, Args)]
+pub struct CalibrateImuArguments {
+    /// Which configuration: the camera, the source, and the inertial sensor.
+    #[command(flatten)]
+    pub configuration: Configuration,
+    /// Compare for this long: 30s, 2m. A recording is compared to its end; all else for 30 s.
+    #[arg(long = "for", value_name = "DURATION", value_parser = duration)]
+    pub duration: Option<Duration>,
+    /// For a program.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Flies or plays with the sensor beside the picture, and prints its mounting and time offset.
+///
+/// # Errors
+/// No sensor is configured, `flockeye up` fails, or the flight does not tell: with what is missing.
+pub fn run(arguments: &CalibrateImuArguments) -> anyhow::Result<()> {
+    let pipeline = arguments.configuration.load()?;
+    ensure!(
+        pipeline.has_inertial_sensor(),
+        "there is no inertial sensor to calibrate. Cure: --set inertial.source=..., as in pipeline.yaml"
+    );
+    let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
+    let [rotations, samples] = ["rotations.csv", "imu.csv"].map(|name| folder.path().join(name));
+    let mut command: Vec<OsString> =
+        vec!["--rotations".into(), (&rotations).into(), "--imu".into(), (&samples).into()];
+    let (own, flight) = settings(&pipeline, arguments.duration);
+    if let Some(flight) = flight {
+        command.extend(["--for".into(), format!("{}ms", flight.as_millis()).into()]);
+    }
+    let mut configuration = arguments.configuration.clone();
+    configuration.set.extend(own);
+    command.extend(configuration.to_arguments(&[], &[]));
+    let stopping = signals::stop_flag()?;
+    match arguments.json {
+        true => drop(up_process::run_quietly("the flight with the sensor", &command, &stopping)?),
+        false => up_process::run_visibly(&command, &stopping)?,
+    }
+    let found = of_files(&rotations, &samples)?;
+    let mut screen = Screen::new();
+    match arguments.json {
+        true => screen.line(&serde_json::to_string_pretty(&as_json(&found))?),
+        false => screen.line(&text(&found)),
+    }
+    Ok(())
+}
+
+/// Settings of the run, and how long it takes at most. A recording is played without loss to its end, a
+/// simulated flight flown without loss, and whatever lives is compared for a while.
+fn settings(pipeline: &Pipeline, wanted: Option<Duration>) -> (Vec<String>, Option<Duration>) {
+    let is_recording = Path::new(&pipeline.source.input).exists();
+    let is_simulated = pipeline.source.input == "sim";
+    let ends = is_recording || (is_simulated && pipeline.simulator.frames > 0);
+    // An autopilot lives, whatever the pictures are.
+    let lives = matches!(pipeline.inertial.parsed_source(), Ok(InertialSource::Mavlink(_)));
+    let mut own = vec![
+        "gateway.enabled=false".to_owned(),
+        "inertial.used=false".to_owned(),
+        format!("instance=calibrate-{}", std::process::id()),
+    ];
+    if (is_recording || is_simulated) && !lives {
+        own.push("flow=lossless".to_owned());
+    }
+    (own, wanted.or((!ends).then_some(USUAL_FLIGHT)))
+}
+
+/// The calibration from the two recordings.
+fn of_files(rotations: &Path, samples: &Path) -> anyhow::Result<SensorCalibration> {
+    let rotations: Vec<RotationRow> = read(rotations)?;
+    let mut record = RateRecord::new(f64::INFINITY);
+    for row in read::<ImuRow>(samples)? {
+        record.push(RateSample { at_s: row.t_s, rate: row.rate });
+    }
+    let seen = rotations.iter().filter_map(|row| {
+        let turn = row.turn.as_ref()?;
+        let step_s = row.stamp_s - turn.earlier_s;
+        let turned = turn.later_from_earlier.inverse().scaled_axis();
+        (step_s > 0.0).then(|| TurnSeen {
+            earlier_s: turn.earlier_s,
+            later_s: row.stamp_s,
+            rate: turned / step_s,
+        })
+    });
+    Ok(calibrate(&seen.collect::<Vec<_>>(), &record)?)
+}
+
+fn as_json(found: &SensorCalibration) -> Value {
+    let degrees =
+        |radians: &nalgebra::Vector3<f64>| radians.map(f64::to_degrees).as_slice().to_vec();
+    json!({
+        "camera_from_sensor": found.camera_from_sensor.coords.as_slice(),
+        "time_offset_ms": found.time_offset_s * 1e3,
+        "bias_deg_s": degrees(&found.bias),
+        "mounting_deviation_deg": degrees(&found.mounting_deviation),
+        "offset_deviation_ms": found.offset_deviation_s * 1e3,
+        "residual_deg_s": found.residual.to_degrees(),
+        "comparisons": found.comparisons,
+    })
+}
+
+fn text(found: &SensorCalibration) -> String {
+    let [x, y, z, w] = found.camera_from_sensor.coords.into();
+    let (roll, pitch, yaw) = found.camera_from_sensor.euler_angles();
+    let [roll, pitch, yaw] = [roll, pitch, yaw].map(f64::to_degrees);
+    let deviation = found.mounting_deviation.map(f64::to_degrees);
+    let bias = found.bias.map(f64::to_degrees);
+    format!(
+        "{} comparisons of sensor and picture; {:.2} degrees/s are left between them\n\
+         mounting     roll {roll:.2}, pitch {pitch:.2}, yaw {yaw:.2} degrees, +- {:.2}, {:.2}, {:.2} about \
+         x, y, z\n\
+         time offset  {:.2} ms, +- {:.2}\n\
+         bias         {:.2}, {:.2}, {:.2} degrees/s; it is found anew in each flight\n\
+         for pipeline.yaml:\n\
+         inertial:\n  camera_from_sensor: [{x:.6}, {y:.6}, {z:.6}, {w:.6}]\n  time_offset_ms: {:.2}",
+        found.comparisons,
+        found.residual.to_degrees(),
+        deviation.x,
+        deviation.y,
+        deviation.z,
+        found.time_offset_s * 1e3,
+        found.offset_deviation_s * 1e3,
+        bias.x,
+        bias.y,
+        bias.z,
+        found.time_offset_s * 1e3,
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    fn pipeline(overrides: &[&str]) -> Pipeline {
+        let overrides: Vec<String> = overrides.iter().map(|&text| text.into()).collect();
+        Pipeline::parse("", &overrides, "x").unwrap()
+    }
+
+    #[test]
+    fn a_recording_is_played_to_its_end_and_all_else_for_a_while() {
+        let flight = |overrides: &[&str], wanted: Option<u64>| {
+            settings(&pipeline(overrides), wanted.map(Duration::from_secs)).1
+        };
+        assert_eq!(flight(&[], None), Some(USUAL_FLIGHT));
+        assert_eq!(flight(&[], Some(5)), Some(Duration::from_secs(5)));
+        assert_eq!(flight(&["simulator.frames=90"], None), None);
+        assert_eq!(flight(&["source.input=v4l2:/dev/no-such-camera"], None), Some(USUAL_FLIGHT));
+        let (own, flight) = settings(&pipeline(&["source.input=/dev/null"]), None);
+        assert!(own.contains(&"flow=lossless".to_owned()) && flight.is_none());
+    }
+
+    #[test]
+    fn what_is_printed_can_be_pasted() {
+        let found = SensorCalibration {
+            camera_from_sensor: nalgebra::UnitQuaternion::from_euler_angles(0.0, 0.0, 1.5),
+            time_offset_s: 0.0123,
+            bias: nalgebra::Vector3::new(0.01, 0.0, -0.01),
+            mounting_deviation: nalgebra::Vector3::repeat(0.002),
+            offset_deviation_s: 0.0004,
+            residual: 0.01,
+            comparisons: 800,
+        };
+        let printed = text(&found);
+        let yaml = printed.split_once("for pipeline.yaml:\n").unwrap().1;
+        let inertial = Pipeline::parse(yaml, &[], "x").unwrap().inertial;
+        assert_eq!(inertial.time_offset_ms, 12.3);
+        let pasted = nalgebra::Quaternion::from(inertial.camera_from_sensor);
+        assert!((pasted - found.camera_from_sensor.into_inner()).norm() < 1e-6);
+        assert_eq!(as_json(&found)["comparisons"], 800);
+    }
+}
