@@ -39,7 +39,7 @@ test: setup
 
 bench: setup $(if $(DORA),$(DORA_COMMAND) $(DORA_HOP))
 	cargo build --release --workspace --all-targets --locked
-	$(if $(DORA),FLOCKEYE_DORA=$(DORA_COMMAND) FLOCKEYE_DORA_HOP=$(DORA_HOP)) cargo bench --workspace --locked --bench rectify --bench corners --bench search --bench align --bench render --bench hop --bench pipeline --bench costs
+	$(if $(DORA),FLOCKEYE_DORA=$(DORA_COMMAND) FLOCKEYE_DORA_HOP=$(DORA_HOP)) cargo bench --workspace --locked --bench rectify --bench corners --bench search --bench align --bench render --bench hop --bench pipeline --bench costs --bench gyroscope
 	$(if $(RECORDING),$(MAKE) peers)
 
 # Later versions of OpenCV search several times as long.

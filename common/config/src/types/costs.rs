@@ -57,7 +57,7 @@ impl Default for Costs {
         Self {
             processors: 1.3,
             source_ms: 20.0,
-            egomotion_ms: 4.0,
+            egomotion_ms: 2.2,
             cut_ms_per_megapixel: 2.5,
             window_ms_per_megapixel: 4.0,
             direct_pass_ms: 3.5,

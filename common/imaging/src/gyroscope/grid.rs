@@ -17,6 +17,10 @@ const SAMPLES: usize = 4;
 /// Blocks of at least so many rows are averaged over every other one.
 const MANY_ROWS: usize = 8;
 
+/// Nothing below this latitude is averaged, degrees: points are taken from above 40 degrees below the horizon
+/// ([`super::points`]), and turn by less than the rest between two frames.
+const LOWEST_DEG: f64 = -65.0;
+
 /// One level: code values by row from the zenith down and by column, as in an equirectangular image.
 #[derive(Debug, Clone)]
 pub struct Level {
@@ -121,6 +125,8 @@ pub const CELL_COLUMNS: usize = 48;
 pub struct Place {
     /// Its direction in the camera's frame.
     pub direction: Vector3<f32>,
+    /// Cosine of its latitude.
+    pub cos_latitude: f32,
     /// The number of its cell.
     pub cell: usize,
 }
@@ -132,7 +138,11 @@ impl Place {
         let rows = CELL_COLUMNS / 2;
         let share = 0.5 - ray.z.clamp(-1.0, 1.0).asin() / std::f64::consts::PI;
         let row = ((share * rows as f64) as usize).min(rows - 1);
-        Self { direction: ray.cast::<f32>().into_inner(), cell: row * CELL_COLUMNS + column }
+        Self {
+            direction: ray.cast::<f32>().into_inner(),
+            cos_latitude: ray.x.hypot(ray.y) as f32,
+            cell: row * CELL_COLUMNS + column,
+        }
     }
 }
 
@@ -216,24 +226,101 @@ fn samples(camera: &Camera, pixel: usize) -> [(u32, u32); SAMPLES * SAMPLES] {
     })
 }
 
-/// Averages blocks of `side` x `side` pixels, of which every other row is enough where there are many.
+/// Averages blocks of `side` x `side` pixels, of which every other row is enough where there are many. Rows
+/// below [`LOWEST_DEG`] are not read: they are as the last one above.
 fn averaged(frame: &SphereImage<'_>, side: usize) -> Vec<f32> {
     let (pixels, stride) = (frame.pixels(), frame.stride());
     let width = COLUMNS * side;
     let step = if side >= MANY_ROWS { 2 } else { 1 };
     let scale = 1.0 / (side * side.div_ceil(step)) as f32;
-    let mut sums = vec![0u16; width];
+    let rows_of = |block: usize| {
+        let rows = (block * side..(block + 1) * side).step_by(step);
+        rows.map(|row| &pixels[row * stride..row * stride + width])
+    };
     let mut values = Vec::with_capacity(COLUMNS * COLUMNS / 2);
-    for block in 0..COLUMNS / 2 {
-        sums.fill(0);
-        for row in (block * side..(block + 1) * side).step_by(step) {
-            let row = &pixels[row * stride..row * stride + width];
-            for (sum, &value) in sums.iter_mut().zip(row) {
-                *sum += u16::from(value);
-            }
+    let (rows, read) = (COLUMNS / 2, rows_read());
+    if side.is_multiple_of(EIGHT) && side.div_ceil(step) <= MOST_ROWS {
+        let mut sums = vec![0u64; width / EIGHT];
+        for block in 0..read {
+            sums.fill(0);
+            rows_of(block).for_each(|row| add_eights(&mut sums, row));
+            let of = |sums: &[u64]| sums.iter().map(|&sum| sum_of_lanes(sum)).sum::<u64>() as f32;
+            values.extend(sums.chunks_exact(side / EIGHT).map(|sums| of(sums) * scale));
         }
-        let of = |sums: &[u16]| sums.iter().map(|&sum| u32::from(sum)).sum::<u32>() as f32;
-        values.extend(sums.chunks_exact(side).map(|sums| of(sums) * scale));
+    } else {
+        let mut sums = vec![0u16; width];
+        for block in 0..read {
+            sums.fill(0);
+            for row in rows_of(block) {
+                for (sum, &value) in sums.iter_mut().zip(row) {
+                    *sum += u16::from(value);
+                }
+            }
+            let of = |sums: &[u16]| sums.iter().map(|&sum| u32::from(sum)).sum::<u32>() as f32;
+            values.extend(sums.chunks_exact(side).map(|sums| of(sums) * scale));
+        }
+    }
+    for row in read..rows {
+        values.extend_from_within((row - 1) * COLUMNS..row * COLUMNS);
     }
     values
+}
+
+/// Rows of the finest level that are averaged.
+pub(super) fn rows_read() -> usize {
+    ((COLUMNS / 2) as f64 * (90.0 - LOWEST_DEG) / 180.0).ceil() as usize
+}
+
+/// Pixels that are summed in one word.
+const EIGHT: usize = 8;
+/// Rows that may be added to a word before a lane, or the sum of the four, exceeds 16 bits.
+const MOST_ROWS: usize = 32;
+/// Every other byte of a word.
+const EVERY_OTHER: u64 = 0x00ff_00ff_00ff_00ff;
+
+/// Adds each eight pixels of a row to a word of four lanes of 16 bits.
+fn add_eights(sums: &mut [u64], row: &[u8]) {
+    let (eights, _) = row.as_chunks::<EIGHT>();
+    for (sum, eight) in sums.iter_mut().zip(eights) {
+        let pixels = u64::from_le_bytes(*eight);
+        *sum += (pixels & EVERY_OTHER) + ((pixels >> 8) & EVERY_OTHER);
+    }
+}
+
+/// The sum of the four lanes: multiplied by 1 in each lane, it is in the highest.
+fn sum_of_lanes(word: u64) -> u64 {
+    word.wrapping_mul(0x0001_0001_0001_0001) >> 48
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn words_of_eight_pixels_give_the_plain_average() {
+        for side in [2, 4, 8, 16] {
+            let width = (COLUMNS * side) as u32;
+            let camera = Camera::equirectangular(width, width / 2);
+            let mut state = 1u32;
+            let pixels: Vec<u8> = (0..width * width / 2)
+                .map(|k| {
+                    state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                    // The brightest block must not overflow a lane.
+                    if k % width < 2 * side as u32 { 255 } else { (state >> 24) as u8 }
+                })
+                .collect();
+            let frame = SphereImage::new(&pixels, width as usize, camera).unwrap();
+            let found = averaged(&frame, side);
+            let step = if side >= MANY_ROWS { 2 } else { 1 };
+            for (pixel, found) in found.iter().enumerate().take(COLUMNS * COLUMNS / 4) {
+                let (row, column) = (pixel / COLUMNS * side, pixel % COLUMNS * side);
+                let rows: Vec<usize> = (row..row + side).step_by(step).collect();
+                let at = |row: &usize| &pixels[row * width as usize + column..][..side];
+                let sum: u32 = rows.iter().flat_map(at).map(|&value| u32::from(value)).sum();
+                let wanted = sum as f32 / (rows.len() * side) as f32;
+                assert!((found - wanted).abs() < 1e-3, "{found} is not {wanted} at {pixel}");
+            }
+        }
+    }
 }

@@ -32,7 +32,7 @@ use nalgebra::{Matrix3, UnitQuaternion};
 use self::grid::{Pyramid, Sampler};
 use self::own_airframe::OwnAirframe;
 use self::points::{MIN_POINTS, Points};
-use self::solve::RotationFit;
+use self::solve::{RotationFit, Start};
 use crate::sphere::SphereImage;
 
 /// A rotation that is less certain than this says nothing, radians (half a degree).
@@ -82,7 +82,7 @@ impl Gyroscope {
         // A frame without texture agrees with any other, but for the brightness.
         let is_plain = points.iter().all(|points| points.all.len() < MIN_POINTS);
         let found = self.earlier.as_ref().filter(|_| !is_plain).and_then(|(_, points)| {
-            let start = expected.unwrap_or(self.last);
+            let start = Start { expected, last: self.last };
             let fit = solve::rotation(points, &pyramid, &start, &self.airframe)?;
             let is_certain = fit.covariance.symmetric_eigenvalues().max() < MAX_SIGMA_RAD.powi(2);
             is_certain.then_some(fit)

@@ -38,6 +38,7 @@ impl NormalEquations {
     }
 
     /// Adds a point's row, weighted.
+    #[inline(always)]
     pub fn add(&mut self, row: &[f32; UNKNOWNS], residual: f32, weight: f32) {
         for (sums, &own) in self.partial_normal.iter_mut().zip(row) {
             let weighted = weight * own;

@@ -2,12 +2,13 @@
 
 use nalgebra::Vector3;
 
-use super::grid::{Level, Place, Sampler};
+use super::grid::{COLUMNS, Level, Place, Sampler};
 
 /// A frame with fewer points at each level says nothing.
 pub const MIN_POINTS: usize = 60;
-/// One point is taken of each block of so many pixels, the one with the strongest gradient.
-const BLOCK: usize = 4;
+/// One point is taken of each block of so many pixels along a side, the one with the strongest gradient: on the
+/// finest level, and on the others.
+const BLOCKS: [usize; 2] = [6, 4];
 /// Weaker gradients say nothing beside noise and compression, code values per pixel.
 const MIN_GRADIENT: f32 = 1.5;
 /// Columns are too narrow beyond this latitude, as a sine.
@@ -26,6 +27,8 @@ pub struct Point {
     pub value: f32,
     /// Its direction in the camera's frame.
     pub direction: Vector3<f32>,
+    /// Cosine of its latitude.
+    pub cos_latitude: f32,
     /// The cell that it is in.
     pub cell: usize,
     /// How the value changes with the direction, code values per radian, across the direction.
@@ -42,24 +45,44 @@ pub struct Points {
 impl Points {
     /// The points of a level that the camera sees.
     pub fn of(level: &Level, sampler: &Sampler) -> Self {
+        const { assert!(COLUMNS.is_multiple_of(BLOCKS[0]) && (COLUMNS / 4).is_multiple_of(BLOCKS[1])) };
+        match level.columns() {
+            COLUMNS => Self::of_blocks::<{ BLOCKS[0] }>(level, sampler),
+            _ => Self::of_blocks::<{ BLOCKS[1] }>(level, sampler),
+        }
+    }
+
+    fn of_blocks<const BLOCK: usize>(level: &Level, sampler: &Sampler) -> Self {
         let (columns, rows) = (level.columns(), level.rows());
         let mut all = Vec::with_capacity(columns * rows / (BLOCK * BLOCK));
         let mut squared = vec![0.0; BLOCK * columns];
-        for top in (1..rows - BLOCK).step_by(BLOCK) {
+        // The strongest of the rows of a block, for each column.
+        let mut strongest = vec![0.0f32; columns];
+        let sin_latitude = |row: usize| {
+            ((0.5 - (row as f64 + 0.5) / rows as f64) * std::f64::consts::PI).sin() as f32
+        };
+        let is_used = |top: &usize| {
+            sin_latitude(*top) >= MIN_SIN_LATITUDE
+                && sin_latitude(top + BLOCK - 1) <= MAX_SIN_LATITUDE
+        };
+        for top in (1..rows - BLOCK).step_by(BLOCK).filter(is_used) {
+            strongest.fill(0.0);
             for (row, squared) in (top..).zip(squared.chunks_exact_mut(columns)) {
                 squared_gradients(level, row, squared);
-            }
-            for left in (0..columns + 1 - BLOCK).step_by(BLOCK) {
-                let mut best = (MIN_GRADIENT.powi(2), None);
-                for row in 0..BLOCK {
-                    let start = row * columns + left;
-                    for (column, &squared) in (left..).zip(&squared[start..start + BLOCK]) {
-                        if squared > best.0 {
-                            best = (squared, Some((top + row, column)));
-                        }
-                    }
+                for (strongest, &squared) in strongest.iter_mut().zip(&*squared) {
+                    *strongest = strongest.max(squared);
                 }
-                all.extend(best.1.and_then(|(row, column)| point(level, sampler, row, column)));
+            }
+            let (blocks, _) = strongest.as_chunks::<BLOCK>();
+            for (left, block) in (0..).step_by(BLOCK).zip(blocks) {
+                let best = block.iter().copied().fold(0.0, f32::max);
+                if best <= MIN_GRADIENT.powi(2) {
+                    continue;
+                }
+                let column = left + block.iter().position(|&squared| squared == best).unwrap_or(0);
+                let is_best = |row: &usize| squared[row * columns + column] == best;
+                let row = top + (0..BLOCK).find(is_best).unwrap_or(0);
+                all.extend(point(level, sampler, row, column));
             }
         }
         Self { all }
@@ -84,7 +107,7 @@ fn squared_gradients(level: &Level, row: usize, squared: &mut [f32]) {
 fn point(level: &Level, sampler: &Sampler, row: usize, column: usize) -> Option<Point> {
     let columns = level.columns();
     let pixel = row * columns + column;
-    let Place { direction: d, cell } = sampler.place(columns, pixel)?;
+    let Place { direction: d, cos_latitude, cell } = sampler.place(columns, pixel)?;
     if d.z.abs() > MAX_SIN_LATITUDE || d.z < MIN_SIN_LATITUDE {
         return None;
     }
@@ -94,10 +117,9 @@ fn point(level: &Level, sampler: &Sampler, row: usize, column: usize) -> Option<
     let across = 0.5 * (right - left);
     let down = 0.5 * (level.row(row + 1)[column] - level.row(row - 1)[column]);
     let per_radian = 1.0 / level.pixel_rad() as f32;
-    let cos_latitude = d.x.hypot(d.y);
     // Columns count against the longitude, rows against the latitude.
     let east = Vector3::new(-d.y, d.x, 0.0) / cos_latitude;
     let north = d.cross(&east);
     let gradient = (east * (-across / cos_latitude) - north * down) * per_radian;
-    Some(Point { pixel, value: here[column], direction: d, cell, gradient })
+    Some(Point { pixel, value: here[column], direction: d, cos_latitude, cell, gradient })
 }

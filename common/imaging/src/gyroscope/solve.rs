@@ -7,8 +7,13 @@ use super::normal_equations::{Gradient, NormalEquations, UNKNOWNS};
 use super::own_airframe::OwnAirframe;
 use super::points::{MIN_POINTS, Point, Points};
 
-/// Steps at each level, the finest first.
+/// Steps at each level, the finest first, where nothing says how the camera turned.
 const STEPS: [usize; 3] = [3, 3, 5];
+/// Where it is expected to within some tenths of a degree, coarse levels have little to say.
+const EXPECTED_STEPS: [usize; 3] = [2, 2, 0];
+/// The last rotation is a better start than the expected one if residuals are smaller by so much on the
+/// coarsest level: a clock that jumps expects too much.
+const BETTER: f32 = 0.8;
 /// A shorter step ends a level, radians.
 const SHORT_RAD: f64 = 2e-5;
 /// The scale of the residuals is at least this, code values: quantization.
@@ -47,23 +52,35 @@ struct Warp {
     gain: f32,
 }
 
+/// Where a rotation is looked for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Start {
+    /// What something else expects.
+    pub expected: Option<UnitQuaternion<f64>>,
+    /// The rotation before.
+    pub last: UnitQuaternion<f64>,
+}
+
 /// The rotation from the points of an earlier frame to a later frame. `None` where there is too little
 /// texture.
 pub fn rotation(
     points: &[Points],
     later: &Pyramid,
-    start: &UnitQuaternion<f64>,
+    start: &Start,
     airframe: &OwnAirframe,
 ) -> Option<RotationFit> {
-    let translation = Vector3::zeros();
-    let mut warp = Warp { rotation: *start, translation, offset: 0.0, gain: 1.0 };
-    let levels = points.iter().zip(later.levels()).zip(STEPS);
+    let (start, steps) = match start.expected {
+        Some(expected) if is_as_expected(points, later, &expected, &start.last, airframe) => {
+            (expected, EXPECTED_STEPS)
+        }
+        _ => (start.last, STEPS),
+    };
+    let mut warp = Warp::of(start);
+    let levels = points.iter().zip(later.levels()).zip(steps);
     let mut last = None;
     for ((points, level), steps) in levels.rev() {
-        let counted: Vec<usize> = (0..points.all.len())
-            .filter(|&index| !airframe.is_at(points.all[index].cell))
-            .collect();
-        if counted.len() < MIN_POINTS {
+        let counted = counted_of(points, airframe);
+        if steps == 0 || counted.len() < MIN_POINTS {
             continue;
         }
         for _ in 0..steps {
@@ -85,7 +102,36 @@ pub fn rotation(
     Some(RotationFit { rotation: warp.rotation, covariance, points: counted.len(), residuals })
 }
 
+/// The points of a level that do not show the drone itself.
+fn counted_of(points: &Points, airframe: &OwnAirframe) -> Vec<usize> {
+    (0..points.all.len()).filter(|&index| !airframe.is_at(points.all[index].cell)).collect()
+}
+
+/// Whether the coarsest level agrees with the expected rotation about as well as with the last one, or
+/// better.
+fn is_as_expected(
+    points: &[Points],
+    later: &Pyramid,
+    expected: &UnitQuaternion<f64>,
+    last: &UnitQuaternion<f64>,
+    airframe: &OwnAirframe,
+) -> bool {
+    let (Some(points), Some(level)) = (points.last(), later.levels().last()) else { return true };
+    let counted = counted_of(points, airframe);
+    if counted.len() < MIN_POINTS {
+        return true;
+    }
+    let scale = |start: &UnitQuaternion<f64>| {
+        scale_of(&residuals(&points.all, &counted, level, &Warp::of(*start)))
+    };
+    scale(last) > BETTER * scale(expected)
+}
+
 impl Warp {
+    fn of(rotation: UnitQuaternion<f64>) -> Self {
+        Self { rotation, translation: Vector3::zeros(), offset: 0.0, gain: 1.0 }
+    }
+
     /// The warp after a step, which moves the earlier frame's points by the inverse.
     fn after(&self, unknowns: &Gradient) -> Self {
         let turn = Vector3::new(unknowns[0], unknowns[1], unknowns[2]);
@@ -102,25 +148,71 @@ impl Warp {
 
 /// Later less earlier values of the counted points.
 fn residuals(points: &[Point], counted: &[usize], level: &Level, warp: &Warp) -> Vec<f32> {
+    #[cfg(target_arch = "x86_64")]
+    if std::arch::is_x86_feature_detected!("avx2") {
+        // SAFETY: the line above checked that the processor has AVX2.
+        return unsafe { residuals_avx2(points, counted, level, warp) };
+    }
+    residuals_plain(points, counted, level, warp)
+}
+
+/// The same code and the same values to the last bit, compiled for AVX2.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn residuals_avx2(points: &[Point], counted: &[usize], level: &Level, warp: &Warp) -> Vec<f32> {
+    residuals_plain(points, counted, level, warp)
+}
+
+/// Points whose places are worked out together, so that the compiler can vectorize it.
+const LANES: usize = 8;
+
+#[inline(always)]
+fn residuals_plain(points: &[Point], counted: &[usize], level: &Level, warp: &Warp) -> Vec<f32> {
     let turn = warp.rotation.to_rotation_matrix().into_inner().cast::<f32>();
     let translation = warp.translation.cast::<f32>();
-    let (columns, rows) = (level.columns() as f32, level.rows() as f32);
-    counted
-        .iter()
-        .map(|&index| {
+    let mut residuals = Vec::with_capacity(counted.len());
+    for counted in counted.chunks(LANES) {
+        let mut directions = [[0.0; LANES]; 3];
+        for (lane, &index) in counted.iter().enumerate() {
+            let from = points[index].direction + translation;
+            directions[0][lane] = from.x;
+            directions[1][lane] = from.y;
+            directions[2][lane] = from.z;
+        }
+        let (columns, rows) = places(&directions, &turn, level);
+        for (lane, &index) in counted.iter().enumerate() {
             let point = &points[index];
-            let there = turn * (point.direction + translation);
-            let longitude = angle(there.y, there.x);
-            let latitude = angle(there.z, (there.x * there.x + there.y * there.y).sqrt());
-            let column = (0.5 - longitude / std::f32::consts::TAU) * columns - 0.5;
-            let row = (0.5 - latitude / std::f32::consts::PI) * rows - 0.5;
-            level.sample(column, row) - (warp.gain * point.value + warp.offset)
-        })
-        .collect()
+            let expected = warp.gain * point.value + warp.offset;
+            residuals.push(level.sample(columns[lane], rows[lane]) - expected);
+        }
+    }
+    residuals
+}
+
+/// Columns and rows of a level at which directions, turned, are seen.
+#[inline(always)]
+fn places(
+    directions: &[[f32; LANES]; 3],
+    turn: &Matrix3<f32>,
+    level: &Level,
+) -> ([f32; LANES], [f32; LANES]) {
+    let (width, height) = (level.columns() as f32, level.rows() as f32);
+    let (mut columns, mut rows) = ([0.0; LANES], [0.0; LANES]);
+    for lane in 0..LANES {
+        let [x, y, z] = [0, 1, 2].map(|axis| directions[axis][lane]);
+        let there =
+            [0, 1, 2].map(|row| turn[(row, 0)] * x + turn[(row, 1)] * y + turn[(row, 2)] * z);
+        let longitude = angle(there[1], there[0]);
+        let latitude = angle(there[2], (there[0] * there[0] + there[1] * there[1]).sqrt());
+        columns[lane] = (0.5 - longitude / std::f32::consts::TAU) * width - 0.5;
+        rows[lane] = (0.5 - latitude / std::f32::consts::PI) * height - 0.5;
+    }
+    (columns, rows)
 }
 
 /// The angle of a vector in the plane, within 2e-5 radians, which are a thousandth of a pixel: a
 /// polynomial of the arc tangent from 0 to 1. It is needed twice for each point and step.
+#[inline(always)]
 fn angle(y: f32, x: f32) -> f32 {
     let (wide, high) = (x.abs(), y.abs());
     let t = wide.min(high) / wide.max(high).max(1e-20);
@@ -135,23 +227,27 @@ fn angle(y: f32, x: f32) -> f32 {
 }
 
 /// How the value of a point changes with the unknowns.
+#[inline(always)]
 fn row(point: &Point) -> [f32; UNKNOWNS] {
     let turn = point.direction.cross(&point.gradient);
     let g = point.gradient;
     [turn.x, turn.y, turn.z, g.x, g.y, g.z, 1.0, point.value]
 }
 
+/// The scale of residuals, from their median. A thousand of them say it well enough.
 fn scale_of(residuals: &[f32]) -> f32 {
-    let mut sizes: Vec<f32> = residuals.iter().map(|residual| residual.abs()).collect();
+    let every = residuals.len().div_ceil(1024).max(1);
+    let mut sizes: Vec<f32> =
+        residuals.iter().step_by(every).map(|residual| residual.abs()).collect();
     let middle = sizes.len() / 2;
     let (_, median, _) = sizes.select_nth_unstable_by(middle, f32::total_cmp);
     (1.4826 * *median).max(MIN_SCALE)
 }
 
 /// Points near the poles stand for less of the sphere.
+#[inline(always)]
 fn weight(point: &Point, residual: f32, scale: f32) -> f32 {
-    let cos_latitude = point.direction.x.hypot(point.direction.y);
-    cos_latitude / (1.0 + (residual / (CAUCHY * scale)).powi(2))
+    point.cos_latitude / (1.0 + (residual / (CAUCHY * scale)).powi(2))
 }
 
 /// A step of the unknowns, and the inverse normal matrix.
@@ -160,13 +256,30 @@ fn step(
     counted: &[usize],
     residuals: &[f32],
 ) -> Option<(Gradient, nalgebra::SMatrix<f64, UNKNOWNS, UNKNOWNS>)> {
+    #[cfg(target_arch = "x86_64")]
+    if std::arch::is_x86_feature_detected!("avx2") {
+        // SAFETY: the line above checked that the processor has AVX2.
+        return unsafe { sum_avx2(points, counted, residuals) }.solve();
+    }
+    sum_plain(points, counted, residuals).solve()
+}
+
+/// The same code and the same sums to the last bit, compiled for AVX2.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn sum_avx2(points: &[Point], counted: &[usize], residuals: &[f32]) -> NormalEquations {
+    sum_plain(points, counted, residuals)
+}
+
+#[inline(always)]
+fn sum_plain(points: &[Point], counted: &[usize], residuals: &[f32]) -> NormalEquations {
     let scale = scale_of(residuals);
     let mut equations = NormalEquations::new();
     for (&index, &residual) in counted.iter().zip(residuals) {
         let point = &points[index];
         equations.add(&row(point), residual, weight(point, residual, scale));
     }
-    equations.solve()
+    equations
 }
 
 /// The covariance of the rotation from how the sums of sectors scatter.
