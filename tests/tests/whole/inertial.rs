@@ -22,6 +22,7 @@ const FRAMES: u64 = 75;
 const GUSTS: &[&str] = &[
     "camera.width=1280",
     "camera.height=640",
+    "simulator.distance_m=[0.9, 1.2]",
     "simulator.frames=75",
     "simulator.tilt_deg=12",
     "simulator.yaw_swing_deg_s=40",
