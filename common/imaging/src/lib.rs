@@ -8,6 +8,7 @@
 //! | [`edges`] | where exactly the corners of a marker are |
 //! | [`align`] | which pose of a whole body explains a view best, and whether the body is there |
 //! | [`gyroscope`] | how the camera has turned between two frames |
+//! | [`proposals`] | where a neighbour may be: places that look like markers |
 //! | [`sphere`] | how a view is cut from a spherical image |
 //!
 //! ```
@@ -41,5 +42,6 @@ mod gaussian;
 pub mod gyroscope;
 pub mod image;
 pub mod light;
+pub mod proposals;
 pub mod sphere;
 pub mod square;

@@ -1,0 +1,110 @@
+//! Where a neighbour may be: places of the whole sphere that look like a body with markers.
+//!
+//! It is a fast look at the whole picture. What it proposes is cut and read as any other view; what it
+//! misses the tiles find. `docs/SCHEDULING.md` says what its constants were read from.
+//!
+//! 1. The picture is reduced to half its resolution, in bands of latitude ([`bands`]).
+//! 2. Runs of pixels that are darker than their surroundings ([`dark`]) are joined to regions
+//!    ([`regions`]).
+//! 3. Regions as large as a marker, with a brighter surround on each side, are squares ([`squares`]).
+//! 4. Squares that lie as near to each other as those of a body make a proposal ([`clusters`]).
+
+mod bands;
+mod clusters;
+mod dark;
+mod regions;
+mod squares;
+#[cfg(test)]
+mod tests;
+
+use flockeye_geometry::Ray;
+use flockeye_geometry::camera::CameraModel;
+
+use crate::sphere::SphereImage;
+use bands::{Grey, Reduction};
+use dark::Dark;
+use regions::Regions;
+use squares::Square;
+
+/// By how many code values a marker's pixels are darker than the mean of their surroundings.
+const DARKER_BY: u8 = 5;
+
+/// What is searched for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MarkerSizes {
+    /// Apparent side of the smallest marker at the farthest distance, radians.
+    pub least_rad: f64,
+    /// Apparent side of the largest marker at the nearest distance, radians.
+    pub most_rad: f64,
+    /// Radius of a body, as a multiple of its markers' side.
+    pub radius_in_sides: f64,
+}
+
+/// A place that looks like a body.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Proposal {
+    /// Where it is, in the camera frame.
+    pub direction_in_camera: Ray,
+    /// Apparent side of its markers, radians.
+    pub side_rad: f64,
+    /// How much it looks like a body: a logarithm, higher is better.
+    pub score: f64,
+}
+
+/// Finds places that look like bodies; reuses its memory for the next picture.
+#[derive(Debug, Default)]
+pub struct Proposer {
+    rows: [Vec<u8>; 2],
+    grey: Grey,
+    dark: Dark,
+    regions: Regions,
+    squares: Vec<Square>,
+}
+
+impl Proposer {
+    /// Places of `image` that look like bodies with markers of these sizes: the best first, at most
+    /// `most`. None in a picture that is not equirectangular.
+    pub fn propose(
+        &mut self,
+        image: &SphereImage<'_>,
+        sizes: &MarkerSizes,
+        most: usize,
+    ) -> Vec<Proposal> {
+        if !matches!(image.camera().model(), CameraModel::Equirectangular { .. }) {
+            return Vec::new();
+        }
+        self.find(image, sizes);
+        clusters::cluster(&mut self.squares, sizes, most)
+    }
+
+    fn find(&mut self, image: &SphereImage<'_>, sizes: &MarkerSizes) {
+        #[cfg(target_arch = "x86_64")]
+        if std::arch::is_x86_feature_detected!("avx2") {
+            // SAFETY: the line above has checked that the processor has AVX2.
+            unsafe { self.find_avx2(image, sizes) };
+            return;
+        }
+        self.find_squares(image, sizes);
+    }
+
+    /// The same code, compiled for registers with twice as many pixels.
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn find_avx2(&mut self, image: &SphereImage<'_>, sizes: &MarkerSizes) {
+        self.find_squares(image, sizes);
+    }
+
+    #[inline(always)]
+    fn find_squares(&mut self, image: &SphereImage<'_>, sizes: &MarkerSizes) {
+        self.squares.clear();
+        let camera = image.camera();
+        let reduction = Reduction::new(camera.width() as usize, camera.height() as usize);
+        for band in reduction.bands() {
+            reduction.reduce(&band, image, &mut self.rows, &mut self.grey);
+            self.regions.clear();
+            self.dark.runs(&self.grey, DARKER_BY, |row, runs| self.regions.add(row, runs));
+            let look = squares::Look { image, reduction, band: &band, grey: &self.grey, sizes };
+            self.squares.extend(self.regions.iter().filter_map(|region| look.square(region)));
+        }
+    }
+}
