@@ -121,6 +121,9 @@ codes! {
         Gaze = 1,
         /// A high-resolution tile: one of the finer tiles that show neighbours at long range.
         HighResolution = 2,
+        /// A proposal: a small view of a place that looks like a body. A plan asks for it, rectification
+        /// finds the place.
+        Proposal = 3,
     }
 }
 

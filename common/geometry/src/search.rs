@@ -15,7 +15,7 @@ pub use gaze::{GazeOptions, PredictedNeighbour, gaze_view};
 pub use searched::Searched;
 pub use sweep::least_recently_searched;
 
-use nalgebra::Vector3;
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use crate::mask::Mask;
 use crate::partition::Partition;
@@ -55,6 +55,8 @@ pub enum Purpose {
     HighResolution(usize),
     /// To follow this target, by the index of its body.
     Gaze(usize),
+    /// To look at a place that looks like a body. Whoever has the picture chooses the place.
+    Proposal,
 }
 
 /// How a view is searched for markers.
@@ -134,7 +136,25 @@ pub struct Planner {
     mask: Option<Mask>,
     gaze: GazeOptions,
     alternates_windows: bool,
+    proposals: Proposals,
 }
+
+/// Views of places that look like bodies.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+struct Proposals {
+    /// How many targets there are.
+    targets: usize,
+    /// Views in a frame while one of them is not tracked.
+    views: usize,
+}
+
+/// A view in a plan for which no place is known yet. It is cut like this where none is found, at no cost
+/// worth counting.
+const UNPLACED: View = View {
+    camera_from_view: UnitQuaternion::new_unchecked(Quaternion::new(1.0, 0.0, 0.0, 0.0)),
+    focal_px: 16.0,
+    size_px: 16,
+};
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Tile {
@@ -201,6 +221,7 @@ impl Planner {
             mask: None,
             gaze,
             alternates_windows: false,
+            proposals: Proposals::default(),
         })
     }
 
@@ -228,6 +249,12 @@ impl Planner {
     /// often. Most markers are found with either window, the others at the next visit.
     pub fn with_alternating_windows(self, alternates_windows: bool) -> Self {
         Self { alternates_windows, ..self }
+    }
+
+    /// In the mode [`SearchMode::Gaze`], asks for `views` proposals in each frame while one of `targets`
+    /// targets is not tracked.
+    pub fn with_proposals(self, targets: usize, views: usize) -> Self {
+        Self { proposals: Proposals { targets, views }, ..self }
     }
 
     /// A record of searches with room for this planner's tiles, in which nothing was searched yet.
@@ -265,7 +292,7 @@ impl Planner {
     }
 
     /// One region of interest for each neighbour, least recently searched first (ties by the
-    /// neighbours' own order). Then the tiles of both resolutions in turn, least recently searched
+    /// neighbours' own order). Then the proposals, where a target is not tracked. Then the tiles of both resolutions in turn, least recently searched
     /// first.
     ///
     /// Where there are more than [`GazeOptions::views_before_partition`] neighbours, the first tile
@@ -282,11 +309,28 @@ impl Planner {
         let order =
             least_recently_searched(searched, visible(&self.tiles), visible(&self.high_resolution));
         let tiles = self.tile_views(searched, &order);
-        let view_budget = gazes.len() + self.gaze.partitions_per_frame.min(tiles.len());
+        let proposals = match self.proposals {
+            Proposals { targets, views } if neighbours.len() < targets => views,
+            _ => 0,
+        };
+        let view_budget = gazes.len() + proposals + self.gaze.partitions_per_frame.min(tiles.len());
+        let proposal = PlannedView {
+            view: UNPLACED,
+            purpose: Purpose::Proposal,
+            search: Search::Nothing,
+            rate_in_camera: Vector3::zeros(),
+        };
         let mut views = gazes;
-        let early = views.len().min(self.gaze.views_before_partition);
         let (first, others) = tiles.split_at(tiles.len().min(1));
-        views.splice(early..early, first.iter().copied());
+        let is_crowded = views.len() > self.gaze.views_before_partition;
+        if is_crowded {
+            let early = self.gaze.views_before_partition;
+            views.splice(early..early, first.iter().copied());
+        }
+        views.extend(std::iter::repeat_n(proposal, proposals));
+        if !is_crowded {
+            views.extend_from_slice(first);
+        }
         views.extend_from_slice(others);
         Plan { views, stop_rule: StopRule::Deadline, view_budget }
     }
@@ -297,7 +341,7 @@ impl Planner {
             let tile = match *purpose {
                 Purpose::Partition(index) => self.tiles.get(index)?,
                 Purpose::HighResolution(index) => self.high_resolution.get(index)?,
-                Purpose::Gaze(_) => return None,
+                Purpose::Gaze(_) | Purpose::Proposal => return None,
             };
             (!tile.is_hidden).then(|| PlannedView {
                 view: tile.view,

@@ -132,7 +132,7 @@ impl Sweep {
                 let parts = match ViewKind::try_from(kind).ok()? {
                     ViewKind::Partition => &mut self.partitions,
                     ViewKind::HighResolution => &mut self.high_resolution,
-                    ViewKind::Gaze => return None,
+                    ViewKind::Gaze | ViewKind::Proposal => return None,
                 };
                 parts.get_mut(tile as usize)?.as_mut()
             })

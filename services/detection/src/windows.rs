@@ -41,7 +41,7 @@ pub fn thresholds(
 ) -> impl Iterator<Item = Threshold> + Clone {
     let windows = match kind {
         ViewKind::Partition | ViewKind::HighResolution => TILE_WINDOWS,
-        ViewKind::Gaze => REGION_WINDOWS,
+        ViewKind::Gaze | ViewKind::Proposal => REGION_WINDOWS,
     };
     let chosen = match search {
         Search::AllWindows => windows,

@@ -284,10 +284,11 @@ fn planned_view(
         Purpose::Partition(tile) => (ViewKind::Partition, tile as u32, NONE),
         Purpose::HighResolution(tile) => (ViewKind::HighResolution, tile as u32, NONE),
         Purpose::Gaze(target) => (ViewKind::Gaze, NONE, target as u32),
+        Purpose::Proposal => (ViewKind::Proposal, NONE, NONE),
     };
     let prediction = match planned.purpose {
         Purpose::Gaze(target) => predictions.get(&target),
-        Purpose::Partition(_) | Purpose::HighResolution(_) => None,
+        Purpose::Partition(_) | Purpose::HighResolution(_) | Purpose::Proposal => None,
     };
     contract::PlannedView {
         camera_from_view: xyzw(&planned.view.camera_from_view),

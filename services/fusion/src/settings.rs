@@ -51,6 +51,7 @@ pub fn configured<P: Pixels>(
     )?
     .with_high_resolution_tiles(resolved.high_resolution_tiles.clone())
     .with_alternating_windows(pipeline.alternates_windows())
+    .with_proposals(bodies.len(), pipeline.search.proposals as usize)
     .with_mask(resolved.mask()?.clone());
     if planner.hidden_partitions() > 0 {
         tracing::info!(

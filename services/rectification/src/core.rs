@@ -273,6 +273,9 @@ impl<F> Core<F> {
         let (header, pixels) = self.waiting.take()?;
         self.clock.begin_frame(&header.stamp);
         let job = self.job_for(header, now_ns);
+        if job.proposals() > 0 {
+            self.clock.note_proposals();
+        }
         let likely = job.likely(self.searched);
         self.held.push(Held { pixels, job, ordered: BTreeSet::new(), likely });
         Some(header.stamp.order())

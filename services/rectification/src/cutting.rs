@@ -9,6 +9,7 @@ use nalgebra::Vector3;
 
 use crate::core::{CutOrder, Held};
 use crate::job::Job;
+use crate::proposing::Proposing;
 use crate::rectifier::{FrameKey, Rectifier as _};
 use crate::standby::Standby;
 
@@ -31,6 +32,24 @@ impl Cutter {
     pub fn prepare(&mut self, header: &FrameHeader, pixels: &[u8]) -> anyhow::Result<()> {
         let sphere = self.sphere_of(header, pixels)?;
         Ok(self.rectifier.prepare(key(&header.stamp), &sphere)?)
+    }
+
+    /// Finds places for the proposals that a frame's plan asks for.
+    ///
+    /// # Errors
+    /// As [`Cutter::prepare`].
+    pub fn propose<F>(
+        &self,
+        held: &mut Held<F>,
+        pixels: impl Fn(&F) -> &[u8],
+        proposing: &mut Proposing,
+    ) -> anyhow::Result<()> {
+        let views = held.job.proposals();
+        if views > 0 {
+            let sphere = self.sphere_of(&held.job.frame, pixels(&held.pixels))?;
+            held.job.place_proposals(proposing.views(&sphere, views));
+        }
+        Ok(())
     }
 
     /// Tells the back end of views of a frame that will be cut.

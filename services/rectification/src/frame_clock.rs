@@ -66,6 +66,13 @@ impl FrameClock {
         }
     }
 
+    /// Places that look like a body are found in the frame that was taken up.
+    pub fn note_proposals(&mut self) {
+        if let Clock::Virtual(budget) = &mut self.clock {
+            budget.spend_proposals();
+        }
+    }
+
     /// A view was cut, which took `took_ns`.
     pub fn note_cut(&mut self, planned: &PlannedView, took_ns: i64) {
         match &mut self.clock {

@@ -99,9 +99,8 @@ impl Job {
         }
         // A neighbour's view is never pushed out, nor kept waiting by a partition before it, and neither
         // is a frame's first: under overload every frame would be.
-        let is_yielding = view.is_tile()
-            && self.issued > 0
-            && self.views[self.issued..].iter().all(PlannedView::is_tile);
+        let is_yielding =
+            may_yield(view) && self.issued > 0 && self.views[self.issued..].iter().all(may_yield);
         if let Some(reason) = why_over.filter(|_| is_yielding) {
             return Next::End(reason);
         }
@@ -142,6 +141,28 @@ impl Job {
     pub fn view(&self, index: u32) -> Option<(View, PlannedView)> {
         let planned = self.views.get(index as usize)?;
         Some((at_exposure(planned, self.frame.stamp.exposure_ns), *planned))
+    }
+
+    /// How many proposals the plan asks for.
+    pub fn proposals(&self) -> usize {
+        self.views.iter().filter(|view| view.is_proposal()).count()
+    }
+
+    /// A view's place among the plan's proposals. `None` for another view.
+    pub fn proposal(&self, index: u32) -> Option<usize> {
+        let (before, rest) = self.views.split_at_checked(index as usize)?;
+        let place = before.iter().filter(|view| view.is_proposal()).count();
+        rest.first()?.is_proposal().then_some(place)
+    }
+
+    /// Gives the plan's proposals their places, in this order. Those beyond stay as planned: nothing.
+    pub fn place_proposals(&mut self, places: impl IntoIterator<Item = View>) {
+        let slots = self.views.iter_mut().filter(|view| view.is_proposal());
+        for (slot, view) in slots.zip(places) {
+            slot.camera_from_view = xyzw(&view.camera_from_view);
+            (slot.focal_px, slot.size_px) = (view.focal_px, view.size_px);
+            slot.search = Search::AllWindows.code();
+        }
     }
 
     /// Whether that view is a tile of either resolution.
@@ -201,6 +222,11 @@ impl Job {
     pub fn tally(&self) -> (u32, u32) {
         (self.issued as u32, (self.views.len() - self.issued) as u32)
     }
+}
+
+/// Whether a newer frame may push a view out.
+fn may_yield(view: &PlannedView) -> bool {
+    view.is_tile() || view.is_proposal()
 }
 
 /// A planned view as it is at a frame's exposure: a gaze view turns with its neighbour.
@@ -310,6 +336,23 @@ mod tests {
             (1, StopReason::Newer),
             "tiles of both resolutions"
         );
+    }
+
+    #[test]
+    fn proposals_get_their_places_in_order_and_give_way_to_a_newer_frame() {
+        use ViewKind::Proposal;
+        let mut searched = job(StopRule::Deadline, &[Gaze, Proposal, Proposal, Part], usize::MAX);
+        assert_eq!(searched.proposals(), 2);
+        let place = View::looking_at(&Vector3::y_axis(), 0.1, 99);
+        searched.place_proposals([place]);
+        let (view, planned) = searched.view(1).expect("it is in the plan");
+        assert!(view.direction_in_camera().angle(&Vector3::y_axis()) < 1e-9);
+        assert_eq!((view.size_px, planned.search), (99, Search::AllWindows.code()));
+        assert_eq!(searched.view(2).expect("it is in the plan").0.size_px, 64, "nothing was found");
+        let places: Vec<_> = (0..5).map(|index| searched.proposal(index)).collect();
+        assert_eq!(places, [None, Some(0), Some(1), None, None]);
+        assert_eq!(searched.likely(0).len(), 4, "a spare tile is among them");
+        assert_eq!(run(&mut searched, None, 0), (1, StopReason::Newer));
     }
 
     #[test]

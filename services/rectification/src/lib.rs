@@ -8,6 +8,7 @@
 //! | [`gpu`] | views cut by the graphics processor |
 //! | [`standby`] | the processor in place of a graphics processor that was lost |
 //! | [`job`] | which views of a frame are cut, which is next, and when it is enough |
+//! | [`proposing`] | which places that look like a body are looked at |
 //! | [`dispatch`] | which worker gets the next view, and which views were lost |
 //! | [`cadence`] | when the next frame is due, and what fits before |
 //! | [`virtual_budget`] | what fits into a frame by stated costs, in a lossless run |
@@ -27,6 +28,7 @@ pub mod frame_clock;
 pub mod gpu;
 pub mod inbox;
 pub mod job;
+pub mod proposing;
 pub mod rectifier;
 pub mod stage;
 pub mod standby;

@@ -12,6 +12,7 @@ use crate::backend::{BackendChoice, choose_backend};
 use crate::core::{Action, Core, CutOrder, Event};
 use crate::cutting::{Cutter, view_header};
 use crate::inbox::Inbox;
+use crate::proposing::Proposing;
 use crate::standby::Standby;
 
 /// A source that sends nothing for this long is reported, nanoseconds.
@@ -25,6 +26,7 @@ pub struct RectificationStage {
     frame_ends: Publisher<FrameEnds>,
     core: Core<Message<Frames>>,
     cutter: Cutter,
+    proposing: Proposing,
     generation: u32,
     counters: SharedCounters,
     failures: Throttle,
@@ -54,6 +56,7 @@ impl Stage for RectificationStage {
             frame_ends: ports.publisher()?,
             core: Core::of(resolved, generation, clock::monotonic_ns())?,
             cutter: Cutter::new(standby, resolved.camera),
+            proposing: Proposing::of(resolved)?,
             generation,
             counters: context.counters.clone(),
             failures: Throttle::default(),
@@ -108,7 +111,9 @@ impl RectificationStage {
     fn take_up(&mut self, frame: FrameOrder) {
         let Some(held) = self.core.held_mut(frame) else { return };
         let likely = std::mem::take(&mut held.likely);
-        if let Err(error) = self.cutter.order(held, Message::items, &likely) {
+        let proposed = self.cutter.propose(held, Message::items, &mut self.proposing);
+        let ordered = proposed.and_then(|()| self.cutter.order(held, Message::items, &likely));
+        if let Err(error) = ordered {
             // Its end is published all the same: others wait for it.
             self.core.on(Event::Refused(frame), clock::monotonic_ns());
             self.counters.add_failed(1);
@@ -140,6 +145,9 @@ impl RectificationStage {
         let publisher = self.views.get(order.worker).context("there is no such worker")?;
         let mut loan = publisher.loan((view.size_px as usize).pow(2))?;
         self.cutter.cut(held, Message::items, order, loan.items_mut())?;
+        if let Some(place) = held.job.proposal(order.view_index) {
+            self.proposing.note_cut(place);
+        }
         let issued_ns = clock::monotonic_ns();
         let header = view_header(&held.job, order, self.generation, issued_ns);
         loan.send(header.context("it is not in the plan")?)?;

@@ -10,6 +10,9 @@ const FIRST_INTERVAL_NS: i64 = 33_333_333;
 /// A source that is slower than this leaves no more time for a frame.
 const MAX_INTERVAL_NS: i64 = 1_000_000_000;
 
+/// Threshold windows that a proposal is searched with.
+const PROPOSAL_WINDOWS: f64 = 4.0;
+
 /// Processor time that is left of a frame, by `search.costs` of the configuration.
 ///
 /// A frame has the interval to the frame before, on each processor. Its source, its regions of interest
@@ -54,17 +57,24 @@ impl VirtualBudget {
         self.left_ms -= self.cost_ms(planned);
     }
 
+    /// Places that look like a body were found.
+    pub fn spend_proposals(&mut self) {
+        self.left_ms -= self.costs.proposals_ms;
+    }
+
     /// What a view costs from its cut to its poses.
     fn cost_ms(&self, planned: &PlannedView) -> f64 {
         let costs = &self.costs;
+        let all_windows = if planned.is_proposal() { PROPOSAL_WINDOWS } else { 2.0 };
         let windows = match Search::try_from(planned.search) {
             Ok(Search::Nothing) => 0.0,
             Ok(Search::FineWindow | Search::CoarseWindow) => 1.0,
-            Ok(Search::AllWindows) | Err(_) => 2.0,
+            Ok(Search::AllWindows) | Err(_) => all_windows,
         };
         // Cutting and searching take about the same time for each pixel.
         let megapixels = f64::from(planned.size_px).powi(2) * 1e-6;
-        let direct_pass_ms = if planned.is_tile() { 0.0 } else { costs.direct_pass_ms };
+        let is_region = !planned.is_tile() && !planned.is_proposal();
+        let direct_pass_ms = if is_region { costs.direct_pass_ms } else { 0.0 };
         megapixels * (costs.cut_ms_per_megapixel + windows * costs.window_ms_per_megapixel)
             + direct_pass_ms
     }
@@ -120,6 +130,17 @@ mod tests {
         budget.begin_frame(&stamp(4, 200));
         budget.spend(&both);
         assert_eq!(tiles(&mut budget), 7, "90 - 18 = 72 ms");
+    }
+
+    #[test]
+    fn proposals_cost_their_search_for_places_and_four_windows() {
+        let mut budget = VirtualBudget::new(Costs { proposals_ms: 4.7, ..costs() }, false);
+        budget.begin_frame(&stamp(0, 0));
+        budget.spend_proposals();
+        let proposal =
+            PlannedView { size_px: 500, ..planned(ViewKind::Proposal, Search::AllWindows) };
+        (0..2).for_each(|_| budget.spend(&proposal));
+        assert_eq!(tiles(&mut budget), 3, "56.7 - 4.7 - 2 * 0.25 * 34 = 35 ms");
     }
 
     #[test]

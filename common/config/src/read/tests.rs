@@ -46,7 +46,9 @@ const WRONG: &[(&str, &[&str])] = &[
     ("camera:\n  widht: 3840", &["line 2, column 3", "camera.widht", "did you mean 'width'?"]),
     (
         "search: {qqq: 1}",
-        &["unknown key (known are mode, budget, costs, lossless_partitions, far_magnification)"],
+        &[
+            "unknown key (known are mode, budget, costs, lossless_partitions, far_magnification, proposals)",
+        ],
     ),
     ("camera: {width: wide}", &["camera.width", "must be a whole number", "the text 'wide'"]),
     ("camera: {width: 38.5}", &["must be a whole number, not 38.5"]),

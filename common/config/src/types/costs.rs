@@ -30,6 +30,9 @@ pub struct Costs {
     /// What the camera's own rotation takes in each frame, milliseconds.
     #[schemars(range(min = 0.0, max = 1000.0))]
     pub egomotion_ms: f64,
+    /// Finding places that look like a body, in each frame while a neighbour is not tracked, milliseconds.
+    #[schemars(range(min = 0.0, max = 1000.0))]
+    pub proposals_ms: f64,
     /// Cutting a view, for each million of its pixels, milliseconds.
     #[schemars(range(min = 0.0, max = 1000.0))]
     pub cut_ms_per_megapixel: f64,
@@ -58,6 +61,7 @@ impl Default for Costs {
             processors: 1.3,
             source_ms: 20.0,
             egomotion_ms: 2.2,
+            proposals_ms: 4.5,
             cut_ms_per_megapixel: 2.5,
             window_ms_per_megapixel: 4.0,
             direct_pass_ms: 3.5,

@@ -325,6 +325,10 @@ pub struct Search {
     /// (or no more than `partition.magnification`) there are none.
     #[schemars(range(min = 1.0, max = 3.0))]
     pub far_magnification: f64,
+    /// Views of places that look like a body, in each frame while a neighbour is not tracked: the mode
+    /// gaze finds such places by a fast look at the whole picture. 0: none.
+    #[schemars(range(min = 0, max = 64))]
+    pub proposals: u32,
 }
 
 impl Default for Search {
@@ -335,6 +339,7 @@ impl Default for Search {
             costs: Costs::default(),
             lossless_partitions: 4,
             far_magnification: 2.0,
+            proposals: 12,
         }
     }
 }

@@ -89,7 +89,7 @@ impl Searched {
         match purpose {
             Purpose::Partition(index) => self.partitions.get(index),
             Purpose::HighResolution(index) => self.high_resolution.get(index),
-            Purpose::Gaze(_) => None,
+            Purpose::Gaze(_) | Purpose::Proposal => None,
         }
     }
 
@@ -97,7 +97,7 @@ impl Searched {
         match purpose {
             Purpose::Partition(index) => self.partitions.get_mut(index),
             Purpose::HighResolution(index) => self.high_resolution.get_mut(index),
-            Purpose::Gaze(_) => None,
+            Purpose::Gaze(_) | Purpose::Proposal => None,
         }
     }
 }

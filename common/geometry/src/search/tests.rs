@@ -333,3 +333,20 @@ fn options_out_of_range_are_named() {
     let missing = Planner::new(SearchMode::Greedy, Partition::icosahedron(), Vec::new(), good);
     assert_eq!(missing.unwrap_err(), PlannerError::Views { views: 0, partitions: 12 });
 }
+
+#[test]
+fn proposals_come_before_the_tiles_while_a_target_is_not_tracked() {
+    let planner = fine_planner(2).with_proposals(2, 3);
+    let searched = planner.nothing_searched();
+    let kinds = |tracked: usize| -> String {
+        let neighbours: Vec<PredictedNeighbour> = (0..tracked).map(neighbour).collect();
+        let plan = planner.plan(&searched, &neighbours);
+        let letter = |planned: &PlannedView| match planned.purpose {
+            Purpose::Gaze(_) => 'g',
+            Purpose::Proposal => 'p',
+            Purpose::Partition(_) | Purpose::HighResolution(_) => 't',
+        };
+        plan.views[..plan.view_budget].iter().map(letter).collect()
+    };
+    assert_eq!([kinds(0), kinds(1), kinds(2)], ["ppptt", "gppptt", "ggtt"]);
+}

@@ -38,7 +38,7 @@ impl AnsweredView<'_> {
     pub fn region_of(&self) -> Option<usize> {
         match self.purpose? {
             Purpose::Gaze(target) => Some(target),
-            Purpose::Partition(_) | Purpose::HighResolution(_) => None,
+            Purpose::Partition(_) | Purpose::HighResolution(_) | Purpose::Proposal => None,
         }
     }
 }
