@@ -23,6 +23,7 @@ use flockeye_imaging::gyroscope::Gyroscope;
 use flockeye_imaging::gyroscope::grid::Sampler;
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
+use flockeye_imaging::proposals::{MarkerSizes, Proposer};
 use flockeye_imaging::sphere::{Cut, SphereImage};
 use flockeye_rectification::cpu::CpuRectifier;
 use flockeye_rectification::rectifier::{FrameKey, Rectifier as _};
@@ -53,6 +54,7 @@ fn main() {
 struct Costs {
     source: Vec<f64>,
     egomotion: Vec<f64>,
+    proposals: Vec<f64>,
     cut: Vec<f64>,
     window: Vec<f64>,
     direct_pass: Vec<f64>,
@@ -62,10 +64,11 @@ struct Costs {
 }
 
 impl Costs {
-    fn rows(&mut self) -> [(&'static str, &mut Vec<f64>); 8] {
+    fn rows(&mut self) -> [(&'static str, &mut Vec<f64>); 9] {
         [
             ("source_ms", &mut self.source),
             ("egomotion_ms", &mut self.egomotion),
+            ("proposals_ms", &mut self.proposals),
             ("cut_ms_per_megapixel", &mut self.cut),
             ("window_ms_per_megapixel", &mut self.window),
             ("direct_pass_ms", &mut self.direct_pass),
@@ -100,6 +103,13 @@ fn measure(distance_m: f64, rounds: u64, costs: &mut Costs) {
     };
     let moment = Moment { time_s: 0.0, camera: Attitude::level(0.7), placements: vec![placement] };
     let mut luma = vec![0; (WIDTH * WIDTH / 2) as usize];
+    let mut proposer = Proposer::default();
+    let side_m = bodies.largest_side();
+    let sizes = MarkerSizes {
+        least_rad: 11.0 / camera.pixels_per_radian(),
+        most_rad: side_m / 0.4,
+        radius_in_sides: body.radius() / side_m,
+    };
     let mut gyroscope = Gyroscope::new(Sampler::new(&camera, &Mask::nothing_hidden(camera)));
     for frame in 0..rounds {
         timed(&mut costs.source, 1.0, || {
@@ -107,6 +117,7 @@ fn measure(distance_m: f64, rounds: u64, costs: &mut Costs) {
         });
         let sphere = SphereImage::new(&luma, WIDTH as usize, camera).unwrap();
         timed(&mut costs.egomotion, 1.0, || gyroscope.next(&sphere, None));
+        timed(&mut costs.proposals, 1.0, || proposer.propose(&sphere, &sizes, 24));
     }
     let sphere = SphereImage::new(&luma, WIDTH as usize, camera).unwrap();
     tiles(&sphere, camera, costs);

@@ -66,7 +66,7 @@ ROTATIONS = {"gyroscope": ("The visual gyroscope", "flight4/flight4.mp4", "fligh
 # Benchmarks whose words are kept: what the virtual clock of lossless runs goes by.
 # In the profile of the tests, whose computing crates are optimized like the release profile's.
 BENCH = ["cargo", "bench", "--locked", "--profile", "tested", "-p", "flockeye-tests", "--bench"]
-BENCHES = {"costs": "Costs"}
+BENCHES = {"proposals": "Proposals", "costs": "Costs"}
 PARTS = [*RECORDINGS, *SIMULATED, *EXPERIMENTS, *ROTATIONS, *BENCHES]
 
 
@@ -144,6 +144,38 @@ def errors_mm(poses, truth):
     return found
 
 
+def frames_until_found(poses, truth):
+    """For each time that a body without a track can be found (eligible, within 2.2 m, blurred by less than
+    4 px): in how many such frames it was not measured before it was. Flights are numbered apart."""
+    known = {(row["target"], int(row["frame"])) for row in poses if row["state"] != "lost"}
+    measured = {(row["target"], int(row["frame"])) for row in poses
+                if row["measured_by"] != "nothing"}
+    bodies = {}
+    for row in truth:
+        frame = int(row["frame"])
+        bodies.setdefault((row["body"], frame // 1_000_000), []).append((frame, row))
+    waits = []
+    for (body, _), frames in bodies.items():
+        is_lost, waited = True, None
+        for frame, row in sorted(frames, key=lambda of: of[0]):
+            can_be_found = (int(row["localisable"]) == 1 and int(row["n_markers_vis90"]) >= 2
+                            and float(row["dist_m"]) < 2.2 and float(row["blur_px"]) < 4)
+            if (body, frame) in measured:
+                if is_lost and (can_be_found or waited is not None):
+                    waits.append(waited or 0)
+                is_lost, waited = False, None
+                continue
+            is_lost |= (body, frame) not in known
+            if is_lost and can_be_found:
+                waited = (waited or 0) + 1
+        if waited is not None:
+            waits.append(waited)
+    if not waits:
+        return None
+    return {"times": len(waits), "median": quantile(waits, 0.5), "p95": quantile(waits, 0.95),
+            "worst": max(waits)}
+
+
 def quantile(values, share):
     """Nearest rank, as `flockeye eval` counts."""
     values = sorted(values)
@@ -177,7 +209,7 @@ def evaluated(poses, truth, rotations=None):
     nees = said["nees"]["measurements"]
     return {"bins": bins, "false": said["false_poses"], "latency": said["latency"],
             "measured": said["measured"], "nees": nees, "predictions": said["predictions"],
-            "rotations": said.get("rotations")}
+            "rotations": said.get("rotations"), "found": frames_until_found(rows(poses), truth_rows)}
 
 
 def fly(arguments, way, name, truth):
@@ -332,6 +364,11 @@ def flight_section(entry):
     lines.append("")
     if "searched" in entry:
         lines.append(f"- {entry['searched']} frames searched, {entry['skipped']} skipped.")
+    found = entry.get("found")
+    if found:
+        lines.append(f"- Frames until a body without a track was found, of those within 2.2 m with less than "
+                     f"4 px of blur: median {found['median']}, 95 % {found['p95']}, worst {found['worst']}, "
+                     f"of {found['times']} times.")
     lines += [f"- False poses in all: {entry['false']} of {entry['measured']} measured."]
     if entry["latency"]:
         since = "frame published" if entry["way"] == "lossless" else "exposure"
@@ -413,7 +450,8 @@ def render(store):
     ]
     simulated = flights_page("Results: simulated flights", intro + chosen, of(SIMULATED))
     (folder / "simulated.md").write_text(simulated)
-    (folder / "experiments.md").write_text(experiments_page(of([*EXPERIMENTS, *ROTATIONS])))
+    (folder / "experiments.md").write_text(
+        experiments_page(of([*EXPERIMENTS, *ROTATIONS, "proposals"])))
     if "costs" in store:
         (folder / "costs.md").write_text(costs_page(store["costs"]))
     readme = (ROOT / "README.md").read_text()
