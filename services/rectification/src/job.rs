@@ -26,6 +26,8 @@ pub struct Job {
     /// Whether a view of it could not be cut.
     has_failed: bool,
     ended: Option<StopReason>,
+    /// Whether rectification has found the places of its proposals.
+    are_proposals_placed: bool,
 }
 
 /// Partitions that are cut ahead, beyond as many as the frame before came to.
@@ -71,6 +73,7 @@ impl Job {
             has_hit: false,
             has_failed: false,
             ended: None,
+            are_proposals_placed: false,
         }
     }
 
@@ -108,14 +111,16 @@ impl Job {
     }
 
     /// Views that are likely to be cut, when the frame before came to `searched` partitions: all
-    /// those of neighbours, and a few partitions more than that.
+    /// those of neighbours, and a few partitions more than that. Proposals are among them once they have
+    /// places.
     pub fn likely(&self, searched: usize) -> Vec<u32> {
         let mut partitions = match self.stop_rule {
             StopRule::All => usize::MAX,
             StopRule::FirstHit | StopRule::Deadline => searched + SPARE_PARTITIONS,
         };
         let mut is_likely = |view: &PlannedView| {
-            let fits = !view.is_tile() || partitions > 0;
+            let has_place = !view.is_proposal() || self.are_proposals_placed;
+            let fits = has_place && (!view.is_tile() || partitions > 0);
             partitions = partitions.saturating_sub(usize::from(view.is_tile()));
             fits
         };
@@ -148,6 +153,17 @@ impl Job {
         self.views.iter().filter(|view| view.is_proposal()).count()
     }
 
+    /// Whether the places of its proposals are still to be found.
+    pub fn awaits_places(&self) -> bool {
+        !self.are_proposals_placed
+    }
+
+    /// The plan's proposals.
+    pub fn proposal_indices(&self) -> Vec<u32> {
+        let views = (0..).zip(&self.views);
+        views.filter(|(_, view)| view.is_proposal()).map(|(index, _)| index).collect()
+    }
+
     /// A view's place among the plan's proposals. `None` for another view.
     pub fn proposal(&self, index: u32) -> Option<usize> {
         let (before, rest) = self.views.split_at_checked(index as usize)?;
@@ -157,6 +173,7 @@ impl Job {
 
     /// Gives the plan's proposals their places, in this order. Those beyond stay as planned: nothing.
     pub fn place_proposals(&mut self, places: impl IntoIterator<Item = View>) {
+        self.are_proposals_placed = true;
         let slots = self.views.iter_mut().filter(|view| view.is_proposal());
         for (slot, view) in slots.zip(places) {
             slot.camera_from_view = xyzw(&view.camera_from_view);
@@ -342,9 +359,12 @@ mod tests {
     fn proposals_get_their_places_in_order_and_give_way_to_a_newer_frame() {
         use ViewKind::Proposal;
         let mut searched = job(StopRule::Deadline, &[Gaze, Proposal, Proposal, Part], usize::MAX);
-        assert_eq!(searched.proposals(), 2);
+        assert_eq!((searched.proposals(), searched.proposal_indices()), (2, vec![1, 2]));
+        assert!(searched.awaits_places());
+        assert_eq!(searched.likely(0), [0, 3], "what has no place cannot be cut ahead");
         let place = View::looking_at(&Vector3::y_axis(), 0.1, 99);
         searched.place_proposals([place]);
+        assert!(!searched.awaits_places());
         let (view, planned) = searched.view(1).expect("it is in the plan");
         assert!(view.direction_in_camera().angle(&Vector3::y_axis()) < 1e-9);
         assert_eq!((view.size_px, planned.search), (99, Search::AllWindows.code()));

@@ -111,9 +111,7 @@ impl RectificationStage {
     fn take_up(&mut self, frame: FrameOrder) {
         let Some(held) = self.core.held_mut(frame) else { return };
         let likely = std::mem::take(&mut held.likely);
-        let proposed = self.cutter.propose(held, Message::items, &mut self.proposing);
-        let ordered = proposed.and_then(|()| self.cutter.order(held, Message::items, &likely));
-        if let Err(error) = ordered {
+        if let Err(error) = self.cutter.order(held, Message::items, &likely) {
             // Its end is published all the same: others wait for it.
             self.core.on(Event::Refused(frame), clock::monotonic_ns());
             self.counters.add_failed(1);
@@ -124,8 +122,9 @@ impl RectificationStage {
     }
 
     fn cut(&mut self, order: CutOrder) {
+        let placed = self.place_proposals(order);
         let begun_ns = clock::monotonic_ns();
-        let event = match self.publish(order) {
+        let event = match placed.and_then(|()| self.publish(order)) {
             Ok(issued_ns) => Event::Published { order, took_ns: issued_ns - begun_ns },
             Err(error) => {
                 self.counters.add_failed(1);
@@ -136,6 +135,18 @@ impl RectificationStage {
             }
         };
         self.core.on(event, clock::monotonic_ns());
+    }
+
+    /// Finds the places of a frame's proposals once the first of them is due: tracked neighbours' views are
+    /// cut before, and no pose waits for it.
+    fn place_proposals(&mut self, order: CutOrder) -> anyhow::Result<()> {
+        let held = self.core.held_mut(order.frame).context("the frame is not held")?;
+        if held.job.awaits_places() && held.job.proposal(order.view_index).is_some() {
+            self.cutter.propose(held, Message::items, &mut self.proposing)?;
+            let proposals = held.job.proposal_indices();
+            self.cutter.order(held, Message::items, &proposals)?;
+        }
+        Ok(())
     }
 
     /// Cuts a view straight into shared memory, publishes it, and says when.
