@@ -6,7 +6,9 @@
 
 use flockeye_geometry::Ray;
 use flockeye_geometry::camera::Camera;
-use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix6, UnitQuaternion, Vector3};
+
+use crate::measurement::PoseEstimate;
 
 /// A camera whose rows are exposed one after the other.
 #[derive(Debug, Clone, PartialEq)]
@@ -22,6 +24,8 @@ pub struct ApparentMotion {
     pub velocity: Vector3<f64>,
     /// rad/s.
     pub rate: Vector3<f64>,
+    /// Covariance of both.
+    pub covariance: Matrix6<f64>,
 }
 
 impl Readout {
@@ -41,11 +45,15 @@ impl Readout {
 }
 
 impl ApparentMotion {
-    /// A pose in the camera frame as it is `by_s` seconds later.
-    pub fn carried(&self, pose: &Isometry3<f64>, by_s: f64) -> Isometry3<f64> {
+    /// A pose in the camera frame as it is `by_s` seconds later, as certain as the motion lets it be.
+    pub fn carried(&self, pose: &PoseEstimate, by_s: f64) -> PoseEstimate {
+        let Isometry3 { rotation, translation } = pose.camera_from_markers;
         let turned = UnitQuaternion::from_scaled_axis(self.rate * by_s);
-        let position = pose.translation.vector + self.velocity * by_s;
-        Isometry3::from_parts(Translation3::from(position), turned * pose.rotation)
+        let position = translation.vector + self.velocity * by_s;
+        PoseEstimate {
+            camera_from_markers: Isometry3::from_parts(position.into(), turned * rotation),
+            covariance: pose.covariance + self.covariance * (by_s * by_s),
+        }
     }
 }
 
@@ -72,11 +80,17 @@ mod tests {
         let motion = ApparentMotion {
             velocity: Vector3::new(1.0, -2.0, 0.5),
             rate: Vector3::new(0.5, 1.0, -2.0),
+            covariance: Matrix6::from_diagonal_element(0.04),
         };
-        let pose = Isometry3::new(Vector3::new(2.0, 0.0, 1.0), Vector3::new(0.1, 0.2, 0.3));
+        let camera_from_markers =
+            Isometry3::new(Vector3::new(2.0, 0.0, 1.0), Vector3::new(0.1, 0.2, 0.3));
+        let pose = PoseEstimate { camera_from_markers, covariance: Matrix6::identity() * 1e-6 };
         let later = motion.carried(&pose, 0.01);
-        assert!((later.translation.vector - Vector3::new(2.01, -0.02, 1.005)).norm() < 1e-12);
-        let back = motion.carried(&later, -0.01);
-        assert!((back.inverse() * pose).rotation.angle() < 1e-12);
+        let position = later.camera_from_markers.translation.vector;
+        assert!((position - Vector3::new(2.01, -0.02, 1.005)).norm() < 1e-12);
+        // 0.2 m/s over 10 ms are 2 mm.
+        assert!((later.covariance[(0, 0)] - 5e-6).abs() < 1e-12);
+        let back = motion.carried(&later, -0.01).camera_from_markers;
+        assert!((back.inverse() * camera_from_markers).rotation.angle() < 1e-12);
     }
 }

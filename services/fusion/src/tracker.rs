@@ -444,7 +444,7 @@ impl Tracker {
         if let Some(readout) = &self.readout {
             let shown = pose.camera_from_markers;
             let motion = self.apparent_motion(target, at_s, &shown);
-            pose.camera_from_markers = motion.carried(&shown, -readout.after_s(&shown));
+            pose = motion.carried(&pose, -readout.after_s(&shown));
         }
         Measurement { pose, ..measurement }
     }

@@ -117,6 +117,29 @@ fn recorded_rotations_are_judged_by_the_truth() {
 }
 
 #[test]
+fn bodies_are_measured_at_the_time_of_their_rows() {
+    let scratch = Scratch::new("readout");
+    let files = ["poses.csv", "truth.csv"].map(|name| scratch.path(name));
+    let [poses, truth] = [&files[0], &files[1]].map(|file| file.to_str().expect("a plain path"));
+    let frames = format!("simulator.frames={FRAMES}");
+    let readout = ["camera.readout_ms=25", &frames];
+    let set: Vec<&str> = SMALL_FLIGHT.iter().chain(GUSTS).chain(&readout).copied().collect();
+    let recorded = ["--poses", poses, "--truth", truth];
+    let mut flight =
+        Flight::start("readout", &[&["--flow", "lossless"], &recorded[..]].concat(), &set);
+    assert!(flight.wait().success(), "{}", flight.output());
+    let (succeeded, output) = run(&[&["eval", "--json"], &recorded[..]].concat());
+    assert!(succeeded, "{output}");
+    let found: Value = serde_json::from_str(&output).expect("nothing but JSON");
+    let all = found["bins"].as_array().and_then(|bins| bins.last()).expect("a bin of all");
+    let number = |value: &Value| value.as_f64().unwrap_or_else(|| panic!("{value} in {all}"));
+    assert!(number(&all["measured"]) > 0.8 * number(&all["eligible"]), "{all}");
+    // Taken as exposed in the middle of the frame, they are off by 4.6 mm in the median.
+    assert!(number(&all["measurement"]["position_mm"]["median"]) < 2.5, "{all}");
+    assert_eq!(found["false_poses"], 0, "{found}");
+}
+
+#[test]
 fn without_egomotion_nothing_is_said_of_the_rotation_and_nobody_waits() {
     let tape = fly("calm", &["egomotion.enabled=false"]);
     assert!(tape.rotations.is_empty());

@@ -1,9 +1,9 @@
 //! What tracks say of a time: where targets are, and how they move as the camera sees them.
 
 use flockeye_geometry::ego_rotation::CameraTurn;
-use flockeye_geometry::filter::Prediction;
+use flockeye_geometry::filter::{MotionModel, Prediction};
 use flockeye_imaging::align::Motion;
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Matrix6, Vector6};
 
 use super::{FilterChoice, Tracker};
 use crate::readout::ApparentMotion;
@@ -54,11 +54,26 @@ impl Tracker {
             Some(known) => ApparentMotion {
                 velocity: known.apparent_velocity(),
                 rate: known.rate - known.camera_rate,
+                covariance: known.covariance.fixed_view::<6, 6>(6, 6).into_owned(),
             },
             None => {
+                let position = &camera_from_markers.translation.vector;
                 let turning = -self.ego.rate_at(at_s);
-                let velocity = turning.cross(&camera_from_markers.translation.vector);
-                ApparentMotion { velocity, rate: turning }
+                let motion = match self.filter {
+                    FilterChoice::Tracks(policy) => policy.motion,
+                    FilterChoice::None => MotionModel::default(),
+                };
+                let mut speed = motion.initial_speed.powi(2);
+                if self.ego.known_until_s().is_none() {
+                    speed += (motion.initial_rate * position.norm()).powi(2);
+                }
+                let rate = motion.initial_rate.powi(2);
+                let variances = Vector6::new(speed, speed, speed, rate, rate, rate);
+                ApparentMotion {
+                    velocity: turning.cross(position),
+                    rate: turning,
+                    covariance: Matrix6::from_diagonal(&variances),
+                }
             }
         }
     }
