@@ -40,6 +40,8 @@ RECORDINGS = {
                 [], ["lossless", "real time"]),
     "flight4": ("rendered flight `flight4` in wind, 120 frames", "flight4/flight4.mp4",
                 "flight4/truth.csv", [], ["lossless", "real time"]),
+    "flight4-sensor": ("`flight4` with its inertial sensor", "flight4/flight4.mp4", "flight4/truth.csv",
+                       ["inertial.source={data}/flight4/imu.csv"], ["lossless", "real time"]),
     "stills": ("20 rendered stills, each for itself", "stills/images", "stills/truth.csv",
                ["fusion.filter=none"], ["lossless"]),
 }
@@ -52,6 +54,8 @@ SIMULATED = {
             range(2001, 2009), 300, list(WAYS)),
     "gusts": ("simulated flights in gusts at 0.8 to 2.6 m, 10 ms exposures", GUSTS,
               range(2001, 2021), 100, ["lossless"]),
+    "gusts-sensor": ("the same with an inertial sensor", [*GUSTS, "inertial.source=sim"],
+                     range(2001, 2006), 100, ["lossless"]),
 }
 # Commands whose own words are kept: title, arguments, and which lines.
 EXPERIMENTS = {
@@ -279,6 +283,7 @@ def run_part(part, data, wanted_ways):
             print(f"results: {part} is left out: {data / recording} is absent", file=sys.stderr)
             return {}
         source = ["--source", str(data / recording), "--bodies", str(data / "bodies.json")]
+        settings = [setting.format(data=data) for setting in settings]
     else:
         title, settings, seeds, frames, ways = SIMULATED[part]
         title += f", seeds {seeds[0]} to {seeds[-1]}, {frames} frames each"

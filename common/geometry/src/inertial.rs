@@ -8,6 +8,8 @@
 
 pub mod calibration;
 pub mod errors;
+#[cfg(test)]
+mod fixtures;
 pub mod record;
 
 pub use calibration::{CalibrationError, SensorCalibration, TurnSeen, calibrate};

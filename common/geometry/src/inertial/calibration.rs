@@ -276,20 +276,9 @@ fn refined(
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+    use crate::inertial::fixtures::{flown, rate};
     use crate::inertial::record::RateSample;
     use proptest::prelude::*;
-
-    /// A camera that rolls, pitches and yaws as gusts make it: `world_from_camera`.
-    fn flown(at_s: f64) -> UnitQuaternion<f64> {
-        let swing = |hz: f64, start: f64| 0.2 * (std::f64::consts::TAU * hz * at_s + start).sin();
-        let yaw = 0.3 * at_s + 0.4 * (1.7 * at_s).sin();
-        UnitQuaternion::from_euler_angles(swing(0.6, 0.0), swing(0.53, 1.0), yaw)
-    }
-
-    fn rate(at_s: f64) -> Vector3<f64> {
-        let step = 1e-5;
-        (flown(at_s - step).inverse() * flown(at_s + step)).scaled_axis() / (2.0 * step)
-    }
 
     fn noise(k: u32, size: f64) -> Vector3<f64> {
         let of = |n: u32| (f64::from(k * 3 + n) * 2.399_963).sin() * 2f64.sqrt() * size;

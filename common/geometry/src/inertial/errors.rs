@@ -180,19 +180,8 @@ pub(super) fn by_errors(turned: &Vector3<f64>, step_s: f64, change: &Vector3<f64
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+    use crate::inertial::fixtures::{flown, rate};
     use crate::inertial::record::RateSample;
-
-    /// A camera that rolls, pitches and yaws: `world_from_camera`.
-    fn flown(at_s: f64) -> UnitQuaternion<f64> {
-        let swing = |hz: f64, start: f64| 0.2 * (std::f64::consts::TAU * hz * at_s + start).sin();
-        let yaw = 0.3 * at_s + 0.4 * (1.7 * at_s).sin();
-        UnitQuaternion::from_euler_angles(swing(0.6, 0.0), swing(0.5, 1.0), yaw)
-    }
-
-    fn rate(at_s: f64) -> Vector3<f64> {
-        let step = 1e-5;
-        (flown(at_s - step).inverse() * flown(at_s + step)).scaled_axis() / (2.0 * step)
-    }
 
     /// What a sensor with these errors says.
     fn record(bias: Vector3<f64>, mounting: Vector3<f64>, offset_s: f64) -> RateRecord {

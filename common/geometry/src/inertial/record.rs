@@ -164,18 +164,8 @@ impl RateRecord {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+    use crate::inertial::fixtures::{flown, rate};
     use proptest::prelude::*;
-
-    /// A camera that rolls, pitches and yaws: `world_from_camera`.
-    fn flown(at_s: f64) -> UnitQuaternion<f64> {
-        let swing = |hz: f64, start: f64| 0.26 * (std::f64::consts::TAU * hz * at_s + start).sin();
-        UnitQuaternion::from_euler_angles(swing(0.6, 0.0), swing(0.5, 1.0), 1.2 * at_s)
-    }
-
-    fn rate(at_s: f64) -> Vector3<f64> {
-        let step = 1e-5;
-        (flown(at_s - step).inverse() * flown(at_s + step)).scaled_axis() / (2.0 * step)
-    }
 
     fn recorded(hz: f64) -> RateRecord {
         let mut record = RateRecord::new(5.0);
