@@ -54,7 +54,7 @@ SIMULATED = {
             range(2001, 2009), 300, list(WAYS)),
     "gusts": ("simulated flights in gusts at 0.8 to 2.6 m, 10 ms exposures", GUSTS,
               range(2001, 2021), 100, ["lossless"]),
-    "gusts-sensor": ("the same with an inertial sensor", [*GUSTS, "inertial.source=sim"],
+    "gusts-sensor": ("simulated flights in gusts with an inertial sensor", [*GUSTS, "inertial.source=sim"],
                      range(2001, 2006), 100, ["lossless"]),
 }
 # Commands whose own words are kept: title, arguments, and which lines.

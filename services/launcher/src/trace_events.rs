@@ -257,7 +257,7 @@ mod tests {
             row.push((time("ts"), time("ts") + time("dur")));
         }
         assert_eq!(rows.keys().filter(|(pid, _)| *pid == 1000).count(), 5, "source rows");
-        assert!(rows.contains_key(&(4001, 0)), "the second worker");
+        assert!(rows.contains_key(&(5001, 0)), "the second worker");
         for ((pid, row), slices) in rows {
             for (k, one) in slices.iter().enumerate() {
                 for other in &slices[..k] {
