@@ -37,7 +37,7 @@ pub struct ImuSample {
 }
 
 /// No drone turns faster, rad/s (2000 degrees/s, at which usual sensors saturate, is 35).
-const MAX_RATE: f64 = 100.0;
+pub const MAX_IMU_RATE: f64 = 100.0;
 
 impl ImuHeader {
     /// Refuses too many samples, rates that are none, and times that do not rise.
@@ -46,7 +46,7 @@ impl ImuHeader {
             let (found, max) = (samples.len(), MAX_IMU_SAMPLES);
             return Err(ContractError::TooMany { what: "samples", found, max });
         }
-        let is_rate = |rate: &f64| rate.abs() < MAX_RATE;
+        let is_rate = |rate: &f64| rate.abs() < MAX_IMU_RATE;
         if !samples.iter().all(|sample| sample.rate.iter().all(is_rate)) {
             return Err(ContractError::NotFinite { what: "angular velocity" });
         }

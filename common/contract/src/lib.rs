@@ -38,7 +38,7 @@ pub use detection::{DetectedMarker, DetectionHeader, MAX_DETECTED_MARKERS};
 pub use error::ContractError;
 pub use frame::{FrameHeader, FrameOrder, FrameStamp};
 pub use health::Health;
-pub use imu::{ImuHeader, ImuSample, MAX_IMU_SAMPLES};
+pub use imu::{ImuHeader, ImuSample, MAX_IMU_RATE, MAX_IMU_SAMPLES};
 pub use plan::{MAX_PLANNED_VIEWS, MAX_VIEW_PX, PlanHeader, PlannedView};
 pub use rotation::Rotation;
 pub use stage::StageName;

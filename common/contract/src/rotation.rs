@@ -61,6 +61,9 @@ impl Default for Rotation {
     }
 }
 
+/// The inertial sensor knows no farther ahead, nanoseconds.
+const MAX_AHEAD_NS: i64 = 1_000_000_000;
+
 impl Rotation {
     /// Refuses an unknown source, and numbers that are no rotation or no covariance.
     pub fn check(&self) -> Result<(), ContractError> {
@@ -75,6 +78,9 @@ impl Rotation {
             return Err(ContractError::NotFinite { what: "time between the two exposures" });
         }
         if self.is_known_ahead() {
+            if self.ahead_ns.saturating_sub(self.stamp.exposure_ns) > MAX_AHEAD_NS {
+                return Err(ContractError::NotFinite { what: "time known ahead" });
+            }
             check_unit(&self.ahead_from_later)?;
             check_finite("rate of the camera ahead", &self.ahead_rate_in_camera)?;
             check_covariance("covariance of the rotation ahead", &self.ahead_covariance)?;

@@ -162,7 +162,8 @@ impl EgoRotation {
         }
     }
 
-    /// Until when the rotation is known, by pictures or by an inertial sensor beyond them, seconds; `None` while it never was.
+    /// Until when the rotation is known, by pictures or by an inertial sensor beyond them, seconds; `None`
+    /// while it never was.
     pub fn known_until_s(&self) -> Option<f64> {
         self.knots.back().map(|last| last.at_s)
     }

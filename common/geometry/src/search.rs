@@ -292,8 +292,8 @@ impl Planner {
     }
 
     /// One region of interest for each neighbour, least recently searched first (ties by the
-    /// neighbours' own order). Then the proposals, where a target is not tracked. Then the tiles of both resolutions in turn, least recently searched
-    /// first.
+    /// neighbours' own order). Then the proposals, where a target is not tracked. Then the tiles of both
+    /// resolutions in turn, least recently searched first.
     ///
     /// Where there are more than [`GazeOptions::views_before_partition`] neighbours, the first tile
     /// comes right after that many of their views. So a frame with time for one view more searches at

@@ -23,7 +23,7 @@ impl ImuRow {
     pub fn of(sample: &ImuSample, zero_ns: i64) -> Self {
         let force = Vector3::from(sample.specific_force);
         Self {
-            t_s: (sample.at_ns - zero_ns) as f64 * 1e-9,
+            t_s: sample.at_ns.saturating_sub(zero_ns) as f64 * 1e-9,
             rate: sample.rate.into(),
             specific_force: force.iter().all(|force| force.is_finite()).then_some(force),
         }

@@ -173,7 +173,8 @@ const FRAMES_IN_FLIGHT: usize = 2;
 /// that wakes up also answers its window of views that others have answered meanwhile.
 fn records_in_flight(resolved: &Resolved) -> usize {
     let tiles = resolved.partition_views.len() + resolved.high_resolution_tiles.len();
-    let planned = (tiles + MAX_TRACKS).min(MAX_PLANNED_VIEWS);
+    let proposals = resolved.pipeline.search.proposals as usize;
+    let planned = (tiles + MAX_TRACKS + proposals).min(MAX_PLANNED_VIEWS);
     FRAMES_IN_FLIGHT * planned + resolved.pipeline.rectification.window as usize
 }
 
@@ -334,7 +335,8 @@ mod tests {
             let overrides: Vec<String> = overrides.into_iter().map(String::from).collect();
             let resolved = Resolved::of(Pipeline::parse("", &overrides, "x").unwrap()).unwrap();
             let tiles = resolved.partition_views.len() + resolved.high_resolution_tiles.len();
-            let planned = tiles + MAX_TRACKS;
+            let planned = tiles + MAX_TRACKS + resolved.pipeline.search.proposals as usize;
+            let planned = planned.min(MAX_PLANNED_VIEWS);
             assert!(planned <= MAX_PLANNED_VIEWS);
             let late = resolved.pipeline.rectification.window as usize;
             let buffer = Budget::of(&resolved).topic::<Detections>().buffer;

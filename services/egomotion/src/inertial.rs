@@ -108,6 +108,7 @@ impl Sensor {
     /// The sensor's clock begins anew.
     pub fn begin_epoch(&mut self) {
         self.record.clear();
+        self.errors.begin_clock();
     }
 
     /// Whether it counts.

@@ -43,16 +43,16 @@ impl Stage for EgomotionStage {
     }
 
     fn step(&mut self) -> anyhow::Result<Step> {
-        // First: a source sends the samples that cover a frame before the frame.
+        let frame = match self.flow {
+            Flow::Latest => self.frames.newest()?,
+            Flow::Lossless => self.frames.receive()?,
+        };
+        // After the frame was taken: its source sent the samples that cover it before it.
         if let Some(imus) = &mut self.imus {
             while let Some(samples) = imus.receive()? {
                 self.core.on_samples(&samples.header, samples.items());
             }
         }
-        let frame = match self.flow {
-            Flow::Latest => self.frames.newest()?,
-            Flow::Lossless => self.frames.receive()?,
-        };
         let Some(frame) = frame else { return Ok(Step::Wait) };
         let begun_ns = clock::monotonic_ns();
         match self.core.on_frame(&frame.header, frame.items()) {

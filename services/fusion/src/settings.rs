@@ -6,6 +6,7 @@ use anyhow::Context as _;
 use flockeye_config::{Filter, Flow, Mode, Pipeline, Resolved, SearchBudget};
 use flockeye_convert::RadianceCache;
 use flockeye_dictionary::Dictionary;
+use flockeye_geometry::camera::CameraModel;
 use flockeye_geometry::filter::{MotionModel, TrackPolicy};
 use flockeye_geometry::search::{Planner, SearchMode};
 use flockeye_runtime::memory;
@@ -51,7 +52,7 @@ pub fn configured<P: Pixels>(
     )?
     .with_high_resolution_tiles(resolved.high_resolution_tiles.clone())
     .with_alternating_windows(pipeline.alternates_windows())
-    .with_proposals(bodies.len(), pipeline.search.proposals as usize)
+    .with_proposals(bodies.len(), proposals(resolved))
     .with_mask(resolved.mask()?.clone());
     if planner.hidden_partitions() > 0 {
         tracing::info!(
@@ -107,6 +108,14 @@ pub fn configured<P: Pixels>(
         generation,
     };
     Ok(Configured { core, writer, aligner, has_background })
+}
+
+/// Views of places that look like a body in each frame. They are found in equirectangular pictures only.
+fn proposals(resolved: &Resolved) -> usize {
+    match resolved.camera.model() {
+        CameraModel::Equirectangular { .. } => resolved.pipeline.search.proposals as usize,
+        _ => 0,
+    }
 }
 
 /// Without tracks nothing says where to look, so everything is searched.

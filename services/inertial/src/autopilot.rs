@@ -18,7 +18,7 @@ use mavlink::{
     UdpMode,
 };
 
-use crate::core::Sender;
+use crate::core::{AUTOPILOT, Sender};
 use crate::message::{AutopilotSample, MessageKind, sample};
 
 /// The longest that a read blocks: so soon the thread sees that it shall stop.
@@ -38,8 +38,6 @@ const SAMPLE_INTERVAL_US: f32 = 5000.0;
 
 /// Our component: that of an onboard computer.
 const ONBOARD_COMPUTER: u8 = 191;
-/// The component that is the autopilot.
-const AUTOPILOT: u8 = 1;
 
 /// News that wait for the stage: seconds of samples.
 const NEWS: usize = 4096;

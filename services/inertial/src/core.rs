@@ -1,6 +1,6 @@
 //! Which samples go out: those of one autopilot, in one kind of message, on this machine's clock.
 
-use flockeye_contract::ImuSample;
+use flockeye_contract::{ImuSample, MAX_IMU_RATE};
 
 use crate::message::{AutopilotSample, MessageKind};
 use crate::sensor_clock::{Mapped, SensorClock};
@@ -10,6 +10,9 @@ const SILENT_NS: i64 = 1_000_000_000;
 
 /// Who sent a message: system and component.
 pub type Sender = (u32, u8);
+
+/// The component that is the autopilot. Gimbals and cameras on the same line have sensors of their own.
+pub const AUTOPILOT: u8 = 1;
 
 /// The samples of one sensor.
 #[derive(Debug, Default)]
@@ -30,13 +33,18 @@ struct Heard {
 
 impl Core {
     /// Takes in a sample that arrived at `arrived_ns` (CLOCK_MONOTONIC), and gives it as it goes out. `None`
-    /// where it does not: it is another drone's, a better message carries the same, or it is not new.
+    /// where it does not: it is another drone's or another component's, a better message carries the same, it
+    /// is not new, or its rate is none.
     pub fn on_sample(
         &mut self,
         sender: Sender,
         sample: &AutopilotSample,
         arrived_ns: i64,
     ) -> Option<ImuSample> {
+        let is_rate = sample.rate.iter().all(|rate| rate.abs() < MAX_IMU_RATE);
+        if sender.1 != AUTOPILOT || !is_rate {
+            return None;
+        }
         let heard = self.heard.filter(|heard| arrived_ns - heard.at_ns < SILENT_NS);
         if heard.is_some_and(|heard| heard.sender != sender || heard.kind > sample.kind) {
             return None;
@@ -98,6 +106,7 @@ mod tests {
         };
         assert!(taken(OURS, AttitudeQuaternion, 10, 1010));
         assert!(!taken((2, 1), HighresImu, 10, 1011), "another drone's");
+        assert!(!taken((1, 154), HighresImu, 10, 1012), "a gimbal's");
         assert!(taken(OURS, HighresImu, 15, 1015));
         assert!(!taken(OURS, AttitudeQuaternion, 20, 1020), "the other is better");
         assert!(!taken(OURS, HighresImu, 15, 1021), "not new");
@@ -106,6 +115,17 @@ mod tests {
         assert!(taken((2, 1), AttitudeQuaternion, 9000, 3000));
         assert_eq!(core.heard(3100 * MS), Some(AttitudeQuaternion));
         assert_eq!(core.heard(9000 * MS), None);
+    }
+
+    #[test]
+    fn a_rate_that_is_none_is_left_out() {
+        let mut core = Core::default();
+        let good = sample(MessageKind::HighresImu, 10);
+        for rate in [f64::NAN, 1e9] {
+            let bad = AutopilotSample { rate: [0.0, rate, 0.0], ..good };
+            assert_eq!(core.on_sample(OURS, &bad, 1010 * MS), None);
+        }
+        assert!(core.on_sample(OURS, &good, 1010 * MS).is_some());
     }
 
     #[test]

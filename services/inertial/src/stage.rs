@@ -52,16 +52,18 @@ impl Stage for InertialStage {
 
     fn step(&mut self) -> anyhow::Result<Step> {
         let mut samples = Vec::new();
-        let mut next = self.autopilot.next(WAIT)?;
-        while let Some(news) = next {
+        let mut patience = WAIT;
+        // Not without end: health must be sent however much comes.
+        for _ in 0..MAX_IMU_SAMPLES {
+            let Some(news) = self.autopilot.next(patience)? else { break };
+            patience = Duration::ZERO;
             let epoch = self.core.epoch();
             let sample = self.on_news(news);
             // A message holds samples of one clock.
-            if self.core.epoch() != epoch || samples.len() == MAX_IMU_SAMPLES {
+            if self.core.epoch() != epoch {
                 self.send(epoch, &std::mem::take(&mut samples))?;
             }
             samples.extend(sample);
-            next = self.autopilot.next(Duration::ZERO)?;
         }
         self.send(self.core.epoch(), &samples)?;
         self.watch();

@@ -49,6 +49,9 @@ pub struct RunOptions {
     pub watches_sweep: bool,
 }
 
+/// So many samples are kept while no frame has come.
+const MOST_EARLY_SAMPLES: usize = 20_000;
+
 /// The summary of a run.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct RunSummary {
@@ -183,7 +186,7 @@ impl RunLog {
             let stamp = message.header.stamp;
             let is_last = message.header.is_last != 0;
             self.last_track = Instant::now();
-            self.zero_ns.get_or_insert(stamp.exposure_ns - stamp.stream_ns);
+            self.zero_ns.get_or_insert(stamp.exposure_ns.saturating_sub(stamp.stream_ns));
             let now_ns = clock::monotonic_ns();
             self.dashboard.tracks(&stamp, message.items(), is_last, now_ns);
             for row in message.items().iter().filter_map(|track| PoseRow::of(&stamp, track)) {
@@ -206,6 +209,9 @@ impl RunLog {
         };
         while let Some(message) = imus.receive()? {
             self.early_samples.extend_from_slice(message.items());
+            // Of a camera that does not come for hours, the newest.
+            let surplus = self.early_samples.len().saturating_sub(MOST_EARLY_SAMPLES);
+            self.early_samples.drain(..surplus);
         }
         if let Some(zero_ns) = self.zero_ns {
             for sample in self.early_samples.drain(..) {

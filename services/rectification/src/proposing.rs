@@ -31,6 +31,9 @@ const LEAST_SIDES: f64 = 1.2;
 /// Half the field of a view, radii of a body: its middle may be off the place.
 const FIELD_RADII: f64 = 1.7;
 
+/// Half the field of a view is no larger, radians (40 degrees): near bodies are found by the tiles too.
+const MAX_HALF_FIELD_RAD: f64 = 0.7;
+
 /// A place that looks like a body.
 #[derive(Debug, Clone, Copy)]
 struct Place {
@@ -47,6 +50,8 @@ pub struct Proposing {
     sizes: Option<MarkerSizes>,
     mask: Mask,
     pixels_per_radian: f64,
+    /// Longest side of a view, pixels.
+    size_max_px: u32,
     /// The places of the last frame.
     known: Vec<Place>,
     /// The places in `known` that views were planned of, in their order.
@@ -75,6 +80,7 @@ impl Proposing {
             sizes: (radius_in_sides > 0.0).then_some(sizes),
             mask: resolved.mask()?.clone(),
             pixels_per_radian,
+            size_max_px: resolved.gaze_options.size_max_px,
             known: Vec::new(),
             planned: Vec::new(),
             frames: 0,
@@ -122,10 +128,14 @@ impl Proposing {
 
     fn view(&self, place: &Proposal, sizes: &MarkerSizes) -> View {
         let side_rad = place.side_rad.max(LEAST_SIDES * sizes.least_rad);
-        let field_rad = 2.0 * FIELD_RADII * sizes.radius_in_sides * side_rad;
-        let most = MAX_MAGNIFICATION * self.pixels_per_radian;
+        let half_rad = (FIELD_RADII * sizes.radius_in_sides * side_rad).min(MAX_HALF_FIELD_RAD);
+        let field_rad = 2.0 * half_rad;
+        // No larger than a region of interest: shared memory has room for that.
+        let most_px = f64::from(self.size_max_px) / (2.0 * half_rad.tan());
+        let most = (MAX_MAGNIFICATION * self.pixels_per_radian).min(most_px);
         let focal_px = (MARKER_PX / side_rad).min(most);
-        let size_px = (2.0 * focal_px * (field_rad / 2.0).tan()).ceil() as u32;
+        let size_px = (2.0 * focal_px * half_rad.tan()).ceil() as u32;
+        let size_px = size_px.clamp(1, self.size_max_px);
         View { focal_px, ..View::looking_at(&place.direction_in_camera, field_rad, size_px) }
     }
 }

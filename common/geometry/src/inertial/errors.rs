@@ -18,6 +18,10 @@ const FIRST_OFFSET_S: f64 = 0.01;
 /// How fast the bias wanders: 0.05 degrees/s in a second, 0.4 in a minute.
 const BIAS_WALK: f64 = 8.7e-4;
 
+/// How fast the time offset wanders: 0.2 ms in a second. An autopilot's clock is mapped by the least delay of
+/// the last seconds, which steps by fractions of a millisecond.
+const OFFSET_WALK: f64 = 2e-4;
+
 /// Scale and cross-axis errors, as a share of the rate. Data sheets of such sensors say 0.5 % and 1 % at most.
 const SCALE_ERROR: f64 = 0.003;
 
@@ -65,6 +69,13 @@ impl SensorErrors {
     /// The bias along the camera's axes, rad/s.
     pub fn bias(&self) -> Vector3<f64> {
         self.bias
+    }
+
+    /// The sensor's clock has begun anew: its offset is as uncertain as at first.
+    pub fn begin_clock(&mut self) {
+        self.covariance.row_mut(6).fill(0.0);
+        self.covariance.column_mut(6).fill(0.0);
+        self.covariance[(6, 6)] = FIRST_OFFSET_S * FIRST_OFFSET_S;
     }
 
     /// The camera's time at a time of the sensor, seconds.
@@ -128,6 +139,7 @@ impl SensorErrors {
     ) {
         let walk = BIAS_WALK * BIAS_WALK * step_s;
         (0..3).for_each(|k| self.covariance[(k, k)] += walk);
+        self.covariance[(6, 6)] += OFFSET_WALK * OFFSET_WALK * step_s;
         let off = off(corrected, later_from_earlier);
         let seen = &corrected.by_errors;
         // What the samples' noise and scale leave is in the sensor's own covariance.

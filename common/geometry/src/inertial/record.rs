@@ -10,6 +10,12 @@ const LONGEST_GAP_S: f64 = 0.03;
 /// So long after the newest sample its rate is still taken, seconds: about one sample at 100 Hz.
 const HOLD_S: f64 = 0.01;
 
+/// A sample that is earlier than the newest by more is of a clock that has jumped, seconds.
+const LEAP_S: f64 = 1.0;
+
+/// So many samples are kept at most: a quarter of an hour at 1 kHz.
+const MOST_SAMPLES: usize = 1_000_000;
+
 /// So many of the newest samples say how noisy they are.
 const NOISE_SAMPLES: usize = 100;
 
@@ -44,10 +50,17 @@ impl RateRecord {
         Self { keep_s, samples: VecDeque::new() }
     }
 
-    /// Takes in the next sample. One that is not later than the last one is left out.
+    /// Takes in the next sample. One that is not later than the last one is left out; one that is earlier by
+    /// far says that the clock has jumped, and all begins anew.
     pub fn push(&mut self, sample: RateSample) {
+        if self.samples.back().is_some_and(|last| sample.at_s < last.at_s - LEAP_S) {
+            self.samples.clear();
+        }
         if self.samples.back().is_some_and(|last| sample.at_s <= last.at_s) {
             return;
+        }
+        if self.samples.len() >= MOST_SAMPLES {
+            self.samples.pop_front();
         }
         self.samples.push_back(sample);
         while self.samples.front().is_some_and(|first| first.at_s < sample.at_s - self.keep_s) {
@@ -204,10 +217,14 @@ mod tests {
         assert!(!known(&record, 1.9, 2.102) && known(&record, 2.1, 2.105));
         assert_eq!(record.rate_at(2.05), None);
         // Old news, and what is too long ago.
-        record.push(RateSample { at_s: 1.0, rate: Vector3::x() });
+        record.push(RateSample { at_s: 1.5, rate: Vector3::x() });
         assert_eq!(record.newest_s(), Some(2.105));
         record.push(RateSample { at_s: 6.9, rate: Vector3::zeros() });
         assert!(!known(&record, 1.0, 1.5));
+        // The clock has jumped far ahead, and back.
+        record.push(RateSample { at_s: 9e9, rate: Vector3::zeros() });
+        record.push(RateSample { at_s: 6.9, rate: Vector3::zeros() });
+        assert_eq!(record.newest_s(), Some(6.9));
         record.clear();
         assert_eq!((record.newest_s(), record.rate_around(6.9, 0.0)), (None, None));
     }
