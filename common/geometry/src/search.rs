@@ -148,6 +148,10 @@ struct Proposals {
     views: usize,
 }
 
+/// After this many frames without a tile one is searched however little time there is, so that untracked
+/// targets are found.
+pub const MAX_FRAMES_WITHOUT_TILE: u64 = 4;
+
 /// A view in a plan for which no place is known yet. It is cut like this where none is found, at no cost
 /// worth counting.
 const UNPLACED: View = View {
@@ -295,6 +299,9 @@ impl Planner {
     /// neighbours' own order). Then the proposals, where a target is not tracked. Then the tiles of both
     /// resolutions in turn, least recently searched first.
     ///
+    /// After [`MAX_FRAMES_WITHOUT_TILE`] frames without a tile, the first tile comes before the proposals:
+    /// what is never proposed must be found too.
+    ///
     /// Where there are more than [`GazeOptions::views_before_partition`] neighbours, the first tile
     /// comes right after that many of their views. So a frame with time for one view more searches at
     /// least one tile, and all N tiles are searched within N such frames, however many neighbours
@@ -323,14 +330,17 @@ impl Planner {
         let mut views = gazes;
         let (first, others) = tiles.split_at(tiles.len().min(1));
         let is_crowded = views.len() > self.gaze.views_before_partition;
-        if is_crowded {
-            let early = self.gaze.views_before_partition;
-            views.splice(early..early, first.iter().copied());
+        let is_tile_due = searched.frames_without_tile() >= MAX_FRAMES_WITHOUT_TILE;
+        let mut rest = vec![proposal; proposals];
+        match (is_crowded, is_tile_due) {
+            (true, _) => {
+                let early = self.gaze.views_before_partition;
+                views.splice(early..early, first.iter().copied());
+            }
+            (false, true) => views.extend_from_slice(first),
+            (false, false) => rest.extend_from_slice(first),
         }
-        views.extend(std::iter::repeat_n(proposal, proposals));
-        if !is_crowded {
-            views.extend_from_slice(first);
-        }
+        views.append(&mut rest);
         views.extend_from_slice(others);
         Plan { views, stop_rule: StopRule::Deadline, view_budget }
     }

@@ -1,6 +1,7 @@
 //! The rows of an inertial sensor's file.
 
 use flockeye_contract::ImuSample;
+use flockeye_geometry::inertial::{RateRecord, RateSample};
 use nalgebra::Vector3;
 use serde::ser::{Serialize, SerializeStruct, Serializer};
 
@@ -28,6 +29,14 @@ impl ImuRow {
             specific_force: force.iter().all(|force| force.is_finite()).then_some(force),
         }
     }
+}
+
+/// The rates of a whole file, in the order of their time.
+pub fn rate_record(mut rows: Vec<ImuRow>) -> RateRecord {
+    rows.sort_by(|one, other| one.t_s.total_cmp(&other.t_s));
+    let mut record = RateRecord::new(f64::INFINITY);
+    rows.iter().for_each(|row| record.push(RateSample { at_s: row.t_s, rate: row.rate }));
+    record
 }
 
 const COLUMNS: [&str; 7] = ["t_s", "gx", "gy", "gz", "ax", "ay", "az"];

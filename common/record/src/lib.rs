@@ -23,7 +23,7 @@ pub mod table;
 pub mod truth;
 
 pub use frame_times::FrameTimes;
-pub use imu::ImuRow;
+pub use imu::{ImuRow, rate_record};
 pub use pose::{MeasuredPose, PoseRow, PredictedPose};
 pub use rays::MarkerRays;
 pub use recorder::{Recorded, Recorder};

@@ -4,14 +4,14 @@ use flockeye_config::Resolved;
 use flockeye_contract::{FrameHeader, FrameStamp, ImuHeader, ImuSample, Rotation, RotationSource};
 use flockeye_convert::{rate_sample, rotation, rotation_message};
 use flockeye_geometry::camera::Camera;
-use flockeye_geometry::ego_rotation::{CameraTurn, TurnAhead};
+use flockeye_geometry::ego_rotation::{CameraTurn, TurnAhead, Turned};
 use flockeye_geometry::inertial::errors::Corrected;
 use flockeye_imaging::gyroscope::Gyroscope;
 use flockeye_imaging::gyroscope::grid::Sampler;
 use flockeye_imaging::sphere::{SphereError, SphereImage};
 use nalgebra::UnitQuaternion;
 
-use crate::inertial::{Notice, Sensor, Turned};
+use crate::inertial::{Notice, Sensor};
 use crate::rate::RateFilter;
 
 /// Frames that lie farther apart are not compared, seconds: too little of what both show is the same.
@@ -127,7 +127,7 @@ impl Core {
         by_sensor: Option<&Corrected>,
     ) -> Option<UnitQuaternion<f64>> {
         if let Some(corrected) = by_sensor.filter(|_| self.sensor_counts()) {
-            return Some(corrected.later_from_earlier);
+            return Some(corrected.turned.later_from_earlier);
         }
         let (from_s, to_s) = times?;
         // The sphere turns the other way than the camera.
@@ -156,7 +156,7 @@ impl Core {
             }
             (Some(picture), None) => Some((picture, RotationSource::Picture)),
             (None, Some(corrected)) if self.sensor_counts() => {
-                Some((Turned::from(&corrected), RotationSource::Inertial))
+                Some((corrected.turned, RotationSource::Inertial))
             }
             (None, _) => None,
         }

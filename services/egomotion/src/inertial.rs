@@ -4,9 +4,10 @@
 //! rotations with the picture's ([`SensorErrors`]). A sensor counts once it has agreed while the drone turned,
 //! and until it disagrees in five of fifteen frames.
 
+use flockeye_geometry::ego_rotation::Turned;
 use flockeye_geometry::inertial::errors::Corrected;
 use flockeye_geometry::inertial::{RateRecord, RateSample, SensorErrors};
-use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, Vector3};
 
 /// Samples of so many seconds are kept: a frame that comes late is still covered.
 const KEEP_S: f64 = 2.0;
@@ -49,15 +50,6 @@ pub enum Notice {
     Silent,
     /// Samples come again.
     Heard,
-}
-
-/// A rotation with its covariance.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Turned {
-    /// Turns directions in the camera frame of the earlier time into that of the later one.
-    pub later_from_earlier: UnitQuaternion<f64>,
-    /// Covariance of its rotation vector in the later camera frame, rad^2.
-    pub covariance: Matrix3<f64>,
 }
 
 /// The inertial sensor, as the picture judges it.
@@ -152,14 +144,11 @@ impl Sensor {
         picture: &Turned,
         step_s: f64,
     ) -> Option<Turned> {
-        let distance =
-            self.errors.distance(corrected, &picture.later_from_earlier, &picture.covariance)?;
-        let is_inside = distance <= GATE;
+        let is_inside = corrected.distance(picture)? <= GATE;
         self.outside = (self.outside << 1 | u32::from(!is_inside)) & ((1 << WINDOW) - 1);
-        let both = (is_inside && self.counts()).then(|| fused(corrected, picture)).flatten();
+        let both = (is_inside && self.counts()).then(|| corrected.with(picture)).flatten();
         if is_inside {
-            let Turned { later_from_earlier, covariance } = picture;
-            self.errors.compare(corrected, later_from_earlier, covariance, step_s);
+            self.errors.compare(corrected, picture, step_s);
             self.agreed += 1;
             self.turned += picture.later_from_earlier.angle();
         } else {
@@ -168,9 +157,7 @@ impl Sensor {
                 self.errors = SensorErrors::new();
             }
         }
-        let off =
-            corrected.later_from_earlier.scaled_axis() - picture.later_from_earlier.scaled_axis();
-        self.judge(off / step_s);
+        self.judge(corrected.off(picture) / step_s);
         both
     }
 
@@ -203,8 +190,7 @@ impl Sensor {
         if !self.counts() || until_s <= exposure_s {
             return None;
         }
-        let corrected = self.errors.turned(&self.record, exposure_s, until_s)?;
-        Some((until_s, Turned::from(&corrected)))
+        Some((until_s, self.errors.turned(&self.record, exposure_s, until_s)?.turned))
     }
 }
 
@@ -212,26 +198,6 @@ impl Default for Sensor {
     fn default() -> Self {
         Self::new()
     }
-}
-
-impl From<&Corrected> for Turned {
-    fn from(corrected: &Corrected) -> Self {
-        let Corrected { later_from_earlier, covariance, .. } = *corrected;
-        Self { later_from_earlier, covariance }
-    }
-}
-
-/// The rotation by both, each by its covariance.
-fn fused(corrected: &Corrected, picture: &Turned) -> Option<Turned> {
-    let spread = (corrected.covariance + picture.covariance).cholesky()?;
-    let by_sensor = corrected.later_from_earlier.scaled_axis();
-    let off = picture.later_from_earlier.scaled_axis() - by_sensor;
-    let turned = by_sensor + corrected.covariance * spread.solve(&off);
-    let covariance = corrected.covariance * spread.solve(&picture.covariance);
-    Some(Turned {
-        later_from_earlier: UnitQuaternion::from_scaled_axis(turned),
-        covariance: (covariance + covariance.transpose()) / 2.0,
-    })
 }
 
 #[cfg(test)]

@@ -11,7 +11,7 @@ use flockeye_contract::FrameStamp;
 /// Frames that the interval is estimated from: about a second.
 const FRAMES: usize = 32;
 
-/// The weight of the last cut in the mean time of a cut.
+/// The weight of the last cut in the mean time of a cut, and of the last look in that of a look.
 const CUT_SHARE: f64 = 0.1;
 
 /// The longest search decays by this factor with each tile, so that one slow search counts for about ten.
@@ -28,6 +28,7 @@ const LONGEST_SEARCH_NS: i64 = 1_000_000_000;
 pub struct Cadence {
     frames: VecDeque<(FrameStamp, i64)>,
     cut_ns: f64,
+    look_ns: f64,
     search_ns: f64,
 }
 
@@ -52,15 +53,22 @@ impl Cadence {
         self.cut_ns += CUT_SHARE * (took_ns as f64 - self.cut_ns);
     }
 
+    /// The picture was looked at for places like a body.
+    pub fn note_look(&mut self, took_ns: i64) {
+        self.look_ns += CUT_SHARE * (took_ns as f64 - self.look_ns);
+    }
+
     /// A tile was searched for `took_ns`, as its worker says.
     pub fn note_search(&mut self, took_ns: i64) {
         let took_ns = took_ns.clamp(0, LONGEST_SEARCH_NS) as f64;
         self.search_ns = (FORGETTING * self.search_ns).max(took_ns);
     }
 
-    /// Whether a tile can be cut before the next frame is due. True while that is not known.
-    pub fn has_time_to_cut(&self, now_ns: i64) -> bool {
-        let cut_ns = now_ns.saturating_add(self.cut_ns as i64);
+    /// Whether a view can be cut before the next frame is due, after a look for places if it needs one. It is
+    /// taken for a tile, because smaller ones are cut sooner. True while that is not known.
+    pub fn has_time_to_cut(&self, needs_look: bool, now_ns: i64) -> bool {
+        let look_ns = if needs_look { self.look_ns } else { 0.0 };
+        let cut_ns = now_ns.saturating_add((look_ns + self.cut_ns) as i64);
         self.due_ns().is_none_or(|due_ns| cut_ns < due_ns)
     }
 
@@ -165,11 +173,17 @@ mod tests {
     fn a_tile_that_would_not_be_cut_in_time_is_not_begun() {
         let mut unknown = Cadence::default();
         unknown.note_cut(5 * MS);
-        assert!(unknown.has_time_to_cut(0));
+        assert!(unknown.has_time_to_cut(false, 0));
         let mut due_at_160 = cadence(&[(0, 100, 100), (1, 130, 130)]);
-        assert!(due_at_160.has_time_to_cut(159 * MS) && !due_at_160.has_time_to_cut(160 * MS));
+        assert!(
+            due_at_160.has_time_to_cut(false, 159 * MS)
+                && !due_at_160.has_time_to_cut(false, 160 * MS)
+        );
         (0..100).for_each(|_| due_at_160.note_cut(5 * MS));
-        assert!(due_at_160.has_time_to_cut(154 * MS) && !due_at_160.has_time_to_cut(156 * MS));
+        assert!(
+            due_at_160.has_time_to_cut(false, 154 * MS)
+                && !due_at_160.has_time_to_cut(false, 156 * MS)
+        );
     }
 
     #[test]

@@ -44,6 +44,11 @@ pub enum Event<F> {
         /// How long cutting took, nanoseconds.
         took_ns: i64,
     },
+    /// The places of a frame's proposals were found.
+    Looked {
+        /// How long that took, nanoseconds.
+        took_ns: i64,
+    },
     /// A view that was ordered could not be cut.
     CutFailed(CutOrder),
     /// The frame that was taken up cannot be cut at all.
@@ -206,6 +211,7 @@ impl<F> Core<F> {
             Event::Plan(header, views) => self.plan = Some((header, views)),
             Event::Answer(header) => self.on_answer(&header, now_ns),
             Event::Published { order, took_ns } => self.on_published(order, took_ns, now_ns),
+            Event::Looked { took_ns } => self.clock.note_look(took_ns),
             Event::CutFailed(order) => {
                 if let Some(held) = self.held_mut(order.frame) {
                     held.job.fail();
@@ -273,9 +279,6 @@ impl<F> Core<F> {
         let (header, pixels) = self.waiting.take()?;
         self.clock.begin_frame(&header.stamp);
         let job = self.job_for(header, now_ns);
-        if job.proposals() > 0 {
-            self.clock.note_proposals();
-        }
         let likely = job.likely(self.searched);
         self.held.push(Held { pixels, job, ordered: BTreeSet::new(), likely });
         Some(header.stamp.order())
@@ -304,7 +307,7 @@ impl<F> Core<F> {
             let job = &self.held[position].job;
             let is_newer_waiting = self.waiting.is_some();
             let why_over =
-                self.clock.why_over(job.next_view(), job.searched(), is_newer_waiting, now_ns);
+                self.clock.why_over(job.upcoming(), job.searched(), is_newer_waiting, now_ns);
             match job.next(why_over) {
                 Next::Wait => {}
                 Next::End(reason) => {

@@ -44,7 +44,7 @@ impl Cutter {
         pixels: impl Fn(&F) -> &[u8],
         proposing: &mut Proposing,
     ) -> anyhow::Result<()> {
-        let views = held.job.proposals();
+        let views = held.job.proposal_indices().len();
         if views > 0 {
             let sphere = self.sphere_of(&held.job.frame, pixels(&held.pixels))?;
             held.job.place_proposals(proposing.views(&sphere, views));

@@ -3,12 +3,11 @@
 use flockeye_config::{Flow, Pipeline, SearchBudget};
 use flockeye_contract::{FrameStamp, PlannedView, StageName, StopReason};
 
-use crate::cadence::Cadence;
-use crate::virtual_budget::VirtualBudget;
+use flockeye_geometry::search::MAX_FRAMES_WITHOUT_TILE;
 
-/// After this many frames with time for regions of interest only, one tile is cut all the same. So
-/// untracked targets are found however little time there is.
-const MAX_FRAMES_WITHOUT_TILE: u32 = 4;
+use crate::cadence::Cadence;
+use crate::job::Upcoming;
+use crate::virtual_budget::VirtualBudget;
 
 /// What decides how many tiles of a frame are cut.
 #[derive(Debug, Clone)]
@@ -26,7 +25,7 @@ pub enum Clock {
 pub struct FrameClock {
     /// What it goes by.
     pub clock: Clock,
-    frames_without_tile: u32,
+    frames_without_tile: u64,
 }
 
 impl FrameClock {
@@ -66,10 +65,12 @@ impl FrameClock {
         }
     }
 
-    /// Places that look like a body are found in the frame that was taken up.
-    pub fn note_proposals(&mut self) {
-        if let Clock::Virtual(budget) = &mut self.clock {
-            budget.spend_proposals();
+    /// The picture was looked at for places like a body, which took `took_ns`.
+    pub fn note_look(&mut self, took_ns: i64) {
+        match &mut self.clock {
+            Clock::Live(cadence) => cadence.note_look(took_ns),
+            Clock::Virtual(budget) => budget.spend_look(),
+            Clock::Unlimited => {}
         }
     }
 
@@ -99,20 +100,23 @@ impl FrameClock {
 
     /// Why there is no time for the view `next`: a newer frame waits or is due, or the frame's budget is
     /// spent. `None` where there is. A frame that has come to no tile yet, as those before it, has time for
-    /// one.
+    /// one, and for nothing else: the plan has a tile before its proposals then.
     pub fn why_over(
         &self,
-        next: Option<&PlannedView>,
+        next: Option<Upcoming<'_>>,
         tiles: usize,
         is_newer_waiting: bool,
         now_ns: i64,
     ) -> Option<StopReason> {
-        if tiles == 0 && self.frames_without_tile >= MAX_FRAMES_WITHOUT_TILE {
+        let is_tile = next.is_some_and(|next| next.view.is_tile());
+        if is_tile && tiles == 0 && self.frames_without_tile >= MAX_FRAMES_WITHOUT_TILE {
             return None;
         }
         match &self.clock {
             Clock::Live(cadence) => {
-                (is_newer_waiting || !cadence.has_time_to_cut(now_ns)).then_some(StopReason::Newer)
+                let needs_look = next.is_some_and(|next| next.needs_look);
+                let has_time = cadence.has_time_to_cut(needs_look, now_ns);
+                (is_newer_waiting || !has_time).then_some(StopReason::Newer)
             }
             Clock::Virtual(budget) => {
                 next.is_some_and(|next| !budget.fits(next)).then_some(StopReason::Budget)
@@ -144,19 +148,26 @@ mod tests {
         PlannedView { kind: ViewKind::Partition.code(), ..PlannedView::default() }
     }
 
+    fn upcoming(view: &PlannedView) -> Option<Upcoming<'_>> {
+        Some(Upcoming { view, needs_look: view.is_proposal() })
+    }
+
     #[test]
     fn after_some_frames_for_regions_only_a_tile_is_due() {
         let mut clock = FrameClock::new(Clock::Live(Cadence::default()));
         (0..4).for_each(|_| {
-            assert_eq!(clock.why_over(Some(&tile()), 0, true, 0), Some(StopReason::Newer));
+            assert_eq!(clock.why_over(upcoming(&tile()), 0, true, 0), Some(StopReason::Newer));
             clock.end_frame(0);
         });
-        assert_eq!(clock.why_over(Some(&tile()), 0, true, 0), None, "a tile is due");
-        assert!(clock.why_over(Some(&tile()), 1, true, 0).is_some(), "one is enough");
+        assert_eq!(clock.why_over(upcoming(&tile()), 0, true, 0), None, "a tile is due");
+        let proposal = PlannedView { kind: ViewKind::Proposal.code(), ..PlannedView::default() };
+        let newer = Some(StopReason::Newer);
+        assert_eq!(clock.why_over(upcoming(&proposal), 0, true, 0), newer, "and nothing else is");
+        assert!(clock.why_over(upcoming(&tile()), 1, true, 0).is_some(), "one is enough");
         clock.end_frame(0);
-        assert_eq!(clock.why_over(Some(&tile()), 0, true, 0), None);
+        assert_eq!(clock.why_over(upcoming(&tile()), 0, true, 0), None);
         clock.end_frame(1);
-        assert_eq!(clock.why_over(Some(&tile()), 0, true, 0), Some(StopReason::Newer));
+        assert_eq!(clock.why_over(upcoming(&tile()), 0, true, 0), Some(StopReason::Newer));
     }
 
     #[test]

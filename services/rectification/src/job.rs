@@ -30,6 +30,15 @@ pub struct Job {
     are_proposals_placed: bool,
 }
 
+/// A view that comes next.
+#[derive(Debug, Clone, Copy)]
+pub struct Upcoming<'v> {
+    /// As planned.
+    pub view: &'v PlannedView,
+    /// Whether the picture must be looked at for places before it is cut.
+    pub needs_look: bool,
+}
+
 /// Partitions that are cut ahead, beyond as many as the frame before came to.
 const SPARE_PARTITIONS: usize = 2;
 
@@ -148,11 +157,6 @@ impl Job {
         Some((at_exposure(planned, self.frame.stamp.exposure_ns), *planned))
     }
 
-    /// How many proposals the plan asks for.
-    pub fn proposals(&self) -> usize {
-        self.views.iter().filter(|view| view.is_proposal()).count()
-    }
-
     /// Whether the places of its proposals are still to be found.
     pub fn awaits_places(&self) -> bool {
         !self.are_proposals_placed
@@ -215,8 +219,9 @@ impl Job {
     }
 
     /// The view that comes next in the plan's order.
-    pub fn next_view(&self) -> Option<&PlannedView> {
-        self.views.get(self.issued)
+    pub fn upcoming(&self) -> Option<Upcoming<'_>> {
+        let view = self.views.get(self.issued)?;
+        Some(Upcoming { view, needs_look: view.is_proposal() && self.awaits_places() })
     }
 
     /// The end of the frame was published.
@@ -359,7 +364,7 @@ mod tests {
     fn proposals_get_their_places_in_order_and_give_way_to_a_newer_frame() {
         use ViewKind::Proposal;
         let mut searched = job(StopRule::Deadline, &[Gaze, Proposal, Proposal, Part], usize::MAX);
-        assert_eq!((searched.proposals(), searched.proposal_indices()), (2, vec![1, 2]));
+        assert_eq!(searched.proposal_indices(), [1, 2]);
         assert!(searched.awaits_places());
         assert_eq!(searched.likely(0), [0, 3], "what has no place cannot be cut ahead");
         let place = View::looking_at(&Vector3::y_axis(), 0.1, 99);

@@ -142,9 +142,12 @@ impl RectificationStage {
     fn place_proposals(&mut self, order: CutOrder) -> anyhow::Result<()> {
         let held = self.core.held_mut(order.frame).context("the frame is not held")?;
         if held.job.awaits_places() && held.job.proposal(order.view_index).is_some() {
+            let begun_ns = clock::monotonic_ns();
             self.cutter.propose(held, Message::items, &mut self.proposing)?;
+            let now_ns = clock::monotonic_ns();
             let proposals = held.job.proposal_indices();
             self.cutter.order(held, Message::items, &proposals)?;
+            self.core.on(Event::Looked { took_ns: now_ns - begun_ns }, now_ns);
         }
         Ok(())
     }

@@ -4,6 +4,8 @@
 use flockeye_config::Costs;
 use flockeye_contract::{FrameStamp, PlannedView, Search};
 
+use crate::job::Upcoming;
+
 /// The interval until two frames have shown it: that of the usual source, 30 frames/s.
 const FIRST_INTERVAL_NS: i64 = 33_333_333;
 
@@ -47,9 +49,10 @@ impl VirtualBudget {
         self.left_ms = whole_ms + overdrawn_ms - self.each_frame_ms;
     }
 
-    /// Whether a view fits into what is left.
-    pub fn fits(&self, planned: &PlannedView) -> bool {
-        self.cost_ms(planned) <= self.left_ms
+    /// Whether a view fits into what is left, with the look for places that it may need.
+    pub fn fits(&self, next: Upcoming<'_>) -> bool {
+        let look_ms = if next.needs_look { self.costs.proposals_ms } else { 0.0 };
+        look_ms + self.cost_ms(next.view) <= self.left_ms
     }
 
     /// A view was cut.
@@ -57,8 +60,8 @@ impl VirtualBudget {
         self.left_ms -= self.cost_ms(planned);
     }
 
-    /// Places that look like a body were found.
-    pub fn spend_proposals(&mut self) {
+    /// The picture was looked at for places like a body.
+    pub fn spend_look(&mut self) {
         self.left_ms -= self.costs.proposals_ms;
     }
 
@@ -112,7 +115,8 @@ mod tests {
     /// How many tiles, each searched with one window, fit into what is left. They are spent.
     fn tiles(budget: &mut VirtualBudget) -> usize {
         let tile = planned(ViewKind::Partition, Search::FineWindow);
-        (0..).take_while(|_| budget.fits(&tile).then(|| budget.spend(&tile)).is_some()).count()
+        let next = Upcoming { view: &tile, needs_look: false };
+        (0..).take_while(|_| budget.fits(next).then(|| budget.spend(&tile)).is_some()).count()
     }
 
     #[test]
@@ -136,11 +140,17 @@ mod tests {
     fn proposals_cost_their_search_for_places_and_four_windows() {
         let mut budget = VirtualBudget::new(Costs { proposals_ms: 4.7, ..costs() }, false);
         budget.begin_frame(&stamp(0, 0));
-        budget.spend_proposals();
+        budget.spend_look();
         let proposal =
             PlannedView { size_px: 500, ..planned(ViewKind::Proposal, Search::AllWindows) };
         (0..2).for_each(|_| budget.spend(&proposal));
+        let proposal_fits = |budget: &VirtualBudget, needs_look: bool| {
+            budget.fits(Upcoming { view: &proposal, needs_look })
+        };
         assert_eq!(tiles(&mut budget), 3, "56.7 - 4.7 - 2 * 0.25 * 34 = 35 ms");
+        budget.begin_frame(&stamp(1, 10));
+        // 20 - 10 ms are left: 8.5 for a proposal, or 13.2 with the look.
+        assert!(proposal_fits(&budget, false) && !proposal_fits(&budget, true));
     }
 
     #[test]

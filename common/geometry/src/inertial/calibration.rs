@@ -151,8 +151,8 @@ pub fn calibrate(
 fn pairs(seen: &[TurnSeen], record: &RateRecord, offset_s: f64) -> Vec<Pair> {
     let pair = |seen: &TurnSeen| {
         let (from_s, to_s) = (seen.earlier_s - offset_s, seen.later_s - offset_s);
-        let turned = record.turned(from_s, to_s, |rate| rate)?;
-        let sensor = -turned.later_from_earlier.scaled_axis() / (to_s - from_s);
+        let turned = record.later_from_earlier(from_s, to_s, |rate| rate)?;
+        let sensor = -turned.scaled_axis() / (to_s - from_s);
         Some(Pair { seen: *seen, sensor })
     };
     seen.iter().filter_map(pair).collect()

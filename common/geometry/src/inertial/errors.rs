@@ -1,13 +1,14 @@
 //! Bias, mounting and time offset of an inertial sensor, by comparison with the picture.
 //!
-//! The camera's angular velocity is w(t) = exp(m) w_s(t - o) - b, where w_s is what the sensor says in its
-//! configured mounting, m a small rotation vector (the mounting's error), o a time offset and b the bias. The
-//! mean rate that the picture shows between two frames measures all seven, as a Kalman filter takes them in
-//! (Mirzaei and Roumeliotis, IEEE Trans. Robotics 24, 2008; Li and Mourikis, IJRR 33, 2014, for the offset).
+//! The camera's angular velocity is w(t) = exp(m) w_s(t - o) - b. Here w_s is what the sensor says in its
+//! configured mounting, m the mounting's error as a rotation vector, o the time offset, and b the bias. The
+//! mean rate that the picture shows between two frames measures all seven numbers. A Kalman filter takes it in
+//! (Mirzaei and Roumeliotis, IEEE Trans. Robotics 24, 2008; for the offset Li and Mourikis, IJRR 33, 2014).
 
 use nalgebra::{Matrix3, SMatrix, SVector, UnitQuaternion, Vector3};
 
 use super::record::{RateRecord, SensorTurn};
+use crate::ego_rotation::Turned;
 
 /// Standard deviations before anything was compared: bias of a sensor of this class (rad/s: 3 degrees/s),
 /// mounting by hand or by calibration (2 degrees), time offset (10 ms).
@@ -45,10 +46,10 @@ pub struct SensorErrors {
 /// A rotation by the sensor, with its errors taken out.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Corrected {
-    /// Turns directions in the camera frame of the earlier time into that of the later one.
-    pub later_from_earlier: UnitQuaternion<f64>,
-    /// Covariance of its rotation vector, rad^2.
-    pub covariance: Matrix3<f64>,
+    /// The camera's rotation between the two times.
+    pub turned: Turned,
+    /// What the samples' noise and scale leave about each axis, rad^2.
+    rest_variance: f64,
     /// How the rotation vector changes with the errors.
     by_errors: Matrix3x7,
 }
@@ -92,12 +93,13 @@ impl SensorErrors {
             record.turned(from_s, to_s, correct)?;
         let step_s = later_s - earlier_s;
         let change = record.rate_at(to_s)? - record.rate_at(from_s)?;
-        let turned = -later_from_earlier.scaled_axis();
-        let by_errors = by_errors(&turned, step_s, &(self.mounting * change));
-        let scale = (SCALE_ERROR * turned.norm()).powi(2);
+        let vector = -later_from_earlier.scaled_axis();
+        let by_errors = by_errors(&vector, step_s, &(self.mounting * change));
+        let rest_variance = noise_variance + (SCALE_ERROR * vector.norm()).powi(2);
         let covariance = by_errors * self.covariance * by_errors.transpose()
-            + Matrix3::from_diagonal_element(noise_variance + scale);
-        Some(Corrected { later_from_earlier, covariance, by_errors })
+            + Matrix3::from_diagonal_element(rest_variance);
+        let turned = Turned { later_from_earlier, covariance };
+        Some(Corrected { turned, rest_variance, by_errors })
     }
 
     /// The camera's angular velocity, averaged over `width_s` round a time, rad/s, with its covariance.
@@ -117,42 +119,19 @@ impl SensorErrors {
         Some((turned - self.bias, covariance))
     }
 
-    /// How far the sensor is from the picture, as a squared Mahalanobis distance (chi-square of 3 degrees of
-    /// freedom where both are right): the picture's rotation and its covariance, in rad^2.
-    pub fn distance(
-        &self,
-        corrected: &Corrected,
-        later_from_earlier: &UnitQuaternion<f64>,
-        covariance: &Matrix3<f64>,
-    ) -> Option<f64> {
-        let off = off(corrected, later_from_earlier);
-        (corrected.covariance + covariance).cholesky().map(|spread| off.dot(&spread.solve(&off)))
-    }
-
     /// Takes in what the picture shows over `step_s` seconds, where the sensor says `corrected`.
-    pub fn compare(
-        &mut self,
-        corrected: &Corrected,
-        later_from_earlier: &UnitQuaternion<f64>,
-        covariance: &Matrix3<f64>,
-        step_s: f64,
-    ) {
+    pub fn compare(&mut self, corrected: &Corrected, picture: &Turned, step_s: f64) {
         let walk = BIAS_WALK * BIAS_WALK * step_s;
         (0..3).for_each(|k| self.covariance[(k, k)] += walk);
         self.covariance[(6, 6)] += OFFSET_WALK * OFFSET_WALK * step_s;
-        let off = off(corrected, later_from_earlier);
         let seen = &corrected.by_errors;
-        // What the samples' noise and scale leave is in the sensor's own covariance.
-        let rest = corrected.covariance - seen * self.covariance * seen.transpose();
-        let rest = rest.map_diagonal(|variance| variance.max(0.0));
-        let spread =
-            seen * self.covariance * seen.transpose() + covariance + Matrix3::from_diagonal(&rest);
+        let noise = picture.covariance + Matrix3::from_diagonal_element(corrected.rest_variance);
+        let spread = seen * self.covariance * seen.transpose() + noise;
         let Some(spread) = spread.cholesky() else { return };
         let gain = self.covariance * seen.transpose() * spread.inverse();
-        let change = gain * off;
+        let change = gain * corrected.off(picture);
         let kept = Matrix7::identity() - gain * seen;
         // Joseph's form stays symmetric and positive.
-        let noise = covariance + Matrix3::from_diagonal(&rest);
         self.covariance =
             kept * self.covariance * kept.transpose() + gain * noise * gain.transpose();
         self.apply(&change);
@@ -173,9 +152,33 @@ impl Default for SensorErrors {
     }
 }
 
-/// The camera's rotation vector by the picture, less that by the sensor.
-fn off(corrected: &Corrected, later_from_earlier: &UnitQuaternion<f64>) -> Vector3<f64> {
-    corrected.later_from_earlier.scaled_axis() - later_from_earlier.scaled_axis()
+impl Corrected {
+    /// The camera's rotation vector by the picture, less that by the sensor, radians.
+    pub fn off(&self, picture: &Turned) -> Vector3<f64> {
+        self.turned.later_from_earlier.scaled_axis() - picture.later_from_earlier.scaled_axis()
+    }
+
+    /// How far the sensor is from the picture, as a squared Mahalanobis distance: chi-square of 3 degrees of
+    /// freedom where both are right. `None` where the covariances are none.
+    pub fn distance(&self, picture: &Turned) -> Option<f64> {
+        let off = self.off(picture);
+        let spread = (self.turned.covariance + picture.covariance).cholesky()?;
+        Some(off.dot(&spread.solve(&off)))
+    }
+
+    /// The rotation by both, each by its covariance. `None` where the covariances are none.
+    pub fn with(&self, picture: &Turned) -> Option<Turned> {
+        let sensor = &self.turned;
+        let spread = (sensor.covariance + picture.covariance).cholesky()?;
+        // Directions turn the other way than the camera.
+        let camera = -sensor.later_from_earlier.scaled_axis()
+            + sensor.covariance * spread.solve(&self.off(picture));
+        let covariance = sensor.covariance * spread.solve(&picture.covariance);
+        Some(Turned {
+            later_from_earlier: UnitQuaternion::from_scaled_axis(-camera),
+            covariance: (covariance + covariance.transpose()) / 2.0,
+        })
+    }
 }
 
 /// How a rotation vector by the sensor changes with bias, mounting and time offset: `turned` over `step_s`,
@@ -206,9 +209,11 @@ mod tests {
         record
     }
 
-    fn picture(k: u32) -> (f64, f64, UnitQuaternion<f64>) {
+    fn picture(k: u32) -> (f64, f64, Turned) {
         let (earlier_s, later_s) = (f64::from(k) / 30.0, f64::from(k + 1) / 30.0);
-        (earlier_s, later_s, flown(later_s).inverse() * flown(earlier_s))
+        let later_from_earlier = flown(later_s).inverse() * flown(earlier_s);
+        let covariance = Matrix3::from_diagonal_element(5e-4f64.powi(2));
+        (earlier_s, later_s, Turned { later_from_earlier, covariance })
     }
 
     #[test]
@@ -216,14 +221,13 @@ mod tests {
         let bias = Vector3::new(0.01, -0.02, 0.008);
         let mounting = Vector3::new(0.02, -0.03, 0.015);
         let record = record(bias, mounting, 0.007);
-        let covariance = Matrix3::from_diagonal_element(5e-4f64.powi(2));
         let mut errors = SensorErrors::new();
         for k in 2..200 {
             let (earlier_s, later_s, seen) = picture(k);
             let corrected = errors.turned(&record, earlier_s, later_s).unwrap();
-            let distance = errors.distance(&corrected, &seen, &covariance).unwrap();
+            let distance = corrected.distance(&seen).unwrap();
             assert!(distance < 16.0, "frame {k}: {distance}");
-            errors.compare(&corrected, &seen, &covariance, later_s - earlier_s);
+            errors.compare(&corrected, &seen, later_s - earlier_s);
         }
         assert!((errors.bias() - bias).norm() < 0.002, "{}", errors.bias());
         let off = errors.mounting.scaled_axis() - mounting;
@@ -231,8 +235,8 @@ mod tests {
         assert!((errors.offset_s - 0.007).abs() < 0.001, "{}", errors.offset_s);
         let (earlier_s, later_s, seen) = picture(202);
         let corrected = errors.turned(&record, earlier_s, later_s).unwrap();
-        let off = corrected.later_from_earlier.angle_to(&seen);
-        assert!(off < 1e-4 && off < 4.0 * corrected.covariance.trace().sqrt(), "{off}");
+        let off = corrected.off(&seen).norm();
+        assert!(off < 1e-4 && off < 4.0 * corrected.turned.covariance.trace().sqrt(), "{off}");
         let (found, deviations) = errors.rate(&record, 4.0, 0.01).unwrap();
         let off = found - rate(4.0);
         assert!(off.norm() < 0.006 && off.norm() < 4.0 * deviations.trace().sqrt(), "{off}");
@@ -241,7 +245,6 @@ mod tests {
     #[test]
     fn an_upside_down_sensor_and_a_clock_half_a_second_off_are_far_from_the_picture() {
         let upside_down = Vector3::new(std::f64::consts::PI, 0.0, 0.0);
-        let covariance = Matrix3::from_diagonal_element(5e-4f64.powi(2));
         for record in [
             record(Vector3::zeros(), upside_down, 0.0),
             record(Vector3::zeros(), Vector3::zeros(), 0.5),
@@ -251,9 +254,9 @@ mod tests {
             for k in 2..60 {
                 let (earlier_s, later_s, seen) = picture(k);
                 let corrected = errors.turned(&record, earlier_s, later_s).unwrap();
-                match errors.distance(&corrected, &seen, &covariance).unwrap() {
+                match corrected.distance(&seen).unwrap() {
                     distance if distance > 16.0 => far += 1,
-                    _ => errors.compare(&corrected, &seen, &covariance, later_s - earlier_s),
+                    _ => errors.compare(&corrected, &seen, later_s - earlier_s),
                 }
             }
             assert!(far > 20, "{far} of 58");

@@ -87,16 +87,21 @@ impl RateRecord {
         correct: impl Fn(Vector3<f64>) -> Vector3<f64>,
     ) -> Option<SensorTurn> {
         let points = self.points(earlier_s, later_s)?;
-        let mut earlier_from_later = UnitQuaternion::identity();
-        for (before, after) in points.iter().zip(points.iter().skip(1)) {
-            let step_s = after.at_s - before.at_s;
-            let rate = correct((before.rate + after.rate) / 2.0);
-            earlier_from_later *= UnitQuaternion::from_scaled_axis(rate * step_s);
-        }
         let over_s = later_s - earlier_s;
         let step_s = over_s / (points.len() - 1) as f64;
         let noise_variance = self.white_noise().powi(2) * step_s * over_s;
-        Some(SensorTurn { later_from_earlier: earlier_from_later.inverse(), noise_variance })
+        Some(SensorTurn { later_from_earlier: integrated(&points, correct), noise_variance })
+    }
+
+    /// The same without its noise: turns directions in the sensor's frame of the earlier time into that of
+    /// the later one.
+    pub fn later_from_earlier(
+        &self,
+        earlier_s: f64,
+        later_s: f64,
+        correct: impl Fn(Vector3<f64>) -> Vector3<f64>,
+    ) -> Option<UnitQuaternion<f64>> {
+        Some(integrated(&self.points(earlier_s, later_s)?, correct))
     }
 
     /// The angular velocity averaged over `width_s` round a time, and its variance about each axis from the
@@ -171,6 +176,20 @@ impl RateRecord {
     fn index_after(&self, at_s: f64) -> usize {
         self.samples.partition_point(|sample| sample.at_s <= at_s)
     }
+}
+
+/// The rotation along samples, from one to the next at their mean rate: from directions in the first one's frame to
+/// those in the last one's.
+fn integrated(
+    points: &[RateSample],
+    correct: impl Fn(Vector3<f64>) -> Vector3<f64>,
+) -> UnitQuaternion<f64> {
+    let steps = points.iter().zip(points.iter().skip(1));
+    let earlier_from_later = steps.fold(UnitQuaternion::identity(), |turned, (before, after)| {
+        let rate = correct((before.rate + after.rate) / 2.0);
+        turned * UnitQuaternion::from_scaled_axis(rate * (after.at_s - before.at_s))
+    });
+    earlier_from_later.inverse()
 }
 
 #[cfg(test)]

@@ -12,6 +12,9 @@ pub struct Searched {
     high_resolution: Vec<LastSearch>,
     targets: BTreeMap<usize, u64>,
     last_hit: Option<usize>,
+    /// The last frame in which anything was searched, and in which a tile was.
+    last: Option<u64>,
+    last_of_tile: Option<u64>,
 }
 
 /// The last search of a tile.
@@ -30,14 +33,18 @@ impl Searched {
             high_resolution: vec![LastSearch::default(); high_resolution_tiles],
             targets: BTreeMap::new(),
             last_hit: None,
+            last: None,
+            last_of_tile: None,
         }
     }
 
     /// Notes that a view was cut and searched in frame number `frame`, which must rise from frame
     /// to frame (also where the source begins anew). Tiles that do not exist are ignored.
     pub fn record(&mut self, frame: u64, purpose: Purpose) {
+        self.last = Some(frame);
         if let Some(tile) = self.tile_mut(purpose) {
             tile.frame = Some(frame);
+            self.last_of_tile = Some(frame);
         } else if let Purpose::Gaze(target) = purpose {
             self.targets.insert(target, frame);
         }
@@ -82,6 +89,15 @@ impl Searched {
         match purpose {
             Purpose::Gaze(target) => self.targets.get(&target).copied(),
             _ => self.tile(purpose)?.frame,
+        }
+    }
+
+    /// How many frames in a row were searched without any of the tiles.
+    pub fn frames_without_tile(&self) -> u64 {
+        match (self.last, self.last_of_tile) {
+            (Some(last), Some(of_tile)) => last.saturating_sub(of_tile),
+            (Some(last), None) => last.saturating_add(1),
+            (None, _) => 0,
         }
     }
 

@@ -350,3 +350,19 @@ fn proposals_come_before_the_tiles_while_a_target_is_not_tracked() {
     };
     assert_eq!([kinds(0), kinds(1), kinds(2)], ["ppptt", "gppptt", "ggtt"]);
 }
+
+#[test]
+fn a_tile_comes_before_the_proposals_after_four_frames_without_one() {
+    let planner = fine_planner(2).with_proposals(2, 3);
+    let mut searched = planner.nothing_searched();
+    let first = |searched: &Searched| planner.plan(searched, &[]).views[0].purpose;
+    for frame in 0..3 {
+        searched.record(frame, Purpose::Proposal);
+        assert_eq!(first(&searched), Purpose::Proposal, "frame {frame}");
+    }
+    searched.record(3, Purpose::Proposal);
+    let tile = first(&searched);
+    assert!(matches!(tile, Purpose::Partition(_)), "{tile:?}");
+    searched.record(4, tile);
+    assert_eq!(first(&searched), Purpose::Proposal);
+}

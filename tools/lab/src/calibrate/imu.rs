@@ -8,8 +8,8 @@ use anyhow::{Context, ensure};
 use clap::Args;
 use flockeye_cli::{Configuration, Screen, duration, signals};
 use flockeye_config::{InertialSource, Pipeline};
-use flockeye_geometry::inertial::{RateRecord, RateSample, SensorCalibration, TurnSeen, calibrate};
-use flockeye_record::{ImuRow, RotationRow, read};
+use flockeye_geometry::inertial::{SensorCalibration, TurnSeen, calibrate};
+use flockeye_record::{RotationRow, rate_record, read};
 use serde_json::{Value, json};
 
 use crate::up_process;
@@ -88,10 +88,7 @@ fn settings(pipeline: &Pipeline, wanted: Option<Duration>) -> (Vec<String>, Opti
 /// The calibration from the two recordings.
 fn of_files(rotations: &Path, samples: &Path) -> anyhow::Result<SensorCalibration> {
     let rotations: Vec<RotationRow> = read(rotations)?;
-    let mut record = RateRecord::new(f64::INFINITY);
-    for row in read::<ImuRow>(samples)? {
-        record.push(RateSample { at_s: row.t_s, rate: row.rate });
-    }
+    let record = rate_record(read(samples)?);
     let seen = rotations.iter().filter_map(|row| {
         let turn = row.turn.as_ref()?;
         let step_s = row.stamp_s - turn.earlier_s;

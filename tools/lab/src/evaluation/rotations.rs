@@ -1,7 +1,8 @@
 //! The camera's recorded rotation against its true attitude, or against an inertial sensor.
 
+use flockeye_geometry::inertial::RateRecord;
 use flockeye_geometry::statistics::median;
-use flockeye_record::{ImuRow, RecordedTurn, RotationRow, TruthRow};
+use flockeye_record::{ImuRow, RecordedTurn, RotationRow, TruthRow, rate_record};
 use nalgebra::{UnitQuaternion, Vector3};
 use serde::Serialize;
 
@@ -14,8 +15,8 @@ use super::statistics::Spread;
 pub enum TrueRotation {
     /// The attitudes of a simulated flight.
     Attitudes(TruePath),
-    /// A gyroscope's samples, in rising order of time.
-    Gyroscope(Vec<ImuRow>),
+    /// A gyroscope's samples, and the bias that is taken out of them, rad/s.
+    Gyroscope(RateRecord, Vector3<f64>),
 }
 
 /// How well the camera's rotation was known.
@@ -50,9 +51,8 @@ impl TrueRotation {
     }
 
     /// The samples of a gyroscope whose axes are the camera's.
-    pub fn of_gyroscope(mut rows: Vec<ImuRow>) -> Self {
-        rows.sort_by(|one, other| one.t_s.total_cmp(&other.t_s));
-        Self::Gyroscope(rows)
+    pub fn of_gyroscope(rows: Vec<ImuRow>) -> Self {
+        Self::Gyroscope(rate_record(rows), Vector3::zeros())
     }
 
     /// How the camera has turned: from directions of the earlier exposure to those of the frame's.
@@ -63,22 +63,10 @@ impl TrueRotation {
                 let earlier = path.pose(row.frame, turn.earlier_s - row.stamp_s)?.rotation;
                 Some(later.inverse() * earlier)
             }
-            Self::Gyroscope(samples) => {
-                let (first, last) = (samples.first()?.t_s, samples.last()?.t_s);
-                if turn.earlier_s < first || row.stamp_s > last {
-                    return None;
-                }
-                let mut turned = UnitQuaternion::identity();
-                for pair in samples.windows(2) {
-                    let begin_s = pair[0].t_s.max(turn.earlier_s);
-                    let end_s = pair[1].t_s.min(row.stamp_s);
-                    if end_s > begin_s {
-                        let rate = between(&pair[0], &pair[1], (begin_s + end_s) / 2.0);
-                        turned *= UnitQuaternion::from_scaled_axis(rate * (end_s - begin_s));
-                    }
-                }
-                // The sensor turns with the camera, directions in its frame the other way.
-                Some(turned.inverse())
+            // What the sensor did after its last sample is not the truth.
+            Self::Gyroscope(record, _) if record.newest_s()? < row.stamp_s => None,
+            Self::Gyroscope(record, bias) => {
+                record.later_from_earlier(turn.earlier_s, row.stamp_s, |rate| rate - bias)
             }
         }
     }
@@ -87,18 +75,15 @@ impl TrueRotation {
     fn rate(&self, row: &RotationRow) -> Option<Vector3<f64>> {
         match self {
             Self::Attitudes(path) => path.rate(row.frame),
-            Self::Gyroscope(samples) => {
-                let after = samples.partition_point(|sample| sample.t_s < row.stamp_s);
-                let (before, after) = (samples.get(after.checked_sub(1)?)?, samples.get(after)?);
-                Some(between(before, after, row.stamp_s))
-            }
+            Self::Gyroscope(record, _) if record.newest_s()? < row.stamp_s => None,
+            Self::Gyroscope(record, bias) => Some(record.rate_at(row.stamp_s)? - bias),
         }
     }
 
     /// What is constant in the difference from the rotations recorded, rad/s, if this is a gyroscope: the
     /// median along each axis, which single wrong rotations do not move.
     fn bias(&self, rows: &[RotationRow]) -> Option<Vector3<f64>> {
-        let Self::Gyroscope(_) = self else { return None };
+        let Self::Gyroscope(..) = self else { return None };
         let differences = rows.iter().filter_map(|row| {
             let turn = row.turn.as_ref()?;
             let off = turn.later_from_earlier.scaled_axis() - self.turned(row, turn)?.scaled_axis();
@@ -113,11 +98,7 @@ impl TrueRotation {
     /// The same without that bias.
     fn without(self, bias: Option<Vector3<f64>>) -> Self {
         match (self, bias) {
-            (Self::Gyroscope(samples), Some(bias)) => {
-                let corrected =
-                    samples.into_iter().map(|sample| ImuRow { rate: sample.rate - bias, ..sample });
-                Self::Gyroscope(corrected.collect())
-            }
+            (Self::Gyroscope(record, _), Some(bias)) => Self::Gyroscope(record, bias),
             (unbiased, _) => unbiased,
         }
     }
@@ -127,13 +108,6 @@ impl TrueRotation {
 fn middle(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     median(&values)
-}
-
-/// A gyroscope's rate between two samples.
-fn between(before: &ImuRow, after: &ImuRow, at_s: f64) -> Vector3<f64> {
-    let step_s = after.t_s - before.t_s;
-    let share = if step_s > 0.0 { (at_s - before.t_s) / step_s } else { 0.0 };
-    before.rate.lerp(&after.rate, share)
 }
 
 impl RotationEvaluation {
@@ -240,11 +214,15 @@ mod tests {
 
     /// 200 samples a second, with a bias.
     fn gyroscope(bias: Vector3<f64>) -> TrueRotation {
+        TrueRotation::of_gyroscope(samples(bias))
+    }
+
+    fn samples(bias: Vector3<f64>) -> Vec<ImuRow> {
         let sample = |k: i32| {
             let t_s = f64::from(k) / 200.0;
             ImuRow { t_s, rate: rate(t_s) + bias, specific_force: None }
         };
-        TrueRotation::of_gyroscope((-20..220).map(sample).collect())
+        (-20..220).map(sample).collect()
     }
 
     fn assert_as_made(found: &RotationEvaluation, tolerance: f64) {
@@ -281,8 +259,8 @@ mod tests {
 
     #[test]
     fn what_the_truth_does_not_reach_is_not_compared() {
-        let TrueRotation::Gyroscope(samples) = gyroscope(Vector3::zeros()) else { unreachable!() };
-        let short = samples.into_iter().filter(|sample| sample.t_s < 0.5).collect();
+        let short =
+            samples(Vector3::zeros()).into_iter().filter(|sample| sample.t_s < 0.5).collect();
         let found = RotationEvaluation::of(&rotations(), TrueRotation::of_gyroscope(short));
         assert_eq!((found.known, found.compared), (29, 14));
         let none = RotationEvaluation::of(&[], attitudes());
