@@ -15,6 +15,9 @@ pub struct RotationRow {
     pub frame: u64,
     /// Mid-exposure, stream time, seconds.
     pub stamp_s: f64,
+    /// Mid-exposure on the frames' clock, seconds since the stream of the run's first frame began. It differs
+    /// from `stamp_s` where frames do not come as evenly as they were taken.
+    pub exposure_s: f64,
     /// What it was measured by; `None`: it is not known.
     pub turn: Option<RecordedTurn>,
 }
@@ -26,6 +29,8 @@ pub struct RecordedTurn {
     pub source: RotationSource,
     /// The earlier exposure, stream time, seconds.
     pub earlier_s: f64,
+    /// The same on the clock of `exposure_s`.
+    pub earlier_exposure_s: f64,
     /// Turns directions in the camera frame of then into that of now.
     pub later_from_earlier: UnitQuaternion<f64>,
     /// Covariance of its rotation vector in the camera frame of now, rad^2.
@@ -45,26 +50,30 @@ const RATE_COVARIANCE: [&str; 6] = ["r00", "r01", "r02", "r11", "r12", "r22"];
 
 impl RotationRow {
     /// The row of a rotation. `before` is the stamp of the rotation before it: if it was measured from
-    /// that frame, the earlier exposure's stream time is that frame's.
-    pub fn of(rotation: &Rotation, before: Option<&FrameStamp>) -> Self {
+    /// that frame, the earlier exposure's stream time is that frame's. `zero_ns` is the frames' clock when the
+    /// stream of the run's first frame began.
+    pub fn of(rotation: &Rotation, before: Option<&FrameStamp>, zero_ns: i64) -> Self {
         let stamp = &rotation.stamp;
+        let since_zero_s = |at_ns: i64| at_ns.saturating_sub(zero_ns) as f64 * 1e-9;
         let stamp_s = stamp.stream_ns as f64 * 1e-9;
         let turn = camera_turn(rotation).map(|turn| {
             let earlier_ns = rotation.earlier_exposure_ns;
             let from = before.filter(|before| before.exposure_ns == earlier_ns);
-            let passed_s = (stamp.exposure_ns - earlier_ns) as f64 * 1e-9;
+            let passed_s = stamp.exposure_ns.saturating_sub(earlier_ns) as f64 * 1e-9;
             RecordedTurn {
                 // Only `Nothing` has no turn, and an unknown code does not pass the contract's check.
                 source: RotationSource::try_from(rotation.source)
                     .unwrap_or(RotationSource::Nothing),
                 earlier_s: from.map_or(stamp_s - passed_s, |from| from.stream_ns as f64 * 1e-9),
+                earlier_exposure_s: since_zero_s(earlier_ns),
                 later_from_earlier: turn.later_from_earlier,
                 covariance: turn.covariance,
                 rate_in_camera: turn.rate_in_camera,
                 rate_covariance: turn.rate_covariance,
             }
         });
-        Self { frame: stamp.sequence, stamp_s, turn }
+        let exposure_s = since_zero_s(stamp.exposure_ns);
+        Self { frame: stamp.sequence, stamp_s, exposure_s, turn }
     }
 }
 
@@ -84,9 +93,12 @@ impl Serialize for RotationRow {
         let mut row = serializer.serialize_struct("RotationRow", Self::REQUIRED.len())?;
         row.serialize_field("frame", &self.frame)?;
         row.serialize_field("stamp_s", &self.stamp_s)?;
+        row.serialize_field("exposure_s", &self.exposure_s)?;
         let turn = self.turn.as_ref();
         row.serialize_field("source", &turn.map_or(RotationSource::Nothing, |turn| turn.source))?;
         row.serialize_field("earlier_s", &turn.map(|turn| turn.earlier_s))?;
+        let earlier_exposure_s = turn.map(|turn| turn.earlier_exposure_s);
+        row.serialize_field("earlier_exposure_s", &earlier_exposure_s)?;
         for (k, name) in ROTATION.into_iter().enumerate() {
             row.serialize_field(name, &turn.map(|turn| turn.later_from_earlier.coords[k]))?;
         }
@@ -107,8 +119,10 @@ impl TableRow for RotationRow {
     const REQUIRED: &'static [&'static str] = &[
         "frame",
         "stamp_s",
+        "exposure_s",
         "source",
         "earlier_s",
+        "earlier_exposure_s",
         "qx",
         "qy",
         "qz",
@@ -140,6 +154,7 @@ impl TableRow for RotationRow {
                 Some(RecordedTurn {
                     source,
                     earlier_s: cells.number("earlier_s")?,
+                    earlier_exposure_s: cells.number("earlier_exposure_s")?,
                     later_from_earlier: cells.rotation(ROTATION)?,
                     covariance: covariance(cells, COVARIANCE)?,
                     rate_in_camera: Vector3::new(
@@ -151,7 +166,8 @@ impl TableRow for RotationRow {
                 })
             }
         };
-        Ok(Self { frame: cells.count("frame")?, stamp_s: cells.number("stamp_s")?, turn })
+        let (stamp_s, exposure_s) = (cells.number("stamp_s")?, cells.number("exposure_s")?);
+        Ok(Self { frame: cells.count("frame")?, stamp_s, exposure_s, turn })
     }
 }
 
@@ -192,8 +208,11 @@ mod tests {
     #[test]
     fn the_earlier_exposure_is_the_frames_that_it_was_measured_from() {
         let earlier_s = |before: Option<FrameStamp>| {
-            let row = RotationRow::of(&rotation(), before.as_ref());
-            row.turn.expect("it is known").earlier_s
+            let row = RotationRow::of(&rotation(), before.as_ref(), 4_800_000_000);
+            assert!((row.exposure_s - 0.24).abs() < 1e-12);
+            let turn = row.turn.expect("it is known");
+            assert!((turn.earlier_exposure_s - 0.2).abs() < 1e-12);
+            turn.earlier_s
         };
         // Played slower than it was taken: 40 ms passed for 33 of the stream.
         assert_eq!(earlier_s(Some(stamp(6, 5_000_000_000, 200_000_000))), 0.2);
@@ -209,14 +228,14 @@ mod tests {
         let path =
             std::env::temp_dir().join(format!("flockeye-{}-rotations.csv", std::process::id()));
         let unknown = Rotation { stamp: stamp(0, 1, 0), ..Rotation::default() };
-        let rows = [RotationRow::of(&unknown, None), RotationRow::of(&rotation(), None)];
+        let rows = [RotationRow::of(&unknown, None, 1), RotationRow::of(&rotation(), None, 1)];
         assert_eq!(rows[0].turn, None);
         let mut recorder = Recorder::create(&path).expect("it can be written");
         rows.iter().for_each(|row| recorder.add(row).expect("there is room"));
         recorder.finish().expect("there is room");
         assert_eq!(read::<RotationRow>(&path).expect("it is right"), rows);
         let text = std::fs::read_to_string(&path).expect("it is there");
-        assert!(text.contains("\n0,0.0,nothing,,,"), "{text}");
+        assert!(text.contains("\n0,0.0,0.0,nothing,,,,"), "{text}");
         for (from, to, wanted) in [
             (
                 ",picture,",

@@ -49,6 +49,11 @@ pub struct RunOptions {
     pub watches_sweep: bool,
 }
 
+/// The frames' clock when a frame's stream began, nanoseconds.
+fn stream_zero_ns(stamp: &FrameStamp) -> i64 {
+    stamp.exposure_ns.saturating_sub(stamp.stream_ns)
+}
+
 /// So many samples are kept while no frame has come.
 const MOST_EARLY_SAMPLES: usize = 20_000;
 
@@ -175,7 +180,9 @@ impl RunLog {
         {
             while let Some(message) = rotations.receive()? {
                 let before = self.last_rotation.replace(message.header.stamp);
-                recorder.add(&RotationRow::of(&message.header, before.as_ref()))?;
+                let stamp = &message.header.stamp;
+                let zero_ns = *self.zero_ns.get_or_insert_with(|| stream_zero_ns(stamp));
+                recorder.add(&RotationRow::of(&message.header, before.as_ref(), zero_ns))?;
             }
         }
         self.record_samples()?;
@@ -186,7 +193,7 @@ impl RunLog {
             let stamp = message.header.stamp;
             let is_last = message.header.is_last != 0;
             self.last_track = Instant::now();
-            self.zero_ns.get_or_insert(stamp.exposure_ns.saturating_sub(stamp.stream_ns));
+            self.zero_ns.get_or_insert_with(|| stream_zero_ns(&stamp));
             let now_ns = clock::monotonic_ns();
             self.dashboard.tracks(&stamp, message.items(), is_last, now_ns);
             for row in message.items().iter().filter_map(|track| PoseRow::of(&stamp, track)) {

@@ -91,11 +91,12 @@ fn of_files(rotations: &Path, samples: &Path) -> anyhow::Result<SensorCalibratio
     let record = rate_record(read(samples)?);
     let seen = rotations.iter().filter_map(|row| {
         let turn = row.turn.as_ref()?;
-        let step_s = row.stamp_s - turn.earlier_s;
+        // Samples are on the frames' clock, so the pictures are taken by it too.
+        let step_s = row.exposure_s - turn.earlier_exposure_s;
         let turned = turn.later_from_earlier.inverse().scaled_axis();
         (step_s > 0.0).then(|| TurnSeen {
-            earlier_s: turn.earlier_s,
-            later_s: row.stamp_s,
+            earlier_s: turn.earlier_exposure_s,
+            later_s: row.exposure_s,
             rate: turned / step_s,
         })
     });

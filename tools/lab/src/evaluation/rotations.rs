@@ -186,12 +186,14 @@ mod tests {
             let turn = RecordedTurn {
                 source: RotationSource::Picture,
                 earlier_s,
+                earlier_exposure_s: earlier_s,
                 later_from_earlier: UnitQuaternion::from_scaled_axis(axis * OFF_RAD) * truth,
                 covariance: Matrix3::from_diagonal_element(OFF_RAD * OFF_RAD),
                 rate_in_camera: rate(stamp_s) + axis * 0.01,
                 rate_covariance: Matrix3::from_diagonal_element(0.02 * 0.02),
             };
-            RotationRow { frame, stamp_s, turn: (frame > 0).then_some(turn) }
+            let turn = (frame > 0).then_some(turn);
+            RotationRow { frame, stamp_s, exposure_s: stamp_s, turn }
         };
         (0..FRAMES).map(row).collect()
     }
