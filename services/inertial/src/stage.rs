@@ -26,8 +26,23 @@ pub struct InertialStage {
     generation: u32,
     counters: SharedCounters,
     losses: Throttle,
-    heard: Option<MessageKind>,
+    line: Line,
 }
+
+/// What is known of the line to the autopilot.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Line {
+    /// It is not there.
+    Lost,
+    /// It is open, and nothing comes since then, CLOCK_MONOTONIC, nanoseconds.
+    Silent { since_ns: i64, is_said: bool },
+    /// Samples come.
+    Heard(MessageKind),
+}
+
+/// A line that is silent for so long after it was opened is said to be, nanoseconds: longer than an autopilot needs
+/// to answer.
+const SILENT_NS: i64 = 3_000_000_000;
 
 impl Stage for InertialStage {
     const NAME: &'static str = "inertial";
@@ -46,7 +61,7 @@ impl Stage for InertialStage {
             generation: context.identity.generation,
             counters: context.counters.clone(),
             losses: Throttle::default(),
-            heard: None,
+            line: Line::Lost,
         })
     }
 
@@ -75,10 +90,12 @@ impl InertialStage {
     fn on_news(&mut self, news: News) -> Option<ImuSample> {
         match news {
             News::Opened => {
+                self.line = Line::Silent { since_ns: clock::monotonic_ns(), is_said: false };
                 self.counters.set_detail(format!("{}: open, no samples yet", self.source));
                 None
             }
             News::Lost { reason } => {
+                self.line = Line::Lost;
                 self.counters.set_state(Some(StageState::Degraded));
                 self.counters.set_detail(format!("{}: {reason}", self.source));
                 if let Some(more) = self.losses.admit() {
@@ -106,32 +123,34 @@ impl InertialStage {
         Ok(self.imus.send(header, samples)?)
     }
 
-    /// Says when samples begin and when they stop.
+    /// Says when samples begin, when they stop, and when none come.
     fn watch(&mut self) {
-        let heard = self.core.heard(clock::monotonic_ns());
-        if heard == self.heard {
-            return;
-        }
-        self.heard = heard;
+        let now_ns = clock::monotonic_ns();
         let source = &self.source;
-        match heard {
-            Some(kind) => {
+        let silent = match (self.line, self.core.heard(now_ns)) {
+            (Line::Silent { .. }, Some(kind)) => {
                 let message = match kind {
                     MessageKind::HighresImu => "HIGHRES_IMU",
                     MessageKind::AttitudeQuaternion => "ATTITUDE_QUATERNION",
                 };
+                self.line = Line::Heard(kind);
                 self.counters.set_state(None);
                 self.counters.set_detail(format!("{source}: samples in {message}"));
                 tracing::info!("{source}: samples come in {message}");
+                return;
             }
-            None => {
-                self.counters.set_state(Some(StageState::Degraded));
-                self.counters.set_detail(format!("{source}: no samples"));
-                tracing::warn!(
-                    "{source}: samples have stopped. Cure: check the autopilot's stream rates for HIGHRES_IMU \
-                     and ATTITUDE_QUATERNION"
-                );
+            (Line::Heard(_), None) => "samples have stopped",
+            (Line::Silent { since_ns, is_said: false }, None) if now_ns - since_ns > SILENT_NS => {
+                "no samples come"
             }
-        }
+            _ => return,
+        };
+        self.line = Line::Silent { since_ns: now_ns, is_said: true };
+        self.counters.set_state(Some(StageState::Degraded));
+        self.counters.set_detail(format!("{source}: {silent}"));
+        tracing::warn!(
+            "{source}: {silent}. Cure: check the autopilot's stream rates for HIGHRES_IMU and \
+             ATTITUDE_QUATERNION"
+        );
     }
 }
