@@ -236,6 +236,24 @@ mod tests {
     }
 
     #[test]
+    fn frames_that_wait_for_an_order_that_is_never_used_up_are_noticed() {
+        let mut count = Count::default();
+        // Coded in groups of three, the last first; the decoder gives nothing before three are inside.
+        let coded = (0..40).flat_map(|group| [3 * group + 2, 3 * group, 3 * group + 1]);
+        for (out, frame) in coded.enumerate() {
+            count.enter(pts(frame), None);
+            if let Some(out) = out.checked_sub(3) {
+                count.leave(pts(out as i64), out as i64 * STEP_NS);
+            }
+        }
+        let noticed: Vec<Noticed> = count.noticed.into();
+        let [Noticed::Holds { frames, reordered: true, .. }] = noticed[..] else {
+            panic!("{noticed:?}");
+        };
+        assert!((2..=3).contains(&frames), "{frames}");
+    }
+
+    #[test]
     fn frames_that_are_lost_or_stamped_anew_are_not_held() {
         let mut count = Count::default();
         for frame in 0..200 {

@@ -150,7 +150,8 @@ fn frames_of_another_flight_or_too_far_apart_are_not_compared() {
     };
     assert!(!known(0, 0));
     assert!(known(1, 0));
-    assert!(!known(20, 0), "more than half a second");
+    assert!(known(9, 0), "0.27 s");
+    assert!(!known(19, 0), "0.33 s");
     assert!(!known(0, 1), "the recording has begun anew");
     assert!(known(1, 1));
     assert!(!known(1, 1), "time does not go on");
