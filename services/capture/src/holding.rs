@@ -6,7 +6,7 @@
 //! before the decoder, ever longer, say that it does not keep up.
 
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use gstreamer as gst;
@@ -42,35 +42,36 @@ pub(crate) enum Noticed {
     IsBehind(Duration),
 }
 
-/// Counts the frames of one pipeline's decoder.
+/// Counts the frames of one pipeline's decoders, each for itself: a description may have several in a row.
 #[derive(Debug)]
 pub(crate) struct DecoderWatch {
-    count: Mutex<Count>,
+    counts: Mutex<Vec<Arc<Mutex<Count>>>>,
     arrivals: Arc<Arrivals>,
 }
 
 impl DecoderWatch {
     pub(crate) fn new(arrivals: Arc<Arrivals>) -> Arc<Self> {
-        Arc::new(Self { count: Mutex::new(Count::default()), arrivals })
+        Arc::new(Self { counts: Mutex::default(), arrivals })
     }
 
     /// Counts what goes through an element, if that is a decoder.
     pub(crate) fn attach(self: &Arc<Self>, element: &gst::Element) {
         let pads = (element.static_pad("sink"), element.static_pad("src"));
         let (true, (Some(sink), Some(src))) = (decoder::is_decoder(element), pads) else { return };
-        let watch = Arc::clone(self);
+        let count = Arc::new(Mutex::new(Count::default()));
+        locked(&self.counts).push(Arc::clone(&count));
+        let (watch, entering) = (Arc::clone(self), Arc::clone(&count));
         sink.add_probe(gst::PadProbeType::BUFFER, move |_, info| {
             if let Some(pts) = info.buffer().and_then(|buffer| buffer.pts()) {
                 let arrival_ns = watch.arrivals.find(pts);
                 let waited_ns = arrival_ns.map(|arrival_ns| monotonic_ns() - arrival_ns);
-                watch.count().enter(pts, waited_ns);
+                locked(&entering).enter(pts, waited_ns);
             }
             gst::PadProbeReturn::Ok
         });
-        let watch = Arc::clone(self);
         src.add_probe(gst::PadProbeType::BUFFER, move |_, info| {
             if let Some(pts) = info.buffer().and_then(|buffer| buffer.pts()) {
-                watch.count().leave(pts, monotonic_ns());
+                locked(&count).leave(pts, monotonic_ns());
             }
             gst::PadProbeReturn::Ok
         });
@@ -78,12 +79,13 @@ impl DecoderWatch {
 
     /// What was noticed since the last call.
     pub(crate) fn take(&self) -> Option<Noticed> {
-        self.count().noticed.pop_front()
+        locked(&self.counts).iter().find_map(|count| locked(count).noticed.pop_front())
     }
+}
 
-    fn count(&self) -> std::sync::MutexGuard<'_, Count> {
-        self.count.lock().unwrap_or_else(PoisonError::into_inner)
-    }
+/// What a lock protects. Counts are right after each step, also after one that panicked.
+fn locked<T>(lock: &Mutex<T>) -> MutexGuard<'_, T> {
+    lock.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// What is counted.

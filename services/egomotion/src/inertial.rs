@@ -18,8 +18,8 @@ const GATE: f64 = 16.27;
 
 /// Of so many comparisons...
 const WINDOW: u32 = 15;
-/// ...this many outside the gate say that the sensor is wrong. With one in twenty outside, which is fifty times
-/// what a right sensor has, it would take an hour of flight.
+/// ...this many outside the gate say that the sensor is wrong. With one in fifty outside, twenty times what a
+/// right sensor has, that happens every three hours at 30 frames/s: p (14 over 4) p^4 (1 - p)^10 a frame.
 const OUTSIDE: u32 = 5;
 
 /// So many comparisons in a row must agree before a sensor counts, and twice as many once it was wrong...

@@ -82,9 +82,9 @@ impl Pipeline {
         match stage {
             StageName::Gateway => self.gateway.enabled,
             StageName::Egomotion => self.egomotion.enabled && self.fusion.filter != Filter::None,
+            // Also where egomotion does not use it: its samples can be recorded.
             StageName::Inertial => {
-                let source = self.inertial.parsed_source();
-                self.runs(StageName::Egomotion) && matches!(source, Ok(InertialSource::Mavlink(_)))
+                matches!(self.inertial.parsed_source(), Ok(InertialSource::Mavlink(_)))
             }
             source if source.is_source() => source == self.source_stage(),
             _ => true,
