@@ -108,7 +108,7 @@ fn recorded_rotations_are_judged_by_the_truth() {
     }
     for (arguments, wanted) in [
         (&["--rotations", rotations][..], "there is nothing to compare"),
-        (&["--rotations", poses, "--truth", truth], "no column source, earlier_s"),
+        (&["--rotations", poses, "--truth", truth], "no column exposure_s, source, earlier_s"),
         (&["--rotations", rotations, "--gyro", truth], "no column gx, gy, gz. Cure: write"),
     ] {
         let (succeeded, output) = run(&[&["eval"], arguments].concat());
