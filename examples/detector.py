@@ -118,6 +118,7 @@ def main():
                 attempt=header.attempt,
                 worker=instance.replica,
                 hits=sum(found.id in owned for found in markers),
+                view_generation=header.generation,
             )
             detections.send(record, markers)
             health.report.published += 1

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import iceoryx2 as iox2
 
-CONTRACT_VERSION = "5"
+CONTRACT_VERSION = "6"
 VERSION_ATTRIBUTE = "flockeye.contract"
 NONE = 0xFFFFFFFF
 
@@ -182,6 +182,8 @@ class DetectionHeader(Contract):
         ("worker", c_uint32),
         ("hits", c_uint32),
         ("failed", c_uint32),
+        ("view_generation", c_uint32),
+        ("reserved", c_uint32),
     ]
 
 
@@ -290,6 +292,31 @@ class BodyTruth(Contract):
     ]
 
 
+class HandOver(Contract):
+    _fields_ = [
+        ("first", FrameStamp),
+        ("sent_ns", c_int64),
+        ("stage", c_uint8 * 32),
+        ("replica", c_uint32),
+        ("old_generation", c_uint32),
+        ("new_generation", c_uint32),
+        ("state", c_uint32),
+    ]
+
+
+class Complaint(Contract):
+    _fields_ = [
+        ("sent_ns", c_int64),
+        ("count", c_uint64),
+        ("stage", c_uint8 * 32),
+        ("detail", c_uint8 * 96),
+        ("replica", c_uint32),
+        ("pid", c_uint32),
+        ("kind", c_uint32),
+        ("reserved", c_uint32),
+    ]
+
+
 # Name of the service, type of the user header, type of the payload's items.
 FRAME = ("flockeye/frame", FrameHeader, c_uint8)
 ROTATION = ("flockeye/rotation", Rotation, c_uint8)
@@ -299,6 +326,8 @@ FRAME_END = ("flockeye/frame_end", FrameEnd, c_uint8)
 TRACK = ("flockeye/track", TrackHeader, Track)
 HEALTH = ("flockeye/health", Health, c_uint8)
 TRUTH = ("flockeye/truth", TruthHeader, BodyTruth)
+HANDOVER = ("flockeye/handover", HandOver, c_uint8)
+COMPLAINT = ("flockeye/complaint", Complaint, c_uint8)
 
 
 def view(worker):
@@ -433,8 +462,9 @@ class HealthReporter:
 
 
 TYPES = [
-    FrameStamp, Pose, FrameHeader, PlanHeader, PlannedView, ViewHeader, DetectionHeader,
-    DetectedMarker, FrameEnd, TrackHeader, StageLatency, Track, Health, TruthHeader, BodyTruth,
+    FrameStamp, Pose, FrameHeader, ImuHeader, ImuSample, Rotation, PlanHeader, PlannedView,
+    ViewHeader, DetectionHeader, DetectedMarker, FrameEnd, TrackHeader, StageLatency, Track, Health,
+    TruthHeader, BodyTruth, HandOver, Complaint,
 ]  # fmt: skip
 
 

@@ -243,3 +243,25 @@ mod tests {
         assert_eq!(StopRule::try_from(77), Err(UnknownCode { what: "stop rule", code: 77 }));
     }
 }
+
+codes! {
+    /// How far one process of a stage has replaced another.
+    HandOverState, "hand-over state" {
+        /// No stage is being replaced: every process counts.
+        Nothing = 0,
+        /// The new process works beside the old one, and what it says does not count.
+        Shadow = 1,
+        /// The new process counts from the frame `first` on, the old one before it.
+        TakenOver = 2,
+    }
+}
+
+codes! {
+    /// What a stage complains of.
+    ComplaintKind, "complaint kind" {
+        /// A worker was given views and has answered none in time.
+        Unanswered = 0,
+        /// Messages of a process were refused.
+        Refused = 1,
+    }
+}

@@ -35,6 +35,10 @@ pub struct DetectionHeader {
     pub hits: u32,
     /// 1 if the view could not be searched (the log says why); the record still acknowledges it.
     pub failed: u32,
+    /// Rectification's generation, copied from the view: who asked.
+    pub view_generation: u32,
+    /// Always 0.
+    pub reserved: u32,
 }
 
 /// One decoded marker, or a square that may be one.

@@ -6,9 +6,9 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 
 use crate::{
-    CONTRACT_VERSION, MeasuredBy, PixelFormat, Projection, Range, RotationSource, Search,
-    SearchMode, StageState, StopReason, StopRule, TrackState, Transfer, VERSION_ATTRIBUTE,
-    ViewKind,
+    CONTRACT_VERSION, ComplaintKind, HandOverState, MeasuredBy, PixelFormat, Projection, Range,
+    RotationSource, Search, SearchMode, StageState, StopReason, StopRule, TrackState, Transfer,
+    VERSION_ATTRIBUTE, ViewKind,
 };
 
 const DOCUMENT: &str = include_str!("../../../docs/CONTRACT.md");
@@ -111,6 +111,8 @@ fn the_documented_codes_are_the_contracts() {
         ("track state", names(TrackState::ALL)),
         ("measured by", names(MeasuredBy::ALL)),
         ("stage state", names(StageState::ALL)),
+        ("hand-over state", names(HandOverState::ALL)),
+        ("complaint kind", names(ComplaintKind::ALL)),
     ] {
         let row = DOCUMENT.lines().find(|line| line.starts_with(&format!("| {what} | 0 ")));
         let row = row.unwrap_or_else(|| panic!("CONTRACT.md has no codes of {what}"));

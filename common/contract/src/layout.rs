@@ -4,9 +4,9 @@
 use std::mem::{align_of, offset_of, size_of};
 
 use crate::{
-    BodyTruth, DetectedMarker, DetectionHeader, FrameEnd, FrameHeader, FrameStamp, Health,
-    ImuHeader, ImuSample, PlanHeader, PlannedView, Pose, Rotation, StageLatency, Text, Track,
-    TrackHeader, TruthHeader, ViewHeader,
+    BodyTruth, Complaint, DetectedMarker, DetectionHeader, FrameEnd, FrameHeader, FrameStamp,
+    HandOver, Health, ImuHeader, ImuSample, PlanHeader, PlannedView, Pose, Rotation, StageLatency,
+    Text, Track, TrackHeader, TruthHeader, ViewHeader,
 };
 
 /// The layout of a type as text: name, size, alignment, then the offset of each field.
@@ -37,7 +37,7 @@ fn all_layouts() -> String {
             predicted_camera_from_markers, readout_ns, generation, view_index, attempt, worker, size_px,
             stride, kind, tile, target, has_prediction, transfer, gamma, range, search),
         layout!(DetectionHeader: stamp, plan_id, taken_ns, issued_ns, received_ns, sent_ns, generation,
-            view_index, attempt, worker, hits, failed),
+            view_index, attempt, worker, hits, failed, view_generation, reserved),
         layout!(DetectedMarker: rays_in_camera, deviations, corners_in_view, id, doubtful),
         layout!(FrameEnd: stamp, plan_id, taken_ns, ended_ns, views_issued, views_abandoned, reason,
             generation),
@@ -52,6 +52,8 @@ fn all_layouts() -> String {
         layout!(TruthHeader: stamp, world_from_camera, observer_yaw, exposure_s),
         layout!(BodyTruth: camera_from_markers, observer_from_target, best_side_px, blur_px, name, target,
             markers_visible_50, markers_visible_90, localisable),
+        layout!(HandOver: first, sent_ns, stage, replica, old_generation, new_generation, state),
+        layout!(Complaint: sent_ns, count, stage, detail, replica, pid, kind, reserved),
     ]
     .concat()
 }
@@ -88,6 +90,8 @@ fn type_names_are_pinned() {
             Health::type_name(),
             TruthHeader::type_name(),
             BodyTruth::type_name(),
+            HandOver::type_name(),
+            Complaint::type_name(),
         ]
     };
     let wanted = [
@@ -106,6 +110,8 @@ fn type_names_are_pinned() {
         "flockeye/Health",
         "flockeye/TruthHeader",
         "flockeye/BodyTruth",
+        "flockeye/HandOver",
+        "flockeye/Complaint",
     ];
     assert_eq!(names, wanted);
 }

@@ -3,7 +3,7 @@
 //! There are two borders:
 //! - **shared memory**, between the stages on one machine: [`Topic`]s of `#[repr(C)]` headers and
 //!   items ([`FrameHeader`], [`ImuHeader`], [`Rotation`], [`PlanHeader`], [`ViewHeader`], [`DetectionHeader`], [`FrameEnd`],
-//!   [`TrackHeader`], [`Health`], [`TruthHeader`]);
+//!   [`TrackHeader`], [`Health`], [`TruthHeader`], [`HandOver`], [`Complaint`]);
 //! - **the network**, between drones: the JSON of [`wire`].
 //!
 //! This crate has the data and their validation ([`Topic::check`]); the runtime transports them.
@@ -11,11 +11,13 @@
 //! and `documents` pin every offset, code and version in it.
 
 mod codes;
+mod complaint;
 mod detection;
 #[cfg(test)]
 mod documents;
 mod error;
 mod frame;
+mod handover;
 mod health;
 mod imu;
 #[cfg(test)]
@@ -31,12 +33,15 @@ mod view;
 pub mod wire;
 
 pub use codes::{
-    MeasuredBy, PixelFormat, Projection, Range, RotationSource, Search, SearchMode, StageState,
-    StopReason, StopRule, TrackState, Transfer, UnknownCode, ViewKind,
+    ComplaintKind, HandOverState, MeasuredBy, PixelFormat, Projection, Range, RotationSource,
+    Search, SearchMode, StageState, StopReason, StopRule, TrackState, Transfer, UnknownCode,
+    ViewKind,
 };
+pub use complaint::Complaint;
 pub use detection::{DetectedMarker, DetectionHeader, MAX_DETECTED_MARKERS};
 pub use error::ContractError;
 pub use frame::{FrameHeader, FrameOrder, FrameStamp};
+pub use handover::{HandOver, Speaker, Spoken};
 pub use health::Health;
 pub use imu::{ImuHeader, ImuSample, MAX_IMU_RATE, MAX_IMU_SAMPLES};
 pub use plan::{MAX_PLANNED_VIEWS, MAX_VIEW_PX, PlanHeader, PlannedView};
@@ -44,9 +49,9 @@ pub use rotation::Rotation;
 pub use stage::StageName;
 pub use text::Text;
 pub use topic::{
-    CONTRACT_VERSION, Detections, FrameEnds, Frames, Healths, Imus, Plans, Rotations, TOPICS,
-    Topic, TopicId, TopicInfo, TopicVisitor, Tracks, Truths, VERSION_ATTRIBUTE, Views,
-    visit_topics,
+    CONTRACT_VERSION, Complaints, Detections, FrameEnds, Frames, HandOvers, Healths, Imus, Plans,
+    Rotations, TOPICS, Topic, TopicId, TopicInfo, TopicVisitor, Tracks, Truths, VERSION_ATTRIBUTE,
+    Views, visit_topics,
 };
 pub use track::{FrameEnd, Pose, StageLatency, Track, TrackHeader};
 pub use truth::{BodyTruth, TruthHeader};

@@ -6,13 +6,13 @@ use bytemuck::Pod;
 use iceoryx2::prelude::ZeroCopySend;
 
 use crate::{
-    BodyTruth, ContractError, DetectedMarker, DetectionHeader, FrameEnd, FrameHeader, Health,
-    ImuHeader, ImuSample, PlanHeader, PlannedView, Rotation, StageName, Track, TrackHeader,
-    TruthHeader, ViewHeader,
+    BodyTruth, Complaint, ContractError, DetectedMarker, DetectionHeader, FrameEnd, FrameHeader,
+    HandOver, Health, ImuHeader, ImuSample, PlanHeader, PlannedView, Rotation, Spoken, StageName,
+    Track, TrackHeader, TruthHeader, ViewHeader,
 };
 
 /// Version of everything in this crate. A stage of another version is refused.
-pub const CONTRACT_VERSION: &str = "5";
+pub const CONTRACT_VERSION: &str = "6";
 
 /// The iceoryx2 service attribute that carries [`CONTRACT_VERSION`].
 pub const VERSION_ATTRIBUTE: &str = "flockeye.contract";
@@ -20,7 +20,7 @@ pub const VERSION_ATTRIBUTE: &str = "flockeye.contract";
 /// One publish-subscribe service: messages of one header and a slice of items.
 pub trait Topic {
     /// The iceoryx2 user header.
-    type Header: ZeroCopySend + Pod + Default + Debug;
+    type Header: ZeroCopySend + Pod + Default + Debug + Spoken;
     /// The iceoryx2 payload is `[Item]`.
     type Item: ZeroCopySend + Pod + Debug;
     /// Name of the service and of the event service that wakes its subscribers.
@@ -147,6 +147,12 @@ topics! {
     /// Simulator to evaluation.
     Truths = "flockeye/truth", TruthHeader, [BodyTruth],
         [Simulator] => [], |header, items| header.check(items);
+    /// Launcher to every stage: which of two processes of a stage counts.
+    HandOvers = "flockeye/handover", HandOver, [u8],
+        [] => [Capture, Simulator, Inertial, Egomotion, Rectification, Detection, Fusion, Gateway], |header, _items| header.check();
+    /// Every stage to the launcher: another process does not do what it owes.
+    Complaints = "flockeye/complaint", Complaint, [u8],
+        [Capture, Simulator, Inertial, Egomotion, Rectification, Detection, Fusion, Gateway] => [], |header, _items| header.check();
 }
 
 #[cfg(test)]

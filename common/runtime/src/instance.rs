@@ -5,6 +5,7 @@
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read, Seek, Write};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
 
 use iceoryx2::prelude::*;
@@ -65,6 +66,19 @@ pub enum InstanceError {
     Path {
         /// The folder.
         path: PathBuf,
+    },
+    /// The folder is not this user's alone: others could put their own sockets and settings there.
+    #[error(
+        "{path} belongs to user {owner} and has mode {mode:o}: others can write to it. Cure: remove it, \
+         or set TMPDIR to a folder of your own"
+    )]
+    Foreign {
+        /// The folder.
+        path: PathBuf,
+        /// The number of its owner.
+        owner: u32,
+        /// Its permissions.
+        mode: u32,
     },
     /// The launcher's files are not there.
     #[error(
@@ -177,7 +191,9 @@ impl Instance {
             let path = path.to_owned();
             move |error| InstanceError::File { path, error }
         };
-        std::fs::create_dir_all(&self.folder).map_err(file_error(&self.folder))?;
+        for folder in [all_folder(), self.folder.clone()] {
+            make_own(&folder)?;
+        }
         let path = self.folder.join("lock");
         let mut lock = OpenOptions::new()
             .create(true)
@@ -210,7 +226,11 @@ impl Instance {
     pub fn write_configuration(&self, pipeline: &Pipeline) -> Result<(), InstanceError> {
         let json = serde_json::to_vec_pretty(pipeline)
             .map_err(|error| InstanceError::Resolved { path: self.pipeline_file(), error })?;
-        write(&self.pipeline_file(), &json)?;
+        // A stage that starts just now reads the old one or the new one, and never half of it.
+        let fresh = self.folder.join("pipeline.json.new");
+        write(&fresh, &json)?;
+        std::fs::rename(&fresh, self.pipeline_file())
+            .map_err(|error| InstanceError::File { path: self.pipeline_file(), error })?;
         let toml = format!(
             "# For stages in other languages: load this file as iceoryx2's global configuration.\n\
              [global]\nroot-path = {:?}\nprefix = {:?}\n",
@@ -285,6 +305,25 @@ impl Drop for Ownership {
     }
 }
 
+/// Makes a folder for this user alone, or makes sure that it is one.
+fn make_own(folder: &Path) -> Result<(), InstanceError> {
+    let file_error = |error| InstanceError::File { path: folder.to_owned(), error };
+    let mut builder = std::fs::DirBuilder::new();
+    match builder.mode(0o700).create(folder) {
+        Ok(()) => return Ok(()),
+        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
+        Err(error) => return Err(file_error(error)),
+    }
+    // A link would lead to a folder of somebody's choice.
+    let found = std::fs::symlink_metadata(folder).map_err(file_error)?;
+    let mode = found.mode() & 0o7777;
+    let is_own = found.uid() == rustix::process::getuid().as_raw();
+    if found.is_dir() && is_own && mode & 0o022 == 0 {
+        return Ok(());
+    }
+    Err(InstanceError::Foreign { path: folder.to_owned(), owner: found.uid(), mode })
+}
+
 /// Folder of all instances of this user.
 fn all_folder() -> PathBuf {
     std::env::temp_dir().join(format!("flockeye-{}", rustix::process::getuid().as_raw()))
@@ -317,6 +356,22 @@ mod tests {
         assert!(folder.is_dir(), "it is still there");
         std::fs::remove_dir(&folder).expect("it is still empty");
         assert!(is_instance_name("drone-1_b"));
+    }
+
+    #[test]
+    fn a_folder_that_others_can_write_to_is_refused() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = std::env::temp_dir().join(format!("flock-open-{}", std::process::id()));
+        make_own(&folder).expect("it is new");
+        make_own(&folder).expect("it is this user's alone");
+        std::fs::set_permissions(&folder, std::fs::Permissions::from_mode(0o777))
+            .expect("it is this user's");
+        let error = make_own(&folder).expect_err("others can write").to_string();
+        assert!(error.contains("mode 777: others can write"), "{error}");
+        std::fs::remove_dir(&folder).expect("it is empty");
+        std::os::unix::fs::symlink(std::env::temp_dir(), &folder).expect("links can be made");
+        assert!(matches!(make_own(&folder), Err(InstanceError::Foreign { .. })));
+        std::fs::remove_file(&folder).expect("it is a link");
     }
 
     #[test]

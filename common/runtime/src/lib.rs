@@ -8,6 +8,7 @@
 //! | [`instance`] | where one pipeline's shared memory and files live, and who owns it |
 //! | [`memory`] | how large each topic's shared memory is, and whether it fits |
 //! | [`ports`] | publishers and subscribers of the contract's topics |
+//! | [`listening`] | whose messages count while a stage is swapped, and complaints |
 //! | [`onlooker`] | reading a running pipeline beside its stages |
 //! | [`stage`] | the loop: wait, step, send health, drain, stop |
 //! | [`credits`] | when a source may send its next frame |
@@ -24,6 +25,7 @@ pub mod clock;
 pub mod credits;
 pub mod health;
 pub mod instance;
+pub mod listening;
 pub mod logs;
 pub mod memory;
 pub mod onlooker;

@@ -8,8 +8,8 @@ use std::time::Duration;
 
 use flockeye_config::{Flow, Pipeline, Resolved};
 use flockeye_contract::{
-    BodyTruth, DetectedMarker, Frames, MAX_IMU_SAMPLES, MAX_PLANNED_VIEWS, PlannedView, TOPICS,
-    Topic, TopicId, TopicInfo, Track,
+    BodyTruth, DetectedMarker, Frames, MAX_IMU_SAMPLES, MAX_PLANNED_VIEWS, PlannedView, StageName,
+    TOPICS, Topic, TopicId, TopicInfo, Track,
 };
 
 /// Limits of one topic.
@@ -137,15 +137,16 @@ fn sizes(topic: TopicId, resolved: &Resolved, largest_view_px: u32) -> Sizes {
     let usual = Sizes { subscribers: 4, buffer: 64, borrowed: 2, history: 0, loaned: 1, items: 0 };
     match topic {
         // Rectification holds the frame that waits for answers, the one it cuts, the next one, and
-        // for a moment one newer than that. Egomotion holds one, and a tool may look on.
+        // for a moment one newer than that. Egomotion holds one, the successor of one of them reads too, and
+        // a tool may look on.
         TopicId::Frames => {
             let items = frame_bytes(pipeline);
-            Sizes { subscribers: 3, buffer: 1, borrowed: 4, loaned: 2, items, ..usual }
+            Sizes { buffer: 1, borrowed: 4, loaned: 2, items, ..usual }
         }
         TopicId::Imus => Sizes { items: MAX_IMU_SAMPLES, ..usual },
-        TopicId::Rotations => Sizes { buffer: 16, ..usual },
+        TopicId::Rotations => Sizes { subscribers: 5, buffer: 16, ..usual },
         TopicId::Plans => Sizes { buffer: 2, history: 1, items: MAX_PLANNED_VIEWS, ..usual },
-        // To each lane listen its worker, that worker's successor, fusion and a tool.
+        // To each lane listen its worker, fusion, the successor of one of them, and a tool.
         TopicId::Views => Sizes {
             buffer: pipeline.rectification.window as usize + 2,
             // In the worst case all views that fusion holds are of one lane; and it reads one more.
@@ -154,12 +155,16 @@ fn sizes(topic: TopicId, resolved: &Resolved, largest_view_px: u32) -> Sizes {
             ..usual
         },
         TopicId::Detections => {
-            Sizes { buffer: records_in_flight(resolved), items: MARKERS, ..usual }
+            // Rectification, fusion, a successor, and the launcher for up to three purposes.
+            Sizes { subscribers: 6, buffer: records_in_flight(resolved), items: MARKERS, ..usual }
         }
         TopicId::FrameEnds => Sizes { buffer: 16, ..usual },
         TopicId::Tracks => Sizes { subscribers: 8, items: MAX_TRACKS, ..usual },
         TopicId::Healths => Sizes { subscribers: 8, ..usual },
         TopicId::Truths => Sizes { items: TRUTH_BODIES, ..usual },
+        // Every process reads it, and those that start later too.
+        TopicId::HandOvers => Sizes { subscribers: MAX_NODES, buffer: 4, history: 1, ..usual },
+        TopicId::Complaints => usual,
     }
 }
 
@@ -245,6 +250,13 @@ impl Budget {
     pub fn topic<T: Topic>(&self) -> &Limits {
         let found = self.topics.iter().find(|limits| limits.topic == T::NAME);
         found.expect("limits of each topic")
+    }
+
+    /// Bytes that one more process of a stage takes.
+    pub fn bytes_of(&self, stage: StageName) -> usize {
+        let published =
+            TOPICS.iter().zip(&self.topics).filter(|(topic, _)| topic.publishers.contains(&stage));
+        published.map(|(_, limits)| limits.lanes * limits.segment_bytes()).sum()
     }
 
     /// Bytes of all topics.
@@ -350,7 +362,7 @@ mod tests {
         assert_eq!(budget.check(10_000_000_000, 20_000_000_000), Ok(()));
         let error = budget.check(12_000_000, 64_000_000).expect_err("12 MB do not do").to_string();
         assert!(
-            error.starts_with("camera 3840x1920 needs 17 frames of shared memory (126 MB)"),
+            error.starts_with("camera 3840x1920 needs 22 frames of shared memory (163 MB)"),
             "{error}"
         );
         assert!(error.contains("has 12 MB free. Cure: mount -o remount,size="), "{error}");

@@ -12,6 +12,7 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use flockeye_contract::{CONTRACT_VERSION, Topic, TopicVisitor, VERSION_ATTRIBUTE, visit_topics};
+use iceoryx2::identifiers::UniquePublisherId;
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher as IoxPublisher;
@@ -24,6 +25,7 @@ use iceoryx2::sample_mut_uninit::SampleMutUninit;
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 
 use crate::health::SharedCounters;
+use crate::listening::Listening;
 use crate::logs::Throttle;
 use crate::memory::{Budget, Limits, MAX_EVENT_PORTS, MAX_NODES};
 
@@ -136,6 +138,7 @@ pub struct Ports {
     node: Rc<Node<Service>>,
     budget: Budget,
     counters: SharedCounters,
+    listening: Rc<Listening>,
     listeners: Vec<Listener<Service>>,
 }
 
@@ -143,7 +146,33 @@ impl Ports {
     /// Ports of a process of the pipeline whose limits are `budget`; what they see is counted in
     /// `counters`.
     pub fn new(node: Rc<Node<Service>>, budget: Budget, counters: SharedCounters) -> Self {
-        Self { node, budget, counters, listeners: Vec::new() }
+        let listening = Rc::new(Listening::default());
+        Self { node, budget, counters, listening, listeners: Vec::new() }
+    }
+
+    /// The same, but only messages that `listening` admits are received.
+    pub fn listening_to(self, listening: Rc<Listening>) -> Self {
+        Self { listening, ..self }
+    }
+
+    /// Whose messages count here.
+    pub fn listening(&self) -> Rc<Listening> {
+        self.listening.clone()
+    }
+
+    /// Follows the launcher's word whose messages count while it swaps a stage.
+    ///
+    /// # Errors
+    /// As [`Ports::subscriber`].
+    pub fn follow_hand_overs(&mut self) -> Result<(), PortError> {
+        // Not counted, and with no wish to ask itself.
+        let hand_overs = Subscriber {
+            counters: SharedCounters::default(),
+            listening: Rc::default(),
+            ..self.subscriber()?
+        };
+        self.listening.follow(hand_overs);
+        Ok(())
     }
 
     /// A publisher of a topic.
@@ -223,7 +252,8 @@ impl Ports {
             subscriber,
             service: data,
             counters: self.counters.clone(),
-            refusals: Throttle::default(),
+            listening: self.listening.clone(),
+            refusals: Refusals::default(),
         })
     }
 
@@ -397,8 +427,37 @@ pub struct Subscriber<T: Topic> {
     subscriber: IoxSubscriber<Service, [T::Item], T::Header>,
     service: DataService<T>,
     counters: SharedCounters,
-    refusals: Throttle,
+    listening: Rc<Listening>,
+    refusals: Refusals,
 }
+
+/// How many messages of each publisher were refused.
+#[derive(Default)]
+struct Refusals {
+    throttle: Throttle,
+    counts: Vec<(UniquePublisherId, u64)>,
+}
+
+impl Refusals {
+    /// Publishers that are told apart; they are few, and old ones have ended.
+    const MOST_PUBLISHERS: usize = 16;
+
+    /// Counts one more of `publisher`.
+    fn add(&mut self, publisher: UniquePublisherId) -> u64 {
+        if let Some((_, count)) = self.counts.iter_mut().find(|(of, _)| *of == publisher) {
+            *count += 1;
+            return *count;
+        }
+        if self.counts.len() == Self::MOST_PUBLISHERS {
+            self.counts.remove(0);
+        }
+        self.counts.push((publisher, 1));
+        1
+    }
+}
+
+/// The launcher hears of refused messages once for so many.
+const REFUSED_AT_ONCE: u64 = 10;
 
 /// A message, in shared memory, that has passed the contract's check.
 pub struct Message<T: Topic> {
@@ -427,6 +486,9 @@ impl<T: Topic> Subscriber<T> {
             })?;
             let Some(sample) = sample else { return Ok(None) };
             let header = *sample.user_header();
+            if !self.listening.admits(&header) {
+                continue;
+            }
             match T::check(&header, sample.payload()) {
                 Ok(()) => {
                     self.counters.add_taken(1);
@@ -434,10 +496,20 @@ impl<T: Topic> Subscriber<T> {
                 }
                 Err(error) => {
                     self.counters.add_failed(1);
-                    if let Some(more) = self.refusals.admit() {
+                    let publisher = sample.origin();
+                    let count = self.refusals.add(publisher);
+                    if count.is_multiple_of(REFUSED_AT_ONCE) {
+                        let pid = self.process_of(publisher);
+                        self.listening.complain_of_messages(
+                            pid,
+                            count,
+                            &format!("{}: {error}", T::NAME),
+                        );
+                    }
+                    if let Some(more) = self.refusals.throttle.admit() {
                         tracing::warn!(
                             topic = T::NAME,
-                            publisher = ?sample.origin(),
+                            process = self.process_of(publisher),
                             more_since = more,
                             "message refused: {error}. Cure: mend the stage that sends it; docs/CONTRACT.md has the layout"
                         );
@@ -445,6 +517,20 @@ impl<T: Topic> Subscriber<T> {
                 }
             }
         }
+    }
+
+    /// The process that has this publisher; 0 if it has ended.
+    fn process_of(&self, publisher: UniquePublisherId) -> u32 {
+        let mut pid = 0;
+        self.service.dynamic_config().list_publishers(|details| {
+            if details.publisher_id != publisher {
+                return CallbackProgression::Continue;
+            }
+            let process = details.node_id.pid::<Service>();
+            pid = process.map_or(0, |process| process.value().unsigned_abs());
+            CallbackProgression::Stop
+        });
+        pid
     }
 
     /// Updates the connections to publishers; false if there is no publisher. A publisher with patience

@@ -7,11 +7,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::Context as _;
-use flockeye_contract::{Health, Healths, StageState};
+use flockeye_contract::{Health, Healths, StageName, StageState};
 use iceoryx2::prelude::*;
 
 use crate::health::{Counters, HEALTH_PERIOD, Identity, SharedCounters};
 use crate::instance::{GENERATION_VARIABLE, Instance, REPLICA_VARIABLE};
+use crate::listening::Listening;
 use crate::memory::Budget;
 use crate::ports::{Ports, Publisher};
 use crate::{clock, logs};
@@ -143,7 +144,12 @@ fn start<S: Stage>() -> anyhow::Result<Running<S>> {
         next_ns: 0,
     };
     reporter.send(StageState::Starting)?;
-    let mut ports = Ports::new(node, budget, counters.clone());
+    let stage_name = StageName::from_name(S::NAME)
+        .with_context(|| format!("{} is not in the contract", S::NAME))?;
+    let listening = Rc::new(Listening::of_stage(stage_name, identity.replica, identity.generation));
+    listening.complain_by(health.side_publisher()?);
+    let mut ports = Ports::new(node, budget, counters.clone()).listening_to(listening);
+    ports.follow_hand_overs()?;
     let stage = S::open(&Context { resolved, identity, counters }, &mut ports)?;
     Ok(Running { stage, ports, reporter, stopping })
 }

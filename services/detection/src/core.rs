@@ -99,6 +99,8 @@ impl Core {
             worker: self.worker,
             hits: found.iter().filter(is_hit).count() as u32,
             failed: u32::from(failure.is_some()),
+            view_generation: header.generation,
+            reserved: 0,
         };
         Some(Record { header, markers: found.iter().map(detected).collect(), failure })
     }

@@ -37,7 +37,11 @@ pub fn attach(running: &PipelineChoice) -> anyhow::Result<Attached> {
     Ok(Attached { ports, resolved, instance })
 }
 
-fn choose(running: &PipelineChoice) -> anyhow::Result<Instance> {
+/// The chosen pipeline.
+///
+/// # Errors
+/// None runs, or several do and none was named.
+pub fn choose(running: &PipelineChoice) -> anyhow::Result<Instance> {
     let living: Vec<Instance> = Instance::all().into_iter().filter(Instance::is_running).collect();
     let names = living.iter().map(Instance::name).collect::<Vec<_>>().join(", ");
     if let Some(name) = &running.instance {

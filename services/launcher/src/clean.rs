@@ -1,5 +1,6 @@
 //! `flockeye clean`: removes what dead runs left in shared memory. Running pipelines are not touched.
 
+use anyhow::Context;
 use clap::Args;
 use flockeye_cli::Screen;
 use flockeye_runtime::instance::{Instance, InstanceError};
@@ -15,10 +16,16 @@ pub struct CleanArguments {
 /// Removes the files of dead runs, and lists them.
 ///
 /// # Errors
-/// The files cannot be removed.
+/// The files cannot be removed, or there are none of that name.
 pub fn run(arguments: &CleanArguments) -> anyhow::Result<()> {
     let instances = match &arguments.instance {
-        Some(name) => vec![Instance::named(name)],
+        Some(name) => {
+            let all = Instance::all();
+            let names = all.iter().map(Instance::name).collect::<Vec<_>>().join(", ");
+            let known = if names.is_empty() { "there is none".to_owned() } else { names };
+            let found = all.into_iter().find(|instance| instance.name() == name);
+            vec![found.with_context(|| format!("no pipeline '{name}' left files here: {known}"))?]
+        }
         None => Instance::all(),
     };
     let mut screen = Screen::new();

@@ -3,9 +3,11 @@
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use flockeye_cli::lab::COMMANDS;
 
+use crate::chaos::{self, ChaosArguments};
 use crate::check::{self, CheckArguments};
 use crate::clean::{self, CleanArguments};
 use crate::exec::{self, ExecArguments};
+use crate::manage::{self, StatusArguments, StopArguments, SwapArguments, WorkerArguments};
 use crate::peers::{self, PeersArguments};
 use crate::top::{self, TopArguments};
 use crate::trace::{self, TraceArguments};
@@ -27,6 +29,18 @@ enum FlockeyeCommand {
     Up(UpArguments),
     /// Check a configuration, and say what it means on this machine.
     Check(CheckArguments),
+    /// Show a running pipeline's processes.
+    Status(StatusArguments),
+    /// Replace a stage's process in flight by another one, so that no frame is lost.
+    Swap(SwapArguments),
+    /// End a stage of a running pipeline, or the whole pipeline.
+    Stop(StopArguments),
+    /// Start a stage of a running pipeline that was ended.
+    Start(WorkerArguments),
+    /// End a stage of a running pipeline, and start it again.
+    Restart(WorkerArguments),
+    /// Disturb a running pipeline at random, and report how it recovers.
+    Chaos(ChaosArguments),
     /// Show what a running pipeline's stages do, and how old its poses are.
     Top(TopArguments),
     /// Record the path of frames through a running pipeline, for Perfetto (ui.perfetto.dev).
@@ -52,6 +66,12 @@ pub fn run() -> anyhow::Result<()> {
     match command {
         FlockeyeCommand::Up(arguments) => up::run(&arguments),
         FlockeyeCommand::Check(arguments) => check::run(&arguments),
+        FlockeyeCommand::Status(arguments) => manage::status(&arguments),
+        FlockeyeCommand::Swap(arguments) => manage::swap(&arguments),
+        FlockeyeCommand::Stop(arguments) => manage::stop(&arguments),
+        FlockeyeCommand::Start(arguments) => manage::start(&arguments),
+        FlockeyeCommand::Restart(arguments) => manage::restart(&arguments),
+        FlockeyeCommand::Chaos(arguments) => chaos::run(&arguments),
         FlockeyeCommand::Top(arguments) => top::run(&arguments),
         FlockeyeCommand::Trace(arguments) => trace::run(&arguments),
         FlockeyeCommand::Peers(arguments) => peers::run(&arguments),

@@ -119,10 +119,10 @@ impl Dashboard {
         StageState::try_from(view.last.state).ok()
     }
 
-    /// How long a process has not reported, nanoseconds; `None` if it never did.
-    pub fn silence_ns(&self, stage: &str, replica: u32, pid: u32, now_ns: i64) -> Option<i64> {
+    /// The last report of a process; `None` if it never sent one.
+    pub fn last_report(&self, stage: &str, replica: u32, pid: u32) -> Option<&Health> {
         let view = self.stages.get(&(stage.to_owned(), replica))?;
-        (view.last.pid == pid).then(|| now_ns - view.last.sent_ns)
+        (view.last.pid == pid).then_some(&view.last)
     }
 
     /// Takes the truth of a frame.

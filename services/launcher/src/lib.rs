@@ -7,8 +7,16 @@
 //! | [`commands`] | the command line |
 //! | [`lab`] | passes commands on to `flockeye-lab` |
 //! | [`up`] | runs a pipeline until it ends |
+//! | [`supervisor`] | starts, watches and replaces its processes |
+//! | [`swap`] | replaces a process in flight, so that no frame is lost |
+//! | [`control`] | the socket by which a running pipeline is asked to do something |
+//! | [`manage`] | the commands that ask: status, stop, start, restart, swap |
+//! | [`chaos`] | disturbs a running pipeline, and reports how it recovers |
+//! | [`status`] | what runs, as a table and as JSON |
 //! | [`run_log`] | what a run receives: shown, recorded and summed up |
 //! | [`process`] | one stage's process: started, restarted, stopped, never an orphan |
+//! | [`heartbeat`] | whether a silent process hangs |
+//! | [`complaints`] | when what others say of a process leads to its replacement |
 //! | [`dashboard`] | what the stages and the neighbours are doing, as a table and as JSON |
 //! | [`check`] | what a configuration means on this machine |
 //! | [`top`] | where a running pipeline's time goes, live or as JSON |
@@ -21,16 +29,24 @@
 //! | [`exec`] | the first instructions of a stage's process |
 
 pub mod attach;
+pub mod chaos;
 pub mod check;
 pub mod clean;
 pub mod commands;
+pub mod complaints;
+pub mod control;
 pub mod dashboard;
 pub mod exec;
+pub mod heartbeat;
 pub mod lab;
+pub mod manage;
 pub mod peers;
 pub mod process;
 pub mod run_log;
 pub mod schema;
+pub mod status;
+pub mod supervisor;
+pub mod swap;
 pub mod sweep_watch;
 pub mod top;
 pub mod trace;

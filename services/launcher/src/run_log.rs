@@ -14,6 +14,7 @@ use flockeye_record::{FrameTimes, ImuRow, MarkerRays, PoseRow, Recorder, Rotatio
 use flockeye_runtime::clock;
 use flockeye_runtime::ports::{Ports, Subscriber};
 
+use crate::control::Worker;
 use crate::dashboard::Dashboard;
 use crate::sweep_watch::SweepWatch;
 
@@ -88,6 +89,11 @@ pub struct RunLog {
     recorders: Recorders,
     /// What is shown of the run.
     pub dashboard: Dashboard,
+    /// A process beside the one that counts: its health is kept apart.
+    beside: Option<(Worker, u32)>,
+    beside_state: Option<StageState>,
+    /// The newest frame of which a track came.
+    newest: Option<FrameStamp>,
     /// How many frames were asked for. Times of further frames are not recorded.
     most_frames: u64,
     measured: u64,
@@ -143,6 +149,9 @@ impl RunLog {
                 rays: options.rays.as_deref().map(Recorder::create).transpose()?,
             },
             dashboard: Dashboard::default(),
+            beside: None,
+            beside_state: None,
+            newest: None,
             most_frames: options.frames.unwrap_or(u64::MAX),
             measured: 0,
             first_end_ns: None,
@@ -157,7 +166,15 @@ impl RunLog {
     /// A topic cannot be read, or a file cannot be written.
     pub fn receive(&mut self) -> anyhow::Result<()> {
         while let Some(message) = self.healths.receive()? {
-            self.dashboard.health(&message.header);
+            let health = &message.header;
+            let is_beside = self.beside.is_some_and(|(worker, generation)| {
+                health.stage.to_string_lossy() == worker.stage.name()
+                    && (health.replica, health.generation) == (worker.replica, generation)
+            });
+            match is_beside {
+                true => self.beside_state = StageState::try_from(health.state).ok(),
+                false => self.dashboard.health(health),
+            }
         }
         while let Some(message) = self.truths.receive()? {
             self.dashboard.truth(&message.header, message.items());
@@ -193,6 +210,7 @@ impl RunLog {
             let stamp = message.header.stamp;
             let is_last = message.header.is_last != 0;
             self.last_track = Instant::now();
+            self.newest = Some(stamp);
             self.zero_ns.get_or_insert_with(|| stream_zero_ns(&stamp));
             let now_ns = clock::monotonic_ns();
             self.dashboard.tracks(&stamp, message.items(), is_last, now_ns);
@@ -238,6 +256,21 @@ impl RunLog {
             }
             _ => Ok(()),
         }
+    }
+
+    /// Keeps the health of one generation of a worker apart from now on.
+    pub fn keep_apart(&mut self, beside: Option<(Worker, u32)>) {
+        (self.beside, self.beside_state) = (beside, None);
+    }
+
+    /// What the process that is kept apart has reported last.
+    pub fn state_beside(&self) -> Option<StageState> {
+        self.beside_state
+    }
+
+    /// The newest frame of which a track came.
+    pub fn newest(&self) -> Option<FrameStamp> {
+        self.newest
     }
 
     /// Whether as many frames have ended as were asked for.

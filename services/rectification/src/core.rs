@@ -185,6 +185,11 @@ impl<F> Core<F> {
         self.dispatcher.outstanding()
     }
 
+    /// The workers that have answered nothing for too long, as [`Dispatcher::silent`] tells them.
+    pub fn silent_workers(&mut self) -> Vec<(usize, u64)> {
+        self.dispatcher.silent()
+    }
+
     /// A frame that is held.
     pub fn held_mut(&mut self, frame: FrameOrder) -> Option<&mut Held<F>> {
         self.held.iter_mut().find(|held| held.job.frame.stamp.order() == frame)
@@ -254,8 +259,10 @@ impl<F> Core<F> {
     /// What to do next.
     pub fn step(&mut self, now_ns: i64) -> Action {
         for (frame, index) in self.dispatcher.overdue(time(now_ns), self.options.overdue) {
-            if let Some(held) = self.held_mut(frame) {
-                held.job.take_back(index);
+            match self.held_mut(frame) {
+                Some(held) => held.job.take_back(index),
+                // The frame has made room for a newer one: nobody needs its view any more.
+                None => self.dispatcher.retain(|(other, _)| other != frame),
             }
         }
         self.held.retain(|held| !held.job.is_done());
@@ -267,14 +274,23 @@ impl<F> Core<F> {
         }
         // A worker that answers nothing must be noticed.
         let overdue_ns = self.options.overdue.as_nanos() as i64;
-        Action::Wait((!self.held.is_empty()).then_some(now_ns + overdue_ns / 4))
+        let is_awaited = !self.held.is_empty() || self.outstanding() > 0;
+        Action::Wait(is_awaited.then_some(now_ns + overdue_ns / 4))
     }
 
     /// Takes up the frame that waits, once the one before has been cut.
     fn take_up(&mut self, now_ns: i64) -> Option<FrameOrder> {
         let is_cutting = self.held.iter().any(|held| !held.job.has_ended());
-        if is_cutting || self.held.len() >= MAX_HELD_FRAMES {
+        if is_cutting || self.waiting.is_none() {
             return None;
+        }
+        if self.held.len() >= MAX_HELD_FRAMES {
+            if self.options.flow == Flow::Lossless {
+                return None;
+            }
+            // In flight a newer frame is worth more than a view of an old one that its worker may have lost.
+            // Answers that still come are heard all the same.
+            self.held.remove(0);
         }
         let (header, pixels) = self.waiting.take()?;
         self.clock.begin_frame(&header.stamp);

@@ -32,6 +32,10 @@ struct Worker {
     stalled_since: Option<Duration>,
     /// When it last answered.
     answered: Option<Duration>,
+    /// How often its views were taken back since then.
+    silences: u64,
+    /// Whether [`Dispatcher::silent`] has yet to tell of the last time.
+    is_untold: bool,
 }
 
 #[derive(Debug, Clone, Default)]
@@ -107,7 +111,7 @@ impl<K: Ord + Copy> Dispatcher<K> {
     /// an attempt that was taken back: one not yet cut again need not be.
     pub fn acknowledged(&mut self, view: K, worker: usize, attempt: u32, now: Duration) -> Answer {
         if let Some(worker) = self.workers.get_mut(worker) {
-            *worker = Worker { stalled_since: None, answered: Some(now) };
+            *worker = Worker { answered: Some(now), ..Worker::default() };
         }
         let Some(issued) = self.views.get_mut(&view) else { return Answer::Repeated };
         if attempt >= issued.attempts {
@@ -147,6 +151,8 @@ impl<K: Ord + Copy> Dispatcher<K> {
             .collect();
         for (worker, _) in self.workers.iter_mut().zip(&is_late).filter(|(_, late)| **late) {
             worker.stalled_since = Some(now);
+            worker.silences += 1;
+            worker.is_untold = true;
         }
 
         let mut lost = Vec::new();
@@ -160,6 +166,18 @@ impl<K: Ord + Copy> Dispatcher<K> {
             !(is_idle && issued.is_done)
         });
         lost
+    }
+
+    /// The workers whose views were taken back since the last call, each with how often that has happened
+    /// since it last answered.
+    pub fn silent(&mut self) -> Vec<(usize, u64)> {
+        let untold = self.workers.iter_mut().enumerate().filter(|(_, worker)| worker.is_untold);
+        untold
+            .map(|(index, worker)| {
+                worker.is_untold = false;
+                (index, worker.silences)
+            })
+            .collect()
     }
 
     /// Forgets every view that `is_wanted` denies, without an answer: those of an abandoned frame
@@ -285,11 +303,13 @@ mod tests {
         let mut views = Dispatcher::new(1, 3).with_probe_after(at(500));
         views.issued(0, 0, at(0));
         assert_eq!(views.overdue(at(100), TIMEOUT), [0]);
+        assert_eq!((views.silent(), views.silent()), (vec![(0, 1)], vec![]));
         assert_eq!(views.next_worker(at(599)), None);
         assert_eq!(views.next_worker(at(600)), Some(0));
         views.issued(0, 0, at(600));
         assert_eq!(views.next_worker(at(600)), None);
         assert_eq!(views.overdue(at(700), TIMEOUT), [0]);
+        assert_eq!(views.silent(), [(0, 2)]);
         assert_eq!(views.next_worker(at(1199)), None);
         views.revive(0);
         assert_eq!(views.next_worker(at(1199)), Some(0));

@@ -1,9 +1,13 @@
 //! The rectification stage: moves messages between the ports, the core and the back end.
 
+use std::rc::Rc;
+use std::time::Duration;
+
 use anyhow::Context as _;
 use flockeye_config::Backend;
-use flockeye_contract::{FrameEnds, FrameOrder, Frames, Views};
+use flockeye_contract::{FrameEnds, FrameOrder, Frames, StageName, Views};
 use flockeye_runtime::health::SharedCounters;
+use flockeye_runtime::listening::Listening;
 use flockeye_runtime::logs::Throttle;
 use flockeye_runtime::ports::{Message, Ports, Publisher};
 use flockeye_runtime::{Context, Stage, Step, clock};
@@ -28,6 +32,8 @@ pub struct RectificationStage {
     cutter: Cutter,
     proposing: Proposing,
     generation: u32,
+    listening: Rc<Listening>,
+    overdue: Duration,
     counters: SharedCounters,
     failures: Throttle,
     refusals: Throttle,
@@ -58,6 +64,8 @@ impl Stage for RectificationStage {
             cutter: Cutter::new(standby, resolved.camera),
             proposing: Proposing::of(resolved)?,
             generation,
+            listening: ports.listening(),
+            overdue: pipeline.view_overdue(),
             counters: context.counters.clone(),
             failures: Throttle::default(),
             refusals: Throttle::default(),
@@ -68,6 +76,7 @@ impl Stage for RectificationStage {
     fn step(&mut self) -> anyhow::Result<Step> {
         self.counters.add_dropped(self.inbox.receive(&mut self.core)?);
         self.report_silence();
+        self.report_silent_workers();
         self.prepare();
         let action = self.core.step(clock::monotonic_ns());
         match action {
@@ -97,6 +106,16 @@ impl RectificationStage {
         if silence_ns > SILENCE_NS && self.silence.admit().is_some() {
             let s = silence_ns / 1_000_000_000;
             tracing::warn!("no frame has come for {s} s: the source is away, or at its end");
+        }
+    }
+
+    /// Tells the launcher, which knows the worker's process and replaces it.
+    fn report_silent_workers(&mut self) {
+        for (worker, count) in self.core.silent_workers() {
+            let listening = &self.listening;
+            let overdue_ms = self.overdue.as_millis();
+            let detail = format!("no view answered for {overdue_ms} ms");
+            listening.complain_of_silence(StageName::Detection, worker as u32, count, &detail);
         }
     }
 

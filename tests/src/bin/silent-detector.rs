@@ -1,13 +1,25 @@
 //! A detector as somebody else would write it, from docs/CONTRACT.md alone: nothing of the runtime
 //! is in it. It acknowledges every view, and never finds a marker.
+//!
+//! With an argument it misbehaves in one way:
+//!
+//! | argument | what it does |
+//! | --- | --- |
+//! | `mute` | takes views and answers none |
+//! | `hold` | takes views, keeps them and answers none |
+//! | `spin` | takes nothing and uses all its processor |
+//! | `hang` | says that it is ready, and then nothing at all |
+//! | `late` | never says that it is ready |
+//! | `lie` | before each record sends one that announces hits which it does not hold |
+//! | `leave` | ends when it has taken another's place |
 
 use std::error::Error;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use flockeye_contract::{
-    CONTRACT_VERSION, DetectionHeader, Detections, Health, Healths, StageState, Topic,
-    VERSION_ATTRIBUTE, ViewHeader, Views,
+    CONTRACT_VERSION, DetectionHeader, Detections, HandOver, HandOverState, HandOvers, Health,
+    Healths, StageState, Topic, VERSION_ATTRIBUTE, ViewHeader, Views,
 };
 use iceoryx2::config::Config;
 use iceoryx2::node::Node;
@@ -17,6 +29,7 @@ use iceoryx2::prelude::*;
 
 fn main() -> Result<(), Box<dyn Error>> {
     set_log_level(LogLevel::Fatal);
+    let misdeed = std::env::args().nth(1).unwrap_or_default();
     let folder = PathBuf::from(std::env::var("FLOCKEYE_INSTANCE_DIR")?);
     let worker: u32 = std::env::var("FLOCKEYE_REPLICA")?.parse()?;
     let generation: u32 = std::env::var("FLOCKEYE_GENERATION")?.parse()?;
@@ -39,6 +52,15 @@ fn main() -> Result<(), Box<dyn Error>> {
     let records = Output::<Detections>::open(&node, &version)?;
     let health = Output::<Healths>::open(&node, &version)?;
 
+    let name: ServiceName = HandOvers::NAME.try_into()?;
+    let hand_overs = node
+        .service_builder(&name)
+        .publish_subscribe::<[u8]>()
+        .user_header::<HandOver>()
+        .open_with_attributes(&version)?
+        .subscriber_builder()
+        .create()?;
+
     let start = Instant::now();
     let mut report = Health {
         stage: "detection".into(),
@@ -51,7 +73,11 @@ fn main() -> Result<(), Box<dyn Error>> {
         latency_p99_ns: -1,
         ..Health::default()
     };
+    if misdeed == "late" {
+        report.state = StageState::Starting.code();
+    }
     let mut next_report = start;
+    let mut held = Vec::new();
     // The launcher ends it with SIGTERM, which nothing here stands against.
     loop {
         if Instant::now() >= next_report {
@@ -59,8 +85,30 @@ fn main() -> Result<(), Box<dyn Error>> {
             health.send(report, &[])?;
             next_report = Instant::now() + Duration::from_millis(250);
         }
+        match misdeed.as_str() {
+            "hang" => std::thread::sleep(Duration::from_secs(600)),
+            "spin" => continue,
+            "leave" => {
+                while let Some(word) = hand_overs.receive()? {
+                    if word.user_header().state == HandOverState::TakenOver.code() {
+                        return Ok(());
+                    }
+                }
+            }
+            _ => {}
+        }
         wake.timed_wait(|_| {}, Duration::from_millis(100))?;
+        if misdeed == "hold" {
+            // At some time it may hold no more.
+            while let Ok(Some(view)) = views.receive() {
+                held.push(view);
+            }
+            continue;
+        }
         while let Some(view) = views.receive()? {
+            if misdeed == "mute" {
+                continue;
+            }
             let header = *view.user_header();
             report.taken += 1;
             report.published += 1;
@@ -78,7 +126,12 @@ fn main() -> Result<(), Box<dyn Error>> {
                 worker,
                 hits: 0,
                 failed: 0,
+                view_generation: header.generation,
+                reserved: 0,
             };
+            if misdeed == "lie" {
+                records.send(DetectionHeader { hits: 3, ..acknowledged }, &[])?;
+            }
             records.send(acknowledged, &[])?;
         }
     }

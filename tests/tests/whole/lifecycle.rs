@@ -315,24 +315,6 @@ fn a_stage_that_fails_and_must_not_be_restarted_ends_the_flight_with_the_reason(
 }
 
 #[test]
-fn a_stage_that_dies_in_flight_and_must_not_be_restarted_ends_the_flight() {
-    let mut flight = Flight::start("never", &[], &small(&["stages.detection.restart=never"]));
-    flight.wait_for(POSES_FLOW);
-    kill_process(process_of(&flight, "flockeye-detection"), Signal::KILL)
-        .expect("it can be killed");
-    assert_eq!(flight.wait().code(), Some(1), "{}", flight.output());
-    let output = flight.output();
-    assert!(
-        output.contains(
-            "detection was killed by signal 9, and its restart policy does not start it again"
-        ),
-        "{output}"
-    );
-    assert!(flight.stages("").is_empty());
-    flight.assert_nothing_left();
-}
-
-#[test]
 fn a_stage_that_does_not_listen_is_ended_all_the_same() {
     let deaf = r#"stages.gateway.command=["sh","-c","trap '' TERM; echo deaf; while :; do sleep 0.1; done"]"#;
     let mut flight = Flight::start("deaf", &[], &small(&["gateway.enabled=true", deaf]));

@@ -62,6 +62,8 @@ pub struct Pipeline {
     pub gateway: Gateway,
     /// How the stages' processes are run.
     pub stages: Stages,
+    /// How processes that fail are noticed.
+    pub supervision: Supervision,
 }
 
 impl Pipeline {
@@ -148,6 +150,26 @@ impl Pipeline {
     /// The stage that `source.input` needs.
     pub fn source_stage(&self) -> StageName {
         if self.source.input == "sim" { StageName::Simulator } else { StageName::Capture }
+    }
+}
+
+/// How processes that fail are noticed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Supervision {
+    /// A process that works and sends no health for this long hangs: it is killed and started again,
+    /// seconds; five times as long in a lossless run. Time in which it got no processor does not count.
+    #[schemars(range(min = 0.5, max = 600.0))]
+    pub heartbeat_s: f64,
+    /// A process that is not ready after this long is named in the log, and the source starts without it,
+    /// seconds.
+    #[schemars(range(min = 0.1, max = 600.0))]
+    pub start_s: f64,
+}
+
+impl Default for Supervision {
+    fn default() -> Self {
+        Self { heartbeat_s: 1.0, start_s: 10.0 }
     }
 }
 

@@ -1,0 +1,38 @@
+//! `complaint`: what one stage has to say about another.
+
+use bytemuck::{Pod, Zeroable};
+use iceoryx2::prelude::ZeroCopySend;
+
+use crate::{ComplaintKind, ContractError, Text};
+
+/// Header of `complaint`. No payload. The launcher names the process that it is about, and replaces it if
+/// complaints go on.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[type_name("flockeye/Complaint")]
+#[repr(C)]
+pub struct Complaint {
+    /// When it was sent, CLOCK_MONOTONIC, nanoseconds.
+    pub sent_ns: i64,
+    /// How often that has happened, one time after the other.
+    pub count: u64,
+    /// The stage that it is about; empty where only the process is known.
+    pub stage: Text<32>,
+    /// What is wrong, in words: for people.
+    pub detail: Text<96>,
+    /// Which of the stage's workers, from 0.
+    pub replica: u32,
+    /// The process that it is about; 0 where only the stage is known.
+    pub pid: u32,
+    /// A [`ComplaintKind`].
+    pub kind: u32,
+    /// Always 0.
+    pub reserved: u32,
+}
+
+impl Complaint {
+    /// Refuses an unknown kind.
+    pub fn check(&self) -> Result<(), ContractError> {
+        ComplaintKind::try_from(self.kind)?;
+        Ok(())
+    }
+}

@@ -1,0 +1,148 @@
+//! Whose messages a process listens to while the launcher swaps a stage, and what it complains of.
+
+use std::cell::{Cell, RefCell};
+
+use flockeye_contract::{
+    Complaint, ComplaintKind, Complaints, HandOver, HandOvers, Spoken, StageName, Text,
+};
+
+use crate::clock;
+use crate::ports::{Publisher, Subscriber};
+
+/// Whose messages count for this process. All its ports share one.
+#[derive(Default)]
+pub struct Listening {
+    /// The stage that this process is, its worker and its generation; none for tools.
+    own: Option<(StageName, u32, u32)>,
+    current: Cell<HandOver>,
+    /// The launcher has none: it decides, and sets `current` itself.
+    hand_overs: RefCell<Option<Subscriber<HandOvers>>>,
+    complaints: RefCell<Option<Publisher<Complaints>>>,
+}
+
+impl Listening {
+    /// For a process that is worker `replica` of `stage`, in this generation.
+    pub fn of_stage(stage: StageName, replica: u32, generation: u32) -> Self {
+        Self { own: Some((stage, replica, generation)), ..Self::default() }
+    }
+
+    /// Follows the launcher's word from now on.
+    pub fn follow(&self, hand_overs: Subscriber<HandOvers>) {
+        *self.hand_overs.borrow_mut() = Some(hand_overs);
+    }
+
+    /// Sends complaints by `publisher` from now on.
+    pub fn complain_by(&self, publisher: Publisher<Complaints>) {
+        *self.complaints.borrow_mut() = Some(publisher);
+    }
+
+    /// Sets whose messages count.
+    pub fn set(&self, hand_over: HandOver) {
+        self.current.set(hand_over);
+    }
+
+    /// Whether a message counts for this process.
+    pub(crate) fn admits(&self, header: &impl Spoken) -> bool {
+        let speakers = header.speakers();
+        if speakers[0].is_none() {
+            return true;
+        }
+        self.update();
+        let hand_over = self.current.get();
+        speakers.into_iter().flatten().all(|speaker| match self.own {
+            // Whoever works beside another needs the answers to its own views as well.
+            Some((StageName::Detection, ..)) => true,
+            Some((stage, replica, generation))
+                if (stage, replica) == (speaker.stage, speaker.replica)
+                    && hand_over.is_about(stage, replica) =>
+            {
+                speaker.generation == generation
+            }
+            _ => hand_over.admits(&speaker),
+        })
+    }
+
+    fn update(&self) {
+        let mut hand_overs = self.hand_overs.borrow_mut();
+        let Some(subscriber) = hand_overs.as_mut() else { return };
+        match subscriber.newest() {
+            Ok(Some(message)) => self.current.set(message.header),
+            Ok(None) => {}
+            Err(error) => tracing::debug!("hand-overs cannot be read: {error}"),
+        }
+    }
+
+    /// Tells the launcher that worker `replica` of `stage` has answered nothing, for the `count`-th time.
+    pub fn complain_of_silence(&self, stage: StageName, replica: u32, count: u64, detail: &str) {
+        self.complain(Complaint {
+            stage: stage.name().into(),
+            replica,
+            count,
+            detail: Text::from(detail),
+            kind: ComplaintKind::Unanswered.code(),
+            ..Complaint::default()
+        });
+    }
+
+    /// Tells the launcher that `count` messages of process `pid` were refused.
+    pub(crate) fn complain_of_messages(&self, pid: u32, count: u64, detail: &str) {
+        self.complain(Complaint {
+            pid,
+            count,
+            detail: Text::from(detail),
+            kind: ComplaintKind::Refused.code(),
+            ..Complaint::default()
+        });
+    }
+
+    fn complain(&self, complaint: Complaint) {
+        let complaint = Complaint { sent_ns: clock::monotonic_ns(), ..complaint };
+        if let Some(publisher) = &*self.complaints.borrow()
+            && let Err(error) = publisher.send(complaint, &[])
+        {
+            tracing::debug!("a complaint cannot be sent: {error}");
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockeye_contract::{DetectionHeader, HandOverState, PlanHeader, ViewHeader};
+
+    fn shadow(stage: StageName) -> HandOver {
+        HandOver {
+            stage: stage.name().into(),
+            old_generation: 0,
+            new_generation: 1,
+            state: HandOverState::Shadow.code(),
+            ..HandOver::default()
+        }
+    }
+
+    #[test]
+    fn a_process_in_the_shadow_hears_the_answers_to_its_own_views() {
+        let answer = |view_generation| DetectionHeader { view_generation, ..Default::default() };
+        for (generation, wanted) in [(0, [true, false]), (1, [false, true])] {
+            let listening = Listening::of_stage(StageName::Rectification, 0, generation);
+            listening.set(shadow(StageName::Rectification));
+            assert_eq!([0, 1].map(|asking| listening.admits(&answer(asking))), wanted);
+        }
+        let fusion = Listening::of_stage(StageName::Fusion, 0, 0);
+        fusion.set(shadow(StageName::Rectification));
+        assert_eq!([0, 1].map(|asking| fusion.admits(&answer(asking))), [true, false]);
+    }
+
+    #[test]
+    fn workers_answer_both_and_others_hear_one() {
+        let views = [0, 1].map(|generation| ViewHeader { generation, ..Default::default() });
+        let plans = [0, 1].map(|generation| PlanHeader { generation, ..Default::default() });
+        let worker = Listening::of_stage(StageName::Detection, 0, 0);
+        worker.set(shadow(StageName::Rectification));
+        assert_eq!(views.map(|view| worker.admits(&view)), [true, true]);
+        let tool = Listening::default();
+        assert_eq!(views.map(|view| tool.admits(&view)), [true, true]);
+        tool.set(shadow(StageName::Fusion));
+        assert_eq!(plans.map(|plan| tool.admits(&plan)), [true, false]);
+    }
+}

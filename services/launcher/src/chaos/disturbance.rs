@@ -1,0 +1,140 @@
+//! What is done to whom.
+
+use std::time::Duration;
+
+use anyhow::Context;
+use clap::ValueEnum;
+use rustix::process::{Pid, Signal, kill_process};
+use serde::Serialize;
+
+use crate::control::Worker;
+
+/// A kind of disturbance.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, ValueEnum, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Kind {
+    /// SIGKILL.
+    Kill,
+    /// SIGSTOP, and SIGCONT up to two seconds later.
+    Stop,
+    /// Stopped half of the time for a second.
+    Slow,
+    /// Swapped for the same program.
+    Swap,
+}
+
+/// A process that can be disturbed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Victim {
+    /// Which worker.
+    pub worker: Worker,
+    /// Its process.
+    pub pid: i32,
+}
+
+/// One disturbance.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Disturbance {
+    /// What is done.
+    pub kind: Kind,
+    /// To whom.
+    pub victim: Victim,
+    /// For how long, where it lasts.
+    pub lasts: Duration,
+}
+
+/// A slowed process runs and rests for this long in turn.
+const SLOW_TURN: Duration = Duration::from_millis(25);
+
+impl Disturbance {
+    /// Does it, calling `wait` in between.
+    ///
+    /// # Errors
+    /// What `wait` returns, or the process has ended by itself.
+    pub fn strike(
+        &self,
+        mut wait: impl FnMut(Duration) -> anyhow::Result<()>,
+    ) -> anyhow::Result<()> {
+        let pid = Pid::from_raw(self.victim.pid).context("no process has number 0")?;
+        let send = |signal| kill_process(pid, signal).context("the process has ended");
+        match self.kind {
+            Kind::Kill => send(Signal::KILL),
+            Kind::Stop => {
+                send(Signal::STOP)?;
+                wait(self.lasts)?;
+                // By now it may have been replaced.
+                drop(send(Signal::CONT));
+                Ok(())
+            }
+            Kind::Slow => {
+                let turns = self.lasts.as_millis() / (2 * SLOW_TURN.as_millis());
+                for _ in 0..turns {
+                    send(Signal::STOP)?;
+                    wait(SLOW_TURN)?;
+                    send(Signal::CONT)?;
+                    wait(SLOW_TURN)?;
+                }
+                Ok(())
+            }
+            Kind::Swap => Ok(()),
+        }
+    }
+}
+
+/// Chance from a seed: SplitMix64 (Steele, Lea and Flood, "Fast splittable pseudorandom number generators",
+/// 2014).
+#[derive(Debug, Clone)]
+pub struct Dice(u64);
+
+impl Dice {
+    /// The same seed gives the same numbers.
+    pub fn new(seed: u64) -> Self {
+        Self(seed)
+    }
+
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mixed = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        mixed ^ (mixed >> 31)
+    }
+
+    fn choose<T: Copy>(&mut self, from: &[T]) -> Option<T> {
+        let number = self.next();
+        from.get((number % (from.len().max(1) as u64)) as usize).copied()
+    }
+
+    /// The next disturbance of one of `victims`; of any kind if `only` is empty.
+    pub fn throw(&mut self, victims: &[Victim], only: &[Kind]) -> Option<Disturbance> {
+        let all = [Kind::Kill, Kind::Stop, Kind::Slow, Kind::Swap];
+        let kind = self.choose(if only.is_empty() { &all } else { only })?;
+        let victim = self.choose(victims)?;
+        let lasts = match kind {
+            Kind::Stop => Duration::from_millis(100 + self.next() % 1900),
+            Kind::Slow => Duration::from_secs(1),
+            Kind::Kill | Kind::Swap => Duration::ZERO,
+        };
+        Some(Disturbance { kind, victim, lasts })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn a_seed_says_what_is_done_to_whom() {
+        let victims =
+            ["fusion", "detection.1"].map(|name| Victim { worker: name.parse().unwrap(), pid: 7 });
+        let thrown = |seed| {
+            let mut dice = Dice::new(seed);
+            (0..20).map(|_| dice.throw(&victims, &[]).unwrap()).collect::<Vec<_>>()
+        };
+        assert_eq!(thrown(3), thrown(3));
+        assert_ne!(thrown(3), thrown(4));
+        let mut dice = Dice::new(1);
+        assert!((0..20).all(|_| dice.throw(&victims, &[Kind::Kill]).unwrap().kind == Kind::Kill));
+        assert_eq!(dice.throw(&[], &[]), None);
+    }
+}

@@ -1,0 +1,49 @@
+//! The side of the control channel that asks.
+
+use std::io::{BufRead, BufReader, ErrorKind, Write};
+use std::os::unix::net::UnixStream;
+use std::time::Duration;
+
+use anyhow::{Context, bail};
+use flockeye_runtime::instance::Instance;
+use serde_json::Value;
+
+use super::{Reply, Request, socket_path};
+
+/// A launcher that says nothing for this long hangs. A swap says something at each step.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+/// Asks the launcher of `instance`, hands what it says meanwhile to `show`, and returns its last word: in
+/// words, and as a value.
+///
+/// # Errors
+/// It cannot be reached, or it has not done what was asked for; the message is its reason.
+pub fn ask(
+    instance: &Instance,
+    request: &Request,
+    mut show: impl FnMut(&str),
+) -> anyhow::Result<(String, Value)> {
+    let path = socket_path(instance.folder());
+    let mut stream = UnixStream::connect(&path).with_context(|| {
+        format!("the pipeline '{}' does not answer at {}", instance.name(), path.display())
+    })?;
+    stream.set_read_timeout(Some(PATIENCE)).context("the control channel")?;
+    let mut line = serde_json::to_vec(request).context("the request")?;
+    line.push(b'\n');
+    stream.write_all(&line).context("the request cannot be sent")?;
+    for line in BufReader::new(stream).lines() {
+        let line = match line {
+            Ok(line) => line,
+            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {
+                bail!("the launcher has said nothing for {} s", PATIENCE.as_secs())
+            }
+            Err(error) => return Err(error).context("the control channel broke"),
+        };
+        match serde_json::from_str(&line).context("the launcher's answer")? {
+            Reply::Progress(text) => show(&text),
+            Reply::Done { text, report } => return Ok((text, report)),
+            Reply::Failed(reason) => bail!(reason),
+        }
+    }
+    bail!("the launcher has ended before it was done")
+}

@@ -1,0 +1,180 @@
+//! The control channel of a running pipeline: a Unix socket in the instance's folder, which only its owner
+//! can use. A client sends one request as a line of JSON, and gets lines of JSON until its request is done.
+//!
+//! | module | what it does |
+//! | --- | --- |
+//! | [`server`] | the launcher's side, which never waits for a client |
+//! | [`client`] | the side of `flockeye status`, `swap` and the like |
+
+pub mod client;
+pub mod server;
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use flockeye_contract::StageName;
+use serde::{Deserialize, Serialize};
+
+/// The socket of the instance in `folder`.
+pub fn socket_path(folder: &Path) -> PathBuf {
+    folder.join("control")
+}
+
+/// A request longer than this is refused.
+pub const MAX_REQUEST_BYTES: usize = 65_536;
+
+/// One worker of a stage, written `detection.1`, or `fusion` for the first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(into = "String", try_from = "String")]
+pub struct Worker {
+    /// The stage.
+    pub stage: StageName,
+    /// Which of its workers, from 0.
+    pub replica: u32,
+}
+
+impl fmt::Display for Worker {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.replica {
+            0 => f.write_str(self.stage.name()),
+            replica => write!(f, "{}.{replica}", self.stage.name()),
+        }
+    }
+}
+
+impl FromStr for Worker {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (name, replica) = text.split_once('.').unwrap_or((text, "0"));
+        let stage = StageName::from_name(name).ok_or_else(|| {
+            let names = StageName::ALL.map(StageName::name).join(", ");
+            format!("there is no stage '{name}'. Stages: {names}")
+        })?;
+        let replica = replica
+            .parse()
+            .map_err(|_| format!("'{replica}' is not the number of a worker, such as {name}.1"))?;
+        Ok(Self { stage, replica })
+    }
+}
+
+impl From<Worker> for String {
+    fn from(worker: Worker) -> Self {
+        worker.to_string()
+    }
+}
+
+impl TryFrom<String> for Worker {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        text.parse()
+    }
+}
+
+/// What a client asks for.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "command", rename_all = "snake_case", deny_unknown_fields)]
+pub enum Request {
+    /// What runs.
+    Status,
+    /// End a worker and leave it ended; without one: end the pipeline.
+    Stop {
+        /// Which worker.
+        worker: Option<Worker>,
+    },
+    /// Start a worker that was ended or given up.
+    Start {
+        /// Which worker.
+        worker: Worker,
+    },
+    /// End a worker and start it again.
+    Restart {
+        /// Which worker.
+        worker: Worker,
+    },
+    /// Replace a worker's process by another one.
+    Swap(SwapRequest),
+}
+
+/// How a worker is to be replaced.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SwapRequest {
+    /// Which worker.
+    pub worker: Worker,
+    /// Settings to be changed, `key.path=value`.
+    #[serde(default)]
+    pub set: Vec<String>,
+    /// Program and arguments of another implementation. Empty: the one that runs.
+    #[serde(default)]
+    pub program: Vec<String>,
+    /// How long the new process may take to do as well as the old one, seconds.
+    pub within_s: f64,
+    /// Whether it may do worse than the old one.
+    #[serde(default)]
+    pub accept_worse: bool,
+}
+
+/// What a client hears.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Reply {
+    /// What has been done so far, in words. More follows.
+    Progress(String),
+    /// It is done: in words, and as a value for programs.
+    Done {
+        /// In words.
+        text: String,
+        /// The same for programs.
+        report: serde_json::Value,
+    },
+    /// It was not done, and why.
+    Failed(String),
+}
+
+impl Reply {
+    /// It is done, and there is no more to say of it than this.
+    pub fn done(text: impl Into<String>) -> Self {
+        Self::Done { text: text.into(), report: serde_json::Value::Null }
+    }
+
+    /// Whether nothing follows.
+    pub fn is_last(&self) -> bool {
+        !matches!(self, Self::Progress(_))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn workers_are_read_as_they_are_written() {
+        for text in ["fusion", "detection.1", "gateway"] {
+            assert_eq!(text.parse::<Worker>().unwrap().to_string(), text);
+        }
+        assert!("fusions".parse::<Worker>().unwrap_err().contains("Stages: capture, simulator"));
+        assert!("detection.x".parse::<Worker>().unwrap_err().contains("'x' is not the number"));
+    }
+
+    #[test]
+    fn requests_survive_the_socket() {
+        let swap = Request::Swap(SwapRequest {
+            worker: "detection.1".parse().unwrap(),
+            set: vec!["detection.dictionary=X".to_owned()],
+            program: vec!["python3".to_owned()],
+            within_s: 10.0,
+            accept_worse: false,
+        });
+        for request in [swap, Request::Status, Request::Stop { worker: None }] {
+            let text = serde_json::to_string(&request).unwrap();
+            assert_eq!(serde_json::from_str::<Request>(&text).unwrap(), request, "{text}");
+        }
+        let unknown = r#"{"command":"stop","worker":"fusions"}"#;
+        let error = serde_json::from_str::<Request>(unknown).unwrap_err().to_string();
+        assert!(error.contains("there is no stage 'fusions'"), "{error}");
+    }
+}

@@ -1,0 +1,113 @@
+//! Whether a process that sends no health hangs, or only has not had the processor.
+
+/// What the system says of a process (proc(5), `/proc/PID/stat`).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ProcessStat {
+    /// R running, S sleeping, D waiting for a disk, T stopped, t traced, Z dead.
+    pub state: char,
+    /// Processor time that it has used, nanoseconds.
+    pub used_ns: i64,
+}
+
+impl ProcessStat {
+    /// Of a process that runs.
+    pub fn of(pid: u32) -> Option<Self> {
+        Self::parse(&std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?)
+    }
+
+    fn parse(text: &str) -> Option<Self> {
+        // The program's name may hold anything, blanks and parentheses too.
+        let (_, rest) = text.rsplit_once(')')?;
+        let mut fields = rest.split_whitespace();
+        let state = fields.next()?.chars().next()?;
+        let user: i64 = fields.nth(10)?.parse().ok()?;
+        let system: i64 = fields.next()?.parse().ok()?;
+        let ticks = i64::try_from(rustix::param::clock_ticks_per_second()).ok()?;
+        Some(Self { state, used_ns: (user + system).checked_mul(1_000_000_000)? / ticks.max(1) })
+    }
+}
+
+/// Watches one process.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Heartbeat {
+    /// The newest report, and the processor time used until it was noticed.
+    last: Option<(i64, i64)>,
+}
+
+impl Heartbeat {
+    /// Whether a process hangs whose newest report is of `sent_ns`, given what the system says `now_ns`.
+    ///
+    /// It hangs if it was silent for `heartbeat_ns` although nothing kept it from its work: it is stopped, or
+    /// sleeps while none of its threads works either, or it has used that much processor time meanwhile. One
+    /// that is ready to run and gets no processor, or waits for a disk, is only slow.
+    pub fn hangs(
+        &mut self,
+        sent_ns: i64,
+        now_ns: i64,
+        heartbeat_ns: i64,
+        stat: ProcessStat,
+    ) -> bool {
+        let used_then = match self.last {
+            Some((of, used_ns)) if of == sent_ns => used_ns,
+            _ => {
+                self.last = Some((sent_ns, stat.used_ns));
+                stat.used_ns
+            }
+        };
+        let is_silent = now_ns - sent_ns > heartbeat_ns;
+        let worked_ns = stat.used_ns - used_then;
+        let hangs = match stat.state {
+            'T' | 't' => true,
+            'S' => worked_ns >= heartbeat_ns || worked_ns * 10 < heartbeat_ns,
+            _ => worked_ns >= heartbeat_ns,
+        };
+        is_silent && hangs
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    const S: i64 = 1_000_000_000;
+
+    fn stat(state: char, used_ns: i64) -> ProcessStat {
+        ProcessStat { state, used_ns }
+    }
+
+    #[test]
+    fn the_system_tells_of_this_process() {
+        let own = ProcessStat::of(std::process::id()).unwrap();
+        assert!(matches!(own.state, 'R' | 'S'), "{own:?}");
+        let odd = "7 (a) b (c) S 1 2 3 4 5 6 7 8 9 10 250 50 0 0";
+        let ticks = rustix::param::clock_ticks_per_second() as i64;
+        assert_eq!(ProcessStat::parse(odd), Some(stat('S', 300 * S / ticks)));
+        assert_eq!(ProcessStat::parse("nonsense"), None);
+    }
+
+    #[test]
+    fn who_is_stopped_or_spins_hangs_and_who_waits_for_the_processor_does_not() {
+        for (state, used_ns, wanted) in [
+            ('T', 0, true),
+            ('S', 0, true),
+            ('S', S / 2, false),
+            ('R', 2 * S, true),
+            ('R', S / 10, false),
+            ('D', 0, false),
+        ] {
+            let mut heartbeat = Heartbeat::default();
+            assert!(!heartbeat.hangs(0, S / 2, S, stat('R', 0)));
+            assert_eq!(heartbeat.hangs(0, 2 * S, S, stat(state, used_ns)), wanted, "{state}");
+        }
+    }
+
+    #[test]
+    fn each_report_begins_anew() {
+        let mut heartbeat = Heartbeat::default();
+        assert!(!heartbeat.hangs(0, S / 2, S, stat('R', 0)));
+        assert!(!heartbeat.hangs(2 * S, 5 * S / 2, S, stat('R', 2 * S)));
+        assert!(!heartbeat.hangs(2 * S, 7 * S / 2, S, stat('R', 5 * S / 2)));
+        assert!(heartbeat.hangs(2 * S, 4 * S, S, stat('R', 3 * S)));
+    }
+}

@@ -1,0 +1,193 @@
+//! `flockeye status`, `stop`, `start`, `restart` and `swap`: what a running pipeline is asked to do.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, SystemTime};
+
+use anyhow::Context;
+use clap::Args;
+use flockeye_cli::{Screen, duration, signals};
+
+use crate::attach::{PipelineChoice, choose};
+use crate::control::client::ask;
+use crate::control::{Request, SwapRequest, Worker};
+
+/// Arguments of `status`.
+#[derive(Debug, Args)]
+pub struct StatusArguments {
+    /// Which pipeline.
+    #[command(flatten)]
+    pub running: PipelineChoice,
+    /// JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Arguments of `stop`.
+#[derive(Debug, Args)]
+pub struct StopArguments {
+    /// The stage, or one worker of it: detection.1. Without it: the whole pipeline.
+    #[arg(value_name = "STAGE[.REPLICA]")]
+    pub worker: Option<Worker>,
+    /// Which pipeline.
+    #[command(flatten)]
+    pub running: PipelineChoice,
+}
+
+/// Arguments of `start` and `restart`.
+#[derive(Debug, Args)]
+pub struct WorkerArguments {
+    /// The stage, or one worker of it: detection.1.
+    #[arg(value_name = "STAGE[.REPLICA]")]
+    pub worker: Worker,
+    /// Which pipeline.
+    #[command(flatten)]
+    pub running: PipelineChoice,
+}
+
+/// Arguments of `swap`.
+#[derive(Debug, Args)]
+pub struct SwapArguments {
+    /// The stage, or one worker of it: detection.1.
+    #[arg(value_name = "STAGE[.REPLICA]")]
+    pub worker: Worker,
+    /// Which pipeline.
+    #[command(flatten)]
+    pub running: PipelineChoice,
+    /// Change a setting that this stage reads. All its later processes have it too.
+    #[arg(long = "set", value_name = "KEY.PATH=VALUE")]
+    pub set: Vec<String>,
+    /// How long the new process may take until it does as well as the old one.
+    #[arg(long, value_name = "DURATION", value_parser = duration, default_value = "10s")]
+    pub within: Duration,
+    /// Take over even if it answers or finds less than the old one.
+    #[arg(long)]
+    pub accept_worse: bool,
+    /// Swap again each time this file changes, until Ctrl-C.
+    #[arg(long, value_name = "FILE")]
+    pub watch: Option<PathBuf>,
+    /// JSON: the comparison of both processes.
+    #[arg(long)]
+    pub json: bool,
+    /// Another implementation, program and arguments. Without it: the one that runs, started anew.
+    #[arg(last = true, value_name = "COMMAND")]
+    pub program: Vec<String>,
+}
+
+/// Shows what runs.
+///
+/// # Errors
+/// No such pipeline runs, or it does not answer.
+pub fn status(arguments: &StatusArguments) -> anyhow::Result<()> {
+    do_it(&arguments.running, &Request::Status, arguments.json)
+}
+
+/// Ends a worker, or the whole pipeline.
+///
+/// # Errors
+/// As [`status`], or the pipeline has no such worker.
+pub fn stop(arguments: &StopArguments) -> anyhow::Result<()> {
+    do_it(&arguments.running, &Request::Stop { worker: arguments.worker }, false)
+}
+
+/// Starts a worker that was ended.
+///
+/// # Errors
+/// As [`stop`].
+pub fn start(arguments: &WorkerArguments) -> anyhow::Result<()> {
+    do_it(&arguments.running, &Request::Start { worker: arguments.worker }, false)
+}
+
+/// Ends a worker and starts it again.
+///
+/// # Errors
+/// As [`stop`].
+pub fn restart(arguments: &WorkerArguments) -> anyhow::Result<()> {
+    do_it(&arguments.running, &Request::Restart { worker: arguments.worker }, false)
+}
+
+/// Replaces a worker's process by another one in flight.
+///
+/// # Errors
+/// As [`stop`], or the reason why the old process stayed.
+pub fn swap(arguments: &SwapArguments) -> anyhow::Result<()> {
+    let request = Request::Swap(SwapRequest {
+        worker: arguments.worker,
+        set: arguments.set.clone(),
+        program: arguments.program.iter().map(|part| absolute(part)).collect(),
+        within_s: arguments.within.as_secs_f64(),
+        accept_worse: arguments.accept_worse,
+    });
+    let Some(file) = &arguments.watch else {
+        return do_it(&arguments.running, &request, arguments.json);
+    };
+    let stopping = signals::stop_flag()?;
+    let mut screen = Screen::new();
+    let mut swapped = changed(file).with_context(|| format!("{}", file.display()))?;
+    while !stopping.load(Ordering::Relaxed) {
+        // What went wrong is said; the next change of the file may mend it.
+        if let Err(error) = do_it(&arguments.running, &request, arguments.json) {
+            screen.line(&format!("{error:#}"));
+        }
+        screen.line(&format!("waiting for {} to change", file.display()));
+        swapped = wait_for_change(file, swapped, &stopping);
+    }
+    Ok(())
+}
+
+fn do_it(running: &PipelineChoice, request: &Request, json: bool) -> anyhow::Result<()> {
+    let instance = choose(running)?;
+    let mut screen = Screen::new();
+    let (text, report) = ask(&instance, request, |progress| {
+        if !json {
+            screen.line(progress);
+        }
+    })?;
+    screen.line(&if json { report.to_string() } else { text });
+    Ok(())
+}
+
+/// A part of a command as the launcher must get it, which runs in a folder of its own: what is a file here
+/// is named by its whole path.
+fn absolute(part: &str) -> String {
+    let path = Path::new(part);
+    match path.components().count() > 1 && path.exists() {
+        true => std::path::absolute(path)
+            .map_or_else(|_| part.to_owned(), |path| path.to_string_lossy().into_owned()),
+        false => part.to_owned(),
+    }
+}
+
+fn changed(file: &Path) -> std::io::Result<SystemTime> {
+    std::fs::metadata(file)?.modified()
+}
+
+/// Waits until the file has another time than `before`, and that for a moment: a compiler writes for a
+/// while.
+fn wait_for_change(file: &Path, before: SystemTime, stopping: &AtomicBool) -> SystemTime {
+    let mut last = before;
+    while !stopping.load(Ordering::Relaxed) {
+        std::thread::sleep(Duration::from_millis(300));
+        // While it is written anew, the file may not be there.
+        let Ok(now) = changed(file) else { continue };
+        if now != before && now == last {
+            return now;
+        }
+        last = now;
+    }
+    before
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_are_named_by_their_whole_path_and_words_stay() {
+        assert_eq!(absolute("python3"), "python3");
+        assert_eq!(absolute("--threads"), "--threads");
+        assert_eq!(absolute("/nowhere/detector"), "/nowhere/detector");
+        let here = absolute("src/lib.rs");
+        assert!(here.starts_with('/') && here.ends_with("src/lib.rs"), "{here}");
+    }
+}

@@ -1,0 +1,234 @@
+//! Notices processes that end, hang, start too slowly or do not do what they owe, and replaces them.
+
+use std::time::{Duration, Instant};
+
+use anyhow::bail;
+use flockeye_config::Flow;
+use flockeye_contract::{Complaint, ComplaintKind, StageName, StageState};
+use flockeye_runtime::clock;
+use rustix::process::Signal;
+
+use super::Supervisor;
+use crate::complaints::{MOST_REFUSED, MOST_SILENCES};
+use crate::control::Worker;
+use crate::heartbeat::ProcessStat;
+use crate::process::{Condition, ProcessChange};
+
+/// A lossless run is not in real time: a single frame may take a stage longer than in flight.
+const LOSSLESS_PATIENCE: f64 = 5.0;
+/// A process that is younger than this and the time for an answer may be blamed for the one before it.
+const YOUTH: Duration = Duration::from_millis(500);
+
+/// What still works without a stage.
+fn what_is_left(stage: StageName) -> &'static str {
+    match stage {
+        StageName::Capture | StageName::Simulator => "nothing: no frame comes any more",
+        StageName::Inertial => "the picture alone measures how the camera turns",
+        StageName::Egomotion => "neighbours are tracked as if the camera did not turn",
+        StageName::Rectification => "nothing is searched: tracks coast and end",
+        StageName::Detection => {
+            "tracked neighbours are measured by their pixels; no other is found"
+        }
+        StageName::Fusion => "the sphere is swept, and no pose is made of what is found",
+        StageName::Gateway => "poses are made and stay on this drone",
+    }
+}
+
+impl Supervisor<'_> {
+    pub(super) fn look_after_processes(&mut self) -> anyhow::Result<()> {
+        self.kill_those_that_hang();
+        self.name_those_that_are_late();
+        self.hear_complaints();
+        let source_has_finished = self.messages.state_of(self.pipeline.source_stage().name(), 0)
+            == Some(StageState::Finished);
+        for index in 0..self.processes.len() {
+            let process = &mut self.processes[index];
+            let is_finished = process.worker.stage.is_source() && source_has_finished;
+            let node = &self.node;
+            let change = process.attend(is_finished, || {
+                // The dead process's ports are freed before its successor asks for its own.
+                node.blocking_cleanup_dead_nodes(Duration::from_secs(1));
+            })?;
+            self.report(index, change)?;
+        }
+        for index in (0..self.retired.len()).rev() {
+            let process = &mut self.retired[index];
+            process.attend(false, || {})?;
+            if process.pid().is_none() {
+                self.retired.remove(index);
+                self.node.blocking_cleanup_dead_nodes(Duration::from_secs(1));
+            }
+        }
+        Ok(())
+    }
+
+    fn report(&mut self, index: usize, change: ProcessChange) -> anyhow::Result<()> {
+        let process = &self.processes[index];
+        let (label, worker) = (process.label(), process.worker);
+        match change {
+            ProcessChange::None => {}
+            ProcessChange::Stopped => self.screen.line(&format!("{label} has stopped")),
+            ProcessChange::Restarted => self.screen.line(&format!("{label} is started again")),
+            ProcessChange::Ended { how, is_hopeless, retry_in } => {
+                if is_hopeless && process.generation == 0 {
+                    // Its last lines say why, and may not have arrived yet.
+                    std::thread::sleep(Duration::from_millis(50));
+                    bail!("{label} cannot start; its reason is above");
+                }
+                match retry_in {
+                    Some(wait) => self.screen.line(&format!(
+                        "{label} {how}; it is started again in {:.1} s",
+                        wait.as_secs_f64()
+                    )),
+                    None => self.give_up(
+                        worker,
+                        &format!("{how}, and its restart policy does not start it again"),
+                    )?,
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Gives a worker up. The flight goes on with what is left, if something was and is left.
+    fn give_up(&mut self, worker: Worker, why: &str) -> anyhow::Result<()> {
+        if worker.stage.is_source() || self.messages.dashboard.frames_ended() == 0 {
+            bail!("{worker} {why}");
+        }
+        let others = self.processes.iter().filter(|process| {
+            process.worker.stage == worker.stage
+                && process.worker != worker
+                && process.condition() == Condition::Running
+        });
+        let left = match others.count() {
+            0 => what_is_left(worker.stage).to_owned(),
+            count => format!("{count} other of this stage go on"),
+        };
+        self.screen.line(&format!("{worker} {why}. It is given up; what is left: {left}"));
+        Ok(())
+    }
+
+    /// Kills processes that have sent health before, and send none now although nothing keeps them from it.
+    fn kill_those_that_hang(&mut self) {
+        let patience = match self.pipeline.flow {
+            Flow::Latest => 1.0,
+            Flow::Lossless => LOSSLESS_PATIENCE,
+        };
+        let heartbeat_s = self.pipeline.supervision.heartbeat_s * patience;
+        let now_ns = clock::monotonic_ns();
+        for process in &mut self.processes {
+            let Worker { stage, replica } = process.worker;
+            let Some(pid) = process.pid() else { continue };
+            let dashboard = &self.messages.dashboard;
+            let Some(report) = dashboard.last_report(stage.name(), replica, pid) else { continue };
+            // What it opens at its start may take a while, and at its end it has a time of its own.
+            let works = matches!(
+                StageState::try_from(report.state),
+                Ok(StageState::Ready | StageState::Degraded | StageState::Finished)
+            );
+            let silence_ns = now_ns - report.sent_ns;
+            let heartbeat_ns = (heartbeat_s * 1e9) as i64;
+            if !works || silence_ns < heartbeat_ns / 2 {
+                continue;
+            }
+            let Some(stat) = ProcessStat::of(pid) else { continue };
+            if process.heartbeat.hangs(report.sent_ns, now_ns, heartbeat_ns, stat) {
+                self.screen.line(&format!(
+                    "{} (process {pid}) hangs: no health for {:.1} s; it is killed and started again",
+                    process.label(),
+                    silence_ns as f64 * 1e-9
+                ));
+                process.signal(Signal::KILL);
+            }
+        }
+    }
+
+    /// Names each process once that is not ready in time.
+    fn name_those_that_are_late(&mut self) {
+        let start_time = self.start_time();
+        for process in &mut self.processes {
+            let Worker { stage, replica } = process.worker;
+            let Some(pid) = process.pid() else { continue };
+            if process.is_late || process.age() < start_time {
+                continue;
+            }
+            process.is_late = true;
+            let report = self.messages.dashboard.last_report(stage.name(), replica, pid);
+            let what = match report.map(|report| StageState::try_from(report.state)) {
+                None => "has sent no health",
+                Some(Ok(StageState::Starting)) => "is not ready",
+                Some(_) => continue,
+            };
+            self.screen.line(&format!(
+                "{} (process {pid}) {what} for {:.0} s after its start; it is left alone",
+                process.label(),
+                start_time.as_secs_f64()
+            ));
+        }
+    }
+
+    fn hear_complaints(&mut self) {
+        loop {
+            match self.complaints.receive() {
+                Ok(Some(message)) => self.hear(&message.header),
+                Ok(None) => return,
+                Err(error) => {
+                    tracing::debug!("complaints cannot be read: {error}");
+                    return;
+                }
+            }
+        }
+    }
+
+    fn hear(&mut self, complaint: &Complaint) {
+        let stage = complaint.stage.to_string_lossy().into_owned();
+        let is_meant = |worker: Worker, pid: Option<u32>| match complaint.pid {
+            0 => worker.stage.name() == stage && worker.replica == complaint.replica,
+            meant => pid == Some(meant),
+        };
+        let detail = complaint.detail.to_string_lossy();
+        let is_silent = complaint.kind == ComplaintKind::Unanswered.code();
+        let found =
+            self.processes.iter_mut().find(|process| is_meant(process.worker, process.pid()));
+        let Some(process) = found.filter(|process| process.pid().is_some()) else {
+            // Whoever is not one of the pipeline's processes is none of the launcher's business.
+            if !is_silent && complaint.count <= 10 {
+                let pid = complaint.pid;
+                self.screen.line(&format!("process {pid} sends bad messages ({detail}); refused"));
+            }
+            return;
+        };
+        let (label, pid) = (process.label(), process.pid().unwrap_or(0));
+        // Views and messages of the process before it do not count for this one.
+        if process.age() < self.pipeline.view_overdue() + YOUTH {
+            return;
+        }
+        let most = if is_silent { MOST_SILENCES } else { MOST_REFUSED };
+        if complaint.count < most {
+            let what = match is_silent {
+                true => format!("{detail}: it gets none until it answers"),
+                false => format!("{} messages refused ({detail})", complaint.count),
+            };
+            // It is said once; what follows leads to a replacement.
+            if !std::mem::replace(&mut process.is_silent, true) {
+                self.screen.line(&format!("{label} (process {pid}): {what}"));
+            }
+            return;
+        }
+        if process.replacements.may_try_again(Instant::now()) {
+            self.screen.line(&format!(
+                "{label} (process {pid}): {detail}, {} times; it is killed and started again",
+                complaint.count
+            ));
+            process.signal(Signal::KILL);
+        } else {
+            process.give_up();
+            let worker = process.worker;
+            let why = format!("(process {pid}): {detail}, also after it was started again");
+            if let Err(error) = self.give_up(worker, &why) {
+                // The flight ends by itself if nothing is left: it has no poses to lose.
+                self.screen.line(&format!("{error:#}"));
+            }
+        }
+    }
+}

@@ -1,0 +1,293 @@
+//! How the answers of two processes of one stage compare.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+
+use flockeye_contract::FrameOrder;
+use flockeye_geometry::statistics::median;
+use nalgebra::Vector3;
+use serde::Serialize;
+
+/// The new process must answer this share of what the old one answers. A machine that both share loses
+/// frames of both, and of a few frames one more or less is chance.
+pub const LEAST_ANSWERED: f64 = 0.75;
+/// In what both answered, the new process must find this share of what the old one finds.
+pub const LEAST_FOUND: f64 = 0.75;
+/// A difference of fewer standard deviations is chance: the two look at views of their own, so what each
+/// finds is counted as two independent Poisson numbers.
+const CHANCE_DEVIATIONS: f64 = 2.0;
+/// So many frames of the old process are compared, and more while it has found less than [`FOUND_TO_TELL`].
+pub const FRAMES_COMPARED: usize = 10;
+/// If the old process found less, a new one that finds nothing could not be told from it.
+pub const FOUND_TO_TELL: usize = 8;
+/// Answers to the newest frames may be on their way.
+const FRAMES_UNSETTLED: usize = 2;
+/// Frames that are kept.
+const MAX_FRAMES: usize = 256;
+
+/// Which of the two processes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Side {
+    /// The one that is replaced.
+    Old,
+    /// The one that takes its place.
+    New,
+}
+
+/// What one process said.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Answer {
+    /// Of which frame.
+    pub frame: FrameOrder,
+    /// Of which part of it: a view, or always 0.
+    pub part: u64,
+    /// What it found, by number, and where if that can be compared: markers' rays, targets' positions, the
+    /// camera's rotation.
+    pub found: Vec<(u32, Option<Vector3<f64>>)>,
+    /// How long it took, nanoseconds. `None`: this belongs to an answer that counts by another message.
+    pub took_ns: Option<i64>,
+}
+
+/// The answers of one process to one frame.
+#[derive(Debug, Clone, Default)]
+struct FrameAnswers {
+    parts: BTreeMap<u64, i64>,
+    found: BTreeMap<(u64, u32), Option<Vector3<f64>>>,
+}
+
+type Answers = BTreeMap<FrameOrder, FrameAnswers>;
+
+/// The newest answers of both.
+#[derive(Debug, Clone, Default)]
+pub struct Comparison {
+    old: Answers,
+    new: Answers,
+}
+
+/// What the comparison of some frames gave.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Figures {
+    /// Frames that the old process answered.
+    pub frames: usize,
+    /// Answers of the old process to them.
+    pub old_answers: usize,
+    /// How many of these the new process gave too.
+    pub new_answers: usize,
+    /// What the old process found in what both answered.
+    pub old_found: usize,
+    /// What the new process found there.
+    pub new_found: usize,
+    /// Median difference of what both found: metres, or radians.
+    pub difference: Option<f64>,
+    /// Median time of the old process's answers, milliseconds.
+    pub old_ms: f64,
+    /// The same of the new one's.
+    pub new_ms: f64,
+}
+
+impl Comparison {
+    /// Notes an answer.
+    pub fn note(&mut self, side: Side, answer: Answer) {
+        let answers = match side {
+            Side::Old => &mut self.old,
+            Side::New => &mut self.new,
+        };
+        let Answer { frame, part, found, took_ns } = answer;
+        let frame = answers.entry(frame).or_default();
+        if let Some(took_ns) = took_ns {
+            frame.parts.insert(part, took_ns);
+        }
+        frame.found.extend(found.into_iter().map(|(number, at)| ((part, number), at)));
+        while answers.len() > MAX_FRAMES {
+            answers.pop_first();
+        }
+    }
+
+    /// The newest frame that the old process has answered.
+    pub fn newest(&self) -> Option<FrameOrder> {
+        self.old.last_key_value().map(|(frame, _)| *frame)
+    }
+
+    /// Whether the new process has answered anything.
+    pub fn has_begun(&self) -> bool {
+        !self.new.is_empty()
+    }
+
+    /// Compares the last settled frames from `first` on, as few as tell something. `None` while these are
+    /// fewer than [`FRAMES_COMPARED`].
+    pub fn figures(&self, first: Option<FrameOrder>) -> Option<Figures> {
+        let begun = *self.new.first_key_value()?.0;
+        let first = first.map_or(begun, |first| first.max(begun));
+        let frames: Vec<_> = self.old.range(first..).map(|(frame, _)| *frame).collect();
+        let settled = &frames[..frames.len().saturating_sub(FRAMES_UNSETTLED)];
+        let mut begin = settled.len().checked_sub(FRAMES_COMPARED)?;
+        loop {
+            let figures = self.compare(&settled[begin..]);
+            if figures.tells() || begin == 0 {
+                return Some(figures);
+            }
+            begin = begin.saturating_sub(FRAMES_COMPARED);
+        }
+    }
+
+    fn compare(&self, frames: &[FrameOrder]) -> Figures {
+        let none = FrameAnswers::default();
+        let mut figures = Figures {
+            frames: frames.len(),
+            old_answers: 0,
+            new_answers: 0,
+            old_found: 0,
+            new_found: 0,
+            difference: None,
+            old_ms: 0.0,
+            new_ms: 0.0,
+        };
+        let (mut differences, mut old_ms, mut new_ms) = (Vec::new(), Vec::new(), Vec::new());
+        for frame in frames {
+            let old = self.old.get(frame).unwrap_or(&none);
+            let new = self.new.get(frame).unwrap_or(&none);
+            let both: BTreeSet<u64> =
+                old.parts.keys().filter(|part| new.parts.contains_key(part)).copied().collect();
+            figures.old_answers += old.parts.len();
+            figures.new_answers += both.len();
+            let found_in = |answers: &FrameAnswers| {
+                answers.found.keys().filter(|(part, _)| both.contains(part)).count()
+            };
+            figures.old_found += found_in(old);
+            figures.new_found += found_in(new);
+            for (key, at) in &old.found {
+                let other = new.found.get(key).copied().flatten();
+                differences.extend(at.zip(other).map(|(at, other)| (at - other).norm()));
+            }
+            let ms = |took_ns: &i64| *took_ns as f64 * 1e-6;
+            old_ms.extend(old.parts.values().map(ms));
+            new_ms.extend(new.parts.values().map(ms));
+        }
+        for values in [&mut differences, &mut old_ms, &mut new_ms] {
+            values.sort_by(f64::total_cmp);
+        }
+        figures.difference = median(&differences);
+        figures.old_ms = median(&old_ms).unwrap_or(0.0);
+        figures.new_ms = median(&new_ms).unwrap_or(0.0);
+        figures
+    }
+}
+
+impl Figures {
+    /// Whether a new process that finds nothing would be noticed.
+    pub fn tells(&self) -> bool {
+        self.old_found >= FOUND_TO_TELL
+    }
+
+    /// Why the new process is worse than the old one; `None` if it is not.
+    pub fn shortcoming(&self) -> Option<String> {
+        let share = |new: usize, old: usize| match old {
+            0 => 1.0,
+            old => new as f64 / old as f64,
+        };
+        if share(self.new_answers, self.old_answers) < LEAST_ANSWERED {
+            return Some(format!(
+                "it answered {} of the {} that the old one answered, and {:.0} % are wanted",
+                self.new_answers,
+                self.old_answers,
+                LEAST_ANSWERED * 100.0
+            ));
+        }
+        let missing = self.old_found as f64 - self.new_found as f64;
+        let chance = CHANCE_DEVIATIONS * ((self.old_found + self.new_found) as f64).sqrt();
+        (share(self.new_found, self.old_found) < LEAST_FOUND && missing > chance).then(|| {
+            format!(
+                "it found {} where the old one found {}, and {:.0} % are wanted",
+                self.new_found,
+                self.old_found,
+                LEAST_FOUND * 100.0
+            )
+        })
+    }
+}
+
+impl fmt::Display for Figures {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "in {} frames {} of {} answered, {} found against {}",
+            self.frames, self.new_answers, self.old_answers, self.new_found, self.old_found
+        )?;
+        if let Some(difference) = self.difference {
+            write!(f, ", {:.2} mm or mrad apart", difference * 1e3)?;
+        }
+        write!(f, ", {:.1} ms against {:.1}", self.new_ms, self.old_ms)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    fn answer(sequence: u64, part: u64, numbers: &[u32], off: f64) -> Answer {
+        let found =
+            numbers.iter().map(|&number| (number, Some(Vector3::new(off, 0.0, 0.0)))).collect();
+        Answer { frame: (0, 0, sequence), part, found, took_ns: Some(2_000_000) }
+    }
+
+    fn compared(new: impl Fn(u64, u64) -> Option<Answer>) -> Option<Figures> {
+        let mut comparison = Comparison::default();
+        for frame in 0..12 {
+            for part in 0..2 {
+                comparison.note(Side::Old, answer(frame, part, &[3, 4], 0.0));
+                if let Some(answer) = new(frame, part) {
+                    comparison.note(Side::New, answer);
+                }
+            }
+        }
+        comparison.figures(None)
+    }
+
+    #[test]
+    fn one_that_does_as_well_is_accepted() {
+        let figures = compared(|frame, part| Some(answer(frame, part, &[3, 4], 0.002))).unwrap();
+        assert_eq!((figures.frames, figures.old_answers, figures.new_answers), (10, 20, 20));
+        assert_eq!((figures.old_found, figures.new_found), (40, 40));
+        assert!((figures.difference.unwrap() - 0.002).abs() < 1e-12);
+        assert_eq!(figures.shortcoming(), None);
+        let text = figures.to_string();
+        assert!(text.contains("20 of 20 answered, 40 found against 40, 2.00 mm"), "{text}");
+    }
+
+    #[test]
+    fn one_that_answers_or_finds_less_is_not() {
+        let figures = compared(|frame, part| (part == 0).then(|| answer(frame, 0, &[3, 4], 0.0)));
+        let why = figures.unwrap().shortcoming().unwrap();
+        assert!(why.contains("it answered 10 of the 20"), "{why}");
+        let figures = compared(|frame, part| Some(answer(frame, part, &[3], 0.0)));
+        let why = figures.unwrap().shortcoming().unwrap();
+        assert!(why.contains("it found 20 where the old one found 40"), "{why}");
+    }
+
+    #[test]
+    fn small_differences_are_chance() {
+        let mut comparison = Comparison::default();
+        for frame in 0..14 {
+            comparison.note(Side::Old, answer(frame, 0, &[7], 0.0));
+            let numbers: &[u32] = if frame % 2 == 0 { &[7] } else { &[] };
+            comparison.note(Side::New, answer(frame, 0, numbers, 0.0));
+        }
+        let figures = comparison.figures(None).unwrap();
+        assert_eq!((figures.old_found, figures.new_found), (10, 5));
+        assert_eq!(figures.shortcoming(), None);
+        assert!(Figures { new_found: 1, ..figures }.shortcoming().is_some());
+    }
+
+    #[test]
+    fn frames_before_the_first_answer_and_the_last_two_do_not_count() {
+        // It begins with the third frame: too few are left of twelve.
+        assert_eq!(
+            compared(|frame, part| (frame > 1).then(|| answer(frame, part, &[], 0.0))),
+            None
+        );
+        assert_eq!(compared(|_, _| None), None);
+        let late = compared(|frame, part| (frame < 10).then(|| answer(frame, part, &[3, 4], 0.0)));
+        assert_eq!(late.unwrap().shortcoming(), None);
+    }
+}

@@ -1,0 +1,156 @@
+//! What both processes of a stage say while one works in the other's shadow.
+
+use anyhow::ensure;
+use flockeye_contract::{
+    DetectionHeader, Detections, FrameEnds, MeasuredBy, RotationSource, Rotations, StageName,
+    Tracks,
+};
+use flockeye_runtime::clock;
+use flockeye_runtime::ports::{Message, Ports, Subscriber};
+use nalgebra::Vector3;
+
+use super::comparison::{Answer, Comparison, Side};
+use crate::control::Worker;
+
+/// Reads the answers of the old and the new process.
+pub struct Shadow {
+    worker: Worker,
+    old_generation: u32,
+    new_generation: u32,
+    inputs: Inputs,
+    /// How both compare.
+    pub comparison: Comparison,
+}
+
+enum Inputs {
+    Detections(Subscriber<Detections>),
+    /// Ends of frames, and what was found in the views.
+    Views(Subscriber<FrameEnds>, Subscriber<Detections>),
+    Rotations(Subscriber<Rotations>),
+    Tracks(Subscriber<Tracks>),
+}
+
+/// Whether two processes of a stage can work side by side: those that own no device and no port.
+pub fn can_shadow(stage: StageName) -> bool {
+    matches!(
+        stage,
+        StageName::Rectification | StageName::Detection | StageName::Egomotion | StageName::Fusion
+    )
+}
+
+impl Shadow {
+    /// Listens to both generations of a worker by `ports`, which must admit everybody.
+    ///
+    /// # Errors
+    /// The stage cannot run twice, or a topic has no room for another reader.
+    pub fn open(
+        worker: Worker,
+        [old_generation, new_generation]: [u32; 2],
+        ports: &mut Ports,
+    ) -> anyhow::Result<Self> {
+        ensure!(can_shadow(worker.stage), "{worker} cannot run twice at once");
+        let inputs = match worker.stage {
+            StageName::Detection => Inputs::Detections(ports.subscriber()?),
+            StageName::Rectification => Inputs::Views(ports.subscriber()?, ports.subscriber()?),
+            StageName::Egomotion => Inputs::Rotations(ports.subscriber()?),
+            _ => Inputs::Tracks(ports.subscriber()?),
+        };
+        let comparison = Comparison::default();
+        Ok(Self { worker, old_generation, new_generation, inputs, comparison })
+    }
+
+    /// Takes what has come.
+    ///
+    /// # Errors
+    /// A topic cannot be read.
+    pub fn receive(&mut self) -> anyhow::Result<()> {
+        let [old, new] = [self.old_generation, self.new_generation];
+        let side = |generation: u32| match generation {
+            generation if generation == old => Some(Side::Old),
+            generation if generation == new => Some(Side::New),
+            _ => None,
+        };
+        let comparison = &mut self.comparison;
+        let mut note = |generation: u32, answer: Answer| {
+            if let Some(side) = side(generation) {
+                comparison.note(side, answer);
+            }
+        };
+        match &mut self.inputs {
+            Inputs::Detections(detections) => {
+                while let Some(message) = detections.receive()? {
+                    let header = &message.header;
+                    if header.worker == self.worker.replica {
+                        note(header.generation, searched(&message, view_number(header)));
+                    }
+                }
+            }
+            Inputs::Views(frame_ends, detections) => {
+                while let Some(message) = detections.receive()? {
+                    // The two cut views of their own, and how many is a matter of time left: what counts is
+                    // whether anything is found in the frame.
+                    let mut answer = Answer { took_ns: None, ..searched(&message, 0) };
+                    answer.found.truncate(1);
+                    answer.found.iter_mut().for_each(|found| *found = (0, None));
+                    note(message.header.view_generation, answer);
+                }
+                while let Some(message) = frame_ends.receive()? {
+                    let end = &message.header;
+                    let took_ns = Some(end.ended_ns - end.taken_ns);
+                    let frame = end.stamp.order();
+                    note(end.generation, Answer { frame, part: 0, found: Vec::new(), took_ns });
+                }
+            }
+            Inputs::Rotations(rotations) => {
+                while let Some(message) = rotations.receive()? {
+                    let rotation = &message.header;
+                    let is_known = rotation.source != RotationSource::Nothing.code();
+                    // Twice the vector part is the rotation vector, as good as the angle is small.
+                    let [x, y, z, w] = rotation.later_from_earlier;
+                    let turned = Vector3::new(x, y, z) * (2.0 * w.signum());
+                    let found = is_known.then_some((0, Some(turned))).into_iter().collect();
+                    let took_ns = Some(clock::monotonic_ns() - rotation.stamp.published_ns);
+                    let frame = rotation.stamp.order();
+                    note(rotation.generation, Answer { frame, part: 0, found, took_ns });
+                }
+            }
+            Inputs::Tracks(tracks) => {
+                while let Some(message) = tracks.receive()? {
+                    let measured = message
+                        .items()
+                        .iter()
+                        .filter(|track| track.measured_by != MeasuredBy::Nothing.code());
+                    let found = measured
+                        .map(|track| {
+                            (track.target, Some(track.observer_from_target.position.into()))
+                        })
+                        .collect();
+                    let header = &message.header;
+                    let took_ns = Some(clock::monotonic_ns() - header.stamp.published_ns);
+                    let frame = header.stamp.order();
+                    note(header.generation, Answer { frame, part: 0, found, took_ns });
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The markers that were decoded in a view, each with the ray of its first corner.
+fn searched(message: &Message<Detections>, part: u64) -> Answer {
+    let decoded = message.items().iter().filter(|marker| marker.is_decoded());
+    Answer {
+        frame: message.header.stamp.order(),
+        part,
+        found: decoded.map(|marker| (marker.id, Some(marker.rays_in_camera[0].into()))).collect(),
+        took_ns: Some(message.header.sent_ns - message.header.received_ns),
+    }
+}
+
+/// A view's number in its frame. Fusion may plan anew and rectification cut again, so the index alone is
+/// not enough.
+fn view_number(header: &DetectionHeader) -> u64 {
+    (u64::from(header.view_generation) << 40)
+        | (u64::from(header.attempt) << 16)
+        | u64::from(header.view_index)
+}

@@ -1,0 +1,180 @@
+//! Processes that do not do what they owe: each is named with its process, and the others fly on.
+
+use std::time::Duration;
+
+use flockeye_tests::{Flight, SMALL_FLIGHT, flockeye};
+use rustix::process::{Signal, kill_process};
+
+/// What is said of the neighbour once it is tracked.
+const POSES_FLOW: &str = "alpha confirmed";
+
+fn small<'a>(more: &[&'a str]) -> Vec<&'a str> {
+    SMALL_FLIGHT.iter().chain(more).copied().collect()
+}
+
+/// A setting by which detection worker 1 misbehaves, and worker 0 is Flockeye's own.
+fn second_worker_that(misdeed: &str) -> String {
+    let [bad, good] = ["silent-detector", "flockeye-detection"]
+        .map(|program| flockeye().with_file_name(program).to_string_lossy().into_owned());
+    let script =
+        format!("if [ $FLOCKEYE_REPLICA = 1 ]; then exec {bad} {misdeed}; else exec {good}; fi");
+    format!("stages.detection.command=[sh, -c, \"{script}\"]")
+}
+
+/// The lines that are no regular report.
+fn wait_for_all(flight: &mut Flight, wanted: &[&str]) {
+    for part in wanted {
+        flight.wait_for(part);
+    }
+}
+
+fn end(mut flight: Flight) {
+    flight.signal(Signal::INT);
+    assert!(flight.wait().success(), "{}", flight.output());
+    flight.assert_nothing_left();
+}
+
+/// A worker that takes part and answers nothing is named, kept out and replaced, and poses flow.
+fn a_worker_that(misdeed: &str) {
+    let command = second_worker_that(misdeed);
+    let mut flight = Flight::start(misdeed, &[], &small(&[&command]));
+    wait_for_all(
+        &mut flight,
+        &[
+            POSES_FLOW,
+            "detection.1 (process ",
+            "no view answered for 500 ms: it gets none until it answers",
+            "no view answered for 500 ms, 3 times; it is killed and started again",
+            "detection.1 is started again",
+        ],
+    );
+    end(flight);
+}
+
+#[test]
+fn a_worker_that_is_mute_is_named_and_replaced() {
+    a_worker_that("mute");
+}
+
+#[test]
+fn a_worker_that_holds_its_views_is_named_and_replaced() {
+    a_worker_that("hold");
+}
+
+#[test]
+fn a_worker_that_spins_is_named_and_replaced() {
+    a_worker_that("spin");
+}
+
+#[test]
+fn a_worker_that_hangs_is_replaced_after_a_heartbeat() {
+    let command = second_worker_that("hang");
+    let mut flight = Flight::start("hang", &[], &small(&[&command]));
+    wait_for_all(
+        &mut flight,
+        &[POSES_FLOW, "hangs: no health for 1.", "detection.1 is started again"],
+    );
+    end(flight);
+}
+
+#[test]
+fn a_stage_that_is_stopped_is_replaced_after_a_heartbeat() {
+    for stage in ["fusion", "egomotion"] {
+        let mut flight = Flight::start("stopped", &[], &small(&[]));
+        flight.wait_for(POSES_FLOW);
+        let pids = flight.stages(&format!("flockeye-{stage}"));
+        let pid = pids.first().expect("it runs");
+        kill_process(*pid, Signal::STOP).expect("it can be stopped");
+        let line = format!("{stage} (process {}) hangs: no health for 1.", pid.as_raw_nonzero());
+        wait_for_all(&mut flight, &[&line, &format!("{stage} is started again")]);
+        end(flight);
+    }
+}
+
+#[test]
+fn a_worker_whose_messages_are_refused_is_replaced_and_given_up_at_last() {
+    let command = second_worker_that("lie");
+    let set = small(&[&command, "stages.detection.backoff_s=[0.1, 0.1]"]);
+    let mut flight = Flight::start("lie", &[], &set);
+    wait_for_all(
+        &mut flight,
+        &[
+            POSES_FLOW,
+            "messages refused (flockeye/detection: 3 hits among the markers",
+            "times; it is killed and started again",
+            "also after it was started again. It is given up; what is left: 1 other of this stage go on",
+        ],
+    );
+    end(flight);
+}
+
+#[test]
+fn a_stage_that_is_never_ready_is_named_and_a_flight_without_a_frame_is_an_error() {
+    let late = flockeye().with_file_name("silent-detector");
+    let command = format!("stages.detection.command=[{}, late]", late.display());
+    for (command, what) in [
+        (command.as_str(), "detection (process "),
+        ("stages.rectification.command=[sleep, \"100\"]", "rectification (process "),
+    ] {
+        let set = small(&[command, "supervision.start_s=1"]);
+        let mut flight = Flight::start("late", &["--for", "3s"], &set);
+        let status = flight.wait();
+        let output = flight.output();
+        assert!(output.contains(what) && output.contains("for 1 s after its start"), "{output}");
+        if what.starts_with("rectification") {
+            assert_eq!(status.code(), Some(1), "{output}");
+            assert!(output.contains("no frame was ever worked on"), "{output}");
+        }
+        flight.assert_nothing_left();
+    }
+}
+
+#[test]
+fn sigterm_to_one_process_is_a_polite_restart() {
+    let mut flight = Flight::start("polite", &[], &small(&[]));
+    flight.wait_for(POSES_FLOW);
+    for stage in ["detection", "fusion", "simulator"] {
+        let pid = *flight.stages(&format!("flockeye-{stage}")).first().expect("it runs");
+        kill_process(pid, Signal::TERM).expect("it can be asked to end");
+        flight.wait_for(&format!("{stage} is started again"));
+    }
+    assert!(flight.output().contains("ended with status 0; it is started again in"));
+    end(flight);
+}
+
+#[test]
+fn what_is_left_without_a_stage_is_said_and_flies_on() {
+    for (stage, left) in [
+        ("egomotion", "neighbours are tracked as if the camera did not turn"),
+        ("detection", "tracked neighbours are measured by their pixels"),
+        ("rectification", "nothing is searched: tracks coast and end"),
+        ("fusion", "the sphere is swept, and no pose is made of what is found"),
+    ] {
+        let never = format!("stages.{stage}.restart=never");
+        let mut flight =
+            Flight::start("never", &[], &small(&[&never, "stages.detection.replicas=1"]));
+        flight.wait_for(POSES_FLOW);
+        let pid = *flight.stages(&format!("flockeye-{stage}")).first().expect("it runs");
+        kill_process(pid, Signal::KILL).expect("it can be killed");
+        let line = format!(
+            "{stage} was killed by signal 9, and its restart policy does not start it again. It is \
+             given up; what is left: {left}"
+        );
+        flight.wait_for(&line);
+        std::thread::sleep(Duration::from_millis(300));
+        assert!(!flight.has_ended(), "{}", flight.output());
+        end(flight);
+    }
+}
+
+#[test]
+fn without_a_source_the_flight_ends_with_the_reason() {
+    let mut flight = Flight::start("sourceless", &[], &small(&["stages.simulator.restart=never"]));
+    flight.wait_for(POSES_FLOW);
+    let pid = *flight.stages("flockeye-simulator").first().expect("it runs");
+    kill_process(pid, Signal::KILL).expect("it can be killed");
+    assert_eq!(flight.wait().code(), Some(1), "{}", flight.output());
+    let wanted = "simulator was killed by signal 9, and its restart policy does not start it again";
+    assert!(flight.output().contains(wanted), "{}", flight.output());
+    flight.assert_nothing_left();
+}
