@@ -308,7 +308,7 @@ mod tests {
             measured_by: MeasuredBy::Aligned.code(),
             track_id,
             name: "alpha".into(),
-            ..Track::default()
+            ..bytemuck::Zeroable::zeroed()
         }
     }
 
