@@ -132,8 +132,8 @@ fn what_cannot_take_over_is_refused_with_its_reason_and_the_old_one_stays() {
         (vec!["swap", "detection.7"], "detection.7 is not part of this pipeline. Parts: "),
         (vec!["swap", "gateway"], "gateway is not part of this pipeline"),
         (
-            vec!["swap", "detection", "--set", "camera.width=2048"],
-            "camera cannot be changed by a swap",
+            vec!["swap", "detection", "--set", "simulator.seed=9"],
+            "simulator cannot be changed by a swap",
         ),
         (vec!["swap", "detection", "--set", "detection.windows=[7"], "the running configuration"),
     ] {
