@@ -16,6 +16,9 @@ use crate::process::{Condition, ProcessChange};
 
 /// A lossless run is not in real time: a single frame may take a stage longer than in flight.
 const LOSSLESS_PATIENCE: f64 = 5.0;
+/// Drivers and networks are opened in the loop of the stages that own them, and may block it for a while: a
+/// camera that is plugged in again must not be killed for it.
+const DEVICE_PATIENCE: f64 = 15.0;
 /// A process that is younger than this and the time for an answer may be blamed for the one before it.
 const YOUTH: Duration = Duration::from_millis(500);
 
@@ -110,14 +113,18 @@ impl Supervisor<'_> {
 
     /// Kills processes that have sent health before, and send none now although nothing keeps them from it.
     fn kill_those_that_hang(&mut self) {
-        let patience = match self.pipeline.flow {
+        let flow_patience = match self.pipeline.flow {
             Flow::Latest => 1.0,
             Flow::Lossless => LOSSLESS_PATIENCE,
         };
-        let heartbeat_s = self.pipeline.supervision.heartbeat_s * patience;
         let now_ns = clock::monotonic_ns();
         for process in &mut self.processes {
             let Worker { stage, replica } = process.worker;
+            let patience = match stage {
+                StageName::Capture | StageName::Inertial | StageName::Gateway => DEVICE_PATIENCE,
+                _ => flow_patience,
+            };
+            let heartbeat_s = self.pipeline.supervision.heartbeat_s * patience;
             let Some(pid) = process.pid() else { continue };
             let dashboard = &self.messages.dashboard;
             let Some(report) = dashboard.last_report(stage.name(), replica, pid) else { continue };
