@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
 
 /// How fast angular acceleration changes: white-noise jerk about each axis, rad/s^3 per root Hz. A drone in
 /// gusts that rolls by 15 degrees at 0.7 Hz has up to 22 rad/s^3, which over a frame of 33 ms is as much.
@@ -50,7 +51,7 @@ pub struct TurnAhead {
 }
 
 /// A rotation of the camera between two times, and how certain it is.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Turned {
     /// Turns directions in the camera frame of then into that of later.
     pub later_from_earlier: UnitQuaternion<f64>,
@@ -84,7 +85,7 @@ impl Turned {
 
 /// The camera's own rotation over the last seconds. While nothing is known of it, the camera is taken not
 /// to turn, with certainty: then a track is what it is in the camera's axes.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EgoRotation {
     keep_s: f64,
     knots: VecDeque<Knot>,
@@ -93,7 +94,7 @@ pub struct EgoRotation {
 }
 
 /// The camera at one time.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Knot {
     at_s: f64,
     /// How it has turned since the knot before.
@@ -108,6 +109,16 @@ impl EgoRotation {
     /// Nothing is known yet. Turns are kept for `keep_s` seconds.
     pub fn new(keep_s: f64) -> Self {
         Self { keep_s, knots: VecDeque::new(), is_ahead: false }
+    }
+
+    /// Goes on with what another process knew. Returns false, and knows what it did before, if a number of it
+    /// is not finite.
+    pub fn resume(&mut self, saved: Self) -> bool {
+        let is_usable = saved.knots.iter().all(Knot::is_finite);
+        if is_usable {
+            *self = Self { keep_s: self.keep_s, ..saved };
+        }
+        is_usable
     }
 
     /// Takes in the next turn. One that ends with the last one is left out. One that ends before it says that
@@ -254,6 +265,15 @@ impl Knot {
             rate_covariance: ahead.rate_covariance,
             acceleration,
         }
+    }
+
+    fn is_finite(&self) -> bool {
+        let mut numbers = (self.turned.later_from_earlier.coords.iter())
+            .chain(&self.turned.covariance)
+            .chain(&self.rate)
+            .chain(&self.rate_covariance)
+            .chain(&self.acceleration);
+        self.at_s.is_finite() && numbers.all(|number| number.is_finite())
     }
 
     /// How the camera is expected to turn in the `ahead_s` seconds after this.

@@ -15,14 +15,17 @@
 
 mod chi_square;
 mod life;
+mod saved;
 
 pub use chi_square::{chi_square_gate, chi_square_quantile};
 pub use life::{Happened, LifeCycle, TrackPolicy, TrackState};
+pub use saved::SavedLife;
 
 use crate::ego_rotation::{EgoRotation, Turned};
 use nalgebra::{
     Isometry3, Matrix3, Matrix6, SMatrix, SVector, Translation3, UnitQuaternion, Vector3, Vector6,
 };
+use serde::{Deserialize, Serialize};
 
 /// Covariance of the error: position, rotation vector, linear and angular velocity.
 pub type StateCovariance = SMatrix<f64, 12, 12>;
@@ -61,13 +64,15 @@ impl Default for MotionModel {
 }
 
 /// What the filter knows of a neighbour at one time.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Track {
     stamp_s: f64,
     camera_from_markers: Isometry3<f64>,
     velocity: Vector3<f64>,
     rate: Vector3<f64>,
     covariance: StateCovariance,
+    /// It is not saved: a process that goes on with a track has its own.
+    #[serde(skip)]
     motion: MotionModel,
 }
 

@@ -12,6 +12,7 @@
 //! | [`onlooker`] | reading a running pipeline beside its stages |
 //! | [`stage`] | the loop: wait, step, send health, drain, stop |
 //! | [`credits`] | when a source may send its next frame |
+//! | [`saved_state`] | what a process keeps for its successor |
 //! | [`health`] | counters and latency quantiles |
 //! | [`background`] | threads for work that nobody waits for |
 //! | [`scheduling`] | the scheduling policy of a thread |
@@ -30,6 +31,7 @@ pub mod logs;
 pub mod memory;
 pub mod onlooker;
 pub mod ports;
+pub mod saved_state;
 pub mod scheduling;
 pub mod stage;
 

@@ -15,6 +15,7 @@ use crate::instance::{GENERATION_VARIABLE, Instance, REPLICA_VARIABLE};
 use crate::listening::Listening;
 use crate::memory::Budget;
 use crate::ports::{Ports, Publisher};
+use crate::saved_state::SavedStates;
 use crate::{clock, logs};
 use flockeye_config::Resolved;
 
@@ -67,6 +68,8 @@ pub struct Context {
     pub identity: Identity,
     /// Where the stage counts what it does.
     pub counters: SharedCounters,
+    /// What processes of this worker leave to their successors.
+    pub saved_states: SavedStates,
 }
 
 /// Exit status of a stage that could not start, where a restart with the same input cannot help.
@@ -150,7 +153,8 @@ fn start<S: Stage>() -> anyhow::Result<Running<S>> {
     listening.complain_by(health.side_publisher()?);
     let mut ports = Ports::new(node, budget, counters.clone()).listening_to(listening);
     ports.follow_hand_overs()?;
-    let stage = S::open(&Context { resolved, identity, counters }, &mut ports)?;
+    let saved_states = SavedStates::of(&instance, &identity);
+    let stage = S::open(&Context { resolved, identity, counters, saved_states }, &mut ports)?;
     Ok(Running { stage, ports, reporter, stopping })
 }
 

@@ -26,6 +26,7 @@ use crate::pictures::{PictureReader, Pixels};
 use crate::planning::Planning;
 use crate::policy::TimeBudget;
 use crate::schedule::Schedule;
+use crate::snapshot::Snapshot;
 use crate::tracker::{FrameTime, Tracker, Update};
 use crate::view_cache::{ViewCache, ViewQuality};
 
@@ -97,6 +98,20 @@ impl<P: Pixels> Core<P> {
             newest: None,
             notices: Vec::new(),
         }
+    }
+
+    /// What a successor needs to go on.
+    pub fn snapshot(&self) -> Snapshot {
+        let (targets, ego, exposure) = self.tracker.saved();
+        Snapshot { targets, ego, exposure, planning: self.planning.saved() }
+    }
+
+    /// Goes on from another process's snapshot, and returns the names of the bodies whose tracks go on. It is
+    /// called before the first event.
+    pub fn resume(&mut self, snapshot: Snapshot) -> Vec<String> {
+        let Snapshot { targets, ego, exposure, planning } = snapshot;
+        self.planning.resume(planning);
+        self.tracker.resume(targets, ego, exposure)
     }
 
     /// Whether one more view would release the oldest that waits for its record.

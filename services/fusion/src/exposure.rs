@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use serde::{Deserialize, Serialize};
+
 /// Standard deviation of a measured stretch (see
 /// [`Alignment::stretch_px2`](flockeye_imaging::align::Alignment::stretch_px2)), pixels of the sphere image
 /// squared.
@@ -25,18 +27,26 @@ const MAX_EXPOSURE_S: f64 = 0.05;
 pub struct Exposure {
     known_s: Option<f64>,
     pixels_per_radian: f64,
-    /// Sums over targets and frames: stretch times s^2, and s^4.
-    stretch: f64,
-    weight: f64,
+    learned: LearnedExposure,
     /// What the open frame adds, by target, so that the sums do not depend on who was measured first.
     pending: BTreeMap<usize, (f64, f64)>,
+}
+
+/// What blur has shown of the exposure: sums over targets and frames.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct LearnedExposure {
+    /// Of the stretch, radians squared, times s^2.
+    stretch: f64,
+    /// Of s^4.
+    weight: f64,
 }
 
 impl Exposure {
     /// Exposures of a camera whose sphere image has this resolution; `known_s` is the exposure where the
     /// configuration states it, seconds.
     pub fn new(known_s: Option<f64>, pixels_per_radian: f64) -> Self {
-        Self { known_s, pixels_per_radian, stretch: 0.0, weight: 0.0, pending: BTreeMap::new() }
+        let learned = LearnedExposure::default();
+        Self { known_s, pixels_per_radian, learned, pending: BTreeMap::new() }
     }
 
     /// The exposure, seconds; 0 while it is not known.
@@ -46,9 +56,10 @@ impl Exposure {
 
     /// What the blur shows, if it shows anything yet.
     fn learned_s(&self) -> Option<f64> {
-        let squared = 12.0 * self.stretch / self.weight;
+        let LearnedExposure { stretch, weight } = self.learned;
+        let squared = 12.0 * stretch / weight;
         let sigma_rad2 = STRETCH_SIGMA_PX2 / self.pixels_per_radian.powi(2);
-        let uncertainty = 12.0 * sigma_rad2 / self.weight.sqrt();
+        let uncertainty = 12.0 * sigma_rad2 / weight.sqrt();
         let is_known = squared > 0.0 && uncertainty < MAX_UNCERTAINTY * squared;
         is_known.then(|| squared.sqrt().min(MAX_EXPOSURE_S))
     }
@@ -62,11 +73,24 @@ impl Exposure {
         }
     }
 
+    /// What was learned so far.
+    pub fn learned(&self) -> LearnedExposure {
+        self.learned
+    }
+
+    /// Goes on from what another process has learned.
+    pub fn resume(&mut self, learned: LearnedExposure) {
+        if learned.stretch.is_finite() && learned.weight.is_finite() {
+            self.learned = learned;
+        }
+    }
+
     /// Ends a frame.
     pub fn end_frame(&mut self) {
         for (stretch, rate) in std::mem::take(&mut self.pending).into_values() {
-            self.stretch = (1.0 - FORGETTING) * self.stretch + stretch * rate.powi(2);
-            self.weight = (1.0 - FORGETTING) * self.weight + rate.powi(4);
+            let learned = &mut self.learned;
+            learned.stretch = (1.0 - FORGETTING) * learned.stretch + stretch * rate.powi(2);
+            learned.weight = (1.0 - FORGETTING) * learned.weight + rate.powi(4);
         }
     }
 }

@@ -27,6 +27,7 @@
 //! | [`notices`] | what a person should know of |
 //! | [`background_runner`] | where background passes run |
 //! | [`parallel`] | a parallel map that keeps order |
+//! | [`snapshot`], [`succession`] | what a process leaves to its successor, and where it is kept |
 //! | [`settings`] | the core as the configuration asks for it |
 
 pub mod background_runner;
@@ -47,7 +48,9 @@ pub mod policy;
 pub mod readout;
 pub mod schedule;
 pub mod settings;
+pub mod snapshot;
 pub mod stage;
+pub mod succession;
 pub mod target;
 pub mod track_prior;
 pub mod tracker;

@@ -10,6 +10,7 @@ use flockeye_geometry::search::{
 };
 
 use crate::frame_assembly::{Frame, Record};
+use crate::snapshot::SavedPlanning;
 use crate::tracker::Tracker;
 
 /// Why each view of a frame was cut, by the view's place in the plan.
@@ -61,6 +62,26 @@ impl Planning {
             frames: 0,
             last_s: None,
             interval_s: 1.0 / 30.0,
+        }
+    }
+
+    /// Where the search is, for a successor.
+    pub fn saved(&self) -> SavedPlanning {
+        SavedPlanning {
+            searched: self.searched.clone(),
+            frames: self.frames,
+            last_s: self.last_s,
+            interval_s: self.interval_s,
+        }
+    }
+
+    /// Goes on with another process's search, if it searched the same tiles.
+    pub fn resume(&mut self, saved: SavedPlanning) {
+        let mut times = [Some(saved.interval_s), saved.last_s].into_iter().flatten();
+        if self.searched.has_tiles_of(&saved.searched) && times.all(f64::is_finite) {
+            let SavedPlanning { searched, frames, last_s, interval_s } = saved;
+            (self.searched, self.frames) = (searched, frames);
+            (self.last_s, self.interval_s) = (last_s, interval_s);
         }
     }
 

@@ -1,5 +1,7 @@
 //! The fusion stage: moves messages between the ports, the core and the background pass.
 
+use std::time::Duration;
+
 use flockeye_config::Flow;
 use flockeye_contract::{Plans, Tracks, Views};
 use flockeye_runtime::health::SharedCounters;
@@ -14,6 +16,7 @@ use crate::inbox::Inbox;
 use crate::notices::Reporter;
 use crate::output::Writer;
 use crate::settings::{Configured, configured};
+use crate::succession::Succession;
 
 /// How often an open frame looks whether its background pass is over, nanoseconds.
 const BACKGROUND_POLL_NS: i64 = 4_000_000;
@@ -34,6 +37,8 @@ pub struct FusionStage {
     flow: Flow,
     /// Until when a lossless run waits for rectification to join, nanoseconds.
     join_until_ns: i64,
+    /// `None` in a lossless run, whose results must not depend on what went before.
+    succession: Option<Succession>,
 }
 
 impl Stage for FusionStage {
@@ -41,12 +46,16 @@ impl Stage for FusionStage {
 
     fn open(context: &Context, ports: &mut Ports) -> anyhow::Result<Self> {
         let pipeline = &context.resolved.pipeline;
-        let Configured { core, writer, aligner, has_background } =
+        let Configured { mut core, writer, aligner, has_background } =
             configured(&context.resolved, context.identity.generation)?;
         let background = has_background.then(|| match pipeline.flow {
             Flow::Latest => BackgroundRunner::thread(aligner),
             Flow::Lossless => Ok(BackgroundRunner::inline(aligner)),
         });
+        // After a track's longest coasting nothing of it is left to go on with.
+        let longest = Duration::from_secs_f64(pipeline.fusion.coast_s);
+        let succession = (pipeline.flow == Flow::Latest)
+            .then(|| Succession::begin(&mut core, &context.saved_states, longest));
         Ok(Self {
             inbox: Inbox::open(ports, pipeline)?,
             tracks: ports.publisher()?,
@@ -58,6 +67,7 @@ impl Stage for FusionStage {
             counters: context.counters.clone(),
             flow: pipeline.flow,
             join_until_ns: clock::monotonic_ns() + pipeline.frame_deadline().as_nanos() as i64,
+            succession,
         })
     }
 
@@ -105,6 +115,9 @@ impl FusionStage {
         }
         if let Some(taken_ns) = outputs.ended.and_then(|ended| ended.taken_ns) {
             self.counters.add_latency_ns(clock::monotonic_ns() - taken_ns);
+        }
+        if let (Some(_), Some(succession)) = (&outputs.ended, &mut self.succession) {
+            succession.save(&self.core);
         }
         outputs.notices.iter().for_each(|notice| self.reporter.report(notice));
         Ok(())

@@ -14,6 +14,7 @@ use nalgebra::{Isometry3, Vector3};
 use crate::measurement::{MeasuredBy, Measurement, PoseEstimate};
 use crate::passes::direct::RejectedAlignment;
 use crate::passes::inputs::Attempt;
+use crate::snapshot::SavedTarget;
 use crate::track_prior::TrackPrior;
 
 /// What is known of a target after a frame. Poses are of its markers in the camera frame.
@@ -151,6 +152,26 @@ impl Target {
     /// Forgets the track and every frame's word on it.
     pub fn forget(&mut self) {
         self.life.forget();
+    }
+
+    /// Its track for a successor, if it has one.
+    pub fn saved(&self) -> Option<SavedTarget> {
+        let saved = || SavedTarget {
+            body: self.body.name.clone(),
+            track_id: self.track_id,
+            life: self.life.saved(),
+        };
+        self.is_tracked().then(saved)
+    }
+
+    /// Goes on with a track of another process.
+    ///
+    /// # Errors
+    /// A track with numbers that are none; nothing changes then.
+    pub fn resume(&mut self, saved: SavedTarget, ego: &EgoRotation) -> Result<(), FilterError> {
+        self.life.resume(saved.life, ego)?;
+        self.track_id = saved.track_id;
+        Ok(())
     }
 
     /// Whether its track is confirmed and was measured in its last frame.

@@ -495,5 +495,6 @@ impl Tracker {
 
 mod late_answers;
 mod predictions;
+mod resumed;
 #[cfg(test)]
 mod tests;

@@ -75,7 +75,7 @@ impl Onlooker {
     fn wait_for_track(
         &mut self,
         flight: &Flight,
-        is_wanted: impl Fn(&TrackHeader, &Track) -> bool,
+        mut is_wanted: impl FnMut(&TrackHeader, &Track) -> bool,
     ) {
         self.wait(flight, |readers| {
             while let Some(message) = readers.tracks.receive().expect("tracks can be read") {
@@ -239,6 +239,34 @@ fn rectification_that_is_killed_is_replaced_and_poses_flow_again() {
 #[test]
 fn fusion_that_is_killed_is_replaced_and_poses_flow_again() {
     survives_the_death_of("fusion", "fusion");
+}
+
+#[test]
+fn fusion_that_is_killed_goes_on_with_its_tracks() {
+    // Tests beside this one take the processor at times: the track has to be known when fusion is back.
+    let mut flight = Flight::start("succession", &[], &small(&["fusion.coast_s=30"]));
+    flight.wait_for(POSES_FLOW);
+    let mut onlooker = Onlooker::of(&flight);
+    let mut tracked = Vec::new();
+    onlooker.wait_for_track(&flight, |_, track| {
+        let is_old = track.age_ns > 500_000_000;
+        tracked.extend(is_old.then_some(*track));
+        is_old
+    });
+    kill_process(process_of(&flight, "flockeye-fusion"), Signal::KILL).expect("it can be killed");
+    flight.wait_for("going on where the last process was");
+    onlooker.wait_for_track(&flight, |header, track| {
+        let is_successors = header.generation == 1;
+        tracked.extend(is_successors.then_some(*track));
+        is_successors
+    });
+    drop(onlooker);
+    let [before, after] = tracked[..] else { panic!("{tracked:?}") };
+    assert_eq!(after.track_id, before.track_id);
+    assert!(after.age_ns > before.age_ns, "{} ns", after.age_ns);
+    flight.signal(Signal::INT);
+    assert!(flight.wait().success(), "{}", flight.output());
+    flight.assert_nothing_left();
 }
 
 #[test]

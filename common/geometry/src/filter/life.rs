@@ -4,13 +4,14 @@ use std::cmp::Ordering;
 use std::collections::VecDeque;
 
 use nalgebra::{Isometry3, Matrix6};
+use serde::{Deserialize, Serialize};
 
 use crate::ego_rotation::EgoRotation;
 
 use super::{FilterError, Innovation, MotionModel, Prediction, Track, chi_square_gate};
 
 /// Where a track is in its life.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum TrackState {
     /// Seen too few times to be believed.
     Tentative,
@@ -79,32 +80,32 @@ pub enum Happened {
 /// history the order of arrival does not matter.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LifeCycle {
-    policy: TrackPolicy,
+    pub(super) policy: TrackPolicy,
     gate: f64,
     /// The state before the first event that is kept.
-    base: Option<Life>,
+    pub(super) base: Option<Life>,
     /// By time; the newest is always there once there was one.
-    events: VecDeque<Event>,
+    pub(super) events: VecDeque<Event>,
 }
 
 /// What a frame said, and the state after it.
 #[derive(Debug, Clone, PartialEq)]
-struct Event {
-    stamp_s: f64,
+pub(super) struct Event {
+    pub(super) stamp_s: f64,
     /// `None`: it did not see the neighbour.
-    measured: Option<Measurement>,
-    after: Option<Life>,
+    pub(super) measured: Option<Measurement>,
+    pub(super) after: Option<Life>,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Measurement {
-    camera_from_markers: Isometry3<f64>,
-    covariance: Matrix6<f64>,
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub(super) struct Measurement {
+    pub(super) camera_from_markers: Isometry3<f64>,
+    pub(super) covariance: Matrix6<f64>,
 }
 
-#[derive(Debug, Clone, PartialEq)]
-struct Life {
-    track: Track,
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Life {
+    pub(super) track: Track,
     state: TrackState,
     /// One bit for each frame, the newest lowest: 1 where a measurement was taken in.
     hits: u64,
@@ -226,7 +227,7 @@ impl LifeCycle {
         self.refilter_from(first, ego);
     }
 
-    fn refilter_from(&mut self, first: usize, ego: &EgoRotation) {
+    pub(super) fn refilter_from(&mut self, first: usize, ego: &EgoRotation) {
         for later in first..self.events.len() {
             let before = self.life_before(later).cloned();
             if let Some(event) = self.events.get_mut(later) {

@@ -384,6 +384,25 @@ proptest! {
     }
 }
 
+proptest! {
+    /// Wherever a track changes hands, it is as if one process had kept it, late frames included.
+    #[test]
+    fn a_saved_track_goes_on_as_it_was(reports in reports(0.49), handed_over in 0usize..60) {
+        let mut kept = life();
+        let mut handed = life();
+        for (k, report) in reports.iter().enumerate() {
+            if k == handed_over {
+                let mut successor = life();
+                successor.resume(handed.saved(), &still()).unwrap();
+                handed = successor;
+            }
+            tell(&mut kept, k, report);
+            tell(&mut handed, k, report);
+        }
+        prop_assert_eq!(kept, handed);
+    }
+}
+
 #[test]
 fn a_late_measurement_takes_its_place() {
     let pose = |k: i32| Isometry3::translation(1.0 + 0.05 * f64::from(k), 0.0, 0.0);

@@ -2,11 +2,13 @@
 
 use std::collections::BTreeMap;
 
+use serde::{Deserialize, Serialize};
+
 use super::{Purpose, Search};
 
 /// When each tile and each target's region of interest was searched last, and which tile had the last
 /// hit.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Searched {
     partitions: Vec<LastSearch>,
     high_resolution: Vec<LastSearch>,
@@ -18,7 +20,7 @@ pub struct Searched {
 }
 
 /// The last search of a tile.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 struct LastSearch {
     frame: Option<u64>,
     /// Whether it was searched with the fine window alone, so that the coarse one is next.
@@ -36,6 +38,12 @@ impl Searched {
             last: None,
             last_of_tile: None,
         }
+    }
+
+    /// Whether both are of as many tiles.
+    pub fn has_tiles_of(&self, other: &Self) -> bool {
+        self.partitions.len() == other.partitions.len()
+            && self.high_resolution.len() == other.high_resolution.len()
     }
 
     /// Notes that a view was cut and searched in frame number `frame`, which must rise from frame

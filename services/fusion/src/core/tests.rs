@@ -10,6 +10,7 @@ use crate::schedule::VirtualClock;
 use flockeye_config::Costs;
 use flockeye_contract::{DetectionHeader, FrameEnd, Transfer, ViewKind};
 use flockeye_convert::RadianceCache;
+use flockeye_geometry::filter::TrackState;
 use flockeye_geometry::search::StopRule;
 use flockeye_geometry::view::View;
 
@@ -121,6 +122,44 @@ fn tracking(schedule: Schedule) -> (Core<Vec<u8>>, u64) {
             said.iter().filter_map(|outputs| outputs.plan.as_ref()).next_back().unwrap().0.plan_id;
     }
     (core, plan_id)
+}
+
+#[test]
+fn a_successor_goes_on_with_the_tracks() {
+    let (old, _) = tracking(Schedule::Flight);
+    let bytes = old.snapshot().to_bytes().unwrap();
+    let mut successor = core(Schedule::Flight);
+    assert_eq!(successor.resume(Snapshot::from_bytes(&bytes).unwrap()), ["alpha"]);
+    assert_eq!(successor.snapshot(), old.snapshot(), "it could be handed on at once");
+    let plan_id = drain(&mut successor, 0)[0].plan.as_ref().unwrap().0.plan_id;
+    // It measures alpha before its markers are searched for, as part of the same track.
+    successor.on(region(3, plan_id), 0);
+    let said = drain(&mut successor, 0);
+    assert_eq!(poses(&said), [0]);
+    let (_, estimate) = &said[0].tracks[0].updates[0].0;
+    assert_eq!((estimate.track_id, estimate.state), (1, Some(TrackState::Confirmed)));
+    assert!((estimate.age_s - 3.0 * INTERVAL_S).abs() < 1e-9, "{} s", estimate.age_s);
+}
+
+#[test]
+fn a_snapshot_of_another_fusion_is_refused_or_counts_as_far_as_it_fits() {
+    let (old, _) = tracking(Schedule::Flight);
+    let snapshot = old.snapshot();
+    let bytes = snapshot.to_bytes().unwrap();
+    let other_version = [&[9], &bytes[1..]].concat();
+    let refused = Snapshot::from_bytes(&other_version).unwrap_err().to_string();
+    assert_eq!(refused, "it has version 9; this program reads version 1");
+    for cut in [0, 1, bytes.len() / 2, bytes.len() - 1] {
+        assert!(Snapshot::from_bytes(&bytes[..cut]).is_err(), "{cut} bytes");
+    }
+    let mut other = snapshot.clone();
+    other.targets[0].body = "zulu".to_owned();
+    assert!(core(Schedule::Flight).resume(other).is_empty(), "this process does not know it");
+    let mut other = snapshot;
+    other.planning.interval_s = f64::NAN;
+    let mut successor = core(Schedule::Flight);
+    assert_eq!(successor.resume(other), ["alpha"]);
+    assert_eq!(successor.snapshot().planning.frames, 0, "the search begins anew");
 }
 
 /// The targets of all estimates with a measurement, in the order in which they leave.

@@ -1,0 +1,89 @@
+//! What fusion leaves to the process that follows it: tracks, the camera's rotation, what was learned of the
+//! exposure, and what was searched when.
+//!
+//! It is saved after each frame. A process that is started in a swap, or after a crash, goes on from there.
+//! Frames that are open are not part of it: nobody but the old process has their views.
+
+use serde::{Deserialize, Serialize};
+
+use flockeye_geometry::ego_rotation::EgoRotation;
+use flockeye_geometry::filter::SavedLife;
+use flockeye_geometry::search::Searched;
+
+use crate::exposure::LearnedExposure;
+
+/// Rises with each change of what is saved. Another version is not read.
+const VERSION: u32 = 1;
+
+/// Why a snapshot is not gone on with.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum SnapshotError {
+    /// Another version of fusion saved it.
+    #[error("it has version {found}; this program reads version {VERSION}")]
+    Version {
+        /// Its version.
+        found: u32,
+    },
+    /// It is none, or was cut off.
+    #[error("it cannot be read: {0}")]
+    Unreadable(#[from] postcard::Error),
+}
+
+/// The state of a core after a frame.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Snapshot {
+    /// The targets that are tracked.
+    pub targets: Vec<SavedTarget>,
+    /// How the camera has turned.
+    pub ego: EgoRotation,
+    /// What blur has shown of the exposure.
+    pub exposure: LearnedExposure,
+    /// Where the search is.
+    pub planning: SavedPlanning,
+}
+
+/// A target that is tracked.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SavedTarget {
+    /// Its body's name.
+    pub body: String,
+    /// The number of its track.
+    pub track_id: u32,
+    /// The track.
+    pub life: SavedLife,
+}
+
+/// Where the search is.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SavedPlanning {
+    /// What was searched when.
+    pub searched: Searched,
+    /// How many frames have ended.
+    pub frames: u64,
+    /// When the last frame was exposed, seconds.
+    pub last_s: Option<f64>,
+    /// The time between the last two frames, seconds.
+    pub interval_s: f64,
+}
+
+impl Snapshot {
+    /// Its bytes: the version, then the fields in their order, as postcard writes them.
+    ///
+    /// # Errors
+    /// None that a snapshot could lead to.
+    pub fn to_bytes(&self) -> Result<Vec<u8>, SnapshotError> {
+        Ok(postcard::to_stdvec(&(VERSION, self))?)
+    }
+
+    /// Reads one.
+    ///
+    /// # Errors
+    /// Another version, or bytes that are no snapshot.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, SnapshotError> {
+        let (found, rest) = postcard::take_from_bytes::<u32>(bytes)?;
+        if found != VERSION {
+            return Err(SnapshotError::Version { found });
+        }
+        Ok(postcard::from_bytes(rest)?)
+    }
+}

@@ -1,0 +1,63 @@
+//! Where fusion saves its state, and how its successor goes on with it.
+
+use std::time::Duration;
+
+use flockeye_runtime::clock;
+use flockeye_runtime::logs::Throttle;
+use flockeye_runtime::saved_state::{SavedStates, StateKeeper};
+
+use crate::core::Core;
+use crate::pictures::Pixels;
+use crate::snapshot::Snapshot;
+
+/// Saves the state of one process after each frame.
+#[derive(Debug)]
+pub struct Succession {
+    /// `None` where the file could not be made: fusion works all the same.
+    keeper: Option<StateKeeper>,
+    failures: Throttle,
+}
+
+impl Succession {
+    /// Lets `core` go on where the worker's last process was, if that is not longer ago than `longest`.
+    /// Without a state it starts with nothing, as at the pipeline's start.
+    pub fn begin<P: Pixels>(core: &mut Core<P>, states: &SavedStates, longest: Duration) -> Self {
+        match states.newest(clock::monotonic_ns(), longest) {
+            Ok(None) => {}
+            Err(error) => tracing::warn!(%error, "the last process's state cannot be read; starting anew"),
+            Ok(Some(saved)) => match Snapshot::from_bytes(&saved.state) {
+                Err(error) => tracing::warn!(
+                    generation = saved.generation,
+                    %error,
+                    "the last process's state is not used; starting anew"
+                ),
+                Ok(snapshot) => tracing::info!(
+                    generation = saved.generation,
+                    age_ms = saved.age.as_millis() as u64,
+                    tracks = core.resume(snapshot).join(", "),
+                    "going on where the last process was"
+                ),
+            },
+        }
+        let keeper = states.keeper();
+        if let Err(error) = &keeper {
+            tracing::warn!(%error, "there is no file for the state; a successor will start anew");
+        }
+        Self { keeper: keeper.ok(), failures: Throttle::default() }
+    }
+
+    /// Saves the state of `core`.
+    pub fn save<P: Pixels>(&mut self, core: &Core<P>) {
+        let Some(keeper) = &mut self.keeper else { return };
+        let saved = core
+            .snapshot()
+            .to_bytes()
+            .map_err(anyhow::Error::from)
+            .and_then(|state| Ok(keeper.save(clock::monotonic_ns(), &state)?));
+        if let Err(error) = saved
+            && let Some(more) = self.failures.admit()
+        {
+            tracing::warn!(more_since = more, "the state cannot be saved: {error:#}");
+        }
+    }
+}

@@ -1,0 +1,38 @@
+//! Tracks that go on in another process.
+
+use flockeye_geometry::ego_rotation::EgoRotation;
+
+use super::{FilterChoice, Tracker};
+use crate::exposure::LearnedExposure;
+use crate::snapshot::SavedTarget;
+
+impl Tracker {
+    /// The targets that are tracked, how the camera has turned, and what blur has shown of the exposure.
+    pub fn saved(&self) -> (Vec<SavedTarget>, EgoRotation, LearnedExposure) {
+        let targets = self.targets.iter().filter_map(super::Target::saved).collect();
+        (targets, self.ego.clone(), self.exposure.learned())
+    }
+
+    /// Goes on with the tracks of another process, and returns the names of their bodies. Bodies that this
+    /// process does not know, and tracks with numbers that are none, are left out.
+    pub fn resume(
+        &mut self,
+        saved: Vec<SavedTarget>,
+        ego: EgoRotation,
+        exposure: LearnedExposure,
+    ) -> Vec<String> {
+        if self.filter == FilterChoice::None || !self.ego.resume(ego) {
+            return Vec::new();
+        }
+        self.exposure.resume(exposure);
+        let mut resumed = Vec::new();
+        for saved in saved {
+            let name = saved.body.clone();
+            let target = self.targets.iter_mut().find(|target| target.body.name == name);
+            if target.is_some_and(|target| target.resume(saved, &self.ego).is_ok()) {
+                resumed.push(name);
+            }
+        }
+        resumed
+    }
+}
