@@ -205,7 +205,10 @@ mod tests {
         }
         assert_eq!(of(100).newest(SECOND_NS + 100, SECOND).unwrap(), None);
         assert_eq!(of(100).newest(SECOND_NS, SECOND).unwrap().unwrap().generation, 99);
-        assert_eq!(of(100).files().unwrap().into_keys().collect::<Vec<_>>(), (92..100).collect::<Vec<_>>());
+        assert_eq!(
+            of(100).files().unwrap().into_keys().collect::<Vec<_>>(),
+            (92..100).collect::<Vec<_>>()
+        );
     }
 
     #[test]

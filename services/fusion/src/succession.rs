@@ -24,7 +24,9 @@ impl Succession {
     pub fn begin<P: Pixels>(core: &mut Core<P>, states: &SavedStates, longest: Duration) -> Self {
         match states.newest(clock::monotonic_ns(), longest) {
             Ok(None) => {}
-            Err(error) => tracing::warn!(%error, "the last process's state cannot be read; starting anew"),
+            Err(error) => {
+                tracing::warn!(%error, "the last process's state cannot be read; starting anew")
+            }
             Ok(Some(saved)) => match Snapshot::from_bytes(&saved.state) {
                 Err(error) => tracing::warn!(
                     generation = saved.generation,

@@ -2,6 +2,7 @@
 
 use std::f64::consts::TAU;
 use std::num::NonZero;
+use std::sync::{Mutex, PoisonError};
 
 use crate::hall::Hall;
 use crate::optics::{blur_kernel, blur_row, blur_rows};
@@ -24,10 +25,19 @@ impl Backdrop {
     /// Paints the hall, blurred by the lens and by the observer's steady yaw, in linear light.
     pub fn new(parameters: &WorldParameters, grid: &SphereGrid, sensor: &Sensor) -> Self {
         let light = painted(parameters, grid);
+        let width = grid.width;
+        let encoded = |encode: &(dyn Fn(f32) -> u8 + Sync)| {
+            let mut codes = vec![0u8; light.len()];
+            for_rows(&mut codes, width, |row, out| {
+                let light = &light[row * width..(row + 1) * width];
+                out.iter_mut().zip(light).for_each(|(code, &light)| *code = encode(light));
+            });
+            codes
+        };
         Self {
-            width: grid.width,
-            levels: light.iter().map(|&light| sensor.level(light)).collect(),
-            sigmas: light.iter().map(|&light| sensor.sigma_of_light(light)).collect(),
+            width,
+            levels: encoded(&|light| sensor.level(light)),
+            sigmas: encoded(&|light| sensor.sigma_of_light(light)),
         }
     }
 
@@ -90,16 +100,18 @@ fn pixel_light(hall: &Hall, grid: &SphereGrid, column: usize, row: usize) -> f32
     (ray(quarter) + ray(-quarter)) / 2.0
 }
 
-/// Calls `fill` for every row, on all processors.
-fn for_rows(rows: &mut [f32], width: usize, fill: impl Fn(usize, &mut [f32]) + Sync) {
+/// Calls `fill` for every row, on all processors. Each takes the next row when it is done with one, because
+/// some rows cost much more than others.
+fn for_rows<T: Send>(rows: &mut [T], width: usize, fill: impl Fn(usize, &mut [T]) + Sync) {
     let threads = std::thread::available_parallelism().map_or(1, NonZero::get);
-    let band = (rows.len() / width).div_ceil(threads).max(1);
+    let rows = Mutex::new(rows.chunks_mut(width).enumerate());
+    // Nobody panics while the next row is taken, so a poisoned lock is as good as any.
+    let next = || rows.lock().unwrap_or_else(PoisonError::into_inner).next();
     std::thread::scope(|scope| {
-        for (index, rows) in rows.chunks_mut(band * width).enumerate() {
-            let fill = &fill;
-            scope.spawn(move || {
-                for (row, out) in rows.chunks_mut(width).enumerate() {
-                    fill(index * band + row, out);
+        for _ in 0..threads {
+            scope.spawn(|| {
+                while let Some((row, out)) = next() {
+                    fill(row, out);
                 }
             });
         }

@@ -3,7 +3,7 @@
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 
-use crate::scatter::{at_cell, clouds, mix};
+use crate::scatter::{at_cell, clouds, floor, mix};
 
 /// Walls, floor and ceiling, metres from the camera.
 const HALF_LENGTH: f32 = 7.5;
@@ -35,14 +35,23 @@ struct Poster {
 pub struct Hall {
     seed: u64,
     crates: Vec<Crate>,
+    /// Numbers of the boxes that may be met in each of [`SECTORS`].
+    in_sector: Vec<Vec<usize>>,
     posters: Vec<Poster>,
 }
+
+/// Parts of a turn about the vertical, for which the boxes there are known.
+const SECTORS: usize = 256;
 
 impl Hall {
     /// The hall of this seed.
     pub fn new(seed: u64) -> Self {
         let mut random = StdRng::seed_from_u64(mix(seed ^ 0x6861_6c6c));
-        let crates = (0..22).map(|_| draw_crate(&mut random)).collect();
+        let crates: Vec<Crate> = (0..22).map(|_| draw_crate(&mut random)).collect();
+        let may_be_met = |sector: usize| {
+            (0..crates.len()).filter(|&number| crates[number].lies_in(sector)).collect()
+        };
+        let in_sector = (0..SECTORS).map(may_be_met).collect();
         let posters = (0..14)
             .map(|k| {
                 let wall = k % 4;
@@ -56,7 +65,7 @@ impl Hall {
                 }
             })
             .collect();
-        Self { seed, crates, posters }
+        Self { seed, crates, in_sector, posters }
     }
 
     /// Linear light that comes from `ray` (a unit vector; x along the hall, z up), as a share of
@@ -83,9 +92,9 @@ impl Hall {
 
     fn floor(&self, [x, y, _]: [f32; 3]) -> f32 {
         let (u, v) = (x / 0.6, y / 0.6);
-        let (i, j) = (u.floor(), v.floor());
+        let (i, j) = (floor(u), floor(v));
         let is_joint = (u - i).min(v - j) < 0.012;
-        let tile = if (i + j).rem_euclid(2.0) < 1.0 { 0.30 } else { 0.11 };
+        let tile = if fraction((i + j) / 2.0) < 0.5 { 0.30 } else { 0.11 };
         let wear = 0.7
             + 0.25 * at_cell(self.seed, i as i32, j as i32)
             + 0.3 * clouds(self.seed ^ 1, x * 4.0, y * 4.0)
@@ -95,14 +104,14 @@ impl Hall {
 
     fn ceiling(&self, [x, y, _]: [f32; 3]) -> f32 {
         // Lamps every 3 m along the hall, in two rows.
-        let along = (x / 3.0 - 0.5 - (x / 3.0 - 0.5).round()) * 3.0;
+        let along = from_nearest(x / 3.0 - 0.5) * 3.0;
         let aside = y.abs() - 2.0;
         if along.abs() < 0.6 && aside.abs() < 0.16 {
             return 3.0;
         }
         let glow = 0.5 * (-(along * along + 1.5 * aside * aside) * 1.6).exp();
-        let girder = (x / 2.5 - (x / 2.5).round()).abs() * 2.5;
-        let lattice = (y * 2.4 + girder * 6.0).rem_euclid(1.0) < 0.2;
+        let girder = from_nearest(x / 2.5).abs() * 2.5;
+        let lattice = fraction(y * 2.4 + girder * 6.0) < 0.2;
         let steel = girder < 0.02 || (0.16..0.18).contains(&girder) || (girder < 0.18 && lattice);
         if steel { 0.05 + 0.2 * glow } else { 0.16 + glow + 0.05 * clouds(self.seed ^ 3, x, y) }
     }
@@ -116,9 +125,9 @@ impl Hall {
         let mut light = (0.13 + 0.16 * share) * (0.85 + 0.3 * stain);
         if wall == 0 && (1.0..2.2).contains(&height) {
             // Windows with frames between the panes.
-            let pane = (along / 0.9).rem_euclid(1.0);
+            let pane = fraction(along / 0.9);
             let is_frame = pane < 0.06 || (height - 1.6).abs() < 0.025;
-            let is_window = (along / 3.6).rem_euclid(1.0) < 0.5;
+            let is_window = fraction(along / 3.6) < 0.5;
             if is_window {
                 return if is_frame {
                     0.10
@@ -128,7 +137,7 @@ impl Hall {
             }
         }
         let line = |value: f32, spacing: f32, width: f32| {
-            (value / spacing - (value / spacing).round()).abs() * spacing < width
+            from_nearest(value / spacing).abs() * spacing < width
         };
         if line(along, 2.5, 0.09) {
             light *= 0.45;
@@ -166,7 +175,8 @@ impl Hall {
         }
         let mut nearest = limit;
         let mut light = None;
-        for object in &self.crates {
+        for &number in &self.in_sector[sector_of(ray[0], ray[1])] {
+            let object = &self.crates[number];
             let (mut enter, mut leave, mut side) = (0.0f32, nearest, 0);
             for (axis, along) in ray.iter().enumerate() {
                 let inverse = 1.0 / along;
@@ -188,6 +198,16 @@ impl Hall {
     }
 }
 
+/// What is left of a number beyond the whole number below it.
+fn fraction(value: f32) -> f32 {
+    value - floor(value)
+}
+
+/// How far a number lies beyond the nearest whole number.
+fn from_nearest(value: f32) -> f32 {
+    value - floor(value + 0.5)
+}
+
 /// A box somewhere along the walls, none within 3 m of the camera.
 fn draw_crate(random: &mut StdRng) -> Crate {
     let along_side = random.random_bool(0.6);
@@ -206,10 +226,61 @@ fn draw_crate(random: &mut StdRng) -> Crate {
     }
 }
 
+impl Crate {
+    /// Whether a part of it lies in a sector. The sectors of its corners bound it, because it is convex, and
+    /// less than half a turn wide.
+    fn lies_in(&self, sector: usize) -> bool {
+        let corner = |k: usize| {
+            let [x, y] = [[self.low[0], self.high[0]][k & 1], [self.low[1], self.high[1]][k >> 1]];
+            sector_of(x, y)
+        };
+        let first = corner(0);
+        // Counted from a corner, as a signed number of sectors, because the first may lie beyond the last.
+        let from_first = |sector: usize| {
+            let ahead = (sector + SECTORS - first) % SECTORS;
+            if ahead < SECTORS / 2 { ahead as i32 } else { ahead as i32 - SECTORS as i32 }
+        };
+        let corners = [0, 1, 2, 3].map(|k| from_first(corner(k)));
+        let reach = corners.iter().fold([0, 0], |[low, high], &at| [low.min(at), high.max(at)]);
+        // One more on each side covers rounding.
+        (reach[0] - 1..=reach[1] + 1).contains(&from_first(sector))
+    }
+}
+
+/// The sector of a direction from above. Sectors are not alike wide: no angle is needed to find one.
+fn sector_of(x: f32, y: f32) -> usize {
+    // Rises from 0 to 4 over a turn: the way along a square round the origin.
+    let share = y / (x.abs() + y.abs()).max(f32::MIN_POSITIVE);
+    let way = if x < 0.0 {
+        2.0 - share
+    } else if share < 0.0 {
+        4.0 + share
+    } else {
+        share
+    };
+    ((way * (SECTORS as f32 / 4.0)) as usize).min(SECTORS - 1)
+}
+
 #[cfg(test)]
 #[allow(clippy::unwrap_used, clippy::expect_used)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn every_point_of_a_box_lies_in_one_of_its_sectors() {
+        let mut random = StdRng::seed_from_u64(1);
+        for _ in 0..500 {
+            let object = draw_crate(&mut random);
+            for _ in 0..200 {
+                let [x, y] = [0, 1].map(|k| random.random_range(object.low[k]..=object.high[k]));
+                assert!(object.lies_in(sector_of(x, y)), "{x} {y} in {object:?}");
+                assert!(!object.lies_in(sector_of(-x, -y)), "{x} {y} behind {object:?}");
+            }
+        }
+        let sectors = [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0), (0.0, 0.0)];
+        let sectors = sectors.map(|(x, y)| sector_of(x, y));
+        assert_eq!(sectors, [0, SECTORS / 4, SECTORS / 2, SECTORS * 3 / 4, 0]);
+    }
 
     #[test]
     fn the_hall_has_light_in_every_direction_and_much_contrast() {

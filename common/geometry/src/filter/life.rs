@@ -110,7 +110,7 @@ pub(super) struct Life {
     /// One bit for each frame, the newest lowest: 1 where a measurement was taken in.
     hits: u64,
     gated_in_a_row: u32,
-    started_s: f64,
+    pub(super) started_s: f64,
 }
 
 impl LifeCycle {

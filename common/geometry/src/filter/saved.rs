@@ -87,7 +87,8 @@ mod tests {
         for k in 0..30 {
             known.measured(f64::from(k) / 30.0, &pose, &(covariance * 1e-4), &ego).unwrap();
         }
-        let spoil: [(&str, fn(&mut SavedLife, &mut Life)); 7] = [
+        type Spoil = fn(&mut SavedLife, &mut Life);
+        let spoil: [(&str, Spoil); 7] = [
             ("time", |_, life| life.track.stamp_s = f64::NAN),
             ("velocity", |_, life| life.track.velocity.y = f64::INFINITY),
             ("covariance of the rate", |_, life| life.track.covariance[(9, 9)] = f64::NAN),
