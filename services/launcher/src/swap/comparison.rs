@@ -23,6 +23,9 @@ pub const FRAMES_COMPARED: usize = 10;
 pub const FOUND_TO_TELL: usize = 8;
 /// Answers to the newest frames may be on their way.
 const FRAMES_UNSETTLED: usize = 2;
+/// So many frames the new process may be behind the old one: on processors that both share, that is a matter of
+/// time, and what it will answer is not missing. The figures show the time apart.
+const FRAMES_BEHIND: usize = 15;
 /// Frames that are kept.
 const MAX_FRAMES: usize = 256;
 
@@ -122,7 +125,7 @@ impl Comparison {
         let begun = *self.new.first_key_value()?.0;
         let first = first.map_or(begun, |first| first.max(begun));
         let frames: Vec<_> = self.old.range(first..).map(|(frame, _)| *frame).collect();
-        let settled = &frames[..frames.len().saturating_sub(FRAMES_UNSETTLED)];
+        let settled = &frames[..self.settled(&frames)];
         let mut begin = settled.len().checked_sub(FRAMES_COMPARED)?;
         loop {
             let figures = self.compare(&settled[begin..]);
@@ -131,6 +134,14 @@ impl Comparison {
             }
             begin = begin.saturating_sub(FRAMES_COMPARED);
         }
+    }
+
+    /// How many of these frames of the old process the new one has answered, or will never.
+    fn settled(&self, frames: &[FrameOrder]) -> usize {
+        let newest = self.new.last_key_value().map(|(frame, _)| *frame);
+        let reached = frames.partition_point(|frame| Some(*frame) <= newest);
+        let given_up = frames.len().saturating_sub(FRAMES_BEHIND);
+        reached.max(given_up).min(frames.len().saturating_sub(FRAMES_UNSETTLED))
     }
 
     fn compare(&self, frames: &[FrameOrder]) -> Figures {
@@ -252,6 +263,21 @@ mod tests {
             }
         }
         comparison.figures(None)
+    }
+
+    #[test]
+    fn one_that_is_behind_is_waited_for_and_one_that_stays_away_is_not() {
+        let told = |frames: u64, answered: u64| {
+            let mut comparison = Comparison::default();
+            (0..frames).for_each(|frame| comparison.note(Side::Old, answer(frame, 0, &[3], 0.0)));
+            (0..answered).for_each(|frame| comparison.note(Side::New, answer(frame, 0, &[3], 0.0)));
+            comparison.figures(None)
+        };
+        assert_eq!(told(22, 9), None, "of the first 10 frames one is on its way");
+        let figures = told(22, 10).unwrap();
+        assert_eq!((figures.frames, figures.frames_answered), (10, 10));
+        let figures = told(30, 5).unwrap();
+        assert_eq!((figures.frames, figures.frames_answered), (15, 5), "it does not come any more");
     }
 
     #[test]
