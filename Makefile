@@ -17,7 +17,7 @@ GUSTS = $(addprefix --set simulator.,frames=90 tilt_deg=12 yaw_deg_s=20 yaw_swin
 DORA_COMMAND = $(CURDIR)/target/peers/bin/dora
 DORA_HOP = $(CURDIR)/target/peers/dora/release/dora-hop
 
-.PHONY: run test bench peers build setup cargo format golden golden-check golden-write golden-compare results counts
+.PHONY: python clients run test bench peers build setup cargo format golden golden-check golden-write golden-compare results counts
 
 # The profile of the tests, which builds sooner than the release profile that the drone gets (`make
 # build`). docs/results is measured with it.
@@ -32,10 +32,28 @@ build: setup
 # Tests run the binaries, so these are built first, with the tests, so that the dependencies are
 # built once; clippy reads the benchmarks too. Cargo.toml says what the profile is.
 test: setup
+	-@$(MAKE) --no-print-directory python
 	cargo fmt --all --check
 	cargo clippy --profile tested --workspace --all-targets --locked -- -D warnings
 	cargo build --profile tested --workspace --bins --tests --locked
 	cargo test --profile tested --workspace --locked -- --test-threads=2
+
+# Python with the package of clients/python and what the examples need, for the tests.
+PYTHON_PACKAGES = iceoryx2==0.10.0 numpy opencv-contrib-python-headless==4.10.0.84
+python: target/python/installed
+
+target/python/installed: $(wildcard clients/python/pyproject.toml clients/python/flockeye/*.py)
+	@mkdir -p target
+	@[[ -x target/python/bin/python ]] || python3 -m venv target/python || { echo "Cure: install Debian's python3-venv."; exit 1; }
+	@target/python/bin/pip install -q --force-reinstall --no-deps clients/python
+	@target/python/bin/pip install -q $(PYTHON_PACKAGES)
+	@touch $@
+
+# The files of the clients that are generated from the contract's types.
+clients: setup
+	cargo build --profile tested --locked -p flockeye-launcher
+	target/tested/flockeye contract python > clients/python/flockeye/contract.py
+	target/tested/flockeye contract c > clients/c/include/flockeye/contract.h
 
 bench: setup $(if $(DORA),$(DORA_COMMAND) $(DORA_HOP))
 	cargo build --release --workspace --all-targets --locked

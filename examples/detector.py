@@ -1,41 +1,23 @@
 """A detector in place of Flockeye's own: OpenCV's stock ArUco, in Python.
 
-    flockeye up --set 'stages.detection.command=[python3, examples/detector.py]'
+    flockeye swap detection -- python3 examples/detector.py
 
-Needs `pip install iceoryx2==0.10.0 numpy opencv-contrib-python-headless`. It shows what a detection
-stage owes the others: one record for each view, in order, whether there is anything in it or not;
-health four times a second; an end on SIGTERM. Its corners are OpenCV's, which lie inside the true
-ones: expect worse poses than with Flockeye's own detector.
+Needs `pip install clients/python numpy opencv-contrib-python-headless`. Its corners are OpenCV's, which lie inside
+the true ones: expect worse poses than with Flockeye's own detector.
 """
 
-import json
-import signal
 import time
-from pathlib import Path
 
 import cv2
 import numpy as np
 
-from flockeye_contract import (
-    DETECTION, DRAINING, READY, SEARCH_NOTHING, STARTING,
-    DetectedMarker, DetectionHeader, HealthReporter, Instance, view,
-)  # fmt: skip
+from flockeye import Stage
+from flockeye.contract import DETECTION, VIEW, DetectedMarker, DetectionHeader, Search
 
 # Room in one record.
 MAX_MARKERS = 64
 # Assumed standard deviation of OpenCV's corners.
 DEVIATION_PX = 0.5
-
-
-def own_ids(bodies):
-    """Ids of the configured bodies' markers: a view that holds one is a hit."""
-    if bodies["file"]:
-        file = json.loads(Path(bodies["file"]).read_text())
-        return file["dictionary"], {
-            marker["id"] for body in file["bodies"].values() for marker in body["markers"]
-        }
-    firsts = [body["first_id"] for body in bodies["list"]]
-    return bodies["dictionary"], {first + k for first in firsts for k in range(17)}
 
 
 def rotation(x, y, z, w):
@@ -70,7 +52,7 @@ def marker(header, corners, marker_id):
 def search(detector, header, pixels):
     """The markers in a view, read in place."""
     # OpenCV has windows of its own; only views whose pixels alone are wanted are left out.
-    if header.search == SEARCH_NOTHING:
+    if header.search == Search.NOTHING:
         return []
     rows = np.frombuffer(pixels, np.uint8)[: header.size_px * header.stride]
     image = rows.reshape(header.size_px, header.stride)[:, : header.size_px]
@@ -81,50 +63,48 @@ def search(detector, header, pixels):
     return [marker(header, quad.reshape(4, 2), number) for quad, number in found][:MAX_MARKERS]
 
 
-def main():
-    stopping = []
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stopping.append(True))
-    instance = Instance.join("detection")
-    health = HealthReporter(instance, "OpenCV's ArUco, in Python")
-    health.send(STARTING)
-    dictionary, owned = own_ids(instance.pipeline["bodies"])
-    parameters = cv2.aruco.DetectorParameters()
-    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-    detector = cv2.aruco.ArucoDetector(
-        cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary)), parameters
+def record(stage, header, markers, owned, received_ns):
+    """What is owed for a view, whether there is anything in it or not."""
+    return DetectionHeader(
+        stamp=header.stamp,
+        plan_id=header.plan_id,
+        taken_ns=header.taken_ns,
+        issued_ns=header.issued_ns,
+        received_ns=received_ns,
+        sent_ns=time.monotonic_ns(),
+        generation=stage.generation,
+        view_index=header.view_index,
+        attempt=header.attempt,
+        worker=stage.replica,
+        hits=sum(found.id in owned for found in markers or []),
+        failed=markers is None,
+        view_generation=header.generation,
     )
-    views = instance.subscriber(view(instance.replica))
-    detections = instance.publisher(DETECTION, MAX_MARKERS)
-    health.send(READY)
-    while not stopping:
-        views.wait(0.1)
-        for header, pixels in views.messages():
-            health.report.taken += 1
+
+
+def main():
+    with Stage("detection") as stage:
+        bodies = stage.pipeline["resolved"]["bodies"]
+        owned = {marker["id"] for body in bodies["bodies"].values() for marker in body["markers"]}
+        parameters = cv2.aruco.DetectorParameters()
+        parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, bodies["dictionary"]))
+        detector = cv2.aruco.ArucoDetector(dictionary, parameters)
+        views = stage.subscriber(VIEW.lane(stage.replica))
+        detections = stage.publisher(DETECTION, MAX_MARKERS)
+        stage.ready("OpenCV's ArUco, in Python")
+        for view in stage.messages(views):
+            header, received_ns = view.header, time.monotonic_ns()
             # A view left over from another worker of this lane is not ours to answer.
-            if header.worker != instance.replica:
+            if header.worker != stage.replica:
                 continue
-            received_ns = time.monotonic_ns()
-            markers = search(detector, header, pixels)
-            record = DetectionHeader(
-                stamp=header.stamp,
-                plan_id=header.plan_id,
-                taken_ns=header.taken_ns,
-                issued_ns=header.issued_ns,
-                received_ns=received_ns,
-                sent_ns=time.monotonic_ns(),
-                generation=instance.generation,
-                view_index=header.view_index,
-                attempt=header.attempt,
-                worker=instance.replica,
-                hits=sum(found.id in owned for found in markers),
-                view_generation=header.generation,
-            )
-            detections.send(record, markers)
-            health.report.published += 1
-            health.send_if_due(READY)
-        health.send_if_due(READY)
-    health.send(DRAINING)
+            try:
+                markers = search(detector, header, view.pixels())
+            except (ValueError, ZeroDivisionError, cv2.error) as error:
+                stage.refuse(f"view {header.view_index}: {error}")
+                markers = None
+            detections.send(record(stage, header, markers, owned, received_ns), markers or [])
+            stage.published()
 
 
 if __name__ == "__main__":

@@ -27,6 +27,9 @@ macro_rules! codes {
             /// Every value, in the order of the codes.
             pub const ALL: &'static [$name] = &[$($name::$variant),+];
 
+            /// Their names in Rust, in the same order.
+            pub(crate) const NAMES: &'static [&'static str] = &[$(stringify!($variant)),+];
+
             /// The number that stands for it in shared memory.
             pub const fn code(self) -> u32 {
                 self as u32

@@ -1,62 +1,13 @@
 //! Pins the memory layout that `docs/CONTRACT.md` promises to stages in other languages.
 #![allow(clippy::unwrap_used)]
 
-use std::mem::{align_of, offset_of, size_of};
+use std::mem::{align_of, size_of};
 
 use crate::{
-    BodyTruth, Complaint, DetectedMarker, DetectionHeader, FrameEnd, FrameHeader, FrameStamp,
-    HandOver, Health, ImuHeader, ImuSample, PlanHeader, PlannedView, Pose, Rotation, StageLatency,
-    Text, Track, TrackHeader, TruthHeader, ViewHeader,
+    BodyTruth, Complaint, DetectedMarker, DetectionHeader, FrameEnd, FrameHeader, HandOver, Health,
+    ImuHeader, ImuSample, PlanHeader, PlannedView, Rotation, Text, Track, TrackHeader, TruthHeader,
+    ViewHeader,
 };
-
-/// The layout of a type as text: name, size, alignment, then the offset of each field.
-macro_rules! layout {
-    ($name:ident: $($field:ident),+ $(,)?) => {{
-        let mut text = format!("{} {} {}\n", stringify!($name), size_of::<$name>(), align_of::<$name>());
-        $(text += &format!("  {} {}\n", stringify!($field), offset_of!($name, $field));)+
-        text
-    }};
-}
-
-fn all_layouts() -> String {
-    [
-        layout!(FrameStamp: sequence, exposure_ns, stream_ns, published_ns, epoch, source_generation),
-        layout!(Pose: position, orientation),
-        layout!(FrameHeader: stamp, exposure_time_ns, readout_ns, width, height, stride, pixel_format,
-            transfer, gamma, range, projection),
-        layout!(ImuHeader: sent_ns, epoch, generation),
-        layout!(ImuSample: at_ns, rate, specific_force),
-        layout!(Rotation: stamp, earlier_exposure_ns, later_from_earlier, covariance, rate_in_camera,
-            rate_covariance, ahead_ns, ahead_from_later, ahead_covariance, ahead_rate_in_camera,
-            ahead_rate_covariance, source, generation),
-        layout!(PlanHeader: after, plan_id, made_ns, has_after, generation, stop_rule, mode, view_budget,
-            reserved),
-        layout!(PlannedView: camera_from_view, rate_in_camera, reference_ns, focal_px,
-            predicted_camera_from_markers, size_px, kind, tile, target, has_prediction, search),
-        layout!(ViewHeader: stamp, plan_id, taken_ns, issued_ns, camera_from_view, focal_px,
-            predicted_camera_from_markers, readout_ns, generation, view_index, attempt, worker, size_px,
-            stride, kind, tile, target, has_prediction, transfer, gamma, range, search),
-        layout!(DetectionHeader: stamp, plan_id, taken_ns, issued_ns, received_ns, sent_ns, generation,
-            view_index, attempt, worker, hits, failed, view_generation, reserved),
-        layout!(DetectedMarker: rays_in_camera, deviations, corners_in_view, id, doubtful),
-        layout!(FrameEnd: stamp, plan_id, taken_ns, ended_ns, views_issued, views_abandoned, reason,
-            generation),
-        layout!(TrackHeader: stamp, generation, is_last),
-        layout!(StageLatency: capture_ns, rectification_ns, detection_ns, fusion_ns, total_ns),
-        layout!(Track: observer_from_target, covariance, linear_velocity, angular_velocity,
-            measured_observer_from_target, measured_covariance,
-            predicted_observer_from_target, predicted_covariance, predicted_ns, age_ns, unseen_ns, latency, name, target,
-            track_id, state, measured_by, markers, reserved),
-        layout!(Health: sent_ns, taken, published, dropped, failed, queued, processor_ns, resident_bytes,
-            latency_median_ns, latency_p99_ns, stage, detail, replica, generation, pid, state),
-        layout!(TruthHeader: stamp, world_from_camera, observer_yaw, exposure_s),
-        layout!(BodyTruth: camera_from_markers, observer_from_target, best_side_px, blur_px, name, target,
-            markers_visible_50, markers_visible_90, localisable),
-        layout!(HandOver: first, sent_ns, stage, replica, old_generation, new_generation, state),
-        layout!(Complaint: sent_ns, count, stage, detail, replica, pid, kind, reserved),
-    ]
-    .concat()
-}
 
 #[test]
 fn the_layout_is_the_documented_one() {
@@ -66,7 +17,8 @@ fn the_layout_is_the_documented_one() {
         .nth(1)
         .and_then(|rest| rest.split("```").next())
         .unwrap_or("docs/CONTRACT.md has no block ```layout");
-    assert_eq!(all_layouts(), documented, "docs/CONTRACT.md must hold exactly:\n{}", all_layouts());
+    let layout = crate::description::layout();
+    assert_eq!(layout, documented, "docs/CONTRACT.md must hold exactly:\n{layout}");
 }
 
 #[test]

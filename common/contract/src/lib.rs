@@ -8,10 +8,12 @@
 //!
 //! This crate has the data and their validation ([`Topic::check`]); the runtime transports them.
 //! `docs/CONTRACT.md` describes the same bytes for stages in other languages, and the tests of `layout`
-//! and `documents` pin every offset, code and version in it.
+//! and `documents` pin every offset, code and version in it. Clients in other languages are generated
+//! from [`description`].
 
 mod codes;
 mod complaint;
+pub mod description;
 mod detection;
 #[cfg(test)]
 mod documents;

@@ -11,7 +11,10 @@ use std::path::{Path, PathBuf};
 use iceoryx2::prelude::*;
 use rustix::fs::{FlockOperation, flock};
 
-use flockeye_config::{Pipeline, is_instance_name};
+use flockeye_config::{Pipeline, Resolved, is_instance_name};
+use serde_json::Value;
+
+use crate::resolved_file;
 
 /// Environment variable with the instance's folder; every stage gets it.
 pub const FOLDER_VARIABLE: &str = "FLOCKEYE_INSTANCE_DIR";
@@ -21,6 +24,9 @@ pub const STAGE_VARIABLE: &str = "FLOCKEYE_STAGE";
 pub const REPLICA_VARIABLE: &str = "FLOCKEYE_REPLICA";
 /// Environment variable with the number of times the process was replaced.
 pub const GENERATION_VARIABLE: &str = "FLOCKEYE_GENERATION";
+
+/// The section of `pipeline.json` with what follows from the configuration.
+const RESOLVED: &str = "resolved";
 
 const SHM_FOLDER: &str = "/dev/shm";
 
@@ -223,9 +229,11 @@ impl Instance {
     ///
     /// # Errors
     /// The files cannot be written.
-    pub fn write_configuration(&self, pipeline: &Pipeline) -> Result<(), InstanceError> {
-        let json = serde_json::to_vec_pretty(pipeline)
-            .map_err(|error| InstanceError::Resolved { path: self.pipeline_file(), error })?;
+    pub fn write_configuration(&self, resolved: &Resolved) -> Result<(), InstanceError> {
+        let failed = |error| InstanceError::Resolved { path: self.pipeline_file(), error };
+        let mut written = serde_json::to_value(&resolved.pipeline).map_err(failed)?;
+        written[RESOLVED] = resolved_file::section(resolved);
+        let json = serde_json::to_vec_pretty(&written).map_err(failed)?;
         // A stage that starts just now reads the old one or the new one, and never half of it.
         let fresh = self.folder.join("pipeline.json.new");
         write(&fresh, &json)?;
@@ -248,7 +256,13 @@ impl Instance {
         let path = self.pipeline_file();
         let json = std::fs::read(&path)
             .map_err(|error| InstanceError::File { path: path.clone(), error })?;
-        serde_json::from_slice(&json).map_err(|error| InstanceError::Resolved { path, error })
+        let read = || {
+            let mut written: serde_json::Map<String, Value> = serde_json::from_slice(&json)?;
+            // It is for others: this crate works it out by itself.
+            written.remove(RESOLVED);
+            serde_json::from_value(Value::Object(written))
+        };
+        read().map_err(|error| InstanceError::Resolved { path, error })
     }
 
     fn pipeline_file(&self) -> PathBuf {

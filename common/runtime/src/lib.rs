@@ -12,6 +12,7 @@
 //! | [`onlooker`] | reading a running pipeline beside its stages |
 //! | [`stage`] | the loop: wait, step, send health, drain, stop |
 //! | [`credits`] | when a source may send its next frame |
+//! | [`resolved_file`] | what follows from the configuration, for stages in other languages |
 //! | [`saved_state`] | what a process keeps for its successor |
 //! | [`health`] | counters and latency quantiles |
 //! | [`background`] | threads for work that nobody waits for |
@@ -31,6 +32,7 @@ pub mod logs;
 pub mod memory;
 pub mod onlooker;
 pub mod ports;
+pub mod resolved_file;
 pub mod saved_state;
 pub mod scheduling;
 pub mod stage;

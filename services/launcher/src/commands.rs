@@ -3,12 +3,15 @@
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use flockeye_cli::lab::COMMANDS;
 
+use crate::bodies::{self, BodiesArguments};
 use crate::chaos::{self, ChaosArguments};
 use crate::check::{self, CheckArguments};
 use crate::clean::{self, CleanArguments};
+use crate::contract::{self, ContractArguments};
 use crate::exec::{self, ExecArguments};
 use crate::manage::{self, StatusArguments, StopArguments, SwapArguments, WorkerArguments};
 use crate::peers::{self, PeersArguments};
+use crate::stage::{self, StageCommand};
 use crate::top::{self, TopArguments};
 use crate::trace::{self, TraceArguments};
 use crate::up::{self, UpArguments};
@@ -51,6 +54,13 @@ enum FlockeyeCommand {
     Clean(CleanArguments),
     /// Print the JSON Schema of pipeline.yaml.
     Schema,
+    /// Show the configured marker bodies.
+    Bodies(BodiesArguments),
+    /// Print the contract's types, codes and topics for another language.
+    Contract(ContractArguments),
+    /// Write stages of your own.
+    #[command(subcommand)]
+    Stage(StageCommand),
     /// Become a stage's process (used by `up`).
     #[command(hide = true)]
     ExecStage(ExecArguments),
@@ -77,6 +87,9 @@ pub fn run() -> anyhow::Result<()> {
         FlockeyeCommand::Peers(arguments) => peers::run(&arguments),
         FlockeyeCommand::Clean(arguments) => clean::run(&arguments),
         FlockeyeCommand::Schema => schema::run(),
+        FlockeyeCommand::Bodies(arguments) => bodies::run(&arguments),
+        FlockeyeCommand::Contract(arguments) => contract::run(&arguments),
+        FlockeyeCommand::Stage(command) => stage::run(&command),
         FlockeyeCommand::ExecStage(arguments) => exec::run(&arguments),
     }
 }

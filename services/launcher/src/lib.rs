@@ -26,14 +26,18 @@
 //! | [`peers`] | what the whole swarm reports over Zenoh |
 //! | [`clean`] | removes what dead runs left behind |
 //! | [`schema`] | the JSON Schema of pipeline.yaml |
+//! | [`bodies`], [`contract`] | the marker bodies; the contract for other languages |
+//! | [`stage`] | writes stages of one's own |
 //! | [`exec`] | the first instructions of a stage's process |
 
 pub mod attach;
+pub mod bodies;
 pub mod chaos;
 pub mod check;
 pub mod clean;
 pub mod commands;
 pub mod complaints;
+pub mod contract;
 pub mod control;
 pub mod dashboard;
 pub mod exec;
@@ -44,6 +48,7 @@ pub mod peers;
 pub mod process;
 pub mod run_log;
 pub mod schema;
+pub mod stage;
 pub mod status;
 pub mod supervisor;
 pub mod swap;

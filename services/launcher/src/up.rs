@@ -55,7 +55,7 @@ pub fn run_pipeline(
     let ownership = instance.take()?;
     let (free, total) = shared_memory_space().context("cannot look at /dev/shm")?;
     budget.check(free, total)?;
-    instance.write_configuration(pipeline)?;
+    instance.write_configuration(&resolved)?;
     let mut supervisor = Supervisor::new(options, &resolved, &instance, budget, screen)?;
     supervisor.start()?;
     let outcome = supervisor.watch(stopping);

@@ -1,8 +1,8 @@
 //! What tests need that not every machine has: the reference recordings, a Vulkan device.
 //!
 //! Such a test skips where that is absent, and says so. `FLOCKEYE_REQUIRE=recordings,vulkan` names
-//! what must be there (a third is `namespaces`: mounts of our own): then the test fails instead, so that a run that skipped cannot pass for one
-//! that tested.
+//! what must be there (others are `namespaces`: mounts of our own, and `python`: the clients' package): then the
+//! test fails instead, so that a run that skipped cannot pass for one that tested.
 
 use std::path::{Path, PathBuf};
 
@@ -13,6 +13,9 @@ pub const REQUIRE: &str = "FLOCKEYE_REQUIRE";
 pub const RECORDINGS: &str = "recordings";
 /// The name of a Vulkan device in [`REQUIRE`], hardware or software.
 pub const VULKAN: &str = "vulkan";
+
+/// The name of Python with the package of `clients/python` in [`REQUIRE`].
+pub const PYTHON: &str = "python";
 
 /// The folder of the reference recordings. Where it is absent, says so and returns `None`; the test
 /// ends there.

@@ -362,7 +362,8 @@ fn a_stage_of_another_contract_version_is_refused_and_told_the_versions() {
     let instance = Instance::named(&unique("version"));
     let ownership = instance.take().expect("nobody else has the name");
     let pipeline = Pipeline::default();
-    instance.write_configuration(&pipeline).expect("the folder is there");
+    let resolved = Resolved::of(pipeline.clone()).expect("it is what is shipped");
+    instance.write_configuration(&resolved).expect("the folder is there");
     let node = NodeBuilder::new()
         .signal_handling_mode(SignalHandlingMode::Disabled)
         .config(&instance.iceoryx2().expect("its folder is known"))

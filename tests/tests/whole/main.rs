@@ -13,6 +13,7 @@ mod lab;
 mod lifecycle;
 mod lossless;
 mod markers;
+mod python;
 mod real_time;
 mod recorded;
 mod scheduling;

@@ -74,9 +74,9 @@ impl Supervisor<'_> {
         let changed = self.changed_pipeline(worker.stage, &request.set)?;
         let within = Duration::from_secs_f64(request.within_s);
         let pipeline_before = match changed {
-            Some(pipeline) => {
-                self.instance.write_configuration(&pipeline)?;
-                Some(std::mem::replace(&mut self.pipeline, pipeline))
+            Some(resolved) => {
+                self.instance.write_configuration(&resolved)?;
+                Some(std::mem::replace(&mut self.pipeline, resolved.pipeline))
             }
             None => None,
         };
@@ -170,7 +170,7 @@ impl Supervisor<'_> {
         &self,
         stage: StageName,
         set: &[String],
-    ) -> anyhow::Result<Option<Pipeline>> {
+    ) -> anyhow::Result<Option<Resolved>> {
         if set.is_empty() {
             return Ok(None);
         }
@@ -192,17 +192,18 @@ impl Supervisor<'_> {
             stage.name(),
             own_keys(stage).join(", ")
         );
-        let resolved = Resolved::of(changed.clone())?;
+        let resolved = Resolved::of(changed)?;
         ensure!(
             Budget::of(&resolved) == self.budget,
             "these settings change how much memory the stages share. Cure: start the pipeline anew"
         );
-        Ok(Some(changed))
+        Ok(Some(resolved))
     }
 
     fn restore(&mut self, pipeline: Pipeline) -> anyhow::Result<()> {
-        self.instance.write_configuration(&pipeline)?;
-        self.pipeline = pipeline;
+        let resolved = Resolved::of(pipeline)?;
+        self.instance.write_configuration(&resolved)?;
+        self.pipeline = resolved.pipeline;
         Ok(())
     }
 

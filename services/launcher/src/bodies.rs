@@ -1,0 +1,51 @@
+//! `flockeye bodies`: the configured marker bodies.
+
+use clap::Args;
+use flockeye_cli::text_table::TextTable;
+use flockeye_cli::{Configuration, Screen};
+use flockeye_config::Resolved;
+use flockeye_runtime::resolved_file;
+
+/// Arguments of `bodies`.
+#[derive(Debug, Args)]
+pub struct BodiesArguments {
+    /// Which configuration.
+    #[command(flatten)]
+    pub configuration: Configuration,
+    /// Print every marker's corners and every facet, as a bodies file has them.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Prints them.
+///
+/// # Errors
+/// The configuration or the bodies cannot be read.
+pub fn run(arguments: &BodiesArguments) -> anyhow::Result<()> {
+    let resolved = Resolved::of(arguments.configuration.load()?)?;
+    let mut screen = Screen::new();
+    if arguments.json {
+        screen.line(&serde_json::to_string_pretty(&resolved_file::bodies(&resolved))?);
+        return Ok(());
+    }
+    let mut table = TextTable::new(
+        2,
+        &["body", "markers", "target", "first id", "last id", "smallest side m", "facets"],
+    );
+    for (target, body) in resolved.bodies.iter().enumerate() {
+        let ids = body.markers.iter().map(|marker| marker.id);
+        let side_m = body.markers.iter().map(|marker| marker.side()).fold(f64::MAX, f64::min);
+        table.row([
+            body.name.clone(),
+            body.markers.len().to_string(),
+            target.to_string(),
+            ids.clone().min().unwrap_or_default().to_string(),
+            ids.max().unwrap_or_default().to_string(),
+            format!("{side_m:.4}"),
+            body.facets().len().to_string(),
+        ]);
+    }
+    screen.line(&format!("dictionary {}", resolved.bodies.dictionary));
+    screen.table(&table.text());
+    Ok(())
+}

@@ -1,0 +1,213 @@
+//! Stages in Python: the examples, with the package of `clients/python`.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use flockeye_contract::{Detections, FrameEnds, MeasuredBy, Topic, Tracks, Truths};
+use flockeye_tests::onlooker::{Tape, join, subscribe};
+use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, flockeye, run};
+use nalgebra::Vector3;
+
+/// What is said of the neighbour once it is tracked.
+const POSES_FLOW: &str = "alpha confirmed";
+
+/// Python with the package and what the examples need: `make python` makes it.
+fn python() -> Option<PathBuf> {
+    let target = flockeye().ancestors().nth(2)?.to_owned();
+    let python = target.join("python/bin/python");
+    if python.exists() {
+        return Some(python);
+    }
+    flockeye_require::absent(flockeye_require::PYTHON, "target/python, which `make python` makes");
+    None
+}
+
+fn example(name: &str) -> String {
+    let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples");
+    examples.join(name).to_string_lossy().into_owned()
+}
+
+fn fly(name: &str) -> Flight {
+    let mut flight = Flight::start(name, &[], SMALL_FLIGHT);
+    flight.wait_for(POSES_FLOW);
+    flight
+}
+
+/// Swaps a stage for an example, and fails unless it takes over.
+fn swap_in(flight: &Flight, worker: &str, python: &Path, file: &str) {
+    let python = python.to_string_lossy();
+    let name = flight.instance.name();
+    let (succeeded, output) = run(&[
+        "swap",
+        worker,
+        "--instance",
+        name,
+        "--within",
+        "60s",
+        "--accept-worse",
+        "--",
+        &python,
+        &example(file),
+    ]);
+    assert!(succeeded && output.contains("is swapped after"), "{output}\n{}", flight.output());
+}
+
+/// Waits for a message that is as wanted.
+fn wait_for<T: Topic + 'static>(
+    flight: &mut Flight,
+    what: &str,
+    mut is_wanted: impl FnMut(&T::Header, &[T::Item]) -> bool,
+) {
+    let mut ports = join(flight);
+    let mut messages = subscribe::<T>(flight, &mut ports);
+    let start = Instant::now();
+    loop {
+        while let Some(message) = messages.receive().expect("it can be read") {
+            if is_wanted(&message.header, message.items()) {
+                return;
+            }
+        }
+        assert!(start.elapsed() < WATCHDOG, "{what} never came:\n{}", flight.output());
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+fn end(mut flight: Flight) {
+    let (succeeded, output) = run(&["stop", "--instance", flight.instance.name()]);
+    assert!(succeeded, "{output}");
+    assert!(flight.wait().success(), "{}", flight.output());
+    assert!(!flight.output().contains("Traceback"), "{}", flight.output());
+    flight.assert_nothing_left();
+}
+
+#[test]
+fn a_detector_is_swapped_in_and_finds_markers() {
+    let Some(python) = python() else { return };
+    let mut flight = fly("py-detector");
+    swap_in(&flight, "detection", &python, "detector.py");
+    wait_for::<Detections>(&mut flight, "a hit of the new detector", |header, markers| {
+        header.generation > 0 && header.hits > 0 && !markers.is_empty()
+    });
+    wait_for::<Tracks>(&mut flight, "a pose", |_, tracks| {
+        tracks.iter().any(|track| track.measured_by != MeasuredBy::Nothing.code())
+    });
+    end(flight);
+}
+
+#[test]
+fn a_rectification_is_swapped_in_and_its_views_show_neighbours() {
+    let Some(python) = python() else { return };
+    let mut flight = fly("py-rectifier");
+    swap_in(&flight, "rectification", &python, "rectifier.py");
+    let mut ended = 0;
+    wait_for::<FrameEnds>(&mut flight, "frames that it ends", |header, _| {
+        ended += u32::from(header.generation > 0 && header.views_issued > 0);
+        ended > 20
+    });
+    wait_for::<Detections>(&mut flight, "a hit in its views", |header, _| {
+        header.view_generation > 0 && header.hits > 0
+    });
+    end(flight);
+}
+
+#[test]
+fn a_fusion_that_only_reports_bearings_is_swapped_in() {
+    let Some(python) = python() else { return };
+    let mut flight = fly("py-bearings");
+    let mut truths = std::collections::BTreeMap::new();
+    swap_in(&flight, "fusion", &python, "bearings.py");
+    let mut ports = join(&mut flight);
+    let mut truth = subscribe::<Truths>(&mut flight, &mut ports);
+    wait_for::<Tracks>(&mut flight, "a bearing of the new fusion", |header, tracks| {
+        while let Some(message) = truth.receive().expect("it can be read") {
+            truths.insert(message.header.stamp.order(), message.items().to_vec());
+        }
+        let Some(known) = truths.get(&header.stamp.order()).filter(|_| header.generation > 0)
+        else {
+            return false;
+        };
+        tracks.iter().any(|track| {
+            let body = known.iter().find(|body| body.target == track.target).expect("it flies");
+            let [found, really] = [track.observer_from_target, body.observer_from_target]
+                .map(|pose| Vector3::from(pose.position));
+            // Markers sit around the body's middle, which is half a metre off.
+            assert!(found.angle(&really) < 0.15, "{found:?} against {really:?}");
+            true
+        })
+    });
+    drop((truth, ports));
+    end(flight);
+}
+
+#[test]
+fn a_lossless_flight_with_a_detector_in_python_ends_every_frame_once() {
+    let Some(python) = python() else { return };
+    let command = format!(
+        "stages.detection.command=[\"{}\", \"{}\"]",
+        python.display(),
+        example("detector.py")
+    );
+    let set: Vec<&str> =
+        SMALL_FLIGHT.iter().copied().chain(["simulator.frames=20", &command]).collect();
+    let tape = Tape::record("py-lossless", &["--flow", "lossless"], &set);
+    tape.assert_every_frame_ended_once(20);
+    let measured = |tracks: &[flockeye_contract::Track]| {
+        tracks.iter().any(|track| track.measured_by != MeasuredBy::Nothing.code())
+    };
+    assert!(tape.tracks.iter().any(|(_, tracks)| measured(tracks)), "{}", tape.output);
+}
+
+#[test]
+fn the_types_in_python_are_laid_out_as_those_in_rust() {
+    let Some(python) = python() else { return };
+    let script = "from flockeye.contract import TYPES\n\
+                  import ctypes\n\
+                  for kind in TYPES:\n    \
+                      print(kind.__name__, ctypes.sizeof(kind), ctypes.alignment(kind))\n    \
+                      for name, *_ in kind._fields_: print(f'  {name} {getattr(kind, name).offset}')\n";
+    let output = Command::new(python).args(["-c", script]).output().expect("it runs");
+    assert_eq!(String::from_utf8_lossy(&output.stdout), flockeye_contract::description::layout());
+}
+
+#[test]
+fn the_tool_that_looks_on_prints_neighbours_and_ends_with_the_pipeline() {
+    let Some(python) = python() else { return };
+    let mut flight = fly("py-tracks");
+    let mut command = Command::new(python);
+    command.arg(example("tracks.py")).arg(flight.instance.folder());
+    let mut tool = Flight::launch("py-tracks-tool", command);
+    tool.wait_for("alpha confirmed at ");
+    let (succeeded, output) = run(&["stop", "--instance", flight.instance.name()]);
+    assert!(succeeded, "{output}");
+    assert!(flight.wait().success(), "{}", flight.output());
+    assert!(tool.wait().success(), "{}", tool.output());
+    flight.assert_nothing_left();
+}
+
+#[test]
+fn a_new_stage_is_written_once_and_only_where_there_is_an_example() {
+    let scratch = Scratch::new("stage-new");
+    let folder = scratch.path("mine");
+    let folder = folder.to_str().expect("a plain path");
+    let (succeeded, output) = run(&["stage", "new", "detection", folder]);
+    assert!(succeeded && output.contains("flockeye swap detection"), "{output}");
+    let text = std::fs::read_to_string(format!("{folder}/detector.py")).expect("it is written");
+    assert!(text.contains(&format!("python3 {folder}/detector.py")), "{text}");
+    let (succeeded, output) = run(&["stage", "new", "detection", folder]);
+    assert!(!succeeded && output.contains("is there already"), "{output}");
+    let (succeeded, output) = run(&["stage", "new", "gateway", folder]);
+    assert!(!succeeded && output.contains("one of detection, rectification, fusion"), "{output}");
+}
+
+#[test]
+fn the_header_for_c_compiles_and_its_assertions_hold() {
+    let header =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../clients/c/include/flockeye/contract.h");
+    let output = Command::new("cc")
+        .args(["-std=c11", "-Wall", "-Wextra", "-Werror", "-fsyntax-only", "-x", "c"])
+        .arg(header)
+        .output()
+        .expect("there is a C compiler: Rust links with it");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+}
