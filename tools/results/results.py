@@ -21,6 +21,7 @@ import os
 import re
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -71,7 +72,13 @@ ROTATIONS = {"gyroscope": ("The visual gyroscope", "flight4/flight4.mp4", "fligh
 # In the profile of the tests, whose computing crates are optimized like the release profile's.
 BENCH = ["cargo", "bench", "--locked", "--profile", "tested", "-p", "flockeye-tests", "--bench"]
 BENCHES = {"proposals": "Proposals", "costs": "Costs"}
-PARTS = [*RECORDINGS, *SIMULATED, *EXPERIMENTS, *ROTATIONS, *BENCHES]
+# Disturbances of a running pipeline: title, what of `flockeye chaos`, how many (another number: COUNT=10000).
+SWAPPED = "detection,detection.1,rectification,egomotion,fusion"
+DISTURBED = {
+    "kills": ("SIGKILL to stages at random", ["--only", "kill"], 1000),
+    "swaps": ("Swaps of stages at random", ["--only", "swap", "--workers", SWAPPED], 100),
+}
+PARTS = [*RECORDINGS, *SIMULATED, *EXPERIMENTS, *ROTATIONS, *BENCHES, *DISTURBED]
 
 
 def flockeye():
@@ -247,6 +254,29 @@ def benched(part):
     return entry | {"output": done.stdout.strip().splitlines()}
 
 
+def disturbed(part):
+    """How a simulated flight takes its disturbances, in the words of `flockeye chaos`."""
+    title, what, count = DISTURBED[part]
+    count = os.environ.get("COUNT", str(count))
+    before = machine()
+    flight, chaos = ["up", *QUIET], ["chaos", "--instance", "results", "--for", "24h", "--rate", "2",
+                                     "--count", count, *what]
+    print(f"  {shown(flight)}\n  {shown(chaos)}", file=sys.stderr, flush=True)
+    up = subprocess.Popen([str(flockeye()), *flight], cwd=ROOT, stdout=subprocess.DEVNULL,
+                          stderr=subprocess.DEVNULL)
+    time.sleep(8)
+    done = subprocess.run([str(flockeye()), *chaos], cwd=ROOT, capture_output=True, text=True)
+    call(["stop", "--instance", "results"])
+    up.wait()
+    # Each disturbance has a line of its own, and then comes the table.
+    lines = [line for line in done.stdout.splitlines() if "until the next pose" not in line]
+    if not lines:
+        sys.exit(f"results: {shown(chaos)} ended with {done.returncode}:\n{done.stderr}")
+    broken = [line.removeprefix("flockeye: ") for line in done.stderr.splitlines()]
+    return {part: {"title": title, "command": f"{shown(flight)}\n{shown(chaos)}", "machine": before,
+                   "output": lines + broken}}
+
+
 def turned(part, data):
     """The rotations of a recording beside its gyroscope, in the words of `flockeye eval`."""
     title, recording, gyroscope = ROTATIONS[part]
@@ -276,6 +306,8 @@ def run_part(part, data, wanted_ways):
         return {part: benched(part)}
     if part in ROTATIONS:
         return turned(part, data)
+    if part in DISTURBED:
+        return disturbed(part)
     entries = {}
     if part in RECORDINGS:
         title, recording, truth, settings, ways = RECORDINGS[part]
@@ -396,9 +428,8 @@ def flights_page(title, intro, entries):
     return "\n".join(lines).rstrip() + "\n"
 
 
-def experiments_page(entries):
-    lines = ["# Results: experiments", "", "Written by `make results`; do not edit.",
-             "[EXPERIMENTS.md](../EXPERIMENTS.md) says what each column means.", ""]
+def experiments_page(title, explained, entries):
+    lines = [f"# Results: {title}", "", "Written by `make results`; do not edit.", explained, ""]
     for entry in entries:
         lines += [f"## {entry['title']}", "", "```sh", entry["command"], "```", "", "```",
                   *entry["output"], "```", "", measured_on(entry), ""]
@@ -455,8 +486,12 @@ def render(store):
     ]
     simulated = flights_page("Results: simulated flights", intro + chosen, of(SIMULATED))
     (folder / "simulated.md").write_text(simulated)
-    (folder / "experiments.md").write_text(
-        experiments_page(of([*EXPERIMENTS, *ROTATIONS, "proposals"])))
+    (folder / "experiments.md").write_text(experiments_page(
+        "experiments", "[EXPERIMENTS.md](../EXPERIMENTS.md) says what each column means.",
+        of([*EXPERIMENTS, *ROTATIONS, "proposals"])))
+    if any(name in store for name in DISTURBED):
+        (folder / "disturbances.md").write_text(experiments_page(
+            "disturbances", "[SWAPPING.md](../SWAPPING.md#chaos) says what is counted.", of(DISTURBED)))
     if "costs" in store:
         (folder / "costs.md").write_text(costs_page(store["costs"]))
     readme = (ROOT / "README.md").read_text()

@@ -11,7 +11,9 @@ use std::rc::Rc;
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
-use flockeye_contract::{CONTRACT_VERSION, Topic, TopicVisitor, VERSION_ATTRIBUTE, visit_topics};
+use flockeye_contract::{
+    CONTRACT_VERSION, ContractError, Topic, TopicVisitor, VERSION_ATTRIBUTE, visit_topics,
+};
 use iceoryx2::identifiers::UniquePublisherId;
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
@@ -466,6 +468,9 @@ pub struct Message<T: Topic> {
     sample: Sample<Service, [T::Item], T::Header>,
 }
 
+/// A message, and what the contract's check says of it.
+pub type Judged<T> = (Message<T>, Result<(), ContractError>);
+
 impl<T: Topic> Message<T> {
     /// Its items.
     pub fn items(&self) -> &[T::Item] {
@@ -517,6 +522,23 @@ impl<T: Topic> Subscriber<T> {
                 }
             }
         }
+    }
+
+    /// The next message, if one is there, with what the contract's check says of it: for tools that judge
+    /// stages.
+    ///
+    /// # Errors
+    /// As [`Subscriber::receive`].
+    pub fn receive_with_verdict(&mut self) -> Result<Option<Judged<T>>, PortError> {
+        let sample = self
+            .subscriber
+            .receive()
+            .map_err(|error| PortError::Receive { topic: T::NAME, reason: format!("{error:?}") })?;
+        Ok(sample.map(|sample| {
+            let header = *sample.user_header();
+            let verdict = T::check(&header, sample.payload());
+            (Message { header, sample }, verdict)
+        }))
     }
 
     /// The process that has this publisher; 0 if it has ended.

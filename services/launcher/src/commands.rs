@@ -58,7 +58,7 @@ enum FlockeyeCommand {
     Bodies(BodiesArguments),
     /// Print the contract's types, codes and topics for another language.
     Contract(ContractArguments),
-    /// Write stages of your own.
+    /// Write and test stages of your own.
     #[command(subcommand)]
     Stage(StageCommand),
     /// Become a stage's process (used by `up`).

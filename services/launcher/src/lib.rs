@@ -28,6 +28,7 @@
 //! | [`schema`] | the JSON Schema of pipeline.yaml |
 //! | [`bodies`], [`contract`] | the marker bodies; the contract for other languages |
 //! | [`stage`] | writes stages of one's own |
+//! | [`conformance`] | tests a stage alone against the contract |
 //! | [`exec`] | the first instructions of a stage's process |
 
 pub mod attach;
@@ -37,6 +38,7 @@ pub mod check;
 pub mod clean;
 pub mod commands;
 pub mod complaints;
+pub mod conformance;
 pub mod contract;
 pub mod control;
 pub mod dashboard;

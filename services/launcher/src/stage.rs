@@ -7,11 +7,15 @@ use clap::{Args, Subcommand, ValueEnum};
 use flockeye_cli::Screen;
 use flockeye_contract::StageName;
 
+use crate::conformance::{self, TestArguments};
+
 /// What to do.
 #[derive(Debug, Subcommand)]
 pub enum StageCommand {
     /// Write a stage that runs as it is.
     New(NewArguments),
+    /// Test a stage alone against the contract.
+    Test(TestArguments),
 }
 
 /// Arguments of `stage new`.
@@ -43,9 +47,17 @@ const PYTHON: [(StageName, &str, &str); 3] = [
 /// Does it.
 ///
 /// # Errors
-/// There is no such stage or no example of it, or the file is there already or cannot be written.
+/// There is no such stage or no example of it, or the file is there already or cannot be written; a candidate
+/// that does not keep the contract.
 pub fn run(command: &StageCommand) -> anyhow::Result<()> {
-    let StageCommand::New(NewArguments { kind, folder, lang: Language::Python }) = command;
+    match command {
+        StageCommand::New(arguments) => write_new(arguments),
+        StageCommand::Test(arguments) => conformance::run(arguments),
+    }
+}
+
+fn write_new(arguments: &NewArguments) -> anyhow::Result<()> {
+    let NewArguments { kind, folder, lang: Language::Python } = arguments;
     let Some((_, file, text)) = PYTHON.iter().find(|(stage, ..)| stage.name() == kind) else {
         let kinds: Vec<_> = PYTHON.iter().map(|(stage, ..)| stage.name()).collect();
         bail!("there is no example of a stage '{kind}'. Cure: one of {}", kinds.join(", "));

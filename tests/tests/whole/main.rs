@@ -4,6 +4,7 @@
 mod bad_input;
 mod calibration;
 mod cameras;
+mod conformance;
 mod egomotion;
 mod evaluation;
 mod faults;

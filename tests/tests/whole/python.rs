@@ -159,6 +159,29 @@ fn a_lossless_flight_with_a_detector_in_python_ends_every_frame_once() {
 }
 
 #[test]
+fn the_examples_keep_the_contract() {
+    let Some(python) = python() else { return };
+    let python = python.to_string_lossy();
+    for (kind, file) in
+        [("detection", "detector.py"), ("rectification", "rectifier.py"), ("fusion", "bearings.py")]
+    {
+        let (succeeded, output) = run(&[
+            "stage",
+            "test",
+            kind,
+            "--set",
+            "camera.width=1024",
+            "--set",
+            "camera.height=512",
+            "--",
+            &python,
+            &example(file),
+        ]);
+        assert!(succeeded, "{output}");
+    }
+}
+
+#[test]
 fn the_types_in_python_are_laid_out_as_those_in_rust() {
     let Some(python) = python() else { return };
     let script = "from flockeye.contract import TYPES\n\

@@ -1,0 +1,245 @@
+//! An instance in which a candidate runs alone.
+
+use std::rc::Rc;
+use std::sync::mpsc::{Receiver, sync_channel};
+use std::time::{Duration, Instant};
+
+use anyhow::Context as _;
+use flockeye_config::{Resolved, Restart};
+use flockeye_contract::{Health, Healths, StageName, StageState};
+use flockeye_runtime::health::SharedCounters;
+use flockeye_runtime::instance::{Instance, Ownership};
+use flockeye_runtime::memory::{Budget, shared_memory_space};
+use flockeye_runtime::ports::{Ports, Subscriber, TopicServices, create_all_services};
+use iceoryx2::prelude::*;
+
+use super::report::Report;
+use crate::control::Worker;
+use crate::process::{LogLine, Process, ProcessChange, STOP_TIME};
+
+const OWES: &str = "What every stage owes";
+
+/// How often the test looks for messages.
+const LOOK: Duration = Duration::from_micros(500);
+
+/// Health is late if none has come for so long.
+const LONGEST_SILENCE: Duration = Duration::from_millis(750);
+
+/// Lines of the candidate that are kept.
+const MOST_LINES: usize = 30;
+
+/// An instance with one process in it, and the test in place of all others. Ports go before the services, and
+/// these before the folder.
+pub struct Bench {
+    /// Ports of the test.
+    pub ports: Ports,
+    healths: Subscriber<Healths>,
+    process: Process,
+    log: Receiver<LogLine>,
+    lines: Vec<String>,
+    newest: Option<Health>,
+    heard: Instant,
+    longest_silence: Duration,
+    start_limit: Duration,
+    /// How it has ended, if it has.
+    ended: Option<String>,
+    _services: Vec<TopicServices>,
+    _ownership: Ownership,
+}
+
+impl Bench {
+    /// Makes the instance of this configuration. The candidate is not started yet.
+    ///
+    /// # Errors
+    /// The instance or its shared memory cannot be had, or the candidate's program is not there.
+    pub fn new(resolved: &Resolved, stage: StageName, command: &[String]) -> anyhow::Result<Self> {
+        set_log_level(LogLevel::Fatal);
+        let instance = Instance::named(&resolved.pipeline.instance.0);
+        let ownership = instance.take()?;
+        let budget = Budget::of(resolved);
+        let (free, total) = shared_memory_space().context("cannot look at /dev/shm")?;
+        budget.check(free, total)?;
+        instance.write_configuration(resolved)?;
+        let node = NodeBuilder::new()
+            .name(&NodeName::new("stage-test").context("node name")?)
+            .signal_handling_mode(SignalHandlingMode::Disabled)
+            .config(&instance.iceoryx2()?)
+            .create::<ipc::Service>()
+            .map_err(|error| anyhow::anyhow!("cannot create the instance: {error:?}"))?;
+        let node = Rc::new(node);
+        let services = create_all_services(&node, &budget)?;
+        let mut ports = Ports::new(node, budget, SharedCounters::default());
+        let healths = ports.subscriber()?;
+        let mut process = resolved.pipeline.stages.of(stage).clone();
+        process.restart = Restart::Never;
+        if !command.is_empty() {
+            process.command = command.to_vec();
+        }
+        let (sender, log) = sync_channel(1000);
+        let worker = Worker { stage, replica: 0 };
+        Ok(Self {
+            ports,
+            healths,
+            process: Process::new(worker, &process, instance.folder(), sender)?,
+            log,
+            lines: Vec::new(),
+            newest: None,
+            heard: Instant::now(),
+            longest_silence: Duration::ZERO,
+            start_limit: Duration::from_secs_f64(resolved.pipeline.supervision.start_s),
+            ended: None,
+            _services: services,
+            _ownership: ownership,
+        })
+    }
+
+    /// Starts the candidate, and waits until it is ready. False: it never was, and there is nothing to test.
+    ///
+    /// # Errors
+    /// It cannot be started.
+    pub fn start(&mut self, report: &mut Report) -> anyhow::Result<bool> {
+        self.process.start()?;
+        let begun = Instant::now();
+        let mut has_started = false;
+        let ready = self.wait(self.start_limit, |bench| {
+            let state = bench.newest.map(|health| health.state);
+            has_started |= state == Some(StageState::Starting.code());
+            Ok((state == Some(StageState::Ready.code())).then_some(()))
+        })?;
+        let limit_s = self.start_limit.as_secs_f64();
+        report.check(
+            "is ready in time",
+            OWES,
+            match (&ready, &self.ended) {
+                (Some(()), _) => None,
+                (None, Some(how)) => Some(format!("it {how} before it was ready")),
+                (None, None) => {
+                    Some(format!("it has not sent health with state ready in {limit_s} s"))
+                }
+            },
+        );
+        if ready.is_none() {
+            return Ok(false);
+        }
+        report.figure("ready after", begun.elapsed().as_secs_f64(), "s");
+        if let Some(health) = self.newest {
+            let worker = self.process.worker;
+            for (field, found, wanted) in [
+                ("stage", health.stage.to_string(), worker.stage.name().to_owned()),
+                ("replica", health.replica.to_string(), worker.replica.to_string()),
+                ("generation", health.generation.to_string(), "0".to_owned()),
+            ] {
+                report.field("health says who it is", OWES, field, found, wanted);
+            }
+        }
+        (self.heard, self.longest_silence) = (Instant::now(), Duration::ZERO);
+        Ok(true)
+    }
+
+    /// Calls `step` until it gives something, for so long at most; meanwhile health is listened to.
+    ///
+    /// # Errors
+    /// As `step`, or a port that fails.
+    pub fn wait<R>(
+        &mut self,
+        limit: Duration,
+        mut step: impl FnMut(&mut Self) -> anyhow::Result<Option<R>>,
+    ) -> anyhow::Result<Option<R>> {
+        let begun = Instant::now();
+        loop {
+            self.look()?;
+            if let Some(result) = step(self)? {
+                return Ok(Some(result));
+            }
+            if begun.elapsed() > limit || self.ended.is_some() {
+                return Ok(None);
+            }
+            std::thread::sleep(LOOK);
+        }
+    }
+
+    /// Lets so much time pass.
+    ///
+    /// # Errors
+    /// A port that fails.
+    pub fn pass(&mut self, time: Duration) -> anyhow::Result<()> {
+        self.wait(time, |_| Ok(None::<()>)).map(drop)
+    }
+
+    /// Whether the candidate runs; otherwise that is noted.
+    pub fn runs(&self, report: &mut Report) -> bool {
+        let wrong = self.ended.as_ref().map(|how| format!("it {how}"));
+        let runs = wrong.is_none();
+        report.check("runs until it is told to stop", OWES, wrong);
+        runs
+    }
+
+    /// Memory that the candidate holds, megabytes.
+    pub fn resident_mb(&self) -> f64 {
+        self.newest.map_or(0.0, |health| health.resident_bytes as f64 / 1e6)
+    }
+
+    /// Its newest health.
+    pub fn health(&self) -> Option<&Health> {
+        self.newest.as_ref()
+    }
+
+    fn look(&mut self) -> anyhow::Result<()> {
+        while let Some((message, _)) = self.healths.receive_with_verdict()? {
+            self.longest_silence = self.longest_silence.max(self.heard.elapsed());
+            (self.newest, self.heard) = (Some(message.header), Instant::now());
+        }
+        self.longest_silence = self.longest_silence.max(self.heard.elapsed());
+        while let Ok(line) = self.log.try_recv() {
+            if self.lines.len() < MOST_LINES {
+                self.lines.push(line.text);
+            }
+        }
+        if self.ended.is_none()
+            && let ProcessChange::Ended { how, .. } = self.process.attend(false, || {})?
+        {
+            self.ended = Some(how);
+        }
+        Ok(())
+    }
+
+    /// Tells the candidate to stop, and checks how it ends.
+    ///
+    /// # Errors
+    /// A port that fails.
+    pub fn stop(&mut self, report: &mut Report) -> anyhow::Result<()> {
+        if !self.runs(report) {
+            return Ok(());
+        }
+        let silence_s = self.longest_silence.as_secs_f64();
+        report.holds(
+            "health comes every 250 ms",
+            OWES,
+            self.longest_silence < LONGEST_SILENCE,
+            || format!("none came for {silence_s:.1} s"),
+        );
+        self.process.signal(rustix::process::Signal::TERM);
+        let begun = Instant::now();
+        self.wait(STOP_TIME, |bench| Ok(bench.ended.as_ref().map(|_| ())))?;
+        let limit_s = STOP_TIME.as_secs_f64();
+        report.check(
+            "ends at SIGTERM",
+            OWES,
+            match &self.ended {
+                None => Some(format!("it still runs {limit_s} s after SIGTERM")),
+                Some(how) if how.contains("status 0") => None,
+                Some(how) => Some(format!("it {how} after SIGTERM, and must end with status 0")),
+            },
+        );
+        report.figure("ended after", begun.elapsed().as_secs_f64(), "s");
+        Ok(())
+    }
+
+    /// Ends the instance, and gives what the candidate wrote.
+    pub fn finish(mut self) -> String {
+        self.process.signal(rustix::process::Signal::KILL);
+        // Its last lines are of no use any more.
+        let _ = self.wait(Duration::from_secs(1), |bench| Ok(bench.ended.as_ref().map(|_| ())));
+        self.lines.join("\n")
+    }
+}

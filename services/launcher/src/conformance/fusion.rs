@@ -1,0 +1,316 @@
+//! A fusion alone: records of a body whose pose is known, in the place of all other stages.
+
+use std::time::Duration;
+
+use flockeye_config::Resolved;
+use flockeye_contract::{
+    DetectedMarker, DetectionHeader, Detections, FrameEnd, FrameEnds, FrameStamp, MeasuredBy,
+    PlanHeader, Plans, StopReason, Track, TrackHeader, TrackState, Tracks,
+};
+use flockeye_geometry::body::Body;
+use flockeye_geometry::statistics::median;
+use flockeye_runtime::clock;
+use flockeye_runtime::ports::{Publisher, Subscriber};
+use nalgebra::{Isometry3, Matrix6, Point3, Translation3, UnitQuaternion, Vector3};
+
+use super::bench::Bench;
+use super::report::Report;
+
+const PAGE: &str = "Fusion (view, detection, frame_end, rotation to track, plan)";
+const TRACK_PAGE: &str = "Layout";
+const MUST_PASS: &str = "What a message must pass";
+
+/// Frames in which the body is seen.
+const FRAMES: u64 = 45;
+const INTERVAL: Duration = Duration::from_millis(33);
+/// So long a frame may take from its end to its last word.
+const PATIENCE: Duration = Duration::from_secs(1);
+/// Stated deviation of rays, radians.
+const DEVIATION_RAD: f64 = 3e-4;
+
+/// What fusion said of a frame.
+#[derive(Default)]
+struct Told {
+    tracks: Vec<Track>,
+    lasts: u32,
+    plan: Option<PlanHeader>,
+}
+
+struct Script<'r> {
+    resolved: &'r Resolved,
+    records: Publisher<Detections>,
+    ends: Publisher<FrameEnds>,
+    tracks: Subscriber<Tracks>,
+    plans: Subscriber<Plans>,
+    plan_id: u64,
+    sequence: u64,
+}
+
+/// Tests it.
+///
+/// # Errors
+/// A port that fails.
+pub fn run(bench: &mut Bench, resolved: &Resolved, report: &mut Report) -> anyhow::Result<()> {
+    let mut script = Script {
+        resolved,
+        records: bench.ports.publisher()?,
+        ends: bench.ports.publisher()?,
+        tracks: bench.ports.subscriber()?,
+        plans: bench.ports.subscriber()?,
+        plan_id: 0,
+        sequence: 0,
+    };
+    if script.first_plan(bench, report)? {
+        script.body_in_sight(bench, report)?;
+        script.body_out_of_sight(bench, report)?;
+        script.malformed(bench, report)?;
+    }
+    bench.pass(Duration::from_millis(800))?;
+    Ok(())
+}
+
+impl Script<'_> {
+    fn first_plan(&mut self, bench: &mut Bench, report: &mut Report) -> anyhow::Result<bool> {
+        let plans = &mut self.plans;
+        let plan = bench.wait(PATIENCE, |_| Ok(plans.receive_with_verdict()?))?;
+        report.holds("a first plan opens the flow", PAGE, plan.is_some(), || {
+            "no plan came before the first frame".to_owned()
+        });
+        let Some((plan, verdict)) = plan else { return Ok(false) };
+        let wrong = verdict.err().map(|error| error.to_string());
+        report.check("plans pass the contract's check", MUST_PASS, wrong);
+        report.field("a first plan opens the flow", PAGE, "has_after", plan.header.has_after, 0);
+        self.plan_id = plan.header.plan_id;
+        Ok(true)
+    }
+
+    fn stamp(&mut self) -> FrameStamp {
+        self.sequence += 1;
+        let now_ns = clock::monotonic_ns();
+        FrameStamp {
+            sequence: self.sequence,
+            exposure_ns: now_ns - 10_000_000,
+            stream_ns: now_ns - 10_000_000,
+            published_ns: now_ns - 5_000_000,
+            ..FrameStamp::default()
+        }
+    }
+
+    /// A frame with one view, in which these markers were found, and what is said of it.
+    fn fly(
+        &mut self,
+        bench: &mut Bench,
+        report: &mut Report,
+        stamp: FrameStamp,
+        markers: &[DetectedMarker],
+    ) -> anyhow::Result<Told> {
+        let now_ns = clock::monotonic_ns();
+        let record = DetectionHeader {
+            stamp,
+            plan_id: self.plan_id,
+            taken_ns: stamp.published_ns,
+            issued_ns: stamp.published_ns,
+            received_ns: now_ns,
+            sent_ns: now_ns,
+            hits: markers.len() as u32,
+            ..DetectionHeader::default()
+        };
+        self.records.send(record, markers)?;
+        let end = FrameEnd {
+            stamp,
+            plan_id: self.plan_id,
+            taken_ns: stamp.published_ns,
+            ended_ns: now_ns,
+            views_issued: 1,
+            reason: StopReason::Complete.code(),
+            ..FrameEnd::default()
+        };
+        self.ends.send(end, &[])?;
+        let mut told = Told::default();
+        let (tracks, plans) = (&mut self.tracks, &mut self.plans);
+        let mut plan_id = self.plan_id;
+        bench.wait(PATIENCE, |_| {
+            while let Some((message, verdict)) = tracks.receive_with_verdict()? {
+                let wrong = verdict.err().map(|error| error.to_string());
+                report.check("tracks pass the contract's check", MUST_PASS, wrong);
+                let TrackHeader { stamp: of, generation, is_last } = message.header;
+                if of.is_same_frame(&stamp) {
+                    report.field("tracks say whose they are", PAGE, "generation", generation, 0);
+                    told.lasts += is_last;
+                    told.tracks.extend_from_slice(message.items());
+                }
+            }
+            while let Some((message, verdict)) = plans.receive_with_verdict()? {
+                let wrong = verdict.err().map(|error| error.to_string());
+                report.check("plans pass the contract's check", MUST_PASS, wrong);
+                let plan = message.header;
+                report.holds("plan_id rises", PAGE, plan.plan_id > plan_id, || {
+                    format!("plan_id is {} after {plan_id}", plan.plan_id)
+                });
+                plan_id = plan.plan_id;
+                if plan.has_after != 0 && plan.after.is_same_frame(&stamp) {
+                    told.plan = Some(plan);
+                }
+            }
+            Ok((told.lasts > 0 && told.plan.is_some()).then_some(()))
+        })?;
+        self.plan_id = plan_id;
+        report.holds(
+            "one track message with is_last for each frame",
+            PAGE,
+            told.lasts == 1,
+            || format!("frame {} had {} in {} s", stamp.sequence, told.lasts, PATIENCE.as_secs()),
+        );
+        report.holds("a plan follows each frame", PAGE, told.plan.is_some(), || {
+            format!("no plan came whose after is frame {}", stamp.sequence)
+        });
+        Ok(told)
+    }
+
+    /// A body that flies by.
+    fn body_in_sight(&mut self, bench: &mut Bench, report: &mut Report) -> anyhow::Result<()> {
+        let Some(body) = self.resolved.bodies.iter().next() else { return Ok(()) };
+        let (mut errors_mm, mut took_ms, mut measured, mut age_ns) =
+            (Vec::new(), Vec::new(), 0, -1);
+        let mut state = None;
+        for number in 0..FRAMES {
+            let stamp = self.stamp();
+            let pose = pose(number as f64 * INTERVAL.as_secs_f64());
+            let begun_ns = clock::monotonic_ns();
+            let told = self.fly(bench, report, stamp, &markers(body, &pose))?;
+            if told.lasts == 0 {
+                return Ok(());
+            }
+            took_ms.push((clock::monotonic_ns() - begun_ns) as f64 * 1e-6);
+            let truth =
+                self.resolved.observer_from_camera * pose * body.target_from_markers.inverse();
+            for track in told.tracks.iter().filter(|track| track.name.to_string() == body.name) {
+                report.field("tracks name their target", TRACK_PAGE, "target", track.target, 0);
+                let covariance = Matrix6::from_row_slice(&track.covariance);
+                report.holds(
+                    "covariances are positive",
+                    TRACK_PAGE,
+                    covariance.cholesky().is_some(),
+                    || format!("covariance of {} is {:?}", body.name, covariance.diagonal()),
+                );
+                report.holds("a track grows older", TRACK_PAGE, track.age_ns >= age_ns, || {
+                    format!("age_ns is {} after {age_ns}", track.age_ns)
+                });
+                (age_ns, state) = (track.age_ns, Some(track.state));
+                if track.measured_by != MeasuredBy::Nothing.code() {
+                    measured += 1;
+                    let found = Vector3::from(track.measured_observer_from_target.position);
+                    errors_mm.push((found - truth.translation.vector).norm() * 1e3);
+                }
+            }
+            bench.pass(INTERVAL)?;
+        }
+        report.holds("a body in sight is measured", PAGE, measured > 0, || {
+            format!("{} was in none of {FRAMES} frames, each with {} markers or more", body.name, 3)
+        });
+        let believed = [TrackState::Confirmed, TrackState::Measured].map(TrackState::code);
+        report.holds(
+            "a track is believed in time",
+            TRACK_PAGE,
+            state.is_some_and(|state| believed.contains(&state)),
+            || format!("after {FRAMES} frames in sight the state is {state:?}"),
+        );
+        report.figure(
+            "frames in which the body was measured",
+            measured as f64 / FRAMES as f64 * 100.0,
+            "%",
+        );
+        for (what, values, unit) in [
+            ("position error of a measurement by markers alone, median", &mut errors_mm, "mm"),
+            ("time from a frame's end to the next plan, median", &mut took_ms, "ms"),
+        ] {
+            values.sort_by(f64::total_cmp);
+            report.figure(what, median(values).unwrap_or(f64::NAN), unit);
+        }
+        Ok(())
+    }
+
+    /// Nobody is seen any more: a track ends once.
+    fn body_out_of_sight(&mut self, bench: &mut Bench, report: &mut Report) -> anyhow::Result<()> {
+        let frames =
+            (self.resolved.pipeline.fusion.coast_s * 1.5 / INTERVAL.as_secs_f64()) as u64 + 5;
+        let (mut lost, mut after) = (0, 0);
+        for _ in 0..frames {
+            let stamp = self.stamp();
+            let told = self.fly(bench, report, stamp, &[])?;
+            if told.lasts == 0 {
+                return Ok(());
+            }
+            after += if lost > 0 { told.tracks.len() } else { 0 };
+            lost +=
+                told.tracks.iter().filter(|track| track.state == TrackState::Lost.code()).count();
+            bench.pass(INTERVAL)?;
+        }
+        report.holds(
+            "a lost track says so at most once",
+            TRACK_PAGE,
+            lost <= 1 && after == 0,
+            || format!("state lost came {lost} times, and {after} tracks after it"),
+        );
+        Ok(())
+    }
+
+    /// What nobody should send costs nothing but itself.
+    fn malformed(&mut self, bench: &mut Bench, report: &mut Report) -> anyhow::Result<()> {
+        let stamp = self.stamp();
+        let marker =
+            DetectedMarker { rays_in_camera: [[2.0, 0.0, 0.0]; 4], ..DetectedMarker::default() };
+        let lies = [
+            (DetectionHeader { stamp, hits: 9, ..DetectionHeader::default() }, vec![]),
+            (DetectionHeader { stamp, ..DetectionHeader::default() }, vec![marker]),
+            (
+                DetectionHeader {
+                    stamp,
+                    worker: 99,
+                    view_index: u32::MAX,
+                    ..DetectionHeader::default()
+                },
+                vec![],
+            ),
+        ];
+        for (header, markers) in lies {
+            self.records.send(header, &markers)?;
+        }
+        self.ends.send(FrameEnd { stamp, reason: 77, ..FrameEnd::default() }, &[])?;
+        // The frame of the lies never becomes complete; the next one ends all the same.
+        bench.pass(self.resolved.pipeline.frame_deadline())?;
+        let stamp = self.stamp();
+        let told = self.fly(bench, report, stamp, &[])?;
+        report.holds(
+            "malformed records cost nothing else",
+            "What every stage owes",
+            told.lasts == 1,
+            || "the next frame was not ended".to_owned(),
+        );
+        Ok(())
+    }
+}
+
+/// Where the body's markers are in the camera frame, by time in seconds.
+fn pose(at_s: f64) -> Isometry3<f64> {
+    Isometry3::from_parts(
+        Translation3::new(0.8 + 0.1 * at_s, 0.3 * (1.5 * at_s).sin(), 0.2),
+        UnitQuaternion::from_euler_angles(0.1, 0.2, 0.6 * at_s),
+    )
+}
+
+/// What a detector finds of a body: the markers that face the camera.
+fn markers(body: &Body, pose: &Isometry3<f64>) -> Vec<DetectedMarker> {
+    let eye = pose.inverse_transform_point(&Point3::origin());
+    let facing = body
+        .markers
+        .iter()
+        .filter(|marker| marker.normal().dot(&(eye - marker.centre()).normalize()) > 0.5);
+    let found = facing.map(|marker| DetectedMarker {
+        rays_in_camera: marker.corners.map(|corner| (pose * corner).coords.normalize().into()),
+        deviations: [DEVIATION_RAD; 4],
+        id: marker.id,
+        ..DetectedMarker::default()
+    });
+    found.collect()
+}

@@ -1,0 +1,116 @@
+//! Pictures that the test knows all about: views that show a marker, and a sphere that tells each ray.
+
+use flockeye_contract::FrameHeader;
+use flockeye_dictionary::Dictionary;
+use nalgebra::{Isometry3, Point2, Point3, Translation3, UnitQuaternion, Vector3};
+
+/// Rays for each pixel, along each axis.
+const SAMPLES: usize = 3;
+const WHITE: f64 = 205.0;
+const BLACK: f64 = 35.0;
+const BACKGROUND: f64 = 120.0;
+
+/// A marker in front of a view.
+#[derive(Debug, Clone, Copy)]
+pub struct ShownMarker {
+    /// Its id.
+    pub id: u32,
+    /// From the printed pattern's middle (x right, y down, z into the paper) to the view's frame.
+    pub view_from_print: Isometry3<f64>,
+    /// Its black square's side, metres.
+    pub side_m: f64,
+}
+
+impl ShownMarker {
+    /// Marker `id` with sides of about `side_px` pixels in a view of this focal length, turned and tilted
+    /// differently for each `number`.
+    pub fn number(number: u32, id: u32, side_px: f64, focal_px: f64) -> Self {
+        let number = f64::from(number);
+        // Irrational steps, so that no two are alike.
+        let swing = |step: f64, reach: f64| reach * (std::f64::consts::TAU * number * step).sin();
+        let distance_m = 1.0 + swing(0.618_034, 0.2);
+        let side_m = side_px * distance_m / focal_px;
+        let turn = UnitQuaternion::from_euler_angles(
+            swing(0.414_214, 0.6),
+            swing(0.732_051, 0.6),
+            std::f64::consts::TAU * number * 0.236_068,
+        );
+        let aside = Translation3::new(swing(0.302_776, 0.12), swing(0.541_381, 0.12), distance_m);
+        Self { id, view_from_print: Isometry3::from_parts(aside, turn), side_m }
+    }
+
+    /// Where its corners are in a view of this size, clockwise from the printed top left, pixels.
+    pub fn corners(&self, size_px: u32, focal_px: f64) -> [Point2<f64>; 4] {
+        let middle = f64::from(size_px - 1) / 2.0;
+        [[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]].map(|[x, y]| {
+            let at = self.view_from_print * Point3::new(x * self.side_m, y * self.side_m, 0.0);
+            Point2::new(middle + focal_px * at.x / at.z, middle + focal_px * at.y / at.z)
+        })
+    }
+}
+
+/// A view's pixels, row by row: a grey wall, and the marker on a white sheet a cell wider than it.
+pub fn view(
+    dictionary: &Dictionary,
+    shown: Option<&ShownMarker>,
+    size_px: u32,
+    focal_px: f64,
+) -> Vec<u8> {
+    let Some((shown, print)) = shown.and_then(|shown| Some((shown, dictionary.print(shown.id)?)))
+    else {
+        return vec![BACKGROUND as u8; (size_px * size_px) as usize];
+    };
+    let print_from_view = shown.view_from_print.inverse();
+    let eye = print_from_view * Point3::origin();
+    let middle = f64::from(size_px - 1) / 2.0;
+    let cells = print.cells() as f64;
+    let light = |u: f64, v: f64| {
+        let ray = Vector3::new((u - middle) / focal_px, (v - middle) / focal_px, 1.0);
+        let ray = print_from_view * ray;
+        let reach = -eye.z / ray.z;
+        let at = eye + ray * reach;
+        // In cells from the black square's top left.
+        let [x, y] = [at.x, at.y].map(|along| (along / shown.side_m + 0.5) * cells);
+        let is_on_sheet = [x, y].iter().all(|along| (-1.0..=cells + 1.0).contains(along));
+        match is_on_sheet && reach > 0.0 {
+            false => BACKGROUND,
+            true if print.is_white(y.floor() as isize, x.floor() as isize) => WHITE,
+            true => BLACK,
+        }
+    };
+    let pixel = |index: u32| {
+        let (u, v) = (f64::from(index % size_px), f64::from(index / size_px));
+        let offset = |k: usize| (k as f64 + 0.5) / SAMPLES as f64 - 0.5;
+        let sum: f64 = (0..SAMPLES * SAMPLES)
+            .map(|k| light(u + offset(k % SAMPLES), v + offset(k / SAMPLES)))
+            .sum();
+        (sum / (SAMPLES * SAMPLES) as f64).round() as u8
+    };
+    (0..size_px * size_px).map(pixel).collect()
+}
+
+/// What the sphere shows along a ray in the camera frame: smooth, and different wherever one looks.
+pub fn level(ray: &Vector3<f64>) -> f64 {
+    let [x, y, z] = [ray.x, ray.y, ray.z];
+    128.0 + 50.0 * x * (3.0 * y).cos() + 45.0 * (4.0 * z).sin() * y + 20.0 * z
+}
+
+/// The sphere as an equirectangular picture: rows of `stride` bytes.
+pub fn sphere(header: &FrameHeader) -> Vec<u8> {
+    let (width, height, stride) = (header.width, header.height, header.stride as usize);
+    let mut pixels = vec![0; stride * height as usize];
+    let longitudes: Vec<(f64, f64)> = (0..width)
+        .map(|u| {
+            ((0.5 - (f64::from(u) + 0.5) / f64::from(width)) * std::f64::consts::TAU).sin_cos()
+        })
+        .collect();
+    for (v, row) in pixels.chunks_mut(stride).enumerate() {
+        let latitude = (0.5 - (v as f64 + 0.5) / f64::from(height)) * std::f64::consts::PI;
+        let (up, level_part) = latitude.sin_cos();
+        for (pixel, (sin, cos)) in row.iter_mut().zip(&longitudes) {
+            let ray = Vector3::new(level_part * cos, level_part * sin, up);
+            *pixel = level(&ray).round() as u8;
+        }
+    }
+    pixels
+}

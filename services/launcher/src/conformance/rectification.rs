@@ -1,0 +1,500 @@
+//! A rectification alone: a sphere whose every ray is known, plans, and answers in the workers' place.
+
+use std::time::Duration;
+
+use anyhow::ensure;
+use flockeye_config::Resolved;
+use flockeye_contract::{
+    DetectedMarker, DetectionHeader, Detections, FrameEnd, FrameEnds, FrameHeader, FrameStamp,
+    Frames, NONE, PlanHeader, PlannedView, Plans, Projection, StopReason, StopRule, Transfer,
+    ViewHeader, ViewKind, Views,
+};
+use flockeye_geometry::camera::CameraModel;
+use flockeye_geometry::view::View;
+use flockeye_runtime::clock;
+use flockeye_runtime::ports::{Publisher, Subscriber};
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+
+use super::bench::Bench;
+use super::pictures;
+use super::report::Report;
+
+const PAGE: &str = "Rectification (frame, plan, detection to view, frame_end)";
+const MUST_PASS: &str = "What a message must pass";
+
+/// So long a frame may take from its publication to its end.
+const PATIENCE: Duration = Duration::from_secs(5);
+/// A plan is stale after this.
+const STALE: Duration = Duration::from_millis(1200);
+/// Mean difference of a view's pixels from what the sphere shows along their rays, levels.
+const MEAN_ERROR_LEVELS: f64 = 1.0;
+/// A view that is turned by its rate must be so near to where it should look, radians.
+const TURN_ERROR_RAD: f64 = 1e-6;
+/// How fast planned views turn in the test, rad/s.
+const RATE: [f64; 3] = [0.2, -0.4, 0.9];
+
+/// A view as it came.
+struct Cut {
+    header: ViewHeader,
+    lane: usize,
+    error_levels: f64,
+}
+
+/// What a frame led to.
+#[derive(Default)]
+struct Told {
+    views: Vec<Cut>,
+    end: Option<FrameEnd>,
+}
+
+struct Script<'r> {
+    resolved: &'r Resolved,
+    frames: Publisher<Frames>,
+    plans: Publisher<Plans>,
+    records: Publisher<Detections>,
+    views: Vec<Subscriber<Views>>,
+    ends: Subscriber<FrameEnds>,
+    picture: Vec<u8>,
+    sequence: u64,
+    plan_id: u64,
+}
+
+/// Tests it.
+///
+/// # Errors
+/// A camera that is not equirectangular, or a port that fails.
+pub fn run(bench: &mut Bench, resolved: &Resolved, report: &mut Report) -> anyhow::Result<()> {
+    ensure!(
+        matches!(resolved.camera.model(), CameraModel::Equirectangular { .. }),
+        "rectification is tested with equirectangular frames. Cure: leave camera.projection as it is"
+    );
+    let mut script = Script {
+        resolved,
+        frames: bench.ports.publisher()?,
+        plans: bench.ports.publisher()?,
+        records: bench.ports.publisher()?,
+        views: bench.ports.subscribers_of_all_lanes()?,
+        ends: bench.ports.subscriber()?,
+        picture: Vec::new(),
+        sequence: 0,
+        plan_id: 0,
+    };
+    script.picture = pictures::sphere(&script.frame());
+    script.sweep(bench, report)?;
+    script.planned(bench, report)?;
+    script.first_hit(bench, report)?;
+    script.silent_worker(bench, report)?;
+    script.malformed(bench, report)?;
+    bench.pass(Duration::from_millis(800))?;
+    Ok(())
+}
+
+impl Script<'_> {
+    fn frame(&mut self) -> FrameHeader {
+        let now_ns = clock::monotonic_ns();
+        self.sequence += 1;
+        let camera = &self.resolved.pipeline.camera;
+        FrameHeader {
+            stamp: FrameStamp {
+                sequence: self.sequence,
+                exposure_ns: now_ns - 1_000_000,
+                stream_ns: now_ns,
+                published_ns: now_ns,
+                ..FrameStamp::default()
+            },
+            width: camera.width,
+            height: camera.height,
+            stride: camera.width,
+            transfer: Transfer::Linear.code(),
+            projection: Projection::Equirectangular.code(),
+            ..FrameHeader::default()
+        }
+    }
+
+    /// Sends a plan of the first `count` tiles, turning.
+    fn plan(&mut self, count: usize, rule: StopRule) -> anyhow::Result<Vec<PlannedView>> {
+        self.plan_id += 1;
+        let now_ns = clock::monotonic_ns();
+        let tiles = self.resolved.partition_views.iter().cycle().zip(0..).take(count);
+        let planned: Vec<PlannedView> = tiles
+            .map(|(view, tile)| PlannedView {
+                camera_from_view: view.camera_from_view.coords.into(),
+                rate_in_camera: RATE,
+                reference_ns: now_ns,
+                focal_px: view.focal_px,
+                size_px: view.size_px,
+                kind: ViewKind::Partition.code(),
+                tile,
+                target: NONE,
+                search: tile % 3,
+                ..PlannedView::default()
+            })
+            .collect();
+        let header = PlanHeader {
+            plan_id: self.plan_id,
+            made_ns: now_ns,
+            stop_rule: rule.code(),
+            view_budget: count as u32,
+            ..PlanHeader::default()
+        };
+        self.plans.send(header, &planned)?;
+        Ok(planned)
+    }
+
+    /// Sends a frame, and answers its views as `answer` says until it ends and all are answered: how many hits
+    /// each has, or `None` for no answer.
+    fn fly(
+        &mut self,
+        bench: &mut Bench,
+        report: &mut Report,
+        mut answer: impl FnMut(&ViewHeader) -> Option<u32>,
+    ) -> anyhow::Result<(FrameHeader, Told)> {
+        let frame = self.frame();
+        self.frames.send(frame, &self.picture)?;
+        let mut told = Told::default();
+        let mut open = 0;
+        let (views, ends, records) = (&mut self.views, &mut self.ends, &self.records);
+        bench.wait(PATIENCE, |_| {
+            for (lane, views) in views.iter_mut().enumerate() {
+                while let Some((message, verdict)) = views.receive_with_verdict()? {
+                    let is_whole = verdict.is_ok();
+                    let wrong = verdict.err().map(|error| error.to_string());
+                    report.check("views pass the contract's check", MUST_PASS, wrong);
+                    if !is_whole || !message.header.stamp.is_same_frame(&frame.stamp) {
+                        continue;
+                    }
+                    let header = message.header;
+                    let error_levels = error_levels(&header, message.items());
+                    told.views.push(Cut { header, lane, error_levels });
+                    match answer(&header) {
+                        Some(hits) => records.send(answer_to(&header, hits), &markers(hits))?,
+                        None => open += 1,
+                    }
+                }
+            }
+            while let Some((message, verdict)) = ends.receive_with_verdict()? {
+                let wrong = verdict.err().map(|error| error.to_string());
+                report.check("frame ends pass the contract's check", MUST_PASS, wrong);
+                if message.header.stamp.is_same_frame(&frame.stamp) {
+                    let is_second = told.end.replace(message.header).is_some();
+                    report.holds("one frame_end for each frame", PAGE, !is_second, || {
+                        format!("frame {} ended twice", frame.stamp.sequence)
+                    });
+                }
+            }
+            let issued = told.end.map(|end| end.views_issued as usize);
+            let answered = told.views.len() - open;
+            Ok(issued.is_some_and(|issued| answered >= issued).then_some(()))
+        })?;
+        report.holds("one frame_end for each frame", PAGE, told.end.is_some(), || {
+            format!("frame {} got none in {} s", frame.stamp.sequence, PATIENCE.as_secs())
+        });
+        self.check_views(report, &frame, &told);
+        Ok((frame, told))
+    }
+
+    fn check_views(&self, report: &mut Report, frame: &FrameHeader, told: &Told) {
+        for Cut { header, lane, error_levels } in &told.views {
+            report.field(
+                "views lie in their worker's lane",
+                PAGE,
+                "worker",
+                header.worker as usize,
+                *lane,
+            );
+            report.field("views say whose they are", PAGE, "generation", header.generation, 0);
+            let copied = [
+                ("transfer", header.transfer, frame.transfer),
+                ("range", header.range, frame.range),
+            ];
+            for (field, found, wanted) in copied {
+                report.field("fields are copied from the frame", PAGE, field, found, wanted);
+            }
+            report.field(
+                "fields are copied from the frame",
+                PAGE,
+                "stamp",
+                header.stamp,
+                frame.stamp,
+            );
+            report.holds("pixels lie along the rays that the view states", PAGE, *error_levels < MEAN_ERROR_LEVELS, || {
+                format!(
+                    "the pixels of view_index {} differ by {error_levels:.1} levels in the mean; {MEAN_ERROR_LEVELS} may be",
+                    header.view_index
+                )
+            });
+        }
+        let Some(end) = &told.end else { return };
+        let first_cuts: Vec<u32> = told
+            .views
+            .iter()
+            .filter(|cut| cut.header.attempt == 0)
+            .map(|cut| cut.header.view_index)
+            .collect();
+        let mut sorted = first_cuts.clone();
+        sorted.sort_unstable();
+        let wanted: Vec<u32> = (0..end.views_issued).collect();
+        report.holds("views_issued counts the views", PAGE, sorted == wanted, || {
+            format!("views_issued is {}, and the views' indices are {sorted:?}", end.views_issued)
+        });
+        let last_ns = told
+            .views
+            .iter()
+            .filter(|cut| cut.header.attempt == 0)
+            .map(|cut| cut.header.issued_ns)
+            .max();
+        report.holds(
+            "a frame ends after its last view",
+            PAGE,
+            last_ns.is_none_or(|last| end.ended_ns >= last),
+            || {
+                format!(
+                    "ended_ns is {} ms before the last view's issued_ns",
+                    (last_ns.unwrap_or(0) - end.ended_ns) / 1_000_000
+                )
+            },
+        );
+    }
+
+    /// Without a plan it sweeps.
+    fn sweep(&mut self, bench: &mut Bench, report: &mut Report) -> anyhow::Result<()> {
+        let (_, told) = self.fly(bench, report, |_| Some(0))?;
+        for cut in &told.views {
+            report.field(
+                "without a plan it sweeps by plan_id 0",
+                PAGE,
+                "plan_id",
+                cut.header.plan_id,
+                0,
+            );
+        }
+        report.holds("without a plan it sweeps by plan_id 0", PAGE, !told.views.is_empty(), || {
+            "no view was cut".to_owned()
+        });
+        Ok(())
+    }
+
+    /// A plan is followed, and its views turn with the camera.
+    fn planned(&mut self, bench: &mut Bench, report: &mut Report) -> anyhow::Result<()> {
+        let mut took_ms = Vec::new();
+        for _ in 0..10 {
+            let planned = self.plan(4, StopRule::All)?;
+            let (frame, told) = self.fly(bench, report, |_| Some(0))?;
+            if !bench.runs(report) {
+                return Ok(());
+            }
+            let Some(end) = told.end else { return Ok(()) };
+            report.field(
+                "a plan is followed to its end",
+                PAGE,
+                "views_issued",
+                end.views_issued,
+                4,
+            );
+            report.field(
+                "a plan is followed to its end",
+                PAGE,
+                "reason",
+                end.reason,
+                StopReason::Complete.code(),
+            );
+            report.field(
+                "a plan is followed to its end",
+                PAGE,
+                "plan_id",
+                end.plan_id,
+                self.plan_id,
+            );
+            took_ms.push((end.ended_ns - end.taken_ns) as f64 * 1e-6);
+            for cut in &told.views {
+                let header = &cut.header;
+                let Some(planned) = planned.get(header.view_index as usize) else { continue };
+                for (field, found, wanted) in [
+                    ("kind", header.kind, planned.kind),
+                    ("tile", header.tile, planned.tile),
+                    ("target", header.target, planned.target),
+                    ("search", header.search, planned.search),
+                    ("size_px", header.size_px, planned.size_px),
+                ] {
+                    report.field("fields are copied from the plan", PAGE, field, found, wanted);
+                }
+                let since_s = (frame.stamp.exposure_ns - planned.reference_ns) as f64 * 1e-9;
+                let turn = UnitQuaternion::from_scaled_axis(Vector3::from(RATE) * since_s);
+                let wanted = turn * rotation(&planned.camera_from_view);
+                let off_rad = wanted.angle_to(&rotation(&header.camera_from_view));
+                report.holds(
+                    "views are turned to the exposure",
+                    PAGE,
+                    off_rad < TURN_ERROR_RAD,
+                    || {
+                        format!(
+                            "camera_from_view of view_index {} is {:.3} mrad off",
+                            header.view_index,
+                            off_rad * 1e3
+                        )
+                    },
+                );
+            }
+        }
+        took_ms.sort_by(f64::total_cmp);
+        let median = flockeye_geometry::statistics::median(&took_ms);
+        report.figure("time for a frame of 4 views, median", median.unwrap_or(f64::NAN), "ms");
+        Ok(())
+    }
+
+    /// The search stops at a hit.
+    fn first_hit(&mut self, bench: &mut Bench, report: &mut Report) -> anyhow::Result<()> {
+        let window = self.resolved.pipeline.rectification.window;
+        let in_flight = window * self.resolved.pipeline.detection_workers();
+        let count = in_flight as usize + 6;
+        self.plan(count, StopRule::FirstHit)?;
+        let (_, told) = self.fly(bench, report, |_| Some(1))?;
+        if let Some(end) = told.end {
+            report.field(
+                "first_hit stops at a hit",
+                PAGE,
+                "reason",
+                end.reason,
+                StopReason::Hit.code(),
+            );
+            let (issued, abandoned) = (end.views_issued, end.views_abandoned);
+            report.holds("first_hit stops at a hit", PAGE, (issued as usize) < count, || {
+                format!("views_issued is {issued} although the first view had a hit")
+            });
+            report.field(
+                "views_abandoned counts the rest",
+                PAGE,
+                "views_abandoned",
+                abandoned,
+                count as u32 - issued,
+            );
+        }
+        Ok(())
+    }
+
+    /// A worker that does not answer loses its views to another.
+    fn silent_worker(&mut self, bench: &mut Bench, report: &mut Report) -> anyhow::Result<()> {
+        if self.views.len() < 2 {
+            return Ok(());
+        }
+        self.plan(2, StopRule::All)?;
+        let (_, told) = self.fly(bench, report, |view| (view.worker != 0).then_some(0))?;
+        let of_silent = told.views.iter().filter(|cut| cut.header.worker == 0);
+        for lost in of_silent {
+            let (index, attempt) = (lost.header.view_index, lost.header.attempt);
+            let again = told.views.iter().find(|cut| {
+                cut.header.view_index == index
+                    && cut.header.worker != 0
+                    && cut.header.attempt > attempt
+            });
+            report.holds("a silent worker's views go to others", PAGE, again.is_some(), || {
+                format!("view_index {index} of worker 0 was never cut for another worker, with a higher attempt")
+            });
+        }
+        Ok(())
+    }
+
+    /// What nobody should send costs nothing but itself.
+    fn malformed(&mut self, bench: &mut Bench, report: &mut Report) -> anyhow::Result<()> {
+        let honest = self.frame();
+        let small = vec![0; 64];
+        for frame in [
+            FrameHeader { height: 60_000, ..honest },
+            FrameHeader { width: 0, height: 0, stride: 0, ..honest },
+            FrameHeader { pixel_format: 77, ..honest },
+        ] {
+            self.frames.send(frame, &small)?;
+        }
+        let plan = PlanHeader {
+            plan_id: self.plan_id + 50,
+            made_ns: clock::monotonic_ns(),
+            ..PlanHeader::default()
+        };
+        for view in [
+            PlannedView { size_px: 0, focal_px: 100.0, ..PlannedView::default() },
+            PlannedView {
+                camera_from_view: [f64::NAN; 4],
+                size_px: 100,
+                focal_px: 100.0,
+                ..PlannedView::default()
+            },
+        ] {
+            self.plans.send(plan, &[view])?;
+        }
+        bench.pass(STALE)?;
+        if bench.runs(report) {
+            let (_, told) = self.fly(bench, report, |_| Some(0))?;
+            report.holds(
+                "malformed frames and plans cost nothing else",
+                "What every stage owes",
+                !told.views.is_empty(),
+                || "the next frame had no view".to_owned(),
+            );
+            for cut in &told.views {
+                report.field(
+                    "a plan older than 1 s is not followed",
+                    PAGE,
+                    "plan_id",
+                    cut.header.plan_id,
+                    0,
+                );
+            }
+        }
+        Ok(())
+    }
+}
+
+fn rotation(&[x, y, z, w]: &[f64; 4]) -> UnitQuaternion<f64> {
+    UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z))
+}
+
+/// How far a view's pixels are from what the sphere shows along their rays, in the mean over some of them.
+fn error_levels(header: &ViewHeader, pixels: &[u8]) -> f64 {
+    let view = View {
+        camera_from_view: rotation(&header.camera_from_view),
+        focal_px: header.focal_px,
+        size_px: header.size_px,
+    };
+    let middle = f64::from(header.size_px - 1) / 2.0;
+    let step = (header.size_px / 40).max(1) as usize;
+    let (mut sum, mut count) = (0.0, 0.0);
+    for v in (0..header.size_px).step_by(step) {
+        for u in (0..header.size_px).step_by(step) {
+            let [x, y] = [u, v].map(|at| (f64::from(at) - middle) / view.focal_px);
+            let ray = view.camera_from_view * Vector3::new(x, y, 1.0).normalize();
+            let found = f64::from(pixels[(v * header.stride + u) as usize]);
+            sum += (found - pictures::level(&ray)).abs();
+            count += 1.0;
+        }
+    }
+    sum / count
+}
+
+fn answer_to(view: &ViewHeader, hits: u32) -> DetectionHeader {
+    let now_ns = clock::monotonic_ns();
+    DetectionHeader {
+        stamp: view.stamp,
+        plan_id: view.plan_id,
+        taken_ns: view.taken_ns,
+        issued_ns: view.issued_ns,
+        received_ns: now_ns,
+        sent_ns: now_ns,
+        view_index: view.view_index,
+        attempt: view.attempt,
+        worker: view.worker,
+        hits,
+        view_generation: view.generation,
+        ..DetectionHeader::default()
+    }
+}
+
+/// So many markers, somewhere.
+fn markers(count: u32) -> Vec<DetectedMarker> {
+    let marker = |id| DetectedMarker {
+        rays_in_camera: [[1.0, 0.0, 0.0]; 4],
+        deviations: [1e-3; 4],
+        id,
+        ..DetectedMarker::default()
+    };
+    (0..count).map(marker).collect()
+}

@@ -1,0 +1,126 @@
+//! What was checked, and what was found.
+
+use std::fmt::Write;
+
+use serde::Serialize;
+
+/// The checks of a test, and the candidate's figures.
+#[derive(Debug, Default, Serialize)]
+pub struct Report {
+    checks: Vec<Check>,
+    figures: Vec<Figure>,
+}
+
+/// One thing that the contract asks for.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+struct Check {
+    what: &'static str,
+    /// The heading in docs/CONTRACT.md.
+    page: &'static str,
+    /// The first thing that was wrong; `None`: it holds.
+    wrong: Option<String>,
+    /// How often it was wrong.
+    times: u32,
+}
+
+/// How good the candidate is.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+struct Figure {
+    what: &'static str,
+    value: f64,
+    unit: &'static str,
+}
+
+impl Report {
+    /// Notes that something was checked: `wrong` says what is not as it must be. Of the same check only the
+    /// first finding is kept.
+    pub fn check(&mut self, what: &'static str, page: &'static str, wrong: Option<String>) {
+        let check = match self.checks.iter().position(|check| check.what == what) {
+            Some(known) => &mut self.checks[known],
+            None => {
+                self.checks.push(Check { what, page, wrong: None, times: 0 });
+                let last = self.checks.len() - 1;
+                &mut self.checks[last]
+            }
+        };
+        if let Some(wrong) = wrong {
+            check.times += 1;
+            check.wrong.get_or_insert(wrong);
+        }
+    }
+
+    /// Checks that something holds; `wrong` is asked what is wrong where it does not.
+    pub fn holds(
+        &mut self,
+        what: &'static str,
+        page: &'static str,
+        holds: bool,
+        wrong: impl FnOnce() -> String,
+    ) {
+        self.check(what, page, (!holds).then(wrong));
+    }
+
+    /// Checks that a field is as it must be.
+    pub fn field<T: PartialEq + std::fmt::Debug>(
+        &mut self,
+        what: &'static str,
+        page: &'static str,
+        field: &str,
+        found: T,
+        wanted: T,
+    ) {
+        let wrong = format!("{field} is {found:?}, and must be {wanted:?}");
+        self.holds(what, page, found == wanted, || wrong);
+    }
+
+    /// Notes a figure.
+    pub fn figure(&mut self, what: &'static str, value: f64, unit: &'static str) {
+        self.figures.push(Figure { what, value, unit });
+    }
+
+    /// How many checks failed.
+    pub fn failed(&self) -> usize {
+        self.checks.iter().filter(|check| check.wrong.is_some()).count()
+    }
+
+    /// For people: what failed comes with the first finding and its page.
+    pub fn text(&self) -> String {
+        let mut text = String::new();
+        for Check { what, page, wrong, times } in &self.checks {
+            // Writing to a string cannot fail.
+            let _ = match wrong {
+                None => writeln!(text, "ok     {what}"),
+                Some(wrong) => writeln!(
+                    text,
+                    "FAILS  {what}: {wrong}{} (docs/CONTRACT.md, \"{page}\")",
+                    if *times > 1 { format!("; {times} times in all") } else { String::new() }
+                ),
+            };
+        }
+        for Figure { what, value, unit } in &self.figures {
+            let _ = writeln!(text, "       {what}: {value:.2} {unit}");
+        }
+        text.trim_end().to_owned()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_check_that_fails_once_has_failed_and_shows_its_first_finding() {
+        let mut report = Report::default();
+        for (found, wanted) in [(1, 1), (2, 1), (3, 1)] {
+            report.field("copied fields", "Detection", "view_index", found, wanted);
+        }
+        report.holds("health", "What every stage owes", true, || "never shown".to_owned());
+        report.figure("time", 1.5, "ms");
+        assert_eq!(report.failed(), 1);
+        assert_eq!(
+            report.text(),
+            "FAILS  copied fields: view_index is 2, and must be 1; 2 times in all (docs/CONTRACT.md, \
+             \"Detection\")\nok     health\n       time: 1.50 ms"
+        );
+    }
+}
