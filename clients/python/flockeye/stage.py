@@ -27,6 +27,7 @@ class Stage:
         self.replica = int(os.environ.get("FLOCKEYE_REPLICA", 0))
         self.generation = int(os.environ.get("FLOCKEYE_GENERATION", 0))
         self._is_stopping = False
+        self._publishers = []
         self._wake_s = None
         self._state = StageState.STARTING
         for number in (signal.SIGTERM, signal.SIGINT):
@@ -69,7 +70,9 @@ class Stage:
     def publisher(self, topic, max_items=0, max_loans=1):
         """Publishes a topic; see `Instance.publisher`. View lanes of a lossless run wait for their readers."""
         waits = self.is_lossless and topic.service.startswith("flockeye/view/")
-        return self.instance.publisher(topic, max_items, max_loans, waits)
+        publisher = self.instance.publisher(topic, max_items, max_loans, waits)
+        self._publishers.append(publisher)
+        return publisher
 
     def ready(self, detail):
         """Says that everything is open; `detail` tells people what the stage works with."""
@@ -112,6 +115,9 @@ class Stage:
         waker = Waker(subscribers)
         while not self._is_stopping:
             self._wake_s = None
+            # Whoever has joined since gets what is kept for late ones: the last plan.
+            for publisher in self._publishers:
+                publisher.update_connections()
             yield
             self._health_if_due()
             until_s = min(self._next_health_s, self._wake_s or self._next_health_s)

@@ -179,11 +179,6 @@ impl Bench {
         self.newest.map_or(0.0, |health| health.resident_bytes as f64 / 1e6)
     }
 
-    /// Its newest health.
-    pub fn health(&self) -> Option<&Health> {
-        self.newest.as_ref()
-    }
-
     fn look(&mut self) -> anyhow::Result<()> {
         while let Some((message, _)) = self.healths.receive_with_verdict()? {
             self.longest_silence = self.longest_silence.max(self.heard.elapsed());
