@@ -5,8 +5,10 @@
 //! led to; it is called again until there is nothing left to do.
 
 mod events;
+mod refusal;
 
 pub use events::{EndedFrame, Event, Outputs};
+pub use refusal::Refusal;
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -14,6 +16,7 @@ use flockeye_contract::{DetectedMarker, FrameOrder, FrameStamp, Rotation, ViewHe
 use flockeye_convert::{camera_turn, purpose_of, search_of, view_of};
 use flockeye_geometry::search::Purpose;
 
+use self::refusal::Guard;
 use crate::frame_assembly::{Frame, FrameAssembly, Leave, Record};
 use crate::measurement::agrees_with_view;
 use crate::notices::Notice;
@@ -67,6 +70,8 @@ pub struct Core<P> {
     /// The newest frame of which a view has come.
     newest: Option<FrameStamp>,
     notices: Vec<Notice>,
+    /// `None` where any frame may come.
+    guard: Option<Guard>,
 }
 
 impl<P: Pixels> Core<P> {
@@ -97,7 +102,13 @@ impl<P: Pixels> Core<P> {
             complete: None,
             newest: None,
             notices: Vec::new(),
+            guard: None,
         }
+    }
+
+    /// Refuses what cannot be true in a flight by CLOCK_MONOTONIC with so many detection workers.
+    pub fn guarded(self, workers: u32) -> Self {
+        Self { guard: Some(Guard::new(workers)), ..self }
     }
 
     /// What a successor needs to go on.
@@ -157,6 +168,10 @@ impl<P: Pixels> Core<P> {
 
     /// Notes an event that came at `now_ns`.
     pub fn on(&mut self, event: Event<P>, now_ns: i64) {
+        if let Some(refusal) = self.refusal(&event, now_ns) {
+            self.notices.push(Notice::Refused(refusal));
+            return;
+        }
         match event {
             Event::View(header, pixels) => self.on_view(header, pixels, now_ns),
             Event::Searched(record) => self.on_record(record, now_ns),

@@ -3,6 +3,8 @@
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::logs::Throttle;
 
+use crate::core::Refusal;
+
 /// Something that a person should know of.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Notice {
@@ -25,6 +27,8 @@ pub enum Notice {
     },
     /// A record came that nobody waits for.
     LateRecord,
+    /// A message that cannot be true.
+    Refused(Refusal),
 }
 
 /// Counts notices and logs them.
@@ -34,6 +38,7 @@ pub struct Reporter {
     disagreements: Throttle,
     unknown_markers: Throttle,
     incomplete: Throttle,
+    refusals: Throttle,
 }
 
 impl Reporter {
@@ -44,6 +49,7 @@ impl Reporter {
             disagreements: Throttle::default(),
             unknown_markers: Throttle::default(),
             incomplete: Throttle::default(),
+            refusals: Throttle::default(),
         }
     }
 
@@ -82,6 +88,16 @@ impl Reporter {
                 }
             }
             Notice::LateRecord => self.counters.add_dropped(1),
+            Notice::Refused(refusal) => {
+                self.counters.add_failed(1);
+                if let Some(more) = self.refusals.admit() {
+                    tracing::warn!(
+                        more_since = more,
+                        "a message is refused: {refusal}. Cure: mend the stage that sends it; \
+                         docs/CONTRACT.md says what is to be copied"
+                    );
+                }
+            }
         }
     }
 }

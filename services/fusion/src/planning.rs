@@ -116,6 +116,11 @@ impl Planning {
         }
     }
 
+    /// How many views a plan has, as far as it is remembered.
+    pub fn views_of(&self, plan_id: u64) -> Option<usize> {
+        self.remembered.get(&plan_id).map(|(purposes, _)| purposes.len())
+    }
+
     /// The stop rule of a plan.
     pub fn stop_rule_of(&self, plan_id: u64) -> StopRule {
         self.remembered.get(&plan_id).map_or(StopRule::All, |(_, stop_rule)| *stop_rule)

@@ -99,6 +99,11 @@ pub fn configured<P: Pixels>(
         tracker,
         Planning::new(planner),
     );
+    // In a lossless run exposures have another clock.
+    let core = match pipeline.flow {
+        Flow::Latest => core.guarded(pipeline.detection_workers()),
+        Flow::Lossless => core,
+    };
     let mode = mode_code(pipeline.search.mode);
     let writer = Writer {
         bodies: bodies.clone(),

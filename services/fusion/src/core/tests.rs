@@ -162,6 +162,53 @@ fn a_snapshot_of_another_fusion_is_refused_or_counts_as_far_as_it_fits() {
     assert_eq!(successor.snapshot().planning.frames, 0, "the search begins anew");
 }
 
+#[test]
+fn what_cannot_be_true_is_refused_by_name_and_costs_nothing_else() {
+    const NOW_NS: i64 = 10_100_000_000;
+    let mut core = core(Schedule::Flight).guarded(1);
+    let plan = drain(&mut core, NOW_NS)[0].plan.as_ref().expect("the first plan").0.clone();
+    let (plan_id, planned) = (plan.plan_id, plan.plan.views.len() as u32);
+    let refused = |core: &mut Core<Vec<u8>>, event| {
+        core.on(event, NOW_NS);
+        let said = drain(core, NOW_NS);
+        let notices = said.iter().flat_map(|outputs| &outputs.notices);
+        notices
+            .filter_map(|notice| match notice {
+                Notice::Refused(refusal) => Some(refusal.to_string()),
+                _ => None,
+            })
+            .collect::<Vec<_>>()
+            .join("; ")
+    };
+    let record = |change: &dyn Fn(&mut DetectionHeader)| {
+        let Event::Searched(mut record) = searched(0, plan_id) else { unreachable!() };
+        change(&mut record.header);
+        Event::Searched(record)
+    };
+    let of_no_frame = refused(&mut core, record(&|_| {}));
+    assert_eq!(of_no_frame, "a record of frame 0, of which no view has been cut");
+    assert_eq!(refused(&mut core, region(0, plan_id)), "");
+    let of_nobody = refused(&mut core, record(&|header| header.worker = 7));
+    assert_eq!(of_nobody, "a record of worker 7; there are 1, counted from 0");
+    let unplanned = refused(&mut core, record(&|header| header.view_index = planned));
+    assert!(unplanned.ends_with("does not have"), "{unplanned}");
+    let of_later = refused(&mut core, record(&|header| header.stamp.sequence = u64::MAX));
+    assert!(of_later.starts_with("a record of frame 18446744073709551615"), "{of_later}");
+    let Event::View(mut view, pixels) = region(1, plan_id) else { unreachable!() };
+    view.stamp.exposure_ns += 60_000_000_000;
+    let of_the_future = refused(&mut core, Event::View(view, pixels));
+    assert!(of_the_future.contains("ms from now"), "{of_the_future}");
+    let false_end = refused(&mut core, frame_end(0, plan_id, planned + 1));
+    assert!(false_end.starts_with("the end of a frame with"), "{false_end}");
+    // None of this has opened a frame, or ended one.
+    for event in [record(&|_| {}), frame_end(0, plan_id, 1)] {
+        core.on(event, NOW_NS);
+    }
+    let said = drain(&mut core, NOW_NS);
+    assert_eq!(poses(&said), [0]);
+    assert!(is_ended(&said));
+}
+
 /// The targets of all estimates with a measurement, in the order in which they leave.
 fn poses(said: &[Outputs]) -> Vec<usize> {
     let messages = said.iter().flat_map(|outputs| &outputs.tracks);

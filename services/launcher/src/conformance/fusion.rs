@@ -4,8 +4,9 @@ use std::time::Duration;
 
 use flockeye_config::Resolved;
 use flockeye_contract::{
-    DetectedMarker, DetectionHeader, Detections, FrameEnd, FrameEnds, FrameStamp, MeasuredBy,
-    PlanHeader, Plans, StopReason, Track, TrackHeader, TrackState, Tracks,
+    DetectedMarker, DetectionHeader, Detections, FrameEnd, FrameEnds, FrameStamp, MeasuredBy, NONE,
+    PlanHeader, Plans, StopReason, Track, TrackHeader, TrackState, Tracks, ViewHeader, ViewKind,
+    Views,
 };
 use flockeye_geometry::body::Body;
 use flockeye_geometry::statistics::median;
@@ -25,6 +26,8 @@ const FRAMES: u64 = 45;
 const INTERVAL: Duration = Duration::from_millis(33);
 /// So long a frame may take from its end to its last word.
 const PATIENCE: Duration = Duration::from_secs(1);
+/// Pixels along a side of a view.
+const VIEW_PX: u32 = 16;
 /// Stated deviation of rays, radians.
 const DEVIATION_RAD: f64 = 3e-4;
 
@@ -38,6 +41,7 @@ struct Told {
 
 struct Script<'r> {
     resolved: &'r Resolved,
+    views: Publisher<Views>,
     records: Publisher<Detections>,
     ends: Publisher<FrameEnds>,
     tracks: Subscriber<Tracks>,
@@ -53,6 +57,7 @@ struct Script<'r> {
 pub fn run(bench: &mut Bench, resolved: &Resolved, report: &mut Report) -> anyhow::Result<()> {
     let mut script = Script {
         resolved,
+        views: bench.ports.publisher_of_lane(0)?,
         records: bench.ports.publisher()?,
         ends: bench.ports.publisher()?,
         tracks: bench.ports.subscriber()?,
@@ -105,6 +110,21 @@ impl Script<'_> {
         markers: &[DetectedMarker],
     ) -> anyhow::Result<Told> {
         let now_ns = clock::monotonic_ns();
+        let view = ViewHeader {
+            stamp,
+            plan_id: self.plan_id,
+            taken_ns: stamp.published_ns,
+            issued_ns: stamp.published_ns,
+            camera_from_view: [0.0, 0.0, 0.0, 1.0],
+            focal_px: f64::from(VIEW_PX),
+            size_px: VIEW_PX,
+            stride: VIEW_PX,
+            kind: ViewKind::Partition.code(),
+            target: NONE,
+            ..ViewHeader::default()
+        };
+        // It is too small to show anything: what counts is what is said of it.
+        self.views.send(view, &[128; (VIEW_PX * VIEW_PX) as usize])?;
         let record = DetectionHeader {
             stamp,
             plan_id: self.plan_id,

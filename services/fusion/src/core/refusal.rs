@@ -1,0 +1,151 @@
+//! Messages that pass the contract's check and yet cannot be true: of a worker that does not exist, of a view that
+//! nobody planned, of a frame that nobody has begun.
+
+use std::fmt;
+
+use flockeye_contract::{DetectionHeader, FrameEnd, FrameOrder, FrameStamp, ViewHeader};
+
+use super::{Core, Event};
+use crate::pictures::Pixels;
+use crate::planning::Planning;
+
+/// An exposure farther ahead of now than this is none, nanoseconds.
+const FARTHEST_AHEAD_NS: i64 = 1_000_000_000;
+/// Nor is one longer ago than this: no frame waits so long.
+const LONGEST_AGO_NS: i64 = 10_000_000_000;
+
+/// Why a message is refused.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Refusal {
+    /// There is no such worker.
+    UnknownWorker {
+        /// The worker that it names.
+        worker: u32,
+        /// How many there are.
+        workers: u32,
+    },
+    /// The plan that it follows has no such view.
+    UnplannedView {
+        /// The view.
+        view_index: u32,
+        /// The plan.
+        plan_id: u64,
+    },
+    /// Rectification has not begun this frame.
+    UnknownFrame {
+        /// Its sequence number.
+        sequence: u64,
+    },
+    /// More views than the plan has.
+    TooManyViews {
+        /// How many are said to be issued.
+        views: u32,
+        /// The plan.
+        plan_id: u64,
+    },
+    /// Nothing is exposed at such a time.
+    ImpossibleTime {
+        /// Milliseconds from now.
+        ahead_ms: i64,
+    },
+}
+
+impl fmt::Display for Refusal {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::UnknownWorker { worker, workers } => {
+                write!(f, "a record of worker {worker}; there are {workers}, counted from 0")
+            }
+            Self::UnplannedView { view_index, plan_id } => {
+                write!(f, "a record of view {view_index}, which plan {plan_id} does not have")
+            }
+            Self::UnknownFrame { sequence } => {
+                write!(f, "a record of frame {sequence}, of which no view has been cut")
+            }
+            Self::TooManyViews { views, plan_id } => {
+                write!(f, "the end of a frame with {views} views, more than plan {plan_id} has")
+            }
+            Self::ImpossibleTime { ahead_ms } => {
+                write!(f, "an exposure {ahead_ms} ms from now (exposure_ns, CLOCK_MONOTONIC)")
+            }
+        }
+    }
+}
+
+/// Knows what can be true in flight.
+#[derive(Debug)]
+pub struct Guard {
+    workers: u32,
+    /// The newest frame of which rectification has said anything.
+    newest: Option<FrameOrder>,
+}
+
+impl Guard {
+    /// For a pipeline with so many detection workers.
+    pub fn new(workers: u32) -> Self {
+        Self { workers, newest: None }
+    }
+
+    /// Why a view is refused.
+    pub fn refuses_view(&mut self, view: &ViewHeader, now_ns: i64) -> Option<Refusal> {
+        let refusal = impossible_time(&view.stamp, now_ns);
+        if refusal.is_none() {
+            self.newest = self.newest.max(Some(view.stamp.order()));
+        }
+        refusal
+    }
+
+    /// Why the end of a frame is refused.
+    pub fn refuses_end(
+        &mut self,
+        end: &FrameEnd,
+        planning: &Planning,
+        now_ns: i64,
+    ) -> Option<Refusal> {
+        let (views, plan_id) = (end.views_issued, end.plan_id);
+        let planned = planning.views_of(plan_id);
+        let refusal = if planned.is_some_and(|planned| views as usize > planned) {
+            Some(Refusal::TooManyViews { views, plan_id })
+        } else {
+            impossible_time(&end.stamp, now_ns)
+        };
+        if refusal.is_none() {
+            self.newest = self.newest.max(Some(end.stamp.order()));
+        }
+        refusal
+    }
+
+    /// Why a record is refused.
+    pub fn refuses_record(&self, record: &DetectionHeader, planning: &Planning) -> Option<Refusal> {
+        let DetectionHeader { worker, view_index, plan_id, stamp, .. } = *record;
+        let planned = planning.views_of(plan_id);
+        if worker >= self.workers {
+            Some(Refusal::UnknownWorker { worker, workers: self.workers })
+        } else if planned.is_some_and(|planned| view_index as usize >= planned) {
+            Some(Refusal::UnplannedView { view_index, plan_id })
+        } else if Some(stamp.order()) > self.newest {
+            Some(Refusal::UnknownFrame { sequence: stamp.sequence })
+        } else {
+            None
+        }
+    }
+}
+
+impl<P: Pixels> Core<P> {
+    /// Why an event is refused.
+    pub(super) fn refusal(&mut self, event: &Event<P>, now_ns: i64) -> Option<Refusal> {
+        let guard = self.guard.as_mut()?;
+        match event {
+            Event::View(view, _) => guard.refuses_view(view, now_ns),
+            Event::Searched(record) => guard.refuses_record(&record.header, &self.planning),
+            Event::FrameEnd(end) => guard.refuses_end(end, &self.planning, now_ns),
+            Event::Rotation(_) | Event::Background(_) => None,
+        }
+    }
+}
+
+fn impossible_time(stamp: &FrameStamp, now_ns: i64) -> Option<Refusal> {
+    let ahead_ns = stamp.exposure_ns.saturating_sub(now_ns);
+    let is_possible = (-LONGEST_AGO_NS..=FARTHEST_AHEAD_NS).contains(&ahead_ns);
+    (!is_possible).then_some(Refusal::ImpossibleTime { ahead_ms: ahead_ns / 1_000_000 })
+}
