@@ -114,13 +114,15 @@ impl<P: Pixels> Core<P> {
     /// What a successor needs to go on.
     pub fn snapshot(&self) -> Snapshot {
         let (targets, ego, exposure) = self.tracker.saved();
-        Snapshot { targets, ego, exposure, planning: self.planning.saved() }
+        let ended = self.tracker.last_ended().max(self.assembly.last_left());
+        Snapshot { ended, targets, ego, exposure, planning: self.planning.saved() }
     }
 
     /// Goes on from another process's snapshot, and returns the names of the bodies whose tracks go on. It is
     /// called before the first event.
     pub fn resume(&mut self, snapshot: Snapshot) -> Vec<String> {
-        let Snapshot { targets, ego, exposure, planning } = snapshot;
+        let Snapshot { ended, targets, ego, exposure, planning } = snapshot;
+        self.assembly.begin_after(ended);
         self.planning.resume(planning);
         self.tracker.resume(targets, ego, exposure)
     }

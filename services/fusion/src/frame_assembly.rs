@@ -80,6 +80,16 @@ impl FrameAssembly {
         self.plan_id = plan_id;
     }
 
+    /// The last frame that has left.
+    pub fn last_left(&self) -> Option<Order> {
+        self.last_left
+    }
+
+    /// Takes this frame, and all before it, as left: another process has ended them.
+    pub fn begin_after(&mut self, left: Option<Order>) {
+        self.last_left = self.last_left.max(left);
+    }
+
     /// How many frames are open.
     pub fn open_frames(&self) -> usize {
         self.open.len()

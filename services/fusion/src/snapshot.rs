@@ -1,11 +1,13 @@
 //! What fusion leaves to the process that follows it: tracks, the camera's rotation, what was learned of the
 //! exposure, and what was searched when.
 //!
-//! It is saved after each frame. A process that is started in a swap, or after a crash, goes on from there.
-//! Frames that are open are not part of it: nobody but the old process has their views.
+//! It is saved before a pose leaves and after each frame. A process that is started in a swap, or after a crash,
+//! goes on from there. Of frames that are open only that is part of it which must not be said twice: nobody but
+//! the old process has their views.
 
 use serde::{Deserialize, Serialize};
 
+use flockeye_contract::FrameOrder;
 use flockeye_geometry::ego_rotation::EgoRotation;
 use flockeye_geometry::filter::SavedLife;
 use flockeye_geometry::search::Searched;
@@ -13,7 +15,7 @@ use flockeye_geometry::search::Searched;
 use crate::exposure::LearnedExposure;
 
 /// Rises with each change of what is saved. Another version is not read.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
 /// Why a snapshot is not gone on with.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -32,6 +34,8 @@ pub enum SnapshotError {
 /// The state of a core after a frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Snapshot {
+    /// The last frame that has ended. A successor says nothing more of it, nor of older ones.
+    pub ended: Option<FrameOrder>,
     /// The targets that are tracked.
     pub targets: Vec<SavedTarget>,
     /// How the camera has turned.
@@ -49,6 +53,8 @@ pub struct SavedTarget {
     pub body: String,
     /// The number of its track.
     pub track_id: u32,
+    /// The newest frame that is open and in which its pose has left.
+    pub published: Option<FrameOrder>,
     /// The track.
     pub life: SavedLife,
 }

@@ -101,6 +101,10 @@ impl Stage for FusionStage {
 
 impl FusionStage {
     fn send(&mut self, outputs: Outputs) -> anyhow::Result<()> {
+        // Before it is said: what a killed process has said must not be said again.
+        if let (false, Some(succession)) = (outputs.tracks.is_empty(), &mut self.succession) {
+            succession.save(&self.core);
+        }
         for message in &outputs.tracks {
             let tracker = self.core.tracker();
             let (header, tracks) = self.writer.tracks(message, tracker, clock::monotonic_ns());
@@ -115,9 +119,6 @@ impl FusionStage {
         }
         if let Some(taken_ns) = outputs.ended.and_then(|ended| ended.taken_ns) {
             self.counters.add_latency_ns(clock::monotonic_ns() - taken_ns);
-        }
-        if let (Some(_), Some(succession)) = (&outputs.ended, &mut self.succession) {
-            succession.save(&self.core);
         }
         outputs.notices.iter().for_each(|notice| self.reporter.report(notice));
         Ok(())

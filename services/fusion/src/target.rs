@@ -159,6 +159,7 @@ impl Target {
         let saved = || SavedTarget {
             body: self.body.name.clone(),
             track_id: self.track_id,
+            published: self.frames.keys().rev().copied().find(|&order| self.is_published(order)),
             life: self.life.saved(),
         };
         self.is_tracked().then(saved)
@@ -171,6 +172,9 @@ impl Target {
     pub fn resume(&mut self, saved: SavedTarget, ego: &EgoRotation) -> Result<(), FilterError> {
         self.life.resume(saved.life, ego)?;
         self.track_id = saved.track_id;
+        if let Some(order) = saved.published {
+            self.in_frame_mut(order).status = Status::Published { direct_pose: None };
+        }
         Ok(())
     }
 

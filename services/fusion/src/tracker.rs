@@ -128,6 +128,11 @@ impl Tracker {
         self.threads
     }
 
+    /// The last frame that has ended.
+    pub fn last_ended(&self) -> Option<FrameOrder> {
+        self.ended.map(|(order, _)| order)
+    }
+
     /// The attempts since this was asked last.
     pub fn take_attempts(&mut self) -> Attempts {
         std::mem::take(&mut self.attempts)

@@ -76,7 +76,7 @@ impl Default for StageProcess {
             command: Vec::new(),
             replicas: None,
             restart: Restart::OnFailure,
-            backoff_s: [0.02, 5.0],
+            backoff_s: [0.02, 1.0],
             cpus: Vec::new(),
             nice: None,
             scheduling: Scheduling::Normal,

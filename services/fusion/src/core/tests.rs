@@ -132,6 +132,11 @@ fn a_successor_goes_on_with_the_tracks() {
     assert_eq!(successor.resume(Snapshot::from_bytes(&bytes).unwrap()), ["alpha"]);
     assert_eq!(successor.snapshot(), old.snapshot(), "it could be handed on at once");
     let plan_id = drain(&mut successor, 0)[0].plan.as_ref().unwrap().0.plan_id;
+    // What the old one has ended is not ended again.
+    for event in [region(2, 0), frame_end(2, 0, 1)] {
+        successor.on(event, 0);
+    }
+    assert!(drain(&mut successor, 2 * DEADLINE_NS).iter().all(|outputs| outputs.tracks.is_empty()));
     // It measures alpha before its markers are searched for, as part of the same track.
     successor.on(region(3, plan_id), 0);
     let said = drain(&mut successor, 0);
@@ -142,13 +147,30 @@ fn a_successor_goes_on_with_the_tracks() {
 }
 
 #[test]
+fn a_pose_that_has_left_does_not_leave_again_when_its_process_is_killed() {
+    let (mut old, plan_id) = tracking(Schedule::Flight);
+    old.on(region(3, plan_id), 0);
+    assert_eq!(poses(&drain(&mut old, 0)), [0]);
+    let mut successor = core(Schedule::Flight);
+    successor.resume(old.snapshot());
+    drain(&mut successor, 0);
+    for event in [region(3, plan_id), searched(3, plan_id), frame_end(3, plan_id, 1)] {
+        successor.on(event, 0);
+    }
+    let said = drain(&mut successor, 0);
+    assert!(is_ended(&said));
+    let updates = said.iter().flat_map(|outputs| &outputs.tracks).map(|track| track.updates.len());
+    assert_eq!(updates.sum::<usize>(), 0);
+}
+
+#[test]
 fn a_snapshot_of_another_fusion_is_refused_or_counts_as_far_as_it_fits() {
     let (old, _) = tracking(Schedule::Flight);
     let snapshot = old.snapshot();
     let bytes = snapshot.to_bytes().unwrap();
     let other_version = [&[9], &bytes[1..]].concat();
     let refused = Snapshot::from_bytes(&other_version).unwrap_err().to_string();
-    assert_eq!(refused, "it has version 9; this program reads version 1");
+    assert_eq!(refused, "it has version 9; this program reads version 2");
     for cut in [0, 1, bytes.len() / 2, bytes.len() - 1] {
         assert!(Snapshot::from_bytes(&bytes[..cut]).is_err(), "{cut} bytes");
     }
