@@ -52,8 +52,10 @@ target/python/installed: $(wildcard clients/python/pyproject.toml clients/python
 # The files of the clients that are generated from the contract's types.
 clients: setup
 	cargo build --profile tested --locked -p flockeye-launcher
-	target/tested/flockeye contract python > clients/python/flockeye/contract.py
-	target/tested/flockeye contract c > clients/c/include/flockeye/contract.h
+	target/tested/flockeye contract python > target/contract.py
+	target/tested/flockeye contract c > target/contract.h
+	mv target/contract.py clients/python/flockeye/contract.py
+	mv target/contract.h clients/c/include/flockeye/contract.h
 
 bench: setup $(if $(DORA),$(DORA_COMMAND) $(DORA_HOP))
 	cargo build --release --workspace --all-targets --locked

@@ -29,6 +29,7 @@ class Frame:
 
     def __init__(self, stamp):
         self.stamp, self.end, self.views = FrameStamp.from_buffer_copy(stamp), None, set()
+        self.begun_s = time.monotonic()
         self.rays = defaultdict(list)
 
     def is_complete(self):
@@ -56,6 +57,7 @@ class Bearings:
         self.position = np.array(mount["position"])
         x, y, z, w = mount["orientation"]
         self.observer_from_camera = lambda v: v + 2 * np.cross((x, y, z), np.cross((x, y, z), v) + w * v)
+        self.deadline_s = stage.pipeline["fusion"]["deadline_ms"] * 1e-3
         self.frames, self.ended, self.plan_id, self.next_tile = {}, None, 0, 0
         self.tracks = stage.publisher(TRACK, MAX_TRACKS)
         self.plans = stage.publisher(PLAN, len(self.tiles))
@@ -112,8 +114,12 @@ class Bearings:
             frame.end = header.views_issued
 
     def end_frames(self):
-        """Ends what is complete, and what is older: it was under way when this process began, or its worker died."""
-        complete = [place for place, frame in self.frames.items() if frame.is_complete()]
+        """Ends what is complete or overdue, and what is older: it was under way when this process began, or its worker
+        died."""
+        overdue_s = time.monotonic() - self.deadline_s
+        complete = [
+            place for place, frame in self.frames.items() if frame.is_complete() or frame.begun_s < overdue_s
+        ]
         for place in sorted(self.frames):
             if not complete or place > max(complete):
                 break
@@ -154,14 +160,14 @@ def main():
         bearings = Bearings(stage)
         bearings.plan(None)
         stage.ready("bearings alone, in Python")
-        for message in stage.messages(detections, frame_ends):
-            header = message.header
-            if hasattr(header, "views_issued"):
-                bearings.on_end(header)
-            else:
-                bearings.on_record(header, message.items)
+        for _ in stage.turns(detections, frame_ends):
+            for message in detections.waiting():
+                bearings.on_record(message.header, message.items)
+            for message in frame_ends.waiting():
+                bearings.on_end(message.header)
             bearings.end_frames()
             stage.queued(len(bearings.frames))
+            stage.due(0.05)
 
 
 if __name__ == "__main__":

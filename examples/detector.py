@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from flockeye import Stage
-from flockeye.contract import DETECTION, VIEW, DetectedMarker, DetectionHeader, Search
+from flockeye.contract import DETECTION, VIEW, DetectedMarker, Search
 
 # Room in one record.
 MAX_MARKERS = 64
@@ -54,6 +54,9 @@ def search(detector, header, pixels):
     # OpenCV has windows of its own; only views whose pixels alone are wanted are left out.
     if header.search == Search.NOTHING:
         return []
+    norm = np.linalg.norm(np.array(header.camera_from_view))
+    if not (1 <= header.focal_px <= 262144 and abs(norm - 1) < 1e-3 and header.size_px > 0):
+        raise ValueError(f"focal_px {header.focal_px}, a rotation of length {norm}, {header.size_px} px")
     rows = np.frombuffer(pixels, np.uint8)[: header.size_px * header.stride]
     image = rows.reshape(header.size_px, header.stride)[:, : header.size_px]
     corners, ids, _ = detector.detectMarkers(image)
@@ -61,25 +64,6 @@ def search(detector, header, pixels):
         return []
     found = zip(corners, ids.flatten())
     return [marker(header, quad.reshape(4, 2), number) for quad, number in found][:MAX_MARKERS]
-
-
-def record(stage, header, markers, owned, received_ns):
-    """What is owed for a view, whether there is anything in it or not."""
-    return DetectionHeader(
-        stamp=header.stamp,
-        plan_id=header.plan_id,
-        taken_ns=header.taken_ns,
-        issued_ns=header.issued_ns,
-        received_ns=received_ns,
-        sent_ns=time.monotonic_ns(),
-        generation=stage.generation,
-        view_index=header.view_index,
-        attempt=header.attempt,
-        worker=stage.replica,
-        hits=sum(found.id in owned for found in markers or []),
-        failed=markers is None,
-        view_generation=header.generation,
-    )
 
 
 def main():
@@ -103,7 +87,9 @@ def main():
             except (ValueError, ZeroDivisionError, cv2.error) as error:
                 stage.refuse(f"view {header.view_index}: {error}")
                 markers = None
-            detections.send(record(stage, header, markers, owned, received_ns), markers or [])
+            hits = sum(found.id in owned for found in markers or [])
+            record = stage.record(header, received_ns, hits=hits, failed=markers is None)
+            detections.send(record, markers or [])
             stage.published()
 
 

@@ -21,6 +21,11 @@ from flockeye.contract import (
 STALE_PLAN_NS = 1_000_000_000
 
 
+def order(stamp):
+    """A frame's place among all frames."""
+    return (stamp.source_generation, stamp.epoch, stamp.sequence)
+
+
 def product(p, q):
     """The product of two quaternions x, y, z, w."""
     (a, b, c, d), (e, f, g, h) = p, q
@@ -110,11 +115,23 @@ class Rectifier:
 
     def on_plan(self, message):
         header = type(message.header).from_buffer_copy(message.header)
-        self.plan = (header, [PlannedView.from_buffer_copy(view) for view in message.items])
+        views = [PlannedView.from_buffer_copy(view) for view in message.items]
+        wrong = next((view for view in views if not self.can_cut(view)), None)
+        if wrong is not None:
+            self.stage.refuse(f"plan {header.plan_id}: a view of {wrong.size_px} px, focal length {wrong.focal_px}")
+            return
+        self.plan = (header, views)
+
+    def can_cut(self, view):
+        norm = np.linalg.norm(np.array(view.camera_from_view))
+        return 1 <= view.size_px <= self.side and 1 <= view.focal_px <= 262144 and abs(norm - 1) < 1e-3
 
     def take_up(self, message):
         """Begins a frame, which is kept until all of its views are acknowledged."""
         header = message.header
+        camera = self.stage.pipeline["camera"]
+        if (header.width, header.height) != (camera["width"], camera["height"]) or header.pixel_format > 1:
+            raise ValueError(f"{header.width}x{header.height} pixels of format {header.pixel_format}")
         rows = np.frombuffer(message.pixels(), np.uint8)[: header.stride * header.height]
         self.image = rows.reshape(header.height, header.stride)[:, : header.width]
         self.frame = message.keep()
@@ -137,7 +154,8 @@ class Rectifier:
 
     def on_answer(self, header):
         given = self.in_flight.get(header.view_index)
-        if given and header.stamp.sequence == self.frame.header.stamp.sequence and header.attempt <= given[1]:
+        is_same_frame = order(header.stamp) == order(self.frame.header.stamp)
+        if given and is_same_frame and header.attempt <= given[1]:
             self.has_hit |= header.hits > 0
             del self.in_flight[header.view_index]
 

@@ -12,6 +12,8 @@ import time
 from flockeye import Instance, text
 from flockeye.contract import TRACK, TrackState
 
+STATES = {state.value: state.name.lower() for state in TrackState}
+
 
 def main():
     instance = Instance.join("tracks", *sys.argv[1:])
@@ -21,9 +23,10 @@ def main():
             stamp = message.header.stamp
             age_ms = (time.monotonic_ns() - stamp.exposure_ns) * 1e-6
             for track in message.items:
+                state = STATES.get(track.state, "unknown")
                 x, y, z = track.observer_from_target.position
                 print(
-                    f"frame {stamp.sequence}: {text(track.name)} {TrackState(track.state).name.lower()} at "
+                    f"frame {stamp.sequence}: {text(track.name)} {state} at "
                     f"{x:.3f} {y:.3f} {z:.3f} m, {track.markers} markers, {age_ms:.0f} ms old",
                     flush=True,
                 )

@@ -7,7 +7,7 @@ import time
 import traceback
 from pathlib import Path
 
-from .contract import HANDOVER, HEALTH, Health, StageState
+from .contract import HANDOVER, HEALTH, DetectionHeader, Health, StageState
 from .instance import Instance, set_text
 from .listening import Listening
 from .ports import Waker
@@ -32,6 +32,13 @@ class Stage:
         self._state = StageState.STARTING
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, self._stop)
+        try:
+            self._join()
+        except Exception as error:
+            print(f"cannot start: {error}", file=sys.stderr, flush=True)
+            raise SystemExit(CANNOT_START) from error
+
+    def _join(self):
         self.instance = Instance.join(f"{self.name}-{self.replica}")
         self.pipeline = self.instance.pipeline
         self._health = self.instance.publisher(HEALTH)
@@ -79,6 +86,23 @@ class Stage:
         set_text(self._report.detail, detail)
         self._send_health(StageState.READY)
 
+    def record(self, view, received_ns, **fields):
+        """The header that a detection owes for a view, its fields copied: `hits` and `failed` are given as `fields`."""
+        return DetectionHeader(
+            stamp=view.stamp,
+            plan_id=view.plan_id,
+            taken_ns=view.taken_ns,
+            issued_ns=view.issued_ns,
+            received_ns=received_ns,
+            sent_ns=time.monotonic_ns(),
+            generation=self.generation,
+            view_index=view.view_index,
+            attempt=view.attempt,
+            worker=self.replica,
+            view_generation=view.generation,
+            **fields,
+        )
+
     def refuse(self, what):
         """Counts a message that breaks the contract."""
         self._report.failed += 1
@@ -113,15 +137,18 @@ class Stage:
         """A turn of the stage's loop whenever one of these topics has something, or the time of `due` has come, until
         SIGTERM. For stages that do not work message by message; they read their subscribers themselves."""
         waker = Waker(subscribers)
-        while not self._is_stopping:
-            self._wake_s = None
-            # Whoever has joined since gets what is kept for late ones: the last plan.
-            for publisher in self._publishers:
-                publisher.update_connections()
-            yield
-            self._health_if_due()
-            until_s = min(self._next_health_s, self._wake_s or self._next_health_s)
-            waker.wait(until_s - time.monotonic())
+        try:
+            while not self._is_stopping:
+                self._wake_s = None
+                # Whoever has joined since gets what is kept for late ones: the last plan.
+                for publisher in self._publishers:
+                    publisher.update_connections()
+                yield
+                self._health_if_due()
+                until_s = min(self._next_health_s, self._wake_s or self._next_health_s)
+                waker.wait(until_s - time.monotonic())
+        finally:
+            waker.close()
 
     def _stop(self, *_):
         self._is_stopping = True

@@ -85,10 +85,15 @@ impl SavedStates {
     /// The file cannot be made.
     pub fn keeper(&self) -> io::Result<StateKeeper> {
         std::fs::create_dir_all(&self.folder)?;
-        let mut files = self.files()?;
-        while files.len() >= MOST_FILES
-            && let Some((_, oldest)) = files.pop_first()
-        {
+        // A process that runs has saved lately, whatever its generation is.
+        let mut files: Vec<_> = self
+            .files()?
+            .into_values()
+            .map(|path| Ok((saved_in(&path)?.map(|(saved_ns, _)| saved_ns), path)))
+            .collect::<io::Result<_>>()?;
+        files.sort();
+        let most = files.len().saturating_sub(MOST_FILES - 1);
+        for (_, oldest) in files.drain(..most) {
             // One that another process has removed is gone all the same.
             drop(std::fs::remove_file(oldest));
         }
@@ -209,6 +214,20 @@ mod tests {
             of(100).files().unwrap().into_keys().collect::<Vec<_>>(),
             (92..100).collect::<Vec<_>>()
         );
+    }
+
+    #[test]
+    fn a_process_that_runs_keeps_its_file_however_many_successors_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let of = |generation| states(folder.path(), 0, generation);
+        let mut old = of(0).keeper().unwrap();
+        for generation in 1..30 {
+            let now_ns = i64::from(generation) * 1000;
+            of(generation).keeper().unwrap().save(now_ns, b"refused").unwrap();
+            old.save(now_ns + 1, b"old").unwrap();
+        }
+        let newest = of(30).newest(30_000, SECOND).unwrap().unwrap();
+        assert_eq!((newest.state.as_slice(), newest.generation), (b"old".as_slice(), 0));
     }
 
     #[test]

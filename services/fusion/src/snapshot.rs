@@ -26,7 +26,7 @@ pub enum SnapshotError {
         /// Its version.
         found: u32,
     },
-    /// It is none, or was cut off.
+    /// It is not a snapshot, or was cut off.
     #[error("it cannot be read: {0}")]
     Unreadable(#[from] postcard::Error),
 }
@@ -36,7 +36,7 @@ pub enum SnapshotError {
 pub struct Snapshot {
     /// The last frame that has ended. A successor says nothing more of it, nor of older ones.
     pub ended: Option<FrameOrder>,
-    /// The targets that are tracked.
+    /// All targets.
     pub targets: Vec<SavedTarget>,
     /// How the camera has turned.
     pub ego: EgoRotation,
@@ -46,17 +46,17 @@ pub struct Snapshot {
     pub planning: SavedPlanning,
 }
 
-/// A target that is tracked.
+/// A target.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SavedTarget {
     /// Its body's name.
     pub body: String,
-    /// The number of its track.
+    /// The number of its newest track.
     pub track_id: u32,
     /// The newest frame that is open and in which its pose has left.
     pub published: Option<FrameOrder>,
-    /// The track.
-    pub life: SavedLife,
+    /// The track, if it is tracked.
+    pub life: Option<SavedLife>,
 }
 
 /// Where the search is.

@@ -154,23 +154,24 @@ impl Target {
         self.life.forget();
     }
 
-    /// Its track for a successor, if it has one.
-    pub fn saved(&self) -> Option<SavedTarget> {
-        let saved = || SavedTarget {
+    /// Its track for a successor, and how many it had.
+    pub fn saved(&self) -> SavedTarget {
+        SavedTarget {
             body: self.body.name.clone(),
             track_id: self.track_id,
             published: self.frames.keys().rev().copied().find(|&order| self.is_published(order)),
-            life: self.life.saved(),
-        };
-        self.is_tracked().then(saved)
+            life: self.is_tracked().then(|| self.life.saved()),
+        }
     }
 
-    /// Goes on with a track of another process.
+    /// Goes on with a track of another process, or counts on from its last one.
     ///
     /// # Errors
-    /// A track with numbers that are none; nothing changes then.
+    /// A track with numbers that are not finite; nothing changes then.
     pub fn resume(&mut self, saved: SavedTarget, ego: &EgoRotation) -> Result<(), FilterError> {
-        self.life.resume(saved.life, ego)?;
+        if let Some(life) = saved.life {
+            self.life.resume(life, ego)?;
+        }
         self.track_id = saved.track_id;
         if let Some(order) = saved.published {
             self.in_frame_mut(order).status = Status::Published { direct_pose: None };

@@ -83,6 +83,8 @@ pub fn run(arguments: &ChaosArguments) -> anyhow::Result<()> {
     let Attached { mut ports, instance, .. } = attach(&arguments.running)?;
     let mut screen = Screen::new();
     let report = ChaosReport::default();
+    // Both processes of a stage speak while it is swapped.
+    ports.follow_hand_overs()?;
     let (tracks, truths) = (ports.subscriber()?, ports.subscriber()?);
     let mut watch = Watch { tracks, truths, ports, report };
     watch.for_(SETTLING_TIME, &stopping)?;

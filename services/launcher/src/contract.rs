@@ -1,6 +1,7 @@
 //! `flockeye contract`: the contract's types, codes and topics for another language.
 
 use clap::{Args, ValueEnum};
+use flockeye_cli::Screen;
 use flockeye_contract::description;
 
 /// Arguments of `contract`.
@@ -27,13 +28,11 @@ pub enum Form {
 /// # Errors
 /// None.
 pub fn run(arguments: &ContractArguments) -> anyhow::Result<()> {
-    print!(
-        "{}",
-        match arguments.form {
-            Form::C => description::c_header(),
-            Form::Python => description::python_module(),
-            Form::Layout => description::layout(),
-        }
-    );
+    let text = match arguments.form {
+        Form::C => description::c_header(),
+        Form::Python => description::python_module(),
+        Form::Layout => description::layout(),
+    };
+    Screen::new().line(text.trim_end());
     Ok(())
 }

@@ -439,8 +439,9 @@ fn describe(status: ExitStatus) -> String {
     }
 }
 
-/// A process that lived this long did not fail at its start, and is started again at once. Starting costs up to
-/// 0.3 s of a processor, so even one that always ends after this takes no more than a tenth of it.
+/// A process that lived this long did not fail at its start, and is started again at once. Starting one of our
+/// stages costs up to 0.3 s of a processor (a simulator more), so one that always ends after this takes a tenth
+/// of it.
 const LONG_LIFE: Duration = Duration::from_secs(3);
 
 fn backoff([first_s, longest_s]: [f64; 2]) -> Backoff {

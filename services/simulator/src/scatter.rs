@@ -14,8 +14,8 @@ pub fn at_cell(seed: u64, i: i32, j: i32) -> f32 {
     (mix(seed ^ mix(cell)) >> 40) as f32 / (1u64 << 24) as f32
 }
 
-/// The largest whole number not above `x`, which must lie within the whole numbers of 32 bits. Unlike
-/// `f32::floor` it is no call of a function on processors without SSE 4.1, which is what is compiled for.
+/// The largest whole number not above `x`, which must lie within the whole numbers of 32 bits. `f32::floor` is
+/// a function call where SSE 4.1 cannot be taken for granted, as here; this is not.
 pub fn floor(x: f32) -> f32 {
     let towards_zero = x as i32 as f32;
     towards_zero - f32::from(u8::from(towards_zero > x))

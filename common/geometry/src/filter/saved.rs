@@ -80,7 +80,7 @@ mod tests {
     use crate::filter::TrackPolicy;
 
     #[test]
-    fn a_track_with_numbers_that_are_none_is_refused() {
+    fn a_track_with_numbers_that_are_not_finite_is_refused() {
         let ego = EgoRotation::new(2.0);
         let mut known = LifeCycle::new(TrackPolicy::default());
         let (pose, covariance) = (Isometry3::translation(1.0, 0.0, 0.0), Matrix6::identity());

@@ -3,7 +3,7 @@
 
 use std::fmt;
 
-use flockeye_contract::{DetectionHeader, FrameEnd, FrameOrder, FrameStamp, ViewHeader};
+use flockeye_contract::{DetectionHeader, FrameEnd, FrameStamp, ViewHeader};
 
 use super::{Core, Event};
 use crate::pictures::Pixels;
@@ -13,6 +13,11 @@ use crate::planning::Planning;
 const FARTHEST_AHEAD_NS: i64 = 1_000_000_000;
 /// Nor is one longer ago than this: no frame waits so long.
 const LONGEST_AGO_NS: i64 = 10_000_000_000;
+
+/// No source is faster than this, nanoseconds.
+const SHORTEST_INTERVAL_NS: u64 = 1_000_000;
+/// Frames may be counted on by this much in no time: exposures are estimated.
+const FREE_STEP: u64 = 64;
 
 /// Why a message is refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -43,6 +48,13 @@ pub enum Refusal {
         /// The plan.
         plan_id: u64,
     },
+    /// No source makes so many frames in the time.
+    ImpossibleStep {
+        /// The frame's sequence number.
+        sequence: u64,
+        /// That of the newest one before.
+        newest: u64,
+    },
     /// Nothing is exposed at such a time.
     ImpossibleTime {
         /// Milliseconds from now.
@@ -65,6 +77,9 @@ impl fmt::Display for Refusal {
             Self::TooManyViews { views, plan_id } => {
                 write!(f, "the end of a frame with {views} views, more than plan {plan_id} has")
             }
+            Self::ImpossibleStep { sequence, newest } => {
+                write!(f, "frame {sequence} too soon after frame {newest}")
+            }
             Self::ImpossibleTime { ahead_ms } => {
                 write!(f, "an exposure {ahead_ms} ms from now (exposure_ns, CLOCK_MONOTONIC)")
             }
@@ -72,12 +87,12 @@ impl fmt::Display for Refusal {
     }
 }
 
-/// Knows what can be true in flight.
+/// Knows what can be true in flight. Who imitates a source that has begun anew is believed.
 #[derive(Debug)]
 pub struct Guard {
     workers: u32,
     /// The newest frame of which rectification has said anything.
-    newest: Option<FrameOrder>,
+    newest: Option<FrameStamp>,
 }
 
 impl Guard {
@@ -88,11 +103,7 @@ impl Guard {
 
     /// Why a view is refused.
     pub fn refuses_view(&mut self, view: &ViewHeader, now_ns: i64) -> Option<Refusal> {
-        let refusal = impossible_time(&view.stamp, now_ns);
-        if refusal.is_none() {
-            self.newest = self.newest.max(Some(view.stamp.order()));
-        }
-        refusal
+        self.refuses_frame(&view.stamp, now_ns)
     }
 
     /// Why the end of a frame is refused.
@@ -104,18 +115,35 @@ impl Guard {
     ) -> Option<Refusal> {
         let (views, plan_id) = (end.views_issued, end.plan_id);
         let planned = planning.views_of(plan_id);
-        let refusal = if planned.is_some_and(|planned| views as usize > planned) {
-            Some(Refusal::TooManyViews { views, plan_id })
-        } else {
-            impossible_time(&end.stamp, now_ns)
-        };
-        if refusal.is_none() {
-            self.newest = self.newest.max(Some(end.stamp.order()));
+        if planned.is_some_and(|planned| views as usize > planned) {
+            return Some(Refusal::TooManyViews { views, plan_id });
+        }
+        self.refuses_frame(&end.stamp, now_ns)
+    }
+
+    /// Why a frame is refused of which rectification says something.
+    fn refuses_frame(&mut self, stamp: &FrameStamp, now_ns: i64) -> Option<Refusal> {
+        let refusal = impossible_time(stamp, now_ns).or_else(|| self.impossible_step(stamp));
+        if refusal.is_none() && self.newest.is_none_or(|newest| newest.order() < stamp.order()) {
+            self.newest = Some(*stamp);
         }
         refusal
     }
 
-    /// Why a record is refused.
+    /// Whether no source could have made so many frames since the newest one.
+    fn impossible_step(&self, stamp: &FrameStamp) -> Option<Refusal> {
+        let newest = self.newest.as_ref()?;
+        let is_same_source =
+            (newest.source_generation, newest.epoch) == (stamp.source_generation, stamp.epoch);
+        let elapsed_ns = stamp.exposure_ns.saturating_sub(newest.exposure_ns).max(0);
+        let most = FREE_STEP + elapsed_ns.unsigned_abs() / SHORTEST_INTERVAL_NS;
+        let sequence = stamp.sequence;
+        let is_impossible = is_same_source && sequence.saturating_sub(newest.sequence) > most;
+        is_impossible.then_some(Refusal::ImpossibleStep { sequence, newest: newest.sequence })
+    }
+
+    /// Why a record is refused. Before rectification has said anything, every frame may be one that was under
+    /// way when this process began.
     pub fn refuses_record(&self, record: &DetectionHeader, planning: &Planning) -> Option<Refusal> {
         let DetectionHeader { worker, view_index, plan_id, stamp, .. } = *record;
         let planned = planning.views_of(plan_id);
@@ -123,7 +151,7 @@ impl Guard {
             Some(Refusal::UnknownWorker { worker, workers: self.workers })
         } else if planned.is_some_and(|planned| view_index as usize >= planned) {
             Some(Refusal::UnplannedView { view_index, plan_id })
-        } else if Some(stamp.order()) > self.newest {
+        } else if self.newest.is_some_and(|newest| stamp.order() > newest.order()) {
             Some(Refusal::UnknownFrame { sequence: stamp.sequence })
         } else {
             None

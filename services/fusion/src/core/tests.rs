@@ -164,6 +164,24 @@ fn a_pose_that_has_left_does_not_leave_again_when_its_process_is_killed() {
 }
 
 #[test]
+fn the_next_track_of_a_lost_target_has_a_new_number_in_the_successor_too() {
+    let (mut old, _) = tracking(Schedule::Flight);
+    for sequence in 3..60 {
+        old.on(frame_end(sequence, 0, 0), 0);
+        drain(&mut old, 0);
+    }
+    assert!(!old.tracker().targets()[0].is_tracked(), "it was lost");
+    let mut successor = core(Schedule::Flight);
+    assert!(successor.resume(old.snapshot()).is_empty());
+    drain(&mut successor, 0);
+    for event in [region(60, 0), searched(60, 0)] {
+        successor.on(event, 0);
+    }
+    let said = drain(&mut successor, 0);
+    assert_eq!(said[0].tracks[0].updates[0].0.1.track_id, 2);
+}
+
+#[test]
 fn a_snapshot_of_another_fusion_is_refused_or_counts_as_far_as_it_fits() {
     let (old, _) = tracking(Schedule::Flight);
     let snapshot = old.snapshot();
@@ -207,9 +225,9 @@ fn what_cannot_be_true_is_refused_by_name_and_costs_nothing_else() {
         change(&mut record.header);
         Event::Searched(record)
     };
-    let of_no_frame = refused(&mut core, record(&|_| {}));
-    assert_eq!(of_no_frame, "a record of frame 0, of which no view has been cut");
     assert_eq!(refused(&mut core, region(0, plan_id)), "");
+    let of_no_frame = refused(&mut core, record(&|header| header.stamp.sequence = 1));
+    assert_eq!(of_no_frame, "a record of frame 1, of which no view has been cut");
     let of_nobody = refused(&mut core, record(&|header| header.worker = 7));
     assert_eq!(of_nobody, "a record of worker 7; there are 1, counted from 0");
     let unplanned = refused(&mut core, record(&|header| header.view_index = planned));
@@ -220,6 +238,11 @@ fn what_cannot_be_true_is_refused_by_name_and_costs_nothing_else() {
     view.stamp.exposure_ns += 60_000_000_000;
     let of_the_future = refused(&mut core, Event::View(view, pixels));
     assert!(of_the_future.contains("ms from now"), "{of_the_future}");
+    let far_off = refused(&mut core, frame_end(u64::MAX, plan_id, 0));
+    assert_eq!(far_off, "frame 18446744073709551615 too soon after frame 0");
+    let Event::View(mut view, pixels) = region(0, plan_id) else { unreachable!() };
+    view.stamp.sequence = 1000;
+    assert_eq!(refused(&mut core, Event::View(view, pixels)), "frame 1000 too soon after frame 0");
     let false_end = refused(&mut core, frame_end(0, plan_id, planned + 1));
     assert!(false_end.starts_with("the end of a frame with"), "{false_end}");
     // None of this has opened a frame, or ended one.

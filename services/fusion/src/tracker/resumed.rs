@@ -7,14 +7,14 @@ use crate::exposure::LearnedExposure;
 use crate::snapshot::SavedTarget;
 
 impl Tracker {
-    /// The targets that are tracked, how the camera has turned, and what blur has shown of the exposure.
+    /// The targets with their tracks, how the camera has turned, and what blur has shown of the exposure.
     pub fn saved(&self) -> (Vec<SavedTarget>, EgoRotation, LearnedExposure) {
-        let targets = self.targets.iter().filter_map(super::Target::saved).collect();
+        let targets = self.targets.iter().map(super::Target::saved).collect();
         (targets, self.ego.clone(), self.exposure.learned())
     }
 
     /// Goes on with the tracks of another process, and returns the names of their bodies. Bodies that this
-    /// process does not know, and tracks with numbers that are none, are left out.
+    /// process does not know, and tracks with numbers that are not finite, are left out.
     pub fn resume(
         &mut self,
         saved: Vec<SavedTarget>,
@@ -27,11 +27,10 @@ impl Tracker {
         self.exposure.resume(exposure);
         let mut resumed = Vec::new();
         for saved in saved {
-            let name = saved.body.clone();
+            let (name, is_tracked) = (saved.body.clone(), saved.life.is_some());
             let target = self.targets.iter_mut().find(|target| target.body.name == name);
-            if target.is_some_and(|target| target.resume(saved, &self.ego).is_ok()) {
-                resumed.push(name);
-            }
+            let is_resumed = target.is_some_and(|target| target.resume(saved, &self.ego).is_ok());
+            resumed.extend((is_resumed && is_tracked).then_some(name));
         }
         resumed
     }

@@ -1,12 +1,16 @@
 //! An instance in which a candidate runs alone.
 
 use std::rc::Rc;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::time::{Duration, Instant};
 
-use anyhow::Context as _;
+use anyhow::{Context as _, bail};
+use flockeye_cli::signals;
 use flockeye_config::{Resolved, Restart};
 use flockeye_contract::{Health, Healths, StageName, StageState};
+use flockeye_runtime::clock;
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::instance::{Instance, Ownership};
 use flockeye_runtime::memory::{Budget, shared_memory_space};
@@ -38,7 +42,9 @@ pub struct Bench {
     log: Receiver<LogLine>,
     lines: Vec<String>,
     newest: Option<Health>,
-    heard: Instant,
+    /// When the newest health was sent. The test itself may pause between two looks.
+    sent_ns: i64,
+    stopping: Arc<AtomicBool>,
     longest_silence: Duration,
     start_limit: Duration,
     /// How it has ended, if it has.
@@ -84,7 +90,8 @@ impl Bench {
             log,
             lines: Vec::new(),
             newest: None,
-            heard: Instant::now(),
+            sent_ns: clock::monotonic_ns(),
+            stopping: signals::stop_flag()?,
             longest_silence: Duration::ZERO,
             start_limit: Duration::from_secs_f64(resolved.pipeline.supervision.start_s),
             ended: None,
@@ -132,7 +139,7 @@ impl Bench {
                 report.field("health says who it is", OWES, field, found, wanted);
             }
         }
-        (self.heard, self.longest_silence) = (Instant::now(), Duration::ZERO);
+        self.longest_silence = Duration::ZERO;
         Ok(true)
     }
 
@@ -179,12 +186,19 @@ impl Bench {
         self.newest.map_or(0.0, |health| health.resident_bytes as f64 / 1e6)
     }
 
+    fn note_silence_until(&mut self, now_ns: i64) {
+        let silence_ns = now_ns.saturating_sub(self.sent_ns).max(0).unsigned_abs();
+        self.longest_silence = self.longest_silence.max(Duration::from_nanos(silence_ns));
+    }
+
     fn look(&mut self) -> anyhow::Result<()> {
         while let Some((message, _)) = self.healths.receive_with_verdict()? {
-            self.longest_silence = self.longest_silence.max(self.heard.elapsed());
-            (self.newest, self.heard) = (Some(message.header), Instant::now());
+            self.note_silence_until(message.header.sent_ns);
+            (self.newest, self.sent_ns) = (Some(message.header), message.header.sent_ns);
         }
-        self.longest_silence = self.longest_silence.max(self.heard.elapsed());
+        if self.stopping.load(Ordering::Relaxed) {
+            bail!("interrupted");
+        }
         while let Ok(line) = self.log.try_recv() {
             if self.lines.len() < MOST_LINES {
                 self.lines.push(line.text);
@@ -206,6 +220,7 @@ impl Bench {
         if !self.runs(report) {
             return Ok(());
         }
+        self.note_silence_until(clock::monotonic_ns());
         let silence_s = self.longest_silence.as_secs_f64();
         report.holds(
             "health comes every 250 ms",

@@ -211,7 +211,7 @@ impl Script {
                 }
                 continue;
             };
-            took_ms.push((record.sent_ns - record.received_ns) as f64 * 1e-6);
+            took_ms.push(record.sent_ns.saturating_sub(record.received_ns) as f64 * 1e-6);
             match marker {
                 Some(marker) if view.search == 0 => {
                     shown += 1;
@@ -310,7 +310,9 @@ impl Script {
 
     /// What nobody should send costs nothing but itself.
     fn malformed(&mut self, bench: &mut Bench, report: &mut Report) -> anyhow::Result<()> {
-        let pixels = pictures::view(&self.dictionary, None, SIZE_PX, FOCAL_PX);
+        let id = self.owned.iter().next().copied().unwrap_or_default();
+        let marker = ShownMarker::number(1, id, 60.0, FOCAL_PX);
+        let pixels = pictures::view(&self.dictionary, Some(&marker), SIZE_PX, FOCAL_PX);
         let honest = self.header();
         for (what, view) in [
             ("size_px beyond the payload", ViewHeader { size_px: 4000, stride: 4000, ..honest }),
@@ -322,8 +324,7 @@ impl Script {
         ] {
             self.send(view, &pixels)?;
             // It may be acknowledged as failed, or not at all.
-            let records = &mut self.records;
-            bench.wait(QUIET, |_| Ok(records.receive_with_verdict()?.map(|_| ())))?;
+            self.answer(bench, report, QUIET)?;
             let view = self.header();
             self.send(view, &pixels)?;
             let sequence = view.stamp.sequence;

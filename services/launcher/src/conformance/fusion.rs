@@ -297,8 +297,35 @@ impl Script<'_> {
             self.records.send(header, &markers)?;
         }
         self.ends.send(FrameEnd { stamp, reason: 77, ..FrameEnd::default() }, &[])?;
-        // The frame of the lies never becomes complete; the next one ends all the same.
-        bench.pass(self.resolved.pipeline.frame_deadline())?;
+        // A frame of which a record is missing is given up, also if no other follows.
+        let stamp = self.stamp();
+        let end = FrameEnd {
+            stamp,
+            plan_id: self.plan_id,
+            taken_ns: stamp.published_ns,
+            ended_ns: clock::monotonic_ns(),
+            views_issued: 1,
+            ..FrameEnd::default()
+        };
+        self.ends.send(end, &[])?;
+        let tracks = &mut self.tracks;
+        let patience = self.resolved.pipeline.frame_deadline() + PATIENCE;
+        let is_told = bench.wait(patience, |_| {
+            let message = tracks.receive_with_verdict()?.map(|(message, _)| message.header);
+            Ok(message.filter(|header| header.is_last != 0 && header.stamp.is_same_frame(&stamp)))
+        })?;
+        report.holds(
+            "a frame is given up after fusion.deadline_ms",
+            PAGE,
+            is_told.is_some(),
+            || {
+                format!(
+                    "frame {}, of which a record is missing, was not ended in {} ms",
+                    stamp.sequence,
+                    patience.as_millis()
+                )
+            },
+        );
         let stamp = self.stamp();
         let told = self.fly(bench, report, stamp, &[])?;
         report.holds(

@@ -23,8 +23,8 @@ pub const FRAMES_COMPARED: usize = 10;
 pub const FOUND_TO_TELL: usize = 8;
 /// Answers to the newest frames may be on their way.
 const FRAMES_UNSETTLED: usize = 2;
-/// So many frames the new process may be behind the old one: on processors that both share, that is a matter of
-/// time, and what it will answer is not missing. The figures show the time apart.
+/// The new process may lag by this many frames, because both share the processors. A frame that it has not
+/// reached yet does not count as unanswered. Its time is compared apart.
 const FRAMES_BEHIND: usize = 15;
 /// Frames that are kept.
 const MAX_FRAMES: usize = 256;
