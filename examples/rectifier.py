@@ -208,6 +208,10 @@ class Rectifier:
         for index, (worker, attempt, given_ns, planned) in list(self.in_flight.items()):
             others = [other for other in self.workers if other != worker] or [worker]
             if now_ns - given_ns > self.overdue_ns:
+                if self.is_ended and is_newer_there:
+                    # The frame makes room for a newer one: nobody needs its view any more.
+                    del self.in_flight[index]
+                    return True
                 self.give(index, attempt + 1, planned, others[attempt % len(others)])
                 return True
         if not self.is_ended:

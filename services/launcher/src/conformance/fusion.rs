@@ -10,9 +10,10 @@ use flockeye_contract::{
 };
 use flockeye_geometry::body::Body;
 use flockeye_geometry::statistics::median;
+use flockeye_geometry::view::View;
 use flockeye_runtime::clock;
 use flockeye_runtime::ports::{Publisher, Subscriber};
-use nalgebra::{Isometry3, Matrix6, Point3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix6, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 
 use super::bench::Bench;
 use super::report::Report;
@@ -28,6 +29,8 @@ const INTERVAL: Duration = Duration::from_millis(33);
 const PATIENCE: Duration = Duration::from_secs(1);
 /// Pixels along a side of a view.
 const VIEW_PX: u32 = 16;
+/// What its sides span, radians.
+const FIELD_RAD: f64 = 2.0;
 /// Stated deviation of rays, radians.
 const DEVIATION_RAD: f64 = 3e-4;
 
@@ -110,13 +113,14 @@ impl Script<'_> {
         markers: &[DetectedMarker],
     ) -> anyhow::Result<Told> {
         let now_ns = clock::monotonic_ns();
+        let shown = view();
         let view = ViewHeader {
             stamp,
             plan_id: self.plan_id,
             taken_ns: stamp.published_ns,
             issued_ns: stamp.published_ns,
-            camera_from_view: [0.0, 0.0, 0.0, 1.0],
-            focal_px: f64::from(VIEW_PX),
+            camera_from_view: shown.camera_from_view.coords.into(),
+            focal_px: shown.focal_px,
             size_px: VIEW_PX,
             stride: VIEW_PX,
             kind: ViewKind::Partition.code(),
@@ -346,6 +350,11 @@ fn pose(at_s: f64) -> Isometry3<f64> {
     )
 }
 
+/// The one view of each frame: it looks at where the body flies.
+fn view() -> View {
+    View::looking_at(&Unit::new_normalize(pose(0.5).translation.vector), FIELD_RAD, VIEW_PX)
+}
+
 /// What a detector finds of a body in frame `number`: the markers that face the camera, with errors as stated.
 fn markers(body: &Body, pose: &Isometry3<f64>, number: u64) -> Vec<DetectedMarker> {
     let eye = pose.inverse_transform_point(&Point3::origin());
@@ -364,11 +373,21 @@ fn markers(body: &Body, pose: &Isometry3<f64>, number: u64) -> Vec<DetectedMarke
         let seen = (pose * at).coords.normalize();
         (seen + Vector3::from_fn(|axis, _| error(id, corner, axis))).normalize().into()
     };
-    let found = facing.map(|marker| DetectedMarker {
-        rays_in_camera: std::array::from_fn(|k| ray(marker.id, k, &marker.corners[k])),
-        deviations: [DEVIATION_RAD; 4],
-        id: marker.id,
-        ..DetectedMarker::default()
+    let view = view();
+    let found = facing.filter_map(|marker| {
+        let rays = [0, 1, 2, 3].map(|k| ray(marker.id, k, &marker.corners[k]));
+        let mut corners_in_view = [[0.0; 2]; 4];
+        for (corner, ray) in corners_in_view.iter_mut().zip(&rays) {
+            let pixel = view.project(&Unit::new_normalize(Vector3::from(*ray)))?.0;
+            *corner = [pixel.x as f32, pixel.y as f32];
+        }
+        Some(DetectedMarker {
+            rays_in_camera: rays,
+            corners_in_view,
+            deviations: [DEVIATION_RAD; 4],
+            id: marker.id,
+            ..DetectedMarker::default()
+        })
     });
     found.collect()
 }

@@ -436,9 +436,8 @@ impl Script<'_> {
                 ..PlanHeader::default()
             };
             self.plans.send(plan, &[view])?;
-            let frame = self.frame();
-            self.frames.send(frame, &self.picture)?;
-            bench.pass(TAKEN_UP)?;
+            // It is ended, by whatever plan.
+            self.fly(bench, report, |_| Some(0))?;
             if !self.goes_on(bench, report, &format!("{view:?}"))? {
                 return Ok(());
             }
