@@ -106,7 +106,7 @@ impl<P: Pixels> Core<P> {
         }
     }
 
-    /// Refuses what cannot be true in a flight by CLOCK_MONOTONIC with so many detection workers.
+    /// Refuses what cannot be true in flight with so many detection workers.
     pub fn guarded(self, workers: u32) -> Self {
         Self { guard: Some(Guard::new(workers)), ..self }
     }

@@ -99,7 +99,7 @@ pub fn configured<P: Pixels>(
         tracker,
         Planning::new(planner),
     );
-    // In a lossless run exposures have another clock.
+    // A lossless run waits for records whose frames it has not heard of yet.
     let core = match pipeline.flow {
         Flow::Latest => core.guarded(pipeline.detection_workers()),
         Flow::Lossless => core,

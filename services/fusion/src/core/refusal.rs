@@ -9,14 +9,9 @@ use super::{Core, Event};
 use crate::pictures::Pixels;
 use crate::planning::Planning;
 
-/// An exposure farther ahead of now than this is none, nanoseconds.
-const FARTHEST_AHEAD_NS: i64 = 1_000_000_000;
-/// Nor is one longer ago than this: no frame waits so long.
-const LONGEST_AGO_NS: i64 = 10_000_000_000;
-
 /// No source is faster than this, nanoseconds.
 const SHORTEST_INTERVAL_NS: u64 = 1_000_000;
-/// Frames may be counted on by this much in no time: exposures are estimated.
+/// So many frames may come at once, such as those that waited while this process was stopped.
 const FREE_STEP: u64 = 64;
 
 /// Why a message is refused.
@@ -55,11 +50,6 @@ pub enum Refusal {
         /// That of the newest one before.
         newest: u64,
     },
-    /// Nothing is exposed at such a time.
-    ImpossibleTime {
-        /// Milliseconds from now.
-        ahead_ms: i64,
-    },
 }
 
 impl fmt::Display for Refusal {
@@ -80,9 +70,6 @@ impl fmt::Display for Refusal {
             Self::ImpossibleStep { sequence, newest } => {
                 write!(f, "frame {sequence} too soon after frame {newest}")
             }
-            Self::ImpossibleTime { ahead_ms } => {
-                write!(f, "an exposure {ahead_ms} ms from now (exposure_ns, CLOCK_MONOTONIC)")
-            }
         }
     }
 }
@@ -93,12 +80,14 @@ pub struct Guard {
     workers: u32,
     /// The newest frame of which rectification has said anything.
     newest: Option<FrameStamp>,
+    /// When that came, nanoseconds of CLOCK_MONOTONIC. Exposures would not do: a camera's clock may jump.
+    newest_ns: i64,
 }
 
 impl Guard {
     /// For a pipeline with so many detection workers.
     pub fn new(workers: u32) -> Self {
-        Self { workers, newest: None }
+        Self { workers, newest: None, newest_ns: 0 }
     }
 
     /// Why a view is refused.
@@ -123,19 +112,19 @@ impl Guard {
 
     /// Why a frame is refused of which rectification says something.
     fn refuses_frame(&mut self, stamp: &FrameStamp, now_ns: i64) -> Option<Refusal> {
-        let refusal = impossible_time(stamp, now_ns).or_else(|| self.impossible_step(stamp));
+        let refusal = self.impossible_step(stamp, now_ns);
         if refusal.is_none() && self.newest.is_none_or(|newest| newest.order() < stamp.order()) {
-            self.newest = Some(*stamp);
+            (self.newest, self.newest_ns) = (Some(*stamp), now_ns);
         }
         refusal
     }
 
     /// Whether no source could have made so many frames since the newest one.
-    fn impossible_step(&self, stamp: &FrameStamp) -> Option<Refusal> {
+    fn impossible_step(&self, stamp: &FrameStamp, now_ns: i64) -> Option<Refusal> {
         let newest = self.newest.as_ref()?;
         let is_same_source =
             (newest.source_generation, newest.epoch) == (stamp.source_generation, stamp.epoch);
-        let elapsed_ns = stamp.exposure_ns.saturating_sub(newest.exposure_ns).max(0);
+        let elapsed_ns = now_ns.saturating_sub(self.newest_ns).max(0);
         let most = FREE_STEP + elapsed_ns.unsigned_abs() / SHORTEST_INTERVAL_NS;
         let sequence = stamp.sequence;
         let is_impossible = is_same_source && sequence.saturating_sub(newest.sequence) > most;
@@ -170,10 +159,4 @@ impl<P: Pixels> Core<P> {
             Event::Rotation(_) | Event::Background(_) => None,
         }
     }
-}
-
-fn impossible_time(stamp: &FrameStamp, now_ns: i64) -> Option<Refusal> {
-    let ahead_ns = stamp.exposure_ns.saturating_sub(now_ns);
-    let is_possible = (-LONGEST_AGO_NS..=FARTHEST_AHEAD_NS).contains(&ahead_ns);
-    (!is_possible).then_some(Refusal::ImpossibleTime { ahead_ms: ahead_ns / 1_000_000 })
 }
