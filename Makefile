@@ -31,12 +31,13 @@ build: setup
 
 # Tests run the binaries, so these are built first, with the tests, so that the dependencies are
 # built once; clippy reads the benchmarks too. Cargo.toml says what the profile is.
+FAULTS = --features flockeye-launcher/fault-points
 test: setup
 	-@$(MAKE) --no-print-directory python
 	cargo fmt --all --check
-	cargo clippy --profile tested --workspace --all-targets --locked -- -D warnings
-	cargo build --profile tested --workspace --bins --tests --locked
-	cargo test --profile tested --workspace --locked -- --test-threads=2
+	cargo clippy --profile tested --workspace --all-targets --locked $(FAULTS) -- -D warnings
+	cargo build --profile tested --workspace --bins --tests --locked $(FAULTS)
+	cargo test --profile tested --workspace --locked $(FAULTS) -- --test-threads=2
 
 # Python with the package of clients/python and what the examples need, for the tests.
 PYTHON_PACKAGES = iceoryx2==0.10.0 numpy opencv-contrib-python-headless==4.10.0.84

@@ -217,6 +217,9 @@ impl Drop for Flight {
             // A test has failed: no stage outlives the launcher, and its files are removed.
             drop(self.child.kill());
             drop(self.child.wait());
+            for stage in self.stages("") {
+                kill_process(stage, Signal::KILL).ok();
+            }
             let start = Instant::now();
             while !self.stages("").is_empty() && start.elapsed() < Duration::from_secs(5) {
                 std::thread::sleep(Duration::from_millis(20));

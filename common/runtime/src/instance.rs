@@ -14,6 +14,7 @@ use rustix::fs::{FlockOperation, flock};
 use flockeye_config::{Pipeline, Resolved, is_instance_name};
 use serde_json::Value;
 
+use crate::kept::{self, KeptProcess};
 use crate::resolved_file;
 
 /// Environment variable with the instance's folder; every stage gets it.
@@ -49,6 +50,17 @@ pub enum InstanceError {
         name: String,
         /// The launcher of the other one.
         pid: String,
+    },
+    /// Its launcher has ended, and its stages fly on.
+    #[error(
+        "the stages of '{name}' fly on without a launcher ({pids}). Cure: `flockeye up --keep` takes them \
+         over, `flockeye stop --instance {name}` ends them"
+    )]
+    Kept {
+        /// The instance.
+        name: String,
+        /// The stages and their processes, in words.
+        pids: String,
     },
     /// A name that would not lead to a folder of its own.
     #[error("'{name}' cannot be an instance's name: use 1 to 31 letters, digits, '-' and '_'")]
@@ -135,8 +147,13 @@ impl Instance {
         names.iter().map(|name| Self::named(name)).collect()
     }
 
-    /// Whether a living process has it.
+    /// Whether a launcher has it, or its stages fly on without one.
     pub fn is_running(&self) -> bool {
+        self.has_launcher() || !kept::living(&self.folder).is_empty()
+    }
+
+    /// Whether a living launcher has it.
+    pub fn has_launcher(&self) -> bool {
         // Only the owner holds the lock for longer than this check.
         File::open(self.folder.join("lock"))
             .is_ok_and(|lock| flock(&lock, FlockOperation::NonBlockingLockShared).is_err())
@@ -187,9 +204,26 @@ impl Instance {
     /// Takes the instance for this process and clears what a dead run left behind.
     ///
     /// # Errors
-    /// [`InstanceError::Taken`] if a running process has it; [`InstanceError::Name`] for a name that
-    /// would lead to files of others.
+    /// [`InstanceError::Taken`] if a running process has it, [`InstanceError::Kept`] if stages fly on in it;
+    /// [`InstanceError::Name`] for a name that would lead to files of others.
     pub fn take(&self) -> Result<Ownership, InstanceError> {
+        let (ownership, kept) = self.take_over()?;
+        if kept.is_empty() {
+            return Ok(ownership);
+        }
+        let living = kept.iter().filter(|process| process.is_alive(&self.folder));
+        let pids: Vec<_> =
+            living.map(|process| format!("{}: process {}", process.stage, process.pid)).collect();
+        Err(InstanceError::Kept { name: self.name.clone(), pids: pids.join(", ") })
+    }
+
+    /// Takes the instance for this process, together with the stages that fly on in it. Without any, what a
+    /// dead run left behind is cleared. With some, everybody is returned who has left a record, and nothing
+    /// is cleared.
+    ///
+    /// # Errors
+    /// As [`Instance::take`], but for [`InstanceError::Kept`].
+    pub fn take_over(&self) -> Result<(Ownership, Vec<KeptProcess>), InstanceError> {
         if !is_instance_name(&self.name) {
             return Err(InstanceError::Name { name: self.name.clone() });
         }
@@ -216,12 +250,18 @@ impl Instance {
                 pid: pid.trim().to_owned(),
             });
         }
-        self.remove_leftovers().map_err(file_error(&self.folder))?;
+        let kept = match kept::living(&self.folder).is_empty() {
+            true => {
+                self.remove_leftovers().map_err(file_error(&self.folder))?;
+                Vec::new()
+            }
+            false => kept::all(&self.folder),
+        };
         lock.set_len(0)
             .and_then(|()| lock.rewind())
             .and_then(|()| writeln!(lock, "{}", std::process::id()))
             .map_err(file_error(&path))?;
-        Ok(Ownership { instance: self.clone(), _lock: lock })
+        Ok((Ownership { instance: self.clone(), _lock: lock }, kept))
     }
 
     /// Writes what stages read at their start: the resolved configuration, and iceoryx2's for
@@ -300,7 +340,7 @@ impl Instance {
 }
 
 /// The right to an instance, until it is dropped or the process dies. Dropping it removes
-/// everything the instance had.
+/// everything the instance had, unless stages fly on in it.
 #[derive(Debug)]
 pub struct Ownership {
     instance: Instance,
@@ -309,6 +349,9 @@ pub struct Ownership {
 
 impl Drop for Ownership {
     fn drop(&mut self) {
+        if !kept::living(&self.instance.folder).is_empty() {
+            return;
+        }
         if let Err(error) = self.instance.remove_leftovers() {
             tracing::warn!("leftovers in {}: {error}", self.instance.folder.display());
         }

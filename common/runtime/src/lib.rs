@@ -6,6 +6,7 @@
 //! | module | what it is for |
 //! | --- | --- |
 //! | [`instance`] | where one pipeline's shared memory and files live, and who owns it |
+//! | [`kept`] | processes that fly on when their launcher dies |
 //! | [`memory`] | how large each topic's shared memory is, and whether it fits |
 //! | [`ports`] | publishers and subscribers of the contract's topics |
 //! | [`listening`] | whose messages count while a stage is swapped, and complaints |
@@ -27,6 +28,7 @@ pub mod clock;
 pub mod credits;
 pub mod health;
 pub mod instance;
+pub mod kept;
 pub mod listening;
 pub mod logs;
 pub mod memory;

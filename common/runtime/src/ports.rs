@@ -46,7 +46,8 @@ pub struct TopicServices {
     _wake: WakeService,
 }
 
-/// Creates the services of one topic, every lane of it, with its limits.
+/// Creates the services of one topic, every lane of it, with its limits. Where stages fly on without a
+/// launcher, the services are there, and must have these limits.
 ///
 /// # Errors
 /// [`PortError::Create`] with iceoryx2's reason.
@@ -92,8 +93,8 @@ fn create_lane<T: Topic + 'static>(
     let failed =
         |reason: &dyn Debug| PortError::Create { topic: T::NAME, reason: format!("{reason:?}") };
     let name = service_name::<T>(limits, lane)?;
-    let version = AttributeSpecifier::new()
-        .define(&attribute(VERSION_ATTRIBUTE)?, &attribute(CONTRACT_VERSION)?)
+    let version = AttributeVerifier::new()
+        .require(&attribute(VERSION_ATTRIBUTE)?, &attribute(CONTRACT_VERSION)?)
         .map_err(|error| failed(&error))?;
     let data = node
         .service_builder(&name)
@@ -106,7 +107,7 @@ fn create_lane<T: Topic + 'static>(
         .subscriber_max_buffer_size(limits.buffer)
         .subscriber_max_borrowed_samples(limits.borrowed)
         .history_size(limits.history)
-        .create_with_attributes(&version)
+        .open_or_create_with_attributes(&version)
         .map_err(|error| failed(&error))?;
     let wake = node
         .service_builder(&name)
@@ -114,7 +115,7 @@ fn create_lane<T: Topic + 'static>(
         .max_listeners(MAX_EVENT_PORTS)
         .max_notifiers(MAX_EVENT_PORTS)
         .max_nodes(MAX_NODES)
-        .create()
+        .open_or_create()
         .map_err(|error| failed(&error))?;
     Ok(TopicServices { _data: Box::new(data), _wake: wake })
 }

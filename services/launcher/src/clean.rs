@@ -44,6 +44,9 @@ pub fn run(arguments: &CleanArguments) -> anyhow::Result<()> {
             Err(InstanceError::Taken { name, pid }) => {
                 screen.line(&format!("{name}: running (process {pid}), left alone"))
             }
+            Err(error @ InstanceError::Kept { .. }) => {
+                screen.line(&format!("{}: left alone: {error}", instance.name()))
+            }
             Err(error) => return Err(error.into()),
         }
     }

@@ -1,16 +1,22 @@
 //! `flockeye exec-stage`: the first instructions of a stage's process.
 //!
 //! The stage must die with the launcher, even if that is killed. So this process first asks the kernel
-//! for a signal at the launcher's death, then checks that the launcher still lives. It also asks for
-//! processors, nice value and scheduling policy, which survive the exec. Then it becomes the stage,
-//! whatever language that is written in.
+//! for a signal at the launcher's death, then checks that the launcher still lives. A stage that is to fly on
+//! without it (`--keep`) first writes a record of itself, by which the next launcher finds it, and only then
+//! takes that request back: no process is ever lost. It also asks for processors, nice value and scheduling
+//! policy, which survive the exec. Then it becomes the stage, whatever language that is written in.
 
 use std::ffi::OsString;
 use std::os::unix::process::CommandExt;
+use std::path::PathBuf;
 use std::process::Command;
 
 use anyhow::{Context, bail};
 use clap::Args;
+use flockeye_runtime::instance::{
+    FOLDER_VARIABLE, GENERATION_VARIABLE, REPLICA_VARIABLE, STAGE_VARIABLE,
+};
+use flockeye_runtime::kept::KeptProcess;
 use flockeye_runtime::scheduling::SchedulingPolicy;
 use flockeye_runtime::stage::CANNOT_START;
 use rustix::process::{Signal, getppid, set_parent_process_death_signal, setpriority_process};
@@ -22,6 +28,9 @@ pub struct ExecArguments {
     /// The launcher: this process must not outlive it.
     #[arg(long)]
     pub parent: u32,
+    /// Outlive it all the same, known to the next launcher by a record in the instance's folder.
+    #[arg(long)]
+    pub keep: bool,
     /// Processors that it may run on.
     #[arg(long, value_delimiter = ',')]
     pub cpus: Vec<u32>,
@@ -42,13 +51,17 @@ pub struct ExecArguments {
 /// Becomes the stage.
 ///
 /// # Errors
-/// The launcher is dead, or the program cannot be started.
+/// The launcher is dead, its record cannot be written, or the program cannot be started.
 pub fn run(arguments: &ExecArguments) -> anyhow::Result<()> {
     set_parent_process_death_signal(Some(Signal::KILL))
         .context("cannot ask for a signal at the launcher's death")?;
     let parent = getppid().map(|pid| pid.as_raw_nonzero().get().unsigned_abs());
     if parent != Some(arguments.parent) {
         bail!("the launcher (process {}) has ended", arguments.parent);
+    }
+    if arguments.keep {
+        write_record(arguments).context("cannot write the record of this process")?;
+        set_parent_process_death_signal(None).context("cannot outlive the launcher")?;
     }
     // A stage still works if its scheduling is refused.
     let refusals = [apply_cpus(arguments), apply_nice(arguments), apply_policy(arguments)];
@@ -62,6 +75,20 @@ pub fn run(arguments: &ExecArguments) -> anyhow::Result<()> {
     eprintln!("cannot start {}: {error}", program.to_string_lossy());
     // Another attempt would not find the program either.
     std::process::exit(i32::from(CANNOT_START))
+}
+
+/// Tells later launchers which process this is.
+fn write_record(arguments: &ExecArguments) -> anyhow::Result<()> {
+    let variable = |name: &str| std::env::var(name).with_context(|| format!("{name} is not set"));
+    let command = arguments.command.iter().map(|part| part.to_string_lossy().into_owned());
+    let process = KeptProcess {
+        stage: variable(STAGE_VARIABLE)?,
+        replica: variable(REPLICA_VARIABLE)?.parse()?,
+        generation: variable(GENERATION_VARIABLE)?.parse()?,
+        pid: std::process::id(),
+        command: command.collect(),
+    };
+    Ok(process.write(&PathBuf::from(variable(FOLDER_VARIABLE)?))?)
 }
 
 /// Asks for the processors, and says why they are refused.

@@ -2,15 +2,21 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, SystemTime};
+use std::time::{Duration, Instant, SystemTime};
 
-use anyhow::Context;
+use anyhow::{Context, ensure};
 use clap::Args;
 use flockeye_cli::{Screen, duration, signals};
+use flockeye_runtime::instance::Instance;
+use rustix::process::{Pid, Signal, kill_process_group};
 
 use crate::attach::{PipelineChoice, choose};
 use crate::control::client::ask;
 use crate::control::{Request, SwapRequest, Worker};
+use crate::process::STOP_TIME;
+
+/// How long the system may take to end a process that was killed.
+const KILL_TIME: Duration = Duration::from_secs(5);
 
 /// Arguments of `status`.
 #[derive(Debug, Args)]
@@ -82,11 +88,15 @@ pub fn status(arguments: &StatusArguments) -> anyhow::Result<()> {
     do_it(&arguments.running, &Request::Status, arguments.json)
 }
 
-/// Ends a worker, or the whole pipeline.
+/// Ends a worker, or the whole pipeline, also one whose stages fly on without a launcher.
 ///
 /// # Errors
 /// As [`status`], or the pipeline has no such worker.
 pub fn stop(arguments: &StopArguments) -> anyhow::Result<()> {
+    let instance = choose(&arguments.running)?;
+    if arguments.worker.is_none() && !instance.has_launcher() {
+        return end_without_launcher(&instance);
+    }
     do_it(&arguments.running, &Request::Stop { worker: arguments.worker }, false)
 }
 
@@ -132,6 +142,31 @@ pub fn swap(arguments: &SwapArguments) -> anyhow::Result<()> {
         screen.line(&format!("waiting for {} to change", file.display()));
         swapped = wait_for_change(file, swapped, &stopping);
     }
+    Ok(())
+}
+
+/// Ends stages that fly on without a launcher, and removes what they leave.
+fn end_without_launcher(instance: &Instance) -> anyhow::Result<()> {
+    // From now on no launcher takes them over.
+    let (ownership, kept) = instance.take_over()?;
+    let living = || kept.iter().filter(|process| process.is_alive(instance.folder()));
+    let count = living().count();
+    for (signal, time) in [(Signal::TERM, STOP_TIME), (Signal::KILL, KILL_TIME)] {
+        for process in living() {
+            if let Some(pid) = Pid::from_raw(process.pid.cast_signed())
+                && let Err(error) = kill_process_group(pid, signal)
+            {
+                tracing::debug!("signal to {}: {error}", process.stage);
+            }
+        }
+        let start = Instant::now();
+        while living().next().is_some() && start.elapsed() < time {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+    ensure!(living().next().is_none(), "some stages do not end, although they were killed");
+    drop(ownership);
+    Screen::new().line(&format!("{count} stages without a launcher have ended"));
     Ok(())
 }
 

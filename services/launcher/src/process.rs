@@ -1,22 +1,35 @@
-//! One stage's process: started, restarted after it failed, stopped, never an orphan.
+//! One stage's process: started, restarted after it failed, stopped, and taken over from an earlier launcher.
+//!
+//! | module | what it does |
+//! | --- | --- |
+//! | [`child`] | a process that runs, and how it ended |
+//! | [`output`] | what processes write, line by line |
+//! | [`command`] | how a process is started |
 
-use std::io::{BufRead, BufReader, Read};
-use std::os::unix::process::{CommandExt, ExitStatusExt};
+mod child;
+mod command;
+mod output;
+
+use std::fs::File;
+use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::process::{Command, Stdio};
 use std::sync::mpsc::SyncSender;
-use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use flockeye_config::{Restart, Scheduling, StageInfo, StageProcess};
-use flockeye_contract::StageName;
+use flockeye_config::{Restart, StageProcess};
 use flockeye_runtime::backoff::Backoff;
 use flockeye_runtime::instance::{
     FOLDER_VARIABLE, GENERATION_VARIABLE, REPLICA_VARIABLE, STAGE_VARIABLE,
 };
-use flockeye_runtime::scheduling::SchedulingPolicy;
+use flockeye_runtime::kept::{self, KeptProcess};
 use rustix::process::{Pid, Signal, kill_process_group};
+
+use self::child::{End, RunningProcess};
+use self::command::{backoff, program, scheduling_arguments};
+pub use self::output::LogLine;
+use self::output::{KeptOutput, LineSink};
 
 use crate::complaints::Replacements;
 use crate::control::Worker;
@@ -24,15 +37,6 @@ use crate::heartbeat::Heartbeat;
 
 /// How long a process gets to end by itself after SIGTERM.
 pub const STOP_TIME: Duration = Duration::from_millis(1400);
-
-/// A line that a stage wrote.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct LogLine {
-    /// The stage, with the worker's number if there are several.
-    pub stage: String,
-    /// What it wrote.
-    pub text: String,
-}
 
 /// What happened to a process since the last check.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -93,24 +97,26 @@ pub struct Process {
     pub is_silent: bool,
     /// The highest generation that any process of this worker has had.
     used_generations: u32,
-    /// Its name. The threads that pass its lines on read it too: a swap changes it.
-    label: Arc<Mutex<String>>,
+    /// Where its lines go, and its name there.
+    lines: LineSink,
     command: Vec<String>,
     folder: PathBuf,
     restart: Restart,
     backoff: Backoff,
-    child: Option<Child>,
+    child: Option<RunningProcess>,
+    /// Whether it flies on when the launcher dies.
+    is_kept: bool,
+    kept_output: Option<KeptOutput>,
     condition: Condition,
     asked: Asked,
     kill_at: Option<Instant>,
     started: Instant,
     /// Its scheduling and its processors, as arguments of `exec-stage`.
     scheduling: Vec<String>,
-    log: SyncSender<LogLine>,
 }
 
 impl Process {
-    /// Prepares a worker without starting it.
+    /// Prepares a worker without starting it. With `is_kept` its process flies on when the launcher dies.
     ///
     /// # Errors
     /// Its program is not there.
@@ -119,6 +125,7 @@ impl Process {
         configuration: &StageProcess,
         folder: &Path,
         log: SyncSender<LogLine>,
+        is_kept: bool,
     ) -> anyhow::Result<Self> {
         Ok(Self {
             worker,
@@ -128,18 +135,19 @@ impl Process {
             is_late: false,
             is_silent: false,
             used_generations: 0,
-            label: Arc::new(Mutex::new(worker.to_string())),
+            lines: LineSink::new(worker.to_string(), log),
             command: program(worker.stage.name(), configuration)?,
             scheduling: scheduling_arguments(worker.stage, configuration),
             folder: folder.to_owned(),
             restart: configuration.restart,
             backoff: backoff(configuration.backoff_s),
             child: None,
+            is_kept,
+            kept_output: None,
             condition: Condition::New,
             asked: Asked::Nothing,
             kill_at: None,
             started: Instant::now(),
-            log,
         })
     }
 
@@ -155,40 +163,66 @@ impl Process {
             is_late: false,
             is_silent: false,
             used_generations: generation,
-            label: Arc::new(Mutex::new(format!("{} (new)", self.worker))),
+            lines: self.lines.of_another(format!("{} (new)", self.worker)),
             command: if command.is_empty() { self.command.clone() } else { command.to_vec() },
             scheduling: self.scheduling.clone(),
             folder: self.folder.clone(),
             restart: Restart::Never,
             backoff: self.backoff.clone(),
             child: None,
+            is_kept: self.is_kept,
+            kept_output: None,
             condition: Condition::New,
             asked: Asked::Nothing,
             kill_at: None,
             started: Instant::now(),
-            log: self.log.clone(),
         }
+    }
+
+    /// Goes on with a process that an earlier launcher left flying, or, where it has ended meanwhile, with
+    /// its program.
+    pub fn adopt(&mut self, kept: &KeptProcess) {
+        self.generation = kept.generation;
+        self.command = kept.command.clone();
+        // A process that its launcher gave up may have had the next one.
+        self.used_generations = self.used_generations.max(kept.generation + 1);
+        if !kept.is_alive(&self.folder) {
+            kept.forget(&self.folder);
+            return;
+        }
+        // It lived a moment ago. If it has ended since, it is started like one that never ran.
+        let Ok(child) = RunningProcess::adopt(kept.pid) else { return };
+        self.child = Some(child);
+        self.kept_output = self.open_kept_output();
+        self.condition = Condition::Running;
+    }
+
+    /// The same process, which another one has replaced and which is to end.
+    pub fn adopt_retired(&mut self, kept: &KeptProcess) -> Self {
+        let mut retired = self.successor(&kept.command);
+        retired.generation = kept.generation;
+        retired.adopt(kept);
+        self.used_generations = self.used_generations.max(retired.used_generations);
+        retired.lines.rename(format!("{} (old)", retired.worker));
+        retired.ask_to_stop();
+        retired
     }
 
     /// Takes the place of `old`, which is returned and is never started again.
     pub fn takes_the_place_of(mut self, old: &mut Self) -> Self {
         self.restart = old.restart;
-        self.rename(self.worker.to_string());
+        self.lines.rename(self.worker.to_string());
         self.used_generations = self.used_generations.max(old.used_generations);
         self.backoff.reset();
         let mut retired = std::mem::replace(old, self);
         retired.restart = Restart::Never;
-        retired.rename(format!("{} (old)", retired.worker));
+        retired.lines.rename(format!("{} (old)", retired.worker));
         retired
     }
 
     /// Its name in the table and the log.
     pub fn label(&self) -> String {
-        locked(&self.label)
-    }
-
-    fn rename(&self, name: String) {
-        *self.label.lock().unwrap_or_else(PoisonError::into_inner) = name;
+        self.lines.label()
     }
 
     /// Its program and arguments.
@@ -203,7 +237,7 @@ impl Process {
 
     /// Its process number while it runs.
     pub fn pid(&self) -> Option<u32> {
-        self.child.as_ref().map(Child::id)
+        self.child.as_ref().map(RunningProcess::pid)
     }
 
     /// What it is doing.
@@ -233,8 +267,9 @@ impl Process {
             // Graphics drivers warn without one.
             command.env("XDG_RUNTIME_DIR", &self.folder);
         }
-        let mut child = command
+        command
             .args(["exec-stage", "--parent", &std::process::id().to_string()])
+            .args(self.is_kept.then_some("--keep"))
             .args(&self.scheduling)
             .arg("--")
             .args(&self.command)
@@ -243,18 +278,22 @@ impl Process {
             .env(REPLICA_VARIABLE, self.worker.replica.to_string())
             .env(GENERATION_VARIABLE, self.generation.to_string())
             .stdin(Stdio::null())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .process_group(0)
-            .spawn()
-            .with_context(|| format!("cannot start {}", self.label()))?;
-        if let Some(output) = child.stdout.take() {
-            self.forward(output);
-        }
-        if let Some(output) = child.stderr.take() {
-            self.forward(output);
-        }
-        self.child = Some(child);
+            .process_group(0);
+        let context = || format!("cannot start {}", self.label());
+        let (kept_output, child) = if self.is_kept {
+            let output = self.create_kept_output().with_context(context)?;
+            let kept_output = self.open_kept_output();
+            command.stdout(output.try_clone().with_context(context)?).stderr(output);
+            (kept_output, command.spawn().with_context(context)?)
+        } else {
+            let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn();
+            let mut child = child.with_context(context)?;
+            child.stdout.take().into_iter().for_each(|output| self.lines.forward(output));
+            child.stderr.take().into_iter().for_each(|output| self.lines.forward(output));
+            (None, child)
+        };
+        self.child = Some(RunningProcess::Own(child));
+        self.kept_output = kept_output;
         self.condition = Condition::Running;
         self.asked = Asked::Nothing;
         self.kill_at = None;
@@ -272,17 +311,46 @@ impl Process {
         self.start()
     }
 
-    /// Forwards a stream line by line, from a thread of its own that ends with the stream.
-    fn forward(&self, output: impl Read + Send + 'static) {
-        let (label, log) = (self.label.clone(), self.log.clone());
-        std::thread::spawn(move || {
-            for line in BufReader::new(output).split(b'\n') {
-                let Ok(line) = line else { break };
-                let text = String::from_utf8_lossy(&line).trim_end().to_owned();
-                // A slow launcher must not block the stage: the line is dropped instead.
-                drop(log.try_send(LogLine { stage: locked(&label), text }));
-            }
-        });
+    /// Its record and its output, if it flies on when the launcher dies.
+    fn record(&self) -> KeptProcess {
+        KeptProcess {
+            stage: self.worker.stage.name().to_owned(),
+            replica: self.worker.replica,
+            generation: self.generation,
+            pid: self.pid().unwrap_or(0),
+            command: self.command.clone(),
+        }
+    }
+
+    fn create_kept_output(&self) -> std::io::Result<File> {
+        std::fs::create_dir_all(kept::folder(&self.folder))?;
+        File::options().append(true).create(true).open(self.record().output(&self.folder))
+    }
+
+    fn open_kept_output(&self) -> Option<KeptOutput> {
+        let path = self.record().output(&self.folder);
+        KeptOutput::open(&path)
+            .inspect_err(|error| tracing::warn!("the output of {}: {error}", self.label()))
+            .ok()
+    }
+
+    /// Passes on what a process that is kept has written.
+    fn forward_kept_output(&mut self) {
+        if let Some(output) = &mut self.kept_output
+            && let Err(error) = output.forward(&self.lines)
+        {
+            tracing::warn!("the output of {}: {error}", self.lines.label());
+            self.kept_output = None;
+        }
+    }
+
+    /// Removes what a process that was kept has left behind.
+    fn forget_kept(&mut self) {
+        self.forward_kept_output();
+        self.kept_output = None;
+        if self.is_kept {
+            self.record().forget(&self.folder);
+        }
     }
 
     /// Asks it to end, and kills it if it does not in [`STOP_TIME`].
@@ -324,18 +392,19 @@ impl Process {
         is_finished: bool,
         before_restart: impl FnOnce(),
     ) -> anyhow::Result<ProcessChange> {
+        self.forward_kept_output();
         if let Some(child) = &mut self.child {
-            let Some(status) =
-                child.try_wait().with_context(|| format!("waiting for {}", self.label()))?
-            else {
+            let context = || format!("waiting for {}", self.lines.label());
+            let Some(end) = child.end().with_context(context)? else {
                 if self.kill_at.is_some_and(|time| Instant::now() >= time) {
                     self.kill_at = None;
                     self.signal(Signal::KILL);
                 }
                 return Ok(ProcessChange::None);
             };
+            self.forget_kept();
             self.child = None;
-            return Ok(self.ended(status, is_finished));
+            return Ok(self.ended(end, is_finished));
         }
         if let Condition::Waiting(until) = self.condition
             && Instant::now() >= until
@@ -347,7 +416,7 @@ impl Process {
         Ok(ProcessChange::None)
     }
 
-    fn ended(&mut self, status: ExitStatus, is_finished: bool) -> ProcessChange {
+    fn ended(&mut self, end: End, is_finished: bool) -> ProcessChange {
         match std::mem::replace(&mut self.asked, Asked::Nothing) {
             Asked::Stop => {
                 if self.condition != Condition::GivenUp {
@@ -375,8 +444,7 @@ impl Process {
             Some(wait) => Condition::Waiting(Instant::now() + wait),
             None => Condition::GivenUp,
         };
-        let is_hopeless = status.code() == Some(i32::from(flockeye_runtime::stage::CANNOT_START));
-        ProcessChange::Ended { how: describe(status), is_hopeless, retry_in }
+        ProcessChange::Ended { how: end.how, is_hopeless: end.is_hopeless, retry_in }
     }
 
     /// Sends a signal to it and to every process that it has started.
@@ -395,31 +463,15 @@ impl Process {
         if matches!(self.condition, Condition::Waiting(_)) {
             self.condition = Condition::Stopped;
         }
-        match &mut self.child {
+        let has_ended = match &mut self.child {
             None => true,
-            Some(child) => matches!(child.try_wait(), Ok(Some(_)) | Err(_)),
+            Some(child) => matches!(child.end(), Ok(Some(_)) | Err(_)),
+        };
+        if has_ended {
+            self.forget_kept();
         }
+        has_ended
     }
-}
-
-/// A thread that panicked while it held the lock left the text whole.
-fn locked(label: &Mutex<String>) -> String {
-    label.lock().unwrap_or_else(PoisonError::into_inner).clone()
-}
-
-/// Program and arguments of a stage: as configured, or the one beside the launcher.
-fn program(stage: &str, configuration: &StageProcess) -> anyhow::Result<Vec<String>> {
-    if !configuration.command.is_empty() {
-        return Ok(configuration.command.clone());
-    }
-    let own = std::env::current_exe().context("cannot find the flockeye program")?;
-    let path = own.with_file_name(format!("flockeye-{stage}"));
-    anyhow::ensure!(
-        path.exists(),
-        "the program of {stage} is not at {}. Cure: build the whole workspace (cargo build --release --workspace)",
-        path.display()
-    );
-    Ok(vec![path.to_string_lossy().into_owned()])
 }
 
 /// Whether a process is started again that ended without being asked to.
@@ -431,43 +483,10 @@ fn wants_restart(policy: Restart, is_finished: bool) -> bool {
     }
 }
 
-fn describe(status: ExitStatus) -> String {
-    match (status.code(), status.signal()) {
-        (Some(code), _) => format!("ended with status {code}"),
-        (None, Some(signal)) => format!("was killed by signal {signal}"),
-        (None, None) => "ended".to_owned(),
-    }
-}
-
 /// A process that lived this long did not fail at its start, and is started again at once. Starting one of our
 /// stages costs up to 0.3 s of a processor (a simulator more), so one that always ends after this takes a tenth
 /// of it.
 const LONG_LIFE: Duration = Duration::from_secs(3);
-
-fn backoff([first_s, longest_s]: [f64; 2]) -> Backoff {
-    let wait = |s: f64| Duration::try_from_secs_f64(s).unwrap_or(Duration::from_secs(1));
-    Backoff::new(wait(first_s), wait(longest_s))
-}
-
-/// The arguments of `exec-stage` that say how and on which processors a stage runs.
-fn scheduling_arguments(stage: StageName, configuration: &StageProcess) -> Vec<String> {
-    let usual = StageInfo::of(stage).nice;
-    let mut arguments = vec![format!("--nice={}", configuration.nice.unwrap_or(usual))];
-    if !configuration.cpus.is_empty() {
-        let cpus: Vec<String> = configuration.cpus.iter().map(u32::to_string).collect();
-        arguments.push(format!("--cpus={}", cpus.join(",")));
-    }
-    let policy = match configuration.scheduling {
-        Scheduling::Normal => return arguments,
-        Scheduling::Batch => SchedulingPolicy::Batch,
-        Scheduling::Idle => SchedulingPolicy::Idle,
-        Scheduling::Fifo => SchedulingPolicy::Fifo,
-        Scheduling::RoundRobin => SchedulingPolicy::RoundRobin,
-    };
-    arguments.push(format!("--scheduling={policy}"));
-    arguments.push(format!("--priority={}", configuration.priority));
-    arguments
-}
 
 #[cfg(test)]
 mod tests {
@@ -484,7 +503,6 @@ mod tests {
         ] {
             assert_eq!([false, true].map(|finished| wants_restart(policy, finished)), wanted);
         }
-        assert_eq!(describe(ExitStatus::from_raw(9)), "was killed by signal 9");
     }
 
     #[test]
@@ -492,7 +510,7 @@ mod tests {
         let (log, _kept) = sync_channel(1);
         let configuration = StageProcess { command: vec!["old".to_owned()], ..Default::default() };
         let worker = "detection.1".parse().unwrap();
-        let mut process = Process::new(worker, &configuration, Path::new("/"), log).unwrap();
+        let mut process = Process::new(worker, &configuration, Path::new("/"), log, false).unwrap();
         let given_up = process.successor(&[]);
         assert_eq!((given_up.generation, given_up.command()), (1, &["old".to_owned()][..]));
         let new = process.successor(&["new".to_owned()]);

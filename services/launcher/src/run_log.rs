@@ -45,6 +45,9 @@ pub struct RunOptions {
     /// Record the corner rays of all detected markers.
     #[arg(long, value_name = "FILE.csv")]
     pub rays: Option<PathBuf>,
+    /// Let the stages fly on if the launcher dies; the next `up --keep` takes them over.
+    #[arg(long)]
+    pub keep: bool,
     /// Note how often each part of the sphere is searched.
     #[arg(skip)]
     pub watches_sweep: bool,

@@ -5,10 +5,12 @@
 //! | [`faults`] | notices processes that end, hang, start too slowly or do not do what they owe |
 //! | [`requests`] | does what clients ask for by the control channel |
 //! | [`swaps`] | replaces a process in flight |
+//! | [`taking_over`] | goes on with the processes that an earlier launcher left flying |
 
 mod faults;
 mod requests;
 mod swaps;
+pub mod taking_over;
 
 use std::rc::Rc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -18,7 +20,7 @@ use std::time::{Duration, Instant};
 use anyhow::Context;
 use flockeye_cli::Screen;
 use flockeye_config::{Pipeline, Resolved};
-use flockeye_contract::{Complaints, HandOver, HandOvers, StageName, StageState};
+use flockeye_contract::{Complaints, HandOver, HandOverState, HandOvers, StageName, StageState};
 use flockeye_runtime::clock;
 use flockeye_runtime::health::Counters;
 use flockeye_runtime::instance::{Instance, Ownership};
@@ -31,7 +33,8 @@ use self::requests::Pending;
 use self::swaps::Replacement;
 use crate::control::Worker;
 use crate::control::server::Server;
-use crate::process::{LogLine, Process, STOP_TIME};
+use crate::fault_point;
+use crate::process::{Condition, LogLine, Process, STOP_TIME};
 use crate::run_log::{RunLog, RunOptions, RunSummary};
 use crate::swap::Swap;
 
@@ -66,6 +69,8 @@ pub struct Supervisor<'a> {
     replacement: Option<Replacement>,
     /// A swap is over, and the process that does not count has yet to end.
     awaits_silence: bool,
+    /// Whether the processes fly on when this one dies.
+    is_kept: bool,
     is_asked_to_end: bool,
     log: Receiver<LogLine>,
     screen: &'a mut Screen,
@@ -94,6 +99,8 @@ impl<'a> Supervisor<'a> {
                 .create::<ipc::Service>()
                 .map_err(|error| anyhow::anyhow!("cannot open shared memory: {error:?}"))?,
         );
+        // A launcher that was killed while its stages fly on.
+        node.blocking_cleanup_dead_nodes(Duration::from_secs(1));
         let services = create_all_services(&node, &budget)?;
         let mut ports = Ports::new(node.clone(), budget.clone(), Rc::new(Counters::default()));
         let (sender, log) = sync_channel(LOG_LINES);
@@ -108,10 +115,12 @@ impl<'a> Supervisor<'a> {
             .map(|(stage, replica)| {
                 let worker = Worker { stage, replica };
                 let configuration = pipeline.stages.of(stage);
-                Process::new(worker, configuration, instance.folder(), sender.clone())
+                let log = sender.clone();
+                Process::new(worker, configuration, instance.folder(), log, options.keep)
             })
             .collect::<anyhow::Result<Vec<_>>>()?;
         let now = Instant::now();
+        fault_point::NOTICE.into_iter().for_each(|notice| screen.line(notice));
         Ok(Self {
             duration: options.duration,
             messages: RunLog::open(resolved, options, &mut ports)?,
@@ -130,6 +139,7 @@ impl<'a> Supervisor<'a> {
             pending: Vec::new(),
             replacement: None,
             awaits_silence: false,
+            is_kept: options.keep,
             is_asked_to_end: false,
             log,
             screen,
@@ -139,13 +149,14 @@ impl<'a> Supervisor<'a> {
         })
     }
 
-    /// Starts the consumers; the source follows when they are ready.
+    /// Starts the consumers that do not run yet; the source follows when they are ready.
     ///
     /// # Errors
     /// The system cannot start a process.
     pub fn start(&mut self) -> anyhow::Result<()> {
-        let consumers =
-            self.processes.iter_mut().filter(|process| !process.worker.stage.is_source());
+        let consumers = self.processes.iter_mut().filter(|process| {
+            !process.worker.stage.is_source() && process.condition() == Condition::New
+        });
         consumers.into_iter().try_for_each(Process::start)
     }
 
@@ -222,8 +233,16 @@ impl<'a> Supervisor<'a> {
 
     /// Says whose messages count, here and everywhere.
     fn announce(&self, ports: &Ports, word: HandOver) -> anyhow::Result<()> {
+        let folder = self.instance.folder();
+        let state = HandOverState::try_from(word.state)?;
+        if self.is_kept {
+            taking_over::write_word(folder, &word)?;
+        }
+        fault_point::pass(folder, &format!("{state:?} is written"));
         ports.listening().set(word);
-        Ok(self.hand_overs.send(word, &[])?)
+        self.hand_overs.send(word, &[])?;
+        fault_point::pass(folder, &format!("{state:?} is said"));
+        Ok(())
     }
 
     fn show_log(&mut self) {

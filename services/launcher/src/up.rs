@@ -5,14 +5,14 @@ use std::sync::atomic::AtomicBool;
 use anyhow::{Context, ensure};
 use clap::Args;
 use flockeye_cli::{Configuration, Screen, signals};
-use flockeye_config::{Pipeline, Resolved};
+use flockeye_config::{Flow, Pipeline, Resolved};
 use flockeye_dictionary::Dictionary;
 use flockeye_runtime::instance::Instance;
 use flockeye_runtime::memory::{Budget, shared_memory_space};
 use iceoryx2::prelude::*;
 
 use crate::run_log::{RunOptions, RunSummary};
-use crate::supervisor::Supervisor;
+use crate::supervisor::{Supervisor, taking_over};
 
 /// Arguments of `up`.
 #[derive(Debug, Args)]
@@ -35,6 +35,28 @@ pub fn run(arguments: &UpArguments) -> anyhow::Result<()> {
     run_pipeline(&pipeline, &arguments.options, &mut Screen::new(), &stopping).map(drop)
 }
 
+/// The configuration of stages that fly on. It stays as it is, whatever `wanted` is.
+fn what_flies(
+    instance: &Instance,
+    wanted: &Pipeline,
+    screen: &mut Screen,
+) -> anyhow::Result<Resolved> {
+    taking_over::undo_unfinished_swap(instance)?;
+    let flying = instance.pipeline()?;
+    let [ours, theirs] = [serde_json::to_value(wanted)?, serde_json::to_value(&flying)?];
+    let keys = theirs.as_object().into_iter().flatten();
+    let other: Vec<_> = keys.filter(|(key, value)| ours.get(key) != Some(value)).collect();
+    if !other.is_empty() {
+        let names: Vec<_> = other.iter().map(|(key, _)| key.as_str()).collect();
+        screen.line(&format!(
+            "what flies has other settings in {}; they stay. Cure: `flockeye swap STAGE --set`, or end it \
+             and start anew",
+            names.join(", ")
+        ));
+    }
+    Resolved::of(flying).context("the configuration of what flies")
+}
+
 /// Runs a pipeline until its source ends, the options end it or `stopping` is raised.
 ///
 /// # Errors
@@ -47,16 +69,30 @@ pub fn run_pipeline(
 ) -> anyhow::Result<RunSummary> {
     set_log_level(LogLevel::Fatal);
     let resolved = Resolved::of(pipeline.clone())?;
+    ensure!(
+        !(options.keep && pipeline.flow == Flow::Lossless),
+        "--keep: a lossless run waits for its launcher. Cure: flow: latest"
+    );
     // The stages read both. They are checked here too, so that an error is reported once and first.
     resolved.mask()?;
     Dictionary::of(&resolved.bodies)?;
-    let budget = Budget::of(&resolved);
     let instance = Instance::named(&pipeline.instance.0);
-    let ownership = instance.take()?;
-    let (free, total) = shared_memory_space().context("cannot look at /dev/shm")?;
-    budget.check(free, total)?;
-    instance.write_configuration(&resolved)?;
+    let (ownership, kept) = match options.keep {
+        true => instance.take_over()?,
+        false => (instance.take()?, Vec::new()),
+    };
+    let resolved = match kept.is_empty() {
+        true => resolved,
+        false => what_flies(&instance, pipeline, screen)?,
+    };
+    let budget = Budget::of(&resolved);
+    if kept.is_empty() {
+        let (free, total) = shared_memory_space().context("cannot look at /dev/shm")?;
+        budget.check(free, total)?;
+        instance.write_configuration(&resolved)?;
+    }
     let mut supervisor = Supervisor::new(options, &resolved, &instance, budget, screen)?;
+    supervisor.adopt(&kept)?;
     supervisor.start()?;
     let outcome = supervisor.watch(stopping);
     supervisor.stop();

@@ -10,6 +10,7 @@ mod evaluation;
 mod faults;
 mod foreign;
 mod inertial;
+mod keeping;
 mod lab;
 mod lifecycle;
 mod lossless;

@@ -86,7 +86,7 @@ impl Bench {
         Ok(Self {
             ports,
             healths,
-            process: Process::new(worker, &process, instance.folder(), sender)?,
+            process: Process::new(worker, &process, instance.folder(), sender, false)?,
             log,
             lines: Vec::new(),
             newest: None,

@@ -24,6 +24,13 @@ pub fn ask(
     mut show: impl FnMut(&str),
 ) -> anyhow::Result<(String, Value)> {
     let path = socket_path(instance.folder());
+    if !instance.has_launcher() {
+        bail!(
+            "the stages of '{}' fly on without a launcher. Cure: `flockeye up --keep` takes them over, \
+             `flockeye stop` ends them",
+            instance.name()
+        );
+    }
     let mut stream = UnixStream::connect(&path).with_context(|| {
         format!("the pipeline '{}' does not answer at {}", instance.name(), path.display())
     })?;

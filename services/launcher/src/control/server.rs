@@ -42,6 +42,8 @@ impl Server {
     pub fn open(folder: &Path) -> anyhow::Result<Self> {
         let path = socket_path(folder);
         let context = || format!("cannot open the control channel {}", path.display());
+        // Of a launcher that was killed. Only one at a time has the instance.
+        drop(std::fs::remove_file(&path));
         // The folder is the owner's alone, so nobody else reaches the socket before its mode is set.
         let listener = UnixListener::bind(&path).with_context(context)?;
         std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o600))

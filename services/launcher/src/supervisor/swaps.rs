@@ -11,9 +11,10 @@ use flockeye_runtime::memory::{Budget, shared_memory_space};
 use flockeye_runtime::ports::Ports;
 use serde_json::json;
 
-use super::Supervisor;
+use super::{Supervisor, taking_over};
 use crate::control::server::ClientId;
 use crate::control::{Reply, SwapRequest, Worker};
+use crate::fault_point;
 use crate::process::{Condition, ProcessChange};
 use crate::swap::shadow::{Shadow, can_shadow};
 use crate::swap::{Lives, Swap, Verdict};
@@ -75,6 +76,9 @@ impl Supervisor<'_> {
         let within = Duration::from_secs_f64(request.within_s);
         let pipeline_before = match changed {
             Some(resolved) => {
+                if self.is_kept {
+                    taking_over::keep_settings(self.instance.folder())?;
+                }
                 self.instance.write_configuration(&resolved)?;
                 Some(std::mem::replace(&mut self.pipeline, resolved.pipeline))
             }
@@ -129,6 +133,7 @@ impl Supervisor<'_> {
         self.announce(ports, swap.begin())?;
         self.messages.keep_apart(Some((worker, swap.candidate.generation)));
         swap.candidate.start()?;
+        fault_point::pass(self.instance.folder(), "it is started");
         let pid = swap.candidate.pid().unwrap_or(0);
         self.say(client, &format!("{worker}: process {pid} works in the old one's shadow"));
         self.swap = Some(swap);
@@ -203,6 +208,7 @@ impl Supervisor<'_> {
     fn restore(&mut self, pipeline: Pipeline) -> anyhow::Result<()> {
         let resolved = Resolved::of(pipeline)?;
         self.instance.write_configuration(&resolved)?;
+        taking_over::forget_settings(self.instance.folder());
         self.pipeline = resolved.pipeline;
         Ok(())
     }
@@ -241,8 +247,11 @@ impl Supervisor<'_> {
             Verdict::Done(text, report) => {
                 self.screen.line(&text);
                 self.server.reply(swap.client, &Reply::Done { text, report });
+                taking_over::forget_settings(self.instance.folder());
                 let mut old = swap.candidate.takes_the_place_of(&mut self.processes[index]);
+                fault_point::pass(self.instance.folder(), "it is swapped");
                 old.ask_to_stop();
+                fault_point::pass(self.instance.folder(), "the old one is asked to end");
                 self.retired.push(old);
             }
             Verdict::Refused(reason) => {
@@ -296,6 +305,7 @@ impl Supervisor<'_> {
             let report = json!({ "worker": worker, "generation": generation, "gap_s": gap_s });
             self.screen.line(&text);
             self.server.reply(replacement.client, &Reply::Done { text, report });
+            taking_over::forget_settings(self.instance.folder());
             return Ok(());
         }
         if let Some(before) = replacement.pipeline_before {

@@ -1,0 +1,32 @@
+//! Places in a hand-over at which a test stops the launcher, and kills it or another process.
+//!
+//! They are built in with the feature `fault-points` alone, as `make test` does, and never in what flies.
+
+use std::path::Path;
+
+/// What the launcher says at its start if it has fault points.
+#[cfg(feature = "fault-points")]
+pub const NOTICE: Option<&str> = Some("this build has fault points, for tests alone");
+/// What the launcher says at its start if it has fault points.
+#[cfg(not(feature = "fault-points"))]
+pub const NOTICE: Option<&str> = None;
+
+/// Waits here if the file `fault` in the instance's folder names this step, until somebody removes the file
+/// `fault-reached` that takes its place.
+#[cfg(feature = "fault-points")]
+pub fn pass(folder: &Path, step: &str) {
+    use std::time::{Duration, Instant};
+    let (wanted, reached) = (folder.join("fault"), folder.join("fault-reached"));
+    let is_wanted = std::fs::read_to_string(&wanted).is_ok_and(|text| text.trim() == step);
+    if !is_wanted || std::fs::rename(&wanted, &reached).is_err() {
+        return;
+    }
+    let start = Instant::now();
+    while reached.exists() && start.elapsed() < Duration::from_secs(30) {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+/// Does nothing: this build has no fault points.
+#[cfg(not(feature = "fault-points"))]
+pub fn pass(_folder: &Path, _step: &str) {}

@@ -1,0 +1,108 @@
+//! A process that runs: the launcher's own child, or one that an earlier launcher left flying.
+
+use std::io;
+use std::os::fd::OwnedFd;
+use std::os::unix::process::ExitStatusExt;
+use std::process::{Child, ExitStatus};
+
+use flockeye_runtime::stage::CANNOT_START;
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::process::{Pid, PidfdFlags, pidfd_open};
+
+/// A process that runs.
+pub enum RunningProcess {
+    /// This launcher started it.
+    Own(Child),
+    /// Another one did, so only the end can be seen and not its status.
+    Adopted {
+        /// Its number.
+        pid: u32,
+        /// It stays this process even if the number is given to another one.
+        pidfd: OwnedFd,
+    },
+}
+
+/// How a process has ended.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct End {
+    /// In words.
+    pub how: String,
+    /// Whether its exit status says that another attempt is useless.
+    pub is_hopeless: bool,
+}
+
+impl RunningProcess {
+    /// A living process that somebody else started.
+    ///
+    /// # Errors
+    /// It has ended.
+    pub fn adopt(pid: u32) -> io::Result<Self> {
+        let number = Pid::from_raw(pid.cast_signed()).ok_or_else(|| {
+            io::Error::new(io::ErrorKind::InvalidInput, "no process has number 0")
+        })?;
+        Ok(Self::Adopted { pid, pidfd: pidfd_open(number, PidfdFlags::empty())? })
+    }
+
+    /// Its number.
+    pub fn pid(&self) -> u32 {
+        match self {
+            Self::Own(child) => child.id(),
+            Self::Adopted { pid, .. } => *pid,
+        }
+    }
+
+    /// How it has ended; `None` while it runs.
+    ///
+    /// # Errors
+    /// The system does not tell.
+    pub fn end(&mut self) -> io::Result<Option<End>> {
+        match self {
+            Self::Own(child) => Ok(child.try_wait()?.map(End::of)),
+            Self::Adopted { pidfd, .. } => {
+                let mut polled = [PollFd::new(pidfd, PollFlags::IN)];
+                let has_ended = poll(&mut polled, Some(&Timespec { tv_sec: 0, tv_nsec: 0 }))? > 0;
+                let how = "ended (an earlier launcher had started it, so its status is not known)";
+                Ok(has_ended.then(|| End { how: how.to_owned(), is_hopeless: false }))
+            }
+        }
+    }
+}
+
+impl End {
+    fn of(status: ExitStatus) -> Self {
+        let how = match (status.code(), status.signal()) {
+            (Some(code), _) => format!("ended with status {code}"),
+            (None, Some(signal)) => format!("was killed by signal {signal}"),
+            (None, None) => "ended".to_owned(),
+        };
+        Self { how, is_hopeless: status.code() == Some(i32::from(CANNOT_START)) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use std::process::Command;
+    use std::time::{Duration, Instant};
+
+    #[test]
+    fn ends_are_told_in_words() {
+        assert_eq!(End::of(ExitStatus::from_raw(9)).how, "was killed by signal 9");
+        let hopeless = End::of(ExitStatus::from_raw(i32::from(CANNOT_START) << 8));
+        assert_eq!((hopeless.how.as_str(), hopeless.is_hopeless), ("ended with status 2", true));
+    }
+
+    #[test]
+    fn the_end_of_an_adopted_process_is_seen() {
+        let mut child = Command::new("sleep").arg("60").spawn().unwrap();
+        let mut adopted = RunningProcess::adopt(child.id()).unwrap();
+        assert_eq!((adopted.pid(), adopted.end().unwrap()), (child.id(), None));
+        child.kill().unwrap();
+        let start = Instant::now();
+        while adopted.end().unwrap().is_none() {
+            assert!(start.elapsed() < Duration::from_secs(20), "its end is not seen");
+        }
+        child.wait().unwrap();
+    }
+}

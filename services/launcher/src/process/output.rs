@@ -1,0 +1,142 @@
+//! What processes write, line by line.
+
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
+use std::path::Path;
+use std::sync::mpsc::SyncSender;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use rustix::fs::{FallocateFlags, SeekFrom as FileOffset, fallocate, seek};
+
+/// A line that a stage wrote.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct LogLine {
+    /// The stage, with the worker's number if there are several.
+    pub stage: String,
+    /// What it wrote.
+    pub text: String,
+}
+
+/// Where the lines of one process go, and under which name: a swap changes it.
+#[derive(Clone)]
+pub struct LineSink {
+    label: Arc<Mutex<String>>,
+    log: SyncSender<LogLine>,
+}
+
+impl LineSink {
+    /// Passes lines on to `log`.
+    pub fn new(label: String, log: SyncSender<LogLine>) -> Self {
+        Self { label: Arc::new(Mutex::new(label)), log }
+    }
+
+    /// The same for another process.
+    pub fn of_another(&self, label: String) -> Self {
+        Self::new(label, self.log.clone())
+    }
+
+    /// The name.
+    pub fn label(&self) -> String {
+        // A thread that panicked while it held the lock left the text whole.
+        self.label.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Changes the name.
+    pub fn rename(&self, name: String) {
+        *self.label.lock().unwrap_or_else(PoisonError::into_inner) = name;
+    }
+
+    /// Passes a stream on, from a thread of its own that ends with the stream.
+    pub fn forward(&self, stream: impl Read + Send + 'static) {
+        let sink = self.clone();
+        std::thread::spawn(move || {
+            for line in BufReader::new(stream).split(b'\n') {
+                let Ok(line) = line else { break };
+                sink.pass_on(&line);
+            }
+        });
+    }
+
+    fn pass_on(&self, line: &[u8]) {
+        let text = String::from_utf8_lossy(line).trim_end().to_owned();
+        // A slow launcher must not block the stage: the line is dropped instead.
+        drop(self.log.try_send(LogLine { stage: self.label(), text }));
+    }
+}
+
+/// The output of a process that may outlive its launcher: a file, of which what was read is given back to
+/// the disk.
+pub struct KeptOutput {
+    file: File,
+    /// The last line as far as it is written.
+    begun: Vec<u8>,
+}
+
+impl KeptOutput {
+    /// Reads the file from the first line that no launcher has read.
+    ///
+    /// # Errors
+    /// The file cannot be opened.
+    pub fn open(path: &Path) -> io::Result<Self> {
+        let mut file = File::options().read(true).write(true).open(path)?;
+        // What was read is a hole. Where the file system has none, lines are told once more.
+        match seek(&file, FileOffset::Data(0)) {
+            Ok(_) => {}
+            Err(rustix::io::Errno::NXIO) => drop(file.seek(SeekFrom::End(0))?),
+            Err(error) => return Err(error.into()),
+        }
+        Ok(Self { file, begun: Vec::new() })
+    }
+
+    /// Passes on what was written since.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn forward(&mut self, sink: &LineSink) -> io::Result<()> {
+        let from = self.file.stream_position()?;
+        let length = self.file.read_to_end(&mut self.begun)? as u64;
+        if length == 0 {
+            return Ok(());
+        }
+        let hole = FallocateFlags::PUNCH_HOLE | FallocateFlags::KEEP_SIZE;
+        if let Err(error) = fallocate(&self.file, hole, from, length) {
+            tracing::debug!("a stage's output stays on the disk: {error}");
+        }
+        while let Some(end) = self.begun.iter().position(|&byte| byte == b'\n') {
+            let line: Vec<u8> = self.begun.drain(..=end).collect();
+            // The part of a block that was read before is full of zeros.
+            let start = line.iter().position(|&byte| byte != 0).unwrap_or(line.len());
+            sink.pass_on(&line[start..]);
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use std::io::Write;
+    use std::sync::mpsc::sync_channel;
+
+    #[test]
+    fn a_later_reader_of_a_file_goes_on_where_the_first_one_ended() {
+        let path = std::env::temp_dir().join(format!("flock-output-{}", std::process::id()));
+        let mut stage = File::options().append(true).create_new(true).open(&path).unwrap();
+        let (log, lines) = sync_channel(100);
+        let sink = LineSink::new("fusion".to_owned(), log);
+        let told = || lines.try_iter().map(|line| line.text).collect::<Vec<_>>();
+        let mut first = KeptOutput::open(&path).unwrap();
+        stage.write_all(b"one\ntwo\nthr").unwrap();
+        first.forward(&sink).unwrap();
+        assert_eq!(told(), ["one", "two"]);
+        stage.write_all(b"ee\n").unwrap();
+        first.forward(&sink).unwrap();
+        first.forward(&sink).unwrap();
+        assert_eq!(told(), ["three"]);
+        stage.write_all(b"four\n").unwrap();
+        KeptOutput::open(&path).unwrap().forward(&sink).unwrap();
+        assert_eq!(told(), ["four"]);
+        std::fs::remove_file(&path).unwrap();
+    }
+}

@@ -1,0 +1,228 @@
+//! Pipelines that fly on when their launcher dies, and hand-overs in the middle of which somebody dies.
+
+use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
+
+use flockeye_contract::Tracks;
+use flockeye_runtime::clock;
+use flockeye_tests::onlooker::{join, subscribe};
+use flockeye_tests::{Flight, SMALL_FLIGHT, WATCHDOG, absent, run, unique};
+use rustix::process::{Pid, Signal, kill_process};
+use serde_json::Value;
+
+/// What is said of the neighbour once it is tracked.
+const POSES_FLOW: &str = "alpha confirmed";
+
+fn kept_flight(instance: &str) -> Flight {
+    let mut flight = Flight::start_as(instance, &["--keep"], SMALL_FLIGHT);
+    flight.wait_for(POSES_FLOW);
+    flight
+}
+
+fn ask(instance: &str, arguments: &[&str]) -> (bool, String) {
+    let (command, rest) = arguments.split_first().expect("a command");
+    run(&[&[*command, "--instance", instance], rest].concat())
+}
+
+fn end(mut flight: Flight) {
+    let (succeeded, output) = ask(flight.instance.name(), &["stop"]);
+    assert!(succeeded && output.contains("the pipeline ends"), "{output}");
+    assert!(flight.wait().success(), "{}", flight.output());
+    flight.assert_nothing_left();
+}
+
+/// The process of each worker that has one.
+fn workers(instance: &str) -> BTreeMap<String, i32> {
+    let (succeeded, output) = ask(instance, &["status", "--json"]);
+    assert!(succeeded, "{output}");
+    let status: Value = serde_json::from_str(&output).expect("nothing but JSON");
+    let list = status["workers"].as_array().expect("a list");
+    let pid = |worker: &Value| Some(i32::try_from(worker["pid"].as_i64()?).expect("a number"));
+    list.iter()
+        .filter_map(|worker| Some((worker["worker"].as_str()?.to_owned(), pid(worker)?)))
+        .collect()
+}
+
+/// Waits for a measured pose in a frame that is exposed from now on.
+fn wait_for_a_pose(flight: &mut Flight) {
+    let mut ports = join(flight);
+    let mut tracks = subscribe::<Tracks>(flight, &mut ports);
+    let (since_ns, start) = (clock::monotonic_ns(), Instant::now());
+    ports
+        .attend(|| {
+            while let Some(message) = tracks.receive()? {
+                let is_new = message.header.stamp.exposure_ns > since_ns;
+                if is_new && message.items().iter().any(|track| track.measured_by != 0) {
+                    return Ok(None);
+                }
+            }
+            assert!(start.elapsed() < WATCHDOG, "no pose comes:\n{}", flight.output());
+            Ok(Some(Duration::from_millis(50)))
+        })
+        .expect("messages can be waited for");
+}
+
+fn kill(pid: i32) {
+    let pid = Pid::from_raw(pid).expect("a process");
+    // It may have ended by itself: then it is as dead as it should be.
+    kill_process(pid, Signal::KILL).ok();
+}
+
+#[test]
+fn stages_fly_on_without_their_launcher_and_the_next_one_takes_them_over() {
+    let instance = unique("keep");
+    let mut first = kept_flight(&instance);
+    let (succeeded, output) = ask(&instance, &["stop", "detection.1"]);
+    assert!(succeeded, "{output}");
+    let before = workers(&instance);
+    first.signal(Signal::KILL);
+    first.wait();
+    // Poses flow, tools can look on, and nobody takes the living for leftovers.
+    let refusals = [
+        run(&["up", "--set", &format!("instance={instance}")]),
+        ask(&instance, &["status"]),
+        run(&["clean", "--instance", &instance]),
+    ];
+    for (_, output) in refusals {
+        assert!(output.contains("fly on without a launcher"), "{output}");
+    }
+    let mut second = Flight::start_as(&instance, &["--keep"], SMALL_FLIGHT);
+    second.wait_for("takes over fusion (process");
+    wait_for_a_pose(&mut second);
+    assert_eq!(workers(&instance), before, "{}", second.output());
+    assert!(!second.output().contains("started again"), "{}", second.output());
+    // It looks after them as after its own: their lines, their ends, their restarts.
+    kill(before["fusion"]);
+    second.wait_for("fusion ended (an earlier launcher had started it");
+    second.wait_for("fusion is started again");
+    wait_for_a_pose(&mut second);
+    let (succeeded, output) = ask(&instance, &["swap", "detection", "--within", "60s"]);
+    assert!(succeeded, "{output}\n{}", second.output());
+    end(second);
+}
+
+#[test]
+fn stages_without_a_launcher_can_be_ended() {
+    let instance = unique("keep-stop");
+    let mut flight = kept_flight(&instance);
+    flight.signal(Signal::KILL);
+    flight.wait();
+    assert!(!flight.stages("").is_empty(), "they fly on");
+    let (succeeded, output) = ask(&instance, &["stop"]);
+    assert!(succeeded && output.contains("stages without a launcher have ended"), "{output}");
+    assert!(flight.stages("").is_empty(), "none is left");
+    flight.assert_nothing_left();
+}
+
+#[test]
+fn a_lossless_run_is_not_kept() {
+    let (succeeded, output) = run(&["up", "--keep", "--flow", "lossless"]);
+    assert!(!succeeded && output.contains("waits for its launcher"), "{output}");
+}
+
+/// The steps of a hand-over at which the launcher can be stopped.
+const STEPS: [&str; 9] = [
+    "Shadow is written",
+    "Shadow is said",
+    "it is started",
+    "TakenOver is written",
+    "TakenOver is said",
+    "it is swapped",
+    "the old one is asked to end",
+    "Nothing is written",
+    "Nothing is said",
+];
+
+/// Swaps fusion, and calls `strike` with the old process's number when the hand-over has come to `step`.
+fn swap_until(flight: &mut Flight, step: &str, strike: impl FnOnce(&mut Flight, i32)) {
+    let instance = flight.instance.name().to_owned();
+    let old = workers(&instance)["fusion"];
+    let reached = flight.instance.folder().join("fault-reached");
+    std::fs::write(flight.instance.folder().join("fault"), step).expect("it can be written");
+    let swap = std::thread::spawn({
+        let instance = instance.clone();
+        move || ask(&instance, &["swap", "fusion", "--within", "60s"])
+    });
+    let start = Instant::now();
+    while !reached.exists() {
+        assert!(start.elapsed() < WATCHDOG, "{step:?} is not reached:\n{}", flight.output());
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    strike(flight, old);
+    std::fs::remove_file(&reached).expect("it is there");
+    // Whether it succeeds depends on who has died.
+    swap.join().expect("it ends");
+}
+
+/// Whether the launcher has fault points; says so where it has none.
+fn has_fault_points(flight: &Flight) -> bool {
+    let has = flight.output().contains("this build has fault points");
+    if !has {
+        absent("fault-points", "a launcher with fault points (`make test` builds one)");
+    }
+    has
+}
+
+/// Waits until fusion has one process and no other, and no swap is under way.
+fn wait_until_it_is_over(flight: &Flight) {
+    let start = Instant::now();
+    loop {
+        let (_, output) = ask(flight.instance.name(), &["status", "--json"]);
+        let status: Value = serde_json::from_str(&output).unwrap_or_default();
+        if status["swapping"].is_null() && flight.stages("flockeye-fusion").len() == 1 {
+            return;
+        }
+        assert!(start.elapsed() < WATCHDOG, "it is not over:\n{output}\n{}", flight.output());
+        std::thread::sleep(Duration::from_millis(50));
+    }
+}
+
+#[test]
+fn a_launcher_that_dies_at_any_step_of_a_hand_over_leaves_a_flight_that_the_next_one_takes_over() {
+    let instance = unique("fault-launcher");
+    let mut flight = kept_flight(&instance);
+    if !has_fault_points(&flight) {
+        return;
+    }
+    for step in STEPS {
+        swap_until(&mut flight, step, |flight, _| {
+            flight.signal(Signal::KILL);
+            flight.wait();
+        });
+        let mut next = Flight::start_as(&instance, &["--keep"], SMALL_FLIGHT);
+        next.wait_for("takes over fusion (process");
+        wait_for_a_pose(&mut next);
+        wait_until_it_is_over(&next);
+        flight = next;
+    }
+    end(flight);
+}
+
+fn survives_the_death_in_a_hand_over(name: &str, is_victim: fn(&Flight, i32) -> Option<i32>) {
+    let instance = unique(name);
+    let mut flight = kept_flight(&instance);
+    if !has_fault_points(&flight) {
+        return;
+    }
+    for step in STEPS {
+        swap_until(&mut flight, step, |flight, old| {
+            is_victim(flight, old).into_iter().for_each(kill);
+        });
+        wait_for_a_pose(&mut flight);
+        wait_until_it_is_over(&flight);
+    }
+    end(flight);
+}
+
+#[test]
+fn an_old_process_that_dies_at_any_step_of_a_hand_over_leaves_a_working_pipeline() {
+    survives_the_death_in_a_hand_over("fault-old", |_, old| Some(old));
+}
+
+#[test]
+fn a_new_process_that_dies_at_any_step_of_a_hand_over_leaves_a_working_pipeline() {
+    survives_the_death_in_a_hand_over("fault-new", |flight, old| {
+        let all = flight.stages("flockeye-fusion").into_iter();
+        all.map(|pid| pid.as_raw_nonzero().get()).find(|&pid| pid != old)
+    });
+}
