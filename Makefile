@@ -7,6 +7,7 @@
 # make golden, make golden-check  lossless poses of this build, and whether another build's are the same
 # make results  flies recordings and simulated flights and writes docs/results; PARTS="flight1 far"
 #             flies these alone, FLOCKEYE=PROGRAM takes another build
+# make install-c PREFIX=FOLDER  the library for stages in C, headers, pkg-config and CMake files
 # make counts writes docs/results/counts.md: code and prose, at commit BEFORE and now
 # make setup  only installs the missing Debian packages
 
@@ -17,7 +18,7 @@ GUSTS = $(addprefix --set simulator.,frames=90 tilt_deg=12 yaw_deg_s=20 yaw_swin
 DORA_COMMAND = $(CURDIR)/target/peers/bin/dora
 DORA_HOP = $(CURDIR)/target/peers/dora/release/dora-hop
 
-.PHONY: python clients run test bench peers build setup cargo format golden golden-check golden-write golden-compare results counts
+.PHONY: python install-c clients run test bench peers build setup cargo format golden golden-check golden-write golden-compare results counts
 
 # The profile of the tests, which builds sooner than the release profile that the drone gets (`make
 # build`). docs/results is measured with it.
@@ -36,8 +37,14 @@ test: setup
 	-@$(MAKE) --no-print-directory python
 	cargo fmt --all --check
 	cargo clippy --profile tested --workspace --all-targets --locked $(FAULTS) -- -D warnings
-	cargo build --profile tested --workspace --bins --tests --locked $(FAULTS)
+	cargo build --profile tested --workspace --lib --bins --tests --locked $(FAULTS)
 	cargo test --profile tested --workspace --locked $(FAULTS) -- --test-threads=2
+
+# The library for stages in C, with headers, pkg-config and CMake files.
+PREFIX ?= target/c
+install-c: setup
+	cargo build --release --locked -p flockeye-client-c
+	clients/c/install target/release/libflockeye_stage.so $(PREFIX)
 
 # Python with the package of clients/python and what the examples need, for the tests.
 PYTHON_PACKAGES = iceoryx2==0.10.0 numpy opencv-contrib-python-headless==4.10.0.84

@@ -3,7 +3,7 @@
 use bytemuck::{Pod, Zeroable};
 use iceoryx2::prelude::ZeroCopySend;
 
-use crate::{ContractError, FrameStamp};
+use crate::{ContractError, FrameStamp, ViewHeader};
 
 /// Header of a detection record. Payload: its [`DetectedMarker`]s; there may be none.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
@@ -71,6 +71,20 @@ impl DetectedMarker {
 pub const MAX_DETECTED_MARKERS: usize = 256;
 
 impl DetectionHeader {
+    /// The answer to a view so far: what is copied from it.
+    pub fn answering(view: &ViewHeader) -> Self {
+        Self {
+            stamp: view.stamp,
+            plan_id: view.plan_id,
+            taken_ns: view.taken_ns,
+            issued_ns: view.issued_ns,
+            view_index: view.view_index,
+            attempt: view.attempt,
+            view_generation: view.generation,
+            ..Self::default()
+        }
+    }
+
     /// Refuses records with rays that are no unit vectors or with invalid standard deviations.
     pub fn check(&self, markers: &[DetectedMarker]) -> Result<(), ContractError> {
         if markers.len() > MAX_DETECTED_MARKERS {

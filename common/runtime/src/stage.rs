@@ -95,67 +95,124 @@ pub fn main<S: Stage>() -> ExitCode {
 
 struct Running<S> {
     stage: S,
-    ports: Ports,
-    reporter: Reporter,
-    stopping: Arc<AtomicBool>,
+    process: StageProcess,
 }
 
 impl<S: Stage> Running<S> {
     fn run(mut self) -> anyhow::Result<()> {
-        self.reporter.send(StageState::Ready)?;
-        serve(&mut self.stage, &self.ports, &mut self.reporter, &self.stopping)?;
-        self.reporter.send(StageState::Draining)?;
+        self.process.report(StageState::Ready)?;
+        self.process.serve(|| self.stage.step())?;
+        self.process.report(StageState::Draining)?;
         self.stage.drain()
     }
 }
 
 fn start<S: Stage>() -> anyhow::Result<Running<S>> {
-    // iceoryx2's results carry what matters here; its own log would repeat it.
-    set_log_level(LogLevel::Fatal);
-    let stopping = Arc::new(AtomicBool::new(false));
-    for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT] {
-        signal_hook::flag::register(signal, stopping.clone()).context("cannot catch signals")?;
-    }
-    let instance = Instance::of_this_process()?;
-    let resolved = Resolved::of(instance.pipeline()?)?;
-    let identity = Identity {
-        stage: S::NAME.to_owned(),
-        replica: number_from(REPLICA_VARIABLE)?,
-        generation: number_from(GENERATION_VARIABLE)?,
-    };
-    let node = Rc::new(
-        NodeBuilder::new()
-            .name(
-                &NodeName::new(&format!("{}-{}", S::NAME, identity.replica))
-                    .context("node name")?,
-            )
+    let mut process = StageProcess::join(S::NAME)?;
+    let stage = S::open(&process.context, &mut process.ports)?;
+    Ok(Running { stage, process })
+}
+
+/// A process that has joined the pipeline as a stage: what all stages owe, whatever they do.
+pub struct StageProcess {
+    /// What it knows of the pipeline.
+    pub context: Context,
+    /// Its ports.
+    pub ports: Ports,
+    reporter: Reporter,
+    stopping: Arc<AtomicBool>,
+}
+
+impl StageProcess {
+    /// Joins the pipeline that the launcher's environment names, and says so. From now on SIGTERM and SIGINT
+    /// end [`StageProcess::serve`].
+    ///
+    /// # Errors
+    /// There is no such stage or pipeline, or it speaks another version of the contract.
+    pub fn join(name: &str) -> anyhow::Result<Self> {
+        // iceoryx2's results carry what matters here; its own log would repeat it.
+        set_log_level(LogLevel::Fatal);
+        let stopping = Arc::new(AtomicBool::new(false));
+        for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT] {
+            signal_hook::flag::register(signal, stopping.clone())
+                .context("cannot catch signals")?;
+        }
+        let stage_name =
+            StageName::from_name(name).with_context(|| format!("{name} is not in the contract"))?;
+        let instance = Instance::of_this_process()?;
+        let resolved = Resolved::of(instance.pipeline()?)?;
+        let identity = Identity {
+            stage: name.to_owned(),
+            replica: number_from(REPLICA_VARIABLE)?,
+            generation: number_from(GENERATION_VARIABLE)?,
+        };
+        let node_name = NodeName::new(&format!("{name}-{}", identity.replica));
+        let node = NodeBuilder::new()
+            .name(&node_name.context("node name")?)
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .config(&instance.iceoryx2()?)
             .create::<ipc::Service>()
             .map_err(|error| {
                 anyhow::anyhow!("cannot join the instance '{}': {error:?}", instance.name())
-            })?,
-    );
-    let budget = Budget::of(&resolved);
-    let counters: SharedCounters = Rc::new(Counters::default());
-    // Health messages are not counted as the stage's own output.
-    let health = Ports::new(node.clone(), budget.clone(), SharedCounters::default());
-    let mut reporter = Reporter {
-        publisher: health.publisher::<Healths>()?,
-        counters: counters.clone(),
-        identity: identity.clone(),
-        next_ns: 0,
-    };
-    reporter.send(StageState::Starting)?;
-    let stage_name = StageName::from_name(S::NAME)
-        .with_context(|| format!("{} is not in the contract", S::NAME))?;
-    let listening = Rc::new(Listening::of_stage(stage_name, identity.replica, identity.generation));
-    listening.complain_by(health.side_publisher()?);
-    let mut ports = Ports::new(node, budget, counters.clone()).listening_to(listening);
-    ports.follow_hand_overs()?;
-    let saved_states = SavedStates::of(&instance, &identity);
-    let stage = S::open(&Context { resolved, identity, counters, saved_states }, &mut ports)?;
-    Ok(Running { stage, ports, reporter, stopping })
+            })?;
+        let node = Rc::new(node);
+        let budget = Budget::of(&resolved);
+        let counters: SharedCounters = Rc::new(Counters::default());
+        // Health messages are not counted as the stage's own output.
+        let health = Ports::new(node.clone(), budget.clone(), SharedCounters::default());
+        let mut reporter = Reporter {
+            publisher: health.publisher::<Healths>()?,
+            counters: counters.clone(),
+            identity: identity.clone(),
+            next_ns: 0,
+        };
+        reporter.send(StageState::Starting)?;
+        let listening =
+            Rc::new(Listening::of_stage(stage_name, identity.replica, identity.generation));
+        listening.complain_by(health.side_publisher()?);
+        let mut ports = Ports::new(node, budget, counters.clone()).listening_to(listening);
+        ports.follow_hand_overs()?;
+        let saved_states = SavedStates::of(&instance, &identity);
+        let context = Context { resolved, identity, counters, saved_states };
+        Ok(Self { context, ports, reporter, stopping })
+    }
+
+    /// Sends health, and says how far the stage is.
+    ///
+    /// # Errors
+    /// The message cannot be sent.
+    pub fn report(&mut self, state: StageState) -> anyhow::Result<()> {
+        self.reporter.send(state)
+    }
+
+    /// Calls `step` as [`Stage::step`] is called, and sends health in between, until SIGTERM.
+    ///
+    /// # Errors
+    /// Those of `step`, or waiting is impossible.
+    pub fn serve(&mut self, mut step: impl FnMut() -> anyhow::Result<Step>) -> anyhow::Result<()> {
+        let Self { ports, reporter, stopping, .. } = self;
+        let mut state = StageState::Ready;
+        ports.attend(|| {
+            if stopping.load(Ordering::Relaxed) {
+                return Ok(None);
+            }
+            let step = step()?;
+            if step == Step::Finished && state != StageState::Finished {
+                state = StageState::Finished;
+                reporter.send(state)?;
+            }
+            let now_ns = clock::monotonic_ns();
+            if now_ns >= reporter.next_ns {
+                reporter.send(state)?;
+            }
+            let longest = clock::until(reporter.next_ns, now_ns);
+            Ok(Some(match step {
+                Step::Again => Duration::ZERO,
+                Step::WaitUntil(time_ns) => longest.min(clock::until(time_ns, now_ns)),
+                Step::Wait | Step::Finished => longest,
+            }))
+        })
+    }
 }
 
 fn number_from(variable: &str) -> anyhow::Result<u32> {
@@ -163,35 +220,6 @@ fn number_from(variable: &str) -> anyhow::Result<u32> {
         Ok(text) => text.parse().with_context(|| format!("{variable} is '{text}', not a number")),
         Err(_) => Ok(0),
     }
-}
-
-fn serve<S: Stage>(
-    stage: &mut S,
-    ports: &Ports,
-    reporter: &mut Reporter,
-    stopping: &AtomicBool,
-) -> anyhow::Result<()> {
-    let mut state = StageState::Ready;
-    ports.attend(|| {
-        if stopping.load(Ordering::Relaxed) {
-            return Ok(None);
-        }
-        let step = stage.step()?;
-        if step == Step::Finished && state != StageState::Finished {
-            state = StageState::Finished;
-            reporter.send(state)?;
-        }
-        let now_ns = clock::monotonic_ns();
-        if now_ns >= reporter.next_ns {
-            reporter.send(state)?;
-        }
-        let longest = clock::until(reporter.next_ns, now_ns);
-        Ok(Some(match step {
-            Step::Again => Duration::ZERO,
-            Step::WaitUntil(time_ns) => longest.min(clock::until(time_ns, now_ns)),
-            Step::Wait | Step::Finished => longest,
-        }))
-    })
 }
 
 struct Reporter {

@@ -87,20 +87,11 @@ impl Core {
         found.truncate(MAX_MARKERS);
         let is_hit = |found: &&Found| !found.is_doubtful && self.bodies.owner(found.id).is_some();
         let header = DetectionHeader {
-            stamp: header.stamp,
-            plan_id: header.plan_id,
-            taken_ns: header.taken_ns,
-            issued_ns: header.issued_ns,
-            received_ns: 0,
-            sent_ns: 0,
             generation: self.generation,
-            view_index: header.view_index,
-            attempt: header.attempt,
             worker: self.worker,
             hits: found.iter().filter(is_hit).count() as u32,
             failed: u32::from(failure.is_some()),
-            view_generation: header.generation,
-            reserved: 0,
+            ..DetectionHeader::answering(header)
         };
         Some(Record { header, markers: found.iter().map(detected).collect(), failure })
     }

@@ -1,8 +1,8 @@
 //! What tests need that not every machine has: the reference recordings, a Vulkan device.
 //!
 //! Such a test skips where that is absent, and says so. `FLOCKEYE_REQUIRE=recordings,vulkan` names
-//! what must be there (others are `namespaces`: mounts of our own, `python`: the clients' package, and
-//! `fault-points`: a launcher that was built with them): then the test fails instead, so that a run that skipped cannot pass for one that tested.
+//! what must be there (others are `namespaces`: mounts of our own, `python` and `c`: what stages in them need,
+//! and `fault-points`: a launcher that was built with them): then the test fails instead, so that a run that skipped cannot pass for one that tested.
 
 use std::path::{Path, PathBuf};
 

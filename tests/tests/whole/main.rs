@@ -2,6 +2,7 @@
 //! would be linked with all of it.
 
 mod bad_input;
+mod c_client;
 mod calibration;
 mod cameras;
 mod conformance;

@@ -503,18 +503,11 @@ fn error_levels(header: &ViewHeader, pixels: &[u8]) -> f64 {
 fn answer_to(view: &ViewHeader, hits: u32) -> DetectionHeader {
     let now_ns = clock::monotonic_ns();
     DetectionHeader {
-        stamp: view.stamp,
-        plan_id: view.plan_id,
-        taken_ns: view.taken_ns,
-        issued_ns: view.issued_ns,
         received_ns: now_ns,
         sent_ns: now_ns,
-        view_index: view.view_index,
-        attempt: view.attempt,
         worker: view.worker,
         hits,
-        view_generation: view.generation,
-        ..DetectionHeader::default()
+        ..DetectionHeader::answering(view)
     }
 }
 

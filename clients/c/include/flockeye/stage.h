@@ -1,0 +1,117 @@
+/* Stages in C, over the runtime that Flockeye's own stages have: shared memory, health, hand-overs, a clean end.
+ *
+ * docs/CONTRACT.md says what each message means and what each stage owes; contract.h has the types. All
+ * messages have passed the contract's check, so their numbers are finite and their sizes are right.
+ *
+ *     static int step(void *context) { ... flockeye_receive ... flockeye_send ... return FLOCKEYE_OK; }
+ *
+ *     flockeye_stage *stage = flockeye_stage_open("detection");
+ *     if (!stage) { fprintf(stderr, "cannot start: %s\n", flockeye_error()); return FLOCKEYE_CANNOT_START; }
+ *     ... flockeye_subscribe, flockeye_advertise ...
+ *     int outcome = flockeye_stage_run(stage, "what it works with", step, &context);
+ *
+ * One thread uses a stage and its ports. Functions that return a pointer return NULL, and functions that return
+ * a code return FLOCKEYE_FAILED, where they fail; flockeye_error() then says why.
+ */
+#ifndef FLOCKEYE_STAGE_H
+#define FLOCKEYE_STAGE_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "contract.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+enum flockeye_code {
+    FLOCKEYE_OK = 0,
+    FLOCKEYE_NOTHING = 1,
+    FLOCKEYE_FAILED = -1,
+};
+
+/* Exit status of a stage that cannot start, where trying again does not help. */
+#define FLOCKEYE_CANNOT_START 2
+
+typedef struct FlockeyeStage flockeye_stage;
+typedef struct FlockeyeSubscriber flockeye_subscriber;
+typedef struct FlockeyePublisher flockeye_publisher;
+
+/* A message in shared memory. It is kept until flockeye_release: the contract says how many a reader may keep. */
+typedef struct {
+    const void *header; /* of the topic's header type */
+    const void *items;  /* `count` of the topic's item type; bytes of pixels for views and frames */
+    size_t count;
+    void *owner;
+} flockeye_message;
+
+/* Memory for a message, in shared memory, to be filled in place. */
+typedef struct {
+    void *items;
+    size_t count;
+    void *owner;
+} flockeye_loan;
+
+/* Why the last call of this thread failed. Valid until its next call. */
+const char *flockeye_error(void);
+
+/* Joins the pipeline that the launcher's environment names, as the stage with this name in pipeline.yaml. Health
+ * says `starting`. From now on SIGTERM and SIGINT end flockeye_stage_run. */
+flockeye_stage *flockeye_stage_open(const char *name);
+/* Leaves it, after all ports are closed and all messages released. */
+void flockeye_stage_close(flockeye_stage *stage);
+
+/* Which of the stage's workers this is, from 0, and how often its process was replaced. */
+uint32_t flockeye_stage_replica(const flockeye_stage *stage);
+uint32_t flockeye_stage_generation(const flockeye_stage *stage);
+/* The configuration as JSON: the keys of pipeline.yaml, and `resolved` with what follows from them. */
+const char *flockeye_stage_pipeline(const flockeye_stage *stage);
+/* The dictionary of all markers, by OpenCV's name or as a file; whether a configured body has a marker. */
+const char *flockeye_stage_dictionary(const flockeye_stage *stage);
+bool flockeye_stage_owns_marker(const flockeye_stage *stage, uint32_t id);
+
+/* Ports of a topic, by its name: FLOCKEYE_TOPIC_VIEW. `lane`: of a topic with lanes, the worker's number; else 0.
+ * They are opened before flockeye_stage_run. */
+flockeye_subscriber *flockeye_subscribe(flockeye_stage *stage, const char *topic, uint32_t lane);
+flockeye_publisher *flockeye_advertise(flockeye_stage *stage, const char *topic, uint32_t lane);
+void flockeye_subscriber_close(flockeye_subscriber *subscriber);
+void flockeye_publisher_close(flockeye_publisher *publisher);
+
+/* Says that everything is open, in words for people, and calls `step` whenever a topic has something, until SIGTERM.
+ * Health is sent between two steps, so a step must not take long. A step returns FLOCKEYE_OK; anything else ends
+ * the loop with FLOCKEYE_FAILED. */
+int flockeye_stage_run(flockeye_stage *stage, const char *detail, int (*step)(void *context), void *context);
+/* In a step: asks for the next one after so many nanoseconds at the latest. */
+void flockeye_stage_wake_within(const flockeye_stage *stage, int64_t ns);
+/* Counts something that cannot be worked with in the stage's health, and logs it, not more than now and then. */
+void flockeye_stage_refuse(const flockeye_stage *stage, const char *what);
+
+/* The next message that waits, FLOCKEYE_OK, or FLOCKEYE_NOTHING. Messages that break the contract, or that are of a
+ * process that does not count while a stage is swapped, are left out. */
+int flockeye_receive(flockeye_subscriber *subscriber, flockeye_message *message);
+/* Gives its memory back; header and items must not be used any more. Twice does no harm. */
+void flockeye_release(flockeye_message *message);
+
+/* Memory for `count` items. A publisher lends as much at once as the contract's limits say. */
+int flockeye_loan_items(const flockeye_publisher *publisher, size_t count, flockeye_loan *loan);
+/* Sends it under a header of the topic's type, or gives it back unsent. */
+int flockeye_send_loan(const flockeye_publisher *publisher, flockeye_loan *loan, const void *header);
+void flockeye_drop_loan(flockeye_loan *loan);
+/* Sends a copy of a header and `count` items. */
+int flockeye_send(const flockeye_publisher *publisher, const void *header, const void *items, size_t count);
+
+/* The header that a detection owes for a view: what it copies, who answers, and when. `hits` and `failed` are the
+ * caller's. */
+void flockeye_answer(const flockeye_stage *stage, const flockeye_view_header *view, int64_t received_ns,
+                     flockeye_detection_header *answer);
+
+/* CLOCK_MONOTONIC, nanoseconds: the clock of all messages. */
+int64_t flockeye_now_ns(void);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

@@ -1,0 +1,314 @@
+//! Subscribers and publishers of any topic, by name.
+//!
+//! In Rust each topic has types of its own. In C a message is a header and items in memory, whose types follow
+//! from the topic's name as `contract.h` says.
+
+use std::any::Any;
+use std::ffi::{c_char, c_int, c_void};
+
+use anyhow::{Context, bail};
+use flockeye_contract::{TOPICS, Topic, TopicVisitor, visit_topics};
+use flockeye_runtime::ports::{PortError, Ports, Publisher, UnsentMessage};
+
+use crate::failure::{self, NOTHING, OK};
+use crate::stage::{FlockeyeStage, text_of};
+
+/// `flockeye_message` in C.
+#[repr(C)]
+pub struct FlockeyeMessage {
+    header: *const c_void,
+    items: *const c_void,
+    count: usize,
+    /// A boxed `Box<dyn Any>`; null once it is released.
+    owner: *mut c_void,
+}
+
+/// `flockeye_loan` in C.
+#[repr(C)]
+pub struct FlockeyeLoan {
+    items: *mut c_void,
+    count: usize,
+    /// A boxed `Box<dyn Any>`; null once it is sent or dropped.
+    owner: *mut c_void,
+}
+
+/// Receives a topic, whichever it is.
+pub struct FlockeyeSubscriber(Box<dyn AnySubscriber>);
+
+/// Publishes a topic, whichever it is.
+pub struct FlockeyePublisher(Box<dyn AnyPublisher>);
+
+trait AnySubscriber {
+    fn receive(&mut self) -> Result<Option<FlockeyeMessage>, PortError>;
+}
+
+impl<T: Topic + 'static> AnySubscriber for flockeye_runtime::ports::Subscriber<T> {
+    fn receive(&mut self) -> Result<Option<FlockeyeMessage>, PortError> {
+        let message = flockeye_runtime::ports::Subscriber::receive(self)?;
+        Ok(message.map(|message| {
+            // In a box the header stays where it is.
+            let message = Box::new(message);
+            let header = std::ptr::from_ref(&message.header).cast();
+            let (items, count) = (message.items().as_ptr().cast(), message.items().len());
+            FlockeyeMessage { header, items, count, owner: into_owner(message) }
+        }))
+    }
+}
+
+trait AnyPublisher {
+    fn loan(&self, count: usize) -> Result<FlockeyeLoan, PortError>;
+    /// # Safety
+    /// `header` points to this topic's header.
+    unsafe fn send(&self, unsent: Box<dyn Any>, header: *const c_void) -> anyhow::Result<()>;
+    fn item_bytes(&self) -> usize;
+}
+
+impl<T: Topic + 'static> AnyPublisher for Publisher<T> {
+    fn loan(&self, count: usize) -> Result<FlockeyeLoan, PortError> {
+        let mut loan = Publisher::loan(self, count)?;
+        let items = loan.items_mut().as_mut_ptr().cast();
+        Ok(FlockeyeLoan { items, count, owner: into_owner(Box::new(loan.detach())) })
+    }
+
+    unsafe fn send(&self, unsent: Box<dyn Any>, header: *const c_void) -> anyhow::Result<()> {
+        let unsent = unsent.downcast::<UnsentMessage<T>>();
+        let Ok(unsent) = unsent else { bail!("the loan is of another topic than {}", T::NAME) };
+        // SAFETY: the caller's promise; any bytes are a valid header.
+        let header = unsafe { header.cast::<T::Header>().read_unaligned() };
+        Ok(self.resume(*unsent).send(header)?)
+    }
+
+    fn item_bytes(&self) -> usize {
+        size_of::<T::Item>()
+    }
+}
+
+fn into_owner(value: Box<dyn Any>) -> *mut c_void {
+    Box::into_raw(Box::new(value)).cast()
+}
+
+/// # Safety
+/// `owner` is null or of [`into_owner`], and nobody uses it any more.
+unsafe fn from_owner(owner: *mut c_void) -> Option<Box<dyn Any>> {
+    // SAFETY: the caller's promise.
+    (!owner.is_null()).then(|| *unsafe { Box::from_raw(owner.cast::<Box<dyn Any>>()) })
+}
+
+/// Opens one port of the topic with this name.
+struct Opening<'a> {
+    ports: &'a mut Ports,
+    topic: &'a str,
+    lane: usize,
+    is_publisher: bool,
+    opened: Option<Opened>,
+}
+
+enum Opened {
+    Subscriber(FlockeyeSubscriber),
+    Publisher(FlockeyePublisher),
+}
+
+impl TopicVisitor for Opening<'_> {
+    type Error = PortError;
+
+    fn visit<T: Topic + 'static>(&mut self) -> Result<(), PortError> {
+        if T::NAME == self.topic {
+            self.opened = Some(match self.is_publisher {
+                true => {
+                    let publisher = self.ports.publisher_of_lane::<T>(self.lane)?;
+                    Opened::Publisher(FlockeyePublisher(Box::new(publisher)))
+                }
+                false => {
+                    let subscriber = self.ports.subscriber_of_lane::<T>(self.lane)?;
+                    Opened::Subscriber(FlockeyeSubscriber(Box::new(subscriber)))
+                }
+            });
+        }
+        Ok(())
+    }
+}
+
+/// # Safety
+/// `stage` and `topic` are as the header says.
+unsafe fn open(
+    stage: *mut FlockeyeStage,
+    topic: *const c_char,
+    lane: u32,
+    is_publisher: bool,
+) -> anyhow::Result<Opened> {
+    // SAFETY: the caller's promise.
+    let (topic, ports) = unsafe { (text_of(topic)?, FlockeyeStage::ports(stage)?) };
+    let mut opening = Opening { ports, topic, lane: lane as usize, is_publisher, opened: None };
+    visit_topics(&mut opening)?;
+    opening.opened.with_context(|| {
+        let names: Vec<_> = TOPICS.iter().map(|topic| topic.name).collect();
+        format!("there is no topic '{topic}'. Topics: {}", names.join(", "))
+    })
+}
+
+/// Receives a topic; see `stage.h`.
+///
+/// # Safety
+/// `stage` is open, and `topic` a string.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn flockeye_subscribe(
+    stage: *mut FlockeyeStage,
+    topic: *const c_char,
+    lane: u32,
+) -> *mut FlockeyeSubscriber {
+    // SAFETY: the caller's promise.
+    failure::handle(unsafe { open(stage, topic, lane, false) }.map(|opened| match opened {
+        Opened::Subscriber(subscriber) => subscriber,
+        Opened::Publisher(_) => unreachable!("a subscriber was asked for"),
+    }))
+}
+
+/// Publishes a topic; see `stage.h`.
+///
+/// # Safety
+/// As [`flockeye_subscribe`].
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn flockeye_advertise(
+    stage: *mut FlockeyeStage,
+    topic: *const c_char,
+    lane: u32,
+) -> *mut FlockeyePublisher {
+    // SAFETY: the caller's promise.
+    failure::handle(unsafe { open(stage, topic, lane, true) }.map(|opened| match opened {
+        Opened::Publisher(publisher) => publisher,
+        Opened::Subscriber(_) => unreachable!("a publisher was asked for"),
+    }))
+}
+
+/// Ends a subscriber. Messages that were kept stay valid.
+///
+/// # Safety
+/// `subscriber` is null or open, and is not used any more.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn flockeye_subscriber_close(subscriber: *mut FlockeyeSubscriber) {
+    if !subscriber.is_null() {
+        // SAFETY: the caller's promise; it is of `flockeye_subscribe`.
+        drop(unsafe { Box::from_raw(subscriber) });
+    }
+}
+
+/// Ends a publisher.
+///
+/// # Safety
+/// `publisher` is null or open, and neither it nor a loan of it is used any more.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn flockeye_publisher_close(publisher: *mut FlockeyePublisher) {
+    if !publisher.is_null() {
+        // SAFETY: the caller's promise; it is of `flockeye_advertise`.
+        drop(unsafe { Box::from_raw(publisher) });
+    }
+}
+
+/// The next message that waits; see `stage.h`.
+///
+/// # Safety
+/// `subscriber` is open, and `message` can be written.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn flockeye_receive(
+    subscriber: *mut FlockeyeSubscriber,
+    message: *mut FlockeyeMessage,
+) -> c_int {
+    // SAFETY: the caller's promise.
+    let subscriber = unsafe { &mut *subscriber };
+    failure::code(subscriber.0.receive().map_err(Into::into).map(|received| match received {
+        Some(received) => {
+            // SAFETY: the caller's promise.
+            unsafe { message.write(received) };
+            OK
+        }
+        None => NOTHING,
+    }))
+}
+
+/// Gives a message's memory back.
+///
+/// # Safety
+/// `message` is of [`flockeye_receive`] or was released before, and its header and items are not used any more.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn flockeye_release(message: *mut FlockeyeMessage) {
+    // SAFETY: the caller's promise.
+    drop(unsafe { from_owner(std::ptr::replace(&raw mut (*message).owner, std::ptr::null_mut())) });
+}
+
+/// Memory for a message; see `stage.h`.
+///
+/// # Safety
+/// `publisher` is open, and `loan` can be written.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn flockeye_loan_items(
+    publisher: *const FlockeyePublisher,
+    count: usize,
+    loan: *mut FlockeyeLoan,
+) -> c_int {
+    // SAFETY: the caller's promise.
+    let publisher = unsafe { &*publisher };
+    failure::code(publisher.0.loan(count).map_err(Into::into).map(|lent| {
+        // SAFETY: the caller's promise.
+        unsafe { loan.write(lent) };
+        OK
+    }))
+}
+
+/// Sends a loan under this header; see `stage.h`.
+///
+/// # Safety
+/// `publisher` is open, `loan` is of [`flockeye_loan_items`], and `header` points to the topic's header.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn flockeye_send_loan(
+    publisher: *const FlockeyePublisher,
+    loan: *mut FlockeyeLoan,
+    header: *const c_void,
+) -> c_int {
+    // SAFETY: the caller's promise.
+    let publisher = unsafe { &*publisher };
+    // SAFETY: the same.
+    let owner = unsafe { std::ptr::replace(&raw mut (*loan).owner, std::ptr::null_mut()) };
+    // SAFETY: the same.
+    let unsent = unsafe { from_owner(owner) }.context("the loan was sent or dropped before");
+    // SAFETY: the same.
+    failure::code(
+        unsent.and_then(|unsent| unsafe { publisher.0.send(unsent, header) }).map(|()| OK),
+    )
+}
+
+/// Gives a loan back unsent.
+///
+/// # Safety
+/// `loan` is of [`flockeye_loan_items`].
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn flockeye_drop_loan(loan: *mut FlockeyeLoan) {
+    // SAFETY: the caller's promise.
+    drop(unsafe { from_owner(std::ptr::replace(&raw mut (*loan).owner, std::ptr::null_mut())) });
+}
+
+/// Sends a copy of header and items; see `stage.h`.
+///
+/// # Safety
+/// `publisher` is open, `header` points to the topic's header, and `items` to `count` of its items.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn flockeye_send(
+    publisher: *const FlockeyePublisher,
+    header: *const c_void,
+    items: *const c_void,
+    count: usize,
+) -> c_int {
+    // SAFETY: the caller's promise.
+    let publisher = unsafe { &*publisher };
+    let sent = publisher.0.loan(count).map_err(anyhow::Error::from).and_then(|loan| {
+        if count > 0 {
+            let bytes = count * publisher.0.item_bytes();
+            // SAFETY: the loan has room for so many items, which are the caller's, and the two are apart.
+            unsafe { std::ptr::copy_nonoverlapping(items.cast::<u8>(), loan.items.cast(), bytes) };
+        }
+        // SAFETY: it was just made, and nobody else has it.
+        let unsent = unsafe { from_owner(loan.owner) }.context("a new loan has its memory")?;
+        // SAFETY: the caller's promise.
+        unsafe { publisher.0.send(unsent, header) }
+    });
+    failure::code(sent.map(|()| OK))
+}

@@ -1,0 +1,169 @@
+//! Publishers, and messages that are being written in shared memory.
+
+use std::collections::BTreeSet;
+use std::fmt::Debug;
+use std::mem::MaybeUninit;
+use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
+
+use flockeye_contract::Topic;
+use iceoryx2::port::notifier::Notifier;
+use iceoryx2::port::publisher::Publisher as IoxPublisher;
+use iceoryx2::port::update_connections::UpdateConnections;
+use iceoryx2::port::{BackpressureAction, BackpressureInfo};
+use iceoryx2::prelude::*;
+use iceoryx2::sample_mut_uninit::SampleMutUninit;
+
+use super::{DataService, PortError, Service, WakeService};
+use crate::health::SharedCounters;
+use crate::memory::Limits;
+
+/// What a publisher does when a subscriber's buffer is full: it waits for `patience`. It never again
+/// waits for a subscriber that took nothing in that time.
+fn waits_for_readers(
+    topic: &'static str,
+    patience: Option<Duration>,
+) -> impl Fn(&BackpressureInfo) -> BackpressureAction + Send + 'static {
+    let given_up = Mutex::new(BTreeSet::new());
+    move |full| {
+        // A thread that panicked while it held the lock left the set valid.
+        let mut given_up = given_up.lock().unwrap_or_else(PoisonError::into_inner);
+        let Some(patience) = patience.filter(|_| !given_up.contains(&full.receiver_port_id)) else {
+            return BackpressureAction::DiscardData;
+        };
+        if full.elapsed_time < patience {
+            return BackpressureAction::Retry;
+        }
+        given_up.insert(full.receiver_port_id);
+        tracing::warn!(
+            topic,
+            "a reader took nothing for {} ms: it is not waited for any more. Cure: end tools that look on \
+             at a lossless run; begin it anew if it was fusion",
+            patience.as_millis()
+        );
+        BackpressureAction::DiscardData
+    }
+}
+
+/// Publishes a topic, and wakes its subscribers.
+pub struct Publisher<T: Topic> {
+    publisher: IoxPublisher<Service, [T::Item], T::Header>,
+    notifier: Notifier<Service>,
+    counters: SharedCounters,
+    max_items: usize,
+}
+
+impl<T: Topic> Publisher<T> {
+    /// Joins a lane's services.
+    pub(super) fn join(
+        data: &DataService<T>,
+        wake: &WakeService,
+        limits: &Limits,
+        counters: SharedCounters,
+    ) -> Result<Self, PortError> {
+        let join =
+            |reason: &dyn Debug| PortError::Join { topic: T::NAME, reason: format!("{reason:?}") };
+        let publisher = data
+            .publisher_builder()
+            .initial_max_slice_len(limits.items.max(1))
+            .allocation_strategy(AllocationStrategy::Static)
+            .max_loaned_samples(limits.loaned)
+            .set_backpressure_handler(waits_for_readers(T::NAME, limits.patience))
+            .create()
+            .map_err(|error| join(&error))?;
+        let notifier = wake.notifier_builder().create().map_err(|error| join(&error))?;
+        Ok(Self { publisher, notifier, counters, max_items: limits.items })
+    }
+
+    /// The same, with its messages counted elsewhere.
+    pub(super) fn counted_in(self, counters: SharedCounters) -> Self {
+        Self { counters, ..self }
+    }
+
+    /// Memory for a message of `items` items, to be written in place.
+    ///
+    /// # Errors
+    /// More items than the topic has room for, or no memory because subscribers hold too much.
+    pub fn loan(&self, items: usize) -> Result<Loan<'_, T>, PortError> {
+        if items > self.max_items {
+            let reason = format!("{items} items where the topic has room for {}", self.max_items);
+            return Err(PortError::Publish { topic: T::NAME, reason });
+        }
+        let sample = self
+            .publisher
+            .loan_slice_uninit(items)
+            .map_err(|error| PortError::Publish { topic: T::NAME, reason: format!("{error:?}") })?;
+        Ok(Loan { unsent: UnsentMessage { sample }, publisher: self })
+    }
+
+    /// Goes on with a message that was taken from this publisher's loan.
+    pub fn resume(&self, unsent: UnsentMessage<T>) -> Loan<'_, T> {
+        Loan { unsent, publisher: self }
+    }
+
+    /// Publishes a small message by copying it.
+    ///
+    /// # Errors
+    /// As [`Publisher::loan`] and [`Loan::send`].
+    pub fn send(&self, header: T::Header, items: &[T::Item]) -> Result<(), PortError> {
+        let mut loan = self.loan(items.len())?;
+        loan.items_mut().copy_from_slice(items);
+        loan.send(header)
+    }
+
+    /// Updates the connections to subscribers: those that joined since the last message get the topic's
+    /// history.
+    ///
+    /// # Errors
+    /// [`PortError::Publish`] with iceoryx2's reason.
+    pub fn update_connections(&self) -> Result<(), PortError> {
+        self.publisher
+            .update_connections()
+            .map_err(|error| PortError::Publish { topic: T::NAME, reason: format!("{error:?}") })
+    }
+}
+
+/// A message that is being written, in shared memory.
+pub struct Loan<'p, T: Topic> {
+    unsent: UnsentMessage<T>,
+    publisher: &'p Publisher<T>,
+}
+
+/// The memory of a loan without its publisher, for those who cannot keep a reference to that. Dropped, it is
+/// not sent.
+pub struct UnsentMessage<T: Topic> {
+    sample: SampleMutUninit<Service, [MaybeUninit<T::Item>], T::Header>,
+}
+
+impl<T: Topic> Loan<'_, T> {
+    /// The items; at first they hold what was in the memory before.
+    pub fn items_mut(&mut self) -> &mut [T::Item] {
+        let items = self.unsent.sample.payload_mut();
+        // SAFETY: the memory is a mapped file, so every byte has a value, and every value is valid
+        // for an `Item`, which is `Pod`. The layout of `MaybeUninit<Item>` is that of `Item`.
+        unsafe { &mut *(std::ptr::from_mut(items) as *mut [T::Item]) }
+    }
+
+    /// Its memory, to be sent later by [`Publisher::resume`].
+    pub fn detach(self) -> UnsentMessage<T> {
+        self.unsent
+    }
+
+    /// Publishes it under `header` and wakes the subscribers.
+    ///
+    /// # Errors
+    /// [`PortError::Publish`] with iceoryx2's reason.
+    pub fn send(mut self, header: T::Header) -> Result<(), PortError> {
+        let failed = |reason: &dyn Debug| PortError::Publish {
+            topic: T::NAME,
+            reason: format!("{reason:?}"),
+        };
+        *self.unsent.sample.user_header_mut() = header;
+        // SAFETY: as in `items_mut`: every byte of mapped memory has a value, valid for a `Pod`.
+        let sample = unsafe { self.unsent.sample.assume_init() };
+        sample.send().map_err(|error| failed(&error))?;
+        self.publisher.counters.add_published(1);
+        self.publisher.notifier.notify().map_err(|error| failed(&error))?;
+        Ok(())
+    }
+}

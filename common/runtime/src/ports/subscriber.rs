@@ -1,0 +1,197 @@
+//! Subscribers, which refuse messages that break the contract.
+
+use std::rc::Rc;
+
+use flockeye_contract::{ContractError, Topic};
+use iceoryx2::identifiers::UniquePublisherId;
+use iceoryx2::port::subscriber::Subscriber as IoxSubscriber;
+use iceoryx2::port::update_connections::UpdateConnections;
+use iceoryx2::prelude::*;
+use iceoryx2::sample::Sample;
+
+use super::{DataService, PortError, Service};
+use crate::health::SharedCounters;
+use crate::listening::Listening;
+use crate::logs::Throttle;
+
+/// Receives a topic. Messages that fail the contract's check are refused here, so no stage sees them.
+pub struct Subscriber<T: Topic> {
+    subscriber: IoxSubscriber<Service, [T::Item], T::Header>,
+    service: DataService<T>,
+    counters: SharedCounters,
+    listening: Rc<Listening>,
+    refusals: Refusals,
+}
+
+/// How many messages of each publisher were refused.
+#[derive(Default)]
+struct Refusals {
+    throttle: Throttle,
+    counts: Vec<(UniquePublisherId, u64)>,
+}
+
+impl Refusals {
+    /// Publishers that are told apart; they are few, and old ones have ended.
+    const MOST_PUBLISHERS: usize = 16;
+
+    /// Counts one more of `publisher`.
+    fn add(&mut self, publisher: UniquePublisherId) -> u64 {
+        if let Some((_, count)) = self.counts.iter_mut().find(|(of, _)| *of == publisher) {
+            *count += 1;
+            return *count;
+        }
+        if self.counts.len() == Self::MOST_PUBLISHERS {
+            self.counts.remove(0);
+        }
+        self.counts.push((publisher, 1));
+        1
+    }
+}
+
+/// The launcher hears of refused messages once for so many.
+const REFUSED_AT_ONCE: u64 = 10;
+
+/// A message, in shared memory, that has passed the contract's check.
+pub struct Message<T: Topic> {
+    /// Its header, copied, so that later writes to shared memory cannot change what was checked.
+    pub header: T::Header,
+    sample: Sample<Service, [T::Item], T::Header>,
+}
+
+/// A message, and what the contract's check says of it.
+pub type Judged<T> = (Message<T>, Result<(), ContractError>);
+
+impl<T: Topic> Message<T> {
+    /// Its items.
+    pub fn items(&self) -> &[T::Item] {
+        self.sample.payload()
+    }
+}
+
+impl<T: Topic> Subscriber<T> {
+    /// Joins a lane's service.
+    pub(super) fn join(
+        service: DataService<T>,
+        counters: SharedCounters,
+        listening: Rc<Listening>,
+    ) -> Result<Self, PortError> {
+        let subscriber = service
+            .subscriber_builder()
+            .create()
+            .map_err(|error| PortError::Join { topic: T::NAME, reason: format!("{error:?}") })?;
+        Ok(Self { subscriber, service, counters, listening, refusals: Refusals::default() })
+    }
+
+    /// The same, with its messages counted elsewhere.
+    pub(super) fn counted_in(self, counters: SharedCounters) -> Self {
+        Self { counters, ..self }
+    }
+
+    /// The same, but only messages that `listening` admits are received.
+    pub(super) fn listening_to(self, listening: Rc<Listening>) -> Self {
+        Self { listening, ..self }
+    }
+
+    /// The next message, if one is there.
+    ///
+    /// # Errors
+    /// [`PortError::Receive`] where too many messages are held, or a connection broke.
+    pub fn receive(&mut self) -> Result<Option<Message<T>>, PortError> {
+        loop {
+            let sample = self.subscriber.receive().map_err(|error| PortError::Receive {
+                topic: T::NAME,
+                reason: format!("{error:?}"),
+            })?;
+            let Some(sample) = sample else { return Ok(None) };
+            let header = *sample.user_header();
+            if !self.listening.admits(&header) {
+                continue;
+            }
+            match T::check(&header, sample.payload()) {
+                Ok(()) => {
+                    self.counters.add_taken(1);
+                    return Ok(Some(Message { header, sample }));
+                }
+                Err(error) => {
+                    self.counters.add_failed(1);
+                    let publisher = sample.origin();
+                    let count = self.refusals.add(publisher);
+                    if count.is_multiple_of(REFUSED_AT_ONCE) {
+                        let pid = self.process_of(publisher);
+                        self.listening.complain_of_messages(
+                            pid,
+                            count,
+                            &format!("{}: {error}", T::NAME),
+                        );
+                    }
+                    if let Some(more) = self.refusals.throttle.admit() {
+                        tracing::warn!(
+                            topic = T::NAME,
+                            process = self.process_of(publisher),
+                            more_since = more,
+                            "message refused: {error}. Cure: mend the stage that sends it; docs/CONTRACT.md has the layout"
+                        );
+                    }
+                }
+            }
+        }
+    }
+
+    /// The next message, if one is there, with what the contract's check says of it: for tools that judge
+    /// stages.
+    ///
+    /// # Errors
+    /// As [`Subscriber::receive`].
+    pub fn receive_with_verdict(&mut self) -> Result<Option<Judged<T>>, PortError> {
+        let sample = self
+            .subscriber
+            .receive()
+            .map_err(|error| PortError::Receive { topic: T::NAME, reason: format!("{error:?}") })?;
+        Ok(sample.map(|sample| {
+            let header = *sample.user_header();
+            let verdict = T::check(&header, sample.payload());
+            (Message { header, sample }, verdict)
+        }))
+    }
+
+    /// The process that has this publisher; 0 if it has ended.
+    fn process_of(&self, publisher: UniquePublisherId) -> u32 {
+        let mut pid = 0;
+        self.service.dynamic_config().list_publishers(|details| {
+            if details.publisher_id != publisher {
+                return CallbackProgression::Continue;
+            }
+            let process = details.node_id.pid::<Service>();
+            pid = process.map_or(0, |process| process.value().unsigned_abs());
+            CallbackProgression::Stop
+        });
+        pid
+    }
+
+    /// Updates the connections to publishers; false if there is no publisher. A publisher with patience
+    /// waits for this subscriber only once they are connected.
+    ///
+    /// # Errors
+    /// [`PortError::Receive`] where a connection broke.
+    pub fn connect(&self) -> Result<bool, PortError> {
+        let is_published = self.service.dynamic_config().number_of_publishers() > 0;
+        self.subscriber
+            .update_connections()
+            .map_err(|error| PortError::Receive { topic: T::NAME, reason: format!("{error:?}") })?;
+        Ok(is_published)
+    }
+
+    /// The newest message; older ones are dropped and counted.
+    ///
+    /// # Errors
+    /// As [`Subscriber::receive`].
+    pub fn newest(&mut self) -> Result<Option<Message<T>>, PortError> {
+        let mut newest = None;
+        while let Some(message) = self.receive()? {
+            if newest.replace(message).is_some() {
+                self.counters.add_dropped(1);
+            }
+        }
+        Ok(newest)
+    }
+}

@@ -1,0 +1,180 @@
+//! Stages in C: the library of `clients/c` as people install it, and the example.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use flockeye_contract::{Detections, MeasuredBy, Tracks, Truths};
+use flockeye_tests::onlooker::{join, subscribe};
+use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, absent, flockeye, run};
+use nalgebra::Vector3;
+
+const DICTIONARY: &str = "bodies.dictionary=DICT_APRILTAG_36h11";
+
+fn repository(path: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(path)
+}
+
+/// Runs a program to its end, and returns what it wrote.
+fn run_program(program: impl AsRef<std::ffi::OsStr>, arguments: &[&str]) -> String {
+    let output = Command::new(program).args(arguments).output().expect("it can be started");
+    let text =
+        [output.stdout, output.stderr].map(|text| String::from_utf8_lossy(&text).into_owned());
+    assert!(output.status.success(), "{arguments:?}: {text:?}");
+    text[0].trim().to_owned()
+}
+
+/// Installs the library into `scratch`, as `make install-c` does, and returns the prefix.
+fn install(scratch: &Scratch) -> String {
+    let library = flockeye().with_file_name("libflockeye_stage.so");
+    let prefix = scratch.path("prefix").to_str().expect("a plain path").to_owned();
+    run_program(
+        repository("clients/c/install"),
+        &[library.to_str().expect("a plain path"), &prefix],
+    );
+    prefix
+}
+
+/// The example, built with CMake; `None` where what it needs is absent.
+fn apriltag_detector(scratch: &Scratch) -> Option<String> {
+    let has = |program: &str, arguments: &[&str]| {
+        Command::new(program).args(arguments).output().is_ok_and(|output| output.status.success())
+    };
+    if !has("cmake", &["--version"]) || !has("pkg-config", &["--exists", "apriltag"]) {
+        absent("c", "cmake and libapriltag-dev, which `make setup` installs");
+        return None;
+    }
+    let (prefix, build) = (install(scratch), scratch.path("build"));
+    let build = build.to_str().expect("a plain path");
+    let source = repository("examples/c");
+    let source = source.to_str().expect("a plain path");
+    let flags = "-DCMAKE_C_FLAGS=-Werror";
+    run_program(
+        "cmake",
+        &["-S", source, "-B", build, &format!("-DCMAKE_PREFIX_PATH={prefix}"), flags],
+    );
+    run_program("cmake", &["--build", build]);
+    Some(format!("{build}/apriltag-detector"))
+}
+
+#[test]
+fn a_detector_in_c_takes_over_and_poses_are_as_true_as_its_corners() {
+    let scratch = Scratch::new("c-detector");
+    let Some(detector) = apriltag_detector(&scratch) else { return };
+    let set = [SMALL_FLIGHT, &[DICTIONARY, "fusion.align=false"]].concat();
+    let mut flight = Flight::start("c-detector", &[], &set);
+    flight.wait_for("alpha confirmed");
+    let name = flight.instance.name().to_owned();
+    for worker in ["detection", "detection.1"] {
+        let (succeeded, output) = run(&[
+            "swap",
+            worker,
+            "--instance",
+            &name,
+            "--within",
+            "60s",
+            "--accept-worse",
+            "--",
+            &detector,
+        ]);
+        assert!(succeeded && output.contains("is swapped after"), "{output}\n{}", flight.output());
+    }
+    let mut ports = join(&mut flight);
+    let mut tracks = subscribe::<Tracks>(&mut flight, &mut ports);
+    let mut truths = subscribe::<Truths>(&mut flight, &mut ports);
+    let mut detections = subscribe::<Detections>(&mut flight, &mut ports);
+    let mut known = std::collections::BTreeMap::new();
+    let (mut hits, mut errors_m) = (0, Vec::new());
+    let start = Instant::now();
+    while hits < 20 || errors_m.len() < 20 {
+        while let Some(message) = detections.receive().expect("it can be read") {
+            assert_eq!(message.header.failed, 0);
+            hits += message.header.hits;
+        }
+        while let Some(message) = truths.receive().expect("it can be read") {
+            known.insert(message.header.stamp.order(), message.items().to_vec());
+        }
+        while let Some(message) = tracks.receive().expect("it can be read") {
+            let Some(bodies) = known.get(&message.header.stamp.order()) else { continue };
+            let measured = message
+                .items()
+                .iter()
+                .filter(|track| track.measured_by == MeasuredBy::Decoded.code());
+            for track in measured {
+                let body =
+                    bodies.iter().find(|body| body.target == track.target).expect("it flies");
+                let [found, really] = [track.observer_from_target, body.observer_from_target]
+                    .map(|pose| Vector3::from(pose.position));
+                errors_m.push((found - really).norm());
+            }
+        }
+        assert!(start.elapsed() < WATCHDOG, "{hits} hits, {errors_m:?}:\n{}", flight.output());
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    errors_m.sort_by(f64::total_cmp);
+    // A corner that is half a pixel off, or another corner's, is far more than this at 0.6 m.
+    assert!(errors_m[errors_m.len() / 2] < 0.01, "{errors_m:?}");
+    drop((tracks, truths, detections, ports));
+    let (succeeded, output) = run(&["stop", "--instance", &name]);
+    assert!(succeeded, "{output}");
+    assert!(flight.wait().success(), "{}", flight.output());
+    flight.assert_nothing_left();
+}
+
+#[test]
+fn the_detector_in_c_keeps_the_contract_and_says_what_it_cannot_work_with() {
+    let scratch = Scratch::new("c-conformance");
+    let Some(detector) = apriltag_detector(&scratch) else { return };
+    let small = ["--set", "camera.width=1024", "--set", "camera.height=512"];
+    let test = |more: &[&str]| {
+        run(&[&["stage", "test", "detection"], &small[..], more, &["--", &detector]].concat())
+    };
+    let (succeeded, output) = test(&["--set", DICTIONARY]);
+    assert!(succeeded, "{output}");
+    let (succeeded, output) = test(&[]);
+    assert!(
+        !succeeded && output.contains("knows bodies.dictionary: DICT_APRILTAG_36h11 alone"),
+        "{output}"
+    );
+}
+
+/// A stage that uses the functions that the example does not.
+const PROBE: &str = r#"
+#include <assert.h>
+#include <string.h>
+#include <flockeye/stage.h>
+
+int main(void) {
+    assert(!flockeye_stage_open("detections"));
+    assert(strstr(flockeye_error(), "detections is not in the contract"));
+    assert(!flockeye_stage_open("detection"));
+    assert(strstr(flockeye_error(), "FLOCKEYE_INSTANCE_DIR is not set"));
+    flockeye_stage_close(NULL);
+    return flockeye_now_ns() > 0 ? 0 : 1;
+}
+"#;
+
+#[test]
+fn the_library_is_found_by_pkg_config_and_says_why_it_fails_in_c_and_in_cpp() {
+    let scratch = Scratch::new("c-probe");
+    let prefix = install(&scratch);
+    let config = |what: &str| {
+        let path = format!("--with-path={prefix}/lib/pkgconfig");
+        run_program("pkg-config", &[&path, what, "flockeye-stage"])
+    };
+    let flags = format!("{} {}", config("--cflags"), config("--libs"));
+    let source = scratch.path("probe.c");
+    std::fs::write(&source, PROBE).expect("it can be written");
+    let source = source.to_str().expect("a plain path");
+    for (compiler, language) in [("cc", "-xc"), ("c++", "-xc++")] {
+        let program = scratch.path(compiler);
+        let program = program.to_str().expect("a plain path");
+        let library = format!("-Wl,-rpath,{prefix}/lib");
+        let mut arguments =
+            vec!["-Wall", "-Wextra", "-Werror", language, source, "-xnone", "-o", program];
+        arguments.extend(flags.split_whitespace());
+        arguments.push(&library);
+        run_program(compiler, &arguments);
+        run_program(program, &[]);
+    }
+}
