@@ -1,6 +1,6 @@
 //! `flockeye stage`: stages of one's own.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
 use clap::{Args, Subcommand, ValueEnum};
@@ -21,33 +21,91 @@ pub enum StageCommand {
 /// Arguments of `stage new`.
 #[derive(Debug, Args)]
 pub struct NewArguments {
-    /// Which stage: detection, rectification or fusion.
+    /// Which stage: detection, rectification or fusion in Python, detection in Rust and C.
     pub kind: String,
     /// Where to.
     pub folder: PathBuf,
     /// In which language.
     #[arg(long, value_enum, default_value_t = Language::Python)]
     pub lang: Language,
+    /// Where Flockeye's sources are, for a stage in Rust. Without it: where this program was built.
+    #[arg(long, value_name = "FOLDER")]
+    pub sources: Option<PathBuf>,
 }
 
 /// A language that a stage can be written in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Language {
+    /// Rust, with the crates of Flockeye's own stages.
+    Rust,
     /// Python, with the package `clients/python`.
     Python,
+    /// C, with the library `clients/c`.
+    C,
 }
 
-/// The examples, which the tests fly: (stage, name of the file, its text).
-const PYTHON: [(StageName, &str, &str); 3] = [
-    (StageName::Detection, "detector.py", include_str!("../../../examples/detector.py")),
-    (StageName::Rectification, "rectifier.py", include_str!("../../../examples/rectifier.py")),
-    (StageName::Fusion, "bearings.py", include_str!("../../../examples/bearings.py")),
+/// An example that the tests fly.
+struct Example {
+    stage: StageName,
+    lang: Language,
+    /// The name of each file, and its text.
+    files: &'static [(&'static str, &'static str)],
+    /// What makes a program of it; `FOLDER` is where it lies.
+    build: &'static str,
+    /// The program.
+    program: &'static str,
+}
+
+const PYTHON_NEEDS: &str = "pip install clients/python numpy opencv-contrib-python-headless";
+
+const EXAMPLES: [Example; 5] = [
+    Example {
+        stage: StageName::Detection,
+        lang: Language::Python,
+        files: &[("detector.py", include_str!("../../../examples/detector.py"))],
+        build: PYTHON_NEEDS,
+        program: "python3 FOLDER/detector.py",
+    },
+    Example {
+        stage: StageName::Rectification,
+        lang: Language::Python,
+        files: &[("rectifier.py", include_str!("../../../examples/rectifier.py"))],
+        build: PYTHON_NEEDS,
+        program: "python3 FOLDER/rectifier.py",
+    },
+    Example {
+        stage: StageName::Fusion,
+        lang: Language::Python,
+        files: &[("bearings.py", include_str!("../../../examples/bearings.py"))],
+        build: PYTHON_NEEDS,
+        program: "python3 FOLDER/bearings.py",
+    },
+    Example {
+        stage: StageName::Detection,
+        lang: Language::C,
+        files: &[
+            ("apriltag_detector.c", include_str!("../../../examples/c/apriltag_detector.c")),
+            ("CMakeLists.txt", include_str!("../../../examples/c/CMakeLists.txt")),
+        ],
+        build: "make install-c PREFIX=/usr/local; cmake -S FOLDER -B FOLDER/build && cmake --build FOLDER/build",
+        program: "FOLDER/build/apriltag-detector",
+    },
+    Example {
+        stage: StageName::Detection,
+        lang: Language::Rust,
+        files: &[
+            ("src/main.rs", include_str!("../../../examples/rust/src/main.rs")),
+            ("Cargo.toml", include_str!("../../../examples/rust/Cargo.toml")),
+        ],
+        build: "cargo build --release --manifest-path FOLDER/Cargo.toml",
+        program: "FOLDER/target/release/my-detector",
+    },
 ];
 
 /// Does it.
 ///
 /// # Errors
-/// There is no such stage or no example of it, or the file is there already or cannot be written; a candidate
+/// There is no such stage or no example of it, or a file is there already or cannot be written; a candidate
 /// that does not keep the contract.
 pub fn run(command: &StageCommand) -> anyhow::Result<()> {
     match command {
@@ -57,21 +115,55 @@ pub fn run(command: &StageCommand) -> anyhow::Result<()> {
 }
 
 fn write_new(arguments: &NewArguments) -> anyhow::Result<()> {
-    let NewArguments { kind, folder, lang: Language::Python } = arguments;
-    let Some((_, file, text)) = PYTHON.iter().find(|(stage, ..)| stage.name() == kind) else {
-        let kinds: Vec<_> = PYTHON.iter().map(|(stage, ..)| stage.name()).collect();
-        bail!("there is no example of a stage '{kind}'. Cure: one of {}", kinds.join(", "));
+    let NewArguments { kind, folder, lang, sources } = arguments;
+    let ours = || EXAMPLES.iter().filter(|example| example.lang == *lang);
+    let Some(example) = ours().find(|example| example.stage.name() == kind) else {
+        let kinds: Vec<_> = ours().map(|example| example.stage.name()).collect();
+        bail!(
+            "there is no example of a stage '{kind}' in {lang:?}. Cure: one of {}",
+            kinds.join(", ")
+        );
     };
-    std::fs::create_dir_all(folder).with_context(|| format!("{}", folder.display()))?;
-    let path = folder.join(file);
-    ensure!(!path.exists(), "{} is there already. Cure: name another folder", path.display());
-    let text = text.replace(&format!("examples/{file}"), &path.display().to_string());
-    std::fs::write(&path, text).with_context(|| format!("{}", path.display()))?;
+    let shown = folder.display().to_string();
+    let paths: Vec<_> = example.files.iter().map(|(file, _)| folder.join(file)).collect();
+    for path in &paths {
+        ensure!(!path.exists(), "{} is there already. Cure: name another folder", path.display());
+    }
+    for (path, (file, text)) in paths.iter().zip(example.files) {
+        let text = match *file {
+            "Cargo.toml" => manifest(sources.as_deref())?,
+            _ => text.replace(&format!("examples/{file}"), &path.display().to_string()),
+        };
+        let parent = path.parent().unwrap_or(folder);
+        std::fs::create_dir_all(parent).with_context(|| format!("{}", parent.display()))?;
+        std::fs::write(path, text).with_context(|| format!("{}", path.display()))?;
+    }
     Screen::new().line(&format!(
-        "{} is written. It runs as it is:\n  pip install clients/python numpy opencv-contrib-python-headless\n  \
-         flockeye swap {kind} --accept-worse -- python3 {}\nWhat it owes to the others: docs/CONTRACT.md",
-        path.display(),
-        path.display()
+        "{} is written. It runs as it is:\n  {}\n  flockeye swap {kind} --accept-worse -- {}\nWhat it owes to \
+         the others: docs/CONTRACT.md; whether it pays: flockeye stage test {kind} -- COMMAND",
+        paths[0].display(),
+        example.build.replace("FOLDER", &shown),
+        example.program.replace("FOLDER", &shown)
     ));
     Ok(())
+}
+
+/// The manifest of a stage in Rust outside of Flockeye's own workspace.
+fn manifest(sources: Option<&Path>) -> anyhow::Result<String> {
+    let built = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let sources = sources.unwrap_or(&built);
+    let sources = std::fs::canonicalize(sources).unwrap_or_else(|_| sources.to_owned());
+    ensure!(
+        sources.join("common/runtime/Cargo.toml").exists(),
+        "Flockeye's sources are not at {}. Cure: --sources FOLDER",
+        sources.display()
+    );
+    let sources = sources.display();
+    Ok(format!(
+        "[package]\nname = \"my-detector\"\nversion = \"0.1.0\"\nedition = \"2024\"\n\n[dependencies]\n\
+         flockeye-contract = {{ path = \"{sources}/common/contract\" }}\n\
+         flockeye-detection = {{ path = \"{sources}/services/detection\" }}\n\
+         flockeye-runtime = {{ path = \"{sources}/common/runtime\" }}\nanyhow = \"1\"\n\n\
+         # A workspace of its own, wherever it lies.\n[workspace]\n"
+    ))
 }

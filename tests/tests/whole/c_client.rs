@@ -178,3 +178,10 @@ fn the_library_is_found_by_pkg_config_and_says_why_it_fails_in_c_and_in_cpp() {
         run_program(program, &[]);
     }
 }
+
+#[test]
+fn the_header_for_c_compiles_and_its_assertions_hold() {
+    let header = repository("clients/c/include/flockeye/contract.h");
+    let header = header.to_str().expect("a plain path");
+    run_program("cc", &["-std=c11", "-Wall", "-Wextra", "-Werror", "-fsyntax-only", "-xc", header]);
+}

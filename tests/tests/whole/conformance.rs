@@ -1,6 +1,9 @@
 //! Stages that are tested alone against the contract.
 
-use flockeye_tests::{flockeye, run};
+use std::net::UdpSocket;
+
+use flockeye_tests::autopilot::SimulatedAutopilot;
+use flockeye_tests::{Flight, SMALL_FLIGHT, flockeye, run};
 use serde_json::Value;
 
 /// A small sphere, so that the test takes seconds.
@@ -11,16 +14,88 @@ fn test(kind: &str, set: &[&str], candidate: &[&str]) -> (bool, String) {
     run(&[&["stage", "test", kind], SMALL, set, &candidate].concat())
 }
 
+fn assert_keeps_the_contract((succeeded, output): (bool, String), least_checks: usize) {
+    assert!(succeeded, "{output}");
+    let report: Value = serde_json::from_str(&output).expect("nothing but JSON");
+    let checks = report["checks"].as_array().expect("a list");
+    assert!(checks.len() >= least_checks, "{output}");
+    assert!(checks.iter().all(|check| check["wrong"].is_null()), "{output}");
+    assert!(!report["figures"].as_array().expect("a list").is_empty(), "{output}");
+}
+
 #[test]
 fn our_own_stages_keep_the_contract() {
-    for kind in ["detection", "rectification", "fusion"] {
-        let (succeeded, output) = test(kind, &["--json"], &[]);
-        assert!(succeeded, "{output}");
-        let report: Value = serde_json::from_str(&output).expect("nothing but JSON");
-        let checks = report["checks"].as_array().expect("a list");
-        assert!(checks.len() > 10, "{output}");
-        assert!(checks.iter().all(|check| check["wrong"].is_null()), "{output}");
-        assert!(!report["figures"].as_array().expect("a list").is_empty(), "{output}");
+    for kind in ["egomotion", "rectification", "detection", "fusion", "gateway"] {
+        assert_keeps_the_contract(test(kind, &["--json"], &[]), 14);
+    }
+}
+
+#[test]
+fn our_own_sources_keep_the_contract() {
+    for flow in ["latest", "lossless"] {
+        let at_most = "simulator.frames=1000000";
+        assert_keeps_the_contract(
+            test("simulator", &["--json", "--flow", flow, "--set", at_most], &[]),
+            13,
+        );
+    }
+    let camera = "videotestsrc is-live=true pattern=smpte ! video/x-raw,width=1024,height=512";
+    assert_keeps_the_contract(test("capture", &["--json", "--source", camera], &[]), 13);
+    let address = UdpSocket::bind("127.0.0.1:0").expect("a port").local_addr().expect("an address");
+    let autopilot = SimulatedAutopilot::start(address.to_string());
+    let source = format!("inertial.source=mavlink:udp:{address}");
+    assert_keeps_the_contract(test("inertial", &["--json", "--set", &source], &[]), 9);
+    drop(autopilot);
+}
+
+#[test]
+fn stages_of_each_kind_that_misbehave_are_told_how() {
+    let program = flockeye().with_file_name("misbehaving-stage");
+    let program = program.to_str().expect("a plain path");
+    for (kind, misdeed, wanted) in [
+        ("egomotion", "mute", "FAILS  one rotation for each frame: frame 1 got none in 3 s"),
+        ("egomotion", "lie", "FAILS  rotations are right: later_from_earlier of frame 2 is "),
+        ("rectification", "mute", "FAILS  one frame_end for each frame: frame "),
+        ("rectification", "boast", "FAILS  views_issued counts the views: views_issued is 3, and "),
+        ("fusion", "mute", "FAILS  a first plan opens the flow: no plan came"),
+        ("fusion", "unplanned", "FAILS  a plan follows each frame: no plan came whose after is "),
+        ("simulator", "mute", "FAILS  frames come: none came in 2 s"),
+        ("simulator", "backwards", "FAILS  frames are in order: sequence 9999"),
+        ("simulator", "backwards", "FAILS  times are of CLOCK_MONOTONIC: published_ns is 9999"),
+        ("inertial", "mute", "FAILS  samples come: 0 came"),
+        ("inertial", "repeat", "FAILS  each sample comes once, in the order of time: at_ns "),
+        ("gateway", "mute", "FAILS  says that it is alive: no liveliness token of "),
+    ] {
+        let start = ["--set", "supervision.start_s=2"];
+        let (succeeded, output) = test(kind, &start, &[program, kind, misdeed]);
+        assert!(!succeeded && output.contains(wanted), "{wanted:?} is missing in:\n{output}");
+        assert!(output.contains("(docs/CONTRACT.md, \""), "{output}");
+    }
+}
+
+#[test]
+fn stages_that_misbehave_leave_the_others_of_a_pipeline_alone() {
+    let program = flockeye().with_file_name("misbehaving-stage");
+    for (kind, misdeed, flies) in [
+        ("egomotion", "mute", "alpha confirmed"),
+        ("egomotion", "lie", "alpha "),
+        ("gateway", "mute", "alpha confirmed"),
+        ("rectification", "boast", "frames"),
+        ("fusion", "unplanned", "frames"),
+    ] {
+        let command = format!("stages.{kind}.command=[{}, {kind}, {misdeed}]", program.display());
+        let more = [command.as_str(), "gateway.enabled=true", "gateway.listen=[tcp/127.0.0.1:0]"];
+        let set = [SMALL_FLIGHT, &more].concat();
+        let mut flight = Flight::start(&format!("misdeed-{kind}"), &["--for", "4s"], &set);
+        let succeeded = flight.wait().success();
+        let output = flight.output();
+        assert!(succeeded && output.contains(flies), "{kind} {misdeed}:\n{output}");
+        for other in ["simulator", "detection", "rectification", "fusion", "egomotion", "gateway"] {
+            let is_blamed =
+                output.lines().any(|line| line.starts_with(other) || line.contains("panicked"));
+            assert!(!is_blamed || other == kind, "{kind} {misdeed} harms {other}:\n{output}");
+        }
+        flight.assert_nothing_left();
     }
 }
 
@@ -46,6 +121,6 @@ fn stages_that_misbehave_are_told_how_and_where_it_is_written() {
     let wanted =
         "FAILS  health says who it is: stage is \"detection\", and must be \"rectification\"";
     assert!(!succeeded && output.contains(wanted), "{output}");
-    let (succeeded, output) = test("gateway", &[], &[]);
-    assert!(!succeeded && output.contains("one of detection, rectification, fusion"), "{output}");
+    let (succeeded, output) = test("gateways", &[], &[]);
+    assert!(!succeeded && output.contains("there is no stage 'gateways'. Stages: "), "{output}");
 }

@@ -1,18 +1,12 @@
 //! An inertial sensor beside the picture: simulated, recorded, and an autopilot's.
 
 use std::net::UdpSocket;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, Ordering};
-use std::time::{Duration, Instant};
 
 use flockeye_contract::{FrameStamp, Rotation, RotationSource};
 use flockeye_convert::{camera_turn, rotation};
+use flockeye_tests::autopilot::{SimulatedAutopilot, YAW_DEG_S};
 use flockeye_tests::onlooker::Tape;
 use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, run};
-use mavlink::dialects::common::{
-    HEARTBEAT_DATA, HIGHRES_IMU_DATA, HighresImuUpdatedFlags, MavMessage,
-};
-use mavlink::{Connectable, Connection, MavConnection, MavHeader, UdpConfig, UdpMode};
 use rustix::process::Signal;
 use serde_json::Value;
 
@@ -145,67 +139,6 @@ fn samples_that_were_recorded_can_be_read_again() {
     let source = format!("inertial.source={path}");
     let (succeeded, output) = run(&["check", "--set", &source]);
     assert!(!succeeded && output.contains("inertial.source: a recorded sensor"), "{output}");
-}
-
-/// An autopilot that sends `HIGHRES_IMU` 200 times a second until it is dropped: of a drone that yaws as the
-/// simulated one, times a factor in percent that can be changed.
-struct SimulatedAutopilot {
-    percent: Arc<AtomicU32>,
-    thread: Option<std::thread::JoinHandle<()>>,
-}
-
-/// One column of the picture in each frame: in calm air the simulated backdrop turns by whole columns.
-const YAW_DEG_S: f32 = 360.0 / 1024.0 * 30.0;
-
-/// Ends the thread.
-const STOP: u32 = u32::MAX;
-
-impl SimulatedAutopilot {
-    fn start(address: String) -> Self {
-        let percent = Arc::new(AtomicU32::new(100));
-        let factor = percent.clone();
-        let thread = std::thread::spawn(move || {
-            let line: Connection<MavMessage> =
-                UdpConfig::new(address, UdpMode::Udpout).connect().expect("a socket");
-            let header = MavHeader { system_id: 1, component_id: 1, sequence: 0 };
-            let began = Instant::now();
-            for sample in 0u64.. {
-                let percent = factor.load(Ordering::Relaxed);
-                if percent == STOP {
-                    return;
-                }
-                if sample % 200 == 0 {
-                    // Nobody may be there yet, or any more.
-                    let _ = line.send(&header, &MavMessage::HEARTBEAT(HEARTBEAT_DATA::DEFAULT));
-                }
-                let yaw = YAW_DEG_S.to_radians() * percent as f32 / 100.0;
-                let imu = HIGHRES_IMU_DATA {
-                    time_usec: began.elapsed().as_micros() as u64,
-                    // Down is MAVLink's third axis.
-                    zgyro: -yaw,
-                    zacc: -9.81,
-                    fields_updated: HighresImuUpdatedFlags::all(),
-                    ..HIGHRES_IMU_DATA::DEFAULT
-                };
-                let _ = line.send(&header, &MavMessage::HIGHRES_IMU(imu));
-                std::thread::sleep(Duration::from_millis(5));
-            }
-        });
-        Self { percent, thread: Some(thread) }
-    }
-
-    fn set_percent(&self, percent: u32) {
-        self.percent.store(percent, Ordering::Relaxed);
-    }
-}
-
-impl Drop for SimulatedAutopilot {
-    fn drop(&mut self) {
-        self.set_percent(STOP);
-        if let Some(thread) = self.thread.take() {
-            thread.join().expect("the autopilot has not panicked");
-        }
-    }
 }
 
 #[test]

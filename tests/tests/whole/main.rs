@@ -16,6 +16,7 @@ mod lab;
 mod lifecycle;
 mod lossless;
 mod markers;
+mod new_stage;
 mod python;
 mod real_time;
 mod recorded;

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use flockeye_contract::{Detections, FrameEnds, MeasuredBy, Topic, Tracks, Truths};
 use flockeye_tests::onlooker::{Tape, join, subscribe};
-use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, flockeye, run};
+use flockeye_tests::{Flight, SMALL_FLIGHT, WATCHDOG, flockeye, run};
 use nalgebra::Vector3;
 
 /// What is said of the neighbour once it is tracked.
@@ -206,31 +206,4 @@ fn the_tool_that_looks_on_prints_neighbours_and_ends_with_the_pipeline() {
     assert!(flight.wait().success(), "{}", flight.output());
     assert!(tool.wait().success(), "{}", tool.output());
     flight.assert_nothing_left();
-}
-
-#[test]
-fn a_new_stage_is_written_once_and_only_where_there_is_an_example() {
-    let scratch = Scratch::new("stage-new");
-    let folder = scratch.path("mine");
-    let folder = folder.to_str().expect("a plain path");
-    let (succeeded, output) = run(&["stage", "new", "detection", folder]);
-    assert!(succeeded && output.contains("flockeye swap detection"), "{output}");
-    let text = std::fs::read_to_string(format!("{folder}/detector.py")).expect("it is written");
-    assert!(text.contains(&format!("python3 {folder}/detector.py")), "{text}");
-    let (succeeded, output) = run(&["stage", "new", "detection", folder]);
-    assert!(!succeeded && output.contains("is there already"), "{output}");
-    let (succeeded, output) = run(&["stage", "new", "gateway", folder]);
-    assert!(!succeeded && output.contains("one of detection, rectification, fusion"), "{output}");
-}
-
-#[test]
-fn the_header_for_c_compiles_and_its_assertions_hold() {
-    let header =
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("../clients/c/include/flockeye/contract.h");
-    let output = Command::new("cc")
-        .args(["-std=c11", "-Wall", "-Wextra", "-Werror", "-fsyntax-only", "-x", "c"])
-        .arg(header)
-        .output()
-        .expect("there is a C compiler: Rust links with it");
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }

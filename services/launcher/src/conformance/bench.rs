@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context as _, bail};
 use flockeye_cli::signals;
 use flockeye_config::{Resolved, Restart};
-use flockeye_contract::{Health, Healths, StageName, StageState};
+use flockeye_contract::{Health, Healths, StageName, StageState, Topic};
 use flockeye_runtime::clock;
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::instance::{Instance, Ownership};
@@ -22,6 +22,7 @@ use crate::control::Worker;
 use crate::process::{LogLine, Process, ProcessChange, STOP_TIME};
 
 const OWES: &str = "What every stage owes";
+const MUST_PASS: &str = "What a message must pass";
 
 /// How often the test looks for messages.
 const LOOK: Duration = Duration::from_micros(500);
@@ -31,6 +32,9 @@ const LONGEST_SILENCE: Duration = Duration::from_millis(750);
 
 /// Lines of the candidate that are kept.
 const MOST_LINES: usize = 30;
+
+/// A message, copied.
+pub type HeaderAndItems<T> = (<T as Topic>::Header, Vec<<T as Topic>::Item>);
 
 /// An instance with one process in it, and the test in place of all others. Ports go before the services, and
 /// these before the folder.
@@ -163,6 +167,34 @@ impl Bench {
             }
             std::thread::sleep(LOOK);
         }
+    }
+
+    /// The next message, checked by the contract: what fails the check is noted under `what`.
+    ///
+    /// # Errors
+    /// A port that fails.
+    pub fn next<T: Topic>(
+        &mut self,
+        messages: &mut Subscriber<T>,
+        report: &mut Report,
+        what: &'static str,
+        patience: Duration,
+    ) -> anyhow::Result<Option<HeaderAndItems<T>>> {
+        let found = self.wait(patience, |_| {
+            let Some((message, verdict)) = messages.receive_with_verdict()? else {
+                return Ok(None);
+            };
+            Ok(Some((message.header, message.items().to_vec(), verdict)))
+        })?;
+        Ok(found.map(|(header, items, verdict)| {
+            report.check(what, MUST_PASS, verdict.err().map(|error| error.to_string()));
+            (header, items)
+        }))
+    }
+
+    /// Whether the candidate has said that its input has ended.
+    pub fn is_finished(&self) -> bool {
+        self.newest.is_some_and(|health| health.state == StageState::Finished.code())
     }
 
     /// Lets so much time pass.

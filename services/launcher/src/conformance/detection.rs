@@ -19,7 +19,6 @@ use super::pictures::{self, ShownMarker};
 use super::report::Report;
 
 const PAGE: &str = "Detection (view to detection)";
-const MUST_PASS: &str = "What a message must pass";
 
 /// Views of one test; every tenth shows nothing.
 const VIEWS: u32 = 120;
@@ -118,16 +117,7 @@ impl Script {
         report: &mut Report,
         patience: Duration,
     ) -> anyhow::Result<Option<Record>> {
-        let records = &mut self.records;
-        let answer = bench.wait(patience, |_| {
-            let Some((message, verdict)) = records.receive_with_verdict()? else { return Ok(None) };
-            Ok(Some((message.header, message.items().to_vec(), verdict)))
-        })?;
-        Ok(answer.map(|(header, markers, verdict)| {
-            let wrong = verdict.err().map(|error| error.to_string());
-            report.check("records pass the contract's check", MUST_PASS, wrong);
-            (header, markers)
-        }))
+        bench.next(&mut self.records, report, "records pass the contract's check", patience)
     }
 
     /// Sends a view and checks that it is answered, and as it must be.

@@ -9,16 +9,20 @@
 //! | [`bench`] | the instance, the candidate's process, and its health |
 //! | [`report`] | what was checked, and what was found |
 //! | [`pictures`] | views with markers, and a sphere whose every ray is known |
-//! | [`detection`], [`rectification`], [`fusion`] | what is sent to each kind, and how the answers must be |
+//! | [`source`], [`inertial`], [`egomotion`], [`rectification`], [`detection`], [`fusion`], [`gateway`] | what is sent to each kind, and how the answers must be |
 
 mod bench;
 mod detection;
+mod egomotion;
 mod fusion;
+mod gateway;
+mod inertial;
 mod pictures;
 mod rectification;
 mod report;
+mod source;
 
-use anyhow::{bail, ensure};
+use anyhow::{Context as _, ensure};
 use clap::Args;
 use flockeye_cli::{Configuration, Screen};
 use flockeye_config::Resolved;
@@ -26,12 +30,14 @@ use flockeye_contract::StageName;
 
 use self::bench::Bench;
 use self::report::Report;
+use crate::control::stage_name;
 
 /// Arguments of `stage test`.
 #[derive(Debug, Args)]
 pub struct TestArguments {
-    /// Which stage the candidate is: detection, rectification or fusion.
-    pub kind: String,
+    /// Which stage the candidate is: its name in pipeline.yaml.
+    #[arg(value_parser = stage_name)]
+    pub kind: StageName,
     /// Which configuration.
     #[command(flatten)]
     pub configuration: Configuration,
@@ -48,17 +54,21 @@ pub struct TestArguments {
 /// # Errors
 /// The candidate does not keep the contract, or the test cannot be made.
 pub fn run(arguments: &TestArguments) -> anyhow::Result<()> {
-    let script = match StageName::from_name(&arguments.kind) {
-        Some(StageName::Detection) => detection::run,
-        Some(StageName::Rectification) => rectification::run,
-        Some(StageName::Fusion) => fusion::run,
-        _ => bail!(
-            "there is no test of a stage '{}'. Cure: one of detection, rectification, fusion",
-            arguments.kind
-        ),
+    let stage = arguments.kind;
+    let script = match stage {
+        StageName::Capture | StageName::Simulator => source::run,
+        StageName::Inertial => inertial::run,
+        StageName::Egomotion => egomotion::run,
+        StageName::Rectification => rectification::run,
+        StageName::Detection => detection::run,
+        StageName::Fusion => fusion::run,
+        StageName::Gateway => gateway::run,
     };
-    let stage = StageName::from_name(&arguments.kind).unwrap_or(StageName::Detection);
-    let own = [format!("instance=t{}", std::process::id()), "gateway.enabled=false".to_owned()];
+    let mut own = vec![format!("instance=t{}", std::process::id())];
+    own.push(match stage {
+        StageName::Gateway => format!("gateway.listen=[tcp/127.0.0.1:{}]", free_port()?),
+        _ => "gateway.enabled=false".to_owned(),
+    });
     let resolved = Resolved::of(arguments.configuration.load_with(&[], &own)?)?;
     let mut report = Report::default();
     let mut bench = Bench::new(&resolved, stage, &arguments.command)?;
@@ -82,4 +92,40 @@ pub fn run(arguments: &TestArguments) -> anyhow::Result<()> {
         }
     );
     Ok(())
+}
+
+/// A port of this machine that nobody listens on.
+fn free_port() -> anyhow::Result<u16> {
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").context("no port is free")?;
+    Ok(listener.local_addr().context("no port is free")?.port())
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn findings_name_headings_that_are_in_the_contract() {
+        let contract = include_str!("../../../../docs/CONTRACT.md");
+        let sources = [
+            include_str!("bench.rs"),
+            include_str!("detection.rs"),
+            include_str!("egomotion.rs"),
+            include_str!("fusion.rs"),
+            include_str!("gateway.rs"),
+            include_str!("inertial.rs"),
+            include_str!("rectification.rs"),
+            include_str!("source.rs"),
+        ];
+        let mut count = 0;
+        for line in sources.iter().flat_map(|source| source.lines()) {
+            let Some((name, text)) = line.split_once(": &str = \"") else { continue };
+            if ["const PAGE", "const OWES", "const MUST_PASS", "const TRACK_PAGE"].contains(&name) {
+                let heading = text.trim_end_matches("\";");
+                let is_there =
+                    contract.lines().any(|line| line.trim_start_matches('#').trim() == heading);
+                assert!(is_there, "no heading '{heading}'");
+                count += 1;
+            }
+        }
+        assert!(count >= 10, "{count} are named");
+    }
 }

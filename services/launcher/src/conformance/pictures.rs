@@ -89,6 +89,40 @@ pub fn view(
     (0..size_px * size_px).map(pixel).collect()
 }
 
+/// Side of the table of random levels.
+const LATTICE: usize = 32;
+
+/// A world full of soft spots of two sizes, as the camera sees it.
+pub fn textured_world(header: &FrameHeader, world_from_camera: &UnitQuaternion<f64>) -> Vec<u8> {
+    // A linear congruential generator (Knuth's MMIX): the world is the same in each test.
+    let mut state = 1_u64;
+    let levels: Vec<f64> = std::iter::repeat_with(|| {
+        state =
+            state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 40) as f64 / (1 << 24) as f64 - 0.5
+    })
+    .take(LATTICE * LATTICE * LATTICE)
+    .collect();
+    let noise = |at: Vector3<f64>| {
+        let [cell, within] = [at.map(f64::floor), at - at.map(f64::floor)];
+        let corner = |k: usize| {
+            let [x, y, z] = [0, 1, 2].map(|axis| {
+                (cell[axis] as i64 + (k >> axis & 1) as i64).rem_euclid(LATTICE as i64) as usize
+            });
+            let weight = (0..3).map(|axis| match k >> axis & 1 {
+                0 => 1.0 - within[axis],
+                _ => within[axis],
+            });
+            weight.product::<f64>() * levels[(x * LATTICE + y) * LATTICE + z]
+        };
+        (0..8).map(corner).sum::<f64>()
+    };
+    equirectangular(header, |ray| {
+        let ray = world_from_camera * ray;
+        128.0 + 130.0 * noise(ray * 9.0) + 70.0 * noise(ray * 21.0)
+    })
+}
+
 /// What the sphere shows along a ray in the camera frame: smooth, and different wherever one looks.
 pub fn level(ray: &Vector3<f64>) -> f64 {
     let [x, y, z] = [ray.x, ray.y, ray.z];
@@ -97,6 +131,11 @@ pub fn level(ray: &Vector3<f64>) -> f64 {
 
 /// The sphere as an equirectangular picture: rows of `stride` bytes.
 pub fn sphere(header: &FrameHeader) -> Vec<u8> {
+    equirectangular(header, |ray| level(&ray))
+}
+
+/// A picture of what `level` gives along each ray in the camera frame.
+fn equirectangular(header: &FrameHeader, level: impl Fn(Vector3<f64>) -> f64) -> Vec<u8> {
     let (width, height, stride) = (header.width, header.height, header.stride as usize);
     let mut pixels = vec![0; stride * height as usize];
     let longitudes: Vec<(f64, f64)> = (0..width)
@@ -109,7 +148,7 @@ pub fn sphere(header: &FrameHeader) -> Vec<u8> {
         let (up, level_part) = latitude.sin_cos();
         for (pixel, (sin, cos)) in row.iter_mut().zip(&longitudes) {
             let ray = Vector3::new(level_part * cos, level_part * sin, up);
-            *pixel = level(&ray).round() as u8;
+            *pixel = level(ray).round() as u8;
         }
     }
     pixels

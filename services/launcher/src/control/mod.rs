@@ -43,15 +43,23 @@ impl fmt::Display for Worker {
     }
 }
 
+/// Reads a stage's name.
+///
+/// # Errors
+/// There is no such stage, and which there are.
+pub fn stage_name(text: &str) -> Result<StageName, String> {
+    StageName::from_name(text).ok_or_else(|| {
+        let names = StageName::ALL.map(StageName::name).join(", ");
+        format!("there is no stage '{text}'. Stages: {names}")
+    })
+}
+
 impl FromStr for Worker {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
         let (name, replica) = text.split_once('.').unwrap_or((text, "0"));
-        let stage = StageName::from_name(name).ok_or_else(|| {
-            let names = StageName::ALL.map(StageName::name).join(", ");
-            format!("there is no stage '{name}'. Stages: {names}")
-        })?;
+        let stage = stage_name(name)?;
         let replica = replica
             .parse()
             .map_err(|_| format!("'{replica}' is not the number of a worker, such as {name}.1"))?;

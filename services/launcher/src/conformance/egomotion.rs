@@ -1,0 +1,251 @@
+//! An egomotion alone: a textured world round a camera that turns as the test says.
+
+use std::time::Duration;
+
+use anyhow::ensure;
+use flockeye_config::Resolved;
+use flockeye_contract::{
+    FrameHeader, FrameStamp, Frames, Projection, Rotation, RotationSource, Rotations, Transfer,
+};
+use flockeye_geometry::camera::CameraModel;
+use flockeye_geometry::statistics::median;
+use flockeye_runtime::clock;
+use flockeye_runtime::ports::{Publisher, Subscriber};
+use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+
+use super::bench::Bench;
+use super::pictures;
+use super::report::Report;
+
+const PAGE: &str = "Egomotion (frame and imu to rotation)";
+const MUST_PASS: &str = "What a message must pass";
+
+/// Frames of the textured world.
+const FRAMES: u32 = 16;
+/// Frames that show nothing, one after the other.
+const BLANK: u32 = 4;
+/// From exposure to exposure.
+const PERIOD_NS: i64 = 33_000_000;
+/// So long an answer may take.
+const PATIENCE: Duration = Duration::from_secs(3);
+/// A rotation farther from the truth is not this frame's, degrees.
+const FAR_OFF_DEG: f64 = 1.0;
+/// Of the textured world's rotations so many must be known.
+const LEAST_KNOWN: f64 = 0.8;
+/// Errors that are so much larger than stated, in the median, make the covariance a lie. 2.4 is right.
+const MOST_NORMALIZED: f64 = 40.0;
+
+struct Script<'r> {
+    resolved: &'r Resolved,
+    frames: Publisher<Frames>,
+    rotations: Subscriber<Rotations>,
+    sequence: u64,
+    exposure_ns: i64,
+}
+
+/// Tests it.
+///
+/// # Errors
+/// A camera that is not equirectangular, or a port that fails.
+pub fn run(bench: &mut Bench, resolved: &Resolved, report: &mut Report) -> anyhow::Result<()> {
+    ensure!(
+        matches!(resolved.camera.model(), CameraModel::Equirectangular { .. }),
+        "egomotion is tested with equirectangular frames. Cure: leave camera.projection as it is"
+    );
+    let mut script = Script {
+        resolved,
+        frames: bench.ports.publisher()?,
+        rotations: bench.ports.subscriber()?,
+        sequence: 0,
+        // In the past, so that no frame is sent before it is exposed.
+        exposure_ns: clock::monotonic_ns() - 2_000_000_000,
+    };
+    script.turns(bench, report)?;
+    script.blank(bench, report)?;
+    script.malformed(bench, report)?;
+    bench.pass(Duration::from_millis(800))?;
+    Ok(())
+}
+
+impl Script<'_> {
+    /// A frame's shape.
+    fn shape(&self) -> FrameHeader {
+        let camera = &self.resolved.pipeline.camera;
+        FrameHeader {
+            width: camera.width,
+            height: camera.height,
+            stride: camera.width,
+            transfer: Transfer::Srgb.code(),
+            projection: Projection::Equirectangular.code(),
+            ..FrameHeader::default()
+        }
+    }
+
+    /// The next frame, which is sent at once.
+    fn frame(&mut self) -> FrameHeader {
+        self.sequence += 1;
+        self.exposure_ns += PERIOD_NS;
+        FrameHeader {
+            stamp: FrameStamp {
+                sequence: self.sequence,
+                exposure_ns: self.exposure_ns,
+                stream_ns: self.exposure_ns,
+                published_ns: clock::monotonic_ns(),
+                ..FrameStamp::default()
+            },
+            ..self.shape()
+        }
+    }
+
+    /// Sends a frame, and returns the answer to it.
+    fn asked(
+        &mut self,
+        bench: &mut Bench,
+        report: &mut Report,
+        frame: &FrameHeader,
+        pixels: &[u8],
+    ) -> anyhow::Result<Option<Rotation>> {
+        self.frames.send(*frame, pixels)?;
+        let what = "rotations pass the contract's check";
+        let answer = bench.next(&mut self.rotations, report, what, PATIENCE)?;
+        let number = frame.stamp.sequence;
+        report.holds("one rotation for each frame", PAGE, answer.is_some(), || {
+            format!("frame {number} got none in {} s", PATIENCE.as_secs())
+        });
+        let Some((rotation, _)) = answer else { return Ok(None) };
+        report.field("the stamp is the frame's", PAGE, "stamp", rotation.stamp, frame.stamp);
+        report.field("rotations say whose they are", PAGE, "generation", rotation.generation, 0);
+        Ok(Some(rotation))
+    }
+
+    /// The textured world.
+    fn turns(&mut self, bench: &mut Bench, report: &mut Report) -> anyhow::Result<()> {
+        let attitudes = attitudes();
+        // Drawn before the first is sent, because frames come as fast as a camera's.
+        let shape = self.shape();
+        let pictures: Vec<_> =
+            attitudes.iter().map(|attitude| pictures::textured_world(&shape, attitude)).collect();
+        let mut before: Option<(FrameStamp, UnitQuaternion<f64>)> = None;
+        let (mut errors_deg, mut normalized, mut times_ms) = (Vec::new(), Vec::new(), Vec::new());
+        for (pixels, world_from_camera) in pictures.iter().zip(attitudes) {
+            let frame = self.frame();
+            let Some(rotation) = self.asked(bench, report, &frame, pixels)? else { return Ok(()) };
+            times_ms.push((clock::monotonic_ns() - frame.stamp.published_ns) as f64 * 1e-6);
+            let is_known = rotation.source != RotationSource::Nothing.code();
+            let Some((before, was)) = before.replace((frame.stamp, world_from_camera)) else {
+                report.holds("nothing is known of the first frame", PAGE, !is_known, || {
+                    format!("source is {}, and there is no frame before it", rotation.source)
+                });
+                continue;
+            };
+            if !is_known {
+                continue;
+            }
+            report.field(
+                "rotations are since the frame before",
+                PAGE,
+                "earlier_exposure_ns",
+                rotation.earlier_exposure_ns,
+                before.exposure_ns,
+            );
+            let later_from_earlier = world_from_camera.inverse() * was;
+            let [x, y, z, w] = rotation.later_from_earlier;
+            let found = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
+            let off = (found * later_from_earlier.inverse()).scaled_axis();
+            let off_deg = off.norm().to_degrees();
+            report.holds("rotations are right", PAGE, off_deg < FAR_OFF_DEG, || {
+                format!(
+                    "later_from_earlier of frame {} is {off_deg:.2} degrees off",
+                    frame.stamp.sequence
+                )
+            });
+            errors_deg.push(off_deg);
+            let covariance = Matrix3::from_row_slice(&rotation.covariance);
+            normalized.extend(covariance.try_inverse().map(|inverse| off.dot(&(inverse * off))));
+        }
+        let known = errors_deg.len() as f64 / f64::from(FRAMES - 1);
+        report.holds("rotations of a textured world are known", PAGE, known >= LEAST_KNOWN, || {
+            format!(
+                "source is 0 for {} of {} frames",
+                FRAMES - 1 - errors_deg.len() as u32,
+                FRAMES - 1
+            )
+        });
+        errors_deg.sort_by(f64::total_cmp);
+        normalized.sort_by(f64::total_cmp);
+        times_ms.sort_by(f64::total_cmp);
+        let typical = median(&normalized).unwrap_or(0.0);
+        report.holds("the covariance is honest", PAGE, typical < MOST_NORMALIZED, || {
+            format!(
+                "squared errors are {typical:.0} times the covariance in the median; 2.4 is right"
+            )
+        });
+        report.figure("rotations known", 100.0 * known, "%");
+        report.figure("error, median", median(&errors_deg).unwrap_or(f64::NAN), "degrees");
+        report.figure("squared error against the covariance, median", typical, "(2.4 is right)");
+        report.figure("time for a frame, median", median(&times_ms).unwrap_or(f64::NAN), "ms");
+        Ok(())
+    }
+
+    /// A picture in which nothing can be seen.
+    fn blank(&mut self, bench: &mut Bench, report: &mut Report) -> anyhow::Result<()> {
+        for number in 0..BLANK {
+            let frame = self.frame();
+            let pixels = vec![16; (frame.stride * frame.height) as usize];
+            let Some(rotation) = self.asked(bench, report, &frame, &pixels)? else { return Ok(()) };
+            // Of the first one the picture before it has something to say, if not much.
+            if number > 0 {
+                let source = rotation.source;
+                let is_known = source != RotationSource::Nothing.code();
+                report.holds("nothing is known of a blank picture", PAGE, !is_known, || {
+                    format!("source is {source} where every pixel is the same")
+                });
+            }
+        }
+        Ok(())
+    }
+
+    /// Frames that nobody should send cost nothing but themselves.
+    fn malformed(&mut self, bench: &mut Bench, report: &mut Report) -> anyhow::Result<()> {
+        let good = self.frame();
+        for bad in [
+            FrameHeader { width: 0, ..self.frame() },
+            FrameHeader { stride: good.width / 2, ..self.frame() },
+            FrameHeader { height: good.height * 2, ..self.frame() },
+            FrameHeader { projection: 77, ..self.frame() },
+        ] {
+            let pixels = vec![16; (good.stride * good.height) as usize];
+            self.frames.send(bad, &pixels)?;
+            bench.pass(Duration::from_millis(50))?;
+        }
+        let pixels = pictures::textured_world(&self.shape(), &UnitQuaternion::identity());
+        let frame = self.frame();
+        self.frames.send(frame, &pixels)?;
+        let what = "rotations pass the contract's check";
+        let mut answered = false;
+        while let Some((rotation, _)) = bench.next(&mut self.rotations, report, what, PATIENCE)? {
+            answered = rotation.stamp == frame.stamp;
+            if answered {
+                break;
+            }
+        }
+        report.holds("malformed frames cost nothing else", MUST_PASS, answered, || {
+            format!("the good frame {} after them got no rotation", frame.stamp.sequence)
+        });
+        Ok(())
+    }
+}
+
+/// How the camera looks into the world, frame by frame: up to 2 degrees a frame about each axis, as a drone
+/// turns, which does not change from one frame to the next.
+fn attitudes() -> Vec<UnitQuaternion<f64>> {
+    let mut attitude = UnitQuaternion::identity();
+    (0..FRAMES)
+        .map(|number| {
+            let swing = |step: f64| (std::f64::consts::TAU * f64::from(number) * step).sin();
+            let axis = Vector3::new(swing(0.061_803), swing(0.041_421), swing(0.030_278));
+            attitude *= UnitQuaternion::from_scaled_axis(axis * 0.035);
+            attitude
+        })
+        .collect()
+}

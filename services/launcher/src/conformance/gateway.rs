@@ -1,0 +1,245 @@
+//! A gateway alone: tracks go in, and a peer on the network says what came out.
+
+use std::time::{Duration, Instant};
+
+use anyhow::Context as _;
+use bytemuck::Zeroable;
+use flockeye_config::Resolved;
+use flockeye_contract::wire::PoseReport;
+use flockeye_contract::{FrameStamp, MeasuredBy, Pose, Track, TrackHeader, TrackState, Tracks};
+use flockeye_geometry::statistics::median;
+use flockeye_network::{Listener, Network, NetworkParameters, ReportStream};
+use flockeye_runtime::clock;
+use flockeye_runtime::ports::Publisher;
+use nalgebra::UnitQuaternion;
+
+use super::bench::Bench;
+use super::report::Report;
+
+const PAGE: &str = "Gateway (track to the network)";
+const MUST_PASS: &str = "What a message must pass";
+
+/// Poses of one test.
+const POSES: u64 = 40;
+/// From pose to pose.
+const PERIOD: Duration = Duration::from_millis(33);
+/// So long a report may take.
+const PATIENCE: Duration = Duration::from_secs(2);
+/// So long no report must come.
+const QUIET: Duration = Duration::from_millis(300);
+/// Numbers may be rounded to this on the way.
+const ROUNDED: f64 = 1e-5;
+
+struct Script<'r> {
+    resolved: &'r Resolved,
+    tracks: Publisher<Tracks>,
+    reports: ReportStream,
+    listener: Listener,
+    sequence: u64,
+}
+
+/// Tests it.
+///
+/// # Errors
+/// The network or a port fails.
+pub fn run(bench: &mut Bench, resolved: &Resolved, report: &mut Report) -> anyhow::Result<()> {
+    let parameters = NetworkParameters::of_onlooker(&resolved.pipeline);
+    let listener = Network::open(&parameters).context("the test's own session")?.listener()?;
+    let link = Duration::from_secs_f64(resolved.pipeline.supervision.start_s);
+    let observer = &resolved.pipeline.observer.name;
+    let is_alive = bench.wait(link, |_| {
+        let peers = listener.snapshot();
+        Ok(peers.observers.get(observer).is_some_and(|peer| peer.alive).then_some(()))
+    })?;
+    report.holds("says that it is alive", PAGE, is_alive.is_some(), || {
+        format!(
+            "no liveliness token of '{observer}' at {} in {} s",
+            parameters.connect.join(", "),
+            link.as_secs()
+        )
+    });
+    if is_alive.is_none() {
+        return Ok(());
+    }
+    let mut script = Script {
+        resolved,
+        tracks: bench.ports.publisher()?,
+        reports: listener.stream(256),
+        listener,
+        sequence: 0,
+    };
+    script.poses(bench, report)?;
+    script.kept_back(bench, report)?;
+    let refused: u64 = script.refused();
+    report.holds("reports can be read", PAGE, refused == 0, || format!("{refused} were refused"));
+    Ok(())
+}
+
+impl Script<'_> {
+    fn stamp(&mut self) -> FrameStamp {
+        self.sequence += 1;
+        let now_ns = clock::monotonic_ns();
+        FrameStamp {
+            sequence: self.sequence,
+            exposure_ns: now_ns - 20_000_000,
+            stream_ns: now_ns,
+            published_ns: now_ns - 15_000_000,
+            ..FrameStamp::default()
+        }
+    }
+
+    /// A pose of this number, with a covariance in which each number is another one.
+    fn track(&self, stamp: &FrameStamp) -> Track {
+        let number = stamp.sequence as f64;
+        let turn = UnitQuaternion::from_euler_angles(0.1 * number, 0.2, 0.3);
+        let name = self.resolved.bodies.iter().next().map_or("alpha", |body| body.name.as_str());
+        let position = [1.0 + 0.01 * number, -0.5, 0.25];
+        let pose = Pose { position, orientation: turn.coords.into() };
+        let mut covariance = [0.0; 36];
+        for row in 0..6 {
+            for column in 0..6 {
+                let (low, high) = (row.min(column), row.max(column));
+                covariance[6 * row + column] =
+                    if low == high { 1e-3 } else { 1e-5 * (6 * low + high) as f64 };
+            }
+        }
+        Track {
+            name: name.into(),
+            observer_from_target: pose,
+            predicted_observer_from_target: pose,
+            measured_observer_from_target: pose,
+            predicted_ns: stamp.exposure_ns + 20_000_000,
+            covariance,
+            state: TrackState::Confirmed.code(),
+            measured_by: MeasuredBy::Aligned.code(),
+            markers: 2,
+            linear_velocity: [0.1, 0.2, 0.3],
+            ..Track::zeroed()
+        }
+    }
+
+    fn send(&self, stamp: FrameStamp, track: Track) -> anyhow::Result<()> {
+        Ok(self
+            .tracks
+            .send(TrackHeader { stamp, is_last: 1, ..TrackHeader::default() }, &[track])?)
+    }
+
+    /// The next report.
+    fn next(
+        &self,
+        bench: &mut Bench,
+        patience: Duration,
+    ) -> anyhow::Result<Option<(PoseReport, i64)>> {
+        bench.wait(patience, |_| {
+            let heard = self.reports.recv_timeout(Duration::from_millis(1));
+            Ok(heard.map(|heard| (heard.report, heard.arrived_monotonic_ns)))
+        })
+    }
+
+    fn poses(&mut self, bench: &mut Bench, report: &mut Report) -> anyhow::Result<()> {
+        let (mut delays_ms, begun) = (Vec::new(), Instant::now());
+        for number in 0..POSES {
+            let stamp = self.stamp();
+            let track = self.track(&stamp);
+            let sent_ns = clock::monotonic_ns();
+            self.send(stamp, track)?;
+            let heard = self.next(bench, PATIENCE)?;
+            report.holds("each pose is reported", PAGE, heard.is_some(), || {
+                format!("the pose of frame {} was not in {} s", stamp.sequence, PATIENCE.as_secs())
+            });
+            let Some((heard, arrived_ns)) = heard else { break };
+            delays_ms.push((arrived_ns - sent_ns) as f64 * 1e-6);
+            self.compare(report, &stamp, &track, &heard);
+            bench.pass(
+                (begun + PERIOD * (number as u32 + 1)).saturating_duration_since(Instant::now()),
+            )?;
+        }
+        delays_ms.sort_by(f64::total_cmp);
+        report.figure(
+            "from the track to a peer, median",
+            median(&delays_ms).unwrap_or(f64::NAN),
+            "ms",
+        );
+        report.figure("the slowest", delays_ms.last().copied().unwrap_or(f64::NAN), "ms");
+        Ok(())
+    }
+
+    /// A report must say what the track says.
+    fn compare(&self, report: &mut Report, stamp: &FrameStamp, track: &Track, heard: &PoseReport) {
+        let what = "reports say what the track says";
+        let observer = self.resolved.pipeline.observer.name.as_str();
+        report.field(what, PAGE, "observer", heard.observer.as_str(), observer);
+        report.field(what, PAGE, "target", heard.target.clone(), track.name.to_string());
+        report.field(what, PAGE, "frame", heard.frame, stamp.sequence);
+        report.field(what, PAGE, "state", heard.state, TrackState::Confirmed);
+        report.field(what, PAGE, "markers", heard.markers, track.markers);
+        let upper = (0..6).flat_map(|row| (row..6).map(move |column| 6 * row + column));
+        let covariance: Vec<f64> = upper.map(|index| track.covariance[index]).collect();
+        let pose = track.observer_from_target;
+        for (field, found, wanted) in [
+            ("position", &heard.position[..], &pose.position[..]),
+            ("orientation", &heard.orientation, &pose.orientation),
+            ("covariance", &heard.covariance, &covariance),
+            ("linear_velocity", &heard.linear_velocity, &track.linear_velocity),
+        ] {
+            let is_same = found.len() == wanted.len()
+                && found.iter().zip(wanted).all(|(found, wanted)| (found - wanted).abs() < ROUNDED);
+            report.holds(what, PAGE, is_same, || {
+                format!("{field} is {found:?}, and must be {wanted:?}")
+            });
+        }
+        let latency = 0.0..1000.0;
+        report.holds(
+            "reports say how old they are",
+            PAGE,
+            latency.contains(&heard.latency_ms),
+            || {
+                format!(
+                    "latency_ms is {}, of a frame that was exposed 20 ms before",
+                    heard.latency_ms
+                )
+            },
+        );
+    }
+
+    /// What peers must not hear of.
+    fn kept_back(&mut self, bench: &mut Bench, report: &mut Report) -> anyhow::Result<()> {
+        let stamp = self.stamp();
+        let good = self.track(&stamp);
+        let nowhere = Pose { position: [f64::NAN; 3], ..good.observer_from_target };
+        let old = FrameStamp { sequence: 1, ..stamp };
+        for (what, page, stamp, bad) in [
+            (
+                "tentative tracks are kept back",
+                PAGE,
+                stamp,
+                Track { state: TrackState::Tentative.code(), ..good },
+            ),
+            ("older frames are kept back", PAGE, old, good),
+            (
+                "malformed tracks are refused",
+                MUST_PASS,
+                stamp,
+                Track { observer_from_target: nowhere, ..good },
+            ),
+        ] {
+            self.send(stamp, bad)?;
+            let heard = self.next(bench, QUIET)?;
+            report.holds(what, page, heard.is_none(), || {
+                format!("frame {} was reported", stamp.sequence)
+            });
+        }
+        let stamp = self.stamp();
+        self.send(stamp, self.track(&stamp))?;
+        let heard = self.next(bench, PATIENCE)?;
+        report.holds("what is kept back costs nothing else", MUST_PASS, heard.is_some(), || {
+            "the good pose after it was not reported".to_owned()
+        });
+        Ok(())
+    }
+
+    fn refused(&self) -> u64 {
+        let peers = self.listener.snapshot();
+        peers.refused + peers.observers.values().map(|peer| peer.refused).sum::<u64>()
+    }
+}

@@ -1,0 +1,80 @@
+//! An inertial stage alone: its samples, while whatever it reads sends them.
+
+use std::time::{Duration, Instant};
+
+use flockeye_config::Resolved;
+use flockeye_contract::Imus;
+use flockeye_geometry::statistics::median;
+use flockeye_runtime::clock;
+use nalgebra::Vector3;
+
+use super::bench::Bench;
+use super::report::Report;
+
+const PAGE: &str = "Inertial sensor (to imu)";
+
+/// Samples of one test.
+const SAMPLES: usize = 200;
+/// So long each next message may take.
+const PATIENCE: Duration = Duration::from_secs(2);
+/// A sample that is so far from now has another clock, nanoseconds.
+const NEAR_NS: i64 = 1_000_000_000;
+
+/// Tests it.
+///
+/// # Errors
+/// A port that fails.
+pub fn run(bench: &mut Bench, resolved: &Resolved, report: &mut Report) -> anyhow::Result<()> {
+    let first = Duration::from_secs_f64(resolved.pipeline.supervision.start_s);
+    let mut imus = bench.ports.subscriber::<Imus>()?;
+    let (mut last, mut begun) = (None, None);
+    let (mut periods_ms, mut delays_ms, mut forces) = (Vec::new(), Vec::new(), Vec::new());
+    while forces.len() < SAMPLES {
+        let patience = if last.is_none() { first } else { PATIENCE };
+        let what = "messages pass the contract's check";
+        let Some((header, samples)) = bench.next(&mut imus, report, what, patience)? else { break };
+        begun.get_or_insert_with(Instant::now);
+        let now_ns = clock::monotonic_ns();
+        report.field("messages say whose they are", PAGE, "generation", header.generation, 0);
+        for sample in samples {
+            if let Some((epoch, at_ns)) = last.replace((header.epoch, sample.at_ns)) {
+                let rises = (header.epoch, sample.at_ns) > (epoch, at_ns);
+                report.holds("each sample comes once, in the order of time", PAGE, rises, || {
+                    format!(
+                        "at_ns {} of epoch {} came after {at_ns} of {epoch}",
+                        sample.at_ns, header.epoch
+                    )
+                });
+                if epoch == header.epoch {
+                    periods_ms.push((sample.at_ns - at_ns) as f64 * 1e-6);
+                }
+            }
+            let is_near = (now_ns - sample.at_ns).abs() < NEAR_NS;
+            report.holds("times are of CLOCK_MONOTONIC", PAGE, is_near, || {
+                format!("at_ns is {} where the clock says {now_ns}", sample.at_ns)
+            });
+            delays_ms.push((now_ns - sample.at_ns) as f64 * 1e-6);
+            forces.push(Vector3::from(sample.specific_force).norm());
+        }
+    }
+    report.holds("samples come", PAGE, forces.len() >= SAMPLES, || {
+        format!(
+            "{} came, then none in {} s. Does the sensor send?",
+            forces.len(),
+            PATIENCE.as_secs()
+        )
+    });
+    let seconds = begun.map_or(f64::NAN, |begun| begun.elapsed().as_secs_f64());
+    for list in [&mut periods_ms, &mut delays_ms, &mut forces] {
+        list.sort_by(f64::total_cmp);
+    }
+    report.figure("samples", forces.len() as f64 / seconds, "per second");
+    report.figure("longest gap", periods_ms.last().copied().unwrap_or(f64::NAN), "ms");
+    report.figure("from the sample to here, median", median(&delays_ms).unwrap_or(f64::NAN), "ms");
+    report.figure(
+        "specific force, median",
+        median(&forces).unwrap_or(f64::NAN),
+        "m/s^2 (9.8 at rest)",
+    );
+    Ok(())
+}
