@@ -29,7 +29,7 @@ use crate::memory::{Budget, Limits, MAX_EVENT_PORTS, MAX_NODES};
 
 pub use self::error::PortError;
 pub use self::publisher::{Loan, Publisher, UnsentMessage};
-pub use self::subscriber::{Judged, Message, Subscriber};
+pub use self::subscriber::{Judged, Message, Sender, Subscriber};
 
 type Service = ipc::Service;
 type DataService<T> =

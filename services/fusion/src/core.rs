@@ -168,11 +168,11 @@ impl<P: Pixels> Core<P> {
         self.tracker.awaited().is_some_and(|order| self.assembly.of_order(order).is_some())
     }
 
-    /// Notes an event that came at `now_ns`.
-    pub fn on(&mut self, event: Event<P>, now_ns: i64) {
+    /// Notes an event that came at `now_ns`, or says why it is refused.
+    pub fn on(&mut self, event: Event<P>, now_ns: i64) -> Option<Refusal> {
         if let Some(refusal) = self.refusal(&event, now_ns) {
             self.notices.push(Notice::Refused(refusal));
-            return;
+            return Some(refusal);
         }
         match event {
             Event::View(header, pixels) => self.on_view(header, pixels, now_ns),
@@ -181,6 +181,7 @@ impl<P: Pixels> Core<P> {
             Event::Rotation(rotation) => self.on_rotation(rotation),
             Event::Background(answer) => self.on_background(answer),
         }
+        None
     }
 
     fn on_view(&mut self, header: ViewHeader, pixels: P, now_ns: i64) {

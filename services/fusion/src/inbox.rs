@@ -6,7 +6,7 @@ use flockeye_config::{Flow, Pipeline};
 use flockeye_contract::{
     DetectionHeader, Detections, FrameEnd, FrameEnds, FrameOrder, Rotations, StageName, Views,
 };
-use flockeye_runtime::ports::{Message, PortError, Ports, Subscriber};
+use flockeye_runtime::ports::{Message, PortError, Ports, Sender, Subscriber};
 
 use crate::core::{Core, Event};
 use crate::frame_assembly::Record;
@@ -27,7 +27,7 @@ pub struct Inbox {
     rotations: Subscriber<Rotations>,
     flow: Flow,
     /// Records of a lossless run that came before their views.
-    early: Vec<Record>,
+    early: Vec<(Record, Sender)>,
     turns: AwaitedTurns,
 }
 
@@ -40,8 +40,15 @@ struct AwaitedTurns {
     patience_ns: i64,
     /// The newest frame whose rotation has come.
     newest: Option<FrameOrder>,
-    /// With the time at which each came, nanoseconds.
-    ends: VecDeque<(FrameEnd, i64)>,
+    ends: VecDeque<AwaitingEnd>,
+}
+
+/// The end of a frame, when it came, nanoseconds, and from whom.
+#[derive(Debug, Clone, Copy)]
+struct AwaitingEnd {
+    end: FrameEnd,
+    since_ns: i64,
+    sender: Sender,
 }
 
 impl Inbox {
@@ -94,14 +101,16 @@ impl Inbox {
         self.take_all_views(core, now_ns)?;
         let mut records = std::mem::take(&mut self.early);
         while let Some(message) = self.detections.receive()? {
-            records.push(Record { header: message.header, markers: message.items().to_vec() });
+            let sender = message.sender();
+            let record = Record { header: message.header, markers: message.items().to_vec() };
+            records.push((record, sender));
         }
-        for record in records {
+        for (record, sender) in records {
             self.take_view_of(core, &record, now_ns)?;
             if self.flow == Flow::Lossless && is_early(core, &record) {
-                self.early.push(record);
-            } else {
-                core.on(Event::Searched(record), now_ns);
+                self.early.push((record, sender));
+            } else if let Some(refusal) = core.on(Event::Searched(record), now_ns) {
+                self.detections.refuse(sender, &refusal);
             }
         }
         self.take_all_views(core, now_ns)?;
@@ -110,10 +119,13 @@ impl Inbox {
             core.on(Event::Rotation(message.header), now_ns);
         }
         while let Some(message) = self.frame_ends.receive()? {
-            self.turns.ends.push_back((message.header, now_ns));
+            let (end, sender) = (message.header, message.sender());
+            self.turns.ends.push_back(AwaitingEnd { end, since_ns: now_ns, sender });
         }
-        while let Some(end) = self.turns.take(now_ns) {
-            core.on(Event::FrameEnd(end), now_ns);
+        while let Some(AwaitingEnd { end, sender, .. }) = self.turns.take(now_ns) {
+            if let Some(refusal) = core.on(Event::FrameEnd(end), now_ns) {
+                self.frame_ends.refuse(sender, &refusal);
+            }
         }
         Ok(())
     }
@@ -161,7 +173,10 @@ impl Inbox {
         while !is_enough(core)
             && let Some(message) = self.views[lane].receive()?
         {
-            core.on(Event::View(message.header, message), now_ns);
+            let sender = message.sender();
+            if let Some(refusal) = core.on(Event::View(message.header, message), now_ns) {
+                self.views[lane].refuse(sender, &refusal);
+            }
         }
         Ok(())
     }
@@ -176,8 +191,8 @@ impl AwaitedTurns {
 
     /// The next end of a frame that need not wait any more. Who once waited in vain waits no more until
     /// a rotation comes.
-    fn take(&mut self, now_ns: i64) -> Option<FrameEnd> {
-        let (end, since_ns) = *self.ends.front()?;
+    fn take(&mut self, now_ns: i64) -> Option<AwaitingEnd> {
+        let AwaitingEnd { end, since_ns, .. } = *self.ends.front()?;
         let is_known = self.newest >= Some(end.stamp.order());
         if self.waits && !self.is_away && !is_known {
             if now_ns - since_ns < self.patience_ns {
@@ -187,12 +202,11 @@ impl AwaitedTurns {
             let frame = end.stamp.sequence;
             tracing::warn!(frame, "no rotation of the camera has come: egomotion is away");
         }
-        self.ends.pop_front();
-        Some(end)
+        self.ends.pop_front()
     }
 
     fn next_deadline_ns(&self) -> Option<i64> {
-        self.ends.front().map(|(_, since_ns)| since_ns + self.patience_ns)
+        self.ends.front().map(|awaiting| awaiting.since_ns + self.patience_ns)
     }
 }
 

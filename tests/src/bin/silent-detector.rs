@@ -11,6 +11,7 @@
 //! | `hang` | says that it is ready, and then nothing at all |
 //! | `late` | never says that it is ready |
 //! | `lie` | before each record sends one that announces hits which it does not hold |
+//! | `impersonate` | before each record sends one of a worker that there is none of |
 //! | `leave` | ends when it has taken another's place |
 
 use std::error::Error;
@@ -131,6 +132,9 @@ fn main() -> Result<(), Box<dyn Error>> {
             };
             if misdeed == "lie" {
                 records.send(DetectionHeader { hits: 3, ..acknowledged }, &[])?;
+            }
+            if misdeed == "impersonate" {
+                records.send(DetectionHeader { worker: 99, ..acknowledged }, &[])?;
             }
             records.send(acknowledged, &[])?;
         }

@@ -3,7 +3,7 @@
 use std::net::UdpSocket;
 
 use flockeye_tests::autopilot::SimulatedAutopilot;
-use flockeye_tests::{Flight, SMALL_FLIGHT, flockeye, run};
+use flockeye_tests::{Flight, SMALL_FLIGHT, flockeye, recordings, run};
 use serde_json::Value;
 
 /// A small sphere, so that the test takes seconds.
@@ -46,6 +46,30 @@ fn our_own_sources_keep_the_contract() {
     let source = format!("inertial.source=mavlink:udp:{address}");
     assert_keeps_the_contract(test("inertial", &["--json", "--set", &source], &[]), 9);
     drop(autopilot);
+}
+
+#[test]
+fn a_candidate_is_compared_with_our_own_stage_on_a_recording() {
+    let Some(data) = recordings() else { return };
+    let file = |name: &str| data.join(name).to_string_lossy().into_owned();
+    let (flight, bodies) = (file("flight1/flight1.mp4"), file("bodies.json"));
+    let detector = flockeye().with_file_name("flockeye-detection");
+    let detector = detector.to_str().expect("a plain path");
+    let beside = ["--json", "--beside", &flight, "--bodies", &bodies];
+    let arguments = [&["stage", "test", "detection"], &beside[..], &["--", detector]].concat();
+    let (_, output) = run(&arguments);
+    let report: Value = serde_json::from_str(output.split("\nflockeye:").next().expect("a part"))
+        .unwrap_or_else(|error| panic!("{error}: {output}"));
+    let figures = report["figures"].as_array().expect("a list");
+    let value = |what: &str| {
+        let found = figures.iter().find(|figure| figure["what"] == what);
+        found.unwrap_or_else(|| panic!("no {what:?}: {output}"))["value"].as_f64()
+    };
+    assert!(value("beside Flockeye's own: frames compared") >= Some(10.0), "{output}");
+    // It is the same program on the same views.
+    assert!(value("what it finds") > Some(50.0), "{output}");
+    let (succeeded, output) = run(&["stage", "test", "gateway", "--beside", "sim"]);
+    assert!(!succeeded && output.contains("cannot run beside another"), "{output}");
 }
 
 #[test]

@@ -7,7 +7,7 @@ use std::process::Command;
 use std::time::Duration;
 
 use flockeye_record::{FrameTimes, PoseRow, read};
-use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, flockeye, run, unique};
+use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, flockeye, run, unique};
 use serde_json::Value;
 
 /// What is said of the neighbour once it is tracked.
@@ -107,6 +107,38 @@ fn a_source_is_swapped_with_a_gap_that_is_told() {
     assert!(!succeeded && output.contains("The old program is started again"), "{output}");
     let (succeeded, output) = ask(&flight, &["restart", "simulator"]);
     assert!(succeeded && output.contains("simulator runs (process "), "{output}");
+    end(flight);
+}
+
+#[test]
+fn a_stage_that_owns_a_port_or_device_is_put_back_if_the_new_one_does_not_work() {
+    let mut flight =
+        fly("gateway", &[], &["gateway.enabled=true", "gateway.listen=[tcp/127.0.0.1:0]"]);
+    let (succeeded, output) = ask(&flight, &["swap", "gateway", "--within", "60s"]);
+    assert!(succeeded && output.contains("s passed without it"), "{output}\n{}", flight.output());
+    for worker in ["gateway", "simulator"] {
+        for program in ["false", "sleep"] {
+            let swap = ["swap", worker, "--within", "2s", "--", program, "60"];
+            let (succeeded, output) = ask(&flight, &swap);
+            let wanted = format!("{worker} is not swapped: the new process did not work within");
+            assert!(!succeeded && output.contains(&wanted), "{output}\n{}", flight.output());
+            let (succeeded, output) = ask(&flight, &["restart", worker]);
+            assert!(succeeded, "{output}\n{}", flight.output());
+            let (_, output) = ask(&flight, &["status", "--json"]);
+            let status: Value = serde_json::from_str(&output).expect("nothing but JSON");
+            let workers = status["workers"].as_array().expect("a list");
+            let found = workers.iter().find(|found| found["worker"] == worker).expect("it is one");
+            let command = found["command"][0].as_str().expect("a program");
+            assert!(command.ends_with(&format!("flockeye-{worker}")), "{output}");
+        }
+    }
+    let frames = flight.output().matches(POSES_FLOW).count();
+    let start = std::time::Instant::now();
+    while flight.output().matches(POSES_FLOW).count() < frames + 2 {
+        assert!(start.elapsed() < WATCHDOG, "no pose any more:\n{}", flight.output());
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    assert!(!flight.has_ended());
     end(flight);
 }
 

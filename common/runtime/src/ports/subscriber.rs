@@ -58,6 +58,10 @@ pub struct Message<T: Topic> {
     sample: Sample<Service, [T::Item], T::Header>,
 }
 
+/// Who sent a message.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Sender(UniquePublisherId);
+
 /// A message, and what the contract's check says of it.
 pub type Judged<T> = (Message<T>, Result<(), ContractError>);
 
@@ -65,6 +69,11 @@ impl<T: Topic> Message<T> {
     /// Its items.
     pub fn items(&self) -> &[T::Item] {
         self.sample.payload()
+    }
+
+    /// Who sent it.
+    pub fn sender(&self) -> Sender {
+        Sender(self.sample.origin())
     }
 }
 
@@ -115,15 +124,7 @@ impl<T: Topic> Subscriber<T> {
                 Err(error) => {
                     self.counters.add_failed(1);
                     let publisher = sample.origin();
-                    let count = self.refusals.add(publisher);
-                    if count.is_multiple_of(REFUSED_AT_ONCE) {
-                        let pid = self.process_of(publisher);
-                        self.listening.complain_of_messages(
-                            pid,
-                            count,
-                            &format!("{}: {error}", T::NAME),
-                        );
-                    }
+                    self.refuse(Sender(publisher), &error);
                     if let Some(more) = self.refusals.throttle.admit() {
                         tracing::warn!(
                             topic = T::NAME,
@@ -152,6 +153,16 @@ impl<T: Topic> Subscriber<T> {
             let verdict = T::check(&header, sample.payload());
             (Message { header, sample }, verdict)
         }))
+    }
+
+    /// Notes that a message is refused, also one that has passed the contract's check and yet cannot be true.
+    /// The launcher hears of it now and then.
+    pub fn refuse(&mut self, sender: Sender, reason: &dyn std::fmt::Display) {
+        let count = self.refusals.add(sender.0);
+        if count.is_multiple_of(REFUSED_AT_ONCE) {
+            let pid = self.process_of(sender.0);
+            self.listening.complain_of_messages(pid, count, &format!("{}: {reason}", T::NAME));
+        }
     }
 
     /// The process that has this publisher; 0 if it has ended.

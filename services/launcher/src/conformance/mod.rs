@@ -7,11 +7,13 @@
 //! | module | what it does |
 //! | --- | --- |
 //! | [`bench`] | the instance, the candidate's process, and its health |
+//! | [`beside`] | the candidate beside Flockeye's own stage, on a recording |
 //! | [`report`] | what was checked, and what was found |
 //! | [`pictures`] | views with markers, and a sphere whose every ray is known |
 //! | [`source`], [`inertial`], [`egomotion`], [`rectification`], [`detection`], [`fusion`], [`gateway`] | what is sent to each kind, and how the answers must be |
 
 mod bench;
+mod beside;
 mod detection;
 mod egomotion;
 mod fusion;
@@ -41,6 +43,9 @@ pub struct TestArguments {
     /// Which configuration.
     #[command(flatten)]
     pub configuration: Configuration,
+    /// Fly it beside Flockeye's own stage too, on this recording (with --bodies) or on `sim`.
+    #[arg(long, value_name = "SRC")]
+    pub beside: Option<String>,
     /// Print JSON.
     #[arg(long)]
     pub json: bool,
@@ -77,6 +82,10 @@ pub fn run(arguments: &TestArguments) -> anyhow::Result<()> {
         bench.stop(&mut report)?;
     }
     let log = bench.finish();
+    if let Some(source) = &arguments.beside {
+        let (configuration, command) = (&arguments.configuration, &arguments.command);
+        beside::run(stage, configuration, source, command, &mut report)?;
+    }
     let mut screen = Screen::new();
     match arguments.json {
         true => screen.line(&serde_json::to_string_pretty(&report)?),
@@ -107,6 +116,7 @@ mod tests {
         let contract = include_str!("../../../../docs/CONTRACT.md");
         let sources = [
             include_str!("bench.rs"),
+            include_str!("beside.rs"),
             include_str!("detection.rs"),
             include_str!("egomotion.rs"),
             include_str!("fusion.rs"),

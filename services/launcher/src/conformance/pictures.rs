@@ -117,10 +117,46 @@ pub fn textured_world(header: &FrameHeader, world_from_camera: &UnitQuaternion<f
         };
         (0..8).map(corner).sum::<f64>()
     };
-    equirectangular(header, |ray| {
+    // The spots are soft, so a large picture is drawn coarsely and smoothed.
+    let step = (header.width / 1000).max(1);
+    let [width, height] = [header.width, header.height].map(|side| side.div_ceil(step));
+    let coarse = FrameHeader { width, height, stride: width, ..*header };
+    let drawn = equirectangular(&coarse, |ray| {
         let ray = world_from_camera * ray;
         128.0 + 130.0 * noise(ray * 9.0) + 70.0 * noise(ray * 21.0)
-    })
+    });
+    enlarged(&drawn, &coarse, header)
+}
+
+/// A picture of the whole sphere in a larger size, linear between pixels.
+fn enlarged(pixels: &[u8], from: &FrameHeader, to: &FrameHeader) -> Vec<u8> {
+    /// The two pixels along one axis between which a pixel lies, and how near it is to the second.
+    fn between(at: u32, size: u32, of: u32) -> (i64, f32) {
+        let place = (f64::from(at) + 0.5) * f64::from(of) / f64::from(size) - 0.5;
+        (place.floor() as i64, (place - place.floor()) as f32)
+    }
+    let columns: Vec<(usize, usize, f32)> = (0..to.width)
+        .map(|u| {
+            let (left, near) = between(u, to.width, from.width);
+            let wrapped = |column: i64| column.rem_euclid(i64::from(from.width)) as usize;
+            (wrapped(left), wrapped(left + 1), near)
+        })
+        .collect();
+    let mut larger = vec![0; (to.stride * to.height) as usize];
+    for (v, row) in (0..).zip(larger.chunks_mut(to.stride as usize)) {
+        let (top, near_v) = between(v, to.height, from.height);
+        let [above, below] = [top, top + 1].map(|line| {
+            let line = line.clamp(0, i64::from(from.height) - 1) as usize;
+            &pixels[line * from.stride as usize..]
+        });
+        for (pixel, &(left, right, near_u)) in row.iter_mut().zip(&columns) {
+            let mix = |line: &[u8]| {
+                f32::from(line[left]) * (1.0 - near_u) + f32::from(line[right]) * near_u
+            };
+            *pixel = (mix(above) * (1.0 - near_v) + mix(below) * near_v).round() as u8;
+        }
+    }
+    larger
 }
 
 /// What the sphere shows along a ray in the camera frame: smooth, and different wherever one looks.
