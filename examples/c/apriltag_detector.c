@@ -17,7 +17,7 @@
 
 #include <flockeye/stage.h>
 
-enum { MAX_MARKERS = 64 };
+enum { MAX_MARKERS = 64, SMALLEST_PX = 16 };
 
 /* Assumed standard deviation of a corner. */
 static const double DEVIATION_PX = 0.3;
@@ -105,7 +105,8 @@ static int step(void *context) {
             flockeye_detection_header answer;
             uint32_t hits = 0;
             size_t count = 0;
-            if (view->search != FLOCKEYE_SEARCH_NOTHING) {
+            /* AprilTag must not be given a picture of a few pixels. */
+            if (view->search != FLOCKEYE_SEARCH_NOTHING && view->size_px >= SMALLEST_PX) {
                 count = search(self, view, message.items, markers, &hits);
             }
             flockeye_answer(self->stage, view, received_ns, &answer);

@@ -76,9 +76,12 @@ BENCHES = {"proposals": "Proposals", "costs": "Costs"}
 SWAPPED = "detection,detection.1,rectification,egomotion,fusion"
 DISTURBED = {
     "kills": ("SIGKILL to stages at random", ["--only", "kill"], 1000),
-    "swaps": ("Swaps of stages at random", ["--only", "swap", "--workers", SWAPPED], 100),
+    "swaps": ("Swaps of stages at random, a hundred of each", ["--only", "swap", "--workers", SWAPPED], 500),
 }
-PARTS = [*RECORDINGS, *SIMULATED, *EXPERIMENTS, *ROTATIONS, *BENCHES, *DISTURBED]
+# Flights in which one of two detection workers does not do its work: title, what is wrong with it, flights of each.
+FAULTY = {"workers": ("One of two detection workers does not do its work",
+                      ["mute", "hold", "spin", "hang", "stopped"], 3)}
+PARTS = [*RECORDINGS, *SIMULATED, *EXPERIMENTS, *ROTATIONS, *BENCHES, *DISTURBED, *FAULTY]
 
 
 def flockeye():
@@ -277,6 +280,42 @@ def disturbed(part):
                    "output": lines + broken}}
 
 
+def with_second_worker(fault):
+    """The setting by which detection worker 1 has a fault, and worker 0 is Flockeye's own."""
+    own, bad = (flockeye().with_name(name) for name in ("flockeye-detection", "silent-detector"))
+    # Stopped two seconds after each start: until then it works.
+    second = f"(sleep 2; kill -STOP $$) & exec {ROOT / own}" if fault == "stopped" else f"exec {ROOT / bad} {fault}"
+    script = f"if [ $FLOCKEYE_REPLICA = 1 ]; then {second}; else exec {ROOT / own}; fi"
+    return f'stages.detection.command=[sh, -c, "{script}"]'
+
+
+def faulty(part):
+    """How many poses are left of a simulated flight while one of two workers has a fault."""
+    title, faults, count = FAULTY[part]
+    count = int(os.environ.get("COUNT", count))
+    before, poses = machine(), WORK / f"{part}.csv"
+    flight = ["up", "--for", "20s", *QUIET, "--poses", str(poses)]
+    found = {}
+    for fault in [None, *faults]:
+        settings = ["--set", with_second_worker(fault)] if fault else []
+        print(f"  {fault or 'undisturbed'}: {shown(flight)}", file=sys.stderr, flush=True)
+        found[fault] = []
+        for _ in range(count):
+            call([*flight, *settings])
+            measured = [row for row in rows(poses) if row["measured_by"] != "nothing"]
+            # The first second is start-up.
+            found[fault].append(sum(int(row["frame"]) >= 30 for row in measured))
+    undisturbed = sorted(found.pop(None))
+    median = undisturbed[len(undisturbed) // 2]
+    lines = [f"{'worker 1':<12} poses after the first second, of each flight    share of the median undisturbed"]
+    lines.append(f"{'undisturbed':<12} {' '.join(map(str, undisturbed))}")
+    for fault, counts in found.items():
+        share = 100 * sorted(counts)[len(counts) // 2] / median
+        lines.append(f"{fault:<12} {' '.join(map(str, sorted(counts))):<48} {share:.1f} %")
+    return {part: {"title": title, "command": f"{shown(flight)} --set 'stages.detection.command=...'",
+                   "machine": before, "output": lines}}
+
+
 def turned(part, data):
     """The rotations of a recording beside its gyroscope, in the words of `flockeye eval`."""
     title, recording, gyroscope = ROTATIONS[part]
@@ -308,6 +347,8 @@ def run_part(part, data, wanted_ways):
         return turned(part, data)
     if part in DISTURBED:
         return disturbed(part)
+    if part in FAULTY:
+        return faulty(part)
     entries = {}
     if part in RECORDINGS:
         title, recording, truth, settings, ways = RECORDINGS[part]
@@ -489,9 +530,10 @@ def render(store):
     (folder / "experiments.md").write_text(experiments_page(
         "experiments", "[EXPERIMENTS.md](../EXPERIMENTS.md) says what each column means.",
         of([*EXPERIMENTS, *ROTATIONS, "proposals"])))
-    if any(name in store for name in DISTURBED):
+    disturbances = [*DISTURBED, *FAULTY]
+    if any(name in store for name in disturbances):
         (folder / "disturbances.md").write_text(experiments_page(
-            "disturbances", "[SWAPPING.md](../SWAPPING.md#chaos) says what is counted.", of(DISTURBED)))
+            "disturbances", "[SWAPPING.md](../SWAPPING.md#chaos) says what is counted.", of(disturbances)))
     if "costs" in store:
         (folder / "costs.md").write_text(costs_page(store["costs"]))
     readme = (ROOT / "README.md").read_text()

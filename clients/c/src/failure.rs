@@ -20,6 +20,16 @@ pub(crate) fn note(error: &anyhow::Error) {
     LAST.with(|last| *last.borrow_mut() = CString::new(text).unwrap_or_default());
 }
 
+/// Forgets why something failed.
+pub(crate) fn forget() {
+    LAST.with(|last| *last.borrow_mut() = CString::default());
+}
+
+/// Why something failed since [`forget`]; empty if nothing did.
+pub(crate) fn last() -> String {
+    LAST.with(|last| last.borrow().to_string_lossy().into_owned())
+}
+
 /// The value of a call that returns a code.
 pub(crate) fn code(result: anyhow::Result<c_int>) -> c_int {
     result.inspect_err(note).unwrap_or(FAILED)

@@ -46,13 +46,40 @@ impl<T: Topic + 'static> AnySubscriber for flockeye_runtime::ports::Subscriber<T
     fn receive(&mut self) -> Result<Option<FlockeyeMessage>, PortError> {
         let message = flockeye_runtime::ports::Subscriber::receive(self)?;
         Ok(message.map(|message| {
-            // In a box the header stays where it is.
-            let message = Box::new(message);
-            let header = std::ptr::from_ref(&message.header).cast();
             let (items, count) = (message.items().as_ptr().cast(), message.items().len());
-            FlockeyeMessage { header, items, count, owner: into_owner(message) }
+            // In a box of its own, which nothing moves or borrows until it is released, the header stays where
+            // it is.
+            let header = Box::into_raw(Box::new(message.header));
+            let owner = into_owner(Box::new(Kept::<T> { header, _message: message }));
+            FlockeyeMessage { header: header.cast(), items, count, owner }
         }))
     }
+}
+
+/// A message that C has.
+struct Kept<T: Topic> {
+    header: *mut T::Header,
+    _message: flockeye_runtime::ports::Message<T>,
+}
+
+impl<T: Topic> Drop for Kept<T> {
+    fn drop(&mut self) {
+        // SAFETY: it is of `Box::into_raw` in `receive`, and only this value frees it.
+        drop(unsafe { Box::from_raw(self.header) });
+    }
+}
+
+impl FlockeyeMessage {
+    const NONE: Self = Self {
+        header: std::ptr::null(),
+        items: std::ptr::null(),
+        count: 0,
+        owner: std::ptr::null_mut(),
+    };
+}
+
+impl FlockeyeLoan {
+    const NONE: Self = Self { items: std::ptr::null_mut(), count: 0, owner: std::ptr::null_mut() };
 }
 
 trait AnyPublisher {
@@ -215,6 +242,8 @@ pub unsafe extern "C" fn flockeye_receive(
 ) -> c_int {
     // SAFETY: the caller's promise.
     let subscriber = unsafe { &mut *subscriber };
+    // SAFETY: the caller's promise. Released without a message, it does no harm.
+    unsafe { message.write(FlockeyeMessage::NONE) };
     failure::code(subscriber.0.receive().map_err(Into::into).map(|received| match received {
         Some(received) => {
             // SAFETY: the caller's promise.
@@ -232,7 +261,9 @@ pub unsafe extern "C" fn flockeye_receive(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn flockeye_release(message: *mut FlockeyeMessage) {
     // SAFETY: the caller's promise.
-    drop(unsafe { from_owner(std::ptr::replace(&raw mut (*message).owner, std::ptr::null_mut())) });
+    let released = unsafe { std::ptr::replace(message, FlockeyeMessage::NONE) };
+    // SAFETY: it is of `flockeye_receive`, or null.
+    drop(unsafe { from_owner(released.owner) });
 }
 
 /// Memory for a message; see `stage.h`.
@@ -247,6 +278,8 @@ pub unsafe extern "C" fn flockeye_loan_items(
 ) -> c_int {
     // SAFETY: the caller's promise.
     let publisher = unsafe { &*publisher };
+    // SAFETY: the caller's promise. Dropped without memory, it does no harm.
+    unsafe { loan.write(FlockeyeLoan::NONE) };
     failure::code(publisher.0.loan(count).map_err(Into::into).map(|lent| {
         // SAFETY: the caller's promise.
         unsafe { loan.write(lent) };
@@ -267,9 +300,9 @@ pub unsafe extern "C" fn flockeye_send_loan(
     // SAFETY: the caller's promise.
     let publisher = unsafe { &*publisher };
     // SAFETY: the same.
-    let owner = unsafe { std::ptr::replace(&raw mut (*loan).owner, std::ptr::null_mut()) };
+    let lent = unsafe { std::ptr::replace(loan, FlockeyeLoan::NONE) };
     // SAFETY: the same.
-    let unsent = unsafe { from_owner(owner) }.context("the loan was sent or dropped before");
+    let unsent = unsafe { from_owner(lent.owner) }.context("the loan was sent or dropped before");
     // SAFETY: the same.
     failure::code(
         unsent.and_then(|unsent| unsafe { publisher.0.send(unsent, header) }).map(|()| OK),
@@ -283,7 +316,9 @@ pub unsafe extern "C" fn flockeye_send_loan(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn flockeye_drop_loan(loan: *mut FlockeyeLoan) {
     // SAFETY: the caller's promise.
-    drop(unsafe { from_owner(std::ptr::replace(&raw mut (*loan).owner, std::ptr::null_mut())) });
+    let dropped = unsafe { std::ptr::replace(loan, FlockeyeLoan::NONE) };
+    // SAFETY: it is of `flockeye_loan_items`, or null.
+    drop(unsafe { from_owner(dropped.owner) });
 }
 
 /// Sends a copy of header and items; see `stage.h`.

@@ -193,10 +193,12 @@ unsafe fn run(
     let outcome = process.report(StageState::Ready).and_then(|()| {
         process.serve(|| {
             known.wake_within_ns.set(None);
+            failure::forget();
             // SAFETY: the caller's promise.
-            match unsafe { step(context) } {
-                OK => {}
-                status => bail!("a step has ended with {status}"),
+            match (unsafe { step(context) }, failure::last()) {
+                (OK, _) => {}
+                (status, reason) if reason.is_empty() => bail!("a step has ended with {status}"),
+                (status, reason) => bail!("a step has ended with {status}: {reason}"),
             }
             let wake = known.wake_within_ns.get();
             Ok(wake.map_or(Step::Wait, |ns| Step::WaitUntil(clock::monotonic_ns() + ns)))

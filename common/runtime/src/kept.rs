@@ -3,7 +3,8 @@
 //!
 //! Each process writes a record of itself into the instance's folder before it becomes its stage, and holds a
 //! lock on it for as long as it lives. The kernel frees the lock at its end, so a number that the system has
-//! given to another process cannot deceive anybody.
+//! given to another process deceives nobody. Processes that a stage starts itself inherit the lock unless they
+//! close it.
 
 use std::fs::File;
 use std::io;

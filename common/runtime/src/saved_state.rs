@@ -48,6 +48,11 @@ impl SavedStates {
         Self { folder: instance.folder().join("state"), identity: identity.clone() }
     }
 
+    /// The folder of all states, for what else a process leaves to the next one.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
     /// The newest state of the worker's other processes that is not older than `longest` at `now_ns`.
     ///
     /// # Errors

@@ -4,11 +4,14 @@ use std::io::Write;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
+use anyhow::ensure;
 use clap::Args;
 use flockeye_cli::text_table::TextTable;
 use flockeye_cli::{Configuration, Screen, duration, signals};
 use flockeye_network::{Listener, Network, NetworkParameters, Peers};
 use nalgebra::Vector3;
+
+use crate::attach::{PipelineChoice, choose};
 
 /// Arguments of `peers`.
 #[derive(Debug, Args)]
@@ -16,6 +19,12 @@ pub struct PeersArguments {
     /// Which configuration: the swarm and the network are taken from it.
     #[command(flatten)]
     pub configuration: Configuration,
+    /// Take both from this running pipeline.
+    #[arg(long, value_name = "NAME", conflicts_with_all = ["pipeline", "set"])]
+    pub instance: Option<String>,
+    /// Link with this endpoint (tcp/10.0.0.7:7447) in place of those of the configuration. May be repeated.
+    #[arg(long, value_name = "ENDPOINT")]
+    pub connect: Vec<String>,
     /// Print one JSON object per line for each report.
     #[arg(long)]
     pub json: bool,
@@ -30,16 +39,32 @@ const WAITING_REPORTS: usize = 1_024;
 /// Shows the reports until Ctrl-C.
 ///
 /// # Errors
-/// The configuration is wrong, or the network cannot be opened.
+/// The configuration is wrong, no such pipeline runs, or the network cannot be opened.
 pub fn run(arguments: &PeersArguments) -> anyhow::Result<()> {
     let stopping = signals::stop_flag()?;
-    let pipeline = arguments.configuration.load()?;
-    let network = Network::open(&NetworkParameters::of_onlooker(&pipeline))?;
+    let network = Network::open(&parameters(arguments)?)?;
     let listener = network.listener()?;
     let end = arguments.duration.map(|duration| Instant::now() + duration);
     let is_over =
         || stopping.load(Ordering::Relaxed) || end.is_some_and(|end| Instant::now() >= end);
     if arguments.json { print_json(&listener, is_over) } else { show_table(&listener, is_over) }
+}
+
+/// How the swarm is reached.
+fn parameters(arguments: &PeersArguments) -> anyhow::Result<NetworkParameters> {
+    let pipeline = match &arguments.instance {
+        Some(name) => choose(&PipelineChoice { instance: Some(name.clone()) })?.pipeline()?,
+        None => arguments.configuration.load()?,
+    };
+    let mut parameters = NetworkParameters::of_onlooker(&pipeline);
+    if !arguments.connect.is_empty() {
+        parameters.connect = arguments.connect.clone();
+    }
+    ensure!(
+        !parameters.connect.is_empty() || parameters.scout_interface.is_some(),
+        "there is nothing to link with: gateway.listen has port 0 alone. Cure: --connect ENDPOINT"
+    );
+    Ok(parameters)
 }
 
 /// Prints one JSON object per line for each report. A closed pipe ends it.

@@ -5,9 +5,11 @@
 //! | [`child`] | a process that runs, and how it ended |
 //! | [`output`] | what processes write, line by line |
 //! | [`command`] | how a process is started |
+//! | [`memo`] | what is noted of a worker for a later launcher |
 
 mod child;
 mod command;
+pub mod memo;
 mod output;
 
 use std::fs::File;
@@ -28,6 +30,7 @@ use rustix::process::{Pid, Signal, kill_process_group};
 
 use self::child::{End, RunningProcess};
 use self::command::{backoff, program, scheduling_arguments};
+use self::memo::Memo;
 pub use self::output::LogLine;
 use self::output::{KeptOutput, LineSink};
 
@@ -106,6 +109,8 @@ pub struct Process {
     child: Option<RunningProcess>,
     /// Whether it flies on when the launcher dies.
     is_kept: bool,
+    /// Whether the worker's memo is written by this process: it is the one that counts.
+    is_remembered: bool,
     kept_output: Option<KeptOutput>,
     condition: Condition,
     asked: Asked,
@@ -143,6 +148,7 @@ impl Process {
             backoff: backoff(configuration.backoff_s),
             child: None,
             is_kept,
+            is_remembered: is_kept,
             kept_output: None,
             condition: Condition::New,
             asked: Asked::Nothing,
@@ -155,6 +161,12 @@ impl Process {
     /// same), and not yet started. It is never restarted by itself.
     pub fn successor(&mut self, command: &[String]) -> Self {
         let generation = self.take_generation();
+        self.remember();
+        self.unstarted(generation, command, "new")
+    }
+
+    /// Another process of the same worker, which is never restarted by itself.
+    fn unstarted(&self, generation: u32, command: &[String], what: &str) -> Self {
         Self {
             worker: self.worker,
             generation,
@@ -163,7 +175,7 @@ impl Process {
             is_late: false,
             is_silent: false,
             used_generations: generation,
-            lines: self.lines.of_another(format!("{} (new)", self.worker)),
+            lines: self.lines.of_another(format!("{} ({what})", self.worker)),
             command: if command.is_empty() { self.command.clone() } else { command.to_vec() },
             scheduling: self.scheduling.clone(),
             folder: self.folder.clone(),
@@ -171,6 +183,7 @@ impl Process {
             backoff: self.backoff.clone(),
             child: None,
             is_kept: self.is_kept,
+            is_remembered: false,
             kept_output: None,
             condition: Condition::New,
             asked: Asked::Nothing,
@@ -179,32 +192,46 @@ impl Process {
         }
     }
 
-    /// Goes on with a process that an earlier launcher left flying, or, where it has ended meanwhile, with
-    /// its program.
+    /// Goes on where an earlier launcher was: with its program and its count of generations. It is started at
+    /// the next opportunity if it was not ended on demand.
+    pub fn recall(&mut self) {
+        self.condition = Condition::Waiting(Instant::now());
+        let Some(memo) = Memo::read(&self.folder, self.worker) else { return };
+        self.used_generations = memo.used_generations;
+        self.generation = memo.counting_generation;
+        self.command = memo.command;
+        if memo.is_stopped {
+            self.condition = Condition::Stopped;
+        }
+    }
+
+    /// Shows what a process of an earlier launcher has written before it ended, and removes what it left.
+    pub fn bury(&self, kept: &KeptProcess) {
+        if let Ok(mut output) = KeptOutput::open(&kept.output(&self.folder)) {
+            output.forward_rest(&self.lines).ok();
+        }
+        kept.forget(&self.folder);
+    }
+
+    /// Goes on with a living process that an earlier launcher has left.
     pub fn adopt(&mut self, kept: &KeptProcess) {
+        self.used_generations = self.used_generations.max(kept.generation);
+        // It lived a moment ago. If it has ended since, it is started again.
+        let Ok(child) = RunningProcess::adopt(kept.pid) else { return };
         self.generation = kept.generation;
         self.command = kept.command.clone();
-        // A process that its launcher gave up may have had the next one.
-        self.used_generations = self.used_generations.max(kept.generation + 1);
-        if !kept.is_alive(&self.folder) {
-            kept.forget(&self.folder);
-            return;
-        }
-        // It lived a moment ago. If it has ended since, it is started like one that never ran.
-        let Ok(child) = RunningProcess::adopt(kept.pid) else { return };
         self.child = Some(child);
         self.kept_output = self.open_kept_output();
         self.condition = Condition::Running;
+        self.remember();
     }
 
-    /// The same process, which another one has replaced and which is to end.
+    /// The same process, which does not count any more and is to end.
     pub fn adopt_retired(&mut self, kept: &KeptProcess) -> Self {
-        let mut retired = self.successor(&kept.command);
-        retired.generation = kept.generation;
+        let mut retired = self.unstarted(kept.generation, &kept.command, "old");
         retired.adopt(kept);
-        self.used_generations = self.used_generations.max(retired.used_generations);
-        retired.lines.rename(format!("{} (old)", retired.worker));
         retired.ask_to_stop();
+        self.used_generations = self.used_generations.max(kept.generation);
         retired
     }
 
@@ -214,8 +241,11 @@ impl Process {
         self.lines.rename(self.worker.to_string());
         self.used_generations = self.used_generations.max(old.used_generations);
         self.backoff.reset();
+        self.is_remembered = old.is_remembered;
+        self.remember();
         let mut retired = std::mem::replace(old, self);
         retired.restart = Restart::Never;
+        retired.is_remembered = false;
         retired.lines.rename(format!("{} (old)", retired.worker));
         retired
     }
@@ -245,9 +275,29 @@ impl Process {
         self.condition
     }
 
-    /// How long ago it was started.
+    /// How long ago it was started or taken over.
     pub fn age(&self) -> Duration {
         self.started.elapsed()
+    }
+
+    /// The generation that the next process of this worker has.
+    pub fn next_generation(&self) -> u32 {
+        self.used_generations + 1
+    }
+
+    /// Notes for a later launcher what it cannot see for itself. What cannot be noted costs no more than that.
+    fn remember(&self) {
+        let memo = Memo {
+            used_generations: self.used_generations,
+            counting_generation: self.generation,
+            command: self.command.clone(),
+            is_stopped: self.asked == Asked::Stop || self.condition == Condition::Stopped,
+        };
+        if self.is_remembered
+            && let Err(error) = memo.write(&self.folder, self.worker)
+        {
+            tracing::warn!("{}: a later launcher will not know it: {error}", self.worker);
+        }
     }
 
     fn take_generation(&mut self) -> u32 {
@@ -261,6 +311,9 @@ impl Process {
     /// # Errors
     /// The system cannot start a process.
     pub fn start(&mut self) -> anyhow::Result<()> {
+        self.asked = Asked::Nothing;
+        self.condition = Condition::Running;
+        self.remember();
         // Not by its path: an update may have put another file there.
         let mut command = Command::new("/proc/self/exe");
         if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
@@ -346,8 +399,9 @@ impl Process {
 
     /// Removes what a process that was kept has left behind.
     fn forget_kept(&mut self) {
-        self.forward_kept_output();
-        self.kept_output = None;
+        if let Some(mut output) = self.kept_output.take() {
+            output.forward_rest(&self.lines).ok();
+        }
         if self.is_kept {
             self.record().forget(&self.folder);
         }
@@ -356,6 +410,7 @@ impl Process {
     /// Asks it to end, and kills it if it does not in [`STOP_TIME`].
     pub fn ask_to_stop(&mut self) {
         self.ask(Asked::Stop);
+        self.remember();
     }
 
     /// Asks it to end, and starts it again at once when it has.
@@ -377,7 +432,8 @@ impl Process {
 
     /// Never starts it again by itself, and kills it if it runs.
     pub fn give_up(&mut self) {
-        self.ask_to_stop();
+        // A later launcher tries it again.
+        self.ask(Asked::Stop);
         self.signal(Signal::KILL);
         self.condition = Condition::GivenUp;
     }

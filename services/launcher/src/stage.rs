@@ -54,6 +54,8 @@ struct Example {
     build: &'static str,
     /// The program.
     program: &'static str,
+    /// Settings that it needs.
+    set: &'static [&'static str],
 }
 
 const PYTHON_NEEDS: &str = "pip install clients/python numpy opencv-contrib-python-headless";
@@ -65,6 +67,7 @@ const EXAMPLES: [Example; 5] = [
         files: &[("detector.py", include_str!("../../../examples/detector.py"))],
         build: PYTHON_NEEDS,
         program: "python3 FOLDER/detector.py",
+        set: &[],
     },
     Example {
         stage: StageName::Rectification,
@@ -72,6 +75,7 @@ const EXAMPLES: [Example; 5] = [
         files: &[("rectifier.py", include_str!("../../../examples/rectifier.py"))],
         build: PYTHON_NEEDS,
         program: "python3 FOLDER/rectifier.py",
+        set: &[],
     },
     Example {
         stage: StageName::Fusion,
@@ -79,6 +83,7 @@ const EXAMPLES: [Example; 5] = [
         files: &[("bearings.py", include_str!("../../../examples/bearings.py"))],
         build: PYTHON_NEEDS,
         program: "python3 FOLDER/bearings.py",
+        set: &[],
     },
     Example {
         stage: StageName::Detection,
@@ -89,6 +94,7 @@ const EXAMPLES: [Example; 5] = [
         ],
         build: "make install-c PREFIX=/usr/local; cmake -S FOLDER -B FOLDER/build && cmake --build FOLDER/build",
         program: "FOLDER/build/apriltag-detector",
+        set: &["bodies.dictionary=DICT_APRILTAG_36h11"],
     },
     Example {
         stage: StageName::Detection,
@@ -99,6 +105,7 @@ const EXAMPLES: [Example; 5] = [
         ],
         build: "cargo build --release --manifest-path FOLDER/Cargo.toml",
         program: "FOLDER/target/release/my-detector",
+        set: &[],
     },
 ];
 
@@ -129,21 +136,31 @@ fn write_new(arguments: &NewArguments) -> anyhow::Result<()> {
     for path in &paths {
         ensure!(!path.exists(), "{} is there already. Cure: name another folder", path.display());
     }
-    for (path, (file, text)) in paths.iter().zip(example.files) {
-        let text = match *file {
-            "Cargo.toml" => manifest(sources.as_deref())?,
-            _ => text.replace(&format!("examples/{file}"), &path.display().to_string()),
-        };
+    let text_of = |(path, (file, text)): (&PathBuf, &(&str, &str))| match *file {
+        "Cargo.toml" => manifest(sources.as_deref()),
+        _ => Ok(text
+            .replace(&format!("examples/{file}"), &path.display().to_string())
+            .replace("examples/c ", &format!("{shown} "))
+            .replace("build/apriltag-detector", &format!("{shown}/build/apriltag-detector"))
+            .replace("-B build ", &format!("-B {shown}/build "))
+            .replace("--build build", &format!("--build {shown}/build"))),
+    };
+    // All before the first is written: a failure leaves nothing behind.
+    let texts =
+        paths.iter().zip(example.files).map(text_of).collect::<anyhow::Result<Vec<String>>>()?;
+    for (path, text) in paths.iter().zip(texts) {
         let parent = path.parent().unwrap_or(folder);
         std::fs::create_dir_all(parent).with_context(|| format!("{}", parent.display()))?;
         std::fs::write(path, text).with_context(|| format!("{}", path.display()))?;
     }
+    let (build, program) =
+        (example.build.replace("FOLDER", &shown), example.program.replace("FOLDER", &shown));
+    let set: String = example.set.iter().map(|setting| format!(" --set {setting}")).collect();
     Screen::new().line(&format!(
-        "{} is written. It runs as it is:\n  {}\n  flockeye swap {kind} --accept-worse -- {}\nWhat it owes to \
-         the others: docs/CONTRACT.md; whether it pays: flockeye stage test {kind} -- COMMAND",
+        "{} is written. It runs as it is; the first line where Flockeye's sources are:\n  {build}\n  flockeye stage \
+         test {kind}{set} -- {program}\n  flockeye up{set} &\n  flockeye swap {kind} --accept-worse -- \
+         {program}\nWhat it owes to the others: docs/CONTRACT.md",
         paths[0].display(),
-        example.build.replace("FOLDER", &shown),
-        example.program.replace("FOLDER", &shown)
     ));
     Ok(())
 }

@@ -195,8 +195,10 @@ impl<'a> Supervisor<'a> {
         {
             return Ok(());
         }
-        let source = self.processes.iter_mut().find(|process| process.worker.stage.is_source());
-        source.map_or(Ok(()), Process::start)?;
+        let is_new = |process: &&mut Process| {
+            process.worker.stage.is_source() && process.condition() == Condition::New
+        };
+        self.processes.iter_mut().find(is_new).map_or(Ok(()), Process::start)?;
         self.source_started = Some(Instant::now());
         self.messages.expect_tracks();
         Ok(())
@@ -236,7 +238,7 @@ impl<'a> Supervisor<'a> {
         let folder = self.instance.folder();
         let state = HandOverState::try_from(word.state)?;
         if self.is_kept {
-            taking_over::write_word(folder, &word)?;
+            taking_over::write_word(folder, &word);
         }
         fault_point::pass(folder, &format!("{state:?} is written"));
         ports.listening().set(word);

@@ -5,6 +5,7 @@ use std::num::NonZero;
 use std::sync::{Mutex, PoisonError};
 
 use crate::hall::Hall;
+use crate::kept_painting::KeptPainting;
 use crate::optics::{blur_kernel, blur_row, blur_rows};
 use crate::parameters::WorldParameters;
 use crate::sensor::Sensor;
@@ -65,6 +66,16 @@ pub fn painted_still(parameters: &WorldParameters, grid: &SphereGrid) -> Vec<f32
 }
 
 fn painted_and_swept(parameters: &WorldParameters, grid: &SphereGrid, swept: f64) -> Vec<f32> {
+    let kept = KeptPainting::of(parameters, grid, swept);
+    if let Some(light) = kept.as_ref().and_then(|kept| kept.read(grid.width * grid.height)) {
+        return light;
+    }
+    let light = freshly_painted(parameters, grid, swept);
+    kept.iter().for_each(|kept| kept.write(&light));
+    light
+}
+
+fn freshly_painted(parameters: &WorldParameters, grid: &SphereGrid, swept: f64) -> Vec<f32> {
     let hall = Hall::new(parameters.seed);
     let width = grid.width;
     let mut blurred_along = vec![0.0f32; width * grid.height];

@@ -32,6 +32,7 @@
 //! | [`inertial`] | that sensor, with bias, noise, mounting and a clock of its own |
 //! | [`moment`] | where everything is at an instant |
 //! | [`eyes`] | where each part of the image is taken from: the camera's middle, or its lenses' places |
+//! | `kept_painting` | the painted panorama, left to the next process |
 //! | [`hall`], [`backdrop`] | the panorama behind them: painted and blurred once, then turned |
 //! | [`cube`] | the same for an observer that leans and turns unevenly, blurred along the way in each frame |
 //! | [`drone`] | bodies and airframes as painted convex parts |
@@ -60,6 +61,7 @@ pub mod eyes;
 pub mod gusts;
 pub mod hall;
 pub mod inertial;
+mod kept_painting;
 pub mod messages;
 pub mod moment;
 pub mod optics;

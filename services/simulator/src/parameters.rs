@@ -1,5 +1,7 @@
 //! What a synthetic world can be told.
 
+use std::path::PathBuf;
+
 use flockeye_geometry::camera::Camera;
 
 use crate::response::Response;
@@ -27,6 +29,8 @@ impl Quality {
 /// A synthetic world: its camera, its light and how its bodies fly.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WorldParameters {
+    /// Where the painted hall is kept for later processes; `None`: nowhere.
+    pub paint_folder: Option<PathBuf>,
     /// Everything random follows from it: the same seed gives the same bytes.
     pub seed: u64,
     /// The camera that sees it, in the frame whose origin the bodies' distances count from.
@@ -72,6 +76,7 @@ const MAX_SIDE: u32 = 16_384;
 impl Default for WorldParameters {
     fn default() -> Self {
         Self {
+            paint_folder: None,
             seed: 1,
             camera: Camera::equirectangular(3840, 1920),
             response: Response::default(),

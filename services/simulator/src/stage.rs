@@ -13,7 +13,7 @@ use crate::ahead::{Ahead, Drawn, Next};
 use crate::inertial::InertialSensor;
 use crate::messages::TruthWriter;
 use crate::settings::{flying_bodies, in_words, parameters};
-use crate::{FrameTruth, World};
+use crate::{FrameTruth, World, WorldParameters};
 
 /// Takes nothing (in a lossless run: plans, as credits); gives frames and their truth, and samples of an
 /// inertial sensor if they are asked for.
@@ -68,7 +68,8 @@ impl Stage for SimulatorStage {
         let resolved = &context.resolved;
         let pipeline = &resolved.pipeline;
         let flying = flying_bodies(resolved)?;
-        let parameters = parameters(resolved)?;
+        let paint_folder = Some(context.saved_states.folder().to_owned());
+        let parameters = WorldParameters { paint_folder, ..parameters(resolved)? };
         let world = match &flying {
             Some(bodies) => World::new(parameters, bodies, &Dictionary::of(bodies)?)?,
             None => World::empty(parameters)?,

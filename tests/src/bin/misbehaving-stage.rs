@@ -39,7 +39,7 @@ fn misdeed_of(process: &mut StageProcess, misdeed: &str) -> anyhow::Result<StepF
             Box::new(move || {
                 while let Some(frame) = frames.receive()? {
                     let stamp = frame.header.stamp;
-                    let sure = [1e-10, 0.0, 0.0, 0.0, 1e-10, 0.0, 0.0, 0.0, 1e-10];
+                    let sure = [0.0; 9];
                     let lie = Rotation {
                         stamp,
                         earlier_exposure_ns: stamp.exposure_ns - 33_000_000,

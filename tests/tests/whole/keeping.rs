@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use flockeye_contract::Tracks;
 use flockeye_runtime::clock;
 use flockeye_tests::onlooker::{join, subscribe};
-use flockeye_tests::{Flight, SMALL_FLIGHT, WATCHDOG, absent, run, unique};
+use flockeye_tests::{Flight, SMALL_FLIGHT, WATCHDOG, absent, flockeye, run, unique};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
@@ -96,8 +96,51 @@ fn stages_fly_on_without_their_launcher_and_the_next_one_takes_them_over() {
     second.wait_for("fusion ended (an earlier launcher had started it");
     second.wait_for("fusion is started again");
     wait_for_a_pose(&mut second);
-    let (succeeded, output) = ask(&instance, &["swap", "detection", "--within", "60s"]);
-    assert!(succeeded, "{output}\n{}", second.output());
+    for worker in ["detection", "simulator"] {
+        let (succeeded, output) = ask(&instance, &["swap", worker, "--within", "60s"]);
+        assert!(succeeded, "{output}\n{}", second.output());
+    }
+    end(second);
+}
+
+#[test]
+fn what_has_ended_without_a_launcher_is_started_again_by_the_next_one_and_the_stopped_stay_stopped()
+{
+    let instance = unique("keep-dead");
+    let mut flight = kept_flight(&instance);
+    let own = flockeye().with_file_name("flockeye-detection");
+    let own = own.to_str().expect("a plain path");
+    let program = ["swap", "detection", "--within", "60s", "--", "nice", own];
+    let (succeeded, output) = ask(&instance, &program);
+    assert!(succeeded, "{output}\n{}", flight.output());
+    let (succeeded, output) = ask(&instance, &["stop", "egomotion"]);
+    assert!(succeeded, "{output}");
+    let before = workers(&instance);
+    flight.signal(Signal::KILL);
+    flight.wait();
+    for worker in ["detection", "simulator", "fusion"] {
+        kill(before[worker]);
+    }
+    let start = Instant::now();
+    while flight.stages("").iter().any(|pid| pid.as_raw_nonzero().get() == before["fusion"]) {
+        assert!(start.elapsed() < WATCHDOG, "it does not end");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    let mut second = Flight::start_as(&instance, &["--keep"], SMALL_FLIGHT);
+    for worker in ["detection", "simulator", "fusion"] {
+        second.wait_for(&format!("{worker} is started again"));
+    }
+    wait_for_a_pose(&mut second);
+    let (_, output) = ask(&instance, &["status", "--json"]);
+    let status: Value = serde_json::from_str(&output).expect("nothing but JSON");
+    let of = |worker: &str| {
+        let all = status["workers"].as_array().expect("a list");
+        all.iter().find(|found| found["worker"] == worker).expect("it is one").clone()
+    };
+    assert_eq!(of("egomotion")["state"], "stopped", "{output}");
+    assert_eq!(of("detection")["command"][0], "nice", "{output}");
+    assert_eq!(of("detection")["generation"], 2, "{output}");
+    assert_eq!(of("simulator")["generation"], 1, "{output}");
     end(second);
 }
 

@@ -444,13 +444,24 @@ fn peers_see_poses_over_the_network() {
     let mut flight =
         Flight::start("network", &[], &small(&["gateway.enabled=true", &listen, &swarm]));
     flight.wait_for(POSES_FLOW);
-    let mut command = Command::new(flockeye());
-    command.args(["peers", "--json", "--for", "100s", "--set", &listen, "--set", &swarm]);
-    let mut peers = Flight::launch(&unique("peers"), command);
-    peers.wait_for(POSE_SCHEMA);
-    peers.signal(Signal::INT);
-    assert!(peers.wait().success(), "{}", peers.output());
-    let output = peers.output();
+    let name = flight.instance.name().to_owned();
+    let mut output = String::new();
+    // Through the configuration, through the running pipeline, and from anywhere else.
+    for way in [
+        ["--set", &listen, "--set", &swarm],
+        ["--instance", &name, "--for", "100s"],
+        ["--connect", &endpoint, "--set", &swarm],
+    ] {
+        let mut command = Command::new(flockeye());
+        command.args(["peers", "--json"]).args(way);
+        let mut peers = Flight::launch(&unique("peers"), command);
+        peers.wait_for(POSE_SCHEMA);
+        peers.signal(Signal::INT);
+        assert!(peers.wait().success(), "{}", peers.output());
+        output = peers.output();
+    }
+    let (succeeded, refusal) = run(&["peers", "--instance", "nobody"]);
+    assert!(!succeeded && refusal.contains("no pipeline 'nobody' runs here"), "{refusal}");
     let line = output.lines().find(|line| line.contains(POSE_SCHEMA)).expect("it was waited for");
     let heard: serde_json::Value = serde_json::from_str(line).expect("each line is an object");
     let report = &heard["report"];

@@ -31,6 +31,12 @@ fn a_new_stage_in_c_is_the_example() {
         succeeded && output.contains(&format!("-- {folder}/build/apriltag-detector")),
         "{output}"
     );
+    let set = "--set bodies.dictionary=DICT_APRILTAG_36h11";
+    let test = format!("flockeye stage test detection {set} -- {folder}");
+    assert!(output.contains(&test), "{output}");
+    let source = std::fs::read_to_string(format!("{folder}/apriltag_detector.c"));
+    let source = source.expect("it is written");
+    assert!(source.contains(&format!("cmake -S {folder} -B {folder}/build ")), "{source}");
     for (file, part) in
         [("apriltag_detector.c", "flockeye_stage_run"), ("CMakeLists.txt", "flockeye::stage")]
     {

@@ -1,7 +1,7 @@
 /* Stages in C, over the runtime that Flockeye's own stages have: shared memory, health, hand-overs, a clean end.
  *
  * docs/CONTRACT.md says what each message means and what each stage owes; contract.h has the types. All
- * messages have passed the contract's check, so their numbers are finite and their sizes are right.
+ * messages have passed what stands under "What a message must pass" there; other numbers are as they were sent.
  *
  *     static int step(void *context) { ... flockeye_receive ... flockeye_send ... return FLOCKEYE_OK; }
  *
@@ -79,16 +79,18 @@ flockeye_publisher *flockeye_advertise(flockeye_stage *stage, const char *topic,
 void flockeye_subscriber_close(flockeye_subscriber *subscriber);
 void flockeye_publisher_close(flockeye_publisher *publisher);
 
-/* Says that everything is open, in words for people, and calls `step` whenever a topic has something, until SIGTERM.
- * Health is sent between two steps, so a step must not take long. A step returns FLOCKEYE_OK; anything else ends
- * the loop with FLOCKEYE_FAILED. */
+/* Says that everything is open, in words for people, and calls `step` whenever something was published on a topic,
+ * until SIGTERM. A step receives from each subscriber until FLOCKEYE_NOTHING, or asks for the next one at once with
+ * flockeye_stage_wake_within(stage, 0). Health is sent between two steps, so a step must not take long. It returns
+ * FLOCKEYE_OK; anything else ends the loop with FLOCKEYE_FAILED. */
 int flockeye_stage_run(flockeye_stage *stage, const char *detail, int (*step)(void *context), void *context);
 /* In a step: asks for the next one after so many nanoseconds at the latest. */
 void flockeye_stage_wake_within(const flockeye_stage *stage, int64_t ns);
 /* Counts something that cannot be worked with in the stage's health, and logs it, not more than now and then. */
 void flockeye_stage_refuse(const flockeye_stage *stage, const char *what);
 
-/* The next message that waits, FLOCKEYE_OK, or FLOCKEYE_NOTHING. Messages that break the contract, or that are of a
+/* The next message that waits, FLOCKEYE_OK, or FLOCKEYE_NOTHING. One that `message` held before must have been
+ * released. Messages that break the contract, or that are of a
  * process that does not count while a stage is swapped, are left out. */
 int flockeye_receive(flockeye_subscriber *subscriber, flockeye_message *message);
 /* Gives its memory back; header and items must not be used any more. Twice does no harm. */

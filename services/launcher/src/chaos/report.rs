@@ -42,6 +42,8 @@ pub struct ChaosReport {
     frames: u64,
     /// Frames between those that did not.
     frames_lost: u64,
+    /// The most of them in a row.
+    longest_gap: u64,
     /// Poses that were measured.
     poses: u64,
     /// Poses that are not where the truth is.
@@ -158,7 +160,9 @@ impl ChaosReport {
                 && (before.source_generation, before.epoch)
                     == (stamp.source_generation, stamp.epoch)
             {
-                self.frames_lost += stamp.sequence.saturating_sub(before.sequence + 1);
+                let gap = stamp.sequence.saturating_sub(before.sequence + 1);
+                self.frames_lost += gap;
+                self.longest_gap = self.longest_gap.max(gap);
             }
         }
     }
@@ -257,10 +261,11 @@ impl fmt::Display for ChaosReport {
         writeln!(f, "{}", table.text())?;
         write!(
             f,
-            "{} frames, {} lost between them; {} poses, {} wrong, {} twice; {} tracks began anew; shared \
+            "{} frames, {} lost between them, {} in a row at most; {} poses, {} wrong, {} twice; {} tracks began anew; shared \
              memory {:.1} MB in {} files, {:.1} MB in {} at the end",
             self.frames,
             self.frames_lost,
+            self.longest_gap,
             self.poses,
             self.wrong_poses,
             self.double_poses,

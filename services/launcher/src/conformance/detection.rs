@@ -311,6 +311,8 @@ impl Script {
             ("focal_px that is no number", ViewHeader { focal_px: f64::NAN, ..honest }),
             ("a rotation of length 0", ViewHeader { camera_from_view: [0.0; 4], ..honest }),
             ("an unknown kind", ViewHeader { kind: 77, ..honest }),
+            ("one pixel", ViewHeader { size_px: 1, stride: 1, ..honest }),
+            ("three pixels a side", ViewHeader { size_px: 3, stride: 3, ..honest }),
         ] {
             self.send(view, &pixels)?;
             // It may be acknowledged as failed, or not at all.

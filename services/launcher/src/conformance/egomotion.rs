@@ -165,7 +165,9 @@ impl Script<'_> {
             });
             errors_deg.push(off_deg);
             let covariance = Matrix3::from_row_slice(&rotation.covariance);
-            normalized.extend(covariance.try_inverse().map(|inverse| off.dot(&(inverse * off))));
+            // Who states no doubt at all is infinitely wrong.
+            let inverse = covariance.try_inverse().filter(|inverse| inverse[(0, 0)].is_finite());
+            normalized.push(inverse.map_or(f64::INFINITY, |inverse| off.dot(&(inverse * off))));
         }
         let known = errors_deg.len() as f64 / f64::from(FRAMES - 1);
         report.holds("rotations of a textured world are known", PAGE, known >= LEAST_KNOWN, || {

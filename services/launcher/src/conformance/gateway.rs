@@ -8,7 +8,7 @@ use flockeye_config::Resolved;
 use flockeye_contract::wire::PoseReport;
 use flockeye_contract::{FrameStamp, MeasuredBy, Pose, Track, TrackHeader, TrackState, Tracks};
 use flockeye_geometry::statistics::median;
-use flockeye_network::{Listener, Network, NetworkParameters, ReportStream};
+use flockeye_network::{Listener, Network, NetworkParameters, ReportStream, utc_from_monotonic};
 use flockeye_runtime::clock;
 use flockeye_runtime::ports::Publisher;
 use nalgebra::UnitQuaternion;
@@ -106,8 +106,11 @@ impl Script<'_> {
         Track {
             name: name.into(),
             observer_from_target: pose,
-            predicted_observer_from_target: pose,
-            measured_observer_from_target: pose,
+            // Others, so that a mix-up is seen.
+            predicted_observer_from_target: Pose { position: [9.0, 9.0, 9.0], ..pose },
+            measured_observer_from_target: Pose { position: [-9.0, 9.0, 9.0], ..pose },
+            angular_velocity: [0.4, -0.5, 0.6],
+            unseen_ns: 250_000_000,
             predicted_ns: stamp.exposure_ns + 20_000_000,
             covariance,
             state: TrackState::Confirmed.code(),
@@ -124,15 +127,22 @@ impl Script<'_> {
             .send(TrackHeader { stamp, is_last: 1, ..TrackHeader::default() }, &[track])?)
     }
 
-    /// The next report.
-    fn next(
+    /// The report on this frame. What is left of earlier ones is passed over: a listener that has just come
+    /// asks for the last values too.
+    fn report_of(
         &self,
         bench: &mut Bench,
+        stamp: &FrameStamp,
         patience: Duration,
     ) -> anyhow::Result<Option<(PoseReport, i64)>> {
+        let observer = &self.resolved.pipeline.observer.name;
         bench.wait(patience, |_| {
             let heard = self.reports.recv_timeout(Duration::from_millis(1));
-            Ok(heard.map(|heard| (heard.report, heard.arrived_monotonic_ns)))
+            let is_meant = |report: &PoseReport| {
+                report.observer == *observer && report.frame == stamp.sequence
+            };
+            let meant = heard.filter(|heard| is_meant(&heard.report));
+            Ok(meant.map(|heard| (heard.report, heard.arrived_monotonic_ns)))
         })
     }
 
@@ -143,7 +153,7 @@ impl Script<'_> {
             let track = self.track(&stamp);
             let sent_ns = clock::monotonic_ns();
             self.send(stamp, track)?;
-            let heard = self.next(bench, PATIENCE)?;
+            let heard = self.report_of(bench, &stamp, PATIENCE)?;
             report.holds("each pose is reported", PAGE, heard.is_some(), || {
                 format!("the pose of frame {} was not in {} s", stamp.sequence, PATIENCE.as_secs())
             });
@@ -173,14 +183,21 @@ impl Script<'_> {
         report.field(what, PAGE, "frame", heard.frame, stamp.sequence);
         report.field(what, PAGE, "state", heard.state, TrackState::Confirmed);
         report.field(what, PAGE, "markers", heard.markers, track.markers);
+        report.field(what, PAGE, "measured_by", heard.measured_by, MeasuredBy::Aligned);
+        report.field(what, PAGE, "epoch", heard.epoch, stamp.epoch);
         let upper = (0..6).flat_map(|row| (row..6).map(move |column| 6 * row + column));
         let covariance: Vec<f64> = upper.map(|index| track.covariance[index]).collect();
         let pose = track.observer_from_target;
+        // A quaternion and its negative are one rotation.
+        let sign = if heard.orientation[3] * pose.orientation[3] < 0.0 { -1.0 } else { 1.0 };
+        let orientation = heard.orientation.map(|q| sign * q);
         for (field, found, wanted) in [
             ("position", &heard.position[..], &pose.position[..]),
-            ("orientation", &heard.orientation, &pose.orientation),
+            ("orientation", &orientation, &pose.orientation),
             ("covariance", &heard.covariance, &covariance),
             ("linear_velocity", &heard.linear_velocity, &track.linear_velocity),
+            ("angular_velocity", &heard.angular_velocity, &track.angular_velocity),
+            ("unseen_s", &[heard.unseen_s], &[0.25]),
         ] {
             let is_same = found.len() == wanted.len()
                 && found.iter().zip(wanted).all(|(found, wanted)| (found - wanted).abs() < ROUNDED);
@@ -188,18 +205,16 @@ impl Script<'_> {
                 format!("{field} is {found:?}, and must be {wanted:?}")
             });
         }
-        let latency = 0.0..1000.0;
-        report.holds(
-            "reports say how old they are",
-            PAGE,
-            latency.contains(&heard.latency_ms),
-            || {
-                format!(
-                    "latency_ms is {}, of a frame that was exposed 20 ms before",
-                    heard.latency_ms
-                )
-            },
-        );
+        let (stamp_ns, _) = utc_from_monotonic(stamp.exposure_ns);
+        let off_ms = (heard.stamp_utc_ns - stamp_ns) as f64 * 1e-6;
+        let is_right = (20.0..1000.0).contains(&heard.latency_ms) && off_ms.abs() < 5.0;
+        report.holds("reports say how old they are", PAGE, is_right, || {
+            format!(
+                "latency_ms is {}, of a frame that was exposed at least 20 ms before; stamp_utc_ns is {off_ms:.1} \
+                 ms from the exposure",
+                heard.latency_ms
+            )
+        });
     }
 
     /// What peers must not hear of.
@@ -224,14 +239,14 @@ impl Script<'_> {
             ),
         ] {
             self.send(stamp, bad)?;
-            let heard = self.next(bench, QUIET)?;
+            let heard = self.report_of(bench, &stamp, QUIET)?;
             report.holds(what, page, heard.is_none(), || {
                 format!("frame {} was reported", stamp.sequence)
             });
         }
         let stamp = self.stamp();
         self.send(stamp, self.track(&stamp))?;
-        let heard = self.next(bench, PATIENCE)?;
+        let heard = self.report_of(bench, &stamp, PATIENCE)?;
         report.holds("what is kept back costs nothing else", MUST_PASS, heard.is_some(), || {
             "the good pose after it was not reported".to_owned()
         });

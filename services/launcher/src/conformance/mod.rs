@@ -69,12 +69,22 @@ pub fn run(arguments: &TestArguments) -> anyhow::Result<()> {
         StageName::Fusion => fusion::run,
         StageName::Gateway => gateway::run,
     };
-    let mut own = vec![format!("instance=t{}", std::process::id())];
-    own.push(match stage {
-        StageName::Gateway => format!("gateway.listen=[tcp/127.0.0.1:{}]", free_port()?),
-        _ => "gateway.enabled=false".to_owned(),
-    });
+    let name = format!("t{}", std::process::id());
+    let mut own = vec![format!("instance={name}")];
+    match stage {
+        // A swarm of its own: no real peer hears of it.
+        StageName::Gateway => own.extend([
+            format!("gateway.listen=[tcp/127.0.0.1:{}]", free_port()?),
+            "gateway.connect=[]".to_owned(),
+            "gateway.scout_interface=null".to_owned(),
+            format!("observer.swarm={name}"),
+        ]),
+        _ => own.push("gateway.enabled=false".to_owned()),
+    }
     let resolved = Resolved::of(arguments.configuration.load_with(&[], &own)?)?;
+    if arguments.beside.is_some() {
+        beside::check(stage)?;
+    }
     let mut report = Report::default();
     let mut bench = Bench::new(&resolved, stage, &arguments.command)?;
     if bench.start(&mut report)? {
@@ -82,15 +92,16 @@ pub fn run(arguments: &TestArguments) -> anyhow::Result<()> {
         bench.stop(&mut report)?;
     }
     let log = bench.finish();
-    if let Some(source) = &arguments.beside {
+    let beside = arguments.beside.as_ref().map_or(Ok(()), |source| {
         let (configuration, command) = (&arguments.configuration, &arguments.command);
-        beside::run(stage, configuration, source, command, &mut report)?;
-    }
+        beside::run(stage, configuration, source, command, &mut report)
+    });
     let mut screen = Screen::new();
     match arguments.json {
         true => screen.line(&serde_json::to_string_pretty(&report)?),
         false => screen.line(&report.text()),
     }
+    beside?;
     let failed = report.failed();
     ensure!(
         failed == 0,

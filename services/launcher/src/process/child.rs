@@ -17,7 +17,7 @@ pub enum RunningProcess {
     Adopted {
         /// Its number.
         pid: u32,
-        /// It stays this process even if the number is given to another one.
+        /// Tells when it has ended, even if the number was given to another one since.
         pidfd: OwnedFd,
     },
 }

@@ -64,8 +64,11 @@ impl LineSink {
     }
 }
 
-/// The output of a process that may outlive its launcher: a file, of which what was read is given back to
-/// the disk.
+/// Bytes that are read at once: the launcher has other things to look after.
+const MOST_AT_ONCE: u64 = 65_536;
+
+/// The output of a process that may outlive its launcher: a file. What was read of it takes no space on the
+/// disk any more.
 pub struct KeptOutput {
     file: File,
     /// The last line as far as it is written.
@@ -73,7 +76,8 @@ pub struct KeptOutput {
 }
 
 impl KeptOutput {
-    /// Reads the file from the first line that no launcher has read.
+    /// Reads the file from where the launcher before has ended. A line that it had read in part lacks its
+    /// beginning.
     ///
     /// # Errors
     /// The file cannot be opened.
@@ -88,25 +92,39 @@ impl KeptOutput {
         Ok(Self { file, begun: Vec::new() })
     }
 
-    /// Passes on what was written since.
+    /// Passes on what was written since, a part of it if that is much. False: nothing was.
     ///
     /// # Errors
     /// The file cannot be read.
-    pub fn forward(&mut self, sink: &LineSink) -> io::Result<()> {
+    pub fn forward(&mut self, sink: &LineSink) -> io::Result<bool> {
         let from = self.file.stream_position()?;
-        let length = self.file.read_to_end(&mut self.begun)? as u64;
+        let length = (&self.file).take(MOST_AT_ONCE).read_to_end(&mut self.begun)? as u64;
         if length == 0 {
-            return Ok(());
+            return Ok(false);
         }
         let hole = FallocateFlags::PUNCH_HOLE | FallocateFlags::KEEP_SIZE;
         if let Err(error) = fallocate(&self.file, hole, from, length) {
             tracing::debug!("a stage's output stays on the disk: {error}");
         }
-        while let Some(end) = self.begun.iter().position(|&byte| byte == b'\n') {
-            let line: Vec<u8> = self.begun.drain(..=end).collect();
+        let whole = self.begun.iter().rposition(|&byte| byte == b'\n').map_or(0, |end| end + 1);
+        for line in self.begun[..whole].split_inclusive(|&byte| byte == b'\n') {
             // The part of a block that was read before is full of zeros.
             let start = line.iter().position(|&byte| byte != 0).unwrap_or(line.len());
             sink.pass_on(&line[start..]);
+        }
+        self.begun.drain(..whole);
+        Ok(true)
+    }
+
+    /// Passes on what a process has left that has ended. Of very much, the end is left out.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn forward_rest(&mut self, sink: &LineSink) -> io::Result<()> {
+        for _ in 0..16 {
+            if !self.forward(sink)? {
+                break;
+            }
         }
         Ok(())
     }

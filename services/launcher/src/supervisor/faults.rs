@@ -70,10 +70,7 @@ impl Supervisor<'_> {
         let (label, worker) = (process.label(), process.worker);
         match change {
             ProcessChange::None => {}
-            ProcessChange::Stopped => {
-                self.mark_stopped(worker, true);
-                self.screen.line(&format!("{label} has stopped"));
-            }
+            ProcessChange::Stopped => self.screen.line(&format!("{label} has stopped")),
             ProcessChange::Restarted => self.screen.line(&format!("{label} is started again")),
             ProcessChange::Ended { how, is_hopeless, retry_in } => {
                 if is_hopeless && process.generation == 0 {

@@ -63,7 +63,6 @@ impl Supervisor<'_> {
                 let process = &mut self.processes[index];
                 ensure!(process.condition() != Condition::Running, "{worker} runs already");
                 process.ask_to_restart();
-                self.mark_stopped(*worker, false);
                 self.wait_for(client, *worker, Wanted::ReadyAfter(None));
             }
             Request::Restart { worker } => {
@@ -71,7 +70,6 @@ impl Supervisor<'_> {
                 let process = &mut self.processes[index];
                 let generation = process.generation;
                 process.ask_to_restart();
-                self.mark_stopped(*worker, false);
                 self.wait_for(client, *worker, Wanted::ReadyAfter(Some(generation)));
             }
             Request::Swap(request) => self.begin_swap(client, request, ports)?,

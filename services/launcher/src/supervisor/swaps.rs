@@ -16,8 +16,9 @@ use crate::control::server::ClientId;
 use crate::control::{Reply, SwapRequest, Worker};
 use crate::fault_point;
 use crate::process::{Condition, ProcessChange};
+use crate::swap::Swap;
+use crate::swap::judge::{Lives, Verdict};
 use crate::swap::shadow::{Shadow, can_shadow};
-use crate::swap::{Lives, Swap, Verdict};
 
 /// A stage that owns a device or a port is being replaced: the old process ends first.
 pub(super) struct Replacement {
@@ -25,8 +26,9 @@ pub(super) struct Replacement {
     worker: Worker,
     old_command: Vec<String>,
     pipeline_before: Option<Pipeline>,
-    /// The generation that is replaced.
+    /// The generation that is replaced, and that of the new process.
     generation: u32,
+    new_generation: u32,
     stopped: Instant,
     deadline: Instant,
     /// The newest frame before it.
@@ -77,7 +79,9 @@ impl Supervisor<'_> {
         let pipeline_before = match changed {
             Some(resolved) => {
                 if self.is_kept {
-                    taking_over::keep_settings(self.instance.folder())?;
+                    let generation = self.processes[index].generation;
+                    let folder = self.instance.folder();
+                    taking_over::keep_settings(folder, worker, generation, &self.pipeline)?;
                 }
                 self.instance.write_configuration(&resolved)?;
                 Some(std::mem::replace(&mut self.pipeline, resolved.pipeline))
@@ -130,9 +134,13 @@ impl Supervisor<'_> {
         let mut swap =
             Swap::new(client, candidate, old_generation, shadow, within, request.accept_worse);
         // Nobody may listen to it before it says its first word.
-        self.announce(ports, swap.begin())?;
+        self.announce(ports, swap.judge.begin())?;
         self.messages.keep_apart(Some((worker, swap.candidate.generation)));
-        swap.candidate.start()?;
+        if let Err(error) = swap.candidate.start() {
+            self.messages.keep_apart(None);
+            self.awaits_silence = true;
+            return Err(error);
+        }
         fault_point::pass(self.instance.folder(), "it is started");
         let pid = swap.candidate.pid().unwrap_or(0);
         self.say(client, &format!("{worker}: process {pid} works in the old one's shadow"));
@@ -153,7 +161,7 @@ impl Supervisor<'_> {
             true => process.command().to_vec(),
             false => process.set_command(request.program.clone()),
         };
-        let generation = process.generation;
+        let (generation, new_generation) = (process.generation, process.next_generation());
         process.ask_to_restart();
         let worker = request.worker;
         let now = Instant::now();
@@ -163,6 +171,7 @@ impl Supervisor<'_> {
             old_command,
             pipeline_before: None,
             generation,
+            new_generation,
             stopped: now,
             deadline: now + within,
             newest,
@@ -216,15 +225,23 @@ impl Supervisor<'_> {
     pub(super) fn look_after_swap(&mut self, ports: &Ports) -> anyhow::Result<()> {
         self.look_after_replacement()?;
         let Some(mut swap) = self.swap.take() else { return Ok(()) };
-        swap.shadow.receive()?;
-        let new_ended = match swap.candidate.attend(false, || {})? {
+        let attended = swap.shadow.receive().and_then(|()| swap.candidate.attend(false, || {}));
+        let attended = match attended {
+            Ok(change) => change,
+            Err(error) => {
+                // With the others it is ended.
+                self.swap = Some(swap);
+                return Err(error);
+            }
+        };
+        let new_ended = match attended {
             ProcessChange::Ended { how, .. } => Some(how),
             _ => (swap.candidate.condition() != Condition::Running).then(|| "ended".to_owned()),
         };
         let index = self.index_of(swap.worker)?;
         let old = &self.processes[index];
         let old_runs =
-            old.condition() == Condition::Running && swap.is_of_generation(old.generation);
+            old.condition() == Condition::Running && swap.judge.is_of_generation(old.generation);
         let lives = Lives { new_ended: new_ended.as_deref(), old_runs };
         match swap.judge(lives, Instant::now()) {
             Verdict::Wait => {
@@ -232,17 +249,15 @@ impl Supervisor<'_> {
                 return Ok(());
             }
             Verdict::TakeOver(word, text) => {
-                self.announce(ports, word)?;
                 self.say(swap.client, &format!("{}: {text}", swap.worker));
                 self.swap = Some(swap);
-                return Ok(());
+                return self.announce(ports, word);
             }
             Verdict::TakeBack(word, reason) => {
-                self.announce(ports, word)?;
                 let worker = swap.worker;
                 self.say(swap.client, &format!("{worker}: the old process counts again: {reason}"));
                 self.swap = Some(swap);
-                return Ok(());
+                return self.announce(ports, word);
             }
             Verdict::Done(text, report) => {
                 self.screen.line(&text);
@@ -288,9 +303,9 @@ impl Supervisor<'_> {
         let worker = replacement.worker;
         let index = self.index_of(worker)?;
         let process = &self.processes[index];
-        let is_new = process.generation == replacement.generation + 1;
+        let is_new = process.generation == replacement.new_generation;
         let runs = process.condition() == Condition::Running;
-        let has_failed = process.generation > replacement.generation + 1
+        let has_failed = process.generation > replacement.new_generation
             || (is_new && !runs)
             || Instant::now() >= replacement.deadline;
         let works = is_new && runs && self.replacement_works(replacement, process.pid());

@@ -1,20 +1,22 @@
 //! Goes on with the processes that an earlier launcher left flying (`up --keep`).
 //!
 //! What a launcher knows and its successor cannot see for itself is in the folder `kept` of the instance: a
-//! record of each process ([`flockeye_runtime::kept`]), the last word on whose messages count, the settings
-//! before an unfinished swap, and a mark for each worker that was stopped on demand.
+//! record of each process ([`flockeye_runtime::kept`]), a memo of each worker ([`crate::process::memo`]), the last
+//! word on whose messages count, and the settings before an unfinished swap.
 
-use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
+use flockeye_config::{Pipeline, Resolved};
 use flockeye_contract::{HandOver, HandOverState};
 use flockeye_runtime::instance::Instance;
 use flockeye_runtime::kept::{self, KeptProcess};
+use serde::{Deserialize, Serialize};
 
 use super::Supervisor;
 use crate::control::Worker;
-use crate::process::Condition;
+use crate::process::memo::write_whole;
+use crate::swap::shadow::can_shadow;
 
 impl Supervisor<'_> {
     /// Goes on with these processes. Of two of one worker, the one that counts by the last word stays, and the
@@ -31,53 +33,36 @@ impl Supervisor<'_> {
         let mut taken = Vec::new();
         for process in &mut self.processes {
             let worker = process.worker;
-            if is_marked_stopped(&folder, worker) {
-                process.ask_to_stop();
-            }
+            process.recall();
             let is_own = |kept: &&KeptProcess| {
                 kept.stage == worker.stage.name() && kept.replica == worker.replica
             };
             let (living, dead): (Vec<_>, Vec<_>) =
                 kept.iter().filter(is_own).partition(|kept| kept.is_alive(&folder));
-            dead.into_iter().for_each(|kept| process.adopt(kept));
-            let counting = counting_generation(&word, worker);
-            let counts = |kept: &&&KeptProcess| Some(kept.generation) == counting;
-            let Some(&stays) = living.iter().find(counts).or(living.last()) else { continue };
-            process.adopt(stays);
-            taken.push(format!("{worker} (process {})", stays.pid));
-            let others = living.into_iter().filter(|kept| *kept != stays);
+            dead.into_iter().for_each(|kept| process.bury(kept));
+            let counting = counting_generation(&word, worker).unwrap_or(process.generation);
+            let stays = living.iter().find(|kept| kept.generation == counting);
+            // After a take-over either of the two may go on alone; before it only the old one may.
+            let stays = stays.or(living.last().filter(|_| has_taken_over(&word, worker))).copied();
+            if let Some(stays) = stays {
+                process.adopt(stays);
+                taken.push(format!("{worker} (process {})", stays.pid));
+            }
+            let others = living.into_iter().filter(|kept| Some(*kept) != stays);
             self.retired.extend(others.map(|kept| process.adopt_retired(kept)));
         }
-        let source = self.processes.iter().find(|process| process.worker.stage.is_source());
-        if source.is_some_and(|source| source.condition() == Condition::Running) {
-            self.source_started = Some(self.started);
-        }
+        // The source too is started by itself, if it has ended meanwhile.
+        self.source_started = Some(self.started);
         self.screen.line(&format!("takes over {}", taken.join(", ")));
         if let Some(ports) = self.ports.take() {
             // Processes that start from now on hear it from this launcher.
-            self.announce(&ports, word)?;
+            let said = self.announce(&ports, word);
             self.ports = Some(ports);
+            said?;
         }
         // Once no other process is left, everybody counts.
         self.awaits_silence = true;
         Ok(())
-    }
-
-    /// Notes whether a worker is stopped on demand, for the launcher after this one.
-    pub(super) fn mark_stopped(&self, worker: Worker, is_stopped: bool) {
-        if !self.is_kept {
-            return;
-        }
-        let mark = stop_mark(self.instance.folder(), worker);
-        let marked = match is_stopped {
-            true => std::fs::write(&mark, ""),
-            false => std::fs::remove_file(&mark),
-        };
-        if let Err(error) = marked
-            && error.kind() != ErrorKind::NotFound
-        {
-            tracing::warn!("{}: {error}", mark.display());
-        }
     }
 }
 
@@ -93,12 +78,9 @@ fn counting_generation(word: &HandOver, worker: Worker) -> Option<u32> {
     }
 }
 
-fn stop_mark(folder: &Path, worker: Worker) -> PathBuf {
-    kept::folder(folder).join(format!("{worker}.stopped"))
-}
-
-fn is_marked_stopped(folder: &Path, worker: Worker) -> bool {
-    stop_mark(folder, worker).exists()
+/// Whether the new process of a worker has taken over, by the last word.
+fn has_taken_over(word: &HandOver, worker: Worker) -> bool {
+    word.is_about(worker.stage, worker.replica) && word.state == HandOverState::TakenOver.code()
 }
 
 fn word_file(folder: &Path) -> PathBuf {
@@ -106,9 +88,10 @@ fn word_file(folder: &Path) -> PathBuf {
 }
 
 /// Keeps a word for the launcher after this one. It is written before it is said: said twice, it does no harm.
-pub(super) fn write_word(folder: &Path, word: &HandOver) -> anyhow::Result<()> {
-    let file = word_file(folder);
-    write_whole(&file, bytemuck::bytes_of(word)).with_context(|| format!("{}", file.display()))
+pub(super) fn write_word(folder: &Path, word: &HandOver) {
+    if let Err(error) = write_whole(&word_file(folder), bytemuck::bytes_of(word)) {
+        tracing::warn!("the hand-over is not kept for a later launcher: {error}");
+    }
 }
 
 fn read_word(folder: &Path) -> HandOver {
@@ -116,39 +99,60 @@ fn read_word(folder: &Path) -> HandOver {
     bytemuck::try_pod_read_unaligned(&bytes).unwrap_or_default()
 }
 
-fn write_whole(file: &Path, bytes: &[u8]) -> std::io::Result<()> {
-    let fresh = file.with_extension("new");
-    std::fs::write(&fresh, bytes)?;
-    std::fs::rename(fresh, file)
-}
-
-fn settings_before(folder: &Path) -> PathBuf {
+fn settings_file(folder: &Path) -> PathBuf {
     kept::folder(folder).join("settings_before")
 }
 
-/// Keeps the configuration of before a swap, until the new process has taken over.
-pub(super) fn keep_settings(folder: &Path) -> anyhow::Result<()> {
-    let now = folder.join("pipeline.json");
-    std::fs::copy(&now, settings_before(folder)).with_context(|| format!("{}", now.display()))?;
-    Ok(())
+/// The configuration of before a swap that is not over.
+#[derive(Debug, Serialize, Deserialize)]
+struct SettingsBefore {
+    worker: Worker,
+    /// The generation that is swapped.
+    old_generation: u32,
+    pipeline: Pipeline,
+}
+
+/// Keeps the configuration of before the swap of `worker`, until that is over.
+pub(super) fn keep_settings(
+    folder: &Path,
+    worker: Worker,
+    old_generation: u32,
+    pipeline: &Pipeline,
+) -> anyhow::Result<()> {
+    let before = SettingsBefore { worker, old_generation, pipeline: pipeline.clone() };
+    let file = settings_file(folder);
+    write_whole(&file, &serde_json::to_vec(&before)?).with_context(|| format!("{}", file.display()))
 }
 
 /// The swap for which the settings were kept is over.
 pub(super) fn forget_settings(folder: &Path) {
     // Without one there is nothing to forget.
-    drop(std::fs::remove_file(settings_before(folder)));
+    drop(std::fs::remove_file(settings_file(folder)));
 }
 
-/// Goes back to the settings of before a swap whose new process had not taken over.
+/// Goes back to the settings of before a swap that was not over, unless its new process is the one that stays.
 ///
 /// # Errors
 /// The configuration cannot be written.
 pub fn undo_unfinished_swap(instance: &Instance) -> anyhow::Result<()> {
     let folder = instance.folder();
-    let before = settings_before(folder);
-    if read_word(folder).state != HandOverState::TakenOver.code() && before.exists() {
-        let now = folder.join("pipeline.json");
-        std::fs::rename(&before, &now).with_context(|| format!("{}", now.display()))?;
+    let before = std::fs::read(settings_file(folder)).ok();
+    let before = before.and_then(|json| serde_json::from_slice::<SettingsBefore>(&json).ok());
+    if let Some(SettingsBefore { worker, old_generation, pipeline }) = before {
+        let word = read_word(folder);
+        let stays = match can_shadow(worker.stage) {
+            true => {
+                has_taken_over(&word, worker)
+                    && counting_generation(&word, worker) > Some(old_generation)
+            }
+            // Who owns a device never runs beside another: whoever lives stays.
+            false => kept::living(folder)
+                .iter()
+                .any(|kept| kept.stage == worker.stage.name() && kept.generation > old_generation),
+        };
+        if !stays {
+            instance.write_configuration(&Resolved::of(pipeline)?)?;
+        }
     }
     forget_settings(folder);
     Ok(())

@@ -1,0 +1,76 @@
+//! What a launcher knows of a worker and its successor cannot see for itself (`up --keep`).
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+use flockeye_runtime::kept;
+use serde::{Deserialize, Serialize};
+
+use crate::control::Worker;
+
+/// The memo of one worker, in a file of the instance's folder.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Memo {
+    /// The highest generation that any of its processes has had.
+    pub used_generations: u32,
+    /// The generation of the process that counts where no hand-over says otherwise.
+    pub counting_generation: u32,
+    /// The program that is started anew.
+    pub command: Vec<String>,
+    /// Whether it was ended on demand.
+    pub is_stopped: bool,
+}
+
+fn file(folder: &Path, worker: Worker) -> PathBuf {
+    kept::folder(folder).join(format!("{worker}.memo"))
+}
+
+impl Memo {
+    /// Keeps it. A launcher that is killed meanwhile leaves the one before.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn write(&self, folder: &Path, worker: Worker) -> io::Result<()> {
+        let file = file(folder, worker);
+        std::fs::create_dir_all(kept::folder(folder))?;
+        write_whole(&file, &serde_json::to_vec(self)?)
+    }
+
+    /// What was kept of a worker.
+    pub fn read(folder: &Path, worker: Worker) -> Option<Self> {
+        serde_json::from_slice(&std::fs::read(file(folder, worker)).ok()?).ok()
+    }
+}
+
+/// Writes a file that is there as a whole or not at all.
+///
+/// # Errors
+/// The system's reason.
+pub fn write_whole(file: &Path, bytes: &[u8]) -> io::Result<()> {
+    let fresh = file.with_extension("new");
+    std::fs::write(&fresh, bytes)?;
+    std::fs::rename(fresh, file)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn memos_are_read_as_they_were_written() {
+        let folder = std::env::temp_dir().join(format!("flock-memo-{}", std::process::id()));
+        let worker: Worker = "detection.1".parse().unwrap();
+        let memo = Memo {
+            used_generations: 7,
+            counting_generation: 5,
+            command: vec!["python3".to_owned(), "detector.py".to_owned()],
+            is_stopped: true,
+        };
+        assert_eq!(Memo::read(&folder, worker), None);
+        memo.write(&folder, worker).unwrap();
+        assert_eq!(Memo::read(&folder, worker), Some(memo));
+        assert_eq!(Memo::read(&folder, "detection".parse().unwrap()), None);
+        std::fs::remove_dir_all(folder).unwrap();
+    }
+}
