@@ -111,7 +111,7 @@ fn stages_that_misbehave_leave_the_others_of_a_pipeline_alone() {
         let command = format!("stages.{kind}.command=[{}, {kind}, {misdeed}]", program.display());
         let more = [command.as_str(), "gateway.enabled=true", "gateway.listen=[tcp/127.0.0.1:0]"];
         let set = [SMALL_FLIGHT, &more].concat();
-        let mut flight = Flight::start(&format!("misdeed-{kind}"), &["--for", "4s"], &set);
+        let mut flight = Flight::start(&format!("bad-{kind}"), &["--for", "4s"], &set);
         let succeeded = flight.wait().success();
         let output = flight.output();
         assert!(succeeded && output.contains(flies), "{kind} {misdeed}:\n{output}");
