@@ -76,7 +76,7 @@ BENCHES = {"proposals": "Proposals", "costs": "Costs"}
 SWAPPED = "detection,detection.1,rectification,egomotion,fusion"
 DISTURBED = {
     "kills": ("SIGKILL to stages at random", ["--only", "kill"], 1000),
-    "swaps": ("Swaps of stages at random, a hundred of each", ["--only", "swap", "--workers", SWAPPED], 500),
+    "swaps": ("Swaps of stages at random", ["--only", "swap", "--workers", SWAPPED], 500),
 }
 # Flights in which one of two detection workers does not do its work: title, what is wrong with it, flights of each.
 FAULTY = {"workers": ("One of two detection workers does not do its work",

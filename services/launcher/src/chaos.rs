@@ -11,7 +11,7 @@ pub mod report;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, ensure};
+use anyhow::{Context, bail, ensure};
 use clap::Args;
 use flockeye_cli::{Screen, duration, signals};
 use flockeye_contract::{Tracks, Truths};
@@ -182,7 +182,15 @@ impl Watch {
                     accept_worse: false,
                 };
                 self.report.strike(disturbance, clock::monotonic_ns());
-                ask(instance, &Request::Swap(request), |_| {}).err().map(|error| error.to_string())
+                // What comes meanwhile is read, or it would count as lost.
+                let instance = instance.clone();
+                let asking =
+                    std::thread::spawn(move || ask(&instance, &Request::Swap(request), |_| {}));
+                while !asking.is_finished() {
+                    self.for_(Duration::from_millis(5), stopping)?;
+                }
+                let answer = asking.join().unwrap_or_else(|_| bail!("the swap was not asked for"));
+                answer.err().map(|error| error.to_string())
             }
             _ => {
                 self.report.strike(disturbance, clock::monotonic_ns());
