@@ -16,6 +16,7 @@ use serde_json::Value;
 
 use crate::kept::{self, KeptProcess};
 use crate::resolved_file;
+use crate::whole_file::write_whole;
 
 /// Environment variable with the instance's folder; every stage gets it.
 pub const FOLDER_VARIABLE: &str = "FLOCKEYE_INSTANCE_DIR";
@@ -275,9 +276,7 @@ impl Instance {
         written[RESOLVED] = resolved_file::section(resolved);
         let json = serde_json::to_vec_pretty(&written).map_err(failed)?;
         // A stage that starts just now reads the old one or the new one, and never half of it.
-        let fresh = self.folder.join("pipeline.json.new");
-        write(&fresh, &json)?;
-        std::fs::rename(&fresh, self.pipeline_file())
+        write_whole(&self.pipeline_file(), &json)
             .map_err(|error| InstanceError::File { path: self.pipeline_file(), error })?;
         let toml = format!(
             "# For stages in other languages: load this file as iceoryx2's global configuration.\n\

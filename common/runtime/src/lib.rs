@@ -14,6 +14,7 @@
 //! | [`stage`] | the loop: wait, step, send health, drain, stop |
 //! | [`credits`] | when a source may send its next frame |
 //! | [`resolved_file`] | what follows from the configuration, for stages in other languages |
+//! | [`whole_file`] | files that are there as a whole or not at all |
 //! | [`saved_state`] | what a process keeps for its successor |
 //! | [`health`] | counters and latency quantiles |
 //! | [`background`] | threads for work that nobody waits for |
@@ -38,5 +39,6 @@ pub mod resolved_file;
 pub mod saved_state;
 pub mod scheduling;
 pub mod stage;
+pub mod whole_file;
 
 pub use stage::{Context, Stage, Step};

@@ -1,8 +1,9 @@
-//! A painted hall that a simulator's process leaves to the next one, which then starts in half of the time.
+//! A painted hall that a simulator's process leaves to the next one, which then need not paint it.
 
 use std::fs;
-use std::io;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
+
+use flockeye_runtime::whole_file::write_whole;
 
 use crate::parameters::WorldParameters;
 use crate::sphere::SphereGrid;
@@ -19,22 +20,10 @@ impl KeptPainting {
     /// nothing is kept.
     pub fn of(parameters: &WorldParameters, grid: &SphereGrid, swept: f64) -> Option<Self> {
         let folder = parameters.paint_folder.as_deref()?;
-        let all = [
-            PAINTER,
-            parameters.seed,
-            grid.width as u64,
-            grid.height as u64,
-            parameters.lens_blur_px.to_bits(),
-            swept.to_bits(),
-        ];
-        // FNV-1a (Fowler, Noll, Vo), the same in every process.
-        let digest = all
-            .iter()
-            .flat_map(|part| part.to_le_bytes())
-            .fold(0xcbf2_9ce4_8422_2325_u64, |digest, byte| {
-                (digest ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
-            });
-        Some(Self(folder.join(format!("painting-{digest:016x}"))))
+        let (seed, width, height) = (parameters.seed, grid.width, grid.height);
+        let [blur, swept] = [parameters.lens_blur_px, swept].map(f64::to_bits);
+        let name = format!("painting-{PAINTER}-{seed}-{width}x{height}-{blur:x}-{swept:x}");
+        Some(Self(folder.join(name)))
     }
 
     /// What was kept, if that is a painting of `pixels` pixels.
@@ -48,22 +37,11 @@ impl KeptPainting {
     /// Keeps a painting. Where that cannot be, the next process paints it again.
     pub fn write(&self, light: &[f32]) {
         let bytes: Vec<u8> = light.iter().flat_map(|light| light.to_le_bytes()).collect();
-        if let Err(error) = write_whole(&self.0, &bytes) {
+        let made = self.0.parent().map_or(Ok(()), fs::create_dir_all);
+        if let Err(error) = made.and_then(|()| write_whole(&self.0, &bytes)) {
             tracing::debug!("the painted hall is not kept: {}: {error}", self.0.display());
         }
     }
-}
-
-/// A process that is killed meanwhile leaves no half of it.
-fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    if let Some(folder) = path.parent() {
-        fs::create_dir_all(folder)?;
-    }
-    let fresh = path.with_extension("new");
-    fs::write(&fresh, bytes).and_then(|()| fs::rename(&fresh, path)).inspect_err(|_| {
-        // On a full disk, half of it would only be in the way.
-        fs::remove_file(&fresh).ok();
-    })
 }
 
 #[cfg(test)]

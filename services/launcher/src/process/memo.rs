@@ -4,6 +4,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use flockeye_runtime::kept;
+use flockeye_runtime::whole_file::write_whole;
 use serde::{Deserialize, Serialize};
 
 use crate::control::Worker;
@@ -40,16 +41,6 @@ impl Memo {
     pub fn read(folder: &Path, worker: Worker) -> Option<Self> {
         serde_json::from_slice(&std::fs::read(file(folder, worker)).ok()?).ok()
     }
-}
-
-/// Writes a file that is there as a whole or not at all.
-///
-/// # Errors
-/// The system's reason.
-pub fn write_whole(file: &Path, bytes: &[u8]) -> io::Result<()> {
-    let fresh = file.with_extension("new");
-    std::fs::write(&fresh, bytes)?;
-    std::fs::rename(fresh, file)
 }
 
 #[cfg(test)]

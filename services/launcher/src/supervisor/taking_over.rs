@@ -11,11 +11,11 @@ use flockeye_config::{Pipeline, Resolved};
 use flockeye_contract::{HandOver, HandOverState};
 use flockeye_runtime::instance::Instance;
 use flockeye_runtime::kept::{self, KeptProcess};
+use flockeye_runtime::whole_file::write_whole;
 use serde::{Deserialize, Serialize};
 
 use super::Supervisor;
 use crate::control::Worker;
-use crate::process::memo::write_whole;
 use crate::swap::shadow::can_shadow;
 
 impl Supervisor<'_> {
