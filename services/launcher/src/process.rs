@@ -5,32 +5,27 @@
 //! | [`child`] | a process that runs, and how it ended |
 //! | [`output`] | what processes write, line by line |
 //! | [`command`] | how a process is started |
+//! | [`keeping`] | processes that fly on when their launcher dies |
 //! | [`memo`] | what is noted of a worker for a later launcher |
 
 mod child;
 mod command;
+mod keeping;
 pub mod memo;
 mod output;
 
-use std::fs::File;
-use std::os::unix::process::CommandExt;
-use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::path::Path;
+use std::process::Stdio;
 use std::sync::mpsc::SyncSender;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use flockeye_config::{Restart, StageProcess};
 use flockeye_runtime::backoff::Backoff;
-use flockeye_runtime::instance::{
-    FOLDER_VARIABLE, GENERATION_VARIABLE, REPLICA_VARIABLE, STAGE_VARIABLE,
-};
-use flockeye_runtime::kept::{self, KeptProcess};
 use rustix::process::{Pid, Signal, kill_process_group};
 
 use self::child::{End, RunningProcess};
-use self::command::{backoff, program, scheduling_arguments};
-use self::memo::Memo;
+use self::command::{StartPlan, backoff};
 pub use self::output::LogLine;
 use self::output::{KeptOutput, LineSink};
 
@@ -102,13 +97,10 @@ pub struct Process {
     used_generations: u32,
     /// Where its lines go, and its name there.
     lines: LineSink,
-    command: Vec<String>,
-    folder: PathBuf,
+    start: StartPlan,
     restart: Restart,
     backoff: Backoff,
     child: Option<RunningProcess>,
-    /// Whether it flies on when the launcher dies.
-    is_kept: bool,
     /// Whether the worker's memo is written by this process: it is the one that counts.
     is_remembered: bool,
     kept_output: Option<KeptOutput>,
@@ -116,8 +108,6 @@ pub struct Process {
     asked: Asked,
     kill_at: Option<Instant>,
     started: Instant,
-    /// Its scheduling and its processors, as arguments of `exec-stage`.
-    scheduling: Vec<String>,
 }
 
 impl Process {
@@ -132,57 +122,36 @@ impl Process {
         log: SyncSender<LogLine>,
         is_kept: bool,
     ) -> anyhow::Result<Self> {
+        let start = StartPlan::of(worker.stage, configuration, folder, is_kept)?;
+        let lines = LineSink::new(worker.to_string(), log);
         Ok(Self {
-            worker,
-            generation: 0,
-            replacements: Replacements::default(),
-            heartbeat: Heartbeat::default(),
-            is_late: false,
-            is_silent: false,
-            used_generations: 0,
-            lines: LineSink::new(worker.to_string(), log),
-            command: program(worker.stage.name(), configuration)?,
-            scheduling: scheduling_arguments(worker.stage, configuration),
-            folder: folder.to_owned(),
             restart: configuration.restart,
-            backoff: backoff(configuration.backoff_s),
-            child: None,
-            is_kept,
             is_remembered: is_kept,
-            kept_output: None,
-            condition: Condition::New,
-            asked: Asked::Nothing,
-            kill_at: None,
-            started: Instant::now(),
+            ..Self::unstarted(worker, 0, start, lines, backoff(configuration.backoff_s))
         })
     }
 
-    /// The process that may take the place of this one: of the next generation, with `command` (empty: the
-    /// same), and not yet started. It is never restarted by itself.
-    pub fn successor(&mut self, command: &[String]) -> Self {
-        let generation = self.take_generation();
-        self.remember();
-        self.unstarted(generation, command, "new")
-    }
-
-    /// Another process of the same worker, which is never restarted by itself.
-    fn unstarted(&self, generation: u32, command: &[String], what: &str) -> Self {
+    /// A process that has not run and is never started again by itself.
+    fn unstarted(
+        worker: Worker,
+        generation: u32,
+        start: StartPlan,
+        lines: LineSink,
+        backoff: Backoff,
+    ) -> Self {
         Self {
-            worker: self.worker,
+            worker,
             generation,
             replacements: Replacements::default(),
             heartbeat: Heartbeat::default(),
             is_late: false,
             is_silent: false,
             used_generations: generation,
-            lines: self.lines.of_another(format!("{} ({what})", self.worker)),
-            command: if command.is_empty() { self.command.clone() } else { command.to_vec() },
-            scheduling: self.scheduling.clone(),
-            folder: self.folder.clone(),
+            lines,
+            start,
             restart: Restart::Never,
-            backoff: self.backoff.clone(),
+            backoff,
             child: None,
-            is_kept: self.is_kept,
             is_remembered: false,
             kept_output: None,
             condition: Condition::New,
@@ -192,47 +161,22 @@ impl Process {
         }
     }
 
-    /// Goes on where an earlier launcher was: with its program and its count of generations. It is started at
-    /// the next opportunity if it was not ended on demand.
-    pub fn recall(&mut self) {
-        self.condition = Condition::Waiting(Instant::now());
-        let Some(memo) = Memo::read(&self.folder, self.worker) else { return };
-        self.used_generations = memo.used_generations;
-        self.generation = memo.counting_generation;
-        self.command = memo.command;
-        if memo.is_stopped {
-            self.condition = Condition::Stopped;
-        }
-    }
-
-    /// Shows what a process of an earlier launcher has written before it ended, and removes what it left.
-    pub fn bury(&self, kept: &KeptProcess) {
-        if let Ok(mut output) = KeptOutput::open(&kept.output(&self.folder)) {
-            output.forward_rest(&self.lines).ok();
-        }
-        kept.forget(&self.folder);
-    }
-
-    /// Goes on with a living process that an earlier launcher has left.
-    pub fn adopt(&mut self, kept: &KeptProcess) {
-        self.used_generations = self.used_generations.max(kept.generation);
-        // It lived a moment ago. If it has ended since, it is started again.
-        let Ok(child) = RunningProcess::adopt(kept.pid) else { return };
-        self.generation = kept.generation;
-        self.command = kept.command.clone();
-        self.child = Some(child);
-        self.kept_output = self.open_kept_output();
-        self.condition = Condition::Running;
+    /// The process that may take the place of this one: of the next generation, with `command` (empty: the
+    /// same), and not yet started. It is never restarted by itself.
+    pub fn successor(&mut self, command: &[String]) -> Self {
+        let generation = self.take_generation();
         self.remember();
+        self.beside(generation, command, "new")
     }
 
-    /// The same process, which does not count any more and is to end.
-    pub fn adopt_retired(&mut self, kept: &KeptProcess) -> Self {
-        let mut retired = self.unstarted(kept.generation, &kept.command, "old");
-        retired.adopt(kept);
-        retired.ask_to_stop();
-        self.used_generations = self.used_generations.max(kept.generation);
-        retired
+    /// Another process of the same worker, with `command` (empty: the same).
+    fn beside(&self, generation: u32, command: &[String], what: &str) -> Self {
+        let mut start = self.start.clone();
+        if !command.is_empty() {
+            start.program = command.to_vec();
+        }
+        let lines = self.lines.of_another(format!("{} ({what})", self.worker));
+        Self::unstarted(self.worker, generation, start, lines, self.backoff.clone())
     }
 
     /// Takes the place of `old`, which is returned and is never started again.
@@ -257,12 +201,12 @@ impl Process {
 
     /// Its program and arguments.
     pub fn command(&self) -> &[String] {
-        &self.command
+        &self.start.program
     }
 
     /// Replaces its program and arguments from the next start on, and returns those of before.
     pub fn set_command(&mut self, command: Vec<String>) -> Vec<String> {
-        std::mem::replace(&mut self.command, command)
+        std::mem::replace(&mut self.start.program, command)
     }
 
     /// Its process number while it runs.
@@ -285,21 +229,6 @@ impl Process {
         self.used_generations + 1
     }
 
-    /// Notes for a later launcher what it cannot see for itself. What cannot be noted costs no more than that.
-    fn remember(&self) {
-        let memo = Memo {
-            used_generations: self.used_generations,
-            counting_generation: self.generation,
-            command: self.command.clone(),
-            is_stopped: self.asked == Asked::Stop || self.condition == Condition::Stopped,
-        };
-        if self.is_remembered
-            && let Err(error) = memo.write(&self.folder, self.worker)
-        {
-            tracing::warn!("{}: a later launcher will not know it: {error}", self.worker);
-        }
-    }
-
     fn take_generation(&mut self) -> u32 {
         self.used_generations += 1;
         self.used_generations
@@ -314,26 +243,9 @@ impl Process {
         self.asked = Asked::Nothing;
         self.condition = Condition::Running;
         self.remember();
-        // Not by its path: an update may have put another file there.
-        let mut command = Command::new("/proc/self/exe");
-        if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
-            // Graphics drivers warn without one.
-            command.env("XDG_RUNTIME_DIR", &self.folder);
-        }
-        command
-            .args(["exec-stage", "--parent", &std::process::id().to_string()])
-            .args(self.is_kept.then_some("--keep"))
-            .args(&self.scheduling)
-            .arg("--")
-            .args(&self.command)
-            .env(FOLDER_VARIABLE, &self.folder)
-            .env(STAGE_VARIABLE, self.worker.stage.name())
-            .env(REPLICA_VARIABLE, self.worker.replica.to_string())
-            .env(GENERATION_VARIABLE, self.generation.to_string())
-            .stdin(Stdio::null())
-            .process_group(0);
+        let mut command = self.start.command(self.worker, self.generation);
         let context = || format!("cannot start {}", self.label());
-        let (kept_output, child) = if self.is_kept {
+        let (kept_output, child) = if self.start.is_kept {
             let output = self.create_kept_output().with_context(context)?;
             let kept_output = self.open_kept_output();
             command.stdout(output.try_clone().with_context(context)?).stderr(output);
@@ -347,8 +259,6 @@ impl Process {
         };
         self.child = Some(RunningProcess::Own(child));
         self.kept_output = kept_output;
-        self.condition = Condition::Running;
-        self.asked = Asked::Nothing;
         self.kill_at = None;
         (self.is_late, self.is_silent) = (false, false);
         self.started = Instant::now();
@@ -362,49 +272,6 @@ impl Process {
     pub fn start_again(&mut self) -> anyhow::Result<()> {
         self.generation = self.take_generation();
         self.start()
-    }
-
-    /// Its record and its output, if it flies on when the launcher dies.
-    fn record(&self) -> KeptProcess {
-        KeptProcess {
-            stage: self.worker.stage.name().to_owned(),
-            replica: self.worker.replica,
-            generation: self.generation,
-            pid: self.pid().unwrap_or(0),
-            command: self.command.clone(),
-        }
-    }
-
-    fn create_kept_output(&self) -> std::io::Result<File> {
-        std::fs::create_dir_all(kept::folder(&self.folder))?;
-        File::options().append(true).create(true).open(self.record().output(&self.folder))
-    }
-
-    fn open_kept_output(&self) -> Option<KeptOutput> {
-        let path = self.record().output(&self.folder);
-        KeptOutput::open(&path)
-            .inspect_err(|error| tracing::warn!("the output of {}: {error}", self.label()))
-            .ok()
-    }
-
-    /// Passes on what a process that is kept has written.
-    fn forward_kept_output(&mut self) {
-        if let Some(output) = &mut self.kept_output
-            && let Err(error) = output.forward(&self.lines)
-        {
-            tracing::warn!("the output of {}: {error}", self.lines.label());
-            self.kept_output = None;
-        }
-    }
-
-    /// Removes what a process that was kept has left behind.
-    fn forget_kept(&mut self) {
-        if let Some(mut output) = self.kept_output.take() {
-            output.forward_rest(&self.lines).ok();
-        }
-        if self.is_kept {
-            self.record().forget(&self.folder);
-        }
     }
 
     /// Asks it to end, and kills it if it does not in [`STOP_TIME`].

@@ -1,15 +1,79 @@
 //! How a worker's process is started.
 
+use std::os::unix::process::CommandExt;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use anyhow::Context;
 use flockeye_config::{Scheduling, StageInfo, StageProcess};
 use flockeye_contract::StageName;
 use flockeye_runtime::backoff::Backoff;
+use flockeye_runtime::instance::{
+    FOLDER_VARIABLE, GENERATION_VARIABLE, REPLICA_VARIABLE, STAGE_VARIABLE,
+};
 use flockeye_runtime::scheduling::SchedulingPolicy;
 
+use crate::control::Worker;
+
+/// What the processes of one worker have in common.
+#[derive(Debug, Clone)]
+pub(super) struct StartPlan {
+    /// Program and arguments.
+    pub program: Vec<String>,
+    /// The instance's folder.
+    pub folder: PathBuf,
+    /// Whether they fly on when the launcher dies.
+    pub is_kept: bool,
+    /// Scheduling and processors, as arguments of `exec-stage`.
+    scheduling: Vec<String>,
+}
+
+impl StartPlan {
+    /// As configured.
+    ///
+    /// # Errors
+    /// The program is not there.
+    pub fn of(
+        stage: StageName,
+        configuration: &StageProcess,
+        folder: &Path,
+        is_kept: bool,
+    ) -> anyhow::Result<Self> {
+        Ok(Self {
+            program: program(stage.name(), configuration)?,
+            folder: folder.to_owned(),
+            is_kept,
+            scheduling: scheduling_arguments(stage, configuration),
+        })
+    }
+
+    /// What starts a process of this generation. Where its output goes is the caller's.
+    pub fn command(&self, worker: Worker, generation: u32) -> Command {
+        // Not by its path: an update may have put another file there.
+        let mut command = Command::new("/proc/self/exe");
+        if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
+            // Graphics drivers warn without one.
+            command.env("XDG_RUNTIME_DIR", &self.folder);
+        }
+        command
+            .args(["exec-stage", "--parent", &std::process::id().to_string()])
+            .args(self.is_kept.then_some("--keep"))
+            .args(&self.scheduling)
+            .arg("--")
+            .args(&self.program)
+            .env(FOLDER_VARIABLE, &self.folder)
+            .env(STAGE_VARIABLE, worker.stage.name())
+            .env(REPLICA_VARIABLE, worker.replica.to_string())
+            .env(GENERATION_VARIABLE, generation.to_string())
+            .stdin(Stdio::null())
+            .process_group(0);
+        command
+    }
+}
+
 /// Program and arguments of a stage: as configured, or the one beside the launcher.
-pub(super) fn program(stage: &str, configuration: &StageProcess) -> anyhow::Result<Vec<String>> {
+fn program(stage: &str, configuration: &StageProcess) -> anyhow::Result<Vec<String>> {
     if !configuration.command.is_empty() {
         return Ok(configuration.command.clone());
     }
@@ -30,7 +94,7 @@ pub(super) fn backoff([first_s, longest_s]: [f64; 2]) -> Backoff {
 }
 
 /// The arguments of `exec-stage` that say how and on which processors a stage runs.
-pub(super) fn scheduling_arguments(stage: StageName, configuration: &StageProcess) -> Vec<String> {
+fn scheduling_arguments(stage: StageName, configuration: &StageProcess) -> Vec<String> {
     let usual = StageInfo::of(stage).nice;
     let mut arguments = vec![format!("--nice={}", configuration.nice.unwrap_or(usual))];
     if !configuration.cpus.is_empty() {
