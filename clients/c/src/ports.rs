@@ -121,35 +121,38 @@ unsafe fn from_owner(owner: *mut c_void) -> Option<Box<dyn Any>> {
     (!owner.is_null()).then(|| *unsafe { Box::from_raw(owner.cast::<Box<dyn Any>>()) })
 }
 
-/// Opens one port of the topic with this name.
-struct Opening<'a> {
+/// A port of any topic.
+trait AnyPort: Sized {
+    /// Opens it for topic `T`.
+    fn open<T: Topic + 'static>(ports: &mut Ports, lane: usize) -> Result<Self, PortError>;
+}
+
+impl AnyPort for FlockeyeSubscriber {
+    fn open<T: Topic + 'static>(ports: &mut Ports, lane: usize) -> Result<Self, PortError> {
+        Ok(Self(Box::new(ports.subscriber_of_lane::<T>(lane)?)))
+    }
+}
+
+impl AnyPort for FlockeyePublisher {
+    fn open<T: Topic + 'static>(ports: &mut Ports, lane: usize) -> Result<Self, PortError> {
+        Ok(Self(Box::new(ports.publisher_of_lane::<T>(lane)?)))
+    }
+}
+
+/// Opens the port of the topic with this name.
+struct Opening<'a, P> {
     ports: &'a mut Ports,
     topic: &'a str,
     lane: usize,
-    is_publisher: bool,
-    opened: Option<Opened>,
+    opened: Option<P>,
 }
 
-enum Opened {
-    Subscriber(FlockeyeSubscriber),
-    Publisher(FlockeyePublisher),
-}
-
-impl TopicVisitor for Opening<'_> {
+impl<P: AnyPort> TopicVisitor for Opening<'_, P> {
     type Error = PortError;
 
     fn visit<T: Topic + 'static>(&mut self) -> Result<(), PortError> {
         if T::NAME == self.topic {
-            self.opened = Some(match self.is_publisher {
-                true => {
-                    let publisher = self.ports.publisher_of_lane::<T>(self.lane)?;
-                    Opened::Publisher(FlockeyePublisher(Box::new(publisher)))
-                }
-                false => {
-                    let subscriber = self.ports.subscriber_of_lane::<T>(self.lane)?;
-                    Opened::Subscriber(FlockeyeSubscriber(Box::new(subscriber)))
-                }
-            });
+            self.opened = Some(P::open::<T>(self.ports, self.lane)?);
         }
         Ok(())
     }
@@ -157,15 +160,14 @@ impl TopicVisitor for Opening<'_> {
 
 /// # Safety
 /// `stage` and `topic` are as the header says.
-unsafe fn open(
+unsafe fn open<P: AnyPort>(
     stage: *mut FlockeyeStage,
     topic: *const c_char,
     lane: u32,
-    is_publisher: bool,
-) -> anyhow::Result<Opened> {
+) -> anyhow::Result<P> {
     // SAFETY: the caller's promise.
     let (topic, ports) = unsafe { (text_of(topic)?, FlockeyeStage::ports(stage)?) };
-    let mut opening = Opening { ports, topic, lane: lane as usize, is_publisher, opened: None };
+    let mut opening = Opening { ports, topic, lane: lane as usize, opened: None };
     visit_topics(&mut opening)?;
     opening.opened.with_context(|| {
         let names: Vec<_> = TOPICS.iter().map(|topic| topic.name).collect();
@@ -184,10 +186,7 @@ pub unsafe extern "C" fn flockeye_subscribe(
     lane: u32,
 ) -> *mut FlockeyeSubscriber {
     // SAFETY: the caller's promise.
-    failure::handle(unsafe { open(stage, topic, lane, false) }.map(|opened| match opened {
-        Opened::Subscriber(subscriber) => subscriber,
-        Opened::Publisher(_) => unreachable!("a subscriber was asked for"),
-    }))
+    failure::handle(unsafe { open(stage, topic, lane) })
 }
 
 /// Publishes a topic; see `stage.h`.
@@ -201,10 +200,7 @@ pub unsafe extern "C" fn flockeye_advertise(
     lane: u32,
 ) -> *mut FlockeyePublisher {
     // SAFETY: the caller's promise.
-    failure::handle(unsafe { open(stage, topic, lane, true) }.map(|opened| match opened {
-        Opened::Publisher(publisher) => publisher,
-        Opened::Subscriber(_) => unreachable!("a publisher was asked for"),
-    }))
+    failure::handle(unsafe { open(stage, topic, lane) })
 }
 
 /// Ends a subscriber. Messages that were kept stay valid.
