@@ -78,6 +78,7 @@ fn stages_fly_on_without_their_launcher_and_the_next_one_takes_them_over() {
     first.signal(Signal::KILL);
     first.wait();
     // Poses flow, tools can look on, and nobody takes the living for leftovers.
+    wait_for_a_pose(&mut first);
     let refusals = [
         run(&["up", "--set", &format!("instance={instance}")]),
         ask(&instance, &["status"]),
@@ -86,7 +87,9 @@ fn stages_fly_on_without_their_launcher_and_the_next_one_takes_them_over() {
     for (_, output) in refusals {
         assert!(output.contains("fly on without a launcher"), "{output}");
     }
-    let mut second = Flight::start_as(&instance, &["--keep"], SMALL_FLIGHT);
+    let other = [SMALL_FLIGHT, &["fusion.covariance_scale=1.5"]].concat();
+    let mut second = Flight::start_as(&instance, &["--keep"], &other);
+    second.wait_for("what flies has other settings in fusion; they stay");
     second.wait_for("takes over fusion (process");
     wait_for_a_pose(&mut second);
     assert_eq!(workers(&instance), before, "{}", second.output());
@@ -127,6 +130,8 @@ fn what_has_ended_without_a_launcher_is_started_again_by_the_next_one_and_the_st
         std::thread::sleep(Duration::from_millis(10));
     }
     let mut second = Flight::start_as(&instance, &["--keep"], SMALL_FLIGHT);
+    second.wait_for("takes over ");
+    assert!(!second.output().contains("other settings"), "{}", second.output());
     for worker in ["detection", "simulator", "fusion"] {
         second.wait_for(&format!("{worker} is started again"));
     }
