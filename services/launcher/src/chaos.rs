@@ -19,11 +19,12 @@ use flockeye_runtime::clock;
 use flockeye_runtime::instance::Instance;
 use flockeye_runtime::ports::{Ports, Subscriber};
 
-use self::disturbance::{Dice, Disturbance, Kind, Victim};
+use self::disturbance::{Disturbance, Kind, Victim};
 use self::report::ChaosReport;
 use crate::attach::{Attached, PipelineChoice, attach};
 use crate::control::client::ask;
 use crate::control::{Request, SwapRequest, Worker};
+use crate::dice::Dice;
 
 /// Arguments of `chaos`.
 #[derive(Debug, Args)]

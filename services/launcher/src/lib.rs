@@ -29,6 +29,7 @@
 //! | [`bodies`], [`contract`] | the marker bodies; the contract for other languages |
 //! | [`stage`] | writes stages of one's own |
 //! | [`conformance`] | tests a stage alone against the contract |
+//! | [`dice`] | chance that repeats |
 //! | [`fault_point`] | where tests stop a hand-over |
 //! | [`exec`] | the first instructions of a stage's process |
 
@@ -43,6 +44,7 @@ pub mod conformance;
 pub mod contract;
 pub mod control;
 pub mod dashboard;
+pub mod dice;
 pub mod exec;
 pub mod fault_point;
 pub mod heartbeat;

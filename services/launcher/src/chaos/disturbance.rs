@@ -8,6 +8,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde::Serialize;
 
 use crate::control::Worker;
+use crate::dice::Dice;
 
 /// A kind of disturbance.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, ValueEnum, Serialize)]
@@ -81,36 +82,14 @@ impl Disturbance {
     }
 }
 
-/// Chance from a seed: SplitMix64 (Steele, Lea and Flood, "Fast splittable pseudorandom number generators",
-/// 2014).
-#[derive(Debug, Clone)]
-pub struct Dice(u64);
-
 impl Dice {
-    /// The same seed gives the same numbers.
-    pub fn new(seed: u64) -> Self {
-        Self(seed)
-    }
-
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mixed = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        mixed ^ (mixed >> 31)
-    }
-
-    fn choose<T: Copy>(&mut self, from: &[T]) -> Option<T> {
-        let number = self.next();
-        from.get((number % (from.len().max(1) as u64)) as usize).copied()
-    }
-
     /// The next disturbance of one of `victims`; of any kind if `only` is empty.
     pub fn throw(&mut self, victims: &[Victim], only: &[Kind]) -> Option<Disturbance> {
         let all = [Kind::Kill, Kind::Stop, Kind::Slow, Kind::Swap];
         let kind = self.choose(if only.is_empty() { &all } else { only })?;
         let victim = self.choose(victims)?;
         let lasts = match kind {
-            Kind::Stop => Duration::from_millis(100 + self.next() % 1900),
+            Kind::Stop => Duration::from_millis(100 + self.number() % 1900),
             Kind::Slow => Duration::from_secs(1),
             Kind::Kill | Kind::Swap => Duration::ZERO,
         };

@@ -8,11 +8,11 @@ use flockeye_contract::{
     DetectedMarker, DetectionHeader, Detections, FrameStamp, NONE, Search, Transfer, ViewHeader,
     ViewKind, Views,
 };
+use flockeye_convert::rotation;
 use flockeye_dictionary::Dictionary;
-use flockeye_geometry::statistics::median;
 use flockeye_runtime::clock;
 use flockeye_runtime::ports::{Publisher, Subscriber};
-use nalgebra::{Point2, Quaternion, UnitQuaternion, Vector3};
+use nalgebra::{Point2, UnitQuaternion, Vector3};
 
 use super::bench::Bench;
 use super::pictures::{self, ShownMarker};
@@ -239,13 +239,8 @@ impl Script {
             format!("none of {shown} markers of 24 to 72 px was decoded")
         });
         report.figure("markers decoded", f64::from(found) / f64::from(shown.max(1)) * 100.0, "%");
-        for (what, values, unit) in [
-            ("corner error, median", &mut errors_px, "px"),
-            ("time for a view, median", &mut took_ms, "ms"),
-        ] {
-            values.sort_by(f64::total_cmp);
-            report.figure(what, median(values).unwrap_or(f64::NAN), unit);
-        }
+        report.median("corner error, median", errors_px, "px");
+        report.median("time for a view, median", took_ms, "ms");
         let grown_mb = bench.resident_mb() - resident_mb;
         report.holds("memory stays flat", PAGE, grown_mb < GROWTH_MB, || {
             format!("resident_bytes grew by {grown_mb:.0} MB over {} views", VIEWS * 2 / 3)
@@ -343,8 +338,7 @@ impl Script {
 
 /// How far a marker's rays lie from its corners', radians.
 fn disagreement(view: &ViewHeader, marker: &DetectedMarker) -> f64 {
-    let [x, y, z, w] = view.camera_from_view;
-    let camera_from_view = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
+    let camera_from_view = rotation(view.camera_from_view);
     let middle = f64::from(view.size_px - 1) / 2.0;
     let angles = marker.corners_in_view.iter().zip(&marker.rays_in_camera).map(|(corner, ray)| {
         let [u, v] = corner.map(f64::from);

@@ -2,16 +2,14 @@
 
 use std::time::Duration;
 
-use anyhow::ensure;
 use flockeye_config::Resolved;
 use flockeye_contract::{
-    FrameHeader, FrameStamp, Frames, Projection, Rotation, RotationSource, Rotations, Transfer,
+    FrameHeader, FrameStamp, Frames, Rotation, RotationSource, Rotations, Transfer,
 };
-use flockeye_geometry::camera::CameraModel;
-use flockeye_geometry::statistics::median;
+use flockeye_convert::camera_turn;
 use flockeye_runtime::clock;
 use flockeye_runtime::ports::{Publisher, Subscriber};
-use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+use nalgebra::{UnitQuaternion, Vector3};
 
 use super::bench::Bench;
 use super::pictures;
@@ -35,8 +33,9 @@ const LEAST_KNOWN: f64 = 0.8;
 /// Errors that are so much larger than stated, in the median, make the covariance a lie. 2.4 is right.
 const MOST_NORMALIZED: f64 = 40.0;
 
-struct Script<'r> {
-    resolved: &'r Resolved,
+struct Script {
+    /// A frame without its stamp.
+    shape: FrameHeader,
     frames: Publisher<Frames>,
     rotations: Subscriber<Rotations>,
     sequence: u64,
@@ -48,12 +47,8 @@ struct Script<'r> {
 /// # Errors
 /// A camera that is not equirectangular, or a port that fails.
 pub fn run(bench: &mut Bench, resolved: &Resolved, report: &mut Report) -> anyhow::Result<()> {
-    ensure!(
-        matches!(resolved.camera.model(), CameraModel::Equirectangular { .. }),
-        "egomotion is tested with equirectangular frames. Cure: leave camera.projection as it is"
-    );
     let mut script = Script {
-        resolved,
+        shape: pictures::frame_shape(resolved, Transfer::Srgb)?,
         frames: bench.ports.publisher()?,
         rotations: bench.ports.subscriber()?,
         sequence: 0,
@@ -67,20 +62,7 @@ pub fn run(bench: &mut Bench, resolved: &Resolved, report: &mut Report) -> anyho
     Ok(())
 }
 
-impl Script<'_> {
-    /// A frame's shape.
-    fn shape(&self) -> FrameHeader {
-        let camera = &self.resolved.pipeline.camera;
-        FrameHeader {
-            width: camera.width,
-            height: camera.height,
-            stride: camera.width,
-            transfer: Transfer::Srgb.code(),
-            projection: Projection::Equirectangular.code(),
-            ..FrameHeader::default()
-        }
-    }
-
+impl Script {
     /// The next frame, which is sent at once.
     fn frame(&mut self) -> FrameHeader {
         self.sequence += 1;
@@ -93,7 +75,7 @@ impl Script<'_> {
                 published_ns: clock::monotonic_ns(),
                 ..FrameStamp::default()
             },
-            ..self.shape()
+            ..self.shape
         }
     }
 
@@ -122,10 +104,9 @@ impl Script<'_> {
     fn turns(&mut self, bench: &mut Bench, report: &mut Report) -> anyhow::Result<()> {
         let attitudes = attitudes();
         // Drawn before the first is sent, because frames come as fast as a camera's.
-        let shape = self.shape();
         let mut pictures = Vec::new();
         for attitude in &attitudes {
-            pictures.push(pictures::textured_world(&shape, attitude));
+            pictures.push(pictures::textured_world(&self.shape, attitude));
             // Health goes on meanwhile.
             bench.pass(Duration::ZERO)?;
         }
@@ -135,16 +116,14 @@ impl Script<'_> {
             let frame = self.frame();
             let Some(rotation) = self.asked(bench, report, &frame, pixels)? else { return Ok(()) };
             times_ms.push((clock::monotonic_ns() - frame.stamp.published_ns) as f64 * 1e-6);
-            let is_known = rotation.source != RotationSource::Nothing.code();
+            let turn = camera_turn(&rotation);
             let Some((before, was)) = before.replace((frame.stamp, world_from_camera)) else {
-                report.holds("nothing is known of the first frame", PAGE, !is_known, || {
+                report.holds("nothing is known of the first frame", PAGE, turn.is_none(), || {
                     format!("source is {}, and there is no frame before it", rotation.source)
                 });
                 continue;
             };
-            if !is_known {
-                continue;
-            }
+            let Some(turn) = turn else { continue };
             report.field(
                 "rotations are since the frame before",
                 PAGE,
@@ -153,9 +132,7 @@ impl Script<'_> {
                 before.exposure_ns,
             );
             let later_from_earlier = world_from_camera.inverse() * was;
-            let [x, y, z, w] = rotation.later_from_earlier;
-            let found = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
-            let off = (found * later_from_earlier.inverse()).scaled_axis();
+            let off = (turn.later_from_earlier * later_from_earlier.inverse()).scaled_axis();
             let off_deg = off.norm().to_degrees();
             report.holds("rotations are right", PAGE, off_deg < FAR_OFF_DEG, || {
                 format!(
@@ -164,9 +141,9 @@ impl Script<'_> {
                 )
             });
             errors_deg.push(off_deg);
-            let covariance = Matrix3::from_row_slice(&rotation.covariance);
             // Who states no doubt at all is infinitely wrong.
-            let inverse = covariance.try_inverse().filter(|inverse| inverse[(0, 0)].is_finite());
+            let inverse =
+                turn.covariance.try_inverse().filter(|inverse| inverse[(0, 0)].is_finite());
             normalized.push(inverse.map_or(f64::INFINITY, |inverse| off.dot(&(inverse * off))));
         }
         let known = errors_deg.len() as f64 / f64::from(FRAMES - 1);
@@ -177,19 +154,17 @@ impl Script<'_> {
                 FRAMES - 1
             )
         });
-        errors_deg.sort_by(f64::total_cmp);
-        normalized.sort_by(f64::total_cmp);
-        times_ms.sort_by(f64::total_cmp);
-        let typical = median(&normalized).unwrap_or(0.0);
-        report.holds("the covariance is honest", PAGE, typical < MOST_NORMALIZED, || {
+        report.figure("rotations known", 100.0 * known, "%");
+        report.median("error, median", errors_deg, "degrees");
+        let what = "squared error against the covariance, median";
+        let typical = report.median(what, normalized, "(2.4 is right)");
+        // Of no rotation at all, what is missing has been said above.
+        report.holds("the covariance is honest", PAGE, typical.is_nan() || typical < MOST_NORMALIZED, || {
             format!(
                 "squared errors are {typical:.0} times the covariance in the median; 2.4 is right"
             )
         });
-        report.figure("rotations known", 100.0 * known, "%");
-        report.figure("error, median", median(&errors_deg).unwrap_or(f64::NAN), "degrees");
-        report.figure("squared error against the covariance, median", typical, "(2.4 is right)");
-        report.figure("time for a frame, median", median(&times_ms).unwrap_or(f64::NAN), "ms");
+        report.median("time for a frame, median", times_ms, "ms");
         Ok(())
     }
 
@@ -224,7 +199,7 @@ impl Script<'_> {
             self.frames.send(bad, &pixels)?;
             bench.pass(Duration::from_millis(50))?;
         }
-        let pixels = pictures::textured_world(&self.shape(), &UnitQuaternion::identity());
+        let pixels = pictures::textured_world(&self.shape, &UnitQuaternion::identity());
         let frame = self.frame();
         self.frames.send(frame, &pixels)?;
         let what = "rotations pass the contract's check";

@@ -9,7 +9,6 @@ use flockeye_contract::{
     Views,
 };
 use flockeye_geometry::body::Body;
-use flockeye_geometry::statistics::median;
 use flockeye_geometry::view::View;
 use flockeye_runtime::clock;
 use flockeye_runtime::ports::{Publisher, Subscriber};
@@ -257,13 +256,8 @@ impl Script<'_> {
             measured as f64 / FRAMES as f64 * 100.0,
             "%",
         );
-        for (what, values, unit) in [
-            ("position error of a measurement by markers alone, median", &mut errors_mm, "mm"),
-            ("time from a frame's end to the next plan, median", &mut took_ms, "ms"),
-        ] {
-            values.sort_by(f64::total_cmp);
-            report.figure(what, median(values).unwrap_or(f64::NAN), unit);
-        }
+        report.median("position error of a measurement by markers alone, median", errors_mm, "mm");
+        report.median("time from a frame's end to the next plan, median", took_ms, "ms");
         Ok(())
     }
 

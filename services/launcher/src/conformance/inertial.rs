@@ -4,7 +4,6 @@ use std::time::{Duration, Instant};
 
 use flockeye_config::Resolved;
 use flockeye_contract::Imus;
-use flockeye_geometry::statistics::median;
 use flockeye_runtime::clock;
 use nalgebra::Vector3;
 
@@ -65,16 +64,10 @@ pub fn run(bench: &mut Bench, resolved: &Resolved, report: &mut Report) -> anyho
         )
     });
     let seconds = begun.map_or(f64::NAN, |begun| begun.elapsed().as_secs_f64());
-    for list in [&mut periods_ms, &mut delays_ms, &mut forces] {
-        list.sort_by(f64::total_cmp);
-    }
+    let longest_ms = periods_ms.into_iter().fold(f64::NAN, f64::max);
     report.figure("samples", forces.len() as f64 / seconds, "per second");
-    report.figure("longest gap", periods_ms.last().copied().unwrap_or(f64::NAN), "ms");
-    report.figure("from the sample to here, median", median(&delays_ms).unwrap_or(f64::NAN), "ms");
-    report.figure(
-        "specific force, median",
-        median(&forces).unwrap_or(f64::NAN),
-        "m/s^2 (9.8 at rest)",
-    );
+    report.figure("longest gap", longest_ms, "ms");
+    report.median("from the sample to here, median", delays_ms, "ms");
+    report.median("specific force, median", forces, "m/s^2 (9.8 at rest)");
     Ok(())
 }

@@ -1,8 +1,13 @@
 //! Pictures that the test knows all about: views that show a marker, and a sphere that tells each ray.
 
-use flockeye_contract::FrameHeader;
+use anyhow::ensure;
+use flockeye_config::Resolved;
+use flockeye_contract::{FrameHeader, Projection, Transfer};
 use flockeye_dictionary::Dictionary;
+use flockeye_geometry::camera::CameraModel;
 use nalgebra::{Isometry3, Point2, Point3, Translation3, UnitQuaternion, Vector3};
+
+use crate::dice::Dice;
 
 /// Rays for each pixel, along each axis.
 const SAMPLES: usize = 3;
@@ -89,20 +94,35 @@ pub fn view(
     (0..size_px * size_px).map(pixel).collect()
 }
 
+/// A frame of the configured camera, without its stamp.
+///
+/// # Errors
+/// A camera whose pictures the test cannot draw.
+pub fn frame_shape(resolved: &Resolved, transfer: Transfer) -> anyhow::Result<FrameHeader> {
+    ensure!(
+        matches!(resolved.camera.model(), CameraModel::Equirectangular { .. }),
+        "this stage is tested with equirectangular frames. Cure: leave camera.projection as it is"
+    );
+    let camera = &resolved.pipeline.camera;
+    Ok(FrameHeader {
+        width: camera.width,
+        height: camera.height,
+        stride: camera.width,
+        transfer: transfer.code(),
+        projection: Projection::Equirectangular.code(),
+        ..FrameHeader::default()
+    })
+}
+
 /// Side of the table of random levels.
 const LATTICE: usize = 32;
 
 /// A world full of soft spots of two sizes, as the camera sees it.
 pub fn textured_world(header: &FrameHeader, world_from_camera: &UnitQuaternion<f64>) -> Vec<u8> {
-    // A linear congruential generator (Knuth's MMIX): the world is the same in each test.
-    let mut state = 1_u64;
-    let levels: Vec<f64> = std::iter::repeat_with(|| {
-        state =
-            state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (state >> 40) as f64 / (1 << 24) as f64 - 0.5
-    })
-    .take(LATTICE * LATTICE * LATTICE)
-    .collect();
+    // The world is the same in each test.
+    let mut dice = Dice::new(1);
+    let levels: Vec<f64> =
+        std::iter::repeat_with(|| dice.share() - 0.5).take(LATTICE * LATTICE * LATTICE).collect();
     let noise = |at: Vector3<f64>| {
         let [cell, within] = [at.map(f64::floor), at - at.map(f64::floor)];
         let corner = |k: usize| {

@@ -2,18 +2,17 @@
 
 use std::time::Duration;
 
-use anyhow::ensure;
 use flockeye_config::Resolved;
 use flockeye_contract::{
     DetectedMarker, DetectionHeader, Detections, FrameEnd, FrameEnds, FrameHeader, FrameStamp,
-    Frames, NONE, PlanHeader, PlannedView, Plans, Projection, StopReason, StopRule, Transfer,
-    ViewHeader, ViewKind, Views,
+    Frames, NONE, PlanHeader, PlannedView, Plans, StopReason, StopRule, Transfer, ViewHeader,
+    ViewKind, Views,
 };
-use flockeye_geometry::camera::CameraModel;
+use flockeye_convert::rotation;
 use flockeye_geometry::view::View;
 use flockeye_runtime::clock;
 use flockeye_runtime::ports::{Publisher, Subscriber};
-use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use nalgebra::{UnitQuaternion, Vector3};
 
 use super::bench::Bench;
 use super::pictures;
@@ -53,6 +52,8 @@ struct Told {
 
 struct Script<'r> {
     resolved: &'r Resolved,
+    /// A frame without its stamp.
+    shape: FrameHeader,
     frames: Publisher<Frames>,
     plans: Publisher<Plans>,
     records: Publisher<Detections>,
@@ -69,12 +70,9 @@ struct Script<'r> {
 /// # Errors
 /// A camera that is not equirectangular, or a port that fails.
 pub fn run(bench: &mut Bench, resolved: &Resolved, report: &mut Report) -> anyhow::Result<()> {
-    ensure!(
-        matches!(resolved.camera.model(), CameraModel::Equirectangular { .. }),
-        "rectification is tested with equirectangular frames. Cure: leave camera.projection as it is"
-    );
     let mut script = Script {
         resolved,
+        shape: pictures::frame_shape(resolved, Transfer::Linear)?,
         frames: bench.ports.publisher()?,
         plans: bench.ports.publisher()?,
         records: bench.ports.publisher()?,
@@ -85,7 +83,7 @@ pub fn run(bench: &mut Bench, resolved: &Resolved, report: &mut Report) -> anyho
         plan_id: 0,
         unanswered: 0,
     };
-    script.picture = pictures::sphere(&script.frame());
+    script.picture = pictures::sphere(&script.shape);
     script.sweep(bench, report)?;
     script.planned(bench, report)?;
     script.first_hit(bench, report)?;
@@ -99,7 +97,6 @@ impl Script<'_> {
     fn frame(&mut self) -> FrameHeader {
         let now_ns = clock::monotonic_ns();
         self.sequence += 1;
-        let camera = &self.resolved.pipeline.camera;
         FrameHeader {
             stamp: FrameStamp {
                 sequence: self.sequence,
@@ -108,12 +105,7 @@ impl Script<'_> {
                 published_ns: now_ns,
                 ..FrameStamp::default()
             },
-            width: camera.width,
-            height: camera.height,
-            stride: camera.width,
-            transfer: Transfer::Linear.code(),
-            projection: Projection::Equirectangular.code(),
-            ..FrameHeader::default()
+            ..self.shape
         }
     }
 
@@ -330,8 +322,8 @@ impl Script<'_> {
                 let since_s =
                     frame.stamp.exposure_ns.saturating_sub(planned.reference_ns) as f64 * 1e-9;
                 let turn = UnitQuaternion::from_scaled_axis(Vector3::from(RATE) * since_s);
-                let wanted = turn * rotation(&planned.camera_from_view);
-                let off_rad = wanted.angle_to(&rotation(&header.camera_from_view));
+                let wanted = turn * rotation(planned.camera_from_view);
+                let off_rad = wanted.angle_to(&rotation(header.camera_from_view));
                 report.holds(
                     "views are turned to the exposure",
                     PAGE,
@@ -346,9 +338,7 @@ impl Script<'_> {
                 );
             }
         }
-        took_ms.sort_by(f64::total_cmp);
-        let median = flockeye_geometry::statistics::median(&took_ms);
-        report.figure("time for a frame of 4 views, median", median.unwrap_or(f64::NAN), "ms");
+        report.median("time for a frame of 4 views, median", took_ms, "ms");
         Ok(())
     }
 
@@ -480,14 +470,10 @@ impl Script<'_> {
     }
 }
 
-fn rotation(&[x, y, z, w]: &[f64; 4]) -> UnitQuaternion<f64> {
-    UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z))
-}
-
 /// How far a view's pixels are from what the sphere shows along their rays, in the mean over some of them.
 fn error_levels(header: &ViewHeader, pixels: &[u8]) -> f64 {
     let view = View {
-        camera_from_view: rotation(&header.camera_from_view),
+        camera_from_view: rotation(header.camera_from_view),
         focal_px: header.focal_px,
         size_px: header.size_px,
     };

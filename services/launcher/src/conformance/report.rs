@@ -2,6 +2,7 @@
 
 use std::fmt::Write;
 
+use flockeye_geometry::statistics::median;
 use serde::Serialize;
 
 /// The checks of a test, and the candidate's figures.
@@ -76,6 +77,14 @@ impl Report {
     /// Notes a figure.
     pub fn figure(&mut self, what: &'static str, value: f64, unit: &'static str) {
         self.figures.push(Figure { what, value, unit });
+    }
+
+    /// Notes the median of what was measured, and returns it; without a value it is no number.
+    pub fn median(&mut self, what: &'static str, mut values: Vec<f64>, unit: &'static str) -> f64 {
+        values.sort_by(f64::total_cmp);
+        let value = median(&values).unwrap_or(f64::NAN);
+        self.figures.push(Figure { what, value, unit });
+        value
     }
 
     /// How many checks failed.

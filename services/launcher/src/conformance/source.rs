@@ -4,7 +4,6 @@ use std::time::{Duration, Instant};
 
 use flockeye_config::{Flow, Resolved};
 use flockeye_contract::{FrameHeader, FrameStamp, Frames, PlanHeader, Plans, StopRule};
-use flockeye_geometry::statistics::median;
 use flockeye_runtime::clock;
 use flockeye_runtime::ports::{Publisher, Subscriber};
 
@@ -119,11 +118,9 @@ impl Script<'_> {
             )
         });
         let sent = self.last.map_or(0, |last| last.sequence.saturating_sub(first.stamp.sequence));
-        delays_ms.sort_by(f64::total_cmp);
         report.figure("frames", count as f64 / seconds, "per second");
         report.figure("frames left out", sent.saturating_sub(count as u64) as f64, "");
-        let delay_ms = median(&delays_ms).unwrap_or(f64::NAN);
-        report.figure("from exposure to publication, median", delay_ms, "ms");
+        report.median("from exposure to publication, median", delays_ms, "ms");
         if is_over {
             return Ok(());
         }
