@@ -154,27 +154,66 @@ int main(void) {
 }
 "#;
 
-#[test]
-fn the_library_is_found_by_pkg_config_and_says_why_it_fails_in_c_and_in_cpp() {
-    let scratch = Scratch::new("c-probe");
-    let prefix = install(&scratch);
+/// A stage whose step does what is refused in a step, and passes that on.
+const FAILING_STAGE: &str = r#"
+#include <stdio.h>
+#include <flockeye/stage.h>
+
+static int step(void *context) {
+    return flockeye_subscribe(context, FLOCKEYE_TOPIC_VIEW, 0) ? FLOCKEYE_OK : FLOCKEYE_FAILED;
+}
+
+int main(void) {
+    flockeye_stage *stage = flockeye_stage_open("detection");
+    if (flockeye_stage_run(stage, "fails in its first step", step, stage) != FLOCKEYE_OK) {
+        fprintf(stderr, "%s\n", flockeye_error());
+        return 1;
+    }
+    return 0;
+}
+"#;
+
+/// Compiles a program against the library as pkg-config finds it.
+fn compile(
+    scratch: &Scratch,
+    prefix: &str,
+    source: &str,
+    [compiler, language]: [&str; 2],
+) -> String {
     let config = |what: &str| {
         let path = format!("--with-path={prefix}/lib/pkgconfig");
         run_program("pkg-config", &[&path, what, "flockeye-stage"])
     };
     let flags = format!("{} {}", config("--cflags"), config("--libs"));
-    let source = scratch.path("probe.c");
-    std::fs::write(&source, PROBE).expect("it can be written");
-    let source = source.to_str().expect("a plain path");
-    for (compiler, language) in [("cc", "-xc"), ("c++", "-xc++")] {
-        let program = scratch.path(compiler);
-        let program = program.to_str().expect("a plain path");
-        let mut arguments =
-            vec!["-Wall", "-Wextra", "-Werror", language, source, "-xnone", "-o", program];
-        arguments.extend(flags.split_whitespace());
-        run_program(compiler, &arguments);
-        run_program(program, &[]);
+    let file = scratch.path("source.c");
+    std::fs::write(&file, source).expect("it can be written");
+    let file = file.to_str().expect("a plain path");
+    let program = scratch.path(compiler).to_str().expect("a plain path").to_owned();
+    let mut arguments =
+        vec!["-Wall", "-Wextra", "-Werror", language, file, "-xnone", "-o", &program];
+    arguments.extend(flags.split_whitespace());
+    run_program(compiler, &arguments);
+    program
+}
+
+#[test]
+fn the_library_is_found_by_pkg_config_and_says_why_it_fails_in_c_and_in_cpp() {
+    let scratch = Scratch::new("c-probe");
+    let prefix = install(&scratch);
+    for language in [["cc", "-xc"], ["c++", "-xc++"]] {
+        run_program(compile(&scratch, &prefix, PROBE, language), &[]);
     }
+}
+
+#[test]
+fn a_step_that_fails_ends_the_stage_with_the_reason_of_the_call_that_failed() {
+    let scratch = Scratch::new("c-failing");
+    let stage = compile(&scratch, &install(&scratch), FAILING_STAGE, ["cc", "-xc"]);
+    let small = ["--set", "camera.width=1024", "--set", "camera.height=512"];
+    let (succeeded, output) =
+        run(&[&["stage", "test", "detection"], &small[..], &["--", &stage]].concat());
+    let wanted = "a step has ended with -1: ports are opened before `flockeye_stage_run`";
+    assert!(!succeeded && output.contains(wanted), "{output}");
 }
 
 #[test]
