@@ -8,7 +8,7 @@ from ctypes import c_double, c_float, c_int64, c_uint8, c_uint32, c_uint64
 from enum import IntEnum
 from typing import NamedTuple
 
-CONTRACT_VERSION = "6"
+CONTRACT_VERSION = "7"
 VERSION_ATTRIBUTE = "flockeye.contract"
 # Of an index that points nowhere.
 NONE = 0xFFFFFFFF
@@ -93,6 +93,13 @@ class MeasuredBy(IntEnum):
     NOTHING = 0
     DECODED = 1
     ALIGNED = 2
+
+
+class SwarmWay(IntEnum):
+    DIRECT = 0
+    MUTUAL = 1
+    REPORTED = 2
+    CHAINED = 3
 
 
 class StageState(IntEnum):
@@ -345,6 +352,55 @@ class Track(Contract):
     ]
 
 
+class PeerHeader(Contract):
+    _fields_ = [
+        ("arrived_ns", c_int64),
+        ("generation", c_uint32),
+        ("is_signed", c_uint32),
+    ]
+
+
+class PeerSighting(Contract):
+    _fields_ = [
+        ("observer_from_target", Pose),
+        ("covariance", c_double * 36),
+        ("target_from_observer", Pose),
+        ("inverse_covariance", c_double * 36),
+        ("linear_velocity", c_double * 3),
+        ("angular_velocity", c_double * 3),
+        ("exposure_ns", c_int64),
+        ("exposure_deviation_ns", c_int64),
+        ("frame", c_uint64),
+        ("observer", c_uint8 * 32),
+        ("target", c_uint8 * 32),
+        ("epoch", c_uint32),
+        ("state", c_uint32),
+        ("measured_by", c_uint32),
+        ("is_own", c_uint32),
+    ]
+
+
+class SwarmHeader(Contract):
+    _fields_ = [
+        ("at_ns", c_int64),
+        ("sent_ns", c_int64),
+        ("generation", c_uint32),
+        ("left_out", c_uint32),
+    ]
+
+
+class SwarmPose(Contract):
+    _fields_ = [
+        ("own_from_drone", Pose),
+        ("covariance", c_double * 36),
+        ("seen_ns", c_int64),
+        ("name", c_uint8 * 32),
+        ("through", c_uint8 * 32),
+        ("way", c_uint32),
+        ("pairs", c_uint32),
+    ]
+
+
 class Health(Contract):
     _fields_ = [
         ("sent_ns", c_int64),
@@ -422,6 +478,8 @@ VIEW = Topic("flockeye/view", ViewHeader, c_uint8, has_lanes=True)
 DETECTION = Topic("flockeye/detection", DetectionHeader, DetectedMarker)
 FRAME_END = Topic("flockeye/frame_end", FrameEnd, c_uint8)
 TRACK = Topic("flockeye/track", TrackHeader, Track)
+PEER = Topic("flockeye/peer", PeerHeader, PeerSighting)
+SWARM = Topic("flockeye/swarm", SwarmHeader, SwarmPose)
 HEALTH = Topic("flockeye/health", Health, c_uint8)
 TRUTH = Topic("flockeye/truth", TruthHeader, BodyTruth)
 HANDOVER = Topic("flockeye/handover", HandOver, c_uint8)
@@ -443,6 +501,10 @@ TYPES = [
     TrackHeader,
     StageLatency,
     Track,
+    PeerHeader,
+    PeerSighting,
+    SwarmHeader,
+    SwarmPose,
     Health,
     TruthHeader,
     BodyTruth,

@@ -3,6 +3,7 @@
 //! In shared memory they are `u32` codes, because a foreign stage may write any number; here they
 //! are Rust enums, and the border between the two is `TryFrom<u32>`.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// A code that this version of the contract does not know.
@@ -18,7 +19,7 @@ pub struct UnknownCode {
 macro_rules! codes {
     ($(#[$doc:meta])* $name:ident, $what:literal { $($(#[$variant_doc:meta])* $variant:ident = $code:literal),+ $(,)? }) => {
         $(#[$doc])*
-        #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
         #[serde(rename_all = "snake_case")]
         #[repr(u32)]
         pub enum $name { $($(#[$variant_doc])* $variant = $code),+ }
@@ -244,6 +245,20 @@ mod tests {
             assert_eq!(TrackState::try_from(state.code()), Ok(state));
         }
         assert_eq!(StopRule::try_from(77), Err(UnknownCode { what: "stop rule", code: 77 }));
+    }
+}
+
+codes! {
+    /// How a drone's place in the swarm is known.
+    SwarmWay, "swarm way" {
+        /// This drone sees it.
+        Direct = 0,
+        /// Each of the two sees the other.
+        Mutual = 1,
+        /// It sees this drone, and is not seen by it.
+        Reported = 2,
+        /// Through others alone.
+        Chained = 3,
     }
 }
 

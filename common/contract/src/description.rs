@@ -7,10 +7,11 @@ use std::mem::{align_of, offset_of, size_of};
 
 use crate::{
     BodyTruth, Complaint, ComplaintKind, DetectedMarker, DetectionHeader, FrameEnd, FrameHeader,
-    FrameStamp, HandOver, HandOverState, Health, ImuHeader, ImuSample, MeasuredBy, PixelFormat,
-    PlanHeader, PlannedView, Pose, Projection, Range, Rotation, RotationSource, Search, SearchMode,
-    StageLatency, StageState, StopReason, StopRule, Text, Topic, TopicVisitor, Track, TrackHeader,
-    TrackState, Transfer, TruthHeader, ViewHeader, ViewKind, visit_topics,
+    FrameStamp, HandOver, HandOverState, Health, ImuHeader, ImuSample, MeasuredBy, PeerHeader,
+    PeerSighting, PixelFormat, PlanHeader, PlannedView, Pose, Projection, Range, Rotation,
+    RotationSource, Search, SearchMode, StageLatency, StageState, StopReason, StopRule,
+    SwarmHeader, SwarmPose, SwarmWay, Text, Topic, TopicVisitor, Track, TrackHeader, TrackState,
+    Transfer, TruthHeader, ViewHeader, ViewKind, visit_topics,
 };
 
 pub use c::c_header;
@@ -130,6 +131,12 @@ types! {
         measured_observer_from_target, measured_covariance, predicted_observer_from_target,
         predicted_covariance, predicted_ns, age_ns, unseen_ns, latency, name, target, track_id, state,
         measured_by, markers, reserved;
+    PeerHeader: arrived_ns, generation, is_signed;
+    PeerSighting: observer_from_target, covariance, target_from_observer, inverse_covariance,
+        linear_velocity, angular_velocity, exposure_ns, exposure_deviation_ns, frame, observer, target,
+        epoch, state, measured_by, is_own;
+    SwarmHeader: at_ns, sent_ns, generation, left_out;
+    SwarmPose: own_from_drone, covariance, seen_ns, name, through, way, pairs;
     Health: sent_ns, taken, published, dropped, failed, queued, processor_ns, resident_bytes,
         latency_median_ns, latency_p99_ns, stage, detail, replica, generation, pid, state;
     TruthHeader: stamp, world_from_camera, observer_yaw, exposure_s;
@@ -156,7 +163,7 @@ pub(crate) fn codes() -> Vec<Codes> {
     }
     codes! {
         PixelFormat Transfer Range Projection RotationSource ViewKind Search StopRule StopReason
-        SearchMode TrackState MeasuredBy StageState HandOverState ComplaintKind
+        SearchMode TrackState MeasuredBy SwarmWay StageState HandOverState ComplaintKind
     }
 }
 

@@ -5,8 +5,8 @@ use serde::Serialize;
 
 use crate::{
     CONTRACT_VERSION, ComplaintKind, HandOverState, MeasuredBy, PixelFormat, Projection, Range,
-    RotationSource, Search, SearchMode, StageState, StopReason, StopRule, TrackState, Transfer,
-    VERSION_ATTRIBUTE, ViewKind,
+    RotationSource, Search, SearchMode, StageState, StopReason, StopRule, SwarmWay, TrackState,
+    Transfer, VERSION_ATTRIBUTE, ViewKind,
 };
 
 const DOCUMENT: &str = include_str!("../../../docs/CONTRACT.md");
@@ -62,6 +62,7 @@ fn the_documented_codes_are_the_contracts() {
         ("search mode", names(SearchMode::ALL)),
         ("track state", names(TrackState::ALL)),
         ("measured by", names(MeasuredBy::ALL)),
+        ("swarm way", names(SwarmWay::ALL)),
         ("stage state", names(StageState::ALL)),
         ("hand-over state", names(HandOverState::ALL)),
         ("complaint kind", names(ComplaintKind::ALL)),

@@ -5,8 +5,8 @@ use std::mem::{align_of, size_of};
 
 use crate::{
     BodyTruth, Complaint, DetectedMarker, DetectionHeader, FrameEnd, FrameHeader, HandOver, Health,
-    ImuHeader, ImuSample, PlanHeader, PlannedView, Rotation, Text, Track, TrackHeader, TruthHeader,
-    ViewHeader,
+    ImuHeader, ImuSample, PeerHeader, PeerSighting, PlanHeader, PlannedView, Rotation, SwarmHeader,
+    SwarmPose, Text, Track, TrackHeader, TruthHeader, ViewHeader,
 };
 
 #[test]
@@ -39,6 +39,10 @@ fn type_names_are_pinned() {
             FrameEnd::type_name(),
             TrackHeader::type_name(),
             Track::type_name(),
+            PeerHeader::type_name(),
+            PeerSighting::type_name(),
+            SwarmHeader::type_name(),
+            SwarmPose::type_name(),
             Health::type_name(),
             TruthHeader::type_name(),
             BodyTruth::type_name(),
@@ -59,6 +63,10 @@ fn type_names_are_pinned() {
         "flockeye/FrameEnd",
         "flockeye/TrackHeader",
         "flockeye/Track",
+        "flockeye/PeerHeader",
+        "flockeye/PeerSighting",
+        "flockeye/SwarmHeader",
+        "flockeye/SwarmPose",
         "flockeye/Health",
         "flockeye/TruthHeader",
         "flockeye/BodyTruth",

@@ -7,12 +7,13 @@ use iceoryx2::prelude::ZeroCopySend;
 
 use crate::{
     BodyTruth, Complaint, ContractError, DetectedMarker, DetectionHeader, FrameEnd, FrameHeader,
-    HandOver, Health, ImuHeader, ImuSample, PlanHeader, PlannedView, Rotation, Spoken, StageName,
-    Track, TrackHeader, TruthHeader, ViewHeader,
+    HandOver, Health, ImuHeader, ImuSample, PeerHeader, PeerSighting, PlanHeader, PlannedView,
+    Rotation, Spoken, StageName, SwarmHeader, SwarmPose, Track, TrackHeader, TruthHeader,
+    ViewHeader,
 };
 
 /// Version of everything in this crate. A stage of another version is refused.
-pub const CONTRACT_VERSION: &str = "6";
+pub const CONTRACT_VERSION: &str = "7";
 
 /// The iceoryx2 service attribute that carries [`CONTRACT_VERSION`].
 pub const VERSION_ATTRIBUTE: &str = "flockeye.contract";
@@ -123,9 +124,9 @@ topics! {
     /// Inertial sensor to egomotion: how the drone turns and accelerates.
     Imus = "flockeye/imu", ImuHeader, [ImuSample],
         [Capture, Simulator, Inertial] => [Egomotion], |header, items| header.check(items);
-    /// Egomotion to fusion: how the camera has turned since the frame before.
+    /// Egomotion to fusion and the gateway: how the camera has turned since the frame before.
     Rotations = "flockeye/rotation", Rotation, [u8],
-        [Egomotion] => [Fusion], |header, _items| header.check();
+        [Egomotion] => [Fusion, Gateway], |header, _items| header.check();
     /// Fusion to rectification (and, in a lossless run, to the source): where to look.
     Plans = "flockeye/plan", PlanHeader, [PlannedView],
         [Fusion] => [Rectification, Capture, Simulator], |header, items| header.check(items);
@@ -141,6 +142,12 @@ topics! {
     /// Fusion to the gateway and to tools: the neighbours' poses.
     Tracks = "flockeye/track", TrackHeader, [Track],
         [Fusion] => [Gateway], |_header, items| items.iter().try_for_each(Track::check);
+    /// Gateway to whoever wants: what peers report.
+    Peers = "flockeye/peer", PeerHeader, [PeerSighting],
+        [Gateway] => [], |_header, items| items.iter().try_for_each(PeerSighting::check);
+    /// Gateway to whoever wants: where all drones of the swarm are from here.
+    Swarms = "flockeye/swarm", SwarmHeader, [SwarmPose],
+        [Gateway] => [], |_header, items| items.iter().try_for_each(SwarmPose::check);
     /// Every stage to the launcher.
     Healths = "flockeye/health", Health, [u8],
         [Capture, Simulator, Inertial, Egomotion, Rectification, Detection, Fusion, Gateway] => [], |header, _items| header.check();

@@ -50,6 +50,30 @@ pub struct TurnAhead {
     pub rate_covariance: Matrix3<f64>,
 }
 
+impl CameraTurn {
+    /// The same turn in the axes of a frame that is fixed to the camera.
+    pub fn in_frame(&self, frame_from_camera: &UnitQuaternion<f64>) -> Self {
+        let axes = frame_from_camera.to_rotation_matrix().into_inner();
+        let turn =
+            |turn: &UnitQuaternion<f64>| frame_from_camera * turn * frame_from_camera.inverse();
+        let matrix = |covariance: &Matrix3<f64>| axes * covariance * axes.transpose();
+        Self {
+            later_from_earlier: turn(&self.later_from_earlier),
+            covariance: matrix(&self.covariance),
+            rate_in_camera: axes * self.rate_in_camera,
+            rate_covariance: matrix(&self.rate_covariance),
+            ahead: self.ahead.map(|ahead| TurnAhead {
+                ahead_from_later: turn(&ahead.ahead_from_later),
+                covariance: matrix(&ahead.covariance),
+                rate_in_camera: axes * ahead.rate_in_camera,
+                rate_covariance: matrix(&ahead.rate_covariance),
+                ..ahead
+            }),
+            ..*self
+        }
+    }
+}
+
 /// A rotation of the camera between two times, and how certain it is.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Turned {

@@ -25,6 +25,7 @@ impl NetworkParameters {
             // Port 0 stands for any port, so there is nothing to connect to.
             connect: own.filter(|endpoint| !endpoint.ends_with(":0")).cloned().collect(),
             listen: Vec::new(),
+            is_onlooker: true,
             ..Self::of_drone(pipeline)
         }
     }

@@ -1,9 +1,6 @@
 //! What can go wrong with the network.
 
-use flockeye_contract::wire::WireError;
-
-/// Most targets that one observer reports on.
-pub const MAX_TARGETS: usize = 64;
+use flockeye_contract::wire::{MAX_TARGETS, WireError};
 
 /// What can go wrong with the network. None of these ends a stage that is already running.
 #[derive(Debug, thiserror::Error)]

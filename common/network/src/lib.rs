@@ -11,24 +11,30 @@
 //! The format is in [`flockeye_contract::wire`]; `docs/PEERS.md` describes it for subscribers in other
 //! languages.
 
+mod clock;
 mod configured;
 mod connection;
 mod error;
+mod freshness;
 mod listener;
 mod lock;
 mod outbox;
 mod parameters;
 mod peers;
 mod reporter;
+mod seal;
 mod session;
 mod stream;
 mod utc;
 
-pub use error::{MAX_TARGETS, NetworkError};
+pub use clock::ClockEstimate;
+pub use error::NetworkError;
+pub use freshness::{ArrivalTime, NotOfNow};
 pub use listener::Listener;
 pub use parameters::{NetworkMode, NetworkParameters};
-pub use peers::{MAX_OBSERVERS, PeerState, Peers, Received, Refusal, age_of};
+pub use peers::{MAX_OBSERVERS, PeerState, Peers, Received, Refusal, Refused, age_of};
 pub use reporter::{Reporter, ReporterCounters};
+pub use seal::Seal;
 pub use session::Network;
 pub use stream::{Heard, ReportStream};
-pub use utc::utc_from_monotonic;
+pub use utc::{monotonic_now_ns, utc_from_monotonic};

@@ -1,20 +1,20 @@
 //! Receives the reports of other drones.
 
 use std::{
-    collections::BTreeSet,
+    collections::BTreeMap,
     sync::{Arc, Condvar, Mutex, PoisonError},
     thread::{self, JoinHandle},
     time::{Duration, Instant},
 };
 
 use flockeye_contract::wire::{
-    MAX_REPORT_BYTES, WireError, all_alive_key, all_poses_key, pose_key,
+    MAX_FRAME_REPORT_BYTES, WireError, all_alive_key, all_frames_key, all_frames_token_key,
+    frame_key, pose_key,
 };
-use flockeye_runtime::clock::monotonic_ns;
 use flockeye_runtime::logs::Throttle;
 use zenoh::{
     Session, Wait,
-    bytes::ZBytes,
+    pubsub::Subscriber,
     qos::{CongestionControl, Priority},
     query::{ConsolidationMode, QueryTarget, Reply},
     sample::{Sample, SampleKind},
@@ -22,18 +22,24 @@ use zenoh::{
 
 use crate::connection::Connection;
 use crate::error::NetworkError;
+use crate::freshness::ArrivalTime;
 use crate::lock::lock;
-use crate::peers::{Arrival, Peers, Refusal, Way, observer_in};
+use crate::peers::{Arrival, Message, Peers, Refusal, Token, Way, token_in};
+use crate::seal::Seal;
 use crate::stream::{Heard, ReportStream, Streams};
 
 /// How long an observer has to answer with its last values; it publishes new ones long before.
 const ANSWER_WITHIN: Duration = Duration::from_secs(2);
 
+/// How long after its token an observer that publishes frame reports has said so: both tokens travel
+/// together.
+const FRAMES_WITHIN: Duration = Duration::from_millis(300);
+
 /// Keeps a table of who is alive and what each of them sees, until dropped.
 ///
-/// Reports are received as they are published. An observer that is first seen is asked for its last
-/// values, so that a drone that joins late knows what the others know. Refused messages are counted
-/// and logged, and have no other effect.
+/// Frame reports are received as they are published. An observer that publishes none (its version is older) is
+/// listened to pose by pose. One that is first seen is asked for its last values, so that a drone that
+/// joins late knows what the others know. Refused messages are counted and logged, and have no other effect.
 #[derive(Debug)]
 pub struct Listener {
     hearing: Arc<Hearing>,
@@ -41,14 +47,20 @@ pub struct Listener {
 }
 
 impl Listener {
-    pub(crate) fn start(connection: Arc<Connection>, swarm: &str) -> Result<Self, NetworkError> {
+    pub(crate) fn start(
+        connection: Arc<Connection>,
+        swarm: &str,
+        own: Option<String>,
+        seal: Option<Arc<dyn Seal>>,
+    ) -> Result<Self, NetworkError> {
         let hearing = Arc::new(Hearing {
             swarm: swarm.into(),
-            peers: Mutex::default(),
+            peers: Mutex::new(Peers::of(own)),
             streams: Streams::default(),
-            unqueried: Mutex::default(),
+            newcomers: Mutex::default(),
             changed: Condvar::new(),
             warnings: Mutex::default(),
+            seal,
         });
         let name = "zenoh-listener";
         let thread = {
@@ -75,7 +87,7 @@ impl Listener {
 
 impl Drop for Listener {
     fn drop(&mut self) {
-        lock(&self.hearing.unqueried).closed = true;
+        lock(&self.hearing.newcomers).closed = true;
         self.hearing.changed.notify_all();
         if let Some(thread) = self.thread.take()
             && thread.join().is_err()
@@ -91,37 +103,87 @@ struct Hearing {
     swarm: String,
     peers: Mutex<Peers>,
     streams: Streams,
-    unqueried: Mutex<Unqueried>,
+    newcomers: Mutex<Newcomers>,
     changed: Condvar,
     warnings: Mutex<Throttle>,
+    seal: Option<Arc<dyn Seal>>,
 }
 
-/// Observers that are still to be asked for their last values. All are in the table of peers, which
-/// bounds their number.
+/// Observers that are still to be listened to, and from when on it is known how. All are in the table of peers,
+/// which bounds their number.
 #[derive(Debug, Default)]
-struct Unqueried {
-    observers: BTreeSet<String>,
+struct Newcomers {
+    due: BTreeMap<String, Instant>,
+    gone: Vec<String>,
     closed: bool,
 }
 
+/// What the thread does next.
+enum Next {
+    Listen(String),
+    Forget(String),
+}
+
 impl Hearing {
-    fn hear(&self, key: &str, payload: &ZBytes, way: Way) {
-        let arrival = Arrival { at: Instant::now(), monotonic_ns: monotonic_ns(), way };
-        // One byte more than allowed is enough to see that it is too long.
-        let readable = payload.len() <= MAX_REPORT_BYTES;
-        let payload_bytes = if readable { payload.to_bytes() } else { Default::default() };
-        let taken = lock(&self.peers).take(key, &payload_bytes, arrival);
-        match taken {
-            Ok(Some(report)) => {
-                let arrived_monotonic_ns = arrival.monotonic_ns;
-                self.streams.send(&Heard { arrived_monotonic_ns, report });
-            }
-            Ok(None) => {}
-            Err(_) if !readable => {
-                self.warn(key, &WireError::TooLong { found: payload.len() }.into());
-            }
-            Err(refusal) => self.warn(key, &refusal),
+    fn hear(&self, sample: &Sample, way: Way) {
+        if sample.kind() != SampleKind::Put {
+            return;
         }
+        let (key, payload) = (sample.key_expr().as_str(), sample.payload());
+        let arrival = Arrival { at: Instant::now(), time: ArrivalTime::now(), way };
+        if payload.len() > MAX_FRAME_REPORT_BYTES {
+            let too_long =
+                WireError::TooLong { found: payload.len(), most: MAX_FRAME_REPORT_BYTES };
+            lock(&self.peers).refused += 1;
+            return self.warn(key, &too_long.into());
+        }
+        let payload = payload.to_bytes();
+        let seal = self.check_seal(sample, &payload, way);
+        let message = Message {
+            key,
+            payload: &payload,
+            seal: seal.as_ref().map(|_| ()).map_err(|reason| reason.as_str()),
+        };
+        let mut peers = lock(&self.peers);
+        let taken = peers.take(message, arrival);
+        let utc_less_monotonic_ns = arrival.time.utc_less_monotonic_ns();
+        let sightings = match taken {
+            Ok(sightings) => sightings,
+            Err(refusal) => {
+                drop(peers);
+                return self.warn(key, &refusal);
+            }
+        };
+        let clock = sightings.first().and_then(|first| {
+            peers.observers.get(&first.observer).and_then(|peer| peer.clock(utc_less_monotonic_ns))
+        });
+        drop(peers);
+        let arrived_monotonic_ns = arrival.time.monotonic_ns;
+        for report in sightings {
+            // Before the first published report nothing is known of the clock but the age that it states.
+            let (exposure_monotonic_ns, exposure_deviation_ns) = match clock {
+                Some(clock) => (clock.monotonic_from_utc(report.stamp_utc_ns), clock.deviation_ns),
+                None => {
+                    let latency_ns = (report.latency_ms * 1e6) as i64;
+                    (arrived_monotonic_ns.saturating_sub(latency_ns), UNKNOWN_DEVIATION_NS)
+                }
+            };
+            self.streams.send(&Heard {
+                arrived_monotonic_ns,
+                exposure_monotonic_ns,
+                exposure_deviation_ns,
+                is_signed: matches!(seal, Ok(true)),
+                report,
+            });
+        }
+    }
+
+    /// Whether the message bears a valid seal; `Ok(false)` where none is asked for.
+    fn check_seal(&self, sample: &Sample, payload: &[u8], way: Way) -> Result<bool, String> {
+        let Some(seal) = &self.seal else { return Ok(false) };
+        let attachment = sample.attachment().map(|bytes| bytes.to_bytes());
+        let key = sample.key_expr().as_str();
+        seal.check(key, payload, attachment.as_deref(), way == Way::LastValue).map(|()| true)
     }
 
     fn warn(&self, key: &str, refusal: &Refusal) {
@@ -132,37 +194,70 @@ impl Hearing {
 
     fn see(&self, token: &Sample) {
         let key = token.key_expr().as_str();
-        let Some(observer) = observer_in(key) else {
-            lock(&self.peers).refused += 1;
-            return self.warn(key, &Refusal::Key);
-        };
-        let alive = token.kind() == SampleKind::Put;
-        if !lock(&self.peers).set_alive(observer, alive, Instant::now()) {
-            return self.warn(key, &Refusal::TooManyObservers);
-        }
-        if alive {
-            lock(&self.unqueried).observers.insert(observer.into());
-            self.changed.notify_all();
+        let is_there = token.kind() == SampleKind::Put;
+        let now = Instant::now();
+        match token_in(key) {
+            None => {
+                lock(&self.peers).refused += 1;
+                self.warn(key, &Refusal::Key);
+            }
+            Some(Token::Alive(observer)) => {
+                if !lock(&self.peers).set_alive(observer, is_there, now) {
+                    return self.warn(key, &Refusal::TooManyObservers);
+                }
+                let mut newcomers = lock(&self.newcomers);
+                if is_there {
+                    newcomers.due.entry(observer.into()).or_insert(now + FRAMES_WITHIN);
+                } else {
+                    newcomers.due.remove(observer);
+                    newcomers.gone.push(observer.into());
+                }
+                self.changed.notify_all();
+            }
+            Some(Token::Frames(observer)) => {
+                if lock(&self.peers).set_has_frames(observer, is_there, now) && is_there {
+                    lock(&self.newcomers).due.insert(observer.into(), now);
+                    self.changed.notify_all();
+                }
+            }
         }
     }
 
-    /// The next observer to ask; none when the listener is being dropped.
-    fn next_newcomer(&self) -> Option<String> {
-        let mut unqueried = lock(&self.unqueried);
+    /// The next observer to listen to, or to forget; none when the listener is being dropped.
+    fn next(&self) -> Option<Next> {
+        let mut newcomers = lock(&self.newcomers);
         loop {
-            if unqueried.closed {
+            if newcomers.closed {
                 return None;
             }
-            if let Some(observer) = unqueried.observers.pop_first() {
-                return Some(observer);
+            if let Some(observer) = newcomers.gone.pop() {
+                return Some(Next::Forget(observer));
             }
-            unqueried = self.changed.wait(unqueried).unwrap_or_else(PoisonError::into_inner);
+            let now = Instant::now();
+            let due = newcomers.due.iter().min_by_key(|(_, at)| **at);
+            let due = due.map(|(observer, at)| (observer.clone(), *at));
+            newcomers = match due {
+                Some((observer, at)) if at <= now => {
+                    newcomers.due.remove(&observer);
+                    return Some(Next::Listen(observer));
+                }
+                Some((_, at)) => {
+                    self.changed
+                        .wait_timeout(newcomers, at - now)
+                        .unwrap_or_else(PoisonError::into_inner)
+                        .0
+                }
+                None => self.changed.wait(newcomers).unwrap_or_else(PoisonError::into_inner),
+            };
         }
     }
 }
 
+/// Of a last value's exposure, before anything is known of its sender's clock: a time on the air.
+const UNKNOWN_DEVIATION_NS: i64 = 10_000_000;
+
 fn run(hearing: &Arc<Hearing>, connection: &Connection) {
-    if let Some(session) = connection.session(|| lock(&hearing.unqueried).closed)
+    if let Some(session) = connection.session(|| lock(&hearing.newcomers).closed)
         && let Err(error) = listen(hearing, &session)
     {
         tracing::error!("the other drones cannot be heard: {error}");
@@ -171,37 +266,75 @@ fn run(hearing: &Arc<Hearing>, connection: &Connection) {
 }
 
 fn listen(hearing: &Arc<Hearing>, session: &Session) -> zenoh::Result<()> {
-    let _poses = session
-        .declare_subscriber(all_poses_key(&hearing.swarm))
-        .callback({
-            let hearing = hearing.clone();
-            move |sample| {
-                hearing.hear(sample.key_expr().as_str(), sample.payload(), Way::Published);
+    let _frames = subscribe(hearing, session, all_frames_key(&hearing.swarm))?;
+    let tokens = |key: String| {
+        let hearing = hearing.clone();
+        let subscriber = session.liveliness().declare_subscriber(key).history(true);
+        subscriber.callback(move |token| hearing.see(&token)).wait()
+    };
+    let _have_frames = tokens(all_frames_token_key(&hearing.swarm))?;
+    let _alive = tokens(all_alive_key(&hearing.swarm))?;
+    // Those that publish no frame reports.
+    let mut by_pose = BTreeMap::new();
+    while let Some(next) = hearing.next() {
+        match next {
+            Next::Forget(observer) => {
+                by_pose.remove(&observer);
             }
-        })
-        .wait()?;
-    let _tokens = session
-        .liveliness()
-        .declare_subscriber(all_alive_key(&hearing.swarm))
-        .history(true)
-        .callback({
-            let hearing = hearing.clone();
-            move |token| hearing.see(&token)
-        })
-        .wait()?;
-    // First all observers, also those without a token; then each one when its token appears.
-    ask(hearing, session, "*")?;
-    while let Some(observer) = hearing.next_newcomer() {
-        ask(hearing, session, &observer)?;
+            Next::Listen(observer) => {
+                let peers = lock(&hearing.peers);
+                let has_frames = peers.observers.get(&observer).is_some_and(|peer| peer.has_frames);
+                drop(peers);
+                let key = if has_frames {
+                    by_pose.remove(&observer);
+                    frame_key(&hearing.swarm, &observer)
+                } else {
+                    let key = pose_key(&hearing.swarm, &observer, "*");
+                    by_pose.insert(observer.clone(), subscribe(hearing, session, key.clone())?);
+                    key
+                };
+                ask(hearing, session, observer, key)?;
+            }
+        }
     }
     Ok(())
 }
 
-/// Asks `observer` for its last values, without waiting for them.
-fn ask(hearing: &Arc<Hearing>, session: &Session, observer: &str) -> zenoh::Result<()> {
+/// Hears what is published under `key`.
+fn subscribe(
+    hearing: &Arc<Hearing>,
+    session: &Session,
+    key: String,
+) -> zenoh::Result<Subscriber<()>> {
     let hearing = hearing.clone();
     session
-        .get(pose_key(&hearing.swarm, observer, "*"))
+        .declare_subscriber(key)
+        .callback(move |sample| hearing.hear(&sample, Way::Published))
+        .wait()
+}
+
+/// An observer that was asked; it has had its say when this is dropped with the query's callback.
+struct Asked {
+    hearing: Arc<Hearing>,
+    observer: String,
+}
+
+impl Drop for Asked {
+    fn drop(&mut self) {
+        lock(&self.hearing.peers).set_heard(&self.observer);
+    }
+}
+
+/// Asks `observer` for its last values, without waiting for them.
+fn ask(
+    hearing: &Arc<Hearing>,
+    session: &Session,
+    observer: String,
+    key: String,
+) -> zenoh::Result<()> {
+    let asked = Asked { hearing: hearing.clone(), observer };
+    session
+        .get(key)
         .target(QueryTarget::All)
         .consolidation(ConsolidationMode::None)
         .congestion_control(CongestionControl::Drop)
@@ -210,7 +343,7 @@ fn ask(hearing: &Arc<Hearing>, session: &Session, observer: &str) -> zenoh::Resu
         .callback(move |reply: Reply| {
             // An error is a timeout or an observer without an answer; its next reports come anyway.
             if let Ok(sample) = reply.result() {
-                hearing.hear(sample.key_expr().as_str(), sample.payload(), Way::LastValue);
+                asked.hearing.hear(sample, Way::LastValue);
             }
         })
         .wait()

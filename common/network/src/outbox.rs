@@ -1,6 +1,6 @@
-//! Reports that wait to be sent, and the last report on each target.
+//! Reports that wait to be sent, and the last report of each kind.
 //!
-//! There is one slot for each target: a newer report replaces one that has not been sent. So the outbox
+//! There is one slot for each key: a newer report replaces one that has not been sent. So the outbox
 //! is bounded, and after a stall it sends current reports, not old ones.
 
 use std::{
@@ -11,27 +11,91 @@ use std::{
 
 use flockeye_contract::{
     TrackState,
-    wire::{PoseReport, WireError},
+    wire::{FrameReport, MAX_TARGETS, PoseReport, WireError, frame_key, pose_key, tentative_key},
 };
 
-use crate::error::{MAX_TARGETS, NetworkError};
+use crate::error::NetworkError;
 use crate::lock::lock;
+
+/// Where a report goes.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Slot {
+    /// All targets of a frame.
+    Frame,
+    /// One target.
+    Pose(String),
+    /// One target whose track is not confirmed.
+    Tentative(String),
+}
+
+impl Slot {
+    /// The key that its reports have.
+    pub(crate) fn key(&self, swarm: &str, observer: &str) -> String {
+        match self {
+            Self::Frame => frame_key(swarm, observer),
+            Self::Pose(target) => pose_key(swarm, observer, target),
+            Self::Tentative(target) => tentative_key(swarm, observer, target),
+        }
+    }
+}
+
+/// A report of either kind.
+#[derive(Debug, Clone)]
+pub(crate) enum Outgoing {
+    Frame(FrameReport),
+    Pose(PoseReport),
+}
+
+impl Outgoing {
+    fn slot(&self) -> Slot {
+        match self {
+            Self::Frame(_) => Slot::Frame,
+            Self::Pose(report) if report.state == TrackState::Tentative => {
+                Slot::Tentative(report.target.clone())
+            }
+            Self::Pose(report) => Slot::Pose(report.target.clone()),
+        }
+    }
+
+    /// What of it may answer a later query: nothing of those that are lost.
+    fn as_last_value(&self) -> Option<Self> {
+        match self {
+            Self::Frame(report) => {
+                let mut report = report.clone();
+                report.targets.retain(|target| target.state != TrackState::Lost);
+                Some(Self::Frame(report))
+            }
+            Self::Pose(report) => {
+                let is_lasting = !matches!(report.state, TrackState::Lost | TrackState::Tentative);
+                is_lasting.then(|| self.clone())
+            }
+        }
+    }
+}
 
 /// A report and when it was put in.
 #[derive(Debug, Clone)]
 pub(crate) struct Held {
-    pub(crate) report: PoseReport,
-    pub(crate) since: Instant,
+    pub(crate) slot: Slot,
+    report: Outgoing,
+    since: Instant,
 }
 
 impl Held {
     /// The report as it goes out at `now`: its latency counts to the moment it is handed to the
     /// network, so the time it was held here belongs to it.
     pub(crate) fn encode(&self, now: Instant) -> Result<Vec<u8>, WireError> {
-        let held = now.saturating_duration_since(self.since);
-        let mut report = self.report.clone();
-        report.latency_ms += held.as_secs_f64() * 1e3;
-        report.to_json()
+        let held_ms = now.saturating_duration_since(self.since).as_secs_f64() * 1e3;
+        match self.report.clone() {
+            Outgoing::Frame(mut report) => {
+                report.latency_ms += held_ms;
+                report.to_json()
+            }
+            Outgoing::Pose(mut report) => {
+                report.latency_ms += held_ms;
+                report.to_json()
+            }
+        }
     }
 }
 
@@ -44,36 +108,47 @@ pub(crate) struct Outbox {
 
 #[derive(Debug, Default)]
 struct State {
-    /// At most one for each target, first in first out by target, so that no target starves another.
+    /// At most one for each slot, first in first out by slot, so that no target starves another.
     pending: VecDeque<Held>,
-    last: BTreeMap<String, Held>,
-    known: BTreeSet<String>,
+    last: BTreeMap<Slot, Held>,
+    targets: BTreeSet<String>,
     overwritten: u64,
     closed: bool,
 }
 
+impl State {
+    /// Whether there is room for one more target.
+    fn admits(&mut self, target: &str) -> Result<(), NetworkError> {
+        if !self.targets.contains(target) {
+            if self.targets.len() == MAX_TARGETS {
+                return Err(NetworkError::TooManyTargets { target: target.into() });
+            }
+            self.targets.insert(target.into());
+        }
+        Ok(())
+    }
+}
+
 impl Outbox {
     /// Puts `report` in and returns at once.
-    pub(crate) fn put(&self, report: &PoseReport, now: Instant) -> Result<(), NetworkError> {
-        let target = &report.target;
+    pub(crate) fn put(&self, report: Outgoing, now: Instant) -> Result<(), NetworkError> {
         let mut guard = lock(&self.state);
         let state = &mut *guard;
         if state.closed {
             return Err(NetworkError::Closed);
         }
-        if !state.known.contains(target) {
-            if state.known.len() == MAX_TARGETS {
-                return Err(NetworkError::TooManyTargets { target: target.clone() });
+        match &report {
+            Outgoing::Pose(pose) => state.admits(&pose.target)?,
+            Outgoing::Frame(frame) => {
+                frame.targets.iter().try_for_each(|target| state.admits(&target.name))?;
             }
-            state.known.insert(target.clone());
         }
-        let held = Held { report: report.clone(), since: now };
-        if report.state == TrackState::Lost {
-            state.last.remove(target);
-        } else {
-            state.last.insert(target.clone(), held.clone());
-        }
-        match state.pending.iter_mut().find(|held| held.report.target == *target) {
+        let held = Held { slot: report.slot(), report, since: now };
+        match held.report.as_last_value() {
+            Some(report) => state.last.insert(held.slot.clone(), Held { report, ..held.clone() }),
+            None => state.last.remove(&held.slot),
+        };
+        match state.pending.iter_mut().find(|waiting| waiting.slot == held.slot) {
             Some(waiting) => {
                 *waiting = held;
                 state.overwritten += 1;
@@ -99,7 +174,7 @@ impl Outbox {
         }
     }
 
-    /// The last value of every target that is not lost.
+    /// The last frame, and the last value of every target that is not lost.
     pub(crate) fn last_values(&self) -> Vec<Held> {
         lock(&self.state).last.values().cloned().collect()
     }
@@ -123,16 +198,18 @@ impl Outbox {
 #[cfg(test)]
 pub(crate) mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use std::collections::BTreeMap;
     use std::time::Duration;
 
-    use flockeye_contract::{MeasuredBy, wire::POSE_SCHEMA};
+    use flockeye_contract::MeasuredBy;
+    use flockeye_contract::wire::{FRAME_SCHEMA, POSE_SCHEMA, Sighting};
 
     use super::*;
 
     pub(crate) fn report(target: &str) -> PoseReport {
         PoseReport {
             schema: POSE_SCHEMA.into(),
-            observer: "wren".into(),
+            observer: if target == "robin" { "finch" } else { "wren" }.into(),
             target: target.into(),
             frame: 1,
             epoch: 1,
@@ -152,51 +229,92 @@ pub(crate) mod tests {
         }
     }
 
+    pub(crate) fn frame_report(observer: &str, targets: &[&str]) -> FrameReport {
+        let one = report("kite");
+        FrameReport {
+            schema: FRAME_SCHEMA.into(),
+            observer: observer.into(),
+            frame: one.frame,
+            epoch: one.epoch,
+            stamp_utc_ns: one.stamp_utc_ns,
+            clock_synchronised: false,
+            stream_s: one.stream_s,
+            latency_ms: one.latency_ms,
+            odometry: None,
+            clocks: BTreeMap::new(),
+            targets: targets.iter().map(|target| Sighting::from(report(target)).target).collect(),
+        }
+    }
+
+    fn put(outbox: &Outbox, report: PoseReport, now: Instant) -> Result<(), NetworkError> {
+        outbox.put(Outgoing::Pose(report), now)
+    }
+
     #[test]
     fn while_nothing_is_sent_the_newest_of_each_target_remains_and_the_rest_is_counted() {
         let outbox = Outbox::default();
         let now = Instant::now();
         for frame in 1..=3 {
             for target in ["kite", "swift"] {
-                outbox.put(&PoseReport { frame, ..report(target) }, now).unwrap();
+                put(&outbox, PoseReport { frame, ..report(target) }, now).unwrap();
             }
+            let frame = FrameReport { frame, ..frame_report("wren", &["kite", "swift"]) };
+            outbox.put(Outgoing::Frame(frame), now).unwrap();
         }
-        assert_eq!(outbox.overwritten(), 4);
+        assert_eq!(outbox.overwritten(), 6);
         outbox.close();
         let sent: Vec<_> = std::iter::from_fn(|| outbox.take())
-            .map(|held| (held.report.target, held.report.frame))
+            .map(|held| match held.report {
+                Outgoing::Frame(report) => (held.slot, report.frame),
+                Outgoing::Pose(report) => (held.slot, report.frame),
+            })
             .collect();
-        assert_eq!(sent, [("kite".to_owned(), 3), ("swift".to_owned(), 3)]);
-        assert!(matches!(outbox.put(&report("kite"), now), Err(NetworkError::Closed)));
+        let pose = |target: &str| (Slot::Pose(target.into()), 3);
+        assert_eq!(sent, [pose("kite"), pose("swift"), (Slot::Frame, 3)]);
+        assert!(matches!(put(&outbox, report("kite"), now), Err(NetworkError::Closed)));
     }
 
     #[test]
     fn a_lost_track_is_said_and_then_forgotten() {
         let outbox = Outbox::default();
         let now = Instant::now();
-        outbox.put(&report("kite"), now).unwrap();
+        put(&outbox, report("kite"), now).unwrap();
         assert_eq!(outbox.last_values().len(), 1);
-        outbox.put(&PoseReport { state: TrackState::Lost, ..report("kite") }, now).unwrap();
+        put(&outbox, PoseReport { state: TrackState::Lost, ..report("kite") }, now).unwrap();
         assert!(outbox.last_values().is_empty());
-        assert_eq!(outbox.take().unwrap().report.state, TrackState::Lost);
+        let json = outbox.take().unwrap().encode(now).unwrap();
+        assert_eq!(PoseReport::from_json(&json).unwrap().state, TrackState::Lost);
+    }
+
+    #[test]
+    fn tentative_tracks_have_a_key_of_their_own_and_are_no_last_value() {
+        let outbox = Outbox::default();
+        let tentative = PoseReport { state: TrackState::Tentative, ..report("kite") };
+        put(&outbox, tentative, Instant::now()).unwrap();
+        assert!(outbox.last_values().is_empty());
+        let held = outbox.take().unwrap();
+        assert_eq!(held.slot.key("s", "wren"), "flockeye/s/wren/sees/kite/tentative");
     }
 
     #[test]
     fn targets_are_bounded() {
         let outbox = Outbox::default();
         let now = Instant::now();
-        (0..MAX_TARGETS).for_each(|k| outbox.put(&report(&format!("t{k}")), now).unwrap());
-        let refused = outbox.put(&report("one-more"), now);
+        (0..MAX_TARGETS).for_each(|k| put(&outbox, report(&format!("t{k}")), now).unwrap());
+        let refused = put(&outbox, report("one-more"), now);
         assert!(matches!(refused, Err(NetworkError::TooManyTargets { .. })));
-        outbox.put(&report("t0"), now).expect("known targets go on");
+        put(&outbox, report("t0"), now).expect("known targets go on");
     }
 
     #[test]
     fn time_held_here_counts_as_latency() {
         let since = Instant::now();
-        let held = Held { report: report("kite"), since };
-        let json = held.encode(since + Duration::from_millis(250)).unwrap();
-        let read = PoseReport::from_json(&json).unwrap();
-        assert_eq!(read.latency_ms, 270.0);
+        let later = since + Duration::from_millis(250);
+        let encoded =
+            |report: Outgoing| Held { slot: report.slot(), report, since }.encode(later).unwrap();
+        let pose = encoded(Outgoing::Pose(report("kite")));
+        assert_eq!(PoseReport::from_json(&pose).unwrap().latency_ms, 270.0);
+        let frame = encoded(Outgoing::Frame(frame_report("wren", &["kite"])));
+        assert_eq!(FrameReport::from_json(&frame).unwrap().latency_ms, 270.0);
     }
 }

@@ -42,6 +42,9 @@ pub struct NetworkParameters {
     /// The interface, by name or address, on which peers are looked for by UDP multicast
     /// (224.0.0.224:7446); none: they are not.
     pub scout_interface: Option<String>,
+    /// Whether this session only looks on, and is no drone of the swarm: what the drones say of `observer`'s
+    /// clock is then not said of this machine's.
+    pub is_onlooker: bool,
     /// How long a link may take to open, milliseconds.
     pub open_timeout_ms: u64,
     /// How long a silent neighbour counts as connected, milliseconds.
@@ -57,6 +60,7 @@ impl Default for NetworkParameters {
             listen: vec!["tcp/127.0.0.1:0".into()],
             connect: Vec::new(),
             scout_interface: None,
+            is_onlooker: false,
             open_timeout_ms: 1_000,
             lease_ms: 3_000,
         }
@@ -136,9 +140,9 @@ impl NetworkParameters {
                             "congestion_control": { "block": { "wait_before_close": 2_000_000 } },
                         },
                     },
-                    // No message here has more than a few kilobytes; a larger one must not take
+                    // No message here has more than 85 kilobytes; a larger one must not take
                     // our memory (Zenoh's default is 1 GiB).
-                    "rx": { "max_message_size": 65_536 },
+                    "rx": { "max_message_size": 131_072 },
                     "tcp": { "so_sndbuf": 32_768 },
                 },
                 "shared_memory": { "enabled": false },

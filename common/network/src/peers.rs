@@ -5,9 +5,10 @@ use std::{
     time::{Duration, Instant},
 };
 
-use flockeye_contract::wire::{PoseReport, WireError, is_name};
+use flockeye_contract::wire::{FrameReport, MAX_TARGETS, PoseReport, Sighting, WireError, is_name};
 
-use crate::error::MAX_TARGETS;
+use crate::clock::ClockEstimate;
+use crate::freshness::{ArrivalTime, Began, Freshness, NotOfNow, Sent};
 
 /// Most observers that a listener keeps.
 pub const MAX_OBSERVERS: usize = 64;
@@ -20,6 +21,8 @@ pub struct Peers {
     /// Messages refused that belong to none of them: keys that are no Flockeye keys, and observers
     /// beyond [`MAX_OBSERVERS`].
     pub refused: u64,
+    /// This drone's own name, where it reports too: what the others say of its clock.
+    own: Option<String>,
 }
 
 /// What is known of one observer.
@@ -29,17 +32,56 @@ pub struct PeerState {
     pub alive: bool,
     /// When `alive` took its value.
     pub since: Instant,
+    /// Whether it has been asked for its last values, and has had its say: from now on nothing is missed.
+    pub is_heard: bool,
+    /// Whether it publishes frame reports. If not, its poses are listened to one by one.
+    pub has_frames: bool,
     /// The latest report on each target.
     pub targets: BTreeMap<String, Received>,
     /// Messages in its name that were refused.
-    pub refused: u64,
+    pub refused: Refused,
+    freshness: Freshness,
+    newest_frame_utc_ns: Option<i64>,
+}
+
+/// How many messages in an observer's name were refused, and why.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Refused {
+    /// No report, in another's name, or more targets than are kept.
+    pub malformed: u64,
+    /// Held on the way for too long.
+    pub stale: u64,
+    /// Of a time to come.
+    pub future: u64,
+    /// Said before.
+    pub replayed: u64,
+    /// Without a valid signature of the observer.
+    pub unsigned: u64,
+}
+
+impl Refused {
+    /// All of them.
+    pub fn total(&self) -> u64 {
+        self.malformed + self.stale + self.future + self.replayed + self.unsigned
+    }
+
+    fn count(&mut self, refusal: &Refusal) {
+        let counter = match refusal {
+            Refusal::NotOfNow(NotOfNow::Stale { .. }) => &mut self.stale,
+            Refusal::NotOfNow(NotOfNow::Future { .. }) => &mut self.future,
+            Refusal::NotOfNow(NotOfNow::Replayed { .. }) => &mut self.replayed,
+            Refusal::Seal(_) => &mut self.unsigned,
+            _ => &mut self.malformed,
+        };
+        *counter += 1;
+    }
 }
 
 /// The latest report on one target.
 #[derive(Debug, Clone)]
 pub struct Received {
     /// The report.
-    pub report: PoseReport,
+    pub report: Sighting,
     /// When it came in.
     pub arrived: Instant,
     /// The same, CLOCK_MONOTONIC of this machine, nanoseconds.
@@ -47,6 +89,8 @@ pub struct Received {
     /// How many reports on this target came in.
     pub count: u64,
     interval_s: Option<f64>,
+    /// When it was sent, by its sender's clock, unless that tells nothing any more.
+    newest_utc_ns: Option<i64>,
 }
 
 impl Received {
@@ -80,19 +124,28 @@ pub(crate) enum Way {
     LastValue,
 }
 
-/// When a report came in.
+/// When and how a message came in.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Arrival {
     pub(crate) at: Instant,
-    pub(crate) monotonic_ns: i64,
+    pub(crate) time: ArrivalTime,
     pub(crate) way: Way,
+}
+
+/// A message on a key of the swarm, as it came.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Message<'m> {
+    pub(crate) key: &'m str,
+    pub(crate) payload: &'m [u8],
+    /// Why its signature does not count, where signatures are asked for.
+    pub(crate) seal: Result<(), &'m str>,
 }
 
 /// Why a message was refused.
 #[derive(Debug, thiserror::Error)]
 pub enum Refusal {
-    /// Not a key under which an observer reports on a target.
-    #[error("no key of a pose: names are letters, digits, '-', '_' or '.'")]
+    /// Not a key under which an observer reports.
+    #[error("no key of a report: names are letters, digits, '-', '_' or '.'")]
     Key,
     /// Not a report.
     #[error(transparent)]
@@ -109,6 +162,12 @@ pub enum Refusal {
         /// The target in the report.
         found: String,
     },
+    /// Of another time than now.
+    #[error(transparent)]
+    NotOfNow(#[from] NotOfNow),
+    /// Without a valid signature of the observer.
+    #[error("{0}")]
+    Seal(String),
     /// No room for another observer.
     #[error("already {MAX_OBSERVERS} observers, which is the most")]
     TooManyObservers,
@@ -117,26 +176,42 @@ pub enum Refusal {
     TooManyTargets,
 }
 
+/// What a key names.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum KeyNames<'k> {
+    Frame { observer: &'k str },
+    Pose { observer: &'k str, target: &'k str },
+}
+
 impl Peers {
-    /// Takes in a message on `key`; the report in it, or
-    /// none where an answer to a query is older than what is held.
+    /// Of a listener that belongs to the drone `own`, or to none.
+    pub(crate) fn of(own: Option<String>) -> Self {
+        Self { own, ..Self::default() }
+    }
+
+    /// Takes in a message; the sightings in it. None where an answer to a query is older than what
+    /// is held.
     pub(crate) fn take(
         &mut self,
-        key: &str,
-        payload: &[u8],
+        message: Message<'_>,
         arrival: Arrival,
-    ) -> Result<Option<PoseReport>, Refusal> {
-        let Some((observer, target)) = names_in(key) else {
+    ) -> Result<Vec<Sighting>, Refusal> {
+        let Some(names) = names_in(message.key) else {
             self.refused += 1;
             return Err(Refusal::Key);
         };
+        let (KeyNames::Frame { observer } | KeyNames::Pose { observer, .. }) = names;
+        let own = self.own.clone();
         let Some(peer) = self.peer(observer, arrival.at) else {
             self.refused += 1;
             return Err(Refusal::TooManyObservers);
         };
-        let taken = read(payload, observer, target).and_then(|report| peer.put(report, arrival));
-        if taken.is_err() {
-            peer.refused += 1;
+        let taken = message
+            .seal
+            .map_err(|reason| Refusal::Seal(reason.to_owned()))
+            .and_then(|()| peer.take(names, message.payload, arrival, own.as_deref()));
+        if let Err(refusal) = &taken {
+            peer.refused.count(refusal);
         }
         taken
     }
@@ -149,8 +224,33 @@ impl Peers {
         };
         if peer.alive != alive {
             (peer.alive, peer.since) = (alive, now);
+            peer.is_heard &= alive;
+            // Whoever comes back may have been restarted with another clock.
+            peer.freshness = Freshness::default();
         }
         true
+    }
+
+    /// Notes whether `observer` publishes frame reports. False where there is no room for it.
+    pub(crate) fn set_has_frames(&mut self, observer: &str, has: bool, now: Instant) -> bool {
+        let Some(peer) = self.peer(observer, now) else { return false };
+        peer.has_frames = has;
+        true
+    }
+
+    /// Notes that `observer` has answered.
+    pub(crate) fn set_heard(&mut self, observer: &str) {
+        if let Some(peer) = self.observers.get_mut(observer) {
+            peer.is_heard = peer.alive;
+        }
+    }
+
+    /// How each clock differs from this machine's, whose UTC is so far ahead of CLOCK_MONOTONIC.
+    pub fn clocks(&self, utc_less_monotonic_ns: i64) -> BTreeMap<String, ClockEstimate> {
+        let estimates = self.observers.iter().filter(|(_, peer)| peer.alive);
+        estimates
+            .filter_map(|(name, peer)| Some((name.clone(), peer.clock(utc_less_monotonic_ns)?)))
+            .collect()
     }
 
     /// The entry of `observer`, made where there is room.
@@ -161,45 +261,125 @@ impl Peers {
         Some(self.observers.entry(observer.into()).or_insert_with(|| PeerState {
             alive: false,
             since: now,
+            is_heard: false,
+            has_frames: false,
             targets: BTreeMap::new(),
-            refused: 0,
+            refused: Refused::default(),
+            freshness: Freshness::default(),
+            newest_frame_utc_ns: None,
         }))
     }
 }
 
 impl PeerState {
-    fn put(&mut self, report: PoseReport, arrival: Arrival) -> Result<Option<PoseReport>, Refusal> {
-        let Some(held) = self.targets.get_mut(&report.target) else {
+    /// How its clock differs from this machine's, whose UTC is so far ahead of CLOCK_MONOTONIC.
+    pub fn clock(&self, utc_less_monotonic_ns: i64) -> Option<ClockEstimate> {
+        self.freshness.way().estimate(utc_less_monotonic_ns)
+    }
+
+    fn take(
+        &mut self,
+        names: KeyNames<'_>,
+        payload: &[u8],
+        arrival: Arrival,
+        own: Option<&str>,
+    ) -> Result<Vec<Sighting>, Refusal> {
+        let sightings: Vec<Sighting> = match names {
+            KeyNames::Pose { observer, target } => {
+                let sighting = Sighting::from(read_pose(payload, observer, target)?);
+                let newest = self.targets.get(target).and_then(|held| held.newest_utc_ns);
+                self.pass(
+                    sent(sighting.sent_utc_ns(), sighting.clock_synchronised),
+                    newest,
+                    &arrival,
+                )?;
+                vec![sighting]
+            }
+            KeyNames::Frame { observer } => {
+                let report = read_frame(payload, observer)?;
+                let newest = self.newest_frame_utc_ns;
+                let sent_ns = report.sent_utc_ns();
+                self.pass(sent(sent_ns, report.clock_synchronised), newest, &arrival)?;
+                if arrival.way == Way::Published || newest.is_none_or(|newest| sent_ns > newest) {
+                    self.newest_frame_utc_ns = Some(sent_ns);
+                }
+                if let Some(said) = own.and_then(|own| report.clocks.get(own)) {
+                    self.freshness.way_mut().hear_back(said);
+                }
+                report.sightings().collect()
+            }
+        };
+        let mut taken = Vec::with_capacity(sightings.len());
+        let mut is_full = false;
+        for sighting in sightings {
+            match self.put(sighting, arrival) {
+                Ok(sighting) => taken.extend(sighting),
+                Err(NoRoom) => is_full = true,
+            }
+        }
+        if is_full && taken.is_empty() { Err(Refusal::TooManyTargets) } else { Ok(taken) }
+    }
+
+    /// Passes what was published if it is of now. An answer to a query is older by nature: it only ever
+    /// fills what is empty, or replaces what is older.
+    fn pass(&mut self, sent: Sent, newest: Option<i64>, arrival: &Arrival) -> Result<(), Refusal> {
+        match arrival.way {
+            Way::Published => {
+                if self.freshness.pass(sent, newest, &arrival.time)? == Began::Anew {
+                    self.newest_frame_utc_ns = None;
+                    self.targets.values_mut().for_each(|held| held.newest_utc_ns = None);
+                }
+                Ok(())
+            }
+            Way::LastValue => Ok(()),
+        }
+    }
+
+    fn put(&mut self, report: Sighting, arrival: Arrival) -> Result<Option<Sighting>, NoRoom> {
+        let Some(held) = self.targets.get_mut(&report.target.name) else {
             if self.targets.len() == MAX_TARGETS {
-                return Err(Refusal::TooManyTargets);
+                return Err(NoRoom);
             }
             let received = Received {
                 report: report.clone(),
                 arrived: arrival.at,
-                arrived_monotonic_ns: arrival.monotonic_ns,
+                arrived_monotonic_ns: arrival.time.monotonic_ns,
                 count: 1,
                 interval_s: None,
+                newest_utc_ns: Some(report.sent_utc_ns()),
             };
-            self.targets.insert(report.target.clone(), received);
+            self.targets.insert(report.target.name.clone(), received);
             return Ok(Some(report));
         };
-        // A published report is newer whatever its stamps say: the drone may have been restarted.
         if arrival.way == Way::LastValue && report.stamp_utc_ns <= held.report.stamp_utc_ns {
             return Ok(None);
         }
-        let interval_s = arrival.at.saturating_duration_since(held.arrived).as_secs_f64();
-        held.interval_s =
-            Some(held.interval_s.map_or(interval_s, |mean| mean + 0.1 * (interval_s - mean)));
+        // A frame is reported again when more of it is known; that is no news of this target.
+        let is_same = (report.epoch, report.frame) == (held.report.epoch, held.report.frame);
+        if !is_same {
+            let interval_s = arrival.at.saturating_duration_since(held.arrived).as_secs_f64();
+            held.interval_s =
+                Some(held.interval_s.map_or(interval_s, |mean| mean + 0.1 * (interval_s - mean)));
+        }
+        let is_repeated = is_same && report.target == held.report.target;
+        held.newest_utc_ns = Some(report.sent_utc_ns());
         held.report = report.clone();
         held.arrived = arrival.at;
-        held.arrived_monotonic_ns = arrival.monotonic_ns;
-        held.count += 1;
-        Ok(Some(report))
+        held.arrived_monotonic_ns = arrival.time.monotonic_ns;
+        held.count += u64::from(!is_same);
+        Ok((!is_repeated).then_some(report))
     }
 }
 
+/// No room for another target.
+struct NoRoom;
+
+fn sent(utc_ns: i64, is_synchronised: bool) -> Sent {
+    Sent { utc_ns, is_synchronised }
+}
+
 /// The report in `payload`, which must be of `observer` on `target`.
-fn read(payload: &[u8], observer: &str, target: &str) -> Result<PoseReport, Refusal> {
+fn read_pose(payload: &[u8], observer: &str, target: &str) -> Result<PoseReport, Refusal> {
     let report = PoseReport::from_json(payload)?;
     if report.observer != observer {
         return Err(Refusal::Observer { found: shortened(report.observer) });
@@ -210,142 +390,54 @@ fn read(payload: &[u8], observer: &str, target: &str) -> Result<PoseReport, Refu
     Ok(report)
 }
 
+/// The report in `payload`, which must be of `observer`.
+fn read_frame(payload: &[u8], observer: &str) -> Result<FrameReport, Refusal> {
+    let report = FrameReport::from_json(payload)?;
+    if report.observer != observer {
+        return Err(Refusal::Observer { found: shortened(report.observer) });
+    }
+    Ok(report)
+}
+
 /// A name from the network, shortened for a log line.
 fn shortened(name: String) -> String {
     name.chars().take(40).flat_map(char::escape_debug).collect()
 }
 
-/// Observer and target in the key of a pose, `flockeye/<swarm>/<observer>/sees/<target>/pose`.
-fn names_in(key: &str) -> Option<(&str, &str)> {
+/// Observer and target in the key of a report, `flockeye/<swarm>/<observer>/sees` and what may follow.
+fn names_in(key: &str) -> Option<KeyNames<'_>> {
     let parts: Vec<&str> = key.split('/').collect();
     match parts[..] {
+        ["flockeye", _, observer, "sees"] if is_name(observer) => {
+            Some(KeyNames::Frame { observer })
+        }
         ["flockeye", _, observer, "sees", target, "pose"]
             if is_name(observer) && is_name(target) =>
         {
-            Some((observer, target))
+            Some(KeyNames::Pose { observer, target })
         }
         _ => None,
     }
 }
 
-/// Observer in the key of a liveliness token, `flockeye/<swarm>/<observer>/alive`.
-pub(crate) fn observer_in(key: &str) -> Option<&str> {
+/// A liveliness token: `flockeye/<swarm>/<observer>/alive`, or that of frame reports below it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Token<'k> {
+    Alive(&'k str),
+    Frames(&'k str),
+}
+
+/// What the key of a token says.
+pub(crate) fn token_in(key: &str) -> Option<Token<'_>> {
     let parts: Vec<&str> = key.split('/').collect();
     match parts[..] {
-        ["flockeye", _, observer, "alive"] if is_name(observer) => Some(observer),
+        ["flockeye", _, observer, "alive"] if is_name(observer) => Some(Token::Alive(observer)),
+        ["flockeye", _, observer, "alive", "frames"] if is_name(observer) => {
+            Some(Token::Frames(observer))
+        }
         _ => None,
     }
 }
 
 #[cfg(test)]
-mod tests {
-    #![allow(clippy::unwrap_used, clippy::expect_used)]
-    use flockeye_contract::wire::{MAX_REPORT_BYTES, pose_key};
-
-    use super::*;
-    use crate::outbox::tests::report;
-
-    fn arrival(at: Instant, way: Way) -> Arrival {
-        Arrival { at, monotonic_ns: 7, way }
-    }
-
-    fn take(peers: &mut Peers, key: &str, payload: &[u8], at: Instant) -> Result<(), Refusal> {
-        peers.take(key, payload, arrival(at, Way::Published)).map(drop)
-    }
-
-    #[test]
-    fn age_counts_from_arrival_and_adds_the_senders_latency() {
-        let arrived = Instant::now();
-        let now = arrived + Duration::from_millis(300);
-        assert_eq!(age_of(arrived, 120.0, now), Duration::from_millis(420));
-        assert_eq!(age_of(now, 120.0, arrived), Duration::from_millis(120), "never negative");
-        assert_eq!(age_of(arrived, -5e9, now), Duration::from_millis(300), "never young by lying");
-        assert_eq!(age_of(arrived, 1e300, now), Duration::MAX);
-    }
-
-    #[test]
-    fn the_latest_report_of_each_target_is_kept_with_its_rate() {
-        let mut peers = Peers::default();
-        let start = Instant::now();
-        for frame in 0..50 {
-            let at = start + Duration::from_millis(40 * frame);
-            let report = PoseReport { frame, ..report("kite") };
-            take(&mut peers, &pose_key("s", "wren", "kite"), &report.to_json().unwrap(), at)
-                .unwrap();
-        }
-        let kite = &peers.observers["wren"].targets["kite"];
-        assert_eq!((kite.report.frame, kite.count, kite.arrived_monotonic_ns), (49, 50, 7));
-        let rate = |silent_ms| kite.rate_hz(kite.arrived + Duration::from_millis(silent_ms));
-        assert!((rate(0).unwrap() - 25.0).abs() < 1e-6);
-        assert!((rate(2_000).unwrap() - 0.5).abs() < 1e-6, "falls when nothing comes");
-    }
-
-    #[test]
-    fn an_answer_never_replaces_what_was_published_after_it() {
-        let mut peers = Peers::default();
-        let (key, now) = (pose_key("s", "wren", "kite"), Instant::now());
-        let mut send = |stamp_utc_ns, way| {
-            let json = PoseReport { stamp_utc_ns, ..report("kite") }.to_json().unwrap();
-            peers.take(&key, &json, arrival(now, way)).unwrap().is_some()
-        };
-        assert!(send(5, Way::LastValue));
-        assert!(send(9, Way::Published));
-        assert!(!send(8, Way::LastValue));
-        assert!(send(3, Way::Published), "a restarted drone may be set back");
-        assert!(send(4, Way::LastValue));
-    }
-
-    #[test]
-    fn hostile_messages_are_counted_where_they_belong_and_change_nothing_else() {
-        let mut peers = Peers::default();
-        let now = Instant::now();
-        let good = report("kite").to_json().unwrap();
-        let key = pose_key("s", "wren", "kite");
-        take(&mut peers, &key, &good, now).unwrap();
-        let mut refused = |key: &str, payload: &[u8]| {
-            take(&mut peers, key, payload, now).expect_err("refused").to_string()
-        };
-        assert!(refused(&key, b"{").starts_with("not a pose report"));
-        assert!(refused(&key, &vec![b' '; MAX_REPORT_BYTES + 1]).contains("1201 bytes"));
-        assert!(refused(&pose_key("s", "robin", "kite"), &good).contains("of 'wren'"));
-        assert!(refused(&pose_key("s", "wren", "swift"), &good).contains("on 'kite'"));
-        assert!(refused("flockeye/s/wren/sees/kite", &good).starts_with("no key"));
-        assert!(refused("flockeye/s/wr\u{7}n/sees/kite/pose", &good).starts_with("no key"));
-        assert_eq!((peers.refused, peers.observers["wren"].refused), (2, 3));
-        assert_eq!(peers.observers["robin"].refused, 1);
-        assert_eq!(peers.observers["wren"].targets["kite"].count, 1);
-        assert!(peers.observers["robin"].targets.is_empty());
-    }
-
-    #[test]
-    fn memory_is_bounded() {
-        let mut peers = Peers::default();
-        let now = Instant::now();
-        for k in 0..MAX_TARGETS + 3 {
-            let report = report(&format!("t{k}"));
-            let key = pose_key("s", "wren", &report.target);
-            let taken = take(&mut peers, &key, &report.to_json().unwrap(), now);
-            assert_eq!(taken.is_ok(), k < MAX_TARGETS);
-        }
-        for k in 0..MAX_OBSERVERS + 3 {
-            assert_eq!(peers.set_alive(&format!("o{k}"), true, now), k < MAX_OBSERVERS - 1);
-        }
-        assert_eq!(peers.observers["wren"].targets.len(), MAX_TARGETS);
-        assert_eq!(peers.observers["wren"].refused, 3);
-        assert_eq!((peers.observers.len(), peers.refused), (MAX_OBSERVERS, 4));
-    }
-
-    #[test]
-    fn alive_says_since_when() {
-        let mut peers = Peers::default();
-        let start = Instant::now();
-        let at = |seconds| start + Duration::from_secs(seconds);
-        for (second, alive) in [(1, true), (2, true), (3, false)] {
-            assert!(peers.set_alive("wren", alive, at(second)));
-            let since = peers.observers["wren"].since;
-            assert_eq!(since, at(if alive { 1 } else { 3 }));
-        }
-        assert_eq!(observer_in("flockeye/s/wren/alive"), Some("wren"));
-        assert_eq!(observer_in("flockeye/s/wr n/alive"), None);
-    }
-}
+mod tests;

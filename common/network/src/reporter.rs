@@ -10,7 +10,9 @@ use std::{
     time::Instant,
 };
 
-use flockeye_contract::wire::{PoseReport, WireError, alive_key, is_name, pose_key};
+use flockeye_contract::wire::{
+    FrameReport, PoseReport, WireError, alive_key, frames_token_key, is_name,
+};
 use flockeye_runtime::logs::Throttle;
 use zenoh::{
     Session, Wait,
@@ -22,7 +24,8 @@ use zenoh::{
 
 use crate::connection::Connection;
 use crate::error::NetworkError;
-use crate::outbox::{Held, Outbox};
+use crate::outbox::{Held, Outbox, Outgoing, Slot};
+use crate::seal::Seal;
 
 /// Publishes that this drone is alive and where it sees its neighbours, until dropped.
 ///
@@ -58,6 +61,7 @@ impl Reporter {
         connection: Arc<Connection>,
         swarm: &str,
         observer: &str,
+        seal: Option<Arc<dyn Seal>>,
     ) -> Result<Self, NetworkError> {
         let (outbox, counts) = (Arc::new(Outbox::default()), Arc::new(Counts::default()));
         let sender = Sender {
@@ -65,6 +69,7 @@ impl Reporter {
             observer: observer.into(),
             outbox: outbox.clone(),
             counts: counts.clone(),
+            seal,
         };
         let name = "zenoh-reporter";
         let thread = thread::Builder::new()
@@ -76,14 +81,30 @@ impl Reporter {
 
     /// Sends `report` as soon as the network takes it, unless a newer one on the same target comes
     /// first. Returns at once. A report of a lost track is sent too, but it does not answer later
-    /// queries.
+    /// queries. One of a tentative track goes out under a key of its own.
     ///
     /// # Errors
     /// [`NetworkError::Name`], [`NetworkError::Report`] and [`NetworkError::TooManyTargets`] for a
     /// report that no listener would accept; it is counted as failed, and others are unaffected.
     pub fn report(&self, report: &PoseReport) -> Result<(), NetworkError> {
         let now = Instant::now();
-        let put = self.check(report).and_then(|()| self.outbox.put(report, now));
+        let put =
+            self.check(report).and_then(|()| self.outbox.put(Outgoing::Pose(report.clone()), now));
+        self.counted(put)
+    }
+
+    /// Sends `report` as soon as the network takes it, unless a newer one comes first. Returns at once.
+    ///
+    /// # Errors
+    /// As those of [`report`](Self::report).
+    pub fn report_frame(&self, report: FrameReport) -> Result<(), NetworkError> {
+        let now = Instant::now();
+        let put =
+            self.check_frame(&report).and_then(|()| self.outbox.put(Outgoing::Frame(report), now));
+        self.counted(put)
+    }
+
+    fn counted(&self, put: Result<(), NetworkError>) -> Result<(), NetworkError> {
         if put.is_err() {
             self.counts.failed.fetch_add(1, Relaxed);
         }
@@ -102,10 +123,7 @@ impl Reporter {
     /// Refuses what a listener would.
     fn check(&self, report: &PoseReport) -> Result<(), NetworkError> {
         let target = || report.target.clone();
-        if report.observer != self.observer {
-            let reason = format!("in the name of '{}', not '{}'", report.observer, self.observer);
-            return Err(NetworkError::Name { target: target(), reason });
-        }
+        self.check_observer(&report.observer, &report.target)?;
         if !is_name(&report.target) {
             let reason = "is no name of letters, digits, '-', '_' or '.'".into();
             return Err(NetworkError::Name { target: target(), reason });
@@ -113,6 +131,21 @@ impl Reporter {
         let read_back = |json: Vec<u8>| PoseReport::from_json(&json).map(drop);
         let checked: Result<(), WireError> = report.to_json().and_then(read_back);
         checked.map_err(|source| NetworkError::Report { target: target(), source })
+    }
+
+    fn check_frame(&self, report: &FrameReport) -> Result<(), NetworkError> {
+        self.check_observer(&report.observer, "all")?;
+        let read_back = |json: Vec<u8>| FrameReport::from_json(&json).map(drop);
+        let checked: Result<(), WireError> = report.to_json().and_then(read_back);
+        checked.map_err(|source| NetworkError::Report { target: "all".into(), source })
+    }
+
+    fn check_observer(&self, observer: &str, target: &str) -> Result<(), NetworkError> {
+        if observer == self.observer {
+            return Ok(());
+        }
+        let reason = format!("in the name of '{observer}', not '{}'", self.observer);
+        Err(NetworkError::Name { target: target.into(), reason })
     }
 }
 
@@ -135,6 +168,7 @@ struct Sender {
     observer: String,
     outbox: Arc<Outbox>,
     counts: Arc<Counts>,
+    seal: Option<Arc<dyn Seal>>,
 }
 
 impl Sender {
@@ -149,16 +183,21 @@ impl Sender {
 
     fn serve(&self, session: &Session) -> zenoh::Result<()> {
         // Drones that join later query when they see the token, so the queryable is declared first.
-        let outbox = self.outbox.clone();
+        let answerer = Answerer {
+            swarm: self.swarm.clone(),
+            observer: self.observer.clone(),
+            outbox: self.outbox.clone(),
+            seal: self.seal.clone(),
+        };
         let _last_values = session
-            .declare_queryable(pose_key(&self.swarm, &self.observer, "*"))
-            .callback({
-                let (swarm, observer) = (self.swarm.clone(), self.observer.clone());
-                move |query| answer(&query, &outbox, &swarm, &observer)
-            })
+            .declare_queryable(format!("flockeye/{}/{}/sees/**", self.swarm, self.observer))
+            .callback(move |query| answerer.answer(&query))
             .wait()?;
-        let _alive =
-            session.liveliness().declare_token(alive_key(&self.swarm, &self.observer)).wait()?;
+        let liveliness = session.liveliness();
+        // Before the other: whoever sees that, and not this, listens to each pose.
+        let _frames =
+            liveliness.declare_token(frames_token_key(&self.swarm, &self.observer)).wait()?;
+        let _alive = liveliness.declare_token(alive_key(&self.swarm, &self.observer)).wait()?;
 
         let mut publishers = BTreeMap::new();
         let mut warnings = Throttle::default();
@@ -167,8 +206,8 @@ impl Sender {
                 Ok(()) => self.counts.sent.fetch_add(1, Relaxed),
                 Err(error) => {
                     if let Some(held_back) = warnings.admit() {
-                        let target = &held.report.target;
-                        tracing::warn!(held_back, "the report on '{target}' was not sent: {error}");
+                        let key = held.slot.key(&self.swarm, &self.observer);
+                        tracing::warn!(held_back, "a report on {key} was not sent: {error}");
                     }
                     self.counts.failed.fetch_add(1, Relaxed)
                 }
@@ -180,15 +219,14 @@ impl Sender {
     fn send(
         &self,
         session: &Session,
-        publishers: &mut BTreeMap<String, Publisher<'static>>,
+        publishers: &mut BTreeMap<Slot, Publisher<'static>>,
         held: &Held,
     ) -> zenoh::Result<()> {
-        let target = &held.report.target;
-        let publisher = match publishers.entry(target.clone()) {
+        let publisher = match publishers.entry(held.slot.clone()) {
             Entry::Occupied(known) => known.into_mut(),
             Entry::Vacant(new) => new.insert(
                 session
-                    .declare_publisher(pose_key(&self.swarm, &self.observer, target))
+                    .declare_publisher(held.slot.key(&self.swarm, &self.observer))
                     .encoding(Encoding::APPLICATION_JSON)
                     .congestion_control(CongestionControl::Drop)
                     .priority(Priority::RealTime)
@@ -197,25 +235,38 @@ impl Sender {
                     .wait()?,
             ),
         };
-        publisher.put(held.encode(Instant::now())?).wait()
+        let json = held.encode(Instant::now())?;
+        let seal = self.seal.as_ref().map(|seal| seal.seal(publisher.key_expr().as_str(), &json));
+        publisher.put(json).attachment(seal).wait()
     }
 }
 
-/// Answers a query with the last value of every target that it asks for.
-fn answer(query: &Query, outbox: &Outbox, swarm: &str, observer: &str) {
-    for held in outbox.last_values() {
-        let key = pose_key(swarm, observer, &held.report.target);
-        let Ok(key) = zenoh::key_expr::KeyExpr::try_from(key) else { continue };
-        if !query.key_expr().intersects(&key) {
-            continue;
-        }
-        let sent = held
-            .encode(Instant::now())
-            .map_err(zenoh::Error::from)
-            .and_then(|json| query.reply(&key, json).encoding(Encoding::APPLICATION_JSON).wait());
-        if let Err(error) = sent {
-            // The asking drone has left or asks again; nothing here depends on the answer.
-            tracing::debug!("a query for {key} was not answered: {error}");
+/// Answers queries with the last values.
+struct Answerer {
+    swarm: String,
+    observer: String,
+    outbox: Arc<Outbox>,
+    seal: Option<Arc<dyn Seal>>,
+}
+
+impl Answerer {
+    /// Answers with the last value of every key that is asked for.
+    fn answer(&self, query: &Query) {
+        for held in self.outbox.last_values() {
+            let key = held.slot.key(&self.swarm, &self.observer);
+            let Ok(key) = zenoh::key_expr::KeyExpr::try_from(key) else { continue };
+            if !query.key_expr().intersects(&key) {
+                continue;
+            }
+            let sent = held.encode(Instant::now()).map_err(zenoh::Error::from).and_then(|json| {
+                let seal = self.seal.as_ref().map(|seal| seal.seal(key.as_str(), &json));
+                let reply = query.reply(&key, json).encoding(Encoding::APPLICATION_JSON);
+                reply.attachment(seal).wait()
+            });
+            if let Err(error) = sent {
+                // The asking drone has left or asks again; nothing here depends on the answer.
+                tracing::debug!("a query for {key} was not answered: {error}");
+            }
         }
     }
 }

@@ -7,6 +7,7 @@ use crate::error::NetworkError;
 use crate::listener::Listener;
 use crate::parameters::NetworkParameters;
 use crate::reporter::Reporter;
+use crate::seal::Seal;
 
 /// A Zenoh session. [`Reporter`]s and [`Listener`]s made from it keep it open by themselves, so
 /// they may outlive this value.
@@ -15,6 +16,8 @@ pub struct Network {
     swarm: String,
     observer: String,
     connection: Arc<Connection>,
+    seal: Option<Arc<dyn Seal>>,
+    is_onlooker: bool,
 }
 
 impl Network {
@@ -31,7 +34,14 @@ impl Network {
             swarm: parameters.swarm.clone(),
             observer: parameters.observer.clone(),
             connection: Connection::open(parameters)?,
+            seal: None,
+            is_onlooker: parameters.is_onlooker,
         })
+    }
+
+    /// From now on `seal` signs what reporters send, and decides what listeners take.
+    pub fn sealed_by(self, seal: Arc<dyn Seal>) -> Self {
+        Self { seal: Some(seal), ..self }
     }
 
     /// Publishes that this drone is alive, until the reporter is dropped.
@@ -39,7 +49,7 @@ impl Network {
     /// # Errors
     /// [`NetworkError::Thread`].
     pub fn reporter(&self) -> Result<Reporter, NetworkError> {
-        Reporter::start(self.connection.clone(), &self.swarm, &self.observer)
+        Reporter::start(self.connection.clone(), &self.swarm, &self.observer, self.seal.clone())
     }
 
     /// Receives from all drones of the swarm, this session's own reporter included.
@@ -47,7 +57,8 @@ impl Network {
     /// # Errors
     /// [`NetworkError::Thread`].
     pub fn listener(&self) -> Result<Listener, NetworkError> {
-        Listener::start(self.connection.clone(), &self.swarm)
+        let own = (!self.is_onlooker).then(|| self.observer.clone());
+        Listener::start(self.connection.clone(), &self.swarm, own, self.seal.clone())
     }
 
     /// Whether the session is open. Only a client can be without one, while it looks for its

@@ -6,7 +6,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use flockeye_contract::wire::PoseReport;
+use flockeye_contract::wire::Sighting;
 use serde::Serialize;
 
 use crate::lock::lock;
@@ -16,8 +16,14 @@ use crate::lock::lock;
 pub struct Heard {
     /// Arrival, CLOCK_MONOTONIC of this machine, nanoseconds.
     pub arrived_monotonic_ns: i64,
+    /// Mid-exposure on this machine's CLOCK_MONOTONIC, by the estimate of the observer's clock, nanoseconds.
+    pub exposure_monotonic_ns: i64,
+    /// Standard deviation of that, nanoseconds.
+    pub exposure_deviation_ns: i64,
+    /// Whether it bears a valid signature of the observer.
+    pub is_signed: bool,
     /// The report.
-    pub report: PoseReport,
+    pub report: Sighting,
 }
 
 /// A bounded queue of reports. A reader that falls behind loses the oldest, and can see how many.
@@ -58,6 +64,11 @@ impl ReportStream {
                 Err(poisoned) => poisoned.into_inner().0,
             };
         }
+    }
+
+    /// The next report, if one is there.
+    pub fn try_recv(&self) -> Option<Heard> {
+        lock(&self.queue.state).reports.pop_front()
     }
 
     /// How many reports this reader was too slow for.
@@ -123,7 +134,13 @@ mod tests {
     fn heard(frame: u64) -> Heard {
         let mut report = report("kite");
         report.frame = frame;
-        Heard { arrived_monotonic_ns: 0, report }
+        Heard {
+            arrived_monotonic_ns: 0,
+            exposure_monotonic_ns: 0,
+            exposure_deviation_ns: 0,
+            is_signed: false,
+            report: report.into(),
+        }
     }
 
     #[test]

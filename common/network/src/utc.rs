@@ -9,6 +9,11 @@ use rustix::time::{ClockId, Timespec, clock_gettime};
 /// waits for it. `docs/PEERS.md` says how chrony and PTP create it too.
 const SYNCHRONISED: &str = "/run/systemd/timesync/synchronized";
 
+/// Now, on this machine's CLOCK_MONOTONIC, nanoseconds.
+pub fn monotonic_now_ns() -> i64 {
+    monotonic_ns()
+}
+
 /// UTC of an instant on CLOCK_MONOTONIC, nanoseconds since the Unix epoch, and whether this
 /// machine's clock is known to be synchronised with UTC. Unknown counts as no.
 pub fn utc_from_monotonic(exposure_monotonic_ns: i64) -> (i64, bool) {

@@ -15,12 +15,15 @@ use std::{
         mpsc,
     },
     thread,
-    time::Duration,
+    time::{Duration, SystemTime, UNIX_EPOCH},
 };
 
 use flockeye_contract::{
     MeasuredBy, TrackState,
-    wire::{POSE_SCHEMA, PoseReport, alive_key, pose_key},
+    wire::{
+        FRAME_SCHEMA, FrameReport, POSE_SCHEMA, PoseReport, Sighting, alive_key, frame_key,
+        pose_key,
+    },
 };
 use flockeye_network::{Listener, Network, NetworkError, NetworkMode, NetworkParameters, Received};
 use zenoh::{
@@ -86,6 +89,11 @@ fn foreign(connect: u16) -> zenoh::Session {
     zenoh::open(zenoh::Config::from_json5(&config).unwrap()).wait().unwrap()
 }
 
+fn now_utc_ns() -> i64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap();
+    i64::try_from(since.as_nanos()).unwrap()
+}
+
 fn report(observer: &str, target: &str, frame: u64) -> PoseReport {
     PoseReport {
         schema: POSE_SCHEMA.into(),
@@ -93,7 +101,7 @@ fn report(observer: &str, target: &str, frame: u64) -> PoseReport {
         target: target.into(),
         frame,
         epoch: 1,
-        stamp_utc_ns: 1_700_000_000_000_000_000 + frame as i64,
+        stamp_utc_ns: now_utc_ns(),
         clock_synchronised: false,
         stream_s: 0.5,
         latency_ms: 20.0,
@@ -109,6 +117,34 @@ fn report(observer: &str, target: &str, frame: u64) -> PoseReport {
     }
 }
 
+/// The same as a frame in which nobody else was seen.
+fn frame(report: PoseReport) -> FrameReport {
+    let Sighting {
+        observer,
+        frame,
+        epoch,
+        stamp_utc_ns,
+        clock_synchronised,
+        stream_s,
+        latency_ms,
+        target,
+        ..
+    } = report.into();
+    FrameReport {
+        schema: FRAME_SCHEMA.into(),
+        observer,
+        frame,
+        epoch,
+        stamp_utc_ns,
+        clock_synchronised,
+        stream_s,
+        latency_ms,
+        odometry: None,
+        clocks: Default::default(),
+        targets: vec![target],
+    }
+}
+
 fn received(listener: &Listener, observer: &str, target: &str) -> Option<Received> {
     listener.snapshot().observers.get(observer)?.targets.get(target).cloned()
 }
@@ -118,7 +154,7 @@ fn is_alive(listener: &Listener, observer: &str) -> bool {
 }
 
 /// The report as it was put in: the time it waited to be sent belongs to its latency.
-fn as_put_in(mut arrived: PoseReport, latency_ms: f64) -> PoseReport {
+fn as_put_in(mut arrived: Sighting, latency_ms: f64) -> Sighting {
     assert!(arrived.latency_ms >= latency_ms, "{} ms", arrived.latency_ms);
     arrived.latency_ms = latency_ms;
     arrived
@@ -134,9 +170,10 @@ fn a_report_arrives_as_it_was_sent() {
         until(|| is_alive(&listener, "wren").then_some(()));
 
         let sent = report("wren", "kite", 7);
-        reporter.report(&sent).unwrap();
+        reporter.report_frame(frame(sent.clone())).unwrap();
         let kite = until(|| received(&listener, "wren", "kite"));
-        assert_eq!(as_put_in(kite.report.clone(), sent.latency_ms), sent);
+        let wanted = Sighting { schema: FRAME_SCHEMA.into(), ..sent.clone().into() };
+        assert_eq!(as_put_in(kite.report.clone(), sent.latency_ms), wanted);
         assert!(kite.age(kite.arrived) >= Duration::from_millis(20));
         let heard = stream.recv_timeout(WATCHDOG).expect("streamed too");
         assert_eq!(heard.arrived_monotonic_ns, kite.arrived_monotonic_ns);
@@ -179,15 +216,15 @@ fn a_late_peer_sees_the_last_pose_and_its_true_age() {
         let port = free_port();
         let wren = open("wren", &[port], &[]);
         let reporter = wren.reporter().unwrap();
-        reporter.report(&report("wren", "kite", 1)).unwrap();
-        reporter.report(&report("wren", "kite", 2)).unwrap();
-        reporter.report(&report("wren", "swift", 3)).unwrap();
-        let lost = PoseReport { state: TrackState::Lost, ..report("wren", "swift", 4) };
-        reporter.report(&lost).unwrap();
-        // None of the four is on its way any more.
+        reporter.report_frame(frame(report("wren", "kite", 1))).unwrap();
+        let mut last = frame(report("wren", "kite", 2));
+        let lost = PoseReport { state: TrackState::Lost, ..report("wren", "swift", 2) };
+        last.targets.extend(frame(lost).targets);
+        reporter.report_frame(last).unwrap();
+        // Neither of the two is on its way any more.
         until(|| {
             let counters = reporter.counters();
-            (counters.sent + counters.overwritten == 4).then_some(())
+            (counters.sent + counters.overwritten == 2).then_some(())
         });
 
         let robin = open("robin", &[], &[port]);
@@ -201,6 +238,54 @@ fn a_late_peer_sees_the_last_pose_and_its_true_age() {
     });
 }
 
+/// A reader of the first schema asks for single poses, and gets what it always got.
+#[test]
+fn readers_of_single_poses_go_on() {
+    watched(|| {
+        let port = free_port();
+        let wren = open("wren", &[port], &[]);
+        let reporter = wren.reporter().unwrap();
+        for target in ["kite", "swift"] {
+            reporter.report(&report("wren", target, 7)).unwrap();
+        }
+        let of_state = |state, target| PoseReport { state, ..report("wren", target, 8) };
+        reporter.report(&of_state(TrackState::Lost, "swift")).unwrap();
+        reporter.report(&of_state(TrackState::Tentative, "finch")).unwrap();
+        let session = foreign(port);
+        let answers = until(|| {
+            let replies = session.get("flockeye/test/*/sees/*/pose").wait().unwrap();
+            let samples = std::iter::from_fn(|| replies.recv().ok());
+            let samples: Vec<_> = samples.filter_map(|reply| reply.into_result().ok()).collect();
+            (!samples.is_empty()).then_some(samples)
+        });
+        let [answer] = &answers[..] else { panic!("{} answers", answers.len()) };
+        assert_eq!(answer.key_expr().as_str(), pose_key(SWARM, "wren", "kite"));
+        let pose = PoseReport::from_json(&answer.payload().to_bytes()).unwrap();
+        assert_eq!((pose.schema.as_str(), pose.frame), ("flockeye.pose/1", 7));
+    });
+}
+
+/// A drone whose version publishes single poses alone is heard by one that publishes frames.
+#[test]
+fn drones_of_the_first_schema_are_heard() {
+    watched(|| {
+        let port = free_port();
+        let robin = open("robin", &[port], &[]);
+        let listener = robin.listener().unwrap();
+        let session = foreign(port);
+        let _token = session.liveliness().declare_token(alive_key(SWARM, "wren")).wait().unwrap();
+        let mut number = 0;
+        let kite = until(|| {
+            number += 1;
+            let json = report("wren", "kite", number).to_json().unwrap();
+            session.put(pose_key(SWARM, "wren", "kite"), json).wait().unwrap();
+            received(&listener, "wren", "kite")
+        });
+        assert_eq!(kite.report.observer, "wren");
+        assert!(!listener.snapshot().observers["wren"].has_frames);
+    });
+}
+
 #[test]
 fn a_reporter_that_comes_later_is_asked_for_its_last_pose() {
     watched(|| {
@@ -209,7 +294,7 @@ fn a_reporter_that_comes_later_is_asked_for_its_last_pose() {
         let listener = robin.listener().unwrap();
         let wren = open("wren", &[port], &[]);
         let reporter = wren.reporter().unwrap();
-        reporter.report(&report("wren", "kite", 1)).unwrap();
+        reporter.report_frame(frame(report("wren", "kite", 1))).unwrap();
         assert_eq!(until(|| received(&listener, "wren", "kite")).report.frame, 1);
     });
 }
@@ -241,6 +326,14 @@ fn hostile_messages_are_counted_and_survived() {
         let robin = open("robin", &[port], &[]);
         let listener = robin.listener().unwrap();
         let session = foreign(port);
+        // As a drone that publishes single poses alone; the listener hears each of them from then on.
+        let alive = |observer: &str| {
+            session.liveliness().declare_token(alive_key(SWARM, observer)).wait().unwrap()
+        };
+        let _tokens = ["wren", "crow"].map(alive);
+        for observer in ["wren", "crow"] {
+            until(|| listener.snapshot().observers.get(observer)?.is_heard.then_some(()));
+        }
         let good = report("wren", "kite", 5);
         let other_schema = PoseReport { schema: "flockeye.pose/9".into(), ..good.clone() };
         let bad = [
@@ -251,20 +344,19 @@ fn hostile_messages_are_counted_and_survived() {
             (pose_key(SWARM, "wren", "kite"), other_schema.to_json().unwrap()),
             (pose_key(SWARM, "wren", "swift"), good.to_json().unwrap()),
             (pose_key(SWARM, "crow", "kite"), good.to_json().unwrap()),
-            (pose_key(SWARM, "no name", "kite"), good.to_json().unwrap()),
+            (frame_key(SWARM, "no name"), good.to_json().unwrap()),
         ];
         for (key, payload) in bad {
             session.put(key, payload).wait().unwrap();
         }
-        let _token =
-            session.liveliness().declare_token(alive_key(SWARM, "no name")).wait().unwrap();
+        let _no_name = alive("no name");
         session.put(pose_key(SWARM, "wren", "kite"), good.to_json().unwrap()).wait().unwrap();
 
         let kite = until(|| received(&listener, "wren", "kite"));
-        assert_eq!((kite.report, kite.count), (good, 1));
+        assert_eq!((kite.report, kite.count), (good.into(), 1));
         let peers = until(|| Some(listener.snapshot()).filter(|peers| peers.refused == 2));
-        assert_eq!(peers.observers["wren"].refused, 6);
-        assert_eq!(peers.observers["crow"].refused, 1);
+        assert_eq!(peers.observers["wren"].refused.malformed, 6);
+        assert_eq!(peers.observers["crow"].refused.malformed, 1);
         assert!(peers.observers["crow"].targets.is_empty());
         assert_eq!(peers.observers["wren"].targets.len(), 1);
     });
@@ -333,7 +425,7 @@ fn a_client_finds_its_router_when_it_comes_up() {
         };
         let (wren, robin) = (client("wren"), client("robin"));
         let (reporter, listener) = (wren.reporter().unwrap(), robin.listener().unwrap());
-        reporter.report(&report("wren", "kite", 1)).unwrap();
+        reporter.report_frame(frame(report("wren", "kite", 1))).unwrap();
         assert!(!wren.is_open() && !robin.is_open());
         // Both have tried by now, or one of them twice.
         (0..2).for_each(|_| drop(nobody.accept().unwrap()));
@@ -404,11 +496,11 @@ fn a_stalled_neighbour_costs_neither_the_reporter_nor_the_others() {
         let reporter = wren.reporter().unwrap();
         until(|| (is_alive(&far_ear, "wren") && is_alive(&near_ear, "wren")).then_some(()));
 
-        let mut frame = 0;
+        let mut number = 0;
         let mut say = || {
-            frame += 1;
-            reporter.report(&report("wren", "kite", frame)).unwrap();
-            frame
+            number += 1;
+            reporter.report_frame(frame(report("wren", "kite", number))).unwrap();
+            number
         };
         relay.stalled.store(true, SeqCst);
         // More than a megabyte: more than all the buffers on the way to the stalled one hold.

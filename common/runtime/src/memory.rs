@@ -74,6 +74,10 @@ pub const MAX_EVENT_PORTS: usize = 40;
 const MARKERS: usize = 64;
 /// Most tracks in one message.
 pub const MAX_TRACKS: usize = 16;
+/// Most sightings in one message of `peer`.
+pub const MAX_PEER_SIGHTINGS: usize = 16;
+/// Most poses in one message of `swarm`: as many as there are observers.
+pub const MAX_SWARM_POSES: usize = 64;
 /// Most bodies in one frame's truth.
 const TRUTH_BODIES: usize = 32;
 
@@ -144,7 +148,7 @@ fn sizes(topic: TopicId, resolved: &Resolved, largest_view_px: u32) -> Sizes {
             Sizes { buffer: 1, borrowed: 4, loaned: 2, items, ..usual }
         }
         TopicId::Imus => Sizes { items: MAX_IMU_SAMPLES, ..usual },
-        TopicId::Rotations => Sizes { subscribers: 5, buffer: 16, ..usual },
+        TopicId::Rotations => Sizes { subscribers: 6, buffer: 16, ..usual },
         TopicId::Plans => Sizes { buffer: 2, history: 1, items: MAX_PLANNED_VIEWS, ..usual },
         // To each lane listen its worker, fusion, the successor of one of them, and a tool.
         TopicId::Views => Sizes {
@@ -160,6 +164,9 @@ fn sizes(topic: TopicId, resolved: &Resolved, largest_view_px: u32) -> Sizes {
         }
         TopicId::FrameEnds => Sizes { buffer: 16, ..usual },
         TopicId::Tracks => Sizes { subscribers: 8, items: MAX_TRACKS, ..usual },
+        // A report may bring more: it comes in several messages then.
+        TopicId::Peers => Sizes { subscribers: 5, buffer: 32, items: MAX_PEER_SIGHTINGS, ..usual },
+        TopicId::Swarms => Sizes { subscribers: 5, buffer: 4, items: MAX_SWARM_POSES, ..usual },
         TopicId::Healths => Sizes { subscribers: 8, ..usual },
         TopicId::Truths => Sizes { items: TRUTH_BODIES, ..usual },
         // Every process reads it, and those that start later too.

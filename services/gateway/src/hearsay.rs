@@ -5,7 +5,7 @@ use std::time::Instant;
 use flockeye_network::Peers;
 
 /// Who is there and what they see, for people.
-pub fn in_words(peers: &Peers, own_name: &str) -> String {
+pub fn in_words(peers: &Peers, own_name: &str, left_out: &[String]) -> String {
     let now = Instant::now();
     let others = peers.observers.iter().filter(|(name, _)| *name != own_name);
     let mut parts: Vec<String> = others
@@ -18,6 +18,9 @@ pub fn in_words(peers: &Peers, own_name: &str) -> String {
                     None => target.clone(),
                 })
                 .collect();
+            if left_out.contains(name) {
+                return format!("{name} contradicts the others and is left out");
+            }
             match (peer.alive, seen.is_empty()) {
                 (false, _) => format!("{name} is gone"),
                 (true, true) => format!("{name} is there"),

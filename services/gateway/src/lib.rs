@@ -2,15 +2,19 @@
 //!
 //! | module | what it does |
 //! | --- | --- |
-//! | [`report`] | a track as what goes over the network |
+//! | [`report`] | a track alone as what goes over the network |
+//! | [`frame`] | all targets of a frame as one report |
+//! | [`swarm`] | where all drones are from here, by what peers report too |
 //! | [`newest`] | what was said of each neighbour last |
 //! | [`hearsay`] | what the peers say, in words for people |
 //! | [`stage`] | the ports around it |
 
+pub mod frame;
 pub mod hearsay;
 pub mod newest;
 pub mod report;
 pub mod stage;
+pub mod swarm;
 
 /// The gateway stage's process. It is here so that it is compiled once, with the library.
 pub fn main() -> std::process::ExitCode {

@@ -12,8 +12,8 @@ pub struct Utc {
     pub is_synchronised: bool,
 }
 
-/// The report on a track. `None` for one that peers are not told of: tentative tracks, which may
-/// be nobody, and states that this version does not know.
+/// The report on a track alone. `None` for a state that this version does not know. A tentative track, which may
+/// be nobody, is sent under a key of its own.
 pub fn report(
     observer: &str,
     stamp: &FrameStamp,
@@ -22,9 +22,6 @@ pub fn report(
     latency_ns: i64,
 ) -> Option<PoseReport> {
     let state = TrackState::try_from(track.state).ok()?;
-    if state == TrackState::Tentative {
-        return None;
-    }
     Some(PoseReport {
         schema: POSE_SCHEMA.into(),
         observer: observer.to_owned(),
@@ -48,19 +45,19 @@ pub fn report(
 }
 
 /// The upper triangle of a 6x6 row-major matrix, row by row.
-fn upper_triangle(matrix: &[f64; 36]) -> [f64; 21] {
+pub(crate) fn upper_triangle(matrix: &[f64; 36]) -> [f64; 21] {
     let mut cells = (0..6).flat_map(|row| (row..6).map(move |column| matrix[6 * row + column]));
     // 6 + 5 + 4 + 3 + 2 + 1 cells: the iterator has exactly as many as the array.
     std::array::from_fn(|_| cells.next().unwrap_or(0.0))
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
     use flockeye_contract::{Pose, StageLatency};
 
-    fn track(state: TrackState) -> Track {
+    pub(crate) fn track(state: TrackState) -> Track {
         Track {
             observer_from_target: Pose { position: [1.0, 2.0, 3.0], ..Pose::default() },
             covariance: std::array::from_fn(|k| k as f64),
@@ -84,7 +81,7 @@ mod tests {
         }
     }
 
-    const UTC: Utc = Utc { stamp_ns: 7, is_synchronised: true };
+    pub(crate) const UTC: Utc = Utc { stamp_ns: 7, is_synchronised: true };
 
     #[test]
     fn a_report_says_what_the_track_says() {
@@ -97,11 +94,5 @@ mod tests {
         assert_eq!(report.covariance[..8], [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 7.0, 8.0]);
         assert_eq!(report.covariance[20], 35.0);
         assert!(report.to_json().is_ok());
-    }
-
-    #[test]
-    fn tentative_tracks_stay_at_home() {
-        let stamp = FrameStamp::default();
-        assert_eq!(report("wren", &stamp, &track(TrackState::Tentative), UTC, 0), None);
     }
 }

@@ -1,31 +1,51 @@
 //! The ports around the network.
 
 use flockeye_config::Flow;
-use flockeye_contract::{FrameStamp, StageState, Track, Tracks};
-use flockeye_network::{
-    Listener, Network, NetworkError, NetworkParameters, Reporter, utc_from_monotonic,
+use flockeye_contract::{
+    FrameStamp, PeerHeader, Peers, Rotations, StageState, SwarmHeader, Swarms, Track, Tracks,
 };
+use flockeye_network::{
+    Listener, Network, NetworkError, NetworkParameters, ReportStream, Reporter, utc_from_monotonic,
+};
+use flockeye_peer::PeerReport;
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::logs::Throttle;
-use flockeye_runtime::ports::{Ports, Subscriber};
+use flockeye_runtime::ports::{Ports, Publisher, Subscriber};
 use flockeye_runtime::{Context, Stage, Step, clock};
 
+use crate::frame::{Gathering, Head};
 use crate::hearsay::in_words;
 use crate::newest::Newest;
 use crate::report::{Utc, report};
+use crate::swarm::Swarm;
 
 /// How often a network that cannot be had is tried again, nanoseconds.
 const RETRY_NS: i64 = 5_000_000_000;
 /// How often what the peers say is put into words, nanoseconds.
 const DETAIL_NS: i64 = 500_000_000;
+/// How often it is looked whether a peer has said something, nanoseconds.
+const LISTEN_NS: i64 = 10_000_000;
+/// How often the swarm's poses are published, nanoseconds.
+const SWARM_NS: i64 = 100_000_000;
+/// The swarm's poses take at most this share of the time.
+const SWARM_SHARE: i64 = 10;
+/// Reports that may wait for the next look.
+const WAITING_REPORTS: usize = 1_024;
 
 /// Takes tracks; gives reports to the swarm, and hears the others'.
 pub struct GatewayStage {
     tracks: Subscriber<Tracks>,
+    rotations: Subscriber<Rotations>,
+    peers: Publisher<Peers>,
+    swarms: Publisher<Swarms>,
     parameters: NetworkParameters,
     link: Option<Link>,
+    gathering: Gathering,
+    swarm: Swarm,
+    generation: u32,
     retry_ns: i64,
     detail_ns: i64,
+    swarm_ns: i64,
     flow: Flow,
     newest: Newest,
     counters: SharedCounters,
@@ -35,22 +55,31 @@ pub struct GatewayStage {
 struct Link {
     reporter: Reporter,
     listener: Listener,
+    reports: ReportStream,
 }
 
 impl Stage for GatewayStage {
     const NAME: &'static str = "gateway";
 
     fn open(context: &Context, ports: &mut Ports) -> anyhow::Result<Self> {
-        let parameters = NetworkParameters::of_drone(&context.resolved.pipeline);
+        let resolved = &context.resolved;
+        let parameters = NetworkParameters::of_drone(&resolved.pipeline);
         // What can never work is said before the flight; what may come yet is waited for.
         parameters.check()?;
         Ok(Self {
             tracks: ports.subscriber()?,
+            rotations: ports.subscriber()?,
+            peers: ports.publisher()?,
+            swarms: ports.publisher()?,
+            swarm: Swarm::new(&parameters.observer, resolved.observer_from_camera.rotation),
+            gathering: Gathering::default(),
             parameters,
             link: None,
+            generation: context.identity.generation,
             retry_ns: 0,
             detail_ns: 0,
-            flow: context.resolved.pipeline.flow,
+            swarm_ns: 0,
+            flow: resolved.pipeline.flow,
             newest: Newest::default(),
             counters: context.counters.clone(),
             failures: Throttle::default(),
@@ -62,22 +91,35 @@ impl Stage for GatewayStage {
         if self.link.is_none() && now_ns >= self.retry_ns {
             self.connect();
         }
+        while let Some(message) = self.rotations.receive()? {
+            self.swarm.turned(&message.header);
+        }
         while let Some(message) = self.tracks.receive()? {
-            let stamp = message.header.stamp;
+            let header = message.header;
             for track in message.items() {
-                if self.newest.is_newest(track.target, &stamp) {
-                    self.send(&stamp, track);
+                if self.newest.is_newest(track.target, &header.stamp) {
+                    self.swarm.sees(&header.stamp, self.seen_ns(&header.stamp), track);
+                    self.send(&header.stamp, track);
                 }
             }
+            if self.gathering.take(&header.stamp, message.items(), header.is_last != 0, now_ns) {
+                self.send_frame(&header.stamp);
+            }
+        }
+        self.hear()?;
+        if now_ns >= self.swarm_ns {
+            self.publish_swarm(now_ns)?;
         }
         if let Some(link) = &self.link
             && now_ns >= self.detail_ns
         {
-            self.counters
-                .set_detail(in_words(&link.listener.snapshot(), &self.parameters.observer));
+            let peers = link.listener.snapshot();
+            let left_out = self.swarm.left_out();
+            self.counters.set_detail(in_words(&peers, &self.parameters.observer, &left_out));
             self.detail_ns = now_ns + DETAIL_NS;
         }
-        Ok(Step::WaitUntil(now_ns + DETAIL_NS))
+        let wait_ns = if self.link.is_some() { LISTEN_NS } else { DETAIL_NS };
+        Ok(Step::WaitUntil(now_ns + wait_ns))
     }
 }
 
@@ -97,16 +139,21 @@ impl GatewayStage {
         }
     }
 
-    fn send(&mut self, stamp: &FrameStamp, track: &Track) {
-        let now_ns = clock::monotonic_ns();
-        // In a lossless run the exposure has the recording's clock: what counts is the publication.
-        let seen_ns = match self.flow {
+    /// When a frame was exposed, on this machine's clock. In a lossless run the exposure has the recording's
+    /// clock: what counts is the publication.
+    fn seen_ns(&self, stamp: &FrameStamp) -> i64 {
+        match self.flow {
             Flow::Latest => stamp.exposure_ns,
             Flow::Lossless => stamp.published_ns,
-        };
-        let (stamp_ns, is_synchronised) = utc_from_monotonic(seen_ns);
-        let utc = Utc { stamp_ns, is_synchronised };
-        let Some(report) = report(&self.parameters.observer, stamp, track, utc, now_ns - seen_ns)
+        }
+    }
+
+    /// Reports a track alone.
+    fn send(&mut self, stamp: &FrameStamp, track: &Track) {
+        let now_ns = clock::monotonic_ns();
+        let seen_ns = self.seen_ns(stamp);
+        let Some(report) =
+            report(&self.parameters.observer, stamp, track, utc(seen_ns), now_ns - seen_ns)
         else {
             return;
         };
@@ -119,17 +166,79 @@ impl GatewayStage {
                 self.counters.add_published(1);
                 self.counters.add_latency_ns(now_ns - seen_ns);
             }
-            Err(error) => {
-                self.counters.add_failed(1);
-                if let Some(more) = self.failures.admit() {
-                    tracing::warn!(more_since = more, "a report cannot be sent: {error}");
-                }
-            }
+            Err(error) => self.fail(&error),
         }
     }
+
+    /// Reports a frame as far as it is known.
+    fn send_frame(&mut self, stamp: &FrameStamp) {
+        let Some(link) = &self.link else { return };
+        let now_ns = clock::monotonic_ns();
+        let seen_ns = self.seen_ns(stamp);
+        let head = Head {
+            observer: &self.parameters.observer,
+            utc: utc(seen_ns),
+            latency_ns: now_ns - seen_ns,
+            odometry: None,
+        };
+        let (utc_ns, _) = utc_from_monotonic(now_ns);
+        let clocks = || {
+            let clocks = link.listener.snapshot().clocks(utc_ns.saturating_sub(now_ns));
+            clocks.into_iter().map(|(peer, clock)| (peer, clock.to_wire())).collect()
+        };
+        let report = self.gathering.report(head, now_ns, clocks);
+        if let Err(error) = link.reporter.report_frame(report) {
+            self.fail(&error);
+        }
+    }
+
+    fn fail(&mut self, error: &NetworkError) {
+        self.counters.add_failed(1);
+        if let Some(more) = self.failures.admit() {
+            tracing::warn!(more_since = more, "a report cannot be sent: {error}");
+        }
+    }
+
+    /// Passes on what the peers have said.
+    fn hear(&mut self) -> anyhow::Result<()> {
+        let Some(link) = &self.link else { return Ok(()) };
+        while let Some(heard) = link.reports.try_recv() {
+            if heard.report.observer == self.parameters.observer {
+                continue;
+            }
+            let report = PeerReport::from(&heard);
+            self.swarm.hears(&report);
+            let header = PeerHeader {
+                arrived_ns: heard.arrived_monotonic_ns,
+                generation: self.generation,
+                is_signed: u32::from(heard.is_signed),
+            };
+            self.peers.send(header, &[self.swarm.peer_sighting(&report)])?;
+        }
+        Ok(())
+    }
+
+    /// Says where all drones are.
+    fn publish_swarm(&mut self, now_ns: i64) -> anyhow::Result<()> {
+        let poses = self.swarm.poses(now_ns);
+        let sent_ns = clock::monotonic_ns();
+        let left_out = self.swarm.left_out().len() as u32;
+        let header = SwarmHeader { at_ns: now_ns, sent_ns, generation: self.generation, left_out };
+        self.swarms.send(header, &poses)?;
+        self.swarm_ns = now_ns + SWARM_NS.max(SWARM_SHARE * (sent_ns - now_ns));
+        Ok(())
+    }
+}
+
+/// An instant of this machine's CLOCK_MONOTONIC in UTC.
+fn utc(monotonic_ns: i64) -> Utc {
+    let (stamp_ns, is_synchronised) = utc_from_monotonic(monotonic_ns);
+    Utc { stamp_ns, is_synchronised }
 }
 
 fn open(parameters: &NetworkParameters) -> Result<Link, NetworkError> {
     let network = Network::open(parameters)?;
-    Ok(Link { reporter: network.reporter()?, listener: network.listener()? })
+    let listener = network.listener()?;
+    let reports = listener.stream(WAITING_REPORTS);
+    Ok(Link { reporter: network.reporter()?, listener, reports })
 }

@@ -58,6 +58,7 @@ pub mod stage;
 pub mod status;
 pub mod supervisor;
 pub mod swap;
+mod swarm_map;
 pub mod sweep_watch;
 pub mod top;
 pub mod trace;

@@ -1,4 +1,5 @@
-//! `flockeye peers`: what the whole swarm reports over Zenoh, as a live table or as JSON lines.
+//! `flockeye peers`: what the whole swarm reports over Zenoh, and where all are from one of them: live tables and a
+//! map, or JSON lines.
 
 use std::io::Write;
 use std::sync::atomic::Ordering;
@@ -8,10 +9,15 @@ use anyhow::ensure;
 use clap::Args;
 use flockeye_cli::text_table::TextTable;
 use flockeye_cli::{Configuration, Screen, duration, signals};
-use flockeye_network::{Listener, Network, NetworkParameters, Peers};
+use flockeye_network::{
+    Heard, Listener, Network, NetworkParameters, Peers, ReportStream, monotonic_now_ns,
+};
+use flockeye_peer::{PeerReport, Place, SwarmView, Way};
 use nalgebra::Vector3;
+use serde::Serialize;
 
 use crate::attach::{PipelineChoice, choose};
+use crate::swarm_map;
 
 /// Arguments of `peers`.
 #[derive(Debug, Args)]
@@ -25,7 +31,10 @@ pub struct PeersArguments {
     /// Link with this endpoint (tcp/10.0.0.7:7447) in place of those of the configuration. May be repeated.
     #[arg(long, value_name = "ENDPOINT")]
     pub connect: Vec<String>,
-    /// Print one JSON object per line for each report.
+    /// From whose place the others are shown. Without it: the observer of the configuration.
+    #[arg(long, value_name = "DRONE")]
+    pub from: Option<String>,
+    /// Print one JSON object per line: each report, and where all are ten times a second.
     #[arg(long)]
     pub json: bool,
     /// Stop after this long: 20s, 5m, 1h.
@@ -33,6 +42,8 @@ pub struct PeersArguments {
     pub duration: Option<Duration>,
 }
 
+/// How often it is said where all are.
+const SWARM_PERIOD: Duration = Duration::from_millis(100);
 /// Reports that may wait to be printed as JSON.
 const WAITING_REPORTS: usize = 1_024;
 
@@ -42,12 +53,18 @@ const WAITING_REPORTS: usize = 1_024;
 /// The configuration is wrong, no such pipeline runs, or the network cannot be opened.
 pub fn run(arguments: &PeersArguments) -> anyhow::Result<()> {
     let stopping = signals::stop_flag()?;
-    let network = Network::open(&parameters(arguments)?)?;
-    let listener = network.listener()?;
+    let parameters = parameters(arguments)?;
+    let from = arguments.from.as_deref().unwrap_or(&parameters.observer);
+    let listener = Network::open(&parameters)?.listener()?;
+    let mut swarm = Swarm::new(&listener, from);
     let end = arguments.duration.map(|duration| Instant::now() + duration);
     let is_over =
         || stopping.load(Ordering::Relaxed) || end.is_some_and(|end| Instant::now() >= end);
-    if arguments.json { print_json(&listener, is_over) } else { show_table(&listener, is_over) }
+    if arguments.json {
+        print_json(&mut swarm, is_over)
+    } else {
+        show_table(&listener, &mut swarm, is_over)
+    }
 }
 
 /// How the swarm is reached.
@@ -67,13 +84,99 @@ fn parameters(arguments: &PeersArguments) -> anyhow::Result<NetworkParameters> {
     Ok(parameters)
 }
 
-/// Prints one JSON object per line for each report. A closed pipe ends it.
-fn print_json(listener: &Listener, is_over: impl Fn() -> bool) -> anyhow::Result<()> {
-    let reports = listener.stream(WAITING_REPORTS);
+/// Reports as they come, and where they say that all are.
+struct Swarm {
+    reports: ReportStream,
+    view: SwarmView,
+}
+
+impl Swarm {
+    fn new(listener: &Listener, from: &str) -> Self {
+        Self { reports: listener.stream(WAITING_REPORTS), view: SwarmView::from(from) }
+    }
+
+    /// Takes in the next report, if one comes soon.
+    fn hear(&mut self, patience: Duration) -> Option<Heard> {
+        let heard = self.reports.recv_timeout(patience)?;
+        self.view.hear(&PeerReport::from(&heard));
+        Some(heard)
+    }
+}
+
+/// Where all are, as a line of JSON.
+#[derive(Debug, Serialize)]
+struct SwarmLine<'s> {
+    at_monotonic_ns: i64,
+    from: &'s str,
+    left_out: Vec<String>,
+    swarm: Vec<PlaceLine>,
+}
+
+#[derive(Debug, Serialize)]
+struct PlaceLine {
+    name: String,
+    way: &'static str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    through: Option<String>,
+    age_ms: f64,
+    /// Metres, in the frame of `from`.
+    position: [f64; 3],
+    /// Quaternion x y z w, `from` from the drone.
+    orientation: [f64; 4],
+    /// Deviations of position (m) and rotation vector (rad).
+    deviations: [f64; 6],
+}
+
+impl PlaceLine {
+    fn new(place: &Place, at_ns: i64) -> Self {
+        let pose = &place.own_from_drone;
+        Self {
+            name: place.name.clone(),
+            way: way_in_words(place.way),
+            through: place.through.clone(),
+            age_ms: age_ms(place, at_ns),
+            position: pose.a_from_b.translation.vector.into(),
+            orientation: pose.a_from_b.rotation.coords.into(),
+            deviations: std::array::from_fn(|k| pose.covariance[(k, k)].max(0.0).sqrt()),
+        }
+    }
+}
+
+fn age_ms(place: &Place, at_ns: i64) -> f64 {
+    at_ns as f64 * 1e-6 - place.seen_s * 1e3
+}
+
+fn way_in_words(way: Way) -> &'static str {
+    match way {
+        Way::Direct => "direct",
+        Way::Mutual => "mutual",
+        Way::Reported => "reported",
+        Way::Chained => "chained",
+    }
+}
+
+/// Prints one JSON object per line: each report, and where all are. A closed pipe ends it.
+fn print_json(swarm: &mut Swarm, is_over: impl Fn() -> bool) -> anyhow::Result<()> {
     let mut out = std::io::stdout().lock();
+    let mut next = Instant::now();
     while !is_over() {
-        if let Some(heard) = reports.recv_timeout(Duration::from_millis(100)) {
-            let line = serde_json::to_string(&heard)?;
+        let mut lines = Vec::new();
+        if let Some(heard) = swarm.hear(SWARM_PERIOD) {
+            lines.push(serde_json::to_string(&heard)?);
+        }
+        if Instant::now() >= next {
+            next = Instant::now() + SWARM_PERIOD;
+            let at_monotonic_ns = monotonic_now_ns();
+            let places = swarm.view.places(at_monotonic_ns);
+            let line = SwarmLine {
+                at_monotonic_ns,
+                from: swarm.view.own(),
+                left_out: swarm.view.left_out(),
+                swarm: places.iter().map(|place| PlaceLine::new(place, at_monotonic_ns)).collect(),
+            };
+            lines.push(serde_json::to_string(&line)?);
+        }
+        for line in lines {
             if writeln!(out, "{line}").and_then(|()| out.flush()).is_err() {
                 return Ok(());
             }
@@ -82,19 +185,56 @@ fn print_json(listener: &Listener, is_over: impl Fn() -> bool) -> anyhow::Result
     Ok(())
 }
 
-fn show_table(listener: &Listener, is_over: impl Fn() -> bool) -> anyhow::Result<()> {
+fn show_table(
+    listener: &Listener,
+    swarm: &mut Swarm,
+    is_over: impl Fn() -> bool,
+) -> anyhow::Result<()> {
     let mut screen = Screen::new();
+    let pause = Duration::from_millis(if screen.is_live() { 200 } else { 1_000 });
     while !is_over() {
-        let text = table(&listener.snapshot(), Instant::now());
+        let shown = Instant::now();
+        while shown.elapsed() < pause {
+            swarm.hear(pause.saturating_sub(shown.elapsed()));
+        }
+        let mut text = table(&listener.snapshot(), Instant::now());
+        let at_ns = monotonic_now_ns();
+        let places = swarm.view.places(at_ns);
+        if !places.is_empty() {
+            text += &format!("\n\n{}", swarm_table(&places, at_ns));
+            for observer in swarm.view.left_out() {
+                text += &format!("\n{observer} contradicts the others and is left out");
+            }
+            text += &format!("\n\n{}", swarm_map::map(swarm.view.own(), &places));
+        }
         if screen.is_live() {
             screen.table(&text);
         } else {
             screen.line(&text);
         }
-        let pause = if screen.is_live() { 200 } else { 1000 };
-        std::thread::sleep(Duration::from_millis(pause));
     }
     Ok(())
+}
+
+/// Where each drone is, and how that is known.
+fn swarm_table(places: &[Place], at_ns: i64) -> String {
+    let titles = ["drone", "known", "position m (x y z)", "dist m", "\u{b1} mm", "age ms"];
+    let mut table = TextTable::new(2, &titles).at_least(&[16, 24, 24, 8, 6, 8]);
+    for place in places {
+        let pose = &place.own_from_drone;
+        let position = pose.a_from_b.translation.vector;
+        let deviation_m = pose.covariance.fixed_view::<3, 3>(0, 0).trace().max(0.0).sqrt();
+        let through = place.through.as_ref().map(|drone| format!(" through {drone}"));
+        table.row([
+            place.name.clone(),
+            format!("{}{}", way_in_words(place.way), through.unwrap_or_default()),
+            format!("{:.3} {:.3} {:.3}", position.x, position.y, position.z),
+            format!("{:.2}", position.norm()),
+            format!("{:.1}", deviation_m * 1e3),
+            format!("{:.0}", age_ms(place, at_ns)),
+        ]);
+    }
+    table.text()
 }
 
 /// The latest report of each observer on each target.
@@ -109,9 +249,9 @@ fn table(peers: &Peers, now: Instant) -> String {
         }
         for (target, received) in &peer.targets {
             let report = &received.report;
-            let [x, y, z] = report.position;
+            let [x, y, z] = report.target.position;
             let state = if peer.alive {
-                format!("{:?}", report.state).to_lowercase()
+                format!("{:?}", report.target.state).to_lowercase()
             } else {
                 "gone".to_owned()
             };
@@ -123,11 +263,18 @@ fn table(peers: &Peers, now: Instant) -> String {
                 format!("{:.2}", Vector3::new(x, y, z).norm()),
                 format!("{:.0}", received.age(now).as_secs_f64() * 1e3),
                 received.rate_hz(now).map_or("-".to_owned(), |rate| format!("{rate:.1}")),
-                report.markers.to_string(),
+                report.target.markers.to_string(),
             ]);
         }
     }
     let mut text = table.text();
+    for (observer, peer) in peers.observers.iter().filter(|(_, peer)| peer.refused.total() > 0) {
+        let refused = &peer.refused;
+        text += &format!(
+            "\n{observer}: refused {} malformed, {} stale, {} from the future, {} replayed, {} unsigned",
+            refused.malformed, refused.stale, refused.future, refused.replayed, refused.unsigned
+        );
+    }
     if peers.observers.is_empty() {
         text += "\nno report has come yet";
     }

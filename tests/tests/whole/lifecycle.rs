@@ -4,7 +4,7 @@ use std::net::TcpListener;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use flockeye_contract::wire::{POSE_SCHEMA, PoseReport};
+use flockeye_contract::wire::FRAME_SCHEMA;
 use flockeye_contract::{Health, Healths, MeasuredBy, Track, TrackHeader, Tracks};
 use flockeye_record::{PoseRow, TruthRow, read};
 use flockeye_runtime::clock;
@@ -455,19 +455,20 @@ fn peers_see_poses_over_the_network() {
         let mut command = Command::new(flockeye());
         command.args(["peers", "--json"]).args(way);
         let mut peers = Flight::launch(&unique("peers"), command);
-        peers.wait_for(POSE_SCHEMA);
+        peers.wait_for(FRAME_SCHEMA);
         peers.signal(Signal::INT);
         assert!(peers.wait().success(), "{}", peers.output());
         output = peers.output();
     }
     let (succeeded, refusal) = run(&["peers", "--instance", "nobody"]);
     assert!(!succeeded && refusal.contains("no pipeline 'nobody' runs here"), "{refusal}");
-    let line = output.lines().find(|line| line.contains(POSE_SCHEMA)).expect("it was waited for");
+    let line = output.lines().find(|line| line.contains(FRAME_SCHEMA)).expect("it was waited for");
     let heard: serde_json::Value = serde_json::from_str(line).expect("each line is an object");
     let report = &heard["report"];
-    assert_eq!(report["schema"], POSE_SCHEMA);
-    let report = PoseReport::from_json(report.to_string().as_bytes()).expect("a whole report");
-    assert_eq!((report.observer.as_str(), report.target.as_str()), ("observer", "alpha"));
+    assert_eq!((&report["observer"], &report["target"]), (&"observer".into(), &"alpha".into()));
+    let exposure_ns = heard["exposure_monotonic_ns"].as_i64().expect("a time");
+    let arrived_ns = heard["arrived_monotonic_ns"].as_i64().expect("a time");
+    assert!((0..10_000_000_000).contains(&(arrived_ns - exposure_ns)), "{heard}");
     flight.signal(Signal::INT);
     assert!(flight.wait().success(), "{}", flight.output());
     flight.assert_nothing_left();

@@ -9,7 +9,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#define FLOCKEYE_CONTRACT_VERSION "6"
+#define FLOCKEYE_CONTRACT_VERSION "7"
 #define FLOCKEYE_VERSION_ATTRIBUTE "flockeye.contract"
 /* Of an index that points nowhere. */
 #define FLOCKEYE_NONE 4294967295u
@@ -23,6 +23,8 @@
 #define FLOCKEYE_TOPIC_DETECTION "flockeye/detection" /* flockeye_detection_header, flockeye_detected_marker */
 #define FLOCKEYE_TOPIC_FRAME_END "flockeye/frame_end" /* flockeye_frame_end, uint8_t */
 #define FLOCKEYE_TOPIC_TRACK "flockeye/track" /* flockeye_track_header, flockeye_track */
+#define FLOCKEYE_TOPIC_PEER "flockeye/peer" /* flockeye_peer_header, flockeye_peer_sighting */
+#define FLOCKEYE_TOPIC_SWARM "flockeye/swarm" /* flockeye_swarm_header, flockeye_swarm_pose */
 #define FLOCKEYE_TOPIC_HEALTH "flockeye/health" /* flockeye_health, uint8_t */
 #define FLOCKEYE_TOPIC_TRUTH "flockeye/truth" /* flockeye_truth_header, flockeye_body_truth */
 #define FLOCKEYE_TOPIC_HANDOVER "flockeye/handover" /* flockeye_hand_over, uint8_t */
@@ -107,6 +109,13 @@ enum flockeye_measured_by {
     FLOCKEYE_MEASURED_BY_NOTHING = 0,
     FLOCKEYE_MEASURED_BY_DECODED = 1,
     FLOCKEYE_MEASURED_BY_ALIGNED = 2,
+};
+
+enum flockeye_swarm_way {
+    FLOCKEYE_SWARM_WAY_DIRECT = 0,
+    FLOCKEYE_SWARM_WAY_MUTUAL = 1,
+    FLOCKEYE_SWARM_WAY_REPORTED = 2,
+    FLOCKEYE_SWARM_WAY_CHAINED = 3,
 };
 
 enum flockeye_stage_state {
@@ -470,6 +479,84 @@ static_assert(offsetof(flockeye_track, state) == 1184, "Track.state");
 static_assert(offsetof(flockeye_track, measured_by) == 1188, "Track.measured_by");
 static_assert(offsetof(flockeye_track, markers) == 1192, "Track.markers");
 static_assert(offsetof(flockeye_track, reserved) == 1196, "Track.reserved");
+
+/* In iceoryx2: flockeye/PeerHeader. */
+typedef struct {
+    int64_t arrived_ns;
+    uint32_t generation;
+    uint32_t is_signed;
+} flockeye_peer_header;
+static_assert(sizeof(flockeye_peer_header) == 16, "PeerHeader");
+static_assert(offsetof(flockeye_peer_header, arrived_ns) == 0, "PeerHeader.arrived_ns");
+static_assert(offsetof(flockeye_peer_header, generation) == 8, "PeerHeader.generation");
+static_assert(offsetof(flockeye_peer_header, is_signed) == 12, "PeerHeader.is_signed");
+
+/* In iceoryx2: flockeye/PeerSighting. */
+typedef struct {
+    flockeye_pose observer_from_target;
+    double covariance[36];
+    flockeye_pose target_from_observer;
+    double inverse_covariance[36];
+    double linear_velocity[3];
+    double angular_velocity[3];
+    int64_t exposure_ns;
+    int64_t exposure_deviation_ns;
+    uint64_t frame;
+    char observer[32];
+    char target[32];
+    uint32_t epoch;
+    uint32_t state;
+    uint32_t measured_by;
+    uint32_t is_own;
+} flockeye_peer_sighting;
+static_assert(sizeof(flockeye_peer_sighting) == 840, "PeerSighting");
+static_assert(offsetof(flockeye_peer_sighting, observer_from_target) == 0, "PeerSighting.observer_from_target");
+static_assert(offsetof(flockeye_peer_sighting, covariance) == 56, "PeerSighting.covariance");
+static_assert(offsetof(flockeye_peer_sighting, target_from_observer) == 344, "PeerSighting.target_from_observer");
+static_assert(offsetof(flockeye_peer_sighting, inverse_covariance) == 400, "PeerSighting.inverse_covariance");
+static_assert(offsetof(flockeye_peer_sighting, linear_velocity) == 688, "PeerSighting.linear_velocity");
+static_assert(offsetof(flockeye_peer_sighting, angular_velocity) == 712, "PeerSighting.angular_velocity");
+static_assert(offsetof(flockeye_peer_sighting, exposure_ns) == 736, "PeerSighting.exposure_ns");
+static_assert(offsetof(flockeye_peer_sighting, exposure_deviation_ns) == 744, "PeerSighting.exposure_deviation_ns");
+static_assert(offsetof(flockeye_peer_sighting, frame) == 752, "PeerSighting.frame");
+static_assert(offsetof(flockeye_peer_sighting, observer) == 760, "PeerSighting.observer");
+static_assert(offsetof(flockeye_peer_sighting, target) == 792, "PeerSighting.target");
+static_assert(offsetof(flockeye_peer_sighting, epoch) == 824, "PeerSighting.epoch");
+static_assert(offsetof(flockeye_peer_sighting, state) == 828, "PeerSighting.state");
+static_assert(offsetof(flockeye_peer_sighting, measured_by) == 832, "PeerSighting.measured_by");
+static_assert(offsetof(flockeye_peer_sighting, is_own) == 836, "PeerSighting.is_own");
+
+/* In iceoryx2: flockeye/SwarmHeader. */
+typedef struct {
+    int64_t at_ns;
+    int64_t sent_ns;
+    uint32_t generation;
+    uint32_t left_out;
+} flockeye_swarm_header;
+static_assert(sizeof(flockeye_swarm_header) == 24, "SwarmHeader");
+static_assert(offsetof(flockeye_swarm_header, at_ns) == 0, "SwarmHeader.at_ns");
+static_assert(offsetof(flockeye_swarm_header, sent_ns) == 8, "SwarmHeader.sent_ns");
+static_assert(offsetof(flockeye_swarm_header, generation) == 16, "SwarmHeader.generation");
+static_assert(offsetof(flockeye_swarm_header, left_out) == 20, "SwarmHeader.left_out");
+
+/* In iceoryx2: flockeye/SwarmPose. */
+typedef struct {
+    flockeye_pose own_from_drone;
+    double covariance[36];
+    int64_t seen_ns;
+    char name[32];
+    char through[32];
+    uint32_t way;
+    uint32_t pairs;
+} flockeye_swarm_pose;
+static_assert(sizeof(flockeye_swarm_pose) == 424, "SwarmPose");
+static_assert(offsetof(flockeye_swarm_pose, own_from_drone) == 0, "SwarmPose.own_from_drone");
+static_assert(offsetof(flockeye_swarm_pose, covariance) == 56, "SwarmPose.covariance");
+static_assert(offsetof(flockeye_swarm_pose, seen_ns) == 344, "SwarmPose.seen_ns");
+static_assert(offsetof(flockeye_swarm_pose, name) == 352, "SwarmPose.name");
+static_assert(offsetof(flockeye_swarm_pose, through) == 384, "SwarmPose.through");
+static_assert(offsetof(flockeye_swarm_pose, way) == 416, "SwarmPose.way");
+static_assert(offsetof(flockeye_swarm_pose, pairs) == 420, "SwarmPose.pairs");
 
 /* In iceoryx2: flockeye/Health. */
 typedef struct {

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use anyhow::Context as _;
 use bytemuck::Zeroable;
 use flockeye_config::Resolved;
-use flockeye_contract::wire::PoseReport;
+use flockeye_contract::wire::Sighting;
 use flockeye_contract::{FrameStamp, MeasuredBy, Pose, Track, TrackHeader, TrackState, Tracks};
 use flockeye_network::{Listener, Network, NetworkParameters, ReportStream, utc_from_monotonic};
 use flockeye_runtime::clock;
@@ -48,7 +48,12 @@ pub fn run(bench: &mut Bench, resolved: &Resolved, report: &mut Report) -> anyho
     let observer = &resolved.pipeline.observer.name;
     let is_alive = bench.wait(link, |_| {
         let peers = listener.snapshot();
-        Ok(peers.observers.get(observer).is_some_and(|peer| peer.alive).then_some(()))
+        // Heard: what is said from now on is not missed.
+        Ok(peers
+            .observers
+            .get(observer)
+            .is_some_and(|peer| peer.alive && peer.is_heard)
+            .then_some(()))
     })?;
     report.holds("says that it is alive", PAGE, is_alive.is_some(), || {
         format!(
@@ -133,13 +138,12 @@ impl Script<'_> {
         bench: &mut Bench,
         stamp: &FrameStamp,
         patience: Duration,
-    ) -> anyhow::Result<Option<(PoseReport, i64)>> {
+    ) -> anyhow::Result<Option<(Sighting, i64)>> {
         let observer = &self.resolved.pipeline.observer.name;
         bench.wait(patience, |_| {
             let heard = self.reports.recv_timeout(Duration::from_millis(1));
-            let is_meant = |report: &PoseReport| {
-                report.observer == *observer && report.frame == stamp.sequence
-            };
+            let is_meant =
+                |report: &Sighting| report.observer == *observer && report.frame == stamp.sequence;
             let meant = heard.filter(|heard| is_meant(&heard.report));
             Ok(meant.map(|heard| (heard.report, heard.arrived_monotonic_ns)))
         })
@@ -170,29 +174,30 @@ impl Script<'_> {
     }
 
     /// A report must say what the track says.
-    fn compare(&self, report: &mut Report, stamp: &FrameStamp, track: &Track, heard: &PoseReport) {
+    fn compare(&self, report: &mut Report, stamp: &FrameStamp, track: &Track, heard: &Sighting) {
         let what = "reports say what the track says";
         let observer = self.resolved.pipeline.observer.name.as_str();
         report.field(what, PAGE, "observer", heard.observer.as_str(), observer);
-        report.field(what, PAGE, "target", heard.target.clone(), track.name.to_string());
+        report.field(what, PAGE, "target", heard.target.name.clone(), track.name.to_string());
         report.field(what, PAGE, "frame", heard.frame, stamp.sequence);
-        report.field(what, PAGE, "state", heard.state, TrackState::Confirmed);
-        report.field(what, PAGE, "markers", heard.markers, track.markers);
-        report.field(what, PAGE, "measured_by", heard.measured_by, MeasuredBy::Aligned);
+        report.field(what, PAGE, "state", heard.target.state, TrackState::Confirmed);
+        report.field(what, PAGE, "markers", heard.target.markers, track.markers);
+        report.field(what, PAGE, "measured_by", heard.target.measured_by, MeasuredBy::Aligned);
         report.field(what, PAGE, "epoch", heard.epoch, stamp.epoch);
         let upper = (0..6).flat_map(|row| (row..6).map(move |column| 6 * row + column));
         let covariance: Vec<f64> = upper.map(|index| track.covariance[index]).collect();
         let pose = track.observer_from_target;
+        let said = &heard.target;
         // A quaternion and its negative are one rotation.
-        let sign = if heard.orientation[3] * pose.orientation[3] < 0.0 { -1.0 } else { 1.0 };
-        let orientation = heard.orientation.map(|q| sign * q);
+        let sign = if said.orientation[3] * pose.orientation[3] < 0.0 { -1.0 } else { 1.0 };
+        let orientation = said.orientation.map(|q| sign * q);
         for (field, found, wanted) in [
-            ("position", &heard.position[..], &pose.position[..]),
+            ("position", &said.position[..], &pose.position[..]),
             ("orientation", &orientation, &pose.orientation),
-            ("covariance", &heard.covariance, &covariance),
-            ("linear_velocity", &heard.linear_velocity, &track.linear_velocity),
-            ("angular_velocity", &heard.angular_velocity, &track.angular_velocity),
-            ("unseen_s", &[heard.unseen_s], &[0.25]),
+            ("covariance", &said.covariance, &covariance),
+            ("linear_velocity", &said.linear_velocity, &track.linear_velocity),
+            ("angular_velocity", &said.angular_velocity, &track.angular_velocity),
+            ("unseen_s", &[said.unseen_s], &[0.25]),
         ] {
             let is_same = found.len() == wanted.len()
                 && found.iter().zip(wanted).all(|(found, wanted)| (found - wanted).abs() < ROUNDED);
@@ -250,6 +255,6 @@ impl Script<'_> {
 
     fn refused(&self) -> u64 {
         let peers = self.listener.snapshot();
-        peers.refused + peers.observers.values().map(|peer| peer.refused).sum::<u64>()
+        peers.refused + peers.observers.values().map(|peer| peer.refused.total()).sum::<u64>()
     }
 }

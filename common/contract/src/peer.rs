@@ -1,0 +1,125 @@
+//! `peer` and `swarm`: what other drones report, and where all of the swarm is by all that is known.
+
+use bytemuck::{Pod, Zeroable};
+use iceoryx2::prelude::ZeroCopySend;
+
+use crate::{ContractError, MeasuredBy, Pose, SwarmWay, Text, TrackState};
+
+/// Header of `peer`. Payload: the [`PeerSighting`]s of one report.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[type_name("flockeye/PeerHeader")]
+#[repr(C)]
+pub struct PeerHeader {
+    /// When the report came in, CLOCK_MONOTONIC of this machine, nanoseconds.
+    pub arrived_ns: i64,
+    /// Rises each time the gateway's process is replaced.
+    pub generation: u32,
+    /// 1 if the report bears a valid signature of the observer that its key names.
+    pub is_signed: u32,
+}
+
+/// Where a peer sees one target, of a report that passed all checks.
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[type_name("flockeye/PeerSighting")]
+#[repr(C)]
+pub struct PeerSighting {
+    /// Filtered pose of the target in the frame of the drone that reports.
+    pub observer_from_target: Pose,
+    /// Its covariance, 6x6 row-major: position (m), then rotation vector (rad), both in the observer's
+    /// frame.
+    pub covariance: [f64; 36],
+    /// The inverse: where the observer is as its target has it. Of a target that is this drone, it is where
+    /// the peer is from here.
+    pub target_from_observer: Pose,
+    /// Its covariance, in the target's frame.
+    pub inverse_covariance: [f64; 36],
+    /// Velocity of the target relative to the observer, along the observer's axes, m/s.
+    pub linear_velocity: [f64; 3],
+    /// Angular velocity of the target along the observer's axes, rad/s.
+    pub angular_velocity: [f64; 3],
+    /// Mid-exposure on this machine's CLOCK_MONOTONIC, by the estimate of the peer's clock, nanoseconds.
+    pub exposure_ns: i64,
+    /// Standard deviation of that, nanoseconds.
+    pub exposure_deviation_ns: i64,
+    /// The frame's number in its epoch, as the observer counts.
+    pub frame: u64,
+    /// Who reports.
+    pub observer: Text<32>,
+    /// On whom.
+    pub target: Text<32>,
+    /// The source's epoch, as the observer counts.
+    pub epoch: u32,
+    /// A [`TrackState`].
+    pub state: u32,
+    /// A [`MeasuredBy`].
+    pub measured_by: u32,
+    /// 1 if the target is this drone.
+    pub is_own: u32,
+}
+
+/// Header of `swarm`. Payload: a [`SwarmPose`] for each drone whose place is known.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[type_name("flockeye/SwarmHeader")]
+#[repr(C)]
+pub struct SwarmHeader {
+    /// The time that the poses hold for, CLOCK_MONOTONIC, nanoseconds.
+    pub at_ns: i64,
+    /// When it was sent, CLOCK_MONOTONIC, nanoseconds. A latency field.
+    pub sent_ns: i64,
+    /// Rises each time the gateway's process is replaced.
+    pub generation: u32,
+    /// Observers whose reports contradict the others', and are left out.
+    pub left_out: u32,
+}
+
+/// Where a drone is, by all that this one and its peers have seen.
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[type_name("flockeye/SwarmPose")]
+#[repr(C)]
+pub struct SwarmPose {
+    /// Pose of the drone in this drone's frame.
+    pub own_from_drone: Pose,
+    /// Its covariance, 6x6 row-major: position (m), then rotation vector (rad), both in this drone's frame.
+    pub covariance: [f64; 36],
+    /// The newest exposure that it rests on, CLOCK_MONOTONIC, nanoseconds.
+    pub seen_ns: i64,
+    /// Whose pose.
+    pub name: Text<32>,
+    /// The drone through which it is known best, where it is `chained`; else empty.
+    pub through: Text<32>,
+    /// A [`SwarmWay`].
+    pub way: u32,
+    /// Pairs of drones whose sightings it rests on.
+    pub pairs: u32,
+}
+
+impl PeerSighting {
+    /// Refuses unknown codes and invalid poses.
+    pub fn check(&self) -> Result<(), ContractError> {
+        TrackState::try_from(self.state)?;
+        MeasuredBy::try_from(self.measured_by)?;
+        self.observer_from_target.check()?;
+        self.target_from_observer.check()?;
+        check_finite("covariance", &self.covariance)?;
+        check_finite("inverse covariance", &self.inverse_covariance)?;
+        check_finite("velocity", &self.linear_velocity)?;
+        check_finite("velocity", &self.angular_velocity)
+    }
+}
+
+impl SwarmPose {
+    /// Refuses unknown codes and invalid poses.
+    pub fn check(&self) -> Result<(), ContractError> {
+        SwarmWay::try_from(self.way)?;
+        self.own_from_drone.check()?;
+        check_finite("covariance", &self.covariance)
+    }
+}
+
+fn check_finite(what: &'static str, numbers: &[f64]) -> Result<(), ContractError> {
+    if numbers.iter().all(|x| x.is_finite()) {
+        Ok(())
+    } else {
+        Err(ContractError::NotFinite { what })
+    }
+}

@@ -1,0 +1,206 @@
+//! The two reports: their size, their form, and what is refused.
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+
+use std::collections::BTreeMap;
+
+use super::*;
+use crate::{MeasuredBy, TrackState};
+
+fn longest_pose() -> PoseReport {
+    PoseReport {
+        schema: POSE_SCHEMA.into(),
+        observer: "o".repeat(MAX_NAME_CHARS),
+        target: "t".repeat(MAX_NAME_CHARS),
+        frame: u64::MAX,
+        epoch: u32::MAX,
+        stamp_utc_ns: i64::MIN,
+        clock_synchronised: false,
+        stream_s: -12345.678901234567,
+        latency_ms: 1234.5678901234,
+        state: TrackState::Confirmed,
+        measured_by: MeasuredBy::Decoded,
+        markers: u32::MAX,
+        unseen_s: 1.2345678901234,
+        position: [-1.234_567_890_123e-5; 3],
+        orientation: [-0.5; 4],
+        covariance: covariance(),
+        linear_velocity: [-1.234_567_890_123e-5; 3],
+        angular_velocity: [-1.234_567_890_123e-5; 3],
+    }
+}
+
+/// As long as it can be: variances cannot be negative.
+fn covariance() -> [f64; 21] {
+    let variances = [0, 6, 11, 15, 18, 20];
+    std::array::from_fn(|k| if variances.contains(&k) { 1.234_567e-12 } else { -1.234_567e-12 })
+}
+
+fn longest_target(name: &str) -> TargetReport {
+    let (position, orientation) = ([-123.456_789_012; 3], [-0.500_000_123; 4]);
+    TargetReport {
+        name: name.into(),
+        state: TrackState::Confirmed,
+        measured_by: MeasuredBy::Decoded,
+        markers: u32::MAX,
+        unseen_s: 1.2345678901234,
+        position,
+        orientation,
+        covariance: covariance(),
+        linear_velocity: [-1.234_567_890_123e-5; 3],
+        angular_velocity: [-1.234_567_890_123e-5; 3],
+        measured: Some(Measurement { position, orientation, covariance: covariance() }),
+        predicted: Some(Predicted {
+            after_s: 0.123_456_789,
+            position,
+            orientation,
+            deviations: [1.234_567e-10; 6],
+        }),
+        degenerate: Some(Degenerate {
+            position: Some([-0.577_35; 3]),
+            rotation: Some([-0.577_35; 3]),
+        }),
+    }
+}
+
+fn frame(targets: Vec<TargetReport>) -> FrameReport {
+    FrameReport {
+        schema: FRAME_SCHEMA.into(),
+        observer: "wren".into(),
+        frame: 7,
+        epoch: 1,
+        stamp_utc_ns: 1_700_000_000_000_000_000,
+        clock_synchronised: true,
+        stream_s: 0.25,
+        latency_ms: 12.5,
+        odometry: None,
+        clocks: BTreeMap::new(),
+        targets,
+    }
+}
+
+#[test]
+fn the_longest_pose_fits_a_packet() {
+    let json = longest_pose().to_json().expect("fits");
+    assert!(json.len() <= MAX_REPORT_BYTES, "{} bytes", json.len());
+    let back = PoseReport::from_json(&json).expect("reads back");
+    assert_eq!(back.frame, u64::MAX);
+    assert!((back.covariance[3] / -1.234_567e-12 - 1.0).abs() < 1e-3);
+}
+
+#[test]
+fn the_longest_target_fits_a_packet_and_the_most_targets_a_report() {
+    let name = |k: usize| format!("{k:02}{}", "t".repeat(MAX_NAME_CHARS - 2));
+    let mut report = frame((0..MAX_TARGETS).map(|k| longest_target(&name(k))).collect());
+    let offset = ClockOffset { one_way_ms: -1e12, offset_ms: -1e12, deviation_ms: 1.234_567e-5 };
+    report.clocks = (0..MAX_TARGETS).map(|k| (name(k), offset)).collect();
+    report.odometry = Some(Odometry {
+        position: [-1_234.567_891; 3],
+        orientation: [-0.500_000_1; 4],
+        deviations: [1.234e-10; 6],
+        linear_velocity: [-12.345_678; 3],
+        angular_velocity: [-12.345_678; 3],
+    });
+    let json = report.to_json().expect("each target fits, and all do");
+    let back = FrameReport::from_json(&json).expect("reads back");
+    assert_eq!(back.targets.len(), MAX_TARGETS);
+    let (sent, read) = (&report.targets[3], &back.targets[3]);
+    assert_eq!(read.name, sent.name);
+    assert!((read.position[0] - sent.position[0]).abs() < 1e-6);
+    assert!((read.covariance[3] / sent.covariance[3] - 1.0).abs() < 5e-3);
+    assert!(read.measured.is_some() && read.predicted.is_some() && read.degenerate.is_some());
+}
+
+#[test]
+fn a_reader_of_the_first_schema_reads_what_it_always_read() {
+    let mut report = longest_pose();
+    (report.observer, report.target) = ("wren".into(), "kite".into());
+    (report.frame, report.epoch, report.markers) = (7, 1, 3);
+    let value: serde_json::Value =
+        serde_json::from_slice(&report.to_json().expect("fits")).unwrap();
+    let keys: Vec<_> = value.as_object().expect("an object").keys().cloned().collect();
+    assert_eq!(
+        keys.join(" "),
+        "schema observer target frame epoch stamp_utc_ns clock_synchronised stream_s latency_ms \
+         state measured_by markers unseen_s position orientation covariance linear_velocity \
+         angular_velocity"
+    );
+    assert_eq!(value["schema"], "flockeye.pose/1");
+    assert_eq!(
+        (value["state"].as_str(), value["measured_by"].as_str()),
+        (Some("confirmed"), Some("decoded"))
+    );
+}
+
+/// `docs/schemas/` is what people validate against. `UPDATE_SCHEMAS=1` writes it anew.
+#[test]
+fn the_schemas_in_the_repository_are_those_of_the_types() {
+    for (file, schema) in json_schemas() {
+        let path =
+            std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/schemas").join(file);
+        let text = serde_json::to_string_pretty(&schema).unwrap() + "\n";
+        if std::env::var_os("UPDATE_SCHEMAS").is_some() {
+            std::fs::write(&path, &text).unwrap();
+        }
+        let stored = std::fs::read_to_string(&path).unwrap_or_default();
+        assert!(stored == text, "{} is not what the types say", path.display());
+    }
+}
+
+#[test]
+fn foreign_bytes_are_refused_with_their_reason() {
+    let error = |bytes: &[u8]| PoseReport::from_json(bytes).expect_err("refused").to_string();
+    assert!(error(b"\xff\xfe").starts_with("not a report"));
+    assert!(error(&[b' '; 2000]).contains("2000 bytes"));
+    let changed = |change: &dyn Fn(&mut PoseReport)| {
+        let mut report = longest_pose();
+        change(&mut report);
+        error(&report.to_json().expect("fits"))
+    };
+    assert!(
+        changed(&|report| report.schema = "flockeye.pose/9".into()).contains("flockeye.pose/9")
+    );
+    assert!(changed(&|report| report.orientation = [0.0; 4]).contains("orientation"));
+    assert!(changed(&|report| report.covariance[6] = -1.0).contains("covariance"));
+
+    let changed = |change: &dyn Fn(&mut FrameReport)| {
+        let mut report = frame(vec![longest_target("kite"), longest_target("swift")]);
+        change(&mut report);
+        let json = serde_json::to_vec(&report).unwrap();
+        FrameReport::from_json(&json).expect_err("refused").to_string()
+    };
+    assert!(changed(&|report| report.schema = "x".repeat(99)).len() < 100);
+    assert!(changed(&|report| report.targets[1].name = "kite".into()).contains("twice"));
+    assert!(changed(&|report| report.targets[1].name = "../kite".into()).contains("no name"));
+    assert!(changed(&|report| report.targets[0].covariance[20] = -1e-9).contains("covariance"));
+    let turned = |report: &mut FrameReport| {
+        if let Some(predicted) = &mut report.targets[0].predicted {
+            predicted.orientation = [0.1; 4];
+        }
+    };
+    assert!(changed(&turned).contains("predicted orientation"));
+    let many = |report: &mut FrameReport| {
+        report.targets = (0..65).map(|k| longest_target(&format!("t{k}"))).collect();
+        report
+            .targets
+            .iter_mut()
+            .for_each(|target| (target.measured, target.predicted) = (None, None));
+    };
+    assert!(changed(&many).contains("65 targets"));
+}
+
+/// Every single byte of a report, changed, is either refused or a report that is in order.
+#[test]
+fn a_report_with_a_broken_byte_is_refused_or_in_order() {
+    let json = frame(vec![longest_target("kite")]).to_json().unwrap();
+    for index in 0..json.len() {
+        for byte in [0, b'"', b'9', b'-', b'e', b'}', 0xff] {
+            let mut broken = json.clone();
+            broken[index] = byte;
+            if let Ok(report) = FrameReport::from_json(&broken) {
+                assert!(report.targets.iter().all(|target| {
+                    target.position.iter().all(|x| x.is_finite()) && is_name(&target.name)
+                }));
+            }
+        }
+    }
+}

@@ -1,0 +1,26 @@
+//! Where all drones of a swarm are, by what each of them sees of the others.
+//!
+//! | module | what it does |
+//! | --- | --- |
+//! | [`uncertain_pose`] | a pose with its covariance: inverse, chain, intersection |
+//! | [`replay`] | a filter whose measurements may come late and out of order |
+//! | [`graph`] | poses of all drones from the pairs that see each other, by least squares |
+//! | [`honesty`] | whose sightings contradict the others' |
+//! | [`estimator`] | all of that, fed with sightings as they come |
+//!
+//! Each measurement counts once. What two drones measure of each other goes into one filter, because the
+//! errors of measurements are independent. Where only filtered poses are at hand, their errors share what
+//! both filters assume, and covariance intersection combines them. Then each pair is one edge of a graph, so
+//! that a chain and a loop of pairs count each of them once too.
+
+pub mod estimator;
+pub mod graph;
+pub mod honesty;
+pub mod replay;
+pub mod uncertain_pose;
+
+pub use estimator::{Place, Seen, SwarmEstimator, SwarmModel, Way};
+pub use uncertain_pose::UncertainPose;
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,227 @@
+//! Whether a report is of now: not held back on the way, not said before, and not of a time to come.
+
+use flockeye_runtime::clock::monotonic_ns;
+
+use crate::clock::OneWay;
+use crate::utc::utc_from_monotonic;
+
+/// A pose that was held on its way for longer than this is of no use, nanoseconds.
+const STALE_NS: i64 = 1_000_000_000;
+/// So much earlier than any before it no report can come, nanoseconds.
+const FUTURE_NS: i64 = 1_000_000_000;
+/// After so long without a report that passes, the next one begins anew: the drone was restarted, or its clock
+/// was set.
+const ANEW_AFTER_NS: i64 = 3_000_000_000;
+
+/// When a report came in.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ArrivalTime {
+    /// CLOCK_MONOTONIC, nanoseconds.
+    pub monotonic_ns: i64,
+    /// UTC by our clock, nanoseconds since 1970.
+    pub utc_ns: i64,
+    /// Whether our clock is synchronised with UTC.
+    pub is_synchronised: bool,
+}
+
+impl ArrivalTime {
+    /// Now.
+    pub(crate) fn now() -> Self {
+        let monotonic_ns = monotonic_ns();
+        let (utc_ns, is_synchronised) = utc_from_monotonic(monotonic_ns);
+        Self { monotonic_ns, utc_ns, is_synchronised }
+    }
+
+    /// Our UTC less our CLOCK_MONOTONIC, nanoseconds.
+    pub fn utc_less_monotonic_ns(&self) -> i64 {
+        self.utc_ns.saturating_sub(self.monotonic_ns)
+    }
+}
+
+/// When a report was sent, as it says itself.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Sent {
+    /// UTC by the sender's clock, nanoseconds since 1970.
+    pub utc_ns: i64,
+    /// Whether that clock is synchronised with UTC.
+    pub is_synchronised: bool,
+}
+
+/// Why a report is not of now.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum NotOfNow {
+    /// It was held on its way.
+    #[error("{late_ms} ms late: it was held on its way")]
+    Stale {
+        /// How much later than others it came, milliseconds.
+        late_ms: i64,
+    },
+    /// It says that it was sent later than can be.
+    #[error("sent {early_ms} ms after now by its own clock")]
+    Future {
+        /// By how much, milliseconds.
+        early_ms: i64,
+    },
+    /// Sent no later than one that is here already.
+    #[error("sent {older_ms} ms before one that is here already, or said twice")]
+    Replayed {
+        /// How much older it is, milliseconds.
+        older_ms: i64,
+    },
+}
+
+/// Whether a report goes on with what was heard before.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Began {
+    /// It is the first, or the first after a silence: what was heard before tells nothing of its order.
+    Anew,
+    /// It goes on.
+    Before,
+}
+
+/// What is remembered of one observer's reports.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Freshness {
+    way: OneWay,
+    last_passed_ns: Option<i64>,
+}
+
+impl Freshness {
+    /// How the observer's clock differs from ours.
+    pub fn way(&self) -> &OneWay {
+        &self.way
+    }
+
+    pub(crate) fn way_mut(&mut self) -> &mut OneWay {
+        &mut self.way
+    }
+
+    /// Passes a report that was published, or says why it is not of now. `newest_utc_ns` is when the newest
+    /// report under the same key was sent.
+    pub(crate) fn pass(
+        &mut self,
+        sent: Sent,
+        newest_utc_ns: Option<i64>,
+        arrival: &ArrivalTime,
+    ) -> Result<Began, NotOfNow> {
+        let is_anew = self
+            .last_passed_ns
+            .is_none_or(|last| arrival.monotonic_ns.saturating_sub(last) > ANEW_AFTER_NS);
+        if is_anew {
+            self.way = OneWay::default();
+        }
+        let newest_utc_ns = newest_utc_ns.filter(|_| !is_anew);
+        self.check(sent, newest_utc_ns, arrival)?;
+        self.way.add(sent.utc_ns, arrival.monotonic_ns);
+        self.last_passed_ns = Some(arrival.monotonic_ns);
+        Ok(if is_anew { Began::Anew } else { Began::Before })
+    }
+
+    fn check(
+        &self,
+        sent: Sent,
+        newest_utc_ns: Option<i64>,
+        arrival: &ArrivalTime,
+    ) -> Result<(), NotOfNow> {
+        let late_ns = if sent.is_synchronised && arrival.is_synchronised {
+            Some(arrival.utc_ns.saturating_sub(sent.utc_ns))
+        } else {
+            self.way.above_least(sent.utc_ns, arrival.monotonic_ns)
+        };
+        let late_ns = late_ns.unwrap_or(0);
+        if late_ns > STALE_NS {
+            return Err(NotOfNow::Stale { late_ms: late_ns / 1_000_000 });
+        }
+        if late_ns < -FUTURE_NS {
+            return Err(NotOfNow::Future { early_ms: -(late_ns / 1_000_000) });
+        }
+        match newest_utc_ns {
+            Some(newest) if sent.utc_ns <= newest => {
+                Err(NotOfNow::Replayed { older_ms: newest.saturating_sub(sent.utc_ns) / 1_000_000 })
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use super::*;
+
+    const UTC: i64 = 1_700_000_000_000_000_000;
+    const SECOND: i64 = 1_000_000_000;
+
+    fn at(monotonic_ns: i64, is_synchronised: bool) -> ArrivalTime {
+        ArrivalTime { monotonic_ns, utc_ns: monotonic_ns + UTC, is_synchronised }
+    }
+
+    /// A report sent at `sent_ns` (by a clock that is a day wrong) that arrives at `arrived_ns`.
+    fn pass(
+        freshness: &mut Freshness,
+        newest: &mut Option<i64>,
+        sent_ns: i64,
+        arrived_ns: i64,
+    ) -> Result<(), NotOfNow> {
+        let sent = Sent { utc_ns: sent_ns + UTC - 86_400 * SECOND, is_synchronised: false };
+        freshness.pass(sent, *newest, &at(arrived_ns, true))?;
+        *newest = Some(sent.utc_ns);
+        Ok(())
+    }
+
+    #[test]
+    fn reports_that_flow_pass_whatever_the_clock_says() {
+        let (mut freshness, mut newest) = (Freshness::default(), None);
+        for k in 0..1_000 {
+            let delay = [2, 40, 3, 900][k as usize % 4] * 1_000_000;
+            pass(&mut freshness, &mut newest, k * 33_000_000, k * 33_000_000 + delay).unwrap();
+        }
+    }
+
+    #[test]
+    fn what_was_held_back_said_twice_or_is_to_come_is_refused() {
+        let (mut freshness, mut newest) = (Freshness::default(), None);
+        pass(&mut freshness, &mut newest, 0, 1_000_000).unwrap();
+        let held = pass(&mut freshness, &mut newest, SECOND / 10, 3 * SECOND / 2);
+        assert!(matches!(held, Err(NotOfNow::Stale { late_ms: 1399 })), "{held:?}");
+        pass(&mut freshness, &mut newest, SECOND, SECOND + 1_000_000).unwrap();
+        let twice = pass(&mut freshness, &mut newest, SECOND, SECOND + 9_000_000);
+        assert!(matches!(twice, Err(NotOfNow::Replayed { older_ms: 0 })));
+        let early = pass(&mut freshness, &mut newest, 9 * SECOND, 2 * SECOND);
+        assert!(matches!(early, Err(NotOfNow::Future { .. })));
+        pass(&mut freshness, &mut newest, 2 * SECOND, 2 * SECOND + 1_000_000)
+            .expect("others go on");
+    }
+
+    #[test]
+    fn a_clock_that_was_set_costs_three_seconds() {
+        let (mut freshness, mut newest) = (Freshness::default(), None);
+        pass(&mut freshness, &mut newest, 100 * SECOND, 100 * SECOND).unwrap();
+        let passed: Vec<bool> = (0..50)
+            .map(|k| {
+                let now = 100 * SECOND + k * SECOND / 10;
+                // Set back by a minute.
+                pass(&mut freshness, &mut newest, now - 60 * SECOND, now).is_ok()
+            })
+            .collect();
+        assert_eq!(passed.iter().position(|passed| *passed), Some(31));
+        assert!(passed[31..].iter().all(|passed| *passed));
+    }
+
+    /// With both clocks synchronised not even the first report can be an old one.
+    #[test]
+    fn between_synchronised_clocks_an_old_report_never_passes() {
+        let mut freshness = Freshness::default();
+        let sent = |utc_ns| Sent { utc_ns, is_synchronised: true };
+        let now = at(50 * SECOND, true);
+        let old = freshness.pass(sent(UTC + 40 * SECOND), None, &now);
+        assert!(matches!(old, Err(NotOfNow::Stale { late_ms: 10_000 })));
+        let early = freshness.pass(sent(UTC + 52 * SECOND), None, &now);
+        assert!(matches!(early, Err(NotOfNow::Future { early_ms: 2_000 })));
+        freshness.pass(sent(UTC + 50 * SECOND - 2_000_000), None, &now).unwrap();
+        let unsure = at(50 * SECOND, false);
+        Freshness::default()
+            .pass(sent(UTC), None, &unsure)
+            .expect("by our clock alone none is old");
+    }
+}

@@ -1,0 +1,104 @@
+//! One report on one target, typed.
+
+use std::time::Duration;
+
+use flockeye_contract::wire::{Degenerate, Sighting, TargetReport};
+use flockeye_contract::{MeasuredBy, Pose, TrackState};
+use flockeye_convert::{isometry, matrix6};
+use flockeye_geometry::swarm::UncertainPose;
+use flockeye_network::Heard;
+use nalgebra::Vector3;
+
+/// Where one drone sees another, of a report that passed all checks.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PeerReport {
+    /// Who sees.
+    pub observer: String,
+    /// Whom.
+    pub target: String,
+    /// The camera frame's epoch and number, as the observer counts.
+    pub frame: (u32, u64),
+    /// State of the track.
+    pub state: TrackState,
+    /// What this frame's measurement rests on.
+    pub measured_by: MeasuredBy,
+    /// Filtered pose of the target in the observer's frame (x forward, y left, z up), and its covariance there.
+    pub observer_from_target: UncertainPose,
+    /// This frame's own measurement of it, where the report has one.
+    pub measured: Option<UncertainPose>,
+    /// Velocity relative to the observer, along its axes, m/s.
+    pub velocity: Vector3<f64>,
+    /// Angular velocity, the same, rad/s.
+    pub rate: Vector3<f64>,
+    /// In which directions next to nothing is known.
+    pub degenerate: Option<Degenerate>,
+    /// Mid-exposure on this machine's CLOCK_MONOTONIC, nanoseconds, by the estimate of the observer's clock.
+    pub exposure_monotonic_ns: i64,
+    /// Standard deviation of that, nanoseconds.
+    pub exposure_deviation_ns: i64,
+    /// Whether it bears a valid signature of the observer.
+    pub is_signed: bool,
+}
+
+impl PeerReport {
+    /// How old the pose is, from the middle of the exposure to now.
+    pub fn age(&self) -> Duration {
+        let age_ns =
+            flockeye_network::monotonic_now_ns().saturating_sub(self.exposure_monotonic_ns);
+        Duration::from_nanos(u64::try_from(age_ns).unwrap_or(0))
+    }
+
+    /// Where the observer is as its target has it: for a target that is oneself, where the peer is from here.
+    pub fn target_from_observer(&self) -> UncertainPose {
+        self.observer_from_target.inverse()
+    }
+}
+
+impl From<&Heard> for PeerReport {
+    fn from(heard: &Heard) -> Self {
+        let Sighting { observer, target, frame, epoch, .. } = &heard.report;
+        let pose = |position, orientation, covariance: &[f64; 21]| UncertainPose {
+            a_from_b: isometry(&Pose { position, orientation }),
+            covariance: matrix6(&full_matrix(covariance)),
+        };
+        let TargetReport { position, orientation, covariance, .. } = target;
+        Self {
+            observer: observer.clone(),
+            target: target.name.clone(),
+            frame: (*epoch, *frame),
+            state: target.state,
+            measured_by: target.measured_by,
+            observer_from_target: pose(*position, *orientation, covariance),
+            measured: target.measured.as_ref().map(|measured| {
+                pose(measured.position, measured.orientation, &measured.covariance)
+            }),
+            velocity: target.linear_velocity.into(),
+            rate: target.angular_velocity.into(),
+            degenerate: target.degenerate,
+            exposure_monotonic_ns: heard.exposure_monotonic_ns,
+            exposure_deviation_ns: heard.exposure_deviation_ns,
+            is_signed: heard.is_signed,
+        }
+    }
+}
+
+/// The whole of a symmetric 6x6 matrix, row-major, from its upper triangle, row by row.
+fn full_matrix(upper: &[f64; 21]) -> [f64; 36] {
+    std::array::from_fn(|k| {
+        let (row, column) = ((k / 6).min(k % 6), (k / 6).max(k % 6));
+        upper[6 * row - row * row.saturating_sub(1) / 2 + column - row]
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_matrix_is_its_upper_triangle() {
+        let whole = full_matrix(&std::array::from_fn(|k| k as f64));
+        assert_eq!(whole[..6], [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]);
+        assert_eq!((whole[7], whole[14], whole[35]), (6.0, 11.0, 20.0));
+        assert!((0..36).all(|k| whole[k] == whole[6 * (k % 6) + k / 6]));
+    }
+}

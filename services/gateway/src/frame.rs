@@ -1,0 +1,266 @@
+//! All targets of a frame as one report.
+
+use std::collections::BTreeMap;
+
+use flockeye_contract::wire::{
+    ClockOffset, Degenerate, FRAME_SCHEMA, FrameReport, Measurement, Odometry, Predicted,
+    TargetReport,
+};
+use flockeye_contract::{FrameStamp, MeasuredBy, Pose, Track, TrackState};
+use flockeye_convert::matrix6;
+use nalgebra::{Matrix3, Vector3};
+
+use crate::report::{Utc, upper_triangle};
+
+/// A frame in which nobody is seen is reported this often, nanoseconds.
+const NOBODY_NS: i64 = 1_000_000_000;
+/// So often what is known of the peers' clocks goes along, nanoseconds.
+const CLOCKS_NS: i64 = 1_000_000_000;
+/// Above this share of the distance a deviation is no small error: what is left out of a covariance, its
+/// square, is 4 %.
+const DEGENERATE_SHARE: f64 = 0.2;
+/// The same of a rotation, radians: the sine of a rotation vector's angle is 4 % off there.
+const DEGENERATE_ROTATION: f64 = 0.5;
+
+/// Gathers the targets of a frame as they become known.
+///
+/// Fusion says a pose as soon as it is known, and so do we: the report of a frame goes out with the first of its
+/// targets, and again, whole, with each further one.
+#[derive(Debug, Default)]
+pub struct Gathering {
+    stamp: FrameStamp,
+    targets: BTreeMap<u32, TargetReport>,
+    said_ns: i64,
+    clocks_said_ns: i64,
+}
+
+/// When and by whom a frame is reported.
+#[derive(Debug, Clone)]
+pub struct Head<'h> {
+    /// The observer's name.
+    pub observer: &'h str,
+    /// When the frame was exposed.
+    pub utc: Utc,
+    /// From then to now, nanoseconds.
+    pub latency_ns: i64,
+    /// Where the observer was then.
+    pub odometry: Option<Odometry>,
+}
+
+impl Gathering {
+    /// Takes in what a message says of a frame. Whether there is something to report now.
+    pub fn take(
+        &mut self,
+        stamp: &FrameStamp,
+        tracks: &[Track],
+        is_last: bool,
+        now_ns: i64,
+    ) -> bool {
+        if stamp.is_late_beside(&self.stamp) {
+            return false;
+        }
+        if stamp.order() != self.stamp.order() {
+            self.stamp = *stamp;
+            self.targets.clear();
+        }
+        let reports =
+            tracks.iter().filter_map(|track| Some((track.target, target_report(track, stamp)?)));
+        let before = self.targets.clone();
+        self.targets.extend(reports);
+        let is_news = self.targets != before;
+        let is_due = is_last && self.targets.is_empty() && now_ns - self.said_ns >= NOBODY_NS;
+        if is_news || is_due {
+            self.said_ns = now_ns;
+        }
+        is_news || is_due
+    }
+
+    /// The report of the frame as far as it is known. `clocks` is asked when it is time for them.
+    pub fn report(
+        &mut self,
+        head: Head<'_>,
+        now_ns: i64,
+        clocks: impl FnOnce() -> BTreeMap<String, ClockOffset>,
+    ) -> FrameReport {
+        let is_time = now_ns - self.clocks_said_ns >= CLOCKS_NS;
+        if is_time {
+            self.clocks_said_ns = now_ns;
+        }
+        FrameReport {
+            schema: FRAME_SCHEMA.into(),
+            observer: head.observer.to_owned(),
+            frame: self.stamp.sequence,
+            epoch: self.stamp.epoch,
+            stamp_utc_ns: head.utc.stamp_ns,
+            clock_synchronised: head.utc.is_synchronised,
+            stream_s: self.stamp.stream_ns as f64 * 1e-9,
+            latency_ms: head.latency_ns as f64 * 1e-6,
+            odometry: head.odometry,
+            clocks: if is_time { clocks() } else { BTreeMap::new() },
+            targets: self.targets.values().cloned().collect(),
+        }
+    }
+}
+
+/// What a track says. `None` for one that peers are not told of here: tentative tracks, which may be nobody,
+/// and states that this version does not know.
+fn target_report(track: &Track, stamp: &FrameStamp) -> Option<TargetReport> {
+    let state = TrackState::try_from(track.state).ok()?;
+    let measured_by = MeasuredBy::try_from(track.measured_by).ok()?;
+    if state == TrackState::Tentative {
+        return None;
+    }
+    let Pose { position, orientation } = track.observer_from_target;
+    let measured = (measured_by != MeasuredBy::Nothing).then(|| Measurement {
+        position: track.measured_observer_from_target.position,
+        orientation: track.measured_observer_from_target.orientation,
+        covariance: upper_triangle(&track.measured_covariance),
+    });
+    // In a lossless run, which is not in real time, nothing is foreseen.
+    let after_ns = track.predicted_ns.saturating_sub(stamp.exposure_ns);
+    let predicted = (after_ns > 0).then(|| Predicted {
+        after_s: after_ns as f64 * 1e-9,
+        position: track.predicted_observer_from_target.position,
+        orientation: track.predicted_observer_from_target.orientation,
+        deviations: std::array::from_fn(|k| track.predicted_covariance[7 * k].max(0.0).sqrt()),
+    });
+    Some(TargetReport {
+        name: track.name.to_string(),
+        state,
+        measured_by,
+        markers: track.markers,
+        unseen_s: track.unseen_ns as f64 * 1e-9,
+        position,
+        orientation,
+        covariance: upper_triangle(&track.covariance),
+        linear_velocity: track.linear_velocity,
+        angular_velocity: track.angular_velocity,
+        measured,
+        predicted,
+        degenerate: degenerate(track),
+    })
+}
+
+/// The directions in which next to nothing is known.
+fn degenerate(track: &Track) -> Option<Degenerate> {
+    let covariance = matrix6(&track.covariance);
+    let distance = Vector3::from(track.observer_from_target.position).norm();
+    let position = worst(&covariance.fixed_view::<3, 3>(0, 0).into_owned());
+    let rotation = worst(&covariance.fixed_view::<3, 3>(3, 3).into_owned());
+    let degenerate = Degenerate {
+        position: position
+            .filter(|(_, deviation)| *deviation > DEGENERATE_SHARE * distance)
+            .map(|(d, _)| d),
+        rotation: rotation
+            .filter(|(_, deviation)| *deviation > DEGENERATE_ROTATION)
+            .map(|(d, _)| d),
+    };
+    (degenerate.position.is_some() || degenerate.rotation.is_some()).then_some(degenerate)
+}
+
+/// The direction of the largest deviation, and that deviation.
+fn worst(covariance: &Matrix3<f64>) -> Option<([f64; 3], f64)> {
+    let eigen = covariance.symmetric_eigen();
+    let index = eigen.eigenvalues.imax();
+    let deviation = eigen.eigenvalues[index].max(0.0).sqrt();
+    let direction: [f64; 3] = eigen.eigenvectors.column(index).into_owned().into();
+    (deviation.is_finite() && direction.iter().all(|x| x.is_finite()))
+        .then_some((direction, deviation))
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::report::tests::{UTC, track};
+
+    fn stamp(sequence: u64) -> FrameStamp {
+        FrameStamp { sequence, exposure_ns: 33_000_000 * sequence as i64, ..FrameStamp::default() }
+    }
+
+    fn head() -> Head<'static> {
+        Head { observer: "wren", utc: UTC, latency_ns: 12_000_000, odometry: None }
+    }
+
+    fn report(gathering: &mut Gathering, now_ns: i64) -> FrameReport {
+        let clock = ClockOffset { one_way_ms: 1.0, offset_ms: 2.0, deviation_ms: 0.5 };
+        gathering.report(head(), now_ns, || BTreeMap::from([("kite".into(), clock)]))
+    }
+
+    #[test]
+    fn a_frame_is_said_at_once_and_again_when_more_is_known() {
+        let mut gathering = Gathering::default();
+        let [kite, swift] = [0, 1].map(|target| Track {
+            target,
+            name: ["kite", "swift"][target as usize].into(),
+            ..track(TrackState::Confirmed)
+        });
+        let names = |report: FrameReport| {
+            report.targets.into_iter().map(|target| target.name).collect::<Vec<_>>()
+        };
+        assert!(gathering.take(&stamp(7), &[kite], false, 10_000_000_000));
+        assert_eq!(names(report(&mut gathering, 0)), ["kite"]);
+        assert!(!gathering.take(&stamp(7), &[kite], false, 0), "nothing new");
+        assert!(gathering.take(&stamp(7), &[swift], false, 0));
+        assert!(!gathering.take(&stamp(7), &[], true, 0));
+        assert_eq!(names(report(&mut gathering, 0)), ["kite", "swift"]);
+        assert!(gathering.take(&stamp(8), &[swift], true, 0));
+        assert_eq!(names(report(&mut gathering, 0)), ["swift"]);
+        assert!(!gathering.take(&stamp(7), &[kite], true, 0), "late");
+    }
+
+    #[test]
+    fn seeing_nobody_is_said_once_a_second() {
+        let mut gathering = Gathering::default();
+        let said = (1..=90).filter(|&k| {
+            let now_ns = 10_000_000_000 + 33_333_333 * k as i64;
+            gathering.take(&stamp(k), &[track(TrackState::Tentative)], true, now_ns)
+        });
+        assert_eq!(said.count(), 3);
+    }
+
+    #[test]
+    fn clocks_go_along_once_a_second() {
+        let mut gathering = Gathering::default();
+        let mut with_clocks = 0;
+        for k in 0..60 {
+            gathering.take(&stamp(k + 1), &[track(TrackState::Confirmed)], true, 0);
+            let report = report(&mut gathering, 5_000_000_000 + 33_333_333 * k as i64);
+            with_clocks += usize::from(!report.clocks.is_empty());
+            assert!(report.to_json().is_ok());
+        }
+        assert_eq!(with_clocks, 2);
+    }
+
+    #[test]
+    fn what_is_measured_foreseen_and_unknown_is_said() {
+        let mut covariance = [0.0; 36];
+        (0..6).for_each(|k| covariance[7 * k] = 1e-4);
+        let position = Pose { position: [2.0, 0.0, 0.0], ..Pose::default() };
+        let seen = Track {
+            covariance,
+            observer_from_target: position,
+            predicted_observer_from_target: position,
+            measured_observer_from_target: position,
+            predicted_ns: 33_000_000 + 20_000_000,
+            predicted_covariance: covariance,
+            ..track(TrackState::Confirmed)
+        };
+        let said = target_report(&seen, &stamp(1)).unwrap();
+        assert_eq!(
+            said.predicted.as_ref().map(|p| (p.after_s, p.deviations[5])),
+            Some((0.02, 0.01))
+        );
+        assert!(said.measured.is_some() && said.degenerate.is_none());
+        // Half a metre along y, at 2 m; and the tilt about z is as good as unknown.
+        covariance[7] = 0.25;
+        covariance[35] = 0.5;
+        let unsure =
+            Track { covariance, measured_by: MeasuredBy::Nothing.code(), predicted_ns: 0, ..seen };
+        let said = target_report(&unsure, &stamp(1)).unwrap();
+        let Degenerate { position, rotation } = said.degenerate.unwrap();
+        assert_eq!(position.map(|d| d.map(f64::abs)), Some([0.0, 1.0, 0.0]));
+        assert_eq!(rotation.map(|d| d.map(f64::abs)), Some([0.0, 0.0, 1.0]));
+        assert!(said.measured.is_none() && said.predicted.is_none());
+    }
+}

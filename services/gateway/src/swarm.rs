@@ -1,0 +1,211 @@
+//! Where all drones are from here: between messages, reports and the estimator.
+
+use flockeye_contract::{
+    FrameStamp, MeasuredBy, PeerSighting, Pose, Rotation, SwarmPose, SwarmWay, Track, TrackState,
+};
+use flockeye_convert::camera_turn;
+use flockeye_convert::{isometry, matrix6, pose, row_major};
+use flockeye_peer::{PeerReport, Place, SwarmView, UncertainPose, Way};
+use nalgebra::{Matrix6, UnitQuaternion};
+
+/// What this drone knows of the swarm.
+#[derive(Debug)]
+pub struct Swarm {
+    observer_from_camera: UnitQuaternion<f64>,
+    view: SwarmView,
+}
+
+impl Swarm {
+    /// Of the drone `own`, whose camera is mounted so.
+    pub fn new(own: &str, observer_from_camera: UnitQuaternion<f64>) -> Self {
+        Self { observer_from_camera, view: SwarmView::from(own) }
+    }
+
+    /// This drone has turned.
+    pub fn turned(&mut self, message: &Rotation) {
+        if let Some(turn) = camera_turn(message) {
+            self.view.turned(&turn.in_frame(&self.observer_from_camera));
+        }
+    }
+
+    /// This drone sees somebody, at an exposure on CLOCK_MONOTONIC.
+    pub fn sees(&mut self, stamp: &FrameStamp, exposure_monotonic_ns: i64, track: &Track) {
+        let (Ok(state), Ok(measured_by)) =
+            (TrackState::try_from(track.state), MeasuredBy::try_from(track.measured_by))
+        else {
+            return;
+        };
+        let measured = (measured_by != MeasuredBy::Nothing)
+            .then(|| uncertain(&track.measured_observer_from_target, &track.measured_covariance));
+        self.view.hear(&PeerReport {
+            observer: self.view.own().to_owned(),
+            target: track.name.to_string(),
+            frame: (stamp.epoch, stamp.sequence),
+            state,
+            measured_by,
+            observer_from_target: uncertain(&track.observer_from_target, &track.covariance),
+            measured,
+            velocity: track.linear_velocity.into(),
+            rate: track.angular_velocity.into(),
+            degenerate: None,
+            exposure_monotonic_ns,
+            exposure_deviation_ns: 0,
+            is_signed: false,
+        });
+    }
+
+    /// A peer sees somebody.
+    pub fn hears(&mut self, report: &PeerReport) {
+        if report.observer != self.view.own() {
+            self.view.hear(report);
+        }
+    }
+
+    /// Where all are at `at_ns`, CLOCK_MONOTONIC.
+    pub fn poses(&mut self, at_ns: i64) -> Vec<SwarmPose> {
+        self.view.places(at_ns).iter().map(swarm_pose).collect()
+    }
+
+    /// The observers whose reports contradict the others'.
+    pub fn left_out(&self) -> Vec<String> {
+        self.view.left_out()
+    }
+
+    /// A peer's report as the topic `peer` has it.
+    pub fn peer_sighting(&self, report: &PeerReport) -> PeerSighting {
+        let seen = report.observer_from_target;
+        let inverse = report.target_from_observer();
+        PeerSighting {
+            observer_from_target: pose(&seen.a_from_b),
+            covariance: row_major(&seen.covariance),
+            target_from_observer: pose(&inverse.a_from_b),
+            inverse_covariance: row_major(&symmetric(&inverse.covariance)),
+            linear_velocity: report.velocity.into(),
+            angular_velocity: report.rate.into(),
+            exposure_ns: report.exposure_monotonic_ns,
+            exposure_deviation_ns: report.exposure_deviation_ns,
+            frame: report.frame.1,
+            observer: report.observer.as_str().into(),
+            target: report.target.as_str().into(),
+            epoch: report.frame.0,
+            state: report.state.code(),
+            measured_by: report.measured_by.code(),
+            is_own: u32::from(report.target == self.view.own()),
+        }
+    }
+}
+
+fn uncertain(pose: &Pose, covariance: &[f64; 36]) -> UncertainPose {
+    UncertainPose { a_from_b: isometry(pose), covariance: matrix6(covariance) }
+}
+
+fn symmetric(matrix: &Matrix6<f64>) -> Matrix6<f64> {
+    (matrix + matrix.transpose()) / 2.0
+}
+
+fn swarm_pose(place: &Place) -> SwarmPose {
+    let way = match place.way {
+        Way::Direct => SwarmWay::Direct,
+        Way::Mutual => SwarmWay::Mutual,
+        Way::Reported => SwarmWay::Reported,
+        Way::Chained => SwarmWay::Chained,
+    };
+    SwarmPose {
+        own_from_drone: pose(&place.own_from_drone.a_from_b),
+        covariance: row_major(&place.own_from_drone.covariance),
+        seen_ns: (place.seen_s * 1e9) as i64,
+        name: place.name.as_str().into(),
+        through: place.through.as_deref().unwrap_or_default().into(),
+        way: way.code(),
+        pairs: place.pairs as u32,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use flockeye_contract::Topic;
+    use flockeye_contract::{Peers, Swarms};
+
+    use super::*;
+    use crate::report::tests::{UTC, track};
+
+    const NOW_NS: i64 = 100_000_000_000;
+
+    fn small() -> [f64; 36] {
+        let mut covariance = [0.0; 36];
+        (0..6).for_each(|k| covariance[7 * k] = 1e-5);
+        covariance
+    }
+
+    fn seen(position: [f64; 3]) -> Track {
+        let at = Pose { position, ..Pose::default() };
+        Track {
+            observer_from_target: at,
+            measured_observer_from_target: at,
+            covariance: small(),
+            measured_covariance: small(),
+            ..track(TrackState::Confirmed)
+        }
+    }
+
+    fn heard(observer: &str, target: &str, position: [f64; 3]) -> PeerReport {
+        let stamp = FrameStamp::default();
+        let track = Track { name: target.into(), ..seen(position) };
+        let report = crate::report::report(observer, &stamp, &track, UTC, 0).unwrap();
+        PeerReport::from(&flockeye_network::Heard {
+            arrived_monotonic_ns: NOW_NS,
+            exposure_monotonic_ns: NOW_NS,
+            exposure_deviation_ns: 100_000,
+            is_signed: false,
+            report: report.into(),
+        })
+    }
+
+    #[test]
+    fn a_neighbour_of_a_neighbour_is_found_through_it() {
+        let mut swarm = Swarm::new("own", UnitQuaternion::identity());
+        let stamp = FrameStamp::default();
+        swarm.sees(&stamp, NOW_NS, &seen([1.0, 0.0, 0.0]));
+        swarm.hears(&heard("kite", "swift", [0.0, 2.0, 0.0]));
+        swarm.hears(&heard("kite", "own", [-1.0, 0.0, 0.0]));
+        let poses = swarm.poses(NOW_NS);
+        assert_eq!(Swarms::check(&Default::default(), &poses), Ok(()));
+        let of = |name: &str| poses.iter().find(|pose| pose.name.to_string() == name).unwrap();
+        assert_eq!(of("kite").way, SwarmWay::Mutual.code());
+        let swift = of("swift");
+        assert_eq!(
+            (swift.way, swift.through.to_string().as_str()),
+            (SwarmWay::Chained.code(), "kite")
+        );
+        let [x, y, _] = swift.own_from_drone.position;
+        assert!((x - 1.0).abs() < 1e-3 && (y - 2.0).abs() < 1e-3, "{x} {y}");
+        assert!(swift.covariance[0] > of("kite").covariance[0]);
+        swarm.sees(
+            &stamp,
+            NOW_NS,
+            &Track { state: TrackState::Lost.code(), ..seen([1.0, 0.0, 0.0]) },
+        );
+        assert_eq!(swarm.poses(NOW_NS)[0].way, SwarmWay::Reported.code());
+    }
+
+    #[test]
+    fn what_a_peer_says_of_this_drone_is_said_the_other_way_round_too() {
+        let swarm = Swarm::new("own", UnitQuaternion::identity());
+        let sighting = swarm.peer_sighting(&heard("wren", "own", [1.0, 0.0, 0.5]));
+        assert_eq!(Peers::check(&Default::default(), &[sighting]), Ok(()));
+        assert_eq!(
+            (sighting.is_own, sighting.target_from_observer.position),
+            (1, [-1.0, 0.0, -0.5])
+        );
+        // A tilt of the observer moves it sideways as its target sees it.
+        assert!(sighting.inverse_covariance[7] > sighting.covariance[7]);
+    }
+
+    #[test]
+    fn a_drone_does_not_hear_itself() {
+        let mut swarm = Swarm::new("own", UnitQuaternion::identity());
+        swarm.hears(&heard("own", "kite", [1.0, 0.0, 0.0]));
+        assert!(swarm.poses(NOW_NS).is_empty());
+    }
+}
