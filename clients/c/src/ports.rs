@@ -87,6 +87,7 @@ trait AnyPublisher {
     /// # Safety
     /// `header` points to this topic's header.
     unsafe fn send(&self, unsent: Box<dyn Any>, header: *const c_void) -> anyhow::Result<()>;
+    fn update_connections(&self) -> Result<(), PortError>;
     fn item_bytes(&self) -> usize;
 }
 
@@ -103,6 +104,10 @@ impl<T: Topic + 'static> AnyPublisher for Publisher<T> {
         // SAFETY: the caller's promise; any bytes are a valid header.
         let header = unsafe { header.cast::<T::Header>().read_unaligned() };
         Ok(self.resume(*unsent).send(header)?)
+    }
+
+    fn update_connections(&self) -> Result<(), PortError> {
+        Publisher::update_connections(self)
     }
 
     fn item_bytes(&self) -> usize {
@@ -342,4 +347,15 @@ pub unsafe extern "C" fn flockeye_send(
         unsafe { publisher.0.send(unsent, header) }
     });
     failure::code(sent.map(|()| OK))
+}
+
+/// Gives late subscribers what the topic keeps for them; see `stage.h`.
+///
+/// # Safety
+/// `publisher` is open.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn flockeye_update_connections(publisher: *const FlockeyePublisher) -> c_int {
+    // SAFETY: the caller's promise.
+    let updated = unsafe { &*publisher }.0.update_connections();
+    failure::code(updated.map(|()| OK).map_err(Into::into))
 }

@@ -1,18 +1,19 @@
 //! A stage: it joins, runs its loop, sends health, ends.
 
 use std::cell::Cell;
-use std::ffi::{CStr, CString, c_char, c_int, c_void};
-use std::path::Path;
+use std::ffi::{CStr, c_char, c_int, c_void};
+use std::rc::Rc;
 
 use anyhow::{Context, anyhow, bail, ensure};
-use flockeye_contract::{DetectionHeader, StageState, ViewHeader};
+use flockeye_contract::{DetectionHeader, StageName, StageState, ViewHeader};
 use flockeye_runtime::health::{Identity, SharedCounters};
-use flockeye_runtime::instance::FOLDER_VARIABLE;
+use flockeye_runtime::listening::Listening;
 use flockeye_runtime::logs::{self, Throttle};
 use flockeye_runtime::ports::Ports;
 use flockeye_runtime::stage::StageProcess;
 use flockeye_runtime::{Step, clock};
 
+use crate::configuration::Configuration;
 use crate::failure::{self, OK};
 
 /// A function that handles what waits. Anything but 0 ends the stage with an error.
@@ -26,12 +27,11 @@ pub struct FlockeyeStage {
 }
 
 /// What a step may ask for.
-struct Known {
+pub(crate) struct Known {
+    pub(crate) configuration: Configuration,
     identity: Identity,
     counters: SharedCounters,
-    pipeline: CString,
-    dictionary: CString,
-    markers: Vec<u32>,
+    listening: Rc<Listening>,
     refusals: std::cell::RefCell<Throttle>,
     wake_within_ns: Cell<Option<i64>>,
     is_running: Cell<bool>,
@@ -42,19 +42,11 @@ impl FlockeyeStage {
         logs::init();
         let process = StageProcess::join(name)?;
         let context = &process.context;
-        let folder = std::env::var_os(FOLDER_VARIABLE).unwrap_or_default();
-        let file = Path::new(&folder).join("pipeline.json");
-        let pipeline =
-            std::fs::read(&file).with_context(|| format!("cannot read {}", file.display()))?;
-        let bodies = &context.resolved.bodies;
-        let markers = bodies.iter().flat_map(|body| body.markers.iter().map(|marker| marker.id));
         let known = Known {
+            configuration: Configuration::read(context)?,
             identity: context.identity.clone(),
             counters: context.counters.clone(),
-            pipeline: CString::new(pipeline).context("pipeline.json")?,
-            dictionary: CString::new(bodies.dictionary.as_str())
-                .context("the dictionary's name")?,
-            markers: markers.collect(),
+            listening: process.ports.listening(),
             refusals: Default::default(),
             wake_within_ns: Cell::new(None),
             is_running: Cell::new(false),
@@ -75,7 +67,7 @@ impl FlockeyeStage {
 
 /// # Safety
 /// `stage` is open.
-unsafe fn known<'a>(stage: *const FlockeyeStage) -> &'a Known {
+pub(crate) unsafe fn known<'a>(stage: *const FlockeyeStage) -> &'a Known {
     // SAFETY: the caller's promise. This field alone is borrowed, and never mutably.
     unsafe { &(*stage).known }
 }
@@ -128,36 +120,6 @@ pub unsafe extern "C" fn flockeye_stage_replica(stage: *const FlockeyeStage) -> 
 pub unsafe extern "C" fn flockeye_stage_generation(stage: *const FlockeyeStage) -> u32 {
     // SAFETY: the caller's promise.
     unsafe { known(stage) }.identity.generation
-}
-
-/// The configuration, as JSON; see `stage.h`.
-///
-/// # Safety
-/// `stage` is open.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn flockeye_stage_pipeline(stage: *const FlockeyeStage) -> *const c_char {
-    // SAFETY: the caller's promise.
-    unsafe { known(stage) }.pipeline.as_ptr()
-}
-
-/// The dictionary of all markers, by OpenCV's name or as a file.
-///
-/// # Safety
-/// `stage` is open.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn flockeye_stage_dictionary(stage: *const FlockeyeStage) -> *const c_char {
-    // SAFETY: the caller's promise.
-    unsafe { known(stage) }.dictionary.as_ptr()
-}
-
-/// Whether a configured body has this marker.
-///
-/// # Safety
-/// `stage` is open.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn flockeye_stage_owns_marker(stage: *const FlockeyeStage, id: u32) -> bool {
-    // SAFETY: the caller's promise.
-    unsafe { known(stage) }.markers.contains(&id)
 }
 
 /// Runs the stage's loop until SIGTERM; see `stage.h`.
@@ -231,6 +193,22 @@ pub unsafe extern "C" fn flockeye_stage_refuse(stage: *const FlockeyeStage, what
     if let Some(more) = known.refusals.borrow_mut().admit() {
         tracing::warn!(more_since = more, "refused: {what}");
     }
+}
+
+/// Reports a detection worker that has not answered in time; see `stage.h`.
+///
+/// # Safety
+/// `stage` is open, and `detail` is a string.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn flockeye_stage_complain(
+    stage: *const FlockeyeStage,
+    worker: u32,
+    count: u64,
+    detail: *const c_char,
+) {
+    // SAFETY: the caller's promise.
+    let (known, detail) = unsafe { (known(stage), text_of(detail).unwrap_or_default()) };
+    known.listening.complain_of_silence(StageName::Detection, worker, count, detail);
 }
 
 /// The header that a detection owes for a view; see `stage.h`.

@@ -21,7 +21,7 @@ pub enum StageCommand {
 /// Arguments of `stage new`.
 #[derive(Debug, Args)]
 pub struct NewArguments {
-    /// Which stage: detection, rectification or fusion in Python, detection in Rust and C.
+    /// Which stage: detection, rectification or fusion.
     pub kind: String,
     /// Where to.
     pub folder: PathBuf,
@@ -44,69 +44,138 @@ pub enum Language {
     C,
 }
 
+impl Language {
+    /// What makes a program of an example in `folder`.
+    fn build(self, folder: &str) -> String {
+        match self {
+            Self::Python => {
+                "pip install clients/python numpy opencv-contrib-python-headless".to_owned()
+            }
+            Self::C => format!(
+                "make install-c PREFIX=/usr/local; cmake -S {folder} -B {folder}/build && cmake --build {folder}/build"
+            ),
+            Self::Rust => format!("cargo build --release --manifest-path {folder}/Cargo.toml"),
+        }
+    }
+}
+
 /// An example that the tests fly.
 struct Example {
     stage: StageName,
     lang: Language,
+    /// Where it lies among Flockeye's sources.
+    folder: &'static str,
     /// The name of each file, and its text.
     files: &'static [(&'static str, &'static str)],
-    /// What makes a program of it; `FOLDER` is where it lies.
-    build: &'static str,
-    /// The program.
+    /// The name of the program.
     program: &'static str,
     /// Settings that it needs.
     set: &'static [&'static str],
 }
 
-const PYTHON_NEEDS: &str = "pip install clients/python numpy opencv-contrib-python-headless";
+impl Example {
+    /// What starts its program, in `folder`.
+    fn command(&self, folder: &str) -> String {
+        let program = self.program;
+        match self.lang {
+            Language::Python => format!("python3 {folder}/{program}"),
+            Language::C => format!("{folder}/build/{program}"),
+            Language::Rust => format!("{folder}/target/release/{program}"),
+        }
+    }
 
-const EXAMPLES: [Example; 5] = [
-    Example {
-        stage: StageName::Detection,
-        lang: Language::Python,
-        files: &[("detector.py", include_str!("../../../examples/detector.py"))],
-        build: PYTHON_NEEDS,
-        program: "python3 FOLDER/detector.py",
-        set: &[],
-    },
-    Example {
-        stage: StageName::Rectification,
-        lang: Language::Python,
-        files: &[("rectifier.py", include_str!("../../../examples/rectifier.py"))],
-        build: PYTHON_NEEDS,
-        program: "python3 FOLDER/rectifier.py",
-        set: &[],
-    },
-    Example {
-        stage: StageName::Fusion,
-        lang: Language::Python,
-        files: &[("bearings.py", include_str!("../../../examples/bearings.py"))],
-        build: PYTHON_NEEDS,
-        program: "python3 FOLDER/bearings.py",
-        set: &[],
-    },
-    Example {
-        stage: StageName::Detection,
-        lang: Language::C,
-        files: &[
-            ("apriltag_detector.c", include_str!("../../../examples/c/apriltag_detector.c")),
-            ("CMakeLists.txt", include_str!("../../../examples/c/CMakeLists.txt")),
+    /// The text of a file as it is written to `folder`: what it says of its own place is true there.
+    fn text(
+        &self,
+        file: &str,
+        text: &str,
+        folder: &str,
+        sources: Option<&Path>,
+    ) -> anyhow::Result<String> {
+        match file {
+            "Cargo.toml" => manifest(text, sources),
+            _ => Ok(text
+                .replace(&format!("{}/", self.folder), &format!("{folder}/"))
+                .replace(&format!("{} ", self.folder), &format!("{folder} "))),
+        }
+    }
+}
+
+/// An example, its files read from its folder.
+macro_rules! example {
+    ($stage:ident, $lang:ident, $folder:literal, $program:literal, [$($file:literal),+], $set:expr) => {
+        Example {
+            stage: StageName::$stage,
+            lang: Language::$lang,
+            folder: $folder,
+            files: &[$(($file, include_str!(concat!("../../../", $folder, "/", $file)))),+],
+            program: $program,
+            set: $set,
+        }
+    };
+}
+
+const EXAMPLES: [Example; 9] = [
+    example!(Detection, Python, "examples", "detector.py", ["detector.py"], &[]),
+    example!(Rectification, Python, "examples", "rectifier.py", ["rectifier.py"], &[]),
+    example!(Fusion, Python, "examples", "bearings.py", ["bearings.py"], &[]),
+    example!(
+        Detection,
+        C,
+        "examples/c/detector",
+        "apriltag-detector",
+        ["apriltag_detector.c", "CMakeLists.txt"],
+        &["bodies.dictionary=DICT_APRILTAG_36h11"]
+    ),
+    example!(
+        Rectification,
+        C,
+        "examples/c/rectifier",
+        "rectifier",
+        [
+            "rectifier.c",
+            "in_flight.c",
+            "in_flight.h",
+            "plan.c",
+            "plan.h",
+            "sphere.c",
+            "sphere.h",
+            "CMakeLists.txt"
         ],
-        build: "make install-c PREFIX=/usr/local; cmake -S FOLDER -B FOLDER/build && cmake --build FOLDER/build",
-        program: "FOLDER/build/apriltag-detector",
-        set: &["bodies.dictionary=DICT_APRILTAG_36h11"],
-    },
-    Example {
-        stage: StageName::Detection,
-        lang: Language::Rust,
-        files: &[
-            ("src/main.rs", include_str!("../../../examples/rust/src/main.rs")),
-            ("Cargo.toml", include_str!("../../../examples/rust/Cargo.toml")),
-        ],
-        build: "cargo build --release --manifest-path FOLDER/Cargo.toml",
-        program: "FOLDER/target/release/my-detector",
-        set: &[],
-    },
+        &[]
+    ),
+    example!(
+        Fusion,
+        C,
+        "examples/c/bearings",
+        "bearings",
+        ["bearings.c", "rays.c", "rays.h", "CMakeLists.txt"],
+        &[]
+    ),
+    example!(
+        Detection,
+        Rust,
+        "examples/rust/detector",
+        "my-detector",
+        ["src/main.rs", "Cargo.toml"],
+        &[]
+    ),
+    example!(
+        Rectification,
+        Rust,
+        "examples/rust/rectifier",
+        "my-rectifier",
+        ["src/main.rs", "src/plan.rs", "src/sphere.rs", "src/workers.rs", "Cargo.toml"],
+        &[]
+    ),
+    example!(
+        Fusion,
+        Rust,
+        "examples/rust/bearings",
+        "my-bearings",
+        ["src/main.rs", "src/bearing.rs", "Cargo.toml"],
+        &[]
+    ),
 ];
 
 /// Does it.
@@ -136,25 +205,16 @@ fn write_new(arguments: &NewArguments) -> anyhow::Result<()> {
     for path in &paths {
         ensure!(!path.exists(), "{} is there already. Cure: name another folder", path.display());
     }
-    let text_of = |(path, (file, text)): (&PathBuf, &(&str, &str))| match *file {
-        "Cargo.toml" => manifest(sources.as_deref()),
-        _ => Ok(text
-            .replace(&format!("examples/{file}"), &path.display().to_string())
-            .replace("examples/c ", &format!("{shown} "))
-            .replace("build/apriltag-detector", &format!("{shown}/build/apriltag-detector"))
-            .replace("-B build ", &format!("-B {shown}/build "))
-            .replace("--build build", &format!("--build {shown}/build"))),
-    };
+    let text_of =
+        |(file, text): &(&str, &str)| example.text(file, text, &shown, sources.as_deref());
     // All before the first is written: a failure leaves nothing behind.
-    let texts =
-        paths.iter().zip(example.files).map(text_of).collect::<anyhow::Result<Vec<String>>>()?;
+    let texts = example.files.iter().map(text_of).collect::<anyhow::Result<Vec<String>>>()?;
     for (path, text) in paths.iter().zip(texts) {
         let parent = path.parent().unwrap_or(folder);
         std::fs::create_dir_all(parent).with_context(|| format!("{}", parent.display()))?;
         std::fs::write(path, text).with_context(|| format!("{}", path.display()))?;
     }
-    let (build, program) =
-        (example.build.replace("FOLDER", &shown), example.program.replace("FOLDER", &shown));
+    let (build, program) = (lang.build(&shown), example.command(&shown));
     let set: String = example.set.iter().map(|setting| format!(" --set {setting}")).collect();
     Screen::new().line(&format!(
         "{} is written. It runs as it is; the first line where Flockeye's sources are:\n  {build}\n  flockeye stage \
@@ -165,8 +225,9 @@ fn write_new(arguments: &NewArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The manifest of a stage in Rust outside of Flockeye's own workspace.
-fn manifest(sources: Option<&Path>) -> anyhow::Result<String> {
+/// The manifest of a stage in Rust outside of Flockeye's own workspace: what the example's manifest takes from the
+/// workspace stands in it.
+fn manifest(example: &str, sources: Option<&Path>) -> anyhow::Result<String> {
     let built = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let sources = sources.unwrap_or(&built);
     let sources = std::fs::canonicalize(sources).unwrap_or_else(|_| sources.to_owned());
@@ -175,12 +236,26 @@ fn manifest(sources: Option<&Path>) -> anyhow::Result<String> {
         "Flockeye's sources are not at {}. Cure: --sources FOLDER",
         sources.display()
     );
-    let sources = sources.display();
+    let workspace = sources.join("Cargo.toml");
+    let workspace =
+        std::fs::read_to_string(&workspace).with_context(|| workspace.display().to_string())?;
+    let section = |text: &str, name: &str| -> anyhow::Result<String> {
+        let (_, rest) = text.split_once(name).with_context(|| format!("no {name}"))?;
+        Ok(rest.split("\n[").next().unwrap_or_default().to_owned())
+    };
+    let known = section(&workspace, "[workspace.dependencies]")?;
+    let path = format!("path = \"{}/", sources.display());
+    let mut dependencies = String::new();
+    for name in section(example, "[dependencies]")?.lines() {
+        let Some(name) = name.strip_suffix(".workspace = true") else { continue };
+        let wanted = format!("{name} = ");
+        let line = known.lines().find(|line| line.starts_with(&wanted));
+        let line = line.with_context(|| format!("{} has no {name}", sources.display()))?;
+        dependencies += &format!("{}\n", line.replace("path = \"", &path));
+    }
+    let package = example.lines().find(|line| line.starts_with("name = ")).unwrap_or_default();
     Ok(format!(
-        "[package]\nname = \"my-detector\"\nversion = \"0.1.0\"\nedition = \"2024\"\n\n[dependencies]\n\
-         flockeye-contract = {{ path = \"{sources}/common/contract\" }}\n\
-         flockeye-detection = {{ path = \"{sources}/services/detection\" }}\n\
-         flockeye-runtime = {{ path = \"{sources}/common/runtime\" }}\nanyhow = \"1\"\n\n\
+        "[package]\n{package}\nversion = \"0.1.0\"\nedition = \"2024\"\n\n[dependencies]\n{dependencies}\n\
          # A workspace of its own, wherever it lies.\n[workspace]\n"
     ))
 }

@@ -35,32 +35,34 @@ fn install(scratch: &Scratch) -> String {
     prefix
 }
 
-/// The example, built with CMake; `None` where what it needs is absent.
-fn apriltag_detector(scratch: &Scratch) -> Option<String> {
+/// The program that `flockeye stage new KIND --lang c` is a text of, written and built; `None` where what it needs is
+/// absent.
+pub(crate) fn new_stage(scratch: &Scratch, kind: &str) -> Option<String> {
     let has = |program: &str, arguments: &[&str]| {
         Command::new(program).args(arguments).output().is_ok_and(|output| output.status.success())
     };
-    if !has("cmake", &["--version"]) || !has("pkg-config", &["--exists", "apriltag"]) {
+    let has_libraries = kind != "detection" || has("pkg-config", &["--exists", "apriltag"]);
+    if !has("cmake", &["--version"]) || !has_libraries {
         absent("c", "cmake and libapriltag-dev, which `make setup` installs");
         return None;
     }
-    let (prefix, build) = (install(scratch), scratch.path("build"));
-    let build = build.to_str().expect("a plain path");
-    let source = repository("examples/c");
-    let source = source.to_str().expect("a plain path");
-    let flags = "-DCMAKE_C_FLAGS=-Werror";
-    run_program(
-        "cmake",
-        &["-S", source, "-B", build, &format!("-DCMAKE_PREFIX_PATH={prefix}"), flags],
-    );
-    run_program("cmake", &["--build", build]);
-    Some(format!("{build}/apriltag-detector"))
+    let folder = scratch.path(kind);
+    let folder = folder.to_str().expect("a plain path");
+    let (succeeded, output) = run(&["stage", "new", kind, "--lang", "c", folder]);
+    assert!(succeeded, "{output}");
+    let (prefix, build) = (install(scratch), format!("{folder}/build"));
+    let prefix = format!("-DCMAKE_PREFIX_PATH={prefix}");
+    run_program("cmake", &["-S", folder, "-B", &build, &prefix, "-DCMAKE_C_FLAGS=-Werror"]);
+    run_program("cmake", &["--build", &build]);
+    let commands = output.lines().filter_map(|line| line.split_once(" -- "));
+    let program = commands.map(|(_, program)| program.trim()).next();
+    Some(program.expect("it says how to test it").to_owned())
 }
 
 #[test]
 fn a_detector_in_c_takes_over_and_poses_are_as_true_as_its_corners() {
     let scratch = Scratch::new("c-detector");
-    let Some(detector) = apriltag_detector(&scratch) else { return };
+    let Some(detector) = new_stage(&scratch, "detection") else { return };
     let set = [SMALL_FLIGHT, &[DICTIONARY, "fusion.align=false"]].concat();
     let mut flight = Flight::start("c-detector", &[], &set);
     flight.wait_for("alpha confirmed");
@@ -124,7 +126,7 @@ fn a_detector_in_c_takes_over_and_poses_are_as_true_as_its_corners() {
 #[test]
 fn the_detector_in_c_keeps_the_contract_and_says_what_it_cannot_work_with() {
     let scratch = Scratch::new("c-conformance");
-    let Some(detector) = apriltag_detector(&scratch) else { return };
+    let Some(detector) = new_stage(&scratch, "detection") else { return };
     let small = ["--set", "camera.width=1024", "--set", "camera.height=512"];
     let test = |more: &[&str]| {
         run(&[&["stage", "test", "detection"], &small[..], more, &["--", &detector]].concat())
@@ -151,6 +153,54 @@ int main(void) {
     assert(strstr(flockeye_error(), "FLOCKEYE_INSTANCE_DIR is not set"));
     flockeye_stage_close(NULL);
     return flockeye_now_ns() > 0 ? 0 : 1;
+}
+"#;
+
+/// A stage that reads the configuration, also what is not there, and says that it was read.
+const READER: &str = r#"
+#include <assert.h>
+#include <stdio.h>
+#include <string.h>
+#include <flockeye/stage.h>
+
+static int fails_with(int outcome, const char *reason) {
+    if (outcome == FLOCKEYE_FAILED && strstr(flockeye_error(), reason)) {
+        return 1;
+    }
+    fprintf(stderr, "%d, '%s' instead of '%s'\n", outcome, flockeye_error(), reason);
+    return 0;
+}
+
+int main(void) {
+    flockeye_stage *stage = flockeye_stage_open("detection");
+    double width, turn[4], numbers[3];
+    char text[16];
+    size_t tiles;
+    assert(flockeye_stage_numbers(stage, "/camera/width", &width, 1) == FLOCKEYE_OK && width == 1024);
+    const char *tile = "/resolved/partitions/0/camera_from_view";
+    assert(flockeye_stage_numbers(stage, tile, turn, 4) == FLOCKEYE_OK);
+    const double square = turn[0] * turn[0] + turn[1] * turn[1] + turn[2] * turn[2] + turn[3] * turn[3];
+    assert(square > 0.999 && square < 1.001);
+    assert(fails_with(flockeye_stage_numbers(stage, tile, numbers, 3), "has 4 numbers, not 3"));
+    assert(fails_with(flockeye_stage_numbers(stage, "/camera/depth", numbers, 1), "has no /camera/depth"));
+    assert(fails_with(flockeye_stage_numbers(stage, "/flow", numbers, 1), "not made of numbers"));
+    assert(flockeye_stage_text(stage, "/camera/projection", text, 16) == FLOCKEYE_OK);
+    assert(strcmp(text, "equirectangular") == 0);
+    assert(fails_with(flockeye_stage_text(stage, "/camera/projection", text, 15), "takes 16 bytes, not 15"));
+    assert(fails_with(flockeye_stage_text(stage, "/camera/width", text, 16), "is no text"));
+    assert(flockeye_stage_count(stage, "/resolved/partitions", &tiles) == FLOCKEYE_OK && tiles > 1);
+    assert(fails_with(flockeye_stage_count(stage, "/camera", &tiles), "is not a list"));
+    uint32_t id = 0;
+    while (!flockeye_stage_owns_marker(stage, id)) {
+        id++;
+    }
+    const uint32_t target = flockeye_stage_target_of_marker(stage, id);
+    assert(target != FLOCKEYE_NONE && flockeye_stage_target_name(stage, target)[0] != 0);
+    assert(flockeye_stage_target_of_marker(stage, FLOCKEYE_NONE) == FLOCKEYE_NONE);
+    assert(!flockeye_stage_target_name(stage, FLOCKEYE_NONE));
+    flockeye_stage_close(stage);
+    fprintf(stderr, "all of it was read\n");
+    return FLOCKEYE_CANNOT_START;
 }
 "#;
 
@@ -214,6 +264,16 @@ fn a_step_that_fails_ends_the_stage_with_the_reason_of_the_call_that_failed() {
         run(&[&["stage", "test", "detection"], &small[..], &["--", &stage]].concat());
     let wanted = "a step has ended with -1: ports are opened before `flockeye_stage_run`";
     assert!(!succeeded && output.contains(wanted), "{output}");
+}
+
+#[test]
+fn a_stage_in_c_reads_the_configuration_and_is_told_what_is_not_there() {
+    let scratch = Scratch::new("c-reader");
+    let stage = compile(&scratch, &install(&scratch), READER, ["cc", "-xc"]);
+    let small = ["--set", "camera.width=1024", "--set", "camera.height=512"];
+    let (succeeded, output) =
+        run(&[&["stage", "test", "detection"], &small[..], &["--", &stage]].concat());
+    assert!(!succeeded && output.contains("all of it was read"), "{output}");
 }
 
 #[test]

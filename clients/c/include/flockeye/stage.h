@@ -68,9 +68,18 @@ uint32_t flockeye_stage_replica(const flockeye_stage *stage);
 uint32_t flockeye_stage_generation(const flockeye_stage *stage);
 /* The configuration as JSON: the keys of pipeline.yaml, and `resolved` with what follows from them. */
 const char *flockeye_stage_pipeline(const flockeye_stage *stage);
+/* Single values of it, by JSON Pointers (RFC 6901). A number, "/rectification/window" with `count` 1, or a whole list
+ * of `count` numbers, "/resolved/partitions/0/camera_from_view"; a text with its zero, "/camera/projection", in at
+ * most `room` bytes; how many entries a list has, "/resolved/partitions". */
+int flockeye_stage_numbers(const flockeye_stage *stage, const char *pointer, double *numbers, size_t count);
+int flockeye_stage_text(const flockeye_stage *stage, const char *pointer, char *text, size_t room);
+int flockeye_stage_count(const flockeye_stage *stage, const char *pointer, size_t *count);
 /* The dictionary of all markers, by OpenCV's name or as a file; whether a configured body has a marker. */
 const char *flockeye_stage_dictionary(const flockeye_stage *stage);
 bool flockeye_stage_owns_marker(const flockeye_stage *stage, uint32_t id);
+/* The `target` number of the body that has a marker, or FLOCKEYE_NONE; the name of a target's body, or NULL. */
+uint32_t flockeye_stage_target_of_marker(const flockeye_stage *stage, uint32_t id);
+const char *flockeye_stage_target_name(const flockeye_stage *stage, uint32_t target);
 
 /* Ports of a topic, by its name: FLOCKEYE_TOPIC_VIEW. `lane`: of a topic with lanes, the worker's number; else 0.
  * They are opened before flockeye_stage_run. */
@@ -88,6 +97,9 @@ int flockeye_stage_run(flockeye_stage *stage, const char *detail, int (*step)(vo
 void flockeye_stage_wake_within(const flockeye_stage *stage, int64_t ns);
 /* Counts something that cannot be worked with in the stage's health, and logs it, not more than now and then. */
 void flockeye_stage_refuse(const flockeye_stage *stage, const char *what);
+/* What a rectification owes: reports that a detection worker has not answered in time, for the `count`-th time in a
+ * row, in words for people. The launcher replaces a worker if that goes on. */
+void flockeye_stage_complain(const flockeye_stage *stage, uint32_t worker, uint64_t count, const char *detail);
 
 /* The next message that waits, FLOCKEYE_OK, or FLOCKEYE_NOTHING. One that `message` held before must have been
  * released. Messages that break the contract, or that are of a
@@ -103,6 +115,9 @@ int flockeye_send_loan(const flockeye_publisher *publisher, flockeye_loan *loan,
 void flockeye_drop_loan(flockeye_loan *loan);
 /* Sends a copy of a header and `count` items. */
 int flockeye_send(const flockeye_publisher *publisher, const void *header, const void *items, size_t count);
+/* Gives whoever has joined since the last message what the topic keeps for late ones: the last plan. A fusion calls it
+ * in each step, because a lossless run begins with its first plan. */
+int flockeye_update_connections(const flockeye_publisher *publisher);
 
 /* The header that a detection owes for a view: what it copies, who answers, and when. `hits` and `failed` are the
  * caller's. */

@@ -1,6 +1,6 @@
 //! A detector in place of Flockeye's own, in Rust.
 //!
-//!     cargo build --release
+//!     cargo build --release -p my-detector
 //!     flockeye swap detection -- target/release/my-detector
 //!
 //! It searches as Flockeye's own does: `search` is the place for something better.

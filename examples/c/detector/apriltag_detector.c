@@ -1,12 +1,12 @@
 /* A detector in place of Flockeye's own, in C: AprilRobotics' detector, for bodies of the family tag36h11.
  *
  *     make install-c PREFIX=/usr/local
- *     cmake -S examples/c -B build -DCMAKE_PREFIX_PATH=/usr/local && cmake --build build
+ *     cmake -S examples/c/detector -B examples/c/detector/build && cmake --build examples/c/detector/build
  *     flockeye up --set bodies.dictionary=DICT_APRILTAG_36h11 &
- *     flockeye swap detection -- build/apriltag-detector
+ *     flockeye swap detection -- examples/c/detector/build/apriltag-detector
  *
  * Needs Debian's libapriltag-dev. `flockeye stage test detection --set bodies.dictionary=DICT_APRILTAG_36h11 --
- * build/apriltag-detector` says how it compares with Flockeye's own.
+ * examples/c/detector/build/apriltag-detector` says how it compares with Flockeye's own.
  */
 #include <apriltag/apriltag.h>
 #include <apriltag/tag36h11.h>
