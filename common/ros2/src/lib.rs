@@ -1,0 +1,50 @@
+//! A drone's neighbours as ROS 2 messages, without ROS installed.
+//!
+//! [`Ros2Node`] appears in ROS 2 as a node. It publishes over Zenoh just as the ROS middleware
+//! `rmw_zenoh_cpp` does, of ROS 2 Jazzy (0.2.4) and later:
+//!
+//! | topic | message |
+//! | --- | --- |
+//! | `/<observer>/neighbours/<target>/pose` | `geometry_msgs/msg/PoseWithCovarianceStamped` |
+//! | `/tf` | `tf2_msgs/msg/TFMessage` |
+//! | `/<observer>/seen_by/<peer>/odometry` | `nav_msgs/msg/Odometry` |
+//!
+//! ```no_run
+//! use flockeye_ros2::{NeighbourPose, RelativePose, Ros2Node, Ros2Parameters};
+//!
+//! let node = Ros2Node::open(&Ros2Parameters::default(), "wren")?;
+//! let pose = RelativePose {
+//!     stamp_utc_ns: 1_700_000_000_000_000_000,
+//!     position: [1.0, -2.0, 0.5],
+//!     orientation: [0.0, 0.0, 0.0, 1.0],
+//!     covariance: [0.0; 36],
+//! };
+//! let kite = NeighbourPose { target: "kite".into(), pose };
+//! node.publish_neighbour(&kite)?;
+//! node.publish_transforms(&[kite])?;
+//! # Ok::<(), flockeye_ros2::Ros2Error>(())
+//! ```
+//!
+//! - [`messages`]: the messages and their CDR bytes. It knows nothing of Zenoh, so recordings can use it.
+//! - [`keys`]: under which keys rmw_zenoh publishes and announces, and what it attaches.
+//! - [`Ros2Parameters`]: how to reach the ROS nodes.
+//!
+//! `docs/ROS2.md` describes the topics, frames and limits for users.
+
+pub mod keys;
+pub mod messages;
+
+mod error;
+mod lock;
+mod names;
+mod node;
+mod outbox;
+mod parameters;
+mod pose;
+mod sender;
+
+pub use error::Ros2Error;
+pub use names::{MAX_DRONES, ros_name};
+pub use node::{Ros2Counters, Ros2Node};
+pub use parameters::{Ros2Mode, Ros2Parameters};
+pub use pose::{NeighbourPose, ObserverSeen, RelativePose, UNKNOWN_VARIANCE, Velocity};
