@@ -50,7 +50,7 @@ install-c: setup
 PYTHON_PACKAGES = iceoryx2==0.10.0 numpy opencv-contrib-python-headless==4.10.0.84 eclipse-zenoh==1.10.2 rosbags==0.11.9 zenoh-ros2-sdk==0.1.8 pymavlink==2.4.50
 python: target/python/installed
 
-target/python/installed: $(wildcard clients/python/pyproject.toml clients/python/flockeye/*.py)
+target/python/installed: Makefile $(wildcard clients/python/pyproject.toml clients/python/*.py clients/python/flockeye/*.py)
 	@mkdir -p target
 	@[[ -x target/python/bin/python ]] || python3 -m venv target/python || { echo "Cure: install Debian's python3-venv."; exit 1; }
 	@target/python/bin/pip install -q --force-reinstall --no-deps clients/python

@@ -211,7 +211,8 @@ static bool open_all(fusion *self) {
     if (flockeye_stage_numbers(stage, "/fusion/deadline_ms", &deadline_ms, 1) != FLOCKEYE_OK
         || flockeye_stage_numbers(stage, "/search/lossless_partitions", &budget, 1) != FLOCKEYE_OK
         || flockeye_stage_numbers(stage, "/resolved/observer_from_camera/position", mount->position, 3) != FLOCKEYE_OK
-        || flockeye_stage_numbers(stage, "/resolved/observer_from_camera/orientation", mount->orientation, 4) != FLOCKEYE_OK
+        || flockeye_stage_numbers(stage, "/resolved/observer_from_camera/orientation", mount->orientation, 4)
+               != FLOCKEYE_OK
         || flockeye_stage_count(stage, "/resolved/partitions", &tiles) != FLOCKEYE_OK) {
         return false;
     }

@@ -233,6 +233,9 @@ static bool open_all(rectifier *self) {
         }
         *settings[k].value = (uint32_t)number;
     }
+    if (self->views.workers > MAX_WORKERS) {
+        self->views.workers = MAX_WORKERS;
+    }
     char flow[16];
     if (flockeye_stage_numbers(stage, "/rectification/overdue_ms", &overdue_ms, 1) != FLOCKEYE_OK
         || flockeye_stage_text(stage, "/flow", flow, sizeof flow) != FLOCKEYE_OK

@@ -31,11 +31,11 @@ void turned(const flockeye_planned_view *planned, int64_t exposure_ns, double ca
     }
 }
 
-/* The luma along a ray in the camera frame, between the four pixels around it. */
+/* The luma along a ray of any length in the camera frame, between the four pixels around it. */
 static uint8_t level(const sphere *picture, float forward, float left, float up) {
     const int32_t width = (int32_t)picture->width, height = (int32_t)picture->height;
     const float longitude = atan2f(left, forward);
-    const float latitude = asinf(fmaxf(-1, fminf(up, 1)));
+    const float latitude = atan2f(up, sqrtf(forward * forward + left * left));
     const float u = (0.5f - longitude / (2 * (float)PI)) * (float)width - 0.5f;
     const float v = (0.5f - latitude / (float)PI) * (float)height - 0.5f;
     const int32_t column = (int32_t)floorf(u), row = (int32_t)floorf(v);
@@ -73,10 +73,9 @@ void cut(const sphere *picture, const double camera_from_view[4], double focal_p
         const float y = ((float)row - centre) / focal;
         for (uint32_t column = 0; column < size_px; column++) {
             const float x = ((float)column - centre) / focal;
-            const float length = sqrtf(x * x + y * y + 1);
             float ray[3];
             for (int axis = 0; axis < 3; axis++) {
-                ray[axis] = (x * right[axis] + y * down[axis] + ahead[axis]) / length;
+                ray[axis] = x * right[axis] + y * down[axis] + ahead[axis];
             }
             view[(size_t)row * size_px + column] = level(picture, ray[0], ray[1], ray[2]);
         }

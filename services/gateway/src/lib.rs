@@ -5,6 +5,8 @@
 //! | [`report`] | a track alone as what goes over the network |
 //! | [`frame`] | all targets of a frame as one report |
 //! | [`swarm`] | where all drones are from here, by what peers report too |
+//! | [`pilot`] | what the autopilot is told, and what it says of the drone |
+//! | [`ros`] | what ROS 2 nodes are told |
 //! | [`newest`] | what was said of each neighbour last |
 //! | [`hearsay`] | what the peers say, in words for people |
 //! | [`stage`] | the ports around it |
@@ -12,7 +14,9 @@
 pub mod frame;
 pub mod hearsay;
 pub mod newest;
+pub mod pilot;
 pub mod report;
+pub mod ros;
 pub mod stage;
 pub mod swarm;
 

@@ -1,6 +1,6 @@
 //! The ports around the network.
 
-use flockeye_config::Flow;
+use flockeye_config::{Flow, Gateway};
 use flockeye_contract::{
     FrameStamp, PeerHeader, Peers, Rotations, StageState, SwarmHeader, Swarms, Track, Tracks,
 };
@@ -16,7 +16,9 @@ use flockeye_runtime::{Context, Stage, Step, clock};
 use crate::frame::{Gathering, Head};
 use crate::hearsay::in_words;
 use crate::newest::Newest;
+use crate::pilot::Pilot;
 use crate::report::{Utc, report};
+use crate::ros::Ros;
 use crate::swarm::Swarm;
 
 /// How often a network that cannot be had is tried again, nanoseconds.
@@ -42,6 +44,8 @@ pub struct GatewayStage {
     link: Option<Link>,
     gathering: Gathering,
     swarm: Swarm,
+    ros: Option<Ros>,
+    pilot: Option<Pilot>,
     generation: u32,
     retry_ns: i64,
     detail_ns: i64,
@@ -66,6 +70,7 @@ impl Stage for GatewayStage {
         let parameters = NetworkParameters::of_drone(&resolved.pipeline);
         // What can never work is said before the flight; what may come yet is waited for.
         parameters.check()?;
+        let Gateway { ros2: ros, autopilot, .. } = &resolved.pipeline.gateway;
         Ok(Self {
             tracks: ports.subscriber()?,
             rotations: ports.subscriber()?,
@@ -73,6 +78,8 @@ impl Stage for GatewayStage {
             swarms: ports.publisher()?,
             swarm: Swarm::new(&parameters.observer, resolved.observer_from_camera.rotation),
             gathering: Gathering::default(),
+            ros: ros.as_ref().map(|ros| Ros::open(ros, &parameters.observer)).transpose()?,
+            pilot: autopilot.as_ref().map(Pilot::open).transpose()?,
             parameters,
             link: None,
             generation: context.identity.generation,
@@ -96,11 +103,20 @@ impl Stage for GatewayStage {
         }
         while let Some(message) = self.tracks.receive()? {
             let header = message.header;
+            let seen_ns = self.seen_ns(&header.stamp);
+            let mut newest = Vec::new();
             for track in message.items() {
                 if self.newest.is_newest(track.target, &header.stamp) {
-                    self.swarm.sees(&header.stamp, self.seen_ns(&header.stamp), track);
+                    newest.push(*track);
+                    self.swarm.sees(&header.stamp, seen_ns, track);
+                    if let Some(pilot) = &mut self.pilot {
+                        pilot.sees(seen_ns, track);
+                    }
                     self.send(&header.stamp, track);
                 }
+            }
+            if let Some(ros) = &mut self.ros {
+                ros.sees(utc(seen_ns).stamp_ns, &newest);
             }
             if self.gathering.take(&header.stamp, message.items(), header.is_last != 0, now_ns) {
                 self.send_frame(&header.stamp);
@@ -179,7 +195,7 @@ impl GatewayStage {
             observer: &self.parameters.observer,
             utc: utc(seen_ns),
             latency_ns: now_ns - seen_ns,
-            odometry: None,
+            odometry: self.pilot.as_ref().and_then(|pilot| pilot.odometry(seen_ns)),
         };
         let (utc_ns, _) = utc_from_monotonic(now_ns);
         let clocks = || {
@@ -208,6 +224,11 @@ impl GatewayStage {
             }
             let report = PeerReport::from(&heard);
             self.swarm.hears(&report);
+            if let Some(ros) = &mut self.ros
+                && report.target == self.parameters.observer
+            {
+                ros.is_seen(&heard, &report);
+            }
             let header = PeerHeader {
                 arrived_ns: heard.arrived_monotonic_ns,
                 generation: self.generation,

@@ -1,13 +1,15 @@
 //! Stages in Python: the examples, with the package of `clients/python`.
 
+use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
 use flockeye_contract::{Detections, FrameEnds, MeasuredBy, Topic, Tracks, Truths};
 use flockeye_tests::onlooker::{Tape, join, subscribe};
-use flockeye_tests::{Flight, SMALL_FLIGHT, WATCHDOG, flockeye, run};
+use flockeye_tests::{Flight, SMALL_FLIGHT, WATCHDOG, flockeye, run, unique};
 use nalgebra::Vector3;
+use rustix::process::Signal;
 
 /// What is said of the neighbour once it is tracked.
 const POSES_FLOW: &str = "alpha confirmed";
@@ -207,3 +209,66 @@ fn the_tool_that_looks_on_prints_neighbours_and_ends_with_the_pipeline() {
     assert!(tool.wait().success(), "{}", tool.output());
     flight.assert_nothing_left();
 }
+
+/// The module for peers, in a process that links with the drone over the network.
+#[test]
+fn a_peer_in_python_hears_where_the_neighbour_is() {
+    let Some(python) = python() else { return };
+    let port = TcpListener::bind("127.0.0.1:0").expect("a port is free");
+    let endpoint = format!("tcp/{}", port.local_addr().expect("it is bound"));
+    drop(port);
+    let swarm = unique("swarm");
+    let (listen, name) =
+        (format!("gateway.listen=[\"{endpoint}\"]"), format!("observer.swarm={swarm}"));
+    let mut settings = SMALL_FLIGHT.to_vec();
+    settings.extend(["gateway.enabled=true", &listen, &name]);
+    let mut flight = Flight::start("peerpy", &[], &settings);
+    flight.wait_for(POSES_FLOW);
+    let mut command = Command::new(&python);
+    command.arg(example("peers.py")).args([&endpoint, &swarm]);
+    let mut peer = Flight::launch(&unique("peerpy"), command);
+    peer.wait_for("observer sees alpha at ");
+    peer.signal(Signal::INT);
+    peer.wait();
+    // Bytes that are no report are refused, each by its reason.
+    let refused =
+        Command::new(&python).args(["-c", REFUSED_IN_PYTHON]).output().expect("Python runs");
+    let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(refused.status.success(), "{said}");
+    flight.signal(Signal::INT);
+    assert!(flight.wait().success(), "{}", flight.output());
+    flight.assert_nothing_left();
+}
+
+const REFUSED_IN_PYTHON: &str = r#"
+import json, random
+from flockeye_peers import MAX_FRAME_REPORT_BYTES, Refused, read
+target = {"target": "kite", "state": "confirmed", "position": [1, 2, 3], "orientation": [0, 0, 0, 1],
+          "covariance": [1] * 21, "linear_velocity": [0] * 3, "angular_velocity": [0] * 3}
+frame = {"schema": "flockeye.frame/2", "observer": "wren", "frame": 1, "epoch": 0, "stamp_utc_ns": 5,
+         "clock_synchronised": False, "latency_ms": 3.5, "targets": [target]}
+key, good = "flockeye/s/wren/sees", json.dumps(frame).encode()
+[report] = read(key, good)
+assert report.covariance_matrix()[5][5] == 1 and report.age() >= 0.0035
+bad = [b"", b"{", b"ÿþ", b"[" * 50000, b"NaN", b" " * (MAX_FRAME_REPORT_BYTES + 1)]
+for name, value in [("schema", "flockeye.frame/9"), ("observer", "crow"), ("targets", [target] * 65),
+                    ("latency_ms", float("nan"))]:
+    bad.append(json.dumps({**frame, name: value}).encode())
+for name, value in [("target", "../x"), ("state", "x"), ("position", [1, 2]), ("position", [1, 2, None]),
+                    ("position", [float("inf")] * 3), ("orientation", [0, 0, 0, 2])]:
+    bad.append(json.dumps({**frame, "targets": [{**target, name: value}]}).encode())
+random.seed(1)
+for payload in bad:
+    try:
+        read(key, payload)
+        raise SystemExit(f"taken: {payload[:80]}")
+    except Refused:
+        pass
+for _ in range(20000):
+    broken = bytearray(good)
+    broken[random.randrange(len(broken))] = random.randrange(256)
+    try:
+        read(key, bytes(broken))
+    except Refused:
+        pass
+"#;

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 mod bodies;
 mod camera;
 mod costs;
+mod gateway;
 mod inertial;
 mod mount;
 mod partition;
@@ -19,6 +20,7 @@ mod stages;
 pub use bodies::{BodySet, Preset, PresetBody};
 pub use camera::{Camera, CameraModel, FisheyeLens, Response};
 pub use costs::{Costs, SearchBudget};
+pub use gateway::{Autopilot, Gateway, Ros2};
 pub use inertial::{Inertial, InertialSource, MavlinkAddress};
 pub use mount::Mount;
 pub use partition::{Auto, Count, Method, Partition};
@@ -466,29 +468,4 @@ pub enum Filter {
     ConstantVelocity,
     /// None: each frame for itself.
     None,
-}
-
-/// What goes over the network.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct Gateway {
-    /// false: nothing goes over the network.
-    pub enabled: bool,
-    /// Zenoh endpoints to listen on (`tcp/192.168.1.7:7447`), each on a named interface's address.
-    pub listen: Vec<String>,
-    /// Zenoh endpoints to connect to.
-    pub connect: Vec<String>,
-    /// Interface on which peers are looked for by multicast; left out: they are not.
-    pub scout_interface: Option<String>,
-}
-
-impl Default for Gateway {
-    fn default() -> Self {
-        Self {
-            enabled: true,
-            listen: vec!["tcp/127.0.0.1:7447".into()],
-            connect: Vec::new(),
-            scout_interface: None,
-        }
-    }
 }

@@ -50,16 +50,16 @@ impl<'p> Sphere<'p> {
         let at = |pixel: usize| (pixel as f32 - centre_px) / focal_px as f32;
         for (row, pixels) in view.chunks_exact_mut(size_px as usize).enumerate() {
             for (column, pixel) in pixels.iter_mut().enumerate() {
-                let ray_in_view = Vector3::new(at(column), at(row), 1.0).normalize();
+                let ray_in_view = Vector3::new(at(column), at(row), 1.0);
                 *pixel = self.level(&(camera_from_view * ray_in_view));
             }
         }
     }
 
-    /// The luma along a unit ray in the camera frame, between the four pixels around it.
+    /// The luma along a ray of any length in the camera frame, between the four pixels around it.
     fn level(&self, ray: &Vector3<f32>) -> u8 {
         let longitude = ray.y.atan2(ray.x);
-        let latitude = ray.z.clamp(-1.0, 1.0).asin();
+        let latitude = ray.z.atan2(ray.x.hypot(ray.y));
         let u = (0.5 - longitude / TAU) * self.width as f32 - 0.5;
         let v = (0.5 - latitude / PI) * self.height as f32 - 0.5;
         let (s, t) = (u - u.floor(), v - v.floor());

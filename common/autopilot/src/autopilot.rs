@@ -1,0 +1,310 @@
+//! The autopilot as callers have it, and the threads that talk to it.
+
+use std::io;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::thread::{self, Builder, JoinHandle};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use flockeye_runtime::backoff::Backoff;
+use flockeye_runtime::clock;
+use flockeye_runtime::logs::Throttle;
+use mavlink::MavHeader;
+
+use crate::core::Core;
+use crate::error::AutopilotError;
+use crate::link::{self, LineReader, LineWriter, LinkAddress};
+use crate::lock::lock;
+use crate::messages::WireClock;
+use crate::neighbour::NeighbourState;
+use crate::odometry::OdometryAt;
+use crate::parameters::AutopilotParameters;
+use crate::timesync::TimeOffset;
+
+/// The shortest and longest wait before a line that is not there is tried again.
+const RETRY: [Duration; 2] = [Duration::from_millis(500), Duration::from_secs(5)];
+/// A line that was open for so long is a line: its loss is said, and it is tried again soon.
+const STEADY: Duration = Duration::from_secs(5);
+/// The longest that the thread that sends waits.
+const LONGEST_WAIT: Duration = Duration::from_millis(100);
+
+/// The drone's autopilot, until dropped. Threads of its own send and receive; no method waits for the line.
+#[derive(Debug)]
+pub struct Autopilot {
+    shared: Arc<Shared>,
+    thread: Option<JoinHandle<()>>,
+}
+
+/// What is known of the line.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct AutopilotStatus {
+    /// Whether the line is open. It may be, and nobody at its other end.
+    pub is_open: bool,
+    /// Whether our vehicle's autopilot was heard within the last three seconds.
+    pub is_heard: bool,
+    /// The autopilot's clock; none while it is not known.
+    pub time_offset: Option<TimeOffset>,
+    /// Messages that were sent.
+    pub sent: u64,
+    /// Messages that went nowhere: nobody was there, or the line took no more.
+    pub dropped: u64,
+    /// Messages of the autopilot that were received.
+    pub received: u64,
+}
+
+/// What the threads share.
+#[derive(Debug)]
+struct Shared {
+    core: Mutex<Core>,
+    /// Something is to be sent sooner, or the threads shall stop.
+    changed: Condvar,
+    is_stopping: AtomicBool,
+    is_open: AtomicBool,
+    sent: AtomicU64,
+    dropped: AtomicU64,
+    received: AtomicU64,
+}
+
+impl Autopilot {
+    /// Begins to talk to the autopilot. A line that is not there is tried again in the background.
+    ///
+    /// # Errors
+    /// [`AutopilotError::Parameter`] for parameters that cannot work, [`AutopilotError::Thread`] where the system
+    /// gives no thread.
+    pub fn open(parameters: &AutopilotParameters) -> Result<Self, AutopilotError> {
+        parameters.check()?;
+        let address = parameters.address()?;
+        let utc = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        let utc_ns = i64::try_from(utc.as_nanos()).unwrap_or(i64::MAX);
+        let wire_clock = WireClock::new(utc_ns, clock::monotonic_ns());
+        let shared = Arc::new(Shared {
+            core: Mutex::new(Core::new(parameters.clone(), wire_clock)),
+            changed: Condvar::new(),
+            is_stopping: AtomicBool::new(false),
+            is_open: AtomicBool::new(false),
+            sent: AtomicU64::new(0),
+            dropped: AtomicU64::new(0),
+            received: AtomicU64::new(0),
+        });
+        let link = Link {
+            address,
+            system_id: parameters.system_id,
+            component_id: parameters.component_id,
+            shared: shared.clone(),
+        };
+        let name = "autopilot";
+        let thread = Builder::new()
+            .name(name.into())
+            .spawn(move || link.run())
+            .map_err(|source| AutopilotError::Thread { name, source })?;
+        Ok(Self { shared, thread: Some(thread) })
+    }
+
+    /// Tells the autopilot where a neighbour is, as soon as its rate and the line allow; a newer state of the same
+    /// neighbour replaces one that has not been sent. Returns at once.
+    ///
+    /// # Errors
+    /// [`AutopilotError::Neighbour`] for a state that no autopilot could use,
+    /// [`AutopilotError::TooManyNeighbours`] where 64 others are seen.
+    pub fn neighbour(&self, state: &NeighbourState) -> Result<(), AutopilotError> {
+        lock(&self.shared.core).on_neighbour(state, clock::monotonic_ns())?;
+        self.shared.changed.notify_all();
+        Ok(())
+    }
+
+    /// How this drone moved at an instant of CLOCK_MONOTONIC, nanoseconds; none outside the last two seconds, where
+    /// the autopilot does not tell, and before it has told.
+    pub fn odometry_at(&self, exposure_monotonic_ns: i64) -> Option<OdometryAt> {
+        lock(&self.shared.core).odometry_at(exposure_monotonic_ns)
+    }
+
+    /// What is known of the line.
+    pub fn status(&self) -> AutopilotStatus {
+        let now_ns = clock::monotonic_ns();
+        let (is_heard, time_offset) = {
+            let core = lock(&self.shared.core);
+            (core.is_heard(now_ns), core.time_offset(now_ns))
+        };
+        AutopilotStatus {
+            is_open: self.shared.is_open.load(Relaxed),
+            is_heard,
+            time_offset,
+            sent: self.shared.sent.load(Relaxed),
+            dropped: self.shared.dropped.load(Relaxed),
+            received: self.shared.received.load(Relaxed),
+        }
+    }
+}
+
+impl Drop for Autopilot {
+    /// Ends the threads, which takes a fifth of a second at most.
+    fn drop(&mut self) {
+        self.shared.stop();
+        if let Some(thread) = self.thread.take()
+            && thread.join().is_err()
+        {
+            tracing::error!("the thread that talks to the autopilot panicked");
+        }
+    }
+}
+
+impl Shared {
+    fn stop(&self) {
+        // With the lock, or a thread that is about to wait would miss it.
+        let core = lock(&self.core);
+        self.is_stopping.store(true, Relaxed);
+        drop(core);
+        self.changed.notify_all();
+    }
+
+    fn is_stopping(&self) -> bool {
+        self.is_stopping.load(Relaxed)
+    }
+
+    /// Waits for so long, or until the threads shall stop.
+    fn pause(&self, time: Duration) {
+        let began = Instant::now();
+        let mut core = lock(&self.core);
+        while !self.is_stopping() {
+            let Some(left) = time.checked_sub(began.elapsed()) else { return };
+            core = self.changed.wait_timeout(core, left).unwrap_or_else(PoisonError::into_inner).0;
+        }
+    }
+}
+
+/// The threads' side.
+struct Link {
+    address: LinkAddress,
+    system_id: u8,
+    component_id: u8,
+    shared: Arc<Shared>,
+}
+
+impl Link {
+    /// Opens the line again and again. What is wrong with it is said once, until it has worked again.
+    fn run(&self) {
+        let mut backoff = Backoff::new(RETRY[0], RETRY[1]);
+        let mut is_said = false;
+        while !self.shared.is_stopping() {
+            let opened = Instant::now();
+            let lost = link::open(&self.address).and_then(|(reader, writer)| {
+                tracing::info!("the line to the autopilot, {}, is open", self.address);
+                self.serve(reader, writer)
+            });
+            if opened.elapsed() > STEADY {
+                backoff.reset();
+                is_said = false;
+            }
+            if let Err(error) = lost
+                && !std::mem::replace(&mut is_said, true)
+            {
+                let cure = self.address.cure();
+                tracing::warn!(
+                    "no line to the autopilot, {}: {error}; it is tried again. Cure: {cure}",
+                    self.address
+                );
+            }
+            self.shared.pause(backoff.after_failure());
+        }
+    }
+
+    /// Talks until the line is lost, or the threads shall stop.
+    fn serve(&self, mut reader: LineReader, mut writer: LineWriter) -> io::Result<()> {
+        lock(&self.shared.core).on_line();
+        self.shared.is_open.store(true, Relaxed);
+        let is_over = AtomicBool::new(false);
+        let served = thread::scope(|scope| {
+            let reading = Builder::new().name("autopilot-in".into()).spawn_scoped(scope, || {
+                let read = self.read(&mut reader, &is_over);
+                is_over.store(true, Relaxed);
+                read
+            })?;
+            let written = self.write(&mut writer, &is_over);
+            is_over.store(true, Relaxed);
+            let read = reading.join().unwrap_or_else(|_| Err(io::Error::other("a panic")));
+            written.and(read)
+        });
+        self.shared.is_open.store(false, Relaxed);
+        served
+    }
+
+    fn read(&self, reader: &mut LineReader, is_over: &AtomicBool) -> io::Result<()> {
+        let mut has_warned = false;
+        while !self.shared.is_stopping() && !is_over.load(Relaxed) {
+            reader.read(&mut |sender, message| {
+                let arrived_ns = clock::monotonic_ns();
+                let mut core = lock(&self.shared.core);
+                let is_autopilot = core.on_message(sender, message, arrived_ns);
+                let has_news = core.next_due_ns(arrived_ns) <= arrived_ns;
+                let other = core.other_system();
+                drop(core);
+                if is_autopilot {
+                    self.shared.received.fetch_add(1, Relaxed);
+                }
+                if has_news {
+                    self.shared.changed.notify_all();
+                }
+                if let Some(other) = other
+                    && !std::mem::replace(&mut has_warned, true)
+                {
+                    tracing::warn!(
+                        "{}: the autopilot of system {other} is heard, not that of {}. Cure: system_id: {other}, if \
+                         it is this drone's",
+                        self.address,
+                        self.system_id
+                    );
+                }
+                is_autopilot
+            })?;
+        }
+        Ok(())
+    }
+
+    fn write(&self, writer: &mut LineWriter, is_over: &AtomicBool) -> io::Result<()> {
+        let mut header = MavHeader {
+            system_id: self.system_id.into(),
+            component_id: self.component_id,
+            sequence: 0,
+        };
+        let mut drops = Throttle::default();
+        while !self.shared.is_stopping() && !is_over.load(Relaxed) {
+            for message in self.due() {
+                let frame = message.frame(header);
+                if writer.write(frame.raw_bytes())? {
+                    header.sequence = header.sequence.wrapping_add(1);
+                    self.shared.sent.fetch_add(1, Relaxed);
+                    continue;
+                }
+                self.shared.dropped.fetch_add(1, Relaxed);
+                if matches!(self.address, LinkAddress::Serial { .. })
+                    && let Some(more) = drops.admit()
+                {
+                    tracing::warn!(
+                        more_since = more,
+                        "{}: the line takes no more. Cure: a higher rate of the line, lower rates of the messages",
+                        self.address
+                    );
+                }
+                // What else was due is old when the line takes it.
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// Waits for something to send.
+    fn due(&self) -> Vec<crate::messages::Outgoing> {
+        let mut core = lock(&self.shared.core);
+        let now_ns = clock::monotonic_ns();
+        let wait = clock::until(core.next_due_ns(now_ns), now_ns).min(LONGEST_WAIT);
+        if !wait.is_zero() && !self.shared.is_stopping() {
+            core = self
+                .shared
+                .changed
+                .wait_timeout(core, wait)
+                .unwrap_or_else(PoisonError::into_inner)
+                .0;
+        }
+        core.due(clock::monotonic_ns())
+    }
+}

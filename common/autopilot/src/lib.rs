@@ -1,0 +1,63 @@
+//! Tells the drone's autopilot (PX4, ArduPilot) about its neighbours over MAVLink 2, and hears how the drone moves.
+//!
+//! ```no_run
+//! use flockeye_autopilot::{Autopilot, AutopilotParameters, NeighbourState};
+//! use nalgebra::{Isometry3, Matrix6};
+//!
+//! let autopilot = Autopilot::open(&AutopilotParameters {
+//!     link: "serial:/dev/ttyACM0:921600".into(),
+//!     target: Some("kite".into()),
+//!     ..AutopilotParameters::default()
+//! })?;
+//! let exposure_monotonic_ns = 1_000_000_000;
+//! autopilot.neighbour(&NeighbourState {
+//!     name: "kite".into(),
+//!     observer_from_target: Isometry3::translation(2.0, 1.0, 0.5),
+//!     covariance: Matrix6::identity() * 0.01,
+//!     exposure_monotonic_ns,
+//!     is_lost: false,
+//! })?;
+//! if let Some(odometry) = autopilot.odometry_at(exposure_monotonic_ns) {
+//!     println!("seen from {}", odometry.odom_from_base);
+//! }
+//! # Ok::<(), flockeye_autopilot::AutopilotError>(())
+//! ```
+//!
+//! What goes out: `TARGET_RELATIVE` for one neighbour, `OBSTACLE_DISTANCE_3D` for all, `HEARTBEAT`, `TIMESYNC`. What
+//! comes in: `TIMESYNC`, `ODOMETRY`, `LOCAL_POSITION_NED`, `ATTITUDE_QUATERNION`.
+//!
+//! | module | what it does |
+//! | --- | --- |
+//! | [`core`] | what is sent when, and what comes of what is heard; without line, thread and clock |
+//! | [`messages`] | states as MAVLink messages |
+//! | [`timesync`] | the autopilot's clock |
+//! | [`odometry`] | how the drone moved at an instant |
+//! | [`neighbours`] | the newest state of each neighbour |
+//! | [`pace`] | rates that are held |
+//! | [`axes`] | between the axes of MAVLink and REP-103 |
+//! | [`link`] | the line: UDP or serial |
+//!
+//! `docs/AUTOPILOT.md` describes it for users.
+
+pub mod axes;
+pub mod core;
+pub mod link;
+pub mod messages;
+pub mod neighbours;
+pub mod odometry;
+pub mod pace;
+pub mod timesync;
+
+mod autopilot;
+mod error;
+mod lock;
+mod neighbour;
+mod parameters;
+
+pub use autopilot::{Autopilot, AutopilotStatus};
+pub use error::AutopilotError;
+pub use link::LinkAddress;
+pub use neighbour::NeighbourState;
+pub use odometry::{OdometryAt, OdometryFrame};
+pub use parameters::{AutopilotParameters, Rates};
+pub use timesync::TimeOffset;

@@ -1,0 +1,208 @@
+//! The newest state of each neighbour, and which states the autopilot has been told.
+
+use crate::error::AutopilotError;
+use crate::neighbour::NeighbourState;
+
+/// The most neighbours at once.
+pub const MAX_NEIGHBOURS: usize = 64;
+
+/// A neighbour's number in the messages: the same as long as it is heard of, below [`MAX_NEIGHBOURS`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct NeighbourId(pub(crate) u8);
+
+/// The newest state of each neighbour. Bounded: a name that has not been fresh for the longest time gives way.
+#[derive(Debug)]
+pub struct Neighbours {
+    /// A neighbour's number is its place.
+    slots: Vec<Slot>,
+    max_age_ns: i64,
+}
+
+#[derive(Debug)]
+struct Slot {
+    state: NeighbourState,
+    /// Whether this state has been sent as the target, and as an obstacle.
+    is_told: Told,
+}
+
+#[derive(Debug, Clone, Copy, Default)]
+struct Told {
+    target: bool,
+    obstacle: bool,
+}
+
+impl Slot {
+    fn is_fresh(&self, now_ns: i64, max_age_ns: i64) -> bool {
+        let age_ns = now_ns.saturating_sub(self.state.exposure_monotonic_ns);
+        // A stamp of the future is none of this machine's clock.
+        !self.state.is_lost && (-max_age_ns..=max_age_ns).contains(&age_ns)
+    }
+}
+
+impl Neighbours {
+    /// States count for so long after their exposure, nanoseconds.
+    pub fn new(max_age_ns: i64) -> Self {
+        Self { slots: Vec::with_capacity(MAX_NEIGHBOURS), max_age_ns }
+    }
+
+    /// Takes in a state. One that is older than what is known of this neighbour changes nothing.
+    ///
+    /// # Errors
+    /// [`AutopilotError::Neighbour`] for a state that no autopilot could use,
+    /// [`AutopilotError::TooManyNeighbours`] where all places are taken by fresh ones.
+    pub fn update(&mut self, state: &NeighbourState, now_ns: i64) -> Result<(), AutopilotError> {
+        state.check()?;
+        let known = self.slots.iter().position(|slot| slot.state.name == state.name);
+        if let Some(slot) = known.map(|place| &mut self.slots[place]) {
+            if state.exposure_monotonic_ns >= slot.state.exposure_monotonic_ns {
+                *slot = Slot { state: state.clone(), is_told: Told::default() };
+            }
+            return Ok(());
+        }
+        if state.is_lost {
+            return Ok(());
+        }
+        let slot = Slot { state: state.clone(), is_told: Told::default() };
+        if self.slots.len() < MAX_NEIGHBOURS {
+            self.slots.push(slot);
+            return Ok(());
+        }
+        let max_age_ns = self.max_age_ns;
+        let oldest = self
+            .slots
+            .iter_mut()
+            .filter(|slot| !slot.is_fresh(now_ns, max_age_ns))
+            .min_by_key(|slot| slot.state.exposure_monotonic_ns);
+        match oldest {
+            Some(place) => *place = slot,
+            None => return Err(AutopilotError::TooManyNeighbours { name: state.name.clone() }),
+        }
+        Ok(())
+    }
+
+    /// Whether `name` is fresh and has not been sent as the target.
+    pub fn has_target(&self, name: &str, now_ns: i64) -> bool {
+        self.fresh(now_ns).any(|(_, slot)| slot.state.name == name && !slot.is_told.target)
+    }
+
+    /// The state of the target `name`, once each.
+    pub fn take_target(
+        &mut self,
+        name: &str,
+        now_ns: i64,
+    ) -> Option<(NeighbourId, &NeighbourState)> {
+        let max_age_ns = self.max_age_ns;
+        let place = self.slots.iter().position(|slot| slot.state.name == name)?;
+        let slot = &mut self.slots[place];
+        if slot.is_told.target || !slot.is_fresh(now_ns, max_age_ns) {
+            return None;
+        }
+        slot.is_told.target = true;
+        Some((id(place), &slot.state))
+    }
+
+    /// Whether a fresh state has not been sent as an obstacle.
+    pub fn has_obstacles(&self, now_ns: i64) -> bool {
+        self.fresh(now_ns).any(|(_, slot)| !slot.is_told.obstacle)
+    }
+
+    /// All fresh states as obstacles, the nearest first, where one of them at least is new. Those that are not new
+    /// go along: a receiver forgets the obstacles of the message before.
+    pub fn take_obstacles(&mut self, now_ns: i64) -> Vec<(NeighbourId, &NeighbourState)> {
+        if !self.has_obstacles(now_ns) {
+            return Vec::new();
+        }
+        let max_age_ns = self.max_age_ns;
+        for slot in &mut self.slots {
+            slot.is_told.obstacle |= slot.is_fresh(now_ns, max_age_ns);
+        }
+        let mut obstacles: Vec<_> =
+            self.fresh(now_ns).map(|(place, slot)| (id(place), &slot.state)).collect();
+        obstacles.sort_by(|(_, a), (_, b)| a.distance_m().total_cmp(&b.distance_m()));
+        obstacles
+    }
+
+    fn fresh(&self, now_ns: i64) -> impl Iterator<Item = (usize, &Slot)> {
+        self.slots
+            .iter()
+            .enumerate()
+            .filter(move |(_, slot)| slot.is_fresh(now_ns, self.max_age_ns))
+    }
+}
+
+/// Places are below [`MAX_NEIGHBOURS`], so they fit.
+fn id(place: usize) -> NeighbourId {
+    NeighbourId(u8::try_from(place).unwrap_or(u8::MAX))
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use super::*;
+    use crate::neighbour::tests::neighbour;
+
+    const MS: i64 = 1_000_000;
+    const MAX_AGE_NS: i64 = 500 * MS;
+
+    fn names(obstacles: &[(NeighbourId, &NeighbourState)]) -> Vec<String> {
+        obstacles.iter().map(|(_, state)| state.name.clone()).collect()
+    }
+
+    #[test]
+    fn the_newest_of_each_wins_and_is_told_once() {
+        let mut all = Neighbours::new(MAX_AGE_NS);
+        all.update(&neighbour("kite", 100 * MS), 150 * MS).unwrap();
+        all.update(&neighbour("kite", 130 * MS), 160 * MS).unwrap();
+        // It comes late.
+        all.update(&neighbour("kite", 110 * MS), 170 * MS).unwrap();
+        let (_, state) = all.take_target("kite", 170 * MS).unwrap();
+        assert_eq!(state.exposure_monotonic_ns, 130 * MS);
+        assert!(all.take_target("kite", 170 * MS).is_none(), "told already");
+        assert_eq!(all.take_obstacles(170 * MS).len(), 1, "that is another message");
+        assert!(all.take_obstacles(170 * MS).is_empty() && !all.has_obstacles(170 * MS));
+    }
+
+    #[test]
+    fn lost_and_old_ones_are_not_told() {
+        let mut all = Neighbours::new(MAX_AGE_NS);
+        for name in ["kite", "swift", "robin"] {
+            all.update(&neighbour(name, 100 * MS), 100 * MS).unwrap();
+        }
+        let lost = NeighbourState { is_lost: true, ..neighbour("swift", 130 * MS) };
+        all.update(&lost, 140 * MS).unwrap();
+        all.update(&neighbour("robin", 500 * MS), 500 * MS).unwrap();
+        assert!(!all.has_target("swift", 500 * MS) && all.has_target("kite", 500 * MS));
+        assert_eq!(names(&all.take_obstacles(500 * MS)), ["kite", "robin"]);
+        all.update(&neighbour("robin", 610 * MS), 610 * MS).unwrap();
+        assert_eq!(names(&all.take_obstacles(610 * MS)), ["robin"], "kite is too old");
+        // The number stays when it comes back.
+        all.update(&neighbour("swift", 620 * MS), 620 * MS).unwrap();
+        assert_eq!(all.take_target("swift", 620 * MS).unwrap().0, NeighbourId(1));
+    }
+
+    #[test]
+    fn the_nearest_comes_first() {
+        let mut all = Neighbours::new(MAX_AGE_NS);
+        for (name, x) in [("far", 30.0), ("near", 1.0), ("middle", -7.0)] {
+            let mut state = neighbour(name, 0);
+            state.observer_from_target.translation.x = x;
+            all.update(&state, 0).unwrap();
+        }
+        assert_eq!(names(&all.take_obstacles(0)), ["near", "middle", "far"]);
+    }
+
+    #[test]
+    fn places_are_bounded_and_those_of_the_lost_are_given_on() {
+        let mut all = Neighbours::new(MAX_AGE_NS);
+        for place in 0..MAX_NEIGHBOURS {
+            all.update(&neighbour(&format!("n{place}"), 0), 0).unwrap();
+        }
+        let refused = all.update(&neighbour("one-more", 0), 0);
+        assert!(matches!(refused, Err(AutopilotError::TooManyNeighbours { .. })));
+        let lost = NeighbourState { is_lost: true, ..neighbour("n7", MS) };
+        all.update(&lost, MS).unwrap();
+        all.update(&neighbour("one-more", MS), MS).unwrap();
+        assert_eq!(all.take_target("one-more", MS).unwrap().0, NeighbourId(7));
+        assert_eq!(all.slots.len(), MAX_NEIGHBOURS);
+    }
+}

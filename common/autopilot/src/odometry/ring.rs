@@ -1,0 +1,118 @@
+//! Samples of the last two seconds, and what lies between two of them.
+
+use std::collections::VecDeque;
+
+/// Samples are kept for so long, nanoseconds.
+const KEPT_NS: i64 = 2_000_000_000;
+/// The most samples: 500 a second.
+const MAX_SAMPLES: usize = 1000;
+/// Nothing is said between samples that are further apart, nanoseconds.
+const LONGEST_GAP_NS: i64 = 500_000_000;
+
+/// Something of which a value between two others makes sense.
+pub(super) trait Interpolate: Sized {
+    /// The value at `share` (0 to 1) of the way to `later`; none where the two do not belong together.
+    fn between(&self, later: &Self, share: f64) -> Option<Self>;
+}
+
+/// Samples with rising times. Bounded.
+#[derive(Debug)]
+pub(super) struct Ring<T> {
+    samples: VecDeque<(i64, T)>,
+}
+
+impl<T> Default for Ring<T> {
+    fn default() -> Self {
+        Self { samples: VecDeque::new() }
+    }
+}
+
+impl<T: Interpolate> Ring<T> {
+    /// Adds a sample of this time, CLOCK_MONOTONIC. One that is not newer than the last is left out.
+    pub(super) fn push(&mut self, at_ns: i64, sample: T) {
+        if self.samples.back().is_some_and(|(last_ns, _)| at_ns <= *last_ns) {
+            return;
+        }
+        self.samples.push_back((at_ns, sample));
+        let is_old = |(first_ns, _): &(i64, T)| at_ns.saturating_sub(*first_ns) > KEPT_NS;
+        while self.samples.len() > MAX_SAMPLES || self.samples.front().is_some_and(is_old) {
+            self.samples.pop_front();
+        }
+    }
+
+    pub(super) fn newest(&self) -> Option<&T> {
+        self.samples.back().map(|(_, sample)| sample)
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.samples.clear();
+    }
+
+    /// The value at this time, CLOCK_MONOTONIC; none outside the samples and in a long gap.
+    pub(super) fn at(&self, at_ns: i64) -> Option<T> {
+        let later = self.samples.partition_point(|(time_ns, _)| *time_ns < at_ns);
+        let (later_ns, later_sample) = self.samples.get(later)?;
+        if *later_ns == at_ns {
+            return later_sample.between(later_sample, 0.0);
+        }
+        let (earlier_ns, earlier_sample) = self.samples.get(later.checked_sub(1)?)?;
+        let gap_ns = later_ns.saturating_sub(*earlier_ns);
+        if gap_ns > LONGEST_GAP_NS {
+            return None;
+        }
+        let share = at_ns.saturating_sub(*earlier_ns) as f64 / gap_ns as f64;
+        earlier_sample.between(later_sample, share)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[derive(Debug, PartialEq)]
+    struct Number(f64);
+
+    impl Interpolate for Number {
+        fn between(&self, later: &Self, share: f64) -> Option<Self> {
+            Some(Self(self.0 + share * (later.0 - self.0)))
+        }
+    }
+
+    const MS: i64 = 1_000_000;
+
+    #[test]
+    fn values_between_samples_and_none_outside() {
+        let mut ring = Ring::default();
+        assert_eq!(ring.at(0), None);
+        for at_ms in (0..=5000).step_by(10) {
+            ring.push(at_ms * MS, Number(at_ms as f64));
+        }
+        assert_eq!(ring.at(4567 * MS), Some(Number(4567.0)));
+        assert_eq!(ring.at(5000 * MS), Some(Number(5000.0)));
+        assert_eq!(ring.at(3000 * MS), Some(Number(3000.0)), "two seconds are kept");
+        assert_eq!(ring.at(2999 * MS), None);
+        assert_eq!(ring.at(5001 * MS), None, "it does not look ahead");
+        // A gap.
+        ring.push(5600 * MS, Number(0.0));
+        assert_eq!(ring.at(5300 * MS), None);
+        assert_eq!(ring.at(5600 * MS), Some(Number(0.0)));
+        // What comes late is left out.
+        ring.push(5500 * MS, Number(1.0));
+        assert_eq!(ring.newest(), Some(&Number(0.0)));
+    }
+
+    proptest! {
+        #[test]
+        fn times_of_all_sizes_do_no_harm(times in prop::collection::vec(any::<i64>(), 0..2000)) {
+            let mut ring = Ring::default();
+            for time in times {
+                ring.push(time, Number(1.0));
+                ring.push(time.saturating_add(1), Number(1.0));
+                ring.at(time.wrapping_add(5));
+                prop_assert!(ring.samples.len() <= MAX_SAMPLES);
+            }
+        }
+    }
+}

@@ -1,0 +1,78 @@
+//! What goes over the network.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// What goes over the network.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Gateway {
+    /// false: nothing goes over the network.
+    pub enabled: bool,
+    /// Zenoh endpoints to listen on (`tcp/192.168.1.7:7447`), each on a named interface's address.
+    pub listen: Vec<String>,
+    /// Zenoh endpoints to connect to.
+    pub connect: Vec<String>,
+    /// Interface on which peers are looked for by multicast; left out: they are not.
+    pub scout_interface: Option<String>,
+    /// How ROS 2 is told too; left out: it is not.
+    pub ros2: Option<Ros2>,
+    /// How the drone's autopilot is told too; left out: it is not.
+    pub autopilot: Option<Autopilot>,
+}
+
+/// How the autopilot is told where neighbours are (docs/AUTOPILOT.md).
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Autopilot {
+    /// Where the autopilot is: `udpin:ADDRESS:PORT` to listen, `udpout:HOST:PORT` to send to, or
+    /// `serial:DEVICE:BAUD`.
+    pub link: String,
+    /// The neighbour that it follows (`TARGET_RELATIVE`); left out: none. All neighbours are obstacles.
+    pub target: Option<String>,
+    /// The vehicle's MAVLink system: the autopilot's `MAV_SYS_ID` or `SYSID_THISMAV`.
+    #[schemars(range(min = 1, max = 255))]
+    pub system_id: u8,
+    /// Our component in that system; 191 is an onboard computer.
+    #[schemars(range(min = 2, max = 255))]
+    pub component_id: u8,
+}
+
+impl Default for Autopilot {
+    fn default() -> Self {
+        let link = "udpin:127.0.0.1:14540".into();
+        Self { link, target: None, system_id: 1, component_id: 191 }
+    }
+}
+
+/// How ROS 2 nodes that use `rmw_zenoh` are reached (docs/ROS2.md).
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Ros2 {
+    /// The ROS domain, as the nodes have it in `ROS_DOMAIN_ID`.
+    #[schemars(range(min = 0, max = 232))]
+    pub domain: u32,
+    /// Routers to connect to; the first that answers is used.
+    pub connect: Vec<String>,
+    /// What all topics but `/tf` are below, such as `/swarm`; empty: nothing.
+    pub namespace: String,
+}
+
+impl Default for Ros2 {
+    fn default() -> Self {
+        Self { domain: 0, connect: vec!["tcp/127.0.0.1:7447".into()], namespace: String::new() }
+    }
+}
+
+impl Default for Gateway {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            listen: vec!["tcp/127.0.0.1:7447".into()],
+            connect: Vec::new(),
+            scout_interface: None,
+            ros2: None,
+            autopilot: None,
+        }
+    }
+}
