@@ -90,12 +90,11 @@ fn pymavlink_reads_the_messages_and_its_own_are_understood() {
                 autopilot.neighbour(&neighbour("swift", exposure_ns)).unwrap();
                 std::thread::sleep(Duration::from_millis(10));
             }
-            let now_ns = clock::monotonic_ns();
-            let odometry = autopilot.odometry_at(now_ns - 200_000_000);
-            ((now_ns, autopilot.status(), odometry), reading.join().unwrap())
+            let odometry = autopilot.odometry_at(clock::monotonic_ns() - 200_000_000);
+            ((autopilot.status(), odometry), reading.join().unwrap())
         })
     });
-    let (now_ns, status, odometry) = told;
+    let (status, odometry) = told;
     assert!(status.is_open && status.is_heard && status.sent > 0 && status.received > 0);
     // Its clock is found, and its odometry is understood.
     let offset = status.time_offset.unwrap();
@@ -148,5 +147,4 @@ fn pymavlink_reads_the_messages_and_its_own_are_understood() {
     let answers: Vec<Value> =
         of_kind("TIMESYNC").into_iter().filter(|time| time["tc1"] != 0).collect();
     assert!(!answers.is_empty() && answers.iter().all(|answer| answer["ts1"] == 4242));
-    assert!(now_ns > 0);
 }

@@ -1,36 +1,48 @@
 //! Bytes to and from the autopilot over a serial line.
+//!
+//! The device is opened here and not by `mavlink`: its connection reads until a message comes, and writes until the
+//! line takes everything, so whoever uses it may never return.
 
+use std::fs::{File, OpenOptions};
 use std::io::{self, Read, Write};
+use std::os::unix::fs::OpenOptionsExt;
+use std::time::Instant;
 
 use mavlink::dialects::development::MavMessage;
 use mavlink::error::MessageReadError;
 use mavlink::{MavHeader, MavlinkReader};
-use serialport::{DataBits, FlowControl, Parity, StopBits, TTYPort};
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::fs::OFlags;
+use rustix::termios::{ControlModes, OptionalActions, ioctl_tiocexcl, tcgetattr, tcsetattr};
 
 use super::{TIMEOUT, is_timeout};
 
 /// The half that receives.
 pub(crate) struct SerialReader {
-    reader: MavlinkReader<OneRead<TTYPort>>,
+    reader: MavlinkReader<OneRead<Port>>,
 }
 
 /// The half that sends.
-#[derive(Debug)]
 pub(crate) struct SerialWriter {
-    port: TTYPort,
+    port: Port,
 }
 
 /// Opens a device, which no other program can open then.
 pub(crate) fn open(device: &str, baud: u32) -> io::Result<(SerialReader, SerialWriter)> {
-    let port = serialport::new(device, baud)
-        .data_bits(DataBits::Eight)
-        .parity(Parity::None)
-        .stop_bits(StopBits::One)
-        .flow_control(FlowControl::None)
-        .timeout(TIMEOUT)
-        .open_native()?;
-    let writer = SerialWriter { port: port.try_clone_native()? };
-    let source = OneRead { source: port, has_read: false };
+    // Without waiting for a carrier, and never the terminal that signals come from.
+    let flags = (OFlags::NONBLOCK | OFlags::NOCTTY).bits();
+    let flags = i32::try_from(flags).map_err(io::Error::other)?;
+    let file = OpenOptions::new().read(true).write(true).custom_flags(flags).open(device)?;
+    ioctl_tiocexcl(&file)?;
+    // Eight bits, no parity, one stop bit, no flow control.
+    let mut line = tcgetattr(&file)?;
+    line.make_raw();
+    line.control_modes.remove(ControlModes::CSTOPB | ControlModes::CRTSCTS);
+    line.control_modes.insert(ControlModes::CREAD | ControlModes::CLOCAL);
+    line.set_speed(baud)?;
+    tcsetattr(&file, OptionalActions::Now, &line)?;
+    let writer = SerialWriter { port: Port(file.try_clone()?) };
+    let source = OneRead { source: Port(file), has_read: false };
     Ok((SerialReader { reader: MavlinkReader::new(source) }, writer))
 }
 
@@ -56,11 +68,50 @@ impl SerialReader {
 impl SerialWriter {
     /// Sends a message; false where the line takes no more. Half a message does no harm: readers find the next.
     pub(crate) fn write(&mut self, frame: &[u8]) -> io::Result<bool> {
-        match self.port.write_all(frame) {
+        match self.port.write(frame) {
             Ok(()) => Ok(true),
             Err(error) if is_timeout(&error) => Ok(false),
             Err(error) => Err(error),
         }
+    }
+}
+
+/// An open device. Nothing blocks it for longer than [`TIMEOUT`].
+struct Port(File);
+
+impl Port {
+    fn write(&mut self, mut bytes: &[u8]) -> io::Result<()> {
+        let began = Instant::now();
+        while !bytes.is_empty() {
+            if began.elapsed() > TIMEOUT {
+                return Err(io::ErrorKind::TimedOut.into());
+            }
+            self.wait(PollFlags::OUT)?;
+            match self.0.write(bytes) {
+                Ok(count) => bytes = &bytes[count..],
+                // There was less room than the system said.
+                Err(error) if is_timeout(&error) => {}
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(())
+    }
+
+    fn wait(&self, wanted: PollFlags) -> io::Result<()> {
+        let mut waiting = [PollFd::new(&self.0, wanted)];
+        let timeout = Timespec::try_from(TIMEOUT).map_err(io::Error::other)?;
+        if poll(&mut waiting, Some(&timeout))? == 0 {
+            return Err(io::ErrorKind::TimedOut.into());
+        }
+        // Where the line has gone, reading and writing say why.
+        Ok(())
+    }
+}
+
+impl Read for Port {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        self.wait(PollFlags::IN)?;
+        self.0.read(buffer)
     }
 }
 
