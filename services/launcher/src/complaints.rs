@@ -10,21 +10,27 @@ use std::time::{Duration, Instant};
 pub const MOST_SILENCES: u64 = 3;
 /// A process of which so many messages were refused is replaced.
 pub const MOST_REFUSED: u64 = 30;
-/// A worker that was replaced so often for its messages, each time soon after it had started, is given up.
-const MOST_REPLACEMENTS: usize = 3;
+/// A worker that was replaced so often for its messages rests before it is started again.
+const REPLACEMENTS_BEFORE_REST: usize = 3;
 /// What happened longer ago than this no longer counts.
 const MEMORY: Duration = Duration::from_secs(60);
+/// How long a worker rests.
+///
+/// A program that is wrong stays wrong, and each start costs the flight up to three silences of its views. A
+/// machine that was overloaded recovers, and must have its workers back. So nobody is given up for good, and one who is
+/// wrong is tried twice a minute.
+const REST: Duration = Duration::from_secs(30);
 
 /// How often a worker was replaced because of what it sent.
 #[derive(Debug, Default)]
 pub struct Replacements(Vec<Instant>);
 
 impl Replacements {
-    /// Notes one more at `now`, and says whether it is worthwhile to try again.
-    pub fn may_try_again(&mut self, now: Instant) -> bool {
+    /// Notes one more at `now`. Returns how long the worker rests before it is started again; none: not at all.
+    pub fn rest_before_next(&mut self, now: Instant) -> Option<Duration> {
         self.0.retain(|&then| now.saturating_duration_since(then) < MEMORY);
         self.0.push(now);
-        self.0.len() <= MOST_REPLACEMENTS
+        (self.0.len() > REPLACEMENTS_BEFORE_REST).then_some(REST)
     }
 }
 
@@ -33,14 +39,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_fourth_replacement_in_a_minute_is_not_worthwhile() {
+    fn who_is_bad_four_times_in_a_minute_rests_and_then_has_one_try() {
         let mut replacements = Replacements::default();
         let start = Instant::now();
-        let at = |s| start + Duration::from_secs(s);
+        let mut after = |s| replacements.rest_before_next(start + Duration::from_secs(s));
         for s in 0..3 {
-            assert!(replacements.may_try_again(at(s)));
+            assert_eq!(after(s), None);
         }
-        assert!(!replacements.may_try_again(at(10)));
-        assert!(replacements.may_try_again(at(200)));
+        assert_eq!(after(10), Some(REST));
+        assert_eq!(after(45), Some(REST), "bad again after its rest");
+        assert_eq!(after(200), None, "it was good for two minutes");
     }
 }

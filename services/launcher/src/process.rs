@@ -65,18 +65,22 @@ pub enum Condition {
     Running,
     /// It is started again at this time.
     Waiting(Instant),
+    /// The same, after a long time: its messages were bad again and again.
+    Resting(Instant),
     /// It was ended on demand.
     Stopped,
     /// It failed for good.
     GivenUp,
 }
 
-/// What a running process was asked to do by SIGTERM.
+/// What follows when a running process ends, because it was asked to end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Asked {
     Nothing,
     Stop,
     Restart,
+    /// Start again after this time.
+    Rest(Duration),
 }
 
 /// A stage's process: its command, its restart policy and its child while it runs.
@@ -297,12 +301,10 @@ impl Process {
         }
     }
 
-    /// Never starts it again by itself, and kills it if it runs.
-    pub fn give_up(&mut self) {
-        // A later launcher tries it again.
-        self.ask(Asked::Stop);
+    /// Kills it, and starts it again after `rest`.
+    pub fn rest(&mut self, rest: Duration) {
+        self.ask(Asked::Rest(rest));
         self.signal(Signal::KILL);
-        self.condition = Condition::GivenUp;
     }
 
     /// Checks on it: reaps it if it has ended, starts it again when its wait is over. `is_finished` says
@@ -329,7 +331,7 @@ impl Process {
             self.child = None;
             return Ok(self.ended(end, is_finished));
         }
-        if let Condition::Waiting(until) = self.condition
+        if let Condition::Waiting(until) | Condition::Resting(until) = self.condition
             && Instant::now() >= until
         {
             before_restart();
@@ -342,13 +344,15 @@ impl Process {
     fn ended(&mut self, end: End, is_finished: bool) -> ProcessChange {
         match std::mem::replace(&mut self.asked, Asked::Nothing) {
             Asked::Stop => {
-                if self.condition != Condition::GivenUp {
-                    self.condition = Condition::Stopped;
-                }
+                self.condition = Condition::Stopped;
                 return ProcessChange::Stopped;
             }
             Asked::Restart => {
                 self.condition = Condition::Waiting(Instant::now());
+                return ProcessChange::None;
+            }
+            Asked::Rest(rest) => {
+                self.condition = Condition::Resting(Instant::now() + rest);
                 return ProcessChange::None;
             }
             Asked::Nothing => {}
@@ -383,7 +387,7 @@ impl Process {
 
     /// Whether it has ended. It is not started again from now on.
     pub fn has_ended(&mut self) -> bool {
-        if matches!(self.condition, Condition::Waiting(_)) {
+        if matches!(self.condition, Condition::Waiting(_) | Condition::Resting(_)) {
             self.condition = Condition::Stopped;
         }
         let has_ended = match &mut self.child {

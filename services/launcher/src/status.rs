@@ -29,7 +29,7 @@ pub struct PipelineStatus {
 pub struct WorkerStatus {
     /// Its name.
     pub worker: Worker,
-    /// starting, ready, degraded, draining, finished, stopped, given up, is restarted, waits for the others.
+    /// starting, ready, degraded, draining, finished, stopped, given up, is restarted, rests, waits for the others.
     pub state: String,
     /// Its process while it runs.
     pub pid: Option<u32>,

@@ -92,7 +92,7 @@ fn a_stage_that_is_stopped_is_replaced_after_a_heartbeat() {
 }
 
 #[test]
-fn a_worker_whose_messages_are_refused_is_replaced_and_given_up_at_last() {
+fn a_worker_whose_messages_are_refused_is_replaced_and_given_up_for_a_while() {
     let command = second_worker_that("lie");
     let set = small(&[&command, "stages.detection.backoff_s=[0.1, 0.1]"]);
     let mut flight = Flight::start("lie", &[], &set);
@@ -103,7 +103,7 @@ fn a_worker_whose_messages_are_refused_is_replaced_and_given_up_at_last() {
             // How many it is at the first word depends on how many views it gets.
             "): flockeye/detection: 3 hits among the markers",
             "times; it is killed and started again",
-            "also after it was started again. It is given up; what is left: 1 other of this stage go on",
+            "also after it was started again. It is given up for 30 s; what is left: 1 other of this stage go on",
         ],
     );
     end(flight);

@@ -98,17 +98,21 @@ impl Supervisor<'_> {
         if worker.stage.is_source() || self.messages.dashboard.frames_ended() == 0 {
             bail!("{worker} {why}");
         }
+        let left = self.what_is_left_without(worker);
+        self.screen.line(&format!("{worker} {why}. It is given up; what is left: {left}"));
+        Ok(())
+    }
+
+    fn what_is_left_without(&self, worker: Worker) -> String {
         let others = self.processes.iter().filter(|process| {
             process.worker.stage == worker.stage
                 && process.worker != worker
                 && process.condition() == Condition::Running
         });
-        let left = match others.count() {
+        match others.count() {
             0 => what_is_left(worker.stage).to_owned(),
             count => format!("{count} other of this stage go on"),
-        };
-        self.screen.line(&format!("{worker} {why}. It is given up; what is left: {left}"));
-        Ok(())
+        }
     }
 
     /// Kills processes that have sent health before, and send none now although nothing keeps them from it.
@@ -222,20 +226,21 @@ impl Supervisor<'_> {
             }
             return;
         }
-        if process.replacements.may_try_again(Instant::now()) {
+        let Some(rest) = process.replacements.rest_before_next(Instant::now()) else {
             self.screen.line(&format!(
                 "{label} (process {pid}): {detail}, {} times; it is killed and started again",
                 complaint.count
             ));
             process.signal(Signal::KILL);
-        } else {
-            process.give_up();
-            let worker = process.worker;
-            let why = format!("(process {pid}): {detail}, also after it was started again");
-            if let Err(error) = self.give_up(worker, &why) {
-                // The flight ends by itself if nothing is left: it has no poses to lose.
-                self.screen.line(&format!("{error:#}"));
-            }
-        }
+            return;
+        };
+        process.rest(rest);
+        let worker = process.worker;
+        let left = self.what_is_left_without(worker);
+        self.screen.line(&format!(
+            "{worker} (process {pid}): {detail}, also after it was started again. It is given up for {} s; \
+             what is left: {left}",
+            rest.as_secs()
+        ));
     }
 }

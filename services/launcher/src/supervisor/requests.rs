@@ -192,6 +192,7 @@ fn word(condition: Condition) -> &'static str {
         Condition::New => "waits for the others",
         Condition::Running => "runs",
         Condition::Waiting(_) => "is restarted",
+        Condition::Resting(_) => "rests",
         Condition::Stopped => "stopped",
         Condition::GivenUp => "given up",
     }
