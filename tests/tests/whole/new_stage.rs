@@ -33,8 +33,8 @@ fn assert_keeps_the_contract(kind: &str, program: &str) {
     assert!(succeeded, "{kind} by {program}: {output}");
 }
 
-/// Flies, puts a rectification and then a fusion that reports bearings in the place of Flockeye's own, and sees
-/// that frames are cut, and that neighbours are found in them where they are.
+/// Flies, and swaps in a rectification, then a fusion that reports bearings. Sees that frames are cut, and that
+/// neighbours are found where they are.
 fn assert_take_over(name: &str, rectifier: &str, bearings: &str) {
     let mut flight = Flight::start(name, &[], SMALL_FLIGHT);
     flight.wait_for("alpha confirmed");
