@@ -1,6 +1,6 @@
 //! Where all drones are from here, fed with sightings as they come.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::{Matrix6, Vector3, Vector6};
 
@@ -19,13 +19,14 @@ const FORGOTTEN_S: f64 = 1.0;
 /// Deviation of a velocity in a report that has no measurements, m/s and rad/s: how far the pose may have gone
 /// since its exposure beyond what it says.
 const REPORTED_VELOCITY_DEVIATION: f64 = 0.5;
-/// An observer is left out after so many checks in which it contradicts the others, and comes back when as many
-/// times [`FORGIVEN`] checks have found nothing.
-const LEFT_OUT_AT: f64 = 5.0;
-/// What a check that finds nothing takes off.
-const FORGIVEN: f64 = 0.1;
-/// Beyond these, sightings contradict each other: what calibrations of mounts and lenses leave, m and rad. It is
-/// added for the comparison alone.
+/// An observer that contradicts the others for so long is left out, seconds.
+const LEFT_OUT_AFTER_S: f64 = 0.5;
+/// It comes back after so many times as long without contradiction.
+const FORGIVENESS: f64 = 10.0;
+/// A check stands for no longer than this, seconds: after a pause one check alone leaves nobody out.
+const LONGEST_CHECK_S: f64 = 0.25;
+/// What calibrations of mounts and lenses leave, m and rad. When sightings are compared, it is added to their
+/// deviations, so that it is not taken for a lie.
 const CALIBRATION: (f64, f64) = (0.02, 0.02);
 
 /// How drones move.
@@ -38,8 +39,8 @@ pub struct SwarmModel {
 }
 
 impl Default for SwarmModel {
-    /// For others 3 m/s^2 per root Hz: a drone that rolls by 12 degrees at 0.7 Hz moves a neighbour 1.5 m away
-    /// by up to 6 m/s^2 in its own frame, which over a frame of 33 ms is as much.
+    /// For others 3 m/s^2 per root Hz. A drone that rolls by 12 degrees at 0.7 Hz sees a neighbour 1.5 m away
+    /// accelerate by up to 6 m/s^2. Over a frame of 33 ms that is as much.
     fn default() -> Self {
         let own = MotionModel::default();
         Self { own, others: MotionModel { acceleration: 3.0, ..own } }
@@ -80,6 +81,18 @@ pub enum Way {
     Chained,
 }
 
+impl Way {
+    /// In one word.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Direct => "direct",
+            Self::Mutual => "mutual",
+            Self::Reported => "reported",
+            Self::Chained => "chained",
+        }
+    }
+}
+
 /// Where a drone is from here.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Place {
@@ -110,46 +123,48 @@ struct Direction {
 struct Reported {
     at_s: f64,
     pose: UncertainPose,
-    velocity: Vector3<f64>,
-    rate: Vector3<f64>,
+    course: Vector6<f64>,
 }
 
 impl Direction {
     fn newest_s(&self) -> Option<f64> {
-        self.replay.newest_s().max_by(self.reported.map(|reported| reported.at_s))
+        later(self.replay.newest_s(), self.reported.map(|reported| reported.at_s))
     }
 }
 
 /// The later of two times that may be unknown.
-trait Later {
-    fn max_by(self, other: Self) -> Self;
+fn later(one: Option<f64>, other: Option<f64>) -> Option<f64> {
+    [one, other].into_iter().flatten().reduce(f64::max)
 }
 
-impl Later for Option<f64> {
-    fn max_by(self, other: Self) -> Self {
-        match (self, other) {
-            (Some(one), Some(other)) => Some(one.max(other)),
-            (one, other) => one.or(other),
-        }
-    }
+/// How far a pose goes in each second.
+fn course(velocity: &Vector3<f64>, rate: &Vector3<f64>) -> Vector6<f64> {
+    Vector6::new(velocity.x, velocity.y, velocity.z, rate.x, rate.y, rate.z)
 }
+
+/// What each direction says alone, by observer and target.
+type Directed = BTreeMap<(usize, usize), UncertainPose>;
 
 /// Where all drones are from here.
 #[derive(Debug, Clone)]
 pub struct SwarmEstimator {
     model: SwarmModel,
-    /// Names by number; oneself is 0.
-    names: Vec<String>,
+    /// Names by number; oneself is 0. A number whose drone is forgotten is given to the next.
+    names: Vec<Option<String>>,
     /// By observer and target.
     directions: BTreeMap<(usize, usize), Direction>,
     /// Both directions in one filter, by the lower and the higher number, in the frame of the lower one.
     pairs: BTreeMap<(usize, usize), Replay>,
     doubts: BTreeMap<usize, Doubt>,
+    judged_s: Option<f64>,
+    /// The rotation of observers whose own is not known: none.
+    unknown: EgoRotation,
 }
 
 #[derive(Debug, Clone, Copy, Default)]
 struct Doubt {
-    level: f64,
+    /// For how long it has contradicted the others, less what is forgiven, seconds.
+    contradicted_s: f64,
     is_left_out: bool,
 }
 
@@ -158,64 +173,57 @@ impl SwarmEstimator {
     pub fn new(own: &str, model: SwarmModel) -> Self {
         Self {
             model,
-            names: vec![own.to_owned()],
+            names: vec![Some(own.to_owned())],
             directions: BTreeMap::new(),
             pairs: BTreeMap::new(),
             doubts: BTreeMap::new(),
+            judged_s: None,
+            unknown: EgoRotation::new(1.0),
         }
     }
 
     /// Takes in a sighting. `ego` is how this drone turns. One of a drone beyond [`MOST_DRONES`], or with
     /// numbers that are none, is left out.
     pub fn see(&mut self, seen: &Seen<'_>, ego: &EgoRotation) {
-        let is_usable = seen.filtered.is_usable() && seen.at_s.is_finite();
+        if !seen.filtered.is_usable() || !seen.at_s.is_finite() || seen.observer == seen.target {
+            return;
+        }
         let (Some(observer), Some(target)) = (self.number(seen.observer), self.number(seen.target))
         else {
             return;
         };
-        if !is_usable || observer == target {
-            return;
-        }
         let motion = self.motion(observer);
         let direction = self
             .directions
             .entry((observer, target))
             .or_insert_with(|| Direction { replay: Replay::new(motion), reported: None });
-        let nobody = EgoRotation::new(1.0);
         let Some(measured) = seen.measured.filter(UncertainPose::is_usable) else {
             direction.reported = Some(Reported {
                 at_s: seen.at_s,
                 pose: seen.filtered,
-                velocity: seen.velocity,
-                rate: seen.rate,
+                course: course(&seen.velocity, &seen.rate),
             });
             return;
         };
         // What is not known of the time is not known of the place, along the motion.
-        let mut course = Vector6::zeros();
-        course.fixed_rows_mut::<3>(0).copy_from(&seen.velocity);
-        course.fixed_rows_mut::<3>(3).copy_from(&seen.rate);
-        let course = course * seen.deviation_s;
-        let pose = UncertainPose {
-            covariance: measured.covariance + course * course.transpose(),
-            ..measured
-        };
-        let measured = Measured { at_s: seen.at_s, pose };
-        direction.replay.add(measured, if observer == 0 { ego } else { &nobody });
-        if self.is_left_out(observer) {
+        let shift = course(&seen.velocity, &seen.rate) * seen.deviation_s;
+        let covariance = measured.covariance + shift * shift.transpose();
+        let pose = UncertainPose { covariance, ..measured };
+        let rotation = |observer| if observer == 0 { ego } else { &self.unknown };
+        direction.replay.add(Measured { at_s: seen.at_s, pose }, rotation(observer));
+        if self.doubts.get(&observer).is_some_and(|doubt| doubt.is_left_out) {
             return;
         }
         let pair = (observer.min(target), observer.max(target));
         let pose = if observer < target { pose } else { pose.inverse() };
-        let motion = self.motion(pair.0);
+        let motion = if pair.0 == 0 { self.model.own } else { self.model.others };
         let replay = self.pairs.entry(pair).or_insert_with(|| Replay::new(motion));
-        replay.add(Measured { at_s: seen.at_s, pose }, if pair.0 == 0 { ego } else { &nobody });
+        replay.add(Measured { at_s: seen.at_s, pose }, rotation(pair.0));
     }
 
     /// A track of this drone, or of a peer, is lost: what was seen of it counts no more.
     pub fn lose(&mut self, observer: &str, target: &str) {
-        let number = |name: &str| self.names.iter().position(|known| known == name);
-        if let (Some(observer), Some(target)) = (number(observer), number(target)) {
+        if let (Some(observer), Some(target)) = (self.known(observer), self.known(target)) {
             self.directions.remove(&(observer, target));
             if !self.directions.contains_key(&(target, observer)) {
                 self.pairs.remove(&(observer.min(target), observer.max(target)));
@@ -223,16 +231,17 @@ impl SwarmEstimator {
         }
     }
 
-    /// Where all drones are at `at_s` (seconds, on this machine's clock), the certain ones first by name.
+    /// Where all drones are at `at_s`, seconds on this machine's clock.
     pub fn places(&mut self, at_s: f64, ego: &EgoRotation) -> Vec<Place> {
         self.forget(at_s);
-        self.judge(at_s, ego);
+        let directed = self.directed(at_s, ego);
+        self.judge(at_s, &directed);
+        let pairs: BTreeSet<(usize, usize)> =
+            self.directions.keys().map(|&(a, b)| (a.min(b), a.max(b))).collect();
         let mut edges = Vec::new();
         let mut newest_s = BTreeMap::new();
-        let pairs: std::collections::BTreeSet<(usize, usize)> =
-            self.directions.keys().map(|&(a, b)| (a.min(b), a.max(b))).collect();
         for pair in pairs {
-            if let Some((edge, seen_s)) = self.edge(pair, at_s, ego) {
+            if let Some((edge, seen_s)) = self.edge(pair, at_s, ego, &directed) {
                 newest_s.insert(pair, seen_s);
                 edges.push(edge);
             }
@@ -242,12 +251,11 @@ impl SwarmEstimator {
             let node = (*node)?;
             let seen_s = newest_s.get(&(drone.min(node.through), drone.max(node.through)))?;
             let way = self.way(drone);
-            let through = (way == Way::Chained).then(|| self.names[node.through].clone());
             Some(Place {
-                name: self.names[drone].clone(),
+                name: self.names[drone].clone()?,
                 own_from_drone: node.pose,
                 way,
-                through,
+                through: self.names[node.through].clone().filter(|_| way == Way::Chained),
                 seen_s: *seen_s,
                 pairs: edges.len(),
             })
@@ -258,18 +266,27 @@ impl SwarmEstimator {
     /// The observers whose sightings contradict the others', and are left out.
     pub fn left_out(&self) -> impl Iterator<Item = &str> {
         let left_out = self.doubts.iter().filter(|(_, doubt)| doubt.is_left_out);
-        left_out.filter_map(|(&observer, _)| self.names.get(observer).map(String::as_str))
+        left_out.filter_map(|(&observer, _)| self.names[observer].as_deref())
+    }
+
+    /// The number of a drone.
+    fn known(&self, name: &str) -> Option<usize> {
+        self.names.iter().position(|known| known.as_deref() == Some(name))
     }
 
     /// The number of a drone, given where there is room.
     fn number(&mut self, name: &str) -> Option<usize> {
-        if let Some(known) = self.names.iter().position(|known| known == name) {
-            return Some(known);
+        if let Some(number) = self.known(name) {
+            return Some(number);
+        }
+        if let Some(free) = self.names.iter().position(Option::is_none) {
+            self.names[free] = Some(name.to_owned());
+            return Some(free);
         }
         if self.names.len() == MOST_DRONES {
             return None;
         }
-        self.names.push(name.to_owned());
+        self.names.push(Some(name.to_owned()));
         Some(self.names.len() - 1)
     }
 
@@ -286,6 +303,13 @@ impl SwarmEstimator {
         let is_old = |newest_s: Option<f64>| newest_s.is_none_or(|s| s < at_s - FORGOTTEN_S);
         self.directions.retain(|_, direction| !is_old(direction.newest_s()));
         self.pairs.retain(|_, replay| !is_old(replay.newest_s()));
+        let seen: BTreeSet<usize> = self.directions.keys().flat_map(|&(a, b)| [a, b]).collect();
+        for (number, name) in self.names.iter_mut().enumerate().skip(1) {
+            // Whoever is in doubt is remembered, or a pause would be an excuse.
+            if !seen.contains(&number) && !self.doubts.contains_key(&number) {
+                *name = None;
+            }
+        }
     }
 
     /// How a drone is known.
@@ -302,97 +326,99 @@ impl SwarmEstimator {
     }
 
     /// What is known of a pair, in the frame of the lower number, and when it was seen last.
-    fn edge(&self, pair: (usize, usize), at_s: f64, ego: &EgoRotation) -> Option<(Edge, f64)> {
-        let (from, to) = pair;
+    fn edge(
+        &self,
+        (from, to): (usize, usize),
+        at_s: f64,
+        ego: &EgoRotation,
+        directed: &Directed,
+    ) -> Option<(Edge, f64)> {
         let counting = |observer: usize, target: usize| {
             self.directions.get(&(observer, target)).filter(|_| !self.is_left_out(observer))
         };
         let (forth, back) = (counting(from, to), counting(to, from));
         let newest_s = |direction: Option<&Direction>| direction.and_then(Direction::newest_s);
-        let seen_s = newest_s(forth).max_by(newest_s(back))?;
-        let measured = |direction: Option<&Direction>| {
+        let seen_s = later(newest_s(forth), newest_s(back))?;
+        let is_measured = |direction: Option<&Direction>| {
             direction.is_some_and(|direction| direction.replay.newest_s().is_some())
         };
-        let pose = match (measured(forth), measured(back)) {
-            (true, true) => {
-                pose_of(&self.pairs.get(&pair)?.at(at_s, self.ego_of(from, ego).as_ref())?)
-            }
-            _ => {
-                let forth = forth.and_then(|forth| self.directed(from, forth, at_s, ego));
-                let back = back.and_then(|back| self.directed(to, back, at_s, ego));
-                match (forth, back.map(|back| back.inverse())) {
+        // Both measure: one filter has it all, unless it has just begun anew.
+        let filtered = (is_measured(forth) && is_measured(back))
+            .then(|| self.pairs.get(&(from, to))?.at(at_s, self.rotation(from, ego)))
+            .flatten();
+        let from_to = match filtered {
+            Some(prediction) => pose_of(&prediction),
+            None => {
+                let said = |direction: Option<&Direction>, key| {
+                    direction.and_then(|_| directed.get(&key)).copied()
+                };
+                let back = said(back, (to, from)).map(|back| back.inverse());
+                match (said(forth, (from, to)), back) {
                     (Some(forth), Some(back)) => forth.intersection(&back)?,
                     (forth, back) => forth.or(back)?,
                 }
             }
         };
-        Some((Edge { from, to, from_to: pose }, seen_s))
+        Some((Edge { from, to, from_to }, seen_s))
     }
 
-    /// What one direction says alone.
-    fn directed(
-        &self,
-        observer: usize,
-        direction: &Direction,
-        at_s: f64,
-        ego: &EgoRotation,
-    ) -> Option<UncertainPose> {
-        if direction.replay.newest_s().is_some() {
-            return Some(pose_of(&direction.replay.at(at_s, self.ego_of(observer, ego).as_ref())?));
-        }
-        let reported = direction.reported?;
-        let step_s = at_s - reported.at_s;
-        let mut course = Vector6::zeros();
-        course.fixed_rows_mut::<3>(0).copy_from(&reported.velocity);
-        course.fixed_rows_mut::<3>(3).copy_from(&reported.rate);
-        let spread = (REPORTED_VELOCITY_DEVIATION * step_s).powi(2);
-        let moved = reported.pose.moved(&(course * step_s));
-        Some(UncertainPose { covariance: moved.covariance + Matrix6::identity() * spread, ..moved })
+    /// What each direction says alone at `at_s`.
+    fn directed(&self, at_s: f64, ego: &EgoRotation) -> Directed {
+        let said = self.directions.iter().filter_map(|(&key, direction)| {
+            if direction.replay.newest_s().is_some() {
+                let prediction = direction.replay.at(at_s, self.rotation(key.0, ego))?;
+                return Some((key, pose_of(&prediction)));
+            }
+            let reported = direction.reported?;
+            let step_s = at_s - reported.at_s;
+            let mut moved = reported.pose.moved(&(reported.course * step_s));
+            moved.covariance +=
+                Matrix6::identity() * (REPORTED_VELOCITY_DEVIATION * step_s).powi(2);
+            Some((key, moved))
+        });
+        said.collect()
     }
 
-    /// This drone's own rotation, or none for another observer.
-    fn ego_of<'e>(
-        &self,
-        observer: usize,
-        ego: &'e EgoRotation,
-    ) -> std::borrow::Cow<'e, EgoRotation> {
-        if observer == 0 {
-            std::borrow::Cow::Borrowed(ego)
-        } else {
-            std::borrow::Cow::Owned(EgoRotation::new(1.0))
-        }
+    /// How an observer turns: this drone's own rotation is known.
+    fn rotation<'e>(&'e self, observer: usize, ego: &'e EgoRotation) -> &'e EgoRotation {
+        if observer == 0 { ego } else { &self.unknown }
     }
 
     /// Finds out whose sightings contradict the others'.
-    fn judge(&mut self, at_s: f64, ego: &EgoRotation) {
-        let edges: Vec<Edge> = self
-            .directions
+    fn judge(&mut self, at_s: f64, directed: &Directed) {
+        let edges: Vec<Edge> = directed
             .iter()
-            .filter_map(|(&(from, to), direction)| {
-                let mut from_to = self.directed(from, direction, at_s, ego)?;
+            .map(|(&(from, to), &said)| {
+                let mut from_to = said;
                 for axis in 0..3 {
                     from_to.covariance[(axis, axis)] += CALIBRATION.0.powi(2);
                     from_to.covariance[(axis + 3, axis + 3)] += CALIBRATION.1.powi(2);
                 }
-                Some(Edge { from, to, from_to })
+                Edge { from, to, from_to }
             })
             .collect();
+        let since_s = self.judged_s.map_or(0.0, |judged_s| at_s - judged_s);
+        let since_s = since_s.clamp(0.0, LONGEST_CHECK_S);
+        self.judged_s = Some(at_s);
         let wrong = contradicting(self.names.len(), &edges);
         for &observer in &wrong {
             self.doubts.entry(observer).or_default();
         }
         let mut changed = Vec::new();
         for (&observer, doubt) in &mut self.doubts {
-            let step = if wrong.contains(&observer) { 1.0 } else { -FORGIVEN };
-            doubt.level = (doubt.level + step).clamp(0.0, LEFT_OUT_AT);
-            let is_left_out =
-                if doubt.is_left_out { doubt.level > 0.0 } else { doubt.level >= LEFT_OUT_AT };
+            let step_s = if wrong.contains(&observer) { since_s } else { -since_s / FORGIVENESS };
+            doubt.contradicted_s = (doubt.contradicted_s + step_s).clamp(0.0, LEFT_OUT_AFTER_S);
+            let is_left_out = match doubt.is_left_out {
+                true => doubt.contradicted_s > 0.0,
+                false => doubt.contradicted_s >= LEFT_OUT_AFTER_S,
+            };
             if is_left_out != doubt.is_left_out {
                 doubt.is_left_out = is_left_out;
                 changed.push(observer);
             }
         }
-        self.doubts.retain(|_, doubt| doubt.level > 0.0);
+        self.doubts
+            .retain(|observer, doubt| doubt.contradicted_s > 0.0 || wrong.contains(observer));
         // What it said is part of these filters, or not yet: they begin anew.
         self.pairs.retain(|(one, other), _| !changed.contains(one) && !changed.contains(other));
     }

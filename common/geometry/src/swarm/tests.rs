@@ -316,7 +316,7 @@ fn mutual_and_chained_poses_are_as_certain_as_they_say() {
     // Rotation gains most: where the other sees me tells how it is turned.
     let ratio = |part: usize| (errors[0][part] / errors[1][part]).sqrt();
     println!("mutual over direct: position {:.2}, rotation {:.2}", ratio(0), ratio(1));
-    assert!(ratio(0) < 0.85 && ratio(1) < 0.75, "{} {}", ratio(0), ratio(1));
+    assert!(ratio(0) <= 0.75 && ratio(1) <= 0.75, "{} {}", ratio(0), ratio(1));
 }
 
 /// Reports come late, in any order, and some never: the estimate is that of those that came.
@@ -394,7 +394,10 @@ fn a_liar_is_left_out_and_forgiven() {
     let errors = fly(&mut estimator, 30, 1.0);
     assert_eq!(estimator.left_out().collect::<Vec<_>>(), ["kite"]);
     assert!(errors.iter().all(|error| *error < 0.02), "{errors:?}");
-    fly(&mut estimator, 90, 0.0);
+    // Five seconds, and what it took to find nothing wrong any more.
+    fly(&mut estimator, 60, 0.0);
+    assert_eq!(estimator.left_out().count(), 1, "not forgiven yet");
+    fly(&mut estimator, 120, 0.0);
     assert_eq!(estimator.left_out().count(), 0);
 }
 
@@ -434,8 +437,11 @@ fn names_and_numbers_that_are_none_do_no_harm() {
     );
     assert!(estimator.places(1.0, &nobody).is_empty());
     (0..200).for_each(|k| seen(&format!("drone-{k}"), "own", 1.0, good, &mut estimator));
-    assert_eq!(estimator.places(1.0, &nobody).len(), super::estimator::MOST_DRONES - 2);
+    assert_eq!(estimator.places(1.0, &nobody).len(), super::estimator::MOST_DRONES - 1);
     estimator.lose("drone-1", "own");
     assert!(place(&estimator.places(1.0, &nobody), "drone-1").is_none());
     assert!(estimator.places(3.0, &nobody).is_empty(), "forgotten");
+    // There is room for others then.
+    seen("robin", "own", 3.0, good, &mut estimator);
+    assert!(place(&estimator.places(3.0, &nobody), "robin").is_some());
 }

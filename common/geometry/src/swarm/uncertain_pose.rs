@@ -113,5 +113,7 @@ pub(crate) fn blocks(
 }
 
 fn propagated(jacobian: &Matrix6<f64>, covariance: &Matrix6<f64>) -> Matrix6<f64> {
-    jacobian * covariance * jacobian.transpose()
+    let product = jacobian * covariance * jacobian.transpose();
+    // Rounding need not leave it symmetric.
+    (product + product.transpose()) / 2.0
 }
