@@ -356,7 +356,7 @@ class PeerHeader(Contract):
     _fields_ = [
         ("arrived_ns", c_int64),
         ("generation", c_uint32),
-        ("is_signed", c_uint32),
+        ("reserved", c_uint32),
     ]
 
 

@@ -6,6 +6,7 @@ use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread::{self, Builder, JoinHandle};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
+use flockeye_config::MavlinkAddress;
 use flockeye_runtime::backoff::Backoff;
 use flockeye_runtime::clock;
 use flockeye_runtime::logs::Throttle;
@@ -13,13 +14,13 @@ use mavlink::MavHeader;
 
 use crate::core::Core;
 use crate::error::AutopilotError;
-use crate::link::{self, LineReader, LineWriter, LinkAddress};
-use crate::lock::lock;
+use crate::link::{self, LineReader, LineWriter};
 use crate::messages::WireClock;
 use crate::neighbour::NeighbourState;
 use crate::odometry::OdometryAt;
 use crate::parameters::AutopilotParameters;
 use crate::timesync::TimeOffset;
+use flockeye_runtime::lock::lock;
 
 /// The shortest and longest wait before a line that is not there is tried again.
 const RETRY: [Duration; 2] = [Duration::from_millis(500), Duration::from_secs(5)];
@@ -174,7 +175,7 @@ impl Shared {
 
 /// The threads' side.
 struct Link {
-    address: LinkAddress,
+    address: MavlinkAddress,
     system_id: u8,
     component_id: u8,
     shared: Arc<Shared>,
@@ -276,7 +277,7 @@ impl Link {
                     continue;
                 }
                 self.shared.dropped.fetch_add(1, Relaxed);
-                if matches!(self.address, LinkAddress::Serial { .. })
+                if matches!(self.address, MavlinkAddress::Serial { .. })
                     && let Some(more) = drops.admit()
                 {
                     tracing::warn!(

@@ -50,13 +50,11 @@ pub mod timesync;
 
 mod autopilot;
 mod error;
-mod lock;
 mod neighbour;
 mod parameters;
 
 pub use autopilot::{Autopilot, AutopilotStatus};
 pub use error::AutopilotError;
-pub use link::LinkAddress;
 pub use neighbour::NeighbourState;
 pub use odometry::{OdometryAt, OdometryFrame};
 pub use parameters::{AutopilotParameters, Rates};

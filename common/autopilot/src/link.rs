@@ -1,6 +1,5 @@
 //! The line to the autopilot: opened, read and written, each without blocking for long.
 
-mod address;
 mod decoder;
 mod serial;
 mod udp;
@@ -8,10 +7,10 @@ mod udp;
 use std::io;
 use std::time::Duration;
 
+use flockeye_config::MavlinkAddress;
 use mavlink::MavHeader;
 use mavlink::dialects::development::MavMessage;
 
-pub use address::LinkAddress;
 pub use decoder::decode;
 
 /// The longest that reading or writing blocks.
@@ -20,26 +19,39 @@ const TIMEOUT: Duration = Duration::from_millis(100);
 pub(crate) const SILENT: Duration = Duration::from_secs(3);
 
 /// The half that receives.
-pub(crate) enum LineReader {
+pub struct LineReader(Reader);
+
+enum Reader {
     Udp(udp::UdpReader),
     Serial(serial::SerialReader),
 }
 
 /// The half that sends.
-pub(crate) enum LineWriter {
+pub struct LineWriter(Writer);
+
+enum Writer {
     Udp(udp::UdpWriter),
     Serial(serial::SerialWriter),
 }
 
 /// Opens the line.
-pub(crate) fn open(address: &LinkAddress) -> io::Result<(LineReader, LineWriter)> {
-    let of_udp = |(reader, writer)| (LineReader::Udp(reader), LineWriter::Udp(writer));
-    match address {
-        LinkAddress::UdpIn(address) => udp::listen(*address).map(of_udp),
-        LinkAddress::UdpOut(address) => udp::connect(address).map(of_udp),
-        LinkAddress::Serial { device, baud } => serial::open(device, *baud)
-            .map(|(reader, writer)| (LineReader::Serial(reader), LineWriter::Serial(writer))),
-    }
+///
+/// # Errors
+/// The address is not this machine's or is taken, the host is unknown, or the device is not there.
+pub fn open(address: &MavlinkAddress) -> io::Result<(LineReader, LineWriter)> {
+    let (reader, writer) = match address {
+        MavlinkAddress::UdpIn(address) => of_udp(udp::listen(*address)?),
+        MavlinkAddress::UdpOut(address) => of_udp(udp::connect(address)?),
+        MavlinkAddress::Serial { device, baud } => {
+            let (reader, writer) = serial::open(device, *baud)?;
+            (Reader::Serial(reader), Writer::Serial(writer))
+        }
+    };
+    Ok((LineReader(reader), LineWriter(writer)))
+}
+
+fn of_udp((reader, writer): (udp::UdpReader, udp::UdpWriter)) -> (Reader, Writer) {
+    (Reader::Udp(reader), Writer::Udp(writer))
 }
 
 impl LineReader {
@@ -48,13 +60,10 @@ impl LineReader {
     ///
     /// # Errors
     /// The line is lost.
-    pub(crate) fn read(
-        &mut self,
-        hear: &mut dyn FnMut(MavHeader, &MavMessage) -> bool,
-    ) -> io::Result<()> {
-        match self {
-            Self::Udp(reader) => reader.read(hear),
-            Self::Serial(reader) => reader.read(hear),
+    pub fn read(&mut self, hear: &mut dyn FnMut(MavHeader, &MavMessage) -> bool) -> io::Result<()> {
+        match &mut self.0 {
+            Reader::Udp(reader) => reader.read(hear),
+            Reader::Serial(reader) => reader.read(hear),
         }
     }
 }
@@ -64,10 +73,10 @@ impl LineWriter {
     ///
     /// # Errors
     /// The line is lost.
-    pub(crate) fn write(&mut self, frame: &[u8]) -> io::Result<bool> {
-        match self {
-            Self::Udp(writer) => writer.write(frame),
-            Self::Serial(writer) => writer.write(frame),
+    pub fn write(&mut self, frame: &[u8]) -> io::Result<bool> {
+        match &mut self.0 {
+            Writer::Udp(writer) => writer.write(frame),
+            Writer::Serial(writer) => writer.write(frame),
         }
     }
 }

@@ -1,11 +1,11 @@
 //! How the autopilot is told, and the check of these parameters.
 
+use flockeye_config::MavlinkAddress;
 use flockeye_contract::wire::{MAX_NAME_CHARS, is_name};
 use mavlink::dialects::development::MavComponent;
 use serde::{Deserialize, Serialize};
 
 use crate::error::AutopilotError;
-use crate::link::LinkAddress;
 
 /// How the autopilot is told about neighbours. By default nothing leaves the machine.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -102,8 +102,8 @@ impl AutopilotParameters {
         Ok(())
     }
 
-    pub(crate) fn address(&self) -> Result<LinkAddress, AutopilotError> {
-        LinkAddress::parse(&self.link).map_err(|reason| wrong("link", &self.link, reason))
+    pub(crate) fn address(&self) -> Result<MavlinkAddress, AutopilotError> {
+        MavlinkAddress::parse(&self.link).map_err(|reason| wrong("link", &self.link, reason))
     }
 }
 
@@ -125,7 +125,7 @@ mod tests {
             parameters.check().expect_err("refused").to_string()
         };
         let message = refused(|p| p.link = "udpin:14540".into());
-        assert!(message.starts_with("link: 'udpin:14540'") && message.contains("udpin:127.0.0.1"));
+        assert!(message.starts_with("link: 'udpin:14540'") && message.contains("udpin:0.0.0.0"));
         assert!(refused(|p| p.system_id = 0).contains("SYSID_THISMAV"));
         assert!(refused(|p| p.component_id = 1).contains("191"));
         assert!(refused(|p| p.target = Some("a b".into())).starts_with("target: 'a b' is no name"));

@@ -9,8 +9,8 @@ use crate::instance_name::is_instance_name;
 use crate::problem::{Problem, Problems};
 use crate::resolve::{self, Division, SphereViewsError, preset_body};
 use crate::types::{
-    AtEnd, BodySet, Count, Flow, Fusion, InertialSource, Mount, Partition, Pipeline, Preset,
-    PresetBody, Response, StageInfo,
+    AtEnd, BodySet, Count, Flow, Fusion, Gateway, InertialSource, MavlinkAddress, Mount, Partition,
+    Pipeline, Preset, PresetBody, Response, StageInfo,
 };
 
 /// Semantic validation: appends each violated constraint of `pipeline` to `problems`.
@@ -304,16 +304,41 @@ impl Meaning<'_> {
             ("gateway.connect", &pipeline.gateway.connect),
         ];
         for (path, endpoints) in lists {
-            for (index, endpoint) in endpoints.iter().enumerate() {
-                let is_endpoint = endpoint.split_once('/').is_some_and(|(protocol, address)| {
-                    ["tcp", "udp"].contains(&protocol) && address.contains(':')
-                });
-                if !is_endpoint {
-                    self.problem(
-                        &format!("{path}.{index}"),
-                        format!("'{endpoint}' is no endpoint: write tcp/ADDRESS:PORT or udp/ADDRESS:PORT"),
-                    );
-                }
+            self.endpoints(path, endpoints);
+        }
+        let Gateway { listen, ros2, autopilot, .. } = &pipeline.gateway;
+        if let Some(ros2) = ros2 {
+            self.endpoints("gateway.ros2.connect", &ros2.connect);
+            if let Some(both) = ros2.connect.iter().find(|router| listen.contains(router)) {
+                let what = format!(
+                    "'{both}' is in gateway.listen too: there the router of ROS 2 cannot be. Cure: another port \
+                     in gateway.listen"
+                );
+                self.problem("gateway.ros2.connect", what);
+            }
+        }
+        if let Some(autopilot) = autopilot {
+            if let Err(reason) = MavlinkAddress::parse(&autopilot.link) {
+                self.problem("gateway.autopilot.link", format!("'{}' {reason}", autopilot.link));
+            }
+            if let Some(target) = &autopilot.target {
+                self.name("gateway.autopilot.target", target);
+            }
+        }
+    }
+
+    fn endpoints(&mut self, path: &str, endpoints: &[String]) {
+        for (index, endpoint) in endpoints.iter().enumerate() {
+            let is_endpoint = endpoint.split_once('/').is_some_and(|(protocol, address)| {
+                ["tcp", "udp"].contains(&protocol) && address.contains(':')
+            });
+            if !is_endpoint {
+                self.problem(
+                    &format!("{path}.{index}"),
+                    format!(
+                        "'{endpoint}' is no endpoint: write tcp/ADDRESS:PORT or udp/ADDRESS:PORT"
+                    ),
+                );
             }
         }
     }

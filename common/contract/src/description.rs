@@ -131,7 +131,7 @@ types! {
         measured_observer_from_target, measured_covariance, predicted_observer_from_target,
         predicted_covariance, predicted_ns, age_ns, unseen_ns, latency, name, target, track_id, state,
         measured_by, markers, reserved;
-    PeerHeader: arrived_ns, generation, is_signed;
+    PeerHeader: arrived_ns, generation, reserved;
     PeerSighting: observer_from_target, covariance, target_from_observer, inverse_covariance,
         linear_velocity, angular_velocity, exposure_ns, exposure_deviation_ns, frame, observer, target,
         epoch, state, measured_by, is_own;

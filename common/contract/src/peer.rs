@@ -14,8 +14,8 @@ pub struct PeerHeader {
     pub arrived_ns: i64,
     /// Rises each time the gateway's process is replaced.
     pub generation: u32,
-    /// 1 if the report bears a valid signature of the observer that its key names.
-    pub is_signed: u32,
+    /// Keeps the size a multiple of 8; zero.
+    pub reserved: u32,
 }
 
 /// Where a peer sees one target, of a report that passed all checks.

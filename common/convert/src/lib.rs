@@ -15,7 +15,7 @@ pub use codes::{
     code_range, projection_of, purpose_of, search_code, search_of, stop_rule, transfer_curve,
 };
 pub use imu::rate_sample;
-pub use pose::{isometry, matrix6, pose, rotation, row_major, xyzw};
+pub use pose::{isometry, matrix6, pose, rotation, row_major, symmetric6, upper_triangle, xyzw};
 pub use radiance::RadianceCache;
 pub use turn::{camera_turn, rotation_message};
 pub use view::{ViewError, image_of, view_of};

@@ -34,6 +34,21 @@ pub fn matrix6(row_major: &[f64; 36]) -> Matrix6<f64> {
     Matrix6::from_row_slice(row_major)
 }
 
+/// The upper triangle of a 6x6 row-major matrix, row by row, as reports have covariances.
+pub fn upper_triangle(matrix: &[f64; 36]) -> [f64; 21] {
+    let mut cells = (0..6).flat_map(|row| (row..6).map(move |column| matrix[6 * row + column]));
+    // 6 + 5 + 4 + 3 + 2 + 1 cells: the iterator has exactly as many as the array.
+    std::array::from_fn(|_| cells.next().unwrap_or(0.0))
+}
+
+/// The whole of a symmetric 6x6 matrix, from its upper triangle, row by row.
+pub fn symmetric6(upper: &[f64; 21]) -> Matrix6<f64> {
+    Matrix6::from_fn(|row, column| {
+        let (row, column) = (row.min(column), row.max(column));
+        upper[6 * row - row * row.saturating_sub(1) / 2 + column - row]
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -66,5 +81,14 @@ mod tests {
         let matrix = matrix6(&numbers);
         assert_eq!((matrix[(0, 1)], matrix[(1, 0)]), (1.0, 6.0));
         assert_eq!(row_major(&matrix), numbers);
+    }
+
+    #[test]
+    fn a_covariance_is_its_upper_triangle() {
+        let number = |row: usize, column: usize| (10 * row.min(column) + row.max(column)) as f64;
+        let whole = Matrix6::from_fn(number);
+        let upper = upper_triangle(&row_major(&whole));
+        assert_eq!(upper[..8], [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 11.0, 12.0]);
+        assert_eq!(symmetric6(&upper), whole);
     }
 }

@@ -10,9 +10,10 @@ use std::{
 
 use zenoh::{Session, Wait};
 
+use crate::endpoint::listen_address;
 use crate::error::NetworkError;
-use crate::lock::lock;
-use crate::parameters::{NetworkMode, NetworkParameters, listen_address};
+use crate::parameters::{NetworkMode, NetworkParameters};
+use flockeye_runtime::lock::lock;
 
 /// How long a client waits before it looks for its router again.
 const RETRY: Duration = Duration::from_secs(1);

@@ -6,6 +6,7 @@
 //!   its caller wait for the radio.
 //! - [`Listener`]: keeps a table of who is alive and what each of them sees ([`Peers`]), and hands
 //!   out each report as it arrives ([`ReportStream`]).
+//! - [`endpoint`]: whether a text can be an endpoint.
 //! - [`utc_from_monotonic`]: the time stamp of a report.
 //!
 //! The format is in [`flockeye_contract::wire`]; `docs/PEERS.md` describes it for subscribers in other
@@ -14,15 +15,14 @@
 mod clock;
 mod configured;
 mod connection;
+pub mod endpoint;
 mod error;
 mod freshness;
 mod listener;
-mod lock;
 mod outbox;
 mod parameters;
 mod peers;
 mod reporter;
-mod seal;
 mod session;
 mod stream;
 mod utc;
@@ -34,7 +34,6 @@ pub use listener::Listener;
 pub use parameters::{NetworkMode, NetworkParameters};
 pub use peers::{MAX_OBSERVERS, PeerState, Peers, Received, Refusal, Refused, age_of};
 pub use reporter::{Reporter, ReporterCounters};
-pub use seal::Seal;
 pub use session::Network;
 pub use stream::{Heard, ReportStream};
 pub use utc::{monotonic_now_ns, utc_from_monotonic};

@@ -8,8 +8,7 @@ use std::{
 };
 
 use flockeye_contract::wire::{
-    MAX_FRAME_REPORT_BYTES, WireError, all_alive_key, all_frames_key, all_frames_token_key,
-    frame_key, pose_key,
+    all_alive_key, all_frames_key, all_frames_token_key, frame_key, pose_key,
 };
 use flockeye_runtime::logs::Throttle;
 use zenoh::{
@@ -23,10 +22,9 @@ use zenoh::{
 use crate::connection::Connection;
 use crate::error::NetworkError;
 use crate::freshness::ArrivalTime;
-use crate::lock::lock;
-use crate::peers::{Arrival, Message, Peers, Refusal, Token, Way, token_in};
-use crate::seal::Seal;
+use crate::peers::{Arrival, Delivery, Peers, Refusal, Token, token_in};
 use crate::stream::{Heard, ReportStream, Streams};
+use flockeye_runtime::lock::lock;
 
 /// How long an observer has to answer with its last values; it publishes new ones long before.
 const ANSWER_WITHIN: Duration = Duration::from_secs(2);
@@ -51,7 +49,6 @@ impl Listener {
         connection: Arc<Connection>,
         swarm: &str,
         own: Option<String>,
-        seal: Option<Arc<dyn Seal>>,
     ) -> Result<Self, NetworkError> {
         let hearing = Arc::new(Hearing {
             swarm: swarm.into(),
@@ -60,7 +57,6 @@ impl Listener {
             newcomers: Mutex::default(),
             changed: Condvar::new(),
             warnings: Mutex::default(),
-            seal,
         });
         let name = "zenoh-listener";
         let thread = {
@@ -106,7 +102,6 @@ struct Hearing {
     newcomers: Mutex<Newcomers>,
     changed: Condvar,
     warnings: Mutex<Throttle>,
-    seal: Option<Arc<dyn Seal>>,
 }
 
 /// Observers that are still to be listened to, and from when on it is known how. All are in the table of peers,
@@ -125,27 +120,15 @@ enum Next {
 }
 
 impl Hearing {
-    fn hear(&self, sample: &Sample, way: Way) {
+    fn hear(&self, sample: &Sample, delivery: Delivery) {
         if sample.kind() != SampleKind::Put {
             return;
         }
-        let (key, payload) = (sample.key_expr().as_str(), sample.payload());
-        let arrival = Arrival { at: Instant::now(), time: ArrivalTime::now(), way };
-        if payload.len() > MAX_FRAME_REPORT_BYTES {
-            let too_long =
-                WireError::TooLong { found: payload.len(), most: MAX_FRAME_REPORT_BYTES };
-            lock(&self.peers).refused += 1;
-            return self.warn(key, &too_long.into());
-        }
-        let payload = payload.to_bytes();
-        let seal = self.check_seal(sample, &payload, way);
-        let message = Message {
-            key,
-            payload: &payload,
-            seal: seal.as_ref().map(|_| ()).map_err(|reason| reason.as_str()),
-        };
+        let key = sample.key_expr().as_str();
+        let arrival = Arrival { at: Instant::now(), time: ArrivalTime::now(), delivery };
         let mut peers = lock(&self.peers);
-        let taken = peers.take(message, arrival);
+        // No longer than the session lets through.
+        let taken = peers.take(key, &sample.payload().to_bytes(), arrival);
         let utc_less_monotonic_ns = arrival.time.utc_less_monotonic_ns();
         let sightings = match taken {
             Ok(sightings) => sightings,
@@ -172,18 +155,9 @@ impl Hearing {
                 arrived_monotonic_ns,
                 exposure_monotonic_ns,
                 exposure_deviation_ns,
-                is_signed: matches!(seal, Ok(true)),
                 report,
             });
         }
-    }
-
-    /// Whether the message bears a valid seal; `Ok(false)` where none is asked for.
-    fn check_seal(&self, sample: &Sample, payload: &[u8], way: Way) -> Result<bool, String> {
-        let Some(seal) = &self.seal else { return Ok(false) };
-        let attachment = sample.attachment().map(|bytes| bytes.to_bytes());
-        let key = sample.key_expr().as_str();
-        seal.check(key, payload, attachment.as_deref(), way == Way::LastValue).map(|()| true)
     }
 
     fn warn(&self, key: &str, refusal: &Refusal) {
@@ -309,7 +283,7 @@ fn subscribe(
     let hearing = hearing.clone();
     session
         .declare_subscriber(key)
-        .callback(move |sample| hearing.hear(&sample, Way::Published))
+        .callback(move |sample| hearing.hear(&sample, Delivery::Published))
         .wait()
 }
 
@@ -343,7 +317,7 @@ fn ask(
         .callback(move |reply: Reply| {
             // An error is a timeout or an observer without an answer; its next reports come anyway.
             if let Ok(sample) = reply.result() {
-                asked.hearing.hear(sample, Way::LastValue);
+                asked.hearing.hear(sample, Delivery::LastValue);
             }
         })
         .wait()

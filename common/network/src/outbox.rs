@@ -1,11 +1,8 @@
 //! Reports that wait to be sent, and the last report of each kind.
-//!
-//! There is one slot for each key: a newer report replaces one that has not been sent. So the outbox
-//! is bounded, and after a stall it sends current reports, not old ones.
 
 use std::{
-    collections::{BTreeMap, BTreeSet, VecDeque},
-    sync::{Condvar, Mutex, PoisonError},
+    collections::{BTreeMap, BTreeSet},
+    sync::Mutex,
     time::Instant,
 };
 
@@ -13,9 +10,10 @@ use flockeye_contract::{
     TrackState,
     wire::{FrameReport, MAX_TARGETS, PoseReport, WireError, frame_key, pose_key, tentative_key},
 };
+use flockeye_runtime::lock::lock;
+use flockeye_runtime::slots::{Closed, Slots};
 
 use crate::error::NetworkError;
-use crate::lock::lock;
 
 /// Where a report goes.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
@@ -76,7 +74,6 @@ impl Outgoing {
 /// A report and when it was put in.
 #[derive(Debug, Clone)]
 pub(crate) struct Held {
-    pub(crate) slot: Slot,
     report: Outgoing,
     since: Instant,
 }
@@ -102,21 +99,18 @@ impl Held {
 /// Reports between the caller and the thread that sends.
 #[derive(Debug, Default)]
 pub(crate) struct Outbox {
-    state: Mutex<State>,
-    changed: Condvar,
+    waiting: Slots<Slot, Held>,
+    said: Mutex<Said>,
 }
 
+/// What was put in so far.
 #[derive(Debug, Default)]
-struct State {
-    /// At most one for each slot, first in first out by slot, so that no target starves another.
-    pending: VecDeque<Held>,
+struct Said {
     last: BTreeMap<Slot, Held>,
     targets: BTreeSet<String>,
-    overwritten: u64,
-    closed: bool,
 }
 
-impl State {
+impl Said {
     /// Whether there is room for one more target.
     fn admits(&mut self, target: &str) -> Result<(), NetworkError> {
         if !self.targets.contains(target) {
@@ -132,66 +126,45 @@ impl State {
 impl Outbox {
     /// Puts `report` in and returns at once.
     pub(crate) fn put(&self, report: Outgoing, now: Instant) -> Result<(), NetworkError> {
-        let mut guard = lock(&self.state);
-        let state = &mut *guard;
-        if state.closed {
-            return Err(NetworkError::Closed);
-        }
+        let mut said = lock(&self.said);
         match &report {
-            Outgoing::Pose(pose) => state.admits(&pose.target)?,
+            Outgoing::Pose(pose) => said.admits(&pose.target)?,
             Outgoing::Frame(frame) => {
-                frame.targets.iter().try_for_each(|target| state.admits(&target.name))?;
+                frame.targets.iter().try_for_each(|target| said.admits(&target.name))?;
             }
         }
-        let held = Held { slot: report.slot(), report, since: now };
-        match held.report.as_last_value() {
-            Some(report) => state.last.insert(held.slot.clone(), Held { report, ..held.clone() }),
-            None => state.last.remove(&held.slot),
+        let slot = report.slot();
+        match report.as_last_value() {
+            Some(report) => said.last.insert(slot.clone(), Held { report, since: now }),
+            None => said.last.remove(&slot),
         };
-        match state.pending.iter_mut().find(|waiting| waiting.slot == held.slot) {
-            Some(waiting) => {
-                *waiting = held;
-                state.overwritten += 1;
-            }
-            None => state.pending.push_back(held),
-        }
-        drop(guard);
-        self.changed.notify_one();
-        Ok(())
+        drop(said);
+        let put = self.waiting.put(slot, Held { report, since: now });
+        put.map_err(|Closed| NetworkError::Closed)
     }
 
     /// Waits for the next report to send; none once closed and empty.
-    pub(crate) fn take(&self) -> Option<Held> {
-        let mut state = lock(&self.state);
-        loop {
-            if let Some(held) = state.pending.pop_front() {
-                return Some(held);
-            }
-            if state.closed {
-                return None;
-            }
-            state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
-        }
+    pub(crate) fn take(&self) -> Option<(Slot, Held)> {
+        self.waiting.take()
     }
 
     /// The last frame, and the last value of every target that is not lost.
-    pub(crate) fn last_values(&self) -> Vec<Held> {
-        lock(&self.state).last.values().cloned().collect()
+    pub(crate) fn last_values(&self) -> BTreeMap<Slot, Held> {
+        lock(&self.said).last.clone()
     }
 
     /// Reports that a newer one replaced before they were sent.
     pub(crate) fn overwritten(&self) -> u64 {
-        lock(&self.state).overwritten
+        self.waiting.overwritten()
     }
 
     /// Accepts nothing more; waiting reports are still sent.
     pub(crate) fn close(&self) {
-        lock(&self.state).closed = true;
-        self.changed.notify_all();
+        self.waiting.close();
     }
 
     pub(crate) fn is_closed(&self) -> bool {
-        lock(&self.state).closed
+        self.waiting.is_closed()
     }
 }
 
@@ -264,9 +237,9 @@ pub(crate) mod tests {
         assert_eq!(outbox.overwritten(), 6);
         outbox.close();
         let sent: Vec<_> = std::iter::from_fn(|| outbox.take())
-            .map(|held| match held.report {
-                Outgoing::Frame(report) => (held.slot, report.frame),
-                Outgoing::Pose(report) => (held.slot, report.frame),
+            .map(|(slot, held)| match held.report {
+                Outgoing::Frame(report) => (slot, report.frame),
+                Outgoing::Pose(report) => (slot, report.frame),
             })
             .collect();
         let pose = |target: &str| (Slot::Pose(target.into()), 3);
@@ -282,7 +255,7 @@ pub(crate) mod tests {
         assert_eq!(outbox.last_values().len(), 1);
         put(&outbox, PoseReport { state: TrackState::Lost, ..report("kite") }, now).unwrap();
         assert!(outbox.last_values().is_empty());
-        let json = outbox.take().unwrap().encode(now).unwrap();
+        let json = outbox.take().unwrap().1.encode(now).unwrap();
         assert_eq!(PoseReport::from_json(&json).unwrap().state, TrackState::Lost);
     }
 
@@ -292,8 +265,8 @@ pub(crate) mod tests {
         let tentative = PoseReport { state: TrackState::Tentative, ..report("kite") };
         put(&outbox, tentative, Instant::now()).unwrap();
         assert!(outbox.last_values().is_empty());
-        let held = outbox.take().unwrap();
-        assert_eq!(held.slot.key("s", "wren"), "flockeye/s/wren/sees/kite/tentative");
+        let (slot, _) = outbox.take().unwrap();
+        assert_eq!(slot.key("s", "wren"), "flockeye/s/wren/sees/kite/tentative");
     }
 
     #[test]
@@ -310,8 +283,7 @@ pub(crate) mod tests {
     fn time_held_here_counts_as_latency() {
         let since = Instant::now();
         let later = since + Duration::from_millis(250);
-        let encoded =
-            |report: Outgoing| Held { slot: report.slot(), report, since }.encode(later).unwrap();
+        let encoded = |report: Outgoing| Held { report, since }.encode(later).unwrap();
         let pose = encoded(Outgoing::Pose(report("kite")));
         assert_eq!(PoseReport::from_json(&pose).unwrap().latency_ms, 270.0);
         let frame = encoded(Outgoing::Frame(frame_report("wren", &["kite"])));

@@ -1,12 +1,10 @@
 //! How to reach the swarm, and the check of these parameters.
 
-use std::net::SocketAddr;
-
 use flockeye_contract::wire::{MAX_NAME_CHARS, is_name};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
-use zenoh::config::EndPoint;
 
+use crate::endpoint::{check_connect, check_listen};
 use crate::error::NetworkError;
 
 /// What this session is to the others.
@@ -181,60 +179,6 @@ fn check_interface(name: &str) -> Result<(), NetworkError> {
         return Err(wrong("scout_interface", name, reason));
     }
     Ok(())
-}
-
-/// Parses what every endpoint must be.
-fn parse(endpoint: &str) -> Result<EndPoint, String> {
-    let form = "is no endpoint. Write it tcp/ADDRESS:PORT or udp/ADDRESS:PORT";
-    let parsed: EndPoint = endpoint.parse().map_err(|_| form.to_owned())?;
-    if !["tcp", "udp"].contains(&parsed.protocol().as_str()) {
-        return Err(form.into());
-    }
-    Ok(parsed)
-}
-
-fn check_listen(endpoint: &str) -> Result<(), String> {
-    let address = listen_address(endpoint)?;
-    let on_one_interface =
-        !address.ip().is_unspecified() || parse(endpoint)?.config().get("iface").is_some();
-    if !on_one_interface {
-        let port = address.port();
-        return Err(format!(
-            "would listen on every interface. Cure: the address of one, or #iface=NAME \
-             (tcp/0.0.0.0:{port}#iface=wlan0)"
-        ));
-    }
-    Ok(())
-}
-
-/// Address and port of an endpoint to listen on.
-pub(crate) fn listen_address(endpoint: &str) -> Result<SocketAddr, String> {
-    let parsed = parse(endpoint)?;
-    let address = parsed.address();
-    address.as_str().parse().map_err(|_| {
-        format!("needs an IP address and a port (not '{}'), 0 for any port", address.as_str())
-    })
-}
-
-fn check_connect(endpoint: &str) -> Result<(), String> {
-    let parsed = parse(endpoint)?;
-    let address = parsed.address();
-    let address = address.as_str();
-    match address.parse::<SocketAddr>() {
-        Ok(parsed) if parsed.port() == 0 => return Err("needs a port other than 0".into()),
-        Ok(_) => return Ok(()),
-        // Zenoh resolves names of UDP endpoints while it opens, and fails if it cannot.
-        Err(_) if parsed.protocol().as_str() == "udp" => {
-            return Err("needs an IP address and a port (names work with tcp only)".into());
-        }
-        Err(_) => {}
-    }
-    match address.rsplit_once(':') {
-        Some((host, port)) if !host.is_empty() && port.parse::<u16>().is_ok_and(|p| p != 0) => {
-            Ok(())
-        }
-        _ => Err("needs a host and a port".into()),
-    }
 }
 
 #[cfg(test)]

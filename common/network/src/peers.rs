@@ -5,7 +5,9 @@ use std::{
     time::{Duration, Instant},
 };
 
-use flockeye_contract::wire::{FrameReport, MAX_TARGETS, PoseReport, Sighting, WireError, is_name};
+use flockeye_contract::wire::{
+    FrameReport, MAX_TARGETS, PoseReport, Sighting, WireError, is_name, shortened,
+};
 
 use crate::clock::ClockEstimate;
 use crate::freshness::{ArrivalTime, Began, Freshness, NotOfNow, Sent};
@@ -55,14 +57,12 @@ pub struct Refused {
     pub future: u64,
     /// Said before.
     pub replayed: u64,
-    /// Without a valid signature of the observer.
-    pub unsigned: u64,
 }
 
 impl Refused {
     /// All of them.
     pub fn total(&self) -> u64 {
-        self.malformed + self.stale + self.future + self.replayed + self.unsigned
+        self.malformed + self.stale + self.future + self.replayed
     }
 
     fn count(&mut self, refusal: &Refusal) {
@@ -70,7 +70,6 @@ impl Refused {
             Refusal::NotOfNow(NotOfNow::Stale { .. }) => &mut self.stale,
             Refusal::NotOfNow(NotOfNow::Future { .. }) => &mut self.future,
             Refusal::NotOfNow(NotOfNow::Replayed { .. }) => &mut self.replayed,
-            Refusal::Seal(_) => &mut self.unsigned,
             _ => &mut self.malformed,
         };
         *counter += 1;
@@ -117,7 +116,7 @@ pub fn age_of(arrived: Instant, latency_ms: f64, now: Instant) -> Duration {
 
 /// How a report came in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Way {
+pub(crate) enum Delivery {
     /// Published just now.
     Published,
     /// The answer to a query, so possibly older than what was published meanwhile.
@@ -129,16 +128,7 @@ pub(crate) enum Way {
 pub(crate) struct Arrival {
     pub(crate) at: Instant,
     pub(crate) time: ArrivalTime,
-    pub(crate) way: Way,
-}
-
-/// A message on a key of the swarm, as it came.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Message<'m> {
-    pub(crate) key: &'m str,
-    pub(crate) payload: &'m [u8],
-    /// Why its signature does not count, where signatures are asked for.
-    pub(crate) seal: Result<(), &'m str>,
+    pub(crate) delivery: Delivery,
 }
 
 /// Why a message was refused.
@@ -165,9 +155,6 @@ pub enum Refusal {
     /// Of another time than now.
     #[error(transparent)]
     NotOfNow(#[from] NotOfNow),
-    /// Without a valid signature of the observer.
-    #[error("{0}")]
-    Seal(String),
     /// No room for another observer.
     #[error("already {MAX_OBSERVERS} observers, which is the most")]
     TooManyObservers,
@@ -193,10 +180,11 @@ impl Peers {
     /// is held.
     pub(crate) fn take(
         &mut self,
-        message: Message<'_>,
+        key: &str,
+        payload: &[u8],
         arrival: Arrival,
     ) -> Result<Vec<Sighting>, Refusal> {
-        let Some(names) = names_in(message.key) else {
+        let Some(names) = names_in(key) else {
             self.refused += 1;
             return Err(Refusal::Key);
         };
@@ -206,10 +194,7 @@ impl Peers {
             self.refused += 1;
             return Err(Refusal::TooManyObservers);
         };
-        let taken = message
-            .seal
-            .map_err(|reason| Refusal::Seal(reason.to_owned()))
-            .and_then(|()| peer.take(names, message.payload, arrival, own.as_deref()));
+        let taken = peer.take(names, payload, arrival, own.as_deref());
         if let Err(refusal) = &taken {
             peer.refused.count(refusal);
         }
@@ -300,7 +285,9 @@ impl PeerState {
                 let newest = self.newest_frame_utc_ns;
                 let sent_ns = report.sent_utc_ns();
                 self.pass(sent(sent_ns, report.clock_synchronised), newest, &arrival)?;
-                if arrival.way == Way::Published || newest.is_none_or(|newest| sent_ns > newest) {
+                if arrival.delivery == Delivery::Published
+                    || newest.is_none_or(|newest| sent_ns > newest)
+                {
                     self.newest_frame_utc_ns = Some(sent_ns);
                 }
                 if let Some(said) = own.and_then(|own| report.clocks.get(own)) {
@@ -323,15 +310,15 @@ impl PeerState {
     /// Passes what was published if it is of now. An answer to a query is older by nature: it only ever
     /// fills what is empty, or replaces what is older.
     fn pass(&mut self, sent: Sent, newest: Option<i64>, arrival: &Arrival) -> Result<(), Refusal> {
-        match arrival.way {
-            Way::Published => {
+        match arrival.delivery {
+            Delivery::Published => {
                 if self.freshness.pass(sent, newest, &arrival.time)? == Began::Anew {
                     self.newest_frame_utc_ns = None;
                     self.targets.values_mut().for_each(|held| held.newest_utc_ns = None);
                 }
                 Ok(())
             }
-            Way::LastValue => Ok(()),
+            Delivery::LastValue => Ok(()),
         }
     }
 
@@ -351,7 +338,9 @@ impl PeerState {
             self.targets.insert(report.target.name.clone(), received);
             return Ok(Some(report));
         };
-        if arrival.way == Way::LastValue && report.stamp_utc_ns <= held.report.stamp_utc_ns {
+        if arrival.delivery == Delivery::LastValue
+            && report.stamp_utc_ns <= held.report.stamp_utc_ns
+        {
             return Ok(None);
         }
         // A frame is reported again when more of it is known; that is no news of this target.
@@ -382,10 +371,10 @@ fn sent(utc_ns: i64, is_synchronised: bool) -> Sent {
 fn read_pose(payload: &[u8], observer: &str, target: &str) -> Result<PoseReport, Refusal> {
     let report = PoseReport::from_json(payload)?;
     if report.observer != observer {
-        return Err(Refusal::Observer { found: shortened(report.observer) });
+        return Err(Refusal::Observer { found: shortened(&report.observer) });
     }
     if report.target != target {
-        return Err(Refusal::Target { found: shortened(report.target) });
+        return Err(Refusal::Target { found: shortened(&report.target) });
     }
     Ok(report)
 }
@@ -394,14 +383,9 @@ fn read_pose(payload: &[u8], observer: &str, target: &str) -> Result<PoseReport,
 fn read_frame(payload: &[u8], observer: &str) -> Result<FrameReport, Refusal> {
     let report = FrameReport::from_json(payload)?;
     if report.observer != observer {
-        return Err(Refusal::Observer { found: shortened(report.observer) });
+        return Err(Refusal::Observer { found: shortened(&report.observer) });
     }
     Ok(report)
-}
-
-/// A name from the network, shortened for a log line.
-fn shortened(name: String) -> String {
-    name.chars().take(40).flat_map(char::escape_debug).collect()
 }
 
 /// Observer and target in the key of a report, `flockeye/<swarm>/<observer>/sees` and what may follow.

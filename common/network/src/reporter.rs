@@ -25,7 +25,6 @@ use zenoh::{
 use crate::connection::Connection;
 use crate::error::NetworkError;
 use crate::outbox::{Held, Outbox, Outgoing, Slot};
-use crate::seal::Seal;
 
 /// Publishes that this drone is alive and where it sees its neighbours, until dropped.
 ///
@@ -61,7 +60,6 @@ impl Reporter {
         connection: Arc<Connection>,
         swarm: &str,
         observer: &str,
-        seal: Option<Arc<dyn Seal>>,
     ) -> Result<Self, NetworkError> {
         let (outbox, counts) = (Arc::new(Outbox::default()), Arc::new(Counts::default()));
         let sender = Sender {
@@ -69,7 +67,6 @@ impl Reporter {
             observer: observer.into(),
             outbox: outbox.clone(),
             counts: counts.clone(),
-            seal,
         };
         let name = "zenoh-reporter";
         let thread = thread::Builder::new()
@@ -168,7 +165,6 @@ struct Sender {
     observer: String,
     outbox: Arc<Outbox>,
     counts: Arc<Counts>,
-    seal: Option<Arc<dyn Seal>>,
 }
 
 impl Sender {
@@ -187,7 +183,6 @@ impl Sender {
             swarm: self.swarm.clone(),
             observer: self.observer.clone(),
             outbox: self.outbox.clone(),
-            seal: self.seal.clone(),
         };
         let _last_values = session
             .declare_queryable(format!("flockeye/{}/{}/sees/**", self.swarm, self.observer))
@@ -201,12 +196,12 @@ impl Sender {
 
         let mut publishers = BTreeMap::new();
         let mut warnings = Throttle::default();
-        while let Some(held) = self.outbox.take() {
-            match self.send(session, &mut publishers, &held) {
+        while let Some((slot, held)) = self.outbox.take() {
+            match self.send(session, &mut publishers, &slot, &held) {
                 Ok(()) => self.counts.sent.fetch_add(1, Relaxed),
                 Err(error) => {
                     if let Some(held_back) = warnings.admit() {
-                        let key = held.slot.key(&self.swarm, &self.observer);
+                        let key = slot.key(&self.swarm, &self.observer);
                         tracing::warn!(held_back, "a report on {key} was not sent: {error}");
                     }
                     self.counts.failed.fetch_add(1, Relaxed)
@@ -220,13 +215,14 @@ impl Sender {
         &self,
         session: &Session,
         publishers: &mut BTreeMap<Slot, Publisher<'static>>,
+        slot: &Slot,
         held: &Held,
     ) -> zenoh::Result<()> {
-        let publisher = match publishers.entry(held.slot.clone()) {
+        let publisher = match publishers.entry(slot.clone()) {
             Entry::Occupied(known) => known.into_mut(),
             Entry::Vacant(new) => new.insert(
                 session
-                    .declare_publisher(held.slot.key(&self.swarm, &self.observer))
+                    .declare_publisher(slot.key(&self.swarm, &self.observer))
                     .encoding(Encoding::APPLICATION_JSON)
                     .congestion_control(CongestionControl::Drop)
                     .priority(Priority::RealTime)
@@ -235,9 +231,7 @@ impl Sender {
                     .wait()?,
             ),
         };
-        let json = held.encode(Instant::now())?;
-        let seal = self.seal.as_ref().map(|seal| seal.seal(publisher.key_expr().as_str(), &json));
-        publisher.put(json).attachment(seal).wait()
+        publisher.put(held.encode(Instant::now())?).wait()
     }
 }
 
@@ -246,22 +240,19 @@ struct Answerer {
     swarm: String,
     observer: String,
     outbox: Arc<Outbox>,
-    seal: Option<Arc<dyn Seal>>,
 }
 
 impl Answerer {
     /// Answers with the last value of every key that is asked for.
     fn answer(&self, query: &Query) {
-        for held in self.outbox.last_values() {
-            let key = held.slot.key(&self.swarm, &self.observer);
+        for (slot, held) in self.outbox.last_values() {
+            let key = slot.key(&self.swarm, &self.observer);
             let Ok(key) = zenoh::key_expr::KeyExpr::try_from(key) else { continue };
             if !query.key_expr().intersects(&key) {
                 continue;
             }
             let sent = held.encode(Instant::now()).map_err(zenoh::Error::from).and_then(|json| {
-                let seal = self.seal.as_ref().map(|seal| seal.seal(key.as_str(), &json));
-                let reply = query.reply(&key, json).encoding(Encoding::APPLICATION_JSON);
-                reply.attachment(seal).wait()
+                query.reply(&key, json).encoding(Encoding::APPLICATION_JSON).wait()
             });
             if let Err(error) = sent {
                 // The asking drone has left or asks again; nothing here depends on the answer.

@@ -7,7 +7,6 @@ use crate::error::NetworkError;
 use crate::listener::Listener;
 use crate::parameters::NetworkParameters;
 use crate::reporter::Reporter;
-use crate::seal::Seal;
 
 /// A Zenoh session. [`Reporter`]s and [`Listener`]s made from it keep it open by themselves, so
 /// they may outlive this value.
@@ -16,7 +15,6 @@ pub struct Network {
     swarm: String,
     observer: String,
     connection: Arc<Connection>,
-    seal: Option<Arc<dyn Seal>>,
     is_onlooker: bool,
 }
 
@@ -34,14 +32,8 @@ impl Network {
             swarm: parameters.swarm.clone(),
             observer: parameters.observer.clone(),
             connection: Connection::open(parameters)?,
-            seal: None,
             is_onlooker: parameters.is_onlooker,
         })
-    }
-
-    /// From now on `seal` signs what reporters send, and decides what listeners take.
-    pub fn sealed_by(self, seal: Arc<dyn Seal>) -> Self {
-        Self { seal: Some(seal), ..self }
     }
 
     /// Publishes that this drone is alive, until the reporter is dropped.
@@ -49,7 +41,7 @@ impl Network {
     /// # Errors
     /// [`NetworkError::Thread`].
     pub fn reporter(&self) -> Result<Reporter, NetworkError> {
-        Reporter::start(self.connection.clone(), &self.swarm, &self.observer, self.seal.clone())
+        Reporter::start(self.connection.clone(), &self.swarm, &self.observer)
     }
 
     /// Receives from all drones of the swarm, this session's own reporter included.
@@ -58,7 +50,7 @@ impl Network {
     /// [`NetworkError::Thread`].
     pub fn listener(&self) -> Result<Listener, NetworkError> {
         let own = (!self.is_onlooker).then(|| self.observer.clone());
-        Listener::start(self.connection.clone(), &self.swarm, own, self.seal.clone())
+        Listener::start(self.connection.clone(), &self.swarm, own)
     }
 
     /// Whether the session is open. Only a client can be without one, while it looks for its

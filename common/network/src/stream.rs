@@ -9,7 +9,7 @@ use std::{
 use flockeye_contract::wire::Sighting;
 use serde::Serialize;
 
-use crate::lock::lock;
+use flockeye_runtime::lock::lock;
 
 /// One report as it came in.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -20,8 +20,6 @@ pub struct Heard {
     pub exposure_monotonic_ns: i64,
     /// Standard deviation of that, nanoseconds.
     pub exposure_deviation_ns: i64,
-    /// Whether it bears a valid signature of the observer.
-    pub is_signed: bool,
     /// The report.
     pub report: Sighting,
 }
@@ -138,7 +136,6 @@ mod tests {
             arrived_monotonic_ns: 0,
             exposure_monotonic_ns: 0,
             exposure_deviation_ns: 0,
-            is_signed: false,
             report: report.into(),
         }
     }

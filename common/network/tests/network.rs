@@ -7,13 +7,8 @@
 
 use std::{
     collections::BTreeSet,
-    io::{Read, Write},
-    net::{Shutdown, TcpListener, TcpStream},
-    sync::{
-        Arc,
-        atomic::{AtomicBool, Ordering::SeqCst},
-        mpsc,
-    },
+    net::TcpListener,
+    sync::atomic::Ordering::SeqCst,
     thread,
     time::{Duration, SystemTime, UNIX_EPOCH},
 };
@@ -26,45 +21,13 @@ use flockeye_contract::{
     },
 };
 use flockeye_network::{Listener, Network, NetworkError, NetworkMode, NetworkParameters, Received};
+use flockeye_require::loopback::{Relay, WATCHDOG, free_port, tcp, until, watched};
 use zenoh::{
     Wait,
     qos::{CongestionControl, Priority, Reliability},
 };
 
 const SWARM: &str = "test";
-const WATCHDOG: Duration = Duration::from_secs(60);
-
-/// Runs `body` and fails when it does not come back.
-fn watched(body: impl FnOnce() + Send + 'static) {
-    let (done, finished) = mpsc::channel();
-    let test = thread::spawn(move || {
-        body();
-        done.send(()).ok();
-    });
-    match finished.recv_timeout(WATCHDOG) {
-        Err(mpsc::RecvTimeoutError::Timeout) => panic!("still not done after {WATCHDOG:?}"),
-        _ => test.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)),
-    }
-}
-
-/// Looks again and again until there is something to see.
-fn until<T>(mut look: impl FnMut() -> Option<T>) -> T {
-    loop {
-        if let Some(seen) = look() {
-            return seen;
-        }
-        thread::sleep(Duration::from_millis(10));
-    }
-}
-
-fn free_port() -> u16 {
-    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
-}
-
-fn tcp(port: u16) -> String {
-    format!("tcp/127.0.0.1:{port}")
-}
-
 fn parameters(observer: &str, listen: &[u16], connect: &[u16]) -> NetworkParameters {
     NetworkParameters {
         swarm: SWARM.into(),
@@ -438,45 +401,6 @@ fn a_client_finds_its_router_when_it_comes_up() {
         until(|| is_alive(&listener, "wren").then_some(()));
         assert!(wren.is_open() && robin.is_open());
     });
-}
-
-/// Passes bytes on between whoever connects and `to`, or holds them while it is stalled.
-struct Relay {
-    port: u16,
-    stalled: Arc<AtomicBool>,
-}
-
-impl Relay {
-    fn start(to: u16) -> Self {
-        let socket = TcpListener::bind("127.0.0.1:0").unwrap();
-        let port = socket.local_addr().unwrap().port();
-        let stalled = Arc::new(AtomicBool::new(false));
-        let gate = stalled.clone();
-        thread::spawn(move || {
-            for near in socket.incoming().flatten() {
-                let Ok(far) = TcpStream::connect(("127.0.0.1", to)) else { continue };
-                for (from, into) in [(&near, &far), (&far, &near)] {
-                    let (from, into) = (from.try_clone().unwrap(), into.try_clone().unwrap());
-                    let gate = gate.clone();
-                    thread::spawn(move || pass_on(from, into, &gate));
-                }
-            }
-        });
-        Self { port, stalled }
-    }
-}
-
-fn pass_on(mut from: TcpStream, mut into: TcpStream, stalled: &AtomicBool) {
-    let mut bytes = [0; 4_096];
-    while let Ok(length @ 1..) = from.read(&mut bytes) {
-        while stalled.load(SeqCst) {
-            thread::sleep(Duration::from_millis(1));
-        }
-        if into.write_all(&bytes[..length]).is_err() {
-            break;
-        }
-    }
-    into.shutdown(Shutdown::Both).ok();
 }
 
 #[test]

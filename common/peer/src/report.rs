@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use flockeye_contract::wire::{Degenerate, Sighting, TargetReport};
 use flockeye_contract::{MeasuredBy, Pose, TrackState};
-use flockeye_convert::{isometry, matrix6};
+use flockeye_convert::{isometry, symmetric6};
 use flockeye_geometry::swarm::UncertainPose;
 use flockeye_network::Heard;
 use nalgebra::Vector3;
@@ -36,8 +36,6 @@ pub struct PeerReport {
     pub exposure_monotonic_ns: i64,
     /// Standard deviation of that, nanoseconds.
     pub exposure_deviation_ns: i64,
-    /// Whether it bears a valid signature of the observer.
-    pub is_signed: bool,
 }
 
 impl PeerReport {
@@ -59,7 +57,7 @@ impl From<&Heard> for PeerReport {
         let Sighting { observer, target, frame, epoch, .. } = &heard.report;
         let pose = |position, orientation, covariance: &[f64; 21]| UncertainPose {
             a_from_b: isometry(&Pose { position, orientation }),
-            covariance: matrix6(&full_matrix(covariance)),
+            covariance: symmetric6(covariance),
         };
         let TargetReport { position, orientation, covariance, .. } = target;
         Self {
@@ -77,28 +75,6 @@ impl From<&Heard> for PeerReport {
             degenerate: target.degenerate,
             exposure_monotonic_ns: heard.exposure_monotonic_ns,
             exposure_deviation_ns: heard.exposure_deviation_ns,
-            is_signed: heard.is_signed,
         }
-    }
-}
-
-/// The whole of a symmetric 6x6 matrix, row-major, from its upper triangle, row by row.
-fn full_matrix(upper: &[f64; 21]) -> [f64; 36] {
-    std::array::from_fn(|k| {
-        let (row, column) = ((k / 6).min(k % 6), (k / 6).max(k % 6));
-        upper[6 * row - row * row.saturating_sub(1) / 2 + column - row]
-    })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_matrix_is_its_upper_triangle() {
-        let whole = full_matrix(&std::array::from_fn(|k| k as f64));
-        assert_eq!(whole[..6], [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]);
-        assert_eq!((whole[7], whole[14], whole[35]), (6.0, 11.0, 20.0));
-        assert!((0..36).all(|k| whole[k] == whole[6 * (k % 6) + k / 6]));
     }
 }

@@ -35,10 +35,8 @@ pub mod keys;
 pub mod messages;
 
 mod error;
-mod lock;
 mod names;
 mod node;
-mod outbox;
 mod parameters;
 mod pose;
 mod sender;

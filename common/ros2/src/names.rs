@@ -5,7 +5,7 @@
 
 use std::collections::{BTreeMap, btree_map::Entry};
 
-use flockeye_contract::wire::{MAX_NAME_CHARS, is_name};
+use flockeye_contract::wire::{is_name, shortened};
 
 use crate::error::Ros2Error;
 
@@ -83,11 +83,6 @@ impl Names {
     }
 }
 
-/// A text that is no name, short enough for a log line.
-pub(crate) fn shortened(text: &str) -> String {
-    text.chars().take(MAX_NAME_CHARS).flat_map(char::escape_debug).collect()
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
@@ -137,7 +132,7 @@ mod tests {
         #[test]
         fn whatever_is_admitted_is_a_name_in_ros(name in "\\PC{0,40}|[-_.a-zA-Z0-9]{1,31}") {
             let Ok(mapped) = Names::new("wren").admit(&name) else { return Ok(()) };
-            prop_assert!(mapped.len() <= MAX_NAME_CHARS + 1);
+            prop_assert!(mapped.len() <= flockeye_contract::wire::MAX_NAME_CHARS + 1);
             prop_assert!(mapped.starts_with(|first: char| first.is_ascii_alphabetic()));
             let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || byte == b'_';
             prop_assert!(mapped.bytes().all(is_plain) && !mapped.contains("__"));

@@ -8,16 +8,16 @@ use std::{
     thread::{self, JoinHandle},
 };
 
-use flockeye_contract::wire::is_name;
+use flockeye_contract::wire::{is_name, shortened};
+use flockeye_runtime::lock::lock;
+use flockeye_runtime::slots::Closed;
 
 use crate::error::Ros2Error;
-use crate::lock::lock;
 use crate::messages::{Message, TfMessage, TransformStamped};
-use crate::names::{Names, ros_name, shortened};
-use crate::outbox::{Outgoing, Topic};
+use crate::names::{Names, ros_name};
 use crate::parameters::Ros2Parameters;
 use crate::pose::{NeighbourPose, ObserverSeen, odometry, pose_message, transform};
-use crate::sender::{Sender, Shared};
+use crate::sender::{Sender, Shared, Topic};
 
 /// The ROS 2 node `/<observer>/flockeye`, which publishes until dropped.
 ///
@@ -170,7 +170,8 @@ impl Ros2Node {
 
     fn put<M: Message>(&self, name: String, message: &M) -> Result<(), Ros2Error> {
         let payload = message.to_cdr()?;
-        self.shared.outbox.put(Outgoing { topic: Topic { name, message: M::TYPE }, payload })
+        let topic = Topic { name, message: M::TYPE };
+        self.shared.outbox.put(topic, payload).map_err(|Closed| Ros2Error::Closed)
     }
 
     fn counted(&self, published: Result<(), Ros2Error>) -> Result<(), Ros2Error> {

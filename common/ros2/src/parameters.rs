@@ -1,10 +1,9 @@
 //! How to reach the ROS nodes, and the check of these parameters.
 
-use std::net::SocketAddr;
-
 use serde::{Deserialize, Serialize};
 use serde_json::json;
-use zenoh::config::EndPoint;
+
+use flockeye_network::endpoint::{check_connect, check_listen};
 
 use crate::error::Ros2Error;
 
@@ -168,47 +167,6 @@ fn check_namespace(namespace: &str) -> Result<(), Ros2Error> {
          several times, at most {MAX_NAMESPACE_CHARS} characters; or nothing"
     );
     Err(wrong("namespace", namespace, reason))
-}
-
-/// Parses what every endpoint must be.
-fn parse(endpoint: &str) -> Result<EndPoint, String> {
-    let form = "is no endpoint. Write it tcp/ADDRESS:PORT or udp/ADDRESS:PORT";
-    let parsed: EndPoint = endpoint.parse().map_err(|_| form.to_owned())?;
-    if !["tcp", "udp"].contains(&parsed.protocol().as_str()) {
-        return Err(form.into());
-    }
-    Ok(parsed)
-}
-
-fn check_listen(endpoint: &str) -> Result<(), String> {
-    let parsed = parse(endpoint)?;
-    let address = parsed.address();
-    let address: SocketAddr = address.as_str().parse().map_err(|_| {
-        format!("needs an IP address and a port (not '{}'), 0 for any port", address.as_str())
-    })?;
-    if address.ip().is_unspecified() && parsed.config().get("iface").is_none() {
-        let port = address.port();
-        return Err(format!(
-            "would listen on every interface. Cure: the address of one, or #iface=NAME \
-             (tcp/0.0.0.0:{port}#iface=wlan0)"
-        ));
-    }
-    Ok(())
-}
-
-fn check_connect(endpoint: &str) -> Result<(), String> {
-    let parsed = parse(endpoint)?;
-    let address = parsed.address();
-    let has_port = match address.as_str().parse::<SocketAddr>() {
-        Ok(address) => address.port() != 0,
-        Err(_) if parsed.protocol().as_str() == "udp" => {
-            return Err("needs an IP address and a port (names work with tcp only)".into());
-        }
-        Err(_) => address.as_str().rsplit_once(':').is_some_and(|(host, port)| {
-            !host.is_empty() && port.parse::<u16>().is_ok_and(|port| port != 0)
-        }),
-    };
-    if has_port { Ok(()) } else { Err("needs a host and a port other than 0".into()) }
 }
 
 #[cfg(test)]

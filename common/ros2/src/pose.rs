@@ -1,5 +1,6 @@
 //! Poses as they come in, and the messages that they become.
 
+use flockeye_contract::wire::shortened;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use crate::error::Ros2Error;
@@ -7,7 +8,6 @@ use crate::messages::{
     self, Header, Matrix6, Odometry, Point, Pose, PoseWithCovariance, PoseWithCovarianceStamped,
     Time, Transform, TransformStamped, Twist, TwistWithCovariance,
 };
-use crate::names::shortened;
 
 /// The variance that stands for "not known", (m/s)² or (rad/s)²: so large that no filter heeds the value.
 /// ROS has no other way to say so, and 0 would mean that it is known exactly.

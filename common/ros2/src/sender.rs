@@ -11,6 +11,7 @@ use std::{
 };
 
 use flockeye_runtime::logs::Throttle;
+use flockeye_runtime::slots::Slots;
 use zenoh::{
     Session, Wait,
     liveliness::LivelinessToken,
@@ -20,16 +21,25 @@ use zenoh::{
 
 use crate::error::Ros2Error;
 use crate::keys::{NodeIdentity, attachment, gid, topic_key};
-use crate::outbox::{Outbox, Outgoing, Topic};
+use crate::messages::MessageType;
 use crate::parameters::Ros2Mode;
 
 /// How long a session that could not be opened is left alone.
 const RETRY: Duration = Duration::from_secs(1);
 
+/// A topic and what is published on it.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct Topic {
+    /// Its name, beginning with '/'.
+    pub(crate) name: String,
+    pub(crate) message: MessageType,
+}
+
 /// What the thread shares with the node.
 #[derive(Debug, Default)]
 pub(crate) struct Shared {
-    pub(crate) outbox: Outbox,
+    /// CDR bytes of the newest message of each topic.
+    pub(crate) outbox: Slots<Topic, Vec<u8>>,
     pub(crate) is_open: AtomicBool,
     pub(crate) sent: AtomicU64,
     pub(crate) failed: AtomicU64,
@@ -102,7 +112,7 @@ impl Sender {
         let _token = session.liveliness().declare_token(node.token()).wait()?;
         let mut publishers = BTreeMap::new();
         let mut warnings = Throttle::default();
-        while let Some(Outgoing { topic, payload }) = self.shared.outbox.take() {
+        while let Some((topic, payload)) = self.shared.outbox.take() {
             match send(session, &node, &mut publishers, &topic, payload) {
                 Ok(()) => self.shared.sent.fetch_add(1, Relaxed),
                 Err(error) => {

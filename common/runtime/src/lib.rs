@@ -20,6 +20,8 @@
 //! | [`background`] | threads for work that nobody waits for |
 //! | [`scheduling`] | the scheduling policy of a thread |
 //! | [`backoff`] | waits between attempts |
+//! | [`slots`] | messages that wait for a slow receiver: the newest of each kind |
+//! | [`lock`] | locks that survive a panic |
 //! | [`clock`] | CLOCK_MONOTONIC |
 //! | [`logs`] | structured logs, and warnings that are not repeated on every frame |
 
@@ -31,6 +33,7 @@ pub mod health;
 pub mod instance;
 pub mod kept;
 pub mod listening;
+pub mod lock;
 pub mod logs;
 pub mod memory;
 pub mod onlooker;
@@ -38,6 +41,7 @@ pub mod ports;
 pub mod resolved_file;
 pub mod saved_state;
 pub mod scheduling;
+pub mod slots;
 pub mod stage;
 pub mod whole_file;
 

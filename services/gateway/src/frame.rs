@@ -7,10 +7,10 @@ use flockeye_contract::wire::{
     TargetReport,
 };
 use flockeye_contract::{FrameStamp, MeasuredBy, Pose, Track, TrackState};
-use flockeye_convert::matrix6;
+use flockeye_convert::{matrix6, upper_triangle};
 use nalgebra::{Matrix3, Vector3};
 
-use crate::report::{Utc, upper_triangle};
+use crate::report::Utc;
 
 /// A frame in which nobody is seen is reported this often, nanoseconds.
 const NOBODY_NS: i64 = 1_000_000_000;
@@ -63,11 +63,13 @@ impl Gathering {
             self.stamp = *stamp;
             self.targets.clear();
         }
-        let reports =
-            tracks.iter().filter_map(|track| Some((track.target, target_report(track, stamp)?)));
-        let before = self.targets.clone();
-        self.targets.extend(reports);
-        let is_news = self.targets != before;
+        let mut is_news = false;
+        for track in tracks {
+            if let Some(report) = target_report(track, stamp) {
+                is_news |= self.targets.get(&track.target) != Some(&report);
+                self.targets.insert(track.target, report);
+            }
+        }
         let is_due = is_last && self.targets.is_empty() && now_ns - self.said_ns >= NOBODY_NS;
         if is_news || is_due {
             self.said_ns = now_ns;

@@ -8,9 +8,7 @@ use flockeye_contract::wire::Odometry;
 use flockeye_contract::{Track, TrackState};
 use flockeye_convert::{isometry, matrix6, xyzw};
 use flockeye_runtime::logs::Throttle;
-
-/// Deviations of an odometry that says none: metres, and radians.
-const UNKNOWN_DEVIATION: f64 = 1e3;
+use nalgebra::Matrix6;
 
 /// A line to the autopilot, and how often it refused something.
 #[derive(Debug)]
@@ -69,14 +67,11 @@ fn told_as_lost(state: u32) -> Option<bool> {
 
 fn to_wire(odometry: &OdometryAt) -> Odometry {
     let pose = &odometry.odom_from_base;
-    let deviation = |k: usize| match &odometry.covariance {
-        Some(covariance) => covariance[(k, k)].max(0.0).sqrt(),
-        None => UNKNOWN_DEVIATION,
-    };
+    let deviations = |covariance: &Matrix6<f64>| covariance.diagonal().map(|v| v.max(0.0).sqrt());
     Odometry {
         position: pose.translation.vector.into(),
         orientation: xyzw(&pose.rotation),
-        deviations: std::array::from_fn(deviation),
+        deviations: odometry.covariance.as_ref().map(|covariance| deviations(covariance).into()),
         linear_velocity: odometry.linear_velocity_m_s.into(),
         angular_velocity: odometry.angular_velocity_rad_s.into(),
     }

@@ -2,6 +2,7 @@
 
 use flockeye_contract::wire::{POSE_SCHEMA, PoseReport};
 use flockeye_contract::{FrameStamp, MeasuredBy, Track, TrackState};
+use flockeye_convert::upper_triangle;
 
 /// When a frame was exposed, in the world's time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -42,13 +43,6 @@ pub fn report(
         linear_velocity: track.linear_velocity,
         angular_velocity: track.angular_velocity,
     })
-}
-
-/// The upper triangle of a 6x6 row-major matrix, row by row.
-pub(crate) fn upper_triangle(matrix: &[f64; 36]) -> [f64; 21] {
-    let mut cells = (0..6).flat_map(|row| (row..6).map(move |column| matrix[6 * row + column]));
-    // 6 + 5 + 4 + 3 + 2 + 1 cells: the iterator has exactly as many as the array.
-    std::array::from_fn(|_| cells.next().unwrap_or(0.0))
 }
 
 #[cfg(test)]

@@ -2,7 +2,8 @@
 
 use flockeye_config::{Flow, Gateway};
 use flockeye_contract::{
-    FrameStamp, PeerHeader, Peers, Rotations, StageState, SwarmHeader, Swarms, Track, Tracks,
+    FrameStamp, PeerHeader, Peers, Rotations, StageState, SwarmHeader, Swarms, Track, TrackHeader,
+    Tracks,
 };
 use flockeye_network::{
     Listener, Network, NetworkError, NetworkParameters, ReportStream, Reporter, utc_from_monotonic,
@@ -29,8 +30,8 @@ const DETAIL_NS: i64 = 500_000_000;
 const LISTEN_NS: i64 = 10_000_000;
 /// How often the swarm's poses are published, nanoseconds.
 const SWARM_NS: i64 = 100_000_000;
-/// The swarm's poses take at most this share of the time.
-const SWARM_SHARE: i64 = 10;
+/// After the swarm's poses, at least so many times as long goes by without.
+const SWARM_PAUSE: i64 = 10;
 /// Reports that may wait for the next look.
 const WAITING_REPORTS: usize = 1_024;
 
@@ -101,27 +102,7 @@ impl Stage for GatewayStage {
         while let Some(message) = self.rotations.receive()? {
             self.swarm.turned(&message.header);
         }
-        while let Some(message) = self.tracks.receive()? {
-            let header = message.header;
-            let seen_ns = self.seen_ns(&header.stamp);
-            let mut newest = Vec::new();
-            for track in message.items() {
-                if self.newest.is_newest(track.target, &header.stamp) {
-                    newest.push(*track);
-                    self.swarm.sees(&header.stamp, seen_ns, track);
-                    if let Some(pilot) = &mut self.pilot {
-                        pilot.sees(seen_ns, track);
-                    }
-                    self.send(&header.stamp, track);
-                }
-            }
-            if let Some(ros) = &mut self.ros {
-                ros.sees(utc(seen_ns).stamp_ns, &newest);
-            }
-            if self.gathering.take(&header.stamp, message.items(), header.is_last != 0, now_ns) {
-                self.send_frame(&header.stamp);
-            }
-        }
+        self.take_tracks(now_ns)?;
         self.hear()?;
         if now_ns >= self.swarm_ns {
             self.publish_swarm(now_ns)?;
@@ -155,22 +136,35 @@ impl GatewayStage {
         }
     }
 
-    /// When a frame was exposed, on this machine's clock. In a lossless run the exposure has the recording's
-    /// clock: what counts is the publication.
-    fn seen_ns(&self, stamp: &FrameStamp) -> i64 {
-        match self.flow {
-            Flow::Latest => stamp.exposure_ns,
-            Flow::Lossless => stamp.published_ns,
+    /// Takes what fusion says, and tells everybody.
+    fn take_tracks(&mut self, now_ns: i64) -> anyhow::Result<()> {
+        while let Some(message) = self.tracks.receive()? {
+            let TrackHeader { stamp, is_last, .. } = message.header;
+            let exposure = Exposure::of(&stamp, self.flow);
+            let mut newest = message.items().to_vec();
+            newest.retain(|track| self.newest.is_newest(track.target, &stamp));
+            for track in &newest {
+                self.swarm.sees(&stamp, exposure.monotonic_ns, track);
+                if let Some(pilot) = &mut self.pilot {
+                    pilot.sees(exposure.monotonic_ns, track);
+                }
+                self.send(&stamp, &exposure, track);
+            }
+            if let Some(ros) = &mut self.ros {
+                ros.sees(exposure.utc.stamp_ns, &newest);
+            }
+            if self.gathering.take(&stamp, message.items(), is_last != 0, now_ns) {
+                self.send_frame(&exposure);
+            }
         }
+        Ok(())
     }
 
     /// Reports a track alone.
-    fn send(&mut self, stamp: &FrameStamp, track: &Track) {
-        let now_ns = clock::monotonic_ns();
-        let seen_ns = self.seen_ns(stamp);
-        let Some(report) =
-            report(&self.parameters.observer, stamp, track, utc(seen_ns), now_ns - seen_ns)
-        else {
+    fn send(&mut self, stamp: &FrameStamp, exposure: &Exposure, track: &Track) {
+        let latency_ns = clock::monotonic_ns() - exposure.monotonic_ns;
+        let observer = &self.parameters.observer;
+        let Some(report) = report(observer, stamp, track, exposure.utc, latency_ns) else {
             return;
         };
         let Some(link) = &self.link else {
@@ -180,26 +174,26 @@ impl GatewayStage {
         match link.reporter.report(&report) {
             Ok(()) => {
                 self.counters.add_published(1);
-                self.counters.add_latency_ns(now_ns - seen_ns);
+                self.counters.add_latency_ns(latency_ns);
             }
             Err(error) => self.fail(&error),
         }
     }
 
     /// Reports a frame as far as it is known.
-    fn send_frame(&mut self, stamp: &FrameStamp) {
+    fn send_frame(&mut self, exposure: &Exposure) {
         let Some(link) = &self.link else { return };
         let now_ns = clock::monotonic_ns();
-        let seen_ns = self.seen_ns(stamp);
+        let pilot = self.pilot.as_ref();
         let head = Head {
             observer: &self.parameters.observer,
-            utc: utc(seen_ns),
-            latency_ns: now_ns - seen_ns,
-            odometry: self.pilot.as_ref().and_then(|pilot| pilot.odometry(seen_ns)),
+            utc: exposure.utc,
+            latency_ns: now_ns - exposure.monotonic_ns,
+            odometry: pilot.and_then(|pilot| pilot.odometry(exposure.monotonic_ns)),
         };
-        let (utc_ns, _) = utc_from_monotonic(now_ns);
         let clocks = || {
-            let clocks = link.listener.snapshot().clocks(utc_ns.saturating_sub(now_ns));
+            let utc_less_monotonic_ns = exposure.utc.stamp_ns.saturating_sub(exposure.monotonic_ns);
+            let clocks = link.listener.snapshot().clocks(utc_less_monotonic_ns);
             clocks.into_iter().map(|(peer, clock)| (peer, clock.to_wire())).collect()
         };
         let report = self.gathering.report(head, now_ns, clocks);
@@ -232,7 +226,7 @@ impl GatewayStage {
             let header = PeerHeader {
                 arrived_ns: heard.arrived_monotonic_ns,
                 generation: self.generation,
-                is_signed: u32::from(heard.is_signed),
+                reserved: 0,
             };
             self.peers.send(header, &[self.swarm.peer_sighting(&report)])?;
         }
@@ -246,15 +240,27 @@ impl GatewayStage {
         let left_out = self.swarm.left_out().len() as u32;
         let header = SwarmHeader { at_ns: now_ns, sent_ns, generation: self.generation, left_out };
         self.swarms.send(header, &poses)?;
-        self.swarm_ns = now_ns + SWARM_NS.max(SWARM_SHARE * (sent_ns - now_ns));
+        self.swarm_ns = now_ns + SWARM_NS.max(SWARM_PAUSE * (sent_ns - now_ns));
         Ok(())
     }
 }
 
-/// An instant of this machine's CLOCK_MONOTONIC in UTC.
-fn utc(monotonic_ns: i64) -> Utc {
-    let (stamp_ns, is_synchronised) = utc_from_monotonic(monotonic_ns);
-    Utc { stamp_ns, is_synchronised }
+/// When a frame was exposed, on this machine's clocks.
+struct Exposure {
+    monotonic_ns: i64,
+    utc: Utc,
+}
+
+impl Exposure {
+    /// In a lossless run the exposure has the recording's clock: what counts is the publication.
+    fn of(stamp: &FrameStamp, flow: Flow) -> Self {
+        let monotonic_ns = match flow {
+            Flow::Latest => stamp.exposure_ns,
+            Flow::Lossless => stamp.published_ns,
+        };
+        let (stamp_ns, is_synchronised) = utc_from_monotonic(monotonic_ns);
+        Self { monotonic_ns, utc: Utc { stamp_ns, is_synchronised } }
+    }
 }
 
 fn open(parameters: &NetworkParameters) -> Result<Link, NetworkError> {

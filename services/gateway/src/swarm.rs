@@ -6,7 +6,7 @@ use flockeye_contract::{
 use flockeye_convert::camera_turn;
 use flockeye_convert::{isometry, matrix6, pose, row_major};
 use flockeye_peer::{PeerReport, Place, SwarmView, UncertainPose, Way};
-use nalgebra::{Matrix6, UnitQuaternion};
+use nalgebra::UnitQuaternion;
 
 /// What this drone knows of the swarm.
 #[derive(Debug)]
@@ -50,7 +50,6 @@ impl Swarm {
             degenerate: None,
             exposure_monotonic_ns,
             exposure_deviation_ns: 0,
-            is_signed: false,
         });
     }
 
@@ -79,7 +78,7 @@ impl Swarm {
             observer_from_target: pose(&seen.a_from_b),
             covariance: row_major(&seen.covariance),
             target_from_observer: pose(&inverse.a_from_b),
-            inverse_covariance: row_major(&symmetric(&inverse.covariance)),
+            inverse_covariance: row_major(&inverse.covariance),
             linear_velocity: report.velocity.into(),
             angular_velocity: report.rate.into(),
             exposure_ns: report.exposure_monotonic_ns,
@@ -97,10 +96,6 @@ impl Swarm {
 
 fn uncertain(pose: &Pose, covariance: &[f64; 36]) -> UncertainPose {
     UncertainPose { a_from_b: isometry(pose), covariance: matrix6(covariance) }
-}
-
-fn symmetric(matrix: &Matrix6<f64>) -> Matrix6<f64> {
-    (matrix + matrix.transpose()) / 2.0
 }
 
 fn swarm_pose(place: &Place) -> SwarmPose {
@@ -157,7 +152,6 @@ mod tests {
             arrived_monotonic_ns: NOW_NS,
             exposure_monotonic_ns: NOW_NS,
             exposure_deviation_ns: 100_000,
-            is_signed: false,
             report: report.into(),
         })
     }

@@ -6,23 +6,18 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::thread::{Builder, JoinHandle};
 use std::time::{Duration, Instant};
 
+use flockeye_autopilot::link::{self, LineReader, LineWriter};
+use flockeye_autopilot::messages::{Outgoing, ask_for, heartbeat};
 use flockeye_config::MavlinkAddress;
 use flockeye_runtime::clock;
-use mavlink::dialects::common::{
-    COMMAND_LONG_DATA, HEARTBEAT_DATA, MavAutopilot, MavCmd, MavMessage, MavModeFlag, MavState,
-    MavType,
-};
-use mavlink::error::MessageReadError;
-use mavlink::{
-    Connectable, Connection, MavConnection, MavHeader, MessageData, SerialConfig, UdpConfig,
-    UdpMode,
-};
+use mavlink::dialects::development::{ATTITUDE_QUATERNION_DATA, HIGHRES_IMU_DATA, MavMessage};
+use mavlink::{MavHeader, MessageData};
 
 use crate::core::{AUTOPILOT, Sender};
 use crate::message::{AutopilotSample, MessageKind, sample};
 
-/// The longest that a read blocks: so soon the thread sees that it shall stop.
-const READ_TIMEOUT: Duration = Duration::from_millis(100);
+/// So soon the thread sees that it shall stop while the line is not there.
+const LOOK: Duration = Duration::from_millis(100);
 
 /// Between two of our heartbeats, which routers want to hear before they send.
 const HEARTBEAT_PERIOD: Duration = Duration::from_secs(1);
@@ -33,8 +28,8 @@ const ASK_PERIOD: Duration = Duration::from_secs(2);
 /// Between two attempts to open a line that is not there.
 const REOPEN_PERIOD: Duration = Duration::from_secs(1);
 
-/// Samples are asked for so often, microseconds: 200 a second.
-const SAMPLE_INTERVAL_US: f32 = 5000.0;
+/// Samples are asked for so often.
+const SAMPLES_HZ: f64 = 200.0;
 
 /// Our component: that of an onboard computer.
 const ONBOARD_COMPUTER: u8 = 191;
@@ -120,19 +115,18 @@ struct Line {
 impl Line {
     fn run(&self) {
         while !self.is_stopping() {
-            match self.open() {
-                Ok(connection) => {
+            match link::open(&self.address) {
+                Ok((reader, writer)) => {
                     self.tell(News::Opened);
-                    let reason = self.listen(&connection);
-                    if let Some(reason) = reason {
-                        self.tell(News::Lost { reason });
+                    if let Err(error) = self.listen(reader, writer) {
+                        self.tell(News::Lost { reason: error.to_string() });
                     }
                 }
                 Err(error) => self.tell(News::Lost { reason: error.to_string() }),
             }
             let closed = Instant::now();
             while !self.is_stopping() && closed.elapsed() < REOPEN_PERIOD {
-                std::thread::sleep(READ_TIMEOUT);
+                std::thread::sleep(LOOK);
             }
         }
     }
@@ -146,65 +140,42 @@ impl Line {
         let _ = self.news.try_send(news);
     }
 
-    fn open(&self) -> std::io::Result<Connection<MavMessage>> {
-        match &self.address {
-            MavlinkAddress::Udp(address) => {
-                UdpConfig::new(address.clone(), UdpMode::Udpin).read_timeout(READ_TIMEOUT).connect()
-            }
-            MavlinkAddress::Serial { device, baud } => {
-                SerialConfig::new(device.clone(), *baud).timeout(READ_TIMEOUT).connect()
-            }
-        }
-    }
-
-    /// Reads until the line is lost, and says why; `None` where the thread shall stop.
-    fn listen(&self, connection: &Connection<MavMessage>) -> Option<String> {
+    /// Reads until the line is lost, or the thread shall stop.
+    fn listen(&self, mut reader: LineReader, mut writer: LineWriter) -> std::io::Result<()> {
         let mut dialogue = Dialogue::default();
         while !self.is_stopping() {
-            let read = match self.address {
-                MavlinkAddress::Udp(_) => connection.recv(),
-                // `recv` would try a line that is gone again and again, without end.
-                MavlinkAddress::Serial { .. } => connection.try_recv(),
-            };
-            match read {
-                Ok((header, message)) => {
-                    let arrived_ns = clock::monotonic_ns();
-                    let sender = (header.system_id, header.component_id);
-                    dialogue.hear(sender, &message);
-                    if let Some(sample) = sample(&message) {
-                        self.tell(News::Sample { sender, sample, arrived_ns });
-                    }
+            reader.read(&mut |header, message| {
+                let arrived_ns = clock::monotonic_ns();
+                let sender = (header.system_id, header.component_id);
+                dialogue.hear(sender, message);
+                if let Some(sample) = sample(message) {
+                    self.tell(News::Sample { sender, sample, arrived_ns });
                 }
-                // Noise on the line, and messages of dialects that are not ours.
-                Err(MessageReadError::Parse(_)) => {}
-                Err(MessageReadError::Io(error)) if is_timeout(&error) => {}
-                Err(MessageReadError::Io(error)) => return Some(error.to_string()),
-            }
-            dialogue.speak(connection);
+                header.component_id == AUTOPILOT
+            })?;
+            dialogue.speak(&mut writer);
         }
-        None
+        Ok(())
     }
-}
-
-fn is_timeout(error: &std::io::Error) -> bool {
-    use std::io::ErrorKind::{Interrupted, TimedOut, WouldBlock};
-    matches!(error.kind(), TimedOut | WouldBlock | Interrupted)
 }
 
 /// What is said to the autopilot, and when.
 #[derive(Debug, Default)]
 struct Dialogue {
     /// The autopilot's system.
-    system: Option<u32>,
+    system: Option<u8>,
     heartbeat: Option<Instant>,
     sampled: Option<Instant>,
     asked: Option<Instant>,
+    /// Of the next message.
+    sequence: u8,
 }
 
 impl Dialogue {
     fn hear(&mut self, (system, component): Sender, message: &MavMessage) {
         if component == AUTOPILOT && self.system.is_none() {
-            self.system = Some(system);
+            // Commands are addressed with eight bits.
+            self.system = u8::try_from(system).ok();
         }
         if sample(message).is_some_and(|sample| sample.kind == MessageKind::HighresImu) {
             self.sampled = Some(Instant::now());
@@ -213,48 +184,35 @@ impl Dialogue {
 
     /// Sends what is due. A line that cannot be written to can still be read, so nothing is made of errors:
     /// the autopilot may be set to send without being asked.
-    fn speak(&mut self, connection: &Connection<MavMessage>) {
+    fn speak(&mut self, writer: &mut LineWriter) {
         let is_due =
             |last: Option<Instant>, period| last.is_none_or(|last| last.elapsed() >= period);
         let Some(system_id) = self.system else { return };
-        let header = MavHeader { system_id, component_id: ONBOARD_COMPUTER, sequence: 0 };
         if is_due(self.heartbeat, HEARTBEAT_PERIOD) {
             self.heartbeat = Some(Instant::now());
-            let _ = connection.send(&header, &heartbeat());
+            self.send(writer, system_id, &Outgoing::Heartbeat(heartbeat()));
         }
         if is_due(self.sampled, ASK_PERIOD) && is_due(self.asked, ASK_PERIOD) {
             self.asked = Some(Instant::now());
-            // Commands are addressed with eight bits.
-            for request in u8::try_from(system_id).ok().into_iter().flat_map(requests) {
-                let _ = connection.send(&header, &request);
+            // Both are asked for: autopilots that do not have one answer so, and send the other.
+            for message in [HIGHRES_IMU_DATA::ID, ATTITUDE_QUATERNION_DATA::ID] {
+                self.send(
+                    writer,
+                    system_id,
+                    &Outgoing::Command(ask_for(system_id, message, SAMPLES_HZ)),
+                );
             }
         }
     }
-}
 
-fn heartbeat() -> MavMessage {
-    MavMessage::HEARTBEAT(HEARTBEAT_DATA {
-        custom_mode: 0,
-        mavtype: MavType::MAV_TYPE_ONBOARD_CONTROLLER,
-        autopilot: MavAutopilot::MAV_AUTOPILOT_INVALID,
-        base_mode: MavModeFlag::empty(),
-        system_status: MavState::MAV_STATE_ACTIVE,
-        mavlink_version: 3,
-    })
-}
-
-/// Asks for both messages: autopilots that do not have one answer so, and send the other.
-fn requests(system: u8) -> [MavMessage; 2] {
-    use mavlink::dialects::common::{ATTITUDE_QUATERNION_DATA, HIGHRES_IMU_DATA};
-    [HIGHRES_IMU_DATA::ID, ATTITUDE_QUATERNION_DATA::ID].map(|message| {
-        MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
-            target_system: system,
-            target_component: AUTOPILOT,
-            command: MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL,
-            confirmation: 0,
-            param1: message as f32,
-            param2: SAMPLE_INTERVAL_US,
-            ..COMMAND_LONG_DATA::DEFAULT
-        })
-    })
+    fn send(&mut self, writer: &mut LineWriter, system_id: u8, message: &Outgoing) {
+        let header = MavHeader {
+            system_id: system_id.into(),
+            component_id: ONBOARD_COMPUTER,
+            sequence: self.sequence,
+        };
+        if matches!(writer.write(message.frame(header).raw_bytes()), Ok(true)) {
+            self.sequence = self.sequence.wrapping_add(1);
+        }
+    }
 }

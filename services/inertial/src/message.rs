@@ -1,6 +1,6 @@
 //! Which MAVLink messages are samples of an inertial sensor.
 
-use mavlink::dialects::common::{HighresImuUpdatedFlags, MavMessage};
+use mavlink::dialects::development::{HighresImuUpdatedFlags, MavMessage};
 
 /// Which message a sample came in. The later in this list, the better.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -56,7 +56,9 @@ fn forward_left_up([forward, right, down]: [f32; 3]) -> [f64; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use mavlink::dialects::common::{ATTITUDE_QUATERNION_DATA, HEARTBEAT_DATA, HIGHRES_IMU_DATA};
+    use mavlink::dialects::development::{
+        ATTITUDE_QUATERNION_DATA, HEARTBEAT_DATA, HIGHRES_IMU_DATA,
+    };
 
     #[test]
     fn samples_are_turned_to_forward_left_up() {

@@ -52,7 +52,7 @@ fn assert_sample(news: &News, wanted_us: u64) {
 #[test]
 fn an_autopilot_over_udp_is_heard_and_asked_for_samples() {
     let port = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
-    let ours = Autopilot::listen(MavlinkAddress::Udp(port.to_string())).unwrap();
+    let ours = Autopilot::listen(MavlinkAddress::UdpIn(port)).unwrap();
     assert!(matches!(next(&ours), News::Opened));
     let theirs: Connection<MavMessage> = UdpConfig::new(port.to_string(), UdpMode::Udpout)
         .read_timeout(Duration::from_millis(100))
@@ -101,8 +101,8 @@ fn an_autopilot_over_udp_is_heard_and_asked_for_samples() {
 #[test]
 fn a_port_that_is_taken_is_said() {
     let taken = UdpSocket::bind("127.0.0.1:0").unwrap();
-    let address = taken.local_addr().unwrap().to_string();
-    let ours = Autopilot::listen(MavlinkAddress::Udp(address)).unwrap();
+    let address = taken.local_addr().unwrap();
+    let ours = Autopilot::listen(MavlinkAddress::UdpIn(address)).unwrap();
     let news = next(&ours);
     assert!(matches!(&news, News::Lost { reason } if reason.contains("in use")), "{news:?}");
     // It is opened once it is free.

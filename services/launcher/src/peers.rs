@@ -12,7 +12,7 @@ use flockeye_cli::{Configuration, Screen, duration, signals};
 use flockeye_network::{
     Heard, Listener, Network, NetworkParameters, Peers, ReportStream, monotonic_now_ns,
 };
-use flockeye_peer::{PeerReport, Place, SwarmView, Way};
+use flockeye_peer::{PeerReport, Place, SwarmView};
 use nalgebra::Vector3;
 use serde::Serialize;
 
@@ -132,7 +132,7 @@ impl PlaceLine {
         let pose = &place.own_from_drone;
         Self {
             name: place.name.clone(),
-            way: way_in_words(place.way),
+            way: place.way.name(),
             through: place.through.clone(),
             age_ms: age_ms(place, at_ns),
             position: pose.a_from_b.translation.vector.into(),
@@ -144,15 +144,6 @@ impl PlaceLine {
 
 fn age_ms(place: &Place, at_ns: i64) -> f64 {
     at_ns as f64 * 1e-6 - place.seen_s * 1e3
-}
-
-fn way_in_words(way: Way) -> &'static str {
-    match way {
-        Way::Direct => "direct",
-        Way::Mutual => "mutual",
-        Way::Reported => "reported",
-        Way::Chained => "chained",
-    }
 }
 
 /// Prints one JSON object per line: each report, and where all are. A closed pipe ends it.
@@ -227,7 +218,7 @@ fn swarm_table(places: &[Place], at_ns: i64) -> String {
         let through = place.through.as_ref().map(|drone| format!(" through {drone}"));
         table.row([
             place.name.clone(),
-            format!("{}{}", way_in_words(place.way), through.unwrap_or_default()),
+            format!("{}{}", place.way.name(), through.unwrap_or_default()),
             format!("{:.3} {:.3} {:.3}", position.x, position.y, position.z),
             format!("{:.2}", position.norm()),
             format!("{:.1}", deviation_m * 1e3),
@@ -271,8 +262,8 @@ fn table(peers: &Peers, now: Instant) -> String {
     for (observer, peer) in peers.observers.iter().filter(|(_, peer)| peer.refused.total() > 0) {
         let refused = &peer.refused;
         text += &format!(
-            "\n{observer}: refused {} malformed, {} stale, {} from the future, {} replayed, {} unsigned",
-            refused.malformed, refused.stale, refused.future, refused.replayed, refused.unsigned
+            "\n{observer}: refused {} malformed, {} stale, {} from the future, {} replayed",
+            refused.malformed, refused.stale, refused.future, refused.replayed
         );
     }
     if peers.observers.is_empty() {

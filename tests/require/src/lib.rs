@@ -1,10 +1,14 @@
-//! What tests need that not every machine has: the reference recordings, a Vulkan device.
+//! What tests share: what they need that not every machine has (the reference recordings, a Vulkan device), and
+//! sockets of the [`loopback`] interface.
 //!
-//! Such a test skips where that is absent, and says so. `FLOCKEYE_REQUIRE=recordings,vulkan` names
-//! what must be there (others are `namespaces`: mounts of our own, `python` and `c`: what stages in them need,
-//! and `fault-points`: a launcher that was built with them): then the test fails instead, so that a run that skipped cannot pass for one that tested.
+//! A test skips where such a thing is absent, and says so. `FLOCKEYE_REQUIRE=recordings,vulkan` names what must
+//! be there. Then the test fails instead, so that a run that skipped cannot pass for one that tested. Others are
+//! `namespaces` (mounts of our own), `python` and `c` (what stages in them need), and `fault-points` (a launcher
+//! that was built with them).
 
 use std::path::{Path, PathBuf};
+
+pub mod loopback;
 
 /// The environment variable that names what must be there, separated by commas.
 pub const REQUIRE: &str = "FLOCKEYE_REQUIRE";

@@ -484,12 +484,12 @@ static_assert(offsetof(flockeye_track, reserved) == 1196, "Track.reserved");
 typedef struct {
     int64_t arrived_ns;
     uint32_t generation;
-    uint32_t is_signed;
+    uint32_t reserved;
 } flockeye_peer_header;
 static_assert(sizeof(flockeye_peer_header) == 16, "PeerHeader");
 static_assert(offsetof(flockeye_peer_header, arrived_ns) == 0, "PeerHeader.arrived_ns");
 static_assert(offsetof(flockeye_peer_header, generation) == 8, "PeerHeader.generation");
-static_assert(offsetof(flockeye_peer_header, is_signed) == 12, "PeerHeader.is_signed");
+static_assert(offsetof(flockeye_peer_header, reserved) == 12, "PeerHeader.reserved");
 
 /* In iceoryx2: flockeye/PeerSighting. */
 typedef struct {

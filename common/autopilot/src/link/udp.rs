@@ -10,7 +10,7 @@ use mavlink::dialects::development::MavMessage;
 
 use super::decoder::decode;
 use super::{SILENT, TIMEOUT, is_timeout};
-use crate::lock::lock;
+use flockeye_runtime::lock::lock;
 
 /// Longer datagrams are cut: nobody sends longer ones over a network whose packets have 1,500 bytes.
 const MAX_DATAGRAM: usize = 2048;

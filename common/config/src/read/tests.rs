@@ -36,6 +36,13 @@ fn the_shipped_file_names_every_key() {
 /// Every malformed or senseless file, and what the message has to say.
 const WRONG: &[(&str, &[&str])] = &[
     ("camera: [1, 2", &["not YAML"]),
+    (
+        "gateway: {ros2: {connect: [tcp/127.0.0.1:7447]}}",
+        &["gateway.ros2.connect", "in gateway.listen too", "another port"],
+    ),
+    ("gateway: {ros2: {connect: ['7447']}}", &["gateway.ros2.connect", "tcp/ADDRESS:PORT"]),
+    ("gateway: {autopilot: {link: /dev/ttyACM0}}", &["gateway.autopilot.link", "serial:DEVICE"]),
+    ("gateway: {autopilot: {target: a b}}", &["gateway.autopilot.target", "cannot be a name"]),
     ("camera:\n\twidth: 1", &["not YAML"]),
     ("camera: {width: 1}\ncamera: {width: 2}", &["line 2", "duplicated key"]),
     ("- camera", &["must be a section", "not a list"]),

@@ -5,12 +5,14 @@ use std::path::PathBuf;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::MavlinkAddress;
+
 /// This drone's inertial sensor. Nothing needs one.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Inertial {
     /// `none`, `sim` (that of the simulated world), `mavlink:udp:ADDRESS:PORT` to listen on,
-    /// `mavlink:serial:DEVICE:BAUD`, or a CSV file beside a recording (columns t_s, gx, gy, gz, ax, ay, az).
+    /// `mavlink:udpout:HOST:PORT` to speak to, `mavlink:serial:DEVICE:BAUD`, or a CSV file beside a recording (columns t_s, gx, gy, gz, ax, ay, az).
     pub source: String,
     /// false: its samples are recorded and not used.
     pub used: bool,
@@ -47,20 +49,6 @@ pub enum InertialSource {
     Mavlink(MavlinkAddress),
 }
 
-/// Where an autopilot is heard.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum MavlinkAddress {
-    /// On this machine's address and port (`0.0.0.0:14550`); answers go to whoever sends.
-    Udp(String),
-    /// On a serial line.
-    Serial {
-        /// The device.
-        device: String,
-        /// Bits a second.
-        baud: u32,
-    },
-}
-
 impl Inertial {
     /// What [`Self::source`] names.
     ///
@@ -73,27 +61,16 @@ impl Inertial {
             "sim" => return Ok(InertialSource::Simulated),
             _ => {}
         }
-        let Some(address) = self.source.strip_prefix("mavlink:") else {
+        const BEFORE: &str = "mavlink:";
+        let Some(address) = self.source.strip_prefix(BEFORE) else {
             return match self.source.ends_with(".csv") {
                 true => Ok(InertialSource::Recorded(self.source.clone().into())),
                 false => wrong("is no inertial sensor: use none, sim, mavlink:.., or FILE.csv"),
             };
         };
-        match address.split_once(':') {
-            Some(("udp", address)) if address.parse::<std::net::SocketAddr>().is_ok() => {
-                Ok(InertialSource::Mavlink(MavlinkAddress::Udp(address.to_owned())))
-            }
-            Some(("udp", _)) => wrong("has no address to listen on: mavlink:udp:0.0.0.0:14550"),
-            Some(("serial", line)) => {
-                match line.rsplit_once(':').map(|(d, baud)| (d, baud.parse())) {
-                    Some((device, Ok(baud))) if !device.is_empty() => {
-                        let device = device.to_owned();
-                        Ok(InertialSource::Mavlink(MavlinkAddress::Serial { device, baud }))
-                    }
-                    _ => wrong("has no device and rate: mavlink:serial:/dev/ttyACM0:921600"),
-                }
-            }
-            _ => wrong("is no way to an autopilot: mavlink:udp:.. or mavlink:serial:.."),
+        match MavlinkAddress::parse_after(BEFORE, address) {
+            Ok(address) => Ok(InertialSource::Mavlink(address)),
+            Err(reason) => wrong(&reason),
         }
     }
 }
@@ -111,7 +88,7 @@ mod tests {
         assert_eq!(parsed("none"), Ok(InertialSource::None));
         assert_eq!(parsed("sim"), Ok(InertialSource::Simulated));
         assert_eq!(parsed("a/imu.csv"), Ok(InertialSource::Recorded("a/imu.csv".into())));
-        let udp = MavlinkAddress::Udp("0.0.0.0:14550".into());
+        let udp = MavlinkAddress::UdpIn(([0, 0, 0, 0], 14550).into());
         assert_eq!(parsed("mavlink:udp:0.0.0.0:14550"), Ok(InertialSource::Mavlink(udp)));
         let serial = MavlinkAddress::Serial { device: "/dev/ttyACM0".into(), baud: 921_600 };
         assert_eq!(

@@ -55,8 +55,9 @@ pub struct Odometry {
     pub position: [f64; 3],
     /// Orientation, that frame from observer, quaternion x y z w.
     pub orientation: [f64; 4],
-    /// Deviations of position along the frame's axes (m) and of the rotation vector (rad).
-    pub deviations: [f64; 6],
+    /// Deviations of position along the frame's axes (m) and of the rotation vector (rad), where they are known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub deviations: Option<[f64; 6]>,
     /// Velocity along the observer's axes, m/s.
     pub linear_velocity: [f64; 3],
     /// Angular velocity along the observer's axes, rad/s.
@@ -180,7 +181,7 @@ pub struct Sighting {
 impl Sighting {
     /// When the report was handed to the network, by the observer's clock, nanoseconds since 1970.
     pub fn sent_utc_ns(&self) -> i64 {
-        self.stamp_utc_ns.saturating_add((self.latency_ms * 1e6) as i64)
+        sent_utc_ns(self.stamp_utc_ns, self.latency_ms)
     }
 }
 
@@ -217,7 +218,7 @@ impl From<PoseReport> for Sighting {
 impl FrameReport {
     /// When the report was handed to the network, by the observer's clock, nanoseconds since 1970.
     pub fn sent_utc_ns(&self) -> i64 {
-        self.stamp_utc_ns.saturating_add((self.latency_ms * 1e6) as i64)
+        sent_utc_ns(self.stamp_utc_ns, self.latency_ms)
     }
 
     /// What it says of each target.
@@ -312,13 +313,16 @@ impl Odometry {
             .chain(&mut self.linear_velocity)
             .chain(&mut self.angular_velocity)
             .for_each(millionths);
-        self.deviations.iter_mut().for_each(three_digits);
+        self.deviations.iter_mut().flatten().for_each(three_digits);
     }
 
     fn check(&self) -> Result<(), WireError> {
         check_finite("odometry", &self.position)?;
         check_rotation("odometry", &self.orientation)?;
-        check_finite("odometry", &self.deviations)?;
+        check_finite(
+            "odometry",
+            self.deviations.as_ref().map_or(&[], |deviations| &deviations[..]),
+        )?;
         check_finite("odometry", &self.linear_velocity)?;
         check_finite("odometry", &self.angular_velocity)
     }
@@ -369,6 +373,10 @@ impl TargetReport {
         }
         Ok(())
     }
+}
+
+fn sent_utc_ns(stamp_utc_ns: i64, latency_ms: f64) -> i64 {
+    stamp_utc_ns.saturating_add((latency_ms * 1e6) as i64)
 }
 
 fn check_name(name: &str) -> Result<(), WireError> {

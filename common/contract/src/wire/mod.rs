@@ -85,7 +85,7 @@ pub fn json_schemas() -> [(&'static str, schemars::Schema); 2] {
     ]
 }
 
-/// Text from the network, shortened and escaped for a log line.
-fn shortened(text: &str) -> String {
+/// Text from outside, shortened and escaped for a log line.
+pub fn shortened(text: &str) -> String {
     text.chars().take(40).flat_map(char::escape_debug).collect()
 }

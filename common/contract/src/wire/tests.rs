@@ -96,7 +96,7 @@ fn the_longest_target_fits_a_packet_and_the_most_targets_a_report() {
     report.odometry = Some(Odometry {
         position: [-1_234.567_891; 3],
         orientation: [-0.500_000_1; 4],
-        deviations: [1.234e-10; 6],
+        deviations: Some([1.234e-10; 6]),
         linear_velocity: [-12.345_678; 3],
         angular_velocity: [-12.345_678; 3],
     });

@@ -4,26 +4,22 @@ use flockeye_contract::wire::{ClockOffset, MAX_REPORT_BYTES, frame_key, pose_key
 use super::*;
 use crate::outbox::tests::{frame_report, report};
 
-fn at(at: Instant, since: Duration, way: Way) -> Arrival {
+fn at(at: Instant, since: Duration, delivery: Delivery) -> Arrival {
     let monotonic_ns = since.as_nanos() as i64;
     let utc_ns = monotonic_ns + 1_700_000_000_000_000_000;
     Arrival {
         at: at + since,
         time: ArrivalTime { monotonic_ns, utc_ns, is_synchronised: false },
-        way,
+        delivery,
     }
 }
 
-fn arrival(now: Instant, way: Way) -> Arrival {
-    at(now, Duration::ZERO, way)
-}
-
-fn message<'m>(key: &'m str, payload: &'m [u8]) -> Message<'m> {
-    Message { key, payload, seal: Ok(()) }
+fn arrival(now: Instant, delivery: Delivery) -> Arrival {
+    at(now, Duration::ZERO, delivery)
 }
 
 fn take(peers: &mut Peers, key: &str, payload: &[u8], now: Instant) -> Result<(), Refusal> {
-    peers.take(message(key, payload), arrival(now, Way::Published)).map(drop)
+    peers.take(key, payload, arrival(now, Delivery::Published)).map(drop)
 }
 
 #[test]
@@ -45,7 +41,7 @@ fn the_latest_report_of_each_target_is_kept_with_its_rate() {
         let stamp_utc_ns = since.as_nanos() as i64;
         let json = PoseReport { frame, stamp_utc_ns, ..report("kite") }.to_json().unwrap();
         let key = pose_key("s", "wren", "kite");
-        peers.take(message(&key, &json), at(start, since, Way::Published)).unwrap();
+        peers.take(&key, &json, at(start, since, Delivery::Published)).unwrap();
     }
     let kite = &peers.observers["wren"].targets["kite"];
     assert_eq!((kite.report.frame, kite.count, kite.arrived_monotonic_ns), (49, 50, 1_960_000_000));
@@ -58,15 +54,15 @@ fn the_latest_report_of_each_target_is_kept_with_its_rate() {
 fn an_answer_never_replaces_what_was_published_after_it() {
     let mut peers = Peers::default();
     let (key, now) = (pose_key("s", "wren", "kite"), Instant::now());
-    let mut send = |stamp_utc_ns, way| {
+    let mut send = |stamp_utc_ns, delivery| {
         let frame = stamp_utc_ns as u64;
         let json = PoseReport { stamp_utc_ns, frame, ..report("kite") }.to_json().unwrap();
-        !peers.take(message(&key, &json), arrival(now, way)).unwrap().is_empty()
+        !peers.take(&key, &json, arrival(now, delivery)).unwrap().is_empty()
     };
-    assert!(send(5, Way::LastValue));
-    assert!(send(9, Way::Published));
-    assert!(!send(8, Way::LastValue));
-    assert!(send(11, Way::LastValue));
+    assert!(send(5, Delivery::LastValue));
+    assert!(send(9, Delivery::Published));
+    assert!(!send(8, Delivery::LastValue));
+    assert!(send(11, Delivery::LastValue));
 }
 
 #[test]
@@ -91,7 +87,7 @@ fn a_frame_brings_all_its_targets_and_what_it_repeats_is_no_news() {
     let mut frame = frame_report("wren", &["kite"]);
     let mut send = |frame: &FrameReport| {
         let json = frame.to_json().unwrap();
-        let taken = peers.take(message(&key, &json), arrival(now, Way::Published)).unwrap();
+        let taken = peers.take(&key, &json, arrival(now, Delivery::Published)).unwrap();
         taken.into_iter().map(|sighting| sighting.target.name).collect::<Vec<_>>()
     };
     assert_eq!(send(&frame), ["kite"]);
@@ -106,20 +102,6 @@ fn a_frame_brings_all_its_targets_and_what_it_repeats_is_no_news() {
     let wren = &peers.observers["wren"];
     assert_eq!((wren.targets["kite"].count, wren.targets.len()), (1, 2));
     assert!(wren.clock(0).is_some());
-}
-
-#[test]
-fn without_a_valid_seal_nothing_is_taken() {
-    let mut peers = Peers::default();
-    let (key, now) = (pose_key("s", "wren", "kite"), Instant::now());
-    let json = report("kite").to_json().unwrap();
-    let forged = Message { seal: Err("signed by crow"), ..message(&key, &json) };
-    for way in [Way::Published, Way::LastValue] {
-        let refused = peers.take(forged, arrival(now, way)).expect_err("refused");
-        assert_eq!(refused.to_string(), "signed by crow");
-    }
-    assert_eq!(peers.observers["wren"].refused.unsigned, 2);
-    assert!(peers.observers["wren"].targets.is_empty());
 }
 
 #[test]
@@ -208,14 +190,14 @@ fn a_million_hostile_payloads_do_no_harm() {
             }
         }
         let since = Duration::from_micros(round);
-        let _ = peers.take(message(key, &bytes), at(now, since, Way::Published));
+        let _ = peers.take(key, &bytes, at(now, since, Delivery::Published));
         if round % 1_000 == 999 {
             valid += 1;
             let stamp_utc_ns = 1_700_000_000_000_000_000 + 1_000 * round as i64;
             let good =
                 PoseReport { frame: round, stamp_utc_ns, ..report("robin") }.to_json().unwrap();
             let key = pose_key("s", "finch", "robin");
-            let taken = peers.take(message(&key, &good), at(now, since, Way::Published));
+            let taken = peers.take(&key, &good, at(now, since, Delivery::Published));
             arrived += taken.map_or(0, |taken| taken.len());
         }
     }

@@ -1,11 +1,11 @@
-//! Where the autopilot is, as text.
+//! Where an autopilot is, as text.
 
 use std::fmt;
 use std::net::SocketAddr;
 
-/// Where the autopilot is.
+/// Where an autopilot is.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum LinkAddress {
+pub enum MavlinkAddress {
     /// It is listened for on this machine's address and port; answers go to whoever speaks for the autopilot.
     UdpIn(SocketAddr),
     /// It, or its router, listens there: host and port.
@@ -19,17 +19,24 @@ pub enum LinkAddress {
     },
 }
 
-impl LinkAddress {
-    /// Reads `udpin:ADDRESS:PORT`, `udpout:HOST:PORT` or `serial:DEVICE:BAUD`. The notation of
-    /// `inertial.source` is understood too: `mavlink:` may stand before it, and `udp:` is `udpin:`.
+impl MavlinkAddress {
+    /// Reads `udpin:ADDRESS:PORT` (or `udp:`, which is the same), `udpout:HOST:PORT` or `serial:DEVICE:BAUD`.
     ///
     /// # Errors
     /// What is wrong with the text, and what would be right.
     pub fn parse(text: &str) -> Result<Self, String> {
-        match text.strip_prefix("mavlink:").unwrap_or(text).split_once(':') {
-            Some(("udpin" | "udp", address)) => match address.parse::<SocketAddr>() {
+        Self::parse_after("", text)
+    }
+
+    /// The same where `before` stands before the text, as in `mavlink:serial:DEVICE:BAUD`.
+    ///
+    /// # Errors
+    /// As [`parse`](Self::parse).
+    pub fn parse_after(before: &str, text: &str) -> Result<Self, String> {
+        match text.split_once(':') {
+            Some((way @ ("udpin" | "udp"), address)) => match address.parse::<SocketAddr>() {
                 Ok(address) => Ok(Self::UdpIn(address)),
-                Err(_) => Err("has no address to listen on: udpin:127.0.0.1:14540".into()),
+                Err(_) => Err(format!("has no address to listen on: {before}{way}:0.0.0.0:14550")),
             },
             Some(("udpout", address)) => match address.rsplit_once(':') {
                 Some((host, port))
@@ -37,22 +44,25 @@ impl LinkAddress {
                 {
                     Ok(Self::UdpOut(address.to_owned()))
                 }
-                _ => Err("has no host and port to send to: udpout:127.0.0.1:14550".into()),
+                _ => {
+                    Err(format!("has no host and port to send to: {before}udpout:127.0.0.1:14550"))
+                }
             },
             Some(("serial", line)) => match line.rsplit_once(':').map(|(d, b)| (d, b.parse())) {
                 Some((device, Ok(baud))) if !device.is_empty() && baud > 0 => {
                     Ok(Self::Serial { device: device.to_owned(), baud })
                 }
-                _ => Err("has no device and rate: serial:/dev/ttyACM0:921600".into()),
+                _ => Err(format!("has no device and rate: {before}serial:/dev/ttyACM0:921600")),
             },
-            _ => Err("is no way to an autopilot: udpin:ADDRESS:PORT, udpout:HOST:PORT or \
-                      serial:DEVICE:BAUD"
-                .into()),
+            _ => Err(format!(
+                "is no way to an autopilot: {before}udpin:ADDRESS:PORT, {before}udpout:HOST:PORT or \
+                 {before}serial:DEVICE:BAUD"
+            )),
         }
     }
 
-    /// What to do where the link cannot be opened or is lost.
-    pub(crate) fn cure(&self) -> &'static str {
+    /// What to do where the line cannot be opened or is lost.
+    pub fn cure(&self) -> &'static str {
         match self {
             Self::UdpIn(_) => {
                 "check that the address is this machine's and no other program has it (ss -lnup)"
@@ -66,7 +76,7 @@ impl LinkAddress {
     }
 }
 
-impl fmt::Display for LinkAddress {
+impl fmt::Display for MavlinkAddress {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::UdpIn(address) => write!(formatter, "udpin:{address}"),
@@ -82,21 +92,20 @@ mod tests {
 
     #[test]
     fn addresses_are_told_apart_and_written_back() {
-        let serial = LinkAddress::Serial { device: "/dev/ttyACM0".into(), baud: 921_600 };
-        assert_eq!(LinkAddress::parse("serial:/dev/ttyACM0:921600"), Ok(serial.clone()));
-        assert_eq!(LinkAddress::parse("mavlink:serial:/dev/ttyACM0:921600"), Ok(serial));
-        let listening = LinkAddress::parse("udp:0.0.0.0:14550");
-        assert_eq!(listening, Ok(LinkAddress::UdpIn(([0, 0, 0, 0], 14550).into())));
+        let serial = MavlinkAddress::Serial { device: "/dev/ttyACM0".into(), baud: 921_600 };
+        assert_eq!(MavlinkAddress::parse("serial:/dev/ttyACM0:921600"), Ok(serial));
+        let listening = MavlinkAddress::parse("udp:0.0.0.0:14550");
+        assert_eq!(listening, Ok(MavlinkAddress::UdpIn(([0, 0, 0, 0], 14550).into())));
         for text in ["udpin:127.0.0.1:14540", "udpout:fc.local:14550", "serial:/dev/ttyS1:57600"] {
-            assert_eq!(LinkAddress::parse(text).map(|link| link.to_string()), Ok(text.into()));
+            assert_eq!(MavlinkAddress::parse(text).map(|link| link.to_string()), Ok(text.into()));
         }
     }
 
     #[test]
     fn wrong_addresses_say_what_is_right() {
         for (text, cure) in [
-            ("udpin:14540", "udpin:127.0.0.1:14540"),
-            ("udpin:localhost:14540", "udpin:127.0.0.1:14540"),
+            ("udpin:14540", "udpin:0.0.0.0:14550"),
+            ("udpin:localhost:14540", "udpin:0.0.0.0:14550"),
             ("udpout:10.0.0.1", "udpout:127.0.0.1:14550"),
             ("udpout:10.0.0.1:0", "udpout:127.0.0.1:14550"),
             ("serial:/dev/ttyACM0", "921600"),
@@ -104,7 +113,7 @@ mod tests {
             ("tcp:1.2.3.4:5760", "udpout:HOST:PORT"),
             ("", "serial:DEVICE:BAUD"),
         ] {
-            let found = LinkAddress::parse(text);
+            let found = MavlinkAddress::parse(text);
             assert!(found.as_ref().is_err_and(|error| error.contains(cure)), "{text}: {found:?}");
         }
     }

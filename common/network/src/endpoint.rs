@@ -1,0 +1,67 @@
+//! Zenoh endpoints as a user writes them: `tcp/ADDRESS:PORT` or `udp/ADDRESS:PORT`.
+
+use std::net::SocketAddr;
+
+use zenoh::config::EndPoint;
+
+/// Parses what every endpoint must be.
+fn parse(endpoint: &str) -> Result<EndPoint, String> {
+    let form = "is no endpoint. Write it tcp/ADDRESS:PORT or udp/ADDRESS:PORT";
+    let parsed: EndPoint = endpoint.parse().map_err(|_| form.to_owned())?;
+    if !["tcp", "udp"].contains(&parsed.protocol().as_str()) {
+        return Err(form.into());
+    }
+    Ok(parsed)
+}
+
+/// Refuses what cannot be listened on: one address of this machine, or one interface.
+///
+/// # Errors
+/// What is wrong with it, and what would be right.
+pub fn check_listen(endpoint: &str) -> Result<(), String> {
+    let address = listen_address(endpoint)?;
+    let on_one_interface =
+        !address.ip().is_unspecified() || parse(endpoint)?.config().get("iface").is_some();
+    if !on_one_interface {
+        let port = address.port();
+        return Err(format!(
+            "would listen on every interface. Cure: the address of one, or #iface=NAME \
+             (tcp/0.0.0.0:{port}#iface=wlan0)"
+        ));
+    }
+    Ok(())
+}
+
+/// Address and port of an endpoint to listen on.
+pub(crate) fn listen_address(endpoint: &str) -> Result<SocketAddr, String> {
+    let parsed = parse(endpoint)?;
+    let address = parsed.address();
+    address.as_str().parse().map_err(|_| {
+        format!("needs an IP address and a port (not '{}'), 0 for any port", address.as_str())
+    })
+}
+
+/// Refuses what cannot be connected to.
+///
+/// # Errors
+/// What is wrong with it, and what would be right.
+pub fn check_connect(endpoint: &str) -> Result<(), String> {
+    let parsed = parse(endpoint)?;
+    let address = parsed.address();
+    let address = address.as_str();
+    match address.parse::<SocketAddr>() {
+        Ok(parsed) if parsed.port() == 0 => return Err("needs a port other than 0".into()),
+        Ok(_) => return Ok(()),
+        // Zenoh resolves names of UDP endpoints while it opens, and fails if it cannot.
+        Err(_) if parsed.protocol().as_str() == "udp" => {
+            return Err("needs an IP address and a port (names work with tcp only)".into());
+        }
+        Err(_) => {}
+    }
+    match address.rsplit_once(':') {
+        Some((host, port)) if !host.is_empty() && port.parse::<u16>().is_ok_and(|p| p != 0) => {
+            Ok(())
+        }
+        _ => Err("needs a host and a port".into()),
+    }
+}
