@@ -53,11 +53,11 @@ impl SavedStates {
         &self.folder
     }
 
-    /// The newest state of the worker's other processes that is not older than `longest` at `now_ns`.
+    /// The newest state of the worker's other processes, and how old it is at `now_ns`.
     ///
     /// # Errors
     /// The folder or a file in it cannot be read.
-    pub fn newest(&self, now_ns: i64, longest: Duration) -> io::Result<Option<SavedState>> {
+    pub fn newest(&self, now_ns: i64) -> io::Result<Option<SavedState>> {
         let mut newest: Option<SavedState> = None;
         for (generation, path) in self.files()? {
             if generation == self.identity.generation {
@@ -66,7 +66,7 @@ impl SavedStates {
             let Some((saved_ns, state)) = saved_in(&path)? else { continue };
             let Ok(age_ns) = u64::try_from(now_ns - saved_ns) else { continue };
             let saved = SavedState { state, age: Duration::from_nanos(age_ns), generation };
-            if saved.age <= longest && newest.as_ref().is_none_or(|newest| saved.age < newest.age) {
+            if newest.as_ref().is_none_or(|newest| saved.age < newest.age) {
                 newest = Some(saved);
             }
         }
@@ -179,9 +179,6 @@ mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
 
-    const SECOND: Duration = Duration::from_secs(1);
-    const SECOND_NS: i64 = 1_000_000_000;
-
     fn states(folder: &Path, replica: u32, generation: u32) -> SavedStates {
         let identity = Identity { stage: "fusion".to_owned(), replica, generation };
         SavedStates { folder: folder.join("state"), identity }
@@ -191,30 +188,30 @@ mod tests {
     fn a_successor_gets_the_newest_state_of_its_own_worker() {
         let folder = tempfile::tempdir().unwrap();
         let of = |replica, generation| states(folder.path(), replica, generation);
-        assert_eq!(of(0, 0).newest(0, SECOND).unwrap(), None, "nobody has saved anything");
+        assert_eq!(of(0, 0).newest(0).unwrap(), None, "nobody has saved anything");
         let mut keepers = [of(0, 0), of(0, 1), of(1, 0)].map(|states| states.keeper().unwrap());
-        assert_eq!(of(0, 2).newest(0, SECOND).unwrap(), None, "nor has anybody now");
+        assert_eq!(of(0, 2).newest(0).unwrap(), None, "nor has anybody now");
         for (k, keeper) in keepers.iter_mut().enumerate() {
             for now_ns in 1..=5 {
                 keeper.save(10 * now_ns - k as i64, format!("{k} {now_ns}").as_bytes()).unwrap();
             }
         }
-        let newest = of(0, 2).newest(60, SECOND).unwrap().unwrap();
+        let newest = of(0, 2).newest(60).unwrap().unwrap();
         assert_eq!((newest.state.as_slice(), newest.generation), (b"0 5".as_slice(), 0));
         assert_eq!(newest.age, Duration::from_nanos(10));
-        assert_eq!(of(0, 0).newest(60, SECOND).unwrap().unwrap().state, b"1 5", "not its own");
-        assert_eq!(of(1, 7).newest(60, SECOND).unwrap().unwrap().state, b"2 5");
+        assert_eq!(of(0, 0).newest(60).unwrap().unwrap().state, b"1 5", "not its own");
+        assert_eq!(of(1, 7).newest(60).unwrap().unwrap().state, b"2 5");
     }
 
     #[test]
-    fn old_states_do_not_count_and_few_are_kept() {
+    fn the_newest_counts_and_few_are_kept() {
         let folder = tempfile::tempdir().unwrap();
         let of = |generation| states(folder.path(), 0, generation);
         for generation in 0..100 {
             of(generation).keeper().unwrap().save(i64::from(generation), b"state").unwrap();
         }
-        assert_eq!(of(100).newest(SECOND_NS + 100, SECOND).unwrap(), None);
-        assert_eq!(of(100).newest(SECOND_NS, SECOND).unwrap().unwrap().generation, 99);
+        let newest = of(100).newest(1_000_000).unwrap().unwrap();
+        assert_eq!((newest.generation, newest.age), (99, Duration::from_nanos(999_901)));
         assert_eq!(
             of(100).files().unwrap().into_keys().collect::<Vec<_>>(),
             (92..100).collect::<Vec<_>>()
@@ -231,7 +228,7 @@ mod tests {
             of(generation).keeper().unwrap().save(now_ns, b"refused").unwrap();
             old.save(now_ns + 1, b"old").unwrap();
         }
-        let newest = of(30).newest(30_000, SECOND).unwrap().unwrap();
+        let newest = of(30).newest(30_000).unwrap().unwrap();
         assert_eq!((newest.state.as_slice(), newest.generation), (b"old".as_slice(), 0));
     }
 
@@ -245,10 +242,10 @@ mod tests {
         let path = folder.path().join("state/fusion.0.0");
         let file = File::options().write(true).open(&path).unwrap();
         file.set_len(PLACE_BYTES + 4096).unwrap();
-        assert_eq!(of(1).newest(3, SECOND).unwrap().unwrap().state, b"whole");
+        assert_eq!(of(1).newest(3).unwrap().unwrap().state, b"whole");
         // As if the process had been killed while it wrote over an older state of the same length.
         file.write_all_at(&9_i64.to_le_bytes(), 0).unwrap();
-        assert_eq!(of(1).newest(10, SECOND).unwrap(), None);
+        assert_eq!(of(1).newest(10).unwrap(), None);
         let too_long = keeper.save(3, &vec![0; PLACE_BYTES as usize]).unwrap_err();
         assert_eq!(too_long.kind(), io::ErrorKind::FileTooLarge);
     }

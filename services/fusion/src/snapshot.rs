@@ -53,7 +53,7 @@ pub struct SavedTarget {
     pub body: String,
     /// The number of its newest track.
     pub track_id: u32,
-    /// The newest frame that is open and in which its pose has left.
+    /// The newest frame in which its pose has left, as far as such frames may still be open.
     pub published: Option<FrameOrder>,
     /// The track, if it is tracked.
     pub life: Option<SavedLife>,
@@ -73,6 +73,12 @@ pub struct SavedPlanning {
 }
 
 impl Snapshot {
+    /// What holds of it however old it is: what was told, and how many tracks there were.
+    pub fn without_tracks(mut self) -> Self {
+        self.targets.iter_mut().for_each(|target| target.life = None);
+        self
+    }
+
     /// Its bytes: the version, then the fields in their order, as postcard writes them.
     ///
     /// # Errors

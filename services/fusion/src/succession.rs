@@ -19,10 +19,11 @@ pub struct Succession {
 }
 
 impl Succession {
-    /// Lets `core` go on where the worker's last process was, if that is not longer ago than `longest`.
-    /// Without a state it starts with nothing, as at the pipeline's start.
+    /// Lets `core` go on where the worker's last process was. Tracks that are older than `longest` are over; of
+    /// frames that were told nothing is told again. Without a state it starts with nothing, as at the
+    /// pipeline's start.
     pub fn begin<P: Pixels>(core: &mut Core<P>, states: &SavedStates, longest: Duration) -> Self {
-        match states.newest(clock::monotonic_ns(), longest) {
+        match states.newest(clock::monotonic_ns()) {
             Ok(None) => {}
             Err(error) => {
                 tracing::warn!(%error, "the last process's state cannot be read; starting anew")
@@ -33,12 +34,16 @@ impl Succession {
                     %error,
                     "the last process's state is not used; starting anew"
                 ),
-                Ok(snapshot) => tracing::info!(
-                    generation = saved.generation,
-                    age_ms = saved.age.as_millis() as u64,
-                    tracks = core.resume(snapshot).join(", "),
-                    "going on where the last process was"
-                ),
+                Ok(snapshot) => {
+                    let is_fresh = saved.age <= longest;
+                    let snapshot = if is_fresh { snapshot } else { snapshot.without_tracks() };
+                    tracing::info!(
+                        generation = saved.generation,
+                        age_ms = saved.age.as_millis() as u64,
+                        tracks = core.resume(snapshot).join(", "),
+                        "going on where the last process was"
+                    );
+                }
             },
         }
         let keeper = states.keeper();

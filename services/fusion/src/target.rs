@@ -94,13 +94,16 @@ pub struct Target {
     pub body: Body,
     life: LifeCycle,
     track_id: u32,
+    /// The newest frame in which the process before this one has told its pose.
+    told_before: Option<FrameOrder>,
     frames: BTreeMap<FrameOrder, InFrame>,
 }
 
 impl Target {
     /// A target that was never seen.
     pub fn new(body: Body, policy: TrackPolicy) -> Self {
-        Self { body, life: LifeCycle::new(policy), track_id: 0, frames: BTreeMap::new() }
+        let life = LifeCycle::new(policy);
+        Self { body, life, track_id: 0, told_before: None, frames: BTreeMap::new() }
     }
 
     /// What is kept of a frame, if anything.
@@ -113,10 +116,12 @@ impl Target {
         self.frames.entry(order).or_default()
     }
 
-    /// Whether its pose in a frame has left.
+    /// Whether its pose in a frame has left, or may have: of frames before the newest that the process before
+    /// this one has told, nobody knows which it told too.
     pub fn is_published(&self, order: FrameOrder) -> bool {
         let status = self.in_frame(order).map(|in_frame| in_frame.status);
-        matches!(status, Some(Status::Published { .. }))
+        let may_be_told = self.told_before.is_some_and(|told| order <= told);
+        may_be_told || matches!(status, Some(Status::Published { .. }))
     }
 
     /// The pose that the direct pass published in a frame, `camera_from_markers`.
@@ -159,7 +164,13 @@ impl Target {
         SavedTarget {
             body: self.body.name.clone(),
             track_id: self.track_id,
-            published: self.frames.keys().rev().copied().find(|&order| self.is_published(order)),
+            published: self
+                .frames
+                .keys()
+                .rev()
+                .copied()
+                .find(|&order| self.is_published(order))
+                .max(self.told_before),
             life: self.is_tracked().then(|| self.life.saved()),
         }
     }
@@ -167,16 +178,11 @@ impl Target {
     /// Goes on with a track of another process, or counts on from its last one.
     ///
     /// # Errors
-    /// A track with numbers that are not finite; nothing changes then.
+    /// A track with numbers that are not finite: there is none then.
     pub fn resume(&mut self, saved: SavedTarget, ego: &EgoRotation) -> Result<(), FilterError> {
-        if let Some(life) = saved.life {
-            self.life.resume(life, ego)?;
-        }
         self.track_id = saved.track_id;
-        if let Some(order) = saved.published {
-            self.in_frame_mut(order).status = Status::Published { direct_pose: None };
-        }
-        Ok(())
+        self.told_before = self.told_before.max(saved.published);
+        saved.life.map_or(Ok(()), |life| self.life.resume(life, ego))
     }
 
     /// Whether its track is confirmed and was measured in its last frame.

@@ -163,6 +163,34 @@ fn a_pose_that_has_left_does_not_leave_again_when_its_process_is_killed() {
     assert_eq!(updates.sum::<usize>(), 0);
 }
 
+/// Two frames are open, and the pose has left in both: in the older one first. However long ago that was.
+#[test]
+fn poses_of_all_open_frames_leave_once() {
+    let (mut old, plan_id) = tracking(Schedule::Flight);
+    for sequence in [3, 4] {
+        old.on(region(sequence, plan_id), 0);
+        assert_eq!(poses(&drain(&mut old, 0)), [0], "frame {sequence}");
+    }
+    let snapshot = old.snapshot();
+    for (snapshot, tracks) in [(snapshot.clone(), 1), (snapshot.without_tracks(), 0)] {
+        let mut successor = core(Schedule::Flight);
+        assert_eq!(successor.resume(snapshot).len(), tracks);
+        drain(&mut successor, 0);
+        for sequence in [3, 4] {
+            for event in [
+                region(sequence, plan_id),
+                searched(sequence, plan_id),
+                frame_end(sequence, plan_id, 1),
+            ] {
+                successor.on(event, 0);
+            }
+            let said = drain(&mut successor, 0);
+            assert!(is_ended(&said), "frame {sequence}");
+            assert!(poses(&said).is_empty(), "frame {sequence}, {tracks} tracks");
+        }
+    }
+}
+
 #[test]
 fn the_next_track_of_a_lost_target_has_a_new_number_in_the_successor_too() {
     let (mut old, _) = tracking(Schedule::Flight);
