@@ -136,6 +136,15 @@ pub struct Innovation {
     pub difference: Vector6<f64>,
     /// Squared Mahalanobis distance: chi-square with 6 degrees of freedom if all is as assumed.
     pub distance_squared: f64,
+    /// Logarithm of the determinant of the difference's covariance.
+    pub log_determinant: f64,
+}
+
+impl Innovation {
+    /// Logarithm of how likely this difference was, but for a constant.
+    pub fn log_likelihood(&self) -> f64 {
+        -0.5 * (self.distance_squared + self.log_determinant)
+    }
 }
 
 /// Why a filter could not be asked.
@@ -302,7 +311,8 @@ impl Track {
             return Err(FilterError::Unusable { what: "innovation's covariance" });
         };
         let distance_squared = difference.dot(&factor.solve(&difference));
-        let innovation = Innovation { difference, distance_squared };
+        let log_determinant = 2.0 * factor.l_dirty().diagonal().map(f64::ln).sum();
+        let innovation = Innovation { difference, distance_squared, log_determinant };
         if distance_squared.is_nan() || distance_squared > gate {
             return Err(FilterError::Gated { innovation, gate });
         }

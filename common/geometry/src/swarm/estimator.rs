@@ -69,7 +69,7 @@ pub struct Seen<'n> {
 }
 
 /// How a place is known.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Way {
     /// This drone sees it.
     Direct,

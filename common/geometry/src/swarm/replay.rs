@@ -3,6 +3,12 @@
 //! One's own camera is heard of after some milliseconds, a peer's after its exposure, its work and the radio.
 //! A filter takes measurements in the order of their times. So the newest part of them is kept, the
 //! filter stands where that part begins, and each question runs it over the part again.
+//!
+//! How briskly two drones move is not known beforehand, and what is right for a gust is far too much for calm air:
+//! the filter then believes each new measurement rather than those before it, and gains nothing from a second
+//! observer. So filters for calmer and brisker motion run side by side, and the one counts by which the
+//! measurements of the last second or so were likeliest (multiple models, Bar-Shalom, Li, Kirubarajan, section
+//! 11.6.2, with fading memory).
 
 use std::collections::VecDeque;
 
@@ -20,6 +26,11 @@ const GATE: f64 = 0.9999;
 /// After so many measurements outside the gate, one after the other, it is the filter that is wrong.
 const MOST_MISSES: u32 = 5;
 
+/// Motion of the filters side by side, as shares of the briskest.
+const BRISKNESS: [f64; 3] = [1.0, 0.35, 0.12];
+/// After so long a measurement says less by a factor of e of how briskly a drone moves, seconds.
+const MEMORY_S: f64 = 1.0;
+
 /// A measured pose of one time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Measured {
@@ -32,23 +43,48 @@ pub struct Measured {
 /// The filter of one pose, `first_from_second`.
 #[derive(Debug, Clone)]
 pub struct Replay {
-    motion: MotionModel,
-    track: Option<Track>,
-    misses: u32,
+    /// Where the measurements that wait begin.
+    filters: [Filter; BRISKNESS.len()],
     /// In the order of their times.
     waiting: VecDeque<Measured>,
 }
 
+/// A filter for one briskness.
+#[derive(Debug, Clone)]
+struct Filter {
+    motion: MotionModel,
+    track: Option<Track>,
+    misses: u32,
+    /// How likely the last measurements were, as a logarithm.
+    likelihood: f64,
+}
+
 impl Replay {
-    /// Nothing is measured yet.
+    /// Nothing is measured yet. Drones move as `motion` says, or less briskly.
     pub fn new(motion: MotionModel) -> Self {
-        Self { motion, track: None, misses: 0, waiting: VecDeque::new() }
+        let filter = |share| Filter {
+            motion: MotionModel {
+                acceleration: share * motion.acceleration,
+                angular_acceleration: share * motion.angular_acceleration,
+                ..motion
+            },
+            track: None,
+            misses: 0,
+            likelihood: 0.0,
+        };
+        Self { filters: BRISKNESS.map(filter), waiting: VecDeque::new() }
     }
 
     /// When it was measured last, seconds.
     pub fn newest_s(&self) -> Option<f64> {
         let waiting = self.waiting.back().map(|newest| newest.at_s);
-        waiting.or_else(|| self.track.as_ref().map(Track::stamp_s))
+        waiting.or_else(|| self.begins_s())
+    }
+
+    /// When the measurements that wait begin, seconds.
+    fn begins_s(&self) -> Option<f64> {
+        let begins = self.filters.iter().filter_map(|filter| filter.track.as_ref());
+        begins.map(Track::stamp_s).reduce(f64::max)
     }
 
     /// Takes in a measurement, by a first drone that turns as `ego` says. One that is older than all that
@@ -57,7 +93,7 @@ impl Replay {
         if !measured.at_s.is_finite() || !measured.pose.is_usable() {
             return;
         }
-        if self.track.as_ref().is_some_and(|track| measured.at_s < track.stamp_s()) {
+        if self.begins_s().is_some_and(|begins_s| measured.at_s < begins_s) {
             return;
         }
         let place = self.waiting.partition_point(|waiting| waiting.at_s <= measured.at_s);
@@ -67,43 +103,53 @@ impl Replay {
             && (oldest.at_s < newest_s - REPLAYED_S || self.waiting.len() > MOST_WAITING)
         {
             self.waiting.pop_front();
-            take(&mut self.track, &mut self.misses, &oldest, self.motion, ego);
+            self.filters.iter_mut().for_each(|filter| filter.take(&oldest, ego));
         }
     }
 
     /// What is known at `at_s`; none before the first measurement, or so long after the last that nothing is.
     pub fn at(&self, at_s: f64, ego: &EgoRotation) -> Option<Prediction> {
-        let (mut track, mut misses) = (self.track.clone(), self.misses);
+        let mut filters = self.filters.clone();
         for measured in self.waiting.iter().take_while(|waiting| waiting.at_s <= at_s) {
-            take(&mut track, &mut misses, measured, self.motion, ego);
+            filters.iter_mut().for_each(|filter| filter.take(measured, ego));
         }
-        track?.predict(at_s, ego).ok()
+        let best = filters.into_iter().max_by(|a, b| a.likelihood.total_cmp(&b.likelihood))?;
+        best.track?.predict(at_s, ego).ok()
     }
 }
 
-/// Takes a measurement into a track, or begins one with it.
-fn take(
-    track: &mut Option<Track>,
-    misses: &mut u32,
-    measured: &Measured,
-    motion: MotionModel,
-    ego: &EgoRotation,
-) {
-    let Measured { at_s, pose: UncertainPose { a_from_b, covariance } } = measured;
-    // Measurements were checked when they came, so they can begin a track.
-    let begin = || Track::start(*at_s, *a_from_b, covariance, motion).ok();
-    let Some(going) = track else {
-        *track = begin();
-        return;
-    };
-    match going.update(*at_s, a_from_b, covariance, chi_square_gate_of_all(), ego) {
-        Ok(_) => *misses = 0,
-        Err(FilterError::Gated { .. }) if *misses < MOST_MISSES => *misses += 1,
-        Err(FilterError::Gated { .. } | FilterError::Gap { .. }) => {
-            *misses = 0;
-            *track = begin();
+impl Filter {
+    /// Takes a measurement into the track, or begins one with it.
+    fn take(&mut self, measured: &Measured, ego: &EgoRotation) {
+        let Measured { at_s, pose: UncertainPose { a_from_b, covariance } } = measured;
+        let Some(track) = &mut self.track else {
+            self.begin(measured);
+            return;
+        };
+        let since_s = at_s - track.stamp_s();
+        match track.update(*at_s, a_from_b, covariance, chi_square_gate_of_all(), ego) {
+            Ok(innovation) => {
+                self.misses = 0;
+                self.remember(since_s, innovation.log_likelihood());
+            }
+            Err(FilterError::Gated { innovation, .. }) if self.misses < MOST_MISSES => {
+                self.misses += 1;
+                self.remember(0.0, innovation.log_likelihood());
+            }
+            Err(FilterError::Gated { .. } | FilterError::Gap { .. }) => self.begin(measured),
+            Err(FilterError::Unusable { .. } | FilterError::Past { .. }) => {}
         }
-        Err(FilterError::Unusable { .. } | FilterError::Past { .. }) => {}
+    }
+
+    fn begin(&mut self, measured: &Measured) {
+        self.misses = 0;
+        let UncertainPose { a_from_b, covariance } = &measured.pose;
+        // Measurements were checked when they came, so they can begin a track.
+        self.track = Track::start(measured.at_s, *a_from_b, covariance, self.motion).ok();
+    }
+
+    fn remember(&mut self, since_s: f64, likelihood: f64) {
+        self.likelihood = self.likelihood * (-since_s / MEMORY_S).exp() + likelihood;
     }
 }
 
