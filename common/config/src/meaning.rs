@@ -249,11 +249,38 @@ impl Meaning<'_> {
                 ),
             );
         }
+        self.simulated_swarm(pipeline);
         if pipeline.flow == Flow::Lossless && pipeline.source.at_end == AtEnd::Loop {
             self.problem(
                 "source.at_end",
                 "a lossless run ends with its recording: use stop".into(),
             );
+        }
+    }
+
+    fn simulated_swarm(&mut self, pipeline: &Pipeline) {
+        let Some(swarm) = pipeline.simulator.swarm else { return };
+        let path = "simulator.swarm";
+        let neighbours = pipeline.simulator.neighbours;
+        if swarm.drone > neighbours {
+            self.problem(
+                &format!("{path}.drone"),
+                format!(
+                    "drone {} of a swarm of {}, counted from 0: simulator.neighbours are the others",
+                    swarm.drone,
+                    neighbours + 1
+                ),
+            );
+        }
+        if pipeline.flow == Flow::Lossless {
+            let what =
+                "its drones fly by one clock: a lossless run has its own. Cure: flow: latest";
+            self.problem(path, what.into());
+        }
+        let [x, y, z, _] = pipeline.observer.observer_from_camera.orientation;
+        if [x, y, z].iter().any(|part| part.abs() > 1e-6) {
+            let what = "its cameras are level: observer.observer_from_camera must not be turned";
+            self.problem(path, what.into());
         }
     }
 

@@ -134,7 +134,12 @@ fn draw_all(
     let width = world.parameters().camera.width() as usize;
     let frames_per_second = world.parameters().frames_per_second;
     let half_exposure_ns = (world.parameters().exposure_s * 0.5e9).round() as i64;
-    let mut schedule: Option<Schedule> = None;
+    // Who looks at a swarm goes by the swarm's time; else the first frame says when all others are due.
+    let mut schedule = world.parameters().swarm.map(|swarm| {
+        let start_ns = swarm.start_ns + (world.parameters().time_of(0) * 1e9).round() as i64;
+        let now_ns = clock::monotonic_ns();
+        Schedule::joining(start_ns, frames_per_second, half_exposure_ns, now_ns)
+    });
     while let Ok(mut luma) = blanks.recv() {
         if let Some(schedule) = &schedule {
             let begin_ns = schedule.begin_ns(FRAMES_AHEAD);

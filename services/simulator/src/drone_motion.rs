@@ -1,50 +1,80 @@
-//! How the observer's camera moves: what its picture shows and its inertial sensor measures.
+//! How the observer moves, with its camera: what its picture shows and its inertial sensor measures. In a swarm
+//! the others move in the same way.
 
 use std::f64::consts::TAU;
 
-use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
 use crate::gusts::{GRAVITY, Gusts};
 use crate::moment::Attitude;
 use crate::parameters::WorldParameters;
+use crate::wander::Wander;
 
 /// Step of the differences that give velocities, seconds.
 pub(crate) const STEP_S: f64 = 1e-4;
 /// Step of the differences that give accelerations, seconds: wider, because they are taken twice.
 const WIDE_STEP_S: f64 = 1e-3;
 
-/// The camera's way through the world.
+/// A drone's way through the world.
 #[derive(Debug, Clone, PartialEq)]
-pub struct CameraMotion {
-    /// Rate of the steady yaw, rad/s.
-    yaw_rate: f64,
+pub struct DroneMotion {
+    /// Yaw at time 0, radians, and the rate of the steady yaw, rad/s.
+    yaw: [f64; 2],
+    /// Where it is but for gusts; `None`: at the world's origin.
+    wander: Option<Wander>,
     /// `None` in calm air.
     gusts: Option<Gusts>,
+    /// Where the camera sits on it; it is not turned.
+    drone_from_camera: Translation3<f64>,
 }
 
-impl CameraMotion {
-    /// The motion in the world of these parameters.
-    pub fn of(parameters: &WorldParameters) -> Self {
+impl DroneMotion {
+    /// The observer's motion in the world of these parameters.
+    pub fn of_observer(parameters: &WorldParameters) -> Self {
+        let drone = parameters.swarm.map_or(0, |swarm| swarm.drone);
+        let motion = Self::of_drone(parameters, drone);
+        let camera = parameters.swarm.map(|swarm| Translation3::from(swarm.observer_from_camera_m));
+        Self { drone_from_camera: camera.unwrap_or_else(Translation3::identity), ..motion }
+    }
+
+    /// The motion of a drone of a swarm, by its number. Alone, the observer is number 0.
+    pub fn of_drone(parameters: &WorldParameters, drone: u32) -> Self {
         let [tilt, swing] = [parameters.tilt_deg, parameters.yaw_swing_deg_s].map(f64::to_radians);
-        // The observer is the first of the drones that gusts tell apart.
-        let gusts = (!parameters.is_calm()).then(|| Gusts::draw(parameters.seed, 0, tilt, swing));
-        Self { yaw_rate: parameters.observer_yaw_rate(), gusts }
+        let gusts = (!parameters.is_calm())
+            .then(|| Gusts::draw(parameters.seed, u64::from(drone), tilt, swing));
+        let rate = parameters.observer_yaw_rate();
+        let (yaw, wander) = match &parameters.swarm {
+            None => ([0.0, rate], None),
+            Some(swarm) => {
+                let wander = Wander::draw(parameters, drone, swarm.drones);
+                ([wander.start_yaw(), wander.sense() * rate], Some(wander))
+            }
+        };
+        Self { yaw, wander, gusts, drone_from_camera: Translation3::identity() }
+    }
+
+    /// The drone's pose in the world at a time, seconds since the middle of frame 0's exposure.
+    pub fn world_from_drone(&self, time_s: f64) -> Isometry3<f64> {
+        let place = self.wander.as_ref().map(|wander| wander.position(time_s));
+        let place = Translation3::from(place.unwrap_or_else(Vector3::zeros));
+        let yaw = |angle: f64| UnitQuaternion::from_axis_angle(&Vector3::z_axis(), wrapped(angle));
+        let steady = self.yaw[0] + self.yaw[1] * time_s;
+        match &self.gusts {
+            Some(gusts) => place * gusts.sway(time_s) * yaw(steady + gusts.yaw(time_s)),
+            None => Isometry3::from_parts(place, yaw(steady)),
+        }
     }
 
     /// The camera's pose in the world at a time, seconds since the middle of frame 0's exposure.
     pub fn world_from_camera(&self, time_s: f64) -> Isometry3<f64> {
-        let yaw = |angle: f64| UnitQuaternion::from_axis_angle(&Vector3::z_axis(), wrapped(angle));
-        match &self.gusts {
-            Some(gusts) => gusts.sway(time_s) * yaw(self.yaw_rate * time_s + gusts.yaw(time_s)),
-            None => Isometry3::from_parts(Vector3::zeros().into(), yaw(self.yaw_rate * time_s)),
-        }
+        self.world_from_drone(time_s) * self.drone_from_camera
     }
 
     /// How the camera is turned at a time, and how it turns.
     pub fn attitude(&self, time_s: f64) -> Attitude {
         if self.gusts.is_none() {
-            let level = Attitude::level(wrapped(self.yaw_rate * time_s));
-            return Attitude { rate_in_camera: Vector3::z() * self.yaw_rate, ..level };
+            let level = Attitude::level(wrapped(self.yaw[0] + self.yaw[1] * time_s));
+            return Attitude { rate_in_camera: Vector3::z() * self.yaw[1], ..level };
         }
         let turned_at = |time_s: f64| self.world_from_camera(time_s).rotation;
         let turned = turned_at(time_s - STEP_S).inverse() * turned_at(time_s + STEP_S);
@@ -78,7 +108,7 @@ mod tests {
     fn a_level_camera_yaws_and_feels_gravity_alone() {
         let parameters =
             WorldParameters { observer_yaw_rate_deg_s: 30.0, ..WorldParameters::default() };
-        let motion = CameraMotion::of(&parameters);
+        let motion = DroneMotion::of_observer(&parameters);
         let attitude = motion.attitude(7.0);
         assert!((attitude.yaw() - wrapped(210f64.to_radians())).abs() < 1e-9);
         assert_eq!(attitude.rate_in_camera, Vector3::z() * 30f64.to_radians());
@@ -93,7 +123,7 @@ mod tests {
             seed: 4,
             ..WorldParameters::default()
         };
-        let motion = CameraMotion::of(&parameters);
+        let motion = DroneMotion::of_observer(&parameters);
         for k in 0..40 {
             let time_s = f64::from(k) * 0.31;
             let (now, soon) = (motion.attitude(time_s), motion.attitude(time_s + 0.01));

@@ -8,7 +8,7 @@ use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 
-use crate::camera_motion::CameraMotion;
+use crate::drone_motion::DroneMotion;
 use crate::scatter::mix;
 
 /// It has begun so long before the first frame, seconds.
@@ -21,7 +21,7 @@ const FORCE_NOISE: f64 = 0.3;
 /// The sensor, between its samples.
 #[derive(Debug, Clone)]
 pub struct InertialSensor {
-    motion: CameraMotion,
+    motion: DroneMotion,
     settings: SimulatedInertial,
     sensor_from_camera: UnitQuaternion<f64>,
     /// Along the sensor's axes, rad/s.
@@ -33,7 +33,7 @@ pub struct InertialSensor {
 
 impl InertialSensor {
     /// A sensor on a camera that moves so; `seed` chooses the signs of its bias, and its noise.
-    pub fn new(motion: CameraMotion, settings: &SimulatedInertial, seed: u64) -> Self {
+    pub fn new(motion: DroneMotion, settings: &SimulatedInertial, seed: u64) -> Self {
         let signs = mix(seed ^ 0x696d_7562);
         let sign = |k: usize| if signs >> k & 1 == 1 { 1.0 } else { -1.0 };
         Self {
@@ -44,6 +44,12 @@ impl InertialSensor {
             seed,
             next: 0,
         }
+    }
+
+    /// Leaves out what is taken long before a time, seconds since the middle of frame 0's exposure: who joins a
+    /// flight has not seen it.
+    pub fn join(&mut self, time_s: f64) {
+        self.next = self.next.max((time_s * self.settings.rate_hz).max(0.0) as u64);
     }
 
     /// The samples that are taken from the last call until a time, seconds since the middle of frame 0's
@@ -87,7 +93,7 @@ mod tests {
     fn sensor(settings: &SimulatedInertial) -> InertialSensor {
         let parameters =
             WorldParameters { tilt_deg: 10.0, yaw_swing_deg_s: 40.0, ..WorldParameters::default() };
-        InertialSensor::new(CameraMotion::of(&parameters), settings, 7)
+        InertialSensor::new(DroneMotion::of_observer(&parameters), settings, 7)
     }
 
     #[test]
@@ -101,6 +107,17 @@ mod tests {
         assert!(first.until(0.1, 0).is_empty());
         assert!(samples.windows(2).all(|pair| pair[1].at_ns - pair[0].at_ns == 5_000_000));
         assert_eq!(samples[100].at_ns, 9_000_000_000);
+    }
+
+    #[test]
+    fn who_joins_later_has_the_samples_of_half_a_second_before_alone() {
+        let settings = SimulatedInertial::default();
+        let (mut all, mut late) = (sensor(&settings), sensor(&settings));
+        let samples = all.until(60.0, 0);
+        late.join(59.95);
+        let few = late.until(60.0, 0);
+        assert!((101..=112).contains(&few.len()), "{}", few.len());
+        assert_eq!(few[..], samples[samples.len() - few.len()..]);
     }
 
     #[test]

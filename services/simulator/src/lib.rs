@@ -28,7 +28,8 @@
 //! | [`error`] | what keeps a world or a frame from being made |
 //! | [`trajectory`] | where the bodies are at a time |
 //! | [`gusts`] | how gusts make the observer and the bodies lean and sway |
-//! | [`camera_motion`] | how the camera moves, and what an inertial sensor in it feels |
+//! | [`drone_motion`] | how the observer and its camera move, and what an inertial sensor in it feels |
+//! | [`wander`] | where the drones of a swarm fly |
 //! | [`inertial`] | that sensor, with bias, noise, mounting and a clock of its own |
 //! | [`moment`] | where everything is at an instant |
 //! | [`eyes`] | where each part of the image is taken from: the camera's middle, or its lenses' places |
@@ -51,11 +52,11 @@
 
 pub mod ahead;
 pub mod backdrop;
-pub mod camera_motion;
 pub mod cube;
 pub mod density;
 pub mod drawing;
 pub mod drone;
+pub mod drone_motion;
 pub mod error;
 pub mod eyes;
 pub mod gusts;
@@ -84,6 +85,7 @@ pub mod tiled_picture;
 pub mod tiles;
 pub mod trajectory;
 pub mod truth;
+pub mod wander;
 pub mod world;
 
 pub use error::{RenderError, WorldError};

@@ -60,7 +60,8 @@ pub struct WorldParameters {
     pub yaw_swing_deg_s: f64,
     /// Time between the exposures of the first and the last row, seconds. 0: a global shutter.
     pub readout_s: f64,
-    /// Nearest and farthest distance of the bodies' centres from the camera, metres.
+    /// Nearest and farthest distance of the bodies' centres from the camera, metres. In a swarm: of drones that
+    /// are side by side on its ring from each other.
     pub distance_m: [f64; 2],
     /// Greatest speed of any body, metres per second.
     pub speed_m_s: f64,
@@ -68,6 +69,21 @@ pub struct WorldParameters {
     pub airframes: bool,
     /// How finely bodies are drawn.
     pub quality: Quality,
+    /// The observer's place in a swarm whose drones all fly in this world; `None`: the bodies fly round it.
+    pub swarm: Option<SwarmPlace>,
+}
+
+/// Which drone of a swarm looks at the world that all of them fly in.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SwarmPlace {
+    /// The observer's number. The bodies are the other drones, in the order of their numbers.
+    pub drone: u32,
+    /// How many drones there are.
+    pub drones: u32,
+    /// When the world's time was 0, CLOCK_MONOTONIC, nanoseconds: one time for all who look at it.
+    pub start_ns: i64,
+    /// Where the camera sits on the observer, metres.
+    pub observer_from_camera_m: [f64; 3],
 }
 
 /// Longest side of an image, pixels.
@@ -94,6 +110,7 @@ impl Default for WorldParameters {
             speed_m_s: 0.8,
             airframes: true,
             quality: Quality::Realtime,
+            swarm: None,
         }
     }
 }
@@ -166,7 +183,21 @@ impl WorldParameters {
             !within(self.speed_m_s, 0.0, 20.0),
             format!("speed_m_s {}: must be 0 to 20", self.speed_m_s),
         );
+        if let Some(SwarmPlace { drone, drones, .. }) = self.swarm {
+            refuse(
+                drone >= drones,
+                format!("drone {drone} of a swarm of {drones}: counted from 0"),
+            );
+        }
         problems
+    }
+
+    /// When a frame is exposed, seconds since the middle of frame 0's exposure. Cameras of a swarm are not
+    /// synchronized: each is a share of a frame later than the one before it.
+    pub fn time_of(&self, frame: u64) -> f64 {
+        let share =
+            self.swarm.map_or(0.0, |swarm| f64::from(swarm.drone) / f64::from(swarm.drones));
+        (frame as f64 + share) / self.frames_per_second
     }
 
     /// Whether the observer stays level and turns evenly, and all rows are exposed at once.
@@ -210,6 +241,9 @@ mod tests {
         assert!(refused(|p| p.lens_blur_px = 0.0).contains("lens_blur_px 0"));
         assert!(refused(|p| p.distance_m = [2.0, 1.0]).contains("distance_m [2, 1]"));
         assert!(refused(|p| p.speed_m_s = -1.0).contains("speed_m_s -1"));
+        let nobody =
+            SwarmPlace { drone: 3, drones: 3, start_ns: 0, observer_from_camera_m: [0.0; 3] };
+        assert!(refused(|p| p.swarm = Some(nobody)).contains("drone 3 of a swarm of 3"));
     }
 
     #[test]

@@ -51,6 +51,19 @@ impl Schedule {
         }
     }
 
+    /// The same, joined at `now_ns` or at its start, whichever is later: frames before that are none of ours.
+    pub fn joining(
+        start_ns: i64,
+        frames_per_second: f64,
+        half_exposure_ns: i64,
+        now_ns: i64,
+    ) -> Self {
+        let schedule = Self::new(start_ns, frames_per_second, half_exposure_ns);
+        let elapsed = (now_ns - schedule.times(0).handover_ns) as f64 / schedule.period_ns;
+        // The next whole one; a negative number becomes 0.
+        Self { next: elapsed.ceil() as u64, ..schedule }
+    }
+
     /// When frame `frame` is exposed and handed over.
     pub fn times(&self, frame: u64) -> Times {
         let exposure_ns = |frame: u64| {
@@ -111,6 +124,16 @@ mod tests {
             assert_eq!(schedule.begin_ns(2), two_before.handover_ns - 5);
             assert_eq!(schedule.draw(3), Due { frame, skipped: 0 });
         }
+    }
+
+    #[test]
+    fn who_joins_begins_with_the_next_frame_and_has_left_none_out() {
+        let joined_at = |now_ns| {
+            let mut schedule = Schedule::joining(1_000, 1e8, 2, now_ns);
+            schedule.draw(now_ns)
+        };
+        assert_eq!(joined_at(0), Due { frame: 0, skipped: 0 }, "before its start");
+        assert_eq!(joined_at(1_033), Due { frame: 4, skipped: 0 });
     }
 
     #[test]

@@ -5,6 +5,7 @@ use flockeye_config::{Resolved, Simulator};
 use flockeye_convert::transfer_curve;
 use flockeye_geometry::body::Bodies;
 
+use crate::parameters::SwarmPlace;
 use crate::{Response, WorldParameters};
 
 /// The bodies that fly: the first of those configured. `None` if none does.
@@ -52,12 +53,20 @@ pub fn parameters(resolved: &Resolved) -> anyhow::Result<WorldParameters> {
         readout_s: resolved.pipeline.camera.readout_ms * 1e-3,
         distance_m: settings.distance_m,
         airframes: settings.airframes,
+        swarm: settings.swarm.map(|swarm| SwarmPlace {
+            drone: swarm.drone,
+            drones: settings.neighbours + 1,
+            start_ns: swarm.start_ns,
+            observer_from_camera_m: resolved.observer_from_camera.translation.vector.into(),
+        }),
         ..usual
     })
 }
 
 /// What flies, for people.
 pub fn in_words(settings: &Simulator) -> String {
-    let Simulator { neighbours, frames_per_second, seed, .. } = settings;
-    format!("{neighbours} neighbours, {frames_per_second} frames/s, seed {seed}")
+    let Simulator { neighbours, frames_per_second, seed, swarm, .. } = settings;
+    let place = swarm.map(|swarm| format!(", drone {} of a swarm", swarm.drone));
+    let place = place.unwrap_or_default();
+    format!("{neighbours} neighbours, {frames_per_second} frames/s, seed {seed}{place}")
 }

@@ -40,6 +40,7 @@ struct Inertial {
     sensor: InertialSensor,
     imus: Publisher<Imus>,
     generation: u32,
+    has_joined: bool,
 }
 
 impl Inertial {
@@ -47,6 +48,9 @@ impl Inertial {
     /// so that egomotion has it first.
     fn send(&mut self, stamp: FrameStamp, truth: &FrameTruth) -> anyhow::Result<()> {
         let zero_ns = stamp.exposure_ns - stamp.stream_ns;
+        if !std::mem::replace(&mut self.has_joined, true) {
+            self.sensor.join(truth.time_s);
+        }
         let samples = self.sensor.until(truth.time_s + truth.exposure_s / 2.0, zero_ns);
         let header =
             ImuHeader { sent_ns: clock::monotonic_ns(), epoch: 0, generation: self.generation };
@@ -81,7 +85,8 @@ impl Stage for SimulatorStage {
                 let seed = world.parameters().seed;
                 let sensor = InertialSensor::new(world.motion().clone(), settings, seed);
                 let generation = context.identity.generation;
-                Some(Inertial { sensor, imus: ports.publisher()?, generation })
+                let imus = ports.publisher()?;
+                Some(Inertial { sensor, imus, generation, has_joined: false })
             }
             _ => None,
         };

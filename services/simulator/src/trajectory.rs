@@ -18,8 +18,8 @@ const ATTEMPTS: u32 = 48;
 const CLEARANCE_M: f64 = 0.05;
 
 /// A periodic function of the phase, plus whole turns.
-#[derive(Debug, Clone)]
-struct Wave {
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Wave {
     mean: f64,
     turns: f64,
     /// Amplitude, multiple of the phase, and start.
@@ -28,14 +28,19 @@ struct Wave {
 
 impl Wave {
     /// A wave within `mean` +- `amplitude`, with two harmonics.
-    fn draw(random: &mut StdRng, mean: f64, amplitude: f64, harmonics: [f64; 2]) -> Self {
+    pub(crate) fn draw(
+        random: &mut StdRng,
+        mean: f64,
+        amplitude: f64,
+        harmonics: [f64; 2],
+    ) -> Self {
         let mut term = |share: f64, harmonic: f64| {
             [amplitude * share, harmonic, random.random_range(0.0..TAU)]
         };
         Self { mean, turns: 0.0, terms: [term(0.7, harmonics[0]), term(0.3, harmonics[1])] }
     }
 
-    fn value(&self, phase: f64) -> f64 {
+    pub(crate) fn value(&self, phase: f64) -> f64 {
         let term = |[a, m, s]: &[f64; 3]| a * (m * phase + s).sin();
         self.mean + self.turns * phase + self.terms.iter().map(term).sum::<f64>()
     }

@@ -4,14 +4,14 @@ use flockeye_dictionary::Dictionary;
 use flockeye_geometry::body::Bodies;
 use nalgebra::{Isometry3, Unit, UnitQuaternion, Vector3};
 
-use crate::camera_motion::{CameraMotion, STEP_S};
 use crate::drawing::{Drawing, Sharpness};
 use crate::drone::Drone;
+use crate::drone_motion::{DroneMotion, STEP_S};
 use crate::error::{RenderError, WorldError};
 use crate::eyes::Eye;
 use crate::gusts::Gusts;
 use crate::moment::{Moment, Placement};
-use crate::parameters::WorldParameters;
+use crate::parameters::{SwarmPlace, WorldParameters};
 use crate::picture::Picture;
 use crate::scene::{Layer, Scene};
 use crate::sensor::Sensor;
@@ -27,15 +27,33 @@ const LEAST_DISTANCE: f64 = 1.2;
 pub struct World {
     parameters: WorldParameters,
     drones: Vec<Drone>,
-    trajectories: Vec<Trajectory>,
-    motion: CameraMotion,
-    /// On each drone; none in calm air.
-    gusts: Vec<Gusts>,
+    ways: Ways,
+    motion: DroneMotion,
     sensor: Sensor,
     eyes: Vec<Eye>,
     picture: Picture,
     /// For each body one for each eye: kept from frame to frame for their memory alone.
     drawings: Vec<Drawing>,
+}
+
+/// How the bodies fly.
+#[derive(Debug)]
+enum Ways {
+    /// Round the observer.
+    Around {
+        trajectories: Vec<Trajectory>,
+        /// On each drone; none in calm air.
+        gusts: Vec<Gusts>,
+    },
+    /// As drones of the observer's swarm.
+    Swarm(Vec<SwarmDrone>),
+}
+
+/// A drone of the observer's swarm.
+#[derive(Debug)]
+struct SwarmDrone {
+    motion: DroneMotion,
+    drone_from_markers: Isometry3<f64>,
 }
 
 impl World {
@@ -60,7 +78,8 @@ impl World {
             .iter()
             .map(|body| Drone::new(body, dictionary, parameters.airframes))
             .collect::<Result<Vec<_>, _>>()?;
-        Self::with_drones(parameters, drones)
+        let markers: Vec<_> = bodies.iter().map(|body| body.target_from_markers).collect();
+        Self::with_drones(parameters, drones, &markers)
     }
 
     /// A world in which nobody flies: for what must find nothing.
@@ -68,11 +87,22 @@ impl World {
     /// # Errors
     /// Parameters out of range.
     pub fn empty(parameters: WorldParameters) -> Result<Self, WorldError> {
-        Self::with_drones(parameters, Vec::new())
+        Self::with_drones(parameters, Vec::new(), &[])
     }
 
-    fn with_drones(parameters: WorldParameters, drones: Vec<Drone>) -> Result<Self, WorldError> {
-        let problems = parameters.problems();
+    /// `drones_from_markers` says where each body's markers sit on its drone.
+    fn with_drones(
+        parameters: WorldParameters,
+        drones: Vec<Drone>,
+        drones_from_markers: &[Isometry3<f64>],
+    ) -> Result<Self, WorldError> {
+        let mut problems = parameters.problems();
+        if let Some(SwarmPlace { drones: all, .. }) = parameters.swarm
+            && all as usize != drones.len() + 1
+        {
+            problems
+                .push(format!("a swarm of {all} drones, and {} bodies of others", drones.len()));
+        }
         if !problems.is_empty() {
             return Err(WorldError::Parameters(problems));
         }
@@ -86,23 +116,35 @@ impl World {
             let least = least_distance(drone) + aside;
             return Err(WorldError::TooNear { body: drone.name.clone(), near, least });
         }
-        let radii: Vec<f64> = drones.iter().map(|drone| drone.radius).collect();
-        let trajectories = trajectory::draw(&parameters, &radii)?;
-        // Number 0 is the observer.
-        let gust = |drone| Gusts::draw(parameters.seed, drone, tilt, swing);
-        let gusts = match parameters.is_calm() {
-            true => Vec::new(),
-            false => (1..=drones.len() as u64).map(gust).collect(),
+        let ways = match parameters.swarm {
+            None => {
+                let radii: Vec<f64> = drones.iter().map(|drone| drone.radius).collect();
+                let trajectories = trajectory::draw(&parameters, &radii)?;
+                // Number 0 is the observer.
+                let gust = |drone| Gusts::draw(parameters.seed, drone, tilt, swing);
+                let gusts = match parameters.is_calm() {
+                    true => Vec::new(),
+                    false => (1..=drones.len() as u64).map(gust).collect(),
+                };
+                Ways::Around { trajectories, gusts }
+            }
+            Some(swarm) => {
+                let others = (0..swarm.drones).filter(|&drone| drone != swarm.drone);
+                let drone = |(drone, &drone_from_markers)| SwarmDrone {
+                    motion: DroneMotion::of_drone(&parameters, drone),
+                    drone_from_markers,
+                };
+                Ways::Swarm(others.zip(drones_from_markers).map(drone).collect())
+            }
         };
         let sensor = Sensor::new(&parameters);
         Ok(Self {
-            motion: CameraMotion::of(&parameters),
+            motion: DroneMotion::of_observer(&parameters),
             picture: Picture::new(&parameters, &eyes, &sensor),
             drawings: drones.iter().flat_map(|_| &eyes).map(|_| Drawing::default()).collect(),
             parameters,
             drones,
-            gusts,
-            trajectories,
+            ways,
             sensor,
             eyes,
         })
@@ -113,25 +155,22 @@ impl World {
         &self.parameters
     }
 
-    /// Middle of a frame's exposure, seconds since frame 0's.
-    pub fn time_of(&self, frame: u64) -> f64 {
-        frame as f64 / self.parameters.frames_per_second
-    }
-
     /// Where everything is at a time, seconds since the middle of frame 0's exposure.
     pub fn moment(&self, time_s: f64) -> Moment {
-        match self.parameters.is_calm() {
-            true => self.calm_moment(time_s),
-            false => self.gusty_moment(time_s),
+        match &self.ways {
+            Ways::Around { trajectories, .. } if self.parameters.is_calm() => {
+                self.calm_moment(trajectories, time_s)
+            }
+            _ => self.moving_moment(time_s),
         }
     }
 
     /// How the camera moves.
-    pub fn motion(&self) -> &CameraMotion {
+    pub fn motion(&self) -> &DroneMotion {
         &self.motion
     }
 
-    fn calm_moment(&self, time_s: f64) -> Moment {
+    fn calm_moment(&self, trajectories: &[Trajectory], time_s: f64) -> Moment {
         let camera = self.motion.attitude(time_s);
         let camera_from_world = camera.world_from_camera.inverse();
         let place = |way: &Trajectory| {
@@ -141,14 +180,15 @@ impl World {
                 - camera.rate_in_camera.cross(&camera_from_markers.translation.vector);
             Placement { camera_from_markers, velocity_in_camera }
         };
-        Moment { time_s, camera, placements: self.trajectories.iter().map(place).collect() }
+        Moment { time_s, camera, placements: trajectories.iter().map(place).collect() }
     }
 
-    fn gusty_moment(&self, time_s: f64) -> Moment {
+    /// Of an observer that does not stay in its place.
+    fn moving_moment(&self, time_s: f64) -> Moment {
         let camera = self.motion.attitude(time_s);
         let height = f64::from(self.parameters.camera.height());
         let place = |target: usize| {
-            let seen = |time_s: f64| self.seen_in_gusts(&self.gusts[target], target, time_s);
+            let seen = |time_s: f64| self.camera_from_markers(target, time_s);
             // Its rows are exposed a little before or after the middle one.
             let middle = Unit::new_normalize(seen(time_s).translation.vector);
             let share = self.parameters.camera.project(&middle).map_or(0.5, |at| at.0.y / height);
@@ -160,18 +200,21 @@ impl World {
                 velocity_in_camera: (after - before) / (2.0 * STEP_S),
             }
         };
-        Moment { time_s, camera, placements: (0..self.gusts.len()).map(place).collect() }
+        Moment { time_s, camera, placements: (0..self.drones.len()).map(place).collect() }
     }
 
-    /// The pose of a body's markers in the camera frame at a time, both in gusts.
-    fn seen_in_gusts(&self, gusts: &Gusts, target: usize, time_s: f64) -> Isometry3<f64> {
-        let steady = self.trajectories[target].world_from_markers(time_s);
-        let sway = gusts.sway(time_s);
-        let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), gusts.yaw(time_s));
-        let world_from_markers = Isometry3::from_parts(
-            (steady.translation.vector + sway.translation.vector).into(),
-            sway.rotation * yaw * steady.rotation,
-        );
+    /// The pose of a body's markers in the camera frame at a time.
+    fn camera_from_markers(&self, target: usize, time_s: f64) -> Isometry3<f64> {
+        let world_from_markers = match &self.ways {
+            Ways::Around { trajectories, gusts } => {
+                let steady = trajectories[target].world_from_markers(time_s);
+                gusts.get(target).map_or(steady, |gusts| in_gusts(&steady, gusts, time_s))
+            }
+            Ways::Swarm(drones) => {
+                let SwarmDrone { motion, drone_from_markers } = &drones[target];
+                motion.world_from_drone(time_s) * drone_from_markers
+            }
+        };
         self.motion.world_from_camera(time_s).inverse() * world_from_markers
     }
 
@@ -187,13 +230,13 @@ impl World {
         luma: &mut [u8],
         stride: usize,
     ) -> Result<FrameTruth, RenderError> {
-        let time_s = self.time_of(frame);
+        let time_s = self.parameters.time_of(frame);
         let moment = self.moment(time_s);
         let mut truth = self.render_moment(frame, &moment, luma, stride)?;
         // What is true of a frame holds for the middle of its exposure, whenever a body's rows were exposed.
         if self.parameters.readout_s > 0.0 {
-            for (body, gusts) in truth.bodies.iter_mut().zip(&self.gusts) {
-                body.camera_from_markers = self.seen_in_gusts(gusts, body.target, time_s);
+            for body in &mut truth.bodies {
+                body.camera_from_markers = self.camera_from_markers(body.target, time_s);
             }
         }
         Ok(truth)
@@ -295,6 +338,16 @@ impl World {
         }
         Ok(())
     }
+}
+
+/// A pose in the world as gusts make it.
+fn in_gusts(steady: &Isometry3<f64>, gusts: &Gusts, time_s: f64) -> Isometry3<f64> {
+    let sway = gusts.sway(time_s);
+    let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), gusts.yaw(time_s));
+    Isometry3::from_parts(
+        (steady.translation.vector + sway.translation.vector).into(),
+        sway.rotation * yaw * steady.rotation,
+    )
 }
 
 fn least_distance(drone: &Drone) -> f64 {

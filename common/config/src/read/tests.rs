@@ -216,6 +216,20 @@ const WRONG: &[(&str, &[&str])] = &[
     ),
     ("source: {input: ''}", &["source.input", "must not be empty"]),
     ("flow: lossless\nsource: {at_end: loop}", &["line 2", "a lossless run ends"]),
+    (
+        "simulator: {swarm: {drone: 2, start_ns: 0}}",
+        &["simulator.swarm.drone", "drone 2 of a swarm of 2, counted from 0"],
+    ),
+    ("simulator: {swarm: {drone: 0}}", &["simulator.swarm", "start_ns"]),
+    (
+        "flow: lossless\nsimulator: {swarm: {drone: 0, start_ns: 0}}",
+        &["line 2", "simulator.swarm", "flow: latest"],
+    ),
+    (
+        "observer: {observer_from_camera: {orientation: [0, 0, 1, 0]}}\n\
+         simulator: {swarm: {drone: 0, start_ns: 0}}",
+        &["line 2", "simulator.swarm", "must not be turned"],
+    ),
 ];
 
 #[test]

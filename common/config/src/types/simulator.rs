@@ -47,6 +47,19 @@ pub struct Simulator {
     pub inertial: SimulatedInertial,
     /// A JSON file of the same bodies as they really are, if they differ from what is searched for.
     pub bodies: Option<PathBuf>,
+    /// This drone's place in a swarm whose drones all look at one world. Left out: the neighbours fly round it.
+    pub swarm: Option<SimulatedSwarm>,
+}
+
+/// A place in a simulated swarm: a ring of drones, each with a pipeline of its own on this machine. The bodies
+/// are the other drones, in the order of their numbers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SimulatedSwarm {
+    /// This drone's number, from 0 to `simulator.neighbours`.
+    pub drone: u32,
+    /// When the world's time was 0, CLOCK_MONOTONIC of this machine, nanoseconds: the same for all drones.
+    pub start_ns: i64,
 }
 
 impl Default for Simulator {
@@ -66,6 +79,7 @@ impl Default for Simulator {
             airframes: true,
             inertial: SimulatedInertial::default(),
             bodies: None,
+            swarm: None,
         }
     }
 }
