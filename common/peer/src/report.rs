@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use flockeye_contract::wire::{Degenerate, Sighting, TargetReport};
-use flockeye_contract::{MeasuredBy, Pose, TrackState};
-use flockeye_convert::{isometry, symmetric6};
+use flockeye_contract::{FrameStamp, MeasuredBy, Pose, Track, TrackState};
+use flockeye_convert::{isometry, matrix6, symmetric6};
 use flockeye_geometry::swarm::UncertainPose;
 use flockeye_network::Heard;
 use nalgebra::Vector3;
@@ -39,6 +39,37 @@ pub struct PeerReport {
 }
 
 impl PeerReport {
+    /// What a drone's own pipeline says of a target, on the local topic `track`, of an exposure on
+    /// CLOCK_MONOTONIC. `None` for a track with codes that are none.
+    pub fn of_track(
+        observer: &str,
+        stamp: &FrameStamp,
+        exposure_monotonic_ns: i64,
+        track: &Track,
+    ) -> Option<Self> {
+        let uncertain = |pose: &Pose, covariance: &[f64; 36]| UncertainPose {
+            a_from_b: isometry(pose),
+            covariance: matrix6(covariance),
+        };
+        let measured_by = MeasuredBy::try_from(track.measured_by).ok()?;
+        let measured = (measured_by != MeasuredBy::Nothing)
+            .then(|| uncertain(&track.measured_observer_from_target, &track.measured_covariance));
+        Some(Self {
+            observer: observer.to_owned(),
+            target: track.name.to_string(),
+            frame: (stamp.epoch, stamp.sequence),
+            state: TrackState::try_from(track.state).ok()?,
+            measured_by,
+            observer_from_target: uncertain(&track.observer_from_target, &track.covariance),
+            measured,
+            velocity: track.linear_velocity.into(),
+            rate: track.angular_velocity.into(),
+            degenerate: None,
+            exposure_monotonic_ns,
+            exposure_deviation_ns: 0,
+        })
+    }
+
     /// How old the pose is, from the middle of the exposure to now.
     pub fn age(&self) -> Duration {
         let age_ns =

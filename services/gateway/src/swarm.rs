@@ -1,11 +1,8 @@
 //! Where all drones are from here: between messages, reports and the estimator.
 
-use flockeye_contract::{
-    FrameStamp, MeasuredBy, PeerSighting, Pose, Rotation, SwarmPose, SwarmWay, Track, TrackState,
-};
-use flockeye_convert::camera_turn;
-use flockeye_convert::{isometry, matrix6, pose, row_major};
-use flockeye_peer::{PeerReport, Place, SwarmView, UncertainPose, Way};
+use flockeye_contract::{FrameStamp, PeerSighting, Rotation, SwarmPose, SwarmWay, Track};
+use flockeye_convert::{camera_turn, pose, row_major};
+use flockeye_peer::{PeerReport, Place, SwarmView, Way};
 use nalgebra::UnitQuaternion;
 
 /// What this drone knows of the swarm.
@@ -30,27 +27,10 @@ impl Swarm {
 
     /// This drone sees somebody, at an exposure on CLOCK_MONOTONIC.
     pub fn sees(&mut self, stamp: &FrameStamp, exposure_monotonic_ns: i64, track: &Track) {
-        let (Ok(state), Ok(measured_by)) =
-            (TrackState::try_from(track.state), MeasuredBy::try_from(track.measured_by))
-        else {
-            return;
-        };
-        let measured = (measured_by != MeasuredBy::Nothing)
-            .then(|| uncertain(&track.measured_observer_from_target, &track.measured_covariance));
-        self.view.hear(&PeerReport {
-            observer: self.view.own().to_owned(),
-            target: track.name.to_string(),
-            frame: (stamp.epoch, stamp.sequence),
-            state,
-            measured_by,
-            observer_from_target: uncertain(&track.observer_from_target, &track.covariance),
-            measured,
-            velocity: track.linear_velocity.into(),
-            rate: track.angular_velocity.into(),
-            degenerate: None,
-            exposure_monotonic_ns,
-            exposure_deviation_ns: 0,
-        });
+        let own = self.view.own();
+        if let Some(report) = PeerReport::of_track(own, stamp, exposure_monotonic_ns, track) {
+            self.view.hear(&report);
+        }
     }
 
     /// A peer sees somebody.
@@ -94,10 +74,6 @@ impl Swarm {
     }
 }
 
-fn uncertain(pose: &Pose, covariance: &[f64; 36]) -> UncertainPose {
-    UncertainPose { a_from_b: isometry(pose), covariance: matrix6(covariance) }
-}
-
 fn swarm_pose(place: &Place) -> SwarmPose {
     let way = match place.way {
         Way::Direct => SwarmWay::Direct,
@@ -119,8 +95,7 @@ fn swarm_pose(place: &Place) -> SwarmPose {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
-    use flockeye_contract::Topic;
-    use flockeye_contract::{Peers, Swarms};
+    use flockeye_contract::{Peers, Pose, Swarms, Topic, TrackState};
 
     use super::*;
     use crate::report::tests::{UTC, track};

@@ -12,6 +12,7 @@ use crate::exec::{self, ExecArguments};
 use crate::manage::{self, StatusArguments, StopArguments, SwapArguments, WorkerArguments};
 use crate::peers::{self, PeersArguments};
 use crate::stage::{self, StageCommand};
+use crate::swarm::{self, SwarmCommand};
 use crate::top::{self, TopArguments};
 use crate::trace::{self, TraceArguments};
 use crate::up::{self, UpArguments};
@@ -50,6 +51,9 @@ enum FlockeyeCommand {
     Trace(TraceArguments),
     /// Show what the swarm's drones report of each other over Zenoh.
     Peers(PeersArguments),
+    /// Fly a swarm on this machine.
+    #[command(subcommand)]
+    Swarm(SwarmCommand),
     /// Remove what dead runs left in shared memory.
     Clean(CleanArguments),
     /// Print the JSON Schema of pipeline.yaml.
@@ -85,6 +89,7 @@ pub fn run() -> anyhow::Result<()> {
         FlockeyeCommand::Top(arguments) => top::run(&arguments),
         FlockeyeCommand::Trace(arguments) => trace::run(&arguments),
         FlockeyeCommand::Peers(arguments) => peers::run(&arguments),
+        FlockeyeCommand::Swarm(command) => swarm::run(&command),
         FlockeyeCommand::Clean(arguments) => clean::run(&arguments),
         FlockeyeCommand::Schema => schema::run(),
         FlockeyeCommand::Bodies(arguments) => bodies::run(&arguments),

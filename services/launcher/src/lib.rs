@@ -24,6 +24,7 @@
 //! | [`attach`] | a running pipeline's messages, read beside its stages |
 //! | [`sweep_watch`] | how often a running pipeline searches each part of the sphere |
 //! | [`peers`] | what the whole swarm reports over Zenoh |
+//! | [`swarm`] | a simulated swarm on this machine, compared with the truth |
 //! | [`clean`] | removes what dead runs left behind |
 //! | [`schema`] | the JSON Schema of pipeline.yaml |
 //! | [`bodies`], [`contract`] | the marker bodies; the contract for other languages |
@@ -58,7 +59,7 @@ pub mod stage;
 pub mod status;
 pub mod supervisor;
 pub mod swap;
-mod swarm_map;
+pub mod swarm;
 pub mod sweep_watch;
 pub mod top;
 pub mod trace;

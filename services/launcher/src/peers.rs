@@ -17,7 +17,7 @@ use nalgebra::Vector3;
 use serde::Serialize;
 
 use crate::attach::{PipelineChoice, choose};
-use crate::swarm_map;
+use crate::swarm::map::map;
 
 /// Arguments of `peers`.
 #[derive(Debug, Args)]
@@ -196,7 +196,7 @@ fn show_table(
             for observer in swarm.view.left_out() {
                 text += &format!("\n{observer} contradicts the others and is left out");
             }
-            text += &format!("\n\n{}", swarm_map::map(swarm.view.own(), &places));
+            text += &format!("\n\n{}", map(swarm.view.own(), &places));
         }
         if screen.is_live() {
             screen.table(&text);

@@ -22,4 +22,5 @@ mod real_time;
 mod recorded;
 mod scheduling;
 mod swapping;
+mod swarm;
 mod watching;

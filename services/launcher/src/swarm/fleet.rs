@@ -1,0 +1,123 @@
+//! The pipelines of a swarm: a `flockeye up` for each drone.
+
+use std::ffi::OsString;
+use std::fs::File;
+use std::net::TcpListener;
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, bail};
+use flockeye_runtime::instance::Instance;
+use rustix::process::{Pid, Signal, kill_process};
+
+/// A pipeline that is asked to end gets this long.
+const END_TIME: Duration = Duration::from_secs(15);
+/// Lines of a failed pipeline that are shown.
+const SHOWN_LINES: usize = 15;
+
+/// The processes. Dropping it ends them.
+#[derive(Debug)]
+pub struct Fleet {
+    pipelines: Vec<Pipeline>,
+    folder: PathBuf,
+}
+
+#[derive(Debug)]
+struct Pipeline {
+    instance: Instance,
+    log: PathBuf,
+    child: Child,
+}
+
+impl Fleet {
+    /// Starts a pipeline for each instance's name, with these arguments of `flockeye up`. What they write goes to
+    /// files in [`Fleet::folder`].
+    ///
+    /// # Errors
+    /// A name is taken, or a process or its file cannot be had.
+    pub fn start(pipelines: &[(String, Vec<OsString>)]) -> anyhow::Result<Self> {
+        let program = std::env::current_exe().context("where this program is")?;
+        let folder = std::env::temp_dir().join(format!("flockeye-swarm-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
+        let mut fleet = Self { pipelines: Vec::new(), folder };
+        for (name, arguments) in pipelines {
+            let instance = Instance::named(name);
+            let log = fleet.folder.join(format!("{name}.log"));
+            let output = File::create(&log).with_context(|| log.display().to_string())?;
+            let mut command = Command::new(&program);
+            // So that it does not outlive this process.
+            command.args(["exec-stage", "--parent", &std::process::id().to_string()]);
+            command.arg(&program).arg("up").args(arguments);
+            command.stdin(Stdio::null()).stdout(output.try_clone()?).stderr(output);
+            let child = command.spawn().with_context(|| format!("the pipeline {name}"))?;
+            fleet.pipelines.push(Pipeline { instance, log, child });
+        }
+        Ok(fleet)
+    }
+
+    /// Where the pipelines' output is.
+    pub fn folder(&self) -> &PathBuf {
+        &self.folder
+    }
+
+    /// Whether all run.
+    ///
+    /// # Errors
+    /// One has ended; with its last lines.
+    pub fn check(&mut self) -> anyhow::Result<()> {
+        for pipeline in &mut self.pipelines {
+            if let Some(status) = pipeline.child.try_wait()? {
+                let text = std::fs::read_to_string(&pipeline.log).unwrap_or_default();
+                let lines: Vec<&str> = text.lines().collect();
+                let last = lines[lines.len().saturating_sub(SHOWN_LINES)..].join("\n");
+                bail!("the pipeline {} ended, {status}:\n{last}", pipeline.instance.name());
+            }
+        }
+        Ok(())
+    }
+
+    /// Ends all, and removes what they have written.
+    pub fn end(mut self) {
+        self.stop();
+        // What is left of it costs a few kilobytes in a temporary folder.
+        drop(std::fs::remove_dir_all(&self.folder));
+    }
+
+    fn stop(&mut self) {
+        for pipeline in &self.pipelines {
+            // One that has ended cannot be signalled, and need not.
+            kill_process(Pid::from_child(&pipeline.child), Signal::TERM).ok();
+        }
+        let end = Instant::now() + END_TIME;
+        for pipeline in &mut self.pipelines {
+            while matches!(pipeline.child.try_wait(), Ok(None)) {
+                if Instant::now() >= end {
+                    pipeline.child.kill().ok();
+                    pipeline.child.wait().ok();
+                }
+                std::thread::sleep(Duration::from_millis(20));
+            }
+        }
+        self.pipelines.clear();
+    }
+}
+
+impl Drop for Fleet {
+    fn drop(&mut self) {
+        self.stop();
+    }
+}
+
+/// Free TCP ports of the loopback interface. Whoever takes one of them meanwhile makes its gateway fail aloud.
+///
+/// # Errors
+/// The system gives none.
+pub fn free_ports(count: usize) -> anyhow::Result<Vec<u16>> {
+    let listeners: Vec<TcpListener> = (0..count)
+        .map(|_| TcpListener::bind(("127.0.0.1", 0)))
+        .collect::<Result<_, _>>()
+        .context("a free port on 127.0.0.1")?;
+    let ports = listeners.iter().map(|listener| Ok(listener.local_addr()?.port()));
+    ports.collect()
+}

@@ -1,0 +1,383 @@
+//! Where drones have each other, beside the truth.
+//!
+//! The truth is known at the exposures of a drone's camera; what it says of the others holds for other instants.
+//! Between two exposures the truth goes straight on and turns evenly.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::fmt;
+
+use flockeye_cli::text_table::TextTable;
+use flockeye_geometry::statistics::{mean, median, quantile};
+use flockeye_peer::{UncertainPose, Way};
+use nalgebra::{Isometry3, Vector6};
+use serde::Serialize;
+
+/// Truths of a pair that are kept: a few seconds.
+const KEPT_TRUTHS: usize = 256;
+/// Claims that wait for the truth after them.
+const WAITING_CLAIMS: usize = 4096;
+/// Exposures farther apart than this say nothing of what is between them.
+const LONGEST_GAP_NS: i64 = 500_000_000;
+/// 95 % of chi-square with 6 degrees of freedom.
+const CHI2_6_95: f64 = 12.592;
+
+/// How a claim came about.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Basis {
+    /// By all that the swarm says.
+    Swarm(Way),
+    /// By the observer's own sightings alone, of a drone that it has mutually too at the same instant.
+    Alone,
+}
+
+/// Where a drone has another one.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Claim {
+    /// Who.
+    pub from: String,
+    /// Whom.
+    pub to: String,
+    /// The instant that it holds for, CLOCK_MONOTONIC, nanoseconds.
+    pub at_ns: i64,
+    /// How it came about.
+    pub basis: Basis,
+    /// The pose of `to` in the frame of `from`.
+    pub pose: UncertainPose,
+}
+
+/// How far a claim is from the truth.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct PoseError {
+    position_m: f64,
+    rotation_rad: f64,
+    /// Squared, in units of what was stated; 6 on average where that is right.
+    normalized: f64,
+}
+
+type Pair = (String, String);
+
+/// When others take a drone's frames to be exposed.
+#[derive(Debug, Default)]
+struct Clocks {
+    /// The exposures of each drone's newest frames.
+    exposures: BTreeMap<String, BTreeMap<u64, i64>>,
+    /// Error in milliseconds, and in units of the deviation that was given.
+    errors: Vec<[f64; 2]>,
+}
+
+/// Collects claims and truths.
+#[derive(Debug, Default)]
+pub struct Score {
+    truths: BTreeMap<Pair, VecDeque<(i64, Isometry3<f64>)>>,
+    waiting: VecDeque<Claim>,
+    errors: BTreeMap<Basis, Vec<PoseError>>,
+    /// Of each pair and instant that is known both ways: mutual, then alone.
+    both: BTreeMap<(Pair, i64), [Option<PoseError>; 2]>,
+    clocks: Clocks,
+}
+
+impl Score {
+    /// Takes where `to` truly is in the frame of `from` at an exposure, CLOCK_MONOTONIC, nanoseconds.
+    pub fn truth(&mut self, from: &str, to: &str, at_ns: i64, from_from_to: Isometry3<f64>) {
+        let truths = self.truths.entry((from.to_owned(), to.to_owned())).or_default();
+        truths.push_back((at_ns, from_from_to));
+        if truths.len() > KEPT_TRUTHS {
+            truths.pop_front();
+        }
+    }
+
+    /// Takes when a drone's frame was exposed, CLOCK_MONOTONIC, nanoseconds.
+    pub fn exposed(&mut self, drone: &str, frame: u64, at_ns: i64) {
+        let exposures = self.clocks.exposures.entry(drone.to_owned()).or_default();
+        exposures.insert(frame, at_ns);
+        if exposures.len() > KEPT_TRUTHS {
+            exposures.pop_first();
+        }
+    }
+
+    /// Takes when another drone takes that to be, and with which deviation.
+    pub fn timed(&mut self, drone: &str, frame: u64, at_ns: i64, deviation_ns: i64) {
+        let exposures = self.clocks.exposures.get(drone);
+        if let Some(true_ns) = exposures.and_then(|exposures| exposures.get(&frame)) {
+            let error_ns = (at_ns - true_ns).abs() as f64;
+            self.clocks.errors.push([error_ns * 1e-6, error_ns / deviation_ns.max(1) as f64]);
+        }
+    }
+
+    /// Takes a claim, to be compared when the truth after it is there.
+    pub fn claim(&mut self, claim: Claim) {
+        self.waiting.push_back(claim);
+        if self.waiting.len() > WAITING_CLAIMS {
+            self.waiting.pop_front();
+        }
+    }
+
+    /// Compares the claims whose truth is there.
+    pub fn settle(&mut self) {
+        for claim in std::mem::take(&mut self.waiting) {
+            let pair = (claim.from.clone(), claim.to.clone());
+            let truths = self.truths.get(&pair);
+            let newest = truths.and_then(|truths| truths.back()).map(|(at_ns, _)| *at_ns);
+            if newest.is_none_or(|newest| newest < claim.at_ns) {
+                self.waiting.push_back(claim);
+                continue;
+            }
+            let Some(truth) = truths.and_then(|truths| truth_at(truths, claim.at_ns)) else {
+                continue;
+            };
+            let error = PoseError::of(&claim.pose, &truth);
+            self.errors.entry(claim.basis).or_default().push(error);
+            match claim.basis {
+                Basis::Swarm(Way::Mutual) => self.both_of(pair, claim.at_ns)[0] = Some(error),
+                Basis::Alone => self.both_of(pair, claim.at_ns)[1] = Some(error),
+                Basis::Swarm(_) => {}
+            }
+        }
+    }
+
+    fn both_of(&mut self, pair: Pair, at_ns: i64) -> &mut [Option<PoseError>; 2] {
+        self.both.entry((pair, at_ns)).or_default()
+    }
+
+    /// What came out.
+    pub fn report(&self) -> SwarmReport {
+        let ways = self.errors.iter().filter_map(|(basis, errors)| match basis {
+            Basis::Swarm(way) => Some((way.name(), Figures::of(errors)?)),
+            Basis::Alone => None,
+        });
+        let both: Vec<[PoseError; 2]> = self
+            .both
+            .values()
+            .filter_map(|[mutual, alone]| Some([(*mutual)?, (*alone)?]))
+            .collect();
+        let side = |k: usize| Figures::of(&both.iter().map(|pair| pair[k]).collect::<Vec<_>>());
+        SwarmReport {
+            ways: ways.map(|(name, figures)| (name.to_owned(), figures)).collect(),
+            mutual: side(0).zip(side(1)).map(|(mutual, alone)| Gain { mutual, alone }),
+            clocks: self.clocks.figures(),
+        }
+    }
+}
+
+impl Clocks {
+    fn figures(&self) -> Option<ClockFigures> {
+        let rising = |k: usize| {
+            let mut values: Vec<f64> = self.errors.iter().map(|error| error[k]).collect();
+            values.sort_by(f64::total_cmp);
+            values
+        };
+        let ends = |rising: &[f64]| Some([median(rising)?, quantile(rising, 0.95)?]);
+        Some(ClockFigures { error_ms: ends(&rising(0))?, deviations: ends(&rising(1))? })
+    }
+}
+
+/// The truth at an instant, from those before and after it.
+fn truth_at(truths: &VecDeque<(i64, Isometry3<f64>)>, at_ns: i64) -> Option<Isometry3<f64>> {
+    let after = truths.partition_point(|(ns, _)| *ns < at_ns);
+    let (after_ns, later) = truths.get(after)?;
+    if *after_ns == at_ns {
+        return Some(*later);
+    }
+    let (before_ns, earlier) = truths.get(after.checked_sub(1)?)?;
+    let gap_ns = after_ns - before_ns;
+    let share = (at_ns - before_ns) as f64 / gap_ns as f64;
+    // Opposite rotations have no way between them; no drone turns so fast.
+    (gap_ns <= LONGEST_GAP_NS).then(|| earlier.try_lerp_slerp(later, share, 1e-9)).flatten()
+}
+
+impl PoseError {
+    fn of(claimed: &UncertainPose, truth: &Isometry3<f64>) -> Self {
+        let position = claimed.a_from_b.translation.vector - truth.translation.vector;
+        let rotation = (claimed.a_from_b.rotation * truth.rotation.inverse()).scaled_axis();
+        let mut error = Vector6::zeros();
+        error.fixed_rows_mut::<3>(0).copy_from(&position);
+        error.fixed_rows_mut::<3>(3).copy_from(&rotation);
+        let normalized =
+            claimed.covariance.cholesky().map(|factor| error.dot(&factor.solve(&error)));
+        Self {
+            position_m: position.norm(),
+            rotation_rad: rotation.norm(),
+            normalized: normalized.unwrap_or(f64::INFINITY),
+        }
+    }
+}
+
+/// Figures of many poses.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Figures {
+    /// How many.
+    pub poses: usize,
+    /// Median and 95 % of the distance from the true position, millimetres.
+    pub position_mm: [f64; 2],
+    /// The same of the rotation, degrees.
+    pub rotation_deg: [f64; 2],
+    /// Mean of the squared errors in units of what was stated: 6 where that is right.
+    pub normalized: f64,
+    /// Share of poses whose error is one of the 95 % that are to be expected.
+    pub share_within_95: f64,
+}
+
+impl Figures {
+    fn of(errors: &[PoseError]) -> Option<Self> {
+        let rising = |of: fn(&PoseError) -> f64| {
+            let mut values: Vec<f64> = errors.iter().map(of).collect();
+            values.sort_by(f64::total_cmp);
+            values
+        };
+        let ends = |rising: &[f64], unit: f64| {
+            Some([median(rising)? * unit, quantile(rising, 0.95)? * unit])
+        };
+        let normalized = rising(|error| error.normalized);
+        let within = normalized.iter().filter(|value| **value <= CHI2_6_95).count();
+        Some(Self {
+            poses: errors.len(),
+            position_mm: ends(&rising(|error| error.position_m), 1e3)?,
+            rotation_deg: ends(&rising(|error| error.rotation_rad), 1f64.to_degrees())?,
+            normalized: mean(&normalized)?,
+            share_within_95: within as f64 / errors.len() as f64,
+        })
+    }
+}
+
+/// What two that see each other have of it, of the same pairs at the same instants.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Gain {
+    /// By both drones' sightings.
+    pub mutual: Figures,
+    /// By the observer's own alone.
+    pub alone: Figures,
+}
+
+/// How well drones know when others' frames were exposed.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ClockFigures {
+    /// Median and 95 % of the error, milliseconds.
+    pub error_ms: [f64; 2],
+    /// The same in units of the deviation that was given.
+    pub deviations: [f64; 2],
+}
+
+/// What came out.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SwarmReport {
+    /// By how the poses came about.
+    pub ways: BTreeMap<String, Figures>,
+    /// What is gained by looking from both sides.
+    pub mutual: Option<Gain>,
+    /// How well the drones know each other's clocks.
+    pub clocks: Option<ClockFigures>,
+}
+
+impl fmt::Display for SwarmReport {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let titles = ["known", "poses", "mm", "95 %", "degrees", "95 %", "NEES", "within 95 %"];
+        let mut table = TextTable::new(1, &titles);
+        let mut row = |name: &str, figures: &Figures| {
+            let [position, most] = figures.position_mm;
+            let [rotation, most_rotated] = figures.rotation_deg;
+            table.row([
+                name.to_owned(),
+                figures.poses.to_string(),
+                format!("{position:.1}"),
+                format!("{most:.1}"),
+                format!("{rotation:.2}"),
+                format!("{most_rotated:.2}"),
+                format!("{:.1}", figures.normalized),
+                format!("{:.0} %", 100.0 * figures.share_within_95),
+            ]);
+        };
+        self.ways.iter().for_each(|(name, figures)| row(name, figures));
+        if let Some(Gain { alone, .. }) = &self.mutual {
+            row("alone", alone);
+        }
+        formatter.write_str(&table.text())?;
+        if let Some(ClockFigures { error_ms: [error, most], deviations: [deviation, worst] }) =
+            &self.clocks
+        {
+            write!(
+                formatter,
+                "\nothers' exposures: {error:.2} ms off ({most:.2} in 95 %), {deviation:.1} of the deviations \
+                 given ({worst:.1} in 95 %)"
+            )?;
+        }
+        let Some(Gain { mutual, alone }) = &self.mutual else { return Ok(()) };
+        let ratio = |mutual: [f64; 2], alone: [f64; 2]| {
+            format!("{:.2} ({:.2} in 95 %)", mutual[0] / alone[0], mutual[1] / alone[1])
+        };
+        write!(
+            formatter,
+            "\nmutual beside alone, of {} poses at the same instants: position {}, rotation {}",
+            alone.poses,
+            ratio(mutual.position_mm, alone.position_mm),
+            ratio(mutual.rotation_deg, alone.rotation_deg)
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use nalgebra::{Matrix6, UnitQuaternion, Vector3};
+
+    use super::*;
+
+    const MS: i64 = 1_000_000;
+
+    fn at(x: f64, yaw: f64) -> Isometry3<f64> {
+        let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
+        Isometry3::from_parts(Vector3::new(x, 0.0, 0.0).into(), yaw)
+    }
+
+    fn claim(at_ns: i64, basis: Basis, x: f64) -> Claim {
+        let covariance = Matrix6::identity() * 1e-6;
+        let pose = UncertainPose { a_from_b: at(x, 0.0), covariance };
+        Claim { from: "a".into(), to: "b".into(), at_ns, basis, pose }
+    }
+
+    #[test]
+    fn a_claim_is_compared_with_the_truth_of_its_instant() {
+        let mut score = Score::default();
+        score.truth("a", "b", 0, at(1.0, -0.1));
+        // Half way between: at 1.5 m, turned by nothing.
+        score.claim(claim(50 * MS, Basis::Swarm(Way::Mutual), 1.501));
+        score.claim(claim(50 * MS, Basis::Alone, 1.498));
+        score.settle();
+        assert_eq!(score.report().ways.len(), 0, "what is true then is not known yet");
+        score.truth("a", "b", 100 * MS, at(2.0, 0.1));
+        score.settle();
+        let report = score.report();
+        let Gain { mutual, alone } = report.mutual.as_ref().unwrap();
+        assert_eq!(report.ways["mutual"], *mutual);
+        assert!((mutual.position_mm[0] - 1.0).abs() < 1e-9 && mutual.rotation_deg[0] < 1e-9);
+        assert!((alone.position_mm[0] - 2.0).abs() < 1e-9);
+        assert!((mutual.normalized - 1.0).abs() < 1e-6 && (alone.normalized - 4.0).abs() < 1e-6);
+        assert_eq!((mutual.share_within_95, alone.share_within_95), (1.0, 1.0));
+        assert_eq!(report.clocks, None);
+        assert!(report.to_string().contains("position 0.50 (0.50 in 95 %)"), "{report}");
+    }
+
+    #[test]
+    fn what_the_truth_says_nothing_of_does_not_count() {
+        let mut score = Score::default();
+        score.truth("a", "b", 0, at(1.0, 0.0));
+        score.truth("a", "b", 900 * MS, at(1.0, 0.0));
+        for at_ns in [-5 * MS, 400 * MS] {
+            score.claim(claim(at_ns, Basis::Swarm(Way::Direct), 1.0));
+        }
+        score.claim(Claim { to: "nobody".into(), ..claim(0, Basis::Swarm(Way::Direct), 1.0) });
+        score.settle();
+        let nothing = SwarmReport { ways: BTreeMap::new(), mutual: None, clocks: None };
+        assert_eq!(score.report(), nothing);
+    }
+
+    #[test]
+    fn what_others_take_for_an_exposure_is_compared_with_it() {
+        let mut score = Score::default();
+        score.exposed("a", 7, 100 * MS);
+        score.timed("a", 7, 102 * MS, MS);
+        score.timed("a", 8, 102 * MS, MS);
+        score.timed("b", 7, 102 * MS, MS);
+        let clocks = score.report().clocks.unwrap();
+        assert_eq!(clocks, ClockFigures { error_ms: [2.0; 2], deviations: [2.0; 2] });
+    }
+}

@@ -1,0 +1,198 @@
+//! What the pipelines of a swarm say of each other, and what is true: a thread for each of them.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::Sender;
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use flockeye_contract::{Peers, Rotations, SwarmPose, SwarmWay, Swarms, Tracks, Truths};
+use flockeye_convert::{camera_turn, isometry, matrix6};
+use flockeye_peer::{PeerReport, SwarmView, UncertainPose, Way};
+use flockeye_runtime::instance::Instance;
+use flockeye_runtime::ports::{Ports, Subscriber};
+use nalgebra::{Isometry3, UnitQuaternion};
+
+use super::score::{Basis, Claim};
+use crate::attach::{Attached, PipelineChoice, attach};
+
+/// How often it is looked whether a pipeline runs, and whether messages have come.
+const POLL: Duration = Duration::from_millis(50);
+
+/// What is heard of a drone's pipeline.
+#[derive(Debug)]
+pub enum Word {
+    /// Where the others truly are.
+    Truth {
+        /// The drone.
+        from: String,
+        /// The frame's number, which is unique while no simulator is replaced.
+        frame: u64,
+        /// The exposure, CLOCK_MONOTONIC, nanoseconds.
+        at_ns: i64,
+        /// The others, in its frame.
+        others: Vec<(String, Isometry3<f64>)>,
+    },
+    /// When it takes a frame of another drone to be exposed.
+    Timed {
+        /// The other drone.
+        observer: String,
+        /// The frame's number.
+        frame: u64,
+        /// The exposure, CLOCK_MONOTONIC, nanoseconds.
+        exposure_ns: i64,
+        /// The deviation that it gives, nanoseconds.
+        deviation_ns: i64,
+    },
+    /// Where it has them.
+    Places {
+        /// The drone.
+        from: String,
+        /// One for each that it has, and beside it what it would say by itself.
+        claims: Vec<Claim>,
+    },
+}
+
+/// Reads the pipeline of the drone `name` in a thread, as soon as it runs, until `stopping` is raised or nobody
+/// listens.
+///
+/// # Errors
+/// The system starts no thread.
+pub fn watch(
+    instance: Instance,
+    name: String,
+    tell: Sender<Word>,
+    stopping: Arc<AtomicBool>,
+) -> std::io::Result<JoinHandle<anyhow::Result<()>>> {
+    let thread = std::thread::Builder::new().name(name.clone());
+    thread.spawn(move || {
+        let choice = PipelineChoice { instance: Some(instance.name().to_owned()) };
+        let ears = loop {
+            if stopping.load(Ordering::Relaxed) {
+                return Ok(());
+            }
+            // Its topics are made after its name is taken.
+            match instance.is_running().then(|| Ears::open(&choice)) {
+                Some(Ok(ears)) => break ears,
+                Some(Err(_)) | None => std::thread::sleep(POLL),
+            }
+        };
+        ears.hear(&name, &tell, &stopping)
+    })
+}
+
+/// What is read of a pipeline.
+struct Ears {
+    observer_from_camera: UnitQuaternion<f64>,
+    truths: Subscriber<Truths>,
+    rotations: Subscriber<Rotations>,
+    tracks: Subscriber<Tracks>,
+    peers: Subscriber<Peers>,
+    swarms: Subscriber<Swarms>,
+    // Ports go after the subscribers.
+    ports: Ports,
+}
+
+impl Ears {
+    fn open(choice: &PipelineChoice) -> anyhow::Result<Self> {
+        let Attached { mut ports, resolved, .. } = attach(choice)?;
+        Ok(Self {
+            observer_from_camera: resolved.observer_from_camera.rotation,
+            truths: ports.subscriber()?,
+            rotations: ports.subscriber()?,
+            tracks: ports.subscriber()?,
+            peers: ports.subscriber()?,
+            swarms: ports.subscriber()?,
+            ports,
+        })
+    }
+
+    fn hear(self, name: &str, tell: &Sender<Word>, stopping: &AtomicBool) -> anyhow::Result<()> {
+        let Self {
+            observer_from_camera,
+            mut truths,
+            mut rotations,
+            mut tracks,
+            mut peers,
+            mut swarms,
+            ports,
+        } = self;
+        let mut alone = SwarmView::from(name);
+        ports.attend(|| {
+            let mut words = Vec::new();
+            while let Some(message) = truths.receive()? {
+                let others = message.items().iter();
+                words.push(Word::Truth {
+                    from: name.to_owned(),
+                    frame: message.header.stamp.sequence,
+                    at_ns: message.header.stamp.exposure_ns,
+                    others: others
+                        .map(|body| (body.name.to_string(), isometry(&body.observer_from_target)))
+                        .collect(),
+                });
+            }
+            while let Some(message) = rotations.receive()? {
+                if let Some(turn) = camera_turn(&message.header) {
+                    alone.turned(&turn.in_frame(&observer_from_camera));
+                }
+            }
+            while let Some(message) = tracks.receive()? {
+                let stamp = message.header.stamp;
+                for track in message.items() {
+                    if let Some(report) =
+                        PeerReport::of_track(name, &stamp, stamp.exposure_ns, track)
+                    {
+                        alone.hear(&report);
+                    }
+                }
+            }
+            while let Some(message) = peers.receive()? {
+                words.extend(message.items().first().map(|sighting| Word::Timed {
+                    observer: sighting.observer.to_string(),
+                    frame: sighting.frame,
+                    exposure_ns: sighting.exposure_ns,
+                    deviation_ns: sighting.exposure_deviation_ns,
+                }));
+            }
+            while let Some(message) = swarms.receive()? {
+                let at_ns = message.header.at_ns;
+                let claims = claims(name, at_ns, message.items(), &mut alone);
+                words.push(Word::Places { from: name.to_owned(), claims });
+            }
+            let is_over = stopping.load(Ordering::Relaxed)
+                || words.into_iter().any(|word| tell.send(word).is_err());
+            Ok((!is_over).then_some(POLL))
+        })
+    }
+}
+
+/// What a drone says of all others at an instant, and what it would say of those it has mutually if nobody told it
+/// anything.
+fn claims(from: &str, at_ns: i64, poses: &[SwarmPose], alone: &mut SwarmView) -> Vec<Claim> {
+    let claim = |to: String, basis, pose| Claim { from: from.to_owned(), to, at_ns, basis, pose };
+    let mut claims: Vec<Claim> = poses
+        .iter()
+        .filter_map(|place| {
+            let way = match SwarmWay::try_from(place.way).ok()? {
+                SwarmWay::Direct => Way::Direct,
+                SwarmWay::Mutual => Way::Mutual,
+                SwarmWay::Reported => Way::Reported,
+                SwarmWay::Chained => Way::Chained,
+            };
+            let a_from_b = isometry(&place.own_from_drone);
+            let pose = UncertainPose { a_from_b, covariance: matrix6(&place.covariance) };
+            Some(claim(place.name.to_string(), Basis::Swarm(way), pose))
+        })
+        .collect();
+    let own = alone.places(at_ns);
+    let is_mutual = |name: &str| {
+        claims.iter().any(|claim| claim.to == name && claim.basis == Basis::Swarm(Way::Mutual))
+    };
+    let beside: Vec<Claim> = own
+        .into_iter()
+        .filter(|place| is_mutual(&place.name))
+        .map(|place| claim(place.name, Basis::Alone, place.own_from_drone))
+        .collect();
+    claims.extend(beside);
+    claims
+}
