@@ -11,6 +11,7 @@ mod faults;
 mod requests;
 mod swaps;
 pub mod taking_over;
+pub mod unfinished;
 
 use std::rc::Rc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -67,6 +68,8 @@ pub struct Supervisor<'a> {
     retired: Vec<Process>,
     pending: Vec<Pending>,
     replacement: Option<Replacement>,
+    /// Whose old program is to be started again, and the generation that it follows.
+    putting_back: Option<(Worker, u32)>,
     /// A swap is over, and the process that does not count has yet to end.
     awaits_silence: bool,
     /// Whether the processes fly on when this one dies.
@@ -138,6 +141,7 @@ impl<'a> Supervisor<'a> {
             retired: Vec::new(),
             pending: Vec::new(),
             replacement: None,
+            putting_back: None,
             awaits_silence: false,
             is_kept: options.keep,
             is_asked_to_end: false,
@@ -236,14 +240,19 @@ impl<'a> Supervisor<'a> {
     /// Says whose messages count, here and everywhere.
     fn announce(&self, ports: &Ports, word: HandOver) -> anyhow::Result<()> {
         let folder = self.instance.folder();
-        let state = HandOverState::try_from(word.state)?;
+        let step = match HandOverState::try_from(word.state)? {
+            HandOverState::TakenOver if word.new_generation < word.old_generation => "taking back",
+            HandOverState::TakenOver => "taking over",
+            HandOverState::Shadow => "the shadow",
+            HandOverState::Nothing => "the end",
+        };
         if self.is_kept {
             taking_over::write_word(folder, &word);
         }
-        fault_point::pass(folder, &format!("{state:?} is written"));
+        fault_point::pass(folder, &format!("{step} is written"));
         ports.listening().set(word);
         self.hand_overs.send(word, &[])?;
-        fault_point::pass(folder, &format!("{state:?} is said"));
+        fault_point::pass(folder, &format!("{step} is said"));
         Ok(())
     }
 

@@ -12,7 +12,7 @@ use flockeye_runtime::memory::{Budget, shared_memory_space};
 use iceoryx2::prelude::*;
 
 use crate::run_log::{RunOptions, RunSummary};
-use crate::supervisor::{Supervisor, taking_over};
+use crate::supervisor::{Supervisor, unfinished};
 
 /// Arguments of `up`.
 #[derive(Debug, Args)]
@@ -41,7 +41,7 @@ fn what_flies(
     wanted: &Pipeline,
     screen: &mut Screen,
 ) -> anyhow::Result<Resolved> {
-    taking_over::undo_unfinished_swap(instance)?;
+    unfinished::undo(instance)?;
     let flying = instance.pipeline()?;
     let [ours, theirs] = [serde_json::to_value(wanted)?, serde_json::to_value(&flying)?];
     let keys = theirs.as_object().into_iter().flatten();

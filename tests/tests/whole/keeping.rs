@@ -1,4 +1,6 @@
-//! Pipelines that fly on when their launcher dies, and hand-overs in the middle of which somebody dies.
+//! Pipelines that fly on when their launcher dies.
+
+mod hand_over_faults;
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -6,7 +8,7 @@ use std::time::{Duration, Instant};
 use flockeye_contract::Tracks;
 use flockeye_runtime::clock;
 use flockeye_tests::onlooker::{join, subscribe};
-use flockeye_tests::{Flight, SMALL_FLIGHT, WATCHDOG, absent, flockeye, run, unique};
+use flockeye_tests::{Flight, SMALL_FLIGHT, WATCHDOG, flockeye, run, unique};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
@@ -166,111 +168,4 @@ fn stages_without_a_launcher_can_be_ended() {
 fn a_lossless_run_is_not_kept() {
     let (succeeded, output) = run(&["up", "--keep", "--flow", "lossless"]);
     assert!(!succeeded && output.contains("waits for its launcher"), "{output}");
-}
-
-/// The steps of a hand-over at which the launcher can be stopped.
-const STEPS: [&str; 9] = [
-    "Shadow is written",
-    "Shadow is said",
-    "it is started",
-    "TakenOver is written",
-    "TakenOver is said",
-    "it is swapped",
-    "the old one is asked to end",
-    "Nothing is written",
-    "Nothing is said",
-];
-
-/// Swaps fusion, and calls `strike` with the old process's number when the hand-over has come to `step`.
-fn swap_until(flight: &mut Flight, step: &str, strike: impl FnOnce(&mut Flight, i32)) {
-    let instance = flight.instance.name().to_owned();
-    let old = workers(&instance)["fusion"];
-    let reached = flight.instance.folder().join("fault-reached");
-    std::fs::write(flight.instance.folder().join("fault"), step).expect("it can be written");
-    let swap = std::thread::spawn({
-        let instance = instance.clone();
-        move || ask(&instance, &["swap", "fusion", "--within", "60s"])
-    });
-    let start = Instant::now();
-    while !reached.exists() {
-        assert!(start.elapsed() < WATCHDOG, "{step:?} is not reached:\n{}", flight.output());
-        std::thread::sleep(Duration::from_millis(5));
-    }
-    strike(flight, old);
-    std::fs::remove_file(&reached).expect("it is there");
-    // Whether it succeeds depends on who has died.
-    swap.join().expect("it ends");
-}
-
-/// Whether the launcher has fault points; says so where it has none.
-fn has_fault_points(flight: &Flight) -> bool {
-    let has = flight.output().contains("this build has fault points");
-    if !has {
-        absent("fault-points", "a launcher with fault points (`make test` builds one)");
-    }
-    has
-}
-
-/// Waits until fusion has one process and no other, and no swap is under way.
-fn wait_until_it_is_over(flight: &Flight) {
-    let start = Instant::now();
-    loop {
-        let (_, output) = ask(flight.instance.name(), &["status", "--json"]);
-        let status: Value = serde_json::from_str(&output).unwrap_or_default();
-        if status["swapping"].is_null() && flight.stages("flockeye-fusion").len() == 1 {
-            return;
-        }
-        assert!(start.elapsed() < WATCHDOG, "it is not over:\n{output}\n{}", flight.output());
-        std::thread::sleep(Duration::from_millis(50));
-    }
-}
-
-#[test]
-fn a_launcher_that_dies_at_any_step_of_a_hand_over_leaves_a_flight_that_the_next_one_takes_over() {
-    let instance = unique("fault-launcher");
-    let mut flight = kept_flight(&instance);
-    if !has_fault_points(&flight) {
-        return;
-    }
-    for step in STEPS {
-        swap_until(&mut flight, step, |flight, _| {
-            flight.signal(Signal::KILL);
-            flight.wait();
-        });
-        let mut next = Flight::start_as(&instance, &["--keep"], SMALL_FLIGHT);
-        next.wait_for("takes over fusion (process");
-        wait_for_a_pose(&mut next);
-        wait_until_it_is_over(&next);
-        flight = next;
-    }
-    end(flight);
-}
-
-fn survives_the_death_in_a_hand_over(name: &str, is_victim: fn(&Flight, i32) -> Option<i32>) {
-    let instance = unique(name);
-    let mut flight = kept_flight(&instance);
-    if !has_fault_points(&flight) {
-        return;
-    }
-    for step in STEPS {
-        swap_until(&mut flight, step, |flight, old| {
-            is_victim(flight, old).into_iter().for_each(kill);
-        });
-        wait_for_a_pose(&mut flight);
-        wait_until_it_is_over(&flight);
-    }
-    end(flight);
-}
-
-#[test]
-fn an_old_process_that_dies_at_any_step_of_a_hand_over_leaves_a_working_pipeline() {
-    survives_the_death_in_a_hand_over("fault-old", |_, old| Some(old));
-}
-
-#[test]
-fn a_new_process_that_dies_at_any_step_of_a_hand_over_leaves_a_working_pipeline() {
-    survives_the_death_in_a_hand_over("fault-new", |flight, old| {
-        let all = flight.stages("flockeye-fusion").into_iter();
-        all.map(|pid| pid.as_raw_nonzero().get()).find(|&pid| pid != old)
-    });
 }

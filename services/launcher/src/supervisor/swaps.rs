@@ -11,7 +11,8 @@ use flockeye_runtime::memory::{Budget, shared_memory_space};
 use flockeye_runtime::ports::Ports;
 use serde_json::json;
 
-use super::{Supervisor, taking_over};
+use super::Supervisor;
+use super::unfinished::{self, UnfinishedSwap};
 use crate::control::server::ClientId;
 use crate::control::{Reply, SwapRequest, Worker};
 use crate::fault_point;
@@ -76,14 +77,21 @@ impl Supervisor<'_> {
         }
         let changed = self.changed_pipeline(worker.stage, &request.set)?;
         let within = Duration::from_secs_f64(request.within_s);
+        if self.is_kept {
+            let process = &self.processes[index];
+            let swap = UnfinishedSwap {
+                worker,
+                old_generation: process.generation,
+                old_command: process.command().to_vec(),
+                pipeline: changed.is_some().then(|| self.pipeline.clone()),
+            };
+            swap.keep(self.instance.folder())?;
+            self.putting_back = None;
+        }
         let pipeline_before = match changed {
             Some(resolved) => {
-                if self.is_kept {
-                    let generation = self.processes[index].generation;
-                    let folder = self.instance.folder();
-                    taking_over::keep_settings(folder, worker, generation, &self.pipeline)?;
-                }
                 self.instance.write_configuration(&resolved)?;
+                fault_point::pass(self.instance.folder(), "settings are written");
                 Some(std::mem::replace(&mut self.pipeline, resolved.pipeline))
             }
             None => None,
@@ -96,7 +104,10 @@ impl Supervisor<'_> {
             }
         };
         match (&begun, pipeline_before) {
-            (Err(_), Some(before)) => self.restore(before)?,
+            (Err(_), Some(before)) => {
+                self.restore(before)?;
+                unfinished::forget(self.instance.folder());
+            }
             (Ok(()), before) => {
                 if let Some(swap) = &mut self.swap {
                     swap.pipeline_before = before;
@@ -104,7 +115,7 @@ impl Supervisor<'_> {
                     replacement.pipeline_before = before;
                 }
             }
-            (Err(_), None) => {}
+            (Err(_), None) => unfinished::forget(self.instance.folder()),
         }
         begun
     }
@@ -176,6 +187,7 @@ impl Supervisor<'_> {
             deadline: now + within,
             newest,
         });
+        fault_point::pass(self.instance.folder(), "the old one ends first");
         self.say(client, &format!("{worker} owns a device or a port: the old process ends first"));
     }
 
@@ -217,7 +229,6 @@ impl Supervisor<'_> {
     fn restore(&mut self, pipeline: Pipeline) -> anyhow::Result<()> {
         let resolved = Resolved::of(pipeline)?;
         self.instance.write_configuration(&resolved)?;
-        taking_over::forget_settings(self.instance.folder());
         self.pipeline = resolved.pipeline;
         Ok(())
     }
@@ -262,7 +273,7 @@ impl Supervisor<'_> {
             Verdict::Done(text, report) => {
                 self.screen.line(&text);
                 self.server.reply(swap.client, &Reply::Done { text, report });
-                taking_over::forget_settings(self.instance.folder());
+                unfinished::forget(self.instance.folder());
                 let mut old = swap.candidate.takes_the_place_of(&mut self.processes[index]);
                 fault_point::pass(self.instance.folder(), "it is swapped");
                 old.ask_to_stop();
@@ -277,11 +288,14 @@ impl Supervisor<'_> {
                 self.screen.line(&text);
                 self.server.reply(swap.client, &Reply::Failed(text));
                 let mut candidate = swap.candidate;
+                fault_point::pass(self.instance.folder(), "it is refused");
                 candidate.ask_to_stop();
+                fault_point::pass(self.instance.folder(), "the new one is asked to end");
                 self.retired.push(candidate);
                 if let Some(before) = swap.pipeline_before {
                     self.restore(before)?;
                 }
+                unfinished::forget(self.instance.folder());
             }
         }
         self.messages.keep_apart(None);
@@ -299,6 +313,13 @@ impl Supervisor<'_> {
     }
 
     fn look_after_replacement(&mut self) -> anyhow::Result<()> {
+        if let Some((worker, generation)) = self.putting_back {
+            let process = &self.processes[self.index_of(worker)?];
+            if process.generation > generation && process.condition() == Condition::Running {
+                self.putting_back = None;
+                unfinished::forget(self.instance.folder());
+            }
+        }
         let Some(replacement) = &self.replacement else { return Ok(()) };
         let worker = replacement.worker;
         let index = self.index_of(worker)?;
@@ -319,8 +340,9 @@ impl Supervisor<'_> {
             let generation = self.processes[index].generation;
             let report = json!({ "worker": worker, "generation": generation, "gap_s": gap_s });
             self.screen.line(&text);
+            fault_point::pass(self.instance.folder(), "it is replaced");
             self.server.reply(replacement.client, &Reply::Done { text, report });
-            taking_over::forget_settings(self.instance.folder());
+            unfinished::forget(self.instance.folder());
             return Ok(());
         }
         if let Some(before) = replacement.pipeline_before {
@@ -328,7 +350,9 @@ impl Supervisor<'_> {
         }
         let process = &mut self.processes[index];
         process.set_command(replacement.old_command);
+        self.putting_back = Some((worker, process.generation));
         process.ask_to_restart();
+        fault_point::pass(self.instance.folder(), "the old program is asked for");
         let text = format!(
             "{worker} is not swapped: the new process did not work within {gap_s:.1} s. The old \
              program is started again"

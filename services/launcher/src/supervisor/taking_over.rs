@@ -2,21 +2,16 @@
 //!
 //! What a launcher knows and its successor cannot see for itself is in the folder `kept` of the instance: a
 //! record of each process ([`flockeye_runtime::kept`]), a memo of each worker ([`crate::process::memo`]), the last
-//! word on whose messages count, and the settings before an unfinished swap.
+//! word on whose messages count, and an unfinished swap ([`super::unfinished`]).
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
-use flockeye_config::{Pipeline, Resolved};
 use flockeye_contract::{HandOver, HandOverState};
-use flockeye_runtime::instance::Instance;
 use flockeye_runtime::kept::{self, KeptProcess};
 use flockeye_runtime::whole_file::write_whole;
-use serde::{Deserialize, Serialize};
 
 use super::Supervisor;
 use crate::control::Worker;
-use crate::swap::shadow::can_shadow;
 
 impl Supervisor<'_> {
     /// Goes on with these processes. Of two of one worker, the one that counts by the last word stays, and the
@@ -67,7 +62,7 @@ impl Supervisor<'_> {
 }
 
 /// The generation of a worker that counts now, by the last word.
-fn counting_generation(word: &HandOver, worker: Worker) -> Option<u32> {
+pub(super) fn counting_generation(word: &HandOver, worker: Worker) -> Option<u32> {
     if !word.is_about(worker.stage, worker.replica) {
         return None;
     }
@@ -79,7 +74,7 @@ fn counting_generation(word: &HandOver, worker: Worker) -> Option<u32> {
 }
 
 /// Whether the new process of a worker has taken over, by the last word.
-fn has_taken_over(word: &HandOver, worker: Worker) -> bool {
+pub(super) fn has_taken_over(word: &HandOver, worker: Worker) -> bool {
     word.is_about(worker.stage, worker.replica) && word.state == HandOverState::TakenOver.code()
 }
 
@@ -94,68 +89,9 @@ pub(super) fn write_word(folder: &Path, word: &HandOver) {
     }
 }
 
-fn read_word(folder: &Path) -> HandOver {
+pub(super) fn read_word(folder: &Path) -> HandOver {
     let bytes = std::fs::read(word_file(folder)).unwrap_or_default();
     bytemuck::try_pod_read_unaligned(&bytes).unwrap_or_default()
-}
-
-fn settings_file(folder: &Path) -> PathBuf {
-    kept::folder(folder).join("settings_before")
-}
-
-/// The configuration of before a swap that is not over.
-#[derive(Debug, Serialize, Deserialize)]
-struct SettingsBefore {
-    worker: Worker,
-    /// The generation that is swapped.
-    old_generation: u32,
-    pipeline: Pipeline,
-}
-
-/// Keeps the configuration of before the swap of `worker`, until that is over.
-pub(super) fn keep_settings(
-    folder: &Path,
-    worker: Worker,
-    old_generation: u32,
-    pipeline: &Pipeline,
-) -> anyhow::Result<()> {
-    let before = SettingsBefore { worker, old_generation, pipeline: pipeline.clone() };
-    let file = settings_file(folder);
-    write_whole(&file, &serde_json::to_vec(&before)?).with_context(|| format!("{}", file.display()))
-}
-
-/// The swap for which the settings were kept is over.
-pub(super) fn forget_settings(folder: &Path) {
-    // Without one there is nothing to forget.
-    drop(std::fs::remove_file(settings_file(folder)));
-}
-
-/// Goes back to the settings of before a swap that was not over, unless its new process is the one that stays.
-///
-/// # Errors
-/// The configuration cannot be written.
-pub fn undo_unfinished_swap(instance: &Instance) -> anyhow::Result<()> {
-    let folder = instance.folder();
-    let before = std::fs::read(settings_file(folder)).ok();
-    let before = before.and_then(|json| serde_json::from_slice::<SettingsBefore>(&json).ok());
-    if let Some(SettingsBefore { worker, old_generation, pipeline }) = before {
-        let word = read_word(folder);
-        let stays = match can_shadow(worker.stage) {
-            true => {
-                has_taken_over(&word, worker)
-                    && counting_generation(&word, worker) > Some(old_generation)
-            }
-            // Who owns a device never runs beside another: whoever lives stays.
-            false => kept::living(folder)
-                .iter()
-                .any(|kept| kept.stage == worker.stage.name() && kept.generation > old_generation),
-        };
-        if !stays {
-            instance.write_configuration(&Resolved::of(pipeline)?)?;
-        }
-    }
-    forget_settings(folder);
-    Ok(())
 }
 
 #[cfg(test)]

@@ -1,0 +1,109 @@
+//! A swap that is under way, kept for the launcher after this one: what to go back to if this one dies.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, ensure};
+use flockeye_config::{Pipeline, Resolved};
+use flockeye_contract::HandOver;
+use flockeye_runtime::instance::Instance;
+use flockeye_runtime::kept::{self, KeptProcess};
+use flockeye_runtime::whole_file::write_whole;
+use rustix::process::{Pid, Signal, kill_process_group};
+use serde::{Deserialize, Serialize};
+
+use super::taking_over::{counting_generation, has_taken_over, read_word};
+use crate::control::Worker;
+use crate::process::memo::Memo;
+use crate::swap::shadow::can_shadow;
+
+/// The system ends a killed process within this time.
+const KILL_TIME: Duration = Duration::from_secs(5);
+
+/// A swap that is not over.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct UnfinishedSwap {
+    /// Who is swapped.
+    pub worker: Worker,
+    /// The generation that is replaced.
+    pub old_generation: u32,
+    /// The program before it.
+    pub old_command: Vec<String>,
+    /// The configuration before it, where it changes that.
+    pub pipeline: Option<Pipeline>,
+}
+
+fn file(folder: &Path) -> PathBuf {
+    kept::folder(folder).join("unfinished_swap")
+}
+
+impl UnfinishedSwap {
+    /// Keeps it until [`forget`].
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub fn keep(&self, folder: &Path) -> anyhow::Result<()> {
+        let file = file(folder);
+        write_whole(&file, &serde_json::to_vec(self)?)
+            .with_context(|| format!("{}", file.display()))
+    }
+
+    /// Whether its new process is the one that stays.
+    fn has_succeeded(&self, word: &HandOver) -> bool {
+        // Who owns a device was to show that it works, and nobody was left to see it.
+        can_shadow(self.worker.stage)
+            && has_taken_over(word, self.worker)
+            && counting_generation(word, self.worker) > Some(self.old_generation)
+    }
+
+    /// Lets the old program be started, which owns its device again.
+    fn put_back_program(&self, folder: &Path) -> anyhow::Result<()> {
+        let is_new = |kept: &KeptProcess| {
+            kept.stage == self.worker.stage.name()
+                && kept.replica == self.worker.replica
+                && kept.generation > self.old_generation
+        };
+        for new in kept::living(folder).iter().filter(|kept| is_new(kept)) {
+            if let Some(pid) = i32::try_from(new.pid).ok().and_then(Pid::from_raw) {
+                // It may end by itself meanwhile.
+                kill_process_group(pid, Signal::KILL).ok();
+            }
+            let start = Instant::now();
+            while new.is_alive(folder) {
+                ensure!(start.elapsed() < KILL_TIME, "process {} does not end", new.pid);
+                std::thread::sleep(Duration::from_millis(10));
+            }
+        }
+        if let Some(memo) = Memo::read(folder, self.worker) {
+            let memo = Memo { command: self.old_command.clone(), ..memo };
+            memo.write(folder, self.worker).context("what is known of its worker")?;
+        }
+        Ok(())
+    }
+}
+
+/// The swap that was kept is over.
+pub(super) fn forget(folder: &Path) {
+    // Without one there is nothing to forget.
+    drop(std::fs::remove_file(file(folder)));
+}
+
+/// Goes back to what was before a swap that was not over, unless its new process is the one that stays.
+///
+/// # Errors
+/// The configuration cannot be written, or a process cannot be ended.
+pub fn undo(instance: &Instance) -> anyhow::Result<()> {
+    let folder = instance.folder();
+    let swap = std::fs::read(file(folder)).ok();
+    let swap = swap.and_then(|json| serde_json::from_slice::<UnfinishedSwap>(&json).ok());
+    if let Some(swap) = swap.filter(|swap| !swap.has_succeeded(&read_word(folder))) {
+        if !can_shadow(swap.worker.stage) {
+            swap.put_back_program(folder)?;
+        }
+        if let Some(pipeline) = swap.pipeline {
+            instance.write_configuration(&Resolved::of(pipeline)?)?;
+        }
+    }
+    forget(folder);
+    Ok(())
+}
