@@ -66,6 +66,16 @@ EXPERIMENTS = {
     "cadence": ("How often a part of the sphere is searched", ["check", "--measure", "20s", *QUIET],
                 "search |measured "),
 }
+# Simulated swarms: title, arguments of `flockeye swarm sim`.
+SWARMS = {
+    "ring": ("Three drones that see each other, in calm air", ["--drones", "3", "--for", "60s"]),
+    "gusty": ("Two drones in gusts",
+              ["--drones", "2", "--rate", "12", "--for", "60s", "--set", "simulator.tilt_deg=8",
+               "--set", "simulator.yaw_swing_deg_s=20", "--set", "simulator.distance_m=[0.7, 1.0]"]),
+    "chain": ("Six drones, of which each sees two",
+              ["--drones", "6", "--rate", "4", "--size", "800x400", "--for", "60s",
+               "--set", "simulator.distance_m=[0.6, 0.65]"]),
+}
 # A flight whose rotations are compared with the recording's gyroscope: title, recording, gyroscope.
 ROTATIONS = {"gyroscope": ("The visual gyroscope", "flight4/flight4.mp4", "flight4/imu.csv")}
 # Benchmarks whose words are kept: what the virtual clock of lossless runs goes by.
@@ -81,7 +91,7 @@ DISTURBED = {
 # Flights in which one of two detection workers does not do its work: title, what is wrong with it, flights of each.
 FAULTY = {"workers": ("One of two detection workers does not do its work",
                       ["mute", "hold", "spin", "hang", "stopped"], 3)}
-PARTS = [*RECORDINGS, *SIMULATED, *EXPERIMENTS, *ROTATIONS, *BENCHES, *DISTURBED, *FAULTY]
+PARTS = [*RECORDINGS, *SIMULATED, *EXPERIMENTS, *SWARMS, *ROTATIONS, *BENCHES, *DISTURBED, *FAULTY]
 
 
 def flockeye():
@@ -334,6 +344,14 @@ def turned(part, data):
 
 def run_part(part, data, wanted_ways):
     """The entries of one part, by their names."""
+    if part in SWARMS:
+        title, arguments = SWARMS[part]
+        arguments = ["swarm", "sim", *arguments]
+        print(f"  {shown(arguments)}", file=sys.stderr, flush=True)
+        before = machine()
+        lines = call(arguments).splitlines()
+        lines = lines[next(at for at, line in enumerate(lines) if line.startswith("known")):]
+        return {part: {"title": title, "command": shown(arguments), "machine": before, "output": lines}}
     if part in EXPERIMENTS:
         title, arguments, kept = EXPERIMENTS[part]
         print(f"  {shown(arguments)}", file=sys.stderr, flush=True)
@@ -534,6 +552,10 @@ def render(store):
     if any(name in store for name in disturbances):
         (folder / "disturbances.md").write_text(experiments_page(
             "disturbances", "[SWAPPING.md](../SWAPPING.md#chaos) says what is counted.", of(disturbances)))
+    if any(name in store for name in SWARMS):
+        (folder / "swarms.md").write_text(experiments_page(
+            "simulated swarms", "[SIMULATOR.md](../SIMULATOR.md#a-swarm-in-one-world) says what the words mean.",
+            of(SWARMS)))
     if "costs" in store:
         (folder / "costs.md").write_text(costs_page(store["costs"]))
     readme = (ROOT / "README.md").read_text()

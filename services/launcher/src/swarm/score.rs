@@ -45,6 +45,15 @@ pub struct Claim {
     pub pose: UncertainPose,
 }
 
+/// How long reports are under way between the drones' programs.
+#[derive(Debug, Default)]
+struct ReportWays {
+    /// Of each drone's newest frames: when fusion told a pose first, and when others had it first.
+    frames: BTreeMap<(String, u64), (Option<i64>, Vec<i64>)>,
+    /// Milliseconds.
+    took: Vec<f64>,
+}
+
 /// How far a claim is from the truth.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct PoseError {
@@ -74,6 +83,7 @@ pub struct Score {
     /// Of each pair and instant that is known both ways: mutual, then alone.
     both: BTreeMap<(Pair, i64), [Option<PoseError>; 2]>,
     clocks: Clocks,
+    ways: ReportWays,
 }
 
 impl Score {
@@ -102,6 +112,18 @@ impl Score {
             let error_ns = (at_ns - true_ns).abs() as f64;
             self.clocks.errors.push([error_ns * 1e-6, error_ns / deviation_ns.max(1) as f64]);
         }
+    }
+
+    /// Takes when a drone's fusion told a pose of a frame, CLOCK_MONOTONIC, nanoseconds.
+    pub fn told(&mut self, drone: &str, frame: u64, sent_ns: i64) {
+        self.ways.of(drone, frame).0.get_or_insert(sent_ns);
+        self.ways.settle(drone, frame);
+    }
+
+    /// Takes when another drone had it, CLOCK_MONOTONIC, nanoseconds.
+    pub fn heard(&mut self, drone: &str, frame: u64, arrived_ns: i64) {
+        self.ways.of(drone, frame).1.push(arrived_ns);
+        self.ways.settle(drone, frame);
     }
 
     /// Takes a claim, to be compared when the truth after it is there.
@@ -155,7 +177,32 @@ impl Score {
             ways: ways.map(|(name, figures)| (name.to_owned(), figures)).collect(),
             mutual: side(0).zip(side(1)).map(|(mutual, alone)| Gain { mutual, alone }),
             clocks: self.clocks.figures(),
+            reports_ms: self.ways.figures(),
         }
+    }
+}
+
+impl ReportWays {
+    fn of(&mut self, drone: &str, frame: u64) -> &mut (Option<i64>, Vec<i64>) {
+        if self.frames.len() > WAITING_CLAIMS {
+            self.frames.clear();
+        }
+        self.frames.entry((drone.to_owned(), frame)).or_default()
+    }
+
+    fn settle(&mut self, drone: &str, frame: u64) {
+        let (told, heard) = self.of(drone, frame);
+        if let Some(told_ns) = *told {
+            let took: Vec<f64> =
+                heard.drain(..).map(|heard_ns| (heard_ns - told_ns) as f64 * 1e-6).collect();
+            self.took.extend(took);
+        }
+    }
+
+    fn figures(&self) -> Option<[f64; 2]> {
+        let mut rising = self.took.clone();
+        rising.sort_by(f64::total_cmp);
+        Some([median(&rising)?, quantile(&rising, 0.95)?])
     }
 }
 
@@ -266,6 +313,9 @@ pub struct SwarmReport {
     pub mutual: Option<Gain>,
     /// How well the drones know each other's clocks.
     pub clocks: Option<ClockFigures>,
+    /// Median and 95 % of the time from a drone's topic `track` until another drone's gateway has the pose,
+    /// milliseconds.
+    pub reports_ms: Option<[f64; 2]>,
 }
 
 impl fmt::Display for SwarmReport {
@@ -298,6 +348,12 @@ impl fmt::Display for SwarmReport {
                 formatter,
                 "\nothers' exposures: {error:.2} ms off ({most:.2} in 95 %), {deviation:.1} of the deviations \
                  given ({worst:.1} in 95 %)"
+            )?;
+        }
+        if let Some([took, most]) = self.reports_ms {
+            write!(
+                formatter,
+                "\nfrom a drone's track to another drone: {took:.2} ms ({most:.2} in 95 %)"
             )?;
         }
         let Some(Gain { mutual, alone }) = &self.mutual else { return Ok(()) };
@@ -366,7 +422,8 @@ mod tests {
         }
         score.claim(Claim { to: "nobody".into(), ..claim(0, Basis::Swarm(Way::Direct), 1.0) });
         score.settle();
-        let nothing = SwarmReport { ways: BTreeMap::new(), mutual: None, clocks: None };
+        let nothing =
+            SwarmReport { ways: BTreeMap::new(), mutual: None, clocks: None, reports_ms: None };
         assert_eq!(score.report(), nothing);
     }
 
@@ -379,5 +436,16 @@ mod tests {
         score.timed("b", 7, 102 * MS, MS);
         let clocks = score.report().clocks.unwrap();
         assert_eq!(clocks, ClockFigures { error_ms: [2.0; 2], deviations: [2.0; 2] });
+    }
+
+    #[test]
+    fn a_report_is_under_way_from_the_first_word_of_its_frame_whoever_is_heard_first() {
+        let mut score = Score::default();
+        score.heard("a", 7, 103 * MS);
+        score.told("a", 7, 102 * MS);
+        score.told("a", 7, 109 * MS);
+        score.heard("a", 7, 105 * MS);
+        score.heard("a", 8, 105 * MS);
+        assert_eq!(score.report().reports_ms, Some([2.0, 3.0]));
     }
 }

@@ -117,8 +117,15 @@ pub fn run(arguments: &SimArguments) -> anyhow::Result<()> {
         );
         if !arguments.json && shown.elapsed() >= period {
             shown = Instant::now();
-            let table = swarm.table();
-            if screen.is_live() { screen.table(&table) } else { screen.line(&table) }
+            if screen.is_live() {
+                screen.table(&swarm.table());
+            } else {
+                screen.line(&format!(
+                    "after {} s: {}",
+                    started.elapsed().as_secs(),
+                    swarm.counts()
+                ));
+            }
         }
     }
     watching.store(true, Ordering::Relaxed);
@@ -182,6 +189,9 @@ fn pipelines(arguments: &SimArguments) -> anyhow::Result<Vec<(String, Vec<OsStri
     Ok(pipelines)
 }
 
+/// All ways in which a drone can be known.
+const WAYS: [Way; 4] = [Way::Direct, Way::Mutual, Way::Reported, Way::Chained];
+
 /// What was heard so far.
 #[derive(Debug, Default)]
 struct Swarm {
@@ -194,7 +204,9 @@ struct Swarm {
 impl Swarm {
     fn take(&mut self, word: Word) {
         match word {
-            Word::Timed { observer, frame, exposure_ns, deviation_ns } => {
+            Word::Told { from, frame, sent_ns } => self.score.told(&from, frame, sent_ns),
+            Word::Heard { observer, frame, arrived_ns, exposure_ns, deviation_ns } => {
+                self.score.heard(&observer, frame, arrived_ns);
                 self.score.timed(&observer, frame, exposure_ns, deviation_ns);
             }
             Word::Truth { from, frame, at_ns, others } => {
@@ -214,6 +226,16 @@ impl Swarm {
         self.score.settle();
     }
 
+    /// How many know others, and how, by now.
+    fn counts(&self) -> String {
+        let claims = || self.newest.values().flatten();
+        let counts = WAYS.map(|way| {
+            let count = claims().filter(|claim| claim.basis == Basis::Swarm(way)).count();
+            format!("{count} {}", way.name())
+        });
+        counts.join(", ")
+    }
+
     /// Who has whom in which way, and how good that was so far.
     fn table(&self) -> String {
         let titles = ["drone", "direct", "mutual", "reported", "chained"];
@@ -223,8 +245,7 @@ impl Swarm {
                 let is_so = |claim: &&Claim| claim.basis == Basis::Swarm(way);
                 claims.iter().filter(is_so).count().to_string()
             };
-            let ways = [Way::Direct, Way::Mutual, Way::Reported, Way::Chained];
-            table.row(std::iter::once(from.clone()).chain(ways.map(count)));
+            table.row(std::iter::once(from.clone()).chain(WAYS.map(count)));
         }
         format!("{}\n\n{}", table.text(), self.score.report())
     }

@@ -33,12 +33,23 @@ pub enum Word {
         /// The others, in its frame.
         others: Vec<(String, Isometry3<f64>)>,
     },
-    /// When it takes a frame of another drone to be exposed.
-    Timed {
+    /// When its fusion told where somebody is.
+    Told {
+        /// The drone.
+        from: String,
+        /// The frame's number.
+        frame: u64,
+        /// CLOCK_MONOTONIC, nanoseconds.
+        sent_ns: i64,
+    },
+    /// When it heard of another drone's frame, and when it takes that to be exposed.
+    Heard {
         /// The other drone.
         observer: String,
         /// The frame's number.
         frame: u64,
+        /// When the report came in, CLOCK_MONOTONIC, nanoseconds.
+        arrived_ns: i64,
         /// The exposure, CLOCK_MONOTONIC, nanoseconds.
         exposure_ns: i64,
         /// The deviation that it gives, nanoseconds.
@@ -138,6 +149,11 @@ impl Ears {
             }
             while let Some(message) = tracks.receive()? {
                 let stamp = message.header.stamp;
+                words.extend(message.items().first().map(|track| Word::Told {
+                    from: name.to_owned(),
+                    frame: stamp.sequence,
+                    sent_ns: stamp.exposure_ns + track.latency.total_ns,
+                }));
                 for track in message.items() {
                     if let Some(report) =
                         PeerReport::of_track(name, &stamp, stamp.exposure_ns, track)
@@ -147,9 +163,10 @@ impl Ears {
                 }
             }
             while let Some(message) = peers.receive()? {
-                words.extend(message.items().first().map(|sighting| Word::Timed {
+                words.extend(message.items().first().map(|sighting| Word::Heard {
                     observer: sighting.observer.to_string(),
                     frame: sighting.frame,
+                    arrived_ns: message.header.arrived_ns,
                     exposure_ns: sighting.exposure_ns,
                     deviation_ns: sighting.exposure_deviation_ns,
                 }));
