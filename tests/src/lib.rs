@@ -3,6 +3,7 @@
 //! Each test runs under its own instance name, so that all of them run side by side, and must leave
 //! nothing in /dev/shm ([`Flight::assert_nothing_left`]).
 
+pub mod air;
 pub mod autopilot;
 pub mod onlooker;
 

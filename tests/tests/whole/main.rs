@@ -18,6 +18,7 @@ mod lossless;
 mod markers;
 mod new_stage;
 mod python;
+mod radio;
 mod real_time;
 mod recorded;
 mod scheduling;
