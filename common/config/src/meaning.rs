@@ -351,6 +351,17 @@ impl Meaning<'_> {
             if let Some(target) = &autopilot.target {
                 self.name("gateway.autopilot.target", target);
             }
+            self.rising("gateway.autopilot.obstacle_range_m", autopilot.obstacle_range_m, 0.0);
+            for (key, hz) in [
+                ("target_hz", autopilot.target_hz),
+                ("obstacles_hz", autopilot.obstacles_hz),
+                ("odometry_hz", autopilot.odometry_hz),
+            ] {
+                if hz != 0.0 && hz < 0.5 {
+                    let what = format!("{hz} a second: 0.5 to 100, or 0 for never");
+                    self.problem(&format!("gateway.autopilot.{key}"), what);
+                }
+            }
         }
     }
 

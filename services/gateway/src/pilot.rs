@@ -1,7 +1,7 @@
 //! What the drone's autopilot is told, and what it says of the drone.
 
 use flockeye_autopilot::{
-    Autopilot as Line, AutopilotError, AutopilotParameters, NeighbourState, OdometryAt,
+    Autopilot as Line, AutopilotError, AutopilotParameters, NeighbourState, OdometryAt, Rates,
 };
 use flockeye_config::Autopilot as Settings;
 use flockeye_contract::wire::Odometry;
@@ -28,7 +28,13 @@ impl Pilot {
             system_id: settings.system_id,
             component_id: settings.component_id,
             target: settings.target.clone(),
-            ..AutopilotParameters::default()
+            rates: Rates {
+                target_hz: settings.target_hz,
+                obstacles_hz: settings.obstacles_hz,
+                odometry_hz: settings.odometry_hz,
+            },
+            max_age_ms: settings.max_age_ms,
+            obstacle_range_m: settings.obstacle_range_m,
         };
         Ok(Self { line: Line::open(&parameters)?, failures: Throttle::default() })
     }

@@ -24,4 +24,5 @@ mod recorded;
 mod scheduling;
 mod swapping;
 mod swarm;
+mod told;
 mod watching;
