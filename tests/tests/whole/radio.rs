@@ -14,7 +14,7 @@ use flockeye_contract::{Peers, Tracks};
 use flockeye_runtime::instance::Instance;
 use flockeye_runtime::onlooker;
 use flockeye_tests::air::{Air, Weather, address};
-use flockeye_tests::{Flight, flockeye, unique};
+use flockeye_tests::{Flight, flockeye, run, unique};
 use rustix::process::Signal;
 
 /// From frame to frame, milliseconds.
@@ -236,6 +236,38 @@ fn eight_drones_find_each_other_through_a_router() {
     eight_find_each_other(&air, 8, |_| vec![endpoint(8)]);
     router.kill().expect("it runs");
     router.wait().expect("it ends");
+}
+
+/// The drone has long said where its neighbour is, and says no more: what is heard is its last pose.
+#[test]
+fn who_joins_late_has_the_last_pose_soon() {
+    let Some(air) = Air::between(3) else { return };
+    let swarm = unique("late");
+    let drones: Vec<Drone> = (0..2)
+        .map(|station| {
+            start(&air, station, 2, &swarm, &(0..station).map(endpoint).collect::<Vec<_>>())
+        })
+        .collect();
+    let begun = Instant::now();
+    wait_until("both are heard", &drones, || {
+        drones.iter().all(|drone| drone.ear.heard_since(begun) == 1)
+    });
+    for drone in &drones {
+        let (succeeded, output) =
+            run(&["stop", "fusion", "--instance", drone.flight.instance.name()]);
+        assert!(succeeded, "{output}");
+    }
+    let mut join = air.at(2, &flockeye());
+    join.args(["peers", "--json", "--connect", &endpoint(0)]);
+    join.args(["--set", &format!("observer.swarm={swarm}")]);
+    let joined = Instant::now();
+    let mut join = Flight::launch(&unique("join"), join);
+    join.wait_for("\"target\":\"d1\"");
+    let took = joined.elapsed();
+    println!("the last pose is there: {:.2} s after the start of the program", took.as_secs_f64());
+    assert!(took < Duration::from_secs(1) * SLOW, "{took:?}");
+    drop(join);
+    end(drones);
 }
 
 #[test]
