@@ -72,7 +72,7 @@ impl Air {
             command.args([path(&station.to_string()), path("air")]);
             command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
             let Ok(mut child) = command.spawn() else {
-                absent("namespaces", "unshare, or Python");
+                absent("radio", "unshare, or Python");
                 return None;
             };
             let mut said = String::new();
@@ -82,7 +82,7 @@ impl Air {
                 drop(child.stdin.take());
                 let reason = child.wait_with_output().map(|output| output.stderr);
                 let reason = String::from_utf8_lossy(&reason.unwrap_or_default()).into_owned();
-                absent("namespaces", &format!("network namespaces of our own: {reason}"));
+                absent("radio", &format!("network namespaces of our own, with /dev/net/tun: {reason}"));
                 return None;
             }
             stations.push(child);
