@@ -82,7 +82,10 @@ impl Air {
                 drop(child.stdin.take());
                 let reason = child.wait_with_output().map(|output| output.stderr);
                 let reason = String::from_utf8_lossy(&reason.unwrap_or_default()).into_owned();
-                absent("radio", &format!("network namespaces of our own, with /dev/net/tun: {reason}"));
+                absent(
+                    "radio",
+                    &format!("network namespaces of our own, with /dev/net/tun: {reason}"),
+                );
                 return None;
             }
             stations.push(child);

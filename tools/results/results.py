@@ -76,6 +76,8 @@ SWARMS = {
               ["--drones", "6", "--rate", "4", "--size", "800x400", "--for", "60s",
                "--set", "simulator.distance_m=[0.6, 0.65]"]),
 }
+# Observers that hear each other through one router: title, arguments of `peer-load`.
+LOADS = {"peers": ("Observers on one machine, each hearing all others 30 times a second", ["10"])}
 # A flight whose rotations are compared with the recording's gyroscope: title, recording, gyroscope.
 ROTATIONS = {"gyroscope": ("The visual gyroscope", "flight4/flight4.mp4", "flight4/imu.csv")}
 # Benchmarks whose words are kept: what the virtual clock of lossless runs goes by.
@@ -91,7 +93,7 @@ DISTURBED = {
 # Flights in which one of two detection workers does not do its work: title, what is wrong with it, flights of each.
 FAULTY = {"workers": ("One of two detection workers does not do its work",
                       ["mute", "hold", "spin", "hang", "stopped"], 3)}
-PARTS = [*RECORDINGS, *SIMULATED, *EXPERIMENTS, *SWARMS, *ROTATIONS, *BENCHES, *DISTURBED, *FAULTY]
+PARTS = [*RECORDINGS, *SIMULATED, *EXPERIMENTS, *SWARMS, *LOADS, *ROTATIONS, *BENCHES, *DISTURBED, *FAULTY]
 
 
 def flockeye():
@@ -344,6 +346,15 @@ def turned(part, data):
 
 def run_part(part, data, wanted_ways):
     """The entries of one part, by their names."""
+    if part in LOADS:
+        title, arguments = LOADS[part]
+        before = machine()
+        program = str(flockeye().with_name("peer-load"))
+        done = subprocess.run([program, *arguments], cwd=ROOT, capture_output=True, text=True)
+        if done.returncode != 0:
+            sys.exit(f"results: {program} ended with {done.returncode}:\n{done.stderr}")
+        return {part: {"title": title, "command": " ".join(["peer-load", *arguments]), "machine": before,
+                       "output": done.stdout.splitlines()}}
     if part in SWARMS:
         title, arguments = SWARMS[part]
         arguments = ["swarm", "sim", *arguments]
@@ -556,6 +567,9 @@ def render(store):
         (folder / "swarms.md").write_text(experiments_page(
             "simulated swarms", "[SIMULATOR.md](../SIMULATOR.md#a-swarm-in-one-world) says what the words mean.",
             of(SWARMS)))
+    if any(name in store for name in LOADS):
+        (folder / "peers.md").write_text(experiments_page(
+            "how many peers", "[SCALING.md](../SCALING.md) says what follows.", of(LOADS)))
     if "costs" in store:
         (folder / "costs.md").write_text(costs_page(store["costs"]))
     readme = (ROOT / "README.md").read_text()

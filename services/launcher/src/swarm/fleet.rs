@@ -71,7 +71,11 @@ impl Fleet {
                 let text = std::fs::read_to_string(&pipeline.log).unwrap_or_default();
                 let lines: Vec<&str> = text.lines().collect();
                 let last = lines[lines.len().saturating_sub(SHOWN_LINES)..].join("\n");
-                bail!("the pipeline {} ended, {status}:\n{last}", pipeline.instance.name());
+                bail!(
+                    "the pipeline {} ended, {status}:\n{last}\nAll that it wrote: {}",
+                    pipeline.instance.name(),
+                    pipeline.log.display()
+                );
             }
         }
         Ok(())

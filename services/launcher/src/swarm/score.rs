@@ -80,8 +80,10 @@ pub struct Score {
     truths: BTreeMap<Pair, VecDeque<(i64, Isometry3<f64>)>>,
     waiting: VecDeque<Claim>,
     errors: BTreeMap<Basis, Vec<PoseError>>,
-    /// Of each pair and instant that is known both ways: mutual, then alone.
-    both: BTreeMap<(Pair, i64), [Option<PoseError>; 2]>,
+    /// Of a pair and an instant that is known in one of two ways so far: mutual, or alone.
+    one_way: BTreeMap<(Pair, i64), [Option<PoseError>; 2]>,
+    /// Of those that are known in both: mutual, then alone.
+    both: Vec<[PoseError; 2]>,
     clocks: Clocks,
     ways: ReportWays,
 }
@@ -150,15 +152,24 @@ impl Score {
             let error = PoseError::of(&claim.pose, &truth);
             self.errors.entry(claim.basis).or_default().push(error);
             match claim.basis {
-                Basis::Swarm(Way::Mutual) => self.both_of(pair, claim.at_ns)[0] = Some(error),
-                Basis::Alone => self.both_of(pair, claim.at_ns)[1] = Some(error),
+                Basis::Swarm(Way::Mutual) => self.pair_up((pair, claim.at_ns), 0, error),
+                Basis::Alone => self.pair_up((pair, claim.at_ns), 1, error),
                 Basis::Swarm(_) => {}
             }
         }
     }
 
-    fn both_of(&mut self, pair: Pair, at_ns: i64) -> &mut [Option<PoseError>; 2] {
-        self.both.entry((pair, at_ns)).or_default()
+    fn pair_up(&mut self, of: (Pair, i64), way: usize, error: PoseError) {
+        let known = self.one_way.entry(of.clone()).or_default();
+        known[way] = Some(error);
+        if let [Some(mutual), Some(alone)] = *known {
+            self.both.push([mutual, alone]);
+            self.one_way.remove(&of);
+        }
+        // What is alone for long stays alone.
+        if self.one_way.len() > WAITING_CLAIMS {
+            self.one_way.clear();
+        }
     }
 
     /// What came out.
@@ -167,12 +178,8 @@ impl Score {
             Basis::Swarm(way) => Some((way.name(), Figures::of(errors)?)),
             Basis::Alone => None,
         });
-        let both: Vec<[PoseError; 2]> = self
-            .both
-            .values()
-            .filter_map(|[mutual, alone]| Some([(*mutual)?, (*alone)?]))
-            .collect();
-        let side = |k: usize| Figures::of(&both.iter().map(|pair| pair[k]).collect::<Vec<_>>());
+        let side =
+            |k: usize| Figures::of(&self.both.iter().map(|pair| pair[k]).collect::<Vec<_>>());
         SwarmReport {
             ways: ways.map(|(name, figures)| (name.to_owned(), figures)).collect(),
             mutual: side(0).zip(side(1)).map(|(mutual, alone)| Gain { mutual, alone }),
