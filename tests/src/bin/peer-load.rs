@@ -1,4 +1,5 @@
-//! How many drones one router and one machine carry: `peer-load [SECONDS] [OBSERVERS...]` prints a table.
+//! How many drones one router and one machine carry: `peer-load [SECONDS] [OBSERVERS[@HZ]...]` prints a table. With a
+//! rate the router passes reports of each observer on to each other one at most so often.
 //!
 //! Each observer is a session that reports one neighbour 30 times a second, and hears all others. All of them are in
 //! this process, as clients of a router in another one, so both ends and the router share this machine's processors.
@@ -8,7 +9,9 @@ use std::process::{Child, Command};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use flockeye_contract::wire::{FRAME_SCHEMA, FrameReport, Measurement, Predicted, TargetReport};
+use flockeye_contract::wire::{
+    FRAME_SCHEMA, FrameReport, Measurement, Predicted, TargetReport, frame_key,
+};
 use flockeye_contract::{MeasuredBy, TrackState};
 use flockeye_geometry::statistics::{median, quantile};
 use flockeye_network::{
@@ -19,6 +22,10 @@ use flockeye_require::loopback::{free_port, tcp};
 
 /// From report to report.
 const PERIOD: Duration = Duration::from_nanos(33_333_333);
+/// Observers, and at most how often each hears each other one.
+const LOADS: [&str; 9] = ["2", "4", "8", "16", "24", "32", "48", "64", "32@10"];
+/// Its name.
+const SWARM: &str = "load";
 /// Reports before these are not counted: links and tokens are under way.
 const WARM_UP: Duration = Duration::from_secs(3);
 /// Reports that may wait to be counted.
@@ -35,23 +42,32 @@ struct Observer {
 }
 
 fn main() -> anyhow::Result<()> {
-    let mut numbers = std::env::args().skip(1).map(|text| text.parse::<usize>());
-    let seconds = numbers.next().transpose()?.unwrap_or(10);
-    let counts: Vec<usize> = numbers.collect::<Result<_, _>>()?;
-    let counts = if counts.is_empty() { vec![2, 4, 8, 16, 24, 32, 48, 64] } else { counts };
+    let mut arguments = std::env::args().skip(1);
+    let seconds = arguments.next().map_or(Ok(10), |text| text.parse())?;
+    let mut loads: Vec<String> = arguments.collect();
+    if loads.is_empty() {
+        loads = LOADS.map(str::to_owned).to_vec();
+    }
     println!("a report of one neighbour: {} bytes", report("drone-0", 1).to_json()?.len());
     println!("observers  heard/s   of all  ms median     95 %     99 %  processors, peers  router");
-    for count in counts {
-        measure(count, Duration::from_secs(seconds as u64))?;
+    for load in loads {
+        measure(&load, Duration::from_secs(seconds))?;
     }
     Ok(())
 }
 
-fn measure(count: usize, time: Duration) -> anyhow::Result<()> {
+fn measure(load: &str, time: Duration) -> anyhow::Result<()> {
+    let (count, rate_hz) =
+        load.split_once('@').map_or((load, None), |(count, hz)| (count, Some(hz)));
+    let count = count.parse()?;
     let endpoint = tcp(free_port());
+    let keys = (0..count).map(|number| frame_key(SWARM, &name(number)));
+    let downsampling =
+        rate_hz.into_iter().flat_map(|hz| std::iter::once(hz.to_owned()).chain(keys.clone()));
     let program = std::env::current_exe()?.with_file_name("zenoh-router");
-    let mut router = Command::new(program).arg(&endpoint).spawn().context("the router")?;
-    let outcome = measure_through(&mut router, &endpoint, count, time);
+    let mut router =
+        Command::new(program).arg(&endpoint).args(downsampling).spawn().context("the router")?;
+    let outcome = measure_through(&mut router, &endpoint, load, count, time);
     router.kill()?;
     router.wait()?;
     outcome
@@ -60,6 +76,7 @@ fn measure(count: usize, time: Duration) -> anyhow::Result<()> {
 fn measure_through(
     router: &mut Child,
     endpoint: &str,
+    load: &str,
     count: usize,
     time: Duration,
 ) -> anyhow::Result<()> {
@@ -103,7 +120,7 @@ fn measure_through(
     let wanted = sent * (count as u64 - 1);
     took_ms.sort_by(f64::total_cmp);
     println!(
-        "{count:>9} {:>8.0} {:>6.1} % {:>10.2} {:>8.2} {:>8.2} {:>18.2} {:>7.2}",
+        "{load:>9} {:>8.0} {:>6.1} % {:>10.2} {:>8.2} {:>8.2} {:>18.2} {:>7.2}",
         took_ms.len() as f64 / time.as_secs_f64(),
         100.0 * took_ms.len() as f64 / wanted as f64,
         median(&took_ms).unwrap_or(f64::NAN),
@@ -115,10 +132,14 @@ fn measure_through(
     Ok(())
 }
 
+fn name(number: usize) -> String {
+    format!("drone-{number}")
+}
+
 fn observer(number: usize, endpoint: &str) -> anyhow::Result<Observer> {
-    let name = format!("drone-{number}");
+    let name = name(number);
     let network = Network::open(&NetworkParameters {
-        swarm: "load".into(),
+        swarm: SWARM.into(),
         observer: name.clone(),
         mode: NetworkMode::Client,
         listen: Vec::new(),
