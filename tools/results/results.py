@@ -84,15 +84,18 @@ ROTATIONS = {"gyroscope": ("The visual gyroscope", "flight4/flight4.mp4", "fligh
 # In the profile of the tests, whose computing crates are optimized like the release profile's.
 BENCH = ["cargo", "bench", "--locked", "--profile", "tested", "-p", "flockeye-tests", "--bench"]
 BENCHES = {"proposals": "Proposals", "costs": "Costs"}
-# Disturbances of a running pipeline: title, what of `flockeye chaos`, how many (another number: COUNT=10000).
+# Disturbances of a running pipeline: title, what of `flockeye chaos`, how many (another number: COUNT=200).
 SWAPPED = "detection,detection.1,rectification,egomotion,fusion"
 DISTURBED = {
     "kills": ("SIGKILL to stages at random", ["--only", "kill"], 1000),
+    "kills-long": ("SIGKILL to stages at random, for hours", ["--only", "kill"], 10000),
     "swaps": ("Swaps of stages at random", ["--only", "swap", "--workers", SWAPPED], 500),
 }
 # Flights in which one of two detection workers does not do its work: title, what is wrong with it, flights of each.
 FAULTY = {"workers": ("One of two detection workers does not do its work",
                       ["mute", "hold", "spin", "hang", "stopped"], 3)}
+# Takes hours, so it is flown by its name alone.
+LONG = ["kills-long"]
 PARTS = [*RECORDINGS, *SIMULATED, *EXPERIMENTS, *SWARMS, *LOADS, *ROTATIONS, *BENCHES, *DISTURBED, *FAULTY]
 
 
@@ -114,6 +117,8 @@ def machine():
         "processor": model.group(1).strip() if model else "unknown",
         "mhz": round(max(clocks)) if clocks else None,
         "load": round(os.getloadavg()[0], 1),
+        # In the words of whoever measures, where it was not alone.
+        "beside": os.environ.get("BESIDE"),
     }
 
 
@@ -422,8 +427,9 @@ def share(bin):
 def measured_on(entry):
     facts = entry["machine"]
     clock = f" at {facts['mhz']} MHz" if facts["mhz"] else ""
+    beside = f" Beside it: {facts['beside']}." if facts.get("beside") else ""
     return (f"{facts['cores']} cores, {facts['processor']}{clock}, load average {facts['load']} "
-            "before the run.")
+            f"before the run.{beside}")
 
 
 def spread(found, unit, digits):
@@ -601,7 +607,7 @@ def main():
     unknown = set(arguments.parts) - set(PARTS)
     if unknown:
         sys.exit(f"results: no part {', '.join(sorted(unknown))}: there are {', '.join(PARTS)}")
-    parts = [] if arguments.render else arguments.parts or PARTS
+    parts = [] if arguments.render else arguments.parts or [part for part in PARTS if part not in LONG]
     (ROOT / WORK).mkdir(parents=True, exist_ok=True)
     for part in parts:
         print(part, file=sys.stderr, flush=True)
