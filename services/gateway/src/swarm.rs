@@ -1,8 +1,8 @@
 //! Where all drones are from here: between messages, reports and the estimator.
 
-use flockeye_contract::{FrameStamp, PeerSighting, Rotation, SwarmPose, SwarmWay, Track};
-use flockeye_convert::{camera_turn, pose, row_major};
-use flockeye_peer::{PeerReport, Place, SwarmView, Way};
+use flockeye_contract::{FrameStamp, PeerSighting, Rotation, SwarmPose, Track};
+use flockeye_convert::{camera_turn, pose, row_major, swarm_way};
+use flockeye_peer::{PeerReport, Place, SwarmView};
 use nalgebra::UnitQuaternion;
 
 /// What this drone knows of the swarm.
@@ -75,19 +75,13 @@ impl Swarm {
 }
 
 fn swarm_pose(place: &Place) -> SwarmPose {
-    let way = match place.way {
-        Way::Direct => SwarmWay::Direct,
-        Way::Mutual => SwarmWay::Mutual,
-        Way::Reported => SwarmWay::Reported,
-        Way::Chained => SwarmWay::Chained,
-    };
     SwarmPose {
         own_from_drone: pose(&place.own_from_drone.a_from_b),
         covariance: row_major(&place.own_from_drone.covariance),
         seen_ns: (place.seen_s * 1e9) as i64,
         name: place.name.as_str().into(),
         through: place.through.as_deref().unwrap_or_default().into(),
-        way: way.code(),
+        way: swarm_way(place.way).code(),
         pairs: place.pairs as u32,
     }
 }
@@ -95,7 +89,7 @@ fn swarm_pose(place: &Place) -> SwarmPose {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
-    use flockeye_contract::{Peers, Pose, Swarms, Topic, TrackState};
+    use flockeye_contract::{Peers, Pose, SwarmWay, Swarms, Topic, TrackState};
 
     use super::*;
     use crate::report::tests::{UTC, track};

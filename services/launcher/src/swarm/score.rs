@@ -7,9 +7,10 @@ use std::collections::{BTreeMap, VecDeque};
 use std::fmt;
 
 use flockeye_cli::text_table::TextTable;
+use flockeye_geometry::filter::chi_square_quantile;
 use flockeye_geometry::statistics::{mean, median, quantile};
 use flockeye_peer::{UncertainPose, Way};
-use nalgebra::{Isometry3, Vector6};
+use nalgebra::Isometry3;
 use serde::Serialize;
 
 /// Truths of a pair that are kept: a few seconds.
@@ -18,18 +19,6 @@ const KEPT_TRUTHS: usize = 256;
 const WAITING_CLAIMS: usize = 4096;
 /// Exposures farther apart than this say nothing of what is between them.
 const LONGEST_GAP_NS: i64 = 500_000_000;
-/// 95 % of chi-square with 6 degrees of freedom.
-const CHI2_6_95: f64 = 12.592;
-
-/// How a claim came about.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Basis {
-    /// By all that the swarm says.
-    Swarm(Way),
-    /// By the observer's own sightings alone, of a drone that it has mutually too at the same instant.
-    Alone,
-}
-
 /// Where a drone has another one.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Claim {
@@ -39,10 +28,12 @@ pub struct Claim {
     pub to: String,
     /// The instant that it holds for, CLOCK_MONOTONIC, nanoseconds.
     pub at_ns: i64,
-    /// How it came about.
-    pub basis: Basis,
+    /// How it is known.
+    pub way: Way,
     /// The pose of `to` in the frame of `from`.
     pub pose: UncertainPose,
+    /// The same by the sightings of `from` alone, where it has any.
+    pub alone: Option<UncertainPose>,
 }
 
 /// How long reports are under way between the drones' programs.
@@ -79,11 +70,9 @@ struct Clocks {
 pub struct Score {
     truths: BTreeMap<Pair, VecDeque<(i64, Isometry3<f64>)>>,
     waiting: VecDeque<Claim>,
-    errors: BTreeMap<Basis, Vec<PoseError>>,
-    /// Of a pair and an instant that is known in one of two ways so far: mutual, or alone.
-    one_way: BTreeMap<(Pair, i64), [Option<PoseError>; 2]>,
-    /// Of those that are known in both: mutual, then alone.
-    both: Vec<[PoseError; 2]>,
+    errors: BTreeMap<Way, Vec<PoseError>>,
+    /// Of those that are known mutually and alone: mutual, then alone.
+    both: [Vec<PoseError>; 2],
     clocks: Clocks,
     ways: ReportWays,
 }
@@ -150,41 +139,25 @@ impl Score {
                 continue;
             };
             let error = PoseError::of(&claim.pose, &truth);
-            self.errors.entry(claim.basis).or_default().push(error);
-            match claim.basis {
-                Basis::Swarm(Way::Mutual) => self.pair_up((pair, claim.at_ns), 0, error),
-                Basis::Alone => self.pair_up((pair, claim.at_ns), 1, error),
-                Basis::Swarm(_) => {}
+            self.errors.entry(claim.way).or_default().push(error);
+            if let (Way::Mutual, Some(alone)) = (claim.way, &claim.alone) {
+                self.both[0].push(error);
+                self.both[1].push(PoseError::of(alone, &truth));
             }
-        }
-    }
-
-    fn pair_up(&mut self, of: (Pair, i64), way: usize, error: PoseError) {
-        let known = self.one_way.entry(of.clone()).or_default();
-        known[way] = Some(error);
-        if let [Some(mutual), Some(alone)] = *known {
-            self.both.push([mutual, alone]);
-            self.one_way.remove(&of);
-        }
-        // What is alone for long stays alone.
-        if self.one_way.len() > WAITING_CLAIMS {
-            self.one_way.clear();
         }
     }
 
     /// What came out.
     pub fn report(&self) -> SwarmReport {
-        let ways = self.errors.iter().filter_map(|(basis, errors)| match basis {
-            Basis::Swarm(way) => Some((way.name(), Figures::of(errors)?)),
-            Basis::Alone => None,
-        });
-        let side =
-            |k: usize| Figures::of(&self.both.iter().map(|pair| pair[k]).collect::<Vec<_>>());
+        let ways = self.errors.iter();
+        let [mutual, alone] = self.both.each_ref().map(|errors| Figures::of(errors));
         SwarmReport {
-            ways: ways.map(|(name, figures)| (name.to_owned(), figures)).collect(),
-            mutual: side(0).zip(side(1)).map(|(mutual, alone)| Gain { mutual, alone }),
+            ways: ways
+                .filter_map(|(way, errors)| Some((way.name().to_owned(), Figures::of(errors)?)))
+                .collect(),
+            mutual: mutual.zip(alone).map(|(mutual, alone)| Gain { mutual, alone }),
             clocks: self.clocks.figures(),
-            reports_ms: self.ways.figures(),
+            reports_ms: median_and_most(self.ways.took.iter().copied()),
         }
     }
 }
@@ -205,24 +178,20 @@ impl ReportWays {
             self.took.extend(took);
         }
     }
-
-    fn figures(&self) -> Option<[f64; 2]> {
-        let mut rising = self.took.clone();
-        rising.sort_by(f64::total_cmp);
-        Some([median(&rising)?, quantile(&rising, 0.95)?])
-    }
 }
 
 impl Clocks {
     fn figures(&self) -> Option<ClockFigures> {
-        let rising = |k: usize| {
-            let mut values: Vec<f64> = self.errors.iter().map(|error| error[k]).collect();
-            values.sort_by(f64::total_cmp);
-            values
-        };
-        let ends = |rising: &[f64]| Some([median(rising)?, quantile(rising, 0.95)?]);
-        Some(ClockFigures { error_ms: ends(&rising(0))?, deviations: ends(&rising(1))? })
+        let of = |k: usize| median_and_most(self.errors.iter().map(move |error| error[k]));
+        Some(ClockFigures { error_ms: of(0)?, deviations: of(1)? })
     }
+}
+
+/// Median and 95 %.
+fn median_and_most(values: impl Iterator<Item = f64>) -> Option<[f64; 2]> {
+    let mut rising: Vec<f64> = values.collect();
+    rising.sort_by(f64::total_cmp);
+    Some([median(&rising)?, quantile(&rising, 0.95)?])
 }
 
 /// The truth at an instant, from those before and after it.
@@ -241,17 +210,12 @@ fn truth_at(truths: &VecDeque<(i64, Isometry3<f64>)>, at_ns: i64) -> Option<Isom
 
 impl PoseError {
     fn of(claimed: &UncertainPose, truth: &Isometry3<f64>) -> Self {
-        let position = claimed.a_from_b.translation.vector - truth.translation.vector;
-        let rotation = (claimed.a_from_b.rotation * truth.rotation.inverse()).scaled_axis();
-        let mut error = Vector6::zeros();
-        error.fixed_rows_mut::<3>(0).copy_from(&position);
-        error.fixed_rows_mut::<3>(3).copy_from(&rotation);
-        let normalized =
-            claimed.covariance.cholesky().map(|factor| error.dot(&factor.solve(&error)));
+        let error = claimed.difference(truth);
+        let factor = claimed.covariance.cholesky();
         Self {
-            position_m: position.norm(),
-            rotation_rad: rotation.norm(),
-            normalized: normalized.unwrap_or(f64::INFINITY),
+            position_m: error.fixed_rows::<3>(0).norm(),
+            rotation_rad: error.fixed_rows::<3>(3).norm(),
+            normalized: factor.map_or(f64::INFINITY, |factor| error.dot(&factor.solve(&error))),
         }
     }
 }
@@ -273,20 +237,13 @@ pub struct Figures {
 
 impl Figures {
     fn of(errors: &[PoseError]) -> Option<Self> {
-        let rising = |of: fn(&PoseError) -> f64| {
-            let mut values: Vec<f64> = errors.iter().map(of).collect();
-            values.sort_by(f64::total_cmp);
-            values
-        };
-        let ends = |rising: &[f64], unit: f64| {
-            Some([median(rising)? * unit, quantile(rising, 0.95)? * unit])
-        };
-        let normalized = rising(|error| error.normalized);
-        let within = normalized.iter().filter(|value| **value <= CHI2_6_95).count();
+        let normalized: Vec<f64> = errors.iter().map(|error| error.normalized).collect();
+        let most = chi_square_quantile(6.0, 0.95);
+        let within = normalized.iter().filter(|value| **value <= most).count();
         Some(Self {
             poses: errors.len(),
-            position_mm: ends(&rising(|error| error.position_m), 1e3)?,
-            rotation_deg: ends(&rising(|error| error.rotation_rad), 1f64.to_degrees())?,
+            position_mm: median_and_most(errors.iter().map(|error| error.position_m * 1e3))?,
+            rotation_deg: median_and_most(errors.iter().map(|e| e.rotation_rad.to_degrees()))?,
             normalized: mean(&normalized)?,
             share_within_95: within as f64 / errors.len() as f64,
         })
@@ -391,10 +348,12 @@ mod tests {
         Isometry3::from_parts(Vector3::new(x, 0.0, 0.0).into(), yaw)
     }
 
-    fn claim(at_ns: i64, basis: Basis, x: f64) -> Claim {
-        let covariance = Matrix6::identity() * 1e-6;
-        let pose = UncertainPose { a_from_b: at(x, 0.0), covariance };
-        Claim { from: "a".into(), to: "b".into(), at_ns, basis, pose }
+    fn pose(x: f64) -> UncertainPose {
+        UncertainPose { a_from_b: at(x, 0.0), covariance: Matrix6::identity() * 1e-6 }
+    }
+
+    fn claim(at_ns: i64, way: Way, x: f64) -> Claim {
+        Claim { from: "a".into(), to: "b".into(), at_ns, way, pose: pose(x), alone: None }
     }
 
     #[test]
@@ -402,8 +361,8 @@ mod tests {
         let mut score = Score::default();
         score.truth("a", "b", 0, at(1.0, -0.1));
         // Half way between: at 1.5 m, turned by nothing.
-        score.claim(claim(50 * MS, Basis::Swarm(Way::Mutual), 1.501));
-        score.claim(claim(50 * MS, Basis::Alone, 1.498));
+        let alone = Some(pose(1.498));
+        score.claim(Claim { alone, ..claim(50 * MS, Way::Mutual, 1.501) });
         score.settle();
         assert_eq!(score.report().ways.len(), 0, "what is true then is not known yet");
         score.truth("a", "b", 100 * MS, at(2.0, 0.1));
@@ -425,9 +384,9 @@ mod tests {
         score.truth("a", "b", 0, at(1.0, 0.0));
         score.truth("a", "b", 900 * MS, at(1.0, 0.0));
         for at_ns in [-5 * MS, 400 * MS] {
-            score.claim(claim(at_ns, Basis::Swarm(Way::Direct), 1.0));
+            score.claim(claim(at_ns, Way::Direct, 1.0));
         }
-        score.claim(Claim { to: "nobody".into(), ..claim(0, Basis::Swarm(Way::Direct), 1.0) });
+        score.claim(Claim { to: "nobody".into(), ..claim(0, Way::Direct, 1.0) });
         score.settle();
         let nothing =
             SwarmReport { ways: BTreeMap::new(), mutual: None, clocks: None, reports_ms: None };

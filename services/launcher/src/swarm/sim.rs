@@ -17,7 +17,7 @@ use flockeye_runtime::clock;
 use flockeye_runtime::instance::Instance;
 
 use super::fleet::{Fleet, free_ports};
-use super::score::{Basis, Claim, Score};
+use super::score::{Claim, Score};
 use super::watch::{Word, watch};
 
 /// Markers of the default body.
@@ -137,6 +137,7 @@ pub fn run(arguments: &SimArguments) -> anyhow::Result<()> {
         }
     }
     words.try_iter().for_each(|word| swarm.take(word));
+    swarm.score.settle();
     let report = swarm.score.report();
     let text = if arguments.json { serde_json::to_string(&report)? } else { report.to_string() };
     screen.line(&text);
@@ -214,6 +215,7 @@ impl Swarm {
                 for (to, from_from_to) in others {
                     self.score.truth(&from, &to, at_ns, from_from_to);
                 }
+                self.score.settle();
             }
             Word::Places { from, claims } => {
                 if !claims.is_empty() {
@@ -223,14 +225,13 @@ impl Swarm {
                 self.newest.insert(from, claims);
             }
         }
-        self.score.settle();
     }
 
     /// How many know others, and how, by now.
     fn counts(&self) -> String {
         let claims = || self.newest.values().flatten();
         let counts = WAYS.map(|way| {
-            let count = claims().filter(|claim| claim.basis == Basis::Swarm(way)).count();
+            let count = claims().filter(|claim| claim.way == way).count();
             format!("{count} {}", way.name())
         });
         counts.join(", ")
@@ -242,7 +243,7 @@ impl Swarm {
         let mut table = TextTable::new(1, &titles).at_least(&[12, 8, 8, 8, 8]);
         for (from, claims) in &self.newest {
             let count = |way| {
-                let is_so = |claim: &&Claim| claim.basis == Basis::Swarm(way);
+                let is_so = |claim: &&Claim| claim.way == way;
                 claims.iter().filter(is_so).count().to_string()
             };
             table.row(std::iter::once(from.clone()).chain(WAYS.map(count)));

@@ -7,13 +7,13 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use flockeye_contract::{Peers, Rotations, SwarmPose, SwarmWay, Swarms, Tracks, Truths};
-use flockeye_convert::{camera_turn, isometry, matrix6};
-use flockeye_peer::{PeerReport, SwarmView, UncertainPose, Way};
+use flockeye_convert::{camera_turn, isometry, matrix6, way_of};
+use flockeye_peer::{PeerReport, SwarmView, UncertainPose};
 use flockeye_runtime::instance::Instance;
 use flockeye_runtime::ports::{Ports, Subscriber};
 use nalgebra::{Isometry3, UnitQuaternion};
 
-use super::score::{Basis, Claim};
+use super::score::Claim;
 use crate::attach::{Attached, PipelineChoice, attach};
 
 /// How often it is looked whether a pipeline runs, and whether messages have come.
@@ -59,7 +59,7 @@ pub enum Word {
     Places {
         /// The drone.
         from: String,
-        /// One for each that it has, and beside it what it would say by itself.
+        /// One for each that it has.
         claims: Vec<Claim>,
     },
 }
@@ -183,33 +183,21 @@ impl Ears {
     }
 }
 
-/// What a drone says of all others at an instant, and what it would say of those it has mutually if nobody told it
-/// anything.
+/// What a drone says of all others at an instant, and what it would say of them if nobody told it anything.
 fn claims(from: &str, at_ns: i64, poses: &[SwarmPose], alone: &mut SwarmView) -> Vec<Claim> {
-    let claim = |to: String, basis, pose| Claim { from: from.to_owned(), to, at_ns, basis, pose };
-    let mut claims: Vec<Claim> = poses
-        .iter()
-        .filter_map(|place| {
-            let way = match SwarmWay::try_from(place.way).ok()? {
-                SwarmWay::Direct => Way::Direct,
-                SwarmWay::Mutual => Way::Mutual,
-                SwarmWay::Reported => Way::Reported,
-                SwarmWay::Chained => Way::Chained,
-            };
-            let a_from_b = isometry(&place.own_from_drone);
-            let pose = UncertainPose { a_from_b, covariance: matrix6(&place.covariance) };
-            Some(claim(place.name.to_string(), Basis::Swarm(way), pose))
-        })
-        .collect();
     let own = alone.places(at_ns);
-    let is_mutual = |name: &str| {
-        claims.iter().any(|claim| claim.to == name && claim.basis == Basis::Swarm(Way::Mutual))
+    let claim = |place: &SwarmPose| {
+        let to = place.name.to_string();
+        let a_from_b = isometry(&place.own_from_drone);
+        let alone = own.iter().find(|own| own.name == to).map(|own| own.own_from_drone);
+        Some(Claim {
+            from: from.to_owned(),
+            at_ns,
+            way: way_of(SwarmWay::try_from(place.way).ok()?),
+            pose: UncertainPose { a_from_b, covariance: matrix6(&place.covariance) },
+            alone,
+            to,
+        })
     };
-    let beside: Vec<Claim> = own
-        .into_iter()
-        .filter(|place| is_mutual(&place.name))
-        .map(|place| claim(place.name, Basis::Alone, place.own_from_drone))
-        .collect();
-    claims.extend(beside);
-    claims
+    poses.iter().filter_map(claim).collect()
 }
