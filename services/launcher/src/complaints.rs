@@ -17,8 +17,8 @@ const MEMORY: Duration = Duration::from_secs(60);
 /// How long a worker rests.
 ///
 /// A program that is wrong stays wrong, and each start costs the flight up to three silences of its views. A
-/// machine that was overloaded recovers, and must have its workers back. So nobody is given up for good, and one who is
-/// wrong is tried twice a minute.
+/// machine that was overloaded recovers, and must have its workers back. So nobody is given up for good. One who
+/// is wrong is tried twice a minute.
 const REST: Duration = Duration::from_secs(30);
 
 /// How often a worker was replaced because of what it sent.

@@ -6,9 +6,9 @@
 //!
 //! How briskly two drones move is not known beforehand, and what is right for a gust is far too much for calm air:
 //! the filter then believes each new measurement rather than those before it, and gains nothing from a second
-//! observer. So filters for calmer and brisker motion run side by side, and the one counts by which the
-//! measurements of the last second or so were likeliest (multiple models, Bar-Shalom, Li, Kirubarajan, section
-//! 11.6.2, with fading memory).
+//! observer. So filters for calmer and brisker motion run side by side. The one counts by which the measurements
+//! of the last second or so were likeliest (multiple models, Bar-Shalom, Li, Kirubarajan, section 11.6.2, with
+//! fading memory).
 
 use std::collections::VecDeque;
 
