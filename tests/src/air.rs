@@ -11,10 +11,11 @@ use std::os::unix::net::UnixDatagram;
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use flockeye_runtime::lock::lock;
 use rustix::process::geteuid;
 
 use crate::{Scratch, absent};
@@ -222,10 +223,6 @@ fn give(socket: &UnixDatagram, sockets: &[PathBuf], on_the_way: &OnTheWay, endin
             socket.send_to(&packet, &sockets[to]).ok();
         }
     }
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// The stations that an IPv4 packet is from and for.

@@ -6,6 +6,7 @@
 pub mod air;
 pub mod autopilot;
 pub mod onlooker;
+pub mod told;
 
 use std::io::{BufRead, BufReader, Read};
 use std::path::PathBuf;
@@ -230,6 +231,24 @@ impl Drop for Flight {
         if self.instance.folder().exists() {
             drop(self.instance.take());
         }
+    }
+}
+
+/// A process that is killed with the value, also where the test fails.
+#[derive(Debug)]
+pub struct Beside(Child);
+
+impl Beside {
+    /// Starts it.
+    pub fn start(mut command: Command) -> Self {
+        Self(command.stdin(Stdio::null()).spawn().expect("it can be started"))
+    }
+}
+
+impl Drop for Beside {
+    fn drop(&mut self) {
+        drop(self.0.kill());
+        drop(self.0.wait());
     }
 }
 

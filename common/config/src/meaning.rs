@@ -9,7 +9,7 @@ use crate::instance_name::is_instance_name;
 use crate::problem::{Problem, Problems};
 use crate::resolve::{self, Division, SphereViewsError, preset_body};
 use crate::types::{
-    AtEnd, BodySet, Count, Flow, Fusion, Gateway, InertialSource, MavlinkAddress, Mount, Partition,
+    AtEnd, BodySet, Count, Flow, Fusion, Gateway, GatewayMode, InertialSource, MavlinkAddress, Mount, Partition,
     Pipeline, Preset, PresetBody, Response, StageInfo,
 };
 
@@ -333,7 +333,11 @@ impl Meaning<'_> {
         for (path, endpoints) in lists {
             self.endpoints(path, endpoints);
         }
-        let Gateway { listen, ros2, autopilot, .. } = &pipeline.gateway;
+        let Gateway { mode, listen, connect, ros2, autopilot, .. } = &pipeline.gateway;
+        if *mode == GatewayMode::Client && connect.is_empty() {
+            let what = "a client needs a router. Cure: name its endpoint in gateway.connect";
+            self.problem("gateway.mode", what.into());
+        }
         if let Some(ros2) = ros2 {
             self.endpoints("gateway.ros2.connect", &ros2.connect);
             if let Some(both) = ros2.connect.iter().find(|router| listen.contains(router)) {
@@ -351,7 +355,12 @@ impl Meaning<'_> {
             if let Some(target) = &autopilot.target {
                 self.name("gateway.autopilot.target", target);
             }
-            self.rising("gateway.autopilot.obstacle_range_m", autopilot.obstacle_range_m, 0.0);
+            let [near, far] = autopilot.obstacle_range_m;
+            // Also false where one of them is no number.
+            if !(near >= 0.0 && near < far && far <= 1000.0) {
+                let what = format!("[{near}, {far}] must rise and lie within 0 to 1000");
+                self.problem("gateway.autopilot.obstacle_range_m", what);
+            }
             for (key, hz) in [
                 ("target_hz", autopilot.target_hz),
                 ("obstacles_hz", autopilot.obstacles_hz),

@@ -1,8 +1,8 @@
 //! The network as pipeline.yaml configures it.
 
-use flockeye_config::Pipeline;
+use flockeye_config::{GatewayMode, Pipeline};
 
-use crate::parameters::NetworkParameters;
+use crate::parameters::{NetworkMode, NetworkParameters};
 
 impl NetworkParameters {
     /// How the gateway takes part in the swarm.
@@ -10,6 +10,10 @@ impl NetworkParameters {
         Self {
             swarm: pipeline.observer.swarm.clone(),
             observer: pipeline.observer.name.clone(),
+            mode: match pipeline.gateway.mode {
+                GatewayMode::Peer => NetworkMode::Peer,
+                GatewayMode::Client => NetworkMode::Client,
+            },
             listen: pipeline.gateway.listen.clone(),
             connect: pipeline.gateway.connect.clone(),
             scout_interface: pipeline.gateway.scout_interface.clone(),
@@ -20,8 +24,12 @@ impl NetworkParameters {
     /// How an onlooker, which is no drone of the swarm, joins: through this machine's own gateway, and
     /// through the endpoints that the gateway connects to.
     pub fn of_onlooker(pipeline: &Pipeline) -> Self {
-        let own = pipeline.gateway.listen.iter().chain(&pipeline.gateway.connect);
+        let gateway = &pipeline.gateway;
+        let listen: &[String] =
+            if gateway.mode == GatewayMode::Client { &[] } else { &gateway.listen };
+        let own = listen.iter().chain(&gateway.connect);
         Self {
+            mode: NetworkMode::Peer,
             // Port 0 stands for any port, so there is nothing to connect to.
             connect: own.filter(|endpoint| !endpoint.ends_with(":0")).cloned().collect(),
             listen: Vec::new(),

@@ -48,7 +48,8 @@ fn main() -> anyhow::Result<()> {
     if loads.is_empty() {
         loads = LOADS.map(str::to_owned).to_vec();
     }
-    println!("a report of one neighbour: {} bytes", report("drone-0", 1).to_json()?.len());
+    let bytes = |targets| Ok::<_, anyhow::Error>(report("drone-0", 1, targets).to_json()?.len());
+    println!("a report of one neighbour has {} bytes, one of two {}", bytes(1)?, bytes(2)?);
     println!("observers  heard/s   of all  ms median     95 %     99 %  processors, peers  router");
     for load in loads {
         measure(&load, Duration::from_secs(seconds))?;
@@ -96,7 +97,7 @@ fn measure_through(
         }
         frame += 1;
         for observer in &observers {
-            observer.reporter.report_frame(report(&observer.name, frame))?;
+            observer.reporter.report_frame(report(&observer.name, frame, 1))?;
             sent += u64::from(is_counted);
         }
         // What is still under way at the end counts as lost: a few in each hundred.
@@ -152,11 +153,8 @@ fn observer(number: usize, endpoint: &str) -> anyhow::Result<Observer> {
 }
 
 /// A report of a usual size. Its stream's time is when it was made.
-fn report(observer: &str, frame: u64) -> FrameReport {
+fn report(observer: &str, frame: u64, targets: usize) -> FrameReport {
     let now_ns = monotonic_now_ns();
-    let mut covariance = [0.0; 21];
-    [0, 6, 11, 15, 18, 20].iter().for_each(|&k| covariance[k] = 1.234e-6);
-    let (position, orientation) = ([1.234_567, -0.987_654, 0.123_456], [0.0, 0.0, 0.6, 0.8]);
     FrameReport {
         schema: FRAME_SCHEMA.into(),
         observer: observer.into(),
@@ -168,26 +166,33 @@ fn report(observer: &str, frame: u64) -> FrameReport {
         latency_ms: 0.0,
         odometry: None,
         clocks: BTreeMap::new(),
-        targets: vec![TargetReport {
-            name: "neighbour".into(),
-            state: TrackState::Confirmed,
-            measured_by: MeasuredBy::Aligned,
-            markers: 3,
-            unseen_s: 0.0,
+        targets: (0..targets).map(target).collect(),
+    }
+}
+
+fn target(number: usize) -> TargetReport {
+    let mut covariance = [0.0; 21];
+    [0, 6, 11, 15, 18, 20].iter().for_each(|&k| covariance[k] = 1.234e-6);
+    let (position, orientation) = ([1.234_567, -0.987_654, 0.123_456], [0.0, 0.0, 0.6, 0.8]);
+    TargetReport {
+        name: name(number),
+        state: TrackState::Confirmed,
+        measured_by: MeasuredBy::Aligned,
+        markers: 3,
+        unseen_s: 0.0,
+        position,
+        orientation,
+        covariance,
+        linear_velocity: [0.123, 0.456, 0.789],
+        angular_velocity: [0.012, 0.034, 0.056],
+        measured: Some(Measurement { position, orientation, covariance }),
+        predicted: Some(Predicted {
+            after_s: 0.023_456,
             position,
             orientation,
-            covariance,
-            linear_velocity: [0.123, 0.456, 0.789],
-            angular_velocity: [0.012, 0.034, 0.056],
-            measured: Some(Measurement { position, orientation, covariance }),
-            predicted: Some(Predicted {
-                after_s: 0.023_456,
-                position,
-                orientation,
-                deviations: [0.001_23, 0.001_23, 0.001_23, 0.0123, 0.0123, 0.0123],
-            }),
-            degenerate: None,
-        }],
+            deviations: [0.001_23, 0.001_23, 0.001_23, 0.0123, 0.0123, 0.0123],
+        }),
+        degenerate: None,
     }
 }
 

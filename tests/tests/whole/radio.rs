@@ -4,17 +4,17 @@
 //! eight of them fit on two processors.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use flockeye_contract::{Peers, Tracks};
 use flockeye_runtime::instance::Instance;
+use flockeye_runtime::lock::lock;
 use flockeye_runtime::onlooker;
 use flockeye_tests::air::{Air, Weather, address};
-use flockeye_tests::{Flight, flockeye, run, unique};
+use flockeye_tests::{Beside, Flight, flockeye, run, told, unique};
 use rustix::process::Signal;
 
 /// From frame to frame, milliseconds.
@@ -23,10 +23,6 @@ const PERIOD_MS: u64 = 100;
 const PATIENCE: Duration = Duration::from_secs(60);
 /// A machine that does other things takes longer than what a drone may take. It is printed how long it took.
 const SLOW: u32 = 3;
-
-fn program(name: &str) -> PathBuf {
-    flockeye().with_file_name(name)
-}
 
 /// A drone at a station: its pipeline, and what its gateway hears.
 struct Drone {
@@ -70,7 +66,7 @@ impl Ear {
             };
             // It ends with its pipeline, whichever is first.
             drop(ports.attend(|| {
-                let mut heard = told.lock().unwrap_or_else(PoisonError::into_inner);
+                let mut heard = lock(&told);
                 while let Some(message) = peers.receive()? {
                     for sighting in message.items() {
                         heard.peers.insert(sighting.observer.to_string(), Instant::now());
@@ -87,18 +83,18 @@ impl Ear {
 
     /// How many others were heard since then.
     fn heard_since(&self, since: Instant) -> usize {
-        let heard = self.heard.lock().unwrap_or_else(PoisonError::into_inner);
+        let heard = lock(&self.heard);
         heard.peers.values().filter(|at| **at >= since).count()
     }
 
     /// When one was heard last.
     fn last_of(&self, name: &str) -> Option<Instant> {
-        self.heard.lock().unwrap_or_else(PoisonError::into_inner).peers.get(name).copied()
+        lock(&self.heard).peers.get(name).copied()
     }
 
     /// The longest time from one of fusion's messages to the next, since then.
     fn longest_pause_since(&self, since: Instant) -> Duration {
-        let heard = self.heard.lock().unwrap_or_else(PoisonError::into_inner);
+        let heard = lock(&self.heard);
         let later: Vec<_> = heard.tracks.iter().filter(|at| **at >= since).collect();
         let pauses = later.windows(2).map(|pair| *pair[1] - *pair[0]);
         pauses.max().unwrap_or(Duration::MAX)
@@ -116,29 +112,48 @@ fn name(station: usize) -> String {
     format!("d{station}")
 }
 
+/// How drones are linked.
+#[derive(Debug, Clone, Copy)]
+enum Links {
+    /// Each with each: it connects to those of lower stations.
+    Direct,
+    /// All with the router at a station alone.
+    Router(usize),
+}
+
+impl Links {
+    /// Settings of the gateway at a station.
+    fn settings(self, station: usize) -> [String; 3] {
+        let (mode, connect) = match self {
+            Self::Direct => ("peer", (0..station).map(endpoint).collect()),
+            Self::Router(router) => ("client", vec![endpoint(router)]),
+        };
+        [
+            format!("gateway.mode={mode}"),
+            format!("gateway.listen=[{}]", endpoint(station)),
+            format!("gateway.connect=[{}]", connect.join(", ")),
+        ]
+    }
+
+    /// Where an onlooker hears all.
+    fn hub(self) -> String {
+        match self {
+            Self::Direct => endpoint(0),
+            Self::Router(router) => endpoint(router),
+        }
+    }
+}
+
 /// Starts a drone at a station, which sees the next one on a ring of `count`.
-fn start(air: &Air, station: usize, count: usize, swarm: &str, connect: &[String]) -> Drone {
+fn start(air: &Air, station: usize, count: usize, swarm: &str, links: Links) -> Drone {
     let instance = format!("{swarm}-{station}");
-    let fusion = program("told-fusion");
-    let mut set = vec![
+    let mut set = told::settings(PERIOD_MS, &[&name((station + 1) % count)]);
+    set.extend([
         format!("instance={instance}"),
         format!("observer.name={}", name(station)),
         format!("observer.swarm={swarm}"),
-        format!("gateway.listen=[tcp/{}:7447]", address(station)),
-        format!("gateway.connect=[{}]", connect.join(", ")),
-        format!(
-            "stages.fusion.command=[{}, \"{PERIOD_MS}\", {}]",
-            fusion.display(),
-            name((station + 1) % count)
-        ),
-        "stages.detection.replicas=1".to_owned(),
-        "supervision.start_s=0.5".to_owned(),
-        "camera.width=256".to_owned(),
-        "camera.height=128".to_owned(),
-    ];
-    for idle in ["simulator", "rectification", "detection", "egomotion"] {
-        set.push(format!("stages.{idle}.command=[sleep, \"100000\"]"));
-    }
+    ]);
+    set.extend(links.settings(station));
     let mut command = air.at(station, &flockeye());
     command.arg("up").args(set.iter().flat_map(|setting| ["--set", setting]));
     Drone { flight: Flight::launch(&instance, command), ear: Ear::of(&instance) }
@@ -152,7 +167,7 @@ fn endpoint(station: usize) -> String {
 /// Who heard whom how long ago, and the warnings of each drone.
 fn state(drones: &[Drone]) -> String {
     let of = |drone: &Drone| {
-        let heard = drone.ear.heard.lock().unwrap_or_else(PoisonError::into_inner);
+        let heard = lock(&drone.ear.heard);
         let ages = heard
             .peers
             .iter()
@@ -189,10 +204,10 @@ fn end(drones: Vec<Drone>) {
 }
 
 /// Eight drones hear each other soon, notice who leaves, and hear it soon when it is back.
-fn eight_find_each_other(air: &Air, count: usize, connect: impl Fn(usize) -> Vec<String>) {
-    let swarm = unique("air");
+fn eight_find_each_other(air: &Air, links: Links) {
+    let (swarm, count) = (unique("air"), 8);
     let drones: Vec<Drone> =
-        (0..count).map(|station| start(air, station, count, &swarm, &connect(station))).collect();
+        (0..count).map(|station| start(air, station, count, &swarm, links)).collect();
     let limit = Duration::from_secs(3) * SLOW;
     let since = Instant::now();
     let took = wait_until("all are heard by all", &drones, || {
@@ -201,7 +216,8 @@ fn eight_find_each_other(air: &Air, count: usize, connect: impl Fn(usize) -> Vec
     assert!(took < limit, "{took:?}");
     let gone = name(3);
     let mut look_on = air.at(0, &flockeye());
-    look_on.args(["peers", "--connect", &endpoint(0), "--set", &format!("observer.swarm={swarm}")]);
+    look_on.args(["peers", "--connect", &links.hub()]);
+    look_on.args(["--set", &format!("observer.swarm={swarm}")]);
     let mut look_on = Flight::launch(&unique("look"), look_on);
     look_on.wait_for(&gone);
     air.set_away(3, true);
@@ -225,33 +241,35 @@ fn eight_find_each_other(air: &Air, count: usize, connect: impl Fn(usize) -> Vec
 #[test]
 fn eight_drones_find_each_other_directly() {
     let Some(air) = Air::between(8) else { return };
-    eight_find_each_other(&air, 8, |station| (0..station).map(endpoint).collect());
+    eight_find_each_other(&air, Links::Direct);
 }
 
 #[test]
 fn eight_drones_find_each_other_through_a_router() {
     let Some(air) = Air::between(9) else { return };
-    let mut router =
-        air.at(8, &program("zenoh-router")).arg(endpoint(8)).spawn().expect("it starts");
-    eight_find_each_other(&air, 8, |_| vec![endpoint(8)]);
-    router.kill().expect("it runs");
-    router.wait().expect("it ends");
+    let mut router = air.at(8, &flockeye().with_file_name("zenoh-router"));
+    router.arg(endpoint(8));
+    let _router = Beside::start(router);
+    eight_find_each_other(&air, Links::Router(8));
 }
 
-/// The drone has long said where its neighbour is, and says no more: what is heard is its last pose.
-#[test]
-fn who_joins_late_has_the_last_pose_soon() {
-    let Some(air) = Air::between(3) else { return };
-    let swarm = unique("late");
-    let drones: Vec<Drone> = (0..2)
-        .map(|station| {
-            start(&air, station, 2, &swarm, &(0..station).map(endpoint).collect::<Vec<_>>())
-        })
-        .collect();
+/// Two drones that hear each other.
+fn pair(air: &Air, swarm: &str) -> Vec<Drone> {
+    let drones: Vec<Drone> =
+        (0..2).map(|station| start(air, station, 2, swarm, Links::Direct)).collect();
     let begun = Instant::now();
     wait_until("both are heard", &drones, || {
         drones.iter().all(|drone| drone.ear.heard_since(begun) == 1)
     });
+    drones
+}
+
+/// The drones have said where their neighbours are, and say no more: what is heard is the last pose.
+#[test]
+fn who_joins_late_has_the_last_pose_soon() {
+    let Some(air) = Air::between(3) else { return };
+    let swarm = unique("late");
+    let drones = pair(&air, &swarm);
     for drone in &drones {
         let (succeeded, output) =
             run(&["stop", "fusion", "--instance", drone.flight.instance.name()]);
@@ -274,15 +292,8 @@ fn who_joins_late_has_the_last_pose_soon() {
 fn a_bad_radio_and_a_cut_one_hold_nobody_up_and_poses_flow_again() {
     let Some(air) = Air::between(2) else { return };
     let swarm = unique("cut");
-    let drones: Vec<Drone> = (0..2)
-        .map(|station| {
-            let connect: Vec<String> = (0..station).map(endpoint).collect();
-            start(&air, station, 2, &swarm, &connect)
-        })
-        .collect();
+    let drones = pair(&air, &swarm);
     let hear = |since: Instant| drones.iter().all(|drone| drone.ear.heard_since(since) == 1);
-    let begun = Instant::now();
-    wait_until("both are heard", &drones, || hear(begun));
     let bad =
         Weather { loss: 0.2, delay: Duration::from_millis(100), jitter: Duration::from_millis(50) };
     for _ in 0..2 {

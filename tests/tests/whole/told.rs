@@ -7,28 +7,16 @@ use std::sync::mpsc::channel;
 use std::time::{Duration, Instant};
 
 use flockeye_require::loopback::{free_port, tcp};
-use flockeye_tests::{Flight, WATCHDOG, flockeye, unique};
+use flockeye_tests::{Beside, Flight, WATCHDOG, flockeye, told, unique};
 use rustix::process::Signal;
 use zenoh::Wait;
 
 /// A pipeline whose fusion says that `kite` is a metre ahead.
 fn fly(name: &str, more: &[&str]) -> Flight {
-    let fusion = flockeye().with_file_name("told-fusion");
-    let fusion = format!("stages.fusion.command=[{}, \"50\", kite]", fusion.display());
-    let mut set = vec![
-        fusion.as_str(),
-        "observer.name=wren",
-        "gateway.listen=[tcp/127.0.0.1:0]",
-        "stages.detection.replicas=1",
-        "supervision.start_s=0.5",
-        "camera.width=256",
-        "camera.height=128",
-        "stages.simulator.command=[sleep, \"100000\"]",
-        "stages.rectification.command=[sleep, \"100000\"]",
-        "stages.detection.command=[sleep, \"100000\"]",
-        "stages.egomotion.command=[sleep, \"100000\"]",
-    ];
-    set.extend(more);
+    let told = told::settings(50, &["kite"]);
+    let own = ["observer.name=wren", "gateway.listen=[tcp/127.0.0.1:0]"];
+    let set: Vec<&str> =
+        told.iter().map(String::as_str).chain(own).chain(more.iter().copied()).collect();
     Flight::start(name, &[], &set)
 }
 
@@ -53,8 +41,9 @@ fn until<T>(flight: &Flight, mut look: impl FnMut() -> Option<T>) -> T {
 #[test]
 fn nodes_of_ros_2_hear_where_neighbours_are() {
     let router = tcp(free_port());
-    let program = flockeye().with_file_name("zenoh-router");
-    let mut router_process = Command::new(program).arg(&router).spawn().expect("it starts");
+    let mut command = Command::new(flockeye().with_file_name("zenoh-router"));
+    command.arg(&router);
+    let _router = Beside::start(command);
     let flight =
         fly(&unique("ros"), &[&format!("gateway.ros2={{connect: [{router}], domain: 7}}")]);
     let config = serde_json::json!({
@@ -81,8 +70,6 @@ fn nodes_of_ros_2_hear_where_neighbours_are() {
     assert!(cdr.windows(8).any(|bytes| bytes == 1.0_f64.to_le_bytes()), "a metre ahead");
     drop(session);
     end(flight);
-    router_process.kill().expect("it runs");
-    router_process.wait().expect("it ends");
 }
 
 #[test]

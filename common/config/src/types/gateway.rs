@@ -9,7 +9,10 @@ use serde::{Deserialize, Serialize};
 pub struct Gateway {
     /// false: nothing goes over the network.
     pub enabled: bool,
-    /// Zenoh endpoints to listen on (`tcp/192.168.1.7:7447`), each on a named interface's address.
+    /// How it is linked with the others.
+    pub mode: GatewayMode,
+    /// Zenoh endpoints to listen on (`tcp/192.168.1.7:7447`), each on a named interface's address. Not used
+    /// by a client.
     pub listen: Vec<String>,
     /// Zenoh endpoints to connect to.
     pub connect: Vec<String>,
@@ -19,6 +22,17 @@ pub struct Gateway {
     pub ros2: Option<Ros2>,
     /// How the drone's autopilot is told too; left out: it is not.
     pub autopilot: Option<Autopilot>,
+}
+
+/// How a gateway is linked with the others (docs/PEERS.md).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum GatewayMode {
+    /// With each of them directly.
+    #[default]
+    Peer,
+    /// Through a router alone: that of the first `connect` endpoint that answers.
+    Client,
 }
 
 /// How the autopilot is told where neighbours are (docs/AUTOPILOT.md).
@@ -91,6 +105,7 @@ impl Default for Gateway {
     fn default() -> Self {
         Self {
             enabled: true,
+            mode: GatewayMode::Peer,
             listen: vec!["tcp/127.0.0.1:7447".into()],
             connect: Vec::new(),
             scout_interface: None,
