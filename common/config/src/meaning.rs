@@ -9,8 +9,8 @@ use crate::instance_name::is_instance_name;
 use crate::problem::{Problem, Problems};
 use crate::resolve::{self, Division, SphereViewsError, preset_body};
 use crate::types::{
-    AtEnd, BodySet, Count, Flow, Fusion, Gateway, GatewayMode, InertialSource, MavlinkAddress, Mount, Partition,
-    Pipeline, Preset, PresetBody, Response, StageInfo,
+    AtEnd, BodySet, Count, Flow, Fusion, Gateway, GatewayMode, InertialSource, MavlinkAddress,
+    Mount, Partition, Pipeline, Preset, PresetBody, Response, StageInfo,
 };
 
 /// Semantic validation: appends each violated constraint of `pipeline` to `problems`.

@@ -8,6 +8,7 @@ use std::{
     time::Duration,
 };
 
+use flockeye_identity::Roster;
 use zenoh::{Session, Wait};
 
 use crate::endpoint::listen_address;
@@ -29,8 +30,11 @@ pub(crate) struct Connection {
 
 impl Connection {
     /// Opens a peer's or a router's session, or starts to look for a client's router.
-    pub(crate) fn open(parameters: &NetworkParameters) -> Result<Arc<Self>, NetworkError> {
-        let config = parameters.zenoh_config().to_string();
+    pub(crate) fn open(
+        parameters: &NetworkParameters,
+        roster: Option<&Roster>,
+    ) -> Result<Arc<Self>, NetworkError> {
+        let config = parameters.zenoh_config(roster).to_string();
         let connection = Arc::new(Self::default());
         if parameters.mode == NetworkMode::Client {
             let weak = Arc::downgrade(&connection);

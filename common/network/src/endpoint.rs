@@ -1,4 +1,5 @@
-//! Zenoh endpoints as a user writes them: `tcp/ADDRESS:PORT` or `udp/ADDRESS:PORT`.
+//! Zenoh endpoints as a user writes them: `tcp/ADDRESS:PORT` or `udp/ADDRESS:PORT`, and `tls/ADDRESS:PORT` where the
+//! session is secure.
 
 use std::net::SocketAddr;
 
@@ -6,12 +7,24 @@ use zenoh::config::EndPoint;
 
 /// Parses what every endpoint must be.
 fn parse(endpoint: &str) -> Result<EndPoint, String> {
-    let form = "is no endpoint. Write it tcp/ADDRESS:PORT or udp/ADDRESS:PORT";
+    let form = "is no endpoint. Write it tcp/ADDRESS:PORT, udp/ADDRESS:PORT or tls/ADDRESS:PORT";
     let parsed: EndPoint = endpoint.parse().map_err(|_| form.to_owned())?;
-    if !["tcp", "udp"].contains(&parsed.protocol().as_str()) {
+    if !["tcp", "udp", "tls"].contains(&parsed.protocol().as_str()) {
         return Err(form.into());
     }
     Ok(parsed)
+}
+
+/// Refuses links in the clear where the session is secure, and secure ones where there are no certificates.
+///
+/// # Errors
+/// What is wrong with it, and what would be right.
+pub fn check_protocol(endpoint: &str, is_secure: bool) -> Result<(), String> {
+    match (parse(endpoint)?.protocol().as_str(), is_secure) {
+        ("tls", false) => Err("needs certificates. Cure: security, or tcp/ADDRESS:PORT".into()),
+        ("tcp" | "udp", true) => Err("is not protected. Cure: tls/ADDRESS:PORT".into()),
+        _ => Ok(()),
+    }
 }
 
 /// Refuses what cannot be listened on: one address of this machine, or one interface.
@@ -54,7 +67,7 @@ pub fn check_connect(endpoint: &str) -> Result<(), String> {
         Ok(_) => return Ok(()),
         // Zenoh resolves names of UDP endpoints while it opens, and fails if it cannot.
         Err(_) if parsed.protocol().as_str() == "udp" => {
-            return Err("needs an IP address and a port (names work with tcp only)".into());
+            return Err("needs an IP address and a port (names work with tcp and tls only)".into());
         }
         Err(_) => {}
     }

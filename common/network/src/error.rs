@@ -1,6 +1,7 @@
 //! What can go wrong with the network.
 
 use flockeye_contract::wire::{MAX_TARGETS, WireError};
+use flockeye_identity::IdentityError;
 
 /// What can go wrong with the network. None of these ends a stage that is already running.
 #[derive(Debug, thiserror::Error)]
@@ -14,6 +15,21 @@ pub enum NetworkError {
         found: String,
         /// Why it cannot work, and what would.
         reason: String,
+    },
+    /// Keys, certificates or the roster cannot be used.
+    #[error("security: {0}")]
+    Identity(#[from] IdentityError),
+    /// The certificate is in another name, or of another swarm.
+    #[error(
+        "security: the {what} is '{found}', and not '{wanted}'. Cure: flockeye keys issue {wanted}"
+    )]
+    Another {
+        /// Of what.
+        what: &'static str,
+        /// What it says.
+        found: String,
+        /// What it must say.
+        wanted: String,
     },
     /// An address that cannot be listened on.
     #[error(

@@ -96,6 +96,19 @@ impl Freshness {
         &mut self.way
     }
 
+    /// Whether what comes now is the first, or the first after a silence.
+    pub(crate) fn begins_anew(&self, arrival: &ArrivalTime) -> bool {
+        self.last_passed_ns
+            .is_none_or(|last| arrival.monotonic_ns.saturating_sub(last) > ANEW_AFTER_NS)
+    }
+
+    /// Begins anew with an answer that is known to be of now.
+    pub(crate) fn begin(&mut self, sent: Sent, arrival: &ArrivalTime) {
+        *self = Self::default();
+        self.way.add(sent.utc_ns, arrival.monotonic_ns);
+        self.last_passed_ns = Some(arrival.monotonic_ns);
+    }
+
     /// Passes a report that was published, or says why it is not of now. `newest_utc_ns` is when the newest
     /// report under the same key was sent.
     pub(crate) fn pass(
@@ -104,9 +117,7 @@ impl Freshness {
         newest_utc_ns: Option<i64>,
         arrival: &ArrivalTime,
     ) -> Result<Began, NotOfNow> {
-        let is_anew = self
-            .last_passed_ns
-            .is_none_or(|last| arrival.monotonic_ns.saturating_sub(last) > ANEW_AFTER_NS);
+        let is_anew = self.begins_anew(arrival);
         if is_anew {
             self.way = OneWay::default();
         }

@@ -6,12 +6,15 @@
 //!   its caller wait for the radio.
 //! - [`Listener`]: keeps a table of who is alive and what each of them sees ([`Peers`]), and hands
 //!   out each report as it arrives ([`ReportStream`]).
+//! - Secure sessions: [`flockeye_identity`] says who is who. Links are mutual TLS, reports are signed, and `access.rs` has
+//!   the rules of each link.
 //! - [`endpoint`]: whether a text can be an endpoint.
 //! - [`utc_from_monotonic`]: the time stamp of a report.
 //!
 //! The format is in [`flockeye_contract::wire`]; `docs/PEERS.md` describes it for subscribers in other
 //! languages.
 
+mod access;
 mod clock;
 mod configured;
 mod connection;
@@ -22,6 +25,8 @@ mod listener;
 mod outbox;
 mod parameters;
 mod peers;
+mod proof;
+mod refused_links;
 mod reporter;
 mod session;
 mod stream;

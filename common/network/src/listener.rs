@@ -10,9 +10,11 @@ use std::{
 use flockeye_contract::wire::{
     all_alive_key, all_frames_key, all_frames_token_key, frame_key, pose_key,
 };
+use flockeye_identity::{Challenge, Said, Trust, Untrusted, new_challenge};
 use flockeye_runtime::logs::Throttle;
 use zenoh::{
     Session, Wait,
+    bytes::ZBytes,
     pubsub::Subscriber,
     qos::{CongestionControl, Priority},
     query::{ConsolidationMode, QueryTarget, Reply},
@@ -22,12 +24,16 @@ use zenoh::{
 use crate::connection::Connection;
 use crate::error::NetworkError;
 use crate::freshness::ArrivalTime;
-use crate::peers::{Arrival, Delivery, Peers, Refusal, Token, token_in};
+use crate::peers::{Arrival, Delivery, Peers, Refusal, Token, observer_in, token_in};
 use crate::stream::{Heard, ReportStream, Streams};
+use crate::utc::now_utc_s;
 use flockeye_runtime::lock::lock;
 
 /// How long an observer has to answer with its last values; it publishes new ones long before.
 const ANSWER_WITHIN: Duration = Duration::from_secs(2);
+
+/// So often an observer that must prove that it is there is asked.
+const ASK_AGAIN: Duration = Duration::from_millis(500);
 
 /// How long after its token an observer that publishes frame reports has said so: both tokens travel
 /// together.
@@ -49,10 +55,12 @@ impl Listener {
         connection: Arc<Connection>,
         swarm: &str,
         own: Option<String>,
+        trust: Option<Trust>,
     ) -> Result<Self, NetworkError> {
         let hearing = Arc::new(Hearing {
             swarm: swarm.into(),
-            peers: Mutex::new(Peers::of(own)),
+            peers: Mutex::new(Peers::of(own, trust.is_some())),
+            trust,
             streams: Streams::default(),
             newcomers: Mutex::default(),
             changed: Condvar::new(),
@@ -97,6 +105,8 @@ impl Drop for Listener {
 #[derive(Debug)]
 struct Hearing {
     swarm: String,
+    /// Who may say what; none: anybody.
+    trust: Option<Trust>,
     peers: Mutex<Peers>,
     streams: Streams,
     newcomers: Mutex<Newcomers>,
@@ -109,6 +119,8 @@ struct Hearing {
 #[derive(Debug, Default)]
 struct Newcomers {
     due: BTreeMap<String, Instant>,
+    /// When each was asked to prove that it is there.
+    asked: BTreeMap<String, Instant>,
     gone: Vec<String>,
     closed: bool,
 }
@@ -120,21 +132,27 @@ enum Next {
 }
 
 impl Hearing {
-    fn hear(&self, sample: &Sample, delivery: Delivery) {
+    /// Takes in what comes; `challenge` is what it answers.
+    fn hear(&self, sample: &Sample, delivery: Delivery, challenge: Challenge) {
         if sample.kind() != SampleKind::Put {
             return;
         }
         let key = sample.key_expr().as_str();
         let arrival = Arrival { at: Instant::now(), time: ArrivalTime::now(), delivery };
-        let mut peers = lock(&self.peers);
         // No longer than the session lets through.
-        let taken = peers.take(key, &sample.payload().to_bytes(), arrival);
+        let payload = sample.payload().to_bytes();
+        let said = Said { key, challenge, payload: &payload };
+        if let Err(refusal) = self.check(&said, sample.attachment(), arrival.at) {
+            return self.refused(key, &refusal);
+        }
+        let mut peers = lock(&self.peers);
+        let taken = peers.take(key, &payload, arrival);
         let utc_less_monotonic_ns = arrival.time.utc_less_monotonic_ns();
         let sightings = match taken {
             Ok(sightings) => sightings,
             Err(refusal) => {
                 drop(peers);
-                return self.warn(key, &refusal);
+                return self.refused(key, &refusal);
             }
         };
         let clock = sightings.first().and_then(|first| {
@@ -160,6 +178,51 @@ impl Hearing {
         }
     }
 
+    /// Refuses what is not signed by the observer that the key names.
+    fn check(
+        &self,
+        said: &Said<'_>,
+        attachment: Option<&ZBytes>,
+        now: Instant,
+    ) -> Result<(), Refusal> {
+        let (Some(trust), Some(observer)) = (&self.trust, observer_in(said.key)) else {
+            // A key of nobody is refused later.
+            return Ok(());
+        };
+        let attachment = attachment.map(ZBytes::to_bytes);
+        let checked = trust.check(observer, said, attachment.as_deref(), now_utc_s());
+        checked.map_err(|untrusted| {
+            let mut peers = lock(&self.peers);
+            if trust.knows(observer) {
+                return peers.refuse(observer, untrusted, now);
+            }
+            // The table has room for members alone.
+            peers.refused += 1;
+            untrusted.into()
+        })
+    }
+
+    fn refused(&self, key: &str, refusal: &Refusal) {
+        if matches!(refusal, Refusal::NotYetAnswered | Refusal::NotAnswered)
+            && let Some(observer) = observer_in(key)
+        {
+            self.ask_again(observer);
+        }
+        if !matches!(refusal, Refusal::NotYetAnswered) {
+            self.warn(key, refusal);
+        }
+    }
+
+    /// Asks an observer, for its last values and whether it is there, unless it was asked just now.
+    fn ask_again(&self, observer: &str) {
+        let now = Instant::now();
+        let mut newcomers = lock(&self.newcomers);
+        if newcomers.asked.get(observer).is_none_or(|asked| now - *asked >= ASK_AGAIN) {
+            newcomers.due.entry(observer.into()).or_insert(now);
+            self.changed.notify_all();
+        }
+    }
+
     fn warn(&self, key: &str, refusal: &Refusal) {
         if let Some(held_back) = lock(&self.warnings).admit() {
             tracing::warn!(held_back, "refused a message on {key:?}: {refusal}");
@@ -174,6 +237,10 @@ impl Hearing {
             None => {
                 lock(&self.peers).refused += 1;
                 self.warn(key, &Refusal::Key);
+            }
+            Some(Token::Alive(observer) | Token::Frames(observer)) if !self.may_be(observer) => {
+                lock(&self.peers).refused += 1;
+                self.warn(key, &Untrusted::NotAMember { name: observer.into() }.into());
             }
             Some(Token::Alive(observer)) => {
                 if !lock(&self.peers).set_alive(observer, is_there, now) {
@@ -197,6 +264,11 @@ impl Hearing {
         }
     }
 
+    /// Whether an observer of this name may be there.
+    fn may_be(&self, observer: &str) -> bool {
+        self.trust.as_ref().is_none_or(|trust| trust.knows(observer))
+    }
+
     /// The next observer to listen to, or to forget; none when the listener is being dropped.
     fn next(&self) -> Option<Next> {
         let mut newcomers = lock(&self.newcomers);
@@ -213,6 +285,7 @@ impl Hearing {
             newcomers = match due {
                 Some((observer, at)) if at <= now => {
                     newcomers.due.remove(&observer);
+                    newcomers.asked.insert(observer.clone(), now);
                     return Some(Next::Listen(observer));
                 }
                 Some((_, at)) => {
@@ -264,7 +337,10 @@ fn listen(hearing: &Arc<Hearing>, session: &Session) -> zenoh::Result<()> {
                     frame_key(&hearing.swarm, &observer)
                 } else {
                     let key = pose_key(&hearing.swarm, &observer, "*");
-                    by_pose.insert(observer.clone(), subscribe(hearing, session, key.clone())?);
+                    if !by_pose.contains_key(&observer) {
+                        let poses = subscribe(hearing, session, key.clone())?;
+                        by_pose.insert(observer.clone(), poses);
+                    }
                     key
                 };
                 ask(hearing, session, observer, key)?;
@@ -283,7 +359,7 @@ fn subscribe(
     let hearing = hearing.clone();
     session
         .declare_subscriber(key)
-        .callback(move |sample| hearing.hear(&sample, Delivery::Published))
+        .callback(move |sample| hearing.hear(&sample, Delivery::Published, Challenge::default()))
         .wait()
 }
 
@@ -307,8 +383,10 @@ fn ask(
     key: String,
 ) -> zenoh::Result<()> {
     let asked = Asked { hearing: hearing.clone(), observer };
+    let challenge = new_challenge().ok_or("the system has no random bytes")?;
     session
         .get(key)
+        .attachment(challenge)
         .target(QueryTarget::All)
         .consolidation(ConsolidationMode::None)
         .congestion_control(CongestionControl::Drop)
@@ -317,7 +395,7 @@ fn ask(
         .callback(move |reply: Reply| {
             // An error is a timeout or an observer without an answer; its next reports come anyway.
             if let Ok(sample) = reply.result() {
-                asked.hearing.hear(sample, Delivery::LastValue);
+                asked.hearing.hear(sample, Delivery::LastValue, challenge);
             }
         })
         .wait()

@@ -1,10 +1,12 @@
 //! How to reach the swarm, and the check of these parameters.
 
-use flockeye_contract::wire::{MAX_NAME_CHARS, is_name};
+use flockeye_contract::wire::{MAX_FRAME_REPORT_BYTES, MAX_NAME_CHARS, is_name};
+use flockeye_identity::{MemberFiles, Roster};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use crate::endpoint::{check_connect, check_listen};
+use crate::access::access_rules;
+use crate::endpoint::{check_connect, check_listen, check_protocol};
 use crate::error::NetworkError;
 
 /// What this session is to the others.
@@ -43,6 +45,8 @@ pub struct NetworkParameters {
     /// Whether this session only looks on, and is no drone of the swarm: what the drones say of `observer`'s
     /// clock is then not said of this machine's.
     pub is_onlooker: bool,
+    /// The files by which members of the swarm know each other; none: anybody who can link can say anything.
+    pub security: Option<MemberFiles>,
     /// How long a link may take to open, milliseconds.
     pub open_timeout_ms: u64,
     /// How long a silent neighbour counts as connected, milliseconds.
@@ -59,6 +63,7 @@ impl Default for NetworkParameters {
             connect: Vec::new(),
             scout_interface: None,
             is_onlooker: false,
+            security: None,
             open_timeout_ms: 1_000,
             lease_ms: 3_000,
         }
@@ -74,12 +79,19 @@ impl NetworkParameters {
         check_name("swarm", &self.swarm)?;
         check_name("observer", &self.observer)?;
         for (index, endpoint) in self.listen.iter().enumerate() {
-            check_listen(endpoint)
+            self.check_protocol(endpoint)
+                .and_then(|()| check_listen(endpoint))
                 .map_err(|reason| wrong_item("listen", index, endpoint, reason))?;
         }
         for (index, endpoint) in self.connect.iter().enumerate() {
-            check_connect(endpoint)
+            self.check_protocol(endpoint)
+                .and_then(|()| check_connect(endpoint))
                 .map_err(|reason| wrong_item("connect", index, endpoint, reason))?;
+        }
+        if let (Some(interface), Some(_)) = (&self.scout_interface, &self.security) {
+            let reason = "cannot be used with security, because what comes by multicast is not protected. Cure: \
+                          name the others in connect";
+            return Err(wrong("scout_interface", interface, reason));
         }
         if self.mode == NetworkMode::Client && self.connect.is_empty() {
             let reason = "needs a router to connect to. Cure: name one in connect";
@@ -90,9 +102,13 @@ impl NetworkParameters {
         check_range("lease_ms", self.lease_ms, 500, 60_000)
     }
 
-    /// The parameters as Zenoh's configuration, in JSON. Zenoh's `DEFAULT_CONFIG.json5` explains each
+    fn check_protocol(&self, endpoint: &str) -> Result<(), String> {
+        check_protocol(endpoint, self.security.is_some())
+    }
+
+    /// The parameters as Zenoh's configuration, in JSON, where those on `roster` alone may speak. Zenoh's `DEFAULT_CONFIG.json5` explains each
     /// key.
-    pub(crate) fn zenoh_config(&self) -> serde_json::Value {
+    pub(crate) fn zenoh_config(&self, roster: Option<&Roster>) -> serde_json::Value {
         let client = self.mode == NetworkMode::Client;
         // No limit for peers, which connect in the background. A client fails without a router; we
         // retry ourselves, so that it can be cancelled.
@@ -100,7 +116,7 @@ impl NetworkParameters {
         let retry = json!({
             "period_init_ms": 500, "period_max_ms": 2_000, "period_increase_factor": 1.5,
         });
-        json!({
+        let mut config = json!({
             "mode": self.mode,
             "listen": {
                 "endpoints": if client { &[][..] } else { &self.listen[..] },
@@ -141,12 +157,49 @@ impl NetworkParameters {
                     // No message here has more than 85 kilobytes; a larger one must not take
                     // our memory (Zenoh's default is 1 GiB).
                     "rx": { "max_message_size": 131_072 },
-                    "tcp": { "so_sndbuf": 32_768 },
+                    "tcp": { "so_sndbuf": SEND_BUFFER_BYTES },
                 },
                 "shared_memory": { "enabled": false },
             },
-        })
+        });
+        if let Some(files) = &self.security {
+            config["transport"]["link"]["tls"] = tls_config(files);
+        }
+        if let Some(roster) = roster {
+            config["access_control"] = access_rules(roster);
+            config["low_pass_filter"] = json!([{
+                "id": "size",
+                "flows": ["ingress"],
+                "messages": ["put", "delete", "query", "reply"],
+                "key_exprs": ["**"],
+                "size_limit": MOST_MESSAGE_BYTES,
+            }]);
+        }
+        config
     }
+}
+
+/// What waits here is stale when it is sent.
+const SEND_BUFFER_BYTES: usize = 32_768;
+
+/// A longer message is no report with its signature.
+const MOST_MESSAGE_BYTES: usize = MAX_FRAME_REPORT_BYTES + 4_096;
+
+/// Mutual TLS: each end shows its certificate, and the same one whether it connects or is connected to.
+fn tls_config(files: &MemberFiles) -> serde_json::Value {
+    json!({
+        "root_ca_certificate": files.ca,
+        "enable_mtls": true,
+        "listen_private_key": files.key,
+        "listen_certificate": files.certificate,
+        "connect_private_key": files.key,
+        "connect_certificate": files.certificate,
+        // Certificates have drones' names, and links have addresses. Who is at the other end is what the access
+        // rules ask.
+        "verify_name_on_connect": false,
+        "close_link_on_expiration": true,
+        "so_sndbuf": SEND_BUFFER_BYTES,
+    })
 }
 
 fn wrong(field: &str, found: &str, reason: impl Into<String>) -> NetworkError {
@@ -208,7 +261,7 @@ mod tests {
         let message = refused(|p| p.connect = vec!["tcp/127.0.0.1:0".into()]);
         assert!(message.starts_with("connect[0]"), "{message}");
         let message = refused(|p| p.connect = vec!["udp/kite.local:7447".into()]);
-        assert!(message.contains("names work with tcp only"), "{message}");
+        assert!(message.contains("names work with tcp and tls only"), "{message}");
         let message = refused(|p| p.mode = NetworkMode::Client);
         assert!(message.contains("connect"), "{message}");
         let message = refused(|p| p.lease_ms = 3);
@@ -236,7 +289,8 @@ mod tests {
                 connect: vec!["tcp/127.0.0.1:7447".into()],
                 ..Default::default()
             };
-            let config = zenoh::Config::from_json5(&parameters.zenoh_config().to_string()).unwrap();
+            let config =
+                zenoh::Config::from_json5(&parameters.zenoh_config(None).to_string()).unwrap();
             let read = |key| config.get_json(key).unwrap();
             assert_eq!(read("transport/shared_memory/enabled"), "false");
             assert_eq!(read("scouting/multicast/enabled"), "false");

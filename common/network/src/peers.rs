@@ -9,8 +9,11 @@ use flockeye_contract::wire::{
     FrameReport, MAX_TARGETS, PoseReport, Sighting, WireError, is_name, shortened,
 };
 
+use flockeye_identity::Untrusted;
+
 use crate::clock::ClockEstimate;
 use crate::freshness::{ArrivalTime, Began, Freshness, NotOfNow, Sent};
+use crate::proof::{NotProven, Proof};
 
 /// Most observers that a listener keeps.
 pub const MAX_OBSERVERS: usize = 64;
@@ -25,6 +28,8 @@ pub struct Peers {
     pub refused: u64,
     /// This drone's own name, where it reports too: what the others say of its clock.
     own: Option<String>,
+    /// Whether reports are signed.
+    is_secure: bool,
 }
 
 /// What is known of one observer.
@@ -43,6 +48,8 @@ pub struct PeerState {
     /// Messages in its name that were refused.
     pub refused: Refused,
     freshness: Freshness,
+    /// Where reports are signed: whether it is there now.
+    proof: Option<Proof>,
     newest_frame_utc_ns: Option<i64>,
 }
 
@@ -57,12 +64,14 @@ pub struct Refused {
     pub future: u64,
     /// Said before.
     pub replayed: u64,
+    /// Not signed by a member of this name, or by one that does not answer.
+    pub untrusted: u64,
 }
 
 impl Refused {
     /// All of them.
     pub fn total(&self) -> u64 {
-        self.malformed + self.stale + self.future + self.replayed
+        self.malformed + self.stale + self.future + self.replayed + self.untrusted
     }
 
     fn count(&mut self, refusal: &Refusal) {
@@ -70,6 +79,9 @@ impl Refused {
             Refusal::NotOfNow(NotOfNow::Stale { .. }) => &mut self.stale,
             Refusal::NotOfNow(NotOfNow::Future { .. }) => &mut self.future,
             Refusal::NotOfNow(NotOfNow::Replayed { .. }) => &mut self.replayed,
+            Refusal::Untrusted(_) | Refusal::NotAnswered => &mut self.untrusted,
+            // It is asked for an answer, and heard from then on.
+            Refusal::NotYetAnswered => return,
             _ => &mut self.malformed,
         };
         *counter += 1;
@@ -155,6 +167,15 @@ pub enum Refusal {
     /// Of another time than now.
     #[error(transparent)]
     NotOfNow(#[from] NotOfNow),
+    /// Not signed by the observer that the key names.
+    #[error(transparent)]
+    Untrusted(#[from] Untrusted),
+    /// The observer has not been asked, or has not answered yet.
+    #[error("its observer is asked whether it is there")]
+    NotYetAnswered,
+    /// The observer does not answer.
+    #[error("its observer does not answer: somebody plays what it said before")]
+    NotAnswered,
     /// No room for another observer.
     #[error("already {MAX_OBSERVERS} observers, which is the most")]
     TooManyObservers,
@@ -171,9 +192,23 @@ enum KeyNames<'k> {
 }
 
 impl Peers {
-    /// Of a listener that belongs to the drone `own`, or to none.
-    pub(crate) fn of(own: Option<String>) -> Self {
-        Self { own, ..Self::default() }
+    /// Of a listener that belongs to the drone `own`, or to none. In a secure one all that is taken in is signed.
+    pub(crate) fn of(own: Option<String>, is_secure: bool) -> Self {
+        Self { own, is_secure, ..Self::default() }
+    }
+
+    /// Counts a message in the name of `observer` that is not signed by it.
+    pub(crate) fn refuse(&mut self, observer: &str, untrusted: Untrusted, now: Instant) -> Refusal {
+        let Some(peer) = self.peer(observer, now) else {
+            self.refused += 1;
+            return untrusted.into();
+        };
+        let refusal = match untrusted {
+            Untrusted::NotKnown => peer.is_asked(now),
+            other => other.into(),
+        };
+        peer.refused.count(&refusal);
+        refusal
     }
 
     /// Takes in a message; the sightings in it. None where an answer to a query is older than what
@@ -243,6 +278,7 @@ impl Peers {
         if !self.observers.contains_key(observer) && self.observers.len() == MAX_OBSERVERS {
             return None;
         }
+        let proof = self.is_secure.then(Proof::default);
         Some(self.observers.entry(observer.into()).or_insert_with(|| PeerState {
             alive: false,
             since: now,
@@ -251,6 +287,7 @@ impl Peers {
             targets: BTreeMap::new(),
             refused: Refused::default(),
             freshness: Freshness::default(),
+            proof,
             newest_frame_utc_ns: None,
         }))
     }
@@ -308,17 +345,49 @@ impl PeerState {
     }
 
     /// Passes what was published if it is of now. An answer to a query is older by nature: it only ever
-    /// fills what is empty, or replaces what is older.
+    /// fills what is empty, or replaces what is older. Where reports are signed it is one to a question of now.
     fn pass(&mut self, sent: Sent, newest: Option<i64>, arrival: &Arrival) -> Result<(), Refusal> {
-        match arrival.delivery {
-            Delivery::Published => {
-                if self.freshness.pass(sent, newest, &arrival.time)? == Began::Anew {
-                    self.newest_frame_utc_ns = None;
-                    self.targets.values_mut().for_each(|held| held.newest_utc_ns = None);
+        let is_anew = self.freshness.begins_anew(&arrival.time);
+        match (arrival.delivery, &mut self.proof) {
+            (Delivery::LastValue, None) => {}
+            (Delivery::LastValue, Some(proof)) => {
+                if is_anew || !proof.is_proven() {
+                    proof.answered(sent.utc_ns);
+                    self.freshness.begin(sent, &arrival.time);
+                    self.forget_newest();
                 }
-                Ok(())
             }
-            Delivery::LastValue => Ok(()),
+            (Delivery::Published, Some(proof)) if is_anew => {
+                proof.forget();
+                return Err(self.is_asked(arrival.at));
+            }
+            (Delivery::Published, proof) => {
+                let answered = proof.as_mut().and_then(|proof| proof.check(arrival.at).ok());
+                if newest.is_none() && answered.is_some_and(|at| is_overtaken(sent.utc_ns, at)) {
+                    return Err(Refusal::NotYetAnswered);
+                }
+                let newest = newest.max(answered);
+                if self.freshness.pass(sent, newest, &arrival.time)? == Began::Anew {
+                    self.forget_newest();
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Nothing older than what comes next is held.
+    fn forget_newest(&mut self) {
+        self.newest_frame_utc_ns = None;
+        self.targets.values_mut().for_each(|held| held.newest_utc_ns = None);
+    }
+
+    /// Why nothing is taken from an observer that has not answered.
+    fn is_asked(&mut self, now: Instant) -> Refusal {
+        match self.proof.get_or_insert_default().check(now) {
+            Err(NotProven::Overdue) => Refusal::NotAnswered,
+            Err(NotProven::Waiting) => Refusal::NotYetAnswered,
+            // It has answered, so its certificate is here: this is another one.
+            Ok(_) => Untrusted::NotKnown.into(),
         }
     }
 
@@ -360,6 +429,11 @@ impl PeerState {
     }
 }
 
+/// Whether a report was on its way when the observer answered. Both are of now, and the answer says more.
+fn is_overtaken(sent_utc_ns: i64, answered_utc_ns: i64) -> bool {
+    (0..1_000_000_000).contains(&answered_utc_ns.saturating_sub(sent_utc_ns))
+}
+
 /// No room for another target.
 struct NoRoom;
 
@@ -386,6 +460,11 @@ fn read_frame(payload: &[u8], observer: &str) -> Result<FrameReport, Refusal> {
         return Err(Refusal::Observer { found: shortened(&report.observer) });
     }
     Ok(report)
+}
+
+/// The observer in the key of a report.
+pub(crate) fn observer_in(key: &str) -> Option<&str> {
+    names_in(key).map(|(KeyNames::Frame { observer } | KeyNames::Pose { observer, .. })| observer)
 }
 
 /// Observer and target in the key of a report, `flockeye/<swarm>/<observer>/sees` and what may follow.

@@ -7,12 +7,13 @@ use std::{
         atomic::{AtomicU64, Ordering::Relaxed},
     },
     thread::{self, JoinHandle},
-    time::Instant,
+    time::{Duration, Instant},
 };
 
 use flockeye_contract::wire::{
     FrameReport, PoseReport, WireError, alive_key, frames_token_key, is_name,
 };
+use flockeye_identity::{CHALLENGE_BYTES, Challenge, Member, Said};
 use flockeye_runtime::logs::Throttle;
 use zenoh::{
     Session, Wait,
@@ -25,6 +26,9 @@ use zenoh::{
 use crate::connection::Connection;
 use crate::error::NetworkError;
 use crate::outbox::{Held, Outbox, Outgoing, Slot};
+
+/// So often the certificate goes along with a signature.
+const CERTIFICATE_PERIOD: Duration = Duration::from_secs(1);
 
 /// Publishes that this drone is alive and where it sees its neighbours, until dropped.
 ///
@@ -60,6 +64,7 @@ impl Reporter {
         connection: Arc<Connection>,
         swarm: &str,
         observer: &str,
+        member: Option<Arc<Member>>,
     ) -> Result<Self, NetworkError> {
         let (outbox, counts) = (Arc::new(Outbox::default()), Arc::new(Counts::default()));
         let sender = Sender {
@@ -67,6 +72,7 @@ impl Reporter {
             observer: observer.into(),
             outbox: outbox.clone(),
             counts: counts.clone(),
+            member,
         };
         let name = "zenoh-reporter";
         let thread = thread::Builder::new()
@@ -165,6 +171,24 @@ struct Sender {
     observer: String,
     outbox: Arc<Outbox>,
     counts: Arc<Counts>,
+    member: Option<Arc<Member>>,
+}
+
+/// Where reports of one kind go out, and when the certificate went along last.
+struct Way {
+    publisher: Publisher<'static>,
+    certificate_sent: Option<Instant>,
+}
+
+impl Way {
+    /// Whether it is time for the certificate.
+    fn needs_certificate(&mut self, now: Instant) -> bool {
+        let is_due = self.certificate_sent.is_none_or(|sent| now - sent >= CERTIFICATE_PERIOD);
+        if is_due {
+            self.certificate_sent = Some(now);
+        }
+        is_due
+    }
 }
 
 impl Sender {
@@ -183,6 +207,7 @@ impl Sender {
             swarm: self.swarm.clone(),
             observer: self.observer.clone(),
             outbox: self.outbox.clone(),
+            member: self.member.clone(),
         };
         let _last_values = session
             .declare_queryable(format!("flockeye/{}/{}/sees/**", self.swarm, self.observer))
@@ -194,10 +219,10 @@ impl Sender {
             liveliness.declare_token(frames_token_key(&self.swarm, &self.observer)).wait()?;
         let _alive = liveliness.declare_token(alive_key(&self.swarm, &self.observer)).wait()?;
 
-        let mut publishers = BTreeMap::new();
+        let mut ways = BTreeMap::new();
         let mut warnings = Throttle::default();
         while let Some((slot, held)) = self.outbox.take() {
-            match self.send(session, &mut publishers, &slot, &held) {
+            match self.send(session, &mut ways, &slot, &held) {
                 Ok(()) => self.counts.sent.fetch_add(1, Relaxed),
                 Err(error) => {
                     if let Some(held_back) = warnings.admit() {
@@ -214,14 +239,14 @@ impl Sender {
     fn send(
         &self,
         session: &Session,
-        publishers: &mut BTreeMap<Slot, Publisher<'static>>,
+        ways: &mut BTreeMap<Slot, Way>,
         slot: &Slot,
         held: &Held,
     ) -> zenoh::Result<()> {
-        let publisher = match publishers.entry(slot.clone()) {
+        let way = match ways.entry(slot.clone()) {
             Entry::Occupied(known) => known.into_mut(),
-            Entry::Vacant(new) => new.insert(
-                session
+            Entry::Vacant(new) => new.insert(Way {
+                publisher: session
                     .declare_publisher(slot.key(&self.swarm, &self.observer))
                     .encoding(Encoding::APPLICATION_JSON)
                     .congestion_control(CongestionControl::Drop)
@@ -229,9 +254,18 @@ impl Sender {
                     .express(true)
                     .reliability(Reliability::BestEffort)
                     .wait()?,
-            ),
+                certificate_sent: None,
+            }),
         };
-        publisher.put(held.encode(Instant::now())?).wait()
+        let now = Instant::now();
+        let payload = held.encode(now)?;
+        let seal = self.member.as_ref().map(|member| {
+            let with_certificate = way.needs_certificate(now);
+            let key = way.publisher.key_expr().as_str();
+            let said = Said { key, challenge: Challenge::default(), payload: &payload };
+            member.seal(&said, with_certificate)
+        });
+        way.publisher.put(payload).attachment(seal).wait()
     }
 }
 
@@ -240,6 +274,7 @@ struct Answerer {
     swarm: String,
     observer: String,
     outbox: Arc<Outbox>,
+    member: Option<Arc<Member>>,
 }
 
 impl Answerer {
@@ -252,7 +287,11 @@ impl Answerer {
                 continue;
             }
             let sent = held.encode(Instant::now()).map_err(zenoh::Error::from).and_then(|json| {
-                query.reply(&key, json).encoding(Encoding::APPLICATION_JSON).wait()
+                let seal = self.member.as_ref().map(|member| {
+                    let said = Said { key: &key, challenge: challenge_in(query), payload: &json };
+                    member.seal(&said, true)
+                });
+                query.reply(&key, json).encoding(Encoding::APPLICATION_JSON).attachment(seal).wait()
             });
             if let Err(error) = sent {
                 // The asking drone has left or asks again; nothing here depends on the answer.
@@ -260,4 +299,10 @@ impl Answerer {
             }
         }
     }
+}
+
+/// What the answer must be signed for; whoever sends no challenge cannot tell an old answer from a new one.
+fn challenge_in(query: &Query) -> Challenge {
+    let bytes = query.attachment().map(|attachment| attachment.to_bytes());
+    bytes.and_then(|bytes| Challenge::try_from(&*bytes).ok()).unwrap_or([0; CHALLENGE_BYTES])
 }

@@ -2,11 +2,15 @@
 
 use std::sync::Arc;
 
+use flockeye_identity::{Member, Trust};
+
 use crate::connection::Connection;
 use crate::error::NetworkError;
 use crate::listener::Listener;
 use crate::parameters::NetworkParameters;
+use crate::refused_links;
 use crate::reporter::Reporter;
+use crate::utc::now_utc_s;
 
 /// A Zenoh session. [`Reporter`]s and [`Listener`]s made from it keep it open by themselves, so
 /// they may outlive this value.
@@ -16,6 +20,7 @@ pub struct Network {
     observer: String,
     connection: Arc<Connection>,
     is_onlooker: bool,
+    member: Option<Arc<Member>>,
 }
 
 impl Network {
@@ -24,15 +29,22 @@ impl Network {
     /// background. Lost links are restored in the background too.
     ///
     /// # Errors
-    /// [`NetworkError::Parameter`] and [`NetworkError::Listen`] say what to change. An address of
+    /// [`NetworkError::Parameter`], [`NetworkError::Listen`], [`NetworkError::Identity`] and
+    /// [`NetworkError::Another`] say what to change. An address of
     /// an interface that is not up yet is no error: it is listened on once it is there.
     pub fn open(parameters: &NetworkParameters) -> Result<Self, NetworkError> {
         parameters.check()?;
+        let member = member(parameters)?;
+        if member.is_some() {
+            refused_links::log();
+        }
+        let roster = member.as_ref().map(|member| &member.roster);
         Ok(Self {
             swarm: parameters.swarm.clone(),
             observer: parameters.observer.clone(),
-            connection: Connection::open(parameters)?,
+            connection: Connection::open(parameters, roster)?,
             is_onlooker: parameters.is_onlooker,
+            member,
         })
     }
 
@@ -41,7 +53,8 @@ impl Network {
     /// # Errors
     /// [`NetworkError::Thread`].
     pub fn reporter(&self) -> Result<Reporter, NetworkError> {
-        Reporter::start(self.connection.clone(), &self.swarm, &self.observer)
+        let member = self.member.clone();
+        Reporter::start(self.connection.clone(), &self.swarm, &self.observer, member)
     }
 
     /// Receives from all drones of the swarm, this session's own reporter included.
@@ -50,7 +63,19 @@ impl Network {
     /// [`NetworkError::Thread`].
     pub fn listener(&self) -> Result<Listener, NetworkError> {
         let own = (!self.is_onlooker).then(|| self.observer.clone());
-        Listener::start(self.connection.clone(), &self.swarm, own)
+        let trust = self.member.clone().map(Trust::of);
+        Listener::start(self.connection.clone(), &self.swarm, own, trust)
+    }
+
+    /// How many links were refused, by all sessions of this process, because the other end showed no certificate of
+    /// the swarm, and why the last one was. Zero where [`flockeye_runtime::logs::init`] was not called.
+    pub fn refused_links(&self) -> (u64, String) {
+        refused_links::refused_links()
+    }
+
+    /// When this session's certificate expires, seconds since 1970-01-01 UTC; none where it has none.
+    pub fn expires_s(&self) -> Option<i64> {
+        self.member.as_ref().map(|member| member.certificate.not_after_s)
     }
 
     /// Whether the session is open. Only a client can be without one, while it looks for its
@@ -58,4 +83,22 @@ impl Network {
     pub fn is_open(&self) -> bool {
         self.connection.is_open()
     }
+}
+
+/// Who this session is to the others; none where anybody can say anything.
+fn member(parameters: &NetworkParameters) -> Result<Option<Arc<Member>>, NetworkError> {
+    let Some(files) = &parameters.security else { return Ok(None) };
+    let member = Member::load(files, now_utc_s())?;
+    let same = |what, found: &str, wanted: &str| {
+        if found == wanted {
+            return Ok(());
+        }
+        Err(NetworkError::Another { what, found: found.into(), wanted: wanted.into() })
+    };
+    same("roster's swarm", &member.roster.swarm, &parameters.swarm)?;
+    // An onlooker says nothing, so it may look on in any member's name.
+    if !parameters.is_onlooker {
+        same("certificate's name", &member.certificate.name, &parameters.observer)?;
+    }
+    Ok(Some(Arc::new(member)))
 }

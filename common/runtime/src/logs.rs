@@ -3,10 +3,19 @@
 //! Levels: `error`: the stage cannot go on. `warn`: something was lost, or will be. `info`: once in a
 //! process's life. `debug`: now and then. `trace`: each frame.
 
+use std::fmt::{Debug, Write};
 use std::io::IsTerminal;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use tracing_subscriber::EnvFilter;
+use tracing::field::{Field, Visit};
+use tracing::{Event, Level, Subscriber};
+use tracing_subscriber::filter::filter_fn;
+use tracing_subscriber::layer::{Context, SubscriberExt};
+use tracing_subscriber::util::SubscriberInitExt;
+use tracing_subscriber::{EnvFilter, Layer};
+
+use crate::lock::lock;
 
 /// Sends logs to standard error. `RUST_LOG` says which (`info` of Flockeye's own by default).
 ///
@@ -15,19 +24,80 @@ pub fn init() {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| {
         EnvFilter::new("info,zenoh=error,wgpu_hal=error,wgpu_core=error,naga=error")
     });
-    let subscriber = tracing_subscriber::fmt()
-        .with_env_filter(filter)
+    let lines = tracing_subscriber::fmt::layer()
         .with_writer(std::io::stderr)
         .with_target(false)
         .with_ansi(std::io::stderr().is_terminal());
     // The launcher puts its own time before each stage's lines.
-    let outcome = if std::env::var_os(crate::instance::STAGE_VARIABLE).is_some() {
-        subscriber.without_time().try_init()
+    let lines = if std::env::var_os(crate::instance::STAGE_VARIABLE).is_some() {
+        lines.without_time().boxed()
     } else {
-        subscriber.try_init()
+        lines.boxed()
     };
+    // What is overheard need not be printed.
+    let warnings = filter_fn(|metadata| *metadata.level() <= Level::WARN);
+    let outcome = tracing_subscriber::registry()
+        .with(lines.with_filter(filter))
+        .with(Overhearing.with_filter(warnings))
+        .try_init();
     // Already set by an earlier call in this process (tests): that one stays.
     drop(outcome);
+}
+
+/// Warnings of a library that tells nobody but its log.
+#[derive(Debug)]
+pub struct Overheard {
+    target: &'static str,
+    contains: &'static str,
+    heard: Mutex<(u64, String)>,
+}
+
+static OVERHEARD: Mutex<Vec<Arc<Overheard>>> = Mutex::new(Vec::new());
+
+/// Counts, from now on, the warnings whose module begins with `target` and that contain this text, where
+/// [`init`] has set up the logs.
+pub fn overhear(target: &'static str, contains: &'static str) -> Arc<Overheard> {
+    let overheard = Arc::new(Overheard { target, contains, heard: Mutex::default() });
+    lock(&OVERHEARD).push(overheard.clone());
+    overheard
+}
+
+impl Overheard {
+    /// How many there were, and the last one.
+    pub fn heard(&self) -> (u64, String) {
+        lock(&self.heard).clone()
+    }
+}
+
+/// The logs' side of [`overhear`].
+struct Overhearing;
+
+impl<S: Subscriber> Layer<S> for Overhearing {
+    fn on_event(&self, event: &Event<'_>, _: Context<'_, S>) {
+        for overheard in &*lock(&OVERHEARD) {
+            if event.metadata().target().starts_with(overheard.target) {
+                let mut message = Message::default();
+                event.record(&mut message);
+                if message.0.contains(overheard.contains) {
+                    let mut heard = lock(&overheard.heard);
+                    *heard = (heard.0 + 1, message.0);
+                }
+            }
+        }
+    }
+}
+
+/// The text of an event.
+#[derive(Default)]
+struct Message(String);
+
+impl Visit for Message {
+    fn record_debug(&mut self, field: &Field, value: &dyn Debug) {
+        if field.name() == "message" {
+            // Writing to a String cannot fail.
+            let _ = write!(self.0, "{value:?}");
+        }
+    }
 }
 
 /// Lets one event through in each period, and counts the events that it suppressed.

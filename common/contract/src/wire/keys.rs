@@ -18,6 +18,14 @@ pub fn tentative_key(swarm: &str, observer: &str, target: &str) -> String {
     format!("flockeye/{swarm}/{observer}/sees/{target}/tentative")
 }
 
+/// Key expression of all that `observer` says, or all in `swarm`.
+pub fn all_keys(swarm: &str, observer: Option<&str>) -> String {
+    match observer {
+        Some(observer) => format!("flockeye/{swarm}/{observer}/**"),
+        None => format!("flockeye/{swarm}/**"),
+    }
+}
+
 /// Key of the liveliness token of `observer`.
 pub fn alive_key(swarm: &str, observer: &str) -> String {
     format!("flockeye/{swarm}/{observer}/alive")

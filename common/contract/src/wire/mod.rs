@@ -21,8 +21,8 @@ pub use frame_report::{
     Odometry, Predicted, Sighting, TargetReport,
 };
 pub use keys::{
-    MAX_NAME_CHARS, alive_key, all_alive_key, all_frames_key, all_frames_token_key, frame_key,
-    frames_token_key, is_name, pose_key, tentative_key,
+    MAX_NAME_CHARS, alive_key, all_alive_key, all_frames_key, all_frames_token_key, all_keys,
+    frame_key, frames_token_key, is_name, pose_key, tentative_key,
 };
 pub use pose_report::{MAX_REPORT_BYTES, POSE_SCHEMA, PoseReport};
 

@@ -82,7 +82,7 @@ fn what_is_said_twice_is_refused_until_the_drone_comes_back() {
 
 #[test]
 fn a_frame_brings_all_its_targets_and_what_it_repeats_is_no_news() {
-    let mut peers = Peers::of(Some("own".into()));
+    let mut peers = Peers::of(Some("own".into()), false);
     let (key, now) = (frame_key("s", "wren"), Instant::now());
     let mut frame = frame_report("wren", &["kite"]);
     let mut send = |frame: &FrameReport| {

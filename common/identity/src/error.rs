@@ -1,0 +1,76 @@
+//! What can be wrong with keys, certificates and the roster.
+
+use std::path::PathBuf;
+
+use crate::certificate::CertificateFault;
+
+/// What can be wrong with keys, certificates and the roster.
+#[derive(Debug, thiserror::Error)]
+pub enum IdentityError {
+    /// A file cannot be read or written.
+    #[error("{}: cannot {what} it: {source}", path.display())]
+    File {
+        /// Which.
+        path: PathBuf,
+        /// What was tried.
+        what: &'static str,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// A private key that others can read.
+    #[error(
+        "{}: others can read this private key (mode {mode:03o}). Cure: chmod 600 {}, and issue another \
+         if somebody may have read it",
+        path.display(), path.display()
+    )]
+    Exposed {
+        /// The key's file.
+        path: PathBuf,
+        /// Its mode.
+        mode: u32,
+    },
+    /// A file that does not hold what it should.
+    #[error("{}: {reason}", path.display())]
+    Content {
+        /// Which.
+        path: PathBuf,
+        /// What is wrong, and the cure.
+        reason: String,
+    },
+    /// A certificate that cannot be used.
+    #[error("{}: {fault}", path.display())]
+    Certificate {
+        /// Which.
+        path: PathBuf,
+        /// What is wrong with it.
+        fault: CertificateFault,
+    },
+    /// A name that cannot be one.
+    #[error("'{name}' is no name: letters, digits, '-', '_' or '.'")]
+    Name {
+        /// What was given.
+        name: String,
+    },
+    /// A swarm's authority is there already.
+    #[error("{}: there is an authority already. Cure: another folder", path.display())]
+    Exists {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// No such member.
+    #[error("'{name}' does not belong to the swarm. It has: {members}")]
+    Unknown {
+        /// Who was asked for.
+        name: String,
+        /// Who there is.
+        members: String,
+    },
+    /// Keys or certificates cannot be made.
+    #[error("cannot make {what}: {reason}")]
+    Make {
+        /// What.
+        what: &'static str,
+        /// Why.
+        reason: String,
+    },
+}

@@ -1,0 +1,74 @@
+//! The signature that a report carries as its attachment.
+//!
+//! | bytes | what |
+//! | --- | --- |
+//! | 1 | 1: the form |
+//! | 64 | Ed25519 signature of what was [`Said`] |
+//! | 8 | which certificate: the first bytes of its SHA-256 |
+//! | the rest | the certificate itself, as DER; once a second, and in answers; else nothing |
+
+use ring::rand::{SecureRandom, SystemRandom};
+
+/// Bytes of a challenge.
+pub const CHALLENGE_BYTES: usize = 16;
+/// Random bytes that whoever asks for the last values sends along, and that the answer's signature covers: so no
+/// old answer is one to this question. All zero in what is published without a question.
+pub type Challenge = [u8; CHALLENGE_BYTES];
+
+/// What the signature begins with, so that it is a signature of nothing else.
+const CONTEXT: &[u8] = b"flockeye report 1\0";
+const FORM: u8 = 1;
+const SIGNATURE_BYTES: usize = 64;
+const FINGERPRINT_BYTES: usize = 8;
+
+/// What is signed.
+#[derive(Debug, Clone, Copy)]
+pub struct Said<'s> {
+    /// The key under which it is said.
+    pub key: &'s str,
+    /// What it answers.
+    pub challenge: Challenge,
+    /// What is said.
+    pub payload: &'s [u8],
+}
+
+impl Said<'_> {
+    /// The signed bytes: a fixed beginning, the key's length and the key, the challenge, the payload.
+    pub(crate) fn message(&self) -> Vec<u8> {
+        let key_bytes = (self.key.len() as u32).to_be_bytes();
+        [CONTEXT, &key_bytes, self.key.as_bytes(), &self.challenge, self.payload].concat()
+    }
+}
+
+/// An attachment, taken apart.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Seal<'a> {
+    pub(crate) signature: &'a [u8],
+    pub(crate) fingerprint: [u8; FINGERPRINT_BYTES],
+    pub(crate) certificate: Option<&'a [u8]>,
+}
+
+impl<'a> Seal<'a> {
+    pub(crate) fn read(bytes: &'a [u8]) -> Option<Self> {
+        let (&form, rest) = bytes.split_first()?;
+        let (signature, rest) = rest.split_at_checked(SIGNATURE_BYTES)?;
+        let (fingerprint, rest) = rest.split_at_checked(FINGERPRINT_BYTES)?;
+        (form == FORM).then_some(Self {
+            signature,
+            fingerprint: fingerprint.try_into().ok()?,
+            certificate: (!rest.is_empty()).then_some(rest),
+        })
+    }
+
+    pub(crate) fn to_bytes(self) -> Vec<u8> {
+        let certificate = self.certificate.unwrap_or_default();
+        [&[FORM], self.signature, &self.fingerprint, certificate].concat()
+    }
+}
+
+/// A challenge that nobody can foresee; none where the system has no random bytes.
+pub fn new_challenge() -> Option<Challenge> {
+    let mut challenge = Challenge::default();
+    SystemRandom::new().fill(&mut challenge).ok()?;
+    Some(challenge)
+}
