@@ -1,5 +1,7 @@
 //! Semantic validation: values that contradict each other, names, rotations.
 
+use std::net::IpAddr;
+
 use flockeye_contract::StageName;
 use flockeye_geometry::body::{Bodies, Body};
 use flockeye_geometry::partition::{PartitionError, Weights};
@@ -330,16 +332,18 @@ impl Meaning<'_> {
             ("gateway.listen", &pipeline.gateway.listen),
             ("gateway.connect", &pipeline.gateway.connect),
         ];
+        let is_secure = pipeline.gateway.security.is_some();
         for (path, endpoints) in lists {
-            self.endpoints(path, endpoints);
+            self.endpoints(path, endpoints, is_secure);
         }
         let Gateway { mode, listen, connect, ros2, autopilot, .. } = &pipeline.gateway;
+        self.protection(&pipeline.gateway);
         if *mode == GatewayMode::Client && connect.is_empty() {
             let what = "a client needs a router. Cure: name its endpoint in gateway.connect";
             self.problem("gateway.mode", what.into());
         }
         if let Some(ros2) = ros2 {
-            self.endpoints("gateway.ros2.connect", &ros2.connect);
+            self.endpoints("gateway.ros2.connect", &ros2.connect, false);
             if let Some(both) = ros2.connect.iter().find(|router| listen.contains(router)) {
                 let what = format!(
                     "'{both}' is in gateway.listen too: there the router of ROS 2 cannot be. Cure: another port \
@@ -374,19 +378,51 @@ impl Meaning<'_> {
         }
     }
 
-    fn endpoints(&mut self, path: &str, endpoints: &[String]) {
+    /// What others can reach is protected, unless it is said that it need not be.
+    fn protection(&mut self, gateway: &Gateway) {
+        if let (Some(_), Some(interface)) = (&gateway.security, &gateway.scout_interface) {
+            let what = format!(
+                "'{interface}': what comes by multicast is not protected. Cure: leave it out, and name the \
+                 others in gateway.connect"
+            );
+            self.problem("gateway.scout_interface", what);
+        }
+        if gateway.security.is_some() || gateway.unsecured || !gateway.enabled {
+            return;
+        }
+        let cure = "Cure: gateway.security (docs/SECURITY.md), or gateway.unsecured: true where all who can link are \
+                    trusted";
+        for (index, endpoint) in gateway.listen.iter().enumerate() {
+            if gateway.mode == GatewayMode::Peer && !is_loopback(endpoint) {
+                let what = format!(
+                    "'{endpoint}': whoever can link there can speak in every drone's name. {cure}"
+                );
+                self.problem(&format!("gateway.listen.{index}"), what);
+            }
+        }
+        if let Some(interface) = &gateway.scout_interface {
+            let what = format!("'{interface}': whoever is found there can link. {cure}");
+            self.problem("gateway.scout_interface", what);
+        }
+    }
+
+    fn endpoints(&mut self, path: &str, endpoints: &[String], is_secure: bool) {
+        let protocols: &[&str] = if is_secure { &["tls"] } else { &["tcp", "udp"] };
         for (index, endpoint) in endpoints.iter().enumerate() {
             let is_endpoint = endpoint.split_once('/').is_some_and(|(protocol, address)| {
-                ["tcp", "udp"].contains(&protocol) && address.contains(':')
+                protocols.contains(&protocol) && address.contains(':')
             });
-            if !is_endpoint {
-                self.problem(
-                    &format!("{path}.{index}"),
-                    format!(
-                        "'{endpoint}' is no endpoint: write tcp/ADDRESS:PORT or udp/ADDRESS:PORT"
-                    ),
-                );
+            if is_endpoint {
+                continue;
             }
+            let what = if is_secure {
+                format!("'{endpoint}' is no endpoint of gateway.security: write tls/ADDRESS:PORT")
+            } else if endpoint.starts_with("tls/") {
+                format!("'{endpoint}' needs gateway.security (docs/SECURITY.md)")
+            } else {
+                format!("'{endpoint}' is no endpoint: write tcp/ADDRESS:PORT or udp/ADDRESS:PORT")
+            };
+            self.problem(&format!("{path}.{index}"), what);
         }
     }
 
@@ -408,4 +444,13 @@ impl Meaning<'_> {
 /// A size that comes back from corners, without their rounding.
 fn rounded(length_m: f64) -> f64 {
     (length_m * 1e9).round() / 1e9
+}
+
+/// Whether an endpoint is one that this machine alone can reach.
+fn is_loopback(endpoint: &str) -> bool {
+    let address = endpoint.split_once('/').map_or(endpoint, |(_, address)| address);
+    let address = address.split(['#', '?']).next().unwrap_or(address);
+    let host = address.rsplit_once(':').map_or(address, |(host, _)| host);
+    let is_local = |ip: IpAddr| ip.is_loopback();
+    host == "localhost" || host.trim_matches(['[', ']']).parse().is_ok_and(is_local)
 }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::document::Node;
 use crate::problem::{ConfigError, Problem, Problems};
-use crate::types::{InertialSource, Pipeline};
+use crate::types::{InertialSource, Pipeline, Security};
 use crate::{meaning, schema};
 
 impl Pipeline {
@@ -35,6 +35,17 @@ impl Pipeline {
         for (key, file) in files {
             if let Some(file) = file.as_mut().filter(|_| !is_overridden(&key)) {
                 *file = folder.join(&*file);
+            }
+        }
+        if let Some(Security { ca, certificate, key, roster }) = &mut pipeline.gateway.security {
+            let files =
+                [("ca", ca), ("certificate", certificate), ("key", key), ("roster", roster)];
+            for (key, file) in files {
+                if !is_overridden(&format!("gateway.security.{key}"))
+                    && !is_overridden("gateway.security")
+                {
+                    *file = folder.join(&*file);
+                }
             }
         }
         if let Ok(InertialSource::Recorded(file)) = pipeline.inertial.parsed_source()

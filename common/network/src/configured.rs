@@ -1,6 +1,7 @@
 //! The network as pipeline.yaml configures it.
 
-use flockeye_config::{GatewayMode, Pipeline};
+use flockeye_config::{GatewayMode, Pipeline, Security};
+use flockeye_identity::MemberFiles;
 
 use crate::parameters::{NetworkMode, NetworkParameters};
 
@@ -16,6 +17,7 @@ impl NetworkParameters {
             },
             listen: pipeline.gateway.listen.clone(),
             connect: pipeline.gateway.connect.clone(),
+            security: pipeline.gateway.security.as_ref().map(member_files),
             scout_interface: pipeline.gateway.scout_interface.clone(),
             ..Self::default()
         }
@@ -37,4 +39,9 @@ impl NetworkParameters {
             ..Self::of_drone(pipeline)
         }
     }
+}
+
+fn member_files(security: &Security) -> MemberFiles {
+    let Security { ca, certificate, key, roster } = security.clone();
+    MemberFiles { ca, certificate, key, roster }
 }

@@ -36,7 +36,7 @@ pub use clock::ClockEstimate;
 pub use error::NetworkError;
 pub use freshness::{ArrivalTime, NotOfNow};
 pub use listener::Listener;
-pub use parameters::{NetworkMode, NetworkParameters};
+pub use parameters::{NetworkMode, NetworkParameters, router_config};
 pub use peers::{MAX_OBSERVERS, PeerState, Peers, Received, Refusal, Refused, age_of};
 pub use reporter::{Reporter, ReporterCounters};
 pub use session::Network;

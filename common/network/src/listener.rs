@@ -35,6 +35,9 @@ const ANSWER_WITHIN: Duration = Duration::from_secs(2);
 /// So often an observer that must prove that it is there is asked.
 const ASK_AGAIN: Duration = Duration::from_millis(500);
 
+/// Observers and reasons that are told apart in warnings.
+const MOST_WARNINGS: usize = 256;
+
 /// How long after its token an observer that publishes frame reports has said so: both tokens travel
 /// together.
 const FRAMES_WITHIN: Duration = Duration::from_millis(300);
@@ -111,7 +114,7 @@ struct Hearing {
     streams: Streams,
     newcomers: Mutex<Newcomers>,
     changed: Condvar,
-    warnings: Mutex<Throttle>,
+    warnings: Mutex<Warnings>,
 }
 
 /// Observers that are still to be listened to, and from when on it is known how. All are in the table of peers,
@@ -123,6 +126,18 @@ struct Newcomers {
     asked: BTreeMap<String, Instant>,
     gone: Vec<String>,
     closed: bool,
+}
+
+/// How often it is said that messages are refused: for each observer and each reason by itself, so that none hides
+/// another.
+#[derive(Debug, Default)]
+struct Warnings(BTreeMap<(String, &'static str), Throttle>);
+
+impl Warnings {
+    fn of(&mut self, observer: &str, refusal: &Refusal) -> &mut Throttle {
+        let name = if self.0.len() < MOST_WARNINGS { observer } else { "" };
+        self.0.entry((name.into(), refusal.reason())).or_default()
+    }
 }
 
 /// What the thread does next.
@@ -198,7 +213,10 @@ impl Hearing {
             }
             // The table has room for members alone.
             peers.refused += 1;
-            untrusted.into()
+            match untrusted {
+                Untrusted::NotKnown => Untrusted::NotAMember { name: observer.into() }.into(),
+                other => other.into(),
+            }
         })
     }
 
@@ -224,7 +242,8 @@ impl Hearing {
     }
 
     fn warn(&self, key: &str, refusal: &Refusal) {
-        if let Some(held_back) = lock(&self.warnings).admit() {
+        let observer = observer_in(key).unwrap_or_default();
+        if let Some(held_back) = lock(&self.warnings).of(observer, refusal).admit() {
             tracing::warn!(held_back, "refused a message on {key:?}: {refusal}");
         }
     }

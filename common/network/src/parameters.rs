@@ -1,13 +1,14 @@
 //! How to reach the swarm, and the check of these parameters.
 
 use flockeye_contract::wire::{MAX_FRAME_REPORT_BYTES, MAX_NAME_CHARS, is_name};
-use flockeye_identity::{MemberFiles, Roster};
+use flockeye_identity::{Member, MemberFiles, Roster};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use crate::access::access_rules;
 use crate::endpoint::{check_connect, check_listen, check_protocol};
 use crate::error::NetworkError;
+use crate::utc::now_utc_s;
 
 /// What this session is to the others.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -71,11 +72,35 @@ impl Default for NetworkParameters {
 }
 
 impl NetworkParameters {
-    /// Refuses what cannot work.
+    /// Refuses what cannot work, also keys and certificates.
     ///
     /// # Errors
-    /// [`NetworkError::Parameter`] names the field and the cure.
+    /// [`NetworkError::Parameter`], [`NetworkError::Identity`] or [`NetworkError::Another`] names the field or the
+    /// file, and the cure.
     pub fn check(&self) -> Result<(), NetworkError> {
+        self.check_values()?;
+        self.member().map(drop)
+    }
+
+    /// Who this session is to the others; none where anybody can say anything.
+    pub(crate) fn member(&self) -> Result<Option<Member>, NetworkError> {
+        let Some(files) = &self.security else { return Ok(None) };
+        let member = Member::load(files, now_utc_s())?;
+        let same = |what, found: &str, wanted: &str| {
+            if found == wanted {
+                return Ok(());
+            }
+            Err(NetworkError::Another { what, found: found.into(), wanted: wanted.into() })
+        };
+        same("roster's swarm", &member.roster.swarm, &self.swarm)?;
+        // An onlooker says nothing, so it may look on in any member's name.
+        if !self.is_onlooker {
+            same("certificate's name", &member.certificate.name, &self.observer)?;
+        }
+        Ok(Some(member))
+    }
+
+    pub(crate) fn check_values(&self) -> Result<(), NetworkError> {
         check_name("swarm", &self.swarm)?;
         check_name("observer", &self.observer)?;
         for (index, endpoint) in self.listen.iter().enumerate() {
@@ -177,6 +202,18 @@ impl NetworkParameters {
         }
         config
     }
+}
+
+/// The configuration of a router (`zenohd`) of a swarm: it listens on all interfaces, and whoever has no certificate of
+/// the swarm gets no link.
+pub fn router_config(files: MemberFiles, roster: &Roster) -> serde_json::Value {
+    let router = NetworkParameters {
+        mode: NetworkMode::Router,
+        listen: vec!["tls/[::]:7447".into()],
+        security: Some(files),
+        ..NetworkParameters::default()
+    };
+    router.zenoh_config(Some(roster))
 }
 
 /// What waits here is stale when it is sent.

@@ -184,6 +184,28 @@ pub enum Refusal {
     TooManyTargets,
 }
 
+impl Refusal {
+    /// The same for all that is refused for the same reason.
+    pub(crate) fn reason(&self) -> &'static str {
+        match self {
+            Self::Key => "key",
+            Self::Wire(_) | Self::Observer { .. } | Self::Target { .. } => "malformed",
+            Self::NotOfNow(NotOfNow::Stale { .. }) => "stale",
+            Self::NotOfNow(NotOfNow::Future { .. }) => "future",
+            Self::NotOfNow(NotOfNow::Replayed { .. }) => "replayed",
+            Self::Untrusted(Untrusted::NotSigned) => "not signed",
+            Self::Untrusted(Untrusted::NotKnown) => "not known",
+            Self::Untrusted(Untrusted::Certificate(_)) => "certificate",
+            Self::Untrusted(Untrusted::Revoked { .. }) => "revoked",
+            Self::Untrusted(Untrusted::NotAMember { .. }) => "not a member",
+            Self::Untrusted(Untrusted::Another { .. }) => "another",
+            Self::Untrusted(Untrusted::Signature) => "signature",
+            Self::NotYetAnswered | Self::NotAnswered => "not answered",
+            Self::TooManyObservers | Self::TooManyTargets => "too many",
+        }
+    }
+}
+
 /// What a key names.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum KeyNames<'k> {
@@ -363,7 +385,7 @@ impl PeerState {
             }
             (Delivery::Published, proof) => {
                 let answered = proof.as_mut().and_then(|proof| proof.check(arrival.at).ok());
-                if newest.is_none() && answered.is_some_and(|at| is_overtaken(sent.utc_ns, at)) {
+                if answered.is_some_and(|at| is_overtaken(sent.utc_ns, at)) {
                     return Err(Refusal::NotYetAnswered);
                 }
                 let newest = newest.max(answered);

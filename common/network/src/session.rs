@@ -10,7 +10,6 @@ use crate::listener::Listener;
 use crate::parameters::NetworkParameters;
 use crate::refused_links;
 use crate::reporter::Reporter;
-use crate::utc::now_utc_s;
 
 /// A Zenoh session. [`Reporter`]s and [`Listener`]s made from it keep it open by themselves, so
 /// they may outlive this value.
@@ -33,8 +32,8 @@ impl Network {
     /// [`NetworkError::Another`] say what to change. An address of
     /// an interface that is not up yet is no error: it is listened on once it is there.
     pub fn open(parameters: &NetworkParameters) -> Result<Self, NetworkError> {
-        parameters.check()?;
-        let member = member(parameters)?;
+        parameters.check_values()?;
+        let member = parameters.member()?.map(Arc::new);
         if member.is_some() {
             refused_links::log();
         }
@@ -83,22 +82,4 @@ impl Network {
     pub fn is_open(&self) -> bool {
         self.connection.is_open()
     }
-}
-
-/// Who this session is to the others; none where anybody can say anything.
-fn member(parameters: &NetworkParameters) -> Result<Option<Arc<Member>>, NetworkError> {
-    let Some(files) = &parameters.security else { return Ok(None) };
-    let member = Member::load(files, now_utc_s())?;
-    let same = |what, found: &str, wanted: &str| {
-        if found == wanted {
-            return Ok(());
-        }
-        Err(NetworkError::Another { what, found: found.into(), wanted: wanted.into() })
-    };
-    same("roster's swarm", &member.roster.swarm, &parameters.swarm)?;
-    // An onlooker says nothing, so it may look on in any member's name.
-    if !parameters.is_onlooker {
-        same("certificate's name", &member.certificate.name, &parameters.observer)?;
-    }
-    Ok(Some(Arc::new(member)))
 }

@@ -347,7 +347,7 @@ fn what_was_recorded_is_not_believed_while_its_drone_is_here_nor_when_it_is_gone
         let before = refused(&listener, "wren");
         until(|| {
             play();
-            (refused(&listener, "wren").replayed > before.replayed + 2).then_some(())
+            (refused(&listener, "wren").total() > before.total() + 2).then_some(())
         });
         drop(reporter);
         drop(wren);

@@ -28,6 +28,11 @@ pub fn in_words(peers: &Peers, own_name: &str, left_out: &[String]) -> String {
             }
         })
         .collect();
+    for (name, peer) in &peers.observers {
+        if peer.refused.total() > 0 {
+            parts.push(format!("{} refused in the name of {name}", peer.refused.total()));
+        }
+    }
     if parts.is_empty() {
         parts.push("no peers".into());
     }

@@ -9,9 +9,11 @@
 //! | [`ros`] | what ROS 2 nodes are told |
 //! | [`newest`] | what was said of each neighbour last |
 //! | [`hearsay`] | what the peers say, in words for people |
+//! | [`guard`] | strangers at the door, and the certificate's end |
 //! | [`stage`] | the ports around it |
 
 pub mod frame;
+pub mod guard;
 pub mod hearsay;
 pub mod newest;
 pub mod pilot;

@@ -15,6 +15,7 @@ use flockeye_runtime::ports::{Ports, Publisher, Subscriber};
 use flockeye_runtime::{Context, Stage, Step, clock};
 
 use crate::frame::{Gathering, Head};
+use crate::guard::Guard;
 use crate::hearsay::in_words;
 use crate::newest::Newest;
 use crate::pilot::Pilot;
@@ -58,6 +59,8 @@ pub struct GatewayStage {
 }
 
 struct Link {
+    network: Network,
+    guard: Guard,
     reporter: Reporter,
     listener: Listener,
     reports: ReportStream,
@@ -107,9 +110,10 @@ impl Stage for GatewayStage {
         if now_ns >= self.swarm_ns {
             self.publish_swarm(now_ns)?;
         }
-        if let Some(link) = &self.link
+        if let Some(link) = &mut self.link
             && now_ns >= self.detail_ns
         {
+            link.guard.look(&link.network);
             let peers = link.listener.snapshot();
             let left_out = self.swarm.left_out();
             self.counters.set_detail(in_words(&peers, &self.parameters.observer, &left_out));
@@ -267,5 +271,6 @@ fn open(parameters: &NetworkParameters) -> Result<Link, NetworkError> {
     let network = Network::open(parameters)?;
     let listener = network.listener()?;
     let reports = listener.stream(WAITING_REPORTS);
-    Ok(Link { reporter: network.reporter()?, listener, reports })
+    let reporter = network.reporter()?;
+    Ok(Link { network, guard: Guard::default(), reporter, listener, reports })
 }

@@ -9,6 +9,7 @@ use flockeye_cli::{Configuration, Screen, duration, signals};
 use flockeye_config::{Count, Flow, Resolved, SearchBudget};
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::partition;
+use flockeye_network::NetworkParameters;
 use flockeye_runtime::instance::Instance;
 use flockeye_runtime::memory::{Budget, shared_memory_space};
 
@@ -34,6 +35,9 @@ pub fn run(arguments: &CheckArguments) -> anyhow::Result<()> {
     let pipeline = arguments.configuration.load()?;
     let resolved = Resolved::of(pipeline)?;
     Dictionary::of(&resolved.bodies)?;
+    if resolved.pipeline.gateway.enabled {
+        NetworkParameters::of_drone(&resolved.pipeline).check()?;
+    }
     let budget = Budget::of(&resolved);
     let (free, total) = shared_memory_space().context("cannot look at /dev/shm")?;
     let mut screen = Screen::new();

@@ -9,6 +9,7 @@ use crate::check::{self, CheckArguments};
 use crate::clean::{self, CleanArguments};
 use crate::contract::{self, ContractArguments};
 use crate::exec::{self, ExecArguments};
+use crate::keys::{self, KeysCommand};
 use crate::manage::{self, StatusArguments, StopArguments, SwapArguments, WorkerArguments};
 use crate::peers::{self, PeersArguments};
 use crate::stage::{self, StageCommand};
@@ -54,6 +55,9 @@ enum FlockeyeCommand {
     /// Fly a swarm on this machine.
     #[command(subcommand)]
     Swarm(SwarmCommand),
+    /// Make keys and certificates, by which the members of a swarm know each other.
+    #[command(subcommand)]
+    Keys(KeysCommand),
     /// Remove what dead runs left in shared memory.
     Clean(CleanArguments),
     /// Print the JSON Schema of pipeline.yaml.
@@ -90,6 +94,7 @@ pub fn run() -> anyhow::Result<()> {
         FlockeyeCommand::Trace(arguments) => trace::run(&arguments),
         FlockeyeCommand::Peers(arguments) => peers::run(&arguments),
         FlockeyeCommand::Swarm(command) => swarm::run(&command),
+        FlockeyeCommand::Keys(command) => keys::run(&command),
         FlockeyeCommand::Clean(arguments) => clean::run(&arguments),
         FlockeyeCommand::Schema => schema::run(),
         FlockeyeCommand::Bodies(arguments) => bodies::run(&arguments),

@@ -25,6 +25,7 @@
 //! | [`sweep_watch`] | how often a running pipeline searches each part of the sphere |
 //! | [`peers`] | what the whole swarm reports over Zenoh |
 //! | [`swarm`] | a simulated swarm on this machine, compared with the truth |
+//! | [`keys`] | the authority of a swarm, its members' keys and certificates |
 //! | [`clean`] | removes what dead runs left behind |
 //! | [`schema`] | the JSON Schema of pipeline.yaml |
 //! | [`bodies`], [`contract`] | the marker bodies; the contract for other languages |
@@ -49,6 +50,7 @@ pub mod dice;
 pub mod exec;
 pub mod fault_point;
 pub mod heartbeat;
+pub mod keys;
 pub mod lab;
 pub mod manage;
 pub mod peers;

@@ -262,8 +262,8 @@ fn table(peers: &Peers, now: Instant) -> String {
     for (observer, peer) in peers.observers.iter().filter(|(_, peer)| peer.refused.total() > 0) {
         let refused = &peer.refused;
         text += &format!(
-            "\n{observer}: refused {} malformed, {} stale, {} from the future, {} replayed",
-            refused.malformed, refused.stale, refused.future, refused.replayed
+            "\n{observer}: refused {} malformed, {} stale, {} from the future, {} replayed, {} untrusted",
+            refused.malformed, refused.stale, refused.future, refused.replayed, refused.untrusted
         );
     }
     if peers.observers.is_empty() {

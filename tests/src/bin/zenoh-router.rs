@@ -1,14 +1,33 @@
-//! A Zenoh router, as `zenohd` is one: `zenoh-router ENDPOINT [HZ KEY...]`, until it is killed. It passes what is
-//! published under each of these keys on over each link at most so often.
+//! A Zenoh router, as `zenohd` is one, until it is killed.
 //!
-//! A rule of Zenoh counts all that its key expression matches together. So each key has a rule of its own.
+//! `zenoh-router FILE` has its configuration from a file. `zenoh-router ENDPOINT [HZ KEY...]` passes what is published
+//! under each of these keys on over each link at most so often. A rule of Zenoh counts all that its key expression
+//! matches together. So each key has a rule of its own.
+
+use std::path::Path;
 
 use anyhow::{Context, anyhow};
-use zenoh::Wait;
+use zenoh::{Config, Wait};
 
 fn main() -> anyhow::Result<()> {
     let mut arguments = std::env::args().skip(1);
     let endpoint = arguments.next().context("where does it listen?")?;
+    let config = if Path::new(&endpoint).is_file() {
+        Config::from_file(&endpoint)
+    } else {
+        Config::from_json5(&config(&endpoint, arguments)?.to_string())
+    };
+    let config = config.map_err(|error| anyhow!("{error}"))?;
+    let _session = zenoh::open(config).wait().map_err(|error| anyhow!("{error}"))?;
+    loop {
+        std::thread::park();
+    }
+}
+
+fn config(
+    endpoint: &str,
+    mut arguments: impl Iterator<Item = String>,
+) -> anyhow::Result<serde_json::Value> {
     let rate_hz = arguments.next().map(|text| text.parse::<f64>()).transpose()?;
     let mut config = serde_json::json!({
         "mode": "router",
@@ -23,10 +42,5 @@ fn main() -> anyhow::Result<()> {
             "rules": arguments.map(rule).collect::<Vec<_>>(),
         }]);
     }
-    let config =
-        zenoh::Config::from_json5(&config.to_string()).map_err(|error| anyhow!("{error}"))?;
-    let _session = zenoh::open(config).wait().map_err(|error| anyhow!("{error}"))?;
-    loop {
-        std::thread::park();
-    }
+    Ok(config)
 }

@@ -22,6 +22,7 @@ mod radio;
 mod real_time;
 mod recorded;
 mod scheduling;
+mod secure;
 mod swapping;
 mod swarm;
 mod told;

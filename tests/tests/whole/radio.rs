@@ -123,7 +123,7 @@ enum Links {
 
 impl Links {
     /// Settings of the gateway at a station.
-    fn settings(self, station: usize) -> [String; 3] {
+    fn settings(self, station: usize) -> [String; 4] {
         let (mode, connect) = match self {
             Self::Direct => ("peer", (0..station).map(endpoint).collect()),
             Self::Router(router) => ("client", vec![endpoint(router)]),
@@ -131,6 +131,7 @@ impl Links {
         [
             format!("gateway.mode={mode}"),
             format!("gateway.listen=[{}]", endpoint(station)),
+            "gateway.unsecured=true".to_owned(),
             format!("gateway.connect=[{}]", connect.join(", ")),
         ]
     }

@@ -42,6 +42,17 @@ const WRONG: &[(&str, &[&str])] = &[
     ),
     ("gateway: {ros2: {connect: ['7447']}}", &["gateway.ros2.connect", "tcp/ADDRESS:PORT"]),
     ("gateway: {autopilot: {link: /dev/ttyACM0}}", &["gateway.autopilot.link", "serial:DEVICE"]),
+    (
+        "gateway: {listen: [tcp/10.0.0.7:7447]}",
+        &["gateway.listen", "gateway.security", "unsecured"],
+    ),
+    ("gateway: {scout_interface: wlan0}", &["gateway.scout_interface", "unsecured: true"]),
+    ("gateway: {listen: [tls/127.0.0.1:7447]}", &["gateway.listen", "needs gateway.security"]),
+    ("gateway: {security: {ca: a, certificate: b, key: c}}", &["security", "roster"]),
+    (
+        "gateway: {security: {ca: a, certificate: b, key: c, roster: d}}",
+        &["gateway.listen", "tls/ADDRESS:PORT"],
+    ),
     ("gateway: {mode: client}", &["gateway.mode", "needs a router", "gateway.connect"]),
     ("gateway: {mode: router}", &["gateway.mode"]),
     ("gateway: {autopilot: {target_hz: 0.1}}", &["gateway.autopilot.target_hz", "0.5 to 100"]),

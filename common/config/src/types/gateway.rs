@@ -1,5 +1,7 @@
 //! What goes over the network.
 
+use std::path::PathBuf;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -18,6 +20,10 @@ pub struct Gateway {
     pub connect: Vec<String>,
     /// Interface on which peers are looked for by multicast; left out: they are not.
     pub scout_interface: Option<String>,
+    /// The files by which members of the swarm know each other; left out: anybody who can link can say anything.
+    pub security: Option<Security>,
+    /// true: without `security` it may listen where others than this machine can link.
+    pub unsecured: bool,
     /// How ROS 2 is told too; left out: it is not.
     pub ros2: Option<Ros2>,
     /// How the drone's autopilot is told too; left out: it is not.
@@ -33,6 +39,20 @@ pub enum GatewayMode {
     Peer,
     /// Through a router alone: that of the first `connect` endpoint that answers.
     Client,
+}
+
+/// A member's files, as `flockeye keys issue` writes them (docs/SECURITY.md).
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Security {
+    /// The certificate of the swarm's authority.
+    pub ca: PathBuf,
+    /// This drone's certificate, in the name of `observer.name`.
+    pub certificate: PathBuf,
+    /// Its private key, readable by its owner alone.
+    pub key: PathBuf,
+    /// Who belongs to the swarm, signed by the authority.
+    pub roster: PathBuf,
 }
 
 /// How the autopilot is told where neighbours are (docs/AUTOPILOT.md).
@@ -109,6 +129,8 @@ impl Default for Gateway {
             listen: vec!["tcp/127.0.0.1:7447".into()],
             connect: Vec::new(),
             scout_interface: None,
+            security: None,
+            unsecured: false,
             ros2: None,
             autopilot: None,
         }

@@ -21,7 +21,7 @@ mod stages;
 pub use bodies::{BodySet, Preset, PresetBody};
 pub use camera::{Camera, CameraModel, FisheyeLens, Response};
 pub use costs::{Costs, SearchBudget};
-pub use gateway::{Autopilot, Gateway, GatewayMode, Ros2};
+pub use gateway::{Autopilot, Gateway, GatewayMode, Ros2, Security};
 pub use inertial::{Inertial, InertialSource};
 pub use mavlink::MavlinkAddress;
 pub use mount::Mount;

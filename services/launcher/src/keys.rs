@@ -1,0 +1,216 @@
+//! `flockeye keys`: the swarm's authority, and its members' keys and certificates.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use anyhow::Context;
+use clap::{Args, Subcommand};
+use flockeye_cli::text_table::TextTable;
+use flockeye_cli::{Screen, duration};
+use flockeye_identity::{Authority, Issued, MemberFiles, Role};
+use flockeye_network::router_config;
+
+/// How long a certificate holds that nothing else is said of.
+const HOLDS: &str = "30days";
+/// Seconds of a day.
+const DAY_S: f64 = 86_400.0;
+
+/// What to do with keys.
+#[derive(Debug, Subcommand)]
+pub enum KeysCommand {
+    /// Make the authority of a new swarm. Keep its folder where no drone is.
+    Init(InitArguments),
+    /// Make a key and a certificate for a drone, an onlooker or a router, or renew them.
+    Issue(IssueArguments),
+    /// Take somebody off the roster, and revoke all its certificates.
+    Revoke(RevokeArguments),
+    /// Show who belongs to the swarm, and until when.
+    List(AuthorityChoice),
+    /// Print the configuration of a router (zenohd) for the roster of now.
+    Rules(AuthorityChoice),
+}
+
+/// Arguments of `keys init`.
+#[derive(Debug, Args)]
+pub struct InitArguments {
+    /// The swarm's name, as `observer.swarm` has it.
+    #[arg(long, value_name = "NAME")]
+    pub swarm: String,
+    /// Where.
+    #[command(flatten)]
+    pub authority: AuthorityChoice,
+}
+
+/// Where the authority is.
+#[derive(Debug, Args)]
+pub struct AuthorityChoice {
+    /// The authority's folder.
+    #[arg(long, value_name = "FOLDER", default_value = "authority")]
+    pub authority: PathBuf,
+}
+
+/// Arguments of `keys issue`.
+#[derive(Debug, Args)]
+pub struct IssueArguments {
+    /// The name, as `observer.name` has it.
+    pub name: String,
+    /// Where.
+    #[command(flatten)]
+    pub authority: AuthorityChoice,
+    /// The folder for its files. Without it: one of its name.
+    #[arg(long, value_name = "FOLDER")]
+    pub into: Option<PathBuf>,
+    /// How long the certificate holds: 12h, 30days.
+    #[arg(long = "for", value_name = "DURATION", value_parser = duration, default_value = HOLDS)]
+    pub holds: Duration,
+    /// It is a router: it passes on what others say.
+    #[arg(long)]
+    pub router: bool,
+}
+
+/// Arguments of `keys revoke`.
+#[derive(Debug, Args)]
+pub struct RevokeArguments {
+    /// Whom.
+    pub name: String,
+    /// Where.
+    #[command(flatten)]
+    pub authority: AuthorityChoice,
+}
+
+/// Does it.
+///
+/// # Errors
+/// A name cannot be one or is not known, or files are missing, wrong, or cannot be written.
+pub fn run(command: &KeysCommand) -> anyhow::Result<()> {
+    match command {
+        KeysCommand::Init(arguments) => init(arguments),
+        KeysCommand::Issue(arguments) => issue(arguments),
+        KeysCommand::Revoke(arguments) => revoke(arguments),
+        KeysCommand::List(choice) => list(choice),
+        KeysCommand::Rules(choice) => rules(choice),
+    }
+}
+
+fn init(arguments: &InitArguments) -> anyhow::Result<()> {
+    let folder = &arguments.authority.authority;
+    Authority::create(folder, &arguments.swarm)?;
+    let mut screen = Screen::new();
+    screen.line(&format!(
+        "{} is the authority of the swarm '{}'. Whoever has ca.key can speak in every name: keep it where no drone \
+         is, and have a copy.\nNext: flockeye keys issue NAME",
+        folder.display(),
+        arguments.swarm
+    ));
+    Ok(())
+}
+
+fn issue(arguments: &IssueArguments) -> anyhow::Result<()> {
+    let mut authority = open(&arguments.authority)?;
+    let before = authority.roster().number;
+    let into = arguments.into.clone().unwrap_or_else(|| PathBuf::from(&arguments.name));
+    let role = if arguments.router { Role::Router } else { Role::Member };
+    let (issued, files) = authority.issue(&arguments.name, role, arguments.holds, &into)?;
+    let mut screen = Screen::new();
+    screen.line(&format!("{}: holds {}", into.display(), left(&issued)));
+    if arguments.router {
+        let path = into.join("zenohd.json5");
+        std::fs::write(&path, router_text(&authority)?)
+            .with_context(|| format!("cannot write {}", path.display()))?;
+        screen.line("on the router: cd to this folder, and zenohd -c zenohd.json5");
+    } else {
+        screen.line(&settings(&files));
+    }
+    if authority.roster().number != before {
+        say_roster_changed(&mut screen, &authority);
+    }
+    Ok(())
+}
+
+/// What pipeline.yaml needs.
+fn settings(files: &MemberFiles) -> String {
+    let MemberFiles { ca, certificate, key, roster } = files;
+    let line = |key: &str, path: &Path| format!("\n    {key}: {}", path.display());
+    format!(
+        "in its pipeline.yaml:\ngateway:\n  security:{}{}{}{}",
+        line("ca", ca),
+        line("certificate", certificate),
+        line("key", key),
+        line("roster", roster)
+    )
+}
+
+fn say_roster_changed(screen: &mut Screen, authority: &Authority) {
+    screen.line(&format!(
+        "The roster has changed. Copy {} to all others, then on each: flockeye restart gateway. Routers: flockeye \
+         keys rules > zenohd.json5, and start them again.",
+        authority.roster_path().display()
+    ));
+}
+
+fn revoke(arguments: &RevokeArguments) -> anyhow::Result<()> {
+    let mut authority = open(&arguments.authority)?;
+    let count = authority.revoke(&arguments.name, now_s())?;
+    let mut screen = Screen::new();
+    let name = &arguments.name;
+    screen.line(&format!("{name} is off the roster, and {count} of its certificates are revoked"));
+    say_roster_changed(&mut screen, &authority);
+    Ok(())
+}
+
+fn list(choice: &AuthorityChoice) -> anyhow::Result<()> {
+    let authority = open(choice)?;
+    let roster = authority.roster();
+    let mut table = TextTable::new(4, &["name", "is", "serial", "holds"]);
+    for issued in authority.issued()? {
+        let is = if roster.is_revoked(&issued.serial) {
+            "revoked"
+        } else if roster.members.contains(&issued.name) {
+            "member"
+        } else if roster.routers.contains(&issued.name) {
+            "router"
+        } else {
+            "gone"
+        };
+        table.row([issued.name.clone(), is.into(), issued.serial.clone(), left(&issued)]);
+    }
+    let mut screen = Screen::new();
+    screen.line(&format!("swarm {}, roster {}", roster.swarm, roster.number));
+    screen.table(&table.text());
+    Ok(())
+}
+
+fn rules(choice: &AuthorityChoice) -> anyhow::Result<()> {
+    Screen::new().line(router_text(&open(choice)?)?.trim_end());
+    Ok(())
+}
+
+fn open(choice: &AuthorityChoice) -> anyhow::Result<Authority> {
+    let cure =
+        "there is no authority here. Cure: flockeye keys init --swarm NAME, or --authority FOLDER";
+    Authority::open(&choice.authority).context(cure)
+}
+
+/// A router's configuration, whose files are beside it.
+fn router_text(authority: &Authority) -> anyhow::Result<String> {
+    let file = |name: &str| PathBuf::from(name);
+    let files = MemberFiles {
+        ca: file("ca.pem"),
+        certificate: file("certificate.pem"),
+        key: file("key.pem"),
+        roster: file("roster.json"),
+    };
+    let config = router_config(files, authority.roster());
+    Ok(serde_json::to_string_pretty(&config)? + "\n")
+}
+
+/// How long a certificate still holds.
+fn left(issued: &Issued) -> String {
+    let days = (issued.not_after_s - now_s()) as f64 / DAY_S;
+    if days < 0.0 { "no longer".into() } else { format!("{days:.1} days") }
+}
+
+fn now_s() -> i64 {
+    // A clock before 1970 is no clock: then nothing has expired.
+    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs() as i64)
+}

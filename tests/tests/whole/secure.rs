@@ -1,0 +1,142 @@
+//! A secure swarm, made with the commands that its operator uses.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use flockeye_require::loopback::free_port;
+use flockeye_tests::{Beside, Flight, Scratch, flockeye, run, told, unique};
+use rustix::process::Signal;
+
+/// What an operator has done before the flight.
+struct Keys {
+    folder: Scratch,
+}
+
+impl Keys {
+    /// An authority, two drones and a router.
+    fn new() -> Self {
+        let keys = Self { folder: Scratch::new("keys") };
+        keys.run(&["init", "--swarm", "alps"]);
+        for name in ["wren", "kite"] {
+            let said = keys.run(&["issue", name, "--into", &keys.path(name)]);
+            assert!(
+                said.contains("security:") && said.contains("The roster has changed"),
+                "{said}"
+            );
+        }
+        keys.run(&["issue", "base", "--router", "--into", &keys.path("base"), "--for", "2h"]);
+        keys.hand_out();
+        keys
+    }
+
+    fn path(&self, name: &str) -> String {
+        self.folder.path(name).display().to_string()
+    }
+
+    fn run(&self, arguments: &[&str]) -> String {
+        let authority = self.path("authority");
+        let whole = [&["keys"], arguments, &["--authority", &authority]].concat();
+        let (succeeded, output) = run(&whole);
+        assert!(succeeded, "{output}");
+        output
+    }
+
+    /// Copies the roster of now to all.
+    fn hand_out(&self) {
+        let roster = self.folder.path("authority/roster.json");
+        for name in ["wren", "kite", "base"] {
+            fs::copy(&roster, self.folder.path(name).join("roster.json")).expect("copied");
+        }
+    }
+
+    /// Starts the router with the configuration that was made for it, on another port.
+    fn router(&self, port: u16) -> Beside {
+        fs::write(Path::new(&self.path("base")).join("zenohd.json5"), self.run(&["rules"]))
+            .expect("written");
+        let config: PathBuf = self.folder.path("base/zenohd.json5");
+        let text = fs::read_to_string(&config).expect("it was written");
+        let text = text.replace("tls/[::]:7447", &format!("tls/127.0.0.1:{port}"));
+        fs::write(&config, text).expect("written");
+        let mut command = Command::new(flockeye().with_file_name("zenoh-router"));
+        command.arg("zenohd.json5").current_dir(self.path("base"));
+        Beside::start(command)
+    }
+
+    /// Starts a drone that links with the router.
+    fn fly(&self, name: &str, sees: &str, router: u16) -> Flight {
+        let mut set = told::settings(50, &[sees]);
+        set.extend([
+            format!("observer.name={name}"),
+            "observer.swarm=alps".to_owned(),
+            "gateway.mode=client".to_owned(),
+            "gateway.listen=[]".to_owned(),
+            format!("gateway.connect=[tls/127.0.0.1:{router}]"),
+        ]);
+        let files = ["ca.pem", "certificate.pem", "key.pem", "roster.json"];
+        let path = |file| format!("{}/{file}", self.path(name));
+        let [ca, certificate, key, roster] = files.map(path);
+        set.push(format!(
+            "gateway.security={{ca: {ca}, certificate: {certificate}, key: {key}, roster: {roster}}}"
+        ));
+        let set: Vec<&str> = set.iter().map(String::as_str).collect();
+        Flight::start(name, &[], &set)
+    }
+}
+
+/// Looks on from the place of a drone.
+fn look_on(flight: &Flight) -> Flight {
+    let mut command = Command::new(flockeye());
+    command.args(["peers", "--json", "--instance", flight.instance.name()]);
+    Flight::launch(&unique("look"), command)
+}
+
+#[test]
+fn drones_with_certificates_hear_each_other_until_one_is_revoked() {
+    let keys = Keys::new();
+    let port = free_port();
+    let _router = keys.router(port);
+    let wren = keys.fly("wren", "kite", port);
+    let mut kite = keys.fly("kite", "wren", port);
+    // It says whom it sees once it runs.
+    kite.wait_for("wren confirmed");
+    let mut look = look_on(&kite);
+    look.wait_for("\"observer\":\"wren\"");
+    drop(look);
+
+    let said = keys.run(&["revoke", "wren"]);
+    assert!(said.contains("1 of its certificates"), "{said}");
+    assert!(keys.run(&["list"]).contains("revoked"));
+    keys.hand_out();
+    let (succeeded, output) = run(&["restart", "gateway", "--instance", kite.instance.name()]);
+    assert!(succeeded, "{output}");
+    // The router does not know it yet, and passes on what wren says; its signature tells.
+    kite.wait_for("the certificate of 'wren' is revoked");
+    for mut flight in [wren, kite] {
+        flight.signal(Signal::TERM);
+        flight.wait();
+        flight.assert_nothing_left();
+    }
+}
+
+#[test]
+fn a_gateway_without_valid_keys_says_so_before_the_flight() {
+    let keys = Keys::new();
+    let files = ["ca", "certificate", "roster"].map(|file| {
+        let end = if file == "roster" { "json" } else { "pem" };
+        format!("{file}: {}/{file}.{end}", keys.path("wren"))
+    });
+    let check = |key: &str, name: &str| {
+        let security = format!("gateway.security={{{}, key: {key}}}", files.join(", "));
+        let name = format!("observer.name={name}");
+        let set = [&*security, &*name, "observer.swarm=alps", "gateway.listen=[tls/127.0.0.1:0]"];
+        let arguments: Vec<&str> = set.iter().flat_map(|set| ["--set", *set]).collect();
+        run(&[&["check"], &*arguments].concat())
+    };
+    let (succeeded, output) = check(&(keys.path("wren") + "/key.pem"), "wren");
+    assert!(succeeded, "{output}");
+    let (succeeded, output) = check(&(keys.path("kite") + "/key.pem"), "wren");
+    assert!(!succeeded && output.contains("it is not the key of"), "{output}");
+    let (succeeded, output) = check(&(keys.path("wren") + "/key.pem"), "kite");
+    assert!(!succeeded && output.contains("is 'wren', and not 'kite'"), "{output}");
+}
