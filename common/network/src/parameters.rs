@@ -14,7 +14,7 @@ use crate::utc::now_utc_s;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NetworkMode {
-    /// Talks to every other peer directly, and tells peers of each other. Drones are peers.
+    /// Talks to every other peer directly. Drones are peers.
     #[default]
     Peer,
     /// Talks to one router (or peer) only, that of the first `connect` endpoint that answers.
@@ -38,7 +38,7 @@ pub struct NetworkParameters {
     /// interface each: its own address, or `tcp/0.0.0.0:PORT#iface=NAME`. Not used by a client.
     pub listen: Vec<String>,
     /// Endpoints to connect to: `tcp/HOST:PORT` or `udp/ADDRESS:PORT`. One that does not answer is
-    /// tried again in the background.
+    /// tried again in the background. One of two peers connects to the other.
     pub connect: Vec<String>,
     /// The interface, by name or address, on which peers are looked for by UDP multicast
     /// (224.0.0.224:7446); none: they are not.
@@ -141,6 +141,15 @@ impl NetworkParameters {
         let retry = json!({
             "period_init_ms": 500, "period_max_ms": 2_000, "period_increase_factor": 1.5,
         });
+        let by_hearsay: &[&str] = if self.is_onlooker || self.scout_interface.is_some() {
+            &["router", "peer"]
+        } else {
+            &[]
+        };
+        // When two drones find each other one of them connects: links that both open at once may come to carry one way
+        // only. Nobody connects to an onlooker.
+        let to_peer = if self.is_onlooker { "always" } else { "greater-zid" };
+        let strategy = json!({ "peer": { "to_router": "always", "to_peer": to_peer } });
         let mut config = json!({
             "mode": self.mode,
             "listen": {
@@ -161,6 +170,13 @@ impl NetworkParameters {
                 "multicast": {
                     "enabled": self.scout_interface.is_some(),
                     "interface": self.scout_interface.as_deref().unwrap_or("lo"),
+                    "autoconnect_strategy": strategy,
+                },
+                // Whoever is linked with one drone is told of the others. Zenoh may not make a link again that it made
+                // by hearsay, so drones have the links that are configured, or find each other anew.
+                "gossip": {
+                    "autoconnect": { "peer": by_hearsay },
+                    "autoconnect_strategy": strategy,
                 },
             },
             "transport": {
