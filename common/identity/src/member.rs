@@ -1,6 +1,6 @@
 //! What a member of the swarm holds.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use ring::signature::{Ed25519KeyPair, KeyPair};
 use rustls_pki_types::pem::PemObject;
@@ -85,9 +85,9 @@ impl Member {
 }
 
 /// Reads the certificate in a PEM file.
-pub(crate) fn certificate(path: &PathBuf) -> Result<Certificate, IdentityError> {
+pub(crate) fn certificate(path: &Path) -> Result<Certificate, IdentityError> {
     let pem = files::read(path)?;
     let der = CertificateDer::from_pem_slice(pem.as_bytes());
     let read = der.map_err(|_| CertificateFault::Malformed).and_then(|der| Certificate::read(&der));
-    read.map_err(|fault| IdentityError::Certificate { path: path.clone(), fault })
+    read.map_err(|fault| IdentityError::Certificate { path: path.into(), fault })
 }
