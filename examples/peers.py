@@ -1,8 +1,10 @@
 """Prints who sees whom where, and how old that is.
 
     python3 examples/peers.py tcp/127.0.0.1:7447 swarm
+    python3 examples/peers.py tls/10.0.0.7:7447 swarm ground
 
-Endpoint and swarm as in the drone's pipeline.yaml. It needs `pip install clients/python eclipse-zenoh`.
+Endpoint and swarm as in the drone's pipeline.yaml; the folder is one that `flockeye keys issue` has written. It needs
+`pip install clients/python eclipse-zenoh`, with a folder `cryptography` too.
 """
 
 import sys
@@ -11,8 +13,13 @@ from flockeye_peers import Swarm
 
 
 def main():
-    endpoint, name = sys.argv[1:]
-    with Swarm([endpoint], name) as swarm:
+    endpoint, name, *folder = sys.argv[1:]
+    security = None
+    if folder:
+        from flockeye_trust import Security
+
+        security = Security.of_folder(folder[0])
+    with Swarm([endpoint], name, security=security) as swarm:
         for report in swarm.reports():
             x, y, z = report.position
             print(

@@ -7,12 +7,20 @@ It needs nothing but `eclipse-zenoh`. docs/PEERS.md says what is sent.
     with Swarm(["tcp/10.0.0.7:7447"], "swarm") as swarm:
         for report in swarm.reports():
             print(report.observer, "sees", report.target, "at", report.position)
+
+Of a secure swarm (docs/SECURITY.md) it hears what is signed alone; that needs `cryptography` too:
+
+    from flockeye_trust import Security
+
+    Swarm(["tls/10.0.0.7:7447"], "swarm", security=Security.of_folder("ground"))
 """
 
 import json
 import math
 import queue
 import re
+import secrets
+import threading
 import time
 from dataclasses import dataclass, field
 
@@ -133,8 +141,9 @@ def _numbers(of, name, count):
 class Swarm:
     """A link to a swarm, which hears and says nothing."""
 
-    def __init__(self, endpoints, swarm, waiting=1024):
-        """Links with drones or routers (`tcp/10.0.0.7:7447`); links that break are made again."""
+    def __init__(self, endpoints, swarm, waiting=1024, security=None):
+        """Links with drones or routers (`tcp/10.0.0.7:7447`); links that break are made again. With `security`, a
+        `flockeye_trust.Security`, what is not signed is refused."""
         self.refused = 0
         self.alive = set()
         self._last = {}
@@ -143,13 +152,26 @@ class Swarm:
         config.insert_json5("connect/endpoints", json.dumps(list(endpoints)))
         config.insert_json5("listen/endpoints", "[]")
         config.insert_json5("scouting/multicast/enabled", "false")
+        self._trust = None
+        if security is not None:
+            from flockeye_trust import Presence, Trust
+
+            self._trust = Trust(security)
+            if self._trust.roster["swarm"] != swarm:
+                raise ValueError(f"the roster is of {self._trust.roster['swarm']!r}, not {swarm!r}")
+            self._presence = Presence()
+            config.insert_json5("transport/link/tls", json.dumps(security.tls()))
+        self._swarm = swarm
+        self._to_ask = queue.SimpleQueue()
         self._session = zenoh.open(config)
+        # Not on Zenoh's own thread, which calls `_hear`.
+        threading.Thread(target=self._ask, daemon=True).start()
         frames = f"flockeye/{swarm}/*/sees"
         self._frames = self._session.declare_subscriber(frames, self._hear)
         tokens = f"flockeye/{swarm}/*/alive"
         self._tokens = self._session.liveliness().declare_subscriber(tokens, self._see, history=True)
         # What was said before.
-        self._session.get(frames, lambda reply: self._hear(reply.ok) if reply.ok else None)
+        self._to_ask.put("*")
 
     def __enter__(self):
         return self
@@ -159,6 +181,7 @@ class Swarm:
 
     def close(self):
         """Ends the link, and every loop over `reports`."""
+        self._to_ask.put(None)
         self._session.close()
 
     def reports(self, patience=None):
@@ -175,13 +198,52 @@ class Swarm:
         """The last report of `observer` on `target`, or None."""
         return self._last.get((observer, target))
 
-    def _hear(self, sample):
+    def _ask(self):
+        """Asks observers for their last report, until the link is closed."""
+        while (observer := self._to_ask.get()) is not None:
+            challenge = secrets.token_bytes(16)
+
+            def hear(reply, challenge=challenge):
+                if reply.ok:
+                    self._hear(reply.ok, challenge)
+
+            try:
+                key = f"flockeye/{self._swarm}/{observer}/sees"
+                self._session.get(key, hear, attachment=challenge, timeout=2.0)
+            except zenoh.ZError:
+                return
+
+    def _believe(self, sample, challenge):
+        """Whether its observer has said this, now; raises Refused where somebody else has."""
+        key, payload = str(sample.key_expr), sample.payload.to_bytes()
+        seal = None if sample.attachment is None else sample.attachment.to_bytes()
+        observer = key.split("/")[2]
+        try:
+            self._trust.check(key, payload, seal, challenge or bytes(16))
+        except ValueError as untrusted:
+            if self._presence.needs_question(observer):
+                self._to_ask.put(observer)
+            raise Refused(str(untrusted)) from None
+        frame = json.loads(payload)
+        sent_ns = int(frame["stamp_utc_ns"]) + int(frame["latency_ms"] * 1e6)
+        if challenge is not None:
+            self._presence.answered(observer, sent_ns)
+            return True
+        if self._presence.believes(observer, sent_ns):
+            return True
+        if self._presence.needs_question(observer):
+            self._to_ask.put(observer)
+        return False
+
+    def _hear(self, sample, challenge=None):
         if sample.kind != zenoh.SampleKind.PUT:
             return
         try:
             if len(sample.payload) > MAX_FRAME_REPORT_BYTES:
                 raise Refused("too long")
             reports = read(str(sample.key_expr), sample.payload.to_bytes())
+            if self._trust is not None and not self._believe(sample, challenge):
+                return
         except Refused:
             self.refused += 1
             return

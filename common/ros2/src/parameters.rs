@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use flockeye_network::endpoint::{check_connect, check_listen};
+use flockeye_network::endpoint::{check_connect, check_listen, check_protocol};
 
 use crate::error::Ros2Error;
 
@@ -66,6 +66,10 @@ impl Ros2Parameters {
             let reason = format!("is no ROS domain, which is 0 to {MAX_DOMAIN}");
             return Err(wrong("domain", &self.domain.to_string(), reason));
         }
+        // ROS 2 has certificates of its own, which this node has not.
+        let in_the_clear = |endpoint: &str| check_protocol(endpoint, false);
+        check_each("connect", &self.connect, in_the_clear)?;
+        check_each("listen", &self.listen, in_the_clear)?;
         check_each("connect", &self.connect, check_connect)?;
         check_each("listen", &self.listen, check_listen)?;
         if self.mode == Ros2Mode::Client && self.connect.is_empty() {
@@ -189,7 +193,7 @@ mod tests {
         let message = refused(|p| p.connect.push("tcp/127.0.0.1:0".into()));
         assert!(message.starts_with("connect[1]"), "{message}");
         let message = refused(|p| p.connect = vec!["udp/robot:7447".into()]);
-        assert!(message.contains("names work with tcp only"), "{message}");
+        assert!(message.contains("names work with tcp and tls only"), "{message}");
         let message = refused(|p| p.connect.clear());
         assert!(message.contains("Cure: name one in connect"), "{message}");
         let message = refused(|p| p.listen = vec!["tcp/0.0.0.0:7447".into()]);

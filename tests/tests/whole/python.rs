@@ -15,7 +15,7 @@ use rustix::process::Signal;
 const POSES_FLOW: &str = "alpha confirmed";
 
 /// Python with the package and what the examples need: `make python` makes it.
-fn python() -> Option<PathBuf> {
+pub(crate) fn python() -> Option<PathBuf> {
     let target = flockeye().ancestors().nth(2)?.to_owned();
     let python = target.join("python/bin/python");
     if python.exists() {
@@ -25,7 +25,7 @@ fn python() -> Option<PathBuf> {
     None
 }
 
-fn example(name: &str) -> String {
+pub(crate) fn example(name: &str) -> String {
     let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples");
     examples.join(name).to_string_lossy().into_owned()
 }

@@ -8,6 +8,8 @@ use flockeye_require::loopback::free_port;
 use flockeye_tests::{Beside, Flight, Scratch, flockeye, run, told, unique};
 use rustix::process::Signal;
 
+use crate::python::{example, python};
+
 /// What an operator has done before the flight.
 struct Keys {
     folder: Scratch,
@@ -18,7 +20,7 @@ impl Keys {
     fn new() -> Self {
         let keys = Self { folder: Scratch::new("keys") };
         keys.run(&["init", "--swarm", "alps"]);
-        for name in ["wren", "kite"] {
+        for name in ["wren", "kite", "ground"] {
             let said = keys.run(&["issue", name, "--into", &keys.path(name)]);
             assert!(
                 said.contains("security:") && said.contains("The roster has changed"),
@@ -45,7 +47,7 @@ impl Keys {
     /// Copies the roster of now to all.
     fn hand_out(&self) {
         let roster = self.folder.path("authority/roster.json");
-        for name in ["wren", "kite", "base"] {
+        for name in ["wren", "kite", "ground", "base"] {
             fs::copy(&roster, self.folder.path(name).join("roster.json")).expect("copied");
         }
     }
@@ -118,6 +120,61 @@ fn drones_with_certificates_hear_each_other_until_one_is_revoked() {
         flight.assert_nothing_left();
     }
 }
+
+/// The module for peers checks signatures too.
+#[test]
+fn a_program_in_python_hears_members_alone() {
+    let Some(python) = python() else { return };
+    let keys = Keys::new();
+    let port = free_port();
+    let _router = keys.router(port);
+    let mut wren = keys.fly("wren", "kite", port);
+    let hear = |folder: &str| {
+        let mut command = Command::new(&python);
+        command.arg(example("peers.py")).args([&format!("tls/127.0.0.1:{port}"), "alps", folder]);
+        Flight::launch(&unique("hear"), command)
+    };
+    hear(&keys.path("ground")).wait_for("wren sees kite at 1.000 0.000 0.000 m");
+    let refused = Command::new(&python).args(["-c", UNTRUSTED_IN_PYTHON, &keys.path("")]).output();
+    let refused = refused.expect("Python runs");
+    let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(refused.status.success(), "{said}");
+    wren.signal(Signal::TERM);
+    wren.wait();
+    wren.assert_nothing_left();
+}
+
+const UNTRUSTED_IN_PYTHON: &str = r#"
+import random, sys
+from pathlib import Path
+from flockeye_trust import Presence, Security, Trust, Untrusted
+folder = Path(sys.argv[1])
+trust = Trust(Security.of_folder(folder / "ground"))
+key = "flockeye/alps/wren/sees"
+random.seed(1)
+for k in range(2000):
+    seal = bytes([1]) + random.randbytes(random.randrange(600))
+    try:
+        trust.check(key, b"pose", seal if k % 9 else None)
+        raise SystemExit("taken")
+    except Untrusted:
+        pass
+roster = folder / "ground" / "roster.json"
+roster.write_text(roster.read_text().replace("kite", "hawk"))
+try:
+    Trust(Security.of_folder(folder / "ground"))
+    raise SystemExit("a changed roster was taken")
+except Untrusted:
+    pass
+presence = Presence()
+assert not presence.believes("wren", 5, 0) and presence.needs_question("wren", 0)
+presence.answered("wren", 10, 0.2)
+assert not presence.believes("wren", 9, 0.3), "recorded before the answer"
+assert presence.believes("wren", 11, 0.4) and not presence.believes("wren", 11, 0.5), "said twice"
+assert not presence.believes("wren", 12, 4) and presence.needs_question("wren", 4), "silent"
+presence.answered("wren", 3, 4.1)
+assert presence.believes("wren", 4, 4.2), "its clock was set back"
+"#;
 
 #[test]
 fn a_gateway_without_valid_keys_says_so_before_the_flight() {
