@@ -5,15 +5,16 @@ use std::{
     time::{Duration, Instant},
 };
 
-use flockeye_contract::wire::{
-    FrameReport, MAX_TARGETS, PoseReport, Sighting, WireError, is_name, shortened,
-};
-
+use flockeye_contract::wire::{FrameReport, MAX_TARGETS, PoseReport, Sighting, is_name, shortened};
 use flockeye_identity::Untrusted;
 
 use crate::clock::ClockEstimate;
-use crate::freshness::{ArrivalTime, Began, Freshness, NotOfNow, Sent};
+use crate::freshness::{ArrivalTime, Began, Freshness, Sent};
 use crate::proof::{NotProven, Proof};
+
+mod refusal;
+
+pub use refusal::{Refusal, Refused};
 
 /// Most observers that a listener keeps.
 pub const MAX_OBSERVERS: usize = 64;
@@ -51,41 +52,6 @@ pub struct PeerState {
     /// Where reports are signed: whether it is there now.
     proof: Option<Proof>,
     newest_frame_utc_ns: Option<i64>,
-}
-
-/// How many messages in an observer's name were refused, and why.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Refused {
-    /// No report, in another's name, or more targets than are kept.
-    pub malformed: u64,
-    /// Held on the way for too long.
-    pub stale: u64,
-    /// Of a time to come.
-    pub future: u64,
-    /// Said before.
-    pub replayed: u64,
-    /// Not signed by a member of this name, or by one that does not answer.
-    pub untrusted: u64,
-}
-
-impl Refused {
-    /// All of them.
-    pub fn total(&self) -> u64 {
-        self.malformed + self.stale + self.future + self.replayed + self.untrusted
-    }
-
-    fn count(&mut self, refusal: &Refusal) {
-        let counter = match refusal {
-            Refusal::NotOfNow(NotOfNow::Stale { .. }) => &mut self.stale,
-            Refusal::NotOfNow(NotOfNow::Future { .. }) => &mut self.future,
-            Refusal::NotOfNow(NotOfNow::Replayed { .. }) => &mut self.replayed,
-            Refusal::Untrusted(_) | Refusal::NotAnswered => &mut self.untrusted,
-            // It is asked for an answer, and heard from then on.
-            Refusal::NotYetAnswered => return,
-            _ => &mut self.malformed,
-        };
-        *counter += 1;
-    }
 }
 
 /// The latest report on one target.
@@ -141,69 +107,6 @@ pub(crate) struct Arrival {
     pub(crate) at: Instant,
     pub(crate) time: ArrivalTime,
     pub(crate) delivery: Delivery,
-}
-
-/// Why a message was refused.
-#[derive(Debug, thiserror::Error)]
-pub enum Refusal {
-    /// Not a key under which an observer reports.
-    #[error("no key of a report: names are letters, digits, '-', '_' or '.'")]
-    Key,
-    /// Not a report.
-    #[error(transparent)]
-    Wire(#[from] WireError),
-    /// A report in another's name.
-    #[error("the report is of '{found}', its key is not")]
-    Observer {
-        /// The observer in the report.
-        found: String,
-    },
-    /// A report on another target.
-    #[error("the report is on '{found}', its key is not")]
-    Target {
-        /// The target in the report.
-        found: String,
-    },
-    /// Of another time than now.
-    #[error(transparent)]
-    NotOfNow(#[from] NotOfNow),
-    /// Not signed by the observer that the key names.
-    #[error(transparent)]
-    Untrusted(#[from] Untrusted),
-    /// The observer has not been asked, or has not answered yet.
-    #[error("its observer is asked whether it is there")]
-    NotYetAnswered,
-    /// The observer does not answer.
-    #[error("its observer does not answer: somebody plays what it said before")]
-    NotAnswered,
-    /// No room for another observer.
-    #[error("already {MAX_OBSERVERS} observers, which is the most")]
-    TooManyObservers,
-    /// No room for another target of this observer.
-    #[error("already {MAX_TARGETS} targets of this observer, which is the most")]
-    TooManyTargets,
-}
-
-impl Refusal {
-    /// The same for all that is refused for the same reason.
-    pub(crate) fn reason(&self) -> &'static str {
-        match self {
-            Self::Key => "key",
-            Self::Wire(_) | Self::Observer { .. } | Self::Target { .. } => "malformed",
-            Self::NotOfNow(NotOfNow::Stale { .. }) => "stale",
-            Self::NotOfNow(NotOfNow::Future { .. }) => "future",
-            Self::NotOfNow(NotOfNow::Replayed { .. }) => "replayed",
-            Self::Untrusted(Untrusted::NotSigned) => "not signed",
-            Self::Untrusted(Untrusted::NotKnown) => "not known",
-            Self::Untrusted(Untrusted::Certificate(_)) => "certificate",
-            Self::Untrusted(Untrusted::Revoked { .. }) => "revoked",
-            Self::Untrusted(Untrusted::NotAMember { .. }) => "not a member",
-            Self::Untrusted(Untrusted::Another { .. }) => "another",
-            Self::Untrusted(Untrusted::Signature) => "signature",
-            Self::NotYetAnswered | Self::NotAnswered => "not answered",
-            Self::TooManyObservers | Self::TooManyTargets => "too many",
-        }
-    }
 }
 
 /// What a key names.

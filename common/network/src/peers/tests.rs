@@ -2,6 +2,7 @@
 use flockeye_contract::wire::{ClockOffset, MAX_REPORT_BYTES, frame_key, pose_key};
 
 use super::*;
+use crate::freshness::NotOfNow;
 use crate::outbox::tests::{frame_report, report};
 
 fn at(at: Instant, since: Duration, delivery: Delivery) -> Arrival {
