@@ -35,7 +35,8 @@ pub fn init() {
         lines.boxed()
     };
     // What is overheard need not be printed.
-    let warnings = filter_fn(|metadata| *metadata.level() <= Level::WARN);
+    let warnings =
+        filter_fn(|metadata| *metadata.level() <= Level::WARN).with_max_level_hint(Level::WARN);
     let outcome = tracing_subscriber::registry()
         .with(lines.with_filter(filter))
         .with(Overhearing.with_filter(warnings))

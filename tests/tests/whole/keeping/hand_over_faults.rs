@@ -78,12 +78,20 @@ fn hand_over_until(
         .iter()
         .map(|word| if *word == SILENT_DETECTOR { silent.clone() } else { (*word).to_owned() })
         .collect();
-    let swap = std::thread::spawn(move || {
-        ask(&instance, &command.iter().map(String::as_str).collect::<Vec<_>>())
-    });
+    let begin = || {
+        let (instance, command) = (instance.clone(), command.clone());
+        std::thread::spawn(move || {
+            ask(&instance, &command.iter().map(String::as_str).collect::<Vec<_>>())
+        })
+    };
+    let mut swap = begin();
     let start = Instant::now();
     while !reached.exists() {
         assert!(start.elapsed() < WATCHDOG, "{step:?} is not reached:\n{}", flight.output());
+        // On a busy machine a new process may rightly be found worse than the old one, before that step.
+        if swap.is_finished() && !reached.exists() {
+            swap = begin();
+        }
         std::thread::sleep(Duration::from_millis(5));
     }
     strike(flight, &before);
