@@ -161,6 +161,8 @@ class Swarm:
                 raise ValueError(f"the roster is of {self._trust.roster['swarm']!r}, not {swarm!r}")
             self._presence = Presence()
             config.insert_json5("transport/link/tls", json.dumps(security.tls()))
+            # Whoever it is linked with tells it of others' endpoints.
+            config.insert_json5("transport/link/protocols", '["tls"]')
         self._swarm = swarm
         self._to_ask = queue.SimpleQueue()
         self._session = zenoh.open(config)
@@ -221,7 +223,7 @@ class Swarm:
         try:
             self._trust.check(key, payload, seal, challenge or bytes(16))
         except ValueError as untrusted:
-            if self._presence.needs_question(observer):
+            if self._trust.knows(observer) and self._presence.needs_question(observer):
                 self._to_ask.put(observer)
             raise Refused(str(untrusted)) from None
         frame = json.loads(payload)
@@ -269,7 +271,9 @@ class Swarm:
     def _see(self, token):
         observer = str(token.key_expr).split("/")[2]
         if token.kind == zenoh.SampleKind.PUT:
-            if len(self.alive) < MAX_OBSERVERS:
+            if self._trust is not None and not self._trust.knows(observer):
+                self.refused += 1
+            elif len(self.alive) < MAX_OBSERVERS:
                 self.alive.add(observer)
         else:
             self.alive.discard(observer)

@@ -18,6 +18,8 @@ MOST_KNOWN = 1024
 # An observer that was silent for this long must answer anew, seconds.
 SILENT_S = 3.0
 ASK_AGAIN_S = 0.5
+# What was held back for longer is of no use, seconds.
+STALE_S = 1.0
 
 
 class Untrusted(ValueError):
@@ -69,6 +71,10 @@ class Trust:
         self._names = {*self.roster["members"], *self.roster["routers"]}
         self._known = {}
 
+    def knows(self, name):
+        """Whether somebody of this name belongs to the swarm."""
+        return name in self._names
+
     def check(self, key, payload, attachment, challenge=PUBLISHED):
         """Raises Untrusted unless the observer in `key` has said `payload` there, as the answer to `challenge`."""
         if attachment is None or len(attachment) < SEAL_END or attachment[0] != FORM:
@@ -88,7 +94,7 @@ class Trust:
         except InvalidSignature:
             raise Untrusted("its signature does not match what it says") from None
         [name] = certificate.subject.get_attributes_for_oid(x509.NameOID.COMMON_NAME)
-        if name.value not in self._names or name.value != key.split("/")[2]:
+        if not self.knows(name.value) or name.value != key.split("/")[2]:
             raise Untrusted(f"it is signed by {name.value!r}")
 
     def _certificate(self, fingerprint, der):
@@ -110,35 +116,54 @@ class Trust:
         return certificate
 
 
+@dataclass
+class _Heard:
+    """When an observer answered, and what came since; times of its own clock in ns, of this machine's in s."""
+
+    answer_ns: int
+    answer_s: float
+    newest_ns: int
+    newest_s: float
+
+
 class Presence:
-    """Whether observers are there now: whoever was silent must answer a question before it is believed."""
+    """Whether observers are there now: whoever was silent must answer a question before it is believed, and what it says
+    then is newer than its answer and not held back."""
 
     def __init__(self):
         self._heard = {}
         self._asked = {}
 
+    def is_silent(self, observer, now_s):
+        """Whether nothing was believed of it for a while."""
+        heard = self._heard.get(observer)
+        return heard is None or now_s - heard.newest_s > SILENT_S
+
     def answered(self, observer, sent_ns, now_s=None):
         """The observer has answered, at this time of its own clock."""
         now_s = time.monotonic() if now_s is None else now_s
-        newest_ns, heard_s = self._heard.get(observer, (sent_ns, now_s))
-        is_anew = now_s - heard_s > SILENT_S
-        self._heard[observer] = (sent_ns if is_anew else max(sent_ns, newest_ns), now_s)
+        if self.is_silent(observer, now_s):
+            self._heard[observer] = _Heard(sent_ns, now_s, sent_ns, now_s)
 
     def believes(self, observer, sent_ns, now_s=None):
-        """Whether what it published is newer than its answer and than all before."""
+        """Whether what it published is of now."""
         now_s = time.monotonic() if now_s is None else now_s
-        newest_ns, heard_s = self._heard.get(observer, (None, 0.0))
-        if newest_ns is None or now_s - heard_s > SILENT_S or sent_ns <= newest_ns:
+        if self.is_silent(observer, now_s):
             return False
-        self._heard[observer] = (sent_ns, now_s)
+        heard = self._heard[observer]
+        late_s = now_s - heard.answer_s - (sent_ns - heard.answer_ns) * 1e-9
+        if sent_ns <= heard.newest_ns or late_s > STALE_S:
+            return False
+        heard.newest_ns, heard.newest_s = sent_ns, now_s
         return True
 
     def needs_question(self, observer, now_s=None):
         """Whether it is silent, and was not asked just now."""
         now_s = time.monotonic() if now_s is None else now_s
-        _, heard_s = self._heard.get(observer, (None, -SILENT_S))
-        is_silent = observer not in self._heard or now_s - heard_s > SILENT_S
-        if not is_silent or now_s - self._asked.get(observer, -ASK_AGAIN_S) < ASK_AGAIN_S:
+        if not self.is_silent(observer, now_s):
+            return False
+        asked_s = self._asked.get(observer)
+        if asked_s is not None and now_s - asked_s < ASK_AGAIN_S:
             return False
         self._asked[observer] = now_s
         return True

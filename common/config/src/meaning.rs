@@ -392,12 +392,17 @@ impl Meaning<'_> {
         }
         let cure = "Cure: gateway.security (docs/SECURITY.md), or gateway.unsecured: true where all who can link are \
                     trusted";
-        for (index, endpoint) in gateway.listen.iter().enumerate() {
-            if gateway.mode == GatewayMode::Peer && !is_loopback(endpoint) {
-                let what = format!(
-                    "'{endpoint}': whoever can link there can speak in every drone's name. {cure}"
-                );
-                self.problem(&format!("gateway.listen.{index}"), what);
+        // A link carries both ways, whoever has made it. A client does not listen.
+        let listen: &[String] =
+            if gateway.mode == GatewayMode::Peer { &gateway.listen } else { &[] };
+        for (key, endpoints) in [("listen", listen), ("connect", &gateway.connect)] {
+            for (index, endpoint) in endpoints.iter().enumerate() {
+                if !is_loopback(endpoint) {
+                    let what = format!(
+                        "'{endpoint}': whoever is there can speak in every drone's name. {cure}"
+                    );
+                    self.problem(&format!("gateway.{key}.{index}"), what);
+                }
             }
         }
         if let Some(interface) = &gateway.scout_interface {

@@ -1,5 +1,6 @@
 //! The swarm's authority: it makes the members' keys and certificates.
 
+use std::fs::File;
 use std::path::{Path, PathBuf};
 
 use flockeye_contract::wire::is_name;
@@ -27,6 +28,8 @@ const AUTHORITY_HOLDS: Duration = Duration::days(3_650);
 pub struct Authority {
     folder: PathBuf,
     roster: Roster,
+    /// Nobody else changes the folder meanwhile.
+    _lock: File,
 }
 
 /// What somebody is in the swarm.
@@ -59,6 +62,7 @@ impl Authority {
         files::make_folder(folder)?;
         let authority = Self {
             folder: folder.into(),
+            _lock: files::lock_folder(folder)?,
             roster: Roster {
                 swarm: swarm.into(),
                 number: 1,
@@ -76,7 +80,6 @@ impl Authority {
         params.key_usages = vec![KeyUsagePurpose::KeyCertSign];
         let certificate = params.self_signed(&key).map_err(failed("the certificate"))?;
         files::write(&authority.ca_path(), &certificate.pem())?;
-        files::write(&authority.issued_path(), "")?;
         authority.roster.write(&authority.roster_path(), &key)?;
         // Last: the folder holds an authority once its key is there.
         files::write_private(&authority.key_path(), &key.serialize_pem())?;
@@ -88,9 +91,10 @@ impl Authority {
     /// # Errors
     /// There is none, its files are wrong, or others can read its key.
     pub fn open(folder: &Path) -> Result<Self, IdentityError> {
+        let lock = files::lock_folder(folder)?;
         let ca = certificate(&folder.join("ca.pem"))?;
         let roster = Roster::read(&folder.join("roster.json"), &ca)?;
-        let authority = Self { folder: folder.into(), roster };
+        let authority = Self { folder: folder.into(), roster, _lock: lock };
         authority.key()?;
         Ok(authority)
     }
@@ -106,9 +110,12 @@ impl Authority {
     /// The list cannot be read.
     pub fn issued(&self) -> Result<Vec<Issued>, IdentityError> {
         let path = self.issued_path();
-        let text = files::read(&path)?;
-        let lines = text.lines().map(serde_json::from_str);
-        lines.collect::<Result<_, _>>().map_err(|error| IdentityError::Content {
+        if !path.exists() {
+            return Ok(Vec::new());
+        }
+        let lines = files::read_lines(&path)?;
+        let issued = lines.iter().map(|line| serde_json::from_str(line));
+        issued.collect::<Result<_, _>>().map_err(|error| IdentityError::Content {
             path,
             reason: format!("it is no list of certificates: {error}"),
         })
@@ -118,15 +125,18 @@ impl Authority {
     /// member needs, and enters the name in the roster.
     ///
     /// # Errors
-    /// The name cannot be one or is taken by another role, or a file cannot be written.
+    /// The name cannot be one, is taken by another role, or has a revoked certificate that still holds at `now_s`,
+    /// seconds since 1970-01-01 UTC; or a file cannot be written.
     pub fn issue(
         &mut self,
         name: &str,
         role: Role,
         holds: std::time::Duration,
         into: &Path,
+        now_s: i64,
     ) -> Result<(Issued, MemberFiles), IdentityError> {
         check_name(name)?;
+        self.check_not_burnt(name, now_s)?;
         let (ours, others) = match role {
             Role::Member => (&mut self.roster.members, &self.roster.routers),
             Role::Router => (&mut self.roster.routers, &self.roster.members),
@@ -207,6 +217,23 @@ impl Authority {
         Ok(count)
     }
 
+    /// Refuses a name of which somebody may have a revoked certificate: links are judged by names, so it would count
+    /// again.
+    fn check_not_burnt(&self, name: &str, now_s: i64) -> Result<(), IdentityError> {
+        let burnt = self.issued()?.into_iter().filter(|issued| {
+            issued.name == name
+                && issued.not_after_s >= now_s
+                && self.roster.is_revoked(&issued.serial)
+        });
+        match burnt.map(|issued| issued.not_after_s).max() {
+            Some(not_after_s) => Err(IdentityError::Burnt {
+                name: name.into(),
+                hours: (not_after_s - now_s) / 3_600 + 1,
+            }),
+            None => Ok(()),
+        }
+    }
+
     /// Writes the changed roster.
     fn change(&mut self, key: &KeyPair) -> Result<(), IdentityError> {
         self.roster.number += 1;
@@ -216,10 +243,9 @@ impl Authority {
     }
 
     fn note(&self, issued: &Issued) -> Result<(), IdentityError> {
-        let path = self.issued_path();
         let line = serde_json::to_string(issued)
             .map_err(|error| IdentityError::Make { what: "a note", reason: error.to_string() })?;
-        files::write(&path, &(files::read(&path)? + &line + "\n"))
+        files::append(&self.issued_path(), &line)
     }
 
     fn key(&self) -> Result<KeyPair, IdentityError> {

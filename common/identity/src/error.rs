@@ -57,6 +57,17 @@ pub enum IdentityError {
         /// The folder.
         path: PathBuf,
     },
+    /// A name whose revoked certificate still holds.
+    #[error(
+        "a certificate of '{name}' is revoked and holds for {hours} h: with it somebody could link as '{name}' again. \
+         Cure: another name, or wait"
+    )]
+    Burnt {
+        /// Which.
+        name: String,
+        /// Until it has expired.
+        hours: i64,
+    },
     /// No such member.
     #[error("'{name}' does not belong to the swarm. It has: {members}")]
     Unknown {

@@ -1,7 +1,7 @@
 //! Files of keys and certificates.
 
 use std::fs::{self, File, OpenOptions};
-use std::io::{Read, Write};
+use std::io::{BufRead, BufReader, Read, Write};
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::Path;
 
@@ -32,8 +32,33 @@ pub(crate) fn read_private(path: &Path) -> Result<String, IdentityError> {
 
 fn read_from(path: &Path, file: &File) -> Result<String, IdentityError> {
     let mut text = String::new();
-    file.take(MOST_BYTES).read_to_string(&mut text).map_err(failed(path, "read"))?;
+    file.take(MOST_BYTES + 1).read_to_string(&mut text).map_err(failed(path, "read"))?;
+    if text.len() as u64 > MOST_BYTES {
+        let reason = format!("it has more than {MOST_BYTES} bytes, so it is none of ours");
+        return Err(IdentityError::Content { path: path.into(), reason });
+    }
     Ok(text)
+}
+
+/// All lines of a file that grows.
+pub(crate) fn read_lines(path: &Path) -> Result<Vec<String>, IdentityError> {
+    let file = File::open(path).map_err(failed(path, "open"))?;
+    BufReader::new(file).lines().collect::<Result<_, _>>().map_err(failed(path, "read"))
+}
+
+/// Adds a line to such a file, for good.
+pub(crate) fn append(path: &Path, line: &str) -> Result<(), IdentityError> {
+    let file = OpenOptions::new().append(true).create(true).open(path);
+    let mut file = file.map_err(failed(path, "open"))?;
+    writeln!(file, "{line}").map_err(failed(path, "write"))?;
+    file.sync_all().map_err(failed(path, "write"))
+}
+
+/// Keeps a folder from all others who ask so, until the file is dropped.
+pub(crate) fn lock_folder(path: &Path) -> Result<File, IdentityError> {
+    let folder = File::open(path).map_err(failed(path, "open"))?;
+    folder.lock().map_err(failed(path, "lock"))?;
+    Ok(folder)
 }
 
 /// Writes a file that everybody may read.

@@ -53,10 +53,14 @@ impl Member {
         let roster = Roster::read(&files.roster, &authority)?;
         let wrong =
             |path: &PathBuf, reason: String| IdentityError::Content { path: path.clone(), reason };
-        if !roster.has(&certificate.name) || roster.is_revoked(&certificate.serial) {
+        if roster.is_revoked(&certificate.serial) {
+            let reason = format!("the certificate of '{}' is revoked", certificate.name);
+            return Err(wrong(&files.roster, reason));
+        }
+        if !roster.has(&certificate.name) {
             let reason = format!(
-                "'{}' no longer belongs to the swarm: {}",
-                certificate.name, "it was revoked"
+                "'{}' is not on it. Cure: copy roster.json from the authority's folder",
+                certificate.name
             );
             return Err(wrong(&files.roster, reason));
         }

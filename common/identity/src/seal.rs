@@ -9,11 +9,9 @@
 
 use ring::rand::{SecureRandom, SystemRandom};
 
-/// Bytes of a challenge.
-pub const CHALLENGE_BYTES: usize = 16;
 /// Random bytes that whoever asks for the last values sends along, and that the answer's signature covers: so no
 /// old answer is one to this question. All zero in what is published without a question.
-pub type Challenge = [u8; CHALLENGE_BYTES];
+pub type Challenge = [u8; 16];
 
 /// What the signature begins with, so that it is a signature of nothing else.
 const CONTEXT: &[u8] = b"flockeye report 1\0";

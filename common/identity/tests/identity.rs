@@ -24,8 +24,9 @@ fn now_s() -> i64 {
 /// An authority with members of these names, whose folders are beside its own.
 fn swarm(folder: &Path, names: &[&str]) -> (Authority, Vec<MemberFiles>) {
     let mut authority = Authority::create(&folder.join("authority"), "swarm").unwrap();
-    let mut issue =
-        |name: &str| authority.issue(name, Role::Member, HOUR, &folder.join(name)).unwrap().1;
+    let mut issue = |name: &str| {
+        authority.issue(name, Role::Member, HOUR, &folder.join(name), now_s()).unwrap().1
+    };
     let files: Vec<_> = names.iter().map(|name| issue(name)).collect();
     // The roster of now is copied to all, as an operator would.
     for files in &files {
@@ -89,10 +90,16 @@ fn another_authority_and_the_revoked_are_refused() {
     assert_eq!(refused, Err(Untrusted::Revoked { name: "wren".into() }));
     fs::copy(authority.roster_path(), &files[0].roster).unwrap();
     let message = Member::load(&files[0], now_s()).unwrap_err().to_string();
-    assert!(message.contains("'wren' no longer belongs"), "{message}");
+    assert!(message.contains("the certificate of 'wren' is revoked"), "{message}");
 
-    // Another certificate in the same name counts, the old one does not.
-    let again = authority.issue("wren", Role::Member, HOUR, &ours.path().join("wren")).unwrap().1;
+    // Links are judged by names, so the name is burnt until that certificate has expired.
+    let mut issue = |now_s| {
+        let into = ours.path().join("wren again");
+        authority.issue("wren", Role::Member, HOUR, &into, now_s)
+    };
+    let message = issue(now_s()).unwrap_err().to_string();
+    assert!(message.contains("Cure: another name, or wait"), "{message}");
+    let again = issue(now_s() + 3_700).unwrap().1;
     fs::copy(authority.roster_path(), &files[1].roster).unwrap();
     let trust = Trust::of(load(&files[1]));
     let check = |member: &Member| {
@@ -106,7 +113,7 @@ fn another_authority_and_the_revoked_are_refused() {
 #[test]
 fn files_that_are_wrong_are_named_with_a_cure() {
     let folder = tempfile::tempdir().unwrap();
-    let (_, files) = swarm(folder.path(), &["wren", "kite"]);
+    let (authority, files) = swarm(folder.path(), &["wren", "kite"]);
     let [wren, kite] = &files[..] else { unreachable!("two were issued") };
     let refused = |files: &MemberFiles| Member::load(files, now_s()).unwrap_err().to_string();
     assert_eq!(fs::metadata(&wren.key).unwrap().permissions().mode() & 0o777, 0o600);
@@ -132,6 +139,7 @@ fn files_that_are_wrong_are_named_with_a_cure() {
     assert!(refused(wren).contains("it was changed since"), "{}", refused(wren));
     fs::write(&wren.roster, "members: all").unwrap();
     assert!(refused(wren).contains("no roster"), "{}", refused(wren));
+    drop(authority);
     assert!(Authority::create(&folder.path().join("authority"), "swarm").is_err(), "there is one");
     let open = Authority::open(&folder.path().join("authority")).unwrap();
     assert_eq!(open.roster().members, ["kite", "wren"]);

@@ -17,10 +17,11 @@ const REPORT: &[&str] = &["put", "reply"];
 
 /// The rules of a swarm. What nothing allows is denied.
 ///
-/// A member says what stands under its own name, and asks for all. Routers pass on all. Reports are let in from
-/// everybody who could link, and judged by their signatures ([`flockeye_identity::Trust`]): so whoever speaks in
-/// another's name is known and counted, where Zenoh would drop it without a word.
-pub(crate) fn access_rules(roster: &Roster) -> Value {
+/// A member says what stands under its own name, and asks for all. Routers pass on all. Reports are let in whatever
+/// name they bear, and judged by their signatures ([`flockeye_identity::Trust`]): so whoever speaks in another's name
+/// is known and counted, where Zenoh would drop it without a word. A gateway lets them in from everybody who could
+/// link; a router (`is_router`), which reads no signatures, from members alone.
+pub(crate) fn access_rules(roster: &Roster, is_router: bool) -> Value {
     let Roster { swarm, members, routers, .. } = roster;
     let all = all_keys(swarm, None);
     let rule = |id: String, flow: &str, messages: &[&str], keys: &[&str]| {
@@ -42,13 +43,17 @@ pub(crate) fn access_rules(roster: &Roster) -> Value {
         rule("pass on".into(), "ingress", &everything, &[&all]),
         rule("tell".into(), "egress", &everything, &[&all]),
     ];
-    let mut subjects = vec![json!({ "id": "anybody" })];
-    let mut policies = vec![policy(&["report", "hear"], &["anybody"])];
+    let mut subjects = Vec::new();
+    let mut policies = Vec::new();
+    if !is_router {
+        subjects.push(json!({ "id": "anybody" }));
+        policies.push(policy(&["report", "hear"], &["anybody"]));
+    }
     let subject = |id: &str, names: &[String]| json!({ "id": id, "cert_common_names": names });
     let mut has_all = Vec::new();
     if !members.is_empty() {
         subjects.push(subject("members", members));
-        policies.push(policy(&["ask"], &["members"]));
+        policies.push(policy(&["ask", "report"], &["members"]));
         has_all.push("members");
     }
     if !routers.is_empty() {

@@ -1,7 +1,15 @@
 //! What can go wrong with the network.
 
 use flockeye_contract::wire::{MAX_TARGETS, WireError};
-use flockeye_identity::IdentityError;
+use flockeye_identity::{CertificateFault, IdentityError};
+
+impl NetworkError {
+    /// Whether waiting may help: the clock is not set yet, or a certificate is being renewed.
+    pub fn may_pass(&self) -> bool {
+        use CertificateFault::{Expired, NotYet};
+        matches!(self, Self::Identity(IdentityError::Certificate { fault: Expired | NotYet, .. }))
+    }
+}
 
 /// What can go wrong with the network. None of these ends a stage that is already running.
 #[derive(Debug, thiserror::Error)]

@@ -62,6 +62,9 @@ pub enum NotOfNow {
         /// By how much, milliseconds.
         early_ms: i64,
     },
+    /// It was on its way when the observer answered; the answer says more.
+    #[error("it was overtaken by an answer")]
+    Overtaken,
     /// Sent no later than one that is here already.
     #[error("sent {older_ms} ms before one that is here already, or said twice")]
     Replayed {
@@ -84,6 +87,16 @@ pub(crate) enum Began {
 pub struct Freshness {
     way: OneWay,
     last_passed_ns: Option<i64>,
+    /// Where reports are signed: when the observer answered, by its own clock (UTC), and when that came, by
+    /// CLOCK_MONOTONIC.
+    answer: Option<Answer>,
+}
+
+/// An answer that is known to be of now.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Answer {
+    sent_utc_ns: i64,
+    arrived_ns: i64,
 }
 
 impl Freshness {
@@ -107,6 +120,7 @@ impl Freshness {
         *self = Self::default();
         self.way.add(sent.utc_ns, arrival.monotonic_ns);
         self.last_passed_ns = Some(arrival.monotonic_ns);
+        self.answer = Some(Answer { sent_utc_ns: sent.utc_ns, arrived_ns: arrival.monotonic_ns });
     }
 
     /// Passes a report that was published, or says why it is not of now. `newest_utc_ns` is when the newest
@@ -140,6 +154,20 @@ impl Freshness {
             self.way.above_least(sent.utc_ns, arrival.monotonic_ns)
         };
         let late_ns = late_ns.unwrap_or(0);
+        let mut newest_utc_ns = newest_utc_ns;
+        if let Some(Answer { sent_utc_ns, arrived_ns }) = self.answer {
+            let before_ns = sent_utc_ns.saturating_sub(sent.utc_ns);
+            if (0..STALE_NS).contains(&before_ns) {
+                return Err(NotOfNow::Overtaken);
+            }
+            newest_utc_ns = newest_utc_ns.max(Some(sent_utc_ns));
+            // Whoever holds reports back a little longer each time moves the quickest way, but not the answer.
+            let since_answer_ns = arrival.monotonic_ns.saturating_sub(arrived_ns);
+            let late_ns = since_answer_ns.saturating_add(before_ns);
+            if before_ns < 0 && late_ns > STALE_NS {
+                return Err(NotOfNow::Stale { late_ms: late_ns / 1_000_000 });
+            }
+        }
         if late_ns > STALE_NS {
             return Err(NotOfNow::Stale { late_ms: late_ns / 1_000_000 });
         }
@@ -217,6 +245,28 @@ mod tests {
             .collect();
         assert_eq!(passed.iter().position(|passed| *passed), Some(31));
         assert!(passed[31..].iter().all(|passed| *passed));
+    }
+
+    /// By the quickest of the last 40 s alone, whoever holds reports back could let their age grow without end.
+    #[test]
+    fn after_an_answer_nothing_is_held_back_longer_and_longer() {
+        let answered = Sent { utc_ns: UTC, is_synchronised: false };
+        let mut freshness = Freshness::default();
+        freshness.begin(answered, &at(0, false));
+        let mut newest = None;
+        let passed = (1..6_000).take_while(|k| {
+            let sent_ns = k * SECOND / 20;
+            // Held back by one part in fifty.
+            let arrived = at(sent_ns + sent_ns / 50, false);
+            let sent = Sent { utc_ns: UTC + sent_ns, is_synchronised: false };
+            let passed = freshness.pass(sent, newest, &arrived);
+            newest = Some(sent.utc_ns);
+            passed.is_ok()
+        });
+        assert_eq!(passed.count(), 20 * 50, "until a second is reached");
+        let overtaken = Sent { utc_ns: UTC - 1, is_synchronised: false };
+        let overtaken = freshness.pass(overtaken, newest, &at(SECOND / 10, false));
+        assert_eq!(overtaken, Err(NotOfNow::Overtaken));
     }
 
     /// With both clocks synchronised not even the first report can be an old one.

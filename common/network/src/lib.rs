@@ -25,12 +25,12 @@ mod listener;
 mod outbox;
 mod parameters;
 mod peers;
-mod proof;
 mod refused_links;
 mod reporter;
 mod session;
 mod stream;
 mod utc;
+mod waiting;
 
 pub use clock::ClockEstimate;
 pub use error::NetworkError;

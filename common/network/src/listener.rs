@@ -26,7 +26,7 @@ use crate::error::NetworkError;
 use crate::freshness::ArrivalTime;
 use crate::peers::{Arrival, Delivery, Peers, Refusal, Token, observer_in, token_in};
 use crate::stream::{Heard, ReportStream, Streams};
-use crate::utc::now_utc_s;
+use flockeye_runtime::clock::utc_s;
 use flockeye_runtime::lock::lock;
 
 /// How long an observer has to answer with its last values; it publishes new ones long before.
@@ -157,7 +157,7 @@ impl Hearing {
         // No longer than the session lets through.
         let payload = sample.payload().to_bytes();
         let said = Said { key, challenge, payload: &payload };
-        if let Err(refusal) = self.check(&said, sample.attachment(), arrival.at) {
+        if let Err(refusal) = self.check(&said, sample.attachment(), &arrival) {
             return self.refused(key, &refusal);
         }
         let mut peers = lock(&self.peers);
@@ -198,18 +198,18 @@ impl Hearing {
         &self,
         said: &Said<'_>,
         attachment: Option<&ZBytes>,
-        now: Instant,
+        arrival: &Arrival,
     ) -> Result<(), Refusal> {
         let (Some(trust), Some(observer)) = (&self.trust, observer_in(said.key)) else {
             // A key of nobody is refused later.
             return Ok(());
         };
         let attachment = attachment.map(ZBytes::to_bytes);
-        let checked = trust.check(observer, said, attachment.as_deref(), now_utc_s());
+        let checked = trust.check(observer, said, attachment.as_deref(), utc_s());
         checked.map_err(|untrusted| {
             let mut peers = lock(&self.peers);
             if trust.knows(observer) {
-                return peers.refuse(observer, untrusted, now);
+                return peers.refuse(observer, untrusted, arrival);
             }
             // The table has room for members alone.
             peers.refused += 1;
@@ -226,24 +226,25 @@ impl Hearing {
         {
             self.ask_again(observer);
         }
-        if !matches!(refusal, Refusal::NotYetAnswered) {
+        if !refusal.is_usual() {
             self.warn(key, refusal);
         }
     }
 
-    /// Asks an observer, for its last values and whether it is there, unless it was asked just now.
+    /// Asks an observer, for its last values and whether it is there; a little later if it was asked just now.
     fn ask_again(&self, observer: &str) {
         let now = Instant::now();
         let mut newcomers = lock(&self.newcomers);
-        if newcomers.asked.get(observer).is_none_or(|asked| now - *asked >= ASK_AGAIN) {
-            newcomers.due.entry(observer.into()).or_insert(now);
-            self.changed.notify_all();
-        }
+        let at = newcomers.asked.get(observer).map_or(now, |asked| now.max(*asked + ASK_AGAIN));
+        newcomers.due.entry(observer.into()).or_insert(at);
+        self.changed.notify_all();
     }
 
     fn warn(&self, key: &str, refusal: &Refusal) {
-        let observer = observer_in(key).unwrap_or_default();
-        if let Some(held_back) = lock(&self.warnings).of(observer, refusal).admit() {
+        let observer = observer_in(key).filter(|observer| self.may_be(observer));
+        // Not longer than this: a log that is stuck holds nobody else up.
+        let admitted = lock(&self.warnings).of(observer.unwrap_or_default(), refusal).admit();
+        if let Some(held_back) = admitted {
             tracing::warn!(held_back, "refused a message on {key:?}: {refusal}");
         }
     }

@@ -2,13 +2,13 @@
 
 use flockeye_contract::wire::{MAX_FRAME_REPORT_BYTES, MAX_NAME_CHARS, is_name};
 use flockeye_identity::{Member, MemberFiles, Roster};
+use flockeye_runtime::clock::utc_s;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use crate::access::access_rules;
 use crate::endpoint::{check_connect, check_listen, check_protocol};
 use crate::error::NetworkError;
-use crate::utc::now_utc_s;
 
 /// What this session is to the others.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -85,7 +85,7 @@ impl NetworkParameters {
     /// Who this session is to the others; none where anybody can say anything.
     pub(crate) fn member(&self) -> Result<Option<Member>, NetworkError> {
         let Some(files) = &self.security else { return Ok(None) };
-        let member = Member::load(files, now_utc_s())?;
+        let member = Member::load(files, utc_s())?;
         let same = |what, found: &str, wanted: &str| {
             if found == wanted {
                 return Ok(());
@@ -205,9 +205,11 @@ impl NetworkParameters {
         });
         if let Some(files) = &self.security {
             config["transport"]["link"]["tls"] = tls_config(files);
+            // An onlooker is told of others' endpoints, by whom it is linked with.
+            config["transport"]["link"]["protocols"] = json!(["tls"]);
         }
         if let Some(roster) = roster {
-            config["access_control"] = access_rules(roster);
+            config["access_control"] = access_rules(roster, self.mode == NetworkMode::Router);
             config["low_pass_filter"] = json!([{
                 "id": "size",
                 "flows": ["ingress"],

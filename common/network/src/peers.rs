@@ -10,7 +10,7 @@ use flockeye_identity::Untrusted;
 
 use crate::clock::ClockEstimate;
 use crate::freshness::{ArrivalTime, Began, Freshness, Sent};
-use crate::proof::{NotProven, Proof};
+use crate::waiting::Waiting;
 
 mod refusal;
 
@@ -49,8 +49,8 @@ pub struct PeerState {
     /// Messages in its name that were refused.
     pub refused: Refused,
     freshness: Freshness,
-    /// Where reports are signed: whether it is there now.
-    proof: Option<Proof>,
+    /// Where reports are signed: how long its answer has been waited for.
+    waiting: Option<Waiting>,
     newest_frame_utc_ns: Option<i64>,
 }
 
@@ -123,13 +123,19 @@ impl Peers {
     }
 
     /// Counts a message in the name of `observer` that is not signed by it.
-    pub(crate) fn refuse(&mut self, observer: &str, untrusted: Untrusted, now: Instant) -> Refusal {
-        let Some(peer) = self.peer(observer, now) else {
+    pub(crate) fn refuse(
+        &mut self,
+        observer: &str,
+        untrusted: Untrusted,
+        arrival: &Arrival,
+    ) -> Refusal {
+        let Some(peer) = self.peer(observer, arrival.at) else {
             self.refused += 1;
             return untrusted.into();
         };
         let refusal = match untrusted {
-            Untrusted::NotKnown => peer.is_asked(now),
+            // Its certificate comes with its answer.
+            Untrusted::NotKnown if peer.must_answer(&arrival.time) => peer.unanswered(arrival.at),
             other => other.into(),
         };
         peer.refused.count(&refusal);
@@ -203,7 +209,7 @@ impl Peers {
         if !self.observers.contains_key(observer) && self.observers.len() == MAX_OBSERVERS {
             return None;
         }
-        let proof = self.is_secure.then(Proof::default);
+        let waiting = self.is_secure.then(Waiting::default);
         Some(self.observers.entry(observer.into()).or_insert_with(|| PeerState {
             alive: false,
             since: now,
@@ -212,7 +218,7 @@ impl Peers {
             targets: BTreeMap::new(),
             refused: Refused::default(),
             freshness: Freshness::default(),
-            proof,
+            waiting,
             newest_frame_utc_ns: None,
         }))
     }
@@ -270,34 +276,31 @@ impl PeerState {
     }
 
     /// Passes what was published if it is of now. An answer to a query is older by nature: it only ever
-    /// fills what is empty, or replaces what is older. Where reports are signed it is one to a question of now.
+    /// fills what is empty, or replaces what is older. Where reports are signed it is one to a question of now, and
+    /// nothing is taken from an observer that has not answered.
     fn pass(&mut self, sent: Sent, newest: Option<i64>, arrival: &Arrival) -> Result<(), Refusal> {
-        let is_anew = self.freshness.begins_anew(&arrival.time);
-        match (arrival.delivery, &mut self.proof) {
-            (Delivery::LastValue, None) => {}
-            (Delivery::LastValue, Some(proof)) => {
-                if is_anew || !proof.is_proven() {
-                    proof.answered(sent.utc_ns);
-                    self.freshness.begin(sent, &arrival.time);
-                    self.forget_newest();
-                }
+        match arrival.delivery {
+            Delivery::Published if self.must_answer(&arrival.time) => {
+                return Err(self.unanswered(arrival.at));
             }
-            (Delivery::Published, Some(proof)) if is_anew => {
-                proof.forget();
-                return Err(self.is_asked(arrival.at));
-            }
-            (Delivery::Published, proof) => {
-                let answered = proof.as_mut().and_then(|proof| proof.check(arrival.at).ok());
-                if answered.is_some_and(|at| is_overtaken(sent.utc_ns, at)) {
-                    return Err(Refusal::NotYetAnswered);
-                }
-                let newest = newest.max(answered);
+            Delivery::Published => {
                 if self.freshness.pass(sent, newest, &arrival.time)? == Began::Anew {
                     self.forget_newest();
                 }
             }
+            Delivery::LastValue if self.must_answer(&arrival.time) => {
+                self.waiting = Some(Waiting::default());
+                self.freshness.begin(sent, &arrival.time);
+                self.forget_newest();
+            }
+            Delivery::LastValue => {}
         }
         Ok(())
+    }
+
+    /// Whether reports are signed, and it was silent, so that what comes now may be recorded.
+    fn must_answer(&self, now: &ArrivalTime) -> bool {
+        self.waiting.is_some() && self.freshness.begins_anew(now)
     }
 
     /// Nothing older than what comes next is held.
@@ -307,12 +310,11 @@ impl PeerState {
     }
 
     /// Why nothing is taken from an observer that has not answered.
-    fn is_asked(&mut self, now: Instant) -> Refusal {
-        match self.proof.get_or_insert_default().check(now) {
-            Err(NotProven::Overdue) => Refusal::NotAnswered,
-            Err(NotProven::Waiting) => Refusal::NotYetAnswered,
-            // It has answered, so its certificate is here: this is another one.
-            Ok(_) => Untrusted::NotKnown.into(),
+    fn unanswered(&mut self, now: Instant) -> Refusal {
+        if self.waiting.get_or_insert_default().is_overdue(now) {
+            Refusal::NotAnswered
+        } else {
+            Refusal::NotYetAnswered
         }
     }
 
@@ -352,11 +354,6 @@ impl PeerState {
         held.count += u64::from(!is_same);
         Ok((!is_repeated).then_some(report))
     }
-}
-
-/// Whether a report was on its way when the observer answered. Both are of now, and the answer says more.
-fn is_overtaken(sent_utc_ns: i64, answered_utc_ns: i64) -> bool {
-    (0..1_000_000_000).contains(&answered_utc_ns.saturating_sub(sent_utc_ns))
 }
 
 /// No room for another target.

@@ -13,7 +13,7 @@ use std::{
 use flockeye_contract::wire::{
     FrameReport, PoseReport, WireError, alive_key, frames_token_key, is_name,
 };
-use flockeye_identity::{CHALLENGE_BYTES, Challenge, Member, Said};
+use flockeye_identity::{Challenge, Member, Said};
 use flockeye_runtime::logs::Throttle;
 use zenoh::{
     Session, Wait,
@@ -287,10 +287,10 @@ impl Answerer {
                 continue;
             }
             let sent = held.encode(Instant::now()).map_err(zenoh::Error::from).and_then(|json| {
-                let seal = self.member.as_ref().map(|member| {
-                    let said = Said { key: &key, challenge: challenge_in(query), payload: &json };
-                    member.seal(&said, true)
-                });
+                let seal =
+                    self.member.as_ref().zip(challenge_in(query)).map(|(member, challenge)| {
+                        member.seal(&Said { key: &key, challenge, payload: &json }, true)
+                    });
                 query.reply(&key, json).encoding(Encoding::APPLICATION_JSON).attachment(seal).wait()
             });
             if let Err(error) = sent {
@@ -301,8 +301,9 @@ impl Answerer {
     }
 }
 
-/// What the answer must be signed for; whoever sends no challenge cannot tell an old answer from a new one.
-fn challenge_in(query: &Query) -> Challenge {
-    let bytes = query.attachment().map(|attachment| attachment.to_bytes());
-    bytes.and_then(|bytes| Challenge::try_from(&*bytes).ok()).unwrap_or([0; CHALLENGE_BYTES])
+/// What the answer is signed for. Without a challenge, or for that of what is published, it is not signed: somebody
+/// could pass it on as a publication.
+fn challenge_in(query: &Query) -> Option<Challenge> {
+    let challenge = Challenge::try_from(&*query.attachment()?.to_bytes()).ok()?;
+    (challenge != Challenge::default()).then_some(challenge)
 }

@@ -14,11 +14,6 @@ pub fn monotonic_now_ns() -> i64 {
     monotonic_ns()
 }
 
-/// Now by this machine's clock, seconds since 1970-01-01 UTC.
-pub(crate) fn now_utc_s() -> i64 {
-    clock_gettime(ClockId::Realtime).tv_sec
-}
-
 /// UTC of an instant on CLOCK_MONOTONIC, nanoseconds since the Unix epoch, and whether this
 /// machine's clock is known to be synchronised with UTC. Unknown counts as no.
 pub fn utc_from_monotonic(exposure_monotonic_ns: i64) -> (i64, bool) {

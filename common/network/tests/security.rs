@@ -11,6 +11,7 @@ use flockeye_contract::wire::{FRAME_SCHEMA, FrameReport, alive_key, frame_key};
 use flockeye_identity::{Authority, Challenge, Member, MemberFiles, Role, Said};
 use flockeye_network::{Listener, Network, NetworkMode, NetworkParameters, PeerState, Refused};
 use flockeye_require::loopback::{free_port, until, watched};
+use flockeye_runtime::clock::utc_s;
 use zenoh::{Session, Wait};
 
 const SWARM: &str = "safe";
@@ -36,7 +37,7 @@ impl Swarm {
 
     fn issue(&mut self, name: &str, role: Role, holds: Duration) {
         let folder = self.folder.path().join(name);
-        self.authority.issue(name, role, holds, &folder).unwrap();
+        self.authority.issue(name, role, holds, &folder, utc_s()).unwrap();
     }
 
     /// The files of a member, with the roster of now.
@@ -80,7 +81,7 @@ impl Swarm {
     }
 
     fn member(&self, name: &str) -> Arc<Member> {
-        Arc::new(Member::load(&self.files(name), now_utc_ns() / 1_000_000_000).unwrap())
+        Arc::new(Member::load(&self.files(name), utc_s()).unwrap())
     }
 }
 
@@ -233,7 +234,7 @@ fn the_revoked_are_heard_no_more() {
     watched(|| {
         let mut swarm = Swarm::new(&["wren", "kite"]);
         let (kite, files) = (swarm.member("kite"), swarm.files("kite"));
-        swarm.authority.revoke("kite", now_utc_ns() / 1_000_000_000).unwrap();
+        swarm.authority.revoke("kite", utc_s()).unwrap();
         let port = free_port();
         let wren = swarm.open("wren", &[port], &[]);
         let listener = wren.listener().unwrap();
@@ -252,28 +253,36 @@ fn the_revoked_are_heard_no_more() {
     });
 }
 
-/// Speaks in others' names, by the link at `port`, to one who hears by `listener`.
-fn assert_no_other_name_helps(swarm: &Swarm, port: u16, listener: &Listener) {
+/// Speaks in the name of wren, whom kite hears, by the link at `port`.
+fn assert_no_other_name_helps(
+    swarm: &Swarm,
+    port: u16,
+    kite: &Network,
+    wren: &Network,
+) -> Listener {
+    let listener = kite.listener().unwrap();
+    report_until_heard(wren, "wren", &listener);
     let session = own_program(Some(&swarm.files("robin")), &tls(port));
     let robin = swarm.member("robin");
-    let mut total = refused(listener, "wren").total();
+    let mut total = refused(&listener, "wren").total();
     for signer in [Some(&*robin), None] {
         until(|| {
             say(&session, "wren", 1_000, signer);
             std::thread::sleep(Duration::from_millis(20));
-            let refused = refused(listener, "wren");
+            let refused = refused(&listener, "wren");
             assert_eq!(refused.total(), refused.untrusted, "{refused:?}");
             (refused.total() > total + 2).then_some(())
         });
-        total = refused(listener, "wren").total();
+        total = refused(&listener, "wren").total();
     }
-    assert_ne!(frame_of(listener, "wren"), Some(1_000));
+    assert_ne!(frame_of(&listener, "wren"), Some(1_000));
     // Its own name is its own.
     until(|| {
         say(&session, "robin", 1_000, Some(&robin));
         std::thread::sleep(Duration::from_millis(20));
-        peer(listener, "robin")
+        peer(&listener, "robin")
     });
+    listener
 }
 
 #[test]
@@ -282,10 +291,8 @@ fn nobody_speaks_in_anothers_name() {
         let swarm = Swarm::new(&["wren", "kite", "robin"]);
         let port = free_port();
         let kite = swarm.open("kite", &[port], &[]);
-        let listener = kite.listener().unwrap();
         let wren = swarm.open("wren", &[], &[port]);
-        report_until_heard(&wren, "wren", &listener);
-        assert_no_other_name_helps(&swarm, port, &listener);
+        let listener = assert_no_other_name_helps(&swarm, port, &kite, &wren);
         // A token in another's name does not even come in.
         let session = own_program(Some(&swarm.files("robin")), &tls(port));
         drop(wren);
@@ -303,11 +310,8 @@ fn nobody_speaks_in_anothers_name_through_a_router() {
         let swarm = Swarm::new(&["wren", "kite", "robin"]);
         let port = free_port();
         let _base = swarm.router(port);
-        let kite = swarm.client("kite", port);
-        let listener = kite.listener().unwrap();
-        let wren = swarm.client("wren", port);
-        report_until_heard(&wren, "wren", &listener);
-        assert_no_other_name_helps(&swarm, port, &listener);
+        let [kite, wren] = ["kite", "wren"].map(|name| swarm.client(name, port));
+        assert_no_other_name_helps(&swarm, port, &kite, &wren);
     });
 }
 

@@ -1,4 +1,4 @@
-//! CLOCK_MONOTONIC, the clock of everything inside a machine.
+//! CLOCK_MONOTONIC, the clock of everything inside a machine; and UTC, for what others state in it.
 
 use std::time::Duration;
 
@@ -7,6 +7,11 @@ use rustix::time::{ClockId, Timespec, clock_gettime};
 /// Nanoseconds of CLOCK_MONOTONIC.
 pub fn monotonic_ns() -> i64 {
     nanoseconds(clock_gettime(ClockId::Monotonic))
+}
+
+/// UTC by this machine's clock, seconds since 1970.
+pub fn utc_s() -> i64 {
+    clock_gettime(ClockId::Realtime).tv_sec
 }
 
 /// Processor time that this process has used, nanoseconds.

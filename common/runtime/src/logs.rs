@@ -9,8 +9,8 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use tracing::field::{Field, Visit};
-use tracing::{Event, Level, Subscriber};
-use tracing_subscriber::filter::filter_fn;
+use tracing::{Event, Subscriber};
+use tracing_subscriber::filter::LevelFilter;
 use tracing_subscriber::layer::{Context, SubscriberExt};
 use tracing_subscriber::util::SubscriberInitExt;
 use tracing_subscriber::{EnvFilter, Layer};
@@ -35,11 +35,9 @@ pub fn init() {
         lines.boxed()
     };
     // What is overheard need not be printed.
-    let warnings =
-        filter_fn(|metadata| *metadata.level() <= Level::WARN).with_max_level_hint(Level::WARN);
     let outcome = tracing_subscriber::registry()
         .with(lines.with_filter(filter))
-        .with(Overhearing.with_filter(warnings))
+        .with(Overhearing.with_filter(LevelFilter::WARN))
         .try_init();
     // Already set by an earlier call in this process (tests): that one stays.
     drop(outcome);
@@ -75,14 +73,16 @@ struct Overhearing;
 
 impl<S: Subscriber> Layer<S> for Overhearing {
     fn on_event(&self, event: &Event<'_>, _: Context<'_, S>) {
-        for overheard in &*lock(&OVERHEARD) {
-            if event.metadata().target().starts_with(overheard.target) {
-                let mut message = Message::default();
-                event.record(&mut message);
-                if message.0.contains(overheard.contains) {
-                    let mut heard = lock(&overheard.heard);
-                    *heard = (heard.0 + 1, message.0);
-                }
+        let target = event.metadata().target();
+        let is_wanted = |overheard: &&Arc<Overheard>| target.starts_with(overheard.target);
+        // Copied, because what is recorded may run anybody's code.
+        let wanted: Vec<_> = lock(&OVERHEARD).iter().filter(is_wanted).cloned().collect();
+        for overheard in wanted {
+            let mut message = Message::default();
+            event.record(&mut message);
+            if message.0.contains(overheard.contains) {
+                let mut heard = lock(&overheard.heard);
+                *heard = (heard.0 + 1, message.0);
             }
         }
     }

@@ -1,8 +1,7 @@
 //! Strangers who want a link, and the end of the drone's own certificate: said when it matters.
 
-use std::time::{SystemTime, UNIX_EPOCH};
-
 use flockeye_network::Network;
+use flockeye_runtime::clock::utc_s;
 use flockeye_runtime::logs::Throttle;
 
 /// Before the certificate's end it is said this often: seconds left.
@@ -30,9 +29,7 @@ impl Guard {
                 "refused {new} links of strangers, the last one: {why}"
             );
         }
-        let now_s =
-            SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |now| now.as_secs() as i64);
-        if let Some(left_s) = network.expires_s().map(|expires_s| expires_s - now_s)
+        if let Some(left_s) = network.expires_s().map(|expires_s| expires_s - utc_s())
             && let Some(limit_s) = self.reminder(left_s)
         {
             self.reminded = Some(limit_s);

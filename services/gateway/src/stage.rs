@@ -73,7 +73,7 @@ impl Stage for GatewayStage {
         let resolved = &context.resolved;
         let parameters = NetworkParameters::of_drone(&resolved.pipeline);
         // What can never work is said before the flight; what may come yet is waited for.
-        parameters.check()?;
+        parameters.check().or_else(|error| if error.may_pass() { Ok(()) } else { Err(error) })?;
         let Gateway { ros2: ros, autopilot, .. } = &resolved.pipeline.gateway;
         Ok(Self {
             tracks: ports.subscriber()?,

@@ -1,7 +1,7 @@
 //! `flockeye keys`: the swarm's authority, and its members' keys and certificates.
 
 use std::path::{Path, PathBuf};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
 use anyhow::Context;
 use clap::{Args, Subcommand};
@@ -9,6 +9,7 @@ use flockeye_cli::text_table::TextTable;
 use flockeye_cli::{Screen, duration};
 use flockeye_identity::{Authority, Issued, MemberFiles, Role};
 use flockeye_network::router_config;
+use flockeye_runtime::clock::utc_s;
 
 /// How long a certificate holds that nothing else is said of.
 const HOLDS: &str = "30days";
@@ -110,7 +111,8 @@ fn issue(arguments: &IssueArguments) -> anyhow::Result<()> {
     let before = authority.roster().number;
     let into = arguments.into.clone().unwrap_or_else(|| PathBuf::from(&arguments.name));
     let role = if arguments.router { Role::Router } else { Role::Member };
-    let (issued, files) = authority.issue(&arguments.name, role, arguments.holds, &into)?;
+    let (issued, files) =
+        authority.issue(&arguments.name, role, arguments.holds, &into, utc_s())?;
     let mut screen = Screen::new();
     screen.line(&format!("{}: holds {}", into.display(), left(&issued)));
     if arguments.router {
@@ -150,7 +152,7 @@ fn say_roster_changed(screen: &mut Screen, authority: &Authority) {
 
 fn revoke(arguments: &RevokeArguments) -> anyhow::Result<()> {
     let mut authority = open(&arguments.authority)?;
-    let count = authority.revoke(&arguments.name, now_s())?;
+    let count = authority.revoke(&arguments.name, utc_s())?;
     let mut screen = Screen::new();
     let name = &arguments.name;
     screen.line(&format!("{name} is off the roster, and {count} of its certificates are revoked"));
@@ -206,11 +208,6 @@ fn router_text(authority: &Authority) -> anyhow::Result<String> {
 
 /// How long a certificate still holds.
 fn left(issued: &Issued) -> String {
-    let days = (issued.not_after_s - now_s()) as f64 / DAY_S;
+    let days = (issued.not_after_s - utc_s()) as f64 / DAY_S;
     if days < 0.0 { "no longer".into() } else { format!("{days:.1} days") }
-}
-
-fn now_s() -> i64 {
-    // A clock before 1970 is no clock: then nothing has expired.
-    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs() as i64)
 }

@@ -3,6 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::time::Duration;
 
 use flockeye_require::loopback::free_port;
 use flockeye_tests::{Beside, Flight, Scratch, flockeye, run, told, unique};
@@ -166,15 +167,31 @@ try:
     raise SystemExit("a changed roster was taken")
 except Untrusted:
     pass
-presence = Presence()
-assert not presence.believes("wren", 5, 0) and presence.needs_question("wren", 0)
-presence.answered("wren", 10, 0.2)
-assert not presence.believes("wren", 9, 0.3), "recorded before the answer"
-assert presence.believes("wren", 11, 0.4) and not presence.believes("wren", 11, 0.5), "said twice"
-assert not presence.believes("wren", 12, 4) and presence.needs_question("wren", 4), "silent"
-presence.answered("wren", 3, 4.1)
-assert presence.believes("wren", 4, 4.2), "its clock was set back"
+presence, second = Presence(), 1_000_000_000
+assert not presence.believes("wren", 5 * second, 0) and presence.needs_question("wren", 0)
+assert not presence.needs_question("wren", 0.1), "it was asked just now"
+presence.answered("wren", 10 * second, 0)
+assert not presence.believes("wren", 9 * second, 0.3), "recorded before the answer"
+assert presence.believes("wren", 11 * second, 1) and not presence.believes("wren", 11 * second, 1.1), "said twice"
+assert not presence.believes("wren", 12 * second, 3.5), "held back"
+assert not presence.believes("wren", 15 * second, 5) and presence.needs_question("wren", 5), "silent"
+presence.answered("wren", 3 * second, 5.1)
+assert presence.believes("wren", 4 * second, 6.1), "its clock was set back"
 "#;
+
+/// Keys that do not hold ground nobody: the rest of the pipeline flies, and the gateway waits for better ones.
+#[test]
+fn an_expired_certificate_costs_the_network_alone() {
+    let keys = Keys::new();
+    keys.run(&["issue", "wren", "--into", &keys.path("wren"), "--for", "1s"]);
+    std::thread::sleep(Duration::from_secs(2));
+    let mut wren = keys.fly("wren", "kite", free_port());
+    wren.wait_for("it has expired");
+    wren.wait_for("kite confirmed");
+    wren.signal(Signal::TERM);
+    wren.wait();
+    wren.assert_nothing_left();
+}
 
 #[test]
 fn a_gateway_without_valid_keys_says_so_before_the_flight() {

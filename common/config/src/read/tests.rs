@@ -46,6 +46,7 @@ const WRONG: &[(&str, &[&str])] = &[
         "gateway: {listen: [tcp/10.0.0.7:7447]}",
         &["gateway.listen", "gateway.security", "unsecured"],
     ),
+    ("gateway: {connect: [tcp/10.0.0.7:7447]}", &["gateway.connect", "unsecured: true"]),
     ("gateway: {scout_interface: wlan0}", &["gateway.scout_interface", "unsecured: true"]),
     ("gateway: {listen: [tls/127.0.0.1:7447]}", &["gateway.listen", "needs gateway.security"]),
     ("gateway: {security: {ca: a, certificate: b, key: c}}", &["security", "roster"]),

@@ -22,7 +22,7 @@ pub struct Gateway {
     pub scout_interface: Option<String>,
     /// The files by which members of the swarm know each other; left out: anybody who can link can say anything.
     pub security: Option<Security>,
-    /// true: without `security` it may listen where others than this machine can link.
+    /// true: without `security` it may be linked with others than this machine.
     pub unsecured: bool,
     /// How ROS 2 is told too; left out: it is not.
     pub ros2: Option<Ros2>,

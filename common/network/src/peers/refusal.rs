@@ -34,7 +34,7 @@ impl Refused {
             Refusal::NotOfNow(NotOfNow::Replayed { .. }) => &mut self.replayed,
             Refusal::Untrusted(_) | Refusal::NotAnswered => &mut self.untrusted,
             // It is asked for an answer, and heard from then on.
-            Refusal::NotYetAnswered => return,
+            Refusal::NotYetAnswered | Refusal::NotOfNow(NotOfNow::Overtaken) => return,
             _ => &mut self.malformed,
         };
         *counter += 1;
@@ -83,6 +83,11 @@ pub enum Refusal {
 }
 
 impl Refusal {
+    /// Whether it belongs to every observer's beginning, so that nobody needs to know.
+    pub(crate) fn is_usual(&self) -> bool {
+        matches!(self, Self::NotYetAnswered | Self::NotOfNow(NotOfNow::Overtaken))
+    }
+
     /// The same for all that is refused for the same reason.
     pub(crate) fn reason(&self) -> &'static str {
         match self {
@@ -91,6 +96,7 @@ impl Refusal {
             Self::NotOfNow(NotOfNow::Stale { .. }) => "stale",
             Self::NotOfNow(NotOfNow::Future { .. }) => "future",
             Self::NotOfNow(NotOfNow::Replayed { .. }) => "replayed",
+            Self::NotOfNow(NotOfNow::Overtaken) => "overtaken",
             Self::Untrusted(Untrusted::NotSigned) => "not signed",
             Self::Untrusted(Untrusted::NotKnown) => "not known",
             Self::Untrusted(Untrusted::Certificate(_)) => "certificate",
