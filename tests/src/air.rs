@@ -46,6 +46,9 @@ impl Weather {
     pub const CLEAR: Self = Self { loss: 0.0, delay: Duration::ZERO, jitter: Duration::ZERO };
     /// Nothing comes through.
     pub const CUT: Self = Self { loss: 1.0, ..Self::CLEAR };
+    /// At the edge of its reach.
+    pub const BAD: Self =
+        Self { loss: 0.2, delay: Duration::from_millis(100), jitter: Duration::from_millis(50) };
 }
 
 /// The stations, and what is between them. Dropping it takes them down.

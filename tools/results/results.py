@@ -78,6 +78,8 @@ SWARMS = {
 }
 # Observers that hear each other through one router: title, arguments of `peer-load`.
 LOADS = {"peers": ("Observers on one machine, each hearing all others 30 times a second", ["10"])}
+# How soon two drones hear each other again after their radio was cut: title, arguments of `radio-cuts`.
+CUTS = {"cuts": ("A radio that is cut", ["20", "30"])}
 # A flight whose rotations are compared with the recording's gyroscope: title, recording, gyroscope.
 ROTATIONS = {"gyroscope": ("The visual gyroscope", "flight4/flight4.mp4", "flight4/imu.csv")}
 # Benchmarks whose words are kept: what the virtual clock of lossless runs goes by.
@@ -94,9 +96,9 @@ DISTURBED = {
 # Flights in which one of two detection workers does not do its work: title, what is wrong with it, flights of each.
 FAULTY = {"workers": ("One of two detection workers does not do its work",
                       ["mute", "hold", "spin", "hang", "stopped"], 3)}
-# Takes hours, so it is flown by its name alone.
-LONG = ["kills-long"]
-PARTS = [*RECORDINGS, *SIMULATED, *EXPERIMENTS, *SWARMS, *LOADS, *ROTATIONS, *BENCHES, *DISTURBED, *FAULTY]
+# These take long, so they are flown by their names alone.
+LONG = ["kills-long", "cuts"]
+PARTS = [*RECORDINGS, *SIMULATED, *EXPERIMENTS, *SWARMS, *LOADS, *CUTS, *ROTATIONS, *BENCHES, *DISTURBED, *FAULTY]
 
 
 def flockeye():
@@ -349,17 +351,24 @@ def turned(part, data):
                    "machine": before, "output": call(judged).strip().splitlines()}}
 
 
+def counted(name, title, arguments, first):
+    """What a program of the tests counts: its output from the line that begins so."""
+    before, program = machine(), str(flockeye().with_name(name))
+    print(f"  {program} {' '.join(arguments)}", file=sys.stderr, flush=True)
+    done = subprocess.run([program, *arguments], cwd=ROOT, capture_output=True, text=True)
+    if done.returncode != 0:
+        sys.exit(f"results: {program} ended with {done.returncode}:\n{done.stderr}")
+    lines = done.stdout.splitlines()
+    lines = lines[next(at for at, line in enumerate(lines) if line.startswith(first)):]
+    return {"title": title, "command": " ".join([name, *arguments]), "machine": before, "output": lines}
+
+
 def run_part(part, data, wanted_ways):
     """The entries of one part, by their names."""
     if part in LOADS:
-        title, arguments = LOADS[part]
-        before = machine()
-        program = str(flockeye().with_name("peer-load"))
-        done = subprocess.run([program, *arguments], cwd=ROOT, capture_output=True, text=True)
-        if done.returncode != 0:
-            sys.exit(f"results: {program} ended with {done.returncode}:\n{done.stderr}")
-        return {part: {"title": title, "command": " ".join(["peer-load", *arguments]), "machine": before,
-                       "output": done.stdout.splitlines()}}
+        return {part: counted("peer-load", *LOADS[part], "a report of")}
+    if part in CUTS:
+        return {part: counted("radio-cuts", *CUTS[part], "radio after")}
     if part in SWARMS:
         title, arguments = SWARMS[part]
         arguments = ["swarm", "sim", *arguments]
@@ -526,6 +535,39 @@ def costs_page(entry):
     return "\n".join(lines) + "\n"
 
 
+def peers_figure(table):
+    """What each further observer costs, from the table of `peer-load`: processors of each observer and of the
+    router's part for it."""
+    rows = [line.replace("%", "").split() for line in table]
+    rows = [row for row in rows if row and row[0].isdigit()]
+    lines = {}
+    for name, column in (("an observer", 6), ("the router, for each observer", 7)):
+        lines[name] = [(int(row[0]), 100 * float(row[column]) / int(row[0])) for row in rows]
+    heard = [(int(row[0]), float(row[2])) for row in rows]
+    most_x = max(x for x, _ in heard)
+    most_y = max(y for line in lines.values() for _, y in line) * 1.1
+    at = lambda x, y: f"{70 + 560 * x / most_x:.1f},{330 - 290 * y / most_y:.1f}"
+    parts = ['<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 660 400" font-family="sans-serif" font-size="14">',
+             '<rect width="660" height="400" fill="white"/>',
+             '<text x="70" y="22">percent of a processor, for each observer</text>',
+             '<text x="350" y="388" text-anchor="middle">observers, each hearing all others 30 times a second</text>',
+             '<polyline points="70,40 70,330 630,330" fill="none" stroke="#888"/>']
+    for tick in range(5):
+        y = most_y / 1.1 * tick / 4
+        parts.append(f'<text x="62" y="{335 - 290 * y / most_y:.1f}" text-anchor="end">{y:.1f}</text>')
+    for x, share in heard:
+        place = 70 + 560 * x / most_x
+        parts.append(f'<text x="{place:.1f}" y="348" text-anchor="middle" font-size="12">{x}</text>')
+        if share < 95:
+            parts.append(f'<text x="{place:.1f}" y="366" text-anchor="middle" font-size="12" fill="#c33">'
+                         f'{share:.0f} % heard</text>')
+    for (name, line), colour, y in zip(lines.items(), ("#1668b0", "#d2691e"), (44, 64)):
+        points = " ".join(at(*point) for point in line)
+        parts.append(f'<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="2"/>')
+        parts.append(f'<text x="90" y="{y}" fill="{colour}">{name}</text>')
+    return "\n".join([*parts, "</svg>"]) + "\n"
+
+
 def readme_table(store):
     lines = ["| flight | flown | within 1.5 m | 1.5 to 2.2 m | 2.2 to 3 m | 3 to 4 m | false | "
              "latency median, 99 % |", "| --- " * 8 + "|"]
@@ -573,9 +615,12 @@ def render(store):
         (folder / "swarms.md").write_text(experiments_page(
             "simulated swarms", "[SIMULATOR.md](../SIMULATOR.md#a-swarm-in-one-world) says what the words mean.",
             of(SWARMS)))
-    if any(name in store for name in LOADS):
+    if any(name in store for name in [*LOADS, *CUTS]):
         (folder / "peers.md").write_text(experiments_page(
-            "how many peers", "[SCALING.md](../SCALING.md) says what follows.", of(LOADS)))
+            "how many peers", "[SCALING.md](../SCALING.md) says what follows.", of([*LOADS, *CUTS])))
+        figure = peers_figure(store["peers"]["output"]) if "peers" in store else None
+        if figure:
+            (ROOT / "docs/figures/peers.svg").write_text(figure)
     if "costs" in store:
         (folder / "costs.md").write_text(costs_page(store["costs"]))
     readme = (ROOT / "README.md").read_text()

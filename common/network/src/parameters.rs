@@ -48,7 +48,8 @@ pub struct NetworkParameters {
     pub is_onlooker: bool,
     /// The files by which members of the swarm know each other; none: anybody who can link can say anything.
     pub security: Option<MemberFiles>,
-    /// How long a link may take to open, milliseconds.
+    /// How long a link may take to open, milliseconds: several round trips, of which each may be lost and sent again
+    /// after a second (docs/results/history.md#links-over-a-bad-radio).
     pub open_timeout_ms: u64,
     /// How long a silent neighbour counts as connected, milliseconds.
     pub lease_ms: u64,
@@ -65,7 +66,7 @@ impl Default for NetworkParameters {
             scout_interface: None,
             is_onlooker: false,
             security: None,
-            open_timeout_ms: 1_000,
+            open_timeout_ms: 5_000,
             lease_ms: 3_000,
         }
     }

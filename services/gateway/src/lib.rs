@@ -16,6 +16,7 @@ pub mod frame;
 pub mod guard;
 pub mod hearsay;
 pub mod newest;
+pub mod pace;
 pub mod pilot;
 pub mod report;
 pub mod ros;

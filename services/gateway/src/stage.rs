@@ -18,6 +18,7 @@ use crate::frame::{Gathering, Head};
 use crate::guard::Guard;
 use crate::hearsay::in_words;
 use crate::newest::Newest;
+use crate::pace::Pace;
 use crate::pilot::Pilot;
 use crate::report::{Utc, report};
 use crate::ros::Ros;
@@ -54,6 +55,7 @@ pub struct GatewayStage {
     swarm_ns: i64,
     flow: Flow,
     newest: Newest,
+    pace: Pace,
     counters: SharedCounters,
     failures: Throttle,
 }
@@ -74,7 +76,7 @@ impl Stage for GatewayStage {
         let parameters = NetworkParameters::of_drone(&resolved.pipeline);
         // What can never work is said before the flight; what may come yet is waited for.
         parameters.check().or_else(|error| if error.may_pass() { Ok(()) } else { Err(error) })?;
-        let Gateway { ros2: ros, autopilot, .. } = &resolved.pipeline.gateway;
+        let Gateway { ros2: ros, autopilot, report_hz, .. } = &resolved.pipeline.gateway;
         Ok(Self {
             tracks: ports.subscriber()?,
             rotations: ports.subscriber()?,
@@ -92,6 +94,7 @@ impl Stage for GatewayStage {
             swarm_ns: 0,
             flow: resolved.pipeline.flow,
             newest: Newest::default(),
+            pace: Pace::new(*report_hz),
             counters: context.counters.clone(),
             failures: Throttle::default(),
         })
@@ -145,6 +148,7 @@ impl GatewayStage {
         while let Some(message) = self.tracks.receive()? {
             let TrackHeader { stamp, is_last, .. } = message.header;
             let exposure = Exposure::of(&stamp, self.flow);
+            let is_reported = self.pace.admits(&stamp, exposure.monotonic_ns);
             let mut newest = message.items().to_vec();
             newest.retain(|track| self.newest.is_newest(track.target, &stamp));
             for track in &newest {
@@ -152,12 +156,14 @@ impl GatewayStage {
                 if let Some(pilot) = &mut self.pilot {
                     pilot.sees(exposure.monotonic_ns, track);
                 }
-                self.send(&stamp, &exposure, track);
+                if is_reported {
+                    self.send(&stamp, &exposure, track);
+                }
             }
             if let Some(ros) = &mut self.ros {
                 ros.sees(exposure.utc.stamp_ns, &newest);
             }
-            if self.gathering.take(&stamp, message.items(), is_last != 0, now_ns) {
+            if is_reported && self.gathering.take(&stamp, message.items(), is_last != 0, now_ns) {
                 self.send_frame(&exposure);
             }
         }

@@ -1,22 +1,22 @@
 //! How many drones one router and one machine carry: `peer-load [SECONDS] [OBSERVERS[@HZ]...]` prints a table. With a
 //! rate the router passes reports of each observer on to each other one at most so often.
 //!
-//! Each observer is a session that reports one neighbour 30 times a second, and hears all others. All of them are in
-//! this process, as clients of a router in another one, so both ends and the router share this machine's processors.
+//! Each observer is a process of its own, a client of the router, that reports one neighbour 30 times a second and hears
+//! all others. All of them and the router share this machine's processors.
 
 use std::collections::BTreeMap;
-use std::process::{Child, Command};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use flockeye_contract::wire::{
     FRAME_SCHEMA, FrameReport, Measurement, Predicted, TargetReport, frame_key,
 };
 use flockeye_contract::{MeasuredBy, TrackState};
 use flockeye_geometry::statistics::{median, quantile};
 use flockeye_network::{
-    Listener, Network, NetworkMode, NetworkParameters, ReportStream, Reporter, monotonic_now_ns,
-    utc_from_monotonic,
+    Network, NetworkMode, NetworkParameters, monotonic_now_ns, utc_from_monotonic,
 };
 use flockeye_require::loopback::{free_port, tcp};
 
@@ -32,26 +32,24 @@ const WARM_UP: Duration = Duration::from_secs(3);
 const WAITING: usize = 65_536;
 /// Clock ticks in a second, of /proc.
 const TICKS: f64 = 100.0;
-
-/// One observer.
-struct Observer {
-    name: String,
-    reporter: Reporter,
-    stream: ReportStream,
-    _listener: Listener,
-}
+/// The first argument of a process that is one observer.
+const OBSERVER: &str = "observer";
 
 fn main() -> anyhow::Result<()> {
-    let mut arguments = std::env::args().skip(1);
-    let seconds = arguments.next().map_or(Ok(10), |text| text.parse())?;
-    let mut loads: Vec<String> = arguments.collect();
-    if loads.is_empty() {
-        loads = LOADS.map(str::to_owned).to_vec();
+    let mut arguments: Vec<String> = std::env::args().skip(1).collect();
+    if let [first, number, endpoint, seconds] = &arguments[..]
+        && first == OBSERVER
+    {
+        return observe(number.parse()?, endpoint, Duration::from_secs(seconds.parse()?));
+    }
+    let seconds = if arguments.is_empty() { 10 } else { arguments.remove(0).parse()? };
+    if arguments.is_empty() {
+        arguments = LOADS.map(str::to_owned).to_vec();
     }
     let bytes = |targets| Ok::<_, anyhow::Error>(report("drone-0", 1, targets).to_json()?.len());
     println!("a report of one neighbour has {} bytes, one of two {}", bytes(1)?, bytes(2)?);
     println!("observers  heard/s   of all  ms median     95 %     99 %  processors, peers  router");
-    for load in loads {
+    for load in arguments {
         measure(&load, Duration::from_secs(seconds))?;
     }
     Ok(())
@@ -66,60 +64,28 @@ fn measure(load: &str, time: Duration) -> anyhow::Result<()> {
     let downsampling =
         rate_hz.into_iter().flat_map(|hz| std::iter::once(hz.to_owned()).chain(keys.clone()));
     let program = std::env::current_exe()?.with_file_name("zenoh-router");
-    let mut router =
-        Command::new(program).arg(&endpoint).args(downsampling).spawn().context("the router")?;
-    let outcome = measure_through(&mut router, &endpoint, load, count, time);
-    router.kill()?;
-    router.wait()?;
-    outcome
-}
-
-fn measure_through(
-    router: &mut Child,
-    endpoint: &str,
-    load: &str,
-    count: usize,
-    time: Duration,
-) -> anyhow::Result<()> {
-    let observers: Vec<Observer> =
-        (0..count).map(|number| observer(number, endpoint)).collect::<anyhow::Result<_>>()?;
-    let begun = Instant::now();
-    let (mut sent, mut took_ms) = (0_u64, Vec::new());
-    let mut ticks = BTreeMap::new();
-    let pids = [std::process::id(), router.id()];
-    let mut frame = 0;
-    while begun.elapsed() < WARM_UP + time {
-        let is_counted = begun.elapsed() >= WARM_UP;
-        if is_counted && ticks.is_empty() {
-            ticks =
-                pids.iter().map(|&pid| Ok((pid, ticks_of(pid)?))).collect::<anyhow::Result<_>>()?;
-            observers.iter().for_each(|observer| while observer.stream.try_recv().is_some() {});
-        }
-        frame += 1;
-        for observer in &observers {
-            observer.reporter.report_frame(report(&observer.name, frame, 1))?;
-            sent += u64::from(is_counted);
-        }
-        // What is still under way at the end counts as lost: a few in each hundred.
-        while begun.elapsed() < PERIOD * frame as u32 {
-            for observer in &observers {
-                while let Some(heard) = observer.stream.try_recv() {
-                    if is_counted && heard.report.observer != observer.name {
-                        let sent_ns = heard.report.stream_s * 1e9;
-                        took_ms.push((heard.arrived_monotonic_ns as f64 - sent_ns) * 1e-6);
-                    }
-                }
-            }
-            std::thread::sleep(Duration::from_millis(1));
-        }
-    }
-    let used = pids.map(|pid| {
-        let before = ticks.get(&pid).copied().unwrap_or(0.0);
-        ticks_of(pid).map(|now| (now - before) / TICKS / time.as_secs_f64())
-    });
-    let [peers, router] = used;
-    let wanted = sent * (count as u64 - 1);
+    let router = Command::new(program).arg(&endpoint).args(downsampling).spawn();
+    let router = Ended(router.context("the router")?);
+    let mut observers = (0..count)
+        .map(|number| Process::start(number, &endpoint, time))
+        .collect::<anyhow::Result<Vec<_>>>()?;
+    // All of them are there before one of them says something.
+    observers.iter_mut().try_for_each(Process::wait_until_ready)?;
+    let begin_ns = monotonic_now_ns() + 100_000_000;
+    observers.iter_mut().try_for_each(|observer| observer.begin(begin_ns))?;
+    let at = |after: Duration| {
+        std::thread::sleep(after);
+        ticks_of(router.0.id())
+    };
+    let before = at(WARM_UP)?;
+    let router_ticks = at(time)? - before;
+    let heard: Vec<Heard> =
+        observers.iter_mut().map(Process::result).collect::<anyhow::Result<_>>()?;
+    let mut took_ms: Vec<f64> =
+        heard.iter().flat_map(|heard| heard.took_ms.iter().map(|ms| f64::from(*ms))).collect();
     took_ms.sort_by(f64::total_cmp);
+    let wanted = heard.iter().map(|heard| heard.sent).sum::<u64>() * (count as u64 - 1);
+    let processors = |ticks: f64| ticks / TICKS / time.as_secs_f64();
     println!(
         "{load:>9} {:>8.0} {:>6.1} % {:>10.2} {:>8.2} {:>8.2} {:>18.2} {:>7.2}",
         took_ms.len() as f64 / time.as_secs_f64(),
@@ -127,17 +93,77 @@ fn measure_through(
         median(&took_ms).unwrap_or(f64::NAN),
         quantile(&took_ms, 0.95).unwrap_or(f64::NAN),
         quantile(&took_ms, 0.99).unwrap_or(f64::NAN),
-        peers?,
-        router?,
+        processors(heard.iter().map(|heard| heard.ticks).sum()),
+        processors(router_ticks),
     );
     Ok(())
 }
 
-fn name(number: usize) -> String {
-    format!("drone-{number}")
+/// A program that ends with this value.
+struct Ended(Child);
+
+impl Drop for Ended {
+    fn drop(&mut self) {
+        // It may have ended by itself.
+        drop(self.0.kill());
+        drop(self.0.wait());
+    }
 }
 
-fn observer(number: usize, endpoint: &str) -> anyhow::Result<Observer> {
+/// An observer, seen from the program that counts.
+struct Process {
+    child: Ended,
+    output: BufReader<std::process::ChildStdout>,
+}
+
+/// What an observer has counted.
+struct Heard {
+    /// Reports that it sent.
+    sent: u64,
+    /// Processor time that it used, in clock ticks.
+    ticks: f64,
+    /// How long each report was under way to it.
+    took_ms: Vec<f32>,
+}
+
+impl Process {
+    fn start(number: usize, endpoint: &str, time: Duration) -> anyhow::Result<Self> {
+        let mut child = Command::new(std::env::current_exe()?)
+            .args([OBSERVER, &number.to_string(), endpoint, &time.as_secs().to_string()])
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()?;
+        let output = BufReader::new(child.stdout.take().context("it is piped")?);
+        Ok(Self { child: Ended(child), output })
+    }
+
+    fn wait_until_ready(&mut self) -> anyhow::Result<()> {
+        let mut line = String::new();
+        self.output.read_line(&mut line)?;
+        if line.is_empty() {
+            bail!("an observer has ended before it was ready");
+        }
+        Ok(())
+    }
+
+    fn begin(&mut self, at_ns: i64) -> anyhow::Result<()> {
+        let mut input = self.child.0.stdin.take().context("it is piped")?;
+        Ok(writeln!(input, "{at_ns}")?)
+    }
+
+    fn result(&mut self) -> anyhow::Result<Heard> {
+        let mut line = String::new();
+        self.output.read_line(&mut line)?;
+        let (sent, ticks) = line.trim().split_once(' ').context("an observer has not counted")?;
+        let mut bytes = Vec::new();
+        self.output.read_to_end(&mut bytes)?;
+        let took_ms = bytes.as_chunks().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
+        Ok(Heard { sent: sent.parse()?, ticks: ticks.parse()?, took_ms })
+    }
+}
+
+/// One observer: it says that it is ready, is told when to begin, and says what it has counted.
+fn observe(number: usize, endpoint: &str, time: Duration) -> anyhow::Result<()> {
     let name = name(number);
     let network = Network::open(&NetworkParameters {
         swarm: SWARM.into(),
@@ -147,9 +173,46 @@ fn observer(number: usize, endpoint: &str) -> anyhow::Result<Observer> {
         connect: vec![endpoint.to_owned()],
         ..NetworkParameters::default()
     })?;
+    let reporter = network.reporter()?;
     let listener = network.listener()?;
     let stream = listener.stream(WAITING);
-    Ok(Observer { name, reporter: network.reporter()?, stream, _listener: listener })
+    let mut out = std::io::stdout().lock();
+    while !network.is_open() {
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    writeln!(out, "ready")?;
+    let mut line = String::new();
+    std::io::stdin().read_line(&mut line)?;
+    let wait_ns = line.trim().parse::<i64>().context("when to begin")? - monotonic_now_ns();
+    std::thread::sleep(Duration::from_nanos(wait_ns.max(0) as u64));
+    let begun = Instant::now();
+    let (mut sent, mut took_ms, mut ticks) = (0_u64, Vec::new(), None);
+    let mut frame = 0;
+    while begun.elapsed() < WARM_UP + time {
+        let is_counted = begun.elapsed() >= WARM_UP;
+        if is_counted && ticks.is_none() {
+            ticks = Some(ticks_of(std::process::id())?);
+        }
+        frame += 1;
+        reporter.report_frame(report(&name, frame, 1))?;
+        sent += u64::from(is_counted);
+        // What is still under way at the end counts as lost: a few in each hundred.
+        while let Some(left) = (PERIOD * frame as u32).checked_sub(begun.elapsed()) {
+            let Some(heard) = stream.recv_timeout(left) else { break };
+            if is_counted && heard.report.observer != name {
+                let sent_ns = heard.report.stream_s * 1e9;
+                took_ms.push((heard.arrived_monotonic_ns as f64 - sent_ns) as f32 * 1e-6);
+            }
+        }
+    }
+    let used = ticks_of(std::process::id())? - ticks.unwrap_or(0.0);
+    writeln!(out, "{sent} {used}")?;
+    took_ms.iter().try_for_each(|ms| out.write_all(&ms.to_le_bytes()))?;
+    Ok(())
+}
+
+fn name(number: usize) -> String {
+    format!("drone-{number}")
 }
 
 /// A report of a usual size. Its stream's time is when it was made.

@@ -6,6 +6,7 @@ use std::process::Command;
 use std::sync::mpsc::channel;
 use std::time::{Duration, Instant};
 
+use flockeye_contract::wire::FrameReport;
 use flockeye_require::loopback::{free_port, tcp};
 use flockeye_tests::{Beside, Flight, WATCHDOG, flockeye, told, unique};
 use rustix::process::Signal;
@@ -94,5 +95,41 @@ fn the_autopilot_is_told_of_its_target_and_of_obstacles() {
         }
         wanted.is_subset(&seen).then_some(())
     });
+    end(flight);
+}
+
+#[test]
+fn the_swarm_is_told_of_as_many_frames_as_asked() {
+    let listen = tcp(free_port());
+    let flight =
+        fly(&unique("pace"), &["gateway.report_hz=5", &format!("gateway.listen=[{listen}]")]);
+    let config = serde_json::json!({
+        "mode": "client",
+        "connect": { "endpoints": [listen], "timeout_ms": 20_000 },
+        "scouting": { "multicast": { "enabled": false } },
+    });
+    let config = zenoh::Config::from_json5(&config.to_string()).expect("it is a configuration");
+    let session = zenoh::open(config).wait().expect("the gateway is there");
+    let (tell, heard) = channel();
+    let _subscriber = session
+        .declare_subscriber("flockeye/*/wren/sees")
+        // Whoever has heard enough listens no more.
+        .callback(move |sample| drop(tell.send(sample.payload().to_bytes().into_owned())))
+        .wait()
+        .expect("it is a key");
+    let mut frames = Vec::new();
+    until(&flight, || {
+        frames.extend(heard.try_iter().map(|payload| {
+            let report: FrameReport = serde_json::from_slice(&payload).expect("it is a report");
+            report.frame
+        }));
+        (frames.len() > 20).then_some(())
+    });
+    frames.dedup();
+    // Fusion says 20 frames a second: every fourth is reported, whatever the machine leaves out.
+    let span = frames.last().expect("there are some") - frames[0];
+    let share = (frames.len() - 1) as f64 / span as f64;
+    assert!((0.15..0.3).contains(&share), "{share} of {frames:?}");
+    drop(session);
     end(flight);
 }

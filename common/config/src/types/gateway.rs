@@ -24,6 +24,10 @@ pub struct Gateway {
     pub security: Option<Security>,
     /// true: without `security` it may be linked with others than this machine.
     pub unsecured: bool,
+    /// At most so many frames a second are reported to the swarm; left out: all of them. ROS 2 and the autopilot
+    /// are told of all.
+    #[schemars(range(min = 1.0, max = 1000.0))]
+    pub report_hz: Option<f64>,
     /// How ROS 2 is told too; left out: it is not.
     pub ros2: Option<Ros2>,
     /// How the drone's autopilot is told too; left out: it is not.
@@ -131,6 +135,7 @@ impl Default for Gateway {
             scout_interface: None,
             security: None,
             unsecured: false,
+            report_hz: None,
             ros2: None,
             autopilot: None,
         }
