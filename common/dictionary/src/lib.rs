@@ -1,6 +1,6 @@
 //! Dictionaries: which cells belong to which id.
 //!
-//! OpenCV has 21 of its own, by name; others come in a file of the form that OpenCV writes. Every
+//! OpenCV has 22 of its own, by name; others come in a file of the form that OpenCV writes. Every
 //! stage that looks at markers shares this one reading of them.
 //!
 //! ```
@@ -15,6 +15,7 @@
 //! ```
 
 mod error;
+mod mip_36h12;
 mod predefined;
 mod read;
 
@@ -22,7 +23,7 @@ use std::path::Path;
 
 use flockeye_geometry::body::Bodies;
 use flockeye_imaging::edges::MarkerPrint;
-use opencv::aruco::{self, Dictionary as CvDictionary};
+use opencv::aruco::Dictionary as CvDictionary;
 use opencv::core::Ptr;
 use opencv::prelude::*;
 
@@ -52,10 +53,9 @@ impl Dictionary {
     /// A name that is neither, a file that is no dictionary (with what is wrong in it), or what
     /// OpenCV says.
     pub fn load(name: &str) -> Result<Self, DictionaryError> {
-        let opencv = match PREDEFINED.iter().position(|&known| known == name) {
-            // The enumeration counts from 0 without gaps.
-            Some(index) => aruco::get_predefined_dictionary_i32(index as i32)?,
-            None if Path::new(name).is_file() => read::file(name)?,
+        let (name, opencv) = match predefined::predefined(name)? {
+            Some(predefined) => predefined,
+            None if Path::new(name).is_file() => (name, read::file(name)?),
             None => return Err(DictionaryError::Unknown { name: name.to_owned() }),
         };
         let size = opencv.marker_size();
@@ -154,6 +154,30 @@ mod tests {
         let rows: Vec<String> = rows.collect();
         assert_eq!(rows, ["#.#..", ".#.##", ".##..", "#.#.#", "###.."]);
         assert!(dictionary.print(250).is_none());
+    }
+
+    /// Among the published properties: 250 markers of 6 x 6 cells, of which any two differ in at least 12 cells, however
+    /// they are turned.
+    #[test]
+    fn the_dictionary_that_debian_lacks_is_the_published_one() {
+        let dictionary = Dictionary::load("dict_aruco_mip_36H12").unwrap();
+        assert_eq!(dictionary.name(), "DICT_ARUCO_MIP_36h12");
+        assert_eq!((dictionary.bits(), dictionary.marker_count()), (6, 250));
+        let white = |id: u32, turn: u32, row: isize, column: isize| {
+            let (mut row, mut column) = (row, column);
+            (0..turn).for_each(|_| (row, column) = (column, 5 - row));
+            dictionary.print(id).unwrap().is_white(row + 1, column + 1)
+        };
+        let differ = |one: u32, other: u32, turn: u32| {
+            let cells = (0..36).map(|cell| (cell / 6, cell % 6));
+            cells.filter(|(r, c)| white(one, 0, *r, *c) != white(other, turn, *r, *c)).count()
+        };
+        for one in 0..250 {
+            for (other, turn) in (0..=one).flat_map(|other| (0..4).map(move |turn| (other, turn))) {
+                let cells = differ(one, other, turn);
+                assert!(cells >= 12 || (one, 0) == (other, turn), "{one} {other} {turn}: {cells}");
+            }
+        }
     }
 
     #[test]

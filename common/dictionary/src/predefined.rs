@@ -1,7 +1,14 @@
 //! The names of OpenCV's own dictionaries.
 
-/// OpenCV 4.6's predefined dictionaries, in the order of its own enumeration.
-pub const PREDEFINED: [&str; 21] = [
+use opencv::aruco::{self, Dictionary as CvDictionary};
+use opencv::core::{Mat, Ptr};
+use opencv::prelude::*;
+
+use crate::{DictionaryError, mip_36h12};
+
+/// OpenCV's predefined dictionaries, in the order of its own enumeration. Case does not matter, because newer versions
+/// of OpenCV have `DICT_APRILTAG_16h5` also as `DICT_APRILTAG_16H5`.
+pub const PREDEFINED: [&str; 22] = [
     "DICT_4X4_50",
     "DICT_4X4_100",
     "DICT_4X4_250",
@@ -23,4 +30,39 @@ pub const PREDEFINED: [&str; 21] = [
     "DICT_APRILTAG_25h9",
     "DICT_APRILTAG_36h10",
     "DICT_APRILTAG_36h11",
+    MIP_36H12,
 ];
+
+/// The one that Debian's OpenCV does not have.
+const MIP_36H12: &str = "DICT_ARUCO_MIP_36h12";
+
+/// The dictionary of this name, and the name as [`PREDEFINED`] has it.
+pub(crate) fn predefined(
+    name: &str,
+) -> Result<Option<(&'static str, Ptr<CvDictionary>)>, DictionaryError> {
+    let Some(index) = PREDEFINED.iter().position(|known| known.eq_ignore_ascii_case(name)) else {
+        return Ok(None);
+    };
+    let dictionary = match PREDEFINED[index] {
+        MIP_36H12 => of_cells(&mip_36h12::MARKERS, mip_36h12::SIZE, mip_36h12::CORRECTABLE)?,
+        // The enumeration counts from 0 without gaps.
+        _ => aruco::get_predefined_dictionary_i32(index as i32)?,
+    };
+    Ok(Some((PREDEFINED[index], dictionary)))
+}
+
+/// The dictionary of these markers, whose cells are bits from the highest one on.
+fn of_cells(
+    markers: &[u64],
+    size: i32,
+    correctable: i32,
+) -> Result<Ptr<CvDictionary>, DictionaryError> {
+    let mut list = Mat::default();
+    for cells in markers {
+        let bits: Vec<u8> =
+            (0..size * size).rev().map(|bit| u8::from(cells >> bit & 1 == 1)).collect();
+        let bits = Mat::new_rows_cols_with_data(size, size, &bits)?;
+        list.push_back(&CvDictionary::get_byte_list_from_bits(&bits)?)?;
+    }
+    Ok(Ptr::new(CvDictionary::new(&list, size, correctable)?))
+}
