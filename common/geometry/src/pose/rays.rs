@@ -28,19 +28,77 @@ impl CornerRay {
     }
 }
 
-/// The rays with each corner once: where it was seen twice (two views overlap, and resample the same
-/// pixels) the one of smallest deviation stays, of equal ones the first. Rays that are not usable
-/// (not finite, not of unit length, without a positive deviation) are left out. Sorted by marker,
-/// then corner.
+/// Two sightings of one marker are of one place if their common corners are nearer to each other than this share of the
+/// marker's apparent side.
+const SAME_PLACE_SIDES: f64 = 0.5;
+
+/// The rays of each marker at each place, with each corner once, by rising marker.
+///
+/// Where a corner was seen twice at one place (two views overlap, and resample the same pixels) the ray of smallest
+/// deviation stays, of equal ones the first. One marker at two places stays apart: one of them is another print of it,
+/// or a reflection. Rays that are not usable (not finite, not of unit length, without a positive deviation) are left
+/// out.
+pub(super) fn sightings(rays: &[CornerRay]) -> Vec<Vec<CornerRay>> {
+    let mut places: Vec<Vec<CornerRay>> = Vec::new();
+    for sighting in in_order(rays) {
+        match places.iter_mut().find(|place| is_same_place(place, &sighting)) {
+            Some(place) => merge(place, &sighting),
+            None => places.push(sighting),
+        }
+    }
+    places.iter_mut().for_each(|place| place.sort_by_key(|ray| ray.corner));
+    places.sort_by_key(|place| place[0].marker_id);
+    places
+}
+
+/// The rays of the markers that are seen at one place, each corner once, by rising marker.
 pub fn keep_sharpest(rays: &[CornerRay]) -> Vec<CornerRay> {
-    let mut kept: Vec<CornerRay> = rays.iter().filter(|ray| ray.is_usable()).copied().collect();
-    kept.sort_by(|a, b| {
-        (a.marker_id, a.corner)
-            .cmp(&(b.marker_id, b.corner))
-            .then(a.deviation_rad.total_cmp(&b.deviation_rad))
-    });
-    kept.dedup_by_key(|ray| (ray.marker_id, ray.corner));
-    kept
+    let places = sightings(rays);
+    let chunks = places.chunk_by(|a, b| a[0].marker_id == b[0].marker_id);
+    chunks.filter(|places| places.len() == 1).flatten().flatten().copied().collect()
+}
+
+/// The rays as they were given, cut where another marker begins or a corner comes again. None is empty.
+fn in_order(rays: &[CornerRay]) -> Vec<Vec<CornerRay>> {
+    let mut sightings: Vec<Vec<CornerRay>> = Vec::new();
+    for ray in rays.iter().filter(|ray| ray.is_usable()) {
+        let goes_on = |sighting: &&mut Vec<CornerRay>| {
+            let is_other = |other: &CornerRay| other.corner != ray.corner;
+            sighting[0].marker_id == ray.marker_id && sighting.iter().all(is_other)
+        };
+        match sightings.last_mut().filter(goes_on) {
+            Some(sighting) => sighting.push(*ray),
+            None => sightings.push(vec![*ray]),
+        }
+    }
+    sightings
+}
+
+fn is_same_place(place: &[CornerRay], sighting: &[CornerRay]) -> bool {
+    let near_rad = SAME_PLACE_SIDES * apparent_side_rad(place).max(apparent_side_rad(sighting));
+    place[0].marker_id == sighting[0].marker_id
+        && sighting.iter().all(|ray| {
+            let mut same = place.iter().filter(|other| other.corner == ray.corner);
+            same.all(|other| other.ray_in_camera.angle(&ray.ray_in_camera) <= near_rad)
+        })
+}
+
+fn merge(place: &mut Vec<CornerRay>, sighting: &[CornerRay]) {
+    for ray in sighting {
+        match place.iter_mut().find(|other| other.corner == ray.corner) {
+            Some(other) if ray.deviation_rad < other.deviation_rad => *other = *ray,
+            Some(_) => {}
+            None => place.push(*ray),
+        }
+    }
+}
+
+/// The widest angle between two of a marker's corners is a diagonal, or at least a side.
+fn apparent_side_rad(rays: &[CornerRay]) -> f64 {
+    rays.iter()
+        .flat_map(|a| rays.iter().map(|b| a.ray_in_camera.angle(&b.ray_in_camera)))
+        .fold(0.0, f64::max)
+        / 2f64.sqrt()
 }
 
 /// One ray, ready to be compared with where a pose puts its corner.
@@ -69,22 +127,17 @@ pub(super) struct SightedMarker<'a> {
     pub sights: Vec<Sight>,
 }
 
-/// The usable rays of the body's own markers, by rising id.
+/// The usable rays of the body's own markers, by rising id. A marker that is seen at two places is there twice.
 pub(super) fn sighted<'a>(
     body: &'a Body,
     rays: &[CornerRay],
     options: &super::PoseOptions,
 ) -> Vec<SightedMarker<'a>> {
-    keep_sharpest(rays)
-        .chunk_by(|a, b| a.marker_id == b.marker_id)
+    sightings(rays)
+        .iter()
         .filter_map(|rays| {
             let marker = body.marker(rays[0].marker_id)?;
-            // The widest angle between two of its corners is a diagonal, or at least a side.
-            let side_rad = rays
-                .iter()
-                .flat_map(|a| rays.iter().map(|b| a.ray_in_camera.angle(&b.ray_in_camera)))
-                .fold(0.0, f64::max)
-                / 2f64.sqrt();
+            let side_rad = apparent_side_rad(rays);
             let sight = |ray: &CornerRay| {
                 let weight = 1.0 / ray.deviation_rad;
                 let gate = (options.gate_side * side_rad * weight).max(options.gate_deviations);

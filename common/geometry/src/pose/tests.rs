@@ -39,7 +39,25 @@ fn the_sharper_of_two_sightings_stays() {
         ray(7, 3, 1e-3, f64::NAN),
         ray(7, 1, 1e-3, 0.6),
     ]);
-    assert_eq!(kept, [ray(3, 0, 1e-3, 0.2), ray(7, 1, 1e-3, 0.3)]);
+    // The corner of marker 7 has no side to tell by, so it is at three places.
+    assert_eq!(kept, [ray(3, 0, 1e-3, 0.2)]);
+}
+
+#[test]
+fn one_marker_at_two_places_is_outvoted_where_the_others_do_not_see_it() {
+    let (mut chance, body) = (Chance::new(5), body());
+    let pose = chance.pose(1.0);
+    let mut rays: Vec<CornerRay> =
+        body.markers.iter().flat_map(|marker| see(marker, &pose, 1e-4, &mut chance)).collect();
+    let honest = solve(&body, &rays, &PoseOptions::default()).unwrap();
+    // The same marker on another drone, nearer and sharper.
+    let elsewhere = Isometry3::translation(0.1, 0.3, -0.2) * pose;
+    let other = see(&body.markers[3], &elsewhere, 1e-5, &mut chance);
+    rays.splice(0..0, other);
+    let found = solve(&body, &rays, &PoseOptions::default()).unwrap();
+    let apart = honest[0].camera_from_markers.inverse() * found[0].camera_from_markers;
+    assert!(apart.translation.vector.norm() < 1e-3, "{apart}");
+    assert_eq!(found[0].inlier_corners, honest[0].inlier_corners);
 }
 
 proptest! {
