@@ -8,7 +8,8 @@ use flockeye_convert::{RadianceCache, image_of, view_of};
 use flockeye_geometry::body::Bodies;
 use flockeye_imaging::edges::Effort;
 
-use crate::detector::{Detector, Found};
+use crate::detector::Found;
+use crate::engine::Engine;
 use crate::parameters::DetectorParameters;
 use crate::plausible::keep_plausible;
 use crate::windows::thresholds;
@@ -20,7 +21,7 @@ const _: () = assert!(MAX_MARKERS <= MAX_DETECTED_MARKERS);
 /// Answers the views that are meant for one worker. An answer depends on the view alone, never on
 /// earlier ones.
 pub struct Core {
-    detector: Detector,
+    engine: Engine,
     bodies: Bodies,
     lights: RadianceCache,
     /// The sphere image's own resolution.
@@ -56,12 +57,13 @@ impl Core {
             },
             ..DetectorParameters::default()
         };
-        let detector = Detector::new(&bodies.dictionary, parameters)?
-            .with_mask(resolved.mask()?.clone())
-            .with_expected(bodies.iter().flat_map(|body| &body.markers).map(|marker| marker.id));
-        detector.dictionary().check(bodies)?;
+        let expected = bodies.iter().flat_map(|body| &body.markers).map(|marker| marker.id);
+        let kind = pipeline.detection.engine;
+        let engine = Engine::new(kind, &bodies.dictionary, parameters, expected)?
+            .with_mask(resolved.mask()?.clone());
+        engine.dictionary().check(bodies)?;
         Ok(Self {
-            detector,
+            engine,
             bodies: bodies.clone(),
             lights: RadianceCache::new(resolved.measured_response)?,
             pixels_per_radian: resolved.camera.pixels_per_radian(),
@@ -104,9 +106,9 @@ impl Core {
         let (image, view) = (image_of(header, pixels)?, view_of(header));
         let magnification = header.focal_px / self.pixels_per_radian;
         let kind = ViewKind::try_from(header.kind)?;
-        self.detector.set_thresholds(thresholds(kind, search, magnification))?;
-        self.detector.set_magnification(magnification);
-        let found = self.detector.detect(&image, &view, self.lights.of(header)?);
+        let thresholds = thresholds(kind, search, magnification);
+        let light = self.lights.of(header)?;
+        let found = self.engine.detect(&image, &view, light, magnification, thresholds)?;
         Ok(keep_plausible(found, &self.bodies))
     }
 }

@@ -16,6 +16,8 @@ pub mod candidates;
 pub mod core;
 mod darkness;
 mod detector;
+mod engine;
+mod opencv_detector;
 mod outlines;
 mod parameters;
 mod plausible;
@@ -27,6 +29,8 @@ mod three_corners;
 pub mod windows;
 
 pub use detector::{Detector, Found, MAX_DOUBTFUL};
+pub use engine::Engine;
+pub use opencv_detector::OpenCvDetector;
 pub use parameters::{DetectError, DetectorParameters};
 pub use plausible::keep_plausible;
 pub use quad::Quad;

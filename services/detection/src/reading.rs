@@ -10,14 +10,19 @@ use flockeye_geometry::view::ViewPixel;
 use flockeye_imaging::edges::MarkerPrint;
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::LinearLight;
-use flockeye_imaging::square::SquareInView;
+use flockeye_imaging::square::{SquareInView, mean_side_px};
 
 /// Standard deviations of the blurs that markers are compared at, in cells: a sharp marker, one with a
 /// side of 20 px, and one of 12 px, all with a lens's blur of about a pixel.
 const BLURS_CELLS: [f64; 3] = [0.15, 0.4, 0.65];
 
-/// Where the quiet zone is sampled, cells outside the square's edge: near the middle of its first cell.
+/// Where the quiet zone is sampled, cells outside the square's edge: near the middle of its first cell in small markers.
 const QUIET_CELLS: f64 = 0.45;
+
+/// In large markers it is sampled so many pixels outside the edge, beyond the lens's blur, but no nearer than
+/// [`MIN_QUIET_CELLS`]. Printed margins are often narrower than half a cell.
+const QUIET_PX: f64 = 1.5;
+const MIN_QUIET_CELLS: f64 = 0.2;
 
 /// Places of a cell where its radiance is sampled, along both axes, cells from its middle.
 const SAMPLE_CELLS: f64 = 0.2;
@@ -37,6 +42,8 @@ pub(crate) struct Reading {
     /// By how much the quiet zone is brighter than the border, as a share of the contrast inside the
     /// square: the least of the four sides.
     quiet_zone: f32,
+    /// By how much the quiet zone is brighter than the border, mean of the four sides.
+    edge_contrast: f32,
 }
 
 /// What a square reads as.
@@ -62,6 +69,8 @@ impl Reading {
     ) -> Option<Self> {
         let square = SquareInView::new(corners)?;
         let count = (bits + 2) as f64;
+        let cell_px = mean_side_px(corners) / count;
+        let quiet_cells = (QUIET_PX / cell_px).clamp(MIN_QUIET_CELLS, QUIET_CELLS);
         let at = |column: f64, row: f64| light.at(image, square.at(column / count, row / count));
         let cell = |column: usize, row: usize| -> Option<f32> {
             let (column, row) = (column as f64 + 0.5, row as f64 + 0.5);
@@ -76,7 +85,7 @@ impl Reading {
         for k in 1..=bits {
             let along = k as f64 + 0.5;
             let (near, far) = (0.5, count - 0.5);
-            let (out_near, out_far) = (-QUIET_CELLS, count + QUIET_CELLS);
+            let (out_near, out_far) = (-quiet_cells, count + quiet_cells);
             let pairs = [
                 ((along, out_near), (along, near)),
                 ((out_far, along), (far, along)),
@@ -103,7 +112,8 @@ impl Reading {
         let quiet_zone =
             sides.iter().map(|(quiet, border)| quiet - border).fold(f32::MAX, f32::min)
                 / contrast.max(1e-6);
-        Some(Self { cells, quiet_zone })
+        let edge_contrast = sides.iter().map(|(quiet, border)| quiet - border).sum::<f32>() / 4.0;
+        Some(Self { cells, quiet_zone, edge_contrast })
     }
 
     /// By how much the quiet zone is brighter than the border on the side where it is least so, as a share
@@ -142,6 +152,23 @@ impl Reader {
             templates
         });
         Self { bits, count, templates }
+    }
+
+    /// By how much white cells are brighter than black ones if a reading shows this marker, as a share of what the quiet
+    /// zone is brighter than the border.
+    pub(crate) fn cell_contrast(&self, reading: &Reading, print: &MarkerPrint) -> f32 {
+        let mean = reading.cells.iter().sum::<f32>() / reading.cells.len() as f32;
+        // The slope of the reading over the blurred print, at the blur that explains most of it.
+        let slope = BLURS_CELLS.map(|blur| {
+            let drawn = draw(print, self.bits, &kernel(blur));
+            let drawn_mean = drawn.iter().sum::<f32>() / drawn.len() as f32;
+            let pairs = || drawn.iter().map(|cell| cell - drawn_mean).zip(&reading.cells);
+            let product: f32 = pairs().map(|(drawn, cell)| drawn * (cell - mean)).sum();
+            let square: f32 = pairs().map(|(drawn, _)| drawn * drawn).sum();
+            (product * product / square.max(1e-9), product / square.max(1e-9))
+        });
+        let best = slope.into_iter().max_by(|a, b| a.0.total_cmp(&b.0));
+        best.map_or(0.0, |(_, slope)| slope / reading.edge_contrast.max(1e-6))
     }
 
     /// Correlates a reading with each marker. `None` for a reading without contrast.
@@ -313,7 +340,7 @@ mod tests {
             let cells = draw(dictionary.print(last).unwrap(), bits, &kernel(0.3));
             let cells = rotate(&rotate(&rotate(&cells, bits), bits), bits);
             let cells = cells.iter().enumerate().map(|(k, cell)| cell + 0.01 * (k % 7) as f32);
-            let reading = Reading { cells: cells.collect(), quiet_zone: 1.0 };
+            let reading = Reading { cells: cells.collect(), quiet_zone: 1.0, edge_contrast: 1.0 };
             let correlations = reader.compare(&reading).unwrap();
             for first_corner in 0..4 {
                 for id in 0..=last {
@@ -329,7 +356,7 @@ mod tests {
             assert_eq!((best.id, best.first_corner), (last, 1));
             assert!(correlations.best_among(std::iter::empty()).is_none());
         }
-        let flat = Reading { cells: vec![0.5; 25], quiet_zone: 1.0 };
+        let flat = Reading { cells: vec![0.5; 25], quiet_zone: 1.0, edge_contrast: 1.0 };
         let dictionary = Dictionary::load("DICT_5X5_250").unwrap();
         assert!(Reader::new(&dictionary).compare(&flat).is_none());
     }

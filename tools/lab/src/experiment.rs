@@ -1,10 +1,12 @@
-//! `flockeye experiment`: the paper's tables again, and how consistent covariances are. Each flight is
-//! a lossless run of the whole pipeline, in an instance of its own.
+//! `flockeye experiment`: the paper's tables again, detectors side by side, and how consistent covariances are. Each
+//! flight is a lossless run of the whole pipeline, in an instance of its own.
 
 mod comparison;
 mod consistency;
+mod detectors;
 mod laboratory;
 mod partitions;
+mod photographs;
 mod search;
 
 use clap::{Args, Subcommand};
@@ -13,6 +15,7 @@ use serde::Serialize;
 
 use comparison::ComparisonArguments;
 use consistency::ConsistencyArguments;
+use detectors::DetectorsArguments;
 
 /// Arguments of `experiment`.
 #[derive(Debug, Args)]
@@ -29,6 +32,8 @@ enum ExperimentKind {
     Partitions(ComparisonArguments),
     /// The paper's Table II: how a frame is searched, its two ways and ours.
     Search(ComparisonArguments),
+    /// Our detector beside OpenCV's, on flights or on a folder of photographs.
+    Detectors(DetectorsArguments),
     /// Whether errors are as large as their covariances say, over many simulated flights.
     Consistency(ConsistencyArguments),
 }
@@ -41,6 +46,9 @@ pub fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
     match &arguments.kind {
         ExperimentKind::Partitions(arguments) => show(&partitions::run(arguments)?, arguments.json),
         ExperimentKind::Search(arguments) => show(&search::run(arguments)?, arguments.json),
+        ExperimentKind::Detectors(arguments) => {
+            show(&detectors::run(arguments)?, arguments.comparison.json)
+        }
         ExperimentKind::Consistency(arguments) => {
             show(&consistency::run(arguments)?, arguments.json)
         }

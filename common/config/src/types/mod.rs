@@ -323,11 +323,24 @@ pub struct Detection {
     /// Markers with shorter sides are not looked for, pixels of the view.
     #[schemars(range(min = 8.0, max = 200.0))]
     pub min_side_px: f64,
+    /// Which detector searches the views.
+    pub engine: DetectionEngine,
+}
+
+/// Which detector searches the views (docs/DETECTION.md).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum DetectionEngine {
+    /// Ours.
+    #[default]
+    Own,
+    /// OpenCV's, with its default parameters, to compare ours with.
+    OpenCv,
 }
 
 impl Default for Detection {
     fn default() -> Self {
-        Self { min_side_px: 11.0 }
+        Self { min_side_px: 11.0, engine: DetectionEngine::Own }
     }
 }
 

@@ -1,0 +1,82 @@
+//! Which detector searches the views (`detection.engine`).
+
+use flockeye_config::DetectionEngine;
+use flockeye_dictionary::Dictionary;
+use flockeye_geometry::mask::Mask;
+use flockeye_geometry::view::View;
+use flockeye_imaging::image::LumaImage;
+use flockeye_imaging::light::LinearLight;
+
+use crate::detector::{Detector, Found};
+use crate::opencv_detector::OpenCvDetector;
+use crate::parameters::{DetectError, DetectorParameters};
+use crate::windows::Threshold;
+
+/// A detector for one dictionary.
+pub enum Engine {
+    /// Ours.
+    Own(Box<Detector>),
+    /// OpenCV's, with its default parameters.
+    OpenCv(OpenCvDetector),
+}
+
+impl Engine {
+    /// The detector of this kind for the dictionary of this name. `parameters` and the `expected` ids, of which a square
+    /// that cannot be decoded may be one, are for ours alone.
+    ///
+    /// # Errors
+    /// An unknown dictionary, a broken file, or a parameter outside its range.
+    pub fn new(
+        kind: DetectionEngine,
+        dictionary: &str,
+        parameters: DetectorParameters,
+        expected: impl IntoIterator<Item = u32>,
+    ) -> Result<Self, DetectError> {
+        Ok(match kind {
+            DetectionEngine::Own => {
+                let detector = Detector::new(dictionary, parameters)?.with_expected(expected);
+                Self::Own(Box::new(detector))
+            }
+            DetectionEngine::OpenCv => Self::OpenCv(OpenCvDetector::new(dictionary)?),
+        })
+    }
+
+    /// Leaves out markers on what `mask` hides.
+    pub fn with_mask(self, mask: Mask) -> Self {
+        match self {
+            Self::Own(detector) => Self::Own(Box::new(detector.with_mask(mask))),
+            Self::OpenCv(detector) => Self::OpenCv(detector.with_mask(mask)),
+        }
+    }
+
+    /// The dictionary.
+    pub fn dictionary(&self) -> &Dictionary {
+        match self {
+            Self::Own(detector) => detector.dictionary(),
+            Self::OpenCv(detector) => detector.dictionary(),
+        }
+    }
+
+    /// Finds every marker in `image`, which shows what `view` says and has `magnification` pixels for each of the
+    /// sphere's image, along either axis. By rising id, doubtful ones last.
+    ///
+    /// # Errors
+    /// Thresholds that no image can be searched with; what OpenCV says.
+    pub fn detect(
+        &mut self,
+        image: &LumaImage<'_>,
+        view: &View,
+        light: &LinearLight,
+        magnification: f64,
+        thresholds: impl Iterator<Item = Threshold> + Clone,
+    ) -> Result<Vec<Found>, DetectError> {
+        match self {
+            Self::Own(detector) => {
+                detector.set_thresholds(thresholds)?;
+                detector.set_magnification(magnification);
+                Ok(detector.detect(image, view, light))
+            }
+            Self::OpenCv(detector) => detector.detect(image, view),
+        }
+    }
+}

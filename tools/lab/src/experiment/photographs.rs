@@ -1,0 +1,226 @@
+//! Our detector and OpenCV's on the same photographs.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, ensure};
+use flockeye_cli::text_table::TextTable;
+use flockeye_config::DetectionEngine;
+use flockeye_contract::{Search, ViewKind};
+use flockeye_detection::{DetectorParameters, Engine, Found, windows};
+use flockeye_geometry::Ray;
+use flockeye_geometry::view::{View, ViewPixel};
+use flockeye_imaging::image::LumaImage;
+use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
+use nalgebra::Vector3;
+use opencv::imgcodecs::{IMREAD_GRAYSCALE, imread};
+use opencv::prelude::*;
+use serde::Serialize;
+
+/// Files with these endings are photographs.
+const ENDINGS: [&str; 3] = ["jpg", "jpeg", "png"];
+/// A photograph is taken to show so much from side to side, as most cameras do. Only what a mask hides depends on it.
+const FIELD_RAD: f64 = 1.1;
+/// Least side of a marker in each row of the table, pixels.
+const SIZES_PX: [f64; 5] = [0.0, 14.0, 20.0, 30.0, 60.0];
+/// Two markers of one id are the same if their centres are nearer than this share of their side.
+const SAME_PLACE_SHARE: f64 = 0.5;
+
+/// A marker in a photograph.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+struct Marker {
+    photograph: String,
+    id: u32,
+    /// Its centre, pixels.
+    at: [f64; 2],
+    /// The side of a square of the same area, pixels.
+    side_px: f64,
+}
+
+/// What was found of one size.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+struct Counts {
+    both: usize,
+    ours_alone: usize,
+    opencv_alone: usize,
+}
+
+/// What both detectors found.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub(super) struct PhotographComparison {
+    photographs: usize,
+    /// By the index of [`SIZES_PX`].
+    by_size: BTreeMap<usize, Counts>,
+    ours_alone: Vec<Marker>,
+    opencv_alone: Vec<Marker>,
+    /// Files that could not be read.
+    unreadable: Vec<PathBuf>,
+}
+
+/// Searches each photograph of a folder with both detectors.
+///
+/// # Errors
+/// No folder, no photograph in it, or an unknown dictionary. A photograph that cannot be read is named.
+pub(super) fn compare(folder: &Path, dictionary: &str) -> anyhow::Result<PhotographComparison> {
+    let mut ours =
+        Engine::new(DetectionEngine::Own, dictionary, DetectorParameters::default(), [])?;
+    let mut theirs =
+        Engine::new(DetectionEngine::OpenCv, dictionary, DetectorParameters::default(), [])?;
+    let light = LinearLight::new(TransferCurve::Srgb, CodeRange::Full)
+        .context("the curve of photographs")?;
+    let mut comparison = PhotographComparison::default();
+    let files = photographs(folder)?;
+    ensure!(
+        !files.is_empty(),
+        "{} holds no photograph. Cure: put .jpg, .jpeg or .png files in it",
+        folder.display()
+    );
+    for file in files {
+        let Some((pixels, width, height)) = read(&file) else {
+            comparison.unreadable.push(file);
+            continue;
+        };
+        let image = LumaImage::new(&pixels, width, height, width)?;
+        let side = width.max(height) as u32;
+        let view = View::looking_at(&Ray::new_normalize(Vector3::x()), FIELD_RAD, side);
+        let thresholds = || windows::thresholds(ViewKind::Partition, Search::AllWindows, 1.0);
+        let search = |engine: &mut Engine| -> anyhow::Result<Vec<Marker>> {
+            let found = engine.detect(&image, &view, &light, 1.0, thresholds())?;
+            Ok(found.iter().map(|found| marker(&file, found)).collect())
+        };
+        comparison.add(search(&mut ours)?, search(&mut theirs)?);
+    }
+    Ok(comparison)
+}
+
+fn photographs(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
+    let entries =
+        std::fs::read_dir(folder).with_context(|| format!("the folder {}", folder.display()))?;
+    let mut files: Vec<PathBuf> =
+        entries.map(|entry| Ok(entry?.path())).collect::<std::io::Result<_>>()?;
+    files.retain(|file| {
+        let ending = file.extension().and_then(|ending| ending.to_str()).unwrap_or_default();
+        ENDINGS.iter().any(|known| known.eq_ignore_ascii_case(ending))
+    });
+    files.sort();
+    Ok(files)
+}
+
+/// The luma of a photograph, its width and its height.
+fn read(file: &Path) -> Option<(Vec<u8>, usize, usize)> {
+    let mat = imread(file.to_str()?, IMREAD_GRAYSCALE).ok()?;
+    let pixels = mat.data_bytes().ok()?.to_vec();
+    (!pixels.is_empty()).then_some((pixels, mat.cols() as usize, mat.rows() as usize))
+}
+
+fn marker(file: &Path, found: &Found) -> Marker {
+    let [a, b, c, d] = found.corners_in_view.map(|ViewPixel(corner)| corner);
+    let area = ((c - a).perp(&(d - b)) / 2.0).abs();
+    let centre = (a + b + c + d) / 4.0;
+    Marker {
+        photograph: file.file_name().unwrap_or_default().to_string_lossy().into_owned(),
+        id: found.id,
+        at: [centre.x, centre.y],
+        side_px: area.sqrt(),
+    }
+}
+
+impl PhotographComparison {
+    /// Adds what both found in one photograph.
+    fn add(&mut self, ours: Vec<Marker>, mut theirs: Vec<Marker>) {
+        self.photographs += 1;
+        for marker in ours {
+            let counts = self.by_size.entry(size_of(&marker)).or_default();
+            match theirs.iter().position(|other| is_same(other, &marker)) {
+                Some(index) => {
+                    counts.both += 1;
+                    theirs.swap_remove(index);
+                }
+                None => {
+                    counts.ours_alone += 1;
+                    self.ours_alone.push(marker);
+                }
+            }
+        }
+        for marker in theirs {
+            self.by_size.entry(size_of(&marker)).or_default().opencv_alone += 1;
+            self.opencv_alone.push(marker);
+        }
+    }
+}
+
+fn size_of(marker: &Marker) -> usize {
+    SIZES_PX.iter().rposition(|least| marker.side_px >= *least).unwrap_or(0)
+}
+
+fn is_same(one: &Marker, other: &Marker) -> bool {
+    let apart = (one.at[0] - other.at[0]).hypot(one.at[1] - other.at[1]);
+    one.id == other.id && apart < SAME_PLACE_SHARE * one.side_px.max(other.side_px)
+}
+
+impl fmt::Display for PhotographComparison {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let titles = ["side px", "both", "ours alone", "OpenCV alone", "ours, of all", "OpenCV"];
+        let mut table = TextTable::new(1, &titles);
+        let mut row = |name: String, counts: Counts| {
+            let Counts { both, ours_alone, opencv_alone } = counts;
+            let all = (both + ours_alone + opencv_alone).max(1) as f64;
+            let share = |part: usize| format!("{:.1} %", 100.0 * part as f64 / all);
+            table.row([
+                name,
+                both.to_string(),
+                ours_alone.to_string(),
+                opencv_alone.to_string(),
+                share(both + ours_alone),
+                share(both + opencv_alone),
+            ]);
+        };
+        let mut all = Counts::default();
+        for (&size, &counts) in &self.by_size {
+            let name = match SIZES_PX.get(size + 1) {
+                Some(next) => format!("{:.0} to {next:.0}", SIZES_PX[size]),
+                None => format!("from {:.0}", SIZES_PX[size]),
+            };
+            row(name, counts);
+            all.both += counts.both;
+            all.ours_alone += counts.ours_alone;
+            all.opencv_alone += counts.opencv_alone;
+        }
+        row("all".to_owned(), all);
+        writeln!(f, "{} photographs", self.photographs)?;
+        write!(f, "{}", table.text())?;
+        for (whose, alone) in [("ours", &self.ours_alone), ("OpenCV", &self.opencv_alone)] {
+            for Marker { photograph, id, at: [x, y], side_px } in alone {
+                write!(
+                    f,
+                    "\n{whose} alone: {photograph}, id {id} at ({x:.0}, {y:.0}), {side_px:.0} px"
+                )?;
+            }
+        }
+        self.unreadable.iter().try_for_each(|file| write!(f, "\nunreadable: {}", file.display()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn marker(id: u32, x: f64, side_px: f64) -> Marker {
+        Marker { photograph: "a.jpg".into(), id, at: [x, 50.0], side_px }
+    }
+
+    #[test]
+    fn a_marker_is_the_same_if_id_and_place_are() {
+        let mut comparison = PhotographComparison::default();
+        let ours = vec![marker(3, 100.0, 20.0), marker(3, 200.0, 20.0), marker(7, 300.0, 80.0)];
+        let theirs = vec![marker(3, 205.0, 19.0), marker(8, 300.0, 80.0)];
+        comparison.add(ours, theirs);
+        let counts = |size| comparison.by_size.get(&size).copied().unwrap_or_default();
+        assert_eq!(counts(2), Counts { both: 1, ours_alone: 1, opencv_alone: 0 });
+        assert_eq!(counts(4), Counts { both: 0, ours_alone: 1, opencv_alone: 1 });
+        let text = comparison.to_string();
+        assert!(text.contains("OpenCV alone: a.jpg, id 8 at (300, 50), 80 px"), "{text}");
+        assert!(text.contains("from 60"), "{text}");
+    }
+}
