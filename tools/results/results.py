@@ -58,6 +58,11 @@ SIMULATED = {
     "gusts-sensor": ("simulated flights in gusts with an inertial sensor", [*GUSTS, "inertial.source=sim"],
                      range(2001, 2006), 100, ["lossless"]),
 }
+# Single images, half a second apart, in the wrong light.
+for name, stops, words in (("bright", 3, "3 stops too much"), ("dark", -4, "4 stops too little")):
+    SIMULATED[name] = (f"single images exposed by {words}",
+                       ["fusion.filter=none", f"simulator.exposure_stops={stops}", "simulator.distance_m=[0.6,4.0]",
+                        "simulator.frames_per_second=2"], range(2101, 2111), 25, ["lossless"])
 # Commands whose own words are kept: title, arguments, and which lines.
 EXPERIMENTS = {
     "consistency": ("Consistency of covariances", ["experiment", "consistency", "--runs", "50"], ""),
@@ -85,7 +90,7 @@ ROTATIONS = {"gyroscope": ("The visual gyroscope", "flight4/flight4.mp4", "fligh
 # Benchmarks whose words are kept: what the virtual clock of lossless runs goes by.
 # In the profile of the tests, whose computing crates are optimized like the release profile's.
 BENCH = ["cargo", "bench", "--locked", "--profile", "tested", "-p", "flockeye-tests", "--bench"]
-BENCHES = {"proposals": "Proposals", "costs": "Costs"}
+BENCHES = {"proposals": "Proposals", "costs": "Costs", "decisions": "Decisions about poses"}
 # Disturbances of a running pipeline: title, what of `flockeye chaos`, how many (another number: COUNT=200).
 SWAPPED = "detection,detection.1,rectification,egomotion,fusion"
 DISTURBED = {
@@ -568,6 +573,30 @@ def peers_figure(table):
     return "\n".join([*parts, "</svg>"]) + "\n"
 
 
+def decisions_figure(output):
+    """How many poses of nobody have log odds above x, beside what x says, from the table of the bench."""
+    start = next(at for at, line in enumerate(output) if line.startswith("log odds above   of nobody"))
+    rows = [[float(word) for word in line.split()] for line in output[start + 1:start + 10]]
+    most = math.log10(rows[0][1])
+    at = lambda x, y: f"{70 + 70 * x:.1f},{330 - 290 * max(0.0, math.log10(max(y, 1.0))) / most:.1f}"
+    parts = ['<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 660 400" font-family="sans-serif" font-size="14">',
+             '<rect width="660" height="400" fill="white"/>',
+             '<text x="70" y="22">poses of nobody with log odds above x</text>',
+             '<text x="350" y="388" text-anchor="middle">x</text>',
+             '<polyline points="70,40 70,330 630,330" fill="none" stroke="#888"/>']
+    for decade in range(int(most) + 1):
+        y = 330 - 290 * decade / most
+        parts.append(f'<text x="62" y="{y + 5:.1f}" text-anchor="end">{10 ** decade}</text>')
+    for x, *_ in rows:
+        parts.append(f'<text x="{70 + 70 * x:.1f}" y="350" text-anchor="middle">{x:.0f}</text>')
+    for name, column, colour, y in (("found", 1, "#1668b0", 60), ("stated: e^-x of those above 0", 2, "#d2691e", 80)):
+        shown = [row for row in rows if row[column] >= 1]
+        points = " ".join(at(row[0], row[column]) for row in shown)
+        parts.append(f'<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="2"/>')
+        parts.append(f'<text x="400" y="{y}" fill="{colour}">{name}</text>')
+    return "\n".join([*parts, "</svg>"]) + "\n"
+
+
 def readme_table(store):
     lines = ["| flight | flown | within 1.5 m | 1.5 to 2.2 m | 2.2 to 3 m | 3 to 4 m | false | "
              "latency median, 99 % |", "| --- " * 8 + "|"]
@@ -621,6 +650,11 @@ def render(store):
         figure = peers_figure(store["peers"]["output"]) if "peers" in store else None
         if figure:
             (ROOT / "docs/figures/peers.svg").write_text(figure)
+    if "decisions" in store:
+        (folder / "decisions.md").write_text(experiments_page(
+            "decisions", "[ALIGNMENT.md](../ALIGNMENT.md#what-is-accepted) says what the words mean.\n\n"
+            "![How often log odds are exceeded where nobody is](../figures/decisions.svg)", of(["decisions"])))
+        (ROOT / "docs/figures/decisions.svg").write_text(decisions_figure(store["decisions"]["output"]))
     if "costs" in store:
         (folder / "costs.md").write_text(costs_page(store["costs"]))
     readme = (ROOT / "README.md").read_text()

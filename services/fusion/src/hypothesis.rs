@@ -7,8 +7,7 @@
 
 use flockeye_geometry::body::{Bodies, Body};
 use flockeye_imaging::align::{
-    AlignOptions, Alignment, BodyPrint, Evidence, Motion, Picture, PrintError, UNAMBIGUOUS_FACETS,
-    align, reacquire,
+    AlignOptions, Alignment, BodyPrint, Motion, Picture, PrintError, align, least_lead, reacquire,
 };
 use flockeye_imaging::edges::MarkerPrint;
 use nalgebra::{Isometry3, Unit, Vector3};
@@ -19,21 +18,13 @@ use crate::policy::TimeBudget;
 /// share of the range.
 const DIFFERENT_ROTATION_RAD: f64 = 0.2;
 const DIFFERENT_POSITION: f64 = 0.05;
-/// Without a track, a pose on which only one facet decides needs this mean correlation, and every rival
-/// may have at most this share of its log-likelihood ratio. One marker of 14 px in the wrong attitude
-/// reached 0.71, and 1.2 times the right attitude's log-likelihood ratio.
-const ONE_FACET_CORRELATION: f64 = 0.8;
-const ONE_FACET_RIVAL: f64 = 0.33;
-/// Where two facets decide, every rival may have at most this share of the pose's evidence.
-const TWO_FACETS_RIVAL: f64 = 0.9;
-/// Where only the tilt tells a pose from its mirror pose, every rival within the tilt limit may have at
-/// most this share of its evidence, and at least this share of the body must look as modelled.
-const TILT_RIVAL: f64 = 0.3;
-const TILT_MIN_SHARE_SEEN: f64 = 0.5;
-/// A pose that has turned farther than this from its track's prediction, radians, needs enough agreeing
-/// facets. A neighbour that was out of sight for a third of a second may have turned by as much as its
-/// mirror pose, and the filter's gate allows for that.
-const IMPLAUSIBLE_TURN_RAD: f64 = 0.35;
+/// Log of the prior probability of a pose beyond the tilt limit: one in a thousand.
+const TILTED_LOG: f64 = -6.9;
+/// Standard deviation, about each axis, of the turn of right poses from their tracks' predictions, radians.
+const TURN_SIGMA_RAD: f64 = 0.15;
+/// The same of poses that alignment finds where no body is, from where it started: of 155 with log odds above 1 half had
+/// turned by more than 0.46 (docs/results/decisions.md).
+const FALSE_TURN_SIGMA_RAD: f64 = 0.3;
 
 /// The view that shows a body best.
 #[derive(Debug, Clone, Copy)]
@@ -133,7 +124,7 @@ impl Aligner {
     }
 
     /// Confirms where body `target` is, which its track `predicted`: aligns it from `starts` until one
-    /// leads to an accepted pose, else takes the result with the highest log-likelihood ratio that the
+    /// leads to a pose that is accepted by itself, else takes the most likely of those that the
     /// track or decoded markers support. Where the budget is spent, only the first start is tried.
     /// `is_marked` tells whether markers were decoded where a pose has them.
     pub fn confirm(
@@ -145,33 +136,29 @@ impl Aligner {
         budget: TimeBudget,
         is_marked: impl Fn(&Isometry3<f64>) -> bool,
     ) -> Option<Alignment> {
-        let mut best: Option<Alignment> = None;
+        let mut best: Option<(f64, Alignment)> = None;
         let max_starts = if budget == TimeBudget::Overspent { 1 } else { starts.len() };
         for start in starts.iter().take(max_starts) {
             let Some(found) = self.align(target, picture, start) else { continue };
-            if is_implausible_turn(&found, predicted) {
-                continue;
-            }
-            if found.is_accepted() {
+            let turn = turn_log(&found, predicted);
+            let is_predicted = found.is_accepted_with_track_prior(turn);
+            if is_predicted && found.is_accepted() {
                 return Some(found);
             }
-            let is_better = |best: &Alignment| found.evidence.log_ratio > best.evidence.log_ratio;
-            let is_supported =
-                found.is_accepted_with_track_prior() || is_supported_by_markers(&found, &is_marked);
-            if is_supported && best.as_ref().is_none_or(is_better) {
-                best = Some(found);
+            let log_odds = found.evidence.log_odds + turn;
+            let is_supported = is_predicted || is_supported_by_markers(&found, &is_marked);
+            if is_supported && best.as_ref().is_none_or(|(most, _)| log_odds > *most) {
+                best = Some((log_odds, found));
             }
         }
-        best
+        best.map(|(_, found)| found)
     }
 
-    /// Finds body `target`, of which no track is confirmed, from all of `starts`. The hypothesis with
-    /// the most evidence is accepted if enough facets agree with it, or if its rivals have much less.
+    /// Finds body `target`, of which no track is confirmed, from all of `starts`. The most likely hypothesis is
+    /// accepted if it is likely enough by itself, and much more likely than all its rivals together.
     /// Rivals are what the other starts led to, and the mirror pose of its most informative facet.
-    /// Where that does not decide, the best hypothesis within the tilt limit is compared with its rivals
-    /// within that limit.
     ///
-    /// With a limited budget the first accepted pose with enough facets ends the search: all eight starts
+    /// With a limited budget the first accepted pose that several facets tell ends the search: all eight starts
     /// of an untracked target took 113 ms, in which every other pose waits.
     pub fn initiate(
         &self,
@@ -184,52 +171,35 @@ impl Aligner {
         let mut found: Vec<Alignment> = Vec::new();
         for start in starts {
             found.extend(self.align(target, picture, start));
-            let is_certain = |found: &Alignment| {
-                found.is_accepted() && found.evidence.agreeing_facets >= UNAMBIGUOUS_FACETS
-            };
+            let is_certain =
+                |found: &Alignment| found.is_accepted() && found.evidence.is_unambiguous();
             if budget != TimeBudget::Unlimited && found.last().is_some_and(is_certain) {
                 break;
             }
         }
-        let candidates: Vec<&Alignment> = found
+        let best = found
             .iter()
             .filter(|found| found.is_accepted() || is_supported_by_markers(found, &is_marked))
-            .collect();
-        let best = with_most_evidence(candidates.iter().copied())?;
-        if best.evidence.agreeing_facets >= UNAMBIGUOUS_FACETS {
-            return Some(best.clone());
-        }
+            .max_by(|a, b| self.likelihood(target, a).total_cmp(&self.likelihood(target, b)))?;
         let mirror = self.mirror_of(target, picture, best);
-        if self.beats_rivals(target, best, found.iter().chain(&mirror)) {
-            return Some(best.clone());
+        let rivals = found.iter().chain(&mirror).filter(|other| !is_same(best, other));
+        // Starts that led to the same pose are one rival.
+        let mut distinct: Vec<&Alignment> = Vec::new();
+        for rival in rivals {
+            if !distinct.iter().any(|other| is_same(other, rival)) {
+                distinct.push(rival);
+            }
         }
-        let is_level = |found: &&Alignment| self.is_within_tilt(target, found) == Some(true);
-        let level = with_most_evidence(candidates.into_iter().filter(is_level))?;
-        let mirror =
-            if std::ptr::eq(level, best) { mirror } else { self.mirror_of(target, picture, level) };
-        let rivals = found.iter().chain(&mirror).filter(|other| !is_same(level, other));
-        let max_evidence = TILT_RIVAL * level.evidence.weighted_log_ratio();
-        let is_accepted = level.visible_share >= TILT_MIN_SHARE_SEEN
-            && rivals
-                .filter(is_level)
-                .all(|rival| rival.evidence.weighted_log_ratio() < max_evidence);
-        is_accepted.then(|| level.clone())
+        let best_log = self.likelihood(target, best);
+        let rivals: f64 =
+            distinct.iter().map(|rival| (self.likelihood(target, rival) - best_log).exp()).sum();
+        (rivals <= (-least_lead()).exp()).then(|| best.clone())
     }
 
-    /// Whether a hypothesis stands against all that differ from it.
-    fn beats_rivals<'a>(
-        &self,
-        target: usize,
-        best: &Alignment,
-        all: impl Iterator<Item = &'a Alignment>,
-    ) -> bool {
-        // Two facets are not enough for a pose that is tilted too far.
-        let by_two_facets =
-            best.evidence.is_unambiguous() && self.is_within_tilt(target, best) != Some(false);
-        let is_discriminative = by_two_facets || best.evidence.correlation > ONE_FACET_CORRELATION;
-        let mut rivals = all.filter(|other| !is_same(best, other));
-        is_discriminative
-            && rivals.all(|rival| has_margin(&best.evidence, &rival.evidence, by_two_facets))
+    /// Log odds of a hypothesis, with what is known of how neighbours fly.
+    fn likelihood(&self, target: usize, found: &Alignment) -> f64 {
+        let tilt = if self.is_within_tilt(target, found) == Some(false) { TILTED_LOG } else { 0.0 };
+        found.evidence.log_odds + tilt
     }
 
     /// What the mirror pose of a hypothesis, about its most informative facet, leads to.
@@ -274,23 +244,14 @@ impl Aligner {
     }
 }
 
-/// Whether a pose has turned farther from its track's prediction than so few facets can show.
-pub fn is_implausible_turn(found: &Alignment, predicted: &Isometry3<f64>) -> bool {
+/// Log of the likelihood ratio of a pose's turn from its track's prediction, if it is right against if it is false. A
+/// neighbour that was out of sight for a third of a second may have turned by as much as its mirror pose, and the
+/// filter's gate allows for that.
+pub fn turn_log(found: &Alignment, predicted: &Isometry3<f64>) -> f64 {
     let turn_rad = found.camera_from_markers.rotation.angle_to(&predicted.rotation);
-    turn_rad > IMPLAUSIBLE_TURN_RAD && found.evidence.agreeing_facets < UNAMBIGUOUS_FACETS
-}
-
-fn with_most_evidence<'a>(found: impl Iterator<Item = &'a Alignment>) -> Option<&'a Alignment> {
-    found.max_by(|a, b| a.evidence.weighted_log_ratio().total_cmp(&b.evidence.weighted_log_ratio()))
-}
-
-/// Whether a hypothesis has enough margin over a rival.
-fn has_margin(best: &Evidence, rival: &Evidence, by_two_facets: bool) -> bool {
-    if by_two_facets {
-        rival.weighted_log_ratio() < TWO_FACETS_RIVAL * best.weighted_log_ratio()
-    } else {
-        rival.log_ratio < ONE_FACET_RIVAL * best.log_ratio
-    }
+    // Two normal densities in three axes.
+    let density = |sigma: f64| -3.0 * sigma.ln() - 0.5 * (turn_rad / sigma).powi(2);
+    density(TURN_SIGMA_RAD) - density(FALSE_TURN_SIGMA_RAD)
 }
 
 /// Whether a pose that is too weak alone is supported by markers that were decoded where it has them.

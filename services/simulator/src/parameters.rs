@@ -41,6 +41,9 @@ pub struct WorldParameters {
     pub frames_per_second: f64,
     /// How long each frame is exposed, seconds.
     pub exposure_s: f64,
+    /// By how many stops pictures are brighter than they should be; darker if negative. Motion blur is that of
+    /// `exposure_s` all the same.
+    pub exposure_stops: f64,
     /// Sensitivity: shot noise grows with its root, read noise with itself. 0 is a picture without
     /// noise.
     pub iso: u32,
@@ -98,6 +101,7 @@ impl Default for WorldParameters {
             response: Response::default(),
             frames_per_second: 30.0,
             exposure_s: 0.00625,
+            exposure_stops: 0.0,
             iso: 400,
             read_noise: 0.0004,
             shot_noise: 0.0078,
@@ -141,6 +145,10 @@ impl WorldParameters {
                 "exposure_s {exposure_s}: must be 0 to one frame's time, {} s at {rate} frames/s",
                 1.0 / rate
             ),
+        );
+        refuse(
+            !within(self.exposure_stops, -8.0, 8.0),
+            format!("exposure_stops {}: must be -8 to 8", self.exposure_stops),
         );
         for (name, value) in [("read_noise", self.read_noise), ("shot_noise", self.shot_noise)] {
             refuse(

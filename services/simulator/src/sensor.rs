@@ -28,6 +28,8 @@ pub struct Sensor {
     shot_variance: f32,
     read_variance: f32,
     response: Response,
+    /// What the sensor makes of light 1: 2 if it is exposed twice as long as it should be.
+    gain: f32,
     sigma_of_level: [u8; 256],
     noise: Vec<i8>,
     seed: u64,
@@ -51,6 +53,7 @@ impl Sensor {
             shot_variance,
             read_variance,
             response,
+            gain: parameters.exposure_stops.exp2() as f32,
             sigma_of_level: [0; 256],
             noise: (0..noise)
                 .map(|_| (random.sample::<f32, _>(StandardNormal) * NOISE_UNIT).round() as i8)
@@ -58,18 +61,18 @@ impl Sensor {
             seed: parameters.seed,
         };
         sensor.sigma_of_level =
-            std::array::from_fn(|level| sensor.sigma_of_light(sensor.decode[level]));
+            std::array::from_fn(|level| sensor.sigma_of_light(sensor.light(level as u8)));
         sensor
     }
 
-    /// Linear light of a level.
+    /// Linear light of a level, in a picture that is exposed as it should be.
     pub fn light(&self, level: u8) -> f32 {
-        self.decode[usize::from(level)]
+        self.decode[usize::from(level)] / self.gain
     }
 
     /// Level of linear light, clipped at full scale.
     pub fn level(&self, light: f32) -> u8 {
-        let step = (light.max(0.0).sqrt() * ENCODING_STEPS as f32) as usize;
+        let step = ((light * self.gain).max(0.0).sqrt() * ENCODING_STEPS as f32) as usize;
         self.encode[step.min(ENCODING_STEPS - 1)]
     }
 
@@ -80,6 +83,7 @@ impl Sensor {
 
     /// Noise at a light that may lie above full scale, where clipping leaves none.
     pub fn sigma_of_light(&self, light: f32) -> u8 {
+        let light = light * self.gain;
         let sigma = (self.shot_variance * light + self.read_variance).sqrt();
         if light - 4.0 * sigma > 1.0 {
             return 0;
@@ -143,6 +147,19 @@ mod tests {
             assert_eq!(sensor.level(sensor.light(level)), level);
         }
         assert_eq!((sensor.level(-0.1), sensor.level(7.0)), (0, 255));
+    }
+
+    #[test]
+    fn a_picture_that_is_exposed_longer_is_brighter_and_clips() {
+        let exposed = |exposure_stops: f64| {
+            Sensor::new(&WorldParameters { exposure_stops, ..Default::default() })
+        };
+        let (usual, longer) = (exposed(0.0), exposed(2.0));
+        assert_eq!(longer.level(0.1), usual.level(0.4));
+        assert_eq!((longer.level(0.25), longer.level(0.9)), (255, 255));
+        assert_eq!(longer.sigma_of_light(0.1), usual.sigma_of_light(0.4));
+        assert!((longer.light(255) - 0.25).abs() < 1e-6);
+        assert_eq!(exposed(-3.0).level(0.8), usual.level(0.1));
     }
 
     #[test]

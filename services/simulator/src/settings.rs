@@ -44,6 +44,7 @@ pub fn parameters(resolved: &Resolved) -> anyhow::Result<WorldParameters> {
         response,
         frames_per_second: settings.frames_per_second,
         exposure_s: settings.exposure_ms * 1e-3,
+        exposure_stops: settings.exposure_stops,
         read_noise: usual.read_noise * settings.noise,
         shot_noise: usual.shot_noise * settings.noise,
         lens_blur_px: settings.lens_blur_px,

@@ -38,6 +38,9 @@ pub struct Simulator {
     /// Blur of the lens, sigma in pixels of the sphere image.
     #[schemars(range(min = 0.0, max = 5.0))]
     pub lens_blur_px: f64,
+    /// By how many stops pictures are brighter than they should be; darker if negative. Motion blur does not change.
+    #[schemars(range(min = -8.0, max = 8.0))]
+    pub exposure_stops: f64,
     /// Sensor noise as a multiple of the default camera's; 0: none.
     #[schemars(range(min = 0.0, max = 20.0))]
     pub noise: f64,
@@ -75,6 +78,7 @@ impl Default for Simulator {
             tilt_deg: 0.0,
             yaw_swing_deg_s: 0.0,
             lens_blur_px: 0.8,
+            exposure_stops: 0.0,
             noise: 1.0,
             airframes: true,
             inertial: SimulatedInertial::default(),

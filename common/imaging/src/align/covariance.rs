@@ -43,8 +43,8 @@ pub(super) struct Solved<'s> {
     /// How much of the weighted squares of the residuals, in standard deviations, the last step explains,
     /// priors included.
     pub explained: f64,
-    /// The residuals, one for each sample.
-    pub residuals: &'s [f32],
+    /// The residuals, one for each sample; `None` where a sample says nothing.
+    pub residuals: &'s [Option<f32>],
     /// Residual sigma of each facet.
     pub sigmas: &'s [f64],
 }
@@ -62,19 +62,19 @@ pub(super) fn of_pose(
     let influences: Vec<Influence> = samples
         .iter()
         .zip(residuals)
-        .map(|(sample, &residual)| {
-            let in_sigmas = f64::from(residual) / sigmas[usize::from(sample.facet)];
-            Influence {
+        .filter_map(|(sample, &residual)| {
+            let in_sigmas = f64::from(residual?) / sigmas[usize::from(sample.facet)];
+            Some(Influence {
                 x: usize::from(sample.x),
                 y: usize::from(sample.y),
                 sigmas: estimator.add(in_sigmas) as f32,
-            }
+            })
         })
         .collect();
     let correlation = residual_correlation(patch.width, patch.height, &influences);
     // Effective degrees of freedom of a ridge regression: of each unknown, the share that samples
     // determine and priors do not.
-    let independent = samples.len() as f64 / correlation;
+    let independent = influences.len() as f64 / correlation;
     let absorbed = inverse.component_mul(from_samples).sum();
     let free = (independent - absorbed).max(MIN_FREE_SHARE * independent);
     let unexplained = unexplained_share(explained, estimator.weighted_squares);

@@ -11,6 +11,9 @@ use super::state::{BLACK_SHARE_PRIOR, COMMON, Layout, State};
 /// Two numbers for each facet need no more samples than about this.
 const MAX_SAMPLES: usize = 1500;
 
+/// A saturated pixel that has at least this share of its radiance by the levels so far says nothing of them.
+const SATURATED_SHARE: f64 = 0.9;
+
 /// Finds the white and black levels that explain the samples best, by linear least squares, and puts
 /// them in `state`. Returns the residual sigma of each facet.
 pub(super) fn fit_levels(
@@ -20,57 +23,93 @@ pub(super) fn fit_levels(
     layout: &Layout,
     state: &mut State,
 ) -> Option<Vec<f64>> {
-    let count = layout.facets().count();
-    // A facet has an index if it faces the camera, as the facets of `Scene::shares` do.
-    let slot = |facet: usize| Some((layout.level(facet)? - COMMON) / 2);
-    let mut normal = DMatrix::<f64>::zeros(2 * count, 2 * count);
-    let mut right = DVector::<f64>::zeros(2 * count);
     let step = (samples.len() / MAX_SAMPLES).max(1);
     let samples: Vec<Sample> = samples.iter().step_by(step).copied().collect();
-    let samples = samples.as_slice();
-    let mut rows: Vec<FacetShares> = Vec::with_capacity(samples.len());
-    // Radiance of each sample without the background's part.
-    let mut radiances = Vec::with_capacity(samples.len());
-    for sample in samples {
-        let (mut row, used) = scene.shares(sample.facets(), &sample.direction(patch));
-        for (facet, ..) in &mut row[..used] {
-            *facet = slot(*facet)?;
-        }
-        let covered: f64 = row[..used].iter().map(|(_, white, black)| white + black).sum();
-        let radiance = f64::from(sample.radiance) - f64::from(sample.background) * (1.0 - covered);
-        for &(slot, white, black) in &row[..used] {
-            right[2 * slot] += white * radiance;
-            right[2 * slot + 1] += black * radiance;
-            for &(other, other_white, other_black) in &row[..used] {
-                normal[(2 * slot, 2 * other)] += white * other_white;
-                normal[(2 * slot, 2 * other + 1)] += white * other_black;
-                normal[(2 * slot + 1, 2 * other)] += black * other_white;
-                normal[(2 * slot + 1, 2 * other + 1)] += black * other_black;
-            }
-        }
-        rows.push((row, used));
-        radiances.push(radiance);
+    let rows = Rows::new(patch, scene, &samples, layout)?;
+    let mut levels = rows.levels(|_| true)?;
+    if samples.iter().any(|sample| sample.is_saturated) {
+        let modelled: Vec<f64> = (0..samples.len()).map(|k| rows.modelled(k, &levels)).collect();
+        levels = rows.levels(|k| {
+            let least = SATURATED_SHARE * rows.radiances[k];
+            !samples[k].is_saturated || modelled[k] < least
+        })?;
     }
-    let mean =
-        samples.iter().map(|sample| f64::from(sample.radiance)).sum::<f64>() / samples.len() as f64;
-    for slot in 0..count {
-        // A weak prior: a facet without black cells, or hardly visible, takes the mean's levels.
-        for (k, level) in [(0, mean), (1, BLACK_SHARE_PRIOR.0 * mean)] {
-            normal[(2 * slot + k, 2 * slot + k)] += 1e-3;
-            right[2 * slot + k] += 1e-3 * level;
-        }
-    }
-    let levels = normal.cholesky()?.solve(&right);
-    let mut residuals = Vec::with_capacity(samples.len());
-    for (radiance, (row, used)) in radiances.iter().zip(&rows) {
-        let model: f64 = row[..*used]
-            .iter()
-            .map(|&(slot, white, black)| white * levels[2 * slot] + black * levels[2 * slot + 1])
-            .sum();
-        residuals.push((radiance - model) as f32);
-    }
+    let residuals: Vec<Option<f32>> = (0..samples.len())
+        .map(|k| {
+            let residual = rows.radiances[k] - rows.modelled(k, &levels);
+            (!samples[k].is_saturated || residual > 0.0).then_some(residual as f32)
+        })
+        .collect();
     for (facet, at) in layout.facets() {
         state.levels[facet] = [levels[at - COMMON], levels[at - COMMON + 1]];
     }
-    Some(facet_sigmas(samples, &residuals, state.levels.len()))
+    Some(facet_sigmas(&samples, &residuals, state.levels.len()))
+}
+
+/// What each sample shows of each level.
+struct Rows {
+    shares: Vec<FacetShares>,
+    /// Radiance of each sample without the background's part.
+    radiances: Vec<f64>,
+    /// Mean radiance of the samples.
+    mean: f64,
+    facets: usize,
+}
+
+impl Rows {
+    fn new(patch: &Patch, scene: &Scene<'_>, samples: &[Sample], layout: &Layout) -> Option<Self> {
+        // A facet has an index if it faces the camera, as the facets of `Scene::shares` do.
+        let slot = |facet: usize| Some((layout.level(facet)? - COMMON) / 2);
+        let mut shares: Vec<FacetShares> = Vec::with_capacity(samples.len());
+        let mut radiances = Vec::with_capacity(samples.len());
+        for sample in samples {
+            let (mut row, used) = scene.shares(sample.facets(), &sample.direction(patch));
+            for (facet, ..) in &mut row[..used] {
+                *facet = slot(*facet)?;
+            }
+            let covered: f64 = row[..used].iter().map(|(_, white, black)| white + black).sum();
+            let background = f64::from(sample.background) * (1.0 - covered);
+            shares.push((row, used));
+            radiances.push(f64::from(sample.radiance) - background);
+        }
+        let sum: f64 = samples.iter().map(|sample| f64::from(sample.radiance)).sum();
+        let (mean, facets) = (sum / samples.len() as f64, layout.facets().count());
+        Some(Self { shares, radiances, mean, facets })
+    }
+
+    /// The levels that explain the samples of which `counts` is true.
+    fn levels(&self, counts: impl Fn(usize) -> bool) -> Option<DVector<f64>> {
+        let mut normal = DMatrix::<f64>::zeros(2 * self.facets, 2 * self.facets);
+        let mut right = DVector::<f64>::zeros(2 * self.facets);
+        for (k, (row, used)) in self.shares.iter().enumerate().filter(|(k, _)| counts(*k)) {
+            let radiance = self.radiances[k];
+            for &(slot, white, black) in &row[..*used] {
+                right[2 * slot] += white * radiance;
+                right[2 * slot + 1] += black * radiance;
+                for &(other, other_white, other_black) in &row[..*used] {
+                    normal[(2 * slot, 2 * other)] += white * other_white;
+                    normal[(2 * slot, 2 * other + 1)] += white * other_black;
+                    normal[(2 * slot + 1, 2 * other)] += black * other_white;
+                    normal[(2 * slot + 1, 2 * other + 1)] += black * other_black;
+                }
+            }
+        }
+        for slot in 0..self.facets {
+            // A weak prior: a facet without black cells, or hardly visible, takes the mean's levels.
+            for (k, level) in [(0, self.mean), (1, BLACK_SHARE_PRIOR.0 * self.mean)] {
+                normal[(2 * slot + k, 2 * slot + k)] += 1e-3;
+                right[2 * slot + k] += 1e-3 * level;
+            }
+        }
+        Some(normal.cholesky()?.solve(&right))
+    }
+
+    /// What a sample should have of the levels, without the background's part.
+    fn modelled(&self, k: usize, levels: &DVector<f64>) -> f64 {
+        let (row, used) = &self.shares[k];
+        row[..*used]
+            .iter()
+            .map(|&(slot, white, black)| white * levels[2 * slot] + black * levels[2 * slot + 1])
+            .sum()
+    }
 }

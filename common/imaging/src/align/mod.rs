@@ -43,7 +43,7 @@ mod samples;
 mod solve;
 mod state;
 
-pub use acceptance::UNAMBIGUOUS_FACETS;
+pub use acceptance::least_lead;
 pub use alignment::{AlignError, AlignOptions, Alignment};
 pub use evidence::Evidence;
 pub use patch::{Motion, Picture};
@@ -128,7 +128,7 @@ pub fn reacquire(
             let start = State { patch_from_markers, ..state.clone() };
             view.align(print, start, &options).ok().filter(Alignment::is_accepted)
         })
-        .max_by(|a, b| a.evidence.log_ratio.total_cmp(&b.evidence.log_ratio))
+        .max_by(|a, b| a.evidence.log_odds.total_cmp(&b.evidence.log_odds))
 }
 
 fn is_valid(start: &Isometry3<f64>, picture: &Picture<'_>) -> bool {
@@ -244,8 +244,8 @@ impl PreparedView {
         let Self { patch, settings } = self;
         let compare = |state: &State, samples: &[Sample]| {
             let samples_per_pixel = settings.prior.samples_per_pixel();
-            let limits = &acceptance::FACET_LIMITS;
-            Comparison::new(patch, print, state, samples, samples_per_pixel, limits)
+            let agreeing = acceptance::AGREEING_CORRELATION;
+            Comparison::new(patch, print, state, samples, samples_per_pixel, agreeing)
         };
         let mut fit = solve::fit(patch, print, state, &[], settings).ok_or(AlignError::Nothing)?;
         let mut comparison = compare(&fit.state, &fit.samples);

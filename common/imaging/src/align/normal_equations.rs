@@ -24,8 +24,8 @@ const LEVELS: usize = COMMON + 2;
 pub(super) struct Sums {
     pub normal: DMatrix<f64>,
     pub right: DVector<f64>,
-    /// Residual of each sample, radiance.
-    pub residuals: Vec<f32>,
+    /// Residual of each sample, radiance; `None` where a sample says nothing ([`Sample::residual`]).
+    pub residuals: Vec<Option<f32>>,
 }
 
 /// One pass over the samples.
@@ -143,8 +143,9 @@ impl Pass<'_> {
             let background = f64::from(sample.background);
             let seams = sample.seams(self.print);
             let modelled = model(scene, state, sample.facets(), seams, background, &direction);
-            let residual = f64::from(sample.radiance) - modelled.radiance;
-            sums.residuals.push(residual as f32);
+            let residual = sample.residual(modelled.radiance);
+            sums.residuals.push(residual.map(|residual| residual as f32));
+            let Some(residual) = residual else { continue };
             let precision = 1.0 / self.sigmas[usize::from(sample.facet)].powi(2);
             let term = if self.is_robust { cauchy_term(residual.powi(2) * precision) } else { 0.0 };
             let weight = precision / (1.0 + term);

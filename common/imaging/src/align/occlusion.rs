@@ -50,7 +50,7 @@ impl Occlusion {
         state: &State,
         sigmas: &[f64],
         samples: &[Sample],
-        residuals: &[f32],
+        residuals: &[Option<f32>],
     ) {
         let noise = MIN_RESIDUAL_SIGMAS * reference_sigma(sigmas, samples);
         let reach_px = REACH_BLURS * (state.blur.trace().max(0.0) / 2.0).sqrt();
@@ -59,7 +59,8 @@ impl Occlusion {
         self.pixels = vec![false; patch.width * patch.height];
         for (sample, &residual) in samples.iter().zip(residuals) {
             let [white, _] = state.levels[usize::from(sample.facet)];
-            if f64::from(residual).abs() > noise.max(MIN_RESIDUAL_SHARE * white) {
+            let size = residual.map_or(0.0, |residual| f64::from(residual).abs());
+            if size > noise.max(MIN_RESIDUAL_SHARE * white) {
                 mark_disc(&mut self.pixels, patch, sample, reach);
             }
         }

@@ -48,12 +48,14 @@ pub struct Motion {
     pub exposure_s: f64,
 }
 
-/// Radiance of pixels, row by row; NaN where a pixel is saturated.
+/// Radiance of pixels, row by row.
 #[derive(Debug, Clone)]
 pub(super) struct Patch {
     pub width: usize,
     pub height: usize,
     pub radiance: Vec<f32>,
+    /// Whether a pixel is saturated: its radiance is at least what is stated.
+    pub saturated: Vec<bool>,
     pub pinhole: Pinhole,
     pub view_from_camera: UnitQuaternion<f64>,
     /// Curvature of the camera's curve; see [`LinearLight::bend`].
@@ -105,16 +107,19 @@ impl Patch {
             return None;
         }
         let mut pixels = vec![0.0f32; columns * rows];
+        let mut saturated = vec![false; columns * rows];
         let table = light.table();
         let share = 1.0 / (step * step) as f32;
         for y in 0..rows {
             let out = &mut pixels[y * columns..][..columns];
+            let saturated = &mut saturated[y * columns..][..columns];
             for line in 0..step {
                 let row = &image.row(top + y * step + line)[left..];
-                for (out, block) in out.iter_mut().zip(row.chunks_exact(step)) {
+                let pixels = out.iter_mut().zip(saturated.iter_mut());
+                for ((out, saturated), block) in pixels.zip(row.chunks_exact(step)) {
                     for &code in block {
-                        // A sum with a NaN is NaN.
-                        *out += if code >= SATURATED { f32::NAN } else { table[usize::from(code)] };
+                        *out += table[usize::from(code)];
+                        *saturated |= code >= SATURATED;
                     }
                 }
             }
@@ -133,24 +138,24 @@ impl Patch {
             width: columns,
             height: rows,
             radiance: pixels,
+            saturated,
             pinhole,
             view_from_camera,
             code_bend,
         })
     }
 
-    /// The radiance of a pixel; NaN where it is saturated.
+    /// The radiance of a pixel; at least so much where it is saturated.
     #[inline]
     pub fn at(&self, x: usize, y: usize) -> f32 {
         self.radiance[y * self.width + x]
     }
 
     /// The radiance of the pixel nearest to a point; outside the patch, that of the nearest pixel at the
-    /// rim. Saturated pixels count as nominal white.
+    /// rim.
     pub fn nearest(&self, x: f64, y: f64) -> f32 {
         let within = |at: f64, size: usize| (at.round().max(0.0) as usize).min(size - 1);
-        let radiance = self.at(within(x, self.width), within(y, self.height));
-        if radiance.is_nan() { 1.0 } else { radiance }
+        self.at(within(x, self.width), within(y, self.height))
     }
 
     /// A pose in the camera frame, turned into the patch's frame, whose axes are the view's.
@@ -158,8 +163,7 @@ impl Patch {
         self.view_from_camera * camera_from_markers
     }
 
-    /// The patch blurred by a Gaussian of standard deviation `sigma_px`. NaN pixels add nothing and stay
-    /// NaN.
+    /// The patch blurred by a Gaussian of standard deviation `sigma_px`. The same pixels stay saturated.
     pub fn blurred(&self, sigma_px: f64) -> Self {
         let reach = (3.0 * sigma_px).ceil() as usize;
         let kernel: Vec<f32> =
@@ -172,8 +176,8 @@ impl Patch {
 
 /// Convolves `lines` lines of `length` values with a symmetric kernel.
 ///
-/// Values are `step` apart along a line and `stride` apart from line to line. At the ends and next to NaN
-/// the kernel is normalized over the values that exist.
+/// Values are `step` apart along a line and `stride` apart from line to line. At the ends the kernel is normalized over the
+/// values that exist.
 fn convolve(
     values: &[f32],
     length: usize,
@@ -182,22 +186,16 @@ fn convolve(
     stride: usize,
     kernel: &[f32],
 ) -> Vec<f32> {
-    let mut out = vec![f32::NAN; values.len()];
+    let mut out = vec![0.0; values.len()];
     for line in 0..lines {
         for at in 0..length {
             let place = line * stride + at * step;
-            if values[place].is_nan() {
-                continue;
-            }
             let first = at.saturating_sub(kernel.len() - 1);
             let last = (at + kernel.len()).min(length);
             let (mut sum, mut weight) = (0.0, 0.0);
             for other in first..last {
-                let value = values[line * stride + other * step];
-                if !value.is_nan() {
-                    sum += kernel[at.abs_diff(other)] * value;
-                    weight += kernel[at.abs_diff(other)];
-                }
+                sum += kernel[at.abs_diff(other)] * values[line * stride + other * step];
+                weight += kernel[at.abs_diff(other)];
             }
             out[place] = sum / weight;
         }

@@ -100,14 +100,18 @@ pub(super) fn residual_correlation(width: usize, height: usize, influences: &[In
     (products / squares.max(f64::MIN_POSITIVE)).max(1.0)
 }
 
-/// Robust standard deviation of each facet's residuals.
-pub(super) fn facet_sigmas(samples: &[Sample], residuals: &[f32], facets: usize) -> Vec<f64> {
+/// Robust standard deviation of each facet's residuals; `None` for a sample that says nothing.
+pub(super) fn facet_sigmas(
+    samples: &[Sample],
+    residuals: &[Option<f32>],
+    facets: usize,
+) -> Vec<f64> {
     let mut by_facet: Vec<Vec<f32>> = vec![Vec::new(); facets];
     for (sample, residual) in samples.iter().zip(residuals) {
-        by_facet[usize::from(sample.facet)].push(residual.abs());
+        by_facet[usize::from(sample.facet)].extend(residual.map(f32::abs));
     }
     let of_all = {
-        let mut all: Vec<f32> = residuals.iter().map(|residual| residual.abs()).collect();
+        let mut all: Vec<f32> = residuals.iter().flatten().map(|residual| residual.abs()).collect();
         sigma_from_median(&mut all)
     };
     let mut sigmas: Vec<f64> = by_facet

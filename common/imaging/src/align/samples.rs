@@ -35,6 +35,8 @@ pub(super) struct Sample {
     pub x: u16,
     pub y: u16,
     pub radiance: f32,
+    /// Whether its radiance may be more than that.
+    pub is_saturated: bool,
     /// Radiance of the background next to the body, outside the nearest silhouette edge. The pixel's own
     /// radiance where no silhouette is within reach.
     pub background: f32,
@@ -50,6 +52,14 @@ pub(super) struct Sample {
 const NONE: u8 = u8::MAX;
 
 impl Sample {
+    /// By how much it is brighter than `modelled`. `None` where that says nothing: a saturated pixel is at least as bright
+    /// as it seems.
+    #[inline(always)]
+    pub fn residual(&self, modelled: f64) -> Option<f64> {
+        let residual = f64::from(self.radiance) - modelled;
+        (!self.is_saturated || residual > 0.0).then_some(residual)
+    }
+
     /// The direction of the pixel, scaled to depth 1.
     #[inline]
     pub fn direction(&self, patch: &Patch) -> Vector3<f64> {
@@ -112,9 +122,6 @@ pub(super) fn choose(
         let columns = bounds(0, patch.width);
         for y in bounds(1, patch.height) {
             for x in sides.within(y, &columns) {
-                if patch.at(x, y).is_nan() {
-                    continue;
-                }
                 let at = on_plane(&plane_from_pixel, x, y);
                 if let Some(reach) = reach(facet, blurred_facet, visible, margins, at) {
                     found.push((x as u16, y as u16, number, reach));
@@ -134,7 +141,8 @@ pub(super) fn choose(
             _ => radiance,
         };
         let Reach { edges, neighbours, .. } = reach;
-        Sample { x, y, radiance, background, facet: number, edges, neighbours }
+        let is_saturated = patch.saturated[usize::from(y) * patch.width + usize::from(x)];
+        Sample { x, y, radiance, is_saturated, background, facet: number, edges, neighbours }
     };
     let mut samples: Vec<Sample> = found.into_iter().step_by(step).map(sample).collect();
     // A stable sort keeps the order within a kind, so that sums are the same in every run.

@@ -152,23 +152,6 @@ fn a_single_facet_far_away_initiates_a_track_where_its_mirror_pose_is_tilted_too
 }
 
 #[test]
-fn two_facets_or_one_need_a_margin_over_rivals() {
-    let score = |log_ratio, correlation, discriminative_facets| Evidence {
-        log_ratio,
-        correlation,
-        discriminative_facets,
-        ..Evidence::default()
-    };
-    let twice = score(265.0, 0.42, 2);
-    assert!(has_margin(&twice, &score(200.0, 0.42, 1), true));
-    assert!(!has_margin(&twice, &score(244.0, 0.42, 1), true));
-    assert!(!has_margin(&twice, &score(200.0, 0.42, 1), false), "it stands on edge");
-    let alone = score(131.0, 0.90, 1);
-    assert!(has_margin(&alone, &score(24.0, 0.44, 1), false));
-    assert!(!has_margin(&alone, &score(60.0, 0.10, 1), false));
-}
-
-#[test]
 fn a_track_is_confirmed_farther_away_than_it_is_initiated() {
     let truth = pose(4.6, 0.9);
     let starts = [Start::Fine(truth)];

@@ -2,17 +2,14 @@
 //! interest are searched for markers.
 //!
 //! It takes a fraction of the time of a search, so a tracked target's pose leaves a few milliseconds
-//! after the exposure. It only accepts unambiguous poses; all others wait for their markers.
+//! after the exposure. It only accepts poses that are likely by themselves; all others wait for their markers.
 
 use flockeye_imaging::align::Alignment;
 use nalgebra::Isometry3;
 
-use crate::hypothesis::{Aligner, BestView, Start, is_implausible_turn};
+use crate::hypothesis::{Aligner, BestView, Start, turn_log};
 use crate::measurement::Measurement;
 use crate::parallel;
-
-/// Facets that must agree with a pose that no marker supports.
-const MIN_FACETS: u32 = 2;
 
 /// A region of interest that has been cut.
 #[derive(Debug, Clone, Copy)]
@@ -58,10 +55,9 @@ pub fn align(
     )
 }
 
-/// The measurement that an alignment gives without any marker, if it is unambiguous.
+/// The measurement that an alignment gives without any marker, if it is likely by itself and by the prediction.
 pub fn accepted(found: &Alignment, predicted: &Isometry3<f64>) -> Option<Measurement> {
-    let is_unambiguous = found.is_accepted()
-        && found.evidence.agreeing_facets >= MIN_FACETS
-        && !is_implausible_turn(found, predicted);
-    is_unambiguous.then(|| Measurement::aligned(found, 0))
+    let is_accepted =
+        found.is_accepted() && found.is_accepted_with_track_prior(turn_log(found, predicted));
+    is_accepted.then(|| Measurement::aligned(found, 0))
 }

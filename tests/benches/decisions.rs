@@ -1,0 +1,136 @@
+//! Decisions: how often is a pose wrong that alignment found, by what the picture says for it?
+//!
+//! Bodies are aligned in pictures that show them, from the right pose, from mirror poses, from other attitudes, and with
+//! another body's print; and in pictures that do not show them. Prints what the decisions accept of right and of wrong
+//! poses, by distance, blur and light. `make results PARTS=decisions` keeps it.
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used)]
+
+#[path = "decisions/pictures.rs"]
+mod pictures;
+#[path = "decisions/tally.rs"]
+mod tally;
+
+use flockeye_imaging::align::{AlignOptions, BodyPrint, Picture, align};
+use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
+use nalgebra::{Isometry3, Translation3, Vector3};
+
+use pictures::{Chance, Shown, Still};
+use tally::{Hypothesis, Kind, Tally};
+
+/// A pose is wrong if it is off by more than this.
+const WRONG_M: f64 = 0.1;
+const WRONG_RAD: f64 = 0.1745;
+/// Poses that differ by less are the same.
+const SAME_RAD: f64 = 0.2;
+/// Attitudes other than the right one that are tried for each body.
+const TURNS: usize = 3;
+/// Share of the facets by which a body is mirrored.
+const MIRRORS: f64 = 0.15;
+/// Places without a body that are tried in each picture as it is, and in each one that is exposed otherwise.
+const PLACES: usize = 60;
+const PLACES_EXPOSED: usize = 6;
+/// Nobody is looked for so near to a body, radians.
+const APART_RAD: f64 = 0.35;
+/// Bodies are looked for within these distances, metres.
+const RANGES_M: std::ops::Range<f64> = 0.6..4.0;
+/// Exposures of simulated pictures, stops from the right one.
+const STOPS: [f64; 8] = [-4.0, -3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0];
+
+fn main() {
+    // `cargo test` runs each benchmark once, without this word.
+    if !std::env::args().any(|argument| argument == "--bench") {
+        return;
+    }
+    let mut bench = Bench {
+        light: LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap(),
+        chance: Chance::new(77),
+        tally: Tally::default(),
+    };
+    pictures::simulated(|still| {
+        for stop in STOPS {
+            bench.judge(&still.exposed(stop), stop);
+        }
+    });
+    pictures::recorded(|still| bench.judge(still, 0.0));
+    bench.tally.print();
+}
+
+struct Bench {
+    light: LinearLight,
+    chance: Chance,
+    tally: Tally,
+}
+
+impl Bench {
+    /// Aligns what is and what is not in a picture.
+    fn judge(&mut self, still: &Still, stop: f64) {
+        for shown in &still.bodies {
+            if RANGES_M.contains(&shown.camera_from_markers.translation.vector.norm()) {
+                self.judge_body(still, shown, stop);
+            }
+        }
+        for _ in 0..if stop == 0.0 { PLACES } else { PLACES_EXPOSED } {
+            self.judge_place(still, stop);
+        }
+    }
+
+    fn judge_body(&mut self, still: &Still, shown: &Shown, stop: f64) {
+        let truth = &shown.camera_from_markers;
+        let own = &still.prints[shown.body];
+        let others = || still.prints.iter().enumerate().filter(|(k, _)| *k != shown.body);
+        let mut starts: Vec<(Kind, &BodyPrint, Isometry3<f64>)> = Vec::new();
+        starts.push((Kind::Right, own, self.chance.near(truth)));
+        for mirror in (0..).map_while(|facet| own.mirrored(facet, truth)) {
+            if self.chance.share() < MIRRORS {
+                starts.push((Kind::Mirrored, own, self.chance.near(&mirror)));
+            }
+        }
+        for _ in 0..TURNS {
+            let turned = Isometry3::from_parts(truth.translation, self.chance.attitude());
+            starts.push((Kind::Turned, own, turned));
+            starts.extend(others().map(|(_, print)| (Kind::Other, print, turned)));
+        }
+        starts.extend(others().map(|(_, print)| (Kind::Other, print, *truth)));
+        let view = still.view_of(truth);
+        let picture =
+            Picture::still(view.image(), view.view, &self.light, still.pixels_per_radian());
+        let options = AlignOptions::default();
+        for (kind, print, start) in starts {
+            let Ok(found) = align(print, &picture, &start, &options) else { continue };
+            let mirror = found.evidence.most_informative_facet.and_then(|facet| {
+                let mirror = print.mirrored(facet, &found.camera_from_markers)?;
+                align(print, &picture, &mirror, &options).ok()
+            });
+            let rival = mirror.filter(|mirror| {
+                let (mirror, found) = (&mirror.camera_from_markers, &found.camera_from_markers);
+                mirror.rotation.angle_to(&found.rotation) > SAME_RAD
+            });
+            let lead = rival
+                .map_or(f64::INFINITY, |rival| found.evidence.log_odds - rival.evidence.log_odds);
+            self.tally.add(match kind {
+                Kind::Other => Hypothesis::of_nobody(kind, still.origin, stop, found),
+                _ => Hypothesis::of(kind, still.origin, shown, stop, found, lead),
+            });
+        }
+    }
+
+    fn judge_place(&mut self, still: &Still, stop: f64) {
+        let range_m = RANGES_M.start + self.chance.share() * (RANGES_M.end - RANGES_M.start);
+        let position: Vector3<f64> = self.chance.direction() * range_m;
+        let is_near_a_body = |shown: &Shown| {
+            shown.camera_from_markers.translation.vector.angle(&position) < APART_RAD
+        };
+        if still.bodies.iter().any(is_near_a_body) {
+            return;
+        }
+        let start = Isometry3::from_parts(Translation3::from(position), self.chance.attitude());
+        let view = still.view_of(&start);
+        let picture =
+            Picture::still(view.image(), view.view, &self.light, still.pixels_per_radian());
+        for print in still.prints.iter() {
+            if let Ok(found) = align(print, &picture, &start, &AlignOptions::default()) {
+                self.tally.add(Hypothesis::of_nobody(Kind::Absent, still.origin, stop, found));
+            }
+        }
+    }
+}

@@ -1,0 +1,191 @@
+//! What each decision accepts of right and of wrong poses.
+
+use flockeye_fusion::hypothesis::turn_log;
+use flockeye_imaging::align::{Alignment, least_lead};
+
+use crate::pictures::Shown;
+use crate::{STOPS, WRONG_M, WRONG_RAD};
+
+/// Where an alignment began.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// Near the right pose.
+    Right,
+    /// Near a mirror pose of one of its facets.
+    Mirrored,
+    /// In any attitude, where the body is.
+    Turned,
+    /// Where another body is.
+    Other,
+    /// Where no body is.
+    Absent,
+}
+
+/// A pose that alignment found.
+pub struct Hypothesis {
+    pub kind: Kind,
+    pub origin: &'static str,
+    pub distance_m: f64,
+    pub blur_px: f64,
+    /// Exposure, stops from the right one.
+    pub stop: f64,
+    /// How far it is off; `None` where there is nothing to be right about.
+    pub off: Option<(f64, f64)>,
+    pub found: Alignment,
+    /// By how much its log odds exceed those of its mirror pose.
+    pub lead: f64,
+    /// What a track's prediction of the right pose says of it.
+    pub turn_log: f64,
+}
+
+impl Hypothesis {
+    pub fn of_nobody(kind: Kind, origin: &'static str, stop: f64, found: Alignment) -> Self {
+        let distance_m = found.camera_from_markers.translation.vector.norm();
+        let lead = f64::INFINITY;
+        let turn_log = 0.0;
+        Self { kind, origin, distance_m, blur_px: 0.0, stop, off: None, found, lead, turn_log }
+    }
+
+    pub fn of(
+        kind: Kind,
+        origin: &'static str,
+        shown: &Shown,
+        stop: f64,
+        found: Alignment,
+        lead: f64,
+    ) -> Self {
+        let (truth, pose) = (&shown.camera_from_markers, &found.camera_from_markers);
+        let off_m = (truth.translation.vector - pose.translation.vector).norm();
+        let off = Some((off_m, truth.rotation.angle_to(&pose.rotation)));
+        let distance_m = truth.translation.vector.norm();
+        let turn_log = turn_log(&found, truth);
+        let blur_px = shown.blur_px;
+        Self { kind, origin, distance_m, blur_px, stop, off, found, lead, turn_log }
+    }
+
+    fn is_right(&self) -> bool {
+        self.off.is_some_and(|(off_m, off_rad)| off_m < WRONG_M && off_rad < WRONG_RAD)
+    }
+
+    fn log_odds(&self) -> f64 {
+        self.found.evidence.log_odds
+    }
+
+    /// As a body without a track is accepted.
+    fn is_accepted(&self) -> bool {
+        self.found.is_accepted() && self.lead > least_lead()
+    }
+
+    /// As a body is accepted whose track predicts the right pose.
+    fn is_confirmed(&self) -> bool {
+        self.found.is_accepted_with_track_prior(self.turn_log)
+    }
+}
+
+/// A name, and what belongs to it.
+type Group = (String, Box<dyn Fn(&Hypothesis) -> bool>);
+
+/// All hypotheses.
+#[derive(Default)]
+pub struct Tally(Vec<Hypothesis>);
+
+impl Tally {
+    pub fn add(&mut self, hypothesis: Hypothesis) {
+        self.0.push(hypothesis);
+    }
+
+    pub fn print(&self) {
+        self.print_starts();
+        self.print_decisions();
+        self.print_calibration();
+        self.print_groups();
+    }
+
+    fn begun(&self, kind: Kind) -> impl Iterator<Item = &Hypothesis> {
+        self.0.iter().filter(move |hypothesis| hypothesis.kind == kind)
+    }
+
+    fn print_starts(&self) {
+        println!("begun      poses  right");
+        for kind in [Kind::Right, Kind::Mirrored, Kind::Turned, Kind::Other, Kind::Absent] {
+            let right = self.begun(kind).filter(|h| h.is_right()).count();
+            println!("{:<9} {:>6} {right:>6}", format!("{kind:?}"), self.begun(kind).count());
+        }
+    }
+
+    fn print_decisions(&self) {
+        println!("\naccepted                    right  wrong: of the body  of another  of nobody");
+        let right: Vec<_> = self.begun(Kind::Right).filter(|h| h.is_right()).collect();
+        let row = |name: &str, accepts: &dyn Fn(&Hypothesis) -> bool| {
+            let hits = right.iter().filter(|h| accepts(h)).count();
+            let wrong = |kinds: &[Kind]| {
+                let of = self.0.iter().filter(|h| kinds.contains(&h.kind) && !h.is_right());
+                of.filter(|h| accepts(h)).count()
+            };
+            println!(
+                "{name:<24} {:>6.1} % {:>19} {:>11} {:>10}",
+                100.0 * hits as f64 / right.len() as f64,
+                wrong(&[Kind::Right, Kind::Mirrored, Kind::Turned]),
+                wrong(&[Kind::Other]),
+                wrong(&[Kind::Absent]),
+            );
+        };
+        row("without a track", &Hypothesis::is_accepted);
+        row("as its track predicts", &Hypothesis::is_confirmed);
+        for least in 0..=8 {
+            row(&format!("log odds above {least}"), &|h| h.log_odds() > f64::from(least));
+        }
+        for least in [2.0, 4.0, 6.0] {
+            row(&format!("{least} and {least} before its mirror"), &|h| {
+                h.log_odds() > least && h.lead > least
+            });
+        }
+    }
+
+    /// Of poses where nobody is: how many have log odds above x, beside those above 0 times e^-x.
+    fn print_calibration(&self) {
+        let above = |least: f64| self.begun(Kind::Absent).filter(|h| h.log_odds() > least).count();
+        println!("\nlog odds above   of nobody   e^-x of those above 0");
+        for least in 0..=8 {
+            let least = f64::from(least);
+            let stated = above(0.0) as f64 * (-least).exp();
+            println!("{least:>14} {:>11} {stated:>23.1}", above(least));
+        }
+    }
+
+    fn print_groups(&self) {
+        println!(
+            "\nbegun near the right pose       poses  without a track  as predicted  log odds > 5"
+        );
+        let mut groups: Vec<Group> = Vec::new();
+        for (near, far) in [(0.6, 1.5), (1.5, 2.2), (2.2, 3.0), (3.0, 4.0)] {
+            let is_in = move |h: &Hypothesis| (near..far).contains(&h.distance_m) && h.stop == 0.0;
+            groups.push((format!("{near} to {far} m"), Box::new(is_in)));
+        }
+        for (least, most) in [(0.0, 1.0), (1.0, 2.0), (2.0, 4.0), (4.0, 99.0)] {
+            let is_in = move |h: &Hypothesis| (least..most).contains(&h.blur_px) && h.stop == 0.0;
+            groups.push((format!("blur {least} to {most} px"), Box::new(is_in)));
+        }
+        for stop in STOPS {
+            let is_in = move |h: &Hypothesis| h.stop == stop && h.origin == "simulated";
+            groups.push((format!("simulated, {stop:+} stops"), Box::new(is_in)));
+        }
+        for origin in ["flight1", "flight4", "stills"] {
+            groups.push((origin.to_owned(), Box::new(move |h| h.origin == origin)));
+        }
+        for (name, is_in) in groups {
+            let all: Vec<_> = self.begun(Kind::Right).filter(|h| is_in(h)).collect();
+            let share = |accepts: &dyn Fn(&Hypothesis) -> bool| {
+                let accepted = all.iter().filter(|h| h.is_right() && accepts(h)).count();
+                100.0 * accepted as f64 / all.len().max(1) as f64
+            };
+            println!(
+                "{name:<30} {:>6} {:>14.1} % {:>11.1} % {:>11.1} %",
+                all.len(),
+                share(&Hypothesis::is_accepted),
+                share(&Hypothesis::is_confirmed),
+                share(&|h| h.log_odds() > 5.0),
+            );
+        }
+    }
+}
