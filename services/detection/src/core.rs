@@ -136,7 +136,14 @@ mod tests {
     const FOCAL_PX: f64 = 3840.0 / std::f64::consts::TAU;
 
     fn core() -> Core {
-        let overrides = ["bodies.list=[{name: alpha, preset: squares}]".to_owned()];
+        core_with("own")
+    }
+
+    fn core_with(engine: &str) -> Core {
+        let overrides = [
+            "bodies.list=[{name: alpha, preset: squares}]".to_owned(),
+            format!("detection.engine={engine}"),
+        ];
         let pipeline = flockeye_config::Pipeline::parse("", &overrides, "a test");
         let resolved = Resolved::of(pipeline.expect("a configuration")).expect("its files");
         Core::new(&resolved, 2, 5).expect("nothing is missing")
@@ -196,6 +203,62 @@ mod tests {
         assert!((x - 99.5).abs() < 0.2 && (y - 199.5).abs() < 0.2, "{x} {y}");
         let [right, down, _] = record.markers[0].rays_in_camera[0];
         assert!(right < 0.0 && down < 0.0, "it is left of the middle, and above it");
+    }
+
+    #[test]
+    fn opencv_finds_the_same_markers() {
+        let pixels = drawn(&[(3, 100, 200), (240, 400, 300)], 6);
+        let [own, theirs] = ["own", "opencv"]
+            .map(|engine| core_with(engine).on_view(&view(), &pixels).expect("it is ours").markers);
+        let ids = |markers: &[DetectedMarker]| markers.iter().map(|m| m.id).collect::<Vec<u32>>();
+        assert_eq!(ids(&own), ids(&theirs));
+        for (own, theirs) in own.iter().zip(&theirs) {
+            let corners = own.corners_in_view.iter().zip(&theirs.corners_in_view);
+            for ([x, y], [their_x, their_y]) in corners {
+                assert!((x - their_x).hypot(y - their_y) < 2.0, "{own:?}, {theirs:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn one_id_at_two_places_is_reported_twice() {
+        let pixels = drawn(&[(3, 100, 200), (3, 400, 300)], 6);
+        for engine in ["own", "opencv"] {
+            let record = core_with(engine).on_view(&view(), &pixels).expect("it is ours");
+            let ids: Vec<u32> = record.markers.iter().map(|marker| marker.id).collect();
+            assert_eq!(ids, [3, 3], "{engine}");
+        }
+    }
+
+    #[test]
+    fn a_narrow_margin_on_something_dark_is_enough() {
+        let cell = 10;
+        let mut pixels = drawn(&[(3, 100, 200)], cell);
+        let (side, margin) = (7 * cell, 2 * cell / 5);
+        for (k, pixel) in pixels.iter_mut().enumerate() {
+            let (x, y) = (k % SIZE as usize, k / SIZE as usize);
+            let is_inside = (100 - margin..100 + side + margin).contains(&x)
+                && (200 - margin..200 + side + margin).contains(&y);
+            if !is_inside {
+                *pixel = 25;
+            }
+        }
+        let record = core().on_view(&view(), &pixels).expect("it is ours");
+        assert_eq!(record.header.hits, 1);
+    }
+
+    #[test]
+    fn an_empty_square_is_no_marker_whatever_its_noise_reads_as() {
+        let dictionary = Dictionary::load(core().dictionary()).expect("a known one");
+        let print = dictionary.print(3).expect("it is in the dictionary");
+        let mut pixels = drawn(&[(3, 100, 200)], 8);
+        for (y, x) in (8..48).flat_map(|y| (8..48).map(move |x| (y, x))) {
+            // The cells' own pattern, but hardly visible.
+            let is_white = print.is_white((y / 8) as isize, (x / 8) as isize);
+            pixels[(200 + y) * SIZE as usize + 100 + x] = if is_white { 40 } else { 30 };
+        }
+        let record = core().on_view(&view(), &pixels).expect("it is ours");
+        assert_eq!(record.header.hits, 0, "{:?}", record.markers);
     }
 
     #[test]
