@@ -17,7 +17,7 @@ pub enum Engine {
     /// Ours.
     Own(Box<Detector>),
     /// OpenCV's, with its default parameters.
-    OpenCv(OpenCvDetector),
+    OpenCv(Box<OpenCvDetector>),
 }
 
 impl Engine {
@@ -37,7 +37,7 @@ impl Engine {
                 let detector = Detector::new(dictionary, parameters)?.with_expected(expected);
                 Self::Own(Box::new(detector))
             }
-            DetectionEngine::OpenCv => Self::OpenCv(OpenCvDetector::new(dictionary)?),
+            DetectionEngine::OpenCv => Self::OpenCv(Box::new(OpenCvDetector::new(dictionary)?)),
         })
     }
 
@@ -45,7 +45,7 @@ impl Engine {
     pub fn with_mask(self, mask: Mask) -> Self {
         match self {
             Self::Own(detector) => Self::Own(Box::new(detector.with_mask(mask))),
-            Self::OpenCv(detector) => Self::OpenCv(detector.with_mask(mask)),
+            Self::OpenCv(detector) => Self::OpenCv(Box::new(detector.with_mask(mask))),
         }
     }
 
