@@ -5,6 +5,8 @@
 //! poses, by distance, blur and light. `make results PARTS=decisions` keeps it.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used)]
 
+#[path = "shared/frames.rs"]
+mod frames;
 #[path = "decisions/pictures.rs"]
 mod pictures;
 #[path = "decisions/tally.rs"]

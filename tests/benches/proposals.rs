@@ -2,10 +2,9 @@
 //! Prints a table for simulated gusts and for each recording. `make results PARTS=proposals` keeps it.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used)]
 
-use std::path::Path;
-use std::time::Duration;
+#[path = "shared/frames.rs"]
+mod frames;
 
-use flockeye_capture::{Event, Paced, Source, SourceParameters};
 use flockeye_config::{Pipeline, Resolved};
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::camera::Camera;
@@ -48,7 +47,8 @@ fn main() {
         let folder = data.join(name);
         let truth: Vec<TruthRow> = flockeye_record::read(&folder.join("truth.csv")).unwrap();
         let mut table = Table::default();
-        each_frame(&folder.join(pictures), |number, image| {
+        let camera = Camera::equirectangular(WIDTH, WIDTH / 2);
+        frames::each_frame(&folder.join(pictures), camera, |number, image| {
             let of_frame = truth.iter().filter(|row| row.frame == number);
             let eligible = of_frame.filter(|row| row.localisable == 1 && row.n_markers_vis90 >= 2);
             let shown = eligible.map(|row| (row.position(), row.blur_px));
@@ -88,25 +88,6 @@ fn simulated(seed: u64, mut each: impl FnMut(&SphereImage<'_>, &[Shown])) {
         let camera = Camera::equirectangular(WIDTH, WIDTH / 2);
         let image = SphereImage::new(&luma, WIDTH as usize, camera).unwrap();
         each(&image, &shown.collect::<Vec<Shown>>());
-    }
-}
-
-fn each_frame(path: &Path, mut each: impl FnMut(u64, &SphereImage<'_>)) {
-    let camera = Camera::equirectangular(WIDTH, WIDTH / 2);
-    let parameters = SourceParameters {
-        flow: Paced::Lossless,
-        ..SourceParameters::new(camera.width(), camera.height())
-    };
-    let mut source = Source::open(path.display().to_string().parse().unwrap(), parameters).unwrap();
-    for number in 0.. {
-        let picture = loop {
-            match source.next(Duration::from_secs(5)).unwrap() {
-                Event::Frame(picture) => break picture,
-                Event::End(_) => return,
-                _ => {}
-            }
-        };
-        each(number, &SphereImage::new(picture.luma(), picture.stride(), camera).unwrap());
     }
 }
 

@@ -222,7 +222,8 @@ def quantile(values, share):
 
 def evaluated(poses, truth, rotations=None):
     """What `flockeye eval` says, with the 99 % quantile and the false poses of each bin."""
-    turned = ["--rotations", str(rotations)] if rotations else []
+    # Single images have none.
+    turned = ["--rotations", str(rotations)] if rotations and (ROOT / rotations).stat().st_size else []
     said = json.loads(call(["eval", "--poses", str(poses), "--truth", str(truth), *turned, "--json"]))
     truth_rows = rows(truth)
     errors = errors_mm(rows(poses), truth_rows)

@@ -1,9 +1,6 @@
 //! Pictures with known bodies: simulated ones in any light, and recorded ones.
 
-use std::path::Path;
-use std::time::Duration;
-
-use flockeye_capture::{Event, Paced, Source, SourceParameters};
+use crate::frames::each_frame;
 use flockeye_config::{Pipeline, Resolved};
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::body::Bodies;
@@ -152,7 +149,7 @@ pub fn recorded(mut each: impl FnMut(&Still)) {
     for (origin, pictures, every) in RECORDINGS {
         let folder = data.join(origin);
         let truth: Vec<TruthRow> = flockeye_record::read(&folder.join("truth.csv")).unwrap();
-        each_frame(&folder.join(pictures), |number, luma| {
+        each_frame(&folder.join(pictures), camera(), |number, image| {
             if number % every != 0 {
                 return;
             }
@@ -168,30 +165,10 @@ pub fn recorded(mut each: impl FnMut(&Still)) {
                 Some(Shown { camera_from_markers, body, blur_px: row.blur_px })
             });
             let bodies = shown.collect();
+            let rows = image.pixels().chunks(image.stride());
+            let luma = rows.flat_map(|row| &row[..WIDTH as usize]).copied().collect();
             each(&Still { origin, luma, bodies, prints: prints.clone() });
         });
-    }
-}
-
-fn each_frame(path: &Path, mut each: impl FnMut(u64, Vec<u8>)) {
-    let camera = camera();
-    let parameters = SourceParameters {
-        flow: Paced::Lossless,
-        ..SourceParameters::new(camera.width(), camera.height())
-    };
-    let mut source = Source::open(path.display().to_string().parse().unwrap(), parameters).unwrap();
-    for number in 0.. {
-        let picture = loop {
-            match source.next(Duration::from_secs(5)).unwrap() {
-                Event::Frame(picture) => break picture,
-                Event::End(_) => return,
-                _ => {}
-            }
-        };
-        let (width, rows) = (camera.width() as usize, camera.height() as usize);
-        let luma = picture.luma();
-        let stride = picture.stride();
-        each(number, (0..rows).flat_map(|row| &luma[row * stride..][..width]).copied().collect());
     }
 }
 

@@ -39,6 +39,17 @@ fn until<T>(flight: &Flight, mut look: impl FnMut() -> Option<T>) -> T {
     }
 }
 
+/// A session that is linked with the router or gateway at an endpoint.
+fn client_of(endpoint: &str) -> zenoh::Session {
+    let config = serde_json::json!({
+        "mode": "client",
+        "connect": { "endpoints": [endpoint], "timeout_ms": 20_000 },
+        "scouting": { "multicast": { "enabled": false } },
+    });
+    let config = zenoh::Config::from_json5(&config.to_string()).expect("it is a configuration");
+    zenoh::open(config).wait().expect("somebody is there")
+}
+
 #[test]
 fn nodes_of_ros_2_hear_where_neighbours_are() {
     let router = tcp(free_port());
@@ -47,13 +58,7 @@ fn nodes_of_ros_2_hear_where_neighbours_are() {
     let _router = Beside::start(command);
     let flight =
         fly(&unique("ros"), &[&format!("gateway.ros2={{connect: [{router}], domain: 7}}")]);
-    let config = serde_json::json!({
-        "mode": "client",
-        "connect": { "endpoints": [router], "timeout_ms": 20_000 },
-        "scouting": { "multicast": { "enabled": false } },
-    });
-    let config = zenoh::Config::from_json5(&config.to_string()).expect("it is a configuration");
-    let session = zenoh::open(config).wait().expect("the router is there");
+    let session = client_of(&router);
     let (tell, heard) = channel();
     let _subscriber = session
         .declare_subscriber("7/wren/neighbours/kite/pose/**")
@@ -103,13 +108,7 @@ fn the_swarm_is_told_of_as_many_frames_as_asked() {
     let listen = tcp(free_port());
     let flight =
         fly(&unique("pace"), &["gateway.report_hz=5", &format!("gateway.listen=[{listen}]")]);
-    let config = serde_json::json!({
-        "mode": "client",
-        "connect": { "endpoints": [listen], "timeout_ms": 20_000 },
-        "scouting": { "multicast": { "enabled": false } },
-    });
-    let config = zenoh::Config::from_json5(&config.to_string()).expect("it is a configuration");
-    let session = zenoh::open(config).wait().expect("the gateway is there");
+    let session = client_of(&listen);
     let (tell, heard) = channel();
     let _subscriber = session
         .declare_subscriber("flockeye/*/wren/sees")
