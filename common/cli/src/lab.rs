@@ -18,7 +18,7 @@ pub const EVAL: LabCommand =
 /// Runs experiments.
 pub const EXPERIMENT: LabCommand = LabCommand {
     name: "experiment",
-    about: "Compute the paper's tables again, and check whether covariances are consistent",
+    about: "Compute the paper's tables again, compare detectors, and check whether covariances are consistent",
 };
 /// Shows partitions.
 pub const PARTITION: LabCommand =

@@ -183,7 +183,9 @@ impl Aligner {
             .max_by(|a, b| self.likelihood(target, a).total_cmp(&self.likelihood(target, b)))?;
         let mirror = self.mirror_of(target, picture, best);
         let rivals = found.iter().chain(&mirror).filter(|other| !is_same(best, other));
-        // Starts that led to the same pose are one rival.
+        let mut rivals: Vec<&Alignment> = rivals.collect();
+        rivals.sort_by(|a, b| self.likelihood(target, b).total_cmp(&self.likelihood(target, a)));
+        // Starts that led to the same pose are one rival: the most likely of them.
         let mut distinct: Vec<&Alignment> = Vec::new();
         for rival in rivals {
             if !distinct.iter().any(|other| is_same(other, rival)) {
@@ -191,9 +193,9 @@ impl Aligner {
             }
         }
         let best_log = self.likelihood(target, best);
-        let rivals: f64 =
+        let together: f64 =
             distinct.iter().map(|rival| (self.likelihood(target, rival) - best_log).exp()).sum();
-        (rivals <= (-least_lead()).exp()).then(|| best.clone())
+        (together <= (-least_lead()).exp()).then(|| best.clone())
     }
 
     /// Log odds of a hypothesis, with what is known of how neighbours fly.

@@ -65,7 +65,7 @@ pub struct Evidence {
     /// The part of it that the facets beside the most informative one have. Two poses that are mirror images by that
     /// facet differ in this.
     pub log_odds_of_others: f64,
-    /// Number of facets that agree: whose correlation is at least that of [`Comparison::new`].
+    /// Number of facets that agree: whose correlation is at least 0.6.
     pub agreeing_facets: u32,
     /// Number of facets that were compared.
     pub facets: u32,
