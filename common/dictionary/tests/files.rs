@@ -14,6 +14,7 @@ fn every_predefined_dictionary_is_known() {
             "DICT_APRILTAG_25h9" => 35,
             "DICT_APRILTAG_36h10" => 2320,
             "DICT_APRILTAG_36h11" => 587,
+            "DICT_ARUCO_MIP_36h12" => 250,
             _ => name.rsplit('_').next().unwrap().parse().unwrap(),
         };
         assert_eq!((dictionary.name(), dictionary.marker_count()), (name, count));

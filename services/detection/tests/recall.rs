@@ -17,13 +17,15 @@ struct Recall {
     detector: Detector,
     light: LinearLight,
     dice: Dice,
+    /// How much more light there is than the sensor was set for.
+    gain: f64,
 }
 
 impl Recall {
     fn new() -> Self {
         let detector = Detector::new("DICT_5X5_250", DetectorParameters::default()).unwrap();
         let light = LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap();
-        Self { detector: detector.with_expected(0..34), light, dice: Dice(99) }
+        Self { detector: detector.with_expected(0..34), light, dice: Dice(99), gain: 1.0 }
     }
 
     /// One marker with a side of `side` px before it is tilted, and its id.
@@ -40,7 +42,8 @@ impl Recall {
     }
 
     fn find(&mut self, scene: &Scene) -> Vec<Found> {
-        let pixels = encode(&scene.render(), TransferCurve::Srgb, 0.01, &mut self.dice);
+        let rendered: Vec<f64> = scene.render().iter().map(|light| light * self.gain).collect();
+        let pixels = encode(&rendered, TransferCurve::Srgb, 0.01, &mut self.dice);
         let image = LumaImage::new(&pixels, scene.size, scene.size, scene.size).unwrap();
         let view = View::looking_at(&Vector3::x_axis(), 0.2, scene.size as u32);
         self.detector.detect(&image, &view, &self.light)
@@ -103,6 +106,32 @@ fn markers_are_found_where_cells_are_wider_than_the_blur() {
     for (side, tilt, blur, found) in shares {
         let least = if cell_in_blurs(side, tilt, blur) > 2.0 { 90 } else { 0 };
         assert!(found >= least, "side {side} tilt {tilt} blur {blur}: {found} %");
+    }
+}
+
+/// White grows over black where the sensor clips it, so the more light there is, the wider cells must be.
+#[test]
+fn markers_that_saturate_the_sensor_are_found() {
+    let mut recall = Recall::new();
+    let mut shares = Vec::new();
+    for (gain, least_blurs) in [(2.0, 2.0), (4.0, 2.8), (8.0, 5.5)] {
+        recall.gain = gain;
+        for side in [16.0, 20.0, 25.0, 30.0, 40.0, 60.0] {
+            for tilt in [0.0, 40.0] {
+                let (found, _) = recall.measure(side, tilt, 0.9, |_, _| {});
+                shares.push((
+                    gain,
+                    side,
+                    tilt,
+                    found,
+                    cell_in_blurs(side, tilt, 0.9) > least_blurs,
+                ));
+            }
+        }
+    }
+    for (gain, side, tilt, found, is_wide) in shares {
+        let least = if is_wide { 90 } else { 0 };
+        assert!(found >= least, "gain {gain} side {side} tilt {tilt}: {found} %");
     }
 }
 
