@@ -51,11 +51,18 @@ pub(super) fn sightings(rays: &[CornerRay]) -> Vec<Vec<CornerRay>> {
     places
 }
 
-/// The rays of the markers that are seen at one place, each corner once, by rising marker.
+/// The rays of each marker once, by rising marker: at the place where they are sharpest, if it is seen at several.
 pub fn keep_sharpest(rays: &[CornerRay]) -> Vec<CornerRay> {
+    let deviation = |place: &Vec<CornerRay>| {
+        place.iter().map(|ray| ray.deviation_rad).sum::<f64>() / place.len() as f64
+    };
     let places = sightings(rays);
-    let chunks = places.chunk_by(|a, b| a[0].marker_id == b[0].marker_id);
-    chunks.filter(|places| places.len() == 1).flatten().flatten().copied().collect()
+    places
+        .chunk_by(|a, b| a[0].marker_id == b[0].marker_id)
+        .filter_map(|places| places.iter().min_by(|a, b| deviation(a).total_cmp(&deviation(b))))
+        .flatten()
+        .copied()
+        .collect()
 }
 
 /// The rays as they were given, cut where another marker begins or a corner comes again. None is empty.
