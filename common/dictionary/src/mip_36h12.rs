@@ -8,9 +8,15 @@ pub(crate) const SIZE: i32 = 6;
 /// Cells that may be wrong.
 pub(crate) const CORRECTABLE: i32 = 12;
 
+/// Each marker's cells, row by row, 1 for white.
+pub(crate) fn markers() -> impl Iterator<Item = Vec<u8>> {
+    let cells = |marker: u64| (0..SIZE * SIZE).rev().map(move |bit| (marker >> bit & 1) as u8);
+    MARKERS.into_iter().map(move |marker| cells(marker).collect())
+}
+
 /// Each marker's cells, row by row from the highest of 36 bits on; a bit that is set is white.
 #[rustfmt::skip]
-pub(crate) const MARKERS: [u64; 250] = [
+const MARKERS: [u64; 250] = [
     0xd2b63a09d, 0x6001134e5, 0x1206fbe72, 0xff8ad6cb4, 0x85da9bc49, 0xb461afe9c, 0x6db51fe13, 0x5248c541f,
     0x008f34503, 0x8ea462ece, 0xeac2be76d, 0x1af615c44, 0xb48a49f27, 0x2e4e1283b, 0x78b1f2fa8, 0x27d34f57e,
     0x89222fff1, 0x4c1669406, 0xbf49b3511, 0xdc191cd5d, 0x11d7c3f85, 0x16a130e35, 0xe29f27eff, 0x428d8ae0c,

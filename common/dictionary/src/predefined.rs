@@ -1,10 +1,9 @@
 //! The names of OpenCV's own dictionaries.
 
 use opencv::aruco::{self, Dictionary as CvDictionary};
-use opencv::core::{Mat, Ptr};
-use opencv::prelude::*;
+use opencv::core::Ptr;
 
-use crate::{DictionaryError, mip_36h12};
+use crate::{DictionaryError, mip_36h12, read};
 
 /// OpenCV's predefined dictionaries, in the order of its own enumeration. Case does not matter, because newer versions
 /// of OpenCV have `DICT_APRILTAG_16h5` also as `DICT_APRILTAG_16H5`.
@@ -44,25 +43,9 @@ pub(crate) fn predefined(
         return Ok(None);
     };
     let dictionary = match PREDEFINED[index] {
-        MIP_36H12 => of_cells(&mip_36h12::MARKERS, mip_36h12::SIZE, mip_36h12::CORRECTABLE)?,
+        MIP_36H12 => read::of_bits(mip_36h12::markers(), mip_36h12::SIZE, mip_36h12::CORRECTABLE)?,
         // The enumeration counts from 0 without gaps.
         _ => aruco::get_predefined_dictionary_i32(index as i32)?,
     };
     Ok(Some((PREDEFINED[index], dictionary)))
-}
-
-/// The dictionary of these markers, whose cells are bits from the highest one on.
-fn of_cells(
-    markers: &[u64],
-    size: i32,
-    correctable: i32,
-) -> Result<Ptr<CvDictionary>, DictionaryError> {
-    let mut list = Mat::default();
-    for cells in markers {
-        let bits: Vec<u8> =
-            (0..size * size).rev().map(|bit| u8::from(cells >> bit & 1 == 1)).collect();
-        let bits = Mat::new_rows_cols_with_data(size, size, &bits)?;
-        list.push_back(&CvDictionary::get_byte_list_from_bits(&bits)?)?;
-    }
-    Ok(Ptr::new(CvDictionary::new(&list, size, correctable)?))
 }

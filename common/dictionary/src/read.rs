@@ -41,7 +41,7 @@ pub(crate) fn file(path: &str) -> Result<Ptr<CvDictionary>, DictionaryError> {
     let count = in_range("nmarkers", MAX_MARKERS)?;
     let size = in_range("markersize", MAX_BITS)?;
     let correctable = number("maxCorrectionBits")?.unwrap_or(0);
-    let mut list = Mat::default();
+    let mut markers = Vec::new();
     for id in 0..count {
         let node = file.get_node(&format!("marker_{id}"))?;
         let text = if node.is_string()? { node.to_string()? } else { String::new() };
@@ -50,6 +50,19 @@ pub(crate) fn file(path: &str) -> Result<Ptr<CvDictionary>, DictionaryError> {
             let what = format!("marker_{id} must be a text of {} digits 0 and 1", size * size);
             return Err(refused(path, &what));
         }
+        markers.push(bits);
+    }
+    Ok(of_bits(markers, size, correctable)?)
+}
+
+/// The dictionary of these markers: their cells row by row, 1 for white.
+pub(crate) fn of_bits(
+    markers: impl IntoIterator<Item = Vec<u8>>,
+    size: i32,
+    correctable: i32,
+) -> opencv::Result<Ptr<CvDictionary>> {
+    let mut list = Mat::default();
+    for bits in markers {
         let bits = Mat::new_rows_cols_with_data(size, size, &bits)?;
         list.push_back(&CvDictionary::get_byte_list_from_bits(&bits)?)?;
     }
