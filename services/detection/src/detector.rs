@@ -184,7 +184,7 @@ impl Detector {
         // Several thresholds may give the same square; it would be read with the same result.
         let mut read = HashSet::new();
         for quad in whole.iter().chain(&completed) {
-            if self.is_hidden(view, quad)
+            if is_hidden(self.mask.as_ref(), view, quad)
                 || found.iter().any(|marker| is_outline_of(marker, quad))
                 || !read.insert(quad.map(|corner| [corner.0.x.to_bits(), corner.0.y.to_bits()]))
             {
@@ -200,12 +200,6 @@ impl Detector {
         keep_best_of_each_place(&mut found);
         add_doubtful(&mut found, doubtful);
         found
-    }
-
-    /// Whether the centre of a quadrilateral lies on the own airframe, or where no lens sees.
-    fn is_hidden(&self, view: &View, quad: &Quad) -> bool {
-        let Some(mask) = &self.mask else { return false };
-        mask.hides(&view.ray(ViewPixel(centre(quad))))
     }
 
     /// The marker in a quadrilateral, decoded or doubtful.
@@ -330,6 +324,11 @@ impl Detector {
         refined.residual_sigma <= MAX_MISFIT
             && (blur <= MAX_BLUR_CELLS || (blur <= MAX_BLUR_CELLS_AT_RANGE && passes_blurred))
     }
+}
+
+/// Whether the centre of a quadrilateral lies on the own airframe, or where no lens sees.
+pub(crate) fn is_hidden(mask: Option<&Mask>, view: &View, quad: &Quad) -> bool {
+    mask.is_some_and(|mask| mask.hides(&view.ray(ViewPixel(centre(quad)))))
 }
 
 /// A marker that `view` shows at these corners.

@@ -7,9 +7,8 @@ use flockeye_imaging::image::LumaImage;
 use opencv::aruco::{self, DetectorParameters as CvParameters};
 use opencv::core::{Mat, Point2f, Ptr, Vector};
 
-use crate::detector::{Found, found_at};
+use crate::detector::{Found, found_at, is_hidden};
 use crate::parameters::DetectError;
-use crate::quad::centre;
 
 /// Standard deviation of a corner, pixels: docs/results/benchmarks.md has 0.7 to 0.9 without refinement, most of it
 /// because OpenCV's corners lie inside the marker.
@@ -59,10 +58,7 @@ impl OpenCvDetector {
                 let id = u32::try_from(id).ok()?;
                 Some(Found { correlation: 1.0, ..found_at(view, id, corners, [CORNER_PX; 4]) })
             })
-            .filter(|found| {
-                let towards = || view.ray(ViewPixel(centre(&found.corners_in_view)));
-                !self.mask.as_ref().is_some_and(|mask| mask.hides(&towards()))
-            })
+            .filter(|found| !is_hidden(self.mask.as_ref(), view, &found.corners_in_view))
             .collect();
         found.sort_by_key(|marker| marker.id);
         Ok(found)
