@@ -14,8 +14,8 @@ const DISTINCT: f64 = 0.02;
 /// or two where the rays leave a mirror image open.
 ///
 /// Rays of markers that the body does not have, rays that are no numbers, and corners seen twice are
-/// sorted out here. Of a marker that is seen at two places, the place that agrees with the others counts. Where three or more markers are seen, up to 30 % of
-/// them may be misread, or 30 % of all corners be wrong. The same rays always give the same solutions.
+/// sorted out here. Of a marker that is seen at two places, the place that agrees with the others counts.
+/// Where three or more markers are seen, up to 30 % of them may be misread, or 30 % of all corners be wrong. The same rays always give the same solutions.
 ///
 /// # Errors
 /// Too few rays, no whole marker, or nothing that fits: [`PoseError`].
