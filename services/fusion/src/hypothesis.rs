@@ -146,7 +146,9 @@ impl Aligner {
                 return Some(found);
             }
             let log_odds = found.evidence.log_odds + turn;
-            let is_supported = is_predicted || is_supported_by_markers(&found, &is_marked);
+            // The prediction may speak against a marker's mirror pose. It does not make up for what the picture lacks.
+            let is_supported =
+                is_predicted || is_supported_by_markers(&found, turn.min(0.0), &is_marked);
             if is_supported && best.as_ref().is_none_or(|(most, _)| log_odds > *most) {
                 best = Some((log_odds, found));
             }
@@ -179,7 +181,7 @@ impl Aligner {
         }
         let best = found
             .iter()
-            .filter(|found| found.is_accepted() || is_supported_by_markers(found, &is_marked))
+            .filter(|found| found.is_accepted() || is_supported_by_markers(found, 0.0, &is_marked))
             .max_by(|a, b| self.likelihood(target, a).total_cmp(&self.likelihood(target, b)))?;
         let mirror = self.mirror_of(target, picture, best);
         let rivals = found.iter().chain(&mirror).filter(|other| !is_same(best, other));
@@ -257,8 +259,12 @@ pub fn turn_log(found: &Alignment, predicted: &Isometry3<f64>) -> f64 {
 }
 
 /// Whether a pose that is too weak alone is supported by markers that were decoded where it has them.
-fn is_supported_by_markers(found: &Alignment, is_marked: impl Fn(&Isometry3<f64>) -> bool) -> bool {
-    found.is_accepted_with_markers() && is_marked(&found.camera_from_markers)
+fn is_supported_by_markers(
+    found: &Alignment,
+    prior_log_odds: f64,
+    is_marked: impl Fn(&Isometry3<f64>) -> bool,
+) -> bool {
+    found.is_accepted_with_markers(prior_log_odds) && is_marked(&found.camera_from_markers)
 }
 
 fn is_same(one: &Alignment, other: &Alignment) -> bool {

@@ -17,6 +17,8 @@ const FALSE_POSES_PER_HOUR: f64 = 1.0;
 /// (docs/results/decisions.md).
 const POSITIVE_SHARE: f64 = 0.022;
 
+// How many poses are tried in an hour is assumed, not measured.
+
 /// Poses that are tried in an hour where nothing says that the body is: ten in each second that it is looked for.
 const ANYWHERE_PER_HOUR: f64 = 36_000.0;
 
@@ -57,8 +59,8 @@ const WELL_AGREEING_CORRELATION: f64 = 0.8;
 /// whose track was lost where clear poses of one facet were refused; no curve was read for it.
 const CLEAR_SHARE: f64 = 0.9;
 
-/// A fit without the occluded facets is kept if it has at least this share of the log odds that it had with them.
-const MIN_KEPT_LOG_ODDS: f64 = 0.8;
+/// A fit without the occluded facets is kept if it loses no more than this share of the log odds that it had with them.
+const MAX_LOST_LOG_ODDS: f64 = 0.2;
 
 /// The log odds of the picture from which on a pose is accepted, of which so many are tried in an hour where no body is.
 fn least_log_odds(tried_per_hour: f64) -> f64 {
@@ -85,9 +87,11 @@ impl Alignment {
         log_odds >= least_log_odds(PREDICTED_PER_HOUR) && is_precise
     }
 
-    /// The same for a body of which markers were decoded where this pose has them.
-    pub fn is_accepted_with_markers(&self) -> bool {
-        self.evidence.log_odds >= least_log_odds(MARKED_PER_HOUR) && self.is_precise()
+    /// The same for a body of which markers were decoded where this pose has them, with so much more log odds by what
+    /// else is known: a mirror pose has its marker at the same place.
+    pub fn is_accepted_with_markers(&self, prior_log_odds: f64) -> bool {
+        let log_odds = self.evidence.log_odds + prior_log_odds;
+        log_odds >= least_log_odds(MARKED_PER_HOUR) && self.is_precise()
     }
 
     fn is_precise(&self) -> bool {
@@ -120,8 +124,7 @@ impl Evidence {
 
 /// Whether a fit without the occluded facets is kept instead of the one before.
 pub(super) fn is_refit_kept(before: &Evidence, after: &Evidence) -> bool {
-    let is_worse = after.log_odds < MIN_KEPT_LOG_ODDS * before.log_odds;
-    !is_worse
+    after.log_odds >= before.log_odds - MAX_LOST_LOG_ODDS * before.log_odds.abs()
 }
 
 #[cfg(test)]
@@ -136,6 +139,15 @@ mod tests {
         // So many false poses are left of those that are tried.
         let left = ANYWHERE_PER_HOUR * POSITIVE_SHARE * (-anywhere).exp();
         assert!((left - FALSE_POSES_PER_HOUR).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_refit_that_is_better_is_kept_whatever_its_sign() {
+        let with = |log_odds| Evidence { log_odds, ..Evidence::default() };
+        assert!(is_refit_kept(&with(-2.0), &with(-1.7)) && is_refit_kept(&with(10.0), &with(8.5)));
+        assert!(
+            !is_refit_kept(&with(-2.0), &with(-2.5)) && !is_refit_kept(&with(10.0), &with(7.5))
+        );
     }
 
     #[test]

@@ -44,13 +44,11 @@ const MIN_PRINT_CONTRAST: f64 = 0.5;
 const MAX_PRINT_CONTRAST: f64 = 1.1;
 /// Standard deviation of what even a right model leaves, share of white: light changes along a facet.
 const MODEL_ERROR: f64 = 0.03;
-/// Radiance from which on a sensor says no more: nominal white.
-const SATURATION: f64 = 1.0;
 /// Prior probability that a facet of a body is hidden, so that its pixels say nothing.
 const HIDDEN: f64 = 0.1;
 /// Independent values for each cell of a marker.
 ///
-/// Read from where bodies are not (docs/results/decisions.md): of 17,203 poses that alignment found there, the number
+/// Read from where bodies are not (docs/results/history.md#decisions): of 17,203 poses that alignment found there, the number
 /// above x fell by e for each 5.3 of the log odds with one value for each cell. With this share it falls as e^-x.
 const INDEPENDENT_SHARE: f64 = 0.19;
 
@@ -67,8 +65,6 @@ pub struct Evidence {
     pub log_odds_of_others: f64,
     /// Number of facets that agree: whose correlation is at least 0.6.
     pub agreeing_facets: u32,
-    /// Number of facets that were compared.
-    pub facets: u32,
     /// The facet with the largest log odds, if any are positive.
     pub most_informative_facet: Option<u32>,
 }
@@ -85,7 +81,6 @@ impl Evidence {
             if log_odds > most {
                 (most, evidence.most_informative_facet) = (log_odds, Some(number));
             }
-            evidence.facets += 1;
             evidence.agreeing_facets += u32::from(correlation >= agreeing_correlation);
             let weight = pattern.sqrt();
             sum += weight * correlation;
@@ -162,7 +157,8 @@ impl Comparison {
             let parts = blurred.parts(at);
             let [black, square, inside] = [parts.black, parts.square, parts.inside].map(f64::from);
             let levels = state.levels[index];
-            let [black, border] = [black, square - inside].map(|black| seen_black(black, levels));
+            let [black, border] =
+                [black, square - inside].map(|black| seen_black(black, levels, patch.saturation));
             // Black lowers the radiance.
             let darkness = -f64::from(sample.radiance);
             let row = Vector5::new(1.0, border, inside, black - border, darkness);
@@ -193,12 +189,12 @@ impl Comparison {
 
 /// How black a pixel seems of which the share `black` is, where white paper with this level saturates the sensor: white has
 /// grown over the edges of what is black.
-fn seen_black(black: f64, [white_level, black_level]: [f64; 2]) -> f64 {
-    if white_level <= SATURATION || black_level >= SATURATION {
+fn seen_black(black: f64, [white_level, black_level]: [f64; 2], saturation: f64) -> f64 {
+    if white_level <= saturation || black_level >= saturation {
         return black;
     }
     let radiance = white_level - (white_level - black_level) * black;
-    (SATURATION - radiance.min(SATURATION)) / (SATURATION - black_level)
+    (saturation - radiance.min(saturation)) / (saturation - black_level)
 }
 
 impl FacetPixels {
@@ -284,11 +280,20 @@ mod tests {
     use super::*;
 
     #[test]
+    fn black_shrinks_where_white_saturates() {
+        assert_eq!(seen_black(0.3, [0.8, 0.1], 1.0), 0.3, "nothing saturates");
+        let seen = |black| seen_black(black, [4.0, 0.4], 1.0);
+        assert_eq!((seen(0.0), seen(0.5)), (0.0, 0.0));
+        assert!((seen(1.0) - 1.0).abs() < 1e-12);
+        assert!(seen(0.9) > 0.3 && seen(0.9) < 0.5, "{}", seen(0.9));
+    }
+
+    #[test]
     fn facets_are_summed_up() {
         let facet = |correlation, log_odds| Some(FacetFit { correlation, pattern: 1.0, log_odds });
         let facets = [facet(0.9, 8.0), None, facet(0.9, 3.0), facet(0.65, 4.0), facet(-0.2, -50.0)];
         let evidence = Evidence::of_facets(&facets, 0.6);
-        assert_eq!((evidence.facets, evidence.agreeing_facets), (4, 3));
+        assert_eq!(evidence.agreeing_facets, 3);
         assert_eq!(evidence.most_informative_facet, Some(0));
         assert!((evidence.correlation - (0.9 + 0.9 + 0.65 - 0.2) / 4.0).abs() < 1e-12);
         // The last one may be hidden, and counts no more than that.

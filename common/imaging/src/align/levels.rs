@@ -36,8 +36,8 @@ pub(super) fn fit_levels(
     }
     let residuals: Vec<Option<f32>> = (0..samples.len())
         .map(|k| {
-            let residual = rows.radiances[k] - rows.modelled(k, &levels);
-            (!samples[k].is_saturated || residual > 0.0).then_some(residual as f32)
+            let residual = samples[k].counted(rows.radiances[k] - rows.modelled(k, &levels));
+            residual.map(|residual| residual as f32)
         })
         .collect();
     for (facet, at) in layout.facets() {

@@ -24,7 +24,7 @@ const LEVELS: usize = COMMON + 2;
 pub(super) struct Sums {
     pub normal: DMatrix<f64>,
     pub right: DVector<f64>,
-    /// Residual of each sample, radiance; `None` where a sample says nothing ([`Sample::residual`]).
+    /// Residual of each sample, radiance; `None` where a sample says nothing ([`Sample::counted`]).
     pub residuals: Vec<Option<f32>>,
 }
 
@@ -143,7 +143,7 @@ impl Pass<'_> {
             let background = f64::from(sample.background);
             let seams = sample.seams(self.print);
             let modelled = model(scene, state, sample.facets(), seams, background, &direction);
-            let residual = sample.residual(modelled.radiance);
+            let residual = sample.counted(f64::from(sample.radiance) - modelled.radiance);
             sums.residuals.push(residual.map(|residual| residual as f32));
             let Some(residual) = residual else { continue };
             let precision = 1.0 / self.sigmas[usize::from(sample.facet)].powi(2);

@@ -55,9 +55,11 @@ pub(super) struct Patch {
     pub height: usize,
     pub radiance: Vec<f32>,
     /// Whether a pixel is saturated: its radiance is at least what is stated.
-    pub saturated: Vec<bool>,
+    saturated: Vec<bool>,
     pub pinhole: Pinhole,
     pub view_from_camera: UnitQuaternion<f64>,
+    /// Radiance from which on the sensor says no more.
+    pub saturation: f64,
     /// Curvature of the camera's curve; see [`LinearLight::bend`].
     pub code_bend: f64,
 }
@@ -141,6 +143,7 @@ impl Patch {
             saturated,
             pinhole,
             view_from_camera,
+            saturation: f64::from(light.of(u8::MAX)),
             code_bend,
         })
     }
@@ -149,6 +152,12 @@ impl Patch {
     #[inline]
     pub fn at(&self, x: usize, y: usize) -> f32 {
         self.radiance[y * self.width + x]
+    }
+
+    /// Whether the radiance of a pixel may be more than is stated.
+    #[inline]
+    pub fn is_saturated(&self, x: usize, y: usize) -> bool {
+        self.saturated[y * self.width + x]
     }
 
     /// The radiance of the pixel nearest to a point; outside the patch, that of the nearest pixel at the

@@ -52,11 +52,10 @@ pub(super) struct Sample {
 const NONE: u8 = u8::MAX;
 
 impl Sample {
-    /// By how much it is brighter than `modelled`. `None` where that says nothing: a saturated pixel is at least as bright
-    /// as it seems.
+    /// By how much it is brighter than its model, or `None` where that says nothing: a saturated pixel is at least as
+    /// bright as it seems.
     #[inline(always)]
-    pub fn residual(&self, modelled: f64) -> Option<f64> {
-        let residual = f64::from(self.radiance) - modelled;
+    pub fn counted(&self, residual: f64) -> Option<f64> {
         (!self.is_saturated || residual > 0.0).then_some(residual)
     }
 
@@ -141,7 +140,7 @@ pub(super) fn choose(
             _ => radiance,
         };
         let Reach { edges, neighbours, .. } = reach;
-        let is_saturated = patch.saturated[usize::from(y) * patch.width + usize::from(x)];
+        let is_saturated = patch.is_saturated(x.into(), y.into());
         Sample { x, y, radiance, is_saturated, background, facet: number, edges, neighbours }
     };
     let mut samples: Vec<Sample> = found.into_iter().step_by(step).map(sample).collect();

@@ -171,6 +171,28 @@ fn a_track_is_confirmed_farther_away_than_it_is_initiated() {
     });
 }
 
+/// The marker of a plate lies at the same place in its mirror pose, so it supports both.
+#[test]
+fn a_decoded_marker_does_not_support_a_pose_that_the_track_excludes() {
+    let body = plate("plate", 0.07, 0.05, 3);
+    let towards = Vector3::new(0.8, 0.5, 0.33).normalize();
+    let turn = UnitQuaternion::rotation_between(&body.markers[0].normal(), &-towards).unwrap();
+    let tilt = UnitQuaternion::from_euler_angles(0.0, 0.0, 0.7);
+    let truth = Isometry3::from_parts(Translation3::from(towards * 0.9), tilt * turn);
+    with_picture_of(&body, &truth, |aligner, picture| {
+        let mirrored = aligner.prints[0].mirrored(0, &truth).unwrap();
+        let confirm = |start: Isometry3<f64>| {
+            let starts = [Start::Fine(start)];
+            aligner.confirm(0, picture, &starts, &truth, TimeBudget::Unlimited, |_| true)
+        };
+        assert!(confirm(truth).is_some());
+        let found = aligner.align(0, picture, &Start::Fine(mirrored)).unwrap();
+        let turned = found.camera_from_markers.rotation.angle_to(&truth.rotation);
+        assert!(turned > 0.5 && found.is_accepted_with_markers(0.0), "{turned}, {found:?}");
+        assert!(confirm(mirrored).is_none());
+    });
+}
+
 #[test]
 fn an_untracked_target_that_the_first_start_misses_is_found_with_any_budget() {
     let truth = pose(0.8, 0.9);
