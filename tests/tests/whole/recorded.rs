@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use flockeye_lab::evaluation::Evaluation;
 use flockeye_record::{PoseRow, read};
-use flockeye_tests::{Flight, Scratch, recordings};
+use flockeye_tests::{Flight, Scratch, recordings, run};
 
 /// A flight of 300 frames of 3840x1920 on loaded cores.
 const LONG_WATCHDOG: Duration = Duration::from_secs(480);
@@ -106,4 +106,35 @@ fn real_pictures_without_a_neighbour_give_no_pose_at_all() {
         assert_eq!(poses, [], "{picture} shows nobody");
         println!("{picture}: no pose, as it should be");
     }
+}
+
+#[test]
+fn opencv_finds_no_marker_on_photographs_that_ours_does_not_find() {
+    let Some(data) = recordings() else { return };
+    let text = |path: &Path| path.to_str().expect("a text").to_owned();
+    let compare = |folder: &Path, dictionary: &str| {
+        let folder = text(folder);
+        let photographs = ["--photographs", &folder, "--dictionary", dictionary];
+        run(&[&["experiment", "detectors", "--json"], &photographs[..]].concat())
+    };
+    let folder = data.join("real/opencv_aruco");
+    let own_dictionary = text(&folder.join("tutorial_dict.yml"));
+    for (dictionary, least) in [(own_dictionary.as_str(), 50), ("DICT_6X6_250", 20)] {
+        let (succeeded, output) = compare(&folder, dictionary);
+        assert!(succeeded, "{output}");
+        let json = output.lines().find(|line| line.starts_with('{')).expect("one object");
+        let found: serde_json::Value = serde_json::from_str(json).expect("JSON");
+        let found = &found["photographs"];
+        assert_eq!(found["opencv_alone"], serde_json::json!([]), "{dictionary}");
+        let ours = |counts: &serde_json::Value| {
+            ["both", "ours_alone"]
+                .map(|who| counts[who].as_u64().expect("a count"))
+                .iter()
+                .sum::<u64>()
+        };
+        let ours: u64 = found["by_size"].as_object().expect("by size").values().map(ours).sum();
+        assert!(ours >= least, "{dictionary}: {output}");
+    }
+    let (succeeded, output) = compare(&data.join("flight4"), "DICT_6X6_250");
+    assert!(!succeeded && output.contains("holds no photograph. Cure:"), "{output}");
 }
