@@ -109,10 +109,9 @@ impl Bench {
             });
             let lead = rival
                 .map_or(f64::INFINITY, |rival| found.evidence.log_odds - rival.evidence.log_odds);
-            self.tally.add(match kind {
-                Kind::Other => Hypothesis::of_nobody(kind, still.origin, stop, found),
-                _ => Hypothesis::of(kind, still.origin, shown, stop, found, lead),
-            });
+            let truth = (kind != Kind::Other).then_some(*truth);
+            let (origin, blur_px) = (still.origin, shown.blur_px);
+            self.tally.add(Hypothesis { kind, origin, stop, truth, blur_px, start, found, lead });
         }
     }
 
@@ -131,7 +130,17 @@ impl Bench {
             Picture::still(view.image(), view.view, &self.light, still.pixels_per_radian());
         for print in still.prints.iter() {
             if let Ok(found) = align(print, &picture, &start, &AlignOptions::default()) {
-                self.tally.add(Hypothesis::of_nobody(Kind::Absent, still.origin, stop, found));
+                let (kind, origin, lead) = (Kind::Absent, still.origin, f64::INFINITY);
+                self.tally.add(Hypothesis {
+                    kind,
+                    origin,
+                    stop,
+                    truth: None,
+                    blur_px: 0.0,
+                    start,
+                    found,
+                    lead,
+                });
             }
         }
     }

@@ -58,11 +58,14 @@ SIMULATED = {
     "gusts-sensor": ("simulated flights in gusts with an inertial sensor", [*GUSTS, "inertial.source=sim"],
                      range(2001, 2006), 100, ["lossless"]),
 }
-# Single images, half a second apart, in the wrong light.
+# In the wrong light: single images, half a second apart, and flights.
 for name, stops, words in (("bright", 3, "3 stops too much"), ("dark", -4, "4 stops too little")):
+    light = f"simulator.exposure_stops={stops}"
     SIMULATED[name] = (f"single images exposed by {words}",
-                       ["fusion.filter=none", f"simulator.exposure_stops={stops}", "simulator.distance_m=[0.6,4.0]",
+                       ["fusion.filter=none", light, "simulator.distance_m=[0.6,4.0]",
                         "simulator.frames_per_second=2"], range(2101, 2111), 25, ["lossless"])
+    SIMULATED[f"{name}flight"] = (f"flights exposed by {words}", [light, "simulator.distance_m=[0.8,2.6]"],
+                                  range(2101, 2107), 60, ["lossless"])
 # Commands whose own words are kept: title, arguments, and which lines.
 EXPERIMENTS = {
     "consistency": ("Consistency of covariances", ["experiment", "consistency", "--runs", "50"], ""),

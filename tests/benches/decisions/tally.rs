@@ -1,9 +1,10 @@
 //! What each decision accepts of right and of wrong poses.
 
 use flockeye_fusion::hypothesis::turn_log;
+use flockeye_geometry::statistics::quantile;
 use flockeye_imaging::align::{Alignment, least_lead};
+use nalgebra::Isometry3;
 
-use crate::pictures::Shown;
 use crate::{STOPS, WRONG_M, WRONG_RAD};
 
 /// Where an alignment began.
@@ -25,46 +26,30 @@ pub enum Kind {
 pub struct Hypothesis {
     pub kind: Kind,
     pub origin: &'static str,
-    pub distance_m: f64,
-    pub blur_px: f64,
     /// Exposure, stops from the right one.
     pub stop: f64,
-    /// How far it is off; `None` where there is nothing to be right about.
-    pub off: Option<(f64, f64)>,
+    /// The right pose; `None` where there is nothing to be right about.
+    pub truth: Option<Isometry3<f64>>,
+    /// Length of the motion blur, pixels; 0 without a body.
+    pub blur_px: f64,
+    /// Where alignment began.
+    pub start: Isometry3<f64>,
     pub found: Alignment,
     /// By how much its log odds exceed those of its mirror pose.
     pub lead: f64,
-    /// What a track's prediction of the right pose says of it.
-    pub turn_log: f64,
 }
 
 impl Hypothesis {
-    pub fn of_nobody(kind: Kind, origin: &'static str, stop: f64, found: Alignment) -> Self {
-        let distance_m = found.camera_from_markers.translation.vector.norm();
-        let lead = f64::INFINITY;
-        let turn_log = 0.0;
-        Self { kind, origin, distance_m, blur_px: 0.0, stop, off: None, found, lead, turn_log }
-    }
-
-    pub fn of(
-        kind: Kind,
-        origin: &'static str,
-        shown: &Shown,
-        stop: f64,
-        found: Alignment,
-        lead: f64,
-    ) -> Self {
-        let (truth, pose) = (&shown.camera_from_markers, &found.camera_from_markers);
-        let off_m = (truth.translation.vector - pose.translation.vector).norm();
-        let off = Some((off_m, truth.rotation.angle_to(&pose.rotation)));
-        let distance_m = truth.translation.vector.norm();
-        let turn_log = turn_log(&found, truth);
-        let blur_px = shown.blur_px;
-        Self { kind, origin, distance_m, blur_px, stop, off, found, lead, turn_log }
+    fn distance_m(&self) -> f64 {
+        self.truth.unwrap_or(self.start).translation.vector.norm()
     }
 
     fn is_right(&self) -> bool {
-        self.off.is_some_and(|(off_m, off_rad)| off_m < WRONG_M && off_rad < WRONG_RAD)
+        let pose = &self.found.camera_from_markers;
+        self.truth.is_some_and(|truth| {
+            (truth.translation.vector - pose.translation.vector).norm() < WRONG_M
+                && truth.rotation.angle_to(&pose.rotation) < WRONG_RAD
+        })
     }
 
     fn log_odds(&self) -> f64 {
@@ -78,7 +63,8 @@ impl Hypothesis {
 
     /// As a body is accepted whose track predicts the right pose.
     fn is_confirmed(&self) -> bool {
-        self.found.is_accepted_with_track_prior(self.turn_log)
+        let turn_log = self.truth.map_or(0.0, |truth| turn_log(&self.found, &truth));
+        self.found.is_accepted_with_track_prior(turn_log)
     }
 }
 
@@ -151,6 +137,16 @@ impl Tally {
             let stated = above(0.0) as f64 * (-least).exp();
             println!("{least:>14} {:>11} {stated:>23.1}", above(least));
         }
+        let likely = self.begun(Kind::Absent).filter(|h| h.log_odds() > 1.0);
+        let mut turned: Vec<f64> = likely
+            .map(|h| h.start.rotation.angle_to(&h.found.camera_from_markers.rotation))
+            .collect();
+        turned.sort_by(f64::total_cmp);
+        let turned = [0.1, 0.5, 0.9].map(|share| quantile(&turned, share).unwrap_or(f64::NAN));
+        println!(
+            "those above 1 have turned from where they began, radians: 10 % {:.2}, median {:.2}, 90 % {:.2}",
+            turned[0], turned[1], turned[2]
+        );
     }
 
     fn print_groups(&self) {
@@ -159,7 +155,8 @@ impl Tally {
         );
         let mut groups: Vec<Group> = Vec::new();
         for (near, far) in [(0.6, 1.5), (1.5, 2.2), (2.2, 3.0), (3.0, 4.0)] {
-            let is_in = move |h: &Hypothesis| (near..far).contains(&h.distance_m) && h.stop == 0.0;
+            let is_in =
+                move |h: &Hypothesis| (near..far).contains(&h.distance_m()) && h.stop == 0.0;
             groups.push((format!("{near} to {far} m"), Box::new(is_in)));
         }
         for (least, most) in [(0.0, 1.0), (1.0, 2.0), (2.0, 4.0), (4.0, 99.0)] {
