@@ -162,8 +162,8 @@ def pooled(flights, name):
             for number, flight in enumerate(flights):
                 for row in rows(flight[kind]):
                     row["frame"] = int(row["frame"]) + number * 1_000_000
-                    writer = writer or csv.DictWriter(file, row.keys())
-                    if number == 0 and file.tell() == 0:
+                    if writer is None:
+                        writer = csv.DictWriter(file, row.keys())
                         writer.writeheader()
                     writer.writerow(row)
         paths.append(path)
