@@ -4,10 +4,12 @@
 
 mod drawn;
 
-use drawn::{Dice, Scene, encode};
+use drawn::{Dice, Scene, Stripes, encode};
 use flockeye_geometry::camera::{Camera, Equirectangular, SpherePixel};
 use flockeye_geometry::view::{View, ViewPixel};
-use flockeye_imaging::edges::{Effort, Grain, MarkerPrint, RefinedCorners, refine_corners};
+use flockeye_imaging::edges::{
+    Effort, Grain, Lighting, MarkerPrint, RefinedCorners, refine_corners,
+};
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
 use flockeye_imaging::sphere::{Cut, Interpolation, SphereImage, rectify_into};
@@ -68,9 +70,18 @@ impl Shot {
     }
 
     fn refine(&self, guess: &[ViewPixel; 4], print: &MarkerPrint) -> Option<RefinedCorners> {
+        self.refine_lit(guess, print, Lighting::Even)
+    }
+
+    fn refine_lit(
+        &self,
+        guess: &[ViewPixel; 4],
+        print: &MarkerPrint,
+        lighting: Lighting,
+    ) -> Option<RefinedCorners> {
         let image = LumaImage::new(&self.pixels, self.size, self.size, self.size).unwrap();
         let light = LinearLight::new(self.curve, CodeRange::Full).unwrap();
-        refine_corners(&image, &light, guess, print, self.grain, Effort::WholePrint)
+        refine_corners(&image, &light, guess, print, self.grain, lighting, Effort::WholePrint)
     }
 
     fn middle(&self) -> Vector2<f64> {
@@ -233,6 +244,29 @@ fn an_occluded_part_of_a_side_moves_corners_little() {
 }
 
 #[test]
+fn stripes_of_sun_move_corners_little() {
+    let mut dice = Dice(15);
+    let mut errors: Vec<(f64, f64)> = Vec::new();
+    for _ in 0..60 {
+        let mut scene = Scene::new(&mut dice, 50.0, 0.4, 0.9);
+        scene.stripes = Some(Stripes::of_shade(0.2, &mut dice));
+        let shot = Shot::of(&scene, &scene.render(), TransferCurve::Srgb, 0.005, &mut dice);
+        let guess = shot.guess(&mut dice);
+        if let Some(found) = shot.refine_lit(&guess, &scene.print(), Lighting::Uneven) {
+            errors.extend((0..4).map(|k| {
+                let error = (found.corners_in_view[k].0 - scene.corners[k].0).norm();
+                (error, error / (2f64.sqrt() * found.sigmas_px[k]))
+            }));
+        }
+    }
+    errors.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let (median, tail) = (errors[errors.len() / 2].0, errors[errors.len() * 9 / 10].0);
+    let beyond = errors.iter().filter(|(_, sigmas)| *sigmas > 3.0).count();
+    println!("{} corners, median {median:.3} px, 90 % {tail:.3} px, {beyond} beyond", errors.len());
+    assert!(errors.len() > 180 && median < 0.15 && tail < 0.6 && beyond * 10 < errors.len());
+}
+
+#[test]
 fn clipped_whites_do_not_move_the_edge() {
     let mut dice = Dice(9);
     let mut radial = Vec::new();
@@ -264,7 +298,15 @@ fn images_without_a_marker_are_refused() {
         let pixels = [flat; 1600];
         let image = LumaImage::new(&pixels, 40, 40, 40).unwrap();
         assert_eq!(
-            refine_corners(&image, &light, &guess, &print, Grain::Pixels, Effort::WholePrint),
+            refine_corners(
+                &image,
+                &light,
+                &guess,
+                &print,
+                Grain::Pixels,
+                Lighting::Even,
+                Effort::WholePrint
+            ),
             None
         );
     }
@@ -280,6 +322,7 @@ fn images_without_a_marker_are_refused() {
             &shifted(0.3, 0.0),
             &print,
             Grain::Pixels,
+            Lighting::Even,
             Effort::WholePrint
         ),
         None
@@ -291,6 +334,7 @@ fn images_without_a_marker_are_refused() {
             &shifted(1.0, 100.0),
             &print,
             Grain::Pixels,
+            Lighting::Even,
             Effort::WholePrint
         ),
         None
@@ -302,6 +346,7 @@ fn images_without_a_marker_are_refused() {
             &shifted(1.0, f64::NAN),
             &print,
             Grain::Pixels,
+            Lighting::Even,
             Effort::WholePrint
         ),
         None
@@ -309,12 +354,28 @@ fn images_without_a_marker_are_refused() {
     let mut turned = guess;
     turned.reverse();
     assert_eq!(
-        refine_corners(&image, &light, &turned, &print, Grain::Pixels, Effort::WholePrint),
+        refine_corners(
+            &image,
+            &light,
+            &turned,
+            &print,
+            Grain::Pixels,
+            Lighting::Even,
+            Effort::WholePrint
+        ),
         None
     );
     let point = LumaImage::new(&pixels[..1], 1, 1, 1).unwrap();
     assert_eq!(
-        refine_corners(&point, &light, &guess, &print, Grain::Pixels, Effort::WholePrint),
+        refine_corners(
+            &point,
+            &light,
+            &guess,
+            &print,
+            Grain::Pixels,
+            Lighting::Even,
+            Effort::WholePrint
+        ),
         None
     );
 }

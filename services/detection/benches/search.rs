@@ -9,7 +9,7 @@ use std::time::Instant;
 
 use criterion::{Criterion, criterion_group};
 use flockeye_detection::candidates::Finder;
-use flockeye_detection::{Detector, DetectorParameters, Threshold};
+use flockeye_detection::{DarkerBy, Detector, DetectorParameters, Threshold};
 use flockeye_geometry::view::View;
 use flockeye_imaging::edges::Effort;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
@@ -28,15 +28,20 @@ const SHORTEST: usize = 26;
 /// How often each way is measured for the table.
 const ROUNDS: usize = 15;
 
-/// The stage's parameters for a tile, where fusion aligns whole bodies.
+/// The stage's parameters for a tile in flight, where fusion aligns whole bodies: its windows are those that OpenCV's
+/// function has too.
 fn parameters() -> DetectorParameters {
-    DetectorParameters { effort: Effort::Edges, ..DetectorParameters::default() }
+    let mut parameters =
+        DetectorParameters { effort: Effort::Edges, ..DetectorParameters::default() };
+    parameters.thresholds.retain(|threshold| matches!(threshold.darker_by, DarkerBy::Codes(_)));
+    parameters
 }
 
 /// Squares, as OpenCV's functions find them with the same windows.
 fn their_squares(image: &Mat) -> usize {
     let mut squares = 0;
     for Threshold { window_px, darker_by } in parameters().thresholds {
+        let DarkerBy::Codes(codes) = darker_by else { continue };
         let (mut dark, method) = (Mat::default(), ADAPTIVE_THRESH_MEAN_C);
         adaptive_threshold(
             image,
@@ -45,7 +50,7 @@ fn their_squares(image: &Mat) -> usize {
             method,
             THRESH_BINARY_INV,
             window_px as i32,
-            darker_by.into(),
+            codes.into(),
         )
         .unwrap();
         let mut outlines = Vector::<Vector<Point>>::new();

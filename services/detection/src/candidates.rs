@@ -77,7 +77,7 @@ impl Finder {
                 let polygon = self.approximator.approximate(parameters.corner_accuracy_px);
                 let completed = three_corners::complete(polygon, parameters.min_side_px);
                 found.completed.extend(completed.filter(|quad| {
-                    three_corners::is_dark_inside(image, quad, threshold.darker_by.into())
+                    three_corners::is_dark_inside(image, quad, threshold.darker_by.codes().into())
                 }));
             }
         }

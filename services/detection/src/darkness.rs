@@ -1,7 +1,7 @@
 //! Which pixels are darker than their surroundings.
 //!
-//! A pixel is dark if it is darker by some code values than the mean of the square window around it,
-//! as in OpenCV's `adaptiveThreshold`. The mean of a large window changes little from pixel to pixel.
+//! A pixel is dark if it is darker by some code values, or by some share, than the mean of the square window around it.
+//! With code values that is OpenCV's `adaptiveThreshold`. The mean of a large window changes little from pixel to pixel.
 //! So it is computed from the means of blocks, which takes a fraction of the time.
 
 use flockeye_imaging::image::LumaImage;
@@ -97,14 +97,13 @@ impl Darkness {
         let across = window / side / 2 * 2 + 1;
         self.blocks.find(image, side, across / 2);
         let stride = self.blocks.stride;
-        let darker_by = u16::from(threshold.darker_by);
         let area = (across * across) as u32;
         // In integers of 16 bits, of which the compiler divides eight at once by this multiplication. Its
         // result is right to a fifth of a code value.
         let (reciprocal, half) = ((65536 + area / 2) / area, (area / 2) as u16);
         let limit_of = |sum: u16| {
             let mean = ((u32::from(sum + half) * reciprocal) >> 16) as u16;
-            (mean + 1).saturating_sub(darker_by).min(255) as u8
+            threshold.darker_by.limit(mean).min(255) as u8
         };
         self.dark.begin(image.width());
         self.columns.clear();
@@ -218,10 +217,12 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::windows::DarkerBy;
 
     /// The result for each pixel without the border, row by row: 1 for a dark one.
     fn dark(image: &LumaImage<'_>, window_px: usize, darker_by: u8) -> Vec<u8> {
         let mut darkness = Darkness::default();
+        let darker_by = DarkerBy::Codes(darker_by);
         // What is left in memory of another image must not matter.
         darkness
             .of(&LumaImage::new(&[9; 12], 4, 3, 4).unwrap(), Threshold { window_px: 5, darker_by });
@@ -316,6 +317,41 @@ mod tests {
             }
             prop_assert!((0..pixels.len()).filter(inner).any(|k| dark[k] == 1));
         }
+    }
+
+    /// A square of print that the edge of a shadow crosses. White in the shade has 70 code values, black in the sun 45.
+    #[test]
+    fn by_a_share_of_the_mean_white_in_the_shade_is_not_dark() {
+        let pixels: Vec<u8> = (0..100 * 100)
+            .map(|k| {
+                let (x, y) = (k % 100, k / 100);
+                let is_black = (35..65).contains(&x) && (35..65).contains(&y);
+                match (x + y < 100, is_black) {
+                    (true, true) => 45,
+                    (true, false) => 180,
+                    (false, true) => 8,
+                    (false, false) => 70,
+                }
+            })
+            .collect();
+        let image = LumaImage::new(&pixels, 100, 100, 100).unwrap();
+        let mut darkness = Darkness::default();
+        let mut wrong = |darker_by| {
+            let dark = darkness.of(&image, Threshold { window_px: 31, darker_by });
+            // Away from the image's border.
+            let inside = (20..80).flat_map(|y| (20..80).map(move |x| (x, y)));
+            inside
+                .filter(|&(x, y)| {
+                    let is_dark = dark.pixels()[(y + 1) * dark.stride() + x + 1] == 1;
+                    let is_black = (35..65).contains(&x) && (35..65).contains(&y);
+                    // Deep in the square nothing is brighter around.
+                    let is_deep = (40..60).contains(&x) && (40..60).contains(&y);
+                    is_dark != is_black && !is_deep
+                })
+                .count()
+        };
+        let (by_codes, by_share) = (wrong(DarkerBy::Codes(10)), wrong(DarkerBy::Percent(30)));
+        assert!(by_codes > 300 && by_share < 150, "{by_codes}, {by_share}");
     }
 
     #[test]

@@ -7,7 +7,7 @@ use flockeye_geometry::Ray;
 use flockeye_geometry::mask::Mask;
 use flockeye_geometry::view::{View, ViewPixel};
 use flockeye_imaging::edges::{
-    Grain, MarkerPrint, RefinedCorners, approach_corners, refine_corners,
+    Grain, Lighting, MarkerPrint, RefinedCorners, approach_corners, refine_corners,
 };
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::LinearLight;
@@ -16,7 +16,8 @@ use flockeye_imaging::square::mean_side_px;
 use crate::candidates::{Candidates, Finder};
 use crate::parameters::{DetectError, DetectorParameters, check_thresholds};
 use crate::quad::{Quad, centre, rotated, with_parallelogram_corner};
-use crate::reading::{Correlations, Decoded, Reader, Reading};
+use crate::reader::{Correlations, Decoded, Reader};
+use crate::reading::Reading;
 use crate::windows::Threshold;
 
 /// Images with a shorter side are not searched, pixels: they hold no marker with its quiet zone.
@@ -45,24 +46,16 @@ const MAX_BLUR_CELLS: f64 = 0.75;
 /// to 1.
 const MAX_BLUR_CELLS_AT_RANGE: f64 = 1.1;
 
-/// What markers blurred by more than [`MAX_BLUR_CELLS`] must reach. Chosen on a hall, panoramas and a
-/// simulated world: of 7,100 squares there that are blurred as much and are no markers, none reads as one
-/// with a log-likelihood ratio above 8. Of 197 that are markers, 167 pass.
-const BLURRED: BlurredLimits =
-    BlurredLimits { min_correlation: 0.93, min_log_likelihood_ratio: 11.0, max_misfit: 0.06 };
-
-struct BlurredLimits {
-    min_correlation: f32,
-    min_log_likelihood_ratio: f32,
-    max_misfit: f64,
-}
+/// What markers blurred by more than [`MAX_BLUR_CELLS`] must reach: log-likelihood ratio, and residual. Of 7,100 squares of
+/// a hall, panoramas and a simulated world that are blurred as much and are no markers, none reads as one with a
+/// log-likelihood ratio above 8.
+const BLURRED: (f32, f64) = (12.0, 0.06);
 
 /// Where corners are only approximate, cells are sampled off their middles. A reading there is worth a fit
-/// from these shares of the limits of correlation and log-likelihood ratio on.
-const WORTH_FITTING: (f32, f32) = (0.85, 0.5);
+/// from this share of the least log-likelihood ratio on.
+const WORTH_FITTING: f32 = 0.5;
 
-/// Without fitted edges a marker is accepted from this multiple of the least log-likelihood ratio on, and
-/// from half of what the least correlation leaves to 1.
+/// Without fitted edges a marker is accepted from this multiple of the least log-likelihood ratio on.
 const UNREFINED_RATIO: f32 = 2.0;
 
 /// Least contrast of a marker's cells, as a share of that between its quiet zone and its border. The cells of empty squares
@@ -76,6 +69,9 @@ const SAME_CORNER: (f64, f64) = (2.0, 0.05);
 /// A square is on a marker already found if their centres are nearer than this share of the
 /// marker's side.
 const SAME_PLACE_SHARE: f64 = 0.3;
+
+/// A marker inside another one is smaller by this factor at least: it has two cells of the other as its place.
+const NESTED_SIDE_RATIO: f64 = 2.5;
 
 /// A marker in a view.
 #[derive(Debug, Clone, PartialEq)]
@@ -196,8 +192,9 @@ impl Detector {
                 None => {}
             }
         }
-        found.sort_by(|a, b| a.id.cmp(&b.id).then(b.correlation.total_cmp(&a.correlation)));
+        found.sort_by(|a, b| b.correlation.total_cmp(&a.correlation).then(a.id.cmp(&b.id)));
         keep_best_of_each_place(&mut found);
+        found.sort_by_key(|marker| marker.id);
         add_doubtful(&mut found, doubtful);
         found
     }
@@ -234,33 +231,38 @@ impl Detector {
         }
         let corners = rotated(near, decoded.first_corner);
         let print = self.dictionary.print(decoded.id)?;
-        let mut refined = self.refined(image, light, &corners, print);
-        if refined.is_none() && self.is_accepted_unrefined(&decoded) {
+        let reading = self.reading(image, light, &corners)?;
+        let explained = self.reader.explain(&reading, print);
+        let lighting = explained.lighting();
+        let by_outline = self.is_accepted_unrefined(&decoded.with(&explained))
+            && self.has_cells(&reading, print);
+        let mut refined = self.refined(image, light, &corners, print, lighting);
+        if refined.is_none() && by_outline {
             refined = (0..4)
                 .map(|k| with_parallelogram_corner(&corners, k))
-                .find_map(|guess| self.refined(image, light, &guess, print));
+                .find_map(|guess| self.refined(image, light, &guess, print, lighting));
         }
-        let (corners_in_view, deviations_px) = match refined {
-            Some(refined) => (refined.corners_in_view, refined.sigmas_px),
-            None => (corners, [UNREFINED_PX; 4]),
-        };
         // It must read as the same marker with its final corners.
-        let reading = self.reading(image, light, &corners_in_view)?;
-        let confirmed = self.reader.compare(&reading)?.best()?;
-        if self.reader.cell_contrast(&reading, print) < MIN_CELL_CONTRAST {
-            return None;
-        }
-        let is_same = (confirmed.id, confirmed.first_corner) == (decoded.id, 0);
-        let is_accepted = match refined {
-            Some(refined) => {
-                self.reads_as_marker(&confirmed) && self.looks_printed(&refined, &confirmed)
-            }
-            None => self.is_accepted_unrefined(&confirmed),
-        };
-        (is_same && is_accepted).then(|| Found {
-            is_refined: refined.is_some(),
-            correlation: confirmed.correlation,
-            ..found_at(view, decoded.id, corners_in_view, deviations_px)
+        let fitted = refined.and_then(|refined| {
+            let reading = self.reading(image, light, &refined.corners_in_view)?;
+            let confirmed = self.reader.compare(&reading)?.best()?;
+            let is_same = (confirmed.id, confirmed.first_corner) == (decoded.id, 0);
+            let confirmed = confirmed.with(&self.reader.explain(&reading, print));
+            let is_accepted = is_same
+                && self.looks_printed(&refined, &confirmed)
+                && self.has_cells(&reading, print);
+            is_accepted.then(|| Found {
+                is_refined: true,
+                correlation: confirmed.correlation,
+                ..found_at(view, decoded.id, refined.corners_in_view, refined.sigmas_px)
+            })
+        });
+        // Where a shadow's edge or something else spoils the fit, the outline's corners stay.
+        fitted.or_else(|| {
+            by_outline.then(|| Found {
+                correlation: decoded.correlation,
+                ..found_at(view, decoded.id, corners, [UNREFINED_PX; 4])
+            })
         })
     }
 
@@ -281,8 +283,12 @@ impl Detector {
         light: &LinearLight,
         corners: &Quad,
     ) -> Option<Reading> {
-        Reading::new(image, light, corners, self.dictionary.bits())
-            .filter(|reading| reading.quiet_zone() >= self.parameters.min_quiet_zone)
+        let magnification = match self.grain {
+            Grain::Pixels => 1.0,
+            Grain::Resampled { magnification } => magnification,
+        };
+        Reading::new(image, light, corners, self.dictionary.bits(), magnification)
+            .filter(|reading| reading.quiet_zone >= self.parameters.min_quiet_zone)
     }
 
     fn refined(
@@ -291,38 +297,36 @@ impl Detector {
         light: &LinearLight,
         guess: &Quad,
         print: &MarkerPrint,
+        lighting: Lighting,
     ) -> Option<RefinedCorners> {
-        refine_corners(image, light, guess, print, self.grain, self.parameters.effort)
+        refine_corners(image, light, guess, print, self.grain, lighting, self.parameters.effort)
     }
 
     /// Whether a reading at approximate corners may be a marker's. See [`WORTH_FITTING`].
     fn is_worth_fitting(&self, decoded: &Decoded) -> bool {
-        let (correlation, ratio) = WORTH_FITTING;
-        decoded.correlation >= correlation * self.parameters.min_correlation
-            && decoded.log_likelihood_ratio >= ratio * self.parameters.min_log_likelihood_ratio
-    }
-
-    fn reads_as_marker(&self, decoded: &Decoded) -> bool {
-        decoded.correlation >= self.parameters.min_correlation
-            && decoded.log_likelihood_ratio >= self.parameters.min_log_likelihood_ratio
+        decoded.log_likelihood_ratio() >= WORTH_FITTING * self.parameters.min_log_likelihood_ratio
     }
 
     /// Whether a reading alone is enough, without fitted edges. See [`UNREFINED_RATIO`].
     fn is_accepted_unrefined(&self, decoded: &Decoded) -> bool {
-        decoded.correlation >= (1.0 + self.parameters.min_correlation) / 2.0
-            && decoded.log_likelihood_ratio
-                >= UNREFINED_RATIO * self.parameters.min_log_likelihood_ratio
+        decoded.log_likelihood_ratio() >= UNREFINED_RATIO * self.parameters.min_log_likelihood_ratio
     }
 
-    /// Whether the fitted edges are those of print, rather than of smooth shading.
+    /// Whether a square with fitted corners is this marker, rather than smooth shading.
     fn looks_printed(&self, refined: &RefinedCorners, decoded: &Decoded) -> bool {
         let cell = mean_side_px(&refined.corners_in_view) / (self.dictionary.bits() + 2) as f64;
         let blur = (refined.blur_px[0] + refined.blur_px[1]) / 2.0 / cell;
-        let passes_blurred = decoded.correlation >= BLURRED.min_correlation
-            && decoded.log_likelihood_ratio >= BLURRED.min_log_likelihood_ratio
-            && refined.residual_sigma <= BLURRED.max_misfit;
-        refined.residual_sigma <= MAX_MISFIT
+        let (ratio, misfit) = BLURRED;
+        let passes_blurred =
+            decoded.log_likelihood_ratio() >= ratio && refined.residual_sigma <= misfit;
+        decoded.log_likelihood_ratio() >= self.parameters.min_log_likelihood_ratio
+            && refined.residual_sigma <= MAX_MISFIT
             && (blur <= MAX_BLUR_CELLS || (blur <= MAX_BLUR_CELLS_AT_RANGE && passes_blurred))
+    }
+
+    /// Whether the cells have the contrast of print. See [`MIN_CELL_CONTRAST`].
+    fn has_cells(&self, reading: &Reading, print: &MarkerPrint) -> bool {
+        self.reader.cell_contrast(reading, print) >= MIN_CELL_CONTRAST
     }
 }
 
@@ -351,11 +355,17 @@ pub(crate) fn found_at(
     }
 }
 
-/// Of markers of one id at one place, which are outlines of one square, keeps the first.
+/// Of markers at one place, which are outlines of one square or of a part of it, keeps the first. A marker printed inside
+/// another one is at a place of its own: it is much smaller.
 fn keep_best_of_each_place(found: &mut Vec<Found>) {
     let mut kept: Vec<Found> = Vec::with_capacity(found.len());
     for marker in found.drain(..) {
-        if !kept.iter().any(|other| other.id == marker.id && is_same_place(other, &marker)) {
+        let is_there = |other: &Found| {
+            let ratio =
+                mean_side_px(&marker.corners_in_view) / mean_side_px(&other.corners_in_view);
+            is_same_place(other, &marker) && ratio.max(1.0 / ratio) < NESTED_SIDE_RATIO
+        };
+        if !kept.iter().any(is_there) {
             kept.push(marker);
         }
     }

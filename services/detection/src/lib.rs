@@ -16,6 +16,7 @@ pub mod candidates;
 pub mod core;
 mod darkness;
 mod detector;
+mod drawn;
 mod engine;
 mod opencv_detector;
 mod outlines;
@@ -23,6 +24,7 @@ mod parameters;
 mod plausible;
 mod polygon;
 mod quad;
+mod reader;
 mod reading;
 mod stage;
 mod three_corners;
@@ -34,7 +36,7 @@ pub use opencv_detector::OpenCvDetector;
 pub use parameters::{DetectError, DetectorParameters};
 pub use plausible::keep_plausible;
 pub use quad::Quad;
-pub use windows::Threshold;
+pub use windows::{DarkerBy, Threshold};
 
 /// The detection stage's process. It is here so that it is compiled once, with the library.
 pub fn main() -> std::process::ExitCode {

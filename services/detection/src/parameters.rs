@@ -4,7 +4,7 @@ use flockeye_contract::{Search, ViewKind};
 use flockeye_dictionary::DictionaryError;
 use flockeye_imaging::edges::Effort;
 
-use crate::windows::{Threshold, thresholds};
+use crate::windows::{DarkerBy, Threshold, thresholds};
 
 /// What is searched for, and what is accepted as a marker.
 ///
@@ -24,11 +24,10 @@ pub struct DetectorParameters {
     pub polygon_accuracy: f64,
     /// How far an outline may deviate from a polygon that has three of a square's corners, pixels.
     pub corner_accuracy_px: f64,
-    /// Least normalized correlation of the cells with the blurred marker's.
-    pub min_correlation: f32,
-    /// Least log-likelihood ratio of the id to the next one.
+    /// Least log-likelihood ratio of the marker to the next likely one, and to what is no marker.
     pub min_log_likelihood_ratio: f32,
-    /// Least brightness of the quiet zone over the border, on each side, as a share of the contrast.
+    /// Least step from the border out to the quiet zone, on each side, as a share of that from black print to
+    /// white paper.
     pub min_quiet_zone: f32,
     /// What is fitted to find a marker's corners.
     pub effort: Effort,
@@ -41,7 +40,6 @@ impl Default for DetectorParameters {
             thresholds: thresholds(ViewKind::Partition, Search::AllWindows, 1.0).collect(),
             polygon_accuracy: 0.05,
             corner_accuracy_px: 2.0,
-            min_correlation: 0.85,
             min_log_likelihood_ratio: 10.0,
             min_quiet_zone: 0.2,
             effort: Effort::default(),
@@ -86,10 +84,10 @@ impl DetectorParameters {
                 "above 0",
             ),
             (
-                "min_correlation",
-                f64::from(self.min_correlation),
-                (0.0..=1.0).contains(&self.min_correlation),
-                "from 0 to 1",
+                "min_log_likelihood_ratio",
+                f64::from(self.min_log_likelihood_ratio),
+                self.min_log_likelihood_ratio > 0.0,
+                "above 0",
             ),
         ];
         for (name, value, holds, allowed) in rules {
@@ -112,8 +110,12 @@ pub(crate) fn check_thresholds(
         if threshold.window_px < 3 || threshold.window_px.is_multiple_of(2) {
             return refused("window_px", threshold.window_px as f64, "odd, and 3 or more");
         }
-        if threshold.darker_by == 0 {
-            return refused("darker_by", 0.0, "1 or more");
+        match threshold.darker_by {
+            DarkerBy::Codes(0) => return refused("darker_by", 0.0, "1 code value or more"),
+            DarkerBy::Percent(percent) if !(1..=99).contains(&percent) => {
+                return refused("darker_by", percent.into(), "1 to 99 percent");
+            }
+            _ => {}
         }
     }
     if is_empty { refused("thresholds", 0.0, "one or more") } else { Ok(()) }

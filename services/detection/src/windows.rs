@@ -2,30 +2,69 @@
 
 use flockeye_contract::{Search, ViewKind};
 
-/// A pixel is dark if it is darker than its surroundings by some code values.
+/// A pixel is dark if it is darker than its surroundings.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Threshold {
     /// Side of the square of surroundings whose mean counts, pixels; odd. From 15 px on the square is
     /// made of blocks: it is up to a tenth smaller, and up to a fourteenth of its side off centre.
     pub window_px: usize,
-    /// By how many code values the pixel must be darker; 1 or more.
-    pub darker_by: u8,
+    /// By how much the pixel must be darker than the mean.
+    pub darker_by: DarkerBy,
 }
 
-/// A window, in pixels of the sphere's own resolution, and by how many code values a marker's pixel is
-/// darker than the window's mean.
-type Window = (f64, u8);
+/// By how much a pixel must be darker than a mean.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum DarkerBy {
+    /// By so many code values; 1 or more.
+    Codes(u8),
+    /// By this share of the mean, percent; 1 to 99. What is white in the shade is darker than what is white in the sun,
+    /// but not as much as print.
+    Percent(u8),
+}
+
+impl DarkerBy {
+    /// The code value below which a pixel is dark where the mean is `mean`.
+    #[inline(always)]
+    pub(crate) fn limit(self, mean: u16) -> u16 {
+        match self {
+            Self::Codes(codes) => (mean + 1).saturating_sub(codes.into()),
+            Self::Percent(percent) => mean * (100 - u16::from(percent)) / 100,
+        }
+    }
+
+    /// By how many code values a square's inside must be darker than its outside.
+    pub(crate) fn codes(self) -> u8 {
+        match self {
+            Self::Codes(codes) => codes,
+            Self::Percent(_) => LEAST_STEP_CODES,
+        }
+    }
+}
+
+/// Least step across the side of a square that was found by a share of the mean, code values.
+const LEAST_STEP_CODES: u8 = 10;
+
+/// A window, in pixels of the sphere's own resolution, and by how much a marker's pixel is darker than
+/// the window's mean.
+type Window = (f64, DarkerBy);
 
 /// Windows for tiles, finest first.
 ///
 /// The fine one finds markers in the shade and beside dark things, the coarse one bright markers. On
 /// drawn markers of 14 to 30 px, in a hall and in a panorama, these two found most for their time: see
-/// the table of windows in docs/DETECTION.md.
-const TILE_WINDOWS: &[Window] = &[(7.0, 4), (31.0, 10)];
+/// the table of windows in docs/DETECTION.md. The one between them finds markers that shadows cross; it is taken
+/// where time does not matter.
+const TILE_WINDOWS: &[Window] =
+    &[(7.0, DarkerBy::Codes(4)), (31.0, DarkerBy::Percent(30)), (31.0, DarkerBy::Codes(10))];
 
 /// Windows for regions of interest, finest first. These views are small, and a neighbour is expected
 /// in them, so more passes are worth their time.
-const REGION_WINDOWS: &[Window] = &[(5.5, 4), (7.5, 4), (15.0, 6), (31.0, 10)];
+const REGION_WINDOWS: &[Window] = &[
+    (5.5, DarkerBy::Codes(4)),
+    (7.5, DarkerBy::Codes(4)),
+    (31.0, DarkerBy::Percent(30)),
+    (31.0, DarkerBy::Codes(10)),
+];
 
 /// The widest window to each side of its middle, pixels of the view.
 const MAX_REACH_PX: f64 = 500.0;
@@ -66,18 +105,18 @@ mod tests {
     #[test]
     fn each_way_to_search_has_its_windows() {
         for kind in [ViewKind::Partition, ViewKind::HighResolution] {
-            assert_eq!(windows_px(kind, Search::AllWindows, 1.0), [7, 31]);
+            assert_eq!(windows_px(kind, Search::AllWindows, 1.0), [7, 31, 31]);
             assert_eq!(windows_px(kind, Search::FineWindow, 1.0), [7]);
             assert_eq!(windows_px(kind, Search::CoarseWindow, 1.0), [31]);
             assert!(windows_px(kind, Search::Nothing, 1.0).is_empty());
         }
-        assert_eq!(windows_px(ViewKind::Gaze, Search::AllWindows, 1.0), [5, 7, 15, 31]);
+        assert_eq!(windows_px(ViewKind::Gaze, Search::AllWindows, 1.0), [5, 7, 31, 31]);
         assert_eq!(windows_px(ViewKind::Gaze, Search::FineWindow, 1.0), [5]);
     }
 
     #[test]
     fn windows_grow_with_the_magnification_and_stay_odd() {
-        assert_eq!(windows_px(ViewKind::Partition, Search::AllWindows, 2.0), [15, 63]);
+        assert_eq!(windows_px(ViewKind::Partition, Search::AllWindows, 2.0), [15, 63, 63]);
         for magnification in [0.0, 1e-9, 0.7, 3.3, 1e12, f64::INFINITY, f64::NAN] {
             let windows = windows_px(ViewKind::Gaze, Search::AllWindows, magnification);
             let is_allowed = |window: &usize| window % 2 == 1 && (1..=1001).contains(window);

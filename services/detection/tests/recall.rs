@@ -6,7 +6,7 @@
 #[allow(dead_code, reason = "not all of it is needed here")]
 mod drawn;
 
-use drawn::{Dice, Scene, encode};
+use drawn::{Dice, Scene, Stripes, encode};
 use flockeye_detection::{Detector, DetectorParameters, Found};
 use flockeye_geometry::view::View;
 use flockeye_imaging::image::LumaImage;
@@ -74,7 +74,11 @@ impl Recall {
             // A marker whose cells are hardly wider than the blur may be misread. So a pose needs two
             // markers that agree.
             let is_read = cell_in_blurs(side, tilt_deg, blur) > 2.0;
-            assert!(wrong.is_none() || !is_read, "a marker that is not there: {wrong:?}");
+            assert!(
+                wrong.is_none() || !is_read,
+                "a marker that is not there: side {side} tilt {tilt_deg} blur {blur}, {id} at {:?}: {wrong:?}",
+                scene.corners
+            );
             found += u32::from(markers.iter().any(|m| is_right(&m) && !m.is_doubtful));
             doubtful += u32::from(markers.iter().any(|m| is_right(&m) && m.is_doubtful));
         }
@@ -132,6 +136,20 @@ fn markers_that_saturate_the_sensor_are_found() {
     for (gain, side, tilt, found, is_wide) in shares {
         let least = if is_wide { 90 } else { 0 };
         assert!(found >= least, "gain {gain} side {side} tilt {tilt}: {found} %");
+    }
+}
+
+/// Shadows as narrow as half a marker, with a quarter and with an eighth of the sun's light.
+#[test]
+fn markers_in_stripes_of_sun_are_found() {
+    let mut recall = Recall::new();
+    for (side, shade, least) in [(30.0, 0.25, 50), (60.0, 0.25, 85), (60.0, 0.125, 40)] {
+        for tilt in [0.0, 40.0] {
+            let (found, _) = recall.measure(side, tilt, 0.9, |scene, dice| {
+                scene.stripes = Some(Stripes::of_shade(shade, dice));
+            });
+            assert!(found >= least, "side {side} tilt {tilt} shade {shade}: {found} %");
+        }
     }
 }
 

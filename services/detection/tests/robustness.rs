@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
-use flockeye_detection::{DetectError, Detector, DetectorParameters, Threshold};
+use flockeye_detection::{DarkerBy, DetectError, Detector, DetectorParameters, Threshold};
 use flockeye_geometry::camera::Camera;
 use flockeye_geometry::mask::Mask;
 use flockeye_geometry::view::View;
@@ -101,14 +101,14 @@ fn an_unknown_dictionary_is_refused_with_the_known_ones() {
 
 #[test]
 fn parameters_outside_their_range_are_refused() {
-    let even_window = Threshold { window_px: 10, darker_by: 3 };
-    let every_pixel = Threshold { window_px: 11, darker_by: 0 };
+    let even_window = Threshold { window_px: 10, darker_by: DarkerBy::Codes(3) };
+    let every_pixel = Threshold { window_px: 11, darker_by: DarkerBy::Codes(0) };
     for parameters in [
         DetectorParameters { thresholds: Vec::new(), ..Default::default() },
         DetectorParameters { thresholds: vec![even_window], ..Default::default() },
         DetectorParameters { thresholds: vec![every_pixel], ..Default::default() },
         DetectorParameters { min_side_px: f64::NAN, ..Default::default() },
-        DetectorParameters { min_correlation: 1.5, ..Default::default() },
+        DetectorParameters { min_log_likelihood_ratio: -1.5, ..Default::default() },
     ] {
         let error = refused("DICT_5X5_250", parameters);
         assert!(matches!(error, DetectError::Parameter { .. }), "{error}");

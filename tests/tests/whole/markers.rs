@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use flockeye_detection::{Detector, DetectorParameters, Found, Threshold};
+use flockeye_detection::{DarkerBy, Detector, DetectorParameters, Found, Threshold};
 use flockeye_geometry::view::View;
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
@@ -62,8 +62,9 @@ fn read(pixels: &[u8], width: usize, dictionary: &str) -> Vec<Found> {
     let view = View::looking_at(&Vector3::x_axis(), 1.0, width as u32);
     let light = LinearLight::new(TransferCurve::Linear, CodeRange::Full).expect("a curve");
     // Cells on a sheet are larger than in flight, and so are the windows.
-    let thresholds =
-        [(11, 4), (61, 10)].map(|(window_px, darker_by)| Threshold { window_px, darker_by }).into();
+    let thresholds = [(11, 4), (61, 10)]
+        .map(|(window_px, codes)| Threshold { window_px, darker_by: DarkerBy::Codes(codes) })
+        .into();
     let parameters = DetectorParameters { thresholds, ..DetectorParameters::default() };
     let mut detector = Detector::new(dictionary, parameters).expect("known");
     detector.detect(&image, &view, &light)

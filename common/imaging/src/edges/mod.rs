@@ -18,11 +18,15 @@
 //! Steps 2 to 4 are done two or three times, because the lines tell better where to sample and where the
 //! cells are. The first time, `model` takes only a few steps.
 //!
+//! Where light differs from place to place, `level` brings the profiles to one light before step 3
+//! ([`Lighting::Uneven`]).
+//!
 //! 5. `whole` fits all cells of the print to the pixels, starting from these corners ([`Effort::WholePrint`]).
 
 mod approach;
 mod drawing;
 mod grain;
+mod level;
 mod line;
 mod model;
 mod print;
@@ -74,6 +78,7 @@ pub fn refine_corners(
     guess_in_view: &[ViewPixel; 4],
     print: &MarkerPrint,
     grain: Grain,
+    lighting: Lighting,
     effort: Effort,
 ) -> Option<RefinedCorners> {
     let size = mean_side_px(guess_in_view);
@@ -89,7 +94,11 @@ pub fn refine_corners(
     for _ in 0..3 {
         let blur = before.as_ref().map_or([profile::FIRST_BLUR_PX; 2], |fit| fit.blur);
         let side = |k: usize| Side::sample(image, light, &corners, print, k, blur);
-        let sides = [side(0)?, side(1)?, side(2)?, side(3)?];
+        let mut sides = [side(0)?, side(1)?, side(2)?, side(3)?];
+        let border = sides.iter().map(Side::border).fold(f64::INFINITY, f64::min);
+        if lighting == Lighting::Uneven || border >= LEVEL_BLURS * blur[0].max(blur[1]) {
+            level::level(&mut sides, blur);
+        }
         let fit = model::fit(&sides, before.as_ref())?;
         let lines = fit_lines(&sides, &fit)?;
         let crossed = cross(&sides, &lines)?;
@@ -111,14 +120,28 @@ pub fn refine_corners(
     }
     let edges = refined.filter(|refined| is_near(&refined.corners_in_view, guess_in_view))?;
     let whole = match effort {
-        Effort::Edges => None,
-        Effort::WholePrint => by_whole_print(image, light, &edges, print, grain)
-            .filter(|whole| is_near(&whole.corners_in_view, guess_in_view)),
+        Effort::WholePrint if lighting == Lighting::Even => {
+            by_whole_print(image, light, &edges, print, grain).filter(|whole| {
+                is_near(&whole.corners_in_view, guess_in_view) && agree(whole, &edges)
+            })
+        }
+        _ => None,
     };
     Some(whole.unwrap_or_else(|| RefinedCorners {
         sigmas_px: edges.sigmas_px.map(|sigma_px| without_whole(sigma_px, &edges, print)),
         ..edges
     }))
+}
+
+/// How a marker is lit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Lighting {
+    /// One white and one black everywhere.
+    #[default]
+    Even,
+    /// Shadows cross it: white and black differ from place to place. Its edges alone are fitted, each place of them in
+    /// its own light.
+    Uneven,
 }
 
 /// How much is fitted to refine corners.
@@ -201,6 +224,21 @@ fn cross(sides: &[Side; 4], lines: &[EdgeLine; 4]) -> Option<[(ViewPixel, f64); 
         line::cross((&sides[before].frame, &lines[before]), (&sides[k].frame, &lines[k]))
     };
     Some([corner(0)?, corner(1)?, corner(2)?, corner(3)?])
+}
+
+/// Where the border is wider than this many blurs, each place of an edge shows white and black by itself, and is fitted in
+/// its own light however the marker is lit.
+const LEVEL_BLURS: f64 = 4.0;
+
+/// Corners by the edges and by the whole print agree up to this many standard deviations.
+const AGREED_SIGMAS: f64 = 5.0;
+
+/// Whether corners by the whole print are those by the edges. Where they are not, a shadow or an object spoils the whole.
+fn agree(whole: &RefinedCorners, edges: &RefinedCorners) -> bool {
+    (0..4).all(|k| {
+        let apart = (whole.corners_in_view[k].0 - edges.corners_in_view[k].0).norm();
+        apart <= AGREED_SIGMAS * whole.sigmas_px[k].hypot(edges.sigmas_px[k])
+    })
 }
 
 /// Whether the corners are near enough to the guess to be the same ones.

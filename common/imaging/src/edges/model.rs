@@ -69,13 +69,20 @@ impl Fit {
 }
 
 /// Share of white at one sample, and its derivatives by the edge's position and by the blur.
-struct Share {
-    white: f64,
+pub(super) struct Share {
+    pub white: f64,
     by_edge: f64,
     by_blur: f64,
 }
 
-fn share(gaussian: Gaussian, profile: &Profile, depth: f64, edge: f64, blur: f64) -> Share {
+/// What the print has at `depth` of a profile, pixels, if its edge is at `edge`.
+pub(super) fn share(
+    gaussian: Gaussian,
+    profile: &Profile,
+    depth: f64,
+    edge: f64,
+    blur: f64,
+) -> Share {
     let mut share = Share { white: 1.0, by_edge: 0.0, by_blur: 0.0 };
     for change in &profile.changes {
         let at = (depth - edge - change.depth) / blur;

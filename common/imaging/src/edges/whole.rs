@@ -230,7 +230,9 @@ pub(super) fn fit(
         let moved = |(a, b): (&ViewPixel, &ViewPixel)| (a.0 - b.0).norm();
         let before = state.corners();
         let most = next.corners().iter().zip(&before).map(moved).fold(0.0, f64::max);
-        if !is_blurred || !most.is_finite() {
+        // Print that comes out darker than its border is none.
+        let is_print = next.white > next.black;
+        if !is_blurred || !is_print || !most.is_finite() {
             return None;
         }
         state = next;

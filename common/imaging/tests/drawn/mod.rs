@@ -62,6 +62,38 @@ pub struct Scene {
     pub occluded: f64,
     /// The corner that a dark strut, a quarter of a side wide, runs into from outside.
     pub strut: Option<usize>,
+    /// Stripes of sun across the plane.
+    pub stripes: Option<Stripes>,
+}
+
+/// Stripes of sun, as wide as the shade between them.
+#[derive(Debug, Clone, Copy)]
+pub struct Stripes {
+    /// Direction across them, radians.
+    pub across_rad: f64,
+    /// Where the first begins, and the width of sun and shade together, sides of the marker.
+    pub first: f64,
+    pub width: f64,
+    /// Light in the shade, as a share of that in the sun.
+    pub shade: f64,
+}
+
+impl Stripes {
+    /// Stripes of any direction, with a width of half a side to one and a half, and this share of light between them.
+    pub fn of_shade(shade: f64, dice: &mut Dice) -> Self {
+        Self {
+            across_rad: dice.uniform(0.0, 6.3),
+            first: dice.uniform(0.0, 1.5),
+            width: dice.uniform(0.5, 1.5),
+            shade,
+        }
+    }
+
+    fn light(&self, u: f64, v: f64) -> f64 {
+        let (sine, cosine) = self.across_rad.sin_cos();
+        let at = ((u * cosine + v * sine - self.first) / self.width).rem_euclid(1.0);
+        if at < 0.5 { 1.0 } else { self.shade }
+    }
 }
 
 impl Scene {
@@ -96,11 +128,17 @@ impl Scene {
             around,
             occluded: 0.0,
             strut: None,
+            stripes: None,
         }
     }
 
     /// Radiance of the printed plane. The black square is [0, 1] x [0, 1].
     pub fn radiance(&self, u: f64, v: f64) -> f64 {
+        self.printed(u, v) * self.stripes.map_or(1.0, |stripes| stripes.light(u, v))
+    }
+
+    /// The same in even light.
+    fn printed(&self, u: f64, v: f64) -> f64 {
         // 0.875 cells of quiet zone: facets of 62.5 mm with markers of 50 mm.
         let quiet = 0.875 / CELLS as f64;
         if self.occluded > 0.0 && (u - 0.5).abs() < self.occluded / 2.0 && v < 0.3 {
