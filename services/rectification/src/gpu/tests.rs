@@ -1,5 +1,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
 use flockeye_geometry::camera::Camera;
 use flockeye_geometry::view::View;
 use flockeye_runtime::health::SharedCounters;
@@ -10,6 +12,14 @@ use super::*;
 use crate::standby::Standby;
 
 const CAMERA: Camera = Camera::equirectangular(64, 32);
+
+/// Holds back other tests: drivers of real devices were seen to hang where several threads of a process open and destroy
+/// devices at once.
+static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
+
+fn alone() -> MutexGuard<'static, ()> {
+    ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner)
+}
 
 /// A rectifier for this memory, or for the device's best.
 fn gpu(memory: Option<Memory>) -> Option<GpuRectifier> {
@@ -41,6 +51,7 @@ fn sphere(pixels: &[u8]) -> SphereImage<'_> {
 
 #[test]
 fn memory_that_is_shared_gives_the_bytes_of_memory_that_is_not() {
+    let _alone = alone();
     let pixels: Vec<u8> = (0..64 * 32).map(|k| (k * 7 % 251) as u8).collect();
     let mut results = Vec::new();
     for memory in [Memory::Shared, Memory::Apart] {
@@ -65,6 +76,7 @@ fn memory_that_is_shared_gives_the_bytes_of_memory_that_is_not() {
 
 #[test]
 fn what_was_ordered_is_cut_together_and_what_was_not_alone() {
+    let _alone = alone();
     let Some(mut gpu) = gpu(None) else { return };
     let pixels = plain(70);
     let mut out = [0; 32 * 32];
@@ -82,6 +94,7 @@ fn what_was_ordered_is_cut_together_and_what_was_not_alone() {
 
 #[test]
 fn views_are_divided_where_no_output_holds_them_all() {
+    let _alone = alone();
     let Some(mut gpu) = gpu(None) else { return };
     gpu.device.max_bytes = 64 * 32 + 4;
     let pixels = plain(70);
@@ -101,6 +114,7 @@ fn views_are_divided_where_no_output_holds_them_all() {
 
 #[test]
 fn a_newer_frame_takes_the_place_of_one_prepared_in_vain() {
+    let _alone = alone();
     let Some(mut gpu) = gpu(None) else { return };
     let pixels: Vec<_> = (0..9).map(|frame| plain(10 * frame)).collect();
     let sphere = |frame: usize| sphere(&pixels[frame]);
@@ -123,6 +137,7 @@ fn a_newer_frame_takes_the_place_of_one_prepared_in_vain() {
 
 #[test]
 fn a_lost_device_is_an_error_and_stays_one() {
+    let _alone = alone();
     let Some(mut gpu) = gpu(None) else { return };
     let pixels = plain(70);
     let cut = look(0.0, 33);
@@ -138,6 +153,7 @@ fn a_lost_device_is_an_error_and_stays_one() {
 
 #[test]
 fn a_device_lost_between_two_views_of_a_frame_costs_no_view() {
+    let _alone = alone();
     for memory in [Memory::Shared, Memory::Apart] {
         let Some(gpu) = gpu(Some(memory)) else { return };
         let device = gpu.device.device.clone();
@@ -162,6 +178,7 @@ fn a_device_lost_between_two_views_of_a_frame_costs_no_view() {
 
 #[test]
 fn what_the_device_cannot_hold_is_refused() {
+    let _alone = alone();
     let Some(mut gpu) = gpu(None) else { return };
     gpu.device.max_bytes = 3840 * 1920;
     gpu.check_frame(&Camera::equirectangular(3838, 1920)).unwrap();
