@@ -62,6 +62,7 @@ const TILE_WINDOWS: &[Window] =
 const REGION_WINDOWS: &[Window] = &[
     (5.5, DarkerBy::Codes(4)),
     (7.5, DarkerBy::Codes(4)),
+    (15.0, DarkerBy::Codes(6)),
     (31.0, DarkerBy::Percent(30)),
     (31.0, DarkerBy::Codes(10)),
 ];
@@ -110,7 +111,7 @@ mod tests {
             assert_eq!(windows_px(kind, Search::CoarseWindow, 1.0), [31]);
             assert!(windows_px(kind, Search::Nothing, 1.0).is_empty());
         }
-        assert_eq!(windows_px(ViewKind::Gaze, Search::AllWindows, 1.0), [5, 7, 31, 31]);
+        assert_eq!(windows_px(ViewKind::Gaze, Search::AllWindows, 1.0), [5, 7, 15, 31, 31]);
         assert_eq!(windows_px(ViewKind::Gaze, Search::FineWindow, 1.0), [5]);
     }
 

@@ -6,7 +6,7 @@
 use std::f64::consts::PI;
 use std::ops::Range;
 
-use nalgebra::{Matrix3, Point2, Point3, Vector3};
+use nalgebra::{Matrix3, Point2, Point3, UnitQuaternion, Vector3};
 
 use crate::density::{Density, Stretch};
 use crate::drone::{Drone, Part};
@@ -15,6 +15,7 @@ use crate::optics::{blur_kernel, blur_row, blur_rows};
 use crate::raster::{Accumulator, CHANNELS};
 use crate::sensor::Sensor;
 use crate::sphere::SphereGrid;
+use crate::sun::{Sun, world_from_body};
 use crate::tiles::RayRow;
 
 /// Variance that the drawing adds by itself, square samples: areas of one sample (1/12), and
@@ -34,6 +35,15 @@ pub struct Sharpness {
     pub exposure_s: f64,
     /// Samples along either side that no drawing needs more of: the image has no more pixels.
     pub widest: f64,
+}
+
+/// What lights a drone.
+#[derive(Debug, Clone, Copy)]
+pub struct Lights {
+    /// Turns the camera's axes into the world's.
+    pub world_from_camera: UnitQuaternion<f64>,
+    /// Outdoors; `None`: the hall's lamps alone.
+    pub sun: Option<Sun>,
 }
 
 /// The drawing of one drone in one frame. Its buffers are kept from frame to frame.
@@ -68,15 +78,14 @@ fn illumination(normal_in_world: &Vector3<f64>) -> f64 {
 }
 
 impl Drawing {
-    /// Draws `drone` where the eye sees it, in an image of `pixels` there. `world_from_camera` only
-    /// matters for the light.
+    /// Draws `drone` where the eye sees it, in an image of `pixels` there.
     ///
     /// The drone must be at least 1.2 of its radius away, so that all of it is before the plane.
     pub fn draw(
         &mut self,
         drone: &Drone,
         placement: &Placement,
-        world_from_camera: &nalgebra::UnitQuaternion<f64>,
+        lights: &Lights,
         pixels: &Density,
         sharpness: Sharpness,
     ) {
@@ -143,7 +152,8 @@ impl Drawing {
         );
         self.samples_from_camera = (samples_from_drawing * drawing_from_camera).cast();
 
-        let world_from_markers = world_from_camera * pose.rotation;
+        let world_from_markers = world_from_body(&lights.world_from_camera, pose);
+        let sunlight = lights.sun.map(|sun| sun.on(&world_from_markers));
         self.accumulator.resize(self.width, self.height);
         self.samples.clear();
         self.samples.resize(self.width * self.height * CHANNELS, 0.0);
@@ -152,12 +162,24 @@ impl Drawing {
         let place = |point: &Point3<f64>| stretched(point, &stretch) - origin.coords;
         for part in &parts {
             for painted in part.faces.iter().filter(|painted| painted.face.height(&eye) > 0.0) {
-                let lit = illumination(&(world_from_markers * painted.face.normal));
+                let normal = &painted.face.normal;
+                let full = illumination(&(world_from_markers * normal));
+                let lit = full * sunlight.map_or(1.0, |sunlight| sunlight.shade());
                 let outline: Vec<_> = painted.face.corners.iter().map(place).collect();
                 self.accumulator.add_polygon(&outline, painted.reflectance * lit, 1.0);
                 for patch in &painted.print {
                     let outline: Vec<_> = patch.corners.iter().map(place).collect();
                     self.accumulator.add_polygon(&outline, patch.change * lit, 0.0);
+                }
+                let Some(sunlight) = sunlight else { continue };
+                let added = full * sunlight.added(normal);
+                let ground = (&painted.face.corners, painted.reflectance);
+                let prints = painted.print.iter().map(|patch| (&patch.corners, patch.change));
+                for (corners, reflectance) in [ground].into_iter().chain(prints) {
+                    for part in sunlight.reaches(corners) {
+                        let outline: Vec<_> = part.iter().map(place).collect();
+                        self.accumulator.add_polygon(&outline, reflectance * added, 0.0);
+                    }
                 }
             }
             let [low, high] = bounds(&[part], &stretch).map(|corner| corner - origin.coords);

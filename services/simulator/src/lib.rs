@@ -38,6 +38,7 @@
 //! | [`cube`] | the same for an observer that leans and turns unevenly, blurred along the way in each frame |
 //! | [`drone`] | bodies and airframes as painted convex parts |
 //! | [`raster`], [`optics`], [`drawing`] | drawn with exact area coverage, blurred by lens and motion, for each eye |
+//! | [`sun`] | a low sun, and the shadows that it casts in stripes |
 //! | [`density`] | how many pixels the image has round a body |
 //! | [`sight`] | where an eye sees a body, and how finely |
 //! | [`own_airframe`] | the observer's own legs over everything |
@@ -81,6 +82,7 @@ pub mod sight;
 pub mod sphere;
 pub mod sphere_picture;
 pub mod stage;
+pub mod sun;
 pub mod tiled_picture;
 pub mod tiles;
 pub mod trajectory;

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use flockeye_geometry::camera::Camera;
 
 use crate::response::Response;
+use crate::sun::Sun;
 
 /// How finely bodies are drawn before the lens blurs them.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -44,6 +45,8 @@ pub struct WorldParameters {
     /// By how many stops pictures are brighter than they should be; darker if negative. Motion blur is that of
     /// `exposure_s` all the same.
     pub exposure_stops: f64,
+    /// Shines on the bodies; `None`: the hall's lamps alone.
+    pub sun: Option<Sun>,
     /// Sensitivity: shot noise grows with its root, read noise with itself. 0 is a picture without
     /// noise.
     pub iso: u32,
@@ -102,6 +105,7 @@ impl Default for WorldParameters {
             frames_per_second: 30.0,
             exposure_s: 0.00625,
             exposure_stops: 0.0,
+            sun: None,
             iso: 400,
             read_noise: 0.0004,
             shot_noise: 0.0078,
@@ -156,6 +160,8 @@ impl WorldParameters {
                 format!("{name} {value}: must be 0 to 1, as a share of full scale"),
             );
         }
+        let sun = self.sun.and_then(|sun| sun.problem());
+        refuse(sun.is_some(), sun.unwrap_or_default());
         let response = self.response.problem();
         refuse(response.is_some(), response.unwrap_or_default());
         refuse(self.iso > 102_400, format!("iso {}: must be 0 to 102400", self.iso));

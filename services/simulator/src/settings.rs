@@ -6,6 +6,7 @@ use flockeye_convert::transfer_curve;
 use flockeye_geometry::body::Bodies;
 
 use crate::parameters::SwarmPlace;
+use crate::sun::Sun;
 use crate::{Response, WorldParameters};
 
 /// The bodies that fly: the first of those configured. `None` if none does.
@@ -45,6 +46,12 @@ pub fn parameters(resolved: &Resolved) -> anyhow::Result<WorldParameters> {
         frames_per_second: settings.frames_per_second,
         exposure_s: settings.exposure_ms * 1e-3,
         exposure_stops: settings.exposure_stops,
+        sun: settings.sun.map(|sun| Sun {
+            ratio: sun.ratio,
+            elevation_deg: sun.elevation_deg,
+            azimuth_deg: sun.azimuth_deg,
+            stripes_m: sun.stripes_m,
+        }),
         read_noise: usual.read_noise * settings.noise,
         shot_noise: usual.shot_noise * settings.noise,
         lens_blur_px: settings.lens_blur_px,

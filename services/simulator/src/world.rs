@@ -4,7 +4,7 @@ use flockeye_dictionary::Dictionary;
 use flockeye_geometry::body::Bodies;
 use nalgebra::{Isometry3, Unit, UnitQuaternion, Vector3};
 
-use crate::drawing::{Drawing, Sharpness};
+use crate::drawing::{Drawing, Lights, Sharpness};
 use crate::drone::Drone;
 use crate::drone_motion::{DroneMotion, STEP_S};
 use crate::error::{RenderError, WorldError};
@@ -254,7 +254,8 @@ impl World {
         stride: usize,
     ) -> Result<FrameTruth, RenderError> {
         self.check(moment, luma.len(), stride)?;
-        let world_from_camera = moment.camera.world_from_camera;
+        let lights =
+            Lights { world_from_camera: moment.camera.world_from_camera, sun: self.parameters.sun };
         let sights = self.sights(moment);
         let sharpness = self.sharpness();
         let bodies = self.drones.iter().zip(&sights);
@@ -262,7 +263,7 @@ impl World {
         for (drawings, (drone, sights)) in self.drawings.chunks_mut(self.eyes.len()).zip(bodies) {
             for (eye, (drawing, sight)) in drawings.iter_mut().zip(sights).enumerate() {
                 let Some(Sight { placement, density }) = sight else { continue };
-                drawing.draw(drone, placement, &world_from_camera, density, sharpness);
+                drawing.draw(drone, placement, &lights, density, sharpness);
                 layers.push((placement.position().norm(), Layer { eye, drawing }));
             }
         }

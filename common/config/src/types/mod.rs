@@ -26,7 +26,7 @@ pub use inertial::{Inertial, InertialSource};
 pub use mavlink::MavlinkAddress;
 pub use mount::Mount;
 pub use partition::{Auto, Count, Method, Partition};
-pub use simulator::{SimulatedInertial, SimulatedSwarm, Simulator};
+pub use simulator::{SimulatedInertial, SimulatedSun, SimulatedSwarm, Simulator};
 pub use stages::{Restart, Scheduling, StageInfo, StageProcess, Stages};
 
 /// A Flockeye pipeline.

@@ -41,6 +41,8 @@ pub struct Simulator {
     /// By how many stops pictures are brighter than they should be; darker if negative. Motion blur does not change.
     #[schemars(range(min = -8.0, max = 8.0))]
     pub exposure_stops: f64,
+    /// A low sun that shines on the bodies, in stripes if things cast shadows. Left out: the hall's lamps alone.
+    pub sun: Option<SimulatedSun>,
     /// Sensor noise as a multiple of the default camera's; 0: none.
     #[schemars(range(min = 0.0, max = 20.0))]
     pub noise: f64,
@@ -79,12 +81,37 @@ impl Default for Simulator {
             yaw_swing_deg_s: 0.0,
             lens_blur_px: 0.8,
             exposure_stops: 0.0,
+            sun: None,
             noise: 1.0,
             airframes: true,
             inertial: SimulatedInertial::default(),
             bodies: None,
             swarm: None,
         }
+    }
+}
+
+/// The simulated sun.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct SimulatedSun {
+    /// How many times brighter a surface is that faces it than one in the shade.
+    #[schemars(range(min = 1.0, max = 100.0))]
+    pub ratio: f64,
+    /// Its height above the horizon, degrees.
+    #[schemars(range(min = -90.0, max = 90.0))]
+    pub elevation_deg: f64,
+    /// Its direction, counterclockwise from where the observer looks at the start, degrees.
+    #[schemars(range(min = -360.0, max = 360.0))]
+    pub azimuth_deg: f64,
+    /// Width of a stripe of sun and of the shadow beside it together, metres; 0: nothing casts shadows.
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub stripes_m: f64,
+}
+
+impl Default for SimulatedSun {
+    fn default() -> Self {
+        Self { ratio: 4.0, elevation_deg: 15.0, azimuth_deg: 40.0, stripes_m: 0.0 }
     }
 }
 

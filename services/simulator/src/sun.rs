@@ -1,0 +1,202 @@
+//! A low sun that shines on the bodies past things that cast shadows.
+//!
+//! Its light comes from one direction, so one side of a body is many times brighter than the other. What stands before it, a
+//! fence or the slats of a blind, casts shadows in stripes that stand still in the world: they cross markers, and their edges
+//! lie anywhere on them. Bodies cast no shadows themselves.
+
+use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
+
+/// A sun as the configuration asks for it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sun {
+    /// How many times brighter a surface is that faces it than one that it does not reach.
+    pub ratio: f64,
+    /// Its height above the horizon, degrees.
+    pub elevation_deg: f64,
+    /// Its direction in the world, counterclockwise from x, degrees.
+    pub azimuth_deg: f64,
+    /// Width of a stripe of sun and of the shadow beside it together, metres; 0: no shadows.
+    pub stripes_m: f64,
+}
+
+/// Stripes of sun on what a body shows, in the body's own frame.
+#[derive(Debug, Clone, Copy)]
+pub struct Sunlight {
+    towards_sun: Vector3<f64>,
+    /// Across the stripes: a point's place among them is `across.dot(point) + offset`, in stripes.
+    across: Vector3<f64>,
+    offset: f64,
+    has_stripes: bool,
+    shade: f64,
+}
+
+impl Sun {
+    /// Its light on a body whose pose this is, in the axes of the world with the observer at the origin.
+    pub fn on(&self, world_from_body: &Isometry3<f64>) -> Sunlight {
+        let (elevation, azimuth) = (self.elevation_deg.to_radians(), self.azimuth_deg.to_radians());
+        let towards = Vector3::new(
+            elevation.cos() * azimuth.cos(),
+            elevation.cos() * azimuth.sin(),
+            elevation.sin(),
+        );
+        // Aslant, so that neither upright nor level edges run along them.
+        let level = Vector3::new(-azimuth.sin(), azimuth.cos(), 0.0);
+        let across = (level + towards.cross(&level)).normalize();
+        let body_from_world = world_from_body.rotation.inverse();
+        let per_metre = if self.stripes_m > 0.0 { 1.0 / self.stripes_m } else { 0.0 };
+        Sunlight {
+            towards_sun: body_from_world * towards,
+            across: body_from_world * across * per_metre,
+            offset: across.dot(&world_from_body.translation.vector) * per_metre,
+            has_stripes: self.stripes_m > 0.0,
+            shade: 1.0 / self.ratio,
+        }
+    }
+
+    /// What is wrong with it.
+    pub fn problem(&self) -> Option<String> {
+        let numbers = [self.ratio, self.elevation_deg, self.azimuth_deg, self.stripes_m];
+        let is_sound = numbers.iter().all(|number| number.is_finite())
+            && (1.0..=100.0).contains(&self.ratio)
+            && (self.stripes_m == 0.0 || (0.005..=100.0).contains(&self.stripes_m));
+        (!is_sound).then(|| {
+            let Self { ratio, stripes_m, .. } = self;
+            format!("sun: ratio {ratio} must be 1 to 100, stripes_m {stripes_m} 0, or 0.005 to 100")
+        })
+    }
+}
+
+impl Sunlight {
+    /// Share of a surface's full light that it has without the sun.
+    pub fn shade(&self) -> f64 {
+        self.shade
+    }
+
+    /// Share of its full light that the sun adds to a surface with this normal; 0 if it does not reach it.
+    pub fn added(&self, normal: &Vector3<f64>) -> f64 {
+        (1.0 - self.shade) * normal.dot(&self.towards_sun).max(0.0)
+    }
+
+    /// The parts of a convex polygon that the sun reaches.
+    pub fn reaches(&self, corners: &[Point3<f64>]) -> Vec<Vec<Point3<f64>>> {
+        if !self.has_stripes {
+            return vec![corners.to_vec()];
+        }
+        let place = |point: &Point3<f64>| self.across.dot(&point.coords) + self.offset;
+        let (low, high) = corners
+            .iter()
+            .map(place)
+            .fold((f64::MAX, f64::MIN), |(low, high), at| (low.min(at), high.max(at)));
+        // Sun from each whole number to the half after it.
+        (low.floor() as i64..=high.floor() as i64)
+            .map(|stripe| {
+                let (from, to) = (stripe as f64, stripe as f64 + 0.5);
+                let begun = clipped(corners, |point| place(point) - from);
+                clipped(&begun, |point| to - place(point))
+            })
+            .filter(|part| part.len() >= 3)
+            .collect()
+    }
+}
+
+/// The part of a convex polygon where `inside`, which is linear, is not negative.
+fn clipped(corners: &[Point3<f64>], inside: impl Fn(&Point3<f64>) -> f64) -> Vec<Point3<f64>> {
+    let mut kept = Vec::with_capacity(corners.len() + 1);
+    for (k, corner) in corners.iter().enumerate() {
+        let next = &corners[(k + 1) % corners.len()];
+        let (here, there) = (inside(corner), inside(next));
+        if here >= 0.0 {
+            kept.push(*corner);
+        }
+        if (here >= 0.0) != (there >= 0.0) {
+            kept.push(corner + (next - corner) * (here / (here - there)));
+        }
+    }
+    kept
+}
+
+/// The pose of a body in the axes of the world, with the observer at the origin.
+pub fn world_from_body(
+    world_from_camera: &UnitQuaternion<f64>,
+    camera_from_body: &Isometry3<f64>,
+) -> Isometry3<f64> {
+    Isometry3::from_parts(Default::default(), *world_from_camera) * camera_from_body
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use super::*;
+    use proptest::prelude::*;
+
+    const SUN: Sun = Sun { ratio: 4.0, elevation_deg: 15.0, azimuth_deg: 40.0, stripes_m: 0.03 };
+
+    fn area(polygon: &[Point3<f64>]) -> f64 {
+        let twice = (1..polygon.len() - 1)
+            .map(|k| (polygon[k] - polygon[0]).cross(&(polygon[k + 1] - polygon[0])));
+        twice.sum::<Vector3<f64>>().norm() / 2.0
+    }
+
+    fn square(side: f64) -> Vec<Point3<f64>> {
+        let half = side / 2.0;
+        [(-half, -half), (half, -half), (half, half), (-half, half)]
+            .map(|(x, y)| Point3::new(0.3, x, y))
+            .to_vec()
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { failure_persistence: None, ..Default::default() })]
+
+        #[test]
+        fn stripes_cover_half_of_what_is_much_wider_than_they_are(
+            turn in prop::array::uniform3(-3.0..3.0f64),
+            at in prop::array::uniform3(-2.0..2.0f64),
+        ) {
+            let pose = Isometry3::new(Vector3::from(at), Vector3::from(turn));
+            let light = SUN.on(&pose);
+            let whole = square(2.0);
+            let lit: f64 = light.reaches(&whole).iter().map(|part| area(part)).sum();
+            // Unless it is seen along the stripes.
+            let width = Vector3::new(0.0, light.across.y, light.across.z).norm();
+            prop_assume!(width > 10.0);
+            prop_assert!((lit / area(&whole) - 0.5).abs() < 0.06, "{lit}");
+        }
+
+        #[test]
+        fn a_point_is_in_the_sun_wherever_the_body_is(
+            turn in prop::array::uniform3(-3.0..3.0f64),
+            at in prop::array::uniform3(-2.0..2.0f64),
+        ) {
+            // The same square metre of the world, as part of bodies with different poses.
+            let world = SUN.on(&Isometry3::identity()).reaches(&square(0.2));
+            let pose = Isometry3::new(Vector3::from(at), Vector3::from(turn));
+            let there: Vec<_> =
+                square(0.2).iter().map(|point| pose.inverse_transform_point(point)).collect();
+            let parts = SUN.on(&pose).reaches(&there);
+            prop_assert_eq!(world.len(), parts.len());
+            for (one, other) in world.iter().zip(&parts) {
+                prop_assert!((area(one) - area(other)).abs() < 1e-9);
+            }
+        }
+    }
+
+    #[test]
+    fn a_side_that_faces_the_sun_has_the_ratio_of_one_that_does_not() {
+        let light = SUN.on(&Isometry3::identity());
+        let towards = light.towards_sun;
+        assert!((light.shade() + light.added(&towards) - 1.0).abs() < 1e-12);
+        assert!(light.added(&-towards) == 0.0 && (light.shade() - 0.25).abs() < 1e-12);
+    }
+
+    #[test]
+    fn suns_without_sense_are_refused() {
+        assert_eq!(SUN.problem(), None);
+        for sun in [
+            Sun { ratio: 0.5, ..SUN },
+            Sun { stripes_m: 1e-9, ..SUN },
+            Sun { azimuth_deg: f64::NAN, ..SUN },
+        ] {
+            assert!(sun.problem().unwrap().starts_with("sun: ratio"));
+        }
+    }
+}
