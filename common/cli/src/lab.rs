@@ -28,10 +28,10 @@ pub const MARKERS: LabCommand = LabCommand {
     name: "markers",
     about: "Draw a body's marker sheets at true scale, to print, cut out and glue",
 };
-/// Calibrates bodies.
+/// Calibrates bodies, sensors and cameras.
 pub const CALIBRATE: LabCommand = LabCommand {
     name: "calibrate",
-    about: "Measure how a body was really built, or how the inertial sensor lies",
+    about: "Measure how a body was really built, how the inertial sensor lies, or what code values stand for",
 };
 
 /// All of them, in the order of the help.

@@ -43,5 +43,6 @@ pub mod gyroscope;
 pub mod image;
 pub mod light;
 pub mod proposals;
+pub mod response;
 pub mod sphere;
 pub mod square;

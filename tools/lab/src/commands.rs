@@ -3,7 +3,9 @@
 use clap::{Parser, Subcommand};
 use flockeye_cli::lab;
 
-use crate::calibrate::{self, CalibrateBodyArguments, CalibrateImuArguments};
+use crate::calibrate::{
+    self, CalibrateBodyArguments, CalibrateImuArguments, CalibrateResponseArguments,
+};
 use crate::eval::{self, EvalArguments};
 use crate::experiment::{self, ExperimentArguments};
 use crate::markers::{self, MarkersArguments};
@@ -39,6 +41,8 @@ enum CalibrateSubcommand {
     Body(CalibrateBodyArguments),
     /// Measure how the inertial sensor lies to the camera, and its time offset.
     Imu(CalibrateImuArguments),
+    /// Measure the curve between light and code values, from pictures at several exposures.
+    Response(CalibrateResponseArguments),
 }
 
 /// Reads the command line and does what it asks for.
@@ -56,6 +60,9 @@ pub fn run() -> anyhow::Result<()> {
         }
         LabSubcommand::Calibrate(CalibrateSubcommand::Imu(arguments)) => {
             calibrate::imu::run(&arguments)
+        }
+        LabSubcommand::Calibrate(CalibrateSubcommand::Response(arguments)) => {
+            calibrate::response::run(&arguments)
         }
     }
 }

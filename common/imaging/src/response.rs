@@ -1,0 +1,470 @@
+//! The curve from light to code values, from pictures of one scene at several exposures.
+//!
+//! A place of the scene that has code z in a picture exposed for t seconds has the radiance f(z)/t, where f gives the light
+//! of a code. Its logarithm g = ln f is found for all codes at once, by least squares over many places:
+//!
+//! ```text
+//! g(z of place p in picture k) = ln E_p + ln t_k
+//! ```
+//!
+//! The radiances E_p are eliminated. Between the codes that were seen, and beyond them, the curve goes on like a power of the
+//! code: z^2 g''(z), which is constant for a power, changes slowly.
+//!
+//! Source: P. Debevec and J. Malik, Recovering high dynamic range radiance maps from photographs (1997), with the penalty
+//! above in place of that on g''.
+
+use nalgebra::{DMatrix, DVector};
+use thiserror::Error;
+
+use crate::image::LumaImage;
+use crate::light::LinearLight;
+
+/// Pictures that a curve needs.
+pub const MIN_PICTURES: usize = 3;
+/// Exposures must differ by this factor at least, from the shortest to the longest.
+pub const MIN_RANGE: f64 = 3.0;
+/// Places that a curve needs.
+pub const MIN_PLACES: usize = 200;
+
+/// Codes outside these may be clipped.
+const CODES: std::ops::RangeInclusive<f64> = 3.0..=251.0;
+/// A place is even if its nine pixels differ by this at most, code values, in the picture that shows it best.
+const EVEN_CODES: u8 = 12;
+/// Even places with codes in one of so many ranges, and how many of each are taken.
+const RANGES: usize = 64;
+const PLACES_OF_RANGE: usize = 40;
+/// Pixels from one place that is looked at to the next.
+const STRIDE_PX: usize = 3;
+/// Weight of the penalty beside that of one place.
+const STIFFNESS: f64 = 0.02;
+/// The code whose light is taken as known: only ratios of light can be.
+const ANCHOR: usize = 128;
+/// Scale of Cauchy's weight function, standard deviations.
+const CAUCHY: f64 = 2.5;
+/// The light of a brighter code may seem less by this much, because of noise.
+const FALL: f64 = 0.02;
+
+/// A picture, and how long it was exposed.
+#[derive(Debug, Clone, Copy)]
+pub struct Exposure<'a> {
+    /// The picture.
+    pub image: LumaImage<'a>,
+    /// How long it was exposed, seconds or any other unit.
+    pub seconds: f64,
+}
+
+/// Why a series of pictures does not tell the curve.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum ResponseError {
+    /// Too few pictures.
+    #[error(
+        "{given} pictures; {MIN_PICTURES} or more are needed, of one scene at different exposures"
+    )]
+    Pictures {
+        /// How many there were.
+        given: usize,
+    },
+    /// An exposure that is no time.
+    #[error("picture {index} was exposed for {seconds} s; it must be above 0")]
+    Seconds {
+        /// Which picture, from 0.
+        index: usize,
+        /// What was given.
+        seconds: f64,
+    },
+    /// Pictures of different sizes.
+    #[error("picture {index} has {given:?} px, the first one {first:?}")]
+    Size {
+        /// Which picture, from 0.
+        index: usize,
+        /// Its width and height.
+        given: (usize, usize),
+        /// That of the first one.
+        first: (usize, usize),
+    },
+    /// Exposures that hardly differ.
+    #[error(
+        "the longest exposure is {ratio:.2} times the shortest; {MIN_RANGE} times or more are needed"
+    )]
+    Range {
+        /// Longest over shortest.
+        ratio: f64,
+    },
+    /// Too little of the scene is even, or it moved.
+    #[error(
+        "{found} even places are neither black nor white in two pictures; {MIN_PLACES} are needed. Photograph something with \
+         even areas of many greys, from a tripod"
+    )]
+    Places {
+        /// How many were found.
+        found: usize,
+    },
+    /// More light gives lower codes: the exposures are wrong, or the camera changed them.
+    #[error(
+        "code {code} stands for less light than the one before it. Were the exposures as given, with everything automatic off?"
+    )]
+    Falling {
+        /// The code.
+        code: u8,
+    },
+}
+
+/// A measured curve.
+#[derive(Debug, Clone)]
+pub struct FittedResponse {
+    /// The light of each code; that of code 255 is 1.
+    pub light: LinearLight,
+    /// Standard deviation of the light of each code, as a share of it, beside that of code 128.
+    pub deviations: Vec<f64>,
+    /// The darkest and the brightest code that was seen. Beyond them the curve is continued.
+    pub seen: (u8, u8),
+    /// Standard deviation of the residuals, as a share of light.
+    pub residual: f64,
+    /// Places that were used.
+    pub places: usize,
+}
+
+/// Codes of a place in the pictures where it is neither black nor white, with the logarithm of their exposures.
+type Place = Vec<(f64, f64)>;
+
+/// Finds the curve of the camera that took these pictures of one scene, from a tripod.
+///
+/// # Errors
+/// [`ResponseError`], with what to do.
+pub fn fit_response(series: &[Exposure<'_>]) -> Result<FittedResponse, ResponseError> {
+    fit_places(&places(series)?)
+}
+
+/// The same from either half of the places, by turns. How far the two lie apart says how well the curve is known.
+///
+/// # Errors
+/// As [`fit_response`].
+pub fn fit_halves(series: &[Exposure<'_>]) -> Result<[FittedResponse; 2], ResponseError> {
+    let all = places(series)?;
+    let half =
+        |first: usize| -> Vec<Place> { all.iter().skip(first).step_by(2).cloned().collect() };
+    Ok([fit_places(&half(0))?, fit_places(&half(1))?])
+}
+
+/// How far an edge between print and paper seems to lie from where it is, pixels, if light is taken for `assumed` and is
+/// `actual`. Positive: white seems wider. The edge is blurred by a lens, by 0.9 px.
+pub fn edge_shift_px(assumed: &LinearLight, actual: &LinearLight) -> f64 {
+    const BLUR_PX: f64 = 0.9;
+    const STEP_PX: f64 = 0.02;
+    let (black, white) = (0.03, 0.6);
+    let seen = |light: f64| at_code(assumed, code_of(actual, light));
+    let (seen_black, seen_white) = (seen(black), seen(white));
+    // The area between what is seen and what is there, both from 0 to 1.
+    (-250..250)
+        .map(|step| {
+            let at = (f64::from(step) + 0.5) * STEP_PX;
+            let (_, below) = crate::gaussian::density_and_distribution(at / BLUR_PX);
+            let light = black + (white - black) * below;
+            ((seen(light) - seen_black) / (seen_white - seen_black) - below) * STEP_PX
+        })
+        .sum()
+}
+
+/// The code that stands for this light, between whole codes too.
+fn code_of(light: &LinearLight, value: f64) -> f64 {
+    let table = light.table();
+    let above = table.partition_point(|&of| f64::from(of) < value).clamp(1, 255);
+    let (below, step) = (f64::from(table[above - 1]), f64::from(table[above] - table[above - 1]));
+    let share = if step > 0.0 { (value - below) / step } else { 0.0 };
+    (above - 1) as f64 + share.clamp(0.0, 1.0)
+}
+
+/// The light of a code, between whole codes too.
+fn at_code(light: &LinearLight, code: f64) -> f64 {
+    let below = (code as usize).min(254);
+    let of = |code: usize| f64::from(light.table()[code]);
+    of(below) + (of(below + 1) - of(below)) * (code - below as f64)
+}
+
+fn places(series: &[Exposure<'_>]) -> Result<Vec<Place>, ResponseError> {
+    let [first, ..] = series else { return Err(ResponseError::Pictures { given: 0 }) };
+    if series.len() < MIN_PICTURES {
+        return Err(ResponseError::Pictures { given: series.len() });
+    }
+    let size = |exposure: &Exposure<'_>| (exposure.image.width(), exposure.image.height());
+    for (index, exposure) in series.iter().enumerate() {
+        let seconds = exposure.seconds;
+        if !(seconds > 0.0 && seconds.is_finite()) {
+            return Err(ResponseError::Seconds { index, seconds });
+        }
+        if size(exposure) != size(first) {
+            return Err(ResponseError::Size { index, given: size(exposure), first: size(first) });
+        }
+    }
+    let seconds = || series.iter().map(|exposure| exposure.seconds);
+    let ratio = seconds().fold(0.0, f64::max) / seconds().fold(f64::INFINITY, f64::min);
+    if ratio < MIN_RANGE {
+        return Err(ResponseError::Range { ratio });
+    }
+    let (width, height) = size(first);
+    let mut taken = [0; RANGES];
+    let mut places = Vec::new();
+    // By a step that is prime to most sizes, so that no part of the scene is preferred.
+    let (columns, rows) =
+        (width.saturating_sub(2) / STRIDE_PX, height.saturating_sub(2) / STRIDE_PX);
+    let count = columns * rows;
+    for k in 0..count {
+        let index = (k * 7919) % count;
+        let (x, y) = (1 + STRIDE_PX * (index % columns), 1 + STRIDE_PX * (index / columns));
+        let seen: Vec<(f64, u8, f64)> = series
+            .iter()
+            .map(|exposure| {
+                let (mean, spread) = around(&exposure.image, x, y);
+                (mean, spread, exposure.seconds.ln())
+            })
+            .filter(|(mean, ..)| CODES.contains(mean))
+            .collect();
+        let best = seen.iter().min_by(|a, b| (a.0 - 128.0).abs().total_cmp(&(b.0 - 128.0).abs()));
+        let Some(&(code, spread, _)) = best else { continue };
+        let range = (code as usize * RANGES / 256).min(RANGES - 1);
+        if seen.len() >= 2 && spread <= EVEN_CODES && taken[range] < PLACES_OF_RANGE {
+            taken[range] += 1;
+            places.push(seen.into_iter().map(|(mean, _, log)| (mean, log)).collect());
+        }
+    }
+    if places.len() < MIN_PLACES {
+        return Err(ResponseError::Places { found: places.len() });
+    }
+    Ok(places)
+}
+
+/// Mean of the nine pixels around one, and by how much they differ.
+fn around(image: &LumaImage<'_>, x: usize, y: usize) -> (f64, u8) {
+    let (mut sum, mut least, mut most) = (0u32, u8::MAX, 0);
+    for row in y - 1..=y + 1 {
+        for &code in &image.row(row)[x - 1..=x + 1] {
+            sum += u32::from(code);
+            least = least.min(code);
+            most = most.max(code);
+        }
+    }
+    (f64::from(sum) / 9.0, most - least)
+}
+
+/// Trust in a code: the middle ones are neither noisy nor clipped.
+fn trust(code: f64) -> f64 {
+    (code.min(255.0 - code) / 127.5).max(0.02)
+}
+
+fn fit_places(places: &[Place]) -> Result<FittedResponse, ResponseError> {
+    let mut logs = DVector::<f64>::zeros(256);
+    let mut deviation = 0.05;
+    let mut inverse = DMatrix::<f64>::zeros(256, 256);
+    for round in 0..6 {
+        let (mut normal, mut right) = (DMatrix::zeros(256, 256), DVector::zeros(256));
+        add_penalty(&mut normal);
+        let mut residuals: Vec<f64> = Vec::new();
+        for place in places {
+            let value = |code: f64| {
+                let (below, share) = (code as usize, code.fract());
+                logs[below] * (1.0 - share) + logs[below + 1] * share
+            };
+            let mean = |of: &dyn Fn(f64, f64) -> f64| {
+                let (mut sum, mut weights) = (0.0, 0.0);
+                for &(code, log) in place {
+                    sum += trust(code) * of(code, log);
+                    weights += trust(code);
+                }
+                sum / weights
+            };
+            let radiance = mean(&|code, log| value(code) - log);
+            let weight = |code: f64, log: f64| {
+                let residual = value(code) - log - radiance;
+                // The first round has no curve yet.
+                let doubt = if round == 0 { 0.0 } else { residual / (CAUCHY * deviation) };
+                trust(code) / (1.0 + doubt * doubt)
+            };
+            residuals.extend(place.iter().map(|&(code, log)| (value(code) - log - radiance).abs()));
+            add_place(&mut normal, &mut right, place, weight);
+        }
+        if round > 0 {
+            let middle = residuals.len() / 2;
+            deviation =
+                (1.4826 * *residuals.select_nth_unstable_by(middle, f64::total_cmp).1).max(1e-4);
+        }
+        let Some(solved) = normal.cholesky() else {
+            return Err(ResponseError::Places { found: places.len() });
+        };
+        logs = solved.solve(&right);
+        inverse = solved.inverse();
+    }
+    let codes = || places.iter().flatten().map(|&(code, _)| code);
+    let seen = (codes().fold(255.0, f64::min) as u8, codes().fold(0.0, f64::max).ceil() as u8);
+    let mut table = [0.0f32; 256];
+    let brightest = logs[255];
+    for code in 1..=255usize {
+        let light = (logs[code] - brightest).exp() as f32;
+        if light < table[code - 1] * (1.0 - FALL as f32) {
+            return Err(ResponseError::Falling { code: code as u8 });
+        }
+        table[code] = light.max(table[code - 1]);
+    }
+    let light =
+        LinearLight::from_table(table).map_err(|_| ResponseError::Falling { code: u8::MAX })?;
+    let deviations =
+        (0..256).map(|code| deviation * inverse[(code, code)].max(0.0).sqrt()).collect();
+    Ok(FittedResponse { light, deviations, seen, residual: deviation, places: places.len() })
+}
+
+/// Adds a place whose radiance is eliminated.
+fn add_place(
+    normal: &mut DMatrix<f64>,
+    right: &mut DVector<f64>,
+    place: &Place,
+    weight: impl Fn(f64, f64) -> f64,
+) {
+    let weights: Vec<f64> = place.iter().map(|&(code, log)| weight(code, log)).collect();
+    let total: f64 = weights.iter().sum();
+    let mean_log = place.iter().zip(&weights).map(|(at, w)| at.1 * w).sum::<f64>() / total;
+    // The mean row of the place, as (code, share of it).
+    let shares = |code: f64| {
+        let (below, share) = (code as usize, code.fract());
+        [(below, 1.0 - share), (below + 1, share)]
+    };
+    let mean_row: Vec<(usize, f64)> = place
+        .iter()
+        .zip(&weights)
+        .flat_map(|(&(code, _), w)| shares(code).map(|(at, share)| (at, share * w / total)))
+        .collect();
+    for (&(code, log), w) in place.iter().zip(&weights) {
+        let row: Vec<(usize, f64)> = shares(code)
+            .into_iter()
+            .chain(mean_row.iter().map(|&(at, share)| (at, -share)))
+            .collect();
+        for &(a, by_a) in &row {
+            for &(b, by_b) in &row {
+                normal[(a, b)] += w * by_a * by_b;
+            }
+            right[a] += w * by_a * (log - mean_log);
+        }
+    }
+}
+
+/// Adds what holds the curve together where no places are.
+fn add_penalty(normal: &mut DMatrix<f64>) {
+    // z^2 g''(z), as weights of three codes.
+    let bend = |z: usize| {
+        let square = (z * z) as f64;
+        [(z - 1, square), (z, -2.0 * square), (z + 1, square)]
+    };
+    for z in 1..254 {
+        let row = bend(z).map(|(at, by)| (at, -by)).into_iter().chain(bend(z + 1));
+        let row: Vec<(usize, f64)> = row.collect();
+        for &(a, by_a) in &row {
+            for &(b, by_b) in &row {
+                normal[(a, b)] += STIFFNESS * by_a * by_b;
+            }
+        }
+    }
+    normal[(ANCHOR, ANCHOR)] += 1e6;
+    // Black is no place's code: it only has to be something.
+    normal[(0, 0)] += 1e-6;
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use super::*;
+    use crate::light::{CodeRange, TransferCurve};
+
+    /// A scene of even greys in patches of 12 px, at several exposures, as a camera with this curve sees it.
+    fn series(actual: &LinearLight, noise: f64) -> Vec<(Vec<u8>, f64)> {
+        let mut state = 88172645463325252u64;
+        let mut dice = || {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            (state >> 11) as f64 / (1u64 << 53) as f64
+        };
+        let patches: Vec<f64> = (0..400).map(|_| (-5.0 * dice()).exp()).collect();
+        [1.0, 2.0, 4.0, 8.0, 16.0]
+            .into_iter()
+            .map(|seconds| {
+                let pixels = (0..240 * 240).map(|k| {
+                    let patch = patches[k % 240 / 12 + k / 240 / 12 * 20];
+                    let light = 0.2 * patch * seconds;
+                    let noisy = light + noise * (0.02 + light).sqrt() * (dice() + dice() - 1.0);
+                    code_of(actual, noisy).round() as u8
+                });
+                (pixels.collect(), seconds)
+            })
+            .collect()
+    }
+
+    fn exposures(series: &[(Vec<u8>, f64)]) -> Vec<Exposure<'_>> {
+        let image = |pixels| LumaImage::new(pixels, 240, 240, 240).unwrap();
+        series
+            .iter()
+            .map(|(pixels, seconds)| Exposure { image: image(pixels), seconds: *seconds })
+            .collect()
+    }
+
+    fn curve(curve: TransferCurve) -> LinearLight {
+        LinearLight::new(curve, CodeRange::Full).unwrap()
+    }
+
+    #[test]
+    fn a_curve_is_found_within_its_deviations() {
+        for actual in [
+            curve(TransferCurve::Gamma(1.8)),
+            curve(TransferCurve::Srgb),
+            curve(TransferCurve::Linear),
+        ] {
+            let pictures = series(&actual, 0.02);
+            let found = fit_response(&exposures(&pictures)).unwrap();
+            let ratio = |code: u8| {
+                f64::from(found.light.of(code) / found.light.of(128))
+                    / f64::from(actual.of(code) / actual.of(128))
+            };
+            let mut beyond = 0;
+            for code in 30..=240u8 {
+                assert!((ratio(code) - 1.0).abs() < 0.05, "{code}: {}", ratio(code));
+                let stated = found.deviations[usize::from(code)].max(1e-3);
+                beyond += u32::from((ratio(code) - 1.0).abs() > 4.0 * stated);
+            }
+            assert!(beyond < 40, "{beyond} of 211 codes");
+            let shift_px = edge_shift_px(&found.light, &actual);
+            assert!(shift_px.abs() < 0.015, "{shift_px}");
+        }
+    }
+
+    #[test]
+    fn an_edge_moves_as_much_as_the_curves_differ() {
+        let (srgb, linear) = (curve(TransferCurve::Srgb), curve(TransferCurve::Linear));
+        let shift_px = edge_shift_px(&srgb, &srgb);
+        assert!(shift_px.abs() < 0.001, "{shift_px}");
+        // Codes of a camera with a root curve, taken for light, lift what is dark: white seems wider.
+        assert!(edge_shift_px(&linear, &srgb) > 0.2);
+        assert!(edge_shift_px(&srgb, &linear) < -0.2);
+    }
+
+    #[test]
+    fn series_that_do_not_tell_are_refused() {
+        let pictures = series(&curve(TransferCurve::Srgb), 0.01);
+        let all = exposures(&pictures);
+        let error = |series: &[Exposure<'_>]| fit_response(series).unwrap_err();
+        assert_eq!(error(&all[..2]), ResponseError::Pictures { given: 2 });
+        let mut wrong = all.clone();
+        wrong[1].seconds = -1.0;
+        assert_eq!(error(&wrong), ResponseError::Seconds { index: 1, seconds: -1.0 });
+        wrong.iter_mut().for_each(|exposure| exposure.seconds = 1.0);
+        assert_eq!(error(&wrong), ResponseError::Range { ratio: 1.0 });
+        let black = vec![0; 240 * 240];
+        let image = LumaImage::new(&black, 240, 240, 240).unwrap();
+        wrong = all.iter().map(|exposure| Exposure { image, ..*exposure }).collect();
+        assert_eq!(error(&wrong), ResponseError::Places { found: 0 });
+        // The exposures in the wrong order.
+        wrong = all.clone();
+        let seconds: Vec<f64> = all.iter().rev().map(|exposure| exposure.seconds).collect();
+        wrong.iter_mut().zip(seconds).for_each(|(exposure, seconds)| exposure.seconds = seconds);
+        assert!(matches!(error(&wrong), ResponseError::Falling { .. }));
+        let tiny = LumaImage::new(&black, 2, 2, 2).unwrap();
+        wrong = all.iter().map(|exposure| Exposure { image: tiny, ..*exposure }).collect();
+        assert_eq!(error(&wrong), ResponseError::Places { found: 0 });
+    }
+}

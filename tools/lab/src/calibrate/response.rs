@@ -1,0 +1,302 @@
+//! `flockeye calibrate response`: the camera's curve from light to code values, from an exposure series.
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use anyhow::{Context, bail, ensure};
+use clap::Args;
+use flockeye_cli::Screen;
+use flockeye_imaging::image::LumaImage;
+use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
+use flockeye_imaging::response::{
+    Exposure, FittedResponse, edge_shift_px, fit_halves, fit_response,
+};
+use opencv::imgcodecs::{IMREAD_GRAYSCALE, imread};
+use opencv::prelude::*;
+use serde_json::{Value, json};
+
+/// Codes from one entry of the printed table to the next.
+const TABLE_STEP: usize = 5;
+/// Codes between which deviations are told: beyond, hardly anything of a marker lies.
+const TOLD_CODES: std::ops::RangeInclusive<usize> = 20..=240;
+/// What errors are told for: a marker of 50 mm at 1.5 m, seen by a camera with 3840 px for the whole circle.
+const MARKER_M: f64 = 0.05;
+const RANGE_M: f64 = 1.5;
+const PIXELS_PER_RADIAN: f64 = 3840.0 / std::f64::consts::TAU;
+
+/// Arguments of `calibrate response`.
+#[derive(Debug, Args)]
+pub struct CalibrateResponseArguments {
+    /// The pictures of one scene, from a tripod, and how long each was exposed: a.png=1/250 b.png=1/60 c.png=0.07.
+    /// Three or more, with everything automatic off.
+    #[arg(required = true, value_name = "PICTURE=SECONDS")]
+    pub pictures: Vec<PictureArgument>,
+    /// For a program.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// A picture and its exposure, as on the command line.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PictureArgument {
+    file: PathBuf,
+    seconds: f64,
+}
+
+impl FromStr for PictureArgument {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (file, exposure) =
+            text.rsplit_once('=').ok_or("it must be PICTURE=SECONDS, as in a.png=1/250")?;
+        let number = |text: &str| -> Result<f64, String> {
+            text.trim().parse().map_err(|_| format!("'{text}' is no number of seconds"))
+        };
+        let seconds = match exposure.split_once('/') {
+            Some((one, parts)) => number(one)? / number(parts)?,
+            None => number(exposure)?,
+        };
+        if !(seconds > 0.0 && seconds.is_finite()) {
+            return Err(format!("an exposure of {exposure} s; it must be above 0"));
+        }
+        Ok(Self { file: file.into(), seconds })
+    }
+}
+
+/// Measures the curve, and prints it as `pipeline.yaml` wants it.
+///
+/// # Errors
+/// A picture that cannot be read, or a series that does not tell: with what is missing.
+pub fn run(arguments: &CalibrateResponseArguments) -> anyhow::Result<()> {
+    let found = of_pictures(&arguments.pictures)?;
+    let mut screen = Screen::new();
+    match arguments.json {
+        true => screen.line(&serde_json::to_string_pretty(&found.as_json())?),
+        false => screen.line(&found.text()),
+    }
+    Ok(())
+}
+
+/// A measured curve, and how well it is known.
+struct Found {
+    response: FittedResponse,
+    /// How far edges by the curves of either half of the places lie apart, pixels.
+    own_shift_px: f64,
+    /// Where edges would lie by the usual curves.
+    usual: Vec<(&'static str, f64)>,
+    pictures: usize,
+}
+
+fn of_pictures(pictures: &[PictureArgument]) -> anyhow::Result<Found> {
+    let mats = pictures
+        .iter()
+        .map(|PictureArgument { file, .. }| {
+            let name = file.display();
+            let path = file.to_str().with_context(|| format!("{name}: no UTF-8"))?;
+            let mat = imread(path, IMREAD_GRAYSCALE).with_context(|| format!("{name}"))?;
+            ensure!(!mat.empty(), "{name} cannot be read. Cure: give a PNG or JPEG file");
+            Ok(mat)
+        })
+        .collect::<anyhow::Result<Vec<_>>>()?;
+    let mut series = Vec::new();
+    for (mat, PictureArgument { seconds, .. }) in mats.iter().zip(pictures) {
+        let (width, height) = (mat.cols() as usize, mat.rows() as usize);
+        let image = LumaImage::new(mat.data_bytes()?, width, height, width)?;
+        series.push(Exposure { image, seconds: *seconds });
+    }
+    let named =
+        |index: usize| pictures.get(index).map(|picture| picture.file.display().to_string());
+    let response = match fit_response(&series) {
+        Ok(response) => response,
+        Err(error) => bail!("{error}{}", names(&error, &named)),
+    };
+    let [one, other] = fit_halves(&series)?;
+    let usual = [
+        ("srgb", LinearLight::new(TransferCurve::Srgb, CodeRange::Full)?),
+        ("linear", LinearLight::new(TransferCurve::Linear, CodeRange::Full)?),
+    ];
+    let usual =
+        usual.iter().map(|(name, curve)| (*name, edge_shift_px(curve, &response.light))).collect();
+    // A half's error has sqrt 2 times the deviation of the whole's, the halves' difference twice.
+    let own_shift_px = edge_shift_px(&one.light, &other.light).abs() / 2.0;
+    Ok(Found { response, own_shift_px, usual, pictures: pictures.len() })
+}
+
+/// Which file an error speaks of.
+fn names(
+    error: &flockeye_imaging::response::ResponseError,
+    named: &dyn Fn(usize) -> Option<String>,
+) -> String {
+    use flockeye_imaging::response::ResponseError::{Seconds, Size};
+    match error {
+        Seconds { index, .. } | Size { index, .. } => {
+            named(*index).map(|name| format!(" ({name})")).unwrap_or_default()
+        }
+        _ => String::new(),
+    }
+}
+
+/// By how much a marker seems nearer or farther if its edges seem off by this, millimetres.
+fn range_error_mm(shift_px: f64) -> f64 {
+    let side_px = MARKER_M / RANGE_M * PIXELS_PER_RADIAN;
+    // Black shrinks on both sides where white grows.
+    1e3 * RANGE_M * 2.0 * shift_px.abs() / side_px
+}
+
+impl Found {
+    /// The curve at equal steps of the code, from 0 to 255.
+    fn table(&self) -> Vec<f64> {
+        let light = self.response.light.table();
+        (0..=255).step_by(TABLE_STEP).map(|code| rounded(f64::from(light[code]))).collect()
+    }
+
+    /// The largest deviation of the codes that matter, as a share of light, and its code.
+    fn worst(&self) -> (f64, usize) {
+        let of = |code: usize| (self.response.deviations[code], code);
+        TOLD_CODES.map(of).max_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((0.0, 0))
+    }
+
+    fn as_json(&self) -> Value {
+        let (deviation, code) = self.worst();
+        json!({
+            "response_table": self.table(),
+            "places": self.response.places,
+            "pictures": self.pictures,
+            "residual": self.response.residual,
+            "seen_codes": [self.response.seen.0, self.response.seen.1],
+            "worst_deviation": deviation,
+            "worst_deviation_code": code,
+            "edge_shift_px": self.own_shift_px,
+            "range_error_mm_at_1.5_m": range_error_mm(self.own_shift_px),
+            "usual_curves": self.usual.iter().map(|(name, shift_px)| json!({
+                "response": name,
+                "edge_shift_px": shift_px,
+                "range_error_mm_at_1.5_m": range_error_mm(*shift_px),
+            })).collect::<Vec<_>>(),
+        })
+    }
+
+    fn text(&self) -> String {
+        let FittedResponse { seen, residual, places, .. } = &self.response;
+        let (deviation, code) = self.worst();
+        let mut text = String::new();
+        let mut line = |line: String| {
+            // Writing to a string does not fail.
+            let _ = writeln!(text, "{line}");
+        };
+        line(format!(
+            "from {places} even places in {} pictures, codes {} to {}; residuals {:.1} % of light",
+            self.pictures,
+            seen.0,
+            seen.1,
+            100.0 * residual
+        ));
+        line(format!(
+            "light of codes {} to {} is known to {:.1} % or better (code {code})",
+            TOLD_CODES.start(),
+            TOLD_CODES.end(),
+            100.0 * deviation
+        ));
+        line("how far edges of a marker seem off, and what that makes of 1.5 m with a marker of 50 mm:".into());
+        for (name, shift_px) in &self.usual {
+            let error_mm = range_error_mm(*shift_px);
+            line(format!("  response: {name:<7} {shift_px:+.3} px  {error_mm:6.1} mm"));
+        }
+        let error_mm = range_error_mm(self.own_shift_px);
+        line(format!("  this table        {:+.3} px  {error_mm:6.1} mm", self.own_shift_px));
+        line("camera:".into());
+        line("  response: table".into());
+        let values: Vec<String> = self.table().iter().map(f64::to_string).collect();
+        line(format!("  response_table: [{}]", values.join(", ")));
+        text.trim_end().to_owned()
+    }
+}
+
+/// To five significant digits.
+fn rounded(value: f64) -> f64 {
+    format!("{value:.4e}").parse().unwrap_or(value)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use std::path::Path;
+
+    use opencv::core::{Mat, Vector};
+    use opencv::imgcodecs::imwrite;
+
+    use super::*;
+
+    /// Pictures of even greys in patches, by a camera whose codes are the 1.6th root of light.
+    fn photograph(folder: &Path, exposures: &[f64]) -> Vec<PictureArgument> {
+        let lights: Vec<f64> = (0..400).map(|k| 0.003 * 1.0145f64.powi(k)).collect();
+        exposures
+            .iter()
+            .enumerate()
+            .map(|(number, &seconds)| {
+                let pixels: Vec<u8> = (0..240 * 240)
+                    .map(|k| {
+                        let light = lights[k % 240 / 12 + k / 240 / 12 * 20] * seconds * 100.0;
+                        (255.0 * light.powf(1.0 / 1.6)).round().min(255.0) as u8
+                    })
+                    .collect();
+                let mat = Mat::new_rows_cols_with_data(240, 240, &pixels).unwrap();
+                let file = folder.join(format!("{number}.png"));
+                assert!(imwrite(file.to_str().unwrap(), &mat, &Vector::new()).unwrap());
+                PictureArgument { file, seconds }
+            })
+            .collect()
+    }
+
+    #[test]
+    fn an_exposure_series_gives_the_cameras_curve() {
+        let folder = tempfile::tempdir().unwrap();
+        let pictures = photograph(folder.path(), &[0.0025, 0.005, 0.01, 0.02]);
+        let found = of_pictures(&pictures).unwrap();
+        for (k, light) in found.table().into_iter().enumerate() {
+            let code = TABLE_STEP * k;
+            let expected = (code as f64 / 255.0).powf(1.6);
+            let is_close = (light / expected - 1.0).abs() < 0.03;
+            assert!(is_close || !TOLD_CODES.contains(&code), "{code}: {light}, {expected}");
+        }
+        let text = found.text();
+        assert!(text.contains("response: table\n  response_table: [0"), "{text}");
+        // A wrong curve is off by more than the measured one.
+        assert!(found.usual.iter().all(|(_, shift_px)| shift_px.abs() > 5.0 * found.own_shift_px));
+        assert_eq!(found.as_json()["response_table"].as_array().unwrap().len(), 52);
+    }
+
+    #[test]
+    fn exposures_are_seconds_or_shares_of_them() {
+        let picture = |text: &str| text.parse::<PictureArgument>();
+        let expected = PictureArgument { file: "a=b.png".into(), seconds: 0.004 };
+        assert_eq!(picture("a=b.png=1/250"), Ok(expected.clone()));
+        assert_eq!(picture("a=b.png=0.004"), Ok(expected));
+        for wrong in
+            ["a.png", "a.png=", "a.png=fast", "a.png=0", "a.png=1/0", "a.png=-1/60", "a.png=nan"]
+        {
+            assert!(picture(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn what_is_wrong_with_a_series_is_said_with_its_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut pictures = photograph(folder.path(), &[0.005, 0.01, 0.02]);
+        let error =
+            |pictures: &[PictureArgument]| format!("{:#}", of_pictures(pictures).err().unwrap());
+        assert!(error(&pictures[..2]).starts_with("2 pictures; 3 or more"));
+        pictures[1].file = folder.path().join("absent.png");
+        assert!(
+            error(&pictures).contains("absent.png cannot be read. Cure:"),
+            "{}",
+            error(&pictures)
+        );
+        let small = Mat::new_rows_cols_with_data(2, 2, &[1u8, 2, 3, 4]).unwrap();
+        let file = folder.path().join("small.png");
+        imwrite(file.to_str().unwrap(), &small, &Vector::new()).unwrap();
+        pictures[1].file = file;
+        assert!(error(&pictures).contains("small.png"), "{}", error(&pictures));
+    }
+}
