@@ -27,7 +27,7 @@ pub const MIN_RANGE: f64 = 3.0;
 pub const MIN_PLACES: usize = 200;
 
 /// Codes outside these may be clipped.
-const CODES: std::ops::RangeInclusive<f64> = 3.0..=251.0;
+const CODES: std::ops::RangeInclusive<u8> = 3..=251;
 /// A place is even if its nine pixels differ by this at most, code values, in the picture that shows it best.
 const EVEN_CODES: u8 = 12;
 /// Even places with codes in one of so many ranges, and how many of each are taken.
@@ -43,6 +43,8 @@ const ANCHOR: usize = 128;
 const CAUCHY: f64 = 2.5;
 /// The light of a brighter code may seem less by this much, because of noise.
 const FALL: f64 = 0.02;
+/// By so much light rises from a code to the next at least.
+const LEAST_RISE: f32 = 1e-4;
 
 /// A picture, and how long it was exposed.
 #[derive(Debug, Clone, Copy)]
@@ -213,16 +215,18 @@ fn places(series: &[Exposure<'_>]) -> Result<Vec<Place>, ResponseError> {
         let (x, y) = (1 + STRIDE_PX * (index % columns), 1 + STRIDE_PX * (index / columns));
         let seen: Vec<(f64, u8, f64)> = series
             .iter()
-            .map(|exposure| {
-                let (mean, spread) = around(&exposure.image, x, y);
-                (mean, spread, exposure.seconds.ln())
+            .filter_map(|exposure| {
+                let (mean, codes) = around(&exposure.image, x, y);
+                let is_seen = CODES.contains(codes.start()) && CODES.contains(codes.end());
+                is_seen.then(|| (mean, codes.end() - codes.start(), exposure.seconds.ln()))
             })
-            .filter(|(mean, ..)| CODES.contains(mean))
             .collect();
         let best = seen.iter().min_by(|a, b| (a.0 - 128.0).abs().total_cmp(&(b.0 - 128.0).abs()));
         let Some(&(code, spread, _)) = best else { continue };
         let range = (code as usize * RANGES / 256).min(RANGES - 1);
-        if seen.len() >= 2 && spread <= EVEN_CODES && taken[range] < PLACES_OF_RANGE {
+        // Twice at one exposure tells nothing.
+        let is_tied = seen.iter().any(|at| (at.2 - seen[0].2).abs() > 1e-6);
+        if is_tied && spread <= EVEN_CODES && taken[range] < PLACES_OF_RANGE {
             taken[range] += 1;
             places.push(seen.into_iter().map(|(mean, _, log)| (mean, log)).collect());
         }
@@ -233,8 +237,8 @@ fn places(series: &[Exposure<'_>]) -> Result<Vec<Place>, ResponseError> {
     Ok(places)
 }
 
-/// Mean of the nine pixels around one, and by how much they differ.
-fn around(image: &LumaImage<'_>, x: usize, y: usize) -> (f64, u8) {
+/// Mean of the nine pixels around one, and the least and the largest of them.
+fn around(image: &LumaImage<'_>, x: usize, y: usize) -> (f64, std::ops::RangeInclusive<u8>) {
     let (mut sum, mut least, mut most) = (0u32, u8::MAX, 0);
     for row in y - 1..=y + 1 {
         for &code in &image.row(row)[x - 1..=x + 1] {
@@ -243,7 +247,7 @@ fn around(image: &LumaImage<'_>, x: usize, y: usize) -> (f64, u8) {
             most = most.max(code);
         }
     }
-    (f64::from(sum) / 9.0, most - least)
+    (f64::from(sum) / 9.0, least..=most)
 }
 
 /// Trust in a code: the middle ones are neither noisy nor clipped.
@@ -284,8 +288,10 @@ fn fit_places(places: &[Place]) -> Result<FittedResponse, ResponseError> {
         }
         if round > 0 {
             let middle = residuals.len() / 2;
-            deviation =
-                (1.4826 * *residuals.select_nth_unstable_by(middle, f64::total_cmp).1).max(1e-4);
+            // Each place has taken one value for its radiance.
+            let freedom = 1.0 - places.len() as f64 / residuals.len() as f64;
+            let median = *residuals.select_nth_unstable_by(middle, f64::total_cmp).1;
+            deviation = (1.4826 * median / freedom.sqrt()).max(1e-4);
         }
         let Some(solved) = normal.cholesky() else {
             return Err(ResponseError::Places { found: places.len() });
@@ -296,16 +302,18 @@ fn fit_places(places: &[Place]) -> Result<FittedResponse, ResponseError> {
     let codes = || places.iter().flatten().map(|&(code, _)| code);
     let seen = (codes().fold(255.0, f64::min) as u8, codes().fold(0.0, f64::max).ceil() as u8);
     let mut table = [0.0f32; 256];
-    let brightest = logs[255];
     for code in 1..=255usize {
-        let light = (logs[code] - brightest).exp() as f32;
-        if light < table[code - 1] * (1.0 - FALL as f32) {
+        let light = (logs[code] - logs[255]).exp() as f32;
+        let is_seen = (seen.0..=seen.1).contains(&(code as u8));
+        if is_seen && light < table[code - 1] * (1.0 - FALL as f32) {
             return Err(ResponseError::Falling { code: code as u8 });
         }
-        table[code] = light.max(table[code - 1]);
+        // Each code stands for a little more light than the one before it.
+        table[code] = light.max(table[code - 1] * (1.0 + LEAST_RISE));
     }
-    let light =
-        LinearLight::from_table(table).map_err(|_| ResponseError::Falling { code: u8::MAX })?;
+    let brightest = table[255];
+    let light = LinearLight::from_table(table.map(|light| light / brightest))
+        .map_err(|_| ResponseError::Falling { code: u8::MAX })?;
     let deviations =
         (0..256).map(|code| deviation * inverse[(code, code)].max(0.0).sqrt()).collect();
     Ok(FittedResponse { light, deviations, seen, residual: deviation, places: places.len() })
@@ -425,9 +433,9 @@ mod tests {
             for code in 30..=240u8 {
                 assert!((ratio(code) - 1.0).abs() < 0.05, "{code}: {}", ratio(code));
                 let stated = found.deviations[usize::from(code)].max(1e-3);
-                beyond += u32::from((ratio(code) - 1.0).abs() > 4.0 * stated);
+                beyond += u32::from((ratio(code) - 1.0).abs() > 3.0 * stated);
             }
-            assert!(beyond < 40, "{beyond} of 211 codes");
+            assert!(beyond < 20, "{beyond} of 211 codes");
             let shift_px = edge_shift_px(&found.light, &actual);
             assert!(shift_px.abs() < 0.015, "{shift_px}");
         }
@@ -463,6 +471,9 @@ mod tests {
         let seconds: Vec<f64> = all.iter().rev().map(|exposure| exposure.seconds).collect();
         wrong.iter_mut().zip(seconds).for_each(|(exposure, seconds)| exposure.seconds = seconds);
         assert!(matches!(error(&wrong), ResponseError::Falling { .. }));
+        // Only the first one is neither black nor white, and the others are the same.
+        let same = [all[0], all[0], all[0], Exposure { image, ..all[4] }];
+        assert_eq!(error(&same), ResponseError::Places { found: 0 });
         let tiny = LumaImage::new(&black, 2, 2, 2).unwrap();
         wrong = all.iter().map(|exposure| Exposure { image: tiny, ..*exposure }).collect();
         assert_eq!(error(&wrong), ResponseError::Places { found: 0 });

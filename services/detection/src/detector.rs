@@ -192,7 +192,11 @@ impl Detector {
                 None => {}
             }
         }
-        found.sort_by(|a, b| b.correlation.total_cmp(&a.correlation).then(a.id.cmp(&b.id)));
+        let order = |a: &Found, b: &Found| {
+            let likelier = b.correlation.total_cmp(&a.correlation);
+            b.is_refined.cmp(&a.is_refined).then(likelier).then(a.id.cmp(&b.id))
+        };
+        found.sort_by(order);
         keep_best_of_each_place(&mut found);
         found.sort_by_key(|marker| marker.id);
         add_doubtful(&mut found, doubtful);
@@ -233,9 +237,8 @@ impl Detector {
         let print = self.dictionary.print(decoded.id)?;
         let reading = self.reading(image, light, &corners)?;
         let explained = self.reader.explain(&reading, print);
-        let lighting = explained.lighting();
-        let by_outline = self.is_accepted_unrefined(&decoded.with(&explained))
-            && self.has_cells(&reading, print);
+        let (decoded, lighting) = (decoded.with(&explained), explained.lighting());
+        let by_outline = self.is_accepted_unrefined(&decoded) && self.has_cells(&reading, print);
         let mut refined = self.refined(image, light, &corners, print, lighting);
         if refined.is_none() && by_outline {
             refined = (0..4)
@@ -257,9 +260,11 @@ impl Detector {
                 ..found_at(view, decoded.id, refined.corners_in_view, refined.sigmas_px)
             })
         });
-        // Where a shadow's edge or something else spoils the fit, the outline's corners stay.
+        // Where nothing could be fitted the outline's corners stay. In even light a fit that is refused says that this is no
+        // print; in uneven light it says only that a shadow spoils it.
+        let keeps_outline = by_outline && (refined.is_none() || lighting == Lighting::Uneven);
         fitted.or_else(|| {
-            by_outline.then(|| Found {
+            keeps_outline.then(|| Found {
                 correlation: decoded.correlation,
                 ..found_at(view, decoded.id, corners, [UNREFINED_PX; 4])
             })

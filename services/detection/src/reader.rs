@@ -45,9 +45,9 @@ impl Decoded {
         log_likelihood_ratio(self.cells, self.correlation, self.runner_up)
     }
 
-    /// The same with what a closer look gave.
+    /// The same after a closer look, which can only speak against it.
     pub(crate) fn with(self, explained: &Explained) -> Self {
-        Self { correlation: explained.correlation(), ..self }
+        Self { correlation: self.correlation.min(explained.correlation()), ..self }
     }
 }
 

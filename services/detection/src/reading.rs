@@ -36,7 +36,7 @@ const LENS_BLUR_PX: f64 = 1.0;
 /// the blurs that they are drawn with. The logarithm of a narrower cell depends more on the blur than on the print.
 const STEP_BLURS: f64 = 2.5;
 
-/// Least light of a cell, as a share of the quiet zone's. It bounds the logarithm.
+/// Least light of a cell, as a share of the quiet zone's, after glare was taken off both. It bounds the logarithm.
 const MIN_LIGHT_SHARE: f32 = 0.02;
 
 /// The light of a square's cells.
@@ -112,7 +112,7 @@ impl Reading {
         // With this offset the border is as dark beside the quiet zone as black print beside white paper.
         let white_over_black = (1.0 + BLACK_SHARE) / BLACK_SHARE;
         let offset = (quiet - white_over_black * border) / (white_over_black - 1.0);
-        let log = |radiance: f32| (radiance + offset).max(MIN_LIGHT_SHARE * quiet).ln();
+        let log = |radiance: f32| (radiance + offset).max(MIN_LIGHT_SHARE * (quiet + offset)).ln();
         let outwards = |side: &Vec<(f32, f32)>| {
             side.iter().map(|&(quiet, border)| log(quiet) - log(border)).sum::<f32>() / bits as f32
         };
@@ -125,7 +125,9 @@ impl Reading {
                 let samples = cell(column, row)?;
                 cells.push(samples.iter().sum::<f32>() / 4.0);
                 let [a, b, c, d] = samples;
-                let step = |from: f32, to: f32| log(to / 2.0) - log(from / 2.0);
+                let step = |from: f32, to: f32| {
+                    (log(to / 2.0) - log(from / 2.0)).clamp(-largest_step(), largest_step())
+                };
                 steps_within.extend([step(a + d, b + c), step(a + b, c + d)]);
             }
         }

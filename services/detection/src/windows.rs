@@ -28,7 +28,10 @@ impl DarkerBy {
     pub(crate) fn limit(self, mean: u16) -> u16 {
         match self {
             Self::Codes(codes) => (mean + 1).saturating_sub(codes.into()),
-            Self::Percent(percent) => mean * (100 - u16::from(percent)) / 100,
+            Self::Percent(percent) => {
+                let by_share = mean * (100 - u16::from(percent)) / 100;
+                by_share.min((mean + 1).saturating_sub(MIN_DARKER_CODES))
+            }
         }
     }
 
@@ -40,6 +43,9 @@ impl DarkerBy {
         }
     }
 }
+
+/// By so many code values a pixel must be darker at least, by whatever share: in the dark noise is a large share.
+const MIN_DARKER_CODES: u16 = 4;
 
 /// Least step across the side of a square that was found by a share of the mean, code values.
 const LEAST_STEP_CODES: u8 = 10;

@@ -13,7 +13,7 @@ const FIRST_INTERVAL_NS: i64 = 33_333_333;
 const MAX_INTERVAL_NS: i64 = 1_000_000_000;
 
 /// Threshold windows that a proposal is searched with.
-const PROPOSAL_WINDOWS: f64 = 4.0;
+const PROPOSAL_WINDOWS: f64 = 5.0;
 
 /// Processor time that is left of a frame, by `search.costs` of the configuration.
 ///
@@ -137,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn proposals_cost_their_search_for_places_and_four_windows() {
+    fn proposals_cost_their_search_for_places_and_five_windows() {
         let mut budget = VirtualBudget::new(Costs { proposals_ms: 4.7, ..costs() }, false);
         budget.begin_frame(&stamp(0, 0));
         budget.spend_look();
@@ -147,9 +147,9 @@ mod tests {
         let proposal_fits = |budget: &VirtualBudget, needs_look: bool| {
             budget.fits(Upcoming { view: &proposal, needs_look })
         };
-        assert_eq!(tiles(&mut budget), 3, "56.7 - 4.7 - 2 * 0.25 * 34 = 35 ms");
-        budget.begin_frame(&stamp(1, 10));
-        // 20 - 10 ms are left: 8.5 for a proposal, or 13.2 with the look.
+        assert_eq!(tiles(&mut budget), 3, "56.7 - 4.7 - 2 * 0.25 * 42 = 31 ms");
+        budget.begin_frame(&stamp(1, 11));
+        // 22 - 10 ms are left: 10.5 for a proposal, or 15.2 with the look.
         assert!(proposal_fits(&budget, false) && !proposal_fits(&budget, true));
     }
 

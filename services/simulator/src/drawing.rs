@@ -6,7 +6,7 @@
 use std::f64::consts::PI;
 use std::ops::Range;
 
-use nalgebra::{Matrix3, Point2, Point3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point2, Point3, Vector3};
 
 use crate::density::{Density, Stretch};
 use crate::drone::{Drone, Part};
@@ -15,7 +15,7 @@ use crate::optics::{blur_kernel, blur_row, blur_rows};
 use crate::raster::{Accumulator, CHANNELS};
 use crate::sensor::Sensor;
 use crate::sphere::SphereGrid;
-use crate::sun::{Sun, world_from_body};
+use crate::sun::Sun;
 use crate::tiles::RayRow;
 
 /// Variance that the drawing adds by itself, square samples: areas of one sample (1/12), and
@@ -37,12 +37,12 @@ pub struct Sharpness {
     pub widest: f64,
 }
 
-/// What lights a drone.
+/// What lights a drone, as an eye sees it.
 #[derive(Debug, Clone, Copy)]
 pub struct Lights {
-    /// Turns the camera's axes into the world's.
-    pub world_from_camera: UnitQuaternion<f64>,
-    /// Outdoors; `None`: the hall's lamps alone.
+    /// The eye's place in the world, and the turn of the camera's axes.
+    pub world_from_eye: Isometry3<f64>,
+    /// A low sun; `None`: the hall's lamps alone.
     pub sun: Option<Sun>,
 }
 
@@ -152,7 +152,7 @@ impl Drawing {
         );
         self.samples_from_camera = (samples_from_drawing * drawing_from_camera).cast();
 
-        let world_from_markers = world_from_body(&lights.world_from_camera, pose);
+        let world_from_markers = lights.world_from_eye * pose;
         let sunlight = lights.sun.map(|sun| sun.on(&world_from_markers));
         self.accumulator.resize(self.width, self.height);
         self.samples.clear();

@@ -1,15 +1,16 @@
 //! A low sun that shines on the bodies past things that cast shadows.
 //!
-//! Its light comes from one direction, so one side of a body is many times brighter than the other. What stands before it, a
+//! Its light comes from one direction, so one side of a body is many times brighter than the other: a surface that faces it has
+//! the light of the hall, and one that it does not reach a share of that. What stands before it, a
 //! fence or the slats of a blind, casts shadows in stripes that stand still in the world: they cross markers, and their edges
 //! lie anywhere on them. Bodies cast no shadows themselves.
 
-use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Point3, Vector3};
 
 /// A sun as the configuration asks for it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sun {
-    /// How many times brighter a surface is that faces it than one that it does not reach.
+    /// How many times brighter a surface is that faces it than the same one in the shade.
     pub ratio: f64,
     /// Its height above the horizon, degrees.
     pub elevation_deg: f64,
@@ -31,7 +32,7 @@ pub struct Sunlight {
 }
 
 impl Sun {
-    /// Its light on a body whose pose this is, in the axes of the world with the observer at the origin.
+    /// Its light on a body whose pose in the world this is.
     pub fn on(&self, world_from_body: &Isometry3<f64>) -> Sunlight {
         let (elevation, azimuth) = (self.elevation_deg.to_radians(), self.azimuth_deg.to_radians());
         let towards = Vector3::new(
@@ -55,16 +56,25 @@ impl Sun {
 
     /// What is wrong with it.
     pub fn problem(&self) -> Option<String> {
-        let numbers = [self.ratio, self.elevation_deg, self.azimuth_deg, self.stripes_m];
-        let is_sound = numbers.iter().all(|number| number.is_finite())
-            && (1.0..=100.0).contains(&self.ratio)
-            && (self.stripes_m == 0.0 || (0.005..=100.0).contains(&self.stripes_m));
-        (!is_sound).then(|| {
-            let Self { ratio, stripes_m, .. } = self;
-            format!("sun: ratio {ratio} must be 1 to 100, stripes_m {stripes_m} 0, or 0.005 to 100")
-        })
+        let Self { ratio, elevation_deg, azimuth_deg, stripes_m } = *self;
+        let rules = [
+            ("ratio", ratio, (1.0..=100.0).contains(&ratio), "1 to 100"),
+            ("elevation_deg", elevation_deg, (-90.0..=90.0).contains(&elevation_deg), "-90 to 90"),
+            ("azimuth_deg", azimuth_deg, (-360.0..=360.0).contains(&azimuth_deg), "-360 to 360"),
+            (
+                "stripes_m",
+                stripes_m,
+                stripes_m == 0.0 || (MIN_STRIPES_M..=100.0).contains(&stripes_m),
+                "0, or 0.005 to 100",
+            ),
+        ];
+        let broken = rules.iter().find(|(_, _, holds, _)| !holds);
+        broken.map(|(name, value, _, allowed)| format!("sun.{name} {value}: must be {allowed}"))
     }
 }
+
+/// Narrower stripes are finer than any picture, metres.
+const MIN_STRIPES_M: f64 = 0.005;
 
 impl Sunlight {
     /// Share of a surface's full light that it has without the sun.
@@ -113,14 +123,6 @@ fn clipped(corners: &[Point3<f64>], inside: impl Fn(&Point3<f64>) -> f64) -> Vec
         }
     }
     kept
-}
-
-/// The pose of a body in the axes of the world, with the observer at the origin.
-pub fn world_from_body(
-    world_from_camera: &UnitQuaternion<f64>,
-    camera_from_body: &Isometry3<f64>,
-) -> Isometry3<f64> {
-    Isometry3::from_parts(Default::default(), *world_from_camera) * camera_from_body
 }
 
 #[cfg(test)]
@@ -196,7 +198,7 @@ mod tests {
             Sun { stripes_m: 1e-9, ..SUN },
             Sun { azimuth_deg: f64::NAN, ..SUN },
         ] {
-            assert!(sun.problem().unwrap().starts_with("sun: ratio"));
+            assert!(sun.problem().unwrap().starts_with("sun."));
         }
     }
 }

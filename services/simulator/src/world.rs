@@ -2,7 +2,7 @@
 
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::body::Bodies;
-use nalgebra::{Isometry3, Unit, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
 
 use crate::drawing::{Drawing, Lights, Sharpness};
 use crate::drone::Drone;
@@ -254,8 +254,10 @@ impl World {
         stride: usize,
     ) -> Result<FrameTruth, RenderError> {
         self.check(moment, luma.len(), stride)?;
-        let lights =
-            Lights { world_from_camera: moment.camera.world_from_camera, sun: self.parameters.sun };
+        let world_from_camera = Isometry3::from_parts(
+            self.motion.world_from_camera(moment.time_s).translation,
+            moment.camera.world_from_camera,
+        );
         let sights = self.sights(moment);
         let sharpness = self.sharpness();
         let bodies = self.drones.iter().zip(&sights);
@@ -263,6 +265,9 @@ impl World {
         for (drawings, (drone, sights)) in self.drawings.chunks_mut(self.eyes.len()).zip(bodies) {
             for (eye, (drawing, sight)) in drawings.iter_mut().zip(sights).enumerate() {
                 let Some(Sight { placement, density }) = sight else { continue };
+                let place = Translation3::from(self.eyes[eye].position_m);
+                let lights =
+                    Lights { world_from_eye: world_from_camera * place, sun: self.parameters.sun };
                 drawing.draw(drone, placement, &lights, density, sharpness);
                 layers.push((placement.position().norm(), Layer { eye, drawing }));
             }

@@ -95,16 +95,17 @@ impl Default for Simulator {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SimulatedSun {
-    /// How many times brighter a surface is that faces it than one in the shade.
+    /// How many times brighter a surface is that faces it than the same one in the shade.
     #[schemars(range(min = 1.0, max = 100.0))]
     pub ratio: f64,
     /// Its height above the horizon, degrees.
     #[schemars(range(min = -90.0, max = 90.0))]
     pub elevation_deg: f64,
-    /// Its direction, counterclockwise from where the observer looks at the start, degrees.
+    /// Its direction in the world, counterclockwise from where a single observer looks at the start, degrees.
     #[schemars(range(min = -360.0, max = 360.0))]
     pub azimuth_deg: f64,
-    /// Width of a stripe of sun and of the shadow beside it together, metres; 0: nothing casts shadows.
+    /// Width of a stripe of sun and of the shadow beside it together, metres, 0.005 or more; 0: nothing casts
+    /// shadows.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub stripes_m: f64,
 }

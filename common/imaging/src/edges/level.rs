@@ -12,6 +12,9 @@ use crate::gaussian::Gaussian;
 /// noise.
 const MIN_CONTRAST_SHARE: f64 = 0.05;
 
+/// Least variance of the share of white over a profile's samples: with less, all of them are white, or all black.
+const MIN_SPREAD: f64 = 0.01;
+
 /// White and black of one profile, by least squares.
 struct Levels {
     white: f64,
@@ -41,12 +44,20 @@ pub(super) fn level(sides: &mut [Side; 4], blur: [f64; 2]) {
     }
 }
 
+/// Whether any sample may stand for more light than it says. Where white saturates, a profile does not show its own.
+pub(super) fn is_clipped(sides: &[Side; 4]) -> bool {
+    let mut samples =
+        sides.iter().flat_map(|side| &side.profiles).flat_map(|profile| &profile.samples);
+    samples.any(|sample| sample.is_clipped)
+}
+
 /// White and black of each profile of a side whose edge is about where it was guessed. `None` where white is no brighter.
 fn levels_of(side: &Side, blur: f64) -> Vec<Option<Levels>> {
     let gaussian = Gaussian::get();
     let of = |profile: &super::profile::Profile| {
         let (mut n, mut x, mut xx, mut y, mut xy) = (0.0, 0.0, 0.0, 0.0, 0.0);
-        for sample in &profile.samples {
+        // A clipped sample stands for more light than it says.
+        for sample in profile.samples.iter().filter(|sample| !sample.is_clipped) {
             let white = share(gaussian, profile, sample.depth, 0.0, blur).white;
             n += 1.0;
             x += white;
@@ -58,7 +69,8 @@ fn levels_of(side: &Side, blur: f64) -> Vec<Option<Levels>> {
         let slope = (n * xy - x * y) / determinant;
         let black = (y - slope * x) / n;
         // False for a NaN.
-        (slope > 0.0 && black.is_finite()).then_some(Levels { white: black + slope, black })
+        (determinant > MIN_SPREAD * n * n && slope > 0.0 && black.is_finite())
+            .then_some(Levels { white: black + slope, black })
     };
     side.profiles.iter().map(of).collect()
 }

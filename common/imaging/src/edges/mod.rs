@@ -96,7 +96,8 @@ pub fn refine_corners(
         let side = |k: usize| Side::sample(image, light, &corners, print, k, blur);
         let mut sides = [side(0)?, side(1)?, side(2)?, side(3)?];
         let border = sides.iter().map(Side::border).fold(f64::INFINITY, f64::min);
-        if lighting == Lighting::Uneven || border >= LEVEL_BLURS * blur[0].max(blur[1]) {
+        let is_wide = border >= LEVEL_BLURS * blur[0].max(blur[1]) && !level::is_clipped(&sides);
+        if lighting == Lighting::Uneven || is_wide {
             level::level(&mut sides, blur);
         }
         let fit = model::fit(&sides, before.as_ref())?;
@@ -122,7 +123,7 @@ pub fn refine_corners(
     let whole = match effort {
         Effort::WholePrint if lighting == Lighting::Even => {
             by_whole_print(image, light, &edges, print, grain).filter(|whole| {
-                is_near(&whole.corners_in_view, guess_in_view) && agree(whole, &edges)
+                is_near(&whole.corners_in_view, guess_in_view) && agree(whole, &edges, print)
             })
         }
         _ => None,
@@ -234,10 +235,11 @@ const LEVEL_BLURS: f64 = 4.0;
 const AGREED_SIGMAS: f64 = 5.0;
 
 /// Whether corners by the whole print are those by the edges. Where they are not, a shadow or an object spoils the whole.
-fn agree(whole: &RefinedCorners, edges: &RefinedCorners) -> bool {
+fn agree(whole: &RefinedCorners, edges: &RefinedCorners, print: &MarkerPrint) -> bool {
     (0..4).all(|k| {
         let apart = (whole.corners_in_view[k].0 - edges.corners_in_view[k].0).norm();
-        apart <= AGREED_SIGMAS * whole.sigmas_px[k].hypot(edges.sigmas_px[k])
+        let by_edges_px = without_whole(edges.sigmas_px[k], edges, print);
+        apart <= AGREED_SIGMAS * whole.sigmas_px[k].hypot(by_edges_px)
     })
 }
 

@@ -16,7 +16,9 @@ use opencv::imgcodecs::{IMREAD_GRAYSCALE, imread};
 use opencv::prelude::*;
 use serde_json::{Value, json};
 
-/// Codes from one entry of the printed table to the next.
+/// Least rise from an entry of the printed table to the next, share of white's light.
+const LEAST_RISE: f64 = 1e-5;
+/// Codes from one entry of the printed table to the next, in full range.
 const TABLE_STEP: usize = 5;
 /// Codes between which deviations are told: beyond, hardly anything of a marker lies.
 const TOLD_CODES: std::ops::RangeInclusive<usize> = 20..=240;
@@ -32,9 +34,22 @@ pub struct CalibrateResponseArguments {
     /// Three or more, with everything automatic off.
     #[arg(required = true, value_name = "PICTURE=SECONDS")]
     pub pictures: Vec<PictureArgument>,
+    /// The range of the luma that the camera's video has: limited (16 to 235), as most have, or full. Pictures hold all of
+    /// 0 to 255, so for limited range the table is moved to 16 to 235.
+    #[arg(long, value_enum, default_value = "limited")]
+    pub range: VideoRange,
     /// For a program.
     #[arg(long)]
     pub json: bool,
+}
+
+/// Which codes of the video stand for black and white.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum VideoRange {
+    /// 16 and 235.
+    Limited,
+    /// 0 and 255.
+    Full,
 }
 
 /// A picture and its exposure, as on the command line.
@@ -69,7 +84,7 @@ impl FromStr for PictureArgument {
 /// # Errors
 /// A picture that cannot be read, or a series that does not tell: with what is missing.
 pub fn run(arguments: &CalibrateResponseArguments) -> anyhow::Result<()> {
-    let found = of_pictures(&arguments.pictures)?;
+    let found = of_pictures(&arguments.pictures, arguments.range)?;
     let mut screen = Screen::new();
     match arguments.json {
         true => screen.line(&serde_json::to_string_pretty(&found.as_json())?),
@@ -81,14 +96,16 @@ pub fn run(arguments: &CalibrateResponseArguments) -> anyhow::Result<()> {
 /// A measured curve, and how well it is known.
 struct Found {
     response: FittedResponse,
-    /// How far edges by the curves of either half of the places lie apart, pixels.
-    own_shift_px: f64,
+    range: VideoRange,
+    /// Half of how far edges by the curves of either half of the places lie apart, pixels. `None` if a half alone does not
+    /// tell the curve.
+    own_shift_px: Option<f64>,
     /// Where edges would lie by the usual curves.
     usual: Vec<(&'static str, f64)>,
     pictures: usize,
 }
 
-fn of_pictures(pictures: &[PictureArgument]) -> anyhow::Result<Found> {
+fn of_pictures(pictures: &[PictureArgument], range: VideoRange) -> anyhow::Result<Found> {
     let mats = pictures
         .iter()
         .map(|PictureArgument { file, .. }| {
@@ -111,7 +128,6 @@ fn of_pictures(pictures: &[PictureArgument]) -> anyhow::Result<Found> {
         Ok(response) => response,
         Err(error) => bail!("{error}{}", names(&error, &named)),
     };
-    let [one, other] = fit_halves(&series)?;
     let usual = [
         ("srgb", LinearLight::new(TransferCurve::Srgb, CodeRange::Full)?),
         ("linear", LinearLight::new(TransferCurve::Linear, CodeRange::Full)?),
@@ -119,8 +135,10 @@ fn of_pictures(pictures: &[PictureArgument]) -> anyhow::Result<Found> {
     let usual =
         usual.iter().map(|(name, curve)| (*name, edge_shift_px(curve, &response.light))).collect();
     // A half's error has sqrt 2 times the deviation of the whole's, the halves' difference twice.
-    let own_shift_px = edge_shift_px(&one.light, &other.light).abs() / 2.0;
-    Ok(Found { response, own_shift_px, usual, pictures: pictures.len() })
+    let halves = fit_halves(&series).ok();
+    let own_shift_px =
+        halves.map(|[one, other]| edge_shift_px(&one.light, &other.light).abs() / 2.0);
+    Ok(Found { response, range, own_shift_px, usual, pictures: pictures.len() })
 }
 
 /// Which file an error speaks of.
@@ -145,10 +163,30 @@ fn range_error_mm(shift_px: f64) -> f64 {
 }
 
 impl Found {
-    /// The curve at equal steps of the code, from 0 to 255.
+    /// The curve at equal steps of the video's code, from 0 to 255. It rises from each entry to the next.
     fn table(&self) -> Vec<f64> {
         let light = self.response.light.table();
-        (0..=255).step_by(TABLE_STEP).map(|code| rounded(f64::from(light[code]))).collect()
+        // The light at a code of the pictures that is no whole one, or lies beyond them.
+        let at = |code: f64| {
+            if code < 0.0 {
+                return code * LEAST_RISE;
+            }
+            let below = code.clamp(0.0, 254.0) as usize;
+            let (here, next) = (f64::from(light[below]), f64::from(light[below + 1]));
+            here + (next - here) * (code - below as f64)
+        };
+        let mut table: Vec<f64> = match self.range {
+            VideoRange::Full => (0..=255).step_by(TABLE_STEP).map(|code| at(code as f64)).collect(),
+            // 16 is no multiple of the step.
+            VideoRange::Limited => {
+                (0..=255).map(|code| at((f64::from(code) - 16.0) * 255.0 / 219.0)).collect()
+            }
+        };
+        table.iter_mut().for_each(|light| *light = rounded(*light));
+        for k in 1..table.len() {
+            table[k] = table[k].max(rounded(table[k - 1] + LEAST_RISE));
+        }
+        table
     }
 
     /// The largest deviation of the codes that matter, as a share of light, and its code.
@@ -168,7 +206,7 @@ impl Found {
             "worst_deviation": deviation,
             "worst_deviation_code": code,
             "edge_shift_px": self.own_shift_px,
-            "range_error_mm_at_1.5_m": range_error_mm(self.own_shift_px),
+            "range_error_mm_at_1.5_m": self.own_shift_px.map(range_error_mm),
             "usual_curves": self.usual.iter().map(|(name, shift_px)| json!({
                 "response": name,
                 "edge_shift_px": shift_px,
@@ -193,7 +231,7 @@ impl Found {
             100.0 * residual
         ));
         line(format!(
-            "light of codes {} to {} is known to {:.1} % or better (code {code})",
+            "light of codes {} to {} is known to about {:.1} % by noise (code {code})",
             TOLD_CODES.start(),
             TOLD_CODES.end(),
             100.0 * deviation
@@ -203,8 +241,15 @@ impl Found {
             let error_mm = range_error_mm(*shift_px);
             line(format!("  response: {name:<7} {shift_px:+.3} px  {error_mm:6.1} mm"));
         }
-        let error_mm = range_error_mm(self.own_shift_px);
-        line(format!("  this table        {:+.3} px  {error_mm:6.1} mm", self.own_shift_px));
+        line(match self.own_shift_px {
+            Some(shift_px) => {
+                let error_mm = range_error_mm(shift_px);
+                format!("  this table        {shift_px:+.3} px  {error_mm:6.1} mm, by noise alone")
+            }
+            None => {
+                "  this table        not known: half of the places do not tell the curve".into()
+            }
+        });
         line("camera:".into());
         line("  response: table".into());
         let values: Vec<String> = self.table().iter().map(f64::to_string).collect();
@@ -253,7 +298,7 @@ mod tests {
     fn an_exposure_series_gives_the_cameras_curve() {
         let folder = tempfile::tempdir().unwrap();
         let pictures = photograph(folder.path(), &[0.0025, 0.005, 0.01, 0.02]);
-        let found = of_pictures(&pictures).unwrap();
+        let found = of_pictures(&pictures, VideoRange::Full).unwrap();
         for (k, light) in found.table().into_iter().enumerate() {
             let code = TABLE_STEP * k;
             let expected = (code as f64 / 255.0).powf(1.6);
@@ -263,8 +308,15 @@ mod tests {
         let text = found.text();
         assert!(text.contains("response: table\n  response_table: [0"), "{text}");
         // A wrong curve is off by more than the measured one.
-        assert!(found.usual.iter().all(|(_, shift_px)| shift_px.abs() > 5.0 * found.own_shift_px));
+        let own_shift_px = found.own_shift_px.unwrap();
+        assert!(found.usual.iter().all(|(_, shift_px)| shift_px.abs() > 5.0 * own_shift_px));
         assert_eq!(found.as_json()["response_table"].as_array().unwrap().len(), 52);
+        // In limited range code 16 is black, and 235 what is white in the pictures.
+        let limited = of_pictures(&pictures, VideoRange::Limited).unwrap().table();
+        let (full, middle) = (found.response.light.of(128), limited[16 + 110]);
+        assert!((middle / f64::from(full) - 1.0).abs() < 0.01, "{middle}, {full}");
+        assert!((limited[235] - 1.0).abs() < 1e-3 && limited[16] < 1e-3 && limited[255] > 1.0);
+        assert!([&limited, &found.table()].iter().all(|table| table.is_sorted_by(|a, b| a < b)));
     }
 
     #[test]
@@ -284,8 +336,9 @@ mod tests {
     fn what_is_wrong_with_a_series_is_said_with_its_file() {
         let folder = tempfile::tempdir().unwrap();
         let mut pictures = photograph(folder.path(), &[0.005, 0.01, 0.02]);
-        let error =
-            |pictures: &[PictureArgument]| format!("{:#}", of_pictures(pictures).err().unwrap());
+        let error = |pictures: &[PictureArgument]| {
+            format!("{:#}", of_pictures(pictures, VideoRange::Full).err().unwrap())
+        };
         assert!(error(&pictures[..2]).starts_with("2 pictures; 3 or more"));
         pictures[1].file = folder.path().join("absent.png");
         assert!(
