@@ -43,7 +43,8 @@ def tilted(picture, dice, degrees):
     plane = turn @ np.array([[1, 0, -width / 2], [0, 1, -height / 2], [0, 0, 0]])
     plane[2, 2] += 1.25 * focal
     size = (width, height)
-    return cv2.warpPerspective(picture, camera @ plane, size, flags=cv2.INTER_AREA, borderValue=(90, 90, 90))
+    grey = (linear(90),) * 3
+    return encoded(cv2.warpPerspective(linear(picture), camera @ plane, size, borderValue=grey))
 
 
 def smaller(picture, factor):

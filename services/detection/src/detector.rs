@@ -48,7 +48,7 @@ const MAX_BLUR_CELLS_AT_RANGE: f64 = 1.1;
 
 /// What markers blurred by more than [`MAX_BLUR_CELLS`] must reach: log-likelihood ratio, and residual. Of 7,100 squares of
 /// a hall, panoramas and a simulated world that are blurred as much and are no markers, none reads as one with a
-/// log-likelihood ratio above 8.
+/// log-likelihood ratio to the next marker above 8; that to what is no marker is lower still.
 const BLURRED: (f32, f64) = (12.0, 0.06);
 
 /// Where corners are only approximate, cells are sampled off their middles. A reading there is worth a fit

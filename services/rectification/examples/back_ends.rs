@@ -1,7 +1,7 @@
-//! Measures this machine's graphics processor beside its processor, and prints a page for docs/results:
+//! Measures this machine's graphics processor beside its processor, and prints the table of docs/results/gpu.md:
 //!
 //! ```text
-//! cargo run --release -p flockeye-rectification --example back_ends > gpu.md
+//! cargo run --release -p flockeye-rectification --example back_ends
 //! ```
 //!
 //! Frames of 3840 x 1920 px give 12 and 24 views, as the stage orders them. The greys of both are compared.
