@@ -102,6 +102,21 @@ impl LinearLight {
         self.table[usize::from(code)]
     }
 
+    /// The radiance that a code between whole ones stands for, interpolated. Codes beyond 0 and 255 continue the curve there.
+    pub fn between(&self, code: f64) -> f64 {
+        let below = code.clamp(0.0, 254.0) as usize;
+        let (here, next) = (f64::from(self.table[below]), f64::from(self.table[below + 1]));
+        here + (next - here) * (code - below as f64)
+    }
+
+    /// The code that stands for a radiance, between whole codes too. Beyond the curve's ends it is 0 or 255.
+    pub fn code_of(&self, radiance: f64) -> f64 {
+        let above = self.table.partition_point(|&of| f64::from(of) < radiance).clamp(1, 255);
+        let (below, at) = (f64::from(self.table[above - 1]), f64::from(self.table[above]));
+        let share = if at > below { (radiance - below) / (at - below) } else { 0.0 };
+        (above - 1) as f64 + share.clamp(0.0, 1.0)
+    }
+
     /// The radiance of every code value.
     pub fn table(&self) -> &[f32; 256] {
         &self.table
@@ -191,6 +206,18 @@ mod tests {
                 assert_eq!(LinearLight::from_table(*light.table()).as_ref(), Ok(&light));
             }
         }
+    }
+
+    #[test]
+    fn codes_between_whole_ones_go_there_and_back() {
+        let srgb = LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap();
+        for code in [0.0, 0.25, 17.5, 128.0, 254.9, 255.0] {
+            assert!((srgb.code_of(srgb.between(code)) - code).abs() < 1e-3, "{code}");
+        }
+        assert!((srgb.code_of(-1.0), srgb.code_of(2.0)) == (0.0, 255.0));
+        assert!(srgb.between(-10.0) < 0.0 && srgb.between(260.0) > 1.0);
+        let flat = LinearLight::from_table([0.5; 256]).unwrap();
+        assert!(flat.code_of(0.5).is_finite() && flat.between(3.3) == 0.5);
     }
 
     #[test]

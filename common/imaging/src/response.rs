@@ -75,7 +75,9 @@ pub enum ResponseError {
         seconds: f64,
     },
     /// Pictures of different sizes.
-    #[error("picture {index} has {given:?} px, the first one {first:?}")]
+    #[error(
+        "picture {index} has {given:?} px, the first one {first:?}. Give pictures of one camera, all of one size"
+    )]
     Size {
         /// Which picture, from 0.
         index: usize,
@@ -94,13 +96,18 @@ pub enum ResponseError {
     },
     /// Too little of the scene is even, or it moved.
     #[error(
-        "{found} even places are neither black nor white in two pictures; {MIN_PLACES} are needed. Photograph something with \
-         even areas of many greys, from a tripod"
+        "{found} even places of different greys are neither black nor white in two pictures; {MIN_PLACES} are needed. Photograph \
+         something with even areas of many greys, from a tripod"
     )]
     Places {
         /// How many were found.
         found: usize,
     },
+    /// The places do not tie the curve together.
+    #[error(
+        "the pictures do not determine the curve. Photograph more greys, at exposures that are nearer to each other"
+    )]
+    Undetermined,
     /// More light gives lower codes: the exposures are wrong, or the camera changed them.
     #[error(
         "code {code} stands for less light than the one before it. Were the exposures as given, with everything automatic off?"
@@ -124,6 +131,9 @@ pub struct FittedResponse {
     pub residual: f64,
     /// Places that were used.
     pub places: usize,
+    /// How far edges seem off by this curve because of noise, pixels, from the curves of either half of the places. `None`
+    /// where a half alone does not tell the curve.
+    pub edge_shift_px: Option<f64>,
 }
 
 /// Codes of a place in the pictures where it is neither black nor white, with the logarithm of their exposures.
@@ -134,18 +144,17 @@ type Place = Vec<(f64, f64)>;
 /// # Errors
 /// [`ResponseError`], with what to do.
 pub fn fit_response(series: &[Exposure<'_>]) -> Result<FittedResponse, ResponseError> {
-    fit_places(&places(series)?)
-}
-
-/// The same from either half of the places, by turns. How far the two lie apart says how well the curve is known.
-///
-/// # Errors
-/// As [`fit_response`].
-pub fn fit_halves(series: &[Exposure<'_>]) -> Result<[FittedResponse; 2], ResponseError> {
-    let all = places(series)?;
-    let half =
-        |first: usize| -> Vec<Place> { all.iter().skip(first).step_by(2).cloned().collect() };
-    Ok([fit_places(&half(0))?, fit_places(&half(1))?])
+    let places = places(series)?;
+    let fitted = fit_places(&places)?;
+    let half = |first: usize| {
+        let places: Vec<Place> = places.iter().skip(first).step_by(2).cloned().collect();
+        fit_places(&places).ok()
+    };
+    // A half's error has sqrt 2 times the deviation of the whole's, the halves' difference twice.
+    let apart_px = |(one, other): (FittedResponse, FittedResponse)| {
+        edge_shift_px(&one.light, &other.light).abs() / 2.0
+    };
+    Ok(FittedResponse { edge_shift_px: half(0).zip(half(1)).map(apart_px), ..fitted })
 }
 
 /// How far an edge between print and paper seems to lie from where it is, pixels, if light is taken for `assumed` and is
@@ -154,7 +163,7 @@ pub fn edge_shift_px(assumed: &LinearLight, actual: &LinearLight) -> f64 {
     const BLUR_PX: f64 = 0.9;
     const STEP_PX: f64 = 0.02;
     let (black, white) = (0.03, 0.6);
-    let seen = |light: f64| at_code(assumed, code_of(actual, light));
+    let seen = |light: f64| assumed.between(actual.code_of(light));
     let (seen_black, seen_white) = (seen(black), seen(white));
     // The area between what is seen and what is there, both from 0 to 1.
     (-250..250)
@@ -165,22 +174,6 @@ pub fn edge_shift_px(assumed: &LinearLight, actual: &LinearLight) -> f64 {
             ((seen(light) - seen_black) / (seen_white - seen_black) - below) * STEP_PX
         })
         .sum()
-}
-
-/// The code that stands for this light, between whole codes too.
-fn code_of(light: &LinearLight, value: f64) -> f64 {
-    let table = light.table();
-    let above = table.partition_point(|&of| f64::from(of) < value).clamp(1, 255);
-    let (below, step) = (f64::from(table[above - 1]), f64::from(table[above] - table[above - 1]));
-    let share = if step > 0.0 { (value - below) / step } else { 0.0 };
-    (above - 1) as f64 + share.clamp(0.0, 1.0)
-}
-
-/// The light of a code, between whole codes too.
-fn at_code(light: &LinearLight, code: f64) -> f64 {
-    let below = (code as usize).min(254);
-    let of = |code: usize| f64::from(light.table()[code]);
-    of(below) + (of(below + 1) - of(below)) * (code - below as f64)
 }
 
 fn places(series: &[Exposure<'_>]) -> Result<Vec<Place>, ResponseError> {
@@ -294,7 +287,7 @@ fn fit_places(places: &[Place]) -> Result<FittedResponse, ResponseError> {
             deviation = (1.4826 * median / freedom.sqrt()).max(1e-4);
         }
         let Some(solved) = normal.cholesky() else {
-            return Err(ResponseError::Places { found: places.len() });
+            return Err(ResponseError::Undetermined);
         };
         logs = solved.solve(&right);
         inverse = solved.inverse();
@@ -316,7 +309,8 @@ fn fit_places(places: &[Place]) -> Result<FittedResponse, ResponseError> {
         .map_err(|_| ResponseError::Falling { code: u8::MAX })?;
     let deviations =
         (0..256).map(|code| deviation * inverse[(code, code)].max(0.0).sqrt()).collect();
-    Ok(FittedResponse { light, deviations, seen, residual: deviation, places: places.len() })
+    let (residual, places) = (deviation, places.len());
+    Ok(FittedResponse { light, deviations, seen, residual, places, edge_shift_px: None })
 }
 
 /// Adds a place whose radiance is eliminated.
@@ -397,7 +391,7 @@ mod tests {
                     let patch = patches[k % 240 / 12 + k / 240 / 12 * 20];
                     let light = 0.2 * patch * seconds;
                     let noisy = light + noise * (0.02 + light).sqrt() * (dice() + dice() - 1.0);
-                    code_of(actual, noisy).round() as u8
+                    actual.code_of(noisy).round() as u8
                 });
                 (pixels.collect(), seconds)
             })
@@ -437,6 +431,7 @@ mod tests {
             }
             assert!(beyond < 20, "{beyond} of 211 codes");
             let shift_px = edge_shift_px(&found.light, &actual);
+            assert!(found.edge_shift_px.unwrap() < 0.01, "{:?}", found.edge_shift_px);
             assert!(shift_px.abs() < 0.015, "{shift_px}");
         }
     }

@@ -293,91 +293,31 @@ fn images_without_a_marker_are_refused() {
     let guess = [(10.0, 10.0), (30.0, 10.0), (30.0, 30.0), (10.0, 30.0)];
     let guess = guess.map(|(x, y)| ViewPixel::new(x, y));
     let print = MarkerPrint::of_bits(&[true; 25]).unwrap();
+    let assert_refused = |image: &LumaImage<'_>, guess: &[ViewPixel; 4]| {
+        for lighting in [Lighting::Even, Lighting::Uneven] {
+            let effort = Effort::WholePrint;
+            let found =
+                refine_corners(image, &light, guess, &print, Grain::Pixels, lighting, effort);
+            assert_eq!(found, None, "{lighting:?}, {guess:?}");
+        }
+    };
     let mut dice = Dice(3);
     for flat in [0u8, 90, 255] {
         let pixels = [flat; 1600];
-        let image = LumaImage::new(&pixels, 40, 40, 40).unwrap();
-        assert_eq!(
-            refine_corners(
-                &image,
-                &light,
-                &guess,
-                &print,
-                Grain::Pixels,
-                Lighting::Even,
-                Effort::WholePrint
-            ),
-            None
-        );
+        assert_refused(&LumaImage::new(&pixels, 40, 40, 40).unwrap(), &guess);
     }
-    // Too small, outside the image, not finite, counterclockwise, an image of one pixel.
     let pixels: Vec<u8> = (0..1600).map(|_| dice.uniform(0.0, 255.0) as u8).collect();
     let image = LumaImage::new(&pixels, 40, 40, 40).unwrap();
     let shifted =
         |scale: f64, by: f64| guess.map(|p| ViewPixel(p.0 * scale + Vector2::new(by, by)));
-    assert_eq!(
-        refine_corners(
-            &image,
-            &light,
-            &shifted(0.3, 0.0),
-            &print,
-            Grain::Pixels,
-            Lighting::Even,
-            Effort::WholePrint
-        ),
-        None
-    );
-    assert_eq!(
-        refine_corners(
-            &image,
-            &light,
-            &shifted(1.0, 100.0),
-            &print,
-            Grain::Pixels,
-            Lighting::Even,
-            Effort::WholePrint
-        ),
-        None
-    );
-    assert_eq!(
-        refine_corners(
-            &image,
-            &light,
-            &shifted(1.0, f64::NAN),
-            &print,
-            Grain::Pixels,
-            Lighting::Even,
-            Effort::WholePrint
-        ),
-        None
-    );
-    let mut turned = guess;
-    turned.reverse();
-    assert_eq!(
-        refine_corners(
-            &image,
-            &light,
-            &turned,
-            &print,
-            Grain::Pixels,
-            Lighting::Even,
-            Effort::WholePrint
-        ),
-        None
-    );
-    let point = LumaImage::new(&pixels[..1], 1, 1, 1).unwrap();
-    assert_eq!(
-        refine_corners(
-            &point,
-            &light,
-            &guess,
-            &print,
-            Grain::Pixels,
-            Lighting::Even,
-            Effort::WholePrint
-        ),
-        None
-    );
+    let mut counterclockwise = guess;
+    counterclockwise.reverse();
+    let [small, outside, not_finite] =
+        [shifted(0.3, 0.0), shifted(1.0, 100.0), shifted(1.0, f64::NAN)];
+    for guess in [small, outside, not_finite, counterclockwise] {
+        assert_refused(&image, &guess);
+    }
+    assert_refused(&LumaImage::new(&pixels[..1], 1, 1, 1).unwrap(), &guess);
 }
 
 #[test]

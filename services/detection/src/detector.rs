@@ -46,9 +46,9 @@ const MAX_BLUR_CELLS: f64 = 0.75;
 /// to 1.
 const MAX_BLUR_CELLS_AT_RANGE: f64 = 1.1;
 
-/// What markers blurred by more than [`MAX_BLUR_CELLS`] must reach: log-likelihood ratio, and residual. Of 7,100 squares of
-/// a hall, panoramas and a simulated world that are blurred as much and are no markers, none reads as one with a
-/// log-likelihood ratio to the next marker above 8; that to what is no marker is lower still.
+/// What markers blurred by more than [`MAX_BLUR_CELLS`] must reach: log-likelihood ratio, and residual. 7,100 squares that are
+/// blurred as much and are no markers were read, of a hall, panoramas and a simulated world. None had a ratio above 8 to the next
+/// marker; that to what is no marker is lower still.
 const BLURRED: (f32, f64) = (12.0, 0.06);
 
 /// Where corners are only approximate, cells are sampled off their middles. A reading there is worth a fit
@@ -70,7 +70,8 @@ const SAME_CORNER: (f64, f64) = (2.0, 0.05);
 /// marker's side.
 const SAME_PLACE_SHARE: f64 = 0.3;
 
-/// A marker inside another one is smaller by this factor at least: it has two cells of the other as its place.
+/// A marker printed inside another one is smaller by more than this factor: with its margin it has to fit among the other's
+/// cells.
 const NESTED_SIDE_RATIO: f64 = 2.5;
 
 /// A marker in a view.

@@ -8,6 +8,9 @@ use crate::reading::SAMPLE_CELLS;
 /// adds to both, and ink differs.
 pub(crate) const BLACK_SHARE: f32 = 0.1;
 
+/// The widest blur that steps are compared at, cells.
+pub(crate) const WIDEST_STEP_BLUR_CELLS: f64 = 0.4;
+
 /// The largest step that counts: that from black print to white paper, 2.4.
 pub(crate) fn largest_step() -> f32 {
     ((1.0 + BLACK_SHARE) / BLACK_SHARE).ln()
@@ -89,8 +92,8 @@ fn log(white: f32) -> f32 {
     (white + BLACK_SHARE).ln()
 }
 
-/// The weights of a cell and its two neighbours on either side in the radiance at a point of the cell, `at` cells from its
-/// middle, after a Gaussian blur with this standard deviation, cells.
+/// How much a cell and its two neighbours on either side add to the radiance at a point of the cell. The point lies `at`
+/// cells from the middle; the blur is a Gaussian with this standard deviation, cells.
 fn kernel(blur: f64, at: f64) -> Kernel {
     let steps = 40;
     let weights = [-2, -1, 0, 1, 2].map(|cell| {

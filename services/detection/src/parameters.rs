@@ -9,8 +9,8 @@ use crate::windows::{DarkerBy, Threshold, thresholds};
 /// What is searched for, and what is accepted as a marker.
 ///
 /// The defaults are those of a view at the sphere's own resolution. They were chosen on renderings and
-/// on real panoramas without markers. There, squares that pass for a marker by their cells alone have
-/// log-likelihood ratios of up to 13; their edges then tell them from print.
+/// on real panoramas without markers. There some squares pass for a marker by their cells alone; their edges then tell them
+/// from print.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DetectorParameters {
     /// Markers with shorter sides are not searched for, pixels. At 11 px a cell of a marker with 5 x 5

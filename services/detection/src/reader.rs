@@ -3,7 +3,9 @@
 use flockeye_dictionary::Dictionary;
 use flockeye_imaging::edges::{Lighting, MarkerPrint};
 
-use crate::drawn::{Drawn, normalise, normalise_about_mean, rotate, step_count, steps};
+use crate::drawn::{
+    Drawn, WIDEST_STEP_BLUR_CELLS, normalise, normalise_about_mean, rotate, step_count, steps,
+};
 use crate::reading::Reading;
 
 /// Standard deviations of the blurs that markers are compared at, in cells: a sharp marker, one with a
@@ -11,7 +13,7 @@ use crate::reading::Reading;
 const BLURS_CELLS: [f64; 3] = [0.15, 0.4, 0.65];
 
 /// The blurs that steps are compared at.
-const STEP_BLURS_CELLS: [f64; 2] = [0.15, 0.4];
+const STEP_BLURS_CELLS: [f64; 2] = [0.15, WIDEST_STEP_BLUR_CELLS];
 
 /// Least contrast of a reading that is compared: the norm of its cells' deviations from their mean, where
 /// white paper has a radiance of up to 1. Below, there is nothing but rounding.
@@ -155,40 +157,36 @@ impl Reader {
     pub(crate) fn explain(&self, reading: &Reading, print: &MarkerPrint) -> Explained {
         let mut cells = reading.cells.clone();
         normalise_about_mean(&mut cells);
-        let mut read = steps(&reading.logs, self.bits);
-        read.extend(&reading.steps_within);
-        normalise(&mut read);
-        let product = |a: Vec<f32>, b: &[f32]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f32>();
-        let even = BLURS_CELLS.map(|blur| product(drawn_cells(print, self.bits, blur), &cells));
-        let uneven = STEP_BLURS_CELLS.map(|blur| {
-            let drawn = Drawn::new(print, self.bits, blur);
-            let mut drawn_steps = drawn.steps();
-            drawn_steps.extend(drawn.steps_within());
-            normalise(&mut drawn_steps);
-            product(drawn_steps, &read)
+        let even = BLURS_CELLS.map(|blur| product(&drawn_cells(print, self.bits, blur), &cells));
+        let uneven = reading.steps.as_ref().map(|read| {
+            let read = joined(steps(&read.logs, self.bits), &read.within);
+            STEP_BLURS_CELLS.map(|blur| {
+                let drawn = Drawn::new(print, self.bits, blur);
+                product(&joined(drawn.steps(), &drawn.steps_within()), &read)
+            })
         });
         let largest = |of: &[f32]| of.iter().copied().fold(0.0, f32::max);
-        let uneven = if reading.has_steps { largest(&uneven) } else { 0.0 };
-        Explained { even: largest(&even), uneven }
+        Explained { even: largest(&even), uneven: uneven.map_or(0.0, |uneven| largest(&uneven)) }
     }
 
     /// Correlates a reading with each marker. `None` for a reading without contrast.
     pub(crate) fn compare(&self, reading: &Reading) -> Option<Correlations> {
-        let (mut cells, mut logs) = (reading.cells.clone(), reading.logs.clone());
+        let mut cells = reading.cells.clone();
+        let mut logs = reading.steps.as_ref().map(|steps| steps.logs.clone());
         if normalise_about_mean(&mut cells) < MIN_CONTRAST {
             return None;
         }
         let by_rotation = std::array::from_fn(|first_corner| {
             if first_corner > 0 {
                 cells = rotate(&cells, self.bits);
-                logs = rotate(&logs, self.bits + 2);
+                logs = logs.as_ref().map(|logs| rotate(logs, self.bits + 2));
             }
             let mut best = vec![[f32::MIN; LANES]; self.count.div_ceil(LANES)];
             for markers in &self.cells {
                 markers.compare(&cells, &mut best);
             }
-            if reading.has_steps {
-                let mut read = steps(&logs, self.bits);
+            if let Some(logs) = &logs {
+                let mut read = steps(logs, self.bits);
                 normalise(&mut read);
                 for markers in &self.steps {
                     markers.compare(&read, &mut best);
@@ -254,6 +252,17 @@ fn log_likelihood_ratio(cells: usize, likelier: f32, other: f32) -> f32 {
     0.5 * cells as f32 * (residual(other) / residual(likelier)).ln()
 }
 
+fn product(one: &[f32], other: &[f32]) -> f32 {
+    one.iter().zip(other).map(|(a, b)| a * b).sum()
+}
+
+/// Steps between cells and within them as one vector, with norm 1.
+fn joined(mut between: Vec<f32>, within: &[f32]) -> Vec<f32> {
+    between.extend(within);
+    normalise(&mut between);
+    between
+}
+
 /// The inner cells of a marker, with mean 0 and norm 1.
 fn drawn_cells(print: &MarkerPrint, bits: usize, blur: f64) -> Vec<f32> {
     let mut drawn = Drawn::new(print, bits, blur).cells();
@@ -273,14 +282,21 @@ mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
     use crate::drawn::{BLACK_SHARE, inner_cells};
+    use crate::reading::Steps;
 
-    /// What is read where all cells, border included, have these shares of white.
-    fn reading(white: impl Iterator<Item = f32>, bits: usize) -> Reading {
-        let white: Vec<f32> = white.collect();
-        let logs = white.iter().map(|white| (white + BLACK_SHARE).ln()).collect();
-        let steps_within = vec![0.0; 2 * bits * bits];
-        let cells = inner_cells(&white, bits);
-        Reading { has_steps: true, logs, cells, steps_within, quiet_zone: 1.0, edge_contrast: 1.0 }
+    /// What is read where all cells, border included, have these shares of white, in the light of each, and where the steps
+    /// within them are those of `within`.
+    fn lit(white: &[f32], bits: usize, within: Vec<f32>, light: impl Fn(usize) -> f32) -> Reading {
+        let lit = |(k, white): (usize, &f32)| light(k) * (white + BLACK_SHARE);
+        let logs = white.iter().enumerate().map(lit).map(f32::ln).collect();
+        let all: Vec<f32> = white.iter().enumerate().map(lit).collect();
+        let steps = Some(Steps { logs, within });
+        Reading { cells: inner_cells(&all, bits), steps, quiet_zone: 1.0, edge_contrast: 1.0 }
+    }
+
+    /// The same in even light, without steps within cells.
+    fn reading(white: &[f32], bits: usize) -> Reading {
+        lit(white, bits, vec![0.0; 2 * bits * bits], |_| 1.0)
     }
 
     /// The same correlation computed plainly: one marker, one blur at a time, and the largest.
@@ -291,7 +307,8 @@ mod tests {
         id: u32,
     ) -> f32 {
         let (bits, print) = (dictionary.bits(), dictionary.print(id).unwrap());
-        let (mut cells, mut logs) = (reading.cells.clone(), reading.logs.clone());
+        let (mut cells, mut logs) =
+            (reading.cells.clone(), reading.steps.as_ref().unwrap().logs.clone());
         normalise_about_mean(&mut cells);
         (0..first_corner).for_each(|_| cells = rotate(&cells, bits));
         (0..first_corner).for_each(|_| logs = rotate(&logs, bits + 2));
@@ -313,8 +330,8 @@ mod tests {
             // The last marker, rotated once, with a small error in each cell.
             let mut cells = Drawn::new(dictionary.print(last).unwrap(), bits, 0.3).all_cells();
             (0..3).for_each(|_| cells = rotate(&cells, bits + 2));
-            let cells = cells.iter().enumerate().map(|(k, cell)| cell + 0.01 * (k % 7) as f32);
-            let reading = reading(cells, bits);
+            cells.iter_mut().enumerate().for_each(|(k, cell)| *cell += 0.01 * (k % 7) as f32);
+            let reading = reading(&cells, bits);
             let correlations = reader.compare(&reading).unwrap();
             for first_corner in 0..4 {
                 for id in 0..=last {
@@ -331,7 +348,7 @@ mod tests {
             assert!(correlations.best_among(std::iter::empty()).is_none());
         }
         let dictionary = Dictionary::load("DICT_5X5_250").unwrap();
-        assert!(Reader::new(&dictionary).compare(&reading([0.5; 49].into_iter(), 5)).is_none());
+        assert!(Reader::new(&dictionary).compare(&reading(&[0.5; 49], 5)).is_none());
     }
 
     #[test]
@@ -341,11 +358,9 @@ mod tests {
         for (id, print) in dictionary.prints().iter().enumerate() {
             let white = Drawn::new(print, bits, 0.2).all_cells();
             // Right of the diagonal there is an eighth of the light.
-            let lit = white.iter().enumerate().map(|(k, white)| {
-                let shade = if k % (bits + 2) > k / (bits + 2) { 0.125f32 } else { 1.0 };
-                shade * (white + BLACK_SHARE) - BLACK_SHARE
-            });
-            let best = reader.compare(&reading(lit, bits)).unwrap().best().unwrap();
+            let light = |k: usize| if k % (bits + 2) > k / (bits + 2) { 0.125 } else { 1.0 };
+            let reading = lit(&white, bits, vec![0.0; 2 * bits * bits], light);
+            let best = reader.compare(&reading).unwrap().best().unwrap();
             assert_eq!((best.id as usize, best.first_corner), (id, 0), "{best:?}");
             assert!(best.correlation > 0.8 && best.log_likelihood_ratio() > 10.0, "{best:?}");
         }
@@ -356,12 +371,9 @@ mod tests {
         let dictionary = Dictionary::load("DICT_6X6_250").unwrap();
         let (bits, reader) = (dictionary.bits(), Reader::new(&dictionary));
         let print = dictionary.print(7).unwrap();
-        let white = Drawn::new(print, bits, 0.2).all_cells();
+        let drawn = Drawn::new(print, bits, 0.2);
         let lit_by = |light: &dyn Fn(usize) -> f32| {
-            let lit = white.iter().enumerate();
-            let lit = lit.map(|(k, white)| light(k) * (white + BLACK_SHARE) - BLACK_SHARE);
-            let mut reading = reading(lit, bits);
-            reading.steps_within = Drawn::new(print, bits, 0.2).steps_within();
+            let reading = lit(&drawn.all_cells(), bits, drawn.steps_within(), light);
             reader.explain(&reading, print)
         };
         assert_eq!(lit_by(&|_| 0.5).lighting(), Lighting::Even);
@@ -376,11 +388,10 @@ mod tests {
         let (bits, reader) = (dictionary.bits(), Reader::new(&dictionary));
         let print = dictionary.print(3).unwrap();
         let white = Drawn::new(print, bits, 0.15).all_cells();
-        let mut reading = reading(white.into_iter(), bits);
-        let alike = reader.explain(&reading, print).uneven;
-        // The left half of each cell is brighter than the right one by half of what white is.
-        reading.steps_within = [-1.2, 0.0].repeat(bits * bits);
-        let grey = reader.explain(&reading, print).uneven;
+        let alike = reader.explain(&reading(&white, bits), print).uneven;
+        // From the left half of each cell to the right one there is half of the largest step.
+        let half_white = lit(&white, bits, [-1.2, 0.0].repeat(bits * bits), |_| 1.0);
+        let grey = reader.explain(&half_white, print).uneven;
         assert!(alike > 0.99 && grey < 0.93, "{alike}, {grey}");
     }
 }

@@ -16,7 +16,7 @@ use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::LinearLight;
 use flockeye_imaging::square::{SquareInView, mean_side_px};
 
-use crate::drawn::{BLACK_SHARE, largest_step};
+use crate::drawn::{BLACK_SHARE, WIDEST_STEP_BLUR_CELLS, largest_step};
 
 /// Where the quiet zone is sampled, cells outside the square's edge: near the middle of its first cell in small markers.
 const QUIET_CELLS: f64 = 0.45;
@@ -29,27 +29,19 @@ const MIN_QUIET_CELLS: f64 = 0.2;
 /// Places of a cell where its radiance is sampled, along both axes, cells from its middle.
 pub(crate) const SAMPLE_CELLS: f64 = 0.2;
 
-/// A lens's blur, pixels of the sphere.
+/// A lens's blur, pixels of the sphere. Steps are compared where it is no wider than the widest blur that they are drawn
+/// with. The logarithm of a narrower cell depends more on the blur than on the print.
 const LENS_BLUR_PX: f64 = 1.0;
-
-/// Steps are compared where a cell is wider than so many of the lens's blurs, which is as much as 1 over the larger of
-/// the blurs that they are drawn with. The logarithm of a narrower cell depends more on the blur than on the print.
-const STEP_BLURS: f64 = 2.5;
 
 /// Least light of a cell, as a share of the quiet zone's, after glare was taken off both. It bounds the logarithm.
 const MIN_LIGHT_SHARE: f32 = 0.02;
 
 /// The light of a square's cells.
 pub(crate) struct Reading {
-    /// Whether cells are wide enough for the steps between them to be compared.
-    pub(crate) has_steps: bool,
-    /// Logarithm of the light of all cells, border included, row by row from the square's first corner.
-    pub(crate) logs: Vec<f32>,
-    /// Radiance of the inner cells, in the same order.
+    /// Radiance of the inner cells, row by row from the square's first corner.
     pub(crate) cells: Vec<f32>,
-    /// Steps within the inner cells, in the same order: from the left half to the right one, and from the upper half to the
-    /// lower one.
-    pub(crate) steps_within: Vec<f32>,
+    /// The light from place to place, where cells are wide enough for it.
+    pub(crate) steps: Option<Steps>,
     /// Mean step from the border out to the quiet zone, as a share of that from black print to white paper: the
     /// least of the four sides.
     pub(crate) quiet_zone: f32,
@@ -57,9 +49,18 @@ pub(crate) struct Reading {
     pub(crate) edge_contrast: f32,
 }
 
+/// What the steps of a square follow from.
+pub(crate) struct Steps {
+    /// Logarithm of the light of all cells, border included, row by row from the square's first corner.
+    pub(crate) logs: Vec<f32>,
+    /// Steps within the inner cells, in the same order: from the left half to the right one, and from the upper half to the
+    /// lower one.
+    pub(crate) within: Vec<f32>,
+}
+
 impl Reading {
-    /// Reads the square with these corners, in a view with `magnification` pixels for each of the sphere's. `None` if it or its quiet zone is not wholly inside the
-    /// image, or if the quiet zone is darker than the border on some side.
+    /// Reads the square with these corners, in a view with `magnification` pixels for each of the sphere's. `None` if it or
+    /// its quiet zone is not wholly inside the image, or if the quiet zone is darker than the border on some side.
     pub(crate) fn new(
         image: &LumaImage<'_>,
         light: &LinearLight,
@@ -72,7 +73,7 @@ impl Reading {
         let cell_px = mean_side_px(corners) / count;
         let side_px = |k: usize| (corners[(k + 1) % 4].0 - corners[k].0).norm();
         let narrowest_px = (0..4).map(side_px).fold(f64::INFINITY, f64::min) / count;
-        let has_steps = narrowest_px >= STEP_BLURS * LENS_BLUR_PX * magnification.max(1.0);
+        let blur_cells = LENS_BLUR_PX * magnification.max(1.0) / narrowest_px;
         let quiet_cells = (QUIET_PX / cell_px).clamp(MIN_QUIET_CELLS, QUIET_CELLS);
         let at = |column: f64, row: f64| light.at(image, square.at(column / count, row / count));
         // The four samples of a cell: upper left, upper right, lower right, lower left.
@@ -82,7 +83,7 @@ impl Reading {
             Some([sample(-1.0, -1.0)?, sample(1.0, -1.0)?, sample(1.0, 1.0)?, sample(-1.0, 1.0)?])
         };
         // For each side, the radiance of the quiet zone and that of the border beside it.
-        let mut sides = [const { Vec::new() }; 4];
+        let mut sides: [Side; 4] = [const { Vec::new() }; 4];
         for k in 1..=bits {
             let along = k as f64 + 0.5;
             let (near, far) = (0.5, count - 0.5);
@@ -97,7 +98,7 @@ impl Reading {
                 side.push((at(quiet.0, quiet.1)?, at(border.0, border.1)?));
             }
         }
-        let mean = |side: &Vec<(f32, f32)>| {
+        let mean = |side: &Side| {
             let (quiet, border) =
                 side.iter().fold((0.0, 0.0), |sum, at| (sum.0 + at.0, sum.1 + at.1));
             (quiet / bits as f32, border / bits as f32)
@@ -113,49 +114,56 @@ impl Reading {
         let white_over_black = (1.0 + BLACK_SHARE) / BLACK_SHARE;
         let offset = (quiet - white_over_black * border) / (white_over_black - 1.0);
         let log = |radiance: f32| (radiance + offset).max(MIN_LIGHT_SHARE * (quiet + offset)).ln();
-        let outwards = |side: &Vec<(f32, f32)>| {
+        let outwards = |side: &Side| {
             side.iter().map(|&(quiet, border)| log(quiet) - log(border)).sum::<f32>() / bits as f32
         };
         let quiet_zone =
             sides.each_ref().map(outwards).into_iter().fold(f32::MAX, f32::min) / largest_step();
-        let mut cells = Vec::with_capacity(bits * bits);
-        let mut steps_within = Vec::with_capacity(2 * bits * bits);
+        let mut samples = Vec::with_capacity(bits * bits);
         for row in 1..=bits {
             for column in 1..=bits {
-                let samples = cell(column, row)?;
-                cells.push(samples.iter().sum::<f32>() / 4.0);
-                let [a, b, c, d] = samples;
-                let step = |from: f32, to: f32| {
-                    (log(to / 2.0) - log(from / 2.0)).clamp(-largest_step(), largest_step())
-                };
-                steps_within.extend([step(a + d, b + c), step(a + b, c + d)]);
+                samples.push(cell(column, row)?);
             }
         }
-        let all = bits + 2;
-        let [top, right, bottom, left] = &sides;
-        let mut logs = Vec::with_capacity(all * all);
-        for row in 0..all {
-            for column in 0..all {
-                let is_end = |k: usize| k == 0 || k == all - 1;
-                let radiance = match (row, column) {
-                    // No step goes to the border's corners.
-                    _ if is_end(row) && is_end(column) => border,
-                    (0, _) => top[column - 1].1,
-                    (_, 0) => left[row - 1].1,
-                    _ if row == all - 1 => bottom[column - 1].1,
-                    _ if column == all - 1 => right[row - 1].1,
-                    _ => cells[(row - 1) * bits + column - 1],
-                };
-                logs.push(log(radiance));
+        let cells: Vec<f32> = samples.iter().map(|of| of.iter().sum::<f32>() / 4.0).collect();
+        let steps = (blur_cells <= WIDEST_STEP_BLUR_CELLS).then(|| {
+            let radiance = all_cells(&cells, &sides, border, bits);
+            Steps {
+                logs: radiance.into_iter().map(log).collect(),
+                within: samples.iter().flat_map(|samples| steps_within(samples, log)).collect(),
             }
-        }
-        Some(Self {
-            has_steps,
-            logs,
-            cells,
-            steps_within,
-            quiet_zone,
-            edge_contrast: quiet - border,
-        })
+        });
+        Some(Self { cells, steps, quiet_zone, edge_contrast: quiet - border })
     }
+}
+
+/// The radiance of the quiet zone and of the border beside it, along one side.
+type Side = Vec<(f32, f32)>;
+
+/// The radiance of all cells, of which `sides` has the border's. No step goes to the border's corners: they have `corner`.
+fn all_cells(
+    cells: &[f32],
+    [top, right, bottom, left]: &[Side; 4],
+    corner: f32,
+    bits: usize,
+) -> Vec<f32> {
+    let end = |side: &Side| {
+        let border = side.iter().map(|at| at.1);
+        std::iter::once(corner).chain(border).chain([corner]).collect::<Vec<f32>>()
+    };
+    let mut all = end(top);
+    for (row, inner) in cells.chunks_exact(bits).enumerate() {
+        all.push(left[row].1);
+        all.extend(inner);
+        all.push(right[row].1);
+    }
+    all.extend(end(bottom));
+    all
+}
+
+/// The steps within a cell, from its four samples.
+fn steps_within([a, b, c, d]: &[f32; 4], log: impl Fn(f32) -> f32) -> [f32; 2] {
+    let most = largest_step();
+    let step = |from: f32, to: f32| (log(to / 2.0) - log(from / 2.0)).clamp(-most, most);
+    [step(a + d, b + c), step(a + b, c + d)]
 }

@@ -68,11 +68,13 @@ fn short(name: &str) -> String {
     name.split(" (").next().unwrap_or(name).replace('\'', "")
 }
 
-/// What a row of the table says, medians.
+/// What a row of the table says: medians of frames alone, and means of frames one after the other.
 fn measure(rectifier: &mut dyn Rectifier, scene: &Scene, cuts: &[Cut]) -> String {
     let mut outs: Vec<Vec<u8>> = cuts.iter().map(|cut| buffer(&cut.view)).collect();
-    let mut cut_all = |rectifier: &mut dyn Rectifier, frame: u64| {
+    let order = |rectifier: &mut dyn Rectifier, frame: u64| {
         rectifier.order(scene.key(frame), &scene.sphere(), cuts).unwrap();
+    };
+    let mut cut_all = |rectifier: &mut dyn Rectifier, frame: u64| {
         for (cut, out) in cuts.iter().zip(&mut outs) {
             scene.cut(rectifier, frame, cut, out);
         }
@@ -82,6 +84,7 @@ fn measure(rectifier: &mut dyn Rectifier, scene: &Scene, cuts: &[Cut]) -> String
         let begun = Instant::now();
         rectifier.prepare(scene.key(frame), &scene.sphere()).unwrap();
         uploads.push(begun.elapsed().as_secs_f64() * 1e3);
+        order(rectifier, frame);
         cut_all(rectifier, frame);
         alone.push(begun.elapsed().as_secs_f64() * 1e3);
     }
@@ -90,7 +93,7 @@ fn measure(rectifier: &mut dyn Rectifier, scene: &Scene, cuts: &[Cut]) -> String
     rectifier.prepare(scene.key(first), &scene.sphere()).unwrap();
     let (begun, used) = (Instant::now(), processor_ms());
     for frame in first..first + FRAMES {
-        rectifier.order(scene.key(frame), &scene.sphere(), cuts).unwrap();
+        order(rectifier, frame);
         rectifier.prepare(scene.key(frame + 1), &scene.sphere()).unwrap();
         cut_all(rectifier, frame);
     }

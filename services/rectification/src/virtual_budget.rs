@@ -12,8 +12,8 @@ const FIRST_INTERVAL_NS: i64 = 33_333_333;
 /// A source that is slower than this leaves no more time for a frame.
 const MAX_INTERVAL_NS: i64 = 1_000_000_000;
 
-/// Threshold windows that a proposal is searched with.
-const PROPOSAL_WINDOWS: f64 = 5.0;
+/// Threshold windows that a proposal is searched with: as many as detection has for it.
+pub const PROPOSAL_WINDOWS: f64 = 5.0;
 
 /// Processor time that is left of a frame, by `search.costs` of the configuration.
 ///

@@ -165,20 +165,18 @@ impl Drawing {
                 let normal = &painted.face.normal;
                 let full = illumination(&(world_from_markers * normal));
                 let lit = full * sunlight.map_or(1.0, |sunlight| sunlight.shade());
-                let outline: Vec<_> = painted.face.corners.iter().map(place).collect();
-                self.accumulator.add_polygon(&outline, painted.reflectance * lit, 1.0);
-                for patch in &painted.print {
-                    let outline: Vec<_> = patch.corners.iter().map(place).collect();
-                    self.accumulator.add_polygon(&outline, patch.change * lit, 0.0);
-                }
-                let Some(sunlight) = sunlight else { continue };
-                let added = full * sunlight.added(normal);
-                let ground = (&painted.face.corners, painted.reflectance);
-                let prints = painted.print.iter().map(|patch| (&patch.corners, patch.change));
-                for (corners, reflectance) in [ground].into_iter().chain(prints) {
-                    for part in sunlight.reaches(corners) {
-                        let outline: Vec<_> = part.iter().map(place).collect();
-                        self.accumulator.add_polygon(&outline, reflectance * added, 0.0);
+                let added = sunlight.map(|sunlight| (sunlight, full * sunlight.added(normal)));
+                let ground = (&painted.face.corners, painted.reflectance, 1.0);
+                let prints = painted.print.iter().map(|patch| (&patch.corners, patch.change, 0.0));
+                let mut add = |corners: &[Point3<f64>], light: f64, cover: f64| {
+                    let outline: Vec<_> = corners.iter().map(place).collect();
+                    self.accumulator.add_polygon(&outline, light, cover);
+                };
+                for (corners, reflectance, cover) in [ground].into_iter().chain(prints) {
+                    add(corners, reflectance * lit, cover);
+                    if let Some((sunlight, added)) = added {
+                        let reached = sunlight.reaches(corners);
+                        reached.iter().for_each(|part| add(part, reflectance * added, 0.0));
                     }
                 }
             }

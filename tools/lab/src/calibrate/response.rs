@@ -4,13 +4,13 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::str::FromStr;
 
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, anyhow, ensure};
 use clap::Args;
 use flockeye_cli::Screen;
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
 use flockeye_imaging::response::{
-    Exposure, FittedResponse, edge_shift_px, fit_halves, fit_response,
+    Exposure, FittedResponse, ResponseError, edge_shift_px, fit_response,
 };
 use opencv::imgcodecs::{IMREAD_GRAYSCALE, imread};
 use opencv::prelude::*;
@@ -97,9 +97,6 @@ pub fn run(arguments: &CalibrateResponseArguments) -> anyhow::Result<()> {
 struct Found {
     response: FittedResponse,
     range: VideoRange,
-    /// Half of how far edges by the curves of either half of the places lie apart, pixels. `None` if a half alone does not
-    /// tell the curve.
-    own_shift_px: Option<f64>,
     /// Where edges would lie by the usual curves.
     usual: Vec<(&'static str, f64)>,
     pictures: usize,
@@ -122,36 +119,24 @@ fn of_pictures(pictures: &[PictureArgument], range: VideoRange) -> anyhow::Resul
         let image = LumaImage::new(mat.data_bytes()?, width, height, width)?;
         series.push(Exposure { image, seconds: *seconds });
     }
-    let named =
-        |index: usize| pictures.get(index).map(|picture| picture.file.display().to_string());
-    let response = match fit_response(&series) {
-        Ok(response) => response,
-        Err(error) => bail!("{error}{}", names(&error, &named)),
-    };
+    let response = fit_response(&series).map_err(|error| match pictures.get(index_of(&error)) {
+        Some(picture) => anyhow!("{error} ({})", picture.file.display()),
+        None => anyhow!(error),
+    })?;
     let usual = [
         ("srgb", LinearLight::new(TransferCurve::Srgb, CodeRange::Full)?),
         ("linear", LinearLight::new(TransferCurve::Linear, CodeRange::Full)?),
     ];
     let usual =
         usual.iter().map(|(name, curve)| (*name, edge_shift_px(curve, &response.light))).collect();
-    // A half's error has sqrt 2 times the deviation of the whole's, the halves' difference twice.
-    let halves = fit_halves(&series).ok();
-    let own_shift_px =
-        halves.map(|[one, other]| edge_shift_px(&one.light, &other.light).abs() / 2.0);
-    Ok(Found { response, range, own_shift_px, usual, pictures: pictures.len() })
+    Ok(Found { response, range, usual, pictures: pictures.len() })
 }
 
-/// Which file an error speaks of.
-fn names(
-    error: &flockeye_imaging::response::ResponseError,
-    named: &dyn Fn(usize) -> Option<String>,
-) -> String {
-    use flockeye_imaging::response::ResponseError::{Seconds, Size};
+/// Which picture an error speaks of; beyond all of them if it is of none.
+fn index_of(error: &ResponseError) -> usize {
     match error {
-        Seconds { index, .. } | Size { index, .. } => {
-            named(*index).map(|name| format!(" ({name})")).unwrap_or_default()
-        }
-        _ => String::new(),
+        ResponseError::Seconds { index, .. } | ResponseError::Size { index, .. } => *index,
+        _ => usize::MAX,
     }
 }
 
@@ -165,22 +150,16 @@ fn range_error_mm(shift_px: f64) -> f64 {
 impl Found {
     /// The curve at equal steps of the video's code, from 0 to 255. It rises from each entry to the next.
     fn table(&self) -> Vec<f64> {
-        let light = self.response.light.table();
-        // The light at a code of the pictures that is no whole one, or lies beyond them.
-        let at = |code: f64| {
-            if code < 0.0 {
-                return code * LEAST_RISE;
-            }
-            let below = code.clamp(0.0, 254.0) as usize;
-            let (here, next) = (f64::from(light[below]), f64::from(light[below + 1]));
-            here + (next - here) * (code - below as f64)
-        };
+        let light = &self.response.light;
         let mut table: Vec<f64> = match self.range {
-            VideoRange::Full => (0..=255).step_by(TABLE_STEP).map(|code| at(code as f64)).collect(),
-            // 16 is no multiple of the step.
-            VideoRange::Limited => {
-                (0..=255).map(|code| at((f64::from(code) - 16.0) * 255.0 / 219.0)).collect()
+            VideoRange::Full => {
+                (0..=255).step_by(TABLE_STEP).map(|code| light.between(code.into())).collect()
             }
+            // 16 is no multiple of the step. Below it nothing is darker.
+            VideoRange::Limited => (0..=255)
+                .map(|code| (f64::from(code) - 16.0) * 255.0 / 219.0)
+                .map(|code| if code < 0.0 { code * LEAST_RISE } else { light.between(code) })
+                .collect(),
         };
         table.iter_mut().for_each(|light| *light = rounded(*light));
         for k in 1..table.len() {
@@ -205,8 +184,8 @@ impl Found {
             "seen_codes": [self.response.seen.0, self.response.seen.1],
             "worst_deviation": deviation,
             "worst_deviation_code": code,
-            "edge_shift_px": self.own_shift_px,
-            "range_error_mm_at_1.5_m": self.own_shift_px.map(range_error_mm),
+            "edge_shift_px": self.response.edge_shift_px,
+            "range_error_mm_at_1.5_m": self.response.edge_shift_px.map(range_error_mm),
             "usual_curves": self.usual.iter().map(|(name, shift_px)| json!({
                 "response": name,
                 "edge_shift_px": shift_px,
@@ -241,7 +220,7 @@ impl Found {
             let error_mm = range_error_mm(*shift_px);
             line(format!("  response: {name:<7} {shift_px:+.3} px  {error_mm:6.1} mm"));
         }
-        line(match self.own_shift_px {
+        line(match self.response.edge_shift_px {
             Some(shift_px) => {
                 let error_mm = range_error_mm(shift_px);
                 format!("  this table        {shift_px:+.3} px  {error_mm:6.1} mm, by noise alone")
@@ -308,7 +287,7 @@ mod tests {
         let text = found.text();
         assert!(text.contains("response: table\n  response_table: [0"), "{text}");
         // A wrong curve is off by more than the measured one.
-        let own_shift_px = found.own_shift_px.unwrap();
+        let own_shift_px = found.response.edge_shift_px.unwrap();
         assert!(found.usual.iter().all(|(_, shift_px)| shift_px.abs() > 5.0 * own_shift_px));
         assert_eq!(found.as_json()["response_table"].as_array().unwrap().len(), 52);
         // In limited range code 16 is black, and 235 what is white in the pictures.
