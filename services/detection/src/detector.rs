@@ -234,8 +234,9 @@ impl Detector {
         if !self.is_worth_fitting(&decoded) {
             return None;
         }
-        let corners = rotated(near, decoded.first_corner);
         let print = self.dictionary.print(decoded.id)?;
+        let outline = rotated(near, decoded.first_corner);
+        let corners = self.with_hidden_corner(image, light, &outline, print);
         let reading = self.reading(image, light, &corners)?;
         let explained = self.reader.explain(&reading, print);
         let (decoded, lighting) = (decoded.with(&explained), explained.lighting());
@@ -270,6 +271,28 @@ impl Detector {
                 ..found_at(view, decoded.id, corners, [UNREFINED_PX; 4])
             })
         })
+    }
+
+    /// The corners of an outline or, where the print reads better so, with one of them where a parallelogram has it. The
+    /// outline goes round what hides a corner.
+    fn with_hidden_corner(
+        &self,
+        image: &LumaImage<'_>,
+        light: &LinearLight,
+        outline: &Quad,
+        print: &MarkerPrint,
+    ) -> Quad {
+        let correlation = |corners: &Quad| {
+            let reading = self.reading(image, light, corners)?;
+            Some(self.reader.explain(&reading, print).correlation())
+        };
+        let Some(of_outline) = correlation(outline) else { return *outline };
+        let completed = (0..4).filter_map(|k| {
+            let corners = with_parallelogram_corner(outline, k);
+            Some((correlation(&corners)?, corners))
+        });
+        let best = completed.max_by(|a, b| a.0.total_cmp(&b.0));
+        best.filter(|(best, _)| *best > of_outline).map_or(*outline, |(_, corners)| corners)
     }
 
     /// The expected marker that a square looks most like, if it looks enough like it.

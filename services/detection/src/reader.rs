@@ -66,7 +66,8 @@ impl Explained {
         if self.uneven > self.even { Lighting::Uneven } else { Lighting::Even }
     }
 
-    fn correlation(&self) -> f32 {
+    /// How well the marker explains the reading: 1 is perfect.
+    pub(crate) fn correlation(&self) -> f32 {
         self.even.max(self.uneven)
     }
 }

@@ -6,7 +6,7 @@
 #[allow(dead_code, reason = "not all of it is needed here")]
 mod drawn;
 
-use drawn::{Dice, Scene, Stripes, encode};
+use drawn::{Dice, Glove, Scene, Stripes, encode};
 use flockeye_detection::{Detector, DetectorParameters, Found};
 use flockeye_geometry::view::View;
 use flockeye_imaging::image::LumaImage;
@@ -173,5 +173,45 @@ fn markers_at_long_range_are_found_although_blurred_by_a_cell() {
     for (side, blur) in [(16.0, 1.8), (18.0, 2.0)] {
         let (found, _) = recall.measure(side, 0.0, blur, |_, _| {});
         assert!(found >= 40, "side {side} blur {blur}: {found} %");
+    }
+}
+
+/// Something grey that covers 5 to 35 % of both sides at any corner.
+fn glove(dice: &mut Dice) -> Glove {
+    Glove {
+        corner: dice.uniform(0.0, 4.0) as usize,
+        covered: [0, 1].map(|_| dice.uniform(0.05, 0.35)),
+        radiance: dice.uniform(0.02, 0.7),
+    }
+}
+
+/// Fingers that hold a marker hide a corner, and their edges look like its sides.
+#[test]
+fn hidden_corners_are_within_their_stated_deviations() {
+    let mut recall = Recall::new();
+    for side in [30.0, 60.0, 120.0] {
+        let (mut errors, mut drawn) = (Vec::new(), 0);
+        for tilt in [0.0, 20.0, 40.0] {
+            for _ in 0..40 {
+                let (mut scene, id) = recall.scene(side, tilt, 0.9);
+                let glove = glove(&mut recall.dice);
+                scene.glove = Some(glove);
+                drawn += 1;
+                let found = recall.find(&scene);
+                let Some(marker) = found.iter().find(|marker| marker.id == id) else { continue };
+                let corner = glove.corner;
+                let error = marker.corners_in_view[corner].0 - scene.corners[corner].0;
+                let view = View::looking_at(&Vector3::x_axis(), 0.2, scene.size as u32);
+                let sigma_px = marker.deviations_rad[corner] * view.focal_px;
+                // One standard deviation along each of two axes.
+                errors.push(error.norm() / (sigma_px * 2f64.sqrt()));
+            }
+        }
+        errors.sort_by(f64::total_cmp);
+        let at = |share: f64| errors[((errors.len() - 1) as f64 * share) as usize];
+        println!("side {side}: {} of {drawn}, {:.2} {:.2}", errors.len(), at(0.5), at(0.95));
+        assert!(10 * errors.len() > 6 * drawn, "side {side}: {} of {drawn}", errors.len());
+        // Of normal errors half are below 0.83, and 95 % below 1.73.
+        assert!(at(0.5) < 1.5 && at(0.95) < 4.0, "side {side}: {} and {}", at(0.5), at(0.95));
     }
 }

@@ -146,7 +146,7 @@ pub fn following(pose: &Isometry3<f64>) -> Tracker {
 pub fn measurement(camera_from_markers: &Isometry3<f64>) -> Measurement {
     let covariance = Matrix6::identity() * 1e-6;
     let pose = PoseEstimate { camera_from_markers: *camera_from_markers, covariance };
-    Measurement { pose, measured_by: MeasuredBy::Decoded, markers: 2 }
+    Measurement { pose, measured_by: MeasuredBy::Decoded, markers: 2, is_precise: true }
 }
 
 /// A drawing of alpha at `pose`.

@@ -124,8 +124,8 @@ impl Aligner {
     }
 
     /// Confirms where body `target` is, which its track `predicted`: aligns it from `starts` until one
-    /// leads to a pose that is accepted by itself, else takes the most likely of those that the
-    /// track or decoded markers support. Where the budget is spent, only the first start is tried.
+    /// leads to a precise pose that is accepted by itself, else takes the most likely of those that the
+    /// track or decoded markers support, precise ones first. Where the budget is spent, only the first start is tried.
     /// `is_marked` tells whether markers were decoded where a pose has them.
     pub fn confirm(
         &self,
@@ -136,27 +136,27 @@ impl Aligner {
         budget: TimeBudget,
         is_marked: impl Fn(&Isometry3<f64>) -> bool,
     ) -> Option<Alignment> {
-        let mut best: Option<(f64, Alignment)> = None;
+        let mut best: Option<((bool, f64), Alignment)> = None;
         let max_starts = if budget == TimeBudget::Overspent { 1 } else { starts.len() };
         for start in starts.iter().take(max_starts) {
             let Some(found) = self.align(target, picture, start) else { continue };
             let turn = turn_log(&found, predicted);
             let is_predicted = found.is_accepted_with_track_prior(turn);
-            if is_predicted && found.is_accepted() {
+            if is_predicted && found.is_accepted() && found.is_precise() {
                 return Some(found);
             }
-            let log_odds = found.evidence.log_odds + turn;
+            let rank = (found.is_precise(), found.evidence.log_odds + turn);
             // The prediction may speak against a marker's mirror pose. It does not make up for what the picture lacks.
             let is_supported =
                 is_predicted || is_supported_by_markers(&found, turn.min(0.0), &is_marked);
-            if is_supported && best.as_ref().is_none_or(|(most, _)| log_odds > *most) {
-                best = Some((log_odds, found));
+            if is_supported && best.as_ref().is_none_or(|(most, _)| rank > *most) {
+                best = Some((rank, found));
             }
         }
         best.map(|(_, found)| found)
     }
 
-    /// Finds body `target`, of which no track is confirmed, from all of `starts`. The most likely hypothesis is
+    /// Finds body `target`, of which no track is confirmed, from all of `starts`. The most likely precise hypothesis is
     /// accepted if it is likely enough by itself, and much more likely than all its rivals together.
     /// Rivals are what the other starts led to, and the mirror pose of its most informative facet.
     ///
@@ -173,14 +173,16 @@ impl Aligner {
         let mut found: Vec<Alignment> = Vec::new();
         for start in starts {
             found.extend(self.align(target, picture, start));
-            let is_certain =
-                |found: &Alignment| found.is_accepted() && found.evidence.is_unambiguous();
+            let is_certain = |found: &Alignment| {
+                found.is_accepted() && found.is_precise() && found.evidence.is_unambiguous()
+            };
             if budget != TimeBudget::Unlimited && found.last().is_some_and(is_certain) {
                 break;
             }
         }
         let best = found
             .iter()
+            .filter(|found| found.is_precise())
             .filter(|found| found.is_accepted() || is_supported_by_markers(found, 0.0, &is_marked))
             .max_by(|a, b| self.likelihood(target, a).total_cmp(&self.likelihood(target, b)))?;
         let mirror = self.mirror_of(target, picture, best);

@@ -35,6 +35,9 @@ pub struct Measurement {
     pub measured_by: MeasuredBy,
     /// How many markers of the body were decoded.
     pub markers: u32,
+    /// Whether it is of use by itself. If not, it only updates a track that it agrees with, and leaves as the track's
+    /// pose.
+    pub is_precise: bool,
 }
 
 impl Measurement {
@@ -44,7 +47,7 @@ impl Measurement {
             camera_from_markers: found.camera_from_markers,
             covariance: found.covariance,
         };
-        Self { pose, measured_by: MeasuredBy::Aligned, markers }
+        Self { pose, measured_by: MeasuredBy::Aligned, markers, is_precise: found.is_precise() }
     }
 }
 

@@ -26,7 +26,7 @@ pub struct TargetEstimate {
     pub velocity: Vector3<f64>,
     /// Its angular velocity in axes that do not turn, along the camera's, rad/s.
     pub rate: Vector3<f64>,
-    /// The frame's own measurement and how it was made, where the filter accepted one.
+    /// The frame's own measurement and how it was made, where the filter accepted one that is precise.
     pub measured: Option<(PoseEstimate, MeasuredBy)>,
     /// Markers decoded in this frame.
     pub markers: u32,
@@ -85,6 +85,8 @@ pub struct InFrame {
     pub rejected: Option<RejectedAlignment>,
     /// The inputs of the background pass that was asked for.
     pub background: Option<Attempt>,
+    /// What is left to correct the track by, if nothing better is found until the frame is complete.
+    pub imprecise: Option<Measurement>,
 }
 
 /// One configured body, seen or not.
@@ -217,23 +219,24 @@ impl Target {
     }
 
     /// Gives the filter a frame's measurement. `None` where the filter refuses it: its time lies before
-    /// the track's history, or its numbers are not finite.
+    /// the track's history, its numbers are not finite, or it is imprecise and the track would not go on with it.
     pub fn update(
         &mut self,
         at_s: f64,
         measurement: &Measurement,
         ego: &EgoRotation,
     ) -> Option<TargetEstimate> {
+        if !measurement.is_precise && !self.is_inside_gate(at_s, measurement, ego) {
+            return None;
+        }
         let pose = &measurement.pose;
-        let measured = (*pose, measurement.measured_by);
+        let measured = measurement.is_precise.then_some((*pose, measurement.measured_by));
         match self.life.measured(at_s, &pose.camera_from_markers, &pose.covariance, ego) {
             Ok(Happened::Started | Happened::Restarted) => {
                 self.track_id += 1;
-                self.estimate(at_s, Some(measured), measurement.markers, ego)
+                self.estimate(at_s, measured, measurement.markers, ego)
             }
-            Ok(Happened::Updated(_)) => {
-                self.estimate(at_s, Some(measured), measurement.markers, ego)
-            }
+            Ok(Happened::Updated(_)) => self.estimate(at_s, measured, measurement.markers, ego),
             Ok(Happened::Gated(_)) => self.estimate(at_s, None, measurement.markers, ego),
             Err(FilterError::Past { .. } | FilterError::Gap { .. }) => None,
             Err(FilterError::Unusable { .. } | FilterError::Gated { .. }) => None,

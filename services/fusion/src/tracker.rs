@@ -262,6 +262,12 @@ impl Tracker {
         updates.extend(self.corner_pass(time, &left, best_views, Moment::FrameComplete, budget));
         let missed: Vec<usize> = self.unpublished(time.order).collect();
         for target in missed {
+            let imprecise = self.targets[target].in_frame_mut(time.order).imprecise.take();
+            let update = imprecise.and_then(|imprecise| self.take_in(time, target, &imprecise));
+            if update.is_some() {
+                updates.extend(update);
+                continue;
+            }
             let decoded = answered.iter().flat_map(|answer| &answer.record.markers);
             let decoded = distinct_decoded(decoded, &self.targets[target].body);
             let estimate = match self.filter {
@@ -305,23 +311,33 @@ impl Tracker {
         let mut found = Vec::new();
         for (inputs, measurement) in inputs.iter().zip(measured) {
             let target = inputs.target;
-            let Some(measurement) = measurement else {
+            let corrected = measurement.map(|measurement| {
+                let rays_m = match measurement.measured_by {
+                    MeasuredBy::Decoded => inputs.rays_m,
+                    MeasuredBy::Aligned => {
+                        inputs.best_view.map_or(inputs.rays_m, |view| view.rays_m)
+                    }
+                };
+                self.corrected(measurement, rays_m, target, time.at_s)
+            });
+            let (precise, imprecise) = match corrected {
+                Some(measurement) if measurement.is_precise => (Some(measurement), None),
+                other => (None, other),
+            };
+            let Some(measurement) = precise else {
                 let subject = Subject { order: time.order, at_s: time.at_s, target };
                 let is_in_background = inputs.wants_background()
                     && background.as_mut().is_some_and(|queue| queue.request(subject, inputs));
-                failed.push((target, inputs.attempt(), is_in_background));
+                failed.push((target, inputs.attempt(), is_in_background, imprecise));
                 continue;
             };
-            let rays_m = match measurement.measured_by {
-                MeasuredBy::Decoded => inputs.rays_m,
-                MeasuredBy::Aligned => inputs.best_view.map_or(inputs.rays_m, |view| view.rays_m),
-            };
-            found.push((target, self.corrected(measurement, rays_m, target, time.at_s)));
+            found.push((target, measurement));
         }
         (self.background, self.attempts) = (background, attempts);
-        for (target, attempt, is_in_background) in failed {
+        for (target, attempt, is_in_background, imprecise) in failed {
             let in_frame = self.targets[target].in_frame_mut(time.order);
             in_frame.status = Status::Failed(attempt);
+            in_frame.imprecise = imprecise.or(in_frame.imprecise);
             if is_in_background {
                 in_frame.background = Some(attempt);
             }
@@ -466,7 +482,9 @@ impl Tracker {
             FilterChoice::Tracks(_) => {
                 self.targets[target].update(time.at_s, measurement, &self.ego)
             }
-            FilterChoice::None => Some(TargetEstimate::of_frame(measurement)),
+            FilterChoice::None => {
+                measurement.is_precise.then(|| TargetEstimate::of_frame(measurement))
+            }
         }?;
         let status = Status::Published { direct_pose: None };
         self.targets[target].in_frame_mut(time.order).status = status;

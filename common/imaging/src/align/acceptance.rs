@@ -35,29 +35,14 @@ const CHOICES_PER_HOUR: f64 = 120.0;
 /// means that the body is not there.
 pub(super) const MIN_VISIBLE_SHARE: f64 = 0.25;
 
-/// Largest standard deviation of position (m) and rotation (rad), over all axes together. Beyond it,
-/// mostly because most of the body is occluded, errors are not normal any more.
-///
-/// On simulated flights out to 4 m, a pose with standard deviations of 32 mm and 4.1 degrees was wrong by
-/// 175 mm, and one with 3.4 degrees by 12 degrees.
-const MAX_SIGMAS: (f64, f64) = (0.036, 0.055);
+/// A pose that is wrong by as much as this, metres or radians, is a false one.
+const FALSE_POSITION_M: f64 = 0.1;
+/// See [`FALSE_POSITION_M`].
+const FALSE_ROTATION_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
 
-/// The same where [`WELL_AGREEING_FACETS`] agree and the mean correlation is at least
-/// [`WELL_AGREEING_CORRELATION`].
-///
-/// On twelve simulated flights 99 such poses had standard deviations of 36 to 55 mm or 3.2 to 5.7 degrees.
-/// They were wrong by 30 mm in the median, and by 85 mm and 4.9 degrees at most.
-const MAX_SIGMAS_WELL_AGREEING: (f64, f64) = (0.04, 0.087);
-
-/// See [`MAX_SIGMAS_WELL_AGREEING`].
-const WELL_AGREEING_FACETS: u32 = 3;
-
-/// See [`MAX_SIGMAS_WELL_AGREEING`].
-const WELL_AGREEING_CORRELATION: f64 = 0.8;
-
-/// Least visible share of a body of which hardly anything is occluded. Chosen on one rendered flight in wind,
-/// whose track was lost where clear poses of one facet were refused; no curve was read for it.
-const CLEAR_SHARE: f64 = 0.9;
+/// A pose is a measurement by itself if so many of its standard deviations are less than what makes it a false one.
+/// docs/results/history.md#precision has the curve.
+const SIGMAS_TO_FALSE: f64 = 3.0;
 
 /// A fit without the occluded facets is kept if it loses no more than this share of the log odds that it had with them.
 const MAX_LOST_LOG_ODDS: f64 = 0.2;
@@ -73,44 +58,29 @@ pub fn least_lead() -> f64 {
 }
 
 impl Alignment {
-    /// Whether it is a measurement without other knowledge: the body is there, and its pose is precise
-    /// enough to be of use.
+    /// Whether the body is there, by the picture alone.
     pub fn is_accepted(&self) -> bool {
-        self.evidence.log_odds >= least_log_odds(ANYWHERE_PER_HOUR) && self.is_precise()
+        self.evidence.log_odds >= least_log_odds(ANYWHERE_PER_HOUR)
     }
 
     /// The same for a body that a track predicts there, with so much more log odds by how it lies to the prediction.
     /// Whether it is where the track expects it is for the filter to decide.
     pub fn is_accepted_with_track_prior(&self, prior_log_odds: f64) -> bool {
-        let is_precise = self.is_precise() || self.is_clear_and_precise();
-        let log_odds = self.evidence.log_odds + prior_log_odds;
-        log_odds >= least_log_odds(PREDICTED_PER_HOUR) && is_precise
+        self.evidence.log_odds + prior_log_odds >= least_log_odds(PREDICTED_PER_HOUR)
     }
 
     /// The same for a body of which markers were decoded where this pose has them, with so much more log odds by what
     /// else is known: a mirror pose has its marker at the same place.
     pub fn is_accepted_with_markers(&self, prior_log_odds: f64) -> bool {
-        let log_odds = self.evidence.log_odds + prior_log_odds;
-        log_odds >= least_log_odds(MARKED_PER_HOUR) && self.is_precise()
+        self.evidence.log_odds + prior_log_odds >= least_log_odds(MARKED_PER_HOUR)
     }
 
-    fn is_precise(&self) -> bool {
-        let agrees_well = self.evidence.agreeing_facets >= WELL_AGREEING_FACETS
-            && self.evidence.correlation >= WELL_AGREEING_CORRELATION;
-        self.has_sigmas_below(if agrees_well { MAX_SIGMAS_WELL_AGREEING } else { MAX_SIGMAS })
-    }
-
-    /// Whether little is occluded, what is seen agrees well, and the pose is of some use to a track, which
-    /// knows the attitude as well: it takes in of each axis what is known of it.
-    fn is_clear_and_precise(&self) -> bool {
-        self.evidence.correlation >= WELL_AGREEING_CORRELATION
-            && self.visible_share >= CLEAR_SHARE
-            && self.has_sigmas_below(MAX_SIGMAS_WELL_AGREEING)
-    }
-
-    fn has_sigmas_below(&self, (position_m, rotation_rad): (f64, f64)) -> bool {
+    /// Whether the pose is of use by itself. One that is less precise is only of use to a track, which knows the rest:
+    /// its covariance says how much.
+    pub fn is_precise(&self) -> bool {
         let sigma = |first| self.covariance.fixed_view::<3, 3>(first, first).trace().sqrt();
-        sigma(0) < position_m && sigma(3) < rotation_rad
+        SIGMAS_TO_FALSE * sigma(0) < FALSE_POSITION_M
+            && SIGMAS_TO_FALSE * sigma(3) < FALSE_ROTATION_RAD
     }
 }
 

@@ -126,7 +126,9 @@ pub fn reacquire(
         .filter_map(|candidate| {
             let patch_from_markers = candidate.patch_from_markers;
             let start = State { patch_from_markers, ..state.clone() };
-            view.align(print, start, &options).ok().filter(Alignment::is_accepted)
+            view.align(print, start, &options)
+                .ok()
+                .filter(|found| found.is_accepted() && found.is_precise())
         })
         .max_by(|a, b| a.evidence.log_odds.total_cmp(&b.evidence.log_odds))
 }

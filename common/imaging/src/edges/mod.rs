@@ -87,6 +87,31 @@ pub fn refine_corners(
     if !is_large_enough {
         return None;
     }
+    let edges = by_edges(image, light, guess_in_view, print, lighting)?;
+    let whole = match effort {
+        Effort::WholePrint if lighting == Lighting::Even => {
+            by_whole_print(image, light, &edges, print, grain).filter(|whole| {
+                let is_near = is_near(&whole.corners_in_view, guess_in_view);
+                is_near && agree(whole, &edges, print)
+                    || are_edges_of(whole, image, light, print, lighting)
+            })
+        }
+        _ => None,
+    };
+    Some(whole.unwrap_or_else(|| RefinedCorners {
+        sigmas_px: edges.sigmas_px.map(|sigma_px| without_whole(sigma_px, &edges, print)),
+        ..edges
+    }))
+}
+
+/// The corners where the four edges near a guess cross.
+fn by_edges(
+    image: &LumaImage<'_>,
+    light: &LinearLight,
+    guess_in_view: &[ViewPixel; 4],
+    print: &MarkerPrint,
+    lighting: Lighting,
+) -> Option<RefinedCorners> {
     SquareInView::new(guess_in_view)?;
     let mut corners = approach_corners(image, light, guess_in_view, print.cells())?;
     let mut before: Option<model::Fit> = None;
@@ -119,19 +144,20 @@ pub fn refine_corners(
         }
         before = Some(fit);
     }
-    let edges = refined.filter(|refined| is_near(&refined.corners_in_view, guess_in_view))?;
-    let whole = match effort {
-        Effort::WholePrint if lighting == Lighting::Even => {
-            by_whole_print(image, light, &edges, print, grain).filter(|whole| {
-                is_near(&whole.corners_in_view, guess_in_view) && agree(whole, &edges, print)
-            })
-        }
-        _ => None,
-    };
-    Some(whole.unwrap_or_else(|| RefinedCorners {
-        sigmas_px: edges.sigmas_px.map(|sigma_px| without_whole(sigma_px, &edges, print)),
-        ..edges
-    }))
+    refined.filter(|refined| is_near(&refined.corners_in_view, guess_in_view))
+}
+
+/// Whether the edges that start from the corners by the whole print lead back to them. Where something hides a corner, the
+/// edges from the outline may have led to what hides it.
+fn are_edges_of(
+    whole: &RefinedCorners,
+    image: &LumaImage<'_>,
+    light: &LinearLight,
+    print: &MarkerPrint,
+    lighting: Lighting,
+) -> bool {
+    let edges = by_edges(image, light, &whole.corners_in_view, print, lighting);
+    edges.is_some_and(|edges| agree(whole, &edges, print))
 }
 
 /// How a marker is lit.

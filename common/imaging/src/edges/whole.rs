@@ -84,6 +84,16 @@ pub(super) struct WholeFit {
     pub noise: f64,
 }
 
+/// A pixel shows something else than the print if its residual is larger than so many standard deviations, and than this
+/// share of the contrast. Alignment takes the same limits.
+const HIDDEN_SIGMAS: f64 = 5.0;
+/// See [`HIDDEN_SIGMAS`].
+const HIDDEN_SHARE: f64 = 0.12;
+/// What hides the print has a soft edge, which is left out too: standard deviations of the blur.
+const HIDDEN_EDGE_BLURS: f64 = 2.5;
+/// Where more than this share of the print seems hidden, only the state can be wrong.
+const MAX_HIDDEN_SHARE: f64 = 0.5;
+
 const CORNERS: [(f64, f64); 4] = [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)];
 
 impl State {
@@ -173,6 +183,8 @@ struct Sums {
     gradient: Unknowns,
     /// Absolute residuals.
     sizes: Vec<f64>,
+    /// Where they are in the grid.
+    places: Vec<usize>,
     /// Sum of the squares of the weighted residuals, and sums of their products with the one to the left and
     /// the one above.
     squares: f64,
@@ -185,6 +197,8 @@ struct Scene<'a> {
     light: &'a LinearLight,
     cells: Cells,
     grid: Grid,
+    /// For each pixel of the grid whether something hides the print there. Empty: nothing does.
+    hidden: Vec<bool>,
     /// Pixels up to this far outside the square are used, sides of the square.
     reach: f64,
     /// Where the quiet zone may end, sides of the square from its edge.
@@ -205,23 +219,42 @@ pub(super) fn fit(
     let reach = print.quiet_zone_cells().min(1.0) * side;
     let step = grain.step(start.blur.symmetric_eigenvalues().min().sqrt());
     let grid = grid(image, start, reach, step)?;
-    let scene = Scene {
+    let mut scene = Scene {
         image,
         light,
         cells,
         grid,
+        hidden: Vec::new(),
         reach,
         quiet: (print.quiet_zone_cells() + QUIET_MARGIN_CELLS) * side,
         contrast: (start.white - start.black).max(1e-6),
     };
-    let mut state = *start;
     let mut drawing = Drawing::default();
-    let mut noise = 0.1 * scene.contrast;
+    let (state, noise) = converge(&scene, *start, 0.1 * scene.contrast, &mut drawing)?;
+    let sums = scene.sum(&state, noise, &mut drawing, true)?;
+    scene.hidden = scene.hidden(&sums, &state, noise);
+    if scene.hidden.is_empty() {
+        return result(&scene, &state, &sums, noise, grain);
+    }
+    let (state, noise) = converge(&scene, state, noise, &mut drawing)?;
+    let sums = scene.sum(&state, noise, &mut drawing, true)?;
+    result(&scene, &state, &sums, noise, grain)
+}
+
+/// Gauss-Newton from a state and a standard deviation of the residuals. Returns both at the end; `None` where it leads to no
+/// print.
+fn converge(
+    scene: &Scene<'_>,
+    start: State,
+    start_noise: f64,
+    drawing: &mut Drawing,
+) -> Option<(State, f64)> {
+    let (mut state, mut noise) = (start, start_noise);
     let noise_of = |sizes: Vec<f64>| -> Option<f64> {
         Some((1.4826 * quantile(sizes, 0.5)?).max(0.002 * scene.contrast))
     };
     for _ in 0..ITERATIONS {
-        let sums = scene.sum(&state, noise, &mut drawing, false)?;
+        let sums = scene.sum(&state, noise, drawing, false)?;
         let step = symmetric(&sums.normal).cholesky()?.solve(&sums.gradient);
         noise = noise_of(sums.sizes)?;
         let next = state.after(&step);
@@ -240,7 +273,17 @@ pub(super) fn fit(
             break;
         }
     }
-    let sums = scene.sum(&state, noise, &mut drawing, true)?;
+    Some((state, noise))
+}
+
+/// The corners at the end, with their covariance.
+fn result(
+    scene: &Scene<'_>,
+    state: &State,
+    sums: &Sums,
+    noise: f64,
+    grain: Grain,
+) -> Option<WholeFit> {
     let correlation = sums.products.map(|product| product / sums.squares.max(1e-12));
     let inverse = symmetric(&sums.normal).cholesky()?.inverse();
     let covariance =
@@ -263,7 +306,7 @@ pub(super) fn fit(
         (state.blur * normal).dot(&normal).sqrt()
     });
     let crowding = (0..2).map(|k| {
-        let cell = scene.pixels_per_side(&state)[k] / scene.cells.count() as f64;
+        let cell = scene.pixels_per_side(state)[k] / scene.cells.count() as f64;
         CROWDING * across[k] * (across[k] / cell).powi(2)
     });
     let crowding = crowding.fold(0.0, f64::max);
@@ -322,6 +365,7 @@ impl Scene<'_> {
             scattered: scatter.then_some([[0.0; ROOM]; UNKNOWNS]),
             gradient: Unknowns::zeros(),
             sizes: Vec::with_capacity(columns * rows),
+            places: Vec::with_capacity(columns * rows),
             squares: 0.0,
             products: [0.0; 2],
         };
@@ -340,6 +384,9 @@ impl Scene<'_> {
                     continue;
                 }
                 let k = row * columns + column;
+                if self.hidden.get(k).copied().unwrap_or_default() {
+                    continue;
+                }
                 let white = f64::from(drawing.white[k]);
                 let mut values = [0.0; ROOM];
                 let mut last = BEYOND;
@@ -377,6 +424,7 @@ impl Scene<'_> {
                 values[BLUR + 2] = slope(&drawing.by_y, down);
                 values[WHITE] = white;
                 values[BLACK] = 1.0 - white;
+                sums.places.push(k);
                 let weighted = sums.add(&values, last, residual, noise);
                 sums.squares += weighted * weighted;
                 for (product, neighbour) in sums.products.iter_mut().zip(neighbours) {
@@ -406,6 +454,31 @@ impl Scene<'_> {
             hold(BEYOND + side, 0.5 * self.contrast, -state.beyond[side]);
         }
         Some(sums)
+    }
+
+    /// For each pixel of the grid whether something hides the print there, with the soft edge of what does. Empty where
+    /// nothing does, or where so much would be hidden that only the state can be wrong.
+    fn hidden(&self, sums: &Sums, state: &State, noise: f64) -> Vec<bool> {
+        let contrast = state.white - state.black;
+        let least = (HIDDEN_SIGMAS * noise).max(HIDDEN_SHARE * contrast);
+        let outliers = sums.sizes.iter().zip(&sums.places).filter(|(size, _)| **size > least);
+        let outliers: Vec<usize> = outliers.map(|(_, place)| *place).collect();
+        let blur = (state.blur.trace() / 2.0).sqrt() / self.grid.step as f64;
+        let reach = (HIDDEN_EDGE_BLURS * blur).ceil() as usize;
+        let Grid { columns, rows, .. } = self.grid;
+        let mut hidden = vec![false; columns * rows];
+        for place in &outliers {
+            let (row, column) = (place / columns, place % columns);
+            for y in row.saturating_sub(reach)..(row + reach + 1).min(rows) {
+                let from = column.saturating_sub(reach);
+                hidden[y * columns + from..y * columns + (column + reach + 1).min(columns)]
+                    .fill(true);
+            }
+        }
+        let share = sums.places.iter().filter(|place| hidden[**place]).count() as f64
+            / sums.places.len() as f64;
+        let is_some = !outliers.is_empty() && share < MAX_HIDDEN_SHARE;
+        if is_some { hidden } else { Vec::new() }
     }
 
     /// Distance of the first side from the third, then of the second from the fourth, pixels.

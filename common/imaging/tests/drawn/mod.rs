@@ -62,8 +62,31 @@ pub struct Scene {
     pub occluded: f64,
     /// The corner that a dark strut, a quarter of a side wide, runs into from outside.
     pub strut: Option<usize>,
+    /// What holds the marker by a corner.
+    pub glove: Option<Glove>,
     /// Stripes of sun across the plane.
     pub stripes: Option<Stripes>,
+}
+
+/// Something with a straight edge that covers a corner, as fingers do that hold a marker.
+#[derive(Debug, Clone, Copy)]
+pub struct Glove {
+    /// The corner.
+    pub corner: usize,
+    /// How much it covers of the corner's two sides, as shares of them.
+    pub covered: [f64; 2],
+    pub radiance: f64,
+}
+
+impl Glove {
+    fn covers(&self, u: f64, v: f64) -> bool {
+        // From the corner along both sides; the plane beyond the square is covered too.
+        let along = [
+            if matches!(self.corner, 1 | 2) { 1.0 - u } else { u },
+            if matches!(self.corner, 2 | 3) { 1.0 - v } else { v },
+        ];
+        along[0] / self.covered[0] + along[1] / self.covered[1] < 1.0
+    }
 }
 
 /// Stripes of sun, as wide as the shade between them.
@@ -128,6 +151,7 @@ impl Scene {
             around,
             occluded: 0.0,
             strut: None,
+            glove: None,
             stripes: None,
         }
     }
@@ -152,6 +176,9 @@ impl Scene {
             if is_outside && x * right + y * down > -0.1 && (x * down - y * right).abs() < 0.18 {
                 return self.black;
             }
+        }
+        if let Some(glove) = self.glove.filter(|glove| glove.covers(u, v)) {
+            return glove.radiance;
         }
         let beyond =
             [-quiet - v, u - 1.0 - quiet, v - 1.0 - quiet, -quiet - u].into_iter().enumerate();

@@ -222,8 +222,11 @@ impl Job {
             None => aligner.initiate(target, &picture, starts, budget, is_marked),
         };
         let is_independent = self.confirmed.is_none() && found.is_some();
-        let found =
-            found.or_else(|| aligner.reacquire(target, &picture, self.search_round.as_ref()?))?;
+        let search = || aligner.reacquire(target, &picture, self.search_round.as_ref()?);
+        let found = match found {
+            Some(precise) if precise.is_precise() => precise,
+            imprecise => search().or(imprecise)?,
+        };
         Some((Measurement::aligned(&found, distinct_markers(&self.decoded)), is_independent))
     }
 }

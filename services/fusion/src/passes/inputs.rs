@@ -109,18 +109,28 @@ impl Inputs<'_> {
     }
 
     /// Measures the target: by alignment from the corners' solutions and the prediction or, where none
-    /// is accepted, by corners alone.
+    /// is accepted and precise, by corners alone. An imprecise alignment is taken where nothing else is left to try.
     pub fn measure(&self, aligner: &Aligner) -> Option<Measurement> {
         let solutions =
             solve(self.body, &self.decoded, &PoseOptions::default()).unwrap_or_default();
         let chosen = choose(&solutions, self.prior.confirmed()).map(|choice| choice.solution);
+        let mut imprecise = None;
         if let Some(view) = &self.best_view {
             let found = self.align(aligner, view, &solutions, chosen);
-            if let Some(found) = found.or_else(|| self.search(aligner, view)) {
+            let (precise, other) = found.map_or((None, None), |found| match found.is_precise() {
+                true => (Some(found), None),
+                false => (None, Some(found)),
+            });
+            if let Some(found) = precise.or_else(|| self.search(aligner, view)) {
                 return Some(Measurement::aligned(&found, distinct_markers(&self.decoded)));
             }
+            imprecise = other;
         }
-        self.measurement_of(chosen?)
+        let by_corners = chosen.and_then(|chosen| self.measurement_of(chosen));
+        by_corners.or_else(|| {
+            let found = imprecise?;
+            Some(Measurement::aligned(&found, distinct_markers(&self.decoded)))
+        })
     }
 
     /// Searches round the prediction, where that is not left to the background pass.
@@ -147,6 +157,7 @@ impl Inputs<'_> {
             pose: PoseEstimate { camera_from_markers: solution.camera_from_markers, covariance },
             measured_by: MeasuredBy::Decoded,
             markers: distinct_markers(&self.decoded),
+            is_precise: true,
         })
     }
 

@@ -36,6 +36,10 @@ impl Tracker {
             self.targets[target].forget();
         }
         let measurement = self.corrected(answer.measurement?, answer.rays_m, target, at_s);
+        if !is_late && !measurement.is_precise {
+            self.targets[target].in_frame_mut(order).imprecise = Some(measurement);
+            return None;
+        }
         let is_accepted = !is_late
             || may_start
             || self.targets[target].is_inside_gate(at_s, &measurement, &self.ego);

@@ -5,9 +5,10 @@
 use super::*;
 use crate::fixtures::*;
 use crate::hypothesis::BestView;
+use crate::measurement::PoseEstimate;
 use crate::policy::SUSPENDED_FRAMES;
 use flockeye_geometry::filter::TrackState;
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Matrix6};
 
 mod background;
 
@@ -206,5 +207,58 @@ fn regions_of_targets_that_do_not_exist_are_ignored() {
     assert!(updates.is_empty());
     with_view(&truth, |view| {
         assert!(tracker.direct_pass(time(3), &[Region { target: 9, view: *view }]).is_empty());
+    });
+}
+
+/// Nearly all of a body is hidden, say: alignment tells little of where it is.
+#[test]
+fn an_imprecise_measurement_only_corrects_a_track_that_it_agrees_with() {
+    let truth = pose(0.9);
+    let imprecise = |camera_from_markers: &Isometry3<f64>| {
+        let precise = measurement(camera_from_markers);
+        let pose = PoseEstimate { covariance: Matrix6::identity() * 2e-3, ..precise.pose };
+        Measurement { pose, is_precise: false, ..precise }
+    };
+    let mut untracked = tracker_of(vec![alpha()], 1);
+    assert!(untracked.take_in(time(0), 0, &imprecise(&truth)).is_none(), "it starts no track");
+
+    let mut tracker = following(&truth);
+    let (_, estimate) = tracker.take_in(time(3), 0, &imprecise(&truth)).expect("it agrees");
+    assert_eq!((estimate.measured, estimate.state), (None, Some(TrackState::Confirmed)));
+    assert_eq!(estimate.unseen_s, 0.0, "the track goes on from it");
+    assert!(end(&mut tracker, 3).is_empty(), "its pose has left already");
+
+    let elsewhere = nalgebra::Translation3::new(0.0, 0.0, 1.0) * truth;
+    for sequence in 4..8 {
+        let found = tracker.take_in(time(sequence), 0, &imprecise(&elsewhere));
+        assert!(found.is_none(), "however often it is repeated");
+    }
+}
+
+/// So far away that a picture in which residuals count for six times as much tells that the body is there, and hardly how far.
+#[test]
+fn what_is_imprecise_waits_until_nothing_better_can_come() {
+    let near = pose(0.9);
+    let truth = Isometry3::from_parts((near.translation.vector * 4.5).into(), near.rotation);
+    let bodies = Bodies::new("DICT_5X5_250".into(), vec![alpha()]).unwrap();
+    let aligner = aligner(&bodies).with_covariance_scale(36.0);
+    let filter = FilterChoice::Tracks(TrackPolicy::default());
+    let mut tracker = Tracker::new(&bodies, filter, Arc::new(aligner), 1);
+    for sequence in 0..3 {
+        assert!(tracker.take_in(time(sequence), 0, &measurement(&truth)).is_some());
+        assert!(end(&mut tracker, sequence).is_empty());
+    }
+    with_view(&truth, |view| {
+        let best_views = BestViews::from([(0, *view)]);
+        let searched = empty_record(3);
+        let answered = [of_region(&searched)];
+        let budget = TimeBudget::Unlimited;
+        assert!(direct(&mut tracker, 3, view).is_none());
+        let updates = tracker.region_pass(time(3), &answered, &best_views, budget);
+        assert!(updates.is_empty(), "{updates:?}");
+        let updates = tracker.final_pass(time(3), &answered, &best_views, budget);
+        let [(0, estimate)] = updates.as_slice() else { panic!("{updates:?}") };
+        assert_eq!((estimate.measured, estimate.unseen_s), (None, 0.0));
+        assert_eq!(estimate.state, Some(TrackState::Confirmed));
     });
 }

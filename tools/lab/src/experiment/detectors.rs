@@ -20,6 +20,9 @@ pub struct DetectorsArguments {
     /// The markers in the photographs: a name as OpenCV has it, or a dictionary file; left out: `bodies.dictionary`.
     #[arg(long, value_name = "NAME", requires = "photographs")]
     pub dictionary: Option<String>,
+    /// Write the corners that both find in the photographs, with their stated standard deviations, as CSV.
+    #[arg(long, value_name = "FILE.csv", requires = "photographs")]
+    pub corners: Option<PathBuf>,
     /// The flights.
     #[command(flatten)]
     pub comparison: ComparisonArguments,
@@ -47,11 +50,12 @@ pub(super) enum DetectorComparison {
 
 /// Compares both detectors; all else is as configured.
 pub(super) fn run(arguments: &DetectorsArguments) -> anyhow::Result<DetectorComparison> {
-    let DetectorsArguments { photographs, dictionary, comparison } = arguments;
+    let DetectorsArguments { photographs, dictionary, corners, comparison } = arguments;
     if let Some(folder) = photographs {
         let configured = comparison.configuration.load()?.bodies.dictionary;
         let dictionary = dictionary.as_deref().unwrap_or(&configured);
-        return Ok(DetectorComparison::Photographs(photographs::compare(folder, dictionary)?));
+        let compared = photographs::compare(folder, dictionary, corners.as_deref())?;
+        return Ok(DetectorComparison::Photographs(compared));
     }
     let given = given_truth(comparison)?;
     let mut laboratory =

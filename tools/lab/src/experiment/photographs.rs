@@ -13,7 +13,8 @@ use flockeye_geometry::Ray;
 use flockeye_geometry::view::{View, ViewPixel};
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
-use nalgebra::Vector3;
+use flockeye_record::recorder::{Recorded, Recorder};
+use nalgebra::{Vector2, Vector3};
 use opencv::imgcodecs::{IMREAD_GRAYSCALE, imread};
 use opencv::prelude::*;
 use serde::Serialize;
@@ -38,6 +39,27 @@ struct Marker {
     side_px: f64,
 }
 
+/// A corner of a marker in a photograph.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+struct CornerRow {
+    /// own or opencv.
+    engine: &'static str,
+    photograph: String,
+    id: u32,
+    /// In ArUco's order: clockwise from the printed top left.
+    corner: usize,
+    x: f64,
+    y: f64,
+    /// Stated standard deviation along either axis, pixels.
+    sigma_px: f64,
+}
+
+impl Recorded for CornerRow {
+    fn names() -> Vec<&'static str> {
+        vec!["engine", "photograph", "id", "corner", "x", "y", "sigma_px"]
+    }
+}
+
 /// What was found of one size.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 struct Counts {
@@ -58,11 +80,17 @@ pub(super) struct PhotographComparison {
     unreadable: Vec<PathBuf>,
 }
 
-/// Searches each photograph of a folder with both detectors.
+/// Searches each photograph of a folder with both detectors, and writes all corners to a file if one is named.
 ///
 /// # Errors
-/// No folder, no photograph in it, or an unknown dictionary. A photograph that cannot be read is named.
-pub(super) fn compare(folder: &Path, dictionary: &str) -> anyhow::Result<PhotographComparison> {
+/// No folder, no photograph in it, an unknown dictionary, or a file that cannot be written. A photograph that cannot be
+/// read is named.
+pub(super) fn compare(
+    folder: &Path,
+    dictionary: &str,
+    corners: Option<&Path>,
+) -> anyhow::Result<PhotographComparison> {
+    let mut corners = corners.map(Recorder::create).transpose()?;
     let mut ours =
         Engine::new(DetectionEngine::Own, dictionary, DetectorParameters::default(), [])?;
     let mut theirs =
@@ -85,12 +113,17 @@ pub(super) fn compare(folder: &Path, dictionary: &str) -> anyhow::Result<Photogr
         let side = width.max(height) as u32;
         let view = View::looking_at(&Ray::new_normalize(Vector3::x()), FIELD_RAD, side);
         let thresholds = || windows::thresholds(ViewKind::Partition, Search::AllWindows, 1.0);
-        let search = |engine: &mut Engine| -> anyhow::Result<Vec<Marker>> {
+        let name = file.file_name().unwrap_or_default().to_string_lossy();
+        let mut search = |kind, engine: &mut Engine| -> anyhow::Result<Vec<Marker>> {
             let found = engine.detect(&image, &view, &light, 1.0, thresholds())?;
-            Ok(found.iter().map(|found| marker(&file, found)).collect())
+            if let Some(corners) = &mut corners {
+                add_corners(corners, kind, &name, &view, &found)?;
+            }
+            Ok(found.iter().map(|found| marker(&name, found)).collect())
         };
-        comparison.add(search(&mut ours)?, search(&mut theirs)?);
+        comparison.add(search("own", &mut ours)?, search("opencv", &mut theirs)?);
     }
+    corners.map_or(Ok(()), Recorder::finish)?;
     Ok(comparison)
 }
 
@@ -114,12 +147,38 @@ fn read(file: &Path) -> Option<(Vec<u8>, usize, usize)> {
     (!pixels.is_empty()).then_some((pixels, mat.cols() as usize, mat.rows() as usize))
 }
 
-fn marker(file: &Path, found: &Found) -> Marker {
+fn add_corners(
+    corners: &mut Recorder<CornerRow>,
+    engine: &'static str,
+    photograph: &str,
+    view: &View,
+    found: &[Found],
+) -> anyhow::Result<()> {
+    for marker in found {
+        for (corner, ViewPixel(at)) in marker.corners_in_view.into_iter().enumerate() {
+            let ray = |at: Vector2<f64>| view.ray(ViewPixel(at));
+            let steps_rad = [Vector2::x(), Vector2::y()].map(|step| ray(at).angle(&ray(at + step)));
+            let pixel_rad = steps_rad[0].hypot(steps_rad[1]) / 2f64.sqrt();
+            corners.add(&CornerRow {
+                engine,
+                photograph: photograph.to_owned(),
+                id: marker.id,
+                corner,
+                x: at.x,
+                y: at.y,
+                sigma_px: marker.deviations_rad[corner] / pixel_rad,
+            })?;
+        }
+    }
+    Ok(())
+}
+
+fn marker(photograph: &str, found: &Found) -> Marker {
     let [a, b, c, d] = found.corners_in_view.map(|ViewPixel(corner)| corner);
     let area = ((c - a).perp(&(d - b)) / 2.0).abs();
     let centre = (a + b + c + d) / 4.0;
     Marker {
-        photograph: file.file_name().unwrap_or_default().to_string_lossy().into_owned(),
+        photograph: photograph.to_owned(),
         id: found.id,
         at: [centre.x, centre.y],
         side_px: area.sqrt(),
