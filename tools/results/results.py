@@ -69,6 +69,9 @@ for name, stops, words in (("bright", 3, "3 stops too much"), ("dark", -4, "4 st
 SIMULATED["sunflight"] = ("flights in a sun 6 times as bright as its shadows, in stripes of 5 cm",
                           ["simulator.sun.ratio=6", "simulator.sun.stripes_m=0.05", "simulator.distance_m=[0.8,2.6]"],
                           range(2101, 2107), 60, ["lossless"])
+SIMULATED["swingflight"] = ("flights whose auto-exposure swings by 2 stops either way",
+                            ["simulator.exposure_swing_stops=2", "simulator.distance_m=[0.8,2.6]"],
+                            range(2101, 2107), 90, ["lossless"])
 # Commands whose own words are kept: title, arguments, and which lines.
 EXPERIMENTS = {
     "consistency": ("Consistency of covariances", ["experiment", "consistency", "--runs", "50"], ""),

@@ -45,6 +45,9 @@ pub struct WorldParameters {
     /// By how many stops pictures are brighter than they should be; darker if negative. Motion blur is that of
     /// `exposure_s` all the same.
     pub exposure_stops: f64,
+    /// By how many stops pictures become brighter and darker in turn, as an auto-exposure makes them that follows the
+    /// backdrop and knows nothing of the bodies.
+    pub exposure_swing_stops: f64,
     /// Shines on the bodies; `None`: the hall's lamps alone.
     pub sun: Option<Sun>,
     /// Sensitivity: shot noise grows with its root, read noise with itself. 0 is a picture without
@@ -105,6 +108,7 @@ impl Default for WorldParameters {
             frames_per_second: 30.0,
             exposure_s: 0.00625,
             exposure_stops: 0.0,
+            exposure_swing_stops: 0.0,
             sun: None,
             iso: 400,
             read_noise: 0.0004,
@@ -123,7 +127,16 @@ impl Default for WorldParameters {
     }
 }
 
+/// An auto-exposure swings once in this time, seconds: about as long as it takes a neighbour to pass from a window to a dark
+/// corner.
+const EXPOSURE_SWING_S: f64 = 2.5;
+
 impl WorldParameters {
+    /// By how many stops the auto-exposure makes a picture brighter at a time than [`Self::exposure_stops`] say.
+    pub fn exposure_swing_at(&self, time_s: f64) -> f64 {
+        self.exposure_swing_stops * (std::f64::consts::TAU * time_s / EXPOSURE_SWING_S).sin()
+    }
+
     /// Everything that is wrong with the values, in words; empty for a world that can be made.
     pub fn problems(&self) -> Vec<String> {
         let mut problems = Vec::new();
@@ -153,6 +166,10 @@ impl WorldParameters {
         refuse(
             !within(self.exposure_stops, -8.0, 8.0),
             format!("exposure_stops {}: must be -8 to 8", self.exposure_stops),
+        );
+        refuse(
+            !within(self.exposure_swing_stops, 0.0, 4.0),
+            format!("exposure_swing_stops {}: must be 0 to 4", self.exposure_swing_stops),
         );
         for (name, value) in [("read_noise", self.read_noise), ("shot_noise", self.shot_noise)] {
             refuse(

@@ -31,6 +31,8 @@ pub struct Sensor {
     /// What the sensor makes of light 1: 2 if it is exposed twice as long as it should be.
     gain: f32,
     sigma_of_level: [u8; 256],
+    /// For each level what it becomes by the auto-exposure, with its noise; `None` where nothing swings.
+    adapted: Option<Box<[[u8; 2]; 256]>>,
     noise: Vec<i8>,
     seed: u64,
 }
@@ -55,6 +57,7 @@ impl Sensor {
             response,
             gain: parameters.exposure_stops.exp2() as f32,
             sigma_of_level: [0; 256],
+            adapted: None,
             noise: (0..noise)
                 .map(|_| (random.sample::<f32, _>(StandardNormal) * NOISE_UNIT).round() as i8)
                 .collect(),
@@ -98,9 +101,39 @@ impl Sensor {
         (sigma * slope * 255.0 * SIGMA_UNIT).round() as u8
     }
 
+    /// Makes the next pictures brighter by so many stops than the levels that they are drawn in. What is drawn in levels is
+    /// brightened in light and clipped then; its steps become coarser with it.
+    pub fn adapt(&mut self, stops: f64) {
+        let more = stops.exp2() as f32;
+        let adapted = |level: usize| {
+            let light = self.light(level as u8) * more;
+            [self.level(light), self.sigma_of_light(light)]
+        };
+        self.adapted = (stops != 0.0).then(|| Box::new(std::array::from_fn(adapted)));
+    }
+
     /// Writes a row of `levels` with noise of their `sigmas`, the same for the same `frame` and
     /// `row`. `column` is where in the row the levels begin.
     pub fn expose(
+        &self,
+        frame: u64,
+        row: usize,
+        column: usize,
+        levels: &[u8],
+        sigmas: &[u8],
+        out: &mut [u8],
+    ) {
+        if let Some(adapted) = &self.adapted {
+            let at = |level: &u8| adapted[usize::from(*level)];
+            let (levels, sigmas): (Vec<u8>, Vec<u8>) =
+                levels.iter().map(at).map(|[level, sigma]| (level, sigma)).unzip();
+            self.add_noise_of(frame, row, column, &levels, &sigmas, out);
+        } else {
+            self.add_noise_of(frame, row, column, levels, sigmas, out);
+        }
+    }
+
+    fn add_noise_of(
         &self,
         frame: u64,
         row: usize,
@@ -160,6 +193,25 @@ mod tests {
         assert_eq!(longer.sigma_of_light(0.1), usual.sigma_of_light(0.4));
         assert!((longer.light(255) - 0.25).abs() < 1e-6);
         assert_eq!(exposed(-3.0).level(0.8), usual.level(0.1));
+    }
+
+    #[test]
+    fn an_auto_exposure_brightens_light_and_clips_it() {
+        let mut sensor = sensor(0);
+        let levels = [sensor.level(0.1), sensor.level(0.3), sensor.level(0.0)];
+        let exposed = |sensor: &Sensor| {
+            let mut out = vec![0; 3];
+            sensor.expose(0, 0, 0, &levels, &[0; 3], &mut out);
+            out
+        };
+        sensor.adapt(2.0);
+        let brighter = exposed(&sensor);
+        assert!(brighter[0].abs_diff(sensor.level(0.4)) <= 1, "{brighter:?}");
+        assert_eq!(brighter[1..], [255, 0]);
+        sensor.adapt(-1.0);
+        assert!(exposed(&sensor)[1].abs_diff(sensor.level(0.15)) <= 1);
+        sensor.adapt(0.0);
+        assert_eq!(exposed(&sensor), levels);
     }
 
     #[test]

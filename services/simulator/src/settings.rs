@@ -46,6 +46,7 @@ pub fn parameters(resolved: &Resolved) -> anyhow::Result<WorldParameters> {
         frames_per_second: settings.frames_per_second,
         exposure_s: settings.exposure_ms * 1e-3,
         exposure_stops: settings.exposure_stops,
+        exposure_swing_stops: settings.exposure_swing_stops,
         sun: settings.sun.map(|sun| Sun {
             ratio: sun.ratio,
             elevation_deg: sun.elevation_deg,

@@ -276,6 +276,7 @@ impl World {
         layers.sort_by(|(a, _), (b, _)| b.total_cmp(a));
         let layers: Vec<Layer<'_>> = layers.into_iter().map(|(_, layer)| layer).collect();
         let scene = Scene { frame, camera: moment.camera, layers: &layers };
+        self.sensor.adapt(self.parameters.exposure_swing_at(moment.time_s));
         self.picture.expose(scene, &self.sensor, luma, stride);
         Ok(FrameTruth {
             frame,

@@ -41,6 +41,10 @@ pub struct Simulator {
     /// By how many stops pictures are brighter than they should be; darker if negative. Motion blur does not change.
     #[schemars(range(min = -8.0, max = 8.0))]
     pub exposure_stops: f64,
+    /// By how many stops pictures become brighter and darker in turn, as an auto-exposure makes them that follows the
+    /// backdrop and knows nothing of the bodies.
+    #[schemars(range(min = 0.0, max = 4.0))]
+    pub exposure_swing_stops: f64,
     /// A low sun that shines on the bodies, in stripes if things cast shadows. Left out: the hall's lamps alone.
     pub sun: Option<SimulatedSun>,
     /// Sensor noise as a multiple of the default camera's; 0: none.
@@ -81,6 +85,7 @@ impl Default for Simulator {
             yaw_swing_deg_s: 0.0,
             lens_blur_px: 0.8,
             exposure_stops: 0.0,
+            exposure_swing_stops: 0.0,
             sun: None,
             noise: 1.0,
             airframes: true,
