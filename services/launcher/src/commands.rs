@@ -50,6 +50,8 @@ enum FlockeyeCommand {
     Top(TopArguments),
     /// Record the path of frames through a running pipeline, for Perfetto (ui.perfetto.dev).
     Trace(TraceArguments),
+    /// Record a running pipeline's messages to an MCAP file (by flockeye-recorder).
+    Record,
     /// Show what the swarm's drones report of each other over Zenoh.
     Peers(PeersArguments),
     /// Fly a swarm on this machine.
@@ -92,6 +94,8 @@ pub fn run() -> anyhow::Result<()> {
         FlockeyeCommand::Chaos(arguments) => chaos::run(&arguments),
         FlockeyeCommand::Top(arguments) => top::run(&arguments),
         FlockeyeCommand::Trace(arguments) => trace::run(&arguments),
+        // It never arrives here: `main` passes it on.
+        FlockeyeCommand::Record => lab::become_recorder(&[]),
         FlockeyeCommand::Peers(arguments) => peers::run(&arguments),
         FlockeyeCommand::Swarm(command) => swarm::run(&command),
         FlockeyeCommand::Keys(command) => keys::run(&command),
@@ -128,7 +132,9 @@ mod tests {
     #[test]
     fn the_help_lists_the_commands_of_both_programs() {
         let help = command().render_help().to_string();
-        for wanted in ["  up ", "  schema ", "  eval ", "  calibrate ", "(by flockeye-lab):"] {
+        for wanted in
+            ["  up ", "  record ", "  schema ", "  eval ", "  calibrate ", "(by flockeye-lab):"]
+        {
             assert!(help.contains(wanted), "{wanted:?} is missing in:\n{help}");
         }
         assert!(!help.contains("exec-stage"), "{help}");

@@ -1,4 +1,5 @@
-//! The commands that `flockeye` passes on to `flockeye-lab`.
+//! The commands that `flockeye` passes on to other programs: to `flockeye-lab`, and `record` to
+//! `flockeye-recorder`.
 
 use std::ffi::OsString;
 use std::os::unix::process::CommandExt;
@@ -32,6 +33,29 @@ pub fn become_lab(arguments: &[OsString]) -> anyhow::Result<()> {
     Err(error).with_context(|| format!("cannot start {}", path.display()))
 }
 
+/// The program of `flockeye record`.
+const RECORDER: &str = "flockeye-recorder";
+
+/// The arguments of `flockeye record`, if it is asked for.
+pub fn recorder_is_asked_for(arguments: &[OsString]) -> Option<Vec<OsString>> {
+    match arguments {
+        [help, name, ..] if help == "help" && name == "record" => Some(vec!["--help".into()]),
+        [name, rest @ ..] if name == "record" => Some(rest.to_vec()),
+        _ => None,
+    }
+}
+
+/// Replaces this process by the recorder.
+///
+/// # Errors
+/// It is not installed, or cannot be started.
+pub fn become_recorder(arguments: &[OsString]) -> anyhow::Result<()> {
+    let path = program::find(RECORDER)
+        .with_context(|| format!("`flockeye record` is the program {RECORDER}"))?;
+    let error = Command::new(&path).args(arguments).exec();
+    Err(error).with_context(|| format!("cannot start {}", path.display()))
+}
+
 /// The lab's commands with their descriptions, for the help of `flockeye`.
 pub fn listing() -> String {
     let widest = COMMANDS.iter().map(|command| command.name.len()).max().unwrap_or(0);
@@ -55,6 +79,15 @@ mod tests {
         for arguments in [&[][..], &["up", "eval"], &["help"], &["help", "up"], &["--help"]] {
             assert!(!asked(arguments), "{arguments:?}");
         }
+    }
+
+    #[test]
+    fn the_recorder_gets_its_arguments() {
+        let arguments = |words: &[&str]| words.iter().map(OsString::from).collect::<Vec<_>>();
+        let asked = |words: &[&str]| recorder_is_asked_for(&arguments(words));
+        assert_eq!(asked(&["record", "a.mcap", "--help"]), Some(arguments(&["a.mcap", "--help"])));
+        assert_eq!(asked(&["help", "record"]), Some(arguments(&["--help"])));
+        assert_eq!(asked(&["up", "record"]), None);
     }
 
     #[test]
