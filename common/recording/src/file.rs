@@ -23,6 +23,8 @@ pub struct RecordingFile {
     bytes: u64,
     /// At so many bytes the free room is looked at again.
     look_at: u64,
+    /// So much of the disk is left free.
+    reserve_bytes: u64,
 }
 
 impl RecordingFile {
@@ -44,7 +46,12 @@ impl RecordingFile {
         if metadata.len() > 0 {
             return Err(RecordingError::Exists { path });
         }
-        Ok(Self { path, file, bytes: 0, look_at: 0 })
+        Ok(Self { path, file, bytes: 0, look_at: 0, reserve_bytes: RESERVE_BYTES })
+    }
+
+    /// Leaves so much of the disk free from now on.
+    pub fn leave_free(&mut self, bytes: u64) {
+        (self.reserve_bytes, self.look_at) = (bytes, 0);
     }
 
     /// Its path.
@@ -65,7 +72,7 @@ impl RecordingFile {
         let end = self.bytes + bytes.len() as u64;
         if end >= self.look_at {
             let free = self.free_bytes()?;
-            if free < RESERVE_BYTES + bytes.len() as u64 {
+            if free < self.reserve_bytes.saturating_add(bytes.len() as u64) {
                 let free_mb = free / 1_000_000;
                 return Err(RecordingError::DiskFull { path: self.path.clone(), free_mb });
             }

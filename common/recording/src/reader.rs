@@ -53,8 +53,8 @@ pub struct Reader {
     schemas: BTreeMap<u16, (String, String)>,
     channels: BTreeMap<u16, Rc<ChannelKind>>,
     chunk: Chunk,
-    /// A message that came while the beginning was read.
-    first: Option<RecordedMessage>,
+    /// A message, or damage, that came while the beginning was read.
+    first: Option<Result<RecordedMessage, RecordingError>>,
     ending: Option<Ending>,
 }
 
@@ -125,7 +125,7 @@ impl Reader {
     /// [`RecordingError::File`] and [`RecordingError::Damaged`].
     pub fn next_message(&mut self) -> Result<Option<RecordedMessage>, RecordingError> {
         if let Some(first) = self.first.take() {
-            return Ok(Some(first));
+            return first.map(Some);
         }
         while self.ending.is_none() {
             match self.next_record()? {
@@ -140,11 +140,14 @@ impl Reader {
     fn read_beginning(&mut self) -> Result<(), RecordingError> {
         let mut is_known = false;
         loop {
-            match self.next_record()? {
-                Found::Beginning => is_known = true,
-                Found::Other => {}
-                Found::Message(message) => self.first = Some(message),
-                Found::End(ending) => self.ending = Some(ending),
+            match self.next_record() {
+                Ok(Found::Beginning) => is_known = true,
+                Ok(Found::Other) => {}
+                Ok(Found::Message(message)) => self.first = Some(Ok(message)),
+                Ok(Found::End(ending)) => self.ending = Some(ending),
+                // What the recording says of itself is known all the same.
+                Err(damage) if is_known => self.first = Some(Err(damage)),
+                Err(damage) => return Err(damage),
             }
             if self.first.is_some() || self.ending.is_some() {
                 break;

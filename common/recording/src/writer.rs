@@ -173,6 +173,11 @@ impl RecordingWriter {
         self.file.sync()
     }
 
+    /// Leaves so much of the disk free from now on, instead of 16 MB.
+    pub fn leave_free(&mut self, bytes: u64) {
+        self.file.leave_free(bytes);
+    }
+
     /// Bytes in the file.
     pub fn bytes(&self) -> u64 {
         self.file.bytes()

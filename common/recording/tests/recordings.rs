@@ -114,6 +114,28 @@ fn a_recording_that_was_cut_off_anywhere_gives_all_that_came_before() {
 }
 
 #[test]
+fn a_recording_ends_whole_before_the_disk_is_full() {
+    let (_folder, path) = scratch();
+    let mut writer =
+        RecordingWriter::begin(RecordingFile::create(&path).unwrap(), &about()).unwrap();
+    let (layout, kind) = (tracks(), ChannelKind::of_topic(&tracks()));
+    let write = |writer: &mut RecordingWriter, sequence| {
+        let cdr = encode(&layout, &message(sequence)).unwrap();
+        writer.write(&kind, sequence as i64, &cdr).unwrap();
+        writer.flush()
+    };
+    (0..5).for_each(|sequence| write(&mut writer, sequence).unwrap());
+    // More than any disk has: so it is as good as full.
+    writer.leave_free(u64::MAX);
+    let error = write(&mut writer, 5).unwrap_err();
+    assert!(matches!(error, RecordingError::DiskFull { .. }), "{error}");
+    assert!(error.to_string().contains("so the recording ends here, whole. Cure:"), "{error}");
+    writer.finish().unwrap();
+    let (found, ending) = read(&path).unwrap();
+    assert_eq!((found, ending), ((0..6).map(message).collect(), Ending::Whole));
+}
+
+#[test]
 fn what_is_whole_of_a_broken_recording_is_recovered() {
     let (folder, path) = scratch();
     record(&path, 3, false);
@@ -149,19 +171,24 @@ fn a_damaged_recording_is_named_with_place_and_cure() {
         }
     }
     assert!(refused > bytes.len() / 7 / 4, "{refused} of {}", bytes.len() / 7);
-    // In the middle of the second chunk.
-    let chunk = bytes.windows(4).position(|bytes| bytes == b"zstd").unwrap();
-    let mut damaged = bytes.clone();
-    damaged[chunk + 60] ^= 0xff;
-    std::fs::write(&path, &damaged).unwrap();
-    let error = read(&path).unwrap_err().to_string();
-    assert!(
-        error.contains("damaged near byte") && error.contains("Cure: `flockeye record"),
-        "{error}"
-    );
-    let good = folder.path().join("good.mcap");
-    assert!(recover(&path, &good).unwrap().damage.is_some());
-    assert_eq!(read(&good).unwrap().1, Ending::Whole);
+    // In the middle of the first chunk, and of the second.
+    let all = bytes.windows(4).enumerate().filter(|(_, bytes)| bytes == b"zstd");
+    let chunks: Vec<usize> = all.map(|(place, _)| place).take(2).collect();
+    for (number, chunk) in chunks.into_iter().enumerate() {
+        let mut damaged = bytes.clone();
+        damaged[chunk + 60] ^= 0xff;
+        std::fs::write(&path, &damaged).unwrap();
+        let error = read(&path).unwrap_err().to_string();
+        assert!(
+            error.contains("damaged near byte") && error.contains("Cure: `flockeye record"),
+            "{error}"
+        );
+        let good = folder.path().join(format!("good-{number}.mcap"));
+        let recovered = recover(&path, &good).unwrap();
+        assert_eq!((recovered.messages, recovered.damage.is_some()), (10 * number as u64, true));
+        let (found, ending) = read(&good).unwrap();
+        assert_eq!((found.len(), ending), (10 * number, Ending::Whole));
+    }
 }
 
 #[test]

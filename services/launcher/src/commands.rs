@@ -10,6 +10,7 @@ use crate::clean::{self, CleanArguments};
 use crate::contract::{self, ContractArguments};
 use crate::exec::{self, ExecArguments};
 use crate::keys::{self, KeysCommand};
+use crate::lab::ReplayArguments;
 use crate::manage::{self, StatusArguments, StopArguments, SwapArguments, WorkerArguments};
 use crate::peers::{self, PeersArguments};
 use crate::stage::{self, StageCommand};
@@ -52,6 +53,8 @@ enum FlockeyeCommand {
     Trace(TraceArguments),
     /// Record a running pipeline's messages to an MCAP file (by flockeye-recorder).
     Record,
+    /// Give a stage alone what it got in a recorded flight, and compare what it gives with what it gave.
+    Replay(ReplayArguments),
     /// Show what the swarm's drones report of each other over Zenoh.
     Peers(PeersArguments),
     /// Fly a swarm on this machine.
@@ -96,6 +99,7 @@ pub fn run() -> anyhow::Result<()> {
         FlockeyeCommand::Trace(arguments) => trace::run(&arguments),
         // It never arrives here: `main` passes it on.
         FlockeyeCommand::Record => lab::become_recorder(&[]),
+        FlockeyeCommand::Replay(arguments) => lab::become_stage(&arguments),
         FlockeyeCommand::Peers(arguments) => peers::run(&arguments),
         FlockeyeCommand::Swarm(command) => swarm::run(&command),
         FlockeyeCommand::Keys(command) => keys::run(&command),

@@ -1,11 +1,13 @@
-//! The commands that `flockeye` passes on to other programs: to `flockeye-lab`, and `record` to
-//! `flockeye-recorder`.
+//! The commands that `flockeye` passes on to other programs: to `flockeye-lab`, `record` to
+//! `flockeye-recorder`, and `replay` to the stage.
 
 use std::ffi::OsString;
 use std::os::unix::process::CommandExt;
+use std::path::PathBuf;
 use std::process::Command;
 
 use anyhow::Context;
+use clap::{Args, ValueEnum};
 use flockeye_cli::lab::{COMMANDS, PROGRAM};
 use flockeye_cli::program;
 
@@ -53,6 +55,37 @@ pub fn become_recorder(arguments: &[OsString]) -> anyhow::Result<()> {
     let path = program::find(RECORDER)
         .with_context(|| format!("`flockeye record` is the program {RECORDER}"))?;
     let error = Command::new(&path).args(arguments).exec();
+    Err(error).with_context(|| format!("cannot start {}", path.display()))
+}
+
+/// Arguments of `replay`.
+#[derive(Debug, Args)]
+pub struct ReplayArguments {
+    /// A recording of a lossless flight, with its views: flockeye record --frames views.
+    #[arg(value_name = "FILE.mcap")]
+    pub file: PathBuf,
+    /// The stage.
+    #[arg(long, value_enum, default_value_t = ReplayedStage::Fusion)]
+    pub stage: ReplayedStage,
+}
+
+/// A stage that can be replayed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum ReplayedStage {
+    /// Fusion: from views, detections, rotations and frame ends to tracks and plans.
+    Fusion,
+}
+
+/// Replaces this process by the stage, which compares what it gives with what it gave.
+///
+/// # Errors
+/// It is not installed, or cannot be started.
+pub fn become_stage(arguments: &ReplayArguments) -> anyhow::Result<()> {
+    let name = match arguments.stage {
+        ReplayedStage::Fusion => "flockeye-fusion",
+    };
+    let path = program::find(name).context("a recording is replayed by the stage's own program")?;
+    let error = Command::new(&path).arg("replay").arg(&arguments.file).exec();
     Err(error).with_context(|| format!("cannot start {}", path.display()))
 }
 

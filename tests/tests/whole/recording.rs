@@ -5,9 +5,10 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use flockeye_contract::{FrameEnds, Tracks};
-use flockeye_recording::message::decode;
-use flockeye_recording::{ContractMessage, Ending, Reader, TopicLayout, layouts};
+use flockeye_contract::{DetectionHeader, FrameEnds, Tracks};
+use flockeye_recording::file::RecordingFile;
+use flockeye_recording::message::{decode, encode};
+use flockeye_recording::{ContractMessage, Ending, Reader, RecordingWriter, TopicLayout, layouts};
 use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, flockeye, onlooker, run, unique};
 use rustix::process::Signal;
 use serde_json::Value;
@@ -143,6 +144,73 @@ fn every_frame_is_recorded_and_other_peoples_tools_read_it() {
     for topic in ["plan", "view", "detection", "truth", "health"] {
         assert!(topics[format!("/flockeye/{topic}")].as_u64() > Some(0), "{topic} in {report}");
     }
+}
+
+/// Fusion alone, given what it got, says what it said, byte by byte; given something else, it says where it differs.
+#[test]
+fn a_replayed_fusion_says_the_same() {
+    let scratch = Scratch::new("replayed");
+    let out = scratch.path("flight.mcap");
+    let set: Vec<&str> = SMALL_FLIGHT.iter().copied().chain(["simulator.frames=25"]).collect();
+    let mut gated = Gated::start("replayed", &scratch, &["--flow", "lossless"], &set);
+    let mut recorder = recorder(&mut gated.flight, &[text(&out), "--frames", "views"]);
+    gated.open();
+    assert!(gated.flight.wait().success(), "{}", gated.flight.output());
+    assert!(recorder.wait().success(), "{}", recorder.output());
+    assert!(recorder.output().contains("nothing is missing"), "{}", recorder.output());
+    let (is_same, said) = run(&["replay", text(&out), "--stage", "fusion"]);
+    assert!(is_same && said.contains("of 25 frames are the same, byte by byte"), "{said}");
+    gated.flight.assert_nothing_left();
+
+    // Nobody has decoded a marker.
+    let changed = scratch.path("changed.mcap");
+    forget_all_markers(&out, &changed);
+    let (is_same, said) = run(&["replay", text(&changed)]);
+    assert!(!is_same && said.contains("recorded and given: "), "{said}");
+    assert!(
+        said.contains("flockeye/track of frame") || said.contains("flockeye/plan of"),
+        "{said}"
+    );
+}
+
+/// Copies a recording, with no marker in any detection.
+fn forget_all_markers(from: &Path, to: &Path) {
+    let layout = layout("flockeye/detection");
+    let mut reader = Reader::open(from).expect("it is a recording");
+    let file = RecordingFile::create(to).expect("it is new");
+    let mut writer = RecordingWriter::begin(file, reader.about()).expect("it can be written");
+    while let Some(mut message) = reader.next_message().expect("it can be read") {
+        if message.channel.topic == layout.channel() {
+            let mut found = decode(&layout, &message.bytes).expect("a detection");
+            let header: DetectionHeader = bytemuck::pod_read_unaligned(&found.header);
+            let header = DetectionHeader { hits: 0, ..header };
+            found.header = bytemuck::bytes_of(&header).to_vec();
+            found.items.clear();
+            message.bytes = encode(&layout, &found).expect("it is one still");
+        }
+        let (kind, sequence) = (&message.channel, message.sequence);
+        writer.write_as(kind, sequence, message.utc_ns, &message.bytes).expect("it can be written");
+    }
+    writer.finish().expect("it can be written");
+}
+
+/// A flight in real time, and a recording that begins in the middle, cannot be replayed: it says so.
+#[test]
+fn what_cannot_be_replayed_says_why() {
+    let scratch = Scratch::new("not-replayed");
+    let out = scratch.path("flight.mcap");
+    let mut flight = Flight::start("not-replayed", &[], SMALL_FLIGHT);
+    flight.wait_for("alpha confirmed");
+    let mut recorder = recorder(&mut flight, &[text(&out), "--for", "1s"]);
+    assert!(recorder.wait().success(), "{}", recorder.output());
+    let (is_well, said) = run(&["replay", text(&out)]);
+    assert!(!is_well && said.contains("which is not recorded. Cure: record a lossless"), "{said}");
+    flight.signal(Signal::INT);
+    assert!(flight.wait().success(), "{}", flight.output());
+    flight.assert_nothing_left();
+    let none = scratch.path("none.mcap");
+    let (is_well, said) = run(&["replay", text(&none)]);
+    assert!(!is_well && said.contains("none.mcap: No such file"), "{said}");
 }
 
 /// A recorder that is killed harms no stage, and leaves what it had written a second before.
@@ -296,6 +364,11 @@ fn a_flight_is_recorded_by_configuration() {
     };
     let [first] = recordings().try_into().expect("one file");
     assert!(text(&first).contains(flight.instance.name()), "{first:?}");
+    let start = Instant::now();
+    while read_any(&first) == 0 {
+        assert!(start.elapsed() < WATCHDOG, "nothing is written:\n{}", flight.output());
+        std::thread::sleep(Duration::from_millis(50));
+    }
     let presences = flight.instance.folder().join("recorders");
     let pid = std::fs::read_dir(&presences).expect("it records").next().expect("one").expect("one");
     let pid: i32 = pid.file_name().to_string_lossy().parse().expect("a number");
