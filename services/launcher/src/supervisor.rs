@@ -182,9 +182,7 @@ impl<'a> Supervisor<'a> {
             self.hand_overs.update_connections()?;
             self.show_log();
             self.look_after_processes()?;
-            if let Some(said) = self.recorder.as_mut().and_then(Recorder::attend) {
-                self.screen.line(&said);
-            }
+            self.look_after_recorder();
             self.look_after_swap(&ports)?;
             self.serve_clients(&ports)?;
             self.start_source_in_time()?;
@@ -200,6 +198,19 @@ impl<'a> Supervisor<'a> {
         });
         self.ports = Some(ports);
         outcome
+    }
+
+    fn look_after_recorder(&mut self) {
+        let node = &self.node;
+        let said = self.recorder.as_mut().and_then(|recorder| {
+            // The dead process's ports are freed before its successor asks for its own.
+            recorder.attend(|| {
+                node.blocking_cleanup_dead_nodes(Duration::from_secs(1));
+            })
+        });
+        if let Some(said) = said {
+            self.screen.line(&said);
+        }
     }
 
     /// Starts the source when all others are ready, or after a while: a foreign stage may send no health.
@@ -223,8 +234,8 @@ impl<'a> Supervisor<'a> {
         Duration::from_secs_f64(self.pipeline.supervision.start_s)
     }
 
-    /// Whether every stage has opened what it needs, and the recorder misses nothing. A degraded stage counts: it waits for something
-    /// outside, such as a gateway for its network port.
+    /// Whether every stage has opened what it needs, and the recorder misses nothing. A degraded stage counts:
+    /// it waits for something outside, such as a gateway for its network port.
     fn all_are_ready(&self) -> bool {
         let consumers = self.processes.iter().filter(|process| !process.worker.stage.is_source());
         consumers.into_iter().all(|process| self.is_ready(process.worker))

@@ -58,7 +58,8 @@ pub fn record(arguments: &RecordArguments, out: &Path) -> anyhow::Result<()> {
         files.begin()?;
     }
     let queue = Queue::new(QUEUE_BYTES, TOPICS.len());
-    let writing = Writing { queue: queue.clone(), core, files, ring, told: Vec::new() };
+    let (told, left_out) = (Vec::new(), Throttle::default());
+    let writing = Writing { queue: queue.clone(), core, files, ring, told, left_out };
     let thread = std::thread::Builder::new()
         .name("writer".to_owned())
         .spawn(move || writing.run())
@@ -131,6 +132,7 @@ struct Writing {
     ring: Option<(Trigger, Ring)>,
     /// The losses that were written last.
     told: Vec<Loss>,
+    left_out: Throttle,
 }
 
 impl Writing {
@@ -198,15 +200,27 @@ impl Writing {
     }
 
     fn write(&mut self, entry: &Entry) -> anyhow::Result<()> {
-        for output in self.core.on(entry)? {
+        let outputs = match self.core.on(entry) {
+            Ok(outputs) => outputs,
+            Err(error) => {
+                self.leave_out(&error);
+                return Ok(());
+            }
+        };
+        for output in outputs {
             match self.files.write(entry.at_ns, &output) {
-                Err(error @ RecordingError::Message { .. }) => {
-                    tracing::warn!("left out: {error}");
-                }
+                Err(error @ RecordingError::Message { .. }) => self.leave_out(&error.into()),
                 other => other?,
             }
         }
         Ok(())
+    }
+
+    /// One message that cannot be recorded does not end the recording.
+    fn leave_out(&mut self, error: &anyhow::Error) {
+        if let Some(more_since) = self.left_out.admit() {
+            tracing::warn!(more_since, "a message is not recorded: {error:#}");
+        }
     }
 
     fn write_ring(&mut self) -> anyhow::Result<()> {

@@ -92,9 +92,10 @@ impl Recorder {
         self.instance.folder().join("recorders").join(child.id().to_string()).exists()
     }
 
-    /// Starts it again if it has ended. Returns what there is to say.
-    pub fn attend(&mut self) -> Option<String> {
+    /// Starts it again if it has ended, after `clean` has freed what it had. Returns what there is to say.
+    pub fn attend(&mut self, clean: impl FnOnce()) -> Option<String> {
         if self.retry_at.is_some_and(|at| Instant::now() >= at) {
+            clean();
             return match self.start() {
                 Ok(()) => Some("the recorder is started again".to_owned()),
                 Err(error) => {
