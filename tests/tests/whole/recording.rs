@@ -353,6 +353,12 @@ fn a_flight_is_recorded_by_configuration() {
     let scratch = Scratch::new("rec-set");
     let folder = scratch.path("recordings");
     let setting = format!("recording.folder={}", folder.display());
+    let (is_well, said) = run(&["check", "--set", &setting]);
+    assert!(
+        is_well && said.contains(&format!("recorder: everything, to {}", folder.display())),
+        "{said}"
+    );
+    assert!(!folder.exists());
     let set: Vec<&str> = SMALL_FLIGHT.iter().copied().chain([setting.as_str()]).collect();
     let mut flight = Flight::start("rec-set", &[], &set);
     flight.wait_for("alpha confirmed");
