@@ -11,8 +11,8 @@ use anyhow::{Context, bail, ensure};
 use bytemuck::{AnyBitPattern, pod_read_unaligned};
 use flockeye_config::{Flow, Pipeline, Resolved};
 use flockeye_contract::{
-    DetectedMarker, DetectionHeader, FrameEnd, FrameOrder, PlanHeader, Plans, Rotation, StageName,
-    Topic, Track, TrackHeader, Tracks, ViewHeader,
+    DetectedMarker, DetectionHeader, Detections, FrameEnd, FrameEnds, FrameOrder, PlanHeader,
+    Plans, Rotation, Rotations, StageName, Topic, Track, TrackHeader, Tracks, ViewHeader, Views,
 };
 use flockeye_recording::channel::VIEW_IMAGES;
 use flockeye_recording::images::decode_image;
@@ -201,15 +201,22 @@ impl Replay {
             "flockeye/detection" => {
                 let size = size_of::<DetectedMarker>();
                 let markers = found.items.chunks_exact(size).map(pod_read_unaligned).collect();
+                let markers: Vec<DetectedMarker> = markers;
                 let header: DetectionHeader = header(&found);
+                refuse_if_wrong::<Detections>(&header, &markers)?;
                 self.early.push(Record { header, markers });
             }
             "flockeye/rotation" => {
                 let rotation: Rotation = header(&found);
+                refuse_if_wrong::<Rotations>(&rotation, &[])?;
                 self.newest_rotation = self.newest_rotation.max(Some(rotation.stamp.order()));
                 self.core.on(Event::Rotation(rotation), now_ns);
             }
-            "flockeye/frame_end" => self.ends.push_back(header(&found)),
+            "flockeye/frame_end" => {
+                let end: FrameEnd = header(&found);
+                refuse_if_wrong::<FrameEnds>(&end, &[])?;
+                self.ends.push_back(end);
+            }
             "flockeye/track" => {
                 let header: TrackHeader = header(&found);
                 ensure!(
@@ -247,6 +254,7 @@ impl Replay {
         };
         ensure!(sequence == message.sequence, "pixels of a view without its header");
         let pixels = decode_image(VIEW_IMAGES, &message.bytes)?.pixels.to_vec();
+        refuse_if_wrong::<Views>(&header, &pixels)?;
         if let Some(lane) = self.lanes.get_mut(header.worker as usize) {
             lane.push_back((header, RecordedPixels(pixels)));
         }
@@ -347,6 +355,13 @@ impl Replay {
             }
         }
     }
+}
+
+/// Refuses what no port would let in: a recording may have been changed.
+fn refuse_if_wrong<T: Topic>(header: &T::Header, items: &[T::Item]) -> anyhow::Result<()> {
+    T::check(header, items).with_context(|| {
+        format!("a recorded message of {} breaks the contract. Cure: record anew", T::NAME)
+    })
 }
 
 fn header<H: AnyBitPattern>(message: &ContractMessage) -> H {

@@ -164,17 +164,23 @@ fn a_replayed_fusion_says_the_same() {
 
     // Nobody has decoded a marker.
     let changed = scratch.path("changed.mcap");
-    forget_all_markers(&out, &changed);
+    forget_all_markers(&out, &changed, 0);
     let (is_same, said) = run(&["replay", text(&changed)]);
     assert!(!is_same && said.contains("recorded and given: "), "{said}");
     assert!(
         said.contains("flockeye/track of frame") || said.contains("flockeye/plan of"),
         "{said}"
     );
+
+    // More hits than markers.
+    let lying = scratch.path("lying.mcap");
+    forget_all_markers(&out, &lying, 7);
+    let (is_same, said) = run(&["replay", text(&lying)]);
+    assert!(!is_same && said.contains("flockeye/detection breaks the contract. Cure:"), "{said}");
 }
 
-/// Copies a recording, with no marker in any detection.
-fn forget_all_markers(from: &Path, to: &Path) {
+/// Copies a recording, with no marker in any detection, and these `hits` in its header.
+fn forget_all_markers(from: &Path, to: &Path, hits: u32) {
     let layout = layout("flockeye/detection");
     let mut reader = Reader::open(from).expect("it is a recording");
     let file = RecordingFile::create(to).expect("it is new");
@@ -183,7 +189,7 @@ fn forget_all_markers(from: &Path, to: &Path) {
         if message.channel.topic == layout.channel() {
             let mut found = decode(&layout, &message.bytes).expect("a detection");
             let header: DetectionHeader = bytemuck::pod_read_unaligned(&found.header);
-            let header = DetectionHeader { hits: 0, ..header };
+            let header = DetectionHeader { hits, ..header };
             found.header = bytemuck::bytes_of(&header).to_vec();
             found.items.clear();
             message.bytes = encode(&layout, &found).expect("it is one still");
