@@ -1,4 +1,5 @@
-//! The contract's types, codes and topics as data: what the clients in other languages are generated from.
+//! The contract's types, codes and topics as data: what the clients in other languages and the messages of
+//! recordings are made from.
 
 mod c;
 mod python;
@@ -19,7 +20,7 @@ pub use python::python_module;
 
 /// What a field is.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) enum Kind {
+pub enum Kind {
     /// A number, by its name in Rust.
     Number(&'static str),
     /// So many of one kind.
@@ -61,18 +62,25 @@ impl<const N: usize> Described for Text<N> {
 
 /// A field of a type.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Field {
+pub struct Field {
+    /// Its name.
     pub name: &'static str,
+    /// Where it begins in its type, bytes.
     pub offset: usize,
+    /// What it is.
     pub kind: Kind,
 }
 
 /// A type of the contract.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct TypeDescription {
+pub struct TypeDescription {
+    /// Its name in Rust.
     pub name: &'static str,
+    /// Bytes.
     pub size: usize,
+    /// What its address is a multiple of, bytes.
     pub alignment: usize,
+    /// Its fields, in their order in memory.
     pub fields: Vec<Field>,
 }
 
@@ -90,7 +98,7 @@ macro_rules! types {
         })+
 
         /// The types, each after those that it contains.
-        pub(crate) fn types() -> Vec<TypeDescription> {
+        pub fn types() -> Vec<TypeDescription> {
             vec![$(TypeDescription {
                 name: stringify!($name),
                 size: size_of::<$name>(),
@@ -169,15 +177,19 @@ pub(crate) fn codes() -> Vec<Codes> {
 
 /// A topic, with its types.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct TopicDescription {
+pub struct TopicDescription {
+    /// Name of its service.
     pub service: &'static str,
+    /// Name of the header's type.
     pub header: &'static str,
+    /// What the payload is a slice of.
     pub item: Kind,
+    /// Whether there is a service for each detection worker.
     pub has_lanes: bool,
 }
 
 /// The topics, in the order of the dataflow.
-pub(crate) fn topics() -> Vec<TopicDescription> {
+pub fn topics() -> Vec<TopicDescription> {
     /// The types' names as iceoryx2 has them, less what all have in common.
     struct Topics(Vec<TopicDescription>);
     impl TopicVisitor for Topics {

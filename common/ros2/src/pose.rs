@@ -39,6 +39,22 @@ pub struct NeighbourPose {
     pub pose: RelativePose,
 }
 
+impl NeighbourPose {
+    /// The pose as a message and as a transform. Both names are those in ROS ([`crate::ros_name`]).
+    ///
+    /// # Errors
+    /// [`Ros2Error::Pose`] and [`Ros2Error::Stamp`].
+    pub fn messages(
+        &self,
+        observer: &str,
+        target: &str,
+    ) -> Result<(PoseWithCovarianceStamped, TransformStamped), Ros2Error> {
+        let stamp = self.pose.check(&self.target)?;
+        let pose = pose_message(&self.pose, stamp, observer);
+        Ok((pose, transform(&self.pose, stamp, observer, target)))
+    }
+}
+
 /// Where a peer sees the observer.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ObserverSeen {

@@ -14,6 +14,11 @@ pub fn utc_s() -> i64 {
     clock_gettime(ClockId::Realtime).tv_sec
 }
 
+/// The same, nanoseconds since 1970.
+pub fn utc_ns() -> i64 {
+    nanoseconds(clock_gettime(ClockId::Realtime))
+}
+
 /// Processor time that this process has used, nanoseconds.
 pub fn processor_ns() -> i64 {
     nanoseconds(clock_gettime(ClockId::ProcessCPUTime))

@@ -28,6 +28,7 @@
 //! | [`background_runner`] | where background passes run |
 //! | [`parallel`] | a parallel map that keeps order |
 //! | [`snapshot`], [`succession`] | what a process leaves to its successor, and where it is kept |
+//! | [`replay`] | the core again on what was recorded, compared with what it gave |
 //! | [`settings`] | the core as the configuration asks for it |
 
 pub mod background_runner;
@@ -46,6 +47,7 @@ pub mod pictures;
 pub mod planning;
 pub mod policy;
 pub mod readout;
+pub mod replay;
 pub mod schedule;
 pub mod settings;
 pub mod snapshot;
@@ -64,5 +66,22 @@ mod fixtures;
 
 /// The fusion stage's process. It is here so that it is compiled once, with the library.
 pub fn main() -> std::process::ExitCode {
-    flockeye_runtime::stage::main::<stage::FusionStage>()
+    let arguments: Vec<_> = std::env::args_os().skip(1).collect();
+    match &arguments[..] {
+        [word, file] if word == "replay" => replay_main(file.as_ref()),
+        _ => flockeye_runtime::stage::main::<stage::FusionStage>(),
+    }
+}
+
+/// `flockeye-fusion replay FILE`, which `flockeye replay` becomes: fails unless all is the same.
+fn replay_main(file: &std::path::Path) -> std::process::ExitCode {
+    flockeye_runtime::logs::init();
+    match replay::report(file) {
+        Ok(true) => std::process::ExitCode::SUCCESS,
+        Ok(false) => std::process::ExitCode::FAILURE,
+        Err(error) => {
+            eprintln!("flockeye replay: {error:#}");
+            std::process::ExitCode::FAILURE
+        }
+    }
 }

@@ -6,7 +6,7 @@ use std::time::Duration;
 use anyhow::{Context, ensure};
 use clap::Args;
 use flockeye_cli::{Configuration, Screen, duration, signals};
-use flockeye_config::{Count, Flow, Resolved, SearchBudget};
+use flockeye_config::{Count, Flow, RecordingTrigger, Resolved, SearchBudget};
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::partition;
 use flockeye_network::NetworkParameters;
@@ -54,7 +54,9 @@ pub fn run(arguments: &CheckArguments) -> anyhow::Result<()> {
 /// Measures this machine by a short run in an instance of its own.
 fn measured(arguments: &CheckArguments, duration: Duration) -> anyhow::Result<String> {
     let own = [format!("instance=m{}", std::process::id()), "gateway.enabled=false".to_owned()];
-    let pipeline = arguments.configuration.load_with(&[], &own)?;
+    let mut pipeline = arguments.configuration.load_with(&[], &own)?;
+    // This is no flight.
+    pipeline.recording.folder = None;
     let options =
         RunOptions { duration: Some(duration), watches_sweep: true, ..RunOptions::default() };
     let mut log = Screen::muted();
@@ -148,6 +150,14 @@ fn plan(resolved: &Resolved, budget: &Budget) -> anyhow::Result<String> {
             let (name, count) = (stage_name.name(), pipeline.replicas(stage_name));
             writeln!(text, "  {name} x {count}: {command}, restart {:?}", stage.restart)?;
         }
+    }
+    if let Some(folder) = &pipeline.recording.folder {
+        let what = match pipeline.recording.trigger {
+            None => "everything",
+            Some(RecordingTrigger::Lost) => "what came before a track was lost, or a request",
+            Some(RecordingTrigger::Request) => "what came before a request",
+        };
+        writeln!(text, "  recorder: {what}, to {}", folder.display())?;
     }
     write!(text, "{budget}")?;
     Ok(text)

@@ -10,6 +10,7 @@ use crate::clean::{self, CleanArguments};
 use crate::contract::{self, ContractArguments};
 use crate::exec::{self, ExecArguments};
 use crate::keys::{self, KeysCommand};
+use crate::lab::ReplayArguments;
 use crate::manage::{self, StatusArguments, StopArguments, SwapArguments, WorkerArguments};
 use crate::peers::{self, PeersArguments};
 use crate::stage::{self, StageCommand};
@@ -50,6 +51,10 @@ enum FlockeyeCommand {
     Top(TopArguments),
     /// Record the path of frames through a running pipeline, for Perfetto (ui.perfetto.dev).
     Trace(TraceArguments),
+    /// Record a running pipeline's messages to an MCAP file (by flockeye-recorder).
+    Record,
+    /// Give a stage alone what it got in a recorded flight, and compare what it gives with what it gave.
+    Replay(ReplayArguments),
     /// Show what the swarm's drones report of each other over Zenoh.
     Peers(PeersArguments),
     /// Fly a swarm on this machine.
@@ -92,6 +97,9 @@ pub fn run() -> anyhow::Result<()> {
         FlockeyeCommand::Chaos(arguments) => chaos::run(&arguments),
         FlockeyeCommand::Top(arguments) => top::run(&arguments),
         FlockeyeCommand::Trace(arguments) => trace::run(&arguments),
+        // It never arrives here: `main` passes it on.
+        FlockeyeCommand::Record => lab::become_recorder(&[]),
+        FlockeyeCommand::Replay(arguments) => lab::become_stage(&arguments),
         FlockeyeCommand::Peers(arguments) => peers::run(&arguments),
         FlockeyeCommand::Swarm(command) => swarm::run(&command),
         FlockeyeCommand::Keys(command) => keys::run(&command),
@@ -128,7 +136,9 @@ mod tests {
     #[test]
     fn the_help_lists_the_commands_of_both_programs() {
         let help = command().render_help().to_string();
-        for wanted in ["  up ", "  schema ", "  eval ", "  calibrate ", "(by flockeye-lab):"] {
+        for wanted in
+            ["  up ", "  record ", "  schema ", "  eval ", "  calibrate ", "(by flockeye-lab):"]
+        {
             assert!(help.contains(wanted), "{wanted:?} is missing in:\n{help}");
         }
         assert!(!help.contains("exec-stage"), "{help}");

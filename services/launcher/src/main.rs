@@ -7,8 +7,13 @@ use flockeye_launcher::{commands, lab};
 fn main() -> ExitCode {
     flockeye_runtime::logs::init();
     let arguments: Vec<_> = std::env::args_os().skip(1).collect();
-    let outcome =
-        if lab::is_asked_for(&arguments) { lab::become_lab(&arguments) } else { commands::run() };
+    let outcome = if lab::is_asked_for(&arguments) {
+        lab::become_lab(&arguments)
+    } else if let Some(rest) = lab::recorder_is_asked_for(&arguments) {
+        lab::become_recorder(&rest)
+    } else {
+        commands::run()
+    };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {

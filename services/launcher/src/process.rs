@@ -26,8 +26,8 @@ use rustix::process::{Pid, Signal, kill_process_group};
 
 use self::child::{End, RunningProcess};
 use self::command::{StartPlan, backoff};
-pub use self::output::LogLine;
-use self::output::{KeptOutput, LineSink};
+use self::output::KeptOutput;
+pub use self::output::{LineSink, LogLine};
 
 use crate::complaints::Replacements;
 use crate::control::Worker;

@@ -3,11 +3,13 @@
 //! | module | what it does |
 //! | --- | --- |
 //! | [`faults`] | notices processes that end, hang, start too slowly or do not do what they owe |
+//! | [`recording`] | runs the recorder, where flights are recorded |
 //! | [`requests`] | does what clients ask for by the control channel |
 //! | [`swaps`] | replaces a process in flight |
 //! | [`taking_over`] | goes on with the processes that an earlier launcher left flying |
 
 mod faults;
+mod recording;
 mod requests;
 mod swaps;
 pub mod taking_over;
@@ -30,6 +32,7 @@ use flockeye_runtime::ports::{Ports, Publisher, Subscriber, TopicServices, creat
 use iceoryx2::prelude::*;
 use rustix::process::Signal;
 
+use self::recording::Recorder;
 use self::requests::Pending;
 use self::swaps::Replacement;
 use crate::control::Worker;
@@ -66,6 +69,8 @@ pub struct Supervisor<'a> {
     processes: Vec<Process>,
     /// Processes that were replaced and have not ended.
     retired: Vec<Process>,
+    /// Where flights are recorded.
+    recorder: Option<Recorder>,
     pending: Vec<Pending>,
     replacement: Option<Replacement>,
     /// Whose old program is to be started again, and the generation that it follows.
@@ -139,6 +144,7 @@ impl<'a> Supervisor<'a> {
             server: Server::open(instance.folder())?,
             processes,
             retired: Vec::new(),
+            recorder: Recorder::of(&pipeline.recording, instance, sender)?,
             pending: Vec::new(),
             replacement: None,
             putting_back: None,
@@ -158,6 +164,7 @@ impl<'a> Supervisor<'a> {
     /// # Errors
     /// The system cannot start a process.
     pub fn start(&mut self) -> anyhow::Result<()> {
+        self.recorder.as_mut().map_or(Ok(()), Recorder::start)?;
         let consumers = self.processes.iter_mut().filter(|process| {
             !process.worker.stage.is_source() && process.condition() == Condition::New
         });
@@ -175,6 +182,7 @@ impl<'a> Supervisor<'a> {
             self.hand_overs.update_connections()?;
             self.show_log();
             self.look_after_processes()?;
+            self.look_after_recorder();
             self.look_after_swap(&ports)?;
             self.serve_clients(&ports)?;
             self.start_source_in_time()?;
@@ -190,6 +198,19 @@ impl<'a> Supervisor<'a> {
         });
         self.ports = Some(ports);
         outcome
+    }
+
+    fn look_after_recorder(&mut self) {
+        let node = &self.node;
+        let said = self.recorder.as_mut().and_then(|recorder| {
+            // The dead process's ports are freed before its successor asks for its own.
+            recorder.attend(|| {
+                node.blocking_cleanup_dead_nodes(Duration::from_secs(1));
+            })
+        });
+        if let Some(said) = said {
+            self.screen.line(&said);
+        }
     }
 
     /// Starts the source when all others are ready, or after a while: a foreign stage may send no health.
@@ -213,11 +234,12 @@ impl<'a> Supervisor<'a> {
         Duration::from_secs_f64(self.pipeline.supervision.start_s)
     }
 
-    /// Whether every stage has opened what it needs. A degraded stage counts: it waits for something
-    /// outside, such as a gateway for its network port.
+    /// Whether every stage has opened what it needs, and the recorder misses nothing. A degraded stage counts:
+    /// it waits for something outside, such as a gateway for its network port.
     fn all_are_ready(&self) -> bool {
         let consumers = self.processes.iter().filter(|process| !process.worker.stage.is_source());
         consumers.into_iter().all(|process| self.is_ready(process.worker))
+            && self.recorder.as_ref().is_none_or(Recorder::has_joined)
     }
 
     /// Whether a worker has reported that it is ready.
@@ -298,6 +320,10 @@ impl<'a> Supervisor<'a> {
                     std::thread::sleep(Duration::from_millis(1));
                 }
             }
+        }
+        // Last, so that it has heard everything.
+        if let Some(said) = self.recorder.as_mut().and_then(Recorder::stop) {
+            self.screen.line(&said);
         }
         self.show_log();
     }

@@ -21,6 +21,7 @@ mod python;
 mod radio;
 mod real_time;
 mod recorded;
+mod recording;
 mod scheduling;
 mod secure;
 mod swapping;

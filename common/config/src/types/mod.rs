@@ -15,6 +15,7 @@ mod inertial;
 mod mavlink;
 mod mount;
 mod partition;
+mod recording;
 mod simulator;
 mod stages;
 
@@ -26,6 +27,7 @@ pub use inertial::{Inertial, InertialSource};
 pub use mavlink::MavlinkAddress;
 pub use mount::Mount;
 pub use partition::{Auto, Count, Method, Partition};
+pub use recording::{RecordedFrames, Recording, RecordingTrigger};
 pub use simulator::{SimulatedInertial, SimulatedSun, SimulatedSwarm, Simulator};
 pub use stages::{Restart, Scheduling, StageInfo, StageProcess, Stages};
 
@@ -64,6 +66,8 @@ pub struct Pipeline {
     pub fusion: Fusion,
     /// What goes over the network.
     pub gateway: Gateway,
+    /// What is recorded of every flight.
+    pub recording: Recording,
     /// How the stages' processes are run.
     pub stages: Stages,
     /// How processes that fail are noticed.

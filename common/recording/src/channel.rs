@@ -1,0 +1,79 @@
+//! The channels of a recording: their names, and what their messages are.
+
+use crate::definition;
+use crate::layout::TopicLayout;
+
+/// A channel.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub struct ChannelKind {
+    /// Its name.
+    pub topic: String,
+    /// The name of its messages.
+    pub message: String,
+    /// Their definition, with all that it needs.
+    pub definition: String,
+}
+
+/// Pixels of views, on a channel of its own beside that of the views' headers. Both have the same sequence
+/// numbers.
+pub const VIEW_IMAGES: &str = "/flockeye/view/image";
+/// Pictures of frames, beside the frames' headers in the same way.
+pub const FRAME_IMAGES: &str = "/flockeye/frame/image";
+/// What the recording lacks.
+pub const LOSSES: &str = "/flockeye/recording/loss";
+
+impl ChannelKind {
+    /// Of a topic of the contract.
+    pub fn of_topic(layout: &TopicLayout) -> Self {
+        Self {
+            topic: layout.channel(),
+            message: layout.message_name(),
+            definition: definition::of_topic(layout),
+        }
+    }
+
+    /// Of a neighbour's poses. Both names are those in ROS.
+    pub fn of_poses(observer: &str, target: &str) -> Self {
+        Self {
+            topic: format!("/{observer}/neighbours/{target}/pose"),
+            message: "geometry_msgs/msg/PoseWithCovarianceStamped".to_owned(),
+            definition: definition::POSE.to_owned(),
+        }
+    }
+
+    /// Of all transforms.
+    pub fn of_transforms() -> Self {
+        Self {
+            topic: "/tf".to_owned(),
+            message: "tf2_msgs/msg/TFMessage".to_owned(),
+            definition: definition::TRANSFORMS.to_owned(),
+        }
+    }
+
+    /// Of pixels as they are.
+    pub fn of_view_images() -> Self {
+        Self {
+            topic: VIEW_IMAGES.to_owned(),
+            message: "sensor_msgs/msg/Image".to_owned(),
+            definition: definition::IMAGE.to_owned(),
+        }
+    }
+
+    /// Of compressed pictures.
+    pub fn of_frame_images() -> Self {
+        Self {
+            topic: FRAME_IMAGES.to_owned(),
+            message: "sensor_msgs/msg/CompressedImage".to_owned(),
+            definition: definition::COMPRESSED_IMAGE.to_owned(),
+        }
+    }
+
+    /// Of what the recording lacks.
+    pub fn of_losses() -> Self {
+        Self {
+            topic: LOSSES.to_owned(),
+            message: "flockeye_msgs/msg/Loss".to_owned(),
+            definition: definition::LOSS.to_owned(),
+        }
+    }
+}

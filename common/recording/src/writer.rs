@@ -1,0 +1,216 @@
+//! Writes a recording.
+//!
+//! The MCAP library writes to memory, and only whole records go from there to the file. So a write that fails
+//! never leaves the library in an unknown state, and what is in the file can always be read.
+
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use mcap::records::{MessageHeader, Metadata};
+use mcap::write::NoSeek;
+use mcap::{Attachment, Compression, WriteOptions, Writer};
+
+use crate::channel::ChannelKind;
+use crate::error::RecordingError;
+use crate::file::RecordingFile;
+
+/// The name of the metadata that every recording begins with.
+pub(crate) const METADATA: &str = "flockeye";
+
+/// The largest message, bytes: a frame of 8192x8192 pixels. Readers refuse larger ones, before they take memory.
+pub const LARGEST_MESSAGE: usize = 67_108_864;
+
+/// A chunk is ended once it has so many bytes before compression.
+const CHUNK_BYTES: u64 = 1 << 20;
+
+/// What a recording says of itself.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct About {
+    /// UTC less CLOCK_MONOTONIC, nanoseconds: times of messages are UTC.
+    pub utc_from_monotonic_ns: i64,
+    /// Names and values for whoever opens the file.
+    pub metadata: BTreeMap<String, String>,
+    /// Files in the file: name, media type and bytes.
+    pub attachments: Vec<(String, String, Vec<u8>)>,
+}
+
+/// Bytes on their way to the file.
+#[derive(Debug, Clone, Default)]
+struct Spool(Arc<Mutex<Vec<u8>>>);
+
+impl Spool {
+    fn take(&self) -> Vec<u8> {
+        // A thread that panicked while it held the lock left the bytes valid.
+        std::mem::take(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}
+
+impl Write for Spool {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).extend_from_slice(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+/// A recording that is being written.
+pub struct RecordingWriter {
+    mcap: Writer<NoSeek<Spool>>,
+    spool: Spool,
+    file: RecordingFile,
+    channels: BTreeMap<ChannelKind, Channel>,
+    utc_from_monotonic_ns: i64,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Channel {
+    id: u16,
+    next_sequence: u32,
+}
+
+impl RecordingWriter {
+    /// Begins a recording.
+    ///
+    /// # Errors
+    /// [`RecordingError::File`], [`RecordingError::DiskFull`].
+    pub fn begin(file: RecordingFile, about: &About) -> Result<Self, RecordingError> {
+        let spool = Spool::default();
+        let options = WriteOptions::new()
+            .profile("ros2")
+            .library(concat!("flockeye ", env!("CARGO_PKG_VERSION")))
+            .compression(Some(Compression::Zstd))
+            // The fastest: a recorder must not take the processor from the flight.
+            .compression_level(1)
+            .compression_threads(0)
+            .chunk_size(Some(CHUNK_BYTES))
+            .disable_seeking(true);
+        let mut mcap = options.create(NoSeek::new(spool.clone()))?;
+        let mut metadata = about.metadata.clone();
+        let offset = about.utc_from_monotonic_ns.to_string();
+        metadata.insert("utc_from_monotonic_ns".to_owned(), offset);
+        mcap.write_metadata(&Metadata { name: METADATA.to_owned(), metadata })?;
+        for (name, media_type, data) in &about.attachments {
+            mcap.attach(&Attachment {
+                log_time: 0,
+                create_time: 0,
+                name: name.clone(),
+                media_type: media_type.clone(),
+                data: data.into(),
+            })?;
+        }
+        let channels = BTreeMap::new();
+        let utc_from_monotonic_ns = about.utc_from_monotonic_ns;
+        let mut writer = Self { mcap, spool, file, channels, utc_from_monotonic_ns };
+        writer.move_to_file()?;
+        Ok(writer)
+    }
+
+    /// Writes a message that came at `at_ns`, CLOCK_MONOTONIC. Returns its number in its channel.
+    ///
+    /// # Errors
+    /// [`RecordingError::DiskFull`]: end the recording; [`RecordingError::File`]: what was written before is in
+    /// the file. [`RecordingError::Message`] for one that is too large, after which the recording goes on.
+    pub fn write(
+        &mut self,
+        kind: &ChannelKind,
+        at_ns: i64,
+        message: &[u8],
+    ) -> Result<u32, RecordingError> {
+        let utc_ns = at_ns.saturating_add(self.utc_from_monotonic_ns);
+        let utc_ns = u64::try_from(utc_ns).unwrap_or(0);
+        let sequence = self.channels.get(kind).map_or(0, |channel| channel.next_sequence);
+        self.write_as(kind, sequence, utc_ns, message)?;
+        Ok(sequence)
+    }
+
+    /// Writes a message with this number in its channel, and this time, UTC nanoseconds.
+    ///
+    /// # Errors
+    /// As [`RecordingWriter::write`].
+    pub fn write_as(
+        &mut self,
+        kind: &ChannelKind,
+        sequence: u32,
+        utc_ns: u64,
+        message: &[u8],
+    ) -> Result<(), RecordingError> {
+        if message.len() > LARGEST_MESSAGE {
+            let (channel, length) = (kind.topic.clone(), message.len());
+            let reason = format!("has {length} bytes; a recording takes {LARGEST_MESSAGE} at most");
+            return Err(RecordingError::Message { channel, reason });
+        }
+        let channel_id = match self.channels.get_mut(kind) {
+            Some(channel) => {
+                channel.next_sequence = sequence.wrapping_add(1);
+                channel.id
+            }
+            None => self.add(kind, sequence)?,
+        };
+        let header = MessageHeader { channel_id, sequence, log_time: utc_ns, publish_time: utc_ns };
+        self.mcap.write_to_known_channel(&header, message)?;
+        self.move_to_file()
+    }
+
+    fn add(&mut self, kind: &ChannelKind, sequence: u32) -> Result<u16, RecordingError> {
+        let schema = self.mcap.add_schema(&kind.message, "ros2msg", kind.definition.as_bytes())?;
+        let id = self.mcap.add_channel(schema, &kind.topic, "cdr", &BTreeMap::new())?;
+        let next_sequence = sequence.wrapping_add(1);
+        self.channels.insert(kind.clone(), Channel { id, next_sequence });
+        Ok(id)
+    }
+
+    /// Ends the chunk, and waits until the disk has it: a crash later loses nothing of what came before.
+    ///
+    /// # Errors
+    /// As [`RecordingWriter::write`].
+    pub fn flush(&mut self) -> Result<(), RecordingError> {
+        self.mcap.flush()?;
+        self.move_to_file()?;
+        self.file.sync()
+    }
+
+    /// Leaves so much of the disk free from now on, instead of 16 MB.
+    pub fn leave_free(&mut self, bytes: u64) {
+        self.file.leave_free(bytes);
+    }
+
+    /// Bytes in the file.
+    pub fn bytes(&self) -> u64 {
+        self.file.bytes()
+    }
+
+    /// The file.
+    pub fn path(&self) -> &std::path::Path {
+        self.file.path()
+    }
+
+    /// Ends the recording with its index. Returns the bytes of the file.
+    ///
+    /// # Errors
+    /// [`RecordingError::File`]: then the file has no index, and can be read all the same.
+    pub fn finish(mut self) -> Result<u64, RecordingError> {
+        self.mcap.finish()?;
+        self.file.append_last(&self.spool.take())?;
+        self.file.sync()?;
+        Ok(self.file.bytes())
+    }
+
+    fn move_to_file(&mut self) -> Result<(), RecordingError> {
+        let bytes = self.spool.take();
+        if bytes.is_empty() {
+            return Ok(());
+        }
+        match self.file.append(&bytes) {
+            // There is room for what is here already, and for the end: both are written by `finish`.
+            Err(error @ RecordingError::DiskFull { .. }) => {
+                self.spool.clone().write_all(&bytes).ok();
+                Err(error)
+            }
+            other => other,
+        }
+    }
+}

@@ -1,0 +1,264 @@
+//! Recordings as files: whole, cut off, damaged, and no recordings at all.
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+
+use std::fs::File;
+use std::io::{Seek, SeekFrom, Write};
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+
+use flockeye_contract::{FrameStamp, Text, TrackHeader};
+use flockeye_recording::file::RecordingFile;
+use flockeye_recording::message::{decode, encode};
+use flockeye_recording::recover::recover;
+use flockeye_recording::{
+    About, ChannelKind, ContractMessage, Ending, Reader, RecordingError, RecordingWriter,
+    TopicLayout, layouts,
+};
+
+fn tracks() -> TopicLayout {
+    layouts().into_iter().find(|layout| layout.service == "flockeye/track").unwrap()
+}
+
+fn message(sequence: u64) -> ContractMessage {
+    let stamp =
+        FrameStamp { sequence, exposure_ns: 1_000 * sequence as i64, ..FrameStamp::default() };
+    let header = TrackHeader { stamp, generation: 3, is_last: 1 };
+    ContractMessage { header: bytemuck::bytes_of(&header).to_vec(), ..ContractMessage::default() }
+}
+
+fn about() -> About {
+    About {
+        utc_from_monotonic_ns: 1_700_000_000_000_000_000,
+        metadata: [("observer".to_owned(), "wren".to_owned())].into(),
+        attachments: vec![("pipeline.json".into(), "application/json".into(), b"{}".to_vec())],
+    }
+}
+
+/// A recording of `chunks` chunks of ten messages each; ended, or as a killed recorder leaves it.
+fn record(path: &Path, chunks: u64, is_ended: bool) {
+    let mut writer =
+        RecordingWriter::begin(RecordingFile::create(path).unwrap(), &about()).unwrap();
+    let (layout, kind) = (tracks(), ChannelKind::of_topic(&tracks()));
+    for sequence in 0..chunks * 10 {
+        let cdr = encode(&layout, &message(sequence)).unwrap();
+        assert_eq!(writer.write(&kind, sequence as i64, &cdr).unwrap(), sequence as u32);
+        if sequence % 10 == 9 {
+            writer.flush().unwrap();
+        }
+    }
+    if is_ended {
+        writer.finish().unwrap();
+    }
+}
+
+/// What can be read, and how it ends.
+fn read(path: &Path) -> Result<(Vec<ContractMessage>, Ending), RecordingError> {
+    let mut reader = Reader::open(path)?;
+    let mut found = Vec::new();
+    while let Some(message) = reader.next_message()? {
+        assert_eq!(message.channel.topic, "/flockeye/track");
+        found.push(decode(&tracks(), &message.bytes)?);
+    }
+    Ok((found, reader.ending().unwrap()))
+}
+
+fn scratch() -> (tempfile::TempDir, PathBuf) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("flight.mcap");
+    (folder, path)
+}
+
+#[test]
+fn a_recording_comes_back_with_all_that_it_says_of_itself() {
+    let (_folder, path) = scratch();
+    record(&path, 3, true);
+    let (found, ending) = read(&path).unwrap();
+    assert_eq!(ending, Ending::Whole);
+    assert_eq!(found, (0..30).map(message).collect::<Vec<_>>());
+    let mut reader = Reader::open(&path).unwrap();
+    assert_eq!(reader.about().metadata["observer"], "wren");
+    assert_eq!(reader.about().attachments, about().attachments);
+    let first = reader.next_message().unwrap().unwrap();
+    assert_eq!(first.utc_ns, about().utc_from_monotonic_ns as u64);
+    assert_eq!(*first.channel, ChannelKind::of_topic(&tracks()));
+}
+
+#[test]
+fn a_recording_that_was_cut_off_anywhere_gives_all_that_came_before() {
+    let (_folder, path) = scratch();
+    record(&path, 3, false);
+    let bytes = std::fs::read(&path).unwrap();
+    assert_eq!(
+        read(&path).unwrap().0.len(),
+        30,
+        "a killed recorder loses nothing that was flushed"
+    );
+    let mut most = 0;
+    for length in 1..bytes.len() {
+        std::fs::write(&path, &bytes[..length]).unwrap();
+        match read(&path) {
+            Ok((found, ending)) => {
+                assert_eq!(ending, Ending::Cut, "{length} bytes");
+                assert!(found.len().is_multiple_of(10) && found.len() >= most, "{length} bytes");
+                most = found.len();
+            }
+            // So little is left that nothing tells whose file it is.
+            Err(error) => {
+                let said = error.to_string();
+                assert!(most == 0 && said.contains("Cure:"), "{length} bytes: {said}");
+            }
+        }
+    }
+    // What is missing at last is only a part of the last chunk's index.
+    assert_eq!(most, 30);
+}
+
+#[test]
+fn a_recording_ends_whole_before_the_disk_is_full() {
+    let (_folder, path) = scratch();
+    let mut writer =
+        RecordingWriter::begin(RecordingFile::create(&path).unwrap(), &about()).unwrap();
+    let (layout, kind) = (tracks(), ChannelKind::of_topic(&tracks()));
+    let write = |writer: &mut RecordingWriter, sequence| {
+        let cdr = encode(&layout, &message(sequence)).unwrap();
+        writer.write(&kind, sequence as i64, &cdr).unwrap();
+        writer.flush()
+    };
+    (0..5).for_each(|sequence| write(&mut writer, sequence).unwrap());
+    // More than any disk has: so it is as good as full.
+    writer.leave_free(u64::MAX);
+    let error = write(&mut writer, 5).unwrap_err();
+    assert!(matches!(error, RecordingError::DiskFull { .. }), "{error}");
+    assert!(error.to_string().contains("so the recording ends here, whole. Cure:"), "{error}");
+    writer.finish().unwrap();
+    let (found, ending) = read(&path).unwrap();
+    assert_eq!((found, ending), ((0..6).map(message).collect(), Ending::Whole));
+}
+
+#[test]
+fn what_is_whole_of_a_broken_recording_is_recovered() {
+    let (folder, path) = scratch();
+    record(&path, 3, false);
+    let bytes = std::fs::read(&path).unwrap();
+    let last_chunk = bytes.windows(4).rposition(|bytes| bytes == b"zstd").unwrap();
+    std::fs::write(&path, &bytes[..last_chunk + 40]).unwrap();
+    let good = folder.path().join("good.mcap");
+    let recovered = recover(&path, &good).unwrap();
+    assert_eq!((recovered.messages, recovered.was_whole), (20, false));
+    let (found, ending) = read(&good).unwrap();
+    assert_eq!((found.len(), ending), (20, Ending::Whole));
+    let about = Reader::open(&good).unwrap().about().clone();
+    assert_eq!((about.metadata["observer"].as_str(), about.attachments.len()), ("wren", 1));
+    let error = recover(&path, &good).unwrap_err().to_string();
+    assert!(error.contains("is there already"), "{error}");
+}
+
+#[test]
+fn a_damaged_recording_is_named_with_place_and_cure() {
+    let (folder, path) = scratch();
+    record(&path, 3, true);
+    let bytes = std::fs::read(&path).unwrap();
+    let mut refused = 0;
+    for place in (0..bytes.len()).step_by(7) {
+        let mut damaged = bytes.clone();
+        damaged[place] ^= 0x5a;
+        std::fs::write(&path, &damaged).unwrap();
+        // Not each byte is guarded by a sum, but none makes it panic or run on.
+        if let Err(error) = read(&path) {
+            let said = error.to_string();
+            assert!(said.contains("flight.mcap") || said.starts_with("a message of"), "{said}");
+            refused += 1;
+        }
+    }
+    assert!(refused > bytes.len() / 7 / 4, "{refused} of {}", bytes.len() / 7);
+    // In the middle of the first chunk, and of the second.
+    let all = bytes.windows(4).enumerate().filter(|(_, bytes)| bytes == b"zstd");
+    let chunks: Vec<usize> = all.map(|(place, _)| place).take(2).collect();
+    for (number, chunk) in chunks.into_iter().enumerate() {
+        let mut damaged = bytes.clone();
+        damaged[chunk + 60] ^= 0xff;
+        std::fs::write(&path, &damaged).unwrap();
+        let error = read(&path).unwrap_err().to_string();
+        assert!(
+            error.contains("damaged near byte") && error.contains("Cure: `flockeye record"),
+            "{error}"
+        );
+        let good = folder.path().join(format!("good-{number}.mcap"));
+        let recovered = recover(&path, &good).unwrap();
+        assert_eq!((recovered.messages, recovered.damage.is_some()), (10 * number as u64, true));
+        let (found, ending) = read(&good).unwrap();
+        assert_eq!((found.len(), ending), (10 * number, Ending::Whole));
+    }
+}
+
+#[test]
+fn what_is_no_recording_is_refused_with_a_cure() {
+    let (folder, path) = scratch();
+    let refused = |bytes: &[u8]| {
+        std::fs::write(&path, bytes).unwrap();
+        let error = Reader::open(&path).map(drop).expect_err("refused").to_string();
+        assert!(error.contains("flight.mcap") && error.contains("Cure:"), "{error}");
+        error
+    };
+    assert!(refused(b"").contains("is empty"));
+    assert!(refused(b"a text, and no recording at all").contains("is no MCAP file"));
+    assert!(refused(&[0; 4096]).contains("is no MCAP file"));
+    let mut bytes = Vec::new();
+    let mut foreign = mcap::Writer::new(std::io::Cursor::new(&mut bytes)).unwrap();
+    foreign.finish().unwrap();
+    drop(foreign);
+    assert!(refused(&bytes).contains("no metadata 'flockeye'"));
+    let error = Reader::open(folder.path()).map(drop).unwrap_err().to_string();
+    assert!(error.contains("is a directory"), "{error}");
+    let error = Reader::open(&folder.path().join("none.mcap")).map(drop).unwrap_err().to_string();
+    assert!(error.contains("none.mcap: No such file"), "{error}");
+}
+
+/// Peak resident memory of this process, bytes.
+fn peak_bytes() -> u64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap();
+    let line = status.lines().find(|line| line.starts_with("VmHWM:")).unwrap();
+    line.split_whitespace().nth(1).unwrap().parse::<u64>().unwrap() * 1024
+}
+
+#[test]
+fn a_file_of_100_gigabytes_of_nothing_is_refused_at_once() {
+    let (_folder, path) = scratch();
+    let length = 100_000_000_000;
+    File::create(&path).unwrap().set_len(length).unwrap();
+    let error = Reader::open(&path).map(drop).unwrap_err().to_string();
+    assert!(error.contains("is no MCAP file"), "{error}");
+    std::fs::remove_file(&path).unwrap();
+    // A recording whose rest a crash has left as a hole.
+    record(&path, 2, false);
+    File::options().write(true).open(&path).unwrap().set_len(length).unwrap();
+    let error = read(&path).unwrap_err().to_string();
+    assert!(error.contains("zeros where a record should be"), "{error}");
+    // A record that says it is as large as the file.
+    let mut file = File::options().write(true).open(&path).unwrap();
+    let end = file.seek(SeekFrom::Start(0)).unwrap();
+    assert_eq!(end, 0);
+    file.write_all(mcap::MAGIC).unwrap();
+    file.write_all(&[6]).unwrap();
+    file.write_all(&(length - 100).to_le_bytes()).unwrap();
+    let before = peak_bytes();
+    let error = Reader::open(&path).map(drop).unwrap_err().to_string();
+    assert!(error.contains("damaged near byte"), "{error}");
+    assert!(peak_bytes() < before + 500_000_000, "{} bytes", peak_bytes());
+    assert!(std::fs::metadata(&path).unwrap().blocks() < 10_000, "it has stayed sparse");
+}
+
+#[test]
+fn texts_are_as_they_were() {
+    let layout = layouts().into_iter().find(|layout| layout.service == "flockeye/health").unwrap();
+    let health = flockeye_contract::Health {
+        stage: "fusion".into(),
+        detail: Text::from("turning 3 degrees/s \u{00b1} 1"),
+        ..flockeye_contract::Health::default()
+    };
+    let message = ContractMessage {
+        header: bytemuck::bytes_of(&health).to_vec(),
+        ..ContractMessage::default()
+    };
+    assert_eq!(decode(&layout, &encode(&layout, &message).unwrap()).unwrap(), message);
+}

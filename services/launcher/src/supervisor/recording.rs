@@ -1,0 +1,196 @@
+//! The recorder of a pipeline that records every flight (`recording` in pipeline.yaml): a process that looks on,
+//! so nothing waits for it once it has begun.
+
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::SyncSender;
+use std::time::{Duration, Instant, SystemTime};
+
+use anyhow::Context;
+use flockeye_cli::program;
+use flockeye_config::{RecordedFrames, Recording, RecordingTrigger};
+use flockeye_runtime::backoff::Backoff;
+use flockeye_runtime::instance::Instance;
+use rustix::process::{Pid, Signal, kill_process};
+
+use crate::process::{LineSink, LogLine};
+
+/// How long it may take to write what waits, and the index.
+const STOP_TIME: Duration = Duration::from_secs(10);
+/// The first and the longest wait before it is started again.
+const BACKOFF: [Duration; 2] = [Duration::from_millis(100), Duration::from_secs(10)];
+
+/// The recorder's process.
+pub struct Recorder {
+    /// Program and arguments before the file.
+    program: Vec<String>,
+    folder: std::path::PathBuf,
+    instance: Instance,
+    lines: LineSink,
+    child: Option<Child>,
+    backoff: Backoff,
+    retry_at: Option<Instant>,
+    started: Instant,
+}
+
+impl Recorder {
+    /// The recorder that is configured, if one is. It does not run yet.
+    ///
+    /// # Errors
+    /// Its program or its folder is not there.
+    pub fn of(
+        recording: &Recording,
+        instance: &Instance,
+        log: SyncSender<LogLine>,
+    ) -> anyhow::Result<Option<Self>> {
+        let Some(folder) = &recording.folder else { return Ok(None) };
+        std::fs::create_dir_all(folder)
+            .with_context(|| format!("recording.folder: cannot make {}", folder.display()))?;
+        let path = program::find("flockeye-recorder").context("recording.folder is set")?;
+        Ok(Some(Self {
+            program: [vec![path.to_string_lossy().into_owned()], arguments(recording)].concat(),
+            folder: folder.clone(),
+            instance: instance.clone(),
+            lines: LineSink::new("recorder".to_owned(), log),
+            child: None,
+            backoff: Backoff::new(BACKOFF[0], BACKOFF[1]),
+            retry_at: None,
+            started: Instant::now(),
+        }))
+    }
+
+    /// Starts it with a new file.
+    ///
+    /// # Errors
+    /// The system cannot start a process.
+    pub fn start(&mut self) -> anyhow::Result<()> {
+        let file = new_file(&self.folder, self.instance.name());
+        // Not by its path: an update may have put another file there.
+        let mut command = Command::new("/proc/self/exe");
+        command
+            .args(["exec-stage", "--parent", &std::process::id().to_string(), "--"])
+            .args(&self.program)
+            .args(["--instance", self.instance.name(), "--"])
+            .arg(&file)
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped());
+        let mut child = command.spawn().context("cannot start the recorder")?;
+        if let Some(stdout) = child.stdout.take() {
+            self.lines.forward(stdout);
+        }
+        if let Some(stderr) = child.stderr.take() {
+            self.lines.forward(stderr);
+        }
+        (self.child, self.retry_at, self.started) = (Some(child), None, Instant::now());
+        Ok(())
+    }
+
+    /// Whether it has joined, so that it misses nothing.
+    pub fn has_joined(&self) -> bool {
+        let Some(child) = &self.child else { return false };
+        self.instance.folder().join("recorders").join(child.id().to_string()).exists()
+    }
+
+    /// Starts it again if it has ended, after `clean` has freed what it had. Returns what there is to say.
+    pub fn attend(&mut self, clean: impl FnOnce()) -> Option<String> {
+        if self.retry_at.is_some_and(|at| Instant::now() >= at) {
+            clean();
+            return match self.start() {
+                Ok(()) => Some("the recorder is started again".to_owned()),
+                Err(error) => {
+                    self.retry_at = Some(Instant::now() + self.backoff.after_failure());
+                    Some(format!("{error:#}"))
+                }
+            };
+        }
+        let status = self.child.as_mut()?.try_wait().ok()??;
+        self.child = None;
+        if self.started.elapsed() > BACKOFF[1] {
+            self.backoff.reset();
+        }
+        let wait = self.backoff.after_failure();
+        self.retry_at = Some(Instant::now() + wait);
+        let wait_s = wait.as_secs_f64();
+        Some(format!("the recorder has ended ({status}); it is started again in {wait_s:.1} s"))
+    }
+
+    /// Has it write what it has, and waits for its end. Returns what there is to say.
+    pub fn stop(&mut self) -> Option<String> {
+        self.retry_at = None;
+        let mut child = self.child.take()?;
+        // One that has ended needs no signal.
+        kill_process(Pid::from_child(&child), Signal::TERM).ok();
+        let deadline = Instant::now() + STOP_TIME;
+        while Instant::now() < deadline {
+            if !matches!(child.try_wait(), Ok(None)) {
+                // Its last lines may not have arrived yet.
+                std::thread::sleep(Duration::from_millis(20));
+                return None;
+            }
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        // It has ended, or it is not ours to end.
+        child.kill().ok();
+        child.wait().ok();
+        let cure = "Cure: `flockeye record --recover`, and a faster disk";
+        Some(format!("the recorder did not end and was killed; its file has no index. {cure}"))
+    }
+}
+
+/// The arguments of `flockeye record` that a configuration means.
+fn arguments(recording: &Recording) -> Vec<String> {
+    let mut arguments = vec!["--frames".to_owned()];
+    arguments.push(match recording.frames {
+        RecordedFrames::None => "none".to_owned(),
+        RecordedFrames::Views => "views".to_owned(),
+        RecordedFrames::Every => format!("every {}", recording.every),
+    });
+    match recording.trigger {
+        None => arguments.extend(["--split".to_owned(), format!("{}MB", recording.split_mb)]),
+        Some(trigger) => {
+            let trigger = match trigger {
+                RecordingTrigger::Lost => "lost",
+                RecordingTrigger::Request => "request",
+            };
+            arguments.extend(["--trigger".to_owned(), trigger.to_owned()]);
+            let past_ms = (recording.past_s * 1e3) as u64;
+            arguments.extend(["--past".to_owned(), format!("{past_ms}ms")]);
+        }
+    }
+    arguments
+}
+
+/// A file that is not there yet: `INSTANCE-20260102T030405Z.mcap`.
+fn new_file(folder: &Path, instance: &str) -> std::path::PathBuf {
+    let now = humantime::format_rfc3339_seconds(SystemTime::now()).to_string();
+    let now = now.replace(['-', ':'], "");
+    let names = (0..).map(|count: u32| match count {
+        0 => format!("{instance}-{now}.mcap"),
+        count => format!("{instance}-{now}-{count}.mcap"),
+    });
+    let mut paths = names.map(|name| folder.join(name));
+    // There is always one more number.
+    paths.find(|path| !path.exists()).unwrap_or_else(|| folder.join("flight.mcap"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_configuration_becomes_arguments() {
+        let recording =
+            Recording { frames: RecordedFrames::Every, every: 7, ..Recording::default() };
+        assert_eq!(arguments(&recording), ["--frames", "every 7", "--split", "1000MB"]);
+        let recording = Recording {
+            trigger: Some(RecordingTrigger::Lost),
+            past_s: 2.5,
+            ..Recording::default()
+        };
+        assert_eq!(
+            arguments(&recording),
+            ["--frames", "none", "--trigger", "lost", "--past", "2500ms"]
+        );
+    }
+}

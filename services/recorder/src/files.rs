@@ -1,0 +1,180 @@
+//! The files of a recorder: begun, split, ended.
+
+use std::path::{Path, PathBuf};
+
+use flockeye_recording::file::RecordingFile;
+use flockeye_recording::{About, RecordingError, RecordingWriter};
+
+use crate::core::Output;
+
+/// Where messages go.
+pub struct Files {
+    first: PathBuf,
+    about: About,
+    split_bytes: Option<u64>,
+    writer: Option<RecordingWriter>,
+    /// How many were begun.
+    count: u32,
+    messages: u64,
+    bytes: u64,
+}
+
+impl Files {
+    /// Files beginning with `first`, which is split at so many bytes. None is created yet.
+    pub fn new(first: &Path, about: About, split_bytes: Option<u64>) -> Self {
+        let (writer, count, messages, bytes) = (None, 0, 0, 0);
+        Self { first: first.to_owned(), about, split_bytes, writer, count, messages, bytes }
+    }
+
+    /// Begins the first file, or the next.
+    ///
+    /// # Errors
+    /// It cannot be created: [`RecordingError`].
+    pub fn begin(&mut self) -> Result<(), RecordingError> {
+        let path = match self.count {
+            0 => self.first.clone(),
+            count => beside(&self.first, &format!("-{count}")),
+        };
+        self.begin_at(&path)
+    }
+
+    /// Begins a file of its own for what came before something: `flight-20260102T030405Z.mcap`.
+    ///
+    /// # Errors
+    /// As [`Files::begin`].
+    pub fn begin_dated(&mut self, utc_ns: i64) -> Result<PathBuf, RecordingError> {
+        let since = std::time::Duration::from_nanos(u64::try_from(utc_ns).unwrap_or(0));
+        let time = humantime::format_rfc3339_seconds(std::time::UNIX_EPOCH + since).to_string();
+        let time = time.replace(['-', ':'], "");
+        let path = beside(&self.first, &format!("-{time}"));
+        match self.begin_at(&path) {
+            // Twice in a second.
+            Err(RecordingError::Exists { .. }) => {
+                let path = beside(&self.first, &format!("-{time}-{}", self.count));
+                self.begin_at(&path)?;
+                Ok(path)
+            }
+            other => other.map(|()| path),
+        }
+    }
+
+    fn begin_at(&mut self, path: &Path) -> Result<(), RecordingError> {
+        self.about.metadata.insert("file".to_owned(), self.count.to_string());
+        let file = RecordingFile::create(path)?;
+        self.writer = Some(RecordingWriter::begin(file, &self.about)?);
+        self.count += 1;
+        Ok(())
+    }
+
+    /// Writes a message that came at `at_ns`, CLOCK_MONOTONIC.
+    ///
+    /// # Errors
+    /// As [`RecordingWriter::write`], [`Files::begin`] and [`Files::end`].
+    pub fn write(&mut self, at_ns: i64, output: &Output) -> Result<(), RecordingError> {
+        let is_full = self
+            .writer
+            .as_ref()
+            .is_some_and(|writer| self.split_bytes.is_some_and(|split| writer.bytes() >= split));
+        if is_full {
+            self.end()?;
+            self.begin()?;
+        }
+        if let Some(writer) = &mut self.writer {
+            writer.write(&output.channel, at_ns, &output.bytes)?;
+            self.messages += 1;
+        }
+        Ok(())
+    }
+
+    /// Has the disk take what was written.
+    ///
+    /// # Errors
+    /// As [`RecordingWriter::flush`].
+    pub fn flush(&mut self) -> Result<(), RecordingError> {
+        self.writer.as_mut().map_or(Ok(()), RecordingWriter::flush)
+    }
+
+    /// Ends the file that is being written.
+    ///
+    /// # Errors
+    /// As [`RecordingWriter::finish`].
+    pub fn end(&mut self) -> Result<(), RecordingError> {
+        if let Some(writer) = self.writer.take() {
+            self.bytes += writer.finish()?;
+        }
+        Ok(())
+    }
+
+    /// How many files and messages were written, and the bytes of the files that were ended.
+    pub fn written(&self) -> (u32, u64, u64) {
+        (self.count, self.messages, self.bytes)
+    }
+}
+
+/// A path with something at the end of its name, before the extension.
+fn beside(path: &Path, added: &str) -> PathBuf {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let extension = path.extension().unwrap_or_default().to_string_lossy().into_owned();
+    let dot = if extension.is_empty() { "" } else { "." };
+    path.with_file_name(format!("{stem}{added}{dot}{extension}"))
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use flockeye_recording::{ChannelKind, Reader};
+    use std::sync::Arc;
+
+    /// Bytes that cannot be compressed.
+    fn noise(seed: u64) -> Vec<u8> {
+        let mut state = seed.wrapping_mul(2).wrapping_add(1);
+        (0..100_000)
+            .map(|_| {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+                (state >> 56) as u8
+            })
+            .collect()
+    }
+
+    #[test]
+    fn a_recording_is_split_and_no_message_is_lost() {
+        let folder = tempfile::tempdir().unwrap();
+        let first = folder.path().join("flight.mcap");
+        let mut files = Files::new(&first, About::default(), Some(1_000_000));
+        files.begin().unwrap();
+        let channel = Arc::new(ChannelKind::of_losses());
+        for at_ns in 0..40 {
+            let output = Output { channel: channel.clone(), bytes: noise(at_ns as u64) };
+            files.write(at_ns, &output).unwrap();
+        }
+        files.end().unwrap();
+        let (count, messages, bytes) = files.written();
+        assert_eq!(messages, 40);
+        assert!(count >= 3 && bytes > 4_000_000, "{count} files, {bytes} bytes");
+        let mut next = 0;
+        for number in 0..count {
+            let name =
+                if number == 0 { "flight.mcap".into() } else { format!("flight-{number}.mcap") };
+            let mut reader = Reader::open(&folder.path().join(name)).unwrap();
+            assert_eq!(reader.about().metadata["file"], number.to_string());
+            while let Some(message) = reader.next_message().unwrap() {
+                assert_eq!(message.bytes, noise(next));
+                next += 1;
+            }
+        }
+        assert_eq!(next, 40);
+    }
+
+    #[test]
+    fn files_of_what_came_before_are_named_by_their_time() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut files = Files::new(&folder.path().join("lost.mcap"), About::default(), None);
+        let named = |path: PathBuf| path.file_name().unwrap().to_string_lossy().into_owned();
+        let at_ns = 1_700_000_000_000_000_000;
+        assert_eq!(named(files.begin_dated(at_ns).unwrap()), "lost-20231114T221320Z.mcap");
+        files.end().unwrap();
+        assert_eq!(named(files.begin_dated(at_ns).unwrap()), "lost-20231114T221320Z-1.mcap");
+        files.end().unwrap();
+    }
+}

@@ -1,0 +1,198 @@
+//! Receives every topic of the contract, and notices what was lost.
+
+use flockeye_contract::{FrameHeader, PlanHeader, TOPICS, Topic, TopicId, TopicVisitor};
+use flockeye_recording::ContractMessage;
+use flockeye_runtime::clock;
+use flockeye_runtime::memory::Budget;
+use flockeye_runtime::ports::{PortError, Ports, Sender, Subscriber};
+
+use crate::arguments::FramesChoice;
+use crate::entry::Entry;
+use crate::queue::Queue;
+
+/// All topics of a pipeline.
+pub struct Inputs {
+    inputs: Vec<Box<dyn Input>>,
+}
+
+/// One lane of a topic.
+trait Input {
+    /// Hands over all messages that have come.
+    fn drain(&mut self, queue: &Queue) -> Result<(), PortError>;
+}
+
+impl Inputs {
+    /// Subscribes to all topics. One that has no room for another reader is left out, unless its pictures are wanted.
+    ///
+    /// # Errors
+    /// That, or a topic that is not there.
+    pub fn open(ports: &mut Ports, budget: &Budget, frames: FramesChoice) -> anyhow::Result<Self> {
+        let mut opening = Opening { ports, budget, frames, inputs: Vec::new() };
+        flockeye_contract::visit_topics(&mut opening)?;
+        Ok(Self { inputs: opening.inputs })
+    }
+
+    /// Hands over all messages that have come.
+    ///
+    /// # Errors
+    /// A topic cannot be read.
+    pub fn drain(&mut self, queue: &Queue) -> anyhow::Result<()> {
+        self.inputs.iter_mut().try_for_each(|input| input.drain(queue))?;
+        Ok(())
+    }
+}
+
+struct Opening<'o> {
+    ports: &'o mut Ports,
+    budget: &'o Budget,
+    frames: FramesChoice,
+    inputs: Vec<Box<dyn Input>>,
+}
+
+impl TopicVisitor for Opening<'_> {
+    type Error = anyhow::Error;
+
+    fn visit<T: Topic + 'static>(&mut self) -> anyhow::Result<()> {
+        let pixels = match (T::INFO.id, self.frames) {
+            (TopicId::Views, FramesChoice::Views) => Pixels::All,
+            (TopicId::Frames, FramesChoice::Every(count)) => Pixels::Every(count),
+            _ => Pixels::None,
+        };
+        let subscribers = match self.ports.subscribers_of_all_lanes::<T>() {
+            Ok(subscribers) => subscribers,
+            Err(error) if pixels == Pixels::None => {
+                tracing::warn!(
+                    topic = T::NAME,
+                    "not recorded: {error}. Cure: end other tools that look on"
+                );
+                return Ok(());
+            }
+            Err(error) => return Err(error.into()),
+        };
+        // The table of topics has a row for each.
+        let topic = TOPICS.iter().position(|topic| topic.id == T::INFO.id).unwrap_or(0);
+        let limits = self.budget.topic::<T>();
+        // Publishers with patience wait for a reader whose buffer is full.
+        let buffer = if limits.patience.is_some() { usize::MAX } else { limits.buffer };
+        for subscriber in subscribers {
+            let numbering = None;
+            self.inputs.push(Box::new(Lane { subscriber, topic, buffer, pixels, numbering }));
+        }
+        Ok(())
+    }
+}
+
+/// Which pixels are recorded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Pixels {
+    None,
+    All,
+    /// Of frames whose number is a multiple of this.
+    Every(u64),
+}
+
+struct Lane<T: Topic> {
+    subscriber: Subscriber<T>,
+    topic: usize,
+    /// Messages of one sender that wait here at most.
+    buffer: usize,
+    pixels: Pixels,
+    numbering: Option<Numbering>,
+}
+
+/// The number of a message among those that rise by one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Numbering {
+    /// Numbers begin anew where this changes.
+    of: (u32, u32),
+    number: u64,
+}
+
+impl Numbering {
+    /// Of a frame or plan.
+    fn of<T: Topic>(header: &T::Header) -> Option<Self> {
+        let bytes = bytemuck::bytes_of(header);
+        match T::INFO.id {
+            TopicId::Frames => {
+                let header: FrameHeader = bytemuck::pod_read_unaligned(bytes);
+                let of = (header.stamp.source_generation, header.stamp.epoch);
+                Some(Self { of, number: header.stamp.sequence })
+            }
+            TopicId::Plans => {
+                let header: PlanHeader = bytemuck::pod_read_unaligned(bytes);
+                Some(Self { of: (header.generation, 0), number: header.plan_id })
+            }
+            _ => None,
+        }
+    }
+
+    /// Numbers between the one before and this.
+    fn missing_since(&self, before: &Self) -> u64 {
+        match self.of == before.of {
+            true => self.number.saturating_sub(before.number).saturating_sub(1),
+            false => 0,
+        }
+    }
+}
+
+impl<T: Topic> Input for Lane<T> {
+    fn drain(&mut self, queue: &Queue) -> Result<(), PortError> {
+        // How many of each sender have come at once: as many as its buffer holds may be those that are left.
+        let mut counts: Vec<(Sender, usize)> = Vec::new();
+        while let Some((message, verdict)) = self.subscriber.receive_with_verdict()? {
+            let sender = message.sender();
+            match counts.iter_mut().find(|(known, _)| *known == sender) {
+                Some((_, count)) => *count += 1,
+                None => counts.push((sender, 1)),
+            }
+            if verdict.is_err() {
+                queue.note(self.topic, |loss| loss.refused += 1);
+                continue;
+            }
+            let numbering = Numbering::of::<T>(&message.header);
+            if let (Some(now), Some(before)) = (numbering, self.numbering) {
+                let missing = now.missing_since(&before);
+                queue.note(self.topic, |loss| loss.missing += missing);
+            }
+            self.numbering = numbering;
+            let items: &[u8] = bytemuck::cast_slice(message.items());
+            let is_bytes = size_of::<T::Item>() == 1;
+            let is_wanted = match self.pixels {
+                Pixels::None => false,
+                Pixels::All => true,
+                Pixels::Every(count) => {
+                    numbering.is_some_and(|numbering| numbering.number.is_multiple_of(count))
+                }
+            };
+            queue.push(Entry {
+                topic: self.topic,
+                at_ns: clock::monotonic_ns(),
+                message: ContractMessage {
+                    header: bytemuck::bytes_of(&message.header).to_vec(),
+                    items: if is_bytes { Vec::new() } else { items.to_vec() },
+                    payload_bytes: if is_bytes { items.len() as u64 } else { 0 },
+                },
+                pixels: is_wanted.then(|| items.to_vec()),
+            });
+        }
+        let is_numbered = self.numbering.is_some();
+        if !is_numbered && counts.iter().any(|(_, count)| *count >= self.buffer) {
+            queue.note(self.topic, |loss| loss.buffer_full += 1);
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_that_are_missing_are_counted_within_one_process_of_a_stage() {
+        let at = |generation, number| Numbering { of: (generation, 0), number };
+        assert_eq!(at(0, 5).missing_since(&at(0, 4)), 0);
+        assert_eq!(at(0, 9).missing_since(&at(0, 4)), 4);
+        assert_eq!(at(1, 9).missing_since(&at(0, 4)), 0);
+        assert_eq!(at(0, 3).missing_since(&at(0, 4)), 0);
+    }
+}

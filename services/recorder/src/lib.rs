@@ -1,0 +1,63 @@
+//! The recorder: writes all messages of a running pipeline to MCAP files. It looks on, so it can die without harm
+//! to any stage.
+//!
+//! Two threads share the work. One receives, so that no message is lost while the disk is slow. The other makes
+//! the recording of what was received, and writes it. Between them is a queue of bounded size.
+//!
+//! | module | what it does |
+//! | --- | --- |
+//! | [`arguments`] | the command line |
+//! | [`entry`] | a message as it was received |
+//! | [`inputs`] | receives every topic of the contract, and notices what was lost |
+//! | [`queue`] | from the thread that receives to the one that writes |
+//! | [`core`](mod@core) | what of a message is recorded: pure |
+//! | [`ring`] | the newest messages, for recordings of what led to something |
+//! | [`files`] | the files: begun, split, ended |
+//! | [`jpeg`] | frames as pictures |
+//! | [`presence`] | how a running recorder is found and asked |
+//! | [`stage`] | the two threads |
+
+pub mod arguments;
+pub mod core;
+pub mod entry;
+pub mod files;
+pub mod inputs;
+pub mod jpeg;
+pub mod presence;
+pub mod queue;
+pub mod ring;
+pub mod stage;
+
+use anyhow::Context;
+use clap::Parser;
+use flockeye_cli::{Screen, running};
+use flockeye_recording::recover::recover;
+
+use crate::arguments::RecordArguments;
+
+/// Does what the command line asks for.
+///
+/// # Errors
+/// No such pipeline runs, a file cannot be written, or the disk is full.
+pub fn run() -> anyhow::Result<()> {
+    let arguments = RecordArguments::parse();
+    if arguments.now {
+        let instance = running::choose(&arguments.running)?;
+        let asked = presence::ask_to_write(&instance)?;
+        Screen::new().line(&format!("{asked} recorders write what they have"));
+        return Ok(());
+    }
+    let out = arguments.out.as_deref().context("no file to write to. Cure: name one")?;
+    if let Some(broken) = &arguments.recover {
+        let recovered = recover(broken, out)?;
+        let ending = match (&recovered.damage, recovered.was_whole) {
+            (Some(damage), _) => format!("; {damage}"),
+            (None, true) => "; nothing was wrong with it".to_owned(),
+            (None, false) => "; it had been cut off".to_owned(),
+        };
+        let messages = recovered.messages;
+        Screen::new().line(&format!("{messages} messages are in {}{ending}", out.display()));
+        return Ok(());
+    }
+    stage::record(&arguments, out)
+}

@@ -1,0 +1,155 @@
+//! From the thread that receives to the one that writes: a queue of bounded size.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use crate::entry::{Entry, Loss};
+
+/// The sender's and the receiver's end.
+#[derive(Debug, Clone)]
+pub struct Queue {
+    shared: Arc<(Mutex<State>, Condvar)>,
+    most_bytes: usize,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    entries: VecDeque<Entry>,
+    bytes: usize,
+    losses: Vec<Loss>,
+    is_closed: bool,
+    /// Somebody asks that a ring is written.
+    is_asked: bool,
+}
+
+/// What the receiver's end gives.
+#[derive(Debug, PartialEq, Eq)]
+pub enum Taken {
+    /// The next message.
+    Entry(Entry),
+    /// None has come in time.
+    Nothing,
+    /// No more will come.
+    End,
+}
+
+impl Queue {
+    /// A queue that holds so many bytes at most, for so many topics.
+    pub fn new(most_bytes: usize, topics: usize) -> Self {
+        let state = State { losses: vec![Loss::default(); topics], ..State::default() };
+        Self { shared: Arc::new((Mutex::new(state), Condvar::new())), most_bytes }
+    }
+
+    /// Adds a message, unless there is no room: then it is counted as lost.
+    pub fn push(&self, entry: Entry) {
+        let (topic, bytes) = (entry.topic, entry.bytes());
+        self.with(|state| {
+            let is_full = state.bytes + bytes > self.most_bytes && !state.entries.is_empty();
+            if let Some(loss) = state.losses.get_mut(topic) {
+                loss.recorded += u64::from(!is_full);
+                loss.queue_full += u64::from(is_full);
+            }
+            if !is_full {
+                state.bytes += bytes;
+                state.entries.push_back(entry);
+            }
+        });
+        self.shared.1.notify_one();
+    }
+
+    /// Notes what else was lost of a topic.
+    pub fn note(&self, topic: usize, note: impl FnOnce(&mut Loss)) {
+        self.with(|state| {
+            if let Some(loss) = state.losses.get_mut(topic) {
+                note(loss);
+            }
+        });
+    }
+
+    /// What was recorded and lost of each topic until now.
+    pub fn losses(&self) -> Vec<Loss> {
+        self.with(|state| state.losses.clone())
+    }
+
+    /// Asks that a ring is written.
+    pub fn ask(&self) {
+        self.with(|state| state.is_asked = true);
+        self.shared.1.notify_one();
+    }
+
+    /// Whether somebody has asked since the last time.
+    pub fn take_request(&self) -> bool {
+        self.with(|state| std::mem::take(&mut state.is_asked))
+    }
+
+    /// No more will come, or nobody takes any more.
+    pub fn close(&self) {
+        self.with(|state| state.is_closed = true);
+        self.shared.1.notify_one();
+    }
+
+    /// Whether it was closed.
+    pub fn is_closed(&self) -> bool {
+        self.with(|state| state.is_closed)
+    }
+
+    /// The next message; waits for it until then, or until somebody asks for something.
+    pub fn take(&self, until: Instant) -> Taken {
+        let (mutex, condition) = &*self.shared;
+        // A thread that panicked while it held the lock left the state valid.
+        let mut state = mutex.lock().unwrap_or_else(PoisonError::into_inner);
+        loop {
+            if let Some(entry) = state.entries.pop_front() {
+                state.bytes -= entry.bytes();
+                return Taken::Entry(entry);
+            }
+            if state.is_closed {
+                return Taken::End;
+            }
+            let wait = until.saturating_duration_since(Instant::now());
+            if wait == Duration::ZERO || state.is_asked {
+                return Taken::Nothing;
+            }
+            let waited = condition.wait_timeout(state, wait);
+            state = waited.unwrap_or_else(PoisonError::into_inner).0;
+        }
+    }
+
+    fn with<R>(&self, change: impl FnOnce(&mut State) -> R) -> R {
+        change(&mut self.shared.0.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockeye_recording::ContractMessage;
+
+    fn entry(topic: usize, at_ns: i64, bytes: usize) -> Entry {
+        let message = ContractMessage { header: vec![0; bytes], ..ContractMessage::default() };
+        Entry { topic, at_ns, message, pixels: None }
+    }
+
+    #[test]
+    fn what_finds_no_room_is_counted_and_the_rest_keeps_its_order() {
+        let queue = Queue::new(1_000, 2);
+        for at_ns in 0..5 {
+            queue.push(entry(1, at_ns, 272));
+        }
+        let [none, some] = queue.losses().try_into().expect("two topics");
+        assert!(!none.is_loss());
+        assert_eq!((some.recorded, some.queue_full), (2, 3));
+        let soon = Instant::now();
+        assert_eq!(queue.take(soon), Taken::Entry(entry(1, 0, 272)));
+        // There is room again; and one that is larger than the queue goes through an empty one.
+        queue.push(entry(1, 9, 100));
+        assert_eq!(queue.take(soon), Taken::Entry(entry(1, 1, 272)));
+        assert_eq!(queue.take(soon), Taken::Entry(entry(1, 9, 100)));
+        assert_eq!(queue.take(soon), Taken::Nothing);
+        queue.push(entry(0, 10, 5_000));
+        queue.close();
+        assert_eq!(queue.take(soon), Taken::Entry(entry(0, 10, 5_000)));
+        assert_eq!(queue.take(soon), Taken::End);
+    }
+}

@@ -1,0 +1,75 @@
+//! The newest messages, for recordings of what led to something.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use crate::entry::Entry;
+
+/// Bytes that it keeps at most, however long that is.
+const MOST_BYTES: usize = 256_000_000;
+
+/// Messages of the last while.
+#[derive(Debug)]
+pub struct Ring {
+    entries: VecDeque<Entry>,
+    bytes: usize,
+    past_ns: i64,
+    most_bytes: usize,
+}
+
+impl Ring {
+    /// Keeps messages of the last `past`.
+    pub fn new(past: Duration) -> Self {
+        Self::bounded(past, MOST_BYTES)
+    }
+
+    fn bounded(past: Duration, most_bytes: usize) -> Self {
+        let past_ns = i64::try_from(past.as_nanos()).unwrap_or(i64::MAX);
+        Self { entries: VecDeque::new(), bytes: 0, past_ns, most_bytes }
+    }
+
+    /// Adds a message, and lets go of those that are too old or too many.
+    pub fn push(&mut self, entry: Entry) {
+        let now_ns = entry.at_ns;
+        self.bytes += entry.bytes();
+        self.entries.push_back(entry);
+        while let Some(oldest) = self.entries.front() {
+            let is_old = now_ns.saturating_sub(oldest.at_ns) > self.past_ns;
+            if !is_old && self.bytes <= self.most_bytes {
+                break;
+            }
+            self.bytes -= oldest.bytes();
+            self.entries.pop_front();
+        }
+    }
+
+    /// Takes all of them: what was written once is not written again.
+    pub fn take(&mut self) -> VecDeque<Entry> {
+        self.bytes = 0;
+        std::mem::take(&mut self.entries)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockeye_recording::ContractMessage;
+
+    fn entry(at_s: i64) -> Entry {
+        let message = ContractMessage { header: vec![0; 872], ..ContractMessage::default() };
+        Entry { topic: 0, at_ns: at_s * 1_000_000_000, message, pixels: None }
+    }
+
+    #[test]
+    fn it_keeps_the_newest_within_time_and_memory() {
+        let mut ring = Ring::bounded(Duration::from_secs(30), 10_000);
+        let times = |ring: &mut Ring| -> Vec<i64> {
+            ring.take().iter().map(|entry| entry.at_ns / 1_000_000_000).collect()
+        };
+        [0, 10, 20, 35].map(entry).into_iter().for_each(|entry| ring.push(entry));
+        assert_eq!(times(&mut ring), [10, 20, 35]);
+        assert!(ring.take().is_empty());
+        (0..25).map(entry).for_each(|entry| ring.push(entry));
+        assert_eq!(times(&mut ring), (15..25).collect::<Vec<_>>());
+    }
+}
