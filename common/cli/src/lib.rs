@@ -1,10 +1,11 @@
-//! What the command lines of `flockeye` and `flockeye-lab` share.
+//! What the command lines of `flockeye`, `flockeye-lab` and `flockeye-viewer` share.
 //!
 //! | module | what it holds |
 //! | --- | --- |
 //! | [`arguments`] | the arguments that choose a configuration, and durations |
 //! | [`lab`] | the commands that `flockeye` passes on to `flockeye-lab` |
 //! | [`program`] | where the other program is |
+//! | [`running`] | which of the running pipelines is meant |
 //! | [`screen`] | the terminal: log lines above, a live table below |
 //! | [`signals`] | a flag that Ctrl-C raises |
 //! | [`text_table`] | tables of plain text |
@@ -12,6 +13,7 @@
 pub mod arguments;
 pub mod lab;
 pub mod program;
+pub mod running;
 pub mod screen;
 pub mod signals;
 pub mod text_table;

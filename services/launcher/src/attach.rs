@@ -1,20 +1,12 @@
 //! A running pipeline's messages, read beside its stages.
 
-use anyhow::{Context, bail, ensure};
-use clap::Args;
 use flockeye_config::Resolved;
 use flockeye_runtime::instance::Instance;
 use flockeye_runtime::onlooker;
 use flockeye_runtime::ports::Ports;
 use iceoryx2::prelude::{LogLevel, set_log_level};
 
-/// The argument that chooses a running pipeline.
-#[derive(Debug, Clone, Args)]
-pub struct PipelineChoice {
-    /// Its instance. Without it: the only one that runs.
-    #[arg(long, value_name = "NAME")]
-    pub instance: Option<String>,
-}
+pub use flockeye_cli::running::{PipelineChoice, choose};
 
 /// A running pipeline, and the ports that receive its messages.
 pub struct Attached {
@@ -35,23 +27,4 @@ pub fn attach(running: &PipelineChoice) -> anyhow::Result<Attached> {
     set_log_level(LogLevel::Fatal);
     let (ports, resolved) = onlooker::join(&instance)?;
     Ok(Attached { ports, resolved, instance })
-}
-
-/// The chosen pipeline.
-///
-/// # Errors
-/// None runs, or several do and none was named.
-pub fn choose(running: &PipelineChoice) -> anyhow::Result<Instance> {
-    let living: Vec<Instance> = Instance::all().into_iter().filter(Instance::is_running).collect();
-    let names = living.iter().map(Instance::name).collect::<Vec<_>>().join(", ");
-    if let Some(name) = &running.instance {
-        let others = if names.is_empty() { "none runs".to_owned() } else { format!("{names} run") };
-        let found = living.into_iter().find(|instance| instance.name() == name);
-        return found.with_context(|| format!("no pipeline '{name}' runs here; {others}"));
-    }
-    ensure!(!living.is_empty(), "no pipeline runs here. Cure: start one with `flockeye up`");
-    match <[Instance; 1]>::try_from(living) {
-        Ok([only]) => Ok(only),
-        Err(_) => bail!("several pipelines run here: {names}. Cure: --instance NAME"),
-    }
 }

@@ -17,6 +17,7 @@ use crate::swarm::{self, SwarmCommand};
 use crate::top::{self, TopArguments};
 use crate::trace::{self, TraceArguments};
 use crate::up::{self, UpArguments};
+use crate::view::{self, ViewArguments};
 use crate::{lab, schema};
 
 /// Eyes for a flock: neighbours' poses from a spherical camera.
@@ -48,6 +49,8 @@ enum FlockeyeCommand {
     Chaos(ChaosArguments),
     /// Show what a running pipeline's stages do, and how old its poses are.
     Top(TopArguments),
+    /// Show what a running pipeline sees, on a page in the browser.
+    View(ViewArguments),
     /// Record the path of frames through a running pipeline, for Perfetto (ui.perfetto.dev).
     Trace(TraceArguments),
     /// Show what the swarm's drones report of each other over Zenoh.
@@ -91,6 +94,7 @@ pub fn run() -> anyhow::Result<()> {
         FlockeyeCommand::Restart(arguments) => manage::restart(&arguments),
         FlockeyeCommand::Chaos(arguments) => chaos::run(&arguments),
         FlockeyeCommand::Top(arguments) => top::run(&arguments),
+        FlockeyeCommand::View(arguments) => view::run(&arguments),
         FlockeyeCommand::Trace(arguments) => trace::run(&arguments),
         FlockeyeCommand::Peers(arguments) => peers::run(&arguments),
         FlockeyeCommand::Swarm(command) => swarm::run(&command),
