@@ -26,4 +26,5 @@ mod secure;
 mod swapping;
 mod swarm;
 mod told;
+mod view;
 mod watching;
