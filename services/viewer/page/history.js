@@ -16,22 +16,28 @@ export class History {
     this.paused = null;
     this.stable = IDENTITY;
     this.epoch = "";
+    // Frames that never ended: all, and by the view's own count.
+    this.skipped = 0;
+    this.counted = null;
   }
 
   add(frame, now) {
     const epoch = frame.key.slice(0, frame.key.lastIndexOf("."));
-    if (epoch !== this.epoch) {
-      // The source has started again: its clock may have, too.
+    // The source has started again, or the whole pipeline has: frames end in order.
+    if (epoch !== this.epoch || frame.sequence <= this.newest?.frame.sequence) {
       this.clear();
       this.epoch = epoch;
     }
     // Axes that do not turn with the camera, as far as its rotation is known.
     if (frame.turn) this.stable = multiply(this.stable, inverse(frame.turn));
+    // The view counts anew when it joins anew.
+    this.skipped += Math.max(0, frame.skipped - (this.counted ?? frame.skipped));
+    this.counted = frame.skipped;
     // What is looked at stays as it is, and no more is kept meanwhile.
     if (this.paused) return;
     const waiting = this.byKey.get(frame.key);
     const entry = Object.assign(waiting ?? { closeups: new Map(), picture: null }, {
-      frame, at: now, stable: this.stable });
+      frame, at: now, stable: this.stable, skipped: this.skipped });
     this.byKey.set(frame.key, entry);
     this.frames.push(entry);
     this.forget(now);

@@ -144,7 +144,7 @@ function draw() {
   const ratio = sphere.resize();
   sphere.draw(shown?.bitmap);
   overlay.draw(shown, history, bodies, hello, layers, ratio);
-  space.draw(current, history, bodies, swarm);
+  space.draw(current, history, bodies, swarm, layers);
   neighbours.draw(current, history, bodies);
   timelines.draw(history, bodies);
   facts(current);
@@ -162,7 +162,7 @@ function facts(entry) {
   if (!entry?.frame) return;
   $("fact-frame").textContent = entry.frame.sequence;
   $("fact-age").textContent = entry.frame.age_ms === null ? "–" : `${entry.frame.age_ms.toFixed(0)} ms`;
-  $("fact-skipped").textContent = entry.frame.skipped;
+  $("fact-skipped").textContent = entry.skipped;
   const last = history.frames.filter(({ at }) => at > entry.at - 2 && at <= entry.at);
   const span = last.length > 1 ? last.at(-1).at - last[0].at : 0;
   $("fact-rate").textContent = span > 0.2 ? ((last.length - 1) / span).toFixed(0) : "–";

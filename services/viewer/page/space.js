@@ -69,7 +69,7 @@ export class Space {
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
   }
 
-  draw(entry, history, bodies, swarm) {
+  draw(entry, history, bodies, swarm, layers) {
     const gl = this.gl;
     const ratio = window.devicePixelRatio || 1;
     const [width, height] = [this.surface.clientWidth, this.surface.clientHeight];
@@ -86,7 +86,7 @@ export class Space {
     const solid = [], lines = [], clouds = [], labels = [];
     this.ground(lines, labels);
     this.drone(lines);
-    if (entry?.frame && bodies) this.neighbours(entry, history, bodies, { solid, lines, clouds, labels });
+    if (entry?.frame && bodies) this.neighbours(entry, history, bodies, layers, { solid, lines, clouds, labels });
     if (entry?.frame && swarm) this.swarm(entry, swarm, { lines, clouds, labels });
     gl.viewport(0, 0, this.canvas.width, this.canvas.height);
     gl.clearColor(0, 0, 0, 0);
@@ -144,7 +144,7 @@ export class Space {
     }
   }
 
-  neighbours(entry, history, bodies, into) {
+  neighbours(entry, history, bodies, layers, into) {
     for (const track of entry.frame.tracks) {
       const body = bodies.get(track.target);
       if (!body) continue;
@@ -171,7 +171,7 @@ export class Space {
       this.trail(track.target, entry, history, bodies, into.lines, tint);
       into.labels.push({ text: track.name, at: add(track.pose.p, [0, 0, 1.7 * body.radius]), colour: tint, size: 12 });
     }
-    for (const { target, pose } of entry.frame.truth) {
+    for (const { target, pose } of layers.truth ? entry.frame.truth : []) {
       const body = bodies.get(target);
       if (!body) continue;
       const there = bodies.observerFromMarkers(pose, target);

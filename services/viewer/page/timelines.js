@@ -142,7 +142,7 @@ export class Timelines {
     context.fillStyle = "#171f2a";
     context.fillRect(LEFT, top + ROW / 2, width - LEFT - RIGHT, 1);
     for (let k = 1; k < frames.length; k++) {
-      const lost = frames[k].frame.skipped - frames[k - 1].frame.skipped;
+      const lost = frames[k].skipped - frames[k - 1].skipped;
       if (lost <= 0 || x(frames[k].at) < LEFT) continue;
       const high = Math.min(ROW, 3 + 2 * lost);
       context.fillStyle = "#f2716b";

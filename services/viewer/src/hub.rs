@@ -39,6 +39,16 @@ pub struct Wanted {
     pub pictures: bool,
 }
 
+impl Wanted {
+    /// What either wants.
+    pub fn or(self, other: Self) -> Self {
+        Self {
+            anything: self.anything || other.anything,
+            pictures: self.pictures || other.pictures,
+        }
+    }
+}
+
 /// One open page, as its own thread and the ports' thread share it.
 pub struct Page {
     outbox: Mutex<Outbox<Message>>,

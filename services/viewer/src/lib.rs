@@ -15,6 +15,7 @@
 //! | [`setting`] | what a page must know once: camera, tiles, bodies |
 //! | [`picture`] | a frame as an equirectangular JPEG |
 //! | [`closeup`] | a neighbour as alignment sees it |
+//! | [`foxglove_view`] | the same scene for Foxglove and Lichtblick |
 //! | [`files`] | the page itself |
 //! | [`hub`] | all open pages |
 //! | [`server`] | the sockets |
@@ -25,6 +26,7 @@
 pub mod closeup;
 pub mod connection;
 pub mod files;
+pub mod foxglove_view;
 pub mod held;
 pub mod hub;
 pub mod outbox;

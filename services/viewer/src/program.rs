@@ -10,10 +10,11 @@ use flockeye_cli::{Screen, signals};
 use iceoryx2::prelude::{LogLevel, set_log_level};
 use rustix::process::setpriority_process;
 
+use crate::foxglove_view::FoxgloveView;
 use crate::hub::Hub;
 use crate::request::{Access, is_token};
 use crate::server;
-use crate::watch::Watch;
+use crate::watch::{Audience, Watch};
 
 /// The view's nice value: whatever the pipeline wants to do comes first.
 const NICE: i32 = 10;
@@ -31,6 +32,9 @@ pub struct ViewArguments {
     /// What a page must know to be shown anything: 8 to 128 letters, digits, `-`, `_`, `.` or `~`.
     #[arg(long, value_name = "TOKEN")]
     pub token: Option<String>,
+    /// Also serve Foxglove and Lichtblick here. Loopback only: their protocol has no token.
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    pub foxglove: Option<SocketAddr>,
     /// Pictures a second, at most: 0.5 to 60.
     #[arg(long, value_name = "RATE", default_value_t = 15.0)]
     pub rate: f64,
@@ -55,19 +59,34 @@ pub fn run() -> anyhow::Result<()> {
         format!("cannot serve {}. Cure: --listen with another port", arguments.listen)
     })?;
     let page = address(bound, token.as_deref());
-    Screen::new().line(&format!("the view of '{}' is at {page}", instance.name()));
-    Watch::new(instance, hub, arguments.rate, stopping).run();
+    let mut screen = Screen::new();
+    let mut foxglove = None;
+    if let Some(address) = arguments.foxglove {
+        let (view, port) = FoxgloveView::start(address, &instance)?;
+        screen.line(&format!("Foxglove and Lichtblick connect to ws://{}:{port}", address.ip()));
+        foxglove = Some(view);
+    }
+    screen.line(&format!("the view of '{}' is at {page}", instance.name()));
+    Watch::new(instance, Audience { hub, foxglove }, arguments.rate, stopping).run();
     Ok(())
 }
 
 /// Who may ask.
 fn access(arguments: &ViewArguments) -> anyhow::Result<Access> {
-    let ViewArguments { listen, token, rate, .. } = arguments;
+    let ViewArguments { listen, token, rate, foxglove, .. } = arguments;
     ensure!((0.5..=60.0).contains(rate), "--rate {rate}: 0.5 to 60 pictures a second are allowed");
     if let Some(token) = token {
         ensure!(
             is_token(token),
             "--token has 8 to 128 letters, digits, '-', '_', '.' or '~', because it stands in an address"
+        );
+    }
+    if let Some(address) = foxglove {
+        ensure!(
+            address.ip().is_loopback(),
+            "--foxglove {address} is not loopback, and Foxglove's protocol has no token. Cure: 127.0.0.1:{port}, \
+             and `ssh -L {port}:127.0.0.1:{port} DRONE` from elsewhere",
+            port = address.port()
         );
     }
     let is_loopback = listen.ip().is_loopback();
@@ -118,6 +137,9 @@ mod tests {
             "{open}"
         );
         assert!(refused(&["--token", "short"]).contains("8 to 128"));
+        assert!(
+            refused(&["--foxglove", "0.0.0.0:8765"]).contains("no token. Cure: 127.0.0.1:8765")
+        );
         assert!(refused(&["--rate", "0"]).contains("0.5 to 60"));
         let guarded =
             access(&parsed(&["--listen", "10.0.0.7:1", "--token", "open-sesame"])).unwrap();

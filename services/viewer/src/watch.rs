@@ -1,5 +1,5 @@
-//! The ports: reads the pipeline beside its stages, while a page is open, and hands the pages what the core
-//! makes of it.
+//! The ports: reads the pipeline beside its stages, while a page is open, and hands pages and Foxglove's
+//! clients what the core makes of it.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -17,8 +17,9 @@ use flockeye_runtime::{clock, onlooker};
 use tungstenite::Message as PageMessage;
 
 use crate::closeup::CloseupMaker;
+use crate::foxglove_view::FoxgloveView;
 use crate::held::Held;
-use crate::hub::Hub;
+use crate::hub::{Hub, Wanted};
 use crate::outbox::Kind;
 use crate::picture::PictureMaker;
 use crate::scene::{Ended, Scene};
@@ -39,10 +40,10 @@ const IDLE_PERIOD: Duration = Duration::from_millis(200);
 /// Close-ups for each picture: more would cost more than the picture.
 const CLOSEUPS: usize = 2;
 
-/// Shows one pipeline to the pages.
+/// Shows one pipeline to the pages, and to Foxglove's clients.
 pub struct Watch {
     instance: Instance,
-    hub: Arc<Hub>,
+    audience: Audience,
     rate: f64,
     stopping: Arc<AtomicBool>,
     status: Option<Status>,
@@ -53,21 +54,26 @@ pub struct Watch {
 
 impl Watch {
     /// `rate`: pictures a second at most.
-    pub fn new(instance: Instance, hub: Arc<Hub>, rate: f64, stopping: Arc<AtomicBool>) -> Self {
+    pub fn new(
+        instance: Instance,
+        audience: Audience,
+        rate: f64,
+        stopping: Arc<AtomicBool>,
+    ) -> Self {
         let troubles = Throttle::default();
-        Self { instance, hub, rate, stopping, status: None, hello: None, troubles, turn: 0 }
+        Self { instance, audience, rate, stopping, status: None, hello: None, troubles, turn: 0 }
     }
 
     /// Shows it until it is told to stop. While no page is open, or the pipeline does not run, it waits.
     pub fn run(&mut self) {
         while !self.is_stopping() {
-            if !self.hub.wanted().anything {
-                self.hub.wait(IDLE_PERIOD);
+            if !self.audience.wanted().anything {
+                self.audience.hub.wait(IDLE_PERIOD);
                 continue;
             }
             if !self.instance.is_running() {
                 self.say(Status { running: false, trouble: String::new() });
-                self.hub.wait(IDLE_PERIOD);
+                self.audience.hub.wait(IDLE_PERIOD);
                 continue;
             }
             if let Err(error) = self.follow() {
@@ -94,12 +100,12 @@ impl Watch {
     }
 
     fn put(&self, kind: Kind, message: &Text) {
-        self.hub.put(kind, &PageMessage::text(wire::text(message)));
+        self.audience.hub.put(kind, &PageMessage::text(wire::text(message)));
     }
 
     /// Follows the pipeline until the pages want something else or the pipeline ends.
     fn follow(&mut self) -> anyhow::Result<()> {
-        let wanted = self.hub.wanted();
+        let wanted = self.audience.wanted();
         let (mut ports, resolved) = onlooker::join(&self.instance)?;
         ports.follow_hand_overs()?;
         let mut topics = Topics::open(&mut ports)?;
@@ -116,6 +122,9 @@ impl Watch {
         let hello = setting::hello(&resolved, self.instance.name(), self.rate);
         if self.hello.as_ref() != Some(&hello) {
             self.put(Kind::Hello, &Text::Hello(Box::new(hello.clone())));
+            if let Some(foxglove) = &mut self.audience.foxglove {
+                foxglove.begin(&resolved)?;
+            }
             self.hello = Some(hello);
         }
         self.say(Status { running: true, trouble });
@@ -123,26 +132,29 @@ impl Watch {
         let mut stages = StageReports::default();
         let (mut report_ns, mut life_ns) = (0, 0);
         ports.attend(|| {
-            if self.is_stopping() || self.hub.wanted() != wanted {
+            if self.is_stopping() || self.audience.wanted() != wanted {
                 return Ok(None);
             }
             std::thread::sleep(GATHERING);
             let now_ns = clock::monotonic_ns();
             if let Some(pictures) = &mut pictures {
-                pictures.receive(self.hub.takes_pictures())?;
+                pictures.receive(self.audience.takes_pictures())?;
             }
             for ended in topics.receive(&mut scene, &mut stages, now_ns)? {
                 self.put(Kind::Frame, &Text::Frame(Box::new(ended.message.clone())));
+                self.audience.to_foxglove(|foxglove| foxglove.frame(&ended));
                 if let Some(pictures) = &mut pictures {
-                    pictures.ended(&ended, &self.hub, &mut self.turn);
+                    pictures.ended(&ended, &self.audience, &mut self.turn);
                 }
             }
             if let Some(pictures) = &mut pictures {
-                pictures.overdue(&self.hub, now_ns);
+                pictures.overdue(&self.audience, now_ns);
             }
             if now_ns - report_ns > REPORT_PERIOD_NS {
                 report_ns = now_ns;
-                self.put(Kind::Stages, &Text::Stages(stages.shown(now_ns)));
+                let shown = stages.shown(now_ns);
+                self.audience.to_foxglove(|foxglove| foxglove.stages(&shown));
+                self.put(Kind::Stages, &Text::Stages(shown));
                 if let Some(swarm) = scene.swarm(now_ns) {
                     self.put(Kind::Swarm, &Text::Swarm(swarm));
                 }
@@ -155,6 +167,32 @@ impl Watch {
             }
             Ok(Some(LOOK_PERIOD))
         })
+    }
+}
+
+/// Who watches.
+pub struct Audience {
+    /// Pages.
+    pub hub: Arc<Hub>,
+    /// Foxglove's clients, where they are served.
+    pub foxglove: Option<FoxgloveView>,
+}
+
+impl Audience {
+    fn wanted(&self) -> Wanted {
+        let wanted = self.foxglove.as_ref().map(FoxgloveView::wanted).unwrap_or_default();
+        self.hub.wanted().or(wanted)
+    }
+
+    fn takes_pictures(&self) -> bool {
+        self.hub.takes_pictures()
+            || self.foxglove.as_ref().is_some_and(|foxglove| foxglove.wanted().pictures)
+    }
+
+    fn to_foxglove(&self, tell: impl FnOnce(&FoxgloveView)) {
+        if let Some(foxglove) = &self.foxglove {
+            tell(foxglove);
+        }
     }
 }
 
@@ -253,9 +291,9 @@ impl Pictures {
     }
 
     /// Shows a frame that has ended, if it is the one that a picture is due of.
-    fn ended(&mut self, ended: &Ended, hub: &Hub, turn: &mut usize) {
+    fn ended(&mut self, ended: &Ended, audience: &Audience, turn: &mut usize) {
         let Some(frame) = self.held.ended(&ended.stamp) else { return };
-        self.show(&frame, &ended.message.key, hub);
+        self.show(&frame, Some(ended), audience);
         let is_shown = |track: &&Track| {
             matches!(
                 TrackState::try_from(track.state),
@@ -266,34 +304,45 @@ impl Pictures {
         // Each neighbour in turn.
         for step in 0..tracks.len().min(CLOSEUPS) {
             let track = tracks[(*turn + step) % tracks.len()];
-            self.show_closely(&frame, track, &ended.message.key, hub);
+            self.show_closely(&frame, track, &ended.message.key, audience);
         }
         *turn = turn.wrapping_add(CLOSEUPS);
     }
 
     /// Shows a frame that does not end.
-    fn overdue(&mut self, hub: &Hub, now_ns: i64) {
-        if let Some((stamp, frame)) = self.held.overdue(now_ns) {
-            self.show(&frame, &wire::key(&stamp), hub);
+    fn overdue(&mut self, audience: &Audience, now_ns: i64) {
+        if let Some((_, frame)) = self.held.overdue(now_ns) {
+            self.show(&frame, None, audience);
         }
     }
 
-    fn show(&mut self, frame: &Message<Frames>, key: &str, hub: &Hub) {
+    fn show(&mut self, frame: &Message<Frames>, ended: Option<&Ended>, audience: &Audience) {
         let size = self.maker.size();
+        let stamp = &frame.header.stamp;
         match self.maker.jpeg(&frame.header, frame.items()) {
             Ok(jpeg) => {
-                let head = Head::Picture(PictureHead { key: key.to_owned(), size });
-                hub.put(Kind::Picture, &PageMessage::binary(wire::binary(&head, jpeg)));
+                let head = Head::Picture(PictureHead { key: wire::key(stamp), size });
+                let message = PageMessage::binary(wire::binary(&head, jpeg));
+                audience.hub.put(Kind::Picture, &message);
+                audience.to_foxglove(|foxglove| foxglove.picture(stamp, ended, size, jpeg));
             }
             Err(error) => self.complain(&error),
         }
     }
 
-    fn show_closely(&mut self, frame: &Message<Frames>, track: &Track, key: &str, hub: &Hub) {
+    fn show_closely(
+        &mut self,
+        frame: &Message<Frames>,
+        track: &Track,
+        key: &str,
+        audience: &Audience,
+    ) {
         match self.closeups.closeup(&frame.header, frame.items(), track, key) {
             Ok(Some((head, jpeg))) => {
                 let message = wire::binary(&Head::Closeup(head), &jpeg);
-                hub.put(Kind::Closeup(track.target), &PageMessage::binary(message));
+                audience.hub.put(Kind::Closeup(track.target), &PageMessage::binary(message));
+                let stamp = &frame.header.stamp;
+                audience.to_foxglove(|foxglove| foxglove.closeup(stamp, track.target, &jpeg));
             }
             Ok(None) => {}
             Err(error) => self.complain(&error),

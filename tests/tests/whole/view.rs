@@ -1,5 +1,7 @@
 //! `flockeye view`: the live view, in a real browser and under bad treatment.
 
+mod foxglove;
+
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::process::Command;
@@ -190,7 +192,16 @@ fn a_page_shows_the_neighbour_where_it_is() {
     flight.signal(Signal::INT);
     assert!(flight.wait().success(), "{}", flight.output());
     browser.wait_for("document.getElementById('notice').textContent.includes('does not run')");
+    flight.assert_nothing_left();
+
+    // Another one of the same name is followed by itself.
+    let name = flight.instance.name().to_owned();
+    let mut flight = Flight::start_as(&name, &[], &set);
+    flight.wait_for("alpha confirmed");
+    browser.wait_for(&format!("document.getElementById('notice').hidden && {SEEN}"));
     assert!(browser.complaints.is_empty(), "{:?}", browser.complaints);
+    flight.signal(Signal::INT);
+    assert!(flight.wait().success(), "{}", flight.output());
     view.end();
     flight.assert_nothing_left();
 }
