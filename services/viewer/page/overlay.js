@@ -94,7 +94,7 @@ export class Overlay {
     this.label(`${track.name}  ${range.toFixed(2)} m${state}`, below, { colour: colour(track.target), centred: true, alpha });
   }
 
-  // Those that were lost a while ago and have not been found again.
+  // Those that were lost a while ago and have not been found again, or of which nothing is said.
   lost(entry, history, bodies) {
     const seen = new Set(entry.frame.tracks.filter(({ state }) => state !== "lost").map(({ target }) => target));
     for (const earlier of history.frames.toReversed()) {
@@ -108,8 +108,10 @@ export class Overlay {
         this.cloud(track, bodies, 0.9 * (1 - age / LOST_S) + 0.1);
         const middle = this.sphere.project(bodies.cameraFromMarkers(track.pose, track.target).p);
         if (middle) {
-          this.label(`${track.name} · lost ${age.toFixed(0)} s ago`, [middle[0], middle[1] + 20],
-            { colour: "#f2716b", centred: true });
+          // Where fusion gives a frame up, nothing is said of a neighbour, and it is not lost.
+          const isLost = track.state === "lost";
+          this.label(`${track.name} · ${isLost ? "lost" : "last seen"} ${age.toFixed(1)} s ago`,
+            [middle[0], middle[1] + 20], { colour: isLost ? "#f2716b" : "#f2b45a", centred: true });
         }
       }
     }

@@ -45,7 +45,8 @@ export class Neighbours {
       // It stays until what is kept of it is gone.
       const last = history.frames.findLast(({ at, frame }) => at <= entry.at &&
         frame.tracks.some((track) => track.target === target));
-      if (last) card.gone(entry.at - last.at);
+      const state = last?.frame.tracks.find((track) => track.target === target)?.state;
+      if (last) card.gone(entry.at - last.at, state === "lost");
       else {
         card.root.remove();
         this.cards.delete(target);
@@ -143,9 +144,11 @@ class Card {
     });
   }
 
-  gone(seconds) {
-    set(this.state, `lost ${seconds.toFixed(0)} s ago`);
-    this.state.className = "state bad";
+  gone(seconds, isLost) {
+    set(this.state, `${isLost ? "lost" : "last seen"} ${seconds.toFixed(1)} s ago`);
+    this.state.className = `state ${isLost ? "bad" : "warn"}`;
+    // A frame or two that were given up are not worth a change of all else.
+    if (!isLost && seconds < 0.5) return;
     this.panels.hidden = true;
     for (const name of Object.keys(this.fields)) this.fact(name, null, "");
   }
