@@ -47,7 +47,7 @@ install-c: setup
 	clients/c/install target/release/libflockeye_stage.so $(PREFIX)
 
 # Python with the package of clients/python and what the examples need, for the tests.
-PYTHON_PACKAGES = iceoryx2==0.10.0 numpy opencv-contrib-python-headless==4.10.0.84 eclipse-zenoh==1.10.2 cryptography==50.0.2 rosbags==0.11.9 mcap==1.3.1 zenoh-ros2-sdk==0.1.8 pymavlink==2.4.50
+PYTHON_PACKAGES = iceoryx2==0.10.0 numpy opencv-contrib-python-headless==4.10.0.84 eclipse-zenoh==1.10.2 cryptography==50.0.2 rosbags==0.11.9 mcap==1.3.1 zenoh-ros2-sdk==0.1.8 pymavlink==2.4.50 websockets==17.4 protobuf==7.36.2
 python: target/python/installed
 
 target/python/installed: Makefile $(wildcard clients/python/pyproject.toml clients/python/*.py clients/python/flockeye/*.py)

@@ -5,6 +5,7 @@
 
 pub mod air;
 pub mod autopilot;
+pub mod browser;
 pub mod drone;
 pub mod onlooker;
 pub mod told;

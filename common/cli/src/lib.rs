@@ -1,11 +1,11 @@
-//! What the command lines of `flockeye`, `flockeye-lab` and `flockeye-recorder` share.
+//! What the command lines of `flockeye`, `flockeye-lab`, `flockeye-recorder` and `flockeye-viewer` share.
 //!
 //! | module | what it holds |
 //! | --- | --- |
 //! | [`arguments`] | the arguments that choose a configuration, and durations |
 //! | [`lab`] | the commands that `flockeye` passes on to `flockeye-lab` |
 //! | [`program`] | where the other program is |
-//! | [`running`] | the argument that chooses a running pipeline |
+//! | [`running`] | which of the running pipelines is meant |
 //! | [`screen`] | the terminal: log lines above, a live table below |
 //! | [`signals`] | a flag that Ctrl-C raises |
 //! | [`text_table`] | tables of plain text |

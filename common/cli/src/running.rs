@@ -1,4 +1,4 @@
-//! A pipeline that runs on this machine, chosen by its instance.
+//! Which of the running pipelines is meant.
 
 use anyhow::{Context, bail, ensure};
 use clap::Args;

@@ -4,7 +4,7 @@
 //! A test skips where such a thing is absent, and says so. `FLOCKEYE_REQUIRE=recordings,vulkan` names what must
 //! be there. Then the test fails instead, so that a run that skipped cannot pass for one that tested. Others are
 //! `namespaces` (mounts of our own), `radio` (network namespaces with /dev/net/tun), `python` and `c` (what stages
-//! in them need), and `fault-points` (a launcher that was built with them).
+//! in them need), `browser` (Chromium), and `fault-points` (a launcher that was built with them).
 
 use std::path::{Path, PathBuf};
 

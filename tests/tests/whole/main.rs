@@ -27,4 +27,5 @@ mod secure;
 mod swapping;
 mod swarm;
 mod told;
+mod view;
 mod watching;

@@ -22,6 +22,7 @@
 //! | `evidence` | how well the cells agree with the image |
 //! | `acceptance` | whether that is enough: all decisions and their limits |
 //! | `reacquire` | where to start when the body is not where it was predicted |
+//! | `depiction` | the body's pixels beside those of its model, for people |
 //!
 //! Each module uses only modules above it in this order: pinhole, print, evidence and alignment types,
 //! then patch, state, model, samples, then the rest, and `mod.rs` at last. No two use each other.
@@ -29,6 +30,7 @@
 mod acceptance;
 mod alignment;
 mod covariance;
+mod depiction;
 mod evidence;
 mod levels;
 mod model;
@@ -45,11 +47,12 @@ mod state;
 
 pub use acceptance::least_lead;
 pub use alignment::{AlignError, AlignOptions, Alignment};
+pub use depiction::{Depiction, depict};
 pub use evidence::Evidence;
 pub use patch::{Motion, Picture};
 pub use print::{BodyPrint, MAX_CELLS, PrintError};
 
-use nalgebra::{Isometry3, Matrix6, Unit, Vector3};
+use nalgebra::{Isometry3, Matrix2, Matrix6, Unit, Vector3};
 
 use evidence::Comparison;
 use patch::Patch;
@@ -139,6 +142,11 @@ fn is_valid(start: &Isometry3<f64>, picture: &Picture<'_>) -> bool {
         && (picture.view.camera_from_view.quaternion().norm() - 1.0).abs() < 1e-6
         && (1.0..1e6).contains(&picture.view.focal_px)
         && (1.0..1e6).contains(&picture.pixels_per_radian)
+}
+
+/// So many pixels beside a facet its blur still shows.
+fn blur_margin_px(blur: &Matrix2<f64>) -> f64 {
+    PATCH_MARGIN_BLURS * blur.diagonal().max().max(0.0).sqrt()
 }
 
 /// The part of a view that shows a body, and how it is to be fitted.

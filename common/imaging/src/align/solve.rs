@@ -149,6 +149,18 @@ pub(super) fn all_samples(patch: &Patch, print: &BodyPrint, state: &State) -> Ve
     samples::choose(patch, &print.facets, &scene.visible, &scene.blurred)
 }
 
+/// Fits the white and black levels of the facets that face the camera, at the pose that `state` has. Returns
+/// the samples; `None` where they are too few.
+pub(super) fn fit_levels_alone(
+    patch: &Patch,
+    print: &BodyPrint,
+    state: &mut State,
+    settings: &Settings,
+) -> Option<Vec<Sample>> {
+    let occlusion = Occlusion::of_facets(&[]);
+    Some(Problem::new(patch, print, state, &occlusion, settings)?.samples)
+}
+
 /// The samples of a fit, and the unknowns that they determine.
 struct Problem {
     samples: Vec<Sample>,

@@ -95,6 +95,35 @@ fn a_start_nearby_converges_to_the_truth() {
     }
 }
 
+/// At the true pose the model is the picture, but for noise; beside it, it is not.
+#[test]
+fn a_depiction_is_the_picture_at_the_true_pose() {
+    let print = print_of(&body(0));
+    let truth = pose(0.8, [0.3, -0.2, 0.9]);
+    let drawing = draw(&body(0), &truth, PIXELS_PER_RADIAN, 0.9, 0.004);
+    let light = srgb();
+    let picture = Picture::still(drawing.image(), drawing.view, &light, PIXELS_PER_RADIAN);
+    let rms = |pose: &Isometry3<f64>| {
+        let shown = depict(&print, &picture, pose, &AlignOptions::default()).expect("it is there");
+        assert_eq!(shown.picture.len(), shown.width * shown.height);
+        let body = (0..shown.picture.len()).filter(|&k| shown.coverage[k] > 0.99);
+        let squares = body.map(|k| (shown.picture[k] - shown.model[k]).powi(2));
+        let squares: Vec<f32> = squares.collect();
+        assert!(squares.len() > 500, "{} pixels of the body", squares.len());
+        let rms = (squares.iter().sum::<f32>() / squares.len() as f32).sqrt();
+        (rms, shown.evidence)
+    };
+    let (right, evidence) = rms(&truth);
+    let across = Vector3::new(-0.5, 0.8, 0.0).normalize() * 0.008;
+    let (wrong, doubts) = rms(&moved(&truth, across, Vector3::zeros()));
+    println!("{right} {wrong} {evidence:?} {doubts:?}");
+    assert!(right < 0.03, "{right} of white at the true pose");
+    assert!(wrong > 4.0 * right, "{wrong} of white beside it, {right} at the true pose");
+    assert!(evidence.correlation > 0.9 && evidence.correlation > doubts.correlation + 0.1);
+    let behind = moved(&truth, -2.0 * truth.translation.vector, Vector3::zeros());
+    assert!(depict(&print, &picture, &behind, &AlignOptions::default()).is_err());
+}
+
 /// The drawing as a camera takes it that exposes it longer by so many stops: clipped after it was blurred.
 fn exposed(drawing: &Drawing, stops: f64) -> Drawing {
     let light = srgb();

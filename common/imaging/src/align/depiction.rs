@@ -1,0 +1,97 @@
+//! A body's pixels beside those of its model, for people who want to see what alignment sees.
+
+use nalgebra::{Isometry3, Vector2};
+
+use super::acceptance::AGREEING_CORRELATION;
+use super::alignment::{AlignError, AlignOptions};
+use super::evidence::{Comparison, Evidence};
+use super::model::Scene;
+use super::patch::{Patch, Picture};
+use super::print::BodyPrint;
+use super::solve;
+use super::state::State;
+use super::{PreparedView, blur_margin_px};
+
+/// The part of a picture that shows a body, and what the model says that it should show.
+///
+/// Rows of `width` values follow each other, as radiance.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Depiction {
+    /// Pixels in a row.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// What the picture shows, at the resolution that alignment works with.
+    pub picture: Vec<f32>,
+    /// The same with the body drawn over it: lens and motion blur it, and its facets have the levels that
+    /// explain the picture best.
+    pub model: Vec<f32>,
+    /// The share of each pixel that the body covers, 0 to 1.
+    pub coverage: Vec<f32>,
+    /// How well both agree at this very pose, which is not fitted.
+    pub evidence: Evidence,
+}
+
+/// Draws `print` at the pose `camera_from_markers` beside `picture`. Nothing but the facets' white and black
+/// levels is fitted.
+///
+/// # Errors
+/// [`AlignError`]: nothing to compare there, or input that is not finite.
+pub fn depict(
+    print: &BodyPrint,
+    picture: &Picture<'_>,
+    camera_from_markers: &Isometry3<f64>,
+    options: &AlignOptions,
+) -> Result<Depiction, AlignError> {
+    let view = PreparedView::new(print, picture, camera_from_markers, options, 0.0)?;
+    let mut state = view.state(print, camera_from_markers);
+    let PreparedView { patch, settings } = view;
+    let samples =
+        solve::fit_levels_alone(&patch, print, &mut state, &settings).ok_or(AlignError::Nothing)?;
+    let per_pixel = settings.prior.samples_per_pixel();
+    let compared =
+        Comparison::new(&patch, print, &state, &samples, per_pixel, AGREEING_CORRELATION);
+    let (model, coverage) = draw(&patch, print, &state);
+    let Comparison { evidence, .. } = compared;
+    let Patch { width, height, radiance, .. } = patch;
+    Ok(Depiction { width, height, picture: radiance, model, coverage, evidence })
+}
+
+/// The patch with the body drawn over it, and the share of each pixel that the body covers.
+fn draw(patch: &Patch, print: &BodyPrint, state: &State) -> (Vec<f32>, Vec<f32>) {
+    let scene = Scene::new(print, state, patch, 0.0);
+    let margin_px = blur_margin_px(&state.blur);
+    let mut model = patch.radiance.clone();
+    let mut coverage = vec![0f32; model.len()];
+    for index in 0..print.facets.len() {
+        let Some((visible, blurred)) = scene.facet(index) else { continue };
+        let [white, black] = state.levels[index];
+        let bounds = |axis: usize, size: usize| {
+            let along = visible.outline_px.iter().map(|corner| corner[axis]);
+            let (low, high) =
+                along.fold((f64::MAX, f64::MIN), |(low, high), at| (low.min(at), high.max(at)));
+            let end = (high + margin_px).ceil().max(0.0) as usize;
+            (low - margin_px).floor().max(0.0) as usize..end.saturating_add(1).min(size)
+        };
+        let columns = bounds(0, patch.width);
+        for y in bounds(1, patch.height) {
+            for x in columns.clone() {
+                let pixel = Vector2::new(x as f64, y as f64);
+                let at = visible.point(&patch.pinhole.direction(pixel));
+                let covered = blurred.coverage(at).value;
+                // False for a NaN, as where the plane is seen edge-on.
+                let is_covered = covered > 0.0;
+                if !is_covered {
+                    continue;
+                }
+                let place = y * patch.width + x;
+                let shown = blurred.black(at).value;
+                let behind = patch.radiance[place];
+                model[place] +=
+                    (white as f32 - behind) * covered + (black as f32 - white as f32) * shown;
+                coverage[place] = (coverage[place] + covered).min(1.0);
+            }
+        }
+    }
+    (model, coverage)
+}

@@ -1,0 +1,173 @@
+//! A neighbour as alignment sees it: the picture, the model at the published pose, and what is left between
+//! them.
+
+use anyhow::Context as _;
+use flockeye_config::Resolved;
+use flockeye_contract::{FrameHeader, MeasuredBy, Track, ViewHeader};
+use flockeye_convert::{RadianceCache, isometry};
+use flockeye_dictionary::Dictionary;
+use flockeye_geometry::body::Bodies;
+use flockeye_geometry::camera::Camera;
+use flockeye_geometry::search::{GazeOptions, PredictedNeighbour, gaze_view};
+use flockeye_imaging::align::{AlignOptions, BodyPrint, Depiction, Picture, depict};
+use flockeye_imaging::image::LumaImage;
+use flockeye_imaging::light::LinearLight;
+use flockeye_imaging::sphere::{Cut, Interpolation, SphereImage, rectify_into};
+use nalgebra::{Isometry3, Matrix3, Vector3};
+
+use crate::picture::gray_jpeg;
+use crate::wire::{CloseupHead, Score};
+
+/// Makes close-ups of one pipeline's neighbours.
+pub struct CloseupMaker {
+    bodies: Bodies,
+    prints: Vec<BodyPrint>,
+    camera: Camera,
+    gaze: GazeOptions,
+    observer_from_camera: Isometry3<f64>,
+    radiances: RadianceCache,
+}
+
+impl CloseupMaker {
+    /// For neighbours with these bodies.
+    ///
+    /// # Errors
+    /// The dictionary cannot be read, a body cannot be drawn, or the camera's curve does not rise.
+    pub fn new(resolved: &Resolved) -> anyhow::Result<Self> {
+        let dictionary = Dictionary::load(&resolved.bodies.dictionary)?;
+        let prints =
+            resolved.bodies.iter().map(|body| BodyPrint::new(body, |id| dictionary.print(id)));
+        Ok(Self {
+            bodies: resolved.bodies.clone(),
+            prints: prints.collect::<Result<_, _>>().context("a body cannot be drawn")?,
+            camera: resolved.camera,
+            gaze: resolved.gaze_options,
+            observer_from_camera: resolved.observer_from_camera,
+            radiances: RadianceCache::new(resolved.measured_response)?,
+        })
+    }
+
+    /// The close-up of a track's neighbour in the frame that the track is of; with its head the JPEG. `None`
+    /// where there is nothing to see, as of a pose inside the camera.
+    ///
+    /// # Errors
+    /// The frame is not as its header says, or its curve is unknown.
+    pub fn closeup(
+        &mut self,
+        header: &FrameHeader,
+        pixels: &[u8],
+        track: &Track,
+        key: &str,
+    ) -> anyhow::Result<Option<(CloseupHead, Vec<u8>)>> {
+        let target = track.target as usize;
+        let (Some(body), Some(print)) = (self.bodies.get(target), self.prints.get(target)) else {
+            return Ok(None);
+        };
+        // What this frame says; between measurements, what is predicted.
+        let observer_from_target = match MeasuredBy::try_from(track.measured_by) {
+            Ok(MeasuredBy::Aligned) => isometry(&track.measured_observer_from_target),
+            _ => isometry(&track.observer_from_target),
+        };
+        let camera_from_markers =
+            self.observer_from_camera.inverse() * observer_from_target * body.target_from_markers;
+        // The view that a plan would ask for, were the pose known for certain.
+        let seen = PredictedNeighbour::from_pose(
+            target,
+            body,
+            &camera_from_markers,
+            &Matrix3::zeros(),
+            &Vector3::zeros(),
+        );
+        let Some(planned) = seen.and_then(|seen| gaze_view(&seen, &self.gaze)) else {
+            return Ok(None);
+        };
+        let view = planned.view;
+        let sphere = SphereImage::new(pixels, header.stride as usize, self.camera)?;
+        let side = view.size_px as usize;
+        let mut cut = vec![0; side * side];
+        let interpolation = Interpolation::suited_to(&view, &self.camera);
+        let distance_m = camera_from_markers.translation.vector.norm();
+        rectify_into(&sphere, &Cut { view, distance_m, interpolation }, &mut cut, side)?;
+        let curve = ViewHeader {
+            transfer: header.transfer,
+            gamma: header.gamma,
+            range: header.range,
+            ..ViewHeader::default()
+        };
+        let light = self.radiances.of(&curve)?;
+        let image = LumaImage::new(&cut, side, side, side)?;
+        let picture = Picture::still(image, view, light, self.camera.pixels_per_radian());
+        let head = |size, panels, score| CloseupHead {
+            key: key.to_owned(),
+            target: track.target,
+            size,
+            panels,
+            score,
+        };
+        match depict(print, &picture, &camera_from_markers, &AlignOptions::default()) {
+            Ok(shown) => {
+                let (width, height) = (shown.width, shown.height);
+                let score = Score {
+                    correlation: shown.evidence.correlation as f32,
+                    log_odds: shown.evidence.log_odds as f32,
+                    facets: shown.evidence.agreeing_facets,
+                };
+                let jpeg = gray_jpeg(&panels(&shown, light), 3 * width, height)?;
+                Ok(Some((head([width as u32, height as u32], 3, Some(score)), jpeg)))
+            }
+            // Too far or hidden: the picture alone.
+            Err(_) => {
+                let jpeg = gray_jpeg(&cut, side, side)?;
+                Ok(Some((head([view.size_px; 2], 1, None), jpeg)))
+            }
+        }
+    }
+}
+
+/// Picture, model and residual side by side, as code values. The residual is grey where both agree.
+fn panels(shown: &Depiction, light: &LinearLight) -> Vec<u8> {
+    let code = |radiance: f32| light.code_of(f64::from(radiance)).clamp(0.0, 255.0);
+    let row = |row: usize| {
+        let place = row * shown.width..(row + 1) * shown.width;
+        let pairs = || shown.picture[place.clone()].iter().zip(&shown.model[place.clone()]);
+        let picture = pairs().map(move |(picture, _)| code(*picture) as u8);
+        let model = pairs().map(move |(_, model)| code(*model) as u8);
+        let residual =
+            pairs().map(move |(picture, model)| (127.5 + (code(*picture) - code(*model))) as u8);
+        picture.chain(model).chain(residual).collect::<Vec<u8>>()
+    };
+    (0..shown.height).flat_map(row).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use bytemuck::Zeroable;
+    use flockeye_config::Pipeline;
+
+    use super::*;
+
+    #[test]
+    fn what_cannot_be_seen_gives_no_close_up_and_no_panic() {
+        let resolved = Resolved::of(Pipeline::default()).unwrap();
+        let mut maker = CloseupMaker::new(&resolved).unwrap();
+        let header =
+            FrameHeader { width: 3840, height: 1920, stride: 3840, ..FrameHeader::default() };
+        let pixels = vec![128; 3840 * 1920];
+        let mut closeup = |track: &Track| maker.closeup(&header, &pixels, track, "0.0.1").unwrap();
+        let pose = flockeye_contract::Pose::default();
+        let inside = Track { observer_from_target: pose, ..Track::zeroed() };
+        assert!(closeup(&inside).is_none(), "the camera is inside the body");
+        let at = |x: f64| {
+            let pose = flockeye_contract::Pose { position: [x, 0.0, 0.0], ..pose };
+            Track { observer_from_target: pose, ..Track::zeroed() }
+        };
+        assert!(closeup(&Track { target: 99, ..at(1.0) }).is_none(), "no such body");
+        let (head, jpeg) = closeup(&at(1.0)).unwrap();
+        assert_eq!((head.panels, jpeg.starts_with(&[0xff, 0xd8])), (3, true));
+        assert!(head.score.unwrap().correlation.abs() < 0.5, "there is nothing but grey: {head:?}");
+        // Far away a body is a speck: it is shown, and not compared.
+        let (head, _) = closeup(&at(60.0)).unwrap();
+        assert_eq!((head.panels, head.score), (1, None));
+    }
+}

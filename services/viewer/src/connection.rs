@@ -1,0 +1,233 @@
+//! One connection: a request that is answered, or a page's socket.
+
+use std::io::{self, Read, Write};
+use std::net::{Shutdown, TcpStream};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use serde::Deserialize;
+use tungstenite::protocol::{CloseFrame, Role, WebSocketConfig, frame::coding::CloseCode};
+use tungstenite::{Error, Message, WebSocket};
+
+use crate::files::{self, File};
+use crate::hub::{Hub, Page};
+use crate::request::{Access, Answer, MAX_HEAD, Refusal, answer};
+
+/// A request must have come in this time.
+const REQUEST_TIME: Duration = Duration::from_secs(5);
+/// An answer must have gone in this time.
+const ANSWER_TIME: Duration = Duration::from_secs(5);
+/// A page that takes nothing for this long is closed.
+const STALLED: Duration = Duration::from_secs(20);
+/// What a refused browser still sends is read for so long, so that it reads the answer.
+const LINGER: Duration = Duration::from_millis(200);
+/// Longest message of a page, bytes.
+const MAX_COMMAND: usize = 1024;
+
+/// What a page says.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum Command {
+    /// Whether it wants pictures: a hidden page does not.
+    Pictures(bool),
+    /// It has shown so many pictures more, or let them go.
+    Shown(u32),
+}
+
+/// Serves a connection until it ends. What goes wrong with it is the other end's trouble.
+pub fn serve(mut stream: TcpStream, access: &Access, hub: &Hub) {
+    if let Err(error) = try_serve(&mut stream, access, hub) {
+        tracing::debug!("a connection ended: {error}");
+    }
+}
+
+fn try_serve(stream: &mut TcpStream, access: &Access, hub: &Hub) -> io::Result<()> {
+    stream.set_write_timeout(Some(ANSWER_TIME))?;
+    stream.set_nodelay(true)?;
+    let (asked, rest) = read_request(stream, access)?;
+    match asked {
+        Answer::File { file, with_body } => send_file(stream, file, with_body),
+        Answer::Granted => send(stream, (200, "OK"), "text/plain; charset=utf-8", b"granted", true),
+        Answer::Refused(refusal) => refuse(stream, refusal),
+        Answer::Socket { accept } => match hub.open() {
+            Err(refusal) => refuse(stream, refusal),
+            Ok(page) => {
+                let outcome = open_socket(stream, &accept, rest, &page, hub);
+                hub.close(&page);
+                outcome
+            }
+        },
+    }
+}
+
+/// Reads a request, and what has come behind it.
+fn read_request(stream: &mut TcpStream, access: &Access) -> io::Result<(Answer, Vec<u8>)> {
+    let deadline = Instant::now() + REQUEST_TIME;
+    let mut bytes = Vec::new();
+    let mut chunk = [0; 1024];
+    loop {
+        let left = deadline.saturating_duration_since(Instant::now());
+        if left.is_zero() {
+            return Ok((Answer::Refused(Refusal::TooSlow), Vec::new()));
+        }
+        stream.set_read_timeout(Some(left))?;
+        match stream.read(&mut chunk) {
+            Ok(0) => return Err(io::ErrorKind::UnexpectedEof.into()),
+            Ok(read) => bytes.extend_from_slice(&chunk[..read]),
+            Err(error) if is_not_yet(&error) => continue,
+            Err(error) => return Err(error),
+        }
+        if let Some((asked, length)) = answer(&bytes, access) {
+            return Ok((asked, bytes.split_off(length.min(bytes.len()))));
+        }
+        debug_assert!(bytes.len() < MAX_HEAD + chunk.len(), "longer heads are refused");
+    }
+}
+
+fn refuse(stream: &mut TcpStream, refusal: Refusal) -> io::Result<()> {
+    let text = format!("{refusal}\n");
+    send(stream, refusal.status(), "text/plain; charset=utf-8", text.as_bytes(), true)?;
+    // Bytes that are not read would reset the connection, and the answer with it.
+    stream.shutdown(Shutdown::Write)?;
+    stream.set_read_timeout(Some(LINGER))?;
+    let start = Instant::now();
+    let mut rest = [0; 4096];
+    while start.elapsed() < LINGER && stream.read(&mut rest).is_ok_and(|read| read > 0) {}
+    Ok(())
+}
+
+fn send_file(stream: &mut TcpStream, file: &File, with_body: bool) -> io::Result<()> {
+    send(stream, (200, "OK"), file.media_type, file.content, with_body)
+}
+
+fn send(
+    stream: &mut TcpStream,
+    (status, reason): (u16, &str),
+    media_type: &str,
+    body: &[u8],
+    with_body: bool,
+) -> io::Result<()> {
+    let head = format!(
+        "HTTP/1.1 {status} {reason}\r\nContent-Type: {media_type}\r\nContent-Length: {}\r\n\
+         Content-Security-Policy: {}\r\nX-Content-Type-Options: nosniff\r\n\
+         Referrer-Policy: no-referrer\r\nCross-Origin-Opener-Policy: same-origin\r\n\
+         Cross-Origin-Resource-Policy: same-origin\r\nCache-Control: no-store\r\n\
+         Connection: close\r\n\r\n",
+        body.len(),
+        files::POLICY
+    );
+    stream.write_all(head.as_bytes())?;
+    if with_body {
+        stream.write_all(body)?;
+    }
+    stream.flush()
+}
+
+fn open_socket(
+    stream: &mut TcpStream,
+    accept: &str,
+    rest: Vec<u8>,
+    page: &Arc<Page>,
+    hub: &Hub,
+) -> io::Result<()> {
+    let head = format!(
+        "HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n\
+         Sec-WebSocket-Accept: {accept}\r\n\r\n"
+    );
+    stream.write_all(head.as_bytes())?;
+    stream.set_nonblocking(true)?;
+    let limits = WebSocketConfig::default()
+        .max_message_size(Some(MAX_COMMAND))
+        .max_frame_size(Some(MAX_COMMAND))
+        .read_buffer_size(4096);
+    let mut socket = WebSocket::from_partially_read(&mut *stream, rest, Role::Server, Some(limits));
+    match talk(&mut socket, page, hub) {
+        // A browser that went away.
+        Err(Error::ConnectionClosed | Error::AlreadyClosed) => Ok(()),
+        Err(Error::Io(error)) => Err(error),
+        Err(error) => Err(io::Error::other(error)),
+        Ok(()) => Ok(()),
+    }
+}
+
+/// Sends what waits for the page and hears it, until one of the two ends it.
+fn talk(socket: &mut WebSocket<&mut TcpStream>, page: &Page, hub: &Hub) -> Result<(), Error> {
+    let mut unsent_since: Option<Instant> = None;
+    loop {
+        page.hush();
+        hear(socket, page, hub)?;
+        if unsent_since.is_some() && is_sent(socket.flush())? {
+            unsent_since = None;
+        }
+        while unsent_since.is_none()
+            && let Some(message) = page.outbox(|outbox| outbox.take())
+        {
+            // What the system does not take now is kept in the socket's own buffer.
+            let is_written = is_sent(socket.write(message))?;
+            if !(is_written && is_sent(socket.flush())?) {
+                unsent_since = Some(Instant::now());
+            }
+        }
+        if unsent_since.is_some_and(|since| since.elapsed() > STALLED) {
+            return Err(Error::Io(io::ErrorKind::TimedOut.into()));
+        }
+        let mut interest = PollFlags::IN;
+        interest.set(PollFlags::OUT, unsent_since.is_some());
+        let stream: &TcpStream = socket.get_ref();
+        let bell = page.ringing();
+        let mut waited = vec![PollFd::new(stream, interest)];
+        if unsent_since.is_none() {
+            waited.push(PollFd::from_borrowed_fd(bell, PollFlags::IN));
+        }
+        let at_most = Timespec { tv_sec: 1, tv_nsec: 0 };
+        match poll(&mut waited, Some(&at_most)) {
+            Ok(_) | Err(rustix::io::Errno::INTR) => {}
+            Err(error) => return Err(Error::Io(error.into())),
+        }
+    }
+}
+
+/// Whether all was sent; false where the system takes no more now.
+fn is_sent(outcome: Result<(), Error>) -> Result<bool, Error> {
+    match outcome {
+        Ok(()) => Ok(true),
+        Err(Error::Io(error)) if is_not_yet(&error) => Ok(false),
+        Err(error) => Err(error),
+    }
+}
+
+/// Takes what the page says.
+fn hear(socket: &mut WebSocket<&mut TcpStream>, page: &Page, hub: &Hub) -> Result<(), Error> {
+    loop {
+        match socket.read() {
+            Ok(Message::Text(text)) => match serde_json::from_str(text.as_str()) {
+                Ok(Command::Pictures(wants)) => {
+                    page.outbox(|outbox| outbox.set_wants_pictures(wants));
+                    hub.changed();
+                }
+                Ok(Command::Shown(count)) => {
+                    page.outbox(|outbox| (0..count.min(8)).for_each(|_| outbox.shown()));
+                }
+                Err(_) => {
+                    let reason = "a page says {\"pictures\": true} or {\"shown\": 1}".into();
+                    let frame = CloseFrame { code: CloseCode::Policy, reason };
+                    is_sent(socket.close(Some(frame)))?;
+                    is_sent(socket.flush())?;
+                    return Err(Error::ConnectionClosed);
+                }
+            },
+            // The library answers pings and closing.
+            Ok(_) => {}
+            Err(Error::Io(error)) if is_not_yet(&error) => return Ok(()),
+            Err(error) => return Err(error),
+        }
+    }
+}
+
+fn is_not_yet(error: &io::Error) -> bool {
+    matches!(
+        error.kind(),
+        io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut | io::ErrorKind::Interrupted
+    )
+}

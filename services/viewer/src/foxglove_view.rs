@@ -1,0 +1,250 @@
+//! The same scene for Foxglove and Lichtblick, over Foxglove's WebSocket protocol: whoever knows these
+//! programs has their panels, plots and recordings.
+//!
+//! The crate `foxglove` speaks the protocol, in threads of its own. A client that is slow loses its oldest
+//! messages. What nobody has subscribed to is not made.
+//!
+//! | topic | schema |
+//! | --- | --- |
+//! | `/tf` | `foxglove.FrameTransforms`: camera and neighbours in the frame `observer` |
+//! | `/scene` | `foxglove.SceneUpdate`: bodies, ellipsoids, names |
+//! | `/pose/NAME` | `foxglove.PoseInFrame` |
+//! | `/sphere`, `/sphere/annotations` | `foxglove.CompressedImage`, `foxglove.ImageAnnotations` |
+//! | `/closeup/NAME` | `foxglove.CompressedImage`: picture, model, residual |
+//! | `/frames`, `/stages` | the page's messages `frame` and `stages` as JSON, for plots |
+
+mod annotations;
+mod scene;
+mod values;
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+
+use anyhow::Context as _;
+use flockeye_config::{Flow, Resolved};
+use flockeye_contract::FrameStamp;
+use flockeye_convert::isometry;
+use flockeye_runtime::clock;
+use flockeye_runtime::instance::Instance;
+use foxglove::messages::{
+    CompressedImage, FrameTransforms, ImageAnnotations, PoseInFrame, SceneUpdate, Timestamp,
+};
+use foxglove::{
+    Channel, ChannelBuilder, Context, Encode, PartialMetadata, RawChannel, WebSocketServer,
+};
+
+use crate::hub::Wanted;
+use crate::scene::Ended;
+use crate::wire;
+use values::{CAMERA, OBSERVER, pose, timestamp};
+
+/// Messages that wait for a slow client at most.
+const BACKLOG: usize = 64;
+
+/// Foxglove's server, and the channels of the pipeline that is followed.
+pub struct FoxgloveView {
+    context: Arc<Context>,
+    channels: Channels,
+}
+
+/// The channels of one pipeline.
+struct Channels {
+    resolved: Resolved,
+    transforms: Channel<FrameTransforms>,
+    scene: Channel<SceneUpdate>,
+    /// By the bodies' numbers.
+    poses: Vec<Channel<PoseInFrame>>,
+    sphere: Channel<CompressedImage>,
+    annotations: Channel<ImageAnnotations>,
+    /// By the bodies' numbers.
+    closeups: Vec<Channel<CompressedImage>>,
+    frames: Arc<RawChannel>,
+    stages: Arc<RawChannel>,
+    /// What is to be added to the exposures' clock to give nanoseconds since 1970.
+    unix_from_exposure_ns: i64,
+}
+
+impl FoxgloveView {
+    /// Advertises the channels of a pipeline and listens at `address`, in threads that end with the process.
+    /// Returns the port, too.
+    ///
+    /// # Errors
+    /// The pipeline's configuration cannot be read; the address is taken or not this machine's.
+    pub fn start(address: SocketAddr, instance: &Instance) -> anyhow::Result<(Self, u16)> {
+        let context = Context::new();
+        let resolved = Resolved::of(instance.pipeline()?)?;
+        // First, because a client that subscribes to a channel while it is made may be refused.
+        let channels = Channels::new(&context, &resolved)?;
+        let server = WebSocketServer::new()
+            .context(&context)
+            .name(format!("Flockeye {}", instance.name()))
+            .bind(address.ip().to_string(), address.port())
+            .message_backlog_size(BACKLOG)
+            .start_blocking()
+            .with_context(|| format!("cannot serve Foxglove at {address}"))?;
+        let port = server.port();
+        Ok((Self { context, channels }, port))
+    }
+
+    /// Advertises the channels of a pipeline, in place of those of another.
+    ///
+    /// # Errors
+    /// A channel cannot be made.
+    pub fn begin(&mut self, resolved: &Resolved) -> anyhow::Result<()> {
+        if self.channels.resolved.pipeline != resolved.pipeline {
+            self.channels.close();
+            self.channels = Channels::new(&self.context, resolved)?;
+        }
+        Ok(())
+    }
+
+    /// What the clients have subscribed to.
+    pub fn wanted(&self) -> Wanted {
+        let pictures = self.channels.wants_pictures();
+        Wanted { anything: pictures || self.channels.wants_frames(), pictures }
+    }
+
+    /// Sends what is known of a frame.
+    pub fn frame(&self, ended: &Ended) {
+        self.channels.frame(ended);
+    }
+
+    /// Sends a frame's picture with its annotations, where it has ended. `size`: its sides, pixels.
+    pub fn picture(&self, stamp: &FrameStamp, ended: Option<&Ended>, size: [u32; 2], jpeg: &[u8]) {
+        let channels = &self.channels;
+        let at = channels.time(stamp);
+        let sphere = &channels.sphere;
+        put(sphere, at, || image(CAMERA, channels.timestamp(stamp), jpeg));
+        if let Some(ended) = ended {
+            let stamped = channels.timestamp(stamp);
+            put(&channels.annotations, at, || {
+                annotations::annotations(&channels.resolved, ended, size, stamped)
+            });
+        }
+    }
+
+    /// Sends a close-up.
+    pub fn closeup(&self, stamp: &FrameStamp, target: u32, jpeg: &[u8]) {
+        let channels = &self.channels;
+        if let Some(channel) = channels.closeups.get(target as usize) {
+            put(channel, channels.time(stamp), || image(CAMERA, channels.timestamp(stamp), jpeg));
+        }
+    }
+
+    /// Sends what the stages report.
+    pub fn stages(&self, stages: &wire::Stages) {
+        let channels = &self.channels;
+        if channels.stages.has_sinks()
+            && let Ok(json) = serde_json::to_vec(stages)
+        {
+            channels.stages.log(&json);
+        }
+    }
+}
+
+impl Channels {
+    fn new(context: &Arc<Context>, resolved: &Resolved) -> anyhow::Result<Self> {
+        let json = |topic: &str| {
+            let channel = context.channel_builder(topic).message_encoding("json").build_raw();
+            channel.with_context(|| format!("the channel {topic} cannot be made"))
+        };
+        let names = || resolved.bodies.iter().map(|body| body.name.as_str());
+        let unix_ns = std::time::UNIX_EPOCH.elapsed().map_or(0, |since| since.as_nanos() as i64);
+        let is_real_time = resolved.pipeline.flow == Flow::Latest;
+        Ok(Self {
+            resolved: resolved.clone(),
+            transforms: build(context.channel_builder("/tf")),
+            scene: build(context.channel_builder("/scene")),
+            poses: names()
+                .map(|name| build(context.channel_builder(format!("/pose/{name}"))))
+                .collect(),
+            sphere: build(context.channel_builder("/sphere")),
+            annotations: build(context.channel_builder("/sphere/annotations")),
+            closeups: names()
+                .map(|name| build(context.channel_builder(format!("/closeup/{name}"))))
+                .collect(),
+            frames: json("/frames")?,
+            stages: json("/stages")?,
+            // A lossless run has the recording's own time.
+            unix_from_exposure_ns: if is_real_time { unix_ns - clock::monotonic_ns() } else { 0 },
+        })
+    }
+
+    fn close(&self) {
+        self.transforms.close();
+        self.scene.close();
+        self.poses.iter().for_each(Channel::close);
+        self.sphere.close();
+        self.annotations.close();
+        self.closeups.iter().for_each(Channel::close);
+        self.frames.close();
+        self.stages.close();
+    }
+
+    fn wants_pictures(&self) -> bool {
+        self.sphere.has_sinks()
+            || self.annotations.has_sinks()
+            || self.closeups.iter().any(Channel::has_sinks)
+    }
+
+    fn wants_frames(&self) -> bool {
+        self.transforms.has_sinks()
+            || self.scene.has_sinks()
+            || self.poses.iter().any(Channel::has_sinks)
+            || self.frames.has_sinks()
+            || self.stages.has_sinks()
+    }
+
+    /// Nanoseconds since 1970.
+    fn time(&self, stamp: &FrameStamp) -> i64 {
+        stamp.exposure_ns.saturating_add(self.unix_from_exposure_ns)
+    }
+
+    fn timestamp(&self, stamp: &FrameStamp) -> Timestamp {
+        timestamp(self.time(stamp))
+    }
+
+    fn frame(&self, ended: &Ended) {
+        let (at, stamped) = (self.time(&ended.stamp), self.timestamp(&ended.stamp));
+        let tracks = &ended.tracks;
+        put(&self.transforms, at, || scene::transforms(&self.resolved, tracks, stamped));
+        put(&self.scene, at, || scene::scene(&self.resolved, tracks, stamped));
+        for track in tracks {
+            let Some(channel) = self.poses.get(track.target as usize) else { continue };
+            put(channel, at, || PoseInFrame {
+                timestamp: Some(stamped),
+                frame_id: OBSERVER.to_owned(),
+                pose: Some(pose(&isometry(&track.observer_from_target))),
+            });
+        }
+        if self.frames.has_sinks()
+            && let Ok(json) = serde_json::to_vec(&ended.message)
+        {
+            self.frames.log_with_meta(&json, meta(at));
+        }
+    }
+}
+
+fn build<T: Encode>(builder: ChannelBuilder) -> Channel<T> {
+    builder.build()
+}
+
+/// Sends what `make` makes, if anybody has subscribed to it.
+fn put<T: Encode>(channel: &Channel<T>, at_ns: i64, make: impl FnOnce() -> T) {
+    if channel.has_sinks() {
+        channel.log_with_meta(&make(), meta(at_ns));
+    }
+}
+
+fn meta(at_ns: i64) -> PartialMetadata {
+    PartialMetadata { log_time: u64::try_from(at_ns).ok() }
+}
+
+fn image(frame_id: &str, timestamp: Timestamp, jpeg: &[u8]) -> CompressedImage {
+    CompressedImage {
+        timestamp: Some(timestamp),
+        frame_id: frame_id.to_owned(),
+        data: jpeg.to_vec().into(),
+        format: "jpeg".to_owned(),
+    }
+}

@@ -1,0 +1,133 @@
+//! Which frame a picture is made of.
+//!
+//! A picture is shown with what was found in it. So a frame or two are held, unread and uncopied, until one of
+//! them has ended, and only while a picture is due. Where nothing ends any more (fusion hangs, say), the
+//! picture is shown alone after a while.
+
+use std::collections::VecDeque;
+
+use flockeye_contract::FrameStamp;
+
+/// Frames that are held at most. iceoryx2 lets a reader borrow four ([`flockeye_runtime::memory`]), and one
+/// more is borrowed while the newest is taken.
+const MOST: usize = 2;
+/// A picture that is due for so long is shown without what was found in it, nanoseconds.
+const PATIENCE_NS: i64 = 400_000_000;
+
+/// Frames of which one becomes the next picture.
+#[derive(Debug)]
+pub struct Held<F> {
+    period_ns: i64,
+    /// Frames that were published before are not shown.
+    due_ns: i64,
+    frames: VecDeque<(FrameStamp, F)>,
+}
+
+impl<F> Held<F> {
+    /// None held. Pictures are at least about `period_ns` nanoseconds apart.
+    pub fn new(period_ns: i64) -> Self {
+        Self { period_ns, due_ns: i64::MIN, frames: VecDeque::new() }
+    }
+
+    /// Takes a new frame; lets it go at once unless a picture is due. The oldest stays, because it ends first;
+    /// behind it the newest does.
+    pub fn frame(&mut self, stamp: FrameStamp, frame: F) {
+        if stamp.published_ns < self.due_ns {
+            return;
+        }
+        if self.frames.len() == MOST {
+            self.frames.pop_back();
+        }
+        self.frames.push_back((stamp, frame));
+    }
+
+    /// The frame that has ended, if it is held: a picture is to be made of it now. Frames end in order, so
+    /// older ones are let go.
+    pub fn ended(&mut self, stamp: &FrameStamp) -> Option<F> {
+        while self.frames.front().is_some_and(|(held, _)| held.order() < stamp.order()) {
+            self.frames.pop_front();
+        }
+        self.frames.front().filter(|(held, _)| held.is_same_frame(stamp))?;
+        self.take().map(|(_, frame)| frame)
+    }
+
+    /// The oldest frame, if it has been waited for long and has not ended.
+    pub fn overdue(&mut self, now_ns: i64) -> Option<(FrameStamp, F)> {
+        let (oldest, _) = self.frames.front()?;
+        (now_ns.saturating_sub(oldest.published_ns) > PATIENCE_NS).then(|| self.take())?
+    }
+
+    /// Lets all go.
+    pub fn clear(&mut self) {
+        self.frames.clear();
+    }
+
+    fn take(&mut self) -> Option<(FrameStamp, F)> {
+        let taken = self.frames.pop_front()?;
+        let (at_ns, half_ns) = (taken.0.published_ns, self.period_ns / 2);
+        // In step with the clock, so that the mean rate is the wanted one; but nothing is caught up.
+        let in_step = self.due_ns.saturating_add(self.period_ns);
+        self.due_ns = in_step.max(at_ns.saturating_add(half_ns));
+        self.frames.retain(|(held, _)| held.published_ns >= self.due_ns);
+        Some(taken)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    const MS: i64 = 1_000_000;
+
+    fn stamp(sequence: i64, at_ms: i64) -> FrameStamp {
+        let sequence = sequence.unsigned_abs();
+        FrameStamp { sequence, published_ns: at_ms * MS, ..FrameStamp::default() }
+    }
+
+    /// Pictures in a second of a source that sends a frame each 33 ms, where of `skipped` frames one never ends.
+    fn pictures(rate: i64, latency_ms: i64, skipped: i64) -> i32 {
+        let mut held = Held::new(1000 * MS / rate);
+        let mut pictures = 0;
+        for ms in 0..1000 {
+            if ms % 33 == 0 {
+                held.frame(stamp(ms / 33, ms), ());
+            }
+            let ended_ms = ms - latency_ms;
+            if ended_ms >= 0 && ended_ms % 33 == 0 && (ended_ms / 33) % skipped != skipped - 1 {
+                pictures += i32::from(held.ended(&stamp(ended_ms / 33, 0)).is_some());
+            }
+            assert!(held.frames.len() <= MOST);
+        }
+        pictures
+    }
+
+    #[test]
+    fn the_wanted_rate_is_kept_with_a_few_frames_held() {
+        for (rate, latency_ms, least, most) in [
+            (15, 20, 14, 16),
+            (15, 50, 13, 16),
+            (10, 50, 9, 11),
+            (30, 50, 26, 31),
+            (15, 150, 5, 16),
+        ] {
+            let made = pictures(rate, latency_ms, i64::MAX);
+            assert!((least..=most).contains(&made), "{made} at {rate}/s after {latency_ms} ms");
+        }
+        assert!(pictures(15, 50, 2) >= 10, "where each second frame never ends");
+    }
+
+    #[test]
+    fn a_frame_that_never_ends_is_shown_at_last() {
+        let mut held = Held::new(66 * MS);
+        held.frame(stamp(1, 100), "one");
+        held.frame(stamp(2, 133), "two");
+        held.frame(stamp(3, 166), "three");
+        assert_eq!(held.overdue(400 * MS), None);
+        let (of, frame) = held.overdue(510 * MS).unwrap();
+        assert_eq!((of.sequence, frame), (1, "one"));
+        assert_eq!(held.ended(&stamp(3, 0)), Some("three"));
+        held.frame(stamp(4, 170), "four");
+        assert!(held.frames.is_empty(), "it comes too soon");
+    }
+}

@@ -1,0 +1,181 @@
+//! All open pages.
+
+use std::io::{self, Read, Write};
+use std::os::fd::{AsFd, BorrowedFd};
+use std::os::unix::net::UnixStream;
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::time::Duration;
+
+use flockeye_runtime::lock::lock;
+use tungstenite::Message;
+
+use crate::outbox::{Kind, Outbox};
+use crate::request::Refusal;
+
+/// Pages that may be open at once.
+pub const MOST_PAGES: usize = 16;
+
+/// All open pages. The ports' thread puts messages in and waits for nobody.
+#[derive(Default)]
+pub struct Hub {
+    state: Mutex<State>,
+    changed: Condvar,
+}
+
+#[derive(Default)]
+struct State {
+    pages: Vec<Arc<Page>>,
+    /// What a page that opens later gets first.
+    hello: Option<Message>,
+    status: Option<Message>,
+}
+
+/// What the pages want.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Wanted {
+    /// Whether one is open.
+    pub anything: bool,
+    /// Whether one wants pictures.
+    pub pictures: bool,
+}
+
+impl Wanted {
+    /// What either wants.
+    pub fn or(self, other: Self) -> Self {
+        Self {
+            anything: self.anything || other.anything,
+            pictures: self.pictures || other.pictures,
+        }
+    }
+}
+
+/// One open page, as its own thread and the ports' thread share it.
+pub struct Page {
+    outbox: Mutex<Outbox<Message>>,
+    /// A byte here says that something waits.
+    bell: UnixStream,
+    ringing: UnixStream,
+}
+
+impl Hub {
+    /// A new page.
+    ///
+    /// # Errors
+    /// [`Refusal::Full`] where too many are open, or the system has no more descriptors.
+    pub fn open(&self) -> Result<Arc<Page>, Refusal> {
+        let mut state = lock(&self.state);
+        if state.pages.len() >= MOST_PAGES {
+            return Err(Refusal::Full);
+        }
+        let page = Arc::new(Page::new().map_err(|_| Refusal::Full)?);
+        for (kind, message) in [(Kind::Hello, &state.hello), (Kind::Status, &state.status)] {
+            if let Some(message) = message {
+                page.put(kind, message.clone());
+            }
+        }
+        state.pages.push(page.clone());
+        drop(state);
+        self.changed.notify_all();
+        Ok(page)
+    }
+
+    /// A page was closed.
+    pub fn close(&self, page: &Arc<Page>) {
+        lock(&self.state).pages.retain(|open| !Arc::ptr_eq(open, page));
+        self.changed.notify_all();
+    }
+
+    /// Something that a page wants has changed.
+    pub fn changed(&self) {
+        self.changed.notify_all();
+    }
+
+    /// Puts a message into each page's outbox.
+    pub fn put(&self, kind: Kind, message: &Message) {
+        let mut state = lock(&self.state);
+        match kind {
+            Kind::Hello => state.hello = Some(message.clone()),
+            Kind::Status => state.status = Some(message.clone()),
+            _ => {}
+        }
+        for page in &state.pages {
+            page.put(kind, message.clone());
+        }
+    }
+
+    /// What the pages want.
+    pub fn wanted(&self) -> Wanted {
+        let state = lock(&self.state);
+        Wanted {
+            anything: !state.pages.is_empty(),
+            pictures: state.pages.iter().any(|page| page.outbox(|outbox| outbox.wants_pictures())),
+        }
+    }
+
+    /// Whether some page can take a picture now.
+    pub fn takes_pictures(&self) -> bool {
+        lock(&self.state).pages.iter().any(|page| page.outbox(|outbox| outbox.takes_pictures()))
+    }
+
+    /// Waits for a change, at most so long.
+    pub fn wait(&self, at_most: Duration) {
+        let state = lock(&self.state);
+        // Woken or not, the caller looks again.
+        drop(self.changed.wait_timeout(state, at_most).unwrap_or_else(PoisonError::into_inner));
+    }
+}
+
+impl Page {
+    fn new() -> io::Result<Self> {
+        let (bell, ringing) = UnixStream::pair()?;
+        bell.set_nonblocking(true)?;
+        ringing.set_nonblocking(true)?;
+        Ok(Self { outbox: Mutex::default(), bell, ringing })
+    }
+
+    fn put(&self, kind: Kind, message: Message) {
+        if self.outbox(|outbox| outbox.put(kind, message)) {
+            // Where the bell is full of rings, it rings already.
+            let _ = (&self.bell).write(&[1]);
+        }
+    }
+
+    /// Looks into its outbox.
+    pub fn outbox<R>(&self, look: impl FnOnce(&mut Outbox<Message>) -> R) -> R {
+        look(&mut lock(&self.outbox))
+    }
+
+    /// Becomes readable when something waits.
+    pub fn ringing(&self) -> BorrowedFd<'_> {
+        self.ringing.as_fd()
+    }
+
+    /// Stops the ringing.
+    pub fn hush(&self) {
+        let mut rings = [0; 64];
+        while (&self.ringing).read(&mut rings).is_ok_and(|read| read > 0) {}
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn a_late_page_gets_the_hello_and_pages_are_bounded() {
+        let hub = Hub::default();
+        assert_eq!(hub.wanted(), Wanted::default());
+        hub.put(Kind::Hello, &Message::text("hello"));
+        hub.put(Kind::Frame, &Message::text("too early"));
+        let pages: Vec<_> = (0..MOST_PAGES).map(|_| hub.open().unwrap()).collect();
+        assert_eq!(hub.open().err(), Some(Refusal::Full));
+        let first = pages[0].outbox(|outbox| (outbox.take(), outbox.take()));
+        assert_eq!(first, (Some(Message::text("hello")), None));
+        assert_eq!(hub.wanted(), Wanted { anything: true, pictures: false });
+        pages[3].outbox(|outbox| outbox.set_wants_pictures(true));
+        assert!(hub.wanted().pictures && hub.takes_pictures());
+        pages.iter().for_each(|page| hub.close(page));
+        assert_eq!(hub.wanted(), Wanted::default());
+    }
+}

@@ -1,0 +1,41 @@
+//! The live view: a page in the browser that shows what a running pipeline sees. `flockeye view` starts it.
+//!
+//! It is an onlooker: it reads messages beside the stages, and nobody waits for it. While no page is open it
+//! reads nothing. Pictures are encoded at a limited rate, and only for pages that want them. docs/VIEW.md
+//! has what the page and this process say to each other.
+//!
+//! | module | what it does |
+//! | --- | --- |
+//! | [`wire`] | the messages to the page |
+//! | [`scene`] | core: messages of the contract in, messages to the page out |
+//! | [`stages`] | core: what the stages report, as rates |
+//! | [`held`] | core: which frame a picture is made of |
+//! | [`outbox`] | core: what waits for one page, bounded, the oldest dropped |
+//! | [`request`] | core: what a browser asks for, and who may |
+//! | [`setting`] | what a page must know once: camera, tiles, bodies |
+//! | [`picture`] | a frame as an equirectangular JPEG |
+//! | [`closeup`] | a neighbour as alignment sees it |
+//! | [`foxglove_view`] | the same scene for Foxglove and Lichtblick |
+//! | [`files`] | the page itself |
+//! | [`hub`] | all open pages |
+//! | [`server`] | the sockets |
+//! | [`connection`] | one page's socket |
+//! | [`watch`] | the ports |
+//! | [`program`] | the command line |
+
+pub mod closeup;
+pub mod connection;
+pub mod files;
+pub mod foxglove_view;
+pub mod held;
+pub mod hub;
+pub mod outbox;
+pub mod picture;
+pub mod program;
+pub mod request;
+pub mod scene;
+pub mod server;
+pub mod setting;
+pub mod stages;
+pub mod watch;
+pub mod wire;

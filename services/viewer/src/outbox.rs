@@ -1,0 +1,152 @@
+//! What waits for one page.
+//!
+//! A page that reads slowly gets the newest: of most kinds one message waits, and it is replaced. A page says
+//! which pictures it has shown, and no more than a few are under way to it at once. So neither this process nor
+//! the system's buffers fill up with old pictures.
+
+use std::collections::VecDeque;
+
+/// What a message is, for the rule by which it waits.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// It must arrive: only a newer one replaces it.
+    Hello,
+    /// One for each frame: the oldest is dropped where there are too many.
+    Frame,
+    /// The newest counts.
+    Stages,
+    /// The newest counts.
+    Swarm,
+    /// The newest counts.
+    Status,
+    /// The newest counts, and it needs a credit.
+    Picture,
+    /// The newest of each body counts.
+    Closeup(u32),
+}
+
+/// Frames that wait at most.
+const MOST_FRAMES: usize = 32;
+/// Bodies whose close-ups wait at most.
+const MOST_CLOSEUPS: usize = 16;
+/// Pictures that are under way to a page at most.
+const CREDITS: u32 = 3;
+
+/// Messages for one page, in the order in which they came.
+#[derive(Debug)]
+pub struct Outbox<M> {
+    waiting: VecDeque<(Kind, M)>,
+    wants_pictures: bool,
+    under_way: u32,
+    dropped: u64,
+}
+
+impl<M> Default for Outbox<M> {
+    fn default() -> Self {
+        Self { waiting: VecDeque::new(), wants_pictures: false, under_way: 0, dropped: 0 }
+    }
+}
+
+impl<M> Outbox<M> {
+    /// Puts a message in. Returns false if it is not for this page.
+    pub fn put(&mut self, kind: Kind, message: M) -> bool {
+        match kind {
+            Kind::Picture if !self.takes_pictures() => return false,
+            Kind::Picture => self.under_way += 1,
+            Kind::Closeup(_) if !self.wants_pictures => return false,
+            _ => {}
+        }
+        let is_kind = |waiting: &(Kind, M)| waiting.0 == kind;
+        let count =
+            |of: fn(&Kind) -> bool| self.waiting.iter().filter(|(kind, _)| of(kind)).count();
+        let replaced = match kind {
+            Kind::Frame if count(|kind| *kind == Kind::Frame) < MOST_FRAMES => None,
+            Kind::Closeup(_) if !self.waiting.iter().any(is_kind) => {
+                let is_full = count(|kind| matches!(kind, Kind::Closeup(_))) >= MOST_CLOSEUPS;
+                let oldest = |(kind, _): &(Kind, M)| matches!(kind, Kind::Closeup(_));
+                is_full.then(|| self.waiting.iter().position(oldest)).flatten()
+            }
+            _ => self.waiting.iter().position(is_kind),
+        };
+        if let Some(at) = replaced {
+            self.waiting.remove(at);
+            self.dropped += 1;
+            // What is dropped here is never shown.
+            self.under_way -= u32::from(kind == Kind::Picture);
+        }
+        self.waiting.push_back((kind, message));
+        true
+    }
+
+    /// The next message.
+    pub fn take(&mut self) -> Option<M> {
+        self.waiting.pop_front().map(|(_, message)| message)
+    }
+
+    /// Whether a picture may be sent to it now.
+    pub fn takes_pictures(&self) -> bool {
+        self.wants_pictures && self.under_way < CREDITS
+    }
+
+    /// Whether it wants pictures, now or later.
+    pub fn wants_pictures(&self) -> bool {
+        self.wants_pictures
+    }
+
+    /// The page says whether it wants pictures.
+    pub fn set_wants_pictures(&mut self, wants: bool) {
+        self.wants_pictures = wants;
+        // Those under way count no more: a page that was hidden may not have shown them.
+        self.under_way = 0;
+    }
+
+    /// The page has shown a picture, or let it go.
+    pub fn shown(&mut self) {
+        self.under_way = self.under_way.saturating_sub(1);
+    }
+
+    /// Messages that were dropped for newer ones.
+    pub fn dropped(&self) -> u64 {
+        self.dropped
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_page_that_reads_nothing_has_little_waiting() {
+        let mut outbox = Outbox::default();
+        outbox.set_wants_pictures(true);
+        outbox.put(Kind::Hello, "hello".to_owned());
+        for number in 0..10_000 {
+            outbox.put(Kind::Frame, format!("frame {number}"));
+            outbox.put(Kind::Stages, format!("stages {number}"));
+            outbox.put(Kind::Picture, format!("picture {number}"));
+            outbox.put(Kind::Closeup(number), format!("closeup {number}"));
+        }
+        assert!(outbox.waiting.len() <= 4 + MOST_FRAMES + MOST_CLOSEUPS, "{outbox:?}");
+        assert_eq!(outbox.take().as_deref(), Some("hello"), "it must arrive");
+        let rest: Vec<String> = std::iter::from_fn(|| outbox.take()).collect();
+        for newest in ["frame 9999", "stages 9999", "closeup 9999", "picture 9999"] {
+            assert!(rest.iter().any(|text| text == newest), "{newest}");
+        }
+        assert!(outbox.dropped() > 20_000);
+    }
+
+    #[test]
+    fn pictures_need_credit() {
+        let mut outbox = Outbox::default();
+        assert!(!outbox.put(Kind::Picture, 0), "nobody asked for it");
+        outbox.set_wants_pictures(true);
+        for number in 0..CREDITS {
+            assert!(outbox.put(Kind::Picture, number));
+            assert_eq!(outbox.take(), Some(number));
+        }
+        assert!(!outbox.takes_pictures() && !outbox.put(Kind::Picture, 9));
+        outbox.shown();
+        assert!(outbox.put(Kind::Picture, 10));
+        assert_eq!(outbox.take(), Some(10));
+    }
+}

@@ -1,0 +1,245 @@
+//! A frame as an equirectangular JPEG, small enough for a browser.
+
+use flockeye_contract::FrameHeader;
+use flockeye_geometry::Ray;
+use flockeye_geometry::camera::{Camera, CameraModel, Equirectangular, SpherePixel};
+use opencv::core::{BORDER_CONSTANT, CV_16SC2, CV_32FC2, Mat, Point2f, Rect, Scalar, Size, Vector};
+use opencv::prelude::*;
+use opencv::{core, imgcodecs, imgproc};
+
+/// Widest picture, pixels.
+const MAX_WIDTH: u32 = 1920;
+/// Quality of the JPEG, of 100.
+const QUALITY: i32 = 78;
+
+/// Why a frame cannot be shown.
+#[derive(Debug, thiserror::Error)]
+pub enum PictureError {
+    /// It is not as large as configured.
+    #[error("the frame is {width}x{height}, the camera {}x{}", .camera.0, .camera.1)]
+    Size {
+        /// Of the frame.
+        width: u32,
+        /// Of the frame.
+        height: u32,
+        /// Sides of the configured camera's frames.
+        camera: (u32, u32),
+    },
+    /// Fewer bytes than its header says.
+    #[error("the frame has {found} bytes, its header says {needed}")]
+    TooShort {
+        /// By the header.
+        needed: usize,
+        /// In the message.
+        found: usize,
+    },
+    /// OpenCV cannot.
+    #[error("OpenCV: {0}")]
+    OpenCv(#[from] opencv::Error),
+}
+
+/// Makes pictures of one camera's frames.
+pub struct PictureMaker {
+    camera: Camera,
+    size: Size,
+    /// Where each pixel of the picture lies in the frame; none where the frame is equirectangular.
+    maps: Option<[Mat; 2]>,
+    scaled: Mat,
+    jpeg: Vector<u8>,
+}
+
+impl PictureMaker {
+    /// For frames of this camera.
+    ///
+    /// # Errors
+    /// OpenCV has no memory.
+    pub fn new(camera: &Camera) -> opencv::Result<Self> {
+        // Other threads would take processors from the pipeline.
+        core::set_num_threads(1)?;
+        let (width, height) = (camera.width(), camera.height());
+        let is_plain = matches!(camera.model(), CameraModel::Equirectangular { .. });
+        let size = match is_plain {
+            true => {
+                let shown = width.min(MAX_WIDTH);
+                let rows = u64::from(height) * u64::from(shown) / u64::from(width);
+                Size::new(shown as i32, (rows as i32).max(1))
+            }
+            false => {
+                let around = camera.pixels_per_radian() * std::f64::consts::TAU;
+                let rows = (around.min(f64::from(MAX_WIDTH)) as i32 / 2).max(1);
+                Size::new(2 * rows, rows)
+            }
+        };
+        let maps = if is_plain { None } else { Some(maps(camera, size)?) };
+        Ok(Self { camera: *camera, size, maps, scaled: Mat::default(), jpeg: Vector::new() })
+    }
+
+    /// Sides of its pictures, pixels.
+    pub fn size(&self) -> [u32; 2] {
+        [self.size.width, self.size.height].map(|side| side.unsigned_abs())
+    }
+
+    /// The picture of a frame, whose header has passed the contract's check.
+    ///
+    /// # Errors
+    /// [`PictureError`].
+    pub fn jpeg(&mut self, header: &FrameHeader, pixels: &[u8]) -> Result<&[u8], PictureError> {
+        let camera = (self.camera.width(), self.camera.height());
+        let (width, height) = (header.width, header.height);
+        if camera != (width, height) {
+            return Err(PictureError::Size { width, height, camera });
+        }
+        let needed = header.stride as usize * height as usize;
+        let luma =
+            pixels.get(..needed).ok_or(PictureError::TooShort { needed, found: pixels.len() })?;
+        // The contract's check has bounded all sides, so they fit.
+        let (rows, columns) = (height as i32, width as i32);
+        let padded = Mat::new_rows_cols_with_data(rows, header.stride as i32, luma)?;
+        let frame = padded.roi(Rect::new(0, 0, columns, rows))?;
+        let mut parameters = Vector::<i32>::new();
+        parameters.push(imgcodecs::IMWRITE_JPEG_QUALITY);
+        parameters.push(QUALITY);
+        let same_size = self.maps.is_none() && frame.size()? == self.size;
+        match &self.maps {
+            Some([whole, part]) => imgproc::remap(
+                &frame,
+                &mut self.scaled,
+                whole,
+                part,
+                imgproc::INTER_LINEAR,
+                BORDER_CONSTANT,
+                Scalar::default(),
+            )?,
+            None if same_size => {}
+            None => {
+                imgproc::resize(
+                    &frame,
+                    &mut self.scaled,
+                    self.size,
+                    0.0,
+                    0.0,
+                    imgproc::INTER_AREA,
+                )?;
+            }
+        }
+        if same_size {
+            imgcodecs::imencode(".jpg", &frame, &mut self.jpeg, &parameters)?;
+        } else {
+            imgcodecs::imencode(".jpg", &self.scaled, &mut self.jpeg, &parameters)?;
+        }
+        Ok(self.jpeg.as_slice())
+    }
+}
+
+/// Where the pixels of an equirectangular picture lie in the frames of `camera`, in the form that OpenCV
+/// remaps fastest with.
+fn maps(camera: &Camera, size: Size) -> opencv::Result<[Mat; 2]> {
+    let picture =
+        Equirectangular { width: size.width.unsigned_abs(), height: size.height.unsigned_abs() };
+    let outside = Point2f::new(-1e4, -1e4);
+    let place = |ray: &Ray| match camera.project(ray) {
+        Some(SpherePixel(at)) => Point2f::new(at.x as f32, at.y as f32),
+        None => outside,
+    };
+    let mut places = Mat::new_size_with_default(size, CV_32FC2, Scalar::default())?;
+    for row in 0..size.height {
+        for (column, at) in places.at_row_mut::<Point2f>(row)?.iter_mut().enumerate() {
+            *at = place(&picture.ray(SpherePixel::new(column as f64, f64::from(row))));
+        }
+    }
+    let (mut whole, mut part) = (Mat::default(), Mat::default());
+    let none = core::no_array();
+    imgproc::convert_maps(&places, &none, &mut whole, &mut part, CV_16SC2, false)?;
+    Ok([whole, part])
+}
+
+/// Gray pixels, `width` in a row, as a JPEG of good quality.
+///
+/// # Errors
+/// OpenCV cannot.
+pub fn gray_jpeg(pixels: &[u8], width: usize, height: usize) -> opencv::Result<Vec<u8>> {
+    let mat = Mat::new_rows_cols_with_data(height as i32, width as i32, pixels)?;
+    let mut jpeg = Vector::new();
+    let mut parameters = Vector::<i32>::new();
+    parameters.push(imgcodecs::IMWRITE_JPEG_QUALITY);
+    parameters.push(92);
+    imgcodecs::imencode(".jpg", &mat, &mut jpeg, &parameters)?;
+    Ok(jpeg.to_vec())
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    fn decoded(jpeg: &[u8]) -> Mat {
+        let bytes = Vector::<u8>::from_slice(jpeg);
+        imgcodecs::imdecode(&bytes, imgcodecs::IMREAD_GRAYSCALE).unwrap()
+    }
+
+    fn header(camera: &Camera, stride: u32) -> FrameHeader {
+        FrameHeader {
+            width: camera.width(),
+            height: camera.height(),
+            stride,
+            ..FrameHeader::default()
+        }
+    }
+
+    /// A frame whose left half is dark, with bytes between the rows that must not show.
+    fn half_dark(width: usize, height: usize, stride: usize) -> Vec<u8> {
+        let row = |x: usize| {
+            if x < width / 2 {
+                40
+            } else if x < width {
+                200
+            } else {
+                255
+            }
+        };
+        (0..height).flat_map(|_| (0..stride).map(row)).collect()
+    }
+
+    #[test]
+    fn a_picture_is_the_frame_made_smaller() {
+        let camera = Camera::equirectangular(3840, 1920);
+        let mut maker = PictureMaker::new(&camera).unwrap();
+        assert_eq!(maker.size(), [1920, 960]);
+        let pixels = half_dark(3840, 1920, 3904);
+        let picture = decoded(maker.jpeg(&header(&camera, 3904), &pixels).unwrap());
+        for (column, expected) in [(10, 40), (900, 40), (1000, 200), (1910, 200)] {
+            let grey = i32::from(*picture.at_2d::<u8>(500, column).unwrap());
+            assert!((grey - expected).abs() < 4, "{grey} at {column}");
+        }
+        let short = maker.jpeg(&header(&camera, 3904), &pixels[1..]).unwrap_err();
+        assert!(matches!(short, PictureError::TooShort { .. }));
+        let other = Camera::equirectangular(64, 32);
+        let wrong = maker.jpeg(&header(&other, 64), &pixels).unwrap_err().to_string();
+        assert_eq!(wrong, "the frame is 64x32, the camera 3840x1920");
+    }
+
+    #[test]
+    fn a_picture_of_another_camera_is_equirectangular_too() {
+        let model = CameraModel::Stereographic { field_rad: 300f64.to_radians() };
+        let camera = Camera::new(512, 512, model).unwrap();
+        // A bright spot where the camera sees what is left of it.
+        let left = Ray::new_normalize(nalgebra::Vector3::y());
+        let SpherePixel(spot) = camera.project(&left).unwrap();
+        let mut pixels = vec![60u8; 512 * 512];
+        for y in -6..=6 {
+            for x in -6..=6 {
+                let (x, y) = (spot.x as i32 + x, spot.y as i32 + y);
+                pixels[(y * 512 + x) as usize] = 250;
+            }
+        }
+        let mut maker = PictureMaker::new(&camera).unwrap();
+        let picture = decoded(maker.jpeg(&header(&camera, 512), &pixels).unwrap());
+        let [width, height] = maker.size();
+        let shown = Equirectangular { width, height };
+        let SpherePixel(at) = shown.project(&left);
+        assert!(*picture.at_2d::<u8>(at.y as i32, at.x as i32).unwrap() > 200);
+        assert!(*picture.at_2d::<u8>(at.y as i32, at.x as i32 + 60).unwrap() < 100);
+        // What lies straight behind is outside the circle: black.
+        assert!(*picture.at_2d::<u8>((height / 2) as i32, 0).unwrap() < 20);
+    }
+}

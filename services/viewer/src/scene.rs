@@ -1,0 +1,328 @@
+//! The scene: messages of the contract in, messages to the page out.
+//!
+//! What belongs to a frame is kept until fusion says that the frame has ended. Then all of it goes to the
+//! page at once.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use flockeye_contract::{
+    BodyTruth, DetectedMarker, DetectionHeader, FrameEnd, FrameOrder, FrameStamp, MeasuredBy,
+    PeerHeader, PeerSighting, PlanHeader, PlannedView, Rotation, RotationSource, SwarmHeader,
+    SwarmPose, SwarmWay, Track, TrackHeader, TrackState, TruthHeader, ViewKind,
+};
+use flockeye_convert::{rotation, xyzw};
+use nalgebra::{UnitQuaternion, Vector3};
+
+use crate::setting::{pose, square};
+use crate::wire;
+
+/// Frames that are waited for at most; older ones never ended.
+const OPEN_FRAMES: usize = 16;
+/// Plans that are kept: those that frames in flight follow.
+const PLANS: usize = 16;
+/// Markers of a frame that are shown at most.
+const MOST_MARKERS: usize = 128;
+/// A neighbour that was lost, or a sighting, is forgotten after this long, nanoseconds.
+const FORGOTTEN_NS: i64 = 5_000_000_000;
+/// Sightings that are kept at most.
+const MOST_SIGHTINGS: usize = 256;
+
+/// What the stages say of the frames.
+#[derive(Debug)]
+pub struct Scene {
+    is_real_time: bool,
+    open: BTreeMap<FrameOrder, OpenFrame>,
+    plans: VecDeque<(u64, u32, Vec<PlannedView>)>,
+    last_ended: Option<FrameStamp>,
+    skipped: u64,
+    drones: Option<(SwarmHeader, Vec<SwarmPose>)>,
+    sightings: BTreeMap<(String, String), PeerSighting>,
+}
+
+/// A frame that has not ended.
+#[derive(Debug, Default)]
+struct OpenFrame {
+    searched: Vec<(u64, u32)>,
+    markers: Vec<DetectedMarker>,
+    end: Option<FrameEnd>,
+    tracks: BTreeMap<u32, Track>,
+    turn: Option<Rotation>,
+    truth: Vec<BodyTruth>,
+}
+
+/// A frame that has ended.
+#[derive(Debug, Clone)]
+pub struct Ended {
+    /// Which one.
+    pub stamp: FrameStamp,
+    /// Its neighbours, as the contract has them.
+    pub tracks: Vec<Track>,
+    /// For the page.
+    pub message: wire::Frame,
+}
+
+impl Scene {
+    /// Nothing seen yet. `is_real_time`: whether exposures are on this machine's clock.
+    pub fn new(is_real_time: bool) -> Self {
+        Self {
+            is_real_time,
+            open: BTreeMap::new(),
+            plans: VecDeque::new(),
+            last_ended: None,
+            skipped: 0,
+            drones: None,
+            sightings: BTreeMap::new(),
+        }
+    }
+
+    /// Takes a plan.
+    pub fn plan(&mut self, header: &PlanHeader, views: &[PlannedView]) {
+        if self.plans.len() == PLANS {
+            self.plans.pop_front();
+        }
+        self.plans.push_back((header.plan_id, header.generation, views.to_vec()));
+    }
+
+    /// Takes a detection record.
+    pub fn detection(&mut self, header: &DetectionHeader, markers: &[DetectedMarker]) {
+        let frame = self.frame(&header.stamp);
+        if frame.searched.len() < flockeye_contract::MAX_PLANNED_VIEWS {
+            frame.searched.push((header.plan_id, header.view_index));
+        }
+        let room = MOST_MARKERS.saturating_sub(frame.markers.len());
+        frame.markers.extend(markers.iter().take(room));
+    }
+
+    /// Takes the end of a frame's views.
+    pub fn frame_end(&mut self, end: &FrameEnd) {
+        self.frame(&end.stamp).end = Some(*end);
+    }
+
+    /// Takes the camera's rotation.
+    pub fn rotation(&mut self, rotation: &Rotation) {
+        self.frame(&rotation.stamp).turn = Some(*rotation);
+    }
+
+    /// Takes the truth of a simulated frame.
+    pub fn truth(&mut self, header: &TruthHeader, bodies: &[BodyTruth]) {
+        self.frame(&header.stamp).truth = bodies.to_vec();
+    }
+
+    /// Takes what a peer reports.
+    pub fn sightings(&mut self, _header: &PeerHeader, sightings: &[PeerSighting]) {
+        for sighting in sightings {
+            let pair = (sighting.observer.to_string(), sighting.target.to_string());
+            if self.sightings.len() < MOST_SIGHTINGS || self.sightings.contains_key(&pair) {
+                self.sightings.insert(pair, *sighting);
+            }
+        }
+    }
+
+    /// Takes where all drones are.
+    pub fn drones(&mut self, header: &SwarmHeader, poses: &[SwarmPose]) {
+        self.drones = Some((*header, poses.to_vec()));
+    }
+
+    /// Takes tracks; returns the frame if they end it.
+    pub fn tracks(&mut self, header: &TrackHeader, tracks: &[Track], now_ns: i64) -> Option<Ended> {
+        let frame = self.frame(&header.stamp);
+        frame.tracks.extend(tracks.iter().map(|track| (track.target, *track)));
+        if header.is_last == 0 {
+            return None;
+        }
+        let frame = self.open.remove(&header.stamp.order())?;
+        // What is older and has not ended by now never will: frames end in order.
+        self.open = self.open.split_off(&header.stamp.order());
+        self.count_skipped(&header.stamp);
+        Some(self.ended(header.stamp, frame, now_ns))
+    }
+
+    /// What is known of the swarm, if anything is.
+    pub fn swarm(&mut self, now_ns: i64) -> Option<wire::Swarm> {
+        let age_s = |then_ns: i64| (now_ns.saturating_sub(then_ns) as f64 * 1e-9) as f32;
+        self.sightings
+            .retain(|_, sighting| now_ns.saturating_sub(sighting.exposure_ns) < FORGOTTEN_NS);
+        if self
+            .drones
+            .as_ref()
+            .is_some_and(|(header, _)| now_ns.saturating_sub(header.sent_ns) > FORGOTTEN_NS)
+        {
+            self.drones = None;
+        }
+        if self.sightings.is_empty() && self.drones.is_none() {
+            return None;
+        }
+        let drones = self.drones.iter().flat_map(|(_, poses)| poses).map(|drone| wire::Drone {
+            name: drone.name.to_string(),
+            pose: pose(&drone.own_from_drone),
+            covariance: position_covariance(&drone.covariance),
+            way: way(drone.way),
+            through: drone.through.to_string(),
+            age_s: age_s(drone.seen_ns),
+        });
+        let sightings = self.sightings.values().map(|sighting| wire::Sighting {
+            observer: sighting.observer.to_string(),
+            target: sighting.target.to_string(),
+            state: state(sighting.state),
+            range_m: Vector3::from(sighting.observer_from_target.position).norm() as f32,
+            age_s: age_s(sighting.exposure_ns),
+        });
+        Some(wire::Swarm { drones: drones.collect(), sightings: sightings.collect() })
+    }
+
+    fn frame(&mut self, stamp: &FrameStamp) -> &mut OpenFrame {
+        while self.open.len() >= OPEN_FRAMES && !self.open.contains_key(&stamp.order()) {
+            self.open.pop_first();
+        }
+        self.open.entry(stamp.order()).or_default()
+    }
+
+    fn count_skipped(&mut self, stamp: &FrameStamp) {
+        if let Some(last) = self.last_ended.replace(*stamp)
+            && (last.source_generation, last.epoch) == (stamp.source_generation, stamp.epoch)
+        {
+            self.skipped += stamp.sequence.saturating_sub(last.sequence.saturating_add(1));
+        }
+    }
+
+    fn ended(&self, stamp: FrameStamp, frame: OpenFrame, now_ns: i64) -> Ended {
+        let OpenFrame { searched, markers, end, tracks, turn, truth } = frame;
+        let mut shown = wire::Frame {
+            key: wire::key(&stamp),
+            sequence: stamp.sequence,
+            exposure_s: stamp.exposure_s(),
+            age_ms: self
+                .is_real_time
+                .then(|| (now_ns.saturating_sub(stamp.exposure_ns) as f64 * 1e-6) as f32),
+            skipped: self.skipped,
+            partitions: Vec::new(),
+            high_resolution: Vec::new(),
+            regions: Vec::new(),
+            views: end.map_or([0; 2], |end| [end.views_issued, end.views_abandoned]),
+            markers: markers.iter().map(detected).collect(),
+            tracks: tracks.values().map(track).collect(),
+            turn: turn.as_ref().and_then(turned),
+            truth: truth.iter().map(true_pose).collect(),
+        };
+        self.add_views(&mut shown, &searched, end.as_ref(), &stamp);
+        let tracks = tracks.into_values().collect();
+        Ended { stamp, tracks, message: shown }
+    }
+
+    /// Adds the views of a frame: those that were searched, and the regions that were cut.
+    fn add_views(
+        &self,
+        shown: &mut wire::Frame,
+        searched: &[(u64, u32)],
+        end: Option<&FrameEnd>,
+        stamp: &FrameStamp,
+    ) {
+        let Some(plan_id) = end.map(|end| end.plan_id).or(searched.first().map(|(plan, _)| *plan))
+        else {
+            return;
+        };
+        // Of several plans of this number, the newest fusion's counts.
+        let Some((_, _, views)) = self.plans.iter().rev().find(|(id, ..)| *id == plan_id) else {
+            return;
+        };
+        let issued = end.map_or(views.len(), |end| end.views_issued as usize);
+        for (index, view) in (0u32..).zip(views).take(issued) {
+            let is_searched = searched.contains(&(plan_id, index));
+            match ViewKind::try_from(view.kind) {
+                Ok(ViewKind::Partition) if is_searched => shown.partitions.push(view.tile),
+                Ok(ViewKind::HighResolution) if is_searched => {
+                    shown.high_resolution.push(view.tile);
+                }
+                Ok(ViewKind::Gaze) => shown.regions.push(region(view, stamp)),
+                // Only rectification knows where a proposal is.
+                _ => {}
+            }
+        }
+    }
+}
+
+/// A region of interest, turned to the frame's exposure as rectification turns it.
+fn region(view: &PlannedView, stamp: &FrameStamp) -> wire::Region {
+    let seconds = stamp.exposure_ns.saturating_sub(view.reference_ns) as f64 * 1e-9;
+    let turn = UnitQuaternion::from_scaled_axis(Vector3::from(view.rate_in_camera) * seconds);
+    let camera_from_view = turn * rotation(view.camera_from_view);
+    let view_square = square(xyzw(&camera_from_view), view.focal_px, view.size_px);
+    wire::Region { target: view.target, view: view_square }
+}
+
+fn detected(marker: &DetectedMarker) -> wire::Detected {
+    wire::Detected {
+        id: marker.id,
+        doubtful: !marker.is_decoded(),
+        rays: marker.rays_in_camera.map(|ray| ray.map(|x| x as f32)),
+    }
+}
+
+fn track(track: &Track) -> wire::Track {
+    let latency = &track.latency;
+    let parts = [
+        latency.capture_ns,
+        latency.rectification_ns,
+        latency.detection_ns,
+        latency.fusion_ns,
+        latency.total_ns,
+    ];
+    let turns = track.covariance[21] + track.covariance[28] + track.covariance[35];
+    wire::Track {
+        target: track.target,
+        name: track.name.to_string(),
+        track: track.track_id,
+        state: state(track.state),
+        by: match MeasuredBy::try_from(track.measured_by) {
+            Ok(MeasuredBy::Decoded) => "decoded",
+            Ok(MeasuredBy::Aligned) => "aligned",
+            Ok(MeasuredBy::Nothing) | Err(_) => "nothing",
+        },
+        markers: track.markers,
+        pose: pose(&track.observer_from_target),
+        covariance: position_covariance(&track.covariance),
+        attitude_deg: turns.max(0.0).sqrt().to_degrees() as f32,
+        velocity: track.linear_velocity.map(|x| x as f32),
+        unseen_s: (track.unseen_ns as f64 * 1e-9) as f32,
+        age_s: (track.age_ns as f64 * 1e-9) as f32,
+        latency_ms: parts.map(|ns| (ns >= 0).then_some((ns as f64 * 1e-6) as f32)),
+    }
+}
+
+fn true_pose(body: &BodyTruth) -> wire::Truth {
+    wire::Truth { target: body.target, pose: pose(&body.observer_from_target) }
+}
+
+fn turned(rotation: &Rotation) -> Option<[f32; 4]> {
+    let is_known = rotation.source != RotationSource::Nothing.code();
+    is_known.then(|| rotation.later_from_earlier.map(|x| x as f32))
+}
+
+/// The upper triangle of the position's part of a 6x6 covariance, row by row.
+fn position_covariance(covariance: &[f64; 36]) -> [f32; 6] {
+    [0, 1, 2, 7, 8, 14].map(|place| covariance[place] as f32)
+}
+
+fn state(code: u32) -> &'static str {
+    match TrackState::try_from(code) {
+        Ok(TrackState::Tentative) => "tentative",
+        Ok(TrackState::Confirmed) => "confirmed",
+        Ok(TrackState::Coasting) => "coasting",
+        Ok(TrackState::Lost) => "lost",
+        Ok(TrackState::Measured) => "measured",
+        Err(_) => "unknown",
+    }
+}
+
+fn way(code: u32) -> &'static str {
+    match SwarmWay::try_from(code) {
+        Ok(SwarmWay::Direct) => "direct",
+        Ok(SwarmWay::Mutual) => "mutual",
+        Ok(SwarmWay::Reported) => "reported",
+        Ok(SwarmWay::Chained) => "chained",
+        Err(_) => "unknown",
+    }
+}
+
+#[cfg(test)]
+mod tests;

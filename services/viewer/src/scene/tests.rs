@@ -1,0 +1,138 @@
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+
+use bytemuck::Zeroable;
+use flockeye_contract::{NONE, Pose};
+
+use super::*;
+
+fn stamp(sequence: u64) -> FrameStamp {
+    FrameStamp {
+        sequence,
+        exposure_ns: 1_000_000_000 + sequence as i64 * 33_000_000,
+        ..FrameStamp::default()
+    }
+}
+
+fn alpha(state: TrackState) -> Track {
+    let mut covariance = [0.0; 36];
+    (covariance[0], covariance[7], covariance[14], covariance[21]) = (1.0, 4.0, 9.0, 0.01);
+    Track {
+        name: "alpha".into(),
+        state: state.code(),
+        observer_from_target: Pose { position: [1.0, 2.0, 3.0], ..Pose::default() },
+        covariance,
+        latency: flockeye_contract::StageLatency { capture_ns: -1, ..Default::default() },
+        ..Track::zeroed()
+    }
+}
+
+fn ends(scene: &mut Scene, sequence: u64, tracks: &[Track]) -> Ended {
+    let header = TrackHeader { stamp: stamp(sequence), is_last: 1, ..TrackHeader::default() };
+    scene.tracks(&header, tracks, stamp(sequence).exposure_ns + 20_000_000).expect("it ends")
+}
+
+#[test]
+fn a_frame_goes_out_whole_when_it_ends() {
+    let mut scene = Scene::new(true);
+    let tile = PlannedView {
+        tile: 3,
+        target: NONE,
+        focal_px: 100.0,
+        size_px: 50,
+        ..PlannedView::default()
+    };
+    let unsearched = PlannedView { tile: 4, ..tile };
+    let half_turn = std::f64::consts::PI / 0.033;
+    let gaze = PlannedView {
+        kind: ViewKind::Gaze.code(),
+        tile: NONE,
+        target: 0,
+        camera_from_view: [0.0, 0.0, 0.0, 1.0],
+        rate_in_camera: [0.0, 0.0, half_turn],
+        reference_ns: stamp(0).exposure_ns,
+        ..tile
+    };
+    let header = PlanHeader { plan_id: 9, ..PlanHeader::default() };
+    scene.plan(&header, &[gaze, tile, unsearched, tile]);
+    let marker = DetectedMarker { id: 5, doubtful: 1, ..DetectedMarker::default() };
+    for view_index in [0, 1] {
+        let record =
+            DetectionHeader { stamp: stamp(1), plan_id: 9, view_index, ..Default::default() };
+        scene.detection(&record, &[marker]);
+    }
+    let end = FrameEnd {
+        stamp: stamp(1),
+        plan_id: 9,
+        views_issued: 3,
+        views_abandoned: 1,
+        ..Default::default()
+    };
+    scene.frame_end(&end);
+    let early = TrackHeader { stamp: stamp(1), ..TrackHeader::default() };
+    assert!(scene.tracks(&early, &[alpha(TrackState::Tentative)], 0).is_none(), "more may follow");
+    let ended = ends(&mut scene, 1, &[alpha(TrackState::Confirmed)]);
+    let shown = &ended.message;
+    assert_eq!((shown.key.as_str(), shown.views, shown.age_ms), ("0.0.1", [3, 1], Some(20.0)));
+    assert_eq!((&shown.partitions[..], shown.markers.len()), (&[3][..], 2));
+    assert!(shown.markers[0].doubtful);
+    let [region] = &shown.regions[..] else { panic!("{shown:?}") };
+    assert!((region.view.q[2].abs() - 1.0).abs() < 1e-6, "half a turn about z: {region:?}");
+    assert!((region.view.half - 0.25).abs() < 1e-6);
+    let [track] = &shown.tracks[..] else { panic!("{shown:?}") };
+    assert_eq!((track.state, track.covariance), ("confirmed", [1.0, 0.0, 0.0, 4.0, 0.0, 9.0]));
+    assert!((track.attitude_deg - 0.1f32.to_degrees()).abs() < 1e-4);
+    assert_eq!(track.latency_ms[0], None);
+    assert_eq!(ended.tracks.len(), 1);
+}
+
+#[test]
+fn frames_that_never_ended_are_counted() {
+    let mut scene = Scene::new(false);
+    assert_eq!(ends(&mut scene, 5, &[]).message.skipped, 0);
+    assert_eq!(ends(&mut scene, 6, &[]).message.skipped, 0);
+    let after = ends(&mut scene, 9, &[]).message;
+    assert_eq!((after.skipped, after.age_ms), (2, None));
+    let restarted = FrameStamp { epoch: 1, ..stamp(0) };
+    let header = TrackHeader { stamp: restarted, is_last: 1, ..TrackHeader::default() };
+    assert_eq!(scene.tracks(&header, &[], 0).expect("it ends").message.skipped, 2);
+}
+
+#[test]
+fn what_never_ends_does_not_fill_the_memory() {
+    let mut scene = Scene::new(true);
+    for sequence in 0..1000 {
+        let record = DetectionHeader { stamp: stamp(sequence), ..Default::default() };
+        for _ in 0..1000 {
+            scene.detection(&record, &[DetectedMarker::default(); 8]);
+        }
+        scene.plan(&PlanHeader { plan_id: sequence, ..PlanHeader::default() }, &[]);
+    }
+    assert_eq!((scene.open.len(), scene.plans.len()), (OPEN_FRAMES, PLANS));
+    assert!(scene.open.values().all(|frame| frame.markers.len() <= MOST_MARKERS));
+    ends(&mut scene, 1000, &[]);
+    assert!(scene.open.is_empty(), "they are older");
+}
+
+#[test]
+fn the_swarm_is_shown_until_it_is_silent() {
+    let mut scene = Scene::new(true);
+    assert_eq!(scene.swarm(0), None);
+    let drone = SwarmPose {
+        name: "bravo".into(),
+        way: SwarmWay::Chained.code(),
+        through: "alpha".into(),
+        ..SwarmPose::zeroed()
+    };
+    scene.drones(&SwarmHeader { sent_ns: 1, ..SwarmHeader::default() }, &[drone]);
+    let sighting = PeerSighting {
+        observer: "alpha".into(),
+        target: "bravo".into(),
+        observer_from_target: Pose { position: [3.0, 4.0, 0.0], ..Pose::default() },
+        ..PeerSighting::zeroed()
+    };
+    scene.sightings(&PeerHeader::default(), &[sighting, sighting]);
+    let shown = scene.swarm(2).expect("both are new");
+    assert_eq!((shown.drones[0].way, shown.sightings.len()), ("chained", 1));
+    assert_eq!(shown.sightings[0].range_m, 5.0);
+    assert_eq!(scene.swarm(2 + 2 * FORGOTTEN_NS), None);
+}

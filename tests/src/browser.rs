@@ -1,0 +1,168 @@
+//! A headless Chromium, driven over its DevTools protocol.
+
+use std::net::TcpStream;
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use flockeye_require::absent;
+use serde_json::{Value, json};
+use tungstenite::{Message, WebSocket};
+
+use crate::{Beside, Scratch, WATCHDOG};
+
+/// The name of Chromium in [`flockeye_require::REQUIRE`].
+pub const BROWSER: &str = "browser";
+
+/// A browser with one tab. It ends with the value.
+pub struct Browser {
+    socket: WebSocket<TcpStream>,
+    calls: u64,
+    /// What the page complained of: exceptions, refused resources, errors in its log.
+    pub complaints: Vec<String>,
+    _process: Beside,
+    _profile: Scratch,
+}
+
+impl Browser {
+    /// Starts it. Where there is none, says so and returns `None`.
+    pub fn start() -> Option<Self> {
+        let Some(program) = find() else {
+            absent(BROWSER, "chromium, which `make setup` installs");
+            return None;
+        };
+        let profile = Scratch::new("browser");
+        let mut command = Command::new(program);
+        command.args(["--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--mute-audio"]);
+        // WebGL by the processor, which is there everywhere.
+        command.args(["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]);
+        command.args([
+            "--no-first-run",
+            "--disable-background-networking",
+            "--window-size=1000,700",
+        ]);
+        command.arg("--remote-debugging-port=0");
+        command.arg(format!("--user-data-dir={}", profile.path("").display()));
+        command.arg("about:blank").stdout(Stdio::null()).stderr(Stdio::null());
+        let process = Beside::start(command);
+        let port_file = profile.path("DevToolsActivePort");
+        let told = wait_for("the browser's port", || {
+            let text = std::fs::read_to_string(&port_file).ok()?;
+            let (port, path) = text.split_once('\n')?;
+            (!path.trim().is_empty())
+                .then(|| Some((port.trim().parse::<u16>().ok()?, path.trim().to_owned())))?
+        });
+        let mut chief = connect(told.0, &told.1);
+        let targets = call(&mut chief, 1, "Target.getTargets", &json!({}), &mut Vec::new());
+        let infos = targets["targetInfos"].as_array().expect("a list").clone();
+        let page = infos.iter().find(|info| info["type"] == "page").expect("there is a tab");
+        let id = page["targetId"].as_str().expect("a name");
+        let socket = connect(told.0, &format!("/devtools/page/{id}"));
+        let complaints = Vec::new();
+        let mut browser =
+            Self { socket, calls: 0, complaints, _process: process, _profile: profile };
+        for domain in ["Runtime", "Log", "Page"] {
+            browser.call(&format!("{domain}.enable"), &json!({}));
+        }
+        Some(browser)
+    }
+
+    /// Opens an address.
+    pub fn open(&mut self, address: &str) {
+        self.call("Page.navigate", &json!({ "url": address }));
+    }
+
+    /// What an expression of the page's JavaScript is; promises are waited for.
+    pub fn ask(&mut self, expression: &str) -> Value {
+        let asked = json!({
+            "expression": expression, "awaitPromise": true, "returnByValue": true,
+        });
+        let answer = self.call("Runtime.evaluate", &asked);
+        assert!(answer.get("exceptionDetails").is_none(), "{expression}: {answer}");
+        answer["result"]["value"].clone()
+    }
+
+    /// Waits until an expression is neither null nor false, and returns it.
+    pub fn wait_for(&mut self, expression: &str) -> Value {
+        let start = Instant::now();
+        loop {
+            // What it speaks of may not be there yet.
+            let value = self.ask(&format!(
+                "(() => {{ try {{ return {expression} }} catch {{ return null }} }})()"
+            ));
+            if !matches!(value, Value::Null | Value::Bool(false)) {
+                return value;
+            }
+            assert!(
+                start.elapsed() < WATCHDOG,
+                "waited for {expression} in vain: {:?}",
+                self.complaints
+            );
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    }
+
+    /// Presses a key, as DevTools names it.
+    pub fn press(&mut self, key: &str, code: &str) {
+        for kind in ["keyDown", "keyUp"] {
+            self.call("Input.dispatchKeyEvent", &json!({ "type": kind, "key": key, "code": code }));
+        }
+    }
+
+    fn call(&mut self, method: &str, parameters: &Value) -> Value {
+        self.calls += 1;
+        call(&mut self.socket, self.calls, method, parameters, &mut self.complaints)
+    }
+}
+
+fn find() -> Option<PathBuf> {
+    let path = std::env::var_os("PATH")?;
+    std::env::split_paths(&path).map(|folder| folder.join("chromium")).find(|file| file.is_file())
+}
+
+fn connect(port: u16, path: &str) -> WebSocket<TcpStream> {
+    let stream = TcpStream::connect(("127.0.0.1", port)).expect("the browser listens");
+    stream.set_read_timeout(Some(WATCHDOG)).expect("a socket has a timeout");
+    let address = format!("ws://127.0.0.1:{port}{path}");
+    tungstenite::client(address, stream).expect("the browser talks").0
+}
+
+fn call(
+    socket: &mut WebSocket<TcpStream>,
+    id: u64,
+    method: &str,
+    parameters: &Value,
+    complaints: &mut Vec<String>,
+) -> Value {
+    let asked = json!({ "id": id, "method": method, "params": parameters });
+    socket.send(Message::text(asked.to_string())).expect("the browser listens");
+    loop {
+        let Message::Text(text) = socket.read().expect("the browser answers") else { continue };
+        let message: Value = serde_json::from_str(text.as_str()).expect("JSON");
+        if message["id"] == id {
+            assert!(message.get("error").is_none(), "{method}: {message}");
+            return message["result"].clone();
+        }
+        let parameters = &message["params"];
+        let is_complaint = match message["method"].as_str() {
+            Some("Runtime.exceptionThrown") => true,
+            Some("Log.entryAdded") => parameters["entry"]["level"] == "error",
+            Some("Runtime.consoleAPICalled") => parameters["type"] == "error",
+            _ => false,
+        };
+        if is_complaint {
+            complaints.push(parameters.to_string());
+        }
+    }
+}
+
+fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
+    let start = Instant::now();
+    loop {
+        if let Some(seen) = look() {
+            return seen;
+        }
+        assert!(start.elapsed() < WATCHDOG, "{what} does not come");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
