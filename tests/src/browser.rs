@@ -1,7 +1,7 @@
 //! A headless Chromium, driven over its DevTools protocol.
 
 use std::net::TcpStream;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -31,27 +31,9 @@ impl Browser {
             absent(BROWSER, "chromium, which `make setup` installs");
             return None;
         };
-        let profile = Scratch::new("browser");
-        let mut command = Command::new(program);
-        command.args(["--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--mute-audio"]);
-        // WebGL by the processor, which is there everywhere.
-        command.args(["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]);
-        command.args([
-            "--no-first-run",
-            "--disable-background-networking",
-            "--window-size=1000,700",
-        ]);
-        command.arg("--remote-debugging-port=0");
-        command.arg(format!("--user-data-dir={}", profile.path("").display()));
-        command.arg("about:blank").stdout(Stdio::null()).stderr(Stdio::null());
-        let process = Beside::start(command);
-        let port_file = profile.path("DevToolsActivePort");
-        let told = wait_for("the browser's port", || {
-            let text = std::fs::read_to_string(&port_file).ok()?;
-            let (port, path) = text.split_once('\n')?;
-            (!path.trim().is_empty())
-                .then(|| Some((port.trim().parse::<u16>().ok()?, path.trim().to_owned())))?
-        });
+        // Chromium now and then hangs while it starts; a new one does not.
+        let started = (0..STARTS).find_map(|_| launch(&program));
+        let (process, profile, told) = started.expect("one of several browsers says its port");
         let mut chief = connect(told.0, &told.1);
         let targets = call(&mut chief, 1, "Target.getTargets", &json!({}), &mut Vec::new());
         let infos = targets["targetInfos"].as_array().expect("a list").clone();
@@ -156,13 +138,34 @@ fn call(
     }
 }
 
-fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
+/// Browsers that are started until one says its port.
+const STARTS: u32 = 4;
+/// How long one may take for that.
+const START: Duration = Duration::from_secs(25);
+
+/// Starts a browser. Its process, its profile, and its port with the path of its socket; `None` if it says none.
+fn launch(program: &Path) -> Option<(Beside, Scratch, (u16, String))> {
+    let profile = Scratch::new("browser");
+    let mut command = Command::new(program);
+    command.args(["--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--mute-audio"]);
+    // WebGL by the processor, which is there everywhere.
+    command.args(["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]);
+    command.args(["--no-first-run", "--disable-background-networking", "--window-size=1000,700"]);
+    command.arg("--remote-debugging-port=0");
+    command.arg(format!("--user-data-dir={}", profile.path("").display()));
+    command.arg("about:blank").stdout(Stdio::null()).stderr(Stdio::null());
+    let process = Beside::start(command);
+    let port_file = profile.path("DevToolsActivePort");
     let start = Instant::now();
-    loop {
-        if let Some(seen) = look() {
-            return seen;
+    while start.elapsed() < START {
+        let text = std::fs::read_to_string(&port_file).unwrap_or_default();
+        if let Some((port, path)) = text.split_once('\n')
+            && let Ok(port) = port.trim().parse()
+            && !path.trim().is_empty()
+        {
+            return Some((process, profile, (port, path.trim().to_owned())));
         }
-        assert!(start.elapsed() < WATCHDOG, "{what} does not come");
         std::thread::sleep(Duration::from_millis(20));
     }
+    None
 }

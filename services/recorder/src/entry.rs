@@ -39,8 +39,13 @@ pub struct Loss {
 }
 
 impl Loss {
+    /// How many messages are missing for certain.
+    pub fn certain(&self) -> u64 {
+        self.refused + self.missing + self.queue_full
+    }
+
     /// Whether something is, or may be, missing.
     pub fn is_loss(&self) -> bool {
-        self.refused + self.missing + self.buffer_full + self.queue_full > 0
+        self.certain() + self.buffer_full > 0
     }
 }

@@ -249,14 +249,23 @@ impl Writing {
                 continue;
             }
             self.files.write(clock::monotonic_ns(), &self.core.loss(topic, loss))?;
-            if let Some(more_since) = warnings.admit() {
-                let Loss { refused, missing, buffer_full, queue_full, .. } = loss;
+            let is_certain = loss.certain() > before.certain();
+            let topic = TOPICS[topic].name;
+            if is_certain && let Some(more_since) = warnings.admit() {
+                let Loss { refused, missing, queue_full, .. } = loss;
                 tracing::warn!(
-                    topic = TOPICS[topic].name,
+                    topic,
                     more_since,
                     "messages are missing: {queue_full} found no room because the disk is too slow, {missing} \
-                     numbers were left out, {buffer_full} times more came than fit, {refused} broke the \
-                     contract. Cure: record less (--frames), or to a faster disk"
+                     numbers were left out, {refused} broke the contract. Cure: record less (--frames), or to a \
+                     faster disk"
+                );
+            } else if !is_certain && before.buffer_full == 0 {
+                // It comes again with every burst, and the file counts it.
+                tracing::warn!(
+                    topic,
+                    "messages may be missing: as many came at once as find room. Cure: end what else keeps the \
+                     processors busy"
                 );
             }
         }
