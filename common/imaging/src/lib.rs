@@ -4,6 +4,7 @@
 //! | --- | --- |
 //! | [`image`] | which bytes are an image |
 //! | [`light`] | which radiance a code value stands for |
+//! | [`response`] | which curve leads from radiance to code values, from an exposure series |
 //! | [`square`] | where a view shows a point of a printed square |
 //! | [`edges`] | where exactly the corners of a marker are |
 //! | [`align`] | which pose of a whole body explains a view best, and whether the body is there |
@@ -42,6 +43,7 @@ mod gaussian;
 pub mod gyroscope;
 pub mod image;
 pub mod light;
+mod occluded;
 pub mod proposals;
 pub mod response;
 pub mod sphere;

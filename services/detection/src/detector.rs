@@ -16,7 +16,7 @@ use flockeye_imaging::square::mean_side_px;
 use crate::candidates::{Candidates, Finder};
 use crate::parameters::{DetectError, DetectorParameters, check_thresholds};
 use crate::quad::{Quad, centre, rotated, with_parallelogram_corner};
-use crate::reader::{Correlations, Decoded, Reader};
+use crate::reader::{Correlations, Decoded, Explained, Reader};
 use crate::reading::Reading;
 use crate::windows::Threshold;
 
@@ -236,9 +236,8 @@ impl Detector {
         }
         let print = self.dictionary.print(decoded.id)?;
         let outline = rotated(near, decoded.first_corner);
-        let corners = self.with_hidden_corner(image, light, &outline, print);
-        let reading = self.reading(image, light, &corners)?;
-        let explained = self.reader.explain(&reading, print);
+        let (corners, reading, explained) =
+            self.with_hidden_corner(image, light, &outline, print)?;
         let (decoded, lighting) = (decoded.with(&explained), explained.lighting());
         let by_outline = self.is_accepted_unrefined(&decoded) && self.has_cells(&reading, print);
         let mut refined = self.refined(image, light, &corners, print, lighting);
@@ -273,26 +272,27 @@ impl Detector {
         })
     }
 
-    /// The corners of an outline or, where the print reads better so, with one of them where a parallelogram has it. The
-    /// outline goes round what hides a corner.
+    /// The corners of an outline or, where the print reads better so, with one of them where a parallelogram has it: the
+    /// outline goes round what hides a corner. With what is read there.
     fn with_hidden_corner(
         &self,
         image: &LumaImage<'_>,
         light: &LinearLight,
         outline: &Quad,
         print: &MarkerPrint,
-    ) -> Quad {
-        let correlation = |corners: &Quad| {
-            let reading = self.reading(image, light, corners)?;
-            Some(self.reader.explain(&reading, print).correlation())
+    ) -> Option<(Quad, Reading, Explained)> {
+        let read = |corners: Quad| {
+            let reading = self.reading(image, light, &corners)?;
+            let explained = self.reader.explain(&reading, print);
+            Some((corners, reading, explained))
         };
-        let Some(of_outline) = correlation(outline) else { return *outline };
-        let completed = (0..4).filter_map(|k| {
-            let corners = with_parallelogram_corner(outline, k);
-            Some((correlation(&corners)?, corners))
-        });
-        let best = completed.max_by(|a, b| a.0.total_cmp(&b.0));
-        best.filter(|(best, _)| *best > of_outline).map_or(*outline, |(_, corners)| corners)
+        let mut best = read(*outline)?;
+        for completed in (0..4).filter_map(|k| read(with_parallelogram_corner(outline, k))) {
+            if completed.2.correlation() > best.2.correlation() {
+                best = completed;
+            }
+        }
+        Some(best)
     }
 
     /// The expected marker that a square looks most like, if it looks enough like it.

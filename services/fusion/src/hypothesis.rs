@@ -250,6 +250,17 @@ impl Aligner {
     }
 }
 
+/// What was found, if it is precise. Else what `other` finds or, where that is nothing either, the imprecise one.
+pub fn precise_or_else(
+    found: Option<Alignment>,
+    other: impl FnOnce() -> Option<Alignment>,
+) -> Option<Alignment> {
+    match found {
+        Some(precise) if precise.is_precise() => Some(precise),
+        imprecise => other().or(imprecise),
+    }
+}
+
 /// Log of the likelihood ratio of a pose's turn from its track's prediction, if it is right against if it is false. A
 /// neighbour that was out of sight for a third of a second may have turned by as much as its mirror pose, and the
 /// filter's gate allows for that.

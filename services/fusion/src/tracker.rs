@@ -312,26 +312,19 @@ impl Tracker {
         for (inputs, measurement) in inputs.iter().zip(measured) {
             let target = inputs.target;
             let corrected = measurement.map(|measurement| {
-                let rays_m = match measurement.measured_by {
-                    MeasuredBy::Decoded => inputs.rays_m,
-                    MeasuredBy::Aligned => {
-                        inputs.best_view.map_or(inputs.rays_m, |view| view.rays_m)
-                    }
-                };
+                let view =
+                    inputs.best_view.filter(|_| measurement.measured_by == MeasuredBy::Aligned);
+                let rays_m = view.map_or(inputs.rays_m, |view| view.rays_m);
                 self.corrected(measurement, rays_m, target, time.at_s)
             });
-            let (precise, imprecise) = match corrected {
-                Some(measurement) if measurement.is_precise => (Some(measurement), None),
-                other => (None, other),
-            };
-            let Some(measurement) = precise else {
-                let subject = Subject { order: time.order, at_s: time.at_s, target };
-                let is_in_background = inputs.wants_background()
-                    && background.as_mut().is_some_and(|queue| queue.request(subject, inputs));
-                failed.push((target, inputs.attempt(), is_in_background, imprecise));
+            if let Some(measurement) = corrected.filter(|measurement| measurement.is_precise) {
+                found.push((target, measurement));
                 continue;
-            };
-            found.push((target, measurement));
+            }
+            let subject = Subject { order: time.order, at_s: time.at_s, target };
+            let is_in_background = inputs.wants_background()
+                && background.as_mut().is_some_and(|queue| queue.request(subject, inputs));
+            failed.push((target, inputs.attempt(), is_in_background, corrected));
         }
         (self.background, self.attempts) = (background, attempts);
         for (target, attempt, is_in_background, imprecise) in failed {
@@ -447,27 +440,6 @@ impl Tracker {
     fn tracks_others(&self, target: usize) -> bool {
         let mut others = self.targets.iter().enumerate().filter(|(other, _)| *other != target);
         others.any(|(_, target)| target.is_tracked())
-    }
-
-    /// A target's measurement whose rays were right for `rays_m`, corrected to its own distance, and to the
-    /// middle of the exposure at `at_s`.
-    fn corrected(
-        &self,
-        measurement: Measurement,
-        rays_m: f64,
-        target: usize,
-        at_s: f64,
-    ) -> Measurement {
-        let mut pose = measurement.pose;
-        if let Some(parallax) = &self.parallax {
-            pose = parallax.corrected(&pose, rays_m);
-        }
-        if let Some(readout) = &self.readout {
-            let shown = pose.camera_from_markers;
-            let motion = self.apparent_motion(target, at_s, &shown);
-            pose = motion.carried(&pose, -readout.after_s(&shown));
-        }
-        Measurement { pose, ..measurement }
     }
 
     /// Takes a measurement into the track of its target: the one place where that happens. `None` where

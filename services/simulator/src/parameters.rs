@@ -127,8 +127,7 @@ impl Default for WorldParameters {
     }
 }
 
-/// An auto-exposure swings once in this time, seconds: about as long as it takes a neighbour to pass from a window to a dark
-/// corner.
+/// An auto-exposure swings once in this time, seconds: slowly beside a frame, and several times in a flight.
 const EXPOSURE_SWING_S: f64 = 2.5;
 
 impl WorldParameters {

@@ -123,25 +123,12 @@ impl Sensor {
         sigmas: &[u8],
         out: &mut [u8],
     ) {
-        if let Some(adapted) = &self.adapted {
-            let at = |level: &u8| adapted[usize::from(*level)];
-            let (levels, sigmas): (Vec<u8>, Vec<u8>) =
-                levels.iter().map(at).map(|[level, sigma]| (level, sigma)).unzip();
-            self.add_noise_of(frame, row, column, &levels, &sigmas, out);
-        } else {
-            self.add_noise_of(frame, row, column, levels, sigmas, out);
-        }
-    }
-
-    fn add_noise_of(
-        &self,
-        frame: u64,
-        row: usize,
-        column: usize,
-        levels: &[u8],
-        sigmas: &[u8],
-        out: &mut [u8],
-    ) {
+        let adapted: Option<(Vec<u8>, Vec<u8>)> = self.adapted.as_ref().map(|adapted| {
+            let at = levels.iter().map(|level| adapted[usize::from(*level)]);
+            at.map(|[level, sigma]| (level, sigma)).unzip()
+        });
+        let (levels, sigmas) =
+            adapted.as_ref().map_or((levels, sigmas), |(levels, sigmas)| (levels, sigmas));
         if self.noise.is_empty() {
             out.copy_from_slice(levels);
             return;

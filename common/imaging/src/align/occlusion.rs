@@ -14,14 +14,7 @@ use super::print::{BodyPrint, PrintedFacet};
 use super::robust::reference_sigma;
 use super::samples::Sample;
 use super::state::State;
-
-/// A pixel is occluded if its residual exceeds both this many standard deviations of the noise and
-/// [`MIN_RESIDUAL_SHARE`]. Edges of a pose that has not converged yet have smaller residuals.
-const MIN_RESIDUAL_SIGMAS: f64 = 5.0;
-/// Residual of an occluded pixel at least, as a share of the facet's white level.
-const MIN_RESIDUAL_SHARE: f64 = 0.12;
-/// Pixels this near to an occluded one are left out too, standard deviations of the point spread.
-const REACH_BLURS: f64 = 2.5;
+use crate::occluded::{least_residual, mark_disc, reach_px};
 
 /// What is left out of a fit.
 #[derive(Debug, Default)]
@@ -52,16 +45,17 @@ impl Occlusion {
         samples: &[Sample],
         residuals: &[Option<f32>],
     ) {
-        let noise = MIN_RESIDUAL_SIGMAS * reference_sigma(sigmas, samples);
-        let reach_px = REACH_BLURS * (state.blur.trace().max(0.0) / 2.0).sqrt();
-        let reach = reach_px.ceil().min(patch.width as f64) as isize;
+        let noise = reference_sigma(sigmas, samples);
+        let reach_px = reach_px((state.blur.trace().max(0.0) / 2.0).sqrt());
+        let reach = reach_px.min(patch.width as f64) as usize;
         self.width = patch.width;
         self.pixels = vec![false; patch.width * patch.height];
         for (sample, &residual) in samples.iter().zip(residuals) {
             let [white, _] = state.levels[usize::from(sample.facet)];
             let size = residual.map_or(0.0, |residual| f64::from(residual).abs());
-            if size > noise.max(MIN_RESIDUAL_SHARE * white) {
-                mark_disc(&mut self.pixels, patch, sample, reach);
+            if size > least_residual(noise, white) {
+                let at = (usize::from(sample.x), usize::from(sample.y));
+                mark_disc(&mut self.pixels, patch.width, at, reach);
             }
         }
         let visible = samples.iter().filter(|sample| !self.has_pixel(sample)).count();
@@ -119,16 +113,4 @@ pub(super) fn occluded_facets(
     };
     let occluded: Vec<bool> = print.facets.iter().enumerate().map(is_occluded).collect();
     (agreeing_facets > 0 && occluded.contains(&true)).then_some(occluded)
-}
-
-fn mark_disc(pixels: &mut [bool], patch: &Patch, sample: &Sample, reach: isize) {
-    let (x, y) = (sample.x as isize, sample.y as isize);
-    let rows = (y - reach).max(0)..=(y + reach).min(patch.height as isize - 1);
-    for row in rows {
-        let half = f64::from((reach * reach - (row - y).pow(2)) as i32).sqrt() as isize;
-        let first = (x - half).max(0) as usize;
-        let last = (x + half).min(patch.width as isize - 1) as usize;
-        let start = row as usize * patch.width;
-        pixels[start + first..=start + last].fill(true);
-    }
 }

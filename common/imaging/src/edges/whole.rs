@@ -21,6 +21,8 @@
 //! There are seventeen unknowns: eight of the homography, three of the blur's covariance, W, B and four A_k.
 //! They are found by Gauss-Newton with Cauchy weights.
 
+mod sums;
+
 use flockeye_geometry::view::ViewPixel;
 use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
 
@@ -32,9 +34,10 @@ use super::profile::CLIPPED_CODE;
 use crate::gaussian::density_and_distribution;
 use crate::image::LumaImage;
 use crate::light::LinearLight;
+use crate::occluded::{least_residual, mark_disc, reach_px};
 use crate::square::SquareInView;
+use sums::{ROOM, Sums, UNKNOWNS, Unknowns};
 
-const UNKNOWNS: usize = 17;
 /// The unknowns of the homography come first. They are those of a projective map of the square's own plane.
 const PLACE: usize = 8;
 const BLUR: usize = 8;
@@ -45,18 +48,8 @@ const BEYOND: usize = 13;
 const ITERATIONS: usize = 10;
 /// A step that moves no corner by more than this is the last, steps of the grid.
 const CONVERGED: f64 = 0.02;
-/// Scale of Cauchy's weight function, standard deviations.
-const CAUCHY: f64 = 2.5;
 /// Narrower blur than this cannot be told from the width of a pixel, steps of the grid.
 const MIN_BLUR: f64 = 0.4;
-
-/// Length of a row: the number of unknowns, rounded up to a multiple of four.
-const ROOM: usize = 20;
-
-type Normal = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
-type Unknowns = SVector<f64, UNKNOWNS>;
-/// Columns of the upper triangle of a symmetric matrix.
-type Triangle = [[f64; ROOM]; UNKNOWNS];
 
 /// Values of the unknowns.
 #[derive(Debug, Clone, Copy)]
@@ -84,13 +77,6 @@ pub(super) struct WholeFit {
     pub noise: f64,
 }
 
-/// A pixel shows something else than the print if its residual is larger than so many standard deviations, and than this
-/// share of the contrast. Alignment takes the same limits.
-const HIDDEN_SIGMAS: f64 = 5.0;
-/// See [`HIDDEN_SIGMAS`].
-const HIDDEN_SHARE: f64 = 0.12;
-/// What hides the print has a soft edge, which is left out too: standard deviations of the blur.
-const HIDDEN_EDGE_BLURS: f64 = 2.5;
 /// Where more than this share of the print seems hidden, only the state can be wrong.
 const MAX_HIDDEN_SHARE: f64 = 0.5;
 
@@ -173,24 +159,6 @@ fn by_place(gradient: Vector2<f64>, (p, q): (f64, f64)) -> [f64; PLACE] {
     [by_p * p, by_p * q, by_p, by_q * p, by_q * q, by_q, inwards * p, inwards * q]
 }
 
-/// Sums over the pixels at one state.
-struct Sums {
-    /// Sum of the products of the rows, times the weights. If the scatter was requested, times the slopes of
-    /// the influence function instead.
-    normal: Triangle,
-    /// Sum of the products of the rows, times the squares of the weighted residuals, if requested.
-    scattered: Option<Triangle>,
-    gradient: Unknowns,
-    /// Absolute residuals.
-    sizes: Vec<f64>,
-    /// Where they are in the grid.
-    places: Vec<usize>,
-    /// Sum of the squares of the weighted residuals, and sums of their products with the one to the left and
-    /// the one above.
-    squares: f64,
-    products: [f64; 2],
-}
-
 /// The pixels that a marker is fitted to.
 struct Scene<'a> {
     image: &'a LumaImage<'a>,
@@ -230,15 +198,14 @@ pub(super) fn fit(
         contrast: (start.white - start.black).max(1e-6),
     };
     let mut drawing = Drawing::default();
-    let (state, noise) = converge(&scene, *start, 0.1 * scene.contrast, &mut drawing)?;
-    let sums = scene.sum(&state, noise, &mut drawing, true)?;
-    scene.hidden = scene.hidden(&sums, &state, noise);
-    if scene.hidden.is_empty() {
-        return result(&scene, &state, &sums, noise, grain);
+    let mut converged = converge(&scene, *start, 0.1 * scene.contrast, &mut drawing)?;
+    let mut sums = scene.sum(&converged.0, converged.1, &mut drawing, true)?;
+    scene.hidden = scene.hidden(&sums, converged);
+    if !scene.hidden.is_empty() {
+        converged = converge(&scene, converged.0, converged.1, &mut drawing)?;
+        sums = scene.sum(&converged.0, converged.1, &mut drawing, true)?;
     }
-    let (state, noise) = converge(&scene, state, noise, &mut drawing)?;
-    let sums = scene.sum(&state, noise, &mut drawing, true)?;
-    result(&scene, &state, &sums, noise, grain)
+    result(&scene, converged, &sums, grain)
 }
 
 /// Gauss-Newton from a state and a standard deviation of the residuals. Returns both at the end; `None` where it leads to no
@@ -255,7 +222,7 @@ fn converge(
     };
     for _ in 0..ITERATIONS {
         let sums = scene.sum(&state, noise, drawing, false)?;
-        let step = symmetric(&sums.normal).cholesky()?.solve(&sums.gradient);
+        let step = sums.normal().cholesky()?.solve(&sums.gradient);
         noise = noise_of(sums.sizes)?;
         let next = state.after(&step);
         let is_blurred =
@@ -279,13 +246,12 @@ fn converge(
 /// The corners at the end, with their covariance.
 fn result(
     scene: &Scene<'_>,
-    state: &State,
+    (state, noise): (State, f64),
     sums: &Sums,
-    noise: f64,
     grain: Grain,
 ) -> Option<WholeFit> {
     let correlation = sums.products.map(|product| product / sums.squares.max(1e-12));
-    let inverse = symmetric(&sums.normal).cholesky()?.inverse();
+    let inverse = sums.normal().cholesky()?.inverse();
     let covariance =
         inverse * sums.scattered()? * inverse * grain.variance_factor(scene.grid.step, correlation);
     let place: SMatrix<f64, PLACE, PLACE> =
@@ -306,7 +272,7 @@ fn result(
         (state.blur * normal).dot(&normal).sqrt()
     });
     let crowding = (0..2).map(|k| {
-        let cell = scene.pixels_per_side(state)[k] / scene.cells.count() as f64;
+        let cell = scene.pixels_per_side(&state)[k] / scene.cells.count() as f64;
         CROWDING * across[k] * (across[k] / cell).powi(2)
     });
     let crowding = crowding.fold(0.0, f64::max);
@@ -360,15 +326,7 @@ impl Scene<'_> {
         let spread = (state.blur.trace() / 2.0).sqrt();
         // Distances of opposite sides in the view, pixels.
         let scale = self.pixels_per_side(state);
-        let mut sums = Sums {
-            normal: [[0.0; ROOM]; UNKNOWNS],
-            scattered: scatter.then_some([[0.0; ROOM]; UNKNOWNS]),
-            gradient: Unknowns::zeros(),
-            sizes: Vec::with_capacity(columns * rows),
-            places: Vec::with_capacity(columns * rows),
-            squares: 0.0,
-            products: [0.0; 2],
-        };
+        let mut sums = Sums::new(columns * rows, scatter);
         let limit = 0.5 + self.reach;
         let mut above = vec![0.0; columns];
         for row in 0..rows {
@@ -424,8 +382,7 @@ impl Scene<'_> {
                 values[BLUR + 2] = slope(&drawing.by_y, down);
                 values[WHITE] = white;
                 values[BLACK] = 1.0 - white;
-                sums.places.push(k);
-                let weighted = sums.add(&values, last, residual, noise);
+                let weighted = sums.add(k, &values, last, residual, noise);
                 sums.squares += weighted * weighted;
                 for (product, neighbour) in sums.products.iter_mut().zip(neighbours) {
                     *product += weighted * neighbour;
@@ -438,9 +395,7 @@ impl Scene<'_> {
         }
         // Priors of about one pixel's weight. They matter only where the pixels determine nothing.
         let mut hold = |index: usize, sigma: f64, residual: f64| {
-            let weight = (noise / sigma).powi(2);
-            sums.normal[index][index] += weight;
-            sums.gradient[index] += weight * residual;
+            sums.hold(index, (noise / sigma).powi(2), residual);
         };
         for index in 0..PLACE {
             hold(index, 0.5, 0.0);
@@ -458,27 +413,20 @@ impl Scene<'_> {
 
     /// For each pixel of the grid whether something hides the print there, with the soft edge of what does. Empty where
     /// nothing does, or where so much would be hidden that only the state can be wrong.
-    fn hidden(&self, sums: &Sums, state: &State, noise: f64) -> Vec<bool> {
-        let contrast = state.white - state.black;
-        let least = (HIDDEN_SIGMAS * noise).max(HIDDEN_SHARE * contrast);
-        let outliers = sums.sizes.iter().zip(&sums.places).filter(|(size, _)| **size > least);
-        let outliers: Vec<usize> = outliers.map(|(_, place)| *place).collect();
+    fn hidden(&self, sums: &Sums, (state, noise): (State, f64)) -> Vec<bool> {
+        let least = least_residual(noise, state.white);
         let blur = (state.blur.trace() / 2.0).sqrt() / self.grid.step as f64;
-        let reach = (HIDDEN_EDGE_BLURS * blur).ceil() as usize;
+        let reach = reach_px(blur) as usize;
         let Grid { columns, rows, .. } = self.grid;
         let mut hidden = vec![false; columns * rows];
-        for place in &outliers {
-            let (row, column) = (place / columns, place % columns);
-            for y in row.saturating_sub(reach)..(row + reach + 1).min(rows) {
-                let from = column.saturating_sub(reach);
-                hidden[y * columns + from..y * columns + (column + reach + 1).min(columns)]
-                    .fill(true);
+        for (size, place) in sums.sizes.iter().zip(&sums.places) {
+            if *size > least {
+                mark_disc(&mut hidden, columns, (place % columns, place / columns), reach);
             }
         }
         let share = sums.places.iter().filter(|place| hidden[**place]).count() as f64
             / sums.places.len() as f64;
-        let is_some = !outliers.is_empty() && share < MAX_HIDDEN_SHARE;
-        if is_some { hidden } else { Vec::new() }
+        if share > 0.0 && share < MAX_HIDDEN_SHARE { hidden } else { Vec::new() }
     }
 
     /// Distance of the first side from the third, then of the second from the fourth, pixels.
@@ -488,46 +436,4 @@ impl Scene<'_> {
         let area = across.perp(&down).abs();
         [area / across.norm(), area / down.norm()]
     }
-}
-
-impl Sums {
-    /// Adds one pixel's row, of which only the first `last` values are not zero. Returns the weighted residual.
-    fn add(&mut self, values: &[f64; ROOM], last: usize, residual: f64, noise: f64) -> f64 {
-        let share = (residual / (CAUCHY * noise)).powi(2);
-        let weight = 1.0 / (1.0 + share);
-        self.sizes.push(residual.abs());
-        let mut slope = weight;
-        if let Some(scattered) = &mut self.scattered {
-            add_product(scattered, values, last, (weight * residual).powi(2));
-            // The slope of the influence function.
-            slope = weight * weight * (1.0 - share);
-        }
-        add_product(&mut self.normal, values, last, slope);
-        for (gradient, value) in self.gradient.iter_mut().zip(values) {
-            *gradient += weight * residual * value;
-        }
-        weight * residual
-    }
-
-    /// Covariance of the gradient, from the residuals' squares, corrected for the degrees of freedom.
-    fn scattered(&self) -> Option<Normal> {
-        let count = self.sizes.len() as f64;
-        Some(symmetric(self.scattered.as_ref()?) * (count / (count - UNKNOWNS as f64)))
-    }
-}
-
-/// Adds `factor` times the product of a row with itself.
-fn add_product(triangle: &mut Triangle, values: &[f64; ROOM], last: usize, factor: f64) {
-    for (k, column) in triangle.iter_mut().enumerate().take(last) {
-        let scaled = factor * values[k];
-        // In multiples of four, even if that goes beyond the diagonal.
-        let end = (k | 3) + 1;
-        for (sum, value) in column[..end].iter_mut().zip(&values[..end]) {
-            *sum += scaled * value;
-        }
-    }
-}
-
-fn symmetric(triangle: &Triangle) -> Normal {
-    Normal::from_fn(|row, column| triangle[row.max(column)][row.min(column)])
 }

@@ -19,7 +19,7 @@ use flockeye_imaging::light::LinearLight;
 use nalgebra::Isometry3;
 
 use super::inputs::Inputs;
-use crate::hypothesis::{Aligner, Start};
+use crate::hypothesis::{Aligner, Start, precise_or_else};
 use crate::measurement::{Measurement, distinct_markers, supports};
 use crate::policy::TimeBudget;
 
@@ -223,10 +223,7 @@ impl Job {
         };
         let is_independent = self.confirmed.is_none() && found.is_some();
         let search = || aligner.reacquire(target, &picture, self.search_round.as_ref()?);
-        let found = match found {
-            Some(precise) if precise.is_precise() => precise,
-            imprecise => search().or(imprecise)?,
-        };
+        let found = precise_or_else(found, search)?;
         Some((Measurement::aligned(&found, distinct_markers(&self.decoded)), is_independent))
     }
 }

@@ -6,7 +6,7 @@ use flockeye_imaging::align::Alignment;
 use nalgebra::Isometry3;
 
 use super::direct::RejectedAlignment;
-use crate::hypothesis::{Aligner, BestView, Start};
+use crate::hypothesis::{Aligner, BestView, Start, precise_or_else};
 use crate::measurement::{MeasuredBy, Measurement, PoseEstimate, distinct_markers, supports};
 use crate::policy::TimeBudget;
 use crate::track_prior::TrackPrior;
@@ -114,23 +114,15 @@ impl Inputs<'_> {
         let solutions =
             solve(self.body, &self.decoded, &PoseOptions::default()).unwrap_or_default();
         let chosen = choose(&solutions, self.prior.confirmed()).map(|choice| choice.solution);
-        let mut imprecise = None;
-        if let Some(view) = &self.best_view {
+        let aligned = self.best_view.as_ref().and_then(|view| {
             let found = self.align(aligner, view, &solutions, chosen);
-            let (precise, other) = found.map_or((None, None), |found| match found.is_precise() {
-                true => (Some(found), None),
-                false => (None, Some(found)),
-            });
-            if let Some(found) = precise.or_else(|| self.search(aligner, view)) {
-                return Some(Measurement::aligned(&found, distinct_markers(&self.decoded)));
-            }
-            imprecise = other;
-        }
-        let by_corners = chosen.and_then(|chosen| self.measurement_of(chosen));
-        by_corners.or_else(|| {
-            let found = imprecise?;
+            let found = precise_or_else(found, || self.search(aligner, view))?;
             Some(Measurement::aligned(&found, distinct_markers(&self.decoded)))
-        })
+        });
+        match aligned {
+            Some(precise) if precise.is_precise => Some(precise),
+            imprecise => chosen.and_then(|chosen| self.measurement_of(chosen)).or(imprecise),
+        }
     }
 
     /// Searches round the prediction, where that is not left to the background pass.

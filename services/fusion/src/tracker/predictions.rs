@@ -1,4 +1,5 @@
-//! What tracks say of a time: where targets are, and how they move as the camera sees them.
+//! What tracks say of a time: where targets are, how they move as the camera sees them, and what that changes in a
+//! measurement.
 
 use flockeye_geometry::ego_rotation::CameraTurn;
 use flockeye_geometry::filter::{MotionModel, Prediction};
@@ -6,6 +7,7 @@ use flockeye_imaging::align::Motion;
 use nalgebra::{Isometry3, Matrix6, Vector6};
 
 use super::{FilterChoice, Tracker};
+use crate::measurement::Measurement;
 use crate::readout::ApparentMotion;
 use crate::track_prior::TrackPrior;
 
@@ -98,5 +100,26 @@ impl Tracker {
             }
             FilterChoice::None => TrackPrior::Untracked,
         }
+    }
+
+    /// A target's measurement whose rays were right for `rays_m`, corrected to its own distance, and to the
+    /// middle of the exposure at `at_s`.
+    pub(super) fn corrected(
+        &self,
+        measurement: Measurement,
+        rays_m: f64,
+        target: usize,
+        at_s: f64,
+    ) -> Measurement {
+        let mut pose = measurement.pose;
+        if let Some(parallax) = &self.parallax {
+            pose = parallax.corrected(&pose, rays_m);
+        }
+        if let Some(readout) = &self.readout {
+            let shown = pose.camera_from_markers;
+            let motion = self.apparent_motion(target, at_s, &shown);
+            pose = motion.carried(&pose, -readout.after_s(&shown));
+        }
+        Measurement { pose, ..measurement }
     }
 }

@@ -1,0 +1,51 @@
+//! Which pixels show something else than what is fitted to them: an arm, a propeller, a finger before a marker.
+//!
+//! What occludes has a soft edge. It is no outlier by itself and moves every edge next to it, so it is left out too.
+
+/// A pixel is occluded if its residual exceeds both this many standard deviations of the noise and
+/// [`MIN_RESIDUAL_SHARE`]. Edges of a fit that has not converged yet have smaller residuals.
+const MIN_RESIDUAL_SIGMAS: f64 = 5.0;
+/// Residual of an occluded pixel at least, as a share of white.
+const MIN_RESIDUAL_SHARE: f64 = 0.12;
+/// Pixels this near to an occluded one are left out too, standard deviations of the point spread.
+const REACH_BLURS: f64 = 2.5;
+
+/// The residual, absolute, above which a pixel is occluded. `noise` is the standard deviation of the others', `white` the
+/// radiance of white, both in the residual's unit.
+pub(crate) fn least_residual(noise: f64, white: f64) -> f64 {
+    (MIN_RESIDUAL_SIGMAS * noise).max(MIN_RESIDUAL_SHARE * white)
+}
+
+/// How far round an occluded pixel others are left out, pixels. `blur_px` is the point spread's standard deviation.
+pub(crate) fn reach_px(blur_px: f64) -> f64 {
+    (REACH_BLURS * blur_px).ceil()
+}
+
+/// Sets all pixels within `reach` of (x, y), in an image of rows of `width`.
+pub(crate) fn mark_disc(pixels: &mut [bool], width: usize, (x, y): (usize, usize), reach: usize) {
+    let height = pixels.len() / width.max(1);
+    let (x, y, reach) = (x as isize, y as isize, reach as isize);
+    for row in (y - reach).max(0)..=(y + reach).min(height as isize - 1) {
+        let half = f64::from((reach * reach - (row - y).pow(2)) as i32).sqrt() as isize;
+        let first = (x - half).max(0) as usize;
+        let last = (x + half).min(width as isize - 1) as usize;
+        let start = row as usize * width;
+        pixels[start + first..=start + last].fill(true);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_disc_is_marked_and_cut_by_the_image() {
+        let marked = |at, reach| {
+            let mut pixels = vec![false; 7 * 5];
+            mark_disc(&mut pixels, 7, at, reach);
+            pixels.iter().filter(|pixel| **pixel).count()
+        };
+        assert_eq!((marked((3, 2), 0), marked((3, 2), 1), marked((3, 2), 2)), (1, 5, 13));
+        assert_eq!((marked((0, 0), 1), marked((6, 4), 1), marked((3, 2), 99)), (3, 3, 35));
+    }
+}
