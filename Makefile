@@ -21,7 +21,7 @@ DORA_HOP = $(CURDIR)/target/peers/dora/release/dora-hop
 .PHONY: python install-c clients run test bench peers build setup cargo format golden golden-check golden-write golden-compare results counts
 
 # The profile of the tests, which builds sooner than the release profile that the drone gets (`make
-# build`). docs/results is measured with it.
+# build`).
 run: setup
 	cargo build --profile tested --workspace --exclude flockeye-tests --bins --locked
 	target/tested/flockeye up --for $(FOR)
