@@ -7,6 +7,7 @@
 //! | --- | --- |
 //! | [`instance`] | where one pipeline's shared memory and files live, and who owns it |
 //! | [`kept`] | processes that fly on when their launcher dies |
+//! | [`recorders`] | how running recorders are found and asked |
 //! | [`memory`] | how large each topic's shared memory is, and whether it fits |
 //! | [`ports`] | publishers and subscribers of the contract's topics |
 //! | [`listening`] | whose messages count while a stage is swapped, and complaints |
@@ -38,6 +39,7 @@ pub mod logs;
 pub mod memory;
 pub mod onlooker;
 pub mod ports;
+pub mod recorders;
 pub mod resolved_file;
 pub mod saved_state;
 pub mod scheduling;

@@ -149,7 +149,7 @@ fn sizes(topic: TopicId, resolved: &Resolved, largest_view_px: u32) -> Sizes {
         }
         TopicId::Imus => Sizes { items: MAX_IMU_SAMPLES, ..usual },
         TopicId::Rotations => Sizes { subscribers: 6, buffer: 16, ..usual },
-        // A recorder that sleeps for a quarter of a second misses none.
+        // At 30 frames/s a recorder that sleeps for a quarter of a second misses none.
         TopicId::Plans => Sizes { buffer: 8, history: 1, items: MAX_PLANNED_VIEWS, ..usual },
         // To each lane listen its worker, fusion, the successor of one of them, and a tool.
         TopicId::Views => Sizes {

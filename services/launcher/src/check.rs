@@ -53,10 +53,13 @@ pub fn run(arguments: &CheckArguments) -> anyhow::Result<()> {
 
 /// Measures this machine by a short run in an instance of its own.
 fn measured(arguments: &CheckArguments, duration: Duration) -> anyhow::Result<String> {
-    let own = [format!("instance=m{}", std::process::id()), "gateway.enabled=false".to_owned()];
-    let mut pipeline = arguments.configuration.load_with(&[], &own)?;
-    // This is no flight.
-    pipeline.recording.folder = None;
+    let own = [
+        format!("instance=m{}", std::process::id()),
+        "gateway.enabled=false".to_owned(),
+        // This is no flight.
+        "recording.folder=null".to_owned(),
+    ];
+    let pipeline = arguments.configuration.load_with(&[], &own)?;
     let options =
         RunOptions { duration: Some(duration), watches_sweep: true, ..RunOptions::default() };
     let mut log = Screen::muted();

@@ -37,7 +37,7 @@ pub struct RecordArguments {
     #[arg(long, conflicts_with_all = ["out", "trigger", "recover"])]
     pub now: bool,
     /// Make a whole recording, OUT.mcap, of what can be read of a broken one.
-    #[arg(long, value_name = "BROKEN.mcap")]
+    #[arg(long, value_name = "BROKEN.mcap", conflicts_with_all = ["frames", "duration", "split", "trigger"])]
     pub recover: Option<PathBuf>,
 }
 
@@ -70,9 +70,8 @@ impl FromStr for FramesChoice {
             "none" => Ok(Self::None),
             "views" => Ok(Self::Views),
             _ => {
-                let count = text.strip_prefix("every").ok_or_else(wrong)?;
-                let count =
-                    count.trim_start_matches([' ', '=', ':']).parse().map_err(|_| wrong())?;
+                let count = text.strip_prefix("every ").ok_or_else(wrong)?;
+                let count = count.parse().map_err(|_| wrong())?;
                 if count == 0 { Err(wrong()) } else { Ok(Self::Every(count)) }
             }
         }
@@ -111,8 +110,7 @@ mod tests {
             assert!(size(wrong).unwrap_err().contains("write 500MB or 1GB"), "{wrong}");
         }
         assert_eq!("every 10".parse(), Ok(FramesChoice::Every(10)));
-        assert_eq!("every=3".parse(), Ok(FramesChoice::Every(3)));
-        for wrong in ["every", "every 0", "every -1", "all", ""] {
+        for wrong in ["every", "every3", "every=3", "every 0", "every -1", "all", ""] {
             assert!(wrong.parse::<FramesChoice>().is_err(), "{wrong}");
         }
     }

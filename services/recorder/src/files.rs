@@ -61,7 +61,11 @@ impl Files {
     fn begin_at(&mut self, path: &Path) -> Result<(), RecordingError> {
         self.about.metadata.insert("file".to_owned(), self.count.to_string());
         let file = RecordingFile::create(path)?;
-        self.writer = Some(RecordingWriter::begin(file, &self.about)?);
+        let begun = RecordingWriter::begin(file, &self.about).inspect_err(|_| {
+            // A file without a beginning is of no use, and where the disk is full it may not be removed either.
+            std::fs::remove_file(path).ok();
+        });
+        self.writer = Some(begun?);
         self.count += 1;
         Ok(())
     }

@@ -14,7 +14,6 @@
 //! | [`ring`] | the newest messages, for recordings of what led to something |
 //! | [`files`] | the files: begun, split, ended |
 //! | [`jpeg`] | frames as pictures |
-//! | [`presence`] | how a running recorder is found and asked |
 //! | [`stage`] | the two threads |
 
 pub mod arguments;
@@ -23,15 +22,15 @@ pub mod entry;
 pub mod files;
 pub mod inputs;
 pub mod jpeg;
-pub mod presence;
 pub mod queue;
 pub mod ring;
 pub mod stage;
 
-use anyhow::Context;
+use anyhow::{Context, ensure};
 use clap::Parser;
 use flockeye_cli::{Screen, running};
 use flockeye_recording::recover::recover;
+use flockeye_runtime::recorders;
 
 use crate::arguments::RecordArguments;
 
@@ -43,8 +42,13 @@ pub fn run() -> anyhow::Result<()> {
     let arguments = RecordArguments::parse();
     if arguments.now {
         let instance = running::choose(&arguments.running)?;
-        let asked = presence::ask_to_write(&instance)?;
-        Screen::new().line(&format!("{asked} recorders write what they have"));
+        let asked = recorders::ask_to_write(&instance);
+        ensure!(
+            asked > 0,
+            "no recorder of the pipeline '{}' keeps the past. Cure: `flockeye record OUT.mcap --trigger request`",
+            instance.name()
+        );
+        Screen::new().line(&format!("asked to write what came before: {asked}"));
         return Ok(());
     }
     let out = arguments.out.as_deref().context("no file to write to. Cure: name one")?;

@@ -4,6 +4,8 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use flockeye_runtime::lock::lock;
+
 use crate::entry::{Entry, Loss};
 
 /// The sender's and the receiver's end.
@@ -97,8 +99,7 @@ impl Queue {
     /// The next message; waits for it until then, or until somebody asks for something.
     pub fn take(&self, until: Instant) -> Taken {
         let (mutex, condition) = &*self.shared;
-        // A thread that panicked while it held the lock left the state valid.
-        let mut state = mutex.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut state = lock(mutex);
         loop {
             if let Some(entry) = state.entries.pop_front() {
                 state.bytes -= entry.bytes();
@@ -117,7 +118,7 @@ impl Queue {
     }
 
     fn with<R>(&self, change: impl FnOnce(&mut State) -> R) -> R {
-        change(&mut self.shared.0.lock().unwrap_or_else(PoisonError::into_inner))
+        change(&mut lock(&self.shared.0))
     }
 }
 

@@ -13,6 +13,7 @@ use flockeye_recording::{About, RecordingError};
 use flockeye_runtime::instance::Instance;
 use flockeye_runtime::logs::Throttle;
 use flockeye_runtime::memory::Budget;
+use flockeye_runtime::recorders::Presence;
 use flockeye_runtime::{clock, onlooker};
 use iceoryx2::prelude::{LogLevel, set_log_level};
 use rustix::process::setpriority_process;
@@ -24,7 +25,6 @@ use crate::core::Core;
 use crate::entry::{Entry, Loss};
 use crate::files::Files;
 use crate::inputs::Inputs;
-use crate::presence::Presence;
 use crate::queue::{Queue, Taken};
 use crate::ring::Ring;
 
@@ -64,7 +64,8 @@ pub fn record(arguments: &RecordArguments, out: &Path) -> anyhow::Result<()> {
         .name("writer".to_owned())
         .spawn(move || writing.run())
         .context("a thread that writes")?;
-    let presence = Presence::announce(&instance)?;
+    let presence = Presence::announce(&instance, arguments.trigger.is_some())
+        .context("the instance's folder")?;
     let start = Instant::now();
     let received = ports.attend(|| {
         inputs.drain(&queue)?;

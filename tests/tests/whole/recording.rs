@@ -5,42 +5,17 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use flockeye_contract::{DetectionHeader, FrameEnds, Tracks};
+use flockeye_contract::{DetectionHeader, FrameEnds, Track, TrackState, Tracks};
 use flockeye_recording::file::RecordingFile;
 use flockeye_recording::message::{decode, encode};
 use flockeye_recording::{ContractMessage, Ending, Reader, RecordingWriter, TopicLayout, layouts};
-use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, flockeye, onlooker, run, unique};
-use rustix::process::Signal;
+use flockeye_runtime::recorders;
+use flockeye_tests::onlooker::{self, Gated};
+use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, flockeye, run, unique};
+use rustix::process::{Signal, getpgid, kill_process};
 use serde_json::Value;
 
 use crate::python::python;
-
-/// A flight whose source waits until a gate opens, so that whoever looks on misses nothing.
-struct Gated {
-    flight: Flight,
-    gate: PathBuf,
-}
-
-impl Gated {
-    fn start(name: &str, scratch: &Scratch, arguments: &[&str], set: &[&str]) -> Self {
-        let gate = scratch.path("gate");
-        let source = format!(
-            r#"stages.simulator.command=["sh","-c","while [ ! -e '{}' ]; do sleep 0.02; done; exec '{}'"]"#,
-            gate.display(),
-            flockeye().with_file_name("flockeye-simulator").display()
-        );
-        let set: Vec<&str> = set.iter().copied().chain([source.as_str()]).collect();
-        let mut flight = Flight::start(name, arguments, &set);
-        // Once it can be joined, there is something to record.
-        let mut ports = onlooker::join(&mut flight);
-        drop(onlooker::subscribe::<Tracks>(&mut flight, &mut ports));
-        Self { flight, gate }
-    }
-
-    fn open(&self) {
-        std::fs::write(&self.gate, "").expect("the gate can be opened");
-    }
-}
 
 /// `flockeye record` beside a flight, once it has joined.
 fn recorder(flight: &mut Flight, arguments: &[&str]) -> Flight {
@@ -50,8 +25,8 @@ fn recorder(flight: &mut Flight, arguments: &[&str]) -> Flight {
 }
 
 fn joined(flight: &mut Flight, command: Command) -> Flight {
-    let presences = flight.instance.folder().join("recorders");
-    let count = || std::fs::read_dir(&presences).into_iter().flatten().count();
+    let instance = flight.instance.clone();
+    let count = || recorders::running(&instance).len();
     let before = count();
     let mut recorder = Flight::launch(&unique("recorder"), command);
     let start = Instant::now();
@@ -200,7 +175,7 @@ fn forget_all_markers(from: &Path, to: &Path, hits: u32) {
     writer.finish().expect("it can be written");
 }
 
-/// A flight in real time, and a recording that begins in the middle, cannot be replayed: it says so.
+/// A flight in real time, and recordings that lack something, cannot be replayed: it says so.
 #[test]
 fn what_cannot_be_replayed_says_why() {
     let scratch = Scratch::new("not-replayed");
@@ -213,6 +188,15 @@ fn what_cannot_be_replayed_says_why() {
     assert!(!is_well && said.contains("which is not recorded. Cure: record a lossless"), "{said}");
     flight.signal(Signal::INT);
     assert!(flight.wait().success(), "{}", flight.output());
+    flight.assert_nothing_left();
+    let setting = format!("recording.folder={}", scratch.path("blind").display());
+    let set = [SMALL_FLIGHT, &[setting.as_str(), "simulator.frames=8"]].concat();
+    let mut flight = Flight::start("no-pixels", &["--flow", "lossless"], &set);
+    assert!(flight.wait().success(), "{}", flight.output());
+    let mut files = std::fs::read_dir(scratch.path("blind")).expect("it was made");
+    let blind = files.next().expect("one recording").expect("it can be read").path();
+    let (is_well, said) = run(&["replay", text(&blind)]);
+    assert!(!is_well && said.contains("a view without its pixels. Cure:"), "{said}");
     flight.assert_nothing_left();
     let none = scratch.path("none.mcap");
     let (is_well, said) = run(&["replay", text(&none)]);
@@ -284,11 +268,15 @@ fn what_came_before_is_written_on_request() {
     flight.wait_for("alpha confirmed");
     let name = flight.instance.name().to_owned();
     let (is_well, said) = run(&["record", "--now", "--instance", &name]);
-    assert!(!is_well && said.contains("nobody records the pipeline"), "{said}");
+    assert!(!is_well && said.contains("keeps the past. Cure:"), "{said}");
+    // One that writes everything has nothing to add.
+    let mut other = recorder(&mut flight, &[text(&scratch.path("all.mcap"))]);
+    let (is_well, said) = run(&["record", "--now", "--instance", &name]);
+    assert!(!is_well && said.contains("keeps the past. Cure:"), "{said}");
     let mut recorder = recorder(&mut flight, &[text(&out), "--trigger", "request", "--past", "2s"]);
     std::thread::sleep(Duration::from_secs(3));
     let (is_well, said) = run(&["record", "--now", "--instance", &name]);
-    assert!(is_well && said.contains("1 recorders write what they have"), "{said}");
+    assert!(is_well && said.contains("asked to write what came before: 1"), "{said}");
     recorder.wait_for("what came before is in");
     assert!(!out.exists(), "only what was asked for is written");
     let written: Vec<PathBuf> = std::fs::read_dir(out.parent().expect("a folder"))
@@ -310,10 +298,11 @@ fn what_came_before_is_written_on_request() {
     flight.signal(Signal::INT);
     assert!(flight.wait().success(), "{}", flight.output());
     assert!(recorder.wait().success(), "{}", recorder.output());
+    assert!(other.wait().success(), "{}", other.output());
     flight.assert_nothing_left();
 }
 
-/// A neighbour of which nothing is heard any more: the detectors are stopped.
+/// A neighbour of which too little is heard: one of two detectors is stopped.
 #[test]
 fn what_led_to_a_lost_track_is_written() {
     let scratch = Scratch::new("rec-lost");
@@ -331,6 +320,18 @@ fn what_led_to_a_lost_track_is_written() {
     recorder.wait_for("what came before is in");
     recorder.signal(Signal::INT);
     assert!(recorder.wait().success(), "{}", recorder.output());
+    let files = std::fs::read_dir(out.parent().expect("a folder")).expect("it is there");
+    let file = files.map(|entry| entry.expect("it can be read").path());
+    let file = file.into_iter().find(|path| text(path).contains("lost-20")).expect("it is written");
+    let (tracks, _) = read(&file, "flockeye/track");
+    let is_lost = |message: &ContractMessage| {
+        let mut tracks = message.items.chunks_exact(size_of::<Track>());
+        tracks.any(|track| {
+            bytemuck::pod_read_unaligned::<Track>(track).state == TrackState::Lost.code()
+        })
+    };
+    let [before @ .., last] = tracks.as_slice() else { panic!("no tracks in {file:?}") };
+    assert!(is_lost(last) && !before.iter().any(is_lost), "it ends where a track is lost");
     flight.signal(Signal::INT);
     assert!(flight.wait().success(), "{}", flight.output());
     flight.assert_nothing_left();
@@ -381,14 +382,10 @@ fn a_flight_is_recorded_by_configuration() {
         assert!(start.elapsed() < WATCHDOG, "nothing is written:\n{}", flight.output());
         std::thread::sleep(Duration::from_millis(50));
     }
-    let presences = flight.instance.folder().join("recorders");
-    let pid = std::fs::read_dir(&presences).expect("it records").next().expect("one").expect("one");
-    let pid: i32 = pid.file_name().to_string_lossy().parse().expect("a number");
-    rustix::process::kill_process(
-        rustix::process::Pid::from_raw(pid).expect("a process"),
-        Signal::KILL,
-    )
-    .expect("it runs");
+    let [pid] = recorders::running(&flight.instance).try_into().expect("one records");
+    // Ctrl-C in a terminal reaches the launcher's group, and the recorder must outlive the stages.
+    assert_eq!(getpgid(Some(pid)).expect("it runs"), pid);
+    kill_process(pid, Signal::KILL).expect("it runs");
     flight.wait_for("the recorder is started again");
     let start = Instant::now();
     while recordings().len() < 2 || read_any(&recordings()[1]) == 0 {

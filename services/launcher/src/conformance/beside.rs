@@ -54,6 +54,7 @@ pub fn run(
         format!("source.input={}", Value::from(source)),
         format!("instance={name}"),
         "gateway.enabled=false".to_owned(),
+        "recording.folder=null".to_owned(),
         "flow=latest".to_owned(),
     ];
     let pipeline = configuration.load_with(&[], &fixed)?;

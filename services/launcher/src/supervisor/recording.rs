@@ -1,6 +1,7 @@
 //! The recorder of a pipeline that records every flight (`recording` in pipeline.yaml): a process that looks on,
 //! so nothing waits for it once it has begun.
 
+use std::os::unix::process::CommandExt;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::SyncSender;
@@ -11,6 +12,7 @@ use flockeye_cli::program;
 use flockeye_config::{RecordedFrames, Recording, RecordingTrigger};
 use flockeye_runtime::backoff::Backoff;
 use flockeye_runtime::instance::Instance;
+use flockeye_runtime::recorders;
 use rustix::process::{Pid, Signal, kill_process};
 
 use crate::process::{LineSink, LogLine};
@@ -73,6 +75,8 @@ impl Recorder {
             .args(["--instance", self.instance.name(), "--"])
             .arg(&file)
             .stdin(Stdio::null())
+            // Ctrl-C in the terminal is the launcher's: the recorder ends last.
+            .process_group(0)
             .stdout(Stdio::piped())
             .stderr(Stdio::piped());
         let mut child = command.spawn().context("cannot start the recorder")?;
@@ -89,7 +93,7 @@ impl Recorder {
     /// Whether it has joined, so that it misses nothing.
     pub fn has_joined(&self) -> bool {
         let Some(child) = &self.child else { return false };
-        self.instance.folder().join("recorders").join(child.id().to_string()).exists()
+        recorders::has_joined(&self.instance, child.id())
     }
 
     /// Starts it again if it has ended, after `clean` has freed what it had. Returns what there is to say.

@@ -84,6 +84,7 @@ impl<'a> Laboratory<'a> {
         let own = [
             "flow=lossless".to_owned(),
             "gateway.enabled=false".to_owned(),
+            "recording.folder=null".to_owned(),
             format!("instance=x{}-{flight}", std::process::id()),
             format!("simulator.frames={}", self.frames),
         ];

@@ -1,0 +1,83 @@
+//! How a running recorder is found and asked: a file with its process's number in the instance's folder, which is locked as
+//! long as the recorder runs.
+
+use std::fs::File;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use rustix::fs::{FlockOperation, flock};
+use rustix::process::{Pid, Signal, kill_process};
+
+use crate::instance::Instance;
+
+/// This recorder's file, as long as it runs.
+#[derive(Debug)]
+pub struct Presence {
+    path: PathBuf,
+    _lock: File,
+}
+
+impl Presence {
+    /// Says that this process records: from now on it misses nothing. `keeps_past`: it writes what came before when it is
+    /// asked to.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn announce(instance: &Instance, keeps_past: bool) -> io::Result<Self> {
+        let path = path(instance, std::process::id(), keeps_past);
+        let fresh = path.with_extension("new");
+        path.parent().map_or(Ok(()), std::fs::create_dir_all)?;
+        let lock = File::create(&fresh)?;
+        flock(&lock, FlockOperation::NonBlockingLockExclusive)?;
+        // Nobody looks at it before it is locked.
+        std::fs::rename(&fresh, &path)?;
+        Ok(Self { path, _lock: lock })
+    }
+}
+
+impl Drop for Presence {
+    fn drop(&mut self) {
+        // The launcher may have removed the folder already.
+        std::fs::remove_file(&self.path).ok();
+    }
+}
+
+fn folder(instance: &Instance) -> PathBuf {
+    instance.folder().join("recorders")
+}
+
+fn path(instance: &Instance, process: u32, keeps_past: bool) -> PathBuf {
+    let kind = if keeps_past { "past" } else { "all" };
+    folder(instance).join(format!("{process}.{kind}"))
+}
+
+/// Whether the recorder of this process runs and misses nothing.
+pub fn has_joined(instance: &Instance, process: u32) -> bool {
+    [false, true].into_iter().any(|keeps_past| is_locked(&path(instance, process, keeps_past)))
+}
+
+/// The recorders of an instance that run.
+pub fn running(instance: &Instance) -> Vec<Pid> {
+    living(instance).filter_map(|path| process(&path)).collect()
+}
+
+/// Asks the recorders of an instance that keep the past to write it. Returns how many there are.
+pub fn ask_to_write(instance: &Instance) -> usize {
+    let keeping = living(instance).filter(|path| path.extension() == Some("past".as_ref()));
+    let processes = keeping.filter_map(|path| process(&path));
+    // One that has ended meanwhile has nothing to write.
+    processes.filter(|process| kill_process(*process, Signal::USR1).is_ok()).count()
+}
+
+fn process(path: &Path) -> Option<Pid> {
+    path.file_stem()?.to_str()?.parse().ok().and_then(Pid::from_raw)
+}
+
+fn living(instance: &Instance) -> impl Iterator<Item = PathBuf> + use<> {
+    let entries = std::fs::read_dir(folder(instance)).into_iter().flatten().flatten();
+    entries.map(|entry| entry.path()).filter(|path| is_locked(path))
+}
+
+fn is_locked(path: &Path) -> bool {
+    File::open(path).is_ok_and(|file| flock(&file, FlockOperation::NonBlockingLockShared).is_err())
+}
