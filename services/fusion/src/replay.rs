@@ -68,6 +68,9 @@ pub fn replay(path: &Path) -> anyhow::Result<Replayed> {
             return Ok(replay.replayed);
         }
     }
+    if reader.ending() == Some(Ending::Whole) {
+        replay.needs_no_pixels()?;
+    }
     ensure!(
         replay.replayed.messages > 0,
         "{} has no message of fusion. Cure: record for longer",
@@ -197,7 +200,10 @@ impl Replay {
         // Only differences of these times count.
         let now_ns = i64::try_from(message.utc_ns).unwrap_or(i64::MAX);
         match layout.service {
-            "flockeye/view" => self.view = Some((message.sequence, header(&found))),
+            "flockeye/view" => {
+                self.needs_no_pixels()?;
+                self.view = Some((message.sequence, header(&found)));
+            }
             "flockeye/detection" => {
                 let size = size_of::<DetectedMarker>();
                 let markers = found.items.chunks_exact(size).map(pod_read_unaligned).collect();
@@ -235,6 +241,15 @@ impl Replay {
             _ => return Ok(()),
         }
         self.work(now_ns)
+    }
+
+    /// Refuses a recording in which the last view has no pixels.
+    fn needs_no_pixels(&self) -> anyhow::Result<()> {
+        ensure!(
+            self.view.is_none(),
+            "a view without its pixels. Cure: record with them (recording.frames: views, or --frames views)"
+        );
+        Ok(())
     }
 
     /// A recording that begins later lacks what fusion knew by then.
@@ -343,14 +358,14 @@ impl Replay {
         }
     }
 
-    /// What one side has and the other lacks.
+    /// What was recorded and is not given. The other way round it says nothing: a recording may end before its flight.
     fn note_what_is_left(&mut self) {
         for compared in [&self.tracks, &self.plans] {
-            let (recorded, given) = (compared.recorded.len(), compared.given.len());
-            if recorded + given > 0 && self.replayed.difference.is_none() {
+            let recorded = compared.recorded.len();
+            if recorded > 0 && self.replayed.difference.is_none() {
                 let service = compared.layout.service;
                 self.replayed.difference = Some(format!(
-                    "{service}: {recorded} messages more were recorded, {given} more are given"
+                    "{service}: {recorded} messages more were recorded than are given"
                 ));
             }
         }
