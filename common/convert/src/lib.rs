@@ -19,4 +19,4 @@ pub use imu::rate_sample;
 pub use pose::{isometry, matrix6, pose, rotation, row_major, symmetric6, upper_triangle, xyzw};
 pub use radiance::RadianceCache;
 pub use turn::{camera_turn, rotation_message};
-pub use view::{ViewError, image_of, view_of};
+pub use view::{ViewError, at_exposure, image_of, view_of};

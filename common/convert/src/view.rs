@@ -1,9 +1,10 @@
 //! A view's message as its geometry and its pixels.
 
-use flockeye_contract::ViewHeader;
+use flockeye_contract::{PlannedView, ViewHeader};
 use flockeye_geometry::view::View;
 use flockeye_imaging::image::{ImageError, LumaImage};
 use flockeye_imaging::light::LightError;
+use nalgebra::{UnitQuaternion, Vector3};
 
 use crate::pose::rotation;
 
@@ -34,6 +35,22 @@ pub fn view_of(header: &ViewHeader) -> View {
     }
 }
 
+/// A planned view as it is at a frame's exposure: a gaze view turns with its neighbour.
+pub fn at_exposure(planned: &PlannedView, exposure_ns: i64) -> View {
+    let reference_from_view = rotation(planned.camera_from_view);
+    let elapsed_s = (exposure_ns - planned.reference_ns) as f64 * 1e-9;
+    let turn = Vector3::from(planned.rate_in_camera) * elapsed_s;
+    // A prediction for another time than about now means nothing.
+    let is_near = turn.norm() < 0.5;
+    let turn =
+        if is_near { UnitQuaternion::from_scaled_axis(turn) } else { UnitQuaternion::identity() };
+    View {
+        camera_from_view: turn * reference_from_view,
+        focal_px: planned.focal_px,
+        size_px: planned.size_px,
+    }
+}
+
 /// The pixels that a header states, in a message's items.
 ///
 /// # Errors
@@ -53,5 +70,18 @@ mod tests {
         let header = ViewHeader { size_px: 10, stride: 10, ..ViewHeader::default() };
         assert!(image_of(&header, &[0; 99]).is_err());
         assert_eq!(image_of(&header, &[0; 100]).unwrap().height(), 10);
+    }
+
+    #[test]
+    fn a_gaze_view_turns_with_its_neighbour() {
+        let mut view =
+            PlannedView { camera_from_view: [0.0, 0.0, 0.0, 1.0], ..PlannedView::default() };
+        view.reference_ns = 1_000_000_000;
+        view.rate_in_camera = [0.0, 0.0, 2.0];
+        let turned = at_exposure(&view, 1_010_000_000).camera_from_view;
+        let wanted = UnitQuaternion::from_euler_angles(0.0, 0.0, 0.02);
+        assert!(turned.angle_to(&wanted) < 1e-12);
+        let far = at_exposure(&view, 9_000_000_000).camera_from_view;
+        assert!(far.angle() < 1e-12, "a plan from another time is taken as it is");
     }
 }

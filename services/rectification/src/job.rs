@@ -3,9 +3,8 @@
 use std::collections::BTreeSet;
 
 use flockeye_contract::{FrameHeader, NONE, PlannedView, Search, StopReason, StopRule, ViewKind};
-use flockeye_convert::{rotation, xyzw};
+use flockeye_convert::{at_exposure, xyzw};
 use flockeye_geometry::view::View;
-use nalgebra::{UnitQuaternion, Vector3};
 
 /// What is to be done with a frame.
 #[derive(Debug, Clone, PartialEq)]
@@ -251,22 +250,6 @@ fn may_yield(view: &PlannedView) -> bool {
     view.is_tile() || view.is_proposal()
 }
 
-/// A planned view as it is at a frame's exposure: a gaze view turns with its neighbour.
-pub fn at_exposure(planned: &PlannedView, exposure_ns: i64) -> View {
-    let reference_from_view = rotation(planned.camera_from_view);
-    let elapsed_s = (exposure_ns - planned.reference_ns) as f64 * 1e-9;
-    let turn = Vector3::from(planned.rate_in_camera) * elapsed_s;
-    // A prediction for another time than about now means nothing.
-    let is_near = turn.norm() < 0.5;
-    let turn =
-        if is_near { UnitQuaternion::from_scaled_axis(turn) } else { UnitQuaternion::identity() };
-    View {
-        camera_from_view: turn * reference_from_view,
-        focal_px: planned.focal_px,
-        size_px: planned.size_px,
-    }
-}
-
 /// A plan of its own for when there is none: the partitions, from where the last one stopped.
 pub fn sweep(partitions: &[(u32, View)], first: usize) -> Vec<PlannedView> {
     let count = partitions.len();
@@ -289,6 +272,7 @@ pub fn sweep(partitions: &[(u32, View)], first: usize) -> Vec<PlannedView> {
 mod tests {
     use super::*;
     use flockeye_geometry::partition::Partition;
+    use nalgebra::Vector3;
 
     fn planned(kind: ViewKind) -> PlannedView {
         PlannedView {
@@ -417,18 +401,6 @@ mod tests {
         let mut searched = job(StopRule::Deadline, &kinds, usize::MAX);
         searched.note_issued(2);
         assert_eq!((searched.searched(), searched.from(5).collect()), (2, vec![5, 6]));
-    }
-
-    #[test]
-    fn a_gaze_view_turns_with_its_neighbour() {
-        let mut view = planned(Gaze);
-        view.reference_ns = 1_000_000_000;
-        view.rate_in_camera = [0.0, 0.0, 2.0];
-        let turned = at_exposure(&view, 1_010_000_000).camera_from_view;
-        let wanted = UnitQuaternion::from_euler_angles(0.0, 0.0, 0.02);
-        assert!(turned.angle_to(&wanted) < 1e-12);
-        let far = at_exposure(&view, 9_000_000_000).camera_from_view;
-        assert!(far.angle() < 1e-12, "a plan from another time is taken as it is");
     }
 
     #[test]

@@ -4,6 +4,8 @@ import { IDENTITY, inverse, multiply } from "./maths.js";
 
 export const SPAN_S = 10;
 const MOST_FRAMES = 900;
+// Pictures that are kept decoded: one takes some 7 MB. The others wait as JPEG.
+const MOST_DECODED = 8;
 
 export class History {
   constructor() {
@@ -11,7 +13,9 @@ export class History {
   }
 
   clear() {
+    for (const entry of this.byKey?.values() ?? []) entry.bitmap?.close();
     this.frames = [];
+    this.decodedEntries = [];
     this.byKey = new Map();
     this.paused = null;
     this.stable = IDENTITY;
@@ -25,6 +29,8 @@ export class History {
     const epoch = frame.key.slice(0, frame.key.lastIndexOf("."));
     // The source has started again, or the whole pipeline has: frames end in order.
     if (epoch !== this.epoch || frame.sequence <= this.newest?.frame.sequence) {
+      // What is looked at stays as it is.
+      if (this.paused) return;
       this.clear();
       this.epoch = epoch;
     }
@@ -33,10 +39,10 @@ export class History {
     // The view counts anew when it joins anew.
     this.skipped += Math.max(0, frame.skipped - (this.counted ?? frame.skipped));
     this.counted = frame.skipped;
-    // What is looked at stays as it is, and no more is kept meanwhile.
+    // No more is kept meanwhile.
     if (this.paused) return;
     const waiting = this.byKey.get(frame.key);
-    const entry = Object.assign(waiting ?? { closeups: new Map(), picture: null }, {
+    const entry = Object.assign(waiting ?? { closeups: new Map(), blob: null, bitmap: null }, {
       frame, at: now, stable: this.stable, skipped: this.skipped });
     this.byKey.set(frame.key, entry);
     this.frames.push(entry);
@@ -60,10 +66,21 @@ export class History {
   of(key, now) {
     let entry = this.byKey.get(key);
     if (!entry && !this.paused) {
-      entry = { closeups: new Map(), picture: null, at: now };
+      entry = { closeups: new Map(), blob: null, bitmap: null, at: now };
       this.byKey.set(key, entry);
     }
     return entry;
+  }
+
+  // Takes a frame's picture, decoded, and lets go of decoded ones that were taken long ago.
+  decoded(entry, bitmap) {
+    entry.bitmap?.close();
+    entry.bitmap = bitmap;
+    this.decodedEntries = [...this.decodedEntries.filter((other) => other !== entry), entry];
+    for (const old of this.decodedEntries.splice(0, this.decodedEntries.length - MOST_DECODED)) {
+      old.bitmap?.close();
+      old.bitmap = null;
+    }
   }
 
   get newest() {
@@ -79,7 +96,7 @@ export class History {
   get pictured() {
     const current = this.current;
     if (!current) return undefined;
-    return this.frames.findLast((entry) => entry.at <= current.at && entry.bitmap) ?? current;
+    return this.frames.findLast((entry) => entry.at <= current.at && entry.blob) ?? current;
   }
 
   pause() {
@@ -96,8 +113,8 @@ export class History {
     if (!this.paused) this.pause();
     if (!this.paused) return;
     const from = this.paused.at + direction * seconds;
-    const shown = this.frames.some((entry) => entry.bitmap);
-    const candidates = this.frames.filter((entry) => entry.bitmap || !shown);
+    const shown = this.frames.some((entry) => entry.blob);
+    const candidates = this.frames.filter((entry) => entry.blob || !shown);
     const next = direction > 0
       ? candidates.find((entry) => (seconds ? entry.at >= from : entry.at > from)) ?? candidates.at(-1)
       : candidates.findLast((entry) => (seconds ? entry.at <= from : entry.at < from)) ?? candidates[0];
@@ -105,7 +122,7 @@ export class History {
   }
 
   seek(at) {
-    const candidates = this.frames.filter((entry) => entry.bitmap);
+    const candidates = this.frames.filter((entry) => entry.blob);
     const all = candidates.length ? candidates : this.frames;
     this.paused = all.reduce((best, entry) =>
       !best || Math.abs(entry.at - at) < Math.abs(best.at - at) ? entry : best, null);

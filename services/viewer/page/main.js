@@ -65,8 +65,8 @@ const link = new Link({
       if (!entry) {
         bitmap.close();
       } else if (head.kind === "picture") {
-        entry.bitmap?.close();
-        entry.bitmap = bitmap;
+        entry.blob = blob;
+        history.decoded(entry, bitmap);
       } else {
         entry.closeups.set(head.target, { head, bitmap });
       }
@@ -83,6 +83,7 @@ function begin(message) {
   swarm = null;
   peers.draw(null);
   history.clear();
+  tellPaused();
   neighbours.clear();
   $("instance").textContent = hello.instance;
   document.title = `${hello.instance} · Flockeye`;
@@ -135,9 +136,18 @@ function tellPaused() {
   link.wantPictures(!history.paused);
 }
 
+// Decodes a picture that is looked at again.
+async function decode(entry) {
+  const bitmap = await createImageBitmap(entry.blob);
+  if (history.pictured === entry) history.decoded(entry, bitmap);
+  else bitmap.close();
+  redraw();
+}
+
 function draw() {
   isAsked = false;
   const shown = history.pictured;
+  if (shown?.blob && !shown.bitmap) decode(shown);
   const current = history.current;
   const tracked = shown?.frame?.tracks.find(({ target }) => target === following);
   if (tracked && bodies) sphere.lookAt(bodies.cameraFromMarkers(tracked.pose, tracked.target).p);

@@ -4,6 +4,7 @@
 import { colour, rings } from "./bodies.js";
 import { SIGMAS } from "./overlay.js";
 import { add, apply, ellipsoid, inverse, lookAt, multiply, norm, perspective, scale, sub, times, turn, unit } from "./maths.js";
+import { link } from "./shader.js";
 
 const VERTEX = `
 attribute vec3 place;
@@ -47,15 +48,7 @@ export class Space {
     const gl = this.canvas.getContext("webgl", { antialias: true, alpha: true });
     this.gl = gl;
     if (!gl) return;
-    const program = gl.createProgram();
-    for (const [kind, source] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
-      const shader = gl.createShader(kind);
-      gl.shaderSource(shader, source);
-      gl.compileShader(shader);
-      gl.attachShader(program, shader);
-    }
-    gl.linkProgram(program);
-    gl.useProgram(program);
+    const program = link(gl, VERTEX, FRAGMENT);
     this.cameraPlace = gl.getUniformLocation(program, "camera");
     gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
     const [place, tint] = ["place", "tint"].map((name) => gl.getAttribLocation(program, name));

@@ -2,6 +2,7 @@
 // panned and zoomed. Rays are in the camera frame: x ahead, y left, z up.
 
 import { cross, dot, unit } from "./maths.js";
+import { link } from "./shader.js";
 
 const VERTEX = `
 attribute vec2 corner;
@@ -58,15 +59,7 @@ export class Sphere {
     const gl = this.canvas.getContext("webgl", { antialias: false, preserveDrawingBuffer: true });
     this.gl = gl;
     if (!gl) return;
-    const program = gl.createProgram();
-    for (const [kind, source] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
-      const shader = gl.createShader(kind);
-      gl.shaderSource(shader, source);
-      gl.compileShader(shader);
-      gl.attachShader(program, shader);
-    }
-    gl.linkProgram(program);
-    gl.useProgram(program);
+    const program = link(gl, VERTEX, FRAGMENT);
     this.place = (name) => gl.getUniformLocation(program, name);
     gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
     gl.bufferData(gl.ARRAY_BUFFER, new Float32Array([-1, -1, 3, -1, -1, 3]), gl.STATIC_DRAW);

@@ -65,7 +65,9 @@ impl CloseupMaker {
         };
         // What this frame says; between measurements, what is predicted.
         let observer_from_target = match MeasuredBy::try_from(track.measured_by) {
-            Ok(MeasuredBy::Aligned) => isometry(&track.measured_observer_from_target),
+            Ok(MeasuredBy::Aligned | MeasuredBy::Decoded) => {
+                isometry(&track.measured_observer_from_target)
+            }
             _ => isometry(&track.observer_from_target),
         };
         let camera_from_markers =

@@ -209,20 +209,23 @@ fn hear(socket: &mut WebSocket<&mut TcpStream>, page: &Page, hub: &Hub) -> Resul
                 Ok(Command::Shown(count)) => {
                     page.outbox(|outbox| (0..count.min(8)).for_each(|_| outbox.shown()));
                 }
-                Err(_) => {
-                    let reason = "a page says {\"pictures\": true} or {\"shown\": 1}".into();
-                    let frame = CloseFrame { code: CloseCode::Policy, reason };
-                    is_sent(socket.close(Some(frame)))?;
-                    is_sent(socket.flush())?;
-                    return Err(Error::ConnectionClosed);
-                }
+                Err(_) => return close_on(socket),
             },
+            Ok(Message::Binary(_)) => return close_on(socket),
             // The library answers pings and closing.
             Ok(_) => {}
             Err(Error::Io(error)) if is_not_yet(&error) => return Ok(()),
             Err(error) => return Err(error),
         }
     }
+}
+
+/// Closes the socket of a page that says something else.
+fn close_on(socket: &mut WebSocket<&mut TcpStream>) -> Result<(), Error> {
+    let reason = "a page says {\"pictures\": true} or {\"shown\": 1}".into();
+    is_sent(socket.close(Some(CloseFrame { code: CloseCode::Policy, reason })))?;
+    is_sent(socket.flush())?;
+    Err(Error::ConnectionClosed)
 }
 
 fn is_not_yet(error: &io::Error) -> bool {

@@ -33,6 +33,7 @@ files! {
     "/main.js" => "text/javascript; charset=utf-8", "main.js";
     "/link.js" => "text/javascript; charset=utf-8", "link.js";
     "/history.js" => "text/javascript; charset=utf-8", "history.js";
+    "/shader.js" => "text/javascript; charset=utf-8", "shader.js";
     "/maths.js" => "text/javascript; charset=utf-8", "maths.js";
     "/bodies.js" => "text/javascript; charset=utf-8", "bodies.js";
     "/sphere.js" => "text/javascript; charset=utf-8", "sphere.js";

@@ -2,7 +2,8 @@
 //! programs has their panels, plots and recordings.
 //!
 //! The crate `foxglove` speaks the protocol, in threads of its own. A client that is slow loses its oldest
-//! messages. What nobody has subscribed to is not made.
+//! messages. Pictures and close-ups are made while
+//! somebody has subscribed to one of them.
 //!
 //! | topic | schema |
 //! | --- | --- |

@@ -10,10 +10,10 @@ use flockeye_contract::{
     PeerHeader, PeerSighting, PlanHeader, PlannedView, Rotation, RotationSource, SwarmHeader,
     SwarmPose, SwarmWay, Track, TrackHeader, TrackState, TruthHeader, ViewKind,
 };
-use flockeye_convert::{rotation, xyzw};
-use nalgebra::{UnitQuaternion, Vector3};
+use flockeye_convert::at_exposure;
+use nalgebra::Vector3;
 
-use crate::setting::{pose, square};
+use crate::setting::{pose, tile};
 use crate::wire;
 
 /// Frames that are waited for at most; older ones never ended.
@@ -241,13 +241,9 @@ impl Scene {
     }
 }
 
-/// A region of interest, turned to the frame's exposure as rectification turns it.
+/// A region of interest, as it was cut of a frame.
 fn region(view: &PlannedView, stamp: &FrameStamp) -> wire::Region {
-    let seconds = stamp.exposure_ns.saturating_sub(view.reference_ns) as f64 * 1e-9;
-    let turn = UnitQuaternion::from_scaled_axis(Vector3::from(view.rate_in_camera) * seconds);
-    let camera_from_view = turn * rotation(view.camera_from_view);
-    let view_square = square(xyzw(&camera_from_view), view.focal_px, view.size_px);
-    wire::Region { target: view.target, view: view_square }
+    wire::Region { target: view.target, view: tile(&at_exposure(view, stamp.exposure_ns)) }
 }
 
 fn detected(marker: &DetectedMarker) -> wire::Detected {

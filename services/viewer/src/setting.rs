@@ -33,12 +33,6 @@ pub fn hello(resolved: &Resolved, instance: &str, rate: f64) -> wire::Hello {
     }
 }
 
-/// A square view with this `camera_from_view` (x, y, z, w).
-pub fn square(camera_from_view: [f64; 4], focal_px: f64, size_px: u32) -> wire::Square {
-    let half = f64::from(size_px) / (2.0 * focal_px);
-    wire::Square { q: camera_from_view.map(|x| x as f32), half: half as f32 }
-}
-
 /// A pose of the contract.
 pub fn pose(pose: &contract::Pose) -> wire::Pose {
     wire::Pose { p: pose.position.map(|x| x as f32), q: pose.orientation.map(|x| x as f32) }
@@ -48,8 +42,10 @@ fn transform(isometry: &Isometry3<f64>) -> wire::Pose {
     pose(&flockeye_convert::pose(isometry))
 }
 
-fn tile(view: &View) -> wire::Square {
-    square(xyzw(&view.camera_from_view), view.focal_px, view.size_px)
+/// A view as the page has it.
+pub fn tile(view: &View) -> wire::Square {
+    let half = f64::from(view.size_px) / (2.0 * view.focal_px);
+    wire::Square { q: xyzw(&view.camera_from_view).map(|x| x as f32), half: half as f32 }
 }
 
 fn body(body: &Body) -> wire::Body {

@@ -31,6 +31,8 @@ use crate::wire::{self, Head, PictureHead, Status, Text};
 const REPORT_PERIOD_NS: i64 = 500_000_000;
 /// How often it is looked whether the pipeline still runs, nanoseconds.
 const LIFE_PERIOD_NS: i64 = 1_000_000_000;
+/// Pictures that could not be had are tried again after this long, nanoseconds.
+const RETRY_PERIOD_NS: i64 = 3_000_000_000;
 /// How long messages may gather before they are read: each waking costs time.
 const GATHERING: Duration = Duration::from_millis(4);
 /// At least so often it is looked what the pages want.
@@ -127,16 +129,21 @@ impl Watch {
             }
             self.hello = Some(hello);
         }
+        // While a stage is swapped there may be no room.
+        let retry_ns = match trouble.is_empty() {
+            true => i64::MAX,
+            false => clock::monotonic_ns() + RETRY_PERIOD_NS,
+        };
         self.say(Status { running: true, trouble });
         let mut scene = Scene::new(resolved.pipeline.flow == Flow::Latest);
         let mut stages = StageReports::default();
         let (mut report_ns, mut life_ns) = (0, 0);
         ports.attend(|| {
-            if self.is_stopping() || self.audience.wanted() != wanted {
+            let now_ns = clock::monotonic_ns();
+            if self.is_stopping() || self.audience.wanted() != wanted || now_ns > retry_ns {
                 return Ok(None);
             }
             std::thread::sleep(GATHERING);
-            let now_ns = clock::monotonic_ns();
             if let Some(pictures) = &mut pictures {
                 pictures.receive(self.audience.takes_pictures())?;
             }
