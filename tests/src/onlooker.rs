@@ -1,5 +1,6 @@
 //! Somebody who reads a pipeline's own messages beside its stages, as a viewer does.
 
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use flockeye_contract::{
@@ -33,6 +34,35 @@ fn retry<R>(flight: &mut Flight, mut attempt: impl FnMut(&Flight) -> Option<R>) 
     }
 }
 
+/// A simulated flight whose source waits until a gate opens: what came before an onlooker is not kept for anybody.
+pub struct Gated {
+    /// The flight.
+    pub flight: Flight,
+    gate: PathBuf,
+}
+
+impl Gated {
+    /// Starts it. Once this returns it can be joined; the gate lies in `scratch`.
+    pub fn start(name: &str, scratch: &Scratch, arguments: &[&str], set: &[&str]) -> Self {
+        let gate = scratch.path("gate");
+        let source = format!(
+            r#"stages.simulator.command=["sh","-c","while [ ! -e '{}' ]; do sleep 0.02; done; exec '{}'"]"#,
+            gate.display(),
+            flockeye().with_file_name("flockeye-simulator").display()
+        );
+        let set: Vec<&str> = set.iter().copied().chain([source.as_str()]).collect();
+        let mut flight = Flight::start(name, arguments, &set);
+        let mut ports = join(&mut flight);
+        drop(subscribe::<Tracks>(&mut flight, &mut ports));
+        Self { flight, gate }
+    }
+
+    /// Lets frames come.
+    pub fn open(&self) {
+        std::fs::write(&self.gate, "").expect("the gate can be opened");
+    }
+}
+
 /// Everything that egomotion, fusion and rectification said of a simulated flight's frames, and the truth.
 pub struct Tape {
     /// The messages of `track`, in the order in which they came.
@@ -51,21 +81,14 @@ impl Tape {
     /// Flies to the end of the flight, and records it from its first frame on.
     pub fn record(name: &str, arguments: &[&str], set: &[&str]) -> Self {
         let scratch = Scratch::new(name);
-        let gate = scratch.path("gate");
-        // The source waits for the onlooker: what came before it is not kept for anybody.
-        let source = format!(
-            r#"stages.simulator.command=["sh","-c","while [ ! -e '{}' ]; do sleep 0.02; done; exec '{}'"]"#,
-            gate.display(),
-            flockeye().with_file_name("flockeye-simulator").display()
-        );
-        let set: Vec<&str> = set.iter().copied().chain([source.as_str()]).collect();
-        let mut flight = Flight::start(name, arguments, &set);
-        let mut ports = join(&mut flight);
-        let mut tracks = subscribe::<Tracks>(&mut flight, &mut ports);
-        let mut ends = subscribe::<FrameEnds>(&mut flight, &mut ports);
-        let mut rotations = subscribe::<Rotations>(&mut flight, &mut ports);
-        let mut truths = subscribe::<Truths>(&mut flight, &mut ports);
-        std::fs::write(&gate, "").expect("the gate can be opened");
+        let mut gated = Gated::start(name, &scratch, arguments, set);
+        let mut ports = join(&mut gated.flight);
+        let mut tracks = subscribe::<Tracks>(&mut gated.flight, &mut ports);
+        let mut ends = subscribe::<FrameEnds>(&mut gated.flight, &mut ports);
+        let mut rotations = subscribe::<Rotations>(&mut gated.flight, &mut ports);
+        let mut truths = subscribe::<Truths>(&mut gated.flight, &mut ports);
+        gated.open();
+        let mut flight = gated.flight;
         let mut tape = Self {
             tracks: Vec::new(),
             ends: Vec::new(),
