@@ -57,6 +57,14 @@ impl FrameStamp {
         (is_same && interval_ns > 0).then_some(interval_ns)
     }
 
+    /// How many frames of the same epoch lie between `earlier` and this one; 0 across epochs.
+    pub fn skipped_since(&self, earlier: &Self) -> u64 {
+        let is_same =
+            (self.source_generation, self.epoch) == (earlier.source_generation, earlier.epoch);
+        let next = earlier.sequence.saturating_add(1);
+        if is_same { self.sequence.saturating_sub(next) } else { 0 }
+    }
+
     /// Whether a message of this frame is out of date, given one of `newest`. Fusion may publish a track
     /// of one frame after a track of the next, and a reader that keeps only the latest must not go back.
     /// A frame that is behind by more than [`LATEST_BY_FRAMES`], or of another epoch, is not late: its

@@ -18,6 +18,7 @@
 //! | [`whole_file`] | files that are there as a whole or not at all |
 //! | [`saved_state`] | what a process keeps for its successor |
 //! | [`health`] | counters and latency quantiles |
+//! | [`health_rates`] | what reports of health say over time |
 //! | [`background`] | threads for work that nobody waits for |
 //! | [`scheduling`] | the scheduling policy of a thread |
 //! | [`backoff`] | waits between attempts |
@@ -31,6 +32,7 @@ pub mod backoff;
 pub mod clock;
 pub mod credits;
 pub mod health;
+pub mod health_rates;
 pub mod instance;
 pub mod kept;
 pub mod listening;

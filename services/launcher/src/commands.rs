@@ -18,7 +18,6 @@ use crate::swarm::{self, SwarmCommand};
 use crate::top::{self, TopArguments};
 use crate::trace::{self, TraceArguments};
 use crate::up::{self, UpArguments};
-use crate::view::{self, ViewArguments};
 use crate::{lab, schema};
 
 /// Eyes for a flock: neighbours' poses from a spherical camera.
@@ -51,7 +50,7 @@ enum FlockeyeCommand {
     /// Show what a running pipeline's stages do, and how old its poses are.
     Top(TopArguments),
     /// Show what a running pipeline sees, on a page in the browser.
-    View(ViewArguments),
+    View,
     /// Record the path of frames through a running pipeline, for Perfetto (ui.perfetto.dev).
     Trace(TraceArguments),
     /// Record a running pipeline's messages to an MCAP file (by flockeye-recorder).
@@ -99,10 +98,13 @@ pub fn run() -> anyhow::Result<()> {
         FlockeyeCommand::Restart(arguments) => manage::restart(&arguments),
         FlockeyeCommand::Chaos(arguments) => chaos::run(&arguments),
         FlockeyeCommand::Top(arguments) => top::run(&arguments),
-        FlockeyeCommand::View(arguments) => view::run(&arguments),
         FlockeyeCommand::Trace(arguments) => trace::run(&arguments),
-        // It never arrives here: `main` passes it on.
-        FlockeyeCommand::Record => lab::become_recorder(&[]),
+        // `main` has passed them on, unless something else comes first.
+        FlockeyeCommand::Record | FlockeyeCommand::View => {
+            anyhow::bail!(
+                "`flockeye record` and `flockeye view` are written without anything before them"
+            )
+        }
         FlockeyeCommand::Replay(arguments) => lab::become_stage(&arguments),
         FlockeyeCommand::Peers(arguments) => peers::run(&arguments),
         FlockeyeCommand::Swarm(command) => swarm::run(&command),

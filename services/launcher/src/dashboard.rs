@@ -14,10 +14,8 @@ use flockeye_contract::{
     BodyTruth, FrameStamp, Health, StageState, Track, TrackState, TruthHeader,
 };
 use flockeye_record::sweep::SweepReport;
+use flockeye_runtime::health_rates::HealthRates;
 use nalgebra::Vector3;
-
-/// A stage that reports nothing for this long is shown as silent, nanoseconds.
-const SILENCE_NS: i64 = 2_000_000_000;
 
 /// Frames whose truth is kept until their tracks come.
 const TRUTH_FRAMES: usize = 256;
@@ -25,7 +23,7 @@ const TRUTH_FRAMES: usize = 256;
 /// What is known of the stages, of the neighbours and of the search.
 #[derive(Default)]
 pub struct Dashboard {
-    stages: BTreeMap<(String, u32), StageView>,
+    stages: BTreeMap<(String, u32), HealthRates>,
     neighbours: BTreeMap<String, NeighbourView>,
     truths: VecDeque<(FrameStamp, Vec<BodyTruth>)>,
     frames_ended: u64,
@@ -33,15 +31,6 @@ pub struct Dashboard {
     last_frame: Option<FrameStamp>,
     has_truth: bool,
     sphere: Option<SweepReport>,
-}
-
-struct StageView {
-    last: Health,
-    taken_per_s: f64,
-    published_per_s: f64,
-    processor_share: f64,
-    latency_median_ns: i64,
-    latency_p99_ns: i64,
 }
 
 #[derive(Default)]
@@ -87,30 +76,8 @@ impl Dashboard {
     /// Takes a stage's report.
     pub fn health(&mut self, health: &Health) {
         let key = (health.stage.to_string(), health.replica);
-        let view = self.stages.entry(key).or_insert_with(|| StageView {
-            last: *health,
-            taken_per_s: 0.0,
-            published_per_s: 0.0,
-            processor_share: 0.0,
-            latency_median_ns: -1,
-            latency_p99_ns: -1,
-        });
-        let seconds = (health.sent_ns - view.last.sent_ns) as f64 * 1e-9;
-        if health.pid == view.last.pid && seconds > 0.1 {
-            // Smoothed over some reports, so that the numbers are readable.
-            let rate = |now: u64, before: u64| now.saturating_sub(before) as f64 / seconds;
-            let blend = |old: f64, new: f64| old + 0.3 * (new - old);
-            view.taken_per_s = blend(view.taken_per_s, rate(health.taken, view.last.taken));
-            view.published_per_s =
-                blend(view.published_per_s, rate(health.published, view.last.published));
-            let share = rate(health.processor_ns, view.last.processor_ns) * 1e-9;
-            view.processor_share = blend(view.processor_share, share);
-        }
-        if health.latency_median_ns >= 0 {
-            view.latency_median_ns = health.latency_median_ns;
-            view.latency_p99_ns = health.latency_p99_ns;
-        }
-        view.last = *health;
+        let rates = self.stages.entry(key).or_insert_with(|| HealthRates::new(health));
+        rates.take(health);
     }
 
     /// The state that a stage reported last, if it ever did.
@@ -169,10 +136,8 @@ impl Dashboard {
         }
         if is_last {
             self.frames_ended += 1;
-            if let Some(last) = self.last_frame.replace(*stamp)
-                && (last.source_generation, last.epoch) == (stamp.source_generation, stamp.epoch)
-            {
-                self.frames_skipped += stamp.sequence.saturating_sub(last.sequence + 1);
+            if let Some(last) = self.last_frame.replace(*stamp) {
+                self.frames_skipped += stamp.skipped_since(&last);
             }
             for body in truth.map(|(_, bodies)| bodies.as_slice()).unwrap_or_default() {
                 let neighbour = self.neighbours.entry(body.name.to_string()).or_default();
@@ -214,15 +179,6 @@ fn deviation_m(track: &Track) -> f64 {
 fn track_state_name(code: u32) -> String {
     TrackState::try_from(code)
         .map_or("unknown".to_owned(), |state| format!("{state:?}").to_lowercase())
-}
-
-/// The name of a stage's state.
-fn stage_state_name(code: u32, silent_ns: i64) -> String {
-    match StageState::try_from(code) {
-        _ if silent_ns > SILENCE_NS => "silent".to_owned(),
-        Ok(state) => format!("{state:?}").to_lowercase(),
-        Err(_) => "unknown".to_owned(),
-    }
 }
 
 /// Age of the exposure that a pose was last measured in, milliseconds.

@@ -1,5 +1,5 @@
 //! The commands that `flockeye` passes on to other programs: to `flockeye-lab`, `record` to
-//! `flockeye-recorder`, and `replay` to the stage.
+//! `flockeye-recorder`, `view` to `flockeye-viewer`, and `replay` to the stage.
 
 use std::ffi::OsString;
 use std::os::unix::process::CommandExt;
@@ -21,41 +21,48 @@ pub fn is_asked_for(arguments: &[OsString]) -> bool {
     COMMANDS.iter().any(|command| name == command.name)
 }
 
-/// Replaces this process by the lab. Signals and the exit status are then the lab's own.
+/// Replaces this process by the lab.
 ///
 /// # Errors
-/// The lab is not installed, or cannot be started.
+/// As [`become_program`].
 pub fn become_lab(arguments: &[OsString]) -> anyhow::Result<()> {
-    let path = program::find(PROGRAM).with_context(|| {
-        let command = arguments.first().map(|name| name.to_string_lossy()).unwrap_or_default();
-        format!("`flockeye {command}` is a command of {PROGRAM}")
-    })?;
-    // The lab's help shows this name, because users typed it.
-    let error = Command::new(&path).arg0("flockeye").args(arguments).exec();
-    Err(error).with_context(|| format!("cannot start {}", path.display()))
+    become_program(PROGRAM, "flockeye", arguments)
 }
 
-/// The program of `flockeye record`.
-const RECORDER: &str = "flockeye-recorder";
-
-/// The arguments of `flockeye record`, if it is asked for.
-pub fn recorder_is_asked_for(arguments: &[OsString]) -> Option<Vec<OsString>> {
-    match arguments {
-        [help, name, ..] if help == "help" && name == "record" => Some(vec!["--help".into()]),
-        [name, rest @ ..] if name == "record" => Some(rest.to_vec()),
-        _ => None,
-    }
-}
-
-/// Replaces this process by the recorder.
+/// Replaces this process by another program of ours, whose help shows the name that users typed. Signals and the exit
+/// status are then its own.
 ///
 /// # Errors
 /// It is not installed, or cannot be started.
-pub fn become_recorder(arguments: &[OsString]) -> anyhow::Result<()> {
-    let path = program::find(RECORDER)
-        .with_context(|| format!("`flockeye record` is the program {RECORDER}"))?;
-    let error = Command::new(&path).args(arguments).exec();
+pub fn become_program(name: &str, typed: &str, arguments: &[OsString]) -> anyhow::Result<()> {
+    let path = program::find(name).with_context(|| format!("this command is done by {name}"))?;
+    let error = Command::new(&path).arg0(typed).args(arguments).exec();
     Err(error).with_context(|| format!("cannot start {}", path.display()))
+}
+
+/// A command that a program of its own does: it gets all arguments, those for its help too.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PassedOn {
+    command: &'static str,
+    /// The program.
+    pub program: &'static str,
+    /// The name that users type.
+    pub typed: &'static str,
+}
+
+const PASSED_ON: [PassedOn; 2] = [
+    PassedOn { command: "record", program: "flockeye-recorder", typed: "flockeye record" },
+    PassedOn { command: "view", program: "flockeye-viewer", typed: "flockeye view" },
+];
+
+/// The program that these arguments of `flockeye` are for, and what it gets, if there is one.
+pub fn passed_on(arguments: &[OsString]) -> Option<(PassedOn, Vec<OsString>)> {
+    let of = |name: &OsString| PASSED_ON.into_iter().find(|passed| name == passed.command);
+    match arguments {
+        [help, name, ..] if help == "help" => Some((of(name)?, vec!["--help".into()])),
+        [name, rest @ ..] => Some((of(name)?, rest.to_vec())),
+        [] => None,
+    }
 }
 
 /// Arguments of `replay`.
@@ -84,9 +91,7 @@ pub fn become_stage(arguments: &ReplayArguments) -> anyhow::Result<()> {
     let name = match arguments.stage {
         ReplayedStage::Fusion => "flockeye-fusion",
     };
-    let path = program::find(name).context("a recording is replayed by the stage's own program")?;
-    let error = Command::new(&path).arg("replay").arg(&arguments.file).exec();
-    Err(error).with_context(|| format!("cannot start {}", path.display()))
+    become_program(name, name, &["replay".into(), arguments.file.clone().into()])
 }
 
 /// The lab's commands with their descriptions, for the help of `flockeye`.
@@ -115,12 +120,16 @@ mod tests {
     }
 
     #[test]
-    fn the_recorder_gets_its_arguments() {
+    fn programs_get_their_arguments() {
         let arguments = |words: &[&str]| words.iter().map(OsString::from).collect::<Vec<_>>();
-        let asked = |words: &[&str]| recorder_is_asked_for(&arguments(words));
-        assert_eq!(asked(&["record", "a.mcap", "--help"]), Some(arguments(&["a.mcap", "--help"])));
-        assert_eq!(asked(&["help", "record"]), Some(arguments(&["--help"])));
-        assert_eq!(asked(&["up", "record"]), None);
+        let asked = |words: &[&str]| {
+            passed_on(&arguments(words)).map(|(passed, rest)| (passed.program, rest))
+        };
+        let recorder = |words: &[&str]| Some(("flockeye-recorder", arguments(words)));
+        assert_eq!(asked(&["record", "a.mcap", "--help"]), recorder(&["a.mcap", "--help"]));
+        assert_eq!(asked(&["help", "record"]), recorder(&["--help"]));
+        assert_eq!(asked(&["view"]), Some(("flockeye-viewer", Vec::new())));
+        assert_eq!((asked(&["up", "record"]), asked(&["help"]), asked(&[])), (None, None, None));
     }
 
     #[test]

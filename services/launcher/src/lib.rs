@@ -21,7 +21,6 @@
 //! | [`check`] | what a configuration means on this machine |
 //! | [`top`] | where a running pipeline's time goes, live or as JSON |
 //! | [`trace`] | frames' paths through all processes, for Perfetto |
-//! | [`view`] | the live view, a program of its own |
 //! | [`attach`] | a running pipeline's messages, read beside its stages |
 //! | [`sweep_watch`] | how often a running pipeline searches each part of the sphere |
 //! | [`peers`] | what the whole swarm reports over Zenoh |
@@ -68,4 +67,3 @@ pub mod top;
 pub mod trace;
 mod trace_events;
 pub mod up;
-pub mod view;

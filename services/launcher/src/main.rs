@@ -9,8 +9,8 @@ fn main() -> ExitCode {
     let arguments: Vec<_> = std::env::args_os().skip(1).collect();
     let outcome = if lab::is_asked_for(&arguments) {
         lab::become_lab(&arguments)
-    } else if let Some(rest) = lab::recorder_is_asked_for(&arguments) {
-        lab::become_recorder(&rest)
+    } else if let Some((passed, rest)) = lab::passed_on(&arguments) {
+        lab::become_program(passed.program, passed.typed, &rest)
     } else {
         commands::run()
     };

@@ -178,10 +178,8 @@ impl Scene {
     }
 
     fn count_skipped(&mut self, stamp: &FrameStamp) {
-        if let Some(last) = self.last_ended.replace(*stamp)
-            && (last.source_generation, last.epoch) == (stamp.source_generation, stamp.epoch)
-        {
-            self.skipped += stamp.sequence.saturating_sub(last.sequence.saturating_add(1));
+        if let Some(last) = self.last_ended.replace(*stamp) {
+            self.skipped += stamp.skipped_since(&last);
         }
     }
 

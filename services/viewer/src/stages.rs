@@ -2,34 +2,20 @@
 
 use std::collections::BTreeMap;
 
-use flockeye_contract::{Health, StageState};
+use flockeye_contract::Health;
+use flockeye_runtime::health_rates::HealthRates;
 
 use crate::wire;
 
-/// A stage that has reported nothing for this long is silent, nanoseconds.
-const SILENCE_NS: i64 = 1_500_000_000;
 /// A process that has reported nothing for this long is gone, nanoseconds.
 const GONE_NS: i64 = 10_000_000_000;
-/// Rates are taken over at least this long, seconds.
-const MIN_SPAN_S: f64 = 0.1;
-/// Share of a new rate in the one that is shown: people read it.
-const BLEND: f32 = 0.3;
 /// Processes that are kept at most: any process of the user may report anything.
 const MOST_PROCESSES: usize = 64;
 
 /// The newest report of each process.
 #[derive(Debug, Default)]
 pub struct StageReports {
-    by_worker: BTreeMap<(String, u32), Report>,
-}
-
-#[derive(Debug)]
-struct Report {
-    last: Health,
-    taken_per_s: f32,
-    published_per_s: f32,
-    processor: f32,
-    latency_ms: Option<[f32; 2]>,
+    by_worker: BTreeMap<(String, u32), HealthRates>,
 }
 
 impl StageReports {
@@ -39,70 +25,38 @@ impl StageReports {
         if self.by_worker.len() >= MOST_PROCESSES && !self.by_worker.contains_key(&worker) {
             return;
         }
-        let report = self.by_worker.entry(worker).or_insert_with(|| Report {
-            last: *health,
-            taken_per_s: 0.0,
-            published_per_s: 0.0,
-            processor: 0.0,
-            latency_ms: None,
-        });
-        let span_s = health.sent_ns.saturating_sub(report.last.sent_ns) as f64 * 1e-9;
-        if health.pid == report.last.pid && span_s > MIN_SPAN_S {
-            let rate = |now: u64, then: u64| (now.saturating_sub(then) as f64 / span_s) as f32;
-            let blend = |shown: &mut f32, new: f32| *shown += BLEND * (new - *shown);
-            let last = &report.last;
-            blend(&mut report.taken_per_s, rate(health.taken, last.taken));
-            blend(&mut report.published_per_s, rate(health.published, last.published));
-            blend(&mut report.processor, rate(health.processor_ns, last.processor_ns) * 1e-9);
-        }
-        if health.latency_median_ns >= 0 {
-            let ms = |ns: i64| (ns as f64 * 1e-6) as f32;
-            report.latency_ms = Some([ms(health.latency_median_ns), ms(health.latency_p99_ns)]);
-        }
-        report.last = *health;
+        self.by_worker.entry(worker).or_insert_with(|| HealthRates::new(health)).take(health);
     }
 
     /// What is shown of them.
     pub fn shown(&mut self, now_ns: i64) -> wire::Stages {
-        let silent_ns = |report: &Report| now_ns.saturating_sub(report.last.sent_ns);
-        self.by_worker.retain(|_, report| silent_ns(report) < GONE_NS);
-        let stages = self.by_worker.iter().map(|((stage, replica), report)| {
-            let last = &report.last;
+        self.by_worker.retain(|_, rates| rates.silent_ns(now_ns) < GONE_NS);
+        let stages = self.by_worker.iter().map(|((stage, replica), rates)| {
+            let last = &rates.last;
             wire::Stage {
                 stage: stage.clone(),
                 replica: *replica,
                 generation: last.generation,
-                state: state(last.state, silent_ns(report)),
+                state: rates.state(now_ns),
                 detail: last.detail.to_string(),
-                taken_per_s: report.taken_per_s,
-                published_per_s: report.published_per_s,
+                taken_per_s: rates.taken_per_s as f32,
+                published_per_s: rates.published_per_s as f32,
                 dropped: last.dropped,
                 failed: last.failed,
                 queued: last.queued,
-                processor: report.processor,
+                processor: rates.processor_share as f32,
                 resident_mb: last.resident_bytes as f32 * 1e-6,
-                latency_ms: report.latency_ms,
+                latency_ms: rates.latency_ms.map(|latency| latency.map(|ms| ms as f32)),
             }
         });
         wire::Stages { stages: stages.collect() }
     }
 }
 
-fn state(code: u32, silent_ns: i64) -> &'static str {
-    match StageState::try_from(code) {
-        _ if silent_ns > SILENCE_NS => "silent",
-        Ok(StageState::Starting) => "starting",
-        Ok(StageState::Ready) => "ready",
-        Ok(StageState::Draining) => "draining",
-        Ok(StageState::Finished) => "finished",
-        Ok(StageState::Degraded) => "degraded",
-        Err(_) => "unknown",
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use flockeye_contract::StageState;
 
     fn health(sent_s: f64, taken: u64) -> Health {
         Health {

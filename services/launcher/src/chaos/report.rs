@@ -156,11 +156,8 @@ impl ChaosReport {
         }
         if header.is_last != 0 {
             self.frames += 1;
-            if let Some(before) = self.newest.replace(stamp)
-                && (before.source_generation, before.epoch)
-                    == (stamp.source_generation, stamp.epoch)
-            {
-                let gap = stamp.sequence.saturating_sub(before.sequence + 1);
+            if let Some(before) = self.newest.replace(stamp) {
+                let gap = stamp.skipped_since(&before);
                 self.frames_lost += gap;
                 self.longest_gap = self.longest_gap.max(gap);
             }

@@ -4,7 +4,7 @@ use flockeye_contract::MeasuredBy;
 use flockeye_record::sweep::SweepReport;
 use serde::Serialize;
 
-use super::{Dashboard, age_ms, deviation_m, stage_state_name, track_state_name};
+use super::{Dashboard, age_ms, deviation_m, track_state_name};
 
 /// The pipeline at one moment.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -102,12 +102,12 @@ impl Dashboard {
             replica: *replica,
             pid: view.last.pid,
             generation: view.last.generation,
-            state: stage_state_name(view.last.state, now_ns - view.last.sent_ns),
+            state: view.state(now_ns).to_owned(),
             detail: view.last.detail.to_string(),
             taken_per_s: view.taken_per_s,
             published_per_s: view.published_per_s,
-            latency_median_ms: milliseconds(view.latency_median_ns),
-            latency_p99_ms: milliseconds(view.latency_p99_ns),
+            latency_median_ms: view.latency_ms.map(|[median, _]| median),
+            latency_p99_ms: view.latency_ms.map(|[_, p99]| p99),
             queued: view.last.queued,
             dropped: view.last.dropped,
             failed: view.last.failed,

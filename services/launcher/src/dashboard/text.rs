@@ -7,7 +7,7 @@ use flockeye_contract::{Health, StageName};
 use flockeye_geometry::statistics::{median, quantile};
 use nalgebra::Vector3;
 
-use super::{Dashboard, SILENCE_NS, age_ms, deviation_m, stage_state_name, track_state_name};
+use super::{Dashboard, age_ms, deviation_m, track_state_name};
 
 impl Dashboard {
     /// The live table.
@@ -21,15 +21,15 @@ impl Dashboard {
             .at_least(&[16, 10, 7, 7, 8, 8, 6, 7, 7, 6, 7, 4]);
         for ((stage, replica), view) in &self.stages {
             let label = if *replica == 0 { stage.clone() } else { format!("{stage}.{replica}") };
-            let ms =
-                |ns: i64| if ns < 0 { "-".to_owned() } else { format!("{:.1}", ns as f64 * 1e-6) };
+            let latency = view.latency_ms.map(|ms| ms.map(|ms| format!("{ms:.1}")));
+            let [median, p99] = latency.unwrap_or_else(|| ["-", "-"].map(str::to_owned));
             stages.row([
                 label,
-                stage_state_name(view.last.state, now_ns - view.last.sent_ns),
+                view.state(now_ns).to_owned(),
                 format!("{:.1}", view.taken_per_s),
                 format!("{:.1}", view.published_per_s),
-                ms(view.latency_median_ns),
-                ms(view.latency_p99_ns),
+                median,
+                p99,
                 view.last.queued.to_string(),
                 view.last.dropped.to_string(),
                 view.last.failed.to_string(),
@@ -75,7 +75,7 @@ impl Dashboard {
         let silent: Vec<_> = self
             .stages
             .iter()
-            .filter(|(_, view)| now_ns - view.last.sent_ns > SILENCE_NS)
+            .filter(|(_, view)| view.is_silent(now_ns))
             .map(|((stage, _), _)| stage.as_str())
             .collect();
         let source = self
