@@ -2,7 +2,7 @@
 
 use anyhow::{Context, bail, ensure};
 use clap::Args;
-use flockeye_runtime::instance::Instance;
+use flockeye_runtime::instance::{Instance, service_user};
 
 /// The argument that chooses a running pipeline.
 #[derive(Debug, Clone, Args)]
@@ -24,9 +24,21 @@ pub fn choose(running: &PipelineChoice) -> anyhow::Result<Instance> {
         let found = living.into_iter().find(|instance| instance.name() == name);
         return found.with_context(|| format!("no pipeline '{name}' runs here; {others}"));
     }
-    ensure!(!living.is_empty(), "no pipeline runs here. Cure: start one with `flockeye up`");
+    ensure!(!living.is_empty(), "no pipeline runs here. Cure: {}", where_it_may_be());
     match <[Instance; 1]>::try_from(living) {
         Ok([only]) => Ok(only),
         Err(_) => bail!("several pipelines run here: {names}. Cure: --instance NAME"),
+    }
+}
+
+/// What to do where this user has no pipeline.
+fn where_it_may_be() -> &'static str {
+    let own = rustix::process::getuid().as_raw();
+    match service_user() {
+        Some(user) if user != own => {
+            "the service runs as a user of its own: `runuser -u flockeye -- flockeye ...`. Or start one with \
+             `flockeye up`"
+        }
+        _ => "start one with `flockeye up`",
     }
 }

@@ -1,14 +1,19 @@
-//! The terminal: log lines scroll above, a live table stays below.
+//! What a command shows. On a terminal log lines scroll above and a live table stays below. Under systemd lines go
+//! to the journal, with their stage as a field.
 
 use std::collections::VecDeque;
 use std::io::{self, IsTerminal, Write};
 
+use libsystemd::logging::{Priority, connected_to_journal, journal_send};
+
 /// Lines that a muted screen keeps.
 const KEPT_LINES: usize = 40;
 
-/// Standard output, with an optional live table at its end.
+/// Standard output with an optional live table at its end, or the journal.
 pub struct Screen {
     is_terminal: bool,
+    /// Whether lines go to the journal's socket, so that they can have fields.
+    is_journal: bool,
     table_lines: usize,
     /// The last lines of a muted screen.
     kept: Option<VecDeque<String>>,
@@ -17,12 +22,22 @@ pub struct Screen {
 impl Screen {
     /// A screen that shows everything.
     pub fn new() -> Self {
-        Self { is_terminal: io::stdout().is_terminal(), table_lines: 0, kept: None }
+        Self {
+            is_terminal: io::stdout().is_terminal(),
+            is_journal: connected_to_journal(),
+            table_lines: 0,
+            kept: None,
+        }
     }
 
     /// A screen that shows nothing and keeps the last lines, for error messages.
     pub fn muted() -> Self {
-        Self { is_terminal: false, table_lines: 0, kept: Some(VecDeque::new()) }
+        Self {
+            is_terminal: false,
+            is_journal: false,
+            table_lines: 0,
+            kept: Some(VecDeque::new()),
+        }
     }
 
     /// The lines that were kept.
@@ -33,6 +48,30 @@ impl Screen {
     /// Whether output goes to a terminal, so that a live table makes sense.
     pub fn is_live(&self) -> bool {
         self.is_terminal
+    }
+
+    /// Whether lines go to systemd's journal, which stamps them itself.
+    pub fn is_journal(&self) -> bool {
+        self.is_journal
+    }
+
+    /// Shows a line that a process of the pipeline wrote, and `at_s`, the time of the run. `label` is its
+    /// stage, with the worker's number if there are several (`detection.1`).
+    pub fn stage_line(&mut self, at_s: f64, label: &str, text: &str) {
+        if self.is_journal && self.kept.is_none() {
+            let (stage, worker) = label.split_once('.').unwrap_or((label, "0"));
+            let (priority, message) = priority_of(text);
+            let fields = [
+                ("SYSLOG_IDENTIFIER", "flockeye"),
+                ("FLOCKEYE_STAGE", stage),
+                ("FLOCKEYE_WORKER", worker),
+            ];
+            if journal_send(priority, message, fields.into_iter()).is_ok() {
+                return;
+            }
+            // The journal's other way in, which knows no fields, is standard output.
+        }
+        self.line(&format!("{at_s:>8.3} {label:<14} {text}"));
     }
 
     /// Shows a line that stays.
@@ -73,8 +112,45 @@ impl Screen {
     }
 }
 
+/// The journal's priority of a line as [`flockeye_runtime::logs`] writes them, and the rest of the line.
+fn priority_of(text: &str) -> (Priority, &str) {
+    let line = text.trim_start();
+    let levels = [
+        ("ERROR ", Priority::Error),
+        ("WARN ", Priority::Warning),
+        ("INFO ", Priority::Info),
+        ("DEBUG ", Priority::Debug),
+        ("TRACE ", Priority::Debug),
+    ];
+    let found = levels.into_iter().find_map(|(level, priority)| {
+        let message = line.strip_prefix(level)?;
+        Some((priority, message.trim_start()))
+    });
+    // Another program's line: what it means is its own.
+    found.unwrap_or((Priority::Notice, text))
+}
+
 impl Default for Screen {
     fn default() -> Self {
         Self::new()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_level_of_a_line_is_its_priority() {
+        let cases = [
+            ("ERROR it cannot go on", 3, "it cannot go on"),
+            (" WARN 3 frames are missing", 4, "3 frames are missing"),
+            (" INFO decoder: avdec_h264", 6, "decoder: avdec_h264"),
+            ("thread 'main' panicked", 5, "thread 'main' panicked"),
+        ];
+        for (line, level, message) in cases {
+            let (priority, rest) = priority_of(line);
+            assert_eq!((u8::from(priority), rest), (level, message));
+        }
     }
 }

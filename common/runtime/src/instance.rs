@@ -32,6 +32,9 @@ const RESOLVED: &str = "resolved";
 
 const SHM_FOLDER: &str = "/dev/shm";
 
+/// `RuntimeDirectory=` of the unit.
+const SERVICE_FOLDER: &str = "/run/flockeye";
+
 /// Bytes of a socket's path (unix(7), without the zero at its end).
 const LONGEST_SOCKET_PATH: usize = 107;
 
@@ -380,9 +383,21 @@ fn make_own(folder: &Path) -> Result<(), InstanceError> {
     Err(InstanceError::Foreign { path: folder.to_owned(), owner: found.uid(), mode })
 }
 
-/// Folder of all instances of this user.
+/// Folder of all instances of this user. The service's user has it where systemd makes it, so that the tools that it
+/// runs find the service's pipeline.
 fn all_folder() -> PathBuf {
-    std::env::temp_dir().join(format!("flockeye-{}", rustix::process::getuid().as_raw()))
+    let user = rustix::process::getuid().as_raw();
+    let base = match service_user() {
+        Some(owner) if owner == user => PathBuf::from(SERVICE_FOLDER),
+        _ => std::env::temp_dir(),
+    };
+    base.join(format!("flockeye-{user}"))
+}
+
+/// The user whose pipeline systemd runs here (deploy/systemd/flockeye.service), if it has been started.
+pub fn service_user() -> Option<u32> {
+    let found = std::fs::symlink_metadata(SERVICE_FOLDER).ok()?;
+    found.is_dir().then(|| found.uid())
 }
 
 fn write(path: &Path, bytes: &[u8]) -> Result<(), InstanceError> {

@@ -127,7 +127,12 @@ fn command() -> clap::Command {
          Evaluation and preparation (by flockeye-lab):\n{}\n\nOptions:\n{{options}}{{after-help}}",
         lab::listing()
     );
-    Flockeye::command().help_template(template).subcommands(hidden)
+    own_command().help_template(template).subcommands(hidden)
+}
+
+/// The command line without the commands of other programs.
+pub fn own_command() -> clap::Command {
+    Flockeye::command()
 }
 
 #[cfg(test)]

@@ -57,6 +57,7 @@ pub mod peers;
 pub mod process;
 pub mod run_log;
 pub mod schema;
+pub mod service_manager;
 pub mod stage;
 pub mod status;
 pub mod supervisor;

@@ -40,6 +40,7 @@ use crate::control::server::Server;
 use crate::fault_point;
 use crate::process::{Condition, LogLine, Process, STOP_TIME};
 use crate::run_log::{RunLog, RunOptions, RunSummary};
+use crate::service_manager::{Progress, ServiceManager};
 use crate::swap::Swap;
 
 /// A recording has ended when its source says so and no track has come for this long.
@@ -85,6 +86,7 @@ pub struct Supervisor<'a> {
     started: Instant,
     source_started: Option<Instant>,
     next_show: Instant,
+    service_manager: Option<ServiceManager>,
 }
 
 impl<'a> Supervisor<'a> {
@@ -156,6 +158,7 @@ impl<'a> Supervisor<'a> {
             started: now,
             source_started: None,
             next_show: now,
+            service_manager: ServiceManager::of_environment(),
         })
     }
 
@@ -194,6 +197,7 @@ impl<'a> Supervisor<'a> {
                 return Ok(None);
             }
             self.show();
+            self.tell_service_manager();
             Ok(Some(TICK))
         });
         self.ports = Some(ports);
@@ -280,8 +284,7 @@ impl<'a> Supervisor<'a> {
 
     fn show_log(&mut self) {
         while let Ok(LogLine { stage, text }) = self.log.try_recv() {
-            self.screen
-                .line(&format!("{:>8.3} {stage:<14} {text}", self.started.elapsed().as_secs_f64()));
+            self.screen.stage_line(self.started.elapsed().as_secs_f64(), &stage, &text);
         }
     }
 
@@ -294,15 +297,26 @@ impl<'a> Supervisor<'a> {
             self.screen.table(&self.messages.dashboard.table(now_ns));
             self.next_show = Instant::now() + Duration::from_millis(200);
         } else {
-            if self.messages.dashboard.frames_ended() > 0 {
+            // Under systemd the newest line is the unit's status, and the journal need not keep them all.
+            if self.service_manager.is_none() && self.messages.dashboard.frames_ended() > 0 {
                 self.screen.line(&self.messages.dashboard.line(now_ns));
             }
             self.next_show = Instant::now() + Duration::from_secs(1);
         }
     }
 
+    fn tell_service_manager(&mut self) {
+        let Some(manager) = &mut self.service_manager else { return };
+        let dashboard = &self.messages.dashboard;
+        let is_held_up =
+            self.processes.iter().any(|process| process.condition() == Condition::Stopped);
+        let progress = Progress { frames_ended: dashboard.frames_ended(), is_held_up };
+        manager.report(progress, Instant::now(), || dashboard.line(clock::monotonic_ns()));
+    }
+
     /// Stops every stage: asks first, then kills.
     pub fn stop(&mut self) {
+        self.service_manager.iter_mut().for_each(ServiceManager::stopping);
         let candidate = self.swap.iter_mut().map(|swap| &mut swap.candidate);
         let mut processes: Vec<_> =
             self.processes.iter_mut().chain(&mut self.retired).chain(candidate).collect();

@@ -1,6 +1,6 @@
 //! The command line.
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 use flockeye_cli::lab;
 
 use crate::calibrate::{
@@ -67,10 +67,14 @@ pub fn run() -> anyhow::Result<()> {
     }
 }
 
+/// The command line.
+pub fn command() -> clap::Command {
+    Lab::command()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::CommandFactory;
 
     #[test]
     fn the_command_line_is_well_formed() {

@@ -1,0 +1,141 @@
+//! What systemd is told of a run (`Type=notify`, sd_notify(3)).
+//!
+//! The pipeline is ready when its first frame has passed through all stages. The watchdog is fed by frames that end
+//! and by nothing else, so it also notices what no stage's heart beat shows. While an operator has ended a stage,
+//! no frame is owed, and the launcher feeds it.
+
+use std::time::{Duration, Instant};
+
+use flockeye_runtime::logs::Throttle;
+use libsystemd::daemon::{NotifyState, notify, watchdog_enabled};
+
+/// How often the status is told, at most.
+const STATUS_PERIOD: Duration = Duration::from_secs(1);
+
+/// What a run has to show for itself.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Progress {
+    /// Frames that have passed through all stages.
+    pub frames_ended: u64,
+    /// A stage was ended on demand, so frames may stay away.
+    pub is_held_up: bool,
+}
+
+/// Tells systemd how a run gets on, if it wants to know.
+#[derive(Debug)]
+pub struct ServiceManager {
+    is_ready: bool,
+    /// How often the watchdog is fed; `None`: there is none.
+    feeding: Option<Duration>,
+    frames_told: u64,
+    last_fed: Option<Instant>,
+    last_status: Option<Instant>,
+    failures: Throttle,
+}
+
+impl ServiceManager {
+    /// The service manager that started this process, if one did and listens.
+    pub fn of_environment() -> Option<Self> {
+        std::env::var_os("NOTIFY_SOCKET")?;
+        Some(Self::new(watchdog_enabled(false)))
+    }
+
+    fn new(watchdog: Option<Duration>) -> Self {
+        Self {
+            is_ready: false,
+            // Half of it, as sd_watchdog_enabled(3) advises.
+            feeding: watchdog.map(|timeout| timeout / 2),
+            frames_told: 0,
+            last_fed: None,
+            last_status: None,
+            failures: Throttle::default(),
+        }
+    }
+
+    /// Tells what there is to tell. `status` is asked for a line once a second.
+    pub fn report(&mut self, progress: Progress, now: Instant, status: impl FnOnce() -> String) {
+        let states = self.due(progress, now, status);
+        self.tell(&states);
+    }
+
+    /// Tells that the run ends.
+    pub fn stopping(&mut self) {
+        self.tell(&[NotifyState::Stopping]);
+    }
+
+    fn due(
+        &mut self,
+        progress: Progress,
+        now: Instant,
+        status: impl FnOnce() -> String,
+    ) -> Vec<NotifyState> {
+        let mut states = Vec::new();
+        if !self.is_ready && progress.frames_ended > 0 {
+            self.is_ready = true;
+            states.push(NotifyState::Ready);
+        }
+        let since = |last: Option<Instant>| last.map(|last| now.saturating_duration_since(last));
+        let goes_on = progress.frames_ended > self.frames_told || progress.is_held_up;
+        if let Some(feeding) = self.feeding
+            && goes_on
+            && since(self.last_fed).is_none_or(|since| since >= feeding.min(STATUS_PERIOD))
+        {
+            self.last_fed = Some(now);
+            self.frames_told = progress.frames_ended;
+            states.push(NotifyState::Watchdog);
+        }
+        if since(self.last_status).is_none_or(|since| since >= STATUS_PERIOD) {
+            self.last_status = Some(now);
+            states.push(NotifyState::Status(status()));
+        }
+        states
+    }
+
+    fn tell(&mut self, states: &[NotifyState]) {
+        if states.is_empty() {
+            return;
+        }
+        if let Err(error) = notify(false, states)
+            && let Some(more) = self.failures.admit()
+        {
+            tracing::warn!("systemd was not told how the pipeline does ({more} more): {error}");
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn progress(frames_ended: u64) -> Progress {
+        Progress { frames_ended, is_held_up: false }
+    }
+
+    #[test]
+    fn a_run_is_ready_with_its_first_frame_and_feeds_the_watchdog_with_each_further_one() {
+        let mut manager = ServiceManager::new(Some(Duration::from_secs(8)));
+        let start = Instant::now();
+        let mut at = |s: f64, progress: Progress| {
+            let states =
+                manager.due(progress, start + Duration::from_secs_f64(s), || "a line".to_owned());
+            let words: Vec<_> = states.iter().map(NotifyState::to_string).collect();
+            words.join(" ")
+        };
+        assert_eq!(at(0.0, progress(0)), "STATUS=a line");
+        assert_eq!(at(0.5, progress(1)), "READY=1 WATCHDOG=1");
+        assert_eq!(at(1.0, progress(2)), "STATUS=a line", "it was fed just now");
+        assert_eq!(at(2.0, progress(3)), "WATCHDOG=1 STATUS=a line");
+        // Nothing ends any more: the time that goes by does not feed it.
+        assert_eq!(at(60.0, progress(3)), "STATUS=a line");
+        // Somebody has ended a stage.
+        let held_up = Progress { frames_ended: 3, is_held_up: true };
+        assert_eq!(at(61.0, held_up), "WATCHDOG=1 STATUS=a line");
+    }
+
+    #[test]
+    fn without_a_watchdog_none_is_fed() {
+        let mut manager = ServiceManager::new(None);
+        let states = manager.due(progress(1), Instant::now(), String::new);
+        assert_eq!(states, [NotifyState::Ready, NotifyState::Status(String::new())]);
+    }
+}
