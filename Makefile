@@ -7,6 +7,8 @@
 # make golden, make golden-check  lossless poses of this build, and whether another build's are the same
 # make results  flies recordings and simulated flights and writes docs/results; PARTS="flight1 far"
 #             flies these alone, FLOCKEYE=PROGRAM takes another build
+# make deb     makes the Debian packages: target/deb
+# make deb-test  installs them on a fresh Debian 12, boots it, flies, updates and removes them (root; 300 MB)
 # make install-c PREFIX=FOLDER  the library for stages in C, headers, pkg-config and CMake files
 # make counts writes docs/results/counts.md: code and prose, at commit BEFORE and now
 # make setup  only installs the missing Debian packages
@@ -18,7 +20,7 @@ GUSTS = $(addprefix --set simulator.,frames=90 tilt_deg=12 yaw_deg_s=20 yaw_swin
 DORA_COMMAND = $(CURDIR)/target/peers/bin/dora
 DORA_HOP = $(CURDIR)/target/peers/dora/release/dora-hop
 
-.PHONY: python install-c clients run test bench peers build setup cargo format golden golden-check golden-write golden-compare results counts
+.PHONY: deb deb-test python install-c clients run test bench peers build setup cargo format golden golden-check golden-write golden-compare results counts
 
 # The profile of the tests, which builds sooner than the release profile that the drone gets (`make
 # build`).
@@ -45,6 +47,17 @@ PREFIX ?= target/c
 install-c: setup
 	cargo build --release --locked -p flockeye-client-c
 	clients/c/install target/release/libflockeye_stage.so $(PREFIX)
+
+# The binaries of the packages, without those of the tests and examples.
+deb: setup
+	deploy/setup packaging
+	cargo build --release --workspace --exclude flockeye-tests --bins --locked
+	deploy/package target/release target/deb
+
+deb-test: deb
+	deploy/setup package-test
+	VERSION=$$(dpkg-parsechangelog -l deploy/debian/changelog -S Version)+newer deploy/package target/release target/deb-newer
+	deploy/test-package target/deb target/deb-newer
 
 # Python with the package of clients/python and what the examples need, for the tests.
 PYTHON_PACKAGES = iceoryx2==0.10.0 numpy opencv-contrib-python-headless==4.10.0.84 eclipse-zenoh==1.10.2 cryptography==50.0.2 rosbags==0.11.9 mcap==1.3.1 zenoh-ros2-sdk==0.1.8 pymavlink==2.4.50 websockets==17.4 protobuf==7.36.2

@@ -19,6 +19,7 @@
 //! | [`saved_state`] | what a process keeps for its successor |
 //! | [`health`] | counters and latency quantiles |
 //! | [`health_rates`] | what reports of health say over time |
+//! | [`findings`] | what is found when a machine is examined |
 //! | [`background`] | threads for work that nobody waits for |
 //! | [`scheduling`] | the scheduling policy of a thread |
 //! | [`backoff`] | waits between attempts |
@@ -31,6 +32,7 @@ pub mod background;
 pub mod backoff;
 pub mod clock;
 pub mod credits;
+pub mod findings;
 pub mod health;
 pub mod health_rates;
 pub mod instance;

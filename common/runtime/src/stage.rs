@@ -10,6 +10,7 @@ use anyhow::Context as _;
 use flockeye_contract::{Health, Healths, StageName, StageState};
 use iceoryx2::prelude::*;
 
+use crate::findings::{self, EXAMINE, Finding};
 use crate::health::{Counters, HEALTH_PERIOD, Identity, SharedCounters};
 use crate::instance::{GENERATION_VARIABLE, Instance, REPLICA_VARIABLE};
 use crate::listening::Listening;
@@ -17,7 +18,7 @@ use crate::memory::Budget;
 use crate::ports::{Ports, Publisher};
 use crate::saved_state::SavedStates;
 use crate::{clock, logs};
-use flockeye_config::Resolved;
+use flockeye_config::{Pipeline, Resolved};
 
 /// A stage of the dataflow: its inputs, its outputs, and its state between frames.
 pub trait Stage: Sized {
@@ -36,6 +37,12 @@ pub trait Stage: Sized {
     /// # Errors
     /// Only what keeps it from working at all. Bad input is refused inside the stage.
     fn step(&mut self) -> anyhow::Result<Step>;
+
+    /// Examines this machine for what the stage needs, before a flight. Nothing is opened for long, and nothing
+    /// is changed.
+    fn examine(_pipeline: &Pipeline) -> Vec<Finding> {
+        Vec::new()
+    }
 
     /// Finishes the messages in work. Called once, before the process ends.
     ///
@@ -78,6 +85,16 @@ pub const CANNOT_START: u8 = 2;
 /// The whole `main` of a stage.
 pub fn main<S: Stage>() -> ExitCode {
     logs::init();
+    let mut arguments = std::env::args_os().skip(1);
+    if arguments.next().is_some_and(|word| word == EXAMINE) {
+        return match findings::answer(std::io::stdin(), std::io::stdout(), S::examine) {
+            Ok(()) => ExitCode::SUCCESS,
+            Err(error) => {
+                tracing::error!("this machine cannot be examined: {error:#}");
+                ExitCode::FAILURE
+            }
+        };
+    }
     match start::<S>() {
         Err(error) => {
             tracing::error!("cannot start: {error:#}");

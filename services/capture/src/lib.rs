@@ -36,6 +36,7 @@ pub mod core;
 mod decoder;
 mod error;
 mod event;
+mod examine;
 mod explain;
 mod file;
 mod folder;

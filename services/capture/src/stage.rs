@@ -2,15 +2,18 @@
 
 use std::time::Duration;
 
+use flockeye_config::Pipeline;
 use flockeye_contract::{FrameHeader, Frames, PixelFormat, Projection, StageState, Transfer};
 use flockeye_convert::projection_of;
 use flockeye_runtime::credits::Credits;
+use flockeye_runtime::findings::Finding;
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::logs::Throttle;
 use flockeye_runtime::ports::{Ports, Publisher};
 use flockeye_runtime::{Context, Stage, Step, clock};
 
 use crate::core::{Core, Stamped};
+use crate::examine;
 use crate::inertial::InertialPort;
 use crate::{EndReason, Event, Picture, Source, SourceParameters, SourceSpec};
 
@@ -56,6 +59,10 @@ impl Stage for CaptureStage {
             losses: Throttle::default(),
             skips: Throttle::default(),
         })
+    }
+
+    fn examine(pipeline: &Pipeline) -> Vec<Finding> {
+        examine::examine(pipeline)
     }
 
     fn step(&mut self) -> anyhow::Result<Step> {

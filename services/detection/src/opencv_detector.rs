@@ -4,6 +4,7 @@ use flockeye_dictionary::{Dictionary, DictionaryError};
 use flockeye_geometry::mask::Mask;
 use flockeye_geometry::view::{View, ViewPixel};
 use flockeye_imaging::image::LumaImage;
+use flockeye_runtime::findings::Finding;
 use opencv::aruco::{self, DetectorParameters as CvParameters};
 use opencv::core::{Mat, Point2f, Ptr, Vector};
 
@@ -18,6 +19,20 @@ const CORNER_PX: f64 = 0.9;
 pub struct OpenCvDetector {
     dictionary: Dictionary,
     mask: Option<Mask>,
+}
+
+/// Whether OpenCV is there, and finds markers of this dictionary in a picture without any.
+pub fn examine(dictionary: &str) -> Vec<Finding> {
+    let version = opencv::core::get_version_string().unwrap_or_else(|error| error.to_string());
+    let searched = OpenCvDetector::new(dictionary).map_err(|error| error.to_string());
+    vec![match searched {
+        Ok(_) => Finding::fine("opencv", format!("OpenCV {version} with ArUco")),
+        Err(error) => Finding::problem(
+            "opencv",
+            format!("OpenCV {version}, {dictionary}: {error}"),
+            "one of OpenCV's dictionaries, or the path of a dictionary file (bodies.dictionary)",
+        ),
+    }]
 }
 
 impl OpenCvDetector {

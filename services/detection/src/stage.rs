@@ -1,6 +1,8 @@
 //! The ports around detection.
 
+use flockeye_config::Pipeline;
 use flockeye_contract::{DetectionHeader, Detections, Views};
+use flockeye_runtime::findings::Finding;
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::logs::Throttle;
 use flockeye_runtime::ports::{Message, Ports, Publisher, Subscriber};
@@ -31,6 +33,10 @@ impl Stage for DetectionStage {
             counters: context.counters.clone(),
             failures: Throttle::default(),
         })
+    }
+
+    fn examine(pipeline: &Pipeline) -> Vec<Finding> {
+        crate::opencv_detector::examine(&pipeline.bodies.dictionary)
     }
 
     fn step(&mut self) -> anyhow::Result<Step> {

@@ -8,6 +8,7 @@ use crate::chaos::{self, ChaosArguments};
 use crate::check::{self, CheckArguments};
 use crate::clean::{self, CleanArguments};
 use crate::contract::{self, ContractArguments};
+use crate::doctor::{self, DoctorArguments};
 use crate::exec::{self, ExecArguments};
 use crate::keys::{self, KeysCommand};
 use crate::lab::ReplayArguments;
@@ -35,6 +36,8 @@ enum FlockeyeCommand {
     Up(UpArguments),
     /// Check a configuration, and say what it means on this machine.
     Check(CheckArguments),
+    /// Look for everything on this machine that could keep it from flying, and say what to do about it.
+    Doctor(DoctorArguments),
     /// Show a running pipeline's processes.
     Status(StatusArguments),
     /// Replace a stage's process in flight by another one, so that no frame is lost.
@@ -91,6 +94,7 @@ pub fn run() -> anyhow::Result<()> {
     match command {
         FlockeyeCommand::Up(arguments) => up::run(&arguments),
         FlockeyeCommand::Check(arguments) => check::run(&arguments),
+        FlockeyeCommand::Doctor(arguments) => doctor::run(&arguments),
         FlockeyeCommand::Status(arguments) => manage::status(&arguments),
         FlockeyeCommand::Swap(arguments) => manage::swap(&arguments),
         FlockeyeCommand::Stop(arguments) => manage::stop(&arguments),

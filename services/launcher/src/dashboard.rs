@@ -154,6 +154,16 @@ impl Dashboard {
         }
     }
 
+    /// How many frames the source sent that were not worked on.
+    pub fn frames_skipped(&self) -> u64 {
+        self.frames_skipped
+    }
+
+    /// What each worker's process reports: its stage, its number, and its reports.
+    pub fn workers(&self) -> impl Iterator<Item = (&str, u32, &HealthRates)> {
+        self.stages.iter().map(|((stage, worker), rates)| (stage.as_str(), *worker, rates))
+    }
+
     /// How many frames have ended.
     pub fn frames_ended(&self) -> u64 {
         self.frames_ended

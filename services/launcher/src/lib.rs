@@ -19,6 +19,9 @@
 //! | [`complaints`] | when what others say of a process leads to its replacement |
 //! | [`dashboard`] | what the stages and the neighbours are doing, as a table and as JSON |
 //! | [`check`] | what a configuration means on this machine |
+//! | [`doctor`] | what could keep this machine from flying, and what to do about it |
+//! | [`metrics`] | what is offered to Prometheus |
+//! | [`service_manager`] | what systemd is told of a run |
 //! | [`top`] | where a running pipeline's time goes, live or as JSON |
 //! | [`trace`] | frames' paths through all processes, for Perfetto |
 //! | [`attach`] | a running pipeline's messages, read beside its stages |
@@ -47,12 +50,14 @@ pub mod contract;
 pub mod control;
 pub mod dashboard;
 pub mod dice;
+pub mod doctor;
 pub mod exec;
 pub mod fault_point;
 pub mod heartbeat;
 pub mod keys;
 pub mod lab;
 pub mod manage;
+pub mod metrics;
 pub mod peers;
 pub mod process;
 pub mod run_log;

@@ -16,6 +16,7 @@ use flockeye_runtime::ports::{Ports, Subscriber};
 
 use crate::control::Worker;
 use crate::dashboard::Dashboard;
+use crate::metrics::Metrics;
 use crate::sweep_watch::SweepWatch;
 
 /// What ends a run, and what is recorded of it.
@@ -92,6 +93,8 @@ pub struct RunLog {
     recorders: Recorders,
     /// What is shown of the run.
     pub dashboard: Dashboard,
+    /// What is offered to Prometheus.
+    metrics: Option<Metrics>,
     /// A process beside the one that counts: its health is kept apart.
     beside: Option<(Worker, u32)>,
     beside_state: Option<StageState>,
@@ -152,6 +155,10 @@ impl RunLog {
                 rays: options.rays.as_deref().map(Recorder::create).transpose()?,
             },
             dashboard: Dashboard::default(),
+            metrics: match resolved.pipeline.metrics.listen {
+                Some(listen) => Some(Metrics::serve(listen, &resolved.pipeline.instance.0)?),
+                None => None,
+            },
             beside: None,
             beside_state: None,
             newest: None,
@@ -217,6 +224,9 @@ impl RunLog {
             self.zero_ns.get_or_insert_with(|| stream_zero_ns(&stamp));
             let now_ns = clock::monotonic_ns();
             self.dashboard.tracks(&stamp, message.items(), is_last, now_ns);
+            if let Some(metrics) = &self.metrics {
+                metrics.tracks(message.items());
+            }
             for row in message.items().iter().filter_map(|track| PoseRow::of(&stamp, track)) {
                 self.measured += u64::from(row.is_measured());
                 if let Some(recorder) = &mut self.recorders.poses {
@@ -226,6 +236,9 @@ impl RunLog {
             if is_last {
                 self.end(&stamp, now_ns)?;
             }
+        }
+        if let Some(metrics) = &mut self.metrics {
+            metrics.update(&self.dashboard, clock::monotonic_ns());
         }
         Ok(())
     }

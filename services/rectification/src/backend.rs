@@ -1,6 +1,8 @@
 //! The choice between the back ends.
 
+use flockeye_config::Backend;
 use flockeye_geometry::camera::Camera;
+use flockeye_runtime::findings::Finding;
 
 use crate::cpu::CpuRectifier;
 use crate::gpu::{FoundAdapter, GpuRectifier};
@@ -16,6 +18,51 @@ pub enum BackendChoice {
     Cpu,
     /// A graphics processor, be it a software one.
     Gpu,
+}
+
+impl From<Backend> for BackendChoice {
+    fn from(asked: Backend) -> Self {
+        match asked {
+            Backend::Auto => Self::Auto,
+            Backend::Cpu => Self::Cpu,
+            Backend::Gpu => Self::Gpu,
+        }
+    }
+}
+
+/// What there is to say of this machine's graphics processors before a flight.
+pub fn examine(choice: BackendChoice) -> Vec<Finding> {
+    const TOPIC: &str = "graphics";
+    const CURE: &str = "install the driver (mesa-vulkan-drivers for Intel and AMD), and let the user be in the \
+                        groups video and render";
+    let is_asked_for = choice == BackendChoice::Gpu;
+    let without = |what: String| match is_asked_for {
+        true => Finding::problem(TOPIC, what, CURE),
+        false => {
+            Finding::note(TOPIC, format!("{what}; views are cut by the processor")).with_cure(CURE)
+        }
+    };
+    vec![match FoundAdapter::best() {
+        _ if choice == BackendChoice::Cpu => {
+            Finding::fine(TOPIC, "views are cut by the processor, as configured")
+        }
+        Err(error) => without(error.to_string()),
+        Ok(found) => {
+            let (description, is_software) = (found.description(), found.is_software());
+            match GpuRectifier::open(found) {
+                Err(error) => without(format!("{description}: {error}")),
+                Ok(_) if is_software && is_asked_for => Finding::warning(
+                    TOPIC,
+                    format!(
+                        "{description} is software, and slower than cutting views on the processor"
+                    ),
+                    "rectification.backend: auto",
+                ),
+                Ok(_) if is_software => without(format!("{description} is software")),
+                Ok(_) => Finding::fine(TOPIC, description),
+            }
+        }
+    }]
 }
 
 /// The back end for `choice` and frames of `camera`, and in words why it is that one. The processor
@@ -67,6 +114,16 @@ mod tests {
         let (backend, why) = choose_backend(BackendChoice::Cpu, 2, &CAMERA).unwrap();
         assert!(backend.name().starts_with("cpu"), "{}", backend.name());
         assert!(why.contains("asks"), "{why}");
+    }
+
+    #[test]
+    fn what_is_asked_for_is_not_there_or_works() {
+        use flockeye_runtime::findings::Gravity;
+        let has_any = FoundAdapter::best().is_ok();
+        let gravity = |choice| examine(choice)[0].gravity;
+        assert_eq!(gravity(BackendChoice::Cpu), Gravity::Fine);
+        assert!(gravity(BackendChoice::Auto) <= Gravity::Note);
+        assert_eq!(gravity(BackendChoice::Gpu) == Gravity::Problem, !has_any);
     }
 
     #[test]

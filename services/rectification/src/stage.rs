@@ -4,15 +4,16 @@ use std::rc::Rc;
 use std::time::Duration;
 
 use anyhow::Context as _;
-use flockeye_config::Backend;
+use flockeye_config::Pipeline;
 use flockeye_contract::{FrameEnds, FrameOrder, Frames, StageName, Views};
+use flockeye_runtime::findings::Finding;
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::listening::Listening;
 use flockeye_runtime::logs::Throttle;
 use flockeye_runtime::ports::{Message, Ports, Publisher};
 use flockeye_runtime::{Context, Stage, Step, clock};
 
-use crate::backend::{BackendChoice, choose_backend};
+use crate::backend::{self, choose_backend};
 use crate::core::{Action, Core, CutOrder, Event};
 use crate::cutting::{Cutter, view_header};
 use crate::inbox::Inbox;
@@ -46,11 +47,7 @@ impl Stage for RectificationStage {
     fn open(context: &Context, ports: &mut Ports) -> anyhow::Result<Self> {
         let (resolved, generation) = (&context.resolved, context.identity.generation);
         let pipeline = &resolved.pipeline;
-        let choice = match pipeline.rectification.backend {
-            Backend::Auto => BackendChoice::Auto,
-            Backend::Cpu => BackendChoice::Cpu,
-            Backend::Gpu => BackendChoice::Gpu,
-        };
+        let choice = pipeline.rectification.backend.into();
         let threads = pipeline.rectification.threads as usize;
         let (rectifier, why) = choose_backend(choice, threads, &resolved.camera)?;
         tracing::info!("views are cut by {}: {why}", rectifier.name());
@@ -71,6 +68,10 @@ impl Stage for RectificationStage {
             refusals: Throttle::default(),
             silence: Throttle::default(),
         })
+    }
+
+    fn examine(pipeline: &Pipeline) -> Vec<Finding> {
+        backend::examine(pipeline.rectification.backend.into())
     }
 
     fn step(&mut self) -> anyhow::Result<Step> {

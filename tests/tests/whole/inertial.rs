@@ -118,6 +118,14 @@ fn mounting_and_clock_are_calibrated_from_a_flight() {
     ]));
     assert!(off.to_degrees() < 1.0, "{found}");
 
+    // Of a sensor whose clock is right the same says how late the camera's frames arrive.
+    let late = [&set[..], &["--set", "simulator.inertial.time_offset_ms=180"]].concat();
+    let (succeeded, output) = run(&[&["calibrate", "latency", "--json"], &late[..]].concat());
+    assert!(succeeded, "{output}");
+    let found: Value = serde_json::from_str(&output).expect("nothing but JSON");
+    assert!((number(&found["latency_ms"]) - 180.0).abs() < 4.0, "{found}");
+    assert!(number(&found["error_turning_mm"]) > 0.0, "{found}");
+
     let (succeeded, output) = run(&["calibrate", "imu", "--set", "simulator.frames=9"]);
     assert!(!succeeded && output.contains("there is no inertial sensor"), "{output}");
 }

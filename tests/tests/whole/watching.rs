@@ -1,11 +1,13 @@
 //! `flockeye top` and `flockeye trace` beside a running pipeline.
 
 use std::collections::BTreeSet;
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 use flockeye_config::Resolved;
 use flockeye_contract::{Detections, Plans, Tracks};
 use flockeye_record::sweep::Sweep;
+use flockeye_require::loopback::free_port;
 use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, onlooker, run};
 use rustix::process::{Signal, kill_process};
 use serde_json::Value;
@@ -165,4 +167,79 @@ fn what_does_not_run_cannot_be_watched() {
     let (is_well, said) = run(&asked);
     assert!(!is_well && said.contains("no pipeline 'nobody-here' runs here"), "{said}");
     assert!(!out.exists(), "nothing is left of what could not be recorded");
+}
+
+/// What a pipeline answers to a request, whole.
+fn asked(port: u16, path: &str) -> String {
+    use std::io::{Read, Write};
+    let mut stream = std::net::TcpStream::connect(("127.0.0.1", port)).expect("it listens");
+    stream.set_read_timeout(Some(Duration::from_secs(10))).expect("it can be set");
+    let request = format!("GET {path} HTTP/1.1\r\nHost: localhost\r\n\r\n");
+    stream.write_all(request.as_bytes()).expect("it can be asked");
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).expect("it answers");
+    answer
+}
+
+#[test]
+fn prometheus_gets_every_metric_that_the_dashboard_shows() {
+    let port = free_port();
+    let listen = format!("metrics.listen=127.0.0.1:{port}");
+    let mut flight = Flight::start("metrics", &[], &[SMALL_FLIGHT, &[&*listen]].concat());
+    flight.wait_for("alpha confirmed");
+    let start = Instant::now();
+    while !asked(port, "/ready").starts_with("HTTP/1.1 200") {
+        assert!(start.elapsed() < WATCHDOG, "{}", flight.output());
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    assert!(asked(port, "/live").starts_with("HTTP/1.1 200"));
+    let metrics = asked(port, "/metrics");
+    assert!(metrics.ends_with("# EOF\n"), "{metrics}");
+
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../deploy/grafana-dashboard.json");
+    let dashboard = std::fs::read_to_string(file).expect("it is there");
+    let dashboard: Value = serde_json::from_str(&dashboard).expect("JSON");
+    let expressions = dashboard["panels"].as_array().expect("panels").iter().flat_map(|panel| {
+        let targets = panel["targets"].as_array().expect("targets").iter();
+        targets.map(|target| target["expr"].as_str().expect("an expression").to_owned())
+    });
+    let is_name = |c: char| c.is_ascii_alphanumeric() || c == '_';
+    let names: BTreeSet<String> = expressions
+        .flat_map(|expression| {
+            let words: Vec<_> = expression.split(|c| !is_name(c)).map(str::to_owned).collect();
+            words.into_iter().filter(|word| word.starts_with("flockeye_"))
+        })
+        .collect();
+    assert!(names.len() > 15, "{names:?}");
+    // A machine without sensors shows neither.
+    let of_machine = ["flockeye_temperature_celsius", "flockeye_processor_frequency_hertz"];
+    for name in names {
+        let is_there = metrics.lines().any(|line| line.starts_with(&format!("{name}{{")));
+        let is_declared = metrics.contains(&format!("# TYPE {name} gauge"));
+        let may_be_absent = of_machine.contains(&&*name);
+        assert!(is_there || (may_be_absent && is_declared), "{name} is not in\n{metrics}");
+    }
+
+    // A pipeline that is held up is not ready.
+    let instance = flight.instance.name().to_owned();
+    let (stopped, said) = run(&["stop", "simulator", "--instance", &instance]);
+    assert!(stopped, "{said}");
+    while !asked(port, "/ready").starts_with("HTTP/1.1 503") {
+        assert!(start.elapsed() < WATCHDOG, "{}", flight.output());
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    flight.signal(Signal::TERM);
+    assert!(flight.wait().success(), "{}", flight.output());
+    flight.assert_nothing_left();
+}
+
+#[test]
+fn a_port_that_is_taken_is_named() {
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+    let address = taken.local_addr().expect("it has an address");
+    let listen = format!("metrics.listen={address}");
+    let mut flight = Flight::start("taken", &[], &[SMALL_FLIGHT, &[&*listen]].concat());
+    assert!(!flight.wait().success());
+    assert!(flight.output().contains(&format!("metrics.listen {address}")), "{}", flight.output());
+    flight.assert_nothing_left();
 }

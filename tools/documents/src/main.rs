@@ -36,9 +36,8 @@ fn whole_command() -> Command {
     let mut whole = flockeye_launcher::commands::own_command();
     let passed_on = [("record", RecordArguments::command()), ("view", ViewArguments::command())];
     for (name, command) in passed_on {
-        whole = whole.mut_subcommand(name, |_| {
-            command.name(name).bin_name(format!("flockeye {name}"))
-        });
+        whole =
+            whole.mut_subcommand(name, |_| command.name(name).bin_name(format!("flockeye {name}")));
     }
     let lab = flockeye_lab::commands::command();
     let commands: Vec<_> = lab.get_subcommands().cloned().collect();

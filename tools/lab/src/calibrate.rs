@@ -4,10 +4,12 @@
 //! | --- | --- |
 //! | [`body`] | where a body's markers really are |
 //! | [`response`] | the curve between light and code values |
+//! | [`latency`] | how late a camera's frames arrive |
 //! | [`imu`] | how the inertial sensor lies to the camera, and how its clock goes |
 
 pub mod body;
 pub mod imu;
+pub mod latency;
 pub mod response;
 
 pub use body::CalibrateBodyArguments;

@@ -41,6 +41,8 @@ enum CalibrateSubcommand {
     Body(CalibrateBodyArguments),
     /// Measure how the inertial sensor lies to the camera, and its time offset.
     Imu(CalibrateImuArguments),
+    /// Measure how late the camera's frames arrive, by the inertial sensor.
+    Latency(CalibrateImuArguments),
     /// Measure the curve between light and code values, from pictures at several exposures.
     Response(CalibrateResponseArguments),
 }
@@ -60,6 +62,9 @@ pub fn run() -> anyhow::Result<()> {
         }
         LabSubcommand::Calibrate(CalibrateSubcommand::Imu(arguments)) => {
             calibrate::imu::run(&arguments)
+        }
+        LabSubcommand::Calibrate(CalibrateSubcommand::Latency(arguments)) => {
+            calibrate::latency::run(&arguments)
         }
         LabSubcommand::Calibrate(CalibrateSubcommand::Response(arguments)) => {
             calibrate::response::run(&arguments)

@@ -13,6 +13,7 @@ mod costs;
 mod gateway;
 mod inertial;
 mod mavlink;
+mod metrics;
 mod mount;
 mod partition;
 mod recording;
@@ -25,6 +26,7 @@ pub use costs::{Costs, SearchBudget};
 pub use gateway::{Autopilot, Gateway, GatewayMode, Ros2, Security};
 pub use inertial::{Inertial, InertialSource};
 pub use mavlink::MavlinkAddress;
+pub use metrics::Metrics;
 pub use mount::Mount;
 pub use partition::{Auto, Count, Method, Partition};
 pub use recording::{RecordedFrames, Recording, RecordingTrigger};
@@ -68,6 +70,8 @@ pub struct Pipeline {
     pub gateway: Gateway,
     /// What is recorded of every flight.
     pub recording: Recording,
+    /// What is offered to Prometheus.
+    pub metrics: Metrics,
     /// How the stages' processes are run.
     pub stages: Stages,
     /// How processes that fail are noticed.

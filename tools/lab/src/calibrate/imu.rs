@@ -36,6 +36,23 @@ pub struct CalibrateImuArguments {
 /// # Errors
 /// No sensor is configured, `flockeye up` fails, or the flight does not tell: with what is missing.
 pub fn run(arguments: &CalibrateImuArguments) -> anyhow::Result<()> {
+    let found = fly(arguments, &[])?;
+    let mut screen = Screen::new();
+    match arguments.json {
+        true => screen.line(&serde_json::to_string_pretty(&as_json(&found))?),
+        false => screen.line(&text(&found)),
+    }
+    Ok(())
+}
+
+/// The flight with `more` settings, and what it tells of sensor and camera.
+///
+/// # Errors
+/// As [`run`].
+pub(super) fn fly(
+    arguments: &CalibrateImuArguments,
+    more: &[&str],
+) -> anyhow::Result<SensorCalibration> {
     let pipeline = arguments.configuration.load()?;
     ensure!(
         pipeline.has_inertial_sensor(),
@@ -51,19 +68,14 @@ pub fn run(arguments: &CalibrateImuArguments) -> anyhow::Result<()> {
     }
     let mut configuration = arguments.configuration.clone();
     configuration.set.extend(own);
+    configuration.set.extend(more.iter().map(|&set| set.to_owned()));
     command.extend(configuration.to_arguments(&[], &[]));
     let stopping = signals::stop_flag()?;
     match arguments.json {
         true => drop(up_process::run_quietly("the flight with the sensor", &command, &stopping)?),
         false => up_process::run_visibly(&command, &stopping)?,
     }
-    let found = of_files(&rotations, &samples)?;
-    let mut screen = Screen::new();
-    match arguments.json {
-        true => screen.line(&serde_json::to_string_pretty(&as_json(&found))?),
-        false => screen.line(&text(&found)),
-    }
-    Ok(())
+    of_files(&rotations, &samples)
 }
 
 /// Settings of the run, and how long it takes at most. A recording is played without loss to its end, a

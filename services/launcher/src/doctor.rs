@@ -1,0 +1,176 @@
+//! `flockeye doctor`: everything that can be wrong on a machine before a flight, each with its cure.
+//!
+//! | module | what it looks at |
+//! | --- | --- |
+//! | [`machine`] | processors, clock frequency, heat |
+//! | [`memory`] | shared memory, limits, who would remove it |
+//! | [`programs`] | the stages' programs, and what each of them needs |
+//! | [`theta`] | a Ricoh Theta on the USB |
+//! | [`clock`] | whether the clock is synchronised, and by what |
+//! | [`network`] | addresses, the interface, keys and certificates |
+
+pub mod clock;
+pub mod machine;
+pub mod memory;
+pub mod network;
+pub mod programs;
+pub mod theta;
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+use anyhow::bail;
+use clap::Args;
+use flockeye_cli::{Configuration, Screen};
+use flockeye_config::Resolved;
+use flockeye_dictionary::Dictionary;
+use flockeye_runtime::findings::{Finding, Gravity};
+use serde::Serialize;
+
+/// Arguments of `doctor`.
+#[derive(Debug, Args)]
+pub struct DoctorArguments {
+    /// Which configuration.
+    #[command(flatten)]
+    pub configuration: Configuration,
+    /// Print what is found as JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// What is printed as JSON.
+#[derive(Debug, Serialize)]
+struct Examination<'f> {
+    /// Whether it would fly.
+    would_fly: bool,
+    findings: &'f [Finding],
+}
+
+/// A machine's file system: tests have one of their own.
+#[derive(Debug, Clone)]
+pub struct Machine {
+    root: PathBuf,
+}
+
+impl Machine {
+    /// This machine.
+    pub fn this() -> Self {
+        Self { root: PathBuf::from("/") }
+    }
+
+    /// One whose files are below `root`.
+    pub fn below(root: &Path) -> Self {
+        Self { root: root.to_owned() }
+    }
+
+    /// A path of it.
+    pub fn path(&self, path: &str) -> PathBuf {
+        self.root.join(path.trim_start_matches('/'))
+    }
+
+    /// A file's text without the white space around it.
+    pub fn text(&self, path: &str) -> Option<String> {
+        std::fs::read_to_string(self.path(path)).ok().map(|text| text.trim().to_owned())
+    }
+
+    /// The names in a folder, in their order.
+    pub fn names(&self, folder: &str) -> Vec<String> {
+        let entries = std::fs::read_dir(self.path(folder)).into_iter().flatten().flatten();
+        let mut names: Vec<_> =
+            entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
+        names.sort();
+        names
+    }
+}
+
+/// Examines this machine, and says what it found.
+///
+/// # Errors
+/// The configuration cannot be read, or with it this machine would not fly.
+pub fn run(arguments: &DoctorArguments) -> anyhow::Result<()> {
+    let pipeline = arguments.configuration.load()?;
+    let mut findings = Vec::new();
+    match Resolved::of(pipeline) {
+        Err(error) => findings.push(Finding::problem(
+            "configuration",
+            error.to_string(),
+            "see docs/CONTRACT.md and `flockeye schema`",
+        )),
+        Ok(resolved) => findings.extend(examined(&resolved)),
+    }
+    let problems = findings.iter().filter(|finding| finding.gravity == Gravity::Problem).count();
+    if arguments.json {
+        let examination = Examination { would_fly: problems == 0, findings: &findings };
+        let json = serde_json::to_string_pretty(&examination)?;
+        Screen::new().line(&json);
+    } else {
+        show(&findings, problems);
+    }
+    if problems > 0 {
+        bail!("{problems} problems: with this configuration this machine would not fly");
+    }
+    Ok(())
+}
+
+fn examined(resolved: &Resolved) -> Vec<Finding> {
+    let machine = Machine::this();
+    let pipeline = &resolved.pipeline;
+    let mut findings = vec![match Dictionary::of(&resolved.bodies) {
+        Ok(_) => Finding::fine("configuration", "everything in it is in order"),
+        Err(error) => Finding::problem("configuration", error.to_string(), "bodies.dictionary"),
+    }];
+    findings.extend(machine::examine(&machine));
+    findings.extend(memory::examine(&machine, resolved));
+    findings.extend(programs::examine(pipeline));
+    findings.extend(theta::examine(&machine, &pipeline.source.input));
+    findings.extend(clock::examine(&machine));
+    findings.extend(network::examine(&machine, pipeline));
+    findings
+}
+
+fn show(findings: &[Finding], problems: usize) {
+    let mut screen = Screen::new();
+    for finding in findings {
+        let word = match finding.gravity {
+            Gravity::Fine => "ok",
+            Gravity::Note => "note",
+            Gravity::Warning => "WARNING",
+            Gravity::Problem => "PROBLEM",
+        };
+        screen.line(&format!("{word:<8} {:<14} {}", finding.topic, finding.what));
+        if let Some(cure) = &finding.cure {
+            screen.line(&format!("{:<23} Cure: {cure}", ""));
+        }
+    }
+    let warnings = findings.iter().filter(|finding| finding.gravity == Gravity::Warning).count();
+    if problems == 0 {
+        screen.line(&format!("it would fly; {warnings} warnings"));
+    }
+}
+
+/// What the system says of a failed call.
+fn reason(error: &io::Error) -> String {
+    error.to_string()
+}
+
+#[cfg(test)]
+pub mod fixture {
+    //! A machine of files.
+
+    use tempfile::TempDir;
+
+    use super::Machine;
+
+    /// A machine with these files.
+    pub fn machine(files: &[(&str, &str)]) -> (TempDir, Machine) {
+        let folder = TempDir::new().expect("a temporary folder can be made");
+        let machine = Machine::below(folder.path());
+        for (path, text) in files {
+            let path = machine.path(path);
+            let parent = path.parent().expect("a file is in a folder");
+            std::fs::create_dir_all(parent).expect("it can be made");
+            std::fs::write(path, text).expect("it can be written");
+        }
+        (folder, machine)
+    }
+}

@@ -1,0 +1,175 @@
+//! What a run offers to Prometheus (`metrics.listen` in pipeline.yaml): counters, gauges and latencies as text, and
+//! whether the pipeline lives and is ready.
+//!
+//! | module | what it does |
+//! | --- | --- |
+//! | [`snapshot`] | what there was at one moment, as metrics |
+//! | [`endpoint`] | answers requests |
+
+pub mod endpoint;
+pub mod snapshot;
+
+use std::net::SocketAddr;
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use flockeye_contract::Track;
+use flockeye_runtime::lock::lock;
+use prometheus_client::encoding::text::encode;
+use prometheus_client::metrics::family::Family;
+use prometheus_client::metrics::histogram::Histogram;
+use prometheus_client::registry::{Registry, Unit};
+
+use crate::dashboard::Dashboard;
+use snapshot::{Latest, Snapshot};
+
+/// How often what is offered is brought up to date.
+const PERIOD: Duration = Duration::from_secs(1);
+
+/// Upper bounds of the latencies' bins, seconds: from a fast stage to a pose that is too late for anybody.
+const LATENCY_BOUNDS_S: [f64; 14] = [
+    0.001, 0.002, 0.004, 0.006, 0.010, 0.015, 0.020, 0.033, 0.050, 0.075, 0.100, 0.200, 0.500, 1.0,
+];
+
+/// A histogram with these bounds.
+fn latencies() -> Histogram {
+    Histogram::new(LATENCY_BOUNDS_S)
+}
+
+type Labels = Vec<(&'static str, String)>;
+type Latencies = Family<Labels, Histogram, fn() -> Histogram>;
+
+/// What a run offers.
+pub struct Metrics {
+    registry: Registry,
+    latencies: Latencies,
+    latest: Latest,
+    page: Arc<Mutex<Page>>,
+    next: Instant,
+}
+
+/// What is answered.
+#[derive(Debug, Clone)]
+pub struct Page {
+    /// All metrics.
+    pub text: String,
+    /// When it was written: a launcher that hangs writes none.
+    pub written: Instant,
+    /// When the last frame ended.
+    pub last_frame: Option<Instant>,
+}
+
+impl Metrics {
+    /// Offers them at this address.
+    ///
+    /// # Errors
+    /// The address cannot be listened on.
+    pub fn serve(listen: SocketAddr, instance: &str) -> anyhow::Result<Self> {
+        let metrics = Self::new(instance);
+        endpoint::start(listen, metrics.page.clone()).with_context(|| {
+            format!("metrics.listen {listen} cannot be listened on. Cure: another port")
+        })?;
+        Ok(metrics)
+    }
+
+    fn new(instance: &str) -> Self {
+        let labels = [("instance_name".into(), instance.to_owned().into())];
+        let mut registry = Registry::with_prefix_and_labels("flockeye", labels.into_iter());
+        let latencies: Latencies = Family::new_with_constructor(latencies);
+        registry.register_with_unit(
+            "pose_latency",
+            "Time of a measured pose in each stage, and from exposure to pose (part=total)",
+            Unit::Seconds,
+            latencies.clone(),
+        );
+        let latest = Latest::default();
+        registry.register_collector(Box::new(latest.clone()));
+        let now = Instant::now();
+        let page = Page { text: String::new(), written: now, last_frame: None };
+        Self { registry, latencies, latest, page: Arc::new(Mutex::new(page)), next: now }
+    }
+
+    /// Takes the tracks of a frame.
+    pub fn tracks(&self, tracks: &[Track]) {
+        for track in tracks.iter().filter(|track| track.unseen_ns == 0) {
+            let latency = &track.latency;
+            let parts = [
+                ("capture", latency.capture_ns),
+                ("rectification", latency.rectification_ns),
+                ("detection", latency.detection_ns),
+                ("fusion", latency.fusion_ns),
+                ("total", latency.total_ns),
+            ];
+            for (part, ns) in parts.into_iter().filter(|(_, ns)| *ns >= 0) {
+                let labels = vec![("part", part.to_owned())];
+                self.latencies.get_or_create(&labels).observe(ns as f64 * 1e-9);
+            }
+        }
+    }
+
+    /// Brings what is offered up to date, if it is time.
+    pub fn update(&mut self, dashboard: &Dashboard, now_ns: i64) {
+        let now = Instant::now();
+        if now < self.next {
+            return;
+        }
+        self.next = now + PERIOD;
+        let snapshot = Snapshot::of(dashboard, now_ns);
+        let has_gone_on = self.latest.replace(snapshot);
+        let mut text = String::new();
+        if let Err(error) = encode(&mut text, &self.registry) {
+            tracing::debug!("metrics cannot be written: {error}");
+            return;
+        }
+        let mut page = lock(&self.page);
+        let last_frame = if has_gone_on { Some(now) } else { page.last_frame };
+        *page = Page { text, written: now, last_frame };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockeye_contract::{FrameStamp, Health, StageLatency, StageState};
+
+    #[test]
+    fn what_happened_is_in_the_text() {
+        let mut metrics = Metrics::new("field");
+        let mut dashboard = Dashboard::default();
+        dashboard.health(&Health {
+            stage: "detection".into(),
+            replica: 1,
+            generation: 3,
+            taken: 70,
+            dropped: 2,
+            processor_ns: 1_500_000_000,
+            state: StageState::Ready.code(),
+            ..Health::default()
+        });
+        let latency = StageLatency {
+            capture_ns: -1,
+            detection_ns: 5_000_000,
+            total_ns: 30_000_000,
+            ..StageLatency::default()
+        };
+        let track = Track { name: "alpha".into(), latency, ..bytemuck::Zeroable::zeroed() };
+        dashboard.tracks(&FrameStamp::default(), &[track], true, 0);
+        metrics.tracks(&[track]);
+        metrics.update(&dashboard, 0);
+        let page = lock(&metrics.page).clone();
+        assert!(page.last_frame.is_some());
+        for line in [
+            r#"flockeye_stage_taken_total{instance_name="field",stage="detection",worker="1"} 70"#,
+            r#"flockeye_stage_dropped_total{instance_name="field",stage="detection",worker="1"} 2"#,
+            r#"flockeye_stage_restarts_total{instance_name="field",stage="detection",worker="1"} 3"#,
+            r#"flockeye_stage_processor_seconds_total{instance_name="field",stage="detection",worker="1"} 1.5"#,
+            r#"flockeye_frames_total{instance_name="field"} 1"#,
+            r#"flockeye_pose_latency_seconds_bucket{le="0.033",instance_name="field",part="total"} 1"#,
+            r#"flockeye_pose_latency_seconds_bucket{le="0.02",instance_name="field",part="total"} 0"#,
+        ] {
+            assert!(page.text.contains(line), "{line} is missing:\n{}", page.text);
+        }
+        assert!(!page.text.contains("part=\"capture\""), "an unknown latency is none");
+    }
+}

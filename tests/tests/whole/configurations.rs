@@ -1,0 +1,75 @@
+//! The configurations of `deploy/configurations`: each is in order, and those that need no camera are flown.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use flockeye_require::loopback::free_port;
+use flockeye_tests::{Flight, SMALL_FLIGHT, WATCHDOG, recordings, run};
+use rustix::process::Signal;
+
+fn folder() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../deploy/configurations")
+}
+
+/// A configuration by its name.
+fn configuration(name: &str) -> String {
+    folder().join(name).to_str().expect("a plain path").to_owned()
+}
+
+#[test]
+fn every_configuration_is_in_order() {
+    let entries = std::fs::read_dir(folder()).expect("they are there").flatten();
+    let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
+    let mut checked = 0;
+    for name in names.filter(|name| name.ends_with(".yaml")) {
+        let (is_in_order, said) = run(&["check", &configuration(&name)]);
+        assert!(is_in_order && said.contains("everything is in order"), "{name}: {said}");
+        checked += 1;
+    }
+    assert!(checked >= 8, "{checked}");
+}
+
+#[test]
+fn two_simulated_drones_hear_each_other() {
+    // Other ports than those of the files, because another pipeline may have these.
+    let [one, two] = [free_port(), free_port()];
+    let start = |name: &str, own: u16, other: u16| {
+        let listen = format!("gateway.listen=[tcp/127.0.0.1:{own}]");
+        let connect = format!("gateway.connect=[tcp/127.0.0.1:{other}]");
+        let small: Vec<_> =
+            SMALL_FLIGHT.iter().copied().filter(|set| !set.starts_with("gateway")).collect();
+        let set = [&[&*listen, &*connect][..], &small].concat();
+        let file = configuration(&format!("simulated-drone-{name}.yaml"));
+        Flight::start(&format!("pair-{name}"), &[&file], &set)
+    };
+    let flights = [start("one", one, two), start("two", two, one)];
+    let started = Instant::now();
+    loop {
+        let endpoint = format!("tcp/127.0.0.1:{one}");
+        let swarm = "observer.swarm=pair";
+        let (_, said) =
+            run(&["peers", "--set", swarm, "--connect", &endpoint, "--for", "2s", "--json"]);
+        let both = ["\"one\"", "\"two\""].iter().all(|name| said.contains(name));
+        if both && said.contains("\"confirmed\"") {
+            break;
+        }
+        assert!(started.elapsed() < WATCHDOG, "{said}\n{}", flights[0].output());
+    }
+    for mut flight in flights {
+        flight.signal(Signal::TERM);
+        assert!(flight.wait().success(), "{}", flight.output());
+        flight.assert_nothing_left();
+    }
+}
+
+#[test]
+fn a_recorded_flight_is_worked_on_frame_by_frame() {
+    let Some(data) = recordings() else { return };
+    let source = data.join("flight4/flight4.mp4");
+    let source = source.to_str().expect("a plain path");
+    let arguments = [&*configuration("recorded-flight.yaml"), "--source", source, "--frames", "8"];
+    let mut flight = Flight::start("recorded", &arguments, &[]);
+    assert!(flight.wait().success(), "{}", flight.output());
+    assert!(flight.output().contains("8 frames searched, 0 skipped"), "{}", flight.output());
+    flight.assert_nothing_left();
+}
