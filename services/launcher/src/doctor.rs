@@ -107,7 +107,7 @@ pub fn run(arguments: &DoctorArguments) -> anyhow::Result<()> {
         show(&findings, problems);
     }
     if problems > 0 {
-        bail!("{problems} problems: with this configuration this machine would not fly");
+        bail!("problems: {problems}. With this configuration this machine would not fly");
     }
     Ok(())
 }
@@ -144,7 +144,7 @@ fn show(findings: &[Finding], problems: usize) {
     }
     let warnings = findings.iter().filter(|finding| finding.gravity == Gravity::Warning).count();
     if problems == 0 {
-        screen.line(&format!("it would fly; {warnings} warnings"));
+        screen.line(&format!("it would fly (warnings: {warnings})"));
     }
 }
 
