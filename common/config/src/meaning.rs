@@ -302,6 +302,10 @@ impl Meaning<'_> {
                     "only the simulated world has this one: source.input: sim".into(),
                 );
             }
+            Ok(InertialSource::Recording) if !pipeline.plays_flight() => self.problem(
+                path,
+                "only the recording of a flight has this one: source.input: FILE.mcap".into(),
+            ),
             Ok(InertialSource::Recorded(_)) if is_simulated => self.problem(
                 path,
                 "a recorded sensor belongs to a recording, not to source.input: sim".into(),

@@ -17,8 +17,10 @@ pub struct ChannelKind {
 /// Pixels of views, on a channel of its own beside that of the views' headers. Both have the same sequence
 /// numbers.
 pub const VIEW_IMAGES: &str = "/flockeye/view/image";
-/// Pictures of frames, beside the frames' headers in the same way.
+/// Pictures of frames. Each stands behind its header.
 pub const FRAME_IMAGES: &str = "/flockeye/frame/image";
+/// The camera's own packets. Each stands behind its header.
+pub const FRAME_VIDEO: &str = "/flockeye/frame/video";
 /// What the recording lacks.
 pub const LOSSES: &str = "/flockeye/recording/loss";
 
@@ -65,6 +67,15 @@ impl ChannelKind {
             topic: FRAME_IMAGES.to_owned(),
             message: "sensor_msgs/msg/CompressedImage".to_owned(),
             definition: definition::COMPRESSED_IMAGE.to_owned(),
+        }
+    }
+
+    /// Of a camera's own packets.
+    pub fn of_frame_video() -> Self {
+        Self {
+            topic: FRAME_VIDEO.to_owned(),
+            message: "foxglove_msgs/msg/CompressedVideo".to_owned(),
+            definition: definition::COMPRESSED_VIDEO.to_owned(),
         }
     }
 

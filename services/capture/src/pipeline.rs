@@ -24,6 +24,8 @@ use crate::{CaptureError, decoder};
 pub(crate) struct Decoded {
     pub(crate) sample: gst::Sample,
     pub(crate) sequence: u64,
+    /// Its time stamp.
+    pub(crate) pts: Option<gst::ClockTime>,
     /// From the stream's first frame.
     pub(crate) stream_time: Duration,
     /// Where the frame ends in the stream's own time.
@@ -171,6 +173,7 @@ fn stamped(
     Decoded {
         sample,
         sequence,
+        pts,
         stream_time,
         stream_end: stream.unwrap_or(stream_time) + frame.unwrap_or_default(),
         due_ns: due_ns.map(|due_ns| slipped(sink, due_ns, at_sink_ns)),

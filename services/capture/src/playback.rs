@@ -90,9 +90,19 @@ impl Playback {
     /// Opens a recording and decodes its first frame; what keeps it from being played is found
     /// here. It plays from the first [`Self::next`] on.
     pub(crate) fn recording(input: Input, params: &SourceParameters) -> Result<Self, CaptureError> {
+        Self::fed(input, params, |_, _| Ok(()))
+    }
+
+    /// The same of one into which something is fed: `begin` begins to do so.
+    pub(crate) fn fed(
+        input: Input,
+        params: &SourceParameters,
+        begin: impl FnOnce(&gst::Pipeline, &gst_app::AppSink) -> Result<(), CaptureError>,
+    ) -> Result<Self, CaptureError> {
         let timing = if params.flow == Paced::Lossless { Timing::Stream } else { Timing::Paced };
         let threading = Threading::of(&input, params);
         let mut playback = Self::build(input, params, timing, threading)?;
+        begin(&playback.pipeline, &playback.sink)?;
         let started = playback.pipeline.set_state(gst::State::Paused);
         let live = matches!(started, Ok(gst::StateChangeSuccess::NoPreroll));
         let patience = if started.is_ok() { OPENING } else { Duration::ZERO };
@@ -136,7 +146,7 @@ impl Playback {
             Input::Theta => Timing::Arrival,
             // The Theta's driver does not say that it is a live source.
             Input::Description(_) if live || playback.input.is_camera() => Timing::Arrival,
-            Input::Description(_) | Input::File(_) => Timing::Paced,
+            Input::Description(_) | Input::File(_) | Input::Flight(..) => Timing::Paced,
         };
         playback.play();
         Ok(playback)
@@ -155,7 +165,7 @@ impl Playback {
         });
         // Only what is played from a file is there before it is due.
         let ahead = match (&input, timing) {
-            (Input::File(_), Timing::Paced) => AHEAD,
+            (Input::File(_) | Input::Flight(..), Timing::Paced) => AHEAD,
             _ => 0,
         };
         let Built { pipeline, sink, decoders } =
@@ -183,7 +193,7 @@ impl Playback {
 
     fn unopened(&self, failure: &Failure) -> CaptureError {
         match &self.input {
-            Input::File(path) => failure.for_file(path),
+            Input::File(path) | Input::Flight(path, _) => failure.for_file(path),
             Input::Description(text) => {
                 CaptureError::Description { description: text.clone(), reason: failure.text() }
             }
@@ -272,7 +282,8 @@ impl Playback {
         let buffer =
             decoded.sample.buffer_owned().ok_or_else(|| unreadable("it is empty".to_owned()))?;
         let exposure_ns = self.exposure_ns(&decoded);
-        let stamp = PictureStamp { sequence, stream_time: decoded.stream_time, exposure_ns };
+        let (stream_time, pts) = (decoded.stream_time, decoded.pts);
+        let stamp = PictureStamp { sequence, stream_time, exposure_ns, pts };
         let picture = Picture::map(buffer, &info, stamp).map_err(|reason| CaptureError::Frame {
             what: self.input.name(),
             sequence,

@@ -81,6 +81,10 @@ impl Stage for CaptureStage {
                     tracing::warn!(more_since = more, "{what} is left out: {why}");
                 }
             }
+            Event::NewEpoch => {
+                tracing::info!("the recorded source begins anew");
+                self.begin_epoch();
+            }
             Event::Looped { after } => {
                 tracing::debug!("{after}; it begins again");
                 self.begin_epoch();
@@ -134,12 +138,13 @@ impl CaptureStage {
         let Stamped { stamp, dropped } = self.core.on_picture(picture.time(), published_ns);
         self.counters.add_dropped(dropped);
         if let Some(inertial) = &mut self.inertial {
-            inertial.send_before(&stamp)?;
+            inertial.send_before(picture, &stamp)?;
         }
+        let recorded = picture.recorded().map(|recorded| &recorded.header);
         loan.send(FrameHeader {
             stamp,
-            exposure_time_ns: 0,
-            readout_ns: self.readout_ns,
+            exposure_time_ns: recorded.map_or(0, |header| header.exposure_time_ns),
+            readout_ns: recorded.map_or(self.readout_ns, |header| header.readout_ns),
             width,
             height,
             stride: width,

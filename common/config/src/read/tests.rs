@@ -231,6 +231,10 @@ const WRONG: &[(&str, &[&str])] = &[
         "stages: {detection: {command: python3 my.py}}",
         &["stages.detection.command", "must be a list"],
     ),
+    (
+        "inertial: {source: recording}",
+        &["inertial.source", "only the recording of a flight", "FILE.mcap"],
+    ),
     ("source: {input: ''}", &["source.input", "must not be empty"]),
     ("flow: lossless\nsource: {at_end: loop}", &["line 2", "a lossless run ends"]),
     (
