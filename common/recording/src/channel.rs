@@ -1,5 +1,8 @@
 //! The channels of a recording: their names, and what their messages are.
 
+use flockeye_ros2::messages::MessageType;
+use flockeye_ros2::{TRANSFORMS, pose_topic};
+
 use crate::definition;
 use crate::layout::TopicLayout;
 
@@ -37,8 +40,8 @@ impl ChannelKind {
     /// Of a neighbour's poses. Both names are those in ROS.
     pub fn of_poses(observer: &str, target: &str) -> Self {
         Self {
-            topic: format!("/{observer}/neighbours/{target}/pose"),
-            message: "geometry_msgs/msg/PoseWithCovarianceStamped".to_owned(),
+            topic: pose_topic(&format!("/{observer}"), target),
+            message: MessageType::PoseWithCovarianceStamped.ros_name().to_owned(),
             definition: definition::POSE.to_owned(),
         }
     }
@@ -46,8 +49,8 @@ impl ChannelKind {
     /// Of all transforms.
     pub fn of_transforms() -> Self {
         Self {
-            topic: "/tf".to_owned(),
-            message: "tf2_msgs/msg/TFMessage".to_owned(),
+            topic: TRANSFORMS.to_owned(),
+            message: MessageType::TfMessage.ros_name().to_owned(),
             definition: definition::TRANSFORMS.to_owned(),
         }
     }

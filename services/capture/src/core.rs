@@ -68,6 +68,11 @@ impl Core {
         self.next_sequence = 0;
     }
 
+    /// Which epoch it is.
+    pub fn epoch(&self) -> u32 {
+        self.epoch
+    }
+
     /// The source has come to its end.
     pub fn end(&mut self) {
         self.has_ended = true;

@@ -31,6 +31,7 @@
 //! [`Source::next`] takes from it. In [`Paced::RealTime`] the newest frame replaces the one that
 //! nobody took; in [`Paced::Lossless`] the decoder waits until there is room.
 
+mod byte_stream;
 mod census;
 mod clock;
 pub mod core;
@@ -47,6 +48,8 @@ pub mod inertial;
 mod input;
 mod jpeg;
 mod mailbox;
+mod packet_port;
+pub mod packets;
 mod parameters;
 mod picture;
 mod pipeline;

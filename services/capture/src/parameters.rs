@@ -4,6 +4,8 @@ use std::time::Duration;
 
 use flockeye_config::{AtEnd, Flow, InertialSource, Pipeline};
 
+use crate::packets::PacketWish;
+
 /// Who sets the pace.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Paced {
@@ -37,6 +39,8 @@ pub struct SourceParameters {
     pub images_per_second: f64,
     /// Whether the inertial samples of a recording of a flight are wanted.
     pub samples: bool,
+    /// Whether somebody wants the coded pictures.
+    pub packets: PacketWish,
     /// Threads of the software decoder; 0 leaves it to the decoder. More than 1: as many frames of a
     /// camera at a time.
     pub decoder_threads: u32,
@@ -56,6 +60,7 @@ impl SourceParameters {
             reopen_max: Duration::from_secs(10),
             images_per_second: 1.0,
             samples: false,
+            packets: PacketWish::default(),
             decoder_threads: 0,
         }
     }

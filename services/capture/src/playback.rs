@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use flockeye_contract::VideoCodec;
 use gstreamer as gst;
 use gstreamer::prelude::*;
 use gstreamer_app as gst_app;
@@ -14,6 +15,7 @@ use crate::explain::Failure;
 use crate::holding::{DecoderWatch, Noticed};
 use crate::input::Input;
 use crate::mailbox::{Taken, WhenFull};
+use crate::packets::{Packet, PacketTap};
 use crate::parameters::{Paced, SourceParameters};
 use crate::picture::{Picture, PictureStamp, range_of};
 use crate::pipeline::{Built, Decoded, Frames, build};
@@ -58,6 +60,7 @@ pub(crate) struct Playback {
     sink: gst_app::AppSink,
     frames: Arc<Frames>,
     decoders: Arc<DecoderWatch>,
+    packets: Arc<PacketTap>,
     threading: Threading,
     /// Whether the number of threads was configured, and is not to be changed.
     is_threading_fixed: bool,
@@ -168,14 +171,15 @@ impl Playback {
             (Input::File(_) | Input::Flight(..), Timing::Paced) => AHEAD,
             _ => 0,
         };
-        let Built { pipeline, sink, decoders } =
-            build(&input, expected, threading, ahead, &frames)?;
+        let Built { pipeline, sink, decoders, packets } =
+            build(&input, expected, threading, ahead, &params.packets, &frames)?;
         Ok(Self {
             input,
             pipeline,
             sink,
             frames,
             decoders,
+            packets,
             threading,
             is_threading_fixed: params.decoder_threads > 0,
             held: 0,
@@ -343,6 +347,16 @@ impl Playback {
                 self.reached.as_secs_f64()
             )
         })
+    }
+
+    /// The coded pictures that have come since the last time.
+    pub(crate) fn take_packets(&self) -> Vec<Packet> {
+        self.packets.take()
+    }
+
+    /// How its pictures are coded; `None` while that is not known.
+    pub(crate) fn codec(&self) -> Option<VideoCodec> {
+        self.packets.codec()
     }
 
     /// Frames handed out so far.

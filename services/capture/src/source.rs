@@ -2,6 +2,7 @@
 
 use std::time::{Duration, Instant};
 
+use flockeye_contract::VideoCodec;
 use flockeye_runtime::backoff::Backoff;
 use gstreamer as gst;
 
@@ -10,6 +11,7 @@ use crate::file;
 use crate::flight::Flight;
 use crate::folder::{Folder, FolderStep};
 use crate::input::Input;
+use crate::packets::Packet;
 use crate::playback::{Playback, Step};
 use crate::{CaptureError, EndReason, Event, Paced, SourceParameters, SourceSpec};
 
@@ -176,6 +178,24 @@ impl Source {
             State::Flight(flight) => flight.describe(),
             State::Lost(input, _) => format!("{}: lost", input.name()),
             State::Ended(reason) => format!("{}: {reason}", self.spec),
+        }
+    }
+
+    /// The coded pictures that have come since the last time, if somebody wants them
+    /// ([`SourceParameters::packets`]).
+    pub fn take_packets(&self) -> Vec<Packet> {
+        match &self.state {
+            State::Recording(playback) | State::Camera(_, playback) => playback.take_packets(),
+            _ => Vec::new(),
+        }
+    }
+
+    /// How its pictures are coded; `None` while that is not known.
+    pub fn codec(&self) -> Option<VideoCodec> {
+        match &self.state {
+            State::Recording(playback) | State::Camera(_, playback) => playback.codec(),
+            State::Folder(_) | State::Flight(_) => Some(VideoCodec::None),
+            State::Lost(..) | State::Ended(_) => None,
         }
     }
 

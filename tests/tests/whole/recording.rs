@@ -137,6 +137,19 @@ fn a_replayed_fusion_says_the_same() {
     assert!(is_same && said.contains("of 25 frames are the same, byte by byte"), "{said}");
     gated.flight.assert_nothing_left();
 
+    // OpenCV sees in the recorded pixels what Flockeye's detector saw.
+    if let Some(python) = python() {
+        let script = concat!(env!("CARGO_MANIFEST_DIR"), "/src/views.py");
+        let looked = Command::new(python).arg(script).arg(&out).arg("DICT_5X5_250").output();
+        let looked = looked.expect("Python can be started");
+        let said = String::from_utf8_lossy(&looked.stdout).into_owned();
+        assert!(looked.status.success(), "{said}\n{}", String::from_utf8_lossy(&looked.stderr));
+        let report: Value = serde_json::from_str(said.trim()).expect("one JSON object");
+        let count = |name: &str| report[name].as_u64().expect("a count");
+        assert!(count("found") > 30 && count("found") > 2 * count("missing"), "{report}");
+        assert!(report["median_px"].as_f64() < Some(1.0), "{report}");
+    }
+
     // Nobody has decoded a marker.
     let changed = scratch.path("changed.mcap");
     forget_all_markers(&out, &changed, 0);
