@@ -21,12 +21,14 @@ use crate::python::python;
 
 /// An observer in gusts with an inertial sensor.
 const GUSTS: &[&str] = &[
+    "camera.width=2048",
+    "camera.height=1024",
     "simulator.distance_m=[0.6, 0.8]",
     "camera.exposure_ms=6.25",
     "simulator.exposure_ms=6.25",
     "simulator.tilt_deg=12",
     "simulator.yaw_swing_deg_s=40",
-    "simulator.frames=60",
+    "simulator.frames=40",
 ];
 
 fn text(path: &Path) -> &str {
@@ -125,16 +127,16 @@ fn a_recorded_flight_is_flown_again() {
     let played = [&set[..], &["inertial.source=recording"]].concat();
     let arguments = ["--source", text(&recording), "--poses", text(&second_poses)];
     let (again, said) = fly("played", &scratch.path("played"), &arguments, &played);
-    assert!(said.contains("the recording is complete: 60 frames"), "{said}");
+    assert!(said.contains("the recording is complete: 40 frames"), "{said}");
 
     let stamps = frames(&recording);
-    assert_eq!(stamps.len(), 60);
+    assert_eq!(stamps.len(), 40);
     assert_eq!(frames(&again), stamps);
     let measured = samples(&recording);
-    assert!(measured.len() > 300, "{}", measured.len());
+    assert!(measured.len() > 200, "{}", measured.len());
     assert_eq!(samples(&again), measured);
     let both = [&recording, &again].map(|path| with_inertial(path));
-    assert!(both[0] > 20 && both[1] > 20, "{both:?}");
+    assert!(both[0] > 10 && both[1] > 10, "{both:?}");
 
     let [first, second] = [&first_poses, &second_poses]
         .map(|path| read::<PoseRow>(path).expect("the poses are there"));
@@ -154,10 +156,10 @@ fn a_recorded_flight_is_flown_again() {
         first.len(),
         second.len()
     );
-    assert!(first.len() > 50 && off_mm.len() + 3 >= first.len(), "{}", off_mm.len());
+    assert!(first.len() > 35 && off_mm.len() + 3 >= first.len(), "{}", off_mm.len());
     let (median, most) = (off_mm.len() / 2, off_mm.len() - 1);
-    assert!(off_mm[median] < 0.3 && off_mm[most] < 3.0, "{off_mm:?}");
-    assert!(off_deg[median] < 0.1 && off_deg[most] < 1.0, "{off_deg:?}");
+    assert!(off_mm[median] < 1.0 && off_mm[most] < 5.0, "{off_mm:?}");
+    assert!(off_deg[median] < 0.3 && off_deg[most] < 1.5, "{off_deg:?}");
 
     // In real time, over and over.
     let looping = [&played[..], &["source.at_end=loop"]].concat();
@@ -177,7 +179,7 @@ fn a_recorded_flight_is_flown_again() {
     let arguments = ["up", "--flow", "lossless", "--source", text(&recording)];
     let (is_well, said) = run(&[&arguments[..], &["--set", "gateway.enabled=false"]].concat());
     assert!(!is_well, "{said}");
-    assert!(said.contains("set camera.width to 1024 and camera.height to 512"), "{said}");
+    assert!(said.contains("set camera.width to 2048 and camera.height to 1024"), "{said}");
 }
 
 /// A video's own packets are recorded, and give the same pixels when they are played: the recorder's JPEGs of both
