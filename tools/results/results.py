@@ -111,7 +111,7 @@ DISTURBED = {
 FAULTY = {"workers": ("One of two detection workers does not do its work",
                       ["mute", "hold", "spin", "hang", "stopped"], 3)}
 # A recording that is flown in real time while it is recorded, in each of these ways.
-RECORDED = {"recorder": ("The recorder beside a flight of 3840x1920 at 30 frames a second", "flight1/flight1.mp4",
+RECORDED = {"recorder": ("The recorder beside a flight of 3840x1920, in real time or as fast as the machine decodes", "flight1/flight1.mp4",
                          ["none", "camera", "every 30", "views"])}
 # These take long, so they are flown by their names alone.
 LONG = ["kills-long", "cuts"]
