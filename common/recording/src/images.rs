@@ -159,21 +159,19 @@ mod tests {
 
     #[test]
     fn what_is_compressed_comes_back_and_half_of_it_is_refused() {
+        type Encode = fn(Time, &str, &str, &[u8]) -> Vec<u8>;
+        type Decode = for<'m> fn(&str, &'m [u8]) -> Result<Compressed<'m>, RecordingError>;
         let stamp = Time { sec: -3, nanosec: 7 };
         let bytes = [0, 0, 1, 9, 8];
-        for (format, is_video) in [("jpeg", false), ("h264", true)] {
-            let (encode, decode): (fn(Time, &str, &str, &[u8]) -> Vec<u8>, _) = match is_video {
-                true => (encode_video, decode_video as fn(&'static str, &[u8]) -> _),
-                false => (encode_compressed, decode_compressed as fn(&'static str, &[u8]) -> _),
-            };
+        let ways: [(&str, Encode, Decode); 2] =
+            [("jpeg", encode_compressed, decode_compressed), ("h264", encode_video, decode_video)];
+        for (format, encode, decode) in ways {
             let message = encode(stamp, "wren/camera", format, &bytes);
-            assert_eq!(
-                decode("/x", &message).unwrap(),
-                Compressed { stamp, format, bytes: &bytes }
-            );
+            let found = decode("/x", &message).unwrap();
+            assert_eq!(found, Compressed { stamp, format, bytes: &bytes });
             for end in 0..message.len() {
-                let error: RecordingError = decode("/x", &message[..end]).unwrap_err();
-                assert!(error.to_string().starts_with("a message of /x "), "{error}");
+                let error = decode("/x", &message[..end]).unwrap_err().to_string();
+                assert!(error.starts_with("a message of /x "), "{error}");
             }
         }
     }

@@ -25,6 +25,8 @@ use flockeye_recording::{
 
 use crate::{CaptureError, jpeg};
 
+mod parts;
+
 /// What belongs to a picture stands at most so far behind it, by the time at which it was recorded.
 const BEHIND_NS: u64 = 1_000_000_000;
 /// Pictures that wait for what belongs to them have so many bytes at most.
@@ -327,11 +329,11 @@ impl Tape {
 
     /// Goes on with the next file of a recording that was split.
     fn end_part(&mut self) {
-        let Some(path) = next_part(self.reader.path(), &self.reader.about().metadata) else {
+        let Some(path) = parts::next(self.reader.path(), &self.reader.about().metadata) else {
             return self.end(None);
         };
         match Reader::open(&path) {
-            Ok(reader) if is_same_flight(&self.reader, &reader) => self.reader = reader,
+            Ok(reader) if parts::is_same_flight(&self.reader, &reader) => self.reader = reader,
             Ok(_) => self.end(None),
             Err(error) => self.end(Some(error.to_string())),
         }
@@ -493,28 +495,6 @@ impl Tape {
 /// Where the frame of a packet is among all frames.
 fn place_of(packet: &PacketHeader) -> (Epoch, i64) {
     ((packet.source_generation, packet.epoch), packet.stream_ns)
-}
-
-/// The file that follows one of a recording that was split, if it is there: `flight.mcap`, `flight-1.mcap` and so on.
-fn next_part(path: &Path, metadata: &BTreeMap<String, String>) -> Option<PathBuf> {
-    let number: u64 = metadata.get("file")?.parse().ok()?;
-    let stem = path.file_stem()?.to_str()?;
-    let extension = path.extension()?.to_str()?;
-    let first = match number {
-        0 => stem,
-        number => stem.strip_suffix(&format!("-{number}"))?,
-    };
-    let next = path.with_file_name(format!("{first}-{}.{extension}", number.checked_add(1)?));
-    next.is_file().then_some(next)
-}
-
-/// Whether one file goes on where another ends.
-fn is_same_flight(one: &Reader, next: &Reader) -> bool {
-    let about = |reader: &Reader, key: &str| reader.about().metadata.get(key).cloned();
-    let number = |reader: &Reader| about(reader, "file").and_then(|text| text.parse::<u64>().ok());
-    let is_next = number(one).zip(number(next)).is_some_and(|(one, next)| next == one + 1);
-    let keys = ["instance", "observer", "utc_from_monotonic_ns", "utc_from_exposure_ns"];
-    is_next && keys.iter().all(|key| about(one, key) == about(next, key))
 }
 
 #[cfg(test)]

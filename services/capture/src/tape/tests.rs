@@ -246,21 +246,3 @@ fn what_has_no_pictures_says_what_it_has() {
     let error = opened(deck);
     assert!(error.contains("by another version of Flockeye: its contract is unknown"), "{error}");
 }
-
-#[test]
-fn parts_are_named_as_the_recorder_names_them() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = |name: &str| folder.path().join(name);
-    std::fs::write(path("a-1.mcap"), "").unwrap();
-    std::fs::write(path("a-2.mcap"), "").unwrap();
-    let next = |name: &str, number: &str| {
-        let metadata = BTreeMap::from([("file".to_owned(), number.to_owned())]);
-        next_part(&path(name), &metadata)
-    };
-    assert_eq!(next("a.mcap", "0"), Some(path("a-1.mcap")));
-    assert_eq!(next("a-1.mcap", "1"), Some(path("a-2.mcap")));
-    assert_eq!(next("a-2.mcap", "2"), None);
-    // It was renamed.
-    assert_eq!(next("b.mcap", "1"), None);
-    assert_eq!(next("a.mcap", "none"), None);
-}
