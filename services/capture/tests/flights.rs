@@ -76,11 +76,14 @@ fn record(path: &Path, number: u32, frames: &[(FrameStamp, &[u8])]) {
     writer.finish().unwrap();
 }
 
+/// Number, stream time and exposure in milliseconds, and the pixels.
+type Frame = (u64, i64, i64, Vec<u8>);
+
 /// All that a source says to its end.
 #[derive(Debug, Default)]
 struct Played {
-    /// Number, stream time and exposure in milliseconds, and the pixels; by epochs.
-    epochs: Vec<Vec<(u64, i64, i64, Vec<u8>)>>,
+    /// The frames of each epoch.
+    epochs: Vec<Vec<Frame>>,
     skipped: Vec<String>,
     end: Option<EndReason>,
 }
