@@ -110,9 +110,12 @@ DISTURBED = {
 # Flights in which one of two detection workers does not do its work: title, what is wrong with it, flights of each.
 FAULTY = {"workers": ("One of two detection workers does not do its work",
                       ["mute", "hold", "spin", "hang", "stopped"], 3)}
+# A recording that is flown in real time while it is recorded, in each of these ways.
+RECORDED = {"recorder": ("The recorder beside a flight of 3840x1920, in real time or as fast as the machine decodes", "flight1/flight1.mp4",
+                         ["none", "camera", "every 30", "views"])}
 # These take long, so they are flown by their names alone.
 LONG = ["kills-long", "cuts"]
-PARTS = [*RECORDINGS, *SIMULATED, *EXPERIMENTS, *SWARMS, *LOADS, *CUTS, *ROTATIONS, *BENCHES, *DISTURBED, *FAULTY]
+PARTS = [*RECORDINGS, *SIMULATED, *EXPERIMENTS, *SWARMS, *LOADS, *CUTS, *ROTATIONS, *BENCHES, *DISTURBED, *FAULTY, *RECORDED]
 
 
 def flockeye():
@@ -323,6 +326,50 @@ def with_second_worker(fault):
     return f'stages.detection.command=[sh, -c, "{script}"]'
 
 
+def processor_s(command):
+    """Processor time of a command and of those that it waited for, seconds."""
+    before = os.times()
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    if done.returncode != 0:
+        sys.exit(f"results: {shown(command[1:])} ended with {done.returncode}:\n{done.stderr}")
+    after = os.times()
+    own = sum(getattr(after, kind) - getattr(before, kind) for kind in ("children_user", "children_system"))
+    return own, done.stdout
+
+
+def recorded(part, data):
+    """What share of a processor the recorder takes. Its start is left out: two recordings of different length are
+    compared."""
+    title, recording, choices = RECORDED[part]
+    if not (ROOT / data / recording).exists():
+        print(f"results: {part} is left out: {data / recording} is absent", file=sys.stderr)
+        return {}
+    before, short_s, long_s = machine(), 5, 25
+    flight = ["up", "--source", str(data / recording), "--bodies", str(data / "bodies.json"), "--set",
+              "source.at_end=loop", *QUIET]
+    print(f"  {shown(flight)}", file=sys.stderr, flush=True)
+    up = subprocess.Popen([str(flockeye()), *flight], cwd=ROOT, stdout=subprocess.DEVNULL,
+                          stderr=subprocess.DEVNULL)
+    time.sleep(8)
+    lines = [f"{'--frames':<10} {'of one processor':>16} {'MB/s':>8}"]
+    for choice in choices:
+        seconds, sizes = [], []
+        for length_s in (short_s, long_s):
+            out = ROOT / WORK / "recorder.mcap"
+            out.unlink(missing_ok=True)
+            record = ["record", str(out), "--frames", choice, "--for", f"{length_s}s", "--instance", "results"]
+            seconds.append(processor_s([str(flockeye()), *record])[0])
+            sizes.append(out.stat().st_size)
+            out.unlink()
+        length_s = long_s - short_s
+        share = 100 * (seconds[1] - seconds[0]) / length_s
+        lines.append(f"{choice:<10} {share:14.1f} % {(sizes[1] - sizes[0]) / length_s / 1e6:8.2f}")
+    call(["stop", "--instance", "results"])
+    up.wait()
+    return {part: {"title": title, "command": f"{shown(flight)}\nflockeye record OUT.mcap --frames CHOICE --for {long_s}s",
+                   "machine": before, "output": lines}}
+
+
 def faulty(part):
     """How many poses are left of a simulated flight while one of two workers has a fault."""
     title, faults, count = FAULTY[part]
@@ -407,6 +454,8 @@ def run_part(part, data, wanted_ways):
         return disturbed(part)
     if part in FAULTY:
         return faulty(part)
+    if part in RECORDED:
+        return recorded(part, data)
     entries = {}
     if part in RECORDINGS:
         title, recording, truth, settings, ways = RECORDINGS[part]
@@ -650,6 +699,9 @@ def render(store):
     if any(name in store for name in disturbances):
         (folder / "disturbances.md").write_text(experiments_page(
             "disturbances", "[SWAPPING.md](../SWAPPING.md#chaos) says what is counted.", of(disturbances)))
+    if any(name in store for name in RECORDED):
+        (folder / "recorder.md").write_text(experiments_page(
+            "the recorder", "[RECORDING.md](../RECORDING.md) says what is recorded.", of(RECORDED)))
     if any(name in store for name in SWARMS):
         (folder / "swarms.md").write_text(experiments_page(
             "simulated swarms", "[SIMULATOR.md](../SIMULATOR.md#a-swarm-in-one-world) says what the words mean.",

@@ -19,6 +19,12 @@ class PixelFormat(IntEnum):
     NV12 = 1
 
 
+class VideoCodec(IntEnum):
+    NONE = 0
+    H264 = 1
+    H265 = 2
+
+
 class Transfer(IntEnum):
     SRGB = 0
     GAMMA = 1
@@ -174,6 +180,19 @@ class FrameHeader(Contract):
         ("gamma", c_float),
         ("range", c_uint32),
         ("projection", c_uint32),
+    ]
+
+
+class PacketHeader(Contract):
+    _fields_ = [
+        ("stream_ns", c_int64),
+        ("exposure_ns", c_int64),
+        ("arrived_ns", c_int64),
+        ("sequence", c_uint64),
+        ("epoch", c_uint32),
+        ("source_generation", c_uint32),
+        ("codec", c_uint32),
+        ("is_key", c_uint32),
     ]
 
 
@@ -471,6 +490,7 @@ class Complaint(Contract):
 
 
 FRAME = Topic("flockeye/frame", FrameHeader, c_uint8)
+PACKET = Topic("flockeye/packet", PacketHeader, c_uint8)
 IMU = Topic("flockeye/imu", ImuHeader, ImuSample)
 ROTATION = Topic("flockeye/rotation", Rotation, c_uint8)
 PLAN = Topic("flockeye/plan", PlanHeader, PlannedView)
@@ -489,6 +509,7 @@ TYPES = [
     FrameStamp,
     Pose,
     FrameHeader,
+    PacketHeader,
     ImuHeader,
     ImuSample,
     Rotation,

@@ -3,6 +3,7 @@
 //! | module | what it holds |
 //! | --- | --- |
 //! | [`arguments`] | the arguments that choose a configuration, and durations |
+//! | [`dated`] | names of files that say when they were begun |
 //! | [`lab`] | the commands that `flockeye` passes on to `flockeye-lab` |
 //! | [`program`] | where the other program is |
 //! | [`running`] | which of the running pipelines is meant |
@@ -11,6 +12,7 @@
 //! | [`text_table`] | tables of plain text |
 
 pub mod arguments;
+pub mod dated;
 pub mod lab;
 pub mod program;
 pub mod running;

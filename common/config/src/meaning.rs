@@ -12,7 +12,7 @@ use crate::problem::{Problem, Problems};
 use crate::resolve::{self, Division, SphereViewsError, preset_body};
 use crate::types::{
     AtEnd, BodySet, Count, Flow, Fusion, Gateway, GatewayMode, InertialSource, MavlinkAddress,
-    Mount, Partition, Pipeline, Preset, PresetBody, Response, StageInfo,
+    Mount, Partition, Pipeline, Preset, PresetBody, RecordedFrames, Response, StageInfo,
 };
 
 /// Semantic validation: appends each violated constraint of `pipeline` to `problems`.
@@ -252,6 +252,17 @@ impl Meaning<'_> {
             );
         }
         self.simulated_swarm(pipeline);
+        let has_no_video =
+            pipeline.source_stage() == StageName::Simulator || pipeline.plays_flight();
+        let recording = &pipeline.recording;
+        if recording.folder.is_some() && recording.frames == RecordedFrames::Camera && has_no_video
+        {
+            let input = &pipeline.source.input;
+            let what = format!(
+                "source.input: {input} has no coded video of its own. Cure: frames: every, with every: 1"
+            );
+            self.problem("recording.frames", what);
+        }
         if pipeline.flow == Flow::Lossless && pipeline.source.at_end == AtEnd::Loop {
             self.problem(
                 "source.at_end",
@@ -302,6 +313,10 @@ impl Meaning<'_> {
                     "only the simulated world has this one: source.input: sim".into(),
                 );
             }
+            Ok(InertialSource::Recording) if !pipeline.plays_flight() => self.problem(
+                path,
+                "only the recording of a flight has this one: source.input: FILE.mcap".into(),
+            ),
             Ok(InertialSource::Recorded(_)) if is_simulated => self.problem(
                 path,
                 "a recorded sensor belongs to a recording, not to source.input: sim".into(),

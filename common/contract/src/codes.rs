@@ -67,6 +67,18 @@ codes! {
 }
 
 codes! {
+    /// How a source's pictures are coded.
+    VideoCodec, "video codec" {
+        /// Not at all, or not by one of these: no packets come.
+        None = 0,
+        /// ITU-T H.264.
+        H264 = 1,
+        /// ITU-T H.265.
+        H265 = 2,
+    }
+}
+
+codes! {
     /// The curve between light and code values.
     Transfer, "transfer curve" {
         /// The sRGB curve (IEC 61966-2-1).

@@ -8,11 +8,11 @@ use std::mem::{align_of, offset_of, size_of};
 
 use crate::{
     BodyTruth, Complaint, ComplaintKind, DetectedMarker, DetectionHeader, FrameEnd, FrameHeader,
-    FrameStamp, HandOver, HandOverState, Health, ImuHeader, ImuSample, MeasuredBy, PeerHeader,
-    PeerSighting, PixelFormat, PlanHeader, PlannedView, Pose, Projection, Range, Rotation,
-    RotationSource, Search, SearchMode, StageLatency, StageState, StopReason, StopRule,
+    FrameStamp, HandOver, HandOverState, Health, ImuHeader, ImuSample, MeasuredBy, PacketHeader,
+    PeerHeader, PeerSighting, PixelFormat, PlanHeader, PlannedView, Pose, Projection, Range,
+    Rotation, RotationSource, Search, SearchMode, StageLatency, StageState, StopReason, StopRule,
     SwarmHeader, SwarmPose, SwarmWay, Text, Topic, TopicVisitor, Track, TrackHeader, TrackState,
-    Transfer, TruthHeader, ViewHeader, ViewKind, visit_topics,
+    Transfer, TruthHeader, VideoCodec, ViewHeader, ViewKind, visit_topics,
 };
 
 pub use c::c_header;
@@ -118,6 +118,7 @@ types! {
     Pose: position, orientation;
     FrameHeader: stamp, exposure_time_ns, readout_ns, width, height, stride, pixel_format, transfer,
         gamma, range, projection;
+    PacketHeader: stream_ns, exposure_ns, arrived_ns, sequence, epoch, source_generation, codec, is_key;
     ImuHeader: sent_ns, epoch, generation;
     ImuSample: at_ns, rate, specific_force;
     Rotation: stamp, earlier_exposure_ns, later_from_earlier, covariance, rate_in_camera,
@@ -170,7 +171,7 @@ pub(crate) fn codes() -> Vec<Codes> {
         };
     }
     codes! {
-        PixelFormat Transfer Range Projection RotationSource ViewKind Search StopRule StopReason
+        PixelFormat VideoCodec Transfer Range Projection RotationSource ViewKind Search StopRule StopReason
         SearchMode TrackState MeasuredBy SwarmWay StageState HandOverState ComplaintKind
     }
 }

@@ -6,7 +6,7 @@ use serde::Serialize;
 use crate::{
     CONTRACT_VERSION, ComplaintKind, HandOverState, MeasuredBy, PixelFormat, Projection, Range,
     RotationSource, Search, SearchMode, StageState, StopReason, StopRule, SwarmWay, TrackState,
-    Transfer, VERSION_ATTRIBUTE, ViewKind,
+    Transfer, VERSION_ATTRIBUTE, VideoCodec, ViewKind,
 };
 
 const DOCUMENT: &str = include_str!("../../../docs/CONTRACT.md");
@@ -51,6 +51,7 @@ fn names<T: Serialize>(values: &[T]) -> Vec<String> {
 fn the_documented_codes_are_the_contracts() {
     for (what, names) in [
         ("pixel format", names(PixelFormat::ALL)),
+        ("video codec", names(VideoCodec::ALL)),
         ("transfer curve", names(Transfer::ALL)),
         ("range", names(Range::ALL)),
         ("projection", names(Projection::ALL)),

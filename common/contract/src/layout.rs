@@ -5,8 +5,8 @@ use std::mem::{align_of, size_of};
 
 use crate::{
     BodyTruth, Complaint, DetectedMarker, DetectionHeader, FrameEnd, FrameHeader, HandOver, Health,
-    ImuHeader, ImuSample, PeerHeader, PeerSighting, PlanHeader, PlannedView, Rotation, SwarmHeader,
-    SwarmPose, Text, Track, TrackHeader, TruthHeader, ViewHeader,
+    ImuHeader, ImuSample, PacketHeader, PeerHeader, PeerSighting, PlanHeader, PlannedView,
+    Rotation, SwarmHeader, SwarmPose, Text, Track, TrackHeader, TruthHeader, ViewHeader,
 };
 
 #[test]
@@ -28,6 +28,7 @@ fn type_names_are_pinned() {
     let names = unsafe {
         [
             FrameHeader::type_name(),
+            PacketHeader::type_name(),
             ImuHeader::type_name(),
             ImuSample::type_name(),
             Rotation::type_name(),
@@ -52,6 +53,7 @@ fn type_names_are_pinned() {
     };
     let wanted = [
         "flockeye/FrameHeader",
+        "flockeye/PacketHeader",
         "flockeye/ImuHeader",
         "flockeye/ImuSample",
         "flockeye/Rotation",

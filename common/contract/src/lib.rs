@@ -2,7 +2,7 @@
 //!
 //! There are two borders:
 //! - **shared memory**, between the stages on one machine: [`Topic`]s of `#[repr(C)]` headers and
-//!   items ([`FrameHeader`], [`ImuHeader`], [`Rotation`], [`PlanHeader`], [`ViewHeader`], [`DetectionHeader`], [`FrameEnd`],
+//!   items ([`FrameHeader`], [`PacketHeader`], [`ImuHeader`], [`Rotation`], [`PlanHeader`], [`ViewHeader`], [`DetectionHeader`], [`FrameEnd`],
 //!   [`TrackHeader`], [`Health`], [`TruthHeader`], [`HandOver`], [`Complaint`]);
 //! - **the network**, between drones: the JSON of [`wire`].
 //!
@@ -24,6 +24,7 @@ mod health;
 mod imu;
 #[cfg(test)]
 mod layout;
+mod packet;
 mod peer;
 mod plan;
 mod rotation;
@@ -38,7 +39,7 @@ pub mod wire;
 pub use codes::{
     ComplaintKind, HandOverState, MeasuredBy, PixelFormat, Projection, Range, RotationSource,
     Search, SearchMode, StageState, StopReason, StopRule, SwarmWay, TrackState, Transfer,
-    UnknownCode, ViewKind,
+    UnknownCode, VideoCodec, ViewKind,
 };
 pub use complaint::Complaint;
 pub use detection::{DetectedMarker, DetectionHeader, MAX_DETECTED_MARKERS};
@@ -47,15 +48,16 @@ pub use frame::{FrameHeader, FrameOrder, FrameStamp};
 pub use handover::{HandOver, Speaker, Spoken};
 pub use health::Health;
 pub use imu::{ImuHeader, ImuSample, MAX_IMU_RATE, MAX_IMU_SAMPLES};
+pub use packet::{MAX_PACKET_BYTES, PacketHeader};
 pub use peer::{PeerHeader, PeerSighting, SwarmHeader, SwarmPose};
 pub use plan::{MAX_PLANNED_VIEWS, MAX_VIEW_PX, PlanHeader, PlannedView};
 pub use rotation::Rotation;
 pub use stage::StageName;
 pub use text::Text;
 pub use topic::{
-    CONTRACT_VERSION, Complaints, Detections, FrameEnds, Frames, HandOvers, Healths, Imus, Peers,
-    Plans, Rotations, Swarms, TOPICS, Topic, TopicId, TopicInfo, TopicVisitor, Tracks, Truths,
-    VERSION_ATTRIBUTE, Views, visit_topics,
+    CONTRACT_VERSION, Complaints, Detections, FrameEnds, Frames, HandOvers, Healths, Imus, Packets,
+    Peers, Plans, Rotations, Swarms, TOPICS, Topic, TopicId, TopicInfo, TopicVisitor, Tracks,
+    Truths, VERSION_ATTRIBUTE, Views, visit_topics,
 };
 pub use track::{FrameEnd, Pose, StageLatency, Track, TrackHeader};
 pub use truth::{BodyTruth, TruthHeader};

@@ -7,9 +7,9 @@ use iceoryx2::prelude::ZeroCopySend;
 
 use crate::{
     BodyTruth, Complaint, ContractError, DetectedMarker, DetectionHeader, FrameEnd, FrameHeader,
-    HandOver, Health, ImuHeader, ImuSample, PeerHeader, PeerSighting, PlanHeader, PlannedView,
-    Rotation, Spoken, StageName, SwarmHeader, SwarmPose, Track, TrackHeader, TruthHeader,
-    ViewHeader,
+    HandOver, Health, ImuHeader, ImuSample, PacketHeader, PeerHeader, PeerSighting, PlanHeader,
+    PlannedView, Rotation, Spoken, StageName, SwarmHeader, SwarmPose, Track, TrackHeader,
+    TruthHeader, ViewHeader,
 };
 
 /// Version of everything in this crate. A stage of another version is refused.
@@ -121,6 +121,9 @@ topics! {
     /// Source to rectification: the luma plane of the whole sphere.
     Frames = "flockeye/frame", FrameHeader, [u8],
         [Capture, Simulator] => [Rectification, Egomotion], |header, items| header.check(items.len());
+    /// Source to whoever wants: its coded pictures, before they are decoded.
+    Packets = "flockeye/packet", PacketHeader, [u8],
+        [Capture] => [], |header, items| header.check(items);
     /// Inertial sensor to egomotion: how the drone turns and accelerates.
     Imus = "flockeye/imu", ImuHeader, [ImuSample],
         [Capture, Simulator, Inertial] => [Egomotion], |header, items| header.check(items);

@@ -1,5 +1,8 @@
 //! The channels of a recording: their names, and what their messages are.
 
+use flockeye_ros2::messages::MessageType;
+use flockeye_ros2::{TRANSFORMS, pose_topic};
+
 use crate::definition;
 use crate::layout::TopicLayout;
 
@@ -17,8 +20,10 @@ pub struct ChannelKind {
 /// Pixels of views, on a channel of its own beside that of the views' headers. Both have the same sequence
 /// numbers.
 pub const VIEW_IMAGES: &str = "/flockeye/view/image";
-/// Pictures of frames, beside the frames' headers in the same way.
+/// Pictures of frames. Each stands behind its header.
 pub const FRAME_IMAGES: &str = "/flockeye/frame/image";
+/// The camera's own packets. Each stands behind its header.
+pub const FRAME_VIDEO: &str = "/flockeye/frame/video";
 /// What the recording lacks.
 pub const LOSSES: &str = "/flockeye/recording/loss";
 
@@ -35,8 +40,8 @@ impl ChannelKind {
     /// Of a neighbour's poses. Both names are those in ROS.
     pub fn of_poses(observer: &str, target: &str) -> Self {
         Self {
-            topic: format!("/{observer}/neighbours/{target}/pose"),
-            message: "geometry_msgs/msg/PoseWithCovarianceStamped".to_owned(),
+            topic: pose_topic(&format!("/{observer}"), target),
+            message: MessageType::PoseWithCovarianceStamped.ros_name().to_owned(),
             definition: definition::POSE.to_owned(),
         }
     }
@@ -44,8 +49,8 @@ impl ChannelKind {
     /// Of all transforms.
     pub fn of_transforms() -> Self {
         Self {
-            topic: "/tf".to_owned(),
-            message: "tf2_msgs/msg/TFMessage".to_owned(),
+            topic: TRANSFORMS.to_owned(),
+            message: MessageType::TfMessage.ros_name().to_owned(),
             definition: definition::TRANSFORMS.to_owned(),
         }
     }
@@ -65,6 +70,15 @@ impl ChannelKind {
             topic: FRAME_IMAGES.to_owned(),
             message: "sensor_msgs/msg/CompressedImage".to_owned(),
             definition: definition::COMPRESSED_IMAGE.to_owned(),
+        }
+    }
+
+    /// Of a camera's own packets.
+    pub fn of_frame_video() -> Self {
+        Self {
+            topic: FRAME_VIDEO.to_owned(),
+            message: "foxglove_msgs/msg/CompressedVideo".to_owned(),
+            definition: definition::COMPRESSED_VIDEO.to_owned(),
         }
     }
 

@@ -111,6 +111,11 @@ pub const IMAGE: &str = concat!(
 pub const COMPRESSED_IMAGE: &str =
     concat!("std_msgs/Header header\nstring format\nuint8[] data\n", header!());
 
+/// `foxglove_msgs/msg/CompressedVideo`.
+pub const COMPRESSED_VIDEO: &str = "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format\n\
+     ================================================================================\n\
+     MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n";
+
 /// `flockeye_msgs/msg/Loss`: what a recording lacks of a topic, since its beginning.
 pub const LOSS: &str = "string topic\nuint64 recorded\nuint64 refused\nuint64 missing\nuint64 buffer_full\n\
      uint64 queue_full\n";

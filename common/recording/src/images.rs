@@ -72,6 +72,74 @@ pub fn encode_compressed(stamp: Time, frame: &str, format: &str, bytes: &[u8]) -
     cdr.finish()
 }
 
+/// A picture or packet that is compressed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Compressed<'m> {
+    /// Mid-exposure, UTC.
+    pub stamp: Time,
+    /// How: `jpeg`, `h264` or `h265`.
+    pub format: &'m str,
+    /// Its bytes.
+    pub bytes: &'m [u8],
+}
+
+/// What is in a `sensor_msgs/msg/CompressedImage`.
+///
+/// # Errors
+/// [`RecordingError::Message`] where the bytes are not those of such a message.
+pub fn decode_compressed<'m>(
+    channel: &str,
+    message: &'m [u8],
+) -> Result<Compressed<'m>, RecordingError> {
+    let decode = || -> Result<Compressed<'m>, String> {
+        let mut cdr = CdrReader::new(message)?;
+        let stamp = time(&mut cdr)?;
+        cdr.text()?;
+        let format = format_of(cdr.text()?)?;
+        let length = cdr.u32()? as usize;
+        Ok(Compressed { stamp, format, bytes: cdr.numbers(1, length)? })
+    };
+    decode().map_err(|reason| RecordingError::Message { channel: channel.to_owned(), reason })
+}
+
+/// `foxglove_msgs/msg/CompressedVideo` of a packet in `format`: `h264` or `h265`.
+pub fn encode_video(stamp: Time, frame: &str, format: &str, bytes: &[u8]) -> Vec<u8> {
+    let mut cdr = CdrWriter::with_capacity(bytes.len() + 128);
+    header(&mut cdr, stamp, frame);
+    cdr.length(bytes.len());
+    cdr.numbers(1, bytes);
+    cdr.text(format.as_bytes());
+    cdr.finish()
+}
+
+/// What is in a `foxglove_msgs/msg/CompressedVideo`.
+///
+/// # Errors
+/// [`RecordingError::Message`] where the bytes are not those of such a message.
+pub fn decode_video<'m>(
+    channel: &str,
+    message: &'m [u8],
+) -> Result<Compressed<'m>, RecordingError> {
+    let decode = || -> Result<Compressed<'m>, String> {
+        let mut cdr = CdrReader::new(message)?;
+        let stamp = time(&mut cdr)?;
+        cdr.text()?;
+        let length = cdr.u32()? as usize;
+        let bytes = cdr.numbers(1, length)?;
+        Ok(Compressed { stamp, bytes, format: format_of(cdr.text()?)? })
+    };
+    decode().map_err(|reason| RecordingError::Message { channel: channel.to_owned(), reason })
+}
+
+fn time(cdr: &mut CdrReader<'_>) -> Result<Time, String> {
+    let (sec, nanosec) = (cdr.u32()?.cast_signed(), cdr.u32()?);
+    Ok(Time { sec, nanosec })
+}
+
+fn format_of(text: &[u8]) -> Result<&str, String> {
+    std::str::from_utf8(text).map_err(|_| "names its format by no text".to_owned())
+}
+
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
@@ -86,6 +154,25 @@ mod tests {
         for end in 0..message.len() {
             let error = decode_image("/view", &message[..end]).unwrap_err().to_string();
             assert!(error.starts_with("a message of /view "), "{error}");
+        }
+    }
+
+    #[test]
+    fn what_is_compressed_comes_back_and_half_of_it_is_refused() {
+        type Encode = fn(Time, &str, &str, &[u8]) -> Vec<u8>;
+        type Decode = for<'m> fn(&str, &'m [u8]) -> Result<Compressed<'m>, RecordingError>;
+        let stamp = Time { sec: -3, nanosec: 7 };
+        let bytes = [0, 0, 1, 9, 8];
+        let ways: [(&str, Encode, Decode); 2] =
+            [("jpeg", encode_compressed, decode_compressed), ("h264", encode_video, decode_video)];
+        for (format, encode, decode) in ways {
+            let message = encode(stamp, "wren/camera", format, &bytes);
+            let found = decode("/x", &message).unwrap();
+            assert_eq!(found, Compressed { stamp, format, bytes: &bytes });
+            for end in 0..message.len() {
+                let error = decode("/x", &message[..end]).unwrap_err().to_string();
+                assert!(error.starts_with("a message of /x "), "{error}");
+            }
         }
     }
 }

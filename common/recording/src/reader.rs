@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
-use std::rc::Rc;
+use std::sync::Arc;
 
 use mcap::McapError;
 use mcap::records::Record;
@@ -24,7 +24,7 @@ const RECORD_BYTES: usize = 4_194_304;
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RecordedMessage {
     /// Its channel.
-    pub channel: Rc<ChannelKind>,
+    pub channel: Arc<ChannelKind>,
     /// Its number in the channel.
     pub sequence: u32,
     /// When it came, UTC nanoseconds.
@@ -51,8 +51,9 @@ pub struct Reader {
     read: u64,
     about: About,
     schemas: BTreeMap<u16, (String, String)>,
-    channels: BTreeMap<u16, Rc<ChannelKind>>,
+    channels: BTreeMap<u16, Arc<ChannelKind>>,
     chunk: Chunk,
+    has_messages: bool,
     /// A message, or damage, that came while the beginning was read.
     first: Option<Result<RecordedMessage, RecordingError>>,
     ending: Option<Ending>,
@@ -97,6 +98,7 @@ impl Reader {
             schemas: BTreeMap::new(),
             channels: BTreeMap::new(),
             chunk: Chunk::default(),
+            has_messages: false,
             first: None,
             ending: None,
         };
@@ -229,9 +231,10 @@ impl Reader {
                 let known = self.schemas.get(&channel.schema_id).cloned();
                 let (message, definition) = known.unwrap_or_default();
                 let kind = ChannelKind { topic: channel.topic, message, definition };
-                self.channels.insert(channel.id, Rc::new(kind));
+                self.channels.insert(channel.id, Arc::new(kind));
             }
             Record::Message { header, data } => {
+                self.has_messages = true;
                 let Some(channel) = self.channels.get(&header.channel_id) else {
                     let reason = format!("a message of the unknown channel {}", header.channel_id);
                     return Err(damaged(&self.path, self.read, &reason));
@@ -244,6 +247,7 @@ impl Reader {
                 }));
             }
             Record::Chunk { header, data } => {
+                self.has_messages = true;
                 let chunk = Chunk::of(&header, &data, LARGEST_MESSAGE + RECORD_BYTES);
                 self.chunk = chunk.map_err(|reason| damaged(&self.path, self.read, &reason))?;
             }
@@ -254,7 +258,9 @@ impl Reader {
                 self.about.metadata = metadata.metadata;
                 return Ok(Found::Beginning);
             }
-            Record::Attachment { header, data, .. } => {
+            // Only what stands before the messages says something of the recording. What others have added behind
+            // them may be of any size and number.
+            Record::Attachment { header, data, .. } if !self.has_messages => {
                 let attached = (header.name, header.media_type, data.into_owned());
                 self.about.attachments.push(attached);
             }

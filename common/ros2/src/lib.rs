@@ -42,7 +42,7 @@ mod pose;
 mod sender;
 
 pub use error::Ros2Error;
-pub use names::{MAX_DRONES, ros_name};
+pub use names::{MAX_DRONES, TRANSFORMS, pose_topic, ros_name};
 pub use node::{Ros2Counters, Ros2Node};
 pub use parameters::{Ros2Mode, Ros2Parameters};
 pub use pose::{NeighbourPose, ObserverSeen, RelativePose, UNKNOWN_VARIANCE, Velocity};

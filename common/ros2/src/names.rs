@@ -30,6 +30,14 @@ pub fn ros_name(name: &str) -> String {
     mapped
 }
 
+/// The topic of a neighbour's poses. `namespace` is the observer's, such as `/wren`, `target` a name in ROS.
+pub fn pose_topic(namespace: &str, target: &str) -> String {
+    format!("{namespace}/neighbours/{target}/pose")
+}
+
+/// The topic of all transforms.
+pub const TRANSFORMS: &str = "/tf";
+
 /// The other drones, each with a name of its own in ROS.
 #[derive(Debug)]
 pub(crate) struct Names {

@@ -14,7 +14,7 @@ use flockeye_runtime::slots::Closed;
 
 use crate::error::Ros2Error;
 use crate::messages::{Message, TfMessage, TransformStamped};
-use crate::names::{Names, ros_name};
+use crate::names::{Names, TRANSFORMS, pose_topic, ros_name};
 use crate::parameters::Ros2Parameters;
 use crate::pose::{NeighbourPose, ObserverSeen, odometry, pose_message, transform};
 use crate::sender::{Sender, Shared, Topic};
@@ -137,7 +137,7 @@ impl Ros2Node {
         let stamp = neighbour.pose.check(&neighbour.target)?;
         let target = lock(&self.targets).admit(&neighbour.target)?;
         let message = pose_message(&neighbour.pose, stamp, &self.observer);
-        self.put(format!("{}/neighbours/{target}/pose", self.namespace), &message)
+        self.put(pose_topic(&self.namespace, &target), &message)
     }
 
     fn put_odometry(&self, seen: &ObserverSeen) -> Result<(), Ros2Error> {
@@ -157,7 +157,7 @@ impl Ros2Node {
             }
         }
         if !transforms.is_empty() {
-            self.put("/tf".into(), &TfMessage { transforms })?;
+            self.put(TRANSFORMS.into(), &TfMessage { transforms })?;
         }
         refused
     }

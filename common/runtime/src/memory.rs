@@ -8,8 +8,8 @@ use std::time::Duration;
 
 use flockeye_config::{Flow, Pipeline, Resolved};
 use flockeye_contract::{
-    BodyTruth, DetectedMarker, Frames, MAX_IMU_SAMPLES, MAX_PLANNED_VIEWS, PlannedView, StageName,
-    TOPICS, Topic, TopicId, TopicInfo, Track,
+    BodyTruth, DetectedMarker, Frames, MAX_IMU_SAMPLES, MAX_PACKET_BYTES, MAX_PLANNED_VIEWS,
+    PlannedView, StageName, TOPICS, Topic, TopicId, TopicInfo, Track,
 };
 
 /// Limits of one topic.
@@ -38,8 +38,10 @@ pub struct Limits {
     pub history: usize,
     /// Messages that a publisher may be writing.
     pub loaned: usize,
-    /// Most items in a message.
+    /// Most items in a message. Of a topic that grows: as many as usual messages have.
     pub items: usize,
+    /// Most items in a message of a topic whose memory grows where one is larger than `items`.
+    pub grows_to: Option<usize>,
     /// Bytes of an item.
     pub item_bytes: usize,
     /// Bytes of the header.
@@ -72,6 +74,8 @@ pub const MAX_EVENT_PORTS: usize = 40;
 
 /// Most markers in one detection record that Flockeye's own stages send.
 const MARKERS: usize = 64;
+/// A usual packet is smaller than its frame by this factor: that is half a bit for each pixel.
+const PACKET_SHARE: usize = 16;
 /// Most tracks in one message.
 pub const MAX_TRACKS: usize = 16;
 /// Most sightings in one message of `peer`.
@@ -146,6 +150,12 @@ fn sizes(topic: TopicId, resolved: &Resolved, largest_view_px: u32) -> Sizes {
         TopicId::Frames => {
             let items = frame_bytes(pipeline);
             Sizes { buffer: 1, borrowed: 4, loaned: 2, items, ..usual }
+        }
+        // A camera's packets are far smaller than its frames, and how large is not known before they come. At
+        // 30 frames/s a recorder that sleeps for half a second misses none.
+        TopicId::Packets => {
+            let items = frame_bytes(pipeline) / PACKET_SHARE;
+            Sizes { subscribers: 2, buffer: 16, borrowed: 1, items, ..usual }
         }
         TopicId::Imus => Sizes { items: MAX_IMU_SAMPLES, ..usual },
         TopicId::Rotations => Sizes { subscribers: 6, buffer: 16, ..usual },
@@ -228,6 +238,7 @@ fn limits(topic: &TopicInfo, resolved: &Resolved, largest_view_px: u32) -> Limit
         history: sizes.history,
         loaned: sizes.loaned,
         items: sizes.items,
+        grows_to: (topic.id == TopicId::Packets).then_some(MAX_PACKET_BYTES),
         item_bytes: topic.item_bytes,
         header_bytes: topic.header_bytes,
     }

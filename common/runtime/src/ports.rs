@@ -192,7 +192,7 @@ impl Ports {
     /// As [`Ports::publisher`].
     pub fn publisher_of_lane<T: Topic>(&self, lane: usize) -> Result<Publisher<T>, PortError> {
         let (data, wake) = self.open::<T>(lane)?;
-        Publisher::join(&data, &wake, self.budget.topic::<T>(), self.counters.clone())
+        Publisher::join(data, &wake, self.budget.topic::<T>(), self.counters.clone())
     }
 
     /// A subscriber of a topic whose messages wake this process.

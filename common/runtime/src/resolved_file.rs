@@ -56,6 +56,7 @@ fn topic(limits: &Limits) -> (String, Value) {
         "history": limits.history,
         "loaned": limits.loaned,
         "items": limits.items,
+        "grows_to": limits.grows_to,
         "item_bytes": limits.item_bytes,
         "header_bytes": limits.header_bytes,
         "waits_for_readers": limits.patience.is_some(),

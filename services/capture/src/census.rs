@@ -10,6 +10,11 @@ pub(crate) struct Census {
 }
 
 impl Census {
+    /// The time of the first frame in the stream.
+    pub(crate) fn first(&self) -> Duration {
+        self.first
+    }
+
     /// Numbers the next decoded frame. `time` is its time stamp in the stream, `frame` the time
     /// from frame to frame, for streams that stamp nothing. Returns its sequence number and its
     /// time from the stream's first frame.

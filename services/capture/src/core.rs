@@ -7,8 +7,10 @@ use flockeye_contract::FrameStamp;
 /// When a picture was taken, as its source says.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PictureTime {
-    /// Its number since the source was opened.
+    /// Its number since the source was opened, of those that it gave.
     pub sequence: u64,
+    /// The number that its frame has: the same, or that of a recorded flight.
+    pub number: u64,
     /// Its place in the stream, nanoseconds.
     pub stream_ns: i64,
     /// The middle of its exposure, CLOCK_MONOTONIC, nanoseconds.
@@ -50,7 +52,7 @@ impl Core {
             Flow::Lossless => time.stream_ns,
         };
         let stamp = FrameStamp {
-            sequence: time.sequence,
+            sequence: time.number,
             exposure_ns,
             stream_ns: time.stream_ns,
             published_ns,
@@ -64,6 +66,11 @@ impl Core {
     pub fn begin_epoch(&mut self) {
         self.epoch += 1;
         self.next_sequence = 0;
+    }
+
+    /// Which epoch it is.
+    pub fn epoch(&self) -> u32 {
+        self.epoch
     }
 
     /// The source has come to its end.
@@ -83,7 +90,7 @@ mod tests {
 
     fn time(sequence: u64) -> PictureTime {
         let stream_ns = 40 * sequence as i64;
-        PictureTime { sequence, stream_ns, exposure_ns: 1000 + stream_ns }
+        PictureTime { sequence, number: sequence, stream_ns, exposure_ns: 1000 + stream_ns }
     }
 
     #[test]
@@ -92,6 +99,16 @@ mod tests {
         let dropped: Vec<u64> =
             [0, 1, 4, 5].map(|sequence| core.on_picture(time(sequence), 0).dropped).into();
         assert_eq!(dropped, [0, 0, 2, 0]);
+    }
+
+    #[test]
+    fn frames_of_a_recorded_flight_keep_their_numbers_and_nothing_is_left_out() {
+        let mut core = Core::new(Flow::Latest, 0);
+        for (sequence, number) in [(0, 30), (1, 60), (2, 90)] {
+            let Stamped { stamp, dropped } =
+                core.on_picture(PictureTime { number, ..time(sequence) }, 0);
+            assert_eq!((stamp.sequence, dropped), (number, 0));
+        }
     }
 
     #[test]

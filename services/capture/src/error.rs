@@ -53,6 +53,20 @@ pub enum CaptureError {
         /// What was found instead, and the cure where there is one.
         reason: String,
     },
+    /// A recording of a flight that cannot be read.
+    #[error("{0}")]
+    Recording(String),
+    /// A recording of a flight that has nothing to play.
+    #[error(
+        "{} has no pictures of frames: {reason}. Cure: record with --frames 'every 1', or with --frames camera where \
+         the source is coded video", path.display()
+    )]
+    NoPictures {
+        /// The recording.
+        path: PathBuf,
+        /// What it has instead.
+        reason: String,
+    },
     /// The folder holds no image.
     #[error("{} holds no image. Cure: put .jpg, .jpeg or .png files in it", path.display())]
     EmptyFolder {

@@ -17,9 +17,12 @@ pub enum Event {
         /// How the round that is over ended.
         after: EndReason,
     },
-    /// One image of a folder could not be used; the others go on. Its sequence number stays free.
+    /// In a recording of a flight, the source began anew. Raise the epoch.
+    NewEpoch,
+    /// One image of a folder, or one picture of a recording of a flight, could not be used; the others go on. Its
+    /// sequence number stays free.
     Skipped {
-        /// Which image.
+        /// Which one.
         what: String,
         /// Why, and what to do about it.
         why: String,
@@ -48,7 +51,7 @@ pub enum EndReason {
     Complete {
         /// Frames decoded.
         frames: u64,
-        /// Images of a folder that could not be used.
+        /// Images of a folder, or pictures of a flight, that could not be used.
         skipped: u64,
     },
     /// It broke off: the rest is missing or broken.
@@ -65,7 +68,7 @@ impl fmt::Display for EndReason {
         match self {
             Self::Complete { frames, skipped: 0 } => write!(f, "complete: {frames} frames"),
             Self::Complete { frames, skipped } => {
-                write!(f, "complete: {frames} frames, {skipped} images skipped")
+                write!(f, "complete: {frames} frames, {skipped} pictures skipped")
             }
             Self::Truncated { decoded, reason } => {
                 write!(f, "broke off after {decoded} frames: {reason}")

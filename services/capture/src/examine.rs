@@ -49,14 +49,16 @@ fn needs(spec: &SourceSpec, pipeline: &Pipeline) -> Vec<Finding> {
             element("v4l2src", "install gstreamer1.0-plugins-good"),
             modes(device, (pipeline.camera.width, pipeline.camera.height)),
         ],
-        SourceSpec::File(path) | SourceSpec::Folder(path) => vec![match path.metadata() {
-            Ok(_) => Finding::fine("source", path.display().to_string()),
-            Err(error) => Finding::problem(
-                "source",
-                format!("{}: {error}", path.display()),
-                "source.input, or --source",
-            ),
-        }],
+        SourceSpec::File(path) | SourceSpec::Flight(path) | SourceSpec::Folder(path) => {
+            vec![match path.metadata() {
+                Ok(_) => Finding::fine("source", path.display().to_string()),
+                Err(error) => Finding::problem(
+                    "source",
+                    format!("{}: {error}", path.display()),
+                    "source.input, or --source",
+                ),
+            }]
+        }
         SourceSpec::Description(text) => vec![Finding::fine("source", text.clone())],
     }
 }

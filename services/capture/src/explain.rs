@@ -57,7 +57,7 @@ impl Failure {
         }
         let said = self.text();
         match (input, self.cure(input)) {
-            (Input::File(_), _) | (_, None) => format!("{name}: {said}"),
+            (Input::File(_) | Input::Flight(..), _) | (_, None) => format!("{name}: {said}"),
             (_, Some(cure)) => format!("{name}: {said}. Cure: {cure}"),
         }
     }

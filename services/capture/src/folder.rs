@@ -121,7 +121,12 @@ impl Folder {
             }
             exposure_ns = start_ns + stream_ns;
         }
-        picture.set_stamp(PictureStamp { sequence: index as u64, stream_time, exposure_ns });
+        picture.set_stamp(PictureStamp {
+            sequence: index as u64,
+            stream_time,
+            exposure_ns,
+            pts: None,
+        });
         self.handed_out += 1;
         FolderStep::Picture(picture)
     }

@@ -1,7 +1,10 @@
-//! A recording's inertial sensor: the samples of a CSV file, sent with the frames that they belong to.
+//! A recording's inertial sensor: the samples of a CSV file or of a recorded flight, sent with the frames that they
+//! belong to.
 
 use std::path::Path;
 
+use crate::Picture;
+use crate::tape::{Epoch, TapeSample};
 use anyhow::Context as _;
 use flockeye_config::{InertialSource, Pipeline};
 use flockeye_contract::{FrameStamp, ImuHeader, ImuSample, Imus, MAX_IMU_SAMPLES};
@@ -25,11 +28,55 @@ pub struct RecordedSensor {
     latency_s: f64,
 }
 
+/// Where samples come from.
+enum Sensor {
+    /// A file beside the recording.
+    File(RecordedSensor),
+    /// The recording itself: they come with its pictures.
+    Flight(FlightClock),
+}
+
+/// The epochs of a recorded flight's sensor, counted anew.
+#[derive(Debug, Default)]
+struct FlightClock {
+    epoch: u32,
+    /// That of the sample before, in the recording.
+    recorded: Option<Epoch>,
+}
+
 /// The sensor, and its port.
 pub struct InertialPort {
-    sensor: RecordedSensor,
+    sensor: Sensor,
     imus: Publisher<Imus>,
     generation: u32,
+}
+
+impl FlightClock {
+    /// The samples of a picture on the clock of its frame, each row of them of one epoch.
+    fn samples_of(&mut self, picture: &Picture, stamp: &FrameStamp) -> Vec<(u32, Vec<ImuSample>)> {
+        let Some(recorded) = picture.recorded() else { return Vec::new() };
+        self.on_clock(&recorded.samples, recorded.header.stamp.exposure_ns, stamp.exposure_ns)
+    }
+
+    fn on_clock(
+        &mut self,
+        samples: &[TapeSample],
+        recorded_ns: i64,
+        played_ns: i64,
+    ) -> Vec<(u32, Vec<ImuSample>)> {
+        let mut rows: Vec<(u32, Vec<ImuSample>)> = Vec::new();
+        for TapeSample { epoch, sample } in samples {
+            let begins = self.recorded.replace(*epoch).is_some_and(|before| before != *epoch);
+            self.epoch += u32::from(begins);
+            let at_ns = sample.at_ns.saturating_sub(recorded_ns).saturating_add(played_ns);
+            let sample = ImuSample { at_ns, ..*sample };
+            match rows.last_mut() {
+                Some((of, row)) if *of == self.epoch => row.push(sample),
+                _ => rows.push((self.epoch, vec![sample])),
+            }
+        }
+        rows
+    }
 }
 
 impl RecordedSensor {
@@ -92,10 +139,13 @@ impl InertialPort {
         generation: u32,
         ports: &mut Ports,
     ) -> anyhow::Result<Option<Self>> {
-        let Ok(InertialSource::Recorded(path)) = pipeline.inertial.parsed_source() else {
-            return Ok(None);
+        let sensor = match pipeline.inertial.parsed_source() {
+            Ok(InertialSource::Recorded(path)) => {
+                Sensor::File(RecordedSensor::read(&path, pipeline)?)
+            }
+            Ok(InertialSource::Recording) => Sensor::Flight(FlightClock::default()),
+            _ => return Ok(None),
         };
-        let sensor = RecordedSensor::read(&path, pipeline)?;
         Ok(Some(Self { sensor, imus: ports.publisher()?, generation }))
     }
 
@@ -103,19 +153,29 @@ impl InertialPort {
     ///
     /// # Errors
     /// The port's.
-    pub fn send_before(&mut self, stamp: &FrameStamp) -> anyhow::Result<()> {
-        let samples = self.sensor.until(stamp);
+    pub fn send_before(&mut self, picture: &Picture, stamp: &FrameStamp) -> anyhow::Result<()> {
+        let rows = match &mut self.sensor {
+            Sensor::File(sensor) => vec![(sensor.epoch, sensor.until(stamp))],
+            Sensor::Flight(clock) => clock.samples_of(picture, stamp),
+        };
         let sent_ns = clock::monotonic_ns();
-        let header = ImuHeader { sent_ns, epoch: self.sensor.epoch, generation: self.generation };
-        for samples in samples.chunks(MAX_IMU_SAMPLES) {
-            self.imus.send(header, samples)?;
+        for (epoch, samples) in rows {
+            let header = ImuHeader { sent_ns, epoch, generation: self.generation };
+            for samples in samples.chunks(MAX_IMU_SAMPLES) {
+                self.imus.send(header, samples)?;
+            }
         }
         Ok(())
     }
 
     /// The recording begins again.
     pub fn begin_epoch(&mut self) {
-        self.sensor.begin_epoch();
+        match &mut self.sensor {
+            Sensor::File(sensor) => sensor.begin_epoch(),
+            Sensor::Flight(clock) => {
+                *clock = FlightClock { epoch: clock.epoch + 1, recorded: None }
+            }
+        }
     }
 }
 
@@ -162,6 +222,24 @@ mod tests {
         assert_eq!(sent(&mut sensor, stamp(0, 1000)), [980]);
         let mut sensor = read(text, &["camera.latency_ms=20"]).unwrap();
         assert_eq!(sent(&mut sensor, stamp(0, 1000)), [980, 1000, 1020]);
+    }
+
+    #[test]
+    fn samples_of_a_flight_keep_their_distance_to_the_exposure_and_their_epochs() {
+        let of = |epoch, at_ns| TapeSample {
+            epoch,
+            sample: ImuSample { at_ns, ..ImuSample::default() },
+        };
+        let mut clock = FlightClock::default();
+        let mut sent = |samples: &[TapeSample]| -> Vec<(u32, Vec<i64>)> {
+            let rows = clock.on_clock(samples, 1000, 5000);
+            let times = |row: Vec<ImuSample>| row.iter().map(|sample| sample.at_ns).collect();
+            rows.into_iter().map(|(epoch, row)| (epoch, times(row))).collect()
+        };
+        assert_eq!(sent(&[of((0, 3), 990), of((0, 3), 1010)]), [(0, vec![4990, 5010])]);
+        // The sensor began anew, twice.
+        let later = [of((0, 3), 1020), of((0, 4), 30), of((1, 0), 40)];
+        assert_eq!(sent(&later), [(0, vec![5020]), (1, vec![4030]), (2, vec![4040])]);
     }
 
     #[test]

@@ -6,15 +6,23 @@ use gstreamer as gst;
 use gstreamer::prelude::*;
 
 use crate::CaptureError;
+use crate::tape::Coding;
 
 /// What one pipeline plays.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Input {
     File(PathBuf),
+    /// Coded pictures of a recording of a flight, which are fed in.
+    Flight(PathBuf, Coding),
     V4l2(PathBuf),
     Theta,
     Description(String),
 }
+
+/// The name of the element into which the pictures of a flight are fed.
+pub(crate) const FEED: &str = "flockeye-feed";
+/// Coded pictures that wait there, bytes.
+const FEED_BYTES: u64 = 8_000_000;
 
 /// The name of the element that decodes whatever a description gives.
 const DECODER: &str = "flockeye-decoder";
@@ -23,7 +31,7 @@ impl Input {
     /// How messages call it.
     pub(crate) fn name(&self) -> String {
         match self {
-            Self::File(path) => path.display().to_string(),
+            Self::File(path) | Self::Flight(path, _) => path.display().to_string(),
             Self::V4l2(device) => format!("camera {}", device.display()),
             Self::Theta => "Theta camera".to_owned(),
             Self::Description(description) => format!("source \"{description}\""),
@@ -36,7 +44,7 @@ impl Input {
         match self {
             Self::V4l2(_) | Self::Theta => true,
             Self::Description(text) => text.contains("thetauvcsrc"),
-            Self::File(_) => false,
+            Self::File(_) | Self::Flight(..) => false,
         }
     }
 
@@ -55,6 +63,21 @@ impl Input {
                 source.set_property("location", location);
                 chain(&[source])
             }
+            Self::Flight(_, coding) => {
+                let caps = match coding {
+                    Coding::Jpeg => gst::Caps::builder("image/jpeg").build(),
+                    Coding::H264 => byte_stream("video/x-h264"),
+                    Coding::H265 => byte_stream("video/x-h265"),
+                };
+                let feed = element("appsrc")?;
+                feed.set_property("name", FEED);
+                feed.set_property("caps", caps);
+                feed.set_property("format", gst::Format::Time);
+                // Whoever feeds it waits for room.
+                feed.set_property("block", true);
+                feed.set_property("max-bytes", FEED_BYTES);
+                chain(&[feed])
+            }
             Self::V4l2(device) => {
                 let source = element("v4l2src")?;
                 source.set_property("device", &*device.to_string_lossy());
@@ -70,6 +93,11 @@ impl Input {
             Self::Description(description) => described(description),
         }
     }
+}
+
+/// Pictures of H.264 or H.265, each whole.
+fn byte_stream(name: &str) -> gst::Caps {
+    gst::Caps::builder(name).field("stream-format", "byte-stream").field("alignment", "au").build()
 }
 
 /// The modes to ask a camera for, the cheapest to use first.
@@ -131,7 +159,9 @@ fn cure_for(element: &str) -> String {
             "gstreamer1.0-plugins-good"
         }
         "h264parse" | "h265parse" | "srtsrc" | "openh264dec" => "gstreamer1.0-plugins-bad",
-        "decodebin" | "videoconvert" | "videotestsrc" | "appsink" => "gstreamer1.0-plugins-base",
+        "decodebin" | "videoconvert" | "videotestsrc" | "appsink" | "appsrc" => {
+            "gstreamer1.0-plugins-base"
+        }
         "filesrc" | "queue" | "capsfilter" => "libgstreamer1.0-0",
         name if name.starts_with("avdec_") => "gstreamer1.0-libav",
         _ => {

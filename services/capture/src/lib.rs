@@ -1,4 +1,5 @@
-//! Where frames come from: a camera, a video file or a folder of images, read through GStreamer.
+//! Where frames come from: a camera, a video file, a folder of images or a recording of a flight, read through
+//! GStreamer.
 //!
 //! A [`Source`] hands out luma planes, straight from the decoder's own memory. Markers need no
 //! colour, so nothing is converted that has a luma plane of its own:
@@ -15,7 +16,7 @@
 //!     match source.next(Duration::from_millis(100))? {
 //!         Event::Frame(picture) => println!("{}: {} bytes", picture.sequence(), picture.luma().len()),
 //!         Event::Idle => {}
-//!         Event::Looped { .. } => println!("from the start again"),
+//!         Event::Looped { .. } | Event::NewEpoch => println!("it begins anew"),
 //!         Event::Lost { reason, retry_in } => println!("{reason}; trying again in {retry_in:?}"),
 //!         Event::Late { what } => println!("{what}"),
 //!         Event::Skipped { what, why } => println!("{what} skipped: {why}"),
@@ -30,6 +31,7 @@
 //! [`Source::next`] takes from it. In [`Paced::RealTime`] the newest frame replaces the one that
 //! nobody took; in [`Paced::Lossless`] the decoder waits until there is room.
 
+mod byte_stream;
 mod census;
 mod clock;
 pub mod core;
@@ -39,11 +41,15 @@ mod event;
 mod examine;
 mod explain;
 mod file;
+mod flight;
 mod folder;
 mod holding;
 pub mod inertial;
 mod input;
+mod jpeg;
 mod mailbox;
+mod packet_port;
+pub mod packets;
 mod parameters;
 mod picture;
 mod pipeline;
@@ -51,6 +57,7 @@ mod playback;
 mod source;
 mod spec;
 pub mod stage;
+mod tape;
 
 pub use error::CaptureError;
 pub use event::{EndReason, Event};

@@ -2,7 +2,9 @@
 
 use std::time::Duration;
 
-use flockeye_config::{AtEnd, Flow, Pipeline};
+use flockeye_config::{AtEnd, Flow, InertialSource, Pipeline};
+
+use crate::packets::PacketWish;
 
 /// Who sets the pace.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -35,6 +37,10 @@ pub struct SourceParameters {
     pub reopen_max: Duration,
     /// How many images of a folder make a second.
     pub images_per_second: f64,
+    /// Whether the inertial samples of a recording of a flight are wanted.
+    pub samples: bool,
+    /// Whether somebody wants the coded pictures.
+    pub packets: PacketWish,
     /// Threads of the software decoder; 0 leaves it to the decoder. More than 1: as many frames of a
     /// camera at a time.
     pub decoder_threads: u32,
@@ -53,6 +59,8 @@ impl SourceParameters {
             reopen_min: Duration::from_millis(500),
             reopen_max: Duration::from_secs(10),
             images_per_second: 1.0,
+            samples: false,
+            packets: PacketWish::default(),
             decoder_threads: 0,
         }
     }
@@ -70,6 +78,7 @@ impl SourceParameters {
             reopen_min: seconds(pipeline.source.reopen_s[0]),
             reopen_max: seconds(pipeline.source.reopen_s[1]),
             images_per_second: pipeline.source.images_per_second,
+            samples: pipeline.inertial.parsed_source() == Ok(InertialSource::Recording),
             decoder_threads: pipeline.source.decoder_threads,
             ..Self::new(pipeline.camera.width, pipeline.camera.height)
         }

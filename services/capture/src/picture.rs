@@ -3,13 +3,14 @@
 use std::fmt;
 use std::time::Duration;
 
-use flockeye_contract::{Range, Transfer};
+use flockeye_contract::{FrameHeader, Range, Transfer};
 use gstreamer as gst;
 use gstreamer_video as gst_video;
 use gstreamer_video::prelude::*;
 use gstreamer_video::{VideoColorRange, VideoFormat, VideoTransferFunction};
 
 use crate::core::PictureTime;
+use crate::tape::TapeSample;
 
 /// The raw formats whose first plane is 8-bit luma with nothing in between.
 pub(crate) const LUMA_FIRST: &[VideoFormat] = &[
@@ -37,6 +38,19 @@ pub struct Picture {
     stride: usize,
     bytes: usize,
     stamp: PictureStamp,
+    recorded: Option<Box<Recorded>>,
+}
+
+/// What a recording of a flight says of a picture.
+#[derive(Debug)]
+pub(crate) struct Recorded {
+    /// Its frame, with its stream time in the time of the recording.
+    pub(crate) header: FrameHeader,
+    /// The samples of the inertial sensor that had come when it was there, and not with the one before.
+    pub(crate) samples: Vec<TapeSample>,
+    /// Its number among the pictures that were there to be handed out.
+    pub(crate) sequence: u64,
+    pub(crate) exposure_ns: i64,
 }
 
 /// Which frame it is, and when its light was caught.
@@ -45,6 +59,8 @@ pub(crate) struct PictureStamp {
     pub(crate) sequence: u64,
     pub(crate) stream_time: Duration,
     pub(crate) exposure_ns: i64,
+    /// Its time stamp in the pipeline.
+    pub(crate) pts: Option<gst::ClockTime>,
 }
 
 impl Picture {
@@ -69,7 +85,7 @@ impl Picture {
                 "{found} bytes with a stride of {stride} do not hold {width}x{height}"
             ));
         }
-        Ok(Self { frame: Box::new(frame), stride, bytes, stamp })
+        Ok(Self { frame: Box::new(frame), stride, bytes, stamp, recorded: None })
     }
 
     /// The luma plane: [`Self::height`] rows of [`Self::width`] bytes, [`Self::stride`] bytes
@@ -105,7 +121,9 @@ impl Picture {
     /// Which code values stand for black and white, as the stream says. Where it does not say,
     /// GStreamer's defaults hold: video is limited, gray images are full.
     pub fn range(&self) -> Range {
-        range_of(self.frame.info())
+        let recorded = self.recorded.as_ref().map(|recorded| recorded.header.range);
+        let recorded = recorded.and_then(|code| Range::try_from(code).ok());
+        recorded.unwrap_or_else(|| range_of(self.frame.info()))
     }
 
     /// The curve between light and code values, and its gamma where it is
@@ -140,11 +158,33 @@ impl Picture {
 
     /// All that the source says of its time.
     pub fn time(&self) -> PictureTime {
-        PictureTime {
-            sequence: self.sequence(),
-            stream_ns: i64::try_from(self.stream_time().as_nanos()).unwrap_or(i64::MAX),
-            exposure_ns: self.exposure_monotonic_ns(),
+        match &self.recorded {
+            Some(recorded) => PictureTime {
+                sequence: recorded.sequence,
+                number: recorded.header.stamp.sequence,
+                stream_ns: recorded.header.stamp.stream_ns,
+                exposure_ns: recorded.exposure_ns,
+            },
+            None => PictureTime {
+                sequence: self.sequence(),
+                number: self.sequence(),
+                stream_ns: i64::try_from(self.stream_time().as_nanos()).unwrap_or(i64::MAX),
+                exposure_ns: self.exposure_monotonic_ns(),
+            },
         }
+    }
+
+    /// What a recording of a flight says of it.
+    pub(crate) fn recorded(&self) -> Option<&Recorded> {
+        self.recorded.as_deref()
+    }
+
+    pub(crate) fn set_recorded(&mut self, recorded: Recorded) {
+        self.recorded = Some(Box::new(recorded));
+    }
+
+    pub(crate) fn pts(&self) -> Option<gst::ClockTime> {
+        self.stamp.pts
     }
 
     pub(crate) fn set_stamp(&mut self, stamp: PictureStamp) {

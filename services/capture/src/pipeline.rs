@@ -16,6 +16,7 @@ use crate::explain::Failure;
 use crate::holding::DecoderWatch;
 use crate::input::{Input, element};
 use crate::mailbox::Mailbox;
+use crate::packets::{PacketTap, PacketWish};
 use crate::picture::LUMA_FIRST;
 use crate::{CaptureError, decoder};
 
@@ -24,6 +25,8 @@ use crate::{CaptureError, decoder};
 pub(crate) struct Decoded {
     pub(crate) sample: gst::Sample,
     pub(crate) sequence: u64,
+    /// Its time stamp.
+    pub(crate) pts: Option<gst::ClockTime>,
     /// From the stream's first frame.
     pub(crate) stream_time: Duration,
     /// Where the frame ends in the stream's own time.
@@ -42,6 +45,7 @@ pub(crate) struct Built {
     pub(crate) pipeline: gst::Pipeline,
     pub(crate) sink: gst_app::AppSink,
     pub(crate) decoders: Arc<DecoderWatch>,
+    pub(crate) packets: Arc<PacketTap>,
 }
 
 /// Builds the pipeline for an input; nothing runs yet. Up to `ahead` decoded frames wait for the
@@ -51,6 +55,7 @@ pub(crate) fn build(
     size: (u32, u32),
     threading: Threading,
     ahead: u32,
+    wish: &PacketWish,
     frames: &Arc<Frames>,
 ) -> Result<Built, CaptureError> {
     let (pipeline, decodebin) = input.pipeline(size)?;
@@ -60,18 +65,28 @@ pub(crate) fn build(
     decodebin.set_property("expose-all-streams", false);
     let arrivals = arrivals_of(&pipeline);
     let decoders = DecoderWatch::new(Arc::clone(&arrivals));
+    let packets = PacketTap::new(wish.clone());
+    // A recorded flight has its packets already.
+    let is_tapped = !matches!(input, Input::Flight(..));
     // A description may name a decoder of its own. It stays as it was written.
     let mut elements = pipeline.iterate_recurse();
     while let Ok(Some(element)) = elements.next() {
         decoders.attach(&element);
+        if is_tapped {
+            packets.attach(&element, &arrivals);
+        }
     }
     let watching = Arc::clone(&decoders);
+    let (tapping, arrived) = (Arc::clone(&packets), Arc::clone(&arrivals));
     pipeline.connect_deep_element_added(move |_, _, element| {
         decoder::configure(element, threading);
         watching.attach(element);
+        if is_tapped {
+            tapping.attach(element, &arrived);
+        }
     });
 
-    let sink = sink(Arc::clone(frames), arrivals);
+    let sink = sink(Arc::clone(frames), arrivals, Arc::clone(&packets));
     pipeline.add(&sink).map_err(|error| CaptureError::GStreamer(error.to_string()))?;
     let end = match ahead {
         0 => sink.clone().upcast(),
@@ -86,7 +101,7 @@ pub(crate) fn build(
         }
     });
     watch(&pipeline, Arc::clone(frames));
-    Ok(Built { pipeline, sink, decoders })
+    Ok(Built { pipeline, sink, decoders, packets })
 }
 
 /// Frames that are farther apart wait one at a time: an error, which overtakes them, must not cost any.
@@ -111,7 +126,7 @@ fn waiting_room(
 }
 
 /// The sink that fills the mailbox. It takes whatever has a luma plane, in system memory.
-fn sink(frames: Arc<Frames>, arrivals: Arc<Arrivals>) -> gst_app::AppSink {
+fn sink(frames: Arc<Frames>, arrivals: Arc<Arrivals>, packets: Arc<PacketTap>) -> gst_app::AppSink {
     let mut census = Census::default();
     let caps = gst_video::VideoCapsBuilder::new().format_list(LUMA_FIRST.iter().copied()).build();
     let ended = Arc::clone(&frames);
@@ -120,6 +135,9 @@ fn sink(frames: Arc<Frames>, arrivals: Arc<Arrivals>) -> gst_app::AppSink {
             let arrival_ns = monotonic_ns();
             let sample = sink.pull_sample().map_err(|_| gst::FlowError::Eos)?;
             let decoded = stamped(sink, sample, &mut census, &arrivals, arrival_ns);
+            if decoded.sequence == 0 {
+                packets.begin(census.first());
+            }
             frames.put(decoded).map(|()| gst::FlowSuccess::Ok).map_err(|_| gst::FlowError::Flushing)
         })
         .eos(move |_| ended.end())
@@ -171,6 +189,7 @@ fn stamped(
     Decoded {
         sample,
         sequence,
+        pts,
         stream_time,
         stream_end: stream.unwrap_or(stream_time) + frame.unwrap_or_default(),
         due_ns: due_ns.map(|due_ns| slipped(sink, due_ns, at_sink_ns)),
@@ -321,7 +340,7 @@ mod tests {
         let input = Input::Description(source);
         let threading = Threading::Chosen(0);
         let Built { pipeline, sink, .. } =
-            build(&input, (64, 32), threading, ahead, &frames).unwrap();
+            build(&input, (64, 32), threading, ahead, &PacketWish::default(), &frames).unwrap();
         sink.set_sync(true);
         let is_waiting_room = |element: &gst::Element| {
             element.factory().is_some_and(|factory| factory.name() == "queue")

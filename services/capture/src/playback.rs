@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use flockeye_contract::VideoCodec;
 use gstreamer as gst;
 use gstreamer::prelude::*;
 use gstreamer_app as gst_app;
@@ -14,6 +15,7 @@ use crate::explain::Failure;
 use crate::holding::{DecoderWatch, Noticed};
 use crate::input::Input;
 use crate::mailbox::{Taken, WhenFull};
+use crate::packets::{Packet, PacketTap};
 use crate::parameters::{Paced, SourceParameters};
 use crate::picture::{Picture, PictureStamp, range_of};
 use crate::pipeline::{Built, Decoded, Frames, build};
@@ -58,6 +60,7 @@ pub(crate) struct Playback {
     sink: gst_app::AppSink,
     frames: Arc<Frames>,
     decoders: Arc<DecoderWatch>,
+    packets: Arc<PacketTap>,
     threading: Threading,
     /// Whether the number of threads was configured, and is not to be changed.
     is_threading_fixed: bool,
@@ -90,9 +93,19 @@ impl Playback {
     /// Opens a recording and decodes its first frame; what keeps it from being played is found
     /// here. It plays from the first [`Self::next`] on.
     pub(crate) fn recording(input: Input, params: &SourceParameters) -> Result<Self, CaptureError> {
+        Self::fed(input, params, |_, _| Ok(()))
+    }
+
+    /// The same of one into which something is fed: `begin` begins to do so.
+    pub(crate) fn fed(
+        input: Input,
+        params: &SourceParameters,
+        begin: impl FnOnce(&gst::Pipeline, &gst_app::AppSink) -> Result<(), CaptureError>,
+    ) -> Result<Self, CaptureError> {
         let timing = if params.flow == Paced::Lossless { Timing::Stream } else { Timing::Paced };
         let threading = Threading::of(&input, params);
         let mut playback = Self::build(input, params, timing, threading)?;
+        begin(&playback.pipeline, &playback.sink)?;
         let started = playback.pipeline.set_state(gst::State::Paused);
         let live = matches!(started, Ok(gst::StateChangeSuccess::NoPreroll));
         let patience = if started.is_ok() { OPENING } else { Duration::ZERO };
@@ -136,7 +149,7 @@ impl Playback {
             Input::Theta => Timing::Arrival,
             // The Theta's driver does not say that it is a live source.
             Input::Description(_) if live || playback.input.is_camera() => Timing::Arrival,
-            Input::Description(_) | Input::File(_) => Timing::Paced,
+            Input::Description(_) | Input::File(_) | Input::Flight(..) => Timing::Paced,
         };
         playback.play();
         Ok(playback)
@@ -155,17 +168,18 @@ impl Playback {
         });
         // Only what is played from a file is there before it is due.
         let ahead = match (&input, timing) {
-            (Input::File(_), Timing::Paced) => AHEAD,
+            (Input::File(_) | Input::Flight(..), Timing::Paced) => AHEAD,
             _ => 0,
         };
-        let Built { pipeline, sink, decoders } =
-            build(&input, expected, threading, ahead, &frames)?;
+        let Built { pipeline, sink, decoders, packets } =
+            build(&input, expected, threading, ahead, &params.packets, &frames)?;
         Ok(Self {
             input,
             pipeline,
             sink,
             frames,
             decoders,
+            packets,
             threading,
             is_threading_fixed: params.decoder_threads > 0,
             held: 0,
@@ -183,7 +197,7 @@ impl Playback {
 
     fn unopened(&self, failure: &Failure) -> CaptureError {
         match &self.input {
-            Input::File(path) => failure.for_file(path),
+            Input::File(path) | Input::Flight(path, _) => failure.for_file(path),
             Input::Description(text) => {
                 CaptureError::Description { description: text.clone(), reason: failure.text() }
             }
@@ -272,7 +286,8 @@ impl Playback {
         let buffer =
             decoded.sample.buffer_owned().ok_or_else(|| unreadable("it is empty".to_owned()))?;
         let exposure_ns = self.exposure_ns(&decoded);
-        let stamp = PictureStamp { sequence, stream_time: decoded.stream_time, exposure_ns };
+        let (stream_time, pts) = (decoded.stream_time, decoded.pts);
+        let stamp = PictureStamp { sequence, stream_time, exposure_ns, pts };
         let picture = Picture::map(buffer, &info, stamp).map_err(|reason| CaptureError::Frame {
             what: self.input.name(),
             sequence,
@@ -332,6 +347,16 @@ impl Playback {
                 self.reached.as_secs_f64()
             )
         })
+    }
+
+    /// The coded pictures that have come since the last time.
+    pub(crate) fn take_packets(&self) -> Vec<Packet> {
+        self.packets.take()
+    }
+
+    /// How its pictures are coded; `None` while that is not known.
+    pub(crate) fn codec(&self) -> Option<VideoCodec> {
+        self.packets.codec()
     }
 
     /// Frames handed out so far.

@@ -2,13 +2,16 @@
 
 use std::time::{Duration, Instant};
 
+use flockeye_contract::VideoCodec;
 use flockeye_runtime::backoff::Backoff;
 use gstreamer as gst;
 
 use crate::decoder::Threading;
 use crate::file;
+use crate::flight::Flight;
 use crate::folder::{Folder, FolderStep};
 use crate::input::Input;
+use crate::packets::Packet;
 use crate::playback::{Playback, Step};
 use crate::{CaptureError, EndReason, Event, Paced, SourceParameters, SourceSpec};
 
@@ -29,6 +32,7 @@ pub struct Source {
 enum State {
     Recording(Playback),
     Folder(Folder),
+    Flight(Box<Flight>),
     Camera(Input, Playback),
     /// A camera that is lost, until it is time to open it again.
     Lost(Input, Instant),
@@ -92,6 +96,13 @@ impl Source {
                     self.over(reason, frames)?
                 }
             }),
+            State::Flight(flight) => match flight.next(timeout)? {
+                Event::End(reason) => {
+                    let frames = flight.handed_out();
+                    self.over(reason, frames)
+                }
+                event => Ok(event),
+            },
             State::Camera(input, playback) => Ok(match playback.next(timeout)? {
                 Step::Picture(picture) => {
                     self.backoff.reset();
@@ -164,8 +175,27 @@ impl Source {
         match &self.state {
             State::Recording(playback) | State::Camera(_, playback) => playback.describe(),
             State::Folder(folder) => folder.describe(),
+            State::Flight(flight) => flight.describe(),
             State::Lost(input, _) => format!("{}: lost", input.name()),
             State::Ended(reason) => format!("{}: {reason}", self.spec),
+        }
+    }
+
+    /// The coded pictures that have come since the last time, if somebody wants them
+    /// ([`SourceParameters::packets`]).
+    pub fn take_packets(&self) -> Vec<Packet> {
+        match &self.state {
+            State::Recording(playback) | State::Camera(_, playback) => playback.take_packets(),
+            _ => Vec::new(),
+        }
+    }
+
+    /// How its pictures are coded; `None` while that is not known.
+    pub fn codec(&self) -> Option<VideoCodec> {
+        match &self.state {
+            State::Recording(playback) | State::Camera(_, playback) => playback.codec(),
+            State::Folder(_) | State::Flight(_) => Some(VideoCodec::None),
+            State::Lost(..) | State::Ended(_) => None,
         }
     }
 
@@ -184,6 +214,7 @@ fn start(spec: &SourceSpec, params: &SourceParameters) -> Result<State, CaptureE
             file::check(path)?;
             recording(Input::File(path.clone()))
         }
+        SourceSpec::Flight(path) => Ok(State::Flight(Box::new(Flight::open(path, params)?))),
         SourceSpec::Folder(path) => Ok(State::Folder(Folder::open(path, params)?)),
         SourceSpec::V4l2(device) => camera(Input::V4l2(device.clone())),
         SourceSpec::Theta => camera(Input::Theta),

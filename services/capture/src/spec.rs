@@ -11,6 +11,7 @@ use crate::CaptureError;
 /// | written | means |
 /// | --- | --- |
 /// | `flight.mp4` | a video file, whatever GStreamer decodes |
+/// | `flight.mcap` | a recording of a flight, with its pictures |
 /// | `stills/` | a folder of .jpg, .jpeg and .png images, in the order of their names |
 /// | `v4l2:/dev/video0`, `/dev/video0` | a camera under Video4Linux |
 /// | `theta` | a Ricoh Theta V or Z1 |
@@ -22,6 +23,8 @@ use crate::CaptureError;
 pub enum SourceSpec {
     /// A video file, or a single image.
     File(PathBuf),
+    /// A recording of a flight.
+    Flight(PathBuf),
     /// A folder of images.
     Folder(PathBuf),
     /// A Video4Linux device.
@@ -70,6 +73,11 @@ impl SourceSpec {
         if path.is_dir() {
             return Ok(Self::Folder(path.to_owned()));
         }
+        let is_flight =
+            path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"));
+        if is_flight && (path.exists() || !trimmed.contains('!')) {
+            return Ok(Self::Flight(path.to_owned()));
+        }
         if path.exists() {
             return Ok(Self::File(path.to_owned()));
         }
@@ -96,7 +104,9 @@ impl FromStr for SourceSpec {
 impl fmt::Display for SourceSpec {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::File(path) | Self::Folder(path) => write!(f, "{}", path.display()),
+            Self::File(path) | Self::Flight(path) | Self::Folder(path) => {
+                write!(f, "{}", path.display())
+            }
             Self::V4l2(device) => write!(f, "v4l2:{}", device.display()),
             Self::Theta => write!(f, "theta"),
             Self::Description(description) => write!(f, "gst:{description}"),
@@ -119,6 +129,11 @@ mod tests {
             ("gst: videotestsrc", SourceSpec::Description("videotestsrc".into())),
             ("videotestsrc ! queue", SourceSpec::Description("videotestsrc ! queue".into())),
             ("not/there.mp4", SourceSpec::File("not/there.mp4".into())),
+            ("a b/flight.MCAP", SourceSpec::Flight("a b/flight.MCAP".into())),
+            (
+                "filesrc location=a.mcap ! x.mcap",
+                SourceSpec::Description("filesrc location=a.mcap ! x.mcap".into()),
+            ),
             (here, SourceSpec::Folder(here.into())),
         ] {
             assert_eq!(SourceSpec::parse(text).unwrap(), spec, "{text}");

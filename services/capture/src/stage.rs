@@ -15,16 +15,18 @@ use flockeye_runtime::{Context, Stage, Step, clock};
 use crate::core::{Core, Stamped};
 use crate::examine;
 use crate::inertial::InertialPort;
+use crate::packet_port::PacketPort;
 use crate::{EndReason, Event, Picture, Source, SourceParameters, SourceSpec};
 
 /// How long the source is waited for between two looks at everything else.
 const WAIT: Duration = Duration::from_millis(50);
 
-/// Takes nothing (in a lossless run: plans, as credits); gives frames, and the samples of a
-/// recording's inertial sensor.
+/// Takes nothing (in a lossless run: plans, as credits); gives frames, the samples of a
+/// recording's inertial sensor, and coded pictures where somebody wants them.
 pub struct CaptureStage {
     frames: Publisher<Frames>,
     inertial: Option<InertialPort>,
+    packets: PacketPort,
     credits: Credits,
     source: Source,
     core: Core,
@@ -43,12 +45,17 @@ impl Stage for CaptureStage {
         let resolved = &context.resolved;
         let pipeline = &resolved.pipeline;
         let spec: SourceSpec = pipeline.source.input.parse()?;
-        let source = Source::open(spec, SourceParameters::of(pipeline))?;
+        let parameters = SourceParameters::of(pipeline);
+        // Before the source is opened, so that a recorder gets its first packet.
+        let generation = context.identity.generation;
+        let packets = PacketPort::open(pipeline, generation, parameters.packets.clone(), ports)?;
+        let source = Source::open(spec, parameters)?;
         tracing::info!("{}", source.describe());
         context.counters.set_detail(source.describe());
         Ok(Self {
             frames: ports.publisher()?,
             inertial: InertialPort::open(pipeline, context.identity.generation, ports)?,
+            packets,
             credits: Credits::open(pipeline, ports)?,
             source,
             core: Core::new(pipeline.flow, context.identity.generation),
@@ -66,6 +73,7 @@ impl Stage for CaptureStage {
     }
 
     fn step(&mut self) -> anyhow::Result<Step> {
+        self.packets.attend(&self.source, self.core.epoch())?;
         if !self.credits.may_send()? {
             return Ok(Step::WaitUntil(clock::monotonic_ns() + 100_000_000));
         }
@@ -80,6 +88,10 @@ impl Stage for CaptureStage {
                 if let Some(more) = self.skips.admit() {
                     tracing::warn!(more_since = more, "{what} is left out: {why}");
                 }
+            }
+            Event::NewEpoch => {
+                tracing::info!("the recorded source begins anew");
+                self.begin_epoch();
             }
             Event::Looped { after } => {
                 tracing::debug!("{after}; it begins again");
@@ -134,12 +146,13 @@ impl CaptureStage {
         let Stamped { stamp, dropped } = self.core.on_picture(picture.time(), published_ns);
         self.counters.add_dropped(dropped);
         if let Some(inertial) = &mut self.inertial {
-            inertial.send_before(&stamp)?;
+            inertial.send_before(picture, &stamp)?;
         }
+        let recorded = picture.recorded().map(|recorded| &recorded.header);
         loan.send(FrameHeader {
             stamp,
-            exposure_time_ns: 0,
-            readout_ns: self.readout_ns,
+            exposure_time_ns: recorded.map_or(0, |header| header.exposure_time_ns),
+            readout_ns: recorded.map_or(self.readout_ns, |header| header.readout_ns),
             width,
             height,
             stride: width,

@@ -18,7 +18,8 @@ pub struct RecordArguments {
     /// Which pipeline.
     #[command(flatten)]
     pub running: PipelineChoice,
-    /// Pictures: none, views (the pixels of all views), or "every N" (each Nth frame, JPEG).
+    /// Pictures: none, views (the pixels of all views), camera (its own H.264 or H.265, as it came), or "every N" (each
+    /// Nth frame, JPEG).
     #[arg(long, value_name = "WHICH", default_value = "none")]
     pub frames: FramesChoice,
     /// How long to record: 20s, 5m, 1h. Without it: until the pipeline ends.
@@ -57,6 +58,8 @@ pub enum FramesChoice {
     None,
     /// The pixels of all views.
     Views,
+    /// The source's own coded pictures.
+    Camera,
     /// Each frame whose number is a multiple of this, as JPEG.
     Every(u64),
 }
@@ -65,10 +68,11 @@ impl FromStr for FramesChoice {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let wrong = || format!("'{text}' is not none, views, or \"every N\" with N from 1");
+        let wrong = || format!("'{text}' is not none, views, camera, or \"every N\" with N from 1");
         match text {
             "none" => Ok(Self::None),
             "views" => Ok(Self::Views),
+            "camera" => Ok(Self::Camera),
             _ => {
                 let count = text.strip_prefix("every ").ok_or_else(wrong)?;
                 let count = count.parse().map_err(|_| wrong())?;
@@ -110,6 +114,7 @@ mod tests {
             assert!(size(wrong).unwrap_err().contains("write 500MB or 1GB"), "{wrong}");
         }
         assert_eq!("every 10".parse(), Ok(FramesChoice::Every(10)));
+        assert_eq!("camera".parse(), Ok(FramesChoice::Camera));
         for wrong in ["every", "every3", "every=3", "every 0", "every -1", "all", ""] {
             assert!(wrong.parse::<FramesChoice>().is_err(), "{wrong}");
         }

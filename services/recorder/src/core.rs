@@ -2,9 +2,11 @@
 
 use std::sync::Arc;
 
-use flockeye_contract::{FrameHeader, TOPICS, TopicId, Track, TrackHeader, ViewHeader};
+use flockeye_contract::{
+    FrameHeader, PacketHeader, TOPICS, TopicId, Track, TrackHeader, VideoCodec, ViewHeader,
+};
 pub use flockeye_recording::channel::LOSSES;
-use flockeye_recording::images::{Image, encode_compressed, encode_image};
+use flockeye_recording::images::{Image, encode_compressed, encode_image, encode_video};
 use flockeye_recording::message::encode;
 use flockeye_recording::{ChannelKind, RecordingError, TopicLayout, layouts, poses};
 use flockeye_ros2::messages::Time;
@@ -28,6 +30,7 @@ pub struct Core {
     topics: Vec<(TopicLayout, Arc<ChannelKind>)>,
     view_images: Arc<ChannelKind>,
     frame_images: Arc<ChannelKind>,
+    frame_video: Arc<ChannelKind>,
     losses: Arc<ChannelKind>,
     observer: String,
     utc_from_exposure_ns: i64,
@@ -44,6 +47,7 @@ impl Core {
             topics: layouts().into_iter().map(with_channel).collect(),
             view_images: Arc::new(ChannelKind::of_view_images()),
             frame_images: Arc::new(ChannelKind::of_frame_images()),
+            frame_video: Arc::new(ChannelKind::of_frame_video()),
             losses: Arc::new(ChannelKind::of_losses()),
             observer: observer.to_owned(),
             utc_from_exposure_ns,
@@ -61,6 +65,7 @@ impl Core {
         match (TOPICS[entry.topic].id, &entry.pixels) {
             (TopicId::Tracks, _) => outputs.extend(self.poses(entry)?),
             (TopicId::Views, Some(pixels)) => outputs.push(self.view(entry, pixels)),
+            (TopicId::Packets, Some(packet)) => outputs.push(self.packet(entry, packet)),
             (TopicId::Frames, Some(pixels)) => outputs.push(self.frame(entry, pixels)?),
             _ => {}
         }
@@ -103,6 +108,13 @@ impl Core {
         Ok(Output { channel: self.frame_images.clone(), bytes })
     }
 
+    fn packet(&self, entry: &Entry, packet: &[u8]) -> Output {
+        let PacketHeader { exposure_ns, codec, .. } = header_of(entry);
+        let format = if codec == VideoCodec::H265.code() { "h265" } else { "h264" };
+        let bytes = encode_video(self.time(exposure_ns), &self.camera(), format, packet);
+        Output { channel: self.frame_video.clone(), bytes }
+    }
+
     fn camera(&self) -> String {
         format!("{}/camera", ros_name(&self.observer))
     }
@@ -128,7 +140,7 @@ mod tests {
     use bytemuck::Zeroable;
     use flockeye_contract::{FrameStamp, Pose, TrackState};
     use flockeye_recording::ContractMessage;
-    use flockeye_recording::images::decode_image;
+    use flockeye_recording::images::{decode_image, decode_video};
     use flockeye_recording::message::decode;
 
     fn place(id: TopicId) -> usize {
@@ -185,6 +197,26 @@ mod tests {
         assert_eq!(outputs[1].channel.message, "sensor_msgs/msg/CompressedImage");
         let lying = Entry { pixels: Some(vec![7; 63]), ..frame };
         assert!(core.on(&lying).is_err());
+    }
+
+    #[test]
+    fn packets_are_recorded_as_they_are() {
+        for (codec, format) in [(VideoCodec::H264, "h264"), (VideoCodec::H265, "h265")] {
+            let header = PacketHeader {
+                codec: codec.code(),
+                exposure_ns: 3_000_000_007,
+                ..Default::default()
+            };
+            let bytes = vec![0, 0, 1, 0x65, 9];
+            let packet =
+                Entry { pixels: Some(bytes.clone()), ..entry(TopicId::Packets, &header, &[]) };
+            let outputs = Core::new("wren", 0).on(&packet).unwrap();
+            assert_eq!(outputs[0].channel.topic, "/flockeye/packet");
+            assert_eq!(outputs[1].channel.message, "foxglove_msgs/msg/CompressedVideo");
+            let video = decode_video("x", &outputs[1].bytes).unwrap();
+            assert_eq!((video.format, video.bytes), (format, &bytes[..]));
+            assert_eq!(video.stamp, Time { sec: 3, nanosec: 7 });
+        }
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use flockeye_cli::dated;
 use flockeye_recording::file::RecordingFile;
 use flockeye_recording::{About, RecordingError, RecordingWriter};
 
@@ -38,24 +39,27 @@ impl Files {
         self.begin_at(&path)
     }
 
+    /// UTC at a time of CLOCK_MONOTONIC, as it is in all the files.
+    pub fn utc_ns(&self, at_ns: i64) -> i64 {
+        at_ns.saturating_add(self.about.utc_from_monotonic_ns)
+    }
+
     /// Begins a file of its own for what came before something: `flight-20260102T030405Z.mcap`.
     ///
     /// # Errors
     /// As [`Files::begin`].
     pub fn begin_dated(&mut self, utc_ns: i64) -> Result<PathBuf, RecordingError> {
         let since = std::time::Duration::from_nanos(u64::try_from(utc_ns).unwrap_or(0));
-        let time = humantime::format_rfc3339_seconds(std::time::UNIX_EPOCH + since).to_string();
-        let time = time.replace(['-', ':'], "");
-        let path = beside(&self.first, &format!("-{time}"));
-        match self.begin_at(&path) {
-            // Twice in a second.
-            Err(RecordingError::Exists { .. }) => {
-                let path = beside(&self.first, &format!("-{time}-{}", self.count));
-                self.begin_at(&path)?;
-                Ok(path)
+        let names = dated::names("", std::time::UNIX_EPOCH + since);
+        for name in names {
+            let path = beside(&self.first, &name);
+            match self.begin_at(&path) {
+                // Twice in a second.
+                Err(RecordingError::Exists { .. }) => {}
+                other => return other.map(|()| path),
             }
-            other => other.map(|()| path),
         }
+        Err(RecordingError::Exists { path: self.first.clone() })
     }
 
     fn begin_at(&mut self, path: &Path) -> Result<(), RecordingError> {

@@ -1,6 +1,8 @@
 //! Receives every topic of the contract, and notices what was lost.
 
-use flockeye_contract::{FrameHeader, PlanHeader, TOPICS, Topic, TopicId, TopicVisitor};
+use flockeye_contract::{
+    FrameHeader, PacketHeader, PlanHeader, TOPICS, Topic, TopicId, TopicVisitor, VideoCodec,
+};
 use flockeye_recording::ContractMessage;
 use flockeye_runtime::clock;
 use flockeye_runtime::memory::Budget;
@@ -10,6 +12,21 @@ use crate::arguments::FramesChoice;
 use crate::entry::Entry;
 use crate::queue::Queue;
 
+/// The source has no packets: trying again will not help.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct NotCoded;
+
+impl std::fmt::Display for NotCoded {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(
+            "the source's pictures are not coded as H.264 or H.265, so there is nothing of its own to record. Cure: \
+             --frames 'every 1' (recording.frames: every, with recording.every: 1)",
+        )
+    }
+}
+
+impl std::error::Error for NotCoded {}
+
 /// All topics of a pipeline.
 pub struct Inputs {
     inputs: Vec<Box<dyn Input>>,
@@ -18,7 +35,7 @@ pub struct Inputs {
 /// One lane of a topic.
 trait Input {
     /// Hands over all messages that have come.
-    fn drain(&mut self, queue: &Queue) -> Result<(), PortError>;
+    fn drain(&mut self, queue: &Queue) -> anyhow::Result<()>;
 }
 
 impl Inputs {
@@ -37,8 +54,7 @@ impl Inputs {
     /// # Errors
     /// A topic cannot be read.
     pub fn drain(&mut self, queue: &Queue) -> anyhow::Result<()> {
-        self.inputs.iter_mut().try_for_each(|input| input.drain(queue))?;
-        Ok(())
+        self.inputs.iter_mut().try_for_each(|input| input.drain(queue))
     }
 }
 
@@ -55,12 +71,16 @@ impl TopicVisitor for Opening<'_> {
     fn visit<T: Topic + 'static>(&mut self) -> anyhow::Result<()> {
         let pixels = match (T::INFO.id, self.frames) {
             (TopicId::Views, FramesChoice::Views) => Pixels::All,
+            (TopicId::Packets, FramesChoice::Camera) => Pixels::All,
+            // Packets are sent because somebody reads them.
+            (TopicId::Packets, _) => return Ok(()),
             (TopicId::Frames, FramesChoice::Every(count)) => Pixels::Every(count),
             _ => Pixels::None,
         };
         let subscribers = match self.ports.subscribers_of_all_lanes::<T>() {
             Ok(subscribers) => subscribers,
-            Err(error) if pixels == Pixels::None => {
+            // Other tools have all places; anything else is no reason to record without it.
+            Err(error @ PortError::Join { .. }) if pixels == Pixels::None => {
                 tracing::warn!(
                     topic = T::NAME,
                     "not recorded: {error}. Cure: end other tools that look on"
@@ -75,8 +95,9 @@ impl TopicVisitor for Opening<'_> {
         // Publishers with patience wait for a reader whose buffer is full.
         let buffer = if limits.patience.is_some() { usize::MAX } else { limits.buffer };
         for subscriber in subscribers {
-            let numbering = None;
-            self.inputs.push(Box::new(Lane { subscriber, topic, buffer, pixels, numbering }));
+            let (numbering, has_begun) = (None, T::INFO.id != TopicId::Packets);
+            let lane = Lane { subscriber, topic, buffer, pixels, numbering, has_begun };
+            self.inputs.push(Box::new(lane));
         }
         Ok(())
     }
@@ -98,6 +119,8 @@ struct Lane<T: Topic> {
     buffer: usize,
     pixels: Pixels,
     numbering: Option<Numbering>,
+    /// Packets begin with a key frame.
+    has_begun: bool,
 }
 
 /// The number of a message among those that rise by one.
@@ -109,7 +132,7 @@ struct Numbering {
 }
 
 impl Numbering {
-    /// Of a frame or plan.
+    /// Of a frame, packet or plan.
     fn of<T: Topic>(header: &T::Header) -> Option<Self> {
         let bytes = bytemuck::bytes_of(header);
         match T::INFO.id {
@@ -117,6 +140,11 @@ impl Numbering {
                 let header: FrameHeader = bytemuck::pod_read_unaligned(bytes);
                 let of = (header.stamp.source_generation, header.stamp.epoch);
                 Some(Self { of, number: header.stamp.sequence })
+            }
+            TopicId::Packets => {
+                let header: PacketHeader = bytemuck::pod_read_unaligned(bytes);
+                let of = (header.source_generation, header.epoch);
+                Some(Self { of, number: header.sequence })
             }
             TopicId::Plans => {
                 let header: PlanHeader = bytemuck::pod_read_unaligned(bytes);
@@ -136,7 +164,7 @@ impl Numbering {
 }
 
 impl<T: Topic> Input for Lane<T> {
-    fn drain(&mut self, queue: &Queue) -> Result<(), PortError> {
+    fn drain(&mut self, queue: &Queue) -> anyhow::Result<()> {
         // How many of each sender have come at once: as many as its buffer holds may be those that are left.
         let mut counts: Vec<(Sender, usize)> = Vec::new();
         while let Some((message, verdict)) = self.subscriber.receive_with_verdict()? {
@@ -148,6 +176,17 @@ impl<T: Topic> Input for Lane<T> {
             if verdict.is_err() {
                 queue.note(self.topic, |loss| loss.refused += 1);
                 continue;
+            }
+            if T::INFO.id == TopicId::Packets {
+                let header = bytemuck::bytes_of(&message.header);
+                let header: PacketHeader = bytemuck::pod_read_unaligned(header);
+                if header.codec == VideoCodec::None.code() {
+                    return Err(NotCoded.into());
+                }
+                self.has_begun |= header.is_key == 1;
+                if !self.has_begun {
+                    continue;
+                }
             }
             let numbering = Numbering::of::<T>(&message.header);
             if let (Some(now), Some(before)) = (numbering, self.numbering) {

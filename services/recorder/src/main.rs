@@ -2,13 +2,19 @@
 
 use std::process::ExitCode;
 
+use flockeye_recorder::inputs::NotCoded;
+
 fn main() -> ExitCode {
     flockeye_runtime::logs::init();
     match flockeye_recorder::run() {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("flockeye record: {error:#}");
-            ExitCode::FAILURE
+            // As a stage's: trying again will not help.
+            match error.is::<NotCoded>() {
+                true => ExitCode::from(2),
+                false => ExitCode::FAILURE,
+            }
         }
     }
 }

@@ -8,7 +8,9 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, anyhow};
 use flockeye_cli::{Screen, running, signals};
 use flockeye_config::{Flow, Resolved};
-use flockeye_contract::{CONTRACT_VERSION, TOPICS, TopicId, Track, TrackState};
+use flockeye_contract::{
+    CONTRACT_VERSION, PacketHeader, StageName, TOPICS, TopicId, Track, TrackState,
+};
 use flockeye_recording::{About, RecordingError};
 use flockeye_runtime::instance::Instance;
 use flockeye_runtime::logs::Throttle;
@@ -20,11 +22,11 @@ use rustix::process::setpriority_process;
 use rustix::thread::gettid;
 use signal_hook::consts::{SIGUSR1, SIGXFSZ};
 
-use crate::arguments::{RecordArguments, Trigger};
+use crate::arguments::{FramesChoice, RecordArguments, Trigger};
 use crate::core::Core;
 use crate::entry::{Entry, Loss};
 use crate::files::Files;
-use crate::inputs::Inputs;
+use crate::inputs::{Inputs, NotCoded};
 use crate::queue::{Queue, Taken};
 use crate::ring::Ring;
 
@@ -50,6 +52,7 @@ pub fn record(arguments: &RecordArguments, out: &Path) -> anyhow::Result<()> {
     set_log_level(LogLevel::Fatal);
     let instance = running::choose(&arguments.running)?;
     let (mut ports, resolved) = onlooker::join(&instance)?;
+    refuse_camera_without_video(arguments.frames, &resolved)?;
     let mut inputs = Inputs::open(&mut ports, &Budget::of(&resolved), arguments.frames)?;
     let (about, core) = beginning(&instance, &resolved)?;
     let mut files = Files::new(out, about, arguments.split);
@@ -87,6 +90,19 @@ pub fn record(arguments: &RecordArguments, out: &Path) -> anyhow::Result<()> {
     received?;
     Screen::new().line(&summary);
     Ok(())
+}
+
+/// Refuses to record a camera's own video where it is known beforehand that there is none.
+fn refuse_camera_without_video(frames: FramesChoice, resolved: &Resolved) -> anyhow::Result<()> {
+    let pipeline = &resolved.pipeline;
+    let input = &pipeline.source.input;
+    let has_none = pipeline.source_stage() == StageName::Simulator
+        || pipeline.plays_flight()
+        || Path::new(input).is_dir();
+    match frames == FramesChoice::Camera && has_none {
+        true => Err(NotCoded).with_context(|| format!("source {input}")),
+        false => Ok(()),
+    }
 }
 
 /// What the recording says of itself, and what makes it.
@@ -204,13 +220,15 @@ impl Writing {
         let outputs = match self.core.on(entry) {
             Ok(outputs) => outputs,
             Err(error) => {
-                self.leave_out(&error);
+                self.leave_out(entry.topic, &error);
                 return Ok(());
             }
         };
         for output in outputs {
             match self.files.write(entry.at_ns, &output) {
-                Err(error @ RecordingError::Message { .. }) => self.leave_out(&error.into()),
+                Err(error @ RecordingError::Message { .. }) => {
+                    self.leave_out(entry.topic, &error.into())
+                }
                 other => other?,
             }
         }
@@ -218,7 +236,11 @@ impl Writing {
     }
 
     /// One message that cannot be recorded does not end the recording.
-    fn leave_out(&mut self, error: &anyhow::Error) {
+    fn leave_out(&mut self, topic: usize, error: &anyhow::Error) {
+        self.queue.note(topic, |loss| {
+            loss.recorded = loss.recorded.saturating_sub(1);
+            loss.refused += 1;
+        });
         if let Some(more_since) = self.left_out.admit() {
             tracing::warn!(more_since, "a message is not recorded: {error:#}");
         }
@@ -228,9 +250,16 @@ impl Writing {
         let Some((_, ring)) = &mut self.ring else { return Ok(()) };
         let entries = ring.take();
         let Some(last) = entries.back() else { return Ok(()) };
-        let utc_ns = clock::utc_ns() - clock::monotonic_ns() + last.at_ns;
-        let path = self.files.begin_dated(utc_ns)?;
+        let path = self.files.begin_dated(self.files.utc_ns(last.at_ns))?;
+        // The oldest packets that are left may rest on one that is not.
+        let mut has_key = false;
         for entry in &entries {
+            if TOPICS[entry.topic].id == TopicId::Packets {
+                has_key |= begins_video(entry);
+                if !has_key {
+                    continue;
+                }
+            }
             self.write(entry)?;
         }
         self.told.clear();
@@ -273,6 +302,12 @@ impl Writing {
         self.told = losses;
         Ok(())
     }
+}
+
+/// Whether decoding can begin with a packet.
+fn begins_video(entry: &Entry) -> bool {
+    let header: PacketHeader = bytemuck::pod_read_unaligned(&entry.message.header);
+    header.is_key == 1
 }
 
 /// Whether a message says that a neighbour's track is lost.

@@ -20,7 +20,7 @@ fn text(path: &Path) -> &str {
 }
 
 /// Runs a GStreamer pipeline to its end, into `file`.
-fn make(description: &str, file: &Path) {
+pub(crate) fn make(description: &str, file: &Path) {
     gst::init().expect("GStreamer is installed");
     let description = format!("{description} ! filesink location=\"{}\"", file.display());
     let pipeline = gst::parse::launch(&description).expect("all of its plugins are installed");

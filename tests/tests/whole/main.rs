@@ -18,6 +18,7 @@ mod lifecycle;
 mod lossless;
 mod markers;
 mod new_stage;
+mod played;
 mod python;
 mod radio;
 mod real_time;

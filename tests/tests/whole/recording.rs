@@ -137,6 +137,20 @@ fn a_replayed_fusion_says_the_same() {
     assert!(is_same && said.contains("of 25 frames are the same, byte by byte"), "{said}");
     gated.flight.assert_nothing_left();
 
+    // OpenCV sees in the recorded pixels what Flockeye's detector saw.
+    if let Some(python) = python() {
+        let script = concat!(env!("CARGO_MANIFEST_DIR"), "/src/views.py");
+        let looked = Command::new(python).arg(script).arg(&out).arg("DICT_5X5_250").output();
+        let looked = looked.expect("Python can be started");
+        let said = String::from_utf8_lossy(&looked.stdout).into_owned();
+        assert!(looked.status.success(), "{said}\n{}", String::from_utf8_lossy(&looked.stderr));
+        let report: Value = serde_json::from_str(said.trim()).expect("one JSON object");
+        let count = |name: &str| report[name].as_u64().expect("a count");
+        // OpenCV does not find small markers.
+        assert!(count("found") > 10, "{report}");
+        assert!(report["median_px"].as_f64() < Some(1.0), "{report}");
+    }
+
     // Nobody has decoded a marker.
     let changed = scratch.path("changed.mcap");
     forget_all_markers(&out, &changed, 0);
@@ -350,7 +364,7 @@ fn what_cannot_be_recorded_leaves_nothing() {
     assert!(!is_well && said.contains("is no MCAP file") && said.contains("Cure:"), "{said}");
     assert!(!out.exists());
     let (is_well, said) = run(&["record", text(&out), "--frames", "some"]);
-    assert!(!is_well && said.contains("is not none, views, or"), "{said}");
+    assert!(!is_well && said.contains("is not none, views, camera, or"), "{said}");
 }
 
 /// With `recording.folder` each flight is recorded from its first frame on, and a recorder that is killed begins

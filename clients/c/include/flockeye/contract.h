@@ -16,6 +16,7 @@
 
 /* Names of the services. A topic with lanes has one for each detection worker, NAME/0 and so on. */
 #define FLOCKEYE_TOPIC_FRAME "flockeye/frame" /* flockeye_frame_header, uint8_t */
+#define FLOCKEYE_TOPIC_PACKET "flockeye/packet" /* flockeye_packet_header, uint8_t */
 #define FLOCKEYE_TOPIC_IMU "flockeye/imu" /* flockeye_imu_header, flockeye_imu_sample */
 #define FLOCKEYE_TOPIC_ROTATION "flockeye/rotation" /* flockeye_rotation, uint8_t */
 #define FLOCKEYE_TOPIC_PLAN "flockeye/plan" /* flockeye_plan_header, flockeye_planned_view */
@@ -33,6 +34,12 @@
 enum flockeye_pixel_format {
     FLOCKEYE_PIXEL_FORMAT_GRAY8 = 0,
     FLOCKEYE_PIXEL_FORMAT_NV12 = 1,
+};
+
+enum flockeye_video_codec {
+    FLOCKEYE_VIDEO_CODEC_NONE = 0,
+    FLOCKEYE_VIDEO_CODEC_H264 = 1,
+    FLOCKEYE_VIDEO_CODEC_H265 = 2,
 };
 
 enum flockeye_transfer {
@@ -189,6 +196,27 @@ static_assert(offsetof(flockeye_frame_header, transfer) == 72, "FrameHeader.tran
 static_assert(offsetof(flockeye_frame_header, gamma) == 76, "FrameHeader.gamma");
 static_assert(offsetof(flockeye_frame_header, range) == 80, "FrameHeader.range");
 static_assert(offsetof(flockeye_frame_header, projection) == 84, "FrameHeader.projection");
+
+/* In iceoryx2: flockeye/PacketHeader. */
+typedef struct {
+    int64_t stream_ns;
+    int64_t exposure_ns;
+    int64_t arrived_ns;
+    uint64_t sequence;
+    uint32_t epoch;
+    uint32_t source_generation;
+    uint32_t codec;
+    uint32_t is_key;
+} flockeye_packet_header;
+static_assert(sizeof(flockeye_packet_header) == 48, "PacketHeader");
+static_assert(offsetof(flockeye_packet_header, stream_ns) == 0, "PacketHeader.stream_ns");
+static_assert(offsetof(flockeye_packet_header, exposure_ns) == 8, "PacketHeader.exposure_ns");
+static_assert(offsetof(flockeye_packet_header, arrived_ns) == 16, "PacketHeader.arrived_ns");
+static_assert(offsetof(flockeye_packet_header, sequence) == 24, "PacketHeader.sequence");
+static_assert(offsetof(flockeye_packet_header, epoch) == 32, "PacketHeader.epoch");
+static_assert(offsetof(flockeye_packet_header, source_generation) == 36, "PacketHeader.source_generation");
+static_assert(offsetof(flockeye_packet_header, codec) == 40, "PacketHeader.codec");
+static_assert(offsetof(flockeye_packet_header, is_key) == 44, "PacketHeader.is_key");
 
 /* In iceoryx2: flockeye/ImuHeader. */
 typedef struct {

@@ -231,6 +231,14 @@ const WRONG: &[(&str, &[&str])] = &[
         "stages: {detection: {command: python3 my.py}}",
         &["stages.detection.command", "must be a list"],
     ),
+    (
+        "inertial: {source: recording}",
+        &["inertial.source", "only the recording of a flight", "FILE.mcap"],
+    ),
+    (
+        "recording: {folder: here, frames: camera}",
+        &["recording.frames", "source.input: sim has no coded video", "every: 1"],
+    ),
     ("source: {input: ''}", &["source.input", "must not be empty"]),
     ("flow: lossless\nsource: {at_end: loop}", &["line 2", "a lossless run ends"]),
     (

@@ -12,7 +12,8 @@ use super::MavlinkAddress;
 #[serde(default, deny_unknown_fields)]
 pub struct Inertial {
     /// `none`, `sim` (that of the simulated world), `mavlink:udp:ADDRESS:PORT` to listen on,
-    /// `mavlink:udpout:HOST:PORT` to speak to, `mavlink:serial:DEVICE:BAUD`, or a CSV file beside a recording (columns t_s, gx, gy, gz, ax, ay, az).
+    /// `mavlink:udpout:HOST:PORT` to speak to, `mavlink:serial:DEVICE:BAUD`, `recording` (that of the recorded flight
+    /// that is played), or a CSV file beside a video (columns t_s, gx, gy, gz, ax, ay, az).
     pub source: String,
     /// false: its samples are recorded and not used.
     pub used: bool,
@@ -45,6 +46,8 @@ pub enum InertialSource {
     Simulated,
     /// A CSV file beside a recording.
     Recorded(PathBuf),
+    /// The recording of a flight that is played.
+    Recording,
     /// An autopilot.
     Mavlink(MavlinkAddress),
 }
@@ -59,13 +62,16 @@ impl Inertial {
         match self.source.as_str() {
             "none" | "" => return Ok(InertialSource::None),
             "sim" => return Ok(InertialSource::Simulated),
+            "recording" => return Ok(InertialSource::Recording),
             _ => {}
         }
         const BEFORE: &str = "mavlink:";
         let Some(address) = self.source.strip_prefix(BEFORE) else {
             return match self.source.ends_with(".csv") {
                 true => Ok(InertialSource::Recorded(self.source.clone().into())),
-                false => wrong("is no inertial sensor: use none, sim, mavlink:.., or FILE.csv"),
+                false => wrong(
+                    "is no inertial sensor: use none, sim, recording, mavlink:.., or FILE.csv",
+                ),
             };
         };
         match MavlinkAddress::parse_after(BEFORE, address) {
@@ -87,6 +93,7 @@ mod tests {
     fn sources_are_told_apart() {
         assert_eq!(parsed("none"), Ok(InertialSource::None));
         assert_eq!(parsed("sim"), Ok(InertialSource::Simulated));
+        assert_eq!(parsed("recording"), Ok(InertialSource::Recording));
         assert_eq!(parsed("a/imu.csv"), Ok(InertialSource::Recorded("a/imu.csv".into())));
         let udp = MavlinkAddress::UdpIn(([0, 0, 0, 0], 14550).into());
         assert_eq!(parsed("mavlink:udp:0.0.0.0:14550"), Ok(InertialSource::Mavlink(udp)));

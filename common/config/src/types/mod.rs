@@ -159,6 +159,12 @@ impl Pipeline {
         self.inertial.used && self.has_inertial_sensor()
     }
 
+    /// Whether `source.input` is the recording of a flight.
+    pub fn plays_flight(&self) -> bool {
+        let extension = std::path::Path::new(self.source.input.trim()).extension();
+        extension.is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"))
+    }
+
     /// The stage that `source.input` needs.
     pub fn source_stage(&self) -> StageName {
         if self.source.input == "sim" { StageName::Simulator } else { StageName::Capture }
@@ -234,8 +240,8 @@ impl Default for Observer {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Source {
-    /// `sim`, a video file, a folder of images, `v4l2:/dev/video0`, `theta`, or a GStreamer
-    /// description (with a `!` in it, or behind `gst:`).
+    /// `sim`, a video file, a recording of a flight (`FILE.mcap`), a folder of images, `v4l2:/dev/video0`, `theta`,
+    /// or a GStreamer description (with a `!` in it, or behind `gst:`).
     pub input: String,
     /// What happens at the end of a recording.
     pub at_end: AtEnd,

@@ -11,7 +11,8 @@ use serde::{Deserialize, Serialize};
 pub struct Recording {
     /// The folder of the recordings, one for each flight. Left out: nothing is recorded.
     pub folder: Option<PathBuf>,
-    /// none: headers alone. views: the pixels of all views. every: a frame now and then, as JPEG.
+    /// none: headers alone. views: the pixels of all views. camera: the source's own H.264 or H.265, as it came. every: a
+    /// frame now and then, as JPEG.
     pub frames: RecordedFrames,
     /// With `frames: every`: of so many frames one is recorded.
     #[schemars(range(min = 1, max = 1_000_000))]
@@ -49,6 +50,8 @@ pub enum RecordedFrames {
     None,
     /// The pixels of all views.
     Views,
+    /// The source's own coded pictures, as they came.
+    Camera,
     /// A frame now and then, as JPEG.
     Every,
 }

@@ -51,33 +51,44 @@ pub struct Publisher<T: Topic> {
     notifier: Notifier<Service>,
     counters: SharedCounters,
     max_items: usize,
+    service: DataService<T>,
 }
 
 impl<T: Topic> Publisher<T> {
     /// Joins a lane's services.
     pub(super) fn join(
-        data: &DataService<T>,
+        service: DataService<T>,
         wake: &WakeService,
         limits: &Limits,
         counters: SharedCounters,
     ) -> Result<Self, PortError> {
         let join =
             |reason: &dyn Debug| PortError::Join { topic: T::NAME, reason: format!("{reason:?}") };
-        let publisher = data
+        let strategy = match limits.grows_to {
+            Some(_) => AllocationStrategy::PowerOfTwo,
+            None => AllocationStrategy::Static,
+        };
+        let publisher = service
             .publisher_builder()
             .initial_max_slice_len(limits.items.max(1))
-            .allocation_strategy(AllocationStrategy::Static)
+            .allocation_strategy(strategy)
             .max_loaned_samples(limits.loaned)
             .set_backpressure_handler(waits_for_readers(T::NAME, limits.patience))
             .create()
             .map_err(|error| join(&error))?;
         let notifier = wake.notifier_builder().create().map_err(|error| join(&error))?;
-        Ok(Self { publisher, notifier, counters, max_items: limits.items })
+        let max_items = limits.grows_to.unwrap_or(limits.items);
+        Ok(Self { publisher, notifier, counters, max_items, service })
     }
 
     /// The same, with its messages counted elsewhere.
     pub(super) fn counted_in(self, counters: SharedCounters) -> Self {
         Self { counters, ..self }
+    }
+
+    /// How many subscribers there are now, also those that are not connected yet.
+    pub fn readers(&self) -> usize {
+        self.service.dynamic_config().number_of_subscribers()
     }
 
     /// Memory for a message of `items` items, to be written in place.

@@ -8,7 +8,7 @@ use std::sync::mpsc::SyncSender;
 use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::Context;
-use flockeye_cli::program;
+use flockeye_cli::{dated, program};
 use flockeye_config::{RecordedFrames, Recording, RecordingTrigger};
 use flockeye_runtime::backoff::Backoff;
 use flockeye_runtime::instance::Instance;
@@ -33,6 +33,8 @@ pub struct Recorder {
     backoff: Backoff,
     retry_at: Option<Instant>,
     started: Instant,
+    /// It said that it cannot record.
+    has_given_up: bool,
 }
 
 impl Recorder {
@@ -58,6 +60,7 @@ impl Recorder {
             backoff: Backoff::new(BACKOFF[0], BACKOFF[1]),
             retry_at: None,
             started: Instant::now(),
+            has_given_up: false,
         }))
     }
 
@@ -90,9 +93,9 @@ impl Recorder {
         Ok(())
     }
 
-    /// Whether it has joined, so that it misses nothing.
+    /// Whether it has joined, so that it misses nothing, or never will.
     pub fn has_joined(&self) -> bool {
-        let Some(child) = &self.child else { return false };
+        let Some(child) = &self.child else { return self.has_given_up };
         recorders::has_joined(&self.instance, child.id())
     }
 
@@ -110,6 +113,12 @@ impl Recorder {
         }
         let status = self.child.as_mut()?.try_wait().ok()??;
         self.child = None;
+        // Its own word that trying again will not help.
+        if status.code() == Some(2) {
+            self.has_given_up = true;
+            let what = "the recorder cannot record, and is not started again; its reason is above";
+            return Some(what.to_owned());
+        }
         if self.started.elapsed() > BACKOFF[1] {
             self.backoff.reset();
         }
@@ -148,6 +157,7 @@ fn arguments(recording: &Recording) -> Vec<String> {
     arguments.push(match recording.frames {
         RecordedFrames::None => "none".to_owned(),
         RecordedFrames::Views => "views".to_owned(),
+        RecordedFrames::Camera => "camera".to_owned(),
         RecordedFrames::Every => format!("every {}", recording.every),
     });
     match recording.trigger {
@@ -167,13 +177,8 @@ fn arguments(recording: &Recording) -> Vec<String> {
 
 /// A file that is not there yet: `INSTANCE-20260102T030405Z.mcap`.
 fn new_file(folder: &Path, instance: &str) -> std::path::PathBuf {
-    let now = humantime::format_rfc3339_seconds(SystemTime::now()).to_string();
-    let now = now.replace(['-', ':'], "");
-    let names = (0..).map(|count: u32| match count {
-        0 => format!("{instance}-{now}.mcap"),
-        count => format!("{instance}-{now}-{count}.mcap"),
-    });
-    let mut paths = names.map(|name| folder.join(name));
+    let names = dated::names(instance, SystemTime::now());
+    let mut paths = names.map(|name| folder.join(format!("{name}.mcap")));
     // There is always one more number.
     paths.find(|path| !path.exists()).unwrap_or_else(|| folder.join("flight.mcap"))
 }

@@ -1,0 +1,343 @@
+//! A recording of a flight is played: its coded pictures are fed into a decoder, and what comes out gets the stamp
+//! that it had.
+//!
+//! A thread reads the recording and feeds. Each epoch of the recording has a decoder of its own.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use flockeye_contract::FrameHeader;
+use flockeye_runtime::lock::lock;
+use gstreamer as gst;
+use gstreamer::prelude::*;
+use gstreamer_app as gst_app;
+
+use crate::event::EndReason;
+use crate::input::{FEED, Input};
+use crate::parameters::{Paced, SourceParameters};
+use crate::picture::Recorded;
+use crate::playback::{Playback, Step};
+use crate::tape::{Coding, Next, Tape, TapeSample};
+use crate::{CaptureError, Event};
+
+/// A recording that is being played.
+#[derive(Debug)]
+pub(crate) struct Flight {
+    path: PathBuf,
+    params: SourceParameters,
+    round: Option<Round>,
+    /// What comes once all damage is told, where no epoch is played.
+    then: Option<Then>,
+    /// Pictures that could not be used, to be told of.
+    damaged: VecDeque<(String, String)>,
+    handed_out: u64,
+    skipped: u64,
+    /// Pictures of this epoch, and those that were replaced by a newer one.
+    count: u64,
+    /// Frames in a row without a sample.
+    blind: u32,
+}
+
+/// After so many frames in a row without a sample of the inertial sensor that is said.
+const MOST_BLIND: u32 = 30;
+
+/// What follows an epoch.
+enum Then {
+    Next(Box<Tape>),
+    /// The end, and what is wrong with it.
+    End(Option<String>),
+}
+
+impl std::fmt::Debug for Then {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Next(_) => f.write_str("Next"),
+            Self::End(fault) => f.debug_tuple("End").field(fault).finish(),
+        }
+    }
+}
+
+/// One epoch of it.
+struct Round {
+    // Before the thread that feeds it: it lets go of that.
+    playback: Playback,
+    feeder: JoinHandle<Tape>,
+    table: Arc<Mutex<Table>>,
+}
+
+impl std::fmt::Debug for Round {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Round").field("playback", &self.playback).finish_non_exhaustive()
+    }
+}
+
+/// What is known of the pictures that were fed and have not come out.
+#[derive(Debug, Default)]
+struct Table {
+    /// By their time stamps in the decoder.
+    pictures: BTreeMap<gst::ClockTime, Fed>,
+    samples: VecDeque<TapeSample>,
+    damaged: VecDeque<(String, String)>,
+}
+
+/// A picture that was fed.
+#[derive(Debug)]
+struct Fed {
+    /// `None`: it was decoded in flight, and not published.
+    header: Option<FrameHeader>,
+    /// What its time stamp lacks to its exposure.
+    later_ns: i64,
+    /// The samples that belong to it reach so far beyond its exposure.
+    reach_ns: i64,
+    was_decoded: bool,
+}
+
+impl Table {
+    /// A picture has come out. Returns what is known of it, and how many decoded ones before it did not come.
+    fn take(&mut self, pts: gst::ClockTime) -> Option<(Fed, u64)> {
+        let later = self.pictures.split_off(&pts);
+        let earlier = std::mem::replace(&mut self.pictures, later);
+        let mut replaced = 0;
+        for fed in earlier.into_values() {
+            match (&fed.header, fed.was_decoded) {
+                (None, _) => {}
+                (Some(_), true) => replaced += 1,
+                (Some(header), false) => self.damaged.push_back(undecoded(header)),
+            }
+        }
+        Some((self.pictures.remove(&pts)?, replaced))
+    }
+
+    /// Nothing more comes out.
+    fn end(&mut self) {
+        for fed in std::mem::take(&mut self.pictures).into_values() {
+            if let (Some(header), false) = (&fed.header, fed.was_decoded) {
+                self.damaged.push_back(undecoded(header));
+            }
+        }
+    }
+
+    /// The samples up to then that were not taken yet.
+    fn samples_until(&mut self, until_ns: i64) -> Vec<TapeSample> {
+        let count = self.samples.iter().take_while(|next| next.sample.at_ns <= until_ns).count();
+        self.samples.drain(..count).collect()
+    }
+}
+
+fn undecoded(header: &FrameHeader) -> (String, String) {
+    (format!("frame {}", header.stamp.sequence), "its picture cannot be decoded".to_owned())
+}
+
+impl Flight {
+    /// Opens a recording and decodes its first picture.
+    pub(crate) fn open(path: &Path, params: &SourceParameters) -> Result<Self, CaptureError> {
+        let tape = Tape::open(path, params.samples, params.latency)?;
+        let mut flight = Self {
+            path: path.to_owned(),
+            params: params.clone(),
+            round: None,
+            then: None,
+            damaged: VecDeque::new(),
+            handed_out: 0,
+            skipped: 0,
+            count: 0,
+            blind: 0,
+        };
+        flight.begin(tape)?;
+        Ok(flight)
+    }
+
+    /// Begins an epoch.
+    fn begin(&mut self, tape: Tape) -> Result<(), CaptureError> {
+        let table = Arc::new(Mutex::new(Table::default()));
+        let input = Input::Flight(self.path.clone(), tape.coding());
+        let mut feeder = None;
+        let playback = Playback::fed(input, &self.params, |pipeline, sink| {
+            let missing = || CaptureError::GStreamer("appsrc is not as it should be".to_owned());
+            let feed = pipeline.by_name(FEED).and_then(|feed| feed.downcast().ok());
+            let feed: gst_app::AppSrc = feed.ok_or_else(missing)?;
+            let pad = sink.static_pad("sink").ok_or_else(missing)?;
+            let decoded = Arc::clone(&table);
+            pad.add_probe(gst::PadProbeType::BUFFER, move |_, info| {
+                if let Some(pts) = info.buffer().and_then(|buffer| buffer.pts())
+                    && let Some(fed) = lock(&decoded).pictures.get_mut(&pts)
+                {
+                    fed.was_decoded = true;
+                }
+                gst::PadProbeReturn::Ok
+            });
+            let told = Arc::clone(&table);
+            let thread = std::thread::Builder::new().name("flight".to_owned());
+            let begun = thread.spawn(move || feed_epoch(tape, &feed, &told));
+            feeder = Some(begun.map_err(|error| CaptureError::GStreamer(error.to_string()))?);
+            Ok(())
+        })?;
+        let missing = || CaptureError::GStreamer("nobody feeds it".to_owned());
+        let feeder = feeder.ok_or_else(missing)?;
+        self.count = 0;
+        self.round = Some(Round { playback, feeder, table });
+        Ok(())
+    }
+
+    /// Waits for at most `timeout` for something to happen.
+    pub(crate) fn next(&mut self, timeout: Duration) -> Result<Event, CaptureError> {
+        if let Some((what, why)) = self.damaged.pop_front() {
+            self.skipped += 1;
+            return Ok(Event::Skipped { what: format!("{}: {what}", self.path.display()), why });
+        }
+        let Some(Round { playback, table, .. }) = &mut self.round else {
+            return match self.then.take() {
+                Some(Then::Next(tape)) => {
+                    self.begin(*tape)?;
+                    Ok(Event::NewEpoch)
+                }
+                Some(Then::End(Some(reason))) => {
+                    Ok(Event::End(EndReason::Truncated { decoded: self.handed_out, reason }))
+                }
+                Some(Then::End(None)) | None => {
+                    let (frames, skipped) = (self.handed_out, self.skipped);
+                    Ok(Event::End(EndReason::Complete { frames, skipped }))
+                }
+            };
+        };
+        match playback.next(timeout)? {
+            Step::Picture(mut picture) => {
+                let mut table = lock(table);
+                let taken = picture.pts().and_then(|pts| table.take(pts));
+                self.damaged.append(&mut table.damaged);
+                let Some((Fed { header: Some(header), later_ns, reach_ns, .. }, replaced)) = taken
+                else {
+                    return Ok(Event::Idle);
+                };
+                let until_ns = header.stamp.exposure_ns.saturating_add(reach_ns);
+                let samples = table.samples_until(until_ns);
+                drop(table);
+                let sequence = self.count + replaced;
+                self.count = sequence + 1;
+                self.handed_out += 1;
+                let exposure_ns = match self.params.flow {
+                    Paced::RealTime => picture.exposure_monotonic_ns().saturating_add(later_ns),
+                    Paced::Lossless => header.stamp.stream_ns,
+                };
+                self.blind = if samples.is_empty() { self.blind.saturating_add(1) } else { 0 };
+                if self.params.samples && self.blind == MOST_BLIND {
+                    tracing::warn!(
+                        "{}: {MOST_BLIND} frames without a sample of an inertial sensor. Cure: inertial.source: none, \
+                         if it was recorded without",
+                        self.path.display()
+                    );
+                }
+                picture.set_recorded(Recorded { header, samples, sequence, exposure_ns });
+                Ok(Event::Frame(picture))
+            }
+            Step::Idle | Step::Late(_) | Step::Behind { .. } => Ok(Event::Idle),
+            Step::Over { fault } => {
+                self.end_round(fault);
+                self.next(timeout)
+            }
+        }
+    }
+
+    /// The pictures of an epoch are over.
+    fn end_round(&mut self, fault: Option<String>) {
+        self.then = Some(Then::End(fault.clone()));
+        let Some(Round { playback, feeder, table }) = self.round.take() else { return };
+        // It lets go of the thread that feeds it.
+        drop(playback);
+        let tape = feeder.join();
+        let mut known = lock(&table);
+        known.end();
+        self.damaged.append(&mut known.damaged);
+        let (None, Ok(mut tape)) = (fault, tape) else { return };
+        loop {
+            match tape.next() {
+                Next::Coded(coded) => {
+                    tape.put_back(coded);
+                    self.then = Some(Then::Next(Box::new(tape)));
+                    return;
+                }
+                Next::Damaged { what, why } => self.damaged.push_back((what, why)),
+                Next::End => {
+                    self.then = Some(Then::End(tape.fault().map(str::to_owned)));
+                    return;
+                }
+            }
+        }
+    }
+
+    /// Pictures handed out so far.
+    pub(crate) fn handed_out(&self) -> u64 {
+        self.handed_out
+    }
+
+    /// What is played, by which decoder.
+    pub(crate) fn describe(&self) -> String {
+        match &self.round {
+            Some(round) => round.playback.describe(),
+            None => self.path.display().to_string(),
+        }
+    }
+}
+
+/// Feeds the pictures of one epoch. Returns the recording, which has the next epoch, or is at its end.
+fn feed_epoch(mut tape: Tape, feed: &gst_app::AppSrc, table: &Mutex<Table>) -> Tape {
+    let mut epoch = None;
+    let mut first_ns = 0;
+    // The exposure less the time stamp of the first frame that was published.
+    let mut apart_ns = None;
+    let mut newest_pts = None;
+    loop {
+        let next = tape.next();
+        let mut known = lock(table);
+        known.samples.extend(tape.take_samples());
+        let coded = match next {
+            Next::Coded(coded) if *epoch.get_or_insert(coded.epoch) == coded.epoch => coded,
+            Next::Coded(coded) => {
+                tape.put_back(coded);
+                break;
+            }
+            Next::Damaged { what, why } => {
+                known.damaged.push_back((what, why));
+                continue;
+            }
+            Next::End => break,
+        };
+        if newest_pts.is_none() {
+            first_ns = coded.time_ns;
+        }
+        // Pictures that are shown before the first one cannot be decoded.
+        let pts = coded.time_ns.checked_sub(first_ns).and_then(|pts| u64::try_from(pts).ok());
+        let Some(pts) = pts.map(gst::ClockTime::from_nseconds) else { continue };
+        let is_jpeg = coded.coding == Coding::Jpeg;
+        if is_jpeg && newest_pts.is_some_and(|newest| pts <= newest) {
+            let sequence = coded.header.map_or(0, |header| header.stamp.sequence);
+            let why = "its exposure is not later than that of the one before".to_owned();
+            known.damaged.push_back((format!("frame {sequence}"), why));
+            continue;
+        }
+        newest_pts = newest_pts.max(Some(pts));
+        let (mut later_ns, mut reach_ns) = (0, 0);
+        if let Some(header) = &coded.header {
+            let apart = header.stamp.exposure_ns.saturating_sub(coded.time_ns);
+            later_ns = apart.saturating_sub(*apart_ns.get_or_insert(apart));
+            reach_ns = tape.reach_ns(header);
+        }
+        let fed = Fed { header: coded.header, later_ns, reach_ns, was_decoded: false };
+        known.pictures.insert(pts, fed);
+        drop(known);
+        let mut buffer = gst::Buffer::from_slice(coded.bytes);
+        if let Some(buffer) = buffer.get_mut() {
+            buffer.set_pts(pts);
+        }
+        if feed.push_buffer(buffer).is_err() {
+            // Whoever decodes has ended.
+            return tape;
+        }
+    }
+    // One that has ended needs no end.
+    feed.end_of_stream().ok();
+    tape
+}

@@ -1,0 +1,94 @@
+//! Publishes the coded pictures of the source while somebody reads them.
+
+use std::time::Duration;
+
+use flockeye_config::{Flow, Pipeline};
+use flockeye_contract::{MAX_PACKET_BYTES, PacketHeader, Packets, VideoCodec};
+use flockeye_runtime::logs::Throttle;
+use flockeye_runtime::ports::{Ports, Publisher};
+
+use crate::Source;
+use crate::packets::{Packet, PacketWish};
+
+/// The port, and who reads there.
+pub struct PacketPort {
+    port: Publisher<Packets>,
+    wish: PacketWish,
+    /// So many were there when it was last said that there are no packets.
+    told: usize,
+    flow: Flow,
+    latency_ns: i64,
+    generation: u32,
+    too_large: Throttle,
+}
+
+impl PacketPort {
+    /// Opens the port. `wish` says to the source whether somebody reads.
+    ///
+    /// # Errors
+    /// The port cannot be opened.
+    pub fn open(
+        pipeline: &Pipeline,
+        generation: u32,
+        wish: PacketWish,
+        ports: &mut Ports,
+    ) -> anyhow::Result<Self> {
+        let port = ports.side_publisher()?;
+        let latency = Duration::try_from_secs_f64(pipeline.camera.latency_ms * 1e-3);
+        let latency_ns = latency.map_or(0, |latency| latency.as_nanos() as i64);
+        wish.set(port.readers() > 0);
+        let (flow, too_large) = (pipeline.flow, Throttle::default());
+        Ok(Self { port, wish, told: 0, flow, latency_ns, generation, too_large })
+    }
+
+    /// Sends what has come.
+    ///
+    /// # Errors
+    /// The port's.
+    pub fn attend(&mut self, source: &Source, epoch: u32) -> anyhow::Result<()> {
+        let readers = self.port.readers();
+        self.wish.set(readers > 0);
+        if readers == 0 {
+            self.told = 0;
+            return Ok(());
+        }
+        for packet in source.take_packets() {
+            self.send(&packet, epoch)?;
+        }
+        if source.codec() == Some(VideoCodec::None) && self.told != readers {
+            let source_generation = self.generation;
+            self.port.send(PacketHeader { epoch, source_generation, ..Default::default() }, &[])?;
+            self.told = readers;
+        }
+        Ok(())
+    }
+
+    fn send(&mut self, packet: &Packet, epoch: u32) -> anyhow::Result<()> {
+        let Packet { stream_ns, arrived_ns, sequence, codec, is_key, ref bytes } = *packet;
+        if bytes.len() > MAX_PACKET_BYTES {
+            if let Some(more_since) = self.too_large.admit() {
+                tracing::warn!(
+                    more_since,
+                    "a coded picture of {} bytes is not passed on: {MAX_PACKET_BYTES} are the most",
+                    bytes.len()
+                );
+            }
+            return Ok(());
+        }
+        let exposure_ns = match self.flow {
+            Flow::Lossless => stream_ns,
+            Flow::Latest => arrived_ns - self.latency_ns,
+        };
+        let header = PacketHeader {
+            stream_ns,
+            exposure_ns,
+            arrived_ns,
+            sequence,
+            epoch,
+            source_generation: self.generation,
+            codec: codec.code(),
+            is_key: u32::from(is_key),
+        };
+        Ok(self.port.send(header, bytes)?)
+    }
+}
