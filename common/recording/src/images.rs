@@ -72,6 +72,39 @@ pub fn encode_compressed(stamp: Time, frame: &str, format: &str, bytes: &[u8]) -
     cdr.finish()
 }
 
+/// A compressed picture.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Compressed<'p> {
+    /// Mid-exposure, UTC nanoseconds.
+    pub stamp_ns: i64,
+    /// Its format, such as `jpeg`.
+    pub format: &'p str,
+    /// Its bytes.
+    pub bytes: &'p [u8],
+}
+
+/// The picture in a `sensor_msgs/msg/CompressedImage` that [`encode_compressed`] gave.
+///
+/// # Errors
+/// [`RecordingError::Message`] where the bytes are not those of such a picture.
+pub fn decode_compressed<'m>(
+    channel: &str,
+    message: &'m [u8],
+) -> Result<Compressed<'m>, RecordingError> {
+    let decode = || -> Result<Compressed<'m>, String> {
+        let mut cdr = CdrReader::new(message)?;
+        let (seconds, nanoseconds) = (cdr.u32()?.cast_signed(), cdr.u32()?);
+        cdr.text()?;
+        let format = cdr.text()?;
+        let format = str::from_utf8(format).map_err(|_| "has a format that is no text")?;
+        let length = cdr.u32()? as usize;
+        let bytes = cdr.numbers(1, length)?;
+        let stamp_ns = i64::from(seconds) * 1_000_000_000 + i64::from(nanoseconds);
+        Ok(Compressed { stamp_ns, format, bytes })
+    };
+    decode().map_err(|reason| RecordingError::Message { channel: channel.to_owned(), reason })
+}
+
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
@@ -86,6 +119,17 @@ mod tests {
         for end in 0..message.len() {
             let error = decode_image("/view", &message[..end]).unwrap_err().to_string();
             assert!(error.starts_with("a message of /view "), "{error}");
+        }
+    }
+    #[test]
+    fn a_compressed_picture_comes_back_with_its_time() {
+        let stamp = Time { sec: 1_700_000_001, nanosec: 5 };
+        let message = encode_compressed(stamp, "wren/camera", "jpeg", b"picture");
+        let read = decode_compressed("/frame", &message).unwrap();
+        let stamp_ns = 1_700_000_001_000_000_005;
+        assert_eq!(read, Compressed { stamp_ns, format: "jpeg", bytes: b"picture" });
+        for end in 0..message.len() {
+            assert!(decode_compressed("/frame", &message[..end]).is_err(), "{end} bytes");
         }
     }
 }
