@@ -2,8 +2,7 @@
 //! programs has their panels, plots and recordings.
 //!
 //! The crate `foxglove` speaks the protocol, in threads of its own. A client that is slow loses its oldest
-//! messages. Pictures and close-ups are made while
-//! somebody has subscribed to one of them.
+//! messages. Pictures are made while somebody has subscribed to them, and so are close-ups.
 //!
 //! | topic | schema |
 //! | --- | --- |
@@ -101,8 +100,10 @@ impl FoxgloveView {
 
     /// What the clients have subscribed to.
     pub fn wanted(&self) -> Wanted {
-        let pictures = self.channels.wants_pictures();
-        Wanted { anything: pictures || self.channels.wants_frames(), pictures }
+        let channels = &self.channels;
+        let pictures = channels.sphere.has_sinks() || channels.annotations.has_sinks();
+        let closeups = channels.closeups.iter().any(Channel::has_sinks);
+        Wanted { anything: pictures || closeups || channels.wants_frames(), pictures, closeups }
     }
 
     /// Sends what is known of a frame.
@@ -180,12 +181,6 @@ impl Channels {
         self.closeups.iter().for_each(Channel::close);
         self.frames.close();
         self.stages.close();
-    }
-
-    fn wants_pictures(&self) -> bool {
-        self.sphere.has_sinks()
-            || self.annotations.has_sinks()
-            || self.closeups.iter().any(Channel::has_sinks)
     }
 
     fn wants_frames(&self) -> bool {

@@ -19,6 +19,10 @@ pub enum Kind {
     Swarm,
     /// The newest counts.
     Status,
+    /// The newest counts.
+    Overview,
+    /// Part of an answer to the page: it must arrive, in its order. Whoever answers waits for the page.
+    Answer,
     /// The newest counts, and it needs a credit.
     Picture,
     /// The newest of each body counts.
@@ -60,6 +64,7 @@ impl<M> Outbox<M> {
             |of: fn(&Kind) -> bool| self.waiting.iter().filter(|(kind, _)| of(kind)).count();
         let replaced = match kind {
             Kind::Frame if count(|kind| *kind == Kind::Frame) < MOST_FRAMES => None,
+            Kind::Answer => None,
             Kind::Closeup(_) if !self.waiting.iter().any(is_kind) => {
                 let is_full = count(|kind| matches!(kind, Kind::Closeup(_))) >= MOST_CLOSEUPS;
                 let oldest = |(kind, _): &(Kind, M)| matches!(kind, Kind::Closeup(_));
@@ -79,6 +84,11 @@ impl<M> Outbox<M> {
     /// The next message.
     pub fn take(&mut self) -> Option<M> {
         self.waiting.pop_front().map(|(_, message)| message)
+    }
+
+    /// How many wait.
+    pub fn waiting(&self) -> usize {
+        self.waiting.len()
     }
 
     /// Whether a picture may be sent to it now.
