@@ -18,7 +18,7 @@ use crate::foxglove_view::FoxgloveView;
 use crate::hub::Hub;
 use crate::outbox::Kind;
 use crate::recorded::overview::OverviewMaker;
-use crate::recorded::{Recorded, player};
+use crate::recorded::{Recorded, foxglove_player, player};
 use crate::request::{Access, is_token};
 use crate::watch::{Audience, Watch};
 use crate::wire::{Status, Text};
@@ -111,6 +111,10 @@ fn show_recording(
     let status = Status { running: true, trouble: recorded.trouble().to_owned() };
     put(Kind::Status, &Text::Status(&status));
     let page = serve(arguments, access, hub.clone())?;
+    if let Some(address) = arguments.foxglove {
+        let port = foxglove_player::start(address, recorded.clone())?;
+        screen.line(&format!("Foxglove and Lichtblick connect to ws://{}:{port}", address.ip()));
+    }
     screen.line(&format!("the view of {} is at {page}", file.display()));
     let is_stopping = || stopping.load(Ordering::Relaxed);
     let mut maker = OverviewMaker::new(&recorded);

@@ -10,7 +10,9 @@
 //! | [`pictures`] | the picture that is nearest before a frame, and close-ups |
 //! | [`overview`] | all of the recording at a glance |
 //! | [`player`] | plays to one page |
+//! | [`foxglove_player`] | plays to Foxglove's clients |
 
+pub mod foxglove_player;
 pub mod messages;
 pub mod overview;
 pub mod pictures;

@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::fs::File;
 use std::net::TcpStream;
 use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
 use std::time::Instant;
 
 use flockeye_config::{Pipeline, Resolved};
@@ -12,6 +13,7 @@ use flockeye_recording::channel::FRAME_IMAGES;
 use flockeye_recording::file::RecordingFile;
 use flockeye_recording::message::decode;
 use flockeye_recording::{IndexedRecording, Reader, RecordingWriter, layouts};
+use flockeye_require::loopback::free_port;
 use flockeye_tests::browser::Browser;
 use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, run};
 use serde_json::Value;
@@ -333,7 +335,7 @@ fn pages_have_their_own_places_and_broken_files_say_so() {
     let mut damaged = bytes.clone();
     damaged[middle..middle + 8].fill(0x5a);
     let cut = &bytes[..middle];
-    let hole = [cut, &[0; 1000]].concat();
+    let hole = [&bytes[..chunk.offset as usize], &[0; 1000]].concat();
     for (bytes, said) in [
         (cut, "cut off"),
         (&damaged[..], "damaged near byte"),
@@ -360,4 +362,29 @@ fn pages_have_their_own_places_and_broken_files_say_so() {
         assert!(said == "cut off" || heard.contains("Cure: `flockeye record --recover"), "{heard}");
         view.end();
     }
+}
+
+/// Foxglove's own bar moves a recording.
+#[test]
+fn foxglove_seeks_in_a_recording() {
+    let Some(python) = python() else { return };
+    let scratch = Scratch::new("view-fox");
+    let flight = Recorded::fly("view-fox", &scratch);
+    let address = format!("127.0.0.1:{}", free_port());
+    let view = View::of_recording(&flight.path, &["--foxglove", &address]);
+    for share in ["0.9", "0.6"] {
+        let mut command = Command::new(&python);
+        command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("src/foxglove.py"));
+        command.arg(format!("ws://{address}")).args(["--seek", share]);
+        // It has a watchdog of its own.
+        let output = command.stdin(Stdio::null()).output().expect("it can be started");
+        let said = String::from_utf8_lossy(&output.stdout).into_owned();
+        let complaints = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.success(), "{said}\n{complaints}");
+        let line: Value = serde_json::from_str(said.trim()).expect("one JSON object");
+        let number = |name: &str| line[name].as_u64().expect("a number");
+        let seconds = (number("sought") - number("begin")) as f64 * 1e-9;
+        assert_eq!(line["key"], flight.at(seconds).key, "{line}");
+    }
+    view.end();
 }
