@@ -118,8 +118,9 @@ impl FoxglovePlayer {
                 if self.speed == 0.0 {
                     self.show(1);
                 }
-                let stages = self.head.tape().stages(self.head.at_ns());
-                self.view.set_time(self.head.at_ns());
+                let at_ns = self.head.at_ns();
+                let stages = self.head.tape().stages(at_ns);
+                self.view.set_time(at_ns);
                 self.view.stages(&stages);
             }
         }

@@ -19,6 +19,8 @@ use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, run};
 use serde_json::Value;
 use tungstenite::{Message, WebSocket};
 
+use crate::python::python;
+
 use super::{View, assert_corners_are_in_their_places, assert_picture_is_where_the_pose_is, next};
 
 /// Frames of the recorded flight.
@@ -199,6 +201,8 @@ fn a_recording_is_shown_at_any_time() {
     );
     browser.wait_for("document.querySelectorAll('#stages tr').length >= 5");
     assert!(browser.complaints.is_empty(), "{:?}", browser.complaints);
+    // A page whose view has ended tries again, and complains.
+    browser.open("about:blank");
     view.end();
 
     // Without pictures, neighbours are drawn all the same.
