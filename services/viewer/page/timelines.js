@@ -54,7 +54,8 @@ export class Timelines {
 
   // A whole recording, and where it is.
   drawAll(frames, duration, bodies, at) {
-    [this.begin, this.end, this.hole] = [0, duration, (1.5 * duration) / Math.max(frames.length, 1)];
+    [this.begin, this.end] = [0, duration];
+    this.hole = Math.max(HOLE_S, (1.5 * duration) / Math.max(frames.length, 1));
     this.show(frames, bodies, at, true);
   }
 

@@ -151,4 +151,17 @@ mod tests {
         assert!(outbox.put(Kind::Picture, 10));
         assert_eq!(outbox.take(), Some(10));
     }
+
+    #[test]
+    fn answers_arrive_all_and_in_their_order() {
+        let mut outbox = Outbox::default();
+        outbox.set_wants_pictures(true);
+        for number in 0..1000 {
+            outbox.put(Kind::Answer, number);
+            outbox.put(Kind::Overview, -1);
+        }
+        assert_eq!(outbox.waiting(), 1001);
+        let answers: Vec<i32> = std::iter::from_fn(|| outbox.take()).filter(|n| *n >= 0).collect();
+        assert_eq!(answers, (0..1000).collect::<Vec<_>>());
+    }
 }
