@@ -153,7 +153,7 @@ fn a_recording_is_shown_at_any_time() {
     assert_eq!(browser.ask("document.title"), format!("{name} · Flockeye"));
 
     // At two times, of which the later comes first: that very frame, with its picture and close-up under the lines.
-    let is_seen = |ended: &&Ended| ended.is_confirmed && ended.sequence % EVERY == 0;
+    let is_seen = |ended: &&Ended| ended.is_confirmed && ended.sequence.is_multiple_of(EVERY);
     let seen: Vec<&Ended> = flight.ended.iter().filter(is_seen).collect();
     assert!(seen.len() > 10, "{} frames with a picture and a neighbour", seen.len());
     for ended in [seen[seen.len() - 2], seen[4]] {
