@@ -71,7 +71,7 @@ async def listen(address, words, missing):
 async def seek(address, share):
     """Has a recording show the time at that share of it, paused; prints the range, that time, and the frame."""
     async with websockets.connect(address, subprotocols=PROTOCOLS, max_size=None) as socket:
-        sought, is_answered = None, False
+        last, is_answered = None, False
         while True:
             message = await socket.recv()
             if isinstance(message, str):
@@ -92,12 +92,13 @@ async def seek(address, share):
                 if message[19:19 + length] == b"a":
                     assert (status, at, bool(did_seek)) == (1, sought, True), (status, at, did_seek)
                     is_answered = True
-            # What comes before the answer is of before the seek; while it is paused, the frame comes again and again.
+            # One that was under way may come first; while it is paused, the frame comes again and again.
             if message[0] == MESSAGE_DATA and is_answered:
                 content, (stamp,) = json.loads(message[13:]), struct.unpack_from("<Q", message, 5)
-                if stamp <= sought and stamp > sought - (end - begin) // 10:
+                if stamp == last:
                     line = {"begin": begin, "end": end, "sought": sought, "stamp": stamp, "key": content["key"]}
                     return print(json.dumps(line), flush=True)
+                last = stamp
 
 
 def main(address, *wanted):

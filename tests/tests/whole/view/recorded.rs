@@ -376,10 +376,13 @@ fn foxglove_seeks_in_a_recording() {
     let flight = Recorded::fly("view-fox", &scratch);
     let address = format!("127.0.0.1:{}", free_port());
     let view = View::of_recording(&flight.path, &["--foxglove", &address]);
-    for share in ["0.9", "0.6"] {
+    let recording = IndexedRecording::open(&flight.path).expect("it is a recording");
+    let (first_ns, last_ns) = recording.span_ns().expect("it has messages");
+    for frame in [60, 30] {
+        let share = flight.time_of(frame) / ((last_ns - first_ns) as f64 * 1e-9);
         let mut command = Command::new(&python);
         command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("src/foxglove.py"));
-        command.arg(format!("ws://{address}")).args(["--seek", share]);
+        command.arg(format!("ws://{address}")).args(["--seek", &share.to_string()]);
         // It has a watchdog of its own.
         let output = command.stdin(Stdio::null()).output().expect("it can be started");
         let said = String::from_utf8_lossy(&output.stdout).into_owned();
