@@ -2,6 +2,8 @@
 
     python foxglove.py ws://127.0.0.1:8765 TOPIC... TOPIC=WORD...
 
+    python foxglove.py ws://127.0.0.1:8765 --seek SHARE
+
 For each topic a line: its schema and its first message (that has the word in it), which is decoded by the schema
 that came with it. What does not come in time is an error.
 """
@@ -66,7 +68,42 @@ async def listen(address, words, missing):
             print(json.dumps(line), flush=True)
 
 
+async def seek(address, share):
+    """Has a recording show the time at that share of it, paused; prints the range, that time, and the frame."""
+    async with websockets.connect(address, subprotocols=PROTOCOLS, max_size=None) as socket:
+        last, is_answered = None, False
+        while True:
+            message = await socket.recv()
+            if isinstance(message, str):
+                message = json.loads(message)
+                if message["op"] == "serverInfo":
+                    assert "playbackControl" in message["capabilities"], message
+                    nanoseconds = lambda time: time["sec"] * 10**9 + time["nsec"]
+                    begin, end = (nanoseconds(message[f"data{which}Time"]) for which in ("Start", "End"))
+                if message["op"] == "advertise":
+                    frames = next(c for c in message["channels"] if c["topic"] == "/frames")
+                    asked = [{"id": 1, "channelId": frames["id"]}]
+                    await socket.send(json.dumps({"op": "subscribe", "subscriptions": asked}))
+                    sought = begin + int(share * (end - begin))
+                    await socket.send(struct.pack("<BBfBQI", 3, 1, 1.0, 1, sought, 1) + b"a")
+                continue
+            if message[0] == 5:
+                status, at, speed, did_seek, length = struct.unpack_from("<BQfBI", message, 1)
+                if message[19:19 + length] == b"a":
+                    assert (status, at, bool(did_seek)) == (1, sought, True), (status, at, did_seek)
+                    is_answered = True
+            # One that was under way may come first; while it is paused, the frame comes again and again.
+            if message[0] == MESSAGE_DATA and is_answered:
+                content, (stamp,) = json.loads(message[13:]), struct.unpack_from("<Q", message, 5)
+                if stamp == last:
+                    line = {"begin": begin, "end": end, "sought": sought, "stamp": stamp, "key": content["key"]}
+                    return print(json.dumps(line), flush=True)
+                last = stamp
+
+
 def main(address, *wanted):
+    if wanted[0] == "--seek":
+        return asyncio.run(asyncio.wait_for(seek(address, float(wanted[1])), timeout=60))
     words = dict((topic + "=").split("=")[:2] for topic in wanted)
     missing = set(words)
     try:

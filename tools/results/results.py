@@ -94,6 +94,8 @@ SWARMS = {
 LOADS = {"peers": ("Observers on one machine, each hearing all others 30 times a second", ["10"])}
 # How soon two drones hear each other again after their radio was cut: title, arguments of `radio-cuts`.
 CUTS = {"cuts": ("A radio that is cut", ["20", "30"])}
+# What the view and a recorder take from the default pipeline: title, arguments of `onlookers`.
+ONLOOKERS = {"onlookers": ("Onlookers of the default pipeline, 30 s each", ["30"])}
 # A flight whose rotations are compared with the recording's gyroscope: title, recording, gyroscope.
 ROTATIONS = {"gyroscope": ("The visual gyroscope", "flight4/flight4.mp4", "flight4/imu.csv")}
 # Benchmarks whose words are kept: what the virtual clock of lossless runs goes by.
@@ -115,7 +117,7 @@ RECORDED = {"recorder": ("The recorder beside a flight of 3840x1920, in real tim
                          ["none", "camera", "every 30", "views"])}
 # These take long, so they are flown by their names alone.
 LONG = ["kills-long", "cuts"]
-PARTS = [*RECORDINGS, *SIMULATED, *EXPERIMENTS, *SWARMS, *LOADS, *CUTS, *ROTATIONS, *BENCHES, *DISTURBED, *FAULTY, *RECORDED]
+PARTS = [*RECORDINGS, *SIMULATED, *EXPERIMENTS, *SWARMS, *LOADS, *CUTS, *ONLOOKERS, *ROTATIONS, *BENCHES, *DISTURBED, *FAULTY, *RECORDED]
 
 
 def flockeye():
@@ -431,6 +433,8 @@ def run_part(part, data, wanted_ways):
         return {part: counted("peer-load", *LOADS[part], "a report of")}
     if part in CUTS:
         return {part: counted("radio-cuts", *CUTS[part], "radio after")}
+    if part in ONLOOKERS:
+        return {part: counted("onlookers", *ONLOOKERS[part], "beside the pipeline")}
     if part in SWARMS:
         title, arguments = SWARMS[part]
         arguments = ["swarm", "sim", *arguments]
@@ -712,6 +716,11 @@ def render(store):
         figure = peers_figure(store["peers"]["output"]) if "peers" in store else None
         if figure:
             (ROOT / "docs/figures/peers.svg").write_text(figure)
+    if any(name in store for name in ONLOOKERS):
+        (folder / "onlookers.md").write_text(experiments_page(
+            "onlookers", "[VIEW.md](../VIEW.md#what-it-costs) says what looks on, and how. Nobody waits for it. The "
+            "processor's share is that of the onlooker's process; frames are those of the whole flight.",
+            of(ONLOOKERS)))
     if "decisions" in store:
         (folder / "decisions.md").write_text(experiments_page(
             "decisions", "[ALIGNMENT.md](../ALIGNMENT.md#what-is-accepted) says what the words mean.\n\n"

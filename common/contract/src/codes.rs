@@ -16,6 +16,29 @@ pub struct UnknownCode {
     pub code: u32,
 }
 
+/// A name of Rust's in small letters with underscores, and its length. Names have at most 32 letters.
+const fn snake_case(name: &str) -> ([u8; 64], usize) {
+    let (name, mut snake, mut length, mut place) = (name.as_bytes(), [0; 64], 0, 0);
+    while place < name.len() {
+        if name[place].is_ascii_uppercase() && place > 0 {
+            snake[length] = b'_';
+            length += 1;
+        }
+        snake[length] = name[place].to_ascii_lowercase();
+        length += 1;
+        place += 1;
+    }
+    (snake, length)
+}
+
+/// The text of these bytes, which are ASCII.
+const fn text((bytes, length): &([u8; 64], usize)) -> &str {
+    match str::from_utf8(bytes.split_at(*length).0) {
+        Ok(text) => text,
+        Err(_) => "",
+    }
+}
+
 macro_rules! codes {
     ($(#[$doc:meta])* $name:ident, $what:literal { $($(#[$variant_doc:meta])* $variant:ident = $code:literal),+ $(,)? }) => {
         $(#[$doc])*
@@ -30,6 +53,17 @@ macro_rules! codes {
 
             /// Their names in Rust, in the same order.
             pub(crate) const NAMES: &'static [&'static str] = &[$(stringify!($variant)),+];
+
+            /// Its name in texts and JSON, such as `picture_and_inertial`.
+            pub const fn name(self) -> &'static str {
+                match self {
+                    $(Self::$variant => {
+                        const SNAKE: ([u8; 64], usize) = snake_case(stringify!($variant));
+                        const NAME: &str = text(&SNAKE);
+                        NAME
+                    })+
+                }
+            }
 
             /// The number that stands for it in shared memory.
             pub const fn code(self) -> u32 {
@@ -250,6 +284,22 @@ codes! {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn names_are_those_of_serde() {
+        fn check<C: Serialize + Copy>(all: &[C], name: impl Fn(C) -> &'static str) {
+            for &code in all {
+                assert_eq!(serde_json::to_value(code).expect("a text"), name(code));
+            }
+        }
+        check(TrackState::ALL, TrackState::name);
+        check(StageState::ALL, StageState::name);
+        check(SwarmWay::ALL, SwarmWay::name);
+        check(MeasuredBy::ALL, MeasuredBy::name);
+        check(RotationSource::ALL, RotationSource::name);
+        check(PixelFormat::ALL, PixelFormat::name);
+        assert_eq!(RotationSource::PictureAndInertial.name(), "picture_and_inertial");
+    }
 
     #[test]
     fn codes_come_back() {

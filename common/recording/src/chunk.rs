@@ -12,7 +12,7 @@ pub(crate) struct Chunk {
 }
 
 /// Opcode and length.
-const RECORD_HEAD: usize = 9;
+pub(crate) const RECORD_HEAD: usize = 9;
 
 impl Chunk {
     /// Decompresses a chunk that has `largest` bytes at most.
@@ -44,6 +44,11 @@ impl Chunk {
 
     /// The next record, if there is one.
     pub(crate) fn next_record(&mut self) -> Result<Option<Record<'static>>, String> {
+        Ok(self.next_borrowed()?.map(Record::into_owned))
+    }
+
+    /// The next record, not copied.
+    pub(crate) fn next_borrowed(&mut self) -> Result<Option<Record<'_>>, String> {
         let rest = self.records.get(self.place..).unwrap_or_default();
         if rest.is_empty() {
             return Ok(None);
@@ -55,9 +60,7 @@ impl Chunk {
         length.copy_from_slice(&head[1..]);
         let length = usize::try_from(u64::from_le_bytes(length)).unwrap_or(usize::MAX);
         let data = data.get(..length).ok_or_else(|| "a chunk ends within a record".to_owned())?;
-        let record = mcap::parse_record(head[0], data).map_err(|error| error.to_string())?;
-        let record = record.into_owned();
         self.place += RECORD_HEAD + length;
-        Ok(Some(record))
+        mcap::parse_record(head[0], data).map(Some).map_err(|error| error.to_string())
     }
 }

@@ -15,6 +15,8 @@
 //! | [`file`](mod@file) | a file that keeps what is whole, also where the disk is full |
 //! | [`writer`] | writes a recording |
 //! | [`reader`] | reads one, also one that was not ended |
+//! | [`indexed`] | reads one from any place on |
+//! | [`losses`] | what a recording says that it lacks |
 //! | [`recover`](mod@recover) | makes a whole recording of a broken one |
 //! | [`error`] | what can go wrong, and the cure |
 //!
@@ -28,7 +30,9 @@ pub mod definition;
 pub mod error;
 pub mod file;
 pub mod images;
+pub mod indexed;
 pub mod layout;
+pub mod losses;
 pub mod message;
 pub mod poses;
 pub mod reader;
@@ -37,6 +41,7 @@ pub mod writer;
 
 pub use channel::ChannelKind;
 pub use error::RecordingError;
+pub use indexed::{ChunkPlace, IndexedMessage, IndexedRecording};
 pub use layout::{TopicLayout, layouts};
 pub use message::ContractMessage;
 pub use reader::{Ending, Reader, RecordedMessage};

@@ -18,7 +18,7 @@ use crate::error::RecordingError;
 use crate::writer::{About, LARGEST_MESSAGE, METADATA};
 
 /// What a record or a chunk has beside a large message, bytes at most.
-const RECORD_BYTES: usize = 4_194_304;
+pub(crate) const RECORD_BYTES: usize = 4_194_304;
 
 /// A message of a recording.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -270,6 +270,6 @@ impl Reader {
     }
 }
 
-fn damaged(path: &Path, offset: u64, reason: &str) -> RecordingError {
+pub(crate) fn damaged(path: &Path, offset: u64, reason: &str) -> RecordingError {
     RecordingError::Damaged { path: path.to_owned(), offset, reason: reason.to_owned() }
 }

@@ -11,8 +11,8 @@ use flockeye_recording::file::RecordingFile;
 use flockeye_recording::message::{decode, encode};
 use flockeye_recording::recover::recover;
 use flockeye_recording::{
-    About, ChannelKind, ContractMessage, Ending, Reader, RecordingError, RecordingWriter,
-    TopicLayout, layouts,
+    About, ChannelKind, ContractMessage, Ending, IndexedRecording, Reader, RecordingError,
+    RecordingWriter, TopicLayout, layouts,
 };
 
 fn tracks() -> TopicLayout {
@@ -246,6 +246,95 @@ fn a_file_of_100_gigabytes_of_nothing_is_refused_at_once() {
     assert!(error.contains("damaged near byte"), "{error}");
     assert!(peak_bytes() < before + 500_000_000, "{} bytes", peak_bytes());
     assert!(std::fs::metadata(&path).unwrap().blocks() < 10_000, "it has stayed sparse");
+}
+
+/// The numbers of all frames that an index leads to, chunk by chunk, and where a chunk cannot be read, why.
+fn through_index(recording: &IndexedRecording) -> (Vec<u64>, Vec<String>) {
+    let (mut numbers, mut complaints) = (Vec::new(), Vec::new());
+    for chunk in 0..recording.chunks().len() {
+        match recording.messages(chunk, |_| true) {
+            Ok(messages) => numbers.extend(messages.iter().map(|message| {
+                let kind = &recording.channels()[&message.channel];
+                assert_eq!(**kind, ChannelKind::of_topic(&tracks()));
+                let header = decode(&tracks(), &message.bytes).unwrap().header;
+                bytemuck::pod_read_unaligned::<TrackHeader>(&header).stamp.sequence
+            })),
+            Err(error) => complaints.push(error.to_string()),
+        }
+    }
+    (numbers, complaints)
+}
+
+#[test]
+fn messages_are_found_by_the_index_and_without_one() {
+    let (_folder, path) = scratch();
+    for is_ended in [true, false] {
+        record(&path, 4, is_ended);
+        let recording = IndexedRecording::open(&path).unwrap();
+        assert_eq!(recording.ending(), if is_ended { Ending::Whole } else { Ending::Cut });
+        assert_eq!(through_index(&recording), ((0..40).collect(), Vec::new()));
+        let begin = about().utc_from_monotonic_ns as u64;
+        assert_eq!(recording.span_ns(), Some((begin, begin + 39)));
+        for (at, chunk) in [(0, 0), (begin, 0), (begin + 9, 0), (begin + 10, 1), (u64::MAX, 3)] {
+            assert_eq!(recording.chunk_at(at), chunk, "{at}");
+        }
+        assert!(recording.messages(2, |_| false).unwrap().is_empty());
+        assert!(recording.messages(99, |_| true).unwrap().is_empty());
+        assert_eq!(recording.about().attachments, about().attachments);
+        std::fs::remove_file(&path).unwrap();
+    }
+}
+
+#[test]
+fn an_index_of_a_broken_recording_leads_to_what_is_whole() {
+    let (_folder, path) = scratch();
+    record(&path, 4, true);
+    let bytes = std::fs::read(&path).unwrap();
+    let all = bytes.windows(4).enumerate().filter(|(_, bytes)| bytes == b"zstd");
+    let chunks: Vec<usize> = all.map(|(place, _)| place).take(4).collect();
+    // In the middle of the third chunk: with its index all others are there, without it those before.
+    let mut damaged = bytes.clone();
+    damaged[chunks[2] + 60] ^= 0xff;
+    std::fs::write(&path, &damaged).unwrap();
+    let recording = IndexedRecording::open(&path).unwrap();
+    let (numbers, complaints) = through_index(&recording);
+    assert_eq!(numbers, (0..20).chain(30..40).collect::<Vec<_>>());
+    let [complaint] = &complaints[..] else { panic!("{complaints:?}") };
+    assert!(complaint.contains("damaged near byte") && complaint.contains("Cure:"), "{complaint}");
+    std::fs::write(&path, &damaged[..damaged.len() - 10]).unwrap();
+    let recording = IndexedRecording::open(&path).unwrap();
+    assert_eq!(through_index(&recording), ((0..20).collect(), Vec::new()));
+    let said = recording.damage().expect("it is damaged").to_string();
+    assert!(said.contains("damaged near byte") && said.contains("Cure:"), "{said}");
+    // Cut off anywhere, and any byte changed: what comes is whole, and nothing panics or runs on.
+    for length in (1..bytes.len()).step_by(11) {
+        std::fs::write(&path, &bytes[..length]).unwrap();
+        let Ok(recording) = IndexedRecording::open(&path) else { continue };
+        let (numbers, complaints) = through_index(&recording);
+        assert!(complaints.is_empty() && recording.damage().is_none(), "{length}: {complaints:?}");
+        assert_eq!(numbers, (0..numbers.len() as u64).collect::<Vec<_>>(), "{length}");
+    }
+    for place in (0..bytes.len()).step_by(7) {
+        let mut damaged = bytes.clone();
+        damaged[place] ^= 0x5a;
+        std::fs::write(&path, &damaged).unwrap();
+        if let Ok(recording) = IndexedRecording::open(&path) {
+            for chunk in 0..recording.chunks().len() {
+                drop(recording.messages(chunk, |_| true));
+            }
+        }
+    }
+}
+
+#[test]
+fn an_index_of_100_gigabytes_of_nothing_is_made_at_once() {
+    let (_folder, path) = scratch();
+    record(&path, 2, false);
+    File::options().write(true).open(&path).unwrap().set_len(100_000_000_000).unwrap();
+    let recording = IndexedRecording::open(&path).unwrap();
+    assert_eq!(through_index(&recording).0, (0..20).collect::<Vec<_>>());
+    let said = recording.damage().expect("it is damaged").to_string();
+    assert!(said.contains("zeros where a record should be"), "{said}");
 }
 
 #[test]

@@ -100,6 +100,11 @@ impl Time {
             nanosec: u32::try_from(utc_ns.rem_euclid(SECOND_NS)).ok()?,
         })
     }
+
+    /// Nanoseconds since the Unix epoch.
+    pub fn utc_ns(self) -> i64 {
+        i64::from(self.sec) * 1_000_000_000 + i64::from(self.nanosec)
+    }
 }
 
 /// `std_msgs/msg/Header`.

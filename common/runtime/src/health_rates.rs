@@ -68,14 +68,9 @@ impl HealthRates {
 
     /// What it is doing, in a word: its state, or `silent`.
     pub fn state(&self, now_ns: i64) -> &'static str {
-        match StageState::try_from(self.last.state) {
-            _ if self.is_silent(now_ns) => "silent",
-            Ok(StageState::Starting) => "starting",
-            Ok(StageState::Ready) => "ready",
-            Ok(StageState::Draining) => "draining",
-            Ok(StageState::Finished) => "finished",
-            Ok(StageState::Degraded) => "degraded",
-            Err(_) => "unknown",
+        match self.is_silent(now_ns) {
+            true => "silent",
+            false => StageState::try_from(self.last.state).map_or("unknown", StageState::name),
         }
     }
 }

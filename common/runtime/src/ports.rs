@@ -159,6 +159,17 @@ impl Ports {
         self.listening.clone()
     }
 
+    /// More ports of the same process, which can be closed apart. Their messages do not wake [`Ports::attend`].
+    pub fn beside(&self) -> Self {
+        Self {
+            node: self.node.clone(),
+            budget: self.budget.clone(),
+            counters: self.counters.clone(),
+            listening: self.listening.clone(),
+            listeners: Vec::new(),
+        }
+    }
+
     /// Follows the launcher's word whose messages count while it swaps a stage.
     ///
     /// # Errors

@@ -3,6 +3,8 @@
 import { IDENTITY, inverse, multiply } from "./maths.js";
 
 export const SPAN_S = 10;
+// A neighbour that is lost, or of which nothing is said, is shown for as long as something is known of it.
+export const LOST_S = SPAN_S;
 const MOST_FRAMES = 900;
 // Pictures that are kept decoded: one takes some 7 MB. The others wait as JPEG.
 const MOST_DECODED = 8;
@@ -18,6 +20,8 @@ export class History {
     this.decodedEntries = [];
     this.byKey = new Map();
     this.paused = null;
+    // Of a recording: the frame that the view says.
+    this.chosen = null;
     this.stable = IDENTITY;
     this.epoch = "";
     // Frames that never ended: all, and by the view's own count.
@@ -89,7 +93,12 @@ export class History {
 
   // The frame that is shown: the newest, or the one at which it was paused.
   get current() {
-    return this.paused ?? this.newest;
+    return this.chosen ?? this.paused ?? this.newest;
+  }
+
+  // Of a recording: shows this frame.
+  choose(key) {
+    this.chosen = this.byKey.get(key) ?? null;
   }
 
   // The newest frame up to the current one that has a picture.

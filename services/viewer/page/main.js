@@ -1,13 +1,15 @@
-// The live view: takes messages, keeps the last ten seconds, draws what is chosen.
+// The view: takes messages, keeps the last ten seconds, draws what is chosen. A recording sends the same messages as
+// a running pipeline, for the time that is asked for.
 
 import { Bodies } from "./bodies.js";
 import { History } from "./history.js";
 import { Link } from "./link.js";
 import { Overlay } from "./overlay.js";
-import { Neighbours, Peers, Stages } from "./panels.js";
+import { Losses, Neighbours, Peers, Stages } from "./panels.js";
+import { Playback } from "./playback.js";
 import { Space } from "./space.js";
 import { Sphere } from "./sphere.js";
-import { Timelines } from "./timelines.js";
+import { Timelines, parts } from "./timelines.js";
 
 const $ = (id) => document.getElementById(id);
 const LAYER_KEYS = { b: "bodies", r: "regions", m: "markers", t: "tiles", g: "truth" };
@@ -21,6 +23,10 @@ let swarm = null;
 let following = null;
 let trouble = "";
 let status = { running: true, trouble: "" };
+// Of a recording: all of it at a glance, and its newest picture.
+let overview = [];
+let backdrop = null;
+let playback = null;
 let isAsked = false;
 
 const redraw = () => {
@@ -36,7 +42,9 @@ const space = new Space($("space-picture"), $("space-overlay"), redraw);
 const neighbours = new Neighbours($("neighbours"), follow);
 const stages = new Stages($("stages"));
 const peers = new Peers($("peers"));
+const losses = new Losses($("losses"));
 const timelines = new Timelines($("timelines"), (at) => {
+  if (hello?.recording) return playback.seek(at);
   history.seek(at);
   tellPaused();
   redraw();
@@ -45,11 +53,20 @@ const timelines = new Timelines($("timelines"), (at) => {
 const link = new Link({
   onTrouble(text) {
     trouble = text;
+    if (text && playback) playback.isWaiting = false;
     redraw();
   },
   onText(message) {
     if (message.kind === "hello") begin(message);
-    if (message.kind === "frame") history.add(message, now());
+    if (message.kind === "frame") history.add(message, message.at_s ?? now());
+    if (message.kind === "position") {
+      history.choose(message.key);
+      playback.take(message);
+    }
+    if (message.kind === "overview") {
+      overview = parts(message, hello.recording.duration_s);
+      losses.draw(message.losses);
+    }
     if (message.kind === "status") status = message;
     if (message.kind === "stages") stages.draw(message.stages, hello);
     if (message.kind === "swarm") {
@@ -61,7 +78,12 @@ const link = new Link({
   async onBinary(head, blob) {
     try {
       const bitmap = await createImageBitmap(blob);
-      const entry = history.of(head.key, now());
+      if (hello?.recording && head.kind === "picture") {
+        backdrop?.bitmap.close();
+        backdrop = { key: head.key, bitmap };
+        return redraw();
+      }
+      const entry = hello?.recording ? history.byKey.get(head.key) : history.of(head.key, now());
       if (!entry) {
         bitmap.close();
       } else if (head.kind === "picture") {
@@ -77,16 +99,25 @@ const link = new Link({
   },
 });
 
+playback = new Playback(link, $("playback"), draw);
+
 function begin(message) {
   hello = message;
+  overview = [];
+  losses.draw([]);
+  backdrop?.bitmap.close();
+  backdrop = null;
+  if (hello.recording) playback.begin(hello.recording);
+  else playback.end();
   bodies = new Bodies(hello);
   swarm = null;
   peers.draw(null);
   history.clear();
   tellPaused();
   neighbours.clear();
-  $("instance").textContent = hello.instance;
-  document.title = `${hello.instance} · Flockeye`;
+  const name = hello.recording?.file ?? hello.instance;
+  $("instance").textContent = name;
+  document.title = `${name} · Flockeye`;
   document.querySelector("[data-layer=truth]").hidden = !hello.simulated;
   showLayers();
 }
@@ -120,6 +151,7 @@ function toggle(layer) {
 }
 
 function pause(wanted = !history.paused) {
+  if (hello?.recording) return playback.toggle();
   if (wanted) history.pause();
   else history.resume(now());
   tellPaused();
@@ -127,6 +159,7 @@ function pause(wanted = !history.paused) {
 }
 
 function step(direction, seconds) {
+  if (hello?.recording) return seconds ? playback.seek(playback.at + direction * seconds) : playback.step(direction);
   history.step(direction, seconds);
   tellPaused();
   redraw();
@@ -144,19 +177,50 @@ async function decode(entry) {
   redraw();
 }
 
-function draw() {
-  isAsked = false;
+// The frame whose findings are drawn over the picture, the picture, and how bright it is.
+function chosen() {
+  if (hello?.recording) {
+    // The nearest picture before it may be under way: until then the last one stays.
+    const shown = history.current;
+    const bitmap = (playback.picture && backdrop?.bitmap) || null;
+    return { shown, bitmap, light: backdrop?.key === shown?.frame.key ? 1 : 0.55 };
+  }
   const shown = history.pictured;
   if (shown?.blob && !shown.bitmap) decode(shown);
+  return { shown, bitmap: shown?.bitmap, light: 1 };
+}
+
+// Of a recording: which frame the picture is of.
+function caption(entry) {
+  let text = "";
+  if (hello?.recording && entry?.frame) {
+    if (!hello.recording.pictures) text = "the recording has no pictures: record with --frames 'every 10'";
+    else if (!playback.picture) text = "no picture before this frame";
+    else if (backdrop && backdrop.key !== entry.frame.key) {
+      const sequence = Number(backdrop.key.split(".").at(-1));
+      text = `picture of frame ${sequence}, shown with frame ${entry.frame.sequence}`;
+    }
+  }
+  $("caption").hidden = !text;
+  $("caption").textContent = text;
+}
+
+function draw() {
+  isAsked = false;
+  // What comes before an answer is whole is not shown.
+  if (playback.isWaiting) return;
   const current = history.current;
+  const { shown, bitmap, light } = chosen();
   const tracked = shown?.frame?.tracks.find(({ target }) => target === following);
   if (tracked && bodies) sphere.lookAt(bodies.cameraFromMarkers(tracked.pose, tracked.target).p);
   const ratio = sphere.resize();
-  sphere.draw(shown?.bitmap);
+  sphere.draw(bitmap, light);
   overlay.draw(shown, history, bodies, hello, layers, ratio);
   space.draw(current, history, bodies, swarm, layers);
   neighbours.draw(current, history, bodies);
-  timelines.draw(history, bodies);
+  if (hello?.recording) timelines.drawAll(overview, hello.recording.duration_s, bodies, playback.at);
+  else timelines.draw(history, bodies);
+  caption(current);
   facts(current);
 }
 
@@ -212,4 +276,5 @@ new ResizeObserver(redraw).observe(document.querySelector("main"));
 showLayers();
 
 // What tests and curious people look at.
-globalThis.flockeye = { history, sphere, space, layers, pause, step, follow, toggle, get bodies() { return bodies; }, get hello() { return hello; } };
+globalThis.flockeye = { history, sphere, space, layers, playback, timelines, pause, step, follow, toggle, get backdrop() { return backdrop; },
+  get overview() { return overview; }, get bodies() { return bodies; }, get hello() { return hello; } };

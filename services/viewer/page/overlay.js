@@ -1,11 +1,11 @@
 // What was found, drawn over the sphere: tiles, regions of interest, markers, bodies, ellipsoids.
 
-import { colour, rings } from "./bodies.js";
+import { colour, isSure, rings } from "./bodies.js";
+import { LOST_S } from "./history.js";
 import { add, apply, ellipsoid, norm, scale, sub, turn } from "./maths.js";
 
 // Standard deviations that an ellipsoid shows.
 export const SIGMAS = 2;
-const LOST_S = 10;
 
 export class Overlay {
   constructor(sphere) {
@@ -79,7 +79,7 @@ export class Overlay {
 
   track(track, bodies) {
     if (!bodies.get(track.target) || track.state === "lost") return;
-    const sure = track.state === "confirmed" || track.state === "measured";
+    const sure = isSure(track);
     const alpha = sure ? 1 : track.state === "coasting" ? 0.8 : 0.5;
     const dash = sure ? [] : [5, 4];
     this.body(bodies, track.pose, track.target, colour(track.target), { alpha, dash });

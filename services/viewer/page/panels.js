@@ -196,18 +196,13 @@ export class Stages {
   }
 }
 
-export class Peers {
+// A list of names with what is said of them.
+class Lines {
   constructor(root) {
     this.root = root;
   }
 
-  draw(swarm) {
-    const lines = swarm ? [
-      ...swarm.drones.map(({ name, pose, way, through, age_s: age }) =>
-        [name, ` ${norm(pose.p).toFixed(2)} m · ${way}${through ? ` through ${through}` : ""} · ${age.toFixed(1)} s old`]),
-      ...swarm.sightings.map(({ observer, target, range_m: range, state }) =>
-        [observer, ` sees ${target} at ${range.toFixed(2)} m · ${state}`]),
-    ] : [];
+  show(lines) {
     while (this.root.children.length > lines.length) this.root.lastChild.remove();
     lines.forEach(([name, rest], place) => {
       let item = this.root.children[place];
@@ -219,5 +214,23 @@ export class Peers {
       set(item.firstChild, name);
       item.lastChild.data = rest;
     });
+  }
+}
+
+// What a recording lacks.
+export class Losses extends Lines {
+  draw(losses) {
+    this.show(losses.map(({ topic, recorded, lost }) => [topic, ` ${recorded} recorded · ${lost} missing`]));
+  }
+}
+
+export class Peers extends Lines {
+  draw(swarm) {
+    this.show(swarm ? [
+      ...swarm.drones.map(({ name, pose, way, through, age_s: age }) =>
+        [name, ` ${norm(pose.p).toFixed(2)} m · ${way}${through ? ` through ${through}` : ""} · ${age.toFixed(1)} s old`]),
+      ...swarm.sightings.map(({ observer, target, range_m: range, state }) =>
+        [observer, ` sees ${target} at ${range.toFixed(2)} m · ${state}`]),
+    ] : []);
   }
 }

@@ -1,4 +1,15 @@
-// WebGL's programs.
+// Canvases, and WebGL's programs.
+
+// Gives canvases the pixels that they have on the screen; returns these for each pixel of the page.
+export function fit(...canvases) {
+  const ratio = window.devicePixelRatio || 1;
+  const { clientWidth, clientHeight } = canvases.at(-1);
+  const [width, height] = [clientWidth, clientHeight].map((side) => Math.max(1, Math.round(side * ratio)));
+  for (const canvas of canvases) {
+    if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+  }
+  return ratio;
+}
 
 // A program of these shaders, in use.
 export function link(gl, vertex, fragment) {

@@ -1,10 +1,11 @@
 // The neighbours in space, in this drone's frame: x ahead, y left, z up. Bodies, ellipsoids of two standard
 // deviations, trails. The mouse orbits.
 
-import { colour, rings } from "./bodies.js";
+import { colour, isSure, rings } from "./bodies.js";
+import { SPAN_S } from "./history.js";
 import { SIGMAS } from "./overlay.js";
 import { add, apply, ellipsoid, inverse, lookAt, multiply, norm, perspective, scale, sub, times, turn, unit } from "./maths.js";
-import { link } from "./shader.js";
+import { fit, link } from "./shader.js";
 
 const VERTEX = `
 attribute vec3 place;
@@ -64,12 +65,8 @@ export class Space {
 
   draw(entry, history, bodies, swarm, layers) {
     const gl = this.gl;
-    const ratio = window.devicePixelRatio || 1;
-    const [width, height] = [this.surface.clientWidth, this.surface.clientHeight];
-    for (const canvas of [this.canvas, this.surface]) {
-      const sides = [width, height].map((side) => Math.max(1, Math.round(side * ratio)));
-      if (canvas.width !== sides[0] || canvas.height !== sides[1]) [canvas.width, canvas.height] = sides;
-    }
+    const ratio = fit(this.canvas, this.surface);
+    const { clientWidth: width, clientHeight: height } = this.surface;
     if (!gl || gl.isContextLost()) return;
     this.fit(entry);
     const { yaw, pitch } = this.orbit;
@@ -104,6 +101,8 @@ export class Space {
     const farthest = Math.max(0.7, ...(entry?.frame?.tracks ?? []).map(({ pose }) => norm(pose.p)));
     const wanted = this.orbit.distance ?? Math.min(Math.max(2.7 * farthest, REACH_M[0]), REACH_M[1]);
     this.distance += 0.12 * (wanted - this.distance);
+    // It gets there, also where nothing else changes.
+    if (Math.abs(wanted - this.distance) > 0.01 * wanted) this.redraw();
     // Between this drone and its neighbours.
     const tracks = entry?.frame?.tracks ?? [];
     const middle = tracks.length ? scale(tracks.map(({ pose }) => pose.p).reduce(add), 0.4 / tracks.length) : [0, 0, 0];
@@ -142,7 +141,6 @@ export class Space {
       const body = bodies.get(track.target);
       if (!body) continue;
       const tint = track.state === "lost" ? "#f2716b" : colour(track.target);
-      const sure = track.state === "confirmed" || track.state === "measured";
       if (track.state !== "lost") {
         const pose = bodies.observerFromMarkers(track.pose, track.target);
         for (const { outline, normal } of body.facets) {
@@ -151,7 +149,7 @@ export class Space {
           const shade = 0.45 + 0.5 * Math.max(0, facing[0] * LIGHT[0] + facing[1] * LIGHT[1] + facing[2] * LIGHT[2]);
           for (let k = 2; k < corners.length; k++) {
             for (const corner of [corners[0], corners[k - 1], corners[k]]) {
-              into.solid.push(...corner, ...rgb(tint).map((part) => part * shade), sure ? 1 : 0.5);
+              into.solid.push(...corner, ...rgb(tint).map((part) => part * shade), isSure(track) ? 1 : 0.5);
             }
           }
           this.path(into.lines, [...corners, corners[0]], "#0d1117", 0.9);
@@ -188,7 +186,7 @@ export class Space {
       const turned = multiply(inverse(entry.stable), earlier.stable);
       const inCamera = turn(turned, apply(bodies.cameraFromObserver, track.pose.p));
       const at = apply(bodies.observerFromCamera, inCamera);
-      const fresh = 1 - (entry.at - earlier.at) / 10;
+      const fresh = 1 - (entry.at - earlier.at) / SPAN_S;
       if (before) this.path(lines, [before, at], tint, 0.1 + 0.7 * fresh);
       before = at;
     }

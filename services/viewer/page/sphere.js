@@ -2,7 +2,7 @@
 // panned and zoomed. Rays are in the camera frame: x ahead, y left, z up.
 
 import { cross, dot, unit } from "./maths.js";
-import { link } from "./shader.js";
+import { fit, link } from "./shader.js";
 
 const VERTEX = `
 attribute vec2 corner;
@@ -17,6 +17,7 @@ uniform bool flatView;
 uniform vec2 centre;   // flat: the middle of the window, in pictures
 uniform vec2 extent;   // flat: half of the window, in pictures; perspective: half of it at distance 1
 uniform vec3 right, up, ahead;
+uniform float light;   // 1, or less where the picture is of another frame than what is drawn over it
 const float PI = 3.14159265358979;
 void main() {
   vec2 uv;
@@ -28,7 +29,7 @@ void main() {
     uv = vec2(0.5 - atan(ray.y, ray.x) / (2.0 * PI), 0.5 - asin(clamp(ray.z, -1.0, 1.0)) / PI);
   }
   float grey = texture2D(picture, vec2(fract(uv.x), uv.y)).r;
-  gl_FragColor = vec4(vec3(grey), 1.0);
+  gl_FragColor = vec4(vec3(grey * light), 1.0);
 }`;
 
 const FIELD_DEG = [2, 120];
@@ -71,19 +72,20 @@ export class Sphere {
     for (const [parameter, value] of [[gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE],
       [gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE], [gl.TEXTURE_MIN_FILTER, gl.LINEAR],
       [gl.TEXTURE_MAG_FILTER, gl.LINEAR]]) gl.texParameteri(gl.TEXTURE_2D, parameter, value);
+    this.blacken();
+  }
+
+  blacken() {
+    const { gl } = this;
     const black = new Uint8Array([16]);
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.LUMINANCE, 1, 1, 0, gl.LUMINANCE, gl.UNSIGNED_BYTE, black);
     this.uploaded = null;
   }
 
   resize() {
-    const ratio = window.devicePixelRatio || 1;
+    const ratio = fit(this.canvas, this.surface);
     this.width = this.surface.clientWidth;
     this.height = this.surface.clientHeight;
-    for (const canvas of [this.canvas, this.surface]) {
-      const [width, height] = [this.width, this.height].map((side) => Math.max(1, Math.round(side * ratio)));
-      if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
-    }
     return ratio;
   }
 
@@ -108,13 +110,16 @@ export class Sphere {
     return { ahead, right, up: cross(right, ahead) };
   }
 
-  draw(bitmap) {
+  // `bitmap`: a new picture; null: none at all; otherwise the last one stays.
+  draw(bitmap, light = 1) {
     const gl = this.gl;
     if (!gl || gl.isContextLost()) return;
+    if (bitmap === null && this.uploaded) this.blacken();
     if (bitmap && bitmap !== this.uploaded) {
       gl.texImage2D(gl.TEXTURE_2D, 0, gl.LUMINANCE, gl.LUMINANCE, gl.UNSIGNED_BYTE, bitmap);
       this.uploaded = bitmap;
     }
+    gl.uniform1f(this.place("light"), light);
     gl.viewport(0, 0, this.canvas.width, this.canvas.height);
     gl.uniform1i(this.place("flatView"), this.flat);
     gl.uniform2f(this.place("centre"), this.window.u, this.window.v);

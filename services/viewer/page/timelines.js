@@ -1,22 +1,39 @@
-// The last ten seconds: latency of each stage, the tracks' states, dropped frames. A click looks back.
+// The last ten seconds, or all of a recording: latency of each stage, the tracks' states, frames that were skipped.
+// A click looks there.
 
 import { colour, STATES } from "./bodies.js";
 import { SPAN_S } from "./history.js";
+import { fit } from "./shader.js";
 
 const PARTS = [["capture", "#4c6a8a"], ["rectification", "#6cc6ff"], ["detection", "#b197fc"], ["fusion", "#ffb86b"]];
 const LEFT = 78, RIGHT = 14, TOP = 32, GAP = 10, ROW = 11;
 // Frames farther apart than this have a hole between them.
 const HOLE_S = 0.5;
 
+// A recording's overview as frames, one for each part of it.
+export function parts(overview, duration) {
+  const count = overview.skipped.length;
+  let [skipped, lost] = [0, 0];
+  return overview.skipped.map((more, part) => {
+    skipped += more;
+    lost += overview.lost[part];
+    const tracks = overview.states.filter(({ states }) => states[part])
+      .map(({ target, states }) => ({ target, state: states[part], latency_ms: [null, null, null, null, null] }));
+    if (tracks.length && overview.latency_ms[part]) tracks[0].latency_ms = overview.latency_ms[part];
+    return { at: ((part + 0.5) / count) * duration, frame: { tracks }, skipped, lost };
+  });
+}
+
 export class Timelines {
   constructor(canvas, onSeek) {
     this.canvas = canvas;
     this.context = canvas.getContext("2d");
     this.scaleMs = 50;
+    [this.begin, this.end] = [0, 0];
     let dragging = false;
     const seek = (event) => {
-      const at = (event.offsetX - LEFT) / (canvas.clientWidth - LEFT - RIGHT);
-      onSeek(this.end - SPAN_S * (1 - Math.max(0, Math.min(1, at))));
+      const share = (event.offsetX - LEFT) / (canvas.clientWidth - LEFT - RIGHT);
+      onSeek(this.begin + (this.end - this.begin) * Math.max(0, Math.min(1, share)));
     };
     canvas.addEventListener("pointerdown", (event) => {
       canvas.setPointerCapture(event.pointerId);
@@ -27,29 +44,44 @@ export class Timelines {
     for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, () => { dragging = false; });
   }
 
+  // The last ten seconds.
   draw(history, bodies) {
-    const ratio = window.devicePixelRatio || 1;
-    const [width, height] = [this.canvas.clientWidth, this.canvas.clientHeight];
-    const sides = [width, height].map((side) => Math.max(1, Math.round(side * ratio)));
-    if (this.canvas.width !== sides[0] || this.canvas.height !== sides[1]) [this.canvas.width, this.canvas.height] = sides;
+    this.end = history.newest?.at ?? 0;
+    this.begin = this.end - SPAN_S;
+    this.hole = HOLE_S;
+    this.show(history.frames, bodies, history.paused?.at);
+  }
+
+  // A whole recording, and where it is.
+  drawAll(frames, duration, bodies, at) {
+    [this.begin, this.end] = [0, duration];
+    this.hole = Math.max(HOLE_S, (1.5 * duration) / Math.max(frames.length, 1));
+    this.show(frames, bodies, at, true);
+  }
+
+  show(frames, bodies, mark, hasLosses = false) {
+    const ratio = fit(this.canvas);
+    const { clientWidth: width, clientHeight: height } = this.canvas;
     const context = this.context;
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     context.clearRect(0, 0, width, height);
     context.font = "11px system-ui, \"Segoe UI\", \"DejaVu Sans\", sans-serif";
     context.textBaseline = "middle";
-    this.end = history.newest?.at ?? 0;
-    const x = (at) => LEFT + (1 - (this.end - at) / SPAN_S) * (width - LEFT - RIGHT);
-    const frames = history.frames;
+    const span = Math.max(this.end - this.begin, 1e-9);
+    const x = (at) => LEFT + ((at - this.begin) / span) * (width - LEFT - RIGHT);
     const targets = [...new Set(frames.flatMap(({ frame }) => frame.tracks.map(({ target }) => target)))].sort((a, b) => a - b);
-    const rows = Math.min(targets.length, 6);
-    const bottom = height - 10 - (rows + 1) * (ROW + 4);
+    const counts = hasLosses ? ["skipped", "lost"] : ["skipped"];
+    const rows = Math.min(targets.length, 7 - counts.length);
+    const bottom = height - 10 - (rows + counts.length) * (ROW + 4);
     this.latencies(frames, x, bottom, width);
     targets.slice(0, rows).forEach((target, row) => {
       this.states(frames, target, x, bottom + GAP + row * (ROW + 4), bodies);
     });
-    this.drops(frames, x, bottom + GAP + rows * (ROW + 4), width);
-    if (history.paused) {
-      const at = Math.round(x(history.paused.at)) + 0.5;
+    counts.forEach((count, row) => {
+      this.drops(frames, count, x, bottom + GAP + (rows + row) * (ROW + 4), width);
+    });
+    if (mark !== undefined) {
+      const at = Math.round(x(mark)) + 0.5;
       context.strokeStyle = "#f2b45a";
       context.lineWidth = 1;
       context.beginPath();
@@ -124,8 +156,8 @@ export class Timelines {
     };
     for (const { at, frame } of frames) {
       const now = frame.tracks.find((track) => track.target === target)?.state ?? null;
-      if (now !== state || (last !== null && at - last > HOLE_S)) {
-        if (now !== null && state !== null && at - last <= HOLE_S) last = at;
+      if (now !== state || (last !== null && at - last > this.hole)) {
+        if (now !== null && state !== null && at - last <= this.hole) last = at;
         close();
         [from, state] = [at, now];
       }
@@ -134,15 +166,15 @@ export class Timelines {
     close();
   }
 
-  drops(frames, x, top, width) {
+  drops(frames, count, x, top, width) {
     const context = this.context;
     context.textAlign = "right";
     context.fillStyle = "#8593a6";
-    context.fillText("skipped", LEFT - 12, top + ROW / 2);
+    context.fillText(count, LEFT - 12, top + ROW / 2);
     context.fillStyle = "#171f2a";
     context.fillRect(LEFT, top + ROW / 2, width - LEFT - RIGHT, 1);
     for (let k = 1; k < frames.length; k++) {
-      const lost = frames[k].skipped - frames[k - 1].skipped;
+      const lost = frames[k][count] - frames[k - 1][count];
       if (lost <= 0 || x(frames[k].at) < LEFT) continue;
       const high = Math.min(ROW, 3 + 2 * lost);
       context.fillStyle = "#f2716b";

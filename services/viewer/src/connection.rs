@@ -12,6 +12,7 @@ use tungstenite::{Error, Message, WebSocket};
 
 use crate::files::{self, File};
 use crate::hub::{Hub, Page};
+use crate::remote::Move;
 use crate::request::{Access, Answer, MAX_HEAD, Refusal, answer};
 
 /// A request must have come in this time.
@@ -26,13 +27,31 @@ const LINGER: Duration = Duration::from_millis(200);
 const MAX_COMMAND: usize = 1024;
 
 /// What a page says.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum Command {
     /// Whether it wants pictures: a hidden page does not.
     Pictures(bool),
     /// It has shown so many pictures more, or let them go.
     Shown(u32),
+    /// Of a recording: it wants to see this time, seconds from the beginning.
+    Seek(f64),
+    /// Of a recording: it wants to see the frame so many frames on, or back.
+    Step(i32),
+    /// Of a recording: it wants it to go on, so many seconds in each second; 0: to stop.
+    Play(f64),
+}
+
+impl Command {
+    /// What it asks a player for.
+    fn wish(self) -> Option<Move> {
+        match self {
+            Self::Seek(to_s) => Some(Move::Seek(to_s)),
+            Self::Step(frames) => Some(Move::Step(frames)),
+            Self::Play(speed) => Some(Move::Play(speed)),
+            Self::Pictures(_) | Self::Shown(_) => None,
+        }
+    }
 }
 
 /// Serves a connection until it ends. What goes wrong with it is the other end's trouble.
@@ -205,9 +224,16 @@ fn hear(socket: &mut WebSocket<&mut TcpStream>, page: &Page, hub: &Hub) -> Resul
                 Ok(Command::Pictures(wants)) => {
                     page.outbox(|outbox| outbox.set_wants_pictures(wants));
                     hub.changed();
+                    page.remote().inspect(|remote| remote.wake());
                 }
                 Ok(Command::Shown(count)) => {
                     page.outbox(|outbox| (0..count.min(8)).for_each(|_| outbox.shown()));
+                    page.remote().inspect(|remote| remote.wake());
+                }
+                Ok(other) => {
+                    if !other.wish().is_some_and(|wish| page.ask(wish)) {
+                        return close_on(socket);
+                    }
                 }
                 Err(_) => return close_on(socket),
             },
@@ -222,7 +248,7 @@ fn hear(socket: &mut WebSocket<&mut TcpStream>, page: &Page, hub: &Hub) -> Resul
 
 /// Closes the socket of a page that says something else.
 fn close_on(socket: &mut WebSocket<&mut TcpStream>) -> Result<(), Error> {
-    let reason = "a page says {\"pictures\": true} or {\"shown\": 1}".into();
+    let reason = "a page says nothing else than docs/VIEW.md has".into();
     is_sent(socket.close(Some(CloseFrame { code: CloseCode::Policy, reason })))?;
     is_sent(socket.flush())?;
     Err(Error::ConnectionClosed)

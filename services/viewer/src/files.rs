@@ -39,6 +39,7 @@ files! {
     "/sphere.js" => "text/javascript; charset=utf-8", "sphere.js";
     "/overlay.js" => "text/javascript; charset=utf-8", "overlay.js";
     "/space.js" => "text/javascript; charset=utf-8", "space.js";
+    "/playback.js" => "text/javascript; charset=utf-8", "playback.js";
     "/panels.js" => "text/javascript; charset=utf-8", "panels.js";
     "/timelines.js" => "text/javascript; charset=utf-8", "timelines.js";
 }

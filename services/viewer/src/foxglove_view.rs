@@ -2,8 +2,7 @@
 //! programs has their panels, plots and recordings.
 //!
 //! The crate `foxglove` speaks the protocol, in threads of its own. A client that is slow loses its oldest
-//! messages. Pictures and close-ups are made while
-//! somebody has subscribed to one of them.
+//! messages. Pictures are made while somebody has subscribed to them, and so are close-ups.
 //!
 //! | topic | schema |
 //! | --- | --- |
@@ -32,6 +31,7 @@ use foxglove::messages::{
 };
 use foxglove::{
     Channel, ChannelBuilder, Context, Encode, PartialMetadata, RawChannel, WebSocketServer,
+    WebSocketServerHandle,
 };
 
 use crate::hub::Wanted;
@@ -63,6 +63,8 @@ struct Channels {
     stages: Arc<RawChannel>,
     /// What is to be added to the exposures' clock to give nanoseconds since 1970.
     unix_from_exposure_ns: i64,
+    /// Of a recording: the time that is shown, nanoseconds since 1970.
+    recorded_ns: Option<i64>,
 }
 
 impl FoxgloveView {
@@ -72,19 +74,38 @@ impl FoxgloveView {
     /// # Errors
     /// The pipeline's configuration cannot be read; the address is taken or not this machine's.
     pub fn start(address: SocketAddr, instance: &Instance) -> anyhow::Result<(Self, u16)> {
-        let context = Context::new();
         let resolved = Resolved::of(instance.pipeline()?)?;
+        let (view, server) = Self::serve(address, instance.name(), &resolved, |server| server)?;
+        Ok((view, server.port()))
+    }
+
+    /// The same for a configuration. `more`: what the server is told else.
+    ///
+    /// # Errors
+    /// A channel cannot be made; the address is taken or not this machine's.
+    pub fn serve(
+        address: SocketAddr,
+        name: &str,
+        resolved: &Resolved,
+        more: impl FnOnce(WebSocketServer) -> WebSocketServer,
+    ) -> anyhow::Result<(Self, WebSocketServerHandle)> {
+        let context = Context::new();
         // First, because a client that subscribes to a channel while it is made may be refused.
-        let channels = Channels::new(&context, &resolved)?;
+        let channels = Channels::new(&context, resolved)?;
         let server = WebSocketServer::new()
             .context(&context)
-            .name(format!("Flockeye {}", instance.name()))
+            .name(format!("Flockeye {name}"))
             .bind(address.ip().to_string(), address.port())
-            .message_backlog_size(BACKLOG)
+            .message_backlog_size(BACKLOG);
+        let server = more(server)
             .start_blocking()
             .with_context(|| format!("cannot serve Foxglove at {address}"))?;
-        let port = server.port();
-        Ok((Self { context, channels }, port))
+        Ok((Self { context, channels }, server))
+    }
+
+    /// Of a recording: what is sent from now on came at this time, UTC nanoseconds.
+    pub fn set_time(&mut self, utc_ns: u64) {
+        self.channels.recorded_ns = i64::try_from(utc_ns).ok();
     }
 
     /// Advertises the channels of a pipeline, in place of those of another.
@@ -101,8 +122,10 @@ impl FoxgloveView {
 
     /// What the clients have subscribed to.
     pub fn wanted(&self) -> Wanted {
-        let pictures = self.channels.wants_pictures();
-        Wanted { anything: pictures || self.channels.wants_frames(), pictures }
+        let channels = &self.channels;
+        let pictures = channels.sphere.has_sinks() || channels.annotations.has_sinks();
+        let closeups = channels.closeups.iter().any(Channel::has_sinks);
+        Wanted { anything: pictures || closeups || channels.wants_frames(), pictures, closeups }
     }
 
     /// Sends what is known of a frame.
@@ -138,7 +161,10 @@ impl FoxgloveView {
         if channels.stages.has_sinks()
             && let Ok(json) = serde_json::to_vec(stages)
         {
-            channels.stages.log(&json);
+            match channels.recorded_ns {
+                Some(at_ns) => channels.stages.log_with_meta(&json, meta(at_ns)),
+                None => channels.stages.log(&json),
+            }
         }
     }
 }
@@ -168,6 +194,7 @@ impl Channels {
             stages: json("/stages")?,
             // A lossless run has the recording's own time.
             unix_from_exposure_ns: if is_real_time { unix_ns - clock::monotonic_ns() } else { 0 },
+            recorded_ns: None,
         })
     }
 
@@ -182,12 +209,6 @@ impl Channels {
         self.stages.close();
     }
 
-    fn wants_pictures(&self) -> bool {
-        self.sphere.has_sinks()
-            || self.annotations.has_sinks()
-            || self.closeups.iter().any(Channel::has_sinks)
-    }
-
     fn wants_frames(&self) -> bool {
         self.transforms.has_sinks()
             || self.scene.has_sinks()
@@ -198,7 +219,8 @@ impl Channels {
 
     /// Nanoseconds since 1970.
     fn time(&self, stamp: &FrameStamp) -> i64 {
-        stamp.exposure_ns.saturating_add(self.unix_from_exposure_ns)
+        let exposure_ns = stamp.exposure_ns.saturating_add(self.unix_from_exposure_ns);
+        self.recorded_ns.unwrap_or(exposure_ns)
     }
 
     fn timestamp(&self, stamp: &FrameStamp) -> Timestamp {

@@ -10,6 +10,7 @@ use flockeye_runtime::lock::lock;
 use tungstenite::Message;
 
 use crate::outbox::{Kind, Outbox};
+use crate::remote::{Move, Remote};
 use crate::request::Refusal;
 
 /// Pages that may be open at once.
@@ -20,7 +21,11 @@ pub const MOST_PAGES: usize = 16;
 pub struct Hub {
     state: Mutex<State>,
     changed: Condvar,
+    player: Option<StartPlayer>,
 }
+
+/// Starts what plays a recording to one page, until the page's [`Remote`] is closed.
+pub type StartPlayer = Box<dyn Fn(Arc<Page>) -> io::Result<()> + Send + Sync>;
 
 #[derive(Default)]
 struct State {
@@ -28,6 +33,7 @@ struct State {
     /// What a page that opens later gets first.
     hello: Option<Message>,
     status: Option<Message>,
+    overview: Option<Message>,
 }
 
 /// What the pages want.
@@ -35,8 +41,10 @@ struct State {
 pub struct Wanted {
     /// Whether one is open.
     pub anything: bool,
-    /// Whether one wants pictures.
+    /// Whether one wants pictures of frames.
     pub pictures: bool,
+    /// Whether one wants close-ups.
+    pub closeups: bool,
 }
 
 impl Wanted {
@@ -45,6 +53,7 @@ impl Wanted {
         Self {
             anything: self.anything || other.anything,
             pictures: self.pictures || other.pictures,
+            closeups: self.closeups || other.closeups,
         }
     }
 }
@@ -55,9 +64,15 @@ pub struct Page {
     /// A byte here says that something waits.
     bell: UnixStream,
     ringing: UnixStream,
+    remote: Option<Remote>,
 }
 
 impl Hub {
+    /// For pages that each have a player of their own.
+    pub fn with_players(player: StartPlayer) -> Self {
+        Self { player: Some(player), ..Self::default() }
+    }
+
     /// A new page.
     ///
     /// # Errors
@@ -67,11 +82,19 @@ impl Hub {
         if state.pages.len() >= MOST_PAGES {
             return Err(Refusal::Full);
         }
-        let page = Arc::new(Page::new().map_err(|_| Refusal::Full)?);
-        for (kind, message) in [(Kind::Hello, &state.hello), (Kind::Status, &state.status)] {
+        let page = Arc::new(Page::new(self.player.is_some()).map_err(|_| Refusal::Full)?);
+        let first = [
+            (Kind::Hello, &state.hello),
+            (Kind::Status, &state.status),
+            (Kind::Overview, &state.overview),
+        ];
+        for (kind, message) in first {
             if let Some(message) = message {
                 page.put(kind, message.clone());
             }
+        }
+        if let Some(player) = &self.player {
+            player(page.clone()).map_err(|_| Refusal::Full)?;
         }
         state.pages.push(page.clone());
         drop(state);
@@ -81,6 +104,9 @@ impl Hub {
 
     /// A page was closed.
     pub fn close(&self, page: &Arc<Page>) {
+        if let Some(remote) = &page.remote {
+            remote.close();
+        }
         lock(&self.state).pages.retain(|open| !Arc::ptr_eq(open, page));
         self.changed.notify_all();
     }
@@ -96,6 +122,7 @@ impl Hub {
         match kind {
             Kind::Hello => state.hello = Some(message.clone()),
             Kind::Status => state.status = Some(message.clone()),
+            Kind::Overview => state.overview = Some(message.clone()),
             _ => {}
         }
         for page in &state.pages {
@@ -106,10 +133,9 @@ impl Hub {
     /// What the pages want.
     pub fn wanted(&self) -> Wanted {
         let state = lock(&self.state);
-        Wanted {
-            anything: !state.pages.is_empty(),
-            pictures: state.pages.iter().any(|page| page.outbox(|outbox| outbox.wants_pictures())),
-        }
+        // A page shows both or none.
+        let pictures = state.pages.iter().any(|page| page.outbox(|outbox| outbox.wants_pictures()));
+        Wanted { anything: !state.pages.is_empty(), pictures, closeups: pictures }
     }
 
     /// Whether some page can take a picture now.
@@ -126,14 +152,26 @@ impl Hub {
 }
 
 impl Page {
-    fn new() -> io::Result<Self> {
+    fn new(has_player: bool) -> io::Result<Self> {
         let (bell, ringing) = UnixStream::pair()?;
         bell.set_nonblocking(true)?;
         ringing.set_nonblocking(true)?;
-        Ok(Self { outbox: Mutex::default(), bell, ringing })
+        let remote = has_player.then(Remote::default);
+        Ok(Self { outbox: Mutex::default(), bell, ringing, remote })
     }
 
-    fn put(&self, kind: Kind, message: Message) {
+    /// What the page asks its player for; none where it shows a running pipeline.
+    pub fn remote(&self) -> Option<&Remote> {
+        self.remote.as_ref()
+    }
+
+    /// Hands a wish of the page to its player. False where it has none.
+    pub fn ask(&self, wish: Move) -> bool {
+        self.remote.as_ref().map(|remote| remote.ask(wish)).is_some()
+    }
+
+    /// Puts a message into its outbox.
+    pub fn put(&self, kind: Kind, message: Message) {
         if self.outbox(|outbox| outbox.put(kind, message)) {
             // Where the bell is full of rings, it rings already.
             let _ = (&self.bell).write(&[1]);
@@ -172,7 +210,7 @@ mod tests {
         assert_eq!(hub.open().err(), Some(Refusal::Full));
         let first = pages[0].outbox(|outbox| (outbox.take(), outbox.take()));
         assert_eq!(first, (Some(Message::text("hello")), None));
-        assert_eq!(hub.wanted(), Wanted { anything: true, pictures: false });
+        assert_eq!(hub.wanted(), Wanted { anything: true, ..Wanted::default() });
         pages[3].outbox(|outbox| outbox.set_wants_pictures(true));
         assert!(hub.wanted().pictures && hub.takes_pictures());
         pages.iter().for_each(|page| hub.close(page));

@@ -1,4 +1,5 @@
-//! The live view: a page in the browser that shows what a running pipeline sees. `flockeye view` starts it.
+//! The view: a page in the browser that shows what a running pipeline sees, or what a recorded one saw.
+//! `flockeye view` starts it.
 //!
 //! It is an onlooker: it reads messages beside the stages, and nobody waits for it. While no page is open it
 //! reads nothing. Pictures are encoded at a limited rate, and only for pages that want them. docs/VIEW.md
@@ -10,6 +11,8 @@
 //! | [`scene`] | core: messages of the contract in, messages to the page out |
 //! | [`stages`] | core: what the stages report, as rates |
 //! | [`held`] | core: which frame a picture is made of |
+//! | [`recorded`] | the same of a recording, at any time of it |
+//! | [`remote`] | core: what a page asks the player of its recording for |
 //! | [`outbox`] | core: what waits for one page, bounded, the oldest dropped |
 //! | [`request`] | core: what a browser asks for, and who may |
 //! | [`setting`] | what a page must know once: camera, tiles, bodies |
@@ -21,17 +24,21 @@
 //! | [`server`] | the sockets |
 //! | [`connection`] | one page's socket |
 //! | [`watch`] | the ports |
+//! | [`frame_reader`] | the port of frames, while pictures are wanted |
 //! | [`program`] | the command line |
 
 pub mod closeup;
 pub mod connection;
 pub mod files;
 pub mod foxglove_view;
+pub mod frame_reader;
 pub mod held;
 pub mod hub;
 pub mod outbox;
 pub mod picture;
 pub mod program;
+pub mod recorded;
+pub mod remote;
 pub mod request;
 pub mod scene;
 pub mod server;

@@ -19,6 +19,10 @@ pub enum Kind {
     Swarm,
     /// The newest counts.
     Status,
+    /// The newest counts.
+    Overview,
+    /// Part of an answer to the page: it must arrive, in its order. Whoever answers waits for the page.
+    Answer,
     /// The newest counts, and it needs a credit.
     Picture,
     /// The newest of each body counts.
@@ -60,6 +64,7 @@ impl<M> Outbox<M> {
             |of: fn(&Kind) -> bool| self.waiting.iter().filter(|(kind, _)| of(kind)).count();
         let replaced = match kind {
             Kind::Frame if count(|kind| *kind == Kind::Frame) < MOST_FRAMES => None,
+            Kind::Answer => None,
             Kind::Closeup(_) if !self.waiting.iter().any(is_kind) => {
                 let is_full = count(|kind| matches!(kind, Kind::Closeup(_))) >= MOST_CLOSEUPS;
                 let oldest = |(kind, _): &(Kind, M)| matches!(kind, Kind::Closeup(_));
@@ -79,6 +84,11 @@ impl<M> Outbox<M> {
     /// The next message.
     pub fn take(&mut self) -> Option<M> {
         self.waiting.pop_front().map(|(_, message)| message)
+    }
+
+    /// How many wait.
+    pub fn waiting(&self) -> usize {
+        self.waiting.len()
     }
 
     /// Whether a picture may be sent to it now.
@@ -140,5 +150,18 @@ mod tests {
         outbox.shown();
         assert!(outbox.put(Kind::Picture, 10));
         assert_eq!(outbox.take(), Some(10));
+    }
+
+    #[test]
+    fn answers_arrive_all_and_in_their_order() {
+        let mut outbox = Outbox::default();
+        outbox.set_wants_pictures(true);
+        for number in 0..1000 {
+            outbox.put(Kind::Answer, number);
+            outbox.put(Kind::Overview, -1);
+        }
+        assert_eq!(outbox.waiting(), 1001);
+        let answers: Vec<i32> = std::iter::from_fn(|| outbox.take()).filter(|n| *n >= 0).collect();
+        assert_eq!(answers, (0..1000).collect::<Vec<_>>());
     }
 }

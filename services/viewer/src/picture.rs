@@ -3,7 +3,9 @@
 use flockeye_contract::FrameHeader;
 use flockeye_geometry::Ray;
 use flockeye_geometry::camera::{Camera, CameraModel, Equirectangular, SpherePixel};
-use opencv::core::{BORDER_CONSTANT, CV_16SC2, CV_32FC2, Mat, Point2f, Rect, Scalar, Size, Vector};
+use opencv::core::{
+    BORDER_CONSTANT, CV_16SC2, CV_32FC2, Mat, Point2f, Rect, Scalar, Size, ToInputArray, Vector,
+};
 use opencv::prelude::*;
 use opencv::{core, imgcodecs, imgproc};
 
@@ -11,6 +13,8 @@ use opencv::{core, imgcodecs, imgproc};
 const MAX_WIDTH: u32 = 1920;
 /// Quality of the JPEG, of 100.
 const QUALITY: i32 = 78;
+/// The same of close-ups, which are small.
+const CLOSEUP_QUALITY: i32 = 92;
 
 /// Why a frame cannot be shown.
 #[derive(Debug, thiserror::Error)]
@@ -33,6 +37,9 @@ pub enum PictureError {
         /// In the message.
         found: usize,
     },
+    /// A recorded picture is none, or too large.
+    #[error("the recorded picture cannot be shown: {0}")]
+    Recorded(&'static str),
     /// OpenCV cannot.
     #[error("OpenCV: {0}")]
     OpenCv(#[from] opencv::Error),
@@ -96,13 +103,33 @@ impl PictureMaker {
         let (rows, columns) = (height as i32, width as i32);
         let padded = Mat::new_rows_cols_with_data(rows, header.stride as i32, luma)?;
         let frame = padded.roi(Rect::new(0, 0, columns, rows))?;
-        let mut parameters = Vector::<i32>::new();
-        parameters.push(imgcodecs::IMWRITE_JPEG_QUALITY);
-        parameters.push(QUALITY);
-        let same_size = self.maps.is_none() && frame.size()? == self.size;
+        self.encoded(&frame)
+    }
+
+    /// The picture of a frame that was decoded, of any size, from a recording.
+    ///
+    /// # Errors
+    /// [`PictureError`].
+    pub fn jpeg_of_decoded(&mut self, decoded: &Mat) -> Result<&[u8], PictureError> {
+        let camera = Size::new(self.camera.width() as i32, self.camera.height() as i32);
+        if self.maps.is_none() || decoded.size()? == camera {
+            return self.encoded(decoded);
+        }
+        let mut whole = Mat::default();
+        imgproc::resize(decoded, &mut whole, camera, 0.0, 0.0, imgproc::INTER_LINEAR)?;
+        self.encoded(&whole)
+    }
+
+    /// Whether a picture of these sides can be shown as it is.
+    pub fn is_shown_as_is(&self, [width, height]: [u32; 2]) -> bool {
+        self.maps.is_none() && width <= MAX_WIDTH && width == 2 * height
+    }
+
+    fn encoded(&mut self, frame: &impl ToInputArray) -> Result<&[u8], PictureError> {
+        let size = frame.input_array()?.size(-1)?;
         match &self.maps {
             Some([whole, part]) => imgproc::remap(
-                &frame,
+                frame,
                 &mut self.scaled,
                 whole,
                 part,
@@ -110,25 +137,23 @@ impl PictureMaker {
                 BORDER_CONSTANT,
                 Scalar::default(),
             )?,
-            None if same_size => {}
+            None if size == self.size => {
+                encode(frame, QUALITY, &mut self.jpeg)?;
+                return Ok(self.jpeg.as_slice());
+            }
             None => {
-                imgproc::resize(
-                    &frame,
-                    &mut self.scaled,
-                    self.size,
-                    0.0,
-                    0.0,
-                    imgproc::INTER_AREA,
-                )?;
+                imgproc::resize(frame, &mut self.scaled, self.size, 0.0, 0.0, imgproc::INTER_AREA)?;
             }
         }
-        if same_size {
-            imgcodecs::imencode(".jpg", &frame, &mut self.jpeg, &parameters)?;
-        } else {
-            imgcodecs::imencode(".jpg", &self.scaled, &mut self.jpeg, &parameters)?;
-        }
+        encode(&self.scaled, QUALITY, &mut self.jpeg)?;
         Ok(self.jpeg.as_slice())
     }
+}
+
+fn encode(pixels: &impl ToInputArray, quality: i32, jpeg: &mut Vector<u8>) -> opencv::Result<()> {
+    let parameters = Vector::from_slice(&[imgcodecs::IMWRITE_JPEG_QUALITY, quality]);
+    imgcodecs::imencode(".jpg", pixels, jpeg, &parameters)?;
+    Ok(())
 }
 
 /// Where the pixels of an equirectangular picture lie in the frames of `camera`, in the form that OpenCV
@@ -160,11 +185,43 @@ fn maps(camera: &Camera, size: Size) -> opencv::Result<[Mat; 2]> {
 pub fn gray_jpeg(pixels: &[u8], width: usize, height: usize) -> opencv::Result<Vec<u8>> {
     let mat = Mat::new_rows_cols_with_data(height as i32, width as i32, pixels)?;
     let mut jpeg = Vector::new();
-    let mut parameters = Vector::<i32>::new();
-    parameters.push(imgcodecs::IMWRITE_JPEG_QUALITY);
-    parameters.push(92);
-    imgcodecs::imencode(".jpg", &mat, &mut jpeg, &parameters)?;
+    encode(&mat, CLOSEUP_QUALITY, &mut jpeg)?;
     Ok(jpeg.to_vec())
+}
+
+/// Sides of a JPEG, before anything of it is decoded: its frame header says them (ITU-T T.81, B.2.2).
+pub fn jpeg_size(jpeg: &[u8]) -> Option<[u32; 2]> {
+    let mut rest = jpeg.strip_prefix(&[0xff, 0xd8])?;
+    loop {
+        let [0xff, marker, high, low, ..] = *rest else { return None };
+        let length = usize::from(u16::from_be_bytes([high, low]));
+        // All frame headers, and no table of them.
+        if matches!(marker, 0xc0..=0xcf) && !matches!(marker, 0xc4 | 0xc8 | 0xcc) {
+            let side = |at: usize| {
+                Some(u32::from(u16::from_be_bytes([*rest.get(at)?, *rest.get(at + 1)?])))
+            };
+            return Some([side(7)?, side(5)?]);
+        }
+        rest = rest.get(2 + length.max(2)..)?;
+    }
+}
+
+/// The luma of a JPEG that is no larger than `most` on either side.
+///
+/// # Errors
+/// It is no JPEG, or larger.
+pub fn decode(jpeg: &[u8], most: [u32; 2]) -> Result<Mat, PictureError> {
+    let size = jpeg_size(jpeg).ok_or(PictureError::Recorded("it is no JPEG"))?;
+    // A few bytes can say that they are a picture of gigabytes.
+    if size[0] > most[0] || size[1] > most[1] || size.contains(&0) {
+        return Err(PictureError::Recorded("it is larger than the camera's frames"));
+    }
+    let bytes = Vector::<u8>::from_slice(jpeg);
+    let decoded = imgcodecs::imdecode(&bytes, imgcodecs::IMREAD_GRAYSCALE)?;
+    if decoded.empty() {
+        return Err(PictureError::Recorded("it is damaged"));
+    }
+    Ok(decoded)
 }
 
 #[cfg(test)]
@@ -241,5 +298,23 @@ mod tests {
         assert!(*picture.at_2d::<u8>(at.y as i32, at.x as i32 + 60).unwrap() < 100);
         // What lies straight behind is outside the circle: black.
         assert!(*picture.at_2d::<u8>((height / 2) as i32, 0).unwrap() < 20);
+    }
+
+    #[test]
+    fn a_recorded_picture_says_its_size_and_lies_are_refused() {
+        let pixels = vec![90; 64 * 32];
+        let jpeg = gray_jpeg(&pixels, 64, 32).unwrap();
+        assert_eq!(jpeg_size(&jpeg), Some([64, 32]));
+        assert_eq!(super::decode(&jpeg, [64, 32]).unwrap().size().unwrap(), Size::new(64, 32));
+        let refused = |jpeg: &[u8], most| super::decode(jpeg, most).unwrap_err().to_string();
+        assert!(refused(&jpeg, [63, 32]).contains("larger than the camera's"));
+        for end in 0..jpeg.len() / 4 {
+            assert!(refused(&jpeg[..end], [64, 32]).contains("cannot be shown"), "{end} bytes");
+        }
+        // Made smaller or larger, it is as large as all pictures.
+        let mut maker = PictureMaker::new(&Camera::equirectangular(3840, 1920)).unwrap();
+        let small = super::decode(&jpeg, [3840, 1920]).unwrap();
+        assert_eq!(jpeg_size(maker.jpeg_of_decoded(&small).unwrap()), Some([1920, 960]));
+        assert!(maker.is_shown_as_is([64, 32]) && !maker.is_shown_as_is([3840, 1920]));
     }
 }

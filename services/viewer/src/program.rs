@@ -1,7 +1,10 @@
 //! The command line of `flockeye view`.
 
 use std::net::{IpAddr, SocketAddr};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, ensure};
 use clap::Parser;
@@ -9,20 +12,32 @@ use flockeye_cli::running::{PipelineChoice, choose};
 use flockeye_cli::{Screen, signals};
 use iceoryx2::prelude::{LogLevel, set_log_level};
 use rustix::process::setpriority_process;
+use tungstenite::Message;
 
 use crate::foxglove_view::FoxgloveView;
 use crate::hub::Hub;
+use crate::outbox::Kind;
+use crate::recorded::overview::OverviewMaker;
+use crate::recorded::{Recorded, foxglove_player, player};
 use crate::request::{Access, is_token};
-use crate::server;
 use crate::watch::{Audience, Watch};
+use crate::wire::{Status, Text};
+use crate::{server, wire};
 
 /// The view's nice value: whatever the pipeline wants to do comes first.
 const NICE: i32 = 10;
+/// How often an overview that is being made is shown.
+const OVERVIEW_PERIOD: Duration = Duration::from_millis(500);
+/// How often it is looked whether it is to end.
+const IDLE_PERIOD: Duration = Duration::from_millis(100);
 
-/// Show what a running pipeline sees, on a page in the browser.
+/// Show what a running pipeline sees, or what a recorded one saw, on a page in the browser.
 #[derive(Debug, Parser)]
 #[command(name = "flockeye view", version)]
 pub struct ViewArguments {
+    /// A recording, in place of a running pipeline.
+    #[arg(value_name = "FILE.mcap", conflicts_with = "instance")]
+    pub file: Option<PathBuf>,
     /// Which pipeline.
     #[command(flatten)]
     pub running: PipelineChoice,
@@ -43,22 +58,27 @@ pub struct ViewArguments {
 /// Serves the page until Ctrl-C.
 ///
 /// # Errors
-/// No such pipeline runs, or the address cannot be served.
+/// No such pipeline runs, the recording cannot be shown, or the address cannot be served.
 pub fn run() -> anyhow::Result<()> {
     let arguments = ViewArguments::parse();
     let access = access(&arguments)?;
     let stopping = signals::stop_flag()?;
+    match &arguments.file {
+        Some(file) => show_recording(&arguments, access, file, &stopping),
+        None => show_pipeline(&arguments, access, stopping),
+    }
+}
+
+fn show_pipeline(
+    arguments: &ViewArguments,
+    access: Access,
+    stopping: Arc<AtomicBool>,
+) -> anyhow::Result<()> {
     let instance = choose(&arguments.running)?;
     set_log_level(LogLevel::Fatal);
-    if let Err(refused) = setpriority_process(None, NICE) {
-        tracing::warn!("nice {NICE} is refused ({refused}): the view competes with the pipeline");
-    }
+    give_way();
     let hub = Arc::new(Hub::default());
-    let token = access.token.clone();
-    let bound = server::start(arguments.listen, access, hub.clone()).with_context(|| {
-        format!("cannot serve {}. Cure: --listen with another port", arguments.listen)
-    })?;
-    let page = address(bound, token.as_deref());
+    let page = serve(arguments, access, hub.clone())?;
     let mut screen = Screen::new();
     let mut foxglove = None;
     if let Some(address) = arguments.foxglove {
@@ -69,6 +89,62 @@ pub fn run() -> anyhow::Result<()> {
     screen.line(&format!("the view of '{}' is at {page}", instance.name()));
     Watch::new(instance, Audience { hub, foxglove }, arguments.rate, stopping).run();
     Ok(())
+}
+
+fn show_recording(
+    arguments: &ViewArguments,
+    access: Access,
+    file: &Path,
+    stopping: &AtomicBool,
+) -> anyhow::Result<()> {
+    give_way();
+    let recorded = Arc::new(Recorded::open(file, arguments.rate)?);
+    let mut screen = Screen::new();
+    if !recorded.trouble().is_empty() {
+        screen.line(recorded.trouble());
+    }
+    let played = recorded.clone();
+    let start = move |page| player::start(played.clone(), page);
+    let hub = Arc::new(Hub::with_players(Box::new(start)));
+    let put = |kind, message: &Text<'_>| hub.put(kind, &Message::text(wire::text(message)));
+    put(Kind::Hello, &Text::Hello(recorded.hello()));
+    let status = Status { running: true, trouble: recorded.trouble().to_owned() };
+    put(Kind::Status, &Text::Status(&status));
+    let page = serve(arguments, access, hub.clone())?;
+    if let Some(address) = arguments.foxglove {
+        let port = foxglove_player::start(address, recorded.clone())?;
+        screen.line(&format!("Foxglove and Lichtblick connect to ws://{}:{port}", address.ip()));
+    }
+    screen.line(&format!("the view of {} is at {page}", file.display()));
+    let is_stopping = || stopping.load(Ordering::Relaxed);
+    let mut maker = OverviewMaker::new(&recorded);
+    let mut shown_at = Instant::now();
+    while !is_stopping() && maker.read() {
+        if shown_at.elapsed() > OVERVIEW_PERIOD {
+            shown_at = Instant::now();
+            put(Kind::Overview, &Text::Overview(&maker.overview()));
+        }
+    }
+    put(Kind::Overview, &Text::Overview(&maker.overview()));
+    while !is_stopping() {
+        std::thread::sleep(IDLE_PERIOD);
+    }
+    Ok(())
+}
+
+fn give_way() {
+    if let Err(refused) = setpriority_process(None, NICE) {
+        tracing::warn!("nice {NICE} is refused ({refused}): the view competes with the pipeline");
+    }
+}
+
+/// Serves the page, in threads of its own. Returns its address.
+fn serve(arguments: &ViewArguments, access: Access, hub: Arc<Hub>) -> anyhow::Result<String> {
+    let token = access.token.clone();
+    let bound = server::start(arguments.listen, access, hub).with_context(|| {
+        format!("cannot serve {}. Cure: --listen with another port", arguments.listen)
+    })?;
+    Ok(address(bound, token.as_deref()))
 }
 
 /// Who may ask.
@@ -140,6 +216,8 @@ mod tests {
         assert!(
             refused(&["--foxglove", "0.0.0.0:8765"]).contains("no token. Cure: 127.0.0.1:8765")
         );
+        let both = ViewArguments::try_parse_from(["view", "flight.mcap", "--instance", "field"]);
+        assert!(both.unwrap_err().to_string().contains("cannot be used with"));
         assert!(refused(&["--rate", "0"]).contains("0.5 to 60"));
         let guarded =
             access(&parsed(&["--listen", "10.0.0.7:1", "--token", "open-sesame"])).unwrap();

@@ -7,8 +7,8 @@ use std::collections::{BTreeMap, VecDeque};
 
 use flockeye_contract::{
     BodyTruth, DetectedMarker, DetectionHeader, FrameEnd, FrameOrder, FrameStamp, MeasuredBy,
-    PeerHeader, PeerSighting, PlanHeader, PlannedView, Rotation, RotationSource, SwarmHeader,
-    SwarmPose, SwarmWay, Track, TrackHeader, TrackState, TruthHeader, ViewKind,
+    PeerHeader, PeerSighting, PlanHeader, PlannedView, Rotation, RotationSource, StageLatency,
+    SwarmHeader, SwarmPose, SwarmWay, Track, TrackHeader, TrackState, TruthHeader, ViewKind,
 };
 use flockeye_convert::at_exposure;
 use nalgebra::Vector3;
@@ -156,7 +156,7 @@ impl Scene {
             name: drone.name.to_string(),
             pose: pose(&drone.own_from_drone),
             covariance: position_covariance(&drone.covariance),
-            way: way(drone.way),
+            way: SwarmWay::try_from(drone.way).map_or("unknown", SwarmWay::name),
             through: drone.through.to_string(),
             age_s: age_s(drone.seen_ns),
         });
@@ -201,6 +201,7 @@ impl Scene {
             tracks: tracks.values().map(track).collect(),
             turn: turn.as_ref().and_then(turned),
             truth: truth.iter().map(true_pose).collect(),
+            at_s: None,
         };
         self.add_views(&mut shown, &searched, end.as_ref(), &stamp);
         let tracks = tracks.into_values().collect();
@@ -253,25 +254,13 @@ fn detected(marker: &DetectedMarker) -> wire::Detected {
 }
 
 fn track(track: &Track) -> wire::Track {
-    let latency = &track.latency;
-    let parts = [
-        latency.capture_ns,
-        latency.rectification_ns,
-        latency.detection_ns,
-        latency.fusion_ns,
-        latency.total_ns,
-    ];
     let turns = track.covariance[21] + track.covariance[28] + track.covariance[35];
     wire::Track {
         target: track.target,
         name: track.name.to_string(),
         track: track.track_id,
         state: state(track.state),
-        by: match MeasuredBy::try_from(track.measured_by) {
-            Ok(MeasuredBy::Decoded) => "decoded",
-            Ok(MeasuredBy::Aligned) => "aligned",
-            Ok(MeasuredBy::Nothing) | Err(_) => "nothing",
-        },
+        by: MeasuredBy::try_from(track.measured_by).unwrap_or(MeasuredBy::Nothing).name(),
         markers: track.markers,
         pose: pose(&track.observer_from_target),
         covariance: position_covariance(&track.covariance),
@@ -279,8 +268,20 @@ fn track(track: &Track) -> wire::Track {
         velocity: track.linear_velocity.map(|x| x as f32),
         unseen_s: (track.unseen_ns as f64 * 1e-9) as f32,
         age_s: (track.age_ns as f64 * 1e-9) as f32,
-        latency_ms: parts.map(|ns| (ns >= 0).then_some((ns as f64 * 1e-6) as f32)),
+        latency_ms: latency_ms(&track.latency),
     }
+}
+
+/// Milliseconds of capture, rectification, detection, fusion, and all together, as far as they are known.
+pub fn latency_ms(latency: &StageLatency) -> [Option<f32>; 5] {
+    let parts = [
+        latency.capture_ns,
+        latency.rectification_ns,
+        latency.detection_ns,
+        latency.fusion_ns,
+        latency.total_ns,
+    ];
+    parts.map(|ns| (ns >= 0).then_some((ns as f64 * 1e-6) as f32))
 }
 
 fn true_pose(body: &BodyTruth) -> wire::Truth {
@@ -297,25 +298,9 @@ fn position_covariance(covariance: &[f64; 36]) -> [f32; 6] {
     [0, 1, 2, 7, 8, 14].map(|place| covariance[place] as f32)
 }
 
-fn state(code: u32) -> &'static str {
-    match TrackState::try_from(code) {
-        Ok(TrackState::Tentative) => "tentative",
-        Ok(TrackState::Confirmed) => "confirmed",
-        Ok(TrackState::Coasting) => "coasting",
-        Ok(TrackState::Lost) => "lost",
-        Ok(TrackState::Measured) => "measured",
-        Err(_) => "unknown",
-    }
-}
-
-fn way(code: u32) -> &'static str {
-    match SwarmWay::try_from(code) {
-        Ok(SwarmWay::Direct) => "direct",
-        Ok(SwarmWay::Mutual) => "mutual",
-        Ok(SwarmWay::Reported) => "reported",
-        Ok(SwarmWay::Chained) => "chained",
-        Err(_) => "unknown",
-    }
+/// The name of a track's state.
+pub fn state(code: u32) -> &'static str {
+    TrackState::try_from(code).map_or("unknown", TrackState::name)
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! What a page must know once: camera, tiles, bodies.
 
-use flockeye_config::{Flow, Resolved};
+use flockeye_config::Resolved;
 use flockeye_contract::{self as contract, StageName};
 use flockeye_convert::xyzw;
 use flockeye_geometry::body::Body;
@@ -17,10 +17,7 @@ pub fn hello(resolved: &Resolved, instance: &str, rate: f64) -> wire::Hello {
     wire::Hello {
         protocol: wire::PROTOCOL,
         instance: instance.to_owned(),
-        flow: match pipeline.flow {
-            Flow::Latest => "latest",
-            Flow::Lossless => "lossless",
-        },
+        flow: pipeline.flow.name(),
         simulated: pipeline.runs(StageName::Simulator),
         observer: pipeline.observer.name.clone(),
         camera_px: [resolved.camera.width(), resolved.camera.height()],
@@ -30,6 +27,7 @@ pub fn hello(resolved: &Resolved, instance: &str, rate: f64) -> wire::Hello {
         bodies: resolved.bodies.iter().map(body).collect(),
         stages: runs.map(StageName::name).collect(),
         rate: rate as f32,
+        recording: None,
     }
 }
 

@@ -5,10 +5,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use flockeye_config::{Flow, Resolved};
+use flockeye_config::Flow;
 use flockeye_contract::{
-    Detections, FrameEnds, Frames, Healths, Peers, Plans, Rotations, Swarms, Topic, Track,
-    TrackState, Tracks, Truths,
+    Detections, FrameEnds, Healths, Peers, Plans, Rotations, Swarms, Topic, Tracks, Truths,
 };
 use flockeye_runtime::instance::Instance;
 use flockeye_runtime::logs::Throttle;
@@ -16,31 +15,25 @@ use flockeye_runtime::ports::{Message, PortError, Ports, Subscriber};
 use flockeye_runtime::{clock, onlooker};
 use tungstenite::Message as PageMessage;
 
-use crate::closeup::CloseupMaker;
 use crate::foxglove_view::FoxgloveView;
-use crate::held::Held;
+use crate::frame_reader::FrameReader;
 use crate::hub::{Hub, Wanted};
 use crate::outbox::Kind;
-use crate::picture::PictureMaker;
 use crate::scene::{Ended, Scene};
 use crate::setting;
 use crate::stages::StageReports;
-use crate::wire::{self, Head, PictureHead, Status, Text};
+use crate::wire::{self, Status, Text};
 
 /// How often stages and swarm are shown, nanoseconds.
 const REPORT_PERIOD_NS: i64 = 500_000_000;
 /// How often it is looked whether the pipeline still runs, nanoseconds.
 const LIFE_PERIOD_NS: i64 = 1_000_000_000;
-/// Pictures that could not be had are tried again after this long, nanoseconds.
-const RETRY_PERIOD_NS: i64 = 3_000_000_000;
 /// How long messages may gather before they are read: each waking costs time.
 const GATHERING: Duration = Duration::from_millis(4);
 /// At least so often it is looked what the pages want.
 const LOOK_PERIOD: Duration = Duration::from_millis(50);
 /// Waits for a page or a pipeline.
 const IDLE_PERIOD: Duration = Duration::from_millis(200);
-/// Close-ups for each picture: more would cost more than the picture.
-const CLOSEUPS: usize = 2;
 
 /// Shows one pipeline to the pages, and to Foxglove's clients.
 pub struct Watch {
@@ -51,7 +44,6 @@ pub struct Watch {
     status: Option<Status>,
     hello: Option<wire::Hello>,
     troubles: Throttle,
-    turn: usize,
 }
 
 impl Watch {
@@ -63,7 +55,7 @@ impl Watch {
         stopping: Arc<AtomicBool>,
     ) -> Self {
         let troubles = Throttle::default();
-        Self { instance, audience, rate, stopping, status: None, hello: None, troubles, turn: 0 }
+        Self { instance, audience, rate, stopping, status: None, hello: None, troubles }
     }
 
     /// Shows it until it is told to stop. While no page is open, or the pipeline does not run, it waits.
@@ -96,74 +88,54 @@ impl Watch {
     /// Tells the pages what is wrong, where that has changed.
     fn say(&mut self, status: Status) {
         if self.status.as_ref() != Some(&status) {
-            self.put(Kind::Status, &Text::Status(status.clone()));
+            self.put(Kind::Status, &Text::Status(&status));
             self.status = Some(status);
         }
     }
 
-    fn put(&self, kind: Kind, message: &Text) {
+    fn put(&self, kind: Kind, message: &Text<'_>) {
         self.audience.hub.put(kind, &PageMessage::text(wire::text(message)));
     }
 
-    /// Follows the pipeline until the pages want something else or the pipeline ends.
+    /// Follows the pipeline until nobody watches or the pipeline ends.
     fn follow(&mut self) -> anyhow::Result<()> {
-        let wanted = self.audience.wanted();
         let (mut ports, resolved) = onlooker::join(&self.instance)?;
         ports.follow_hand_overs()?;
         let mut topics = Topics::open(&mut ports)?;
-        let mut trouble = String::new();
-        let mut pictures =
-            match wanted.pictures.then(|| Pictures::open(&mut ports, &resolved, self.rate)) {
-                None => None,
-                Some(Ok(pictures)) => Some(pictures),
-                Some(Err(error)) => {
-                    trouble = format!("no pictures: {error:#}");
-                    None
-                }
-            };
         let hello = setting::hello(&resolved, self.instance.name(), self.rate);
         if self.hello.as_ref() != Some(&hello) {
-            self.put(Kind::Hello, &Text::Hello(Box::new(hello.clone())));
+            self.put(Kind::Hello, &Text::Hello(&hello));
             if let Some(foxglove) = &mut self.audience.foxglove {
                 foxglove.begin(&resolved)?;
             }
             self.hello = Some(hello);
         }
-        // While a stage is swapped there may be no room.
-        let retry_ns = match trouble.is_empty() {
-            true => i64::MAX,
-            false => clock::monotonic_ns() + RETRY_PERIOD_NS,
-        };
-        self.say(Status { running: true, trouble });
         let mut scene = Scene::new(resolved.pipeline.flow == Flow::Latest);
         let mut stages = StageReports::default();
         let (mut report_ns, mut life_ns) = (0, 0);
+        let mut frames = FrameReader::new(&ports, &resolved, self.rate);
         ports.attend(|| {
             let now_ns = clock::monotonic_ns();
-            if self.is_stopping() || self.audience.wanted() != wanted || now_ns > retry_ns {
+            let wanted = self.audience.wanted();
+            if self.is_stopping() || !wanted.anything {
                 return Ok(None);
             }
             std::thread::sleep(GATHERING);
-            if let Some(pictures) = &mut pictures {
-                pictures.receive(self.audience.takes_pictures())?;
-            }
+            let trouble = frames.receive(wanted, self.audience.takes_pictures(wanted), now_ns)?;
+            self.say(Status { running: true, trouble });
             for ended in topics.receive(&mut scene, &mut stages, now_ns)? {
-                self.put(Kind::Frame, &Text::Frame(Box::new(ended.message.clone())));
+                self.put(Kind::Frame, &Text::Frame(&ended.message));
                 self.audience.to_foxglove(|foxglove| foxglove.frame(&ended));
-                if let Some(pictures) = &mut pictures {
-                    pictures.ended(&ended, &self.audience, &mut self.turn);
-                }
+                frames.ended(&ended, &self.audience, wanted);
             }
-            if let Some(pictures) = &mut pictures {
-                pictures.overdue(&self.audience, now_ns);
-            }
+            frames.overdue(&self.audience, wanted, now_ns);
             if now_ns - report_ns > REPORT_PERIOD_NS {
                 report_ns = now_ns;
                 let shown = stages.shown(now_ns);
                 self.audience.to_foxglove(|foxglove| foxglove.stages(&shown));
-                self.put(Kind::Stages, &Text::Stages(shown));
+                self.put(Kind::Stages, &Text::Stages(&shown));
                 if let Some(swarm) = scene.swarm(now_ns) {
-                    self.put(Kind::Swarm, &Text::Swarm(swarm));
+                    self.put(Kind::Swarm, &Text::Swarm(&swarm));
                 }
             }
             if now_ns - life_ns > LIFE_PERIOD_NS {
@@ -191,12 +163,16 @@ impl Audience {
         self.hub.wanted().or(wanted)
     }
 
-    fn takes_pictures(&self) -> bool {
-        self.hub.takes_pictures()
-            || self.foxglove.as_ref().is_some_and(|foxglove| foxglove.wanted().pictures)
+    /// Whether somebody can take a picture or a close-up now.
+    fn takes_pictures(&self, wanted: Wanted) -> bool {
+        let takes =
+            |foxglove: &FoxgloveView| foxglove.wanted().pictures || foxglove.wanted().closeups;
+        (wanted.pictures || wanted.closeups)
+            && (self.hub.takes_pictures() || self.foxglove.as_ref().is_some_and(takes))
     }
 
-    fn to_foxglove(&self, tell: impl FnOnce(&FoxgloveView)) {
+    /// Tells Foxglove's clients something, where they are served.
+    pub fn to_foxglove(&self, tell: impl FnOnce(&FoxgloveView)) {
         if let Some(foxglove) = &self.foxglove {
             tell(foxglove);
         }
@@ -262,103 +238,4 @@ fn each<T: Topic>(
         take(&message);
     }
     Ok(())
-}
-
-/// What makes pictures of frames.
-struct Pictures {
-    frames: Subscriber<Frames>,
-    held: Held<Message<Frames>>,
-    maker: PictureMaker,
-    closeups: CloseupMaker,
-    troubles: Throttle,
-}
-
-impl Pictures {
-    fn open(ports: &mut Ports, resolved: &Resolved, rate: f64) -> anyhow::Result<Self> {
-        Ok(Self {
-            frames: ports.subscriber()?,
-            held: Held::new((1e9 / rate) as i64),
-            maker: PictureMaker::new(&resolved.camera)?,
-            closeups: CloseupMaker::new(resolved)?,
-            troubles: Throttle::default(),
-        })
-    }
-
-    /// Holds the newest frame while a picture is due, and lets it go otherwise.
-    fn receive(&mut self, is_wanted: bool) -> Result<(), PortError> {
-        if !is_wanted {
-            self.held.clear();
-        }
-        if let Some(message) = self.frames.newest()?
-            && is_wanted
-        {
-            self.held.frame(message.header.stamp, message);
-        }
-        Ok(())
-    }
-
-    /// Shows a frame that has ended, if it is the one that a picture is due of.
-    fn ended(&mut self, ended: &Ended, audience: &Audience, turn: &mut usize) {
-        let Some(frame) = self.held.ended(&ended.stamp) else { return };
-        self.show(&frame, Some(ended), audience);
-        let is_shown = |track: &&Track| {
-            matches!(
-                TrackState::try_from(track.state),
-                Ok(TrackState::Confirmed | TrackState::Coasting | TrackState::Measured)
-            )
-        };
-        let tracks: Vec<&Track> = ended.tracks.iter().filter(is_shown).collect();
-        // Each neighbour in turn.
-        for step in 0..tracks.len().min(CLOSEUPS) {
-            let track = tracks[(*turn + step) % tracks.len()];
-            self.show_closely(&frame, track, &ended.message.key, audience);
-        }
-        *turn = turn.wrapping_add(CLOSEUPS);
-    }
-
-    /// Shows a frame that does not end.
-    fn overdue(&mut self, audience: &Audience, now_ns: i64) {
-        if let Some((_, frame)) = self.held.overdue(now_ns) {
-            self.show(&frame, None, audience);
-        }
-    }
-
-    fn show(&mut self, frame: &Message<Frames>, ended: Option<&Ended>, audience: &Audience) {
-        let size = self.maker.size();
-        let stamp = &frame.header.stamp;
-        match self.maker.jpeg(&frame.header, frame.items()) {
-            Ok(jpeg) => {
-                let head = Head::Picture(PictureHead { key: wire::key(stamp), size });
-                let message = PageMessage::binary(wire::binary(&head, jpeg));
-                audience.hub.put(Kind::Picture, &message);
-                audience.to_foxglove(|foxglove| foxglove.picture(stamp, ended, size, jpeg));
-            }
-            Err(error) => self.complain(&error),
-        }
-    }
-
-    fn show_closely(
-        &mut self,
-        frame: &Message<Frames>,
-        track: &Track,
-        key: &str,
-        audience: &Audience,
-    ) {
-        match self.closeups.closeup(&frame.header, frame.items(), track, key) {
-            Ok(Some((head, jpeg))) => {
-                let message = wire::binary(&Head::Closeup(head), &jpeg);
-                audience.hub.put(Kind::Closeup(track.target), &PageMessage::binary(message));
-                let stamp = &frame.header.stamp;
-                audience.to_foxglove(|foxglove| foxglove.closeup(stamp, track.target, &jpeg));
-            }
-            Ok(None) => {}
-            Err(error) => self.complain(&error),
-        }
-    }
-
-    fn complain(&mut self, error: &dyn std::fmt::Display) {
-        if let Some(more) = self.troubles.admit() {
-            tracing::warn!(more_since = more, "a frame cannot be shown: {error:#}");
-        }
-    }
 }

@@ -9,19 +9,23 @@ use serde::Serialize;
 pub const PROTOCOL: u32 = 1;
 
 /// A message as text.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
-pub enum Text {
+pub enum Text<'m> {
     /// The first message, and again where a pipeline has started anew.
-    Hello(Box<Hello>),
+    Hello(&'m Hello),
     /// A frame has ended.
-    Frame(Box<Frame>),
+    Frame(&'m Frame),
     /// What the stages report.
-    Stages(Stages),
+    Stages(&'m Stages),
     /// What the peers report, and where all drones are.
-    Swarm(Swarm),
+    Swarm(&'m Swarm),
     /// What is wrong with the view itself.
-    Status(Status),
+    Status(&'m Status),
+    /// Of a recording: which frame is shown now.
+    Position(&'m Position),
+    /// Of a recording: all of it at a glance.
+    Overview(&'m Overview),
 }
 
 /// The head of a binary message; a JPEG follows it.
@@ -61,6 +65,21 @@ pub struct Hello {
     pub stages: Vec<&'static str>,
     /// Pictures a second, at most.
     pub rate: f32,
+    /// The recording that is shown; absent where it is a running pipeline.
+    pub recording: Option<Recording>,
+}
+
+/// A recording.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Recording {
+    /// Name of its file.
+    pub file: String,
+    /// When it begins, UTC seconds since 1970.
+    pub began_s: f64,
+    /// How long it is, seconds.
+    pub duration_s: f64,
+    /// Whether it has pictures of frames.
+    pub pictures: bool,
 }
 
 /// A pose `a_from_b`.
@@ -133,6 +152,8 @@ pub struct Frame {
     pub turn: Option<[f32; 4]>,
     /// Of a simulated flight: where the neighbours really are.
     pub truth: Vec<Truth>,
+    /// In a recording: when it ended, seconds from the recording's beginning; absent of a running pipeline.
+    pub at_s: Option<f64>,
 }
 
 /// A region of interest.
@@ -283,6 +304,58 @@ pub struct Status {
     pub trouble: String,
 }
 
+/// Which frame of a recording is shown now. What belongs to it came before.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Position {
+    /// The frame; absent where the recording has none.
+    pub key: Option<String>,
+    /// The time that is shown, seconds from the recording's beginning.
+    pub at_s: f64,
+    /// Seconds of the recording in each second; 0: paused.
+    pub speed: f64,
+    /// The frame whose picture is the nearest before, if there is one.
+    pub picture: Option<String>,
+    /// How many of the page's commands have been done.
+    pub answers: u64,
+}
+
+/// A recording at a glance: its time in equal parts, each with what is worst in it.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct Overview {
+    /// Share of the recording that has been read for it, 0 to 1.
+    pub done: f32,
+    /// The slowest neighbour's latency as in [`Track`]; absent where there is none.
+    pub latency_ms: Vec<Option<[Option<f32>; 5]>>,
+    /// Each neighbour's states.
+    pub states: Vec<TargetStates>,
+    /// Frames that never ended.
+    pub skipped: Vec<u32>,
+    /// Messages that are, or may be, missing in the recording.
+    pub lost: Vec<u32>,
+    /// What is missing of each topic.
+    pub losses: Vec<TopicLoss>,
+}
+
+/// States of a neighbour's track over a recording.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct TargetStates {
+    /// Number of its body.
+    pub target: u32,
+    /// In each part of the recording the worst state; absent where nothing is said.
+    pub states: Vec<Option<&'static str>>,
+}
+
+/// What a recording lacks of a topic.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct TopicLoss {
+    /// Its name.
+    pub topic: String,
+    /// Messages that are recorded.
+    pub recorded: u64,
+    /// Messages that are, or may be, missing.
+    pub lost: u64,
+}
+
 /// Head of a picture.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct PictureHead {
@@ -324,7 +397,7 @@ pub fn key(stamp: &FrameStamp) -> String {
 }
 
 /// A text message as it goes over the wire.
-pub fn text(message: &Text) -> String {
+pub fn text(message: &Text<'_>) -> String {
     // These types have no maps with other keys than texts, so they always have a JSON form.
     serde_json::to_string(message).unwrap_or_default()
 }
@@ -338,63 +411,4 @@ pub fn binary(head: &Head, jpeg: &[u8]) -> Vec<u8> {
 }
 
 #[cfg(test)]
-mod tests {
-    #![allow(clippy::unwrap_used)]
-    use flockeye_config::{Pipeline, Resolved};
-    use serde_json::Value;
-
-    use super::*;
-    use crate::scene::Scene;
-    use crate::stages::StageReports;
-
-    /// Whoever writes a page reads VIEW.md.
-    #[test]
-    fn the_document_names_every_key() {
-        let document = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/VIEW.md");
-        let document = std::fs::read_to_string(document).unwrap();
-        let names = |value: &Value| value.as_object().unwrap().keys().cloned().collect::<Vec<_>>();
-        let resolved = Resolved::of(Pipeline::default()).unwrap();
-        let hello = Text::Hello(Box::new(crate::setting::hello(&resolved, "x", 1.0)));
-        let header = flockeye_contract::TrackHeader { is_last: 1, ..Default::default() };
-        let track: flockeye_contract::Track = bytemuck::Zeroable::zeroed();
-        let ended = Scene::new(true).tracks(&header, &[track], 0).unwrap();
-        let mut reports = StageReports::default();
-        reports.health(&Default::default());
-        let stages = reports.shown(0);
-        let track = serde_json::to_value(&ended.message.tracks[0]).unwrap();
-        let stage = serde_json::to_value(&stages.stages[0]).unwrap();
-        let messages = [
-            hello,
-            Text::Frame(Box::new(ended.message)),
-            Text::Stages(stages),
-            Text::Swarm(Swarm { drones: Vec::new(), sightings: Vec::new() }),
-            Text::Status(Status::default()),
-        ];
-        let mut values: Vec<Value> =
-            messages.iter().map(|message| serde_json::from_str(&text(message)).unwrap()).collect();
-        let picture = Head::Picture(PictureHead { key: String::new(), size: [1, 1] });
-        let closeup =
-            CloseupHead { key: String::new(), target: 0, size: [1, 1], panels: 1, score: None };
-        values.extend(
-            [picture, Head::Closeup(closeup)].map(|head| serde_json::to_value(head).unwrap()),
-        );
-        for value in &values {
-            let kind = value["kind"].as_str().unwrap();
-            assert!(document.contains(&format!("| `{kind}` |")), "{kind}");
-        }
-        values.extend([track, stage]);
-        for name in values.iter().flat_map(names) {
-            assert!(document.contains(&format!("`{name}`")), "{name} is not in VIEW.md");
-        }
-    }
-
-    #[test]
-    fn a_binary_message_says_where_its_picture_begins() {
-        let head = Head::Picture(PictureHead { key: "0.1.2".into(), size: [4, 2] });
-        let message = binary(&head, b"jpeg");
-        let length = u32::from_le_bytes(message[..4].try_into().unwrap()) as usize;
-        let read: Value = serde_json::from_slice(&message[4..4 + length]).unwrap();
-        assert_eq!((read["kind"].as_str(), read["key"].as_str()), (Some("picture"), Some("0.1.2")));
-        assert_eq!(&message[4 + length..], b"jpeg");
-    }
-}
+mod tests;

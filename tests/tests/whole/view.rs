@@ -1,9 +1,11 @@
 //! `flockeye view`: the live view, in a real browser and under bad treatment.
 
 mod foxglove;
+mod recorded;
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
+use std::path::Path;
 use std::process::Command;
 use std::sync::mpsc::channel;
 use std::time::{Duration, Instant};
@@ -14,7 +16,7 @@ use flockeye_geometry::Ray;
 use flockeye_require::loopback::free_port;
 use flockeye_tests::browser::Browser;
 use flockeye_tests::onlooker::{Gated, join, subscribe};
-use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, flockeye};
+use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, flockeye, unique};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use rustix::process::{Signal, kill_process};
 use serde_json::Value;
@@ -35,7 +37,20 @@ impl View {
         command.args(["view", "--instance", instance, "--listen", &format!("127.0.0.1:{port}")]);
         command.args(arguments);
         // Its own instance is that of nobody: a flight's name is never that long.
-        let mut process = Flight::launch(&format!("{instance}-view"), command);
+        Self::launch(&format!("{instance}-view"), port, command)
+    }
+
+    /// That of a recording.
+    fn of_recording(path: &Path, arguments: &[&str]) -> Self {
+        let port = free_port();
+        let mut command = Command::new(flockeye());
+        command.arg("view").arg(path).args(["--listen", &format!("127.0.0.1:{port}")]);
+        command.args(arguments);
+        Self::launch(&unique("recorded-view"), port, command)
+    }
+
+    fn launch(name: &str, port: u16, command: Command) -> Self {
+        let mut process = Flight::launch(name, command);
         process.wait_for("the view of");
         Self { port, process }
     }
@@ -130,22 +145,9 @@ const SEEN: &str = "(flockeye.history.frames.filter(({ bitmap }) => bitmap).leng
     .some(({ target, state, by }) => target === 0 && state === 'confirmed' && by === 'aligned')
     && flockeye.history.frames.some(({ closeups }) => closeups.get(0)?.head.score?.correlation > 0.8))";
 
-#[test]
-fn a_page_shows_the_neighbour_where_it_is() {
-    let Some(mut browser) = Browser::start() else { return };
-    let set: Vec<&str> =
-        SMALL_FLIGHT.iter().copied().chain(["simulator.airframes=false"]).collect();
-    let mut flight = Flight::start("view", &[], &set);
-    flight.wait_for("alpha confirmed");
-    let view = View::of(&flight, &[]);
-    browser.open(&view.address());
-    browser.wait_for(SEEN);
-    assert_eq!(browser.ask("document.title"), format!("{} · Flockeye", flight.instance.name()));
-
-    // Paused where it is seen: the page and the camera model agree where the corners are.
-    browser.wait_for(&format!("{SEEN} && (flockeye.pause(true), {SEEN})"));
+/// Fails unless the page and the camera model agree where the corners of the neighbour's markers are.
+fn assert_corners_are_in_their_places(browser: &mut Browser, resolved: &Resolved) {
     let drawn = browser.ask(CORNERS);
-    let resolved = Resolved::of(flight.instance.pipeline().expect("it runs")).expect("it is valid");
     let ([x, y, z], q) = (numbers(&drawn["pose"]["p"]), numbers::<4>(&drawn["pose"]["q"]));
     let turn = UnitQuaternion::from_quaternion(Quaternion::from(q));
     let observer_from_target = Isometry3::from_parts(Translation3::new(x, y, z), turn);
@@ -164,8 +166,10 @@ fn a_page_shows_the_neighbour_where_it_is() {
         let off_v = (v * f64::from(height) - 0.5 - at.y).abs();
         assert!(off_u < 0.1 && off_v < 0.1, "{place} of the page, {at} of the camera");
     }
+}
 
-    // Looked at closely, the markers' white rims and black borders are where the pose has them.
+/// Looks closely, and fails unless the markers' white rims and black borders are where the pose has them.
+fn assert_picture_is_where_the_pose_is(browser: &mut Browser) {
     browser.ask("flockeye.follow(0)");
     let drawn_twice =
         "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(1))))";
@@ -175,6 +179,25 @@ fn a_page_shows_the_neighbour_where_it_is() {
     println!("rims are brighter than borders by {here}, 7 mm aside by {aside}; {points} points");
     assert!(points >= 36.0 && here > 50.0, "{here} at {points} points");
     assert!(aside < 0.5 * here, "{aside} aside, {here} where it is");
+}
+
+#[test]
+fn a_page_shows_the_neighbour_where_it_is() {
+    let Some(mut browser) = Browser::start() else { return };
+    let set: Vec<&str> =
+        SMALL_FLIGHT.iter().copied().chain(["simulator.airframes=false"]).collect();
+    let mut flight = Flight::start("view", &[], &set);
+    flight.wait_for("alpha confirmed");
+    let view = View::of(&flight, &[]);
+    browser.open(&view.address());
+    browser.wait_for(SEEN);
+    assert_eq!(browser.ask("document.title"), format!("{} · Flockeye", flight.instance.name()));
+
+    // Paused where it is seen: the page and the camera model agree where the corners are.
+    browser.wait_for(&format!("{SEEN} && (flockeye.pause(true), {SEEN})"));
+    let resolved = Resolved::of(flight.instance.pipeline().expect("it runs")).expect("it is valid");
+    assert_corners_are_in_their_places(&mut browser, &resolved);
+    assert_picture_is_where_the_pose_is(&mut browser);
 
     // Steps go back and forth over the pictures that are kept, and the last one leads on.
     let key = "flockeye.history.pictured.frame.key";

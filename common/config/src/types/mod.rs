@@ -214,6 +214,16 @@ pub enum Flow {
     Lossless,
 }
 
+impl Flow {
+    /// Its name in the configuration.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Latest => "latest",
+            Self::Lossless => "lossless",
+        }
+    }
+}
+
 /// This drone.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]

@@ -26,8 +26,6 @@ pub struct Depiction {
     /// The same with the body drawn over it: lens and motion blur it, and its facets have the levels that
     /// explain the picture best.
     pub model: Vec<f32>,
-    /// The share of each pixel that the body covers, 0 to 1.
-    pub coverage: Vec<f32>,
     /// How well both agree at this very pose, which is not fitted.
     pub evidence: Evidence,
 }
@@ -51,18 +49,17 @@ pub fn depict(
     let per_pixel = settings.prior.samples_per_pixel();
     let compared =
         Comparison::new(&patch, print, &state, &samples, per_pixel, AGREEING_CORRELATION);
-    let (model, coverage) = draw(&patch, print, &state);
+    let model = draw(&patch, print, &state);
     let Comparison { evidence, .. } = compared;
     let Patch { width, height, radiance, .. } = patch;
-    Ok(Depiction { width, height, picture: radiance, model, coverage, evidence })
+    Ok(Depiction { width, height, picture: radiance, model, evidence })
 }
 
-/// The patch with the body drawn over it, and the share of each pixel that the body covers.
-fn draw(patch: &Patch, print: &BodyPrint, state: &State) -> (Vec<f32>, Vec<f32>) {
+/// The patch with the body drawn over it.
+fn draw(patch: &Patch, print: &BodyPrint, state: &State) -> Vec<f32> {
     let scene = Scene::new(print, state, patch, 0.0);
     let margin_px = blur_margin_px(&state.blur);
     let mut model = patch.radiance.clone();
-    let mut coverage = vec![0f32; model.len()];
     for index in 0..print.facets.len() {
         let Some((visible, blurred)) = scene.facet(index) else { continue };
         let [white, black] = state.levels[index];
@@ -89,9 +86,8 @@ fn draw(patch: &Patch, print: &BodyPrint, state: &State) -> (Vec<f32>, Vec<f32>)
                 let behind = patch.radiance[place];
                 model[place] +=
                     (white as f32 - behind) * covered + (black as f32 - white as f32) * shown;
-                coverage[place] = (coverage[place] + covered).min(1.0);
             }
         }
     }
-    (model, coverage)
+    model
 }

@@ -1,0 +1,185 @@
+//! Reads frames beside the stages while somebody wants pictures or close-ups, and makes these.
+
+use flockeye_config::Resolved;
+use flockeye_contract::{Frames, Track, TrackState};
+use flockeye_runtime::logs::Throttle;
+use flockeye_runtime::ports::{Message, PortError, Ports, Subscriber};
+use tungstenite::Message as PageMessage;
+
+use crate::closeup::CloseupMaker;
+use crate::held::Held;
+use crate::hub::Wanted;
+use crate::outbox::Kind;
+use crate::picture::PictureMaker;
+use crate::scene::Ended;
+use crate::watch::Audience;
+use crate::wire::{self, Head, PictureHead};
+
+/// Pictures that could not be had are tried again after this long, nanoseconds.
+const RETRY_PERIOD_NS: i64 = 3_000_000_000;
+/// Close-ups for each picture: more would cost more than the picture.
+const CLOSEUPS: usize = 2;
+
+/// Reads frames while they are wanted.
+pub struct FrameReader<'p> {
+    ports: &'p Ports,
+    resolved: &'p Resolved,
+    rate: f64,
+    pictures: Option<Pictures>,
+    /// Why there are none, and when to try again.
+    trouble: Option<(String, i64)>,
+    /// Which neighbour's close-up is next.
+    turn: usize,
+}
+
+impl<'p> FrameReader<'p> {
+    /// None read yet. `rate`: pictures a second at most.
+    pub fn new(ports: &'p Ports, resolved: &'p Resolved, rate: f64) -> Self {
+        Self { ports, resolved, rate, pictures: None, trouble: None, turn: 0 }
+    }
+
+    /// Begins or ends to read, and holds the newest frame while a picture of it `is_due`. Returns why there are no
+    /// pictures, if they are wanted.
+    ///
+    /// # Errors
+    /// Frames cannot be read any more.
+    pub fn receive(
+        &mut self,
+        wanted: Wanted,
+        is_due: bool,
+        now_ns: i64,
+    ) -> Result<String, PortError> {
+        if !(wanted.pictures || wanted.closeups) {
+            (self.pictures, self.trouble) = (None, None);
+            return Ok(String::new());
+        }
+        // While a stage is swapped there may be no room.
+        let is_time = self.trouble.as_ref().is_none_or(|(_, retry_ns)| now_ns > *retry_ns);
+        if self.pictures.is_none() && is_time {
+            match Pictures::open(self.ports, self.resolved, self.rate) {
+                Ok(pictures) => (self.pictures, self.trouble) = (Some(pictures), None),
+                Err(error) => {
+                    let retry_ns = now_ns + RETRY_PERIOD_NS;
+                    self.trouble = Some((format!("no pictures: {error:#}"), retry_ns));
+                }
+            }
+        }
+        if let Some(pictures) = &mut self.pictures {
+            pictures.receive(is_due)?;
+        }
+        Ok(self.trouble.as_ref().map(|(trouble, _)| trouble.clone()).unwrap_or_default())
+    }
+
+    /// Shows a frame that has ended, if it is the one that a picture is due of.
+    pub fn ended(&mut self, ended: &Ended, audience: &Audience, wanted: Wanted) {
+        let Some(pictures) = &mut self.pictures else { return };
+        let Some(frame) = pictures.held.ended(&ended.stamp) else { return };
+        if wanted.pictures {
+            pictures.show(&frame, Some(ended), audience);
+        }
+        if wanted.closeups {
+            let tracks: Vec<&Track> = ended.tracks.iter().filter(is_shown_closely).collect();
+            // Each neighbour in turn.
+            for step in 0..tracks.len().min(CLOSEUPS) {
+                let track = tracks[(self.turn + step) % tracks.len()];
+                pictures.show_closely(&frame, track, &ended.message.key, audience);
+            }
+            self.turn = self.turn.wrapping_add(CLOSEUPS);
+        }
+    }
+
+    /// Shows a frame that does not end.
+    pub fn overdue(&mut self, audience: &Audience, wanted: Wanted, now_ns: i64) {
+        if let Some(pictures) = &mut self.pictures
+            && let Some((_, frame)) = pictures.held.overdue(now_ns)
+            && wanted.pictures
+        {
+            pictures.show(&frame, None, audience);
+        }
+    }
+}
+
+/// Whether a track is worth a close-up.
+pub fn is_shown_closely(track: &&Track) -> bool {
+    matches!(
+        TrackState::try_from(track.state),
+        Ok(TrackState::Confirmed | TrackState::Coasting | TrackState::Measured)
+    )
+}
+
+/// What makes pictures of frames.
+struct Pictures {
+    frames: Subscriber<Frames>,
+    held: Held<Message<Frames>>,
+    maker: PictureMaker,
+    closeups: CloseupMaker,
+    troubles: Throttle,
+    /// Ends with the value, and with it the place among the readers of frames.
+    _ports: Ports,
+}
+
+impl Pictures {
+    fn open(ports: &Ports, resolved: &Resolved, rate: f64) -> anyhow::Result<Self> {
+        let mut ports = ports.beside();
+        Ok(Self {
+            frames: ports.subscriber()?,
+            held: Held::new((1e9 / rate) as i64),
+            maker: PictureMaker::new(&resolved.camera)?,
+            closeups: CloseupMaker::new(resolved)?,
+            troubles: Throttle::default(),
+            _ports: ports,
+        })
+    }
+
+    /// Holds the newest frame while a picture is due, and lets it go otherwise.
+    fn receive(&mut self, is_due: bool) -> Result<(), PortError> {
+        if !is_due {
+            self.held.clear();
+        }
+        if let Some(message) = self.frames.newest()?
+            && is_due
+        {
+            self.held.frame(message.header.stamp, message);
+        }
+        Ok(())
+    }
+
+    fn show(&mut self, frame: &Message<Frames>, ended: Option<&Ended>, audience: &Audience) {
+        let size = self.maker.size();
+        let stamp = &frame.header.stamp;
+        match self.maker.jpeg(&frame.header, frame.items()) {
+            Ok(jpeg) => {
+                let head = Head::Picture(PictureHead { key: wire::key(stamp), size });
+                let message = PageMessage::binary(wire::binary(&head, jpeg));
+                audience.hub.put(Kind::Picture, &message);
+                audience.to_foxglove(|foxglove| foxglove.picture(stamp, ended, size, jpeg));
+            }
+            Err(error) => self.complain(&error),
+        }
+    }
+
+    fn show_closely(
+        &mut self,
+        frame: &Message<Frames>,
+        track: &Track,
+        key: &str,
+        audience: &Audience,
+    ) {
+        match self.closeups.closeup(&frame.header, frame.items(), track, key) {
+            Ok(Some((head, jpeg))) => {
+                let message = wire::binary(&Head::Closeup(head), &jpeg);
+                audience.hub.put(Kind::Closeup(track.target), &PageMessage::binary(message));
+                let stamp = &frame.header.stamp;
+                audience.to_foxglove(|foxglove| foxglove.closeup(stamp, track.target, &jpeg));
+            }
+            Ok(None) => {}
+            Err(error) => self.complain(&error),
+        }
+    }
+
+    fn complain(&mut self, error: &dyn std::fmt::Display) {
+        if let Some(more) = self.troubles.admit() {
+            tracing::warn!(more_since = more, "a frame cannot be shown: {error:#}");
+        }
+    }
+}

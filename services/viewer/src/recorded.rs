@@ -1,0 +1,213 @@
+//! A recording instead of a running pipeline: the same scene, pictures and close-ups, from a file, at any time of it.
+//!
+//! Nothing but one chunk of the file is in memory at once. Each page has its own player, so its own position.
+//!
+//! | module | what it does |
+//! | --- | --- |
+//! | [`messages`] | the contract's messages of a recording |
+//! | [`tape`] | reads on from a time, and gives each frame that ends |
+//! | [`playhead`] | core: which frame is shown, for seeks, steps and time that passes |
+//! | [`pictures`] | the picture that is nearest before a frame, and close-ups |
+//! | [`overview`] | all of the recording at a glance |
+//! | [`player`] | plays to one page |
+//! | [`foxglove_player`] | plays to Foxglove's clients |
+
+pub mod foxglove_player;
+pub mod messages;
+pub mod overview;
+pub mod pictures;
+pub mod player;
+pub mod playhead;
+pub mod tape;
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use anyhow::{Context, ensure};
+use flockeye_config::{Flow, Pipeline, Resolved};
+use flockeye_contract::TopicId;
+use flockeye_geometry::body::{Bodies, Body};
+use flockeye_recording::channel::{FRAME_IMAGES, LOSSES};
+use flockeye_recording::{About, Ending, IndexedRecording};
+use serde_json::{Map, Value};
+
+use crate::{setting, wire};
+use messages::Channels;
+
+/// A recording that is shown. It is read by reference, from several threads at once.
+pub struct Recorded {
+    recording: IndexedRecording,
+    resolved: Resolved,
+    channels: Channels,
+    /// Numbers of the channels of pictures, and of what is missing.
+    images: Option<u16>,
+    losses: Option<u16>,
+    first_ns: u64,
+    last_ns: u64,
+    utc_from_monotonic_ns: i64,
+    utc_from_exposure_ns: i64,
+    hello: wire::Hello,
+    trouble: String,
+}
+
+impl Recorded {
+    /// Opens the recording at `path`. `rate`: pictures a second at most while it is played.
+    ///
+    /// # Errors
+    /// It is no recording, is damaged at its very beginning, has nothing in it, or is of another contract.
+    pub fn open(path: &Path, rate: f64) -> anyhow::Result<Self> {
+        let recording = IndexedRecording::open(path)?;
+        let shown = path.display();
+        let Some((first_ns, last_ns)) = recording.span_ns() else {
+            let damage = recording.damage().map(|damage| format!(": {damage}"));
+            anyhow::bail!(
+                "{shown} has no messages{}. Cure: record for longer",
+                damage.unwrap_or_default()
+            );
+        };
+        let about = recording.about();
+        let resolved = configuration(about).with_context(|| shown.to_string())?;
+        let channels = Channels::of(&recording);
+        ensure!(
+            !channels.is_foreign(TopicId::Tracks),
+            "{shown} was recorded with contract {}, whose tracks this Flockeye does not know. Cure: view it with \
+             version {} of Flockeye",
+            said(about, "contract"),
+            said(about, "version")
+        );
+        let number = |topic: &str| {
+            let mut channels = recording.channels().iter();
+            channels.find(|(_, kind)| kind.topic == topic).map(|(number, _)| *number)
+        };
+        let (images, losses) = (number(FRAME_IMAGES), number(LOSSES));
+        let has_pictures = images.is_some_and(|images| {
+            recording.chunks().iter().any(|chunk| chunk.channels.contains(&images))
+        });
+        let mut hello = setting::hello(&resolved, &said(about, "instance"), rate);
+        hello.recording = Some(wire::Recording {
+            file: path.file_name().unwrap_or_default().to_string_lossy().into_owned(),
+            began_s: first_ns as f64 * 1e-9,
+            duration_s: last_ns.saturating_sub(first_ns) as f64 * 1e-9,
+            pictures: has_pictures,
+        });
+        let utc_from_monotonic_ns = about.utc_from_monotonic_ns;
+        let utc_from_exposure_ns = said(about, "utc_from_exposure_ns").parse().unwrap_or(0);
+        let trouble = trouble(&recording, &channels);
+        Ok(Self {
+            resolved,
+            channels,
+            images,
+            losses,
+            first_ns,
+            last_ns,
+            utc_from_monotonic_ns,
+            utc_from_exposure_ns,
+            hello,
+            trouble,
+            recording,
+        })
+    }
+
+    /// What a page must know once.
+    pub fn hello(&self) -> &wire::Hello {
+        &self.hello
+    }
+
+    /// The recorded configuration, with the recorded bodies.
+    pub fn resolved(&self) -> &Resolved {
+        &self.resolved
+    }
+
+    /// What is wrong with the file as a whole, for people; empty where nothing is.
+    pub fn trouble(&self) -> &str {
+        &self.trouble
+    }
+
+    /// Times of the first and the last message, UTC nanoseconds.
+    pub fn span_ns(&self) -> (u64, u64) {
+        (self.first_ns, self.last_ns)
+    }
+
+    /// UTC less the clock of exposures, nanoseconds.
+    pub fn utc_from_exposure_ns(&self) -> i64 {
+        self.utc_from_exposure_ns
+    }
+
+    /// Seconds from the recording's beginning.
+    pub fn seconds(&self, utc_ns: u64) -> f64 {
+        utc_ns.saturating_sub(self.first_ns) as f64 * 1e-9
+    }
+
+    /// The time so many seconds from its beginning, within the recording.
+    pub fn time_ns(&self, seconds: f64) -> u64 {
+        // What is no number gives 0, and what is too large the end.
+        self.first_ns.saturating_add((seconds * 1e9) as u64).min(self.last_ns)
+    }
+
+    /// The same time on the monotonic clock of the machine that recorded.
+    fn monotonic_ns(&self, utc_ns: u64) -> i64 {
+        i64::try_from(utc_ns).unwrap_or(i64::MAX).saturating_sub(self.utc_from_monotonic_ns)
+    }
+
+    fn is_real_time(&self) -> bool {
+        self.resolved.pipeline.flow == Flow::Latest
+    }
+}
+
+fn said(about: &About, name: &str) -> String {
+    about.metadata.get(name).cloned().unwrap_or_default()
+}
+
+/// What is wrong with a recording that can be shown all the same.
+fn trouble(recording: &IndexedRecording, channels: &Channels) -> String {
+    if let Some(damage) = recording.damage() {
+        return format!("{damage}; what lies before is shown");
+    }
+    let foreign = channels.foreign();
+    if !foreign.is_empty() {
+        let foreign = foreign.join(", ");
+        return format!("not shown, because they are of another contract: {foreign}");
+    }
+    if recording.ending() == Ending::Cut {
+        return "the recording was cut off: what had been written is shown".to_owned();
+    }
+    String::new()
+}
+
+/// The configuration of a recorded pipeline, with the bodies as they were.
+fn configuration(about: &About) -> anyhow::Result<Resolved> {
+    let attached = |name: &str| {
+        let found = about.attachments.iter().find(|(attached, _, _)| attached == name);
+        let (_, _, bytes) = found.with_context(|| format!("the recording has no {name}"))?;
+        Ok::<_, anyhow::Error>(bytes.as_slice())
+    };
+    let json = attached("pipeline.json")?;
+    let read = || -> serde_json::Result<Pipeline> {
+        let mut written: Map<String, Value> = serde_json::from_slice(json)?;
+        // What follows from the rest is worked out anew.
+        written.remove("resolved");
+        serde_json::from_value(Value::Object(written))
+    };
+    let cure =
+        "pipeline.json of the recording is of another version of Flockeye. Cure: view it with that";
+    let pipeline = read().context(cure)?;
+    let bodies = bodies(attached("bodies.json")?).context("bodies.json of the recording")?;
+    Resolved::with_bodies(pipeline, bodies)
+        .context("the recorded configuration cannot be worked with any more")
+}
+
+/// The bodies by the numbers that they had: a file of bodies has them by their names.
+fn bodies(json: &[u8]) -> anyhow::Result<Bodies> {
+    let json = std::str::from_utf8(json)?;
+    let read = Bodies::from_json(json)?;
+    let value: Value = serde_json::from_str(json)?;
+    let number = |body: &Body| value["bodies"][&body.name]["target"].as_u64().unwrap_or(u64::MAX);
+    let mut bodies: BTreeMap<(u64, String), Body> = BTreeMap::new();
+    for body in read.iter() {
+        bodies.insert((number(body), body.name.clone()), body.clone());
+    }
+    Ok(Bodies::new(read.dictionary.clone(), bodies.into_values().collect())?)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,140 @@
+//! All of a recording at a glance: its time in equal parts, each with what is worst in it.
+
+use std::collections::BTreeMap;
+
+use flockeye_contract::{FrameStamp, TopicId, Track, TrackState};
+use flockeye_recording::losses::{Loss, decode_loss};
+
+use super::Recorded;
+use crate::scene::latency_ms;
+use crate::wire;
+
+/// Parts of a recording: as many as a page has pixels for.
+const PARTS: usize = 800;
+
+/// An overview that is being made: one pass over the file.
+pub struct OverviewMaker<'r> {
+    recorded: &'r Recorded,
+    next_chunk: usize,
+    latency_ms: Vec<Option<[Option<f32>; 5]>>,
+    states: BTreeMap<u32, Vec<Option<TrackState>>>,
+    skipped: Vec<u32>,
+    lost: Vec<u32>,
+    last: Option<FrameStamp>,
+    losses: BTreeMap<String, Loss>,
+}
+
+impl<'r> OverviewMaker<'r> {
+    /// Nothing read yet.
+    pub fn new(recorded: &'r Recorded) -> Self {
+        Self {
+            recorded,
+            next_chunk: 0,
+            latency_ms: vec![None; PARTS],
+            states: BTreeMap::new(),
+            skipped: vec![0; PARTS],
+            lost: vec![0; PARTS],
+            last: None,
+            losses: BTreeMap::new(),
+        }
+    }
+
+    /// Reads the next chunk. False: there are no more. A chunk that is damaged is passed over.
+    pub fn read(&mut self) -> bool {
+        let Recorded { recording, channels, losses, .. } = self.recorded;
+        let chunk = self.next_chunk;
+        if chunk >= recording.chunks().len() {
+            return false;
+        }
+        self.next_chunk += 1;
+        let is_wanted = |channel| channels.is(channel, TopicId::Tracks) || *losses == Some(channel);
+        for message in recording.messages(chunk, is_wanted).unwrap_or_default() {
+            let part = self.part(message.utc_ns);
+            if *losses == Some(message.channel) {
+                if let Ok(loss) = decode_loss(&message.bytes) {
+                    self.loss(part, loss);
+                }
+            } else if let Some((header, tracks)) = channels.tracks(&message) {
+                tracks.iter().for_each(|track| self.track(part, track));
+                if header.is_last != 0
+                    && let Some(last) = self.last.replace(header.stamp)
+                {
+                    let skipped = header.stamp.skipped_since(&last);
+                    add(&mut self.skipped[part], skipped);
+                }
+            }
+        }
+        true
+    }
+
+    /// What is known by now.
+    pub fn overview(&self) -> wire::Overview {
+        let chunks = self.recorded.recording.chunks().len().max(1);
+        let states = self.states.iter().map(|(target, states)| wire::TargetStates {
+            target: *target,
+            states: states.iter().map(|state| state.map(TrackState::name)).collect(),
+        });
+        let losses = self.losses.values().filter(|loss| loss.lost() > 0);
+        wire::Overview {
+            done: self.next_chunk as f32 / chunks as f32,
+            latency_ms: self.latency_ms.clone(),
+            states: states.collect(),
+            skipped: self.skipped.clone(),
+            lost: self.lost.clone(),
+            losses: losses
+                .map(|loss| wire::TopicLoss {
+                    topic: loss.topic.clone(),
+                    recorded: loss.recorded,
+                    lost: loss.lost(),
+                })
+                .collect(),
+        }
+    }
+
+    fn part(&self, utc_ns: u64) -> usize {
+        let (first_ns, last_ns) = self.recorded.span_ns();
+        let span_ns = u128::from(last_ns.saturating_sub(first_ns).max(1));
+        let place = u128::from(utc_ns.saturating_sub(first_ns)) * PARTS as u128 / span_ns;
+        // The last message of all is in the last part.
+        (place as usize).min(PARTS - 1)
+    }
+
+    fn track(&mut self, part: usize, track: &Track) {
+        let latency = latency_ms(&track.latency);
+        let total = |latency: &Option<[Option<f32>; 5]>| latency.and_then(|latency| latency[4]);
+        if latency[4].is_some() && total(&Some(latency)) > total(&self.latency_ms[part]) {
+            self.latency_ms[part] = Some(latency);
+        }
+        let Ok(state) = TrackState::try_from(track.state) else { return };
+        // Foreign numbers take no memory.
+        if track.target as usize >= self.recorded.resolved.bodies.len() {
+            return;
+        }
+        let states = self.states.entry(track.target).or_insert_with(|| vec![None; PARTS]);
+        if states[part].is_none_or(|before| badness(state) > badness(before)) {
+            states[part] = Some(state);
+        }
+    }
+
+    fn loss(&mut self, part: usize, loss: Loss) {
+        let before = self.losses.get(&loss.topic).map_or(0, Loss::lost);
+        add(&mut self.lost[part], loss.lost().saturating_sub(before));
+        // As many as the contract has topics, or a file that lies.
+        if self.losses.len() < 64 || self.losses.contains_key(&loss.topic) {
+            self.losses.insert(loss.topic.clone(), loss);
+        }
+    }
+}
+
+fn add(sum: &mut u32, more: u64) {
+    *sum = sum.saturating_add(u32::try_from(more).unwrap_or(u32::MAX));
+}
+
+fn badness(state: TrackState) -> u32 {
+    match state {
+        TrackState::Confirmed | TrackState::Measured => 0,
+        TrackState::Tentative => 1,
+        TrackState::Coasting => 2,
+        TrackState::Lost => 3,
+    }
+}

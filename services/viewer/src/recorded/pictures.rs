@@ -1,0 +1,203 @@
+//! The recorded picture that is nearest before a frame, and close-ups from it.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use flockeye_contract::{FrameHeader, FrameOrder, FrameStamp, TopicId};
+use flockeye_recording::channel::FRAME_IMAGES;
+use flockeye_recording::images::decode_compressed;
+use opencv::prelude::*;
+
+use super::Recorded;
+use crate::closeup::CloseupMaker;
+use crate::frame_reader::is_shown_closely;
+use crate::picture::{PictureMaker, decode, jpeg_size};
+use crate::scene::Ended;
+use crate::wire::{self, CloseupHead};
+
+/// Chunks whose pictures are kept: that of a frame, the one before, and one to go on with.
+const MOST_CHUNKS: usize = 3;
+/// Neighbours of a picture that are shown closely at most.
+const MOST_CLOSEUPS: usize = 4;
+
+/// A recorded picture.
+#[derive(Debug)]
+struct Found {
+    header: FrameHeader,
+    jpeg: Vec<u8>,
+}
+
+/// A picture as a page shows it.
+#[derive(Debug)]
+pub struct Picture {
+    /// The frame that it is of.
+    pub stamp: FrameStamp,
+    /// Its sides, pixels.
+    pub size: [u32; 2],
+    /// The picture.
+    pub jpeg: Vec<u8>,
+    /// Close-ups with their numbers of bodies.
+    pub closeups: Vec<(CloseupHead, Vec<u8>)>,
+}
+
+/// Finds and makes pictures.
+pub struct Pictures {
+    recorded: Arc<Recorded>,
+    maker: PictureMaker,
+    closeups: Option<CloseupMaker>,
+    chunks: VecDeque<(usize, Arc<Vec<Found>>)>,
+    trouble: Option<String>,
+}
+
+impl Pictures {
+    /// Those of a recording.
+    ///
+    /// # Errors
+    /// OpenCV has no memory.
+    pub fn new(recorded: Arc<Recorded>) -> anyhow::Result<Self> {
+        let maker = PictureMaker::new(&recorded.resolved.camera)?;
+        // A dictionary that is a file may be gone.
+        let closeups = CloseupMaker::new(&recorded.resolved)
+            .inspect_err(|error| tracing::warn!("no close-ups: {error:#}"))
+            .ok();
+        Ok(Self { recorded, maker, closeups, chunks: VecDeque::new(), trouble: None })
+    }
+
+    /// Why something could not be shown, if that is new.
+    pub fn trouble(&mut self) -> Option<String> {
+        self.trouble.take()
+    }
+
+    /// The frame of the newest picture up to this frame, which ended at that time.
+    pub fn nearest(&mut self, frame: &FrameStamp, at_ns: u64) -> Option<FrameStamp> {
+        self.find(frame.order(), at_ns).map(|(chunk, place)| chunk[place].header.stamp)
+    }
+
+    /// That picture. `of`: what ended in a frame that is known, for close-ups.
+    pub fn picture<'e>(
+        &mut self,
+        frame: &FrameStamp,
+        at_ns: u64,
+        of: impl Fn(&FrameStamp) -> Option<&'e Ended>,
+    ) -> Option<Picture> {
+        let (chunk, place) = self.find(frame.order(), at_ns)?;
+        let found = &chunk[place];
+        match self.make(found, of(&found.header.stamp)) {
+            Ok(picture) => Some(picture),
+            Err(error) => {
+                self.trouble = Some(format!(
+                    "the picture of frame {}: {error:#}",
+                    found.header.stamp.sequence
+                ));
+                None
+            }
+        }
+    }
+
+    fn make(&mut self, found: &Found, ended: Option<&Ended>) -> anyhow::Result<Picture> {
+        let Found { header, jpeg } = found;
+        let camera = &self.recorded.resolved.camera;
+        let camera_px = [camera.width(), camera.height()];
+        let size = jpeg_size(jpeg).unwrap_or_default();
+        let is_whole = size == [header.width, header.height] && size == camera_px;
+        let mut picture =
+            Picture { stamp: header.stamp, size, jpeg: Vec::new(), closeups: Vec::new() };
+        let tracks = ended.map_or(&[][..], |ended| &ended.tracks);
+        let wants_closeups = is_whole && self.closeups.is_some() && !tracks.is_empty();
+        if self.maker.is_shown_as_is(size) && !wants_closeups {
+            picture.jpeg.clone_from(jpeg);
+            return Ok(picture);
+        }
+        let decoded = decode(jpeg, camera_px)?;
+        if self.maker.is_shown_as_is(size) {
+            picture.jpeg.clone_from(jpeg);
+        } else {
+            picture.jpeg = self.maker.jpeg_of_decoded(&decoded)?.to_vec();
+            picture.size = self.maker.size();
+        }
+        if wants_closeups && let Some(closeups) = &mut self.closeups {
+            let header = FrameHeader { stride: header.width, ..*header };
+            let (pixels, key) = (decoded.data_bytes()?, wire::key(&header.stamp));
+            for track in tracks.iter().filter(is_shown_closely).take(MOST_CLOSEUPS) {
+                picture.closeups.extend(closeups.closeup(&header, pixels, track, &key)?);
+            }
+        }
+        Ok(picture)
+    }
+
+    /// The chunk of the newest picture up to this frame, and its place there.
+    fn find(&mut self, order: FrameOrder, at_ns: u64) -> Option<(Arc<Vec<Found>>, usize)> {
+        let images = self.recorded.images?;
+        let mut chunk = self.recorded.recording.chunk_at(at_ns);
+        loop {
+            let has_images = |chunk: usize| {
+                let place = self.recorded.recording.chunks().get(chunk);
+                place.is_some_and(|place| place.channels.contains(&images))
+            };
+            chunk = (0..=chunk).rev().find(|chunk| has_images(*chunk))?;
+            let pictures = self.of_chunk(chunk, images);
+            // The source may be another process by then, but what was published earlier came earlier.
+            let place = pictures.iter().rposition(|found| found.header.stamp.order() <= order);
+            if let Some(place) = place {
+                return Some((pictures, place));
+            }
+            chunk = chunk.checked_sub(1)?;
+        }
+    }
+
+    /// The pictures of a chunk with their frames' headers.
+    fn of_chunk(&mut self, chunk: usize, images: u16) -> Arc<Vec<Found>> {
+        if let Some((_, pictures)) = self.chunks.iter().find(|(known, _)| *known == chunk) {
+            return pictures.clone();
+        }
+        let pictures = Arc::new(self.read_chunk(chunk, images).unwrap_or_else(|error| {
+            self.trouble = Some(format!("{error}; what lies round it is shown"));
+            Vec::new()
+        }));
+        if self.chunks.len() == MOST_CHUNKS {
+            self.chunks.pop_front();
+        }
+        self.chunks.push_back((chunk, pictures.clone()));
+        pictures
+    }
+
+    fn read_chunk(
+        &self,
+        chunk: usize,
+        images: u16,
+    ) -> Result<Vec<Found>, flockeye_recording::RecordingError> {
+        let Recorded { recording, channels, utc_from_exposure_ns, .. } = &*self.recorded;
+        let is_frame = |channel| channels.is(channel, TopicId::Frames);
+        let mut found = Vec::new();
+        let mut headers: Vec<FrameHeader> = Vec::new();
+        let header_at = |headers: &[FrameHeader], stamp_ns: i64| {
+            let is_its = |header: &&FrameHeader| {
+                header.stamp.exposure_ns.saturating_add(*utc_from_exposure_ns) == stamp_ns
+            };
+            headers.iter().rev().find(is_its).copied()
+        };
+        for message in
+            recording.messages(chunk, |channel| channel == images || is_frame(channel))?
+        {
+            if message.channel != images {
+                headers.extend(channels.frame(&message));
+                continue;
+            }
+            let picture = decode_compressed(FRAME_IMAGES, &message.bytes)?;
+            let mut header = header_at(&headers, picture.stamp.utc_ns());
+            if header.is_none() && chunk > 0 {
+                // A chunk may end between the two.
+                let before = recording.messages(chunk - 1, is_frame)?;
+                let before: Vec<_> =
+                    before.iter().filter_map(|message| channels.frame(message)).collect();
+                header = header_at(&before, picture.stamp.utc_ns());
+            }
+            if let Some(header) = header
+                && picture.format == "jpeg"
+            {
+                found.push(Found { header, jpeg: picture.bytes.to_vec() });
+            }
+        }
+        Ok(found)
+    }
+}

@@ -1,0 +1,95 @@
+//! Reads a recording on from a time, and gives each frame that ends.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use flockeye_recording::IndexedMessage;
+
+use super::Recorded;
+use crate::scene::{Ended, Scene};
+use crate::stages::StageReports;
+use crate::wire;
+
+/// A frame that has ended, and when.
+#[derive(Debug, Clone)]
+pub struct Seen {
+    /// UTC nanoseconds.
+    pub at_ns: u64,
+    /// The frame.
+    pub ended: Ended,
+}
+
+/// A place in a recording, and what is known there.
+pub struct Tape {
+    recorded: Arc<Recorded>,
+    scene: Scene,
+    stages: StageReports,
+    waiting: VecDeque<IndexedMessage>,
+    next_chunk: usize,
+    trouble: Option<String>,
+}
+
+impl Tape {
+    /// At the first chunk that may have what came at this time.
+    pub fn at(recorded: Arc<Recorded>, utc_ns: u64) -> Self {
+        Self {
+            scene: Scene::new(recorded.is_real_time()),
+            stages: StageReports::default(),
+            waiting: VecDeque::new(),
+            next_chunk: recorded.recording.chunk_at(utc_ns),
+            trouble: None,
+            recorded,
+        }
+    }
+
+    /// The next frame that ended until then; `None`: there is none, and all before that time has been taken.
+    pub fn next_until(&mut self, until_ns: u64) -> Option<Seen> {
+        loop {
+            while let Some(message) = self.waiting.front() {
+                if message.utc_ns > until_ns {
+                    return None;
+                }
+                let message = self.waiting.pop_front()?;
+                if let Some(seen) = self.take(&message) {
+                    return Some(seen);
+                }
+            }
+            let recording = &self.recorded.recording;
+            let next = recording.chunks().get(self.next_chunk)?;
+            if next.first_ns > until_ns {
+                return None;
+            }
+            let channels = &self.recorded.channels;
+            match recording.messages(self.next_chunk, |channel| channels.is_of_scene(channel)) {
+                Ok(messages) => self.waiting = messages.into(),
+                // What follows is whole again.
+                Err(error) => self.trouble = Some(format!("{error}; what lies round it is shown")),
+            }
+            self.next_chunk += 1;
+        }
+    }
+
+    /// Why something could not be read, if that is new.
+    pub fn trouble(&mut self) -> Option<String> {
+        self.trouble.take()
+    }
+
+    /// What the stages reported until this time.
+    pub fn stages(&mut self, utc_ns: u64) -> wire::Stages {
+        self.stages.shown(self.recorded.monotonic_ns(utc_ns))
+    }
+
+    /// What was known of the swarm at this time.
+    pub fn swarm(&mut self, utc_ns: u64) -> Option<wire::Swarm> {
+        self.scene.swarm(self.recorded.monotonic_ns(utc_ns))
+    }
+
+    fn take(&mut self, message: &IndexedMessage) -> Option<Seen> {
+        let Self { recorded, scene, stages, .. } = self;
+        let (header, tracks) = recorded.channels.hand_on(message, scene, stages)?;
+        let now_ns = recorded.monotonic_ns(message.utc_ns);
+        let mut ended = scene.tracks(&header, &tracks, now_ns)?;
+        ended.message.at_s = Some(recorded.seconds(message.utc_ns));
+        Some(Seen { at_ns: message.utc_ns, ended })
+    }
+}

@@ -1,0 +1,148 @@
+//! What a page asks the player of its recording for.
+
+use std::collections::VecDeque;
+use std::sync::{Condvar, Mutex, PoisonError};
+use std::time::Duration;
+
+use flockeye_runtime::lock::lock;
+
+/// Wishes that wait at most: a page that sends more of them does not wait for answers.
+const MOST_WISHES: usize = 64;
+/// Frames that are stepped over at once at most.
+const MOST_STEPS: i32 = 1000;
+/// The fastest, seconds in each second.
+const MAX_SPEED: f64 = 100.0;
+
+/// Something that a page wants of a recording.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Move {
+    /// To see this time, seconds from the beginning.
+    Seek(f64),
+    /// To see the frame so many frames on, or back.
+    Step(i32),
+    /// To go on, so many seconds in each second; 0: to stop.
+    Play(f64),
+}
+
+impl Move {
+    /// The same within bounds.
+    fn bounded(self) -> Self {
+        match self {
+            Self::Seek(to_s) => Self::Seek(to_s.clamp(0.0, 1e9)),
+            Self::Step(frames) => Self::Step(frames.clamp(-MOST_STEPS, MOST_STEPS)),
+            Self::Play(speed) => Self::Play(speed.clamp(0.0, MAX_SPEED)),
+        }
+    }
+}
+
+/// Wishes of one page, as its socket's thread and its player share them.
+#[derive(Debug, Default)]
+pub struct Remote {
+    state: Mutex<State>,
+    changed: Condvar,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    wishes: VecDeque<Move>,
+    /// How many have been taken or left out.
+    answers: u64,
+    is_closed: bool,
+}
+
+/// What a player is to do next.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Next {
+    /// This, and how many wishes are done then.
+    Do(Move, u64),
+    /// Nothing new.
+    GoOn,
+    /// The page is gone.
+    End,
+}
+
+impl Remote {
+    /// Adds a wish. Of several seeks that follow each other only the last counts.
+    pub fn ask(&self, wish: Move) {
+        let wish = wish.bounded();
+        let mut state = lock(&self.state);
+        let is_seek = |wish: &Move| matches!(wish, Move::Seek(_));
+        if is_seek(&wish) && state.wishes.back().is_some_and(is_seek) {
+            state.wishes.pop_back();
+            state.answers += 1;
+        }
+        if state.wishes.len() >= MOST_WISHES {
+            state.wishes.pop_front();
+            state.answers += 1;
+        }
+        state.wishes.push_back(wish);
+        self.changed.notify_all();
+    }
+
+    /// Something else has changed for the page.
+    pub fn wake(&self) {
+        self.changed.notify_all();
+    }
+
+    /// The page is gone.
+    pub fn close(&self) {
+        lock(&self.state).is_closed = true;
+        self.changed.notify_all();
+    }
+
+    /// Whether it is.
+    pub fn is_closed(&self) -> bool {
+        lock(&self.state).is_closed
+    }
+
+    /// What to do, waiting for it at most so long.
+    pub fn next(&self, at_most: Duration) -> Next {
+        let mut state = lock(&self.state);
+        if state.wishes.is_empty() && !state.is_closed && !at_most.is_zero() {
+            let waited = self.changed.wait_timeout(state, at_most);
+            state = waited.unwrap_or_else(PoisonError::into_inner).0;
+        }
+        if state.is_closed {
+            return Next::End;
+        }
+        match state.wishes.pop_front() {
+            Some(wish) => {
+                state.answers += 1;
+                Next::Do(wish, state.answers)
+            }
+            None => Next::GoOn,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_last_of_many_seeks_counts_and_all_are_answered() {
+        let remote = Remote::default();
+        assert_eq!(remote.next(Duration::ZERO), Next::GoOn);
+        for to_s in [1.0, -5.0, 1e300, 7.0] {
+            remote.ask(Move::Seek(to_s));
+        }
+        remote.ask(Move::Play(1e9));
+        remote.ask(Move::Seek(-3.0));
+        remote.ask(Move::Step(i32::MIN));
+        assert_eq!(remote.next(Duration::ZERO), Next::Do(Move::Seek(7.0), 4));
+        assert_eq!(remote.next(Duration::ZERO), Next::Do(Move::Play(MAX_SPEED), 5));
+        assert_eq!(remote.next(Duration::ZERO), Next::Do(Move::Seek(0.0), 6));
+        assert_eq!(remote.next(Duration::ZERO), Next::Do(Move::Step(-MOST_STEPS), 7));
+        for _ in 0..10_000 {
+            remote.ask(Move::Step(1));
+        }
+        let mut last = 0;
+        while let Next::Do(_, answers) = remote.next(Duration::ZERO) {
+            last = answers;
+        }
+        assert_eq!(last, 10_007);
+        remote.ask(Move::Step(1));
+        remote.close();
+        assert_eq!(remote.next(Duration::from_secs(60)), Next::End);
+    }
+}
