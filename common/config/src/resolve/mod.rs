@@ -83,6 +83,14 @@ impl Resolved {
     /// by [`Pipeline::load`], also everything that `load` refuses.
     pub fn of(pipeline: Pipeline) -> Result<Self, ResolveError> {
         let bodies = bodies(&pipeline.bodies)?;
+        Self::with_bodies(pipeline, bodies)
+    }
+
+    /// The same with these bodies, whatever `pipeline` says of them.
+    ///
+    /// # Errors
+    /// As [`Resolved::of`], bodies aside.
+    pub fn with_bodies(pipeline: Pipeline, bodies: Bodies) -> Result<Self, ResolveError> {
         let camera = camera(&pipeline.camera)?;
         let division = Division::of(&pipeline.partition, bodies.largest_side())?;
         Ok(Self {
