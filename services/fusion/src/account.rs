@@ -200,11 +200,6 @@ impl<'n> Notes<'n> {
         Self(None)
     }
 
-    /// Whether somebody asks.
-    pub fn is_kept(&self) -> bool {
-        self.0.is_some()
-    }
-
     /// Notes a hypothesis, if somebody asks.
     pub fn note(&mut self, hypothesis: impl FnOnce() -> Hypothesis) {
         if let Some(list) = &mut self.0 {

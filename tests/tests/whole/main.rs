@@ -8,6 +8,7 @@ mod cameras;
 mod conformance;
 mod egomotion;
 mod evaluation;
+mod explaining;
 mod faults;
 mod foreign;
 mod inertial;

@@ -175,6 +175,8 @@ pub struct MarkerFacts {
     pub view_index: u32,
     /// Whether it was decoded. A square that was not is only a place to start from.
     pub is_decoded: bool,
+    /// Whether it was seen where the target is expected; null: no such place is known.
+    pub is_at_place: Option<bool>,
     /// The distance of its corners from where the frame's pose has them, root mean square, pixels of the view.
     pub residual_px: Option<f64>,
     /// The pose that this is about.

@@ -8,6 +8,7 @@ use flockeye_contract::{
 };
 use flockeye_convert::{at_exposure, isometry, matrix6, pose, view_of};
 use flockeye_geometry::Ray;
+use flockeye_geometry::body::Body;
 use flockeye_geometry::filter;
 use flockeye_geometry::view::View;
 use nalgebra::{Isometry3, Matrix6, Unit, Vector3};
@@ -166,7 +167,7 @@ pub fn explanation(path: &Path, resolved: &Resolved, known: &Known) -> Explanati
         before: before(resolved, known),
         views: views(resolved, known, direction.as_ref()),
         next_search_in: direction.as_ref().and_then(|direction| next_search(known, direction)),
-        markers: markers(resolved, known),
+        markers: markers(resolved, known, place.as_ref()),
         passes: passes::facts(resolved, known.target, &known.decisions),
         result: gathered.track().map(result),
         truth: truth(gathered),
@@ -293,7 +294,17 @@ pub fn reference_pose(resolved: &Resolved, known: &Known) -> Option<(Isometry3<f
     }
 }
 
-fn markers(resolved: &Resolved, known: &Known) -> Vec<MarkerFacts> {
+/// How far from its expected direction a marker of a target may be seen, radians.
+fn reach_rad(body: &Body, known: &Known, place: &Place) -> f64 {
+    let range_m = place.camera_from_markers.translation.vector.norm();
+    let predicted = known.before.as_ref().and_then(|before| before.predicted);
+    let doubt_m = predicted.filter(|_| place.is_predicted).map_or(0.0, |(_, covariance)| {
+        3.0 * covariance.fixed_view::<3, 3>(0, 0).trace().max(0.0).sqrt()
+    });
+    (2.0 * body.radius() + doubt_m) / range_m.max(1e-3)
+}
+
+fn markers(resolved: &Resolved, known: &Known, place: Option<&Place>) -> Vec<MarkerFacts> {
     let Some(body) = resolved.bodies.get(known.target) else { return Vec::new() };
     let reference = reference_pose(resolved, known);
     let mut all = Vec::new();
@@ -313,11 +324,20 @@ fn markers(resolved: &Resolved, known: &Known) -> Vec<MarkerFacts> {
                 });
                 (squared.sum::<f64>() / rays.len().max(1) as f64).sqrt()
             };
-            let residual = reference.as_ref().zip(view);
+            let is_at_place = place.and_then(|place| {
+                let middle: Vector3<f64> =
+                    rays.iter().map(|ray| ray.ray_in_camera.into_inner()).sum();
+                let expected = place.direction()?;
+                let off_rad = Ray::try_new(middle, 1e-9)?.angle(&expected);
+                Some(off_rad < reach_rad(body, known, place))
+            });
+            // Of a square elsewhere it says nothing.
+            let residual = reference.as_ref().zip(view).filter(|_| is_at_place != Some(false));
             all.push(MarkerFacts {
                 id: marker.id,
                 view_index,
                 is_decoded: marker.is_decoded(),
+                is_at_place,
                 residual_px: residual.map(|((pose, _), view)| off_rad(pose) * view.focal_px),
                 residual_of: residual.map(|((_, of), _)| *of),
             });

@@ -30,18 +30,20 @@ fn decisive(known: &Known, explanation: &Explanation, place: Option<&Place>) -> 
             "the recording has no end of this frame: it was given up, or its recording was cut off";
         return (Step::NotEnded, why.to_owned());
     }
-    let views = &explanation.views;
-    let found_in =
-        |is_found: &dyn Fn(&ViewFacts) -> bool| -> bool { views.iter().any(|view| is_found(view)) };
-    let has_decoded = found_in(&|view| view.decoded > 0);
-    let has_doubtful = found_in(&|view| view.doubtful > 0);
-    if !has_decoded && !has_doubtful {
-        let Some(place) = place else {
-            return (Step::NoPlaceKnown, no_place(views));
-        };
-        if let Some(said) = of_views(explanation, place) {
-            return said;
+    // Squares elsewhere are others'.
+    let has = |is_decoded: bool| {
+        let markers = explanation.markers.iter().filter(|marker| marker.is_at_place != Some(false));
+        markers.filter(|marker| marker.is_decoded == is_decoded).count() > 0
+    };
+    let (has_decoded, has_doubtful) = (has(true), has(false));
+    match place {
+        Some(place) if !has_decoded && !has_doubtful => {
+            if let Some(said) = of_views(explanation, place) {
+                return said;
+            }
         }
+        None if !has_decoded => return (Step::NoPlaceKnown, no_place(explanation)),
+        _ => {}
     }
     if let Some(said) = by_hypotheses(known) {
         return said;
@@ -49,7 +51,6 @@ fn decisive(known: &Known, explanation: &Explanation, place: Option<&Place>) -> 
     if let Some(said) = by_corners(known) {
         return said;
     }
-    let search = || searched(explanation);
     match (has_decoded, has_doubtful) {
         (true, _) => {
             let why = format!(
@@ -67,7 +68,7 @@ fn decisive(known: &Known, explanation: &Explanation, place: Option<&Place>) -> 
             );
             (Step::NothingDecoded, why)
         }
-        (false, false) => (Step::NothingFound, search()),
+        (false, false) => (Step::NothingFound, searched(explanation)),
     }
 }
 
@@ -80,7 +81,8 @@ fn untold(explanation: &Explanation) -> &'static str {
 }
 
 fn ids(explanation: &Explanation, is_decoded: bool) -> String {
-    let of_kind = explanation.markers.iter().filter(|marker| marker.is_decoded == is_decoded);
+    let at_place = explanation.markers.iter().filter(|marker| marker.is_at_place != Some(false));
+    let of_kind = at_place.filter(|marker| marker.is_decoded == is_decoded);
     let mut ids: Vec<u32> = of_kind.map(|marker| marker.id).collect();
     ids.sort_unstable();
     ids.dedup();
@@ -105,6 +107,7 @@ fn measured(known: &Known, explanation: &Explanation) -> Option<String> {
         if let Some(pass) = from {
             said.push_str(&format!(", in the pass '{}'", pass.pass));
         }
+        let accepted = accepted.filter(|_| result.measured_by == Some(MeasuredBy::Aligned));
         if let Some(log_odds) = accepted.and_then(Hypothesis::log_odds) {
             said.push_str(&format!(", with log odds {log_odds:.1}"));
         }
@@ -201,11 +204,15 @@ fn of_views(explanation: &Explanation, place: &Place) -> Option<(Step, String)> 
     Some((Step::OutsideViews, why))
 }
 
-fn no_place(views: &[ViewFacts]) -> String {
-    let tiles: Vec<String> = views.iter().filter(|view| view.is_answered).map(name_of).collect();
+fn no_place(explanation: &Explanation) -> String {
+    let answered = explanation.views.iter().filter(|view| view.is_answered);
+    let squares = match ids(explanation, false) {
+        ids if ids.is_empty() => String::new(),
+        ids => format!("; squares that may be its markers {ids} were found, which start no track"),
+    };
     format!(
-        "no track predicts it, and none of its markers was found in the views of this frame ({})",
-        tiles.join(", ")
+        "no track predicts it, and none of its markers was decoded in the {} views of this frame{squares}",
+        answered.count()
     )
 }
 
@@ -253,11 +260,11 @@ fn by_hypotheses(known: &Known) -> Option<(Step, String)> {
     let is_rivalled =
         |it: &&Hypothesis| matches!(it.verdict, Verdict::Rivals(_) | Verdict::OneFacetAlone);
     if let Some(rivalled) = likeliest(&mut all().filter(is_rivalled)) {
-        return Some((Step::Rivals, format!("the likeliest pose is {}", decided(&rivalled))));
+        return Some((Step::Rivals, format!("the likeliest pose: {}", decided(&rivalled))));
     }
     let imprecise = |it: &&Hypothesis| it.verdict == Verdict::Imprecise;
     if let Some(imprecise) = likeliest(&mut all().filter(imprecise)) {
-        return Some((Step::Imprecise, format!("the likeliest pose is {}", decided(&imprecise))));
+        return Some((Step::Imprecise, format!("the likeliest pose: {}", decided(&imprecise))));
     }
     let below = likeliest(&mut all())?;
     let hidden = match below.found.as_ref().map(|found| found.visible_share) {
@@ -266,7 +273,7 @@ fn by_hypotheses(known: &Known) -> Option<(Step, String)> {
         }
         _ => String::new(),
     };
-    Some((Step::BelowThreshold, format!("the likeliest pose is {}{hidden}", decided(&below))))
+    Some((Step::BelowThreshold, format!("the likeliest pose: {}{hidden}", decided(&below))))
 }
 
 /// Why corners alone were not enough.

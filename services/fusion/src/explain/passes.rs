@@ -118,7 +118,12 @@ fn hypothesis_facts(frames: &Frames<'_>, hypothesis: &Hypothesis) -> HypothesisF
 pub fn decided(hypothesis: &Hypothesis) -> String {
     let asked = LeastLogOdds::asked();
     match hypothesis.verdict {
-        Verdict::Accepted => "accepted".to_owned(),
+        Verdict::Accepted => match &hypothesis.found {
+            Ok(found) if !found.is_precise() => {
+                "accepted, but too imprecise to be a measurement by itself".to_owned()
+            }
+            _ => "accepted".to_owned(),
+        },
         Verdict::LessLikely => "it would do, and another is likelier".to_owned(),
         Verdict::BelowThreshold => below(hypothesis, &asked),
         Verdict::Imprecise => "likely, but too imprecise to be a measurement by itself".to_owned(),

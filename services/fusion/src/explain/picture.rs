@@ -24,7 +24,7 @@ use crate::recorded::RecordedPixels;
 /// Pixels along the side of the picture of the place.
 const SIDE_PX: usize = 720;
 /// The picture shows so many radii of the body to each side.
-const REACH_RADII: f64 = 2.5;
+const REACH_RADII: f64 = 1.7;
 /// The body is drawn at most so many times larger than it was recorded.
 const MOST_ENLARGED: f64 = 16.0;
 
@@ -62,12 +62,18 @@ pub fn write(
     };
     let body = resolved.bodies.get(known.target).context("there is no such body")?;
     let Some((header, pixels)) = best_view(known, &reference) else {
-        bail!(
-            "no view of frame {} with pixels shows {}: {}. Cure for recordings without pixels: --frames views",
-            explanation.frame.sequence,
-            explanation.target,
-            explanation.why
-        );
+        let has_pixels = known.gathered.views.values().any(|(_, pixels)| pixels.is_some());
+        match has_pixels {
+            true => bail!(
+                "no view of frame {} shows {}, so there is nothing to draw: {}",
+                explanation.frame.sequence,
+                explanation.target,
+                explanation.why
+            ),
+            false => bail!(
+                "the recording has no pixels of views, so there is nothing to draw. Cure: record with them (--frames views)"
+            ),
+        }
     };
     let mut canvas = scene(known, body, header, pixels, &reference)?;
     if let Some(panels) = model(resolved, known, header, pixels, &reference)? {

@@ -118,8 +118,7 @@ fn before(out: &mut String, before: &BeforeFacts) -> std::fmt::Result {
 }
 
 fn views(out: &mut String, views: &[ViewFacts]) -> std::fmt::Result {
-    let is_of_interest =
-        |view: &&ViewFacts| view.shows_place == Some(true) || view.decoded + view.doubtful > 0;
+    let is_of_interest = |view: &&ViewFacts| view.shows_place == Some(true) || view.decoded > 0;
     let (shown, others): (Vec<&ViewFacts>, Vec<&ViewFacts>) =
         views.iter().partition(is_of_interest);
     writeln!(out, "\nLooked at {} views that show its place or its markers", shown.len())?;
@@ -147,8 +146,18 @@ fn views(out: &mut String, views: &[ViewFacts]) -> std::fmt::Result {
     Ok(())
 }
 
-fn markers(out: &mut String, markers: &[MarkerFacts]) -> std::fmt::Result {
+fn markers(out: &mut String, all: &[MarkerFacts]) -> std::fmt::Result {
+    let (markers, elsewhere): (Vec<&MarkerFacts>, Vec<&MarkerFacts>) =
+        all.iter().partition(|marker| marker.is_at_place != Some(false));
     writeln!(out, "\nFound     {} markers or squares of it", markers.len())?;
+    if !elsewhere.is_empty() {
+        let decoded = elsewhere.iter().filter(|marker| marker.is_decoded).count();
+        writeln!(
+            out,
+            "          elsewhere {} squares that look like its markers, {decoded} of them decoded",
+            elsewhere.len()
+        )?;
+    }
     for marker in markers {
         let residual = match (marker.residual_px, marker.residual_of) {
             (Some(px), Some(of)) => {

@@ -246,3 +246,63 @@ fn with_a_spent_budget_only_the_first_start_counts() {
         assert!(follow(TimeBudget::Overspent).is_none());
     });
 }
+
+/// What was noted of each hypothesis, and what came out.
+fn noted(
+    picture: &Picture<'_>,
+    starts: &[Start],
+    by: impl Fn(&Sought<'_>, &mut Notes<'_>) -> Option<Alignment>,
+) -> (Vec<Verdict>, Vec<Hypothesis>) {
+    let starts = with_sources(starts);
+    let sought = Sought { target: 0, picture, starts: &starts, budget: TimeBudget::Unlimited };
+    let mut list = Vec::new();
+    let found = by(&sought, &mut Notes::into_list(Some(&mut list)));
+    assert_eq!(found, by(&sought, &mut Notes::none()), "notes change nothing");
+    (list.iter().map(|noted| noted.verdict).collect(), list)
+}
+
+#[test]
+fn each_hypothesis_is_noted_with_what_was_decided() {
+    let truth = pose(0.8, 0.9);
+    with_picture(&truth, |aligner, picture| {
+        let confirm = |sought: &Sought<'_>, notes: &mut Notes<'_>| {
+            aligner.confirm(sought, &truth, |_| false, notes)
+        };
+        let behind = Start::Fine(Isometry3::translation(-1.0, 0.0, 0.0));
+        let starts = [behind, Start::Fine(pose(0.8, 4.0)), Start::Fine(truth)];
+        let (verdicts, list) = noted(picture, &starts, confirm);
+        assert_eq!(verdicts, [Verdict::NotAligned, Verdict::BelowThreshold, Verdict::Accepted]);
+        assert!(list[2].turn_log.is_some_and(|turn| turn > 2.0), "it has hardly turned");
+        assert!(list[2].log_odds().unwrap() > 6.7 && list[1].log_odds().unwrap() < 4.8);
+        // What comes after a pose that is accepted by itself is not tried.
+        let (verdicts, _) = noted(picture, &[Start::Fine(truth), Start::Fine(truth)], confirm);
+        assert_eq!(verdicts, [Verdict::Accepted]);
+        let initiate =
+            |sought: &Sought<'_>, notes: &mut Notes<'_>| aligner.initiate(sought, |_| false, notes);
+        let starts = [Start::Fine(pose(0.8, 4.0)), Start::Fine(truth), Start::Rough(truth)];
+        let (verdicts, list) = noted(picture, &starts, initiate);
+        // Both lead to the body, and the last one is its mirror pose.
+        assert_eq!(list.last().unwrap().source, Source::Mirror);
+        assert_eq!(verdicts[0], Verdict::BelowThreshold);
+        assert!(verdicts[1..3].contains(&Verdict::Accepted), "{verdicts:?}");
+        assert!(verdicts[1..3].contains(&Verdict::LessLikely), "{verdicts:?}");
+        assert_eq!(list[0].turn_log, None);
+    });
+}
+
+#[test]
+fn rivals_are_noted_with_their_lead() {
+    let body = plate("plate", 0.07, 0.05, 3);
+    let towards = Vector3::new(0.8, 0.5, 0.33).normalize();
+    let turn = UnitQuaternion::rotation_between(&body.markers[0].normal(), &-towards).unwrap();
+    let tilt = UnitQuaternion::from_euler_angles(0.0, 0.0, 0.7);
+    let truth = Isometry3::from_parts(Translation3::from(towards * 1.8), tilt * turn);
+    with_picture_of(&body, &truth, |aligner, picture| {
+        let (verdicts, list) = noted(picture, &[Start::Fine(truth)], |sought, notes| {
+            aligner.initiate(sought, |_| false, notes)
+        });
+        let [Verdict::Rivals(lead), Verdict::Rival] = verdicts[..] else { panic!("{verdicts:?}") };
+        assert!((0.0..least_lead()).contains(&lead.abs()), "{lead}");
+        assert_eq!(list[1].source, Source::Mirror);
+    });
+}
