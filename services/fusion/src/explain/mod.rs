@@ -146,7 +146,10 @@ fn look(path: &Path, asked: &Asked) -> anyhow::Result<(Resolved, Known)> {
     let replay = match state {
         State::Impossible(reason) => Replaying::Impossible(reason),
         State::Different(difference) => Replaying::Different(difference),
-        State::UnderWay(_) | State::Over => Replaying::Same,
+        State::UnderWay(_) | State::Over if gathered.has_ended() => Replaying::Same,
+        State::UnderWay(_) | State::Over => {
+            Replaying::Impossible("the recording ends before the frame does".to_owned())
+        }
     };
     let lost = frames.lost;
     Ok((resolved, Known { target, stamp, at_s, gathered, before, decisions, replay, lost }))

@@ -6,6 +6,7 @@ use super::*;
 use crate::fixtures::*;
 use crate::hypothesis::BestView;
 use crate::measurement::PoseEstimate;
+use crate::passes::direct::Region;
 use crate::policy::SUSPENDED_FRAMES;
 use flockeye_geometry::filter::TrackState;
 use nalgebra::{Isometry3, Matrix6};
