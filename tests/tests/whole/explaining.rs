@@ -222,7 +222,7 @@ fn losses_are_told(scratch: &Scratch, recording: &Path) {
     writer.write_as(&ChannelKind::of_losses(), 1, last_ns, &loss).expect("it can be written");
     writer.finish().expect("it can be written");
     let (is_same, said) = run(&["replay", text(&lossy)]);
-    assert!(is_same && said.contains("may come from: flockeye/view 7"), "{said}");
+    assert!(is_same && said.contains("a difference may come: flockeye/view 7"), "{said}");
     let said = explained(&lossy, "alpha", 3);
     assert_eq!(said["reliance"]["lost"], serde_json::json!([["flockeye/view", 7]]), "{said}");
 }
