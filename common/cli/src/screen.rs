@@ -32,12 +32,7 @@ impl Screen {
 
     /// A screen that shows nothing and keeps the last lines, for error messages.
     pub fn muted() -> Self {
-        Self {
-            is_terminal: false,
-            is_journal: false,
-            table_lines: 0,
-            kept: Some(VecDeque::new()),
-        }
+        Self { is_terminal: false, is_journal: false, table_lines: 0, kept: Some(VecDeque::new()) }
     }
 
     /// The lines that were kept.
