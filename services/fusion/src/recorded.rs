@@ -33,6 +33,7 @@ impl Pixels for RecordedPixels {
 
 /// One message.
 #[derive(Debug, Clone)]
+#[allow(clippy::large_enum_variant, reason = "one at a time, on the stack")]
 pub enum Message {
     /// A frame; its pixels are not read.
     Frame(FrameHeader),

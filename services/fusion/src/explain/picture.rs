@@ -99,7 +99,7 @@ fn best_view<'k>(
     let shows =
         |(header, _): &(&ViewHeader, &RecordedPixels)| view_of(header).holds(&direction, 0.0);
     read.filter(shows).or_else(|| {
-        let all = known.gathered.views.keys().filter_map(|index| with_pixels(index));
+        let all = known.gathered.views.keys().filter_map(with_pixels);
         all.filter(shows).max_by(|(one, _), (other, _)| one.focal_px.total_cmp(&other.focal_px))
     })
 }
