@@ -9,13 +9,14 @@ use std::time::Instant;
 
 use flockeye_detection::{Detector, DetectorParameters, Found};
 use flockeye_dictionary::Dictionary;
-use flockeye_fusion::hypothesis::{Aligner, Start};
+use flockeye_fusion::account::{Notes, Source};
+use flockeye_fusion::hypothesis::{Aligner, Sought, Start};
 use flockeye_fusion::policy::TimeBudget;
 use flockeye_geometry::body::{Bodies, Body, squares};
 use flockeye_geometry::camera::Camera;
 use flockeye_geometry::mask::Mask;
 use flockeye_geometry::partition::Partition;
-use flockeye_geometry::pose::{CornerRay, PoseOptions, solve};
+use flockeye_geometry::pose::{CornerRay, PoseOptions, PoseSolution, solve};
 use flockeye_geometry::view::View;
 use flockeye_imaging::align::Picture;
 use flockeye_imaging::edges::Effort;
@@ -177,18 +178,21 @@ fn region(
     let unknown = |_: &Isometry3<f64>| false;
     for _ in 0..rounds {
         timed(&mut costs.direct_pass, 1.0, || aligner.align(0, &picture, &Start::Fine(predicted)));
-        let from_corners = || -> Vec<Start> {
+        let from_corners = || -> Vec<(Source, Start)> {
             let solutions = solve(body, &rays, &PoseOptions::default()).unwrap_or_default();
-            solutions.iter().take(3).map(|found| Start::Fine(found.camera_from_markers)).collect()
+            let start = |found: &PoseSolution| Start::Fine(found.camera_from_markers);
+            solutions.iter().take(3).map(|found| (Source::Corners, start(found))).collect()
         };
+        let (picture, budget) = (&picture, TimeBudget::OneFrame);
         timed(&mut costs.corner_pass, 1.0, || {
-            let starts = from_corners();
-            aligner.confirm(0, &picture, &starts, &predicted, TimeBudget::OneFrame, unknown)
+            let sought = Sought { target: 0, picture, starts: &from_corners(), budget };
+            aligner.confirm(&sought, &predicted, unknown, &mut Notes::none())
         });
         timed(&mut costs.initiation, 1.0, || {
-            aligner.initiate(0, &picture, &from_corners(), TimeBudget::OneFrame, unknown)
+            let sought = Sought { target: 0, picture, starts: &from_corners(), budget };
+            aligner.initiate(&sought, unknown, &mut Notes::none())
         });
-        timed(&mut costs.background_pass, 1.0, || aligner.reacquire(0, &picture, &predicted));
+        timed(&mut costs.background_pass, 1.0, || aligner.reacquire(0, picture, &predicted));
     }
 }
 

@@ -17,6 +17,7 @@ use flockeye_convert::{camera_turn, purpose_of, search_of, view_of};
 use flockeye_geometry::search::Purpose;
 
 use self::refusal::Guard;
+use crate::account::Decision;
 use crate::frame_assembly::{Frame, FrameAssembly, Leave, Record};
 use crate::measurement::agrees_with_view;
 use crate::notices::Notice;
@@ -156,6 +157,16 @@ impl<P: Pixels> Core<P> {
     /// The bodies, targets and their tracks.
     pub fn tracker(&self) -> &Tracker {
         &self.tracker
+    }
+
+    /// Notes from now on what is decided of a target.
+    pub fn keep_account(&mut self, target: usize) {
+        self.tracker.keep_account(target);
+    }
+
+    /// What was decided of the target since this was asked last, with the frame of each decision.
+    pub fn take_account(&mut self) -> Vec<(FrameOrder, Decision)> {
+        self.tracker.take_account()
     }
 
     /// When the oldest frame will be overdue, nanoseconds.

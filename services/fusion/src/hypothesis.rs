@@ -7,11 +7,13 @@
 
 use flockeye_geometry::body::{Bodies, Body};
 use flockeye_imaging::align::{
-    AlignOptions, Alignment, BodyPrint, Motion, Picture, PrintError, align, least_lead, reacquire,
+    AlignError, AlignOptions, Alignment, BodyPrint, Motion, Picture, PrintError, align, least_lead,
+    reacquire,
 };
 use flockeye_imaging::edges::MarkerPrint;
 use nalgebra::{Isometry3, Unit, Vector3};
 
+use crate::account::{Hypothesis, Notes, Source, Verdict};
 use crate::policy::TimeBudget;
 
 /// Two poses of a body are different if they differ by more than this rotation, radians, or by this
@@ -52,7 +54,20 @@ pub enum Start {
     /// A pose that may be off by more.
     Rough(Isometry3<f64>),
     /// A pose that was tried before with the same picture, and what it led to.
-    Tried(Option<Box<Alignment>>),
+    Tried(Result<Box<Alignment>, AlignError>),
+}
+
+/// What a body is looked for in, and from where.
+#[derive(Debug, Clone, Copy)]
+pub struct Sought<'s> {
+    /// The body's number.
+    pub target: usize,
+    /// The picture.
+    pub picture: &'s Picture<'s>,
+    /// Where alignment starts, in this order.
+    pub starts: &'s [(Source, Start)],
+    /// How much time there is.
+    pub budget: TimeBudget,
 }
 
 /// Aligns the configured bodies with pictures, and decides which results are the bodies.
@@ -123,40 +138,51 @@ impl Aligner {
         self.pixels_per_radian
     }
 
-    /// Confirms where body `target` is, which its track `predicted`: aligns it from `starts` until one
+    /// Confirms where a body is, which its track `predicted`: aligns it from its starts until one
     /// leads to a precise pose that is accepted by itself, else takes the most likely of those that the
     /// track or decoded markers support, precise ones first. Where the budget is spent, only the first start is tried.
     /// `is_marked` tells whether markers were decoded where a pose has them.
     pub fn confirm(
         &self,
-        target: usize,
-        picture: &Picture<'_>,
-        starts: &[Start],
+        sought: &Sought<'_>,
         predicted: &Isometry3<f64>,
-        budget: TimeBudget,
         is_marked: impl Fn(&Isometry3<f64>) -> bool,
+        notes: &mut Notes<'_>,
     ) -> Option<Alignment> {
+        let Sought { target, picture, starts, budget } = *sought;
         let mut best: Option<((bool, f64), Alignment)> = None;
         let max_starts = if budget == TimeBudget::Overspent { 1 } else { starts.len() };
-        for start in starts.iter().take(max_starts) {
-            let Some(found) = self.align(target, picture, start) else { continue };
-            let turn = turn_log(&found, predicted);
+        for (source, start) in starts.iter().take(max_starts) {
+            let aligned = self.try_align(target, picture, start);
+            let turn = aligned.as_ref().ok().map(|found| turn_log(found, predicted));
+            notes.note(|| Hypothesis {
+                turn_log: turn,
+                is_marked: is_marked_at(&aligned, &is_marked),
+                ..Hypothesis::of(*source, aligned.clone())
+            });
+            let (Some(turn), Ok(found)) = (turn, aligned) else { continue };
             let is_predicted = found.is_accepted_with_track_prior(turn);
             if is_predicted && found.is_accepted() && found.is_precise() {
+                notes.accept(&found);
                 return Some(found);
             }
             let rank = (found.is_precise(), found.evidence.log_odds + turn);
             // The prediction may speak against a marker's mirror pose. It does not make up for what the picture lacks.
             let is_supported =
                 is_predicted || is_supported_by_markers(&found, turn.min(0.0), &is_marked);
+            if is_supported {
+                notes.decide_last(Verdict::LessLikely);
+            }
             if is_supported && best.as_ref().is_none_or(|(most, _)| rank > *most) {
                 best = Some((rank, found));
             }
         }
-        best.map(|(_, found)| found)
+        let (_, found) = best?;
+        notes.accept(&found);
+        Some(found)
     }
 
-    /// Finds body `target`, of which no track is confirmed, from all of `starts`. The most likely precise hypothesis is
+    /// Finds a body of which no track is confirmed from all of its starts. The most likely precise hypothesis is
     /// accepted if it is likely enough by itself, and much more likely than all its rivals together.
     /// Rivals are what the other starts led to, and the mirror pose of its most informative facet.
     ///
@@ -164,15 +190,16 @@ impl Aligner {
     /// of an untracked target took 113 ms, in which every other pose waits.
     pub fn initiate(
         &self,
-        target: usize,
-        picture: &Picture<'_>,
-        starts: &[Start],
-        budget: TimeBudget,
+        sought: &Sought<'_>,
         is_marked: impl Fn(&Isometry3<f64>) -> bool,
+        notes: &mut Notes<'_>,
     ) -> Option<Alignment> {
+        let Sought { target, picture, starts, budget } = *sought;
         let mut found: Vec<Alignment> = Vec::new();
-        for start in starts {
-            found.extend(self.align(target, picture, start));
+        for (source, start) in starts {
+            let aligned = self.try_align(target, picture, start);
+            notes.note(|| self.rival(target, *source, aligned.clone(), &is_marked));
+            found.extend(aligned);
             let is_certain = |found: &Alignment| {
                 found.is_accepted() && found.is_precise() && found.evidence.is_unambiguous()
             };
@@ -186,6 +213,9 @@ impl Aligner {
             .filter(|found| found.is_accepted() || is_supported_by_markers(found, 0.0, &is_marked))
             .max_by(|a, b| self.likelihood(target, a).total_cmp(&self.likelihood(target, b)))?;
         let mirror = self.mirror_of(target, picture, best);
+        if let Some(mirror) = &mirror {
+            notes.note(|| self.rival(target, Source::Mirror, Ok(mirror.clone()), &is_marked));
+        }
         let rivals = found.iter().chain(&mirror).filter(|other| !is_same(best, other));
         let mut rivals: Vec<&Alignment> = rivals.collect();
         rivals.sort_by(|a, b| self.likelihood(target, b).total_cmp(&self.likelihood(target, a)));
@@ -199,13 +229,41 @@ impl Aligner {
         let best_log = self.likelihood(target, best);
         let together: f64 =
             distinct.iter().map(|rival| (self.likelihood(target, rival) - best_log).exp()).sum();
-        (together <= (-least_lead()).exp()).then(|| best.clone())
+        let is_chosen = together <= (-least_lead()).exp();
+        notes.choose(best, &distinct, is_chosen, -together.ln());
+        is_chosen.then(|| best.clone())
+    }
+
+    /// A hypothesis that competes with others, with what is known of it by itself.
+    fn rival(
+        &self,
+        target: usize,
+        source: Source,
+        aligned: Result<Alignment, AlignError>,
+        is_marked: impl Fn(&Isometry3<f64>) -> bool,
+    ) -> Hypothesis {
+        let mut rival = Hypothesis {
+            is_marked: is_marked_at(&aligned, &is_marked),
+            ..Hypothesis::of(source, aligned)
+        };
+        if let Ok(found) = &rival.found {
+            rival.tilt_log = self.tilt_log(target, found);
+            if found.is_accepted() || is_supported_by_markers(found, 0.0, &is_marked) {
+                rival.verdict =
+                    if found.is_precise() { Verdict::LessLikely } else { Verdict::Imprecise };
+            }
+        }
+        rival
     }
 
     /// Log odds of a hypothesis, with what is known of how neighbours fly.
     fn likelihood(&self, target: usize, found: &Alignment) -> f64 {
-        let tilt = if self.is_within_tilt(target, found) == Some(false) { TILTED_LOG } else { 0.0 };
-        found.evidence.log_odds + tilt
+        found.evidence.log_odds + self.tilt_log(target, found)
+    }
+
+    /// What is known of how neighbours fly, as log odds.
+    fn tilt_log(&self, target: usize, found: &Alignment) -> f64 {
+        if self.is_within_tilt(target, found) == Some(false) { TILTED_LOG } else { 0.0 }
     }
 
     /// What the mirror pose of a hypothesis, about its most informative facet, leads to.
@@ -240,13 +298,27 @@ impl Aligner {
 
     /// What a start leads to, whether it is the body or not.
     pub fn align(&self, target: usize, picture: &Picture<'_>, start: &Start) -> Option<Alignment> {
+        self.try_align(target, picture, start).ok()
+    }
+
+    /// The same, or why it leads to nothing.
+    ///
+    /// # Errors
+    /// [`AlignError`].
+    pub fn try_align(
+        &self,
+        target: usize,
+        picture: &Picture<'_>,
+        start: &Start,
+    ) -> Result<Alignment, AlignError> {
         let (pose, coarse_first) = match start {
             Start::Fine(pose) => (pose, false),
             Start::Rough(pose) => (pose, true),
             Start::Tried(found) => return found.clone().map(|found| *found),
         };
         let options = AlignOptions { coarse_first, ..self.options };
-        align(self.prints.get(target)?, picture, pose, &options).ok()
+        let print = self.prints.get(target).ok_or(AlignError::Nothing)?;
+        align(print, picture, pose, &options)
     }
 }
 
@@ -278,6 +350,14 @@ fn is_supported_by_markers(
     is_marked: impl Fn(&Isometry3<f64>) -> bool,
 ) -> bool {
     found.is_accepted_with_markers(prior_log_odds) && is_marked(&found.camera_from_markers)
+}
+
+/// Whether markers were decoded where a pose has them that was found.
+fn is_marked_at(
+    aligned: &Result<Alignment, AlignError>,
+    is_marked: impl Fn(&Isometry3<f64>) -> bool,
+) -> bool {
+    aligned.as_ref().is_ok_and(|found| is_marked(&found.camera_from_markers))
 }
 
 fn is_same(one: &Alignment, other: &Alignment) -> bool {

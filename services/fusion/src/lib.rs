@@ -18,6 +18,7 @@
 //! | [`passes`] | the ways in which a frame can tell where a target is |
 //! | [`hypothesis`] | poses with their evidence, and the decision |
 //! | [`measurement`] | a measured pose, and corners as rays |
+//! | [`account`] | what was decided of one target, and why |
 //! | [`schedule`] | when passes run, and how much time they have: by the clock or by stated costs |
 //! | [`policy`] | which pass may run, and how thorough it may be |
 //! | [`exposure`] | how long frames are exposed |
@@ -28,11 +29,15 @@
 //! | [`background_runner`] | where background passes run |
 //! | [`parallel`] | a parallel map that keeps order |
 //! | [`snapshot`], [`succession`] | what a process leaves to its successor, and where it is kept |
+//! | [`recorded`] | a recording as the messages that fusion got and gave |
 //! | [`replay`] | the core again on what was recorded, compared with what it gave |
+//! | [`explain`] | why a frame of a recording gave a pose of a target, or none |
 //! | [`settings`] | the core as the configuration asks for it |
 
+pub mod account;
 pub mod background_runner;
 pub mod core;
+pub mod explain;
 pub mod exposure;
 pub mod frame_assembly;
 pub mod hypothesis;
@@ -47,6 +52,7 @@ pub mod pictures;
 pub mod planning;
 pub mod policy;
 pub mod readout;
+pub mod recorded;
 pub mod replay;
 pub mod schedule;
 pub mod settings;
@@ -69,7 +75,21 @@ pub fn main() -> std::process::ExitCode {
     let arguments: Vec<_> = std::env::args_os().skip(1).collect();
     match &arguments[..] {
         [word, file] if word == "replay" => replay_main(file.as_ref()),
+        [word, ..] if word == "explain" => explain_main(&arguments),
         _ => flockeye_runtime::stage::main::<stage::FusionStage>(),
+    }
+}
+
+/// `flockeye-fusion explain ...`, which `flockeye explain` becomes. The first argument stands for the program.
+fn explain_main(arguments: &[std::ffi::OsString]) -> std::process::ExitCode {
+    flockeye_runtime::logs::init();
+    let asked = <explain::asked::ExplainArguments as clap::Parser>::parse_from(arguments);
+    match explain::main(&asked) {
+        Ok(()) => std::process::ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("flockeye explain: {error:#}");
+            std::process::ExitCode::FAILURE
+        }
     }
 }
 

@@ -7,37 +7,25 @@
 use std::collections::VecDeque;
 use std::path::Path;
 
-use anyhow::{Context, bail, ensure};
-use bytemuck::{AnyBitPattern, pod_read_unaligned};
-use flockeye_config::{Flow, Pipeline, Resolved};
+use anyhow::{bail, ensure};
+use bytemuck::pod_read_unaligned;
+use flockeye_config::{Flow, Resolved};
 use flockeye_contract::{
-    DetectedMarker, DetectionHeader, Detections, FrameEnd, FrameEnds, FrameOrder, PlanHeader,
-    Plans, Rotation, Rotations, StageName, Topic, Track, TrackHeader, Tracks, ViewHeader, Views,
+    FrameEnd, FrameOrder, PlanHeader, Plans, StageName, Topic, Track, TrackHeader, Tracks,
+    ViewHeader,
 };
-use flockeye_recording::channel::VIEW_IMAGES;
-use flockeye_recording::images::decode_image;
-use flockeye_recording::message::{decode, first_difference};
-use flockeye_recording::{ContractMessage, Ending, Reader, RecordedMessage, TopicLayout, layouts};
+use flockeye_recording::message::first_difference;
+use flockeye_recording::{ContractMessage, Ending, TopicLayout};
 
 use crate::background_runner::BackgroundRunner;
 use crate::core::{Core, Event, Outputs};
 use crate::frame_assembly::Record;
 use crate::output::Writer;
-use crate::pictures::Pixels;
+use crate::recorded::{Lost, Message, Recorded, RecordedPixels, header};
 use crate::settings::{Configured, configured};
 
-/// The pixels of a recorded view.
-#[derive(Debug)]
-pub struct RecordedPixels(Vec<u8>);
-
-impl Pixels for RecordedPixels {
-    fn pixels(&self) -> &[u8] {
-        &self.0
-    }
-}
-
 /// What a replay has shown.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Replayed {
     /// Frames that ended.
     pub frames: u64,
@@ -45,6 +33,8 @@ pub struct Replayed {
     pub messages: u64,
     /// The first difference; `None`: the same bytes.
     pub difference: Option<String>,
+    /// What the recording lacks, or may lack. A difference may come from that.
+    pub lost: Vec<Lost>,
 }
 
 /// Replays a recording of a lossless flight with its views (`flockeye record --frames views`).
@@ -52,73 +42,68 @@ pub struct Replayed {
 /// # Errors
 /// It is no such recording, it lacks something, or its configuration cannot be worked with any more.
 pub fn replay(path: &Path) -> anyhow::Result<Replayed> {
-    let mut reader = Reader::open(path)?;
-    let resolved = configuration(&reader)?;
-    ensure!(
-        resolved.pipeline.flow == Flow::Lossless,
-        "{}: in flow latest, what fusion says depends on when it heard what, which is not recorded. Cure: \
-         record a lossless flight (--flow lossless)",
-        path.display()
-    );
-    let mut replay = Replay::new(&resolved)?;
-    replay.work(0)?;
-    while let Some(message) = reader.next_message()? {
-        replay.on(&message)?;
-        if replay.replayed.difference.is_some() {
-            return Ok(replay.replayed);
+    let mut recorded = Recorded::open(path)?;
+    let resolved = recorded.configuration()?;
+    ensure!(is_replayable(&resolved), "{}: {NOT_REPLAYABLE}", path.display());
+    let mut replay = Replay::new(&resolved, &recorded)?;
+    while let Some((message, utc_ns)) = recorded.next_message()? {
+        // The rest says what is lost.
+        if replay.difference().is_none() {
+            replay.on(message, utc_ns)?;
         }
     }
-    if reader.ending() == Some(Ending::Whole) {
+    let is_whole = recorded.ending() == Some(Ending::Whole);
+    if is_whole && replay.difference().is_none() {
         replay.needs_no_pixels()?;
+        replay.note_what_is_left();
     }
     ensure!(
         replay.replayed.messages > 0,
         "{} has no message of fusion. Cure: record for longer",
         path.display()
     );
-    if reader.ending() == Some(Ending::Whole) {
-        replay.note_what_is_left();
-    }
-    Ok(replay.replayed)
+    Ok(Replayed { lost: recorded.lost(), ..replay.replayed })
 }
+
+/// Whether fusion can be replayed with a recording of this configuration.
+pub fn is_replayable(resolved: &Resolved) -> bool {
+    resolved.pipeline.flow == Flow::Lossless
+}
+
+/// Why fusion cannot be replayed with other recordings.
+pub const NOT_REPLAYABLE: &str = "in flow latest, what fusion says depends on when it heard what, which is not recorded. Cure: \
+     record a lossless flight (--flow lossless)";
 
 /// `flockeye-fusion replay FILE`: says what a replay shows. Whether it gave the same.
 ///
 /// # Errors
 /// As [`replay`].
 pub fn report(path: &Path) -> anyhow::Result<bool> {
-    let Replayed { frames, messages, difference } = replay(path)?;
+    let Replayed { frames, messages, difference, lost } = replay(path)?;
     match &difference {
         None => println!("{messages} messages of {frames} frames are the same, byte by byte"),
         Some(difference) => println!("after {messages} messages of {frames} frames: {difference}"),
     }
+    if !lost.is_empty() {
+        println!("the recording lacks messages, from which a difference may come: {}", said(&lost));
+    }
     Ok(difference.is_none())
 }
 
-/// The configuration of a recorded pipeline.
-fn configuration(reader: &Reader) -> anyhow::Result<Resolved> {
-    let name = "pipeline.json";
-    let attachments = &reader.about().attachments;
-    let found = attachments.iter().find(|(attached, _, _)| attached == name);
-    let (_, _, json) = found.with_context(|| format!("the recording has no {name}"))?;
-    let read = || -> serde_json::Result<Pipeline> {
-        let mut written: serde_json::Map<String, serde_json::Value> = serde_json::from_slice(json)?;
-        // What follows from the rest is worked out anew.
-        written.remove("resolved");
-        serde_json::from_value(serde_json::Value::Object(written))
-    };
-    let pipeline = read().with_context(|| format!("{name} of the recording"))?;
-    Resolved::of(pipeline).context("the recorded configuration cannot be worked with any more")
+/// What a recording lacks, as text.
+pub fn said(lost: &[Lost]) -> String {
+    let of_topic = |Lost { topic, messages }: &Lost| format!("{topic} {messages}");
+    lost.iter().map(of_topic).collect::<Vec<_>>().join(", ")
 }
 
-struct Replay {
+/// The core of fusion with what it got.
+pub struct Replay {
     core: Core<RecordedPixels>,
     writer: Writer,
     background: Option<BackgroundRunner>,
     awaits_rotations: bool,
-    layouts: Vec<TopicLayout>,
-    /// The header of a view whose pixels come next, and its number.
-    view: Option<(u32, ViewHeader)>,
+    /// Whether the last view still lacks its pixels.
+    lacks_pixels: bool,
     /// Views of each worker that were not taken yet.
     lanes: Vec<VecDeque<(ViewHeader, RecordedPixels)>>,
     /// Records that came before their views.
@@ -138,9 +123,8 @@ struct Compared {
 }
 
 impl Compared {
-    fn of(layouts: &[TopicLayout], service: &str) -> anyhow::Result<Self> {
-        let layout = layouts.iter().find(|layout| layout.service == service);
-        let layout = layout.context("a topic is not in the contract")?.clone();
+    fn of<T: Topic>(recorded: &Recorded) -> anyhow::Result<Self> {
+        let layout = recorded.layout_of::<T>()?;
         Ok(Self { layout, recorded: VecDeque::new(), given: VecDeque::new() })
     }
 
@@ -167,114 +151,91 @@ impl Compared {
 }
 
 impl Replay {
-    fn new(resolved: &Resolved) -> anyhow::Result<Self> {
+    /// Before the first message.
+    ///
+    /// # Errors
+    /// The configuration cannot be worked with.
+    pub fn new(resolved: &Resolved, recorded: &Recorded) -> anyhow::Result<Self> {
         let pipeline = &resolved.pipeline;
         let Configured { core, writer, aligner, has_background } = configured(resolved, 0)?;
-        let layouts = layouts();
-        Ok(Self {
+        let mut replay = Self {
             core,
             writer,
             background: has_background.then(|| BackgroundRunner::inline(aligner)),
             awaits_rotations: pipeline.runs(StageName::Egomotion),
-            view: None,
+            lacks_pixels: false,
             lanes: (0..pipeline.detection_workers()).map(|_| VecDeque::new()).collect(),
             early: Vec::new(),
             ends: VecDeque::new(),
             newest_rotation: None,
-            tracks: Compared::of(&layouts, Tracks::NAME)?,
-            plans: Compared::of(&layouts, Plans::NAME)?,
-            layouts,
-            replayed: Replayed { frames: 0, messages: 0, difference: None },
-        })
+            tracks: Compared::of::<Tracks>(recorded)?,
+            plans: Compared::of::<Plans>(recorded)?,
+            replayed: Replayed::default(),
+        };
+        replay.work(0)?;
+        Ok(replay)
+    }
+
+    /// The core, which can be asked for an account.
+    pub fn core(&mut self) -> &mut Core<RecordedPixels> {
+        &mut self.core
+    }
+
+    /// The first difference so far.
+    pub fn difference(&self) -> Option<&str> {
+        self.replayed.difference.as_deref()
     }
 
     /// Takes a message of the recording.
-    fn on(&mut self, message: &RecordedMessage) -> anyhow::Result<()> {
-        let topic = message.channel.topic.as_str();
-        if topic == VIEW_IMAGES {
-            return self.on_pixels(message);
-        }
-        let is_of = |layout: &&TopicLayout| layout.channel() == topic;
-        let Some(layout) = self.layouts.iter().find(is_of) else { return Ok(()) };
-        let found = decode(layout, &message.bytes)?;
+    ///
+    /// # Errors
+    /// The recording lacks something, or fusion was replaced meanwhile.
+    pub fn on(&mut self, message: Message, utc_ns: u64) -> anyhow::Result<()> {
         // Only differences of these times count.
-        let now_ns = i64::try_from(message.utc_ns).unwrap_or(i64::MAX);
-        match layout.service {
-            "flockeye/view" => {
+        let now_ns = i64::try_from(utc_ns).unwrap_or(i64::MAX);
+        match message {
+            Message::Header(_) => {
                 self.needs_no_pixels()?;
-                self.view = Some((message.sequence, header(&found)));
+                self.lacks_pixels = true;
             }
-            "flockeye/detection" => {
-                let size = size_of::<DetectedMarker>();
-                let markers = found.items.chunks_exact(size).map(pod_read_unaligned).collect();
-                let markers: Vec<DetectedMarker> = markers;
-                let header: DetectionHeader = header(&found);
-                refuse_if_wrong::<Detections>(&header, &markers)?;
-                self.early.push(Record { header, markers });
+            Message::View(header, pixels) => {
+                self.lacks_pixels = false;
+                if let Some(lane) = self.lanes.get_mut(header.worker as usize) {
+                    lane.push_back((header, pixels));
+                }
             }
-            "flockeye/rotation" => {
-                let rotation: Rotation = header(&found);
-                refuse_if_wrong::<Rotations>(&rotation, &[])?;
+            Message::Searched(record) => self.early.push(record),
+            Message::Rotation(rotation) => {
                 self.newest_rotation = self.newest_rotation.max(Some(rotation.stamp.order()));
                 self.core.on(Event::Rotation(rotation), now_ns);
             }
-            "flockeye/frame_end" => {
-                let end: FrameEnd = header(&found);
-                refuse_if_wrong::<FrameEnds>(&end, &[])?;
-                self.ends.push_back(end);
-            }
-            "flockeye/track" => {
-                let header: TrackHeader = header(&found);
+            Message::FrameEnd(end) => self.ends.push_back(end),
+            Message::Tracks(header, _, bytes) => {
                 ensure!(
                     header.generation == 0,
                     "fusion was replaced during the recording. Cure: record a flight without"
                 );
-                self.tracks.recorded.push_back(found);
+                self.tracks.recorded.push_back(bytes);
             }
-            "flockeye/plan" => {
-                let header: PlanHeader = header(&found);
+            Message::Plan(header, _, bytes) => {
                 if self.plans.recorded.is_empty() && self.replayed.messages == 0 {
-                    self.begin(&header)?;
+                    begin(&header)?;
                 }
-                self.plans.recorded.push_back(found);
+                self.plans.recorded.push_back(bytes);
             }
-            _ => return Ok(()),
+            Message::Frame(_) | Message::Truth(..) => return Ok(()),
         }
         self.work(now_ns)
     }
 
     /// Refuses a recording in which the last view has no pixels.
     fn needs_no_pixels(&self) -> anyhow::Result<()> {
-        ensure!(
-            self.view.is_none(),
-            "a view without its pixels. Cure: record with them (recording.frames: views, or --frames views)"
-        );
-        Ok(())
-    }
-
-    /// A recording that begins later lacks what fusion knew by then.
-    fn begin(&mut self, first: &PlanHeader) -> anyhow::Result<()> {
-        ensure!(
-            first.plan_id == 1,
-            "the recording begins with plan {}: what fusion knew before is not in it. Cure: record from the \
-             first frame on (recording.folder in pipeline.yaml)",
-            first.plan_id
-        );
-        Ok(())
-    }
-
-    fn on_pixels(&mut self, message: &RecordedMessage) -> anyhow::Result<()> {
-        let Some((sequence, header)) = self.view.take() else {
-            bail!("pixels of a view without its header");
-        };
-        ensure!(sequence == message.sequence, "pixels of a view without its header");
-        let pixels = decode_image(VIEW_IMAGES, &message.bytes)?.pixels.to_vec();
-        refuse_if_wrong::<Views>(&header, &pixels)?;
-        if let Some(lane) = self.lanes.get_mut(header.worker as usize) {
-            lane.push_back((header, RecordedPixels(pixels)));
+        if self.lacks_pixels {
+            bail!(
+                "a view without its pixels. Cure: record with them (recording.frames: views, or --frames views)"
+            );
         }
-        let now_ns = i64::try_from(message.utc_ns).unwrap_or(i64::MAX);
-        self.work(now_ns)
+        Ok(())
     }
 
     /// Gives the core what it can have now, and lets it do all that there is to do.
@@ -372,16 +333,15 @@ impl Replay {
     }
 }
 
-/// Refuses what no port would let in: a recording may have been changed.
-fn refuse_if_wrong<T: Topic>(header: &T::Header, items: &[T::Item]) -> anyhow::Result<()> {
-    T::check(header, items).with_context(|| {
-        format!("a recorded message of {} breaks the contract. Cure: record anew", T::NAME)
-    })
-}
-
-fn header<H: AnyBitPattern>(message: &ContractMessage) -> H {
-    // `decode` gives as many bytes as the type has.
-    pod_read_unaligned(&message.header)
+/// A recording that begins later lacks what fusion knew by then.
+fn begin(first: &PlanHeader) -> anyhow::Result<()> {
+    ensure!(
+        first.plan_id == 1,
+        "the recording begins with plan {}: what fusion knew before is not in it. Cure: record from the \
+         first frame on (recording.folder in pipeline.yaml)",
+        first.plan_id
+    );
+    Ok(())
 }
 
 fn contract_message<H: bytemuck::Pod, I: bytemuck::Pod>(

@@ -156,6 +156,11 @@ impl Target {
         self.life.track().is_some()
     }
 
+    /// The state of its track.
+    pub fn state(&self) -> Option<TrackState> {
+        self.life.state()
+    }
+
     /// Forgets the track and every frame's word on it.
     pub fn forget(&mut self) {
         self.life.forget();

@@ -11,6 +11,7 @@ use flockeye_geometry::ego_rotation::EgoRotation;
 use flockeye_geometry::filter::TrackPolicy;
 use flockeye_geometry::search::{Purpose, StopRule};
 
+use crate::account::{Account, Decision, Outcome};
 use crate::exposure::Exposure;
 use crate::frame_assembly::{Frame, Record};
 use crate::hypothesis::Aligner;
@@ -18,7 +19,6 @@ use crate::measurement::{MeasuredBy, Measurement, candidate_rays, contradicts, d
 use crate::parallax::Parallax;
 use crate::passes::background::{BackgroundQueue, Subject};
 use crate::passes::corners::{self, Moment, distinct_decoded};
-use crate::passes::direct::{self, Candidate, Region, RejectedAlignment};
 use crate::passes::inputs::{Earlier, Inputs, Permit};
 use crate::passes::{AnsweredView, BestViews};
 use crate::policy::{DirectPassPolicy, TimeBudget, is_search_turn};
@@ -26,6 +26,7 @@ use crate::readout::Readout;
 use crate::schedule::Attempts;
 use crate::target::{Status, Target, TargetEstimate};
 use crate::view_cache::ViewQuality;
+use accounting::outcome_of;
 
 /// How poses are carried from frame to frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -66,6 +67,8 @@ pub struct Tracker {
     attempts: Attempts,
     /// The last frame that has ended, and when it was exposed, seconds.
     ended: Option<(FrameOrder, f64)>,
+    /// What is decided of one target, where somebody asks.
+    account: Option<Account>,
 }
 
 impl Tracker {
@@ -94,6 +97,7 @@ impl Tracker {
             direct_policy: DirectPassPolicy::default(),
             attempts: Attempts::default(),
             ended: None,
+            account: None,
         }
     }
 
@@ -157,64 +161,6 @@ impl Tracker {
             .collect()
     }
 
-    /// The direct pass over regions of interest of one frame that have been cut. Targets whose pose is
-    /// not accepted wait for their markers.
-    pub fn direct_pass(&mut self, time: FrameTime, regions: &[Region<'_>]) -> Vec<Update> {
-        let candidates: Vec<Candidate<'_>> =
-            regions.iter().filter_map(|region| self.direct_candidate(time, *region)).collect();
-        let found = direct::align(&self.aligner, &candidates, self.threads);
-        self.attempts.direct += candidates.len() as u32;
-        let mut updates = Vec::new();
-        for (Candidate { region, predicted }, found) in candidates.into_iter().zip(found) {
-            let Region { target, view } = region;
-            // A view may come twice, cut again for another worker.
-            if self.targets[target].is_published(time.order) {
-                continue;
-            }
-            let accepted = found.as_ref().and_then(|found| {
-                let measurement = direct::accepted(found, &predicted)?;
-                let measurement = self.corrected(measurement, view.rays_m, target, time.at_s);
-                let target = &self.targets[target];
-                let is_inside = target.is_inside_gate(time.at_s, &measurement, &self.ego);
-                is_inside.then_some((measurement, found.camera_from_markers))
-            });
-            if let (Some(_), Some(stretch_px2)) =
-                (&accepted, found.as_ref().and_then(|found| found.stretch_px2))
-            {
-                let rate = view.picture.motion.rate_in_camera.norm();
-                self.exposure.note(target, stretch_px2, rate);
-            }
-            match accepted {
-                Some((measurement, pose)) => {
-                    let update = self.take_in(time, target, &measurement);
-                    if update.is_some() {
-                        let status = Status::Published { direct_pose: Some(pose) };
-                        self.targets[target].in_frame_mut(time.order).status = status;
-                    }
-                    updates.extend(update);
-                }
-                None => {
-                    let (view_index, found) = (view.view_index, found.map(Box::new));
-                    let rejected = RejectedAlignment { predicted, view_index, found };
-                    self.targets[target].in_frame_mut(time.order).rejected = Some(rejected);
-                }
-            }
-        }
-        updates
-    }
-
-    /// A region with its target's prediction, if the direct pass may measure it.
-    fn direct_candidate<'v>(&self, time: FrameTime, region: Region<'v>) -> Option<Candidate<'v>> {
-        let target = self.targets.get(region.target)?;
-        let may_run = target.is_measured()
-            && !self.direct_policy.is_suspended(region.target)
-            && !target.is_published(time.order);
-        let prior = self.prior(region.target, time.at_s);
-        let predicted = prior.confirmed().filter(|_| may_run)?.camera_from_markers;
-        let view = region.view.moving(self.motion(region.target, time.at_s, &prior));
-        Some(Candidate { region: Region { view, ..region }, predicted })
-    }
-
     /// The corner pass over regions of interest of one frame that have been searched. A pose need wait
     /// neither for the frame's tiles nor for the frame before, because the filter puts each measurement
     /// where it belongs in time.
@@ -263,7 +209,12 @@ impl Tracker {
         let missed: Vec<usize> = self.unpublished(time.order).collect();
         for target in missed {
             let imprecise = self.targets[target].in_frame_mut(time.order).imprecise.take();
-            let update = imprecise.and_then(|imprecise| self.take_in(time, target, &imprecise));
+            let update = imprecise.and_then(|imprecise| {
+                let update = self.take_in(time, target, &imprecise);
+                let outcome = || outcome_of(imprecise, update.as_ref());
+                self.note(time.order, target, || Decision::TakenImprecise(outcome()));
+                update
+            });
             if update.is_some() {
                 updates.extend(update);
                 continue;
@@ -292,13 +243,16 @@ impl Tracker {
         // Taken out meanwhile, because the inputs borrow from all else.
         let mut background = self.background.take();
         let has_background = background.is_some();
-        let inputs: Vec<Inputs<'_>> = tried
-            .iter()
-            .filter_map(|(target, answered)| {
-                let permit = self.permit(time, *target, moment, budget, has_background);
-                self.inputs(time, *target, answered, best_views, permit)
-            })
-            .collect();
+        let mut inputs: Vec<Inputs<'_>> = Vec::new();
+        let mut unmeasurable = Vec::new();
+        for (target, answered) in tried {
+            let permit = self.permit(time, *target, moment, budget, has_background);
+            match self.inputs(time, *target, answered, best_views, permit) {
+                Some(offered) => inputs.push(offered),
+                None => unmeasurable.push(*target),
+            }
+        }
+        let pass = moment.pass();
         let mut attempts = self.attempts;
         for inputs in &inputs {
             match inputs.prior.predicted() {
@@ -306,11 +260,14 @@ impl Tracker {
                 None => attempts.untracked += 1,
             }
         }
-        let measured = corners::measure(&self.aligner, &inputs, self.threads);
+        let trial = |inputs: &Inputs<'_>| self.trial_of(inputs, pass);
+        let measured = corners::measure(&self.aligner, &inputs, self.threads, trial);
         let mut failed = Vec::new();
         let mut found = Vec::new();
-        for (inputs, measurement) in inputs.iter().zip(measured) {
+        let mut trials = Vec::new();
+        for (inputs, (measurement, trial)) in inputs.iter().zip(measured) {
             let target = inputs.target;
+            trials.extend(trial.map(|trial| (target, trial)));
             let corrected = measurement.map(|measurement| {
                 let view =
                     inputs.best_view.filter(|_| measurement.measured_by == MeasuredBy::Aligned);
@@ -327,6 +284,12 @@ impl Tracker {
             failed.push((target, inputs.attempt(), is_in_background, corrected));
         }
         (self.background, self.attempts) = (background, attempts);
+        for target in unmeasurable {
+            self.note_no_inputs(time.order, time.at_s, target, pass);
+        }
+        for (target, trial) in trials {
+            self.note(time.order, target, || Decision::Ran(trial));
+        }
         for (target, attempt, is_in_background, imprecise) in failed {
             let in_frame = self.targets[target].in_frame_mut(time.order);
             in_frame.status = Status::Failed(attempt);
@@ -334,11 +297,19 @@ impl Tracker {
             if is_in_background {
                 in_frame.background = Some(attempt);
             }
+            let outcome = match imprecise {
+                _ if is_in_background => Outcome::InBackground,
+                Some(imprecise) => Outcome::Imprecise(imprecise),
+                None => Outcome::Nothing,
+            };
+            self.note_outcome(time.order, target, outcome);
         }
-        found
-            .iter()
-            .filter_map(|(target, measurement)| self.take_in(time, *target, measurement))
-            .collect()
+        let take_in = |(target, measurement): (usize, Measurement)| {
+            let update = self.take_in(time, target, &measurement);
+            self.note_outcome(time.order, target, outcome_of(measurement, update.as_ref()));
+            update
+        };
+        found.into_iter().filter_map(take_in).collect()
     }
 
     /// What a corner pass may do for a target. What takes long is left to the background pass where
@@ -432,6 +403,7 @@ impl Tracker {
             let rays = decoded_rays(body, &answer.record.markers);
             if contradicts(body, &rays, pose) {
                 self.direct_policy.suspend(target);
+                self.note(order, target, || Decision::Contradicted);
             }
         }
     }
@@ -488,6 +460,8 @@ impl Tracker {
     }
 }
 
+mod accounting;
+mod direct_passes;
 mod late_answers;
 mod predictions;
 mod resumed;

@@ -60,6 +60,8 @@ enum FlockeyeCommand {
     Record,
     /// Give a stage alone what it got in a recorded flight, and compare what it gives with what it gave.
     Replay(ReplayArguments),
+    /// Say why a frame of a recording gave this pose of a neighbour, or none (by flockeye-fusion).
+    Explain,
     /// Show what the swarm's drones report of each other over Zenoh.
     Peers(PeersArguments),
     /// Fly a swarm on this machine.
@@ -104,9 +106,9 @@ pub fn run() -> anyhow::Result<()> {
         FlockeyeCommand::Top(arguments) => top::run(&arguments),
         FlockeyeCommand::Trace(arguments) => trace::run(&arguments),
         // `main` has passed them on, unless something else comes first.
-        FlockeyeCommand::Record | FlockeyeCommand::View => {
+        FlockeyeCommand::Record | FlockeyeCommand::View | FlockeyeCommand::Explain => {
             anyhow::bail!(
-                "`flockeye record` and `flockeye view` are written without anything before them"
+                "`flockeye record`, `view` and `explain` are written without anything before them"
             )
         }
         FlockeyeCommand::Replay(arguments) => lab::become_stage(&arguments),

@@ -1,5 +1,5 @@
 //! The commands that `flockeye` passes on to other programs: to `flockeye-lab`, `record` to
-//! `flockeye-recorder`, `view` to `flockeye-viewer`, and `replay` to the stage.
+//! `flockeye-recorder`, `view` to `flockeye-viewer`, and `replay` and `explain` to the stage.
 
 use std::ffi::OsString;
 use std::os::unix::process::CommandExt;
@@ -40,29 +40,49 @@ pub fn become_program(name: &str, typed: &str, arguments: &[OsString]) -> anyhow
     Err(error).with_context(|| format!("cannot start {}", path.display()))
 }
 
-/// A command that a program of its own does: it gets all arguments, those for its help too.
+/// A command that another program does: it gets all arguments, those for its help too.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PassedOn {
     command: &'static str,
+    /// Whether the program gets the command's name first, because it does others as well.
+    is_named: bool,
     /// The program.
     pub program: &'static str,
     /// The name that users type.
     pub typed: &'static str,
 }
 
-const PASSED_ON: [PassedOn; 2] = [
-    PassedOn { command: "record", program: "flockeye-recorder", typed: "flockeye record" },
-    PassedOn { command: "view", program: "flockeye-viewer", typed: "flockeye view" },
+const PASSED_ON: [PassedOn; 3] = [
+    PassedOn {
+        command: "record",
+        is_named: false,
+        program: "flockeye-recorder",
+        typed: "flockeye record",
+    },
+    PassedOn {
+        command: "view",
+        is_named: false,
+        program: "flockeye-viewer",
+        typed: "flockeye view",
+    },
+    PassedOn {
+        command: "explain",
+        is_named: true,
+        program: "flockeye-fusion",
+        typed: "flockeye-fusion",
+    },
 ];
 
 /// The program that these arguments of `flockeye` are for, and what it gets, if there is one.
 pub fn passed_on(arguments: &[OsString]) -> Option<(PassedOn, Vec<OsString>)> {
     let of = |name: &OsString| PASSED_ON.into_iter().find(|passed| name == passed.command);
-    match arguments {
-        [help, name, ..] if help == "help" => Some((of(name)?, vec!["--help".into()])),
-        [name, rest @ ..] => Some((of(name)?, rest.to_vec())),
-        [] => None,
-    }
+    let (passed, rest) = match arguments {
+        [help, name, ..] if help == "help" => (of(name)?, vec!["--help".into()]),
+        [name, rest @ ..] => (of(name)?, rest.to_vec()),
+        [] => return None,
+    };
+    let name = passed.is_named.then(|| passed.command.into());
+    Some((passed, name.into_iter().chain(rest).collect()))
 }
 
 /// Arguments of `replay`.
@@ -129,6 +149,9 @@ mod tests {
         assert_eq!(asked(&["record", "a.mcap", "--help"]), recorder(&["a.mcap", "--help"]));
         assert_eq!(asked(&["help", "record"]), recorder(&["--help"]));
         assert_eq!(asked(&["view"]), Some(("flockeye-viewer", Vec::new())));
+        let fusion = |words: &[&str]| Some(("flockeye-fusion", arguments(words)));
+        assert_eq!(asked(&["explain", "a.mcap"]), fusion(&["explain", "a.mcap"]));
+        assert_eq!(asked(&["help", "explain"]), fusion(&["explain", "--help"]));
         assert_eq!((asked(&["up", "record"]), asked(&["help"]), asked(&[])), (None, None, None));
     }
 

@@ -9,6 +9,7 @@ mod configurations;
 mod conformance;
 mod egomotion;
 mod evaluation;
+mod explaining;
 mod faults;
 mod foreign;
 mod inertial;

@@ -43,7 +43,7 @@ fn layout(service: &str) -> TopicLayout {
 }
 
 /// The messages of a topic, and how the recording ends.
-fn read(path: &Path, service: &str) -> (Vec<ContractMessage>, Ending) {
+pub(crate) fn read(path: &Path, service: &str) -> (Vec<ContractMessage>, Ending) {
     let layout = layout(service);
     let mut reader = Reader::open(path).unwrap_or_else(|error| panic!("{error}"));
     let mut found = Vec::new();
@@ -55,7 +55,7 @@ fn read(path: &Path, service: &str) -> (Vec<ContractMessage>, Ending) {
     (found, reader.ending().expect("it was read to its end"))
 }
 
-fn text(path: &Path) -> &str {
+pub(crate) fn text(path: &Path) -> &str {
     path.to_str().expect("a plain path")
 }
 

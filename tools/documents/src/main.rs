@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, ensure};
 use clap::{Command, CommandFactory};
 use clap_complete::aot::{Shell, generate_to};
+use flockeye_fusion::explain::asked::ExplainArguments;
 use flockeye_recorder::arguments::RecordArguments;
 use flockeye_viewer::program::ViewArguments;
 
@@ -34,7 +35,11 @@ fn write(folder: &Path) -> anyhow::Result<()> {
 /// The command line of all programs together.
 fn whole_command() -> Command {
     let mut whole = flockeye_launcher::commands::own_command();
-    let passed_on = [("record", RecordArguments::command()), ("view", ViewArguments::command())];
+    let passed_on = [
+        ("record", RecordArguments::command()),
+        ("view", ViewArguments::command()),
+        ("explain", ExplainArguments::command()),
+    ];
     for (name, command) in passed_on {
         whole =
             whole.mut_subcommand(name, |_| command.name(name).bin_name(format!("flockeye {name}")));
@@ -52,7 +57,9 @@ mod tests {
     fn all_programs_commands_are_in_it() {
         let whole = whole_command();
         whole.clone().debug_assert();
-        for path in [&["up"][..], &["record"], &["view"], &["calibrate", "body"], &["eval"]] {
+        for path in
+            [&["up"][..], &["record"], &["view"], &["explain"], &["calibrate", "body"], &["eval"]]
+        {
             let found = path.iter().try_fold(&whole, |command, name| command.find_subcommand(name));
             let found = found.unwrap_or_else(|| panic!("{path:?} is missing"));
             assert!(found.get_about().is_some(), "{path:?} says nothing about itself");

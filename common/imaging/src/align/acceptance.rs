@@ -52,6 +52,28 @@ fn least_log_odds(tried_per_hour: f64) -> f64 {
     (POSITIVE_SHARE * tried_per_hour / FALSE_POSES_PER_HOUR).ln()
 }
 
+/// The log odds from which on a pose is accepted, by what speaks for it beside the picture.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LeastLogOdds {
+    /// Nothing does.
+    pub anywhere: f64,
+    /// A track predicts the body there.
+    pub predicted: f64,
+    /// Markers were decoded where the pose has them.
+    pub marked: f64,
+}
+
+impl LeastLogOdds {
+    /// What is asked.
+    pub fn asked() -> Self {
+        Self {
+            anywhere: least_log_odds(ANYWHERE_PER_HOUR),
+            predicted: least_log_odds(PREDICTED_PER_HOUR),
+            marked: least_log_odds(MARKED_PER_HOUR),
+        }
+    }
+}
+
 /// By how much the log odds of a pose must exceed those of all others together, to be chosen from them.
 pub fn least_lead() -> f64 {
     (CHOICES_PER_HOUR / FALSE_POSES_PER_HOUR).ln()

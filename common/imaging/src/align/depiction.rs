@@ -11,6 +11,7 @@ use super::print::BodyPrint;
 use super::solve;
 use super::state::State;
 use super::{PreparedView, blur_margin_px};
+use crate::light::LinearLight;
 
 /// The part of a picture that shows a body, and what the model says that it should show.
 ///
@@ -28,6 +29,25 @@ pub struct Depiction {
     pub model: Vec<f32>,
     /// How well both agree at this very pose, which is not fitted.
     pub evidence: Evidence,
+}
+
+impl Depiction {
+    /// Picture, model and residual side by side, as code values: rows of three times `width` values. The residual is
+    /// grey where both agree.
+    pub fn panels(&self, light: &LinearLight) -> Vec<u8> {
+        let code = |radiance: f32| light.code_of(f64::from(radiance)).clamp(0.0, 255.0);
+        let row = |row: usize| {
+            let place = row * self.width..(row + 1) * self.width;
+            let (picture, model) = (&self.picture[place.clone()], &self.model[place]);
+            let residual = picture
+                .iter()
+                .zip(model)
+                .map(move |(picture, model)| (127.5 + (code(*picture) - code(*model))) as u8);
+            let shown = picture.iter().chain(model).map(move |radiance| code(*radiance) as u8);
+            shown.chain(residual).collect::<Vec<u8>>()
+        };
+        (0..self.height).flat_map(row).collect()
+    }
 }
 
 /// Draws `print` at the pose `camera_from_markers` beside `picture`. Nothing but the facets' white and black

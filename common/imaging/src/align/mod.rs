@@ -45,7 +45,7 @@ mod samples;
 mod solve;
 mod state;
 
-pub use acceptance::least_lead;
+pub use acceptance::{LeastLogOdds, least_lead};
 pub use alignment::{AlignError, AlignOptions, Alignment};
 pub use depiction::{Depiction, depict};
 pub use evidence::Evidence;

@@ -89,7 +89,16 @@ fn region(sequence: u64, plan_id: u64) -> Event<Vec<u8>> {
 
 /// Its record, with alpha's markers at `pose(0.9)`.
 fn searched(sequence: u64, plan_id: u64) -> Event<Vec<u8>> {
-    let mut record = record(sequence, &pose(0.9));
+    searched_at(sequence, plan_id, &pose(0.9))
+}
+
+/// The same with alpha's markers at another pose.
+fn searched_at(
+    sequence: u64,
+    plan_id: u64,
+    camera_from_markers: &nalgebra::Isometry3<f64>,
+) -> Event<Vec<u8>> {
+    let mut record = record(sequence, camera_from_markers);
     let view = shown().0;
     for marker in &mut record.markers {
         marker.corners_in_view = marker.rays_in_camera.map(|ray| {
@@ -398,6 +407,7 @@ fn a_marker_of_no_body_is_noticed_and_ignored() {
 /// answer says that alpha was found all the same.
 fn answered_in_background(schedule: Schedule) -> (Core<Vec<u8>>, Answer) {
     let (mut core, plan_id) = tracking(schedule);
+    core.keep_account(0);
     core.on(frame_end(3, plan_id, 0), 0);
     drain(&mut core, 0);
     let empty = Record {
@@ -445,3 +455,5 @@ fn by_a_virtual_clock_a_background_pass_publishes_if_its_cost_fits_into_the_fram
         assert!(is_ended(&said));
     }
 }
+
+mod accounts;

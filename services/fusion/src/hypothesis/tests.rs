@@ -38,13 +38,42 @@ fn with_picture_of<T>(
     by(&aligner, &picture)
 }
 
+/// Looks for the body of an aligner for one.
+fn initiate(
+    aligner: &Aligner,
+    picture: &Picture<'_>,
+    starts: &[Start],
+    budget: TimeBudget,
+) -> Option<Alignment> {
+    let starts: Vec<(Source, Start)> = with_sources(starts);
+    let sought = Sought { target: 0, picture, starts: &starts, budget };
+    aligner.initiate(&sought, |_| false, &mut Notes::none())
+}
+
+fn confirm(
+    aligner: &Aligner,
+    picture: &Picture<'_>,
+    starts: &[Start],
+    predicted: &Isometry3<f64>,
+    budget: TimeBudget,
+    is_marked: impl Fn(&Isometry3<f64>) -> bool,
+) -> Option<Alignment> {
+    let starts: Vec<(Source, Start)> = with_sources(starts);
+    let sought = Sought { target: 0, picture, starts: &starts, budget };
+    aligner.confirm(&sought, predicted, is_marked, &mut Notes::none())
+}
+
+fn with_sources(starts: &[Start]) -> Vec<(Source, Start)> {
+    starts.iter().map(|start| (Source::Prediction, start.clone())).collect()
+}
+
 #[test]
 fn of_several_starts_the_right_one_initiates_a_track() {
     for range_m in [0.8, 1.6, 2.4] {
         let truth = pose(range_m, 0.9);
         let starts = [pose(range_m, 2.0), pose(range_m, -0.6), truth].map(Start::Fine);
         let found = with_picture(&truth, |aligner, picture| {
-            aligner.initiate(0, picture, &starts, TimeBudget::Unlimited, |_| false)
+            initiate(aligner, picture, &starts, TimeBudget::Unlimited)
         });
         let found = found.expect("one of them is right").camera_from_markers;
         assert!(found.rotation.angle_to(&truth.rotation) < 0.02, "{range_m} m");
@@ -62,9 +91,10 @@ fn wrong_attitudes_neither_initiate_nor_confirm_a_track() {
                 let predicted = pose(range_m, 0.9 + turn);
                 let starts = [Start::Fine(predicted)];
                 let found = [
-                    aligner.initiate(0, picture, &starts, TimeBudget::Unlimited, |_| false),
-                    aligner
-                        .confirm(0, picture, &starts, &predicted, TimeBudget::Unlimited, |_| false),
+                    initiate(aligner, picture, &starts, TimeBudget::Unlimited),
+                    confirm(aligner, picture, &starts, &predicted, TimeBudget::Unlimited, |_| {
+                        false
+                    }),
                 ];
                 for found in found.into_iter().flatten() {
                     // It may find its way to the truth, and nowhere else.
@@ -93,8 +123,7 @@ fn a_single_facet_initiates_a_track_where_perspective_excludes_its_mirror_pose()
         with_picture_of(&body, &truth, |aligner, picture| {
             let turned_rad = |begun: Isometry3<f64>| {
                 let starts = [Start::Fine(begun)];
-                aligner
-                    .initiate(0, picture, &starts, TimeBudget::Unlimited, |_| false)
+                initiate(aligner, picture, &starts, TimeBudget::Unlimited)
                     .map(|found| found.camera_from_markers.rotation.angle_to(&truth.rotation))
             };
             let turned = turned_rad(truth);
@@ -127,8 +156,7 @@ fn a_single_facet_far_away_initiates_a_track_where_its_mirror_pose_is_tilted_too
         let mirrored = aligner.prints[0].mirrored(0, &truth).unwrap();
         let found = |aligner: &Aligner, starts: &[Isometry3<f64>]| {
             let starts: Vec<Start> = starts.iter().copied().map(Start::Fine).collect();
-            aligner
-                .initiate(0, picture, &starts, TimeBudget::Unlimited, |_| false)
+            initiate(aligner, picture, &starts, TimeBudget::Unlimited)
                 .map(|found| found.camera_from_markers.rotation.angle_to(&truth.rotation))
         };
         let limited = |camera: &Isometry3<f64>, max_deg: f64| {
@@ -156,16 +184,15 @@ fn a_track_is_confirmed_farther_away_than_it_is_initiated() {
     let truth = pose(4.6, 0.9);
     let starts = [Start::Fine(truth)];
     with_picture(&truth, |aligner, picture| {
-        assert!(aligner.initiate(0, picture, &starts, TimeBudget::Unlimited, |_| false).is_none());
-        let found = aligner.confirm(0, picture, &starts, &truth, TimeBudget::Unlimited, |_| false);
+        assert!(initiate(aligner, picture, &starts, TimeBudget::Unlimited).is_none());
+        let found = confirm(aligner, picture, &starts, &truth, TimeBudget::Unlimited, |_| false);
         let found = found.expect("it is where it was expected");
         let error = found.camera_from_markers.translation.vector - truth.translation.vector;
         assert!(error.norm() < 0.05, "{} m", error.norm());
         // A few facets may be others' mirror poses: then it must not have turned far.
         assert_eq!(found.evidence.agreeing_facets, 1);
         assert!(
-            aligner
-                .confirm(0, picture, &starts, &pose(4.6, 1.5), TimeBudget::Unlimited, |_| false)
+            confirm(aligner, picture, &starts, &pose(4.6, 1.5), TimeBudget::Unlimited, |_| false)
                 .is_none()
         );
     });
@@ -181,15 +208,15 @@ fn a_decoded_marker_does_not_support_a_pose_that_the_track_excludes() {
     let truth = Isometry3::from_parts(Translation3::from(towards * 0.9), tilt * turn);
     with_picture_of(&body, &truth, |aligner, picture| {
         let mirrored = aligner.prints[0].mirrored(0, &truth).unwrap();
-        let confirm = |start: Isometry3<f64>| {
+        let follow = |start: Isometry3<f64>| {
             let starts = [Start::Fine(start)];
-            aligner.confirm(0, picture, &starts, &truth, TimeBudget::Unlimited, |_| true)
+            confirm(aligner, picture, &starts, &truth, TimeBudget::Unlimited, |_| true)
         };
-        assert!(confirm(truth).is_some());
+        assert!(follow(truth).is_some());
         let found = aligner.align(0, picture, &Start::Fine(mirrored)).unwrap();
         let turned = found.camera_from_markers.rotation.angle_to(&truth.rotation);
         assert!(turned > 0.5 && found.is_accepted_with_markers(0.0), "{turned}, {found:?}");
-        assert!(confirm(mirrored).is_none());
+        assert!(follow(mirrored).is_none());
     });
 }
 
@@ -199,11 +226,10 @@ fn an_untracked_target_that_the_first_start_misses_is_found_with_any_budget() {
     let wrong = Start::Fine(pose(0.8, 4.0));
     with_picture(&truth, |aligner, picture| {
         for budget in [TimeBudget::Unlimited, TimeBudget::OneFrame, TimeBudget::Overspent] {
-            let initiate =
-                |starts: &[Start]| aligner.initiate(0, picture, starts, budget, |_| false);
-            assert!(initiate(std::slice::from_ref(&wrong)).is_none(), "{budget:?}");
+            let find = |starts: &[Start]| initiate(aligner, picture, starts, budget);
+            assert!(find(std::slice::from_ref(&wrong)).is_none(), "{budget:?}");
             let found =
-                initiate(&[wrong.clone(), Start::Fine(truth)]).expect("the second one is right");
+                find(&[wrong.clone(), Start::Fine(truth)]).expect("the second one is right");
             let error = found.camera_from_markers.translation.vector - truth.translation.vector;
             assert!(error.norm() < 0.01, "{budget:?}: {} m", error.norm());
         }
@@ -215,8 +241,68 @@ fn with_a_spent_budget_only_the_first_start_counts() {
     let truth = pose(0.8, 0.9);
     let starts = [Start::Fine(pose(0.8, 4.0)), Start::Fine(truth)];
     with_picture(&truth, |aligner, picture| {
-        let follow = |budget| aligner.confirm(0, picture, &starts, &truth, budget, |_| false);
+        let follow = |budget| confirm(aligner, picture, &starts, &truth, budget, |_| false);
         assert!(follow(TimeBudget::Unlimited).is_some() && follow(TimeBudget::OneFrame).is_some());
         assert!(follow(TimeBudget::Overspent).is_none());
+    });
+}
+
+/// What was noted of each hypothesis, and what came out.
+fn noted(
+    picture: &Picture<'_>,
+    starts: &[Start],
+    by: impl Fn(&Sought<'_>, &mut Notes<'_>) -> Option<Alignment>,
+) -> (Vec<Verdict>, Vec<Hypothesis>) {
+    let starts = with_sources(starts);
+    let sought = Sought { target: 0, picture, starts: &starts, budget: TimeBudget::Unlimited };
+    let mut list = Vec::new();
+    let found = by(&sought, &mut Notes::into_list(Some(&mut list)));
+    assert_eq!(found, by(&sought, &mut Notes::none()), "notes change nothing");
+    (list.iter().map(|noted| noted.verdict).collect(), list)
+}
+
+#[test]
+fn each_hypothesis_is_noted_with_what_was_decided() {
+    let truth = pose(0.8, 0.9);
+    with_picture(&truth, |aligner, picture| {
+        let confirm = |sought: &Sought<'_>, notes: &mut Notes<'_>| {
+            aligner.confirm(sought, &truth, |_| false, notes)
+        };
+        let behind = Start::Fine(Isometry3::translation(-1.0, 0.0, 0.0));
+        let starts = [behind, Start::Fine(pose(0.8, 4.0)), Start::Fine(truth)];
+        let (verdicts, list) = noted(picture, &starts, confirm);
+        assert_eq!(verdicts, [Verdict::NotAligned, Verdict::BelowThreshold, Verdict::Accepted]);
+        assert!(list[2].turn_log.is_some_and(|turn| turn > 2.0), "it has hardly turned");
+        assert!(list[2].log_odds().unwrap() > 6.7 && list[1].log_odds().unwrap() < 4.8);
+        // What comes after a pose that is accepted by itself is not tried.
+        let (verdicts, _) = noted(picture, &[Start::Fine(truth), Start::Fine(truth)], confirm);
+        assert_eq!(verdicts, [Verdict::Accepted]);
+        let initiate =
+            |sought: &Sought<'_>, notes: &mut Notes<'_>| aligner.initiate(sought, |_| false, notes);
+        let starts = [Start::Fine(pose(0.8, 4.0)), Start::Fine(truth), Start::Rough(truth)];
+        let (verdicts, list) = noted(picture, &starts, initiate);
+        // Both lead to the body, and the last one is its mirror pose.
+        assert_eq!(list.last().unwrap().source, Source::Mirror);
+        assert_eq!(verdicts[0], Verdict::BelowThreshold);
+        assert!(verdicts[1..3].contains(&Verdict::Accepted), "{verdicts:?}");
+        assert!(verdicts[1..3].contains(&Verdict::LessLikely), "{verdicts:?}");
+        assert_eq!(list[0].turn_log, None);
+    });
+}
+
+#[test]
+fn rivals_are_noted_with_their_lead() {
+    let body = plate("plate", 0.07, 0.05, 3);
+    let towards = Vector3::new(0.8, 0.5, 0.33).normalize();
+    let turn = UnitQuaternion::rotation_between(&body.markers[0].normal(), &-towards).unwrap();
+    let tilt = UnitQuaternion::from_euler_angles(0.0, 0.0, 0.7);
+    let truth = Isometry3::from_parts(Translation3::from(towards * 1.8), tilt * turn);
+    with_picture_of(&body, &truth, |aligner, picture| {
+        let (verdicts, list) = noted(picture, &[Start::Fine(truth)], |sought, notes| {
+            aligner.initiate(sought, |_| false, notes)
+        });
+        let [Verdict::Rivals(lead), Verdict::Rival] = verdicts[..] else { panic!("{verdicts:?}") };
+        assert!((0.0..least_lead()).contains(&lead.abs()), "{lead}");
+        assert_eq!(list[1].source, Source::Mirror);
     });
 }

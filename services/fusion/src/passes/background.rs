@@ -18,8 +18,9 @@ use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::LinearLight;
 use nalgebra::Isometry3;
 
-use super::inputs::Inputs;
-use crate::hypothesis::{Aligner, Start, precise_or_else};
+use super::inputs::{Inputs, searched};
+use crate::account::{Notes, Pass, Source, Trial};
+use crate::hypothesis::{Aligner, Sought, Start, precise_or_else};
 use crate::measurement::{Measurement, distinct_markers, supports};
 use crate::policy::TimeBudget;
 
@@ -45,6 +46,8 @@ pub struct Answer {
     pub is_independent: bool,
     /// The distance that the view's rays are right for, metres.
     pub rays_m: f64,
+    /// How it was measured, where somebody asks.
+    pub trial: Option<Box<Trial>>,
 }
 
 /// Which background passes are under way, wait, or were refused. It holds no thread: whoever runs
@@ -52,6 +55,8 @@ pub struct Answer {
 #[derive(Debug, Default)]
 pub struct BackgroundQueue {
     under_way: Option<UnderWay>,
+    /// The target whose passes are to be accounted for.
+    noted: Option<usize>,
     /// The job that is under way, until it is taken.
     to_run: Option<Job>,
     /// The job that comes next.
@@ -80,7 +85,7 @@ impl BackgroundQueue {
             if under_way.subject.target != target {
                 let is_untracked = inputs.prior.predicted().is_none();
                 if is_untracked && !under_way.is_untracked && self.waiting.is_none() {
-                    self.waiting = Job::new(subject, inputs);
+                    self.waiting = self.job(subject, inputs);
                     return self.waiting.is_some();
                 }
                 self.refused.insert(target);
@@ -93,10 +98,23 @@ impl BackgroundQueue {
             self.refused.clear();
             return false;
         }
-        let job = Job::new(subject, inputs);
+        let job = self.job(subject, inputs);
         let is_granted = job.is_some();
         job.into_iter().for_each(|job| self.start(job));
         is_granted
+    }
+
+    fn job(&self, subject: Subject, inputs: &Inputs<'_>) -> Option<Job> {
+        let mut job = Job::new(subject, inputs)?;
+        if self.noted == Some(subject.target) {
+            job.trial = Some(Box::new(inputs.trial(Pass::Background)));
+        }
+        Some(job)
+    }
+
+    /// Has the passes of a target say what they do.
+    pub fn keep_account(&mut self, target: usize) {
+        self.noted = Some(target);
     }
 
     fn start(&mut self, job: Job) {
@@ -134,6 +152,13 @@ impl BackgroundQueue {
         Some(under_way.subject.order)
     }
 
+    /// Whether a pass over a frame is under way or waits, cancelled or not.
+    pub fn is_about(&self, order: FrameOrder) -> bool {
+        let under_way = self.under_way.iter().map(|under_way| under_way.subject);
+        let mut subjects = under_way.chain(self.waiting.iter().map(|job| job.subject));
+        subjects.any(|subject| subject.order == order)
+    }
+
     /// Takes the answer to the job that was under way, and starts the one that waits. `None` if the pass
     /// was cancelled meanwhile.
     pub fn finish(&mut self, answer: Answer) -> Option<Answer> {
@@ -152,7 +177,9 @@ pub struct Job {
     is_untracked: bool,
     body: Body,
     decoded: Vec<CornerRay>,
-    starts: Vec<Start>,
+    starts: Vec<(Source, Start)>,
+    /// Where its passes are accounted for.
+    trial: Option<Box<Trial>>,
     /// The prediction of a confirmed track.
     confirmed: Option<Isometry3<f64>>,
     /// The prediction that is searched round if no start leads to the body.
@@ -180,6 +207,7 @@ impl Job {
             body: inputs.body.clone(),
             decoded: inputs.decoded.clone(),
             starts: inputs.background_starts(),
+            trial: None,
             confirmed: inputs.prior.confirmed().map(|prior| prior.camera_from_markers),
             search_round: predicted.filter(|_| inputs.permit.may_search),
             pixels,
@@ -193,18 +221,21 @@ impl Job {
     }
 
     /// Runs the pass.
-    pub fn run(&self, aligner: &Aligner) -> Answer {
-        let (measurement, is_independent) = self.measure(aligner).unzip();
+    pub fn run(mut self, aligner: &Aligner) -> Answer {
+        let mut trial = self.trial.take();
+        let notes = Notes::into_list(trial.as_mut().map(|trial| &mut trial.hypotheses));
+        let (measurement, is_independent) = self.measure(aligner, notes).unzip();
         Answer {
             subject: self.subject,
             measurement,
             is_independent: is_independent.unwrap_or_default(),
             rays_m: self.rays_m,
+            trial,
         }
     }
 
     /// The target's pose, and whether it was found without the prior of a track.
-    fn measure(&self, aligner: &Aligner) -> Option<(Measurement, bool)> {
+    fn measure(&self, aligner: &Aligner, mut notes: Notes<'_>) -> Option<(Measurement, bool)> {
         let (width, height) = self.size;
         let picture = Picture {
             image: LumaImage::new(&self.pixels, width, height, width).ok()?,
@@ -214,15 +245,18 @@ impl Job {
             motion: self.motion,
         };
         let (target, starts, budget) = (self.subject.target, &self.starts, TimeBudget::OneFrame);
+        let sought = Sought { target, picture: &picture, starts, budget };
         let is_marked = |pose: &Isometry3<f64>| supports(&self.body, &self.decoded, pose);
         let found = match &self.confirmed {
-            Some(predicted) => {
-                aligner.confirm(target, &picture, starts, predicted, budget, is_marked)
-            }
-            None => aligner.initiate(target, &picture, starts, budget, is_marked),
+            Some(predicted) => aligner.confirm(&sought, predicted, is_marked, &mut notes),
+            None => aligner.initiate(&sought, is_marked, &mut notes),
         };
         let is_independent = self.confirmed.is_none() && found.is_some();
-        let search = || aligner.reacquire(target, &picture, self.search_round.as_ref()?);
+        let search = || {
+            let found = aligner.reacquire(target, &picture, self.search_round.as_ref()?);
+            notes.note(|| searched(found.clone()));
+            found
+        };
         let found = precise_or_else(found, search)?;
         Some((Measurement::aligned(&found, distinct_markers(&self.decoded)), is_independent))
     }
@@ -281,11 +315,15 @@ mod tests {
         Subject { order: (0, 0, 0), at_s: 0.0, target }
     }
 
+    fn nothing_found(subject: Subject) -> Answer {
+        let rays_m = f64::INFINITY;
+        Answer { subject, measurement: None, is_independent: false, rays_m, trial: None }
+    }
+
     /// Ends what is under way without having found anything.
     fn finish(queue: &mut BackgroundQueue) {
         let subject = queue.take_job().expect("a job is under way").subject;
-        let rays_m = f64::INFINITY;
-        queue.finish(Answer { subject, measurement: None, is_independent: false, rays_m });
+        drop(queue.finish(nothing_found(subject)));
     }
 
     fn under_way(queue: &BackgroundQueue) -> Option<Subject> {
@@ -337,9 +375,7 @@ mod tests {
         with_requests(|queue, request| {
             assert!(request(queue, 0, true));
             let answer = |queue: &mut BackgroundQueue| {
-                let subject = queue.take_job().expect("a job").subject;
-                let rays_m = f64::INFINITY;
-                Answer { subject, measurement: None, is_independent: false, rays_m }
+                nothing_found(queue.take_job().expect("a job").subject)
             };
             let first = answer(queue);
             assert!(queue.take_job().is_none(), "a job is run once");

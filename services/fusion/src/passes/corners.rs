@@ -10,6 +10,7 @@ use flockeye_geometry::body::Body;
 use flockeye_geometry::search::StopRule;
 
 use super::inputs::{Inputs, MARKERS_WITHOUT_TRACK};
+use crate::account::{Pass, Trial};
 use crate::frame_assembly::{Frame, Record};
 use crate::hypothesis::Aligner;
 use crate::measurement::Measurement;
@@ -25,6 +26,14 @@ pub enum Moment {
 }
 
 impl Moment {
+    /// Its pass, for an account of it.
+    pub fn pass(self) -> Pass {
+        match self {
+            Self::RegionSearched => Pass::Region,
+            Self::FrameComplete => Pass::Complete,
+        }
+    }
+
     /// Decoded markers that must agree where there is a confirmed track but nothing was aligned. One is
     /// enough only when no more can come.
     pub fn min_markers(self) -> usize {
@@ -35,13 +44,17 @@ impl Moment {
     }
 }
 
-/// Measures each target by its inputs, on up to `threads` threads.
+/// Measures each target by its inputs, on up to `threads` threads, and says how if its `account` is kept.
 pub fn measure(
     aligner: &Aligner,
     inputs: &[Inputs<'_>],
     threads: usize,
-) -> Vec<Option<Measurement>> {
-    parallel::map(inputs, threads, |inputs| inputs.measure(aligner))
+    account: impl Fn(&Inputs<'_>) -> Option<Trial> + Sync,
+) -> Vec<(Option<Measurement>, Option<Trial>)> {
+    parallel::map(inputs, threads, |inputs| {
+        let mut trial = account(inputs);
+        (inputs.measure(aligner, trial.as_mut()), trial)
+    })
 }
 
 /// A frame's records in plan order. With the rule `first_hit` only those up to the first hit count: how

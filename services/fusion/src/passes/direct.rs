@@ -4,7 +4,7 @@
 //! It takes a fraction of the time of a search, so a tracked target's pose leaves a few milliseconds
 //! after the exposure. It only accepts poses that are likely by themselves; all others wait for their markers.
 
-use flockeye_imaging::align::Alignment;
+use flockeye_imaging::align::{AlignError, Alignment};
 use nalgebra::Isometry3;
 
 use crate::hypothesis::{Aligner, BestView, Start, turn_log};
@@ -37,7 +37,7 @@ pub struct RejectedAlignment {
     /// The view's place in the plan.
     pub view_index: u32,
     /// What it led to.
-    pub found: Option<Box<Alignment>>,
+    pub found: Result<Box<Alignment>, AlignError>,
 }
 
 /// Aligns each candidate from its prediction, on up to `threads` threads.
@@ -45,12 +45,12 @@ pub fn align(
     aligner: &Aligner,
     candidates: &[Candidate<'_>],
     threads: usize,
-) -> Vec<Option<Alignment>> {
+) -> Vec<Result<Alignment, AlignError>> {
     parallel::map(
         candidates,
         threads,
         |Candidate { region: Region { target, view }, predicted }| {
-            aligner.align(*target, &view.picture, &Start::Fine(*predicted))
+            aligner.try_align(*target, &view.picture, &Start::Fine(*predicted))
         },
     )
 }

@@ -1,12 +1,15 @@
 //! What a frame offers to measure one target by, collected once.
 
+use std::collections::BTreeSet;
+
 use flockeye_geometry::body::Body;
 use flockeye_geometry::pose::{CornerRay, PoseOptions, PoseSolution, choose, solve};
-use flockeye_imaging::align::Alignment;
+use flockeye_imaging::align::{AlignError, Alignment};
 use nalgebra::Isometry3;
 
 use super::direct::RejectedAlignment;
-use crate::hypothesis::{Aligner, BestView, Start, precise_or_else};
+use crate::account::{CornerPose, Hypothesis, Notes, Pass, Source, Trial, Verdict};
+use crate::hypothesis::{Aligner, BestView, Sought, Start, precise_or_else};
 use crate::measurement::{MeasuredBy, Measurement, PoseEstimate, distinct_markers, supports};
 use crate::policy::TimeBudget;
 use crate::track_prior::TrackPrior;
@@ -73,6 +76,25 @@ pub struct Inputs<'f> {
     pub earlier: Earlier<'f>,
 }
 
+/// Whether a pose from corners would do as a measurement.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum CornerVerdict {
+    /// It would.
+    Enough,
+    /// More markers would have to agree.
+    TooFewMarkers {
+        /// So many.
+        wanted: usize,
+    },
+    /// Its standard deviations are too large, all axes together, or it is too far away.
+    TooUncertain {
+        /// Metres.
+        position_m: f64,
+        /// Radians.
+        rotation_rad: f64,
+    },
+}
+
 /// The inputs of an attempt, as far as they decide whether a retry can find anything new.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Attempt {
@@ -110,13 +132,22 @@ impl Inputs<'_> {
 
     /// Measures the target: by alignment from the corners' solutions and the prediction or, where none
     /// is accepted and precise, by corners alone. An imprecise alignment is taken where nothing else is left to try.
-    pub fn measure(&self, aligner: &Aligner) -> Option<Measurement> {
+    /// How is noted in `trial`, where somebody asks.
+    pub fn measure(&self, aligner: &Aligner, mut trial: Option<&mut Trial>) -> Option<Measurement> {
         let solutions =
             solve(self.body, &self.decoded, &PoseOptions::default()).unwrap_or_default();
         let chosen = choose(&solutions, self.prior.confirmed()).map(|choice| choice.solution);
+        if let Some(trial) = &mut trial {
+            trial.corner_poses.extend(solutions.iter().map(|solution| CornerPose {
+                solution: solution.clone(),
+                is_chosen: Some(solution) == chosen,
+                verdict: self.corner_verdict(solution),
+            }));
+        }
+        let mut notes = Notes::into_list(trial.map(|trial| &mut trial.hypotheses));
         let aligned = self.best_view.as_ref().and_then(|view| {
-            let found = self.align(aligner, view, &solutions, chosen);
-            let found = precise_or_else(found, || self.search(aligner, view))?;
+            let found = self.align(aligner, view, &solutions, chosen, &mut notes);
+            let found = precise_or_else(found, || self.search(aligner, view, &mut notes))?;
             Some(Measurement::aligned(&found, distinct_markers(&self.decoded)))
         });
         match aligned {
@@ -126,14 +157,21 @@ impl Inputs<'_> {
     }
 
     /// Searches round the prediction, where that is not left to the background pass.
-    fn search(&self, aligner: &Aligner, view: &BestView<'_>) -> Option<Alignment> {
+    fn search(
+        &self,
+        aligner: &Aligner,
+        view: &BestView<'_>,
+        notes: &mut Notes<'_>,
+    ) -> Option<Alignment> {
         let may_search = self.permit.may_search && !self.permit.is_deferred;
         let predicted = self.prior.predicted().filter(|_| may_search)?;
-        aligner.reacquire(self.target, &view.picture, predicted)
+        let found = aligner.reacquire(self.target, &view.picture, predicted);
+        notes.note(|| searched(found.clone()));
+        found
     }
 
-    /// The pose that the corners give, if enough of them agree and it is certain enough.
-    fn measurement_of(&self, solution: &PoseSolution) -> Option<Measurement> {
+    /// Whether a pose that the corners give would do as a measurement: if enough of them agree and it is certain enough.
+    fn corner_verdict(&self, solution: &PoseSolution) -> CornerVerdict {
         let min_markers = match self.prior.confirmed() {
             Some(_) => self.permit.min_markers,
             None => MARKERS_WITHOUT_TRACK,
@@ -141,12 +179,27 @@ impl Inputs<'_> {
         let range_m = solution.camera_from_markers.translation.vector.norm();
         let covariance = solution.inflated_covariance();
         let sigma = |first| covariance.fixed_view::<3, 3>(first, first).trace().sqrt();
-        let is_accepted = solution.inlier_markers.len() >= min_markers
-            && range_m < MAX_RANGE_M
+        if solution.inlier_markers.len() < min_markers {
+            return CornerVerdict::TooFewMarkers { wanted: min_markers };
+        }
+        // A NaN is none of these.
+        if range_m < MAX_RANGE_M
             && sigma(0) < MAX_POSITION_SIGMA_M
-            && sigma(3) < MAX_ROTATION_SIGMA_RAD;
+            && sigma(3) < MAX_ROTATION_SIGMA_RAD
+        {
+            return CornerVerdict::Enough;
+        }
+        CornerVerdict::TooUncertain { position_m: sigma(0), rotation_rad: sigma(3) }
+    }
+
+    /// The pose that the corners give, if it would do as a measurement.
+    fn measurement_of(&self, solution: &PoseSolution) -> Option<Measurement> {
+        let is_accepted = self.corner_verdict(solution) == CornerVerdict::Enough;
         is_accepted.then(|| Measurement {
-            pose: PoseEstimate { camera_from_markers: solution.camera_from_markers, covariance },
+            pose: PoseEstimate {
+                camera_from_markers: solution.camera_from_markers,
+                covariance: solution.inflated_covariance(),
+            },
             measured_by: MeasuredBy::Decoded,
             markers: distinct_markers(&self.decoded),
             is_precise: true,
@@ -161,54 +214,60 @@ impl Inputs<'_> {
         view: &BestView<'_>,
         solutions: &[PoseSolution],
         chosen: Option<&PoseSolution>,
+        notes: &mut Notes<'_>,
     ) -> Option<Alignment> {
         let attempt = self.attempt();
-        let mut starts: Vec<Start> = Vec::new();
+        let mut starts: Vec<(Source, Start)> = Vec::new();
         let fine_is_new =
             self.is_new(|failed| Attempt { candidates: failed.candidates, ..attempt });
         let rough_is_new = self.is_new(|_| attempt);
         if fine_is_new {
             let others = solutions.iter().filter(|solution| Some(*solution) != chosen);
             let from_corners = chosen.into_iter().chain(others).take(STARTS_FROM_CORNERS);
-            starts.extend(from_corners.map(|solution| Start::Fine(solution.camera_from_markers)));
+            starts.extend(from_corners.map(corner_start));
         }
         let is_deferred = self.permit.is_deferred;
         if !is_deferred && rough_is_new {
             starts.extend(self.candidate_starts());
         }
         if fine_is_new && let Some(predicted) = self.prior.predicted() {
-            starts.push(self.rejected_start(predicted).unwrap_or(Start::Fine(*predicted)));
-            starts.extend((!is_deferred).then_some(Start::Rough(*predicted)));
+            let fine = (Source::Prediction, Start::Fine(*predicted));
+            starts.push(self.rejected_start(predicted).unwrap_or(fine));
+            starts.extend((!is_deferred).then_some(rough_start(predicted)));
         }
-        let budget = self.permit.budget;
+        let (target, budget, picture) = (self.target, self.permit.budget, &view.picture);
+        let sought = Sought { target, picture, starts: &starts, budget };
         let is_marked = |pose: &Isometry3<f64>| supports(self.body, &self.decoded, pose);
         match &self.prior {
             TrackPrior::Confirmed(prior) => {
-                let predicted = &prior.camera_from_markers;
-                aligner.confirm(self.target, &view.picture, &starts, predicted, budget, is_marked)
+                aligner.confirm(&sought, &prior.camera_from_markers, is_marked, notes)
             }
-            TrackPrior::Tentative(_) => {
-                aligner.initiate(self.target, &view.picture, &starts, budget, is_marked)
-            }
+            TrackPrior::Tentative(_) => aligner.initiate(&sought, is_marked, notes),
             // One facet alone starts a track only if it wins against all starts, the deferred ones too.
-            TrackPrior::Untracked => aligner
-                .initiate(self.target, &view.picture, &starts, budget, is_marked)
-                .filter(|found| !is_deferred || found.evidence.is_unambiguous()),
+            TrackPrior::Untracked => {
+                let found = aligner.initiate(&sought, is_marked, notes)?;
+                let is_enough = !is_deferred || found.evidence.is_unambiguous();
+                if !is_enough {
+                    notes.is_one_facet_alone(&found);
+                }
+                is_enough.then_some(found)
+            }
         }
     }
 
-    fn candidate_starts(&self) -> impl Iterator<Item = Start> {
+    fn candidate_starts(&self) -> impl Iterator<Item = (Source, Start)> {
         let solutions = solve(self.body, &self.candidates, &PoseOptions::default());
         let solutions = solutions.unwrap_or_default().into_iter().take(STARTS_FROM_CORNERS);
-        solutions.map(|solution| Start::Rough(solution.camera_from_markers))
+        let start = |solution: PoseSolution| Start::Rough(solution.camera_from_markers);
+        solutions.map(move |solution| (Source::DoubtfulSquares, start(solution)))
     }
 
     /// What the direct pass found from the same start in the same view.
-    fn rejected_start(&self, predicted: &Isometry3<f64>) -> Option<Start> {
+    fn rejected_start(&self, predicted: &Isometry3<f64>) -> Option<(Source, Start)> {
         let view_index = self.best_view?.view_index;
         let rejected = self.earlier.rejected?;
         let is_same = rejected.view_index == view_index && rejected.predicted == *predicted;
-        is_same.then(|| Start::Tried(rejected.found.clone()))
+        is_same.then(|| (Source::DirectPass, Start::Tried(rejected.found.clone())))
     }
 
     /// Whether a background pass has something to start from that no other of this frame had.
@@ -223,18 +282,56 @@ impl Inputs<'_> {
 
     /// What a background pass starts from. Without a confirmed track the corners' solutions are among it
     /// again, because what one start leads to is compared with what the others do.
-    pub fn background_starts(&self) -> Vec<Start> {
+    pub fn background_starts(&self) -> Vec<(Source, Start)> {
         let from_corners = match self.prior.confirmed() {
             Some(_) => Vec::new(),
             None => solve(self.body, &self.decoded, &PoseOptions::default()).unwrap_or_default(),
         };
-        let from_corners = from_corners.into_iter().take(STARTS_FROM_CORNERS);
+        let from_corners = from_corners.iter().take(STARTS_FROM_CORNERS);
         from_corners
-            .map(|solution| Start::Fine(solution.camera_from_markers))
+            .map(corner_start)
             .chain(self.candidate_starts())
-            .chain(self.prior.predicted().copied().map(Start::Rough))
+            .chain(self.prior.predicted().map(rough_start))
             .collect()
     }
+
+    /// A pass with these inputs that begins, for an account of it.
+    pub fn trial(&self, pass: Pass) -> Trial {
+        Trial {
+            view_index: self.best_view.map(|view| view.view_index),
+            is_deferred: self.permit.is_deferred,
+            decoded: ids_of(&self.decoded),
+            doubtful: ids_of(&self.candidates),
+            ..Trial::of(pass, &self.prior, self.permit.budget)
+        }
+    }
+}
+
+fn corner_start(solution: &PoseSolution) -> (Source, Start) {
+    (Source::Corners, Start::Fine(solution.camera_from_markers))
+}
+
+fn rough_start(predicted: &Isometry3<f64>) -> (Source, Start) {
+    (Source::RoughPrediction, Start::Rough(*predicted))
+}
+
+/// What the search round a prediction led to.
+pub(super) fn searched(found: Option<Alignment>) -> Hypothesis {
+    match found {
+        Some(found) => {
+            Hypothesis { verdict: Verdict::Accepted, ..Hypothesis::of(Source::Search, Ok(found)) }
+        }
+        None => Hypothesis {
+            verdict: Verdict::NothingFound,
+            ..Hypothesis::of(Source::Search, Err(AlignError::Nothing))
+        },
+    }
+}
+
+/// Ids of the markers that these are corners of.
+fn ids_of(rays: &[CornerRay]) -> Vec<u32> {
+    let ids: BTreeSet<u32> = rays.iter().map(|ray| ray.marker_id).collect();
+    ids.into_iter().collect()
 }
 
 #[cfg(test)]
@@ -262,7 +359,7 @@ mod tests {
             permit: Permit { budget, is_deferred: false, may_search: false, min_markers: 1 },
             earlier: Earlier::default(),
         };
-        inputs.measure(&aligner(&bodies))
+        inputs.measure(&aligner(&bodies), None)
     }
 
     #[test]

@@ -2,7 +2,9 @@
 
 use flockeye_contract::FrameOrder;
 
+use super::accounting::outcome_of;
 use super::{FilterChoice, FrameTime, Tracker, Update};
+use crate::account::Outcome;
 use crate::passes::background::{Answer, BackgroundQueue, Job, Subject};
 
 impl Tracker {
@@ -21,12 +23,20 @@ impl Tracker {
         self.background.as_ref().and_then(BackgroundQueue::awaited)
     }
 
+    /// Whether a background pass over a frame is under way or waits, cancelled or not.
+    pub fn has_background_of(&self, order: FrameOrder) -> bool {
+        self.background.as_ref().is_some_and(|queue| queue.is_about(order))
+    }
+
     /// Takes in the answer of a background pass. If its frame has ended meanwhile, it only corrects a track
     /// that it agrees with, or starts one: a pose that was found by the prior of a track that is lost
     /// since then means nothing.
-    pub fn background_answer(&mut self, answer: Answer) -> Option<(FrameOrder, Update)> {
-        let answer = self.background.as_mut()?.finish(answer)?;
+    pub fn background_answer(&mut self, mut answer: Answer) -> Option<(FrameOrder, Update)> {
         let Answer { subject: Subject { order, at_s, target }, .. } = answer;
+        let trial = answer.trial.take();
+        let answer = self.background.as_mut()?.finish(answer);
+        self.note_answer(order, trial, answer.is_none());
+        let answer = answer?;
         let is_late = self.ended.is_some_and(|(ended, _)| order <= ended);
         let may_start = answer.is_independent
             && !self.targets[target].is_tracked()
@@ -38,6 +48,7 @@ impl Tracker {
         let measurement = self.corrected(answer.measurement?, answer.rays_m, target, at_s);
         if !is_late && !measurement.is_precise {
             self.targets[target].in_frame_mut(order).imprecise = Some(measurement);
+            self.note_outcome(order, target, Outcome::Imprecise(measurement));
             return None;
         }
         let is_accepted = !is_late
@@ -45,8 +56,14 @@ impl Tracker {
             || self.targets[target].is_inside_gate(at_s, &measurement, &self.ego);
         // The number of the frame matters only to passes that are still to run.
         let time = FrameTime { order, at_s, number: 0 };
-        let update = is_accepted.then(|| self.take_in(time, target, &measurement))??;
-        Some((order, update))
+        let update = is_accepted.then(|| self.take_in(time, target, &measurement));
+        let outcome = match &update {
+            None => Outcome::OutsideGate(measurement),
+            Some(Some(_)) if is_late => Outcome::Late(measurement),
+            Some(update) => outcome_of(measurement, update.as_ref()),
+        };
+        self.note_outcome(order, target, outcome);
+        Some((order, update??))
     }
 
     /// Whether measurements of a frame that was exposed then still count.

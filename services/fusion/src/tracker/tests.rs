@@ -6,6 +6,7 @@ use super::*;
 use crate::fixtures::*;
 use crate::hypothesis::BestView;
 use crate::measurement::PoseEstimate;
+use crate::passes::direct::Region;
 use crate::policy::SUSPENDED_FRAMES;
 use flockeye_geometry::filter::TrackState;
 use nalgebra::{Isometry3, Matrix6};
@@ -116,7 +117,7 @@ fn the_start_of_a_rejected_direct_pass_is_not_aligned_again() {
         let budget = TimeBudget::OneFrame;
         let permit = Permit { budget, is_deferred: true, may_search: false, min_markers: 1 };
         let inputs = tracker.inputs(time(3), 0, &answered, &best_views, permit);
-        inputs.expect("it was predicted").measure(&tracker.aligner).is_some()
+        inputs.expect("it was predicted").measure(&tracker.aligner, None).is_some()
     };
     with_view(&truth, |view| {
         assert!(!is_measured(&tracker, view), "it would be found, were it aligned again");

@@ -1,0 +1,116 @@
+//! What is asked: the command line.
+
+use std::path::PathBuf;
+
+use anyhow::{Context as _, bail};
+use clap::Parser;
+
+/// Why a frame of a recording gave this pose of a neighbour, or none.
+#[derive(Debug, Parser)]
+#[command(
+    name = "flockeye explain",
+    bin_name = "flockeye explain",
+    about = "Say why a frame of a recording gave this pose of a neighbour, or none",
+    after_help = "A recording of a lossless flight with its views tells all (--flow lossless, recording.frames: views). \
+                  Of others it is said what the messages tell. docs/EXPLAIN.md has an example."
+)]
+pub struct ExplainArguments {
+    /// The recording.
+    #[arg(value_name = "FILE.mcap")]
+    pub file: PathBuf,
+    /// The neighbour: the name of its body.
+    #[arg(long, value_name = "NAME")]
+    pub target: String,
+    /// The last frame exposed by then: time since the recording began (lossless: since the stream began), as
+    /// 12.3s, 900ms or 2min.
+    #[arg(long, value_name = "TIME", conflicts_with = "frame", required_unless_present = "frame")]
+    pub at: Option<String>,
+    /// The frame with this number.
+    #[arg(long, value_name = "N")]
+    pub frame: Option<u64>,
+    /// Also draws what was seen there to this file.
+    #[arg(long, value_name = "OUT.png")]
+    pub image: Option<PathBuf>,
+    /// Prints the answer as JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// What is asked.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Asked {
+    /// The name of the target's body.
+    pub target: String,
+    /// The frame.
+    pub when: When,
+}
+
+/// Which frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum When {
+    /// The last one that was exposed by then, seconds since the recording began.
+    At(f64),
+    /// The one with this number.
+    Frame(u64),
+}
+
+impl ExplainArguments {
+    /// What is asked.
+    ///
+    /// # Errors
+    /// A time that is none.
+    pub fn asked(&self) -> anyhow::Result<Asked> {
+        let when = match (&self.at, self.frame) {
+            (_, Some(frame)) => When::Frame(frame),
+            (Some(at), None) => When::At(seconds(at)?),
+            (None, None) => bail!("neither --at nor --frame is given"),
+        };
+        Ok(Asked { target: self.target.clone(), when })
+    }
+}
+
+/// A time as people write it.
+fn seconds(text: &str) -> anyhow::Result<f64> {
+    let text = text.trim();
+    let units = [("ms", 1e-3), ("min", 60.0), ("s", 1.0), ("", 1.0)];
+    let (number, unit_s) = units
+        .into_iter()
+        .find_map(|(unit, unit_s)| Some((text.strip_suffix(unit)?, unit_s)))
+        .unwrap_or((text, 1.0));
+    let refused = || format!("--at {text}: is no time. Cure: 12.3s, 900ms or 2min");
+    let number: f64 = number.trim().parse().with_context(refused)?;
+    if !(number.is_finite() && number >= 0.0) {
+        bail!(refused());
+    }
+    Ok(number * unit_s)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_command_line_is_well_formed() {
+        ExplainArguments::command().debug_assert();
+        let parse = |more: &[&str]| {
+            let words = [&["explain", "a.mcap", "--target", "alpha"][..], more].concat();
+            ExplainArguments::try_parse_from(words)
+        };
+        assert!(parse(&[]).is_err(), "which frame?");
+        assert!(parse(&["--at", "1s", "--frame", "3"]).is_err());
+        assert_eq!(parse(&["--frame", "3"]).unwrap().asked().unwrap().when, When::Frame(3));
+        assert_eq!(parse(&["--at", "1.5s"]).unwrap().asked().unwrap().when, When::At(1.5));
+    }
+
+    #[test]
+    fn times_are_read_as_people_write_them() {
+        for (text, wanted) in [("12.3s", 12.3), ("900ms", 0.9), ("2min", 120.0), (" 4 ", 4.0)] {
+            assert!((seconds(text).unwrap() - wanted).abs() < 1e-12, "{text}");
+        }
+        for text in ["", "s", "-1s", "1h", "nan", "inf s", "soon"] {
+            assert!(seconds(text).unwrap_err().to_string().contains("is no time"), "{text}");
+        }
+    }
+}

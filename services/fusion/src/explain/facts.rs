@@ -1,0 +1,433 @@
+//! Makes the answer of what was gathered and decided.
+
+use std::path::Path;
+
+use flockeye_config::Resolved;
+use flockeye_contract::{
+    MeasuredBy, NONE, Pose, Search, StopReason, Track, TrackState, ViewHeader, ViewKind,
+};
+use flockeye_convert::{at_exposure, isometry, matrix6, pose, view_of};
+use flockeye_geometry::Ray;
+use flockeye_geometry::body::Body;
+use flockeye_geometry::filter;
+use flockeye_geometry::view::View;
+use nalgebra::{Isometry3, Matrix6, Unit, Vector3};
+
+use super::explanation::{
+    BeforeFacts, Deviations, Explanation, FrameFacts, Latency, MarkerFacts, PoseFacts, Reliance,
+    ResidualOf, ResultFacts, Step, TruthFacts, ViewFacts,
+};
+use super::gathered::Gathered;
+use super::{Known, Replaying, judgement, passes};
+use crate::account::Decision;
+use crate::measurement::{candidate_rays, decoded_rays};
+
+/// From which frame to which poses are brought.
+pub struct Frames<'r> {
+    /// The configuration.
+    pub resolved: &'r Resolved,
+    /// The target's number.
+    pub target: usize,
+}
+
+impl Frames<'_> {
+    /// `camera_from_markers` as a pose of the drone.
+    pub fn of_markers(&self, camera_from_markers: &Isometry3<f64>) -> PoseFacts {
+        let mounted = self.resolved.bodies.get(self.target);
+        let target_from_markers =
+            mounted.map_or_else(Isometry3::identity, |body| body.target_from_markers);
+        of_pose(
+            &(self.resolved.observer_from_camera
+                * camera_from_markers
+                * target_from_markers.inverse()),
+        )
+    }
+
+    /// A pose of the drone as `camera_from_markers`.
+    pub fn to_markers(&self, observer_from_target: &Pose) -> Isometry3<f64> {
+        let mounted = self.resolved.bodies.get(self.target);
+        let target_from_markers =
+            mounted.map_or_else(Isometry3::identity, |body| body.target_from_markers);
+        self.resolved.observer_from_camera.inverse()
+            * isometry(observer_from_target)
+            * target_from_markers
+    }
+}
+
+fn of_pose(observer_from_target: &Isometry3<f64>) -> PoseFacts {
+    let position = observer_from_target.translation.vector;
+    let Pose { position: at, orientation } = pose(observer_from_target);
+    PoseFacts {
+        position: at,
+        orientation,
+        range_m: position.norm(),
+        bearing_deg: position.y.atan2(position.x).to_degrees(),
+        elevation_deg: position.z.atan2(position.xy().norm()).to_degrees(),
+    }
+}
+
+/// Standard deviations of a pose, all axes together.
+pub fn deviations(covariance: &Matrix6<f64>) -> Deviations {
+    let sigma = |first| covariance.fixed_view::<3, 3>(first, first).trace().max(0.0).sqrt();
+    Deviations { position_m: sigma(0), rotation_deg: sigma(3).to_degrees() }
+}
+
+/// By how much one pose differs from another.
+fn difference(one: &Isometry3<f64>, other: &Isometry3<f64>) -> Deviations {
+    Deviations {
+        position_m: (one.translation.vector - other.translation.vector).norm(),
+        rotation_deg: one.rotation.angle_to(&other.rotation).to_degrees(),
+    }
+}
+
+/// The pose that a track message has of this frame: its measurement, if there is one.
+pub fn told(track: &Track) -> &Pose {
+    match track.measured_by == MeasuredBy::Nothing.code() {
+        true => &track.observer_from_target,
+        false => &track.measured_observer_from_target,
+    }
+}
+
+/// Where the target is expected: predicted by its track, or known by the source.
+#[derive(Debug, Clone, Copy)]
+pub struct Place {
+    /// `camera_from_markers`.
+    pub camera_from_markers: Isometry3<f64>,
+    /// Whether the track predicts it there.
+    pub is_predicted: bool,
+}
+
+impl Place {
+    /// Its direction from the camera.
+    pub fn direction(&self) -> Option<Ray> {
+        Ray::try_new(self.camera_from_markers.translation.vector, 1e-9)
+    }
+}
+
+/// Where the track predicted the target for the frame: as the replayed core did, or the plan.
+pub fn predicted(resolved: &Resolved, known: &Known) -> Option<Isometry3<f64>> {
+    if let Some(before) = &known.before {
+        return before.predicted.map(|(pose, _)| pose);
+    }
+    let gathered = &known.gathered;
+    let regions = gathered.views.values().map(|(view, _)| view);
+    let region = |view: &&ViewHeader| {
+        view.has_prediction != 0
+            && view.kind == ViewKind::Gaze.code()
+            && view.target as usize == known.target
+    };
+    if let Some(view) = regions.clone().find(region) {
+        return Some(isometry(&view.predicted_camera_from_markers));
+    }
+    let planned = gathered.plan().and_then(|(_, views)| {
+        let mut own = views.iter().filter(|view| view.target as usize == known.target);
+        own.find(|view| view.has_prediction != 0)
+    });
+    if let Some(planned) = planned {
+        return Some(isometry(&planned.predicted_camera_from_markers));
+    }
+    let (_, before) =
+        gathered.before.filter(|(_, track)| track.state != TrackState::Lost.code())?;
+    let frames = Frames { resolved, target: known.target };
+    Some(frames.to_markers(&before.observer_from_target))
+}
+
+/// Where to look for the target in the frame.
+pub fn place(resolved: &Resolved, known: &Known) -> Option<Place> {
+    let by_track = predicted(resolved, known)
+        .map(|camera_from_markers| Place { camera_from_markers, is_predicted: true });
+    by_track.or_else(|| {
+        let truth = known.gathered.true_body()?;
+        let camera_from_markers = isometry(&truth.camera_from_markers);
+        Some(Place { camera_from_markers, is_predicted: false })
+    })
+}
+
+/// The answer.
+pub fn explanation(path: &Path, resolved: &Resolved, known: &Known) -> Explanation {
+    let Known { gathered, stamp, .. } = known;
+    let body = resolved.bodies.get(known.target);
+    let place = place(resolved, known);
+    let direction = place.and_then(|place| place.direction());
+    let end = gathered.end.as_ref();
+    let mut explanation = Explanation {
+        recording: path.display().to_string(),
+        target: body.map_or_else(String::new, |body| body.name.clone()),
+        frame: FrameFacts {
+            sequence: stamp.sequence,
+            epoch: stamp.epoch,
+            at_s: known.at_s,
+            plan_id: end.map(|end| end.plan_id),
+            views_issued: end.map(|end| end.views_issued),
+            views_abandoned: end.map(|end| end.views_abandoned),
+            stopped: end.and_then(|end| StopReason::try_from(end.reason).ok()),
+        },
+        step: Step::Untold,
+        why: String::new(),
+        before: before(resolved, known),
+        views: views(resolved, known, direction.as_ref()),
+        next_search_in: direction.as_ref().and_then(|direction| next_search(known, direction)),
+        markers: markers(resolved, known, place.as_ref()),
+        passes: passes::facts(resolved, known.target, &known.decisions),
+        result: gathered.track().map(result),
+        truth: truth(gathered),
+        hidden_by: hidden_by(resolved, known, place.as_ref()),
+        reliance: reliance(known),
+    };
+    let (step, why) = judgement::of(known, &explanation, place.as_ref());
+    (explanation.step, explanation.why) = (step, why);
+    explanation
+}
+
+fn before(resolved: &Resolved, known: &Known) -> BeforeFacts {
+    let Known { gathered, stamp, .. } = known;
+    let frames = Frames { resolved, target: known.target };
+    let (state, deviations) = match &known.before {
+        Some(before) => {
+            let said = before.predicted.map(|(_, covariance)| deviations(&covariance));
+            (before.state.map(state_of), said)
+        }
+        None => {
+            let last = gathered.before.as_ref().map(|(_, track)| track);
+            let state = last.and_then(|track| TrackState::try_from(track.state).ok());
+            (state.filter(|state| *state != TrackState::Lost), None)
+        }
+    };
+    let measured = gathered.measured_before;
+    BeforeFacts {
+        state,
+        track_id: gathered.before.filter(|_| state.is_some()).map(|(_, track)| track.track_id),
+        predicted: predicted(resolved, known).map(|pose| frames.of_markers(&pose)),
+        deviations,
+        measured_in: measured.map(|(stamp, _)| stamp.sequence),
+        measured_by: measured.map(|(_, by)| by),
+        measured_ago_s: measured
+            .map(|(then, _)| stamp.exposure_ns.saturating_sub(then.exposure_ns) as f64 * 1e-9),
+    }
+}
+
+fn state_of(state: filter::TrackState) -> TrackState {
+    match state {
+        filter::TrackState::Tentative => TrackState::Tentative,
+        filter::TrackState::Confirmed => TrackState::Confirmed,
+        filter::TrackState::Coasting => TrackState::Coasting,
+        filter::TrackState::Lost => TrackState::Lost,
+    }
+}
+
+fn views(resolved: &Resolved, known: &Known, direction: Option<&Ray>) -> Vec<ViewFacts> {
+    let gathered = &known.gathered;
+    let body = resolved.bodies.get(known.target);
+    let name = |target: u32| resolved.bodies.get(target as usize).map(|body| body.name.clone());
+    let facts = |view_index: u32, kind: u32, tile: u32, target: u32, view: &View| {
+        let kind = ViewKind::try_from(kind).ok();
+        let record = gathered.records.get(&view_index);
+        let of_target = |is_decoded: bool| {
+            let markers = record.into_iter().flat_map(|record| &record.markers);
+            let own = markers.filter(|marker| {
+                body.is_some_and(|body| body.marker(marker.id).is_some())
+                    && marker.is_decoded() == is_decoded
+            });
+            own.count() as u32
+        };
+        // Its place is not known before it is cut.
+        let is_placed =
+            kind != Some(ViewKind::Proposal) || gathered.views.contains_key(&view_index);
+        ViewFacts {
+            view_index,
+            kind,
+            tile: (tile != NONE).then_some(tile),
+            region_of: name(target).filter(|_| kind == Some(ViewKind::Gaze)),
+            shows_place: direction.map(|direction| is_placed && view.holds(direction, 0.0)),
+            is_cut: gathered.views.contains_key(&view_index) || record.is_some(),
+            is_answered: record.is_some(),
+            is_searched: true,
+            has_failed: record.is_some_and(|record| record.header.failed != 0),
+            decoded: of_target(true),
+            doubtful: of_target(false),
+        }
+    };
+    let cut = gathered.views.values().map(|(view, _)| ViewFacts {
+        is_searched: view.search != Search::Nothing.code(),
+        ..facts(view.view_index, view.kind, view.tile, view.target, &view_of(view))
+    });
+    let planned = gathered.plan().map(|(_, views)| views.as_slice()).unwrap_or_default();
+    let not_cut = (0..).zip(planned).filter(|(index, _)| !gathered.views.contains_key(index));
+    let not_cut = not_cut.map(|(index, planned)| {
+        let view = at_exposure(planned, known.stamp.exposure_ns);
+        ViewFacts {
+            is_searched: planned.search != Search::Nothing.code(),
+            ..facts(index, planned.kind, planned.tile, planned.target, &view)
+        }
+    });
+    let mut views: Vec<ViewFacts> = cut.chain(not_cut).collect();
+    views.sort_by_key(|view| view.view_index);
+    views
+}
+
+/// In how many frames a view shows the place next.
+fn next_search(known: &Known, direction: &Ray) -> Option<u64> {
+    let later = known.gathered.later.iter();
+    let next = later.filter(|view| view_of(view).holds(direction, 0.0)).map(|view| &view.stamp);
+    next.min_by_key(|stamp| stamp.order())
+        .map(|stamp| stamp.sequence.saturating_sub(known.stamp.sequence))
+}
+
+/// The pose that residuals of corners are about, `camera_from_markers`.
+pub fn reference_pose(resolved: &Resolved, known: &Known) -> Option<(Isometry3<f64>, ResidualOf)> {
+    let frames = Frames { resolved, target: known.target };
+    let measured = known.gathered.track().filter(|track| track.measured_by != 0);
+    if let Some(track) = measured {
+        return Some((frames.to_markers(told(track)), ResidualOf::Measurement));
+    }
+    let trials = known.decisions.iter().filter_map(|decision| match decision {
+        Decision::Ran(trial) => Some(trial),
+        _ => None,
+    });
+    let hypotheses = trials.flat_map(|trial| &trial.hypotheses);
+    let likeliest = hypotheses
+        .filter_map(|hypothesis| Some((hypothesis.log_odds()?, hypothesis.found.as_ref().ok()?)))
+        .max_by(|(one, _), (other, _)| one.total_cmp(other));
+    match likeliest {
+        Some((_, found)) => Some((found.camera_from_markers, ResidualOf::Hypothesis)),
+        None => predicted(resolved, known).map(|pose| (pose, ResidualOf::Prediction)),
+    }
+}
+
+/// How far from its expected direction a marker of a target may be seen, radians.
+fn reach_rad(body: &Body, known: &Known, place: &Place) -> f64 {
+    let range_m = place.camera_from_markers.translation.vector.norm();
+    let predicted = known.before.as_ref().and_then(|before| before.predicted);
+    let doubt_m = predicted.filter(|_| place.is_predicted).map_or(0.0, |(_, covariance)| {
+        3.0 * covariance.fixed_view::<3, 3>(0, 0).trace().max(0.0).sqrt()
+    });
+    (2.0 * body.radius() + doubt_m) / range_m.max(1e-3)
+}
+
+fn markers(resolved: &Resolved, known: &Known, place: Option<&Place>) -> Vec<MarkerFacts> {
+    let Some(body) = resolved.bodies.get(known.target) else { return Vec::new() };
+    let reference = reference_pose(resolved, known);
+    let mut all = Vec::new();
+    for record in known.gathered.records.values() {
+        let view_index = record.header.view_index;
+        let view = known.gathered.views.get(&view_index).map(|(view, _)| view);
+        for marker in record.markers.iter().filter(|marker| body.marker(marker.id).is_some()) {
+            let rays = match marker.is_decoded() {
+                true => decoded_rays(body, [marker]),
+                false => candidate_rays(body, [marker]),
+            };
+            let off_rad = |pose: &Isometry3<f64>| {
+                let squared = rays.iter().filter_map(|ray| {
+                    let corner = pose * body.marker(ray.marker_id)?.corners[ray.corner];
+                    let towards = Unit::try_new(corner.coords, 1e-9)?;
+                    Some(towards.angle(&ray.ray_in_camera).powi(2))
+                });
+                (squared.sum::<f64>() / rays.len().max(1) as f64).sqrt()
+            };
+            let is_at_place = place.and_then(|place| {
+                let middle: Vector3<f64> =
+                    rays.iter().map(|ray| ray.ray_in_camera.into_inner()).sum();
+                let expected = place.direction()?;
+                let off_rad = Ray::try_new(middle, 1e-9)?.angle(&expected);
+                Some(off_rad < reach_rad(body, known, place))
+            });
+            // Of a square elsewhere it says nothing.
+            let residual = reference.as_ref().zip(view).filter(|_| is_at_place != Some(false));
+            all.push(MarkerFacts {
+                id: marker.id,
+                view_index,
+                is_decoded: marker.is_decoded(),
+                is_at_place,
+                residual_px: residual.map(|((pose, _), view)| off_rad(pose) * view.focal_px),
+                residual_of: residual.map(|((_, of), _)| *of),
+            });
+        }
+    }
+    all
+}
+
+fn result(track: &Track) -> ResultFacts {
+    let measured_by = MeasuredBy::try_from(track.measured_by).ok();
+    let is_measured = measured_by.is_some_and(|by| by != MeasuredBy::Nothing);
+    let ms = |ns: i64| (ns != -1).then_some(ns as f64 * 1e-6);
+    let measured = is_measured.then_some(&track.measured_observer_from_target);
+    ResultFacts {
+        state: TrackState::try_from(track.state).ok(),
+        measured_by,
+        measured: measured.map(|pose| of_pose(&isometry(pose))),
+        measured_deviations: measured.map(|_| deviations(&matrix6(&track.measured_covariance))),
+        pose: of_pose(&isometry(&track.observer_from_target)),
+        deviations: deviations(&matrix6(&track.covariance)),
+        markers: track.markers,
+        unseen_s: track.unseen_ns as f64 * 1e-9,
+        latency_ms: Latency {
+            capture: ms(track.latency.capture_ns),
+            rectification: ms(track.latency.rectification_ns),
+            detection: ms(track.latency.detection_ns),
+            fusion: ms(track.latency.fusion_ns),
+            total: ms(track.latency.total_ns),
+        },
+    }
+}
+
+fn truth(gathered: &Gathered) -> Option<TruthFacts> {
+    let body = gathered.true_body()?;
+    let there = isometry(&body.observer_from_target);
+    Some(TruthFacts {
+        pose: of_pose(&there),
+        error: gathered.track().map(|track| difference(&isometry(told(track)), &there)),
+        markers_visible_50: body.markers_visible_50,
+        markers_visible_90: body.markers_visible_90,
+        best_side_px: body.best_side_px,
+    })
+}
+
+/// The name of a body that is nearer and in the way: as fusion says, or as the source knows.
+fn hidden_by(resolved: &Resolved, known: &Known, place: Option<&Place>) -> Option<String> {
+    let place = place?;
+    let (direction, range_m) =
+        (place.direction()?, place.camera_from_markers.translation.vector.norm());
+    let own_rad = resolved.bodies.get(known.target)?.radius() / range_m;
+    let hides = |target: usize, there: Vector3<f64>| {
+        let body = resolved.bodies.get(target)?;
+        let (towards, nearer_m) = (Ray::try_new(there, 1e-9)?, there.norm());
+        let reach_rad = body.radius() / nearer_m;
+        // Half of it at least.
+        let is_in_the_way = nearer_m < range_m
+            && target != known.target
+            && towards.angle(&direction) < reach_rad.max(own_rad * 0.5);
+        is_in_the_way.then(|| body.name.clone())
+    };
+    let told = known.gathered.tracks.iter().find_map(|track| {
+        let target = track.target as usize;
+        let frames = Frames { resolved, target };
+        hides(target, frames.to_markers(told(track)).translation.vector)
+    });
+    told.or_else(|| {
+        let (_, bodies) = known.gathered.truth.as_ref()?;
+        bodies.iter().find_map(|body| {
+            hides(body.target as usize, Vector3::from(body.camera_from_markers.position))
+        })
+    })
+}
+
+fn reliance(known: &Known) -> Reliance {
+    let lost: Vec<(String, u64)> =
+        known.lost.iter().map(|lost| (lost.topic.clone(), lost.messages)).collect();
+    let mut untold = Vec::new();
+    let difference = match &known.replay {
+        Replaying::Same => None,
+        Replaying::Different(difference) => Some(difference.clone()),
+        Replaying::Impossible(reason) => {
+            untold.push(format!(
+                "which poses fusion tried, and how likely they were: fusion cannot be replayed ({reason})"
+            ));
+            None
+        }
+    };
+    if known.gathered.views.values().all(|(_, pixels)| pixels.is_none()) {
+        let cure = "the recording has no pixels of views. Cure: record with them (--frames views)";
+        untold.push(format!("what the picture shows: {cure}"));
+    }
+    Reliance { is_exact: known.replay == Replaying::Same, difference, untold, lost }
+}

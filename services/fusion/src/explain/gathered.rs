@@ -1,0 +1,165 @@
+//! What the stages said of one frame, and what was said of one target before.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use flockeye_contract::{
+    BodyTruth, FrameEnd, FrameOrder, FrameStamp, MeasuredBy, PlanHeader, PlannedView, Track,
+    TruthHeader, ViewHeader,
+};
+
+use crate::frame_assembly::Record;
+use crate::recorded::{Message, RecordedPixels};
+
+/// Plans that are kept for frames that still follow them.
+const PLANS: usize = 16;
+
+/// What was said of a frame.
+#[derive(Debug)]
+pub struct Gathered {
+    stamp: FrameStamp,
+    target: u32,
+    plans: BTreeMap<u64, (PlanHeader, Vec<PlannedView>)>,
+    /// Its views, by their places in the plan, with their pixels where the recording has them.
+    pub views: BTreeMap<u32, (ViewHeader, Option<RecordedPixels>)>,
+    /// The views' records.
+    pub records: BTreeMap<u32, Record>,
+    /// Its end.
+    pub end: Option<FrameEnd>,
+    /// What fusion said of all targets, in this order.
+    pub tracks: Vec<Track>,
+    /// Whether fusion has said that the frame is over.
+    has_last: bool,
+    /// What the source knows.
+    pub truth: Option<(TruthHeader, Vec<BodyTruth>)>,
+    /// What fusion said last of the target in a frame before, and of which.
+    pub before: Option<(FrameStamp, Track)>,
+    /// The last frame before that measured the target, and what by.
+    pub measured_before: Option<(FrameStamp, MeasuredBy)>,
+    /// Views of later frames.
+    pub later: Vec<ViewHeader>,
+    later_frames: BTreeSet<FrameOrder>,
+}
+
+/// The frame that a message is of.
+pub fn stamp_of(message: &Message) -> Option<FrameStamp> {
+    match message {
+        Message::Frame(header) => Some(header.stamp),
+        Message::Header(header) | Message::View(header, _) => Some(header.stamp),
+        Message::Searched(record) => Some(record.header.stamp),
+        Message::FrameEnd(end) => Some(end.stamp),
+        Message::Rotation(rotation) => Some(rotation.stamp),
+        Message::Tracks(header, ..) => Some(header.stamp),
+        Message::Truth(header, _) => Some(header.stamp),
+        Message::Plan(..) => None,
+    }
+}
+
+impl Gathered {
+    /// Of this frame and target, before the first message.
+    pub fn of(stamp: FrameStamp, target: u32) -> Self {
+        Self {
+            stamp,
+            target,
+            plans: BTreeMap::new(),
+            views: BTreeMap::new(),
+            records: BTreeMap::new(),
+            end: None,
+            tracks: Vec::new(),
+            has_last: false,
+            truth: None,
+            before: None,
+            measured_before: None,
+            later: Vec::new(),
+            later_frames: BTreeSet::new(),
+        }
+    }
+
+    /// Whether fusion has said all of the frame, or has gone on without it.
+    pub fn is_over(&self) -> bool {
+        // Frames end in their order, and a few may be open.
+        self.has_last || self.later_frames() > PLANS
+    }
+
+    /// How many later frames were seen.
+    pub fn later_frames(&self) -> usize {
+        self.later_frames.len()
+    }
+
+    /// Whether fusion has ended the frame.
+    pub fn has_ended(&self) -> bool {
+        self.has_last
+    }
+
+    /// The plan that the frame followed.
+    pub fn plan(&self) -> Option<&(PlanHeader, Vec<PlannedView>)> {
+        let by_end = self.end.map(|end| end.plan_id);
+        let plan_id = by_end.or_else(|| self.views.values().next().map(|(view, _)| view.plan_id));
+        self.plans.get(&plan_id?)
+    }
+
+    /// Takes a message of the recording.
+    pub fn on(&mut self, message: &Message) {
+        let (own, order) = (self.stamp.order(), stamp_of(message).map(|stamp| stamp.order()));
+        match message {
+            Message::Plan(header, views, _) => {
+                if self.later_frames.is_empty() {
+                    self.plans.insert(header.plan_id, (*header, views.clone()));
+                }
+                while self.plans.len() > PLANS {
+                    self.plans.pop_first();
+                }
+            }
+            Message::Tracks(header, tracks, _) if order < Some(own) => {
+                let of_target = tracks.iter().filter(|track| track.target == self.target);
+                for track in of_target {
+                    self.before = Some((header.stamp, *track));
+                    match MeasuredBy::try_from(track.measured_by) {
+                        Ok(MeasuredBy::Nothing) | Err(_) => {}
+                        Ok(by) => self.measured_before = Some((header.stamp, by)),
+                    }
+                }
+            }
+            _ if order == Some(own) => self.on_own(message),
+            Message::Header(header) if order > Some(own) => self.later.push(*header),
+            _ => {}
+        }
+        if let Some(order) = order.filter(|order| *order > own) {
+            self.later_frames.insert(order);
+        }
+    }
+
+    fn on_own(&mut self, message: &Message) {
+        match message {
+            Message::Header(header) => {
+                self.views.insert(header.view_index, (*header, None));
+            }
+            Message::View(header, pixels) => {
+                self.views.insert(header.view_index, (*header, Some(pixels.clone())));
+            }
+            Message::Searched(record) => {
+                // The first answer counts.
+                self.records.entry(record.header.view_index).or_insert_with(|| record.clone());
+            }
+            Message::FrameEnd(end) => self.end = Some(*end),
+            Message::Tracks(header, tracks, _) => {
+                self.tracks.extend(tracks);
+                self.has_last |= header.is_last == 1;
+            }
+            Message::Truth(header, bodies) => self.truth = Some((*header, bodies.clone())),
+            Message::Frame(_) | Message::Rotation(_) | Message::Plan(..) => {}
+        }
+    }
+
+    /// What fusion said last of the target in this frame: where it has measured it, that.
+    pub fn track(&self) -> Option<&Track> {
+        let own = || self.tracks.iter().filter(|track| track.target == self.target);
+        let measured = own().rfind(|track| track.measured_by != MeasuredBy::Nothing.code());
+        measured.or_else(|| own().next_back())
+    }
+
+    /// What the source knows of the target.
+    pub fn true_body(&self) -> Option<&BodyTruth> {
+        let (_, bodies) = self.truth.as_ref()?;
+        bodies.iter().find(|body| body.target == self.target)
+    }
+}

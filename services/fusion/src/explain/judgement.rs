@@ -1,0 +1,296 @@
+//! Which step of the pipeline decided: the first one that failed, in plain words.
+
+use flockeye_contract::{MeasuredBy, StopReason, ViewKind};
+
+use super::Known;
+use super::explanation::{Explanation, Step, ViewFacts};
+use super::facts::Place;
+use super::passes::decided;
+use crate::account::{Decision, Hypothesis, Outcome, Trial, Verdict};
+use crate::passes::inputs::CornerVerdict;
+
+/// The step that decided, and what to say of it.
+pub fn of(known: &Known, explanation: &Explanation, place: Option<&Place>) -> (Step, String) {
+    let (step, mut why) = decisive(known, explanation, place);
+    if let (true, Some(other)) = (step != Step::Measured, &explanation.hidden_by) {
+        why.push_str(&format!(". {other} is in front of it and may hide it"));
+    }
+    (step, why)
+}
+
+fn decisive(known: &Known, explanation: &Explanation, place: Option<&Place>) -> (Step, String) {
+    if let Some(measured) = measured(known, explanation) {
+        return (Step::Measured, measured);
+    }
+    if let Some(said) = by_outcome(known) {
+        return said;
+    }
+    if !known.gathered.has_ended() {
+        let why =
+            "the recording has no end of this frame: it was given up, or its recording was cut off";
+        return (Step::NotEnded, why.to_owned());
+    }
+    // Squares elsewhere are others'.
+    let has = |is_decoded: bool| {
+        let markers = explanation.markers.iter().filter(|marker| marker.is_at_place != Some(false));
+        markers.filter(|marker| marker.is_decoded == is_decoded).count() > 0
+    };
+    let (has_decoded, has_doubtful) = (has(true), has(false));
+    match place {
+        Some(place) if !has_decoded && !has_doubtful => {
+            if let Some(said) = of_views(explanation, place) {
+                return said;
+            }
+        }
+        None if !has_decoded => return (Step::NoPlaceKnown, no_place(explanation)),
+        _ => {}
+    }
+    if let Some(said) = by_hypotheses(known) {
+        return said;
+    }
+    if let Some(said) = by_corners(known) {
+        return said;
+    }
+    match (has_decoded, has_doubtful) {
+        (true, _) => {
+            let why = format!(
+                "markers {} were decoded and led to no pose{}",
+                ids(explanation, true),
+                untold(explanation)
+            );
+            (Step::Untold, why)
+        }
+        (false, true) => {
+            let why = format!(
+                "squares that are probably its markers {} were found and none was decoded{}",
+                ids(explanation, false),
+                untold(explanation)
+            );
+            (Step::NothingDecoded, why)
+        }
+        (false, false) => (Step::NothingFound, searched(explanation)),
+    }
+}
+
+/// Why less can be told than one would like, as the end of a sentence.
+fn untold(explanation: &Explanation) -> &'static str {
+    match explanation.reliance.is_exact {
+        true => "",
+        false => "; why cannot be told without a replay",
+    }
+}
+
+fn ids(explanation: &Explanation, is_decoded: bool) -> String {
+    let at_place = explanation.markers.iter().filter(|marker| marker.is_at_place != Some(false));
+    let of_kind = at_place.filter(|marker| marker.is_decoded == is_decoded);
+    let mut ids: Vec<u32> = of_kind.map(|marker| marker.id).collect();
+    ids.sort_unstable();
+    ids.dedup();
+    ids.iter().map(u32::to_string).collect::<Vec<_>>().join(", ")
+}
+
+fn measured(known: &Known, explanation: &Explanation) -> Option<String> {
+    let result = explanation.result.as_ref()?;
+    let by = match result.measured_by? {
+        MeasuredBy::Nothing => return None,
+        MeasuredBy::Decoded => "by the corners of its decoded markers",
+        MeasuredBy::Aligned => "by aligning the whole body with the picture",
+    };
+    let mut said = format!("measured {by}");
+    let published = trials(known).find(|trial| trial.outcome.published_by().is_some());
+    if let Some(trial) = published {
+        let accepted = trial.hypotheses.iter().find(|it| it.verdict == Verdict::Accepted);
+        let from = explanation
+            .passes
+            .iter()
+            .find(|pass| pass.outcome.is_some_and(|outcome| outcome.starts_with("published")));
+        if let Some(pass) = from {
+            said.push_str(&format!(", in the pass '{}'", pass.pass));
+        }
+        let accepted = accepted.filter(|_| result.measured_by == Some(MeasuredBy::Aligned));
+        if let Some(log_odds) = accepted.and_then(Hypothesis::log_odds) {
+            said.push_str(&format!(", with log odds {log_odds:.1}"));
+        }
+    }
+    Some(said)
+}
+
+fn trials(known: &Known) -> impl Iterator<Item = &Trial> {
+    known.decisions.iter().filter_map(|decision| match decision {
+        Decision::Ran(trial) => Some(trial),
+        _ => None,
+    })
+}
+
+/// What was found, and was not published as the frame's measurement.
+fn by_outcome(known: &Known) -> Option<(Step, String)> {
+    let at_end = known.decisions.iter().filter_map(|decision| match decision {
+        Decision::TakenImprecise(outcome) => Some(*outcome),
+        _ => None,
+    });
+    let outcomes = trials(known).map(|trial| trial.outcome).chain(at_end);
+    let said = |outcome: Outcome| match outcome {
+        Outcome::Late(_) => Some((
+            Step::TooLate,
+            "a pose was found when the frame had ended: it corrected the track and was not published",
+        )),
+        Outcome::Corrected(_) => Some((
+            Step::Imprecise,
+            "the pose that was found is too imprecise to be published: it corrected the track",
+        )),
+        Outcome::OutsideGate(_) => Some((
+            Step::OutsideGate,
+            "a pose was found and left out: it is not where the track can be",
+        )),
+        Outcome::Refused(_) => {
+            Some((Step::OutsideGate, "a pose was found and left out: the track cannot use it"))
+        }
+        _ => None,
+    };
+    let (step, why) = outcomes.filter_map(said).last()?;
+    Some((step, why.to_owned()))
+}
+
+/// Whether the place was looked at.
+fn of_views(explanation: &Explanation, place: &Place) -> Option<(Step, String)> {
+    let where_it_is = match place.is_predicted {
+        true => "where its track predicts it",
+        false => "where it really is (no track predicts it)",
+    };
+    let next = match explanation.next_search_in {
+        Some(1) => "; the next frame looks there".to_owned(),
+        Some(frames) => format!("; the next view of the place comes {frames} frames later"),
+        None => {
+            "; no later frame of the recording that was looked through has a view of it".to_owned()
+        }
+    };
+    let there = || explanation.views.iter().filter(|view| view.shows_place == Some(true));
+    if let Some(answered) = there().find(|view| view.is_answered && view.has_failed) {
+        let why = format!("{} could not be searched", name_of(answered));
+        return Some((Step::SearchFailed, why));
+    }
+    // A region that is not searched for markers is looked at by alignment.
+    if there().any(|view| view.is_answered) {
+        return None;
+    }
+    if let Some(view) = there().find(|view| view.is_cut) {
+        let why = format!("{} was cut {where_it_is}, and detection never answered", name_of(view));
+        return Some((Step::Unanswered, why));
+    }
+    let because = match explanation.frame.stopped {
+        Some(StopReason::Newer) => "because a newer frame had come or was due",
+        Some(StopReason::Budget) => "because the frame had all the views that it has time for",
+        Some(StopReason::Hit) => "because another view held a marker",
+        Some(StopReason::Overdue) => "because no worker answered in time",
+        Some(StopReason::Failed) => "because views could not be cut",
+        _ => "because rectification had ended the frame",
+    };
+    // Plans list all tiles; each frame has time for some of them.
+    let mut regions = there().filter(|view| view.kind == Some(ViewKind::Gaze));
+    if let Some(region) = regions.next() {
+        let name = name_of(region);
+        let why = format!("{name} was planned {where_it_is} and abandoned, {because}{next}");
+        return Some((Step::Abandoned, why));
+    }
+    if there().next().is_some() {
+        let names: Vec<String> = there().map(name_of).collect();
+        let why = format!(
+            "not searched yet: {} {where_it_is} had no turn in this frame, {because}{next}",
+            names.join(" and ")
+        );
+        return Some((Step::NotItsTurn, why));
+    }
+    let why = format!("no view of this frame shows the place {where_it_is}{next}");
+    Some((Step::OutsideViews, why))
+}
+
+fn no_place(explanation: &Explanation) -> String {
+    let answered = explanation.views.iter().filter(|view| view.is_answered);
+    let squares = match ids(explanation, false) {
+        ids if ids.is_empty() => String::new(),
+        ids => format!("; squares that may be its markers {ids} were found, which start no track"),
+    };
+    format!(
+        "no track predicts it, and none of its markers was decoded in the {} views of this frame{squares}",
+        answered.count()
+    )
+}
+
+/// What was found in the views that show the place.
+fn searched(explanation: &Explanation) -> String {
+    let there = explanation.views.iter().filter(|view| view.shows_place == Some(true));
+    let (searched, unsearched): (Vec<_>, Vec<_>) =
+        there.filter(|view| view.is_answered).partition(|view| view.is_searched);
+    let names = |views: &[&ViewFacts]| {
+        views.iter().map(|view| name_of(view)).collect::<Vec<_>>().join(", ")
+    };
+    match (searched.is_empty(), unsearched.is_empty()) {
+        (true, false) => format!(
+            "{} was not searched for markers in this frame, and alignment gave no pose{}",
+            names(&unsearched),
+            untold(explanation)
+        ),
+        _ => format!("no outline of its markers was found in {}", names(&searched)),
+    }
+}
+
+/// A view as people call it.
+pub fn name_of(view: &ViewFacts) -> String {
+    let tile = view.tile.map_or_else(String::new, |tile| format!(" {tile}"));
+    match view.kind {
+        Some(ViewKind::Partition) => format!("tile{tile}"),
+        Some(ViewKind::HighResolution) => format!("high-resolution tile{tile}"),
+        Some(ViewKind::Gaze) => {
+            format!("the region of {}", view.region_of.as_deref().unwrap_or("a target"))
+        }
+        Some(ViewKind::Proposal) => format!("proposal (view {})", view.view_index),
+        None => format!("view {}", view.view_index),
+    }
+}
+
+/// The hypothesis that came nearest, and why it was not enough.
+fn by_hypotheses(known: &Known) -> Option<(Step, String)> {
+    let all = || trials(known).flat_map(|trial| &trial.hypotheses);
+    let likeliest = |hypotheses: &mut dyn Iterator<Item = &Hypothesis>| {
+        hypotheses
+            .filter_map(|hypothesis| Some((hypothesis.log_odds()?, hypothesis.clone())))
+            .max_by(|(one, _), (other, _)| one.total_cmp(other))
+            .map(|(_, hypothesis)| hypothesis)
+    };
+    let is_rivalled =
+        |it: &&Hypothesis| matches!(it.verdict, Verdict::Rivals(_) | Verdict::OneFacetAlone);
+    if let Some(rivalled) = likeliest(&mut all().filter(is_rivalled)) {
+        return Some((Step::Rivals, format!("the likeliest pose: {}", decided(&rivalled))));
+    }
+    let imprecise = |it: &&Hypothesis| it.verdict == Verdict::Imprecise;
+    if let Some(imprecise) = likeliest(&mut all().filter(imprecise)) {
+        return Some((Step::Imprecise, format!("the likeliest pose: {}", decided(&imprecise))));
+    }
+    let below = likeliest(&mut all())?;
+    let hidden = match below.found.as_ref().map(|found| found.visible_share) {
+        Ok(share) if share < 0.7 => {
+            format!("; something is in front of {:.0} % of it", 100.0 * (1.0 - share))
+        }
+        _ => String::new(),
+    };
+    Some((Step::BelowThreshold, format!("the likeliest pose: {}{hidden}", decided(&below))))
+}
+
+/// Why corners alone were not enough.
+fn by_corners(known: &Known) -> Option<(Step, String)> {
+    let poses = trials(known).flat_map(|trial| &trial.corner_poses);
+    let chosen = poses.filter(|pose| pose.is_chosen).last()?;
+    let agreeing = chosen.solution.inlier_markers.len();
+    let why = match chosen.verdict {
+        CornerVerdict::Enough => return None,
+        CornerVerdict::TooFewMarkers { wanted } => format!(
+            "{agreeing} markers agree on a pose and {wanted} are needed, because the picture confirmed none"
+        ),
+        CornerVerdict::TooUncertain { position_m, rotation_rad } => format!(
+            "the corners of its markers leave the pose too uncertain ({:.0} mm, {:.1} degrees), and the picture confirmed none",
+            position_m * 1e3,
+            rotation_rad.to_degrees()
+        ),
+    };
+    Some((Step::TooFewCorners, why))
+}

@@ -1,0 +1,236 @@
+//! The account of the replayed core as data.
+
+use flockeye_config::Resolved;
+use flockeye_imaging::align::{LeastLogOdds, least_lead};
+
+use super::explanation::{CornerFacts, HypothesisFacts, LogOddsTerms, PassFacts};
+use super::facts::{Frames, deviations};
+use crate::account::{
+    CornerPose, Decision, Hypothesis, NotRun, Outcome, Pass, Source, Trial, Verdict,
+};
+use crate::passes::inputs::CornerVerdict;
+use crate::policy::TimeBudget;
+
+/// What was decided, in this order.
+pub fn facts(resolved: &Resolved, target: usize, decisions: &[Decision]) -> Vec<PassFacts> {
+    let frames = Frames { resolved, target };
+    decisions.iter().map(|decision| of_decision(&frames, decision)).collect()
+}
+
+fn of_decision(frames: &Frames<'_>, decision: &Decision) -> PassFacts {
+    let nothing = |pass: &'static str| PassFacts {
+        pass,
+        not_run: None,
+        view_index: None,
+        is_late: false,
+        is_deferred: false,
+        decoded: Vec::new(),
+        doubtful: Vec::new(),
+        corner_poses: Vec::new(),
+        hypotheses: Vec::new(),
+        outcome: None,
+    };
+    match decision {
+        Decision::NotRun(pass, reason) => {
+            PassFacts { not_run: Some(reason_of(*reason)), ..nothing(name_of(*pass)) }
+        }
+        Decision::Contradicted => PassFacts {
+            outcome: Some(
+                "its markers contradict the pose of the direct pass: it is suspended for half a second",
+            ),
+            ..nothing("check by markers")
+        },
+        Decision::TakenImprecise(outcome) => {
+            PassFacts { outcome: Some(said(outcome)), ..nothing("end of the frame") }
+        }
+        Decision::Ran(trial) => of_trial(frames, trial),
+    }
+}
+
+fn of_trial(frames: &Frames<'_>, trial: &Trial) -> PassFacts {
+    PassFacts {
+        pass: name_of(trial.pass),
+        not_run: None,
+        view_index: trial.view_index,
+        is_late: trial.budget == TimeBudget::Overspent,
+        is_deferred: trial.is_deferred,
+        decoded: trial.decoded.clone(),
+        doubtful: trial.doubtful.clone(),
+        corner_poses: trial
+            .corner_poses
+            .iter()
+            .map(|pose| corner_facts(frames, trial, pose))
+            .collect(),
+        hypotheses: trial
+            .hypotheses
+            .iter()
+            .map(|hypothesis| hypothesis_facts(frames, hypothesis))
+            .collect(),
+        outcome: Some(said(&trial.outcome)),
+    }
+}
+
+fn corner_facts(frames: &Frames<'_>, trial: &Trial, pose: &CornerPose) -> CornerFacts {
+    let agreeing = &pose.solution.inlier_markers;
+    CornerFacts {
+        pose: frames.of_markers(&pose.solution.camera_from_markers),
+        cost: pose.solution.cost,
+        agreeing: agreeing.clone(),
+        left_out: trial.decoded.iter().filter(|id| !agreeing.contains(id)).copied().collect(),
+        is_chosen: pose.is_chosen,
+        verdict: match pose.verdict {
+            CornerVerdict::Enough => "enough without the picture".to_owned(),
+            CornerVerdict::TooFewMarkers { wanted } => {
+                format!("{} markers agree, {wanted} are needed without the picture", agreeing.len())
+            }
+            CornerVerdict::TooUncertain { position_m, rotation_rad } => format!(
+                "too uncertain without the picture: {:.0} mm, {:.1} degrees",
+                position_m * 1e3,
+                rotation_rad.to_degrees()
+            ),
+        },
+    }
+}
+
+fn hypothesis_facts(frames: &Frames<'_>, hypothesis: &Hypothesis) -> HypothesisFacts {
+    let found = hypothesis.found.as_ref().ok();
+    HypothesisFacts {
+        source: source_of(hypothesis.source),
+        pose: found.map(|found| frames.of_markers(&found.camera_from_markers)),
+        deviations: found.map(|found| deviations(&found.covariance)),
+        log_odds: hypothesis.log_odds(),
+        terms: found.map(|found| LogOddsTerms {
+            picture: found.evidence.log_odds,
+            picture_of_other_facets: found.evidence.log_odds_of_others,
+            turn: hypothesis.turn_log,
+            tilt: hypothesis.tilt_log,
+            is_marked: hypothesis.is_marked,
+        }),
+        correlation: found.map(|found| found.evidence.correlation),
+        agreeing_facets: found.map(|found| found.evidence.agreeing_facets),
+        visible_share: found.map(|found| found.visible_share),
+        verdict: verdict_of(hypothesis.verdict),
+        decided: decided(hypothesis),
+    }
+}
+
+/// What was decided of a hypothesis, in plain words.
+pub fn decided(hypothesis: &Hypothesis) -> String {
+    let asked = LeastLogOdds::asked();
+    match hypothesis.verdict {
+        Verdict::Accepted => match &hypothesis.found {
+            Ok(found) if !found.is_precise() => {
+                "accepted, but too imprecise to be a measurement by itself".to_owned()
+            }
+            _ => "accepted".to_owned(),
+        },
+        Verdict::LessLikely => "it would do, and another is likelier".to_owned(),
+        Verdict::BelowThreshold => below(hypothesis, &asked),
+        Verdict::Imprecise => "likely, but too imprecise to be a measurement by itself".to_owned(),
+        Verdict::Rivals(lead) => format!(
+            "likely, but it leads its rivals by {lead:.1} only, and {:.1} are asked for",
+            least_lead()
+        ),
+        Verdict::Rival => "a rival of the likeliest".to_owned(),
+        Verdict::OneFacetAlone => {
+            "one facet alone tells it: the background pass tries the other starts first".to_owned()
+        }
+        Verdict::OutsideGate => "likely, but not where the track can be".to_owned(),
+        Verdict::NotAligned => match &hypothesis.found {
+            Err(error) => error.to_string(),
+            Ok(_) => "nothing could be compared".to_owned(),
+        },
+        Verdict::NothingFound => "the search round the prediction found nothing".to_owned(),
+    }
+}
+
+/// What was asked of a hypothesis that is below it.
+fn below(hypothesis: &Hypothesis, asked: &LeastLogOdds) -> String {
+    let Ok(found) = &hypothesis.found else { return "nothing could be compared".to_owned() };
+    let (picture, turn) = (found.evidence.log_odds, hypothesis.turn_log);
+    let mut said = match turn {
+        // By itself and with the prediction, because the direct pass asks for both.
+        Some(turn) if picture + turn >= asked.predicted => format!(
+            "refused: the picture alone has log odds {picture:.1}, and {:.1} are asked for",
+            asked.anywhere
+        ),
+        Some(turn) => format!(
+            "refused: log odds {:.1} with the prediction, and {:.1} are asked for",
+            picture + turn,
+            asked.predicted
+        ),
+        None => {
+            format!("refused: log odds {picture:.1}, and {:.1} are asked for", asked.anywhere)
+        }
+    };
+    if hypothesis.is_marked {
+        said.push_str(&format!(" ({:.1} with its markers)", asked.marked));
+    }
+    said
+}
+
+fn name_of(pass: Pass) -> &'static str {
+    match pass {
+        Pass::Direct => "direct",
+        Pass::Region => "corners of the region",
+        Pass::Complete => "corners of the frame",
+        Pass::Background => "background",
+    }
+}
+
+fn reason_of(reason: NotRun) -> &'static str {
+    match reason {
+        NotRun::Published => "the frame's pose had left",
+        NotRun::NotMeasuredBefore => {
+            "its track is not confirmed, or was not measured in the last frame"
+        }
+        NotRun::Suspended => "its markers contradicted a direct pose some frames ago",
+        NotRun::NothingKnown => "no marker was decoded, and no track predicts it",
+        NotRun::NoView => "no marker was decoded, and no view of it is held",
+    }
+}
+
+fn source_of(source: Source) -> &'static str {
+    match source {
+        Source::Corners => "decoded markers",
+        Source::DoubtfulSquares => "doubtful squares",
+        Source::Prediction => "prediction",
+        Source::RoughPrediction => "prediction, coarse first",
+        Source::DirectPass => "prediction, as the direct pass found it",
+        Source::Mirror => "mirror pose of the likeliest",
+        Source::Search => "search round the prediction",
+    }
+}
+
+fn verdict_of(verdict: Verdict) -> &'static str {
+    match verdict {
+        Verdict::Accepted => "accepted",
+        Verdict::LessLikely => "less_likely",
+        Verdict::BelowThreshold => "below_threshold",
+        Verdict::Imprecise => "imprecise",
+        Verdict::Rivals(_) => "rivals",
+        Verdict::Rival => "rival",
+        Verdict::OneFacetAlone => "one_facet_alone",
+        Verdict::OutsideGate => "outside_gate",
+        Verdict::NotAligned => "not_aligned",
+        Verdict::NothingFound => "nothing_found",
+    }
+}
+
+fn said(outcome: &Outcome) -> &'static str {
+    match outcome {
+        Outcome::Nothing => "no pose",
+        Outcome::InBackground => "no pose yet: the background pass goes on",
+        Outcome::Imprecise(_) => {
+            "an imprecise pose, which waits for something better until the frame ends"
+        }
+        Outcome::Published(_) => "published as the frame's measurement",
+        Outcome::Corrected(_) => "too imprecise to be published: it corrected the track",
+        Outcome::OutsideGate(_) => "left out: it is not where the track can be",
+        Outcome::Refused(_) => "left out: the track cannot use it",
+        Outcome::Late(_) => {
+            "too late to be published: the frame had ended. It corrected or began the track"
+        }
+        Outcome::Cancelled => "not needed: another pass had measured the target",
+    }
+}

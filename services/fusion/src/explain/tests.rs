@@ -1,0 +1,426 @@
+//! Each step that can decide, on frames that are made up.
+
+#![allow(clippy::unwrap_used)]
+
+use flockeye_config::{Pipeline, Resolved};
+use flockeye_contract::{
+    BodyTruth, DetectedMarker, DetectionHeader, FrameEnd, MeasuredBy, NONE, PlanHeader,
+    PlannedView, Search, StopReason, Track, TrackHeader, TrackState, TruthHeader, ViewHeader,
+    ViewKind,
+};
+use flockeye_convert::{pose, xyzw};
+use flockeye_geometry::filter;
+use flockeye_geometry::view::View;
+use flockeye_imaging::align::{AlignError, Alignment, Evidence};
+use flockeye_recording::ContractMessage;
+use nalgebra::{Isometry3, Matrix2, Matrix6, Vector3};
+
+use super::explanation::{Explanation, Step};
+use super::gathered::Gathered;
+use super::{Before, Known, Replaying, facts, text};
+use crate::account::{
+    CornerPose, Decision, Hypothesis, NotRun, Outcome, Pass, Source, Trial, Verdict,
+};
+use crate::fixtures::{facing_markers, measurement, stamp};
+use crate::frame_assembly::Record;
+use crate::passes::inputs::CornerVerdict;
+use crate::policy::TimeBudget;
+use crate::recorded::{Lost, Message};
+use crate::track_prior::TrackPrior;
+
+/// The frame that is asked about.
+const FRAME: u64 = 7;
+
+/// Where alpha is, `camera_from_markers`: ahead.
+fn there() -> Isometry3<f64> {
+    Isometry3::translation(1.5, 0.2, 0.1)
+}
+
+fn resolved() -> Resolved {
+    Resolved::of(Pipeline::default()).unwrap()
+}
+
+/// A frame in which the target was predicted and nothing was looked at; `by` adds to it.
+fn known(by: impl FnOnce(&mut Known)) -> Known {
+    let mut known = Known {
+        target: 0,
+        stamp: stamp(FRAME),
+        at_s: 0.2,
+        gathered: Gathered::of(stamp(FRAME), 0),
+        before: Some(Before {
+            state: Some(filter::TrackState::Confirmed),
+            predicted: Some((there(), Matrix6::identity() * 1e-6)),
+        }),
+        decisions: Vec::new(),
+        replay: Replaying::Same,
+        lost: Vec::new(),
+    };
+    by(&mut known);
+    known
+}
+
+fn explained(known: &Known) -> Explanation {
+    facts::explanation("flight.mcap".as_ref(), &resolved(), known)
+}
+
+/// The step that decided, and what is said of it.
+fn judged(by: impl FnOnce(&mut Known)) -> (Step, String) {
+    let explanation = explained(&known(by));
+    let said = text::of(&explanation);
+    assert!(said.starts_with("alpha in frame 7 at 0.200 s: "), "{said}");
+    (explanation.step, explanation.why)
+}
+
+fn towards(direction: &Vector3<f64>) -> View {
+    View::looking_at(&nalgebra::Unit::new_normalize(*direction), 0.6, 200)
+}
+
+fn ahead() -> View {
+    towards(&there().translation.vector)
+}
+
+fn behind() -> View {
+    towards(&-there().translation.vector)
+}
+
+fn view(index: u32, kind: ViewKind, view: &View) -> ViewHeader {
+    let is_region = kind == ViewKind::Gaze;
+    ViewHeader {
+        stamp: stamp(FRAME),
+        plan_id: 3,
+        view_index: index,
+        kind: kind.code(),
+        tile: if is_region { NONE } else { 4 },
+        target: if is_region { 0 } else { NONE },
+        camera_from_view: xyzw(&view.camera_from_view),
+        focal_px: view.focal_px,
+        size_px: view.size_px,
+        stride: view.size_px,
+        search: Search::AllWindows.code(),
+        ..ViewHeader::default()
+    }
+}
+
+fn cut(known: &mut Known, header: ViewHeader) {
+    known.gathered.on(&Message::Header(header));
+}
+
+fn planned(known: &mut Known, views: &[(ViewKind, View)]) {
+    let planned = |(kind, at): &(ViewKind, View)| {
+        let header = view(0, *kind, at);
+        PlannedView {
+            camera_from_view: header.camera_from_view,
+            reference_ns: stamp(FRAME).exposure_ns,
+            focal_px: header.focal_px,
+            size_px: header.size_px,
+            kind: header.kind,
+            tile: header.tile,
+            target: header.target,
+            ..PlannedView::default()
+        }
+    };
+    let header = PlanHeader { plan_id: 3, ..PlanHeader::default() };
+    let views = views.iter().map(planned).collect();
+    known.gathered.on(&Message::Plan(header, views, ContractMessage::default()));
+}
+
+fn searched(known: &mut Known, index: u32, markers: Vec<DetectedMarker>, failed: u32) {
+    let header = DetectionHeader {
+        stamp: stamp(FRAME),
+        plan_id: 3,
+        view_index: index,
+        failed,
+        ..DetectionHeader::default()
+    };
+    known.gathered.on(&Message::Searched(Record { header, markers }));
+}
+
+fn ended(known: &mut Known, reason: StopReason) {
+    let end =
+        FrameEnd { stamp: stamp(FRAME), plan_id: 3, reason: reason.code(), ..FrameEnd::default() };
+    known.gathered.on(&Message::FrameEnd(end));
+    said(known, &[], true);
+}
+
+fn said(known: &mut Known, tracks: &[Track], is_last: bool) {
+    let header =
+        TrackHeader { stamp: stamp(FRAME), is_last: u32::from(is_last), ..TrackHeader::default() };
+    known.gathered.on(&Message::Tracks(header, tracks.to_vec(), ContractMessage::default()));
+}
+
+fn track(measured_by: MeasuredBy) -> Track {
+    Track {
+        observer_from_target: pose(&there()),
+        measured_observer_from_target: pose(&there()),
+        name: "alpha".into(),
+        state: TrackState::Confirmed.code(),
+        measured_by: measured_by.code(),
+        ..bytemuck::Zeroable::zeroed()
+    }
+}
+
+fn markers(is_decoded: bool) -> Vec<DetectedMarker> {
+    let body = resolved().bodies.get(0).unwrap().clone();
+    let mut markers = facing_markers(&body, &there(), 2);
+    markers.iter_mut().for_each(|marker| marker.doubtful = u32::from(!is_decoded));
+    markers
+}
+
+fn alignment(log_odds: f64) -> Alignment {
+    Alignment {
+        camera_from_markers: there(),
+        covariance: Matrix6::identity() * 1e-6,
+        blur_px2: Matrix2::identity(),
+        stretch_px2: None,
+        evidence: Evidence { log_odds, ..Evidence::default() },
+        visible_share: 1.0,
+        samples: 900,
+        iterations: 5,
+    }
+}
+
+/// A pass over the region that found poses of these verdicts, and led to something.
+fn trial(outcome: Outcome, verdicts: &[(f64, Verdict)]) -> Decision {
+    let hypothesis = |(log_odds, verdict): &(f64, Verdict)| Hypothesis {
+        verdict: *verdict,
+        turn_log: Some(1.0),
+        ..Hypothesis::of(Source::Prediction, Ok(alignment(*log_odds)))
+    };
+    Decision::Ran(Trial {
+        hypotheses: verdicts.iter().map(hypothesis).collect(),
+        view_index: Some(0),
+        outcome,
+        ..Trial::of(Pass::Region, &TrackPrior::Tentative(there()), TimeBudget::OneFrame)
+    })
+}
+
+/// The target's region was cut and searched in vain.
+fn looked_at(known: &mut Known, decision: Decision) {
+    cut(known, view(0, ViewKind::Gaze, &ahead()));
+    searched(known, 0, Vec::new(), 0);
+    known.decisions.push(decision);
+    ended(known, StopReason::Budget);
+}
+
+#[test]
+fn what_was_not_looked_at_is_told_by_its_first_step() {
+    let (step, why) = judged(|known| {
+        planned(known, &[(ViewKind::Partition, behind())]);
+        cut(known, view(0, ViewKind::Partition, &behind()));
+        searched(known, 0, Vec::new(), 0);
+        ended(known, StopReason::Newer);
+    });
+    assert_eq!(step, Step::OutsideViews, "{why}");
+    assert!(why.contains("no view of this frame shows the place where its track predicts it"));
+
+    let (step, why) = judged(|known| {
+        planned(known, &[(ViewKind::Gaze, ahead())]);
+        ended(known, StopReason::Newer);
+    });
+    assert_eq!(step, Step::Abandoned, "{why}");
+    assert!(why.contains("the region of alpha was planned"), "{why}");
+    assert!(why.contains("because a newer frame had come or was due"), "{why}");
+
+    let (step, why) = judged(|known| {
+        planned(known, &[(ViewKind::Partition, ahead())]);
+        ended(known, StopReason::Budget);
+        // Three frames later it is.
+        let later = ViewHeader { stamp: stamp(FRAME + 3), ..view(0, ViewKind::Gaze, &ahead()) };
+        known.gathered.on(&Message::Header(later));
+    });
+    assert_eq!(step, Step::NotItsTurn, "{why}");
+    assert!(why.contains("not searched yet: tile 4"), "{why}");
+    assert!(why.contains("the next view of the place comes 3 frames later"), "{why}");
+
+    let region = || view(0, ViewKind::Gaze, &ahead());
+    let (step, why) = judged(|known| {
+        cut(known, region());
+        ended(known, StopReason::Complete);
+    });
+    assert_eq!(step, Step::Unanswered, "{why}");
+    let (step, why) = judged(|known| {
+        cut(known, region());
+        searched(known, 0, Vec::new(), 1);
+        ended(known, StopReason::Complete);
+    });
+    assert_eq!(step, Step::SearchFailed, "{why}");
+    let (step, why) = judged(|known| cut(known, region()));
+    assert_eq!(step, Step::NotEnded, "{why}");
+}
+
+#[test]
+fn what_was_looked_at_in_vain_is_told_by_what_was_found() {
+    let not_run = || Decision::NotRun(Pass::Direct, NotRun::NotMeasuredBefore);
+    let (step, why) = judged(|known| looked_at(known, not_run()));
+    assert_eq!(step, Step::NothingFound, "{why}");
+    assert!(why.contains("no outline of its markers was found in the region of alpha"), "{why}");
+
+    let found = |markers: Vec<DetectedMarker>| {
+        judged(|known| {
+            cut(known, view(0, ViewKind::Gaze, &ahead()));
+            searched(known, 0, markers, 0);
+            ended(known, StopReason::Complete);
+        })
+    };
+    let (step, why) = found(markers(false));
+    assert_eq!(step, Step::NothingDecoded, "{why}");
+    let (step, why) = found(markers(true));
+    assert_eq!(step, Step::Untold, "{why}");
+    // Squares elsewhere are others'.
+    let mut elsewhere = markers(true);
+    for marker in &mut elsewhere {
+        marker.rays_in_camera = marker.rays_in_camera.map(|[x, y, z]| [-x, y, z]);
+    }
+    let (step, why) = found(elsewhere);
+    assert_eq!(step, Step::NothingFound, "{why}");
+}
+
+#[test]
+fn who_was_never_seen_and_is_nowhere_known_is_said_to_be_so() {
+    let (step, why) = judged(|known| {
+        known.before = Some(Before { state: None, predicted: None });
+        cut(known, view(0, ViewKind::Partition, &ahead()));
+        searched(known, 0, Vec::new(), 0);
+        ended(known, StopReason::Complete);
+    });
+    assert_eq!(step, Step::NoPlaceKnown, "{why}");
+    assert!(why.contains("in the 1 views of this frame"), "{why}");
+    // The source knows.
+    let (step, why) = judged(|known| {
+        known.before = Some(Before { state: None, predicted: None });
+        let body = BodyTruth { camera_from_markers: pose(&there()), ..BodyTruth::default() };
+        let truth = TruthHeader { stamp: stamp(FRAME), ..TruthHeader::default() };
+        known.gathered.on(&Message::Truth(truth, vec![body]));
+        cut(known, view(0, ViewKind::Partition, &behind()));
+        searched(known, 0, Vec::new(), 0);
+        ended(known, StopReason::Complete);
+    });
+    assert_eq!(step, Step::OutsideViews, "{why}");
+    assert!(why.contains("where it really is (no track predicts it)"), "{why}");
+}
+
+#[test]
+fn poses_that_were_refused_are_told_with_what_was_asked_for() {
+    let refused = |verdicts: &[(f64, Verdict)]| {
+        judged(|known| looked_at(known, trial(Outcome::Nothing, verdicts)))
+    };
+    let (step, why) = refused(&[(-2.0, Verdict::BelowThreshold), (1.5, Verdict::BelowThreshold)]);
+    assert_eq!(step, Step::BelowThreshold, "{why}");
+    assert!(why.contains("log odds 2.5 with the prediction, and 4.8 are asked for"), "{why}");
+    // The direct pass asks for more than the prediction.
+    let (step, why) = refused(&[(5.5, Verdict::BelowThreshold)]);
+    assert_eq!(step, Step::BelowThreshold, "{why}");
+    assert!(why.contains("the picture alone has log odds 5.5, and 6.7 are asked for"), "{why}");
+    let (step, why) = refused(&[(9.0, Verdict::Rivals(2.0)), (7.0, Verdict::Rival)]);
+    assert_eq!(step, Step::Rivals, "{why}");
+    assert!(why.contains("leads its rivals by 2.0 only, and 4.8 are asked for"), "{why}");
+    let (step, why) = refused(&[(9.0, Verdict::OneFacetAlone)]);
+    assert_eq!(step, Step::Rivals, "{why}");
+    let (step, why) = refused(&[(9.0, Verdict::Imprecise)]);
+    assert_eq!(step, Step::Imprecise, "{why}");
+    let (step, why) = judged(|known| {
+        let mut decision = trial(Outcome::Nothing, &[]);
+        if let Decision::Ran(trial) = &mut decision {
+            trial.hypotheses = vec![Hypothesis::of(Source::Prediction, Err(AlignError::NotInView))];
+        }
+        looked_at(known, decision);
+    });
+    assert_eq!(step, Step::NothingFound, "{why}");
+}
+
+#[test]
+fn poses_that_were_found_and_not_published_are_told() {
+    let found = measurement(&there());
+    for (outcome, wanted) in [
+        (Outcome::Late(found), Step::TooLate),
+        (Outcome::Corrected(found), Step::Imprecise),
+        (Outcome::OutsideGate(found), Step::OutsideGate),
+        (Outcome::Refused(found), Step::OutsideGate),
+    ] {
+        let decision = trial(outcome, &[(9.0, Verdict::Accepted)]);
+        let (step, why) = judged(|known| looked_at(known, decision));
+        assert_eq!(step, wanted, "{why}");
+    }
+    let at_end = Decision::TakenImprecise(Outcome::Corrected(found));
+    let (step, why) = judged(|known| looked_at(known, at_end));
+    assert_eq!(step, Step::Imprecise, "{why}");
+}
+
+#[test]
+fn corners_that_are_not_enough_are_told() {
+    for verdict in [
+        CornerVerdict::TooFewMarkers { wanted: 2 },
+        CornerVerdict::TooUncertain { position_m: 0.1, rotation_rad: 0.2 },
+    ] {
+        let solution = flockeye_geometry::pose::PoseSolution {
+            camera_from_markers: there(),
+            covariance: Matrix6::identity(),
+            cost: 1.0,
+            reduced_chi_square: 1.0,
+            inlier_markers: vec![3],
+            inlier_corners: 4,
+            corners: 4,
+            faces_camera: true,
+        };
+        let (step, why) = judged(|known| {
+            let mut decision = trial(Outcome::Nothing, &[]);
+            if let Decision::Ran(trial) = &mut decision {
+                trial.corner_poses = vec![CornerPose { solution, is_chosen: true, verdict }];
+            }
+            cut(known, view(0, ViewKind::Gaze, &ahead()));
+            searched(known, 0, markers(true), 0);
+            known.decisions.push(decision);
+            ended(known, StopReason::Complete);
+        });
+        assert_eq!(step, Step::TooFewCorners, "{why}");
+    }
+}
+
+#[test]
+fn a_measured_pose_is_told_with_its_pass_and_its_error() {
+    let known = known(|known| {
+        let published = Outcome::Published(measurement(&there()));
+        looked_at(known, trial(published, &[(9.0, Verdict::Accepted)]));
+        said(known, &[track(MeasuredBy::Aligned)], false);
+        let near = Isometry3::translation(0.003, 0.0, 0.0) * there();
+        let body = BodyTruth {
+            camera_from_markers: pose(&near),
+            observer_from_target: pose(&near),
+            ..BodyTruth::default()
+        };
+        let truth = TruthHeader { stamp: stamp(FRAME), ..TruthHeader::default() };
+        known.gathered.on(&Message::Truth(truth, vec![body]));
+    });
+    let explanation = explained(&known);
+    assert_eq!(explanation.step, Step::Measured, "{}", explanation.why);
+    assert!(explanation.why.contains("in the pass 'corners of the region', with log odds 10.0"));
+    let error = explanation.truth.unwrap().error.unwrap();
+    assert!((error.position_m - 0.003).abs() < 1e-9 && error.rotation_deg < 1e-6);
+}
+
+#[test]
+fn another_body_in_front_is_named_and_losses_are_told() {
+    let mut resolved = resolved();
+    let bodies = vec![crate::fixtures::alpha(), crate::fixtures::bravo()];
+    resolved.bodies = flockeye_geometry::body::Bodies::new("DICT_5X5_250".into(), bodies).unwrap();
+    let known = known(|known| {
+        looked_at(known, trial(Outcome::Nothing, &[(-3.0, Verdict::BelowThreshold)]));
+        let nearer = Isometry3::translation(0.75, 0.1, 0.05);
+        let bravo = Track {
+            observer_from_target: pose(&nearer),
+            name: "bravo".into(),
+            target: 1,
+            ..track(MeasuredBy::Nothing)
+        };
+        said(known, &[bravo], false);
+        known.replay = Replaying::Different("header.is_last: 0 and 1".into());
+        known.lost = vec![Lost { topic: "flockeye/view".into(), messages: 5 }];
+    });
+    let explanation = facts::explanation("flight.mcap".as_ref(), &resolved, &known);
+    assert_eq!(explanation.hidden_by.as_deref(), Some("bravo"));
+    assert!(explanation.why.contains("bravo is in front of it"), "{}", explanation.why);
+    let said = text::of(&explanation);
+    assert!(said.contains("so this may not be what happened: header.is_last: 0 and 1"), "{said}");
+    assert!(said.contains("lacks up to 5 messages of flockeye/view"), "{said}");
+    assert!(!explanation.reliance.is_exact);
+}

@@ -1,0 +1,299 @@
+//! A recording as the messages that fusion got and gave, checked as ports check them.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::rc::Rc;
+
+use anyhow::{Context, bail, ensure};
+use bytemuck::{AnyBitPattern, pod_read_unaligned};
+use flockeye_config::{Pipeline, Resolved};
+use flockeye_contract::{
+    BodyTruth, Detections, FrameEnd, FrameEnds, FrameHeader, Frames, PlanHeader, PlannedView,
+    Plans, Rotation, Rotations, Topic, Track, TrackHeader, Tracks, TruthHeader, Truths, ViewHeader,
+    Views,
+};
+use flockeye_geometry::body::Bodies;
+use flockeye_recording::channel::{LOSSES, VIEW_IMAGES};
+use flockeye_recording::images::decode_image;
+use flockeye_recording::message::{decode, decode_loss};
+use flockeye_recording::{ContractMessage, Ending, Reader, RecordedMessage, TopicLayout, layouts};
+
+use crate::frame_assembly::Record;
+use crate::pictures::Pixels;
+
+/// The pixels of a recorded view.
+#[derive(Debug, Clone)]
+pub struct RecordedPixels(Rc<[u8]>);
+
+impl Pixels for RecordedPixels {
+    fn pixels(&self) -> &[u8] {
+        &self.0
+    }
+}
+
+/// One message.
+#[derive(Debug, Clone)]
+#[allow(clippy::large_enum_variant, reason = "one at a time, on the stack")]
+pub enum Message {
+    /// A frame; its pixels are not read.
+    Frame(FrameHeader),
+    /// A view whose pixels are not in the recording, or come with [`Message::View`].
+    Header(ViewHeader),
+    /// A view with its pixels.
+    View(ViewHeader, RecordedPixels),
+    /// What was found in a view.
+    Searched(Record),
+    /// The end of a frame.
+    FrameEnd(FrameEnd),
+    /// How the camera has turned.
+    Rotation(Rotation),
+    /// What fusion said of neighbours, and its bytes.
+    Tracks(TrackHeader, Vec<Track>, ContractMessage),
+    /// What fusion planned, and its bytes.
+    Plan(PlanHeader, Vec<PlannedView>, ContractMessage),
+    /// What a simulated source knows.
+    Truth(TruthHeader, Vec<BodyTruth>),
+}
+
+/// What a recording lacks of a topic, or may lack: messages.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Lost {
+    /// The topic.
+    pub topic: String,
+    /// So many.
+    pub messages: u64,
+}
+
+/// A recording that is being read.
+pub struct Recorded {
+    reader: Reader,
+    layouts: Vec<TopicLayout>,
+    /// The header of a view whose pixels come next, and its number.
+    view: Option<(u32, ViewHeader)>,
+    lost: BTreeMap<String, u64>,
+}
+
+impl Recorded {
+    /// Opens a recording.
+    ///
+    /// # Errors
+    /// It is none, or cannot be read.
+    pub fn open(path: &Path) -> anyhow::Result<Self> {
+        let reader = Reader::open(path)?;
+        Ok(Self { reader, layouts: layouts(), view: None, lost: BTreeMap::new() })
+    }
+
+    /// How it ends, once it was read to its end.
+    pub fn ending(&self) -> Option<Ending> {
+        self.reader.ending()
+    }
+
+    /// A number that the recording says of itself.
+    pub fn number(&self, name: &str) -> Option<i64> {
+        self.reader.about().metadata.get(name)?.parse().ok()
+    }
+
+    /// The flow of the recorded pipeline.
+    pub fn flow(&self) -> Option<&str> {
+        self.reader.about().metadata.get("flow").map(String::as_str)
+    }
+
+    /// What it lacks, as far as it was read.
+    pub fn lost(&self) -> Vec<Lost> {
+        let lost = self.lost.iter().filter(|(_, messages)| **messages > 0);
+        lost.map(|(topic, &messages)| Lost { topic: topic.clone(), messages }).collect()
+    }
+
+    /// The layouts of the contract's topics.
+    pub fn layout_of<T: Topic>(&self) -> anyhow::Result<TopicLayout> {
+        let mut layouts = self.layouts.iter();
+        let layout = layouts.find(|layout| layout.service == T::NAME);
+        Ok(layout.context("a topic is not in the contract")?.clone())
+    }
+
+    fn attachment(&self, name: &str) -> Option<&[u8]> {
+        let attachments = &self.reader.about().attachments;
+        let found = attachments.iter().find(|(attached, _, _)| attached == name);
+        found.map(|(_, _, bytes)| bytes.as_slice())
+    }
+
+    /// The configuration of the recorded pipeline, with the bodies as they were. Where the files that it names say
+    /// something else by now, or are gone, the recording's own bodies count.
+    ///
+    /// # Errors
+    /// There is none, or it cannot be worked with any more.
+    pub fn configuration(&self) -> anyhow::Result<Resolved> {
+        let name = "pipeline.json";
+        let json = self.attachment(name).with_context(|| format!("the recording has no {name}"))?;
+        let read = || -> serde_json::Result<Pipeline> {
+            let mut written: serde_json::Map<String, serde_json::Value> =
+                serde_json::from_slice(json)?;
+            // What follows from the rest is worked out anew.
+            written.remove("resolved");
+            serde_json::from_value(serde_json::Value::Object(written))
+        };
+        let pipeline = read().with_context(|| format!("{name} of the recording"))?;
+        let today = Resolved::of(pipeline.clone());
+        let Some(attached) = self.bodies()? else {
+            return today.context("the recorded configuration cannot be worked with any more");
+        };
+        match today {
+            Ok(today) if is_alike(&today.bodies, &attached) => Ok(today),
+            _ => Resolved::with_bodies(pipeline, attached)
+                .context("the recorded configuration cannot be worked with any more"),
+        }
+    }
+
+    /// The bodies that the recording has, by their numbers.
+    fn bodies(&self) -> anyhow::Result<Option<Bodies>> {
+        let name = "bodies.json";
+        let Some(json) = self.attachment(name) else { return Ok(None) };
+        let read = || -> anyhow::Result<Bodies> {
+            let text = std::str::from_utf8(json)?;
+            let listed: serde_json::Value = serde_json::from_str(text)?;
+            let number = |body: &str| listed["bodies"][body]["target"].as_u64().unwrap_or(u64::MAX);
+            let by_name = Bodies::from_json(text)?;
+            let mut bodies: Vec<_> = by_name.iter().cloned().collect();
+            bodies.sort_by_key(|body| number(&body.name));
+            Ok(Bodies::new(by_name.dictionary, bodies)?)
+        };
+        // A recording of an older version may have none that can be read.
+        Ok(Some(read().with_context(|| format!("{name} of the recording"))?))
+    }
+
+    /// The next message that counts, and when it was recorded, UTC nanoseconds; `None` at the end.
+    ///
+    /// # Errors
+    /// The recording is damaged, or a message breaks the contract: a recording may have been changed.
+    pub fn next_message(&mut self) -> anyhow::Result<Option<(Message, u64)>> {
+        while let Some(message) = self.reader.next_message()? {
+            let utc_ns = message.utc_ns;
+            if let Some(message) = self.understood(&message)? {
+                return Ok(Some((message, utc_ns)));
+            }
+        }
+        Ok(None)
+    }
+
+    fn understood(&mut self, message: &RecordedMessage) -> anyhow::Result<Option<Message>> {
+        let topic = message.channel.topic.as_str();
+        if topic == VIEW_IMAGES {
+            return self.view(message).map(Some);
+        }
+        if topic == LOSSES {
+            let (topic, [_, counts @ ..]) = decode_loss(&message.bytes)?;
+            // The counts rise.
+            self.lost.insert(topic, counts.iter().sum());
+            return Ok(None);
+        }
+        let is_of = |layout: &&TopicLayout| layout.channel() == topic;
+        let Some(layout) = self.layouts.iter().find(is_of) else { return Ok(None) };
+        let found = || decode(layout, &message.bytes);
+        Ok(Some(match layout.service {
+            <Frames as Topic>::NAME => Message::Frame(header(&found()?)),
+            <Views as Topic>::NAME => {
+                let header: ViewHeader = header(&found()?);
+                self.view = Some((message.sequence, header));
+                Message::Header(header)
+            }
+            <Detections as Topic>::NAME => {
+                let (header, markers) = checked::<Detections>(&found()?)?;
+                Message::Searched(Record { header, markers })
+            }
+            <Rotations as Topic>::NAME => Message::Rotation(checked::<Rotations>(&found()?)?.0),
+            <FrameEnds as Topic>::NAME => Message::FrameEnd(checked::<FrameEnds>(&found()?)?.0),
+            <Tracks as Topic>::NAME => {
+                let found = found()?;
+                let (header, tracks) = checked::<Tracks>(&found)?;
+                Message::Tracks(header, tracks, found)
+            }
+            <Plans as Topic>::NAME => {
+                let found = found()?;
+                let (header, views) = checked::<Plans>(&found)?;
+                Message::Plan(header, views, found)
+            }
+            <Truths as Topic>::NAME => {
+                let (header, bodies) = checked::<Truths>(&found()?)?;
+                Message::Truth(header, bodies)
+            }
+            _ => return Ok(None),
+        }))
+    }
+
+    fn view(&mut self, message: &RecordedMessage) -> anyhow::Result<Message> {
+        let Some((sequence, header)) = self.view.take() else {
+            bail!("pixels of a view without its header");
+        };
+        ensure!(sequence == message.sequence, "pixels of a view without its header");
+        let pixels = decode_image(VIEW_IMAGES, &message.bytes)?.pixels;
+        refuse_if_wrong::<Views>(&header, pixels)?;
+        Ok(Message::View(header, RecordedPixels(pixels.into())))
+    }
+}
+
+/// Whether two sets of bodies are the same but for the rounding of numbers that were written as text.
+fn is_alike(one: &Bodies, other: &Bodies) -> bool {
+    const ROUNDING: f64 = 1e-9;
+    let mut pairs = one.iter().zip(other.iter());
+    one.dictionary == other.dictionary
+        && one.len() == other.len()
+        && pairs.all(|(one, other)| {
+            let mut corners = one.corners().zip(other.corners());
+            let mut facets = one.facets().iter().zip(other.facets());
+            let mount = one.target_from_markers.inverse() * other.target_from_markers;
+            one.name == other.name
+                && one.markers.len() == other.markers.len()
+                && one.facets().len() == other.facets().len()
+                && one.markers.iter().zip(&other.markers).all(|(one, other)| one.id == other.id)
+                && corners.all(|(one, other)| (one - other).norm() < ROUNDING)
+                && facets.all(|(one, other)| {
+                    let mut outlines = one.outline.iter().zip(&other.outline);
+                    one.outline.len() == other.outline.len()
+                        && outlines.all(|(one, other)| (one - other).norm() < ROUNDING)
+                })
+                && mount.translation.vector.norm() + mount.rotation.angle() < 1e3 * ROUNDING
+        })
+}
+
+/// A message's header and items. Refuses what no port would let in.
+fn checked<T: Topic>(message: &ContractMessage) -> anyhow::Result<(T::Header, Vec<T::Item>)> {
+    let header: T::Header = header(message);
+    let items = message.items.chunks_exact(size_of::<T::Item>()).map(pod_read_unaligned);
+    let items: Vec<T::Item> = items.collect();
+    refuse_if_wrong::<T>(&header, &items)?;
+    Ok((header, items))
+}
+
+fn refuse_if_wrong<T: Topic>(header: &T::Header, items: &[T::Item]) -> anyhow::Result<()> {
+    T::check(header, items).with_context(|| {
+        format!("a recorded message of {} breaks the contract. Cure: record anew", T::NAME)
+    })
+}
+
+/// A message's header.
+pub fn header<H: AnyBitPattern>(message: &ContractMessage) -> H {
+    // `decode` gives as many bytes as the type has.
+    pod_read_unaligned(&message.header)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::fixtures::{alpha, bravo};
+    use flockeye_geometry::body::squares;
+
+    #[test]
+    fn bodies_that_differ_by_rounding_alone_are_alike() {
+        let of = |bodies| Bodies::new("DICT_5X5_250".into(), bodies).unwrap();
+        let written = |bodies: &Bodies| Bodies::from_json(&bodies.to_json().to_string()).unwrap();
+        let both = of(vec![alpha(), bravo()]);
+        assert!(is_alike(&both, &written(&both)));
+        assert!(!is_alike(&both, &of(vec![alpha()])));
+        assert!(!is_alike(&both, &of(vec![bravo(), alpha()])), "their numbers differ");
+        assert!(!is_alike(&both, &of(vec![alpha(), squares("bravo", 0.0625, 0.0499, 17)])));
+        let mut mounted = alpha();
+        mounted.target_from_markers.translation.x = 0.01;
+        assert!(!is_alike(&both, &of(vec![mounted, bravo()])));
+    }
+}
