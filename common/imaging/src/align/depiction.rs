@@ -111,3 +111,30 @@ fn draw(patch: &Patch, print: &BodyPrint, state: &State) -> Vec<f32> {
     }
     model
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::light::{CodeRange, TransferCurve};
+
+    #[test]
+    fn panels_lie_side_by_side_and_what_agrees_is_grey() {
+        let light = LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap();
+        let shown = Depiction {
+            width: 2,
+            height: 2,
+            picture: vec![0.0, 1.0, 0.5, 0.5],
+            model: vec![0.0, 0.0, 0.5, 1.0],
+            coverage: vec![1.0; 4],
+            evidence: Evidence::default(),
+        };
+        let panels = shown.panels(&light);
+        let (first, second) = panels.split_at(6);
+        assert_eq!(first, [0, 255, 0, 0, 127, 255]);
+        let half = second[0];
+        assert!((180..196).contains(&half), "half the light has code {half}");
+        assert_eq!(second[1..5], [half, half, 255, 127]);
+        assert!(second[5] < 127, "the model is brighter");
+    }
+}
