@@ -9,9 +9,8 @@ use flockeye_dictionary::Dictionary;
 use flockeye_geometry::body::Bodies;
 use flockeye_geometry::camera::Camera;
 use flockeye_geometry::search::{GazeOptions, PredictedNeighbour, gaze_view};
-use flockeye_imaging::align::{AlignOptions, BodyPrint, Depiction, Picture, depict};
+use flockeye_imaging::align::{AlignOptions, BodyPrint, Picture, depict};
 use flockeye_imaging::image::LumaImage;
-use flockeye_imaging::light::LinearLight;
 use flockeye_imaging::sphere::{Cut, Interpolation, SphereImage, rectify_into};
 use nalgebra::{Isometry3, Matrix3, Vector3};
 
@@ -114,7 +113,7 @@ impl CloseupMaker {
                     log_odds: shown.evidence.log_odds as f32,
                     facets: shown.evidence.agreeing_facets,
                 };
-                let jpeg = gray_jpeg(&panels(&shown, light), 3 * width, height)?;
+                let jpeg = gray_jpeg(&shown.panels(light), 3 * width, height)?;
                 Ok(Some((head([width as u32, height as u32], 3, Some(score)), jpeg)))
             }
             // Too far or hidden: the picture alone.
@@ -124,21 +123,6 @@ impl CloseupMaker {
             }
         }
     }
-}
-
-/// Picture, model and residual side by side, as code values. The residual is grey where both agree.
-fn panels(shown: &Depiction, light: &LinearLight) -> Vec<u8> {
-    let code = |radiance: f32| light.code_of(f64::from(radiance)).clamp(0.0, 255.0);
-    let row = |row: usize| {
-        let place = row * shown.width..(row + 1) * shown.width;
-        let pairs = || shown.picture[place.clone()].iter().zip(&shown.model[place.clone()]);
-        let picture = pairs().map(move |(picture, _)| code(*picture) as u8);
-        let model = pairs().map(move |(_, model)| code(*model) as u8);
-        let residual =
-            pairs().map(move |(picture, model)| (127.5 + (code(*picture) - code(*model))) as u8);
-        picture.chain(model).chain(residual).collect::<Vec<u8>>()
-    };
-    (0..shown.height).flat_map(row).collect()
 }
 
 #[cfg(test)]

@@ -126,7 +126,6 @@ mod tests {
             height: 2,
             picture: vec![0.0, 1.0, 0.5, 0.5],
             model: vec![0.0, 0.0, 0.5, 1.0],
-            coverage: vec![1.0; 4],
             evidence: Evidence::default(),
         };
         let panels = shown.panels(&light);
