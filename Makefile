@@ -9,6 +9,7 @@
 #             flies these alone, FLOCKEYE=PROGRAM takes another build
 # make deb     makes the Debian packages: target/deb
 # make deb-test  installs them on a fresh Debian 12, boots it, flies, updates and removes them (root; 300 MB)
+# make book    makes the documents a site: target/book (builds mdBook first)
 # make install-c PREFIX=FOLDER  the library for stages in C, headers, pkg-config and CMake files
 # make counts writes docs/results/counts.md: code and prose, at commit BEFORE and now
 # make setup  only installs the missing Debian packages
@@ -20,7 +21,7 @@ GUSTS = $(addprefix --set simulator.,frames=90 tilt_deg=12 yaw_deg_s=20 yaw_swin
 DORA_COMMAND = $(CURDIR)/target/peers/bin/dora
 DORA_HOP = $(CURDIR)/target/peers/dora/release/dora-hop
 
-.PHONY: deb deb-test python install-c clients run test bench peers build setup cargo format golden golden-check golden-write golden-compare results counts
+.PHONY: book deb deb-test python install-c clients run test bench peers build setup cargo format golden golden-check golden-write golden-compare results counts
 
 # The profile of the tests, which builds sooner than the release profile that the drone gets (`make
 # build`).
@@ -47,6 +48,9 @@ PREFIX ?= target/c
 install-c: setup
 	cargo build --release --locked -p flockeye-client-c
 	clients/c/install target/release/libflockeye_stage.so $(PREFIX)
+
+book:
+	deploy/book/build
 
 # The binaries of the packages, without those of the tests and examples.
 deb: setup

@@ -7,6 +7,7 @@ mod calibration;
 mod cameras;
 mod configurations;
 mod conformance;
+mod documents;
 mod egomotion;
 mod evaluation;
 mod explaining;
