@@ -1,55 +1,69 @@
-//! What a recording says that it lacks: `flockeye_msgs/msg/Loss`, read back.
+//! What a recording lacks of a topic: `flockeye_msgs/msg/Loss`, written and read back.
 
-use crate::cdr::CdrReader;
+use crate::cdr::{CdrReader, CdrWriter};
 use crate::channel::LOSSES;
 use crate::error::RecordingError;
 
-/// What is missing of a topic, counted since the recording began.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
+/// What was recorded of a topic, and what was not, since the recording began.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Loss {
-    /// Name of the topic.
-    pub topic: String,
-    /// Messages that are recorded.
+    /// Messages that were received.
     pub recorded: u64,
-    /// Messages that break the contract.
+    /// Messages that broke the contract.
     pub refused: u64,
-    /// Numbers that are missing.
+    /// Numbers that are missing among those that rise by one: of frames (lost, or never sent), packets and plans.
     pub missing: u64,
-    /// How often the topic's buffer was full.
+    /// How often a topic's buffer was found full, so that messages may have been lost.
     pub buffer_full: u64,
-    /// Messages for which the queue had no room.
+    /// Messages that were dropped because the disk is too slow.
     pub queue_full: u64,
 }
 
 impl Loss {
+    /// How many messages are missing for certain.
+    pub fn certain(&self) -> u64 {
+        self.refused.saturating_add(self.missing).saturating_add(self.queue_full)
+    }
+
     /// All that is, or may be, lost.
     pub fn lost(&self) -> u64 {
-        [self.refused, self.missing, self.buffer_full, self.queue_full]
-            .into_iter()
-            .fold(0, u64::saturating_add)
+        self.certain().saturating_add(self.buffer_full)
+    }
+
+    /// The counts in the order of [`LOSS`](crate::definition::LOSS).
+    fn counts(&self) -> [u64; 5] {
+        [self.recorded, self.refused, self.missing, self.buffer_full, self.queue_full]
     }
 }
 
-/// Reads what [`encode_loss`](crate::message::encode_loss) gave.
+/// What is lost of a topic, as a message.
+pub fn encode_loss(topic: &str, loss: &Loss) -> Vec<u8> {
+    let mut cdr = CdrWriter::with_capacity(96);
+    cdr.text(topic.as_bytes());
+    loss.counts().iter().for_each(|count| cdr.numbers(8, &count.to_le_bytes()));
+    cdr.finish()
+}
+
+/// The topic, and what is lost of it.
 ///
 /// # Errors
 /// [`RecordingError::Message`] where the bytes are not those of such a message.
-pub fn decode_loss(message: &[u8]) -> Result<Loss, RecordingError> {
-    let decode = || -> Result<Loss, String> {
+pub fn decode_loss(message: &[u8]) -> Result<(String, Loss), RecordingError> {
+    let decode = || -> Result<(String, Loss), String> {
         let mut cdr = CdrReader::new(message)?;
         let topic = String::from_utf8_lossy(cdr.text()?).into_owned();
         let mut count = || -> Result<u64, String> {
             // `numbers` gives as many bytes as were asked for.
             Ok(u64::from_le_bytes(cdr.numbers(8, 1)?.try_into().unwrap_or_default()))
         };
-        Ok(Loss {
-            topic,
+        let loss = Loss {
             recorded: count()?,
             refused: count()?,
             missing: count()?,
             buffer_full: count()?,
             queue_full: count()?,
-        })
+        };
+        Ok((topic, loss))
     };
     decode().map_err(|reason| RecordingError::Message { channel: LOSSES.to_owned(), reason })
 }
@@ -58,23 +72,16 @@ pub fn decode_loss(message: &[u8]) -> Result<Loss, RecordingError> {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::message::encode_loss;
 
     #[test]
     fn a_loss_comes_back_and_half_of_one_is_refused() {
-        let bytes = encode_loss("flockeye/plan", [9, 1, 2, 3, 4]);
-        let loss = decode_loss(&bytes).unwrap();
-        let wanted = Loss {
-            topic: "flockeye/plan".into(),
-            recorded: 9,
-            refused: 1,
-            missing: 2,
-            buffer_full: 3,
-            queue_full: 4,
-        };
-        assert_eq!((loss.lost(), &loss), (10, &wanted));
+        let loss = Loss { recorded: 9, refused: 1, missing: 2, buffer_full: 3, queue_full: 4 };
+        assert_eq!((loss.certain(), loss.lost()), (7, 10));
+        let bytes = encode_loss("flockeye/plan", &loss);
+        assert_eq!(decode_loss(&bytes).unwrap(), ("flockeye/plan".to_owned(), loss));
         for end in 0..bytes.len() {
             assert!(decode_loss(&bytes[..end]).is_err(), "{end} bytes");
         }
+        assert_eq!(Loss { missing: u64::MAX, ..loss }.lost(), u64::MAX);
     }
 }

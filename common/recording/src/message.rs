@@ -1,7 +1,6 @@
 //! Messages of the contract as ROS 2 messages, and back, byte by byte.
 
 use crate::cdr::{CdrReader, CdrWriter};
-use crate::channel::LOSSES;
 use crate::error::RecordingError;
 use crate::layout::{Object, Shape, TopicLayout};
 
@@ -70,32 +69,6 @@ pub fn decode(layout: &TopicLayout, message: &[u8]) -> Result<ContractMessage, R
         return Err(refused(format!("has {left} bytes more than its definition")));
     }
     Ok(found)
-}
-
-/// `flockeye_msgs/msg/Loss`: what a recording lacks of a topic, in the order of
-/// [`LOSS`](crate::definition::LOSS).
-pub fn encode_loss(topic: &str, counts: [u64; 5]) -> Vec<u8> {
-    let mut cdr = CdrWriter::with_capacity(96);
-    cdr.text(topic.as_bytes());
-    counts.iter().for_each(|count| cdr.numbers(8, &count.to_le_bytes()));
-    cdr.finish()
-}
-
-/// The topic and the counts that [`encode_loss`] was given.
-///
-/// # Errors
-/// [`RecordingError::Message`] where the bytes are not those of such a message.
-pub fn decode_loss(message: &[u8]) -> Result<(String, [u64; 5]), RecordingError> {
-    let decode = || -> Result<(String, [u64; 5]), String> {
-        let mut cdr = CdrReader::new(message)?;
-        let topic = String::from_utf8_lossy(cdr.text()?).into_owned();
-        let mut counts = [0; 5];
-        for count in &mut counts {
-            *count = u64::from_le_bytes(cdr.numbers(8, 1)?.try_into().unwrap_or_default());
-        }
-        Ok((topic, counts))
-    };
-    decode().map_err(|reason| RecordingError::Message { channel: LOSSES.to_owned(), reason })
 }
 
 /// Where two messages of a topic differ first, field by field, with both values; `None`: they are the same,
@@ -271,14 +244,6 @@ mod tests {
         let none = of::<Tracks>(&TrackHeader { is_last: 1, ..TrackHeader::default() }, &[]);
         let said = first_difference(&layout, &message(track), &none);
         assert_eq!(said.as_deref(), Some("header.is_last: 0 and 1"));
-    }
-
-    #[test]
-    fn a_loss_comes_back() {
-        let message = encode_loss("flockeye/view", [1, 2, 3, 4, u64::MAX]);
-        let back = decode_loss(&message).unwrap();
-        assert_eq!(back, ("flockeye/view".to_owned(), [1, 2, 3, 4, u64::MAX]));
-        assert!(decode_loss(&message[..message.len() - 1]).is_err());
     }
 
     #[test]

@@ -15,7 +15,8 @@ use flockeye_contract::{
 use flockeye_geometry::body::Bodies;
 use flockeye_recording::channel::{LOSSES, VIEW_IMAGES};
 use flockeye_recording::images::decode_image;
-use flockeye_recording::message::{decode, decode_loss};
+use flockeye_recording::losses::decode_loss;
+use flockeye_recording::message::decode;
 use flockeye_recording::{ContractMessage, Ending, Reader, RecordedMessage, TopicLayout, layouts};
 
 use crate::frame_assembly::Record;
@@ -181,9 +182,9 @@ impl Recorded {
             return self.view(message).map(Some);
         }
         if topic == LOSSES {
-            let (topic, [_, counts @ ..]) = decode_loss(&message.bytes)?;
+            let (topic, loss) = decode_loss(&message.bytes)?;
             // The counts rise.
-            self.lost.insert(topic, counts.iter().sum());
+            self.lost.insert(topic, loss.lost());
             return Ok(None);
         }
         let is_of = |layout: &&TopicLayout| layout.channel() == topic;

@@ -186,9 +186,8 @@ fn deviation_m(track: &Track) -> f64 {
 }
 
 /// The name of a track's state.
-fn track_state_name(code: u32) -> String {
-    TrackState::try_from(code)
-        .map_or("unknown".to_owned(), |state| format!("{state:?}").to_lowercase())
+fn track_state_name(code: u32) -> &'static str {
+    TrackState::try_from(code).map_or("unknown", TrackState::name)
 }
 
 /// Age of the exposure that a pose was last measured in, milliseconds.

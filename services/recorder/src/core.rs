@@ -7,12 +7,13 @@ use flockeye_contract::{
 };
 pub use flockeye_recording::channel::LOSSES;
 use flockeye_recording::images::{Image, encode_compressed, encode_image, encode_video};
+use flockeye_recording::losses::{Loss, encode_loss};
 use flockeye_recording::message::encode;
 use flockeye_recording::{ChannelKind, RecordingError, TopicLayout, layouts, poses};
 use flockeye_ros2::messages::Time;
 use flockeye_ros2::ros_name;
 
-use crate::entry::{Entry, Loss};
+use crate::entry::Entry;
 use crate::jpeg;
 
 /// A message of a recording.
@@ -75,9 +76,7 @@ impl Core {
     /// What a recording lacks of a topic, as a message.
     pub fn loss(&self, topic: usize, loss: &Loss) -> Output {
         let name = TOPICS.get(topic).map_or("", |topic| topic.name);
-        let Loss { recorded, refused, missing, buffer_full, queue_full } = *loss;
-        let counts = [recorded, refused, missing, buffer_full, queue_full];
-        let bytes = flockeye_recording::message::encode_loss(name, counts);
+        let bytes = encode_loss(name, loss);
         Output { channel: self.losses.clone(), bytes }
     }
 

@@ -22,30 +22,3 @@ impl Entry {
         self.message.header.len() + self.message.items.len() + pixels + 128
     }
 }
-
-/// What was recorded of a topic, and what was not, since the beginning.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Loss {
-    /// Messages that were received.
-    pub recorded: u64,
-    /// Messages that broke the contract.
-    pub refused: u64,
-    /// Numbers that are missing among those that rise by one: of frames (lost, or never sent), packets and plans.
-    pub missing: u64,
-    /// How often a topic's buffer was found full, so that messages may have been lost.
-    pub buffer_full: u64,
-    /// Messages that were dropped because the disk is too slow.
-    pub queue_full: u64,
-}
-
-impl Loss {
-    /// How many messages are missing for certain.
-    pub fn certain(&self) -> u64 {
-        self.refused + self.missing + self.queue_full
-    }
-
-    /// Whether something is, or may be, missing.
-    pub fn is_loss(&self) -> bool {
-        self.certain() + self.buffer_full > 0
-    }
-}

@@ -11,6 +11,7 @@ use flockeye_config::{Flow, Resolved};
 use flockeye_contract::{
     CONTRACT_VERSION, PacketHeader, StageName, TOPICS, TopicId, Track, TrackState,
 };
+use flockeye_recording::losses::Loss;
 use flockeye_recording::{About, RecordingError};
 use flockeye_runtime::instance::Instance;
 use flockeye_runtime::logs::Throttle;
@@ -24,7 +25,7 @@ use signal_hook::consts::{SIGUSR1, SIGXFSZ};
 
 use crate::arguments::{FramesChoice, RecordArguments, Trigger};
 use crate::core::Core;
-use crate::entry::{Entry, Loss};
+use crate::entry::Entry;
 use crate::files::Files;
 use crate::inputs::{Inputs, NotCoded};
 use crate::queue::{Queue, Taken};
@@ -172,7 +173,7 @@ impl Writing {
         }
         let (files, messages, bytes) = self.files.written();
         let megabytes = bytes as f64 / 1e6;
-        let lacking = self.queue.losses().iter().filter(|loss| loss.is_loss()).count();
+        let lacking = self.queue.losses().iter().filter(|loss| loss.lost() > 0).count();
         let lack = match lacking {
             0 => "nothing is missing".to_owned(),
             topics => {

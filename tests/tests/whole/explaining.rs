@@ -8,7 +8,7 @@ use std::process::Command;
 use flockeye_contract::{BodyTruth, MeasuredBy, Track, TrackHeader, TrackState, TruthHeader};
 use flockeye_recording::channel::ChannelKind;
 use flockeye_recording::file::RecordingFile;
-use flockeye_recording::message::encode_loss;
+use flockeye_recording::losses::{Loss, encode_loss};
 use flockeye_recording::{Reader, RecordingWriter};
 use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, flockeye, run};
 use serde_json::Value;
@@ -218,7 +218,10 @@ fn losses_are_told(scratch: &Scratch, recording: &Path) {
         writer.write_as(kind, sequence, message.utc_ns, &message.bytes).expect("it can be written");
         last_ns = message.utc_ns;
     }
-    let loss = encode_loss("flockeye/view", [900, 0, 0, 2, 5]);
+    let loss = encode_loss(
+        "flockeye/view",
+        &Loss { recorded: 900, buffer_full: 2, queue_full: 5, ..Loss::default() },
+    );
     writer.write_as(&ChannelKind::of_losses(), 1, last_ns, &loss).expect("it can be written");
     writer.finish().expect("it can be written");
     let (is_same, said) = run(&["replay", text(&lossy)]);

@@ -119,9 +119,10 @@ impl Dashboard {
             let latency = &track.latency;
             Some(NeighbourReport {
                 name: name.clone(),
-                state: track_state_name(track.state),
+                state: track_state_name(track.state).to_owned(),
                 measured_by: MeasuredBy::try_from(track.measured_by)
-                    .map_or("unknown".to_owned(), |by| format!("{by:?}").to_lowercase()),
+                    .map_or("unknown", MeasuredBy::name)
+                    .to_owned(),
                 position_m: track.observer_from_target.position,
                 deviation_m: deviation_m(track),
                 age_ms: age_ms(track, *arrived_ns, now_ns),

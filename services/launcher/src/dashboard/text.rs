@@ -54,7 +54,7 @@ impl Dashboard {
             let [x, y, z] = track.observer_from_target.position;
             neighbours.row([
                 name.clone(),
-                track_state_name(track.state),
+                track_state_name(track.state).to_owned(),
                 format!("{x:.3} {y:.3} {z:.3}"),
                 format!("{:.2}", Vector3::new(x, y, z).norm()),
                 format!("{:.1}", deviation_m(track) * 1e3),

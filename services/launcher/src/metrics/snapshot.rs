@@ -4,9 +4,10 @@ use std::fmt;
 use std::sync::{Arc, Mutex};
 
 use flockeye_contract::TrackState;
+use flockeye_runtime::health_rates::HealthRates;
 use flockeye_runtime::lock::lock;
 use prometheus_client::collector::Collector;
-use prometheus_client::encoding::{DescriptorEncoder, EncodeMetric, MetricEncoder};
+use prometheus_client::encoding::{DescriptorEncoder, EncodeMetric};
 use prometheus_client::metrics::MetricType;
 use prometheus_client::metrics::counter::ConstCounter;
 use prometheus_client::metrics::gauge::ConstGauge;
@@ -14,38 +15,70 @@ use prometheus_client::registry::Unit;
 
 use super::Labels;
 use crate::dashboard::Dashboard;
+use crate::dashboard::report::NeighbourReport;
+use crate::doctor::Machine;
+use crate::doctor::machine::{frequencies_hz, temperatures_c};
 
 /// The states that a track can be shown in.
 const TRACK_STATES: [TrackState; 4] =
     [TrackState::Tentative, TrackState::Confirmed, TrackState::Coasting, TrackState::Lost];
 
-/// A value with its labels.
-type Value<T> = (Labels, T);
-
-/// A counter of each process: its name, what it counts, and its values.
-#[derive(Debug, Clone)]
-struct Counter {
-    name: &'static str,
-    help: &'static str,
-    unit: Option<Unit>,
-    values: Vec<Value<f64>>,
+/// Whether a value only rises.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    Counter,
+    Gauge,
 }
 
-/// A gauge, as [`Counter`].
+/// A metric of this name, what it means, and its values with their labels.
 #[derive(Debug, Clone)]
-struct Gauge {
+struct Metric {
+    kind: Kind,
     name: &'static str,
     help: &'static str,
     unit: Option<Unit>,
-    values: Vec<Value<f64>>,
+    values: Vec<(Labels, f64)>,
+}
+
+/// A metric of every process: its kind, its name, what it means, its unit and its value.
+type OfStage = (Kind, &'static str, &'static str, Option<Unit>, fn(&HealthRates) -> f64);
+
+/// What is told of every process.
+fn of_stages() -> [OfStage; 8] {
+    use Kind::{Counter, Gauge};
+    let unfinished = "Messages taken in or given out that are not finished";
+    let bad = "Messages that were refused or could not be processed";
+    [
+        (Counter, "stage_taken", "Messages taken", None, |rates| rates.last.taken as f64),
+        (Counter, "stage_published", "Messages given out", None, |rates| {
+            rates.last.published as f64
+        }),
+        (Counter, "stage_dropped", "Messages that were replaced by newer ones", None, |rates| {
+            rates.last.dropped as f64
+        }),
+        (Counter, "stage_failed", bad, None, |rates| rates.last.failed as f64),
+        (Counter, "stage_restarts", "How often the process was replaced", None, |rates| {
+            f64::from(rates.last.generation)
+        }),
+        (Counter, "stage_processor", "Processor time used", Some(Unit::Seconds), |rates| {
+            rates.last.processor_ns as f64 * 1e-9
+        }),
+        (Gauge, "stage_queued", unfinished, None, |rates| rates.last.queued as f64),
+        (
+            Gauge,
+            "stage_resident",
+            "Resident memory, shared memory included",
+            Some(Unit::Bytes),
+            |rates| rates.last.resident_bytes as f64,
+        ),
+    ]
 }
 
 /// What there was at one moment.
 #[derive(Debug, Clone, Default)]
 pub struct Snapshot {
     frames: u64,
-    counters: Vec<Counter>,
-    gauges: Vec<Gauge>,
+    metrics: Vec<Metric>,
 }
 
 impl Snapshot {
@@ -59,8 +92,19 @@ impl Snapshot {
         snapshot
     }
 
-    fn counter(&mut self, name: &'static str, help: &'static str, values: Vec<Value<f64>>) {
-        self.counters.push(Counter { name, help, unit: None, values });
+    fn add_frames(&mut self, dashboard: &Dashboard) {
+        let skipped = "Frames that the source sent and that were not worked on";
+        let frames = [
+            ("frames", "Frames that have passed through all stages", dashboard.frames_ended()),
+            ("frames_skipped", skipped, dashboard.frames_skipped()),
+        ];
+        self.metrics.extend(frames.map(|(name, help, value)| Metric {
+            kind: Kind::Counter,
+            name,
+            help,
+            unit: None,
+            values: vec![(Vec::new(), value as f64)],
+        }));
     }
 
     fn gauge(
@@ -68,92 +112,34 @@ impl Snapshot {
         name: &'static str,
         help: &'static str,
         unit: Option<Unit>,
-        values: Vec<Value<f64>>,
+        values: impl Iterator<Item = (Labels, f64)>,
     ) {
-        self.gauges.push(Gauge { name, help, unit, values });
-    }
-
-    fn add_frames(&mut self, dashboard: &Dashboard) {
-        let alone = |value: u64| vec![(Vec::new(), value as f64)];
-        self.counter("frames", "Frames that have passed through all stages", alone(self.frames));
-        self.counter(
-            "frames_skipped",
-            "Frames that the source sent and that were not worked on",
-            alone(dashboard.frames_skipped()),
-        );
+        let values = values.collect();
+        self.metrics.push(Metric { kind: Kind::Gauge, name, help, unit, values });
     }
 
     fn add_stages(&mut self, dashboard: &Dashboard, now_ns: i64) {
-        let stages: Vec<_> = dashboard
+        let stages: Vec<(Labels, &HealthRates)> = dashboard
             .workers()
             .map(|(stage, worker, rates)| {
-                let labels = vec![("stage", stage.to_owned()), ("worker", worker.to_string())];
-                (labels, rates.clone())
+                (vec![("stage", stage.to_owned()), ("worker", worker.to_string())], rates)
             })
             .collect();
-        let each = |value: &dyn Fn(&flockeye_runtime::health_rates::HealthRates) -> f64| {
-            stages.iter().map(|(labels, rates)| (labels.clone(), value(rates))).collect::<Vec<_>>()
-        };
-        self.counter(
-            "stage_taken",
-            "Messages that a process took",
-            each(&|rates| rates.last.taken as f64),
-        );
-        self.counter(
-            "stage_published",
-            "Messages that a process gave out",
-            each(&|rates| rates.last.published as f64),
-        );
-        self.counter(
-            "stage_dropped",
-            "Messages that were replaced by newer ones",
-            each(&|rates| rates.last.dropped as f64),
-        );
-        self.counter(
-            "stage_failed",
-            "Messages that were refused or could not be processed",
-            each(&|rates| rates.last.failed as f64),
-        );
-        self.counter(
-            "stage_restarts",
-            "How often a worker's process was replaced",
-            each(&|rates| f64::from(rates.last.generation)),
-        );
-        self.counters.push(Counter {
-            name: "stage_processor",
-            help: "Processor time that a process used",
-            unit: Some(Unit::Seconds),
-            values: each(&|rates| rates.last.processor_ns as f64 * 1e-9),
+        for (kind, name, help, unit, value) in of_stages() {
+            let values = stages.iter().map(|(labels, rates)| (labels.clone(), value(rates)));
+            self.metrics.push(Metric { kind, name, help, unit, values: values.collect() });
+        }
+        let ready = stages.iter().map(|(labels, rates)| {
+            (labels.clone(), f64::from(u8::from(rates.state(now_ns) == "ready")))
         });
-        self.gauge(
-            "stage_queued",
-            "Messages taken in or given out that are not finished",
-            None,
-            each(&|rates| rates.last.queued as f64),
-        );
-        self.gauge(
-            "stage_resident",
-            "Resident memory, shared memory included",
-            Some(Unit::Bytes),
-            each(&|rates| rates.last.resident_bytes as f64),
-        );
-        self.gauge(
-            "stage_ready",
-            "1 if the process is ready and reports, else 0",
-            None,
-            each(&|rates| f64::from(u8::from(rates.state(now_ns) == "ready"))),
-        );
+        self.gauge("stage_ready", "1 if the process is ready and reports, else 0", None, ready);
         let latencies = stages.iter().flat_map(|(labels, rates)| {
-            let quantiles = rates
-                .latency_ms
-                .into_iter()
-                .flat_map(|[median, p99]| [("0.5", median), ("0.99", p99)]);
+            let quantiles = rates.latency_ms.into_iter();
+            let quantiles = quantiles.flat_map(|[median, p99]| [("0.5", median), ("0.99", p99)]);
             quantiles.map(|(quantile, ms)| {
-                let labels = [&labels[..], &[("quantile", quantile.to_owned())]].concat();
-                (labels, ms * 1e-3)
+                ([&labels[..], &[("quantile", quantile.to_owned())]].concat(), ms * 1e-3)
             })
         });
-        let latencies = latencies.collect();
         self.gauge(
             "stage_latency",
             "Latency of a process's work in its last report: median and 99 % quantile",
@@ -167,50 +153,42 @@ impl Snapshot {
         let of = |name: &str| vec![("target", name.to_owned())];
         let states = report.neighbours.iter().flat_map(|neighbour| {
             TRACK_STATES.map(|state| {
-                let state = format!("{state:?}").to_lowercase();
-                let is_it = f64::from(u8::from(neighbour.state == state));
-                ([of(&neighbour.name), vec![("state", state)]].concat(), is_it)
+                let is_it = f64::from(u8::from(neighbour.state == state.name()));
+                let state = vec![("state", state.name().to_owned())];
+                ([of(&neighbour.name), state].concat(), is_it)
             })
         });
-        let states = states.collect();
-        self.gauge("track_state", "1 for the state that a neighbour's track is in", None, states);
-        let each = |value: fn(&crate::dashboard::report::NeighbourReport) -> f64| {
-            report.neighbours.iter().map(|n| (of(&n.name), value(n))).collect::<Vec<_>>()
+        self.gauge("track_state", "1 for the state of a neighbour's track", None, states);
+        let metres = || Some(Unit::Other("meters".to_owned()));
+        let distance_m = |neighbour: &NeighbourReport| {
+            neighbour.position_m.iter().map(|x| x * x).sum::<f64>().sqrt()
         };
-        let deviation = each(|neighbour| neighbour.deviation_m);
-        let unit = || Some(Unit::Other("meters".to_owned()));
+        let each = |value: fn(&NeighbourReport) -> f64| {
+            report.neighbours.iter().map(move |n| (vec![("target", n.name.clone())], value(n)))
+        };
+        self.gauge("track_distance", "Distance of a neighbour", metres(), each(distance_m));
         self.gauge(
             "track_deviation",
             "Standard deviation of a neighbour's position",
-            unit(),
-            deviation,
+            metres(),
+            each(|neighbour| neighbour.deviation_m),
         );
-        let distance =
-            each(|neighbour| neighbour.position_m.iter().map(|x| x * x).sum::<f64>().sqrt());
-        self.gauge("track_distance", "Distance of a neighbour", unit(), distance);
-        let age = each(|neighbour| neighbour.age_ms * 1e-3);
         self.gauge(
             "track_age",
             "Age of the exposure that a neighbour was last measured in",
             Some(Unit::Seconds),
-            age,
+            each(|neighbour| neighbour.age_ms * 1e-3),
         );
     }
 
     fn add_machine(&mut self) {
-        let machine = crate::doctor::Machine::this();
-        let temperatures = crate::doctor::machine::temperatures_c(&machine);
-        let values = temperatures.into_iter().map(|(zone, c)| (vec![("zone", zone)], c)).collect();
-        self.gauge(
-            "temperature",
-            "Temperature of a part of this machine",
-            Some(Unit::Celsius),
-            values,
-        );
-        let frequencies = crate::doctor::machine::frequencies_hz(&machine);
-        let values = frequencies.into_iter().map(|(cpu, hz)| (vec![("cpu", cpu)], hz)).collect();
-        let unit = Some(Unit::Other("hertz".to_owned()));
-        self.gauge("processor_frequency", "Clock of a processor", unit, values);
+        let machine = Machine::this();
+        let celsius = Some(Unit::Celsius);
+        let zones = temperatures_c(&machine).into_iter().map(|(zone, c)| (vec![("zone", zone)], c));
+        self.gauge("temperature", "Temperature of a part of this machine", celsius, zones);
+        let hertz = Some(Unit::Other("hertz".to_owned()));
+        let clocks = frequencies_hz(&machine).into_iter().map(|(cpu, hz)| (vec![("cpu", cpu)], hz));
+        self.gauge("processor_frequency", "Clock of a processor", hertz, clocks);
     }
 }
 
@@ -230,24 +208,20 @@ impl Latest {
 
 impl Collector for Latest {
     fn encode(&self, mut encoder: DescriptorEncoder<'_>) -> Result<(), fmt::Error> {
-        let snapshot = lock(&self.0);
-        for Counter { name, help, unit, values } in &snapshot.counters {
-            let metric =
-                encoder.encode_descriptor(name, help, unit.as_ref(), MetricType::Counter)?;
-            encode_all(metric, values, |value, encoder| ConstCounter::new(value).encode(encoder))?;
-        }
-        for Gauge { name, help, unit, values } in &snapshot.gauges {
-            let metric = encoder.encode_descriptor(name, help, unit.as_ref(), MetricType::Gauge)?;
-            encode_all(metric, values, |value, encoder| ConstGauge::new(value).encode(encoder))?;
+        for Metric { kind, name, help, unit, values } in &lock(&self.0).metrics {
+            let kind_of_type = match kind {
+                Kind::Counter => MetricType::Counter,
+                Kind::Gauge => MetricType::Gauge,
+            };
+            let mut metric = encoder.encode_descriptor(name, help, unit.as_ref(), kind_of_type)?;
+            for (labels, value) in values {
+                let value_encoder = metric.encode_family(labels)?;
+                match kind {
+                    Kind::Counter => ConstCounter::new(*value).encode(value_encoder)?,
+                    Kind::Gauge => ConstGauge::new(*value).encode(value_encoder)?,
+                }
+            }
         }
         Ok(())
     }
-}
-
-fn encode_all(
-    mut metric: MetricEncoder<'_>,
-    values: &[Value<f64>],
-    encode: impl Fn(f64, MetricEncoder<'_>) -> Result<(), fmt::Error>,
-) -> Result<(), fmt::Error> {
-    values.iter().try_for_each(|(labels, value)| encode(*value, metric.encode_family(labels)?))
 }

@@ -51,8 +51,8 @@ impl<'r> OverviewMaker<'r> {
         for message in recording.messages(chunk, is_wanted).unwrap_or_default() {
             let part = self.part(message.utc_ns);
             if *losses == Some(message.channel) {
-                if let Ok(loss) = decode_loss(&message.bytes) {
-                    self.loss(part, loss);
+                if let Ok((topic, loss)) = decode_loss(&message.bytes) {
+                    self.loss(part, topic, loss);
                 }
             } else if let Some((header, tracks)) = channels.tracks(&message) {
                 tracks.iter().for_each(|track| self.track(part, track));
@@ -74,7 +74,7 @@ impl<'r> OverviewMaker<'r> {
             target: *target,
             states: states.iter().map(|state| state.map(TrackState::name)).collect(),
         });
-        let losses = self.losses.values().filter(|loss| loss.lost() > 0);
+        let losses = self.losses.iter().filter(|(_, loss)| loss.lost() > 0);
         wire::Overview {
             done: self.next_chunk as f32 / chunks as f32,
             latency_ms: self.latency_ms.clone(),
@@ -82,8 +82,8 @@ impl<'r> OverviewMaker<'r> {
             skipped: self.skipped.clone(),
             lost: self.lost.clone(),
             losses: losses
-                .map(|loss| wire::TopicLoss {
-                    topic: loss.topic.clone(),
+                .map(|(topic, loss)| wire::TopicLoss {
+                    topic: topic.clone(),
                     recorded: loss.recorded,
                     lost: loss.lost(),
                 })
@@ -116,12 +116,12 @@ impl<'r> OverviewMaker<'r> {
         }
     }
 
-    fn loss(&mut self, part: usize, loss: Loss) {
-        let before = self.losses.get(&loss.topic).map_or(0, Loss::lost);
+    fn loss(&mut self, part: usize, topic: String, loss: Loss) {
+        let before = self.losses.get(&topic).map_or(0, Loss::lost);
         add(&mut self.lost[part], loss.lost().saturating_sub(before));
         // As many as the contract has topics, or a file that lies.
-        if self.losses.len() < 64 || self.losses.contains_key(&loss.topic) {
-            self.losses.insert(loss.topic.clone(), loss);
+        if self.losses.len() < 64 || self.losses.contains_key(&topic) {
+            self.losses.insert(topic, loss);
         }
     }
 }

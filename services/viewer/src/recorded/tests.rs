@@ -6,7 +6,8 @@ use bytemuck::{Zeroable, bytes_of, cast_slice};
 use flockeye_contract::{FrameHeader, FrameStamp, StageLatency, Track, TrackHeader, TrackState};
 use flockeye_recording::file::RecordingFile;
 use flockeye_recording::images::encode_compressed;
-use flockeye_recording::message::{encode, encode_loss};
+use flockeye_recording::losses::{Loss, encode_loss};
+use flockeye_recording::message::encode;
 use flockeye_recording::{ChannelKind, ContractMessage, RecordingWriter, TopicLayout, layouts};
 use flockeye_runtime::resolved_file;
 use tempfile::TempDir;
@@ -85,7 +86,10 @@ fn record(frames: u64) -> (TempDir, Arc<Recorded>) {
             let cdr = encode(&track, &message).unwrap();
             writer.write(&ChannelKind::of_topic(&track), at_ns, &cdr).unwrap();
             if sequence == 50 {
-                let loss = encode_loss("flockeye/plan", [9, 0, 3, 0, 0]);
+                let loss = encode_loss(
+                    "flockeye/plan",
+                    &Loss { recorded: 9, missing: 3, ..Loss::default() },
+                );
                 writer.write(&ChannelKind::of_losses(), at_ns, &loss).unwrap();
             }
         } else {
@@ -219,7 +223,7 @@ fn a_recording_needs_its_configuration_and_bodies_keep_their_numbers() {
         std::fs::remove_file(&path).ok();
         let file = RecordingFile::create(&path).unwrap();
         let mut writer = RecordingWriter::begin(file, about).unwrap();
-        writer.write(&ChannelKind::of_losses(), 1, &encode_loss("x", [0; 5])).unwrap();
+        writer.write(&ChannelKind::of_losses(), 1, &encode_loss("x", &Loss::default())).unwrap();
         writer.finish().unwrap();
         Recorded::open(&path, 15.0)
     };
