@@ -165,8 +165,8 @@ mod tests {
             r#"flockeye_stage_restarts_total{instance_name="field",stage="detection",worker="1"} 3"#,
             r#"flockeye_stage_processor_seconds_total{instance_name="field",stage="detection",worker="1"} 1.5"#,
             r#"flockeye_frames_total{instance_name="field"} 1"#,
-            r#"flockeye_pose_latency_seconds_bucket{le="0.033",instance_name="field",part="total"} 1"#,
-            r#"flockeye_pose_latency_seconds_bucket{le="0.02",instance_name="field",part="total"} 0"#,
+            r#"flockeye_pose_latency_seconds_bucket{instance_name="field",le="0.033",part="total"} 1"#,
+            r#"flockeye_pose_latency_seconds_bucket{instance_name="field",le="0.02",part="total"} 0"#,
         ] {
             assert!(page.text.contains(line), "{line} is missing:\n{}", page.text);
         }
