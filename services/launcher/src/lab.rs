@@ -26,7 +26,10 @@ pub fn is_asked_for(arguments: &[OsString]) -> bool {
 /// # Errors
 /// As [`become_program`].
 pub fn become_lab(arguments: &[OsString]) -> anyhow::Result<()> {
-    become_program(PROGRAM, "flockeye", arguments)
+    become_program(PROGRAM, "flockeye", arguments).with_context(|| {
+        let command = arguments.first().map(|name| name.to_string_lossy()).unwrap_or_default();
+        format!("`flockeye {command}` is a command of {PROGRAM}")
+    })
 }
 
 /// Replaces this process by another program of ours, whose help shows the name that users typed. Signals and the exit
@@ -35,7 +38,7 @@ pub fn become_lab(arguments: &[OsString]) -> anyhow::Result<()> {
 /// # Errors
 /// It is not installed, or cannot be started.
 pub fn become_program(name: &str, typed: &str, arguments: &[OsString]) -> anyhow::Result<()> {
-    let path = program::find(name).with_context(|| format!("this command is done by {name}"))?;
+    let path = program::find(name)?;
     let error = Command::new(&path).arg0(typed).args(arguments).exec();
     Err(error).with_context(|| format!("cannot start {}", path.display()))
 }
