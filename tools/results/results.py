@@ -115,9 +115,11 @@ FAULTY = {"workers": ("One of two detection workers does not do its work",
 # A recording that is flown in real time while it is recorded, in each of these ways.
 RECORDED = {"recorder": ("The recorder beside a flight of 3840x1920, in real time or as fast as the machine decodes", "flight1/flight1.mp4",
                          ["none", "camera", "every 30", "views"])}
+# How soon the first frame has passed through all stages, and what the pipeline takes with nobody in sight and with one neighbour: title, flights.
+STARTS = {"start": ("From `flockeye up` to the first frame's end, and what the default pipeline takes", 10)}
 # These take long, so they are flown by their names alone.
 LONG = ["kills-long", "cuts"]
-PARTS = [*RECORDINGS, *SIMULATED, *EXPERIMENTS, *SWARMS, *LOADS, *CUTS, *ONLOOKERS, *ROTATIONS, *BENCHES, *DISTURBED, *FAULTY, *RECORDED]
+PARTS = [*RECORDINGS, *SIMULATED, *EXPERIMENTS, *SWARMS, *LOADS, *CUTS, *ONLOOKERS, *ROTATIONS, *BENCHES, *DISTURBED, *FAULTY, *RECORDED, *STARTS]
 
 
 def flockeye():
@@ -372,6 +374,56 @@ def recorded(part, data):
                    "machine": before, "output": lines}}
 
 
+def first_frame_s():
+    """Seconds from the command to the end of a pipeline of one frame."""
+    flight = ["up", "--frames", "1", *QUIET]
+    since = time.monotonic()
+    call(flight)
+    return time.monotonic() - since
+
+
+def taken(name, settings):
+    """What the processes of a running pipeline take: of processors, and of memory that is theirs alone, MB."""
+    up = subprocess.Popen([str(flockeye()), "up", *QUIET, *settings, "--set", f"instance={name}"], cwd=ROOT,
+                          stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    time.sleep(10)
+    before, since = family(up.pid), time.monotonic()
+    time.sleep(20)
+    after, length_s = family(up.pid), time.monotonic() - since
+    call(["stop", "--instance", name])
+    up.wait()
+    processors = sum(after[pid][0] - before[pid][0] for pid in after if pid in before) / length_s
+    return processors, sum(private for _, private in after.values())
+
+
+def family(pid):
+    """Processor seconds and private memory, MB, of a process and its children, by their numbers."""
+    children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    found = {}
+    for each in [str(pid), *children]:
+        stat = Path(f"/proc/{each}/stat").read_text().rpartition(")")[2].split()
+        rollup = Path(f"/proc/{each}/smaps_rollup").read_text()
+        private_kb = sum(int(kb) for kb in re.findall(r"^Private_\w+: +(\d+) kB", rollup, re.M))
+        found[each] = (sum(map(int, stat[11:13])) / os.sysconf("SC_CLK_TCK"), private_kb / 1024)
+    return found
+
+
+def started(part):
+    """How soon the first frame has passed through all stages, and what the pipeline takes."""
+    title, count = STARTS[part]
+    before = machine()
+    flight = ["up", "--frames", "1", *QUIET]
+    print(f"  {shown(flight)}", file=sys.stderr, flush=True)
+    times_s = sorted(first_frame_s() for _ in range(count))
+    lines = [f"from the command to the end of the first frame and of all processes: median {times_s[count // 2]:.2f} s, "
+             f"worst of {count} {times_s[-1]:.2f} s", "", f"{'in sight':<14} {'processors':>10} {'memory':>10}"]
+    for words, settings in (("nobody", ["--set", "simulator.neighbours=0"]), ("one neighbour", [])):
+        processors, memory_mb = taken("results", settings)
+        lines.append(f"{words:<14} {processors:10.2f} {memory_mb:7.0f} MB")
+    lines.append("The simulated camera's process is among them.")
+    return {part: {"title": title, "command": shown(flight), "machine": before, "output": lines}}
+
+
 def faulty(part):
     """How many poses are left of a simulated flight while one of two workers has a fault."""
     title, faults, count = FAULTY[part]
@@ -460,6 +512,8 @@ def run_part(part, data, wanted_ways):
         return faulty(part)
     if part in RECORDED:
         return recorded(part, data)
+    if part in STARTS:
+        return started(part)
     entries = {}
     if part in RECORDINGS:
         title, recording, truth, settings, ways = RECORDINGS[part]
@@ -706,6 +760,10 @@ def render(store):
     if any(name in store for name in RECORDED):
         (folder / "recorder.md").write_text(experiments_page(
             "the recorder", "[RECORDING.md](../RECORDING.md) says what is recorded.", of(RECORDED)))
+    if any(name in store for name in STARTS):
+        (folder / "start.md").write_text(experiments_page(
+            "start and cost", "[deploy/README.md](../../deploy/README.md) says how the pipeline is run as a service.",
+            of(STARTS)))
     if any(name in store for name in SWARMS):
         (folder / "swarms.md").write_text(experiments_page(
             "simulated swarms", "[SIMULATOR.md](../SIMULATOR.md#a-swarm-in-one-world) says what the words mean.",
