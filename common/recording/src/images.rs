@@ -91,15 +91,10 @@ pub fn decode_compressed<'m>(
     channel: &str,
     message: &'m [u8],
 ) -> Result<Compressed<'m>, RecordingError> {
-    let decode = || -> Result<Compressed<'m>, String> {
-        let mut cdr = CdrReader::new(message)?;
-        let stamp = time(&mut cdr)?;
-        cdr.text()?;
+    decode_with(channel, message, |cdr, stamp| {
         let format = format_of(cdr.text()?)?;
-        let length = cdr.u32()? as usize;
-        Ok(Compressed { stamp, format, bytes: cdr.numbers(1, length)? })
-    };
-    decode().map_err(|reason| RecordingError::Message { channel: channel.to_owned(), reason })
+        Ok(Compressed { stamp, format, bytes: sequence(cdr)? })
+    })
 }
 
 /// `foxglove_msgs/msg/CompressedVideo` of a packet in `format`: `h264` or `h265`.
@@ -120,15 +115,30 @@ pub fn decode_video<'m>(
     channel: &str,
     message: &'m [u8],
 ) -> Result<Compressed<'m>, RecordingError> {
-    let decode = || -> Result<Compressed<'m>, String> {
+    decode_with(channel, message, |cdr, stamp| {
+        let bytes = sequence(cdr)?;
+        Ok(Compressed { stamp, bytes, format: format_of(cdr.text()?)? })
+    })
+}
+
+/// Reads the time and the frame with which both kinds begin, and the rest by `rest`.
+fn decode_with<'m>(
+    channel: &str,
+    message: &'m [u8],
+    rest: impl FnOnce(&mut CdrReader<'m>, Time) -> Result<Compressed<'m>, String>,
+) -> Result<Compressed<'m>, RecordingError> {
+    let decode = || {
         let mut cdr = CdrReader::new(message)?;
         let stamp = time(&mut cdr)?;
         cdr.text()?;
-        let length = cdr.u32()? as usize;
-        let bytes = cdr.numbers(1, length)?;
-        Ok(Compressed { stamp, bytes, format: format_of(cdr.text()?)? })
+        rest(&mut cdr, stamp)
     };
     decode().map_err(|reason| RecordingError::Message { channel: channel.to_owned(), reason })
+}
+
+fn sequence<'m>(cdr: &mut CdrReader<'m>) -> Result<&'m [u8], String> {
+    let length = cdr.u32()? as usize;
+    cdr.numbers(1, length)
 }
 
 fn time(cdr: &mut CdrReader<'_>) -> Result<Time, String> {

@@ -16,7 +16,6 @@ pub mod network;
 pub mod programs;
 pub mod theta;
 
-use std::io;
 use std::path::{Path, PathBuf};
 
 use anyhow::bail;
@@ -94,7 +93,7 @@ pub fn run(arguments: &DoctorArguments) -> anyhow::Result<()> {
         Err(error) => findings.push(Finding::problem(
             "configuration",
             error.to_string(),
-            "see docs/CONTRACT.md and `flockeye schema`",
+            "pipeline.yaml has every key with its meaning, `flockeye schema` what is allowed",
         )),
         Ok(resolved) => findings.extend(examined(&resolved)),
     }
@@ -146,11 +145,6 @@ fn show(findings: &[Finding], problems: usize) {
     if problems == 0 {
         screen.line(&format!("it would fly (warnings: {warnings})"));
     }
-}
-
-/// What the system says of a failed call.
-fn reason(error: &io::Error) -> String {
-    error.to_string()
 }
 
 #[cfg(test)]

@@ -23,7 +23,7 @@ let swarm = null;
 let following = null;
 let trouble = "";
 let status = { running: true, trouble: "" };
-// Of a recording: all of it at a glance, and its newest picture.
+// Of a recording: an overview of all of it, and its newest picture.
 let overview = [];
 let backdrop = null;
 let playback = null;

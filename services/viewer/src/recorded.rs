@@ -8,7 +8,7 @@
 //! | [`tape`] | reads on from a time, and gives each frame that ends |
 //! | [`playhead`] | core: which frame is shown, for seeks, steps and time that passes |
 //! | [`pictures`] | the picture that is nearest before a frame, and close-ups |
-//! | [`overview`] | all of the recording at a glance |
+//! | [`overview`] | an overview of the whole recording |
 //! | [`player`] | plays to one page |
 //! | [`foxglove_player`] | plays to Foxglove's clients |
 

@@ -24,7 +24,7 @@ pub enum Text<'m> {
     Status(&'m Status),
     /// Of a recording: which frame is shown now.
     Position(&'m Position),
-    /// Of a recording: all of it at a glance.
+    /// Of a recording: an overview of all of it.
     Overview(&'m Overview),
 }
 
@@ -319,7 +319,7 @@ pub struct Position {
     pub answers: u64,
 }
 
-/// A recording at a glance: its time in equal parts, each with what is worst in it.
+/// An overview of a recording: its time in equal parts, each with what is worst in it.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Overview {
     /// Share of the recording that has been read for it, 0 to 1.

@@ -35,7 +35,7 @@ fn features() -> Finding {
         false => Finding::warning(
             TOPIC,
             format!("without {} views are cut and searched slower", missing.join(" and ")),
-            "a processor of 2013 or later (Haswell, Excavator)",
+            "an Intel processor since Haswell, or one of AMD since Excavator",
         ),
     }
 }

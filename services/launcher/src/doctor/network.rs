@@ -8,7 +8,7 @@ use flockeye_network::NetworkParameters;
 use flockeye_runtime::clock::utc_s;
 use flockeye_runtime::findings::{Finding, Gravity};
 
-use super::{Machine, reason};
+use super::Machine;
 
 const TOPIC: &str = "network";
 const KEYS: &str = "keys";
@@ -56,7 +56,7 @@ fn address(endpoint: &str) -> Option<Finding> {
         Ok(_) => Finding::fine(TOPIC, format!("{endpoint} can be listened on")),
         Err(error) => Finding::problem(
             TOPIC,
-            format!("gateway.listen {endpoint}: {}", reason(&error)),
+            format!("gateway.listen {endpoint}: {error}"),
             "an address of this machine (ip address shows them), once its interface is up",
         ),
     })

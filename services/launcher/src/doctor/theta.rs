@@ -4,7 +4,7 @@ use std::fs::File;
 
 use flockeye_runtime::findings::Finding;
 
-use super::{Machine, reason};
+use super::Machine;
 
 const TOPIC: &str = "camera";
 const RICOH: &str = "05ca";
@@ -53,7 +53,7 @@ fn found(machine: &Machine, device: &str, is_wanted: bool) -> Finding {
         Ok(_) => Finding::fine(TOPIC, format!("{name} is in live mode ({node})")),
         Err(error) => Finding::problem(
             TOPIC,
-            format!("{name} is in live mode, but {node}: {}", reason(&error)),
+            format!("{name} is in live mode, but {node}: {error}"),
             "the udev rules of deploy/udev, the group video, and plug it in again",
         ),
     }

@@ -1,4 +1,4 @@
-//! All of a recording at a glance: its time in equal parts, each with what is worst in it.
+//! An overview of a recording: its time in equal parts, each with what is worst in it.
 
 use std::collections::BTreeMap;
 

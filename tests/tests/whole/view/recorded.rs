@@ -25,7 +25,7 @@ use super::{View, assert_corners_are_in_their_places, assert_picture_is_where_th
 
 /// Frames of the recorded flight.
 const FRAMES: u64 = 75;
-/// Each so manyth frame has a picture.
+/// Of so many frames one has a picture.
 const EVERY: u64 = 3;
 
 /// A frame that ended in a recording.
@@ -195,7 +195,7 @@ fn a_recording_is_shown_at_any_time() {
     browser.wait_for(&format!("{sequence} >= 45 && flockeye.playback.speed === 1"));
     browser.press(" ", "Space");
     browser.wait_for("!flockeye.playback.isWaiting && flockeye.playback.speed === 0");
-    // The whole flight is there at a glance, and the stages as they were.
+    // The overview has the whole flight, and the stages as they were.
     browser.wait_for(
         "flockeye.overview.filter(({ frame }) => frame.tracks.some(({ state }) => state === 'confirmed')).length > 20",
     );
