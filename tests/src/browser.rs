@@ -91,6 +91,14 @@ impl Browser {
         }
     }
 
+    /// Clicks with the mouse, at a place of the window, pixels.
+    pub fn click(&mut self, x: f64, y: f64) {
+        for kind in ["mousePressed", "mouseReleased"] {
+            let event = json!({ "type": kind, "x": x, "y": y, "button": "left", "clickCount": 1 });
+            self.call("Input.dispatchMouseEvent", &event);
+        }
+    }
+
     fn call(&mut self, method: &str, parameters: &Value) -> Value {
         self.calls += 1;
         call(&mut self.socket, self.calls, method, parameters, &mut self.complaints)

@@ -163,7 +163,7 @@ fn sizes(topic: TopicId, resolved: &Resolved, largest_view_px: u32) -> Sizes {
         TopicId::Plans => Sizes { buffer: 8, history: 1, items: MAX_PLANNED_VIEWS, ..usual },
         // To each lane listen its worker, fusion, the successor of one of them, and a tool.
         TopicId::Views => Sizes {
-            buffer: pipeline.rectification.window as usize + 2,
+            buffer: (pipeline.rectification.window as usize + 2).max(VIEWS_AT_ONCE),
             // In the worst case all views that fusion holds are of one lane; and it reads one more.
             borrowed: held_views_waiting(pipeline) + held_views_best(resolved) + 1,
             items: (largest_view_px as usize).pow(2),
@@ -185,6 +185,11 @@ fn sizes(topic: TopicId, resolved: &Resolved, largest_view_px: u32) -> Sizes {
         TopicId::Complaints => usual,
     }
 }
+
+/// Views of a lane that may wait for a recorder, so that it misses none while the stages have all processors. A worker
+/// is sent some ten views of a frame. Only those of its window wait for the worker itself, so the memory of the others
+/// is reserved and rarely touched.
+const VIEWS_AT_ONCE: usize = 16;
 
 /// Frames that rectification has in flight: one that waits for answers, and one that is being cut.
 const FRAMES_IN_FLIGHT: usize = 2;

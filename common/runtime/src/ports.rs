@@ -139,6 +139,8 @@ pub struct Ports {
     counters: SharedCounters,
     listening: Rc<Listening>,
     listeners: Vec<Listener<Service>>,
+    /// Whether messages wake this process.
+    wakes: bool,
 }
 
 impl Ports {
@@ -146,12 +148,18 @@ impl Ports {
     /// `counters`.
     pub fn new(node: Rc<Node<Service>>, budget: Budget, counters: SharedCounters) -> Self {
         let listening = Rc::new(Listening::default());
-        Self { node, budget, counters, listening, listeners: Vec::new() }
+        Self { node, budget, counters, listening, listeners: Vec::new(), wakes: true }
     }
 
     /// The same, but only messages that `listening` admits are received.
     pub fn listening_to(self, listening: Rc<Listening>) -> Self {
         Self { listening, ..self }
+    }
+
+    /// The same, but no message wakes this process: [`Ports::attend`] calls its body by the clock alone. Senders
+    /// then do nothing for it. It must look often enough that its buffers do not overflow.
+    pub fn polled(self) -> Self {
+        Self { wakes: false, ..self }
     }
 
     /// Whose messages count here.
@@ -167,6 +175,7 @@ impl Ports {
             counters: self.counters.clone(),
             listening: self.listening.clone(),
             listeners: Vec::new(),
+            wakes: self.wakes,
         }
     }
 
@@ -206,7 +215,7 @@ impl Ports {
         Publisher::join(data, &wake, self.budget.topic::<T>(), self.counters.clone())
     }
 
-    /// A subscriber of a topic whose messages wake this process.
+    /// A subscriber of a topic. Its messages wake this process, unless it polls.
     ///
     /// # Errors
     /// The topic is not there, is of another contract version, or is full.
@@ -234,7 +243,9 @@ impl Ports {
         let (data, wake) = self.open::<T>(lane)?;
         let join =
             |reason: &dyn Debug| PortError::Join { topic: T::NAME, reason: format!("{reason:?}") };
-        self.listeners.push(wake.listener_builder().create().map_err(|error| join(&error))?);
+        if self.wakes {
+            self.listeners.push(wake.listener_builder().create().map_err(|error| join(&error))?);
+        }
         Subscriber::join(data, self.counters.clone(), self.listening.clone())
     }
 

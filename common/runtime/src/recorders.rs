@@ -1,8 +1,10 @@
 //! How a running recorder is found and asked: a file with its process's number in the instance's folder, which is locked as
-//! long as the recorder runs.
+//! long as the recorder runs. It names the recording.
 
+use std::ffi::OsString;
 use std::fs::File;
-use std::io;
+use std::io::{self, Write};
+use std::os::unix::ffi::{OsStrExt, OsStringExt};
 use std::path::{Path, PathBuf};
 
 use rustix::fs::{FlockOperation, flock};
@@ -18,16 +20,17 @@ pub struct Presence {
 }
 
 impl Presence {
-    /// Says that this process records: from now on it misses nothing. `keeps_past`: it writes what came before when it is
-    /// asked to.
+    /// Says that this process records to `out`: from now on it misses nothing. `keeps_past`: it writes what came before when
+    /// it is asked to.
     ///
     /// # Errors
     /// The file cannot be written.
-    pub fn announce(instance: &Instance, keeps_past: bool) -> io::Result<Self> {
+    pub fn announce(instance: &Instance, keeps_past: bool, out: &Path) -> io::Result<Self> {
         let path = path(instance, std::process::id(), keeps_past);
         let fresh = path.with_extension("new");
         path.parent().map_or(Ok(()), std::fs::create_dir_all)?;
-        let lock = File::create(&fresh)?;
+        let mut lock = File::create(&fresh)?;
+        lock.write_all(std::path::absolute(out)?.as_os_str().as_bytes())?;
         flock(&lock, FlockOperation::NonBlockingLockExclusive)?;
         // Nobody looks at it before it is locked.
         std::fs::rename(&fresh, &path)?;
@@ -59,6 +62,20 @@ pub fn has_joined(instance: &Instance, process: u32) -> bool {
 /// The recorders of an instance that run.
 pub fn running(instance: &Instance) -> Vec<Pid> {
     living(instance).filter_map(|path| process(&path)).collect()
+}
+
+/// The recordings that running recorders of an instance write all the time, the one that was begun first before others.
+pub fn recordings(instance: &Instance) -> Vec<PathBuf> {
+    let whole = living(instance).filter(|path| path.extension() == Some("all".as_ref()));
+    let mut begun: Vec<_> = whole
+        .filter_map(|path| {
+            let since = path.metadata().and_then(|about| about.modified()).ok()?;
+            let out = std::fs::read(&path).ok()?;
+            Some((since, PathBuf::from(OsString::from_vec(out))))
+        })
+        .collect();
+    begun.sort();
+    begun.into_iter().map(|(_, out)| out).collect()
 }
 
 /// Asks the recorders of an instance that keep the past to write it. Returns how many there are.

@@ -9,6 +9,9 @@ use flockeye_runtime::lock::lock;
 
 use crate::entry::Entry;
 
+/// Messages wait so long for others: a receiver that is woken by each takes more of a processor.
+const GATHER: Duration = Duration::from_millis(50);
+
 /// The sender's and the receiver's end.
 #[derive(Debug, Clone)]
 pub struct Queue {
@@ -47,7 +50,7 @@ impl Queue {
     /// Adds a message, unless there is no room: then it is counted as lost.
     pub fn push(&self, entry: Entry) {
         let (topic, bytes) = (entry.topic, entry.bytes());
-        self.with(|state| {
+        let is_urgent = self.with(|state| {
             let is_full = state.bytes + bytes > self.most_bytes && !state.entries.is_empty();
             if let Some(loss) = state.losses.get_mut(topic) {
                 loss.recorded += u64::from(!is_full);
@@ -57,8 +60,11 @@ impl Queue {
                 state.bytes += bytes;
                 state.entries.push_back(entry);
             }
+            state.bytes > self.most_bytes / 4
         });
-        self.shared.1.notify_one();
+        if is_urgent {
+            self.shared.1.notify_one();
+        }
     }
 
     /// Notes what else was lost of a topic.
@@ -97,7 +103,8 @@ impl Queue {
         self.with(|state| state.is_closed)
     }
 
-    /// The next message; waits for it until then, or until somebody asks for something.
+    /// The next message; waits for it until then, or until somebody asks for something. Where it waits, several may
+    /// have come when it returns.
     pub fn take(&self, until: Instant) -> Taken {
         let (mutex, condition) = &*self.shared;
         let mut state = lock(mutex);
@@ -113,7 +120,7 @@ impl Queue {
             if wait == Duration::ZERO || state.is_asked {
                 return Taken::Nothing;
             }
-            let waited = condition.wait_timeout(state, wait);
+            let waited = condition.wait_timeout(state, wait.min(GATHER));
             state = waited.unwrap_or_else(PoisonError::into_inner).0;
         }
     }

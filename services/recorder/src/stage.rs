@@ -33,8 +33,9 @@ use crate::ring::Ring;
 
 /// Bytes that wait for the disk at most.
 const QUEUE_BYTES: usize = 128_000_000;
-/// How often the receiving thread looks whether it is to end.
-const LOOK: Duration = Duration::from_millis(50);
+/// How often messages are received. A recorder that each of them wakes takes more of a processor, and so do the stages
+/// that wake it. Fewer views come in this time than their topic's buffer holds.
+const POLL: Duration = Duration::from_millis(2);
 /// What was received is on the disk so soon, at the latest.
 const FLUSH: Duration = Duration::from_secs(1);
 /// The writing thread gives way to the stages.
@@ -52,7 +53,8 @@ pub fn record(arguments: &RecordArguments, out: &Path) -> anyhow::Result<()> {
     signal_hook::flag::register(SIGXFSZ, Arc::default()).context("cannot catch signals")?;
     set_log_level(LogLevel::Fatal);
     let instance = running::choose(&arguments.running)?;
-    let (mut ports, resolved) = onlooker::join(&instance)?;
+    let (ports, resolved) = onlooker::join(&instance)?;
+    let mut ports = ports.polled();
     refuse_camera_without_video(arguments.frames, &resolved)?;
     let mut inputs = Inputs::open(&mut ports, &Budget::of(&resolved), arguments.frames)?;
     let (about, core) = beginning(&instance, &resolved)?;
@@ -68,7 +70,7 @@ pub fn record(arguments: &RecordArguments, out: &Path) -> anyhow::Result<()> {
         .name("writer".to_owned())
         .spawn(move || writing.run())
         .context("a thread that writes")?;
-    let presence = Presence::announce(&instance, arguments.trigger.is_some())
+    let presence = Presence::announce(&instance, arguments.trigger.is_some(), out)
         .context("the instance's folder")?;
     let start = Instant::now();
     let received = ports.attend(|| {
@@ -80,7 +82,7 @@ pub fn record(arguments: &RecordArguments, out: &Path) -> anyhow::Result<()> {
             || arguments.duration.is_some_and(|duration| start.elapsed() >= duration)
             || queue.is_closed()
             || !instance.is_running();
-        Ok((!is_over).then_some(LOOK))
+        Ok((!is_over).then_some(POLL))
     });
     // What came between the last look and the end.
     let received = received.and_then(|()| inputs.drain(&queue));

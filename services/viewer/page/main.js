@@ -2,6 +2,7 @@
 // a running pipeline, for the time that is asked for.
 
 import { Bodies } from "./bodies.js";
+import { Explanation } from "./explain.js";
 import { History } from "./history.js";
 import { Link } from "./link.js";
 import { Overlay } from "./overlay.js";
@@ -39,7 +40,7 @@ const sphere = new Sphere($("sphere-picture"), $("sphere-overlay"), redraw);
 sphere.onPan = () => { following = null; };
 const overlay = new Overlay(sphere);
 const space = new Space($("space-picture"), $("space-overlay"), redraw);
-const neighbours = new Neighbours($("neighbours"), follow);
+const neighbours = new Neighbours($("neighbours"), follow, why);
 const stages = new Stages($("stages"));
 const peers = new Peers($("peers"));
 const losses = new Losses($("losses"));
@@ -48,7 +49,7 @@ const timelines = new Timelines($("timelines"), (at) => {
   history.seek(at);
   tellPaused();
   redraw();
-});
+}, why);
 
 const link = new Link({
   onTrouble(text) {
@@ -99,7 +100,13 @@ const link = new Link({
   },
 });
 
-playback = new Playback(link, $("playback"), draw);
+playback = new Playback(link, $("playback"), () => {
+  draw();
+  askWhy();
+});
+const explanation = new Explanation($("explanation"), link);
+// The neighbour of which is to be asked why, once the frame is there.
+let wondered = null;
 
 function begin(message) {
   hello = message;
@@ -120,6 +127,22 @@ function begin(message) {
   document.title = `${name} · Flockeye`;
   document.querySelector("[data-layer=truth]").hidden = !hello.simulated;
   showLayers();
+}
+
+// Asks why a neighbour has the pose that is shown, or none. In flight the picture stops there.
+function why(target) {
+  if (!hello?.recording && !history.paused) pause(true);
+  wondered = target;
+  askWhy();
+}
+
+// Of a recording the frame may be under way.
+function askWhy() {
+  const body = bodies?.get(wondered);
+  const key = history.current?.frame?.key;
+  if (!body || !key || playback.isWaiting || playback.next.length) return;
+  wondered = null;
+  explanation.ask(body.name, key);
 }
 
 // Looks at a neighbour, in perspective, and stays with it until the mouse pans.
@@ -243,6 +266,7 @@ function facts(entry) {
 }
 
 document.addEventListener("keydown", (event) => {
+  if (event.key === "Escape") return explanation.close();
   if (event.ctrlKey || event.metaKey || event.altKey || $("help").open) return;
   const key = event.key.toLowerCase();
   const digit = Number.parseInt(key, 10);
@@ -254,6 +278,7 @@ document.addEventListener("keydown", (event) => {
   else if (key === "+" || key === "=") sphere.zoom(1.3);
   else if (key === "-") sphere.zoom(1 / 1.3);
   else if (key === "?") $("help").showModal();
+  else if (key === "w") why(following ?? history.current?.frame?.tracks[0]?.target ?? 0);
   else if (key === "0") {
     following = null;
     sphere.reset();
@@ -276,5 +301,5 @@ new ResizeObserver(redraw).observe(document.querySelector("main"));
 showLayers();
 
 // What tests and curious people look at.
-globalThis.flockeye = { history, sphere, space, layers, playback, timelines, pause, step, follow, toggle, get backdrop() { return backdrop; },
+globalThis.flockeye = { history, sphere, space, layers, playback, timelines, pause, step, follow, toggle, why, explanation, get backdrop() { return backdrop; },
   get overview() { return overview; }, get bodies() { return bodies; }, get hello() { return hello; } };

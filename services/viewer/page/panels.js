@@ -19,8 +19,9 @@ function set(node, text) {
 const millimetres = (metres) => (metres < 0.01 ? (metres * 1e3).toFixed(1) : (metres * 1e3).toFixed(0));
 
 export class Neighbours {
-  constructor(root, onChoose) {
-    Object.assign(this, { root, onChoose });
+  // `onWhy`: somebody asks why a neighbour has this pose.
+  constructor(root, onChoose, onWhy) {
+    Object.assign(this, { root, onChoose, onWhy });
     this.cards = new Map();
     this.empty = element("p", "empty", "No neighbour is tracked.");
     root.append(this.empty);
@@ -58,7 +59,7 @@ export class Neighbours {
   card(target) {
     let card = this.cards.get(target);
     if (!card) {
-      card = new Card(target, () => this.onChoose(target));
+      card = new Card(target, () => this.onChoose(target), () => this.onWhy(target));
       this.cards.set(target, card);
       const after = [...this.cards].filter(([other]) => other > target).sort(([a], [b]) => a - b)[0];
       this.root.insertBefore(card.root, after ? after[1].root : null);
@@ -68,7 +69,7 @@ export class Neighbours {
 }
 
 class Card {
-  constructor(target, onChoose) {
+  constructor(target, onChoose, onWhy) {
     this.target = target;
     this.root = element("article", "neighbour");
     const head = element("h3");
@@ -77,7 +78,15 @@ class Card {
     this.name = element("span");
     this.state = element("span", "state");
     this.range = element("span", "range");
-    head.append(dot, this.name, this.state, this.range);
+    const why = element("button", "", "why?");
+    why.type = "button";
+    why.title = "Why it has this pose, or none (W)";
+    why.addEventListener("click", (event) => {
+      event.stopPropagation();
+      why.blur();
+      onWhy();
+    });
+    head.append(dot, this.name, this.state, this.range, why);
     head.addEventListener("click", onChoose);
     head.title = "Look at it";
     this.panels = element("div", "panels");

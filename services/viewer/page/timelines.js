@@ -1,5 +1,5 @@
 // The last ten seconds, or all of a recording: latency of each stage, the tracks' states, frames that were skipped.
-// A click looks there.
+// A click looks there; one on a neighbour's row also asks why it has this pose there, or none.
 
 import { colour, STATES } from "./bodies.js";
 import { SPAN_S } from "./history.js";
@@ -7,6 +7,8 @@ import { fit } from "./shader.js";
 
 const PARTS = [["capture", "#4c6a8a"], ["rectification", "#6cc6ff"], ["detection", "#b197fc"], ["fusion", "#ffb86b"]];
 const LEFT = 78, RIGHT = 14, TOP = 32, GAP = 10, ROW = 11;
+// A pointer that moves less than this has clicked, pixels.
+const CLICK = 4;
 // Frames farther apart than this have a hole between them.
 const HOLE_S = 0.5;
 
@@ -25,12 +27,15 @@ export function parts(overview, duration) {
 }
 
 export class Timelines {
-  constructor(canvas, onSeek) {
+  constructor(canvas, onSeek, onWhy) {
     this.canvas = canvas;
     this.context = canvas.getContext("2d");
     this.scaleMs = 50;
     [this.begin, this.end] = [0, 0];
+    // The neighbours' rows, and where they are.
+    this.rows = [];
     let dragging = false;
+    let pressed = null;
     const seek = (event) => {
       const share = (event.offsetX - LEFT) / (canvas.clientWidth - LEFT - RIGHT);
       onSeek(this.begin + (this.end - this.begin) * Math.max(0, Math.min(1, share)));
@@ -38,9 +43,15 @@ export class Timelines {
     canvas.addEventListener("pointerdown", (event) => {
       canvas.setPointerCapture(event.pointerId);
       dragging = true;
+      pressed = { x: event.offsetX, y: event.offsetY };
       seek(event);
     });
     canvas.addEventListener("pointermove", (event) => dragging && seek(event));
+    canvas.addEventListener("pointerup", ({ offsetX, offsetY }) => {
+      const isClick = pressed && Math.hypot(offsetX - pressed.x, offsetY - pressed.y) < CLICK;
+      const row = this.rows.find(({ top }) => offsetY >= top - 2 && offsetY < top + ROW + 2);
+      if (isClick && row && offsetX >= LEFT) onWhy(row.target);
+    });
     for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, () => { dragging = false; });
   }
 
@@ -74,9 +85,8 @@ export class Timelines {
     const rows = Math.min(targets.length, 7 - counts.length);
     const bottom = height - 10 - (rows + counts.length) * (ROW + 4);
     this.latencies(frames, x, bottom, width);
-    targets.slice(0, rows).forEach((target, row) => {
-      this.states(frames, target, x, bottom + GAP + row * (ROW + 4), bodies);
-    });
+    this.rows = targets.slice(0, rows).map((target, row) => ({ target, top: bottom + GAP + row * (ROW + 4) }));
+    for (const { target, top } of this.rows) this.states(frames, target, x, top, bodies);
     counts.forEach((count, row) => {
       this.drops(frames, count, x, bottom + GAP + (rows + row) * (ROW + 4), width);
     });

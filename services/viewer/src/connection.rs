@@ -10,6 +10,7 @@ use serde::Deserialize;
 use tungstenite::protocol::{CloseFrame, Role, WebSocketConfig, frame::coding::CloseCode};
 use tungstenite::{Error, Message, WebSocket};
 
+use crate::explaining::{Explainer, Explanation, Question};
 use crate::files::{self, File};
 use crate::hub::{Hub, Page};
 use crate::remote::Move;
@@ -55,19 +56,25 @@ impl Command {
 }
 
 /// Serves a connection until it ends. What goes wrong with it is the other end's trouble.
-pub fn serve(mut stream: TcpStream, access: &Access, hub: &Hub) {
-    if let Err(error) = try_serve(&mut stream, access, hub) {
+pub fn serve(mut stream: TcpStream, access: &Access, hub: &Hub, explainer: &Explainer) {
+    if let Err(error) = try_serve(&mut stream, access, hub, explainer) {
         tracing::debug!("a connection ended: {error}");
     }
 }
 
-fn try_serve(stream: &mut TcpStream, access: &Access, hub: &Hub) -> io::Result<()> {
+fn try_serve(
+    stream: &mut TcpStream,
+    access: &Access,
+    hub: &Hub,
+    explainer: &Explainer,
+) -> io::Result<()> {
     stream.set_write_timeout(Some(ANSWER_TIME))?;
     stream.set_nodelay(true)?;
     let (asked, rest) = read_request(stream, access)?;
     match asked {
         Answer::File { file, with_body } => send_file(stream, file, with_body),
         Answer::Granted => send(stream, (200, "OK"), "text/plain; charset=utf-8", b"granted", true),
+        Answer::Explain(question) => explain(stream, explainer, &question),
         Answer::Refused(refusal) => refuse(stream, refusal),
         Answer::Socket { accept } => match hub.open() {
             Err(refusal) => refuse(stream, refusal),
@@ -114,6 +121,21 @@ fn refuse(stream: &mut TcpStream, refusal: Refusal) -> io::Result<()> {
     let mut rest = [0; 4096];
     while start.elapsed() < LINGER && stream.read(&mut rest).is_ok_and(|read| read > 0) {}
     Ok(())
+}
+
+/// Answers with the length of the text (4 bytes, little endian), the text, and the picture; or says why not.
+fn explain(stream: &mut TcpStream, explainer: &Explainer, question: &Question) -> io::Result<()> {
+    match explainer.answer(question) {
+        Ok(Explanation { text, png }) => {
+            let length = u32::try_from(text.len()).unwrap_or(0).to_le_bytes();
+            let body = [&length[..], text.as_bytes(), &png].concat();
+            send(stream, (200, "OK"), "application/octet-stream", &body, true)
+        }
+        Err(reason) => {
+            let text = reason.to_string();
+            send(stream, (409, "Conflict"), "text/plain; charset=utf-8", text.as_bytes(), true)
+        }
+    }
 }
 
 fn send_file(stream: &mut TcpStream, file: &File, with_body: bool) -> io::Result<()> {

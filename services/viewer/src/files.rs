@@ -41,6 +41,7 @@ files! {
     "/space.js" => "text/javascript; charset=utf-8", "space.js";
     "/playback.js" => "text/javascript; charset=utf-8", "playback.js";
     "/panels.js" => "text/javascript; charset=utf-8", "panels.js";
+    "/explain.js" => "text/javascript; charset=utf-8", "explain.js";
     "/timelines.js" => "text/javascript; charset=utf-8", "timelines.js";
 }
 

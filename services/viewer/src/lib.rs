@@ -19,6 +19,7 @@
 //! | [`picture`] | a frame as an equirectangular JPEG |
 //! | [`closeup`] | a neighbour as alignment sees it |
 //! | [`foxglove_view`] | the same scene for Foxglove and Lichtblick |
+//! | [`explaining`] | why this pose, or why none |
 //! | [`files`] | the page itself |
 //! | [`hub`] | all open pages |
 //! | [`server`] | the sockets |
@@ -29,6 +30,7 @@
 
 pub mod closeup;
 pub mod connection;
+pub mod explaining;
 pub mod files;
 pub mod foxglove_view;
 pub mod frame_reader;

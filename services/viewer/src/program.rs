@@ -14,6 +14,7 @@ use iceoryx2::prelude::{LogLevel, set_log_level};
 use rustix::process::setpriority_process;
 use tungstenite::Message;
 
+use crate::explaining::Explainer;
 use crate::foxglove_view::FoxgloveView;
 use crate::hub::Hub;
 use crate::outbox::Kind;
@@ -78,7 +79,8 @@ fn show_pipeline(
     set_log_level(LogLevel::Fatal);
     give_way();
     let hub = Arc::new(Hub::default());
-    let page = serve(arguments, access, hub.clone())?;
+    let explainer = Explainer::of_pipeline(instance.clone());
+    let page = serve(arguments, access, hub.clone(), explainer)?;
     let mut screen = Screen::new();
     let mut foxglove = None;
     if let Some(address) = arguments.foxglove {
@@ -110,7 +112,7 @@ fn show_recording(
     put(Kind::Hello, &Text::Hello(recorded.hello()));
     let status = Status { running: true, trouble: recorded.trouble().to_owned() };
     put(Kind::Status, &Text::Status(&status));
-    let page = serve(arguments, access, hub.clone())?;
+    let page = serve(arguments, access, hub.clone(), Explainer::of_recording(file))?;
     if let Some(address) = arguments.foxglove {
         let port = foxglove_player::start(address, recorded.clone())?;
         screen.line(&format!("Foxglove and Lichtblick connect to ws://{}:{port}", address.ip()));
@@ -139,9 +141,14 @@ fn give_way() {
 }
 
 /// Serves the page, in threads of its own. Returns its address.
-fn serve(arguments: &ViewArguments, access: Access, hub: Arc<Hub>) -> anyhow::Result<String> {
+fn serve(
+    arguments: &ViewArguments,
+    access: Access,
+    hub: Arc<Hub>,
+    explainer: Explainer,
+) -> anyhow::Result<String> {
     let token = access.token.clone();
-    let bound = server::start(arguments.listen, access, hub).with_context(|| {
+    let bound = server::start(arguments.listen, access, hub, explainer).with_context(|| {
         format!("cannot serve {}. Cure: --listen with another port", arguments.listen)
     })?;
     Ok(address(bound, token.as_deref()))

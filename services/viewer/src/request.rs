@@ -8,6 +8,7 @@ use std::net::IpAddr;
 
 use tungstenite::handshake::derive_accept_key;
 
+use crate::explaining::Question;
 use crate::files::{self, File};
 
 /// Longest head of a request, bytes.
@@ -42,6 +43,8 @@ pub enum Answer {
     /// The socket could be opened with this token: a page asks so, because a browser does not tell it why a
     /// socket was refused.
     Granted,
+    /// The page may ask this.
+    Explain(Question),
     /// No.
     Refused(Refusal),
 }
@@ -76,6 +79,9 @@ pub enum Refusal {
     /// The socket is asked for without the handshake of WebSocket 13.
     #[error("this address is a WebSocket of version 13")]
     NoUpgrade,
+    /// It asks why, and not of which neighbour in which frame.
+    #[error("ask as /explain?target=NAME&frame=SOURCE.EPOCH.NUMBER")]
+    Question,
     /// Too many pages are open.
     #[error("too many pages are open. Cure: close one")]
     Full,
@@ -85,7 +91,7 @@ impl Refusal {
     /// Its HTTP status.
     pub fn status(self) -> (u16, &'static str) {
         match self {
-            Self::Malformed => (400, "Bad Request"),
+            Self::Malformed | Self::Question => (400, "Bad Request"),
             Self::Token => (401, "Unauthorized"),
             Self::Host | Self::Origin => (403, "Forbidden"),
             Self::NotFound => (404, "Not Found"),
@@ -143,6 +149,12 @@ fn outcome(request: &httparse::Request<'_, '_>, access: &Access) -> Result<Answe
             Ok(Answer::Socket { accept: derive_accept_key(key.as_bytes()) })
         }
         "/access" => check_socket(request, host, query, access).map(|()| Answer::Granted),
+        "/explain" => {
+            check_socket(request, host, query, access)?;
+            let question = Question::of_query(query).ok_or(Refusal::Question)?;
+            // It takes time and a processor: nothing that only looks asks for it.
+            (method == "GET").then_some(Answer::Explain(question)).ok_or(Refusal::Method)
+        }
         _ => {
             let file = files::find(path).ok_or(Refusal::NotFound)?;
             Ok(Answer::File { file, with_body: method == "GET" })
@@ -295,6 +307,26 @@ mod tests {
         }
         let plain = ask(&["GET /live HTTP/1.1", "Host: localhost"], &local());
         assert_eq!(plain, Answer::Refused(Refusal::NoUpgrade));
+    }
+
+    #[test]
+    fn a_question_needs_what_a_socket_needs() {
+        let asked = "/explain?target=alpha&frame=1.0.38";
+        let page = |target: &str, more: &[&str]| {
+            let (first, host) = (format!("GET {target} HTTP/1.1"), "Host: localhost:1");
+            ask(&[&[first.as_str(), host][..], more].concat(), &local())
+        };
+        assert!(matches!(page(asked, &[]), Answer::Explain(_)));
+        assert!(matches!(page(asked, &["Origin: http://localhost:1"]), Answer::Explain(_)));
+        let foreign = page(asked, &["Origin: http://evil.example"]);
+        assert_eq!(foreign, Answer::Refused(Refusal::Origin));
+        let vague = page("/explain?target=alpha", &[]);
+        assert_eq!(vague, Answer::Refused(Refusal::Question));
+        let head = ask(&[&format!("HEAD {asked} HTTP/1.1"), "Host: localhost:1"], &local());
+        assert_eq!(head, Answer::Refused(Refusal::Method));
+        let line = format!("GET {asked} HTTP/1.1");
+        let elsewhere = ask(&[&line, "Host: 10.0.0.7:8760"], &guarded());
+        assert_eq!(elsewhere, Answer::Refused(Refusal::Token));
     }
 
     #[test]

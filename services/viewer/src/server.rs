@@ -9,6 +9,7 @@ use std::time::Duration;
 use flockeye_runtime::logs::Throttle;
 
 use crate::connection;
+use crate::explaining::Explainer;
 use crate::hub::Hub;
 use crate::request::Access;
 
@@ -22,17 +23,22 @@ const STACK: usize = 512 * 1024;
 ///
 /// # Errors
 /// The address is taken or not this machine's, or there are no more threads.
-pub fn start(address: SocketAddr, access: Access, hub: Arc<Hub>) -> io::Result<SocketAddr> {
+pub fn start(
+    address: SocketAddr,
+    access: Access,
+    hub: Arc<Hub>,
+    explainer: Explainer,
+) -> io::Result<SocketAddr> {
     let listener = TcpListener::bind(address)?;
     let bound = listener.local_addr()?;
     std::thread::Builder::new()
         .name("listener".into())
-        .spawn(move || listen(&listener, access, &hub))?;
+        .spawn(move || listen(&listener, access, &hub, explainer))?;
     Ok(bound)
 }
 
-fn listen(listener: &TcpListener, access: Access, hub: &Arc<Hub>) {
-    let access = Arc::new(access);
+fn listen(listener: &TcpListener, access: Access, hub: &Arc<Hub>, explainer: Explainer) {
+    let (access, explainer) = (Arc::new(access), Arc::new(explainer));
     let open = Arc::new(AtomicUsize::new(0));
     let mut troubles = Throttle::default();
     loop {
@@ -52,11 +58,11 @@ fn listen(listener: &TcpListener, access: Access, hub: &Arc<Hub>) {
             continue;
         }
         let place = Place::new(open.clone());
-        let (access, hub) = (access.clone(), hub.clone());
+        let (access, hub, explainer) = (access.clone(), hub.clone(), explainer.clone());
         let thread = std::thread::Builder::new().name("connection".into()).stack_size(STACK);
         let spawned = thread.spawn(move || {
             let _place = place;
-            connection::serve(stream, &access, &hub);
+            connection::serve(stream, &access, &hub, &explainer);
         });
         if let Err(error) = spawned
             && let Some(more) = troubles.admit()

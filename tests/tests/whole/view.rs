@@ -2,6 +2,7 @@
 
 mod foxglove;
 mod recorded;
+mod why;
 
 use std::io::{Read, Write};
 use std::net::TcpStream;

@@ -25,9 +25,9 @@ pub struct ExplainArguments {
     /// 12.3s, 900ms or 2min.
     #[arg(long, value_name = "TIME", conflicts_with = "frame", required_unless_present = "frame")]
     pub at: Option<String>,
-    /// The frame with this number.
-    #[arg(long, value_name = "N")]
-    pub frame: Option<u64>,
+    /// The frame with this number; the view's page names frames by SOURCE.EPOCH.NUMBER, which is unique.
+    #[arg(long, value_name = "NUMBER")]
+    pub frame: Option<String>,
     /// Also draws what was seen there to this file.
     #[arg(long, value_name = "OUT.png")]
     pub image: Option<PathBuf>,
@@ -50,23 +50,47 @@ pub struct Asked {
 pub enum When {
     /// The last one that was exposed by then, seconds since the recording began.
     At(f64),
-    /// The one with this number.
+    /// The first one with this number.
     Frame(u64),
+    /// The one with this number, of this process and stream of the source.
+    Exactly {
+        /// `source_generation` of its stamp.
+        source: u32,
+        /// `epoch` of its stamp.
+        epoch: u32,
+        /// `sequence` of its stamp.
+        number: u64,
+    },
 }
 
 impl ExplainArguments {
     /// What is asked.
     ///
     /// # Errors
-    /// A time that is none.
+    /// A time that is none, or a frame.
     pub fn asked(&self) -> anyhow::Result<Asked> {
-        let when = match (&self.at, self.frame) {
-            (_, Some(frame)) => When::Frame(frame),
+        let when = match (&self.at, &self.frame) {
+            (_, Some(frame)) => named(frame)?,
             (Some(at), None) => When::At(seconds(at)?),
             (None, None) => bail!("neither --at nor --frame is given"),
         };
         Ok(Asked { target: self.target.clone(), when })
     }
+}
+
+/// A frame by its number alone, or by source, epoch and number.
+fn named(text: &str) -> anyhow::Result<When> {
+    let parts: Vec<&str> = text.trim().split('.').collect();
+    let read = || match parts[..] {
+        [number] => number.parse().ok().map(When::Frame),
+        [source, epoch, number] => Some(When::Exactly {
+            source: source.parse().ok()?,
+            epoch: epoch.parse().ok()?,
+            number: number.parse().ok()?,
+        }),
+        _ => None,
+    };
+    read().with_context(|| format!("--frame {text}: is no frame. Cure: 38, or 1.0.38"))
 }
 
 /// A time as people write it.
@@ -101,6 +125,12 @@ mod tests {
         assert!(parse(&[]).is_err(), "which frame?");
         assert!(parse(&["--at", "1s", "--frame", "3"]).is_err());
         assert_eq!(parse(&["--frame", "3"]).unwrap().asked().unwrap().when, When::Frame(3));
+        let exactly = When::Exactly { source: 1, epoch: 0, number: 38 };
+        assert_eq!(parse(&["--frame", "1.0.38"]).unwrap().asked().unwrap().when, exactly);
+        for wrong in ["", "x", "-1", "1.2", "1.2.3.4", "1..3"] {
+            let refused = parse(&[&format!("--frame={wrong}")]).unwrap().asked().unwrap_err();
+            assert!(refused.to_string().contains("is no frame. Cure"), "{wrong}: {refused}");
+        }
         assert_eq!(parse(&["--at", "1.5s"]).unwrap().asked().unwrap().when, When::At(1.5));
     }
 

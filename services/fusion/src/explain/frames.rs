@@ -72,6 +72,9 @@ impl Frames {
     pub fn chosen(&self, when: When) -> anyhow::Result<(FrameStamp, f64)> {
         let found = match when {
             When::Frame(number) => self.stamps.values().find(|stamp| stamp.sequence == number),
+            When::Exactly { source, epoch, number } => self.stamps.values().find(|stamp| {
+                (stamp.source_generation, stamp.epoch, stamp.sequence) == (source, epoch, number)
+            }),
             When::At(at_s) => {
                 let by_then = self.stamps.values().filter(|stamp| self.at_s(stamp) <= at_s + 1e-9);
                 let last = by_then.max_by_key(|stamp| stamp.exposure_ns);
@@ -103,6 +106,7 @@ impl Frames {
 fn said(when: When) -> String {
     match when {
         When::Frame(number) => format!("frame {number}"),
+        When::Exactly { source, epoch, number } => format!("frame {source}.{epoch}.{number}"),
         When::At(at_s) => format!("the time {at_s} s"),
     }
 }
@@ -119,6 +123,9 @@ mod tests {
         let frames = Frames { stamps, begun_ns: 10_000_000_000, lost: Vec::new() };
         let number = |when| frames.chosen(when).map(|(stamp, _)| stamp.sequence);
         assert_eq!(number(When::Frame(5)).unwrap(), 5);
+        let FrameStamp { source_generation: source, epoch, .. } = stamp(5);
+        assert_eq!(number(When::Exactly { source, epoch, number: 5 }).unwrap(), 5);
+        assert!(number(When::Exactly { source, epoch: epoch + 1, number: 5 }).is_err());
         assert_eq!(number(When::At(0.1)).unwrap(), 3, "it is exposed then");
         assert_eq!(number(When::At(0.16)).unwrap(), 4);
         assert_eq!(number(When::At(0.3)).unwrap(), 8, "no newer one");

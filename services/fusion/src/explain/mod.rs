@@ -93,14 +93,15 @@ pub fn main(arguments: &ExplainArguments) -> anyhow::Result<()> {
     let asked = arguments.asked()?;
     let (resolved, known) = look(&arguments.file, &asked)?;
     let explanation = facts::explanation(&arguments.file, &resolved, &known);
-    if let Some(path) = &arguments.image {
-        picture::write(path, &resolved, &known, &explanation)?;
-    }
     match arguments.json {
         true => println!("{}", serde_json::to_string_pretty(&explanation)?),
         false => print!("{}", text::of(&explanation)),
     }
-    Ok(())
+    // The answer stands also where there is nothing to draw.
+    match &arguments.image {
+        Some(path) => picture::write(path, &resolved, &known, &explanation),
+        None => Ok(()),
+    }
 }
 
 /// The answer as data.

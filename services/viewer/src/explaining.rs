@@ -1,0 +1,263 @@
+//! Why this pose, or why none: `flockeye explain` for a page that asks.
+//!
+//! The answer is worked out by the stage that decided, in a process of its own, from the recording that is shown or from
+//! the one that is being written. It replays the flight up to the frame, so one is made at a time.
+
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::{Mutex, TryLockError};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use flockeye_cli::program;
+use flockeye_contract::wire::is_name;
+use flockeye_runtime::instance::Instance;
+use flockeye_runtime::recorders;
+
+/// The program that answers.
+const PROGRAM: &str = "flockeye-fusion";
+/// An answer takes so long at most. A long flight is replayed faster than it was flown.
+const PATIENCE: Duration = Duration::from_secs(300);
+/// What a recorder has received is in its file by then.
+const UNTIL_WRITTEN: Duration = Duration::from_millis(1500);
+/// How often it is looked whether the answer is there.
+const LOOK_PERIOD: Duration = Duration::from_millis(20);
+
+/// What a page asks: why this frame has this pose of a neighbour, or none.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Question {
+    /// The name of the neighbour's body.
+    target: String,
+    /// The frame, as [`crate::wire::key`] names it.
+    frame: String,
+}
+
+impl Question {
+    /// Reads `target=NAME&frame=KEY`. `None`: it is none.
+    pub fn of_query(query: &str) -> Option<Self> {
+        let value = |name: &str| {
+            let mut pairs = query.split('&').filter_map(|pair| pair.split_once('='));
+            pairs.find(|(key, _)| *key == name).map(|(_, value)| value.to_owned())
+        };
+        let (target, frame) = (value("target")?, value("frame")?);
+        let is_key = frame.len() <= 64
+            && frame.split('.').count() == 3
+            && frame.split('.').all(|part| part.parse::<u64>().is_ok());
+        (is_name(&target) && is_key).then_some(Self { target, frame })
+    }
+}
+
+/// An answer.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Explanation {
+    /// For people, in lines.
+    pub text: String,
+    /// What was seen there, as PNG; empty where there is nothing to draw.
+    pub png: Vec<u8>,
+}
+
+/// Why there is no answer.
+#[derive(Debug, thiserror::Error)]
+pub enum NoExplanation {
+    /// Another page's question is being answered.
+    #[error("another question is being answered. Cure: ask again when it is done")]
+    Busy,
+    /// Nobody records.
+    #[error(
+        "this flight is not recorded, and an answer is worked out from a recording. Cure: recording.folder in \
+         pipeline.yaml, with recording.frames: views"
+    )]
+    NotRecorded,
+    /// The program cannot be started, or its answer cannot be read.
+    #[error("`flockeye explain` cannot be run: {0}")]
+    Run(String),
+    /// The program's own words.
+    #[error("{0}")]
+    Refused(String),
+    /// It did not answer in time.
+    #[error("no answer came within {} s. Cure: `flockeye explain` in a terminal takes as long as it needs", PATIENCE.as_secs())]
+    TooSlow,
+}
+
+impl From<io::Error> for NoExplanation {
+    fn from(error: io::Error) -> Self {
+        Self::Run(error.to_string())
+    }
+}
+
+/// From which recording answers are worked out.
+#[derive(Debug)]
+enum Source {
+    /// The one that is shown.
+    File(PathBuf),
+    /// The one that is written of this running pipeline.
+    Pipeline(Instance),
+}
+
+/// Answers questions.
+#[derive(Debug)]
+pub struct Explainer {
+    source: Source,
+    turn: Mutex<()>,
+}
+
+impl Explainer {
+    /// For a recording that is shown.
+    pub fn of_recording(path: &Path) -> Self {
+        Self { source: Source::File(path.to_owned()), turn: Mutex::new(()) }
+    }
+
+    /// For a running pipeline.
+    pub fn of_pipeline(instance: Instance) -> Self {
+        Self { source: Source::Pipeline(instance), turn: Mutex::new(()) }
+    }
+
+    /// Answers. It takes as long as the flight is replayed.
+    ///
+    /// # Errors
+    /// [`NoExplanation`].
+    pub fn answer(&self, question: &Question) -> Result<Explanation, NoExplanation> {
+        let _turn = match self.turn.try_lock() {
+            Ok(turn) => turn,
+            Err(TryLockError::WouldBlock) => return Err(NoExplanation::Busy),
+            Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
+        };
+        let program =
+            program::find(PROGRAM).map_err(|error| NoExplanation::Run(format!("{error:#}")))?;
+        match &self.source {
+            Source::File(path) => run(&program, path, question),
+            Source::Pipeline(instance) => {
+                let recordings = recorders::recordings(instance);
+                let recording = recordings.first().ok_or(NoExplanation::NotRecorded)?;
+                match run(&program, recording, question) {
+                    // The frame may be so new that it is not in the file yet.
+                    Err(NoExplanation::Refused(_)) => {
+                        thread::sleep(UNTIL_WRITTEN);
+                        run(&program, recording, question)
+                    }
+                    other => other,
+                }
+            }
+        }
+    }
+}
+
+fn run(
+    program: &Path,
+    recording: &Path,
+    question: &Question,
+) -> Result<Explanation, NoExplanation> {
+    let image = tempfile::Builder::new().prefix("flockeye-").suffix(".png").tempfile()?;
+    let mut command = Command::new(program);
+    command.arg("explain").arg(recording);
+    // A name may begin like an option.
+    command.arg(format!("--target={}", question.target));
+    command.args(["--frame", &question.frame, "--image"]).arg(image.path());
+    command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut child = command.spawn()?;
+    // Each is read by its own thread: a full pipe would stop the program.
+    let (told, complaint) = (reader(child.stdout.take()), reader(child.stderr.take()));
+    let has_ended = wait(&mut child)?;
+    let (text, complaint) = (read(told), read(complaint));
+    match has_ended {
+        false => Err(NoExplanation::TooSlow),
+        true if text.is_empty() => Err(NoExplanation::Refused(last_line(&complaint).to_owned())),
+        // The file stays empty where there was nothing to draw.
+        true => Ok(Explanation { text, png: std::fs::read(image.path())? }),
+    }
+}
+
+/// Waits until the program ends, or kills it when it takes too long. Whether it ended by itself.
+fn wait(child: &mut Child) -> io::Result<bool> {
+    let start = Instant::now();
+    loop {
+        if child.try_wait()?.is_some() {
+            return Ok(true);
+        }
+        if start.elapsed() > PATIENCE {
+            child.kill()?;
+            child.wait()?;
+            return Ok(false);
+        }
+        thread::sleep(LOOK_PERIOD);
+    }
+}
+
+fn reader(pipe: Option<impl Read + Send + 'static>) -> Option<thread::JoinHandle<String>> {
+    let mut pipe = pipe?;
+    Some(thread::spawn(move || {
+        let mut text = Vec::new();
+        // What has come before it fails counts.
+        let _ = pipe.read_to_end(&mut text);
+        String::from_utf8_lossy(&text).into_owned()
+    }))
+}
+
+fn read(reader: Option<thread::JoinHandle<String>>) -> String {
+    reader.and_then(|reader| reader.join().ok()).unwrap_or_default()
+}
+
+/// The program's log may stand before its complaint.
+fn last_line(complaint: &str) -> &str {
+    complaint.trim().lines().last().unwrap_or("the program gave no answer and no reason")
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn a_question_names_a_body_and_a_frame() {
+        let question = Question::of_query("token=open-sesame&target=alpha-2&frame=1.0.38").unwrap();
+        assert_eq!((question.target.as_str(), question.frame.as_str()), ("alpha-2", "1.0.38"));
+        for query in [
+            "",
+            "target=alpha",
+            "frame=1.0.38",
+            "target=alpha&frame=38",
+            "target=alpha&frame=1.0.x",
+            "target=alpha&frame=1.0.38.1",
+            "target=alpha&frame=-1.0.38",
+            "target=../etc&frame=1.0.38",
+            "target=a%20b&frame=1.0.38",
+            "target=&frame=1.0.38",
+        ] {
+            assert_eq!(Question::of_query(query), None, "{query}");
+        }
+    }
+
+    #[test]
+    fn what_the_program_says_comes_back() {
+        let question = Question::of_query("target=alpha&frame=1.0.38").unwrap();
+        let script = |text: &str| {
+            let mut file = tempfile::Builder::new().suffix(".sh").tempfile().unwrap();
+            io::Write::write_all(&mut file, text.as_bytes()).unwrap();
+            let path = file.into_temp_path();
+            let mode = std::os::unix::fs::PermissionsExt::from_mode(0o700);
+            std::fs::set_permissions(&path, mode).unwrap();
+            path
+        };
+        let ask = |program: &Path| run(program, Path::new("/nowhere/a.mcap"), &question);
+        let draws = script("#!/bin/sh\necho \"$@\"\necho drawn > \"$7\"\n");
+        let answer = ask(&draws).unwrap();
+        let wanted = "explain /nowhere/a.mcap --target=alpha --frame 1.0.38 --image ";
+        assert!(answer.text.starts_with(wanted), "{}", answer.text);
+        assert_eq!(answer.png, b"drawn\n");
+        let refuses = script("#!/bin/sh\necho log >&2\necho 'it has no such frame' >&2\nexit 1\n");
+        let refused = ask(&refuses).unwrap_err();
+        assert_eq!(refused.to_string(), "it has no such frame");
+        let told = ask(&script("#!/bin/sh\necho told\nexit 1\n")).unwrap();
+        assert_eq!((told.text.as_str(), told.png.len()), ("told\n", 0));
+        assert!(matches!(ask(Path::new("/nowhere/program")), Err(NoExplanation::Run(_))));
+    }
+
+    #[test]
+    fn one_question_is_answered_at_a_time() {
+        let explainer = Explainer::of_recording(Path::new("/nowhere/a.mcap"));
+        let question = Question::of_query("target=alpha&frame=1.0.38").unwrap();
+        let _turn = explainer.turn.lock().unwrap();
+        assert!(matches!(explainer.answer(&question), Err(NoExplanation::Busy)));
+    }
+}
