@@ -100,7 +100,9 @@ ONLOOKERS = {"onlookers": ("Onlookers of the default pipeline, 30 s each", ["30"
 ROTATIONS = {"gyroscope": ("The visual gyroscope", "flight4/flight4.mp4", "flight4/imu.csv")}
 # Benchmarks whose words are kept: what the virtual clock of lossless runs goes by.
 # In the profile of the tests, whose computing crates are optimized like the release profile's.
-BENCH = ["cargo", "bench", "--locked", "--profile", "tested", "-p", "flockeye-tests", "--bench"]
+# Built as the tests are, so that nothing is compiled twice.
+BENCH = ["cargo", "bench", "--locked", "--profile", "tested", "--workspace", "--features",
+         "flockeye-launcher/fault-points", "--bench"]
 BENCHES = {"proposals": "Proposals", "costs": "Costs", "decisions": "Decisions about poses"}
 # Disturbances of a running pipeline: title, what of `flockeye chaos`, how many (another number: COUNT=200).
 SWAPPED = "detection,detection.1,rectification,egomotion,fusion"

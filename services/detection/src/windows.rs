@@ -58,10 +58,15 @@ type Window = (f64, DarkerBy);
 ///
 /// The fine one finds markers in the shade and beside dark things, the coarse one bright markers. On
 /// drawn markers of 14 to 30 px, in a hall and in a panorama, these two found most for their time: see
-/// the table of windows in docs/DETECTION.md. The one between them finds markers that shadows cross; it is taken
-/// where time does not matter.
-const TILE_WINDOWS: &[Window] =
-    &[(7.0, DarkerBy::Codes(4)), (31.0, DarkerBy::Percent(30)), (31.0, DarkerBy::Codes(10))];
+/// the table of windows in docs/DETECTION.md. The two between them are taken where time does not matter. The narrower one finds
+/// markers in pictures that are far too dark, where white is only some code values brighter than black; the other one
+/// those that shadows cross.
+const TILE_WINDOWS: &[Window] = &[
+    (7.0, DarkerBy::Codes(4)),
+    (15.0, DarkerBy::Codes(4)),
+    (31.0, DarkerBy::Percent(30)),
+    (31.0, DarkerBy::Codes(10)),
+];
 
 /// Windows for regions of interest, finest first. These views are small, and a neighbour is expected
 /// in them, so more passes are worth their time.
@@ -112,7 +117,7 @@ mod tests {
     #[test]
     fn each_way_to_search_has_its_windows() {
         for kind in [ViewKind::Partition, ViewKind::HighResolution] {
-            assert_eq!(windows_px(kind, Search::AllWindows, 1.0), [7, 31, 31]);
+            assert_eq!(windows_px(kind, Search::AllWindows, 1.0), [7, 15, 31, 31]);
             assert_eq!(windows_px(kind, Search::FineWindow, 1.0), [7]);
             assert_eq!(windows_px(kind, Search::CoarseWindow, 1.0), [31]);
             assert!(windows_px(kind, Search::Nothing, 1.0).is_empty());
@@ -123,7 +128,7 @@ mod tests {
 
     #[test]
     fn windows_grow_with_the_magnification_and_stay_odd() {
-        assert_eq!(windows_px(ViewKind::Partition, Search::AllWindows, 2.0), [15, 63, 63]);
+        assert_eq!(windows_px(ViewKind::Partition, Search::AllWindows, 2.0), [15, 31, 63, 63]);
         for magnification in [0.0, 1e-9, 0.7, 3.3, 1e12, f64::INFINITY, f64::NAN] {
             let windows = windows_px(ViewKind::Gaze, Search::AllWindows, magnification);
             let is_allowed = |window: &usize| window % 2 == 1 && (1..=1001).contains(window);

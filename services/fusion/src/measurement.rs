@@ -3,7 +3,7 @@
 use flockeye_contract::DetectedMarker;
 use flockeye_geometry::Ray;
 use flockeye_geometry::body::Body;
-use flockeye_geometry::pose::CornerRay;
+use flockeye_geometry::pose::{CornerRay, PoseOptions, solve};
 use flockeye_geometry::view::{View, ViewPixel};
 use flockeye_imaging::align::Alignment;
 use nalgebra::{Isometry3, Matrix6, Unit, Vector2, Vector3};
@@ -99,6 +99,18 @@ pub fn candidate_rays<'m>(
     markers: impl IntoIterator<Item = &'m DetectedMarker>,
 ) -> Vec<CornerRay> {
     own_rays(body, markers.into_iter().filter(|marker| !marker.is_decoded()))
+}
+
+/// Most markers that agree with one pose of `body`, of squares that are probably its markers: at least two, or none.
+///
+/// One square has a best guess in any clutter. Two that lie to each other as on the body do not come by chance.
+pub fn agreeing_candidates(body: &Body, rays: &[CornerRay]) -> u32 {
+    if distinct_markers(rays) < 2 {
+        return 0;
+    }
+    let solutions = solve(body, rays, &PoseOptions::default()).unwrap_or_default();
+    let agreeing = solutions.iter().map(|solution| solution.inlier_markers.len() as u32).max();
+    agreeing.filter(|markers| *markers >= 2).unwrap_or(0)
 }
 
 fn own_rays<'m>(body: &Body, markers: impl Iterator<Item = &'m DetectedMarker>) -> Vec<CornerRay> {

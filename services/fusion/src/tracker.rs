@@ -9,13 +9,16 @@ use flockeye_contract::{FrameOrder, ViewHeader};
 use flockeye_geometry::body::Bodies;
 use flockeye_geometry::ego_rotation::EgoRotation;
 use flockeye_geometry::filter::TrackPolicy;
+use flockeye_geometry::pose::CornerRay;
 use flockeye_geometry::search::{Purpose, StopRule};
 
 use crate::account::{Account, Decision, Outcome};
 use crate::exposure::Exposure;
 use crate::frame_assembly::{Frame, Record};
 use crate::hypothesis::Aligner;
-use crate::measurement::{MeasuredBy, Measurement, candidate_rays, contradicts, decoded_rays};
+use crate::measurement::{
+    MeasuredBy, Measurement, agreeing_candidates, candidate_rays, contradicts, decoded_rays,
+};
 use crate::parallax::Parallax;
 use crate::passes::background::{BackgroundQueue, Subject};
 use crate::passes::corners::{self, Moment, distinct_decoded};
@@ -351,27 +354,32 @@ impl Tracker {
             let predicted = prior.confirmed().map(|prior| prior.camera_from_markers.translation);
             predicted.map_or(parallax.assumed_m(), |position| position.vector.norm())
         });
-        let (mut decoded, mut candidates) = (Vec::new(), Vec::new());
-        for AnsweredView { record, view, .. } in answered {
-            for (all, mut of_view) in [
-                (&mut decoded, decoded_rays(body, &record.markers)),
-                (&mut candidates, candidate_rays(body, &record.markers)),
-            ] {
-                if let Some(parallax) = &self.parallax {
-                    let from_m = parallax.distance_m(*view);
-                    for ray in &mut of_view {
-                        ray.ray_in_camera = parallax.brought(&ray.ray_in_camera, from_m, rays_m);
-                    }
-                }
-                all.extend(of_view);
-            }
-        }
         let motion = self.motion(target, time.at_s, &prior);
         let best_view = best_views.get(&target).map(|view| view.moving(motion));
-        // An untracked target is not started from candidate squares alone: a chequered wall has enough
-        // of them.
-        let is_measurable =
-            !decoded.is_empty() || (prior.predicted().is_some() && best_view.is_some());
+        let (mut decoded, mut candidates) = (Vec::new(), Vec::new());
+        for AnsweredView { record, view, .. } in answered {
+            let mut of_view =
+                [decoded_rays(body, &record.markers), candidate_rays(body, &record.markers)];
+            if let Some(parallax) = &self.parallax {
+                let from_m = parallax.distance_m(*view);
+                for ray in of_view.iter_mut().flatten() {
+                    ray.ray_in_camera = parallax.brought(&ray.ray_in_camera, from_m, rays_m);
+                }
+            }
+            let [of_markers, of_squares] = of_view;
+            decoded.extend(of_markers);
+            candidates.extend(of_squares.into_iter().map(|ray| (record.header.view_index, ray)));
+        }
+        // Single squares say nothing of an untracked target: a chequered wall has enough of them. Two in its best
+        // view that lie to each other as on the body are a place to start from.
+        let is_known = !decoded.is_empty() || prior.predicted().is_some();
+        let best_index = best_view.map(|best| best.view_index);
+        candidates.retain(|(view_index, _)| is_known || Some(*view_index) == best_index);
+        let candidates: Vec<CornerRay> = candidates.into_iter().map(|(_, ray)| ray).collect();
+        let is_measurable = match best_view {
+            None => !decoded.is_empty(),
+            Some(_) => is_known || agreeing_candidates(body, &candidates) >= 2,
+        };
         let in_frame = self.targets[target].in_frame(time.order);
         let earlier = in_frame.map_or_else(Earlier::default, |in_frame| Earlier {
             failed: match in_frame.status {

@@ -11,6 +11,7 @@ use flockeye_geometry::body::Body;
 use flockeye_geometry::search::StopRule;
 
 use crate::frame_assembly::Record;
+use crate::measurement::{agreeing_candidates, candidate_rays};
 
 /// Held views, with `P` the hold on their pixels.
 #[derive(Debug)]
@@ -39,6 +40,8 @@ pub struct ViewQuality {
     /// Decoded markers of the target. Squares that only look like markers are found in many views, so
     /// they do not count.
     pub decoded: u32,
+    /// Squares that only look like its markers and agree with one pose of it, where nothing was decoded.
+    pub agreeing: u32,
     /// Its focal length, pixels.
     pub focal_px: f64,
     /// How far from its middle the target is, as a tangent.
@@ -61,6 +64,10 @@ impl ViewQuality {
         let of_body = record.markers.iter().filter(|marker| body.marker(marker.id).is_some());
         let decoded = of_body.clone().filter(|marker| marker.is_decoded()).count() as u32;
         let counted = of_body.filter(|marker| marker.is_decoded() || decoded == 0);
+        let agreeing = match decoded {
+            0 => agreeing_candidates(body, &candidate_rays(body, &record.markers)),
+            _ => 0,
+        };
         let (mut sum, mut count) = ([0.0; 2], 0.0);
         for [u, v] in counted.flat_map(|marker| marker.corners_in_view) {
             sum = [sum[0] + f64::from(u), sum[1] + f64::from(v)];
@@ -77,11 +84,12 @@ impl ViewQuality {
                     _ => (sum[0] / count - middle).hypot(sum[1] / count - middle),
                 };
                 let (focal_px, off_centre) = (view.focal_px, off_px / view.focal_px);
-                Self { is_own, decoded, focal_px, off_centre, view_index }
+                Self { is_own, decoded, agreeing, focal_px, off_centre, view_index }
             }
             // Views beyond the first hit count for nothing, so the earliest view must win.
             StopRule::FirstHit => {
-                Self { is_own: false, decoded: 0, focal_px: 0.0, off_centre: 0.0, view_index }
+                let (decoded, agreeing, focal_px, off_centre) = (0, 0, 0.0, 0.0);
+                Self { is_own: false, decoded, agreeing, focal_px, off_centre, view_index }
             }
         })
     }
@@ -90,6 +98,7 @@ impl ViewQuality {
         self.is_own
             .cmp(&other.is_own)
             .then(self.decoded.cmp(&other.decoded))
+            .then(self.agreeing.cmp(&other.agreeing))
             .then(self.focal_px.total_cmp(&other.focal_px))
             .then(other.off_centre.total_cmp(&self.off_centre))
             .then(other.view_index.cmp(&self.view_index))
@@ -169,7 +178,7 @@ mod tests {
     }
 
     fn quality(is_own: bool, focal_px: f64, off_centre: f64, view_index: u32) -> ViewQuality {
-        ViewQuality { is_own, decoded: 0, focal_px, off_centre, view_index }
+        ViewQuality { is_own, decoded: 0, agreeing: 0, focal_px, off_centre, view_index }
     }
 
     #[test]
@@ -198,6 +207,8 @@ mod tests {
         let squares = quality(false, 1200.0, 0.0, 0);
         let markers = ViewQuality { decoded: 1, ..quality(false, 611.0, 0.4, 1) };
         assert!(markers.is_above(&squares) && !squares.is_above(&markers));
+        let agreeing = ViewQuality { agreeing: 2, ..quality(false, 611.0, 0.4, 2) };
+        assert!(agreeing.is_above(&squares) && markers.is_above(&agreeing));
     }
 
     #[test]

@@ -34,8 +34,8 @@ pub struct Inputs {
 
 /// One lane of a topic.
 trait Input {
-    /// Hands over all messages that have come.
-    fn drain(&mut self, queue: &Queue) -> anyhow::Result<()>;
+    /// Hands over all messages that have come. False where some wait until there is room.
+    fn drain(&mut self, queue: &Queue) -> anyhow::Result<bool>;
 }
 
 impl Inputs {
@@ -49,12 +49,16 @@ impl Inputs {
         Ok(Self { inputs: opening.inputs })
     }
 
-    /// Hands over all messages that have come.
+    /// Hands over all messages that have come. False where some wait until there is room.
     ///
     /// # Errors
     /// A topic cannot be read.
-    pub fn drain(&mut self, queue: &Queue) -> anyhow::Result<()> {
-        self.inputs.iter_mut().try_for_each(|input| input.drain(queue))
+    pub fn drain(&mut self, queue: &Queue) -> anyhow::Result<bool> {
+        let mut is_drained = true;
+        for input in &mut self.inputs {
+            is_drained &= input.drain(queue)?;
+        }
+        Ok(is_drained)
     }
 }
 
@@ -92,11 +96,10 @@ impl TopicVisitor for Opening<'_> {
         // The table of topics has a row for each.
         let topic = TOPICS.iter().position(|topic| topic.id == T::INFO.id).unwrap_or(0);
         let limits = self.budget.topic::<T>();
-        // Publishers with patience wait for a reader whose buffer is full.
-        let buffer = if limits.patience.is_some() { usize::MAX } else { limits.buffer };
+        let (buffer, is_awaited) = (limits.buffer, limits.patience.is_some());
         for subscriber in subscribers {
             let (numbering, has_begun) = (None, T::INFO.id != TopicId::Packets);
-            let lane = Lane { subscriber, topic, buffer, pixels, numbering, has_begun };
+            let lane = Lane { subscriber, topic, buffer, is_awaited, pixels, numbering, has_begun };
             self.inputs.push(Box::new(lane));
         }
         Ok(())
@@ -117,6 +120,8 @@ struct Lane<T: Topic> {
     topic: usize,
     /// Messages of one sender that wait here at most.
     buffer: usize,
+    /// Whether senders wait where its buffer is full, so that none of their messages is lost.
+    is_awaited: bool,
     pixels: Pixels,
     numbering: Option<Numbering>,
     /// Packets begin with a key frame.
@@ -164,10 +169,15 @@ impl Numbering {
 }
 
 impl<T: Topic> Input for Lane<T> {
-    fn drain(&mut self, queue: &Queue) -> anyhow::Result<()> {
+    fn drain(&mut self, queue: &Queue) -> anyhow::Result<bool> {
         // How many of each sender have come at once: as many as its buffer holds may be those that are left.
         let mut counts: Vec<(Sender, usize)> = Vec::new();
-        while let Some((message, verdict)) = self.subscriber.receive_with_verdict()? {
+        loop {
+            // Who waits for the reader waits for the disk.
+            if self.is_awaited && !queue.has_room() {
+                return Ok(false);
+            }
+            let Some((message, verdict)) = self.subscriber.receive_with_verdict()? else { break };
             let sender = message.sender();
             match counts.iter_mut().find(|(known, _)| *known == sender) {
                 Some((_, count)) => *count += 1,
@@ -214,11 +224,11 @@ impl<T: Topic> Input for Lane<T> {
                 pixels: is_wanted.then(|| items.to_vec()),
             });
         }
-        let is_numbered = self.numbering.is_some();
-        if !is_numbered && counts.iter().any(|(_, count)| *count >= self.buffer) {
+        let is_counted = self.is_awaited || self.numbering.is_some();
+        if !is_counted && counts.iter().any(|(_, count)| *count >= self.buffer) {
             queue.note(self.topic, |loss| loss.buffer_full += 1);
         }
-        Ok(())
+        Ok(true)
     }
 }
 

@@ -67,6 +67,11 @@ impl Queue {
         }
     }
 
+    /// Whether whoever is waited for may go on receiving: half of the room is left to messages of which nobody waits.
+    pub fn has_room(&self) -> bool {
+        self.with(|state| state.bytes <= self.most_bytes / 2)
+    }
+
     /// Notes what else was lost of a topic.
     pub fn note(&self, topic: usize, note: impl FnOnce(&mut Loss)) {
         self.with(|state| {
@@ -150,7 +155,9 @@ mod tests {
         assert!(none.lost() == 0);
         assert_eq!((some.recorded, some.queue_full), (2, 3));
         let soon = Instant::now();
+        assert!(!queue.has_room());
         assert_eq!(queue.take(soon), Taken::Entry(entry(1, 0, 272)));
+        assert!(queue.has_room());
         // There is room again; and one that is larger than the queue goes through an empty one.
         queue.push(entry(1, 9, 100));
         assert_eq!(queue.take(soon), Taken::Entry(entry(1, 1, 272)));

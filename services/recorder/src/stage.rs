@@ -85,7 +85,12 @@ pub fn record(arguments: &RecordArguments, out: &Path) -> anyhow::Result<()> {
         Ok((!is_over).then_some(POLL))
     });
     // What came between the last look and the end.
-    let received = received.and_then(|()| inputs.drain(&queue));
+    let received = received.and_then(|()| {
+        while !inputs.drain(&queue)? && !queue.is_closed() {
+            std::thread::sleep(POLL);
+        }
+        Ok(())
+    });
     drop(presence);
     queue.close();
     let written = thread.join().map_err(|_| anyhow!("the thread that writes has panicked"))?;

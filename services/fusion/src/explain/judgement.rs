@@ -208,7 +208,7 @@ fn no_place(explanation: &Explanation) -> String {
     let answered = explanation.views.iter().filter(|view| view.is_answered);
     let squares = match ids(explanation, false) {
         ids if ids.is_empty() => String::new(),
-        ids => format!("; squares that may be its markers {ids} were found, which start no track"),
+        ids => format!("; squares that may be its markers {ids} were found, of which no two agree"),
     };
     format!(
         "no track predicts it, and none of its markers was decoded in the {} views of this frame{squares}",
