@@ -122,6 +122,16 @@ class HandOverState(IntEnum):
     TAKEN_OVER = 2
 
 
+class JournalKind(IntEnum):
+    VIEW = 0
+    SEARCHED = 1
+    FRAME_END = 2
+    ROTATION = 3
+    BACKGROUND = 4
+    STEP = 5
+    SAID = 6
+
+
 class ComplaintKind(IntEnum):
     UNANSWERED = 0
     REFUSED = 1
@@ -371,6 +381,32 @@ class Track(Contract):
     ]
 
 
+class JournalHeader(Contract):
+    _fields_ = [
+        ("first", c_uint64),
+        ("sequence", c_uint64),
+        ("generation", c_uint32),
+        ("is_resumed", c_uint32),
+    ]
+
+
+class JournalEntry(Contract):
+    _fields_ = [
+        ("at_ns", c_int64),
+        ("sequence", c_uint64),
+        ("epoch", c_uint32),
+        ("source_generation", c_uint32),
+        ("kind", c_uint32),
+        ("generation", c_uint32),
+        ("view_generation", c_uint32),
+        ("view_index", c_uint32),
+        ("attempt", c_uint32),
+        ("worker", c_uint32),
+        ("tracks", c_uint32),
+        ("plans", c_uint32),
+    ]
+
+
 class PeerHeader(Contract):
     _fields_ = [
         ("arrived_ns", c_int64),
@@ -498,6 +534,7 @@ VIEW = Topic("flockeye/view", ViewHeader, c_uint8, has_lanes=True)
 DETECTION = Topic("flockeye/detection", DetectionHeader, DetectedMarker)
 FRAME_END = Topic("flockeye/frame_end", FrameEnd, c_uint8)
 TRACK = Topic("flockeye/track", TrackHeader, Track)
+JOURNAL = Topic("flockeye/journal", JournalHeader, JournalEntry)
 PEER = Topic("flockeye/peer", PeerHeader, PeerSighting)
 SWARM = Topic("flockeye/swarm", SwarmHeader, SwarmPose)
 HEALTH = Topic("flockeye/health", Health, c_uint8)
@@ -522,6 +559,8 @@ TYPES = [
     TrackHeader,
     StageLatency,
     Track,
+    JournalHeader,
+    JournalEntry,
     PeerHeader,
     PeerSighting,
     SwarmHeader,

@@ -337,6 +337,26 @@ codes! {
 }
 
 codes! {
+    /// What happened to fusion's core.
+    JournalKind, "journal kind" {
+        /// It heard of a view.
+        View = 0,
+        /// It heard a detection record.
+        Searched = 1,
+        /// It heard the end of a frame.
+        FrameEnd = 2,
+        /// It heard how the camera has turned.
+        Rotation = 3,
+        /// It got the answer to the oldest background pass that was not answered yet.
+        Background = 4,
+        /// It did a piece of work.
+        Step = 5,
+        /// What the last step led to was sent.
+        Said = 6,
+    }
+}
+
+codes! {
     /// What a stage complains of.
     ComplaintKind, "complaint kind" {
         /// A worker was given views and has answered none in time.

@@ -8,11 +8,12 @@ use std::mem::{align_of, offset_of, size_of};
 
 use crate::{
     BodyTruth, Complaint, ComplaintKind, DetectedMarker, DetectionHeader, FrameEnd, FrameHeader,
-    FrameStamp, HandOver, HandOverState, Health, ImuHeader, ImuSample, MeasuredBy, PacketHeader,
-    PeerHeader, PeerSighting, PixelFormat, PlanHeader, PlannedView, Pose, Projection, Range,
-    Rotation, RotationSource, Search, SearchMode, StageLatency, StageState, StopReason, StopRule,
-    SwarmHeader, SwarmPose, SwarmWay, Text, Topic, TopicVisitor, Track, TrackHeader, TrackState,
-    Transfer, TruthHeader, VideoCodec, ViewHeader, ViewKind, visit_topics,
+    FrameStamp, HandOver, HandOverState, Health, ImuHeader, ImuSample, JournalEntry, JournalHeader,
+    JournalKind, MeasuredBy, PacketHeader, PeerHeader, PeerSighting, PixelFormat, PlanHeader,
+    PlannedView, Pose, Projection, Range, Rotation, RotationSource, Search, SearchMode,
+    StageLatency, StageState, StopReason, StopRule, SwarmHeader, SwarmPose, SwarmWay, Text, Topic,
+    TopicVisitor, Track, TrackHeader, TrackState, Transfer, TruthHeader, VideoCodec, ViewHeader,
+    ViewKind, visit_topics,
 };
 
 pub use c::c_header;
@@ -140,6 +141,9 @@ types! {
         measured_observer_from_target, measured_covariance, predicted_observer_from_target,
         predicted_covariance, predicted_ns, age_ns, unseen_ns, latency, name, target, track_id, state,
         measured_by, markers, reserved;
+    JournalHeader: first, sequence, generation, is_resumed;
+    JournalEntry: at_ns, sequence, epoch, source_generation, kind, generation, view_generation,
+        view_index, attempt, worker, tracks, plans;
     PeerHeader: arrived_ns, generation, reserved;
     PeerSighting: observer_from_target, covariance, target_from_observer, inverse_covariance,
         linear_velocity, angular_velocity, exposure_ns, exposure_deviation_ns, frame, observer, target,
@@ -172,7 +176,7 @@ pub(crate) fn codes() -> Vec<Codes> {
     }
     codes! {
         PixelFormat VideoCodec Transfer Range Projection RotationSource ViewKind Search StopRule StopReason
-        SearchMode TrackState MeasuredBy SwarmWay StageState HandOverState ComplaintKind
+        SearchMode TrackState MeasuredBy SwarmWay StageState HandOverState JournalKind ComplaintKind
     }
 }
 

@@ -4,9 +4,9 @@
 use serde::Serialize;
 
 use crate::{
-    CONTRACT_VERSION, ComplaintKind, HandOverState, MeasuredBy, PixelFormat, Projection, Range,
-    RotationSource, Search, SearchMode, StageState, StopReason, StopRule, SwarmWay, TrackState,
-    Transfer, VERSION_ATTRIBUTE, VideoCodec, ViewKind,
+    CONTRACT_VERSION, ComplaintKind, HandOverState, JournalKind, MeasuredBy, PixelFormat,
+    Projection, Range, RotationSource, Search, SearchMode, StageState, StopReason, StopRule,
+    SwarmWay, TrackState, Transfer, VERSION_ATTRIBUTE, VideoCodec, ViewKind,
 };
 
 const DOCUMENT: &str = include_str!("../../../docs/CONTRACT.md");
@@ -66,6 +66,7 @@ fn the_documented_codes_are_the_contracts() {
         ("swarm way", names(SwarmWay::ALL)),
         ("stage state", names(StageState::ALL)),
         ("hand-over state", names(HandOverState::ALL)),
+        ("journal kind", names(JournalKind::ALL)),
         ("complaint kind", names(ComplaintKind::ALL)),
     ] {
         let row = DOCUMENT.lines().find(|line| line.starts_with(&format!("| {what} | 0 ")));

@@ -5,8 +5,8 @@ use iceoryx2::prelude::ZeroCopySend;
 
 use crate::{
     Complaint, ContractError, DetectionHeader, FrameEnd, FrameHeader, FrameOrder, FrameStamp,
-    HandOverState, Health, ImuHeader, PacketHeader, PeerHeader, PlanHeader, Rotation, StageName,
-    SwarmHeader, Text, TrackHeader, TruthHeader, ViewHeader,
+    HandOverState, Health, ImuHeader, JournalHeader, PacketHeader, PeerHeader, PlanHeader,
+    Rotation, StageName, SwarmHeader, Text, TrackHeader, TruthHeader, ViewHeader,
 };
 
 /// Header of `handover`. No payload. The launcher sends it while it swaps a stage.
@@ -93,6 +93,7 @@ fn only(stage: StageName, generation: u32, stamp: &FrameStamp) -> [Option<Speake
 impl Spoken for FrameHeader {}
 impl Spoken for ImuHeader {}
 impl Spoken for PacketHeader {}
+impl Spoken for JournalHeader {}
 impl Spoken for Health {}
 impl Spoken for TruthHeader {}
 impl Spoken for HandOver {}

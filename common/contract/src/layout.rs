@@ -5,8 +5,9 @@ use std::mem::{align_of, size_of};
 
 use crate::{
     BodyTruth, Complaint, DetectedMarker, DetectionHeader, FrameEnd, FrameHeader, HandOver, Health,
-    ImuHeader, ImuSample, PacketHeader, PeerHeader, PeerSighting, PlanHeader, PlannedView,
-    Rotation, SwarmHeader, SwarmPose, Text, Track, TrackHeader, TruthHeader, ViewHeader,
+    ImuHeader, ImuSample, JournalEntry, JournalHeader, PacketHeader, PeerHeader, PeerSighting,
+    PlanHeader, PlannedView, Rotation, SwarmHeader, SwarmPose, Text, Track, TrackHeader,
+    TruthHeader, ViewHeader,
 };
 
 #[test]
@@ -40,6 +41,8 @@ fn type_names_are_pinned() {
             FrameEnd::type_name(),
             TrackHeader::type_name(),
             Track::type_name(),
+            JournalHeader::type_name(),
+            JournalEntry::type_name(),
             PeerHeader::type_name(),
             PeerSighting::type_name(),
             SwarmHeader::type_name(),
@@ -65,6 +68,8 @@ fn type_names_are_pinned() {
         "flockeye/FrameEnd",
         "flockeye/TrackHeader",
         "flockeye/Track",
+        "flockeye/JournalHeader",
+        "flockeye/JournalEntry",
         "flockeye/PeerHeader",
         "flockeye/PeerSighting",
         "flockeye/SwarmHeader",

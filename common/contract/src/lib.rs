@@ -3,7 +3,7 @@
 //! There are two borders:
 //! - **shared memory**, between the stages on one machine: [`Topic`]s of `#[repr(C)]` headers and
 //!   items ([`FrameHeader`], [`PacketHeader`], [`ImuHeader`], [`Rotation`], [`PlanHeader`], [`ViewHeader`], [`DetectionHeader`], [`FrameEnd`],
-//!   [`TrackHeader`], [`Health`], [`TruthHeader`], [`HandOver`], [`Complaint`]);
+//!   [`TrackHeader`], [`JournalHeader`], [`Health`], [`TruthHeader`], [`HandOver`], [`Complaint`]);
 //! - **the network**, between drones: the JSON of [`wire`].
 //!
 //! This crate has the data and their validation ([`Topic::check`]); the runtime transports them.
@@ -22,6 +22,7 @@ mod frame;
 mod handover;
 mod health;
 mod imu;
+mod journal;
 #[cfg(test)]
 mod layout;
 mod packet;
@@ -37,9 +38,9 @@ mod view;
 pub mod wire;
 
 pub use codes::{
-    ComplaintKind, HandOverState, MeasuredBy, PixelFormat, Projection, Range, RotationSource,
-    Search, SearchMode, StageState, StopReason, StopRule, SwarmWay, TrackState, Transfer,
-    UnknownCode, VideoCodec, ViewKind,
+    ComplaintKind, HandOverState, JournalKind, MeasuredBy, PixelFormat, Projection, Range,
+    RotationSource, Search, SearchMode, StageState, StopReason, StopRule, SwarmWay, TrackState,
+    Transfer, UnknownCode, VideoCodec, ViewKind,
 };
 pub use complaint::Complaint;
 pub use detection::{DetectedMarker, DetectionHeader, MAX_DETECTED_MARKERS};
@@ -48,6 +49,7 @@ pub use frame::{FrameHeader, FrameOrder, FrameStamp};
 pub use handover::{HandOver, Speaker, Spoken};
 pub use health::Health;
 pub use imu::{ImuHeader, ImuSample, MAX_IMU_RATE, MAX_IMU_SAMPLES};
+pub use journal::{JournalEntry, JournalHeader, MAX_JOURNAL_ENTRIES};
 pub use packet::{MAX_PACKET_BYTES, PacketHeader};
 pub use peer::{PeerHeader, PeerSighting, SwarmHeader, SwarmPose};
 pub use plan::{MAX_PLANNED_VIEWS, MAX_VIEW_PX, PlanHeader, PlannedView};
@@ -55,9 +57,9 @@ pub use rotation::Rotation;
 pub use stage::StageName;
 pub use text::Text;
 pub use topic::{
-    CONTRACT_VERSION, Complaints, Detections, FrameEnds, Frames, HandOvers, Healths, Imus, Packets,
-    Peers, Plans, Rotations, Swarms, TOPICS, Topic, TopicId, TopicInfo, TopicVisitor, Tracks,
-    Truths, VERSION_ATTRIBUTE, Views, visit_topics,
+    CONTRACT_VERSION, Complaints, Detections, FrameEnds, Frames, HandOvers, Healths, Imus,
+    Journals, Packets, Peers, Plans, Rotations, Swarms, TOPICS, Topic, TopicId, TopicInfo,
+    TopicVisitor, Tracks, Truths, VERSION_ATTRIBUTE, Views, visit_topics,
 };
 pub use track::{FrameEnd, Pose, StageLatency, Track, TrackHeader};
 pub use truth::{BodyTruth, TruthHeader};

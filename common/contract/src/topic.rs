@@ -7,9 +7,9 @@ use iceoryx2::prelude::ZeroCopySend;
 
 use crate::{
     BodyTruth, Complaint, ContractError, DetectedMarker, DetectionHeader, FrameEnd, FrameHeader,
-    HandOver, Health, ImuHeader, ImuSample, PacketHeader, PeerHeader, PeerSighting, PlanHeader,
-    PlannedView, Rotation, Spoken, StageName, SwarmHeader, SwarmPose, Track, TrackHeader,
-    TruthHeader, ViewHeader,
+    HandOver, Health, ImuHeader, ImuSample, JournalEntry, JournalHeader, PacketHeader, PeerHeader,
+    PeerSighting, PlanHeader, PlannedView, Rotation, Spoken, StageName, SwarmHeader, SwarmPose,
+    Track, TrackHeader, TruthHeader, ViewHeader,
 };
 
 /// Version of everything in this crate. A stage of another version is refused.
@@ -145,6 +145,9 @@ topics! {
     /// Fusion to the gateway and to tools: the neighbours' poses.
     Tracks = "flockeye/track", TrackHeader, [Track],
         [Fusion] => [Gateway], |_header, items| items.iter().try_for_each(Track::check);
+    /// Fusion to whoever wants: what its core heard, in which order and when.
+    Journals = "flockeye/journal", JournalHeader, [JournalEntry],
+        [Fusion] => [], |header, items| header.check(items);
     /// Gateway to whoever wants: what peers report.
     Peers = "flockeye/peer", PeerHeader, [PeerSighting],
         [Gateway] => [], |_header, items| items.iter().try_for_each(PeerSighting::check);

@@ -11,7 +11,8 @@ pub struct Loss {
     pub recorded: u64,
     /// Messages that broke the contract.
     pub refused: u64,
-    /// Numbers that are missing among those that rise by one: of frames (lost, or never sent), packets and plans.
+    /// Numbers that are missing among those that rise by one: of frames (lost, or never sent), packets, plans and
+    /// journals.
     pub missing: u64,
     /// How often a topic's buffer was found full, so that messages may have been lost.
     pub buffer_full: u64,

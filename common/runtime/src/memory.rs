@@ -6,10 +6,11 @@
 use std::fmt;
 use std::time::Duration;
 
-use flockeye_config::{Flow, Pipeline, Resolved};
+use flockeye_config::{Flow, Pipeline, RecordedFrames, Resolved};
 use flockeye_contract::{
-    BodyTruth, DetectedMarker, Frames, MAX_IMU_SAMPLES, MAX_PACKET_BYTES, MAX_PLANNED_VIEWS,
-    PlannedView, StageName, TOPICS, Topic, TopicId, TopicInfo, Track,
+    BodyTruth, DetectedMarker, Frames, JournalEntry, MAX_IMU_SAMPLES, MAX_JOURNAL_ENTRIES,
+    MAX_PACKET_BYTES, MAX_PLANNED_VIEWS, PlannedView, StageName, TOPICS, Topic, TopicId, TopicInfo,
+    Track,
 };
 
 /// Limits of one topic.
@@ -27,8 +28,10 @@ pub struct Limits {
     pub usual_publishers: usize,
     /// Subscribers at once, tools included.
     pub subscribers: usize,
-    /// Messages that wait at a subscriber.
+    /// Messages that wait at a subscriber, at most.
     pub buffer: usize,
+    /// Messages that wait at a subscriber that is not to be late.
+    pub usual_buffer: usize,
     /// How long a publisher waits for a subscriber whose buffer is full. `None`: it does not wait, and
     /// the oldest message is dropped.
     pub patience: Option<Duration>,
@@ -163,7 +166,7 @@ fn sizes(topic: TopicId, resolved: &Resolved, largest_view_px: u32) -> Sizes {
         TopicId::Plans => Sizes { buffer: 8, history: 1, items: MAX_PLANNED_VIEWS, ..usual },
         // To each lane listen its worker, fusion, the successor of one of them, and a tool.
         TopicId::Views => Sizes {
-            buffer: (pipeline.rectification.window as usize + 2).max(VIEWS_AT_ONCE),
+            buffer: usual_views(pipeline),
             // In the worst case all views that fusion holds are of one lane; and it reads one more.
             borrowed: held_views_waiting(pipeline) + held_views_best(resolved) + 1,
             items: (largest_view_px as usize).pow(2),
@@ -175,6 +178,10 @@ fn sizes(topic: TopicId, resolved: &Resolved, largest_view_px: u32) -> Sizes {
         }
         TopicId::FrameEnds => Sizes { buffer: 16, ..usual },
         TopicId::Tracks => Sizes { subscribers: 8, items: MAX_TRACKS, ..usual },
+        // Fusion writes one whenever it has nothing left to do: at worst some hundred each second.
+        TopicId::Journals => {
+            Sizes { subscribers: 3, buffer: 128, items: MAX_JOURNAL_ENTRIES, ..usual }
+        }
         // A report may bring more: it comes in several messages then.
         TopicId::Peers => Sizes { subscribers: 5, buffer: 32, items: MAX_PEER_SIGHTINGS, ..usual },
         TopicId::Swarms => Sizes { subscribers: 5, buffer: 4, items: MAX_SWARM_POSES, ..usual },
@@ -186,13 +193,31 @@ fn sizes(topic: TopicId, resolved: &Resolved, largest_view_px: u32) -> Sizes {
     }
 }
 
-/// Views of a lane that may wait for a recorder, so that it misses none while the stages have all processors. A worker
-/// is sent some ten views of a frame. Only those of its window wait for the worker itself, so the memory of the others
-/// is reserved and rarely touched.
-const VIEWS_AT_ONCE: usize = 16;
-
 /// Frames that rectification has in flight: one that waits for answers, and one that is being cut.
 const FRAMES_IN_FLIGHT: usize = 2;
+
+/// Views of a lane that wait for its worker at most, and for other stages.
+fn usual_views(pipeline: &Pipeline) -> usize {
+    pipeline.rectification.window as usize + 2
+}
+
+/// Views of a lane that wait beyond the usual for a recorder, so that it misses none, or few, while the stages have all
+/// processors. Their memory is reserved, and touched only then. A worker is sent some ten views of a frame. In a
+/// lossless run the recorder is waited for.
+fn late_views(topic: TopicId, pipeline: &Pipeline) -> usize {
+    /// Where pixels are to be recorded: a single view that is missing ends a replay.
+    const OF_RECORDED_VIEWS: usize = 32;
+    /// Of headers alone, in all.
+    const OF_HEADERS: usize = 16;
+    if topic != TopicId::Views || pipeline.flow == Flow::Lossless {
+        return 0;
+    }
+    let recording = &pipeline.recording;
+    match recording.folder.is_some() && recording.frames == RecordedFrames::Views {
+        true => OF_RECORDED_VIEWS,
+        false => OF_HEADERS.saturating_sub(usual_views(pipeline)),
+    }
+}
 
 /// Detection records of one worker that may wait for a subscriber, so that none is lost while fusion
 /// sleeps over the answers to all frames in flight. Each worker has a buffer of its own.
@@ -233,7 +258,8 @@ fn limits(topic: &TopicInfo, resolved: &Resolved, largest_view_px: u32) -> Limit
         publishers: 2 * publishers + 1,
         usual_publishers: lanes * publishers,
         subscribers: sizes.subscribers,
-        buffer: sizes.buffer,
+        buffer: sizes.buffer + late_views(topic.id, pipeline),
+        usual_buffer: sizes.buffer,
         // A lossless run waits for fusion: what fusion sees must not depend on when it looks.
         patience: match pipeline.flow {
             Flow::Lossless if topic.has_lanes() => Some(pipeline.view_overdue()),
@@ -339,6 +365,7 @@ impl fmt::Display for Budget {
 // The sizes that `items` above count in.
 const _: () = assert!(size_of::<DetectedMarker>() * MARKERS < 16_384);
 const _: () = assert!(size_of::<Track>() * MAX_TRACKS < 20_480);
+const _: () = assert!(size_of::<JournalEntry>() * MAX_JOURNAL_ENTRIES < 4_096);
 const _: () = assert!(size_of::<BodyTruth>() * TRUTH_BODIES < 8_192);
 const _: () = assert!(size_of::<PlannedView>() < 256);
 
@@ -378,6 +405,22 @@ mod tests {
             let buffer = Budget::of(&resolved).topic::<Detections>().buffer;
             assert_eq!(buffer, 2 * planned + late, "{overrides:?}");
         }
+    }
+
+    #[test]
+    fn views_have_more_room_where_they_are_recorded_in_flight() {
+        let buffers = |overrides: &[&str]| {
+            let overrides: Vec<String> = overrides.iter().copied().map(String::from).collect();
+            let resolved = Resolved::of(Pipeline::parse("", &overrides, "x").unwrap()).unwrap();
+            let budget = Budget::of(&resolved);
+            let views = budget.topic::<Views>();
+            (views.buffer, views.usual_buffer)
+        };
+        let recorded = ["recording.folder=flights", "recording.frames=views"];
+        assert_eq!(buffers(&[]), (4, 4));
+        assert_eq!(buffers(&recorded), (36, 4));
+        assert_eq!(buffers(&recorded[1..]), (4, 4), "nothing is recorded");
+        assert_eq!(buffers(&[recorded[0], recorded[1], "flow=lossless"]), (4, 4));
     }
 
     #[test]

@@ -232,6 +232,17 @@ impl Ports {
         (0..lanes).map(|lane| self.subscriber_of_lane(lane)).collect()
     }
 
+    /// The same, with all the room that the topic has, for a reader that may be late.
+    ///
+    /// # Errors
+    /// As [`Ports::subscriber`].
+    pub fn late_subscribers_of_all_lanes<T: Topic>(
+        &mut self,
+    ) -> Result<Vec<Subscriber<T>>, PortError> {
+        let Limits { lanes, buffer, .. } = *self.budget.topic::<T>();
+        (0..lanes).map(|lane| self.subscriber_with(lane, buffer)).collect()
+    }
+
     /// A subscriber of one lane of a topic.
     ///
     /// # Errors
@@ -240,13 +251,21 @@ impl Ports {
         &mut self,
         lane: usize,
     ) -> Result<Subscriber<T>, PortError> {
+        self.subscriber_with(lane, self.budget.topic::<T>().usual_buffer)
+    }
+
+    fn subscriber_with<T: Topic>(
+        &mut self,
+        lane: usize,
+        buffer: usize,
+    ) -> Result<Subscriber<T>, PortError> {
         let (data, wake) = self.open::<T>(lane)?;
         let join =
             |reason: &dyn Debug| PortError::Join { topic: T::NAME, reason: format!("{reason:?}") };
         if self.wakes {
             self.listeners.push(wake.listener_builder().create().map_err(|error| join(&error))?);
         }
-        Subscriber::join(data, self.counters.clone(), self.listening.clone())
+        Subscriber::join(data, buffer, self.counters.clone(), self.listening.clone())
     }
 
     /// Calls `body` whenever a subscriber has a message, and at the latest after the time that `body`

@@ -2,13 +2,16 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, missing_docs, reason = "of the drawings")]
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
-use flockeye_contract::{DetectedMarker, DetectionHeader, FrameEnd, FrameStamp};
+use flockeye_contract::{
+    DetectedMarker, DetectionHeader, FrameEnd, FrameStamp, Transfer, ViewHeader, ViewKind,
+};
 use flockeye_geometry::body::{Bodies, Body, squares};
 use flockeye_geometry::filter::{MotionModel, TrackPolicy};
 use flockeye_geometry::partition::Partition;
 use flockeye_geometry::search::{GazeOptions, Planner, Purpose, SearchMode};
+use flockeye_geometry::view::View;
 use flockeye_imaging::align::Picture;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
 use nalgebra::{Isometry3, Matrix6, Point3, Translation3, UnitQuaternion};
@@ -99,6 +102,55 @@ pub fn record(sequence: u64, pose: &Isometry3<f64>) -> Record {
 pub fn empty_record(sequence: u64) -> Record {
     let header = DetectionHeader { stamp: stamp(sequence), ..DetectionHeader::default() };
     Record { header, markers: Vec::new() }
+}
+
+/// Alpha at `pose(0.9)`. It is drawn once, because drawing takes longer than all else here.
+pub fn shown() -> &'static (View, Vec<u8>) {
+    static SHOWN: OnceLock<(View, Vec<u8>)> = OnceLock::new();
+    SHOWN.get_or_init(|| {
+        let drawing = drawing(&pose(0.9));
+        let image = drawing.image();
+        let pixels = (0..image.height()).flat_map(|y| image.row(y).to_vec()).collect();
+        (drawing.view, pixels)
+    })
+}
+
+/// View 0 of the plan `plan_id`: the region of alpha, as in [`shown`].
+pub fn region_view(sequence: u64, plan_id: u64) -> ViewHeader {
+    let (view, _) = shown();
+    ViewHeader {
+        stamp: stamp(sequence),
+        plan_id,
+        view_index: 0,
+        kind: ViewKind::Gaze.code(),
+        target: 0,
+        camera_from_view: view.camera_from_view.coords.into(),
+        focal_px: view.focal_px,
+        size_px: view.size_px,
+        stride: view.size_px,
+        transfer: Transfer::Srgb.code(),
+        ..ViewHeader::default()
+    }
+}
+
+/// Its record, with alpha's markers at a pose.
+pub fn region_record(sequence: u64, plan_id: u64, camera_from_markers: &Isometry3<f64>) -> Record {
+    let mut record = record(sequence, camera_from_markers);
+    let view = shown().0;
+    for marker in &mut record.markers {
+        marker.corners_in_view = marker.rays_in_camera.map(|ray| {
+            let ray = nalgebra::Unit::new_normalize(nalgebra::Vector3::from(ray));
+            let pixel = view.project(&ray).expect("it is in the view").0;
+            [pixel.x as f32, pixel.y as f32]
+        });
+    }
+    let header = DetectionHeader { plan_id, hits: record.markers.len() as u32, ..record.header };
+    Record { header, ..record }
+}
+
+/// The end of a frame in which so many views were cut.
+pub fn region_end(sequence: u64, plan_id: u64, views_issued: u32) -> FrameEnd {
+    FrameEnd { stamp: stamp(sequence), plan_id, views_issued, ..FrameEnd::default() }
 }
 
 /// A record of alpha's region of interest.

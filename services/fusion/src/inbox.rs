@@ -10,6 +10,7 @@ use flockeye_runtime::ports::{Message, PortError, Ports, Sender, Subscriber};
 
 use crate::core::{Core, Event};
 use crate::frame_assembly::Record;
+use crate::journal::Journaled;
 use crate::pictures::Pixels;
 
 impl Pixels for Message<Views> {
@@ -95,7 +96,7 @@ impl Inbox {
     /// A port that fails.
     pub fn receive(
         &mut self,
-        core: &mut Core<Message<Views>>,
+        core: &mut Journaled<Message<Views>>,
         now_ns: i64,
     ) -> Result<(), PortError> {
         self.take_all_views(core, now_ns)?;
@@ -137,7 +138,7 @@ impl Inbox {
 
     fn take_all_views(
         &mut self,
-        core: &mut Core<Message<Views>>,
+        core: &mut Journaled<Message<Views>>,
         now_ns: i64,
     ) -> Result<(), PortError> {
         if self.flow == Flow::Lossless {
@@ -150,7 +151,7 @@ impl Inbox {
     /// Takes the view of a record, which passed before it in its worker's lane.
     fn take_view_of(
         &mut self,
-        core: &mut Core<Message<Views>>,
+        core: &mut Journaled<Message<Views>>,
         record: &Record,
         now_ns: i64,
     ) -> Result<(), PortError> {
@@ -165,7 +166,7 @@ impl Inbox {
     /// Takes the views that have come in a lane, until `is_enough`.
     fn take_views(
         &mut self,
-        core: &mut Core<Message<Views>>,
+        core: &mut Journaled<Message<Views>>,
         lane: usize,
         now_ns: i64,
         is_enough: impl Fn(&Core<Message<Views>>) -> bool,

@@ -9,6 +9,7 @@
 //! | [`stage`] | moves messages between the ports, the core and the background pass |
 //! | [`inbox`] | the ports that are read, and in which order |
 //! | [`core`] | decides what is done next; the one place where a pose leaves |
+//! | [`journal`] | notes each call of the core for recorders, so that a flight can be repeated |
 //! | [`frame_assembly`] | what a frame still waits for |
 //! | [`view_cache`], [`pictures`] | views that are held for their pixels, as images |
 //! | [`planning`] | the plan for the next frame, and what was searched when |
@@ -30,7 +31,7 @@
 //! | [`parallel`] | a parallel map that keeps order |
 //! | [`snapshot`], [`succession`] | what a process leaves to its successor, and where it is kept |
 //! | [`recorded`] | a recording as the messages that fusion got and gave |
-//! | [`replay`] | the core again on what was recorded, compared with what it gave |
+//! | [`replay`] | the core again as a journal says, compared with what it gave |
 //! | [`explain`] | why a frame of a recording gave a pose of a target, or none |
 //! | [`settings`] | the core as the configuration asks for it |
 
@@ -42,6 +43,7 @@ pub mod exposure;
 pub mod frame_assembly;
 pub mod hypothesis;
 pub mod inbox;
+pub mod journal;
 pub mod measurement;
 pub mod notices;
 pub mod output;

@@ -2,15 +2,15 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::rc::Rc;
+use std::sync::Arc;
 
 use anyhow::{Context, bail, ensure};
 use bytemuck::{AnyBitPattern, pod_read_unaligned};
 use flockeye_config::{Pipeline, Resolved};
 use flockeye_contract::{
-    BodyTruth, Detections, FrameEnd, FrameEnds, FrameHeader, Frames, PlanHeader, PlannedView,
-    Plans, Rotation, Rotations, Topic, Track, TrackHeader, Tracks, TruthHeader, Truths, ViewHeader,
-    Views,
+    BodyTruth, Detections, FrameEnd, FrameEnds, FrameHeader, Frames, JournalEntry, JournalHeader,
+    Journals, PlanHeader, PlannedView, Plans, Rotation, Rotations, Topic, Track, TrackHeader,
+    Tracks, TruthHeader, Truths, ViewHeader, Views,
 };
 use flockeye_geometry::body::Bodies;
 use flockeye_recording::channel::{LOSSES, VIEW_IMAGES};
@@ -24,7 +24,13 @@ use crate::pictures::Pixels;
 
 /// The pixels of a recorded view.
 #[derive(Debug, Clone)]
-pub struct RecordedPixels(Rc<[u8]>);
+pub struct RecordedPixels(Arc<[u8]>);
+
+impl From<Vec<u8>> for RecordedPixels {
+    fn from(pixels: Vec<u8>) -> Self {
+        Self(pixels.into())
+    }
+}
 
 impl Pixels for RecordedPixels {
     fn pixels(&self) -> &[u8] {
@@ -52,6 +58,8 @@ pub enum Message {
     Tracks(TrackHeader, Vec<Track>, ContractMessage),
     /// What fusion planned, and its bytes.
     Plan(PlanHeader, Vec<PlannedView>, ContractMessage),
+    /// What fusion's core heard, and when.
+    Journal(JournalHeader, Vec<JournalEntry>),
     /// What a simulated source knows.
     Truth(TruthHeader, Vec<BodyTruth>),
 }
@@ -103,13 +111,6 @@ impl Recorded {
     pub fn lost(&self) -> Vec<Lost> {
         let lost = self.lost.iter().filter(|(_, messages)| **messages > 0);
         lost.map(|(topic, &messages)| Lost { topic: topic.clone(), messages }).collect()
-    }
-
-    /// The layouts of the contract's topics.
-    pub fn layout_of<T: Topic>(&self) -> anyhow::Result<TopicLayout> {
-        let mut layouts = self.layouts.iter();
-        let layout = layouts.find(|layout| layout.service == T::NAME);
-        Ok(layout.context("a topic is not in the contract")?.clone())
     }
 
     fn attachment(&self, name: &str) -> Option<&[u8]> {
@@ -212,6 +213,10 @@ impl Recorded {
                 let found = found()?;
                 let (header, views) = checked::<Plans>(&found)?;
                 Message::Plan(header, views, found)
+            }
+            <Journals as Topic>::NAME => {
+                let (header, entries) = checked::<Journals>(&found()?)?;
+                Message::Journal(header, entries)
             }
             <Truths as Topic>::NAME => {
                 let (header, bodies) = checked::<Truths>(&found()?)?;

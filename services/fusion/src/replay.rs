@@ -1,27 +1,29 @@
 //! Gives the core of fusion what it got in a recorded flight, and compares what it gives with what it gave.
 //!
-//! In a lossless flow nothing that fusion says may depend on who is faster, so the order of the recording is as good
-//! as the one in which fusion heard it. What the clock says enters latencies alone: these are computed with the time
-//! of sending that the recorded message implies.
+//! What the core says depends on what it heard, in which order, and on the times that it was told. Its journal has all
+//! of that, so a flight in real time is repeated like any other: each entry is one call of the core. A background pass
+//! runs at once, and its answer counts where the journal says so.
 
-use std::collections::VecDeque;
+mod compared;
+mod script;
+#[cfg(test)]
+mod tests;
+
 use std::path::Path;
 
-use anyhow::{bail, ensure};
-use bytemuck::pod_read_unaligned;
-use flockeye_config::{Flow, Resolved};
-use flockeye_contract::{
-    FrameEnd, FrameOrder, PlanHeader, Plans, StageName, Topic, Track, TrackHeader, Tracks,
-    ViewHeader,
-};
-use flockeye_recording::message::first_difference;
-use flockeye_recording::{ContractMessage, Ending, TopicLayout};
+use anyhow::{Context, bail, ensure};
+use flockeye_config::Resolved;
+use flockeye_contract::{FrameOrder, JournalEntry, JournalKind, PlanHeader, TrackHeader};
+use flockeye_recording::Ending;
 
+pub use self::script::{NO_JOURNAL, names_message};
+
+use self::compared::Compared;
+use self::script::{Next, Script};
 use crate::background_runner::BackgroundRunner;
 use crate::core::{Core, Event, Outputs};
-use crate::frame_assembly::Record;
 use crate::output::Writer;
-use crate::recorded::{Lost, Message, Recorded, RecordedPixels, header};
+use crate::recorded::{Lost, Message, Recorded, RecordedPixels};
 use crate::settings::{Configured, configured};
 
 /// What a replay has shown.
@@ -31,67 +33,83 @@ pub struct Replayed {
     pub frames: u64,
     /// Messages that were compared.
     pub messages: u64,
+    /// Answers of background passes that counted.
+    pub answers: u64,
     /// The first difference; `None`: the same bytes.
     pub difference: Option<String>,
-    /// What the recording lacks, or may lack. A difference may come from that.
+    /// Why the comparison ends before the recording does.
+    pub end: Option<String>,
+    /// Plans that are not in the recording.
+    pub lost_plans: u64,
+    /// Messages of fusion that were recorded and not compared.
+    pub left: u64,
+    /// What the recording lacks, or may lack.
     pub lost: Vec<Lost>,
 }
 
-/// Replays a recording of a lossless flight with its views (`flockeye record --frames views`).
+/// Replays a recording with its views (`flockeye record --frames views`).
 ///
 /// # Errors
-/// It is no such recording, it lacks something, or its configuration cannot be worked with any more.
+/// It has no journal from fusion's beginning on, or no pixels, or its configuration cannot be worked with any more.
 pub fn replay(path: &Path) -> anyhow::Result<Replayed> {
     let mut recorded = Recorded::open(path)?;
     let resolved = recorded.configuration()?;
-    ensure!(is_replayable(&resolved), "{}: {NOT_REPLAYABLE}", path.display());
-    let mut replay = Replay::new(&resolved, &recorded)?;
+    let mut replay = Replay::new(&resolved)?;
     while let Some((message, utc_ns)) = recorded.next_message()? {
-        // The rest says what is lost.
-        if replay.difference().is_none() {
-            replay.on(message, utc_ns)?;
-        }
+        replay.on(message, utc_ns, |_, _| {}).with_context(|| path.display().to_string())?;
     }
     let is_whole = recorded.ending() == Some(Ending::Whole);
-    if is_whole && replay.difference().is_none() {
-        replay.needs_no_pixels()?;
-        replay.note_what_is_left();
-    }
-    ensure!(
-        replay.replayed.messages > 0,
-        "{} has no message of fusion. Cure: record for longer",
-        path.display()
-    );
-    Ok(Replayed { lost: recorded.lost(), ..replay.replayed })
+    let replayed = replay.finish(is_whole).with_context(|| path.display().to_string())?;
+    Ok(Replayed { lost: recorded.lost(), ..replayed })
 }
 
-/// Whether fusion can be replayed with a recording of this configuration.
-pub fn is_replayable(resolved: &Resolved) -> bool {
-    resolved.pipeline.flow == Flow::Lossless
-}
-
-/// Why fusion cannot be replayed with other recordings.
-pub const NOT_REPLAYABLE: &str = "in flow latest, what fusion says depends on when it heard what, which is not recorded. Cure: \
-     record a lossless flight (--flow lossless)";
-
-/// `flockeye-fusion replay FILE`: says what a replay shows. Whether it gave the same.
+/// `flockeye-fusion replay FILE`: says what a replay shows. Whether all that was compared is the same.
 ///
 /// # Errors
 /// As [`replay`].
 pub fn report(path: &Path) -> anyhow::Result<bool> {
-    let Replayed { frames, messages, difference, lost } = replay(path)?;
-    match &difference {
-        None => println!("{messages} messages of {frames} frames are the same, byte by byte"),
-        Some(difference) => println!("after {messages} messages of {frames} frames: {difference}"),
+    let replayed = replay(path)?;
+    print!("{replayed}");
+    Ok(replayed.difference.is_none())
+}
+
+impl std::fmt::Display for Replayed {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { frames, messages, answers, difference, end, lost_plans, left, lost } = self;
+        match difference {
+            None => writeln!(
+                f,
+                "{messages} messages of {frames} frames are the same, byte by byte; {answers} background passes"
+            )?,
+            Some(difference) => {
+                writeln!(f, "after {messages} messages of {frames} frames: {difference}")?;
+            }
+        }
+        if *lost_plans > 0 {
+            writeln!(
+                f,
+                "{lost_plans} plans of fusion are not in the recording, and were not compared"
+            )?;
+        }
+        if let Some(end) = end {
+            writeln!(f, "the comparison ends there: {end}")?;
+        }
+        if *left > 0 && difference.is_none() {
+            writeln!(
+                f,
+                "{left} more messages of fusion are in the recording, and were not compared"
+            )?;
+        }
+        if !lost.is_empty() {
+            let lost = said(lost);
+            writeln!(f, "the recording lacks messages, from which a difference may come: {lost}")?;
+        }
+        Ok(())
     }
-    if !lost.is_empty() {
-        println!("the recording lacks messages, from which a difference may come: {}", said(&lost));
-    }
-    Ok(difference.is_none())
 }
 
 /// What a recording lacks, as text.
-pub fn said(lost: &[Lost]) -> String {
+fn said(lost: &[Lost]) -> String {
     let of_topic = |Lost { topic, messages }: &Lost| format!("{topic} {messages}");
     lost.iter().map(of_topic).collect::<Vec<_>>().join(", ")
 }
@@ -101,53 +119,15 @@ pub struct Replay {
     core: Core<RecordedPixels>,
     writer: Writer,
     background: Option<BackgroundRunner>,
-    awaits_rotations: bool,
     /// Whether the last view still lacks its pixels.
     lacks_pixels: bool,
-    /// Views of each worker that were not taken yet.
-    lanes: Vec<VecDeque<(ViewHeader, RecordedPixels)>>,
-    /// Records that came before their views.
-    early: Vec<Record>,
-    ends: VecDeque<FrameEnd>,
-    newest_rotation: Option<FrameOrder>,
-    tracks: Compared,
-    plans: Compared,
+    script: Script,
+    /// What the last step led to, until the journal says when it was sent.
+    unsaid: Outputs,
+    compared: Compared,
+    /// The newest frame that has ended.
+    ended: Option<FrameOrder>,
     replayed: Replayed,
-}
-
-/// What was recorded of a topic, and what is given.
-struct Compared {
-    layout: TopicLayout,
-    recorded: VecDeque<ContractMessage>,
-    given: VecDeque<ContractMessage>,
-}
-
-impl Compared {
-    fn of<T: Topic>(recorded: &Recorded) -> anyhow::Result<Self> {
-        let layout = recorded.layout_of::<T>()?;
-        Ok(Self { layout, recorded: VecDeque::new(), given: VecDeque::new() })
-    }
-
-    /// The next pair, if both are there.
-    fn next_pair(&mut self) -> Option<(ContractMessage, ContractMessage)> {
-        if self.recorded.is_empty() {
-            return None;
-        }
-        let given = self.given.pop_front()?;
-        Some((self.recorded.pop_front()?, given))
-    }
-
-    /// Where a message of this frame differs.
-    fn difference(
-        &self,
-        frame: u64,
-        recorded: &ContractMessage,
-        given: &ContractMessage,
-    ) -> Option<String> {
-        let found = first_difference(&self.layout, recorded, given)?;
-        let service = self.layout.service;
-        Some(format!("{service} of frame {frame}, recorded and given: {found}"))
-    }
 }
 
 impl Replay {
@@ -155,25 +135,19 @@ impl Replay {
     ///
     /// # Errors
     /// The configuration cannot be worked with.
-    pub fn new(resolved: &Resolved, recorded: &Recorded) -> anyhow::Result<Self> {
-        let pipeline = &resolved.pipeline;
+    pub fn new(resolved: &Resolved) -> anyhow::Result<Self> {
         let Configured { core, writer, aligner, has_background } = configured(resolved, 0)?;
-        let mut replay = Self {
+        Ok(Self {
             core,
             writer,
             background: has_background.then(|| BackgroundRunner::inline(aligner)),
-            awaits_rotations: pipeline.runs(StageName::Egomotion),
             lacks_pixels: false,
-            lanes: (0..pipeline.detection_workers()).map(|_| VecDeque::new()).collect(),
-            early: Vec::new(),
-            ends: VecDeque::new(),
-            newest_rotation: None,
-            tracks: Compared::of::<Tracks>(recorded)?,
-            plans: Compared::of::<Plans>(recorded)?,
+            script: Script::default(),
+            unsaid: Outputs::default(),
+            compared: Compared::new()?,
+            ended: None,
             replayed: Replayed::default(),
-        };
-        replay.work(0)?;
-        Ok(replay)
+        })
     }
 
     /// The core, which can be asked for an account.
@@ -181,18 +155,45 @@ impl Replay {
         &mut self.core
     }
 
-    /// The first difference so far.
-    pub fn difference(&self) -> Option<&str> {
-        self.replayed.difference.as_deref()
+    /// What was shown so far.
+    pub fn so_far(&self) -> &Replayed {
+        &self.replayed
     }
 
-    /// Takes a message of the recording.
+    /// Whether the recording has a journal, as far as it was read.
+    pub fn has_journal(&self) -> bool {
+        self.script.has_begun()
+    }
+
+    /// Whether nothing has differed, and the comparison goes on.
+    pub fn is_under_way(&self) -> bool {
+        self.replayed.difference.is_none() && self.replayed.end.is_none()
+    }
+
+    /// Whether the core has ended a frame, and all that it said was compared.
+    pub fn has_ended(&self, order: FrameOrder) -> bool {
+        self.ended >= Some(order) && self.compared.is_done()
+    }
+
+    /// Takes a message of the recording. `before` is called before each entry of the journal that counts now.
     ///
     /// # Errors
-    /// The recording lacks something, or fusion was replaced meanwhile.
-    pub fn on(&mut self, message: Message, utc_ns: u64) -> anyhow::Result<()> {
-        // Only differences of these times count.
-        let now_ns = i64::try_from(utc_ns).unwrap_or(i64::MAX);
+    /// The recording is none that can be replayed.
+    pub fn on(
+        &mut self,
+        message: Message,
+        utc_ns: u64,
+        before: impl FnMut(&Core<RecordedPixels>, &JournalEntry),
+    ) -> anyhow::Result<()> {
+        if !self.is_under_way() {
+            let is_said = matches!(
+                message,
+                Message::Tracks(TrackHeader { generation: 0, .. }, ..)
+                    | Message::Plan(PlanHeader { generation: 0, .. }, ..)
+            );
+            self.replayed.left += u64::from(is_said);
+            return Ok(());
+        }
         match message {
             Message::Header(_) => {
                 self.needs_no_pixels()?;
@@ -200,32 +201,43 @@ impl Replay {
             }
             Message::View(header, pixels) => {
                 self.lacks_pixels = false;
-                if let Some(lane) = self.lanes.get_mut(header.worker as usize) {
-                    lane.push_back((header, pixels));
-                }
+                self.script.hear(Event::View(header, pixels), utc_ns)?;
             }
-            Message::Searched(record) => self.early.push(record),
-            Message::Rotation(rotation) => {
-                self.newest_rotation = self.newest_rotation.max(Some(rotation.stamp.order()));
-                self.core.on(Event::Rotation(rotation), now_ns);
+            Message::Searched(record) => self.script.hear(Event::Searched(record), utc_ns)?,
+            Message::Rotation(rotation) => self.script.hear(Event::Rotation(rotation), utc_ns)?,
+            Message::FrameEnd(end) => self.script.hear(Event::FrameEnd(end), utc_ns)?,
+            Message::Journal(header, entries) => self.script.note(&header, &entries, utc_ns)?,
+            // What a successor says is not compared.
+            Message::Tracks(header, _, bytes) if header.generation == 0 => {
+                self.compared.tracks.record(bytes);
             }
-            Message::FrameEnd(end) => self.ends.push_back(end),
-            Message::Tracks(header, _, bytes) => {
-                ensure!(
-                    header.generation == 0,
-                    "fusion was replaced during the recording. Cure: record a flight without"
-                );
-                self.tracks.recorded.push_back(bytes);
+            Message::Plan(header, _, bytes) if header.generation == 0 => {
+                self.compared.plans.record(bytes);
             }
-            Message::Plan(header, _, bytes) => {
-                if self.plans.recorded.is_empty() && self.replayed.messages == 0 {
-                    begin(&header)?;
-                }
-                self.plans.recorded.push_back(bytes);
+            Message::Tracks(..) | Message::Plan(..) | Message::Frame(_) | Message::Truth(..) => {
+                return Ok(());
             }
-            Message::Frame(_) | Message::Truth(..) => return Ok(()),
         }
-        self.work(now_ns)
+        self.work(Some(utc_ns), before)
+    }
+
+    /// At the recording's end; `is_whole`: it was not cut off.
+    ///
+    /// # Errors
+    /// Nothing could be compared.
+    pub fn finish(mut self, is_whole: bool) -> anyhow::Result<Replayed> {
+        if self.is_under_way() {
+            if is_whole {
+                self.needs_no_pixels()?;
+            }
+            self.work(None, |_, _| {})?;
+        }
+        ensure!(self.script.has_begun(), NO_JOURNAL);
+        if self.replayed.messages == 0 && self.is_under_way() {
+            bail!("the recording has no message of fusion. Cure: record for longer");
+        }
+        let left = self.replayed.left + self.compared.left();
+        Ok(Replayed { left, lost_plans: self.compared.lost_plans, ..self.replayed })
     }
 
     /// Refuses a recording in which the last view has no pixels.
@@ -238,136 +250,113 @@ impl Replay {
         Ok(())
     }
 
-    /// Gives the core what it can have now, and lets it do all that there is to do.
-    fn work(&mut self, now_ns: i64) -> anyhow::Result<()> {
-        for record in std::mem::take(&mut self.early) {
-            self.take_view_of(&record, now_ns);
-            let is_early =
-                !self.core.has_view_of(&record) && !self.core.has_ended(&record.header.stamp);
-            match is_early {
-                true => self.early.push(record),
-                false => drop(self.core.on(Event::Searched(record), now_ns)),
-            }
-        }
-        while let Some(end) = self.ends.front()
-            && (!self.awaits_rotations || self.newest_rotation >= Some(end.stamp.order()))
-            && let Some(end) = self.ends.pop_front()
-        {
-            self.core.on(Event::FrameEnd(end), now_ns);
-        }
-        loop {
-            let answer = self.background.as_mut().map_or(Ok(None), BackgroundRunner::answer)?;
-            let had_answer = answer.is_some();
-            if let Some(answer) = answer {
-                self.core.on(Event::Background(answer), now_ns);
-            }
-            let outputs = self.core.step(now_ns);
-            let is_idle = outputs.is_idle && outputs.job.is_none() && !had_answer;
-            self.note(outputs)?;
-            if is_idle {
-                break;
+    /// Does what the journal says, as far as it is known.
+    fn work(
+        &mut self,
+        utc_ns: Option<u64>,
+        mut before: impl FnMut(&Core<RecordedPixels>, &JournalEntry),
+    ) -> anyhow::Result<()> {
+        while self.is_under_way() {
+            match self.script.next(utc_ns) {
+                Next::Wait => break,
+                Next::End(reason) => self.replayed.end = Some(reason),
+                Next::Entry(entry, event) => {
+                    before(&self.core, &entry);
+                    let difference = self.follow(&entry, event)?;
+                    // What was said before differs first.
+                    self.compare();
+                    self.replayed.difference = self.replayed.difference.take().or(difference);
+                }
             }
         }
         self.compare();
         Ok(())
     }
 
-    fn take_view_of(&mut self, record: &Record, now_ns: i64) {
-        let Some(lane) = self.lanes.get_mut(record.header.worker as usize) else { return };
-        while !self.core.has_view_of(record)
-            && let Some((header, pixels)) = lane.pop_front()
-        {
-            self.core.on(Event::View(header, pixels), now_ns);
+    fn compare(&mut self) {
+        if self.replayed.difference.is_none() {
+            let (messages, difference) = self.compared.compare();
+            self.replayed.messages += messages;
+            self.replayed.difference = difference;
         }
     }
 
-    /// Notes what the core gives, as messages.
-    fn note(&mut self, outputs: Outputs) -> anyhow::Result<()> {
+    /// Does what an entry says. Returns what cannot be as it was.
+    fn follow(
+        &mut self,
+        entry: &JournalEntry,
+        event: Option<Event<RecordedPixels>>,
+    ) -> anyhow::Result<Option<String>> {
+        let now_ns = entry.at_ns;
+        if let Some(event) = event {
+            self.core.on(event, now_ns);
+            return Ok(None);
+        }
+        match JournalKind::try_from(entry.kind)? {
+            JournalKind::Background => {
+                let background = self.background.as_mut();
+                let Some(answer) = background.map_or(Ok(None), BackgroundRunner::answer)? else {
+                    let difference = "a background pass was answered that is not asked for now";
+                    return Ok(Some(self.at(difference)));
+                };
+                self.replayed.answers += 1;
+                self.core.on(Event::Background(answer), now_ns);
+            }
+            JournalKind::Step => {
+                if self.unsaid.messages() != (0, 0) {
+                    return Ok(Some(self.at("a step led to nothing, and leads to messages now")));
+                }
+                let mut outputs = self.core.step(now_ns);
+                if !outputs.has_worked() {
+                    return Ok(Some(
+                        self.at("there was something to do, and there is nothing now"),
+                    ));
+                }
+                if let (Some(job), Some(runner)) = (outputs.job.take(), &mut self.background) {
+                    runner.run(job)?;
+                }
+                self.unsaid = outputs;
+            }
+            JournalKind::Said => {
+                let outputs = std::mem::take(&mut self.unsaid);
+                let (tracks, plans) = outputs.messages();
+                if (tracks, plans) != (entry.tracks as usize, entry.plans as usize) {
+                    let JournalEntry { tracks: told, plans: planned, .. } = entry;
+                    return Ok(Some(self.at(&format!(
+                        "a step led to {told} messages of tracks and {planned} plans, now to {tracks} and {plans}"
+                    ))));
+                }
+                self.say(&outputs, now_ns);
+            }
+            JournalKind::View
+            | JournalKind::Searched
+            | JournalKind::FrameEnd
+            | JournalKind::Rotation => {}
+        }
+        Ok(None)
+    }
+
+    /// Where a difference is that is none of a message.
+    fn at(&self, difference: &str) -> String {
+        match self.ended {
+            None => format!("before the first frame ended: {difference}"),
+            Some((_, _, sequence)) => format!("after the end of frame {sequence}: {difference}"),
+        }
+    }
+
+    /// Writes what the core gives, as messages of the time `now_ns`.
+    fn say(&mut self, outputs: &Outputs, now_ns: i64) {
         for message in &outputs.tracks {
-            self.replayed.frames += u64::from(message.is_last);
-            let (header, tracks) = self.writer.tracks(message, self.core.tracker(), 0);
-            self.tracks.given.push_back(contract_message(&header, &tracks));
+            if message.is_last {
+                self.replayed.frames += 1;
+                self.ended = self.ended.max(Some(message.stamp.order()));
+            }
+            let (header, tracks) = self.writer.tracks(message, self.core.tracker(), now_ns);
+            self.compared.tracks.give(&header, &tracks);
         }
         if let Some((next, after)) = &outputs.plan {
-            let (header, views) = self.writer.plan(next, *after, 0);
-            self.plans.given.push_back(contract_message(&header, &views));
+            let (header, views) = self.writer.plan(next, *after, now_ns);
+            self.compared.plans.give(&header, &views);
         }
-        if let (Some(job), Some(runner)) = (outputs.job, &mut self.background) {
-            runner.run(job)?;
-        }
-        Ok(())
-    }
-
-    fn compare(&mut self) {
-        while self.replayed.difference.is_none()
-            && let Some((recorded, mut given)) = self.tracks.next_pair()
-        {
-            send_when(&mut given, &recorded);
-            let frame = header::<TrackHeader>(&recorded).stamp.sequence;
-            self.replayed.messages += 1;
-            self.replayed.difference = self.tracks.difference(frame, &recorded, &given);
-        }
-        while self.replayed.difference.is_none()
-            && let Some((recorded, mut given)) = self.plans.next_pair()
-        {
-            let made_ns = header::<PlanHeader>(&recorded).made_ns;
-            let header = PlanHeader { made_ns, ..header(&given) };
-            given.header = bytemuck::bytes_of(&header).to_vec();
-            self.replayed.messages += 1;
-            let frame = header.after.sequence;
-            self.replayed.difference = self.plans.difference(frame, &recorded, &given);
-        }
-    }
-
-    /// What was recorded and is not given. The other way round it says nothing: a recording may end before its flight.
-    fn note_what_is_left(&mut self) {
-        for compared in [&self.tracks, &self.plans] {
-            let recorded = compared.recorded.len();
-            if recorded > 0 && self.replayed.difference.is_none() {
-                let service = compared.layout.service;
-                self.replayed.difference = Some(format!(
-                    "{service}: {recorded} messages more were recorded than are given"
-                ));
-            }
-        }
-    }
-}
-
-/// A recording that begins later lacks what fusion knew by then.
-fn begin(first: &PlanHeader) -> anyhow::Result<()> {
-    ensure!(
-        first.plan_id == 1,
-        "the recording begins with plan {}: what fusion knew before is not in it. Cure: record from the \
-         first frame on (recording.folder in pipeline.yaml)",
-        first.plan_id
-    );
-    Ok(())
-}
-
-fn contract_message<H: bytemuck::Pod, I: bytemuck::Pod>(
-    header: &H,
-    items: &[I],
-) -> ContractMessage {
-    ContractMessage {
-        header: bytemuck::bytes_of(header).to_vec(),
-        items: bytemuck::cast_slice(items).to_vec(),
-        payload_bytes: 0,
-    }
-}
-
-/// Has tracks that were written for the time 0 be sent when the recorded ones were.
-fn send_when(given: &mut ContractMessage, recorded: &ContractMessage) {
-    let size = size_of::<Track>();
-    let pairs = given.items.chunks_exact_mut(size).zip(recorded.items.chunks_exact(size));
-    for (given, recorded) in pairs {
-        let mut track: Track = pod_read_unaligned(given);
-        let recorded: Track = pod_read_unaligned(recorded);
-        let sent_ns = recorded.latency.total_ns.wrapping_sub(track.latency.total_ns);
-        track.latency.total_ns = recorded.latency.total_ns;
-        // -1: nothing led to it.
-        if track.latency.fusion_ns != -1 {
-            track.latency.fusion_ns = track.latency.fusion_ns.wrapping_add(sent_ns);
-        }
-        given.copy_from_slice(bytemuck::bytes_of(&track));
     }
 }

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use flockeye_config::Flow;
-use flockeye_contract::{Plans, Tracks, Views};
+use flockeye_contract::{Journals, Plans, Tracks, Views};
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::ports::{Message, Ports, Publisher};
 use flockeye_runtime::{Context, Stage, Step, clock};
@@ -11,8 +11,9 @@ use flockeye_runtime::{Context, Stage, Step, clock};
 use anyhow::Context as _;
 
 use crate::background_runner::BackgroundRunner;
-use crate::core::{Core, Event, Outputs};
+use crate::core::{Event, Outputs};
 use crate::inbox::Inbox;
+use crate::journal::{Journal, Journaled};
 use crate::notices::Reporter;
 use crate::output::Writer;
 use crate::settings::{Configured, configured};
@@ -24,12 +25,13 @@ const BACKGROUND_POLL_NS: i64 = 4_000_000;
 /// How often the stage looks whether rectification has joined, nanoseconds.
 const JOIN_POLL_NS: i64 = 5_000_000;
 
-/// Takes views, detections and frame ends; gives tracks and plans.
+/// Takes views, detections and frame ends; gives tracks and plans, and a journal to who wants it.
 pub struct FusionStage {
     inbox: Inbox,
     tracks: Publisher<Tracks>,
     plans: Publisher<Plans>,
-    core: Core<Message<Views>>,
+    journals: Publisher<Journals>,
+    core: Journaled<Message<Views>>,
     writer: Writer,
     background: Option<BackgroundRunner>,
     reporter: Reporter,
@@ -56,11 +58,14 @@ impl Stage for FusionStage {
         let longest = Duration::from_secs_f64(pipeline.fusion.coast_s);
         let succession = (pipeline.flow == Flow::Latest)
             .then(|| Succession::begin(&mut core, &context.saved_states, longest));
+        let has_resumed = succession.as_ref().is_some_and(Succession::has_resumed);
+        let journal = Journal::new(context.identity.generation, has_resumed);
         Ok(Self {
             inbox: Inbox::open(ports, pipeline)?,
             tracks: ports.publisher()?,
             plans: ports.publisher()?,
-            core,
+            journals: ports.side_publisher()?,
+            core: Journaled::new(core, journal),
             writer,
             background: background.transpose().context("a thread for the background pass")?,
             reporter: Reporter::new(context.counters.clone()),
@@ -78,6 +83,7 @@ impl Stage for FusionStage {
             return Ok(Step::WaitUntil(now_ns + JOIN_POLL_NS));
         }
         self.plans.update_connections()?;
+        self.core.journal().listen(self.journals.readers() > 0);
         self.inbox.receive(&mut self.core, now_ns)?;
         if let Some(runner) = &mut self.background
             && let Some(answer) = runner.answer()?
@@ -87,6 +93,7 @@ impl Stage for FusionStage {
         let outputs = self.core.step(clock::monotonic_ns());
         let is_idle = outputs.is_idle;
         self.send(outputs)?;
+        self.send_journal(is_idle)?;
         self.counters.set_queued(self.core.open_frames());
         if !is_idle {
             return Ok(Step::Again);
@@ -97,21 +104,33 @@ impl Stage for FusionStage {
         let deadlines = [self.core.next_deadline_ns(), self.inbox.next_deadline_ns()];
         Ok(deadlines.into_iter().flatten().min().map_or(Step::Wait, Step::WaitUntil))
     }
+
+    fn drain(&mut self) -> anyhow::Result<()> {
+        self.send_journal(true)
+    }
 }
 
 impl FusionStage {
+    fn send_journal(&mut self, is_idle: bool) -> anyhow::Result<()> {
+        while let Some((header, entries)) = self.core.journal().take(is_idle) {
+            self.journals.send(header, &entries)?;
+        }
+        Ok(())
+    }
+
     fn send(&mut self, outputs: Outputs) -> anyhow::Result<()> {
         // Before it is said: what a killed process has said must not be said again.
         if let (false, Some(succession)) = (outputs.tracks.is_empty(), &mut self.succession) {
             succession.save(&self.core);
         }
+        let sent_ns = clock::monotonic_ns();
+        self.core.say(&outputs, sent_ns);
         for message in &outputs.tracks {
-            let tracker = self.core.tracker();
-            let (header, tracks) = self.writer.tracks(message, tracker, clock::monotonic_ns());
+            let (header, tracks) = self.writer.tracks(message, self.core.tracker(), sent_ns);
             self.tracks.send(header, &tracks)?;
         }
         if let Some((next, after)) = &outputs.plan {
-            let (header, views) = self.writer.plan(next, *after, clock::monotonic_ns());
+            let (header, views) = self.writer.plan(next, *after, sent_ns);
             self.plans.send(header, &views).context("the plan for the next frame")?;
         }
         if let (Some(job), Some(runner)) = (outputs.job, &mut self.background) {

@@ -16,6 +16,7 @@ pub struct Succession {
     /// `None` where the file could not be made: fusion works all the same.
     keeper: Option<StateKeeper>,
     failures: Throttle,
+    has_resumed: bool,
 }
 
 impl Succession {
@@ -23,6 +24,7 @@ impl Succession {
     /// frames that were told nothing is told again. Without a state it starts with nothing, as at the
     /// pipeline's start.
     pub fn begin<P: Pixels>(core: &mut Core<P>, states: &SavedStates, longest: Duration) -> Self {
+        let mut has_resumed = false;
         match states.newest(clock::monotonic_ns()) {
             Ok(None) => {}
             Err(error) => {
@@ -35,6 +37,7 @@ impl Succession {
                     "the last process's state is not used; starting anew"
                 ),
                 Ok(snapshot) => {
+                    has_resumed = true;
                     let is_fresh = saved.age <= longest;
                     let snapshot = if is_fresh { snapshot } else { snapshot.without_tracks() };
                     tracing::info!(
@@ -50,7 +53,12 @@ impl Succession {
         if let Err(error) = &keeper {
             tracing::warn!(%error, "there is no file for the state; a successor will start anew");
         }
-        Self { keeper: keeper.ok(), failures: Throttle::default() }
+        Self { keeper: keeper.ok(), failures: Throttle::default(), has_resumed }
+    }
+
+    /// Whether the core goes on where another process was.
+    pub fn has_resumed(&self) -> bool {
+        self.has_resumed
     }
 
     /// Saves the state of `core`.

@@ -91,7 +91,7 @@ pub fn passed_on(arguments: &[OsString]) -> Option<(PassedOn, Vec<OsString>)> {
 /// Arguments of `replay`.
 #[derive(Debug, Args)]
 pub struct ReplayArguments {
-    /// A recording of a lossless flight, with its views: flockeye record --frames views.
+    /// A recording with its views, from the first frame on: recording.folder, with recording.frames: views.
     #[arg(value_name = "FILE.mcap")]
     pub file: PathBuf,
     /// The stage.

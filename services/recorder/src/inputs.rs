@@ -1,7 +1,8 @@
 //! Receives every topic of the contract, and notices what was lost.
 
 use flockeye_contract::{
-    FrameHeader, PacketHeader, PlanHeader, TOPICS, Topic, TopicId, TopicVisitor, VideoCodec,
+    FrameHeader, JournalHeader, PacketHeader, PlanHeader, TOPICS, Topic, TopicId, TopicVisitor,
+    VideoCodec,
 };
 use flockeye_recording::ContractMessage;
 use flockeye_runtime::clock;
@@ -81,7 +82,7 @@ impl TopicVisitor for Opening<'_> {
             (TopicId::Frames, FramesChoice::Every(count)) => Pixels::Every(count),
             _ => Pixels::None,
         };
-        let subscribers = match self.ports.subscribers_of_all_lanes::<T>() {
+        let subscribers = match self.ports.late_subscribers_of_all_lanes::<T>() {
             Ok(subscribers) => subscribers,
             // Other tools have all places; anything else is no reason to record without it.
             Err(error @ PortError::Join { .. }) if pixels == Pixels::None => {
@@ -137,7 +138,7 @@ struct Numbering {
 }
 
 impl Numbering {
-    /// Of a frame, packet or plan.
+    /// Of a frame, packet, plan or journal.
     fn of<T: Topic>(header: &T::Header) -> Option<Self> {
         let bytes = bytemuck::bytes_of(header);
         match T::INFO.id {
@@ -154,6 +155,10 @@ impl Numbering {
             TopicId::Plans => {
                 let header: PlanHeader = bytemuck::pod_read_unaligned(bytes);
                 Some(Self { of: (header.generation, 0), number: header.plan_id })
+            }
+            TopicId::Journals => {
+                let header: JournalHeader = bytemuck::pod_read_unaligned(bytes);
+                Some(Self { of: (header.generation, 0), number: header.sequence })
             }
             _ => None,
         }

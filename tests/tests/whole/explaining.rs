@@ -26,7 +26,7 @@ const FLIGHT: &[&str] = &[
 ];
 
 /// Flies, and gives the recording.
-fn flown(name: &str, scratch: &Scratch, arguments: &[&str], set: &[&str]) -> PathBuf {
+pub(crate) fn flown(name: &str, scratch: &Scratch, arguments: &[&str], set: &[&str]) -> PathBuf {
     let folder = scratch.path("recordings");
     let setting = format!("recording.folder={}", folder.display());
     let set: Vec<&str> = set.iter().copied().chain([setting.as_str()]).collect();
@@ -230,9 +230,31 @@ fn losses_are_told(scratch: &Scratch, recording: &Path) {
     assert_eq!(said["reliance"]["lost"], serde_json::json!([["flockeye/view", 7]]), "{said}");
 }
 
-/// A flight in real time cannot be replayed: it is explained from its messages alone.
+/// What decided in a flight in real time is known from its journal.
 #[test]
-fn a_flight_in_real_time_is_explained_from_its_messages() {
+fn a_flight_in_real_time_is_explained_exactly() {
+    let scratch = Scratch::new("explained-live");
+    let more = ["simulator.frames=45", "recording.frames=views"];
+    let recording = flown("explained-live", &scratch, &[], &[SMALL_FLIGHT, &more].concat());
+    let is_measured = |told: &&Told| told.track.measured_by == MeasuredBy::Aligned.code();
+    let told = told(&recording);
+    let Told { frame, track } = told.iter().rfind(is_measured).expect("alpha is near");
+    let said = explained(&recording, "alpha", *frame);
+    assert_eq!(said["step"], "measured", "{said}");
+    assert_eq!(said["reliance"]["is_exact"], true, "{}", said["reliance"]);
+    let measured = position(&said["result"]["measured"]);
+    assert!(distance(measured, track.measured_observer_from_target.position) < 1e-12, "{said}");
+    let passes = said["passes"].as_array().expect("a list");
+    let published =
+        passes.iter().any(|pass| pass["outcome"] == "published as the frame's measurement");
+    assert!(published, "{said}");
+    assert_eq!(said["before"]["state"], "confirmed", "{}", said["before"]);
+    assert!(said["before"]["predicted"]["range_m"].as_f64() > Some(0.3), "{}", said["before"]);
+}
+
+/// Without pixels a flight is explained from its messages alone.
+#[test]
+fn a_flight_without_pixels_is_explained_from_its_messages() {
     let scratch = Scratch::new("told-alone");
     let set = [SMALL_FLIGHT, &["simulator.frames=60"]].concat();
     let recording = flown("told-alone", &scratch, &[], &set);

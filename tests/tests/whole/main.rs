@@ -26,6 +26,7 @@ mod radio;
 mod real_time;
 mod recorded;
 mod recording;
+mod replaying;
 mod scheduling;
 mod secure;
 mod service;

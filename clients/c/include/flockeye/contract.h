@@ -24,6 +24,7 @@
 #define FLOCKEYE_TOPIC_DETECTION "flockeye/detection" /* flockeye_detection_header, flockeye_detected_marker */
 #define FLOCKEYE_TOPIC_FRAME_END "flockeye/frame_end" /* flockeye_frame_end, uint8_t */
 #define FLOCKEYE_TOPIC_TRACK "flockeye/track" /* flockeye_track_header, flockeye_track */
+#define FLOCKEYE_TOPIC_JOURNAL "flockeye/journal" /* flockeye_journal_header, flockeye_journal_entry */
 #define FLOCKEYE_TOPIC_PEER "flockeye/peer" /* flockeye_peer_header, flockeye_peer_sighting */
 #define FLOCKEYE_TOPIC_SWARM "flockeye/swarm" /* flockeye_swarm_header, flockeye_swarm_pose */
 #define FLOCKEYE_TOPIC_HEALTH "flockeye/health" /* flockeye_health, uint8_t */
@@ -137,6 +138,16 @@ enum flockeye_hand_over_state {
     FLOCKEYE_HAND_OVER_STATE_NOTHING = 0,
     FLOCKEYE_HAND_OVER_STATE_SHADOW = 1,
     FLOCKEYE_HAND_OVER_STATE_TAKEN_OVER = 2,
+};
+
+enum flockeye_journal_kind {
+    FLOCKEYE_JOURNAL_KIND_VIEW = 0,
+    FLOCKEYE_JOURNAL_KIND_SEARCHED = 1,
+    FLOCKEYE_JOURNAL_KIND_FRAME_END = 2,
+    FLOCKEYE_JOURNAL_KIND_ROTATION = 3,
+    FLOCKEYE_JOURNAL_KIND_BACKGROUND = 4,
+    FLOCKEYE_JOURNAL_KIND_STEP = 5,
+    FLOCKEYE_JOURNAL_KIND_SAID = 6,
 };
 
 enum flockeye_complaint_kind {
@@ -507,6 +518,48 @@ static_assert(offsetof(flockeye_track, state) == 1184, "Track.state");
 static_assert(offsetof(flockeye_track, measured_by) == 1188, "Track.measured_by");
 static_assert(offsetof(flockeye_track, markers) == 1192, "Track.markers");
 static_assert(offsetof(flockeye_track, reserved) == 1196, "Track.reserved");
+
+/* In iceoryx2: flockeye/JournalHeader. */
+typedef struct {
+    uint64_t first;
+    uint64_t sequence;
+    uint32_t generation;
+    uint32_t is_resumed;
+} flockeye_journal_header;
+static_assert(sizeof(flockeye_journal_header) == 24, "JournalHeader");
+static_assert(offsetof(flockeye_journal_header, first) == 0, "JournalHeader.first");
+static_assert(offsetof(flockeye_journal_header, sequence) == 8, "JournalHeader.sequence");
+static_assert(offsetof(flockeye_journal_header, generation) == 16, "JournalHeader.generation");
+static_assert(offsetof(flockeye_journal_header, is_resumed) == 20, "JournalHeader.is_resumed");
+
+/* In iceoryx2: flockeye/JournalEntry. */
+typedef struct {
+    int64_t at_ns;
+    uint64_t sequence;
+    uint32_t epoch;
+    uint32_t source_generation;
+    uint32_t kind;
+    uint32_t generation;
+    uint32_t view_generation;
+    uint32_t view_index;
+    uint32_t attempt;
+    uint32_t worker;
+    uint32_t tracks;
+    uint32_t plans;
+} flockeye_journal_entry;
+static_assert(sizeof(flockeye_journal_entry) == 56, "JournalEntry");
+static_assert(offsetof(flockeye_journal_entry, at_ns) == 0, "JournalEntry.at_ns");
+static_assert(offsetof(flockeye_journal_entry, sequence) == 8, "JournalEntry.sequence");
+static_assert(offsetof(flockeye_journal_entry, epoch) == 16, "JournalEntry.epoch");
+static_assert(offsetof(flockeye_journal_entry, source_generation) == 20, "JournalEntry.source_generation");
+static_assert(offsetof(flockeye_journal_entry, kind) == 24, "JournalEntry.kind");
+static_assert(offsetof(flockeye_journal_entry, generation) == 28, "JournalEntry.generation");
+static_assert(offsetof(flockeye_journal_entry, view_generation) == 32, "JournalEntry.view_generation");
+static_assert(offsetof(flockeye_journal_entry, view_index) == 36, "JournalEntry.view_index");
+static_assert(offsetof(flockeye_journal_entry, attempt) == 40, "JournalEntry.attempt");
+static_assert(offsetof(flockeye_journal_entry, worker) == 44, "JournalEntry.worker");
+static_assert(offsetof(flockeye_journal_entry, tracks) == 48, "JournalEntry.tracks");
+static_assert(offsetof(flockeye_journal_entry, plans) == 52, "JournalEntry.plans");
 
 /* In iceoryx2: flockeye/PeerHeader. */
 typedef struct {

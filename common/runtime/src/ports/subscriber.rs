@@ -78,16 +78,17 @@ impl<T: Topic> Message<T> {
 }
 
 impl<T: Topic> Subscriber<T> {
-    /// Joins a lane's service.
+    /// Joins a lane's service; so many messages wait here.
     pub(super) fn join(
         service: DataService<T>,
+        buffer: usize,
         counters: SharedCounters,
         listening: Rc<Listening>,
     ) -> Result<Self, PortError> {
-        let subscriber = service
-            .subscriber_builder()
-            .create()
-            .map_err(|error| PortError::Join { topic: T::NAME, reason: format!("{error:?}") })?;
+        let subscriber =
+            service.subscriber_builder().buffer_size(buffer).create().map_err(|error| {
+                PortError::Join { topic: T::NAME, reason: format!("{error:?}") }
+            })?;
         Ok(Self { subscriber, service, counters, listening, refusals: Refusals::default() })
     }
 

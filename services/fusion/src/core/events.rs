@@ -40,6 +40,18 @@ pub struct Outputs {
     pub is_idle: bool,
 }
 
+impl Outputs {
+    /// Whether the step did anything. One that did nothing has changed nothing.
+    pub fn has_worked(&self) -> bool {
+        !self.is_idle || self.job.is_some()
+    }
+
+    /// How many messages of the topics `track` and `plan` it led to.
+    pub fn messages(&self) -> (usize, usize) {
+        (self.tracks.len(), usize::from(self.plan.is_some()))
+    }
+}
+
 /// A frame that has ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct EndedFrame {

@@ -2,17 +2,14 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "of the drawings")]
 
-use std::sync::OnceLock;
-
 use super::*;
 use crate::fixtures::*;
 use crate::schedule::VirtualClock;
 use flockeye_config::Costs;
-use flockeye_contract::{DetectionHeader, FrameEnd, Transfer, ViewKind};
+use flockeye_contract::DetectionHeader;
 use flockeye_convert::RadianceCache;
 use flockeye_geometry::filter::TrackState;
 use flockeye_geometry::search::StopRule;
-use flockeye_geometry::view::View;
 
 impl Pixels for Vec<u8> {
     fn pixels(&self) -> &[u8] {
@@ -57,34 +54,9 @@ fn drain(core: &mut Core<Vec<u8>>, now_ns: i64) -> Vec<Outputs> {
     }
 }
 
-/// Alpha at `pose(0.9)`. It is drawn once, because drawing takes longer than all else here.
-fn shown() -> &'static (View, Vec<u8>) {
-    static SHOWN: OnceLock<(View, Vec<u8>)> = OnceLock::new();
-    SHOWN.get_or_init(|| {
-        let drawing = drawing(&pose(0.9));
-        let image = drawing.image();
-        let pixels = (0..image.height()).flat_map(|y| image.row(y).to_vec()).collect();
-        (drawing.view, pixels)
-    })
-}
-
 /// View 0 of the plan `plan_id`: the region of alpha, which stands at `pose(0.9)`.
 fn region(sequence: u64, plan_id: u64) -> Event<Vec<u8>> {
-    let (view, pixels) = shown();
-    let header = ViewHeader {
-        stamp: stamp(sequence),
-        plan_id,
-        view_index: 0,
-        kind: ViewKind::Gaze.code(),
-        target: 0,
-        camera_from_view: view.camera_from_view.coords.into(),
-        focal_px: view.focal_px,
-        size_px: view.size_px,
-        stride: view.size_px,
-        transfer: Transfer::Srgb.code(),
-        ..ViewHeader::default()
-    };
-    Event::View(header, pixels.clone())
+    Event::View(region_view(sequence, plan_id), shown().1.clone())
 }
 
 /// Its record, with alpha's markers at `pose(0.9)`.
@@ -98,22 +70,11 @@ fn searched_at(
     plan_id: u64,
     camera_from_markers: &nalgebra::Isometry3<f64>,
 ) -> Event<Vec<u8>> {
-    let mut record = record(sequence, camera_from_markers);
-    let view = shown().0;
-    for marker in &mut record.markers {
-        marker.corners_in_view = marker.rays_in_camera.map(|ray| {
-            let ray = nalgebra::Unit::new_normalize(nalgebra::Vector3::from(ray));
-            let pixel = view.project(&ray).expect("it is in the view").0;
-            [pixel.x as f32, pixel.y as f32]
-        });
-    }
-    let header = DetectionHeader { plan_id, hits: record.markers.len() as u32, ..record.header };
-    Event::Searched(Record { header, ..record })
+    Event::Searched(region_record(sequence, plan_id, camera_from_markers))
 }
 
 fn frame_end(sequence: u64, plan_id: u64, views_issued: u32) -> Event<Vec<u8>> {
-    let end = FrameEnd { stamp: stamp(sequence), plan_id, views_issued, ..FrameEnd::default() };
-    Event::FrameEnd(end)
+    Event::FrameEnd(region_end(sequence, plan_id, views_issued))
 }
 
 /// A core that has measured alpha in frames 0 to 2, and the number of its last plan.

@@ -11,7 +11,7 @@ use clap::Parser;
     name = "flockeye explain",
     bin_name = "flockeye explain",
     about = "Say why a frame of a recording gave this pose of a neighbour, or none",
-    after_help = "A recording of a lossless flight with its views tells all (--flow lossless, recording.frames: views). \
+    after_help = "A recording with its views from the first frame on tells all (recording.folder, recording.frames: views). \
                   Of others it is said what the messages tell. docs/EXPLAIN.md has an example."
 )]
 pub struct ExplainArguments {

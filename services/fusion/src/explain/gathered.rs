@@ -50,7 +50,7 @@ pub fn stamp_of(message: &Message) -> Option<FrameStamp> {
         Message::Rotation(rotation) => Some(rotation.stamp),
         Message::Tracks(header, ..) => Some(header.stamp),
         Message::Truth(header, _) => Some(header.stamp),
-        Message::Plan(..) => None,
+        Message::Plan(..) | Message::Journal(..) => None,
     }
 }
 
@@ -146,7 +146,8 @@ impl Gathered {
                 self.has_last |= header.is_last == 1;
             }
             Message::Truth(header, bodies) => self.truth = Some((*header, bodies.clone())),
-            Message::Frame(_) | Message::Rotation(_) | Message::Plan(..) => {}
+            Message::Frame(_) | Message::Rotation(_) | Message::Plan(..) | Message::Journal(..) => {
+            }
         }
     }
 

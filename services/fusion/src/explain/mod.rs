@@ -37,8 +37,9 @@ use self::explanation::Explanation;
 use self::frames::Frames;
 use self::gathered::Gathered;
 use crate::account::Decision;
-use crate::recorded::{Lost, Recorded};
-use crate::replay::{NOT_REPLAYABLE, Replay, is_replayable};
+use crate::core::Core;
+use crate::recorded::{Lost, Message, Recorded, RecordedPixels};
+use crate::replay::{NO_JOURNAL, Replay, names_message};
 
 /// So many frames after the one that is explained are looked through for its next search.
 pub const LOOK_AHEAD: usize = 60;
@@ -85,6 +86,18 @@ pub struct Before {
     pub predicted: Option<(Isometry3<f64>, Matrix6<f64>)>,
 }
 
+impl Before {
+    /// What `core` knows now of a target for a frame that it has not heard of.
+    fn of(core: &Core<RecordedPixels>, target: usize, stamp: &FrameStamp) -> Self {
+        let tracker = core.tracker();
+        let predicted = tracker.prediction(target, stamp.exposure_s());
+        Self {
+            state: tracker.targets()[target].state(),
+            predicted: predicted.map(|found| (found.camera_from_markers, found.pose_covariance())),
+        }
+    }
+}
+
 /// `flockeye-fusion explain ...`, which `flockeye explain` becomes.
 ///
 /// # Errors
@@ -124,7 +137,7 @@ fn look(path: &Path, asked: &Asked) -> anyhow::Result<(Resolved, Known)> {
     let frames = Frames::of(path).with_context(|| path.display().to_string())?;
     let (stamp, at_s) = frames.chosen(asked.when)?;
     let mut gathered = Gathered::of(stamp, target as u32);
-    let mut replaying = Session::begin(&resolved, &recorded, target, stamp);
+    let mut replaying = Session::begin(&resolved, target, stamp);
     loop {
         let (message, utc_ns) = match recorded.next_message() {
             Ok(Some(read)) => read,
@@ -137,21 +150,12 @@ fn look(path: &Path, asked: &Asked) -> anyhow::Result<(Resolved, Known)> {
             Err(error) => return Err(error),
         };
         gathered.on(&message);
-        let is_of_frame = gathered::stamp_of(&message).is_some_and(|of| of.is_same_frame(&stamp));
-        replaying.on(message, utc_ns, is_of_frame, &gathered);
+        replaying.on(message, utc_ns, &gathered);
         if gathered.is_over() && gathered.later_frames() >= LOOK_AHEAD {
             break;
         }
     }
-    let Session { before, decisions, state, .. } = replaying;
-    let replay = match state {
-        State::Impossible(reason) => Replaying::Impossible(reason),
-        State::Different(difference) => Replaying::Different(difference),
-        State::UnderWay(_) | State::Over if gathered.has_ended() => Replaying::Same,
-        State::UnderWay(_) | State::Over => {
-            Replaying::Impossible("the recording ends before the frame does".to_owned())
-        }
-    };
+    let (replay, before, decisions) = replaying.finish();
     let lost = frames.lost;
     Ok((resolved, Known { target, stamp, at_s, gathered, before, decisions, replay, lost }))
 }
@@ -174,52 +178,60 @@ enum State {
 }
 
 impl Session {
-    fn begin(resolved: &Resolved, recorded: &Recorded, target: usize, stamp: FrameStamp) -> Self {
-        let state = match is_replayable(resolved) {
-            false => State::Impossible(NOT_REPLAYABLE.to_owned()),
-            true => match Replay::new(resolved, recorded) {
-                Err(error) => State::Impossible(format!("{error:#}")),
-                Ok(mut replay) => {
-                    replay.core().keep_account(target);
-                    State::UnderWay(replay)
-                }
-            },
+    fn begin(resolved: &Resolved, target: usize, stamp: FrameStamp) -> Self {
+        let state = match Replay::new(resolved) {
+            Err(error) => State::Impossible(format!("{error:#}")),
+            Ok(mut replay) => {
+                replay.core().keep_account(target);
+                State::UnderWay(replay)
+            }
         };
         Self { target, stamp, state, before: None, decisions: Vec::new() }
     }
 
     /// Takes a message, until the frame is over and no answer to it is waited for.
-    fn on(
-        &mut self,
-        message: crate::recorded::Message,
-        utc_ns: u64,
-        is_of_frame: bool,
-        gathered: &Gathered,
-    ) {
+    fn on(&mut self, message: Message, utc_ns: u64, gathered: &Gathered) {
         let State::UnderWay(replay) = &mut self.state else { return };
-        if is_of_frame && self.before.is_none() {
-            let tracker = replay.core().tracker();
-            let known = &tracker.targets()[self.target];
-            let predicted = tracker.prediction(self.target, self.stamp.exposure_s());
-            self.before = Some(Before {
-                state: known.state(),
-                predicted: predicted
-                    .map(|found| (found.camera_from_markers, found.pose_covariance())),
-            });
-        }
-        if let Err(error) = replay.on(message, utc_ns) {
+        let order: FrameOrder = self.stamp.order();
+        // The first that fusion heard of the frame.
+        let heard = replay.on(message, utc_ns, |core, entry| {
+            if self.before.is_none() && names_message(entry) && entry.order() == order {
+                self.before = Some(Before::of(core, self.target, &self.stamp));
+            }
+        });
+        if let Err(error) = heard {
             self.stop(State::Impossible(format!("{error:#}")));
             return;
         }
-        let order: FrameOrder = self.stamp.order();
         let decided = replay.core().take_account();
         self.decisions
             .extend(decided.into_iter().filter(|(of, _)| *of == order).map(|(_, what)| what));
         let awaits = replay.core().tracker().has_background_of(order);
-        if let Some(difference) = replay.difference().map(str::to_owned) {
+        let is_answered = !awaits || gathered.later_frames() >= ANSWER_FRAMES;
+        let so_far = replay.so_far();
+        if let Some(difference) = so_far.difference.clone() {
             self.state = State::Different(difference);
-        } else if gathered.is_over() && (!awaits || gathered.later_frames() >= ANSWER_FRAMES) {
+        } else if replay.has_ended(order) && (is_answered || so_far.end.is_some()) {
             self.state = State::Over;
+        } else if let Some(end) = so_far.end.clone() {
+            self.stop(State::Impossible(end));
+        }
+    }
+
+    /// How it went, what the core knew before the frame, and what it decided.
+    fn finish(self) -> (Replaying, Option<Before>, Vec<Decision>) {
+        let Self { stamp, state, before, decisions, .. } = self;
+        let impossible =
+            |reason: &str| (Replaying::Impossible(reason.to_owned()), None, Vec::new());
+        match state {
+            State::Impossible(reason) => impossible(&reason),
+            State::Different(difference) => (Replaying::Different(difference), before, decisions),
+            State::Over => (Replaying::Same, before, decisions),
+            State::UnderWay(replay) if replay.has_ended(stamp.order()) => {
+                (Replaying::Same, before, decisions)
+            }
+            State::UnderWay(replay) if !replay.has_journal() => impossible(NO_JOURNAL),
+            State::UnderWay(_) => impossible("the recording ends before the frame does"),
         }
     }
 

@@ -1,0 +1,424 @@
+//! Flights that are repeated from their journals, and journals that are not what they were.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "of the flights")]
+
+use std::sync::OnceLock;
+
+use super::*;
+use crate::fixtures::{INTERVAL_S, pose, region_end, region_record, region_view, shown, stamp};
+use crate::frame_assembly::Record;
+use crate::journal::{Journal, Journaled};
+use flockeye_config::Pipeline;
+use flockeye_contract::{
+    DetectionHeader, FrameStamp, JournalHeader, MAX_JOURNAL_ENTRIES, Rotation, RotationSource,
+};
+use flockeye_recording::ContractMessage;
+
+/// When a frame's messages come after its exposure, nanoseconds.
+const DELAY_NS: i64 = 20_000_000;
+
+/// A recorded message, and when it was recorded.
+type Recording = Vec<(Message, u64)>;
+
+fn resolved() -> Resolved {
+    Resolved::of(Pipeline::parse("", &[], "a test").unwrap()).unwrap()
+}
+
+/// Fusion in flight, as its stage drives it, and what a recorder gets of it.
+struct Flown {
+    core: Journaled<RecordedPixels>,
+    writer: Writer,
+    background: BackgroundRunner,
+    now_ns: i64,
+    recording: Recording,
+}
+
+impl Flown {
+    fn begin() -> Self {
+        let Configured { core, writer, aligner, .. } = configured(&resolved(), 0).unwrap();
+        let mut journal = Journal::new(0, false);
+        journal.listen(true);
+        let mut flown = Self {
+            core: Journaled::new(core, journal),
+            writer,
+            background: BackgroundRunner::inline(aligner),
+            now_ns: stamp(0).exposure_ns,
+            recording: Recording::new(),
+        };
+        flown.work();
+        flown
+    }
+
+    fn record(&mut self, message: Message) {
+        self.recording.push((message, self.now_ns as u64));
+    }
+
+    fn hear(&mut self, event: Event<RecordedPixels>) {
+        self.now_ns += 1_000;
+        self.record(match &event {
+            Event::View(header, pixels) => Message::View(*header, pixels.clone()),
+            Event::Searched(record) => Message::Searched(record.clone()),
+            Event::FrameEnd(end) => Message::FrameEnd(*end),
+            Event::Rotation(rotation) => Message::Rotation(*rotation),
+            Event::Background(_) => panic!("it is not recorded"),
+        });
+        assert_eq!(self.core.on(event, self.now_ns), None);
+    }
+
+    /// Works until nothing is left to do.
+    fn work(&mut self) {
+        loop {
+            self.now_ns += 1_000;
+            let mut outputs = self.core.step(self.now_ns);
+            let is_idle = outputs.is_idle;
+            self.now_ns += 1_000;
+            self.core.say(&outputs, self.now_ns);
+            for message in &outputs.tracks {
+                let (header, tracks) =
+                    self.writer.tracks(message, self.core.tracker(), self.now_ns);
+                let bytes = contract_message(&header, &tracks);
+                self.record(Message::Tracks(header, tracks, bytes));
+            }
+            if let Some((next, after)) = &outputs.plan {
+                let (header, views) = self.writer.plan(next, *after, self.now_ns);
+                let bytes = contract_message(&header, &views);
+                self.record(Message::Plan(header, views, bytes));
+            }
+            if let Some(job) = outputs.job.take() {
+                self.background.run(job).unwrap();
+            }
+            if let Some((header, entries)) = self.core.journal().take(is_idle) {
+                self.record(Message::Journal(header, entries));
+            }
+            if is_idle {
+                return;
+            }
+        }
+    }
+
+    fn background_is_over(&mut self) {
+        let answer = self.background.answer().unwrap().expect("a pass was asked for");
+        self.now_ns += 1_000;
+        self.core.on(Event::Background(answer), self.now_ns);
+        self.work();
+    }
+
+    fn region(&mut self, sequence: u64, pixels: Vec<u8>) {
+        self.now_ns = stamp(sequence).exposure_ns + DELAY_NS;
+        self.hear(Event::View(region_view(sequence, 0), RecordedPixels::from(pixels)));
+    }
+
+    /// Alpha stands still; its region is cut, searched, and the frame ends.
+    fn frame(&mut self, sequence: u64) {
+        self.region(sequence, shown().1.clone());
+        self.work();
+        self.hear(Event::Searched(region_record(sequence, 0, &pose(0.9))));
+        self.work();
+        self.end(sequence);
+    }
+
+    fn end(&mut self, sequence: u64) {
+        self.hear(Event::FrameEnd(region_end(sequence, 0, 1)));
+        self.work();
+    }
+}
+
+fn contract_message<H: bytemuck::Pod, I: bytemuck::Pod>(
+    header: &H,
+    items: &[I],
+) -> ContractMessage {
+    ContractMessage {
+        header: bytemuck::bytes_of(header).to_vec(),
+        items: bytemuck::cast_slice(items).to_vec(),
+        payload_bytes: 0,
+    }
+}
+
+/// The camera has turned by this angle about its vertical axis, radians.
+fn rotation(sequence: u64, turn: f64) -> Rotation {
+    let spread =
+        |variance: f64| std::array::from_fn(|place| if place % 4 == 0 { variance } else { 0.0 });
+    Rotation {
+        stamp: stamp(sequence),
+        earlier_exposure_ns: stamp(sequence - 1).exposure_ns,
+        later_from_earlier: [0.0, 0.0, (turn / 2.0).sin(), (turn / 2.0).cos()],
+        covariance: spread(1e-8),
+        rate_covariance: spread(1e-6),
+        ahead_ns: stamp(sequence).exposure_ns,
+        ahead_from_later: [0.0, 0.0, 0.0, 1.0],
+        rate_in_camera: [0.0, 0.0, turn / INTERVAL_S],
+        source: RotationSource::Picture.code(),
+        ..Rotation::default()
+    }
+}
+
+/// Alpha is found and followed.
+fn flown() -> Recording {
+    static FLOWN: OnceLock<Recording> = OnceLock::new();
+    FLOWN.get_or_init(|| followed().recording).clone()
+}
+
+fn followed() -> Flown {
+    let mut flown = Flown::begin();
+    (0..3).for_each(|sequence| flown.frame(sequence));
+    flown.hear(Event::Rotation(rotation(3, 0.02)));
+    (3..5).for_each(|sequence| flown.frame(sequence));
+    flown
+}
+
+/// Then it is not seen in frame 5, and sought in the background; the answer comes during frame 6.
+fn flown_on() -> Recording {
+    let mut flown = followed();
+    flown.region(5, vec![128; shown().1.len()]);
+    flown.work();
+    let header = DetectionHeader { stamp: stamp(5), ..DetectionHeader::default() };
+    flown.hear(Event::Searched(Record { header, markers: Vec::new() }));
+    flown.work();
+    flown.end(5);
+    flown.region(6, shown().1.clone());
+    flown.work();
+    flown.background_is_over();
+    flown.hear(Event::Searched(region_record(6, 0, &pose(0.9))));
+    flown.work();
+    flown.end(6);
+    flown.recording
+}
+
+fn tried(recording: Recording) -> anyhow::Result<Replayed> {
+    let mut replay = Replay::new(&resolved()).unwrap();
+    for (message, utc_ns) in recording {
+        replay.on(message, utc_ns, |_, _| {})?;
+    }
+    replay.finish(true)
+}
+
+fn refused(recording: Recording) -> String {
+    tried(recording).unwrap_err().to_string()
+}
+
+/// The recording with other entries in its journal, which is all at its end.
+fn with_entries(recording: Recording, change: impl FnOnce(&mut Vec<JournalEntry>)) -> Recording {
+    let mut entries = Vec::new();
+    let mut others = Recording::new();
+    for (message, utc_ns) in recording {
+        match message {
+            Message::Journal(_, some) => entries.extend(some),
+            other => others.push((other, utc_ns)),
+        }
+    }
+    change(&mut entries);
+    let last_ns = others.last().unwrap().1;
+    let mut first = 0;
+    for some in entries.chunks(MAX_JOURNAL_ENTRIES) {
+        let header = JournalHeader { first, ..JournalHeader::default() };
+        others.push((Message::Journal(header, some.to_vec()), last_ns));
+        first += some.len() as u64;
+    }
+    others
+}
+
+fn place_of(entries: &[JournalEntry], kind: JournalKind, sequence: u64) -> usize {
+    let is_it = |entry: &JournalEntry| entry.kind == kind.code() && entry.sequence == sequence;
+    entries.iter().position(is_it).unwrap()
+}
+
+fn is_journal(message: &Message) -> bool {
+    matches!(message, Message::Journal(..))
+}
+
+#[test]
+fn a_flight_is_repeated_from_its_journal() {
+    let recording = flown_on();
+    let said = recording
+        .iter()
+        .filter(|(message, _)| matches!(message, Message::Tracks(..) | Message::Plan(..)));
+    let messages = said.count() as u64;
+    let measured = recording.iter().filter_map(|(message, _)| match message {
+        Message::Tracks(_, tracks, _) => Some(tracks.iter().filter(|track| track.measured_by != 0)),
+        _ => None,
+    });
+    assert!(measured.flatten().count() >= 5, "alpha is followed");
+    let wanted = Replayed { frames: 7, messages, answers: 1, ..Replayed::default() };
+    assert_eq!(tried(recording.clone()).unwrap(), wanted);
+    // A recorder receives topics apart: the journal behind all that it names, or before it.
+    assert_eq!(tried(with_entries(recording.clone(), |_| {})).unwrap(), wanted);
+    let (mut journal, others): (Recording, Recording) =
+        recording.into_iter().partition(|(message, _)| is_journal(message));
+    journal.extend(others);
+    assert_eq!(tried(journal).unwrap(), wanted);
+}
+
+/// The camera's rotation counts from when fusion heard of it.
+#[test]
+fn another_order_is_noticed() {
+    let turned_later = with_entries(flown(), |entries| {
+        let turn = entries.remove(place_of(entries, JournalKind::Rotation, 3));
+        let end = place_of(entries, JournalKind::FrameEnd, 3);
+        entries.insert(end, turn);
+    });
+    let replayed = tried(turned_later).unwrap();
+    let difference = replayed.difference.expect("another prediction gives another pose");
+    assert!(difference.contains("flockeye/track of frame 3, recorded and given:"), "{difference}");
+    assert!(replayed.messages > 5, "what came before is the same");
+
+    let worked_before = with_entries(flown(), |entries| {
+        let view = place_of(entries, JournalKind::View, 4);
+        assert_eq!(entries[view + 1].kind, JournalKind::Step.code());
+        entries.swap(view, view + 1);
+    });
+    let difference = tried(worked_before).unwrap().difference.unwrap();
+    assert_eq!(
+        difference,
+        "after the end of frame 3: there was something to do, and there is nothing now"
+    );
+
+    let answered_before = with_entries(flown_on(), |entries| {
+        let answer = entries.remove(place_of(entries, JournalKind::Background, 0));
+        let searched = place_of(entries, JournalKind::Searched, 5);
+        entries.insert(searched, answer);
+    });
+    let difference = tried(answered_before).unwrap().difference.unwrap();
+    assert!(
+        difference.contains("a background pass was answered that is not asked for"),
+        "{difference}"
+    );
+}
+
+#[test]
+fn another_time_is_noticed() {
+    let later = with_entries(flown(), |entries| {
+        let said = entries.iter_mut().filter(|entry| entry.kind == JournalKind::Said.code());
+        said.last().unwrap().at_ns += 1;
+    });
+    let difference = tried(later).unwrap().difference.unwrap();
+    assert!(difference.contains("made_ns"), "{difference}");
+}
+
+#[test]
+fn a_gap_in_the_journal_ends_the_comparison() {
+    let mut recording = flown();
+    let end = |recording: &Recording| {
+        recording.iter().position(
+            |(message, _)| matches!(message, Message::FrameEnd(end) if end.stamp.sequence == 3),
+        )
+    };
+    let after = end(&recording).unwrap();
+    let gap =
+        after + recording[after..].iter().position(|(message, _)| is_journal(message)).unwrap();
+    let (Message::Journal(_, entries), _) = recording.remove(gap) else { panic!("a journal") };
+    let replayed = tried(recording).unwrap();
+    let missing = entries.len();
+    let wanted = format!("{missing} entries of fusion's journal are not in the recording");
+    assert_eq!((replayed.difference, replayed.end), (None, Some(wanted)));
+    assert_eq!(replayed.frames, 3);
+    assert!(
+        replayed.messages > 3 && replayed.left > 3,
+        "{} and {}",
+        replayed.messages,
+        replayed.left
+    );
+}
+
+/// Few plans wait for a recorder that gets no processor.
+#[test]
+fn plans_that_were_not_recorded_are_left_out() {
+    let mut recording = flown();
+    recording.retain(|(message, _)| {
+        !matches!(message, Message::Plan(plan, ..) if [2, 3].contains(&plan.plan_id))
+    });
+    let whole = tried(flown()).unwrap();
+    let messages = whole.messages - 2;
+    assert_eq!(tried(recording).unwrap(), Replayed { messages, lost_plans: 2, ..whole });
+}
+
+#[test]
+fn a_message_that_is_missing_is_named() {
+    let without = |is_it: &dyn Fn(&Message) -> bool| {
+        let mut recording = flown();
+        recording.retain(|(message, _)| !is_it(message));
+        let replayed = tried(recording).unwrap();
+        assert_eq!(replayed.difference, None);
+        (replayed.end.unwrap(), replayed.frames)
+    };
+    let of = |stamp: &FrameStamp| stamp.sequence == 4;
+    let view = without(&|message| matches!(message, Message::View(view, _) if of(&view.stamp)));
+    let wanted = "view 0 of frame 4, which fusion heard, is not in the recording";
+    assert_eq!(view, (wanted.to_owned(), 4));
+    let record = without(
+        &|message| matches!(message, Message::Searched(record) if of(&record.header.stamp)),
+    );
+    assert!(record.0.starts_with("the record of view 0 of frame 4 by worker 0"), "{}", record.0);
+    let end = without(&|message| matches!(message, Message::FrameEnd(end) if of(&end.stamp)));
+    assert!(end.0.starts_with("the end of frame 4, which"), "{}", end.0);
+    let turn = without(&|message| matches!(message, Message::Rotation(_)));
+    assert!(turn.0.starts_with("the rotation of frame 3, which"), "{}", turn.0);
+}
+
+/// It is known before the recording's end.
+#[test]
+fn a_missing_message_is_not_waited_for_for_ever() {
+    let mut recording = flown();
+    recording.retain(
+        |(message, _)| !matches!(message, Message::View(view, _) if view.stamp.sequence == 4),
+    );
+    let mut replay = Replay::new(&resolved()).unwrap();
+    let last_ns = recording.last().unwrap().1;
+    for (message, utc_ns) in recording {
+        replay.on(message, utc_ns, |_, _| {}).unwrap();
+    }
+    assert!(replay.is_under_way(), "it may still come");
+    let later = region_end(99, 0, 0);
+    for seconds in 1..=6 {
+        replay.on(Message::FrameEnd(later), last_ns + seconds * 1_000_000_000, |_, _| {}).unwrap();
+    }
+    assert!(!replay.is_under_way());
+}
+
+#[test]
+fn what_is_no_journal_from_the_beginning_on_is_refused() {
+    let mut none = flown();
+    none.retain(|(message, _)| !is_journal(message));
+    assert!(refused(none.clone()).contains("has no journal of fusion"));
+    // It is not read to its end first.
+    let mut replay = Replay::new(&resolved()).unwrap();
+    let end = |utc_ns| (Message::FrameEnd(region_end(0, 0, 0)), utc_ns);
+    let mut ends = [end(0), end(6_000_000_000)].into_iter();
+    let refusal = ends.find_map(|(message, utc_ns)| replay.on(message, utc_ns, |_, _| {}).err());
+    assert!(refusal.unwrap().to_string().contains("has no journal"));
+
+    let with_header = |change: &dyn Fn(&mut JournalHeader)| {
+        let mut recording = flown();
+        for (message, _) in &mut recording {
+            if let Message::Journal(header, _) = message {
+                change(header);
+            }
+        }
+        recording
+    };
+    let later = refused(with_header(&|header| header.first += 2));
+    assert!(later.contains("begins 2 entries after fusion's journal"), "{later}");
+    for resumed in
+        [with_header(&|header| header.is_resumed = 1), with_header(&|header| header.generation = 1)]
+    {
+        let resumed = refused(resumed);
+        assert!(resumed.contains("had replaced another one"), "{resumed}");
+    }
+    let mut replaced = flown();
+    let header = JournalHeader { generation: 1, ..JournalHeader::default() };
+    let (_, utc_ns) = replaced[replaced.len() - 1];
+    replaced.push((Message::Journal(header, vec![JournalEntry::default()]), utc_ns));
+    let replayed = tried(replaced).unwrap();
+    assert_eq!((replayed.difference, replayed.frames), (None, 5));
+    assert!(replayed.end.unwrap().starts_with("fusion was replaced"));
+}
+
+#[test]
+fn views_without_pixels_are_refused() {
+    let mut blind = flown();
+    for (message, _) in &mut blind {
+        if let Message::View(header, _) = message {
+            *message = Message::Header(*header);
+        }
+    }
+    assert!(refused(blind).contains("a view without its pixels"));
+}
