@@ -38,7 +38,7 @@ fn joined(flight: &mut Flight, command: Command) -> Flight {
     recorder
 }
 
-fn layout(service: &str) -> TopicLayout {
+pub(crate) fn layout(service: &str) -> TopicLayout {
     layouts().into_iter().find(|layout| layout.service == service).expect("there is this topic")
 }
 

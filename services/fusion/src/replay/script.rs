@@ -25,6 +25,7 @@ pub const NO_JOURNAL: &str = "the recording has no journal of fusion, so it is n
 
 /// The next thing that happened to the core.
 #[derive(Debug)]
+#[allow(clippy::large_enum_variant, reason = "one at a time, on the stack")]
 pub enum Next {
     /// This, with the message that was heard, where the entry names one.
     Entry(JournalEntry, Option<Event<RecordedPixels>>),
