@@ -31,8 +31,8 @@ pub const MARKERS: LabCommand = LabCommand {
 /// Calibrates bodies, sensors and cameras.
 pub const CALIBRATE: LabCommand = LabCommand {
     name: "calibrate",
-    about: "Measure how a body was really built, how the inertial sensor lies, how late frames arrive, or what code \
-            values stand for",
+    about: "Measure how a body was really built, where the camera sits, how its lenses and the inertial sensor lie, \
+            how late frames arrive, or what code values stand for",
 };
 
 /// All of them, in the order of the help.

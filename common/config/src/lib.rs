@@ -25,7 +25,7 @@ mod types;
 
 pub use instance_name::is_instance_name;
 pub use problem::{ConfigError, Origin, Problem};
-pub use read::json_schema;
+pub use read::{json_schema, read_document};
 pub use resolve::{
     BodySetError, CameraSettingError, Division, MaskFileError, ResolveError, Resolved,
     SphereViewsError, bodies, isometry, read_bodies,

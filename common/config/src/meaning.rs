@@ -90,7 +90,16 @@ impl Meaning<'_> {
         for (index, lens) in pipeline.camera.lenses.iter().enumerate() {
             self.mount(&format!("camera.lenses.{index}.camera_from_lens"), &lens.camera_from_lens);
         }
-        if let Err(fault) = resolve::camera(&pipeline.camera) {
+        for (index, lens) in pipeline.simulator.lenses.iter().enumerate() {
+            self.mount(
+                &format!("simulator.lenses.{index}.camera_from_lens"),
+                &lens.camera_from_lens,
+            );
+        }
+        let drawn = resolve::simulated_camera(pipeline).err();
+        // What is wrong with the camera is wrong with the drawn one too.
+        let fault = resolve::camera(&pipeline.camera).err().or(drawn);
+        if let Some(fault) = fault {
             self.problem(&fault.key, fault.reason);
         }
         if pipeline.camera.response == Response::Table

@@ -2,6 +2,9 @@
 
 use std::path::Path;
 
+use schemars::JsonSchema;
+use serde::de::DeserializeOwned;
+
 use crate::document::Node;
 use crate::problem::{ConfigError, Problem, Problems};
 use crate::types::{InertialSource, Pipeline, Security};
@@ -87,6 +90,25 @@ impl Pipeline {
         }
         Err(refused(problems.0))
     }
+}
+
+/// Reads another YAML (or JSON) document than pipeline.yaml, checked in the same way.
+///
+/// # Errors
+/// [`ConfigError`]: the file cannot be read, or everything that is wrong with it, each with its place.
+pub fn read_document<T: DeserializeOwned + JsonSchema>(path: &Path) -> Result<T, ConfigError> {
+    let yaml = std::fs::read_to_string(path)
+        .map_err(|error| ConfigError::Read { path: path.to_owned(), error })?;
+    let refused = |problems| ConfigError::Problems { name: path.display().to_string(), problems };
+    let document = Node::parse(&yaml).map_err(|problem| refused(vec![problem]))?;
+    let mut problems = Problems::default();
+    schema::check(&document, schemars::schema_for!(T).as_value(), &mut problems);
+    if !problems.0.is_empty() {
+        return Err(refused(problems.0));
+    }
+    serde_json::from_value(document.to_json()).map_err(|error| {
+        refused(vec![Problem::new(document.origin.clone(), "", error.to_string())])
+    })
 }
 
 /// The JSON Schema of pipeline.yaml, for editors.

@@ -1,3 +1,5 @@
+//! What was built otherwise than designed: a body here, the camera's [`mount`] and its two [`lenses`] beside it.
+//!
 //! A body as it was really glued: its markers' poses from frames in which several are seen.
 //!
 //! Printed and glued markers are off by a millimetre and a degree, which no pose can be better than.
@@ -14,6 +16,10 @@
 
 mod adjust;
 mod gauge;
+pub mod lenses;
+mod leverage;
+pub mod mount;
+mod sight;
 
 use nalgebra::{Isometry3, Matrix6, Vector3};
 
@@ -21,6 +27,7 @@ use crate::body::{Body, Marker};
 use crate::pose::{CornerRay, PoseOptions, keep_sharpest, solve};
 use adjust::{Bundle, Frame, Sighting};
 pub use gauge::alignment;
+pub use leverage::worst_error_m;
 
 /// What a calibration needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

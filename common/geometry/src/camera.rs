@@ -8,6 +8,7 @@
 mod equirectangular;
 mod error;
 mod lens;
+mod pair;
 mod pixel;
 mod stereographic;
 
@@ -17,6 +18,7 @@ pub use self::equirectangular::Equirectangular;
 use self::error::check_offset;
 pub use self::error::{CameraError, MAX_OFFSET_M};
 pub use self::lens::{Lens, LensCurve};
+pub use self::pair::LensRay;
 pub use self::pixel::SpherePixel;
 pub use self::stereographic::Stereographic;
 use crate::Ray;

@@ -31,7 +31,7 @@ pub fn flying_bodies(resolved: &Resolved) -> anyhow::Result<Option<Bodies>> {
 /// The parameters of the world.
 ///
 /// # Errors
-/// A response that was not measured.
+/// A response that was not measured, or lenses that no camera has.
 pub fn parameters(resolved: &Resolved) -> anyhow::Result<WorldParameters> {
     let (settings, usual) = (&resolved.pipeline.simulator, WorldParameters::default());
     let (transfer, gamma) = resolved.transfer;
@@ -41,7 +41,7 @@ pub fn parameters(resolved: &Resolved) -> anyhow::Result<WorldParameters> {
         .context("camera.response: a table was not measured")?;
     Ok(WorldParameters {
         seed: u64::from(settings.seed),
-        camera: resolved.camera,
+        camera: resolved.simulated_camera()?,
         response,
         frames_per_second: settings.frames_per_second,
         exposure_s: settings.exposure_ms * 1e-3,

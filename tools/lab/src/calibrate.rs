@@ -3,15 +3,53 @@
 //! | module | what it finds |
 //! | --- | --- |
 //! | [`body`] | where a body's markers really are |
+//! | [`mount`] | where the camera sits on the drone |
+//! | [`lenses`] | how the camera's two lenses lie to each other |
 //! | [`response`] | the curve between light and code values |
 //! | [`latency`] | how late a camera's frames arrive |
 //! | [`imu`] | how the inertial sensor lies to the camera, and how its clock goes |
 
+use flockeye_config::Mount;
+use nalgebra::Isometry3;
+
 pub mod body;
 pub mod imu;
 pub mod latency;
+pub mod lenses;
+pub mod mount;
 pub mod response;
 
 pub use body::CalibrateBodyArguments;
 pub use imu::CalibrateImuArguments;
+pub use lenses::CalibrateLensesArguments;
+pub use mount::CalibrateMountArguments;
 pub use response::CalibrateResponseArguments;
+
+/// The distance that what a calibration leaves is stated for, metres.
+const STATED_AT_M: f64 = 1.5;
+
+/// Settings of a lossless run in which each frame stands for itself.
+fn frame_by_frame() -> Vec<String> {
+    // Every frame is searched to its end, and nothing goes over the network.
+    [
+        "flow=lossless".to_owned(),
+        "fusion.filter=none".to_owned(),
+        "search.mode=exhaustive".to_owned(),
+        "gateway.enabled=false".to_owned(),
+        format!("instance=calibrate-{}", std::process::id()),
+    ]
+    .into()
+}
+
+/// A transform as a mount in `pipeline.yaml`.
+fn mount_of(transform: &Isometry3<f64>) -> Mount {
+    // Division gives the shortest text; 0 is added so that no number is -0.
+    let rounded = |number: f64, steps: f64| (number * steps).round() / steps + 0.0;
+    // The configured quaternion has a length of 1 to rounding; where w is negative, its opposite is the same.
+    let sign = if transform.rotation.w < 0.0 { -1.0 } else { 1.0 };
+    let orientation = transform.rotation.coords * sign;
+    Mount {
+        position: transform.translation.vector.map(|x| rounded(x, 1e6)).into(),
+        orientation: orientation.map(|x| rounded(x, 1e8)).into(),
+    }
+}

@@ -4,7 +4,8 @@ use clap::{CommandFactory, Parser, Subcommand};
 use flockeye_cli::lab;
 
 use crate::calibrate::{
-    self, CalibrateBodyArguments, CalibrateImuArguments, CalibrateResponseArguments,
+    self, CalibrateBodyArguments, CalibrateImuArguments, CalibrateLensesArguments,
+    CalibrateMountArguments, CalibrateResponseArguments,
 };
 use crate::eval::{self, EvalArguments};
 use crate::experiment::{self, ExperimentArguments};
@@ -39,6 +40,10 @@ enum LabSubcommand {
 enum CalibrateSubcommand {
     /// Measure where a body's hand-glued markers really are.
     Body(CalibrateBodyArguments),
+    /// Measure where the camera sits on the drone, by a body at measured places.
+    Mount(CalibrateMountArguments),
+    /// Measure how the camera's two lenses lie to each other, by a body that is carried across their seam.
+    Lenses(CalibrateLensesArguments),
     /// Measure how the inertial sensor lies to the camera, and its time offset.
     Imu(CalibrateImuArguments),
     /// Measure how late the camera's frames arrive, by the inertial sensor.
@@ -59,6 +64,12 @@ pub fn run() -> anyhow::Result<()> {
         LabSubcommand::Markers(arguments) => markers::run(&arguments),
         LabSubcommand::Calibrate(CalibrateSubcommand::Body(arguments)) => {
             calibrate::body::run(&arguments)
+        }
+        LabSubcommand::Calibrate(CalibrateSubcommand::Mount(arguments)) => {
+            calibrate::mount::run(&arguments)
+        }
+        LabSubcommand::Calibrate(CalibrateSubcommand::Lenses(arguments)) => {
+            calibrate::lenses::run(&arguments)
         }
         LabSubcommand::Calibrate(CalibrateSubcommand::Imu(arguments)) => {
             calibrate::imu::run(&arguments)

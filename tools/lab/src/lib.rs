@@ -10,7 +10,7 @@
 //! | [`experiment`] | the paper's tables again, and how consistent covariances are |
 //! | [`partition`] | partitions of the sphere as table, JSON and drawings |
 //! | [`markers`] | a body's facets on paper, to print and glue |
-//! | [`calibrate`] | where a body's markers really are, how a sensor lies to the camera, and what codes stand for |
+//! | [`calibrate`] | where a body's markers, the camera and its lenses really are, how a sensor lies to the camera, and what codes stand for |
 //! | [`up_process`] | runs `flockeye up` as a process of its own |
 
 pub mod calibrate;

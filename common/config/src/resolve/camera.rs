@@ -69,6 +69,31 @@ pub(crate) fn camera(settings: &types::Camera) -> Result<Camera, CameraSettingEr
     Ok(model.at_distance(settings.assumed_distance_m))
 }
 
+/// The camera that the simulator draws: the configured one with the lenses of `simulator`, where it has some.
+///
+/// # Errors
+/// Settings that describe no possible camera, with their keys in `simulator`.
+pub(crate) fn simulated_camera(pipeline: &types::Pipeline) -> Result<Camera, CameraSettingError> {
+    let simulator = &pipeline.simulator;
+    let mut settings = pipeline.camera.clone();
+    if let Some(lens_distance_m) = simulator.lens_distance_m {
+        settings.lens_distance_m = lens_distance_m;
+    }
+    if !simulator.lenses.is_empty() {
+        settings.lenses.clone_from(&simulator.lenses);
+    }
+    camera(&settings).map_err(|CameraSettingError { key, reason }| {
+        // What is not the simulator's own is the camera's.
+        let is_own = match key.strip_prefix("camera.") {
+            Some("lens_distance_m") => simulator.lens_distance_m.is_some(),
+            Some(rest) => rest.starts_with("lenses") && !simulator.lenses.is_empty(),
+            None => false,
+        };
+        let key = if is_own { key.replacen("camera", "simulator", 1) } else { key };
+        CameraSettingError { key, reason }
+    })
+}
+
 /// The code of the camera's transfer curve, and its gamma where it has one.
 pub(crate) fn transfer(settings: &types::Camera) -> (Transfer, f32) {
     match settings.response {
@@ -168,6 +193,36 @@ fn lens(index: usize, lens: &FisheyeLens) -> Result<Lens, CameraSettingError> {
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
+
+    #[test]
+    fn the_simulated_camera_has_its_own_lenses() {
+        let pipeline = |overrides: &[&str]| {
+            let overrides: Vec<String> = overrides.iter().map(|&text| text.into()).collect();
+            types::Pipeline::parse("", &overrides, "x")
+        };
+        let distance = |camera: Camera| match camera.model() {
+            CameraModel::Equirectangular { lens_distance_m } => *lens_distance_m,
+            model => panic!("{model:?}"),
+        };
+        let believed = ["camera.lens_distance_m=0.01"];
+        let real = ["camera.lens_distance_m=0.01", "simulator.lens_distance_m=0.016"];
+        for (settings, wanted) in [(&believed[..], 0.01), (&real, 0.016)] {
+            let pipeline = pipeline(settings).unwrap();
+            assert_eq!(distance(simulated_camera(&pipeline).unwrap()), wanted);
+            assert_eq!(distance(camera(&pipeline.camera).unwrap()), 0.01);
+        }
+        let lens = "{centre_px: [959, 959], circle_px: 900, field_deg: 190, camera_from_lens: {}}";
+        let second = lens.replace("959, 959", "2879, 959");
+        let sets = |which: &str, list: &str| format!("{which}.lenses=[{list}]");
+        let both = sets("camera", &format!("{lens}, {second}"));
+        let dual = "camera.projection=dual_fisheye";
+        let moved = second.replace("{}", "{position: [0.01, 0, 0]}");
+        let drawn = pipeline(&[dual, &both, &sets("simulator", &format!("{lens}, {moved}"))]);
+        let drawn = simulated_camera(&drawn.unwrap()).unwrap().lens_positions().unwrap();
+        assert_eq!(drawn[1].x, 0.01);
+        let error = pipeline(&[dual, &both, &sets("simulator", lens)]).unwrap_err().to_string();
+        assert!(error.contains("simulator.lenses: a dual fisheye camera has two"), "{error}");
+    }
 
     #[test]
     fn a_table_is_interpolated_between_its_entries() {

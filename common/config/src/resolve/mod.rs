@@ -27,7 +27,7 @@ pub use sphere::{Division, SphereViewsError};
 
 // What the check of a configuration needs of each part before all of them are right.
 pub(crate) use bodies::preset_body;
-pub(crate) use camera::{camera, response_table};
+pub(crate) use camera::{camera, response_table, simulated_camera};
 pub(crate) use sphere::high_resolution_tiles;
 
 /// Why a configuration cannot be resolved.
@@ -136,6 +136,14 @@ impl Resolved {
             Some(path) => bodies::simulated_bodies(&self.bodies, path),
             None => Ok(self.bodies.clone()),
         }
+    }
+
+    /// The camera as the simulated world has it: with the lenses of `simulator` instead of the configured ones.
+    ///
+    /// # Errors
+    /// Lenses that no camera has.
+    pub fn simulated_camera(&self) -> Result<Camera, CameraSettingError> {
+        simulated_camera(&self.pipeline)
     }
 
     /// Pixels along the side of the largest view that this pipeline cuts.

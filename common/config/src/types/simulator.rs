@@ -5,6 +5,8 @@ use std::path::PathBuf;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::camera::FisheyeLens;
+
 /// The simulated world.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -56,6 +58,12 @@ pub struct Simulator {
     pub inertial: SimulatedInertial,
     /// A JSON file of the same bodies as they really are, if they differ from what is searched for.
     pub bodies: Option<PathBuf>,
+    /// `camera.lens_distance_m` as it really is, metres. Left out: as the camera's.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub lens_distance_m: Option<f64>,
+    /// `camera.lenses` as they really are; empty: as the camera's.
+    #[schemars(length(max = 2))]
+    pub lenses: Vec<FisheyeLens>,
     /// This drone's place in a swarm whose drones all look at one world. Left out: the neighbours fly round it.
     pub swarm: Option<SimulatedSwarm>,
 }
@@ -91,6 +99,8 @@ impl Default for Simulator {
             airframes: true,
             inertial: SimulatedInertial::default(),
             bodies: None,
+            lens_distance_m: None,
+            lenses: Vec::new(),
             swarm: None,
         }
     }

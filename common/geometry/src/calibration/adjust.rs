@@ -1,29 +1,16 @@
 //! The adjustment itself.
 
 use nalgebra::{
-    Cholesky, DMatrix, DVector, Isometry3, Matrix2x3, Matrix2x6, Matrix3, Matrix3x2, Matrix6,
-    Point3, UnitQuaternion, Vector2, Vector3, Vector6,
+    Cholesky, DMatrix, DVector, Isometry3, Matrix2x6, Matrix6, Point3, Vector2, Vector6,
 };
 
 use super::gauge;
+use super::sight::{
+    MAX_SCALES, MAX_STEPS, ROBUST_SCALE, Sight, WEIGHTED_SHARE, by_motion, cauchy, damped, moved,
+    spread,
+};
 use crate::body::{Body, Marker};
 use crate::pose::CornerRay;
-
-/// Scale of the robust cost, in spreads of the errors.
-const ROBUST_SCALE: f64 = 3.0;
-/// What Cauchy's weights leave of the squares of normal errors at that scale: with x of mean 2, the
-/// mean of x / (1 + x / 9) over 2.
-const WEIGHTED_SHARE: f64 = 0.7209;
-/// Most steps for one scale, and most scales.
-const MAX_STEPS: usize = 60;
-const MAX_SCALES: usize = 12;
-
-/// One ray: where it looks, across what, and how surely (1/radians).
-struct Sight {
-    ray: Vector3<f64>,
-    tangent: Matrix3x2<f64>,
-    weight: f64,
-}
 
 /// A marker in a frame.
 pub(super) struct Sighting {
@@ -35,15 +22,7 @@ pub(super) struct Sighting {
 impl Sighting {
     /// Its rays come by corner.
     pub(super) fn new(marker: usize, rays: &[CornerRay; 4]) -> Self {
-        let sights = rays.each_ref().map(|ray| {
-            let direction = ray.ray_in_camera.into_inner();
-            let across = direction.cross(&Vector3::ith(direction.iamin(), 1.0)).normalize();
-            Sight {
-                ray: direction,
-                tangent: Matrix3x2::from_columns(&[across, direction.cross(&across)]),
-                weight: 1.0 / ray.deviation_rad,
-            }
-        });
+        let sights = rays.each_ref().map(|ray| Sight::new(&ray.ray_in_camera, ray.deviation_rad));
         Self { marker, sights }
     }
 }
@@ -120,7 +99,7 @@ impl Bundle {
     pub(super) fn adjust(&mut self) {
         for _ in 0..MAX_SCALES {
             let before = self.scale;
-            self.scale = ROBUST_SCALE * self.spread().max(1.0);
+            self.scale = ROBUST_SCALE * spread(self.errors()).max(1.0);
             self.descend();
             if (self.scale / before - 1.0).abs() < 0.01 {
                 break;
@@ -128,34 +107,20 @@ impl Bundle {
         }
     }
 
-    /// Median error over that of errors as stated: of two normal coordinates, sqrt(2 ln 2).
-    fn spread(&self) -> f64 {
-        let mut errors: Vec<f64> = self.errors().map(|error| error.norm()).collect();
-        if errors.is_empty() {
-            return 1.0;
-        }
-        let middle = errors.len() / 2;
-        let (_, median, _) = errors.select_nth_unstable_by(middle, f64::total_cmp);
-        *median / (2.0 * 2f64.ln()).sqrt()
-    }
-
     fn errors(&self) -> impl Iterator<Item = Vector2<f64>> {
         self.frames.iter().flat_map(move |frame| {
             frame.sightings.iter().flat_map(move |seen| {
                 let corners = self.corners(seen.marker);
-                (0..4)
-                    .map(move |k| error(&seen.sights[k], &(frame.camera_from_markers * corners[k])))
+                (0..4).map(move |k| {
+                    let in_camera = frame.camera_from_markers * corners[k];
+                    seen.sights[k].error(&in_camera.coords)
+                })
             })
         })
     }
 
     fn cost(&self) -> f64 {
-        self.errors().map(|error| self.cauchy(error.norm_squared())).sum()
-    }
-
-    fn cauchy(&self, squared: f64) -> f64 {
-        let scale = self.scale * self.scale;
-        scale * (squared / scale).ln_1p()
+        self.errors().map(|error| cauchy(error.norm_squared(), self.scale)).sum()
     }
 
     fn descend(&mut self) {
@@ -226,7 +191,7 @@ impl Bundle {
                     *joint += of_frame * by_marker;
                     of_marker.0 += of_own * by_marker;
                     of_marker.1 += of_own * error;
-                    equations.cost += self.cauchy(squared);
+                    equations.cost += cauchy(squared, self.scale);
                     equations.squares += weight * squared;
                     equations.rays += 1;
                 }
@@ -331,19 +296,7 @@ struct Reduced {
     inverses: Vec<Matrix6<f64>>,
 }
 
-fn damped(matrix: &Matrix6<f64>, damping: f64) -> Matrix6<f64> {
-    matrix + Matrix6::from_diagonal(&(matrix.diagonal() * damping))
-}
-
-/// Error of a ray in standard deviations across it: 2 tan(angle / 2) in its direction, which rises all
-/// the way to straight behind.
-fn error(sight: &Sight, in_camera: &Point3<f64>) -> Vector2<f64> {
-    let direction = in_camera.coords.normalize();
-    let along = (1.0 + sight.ray.dot(&direction)).max(1e-9);
-    sight.tangent.transpose() * direction * (2.0 * sight.weight / along)
-}
-
-/// The same with its derivatives by the frame's pose and by the marker's: shift, then turn about the
+/// A ray's error with its derivatives by the frame's pose and by the marker's: shift, then turn about the
 /// own origin, in the camera's axes and in the markers'.
 fn linearized(
     sight: &Sight,
@@ -355,28 +308,7 @@ fn linearized(
     let in_markers = arm_of_marker + markers_from_marker.translation.vector;
     let arm_of_body = camera_from_markers.rotation * in_markers;
     let in_camera = arm_of_body + camera_from_markers.translation.vector;
-    let (range, direction) = (in_camera.norm(), in_camera.normalize());
-    let along = (1.0 + sight.ray.dot(&direction)).max(1e-9);
-    let scale = 2.0 * sight.weight / along;
-    let across = sight.tangent.transpose();
-    let error = across * direction * scale;
-    let by_direction: Matrix2x3<f64> = across * scale - error * sight.ray.transpose() / along;
-    let by_point = by_direction * (Matrix3::identity() - direction * direction.transpose()) / range;
+    let (error, by_point) = sight.linearized(&in_camera);
     let by_point_of_body = by_point * camera_from_markers.rotation.to_rotation_matrix().matrix();
-    let joined = |shift: &Matrix2x3<f64>, arm: &Vector3<f64>| {
-        let mut joined = Matrix2x6::zeros();
-        joined.fixed_columns_mut::<3>(0).copy_from(shift);
-        joined.fixed_columns_mut::<3>(3).copy_from(&(-shift * arm.cross_matrix()));
-        joined
-    };
-    (error, joined(&by_point, &arm_of_body), joined(&by_point_of_body, &arm_of_marker))
-}
-
-/// A pose moved by a shift and turned by a rotation vector about its own origin.
-fn moved(pose: &Isometry3<f64>, step: &Vector6<f64>) -> Isometry3<f64> {
-    let shift: Vector3<f64> = step.fixed_rows::<3>(0).into_owned();
-    let turn: Vector3<f64> = step.fixed_rows::<3>(3).into_owned();
-    let mut rotation = UnitQuaternion::from_scaled_axis(turn) * pose.rotation;
-    rotation.renormalize();
-    Isometry3::from_parts((pose.translation.vector + shift).into(), rotation)
+    (error, by_motion(&by_point, &arm_of_body), by_motion(&by_point_of_body, &arm_of_marker))
 }

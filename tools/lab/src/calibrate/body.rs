@@ -100,7 +100,7 @@ fn find(configuration: &Configuration, bodies: &Bodies) -> anyhow::Result<Vec<Bo
 }
 
 /// The rays of each frame.
-fn by_frame(rows: &[MarkerRays]) -> Vec<Vec<CornerRay>> {
+pub(super) fn by_frame(rows: &[MarkerRays]) -> Vec<Vec<CornerRay>> {
     let mut frames: BTreeMap<(u32, u64), Vec<CornerRay>> = BTreeMap::new();
     for row in rows {
         let rays = frames.entry((row.epoch, row.frame)).or_default();

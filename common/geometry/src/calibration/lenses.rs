@@ -1,0 +1,379 @@
+//! How the two lenses of a camera lie to each other: from frames in which a body spans the seam between them.
+//!
+//! In such a frame some markers of a body are seen by one lens, others by the other one. The body is rigid, so
+//! both must see it at one pose. [`calibrate`] adjusts the body's pose in every frame together with what the
+//! camera's model has for its lenses: the distance between them (a stitched image), or the pose of the second
+//! lens (two fisheyes, where the first stays). Nothing is assumed about how the body or the camera moves.
+//!
+//! A shift and a turn of the second lens do the same to a body at one place of the seam. They differ where the
+//! body is seen at several places round the seam, or at several distances.
+
+mod adjust;
+
+use nalgebra::{Isometry3, Matrix6, Point3, UnitQuaternion, Vector3, Vector6};
+
+use super::leverage::worst_error_m;
+use super::mount::difference;
+use super::sight::Sight;
+use crate::body::Body;
+use crate::camera::{Camera, CameraModel, LensRay};
+use crate::pose::{CornerRay, PoseOptions, keep_sharpest, solve};
+use crate::statistics::median;
+use adjust::{Adjustment, Unknowns};
+
+/// Fewest frames in which a body spans the seam.
+pub const LEAST_FRAMES: usize = 12;
+/// A corner nearer to the seam than this is not used, radians: the other lens' picture reaches into its edges.
+const SEAM_MARGIN_RAD: f64 = 0.01;
+/// What the other lens sees farther from where the body must be than this is another thing, radians.
+const FARTHEST_RAD: f64 = 0.15;
+/// Two poses of a body that are turned by less than this are the same, radians.
+const SAME_TURN_RAD: f64 = 0.3;
+/// A pose is clear if any other one puts what the other lens sees so many times farther off.
+const CLEARLY: f64 = 2.0;
+/// What is known worse than this is not known: metres, and radians.
+const WORST_SHIFT_M: f64 = 0.005;
+const WORST_TURN_RAD: f64 = 0.009;
+
+/// What the model has of its lenses, as it was found.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[expect(clippy::large_enum_variant, reason = "there is one for each calibration")]
+pub enum FoundLenses {
+    /// The distance between the two lenses of a stitched image.
+    Distance {
+        /// Metres.
+        lens_distance_m: f64,
+        /// Its standard deviation, metres.
+        deviation_m: f64,
+    },
+    /// Where the second fisheye lens sits if the first is where it was configured.
+    Second {
+        /// Its pose in the camera.
+        camera_from_lens: Isometry3<f64>,
+        /// Its covariance: position (m), then rotation vector (rad), both in the camera's axes.
+        covariance: Matrix6<f64>,
+    },
+}
+
+/// Lenses as they were found.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LensCalibration {
+    /// Theirs, with the deviations enlarged where rays scatter more than they state.
+    pub found: FoundLenses,
+    /// From what was configured: shift (m), then rotation vector (rad) of the second lens against the first, in
+    /// the camera's axes.
+    pub change: Vector6<f64>,
+    /// Frames that counted; a frame with two bodies across the seam counts twice.
+    pub frames: usize,
+    /// Frames that fit no pose, and do not count.
+    pub left_out: usize,
+    /// Where on the seam the bodies were: ahead, back, left, right, above, below.
+    pub sides: [usize; 6],
+    /// Errors of the rays that remain, in their stated standard deviations: 1 if these and the model are right.
+    pub scatter: f64,
+    /// The same before, with the lenses as configured.
+    pub scatter_before: f64,
+    /// Covariance of the second lens' pose against the first: as `change`.
+    covariance: Matrix6<f64>,
+    /// What the second lens' axis looks along, in the camera's axes.
+    second_axis: Vector3<f64>,
+    /// Of the whole change, the share by which a lens is off the camera's middle: 1/2 where both lenses move.
+    share: f64,
+}
+
+impl LensCalibration {
+    /// What the uncertainty makes of the position of a neighbour that the second lens sees this far away, in
+    /// the worst direction: the root of the expected squared error, metres.
+    pub fn error_at_m(&self, distance_m: f64) -> f64 {
+        self.share * self.worst(&self.covariance, distance_m / self.share)
+    }
+
+    /// By how much the lenses as configured put such a neighbour elsewhere, metres.
+    pub fn configured_error_at_m(&self, distance_m: f64) -> f64 {
+        let squared = self.change * self.change.transpose();
+        self.share * self.worst(&squared, distance_m / self.share)
+    }
+
+    fn worst(&self, covariance: &Matrix6<f64>, distance_m: f64) -> f64 {
+        worst_error_m(covariance, distance_m, |direction| direction.dot(&self.second_axis) >= 0.0)
+    }
+}
+
+/// Why lenses cannot be calibrated.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum LensCalibrationError {
+    /// A model in which there are no two lenses.
+    #[error(
+        "a camera of this projection has one centre. Cure: camera.projection equirectangular or dual_fisheye, if \
+         it has two lenses"
+    )]
+    OneCentre,
+    /// Too few frames in which the seam is spanned.
+    #[error(
+        "in {frames} frames both lenses saw markers of one body; {needed} are needed. Cure: carry the body \
+         slowly across the seam between the lenses, 0.3 to 0.8 m away, so that some of its markers are left and \
+         some right of it, or use a larger body"
+    )]
+    TooFewFrames {
+        /// Frames that count.
+        frames: usize,
+        /// Frames that are needed.
+        needed: usize,
+    },
+    /// Frames that do not tell everything.
+    #[error(
+        "the frames leave the lenses open: {what} would be known to +- {deviation:.1} {unit} only. Cure: carry \
+         the body across the seam at several places round it (left, right, above, below), near and far"
+    )]
+    Undetermined {
+        /// What is known worst.
+        what: &'static str,
+        /// How well, in that unit.
+        deviation: f64,
+        /// mm or degrees.
+        unit: &'static str,
+    },
+}
+
+/// A marker as one lens sees it.
+struct LensSighting {
+    lens: usize,
+    corners: [Point3<f64>; 4],
+    sights: [Sight; 4],
+}
+
+/// A frame in which a body spans the seam.
+struct SeamFrame {
+    camera_from_markers: Isometry3<f64>,
+    sightings: Vec<LensSighting>,
+}
+
+/// Finds how the lenses of `camera` lie to each other from the rays of many frames, each with the corners that
+/// were seen in it. Rays are right for the distance that `camera` is right for.
+///
+/// Frames in which no body spans the seam say nothing and do not count, nor do markers across or next to the
+/// seam, nor frames whose pose is ambiguous.
+///
+/// # Errors
+/// [`LensCalibrationError`]: a camera with one centre, too few frames, or frames that leave something open.
+pub fn calibrate(
+    camera: &Camera,
+    bodies: &[Body],
+    frames: &[Vec<CornerRay>],
+) -> Result<LensCalibration, LensCalibrationError> {
+    let positions = camera.lens_positions().ok_or(LensCalibrationError::OneCentre)?;
+    let of_bodies = |rays: &Vec<CornerRay>| -> Vec<SeamFrame> {
+        bodies.iter().filter_map(|body| seam_frame(camera, &positions, body, rays)).collect()
+    };
+    let spanned: Vec<SeamFrame> = frames.iter().flat_map(of_bodies).collect();
+    if spanned.len() < LEAST_FRAMES {
+        let (frames, needed) = (spanned.len(), LEAST_FRAMES);
+        return Err(LensCalibrationError::TooFewFrames { frames, needed });
+    }
+    let unknowns = match camera.model() {
+        CameraModel::DualFisheye(_) => Unknowns::SecondLens,
+        CameraModel::Equirectangular { .. } | CameraModel::Stereographic { .. } => {
+            Unknowns::Distance
+        }
+    };
+    let mut adjustment = Adjustment::new(positions, unknowns, spanned);
+    let scatter_before = adjustment.scatter_as_configured();
+    adjustment.adjust();
+    let left_out = adjustment.leave_out_misfits();
+    if left_out > 0 {
+        adjustment.adjust();
+    }
+    let (covariance, scatter) = adjustment.covariance().ok_or(undetermined(f64::INFINITY, 0.0))?;
+    let [shift_m, turn_rad] = [0, 3].map(|from| {
+        let block = covariance.fixed_view::<3, 3>(from, from).into_owned();
+        block.symmetric_eigenvalues().max().max(0.0).sqrt()
+    });
+    if shift_m > WORST_SHIFT_M || turn_rad > WORST_TURN_RAD {
+        return Err(undetermined(shift_m, turn_rad));
+    }
+    let apart = adjustment.positions[1] - positions[1] - (adjustment.positions[0] - positions[0]);
+    let turn = adjustment.second_turn;
+    let found = match camera.model() {
+        CameraModel::DualFisheye([_, second]) => FoundLenses::Second {
+            camera_from_lens: Isometry3::from_parts(
+                adjustment.positions[1].into(),
+                turn * second.camera_from_lens.rotation,
+            ),
+            covariance,
+        },
+        CameraModel::Equirectangular { .. } | CameraModel::Stereographic { .. } => {
+            FoundLenses::Distance {
+                lens_distance_m: (adjustment.positions[0] - adjustment.positions[1]).x,
+                deviation_m: covariance[(0, 0)].sqrt(),
+            }
+        }
+    };
+    let (second_axis, share) = match &found {
+        FoundLenses::Second { camera_from_lens, .. } => {
+            (camera_from_lens.rotation * Vector3::z(), 1.0)
+        }
+        FoundLenses::Distance { .. } => (-Vector3::x(), 0.5),
+    };
+    let change = difference(&Isometry3::identity(), &Isometry3::from_parts(apart.into(), turn));
+    Ok(LensCalibration {
+        found,
+        change,
+        frames: adjustment.frames.len(),
+        left_out,
+        sides: sides(&adjustment.frames),
+        scatter,
+        scatter_before,
+        covariance,
+        second_axis,
+        share,
+    })
+}
+
+fn undetermined(shift_m: f64, turn_rad: f64) -> LensCalibrationError {
+    let (what, deviation, unit) = match turn_rad / WORST_TURN_RAD > shift_m / WORST_SHIFT_M {
+        true => ("the second lens' turn", turn_rad.to_degrees(), "degrees"),
+        false => ("the second lens' place", shift_m * 1e3, "mm"),
+    };
+    LensCalibrationError::Undetermined { what, deviation, unit }
+}
+
+/// Where on the seam the bodies were: ahead, back, left, right, above, below.
+fn sides(frames: &[SeamFrame]) -> [usize; 6] {
+    let mut sides = [0; 6];
+    for frame in frames {
+        let position = frame.camera_from_markers.translation.vector;
+        let axis = position.iamax();
+        sides[2 * axis + usize::from(position[axis] < 0.0)] += 1;
+    }
+    sides
+}
+
+/// What a frame says of a body: its pose by the lens that sees more of it, and what each lens sees. `None`
+/// where only one sees it, or where its pose is ambiguous.
+fn seam_frame(
+    camera: &Camera,
+    positions: &[Vector3<f64>; 2],
+    body: &Body,
+    rays: &[CornerRay],
+) -> Option<SeamFrame> {
+    let own: Vec<CornerRay> =
+        rays.iter().filter(|ray| body.marker(ray.marker_id).is_some()).copied().collect();
+    let own = keep_sharpest(&own);
+    let mut by_lens: [Vec<CornerRay>; 2] = [Vec::new(), Vec::new()];
+    for marker in markers(&own) {
+        let Some((lens, seen)) = by_one_lens(camera, marker) else { continue };
+        by_lens[lens].extend(seen);
+    }
+    if by_lens.iter().any(Vec::is_empty) {
+        return None;
+    }
+    let first = usize::from(by_lens[1].len() > by_lens[0].len());
+    let solutions = solve(body, &by_lens[first], &PoseOptions::default()).ok()?;
+    let least = solutions.first()?.cost;
+    let candidates: Vec<Candidate<'_>> = solutions
+        .iter()
+        // What the first lens itself refutes is no candidate.
+        .take_while(|solution| solution.cost < 1.5 * least + 20.0)
+        .map(|solution| {
+            let mut camera_from_markers = solution.camera_from_markers;
+            camera_from_markers.translation.vector += positions[first];
+            let mut angles: Vec<f64> = markers(&by_lens[1 - first])
+                .filter_map(|marker| {
+                    angles(body, &camera_from_markers, &positions[1 - first], marker)
+                })
+                .flatten()
+                .collect();
+            angles.sort_by(f64::total_cmp);
+            Candidate {
+                camera_from_markers,
+                inliers: &solution.inlier_markers,
+                near: angles.len(),
+                off_rad: median(&angles).unwrap_or(f64::INFINITY),
+            }
+        })
+        .collect();
+    let best = clearly_nearest(&candidates)?;
+    let sighting = |lens: usize, marker: &[CornerRay]| {
+        let rays = <&[CornerRay; 4]>::try_from(marker).ok()?;
+        let corners = body.marker(rays[0].marker_id)?.corners;
+        let is_the_bodys = match lens == first {
+            true => best.inliers.contains(&rays[0].marker_id),
+            false => angles(body, &best.camera_from_markers, &positions[lens], marker).is_some(),
+        };
+        let sights = rays.each_ref().map(|ray| Sight::new(&ray.ray_in_camera, ray.deviation_rad));
+        is_the_bodys.then_some(LensSighting { lens, corners, sights })
+    };
+    let of_lens =
+        |lens: usize| markers(&by_lens[lens]).filter_map(move |marker| sighting(lens, marker));
+    let sightings: Vec<LensSighting> = of_lens(0).chain(of_lens(1)).collect();
+    let is_seen = |lens: usize| sightings.iter().any(|seen| seen.lens == lens);
+    let camera_from_markers = best.camera_from_markers;
+    (is_seen(0) && is_seen(1)).then_some(SeamFrame { camera_from_markers, sightings })
+}
+
+/// The rays, marker by marker.
+fn markers(rays: &[CornerRay]) -> impl Iterator<Item = &[CornerRay]> {
+    rays.chunk_by(|a, b| a.marker_id == b.marker_id)
+}
+
+/// A pose by one lens, and where it puts what the other one sees.
+struct Candidate<'a> {
+    camera_from_markers: Isometry3<f64>,
+    inliers: &'a [u32],
+    /// Corners of the other lens' markers that are about where it puts them, and how far off these are.
+    near: usize,
+    off_rad: f64,
+}
+
+/// The candidate that puts most of what the other lens sees to about where it is. `None` if there is none, or
+/// if another one, turned otherwise, does about as well: a few markers in one plane have a mirrored pose.
+fn clearly_nearest<'a, 'b>(candidates: &'a [Candidate<'b>]) -> Option<&'a Candidate<'b>> {
+    let rank = |a: &&Candidate<'_>, b: &&Candidate<'_>| {
+        b.near.cmp(&a.near).then(a.off_rad.total_cmp(&b.off_rad))
+    };
+    let best = candidates.iter().filter(|candidate| candidate.near > 0).min_by(rank)?;
+    let rivals = candidates.iter().any(|other| {
+        let rotations = [best, other].map(|candidate| candidate.camera_from_markers.rotation);
+        rotations[0].angle_to(&rotations[1]) > SAME_TURN_RAD
+            && other.near >= best.near
+            && other.off_rad < CLEARLY * best.off_rad
+    });
+    (!rivals).then_some(best)
+}
+
+/// Angles between the rays of a marker and where a pose puts its corners, seen from a lens. `None` if one of
+/// them is so large that it is another thing.
+fn angles(
+    body: &Body,
+    camera_from_markers: &Isometry3<f64>,
+    lens: &Vector3<f64>,
+    marker: &[CornerRay],
+) -> Option<Vec<f64>> {
+    let angle = |ray: &CornerRay| {
+        let corner = body.marker(ray.marker_id)?.corners[ray.corner];
+        let angle = ray.ray_in_camera.angle(&((camera_from_markers * corner).coords - lens));
+        (angle < FARTHEST_RAD).then_some(angle)
+    };
+    marker.iter().map(angle).collect()
+}
+
+/// The four corners of a marker as the lens sees them that sees all of it, with rays from that lens in the
+/// camera's axes. `None` for a marker across the seam, or next to it.
+fn by_one_lens(camera: &Camera, marker: &[CornerRay]) -> Option<(usize, Vec<CornerRay>)> {
+    let seen: Option<Vec<LensRay>> =
+        marker.iter().map(|ray| camera.lens_ray(&ray.ray_in_camera)).collect();
+    let seen = seen.filter(|seen| seen.len() == 4)?;
+    let lens = seen[0].lens;
+    let is_clear = |ray: &LensRay| ray.lens == lens && ray.from_seam_rad > SEAM_MARGIN_RAD;
+    let rays = marker.iter().zip(&seen);
+    let rays = rays.map(|(ray, seen)| CornerRay { ray_in_camera: seen.ray, ..*ray });
+    seen.iter().all(is_clear).then(|| (lens, rays.collect()))
+}
+
+/// A rotation vector as a rotation.
+fn turned(turn: Vector3<f64>) -> UnitQuaternion<f64> {
+    UnitQuaternion::from_scaled_axis(turn)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,125 @@
+//! A ray in an adjustment, and what all adjustments do alike.
+
+use nalgebra::{
+    Isometry3, Matrix2x3, Matrix2x6, Matrix3, Matrix3x2, Matrix6, UnitQuaternion, Vector2, Vector3,
+    Vector6,
+};
+
+use crate::Ray;
+
+/// Scale of the robust cost, in spreads of the errors.
+pub(super) const ROBUST_SCALE: f64 = 3.0;
+/// What Cauchy's weights leave of the squares of normal errors at that scale: with x of mean 2, the
+/// mean of x / (1 + x / 9) over 2.
+pub(super) const WEIGHTED_SHARE: f64 = 0.7209;
+/// Most steps for one scale, and most scales.
+pub(super) const MAX_STEPS: usize = 60;
+pub(super) const MAX_SCALES: usize = 12;
+
+/// One ray: where it looks, across what, and how surely (1/radians).
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Sight {
+    ray: Vector3<f64>,
+    tangent: Matrix3x2<f64>,
+    weight: f64,
+}
+
+impl Sight {
+    /// Of a ray with its standard deviation across it.
+    pub(super) fn new(ray: &Ray, deviation_rad: f64) -> Self {
+        let direction = ray.into_inner();
+        let across = direction.cross(&Vector3::ith(direction.iamin(), 1.0)).normalize();
+        Self {
+            ray: direction,
+            tangent: Matrix3x2::from_columns(&[across, direction.cross(&across)]),
+            weight: 1.0 / deviation_rad,
+        }
+    }
+
+    /// Error of the ray to a point, in standard deviations across it: 2 tan(angle / 2) in its
+    /// direction, which rises all the way to straight behind.
+    pub(super) fn error(&self, point: &Vector3<f64>) -> Vector2<f64> {
+        let direction = point.normalize();
+        let along = (1.0 + self.ray.dot(&direction)).max(1e-9);
+        self.tangent.transpose() * direction * (2.0 * self.weight / along)
+    }
+
+    /// The same with its derivative by the point.
+    pub(super) fn linearized(&self, point: &Vector3<f64>) -> (Vector2<f64>, Matrix2x3<f64>) {
+        let (range, direction) = (point.norm(), point.normalize());
+        let along = (1.0 + self.ray.dot(&direction)).max(1e-9);
+        let scale = 2.0 * self.weight / along;
+        let across = self.tangent.transpose();
+        let error = across * direction * scale;
+        let by_direction: Matrix2x3<f64> = across * scale - error * self.ray.transpose() / along;
+        let by_point = by_direction * (Matrix3::identity() - direction * direction.transpose());
+        (error, by_point / range)
+    }
+}
+
+/// The derivative by a shift, then by a turn of what lies at `arm` from the turn's centre, from that by
+/// the point itself.
+pub(super) fn by_motion(by_point: &Matrix2x3<f64>, arm: &Vector3<f64>) -> Matrix2x6<f64> {
+    let mut joined = Matrix2x6::zeros();
+    joined.fixed_columns_mut::<3>(0).copy_from(by_point);
+    joined.fixed_columns_mut::<3>(3).copy_from(&(-by_point * arm.cross_matrix()));
+    joined
+}
+
+/// Cauchy's robust cost of a squared error.
+pub(super) fn cauchy(squared: f64, scale: f64) -> f64 {
+    let square = scale * scale;
+    square * (squared / square).ln_1p()
+}
+
+/// What Cauchy's weights leave of the squares of normal errors with two coordinates, whose squared norm has
+/// this mean.
+pub(super) fn weighted_share(mean: f64, scale: f64) -> f64 {
+    // Squared norms are exponentially distributed: the midpoints of equally probable parts stand for them.
+    const PARTS: u32 = 1000;
+    let square = |part: u32| {
+        let above = 1.0 - (f64::from(part) + 0.5) / f64::from(PARTS);
+        -mean * above.ln()
+    };
+    let (weighted, all) = (0..PARTS).map(square).fold((0.0, 0.0), |(weighted, all), square| {
+        (weighted + square / (1.0 + square / (scale * scale)), all + square)
+    });
+    weighted / all
+}
+
+/// Median error over that of errors as stated: of two normal coordinates, sqrt(2 ln 2).
+pub(super) fn spread(errors: impl Iterator<Item = Vector2<f64>>) -> f64 {
+    let mut errors: Vec<f64> = errors.map(|error| error.norm()).collect();
+    if errors.is_empty() {
+        return 1.0;
+    }
+    let middle = errors.len() / 2;
+    let (_, median, _) = errors.select_nth_unstable_by(middle, f64::total_cmp);
+    *median / (2.0 * 2f64.ln()).sqrt()
+}
+
+/// Levenberg-Marquardt's damping, in proportion to the diagonal.
+pub(super) fn damped(matrix: &Matrix6<f64>, damping: f64) -> Matrix6<f64> {
+    matrix + Matrix6::from_diagonal(&(matrix.diagonal() * damping))
+}
+
+/// A pose moved by a shift and turned by a rotation vector about its own origin.
+pub(super) fn moved(pose: &Isometry3<f64>, step: &Vector6<f64>) -> Isometry3<f64> {
+    let shift: Vector3<f64> = step.fixed_rows::<3>(0).into_owned();
+    let turn: Vector3<f64> = step.fixed_rows::<3>(3).into_owned();
+    let mut rotation = UnitQuaternion::from_scaled_axis(turn) * pose.rotation;
+    rotation.renormalize();
+    Isometry3::from_parts((pose.translation.vector + shift).into(), rotation)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn weights_leave_what_they_do_at_the_usual_scale() {
+        let share = weighted_share(2.0, ROBUST_SCALE);
+        assert!((share - WEIGHTED_SHARE).abs() < 2e-3, "{share}");
+        assert!(weighted_share(1e-6, ROBUST_SCALE) > 0.999);
+    }
+}

@@ -1,0 +1,56 @@
+//! A camera of two lenses, looked at lens by lens.
+
+use nalgebra::Vector3;
+
+use super::{Camera, CameraModel, Equirectangular};
+use crate::Ray;
+
+/// What one of two lenses sees.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LensRay {
+    /// Which lens: 0 looks ahead.
+    pub lens: usize,
+    /// The direction in the camera's axes, from that lens.
+    pub ray: Ray,
+    /// How far it is from the seam, where the other lens' picture begins, radians.
+    pub from_seam_rad: f64,
+}
+
+impl Camera {
+    /// Where the two lenses sit in the camera, metres; `None` for a camera that has one centre by its model.
+    pub fn lens_positions(&self) -> Option<[Vector3<f64>; 2]> {
+        match &self.model {
+            CameraModel::Equirectangular { lens_distance_m } => {
+                Some([0.5, -0.5].map(|side| Vector3::x() * (side * lens_distance_m)))
+            }
+            CameraModel::DualFisheye(lenses) => {
+                Some(lenses.each_ref().map(|lens| lens.camera_from_lens.translation.vector))
+            }
+            CameraModel::Stereographic { .. } => None,
+        }
+    }
+
+    /// What the lens sees that shows `ray_in_camera`, which is right for this camera's distance. `None` where
+    /// no lens shows it, or where the camera has one centre by its model.
+    pub fn lens_ray(&self, ray_in_camera: &Ray) -> Option<LensRay> {
+        let pixel = self.project(ray_in_camera)?;
+        match &self.model {
+            CameraModel::Equirectangular { .. } => {
+                let ray = Equirectangular { width: self.width, height: self.height }.ray(pixel);
+                let lens = usize::from(ray.x < 0.0);
+                Some(LensRay { lens, ray, from_seam_rad: ray.x.abs().min(1.0).asin() })
+            }
+            CameraModel::DualFisheye(lenses) => {
+                let lens = lenses.iter().position(|lens| lens.holds(pixel))?;
+                let ray = lenses[lens].camera_from_lens.rotation * lenses[lens].ray(pixel)?;
+                let off_axis = |k: usize| {
+                    let axis = lenses[k].camera_from_lens.rotation * Vector3::z();
+                    axis.dot(ray_in_camera).clamp(-1.0, 1.0).acos()
+                };
+                let from_seam_rad = (off_axis(1 - lens) - off_axis(lens)) / 2.0;
+                Some(LensRay { lens, ray, from_seam_rad })
+            }
+            CameraModel::Stereographic { .. } => None,
+        }
+    }
+}

@@ -1,0 +1,218 @@
+//! `flockeye calibrate mount`: where the camera sits on the drone, from a body at places that were measured.
+
+mod bench;
+
+use std::ffi::OsString;
+use std::path::PathBuf;
+
+use anyhow::{Context, ensure};
+use clap::Args;
+use flockeye_cli::text_table::TextTable;
+use flockeye_cli::{Configuration, Screen, signals};
+use flockeye_config::{isometry, read_document};
+use flockeye_geometry::calibration::mount::{Agreement, MountCalibration, fit};
+use flockeye_record::{PoseRow, read};
+use nalgebra::Isometry3;
+use serde_json::{Value, json};
+
+use self::bench::{Bench, SeenPlace};
+use super::{STATED_AT_M, frame_by_frame, mount_of};
+use crate::up_process;
+
+/// Arguments of `calibrate mount`.
+#[derive(Debug, Args)]
+pub struct CalibrateMountArguments {
+    /// Which configuration: the camera, the bodies, and the pictures as its source (a folder of images, or a video).
+    #[command(flatten)]
+    pub configuration: Configuration,
+    /// Where the body was: a YAML or JSON file of places in the drone's frame (docs/CAMERAS.md).
+    #[arg(long, value_name = "FILE")]
+    pub places: PathBuf,
+    /// Poses that `flockeye up --poses` recorded of the pictures with this configuration; the pictures are not
+    /// looked at then.
+    #[arg(long, value_name = "FILE.csv")]
+    pub poses: Option<PathBuf>,
+    /// For a program.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Measures the body's pose at each place, and prints where the camera sits.
+///
+/// # Errors
+/// The file of places is wrong, `flockeye up` fails, or the places do not tell: with what is missing.
+pub fn run(arguments: &CalibrateMountArguments) -> anyhow::Result<()> {
+    let bench: Bench = read_document(&arguments.places)?;
+    let mut configuration = arguments.configuration.clone();
+    configuration.set.extend(frame_by_frame());
+    let pipeline = configuration.load()?;
+    bench.check().with_context(|| format!("{}", arguments.places.display()))?;
+    let rows = match &arguments.poses {
+        Some(file) => read(file)?,
+        None => poses(&configuration, arguments.json)?,
+    };
+    let configured = isometry(&pipeline.observer.observer_from_camera);
+    let report = Report::of(&bench, &rows, configured)?;
+    let mut screen = Screen::new();
+    match arguments.json {
+        true => screen.line(&serde_json::to_string_pretty(&report.as_json())?),
+        false => screen.line(&report.text()),
+    }
+    Ok(())
+}
+
+/// The poses of all frames, each for itself.
+fn poses(configuration: &Configuration, is_quiet: bool) -> anyhow::Result<Vec<PoseRow>> {
+    let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
+    let file = folder.path().join("poses.csv");
+    let mut command: Vec<OsString> = vec!["--poses".into(), (&file).into()];
+    command.extend(configuration.to_arguments(&[], &[]));
+    let stopping = signals::stop_flag()?;
+    match is_quiet {
+        true => drop(up_process::run_quietly("the pictures", &command, &stopping)?),
+        false => up_process::run_visibly(&command, &stopping)?,
+    }
+    Ok(read(&file)?)
+}
+
+/// What was found, and from what.
+struct Report {
+    found: MountCalibration,
+    configured: Isometry3<f64>,
+    /// Those with a pose, in the order of the mount's residuals.
+    seen: Vec<SeenPlace>,
+    /// Numbers of those without, from 1.
+    unseen: Vec<usize>,
+}
+
+impl Report {
+    fn of(bench: &Bench, rows: &[PoseRow], configured: Isometry3<f64>) -> anyhow::Result<Self> {
+        let body = bench.body(rows)?;
+        let places = bench.see(rows, &body, &configured)?;
+        let unseen: Vec<usize> =
+            (1..).zip(&places).filter(|(_, seen)| seen.is_none()).map(|(k, _)| k).collect();
+        let seen: Vec<SeenPlace> = places.into_iter().flatten().collect();
+        let measured: Vec<_> = seen.iter().map(|place| place.measured.clone()).collect();
+        let found = fit(&measured).map_err(|error| {
+            let missing = match unseen.as_slice() {
+                [] => String::new(),
+                unseen => {
+                    format!(" (body '{body}' is not seen at places {unseen:?}, counted from 1)")
+                }
+            };
+            // Numbers of places are those of the file.
+            anyhow::anyhow!("{error}{missing}")
+        })?;
+        ensure!(found.freedom > 0, "the places leave nothing to check the mount by");
+        Ok(Self { found, configured, seen, unseen })
+    }
+
+    fn as_json(&self) -> Value {
+        let Self { found, .. } = self;
+        let deviations = found.deviations();
+        let places = self.seen.iter().zip(&found.places).map(|(place, residual)| {
+            json!({
+                "place": place.number,
+                "frames": place.frames,
+                "odd_frames": place.odd,
+                "residual_mm": residual.residual_m.map(|x| x * 1e3).as_slice(),
+                "expected_mm": residual.deviation_m * 1e3,
+                "deviations": residual.deviations,
+                "kept": residual.is_kept,
+            })
+        });
+        json!({
+            "observer_from_camera": mount_of(&found.observer_from_camera),
+            "position_deviation_m": deviations[..3],
+            "rotation_deviation_rad": deviations[3..],
+            "chi_square": found.chi_square,
+            "freedom": found.freedom,
+            "agreement": match found.agreement {
+                Agreement::AsStated => "as stated",
+                Agreement::Better => "better",
+                Agreement::Worse => "worse",
+            },
+            "error_mm_at_1.5_m": found.error_at_m(STATED_AT_M) * 1e3,
+            "configured_error_mm_at_1.5_m": found.error_of_m(&self.configured, STATED_AT_M) * 1e3,
+            "places": places.collect::<Vec<_>>(),
+            "unseen": self.unseen,
+        })
+    }
+
+    fn text(&self) -> String {
+        let Self { found, .. } = self;
+        let mut text = self.table();
+        for place in &self.unseen {
+            text += &format!("\nplace {place}: the body has no pose there; it does not count");
+        }
+        for place in self.seen.iter().filter(|place| place.odd > 0) {
+            text += &format!(
+                "\nplace {}: {} frames have another pose and do not count. Cure: nothing may move",
+                place.number, place.odd
+            );
+        }
+        let mount = mount_of(&found.observer_from_camera);
+        let position = found.observer_from_camera.translation.vector * 1e3;
+        let (roll, pitch, yaw) = found.observer_from_camera.rotation.euler_angles();
+        let [roll, pitch, yaw] = [roll, pitch, yaw].map(f64::to_degrees);
+        let deviations = found.deviations();
+        let [dx, dy, dz] = [0, 1, 2].map(|k| deviations[k] * 1e3);
+        let [da, db, dc] = [3, 4, 5].map(|k| deviations[k].to_degrees());
+        text += &format!(
+            "\nchi-square   {:.1} where {} are expected: {}\n\
+             position     {:.1}, {:.1}, {:.1} mm, +- {dx:.1}, {dy:.1}, {dz:.1}\n\
+             orientation  roll {roll:.2}, pitch {pitch:.2}, yaw {yaw:.2} degrees, +- {da:.2}, {db:.2}, {dc:.2} about x, y, z\n\
+             it leaves    {:.1} mm at {STATED_AT_M} m in the worst direction; as configured, a neighbour is off by up to {:.1} mm\n\
+             for pipeline.yaml:\n\
+             observer:\n  observer_from_camera:\n    position: {:?}\n    orientation: {:?}",
+            found.chi_square,
+            found.freedom,
+            self.verdict(),
+            position.x,
+            position.y,
+            position.z,
+            found.error_at_m(STATED_AT_M) * 1e3,
+            found.error_of_m(&self.configured, STATED_AT_M) * 1e3,
+            mount.position,
+            mount.orientation,
+        );
+        text
+    }
+
+    fn verdict(&self) -> String {
+        match self.found.agreement {
+            Agreement::AsStated => "the places agree as stated".into(),
+            Agreement::Better => {
+                "the places agree better than stated; deviations may be smaller".into()
+            }
+            Agreement::Worse => format!(
+                "the places disagree by more than stated; deviations are enlarged {:.1} times. Cure: measure \
+                 the places anew, or give them the deviations that they have",
+                (self.found.chi_square / self.found.freedom as f64).sqrt()
+            ),
+        }
+    }
+
+    fn table(&self) -> String {
+        let titles = ["place", "frames", "x mm", "y mm", "z mm", "expected mm", "deviations", ""];
+        let mut table = TextTable::new(0, &titles);
+        for (place, residual) in self.seen.iter().zip(&self.found.places) {
+            let [x, y, z]: [f64; 3] = (residual.residual_m * 1e3).into();
+            let note = if residual.is_kept { "" } else { "contradicts the others: left out" };
+            table.row([
+                place.number.to_string(),
+                place.frames.to_string(),
+                format!("{x:.1}"),
+                format!("{y:.1}"),
+                format!("{z:.1}"),
+                format!("{:.1}", residual.deviation_m * 1e3),
+                format!("{:.1}", residual.deviations),
+                note.to_owned(),
+            ]);
+        }
+        table.text()
+    }
+}
+
+#[cfg(test)]
+mod tests;
