@@ -15,6 +15,7 @@
 //! | [`file`](mod@file) | a file that keeps what is whole, also where the disk is full |
 //! | [`writer`] | writes a recording |
 //! | [`reader`] | reads one, also one that was not ended |
+//! | `parts` | goes on with the next file of one that was split |
 //! | [`indexed`] | reads one from any place on |
 //! | [`losses`] | what a recording says that it lacks |
 //! | [`recover`](mod@recover) | makes a whole recording of a broken one |
@@ -24,6 +25,7 @@
 
 mod cdr;
 mod chunk;
+mod parts;
 
 pub mod channel;
 pub mod definition;

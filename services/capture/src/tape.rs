@@ -25,8 +25,6 @@ use flockeye_recording::{
 
 use crate::{CaptureError, jpeg};
 
-mod parts;
-
 /// What belongs to a picture stands at most so far behind it, by the time at which it was recorded.
 const BEHIND_NS: u64 = 1_000_000_000;
 /// Pictures that wait for what belongs to them have so many bytes at most.
@@ -329,12 +327,9 @@ impl Tape {
 
     /// Goes on with the next file of a recording that was split.
     fn end_part(&mut self) {
-        let Some(path) = parts::next(self.reader.path(), &self.reader.about().metadata) else {
-            return self.end(None);
-        };
-        match Reader::open(&path) {
-            Ok(reader) if parts::is_same_flight(&self.reader, &reader) => self.reader = reader,
-            Ok(_) => self.end(None),
+        match self.reader.next_part() {
+            Ok(Some(reader)) => self.reader = reader,
+            Ok(None) => self.end(None),
             Err(error) => self.end(Some(error.to_string())),
         }
     }

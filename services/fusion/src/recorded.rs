@@ -73,7 +73,7 @@ pub struct Lost {
     pub messages: u64,
 }
 
-/// A recording that is being read.
+/// A recording that is being read, with all files of one that was split.
 pub struct Recorded {
     reader: Reader,
     layouts: Vec<TopicLayout>,
@@ -168,13 +168,20 @@ impl Recorded {
     /// # Errors
     /// The recording is damaged, or a message breaks the contract: a recording may have been changed.
     pub fn next_message(&mut self) -> anyhow::Result<Option<(Message, u64)>> {
-        while let Some(message) = self.reader.next_message()? {
-            let utc_ns = message.utc_ns;
-            if let Some(message) = self.understood(&message)? {
-                return Ok(Some((message, utc_ns)));
+        loop {
+            while let Some(message) = self.reader.next_message()? {
+                let utc_ns = message.utc_ns;
+                if let Some(message) = self.understood(&message)? {
+                    return Ok(Some((message, utc_ns)));
+                }
+            }
+            let is_whole = self.reader.ending() == Some(Ending::Whole);
+            let next = if is_whole { self.reader.next_part()? } else { None };
+            match next {
+                Some(reader) => self.reader = reader,
+                None => return Ok(None),
             }
         }
-        Ok(None)
     }
 
     fn understood(&mut self, message: &RecordedMessage) -> anyhow::Result<Option<Message>> {

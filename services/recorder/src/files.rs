@@ -74,11 +74,11 @@ impl Files {
         Ok(())
     }
 
-    /// Writes a message that came at `at_ns`, CLOCK_MONOTONIC.
+    /// Begins the next file where one is as large as it may be. What belongs together is written between two calls.
     ///
     /// # Errors
-    /// As [`RecordingWriter::write`], [`Files::begin`] and [`Files::end`].
-    pub fn write(&mut self, at_ns: i64, output: &Output) -> Result<(), RecordingError> {
+    /// As [`Files::begin`] and [`Files::end`].
+    pub fn split_if_full(&mut self) -> Result<(), RecordingError> {
         let is_full = self
             .writer
             .as_ref()
@@ -87,6 +87,14 @@ impl Files {
             self.end()?;
             self.begin()?;
         }
+        Ok(())
+    }
+
+    /// Writes a message that came at `at_ns`, CLOCK_MONOTONIC.
+    ///
+    /// # Errors
+    /// As [`RecordingWriter::write`].
+    pub fn write(&mut self, at_ns: i64, output: &Output) -> Result<(), RecordingError> {
         if let Some(writer) = &mut self.writer {
             writer.write(&output.channel, at_ns, &output.bytes)?;
             self.messages += 1;
@@ -154,6 +162,7 @@ mod tests {
         let channel = Arc::new(ChannelKind::of_losses());
         for at_ns in 0..40 {
             let output = Output { channel: channel.clone(), bytes: noise(at_ns as u64) };
+            files.split_if_full().unwrap();
             files.write(at_ns, &output).unwrap();
         }
         files.end().unwrap();

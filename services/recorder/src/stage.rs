@@ -232,6 +232,8 @@ impl Writing {
                 return Ok(());
             }
         };
+        // A header and its pixels stand in one file.
+        self.files.split_if_full()?;
         for output in outputs {
             match self.files.write(entry.at_ns, &output) {
                 Err(error @ RecordingError::Message { .. }) => {

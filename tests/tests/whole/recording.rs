@@ -166,6 +166,23 @@ fn a_replayed_fusion_says_the_same() {
     assert!(!is_same && said.contains("flockeye/detection breaks the contract. Cure:"), "{said}");
 }
 
+#[test]
+fn a_recording_that_was_split_is_replayed_to_its_end() {
+    let scratch = Scratch::new("split");
+    let out = scratch.path("flight.mcap");
+    let set: Vec<&str> = SMALL_FLIGHT.iter().copied().chain(["simulator.frames=12"]).collect();
+    let mut gated = Gated::start("split", &scratch, &["--flow", "lossless"], &set);
+    let arguments = [text(&out), "--frames", "views", "--split", "5MB"];
+    let mut recorder = recorder(&mut gated.flight, &arguments);
+    gated.open();
+    assert!(gated.flight.wait().success(), "{}", gated.flight.output());
+    assert!(recorder.wait().success(), "{}", recorder.output());
+    gated.flight.assert_nothing_left();
+    assert!(scratch.path("flight-1.mcap").exists(), "{}", recorder.output());
+    let (is_same, said) = run(&["replay", text(&out)]);
+    assert!(is_same && said.contains("of 12 frames are the same, byte by byte"), "{said}");
+}
+
 /// Copies a recording, with no marker in any detection, and these `hits` in its header.
 pub(crate) fn forget_all_markers(from: &Path, to: &Path, hits: u32) {
     let layout = layout("flockeye/detection");

@@ -3,10 +3,11 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use flockeye_recording::Reader;
+use crate::RecordingError;
+use crate::reader::Reader;
 
 /// The file that follows one of a recording that was split, if it is there: `flight.mcap`, `flight-1.mcap` and so on.
-pub(super) fn next(path: &Path, metadata: &BTreeMap<String, String>) -> Option<PathBuf> {
+fn next(path: &Path, metadata: &BTreeMap<String, String>) -> Option<PathBuf> {
     let number: u64 = metadata.get("file")?.parse().ok()?;
     let stem = path.file_stem()?.to_str()?;
     let extension = path.extension()?.to_str()?;
@@ -18,8 +19,20 @@ pub(super) fn next(path: &Path, metadata: &BTreeMap<String, String>) -> Option<P
     next.is_file().then_some(next)
 }
 
+impl Reader {
+    /// The file that goes on where this one ends, if the recording was split.
+    ///
+    /// # Errors
+    /// It is there and cannot be read: as [`Reader::open`].
+    pub fn next_part(&self) -> Result<Option<Self>, RecordingError> {
+        let Some(path) = next(self.path(), &self.about().metadata) else { return Ok(None) };
+        let reader = Self::open(&path)?;
+        Ok(is_same_flight(self, &reader).then_some(reader))
+    }
+}
+
 /// Whether one file goes on where another ends.
-pub(super) fn is_same_flight(one: &Reader, next: &Reader) -> bool {
+fn is_same_flight(one: &Reader, next: &Reader) -> bool {
     let about = |reader: &Reader, key: &str| reader.about().metadata.get(key).cloned();
     let number = |reader: &Reader| about(reader, "file").and_then(|text| text.parse::<u64>().ok());
     let is_next = number(one).zip(number(next)).is_some_and(|(one, next)| next == one + 1);
