@@ -417,9 +417,10 @@ mod tests {
             (views.buffer, views.usual_buffer)
         };
         let recorded = ["recording.folder=flights", "recording.frames=views"];
-        assert_eq!(buffers(&[]), (4, 4));
+        assert_eq!(buffers(&[]), (16, 4), "somebody may record headers");
         assert_eq!(buffers(&recorded), (36, 4));
-        assert_eq!(buffers(&recorded[1..]), (4, 4), "nothing is recorded");
+        assert_eq!(buffers(&recorded[1..]), (16, 4), "nothing is recorded");
+        assert_eq!(buffers(&["flow=lossless"]), (4, 4), "who reads is waited for");
         assert_eq!(buffers(&[recorded[0], recorded[1], "flow=lossless"]), (4, 4));
     }
 
