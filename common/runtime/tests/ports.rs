@@ -37,7 +37,7 @@ fn ports_of(instance: &Instance, flow: Flow) -> Ports {
 }
 
 fn buffer(flow: Flow) -> u64 {
-    budget(flow).topic::<Views>().buffer as u64
+    budget(flow).topic::<Views>().usual_buffer as u64
 }
 
 /// Runs `body` with an instance of its own, and fails when it does not come back.

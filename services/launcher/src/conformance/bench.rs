@@ -30,6 +30,8 @@ const LOOK: Duration = Duration::from_micros(500);
 /// Health is late if none has come for so long.
 const LONGEST_SILENCE: Duration = Duration::from_millis(750);
 
+/// The last lines of a candidate come so soon after its end.
+const LAST_WORDS: Duration = Duration::from_millis(200);
 /// Lines of the candidate that are kept.
 const MOST_LINES: usize = 30;
 
@@ -231,17 +233,24 @@ impl Bench {
         if self.stopping.load(Ordering::Relaxed) {
             bail!("interrupted");
         }
-        while let Ok(line) = self.log.try_recv() {
-            if self.lines.len() < MOST_LINES {
-                self.lines.push(line.text);
-            }
-        }
+        self.read_log(Duration::ZERO);
         if self.ended.is_none()
             && let ProcessChange::Ended { how, .. } = self.process.attend(false, || {})?
         {
             self.ended = Some(how);
+            // What it said last may still be on its way.
+            self.read_log(LAST_WORDS);
         }
         Ok(())
+    }
+
+    /// Reads what the candidate has said, and waits so long for each more line.
+    fn read_log(&mut self, patience: Duration) {
+        while let Ok(line) = self.log.recv_timeout(patience) {
+            if self.lines.len() < MOST_LINES {
+                self.lines.push(line.text);
+            }
+        }
     }
 
     /// Tells the candidate to stop, and checks how it ends.
