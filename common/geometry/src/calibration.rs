@@ -15,6 +15,7 @@
 //!   against the designed ones.
 
 mod adjust;
+mod descent;
 mod gauge;
 pub mod lenses;
 mod leverage;
@@ -26,6 +27,7 @@ use nalgebra::{Isometry3, Matrix6, Vector3};
 use crate::body::{Body, Marker};
 use crate::pose::{CornerRay, PoseOptions, keep_sharpest, solve};
 use adjust::{Bundle, Frame, Sighting};
+use descent::Adjust;
 pub use gauge::alignment;
 pub use leverage::worst_error_m;
 

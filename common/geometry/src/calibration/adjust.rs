@@ -4,11 +4,9 @@ use nalgebra::{
     Cholesky, DMatrix, DVector, Isometry3, Matrix2x6, Matrix6, Point3, Vector2, Vector6,
 };
 
+use super::descent::Adjust;
 use super::gauge;
-use super::sight::{
-    MAX_SCALES, MAX_STEPS, ROBUST_SCALE, Sight, WEIGHTED_SHARE, by_motion, cauchy, damped, moved,
-    spread,
-};
+use super::sight::{ROBUST_SCALE, Sight, WEIGHTED_SHARE, by_motion, damped, moved};
 use crate::body::{Body, Marker};
 use crate::pose::CornerRay;
 
@@ -50,13 +48,12 @@ pub(super) struct Bundle {
 type FramePart = (Matrix6<f64>, Vector6<f64>, Vec<Matrix6<f64>>);
 
 /// A step of each frame and of each marker: shift, then turn.
-type Steps = (Vec<Vector6<f64>>, Vec<Vector6<f64>>);
+pub(super) type Steps = (Vec<Vector6<f64>>, Vec<Vector6<f64>>);
 
 /// The normal equations, with the frames' part kept apart.
-struct Equations {
+pub(super) struct Equations {
     frames: Vec<FramePart>,
     markers: Vec<(Matrix6<f64>, Vector6<f64>)>,
-    cost: f64,
     /// Sum of weighted squared errors, and number of rays.
     squares: f64,
     rays: usize,
@@ -95,112 +92,6 @@ impl Bundle {
         self.in_marker[marker].map(|corner| self.markers_from_marker[marker] * corner)
     }
 
-    /// Levenberg-Marquardt, with a robust scale that follows the errors' spread.
-    pub(super) fn adjust(&mut self) {
-        for _ in 0..MAX_SCALES {
-            let before = self.scale;
-            self.scale = ROBUST_SCALE * spread(self.errors()).max(1.0);
-            self.descend();
-            if (self.scale / before - 1.0).abs() < 0.01 {
-                break;
-            }
-        }
-    }
-
-    fn errors(&self) -> impl Iterator<Item = Vector2<f64>> {
-        self.frames.iter().flat_map(move |frame| {
-            frame.sightings.iter().flat_map(move |seen| {
-                let corners = self.corners(seen.marker);
-                (0..4).map(move |k| {
-                    let in_camera = frame.camera_from_markers * corners[k];
-                    seen.sights[k].error(&in_camera.coords)
-                })
-            })
-        })
-    }
-
-    fn cost(&self) -> f64 {
-        self.errors().map(|error| cauchy(error.norm_squared(), self.scale)).sum()
-    }
-
-    fn descend(&mut self) {
-        let mut damping = 1e-4;
-        let mut equations = self.equations();
-        for _ in 0..MAX_STEPS {
-            let Some((frames, markers)) = self.step(&equations, damping) else {
-                damping *= 10.0;
-                if damping > 1e6 {
-                    break;
-                }
-                continue;
-            };
-            let poses = self.frames.iter().map(|frame| frame.camera_from_markers);
-            let before = (poses.collect::<Vec<_>>(), self.markers_from_marker.clone());
-            for (frame, step) in self.frames.iter_mut().zip(&frames) {
-                frame.camera_from_markers = moved(&frame.camera_from_markers, step);
-            }
-            for (pose, step) in self.markers_from_marker.iter_mut().zip(&markers) {
-                *pose = moved(pose, step);
-            }
-            let cost = self.cost();
-            let gain = equations.cost - cost;
-            if gain > 0.0 {
-                equations = self.equations();
-                damping = (damping * 0.1).max(1e-12);
-                if gain < 1e-9 * cost {
-                    break;
-                }
-            } else {
-                for (frame, pose) in self.frames.iter_mut().zip(before.0) {
-                    frame.camera_from_markers = pose;
-                }
-                self.markers_from_marker = before.1;
-                damping *= 10.0;
-                if damping > 1e6 {
-                    break;
-                }
-            }
-        }
-    }
-
-    /// The normal equations, iteratively reweighted for the robust cost.
-    fn equations(&self) -> Equations {
-        let count = self.markers_from_marker.len();
-        let mut equations = Equations {
-            frames: Vec::with_capacity(self.frames.len()),
-            markers: vec![(Matrix6::zeros(), Vector6::zeros()); count],
-            cost: 0.0,
-            squares: 0.0,
-            rays: 0,
-        };
-        for frame in &self.frames {
-            let (mut own, mut gradient) = (Matrix6::zeros(), Vector6::zeros());
-            let mut joint = vec![Matrix6::zeros(); frame.sightings.len()];
-            for (seen, joint) in frame.sightings.iter().zip(&mut joint) {
-                let of_marker = &mut equations.markers[seen.marker];
-                let pose = &self.markers_from_marker[seen.marker];
-                for (sight, corner) in seen.sights.iter().zip(&self.in_marker[seen.marker]) {
-                    let (error, by_frame, by_marker) =
-                        linearized(sight, &frame.camera_from_markers, pose, corner);
-                    let squared = error.norm_squared();
-                    let weight = 1.0 / (1.0 + squared / (self.scale * self.scale));
-                    let (of_frame, of_own) =
-                        (by_frame.transpose() * weight, by_marker.transpose() * weight);
-                    own += of_frame * by_frame;
-                    gradient += of_frame * error;
-                    *joint += of_frame * by_marker;
-                    of_marker.0 += of_own * by_marker;
-                    of_marker.1 += of_own * error;
-                    equations.cost += cauchy(squared, self.scale);
-                    equations.squares += weight * squared;
-                    equations.rays += 1;
-                }
-            }
-            equations.frames.push((own, gradient, joint));
-        }
-        equations
-    }
-
     /// The equations of the markers alone (Schur's complement), and what each frame takes back from
     /// their solution.
     fn reduced(&self, equations: &Equations, damping: f64) -> Option<Reduced> {
@@ -226,22 +117,6 @@ impl Bundle {
             inverses.push(inverse);
         }
         Some(Reduced { matrix, gradient, inverses })
-    }
-
-    /// The damped step of every frame and every marker, which keeps the body as a whole in place.
-    fn step(&self, equations: &Equations, damping: f64) -> Option<Steps> {
-        let reduced = self.reduced(equations, damping)?;
-        let solved = self.held(reduced.matrix)?.0.solve(&-reduced.gradient);
-        let markers: Vec<Vector6<f64>> = (0..equations.markers.len())
-            .map(|k| solved.fixed_rows::<6>(6 * k).into_owned())
-            .collect();
-        let frames = self.frames.iter().zip(&equations.frames).zip(&reduced.inverses);
-        let frames = frames.map(|((frame, (_, of_own, joint)), inverse)| {
-            let taken = frame.sightings.iter().zip(joint);
-            let taken: Vector6<f64> = taken.map(|(seen, with)| with * markers[seen.marker]).sum();
-            -(inverse * (of_own + taken))
-        });
-        Some((frames.collect(), markers))
     }
 
     /// A matrix of the markers alone, which does not know where the body is, held by the conditions
@@ -286,6 +161,104 @@ impl Bundle {
         let all: Vec<_> = (0..count).map(enlarged).collect();
         let is_sound = all.iter().all(|block| block.diagonal().iter().all(|x| *x > 0.0));
         is_sound.then_some((all, scatter.sqrt()))
+    }
+}
+
+impl Adjust for Bundle {
+    type Equations = Equations;
+    type Step = Steps;
+    type Unknowns = (Vec<Isometry3<f64>>, Vec<Isometry3<f64>>);
+
+    fn errors(&self) -> impl Iterator<Item = Vector2<f64>> {
+        self.frames.iter().flat_map(move |frame| {
+            frame.sightings.iter().flat_map(move |seen| {
+                let corners = self.corners(seen.marker);
+                (0..4).map(move |k| {
+                    let in_camera = frame.camera_from_markers * corners[k];
+                    seen.sights[k].error(&in_camera.coords)
+                })
+            })
+        })
+    }
+
+    fn scale(&self) -> f64 {
+        self.scale
+    }
+
+    fn set_scale(&mut self, scale: f64) {
+        self.scale = scale;
+    }
+
+    fn take(&mut self, (frames, markers): &Steps) {
+        for (frame, step) in self.frames.iter_mut().zip(frames) {
+            frame.camera_from_markers = moved(&frame.camera_from_markers, step);
+        }
+        for (pose, step) in self.markers_from_marker.iter_mut().zip(markers) {
+            *pose = moved(pose, step);
+        }
+    }
+
+    fn unknowns(&self) -> Self::Unknowns {
+        let poses = self.frames.iter().map(|frame| frame.camera_from_markers);
+        (poses.collect(), self.markers_from_marker.clone())
+    }
+
+    fn restore(&mut self, (poses, markers): Self::Unknowns) {
+        for (frame, pose) in self.frames.iter_mut().zip(poses) {
+            frame.camera_from_markers = pose;
+        }
+        self.markers_from_marker = markers;
+    }
+
+    fn equations(&self) -> Equations {
+        let count = self.markers_from_marker.len();
+        let mut equations = Equations {
+            frames: Vec::with_capacity(self.frames.len()),
+            markers: vec![(Matrix6::zeros(), Vector6::zeros()); count],
+            squares: 0.0,
+            rays: 0,
+        };
+        for frame in &self.frames {
+            let (mut own, mut gradient) = (Matrix6::zeros(), Vector6::zeros());
+            let mut joint = vec![Matrix6::zeros(); frame.sightings.len()];
+            for (seen, joint) in frame.sightings.iter().zip(&mut joint) {
+                let of_marker = &mut equations.markers[seen.marker];
+                let pose = &self.markers_from_marker[seen.marker];
+                for (sight, corner) in seen.sights.iter().zip(&self.in_marker[seen.marker]) {
+                    let (error, by_frame, by_marker) =
+                        linearized(sight, &frame.camera_from_markers, pose, corner);
+                    let squared = error.norm_squared();
+                    let weight = 1.0 / (1.0 + squared / (self.scale * self.scale));
+                    let (of_frame, of_own) =
+                        (by_frame.transpose() * weight, by_marker.transpose() * weight);
+                    own += of_frame * by_frame;
+                    gradient += of_frame * error;
+                    *joint += of_frame * by_marker;
+                    of_marker.0 += of_own * by_marker;
+                    of_marker.1 += of_own * error;
+                    equations.squares += weight * squared;
+                    equations.rays += 1;
+                }
+            }
+            equations.frames.push((own, gradient, joint));
+        }
+        equations
+    }
+
+    /// The damped step of every frame and every marker, which keeps the body as a whole in place.
+    fn step(&self, equations: &Equations, damping: f64) -> Option<Steps> {
+        let reduced = self.reduced(equations, damping)?;
+        let solved = self.held(reduced.matrix)?.0.solve(&-reduced.gradient);
+        let markers: Vec<Vector6<f64>> = (0..equations.markers.len())
+            .map(|k| solved.fixed_rows::<6>(6 * k).into_owned())
+            .collect();
+        let frames = self.frames.iter().zip(&equations.frames).zip(&reduced.inverses);
+        let frames = frames.map(|((frame, (_, of_own, joint)), inverse)| {
+            let taken = frame.sightings.iter().zip(joint);
+            let taken: Vector6<f64> = taken.map(|(seen, with)| with * markers[seen.marker]).sum();
+            -(inverse * (of_own + taken))
+        });
+        Some((frames.collect(), markers))
     }
 }
 

@@ -10,11 +10,11 @@
 
 mod adjust;
 
-use nalgebra::{Isometry3, Matrix6, Point3, UnitQuaternion, Vector3, Vector6};
+use nalgebra::{Isometry3, Matrix6, Point3, Vector3, Vector6};
 
+use super::descent::Adjust;
 use super::leverage::worst_error_m;
-use super::mount::difference;
-use super::sight::Sight;
+use super::sight::{Sight, difference};
 use crate::body::Body;
 use crate::camera::{Camera, CameraModel, LensRay};
 use crate::pose::{CornerRay, PoseOptions, keep_sharpest, solve};
@@ -368,11 +368,6 @@ fn by_one_lens(camera: &Camera, marker: &[CornerRay]) -> Option<(usize, Vec<Corn
     let rays = marker.iter().zip(&seen);
     let rays = rays.map(|(ray, seen)| CornerRay { ray_in_camera: seen.ray, ..*ray });
     seen.iter().all(is_clear).then(|| (lens, rays.collect()))
-}
-
-/// A rotation vector as a rotation.
-fn turned(turn: Vector3<f64>) -> UnitQuaternion<f64> {
-    UnitQuaternion::from_scaled_axis(turn)
 }
 
 #[cfg(test)]

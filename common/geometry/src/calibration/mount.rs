@@ -11,7 +11,7 @@ use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, UnitQuaternion, Vector3, Vec
 
 use super::gauge::alignment;
 use super::leverage::worst_error_m;
-use super::sight::moved;
+use super::sight::{difference, moved};
 use crate::filter::chi_square_quantile;
 pub use still::{StillPose, still_pose};
 
@@ -138,6 +138,15 @@ pub enum MountError {
         /// Which, from 1.
         place: usize,
     },
+}
+
+/// The covariance of a pose, position then rotation vector, with both in other axes.
+pub fn turned_covariance(turn: &UnitQuaternion<f64>, covariance: &Matrix6<f64>) -> Matrix6<f64> {
+    let rotation = turn.to_rotation_matrix();
+    let mut both = Matrix6::zeros();
+    both.fixed_view_mut::<3, 3>(0, 0).copy_from(rotation.matrix());
+    both.fixed_view_mut::<3, 3>(3, 3).copy_from(rotation.matrix());
+    both * covariance * both.transpose()
 }
 
 /// Finds where the camera sits.
@@ -292,13 +301,6 @@ fn equations(
     (normal, gradient, chi_square)
 }
 
-/// From one mount to another: shift, then the rotation vector, in the drone's axes.
-pub fn difference(from: &Isometry3<f64>, to: &Isometry3<f64>) -> Vector6<f64> {
-    let shift = to.translation.vector - from.translation.vector;
-    let turn = (to.rotation * from.rotation.inverse()).scaled_axis();
-    Vector6::from_iterator(shift.iter().chain(turn.iter()).copied())
-}
-
 impl MeasuredPlace {
     fn is_sound(&self) -> bool {
         let covariance = self.covariance.fixed_view::<3, 3>(0, 0).into_owned();
@@ -328,11 +330,7 @@ impl MeasuredPlace {
 
     /// The residual's covariance, if all is as stated.
     fn expected(&self, mount: &Isometry3<f64>) -> Matrix6<f64> {
-        let rotation = mount.rotation.to_rotation_matrix();
-        let mut turn = Matrix6::zeros();
-        turn.fixed_view_mut::<3, 3>(0, 0).copy_from(rotation.matrix());
-        turn.fixed_view_mut::<3, 3>(3, 3).copy_from(rotation.matrix());
-        let mut expected = turn * self.covariance * turn.transpose();
+        let mut expected = turned_covariance(&mount.rotation, &self.covariance);
         let turn_rad = self.orientation.map_or(0.0, |(_, deviation)| deviation);
         for k in 0..3 {
             expected[(k, k)] += self.deviation_m * self.deviation_m;

@@ -12,9 +12,6 @@ pub(super) const ROBUST_SCALE: f64 = 3.0;
 /// What Cauchy's weights leave of the squares of normal errors at that scale: with x of mean 2, the
 /// mean of x / (1 + x / 9) over 2.
 pub(super) const WEIGHTED_SHARE: f64 = 0.7209;
-/// Most steps for one scale, and most scales.
-pub(super) const MAX_STEPS: usize = 60;
-pub(super) const MAX_SCALES: usize = 12;
 
 /// One ray: where it looks, across what, and how surely (1/radians).
 #[derive(Debug, Clone, Copy)]
@@ -110,6 +107,13 @@ pub(super) fn moved(pose: &Isometry3<f64>, step: &Vector6<f64>) -> Isometry3<f64
     let mut rotation = UnitQuaternion::from_scaled_axis(turn) * pose.rotation;
     rotation.renormalize();
     Isometry3::from_parts((pose.translation.vector + shift).into(), rotation)
+}
+
+/// From one pose to another: shift, then the rotation vector, in the target's axes. What [`moved`] takes.
+pub(super) fn difference(from: &Isometry3<f64>, to: &Isometry3<f64>) -> Vector6<f64> {
+    let shift = to.translation.vector - from.translation.vector;
+    let turn = (to.rotation * from.rotation.inverse()).scaled_axis();
+    Vector6::from_iterator(shift.iter().chain(turn.iter()).copied())
 }
 
 #[cfg(test)]

@@ -2,10 +2,9 @@
 
 use nalgebra::{DMatrix, DVector, Isometry3, Matrix6, UnitQuaternion, Vector2, Vector3, Vector6};
 
-use super::{SeamFrame, turned};
-use crate::calibration::sight::{
-    MAX_SCALES, MAX_STEPS, ROBUST_SCALE, by_motion, cauchy, damped, moved, spread, weighted_share,
-};
+use super::SeamFrame;
+use crate::calibration::descent::Adjust;
+use crate::calibration::sight::{ROBUST_SCALE, by_motion, damped, moved, spread, weighted_share};
 
 /// Frames whose rays are off by so many times as much as those of all frames have a wrong pose.
 const MISFIT: f64 = 4.0;
@@ -54,12 +53,14 @@ pub(super) struct Adjustment {
     scale: f64,
 }
 
+/// A step of the lenses, and of each frame: shift, then turn.
+pub(super) type Steps = (DVector<f64>, Vec<Vector6<f64>>);
+
 /// The normal equations, with the frames' part kept apart.
-struct Equations {
+pub(super) struct Equations {
     lenses: (DMatrix<f64>, DVector<f64>),
     /// Of each frame: its block, its gradient, and its block with the lenses.
     frames: Vec<(Matrix6<f64>, Vector6<f64>, DMatrix<f64>)>,
-    cost: f64,
     /// Sum of weighted squared errors, and number of rays.
     squares: f64,
     rays: usize,
@@ -102,22 +103,6 @@ impl Adjustment {
         scatter.unwrap_or(f64::INFINITY)
     }
 
-    /// Levenberg-Marquardt, with a robust scale that follows the errors' spread.
-    pub(super) fn adjust(&mut self) {
-        for _ in 0..MAX_SCALES {
-            let before = self.scale;
-            self.scale = ROBUST_SCALE * spread(self.errors()).max(1.0);
-            self.descend();
-            if (self.scale / before - 1.0).abs() < 0.01 {
-                break;
-            }
-        }
-    }
-
-    fn errors(&self) -> impl Iterator<Item = Vector2<f64>> {
-        self.frames.iter().flat_map(move |frame| self.errors_of(frame).map(|(_, error)| error))
-    }
-
     /// Of each ray to its body point as seen from its lens, in the axes that its rays are given in; with the
     /// lens.
     fn errors_of(&self, frame: &SeamFrame) -> impl Iterator<Item = (usize, Vector2<f64>)> {
@@ -149,102 +134,6 @@ impl Adjustment {
         before - self.frames.len()
     }
 
-    fn cost(&self) -> f64 {
-        self.errors().map(|error| cauchy(error.norm_squared(), self.scale)).sum()
-    }
-
-    fn descend(&mut self) {
-        let mut damping = 1e-4;
-        let mut equations = self.equations();
-        for _ in 0..MAX_STEPS {
-            let before = (self.poses(), self.positions, self.second_turn);
-            let gain = match self.step(&equations, damping) {
-                Some((lenses, frames)) => {
-                    self.take(&lenses, &frames);
-                    equations.cost - self.cost()
-                }
-                None => f64::NEG_INFINITY,
-            };
-            if gain > 0.0 {
-                let last = equations.cost;
-                equations = self.equations();
-                damping = (damping * 0.1).max(1e-12);
-                if gain < 1e-9 * last {
-                    break;
-                }
-            } else {
-                for (frame, pose) in self.frames.iter_mut().zip(before.0) {
-                    frame.camera_from_markers = pose;
-                }
-                (self.positions, self.second_turn) = (before.1, before.2);
-                damping *= 10.0;
-                if damping > 1e6 {
-                    break;
-                }
-            }
-        }
-    }
-
-    fn poses(&self) -> Vec<Isometry3<f64>> {
-        self.frames.iter().map(|frame| frame.camera_from_markers).collect()
-    }
-
-    fn take(&mut self, lenses: &DVector<f64>, frames: &[Vector6<f64>]) {
-        for (frame, step) in self.frames.iter_mut().zip(frames) {
-            frame.camera_from_markers = moved(&frame.camera_from_markers, step);
-        }
-        for (position, motion) in self.positions.iter_mut().zip(&self.motions) {
-            *position += (motion * lenses).fixed_rows::<3>(0).into_owned();
-        }
-        let turn = (&self.motions[1] * lenses).fixed_rows::<3>(3).into_owned();
-        self.second_turn = turned(turn) * self.second_turn;
-        self.second_turn.renormalize();
-    }
-
-    /// The normal equations, iteratively reweighted for the robust cost.
-    fn equations(&self) -> Equations {
-        let count = self.motions[0].ncols();
-        let mut equations = Equations {
-            lenses: (DMatrix::zeros(count, count), DVector::zeros(count)),
-            frames: Vec::with_capacity(self.frames.len()),
-            cost: 0.0,
-            squares: 0.0,
-            rays: 0,
-        };
-        for frame in &self.frames {
-            let (mut own, mut gradient) = (Matrix6::zeros(), Vector6::zeros());
-            let mut joint = DMatrix::zeros(6, count);
-            for seen in &frame.sightings {
-                let from_camera = self.turn(seen.lens).inverse().to_rotation_matrix();
-                let motion = &self.motions[seen.lens];
-                for (sight, corner) in seen.sights.iter().zip(&seen.corners) {
-                    let arm = frame.camera_from_markers.rotation * corner.coords;
-                    let in_camera = arm + frame.camera_from_markers.translation.vector;
-                    let from_lens = in_camera - self.positions[seen.lens];
-                    let (error, by_point) = sight.linearized(&(from_camera * from_lens));
-                    let by_point = by_point * from_camera.matrix();
-                    let by_frame = by_motion(&by_point, &arm);
-                    // What moves a lens moves everything the other way.
-                    let by_lenses = -by_motion(&by_point, &from_lens) * motion;
-                    let squared = error.norm_squared();
-                    let weight = 1.0 / (1.0 + squared / (self.scale * self.scale));
-                    let of_frame = by_frame.transpose() * weight;
-                    let of_lenses = by_lenses.transpose() * weight;
-                    own += of_frame * by_frame;
-                    gradient += of_frame * error;
-                    joint += of_frame * &by_lenses;
-                    equations.lenses.0 += &of_lenses * &by_lenses;
-                    equations.lenses.1 += &of_lenses * error;
-                    equations.cost += cauchy(squared, self.scale);
-                    equations.squares += weight * squared;
-                    equations.rays += 1;
-                }
-            }
-            equations.frames.push((own, gradient, joint));
-        }
-        equations
-    }
-
     fn reduced(equations: &Equations, damping: f64) -> Option<Reduced> {
         let (mut matrix, mut gradient) = equations.lenses.clone();
         for k in 0..matrix.nrows() {
@@ -259,26 +148,6 @@ impl Adjustment {
             inverses.push(inverse);
         }
         Some(Reduced { matrix, gradient, inverses })
-    }
-
-    /// The damped step of the lenses and of every frame.
-    fn step(
-        &self,
-        equations: &Equations,
-        damping: f64,
-    ) -> Option<(DVector<f64>, Vec<Vector6<f64>>)> {
-        let Reduced { matrix, gradient, inverses } = Self::reduced(equations, damping)?;
-        let lenses = match gradient.len() {
-            0 => gradient,
-            _ => matrix.cholesky()?.solve(&-gradient),
-        };
-        let frames = equations.frames.iter().zip(&inverses);
-        let frames = frames.map(|((_, of_own, joint), inverse)| {
-            let taken: DVector<f64> = joint * &lenses;
-            -(inverse * (of_own + taken.fixed_rows::<6>(0)))
-        });
-        let frames = frames.collect();
-        Some((lenses, frames))
     }
 
     /// Errors that remain, in stated deviations.
@@ -306,5 +175,104 @@ impl Adjustment {
         let covariance: Matrix6<f64> = whole.fixed_view::<6, 6>(0, 0).into_owned();
         let is_sound = covariance.iter().all(|number| number.is_finite());
         is_sound.then_some((covariance * (scatter * scatter).max(1.0), scatter))
+    }
+}
+
+impl Adjust for Adjustment {
+    type Equations = Equations;
+    type Step = Steps;
+    type Unknowns = (Vec<Isometry3<f64>>, [Vector3<f64>; 2], UnitQuaternion<f64>);
+
+    fn errors(&self) -> impl Iterator<Item = Vector2<f64>> {
+        self.frames.iter().flat_map(move |frame| self.errors_of(frame).map(|(_, error)| error))
+    }
+
+    fn scale(&self) -> f64 {
+        self.scale
+    }
+
+    fn set_scale(&mut self, scale: f64) {
+        self.scale = scale;
+    }
+
+    fn take(&mut self, (lenses, frames): &Steps) {
+        for (frame, step) in self.frames.iter_mut().zip(frames) {
+            frame.camera_from_markers = moved(&frame.camera_from_markers, step);
+        }
+        for (position, motion) in self.positions.iter_mut().zip(&self.motions) {
+            *position += (motion * lenses).fixed_rows::<3>(0).into_owned();
+        }
+        let turn = (&self.motions[1] * lenses).fixed_rows::<3>(3).into_owned();
+        self.second_turn = UnitQuaternion::from_scaled_axis(turn) * self.second_turn;
+        self.second_turn.renormalize();
+    }
+
+    fn unknowns(&self) -> Self::Unknowns {
+        let poses = self.frames.iter().map(|frame| frame.camera_from_markers);
+        (poses.collect(), self.positions, self.second_turn)
+    }
+
+    fn restore(&mut self, (poses, positions, second_turn): Self::Unknowns) {
+        for (frame, pose) in self.frames.iter_mut().zip(poses) {
+            frame.camera_from_markers = pose;
+        }
+        (self.positions, self.second_turn) = (positions, second_turn);
+    }
+
+    fn equations(&self) -> Equations {
+        let count = self.motions[0].ncols();
+        let mut equations = Equations {
+            lenses: (DMatrix::zeros(count, count), DVector::zeros(count)),
+            frames: Vec::with_capacity(self.frames.len()),
+            squares: 0.0,
+            rays: 0,
+        };
+        for frame in &self.frames {
+            let (mut own, mut gradient) = (Matrix6::zeros(), Vector6::zeros());
+            let mut joint = DMatrix::zeros(6, count);
+            for seen in &frame.sightings {
+                let from_camera = self.turn(seen.lens).inverse().to_rotation_matrix();
+                let motion = &self.motions[seen.lens];
+                for (sight, corner) in seen.sights.iter().zip(&seen.corners) {
+                    let arm = frame.camera_from_markers.rotation * corner.coords;
+                    let in_camera = arm + frame.camera_from_markers.translation.vector;
+                    let from_lens = in_camera - self.positions[seen.lens];
+                    let (error, by_point) = sight.linearized(&(from_camera * from_lens));
+                    let by_point = by_point * from_camera.matrix();
+                    let by_frame = by_motion(&by_point, &arm);
+                    // What moves a lens moves everything the other way.
+                    let by_lenses = -by_motion(&by_point, &from_lens) * motion;
+                    let squared = error.norm_squared();
+                    let weight = 1.0 / (1.0 + squared / (self.scale * self.scale));
+                    let of_frame = by_frame.transpose() * weight;
+                    let of_lenses = by_lenses.transpose() * weight;
+                    own += of_frame * by_frame;
+                    gradient += of_frame * error;
+                    joint += of_frame * &by_lenses;
+                    equations.lenses.0 += &of_lenses * &by_lenses;
+                    equations.lenses.1 += &of_lenses * error;
+                    equations.squares += weight * squared;
+                    equations.rays += 1;
+                }
+            }
+            equations.frames.push((own, gradient, joint));
+        }
+        equations
+    }
+
+    /// The damped step of the lenses and of every frame.
+    fn step(&self, equations: &Equations, damping: f64) -> Option<Steps> {
+        let Reduced { matrix, gradient, inverses } = Self::reduced(equations, damping)?;
+        let lenses = match gradient.len() {
+            0 => gradient,
+            _ => matrix.cholesky()?.solve(&-gradient),
+        };
+        let frames = equations.frames.iter().zip(&inverses);
+        let frames = frames.map(|((_, of_own, joint), inverse)| {
+            let taken: DVector<f64> = joint * &lenses;
+            -(inverse * (of_own + taken.fixed_rows::<6>(0)))
+        });
+        let frames = frames.collect();
+        Some((lenses, frames))
     }
 }

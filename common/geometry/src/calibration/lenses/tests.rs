@@ -1,6 +1,6 @@
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
-use nalgebra::{Rotation3, Translation3, Unit, Vector2};
+use nalgebra::{Rotation3, Translation3, Unit, UnitQuaternion, Vector2};
 
 use super::*;
 use crate::camera::Lens;

@@ -2,8 +2,7 @@
 
 use nalgebra::{Isometry3, Matrix6, Vector6};
 
-use super::difference;
-use crate::calibration::sight::moved;
+use crate::calibration::sight::{difference, moved};
 use crate::filter::chi_square_gate;
 
 /// A frame farther from the others than one right one in so many is not of the same pose.

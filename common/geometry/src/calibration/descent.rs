@@ -1,0 +1,88 @@
+//! Levenberg-Marquardt with a robust scale, as all adjustments of rays do it.
+
+use nalgebra::Vector2;
+
+use super::sight::{ROBUST_SCALE, cauchy, spread};
+
+/// Most steps for one scale, and most scales.
+const MAX_STEPS: usize = 60;
+const MAX_SCALES: usize = 12;
+/// The damping at first, and the least and the largest.
+const FIRST_DAMPING: f64 = 1e-4;
+const LEAST_DAMPING: f64 = 1e-12;
+const LARGEST_DAMPING: f64 = 1e6;
+/// A step that lowers the cost by a smaller share is the last.
+const LEAST_GAIN: f64 = 1e-9;
+
+/// Something with unknowns that rays tell.
+pub(super) trait Adjust {
+    /// The normal equations, reweighted for the robust cost.
+    type Equations;
+    /// A step of all unknowns.
+    type Step;
+    /// All unknowns.
+    type Unknowns;
+
+    /// Errors of all rays, in stated deviations.
+    fn errors(&self) -> impl Iterator<Item = Vector2<f64>>;
+    /// Scale of the robust cost, in stated deviations.
+    fn scale(&self) -> f64;
+    /// Sets it.
+    fn set_scale(&mut self, scale: f64);
+    /// The equations at the present unknowns.
+    fn equations(&self) -> Self::Equations;
+    /// The damped step that they ask for; `None` where they have no solution.
+    fn step(&self, equations: &Self::Equations, damping: f64) -> Option<Self::Step>;
+    /// Takes a step.
+    fn take(&mut self, step: &Self::Step);
+    /// The present unknowns.
+    fn unknowns(&self) -> Self::Unknowns;
+    /// Goes back to former ones.
+    fn restore(&mut self, unknowns: Self::Unknowns);
+
+    /// Finds the unknowns at which the robust cost is least. Its scale follows the errors' spread.
+    fn adjust(&mut self) {
+        for _ in 0..MAX_SCALES {
+            let before = self.scale();
+            self.set_scale(ROBUST_SCALE * spread(self.errors()).max(1.0));
+            self.descend();
+            if (self.scale() / before - 1.0).abs() < 0.01 {
+                break;
+            }
+        }
+    }
+
+    /// The robust cost.
+    fn cost(&self) -> f64 {
+        self.errors().map(|error| cauchy(error.norm_squared(), self.scale())).sum()
+    }
+
+    /// Descends with one scale.
+    fn descend(&mut self) {
+        let mut damping = FIRST_DAMPING;
+        let (mut equations, mut cost) = (self.equations(), self.cost());
+        for _ in 0..MAX_STEPS {
+            let before = self.unknowns();
+            let new_cost = self.step(&equations, damping).map(|step| {
+                self.take(&step);
+                self.cost()
+            });
+            match new_cost {
+                Some(new_cost) if new_cost < cost => {
+                    let gain = cost - new_cost;
+                    (equations, damping) = (self.equations(), (damping * 0.1).max(LEAST_DAMPING));
+                    if gain < LEAST_GAIN * std::mem::replace(&mut cost, new_cost) {
+                        break;
+                    }
+                }
+                _ => {
+                    self.restore(before);
+                    damping *= 10.0;
+                    if damping > LARGEST_DAMPING {
+                        break;
+                    }
+                }
+            }
+        }
+    }
+}
