@@ -28,5 +28,5 @@ pub use pose::{MeasuredPose, PoseRow, PredictedPose};
 pub use rays::MarkerRays;
 pub use recorder::{Recorded, Recorder};
 pub use rotation::{RecordedTurn, RotationRow};
-pub use table::{TableError, read};
+pub use table::{TableError, TableRow, read};
 pub use truth::TruthRow;

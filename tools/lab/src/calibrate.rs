@@ -9,8 +9,15 @@
 //! | [`latency`] | how late a camera's frames arrive |
 //! | [`imu`] | how the inertial sensor lies to the camera, and how its clock goes |
 
+use std::ffi::OsString;
+
+use anyhow::Context;
+use flockeye_cli::{Configuration, signals};
 use flockeye_config::Mount;
+use flockeye_record::{TableRow, read};
 use nalgebra::Isometry3;
+
+use crate::up_process;
 
 pub mod body;
 pub mod imu;
@@ -28,17 +35,43 @@ pub use response::CalibrateResponseArguments;
 /// The distance that what a calibration leaves is stated for, metres.
 const STATED_AT_M: f64 = 1.5;
 
-/// Settings of a lossless run in which each frame stands for itself.
-fn frame_by_frame() -> Vec<String> {
-    // Every frame is searched to its end, and nothing goes over the network.
+/// Settings of a run in which every frame is searched, and nothing goes over the network.
+fn lossless() -> Vec<String> {
     [
         "flow=lossless".to_owned(),
-        "fusion.filter=none".to_owned(),
-        "search.mode=exhaustive".to_owned(),
         "gateway.enabled=false".to_owned(),
         format!("instance=calibrate-{}", std::process::id()),
     ]
     .into()
+}
+
+/// The same, with each frame searched to its end and standing for itself.
+fn frame_by_frame() -> Vec<String> {
+    let more = ["fusion.filter=none", "search.mode=exhaustive"].map(str::to_owned);
+    [lossless(), more.into()].concat()
+}
+
+/// Runs `flockeye up`, and gives what it writes to the file of its option `option`. `what`: of what the run is, for a
+/// complaint where it is quiet.
+///
+/// # Errors
+/// It fails, or its file cannot be read.
+fn written<R: TableRow>(
+    configuration: &Configuration,
+    option: &str,
+    what: &str,
+    is_quiet: bool,
+) -> anyhow::Result<Vec<R>> {
+    let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
+    let file = folder.path().join("written.csv");
+    let mut command: Vec<OsString> = vec![option.into(), (&file).into()];
+    command.extend(configuration.to_arguments(&[], &[]));
+    let stopping = signals::stop_flag()?;
+    match is_quiet {
+        true => drop(up_process::run_quietly(what, &command, &stopping)?),
+        false => up_process::run_visibly(&command, &stopping)?,
+    }
+    Ok(read(&file)?)
 }
 
 /// A transform as a mount in `pipeline.yaml`.

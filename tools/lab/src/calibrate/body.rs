@@ -1,23 +1,22 @@
 //! `flockeye calibrate body`: where a body's markers really are, from a recording of it.
 
 use std::collections::BTreeMap;
-use std::ffi::OsString;
 use std::path::PathBuf;
 
 use anyhow::Context;
 use clap::Args;
 use flockeye_cli::text_table::TextTable;
-use flockeye_cli::{Configuration, Screen, signals};
+use flockeye_cli::{Configuration, Screen};
 use flockeye_geometry::body::Bodies;
 use flockeye_geometry::calibration::{
     BodyCalibration, CalibratedMarker, CalibrationOptions, calibrate,
 };
 use flockeye_geometry::pose::CornerRay;
-use flockeye_record::{MarkerRays, read};
+use flockeye_record::MarkerRays;
 use nalgebra::{Unit, Vector3};
 use serde_json::{Value, json};
 
-use crate::up_process;
+use super::{lossless, written};
 
 /// Arguments of `calibrate body`.
 #[derive(Debug, Args)]
@@ -38,13 +37,7 @@ pub struct CalibrateBodyArguments {
 pub fn run(arguments: &CalibrateBodyArguments) -> anyhow::Result<()> {
     let path = &arguments.out;
     let mut configuration = arguments.configuration.clone();
-    // Every frame is processed, and nothing goes over the network.
-    let instance = format!("calibrate-{}", std::process::id());
-    configuration.set.extend([
-        "flow=lossless".to_owned(),
-        "gateway.enabled=false".to_owned(),
-        format!("instance={instance}"),
-    ]);
+    configuration.set.extend(lossless());
     let bodies = flockeye_config::bodies(&configuration.load()?.bodies)?;
     // First, so that an unwritable file is reported before the work.
     let is_new = !path.exists();
@@ -66,13 +59,7 @@ pub fn run(arguments: &CalibrateBodyArguments) -> anyhow::Result<()> {
 /// Runs the recording, and calibrates the bodies that are seen in it.
 fn find(configuration: &Configuration, bodies: &Bodies) -> anyhow::Result<Vec<BodyCalibration>> {
     let mut screen = Screen::new();
-    let stopping = signals::stop_flag()?;
-    let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
-    let file = folder.path().join("rays.csv");
-    let mut arguments: Vec<OsString> = vec!["--rays".into(), (&file).into()];
-    arguments.extend(configuration.to_arguments(&[], &[]));
-    up_process::run_visibly(&arguments, &stopping)?;
-    let frames = by_frame(&read(&file)?);
+    let frames = by_frame(&written(configuration, "--rays", "the recording", false)?);
     let (mut found, mut refused) = (Vec::new(), None);
     for body in bodies.iter() {
         let is_seen = |ray: &CornerRay| body.marker(ray.marker_id).is_some();

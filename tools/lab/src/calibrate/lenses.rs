@@ -1,19 +1,14 @@
 //! `flockeye calibrate lenses`: how the camera's two lenses lie to each other, from a recording in which a body
 //! spans the seam between them.
 
-use std::ffi::OsString;
-
-use anyhow::Context;
 use clap::Args;
-use flockeye_cli::{Configuration, Screen, signals};
+use flockeye_cli::{Configuration, Screen};
 use flockeye_config::{Camera, FisheyeLens, Resolved};
 use flockeye_geometry::calibration::lenses::{FoundLenses, LensCalibration, calibrate};
-use flockeye_record::read;
 use serde_json::{Value, json};
 
 use super::body::by_frame;
-use super::{STATED_AT_M, frame_by_frame, mount_of};
-use crate::up_process;
+use super::{STATED_AT_M, frame_by_frame, mount_of, written};
 
 /// Rays that scatter by more than this, in their stated standard deviations, are not explained by the lenses.
 const MUCH_SCATTER: f64 = 2.0;
@@ -42,17 +37,9 @@ pub fn run(arguments: &CalibrateLensesArguments) -> anyhow::Result<()> {
     if resolved.camera.lens_positions().is_none() {
         calibrate(&resolved.camera, &[], &[])?;
     }
-    let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
-    let file = folder.path().join("rays.csv");
-    let mut command: Vec<OsString> = vec!["--rays".into(), (&file).into()];
-    command.extend(configuration.to_arguments(&[], &[]));
-    let stopping = signals::stop_flag()?;
-    match arguments.json {
-        true => drop(up_process::run_quietly("the recording", &command, &stopping)?),
-        false => up_process::run_visibly(&command, &stopping)?,
-    }
+    let rays = written(&configuration, "--rays", "the recording", arguments.json)?;
     // All views of such a run are tiles: their rays are right for the distance that the camera is right for.
-    let frames = by_frame(&read(&file)?);
+    let frames = by_frame(&rays);
     let bodies: Vec<_> = resolved.bodies.iter().cloned().collect();
     let found = calibrate(&resolved.camera, &bodies, &frames)?;
     let text = match arguments.json {

@@ -2,13 +2,12 @@
 
 mod bench;
 
-use std::ffi::OsString;
 use std::path::PathBuf;
 
 use anyhow::{Context, ensure};
 use clap::Args;
 use flockeye_cli::text_table::TextTable;
-use flockeye_cli::{Configuration, Screen, signals};
+use flockeye_cli::{Configuration, Screen};
 use flockeye_config::{isometry, read_document};
 use flockeye_geometry::calibration::mount::{Agreement, MountCalibration, fit};
 use flockeye_record::{PoseRow, read};
@@ -16,8 +15,7 @@ use nalgebra::Isometry3;
 use serde_json::{Value, json};
 
 use self::bench::{Bench, SeenPlace};
-use super::{STATED_AT_M, frame_by_frame, mount_of};
-use crate::up_process;
+use super::{STATED_AT_M, frame_by_frame, mount_of, written};
 
 /// Arguments of `calibrate mount`.
 #[derive(Debug, Args)]
@@ -49,7 +47,7 @@ pub fn run(arguments: &CalibrateMountArguments) -> anyhow::Result<()> {
     bench.check().with_context(|| format!("{}", arguments.places.display()))?;
     let rows = match &arguments.poses {
         Some(file) => read(file)?,
-        None => poses(&configuration, arguments.json)?,
+        None => written(&configuration, "--poses", "the pictures", arguments.json)?,
     };
     let configured = isometry(&pipeline.observer.observer_from_camera);
     let report = Report::of(&bench, &rows, configured)?;
@@ -59,20 +57,6 @@ pub fn run(arguments: &CalibrateMountArguments) -> anyhow::Result<()> {
         false => screen.line(&report.text()),
     }
     Ok(())
-}
-
-/// The poses of all frames, each for itself.
-fn poses(configuration: &Configuration, is_quiet: bool) -> anyhow::Result<Vec<PoseRow>> {
-    let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
-    let file = folder.path().join("poses.csv");
-    let mut command: Vec<OsString> = vec!["--poses".into(), (&file).into()];
-    command.extend(configuration.to_arguments(&[], &[]));
-    let stopping = signals::stop_flag()?;
-    match is_quiet {
-        true => drop(up_process::run_quietly("the pictures", &command, &stopping)?),
-        false => up_process::run_visibly(&command, &stopping)?,
-    }
-    Ok(read(&file)?)
 }
 
 /// What was found, and from what.

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use anyhow::{bail, ensure};
 use flockeye_config::{Mount, isometry};
-use flockeye_geometry::calibration::mount::{MeasuredPlace, still_pose};
+use flockeye_geometry::calibration::mount::{MeasuredPlace, still_pose, turned_covariance};
 use flockeye_record::PoseRow;
 use nalgebra::{Isometry3, Matrix6};
 use schemars::JsonSchema;
@@ -161,9 +161,6 @@ fn in_camera(
         )
     };
     let observer_from_target = Isometry3::from_parts(position.into(), orientation);
-    let back = configured.rotation.inverse().to_rotation_matrix();
-    let mut turn = Matrix6::zeros();
-    turn.fixed_view_mut::<3, 3>(0, 0).copy_from(back.matrix());
-    turn.fixed_view_mut::<3, 3>(3, 3).copy_from(back.matrix());
-    Ok((configured.inverse() * observer_from_target, turn * covariance * turn.transpose()))
+    let covariance = turned_covariance(&configured.rotation.inverse(), &covariance);
+    Ok((configured.inverse() * observer_from_target, covariance))
 }
