@@ -212,7 +212,7 @@ pub fn with_view<T>(pose: &Isometry3<f64>, by: impl FnOnce(&BestView<'_>) -> T) 
     let light = LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap();
     let (image, view) = (drawing.image(), drawing.view);
     let picture = Picture::still(image, view, &light, PIXELS_PER_RADIAN);
-    by(&BestView { picture, view_index: 0, rays_m: f64::INFINITY })
+    by(&BestView { picture, view_index: 0, agreeing: 0, rays_m: f64::INFINITY })
 }
 
 /// How far a pose is off, metres.

@@ -35,6 +35,8 @@ pub struct BestView<'p> {
     pub picture: Picture<'p>,
     /// Its place in the plan.
     pub view_index: u32,
+    /// Squares in it that agree with one pose, where no marker was decoded and there is no track.
+    pub agreeing: u32,
     /// The distance that its rays are right for, metres. It matters for lenses off the camera's centre.
     pub rays_m: f64,
 }

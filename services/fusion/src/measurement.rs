@@ -109,8 +109,8 @@ pub fn agreeing_candidates(body: &Body, rays: &[CornerRay]) -> u32 {
         return 0;
     }
     let solutions = solve(body, rays, &PoseOptions::default()).unwrap_or_default();
-    let agreeing = solutions.iter().map(|solution| solution.inlier_markers.len() as u32).max();
-    agreeing.filter(|markers| *markers >= 2).unwrap_or(0)
+    let agreeing = solutions.iter().map(|solution| solution.inlier_markers.len() as u32);
+    agreeing.filter(|markers| *markers >= 2).max().unwrap_or(0)
 }
 
 fn own_rays<'m>(body: &Body, markers: impl Iterator<Item = &'m DetectedMarker>) -> Vec<CornerRay> {

@@ -38,11 +38,14 @@ impl PictureReader {
         cache: &'c ViewCache<P>,
         order: FrameOrder,
     ) -> BestViews<'c> {
-        self.learn_curves(cache.best_of(order).map(|(_, header, _)| header));
+        self.learn_curves(cache.best_of(order).map(|(_, _, header, _)| header));
         let reader = &*self;
         cache
             .best_of(order)
-            .filter_map(|(target, header, pixels)| Some((target, reader.read(header, pixels)?)))
+            .filter_map(|(target, quality, header, pixels)| {
+                let agreeing = quality.agreeing;
+                Some((target, BestView { agreeing, ..reader.read(header, pixels)? }))
+            })
             .collect()
     }
 
@@ -82,6 +85,6 @@ impl PictureReader {
         );
         let parallax = self.parallax.as_ref();
         let rays_m = parallax.map_or(f64::INFINITY, |parallax| parallax.distance_m(Some(header)));
-        Some(BestView { picture, view_index: header.view_index, rays_m })
+        Some(BestView { picture, view_index: header.view_index, agreeing: 0, rays_m })
     }
 }

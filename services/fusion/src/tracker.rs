@@ -16,9 +16,7 @@ use crate::account::{Account, Decision, Outcome};
 use crate::exposure::Exposure;
 use crate::frame_assembly::{Frame, Record};
 use crate::hypothesis::Aligner;
-use crate::measurement::{
-    MeasuredBy, Measurement, agreeing_candidates, candidate_rays, contradicts, decoded_rays,
-};
+use crate::measurement::{MeasuredBy, Measurement, candidate_rays, contradicts, decoded_rays};
 use crate::parallax::Parallax;
 use crate::passes::background::{BackgroundQueue, Subject};
 use crate::passes::corners::{self, Moment, distinct_decoded};
@@ -158,8 +156,10 @@ impl Tracker {
         self.unpublished(record.header.stamp.order())
             .filter_map(|target| {
                 let is_own = purpose == Some(Purpose::Gaze(target));
-                let body = &self.targets[target].body;
-                Some((target, ViewQuality::of(record, view, body, is_own, stop_rule)?))
+                let (body, is_tracked) =
+                    (&self.targets[target].body, self.targets[target].is_tracked());
+                let quality = ViewQuality::of(record, view, body, is_own, is_tracked, stop_rule)?;
+                Some((target, quality))
             })
             .collect()
     }
@@ -378,7 +378,7 @@ impl Tracker {
         let candidates: Vec<CornerRay> = candidates.into_iter().map(|(_, ray)| ray).collect();
         let is_measurable = match best_view {
             None => !decoded.is_empty(),
-            Some(_) => is_known || agreeing_candidates(body, &candidates) >= 2,
+            Some(best) => is_known || best.agreeing > 0,
         };
         let in_frame = self.targets[target].in_frame(time.order);
         let earlier = in_frame.map_or_else(Earlier::default, |in_frame| Earlier {

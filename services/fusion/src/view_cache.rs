@@ -40,7 +40,8 @@ pub struct ViewQuality {
     /// Decoded markers of the target. Squares that only look like markers are found in many views, so
     /// they do not count.
     pub decoded: u32,
-    /// Squares that only look like its markers and agree with one pose of it, where nothing was decoded.
+    /// Squares that only look like its markers and agree with one pose of it, where nothing was decoded and there is no
+    /// track.
     pub agreeing: u32,
     /// Its focal length, pixels.
     pub focal_px: f64,
@@ -58,15 +59,16 @@ impl ViewQuality {
         view: &ViewHeader,
         body: &Body,
         is_own: bool,
+        is_tracked: bool,
         stop_rule: StopRule,
     ) -> Option<Self> {
         let middle = (f64::from(view.size_px) - 1.0) / 2.0;
         let of_body = record.markers.iter().filter(|marker| body.marker(marker.id).is_some());
         let decoded = of_body.clone().filter(|marker| marker.is_decoded()).count() as u32;
         let counted = of_body.filter(|marker| marker.is_decoded() || decoded == 0);
-        let agreeing = match decoded {
-            0 => agreeing_candidates(body, &candidate_rays(body, &record.markers)),
-            _ => 0,
+        let agreeing = match decoded == 0 && !is_tracked {
+            true => agreeing_candidates(body, &candidate_rays(body, &record.markers)),
+            false => 0,
         };
         let (mut sum, mut count) = ([0.0; 2], 0.0);
         for [u, v] in counted.flat_map(|marker| marker.corners_in_view) {
@@ -148,11 +150,14 @@ impl<P> ViewCache<P> {
         }
     }
 
-    /// The best views of a frame's targets.
-    pub fn best_of(&self, order: FrameOrder) -> impl Iterator<Item = (usize, &ViewHeader, &P)> {
-        self.best
-            .range((order, 0)..=(order, usize::MAX))
-            .map(|(&(_, target), cached)| (target, &cached.header, &*cached.pixels))
+    /// The best views of a frame's targets, and how good they are.
+    pub fn best_of(
+        &self,
+        order: FrameOrder,
+    ) -> impl Iterator<Item = (usize, &ViewQuality, &ViewHeader, &P)> {
+        self.best.range((order, 0)..=(order, usize::MAX)).map(|(&(_, target), cached)| {
+            (target, &cached.quality, &cached.header, &*cached.pixels)
+        })
     }
 
     /// Releases a target's best view in a frame, because the target is measured.
@@ -197,7 +202,7 @@ mod tests {
                 cache.answered((0, 0, 5), index as u32, &[(7, qualities[index])]);
             }
             let best: Vec<_> =
-                cache.best_of((0, 0, 5)).map(|(target, _, pixels)| (target, *pixels)).collect();
+                cache.best_of((0, 0, 5)).map(|(target, _, _, pixels)| (target, *pixels)).collect();
             assert_eq!(best, [(7, 2)]);
         }
     }

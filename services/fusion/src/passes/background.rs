@@ -297,7 +297,12 @@ mod tests {
                     true => TrackPrior::Confirmed(PosePrior { camera_from_markers, covariance }),
                     false => TrackPrior::Untracked,
                 },
-                best_view: Some(BestView { picture, view_index: 0, rays_m: f64::INFINITY }),
+                best_view: Some(BestView {
+                    picture,
+                    view_index: 0,
+                    agreeing: 0,
+                    rays_m: f64::INFINITY,
+                }),
                 permit: Permit {
                     budget: TimeBudget::OneFrame,
                     is_deferred: true,

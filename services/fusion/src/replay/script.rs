@@ -93,13 +93,16 @@ impl Script {
             self.take(entries, 0, utc_ns);
             return Ok(());
         };
-        if self.end.is_none() && !is_first_process {
+        if self.end.is_some() {
+            return Ok(());
+        }
+        if !is_first_process {
             self.end = Some("fusion was replaced, and its successor is not replayed".to_owned());
-        } else if self.end.is_none() && header.first != next {
+        } else if header.first != next {
             let missing = header.first.saturating_sub(next);
             self.end =
                 Some(format!("{missing} entries of fusion's journal are not in the recording"));
-        } else if self.end.is_none() {
+        } else {
             self.take(entries, next, utc_ns);
         }
         Ok(())

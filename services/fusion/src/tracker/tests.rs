@@ -5,7 +5,7 @@
 use super::*;
 use crate::fixtures::*;
 use crate::hypothesis::BestView;
-use crate::measurement::PoseEstimate;
+use crate::measurement::{PoseEstimate, agreeing_candidates};
 use crate::passes::direct::Region;
 use crate::policy::SUSPENDED_FRAMES;
 use flockeye_geometry::filter::TrackState;
@@ -276,7 +276,10 @@ fn squares_that_lie_to_each_other_as_on_the_body_start_a_track() {
     with_view(&truth, |view| {
         let found = |record: &Record| {
             let mut tracker = tracker_of(vec![alpha()], 1);
-            final_corner_pass(&mut tracker, 1, record, *view, TimeBudget::Unlimited).len()
+            let agreeing =
+                agreeing_candidates(&alpha(), &candidate_rays(&alpha(), &record.markers));
+            let view = BestView { agreeing, ..*view };
+            final_corner_pass(&mut tracker, 1, record, view, TimeBudget::Unlimited).len()
         };
         assert_eq!(found(&squares(2)), 1);
         assert_eq!(found(&squares(1)), 0, "one has a best guess anywhere");
