@@ -64,18 +64,13 @@ pub fn running(instance: &Instance) -> Vec<Pid> {
     living(instance).filter_map(|path| process(&path)).collect()
 }
 
-/// The recordings that running recorders of an instance write all the time, the one that was begun first before others.
-pub fn recordings(instance: &Instance) -> Vec<PathBuf> {
+/// The recording that a running recorder of an instance writes all the time; of several, the one that was begun first.
+pub fn recording(instance: &Instance) -> Option<PathBuf> {
     let whole = living(instance).filter(|path| path.extension() == Some("all".as_ref()));
-    let mut begun: Vec<_> = whole
-        .filter_map(|path| {
-            let since = path.metadata().and_then(|about| about.modified()).ok()?;
-            let out = std::fs::read(&path).ok()?;
-            Some((since, PathBuf::from(OsString::from_vec(out))))
-        })
-        .collect();
-    begun.sort();
-    begun.into_iter().map(|(_, out)| out).collect()
+    let begun = whole
+        .filter_map(|path| Some((path.metadata().and_then(|about| about.modified()).ok()?, path)));
+    let (_, first) = begun.min()?;
+    Some(PathBuf::from(OsString::from_vec(std::fs::read(first).ok()?)))
 }
 
 /// Asks the recorders of an instance that keep the past to write it. Returns how many there are.

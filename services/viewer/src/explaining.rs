@@ -128,13 +128,12 @@ impl Explainer {
         match &self.source {
             Source::File(path) => run(&program, path, question),
             Source::Pipeline(instance) => {
-                let recordings = recorders::recordings(instance);
-                let recording = recordings.first().ok_or(NoExplanation::NotRecorded)?;
-                match run(&program, recording, question) {
+                let recording = recorders::recording(instance).ok_or(NoExplanation::NotRecorded)?;
+                match run(&program, &recording, question) {
                     // The frame may be so new that it is not in the file yet.
                     Err(NoExplanation::Refused(_)) => {
                         thread::sleep(UNTIL_WRITTEN);
-                        run(&program, recording, question)
+                        run(&program, &recording, question)
                     }
                     other => other,
                 }
