@@ -24,7 +24,7 @@ use flockeye_imaging::gyroscope::Gyroscope;
 use flockeye_imaging::gyroscope::grid::Sampler;
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
-use flockeye_imaging::proposals::{MarkerSizes, Proposer};
+use flockeye_imaging::proposals::{Detail, MarkerSizes, Proposer};
 use flockeye_imaging::sphere::{Cut, SphereImage};
 use flockeye_rectification::cpu::CpuRectifier;
 use flockeye_rectification::rectifier::{FrameKey, Rectifier as _};
@@ -118,7 +118,7 @@ fn measure(distance_m: f64, rounds: u64, costs: &mut Costs) {
         });
         let sphere = SphereImage::new(&luma, WIDTH as usize, camera).unwrap();
         timed(&mut costs.egomotion, 1.0, || gyroscope.next(&sphere, None));
-        timed(&mut costs.proposals, 1.0, || proposer.propose(&sphere, &sizes, 24));
+        timed(&mut costs.proposals, 1.0, || proposer.propose(&sphere, &sizes, Detail::Quick, 24));
     }
     let sphere = SphereImage::new(&luma, WIDTH as usize, camera).unwrap();
     tiles(&sphere, camera, costs);

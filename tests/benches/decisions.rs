@@ -5,6 +5,8 @@
 //! poses, by distance, blur and light. `make results PARTS=decisions` keeps it.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used)]
 
+#[path = "decisions/chance.rs"]
+mod chance;
 #[path = "shared/frames.rs"]
 mod frames;
 #[path = "decisions/pictures.rs"]
@@ -16,7 +18,8 @@ use flockeye_imaging::align::{AlignOptions, BodyPrint, Picture, align};
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
 use nalgebra::{Isometry3, Translation3, Vector3};
 
-use pictures::{Chance, Shown, Still};
+use chance::Chance;
+use pictures::{Shown, Still};
 use tally::{Hypothesis, Kind, Tally};
 
 /// A pose is wrong if it is off by more than this.

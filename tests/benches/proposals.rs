@@ -9,7 +9,7 @@ use flockeye_config::{Pipeline, Resolved};
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::camera::Camera;
 use flockeye_geometry::statistics::{median, quantile};
-use flockeye_imaging::proposals::{MarkerSizes, Proposal, Proposer};
+use flockeye_imaging::proposals::{Detail, MarkerSizes, Proposal, Proposer};
 use flockeye_imaging::sphere::SphereImage;
 use flockeye_record::TruthRow;
 use flockeye_simulator::{World, settings};
@@ -39,14 +39,23 @@ fn main() {
     if !std::env::args().any(|argument| argument == "--bench") {
         return;
     }
-    let mut table = Table::default();
+    for detail in [Detail::Quick, Detail::Thorough] {
+        print(detail);
+    }
+}
+
+/// A table of each kind of picture, looked at like this.
+fn print(detail: Detail) {
+    let table_of = || Table { detail, ..Table::default() };
+    println!("{detail:?} look");
+    let mut table = table_of();
     SEEDS.for_each(|seed| simulated(seed, |image, shown| table.add(image, shown)));
     table.print("simulated gusts");
     let Some(data) = recordings() else { return println!("proposals: no recordings") };
     for (name, pictures, every) in RECORDINGS {
         let folder = data.join(name);
         let truth: Vec<TruthRow> = flockeye_record::read(&folder.join("truth.csv")).unwrap();
-        let mut table = Table::default();
+        let mut table = table_of();
         let camera = Camera::equirectangular(WIDTH, WIDTH / 2);
         frames::each_frame(&folder.join(pictures), camera, |number, image| {
             let of_frame = truth.iter().filter(|row| row.frame == number);
@@ -109,6 +118,7 @@ fn place_of(position: &Vector3<f64>, proposals: &[Proposal]) -> Option<usize> {
 
 #[derive(Default)]
 struct Table {
+    detail: Detail,
     proposer: Proposer,
     /// Distance, blur, and place among the proposals.
     places: Vec<(f64, f64, Option<usize>)>,
@@ -118,13 +128,17 @@ struct Table {
 
 impl Table {
     fn add(&mut self, image: &SphereImage<'_>, shown: &[Shown]) {
+        let least_px = match self.detail {
+            Detail::Quick => 11.0,
+            Detail::Thorough => 0.65 * 11.0,
+        };
         let sizes = MarkerSizes {
-            least_rad: 11.0 / image.camera().pixels_per_radian(),
+            least_rad: least_px / image.camera().pixels_per_radian(),
             most_rad: SIDE_M / 0.4,
             radius_in_sides: RADIUS_M / SIDE_M,
         };
         let begun_ms = processor_ms();
-        let found = self.proposer.propose(image, &sizes, usize::MAX);
+        let found = self.proposer.propose(image, &sizes, self.detail, usize::MAX);
         self.times_ms.push(processor_ms() - begun_ms);
         self.proposals.push(found.len() as f64);
         let places = shown.iter().map(|(at, blur_px)| (at.norm(), *blur_px, place_of(at, &found)));
@@ -142,7 +156,7 @@ impl Table {
             median(&self.proposals).unwrap(),
             self.proposals.last().unwrap(),
         );
-        for (near_m, far_m) in [(0.0, 1.5), (1.5, 2.2), (2.2, 3.0)] {
+        for (near_m, far_m) in [(0.0, 1.5), (1.5, 2.2), (2.2, 3.0), (3.0, 4.0)] {
             for (least_px, most_px) in [(0.0, 2.0), (2.0, 4.0), (4.0, 99.0)] {
                 let is_inside = |(m, px, _): &&(f64, f64, Option<usize>)| {
                     (near_m..far_m).contains(m) && (least_px..most_px).contains(px)

@@ -72,6 +72,9 @@ pub enum Search {
     Nothing,
 }
 
+/// Half the field of a proposal's view, radii of the body that it may be: its middle may be off the place.
+pub const PROPOSAL_FIELD_RADII: f64 = 1.7;
+
 /// One view of a plan.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlannedView {
@@ -158,6 +161,14 @@ const UNPLACED: View = View {
     camera_from_view: UnitQuaternion::new_unchecked(Quaternion::new(1.0, 0.0, 0.0, 0.0)),
     focal_px: 16.0,
     size_px: 16,
+};
+
+/// A proposal in a plan.
+const PROPOSAL: PlannedView = PlannedView {
+    view: UNPLACED,
+    purpose: Purpose::Proposal,
+    search: Search::Nothing,
+    rate_in_camera: Vector3::new(0.0, 0.0, 0.0),
 };
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -256,7 +267,7 @@ impl Planner {
     }
 
     /// In the mode [`SearchMode::Gaze`], asks for `views` proposals in each frame while one of `targets`
-    /// targets is not tracked.
+    /// targets is not tracked; in the mode [`SearchMode::Exhaustive`] in each frame.
     pub fn with_proposals(self, targets: usize, views: usize) -> Self {
         Self { proposals: Proposals { targets, views }, ..self }
     }
@@ -290,7 +301,11 @@ impl Planner {
             SearchMode::Optimized => {
                 whole(optimized(&self.partition, searched.last_hit()), StopRule::FirstHit)
             }
-            SearchMode::Exhaustive => whole(greedy(&self.partition), StopRule::All),
+            SearchMode::Exhaustive => {
+                let mut plan = whole(greedy(&self.partition), StopRule::All);
+                plan.views.extend(vec![PROPOSAL; self.proposals.views]);
+                Plan { view_budget: plan.views.len(), ..plan }
+            }
             SearchMode::Gaze => self.gaze_plan(searched, neighbours),
         }
     }
@@ -321,17 +336,11 @@ impl Planner {
             _ => 0,
         };
         let view_budget = gazes.len() + proposals + self.gaze.partitions_per_frame.min(tiles.len());
-        let proposal = PlannedView {
-            view: UNPLACED,
-            purpose: Purpose::Proposal,
-            search: Search::Nothing,
-            rate_in_camera: Vector3::zeros(),
-        };
         let mut views = gazes;
         let (first, others) = tiles.split_at(tiles.len().min(1));
         let is_crowded = views.len() > self.gaze.views_before_partition;
         let is_tile_due = searched.frames_without_tile() >= MAX_FRAMES_WITHOUT_TILE;
-        let mut rest = vec![proposal; proposals];
+        let mut rest = vec![PROPOSAL; proposals];
         match (is_crowded, is_tile_due) {
             (true, _) => {
                 let early = self.gaze.views_before_partition;

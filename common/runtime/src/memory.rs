@@ -226,7 +226,7 @@ fn late_views(topic: TopicId, pipeline: &Pipeline) -> usize {
 /// that wakes up also answers its window of views that others have answered meanwhile.
 fn records_in_flight(resolved: &Resolved) -> usize {
     let tiles = resolved.partition_views.len() + resolved.high_resolution_tiles.len();
-    let proposals = resolved.pipeline.search.proposals as usize;
+    let proposals = resolved.pipeline.proposals();
     let planned = (tiles + MAX_TRACKS + proposals).min(MAX_PLANNED_VIEWS);
     FRAMES_IN_FLIGHT * planned + resolved.pipeline.rectification.window as usize
 }
@@ -398,7 +398,7 @@ mod tests {
             let overrides: Vec<String> = overrides.into_iter().map(String::from).collect();
             let resolved = Resolved::of(Pipeline::parse("", &overrides, "x").unwrap()).unwrap();
             let tiles = resolved.partition_views.len() + resolved.high_resolution_tiles.len();
-            let planned = tiles + MAX_TRACKS + resolved.pipeline.search.proposals as usize;
+            let planned = tiles + MAX_TRACKS + resolved.pipeline.proposals();
             let planned = planned.min(MAX_PLANNED_VIEWS);
             assert!(planned <= MAX_PLANNED_VIEWS);
             let late = resolved.pipeline.rectification.window as usize;

@@ -46,6 +46,8 @@ pub enum Pass {
     Complete,
     /// From rough starts, and a search round the prediction.
     Background,
+    /// In any attitude, at a place that looks like a body.
+    Place,
 }
 
 /// Why a pass did not run.
@@ -158,6 +160,8 @@ pub enum Source {
     Mirror,
     /// The search round the prediction.
     Search,
+    /// The search in all attitudes at a place that looks like a body.
+    Place,
 }
 
 /// What was decided of a hypothesis.

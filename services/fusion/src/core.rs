@@ -27,6 +27,7 @@ use crate::passes::corners::records_that_count;
 use crate::passes::direct::Region;
 use crate::passes::{AnsweredView, BestViews};
 use crate::pictures::{PictureReader, Pixels};
+use crate::places::Places;
 use crate::planning::Planning;
 use crate::policy::TimeBudget;
 use crate::schedule::Schedule;
@@ -54,6 +55,8 @@ pub struct Core<P> {
     reader: PictureReader,
     tracker: Tracker,
     planning: Planning,
+    /// Views of places that look like a body; `None` where they are not searched.
+    places: Option<Places>,
     /// Regions of interest that have come, for the direct pass.
     cut_regions: Vec<(FrameOrder, u32)>,
     /// What direct passes found in a frame that is published when it is complete.
@@ -68,6 +71,8 @@ pub struct Core<P> {
     rotations: VecDeque<Rotation>,
     /// A complete frame whose regions have been measured.
     complete: Option<Frame>,
+    /// A complete frame of which all but its places is measured.
+    measured: Option<Frame>,
     /// The newest frame of which a view has come.
     newest: Option<FrameStamp>,
     notices: Vec<Notice>,
@@ -94,6 +99,7 @@ impl<P: Pixels> Core<P> {
             reader,
             tracker,
             planning,
+            places: None,
             cut_regions: Vec::new(),
             found: Vec::new(),
             searched: Vec::new(),
@@ -101,6 +107,7 @@ impl<P: Pixels> Core<P> {
             answers: VecDeque::new(),
             rotations: VecDeque::new(),
             complete: None,
+            measured: None,
             newest: None,
             notices: Vec::new(),
             guard: None,
@@ -110,6 +117,11 @@ impl<P: Pixels> Core<P> {
     /// Refuses what cannot be true in flight with so many detection workers.
     pub fn guarded(self, workers: u32) -> Self {
         Self { guard: Some(Guard::new(workers)), ..self }
+    }
+
+    /// Searches places that look like a body for targets of which nothing else is known.
+    pub fn searching_places(self) -> Self {
+        Self { places: Some(Places::default()), ..self }
     }
 
     /// What a successor needs to go on.
@@ -207,6 +219,9 @@ impl<P: Pixels> Core<P> {
             self.planning.note_cut(purpose, search_of(&header));
         }
         if self.aligns {
+            if let (Some(places), Some(Purpose::Proposal)) = (&mut self.places, purpose) {
+                places.add(header, pixels.pixels());
+            }
             self.cache.add(header, pixels);
             if self.schedule.has_direct_pass() && matches!(purpose, Some(Purpose::Gaze(_))) {
                 self.cut_regions.push((header.stamp.order(), header.view_index));
@@ -300,7 +315,16 @@ impl<P: Pixels> Core<P> {
         } else if self.complete.is_some() {
             self.take_answers(&mut outputs);
             if let Some(frame) = self.complete.take() {
-                self.end_frame(&frame, &mut outputs);
+                self.measure(&frame, &mut outputs, Tracker::final_pass);
+                match self.places.is_some() {
+                    true => self.measured = Some(frame),
+                    false => self.end_frame(&frame, &mut outputs),
+                }
+            }
+        } else if let Some(frame) = self.measured.take() {
+            match self.search_a_place(&frame, &mut outputs) {
+                true => self.measured = Some(frame),
+                false => self.end_frame(&frame, &mut outputs),
             }
         } else if let Some((frame, leave)) = self.assembly.take(now_ns) {
             if leave == Leave::Overdue {
@@ -439,14 +463,14 @@ impl<P: Pixels> Core<P> {
         }
     }
 
-    /// Ends a frame: what is left to measure, the estimates of who was not seen, and the next plan.
+    /// Ends a frame of which all is measured, and makes the next plan.
     fn end_frame(&mut self, frame: &Frame, outputs: &mut Outputs) {
-        self.measure(frame, outputs, Tracker::final_pass);
         let (purposes, stop_rule) = self.planning.purposes_of(frame);
         let counted = records_that_count(frame, stop_rule);
         self.tracker.end_frame(frame, frame.stamp.exposure_s());
         self.planning.end_frame(frame, &counted, &purposes);
         self.cache.release_until(frame.stamp.order());
+        self.places.iter_mut().for_each(|places| places.release_until(frame.stamp.order()));
         outputs.tracks.push(TrackMessage::last_of(frame.stamp));
         self.plan(Some(frame.stamp), outputs);
         outputs.ended = Some(EndedFrame { taken_ns: frame.end.map(|end| end.taken_ns) });
@@ -479,6 +503,23 @@ impl<P: Pixels> Core<P> {
         let records: Vec<&Record> = frame.records.values().collect();
         let updates = self.caused_by(updates, &records);
         self.publish(&frame.stamp, updates, outputs);
+    }
+
+    /// Looks at some places of a complete frame for one of the targets that nothing else has found, if there are both.
+    /// All together would take longer than a stage may go without a sign of life.
+    fn search_a_place(&mut self, frame: &Frame, outputs: &mut Outputs) -> bool {
+        let Some(places) = &mut self.places else { return false };
+        let (order, at_once) = (frame.stamp.order(), self.tracker.threads().max(1));
+        let untracked = self.tracker.untracked(order);
+        let Some(target) = places.next_target(order, at_once, untracked) else { return false };
+        let some = self.reader.places(places, order, at_once);
+        let time = time_of(&self.planning, &frame.stamp);
+        let updates: Vec<Update> =
+            self.tracker.place_pass(time, target, &some).into_iter().collect();
+        let records: Vec<&Record> = frame.records.values().collect();
+        let updates = self.caused_by(updates, &records);
+        self.publish(&frame.stamp, updates, outputs);
+        true
     }
 
     fn caused_by(&self, updates: Vec<Update>, records: &[&Record]) -> Vec<Outgoing> {

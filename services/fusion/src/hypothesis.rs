@@ -5,10 +5,12 @@
 //! between them by its prediction ([`Aligner::confirm`]). Without one, hypotheses compete by their
 //! evidence ([`Aligner::initiate`]).
 
+use std::sync::{Arc, OnceLock};
+
 use flockeye_geometry::body::{Bodies, Body};
 use flockeye_imaging::align::{
-    AlignError, AlignOptions, Alignment, BodyPrint, Motion, Picture, PrintError, align, least_lead,
-    reacquire,
+    AlignError, AlignOptions, Alignment, BodyPrint, Motion, Picture, Place, PrintError, Templates,
+    align, least_lead, reacquire, starts_at,
 };
 use flockeye_imaging::edges::MarkerPrint;
 use nalgebra::{Isometry3, Unit, Vector3};
@@ -76,6 +78,8 @@ pub struct Sought<'s> {
 #[derive(Debug, Clone)]
 pub struct Aligner {
     prints: Vec<BodyPrint>,
+    /// Those of each print, made when they are needed first.
+    templates: Arc<[OnceLock<Templates>]>,
     pixels_per_radian: f64,
     options: AlignOptions,
     tilt: Option<TiltPrior>,
@@ -102,9 +106,11 @@ impl Aligner {
         print_of: impl Fn(u32) -> Option<&'p MarkerPrint>,
         pixels_per_radian: f64,
     ) -> Result<Self, PrintError> {
-        let prints =
+        let prints: Vec<BodyPrint> =
             bodies.iter().map(|body| BodyPrint::new(body, &print_of)).collect::<Result<_, _>>()?;
-        Ok(Self { prints, pixels_per_radian, options: AlignOptions::default(), tilt: None })
+        let templates = prints.iter().map(|_| OnceLock::new()).collect();
+        let options = AlignOptions::default();
+        Ok(Self { prints, templates, pixels_per_radian, options, tilt: None })
     }
 
     /// Multiplies covariances by this; see [`AlignOptions::covariance_scale`].
@@ -296,6 +302,27 @@ impl Aligner {
         predicted: &Isometry3<f64>,
     ) -> Option<Alignment> {
         reacquire(self.prints.get(target)?, picture, predicted, &self.options)
+    }
+
+    /// Searches for body `target` in any attitude at a place.
+    ///
+    /// What it finds competes as in [`Self::initiate`]. No more is asked of it: docs/results/places.md counts how likely
+    /// the best pose is where nobody is.
+    pub fn find_at(
+        &self,
+        target: usize,
+        picture: &Picture<'_>,
+        place: &Place,
+        notes: &mut Notes<'_>,
+    ) -> Option<Alignment> {
+        let print = self.prints.get(target)?;
+        let templates = self.templates.get(target)?.get_or_init(|| Templates::new(print));
+        let starts = starts_at(print, templates, picture, place, &self.options);
+        let starts: Vec<(Source, Start)> =
+            starts.into_iter().map(|start| (Source::Place, Start::Rough(start))).collect();
+        // The first that several facets tell will do: starts come best first.
+        let sought = Sought { target, picture, starts: &starts, budget: TimeBudget::OneFrame };
+        self.initiate(&sought, |_| false, notes)
     }
 
     /// What a start leads to, whether it is the body or not.

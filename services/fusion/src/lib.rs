@@ -51,6 +51,7 @@ pub mod parallax;
 pub mod parallel;
 pub mod passes;
 pub mod pictures;
+pub mod places;
 pub mod planning;
 pub mod policy;
 pub mod readout;

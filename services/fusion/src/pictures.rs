@@ -9,6 +9,7 @@ use crate::hypothesis::BestView;
 use crate::parallax::Parallax;
 use crate::passes::BestViews;
 use crate::passes::direct::Region;
+use crate::places::Places;
 use crate::view_cache::ViewCache;
 
 /// A hold on the pixels of a view.
@@ -47,6 +48,20 @@ impl PictureReader {
                 Some((target, BestView { agreeing, ..reader.read(header, pixels)? }))
             })
             .collect()
+    }
+
+    /// The first `most` places of a frame, in the order of its plan. A view that cannot be read is left out; detection
+    /// reports why.
+    pub fn places<'c>(
+        &'c mut self,
+        places: &'c Places,
+        order: FrameOrder,
+        most: usize,
+    ) -> Vec<BestView<'c>> {
+        self.learn_curves(places.of(order).map(|(header, _)| header));
+        let reader = &*self;
+        let readable = places.of(order).filter_map(|(header, pixels)| reader.read(header, pixels));
+        readable.take(most).collect()
     }
 
     /// Those of a frame's unanswered views that are regions of interest. A view that cannot be read is

@@ -104,6 +104,7 @@ pub fn configured<P: Pixels>(
         Flow::Latest => core.guarded(pipeline.detection_workers()),
         Flow::Lossless => core,
     };
+    let core = if pipeline.has_single_images() { core.searching_places() } else { core };
     let mode = mode_code(pipeline.search.mode);
     let writer = Writer {
         bodies: bodies.clone(),
@@ -118,7 +119,7 @@ pub fn configured<P: Pixels>(
 /// Views of places that look like a body in each frame. They are found in equirectangular pictures only.
 fn proposals(resolved: &Resolved) -> usize {
     match resolved.camera.model() {
-        CameraModel::Equirectangular { .. } => resolved.pipeline.search.proposals as usize,
+        CameraModel::Equirectangular { .. } => resolved.pipeline.proposals(),
         _ => 0,
     }
 }

@@ -471,6 +471,7 @@ impl Tracker {
 mod accounting;
 mod direct_passes;
 mod late_answers;
+mod place_passes;
 mod predictions;
 mod resumed;
 #[cfg(test)]

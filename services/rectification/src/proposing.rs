@@ -3,8 +3,9 @@
 use flockeye_config::Resolved;
 use flockeye_geometry::body::Body;
 use flockeye_geometry::mask::Mask;
+use flockeye_geometry::search::PROPOSAL_FIELD_RADII;
 use flockeye_geometry::view::View;
-use flockeye_imaging::proposals::{MarkerSizes, Proposal, Proposer};
+use flockeye_imaging::proposals::{Detail, MarkerSizes, Proposal, Proposer};
 use flockeye_imaging::sphere::SphereImage;
 
 /// Places of a frame that are kept. Of the 28 bodies within 2.2 m and blurred by less than 4 px in the
@@ -24,12 +25,12 @@ const MAX_MAGNIFICATION: f64 = 3.0;
 /// A place is looked at again after so many frames: what is as it was reads no better.
 const AGAIN_AFTER: u64 = 3;
 
+/// In single images, smallest markers in sizes of the smallest that reads: bodies are found there whose markers do not.
+const LEAST_UNREAD_SIDES: f64 = 0.65;
+
 /// Markers of a place are taken for at least this size, in sizes of the smallest that reads: a smaller one
 /// is seen at an angle, and others beside it are not.
 const LEAST_SIDES: f64 = 1.2;
-
-/// Half the field of a view, radii of a body: its middle may be off the place.
-const FIELD_RADII: f64 = 1.7;
 
 /// Half the field of a view is no larger, radians (40 degrees): near bodies are found by the tiles too.
 const MAX_HALF_FIELD_RAD: f64 = 0.7;
@@ -48,6 +49,8 @@ pub struct Proposing {
     proposer: Proposer,
     /// `None` without bodies.
     sizes: Option<MarkerSizes>,
+    /// Whether each frame is an image for itself: no place was looked at before, and there is time for a thorough look.
+    is_single: bool,
     mask: Mask,
     pixels_per_radian: f64,
     /// Longest side of a view, pixels.
@@ -70,14 +73,18 @@ impl Proposing {
         let bodies = || resolved.bodies.iter().filter(|body| !body.markers.is_empty());
         let in_sides = bodies().map(|body: &Body| body.radius() / body.largest_side());
         let radius_in_sides = in_sides.fold(0.0, f64::max);
+        let is_single = resolved.pipeline.has_single_images();
+        let least_sides = if is_single { LEAST_UNREAD_SIDES } else { 1.0 };
+        let least_px = least_sides * resolved.pipeline.detection.min_side_px;
         let sizes = MarkerSizes {
-            least_rad: resolved.pipeline.detection.min_side_px / pixels_per_radian,
+            least_rad: least_px / pixels_per_radian,
             most_rad: resolved.bodies.largest_side() / resolved.pipeline.partition.nearest_m,
             radius_in_sides,
         };
         Ok(Self {
             proposer: Proposer::default(),
             sizes: (radius_in_sides > 0.0).then_some(sizes),
+            is_single,
             mask: resolved.mask()?.clone(),
             pixels_per_radian,
             size_max_px: resolved.gaze_options.size_max_px,
@@ -90,7 +97,11 @@ impl Proposing {
     /// At most `views` views of places in `image`.
     pub fn views(&mut self, image: &SphereImage<'_>, views: usize) -> Vec<View> {
         let Some(sizes) = self.sizes else { return Vec::new() };
-        let mut found = self.proposer.propose(image, &sizes, MOST);
+        let detail = if self.is_single { Detail::Thorough } else { Detail::Quick };
+        if self.is_single {
+            self.known.clear();
+        }
+        let mut found = self.proposer.propose(image, &sizes, detail, MOST);
         found.retain(|proposal| !self.mask.hides(&proposal.direction_in_camera));
         let looked = |proposal: &Proposal| {
             let apart = |place: &&Place| {
@@ -128,7 +139,8 @@ impl Proposing {
 
     fn view(&self, place: &Proposal, sizes: &MarkerSizes) -> View {
         let side_rad = place.side_rad.max(LEAST_SIDES * sizes.least_rad);
-        let half_rad = (FIELD_RADII * sizes.radius_in_sides * side_rad).min(MAX_HALF_FIELD_RAD);
+        let half_rad =
+            (PROPOSAL_FIELD_RADII * sizes.radius_in_sides * side_rad).min(MAX_HALF_FIELD_RAD);
         let field_rad = 2.0 * half_rad;
         // No larger than a region of interest: shared memory has room for that.
         let most_px = f64::from(self.size_max_px) / (2.0 * half_rad.tan());
@@ -149,7 +161,13 @@ mod tests {
     const WIDTH: usize = 3840;
 
     fn proposing() -> Proposing {
-        Proposing::of(&Resolved::of(Pipeline::parse("", &[], "a test").unwrap()).unwrap()).unwrap()
+        proposing_with(&[])
+    }
+
+    fn proposing_with(overrides: &[&str]) -> Proposing {
+        let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
+        let pipeline = Pipeline::parse("", &overrides, "a test").unwrap();
+        Proposing::of(&Resolved::of(pipeline).unwrap()).unwrap()
     }
 
     /// A white picture with `count` dark squares along the equator, each with a bright cell.
@@ -209,6 +227,15 @@ mod tests {
         assert_eq!(count(&mut proposing, 5), 1);
         assert_eq!(count(&mut proposing, 5), 0);
         assert_eq!(count(&mut proposing, 5), 4);
+    }
+
+    #[test]
+    fn nothing_of_a_single_image_was_looked_at_before() {
+        let mut proposing = proposing_with(&["fusion.filter=none", "flow=lossless"]);
+        let pixels = squares(4);
+        let first = look(&mut proposing, &pixels, 12, 12);
+        assert_eq!(first.len(), 4);
+        assert_eq!(look(&mut proposing, &pixels, 12, 12), first);
     }
 
     #[test]

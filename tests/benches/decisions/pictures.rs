@@ -12,7 +12,7 @@ use flockeye_imaging::sphere::{Cut, SphereImage, rectify_into};
 use flockeye_record::TruthRow;
 use flockeye_simulator::{World, settings};
 use flockeye_tests::recordings;
-use nalgebra::{Isometry3, Quaternion, Translation3, Unit, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Quaternion, Unit, UnitQuaternion};
 
 const WIDTH: u32 = 3840;
 /// The seeds of the simulated frames, which nothing was chosen on, and the frames of each.
@@ -169,48 +169,5 @@ pub fn recorded(mut each: impl FnMut(&Still)) {
             let luma = rows.flat_map(|row| &row[..WIDTH as usize]).copied().collect();
             each(&Still { origin, luma, bodies, prints: prints.clone() });
         });
-    }
-}
-
-/// Numbers by chance, the same in each run.
-pub struct Chance(u64);
-
-impl Chance {
-    pub fn new(seed: u64) -> Self {
-        Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1)
-    }
-
-    /// From 0 to 1.
-    pub fn share(&mut self) -> f64 {
-        // xorshift64
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        (self.0 >> 11) as f64 / (1_u64 << 53) as f64
-    }
-
-    /// In any direction.
-    pub fn direction(&mut self) -> Vector3<f64> {
-        loop {
-            let at = Vector3::from_fn(|_, _| 2.0 * self.share() - 1.0);
-            if (0.1..1.0).contains(&at.norm()) {
-                return at.normalize();
-            }
-        }
-    }
-
-    /// Any attitude.
-    pub fn attitude(&mut self) -> UnitQuaternion<f64> {
-        UnitQuaternion::from_scaled_axis(self.direction() * std::f64::consts::PI * self.share())
-    }
-
-    /// A start that is off as corner poses and predictions are.
-    pub fn near(&mut self, pose: &Isometry3<f64>) -> Isometry3<f64> {
-        let range_m = pose.translation.vector.norm();
-        let off =
-            self.direction() * 0.002 + pose.translation.vector * (0.02 * (self.share() - 0.5));
-        let turn = UnitQuaternion::from_scaled_axis(self.direction() * 0.03);
-        let position = pose.translation.vector + off * range_m.min(1.0);
-        Isometry3::from_parts(Translation3::from(position), turn * pose.rotation)
     }
 }

@@ -332,3 +332,22 @@ fn tiles_alternate_windows_where_targets_are_followed_and_time_is_limited() {
     assert_eq!(says(&|pipeline| pipeline.fusion.filter = Filter::None), (false, false));
     assert_eq!(says(&|pipeline| pipeline.search.mode = Mode::Exhaustive), (false, false));
 }
+
+#[test]
+fn single_images_have_twice_the_proposals_and_other_searches_of_all_tiles_have_none() {
+    let says = |change: &dyn Fn(&mut Pipeline)| {
+        let mut pipeline = Pipeline::default();
+        change(&mut pipeline);
+        (pipeline.has_single_images(), pipeline.proposals())
+    };
+    assert_eq!(says(&|_| {}), (false, 12));
+    assert_eq!(says(&|pipeline| pipeline.fusion.filter = Filter::None), (false, 0));
+    let single = |mode: Mode| {
+        says(&|pipeline| {
+            pipeline.fusion.filter = Filter::None;
+            pipeline.flow = Flow::Lossless;
+            pipeline.search.mode = mode;
+        })
+    };
+    assert_eq!((single(Mode::Gaze), single(Mode::Exhaustive)), ((true, 24), (false, 0)));
+}

@@ -111,6 +111,25 @@ impl Pipeline {
         self.search.mode == Mode::Gaze && self.fusion.filter != Filter::None
     }
 
+    /// Whether each frame is an image for itself that nobody waits for: `fusion.filter: none` in a lossless run. It is
+    /// searched as well as can be.
+    pub fn has_single_images(&self) -> bool {
+        self.search.mode == Mode::Gaze
+            && self.fusion.filter == Filter::None
+            && self.flow == Flow::Lossless
+    }
+
+    /// Views of places that look like a body in a frame with a target without a track: `search.proposals`, and twice as
+    /// many in single images, which are looked at more closely and have more such places.
+    pub fn proposals(&self) -> usize {
+        let proposals = self.search.proposals as usize;
+        match (self.gazes(), self.has_single_images()) {
+            (true, _) => proposals,
+            (false, true) => 2 * proposals,
+            (false, false) => 0,
+        }
+    }
+
     /// Whether each frame has a limited time, be it by the clock or by stated costs.
     pub fn is_limited(&self) -> bool {
         self.flow == Flow::Latest || self.search.budget == SearchBudget::Flight
@@ -390,7 +409,8 @@ pub struct Search {
     #[schemars(range(min = 1.0, max = 3.0))]
     pub far_magnification: f64,
     /// Views of places that look like a body, in each frame while a neighbour is not tracked: the mode
-    /// gaze finds such places by a fast look at the whole picture. 0: none.
+    /// gaze finds such places by a fast look at the whole picture. Twice as many with `fusion.filter: none` in a
+    /// lossless run, where the look is thorough and bodies are searched there in any attitude. 0: none.
     #[schemars(range(min = 0, max = 64))]
     pub proposals: u32,
 }

@@ -352,6 +352,19 @@ fn proposals_come_before_the_tiles_while_a_target_is_not_tracked() {
 }
 
 #[test]
+fn an_exhaustive_search_has_its_proposals_behind_all_tiles() {
+    let partition = Partition::icosahedron();
+    let views = partition.views(0.1, 611.0).unwrap();
+    let gaze = GazeOptions::new(611.0);
+    let planner = Planner::new(SearchMode::Exhaustive, partition, views, gaze).unwrap();
+    let planner = planner.with_proposals(2, 3);
+    let plan = planner.plan(&planner.nothing_searched(), &[]);
+    assert_eq!((plan.views.len(), plan.view_budget, plan.stop_rule), (15, 15, StopRule::All));
+    let is_proposal = |view: &PlannedView| view.purpose == Purpose::Proposal;
+    assert!(plan.views[12..].iter().all(is_proposal) && !plan.views[..12].iter().any(is_proposal));
+}
+
+#[test]
 fn a_tile_comes_before_the_proposals_after_four_frames_without_one() {
     let planner = fine_planner(2).with_proposals(2, 3);
     let mut searched = planner.nothing_searched();

@@ -28,6 +28,7 @@
 //! then patch, state, model, samples, then the rest, and `mod.rs` at last. No two use each other.
 
 mod acceptance;
+mod acquire;
 mod alignment;
 mod covariance;
 mod depiction;
@@ -46,6 +47,7 @@ mod solve;
 mod state;
 
 pub use acceptance::{LeastLogOdds, least_lead};
+pub use acquire::{Place, Templates};
 pub use alignment::{AlignError, AlignOptions, Alignment};
 pub use depiction::{Depiction, depict};
 pub use evidence::Evidence;
@@ -134,6 +136,32 @@ pub fn reacquire(
                 .filter(|found| found.is_accepted() && found.is_precise())
         })
         .max_by(|a, b| a.evidence.log_odds.total_cmp(&b.evidence.log_odds))
+}
+
+/// Poses (`camera_from_markers`) from which alignment may find `print` at a `place`, in any attitude: the likeliest
+/// first. `templates` are those of the print.
+///
+/// They are as rough as what [`AlignOptions::coarse_first`] is for. None where the picture does not show the place.
+pub fn starts_at(
+    print: &BodyPrint,
+    templates: &Templates,
+    picture: &Picture<'_>,
+    place: &Place,
+    options: &AlignOptions,
+) -> Vec<Isometry3<f64>> {
+    let Place { direction_in_camera, range_m } = *place;
+    let middle = direction_in_camera * range_m;
+    let start = Isometry3::translation(middle.x, middle.y, middle.z);
+    let margin_rad = print.radius_m() / range_m;
+    let Ok(view) = PreparedView::new(print, picture, &start, options, margin_rad) else {
+        return Vec::new();
+    };
+    let PreparedView { patch, settings } = view;
+    let middle = patch.view_from_camera * direction_in_camera;
+    let lens_px = settings.prior.blur[(0, 0)].sqrt();
+    let camera_from_patch = patch.view_from_camera.inverse();
+    let starts = acquire::starts(templates, &patch, &middle, range_m, lens_px);
+    starts.into_iter().map(|start| camera_from_patch * start).collect()
 }
 
 fn is_valid(start: &Isometry3<f64>, picture: &Picture<'_>) -> bool {

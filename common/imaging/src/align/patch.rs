@@ -160,6 +160,26 @@ impl Patch {
         self.saturated[y * self.width + x]
     }
 
+    /// The share of the pixels that are saturated.
+    pub fn saturated_share(&self) -> f64 {
+        let count = self.saturated.iter().filter(|saturated| **saturated).count();
+        count as f64 / self.saturated.len() as f64
+    }
+
+    /// The radiance at a point between pixels, interpolated linearly; outside the patch, that of its rim.
+    #[inline]
+    pub fn between(&self, at: Vector2<f64>) -> f32 {
+        let within = |at: f64, size: usize| {
+            let at = at.clamp(0.0, (size - 1) as f64);
+            let low = (at as usize).min(size.saturating_sub(2));
+            (low, (low + 1).min(size - 1), (at - low as f64) as f32)
+        };
+        let (left, right, across) = within(at.x, self.width);
+        let (top, bottom, down) = within(at.y, self.height);
+        let row = |y| self.at(left, y) * (1.0 - across) + self.at(right, y) * across;
+        row(top) * (1.0 - down) + row(bottom) * down
+    }
+
     /// The radiance of the pixel nearest to a point; outside the patch, that of the nearest pixel at the
     /// rim.
     pub fn nearest(&self, x: f64, y: f64) -> f32 {
@@ -174,13 +194,18 @@ impl Patch {
 
     /// The patch blurred by a Gaussian of standard deviation `sigma_px`. The same pixels stay saturated.
     pub fn blurred(&self, sigma_px: f64) -> Self {
-        let reach = (3.0 * sigma_px).ceil() as usize;
-        let kernel: Vec<f32> =
-            (0..=reach).map(|k| (-0.5 * (k as f64 / sigma_px).powi(2)).exp() as f32).collect();
-        let across = convolve(&self.radiance, self.width, self.height, 1, self.width, &kernel);
-        let radiance = convolve(&across, self.height, self.width, self.width, 1, &kernel);
+        let radiance = smoothed(&self.radiance, self.width, self.height, sigma_px);
         Self { radiance, ..self.clone() }
     }
+}
+
+/// Values, row by row, blurred by a Gaussian of standard deviation `sigma_px`.
+pub(super) fn smoothed(values: &[f32], width: usize, height: usize, sigma_px: f64) -> Vec<f32> {
+    let reach = (3.0 * sigma_px).ceil() as usize;
+    let kernel: Vec<f32> =
+        (0..=reach).map(|k| (-0.5 * (k as f64 / sigma_px).powi(2)).exp() as f32).collect();
+    let across = convolve(values, width, height, 1, width, &kernel);
+    convolve(&across, height, width, width, 1, &kernel)
 }
 
 /// Convolves `lines` lines of `length` values with a symmetric kernel.

@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
 #[path = "../../tests/drawn_body/mod.rs"]
-mod drawn_body;
+pub(super) mod drawn_body;
 
 use flockeye_geometry::body::{Body, squares};
 use flockeye_geometry::view::View;
@@ -28,7 +28,7 @@ pub(super) fn print_of(body: &Body) -> BodyPrint {
     BodyPrint::new(body, |id| prints.get(&id)).unwrap()
 }
 
-fn srgb() -> LinearLight {
+pub(super) fn srgb() -> LinearLight {
     LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap()
 }
 
@@ -47,7 +47,7 @@ fn moved(pose: &Isometry3<f64>, shift: Vector3<f64>, turn: Vector3<f64>) -> Isom
     )
 }
 
-const PIXELS_PER_RADIAN: f64 = 611.0;
+pub(super) const PIXELS_PER_RADIAN: f64 = 611.0;
 
 fn run(
     drawing: &Drawing,
@@ -126,7 +126,7 @@ fn a_depiction_is_the_picture_at_the_true_pose() {
 }
 
 /// The drawing as a camera takes it that exposes it longer by so many stops: clipped after it was blurred.
-fn exposed(drawing: &Drawing, stops: f64) -> Drawing {
+pub(super) fn exposed(drawing: &Drawing, stops: f64) -> Drawing {
     let light = srgb();
     let code = |code: u8| {
         let radiance = f64::from(light.of(code)) * stops.exp2();

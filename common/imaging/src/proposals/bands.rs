@@ -11,9 +11,6 @@ use flockeye_geometry::camera::SpherePixel;
 
 use crate::sphere::SphereImage;
 
-/// Columns of the reduced image at the equator, about: markers of 12 px have 6 then.
-const COLUMNS: usize = 1920;
-
 /// Where bands begin and end, shares of the height from the upper border, and by which power of two their
 /// columns are reduced further. Bands overlap by 7 degrees or more, so that a body at 1 m is whole in one.
 const BANDS: [(f64, f64, u32); 5] =
@@ -71,8 +68,9 @@ impl Band {
 }
 
 impl Reduction {
-    pub fn new(width: usize, height: usize) -> Self {
-        Self { width, height, factor: (width / COLUMNS).max(1) }
+    /// To so many columns at the equator, about.
+    pub fn new(width: usize, height: usize, columns: usize) -> Self {
+        Self { width, height, factor: (width / columns).max(1) }
     }
 
     /// The bands. Images of a few pixels have none.

@@ -11,9 +11,23 @@ const HEIGHT: usize = 1920;
 
 const SIZES: MarkerSizes = MarkerSizes { least_rad: 0.018, most_rad: 0.125, radius_in_sides: 1.64 };
 
+/// A thorough look finds markers of which the quick one has some pixels.
+#[test]
+fn a_small_body_is_found_by_a_thorough_look() {
+    let direction = Unit::new_normalize(Vector3::new(1.0, 0.3, 0.1));
+    let side_rad = 9.0 / 611.0;
+    let pixels = body_at(&direction, side_rad);
+    let image = SphereImage::new(&pixels, WIDTH, Camera::equirectangular(3840, 1920)).unwrap();
+    let sizes = MarkerSizes { least_rad: 7.0 / 611.0, ..SIZES };
+    let found = Proposer::default().propose(&image, &sizes, Detail::Thorough, 24);
+    let first = found.first().expect("it is there");
+    assert!(first.direction_in_camera.angle(&direction) < 1.64 * side_rad);
+    assert!((0.6..1.6).contains(&(first.side_rad / side_rad)), "{}", first.side_rad);
+}
+
 fn propose(pixels: &[u8]) -> Vec<Proposal> {
     let image = SphereImage::new(pixels, WIDTH, Camera::equirectangular(3840, 1920)).unwrap();
-    Proposer::default().propose(&image, &SIZES, 24)
+    Proposer::default().propose(&image, &SIZES, Detail::Quick, 24)
 }
 
 /// A white disc with four marker-like squares of `side_rad`, in a grey picture.
@@ -85,7 +99,7 @@ fn other_cameras_have_no_proposals() {
     let camera = Camera::new(640, 640, plane).unwrap();
     let pixels = vec![0; 640 * 640];
     let image = SphereImage::new(&pixels, 640, camera).unwrap();
-    assert_eq!(Proposer::default().propose(&image, &SIZES, 24), []);
+    assert_eq!(Proposer::default().propose(&image, &SIZES, Detail::Quick, 24), []);
 }
 
 #[test]
@@ -95,8 +109,8 @@ fn the_same_picture_has_the_same_proposals_whatever_came_before() {
     let image = SphereImage::new(&pixels, WIDTH, camera).unwrap();
     let mut used = Proposer::default();
     let noise: Vec<u8> = (0..WIDTH * HEIGHT).map(|k| ((k * 2_654_435_761) >> 7) as u8).collect();
-    used.propose(&SphereImage::new(&noise, WIDTH, camera).unwrap(), &SIZES, 24);
-    assert_eq!(used.propose(&image, &SIZES, 24), propose(&pixels));
+    used.propose(&SphereImage::new(&noise, WIDTH, camera).unwrap(), &SIZES, Detail::Quick, 24);
+    assert_eq!(used.propose(&image, &SIZES, Detail::Quick, 24), propose(&pixels));
 }
 
 proptest! {
@@ -124,7 +138,7 @@ proptest! {
         let camera = Camera::equirectangular(width as u32, height as u32);
         let image = SphereImage::new(&pixels, width, camera).unwrap();
         let sizes = MarkerSizes { least_rad: 0.05, most_rad: 1.0, radius_in_sides: 1.64 };
-        let found = Proposer::default().propose(&image, &sizes, 7);
+        let found = Proposer::default().propose(&image, &sizes, Detail::Quick, 7);
         prop_assert!(found.len() <= 7);
         prop_assert!(found.windows(2).all(|pair| pair[0].score >= pair[1].score));
         for proposal in found {

@@ -6,7 +6,7 @@ use super::*;
 use crate::fixtures::*;
 use crate::schedule::VirtualClock;
 use flockeye_config::Costs;
-use flockeye_contract::DetectionHeader;
+use flockeye_contract::{DetectionHeader, ViewKind};
 use flockeye_convert::RadianceCache;
 use flockeye_geometry::filter::TrackState;
 use flockeye_geometry::search::StopRule;
@@ -318,6 +318,32 @@ fn where_order_must_not_count_nothing_leaves_before_the_frame_is_complete() {
         assert_eq!(poses(&said), [0]);
         assert!(is_ended(&said));
     }
+}
+
+/// A view of a place that looks like a body, without a marker in it, is searched for the body in any attitude.
+#[test]
+fn a_body_without_a_decoded_marker_is_found_at_its_place() {
+    let proposal = |sequence| {
+        let view = ViewHeader { kind: ViewKind::Proposal.code(), ..region_view(sequence, 0) };
+        // The field of a proposal's view says how far away the body is.
+        let place = crate::places::place_of(&view_of(&view), alpha().radius());
+        let range_m = pose(0.9).translation.vector.norm();
+        assert!((0.7..1.4).contains(&(place.range_m / range_m)), "{place:?} at {range_m} m");
+        view
+    };
+    let said = |searches: bool| {
+        let mut core = core(Schedule::Unlimited);
+        core = if searches { core.searching_places() } else { core };
+        drain(&mut core, 0);
+        core.on(Event::View(proposal(0), shown().1.clone()), 0);
+        core.on(Event::Searched(empty_record(0)), 0);
+        core.on(frame_end(0, 0, 1), 0);
+        let said = drain(&mut core, 0);
+        assert!(is_ended(&said));
+        said
+    };
+    assert_eq!(poses(&said(true)), [0]);
+    assert!(poses(&said(false)).is_empty(), "nothing else finds it");
 }
 
 #[test]

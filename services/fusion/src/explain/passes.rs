@@ -175,6 +175,7 @@ fn name_of(pass: Pass) -> &'static str {
         Pass::Region => "corners of the region",
         Pass::Complete => "corners of the frame",
         Pass::Background => "background",
+        Pass::Place => "search of a place",
     }
 }
 
@@ -199,6 +200,7 @@ fn source_of(source: Source) -> &'static str {
         Source::DirectPass => "prediction, as the direct pass found it",
         Source::Mirror => "mirror pose of the likeliest",
         Source::Search => "search round the prediction",
+        Source::Place => "all attitudes at the place",
     }
 }
 

@@ -306,3 +306,28 @@ fn rivals_are_noted_with_their_lead() {
         assert_eq!(list[1].source, Source::Mirror);
     });
 }
+
+#[test]
+fn a_body_is_found_at_a_rough_place_and_another_is_not() {
+    let truth = pose(2.6, 0.9);
+    let position = truth.translation.vector;
+    let off = Vector3::new(-0.5, 0.8, 0.0).normalize() * 0.04;
+    let place = Place { direction_in_camera: (position + off).normalize(), range_m: 2.3 };
+    let mut list = Vec::new();
+    let found = with_picture(&truth, |aligner, picture| {
+        aligner.find_at(0, picture, &place, &mut Notes::into_list(Some(&mut list)))
+    });
+    let found = found.expect("it is there").camera_from_markers;
+    assert!(found.rotation.angle_to(&truth.rotation) < 0.05);
+    assert!((found.translation.vector - position).norm() < 0.02);
+    let accepted = list.iter().find(|noted| noted.verdict == Verdict::Accepted);
+    assert_eq!(accepted.map(|noted| noted.source), Some(Source::Place));
+
+    let prints = prints();
+    let other = squares("bravo", 0.0625, 0.05, 17);
+    let bodies = Bodies::new("DICT_5X5_250".into(), vec![other]).unwrap();
+    let aligner = Aligner::new(&bodies, |id| prints.get(&id), PIXELS_PER_RADIAN).unwrap();
+    with_picture(&truth, |_, picture| {
+        assert!(aligner.find_at(0, picture, &place, &mut Notes::none()).is_none());
+    });
+}

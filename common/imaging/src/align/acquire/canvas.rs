@@ -1,0 +1,155 @@
+//! The picture of a place with one pixel for each cell, at each turn and range.
+
+use std::collections::HashMap;
+
+use nalgebra::{Isometry3, UnitQuaternion, Vector2, Vector3};
+
+use super::{BLUR_CELLS, Cell, RANGE_STEP, REACH_CELLS, lean, turn_rad};
+use crate::align::patch::Patch;
+
+/// A canonical picture.
+#[derive(Debug)]
+pub(super) struct Canvas {
+    pub side: usize,
+    /// Radiance, row by row, and its square.
+    pub radiance: Vec<f32>,
+    pub square: Vec<f32>,
+    /// The same with every second column: first the even ones of a row, then the odd ones.
+    pub parted: [Vec<f32>; 2],
+}
+
+impl Canvas {
+    /// A square picture of this radiance.
+    pub fn of(side: usize, radiance: Vec<f32>) -> Self {
+        let square: Vec<f32> = radiance.iter().map(|value| value * value).collect();
+        let parted = [&radiance, &square].map(|plane| part(plane, side));
+        Self { side, radiance, square, parted }
+    }
+}
+
+/// The part of a picture that is looked at.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Place<'p> {
+    pub patch: &'p Patch,
+    /// The place in the patch.
+    pub centre_px: Vector2<f64>,
+    pub range_m: f64,
+    /// Blur of the lens, pixels of the patch.
+    pub lens_px: f64,
+}
+
+/// How large canonical pictures are, and of what.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Size {
+    /// Pixels along a side; even, so that a row has as many even columns as odd ones.
+    pub side: usize,
+    /// The pixel of the body's middle in an unshifted template.
+    pub radius: usize,
+    pub cell_m: f64,
+}
+
+impl Size {
+    /// For a body of so many cells.
+    pub fn of(radius: usize, cell_m: f64) -> Self {
+        Self { side: 2 * (radius + REACH_CELLS + 1), radius, cell_m }
+    }
+
+    /// The place of a pixel in a picture, and in one whose columns are parted.
+    pub fn places(&self, x: usize, y: usize) -> [u32; 2] {
+        let parted = x % 2 * (self.side / 2) + x / 2;
+        [x, parted].map(|column| (y * self.side + column) as u32)
+    }
+}
+
+/// Canonical pictures of a place, made when they are needed.
+#[derive(Debug)]
+pub(super) struct Canvases<'p> {
+    size: Size,
+    place: Place<'p>,
+    blurred: HashMap<i32, Patch>,
+    made: HashMap<(usize, i32), Canvas>,
+}
+
+impl<'p> Canvases<'p> {
+    pub fn new(size: Size, place: &Place<'p>) -> Self {
+        Self { size, place: *place, blurred: HashMap::new(), made: HashMap::new() }
+    }
+
+    pub fn cell_m(&self) -> f64 {
+        self.size.cell_m
+    }
+
+    /// Range of an exponent, metres.
+    fn range_m(&self, exponent: i32) -> f64 {
+        self.place.range_m * RANGE_STEP.powi(exponent)
+    }
+
+    /// Pixels of the patch for each of the canonical picture.
+    fn cell_px(&self, exponent: i32) -> f64 {
+        self.size.cell_m / self.range_m(exponent) * self.place.patch.pinhole.focal_px
+    }
+
+    /// The point of the patch that a canonical picture shows at `at`.
+    fn in_patch(&self, turn: usize, exponent: i32, at: Vector2<f64>) -> Vector2<f64> {
+        let (sin, cos) = turn_rad(turn).sin_cos();
+        let off = (at.add_scalar(-self.middle())) * self.cell_px(exponent);
+        self.place.centre_px + Vector2::new(cos * off.x - sin * off.y, sin * off.x + cos * off.y)
+    }
+
+    /// The pixel of the place in a canonical picture, along both axes.
+    fn middle(&self) -> f64 {
+        (self.size.side / 2) as f64
+    }
+
+    /// The picture at a turn and a range.
+    pub fn get(&mut self, turn: usize, exponent: i32) -> &Canvas {
+        if !self.made.contains_key(&(turn, exponent)) {
+            let canvas = self.draw(turn, exponent);
+            self.made.insert((turn, exponent), canvas);
+        }
+        &self.made[&(turn, exponent)]
+    }
+
+    fn draw(&mut self, turn: usize, exponent: i32) -> Canvas {
+        let Place { patch, lens_px, .. } = self.place;
+        let wanted_px = BLUR_CELLS * self.cell_px(exponent);
+        self.blurred.entry(exponent).or_insert_with(|| {
+            let missing_px2 = wanted_px.powi(2) - lens_px.powi(2);
+            if missing_px2 > 0.0 { patch.blurred(missing_px2.sqrt()) } else { patch.clone() }
+        });
+        let blurred = &self.blurred[&exponent];
+        let side = self.size.side;
+        let corner = self.in_patch(turn, exponent, Vector2::zeros());
+        let right = self.in_patch(turn, exponent, Vector2::x()) - corner;
+        let down = self.in_patch(turn, exponent, Vector2::y()) - corner;
+        let mut radiance = Vec::with_capacity(side * side);
+        for y in 0..side {
+            let first = corner + down * y as f64;
+            radiance.extend((0..side).map(|x| blurred.between(first + right * x as f64)));
+        }
+        Canvas::of(side, radiance)
+    }
+
+    /// The pose of a cell (`patch_from_markers`), whose template shows the body in the attitude
+    /// `sight_from_markers`.
+    pub fn pose(&self, sight_from_markers: &UnitQuaternion<f64>, cell: &Cell) -> Isometry3<f64> {
+        let [right, down] = cell.shift.map(|shift| (self.size.radius + shift) as f64);
+        let at = self.in_patch(cell.turn, cell.exponent, Vector2::new(right, down));
+        let sight = self.place.patch.pinhole.direction(at).normalize();
+        let roll = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn_rad(cell.turn));
+        Isometry3::from_parts(
+            (sight * self.range_m(cell.exponent)).into(),
+            lean(&sight) * roll * sight_from_markers,
+        )
+    }
+}
+
+/// The even columns of each row, then the odd ones.
+fn part(plane: &[f32], side: usize) -> Vec<f32> {
+    let mut parted = Vec::with_capacity(plane.len());
+    for row in plane.chunks_exact(side) {
+        parted.extend(row.iter().step_by(2));
+        parted.extend(row.iter().skip(1).step_by(2));
+    }
+    parted
+}

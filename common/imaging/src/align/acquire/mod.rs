@@ -1,0 +1,171 @@
+//! Where alignment may start for a body of which only a rough place is known.
+//!
+//! Far away, in the dark or in glare no marker is found, but people still see a body with a pattern. This search sees
+//! it too: it compares the picture with the body in all attitudes ([`templates`]). It works in a *canonical picture* of
+//! one pixel for each cell of the body's smallest marker, with more blur than any lens leaves there. So a body of 50 mm
+//! markers is 23 pixels across, whatever its distance.
+//!
+//! 1. Coarse: each attitude at each turn about the line of sight, each range and every second pixel
+//!    ([`coarse`]).
+//! 2. Fine: the best of these again at half the steps ([`fine`]).
+//! 3. The best that differ are the starts, best first. Which of them leads to the body is for alignment and its
+//!    evidence to say.
+
+mod canvas;
+mod correlation;
+mod templates;
+
+use std::f64::consts::TAU;
+
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+
+use super::patch::Patch;
+use canvas::Canvases;
+use templates::Template;
+pub use templates::Templates;
+
+/// Blur of the canonical picture, standard deviation, cells.
+pub(super) const BLUR_CELLS: f64 = 0.85;
+/// The body's middle is looked for so many cells to each side of the place.
+const REACH_CELLS: usize = 11;
+/// Ranges from the stated one, as powers of this, on the fine grid.
+const RANGE_STEP: f64 = 1.075;
+/// Exponents of the nearest and the farthest range on the fine grid. A marker that is seen at an angle makes a place
+/// seem farther away than it is, the box round one that stands on its corner makes it seem nearer.
+const RANGE_EXPONENTS: (i32, i32) = (-6, 6);
+/// Turns about the line of sight on the fine grid.
+const TURNS: usize = 48;
+/// Coarse cells that are looked at again.
+const KEPT: usize = 1500;
+/// Starts of each kind of template.
+const STARTS: usize = 8;
+/// Starts that differ by less are one: radians, and cells across the line of sight.
+const SAME_RAD: f64 = 0.3;
+const SAME_CELLS: f64 = 2.5;
+/// Overexposed templates are tried where more than this share of the patch is saturated.
+const SATURATED_SHARE: f64 = 0.02;
+
+/// A place where a body may be.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Place {
+    /// Where its middle is, in the camera frame, within a body's radius; unit length.
+    pub direction_in_camera: Vector3<f64>,
+    /// How far away it is, metres, within a third.
+    pub range_m: f64,
+}
+
+/// A pose of the grid, with how well the picture agrees.
+#[derive(Debug, Clone, Copy)]
+struct Cell {
+    template: usize,
+    /// Turn about the line of sight, in fine steps.
+    turn: usize,
+    /// Exponent of the range.
+    exponent: i32,
+    /// Shift of the template in the canonical picture, pixels.
+    shift: [usize; 2],
+    score: f32,
+}
+
+/// Poses (`patch_from_markers`) to start from, the likeliest first. `middle` is the place's direction in the patch,
+/// `lens_px` the lens's blur in it.
+pub(super) fn starts(
+    templates: &Templates,
+    patch: &Patch,
+    middle: &Vector3<f64>,
+    range_m: f64,
+    lens_px: f64,
+) -> Vec<Isometry3<f64>> {
+    let Some(centre_px) = patch.pinhole.project(middle) else { return Vec::new() };
+    let place = canvas::Place { patch, centre_px, range_m, lens_px };
+    let mut canvases = Canvases::new(templates.size, &place);
+    let mut starts = starts_of(&templates.plain, &mut canvases);
+    if patch.saturated_share() > SATURATED_SHARE {
+        starts.extend(starts_of(&templates.overexposed, &mut canvases));
+    }
+    starts
+}
+
+/// The starts of one kind of template.
+fn starts_of(templates: &[Template], canvases: &mut Canvases<'_>) -> Vec<Isometry3<f64>> {
+    let mut cells = coarse(templates, canvases);
+    for cell in &mut cells {
+        *cell = fine(templates, canvases, cell);
+    }
+    cells.sort_by(|a, b| b.score.total_cmp(&a.score));
+    let mut starts: Vec<Isometry3<f64>> = Vec::new();
+    for cell in cells {
+        if starts.len() >= STARTS {
+            break;
+        }
+        let start = canvases.pose(&templates[cell.template].sight_from_markers, &cell);
+        if !starts.iter().any(|other| is_same(other, &start, canvases.cell_m())) {
+            starts.push(start);
+        }
+    }
+    starts
+}
+
+/// The best cells of the coarse grid.
+fn coarse(templates: &[Template], canvases: &mut Canvases<'_>) -> Vec<Cell> {
+    let mut cells: Vec<Cell> = Vec::new();
+    let mut least = 0.0;
+    for exponent in (RANGE_EXPONENTS.0..=RANGE_EXPONENTS.1).step_by(2) {
+        for turn in (0..TURNS).step_by(2) {
+            let canvas = canvases.get(turn, exponent);
+            for (number, template) in templates.iter().enumerate() {
+                let (score, shift) = correlation::best_shift(template, canvas);
+                if score > least {
+                    cells.push(Cell { template: number, turn, exponent, shift, score });
+                }
+            }
+            if cells.len() > 2 * KEPT {
+                cells.select_nth_unstable_by(KEPT, |a, b| b.score.total_cmp(&a.score));
+                least = cells[KEPT].score;
+                cells.truncate(KEPT);
+            }
+        }
+    }
+    cells.sort_by(|a, b| b.score.total_cmp(&a.score));
+    cells.truncate(KEPT);
+    cells
+}
+
+/// The best cell of the fine grid beside a coarse one.
+fn fine(templates: &[Template], canvases: &mut Canvases<'_>, coarse: &Cell) -> Cell {
+    let mut best = *coarse;
+    for exponent in coarse.exponent - 1..=coarse.exponent + 1 {
+        for turn in [coarse.turn + TURNS - 1, coarse.turn, coarse.turn + 1] {
+            let turn = turn % TURNS;
+            let canvas = canvases.get(turn, exponent);
+            let template = &templates[coarse.template];
+            let (score, shift) = correlation::best_beside(template, canvas, coarse.shift);
+            if score > best.score {
+                best = Cell { turn, exponent, shift, score, ..*coarse };
+            }
+        }
+    }
+    best
+}
+
+/// Whether two starts are too near to each other to lead to different poses.
+fn is_same(one: &Isometry3<f64>, other: &Isometry3<f64>, cell_m: f64) -> bool {
+    let (here, there) = (one.translation.vector, other.translation.vector);
+    let apart_rad = (here.normalize() - there.normalize()).norm();
+    one.rotation.angle_to(&other.rotation) < SAME_RAD
+        && apart_rad * here.norm() < SAME_CELLS * cell_m
+}
+
+/// The angle of a turn, radians.
+fn turn_rad(turn: usize) -> f64 {
+    turn as f64 / TURNS as f64 * TAU
+}
+
+/// The rotation that leads from the z axis to `sight` by the shortest way.
+fn lean(sight: &Vector3<f64>) -> UnitQuaternion<f64> {
+    // A patch looks ahead, so its pixels never look backwards.
+    UnitQuaternion::rotation_between(&Vector3::z(), sight).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,64 @@
+//! Searches of places that look like a body, for targets of which nothing else is known.
+
+use flockeye_contract::FrameOrder;
+
+use super::accounting::outcome_of;
+use super::{FrameTime, Tracker, Update};
+use crate::account::{Decision, Notes, Outcome, Pass, Trial};
+use crate::hypothesis::BestView;
+use crate::measurement::Measurement;
+use crate::parallel;
+use crate::places::place_of;
+use crate::policy::TimeBudget;
+
+impl Tracker {
+    /// The targets without a track that a frame has not measured.
+    pub fn untracked(&self, order: FrameOrder) -> impl Iterator<Item = usize> {
+        self.unpublished(order).filter(|&target| !self.targets[target].is_tracked())
+    }
+
+    /// The place pass: looks for a target at some `places` of a complete frame, as many at once as there are threads. The
+    /// first place that shows it counts. Each takes some tenths of a second.
+    pub fn place_pass(
+        &mut self,
+        time: FrameTime,
+        target: usize,
+        places: &[BestView<'_>],
+    ) -> Option<Update> {
+        let search = |place: &BestView<'_>| self.search(time, target, place);
+        for (measurement, trial) in parallel::map(places, self.threads, search) {
+            if let Some(trial) = trial {
+                self.note(time.order, target, || Decision::Ran(trial));
+            }
+            let Some(measurement) = measurement else { continue };
+            let update = self.take_in(time, target, &measurement);
+            self.note_outcome(time.order, target, outcome_of(measurement, update.as_ref()));
+            if update.is_some() {
+                return update;
+            }
+        }
+        None
+    }
+
+    /// Looks for a target at one place.
+    fn search(
+        &self,
+        time: FrameTime,
+        target: usize,
+        place: &BestView<'_>,
+    ) -> (Option<Measurement>, Option<Trial>) {
+        let mut trial = self.is_noted(target).then(|| Trial {
+            view_index: Some(place.view_index),
+            outcome: Outcome::Nothing,
+            ..Trial::of(Pass::Place, &self.prior(target, time.at_s), TimeBudget::Unlimited)
+        });
+        let at = place_of(&place.picture.view, self.targets[target].body.radius());
+        let mut notes = Notes::into_list(trial.as_mut().map(|trial| &mut trial.hypotheses));
+        let found = self.aligner.find_at(target, &place.picture, &at, &mut notes);
+        let measurement = found.map(|found| {
+            let measurement = Measurement::aligned(&found, 0);
+            self.corrected(measurement, place.rays_m, target, time.at_s)
+        });
+        (measurement, trial)
+    }
+}
