@@ -103,7 +103,8 @@ ROTATIONS = {"gyroscope": ("The visual gyroscope", "flight4/flight4.mp4", "fligh
 # Built as the tests are, so that nothing is compiled twice.
 BENCH = ["cargo", "bench", "--locked", "--profile", "tested", "--workspace", "--features",
          "flockeye-launcher/fault-points", "--bench"]
-BENCHES = {"proposals": "Proposals", "costs": "Costs", "decisions": "Decisions about poses"}
+BENCHES = {"proposals": "Proposals", "costs": "Costs", "decisions": "Decisions about poses",
+           "places": "Bodies of which only a rough place is known"}
 # Disturbances of a running pipeline: title, what of `flockeye chaos`, how many (another number: COUNT=200).
 SWAPPED = "detection,detection.1,rectification,egomotion,fusion"
 DISTURBED = {
@@ -786,6 +787,10 @@ def render(store):
             "decisions", "[ALIGNMENT.md](../ALIGNMENT.md#what-is-accepted) says what the words mean.\n\n"
             "![How often log odds are exceeded where nobody is](../figures/decisions.svg)", of(["decisions"])))
         (ROOT / "docs/figures/decisions.svg").write_text(decisions_figure(store["decisions"]["output"]))
+    if "places" in store:
+        (folder / "places.md").write_text(experiments_page(
+            "places", "[ALIGNMENT.md](../ALIGNMENT.md#a-body-in-any-attitude) says how they are searched.",
+            of(["places"])))
     if "costs" in store:
         (folder / "costs.md").write_text(costs_page(store["costs"]))
     readme = (ROOT / "README.md").read_text()
