@@ -15,12 +15,13 @@ mod frames;
 #[path = "decisions/pictures.rs"]
 mod pictures;
 
+use std::rc::Rc;
 use std::time::{Duration, Instant};
 
 use chance::Chance;
 use flockeye_geometry::camera::Camera;
 use flockeye_imaging::align::{
-    AlignOptions, Alignment, Picture, Place, Templates, align, starts_at,
+    AlignOptions, Alignment, BodyPrint, Picture, Place, Templates, align, starts_at,
 };
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
 use flockeye_imaging::proposals::{Detail, MarkerSizes, Proposer};
@@ -84,7 +85,7 @@ struct Bench {
     chance: Chance,
     proposer: Proposer,
     /// Those of the pictures' bodies, which are the same as long as their prints are.
-    templates: Option<(usize, Vec<Templates>)>,
+    templates: Option<(Rc<Vec<BodyPrint>>, Vec<Templates>)>,
     sought: Vec<Sought>,
     /// Log odds of the best precise pose at each place without a body.
     of_nobody: Vec<f64>,
@@ -107,9 +108,9 @@ impl Bench {
     }
 
     fn judge(&mut self, still: &Still, origin: &str) {
-        let prints = std::rc::Rc::as_ptr(&still.prints) as usize;
-        if self.templates.as_ref().is_none_or(|(of, _)| *of != prints) {
-            self.templates = Some((prints, still.prints.iter().map(Templates::new).collect()));
+        let prints = &still.prints;
+        if self.templates.as_ref().is_none_or(|(of, _)| !Rc::ptr_eq(of, prints)) {
+            self.templates = Some((prints.clone(), prints.iter().map(Templates::new).collect()));
         }
         for shown in &still.bodies {
             let truth = &shown.camera_from_markers;

@@ -166,6 +166,12 @@ impl Bodies {
         self.bodies.iter().map(Body::largest_side).fold(0.0, f64::max)
     }
 
+    /// The largest radius of a body, in sides of its largest marker; 0 without markers.
+    pub fn radius_in_sides(&self) -> f64 {
+        let with_markers = self.bodies.iter().filter(|body| !body.markers.is_empty());
+        with_markers.map(|body| body.radius() / body.largest_side()).fold(0.0, f64::max)
+    }
+
     /// The body with this index.
     pub fn get(&self, index: usize) -> Option<&Body> {
         self.bodies.get(index)

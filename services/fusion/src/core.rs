@@ -14,7 +14,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 use flockeye_contract::{DetectedMarker, FrameOrder, FrameStamp, Rotation, ViewHeader};
 use flockeye_convert::{camera_turn, purpose_of, search_of, view_of};
-use flockeye_geometry::search::Purpose;
+use flockeye_geometry::search::{Purpose, Search};
 
 use self::refusal::Guard;
 use crate::account::Decision;
@@ -219,7 +219,11 @@ impl<P: Pixels> Core<P> {
             self.planning.note_cut(purpose, search_of(&header));
         }
         if self.aligns {
-            if let (Some(places), Some(Purpose::Proposal)) = (&mut self.places, purpose) {
+            // A proposal for which there was no place is not searched.
+            let has_place = search_of(&header) != Search::Nothing;
+            if let (Some(places), Some(Purpose::Proposal), true) =
+                (&mut self.places, purpose, has_place)
+            {
                 places.add(header, pixels.pixels());
             }
             self.cache.add(header, pixels);
@@ -509,10 +513,10 @@ impl<P: Pixels> Core<P> {
     /// All together would take longer than a stage may go without a sign of life.
     fn search_a_place(&mut self, frame: &Frame, outputs: &mut Outputs) -> bool {
         let Some(places) = &mut self.places else { return false };
-        let (order, at_once) = (frame.stamp.order(), self.tracker.threads().max(1));
+        let order = frame.stamp.order();
         let untracked = self.tracker.untracked(order);
-        let Some(target) = places.next_target(order, at_once, untracked) else { return false };
-        let some = self.reader.places(places, order, at_once);
+        let Some(target) = places.next_target(order, untracked) else { return false };
+        let some = self.reader.places(places, order);
         let time = time_of(&self.planning, &frame.stamp);
         let updates: Vec<Update> =
             self.tracker.place_pass(time, target, &some).into_iter().collect();

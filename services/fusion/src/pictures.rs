@@ -50,18 +50,11 @@ impl PictureReader {
             .collect()
     }
 
-    /// The first `most` places of a frame, in the order of its plan. A view that cannot be read is left out; detection
-    /// reports why.
-    pub fn places<'c>(
-        &'c mut self,
-        places: &'c Places,
-        order: FrameOrder,
-        most: usize,
-    ) -> Vec<BestView<'c>> {
-        self.learn_curves(places.of(order).map(|(header, _)| header));
+    /// The places of a frame that are searched next. A view that cannot be read is left out; detection reports why.
+    pub fn places<'c>(&'c mut self, places: &'c Places, order: FrameOrder) -> Vec<BestView<'c>> {
+        self.learn_curves(places.next(order).map(|(header, _)| header));
         let reader = &*self;
-        let readable = places.of(order).filter_map(|(header, pixels)| reader.read(header, pixels));
-        readable.take(most).collect()
+        places.next(order).filter_map(|(header, pixels)| reader.read(header, pixels)).collect()
     }
 
     /// Those of a frame's unanswered views that are regions of interest. A view that cannot be read is

@@ -12,6 +12,9 @@ use flockeye_imaging::align::Place;
 
 use crate::pictures::Pixels;
 
+/// Places that are searched in one step, by as many threads. All of a frame would take longer than a stage may go without
+/// a sign of life.
+const AT_ONCE: usize = 2;
 /// Views that are kept at most, of all frames.
 const MAX_VIEWS: usize = 128;
 
@@ -45,23 +48,27 @@ impl Places {
     }
 
     /// The views of a frame, in the order of its plan.
-    pub fn of(&self, order: FrameOrder) -> impl Iterator<Item = (&ViewHeader, &Copied)> {
+    fn of(&self, order: FrameOrder) -> impl Iterator<Item = (&ViewHeader, &Copied)> {
         let of_frame = self.views.range((order, 0)..=(order, u32::MAX));
         of_frame.map(|(_, (header, pixels))| (header, pixels))
     }
 
-    /// The target that is to be looked for next at the first `at_once` places of a frame, of these. When all of them have
-    /// been, the next places come first. `None` where none are left.
+    /// The views that are searched next, of a frame.
+    pub fn next(&self, order: FrameOrder) -> impl Iterator<Item = (&ViewHeader, &Copied)> {
+        self.of(order).take(AT_ONCE)
+    }
+
+    /// The target that is to be looked for next at the next places of a frame, of these. When all of them have been, other
+    /// places come next. `None` where none are left.
     pub fn next_target(
         &mut self,
         order: FrameOrder,
-        at_once: usize,
         untracked: impl Iterator<Item = usize>,
     ) -> Option<usize> {
         let untracked: Vec<usize> = untracked.collect();
         let next = untracked.iter().copied().find(|target| Some(*target) > self.last_target);
         if next.is_none() {
-            let done = self.views.range((order, 0)..=(order, u32::MAX)).take(at_once);
+            let done = self.views.range((order, 0)..=(order, u32::MAX)).take(AT_ONCE);
             let done: Vec<_> = done.map(|(key, _)| *key).collect();
             done.iter().for_each(|key| drop(self.views.remove(key)));
         }
@@ -77,12 +84,13 @@ impl Places {
     }
 }
 
-/// The place that a proposal's view shows, for a body of this radius.
-pub fn place_of(view: &View, radius_m: f64) -> Place {
-    let radius_rad = view.field_rad() / 2.0 / PROPOSAL_FIELD_RADII;
+/// The place that a proposal's view shows, for a body with markers of `side_m`. Views are as wide as for the body with
+/// the largest radius in sides of its markers.
+pub fn place_of(view: &View, side_m: f64, radius_in_sides: f64) -> Place {
+    let side_rad = view.field_rad() / 2.0 / PROPOSAL_FIELD_RADII / radius_in_sides;
     Place {
         direction_in_camera: view.direction_in_camera().into_inner(),
-        range_m: radius_m / radius_rad,
+        range_m: side_m / side_rad,
     }
 }
 
@@ -118,7 +126,7 @@ mod tests {
         (0..3).for_each(|index| places.add(header(1, index), &[index as u8]));
         let order = stamp(1).order();
         let mut turn = |untracked: &[usize]| {
-            let target = places.next_target(order, 2, untracked.iter().copied())?;
+            let target = places.next_target(order, untracked.iter().copied())?;
             Some((target, places.of(order).next().unwrap().0.view_index))
         };
         assert_eq!(turn(&[1, 4]), Some((1, 0)));
@@ -126,7 +134,7 @@ mod tests {
         assert_eq!(turn(&[1, 4]), Some((1, 2)), "two were looked at");
         assert_eq!(turn(&[4]), Some((4, 2)), "1 was found");
         assert_eq!(turn(&[4]), None);
-        assert_eq!(Places::default().next_target(order, 2, [0].into_iter()), None);
+        assert_eq!(Places::default().next_target(order, [0].into_iter()), None);
     }
 
     #[test]
@@ -140,7 +148,7 @@ mod tests {
     #[test]
     fn a_view_tells_how_far_away_the_body_is() {
         let view = View::looking_at(&Vector3::y_axis(), 2.0 * PROPOSAL_FIELD_RADII * 0.04, 200);
-        let place = place_of(&view, 0.08);
+        let place = place_of(&view, 0.05, 1.6);
         assert!((place.range_m - 2.0).abs() < 1e-3, "{place:?}");
         assert!((place.direction_in_camera - *Vector3::y_axis()).norm() < 1e-9);
     }

@@ -60,6 +60,8 @@ pub struct Tracker {
     parallax: Option<Parallax>,
     readout: Option<Readout>,
     aligner: Arc<Aligner>,
+    /// See [`Bodies::radius_in_sides`].
+    radius_in_sides: f64,
     threads: usize,
     /// `None`: everything is done at once.
     background: Option<BackgroundQueue>,
@@ -93,6 +95,7 @@ impl Tracker {
             readout: None,
             exposure: Exposure::new(None, aligner.pixels_per_radian()),
             aligner,
+            radius_in_sides: bodies.radius_in_sides(),
             threads,
             background: None,
             direct_policy: DirectPassPolicy::default(),

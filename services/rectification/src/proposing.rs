@@ -1,7 +1,6 @@
 //! Which places of a frame that look like a body are looked at.
 
 use flockeye_config::Resolved;
-use flockeye_geometry::body::Body;
 use flockeye_geometry::mask::Mask;
 use flockeye_geometry::search::PROPOSAL_FIELD_RADII;
 use flockeye_geometry::view::View;
@@ -70,9 +69,7 @@ impl Proposing {
     /// A mask that cannot be read.
     pub fn of(resolved: &Resolved) -> anyhow::Result<Self> {
         let pixels_per_radian = resolved.camera.pixels_per_radian();
-        let bodies = || resolved.bodies.iter().filter(|body| !body.markers.is_empty());
-        let in_sides = bodies().map(|body: &Body| body.radius() / body.largest_side());
-        let radius_in_sides = in_sides.fold(0.0, f64::max);
+        let radius_in_sides = resolved.bodies.radius_in_sides();
         let is_single = resolved.pipeline.has_single_images();
         let least_sides = if is_single { LEAST_UNREAD_SIDES } else { 1.0 };
         let least_px = least_sides * resolved.pipeline.detection.min_side_px;
@@ -101,8 +98,11 @@ impl Proposing {
         if self.is_single {
             self.known.clear();
         }
-        let mut found = self.proposer.propose(image, &sizes, detail, MOST);
+        // Some of them may be behind the mask.
+        let most = MOST.max(views);
+        let mut found = self.proposer.propose(image, &sizes, detail, 2 * most);
         found.retain(|proposal| !self.mask.hides(&proposal.direction_in_camera));
+        found.truncate(most);
         let looked = |proposal: &Proposal| {
             let apart = |place: &&Place| {
                 place.proposal.direction_in_camera.angle(&proposal.direction_in_camera)

@@ -7,7 +7,8 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SearchBudget {
-    /// What flight has time for, by `search.costs`: the same passes in the same order.
+    /// What flight has time for, by `search.costs`: the same passes in the same order. Single images (`fusion.filter: none`)
+    /// are searched as well as can be all the same.
     #[default]
     Flight,
     /// `search.lossless_partitions` tiles with all windows, and all passes at once.

@@ -139,7 +139,7 @@ pub fn reacquire(
 }
 
 /// Poses (`camera_from_markers`) from which alignment may find `print` at a `place`, in any attitude: the likeliest
-/// first. `templates` are those of the print.
+/// of each kind of template first. `templates` are those of the print.
 ///
 /// They are as rough as what [`AlignOptions::coarse_first`] is for. None where the picture does not show the place.
 pub fn starts_at(

@@ -6,7 +6,7 @@ use super::bands::Grey;
 const BLOCK: usize = 4;
 
 /// Blocks to each side of a pixel's own that are its surroundings. With the own one that makes 20 pixels of
-/// the reduced image: a marker at 2 m with its quiet zone is half of it.
+/// the reduced image: in a quick look, a marker at 2 m with its quiet zone is half of it.
 const REACH: usize = 2;
 const ACROSS: usize = 2 * REACH + 1;
 

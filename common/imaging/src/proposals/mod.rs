@@ -3,7 +3,7 @@
 //! It is a fast look at the whole picture. What it proposes is cut and read as any other view; what it
 //! misses the tiles find. `docs/SCHEDULING.md` says what its constants were read from.
 //!
-//! 1. The picture is reduced to half its resolution, in bands of latitude ([`bands`]).
+//! 1. The picture is reduced to the resolution of the look ([`Detail`]), in bands of latitude ([`bands`]).
 //! 2. Runs of pixels that are darker than their surroundings ([`dark`]) are joined to regions
 //!    ([`regions`]).
 //! 3. Regions as large as a marker, with a brighter surround on each side, are squares ([`squares`]).

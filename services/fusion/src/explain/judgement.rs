@@ -6,8 +6,12 @@ use super::Known;
 use super::explanation::{Explanation, Step, ViewFacts};
 use super::facts::Place;
 use super::passes::decided;
-use crate::account::{Decision, Hypothesis, Outcome, Trial, Verdict};
+use crate::account::{Decision, Hypothesis, Outcome, Pass, Trial, Verdict};
 use crate::passes::inputs::CornerVerdict;
+
+/// A hypothesis farther than this from where the body is expected is about something else, radians: a proposal's view of a
+/// body at 2 m shows less.
+const ELSEWHERE_RAD: f64 = 0.1;
 
 /// The step that decided, and what to say of it.
 pub fn of(known: &Known, explanation: &Explanation, place: Option<&Place>) -> (Step, String) {
@@ -42,10 +46,10 @@ fn decisive(known: &Known, explanation: &Explanation, place: Option<&Place>) -> 
                 return said;
             }
         }
-        None if !has_decoded => return (Step::NoPlaceKnown, no_place(explanation)),
+        None if !has_decoded => return (Step::NoPlaceKnown, no_place(known, explanation)),
         _ => {}
     }
-    if let Some(said) = by_hypotheses(known) {
+    if let Some(said) = by_hypotheses(known, place) {
         return said;
     }
     if let Some(said) = by_corners(known) {
@@ -204,14 +208,20 @@ fn of_views(explanation: &Explanation, place: &Place) -> Option<(Step, String)> 
     Some((Step::OutsideViews, why))
 }
 
-fn no_place(explanation: &Explanation) -> String {
+fn no_place(known: &Known, explanation: &Explanation) -> String {
     let answered = explanation.views.iter().filter(|view| view.is_answered);
     let squares = match ids(explanation, false) {
         ids if ids.is_empty() => String::new(),
         ids => format!("; squares that may be its markers {ids} were found, of which no two agree"),
     };
+    let places = match trials(known).filter(|trial| trial.pass == Pass::Place).count() {
+        0 => String::new(),
+        count => {
+            format!("; it was looked for in any attitude at {count} places, and found at none")
+        }
+    };
     format!(
-        "no track predicts it, and none of its markers was decoded in the {} views of this frame{squares}",
+        "no track predicts it, and none of its markers was decoded in the {} views of this frame{squares}{places}",
         answered.count()
     )
 }
@@ -249,8 +259,15 @@ pub fn name_of(view: &ViewFacts) -> String {
 }
 
 /// The hypothesis that came nearest, and why it was not enough.
-fn by_hypotheses(known: &Known) -> Option<(Step, String)> {
-    let all = || trials(known).flat_map(|trial| &trial.hypotheses);
+fn by_hypotheses(known: &Known, place: Option<&Place>) -> Option<(Step, String)> {
+    // Most places that look like a body are none, and what was tried there says nothing of it.
+    let about_it = |trial: &'_ Trial| {
+        let is_place = trial.pass == Pass::Place;
+        let hypotheses = trial.hypotheses.iter();
+        hypotheses.filter(|it| !is_place || is_at(it, place)).cloned().collect::<Vec<Hypothesis>>()
+    };
+    let of_trials: Vec<Hypothesis> = trials(known).flat_map(about_it).collect();
+    let all = || of_trials.iter();
     let likeliest = |hypotheses: &mut dyn Iterator<Item = &Hypothesis>| {
         hypotheses
             .filter_map(|hypothesis| Some((hypothesis.log_odds()?, hypothesis.clone())))
@@ -274,6 +291,13 @@ fn by_hypotheses(known: &Known) -> Option<(Step, String)> {
         _ => String::new(),
     };
     Some((Step::BelowThreshold, format!("the likeliest pose: {}{hidden}", decided(&below))))
+}
+
+/// Whether a hypothesis is about where the body is expected.
+fn is_at(hypothesis: &Hypothesis, place: Option<&Place>) -> bool {
+    let (Ok(found), Some(place)) = (&hypothesis.found, place) else { return false };
+    let [found, place] = [&found.camera_from_markers, &place.camera_from_markers];
+    found.translation.vector.angle(&place.translation.vector) < ELSEWHERE_RAD
 }
 
 /// Why corners alone were not enough.

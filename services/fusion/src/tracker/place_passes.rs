@@ -17,8 +17,8 @@ impl Tracker {
         self.unpublished(order).filter(|&target| !self.targets[target].is_tracked())
     }
 
-    /// The place pass: looks for a target at some `places` of a complete frame, as many at once as there are threads. The
-    /// first place that shows it counts. Each takes some tenths of a second.
+    /// The place pass: looks for a target at some `places` of a complete frame. The first place that shows it counts. Each
+    /// takes some tenths of a second.
     pub fn place_pass(
         &mut self,
         time: FrameTime,
@@ -50,9 +50,10 @@ impl Tracker {
         let mut trial = self.is_noted(target).then(|| Trial {
             view_index: Some(place.view_index),
             outcome: Outcome::Nothing,
-            ..Trial::of(Pass::Place, &self.prior(target, time.at_s), TimeBudget::Unlimited)
+            ..Trial::of(Pass::Place, &self.prior(target, time.at_s), TimeBudget::OneFrame)
         });
-        let at = place_of(&place.picture.view, self.targets[target].body.radius());
+        let side_m = self.targets[target].body.largest_side();
+        let at = place_of(&place.picture.view, side_m, self.radius_in_sides);
         let mut notes = Notes::into_list(trial.as_mut().map(|trial| &mut trial.hypotheses));
         let found = self.aligner.find_at(target, &place.picture, &at, &mut notes);
         let measurement = found.map(|found| {

@@ -49,7 +49,7 @@ pub(super) struct Size {
 }
 
 impl Size {
-    /// For a body of so many cells.
+    /// For a body of so many cells from its middle to its rim.
     pub fn of(radius: usize, cell_m: f64) -> Self {
         Self { side: 2 * (radius + REACH_CELLS + 1), radius, cell_m }
     }
@@ -98,7 +98,7 @@ impl<'p> Canvases<'p> {
 
     /// The pixel of the place in a canonical picture, along both axes.
     fn middle(&self) -> f64 {
-        (self.size.side / 2) as f64
+        (self.size.radius + REACH_CELLS) as f64
     }
 
     /// The picture at a turn and a range.

@@ -2,8 +2,8 @@
 //!
 //! Far away, in the dark or in glare no marker is found, but people still see a body with a pattern. This search sees
 //! it too: it compares the picture with the body in all attitudes ([`templates`]). It works in a *canonical picture* of
-//! one pixel for each cell of the body's smallest marker, with more blur than any lens leaves there. So a body of 50 mm
-//! markers is 23 pixels across, whatever its distance.
+//! one pixel for each cell of the body's smallest marker, with more blur than a lens leaves there. So the usual body is
+//! 23 pixels across, whatever its distance, and none is more than 32.
 //!
 //! 1. Coarse: each attitude at each turn about the line of sight, each range and every second pixel
 //!    ([`coarse`]).
@@ -28,9 +28,9 @@ pub use templates::Templates;
 pub(super) const BLUR_CELLS: f64 = 0.85;
 /// The body's middle is looked for so many cells to each side of the place.
 const REACH_CELLS: usize = 11;
-/// Ranges from the stated one, as powers of this, on the fine grid.
+/// Ranges from the stated one, as powers of this. The coarse grid has every second power.
 const RANGE_STEP: f64 = 1.075;
-/// Exponents of the nearest and the farthest range on the fine grid. A marker that is seen at an angle makes a place
+/// Exponents of the nearest and the farthest range of the coarse grid. A marker that is seen at an angle makes a place
 /// seem farther away than it is, the box round one that stands on its corner makes it seem nearer.
 const RANGE_EXPONENTS: (i32, i32) = (-6, 6);
 /// Turns about the line of sight on the fine grid.
@@ -48,7 +48,7 @@ const SATURATED_SHARE: f64 = 0.02;
 /// A place where a body may be.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Place {
-    /// Where its middle is, in the camera frame, within a body's radius; unit length.
+    /// Where its middle is, in the camera frame, within two thirds of a body's radius; unit length.
     pub direction_in_camera: Vector3<f64>,
     /// How far away it is, metres, within a third.
     pub range_m: f64,
@@ -67,7 +67,7 @@ struct Cell {
     score: f32,
 }
 
-/// Poses (`patch_from_markers`) to start from, the likeliest first. `middle` is the place's direction in the patch,
+/// Poses (`patch_from_markers`) to start from, the likeliest of each kind of template first. `middle` is the place's direction in the patch,
 /// `lens_px` the lens's blur in it.
 pub(super) fn starts(
     templates: &Templates,

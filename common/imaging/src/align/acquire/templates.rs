@@ -16,6 +16,9 @@ use crate::align::state::{BLACK_SHARE_PRIOR, Prior, State};
 const DIRECTIONS: usize = 240;
 /// It is modelled at this range. Nearer and farther it looks nearly the same.
 const RANGE_M: f64 = 3.0;
+/// Cells from the middle of a body to its rim, at most. One with more of them is searched with coarser pixels, because
+/// time and memory grow with their fourth power.
+const MAX_RADIUS_CELLS: f64 = 16.0;
 /// Pixels of which the body covers less show too much of the background.
 const MIN_COVERED: f32 = 0.85;
 /// Samples of a template, about: more cost time and find hardly more.
@@ -62,7 +65,7 @@ pub(super) struct Sample {
 impl Templates {
     /// Models a body in all attitudes. That takes some tenths of a second.
     pub fn new(print: &BodyPrint) -> Self {
-        let cell_m = print.smallest_cell_m();
+        let cell_m = print.smallest_cell_m().max(print.radius_m() / MAX_RADIUS_CELLS);
         if !cell_m.is_finite() {
             let size = Size::of(0, 1.0);
             return Self { plain: Vec::new(), overexposed: Vec::new(), size };
