@@ -5,12 +5,13 @@
 //! led to; it is called again until there is nothing left to do.
 
 mod events;
+mod passes;
 mod refusal;
 
 pub use events::{EndedFrame, Event, Outputs};
 pub use refusal::Refusal;
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 
 use flockeye_contract::{DetectedMarker, FrameOrder, FrameStamp, Rotation, ViewHeader};
 use flockeye_convert::{camera_turn, purpose_of, search_of, view_of};
@@ -24,7 +25,6 @@ use crate::notices::Notice;
 use crate::output::{Cause, Outgoing, TrackMessage};
 use crate::passes::background::Answer;
 use crate::passes::corners::records_that_count;
-use crate::passes::direct::Region;
 use crate::passes::{AnsweredView, BestViews};
 use crate::pictures::{PictureReader, Pixels};
 use crate::places::Places;
@@ -348,70 +348,6 @@ impl<P: Pixels> Core<P> {
         self.schedule.budget(stamp, self.newest.as_ref())
     }
 
-    /// Direct passes over regions of one frame, as many at once as there are threads.
-    fn direct_pass(&mut self, outputs: &mut Outputs) {
-        let (first, _) = self.cut_regions[0];
-        let same = self.cut_regions.iter().take_while(|(order, _)| *order == first).count();
-        let views: Vec<(FrameOrder, u32)> =
-            self.cut_regions.drain(..same.min(self.tracker.threads().max(1))).collect();
-        self.measure_regions(&views, outputs);
-        for (order, view_index, shows) in std::mem::take(&mut self.shown) {
-            if self.cut_regions.contains(&(order, view_index)) {
-                self.shown.push((order, view_index, shows));
-            } else {
-                self.cache.answered(order, view_index, &shows);
-            }
-        }
-    }
-
-    /// The direct pass over regions of one frame.
-    fn measure_regions(&mut self, views: &[(FrameOrder, u32)], outputs: &mut Outputs) {
-        let read = self.reader.regions(&self.cache, views);
-        let Some(stamp) = read.first().map(|(header, _)| header.stamp) else { return };
-        let time = time_of(&self.planning, &stamp);
-        let headers: BTreeMap<usize, ViewHeader> =
-            read.iter().map(|(header, region)| (region.target, *header)).collect();
-        let regions: Vec<Region<'_>> = read.into_iter().map(|(_, region)| region).collect();
-        let updates = self.tracker.direct_pass(time, &regions);
-        for update in updates {
-            let Some(header) = headers.get(&update.0) else { continue };
-            let found = (update, Cause::of_view(header));
-            match self.schedule.is_flight() {
-                true => self.publish(&stamp, vec![found], outputs),
-                // Their order must not depend on who is faster.
-                false => self.found.push(found),
-            }
-        }
-    }
-
-    /// Corner passes over the regions of one frame that have been searched.
-    fn region_pass(&mut self, outputs: &mut Outputs) {
-        let oldest = self.searched.iter().map(|record| record.header.stamp);
-        let Some(stamp) = oldest.min_by_key(FrameStamp::order) else { return };
-        let (records, others): (Vec<Record>, Vec<Record>) = std::mem::take(&mut self.searched)
-            .into_iter()
-            .partition(|record| record.header.stamp.order() == stamp.order());
-        self.searched = others;
-        let Some(frame) = self.assembly.open_frame(&stamp) else { return };
-        let answered: Vec<AnsweredView<'_>> = records
-            .iter()
-            .filter(|record| record.header.stamp.is_same_frame(&stamp))
-            .map(|record| {
-                let (plan_id, index) = (record.header.plan_id, record.header.view_index);
-                let view = frame.views.get(&index);
-                let purpose = self.planning.purpose_of(plan_id, index, view);
-                AnsweredView { record, purpose, view }
-            })
-            .collect();
-        let (time, budget) = (time_of(&self.planning, &stamp), self.budget(&stamp));
-        let best_views = self.reader.best_views(&self.cache, stamp.order());
-        let updates = self.tracker.region_pass(time, &answered, &best_views, budget);
-        drop(best_views);
-        let records: Vec<&Record> = records.iter().collect();
-        let updates = self.caused_by(updates, &records);
-        self.publish(&stamp, updates, outputs);
-    }
-
     /// Publishes what a background pass found, if its frame is still open. Otherwise it has corrected the
     /// track, from which the next frame benefits.
     fn take_answer(&mut self, answer: Answer, outputs: &mut Outputs) {
@@ -478,52 +414,6 @@ impl<P: Pixels> Core<P> {
         outputs.tracks.push(TrackMessage::last_of(frame.stamp));
         self.plan(Some(frame.stamp), outputs);
         outputs.ended = Some(EndedFrame { taken_ns: frame.end.map(|end| end.taken_ns) });
-    }
-
-    /// Runs a pass over all of a complete frame, and publishes what it finds.
-    fn measure(&mut self, frame: &Frame, outputs: &mut Outputs, pass: Pass) {
-        let (purposes, stop_rule) = self.planning.purposes_of(frame);
-        let counted = records_that_count(frame, stop_rule);
-        let answered: Vec<AnsweredView<'_>> = counted
-            .iter()
-            .map(|record| AnsweredView {
-                record,
-                purpose: purposes.get(&record.header.view_index).copied(),
-                view: frame.views.get(&record.header.view_index),
-            })
-            .collect();
-        let (time, budget) = (time_of(&self.planning, &frame.stamp), self.budget(&frame.stamp));
-        let mut best_views = self.reader.best_views(&self.cache, frame.stamp.order());
-        let counts =
-            |view_index| counted.iter().any(|record| record.header.view_index == view_index);
-        best_views.retain(|_, best| counts(best.view_index));
-        let updates = pass(&mut self.tracker, time, &answered, &best_views, budget);
-        drop(best_views);
-        let attempts = self.tracker.take_attempts();
-        if let Schedule::Virtual(clock) = &mut self.schedule {
-            clock.spend(attempts);
-        }
-        self.note_background();
-        let records: Vec<&Record> = frame.records.values().collect();
-        let updates = self.caused_by(updates, &records);
-        self.publish(&frame.stamp, updates, outputs);
-    }
-
-    /// Looks at some places of a complete frame for one of the targets that nothing else has found, if there are both.
-    /// All together would take longer than a stage may go without a sign of life.
-    fn search_a_place(&mut self, frame: &Frame, outputs: &mut Outputs) -> bool {
-        let Some(places) = &mut self.places else { return false };
-        let order = frame.stamp.order();
-        let untracked = self.tracker.untracked(order);
-        let Some(target) = places.next_target(order, untracked) else { return false };
-        let some = self.reader.places(places, order);
-        let time = time_of(&self.planning, &frame.stamp);
-        let updates: Vec<Update> =
-            self.tracker.place_pass(time, target, &some).into_iter().collect();
-        let records: Vec<&Record> = frame.records.values().collect();
-        let updates = self.caused_by(updates, &records);
-        self.publish(&frame.stamp, updates, outputs);
-        true
     }
 
     fn caused_by(&self, updates: Vec<Update>, records: &[&Record]) -> Vec<Outgoing> {
