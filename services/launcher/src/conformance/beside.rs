@@ -56,6 +56,8 @@ pub fn run(
         "gateway.enabled=false".to_owned(),
         "recording.folder=null".to_owned(),
         "flow=latest".to_owned(),
+        // A short recording goes on until both have found something.
+        "source.at_end=loop".to_owned(),
     ];
     let pipeline = configuration.load_with(&[], &fixed)?;
     let request = Request::Swap(SwapRequest {
@@ -117,7 +119,7 @@ fn compare(
     match ask(instance, request, |_| {}) {
         Ok((_, report)) => Ok(Compared::Swapped(report)),
         Err(_) if has_ended() => {
-            bail!("it ended before both were compared. Cure: a longer recording")
+            bail!("it ended before both were compared. Cure: a longer flight")
         }
         Err(error) => Ok(Compared::Refused(format!("{error:#}"))),
     }

@@ -138,8 +138,8 @@ impl Judge {
         // Where no neighbour is near, there may be nothing to find; then it is not waited for all the time.
         let has_waited = now + (self.deadline - self.began) / 2 >= self.deadline;
         let shortcoming = match &figures {
-            Some(_) if self.accept_worse => None,
             Some(figures) if !figures.tells() && !has_waited => return Verdict::Wait,
+            Some(_) if self.accept_worse => None,
             Some(figures) => figures.shortcoming(),
             None => Some(nothing_to_compare(comparison)),
         };
@@ -239,6 +239,7 @@ mod tests {
     const ALIVE: Lives<'static> = Lives { new_ended: None, old_runs: true };
 
     /// A swap of fusion, and both processes' answers to these frames; the new one finds `found` of 2 things.
+    #[derive(Clone)]
     struct Scene {
         judge: Judge,
         comparison: Comparison,
@@ -247,8 +248,12 @@ mod tests {
 
     impl Scene {
         fn new() -> Self {
+            Self::with(false)
+        }
+
+        fn with(accept_worse: bool) -> Self {
             let start = Instant::now();
-            let judge = Judge::new("fusion".parse().unwrap(), [3, 4], start, WITHIN, false);
+            let judge = Judge::new("fusion".parse().unwrap(), [3, 4], start, WITHIN, accept_worse);
             Self { judge, comparison: Comparison::default(), start }
         }
 
@@ -307,6 +312,24 @@ mod tests {
         assert_eq!(scene.at(9.9, ALIVE), Verdict::Wait);
         let reason = reason(scene.at(10.0, ALIVE));
         assert!(reason.contains("in 10.0 s the new process has not done as well"), "{reason}");
+    }
+
+    #[test]
+    fn who_may_do_worse_takes_over_when_the_comparison_tells_something() {
+        let mut scene = Scene::with(true);
+        // Nobody is in sight yet.
+        for sequence in 0..20 {
+            for side in [Side::Old, Side::New] {
+                let frame = (0, 0, sequence);
+                let answer = Answer { frame, part: 0, found: Vec::new(), took_ns: Some(1) };
+                scene.comparison.note(side, answer);
+            }
+        }
+        assert_eq!(scene.at(1.0, ALIVE), Verdict::Wait);
+        assert!(matches!(scene.clone().at(6.0, ALIVE), Verdict::TakeOver(..)), "nobody comes");
+        scene.answers(20..40, 0);
+        let Verdict::TakeOver(_, text) = scene.at(2.0, ALIVE) else { panic!("it may do worse") };
+        assert!(text.contains("0 found against 20"), "{text}");
     }
 
     #[test]
