@@ -9,11 +9,11 @@ use std::sync::{Arc, OnceLock};
 
 use flockeye_geometry::body::{Bodies, Body};
 use flockeye_imaging::align::{
-    AlignError, AlignOptions, Alignment, BodyPrint, Motion, Picture, Place, PrintError, Templates,
-    align, least_lead, reacquire, starts_at,
+    AlignError, AlignOptions, Alignment, Attitudes, BodyPrint, Motion, Picture, Place, PrintError,
+    Templates, Upright, align, least_lead, reacquire, starts_at,
 };
 use flockeye_imaging::edges::MarkerPrint;
-use nalgebra::{Isometry3, Unit, Vector3};
+use nalgebra::{Isometry3, Vector3};
 
 use crate::account::{Hypothesis, Notes, Source, Verdict};
 use crate::policy::TimeBudget;
@@ -29,6 +29,9 @@ const TURN_SIGMA_RAD: f64 = 0.15;
 /// The same of poses that alignment finds where no body is, from where it started: of 155 with log odds above 1 half had
 /// turned by more than 0.46 (docs/results/decisions.md).
 const FALSE_TURN_SIGMA_RAD: f64 = 0.3;
+
+/// A body is expected to turn by no more than this from its track's first measurement to the second, radians.
+const UNCONFIRMED_TURN_RAD: f64 = 0.4;
 
 /// The view that shows a body best.
 #[derive(Debug, Clone, Copy)]
@@ -82,18 +85,8 @@ pub struct Aligner {
     templates: Arc<[OnceLock<Templates>]>,
     pixels_per_radian: f64,
     options: AlignOptions,
-    tilt: Option<TiltPrior>,
-}
-
-/// How far from level neighbours fly.
-#[derive(Debug, Clone)]
-struct TiltPrior {
-    /// Up on the observer, in the camera frame.
-    up_in_camera: Unit<Vector3<f64>>,
-    /// Up on each target, in its markers' frame. `None` for a target that may hang in any attitude.
-    up_in_markers: Vec<Option<Unit<Vector3<f64>>>>,
-    /// The largest tilt between a target and its observer, radians.
-    max_rad: f64,
+    /// How far from level each target flies. `None` for one that may hang in any attitude.
+    upright: Vec<Option<Upright>>,
 }
 
 impl Aligner {
@@ -109,8 +102,8 @@ impl Aligner {
         let prints: Vec<BodyPrint> =
             bodies.iter().map(|body| BodyPrint::new(body, &print_of)).collect::<Result<_, _>>()?;
         let templates = prints.iter().map(|_| OnceLock::new()).collect();
-        let options = AlignOptions::default();
-        Ok(Self { prints, templates, pixels_per_radian, options, tilt: None })
+        let (options, upright) = (AlignOptions::default(), vec![None; prints.len()]);
+        Ok(Self { prints, templates, pixels_per_radian, options, upright })
     }
 
     /// Multiplies covariances by this; see [`AlignOptions::covariance_scale`].
@@ -128,16 +121,13 @@ impl Aligner {
         observer_from_camera: &Isometry3<f64>,
         max_rad: f64,
     ) -> Self {
-        let up_in_markers = |body: &Body| {
-            let up = body.target_from_markers.inverse() * Vector3::z_axis();
-            (body.markers.len() > 1).then_some(up)
+        let up_in_camera = observer_from_camera.inverse() * Vector3::z_axis();
+        let upright = |body: &Body| {
+            let up_in_markers = body.target_from_markers.inverse() * Vector3::z_axis();
+            let upright = Upright { up_in_camera, up_in_markers, max_tilt_rad: max_rad };
+            (max_rad > 0.0 && body.markers.len() > 1).then_some(upright)
         };
-        let tilt = || TiltPrior {
-            up_in_camera: observer_from_camera.inverse() * Vector3::z_axis(),
-            up_in_markers: bodies.iter().map(up_in_markers).collect(),
-            max_rad,
-        };
-        self.tilt = (max_rad > 0.0).then(tilt);
+        self.upright = bodies.iter().map(upright).collect();
         self
     }
 
@@ -288,10 +278,16 @@ impl Aligner {
 
     /// Whether body `target` is tilted within the limit in a pose; `None` where no limit is known.
     fn is_within_tilt(&self, target: usize, found: &Alignment) -> Option<bool> {
-        let tilt = self.tilt.as_ref()?;
-        let up_in_markers = tilt.up_in_markers.get(target)?.as_ref()?;
-        let tilt_rad = (found.camera_from_markers * up_in_markers).angle(&tilt.up_in_camera);
-        Some(tilt_rad <= tilt.max_rad)
+        Some(self.upright(target)?.holds(&found.camera_from_markers.rotation))
+    }
+
+    fn upright(&self, target: usize) -> Option<&Upright> {
+        self.upright.get(target)?.as_ref()
+    }
+
+    /// The attitudes in which body `target` flies: a fifth of all, as far as that is known.
+    pub fn attitudes(&self, target: usize) -> Attitudes {
+        self.upright(target).map_or(Attitudes::Any, |upright| Attitudes::Upright(*upright))
     }
 
     /// Searches for body `target` round where it was predicted.
@@ -304,7 +300,7 @@ impl Aligner {
         reacquire(self.prints.get(target)?, picture, predicted, &self.options)
     }
 
-    /// Searches for body `target` in any attitude at a place.
+    /// Searches for body `target` in these attitudes at a place.
     ///
     /// What it finds competes as in [`Self::initiate`]. No more is asked of it: docs/results/places.md counts how likely
     /// the best pose is where nobody is.
@@ -313,16 +309,30 @@ impl Aligner {
         target: usize,
         picture: &Picture<'_>,
         place: &Place,
+        attitudes: &Attitudes,
         notes: &mut Notes<'_>,
     ) -> Option<Alignment> {
         let print = self.prints.get(target)?;
         let templates = self.templates.get(target)?.get_or_init(|| Templates::new(print));
-        let starts = starts_at(print, templates, picture, place, &self.options);
+        let starts = starts_at(print, templates, picture, place, attitudes, &self.options);
         let starts: Vec<(Source, Start)> =
             starts.into_iter().map(|start| (Source::Place, Start::Rough(start))).collect();
         // The first that several facets tell will do: starts come best first.
         let sought = Sought { target, picture, starts: &starts, budget: TimeBudget::OneFrame };
         self.initiate(&sought, |_| false, notes)
+    }
+
+    /// Searches for body `target` near where a track of one measurement predicts it, whose velocity is not known yet.
+    pub fn find_near(
+        &self,
+        target: usize,
+        picture: &Picture<'_>,
+        predicted: &Isometry3<f64>,
+        notes: &mut Notes<'_>,
+    ) -> Option<Alignment> {
+        let position = predicted.translation.vector;
+        let place = Place { direction_in_camera: position.normalize(), range_m: position.norm() };
+        self.find_at(target, picture, &place, &attitudes_near(predicted), notes)
     }
 
     /// What a start leads to, whether it is the body or not.
@@ -349,6 +359,11 @@ impl Aligner {
         let print = self.prints.get(target).ok_or(AlignError::Nothing)?;
         align(print, picture, pose, &options)
     }
+}
+
+/// In which attitudes a body is searched that was measured once.
+pub fn attitudes_near(predicted: &Isometry3<f64>) -> Attitudes {
+    Attitudes::Near { camera_from_markers: predicted.rotation, max_rad: UNCONFIRMED_TURN_RAD }
 }
 
 /// What was found, if it is precise. Else what `other` finds or, where that is nothing either, the imprecise one.

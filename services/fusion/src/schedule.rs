@@ -3,6 +3,7 @@
 use flockeye_config::Costs;
 use flockeye_contract::FrameStamp;
 
+use crate::passes::background::JobKind;
 use crate::policy::TimeBudget;
 
 /// When passes run.
@@ -69,14 +70,14 @@ pub struct VirtualClock {
     last: Option<FrameStamp>,
     interval_ns: i64,
     now_ns: i64,
-    /// When the last background pass began.
-    background_ns: i64,
+    /// When the last background pass is over.
+    background_over_ns: i64,
 }
 
 impl VirtualClock {
     /// A clock with these costs, before the first frame.
     pub fn new(costs: Costs) -> Self {
-        Self { costs, last: None, interval_ns: 0, now_ns: i64::MIN, background_ns: i64::MIN }
+        Self { costs, last: None, interval_ns: 0, now_ns: i64::MIN, background_over_ns: i64::MIN }
     }
 
     /// The time, on the clock of the exposures, nanoseconds.
@@ -114,13 +115,17 @@ impl VirtualClock {
     }
 
     /// A background pass begins. One is under way at a time.
-    pub fn begin_background(&mut self) {
-        self.background_ns = self.now_ns;
+    pub fn begin_background(&mut self, kind: JobKind) {
+        let cost_ms = match kind {
+            JobKind::Near => self.costs.background_pass_ms,
+            JobKind::Anywhere => self.costs.place_pass_ms,
+        };
+        self.background_over_ns = self.now_ns.saturating_add((cost_ms * 1e6) as i64);
     }
 
     /// When the background pass is over that began last, nanoseconds.
     pub fn background_over_ns(&self) -> i64 {
-        self.background_ns.saturating_add((self.costs.background_pass_ms * 1e6) as i64)
+        self.background_over_ns
     }
 
     fn is_behind(&self, stamp: &FrameStamp) -> bool {
@@ -165,7 +170,8 @@ mod tests {
             exposure_ns: 40 * MS * sequence as i64,
             ..FrameStamp::default()
         };
-        let mut clock = VirtualClock::new(Costs { background_pass_ms: 30.0, ..Costs::default() });
+        let costs = Costs { background_pass_ms: 30.0, place_pass_ms: 90.0, ..Costs::default() };
+        let mut clock = VirtualClock::new(costs);
         clock.begin_frame(&at(1));
         clock.spend_ms(5.0);
         clock.complete_frame(&at(1));
@@ -173,9 +179,11 @@ mod tests {
         clock.begin_frame(&at(2));
         assert_eq!(clock.now_ns(), 80 * MS);
         clock.spend_ms(15.0);
-        clock.begin_background();
+        clock.begin_background(JobKind::Near);
         clock.spend_ms(3.0);
         assert_eq!(clock.background_over_ns(), 125 * MS);
+        clock.begin_background(JobKind::Anywhere);
+        assert_eq!(clock.background_over_ns(), 188 * MS);
         clock.complete_frame(&at(2));
         assert_eq!(clock.now_ns(), 120 * MS);
         clock.begin_frame(&at(3));

@@ -22,10 +22,12 @@ use crate::passes::background::{BackgroundQueue, Subject};
 use crate::passes::corners::{self, Moment, distinct_decoded};
 use crate::passes::inputs::{Earlier, Inputs, Permit};
 use crate::passes::{AnsweredView, BestViews};
+use crate::place_turns::PlaceTurns;
 use crate::policy::{DirectPassPolicy, TimeBudget, is_search_turn};
 use crate::readout::Readout;
 use crate::schedule::Attempts;
 use crate::target::{Status, Target, TargetEstimate};
+use crate::track_prior::TrackPrior;
 use crate::view_cache::ViewQuality;
 use accounting::outcome_of;
 
@@ -65,6 +67,11 @@ pub struct Tracker {
     threads: usize,
     /// `None`: everything is done at once.
     background: Option<BackgroundQueue>,
+    /// From the search of one place in the background to the next, seconds; `None`: none is searched.
+    place_interval_s: Option<f64>,
+    place_turns: PlaceTurns,
+    /// When the frame was exposed of which a place was searched last, seconds.
+    last_place_s: Option<f64>,
     direct_policy: DirectPassPolicy,
     exposure: Exposure,
     attempts: Attempts,
@@ -98,6 +105,9 @@ impl Tracker {
             radius_in_sides: bodies.radius_in_sides(),
             threads,
             background: None,
+            place_interval_s: None,
+            place_turns: PlaceTurns::default(),
+            last_place_s: None,
             direct_policy: DirectPassPolicy::default(),
             attempts: Attempts::default(),
             ended: None,
@@ -124,6 +134,11 @@ impl Tracker {
     /// Leaves what takes long to the background pass, whose jobs [`Tracker::take_job`] hands out.
     pub fn with_background(self) -> Self {
         Self { background: Some(BackgroundQueue::default()), ..self }
+    }
+
+    /// Searches so many places each second in the background for targets without a track. Its thread gives way to others.
+    pub fn searching_places(self, places_hz: f64) -> Self {
+        Self { place_interval_s: (places_hz > 0.0).then(|| 1.0 / places_hz), ..self }
     }
 
     /// The targets, by their numbers.
@@ -330,12 +345,14 @@ impl Tracker {
     ) -> Permit {
         let in_frame = self.targets[target].in_frame(time.order);
         let is_region_tried = in_frame.is_some_and(|in_frame| in_frame.is_region_tried);
-        let is_confirmed = self.prior(target, time.at_s).confirmed().is_some();
-        let is_open = is_confirmed && is_region_tried;
+        let prior = self.prior(target, time.at_s);
+        let is_open = prior.confirmed().is_some() && is_region_tried;
+        // Its track ends after a few frames.
+        let is_urgent = matches!(prior, TrackPrior::Tentative(_));
         let is_deferred = budget != TimeBudget::Unlimited
             && has_background
             && (is_open || self.tracks_others(target));
-        let may_search = is_search_turn(time.number, target, self.targets.len())
+        let may_search = (is_urgent || is_search_turn(time.number, target, self.targets.len()))
             && budget != TimeBudget::Overspent
             && (moment == Moment::FrameComplete || is_deferred);
         Permit { budget, is_deferred, may_search, min_markers: moment.min_markers() }

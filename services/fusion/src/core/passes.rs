@@ -115,7 +115,8 @@ impl<P: Pixels> Core<P> {
         let order = frame.stamp.order();
         let untracked = self.tracker.untracked(order);
         let Some(target) = places.next_target(order, untracked) else { return false };
-        let some = self.reader.places(places, order);
+        let views: Vec<_> = places.next(order).collect();
+        let some = self.reader.places(&views);
         let time = time_of(&self.planning, &frame.stamp);
         let updates: Vec<Update> =
             self.tracker.place_pass(time, target, &some).into_iter().collect();
@@ -123,5 +124,19 @@ impl<P: Pixels> Core<P> {
         let updates = self.caused_by(updates, &records);
         self.publish(&frame.stamp, updates, outputs);
         true
+    }
+
+    /// Has one of a frame's places searched in the background, when it is time for that.
+    pub(super) fn request_place(&mut self, frame: &Frame) {
+        let Some(places) = &self.places else { return };
+        let time = time_of(&self.planning, &frame.stamp);
+        if self.tracker.has_time_for_place(time) {
+            let views: Vec<_> = places.of(frame.stamp.order()).collect();
+            let order = frame.stamp.order();
+            let (best_views, places) =
+                self.reader.best_views_and_places(&self.cache, order, &views);
+            self.tracker.request_place(time, &places, &best_views);
+            self.note_background();
+        }
     }
 }

@@ -320,46 +320,6 @@ fn where_order_must_not_count_nothing_leaves_before_the_frame_is_complete() {
     }
 }
 
-/// A view of a place that looks like a body, without a marker in it, is searched for the body in any attitude.
-#[test]
-fn a_body_without_a_decoded_marker_is_found_at_its_place() {
-    let proposal = |sequence| {
-        let view = ViewHeader { kind: ViewKind::Proposal.code(), ..region_view(sequence, 0) };
-        // The field of a proposal's view says how far away the body is.
-        let place = {
-            let body = alpha();
-            let in_sides = body.radius() / body.largest_side();
-            crate::places::place_of(&view_of(&view), body.largest_side(), in_sides)
-        };
-        let range_m = pose(0.9).translation.vector.norm();
-        assert!((0.7..1.4).contains(&(place.range_m / range_m)), "{place:?} at {range_m} m");
-        view
-    };
-    let said = |searches: bool| {
-        let mut core = core(Schedule::Unlimited);
-        core = if searches { core.searching_places() } else { core };
-        drain(&mut core, 0);
-        core.on(Event::View(proposal(0), shown().1.clone()), 0);
-        core.on(Event::Searched(empty_record(0)), 0);
-        core.on(frame_end(0, 0, 1), 0);
-        let said = drain(&mut core, 0);
-        assert!(is_ended(&said));
-        said
-    };
-    assert_eq!(poses(&said(true)), [0]);
-    assert!(poses(&said(false)).is_empty(), "nothing else finds it");
-
-    // A proposal without a place shows nothing that was chosen.
-    let mut core = core(Schedule::Unlimited).searching_places();
-    drain(&mut core, 0);
-    let unplaced = ViewHeader { search: flockeye_contract::Search::Nothing.code(), ..proposal(0) };
-    core.on(Event::View(unplaced, shown().1.clone()), 0);
-    core.on(Event::Searched(empty_record(0)), 0);
-    core.on(frame_end(0, 0, 1), 0);
-    let said = drain(&mut core, 0);
-    assert!(poses(&said).is_empty() && is_ended(&said));
-}
-
 #[test]
 fn a_frame_whose_record_never_comes_ends_at_its_deadline() {
     let (mut core, plan_id) = tracking(Schedule::Flight);
@@ -458,3 +418,4 @@ fn by_a_virtual_clock_a_background_pass_publishes_if_its_cost_fits_into_the_fram
 }
 
 mod accounts;
+mod places;

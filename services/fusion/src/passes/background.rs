@@ -6,6 +6,9 @@
 //! should wait for that. So these passes run beside the others, one at a time. A request is refused
 //! while another is under way, because a newer frame will ask again. Only an untracked target may queue
 //! behind a tracked one: no newer frame need show anything of it for a while.
+//!
+//! When nobody asks, a place that looks like a body is searched for a target without a track. Whoever asks meanwhile
+//! is next.
 
 use flockeye_contract::FrameOrder;
 use std::collections::BTreeSet;
@@ -13,14 +16,14 @@ use std::collections::BTreeSet;
 use flockeye_geometry::body::Body;
 use flockeye_geometry::pose::CornerRay;
 use flockeye_geometry::view::View;
-use flockeye_imaging::align::{Motion, Picture};
+use flockeye_imaging::align::{Attitudes, Motion, Picture, Place};
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::LinearLight;
 use nalgebra::Isometry3;
 
 use super::inputs::{Inputs, searched};
 use crate::account::{Notes, Pass, Source, Trial};
-use crate::hypothesis::{Aligner, Sought, Start, precise_or_else};
+use crate::hypothesis::{Aligner, BestView, Sought, Start, precise_or_else};
 use crate::measurement::{Measurement, distinct_markers, supports};
 use crate::policy::TimeBudget;
 
@@ -71,20 +74,23 @@ pub struct BackgroundQueue {
 struct UnderWay {
     subject: Subject,
     is_untracked: bool,
+    kind: JobKind,
     /// Whether the target was measured in that frame meanwhile.
     is_cancelled: bool,
 }
 
 impl BackgroundQueue {
     /// Asks for a pass, and says whether it is granted. It is not while another is under way, but an
-    /// untracked target may queue behind a tracked one. A target that had the last pass goes behind those
-    /// that were refused meanwhile.
+    /// untracked target may queue behind a tracked one, and anybody behind the search of a place. A target that
+    /// had the last pass goes behind those that were refused meanwhile.
     pub fn request(&mut self, subject: Subject, inputs: &Inputs<'_>) -> bool {
         let target = subject.target;
         if let Some(under_way) = &self.under_way {
             if under_way.subject.target != target {
                 let is_untracked = inputs.prior.predicted().is_none();
-                if is_untracked && !under_way.is_untracked && self.waiting.is_none() {
+                let gives_way = under_way.kind == JobKind::Anywhere
+                    || (is_untracked && !under_way.is_untracked);
+                if gives_way && self.waiting.is_none() {
                     self.waiting = self.job(subject, inputs);
                     return self.waiting.is_some();
                 }
@@ -104,6 +110,26 @@ impl BackgroundQueue {
         is_granted
     }
 
+    /// Whether a place can be searched now: nobody else asks for a pass.
+    pub fn is_idle(&self) -> bool {
+        self.under_way.is_none()
+    }
+
+    /// Asks for the search of a place. It begins if nothing is under way.
+    pub fn request_place(&mut self, asked: PlaceSearch<'_>) {
+        if self.is_idle() {
+            let PlaceSearch { subject, body, view, place, attitudes, trial } = asked;
+            self.start(Job {
+                subject,
+                is_untracked: true,
+                body: body.clone(),
+                trial: trial.map(Box::new),
+                view: CopiedView::of(view),
+                work: Work::Place(place, attitudes),
+            });
+        }
+    }
+
     fn job(&self, subject: Subject, inputs: &Inputs<'_>) -> Option<Job> {
         let mut job = Job::new(subject, inputs)?;
         if self.noted == Some(subject.target) {
@@ -118,16 +144,19 @@ impl BackgroundQueue {
     }
 
     fn start(&mut self, job: Job) {
-        let (subject, is_untracked) = (job.subject, job.is_untracked);
-        self.refused.remove(&subject.target);
-        self.last = Some(subject.target);
-        self.under_way = Some(UnderWay { subject, is_untracked, is_cancelled: false });
+        let (subject, is_untracked, kind) = (job.subject, job.is_untracked, job.kind());
+        if kind == JobKind::Near {
+            self.refused.remove(&subject.target);
+            self.last = Some(subject.target);
+        }
+        let is_cancelled = false;
+        self.under_way = Some(UnderWay { subject, is_untracked, kind, is_cancelled });
         self.to_run = Some(job);
     }
 
-    /// Whether a job is to be run now.
-    pub fn has_job(&self) -> bool {
-        self.to_run.is_some()
+    /// What the job does that is to be run now, if there is one.
+    pub fn kind_of_job(&self) -> Option<JobKind> {
+        self.to_run.as_ref().map(Job::kind)
     }
 
     /// The job that is to be run now, once.
@@ -170,20 +199,60 @@ impl BackgroundQueue {
     }
 }
 
+/// How much a background pass does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum JobKind {
+    /// It aligns a body from starts, or searches round where it is predicted.
+    Near,
+    /// It searches a place in all attitudes in which neighbours fly.
+    Anywhere,
+}
+
+/// The search of a place that looks like a body.
+#[derive(Debug)]
+pub struct PlaceSearch<'p> {
+    /// For whom.
+    pub subject: Subject,
+    /// Its body.
+    pub body: &'p Body,
+    /// The view that shows the place.
+    pub view: &'p BestView<'p>,
+    /// The place.
+    pub place: Place,
+    /// In which attitudes.
+    pub attitudes: Attitudes,
+    /// Its account, if somebody asks.
+    pub trial: Option<Trial>,
+}
+
 /// All that a background pass needs, copied, so that its view can be released.
 #[derive(Debug)]
 pub struct Job {
     subject: Subject,
     is_untracked: bool,
     body: Body,
-    decoded: Vec<CornerRay>,
-    starts: Vec<(Source, Start)>,
     /// Where its passes are accounted for.
     trial: Option<Box<Trial>>,
-    /// The prediction of a confirmed track.
-    confirmed: Option<Isometry3<f64>>,
-    /// The prediction that is searched round if no start leads to the body.
-    search_round: Option<Isometry3<f64>>,
+    view: CopiedView,
+    work: Work,
+}
+
+#[derive(Debug)]
+enum Work {
+    Starts {
+        decoded: Vec<CornerRay>,
+        starts: Vec<(Source, Start)>,
+        /// The prediction of a confirmed track.
+        confirmed: Option<Isometry3<f64>>,
+        /// The prediction that is searched round if no start leads to the body.
+        search_round: Option<Isometry3<f64>>,
+    },
+    Place(Place, Attitudes),
+}
+
+/// A view with its pixels.
+#[derive(Debug)]
+struct CopiedView {
     pixels: Vec<u8>,
     size: (usize, usize),
     view: View,
@@ -193,31 +262,52 @@ pub struct Job {
     rays_m: f64,
 }
 
+impl CopiedView {
+    fn of(best: &BestView<'_>) -> Self {
+        let Picture { image, view, light, pixels_per_radian, motion } = best.picture;
+        let mut pixels = Vec::with_capacity(image.width() * image.height());
+        (0..image.height()).for_each(|y| pixels.extend_from_slice(image.row(y)));
+        let (size, light) = ((image.width(), image.height()), light.clone());
+        Self { pixels, size, view, light, pixels_per_radian, motion, rays_m: best.rays_m }
+    }
+
+    fn picture(&self) -> Option<Picture<'_>> {
+        let (width, height) = self.size;
+        Some(Picture {
+            image: LumaImage::new(&self.pixels, width, height, width).ok()?,
+            view: self.view,
+            light: &self.light,
+            pixels_per_radian: self.pixels_per_radian,
+            motion: self.motion,
+        })
+    }
+}
+
 impl Job {
     /// `None` where there is no view.
     fn new(subject: Subject, inputs: &Inputs<'_>) -> Option<Self> {
-        let best = inputs.best_view?;
-        let image = best.picture.image;
-        let mut pixels = Vec::with_capacity(image.width() * image.height());
-        (0..image.height()).for_each(|y| pixels.extend_from_slice(image.row(y)));
         let predicted = inputs.prior.predicted().copied();
         Some(Self {
             subject,
             is_untracked: predicted.is_none(),
             body: inputs.body.clone(),
-            decoded: inputs.decoded.clone(),
-            starts: inputs.background_starts(),
             trial: None,
-            confirmed: inputs.prior.confirmed().map(|prior| prior.camera_from_markers),
-            search_round: predicted.filter(|_| inputs.permit.may_search),
-            pixels,
-            size: (image.width(), image.height()),
-            view: best.picture.view,
-            light: best.picture.light.clone(),
-            pixels_per_radian: best.picture.pixels_per_radian,
-            motion: best.picture.motion,
-            rays_m: best.rays_m,
+            view: CopiedView::of(inputs.best_view.as_ref()?),
+            work: Work::Starts {
+                decoded: inputs.decoded.clone(),
+                starts: inputs.background_starts(),
+                confirmed: inputs.prior.confirmed().map(|prior| prior.camera_from_markers),
+                search_round: predicted.filter(|_| inputs.permit.may_search),
+            },
         })
+    }
+
+    /// What it does.
+    pub fn kind(&self) -> JobKind {
+        match self.work {
+            Work::Starts { .. } | Work::Place(_, Attitudes::Near { .. }) => JobKind::Near,
+            Work::Place(..) => JobKind::Anywhere,
+        }
     }
 
     /// Runs the pass.
@@ -229,168 +319,44 @@ impl Job {
             subject: self.subject,
             measurement,
             is_independent: is_independent.unwrap_or_default(),
-            rays_m: self.rays_m,
+            rays_m: self.view.rays_m,
             trial,
         }
     }
 
     /// The target's pose, and whether it was found without the prior of a track.
     fn measure(&self, aligner: &Aligner, mut notes: Notes<'_>) -> Option<(Measurement, bool)> {
-        let (width, height) = self.size;
-        let picture = Picture {
-            image: LumaImage::new(&self.pixels, width, height, width).ok()?,
-            view: self.view,
-            light: &self.light,
-            pixels_per_radian: self.pixels_per_radian,
-            motion: self.motion,
+        let picture = self.view.picture()?;
+        let target = self.subject.target;
+        let (decoded, starts, confirmed, search_round) = match &self.work {
+            Work::Place(place, attitudes) => {
+                let found = aligner.find_at(target, &picture, place, attitudes, &mut notes)?;
+                return Some((Measurement::aligned(&found, 0), true));
+            }
+            Work::Starts { decoded, starts, confirmed, search_round } => {
+                (decoded, starts, confirmed, search_round)
+            }
         };
-        let (target, starts, budget) = (self.subject.target, &self.starts, TimeBudget::OneFrame);
-        let sought = Sought { target, picture: &picture, starts, budget };
-        let is_marked = |pose: &Isometry3<f64>| supports(&self.body, &self.decoded, pose);
-        let found = match &self.confirmed {
+        let sought = Sought { target, picture: &picture, starts, budget: TimeBudget::OneFrame };
+        let is_marked = |pose: &Isometry3<f64>| supports(&self.body, decoded, pose);
+        let found = match confirmed {
             Some(predicted) => aligner.confirm(&sought, predicted, is_marked, &mut notes),
             None => aligner.initiate(&sought, is_marked, &mut notes),
         };
-        let is_independent = self.confirmed.is_none() && found.is_some();
+        let is_independent = confirmed.is_none() && found.is_some();
         let search = || {
-            let found = aligner.reacquire(target, &picture, self.search_round.as_ref()?);
+            let predicted = search_round.as_ref()?;
+            if confirmed.is_none() {
+                return aligner.find_near(target, &picture, predicted, &mut notes);
+            }
+            let found = aligner.reacquire(target, &picture, predicted);
             notes.note(|| searched(found.clone()));
             found
         };
         let found = precise_or_else(found, search)?;
-        Some((Measurement::aligned(&found, distinct_markers(&self.decoded)), is_independent))
+        Some((Measurement::aligned(&found, distinct_markers(decoded)), is_independent))
     }
 }
 
 #[cfg(test)]
-mod tests {
-    #![allow(clippy::unwrap_used, clippy::expect_used)]
-    use super::*;
-    use crate::hypothesis::BestView;
-    use crate::passes::inputs::{Earlier, Permit};
-    use crate::track_prior::TrackPrior;
-    use flockeye_geometry::body::squares;
-    use flockeye_geometry::pose::PosePrior;
-    use flockeye_imaging::light::{CodeRange, TransferCurve};
-    use nalgebra::{Matrix6, Vector3};
-
-    /// Requests passes over an empty picture, for a tracked target or an untracked one.
-    fn with_requests(
-        by: impl FnOnce(&mut BackgroundQueue, &dyn Fn(&mut BackgroundQueue, usize, bool) -> bool),
-    ) {
-        let body = squares("alpha", 0.0625, 0.05, 0);
-        let (pixels, light) =
-            ([128; 64 * 64], LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap());
-        let image = LumaImage::new(&pixels, 64, 64, 64).unwrap();
-        let view = View::looking_at(&Vector3::x_axis(), 0.5, 64);
-        let picture = Picture::still(image, view, &light, 611.0);
-        let camera_from_markers = Isometry3::translation(1.0, 0.0, 0.0);
-        let covariance = Matrix6::identity();
-        let request = |queue: &mut BackgroundQueue, target: usize, is_tracked: bool| {
-            let inputs = Inputs {
-                target,
-                body: &body,
-                decoded: Vec::new(),
-                candidates: Vec::new(),
-                rays_m: f64::INFINITY,
-                prior: match is_tracked {
-                    true => TrackPrior::Confirmed(PosePrior { camera_from_markers, covariance }),
-                    false => TrackPrior::Untracked,
-                },
-                best_view: Some(BestView {
-                    picture,
-                    view_index: 0,
-                    agreeing: 0,
-                    rays_m: f64::INFINITY,
-                }),
-                permit: Permit {
-                    budget: TimeBudget::OneFrame,
-                    is_deferred: true,
-                    may_search: false,
-                    min_markers: 1,
-                },
-                earlier: Earlier::default(),
-            };
-            queue.request(subject(target), &inputs)
-        };
-        by(&mut BackgroundQueue::default(), &request);
-    }
-
-    fn subject(target: usize) -> Subject {
-        Subject { order: (0, 0, 0), at_s: 0.0, target }
-    }
-
-    fn nothing_found(subject: Subject) -> Answer {
-        let rays_m = f64::INFINITY;
-        Answer { subject, measurement: None, is_independent: false, rays_m, trial: None }
-    }
-
-    /// Ends what is under way without having found anything.
-    fn finish(queue: &mut BackgroundQueue) {
-        let subject = queue.take_job().expect("a job is under way").subject;
-        drop(queue.finish(nothing_found(subject)));
-    }
-
-    fn under_way(queue: &BackgroundQueue) -> Option<Subject> {
-        queue.under_way.as_ref().map(|under_way| under_way.subject)
-    }
-
-    #[test]
-    fn passes_run_one_at_a_time_and_refused_targets_go_first() {
-        with_requests(|queue, request| {
-            let request = |queue: &mut BackgroundQueue, target| request(queue, target, true);
-            assert!(request(queue, 0));
-            assert!(!request(queue, 1) && !request(queue, 0), "one is under way");
-            finish(queue);
-            assert!(!request(queue, 0), "1 goes first");
-            assert!(request(queue, 1));
-            finish(queue);
-            assert!(request(queue, 1), "nobody else asked");
-            assert!(!request(queue, 0));
-            finish(queue);
-            assert!(!request(queue, 1));
-            assert!(request(queue, 1), "0 was left the place once and did not take it");
-        });
-    }
-
-    #[test]
-    fn an_untracked_target_queues_behind_a_tracked_one() {
-        with_requests(|queue, request| {
-            assert!(request(queue, 0, true));
-            assert!(request(queue, 1, false), "there is a place for one");
-            assert!(!request(queue, 2, false) && !request(queue, 3, true));
-            finish(queue);
-            assert_eq!(under_way(queue), Some(subject(1)));
-            finish(queue);
-            // Untracked targets do not queue behind each other: a tracked one would never get a turn.
-            assert!(request(queue, 2, false));
-            assert!(!request(queue, 1, false) && !request(queue, 3, true));
-            finish(queue);
-            // Another frame measured it before its turn came.
-            assert!(request(queue, 3, true));
-            assert!(request(queue, 1, false));
-            queue.cancel((0, 0, 1), 1);
-            finish(queue);
-            assert_eq!(under_way(queue), None);
-        });
-    }
-
-    #[test]
-    fn the_answer_of_a_cancelled_pass_is_dropped() {
-        with_requests(|queue, request| {
-            assert!(request(queue, 0, true));
-            let answer = |queue: &mut BackgroundQueue| {
-                nothing_found(queue.take_job().expect("a job").subject)
-            };
-            let first = answer(queue);
-            assert!(queue.take_job().is_none(), "a job is run once");
-            queue.cancel((0, 0, 0), 0);
-            assert_eq!(queue.awaited(), None);
-            assert!(queue.finish(first).is_none());
-            assert!(request(queue, 0, true));
-            let second = answer(queue);
-            queue.cancel((0, 0, 7), 0);
-            assert!(queue.finish(second).is_some(), "it was measured in another frame");
-        });
-    }
-}
+mod tests;

@@ -5,12 +5,12 @@ use flockeye_contract::FrameOrder;
 use super::accounting::outcome_of;
 use super::{FilterChoice, FrameTime, Tracker, Update};
 use crate::account::Outcome;
-use crate::passes::background::{Answer, BackgroundQueue, Job, Subject};
+use crate::passes::background::{Answer, BackgroundQueue, Job, JobKind, Subject};
 
 impl Tracker {
-    /// Whether a background pass is to be run now.
-    pub fn has_job(&self) -> bool {
-        self.background.as_ref().is_some_and(BackgroundQueue::has_job)
+    /// What the background pass does that is to be run now, if there is one.
+    pub fn kind_of_job(&self) -> Option<JobKind> {
+        self.background.as_ref().and_then(BackgroundQueue::kind_of_job)
     }
 
     /// The background pass that is to be run now.
@@ -37,6 +37,10 @@ impl Tracker {
         let answer = self.background.as_mut()?.finish(answer);
         self.note_answer(order, trial, answer.is_none());
         let answer = answer?;
+        if answer.is_independent {
+            // It is there. If it is lost again, it is looked for anew.
+            self.place_turns.forget(target);
+        }
         let is_late = self.ended.is_some_and(|(ended, _)| order <= ended);
         let may_start = answer.is_independent
             && !self.targets[target].is_tracked()

@@ -5,10 +5,10 @@ use std::fmt;
 use std::path::Path;
 
 use flockeye_cli::text_table::TextTable;
-use flockeye_contract::{BodyTruth, FrameStamp, MeasuredBy, Track, TrackHeader, TruthHeader};
+use flockeye_contract::{BodyTruth, FrameStamp, MeasuredBy, Pose, Track, TrackHeader, TruthHeader};
 use flockeye_geometry::statistics::{median, quantile};
 use flockeye_runtime::instance::Instance;
-use nalgebra::Vector3;
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use serde::Serialize;
 
 use super::disturbance::{Disturbance, Kind};
@@ -17,8 +17,9 @@ use super::disturbance::{Disturbance, Kind};
 pub const MEDIAN_RECOVERY_MS: f64 = 250.0;
 /// ... and this in the worst case, also after all other disturbances.
 pub const WORST_RECOVERY_MS: f64 = 2000.0;
-/// A pose is wrong if it is farther from the truth than this and than five standard deviations.
+/// A pose is wrong if it is farther from the truth than one of these and than five standard deviations.
 const WRONG_M: f64 = 0.1;
+const WRONG_RAD: f64 = 0.1745;
 /// Frames whose truth is kept until their tracks come.
 const TRUTH_FRAMES: usize = 256;
 
@@ -168,10 +169,16 @@ impl ChaosReport {
         let truth = self.truths.iter().rev().find(|(of, _)| of.is_same_frame(stamp));
         let body = truth.and_then(|(_, bodies)| bodies.iter().find(|body| body.name == track.name));
         body.is_some_and(|body| {
-            let off = Vector3::from(track.observer_from_target.position)
-                - Vector3::from(body.observer_from_target.position);
-            let variance = track.covariance[0] + track.covariance[7] + track.covariance[14];
-            off.norm() > WRONG_M.max(5.0 * variance.max(0.0).sqrt())
+            let [seen, right] = [&track.observer_from_target, &body.observer_from_target];
+            let off_m = (Vector3::from(seen.position) - Vector3::from(right.position)).norm();
+            let turn =
+                |pose: &Pose| UnitQuaternion::new_normalize(Quaternion::from(pose.orientation));
+            let off_rad = turn(seen).angle_to(&turn(right));
+            let sigma = |diagonal: [usize; 3]| {
+                diagonal.map(|at| track.covariance[at]).iter().sum::<f64>().max(0.0).sqrt()
+            };
+            off_m > WRONG_M.max(5.0 * sigma([0, 7, 14]))
+                || off_rad > WRONG_RAD.max(5.0 * sigma([21, 28, 35]))
         })
     }
 
@@ -310,6 +317,7 @@ mod tests {
             measured_by: MeasuredBy::Aligned.code(),
             track_id,
             name: "alpha".into(),
+            observer_from_target: Pose::default(),
             ..bytemuck::Zeroable::zeroed()
         }
     }
@@ -349,9 +357,13 @@ mod tests {
         let mut far = measured(1);
         far.observer_from_target.position = [0.2, 0.0, 0.0];
         report.tracks(&twice, &[far], 2600 * MS);
+        // Turned by 20 degrees about z.
+        let mut turned = measured(1);
+        turned.observer_from_target.orientation = [0.0, 0.0, 0.174, 0.985];
+        report.tracks(&twice, &[turned], 2600 * MS);
         report.strike(&kill(), 3000 * MS);
         let broken = report.broken_limits().join("; ");
-        for wanted in ["inf ms in the worst case", "1 wrong poses", "1 poses came twice"] {
+        for wanted in ["inf ms in the worst case", "2 wrong poses", "2 poses came twice"] {
             assert!(broken.contains(wanted), "{wanted:?} is missing in {broken}");
         }
         assert!(report.to_string().contains("fusion"), "{report}");

@@ -1,0 +1,164 @@
+//! Which background pass runs, waits or is refused.
+
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+use super::*;
+use crate::passes::inputs::{Earlier, Permit};
+use crate::track_prior::TrackPrior;
+use flockeye_geometry::body::squares;
+use flockeye_geometry::pose::PosePrior;
+use flockeye_imaging::light::{CodeRange, TransferCurve};
+use nalgebra::{Matrix6, Vector3};
+
+/// Requests passes over an empty picture, for a tracked target or an untracked one.
+fn with_requests(
+    by: impl FnOnce(&mut BackgroundQueue, &dyn Fn(&mut BackgroundQueue, usize, bool) -> bool),
+) {
+    let body = squares("alpha", 0.0625, 0.05, 0);
+    let (pixels, light) =
+        ([128; 64 * 64], LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap());
+    let image = LumaImage::new(&pixels, 64, 64, 64).unwrap();
+    let view = View::looking_at(&Vector3::x_axis(), 0.5, 64);
+    let picture = Picture::still(image, view, &light, 611.0);
+    let camera_from_markers = Isometry3::translation(1.0, 0.0, 0.0);
+    let covariance = Matrix6::identity();
+    let request = |queue: &mut BackgroundQueue, target: usize, is_tracked: bool| {
+        let inputs = Inputs {
+            target,
+            body: &body,
+            decoded: Vec::new(),
+            candidates: Vec::new(),
+            rays_m: f64::INFINITY,
+            prior: match is_tracked {
+                true => TrackPrior::Confirmed(PosePrior { camera_from_markers, covariance }),
+                false => TrackPrior::Untracked,
+            },
+            best_view: Some(BestView {
+                picture,
+                view_index: 0,
+                agreeing: 0,
+                rays_m: f64::INFINITY,
+            }),
+            permit: Permit {
+                budget: TimeBudget::OneFrame,
+                is_deferred: true,
+                may_search: false,
+                min_markers: 1,
+            },
+            earlier: Earlier::default(),
+        };
+        queue.request(subject(target), &inputs)
+    };
+    by(&mut BackgroundQueue::default(), &request);
+}
+
+fn subject(target: usize) -> Subject {
+    Subject { order: (0, 0, 0), at_s: 0.0, target }
+}
+
+fn nothing_found(subject: Subject) -> Answer {
+    let rays_m = f64::INFINITY;
+    Answer { subject, measurement: None, is_independent: false, rays_m, trial: None }
+}
+
+/// Ends what is under way without having found anything.
+fn finish(queue: &mut BackgroundQueue) {
+    let subject = queue.take_job().expect("a job is under way").subject;
+    drop(queue.finish(nothing_found(subject)));
+}
+
+fn under_way(queue: &BackgroundQueue) -> Option<Subject> {
+    queue.under_way.as_ref().map(|under_way| under_way.subject)
+}
+
+#[test]
+fn passes_run_one_at_a_time_and_refused_targets_go_first() {
+    with_requests(|queue, request| {
+        let request = |queue: &mut BackgroundQueue, target| request(queue, target, true);
+        assert!(request(queue, 0));
+        assert!(!request(queue, 1) && !request(queue, 0), "one is under way");
+        finish(queue);
+        assert!(!request(queue, 0), "1 goes first");
+        assert!(request(queue, 1));
+        finish(queue);
+        assert!(request(queue, 1), "nobody else asked");
+        assert!(!request(queue, 0));
+        finish(queue);
+        assert!(!request(queue, 1));
+        assert!(request(queue, 1), "0 was left the place once and did not take it");
+    });
+}
+
+#[test]
+fn an_untracked_target_queues_behind_a_tracked_one() {
+    with_requests(|queue, request| {
+        assert!(request(queue, 0, true));
+        assert!(request(queue, 1, false), "there is a place for one");
+        assert!(!request(queue, 2, false) && !request(queue, 3, true));
+        finish(queue);
+        assert_eq!(under_way(queue), Some(subject(1)));
+        finish(queue);
+        // Untracked targets do not queue behind each other: a tracked one would never get a turn.
+        assert!(request(queue, 2, false));
+        assert!(!request(queue, 1, false) && !request(queue, 3, true));
+        finish(queue);
+        // Another frame measured it before its turn came.
+        assert!(request(queue, 3, true));
+        assert!(request(queue, 1, false));
+        queue.cancel((0, 0, 1), 1);
+        finish(queue);
+        assert_eq!(under_way(queue), None);
+    });
+}
+
+#[test]
+fn the_answer_of_a_cancelled_pass_is_dropped() {
+    with_requests(|queue, request| {
+        assert!(request(queue, 0, true));
+        let answer =
+            |queue: &mut BackgroundQueue| nothing_found(queue.take_job().expect("a job").subject);
+        let first = answer(queue);
+        assert!(queue.take_job().is_none(), "a job is run once");
+        queue.cancel((0, 0, 0), 0);
+        assert_eq!(queue.awaited(), None);
+        assert!(queue.finish(first).is_none());
+        assert!(request(queue, 0, true));
+        let second = answer(queue);
+        queue.cancel((0, 0, 7), 0);
+        assert!(queue.finish(second).is_some(), "it was measured in another frame");
+    });
+}
+
+#[test]
+fn whoever_asks_while_a_place_is_searched_is_next() {
+    with_requests(|queue, request| {
+        let view = || CopiedView {
+            pixels: vec![128; 64 * 64],
+            size: (64, 64),
+            view: View::looking_at(&Vector3::x_axis(), 0.5, 64),
+            light: LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap(),
+            pixels_per_radian: 611.0,
+            motion: Motion::default(),
+            rays_m: f64::INFINITY,
+        };
+        let place = Place { direction_in_camera: Vector3::x(), range_m: 2.0 };
+        let search = |attitudes: Attitudes| Job {
+            subject: subject(5),
+            is_untracked: true,
+            body: squares("alpha", 0.0625, 0.05, 0),
+            trial: None,
+            view: view(),
+            work: Work::Place(place, attitudes),
+        };
+        queue.start(search(Attitudes::Any));
+        assert!(!queue.is_idle() && queue.kind_of_job() == Some(JobKind::Anywhere));
+        assert!(request(queue, 0, true), "it waits");
+        assert!(!request(queue, 1, true), "there is a place for one");
+        finish(queue);
+        assert_eq!(under_way(queue), Some(subject(0)));
+        finish(queue);
+        // What is searched near a prediction takes no longer than other passes.
+        let camera_from_markers = nalgebra::UnitQuaternion::identity();
+        queue.start(search(Attitudes::Near { camera_from_markers, max_rad: 0.4 }));
+        assert!(queue.kind_of_job() == Some(JobKind::Near) && !request(queue, 0, true));
+    });
+}
