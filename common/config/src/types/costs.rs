@@ -73,7 +73,7 @@ impl Default for Costs {
             corner_pass_ms: 4.0,
             initiation_ms: 8.0,
             background_pass_ms: 45.0,
-            place_pass_ms: 100.0,
+            place_pass_ms: 170.0,
         }
     }
 }

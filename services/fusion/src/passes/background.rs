@@ -7,8 +7,8 @@
 //! while another is under way, because a newer frame will ask again. Only an untracked target may queue
 //! behind a tracked one: no newer frame need show anything of it for a while.
 //!
-//! When nobody asks, a place that looks like a body is searched for a target without a track. Whoever asks meanwhile
-//! is next.
+//! When nobody has asked for a while, a place that looks like a body is searched for a target without a track. Whoever
+//! asks meanwhile is next.
 
 use flockeye_contract::FrameOrder;
 use std::collections::BTreeSet;
@@ -26,6 +26,9 @@ use crate::account::{Notes, Pass, Source, Trial};
 use crate::hypothesis::{Aligner, BestView, Sought, Start, precise_or_else};
 use crate::measurement::{Measurement, distinct_markers, supports};
 use crate::policy::TimeBudget;
+
+/// Places are searched when nobody has asked for another pass for so long, seconds: ten frames or so.
+const QUIET_S: f64 = 0.3;
 
 /// Which target a background pass looks for, in which frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -68,6 +71,8 @@ pub struct BackgroundQueue {
     last: Option<usize>,
     /// Targets that were refused a job since.
     refused: BTreeSet<usize>,
+    /// When the newest frame was exposed of which a pass was asked for, seconds.
+    asked_s: Option<f64>,
 }
 
 #[derive(Debug)]
@@ -85,12 +90,15 @@ impl BackgroundQueue {
     /// had the last pass goes behind those that were refused meanwhile.
     pub fn request(&mut self, subject: Subject, inputs: &Inputs<'_>) -> bool {
         let target = subject.target;
+        self.asked_s = Some(subject.at_s);
         if let Some(under_way) = &self.under_way {
-            if under_way.subject.target != target {
+            let is_place = under_way.kind == JobKind::Anywhere;
+            // A place says nothing of what the target's own markers show.
+            if is_place || under_way.subject.target != target {
                 let is_untracked = inputs.prior.predicted().is_none();
-                let gives_way = under_way.kind == JobKind::Anywhere
-                    || (is_untracked && !under_way.is_untracked);
-                if gives_way && self.waiting.is_none() {
+                let gives_way = is_place || (is_untracked && !under_way.is_untracked);
+                let is_own = |job: &Job| job.subject.target == target;
+                if gives_way && self.waiting.as_ref().is_none_or(is_own) {
                     self.waiting = self.job(subject, inputs);
                     return self.waiting.is_some();
                 }
@@ -110,9 +118,17 @@ impl BackgroundQueue {
         is_granted
     }
 
-    /// Whether a place can be searched now: nobody else asks for a pass.
+    /// Whether nothing is under way.
     pub fn is_idle(&self) -> bool {
         self.under_way.is_none()
+    }
+
+    /// Whether a place can be searched in a frame that was exposed then: nobody has asked for a pass for a while. Whoever
+    /// has will mostly ask again, and should not wait for a search.
+    pub fn is_quiet(&self, at_s: f64) -> bool {
+        // Where time goes back, another source has begun.
+        let is_long_ago = |asked_s: f64| !(0.0..QUIET_S).contains(&(at_s - asked_s));
+        self.is_idle() && self.asked_s.is_none_or(is_long_ago)
     }
 
     /// Asks for the search of a place. It begins if nothing is under way.

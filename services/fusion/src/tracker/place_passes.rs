@@ -60,6 +60,7 @@ impl Tracker {
         let since_s = self.last_place_s.map_or(f64::INFINITY, |last_s| time.at_s - last_s);
         // Where time goes back, another source has begun.
         (since_s >= interval_s || since_s < 0.0)
+            && self.background.as_ref().is_some_and(|queue| queue.is_quiet(time.at_s))
             && self.targets.iter().any(|target| !target.is_tracked())
     }
 

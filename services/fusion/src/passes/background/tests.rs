@@ -156,6 +156,11 @@ fn whoever_asks_while_a_place_is_searched_is_next() {
         finish(queue);
         assert_eq!(under_way(queue), Some(subject(0)));
         finish(queue);
+        assert!(!queue.is_quiet(0.1) && queue.is_quiet(0.4), "who has asked will ask again");
+        queue.start(search(Attitudes::Any));
+        assert!(request(queue, 5, false), "what it is itself searched for may wait, too");
+        finish(queue);
+        finish(queue);
         // What is searched near a prediction takes no longer than other passes.
         let camera_from_markers = nalgebra::UnitQuaternion::identity();
         queue.start(search(Attitudes::Near { camera_from_markers, max_rad: 0.4 }));
