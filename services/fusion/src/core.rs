@@ -393,8 +393,10 @@ impl<P: Pixels> Core<P> {
     /// Takes in the answers that are over by a virtual clock.
     fn take_answers(&mut self, outputs: &mut Outputs) {
         let Schedule::Virtual(clock) = &self.schedule else { return };
-        let now_ns = clock.now_ns();
-        while self.answers.front().is_some_and(|(over_ns, _)| *over_ns <= now_ns)
+        let clock = clock.clone();
+        let is_over =
+            |(over_ns, answer): &(i64, Answer)| clock.is_over(*over_ns, answer.subject.order);
+        while self.answers.front().is_some_and(is_over)
             && let Some((_, answer)) = self.answers.pop_front()
         {
             self.take_answer(answer, outputs);
@@ -405,7 +407,7 @@ impl<P: Pixels> Core<P> {
     /// Notes when a background pass begins that was asked for just now.
     fn note_background(&mut self) {
         if let Schedule::Virtual(clock) = &mut self.schedule
-            && let Some(kind) = self.tracker.kind_of_job()
+            && let Some(kind) = self.tracker.take_begun()
         {
             clock.begin_background(kind);
         }

@@ -285,7 +285,7 @@ impl Aligner {
         self.upright.get(target)?.as_ref()
     }
 
-    /// The attitudes in which body `target` flies: a fifth of all, as far as that is known.
+    /// The attitudes in which body `target` flies. Those tilted by up to 45 degrees are a fifth of all.
     pub fn attitudes(&self, target: usize) -> Attitudes {
         self.upright(target).map_or(Attitudes::Any, |upright| Attitudes::Upright(*upright))
     }
@@ -320,6 +320,14 @@ impl Aligner {
         // The first that several facets tell will do: starts come best first.
         let sought = Sought { target, picture, starts: &starts, budget: TimeBudget::OneFrame };
         self.initiate(&sought, |_| false, notes)
+    }
+
+    /// Models all bodies for [`Self::find_at`], which otherwise does so when it looks for one first. That takes some
+    /// tenths of a second for each.
+    pub fn prepare(&self) {
+        for (print, templates) in self.prints.iter().zip(self.templates.iter()) {
+            templates.get_or_init(|| Templates::new(print));
+        }
     }
 
     /// Searches for body `target` near where a track of one measurement predicts it, whose velocity is not known yet.

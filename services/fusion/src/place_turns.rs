@@ -24,7 +24,7 @@ pub struct PlaceTurns {
 struct Search {
     target: usize,
     direction_in_camera: Unit<Vector3<f64>>,
-    /// The how-manieth search it was.
+    /// How many searches were before it.
     number: u64,
 }
 

@@ -1,7 +1,7 @@
 //! When passes run, and how much time a frame's passes have.
 
 use flockeye_config::Costs;
-use flockeye_contract::FrameStamp;
+use flockeye_contract::{FrameOrder, FrameStamp};
 
 use crate::passes::background::JobKind;
 use crate::policy::TimeBudget;
@@ -128,6 +128,13 @@ impl VirtualClock {
         self.background_over_ns
     }
 
+    /// Whether a background pass over a frame is over that takes until then. One over a frame of another source is: its
+    /// clock says nothing of this one's.
+    pub fn is_over(&self, over_ns: i64, order: FrameOrder) -> bool {
+        let of_source = |last: FrameStamp| (last.source_generation, last.epoch);
+        over_ns <= self.now_ns || self.last.map(of_source) != Some((order.0, order.1))
+    }
+
     fn is_behind(&self, stamp: &FrameStamp) -> bool {
         let late_ns = self.now_ns.saturating_sub(stamp.exposure_ns);
         self.interval_ns > 0 && late_ns > BEHIND_FRAMES as i64 * self.interval_ns
@@ -194,5 +201,7 @@ mod tests {
         let again = FrameStamp { epoch: 1, ..at(0) };
         clock.begin_frame(&again);
         assert_eq!(clock.now_ns(), 0, "the source has started again");
+        assert!(clock.is_over(90 * MS, at(2).order()), "a pass over a frame of before");
+        assert!(!clock.is_over(90 * MS, again.order()) && clock.is_over(0, again.order()));
     }
 }

@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use flockeye_config::Flow;
 use flockeye_contract::{Journals, Plans, Tracks, Views};
+use flockeye_runtime::background;
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::ports::{Message, Ports, Publisher};
 use flockeye_runtime::{Context, Stage, Step, clock};
@@ -50,6 +51,12 @@ impl Stage for FusionStage {
         let pipeline = &context.resolved.pipeline;
         let Configured { mut core, writer, aligner, has_background } =
             configured(&context.resolved, context.identity.generation)?;
+        if has_background {
+            // Else the first pass that needs them would wait for them.
+            let aligner = aligner.clone();
+            background::spawn("body-templates", move || aligner.prepare())
+                .context("a thread that models the bodies")?;
+        }
         let background = has_background.then(|| match pipeline.flow {
             Flow::Latest => BackgroundRunner::thread(aligner),
             Flow::Lossless => Ok(BackgroundRunner::inline(aligner)),

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use flockeye_contract::{FrameOrder, ViewHeader};
 use flockeye_geometry::body::Bodies;
 use flockeye_geometry::ego_rotation::EgoRotation;
-use flockeye_geometry::filter::TrackPolicy;
+use flockeye_geometry::filter::{TrackPolicy, TrackState};
 use flockeye_geometry::pose::CornerRay;
 use flockeye_geometry::search::{Purpose, StopRule};
 
@@ -478,6 +478,12 @@ impl Tracker {
         let direct: BTreeSet<usize> = (0..self.targets.len()).filter(is_direct).collect();
         self.direct_policy.end_frame(&direct);
         self.exposure.end_frame();
+        for target in (0..self.targets.len())
+            .filter(|&target| self.targets[target].state() == Some(TrackState::Confirmed))
+        {
+            // If it is lost, it is looked for anew.
+            self.place_turns.forget(target);
+        }
         self.ended = Some((order, at_s));
         self.targets.iter_mut().for_each(|target| target.end_frame(order));
     }

@@ -414,7 +414,7 @@ pub struct Search {
     #[schemars(range(min = 0, max = 64))]
     pub proposals: u32,
     /// Of these places, so many are searched each second for a neighbour without a track, in the attitudes in which
-    /// neighbours fly. It is found where none of its markers is read: far away, in the dark, in glare. This takes
+    /// neighbours fly. So one is found of which no marker is read: far away, in the dark, in glare. This takes
     /// `search.costs.place_pass_ms` for each, on a thread that gives way to all else. 0: none.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub places_hz: f64,

@@ -65,6 +65,8 @@ pub struct BackgroundQueue {
     noted: Option<usize>,
     /// The job that is under way, until it is taken.
     to_run: Option<Job>,
+    /// What it does, until that is taken.
+    begun: Option<JobKind>,
     /// The job that comes next.
     waiting: Option<Job>,
     /// The target of the last job.
@@ -90,7 +92,9 @@ impl BackgroundQueue {
     /// had the last pass goes behind those that were refused meanwhile.
     pub fn request(&mut self, subject: Subject, inputs: &Inputs<'_>) -> bool {
         let target = subject.target;
-        self.asked_s = Some(subject.at_s);
+        let has_jumped = |asked_s: &f64| (subject.at_s - asked_s).abs() > QUIET_S;
+        let newest_s = self.asked_s.filter(|asked_s| !has_jumped(asked_s));
+        self.asked_s = Some(newest_s.map_or(subject.at_s, |newest_s| newest_s.max(subject.at_s)));
         if let Some(under_way) = &self.under_way {
             let is_place = under_way.kind == JobKind::Anywhere;
             // A place says nothing of what the target's own markers show.
@@ -98,9 +102,12 @@ impl BackgroundQueue {
                 let is_untracked = inputs.prior.predicted().is_none();
                 let gives_way = is_place || (is_untracked && !under_way.is_untracked);
                 let is_own = |job: &Job| job.subject.target == target;
-                if gives_way && self.waiting.as_ref().is_none_or(is_own) {
-                    self.waiting = self.job(subject, inputs);
-                    return self.waiting.is_some();
+                if gives_way
+                    && self.waiting.as_ref().is_none_or(is_own)
+                    && let Some(job) = self.job(subject, inputs)
+                {
+                    self.waiting = Some(job);
+                    return true;
                 }
                 self.refused.insert(target);
             }
@@ -126,8 +133,7 @@ impl BackgroundQueue {
     /// Whether a place can be searched in a frame that was exposed then: nobody has asked for a pass for a while. Whoever
     /// has will mostly ask again, and should not wait for a search.
     pub fn is_quiet(&self, at_s: f64) -> bool {
-        // Where time goes back, another source has begun.
-        let is_long_ago = |asked_s: f64| !(0.0..QUIET_S).contains(&(at_s - asked_s));
+        let is_long_ago = |asked_s: f64| (at_s - asked_s).abs() >= QUIET_S;
         self.is_idle() && self.asked_s.is_none_or(is_long_ago)
     }
 
@@ -137,7 +143,7 @@ impl BackgroundQueue {
             let PlaceSearch { subject, body, view, place, attitudes, trial } = asked;
             self.start(Job {
                 subject,
-                is_untracked: true,
+                is_untracked: !matches!(attitudes, Attitudes::Near { .. }),
                 body: body.clone(),
                 trial: trial.map(Box::new),
                 view: CopiedView::of(view),
@@ -165,14 +171,15 @@ impl BackgroundQueue {
             self.refused.remove(&subject.target);
             self.last = Some(subject.target);
         }
+        self.begun = Some(kind);
         let is_cancelled = false;
         self.under_way = Some(UnderWay { subject, is_untracked, kind, is_cancelled });
         self.to_run = Some(job);
     }
 
-    /// What the job does that is to be run now, if there is one.
-    pub fn kind_of_job(&self) -> Option<JobKind> {
-        self.to_run.as_ref().map(Job::kind)
+    /// What the job does that has begun since this was asked last.
+    pub fn take_begun(&mut self) -> Option<JobKind> {
+        self.begun.take()
     }
 
     /// The job that is to be run now, once.
@@ -181,7 +188,7 @@ impl BackgroundQueue {
     }
 
     /// Cancels what is under way for a target in a frame, because the target was measured there. A job
-    /// of that target that waits is dropped too: it waited because the target had no track.
+    /// of that target that waits is dropped too: a newer frame has measured it.
     pub fn cancel(&mut self, order: FrameOrder, target: usize) {
         self.waiting.take_if(|job| job.subject.target == target);
         if let Some(under_way) = &mut self.under_way
@@ -347,7 +354,8 @@ impl Job {
         let (decoded, starts, confirmed, search_round) = match &self.work {
             Work::Place(place, attitudes) => {
                 let found = aligner.find_at(target, &picture, place, attitudes, &mut notes)?;
-                return Some((Measurement::aligned(&found, 0), true));
+                let is_independent = self.kind() == JobKind::Anywhere;
+                return Some((Measurement::aligned(&found, 0), is_independent));
             }
             Work::Starts { decoded, starts, confirmed, search_round } => {
                 (decoded, starts, confirmed, search_round)

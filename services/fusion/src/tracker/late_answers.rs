@@ -8,9 +8,9 @@ use crate::account::Outcome;
 use crate::passes::background::{Answer, BackgroundQueue, Job, JobKind, Subject};
 
 impl Tracker {
-    /// What the background pass does that is to be run now, if there is one.
-    pub fn kind_of_job(&self) -> Option<JobKind> {
-        self.background.as_ref().and_then(BackgroundQueue::kind_of_job)
+    /// What a background pass does that has begun since this was asked last.
+    pub fn take_begun(&mut self) -> Option<JobKind> {
+        self.background.as_mut()?.take_begun()
     }
 
     /// The background pass that is to be run now.
@@ -37,14 +37,10 @@ impl Tracker {
         let answer = self.background.as_mut()?.finish(answer);
         self.note_answer(order, trial, answer.is_none());
         let answer = answer?;
-        if answer.is_independent {
-            // It is there. If it is lost again, it is looked for anew.
-            self.place_turns.forget(target);
-        }
         let is_late = self.ended.is_some_and(|(ended, _)| order <= ended);
         let may_start = answer.is_independent
             && !self.targets[target].is_tracked()
-            && self.is_within_history(at_s);
+            && self.is_within_history(order, at_s);
         if is_late && may_start {
             // The frames since then did not show it only because nobody knew where to look.
             self.targets[target].forget();
@@ -70,12 +66,13 @@ impl Tracker {
         Some((order, update??))
     }
 
-    /// Whether measurements of a frame that was exposed then still count.
-    fn is_within_history(&self, at_s: f64) -> bool {
+    /// Whether measurements of a frame that was exposed then still count. Those of another source do not: its clock
+    /// may be another.
+    fn is_within_history(&self, order: FrameOrder, at_s: f64) -> bool {
         match self.filter {
-            FilterChoice::Tracks(policy) => {
-                self.ended.is_none_or(|(_, ended_s)| ended_s - at_s <= policy.history_s)
-            }
+            FilterChoice::Tracks(policy) => self.ended.is_none_or(|(ended, ended_s)| {
+                (ended.0, ended.1) == (order.0, order.1) && ended_s - at_s <= policy.history_s
+            }),
             FilterChoice::None => false,
         }
     }

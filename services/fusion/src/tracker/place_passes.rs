@@ -1,4 +1,4 @@
-//! Searches of places that look like a body, for targets of which nothing else is known.
+//! Searches of places that look like a body, for targets without a track, and for those whose track is not confirmed.
 
 use flockeye_contract::FrameOrder;
 use flockeye_imaging::align::{Attitudes, Place};
@@ -104,23 +104,23 @@ impl Tracker {
         places: &[BestView<'p>],
         best_views: &BestViews<'p>,
     ) -> Option<Sought<'p>> {
-        self.place_interval_s?;
-        let (target, predicted) = self.tentative(time).next()?;
-        let position = predicted.translation.vector;
-        let direction = Unit::new_normalize(position);
-        let off_rad =
-            |place: &&BestView<'_>| place.picture.view.direction_in_camera().angle(&direction);
-        let nearest = places
-            .iter()
-            .filter(|place| place.picture.view.holds(&direction, 0.0))
-            .min_by(|a, b| off_rad(a).total_cmp(&off_rad(b)));
-        let (view, direction) = match nearest {
-            Some(place) => (*place, place.picture.view.direction_in_camera()),
-            None => (*best_views.get(&target)?, direction),
-        };
-        let range_m = position.norm();
-        let place = Place { direction_in_camera: direction.into_inner(), range_m };
-        Some((target, view, place, attitudes_near(&predicted)))
+        self.tentative(time).find_map(|(target, predicted)| {
+            let position = predicted.translation.vector;
+            let direction = Unit::new_normalize(position);
+            let off_rad =
+                |place: &&BestView<'_>| place.picture.view.direction_in_camera().angle(&direction);
+            let nearest = places
+                .iter()
+                .filter(|place| place.picture.view.holds(&direction, 0.0))
+                .min_by(|a, b| off_rad(a).total_cmp(&off_rad(b)));
+            let (view, direction) = match nearest {
+                Some(place) => (*place, place.picture.view.direction_in_camera()),
+                None => (*best_views.get(&target)?, direction),
+            };
+            let range_m = position.norm();
+            let place = Place { direction_in_camera: direction.into_inner(), range_m };
+            Some((target, view, place, attitudes_near(&predicted)))
+        })
     }
 
     /// The place that comes next, and for whom.

@@ -150,7 +150,7 @@ fn whoever_asks_while_a_place_is_searched_is_next() {
             work: Work::Place(place, attitudes),
         };
         queue.start(search(Attitudes::Any));
-        assert!(!queue.is_idle() && queue.kind_of_job() == Some(JobKind::Anywhere));
+        assert!(!queue.is_idle() && queue.take_begun() == Some(JobKind::Anywhere));
         assert!(request(queue, 0, true), "it waits");
         assert!(!request(queue, 1, true), "there is a place for one");
         finish(queue);
@@ -164,6 +164,6 @@ fn whoever_asks_while_a_place_is_searched_is_next() {
         // What is searched near a prediction takes no longer than other passes.
         let camera_from_markers = nalgebra::UnitQuaternion::identity();
         queue.start(search(Attitudes::Near { camera_from_markers, max_rad: 0.4 }));
-        assert!(queue.kind_of_job() == Some(JobKind::Near) && !request(queue, 0, true));
+        assert!(queue.take_begun() == Some(JobKind::Near) && !request(queue, 0, true));
     });
 }
