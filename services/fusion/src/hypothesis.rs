@@ -16,6 +16,7 @@ use flockeye_imaging::edges::MarkerPrint;
 use nalgebra::{Isometry3, Vector3};
 
 use crate::account::{Hypothesis, Notes, Source, Verdict};
+use crate::parallel;
 use crate::policy::TimeBudget;
 
 /// Two poses of a body are different if they differ by more than this rotation, radians, or by this
@@ -324,10 +325,11 @@ impl Aligner {
 
     /// Models all bodies for [`Self::find_at`], which otherwise does so when it looks for one first. That takes some
     /// tenths of a second for each.
-    pub fn prepare(&self) {
-        for (print, templates) in self.prints.iter().zip(self.templates.iter()) {
-            templates.get_or_init(|| Templates::new(print));
-        }
+    pub fn prepare(&self, threads: usize) {
+        let targets: Vec<usize> = (0..self.prints.len()).collect();
+        parallel::map(&targets, threads, |&target| {
+            self.templates[target].get_or_init(|| Templates::new(&self.prints[target]));
+        });
     }
 
     /// Searches for body `target` near where a track of one measurement predicts it, whose velocity is not known yet.

@@ -4,7 +4,6 @@ use std::time::Duration;
 
 use flockeye_config::Flow;
 use flockeye_contract::{Journals, Plans, Tracks, Views};
-use flockeye_runtime::background;
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::ports::{Message, Ports, Publisher};
 use flockeye_runtime::{Context, Stage, Step, clock};
@@ -52,10 +51,8 @@ impl Stage for FusionStage {
         let Configured { mut core, writer, aligner, has_background } =
             configured(&context.resolved, context.identity.generation)?;
         if has_background {
-            // Else the first pass that needs them would wait for them.
-            let aligner = aligner.clone();
-            background::spawn("body-templates", move || aligner.prepare())
-                .context("a thread that models the bodies")?;
+            // Before the stage is ready: no frame should wait for them.
+            aligner.prepare(pipeline.fusion.threads as usize);
         }
         let background = has_background.then(|| match pipeline.flow {
             Flow::Latest => BackgroundRunner::thread(aligner),
