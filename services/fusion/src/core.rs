@@ -347,7 +347,7 @@ impl<P: Pixels> Core<P> {
         } else {
             outputs.is_idle = true;
         }
-        outputs.job = self.tracker.take_job();
+        self.begin_background(&mut outputs);
         outputs
     }
 
@@ -400,17 +400,18 @@ impl<P: Pixels> Core<P> {
             && let Some((_, answer)) = self.answers.pop_front()
         {
             self.take_answer(answer, outputs);
-            self.note_background();
+            self.begin_background(outputs);
         }
     }
 
-    /// Notes when a background pass begins that was asked for just now.
-    fn note_background(&mut self) {
-        if let Schedule::Virtual(clock) = &mut self.schedule
-            && let Some(kind) = self.tracker.take_begun()
-        {
-            clock.begin_background(kind);
+    /// Hands out the background pass that was asked for just now. One is under way at a time, so that there is one in a
+    /// step at most.
+    fn begin_background(&mut self, outputs: &mut Outputs) {
+        let Some(job) = self.tracker.take_job() else { return };
+        if let Schedule::Virtual(clock) = &mut self.schedule {
+            clock.begin_background(job.kind());
         }
+        outputs.job = Some(job);
     }
 
     /// Ends a frame of which all is measured, and makes the next plan.
@@ -418,7 +419,7 @@ impl<P: Pixels> Core<P> {
         let (purposes, stop_rule) = self.planning.purposes_of(frame);
         let counted = records_that_count(frame, stop_rule);
         if !self.awaits_places {
-            self.request_place(frame);
+            self.request_place(frame, outputs);
         }
         self.tracker.end_frame(frame, frame.stamp.exposure_s());
         self.planning.end_frame(frame, &counted, &purposes);

@@ -342,7 +342,9 @@ impl Aligner {
     ) -> Option<Alignment> {
         let position = predicted.translation.vector;
         let place = Place { direction_in_camera: position.normalize(), range_m: position.norm() };
-        self.find_at(target, picture, &place, &attitudes_near(predicted), notes)
+        let (camera_from_markers, max_rad) = (predicted.rotation, UNCONFIRMED_TURN_RAD);
+        let attitudes = Attitudes::Near { camera_from_markers, max_rad };
+        self.find_at(target, picture, &place, &attitudes, notes)
     }
 
     /// What a start leads to, whether it is the body or not.
@@ -369,11 +371,6 @@ impl Aligner {
         let print = self.prints.get(target).ok_or(AlignError::Nothing)?;
         align(print, picture, pose, &options)
     }
-}
-
-/// In which attitudes a body is searched that was measured once.
-pub fn attitudes_near(predicted: &Isometry3<f64>) -> Attitudes {
-    Attitudes::Near { camera_from_markers: predicted.rotation, max_rad: UNCONFIRMED_TURN_RAD }
 }
 
 /// What was found, if it is precise. Else what `other` finds or, where that is nothing either, the imprecise one.

@@ -39,34 +39,22 @@ impl PictureReader {
         cache: &'c ViewCache<P>,
         order: FrameOrder,
     ) -> BestViews<'c> {
-        self.best_views_and_places(cache, order, &[]).0
-    }
-
-    /// The same, and what views of places show.
-    pub fn best_views_and_places<'c, P: Pixels>(
-        &'c mut self,
-        cache: &'c ViewCache<P>,
-        order: FrameOrder,
-        places: &[(&ViewHeader, &'c Copied)],
-    ) -> (BestViews<'c>, Vec<BestView<'c>>) {
         self.learn_curves(cache.best_of(order).map(|(_, _, header, _)| header));
-        self.learn_curves(places.iter().map(|(header, _)| *header));
         let reader = &*self;
-        let best = cache.best_of(order).filter_map(|(target, quality, header, pixels)| {
-            let agreeing = quality.agreeing;
-            Some((target, BestView { agreeing, ..reader.read(header, pixels)? }))
-        });
-        (best.collect(), reader.read_all(places))
+        cache
+            .best_of(order)
+            .filter_map(|(target, quality, header, pixels)| {
+                let agreeing = quality.agreeing;
+                Some((target, BestView { agreeing, ..reader.read(header, pixels)? }))
+            })
+            .collect()
     }
 
     /// What views of places show. A view that cannot be read is left out; detection reports why.
     pub fn places<'c>(&'c mut self, views: &[(&ViewHeader, &'c Copied)]) -> Vec<BestView<'c>> {
         self.learn_curves(views.iter().map(|(header, _)| *header));
-        self.read_all(views)
-    }
-
-    fn read_all<'c>(&'c self, views: &[(&ViewHeader, &'c Copied)]) -> Vec<BestView<'c>> {
-        views.iter().filter_map(|(header, pixels)| self.read(header, *pixels)).collect()
+        let reader = &*self;
+        views.iter().filter_map(|(header, pixels)| reader.read(header, *pixels)).collect()
     }
 
     /// Those of a frame's unanswered views that are regions of interest. A view that cannot be read is

@@ -9,25 +9,22 @@ use flockeye_contract::{FrameOrder, ViewHeader};
 use flockeye_geometry::body::Bodies;
 use flockeye_geometry::ego_rotation::EgoRotation;
 use flockeye_geometry::filter::{TrackPolicy, TrackState};
-use flockeye_geometry::pose::CornerRay;
 use flockeye_geometry::search::{Purpose, StopRule};
 
-use crate::account::{Account, Decision, Outcome};
+use crate::account::{Account, Decision};
 use crate::exposure::Exposure;
 use crate::frame_assembly::{Frame, Record};
 use crate::hypothesis::Aligner;
-use crate::measurement::{MeasuredBy, Measurement, candidate_rays, contradicts, decoded_rays};
+use crate::measurement::{Measurement, contradicts, decoded_rays};
 use crate::parallax::Parallax;
-use crate::passes::background::{BackgroundQueue, Subject};
-use crate::passes::corners::{self, Moment, distinct_decoded};
-use crate::passes::inputs::{Earlier, Inputs, Permit};
+use crate::passes::background::BackgroundQueue;
+use crate::passes::corners::{Moment, distinct_decoded};
 use crate::passes::{AnsweredView, BestViews};
 use crate::place_turns::PlaceTurns;
-use crate::policy::{DirectPassPolicy, TimeBudget, is_search_turn};
+use crate::policy::{DirectPassPolicy, TimeBudget};
 use crate::readout::Readout;
 use crate::schedule::Attempts;
 use crate::target::{Status, Target, TargetEstimate};
-use crate::track_prior::TrackPrior;
 use crate::view_cache::ViewQuality;
 use accounting::outcome_of;
 
@@ -251,177 +248,6 @@ impl Tracker {
         updates
     }
 
-    /// Measures targets, each from some of a frame's records and its best view, and takes in what was
-    /// found.
-    pub(crate) fn corner_pass(
-        &mut self,
-        time: FrameTime,
-        tried: &[(usize, &[AnsweredView<'_>])],
-        best_views: &BestViews<'_>,
-        moment: Moment,
-        budget: TimeBudget,
-    ) -> Vec<Update> {
-        // Taken out meanwhile, because the inputs borrow from all else.
-        let mut background = self.background.take();
-        let has_background = background.is_some();
-        let mut inputs: Vec<Inputs<'_>> = Vec::new();
-        let mut unmeasurable = Vec::new();
-        for (target, answered) in tried {
-            let permit = self.permit(time, *target, moment, budget, has_background);
-            match self.inputs(time, *target, answered, best_views, permit) {
-                Some(offered) => inputs.push(offered),
-                None => unmeasurable.push(*target),
-            }
-        }
-        let pass = moment.pass();
-        let mut attempts = self.attempts;
-        for inputs in &inputs {
-            match inputs.prior.predicted() {
-                Some(_) => attempts.tracked += 1,
-                None => attempts.untracked += 1,
-            }
-        }
-        let trial = |inputs: &Inputs<'_>| self.trial_of(inputs, pass);
-        let measured = corners::measure(&self.aligner, &inputs, self.threads, trial);
-        let mut failed = Vec::new();
-        let mut found = Vec::new();
-        let mut trials = Vec::new();
-        for (inputs, (measurement, trial)) in inputs.iter().zip(measured) {
-            let target = inputs.target;
-            trials.extend(trial.map(|trial| (target, trial)));
-            let corrected = measurement.map(|measurement| {
-                let view =
-                    inputs.best_view.filter(|_| measurement.measured_by == MeasuredBy::Aligned);
-                let rays_m = view.map_or(inputs.rays_m, |view| view.rays_m);
-                self.corrected(measurement, rays_m, target, time.at_s)
-            });
-            if let Some(measurement) = corrected.filter(|measurement| measurement.is_precise) {
-                found.push((target, measurement));
-                continue;
-            }
-            let subject = Subject { order: time.order, at_s: time.at_s, target };
-            let is_in_background = inputs.wants_background()
-                && background.as_mut().is_some_and(|queue| queue.request(subject, inputs));
-            failed.push((target, inputs.attempt(), is_in_background, corrected));
-        }
-        (self.background, self.attempts) = (background, attempts);
-        for target in unmeasurable {
-            self.note_no_inputs(time.order, time.at_s, target, pass);
-        }
-        for (target, trial) in trials {
-            self.note(time.order, target, || Decision::Ran(trial));
-        }
-        for (target, attempt, is_in_background, imprecise) in failed {
-            let in_frame = self.targets[target].in_frame_mut(time.order);
-            in_frame.status = Status::Failed(attempt);
-            in_frame.imprecise = imprecise.or(in_frame.imprecise);
-            if is_in_background {
-                in_frame.background = Some(attempt);
-            }
-            let outcome = match imprecise {
-                _ if is_in_background => Outcome::InBackground,
-                Some(imprecise) => Outcome::Imprecise(imprecise),
-                None => Outcome::Nothing,
-            };
-            self.note_outcome(time.order, target, outcome);
-        }
-        let take_in = |(target, measurement): (usize, Measurement)| {
-            let update = self.take_in(time, target, &measurement);
-            self.note_outcome(time.order, target, outcome_of(measurement, update.as_ref()));
-            update
-        };
-        found.into_iter().filter_map(take_in).collect()
-    }
-
-    /// What a corner pass may do for a target. What takes long is left to the background pass where
-    /// others wait for it: a tracked target's frame is still open, or another target is tracked.
-    fn permit(
-        &self,
-        time: FrameTime,
-        target: usize,
-        moment: Moment,
-        budget: TimeBudget,
-        has_background: bool,
-    ) -> Permit {
-        let in_frame = self.targets[target].in_frame(time.order);
-        let is_region_tried = in_frame.is_some_and(|in_frame| in_frame.is_region_tried);
-        let prior = self.prior(target, time.at_s);
-        let is_open = prior.confirmed().is_some() && is_region_tried;
-        // Its track ends after a few frames.
-        let is_urgent = matches!(prior, TrackPrior::Tentative(_));
-        let is_deferred = budget != TimeBudget::Unlimited
-            && has_background
-            && (is_open || self.tracks_others(target));
-        let may_search = (is_urgent || is_search_turn(time.number, target, self.targets.len()))
-            && budget != TimeBudget::Overspent
-            && (moment == Moment::FrameComplete || is_deferred);
-        Permit { budget, is_deferred, may_search, min_markers: moment.min_markers() }
-    }
-
-    /// Collects what there is to measure a target by; `None` where there is nothing.
-    pub(crate) fn inputs<'f>(
-        &'f self,
-        time: FrameTime,
-        target: usize,
-        answered: &[AnsweredView<'_>],
-        best_views: &BestViews<'f>,
-        permit: Permit,
-    ) -> Option<Inputs<'f>> {
-        let body = &self.targets.get(target)?.body;
-        let prior = self.prior(target, time.at_s);
-        // All rays are brought to the best known distance before the pose is solved.
-        let rays_m = self.parallax.as_ref().map_or(f64::INFINITY, |parallax| {
-            let predicted = prior.confirmed().map(|prior| prior.camera_from_markers.translation);
-            predicted.map_or(parallax.assumed_m(), |position| position.vector.norm())
-        });
-        let motion = self.motion(target, time.at_s, &prior);
-        let best_view = best_views.get(&target).map(|view| view.moving(motion));
-        let (mut decoded, mut candidates) = (Vec::new(), Vec::new());
-        for AnsweredView { record, view, .. } in answered {
-            let mut of_view =
-                [decoded_rays(body, &record.markers), candidate_rays(body, &record.markers)];
-            if let Some(parallax) = &self.parallax {
-                let from_m = parallax.distance_m(*view);
-                for ray in of_view.iter_mut().flatten() {
-                    ray.ray_in_camera = parallax.brought(&ray.ray_in_camera, from_m, rays_m);
-                }
-            }
-            let [of_markers, of_squares] = of_view;
-            decoded.extend(of_markers);
-            candidates.extend(of_squares.into_iter().map(|ray| (record.header.view_index, ray)));
-        }
-        // Single squares say nothing of an untracked target: a chequered wall has enough of them. Two in its best
-        // view that lie to each other as on the body are a place to start from.
-        let is_known = !decoded.is_empty() || prior.predicted().is_some();
-        let best_index = best_view.map(|best| best.view_index);
-        candidates.retain(|(view_index, _)| is_known || Some(*view_index) == best_index);
-        let candidates: Vec<CornerRay> = candidates.into_iter().map(|(_, ray)| ray).collect();
-        let is_measurable = match best_view {
-            None => !decoded.is_empty(),
-            Some(best) => is_known || best.agreeing > 0,
-        };
-        let in_frame = self.targets[target].in_frame(time.order);
-        let earlier = in_frame.map_or_else(Earlier::default, |in_frame| Earlier {
-            failed: match in_frame.status {
-                Status::Failed(attempt) => Some(attempt),
-                Status::Pending | Status::Published { .. } => None,
-            },
-            rejected: in_frame.rejected.as_ref(),
-            background: in_frame.background,
-        });
-        is_measurable.then_some(Inputs {
-            target,
-            body,
-            decoded,
-            candidates,
-            rays_m,
-            prior,
-            best_view,
-            permit,
-            earlier,
-        })
-    }
-
     /// Suspends the direct pass of targets whose markers contradict what it published.
     fn compare_with_markers(&mut self, order: FrameOrder, answered: &[AnsweredView<'_>]) {
         for answer in answered {
@@ -434,12 +260,6 @@ impl Tracker {
                 self.note(order, target, || Decision::Contradicted);
             }
         }
-    }
-
-    /// Whether any other target is tracked.
-    fn tracks_others(&self, target: usize) -> bool {
-        let mut others = self.targets.iter().enumerate().filter(|(other, _)| *other != target);
-        others.any(|(_, target)| target.is_tracked())
     }
 
     /// Takes a measurement into the track of its target: the one place where that happens. `None` where
@@ -495,6 +315,7 @@ impl Tracker {
 }
 
 mod accounting;
+mod corner_passes;
 mod direct_passes;
 mod late_answers;
 mod place_passes;

@@ -162,7 +162,7 @@ pub fn starts_at(
         middle: patch.view_from_camera * direction_in_camera,
         range_m,
         lens_px: settings.prior.blur[(0, 0)].sqrt(),
-        attitudes: attitudes.turned(&patch.view_from_camera),
+        attitudes: attitudes.in_patch(&patch.view_from_camera),
     };
     let camera_from_patch = patch.view_from_camera.inverse();
     let starts = acquire::starts(templates, &patch, &sought);

@@ -102,7 +102,7 @@ impl<P: Pixels> Core<P> {
         if let Schedule::Virtual(clock) = &mut self.schedule {
             clock.spend(attempts);
         }
-        self.note_background();
+        self.begin_background(outputs);
         let records: Vec<&Record> = frame.records.values().collect();
         let updates = self.caused_by(updates, &records);
         self.publish(&frame.stamp, updates, outputs);
@@ -127,16 +127,13 @@ impl<P: Pixels> Core<P> {
     }
 
     /// Has one of a frame's places searched in the background, when it is time for that.
-    pub(super) fn request_place(&mut self, frame: &Frame) {
+    pub(super) fn request_place(&mut self, frame: &Frame, outputs: &mut Outputs) {
         let Some(places) = &self.places else { return };
         let time = time_of(&self.planning, &frame.stamp);
         if self.tracker.has_time_for_place(time) {
-            let views: Vec<_> = places.of(frame.stamp.order()).collect();
-            let order = frame.stamp.order();
-            let (best_views, places) =
-                self.reader.best_views_and_places(&self.cache, order, &views);
-            self.tracker.request_place(time, &places, &best_views);
-            self.note_background();
+            let views: Vec<_> = places.of(time.order).collect();
+            self.tracker.request_place(time, &self.reader.places(&views));
+            self.begin_background(outputs);
         }
     }
 }

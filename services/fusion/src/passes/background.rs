@@ -16,7 +16,7 @@ use std::collections::BTreeSet;
 use flockeye_geometry::body::Body;
 use flockeye_geometry::pose::CornerRay;
 use flockeye_geometry::view::View;
-use flockeye_imaging::align::{Attitudes, Motion, Picture, Place};
+use flockeye_imaging::align::{Motion, Picture, Place};
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::LinearLight;
 use nalgebra::Isometry3;
@@ -65,8 +65,6 @@ pub struct BackgroundQueue {
     noted: Option<usize>,
     /// The job that is under way, until it is taken.
     to_run: Option<Job>,
-    /// What it does, until that is taken.
-    begun: Option<JobKind>,
     /// The job that comes next.
     waiting: Option<Job>,
     /// The target of the last job.
@@ -125,29 +123,30 @@ impl BackgroundQueue {
         is_granted
     }
 
-    /// Whether nothing is under way.
-    pub fn is_idle(&self) -> bool {
-        self.under_way.is_none()
-    }
-
     /// Whether a place can be searched in a frame that was exposed then: nobody has asked for a pass for a while. Whoever
     /// has will mostly ask again, and should not wait for a search.
     pub fn is_quiet(&self, at_s: f64) -> bool {
         let is_long_ago = |asked_s: f64| (at_s - asked_s).abs() >= QUIET_S;
-        self.is_idle() && self.asked_s.is_none_or(is_long_ago)
+        self.under_way.is_none() && self.asked_s.is_none_or(is_long_ago)
     }
 
-    /// Asks for the search of a place. It begins if nothing is under way.
-    pub fn request_place(&mut self, asked: PlaceSearch<'_>) {
-        if self.is_idle() {
-            let PlaceSearch { subject, body, view, place, attitudes, trial } = asked;
+    /// Begins the search of a place for a target without a track, if nothing is under way.
+    pub fn search_place(
+        &mut self,
+        subject: Subject,
+        body: &Body,
+        view: &BestView<'_>,
+        place: Place,
+        trial: Option<Trial>,
+    ) {
+        if self.under_way.is_none() {
             self.start(Job {
                 subject,
-                is_untracked: !matches!(attitudes, Attitudes::Near { .. }),
+                is_untracked: true,
                 body: body.clone(),
                 trial: trial.map(Box::new),
                 view: CopiedView::of(view),
-                work: Work::Place(place, attitudes),
+                work: Work::Place(place),
             });
         }
     }
@@ -171,15 +170,9 @@ impl BackgroundQueue {
             self.refused.remove(&subject.target);
             self.last = Some(subject.target);
         }
-        self.begun = Some(kind);
         let is_cancelled = false;
         self.under_way = Some(UnderWay { subject, is_untracked, kind, is_cancelled });
         self.to_run = Some(job);
-    }
-
-    /// What the job does that has begun since this was asked last.
-    pub fn take_begun(&mut self) -> Option<JobKind> {
-        self.begun.take()
     }
 
     /// The job that is to be run now, once.
@@ -231,23 +224,6 @@ pub enum JobKind {
     Anywhere,
 }
 
-/// The search of a place that looks like a body.
-#[derive(Debug)]
-pub struct PlaceSearch<'p> {
-    /// For whom.
-    pub subject: Subject,
-    /// Its body.
-    pub body: &'p Body,
-    /// The view that shows the place.
-    pub view: &'p BestView<'p>,
-    /// The place.
-    pub place: Place,
-    /// In which attitudes.
-    pub attitudes: Attitudes,
-    /// Its account, if somebody asks.
-    pub trial: Option<Trial>,
-}
-
 /// All that a background pass needs, copied, so that its view can be released.
 #[derive(Debug)]
 pub struct Job {
@@ -270,7 +246,7 @@ enum Work {
         /// The prediction that is searched round if no start leads to the body.
         search_round: Option<Isometry3<f64>>,
     },
-    Place(Place, Attitudes),
+    Place(Place),
 }
 
 /// A view with its pixels.
@@ -328,8 +304,8 @@ impl Job {
     /// What it does.
     pub fn kind(&self) -> JobKind {
         match self.work {
-            Work::Starts { .. } | Work::Place(_, Attitudes::Near { .. }) => JobKind::Near,
-            Work::Place(..) => JobKind::Anywhere,
+            Work::Starts { .. } => JobKind::Near,
+            Work::Place(_) => JobKind::Anywhere,
         }
     }
 
@@ -352,10 +328,10 @@ impl Job {
         let picture = self.view.picture()?;
         let target = self.subject.target;
         let (decoded, starts, confirmed, search_round) = match &self.work {
-            Work::Place(place, attitudes) => {
-                let found = aligner.find_at(target, &picture, place, attitudes, &mut notes)?;
-                let is_independent = self.kind() == JobKind::Anywhere;
-                return Some((Measurement::aligned(&found, 0), is_independent));
+            Work::Place(place) => {
+                let attitudes = aligner.attitudes(target);
+                let found = aligner.find_at(target, &picture, place, &attitudes, &mut notes)?;
+                return Some((Measurement::aligned(&found, 0), true));
             }
             Work::Starts { decoded, starts, confirmed, search_round } => {
                 (decoded, starts, confirmed, search_round)

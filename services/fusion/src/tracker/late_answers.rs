@@ -5,14 +5,9 @@ use flockeye_contract::FrameOrder;
 use super::accounting::outcome_of;
 use super::{FilterChoice, FrameTime, Tracker, Update};
 use crate::account::Outcome;
-use crate::passes::background::{Answer, BackgroundQueue, Job, JobKind, Subject};
+use crate::passes::background::{Answer, BackgroundQueue, Job, Subject};
 
 impl Tracker {
-    /// What a background pass does that has begun since this was asked last.
-    pub fn take_begun(&mut self) -> Option<JobKind> {
-        self.background.as_mut()?.take_begun()
-    }
-
     /// The background pass that is to be run now.
     pub fn take_job(&mut self) -> Option<Job> {
         self.background.as_mut()?.take_job()

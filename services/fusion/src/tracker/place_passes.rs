@@ -1,23 +1,17 @@
-//! Searches of places that look like a body, for targets without a track, and for those whose track is not confirmed.
+//! Searches of places that look like a body, for targets without a track.
 
 use flockeye_contract::FrameOrder;
 use flockeye_imaging::align::{Attitudes, Place};
-use nalgebra::{Isometry3, Unit};
 
 use super::accounting::outcome_of;
 use super::{FrameTime, Tracker, Update};
 use crate::account::{Decision, Notes, Outcome, Pass, Trial};
-use crate::hypothesis::{BestView, attitudes_near};
+use crate::hypothesis::BestView;
 use crate::measurement::Measurement;
 use crate::parallel;
-use crate::passes::BestViews;
-use crate::passes::background::{BackgroundQueue, PlaceSearch, Subject};
+use crate::passes::background::Subject;
 use crate::places::place_of;
 use crate::policy::TimeBudget;
-use crate::track_prior::TrackPrior;
-
-/// A target, and where and in which attitudes it is looked for.
-type Sought<'p> = (usize, BestView<'p>, Place, Attitudes);
 
 impl Tracker {
     /// The targets without a track that a frame has not measured.
@@ -50,12 +44,6 @@ impl Tracker {
 
     /// Whether a place may be searched in the background now, in a frame that is over but for that.
     pub fn has_time_for_place(&self, time: FrameTime) -> bool {
-        let is_asked = || self.is_place_due(time) || self.tentative(time).next().is_some();
-        self.background.as_ref().is_some_and(BackgroundQueue::is_idle) && is_asked()
-    }
-
-    /// Whether the next place comes now, for a target without a track.
-    fn is_place_due(&self, time: FrameTime) -> bool {
         let Some(interval_s) = self.place_interval_s else { return false };
         let since_s = self.last_place_s.map_or(f64::INFINITY, |last_s| time.at_s - last_s);
         // Where time goes back, another source has begun.
@@ -64,76 +52,29 @@ impl Tracker {
             && self.targets.iter().any(|target| !target.is_tracked())
     }
 
-    /// Has one place of a frame searched in the background. A target that was measured once and not in this frame comes
-    /// first: its track would end soon. Else targets without a track take turns.
-    pub fn request_place(
-        &mut self,
-        time: FrameTime,
-        places: &[BestView<'_>],
-        best_views: &BestViews<'_>,
-    ) {
-        let next = self.place_of_tentative(time, places, best_views);
-        let is_new = next.is_none();
-        let in_turn = || self.next_place(time, places).filter(|_| self.is_place_due(time));
-        let Some((target, view, place, attitudes)) = next.or_else(in_turn) else { return };
-        if is_new {
-            self.place_turns.note(target, view.picture.view.direction_in_camera());
-            self.last_place_s = Some(time.at_s);
-        }
-        let trial = self.place_trial(time, target, &view);
-        let subject = Subject { order: time.order, at_s: time.at_s, target };
-        let body = &self.targets[target].body;
-        let asked = PlaceSearch { subject, body, view: &view, place, attitudes, trial };
-        if let Some(queue) = &mut self.background {
-            queue.request_place(asked);
-        }
-    }
-
-    /// Targets with a track that is not confirmed, which a frame has not measured, with their predicted poses.
-    fn tentative(&self, time: FrameTime) -> impl Iterator<Item = (usize, Isometry3<f64>)> {
-        self.unpublished(time.order).filter_map(move |target| match self.prior(target, time.at_s) {
-            TrackPrior::Tentative(predicted) => Some((target, predicted)),
-            TrackPrior::Untracked | TrackPrior::Confirmed(_) => None,
-        })
-    }
-
-    /// Where such a target is looked for: at the place next to its prediction, if one shows that too, else there itself.
-    fn place_of_tentative<'p>(
-        &self,
-        time: FrameTime,
-        places: &[BestView<'p>],
-        best_views: &BestViews<'p>,
-    ) -> Option<Sought<'p>> {
-        self.tentative(time).find_map(|(target, predicted)| {
-            let position = predicted.translation.vector;
-            let direction = Unit::new_normalize(position);
-            let off_rad =
-                |place: &&BestView<'_>| place.picture.view.direction_in_camera().angle(&direction);
-            let nearest = places
-                .iter()
-                .filter(|place| place.picture.view.holds(&direction, 0.0))
-                .min_by(|a, b| off_rad(a).total_cmp(&off_rad(b)));
-            let (view, direction) = match nearest {
-                Some(place) => (*place, place.picture.view.direction_in_camera()),
-                None => (*best_views.get(&target)?, direction),
-            };
-            let range_m = position.norm();
-            let place = Place { direction_in_camera: direction.into_inner(), range_m };
-            Some((target, view, place, attitudes_near(&predicted)))
-        })
-    }
-
-    /// The place that comes next, and for whom.
-    fn next_place<'p>(&self, time: FrameTime, places: &[BestView<'p>]) -> Option<Sought<'p>> {
+    /// Has one of a frame's places searched in the background for a target without a track. Both take turns.
+    pub fn request_place(&mut self, time: FrameTime, places: &[BestView<'_>]) {
         let free: Vec<&BestView<'_>> =
             places.iter().filter(|place| !self.is_taken(time, place)).collect();
         let directions: Vec<_> =
             free.iter().map(|place| place.picture.view.direction_in_camera()).collect();
         let untracked: Vec<usize> = self.untracked(time.order).collect();
-        let (target, next) = self.place_turns.next(&untracked, &directions)?;
+        let Some((target, next)) = self.place_turns.next(&untracked, &directions) else { return };
+        self.place_turns.note(target, directions[next]);
+        self.last_place_s = Some(time.at_s);
+        let trial = self.place_trial(time, target, free[next]);
+        let place = self.place_of(target, free[next]);
+        let subject = Subject { order: time.order, at_s: time.at_s, target };
+        if let Some(queue) = &mut self.background {
+            let body = &self.targets[target].body;
+            queue.search_place(subject, body, free[next], place, trial);
+        }
+    }
+
+    /// The place that a view shows, for a target.
+    fn place_of(&self, target: usize, view: &BestView<'_>) -> Place {
         let side_m = self.targets[target].body.largest_side();
-        let place = place_of(&free[next].picture.view, side_m, self.radius_in_sides);
-        Some((target, *free[next], place, self.aligner.attitudes(target)))
+        place_of(&view.picture.view, side_m, self.radius_in_sides)
     }
 
     /// Whether a tracked target is where a place is.
@@ -162,8 +103,7 @@ impl Tracker {
         place: &BestView<'_>,
     ) -> (Option<Measurement>, Option<Trial>) {
         let mut trial = self.place_trial(time, target, place);
-        let side_m = self.targets[target].body.largest_side();
-        let at = place_of(&place.picture.view, side_m, self.radius_in_sides);
+        let at = self.place_of(target, place);
         let mut notes = Notes::into_list(trial.as_mut().map(|trial| &mut trial.hypotheses));
         let attitudes = Attitudes::Any;
         let found = self.aligner.find_at(target, &place.picture, &at, &attitudes, &mut notes);

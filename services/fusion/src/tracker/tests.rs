@@ -5,10 +5,10 @@
 use super::*;
 use crate::fixtures::*;
 use crate::hypothesis::BestView;
-use crate::measurement::{PoseEstimate, agreeing_candidates};
+use crate::measurement::{MeasuredBy, PoseEstimate, agreeing_candidates, candidate_rays};
 use crate::passes::direct::Region;
-use crate::policy::SUSPENDED_FRAMES;
-use flockeye_geometry::filter::TrackState;
+use crate::passes::inputs::Permit;
+use crate::policy::{SUSPENDED_FRAMES, is_search_turn};
 use nalgebra::{Isometry3, Matrix6};
 
 mod background;

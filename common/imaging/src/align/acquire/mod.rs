@@ -110,18 +110,17 @@ impl Attitudes {
         }
     }
 
-    /// The same with a turned camera.
-    pub(super) fn turned(&self, later_from_earlier: &UnitQuaternion<f64>) -> Self {
+    /// The same in the axes of a patch.
+    pub(super) fn in_patch(&self, patch_from_camera: &UnitQuaternion<f64>) -> Self {
         match *self {
             Self::Any => Self::Any,
             Self::Upright(upright) => Self::Upright(Upright {
-                up_in_camera: later_from_earlier * upright.up_in_camera,
+                up_in_camera: patch_from_camera * upright.up_in_camera,
                 ..upright
             }),
-            Self::Near { camera_from_markers, max_rad } => Self::Near {
-                camera_from_markers: later_from_earlier * camera_from_markers,
-                max_rad,
-            },
+            Self::Near { camera_from_markers, max_rad } => {
+                Self::Near { camera_from_markers: patch_from_camera * camera_from_markers, max_rad }
+            }
         }
     }
 }
