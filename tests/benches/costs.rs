@@ -18,7 +18,7 @@ use flockeye_geometry::mask::Mask;
 use flockeye_geometry::partition::Partition;
 use flockeye_geometry::pose::{CornerRay, PoseOptions, PoseSolution, solve};
 use flockeye_geometry::view::View;
-use flockeye_imaging::align::{Picture, Place};
+use flockeye_imaging::align::Picture;
 use flockeye_imaging::edges::Effort;
 use flockeye_imaging::gyroscope::Gyroscope;
 use flockeye_imaging::gyroscope::grid::Sampler;
@@ -33,8 +33,6 @@ use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
 
 const DICTIONARY: &str = "DICT_5X5_250";
 const WIDTH: u32 = 3840;
-/// `fusion.level_deg`.
-const LEVEL_RAD: f64 = std::f64::consts::FRAC_PI_4;
 const DISTANCES_M: [f64; 4] = [0.7, 1.0, 1.5, 2.0];
 
 fn main() {
@@ -64,11 +62,10 @@ struct Costs {
     corner_pass: Vec<f64>,
     initiation: Vec<f64>,
     background_pass: Vec<f64>,
-    place_pass: Vec<f64>,
 }
 
 impl Costs {
-    fn rows(&mut self) -> [(&'static str, &mut Vec<f64>); 10] {
+    fn rows(&mut self) -> [(&'static str, &mut Vec<f64>); 9] {
         [
             ("source_ms", &mut self.source),
             ("egomotion_ms", &mut self.egomotion),
@@ -79,7 +76,6 @@ impl Costs {
             ("corner_pass_ms", &mut self.corner_pass),
             ("initiation_ms", &mut self.initiation),
             ("background_pass_ms", &mut self.background_pass),
-            ("place_pass_ms", &mut self.place_pass),
         ]
     }
 }
@@ -126,9 +122,7 @@ fn measure(distance_m: f64, rounds: u64, costs: &mut Costs) {
     }
     let sphere = SphereImage::new(&luma, WIDTH as usize, camera).unwrap();
     tiles(&sphere, camera, costs);
-    let truth = &placement.camera_from_markers;
-    region(&sphere, camera, &body, &bodies, truth, rounds, costs);
-    place(&sphere, camera, &bodies, truth, rounds, costs);
+    region(&sphere, camera, &body, &bodies, &placement.camera_from_markers, rounds, costs);
 }
 
 /// Cuts all tiles, and searches each with one window.
@@ -199,42 +193,6 @@ fn region(
             aligner.initiate(&sought, unknown, &mut Notes::none())
         });
         timed(&mut costs.background_pass, 1.0, || aligner.reacquire(0, picture, &predicted));
-    }
-}
-
-/// Searches places beside the body that are as far away: most places that are searched show nobody.
-fn place(
-    sphere: &SphereImage<'_>,
-    camera: Camera,
-    bodies: &Bodies,
-    truth: &Isometry3<f64>,
-    rounds: u64,
-    costs: &mut Costs,
-) {
-    let dictionary = Dictionary::of(bodies).unwrap();
-    let aligner = Aligner::new(bodies, |id| dictionary.print(id), camera.pixels_per_radian())
-        .unwrap()
-        .with_max_tilt(bodies, &Isometry3::identity(), LEVEL_RAD);
-    let range_m = truth.translation.vector.norm();
-    let field_rad = 0.4 / range_m;
-    let light = light();
-    for round in 0..=rounds {
-        let beside = UnitQuaternion::from_euler_angles(0.0, 0.0, 1.0 + 0.27 * round as f64);
-        let direction = Unit::new_normalize(beside * truth.translation.vector);
-        let size_px = (2.0 * camera.pixels_per_radian() * (field_rad / 2.0).tan()).ceil() as u32;
-        let view = View::looking_at(&direction, field_rad, size_px);
-        let (pixels, _) = cut(&mut CpuRectifier::new(1), sphere, view, &mut Vec::new());
-        let size = view.size_px as usize;
-        let image = LumaImage::new(&pixels, size, size, size).unwrap();
-        let picture = Picture::still(image, view, &light, camera.pixels_per_radian());
-        let place = Place { direction_in_camera: direction.into_inner(), range_m };
-        let attitudes = aligner.attitudes(0);
-        let search = || aligner.find_at(0, &picture, &place, &attitudes, &mut Notes::none());
-        // The first search models the body.
-        match round {
-            0 => drop(search()),
-            _ => drop(timed(&mut costs.place_pass, 1.0, search)),
-        }
     }
 }
 

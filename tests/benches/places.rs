@@ -21,7 +21,7 @@ use std::time::{Duration, Instant};
 use chance::Chance;
 use flockeye_geometry::camera::Camera;
 use flockeye_imaging::align::{
-    AlignOptions, Alignment, Attitudes, BodyPrint, Picture, Place, Templates, align, starts_at,
+    AlignOptions, Alignment, BodyPrint, Picture, Place, Templates, align, starts_at,
 };
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
 use flockeye_imaging::proposals::{Detail, MarkerSizes, Proposer};
@@ -175,7 +175,7 @@ impl Bench {
         let options = AlignOptions::default();
         let (print, (_, templates)) = (&still.prints[body], self.templates.as_ref().unwrap());
         let begun = Instant::now();
-        let starts = starts_at(print, &templates[body], &picture, place, &Attitudes::Any, &options);
+        let starts = starts_at(print, &templates[body], &picture, place, &options);
         self.search += begun.elapsed();
         self.searches += 1;
         let options = AlignOptions { coarse_first: true, ..options };

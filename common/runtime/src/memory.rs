@@ -262,8 +262,7 @@ fn limits(topic: &TopicInfo, resolved: &Resolved, largest_view_px: u32) -> Limit
         usual_buffer: sizes.buffer,
         // A lossless run waits for fusion: what fusion sees must not depend on when it looks.
         patience: match pipeline.flow {
-            // It may be at a search that takes some tenths of a second.
-            Flow::Lossless if topic.has_lanes() => Some(3 * pipeline.view_overdue()),
+            Flow::Lossless if topic.has_lanes() => Some(pipeline.view_overdue()),
             Flow::Lossless | Flow::Latest => None,
         },
         borrowed: sizes.borrowed,

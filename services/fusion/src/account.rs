@@ -46,7 +46,7 @@ pub enum Pass {
     Complete,
     /// From rough starts, and a search round the prediction.
     Background,
-    /// By the whole body, at a place that looks like one.
+    /// In any attitude, at a place that looks like a body.
     Place,
 }
 
@@ -160,7 +160,7 @@ pub enum Source {
     Mirror,
     /// The search round the prediction.
     Search,
-    /// The search for the whole body at a place.
+    /// The search in all attitudes at a place that looks like a body.
     Place,
 }
 

@@ -57,8 +57,6 @@ pub struct Core<P> {
     planning: Planning,
     /// Views of places that look like a body; `None` where they are not searched.
     places: Option<Places>,
-    /// Whether a frame waits until all of its places have been searched.
-    awaits_places: bool,
     /// Regions of interest that have come, for the direct pass.
     cut_regions: Vec<(FrameOrder, u32)>,
     /// What direct passes found in a frame that is published when it is complete.
@@ -102,7 +100,6 @@ impl<P: Pixels> Core<P> {
             tracker,
             planning,
             places: None,
-            awaits_places: false,
             cut_regions: Vec::new(),
             found: Vec::new(),
             searched: Vec::new(),
@@ -122,14 +119,9 @@ impl<P: Pixels> Core<P> {
         Self { guard: Some(Guard::new(workers)), ..self }
     }
 
-    /// Searches all places of a frame that look like a body, before it ends, for targets of which nothing else is known.
+    /// Searches places that look like a body for targets of which nothing else is known.
     pub fn searching_places(self) -> Self {
-        Self { places: Some(Places::default()), awaits_places: true, ..self }
-    }
-
-    /// Searches one of these places now and then in the background instead.
-    pub fn searching_places_in_background(self) -> Self {
-        Self { places: Some(Places::default()), awaits_places: false, ..self }
+        Self { places: Some(Places::default()), ..self }
     }
 
     /// What a successor needs to go on.
@@ -328,7 +320,7 @@ impl<P: Pixels> Core<P> {
             self.take_answers(&mut outputs);
             if let Some(frame) = self.complete.take() {
                 self.measure(&frame, &mut outputs, Tracker::final_pass);
-                match self.awaits_places {
+                match self.places.is_some() {
                     true => self.measured = Some(frame),
                     false => self.end_frame(&frame, &mut outputs),
                 }
@@ -409,7 +401,7 @@ impl<P: Pixels> Core<P> {
     fn begin_background(&mut self, outputs: &mut Outputs) {
         let Some(job) = self.tracker.take_job() else { return };
         if let Schedule::Virtual(clock) = &mut self.schedule {
-            clock.begin_background(job.kind());
+            clock.begin_background();
         }
         outputs.job = Some(job);
     }
@@ -418,9 +410,6 @@ impl<P: Pixels> Core<P> {
     fn end_frame(&mut self, frame: &Frame, outputs: &mut Outputs) {
         let (purposes, stop_rule) = self.planning.purposes_of(frame);
         let counted = records_that_count(frame, stop_rule);
-        if !self.awaits_places {
-            self.request_place(frame, outputs);
-        }
         self.tracker.end_frame(frame, frame.stamp.exposure_s());
         self.planning.end_frame(frame, &counted, &purposes);
         self.cache.release_until(frame.stamp.order());

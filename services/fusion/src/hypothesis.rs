@@ -9,14 +9,13 @@ use std::sync::{Arc, OnceLock};
 
 use flockeye_geometry::body::{Bodies, Body};
 use flockeye_imaging::align::{
-    AlignError, AlignOptions, Alignment, Attitudes, BodyPrint, Motion, Picture, Place, PrintError,
-    Templates, Upright, align, least_lead, reacquire, starts_at,
+    AlignError, AlignOptions, Alignment, BodyPrint, Motion, Picture, Place, PrintError, Templates,
+    align, least_lead, reacquire, starts_at,
 };
 use flockeye_imaging::edges::MarkerPrint;
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::{Isometry3, Unit, Vector3};
 
 use crate::account::{Hypothesis, Notes, Source, Verdict};
-use crate::parallel;
 use crate::policy::TimeBudget;
 
 /// Two poses of a body are different if they differ by more than this rotation, radians, or by this
@@ -30,9 +29,6 @@ const TURN_SIGMA_RAD: f64 = 0.15;
 /// The same of poses that alignment finds where no body is, from where it started: of 155 with log odds above 1 half had
 /// turned by more than 0.46 (docs/results/decisions.md).
 const FALSE_TURN_SIGMA_RAD: f64 = 0.3;
-
-/// A body is expected to turn by no more than this from its track's first measurement to the second, radians.
-const UNCONFIRMED_TURN_RAD: f64 = 0.4;
 
 /// The view that shows a body best.
 #[derive(Debug, Clone, Copy)]
@@ -86,8 +82,18 @@ pub struct Aligner {
     templates: Arc<[OnceLock<Templates>]>,
     pixels_per_radian: f64,
     options: AlignOptions,
-    /// How far from level each target flies. `None` for one that may hang in any attitude.
-    upright: Vec<Option<Upright>>,
+    tilt: Option<TiltPrior>,
+}
+
+/// How far from level neighbours fly.
+#[derive(Debug, Clone)]
+struct TiltPrior {
+    /// Up on the observer, in the camera frame.
+    up_in_camera: Unit<Vector3<f64>>,
+    /// Up on each target, in its markers' frame. `None` for a target that may hang in any attitude.
+    up_in_markers: Vec<Option<Unit<Vector3<f64>>>>,
+    /// The largest tilt between a target and its observer, radians.
+    max_rad: f64,
 }
 
 impl Aligner {
@@ -103,8 +109,8 @@ impl Aligner {
         let prints: Vec<BodyPrint> =
             bodies.iter().map(|body| BodyPrint::new(body, &print_of)).collect::<Result<_, _>>()?;
         let templates = prints.iter().map(|_| OnceLock::new()).collect();
-        let (options, upright) = (AlignOptions::default(), vec![None; prints.len()]);
-        Ok(Self { prints, templates, pixels_per_radian, options, upright })
+        let options = AlignOptions::default();
+        Ok(Self { prints, templates, pixels_per_radian, options, tilt: None })
     }
 
     /// Multiplies covariances by this; see [`AlignOptions::covariance_scale`].
@@ -122,13 +128,16 @@ impl Aligner {
         observer_from_camera: &Isometry3<f64>,
         max_rad: f64,
     ) -> Self {
-        let up_in_camera = observer_from_camera.inverse() * Vector3::z_axis();
-        let upright = |body: &Body| {
-            let up_in_markers = body.target_from_markers.inverse() * Vector3::z_axis();
-            let upright = Upright { up_in_camera, up_in_markers, max_tilt_rad: max_rad };
-            (max_rad > 0.0 && body.markers.len() > 1).then_some(upright)
+        let up_in_markers = |body: &Body| {
+            let up = body.target_from_markers.inverse() * Vector3::z_axis();
+            (body.markers.len() > 1).then_some(up)
         };
-        self.upright = bodies.iter().map(upright).collect();
+        let tilt = || TiltPrior {
+            up_in_camera: observer_from_camera.inverse() * Vector3::z_axis(),
+            up_in_markers: bodies.iter().map(up_in_markers).collect(),
+            max_rad,
+        };
+        self.tilt = (max_rad > 0.0).then(tilt);
         self
     }
 
@@ -279,16 +288,10 @@ impl Aligner {
 
     /// Whether body `target` is tilted within the limit in a pose; `None` where no limit is known.
     fn is_within_tilt(&self, target: usize, found: &Alignment) -> Option<bool> {
-        Some(self.upright(target)?.holds(&found.camera_from_markers.rotation))
-    }
-
-    fn upright(&self, target: usize) -> Option<&Upright> {
-        self.upright.get(target)?.as_ref()
-    }
-
-    /// The attitudes in which body `target` flies. Those tilted by up to 45 degrees are a fifth of all.
-    pub fn attitudes(&self, target: usize) -> Attitudes {
-        self.upright(target).map_or(Attitudes::Any, |upright| Attitudes::Upright(*upright))
+        let tilt = self.tilt.as_ref()?;
+        let up_in_markers = tilt.up_in_markers.get(target)?.as_ref()?;
+        let tilt_rad = (found.camera_from_markers * up_in_markers).angle(&tilt.up_in_camera);
+        Some(tilt_rad <= tilt.max_rad)
     }
 
     /// Searches for body `target` round where it was predicted.
@@ -301,7 +304,7 @@ impl Aligner {
         reacquire(self.prints.get(target)?, picture, predicted, &self.options)
     }
 
-    /// Searches for body `target` in these attitudes at a place.
+    /// Searches for body `target` in any attitude at a place.
     ///
     /// What it finds competes as in [`Self::initiate`]. No more is asked of it: docs/results/places.md counts how likely
     /// the best pose is where nobody is.
@@ -310,41 +313,16 @@ impl Aligner {
         target: usize,
         picture: &Picture<'_>,
         place: &Place,
-        attitudes: &Attitudes,
         notes: &mut Notes<'_>,
     ) -> Option<Alignment> {
         let print = self.prints.get(target)?;
         let templates = self.templates.get(target)?.get_or_init(|| Templates::new(print));
-        let starts = starts_at(print, templates, picture, place, attitudes, &self.options);
+        let starts = starts_at(print, templates, picture, place, &self.options);
         let starts: Vec<(Source, Start)> =
             starts.into_iter().map(|start| (Source::Place, Start::Rough(start))).collect();
         // The first that several facets tell will do: starts come best first.
         let sought = Sought { target, picture, starts: &starts, budget: TimeBudget::OneFrame };
         self.initiate(&sought, |_| false, notes)
-    }
-
-    /// Models all bodies for [`Self::find_at`], which otherwise does so when it looks for one first. That takes some
-    /// tenths of a second for each.
-    pub fn prepare(&self, threads: usize) {
-        let targets: Vec<usize> = (0..self.prints.len()).collect();
-        parallel::map(&targets, threads, |&target| {
-            self.templates[target].get_or_init(|| Templates::new(&self.prints[target]));
-        });
-    }
-
-    /// Searches for body `target` near where a track of one measurement predicts it, whose velocity is not known yet.
-    pub fn find_near(
-        &self,
-        target: usize,
-        picture: &Picture<'_>,
-        predicted: &Isometry3<f64>,
-        notes: &mut Notes<'_>,
-    ) -> Option<Alignment> {
-        let position = predicted.translation.vector;
-        let place = Place { direction_in_camera: position.normalize(), range_m: position.norm() };
-        let (camera_from_markers, max_rad) = (predicted.rotation, UNCONFIRMED_TURN_RAD);
-        let attitudes = Attitudes::Near { camera_from_markers, max_rad };
-        self.find_at(target, picture, &place, &attitudes, notes)
     }
 
     /// What a start leads to, whether it is the body or not.

@@ -12,7 +12,7 @@
 //! | [`journal`] | notes each call of the core for recorders, so that a flight can be repeated |
 //! | [`frame_assembly`] | what a frame still waits for |
 //! | [`view_cache`], [`pictures`] | views that are held for their pixels, as images |
-//! | [`places`], [`place_turns`] | places that look like a body: their views, and which is searched next, for whom |
+//! | [`places`] | places that look like a body: their views, and for whom they are searched |
 //! | [`planning`] | the plan for the next frame, and what was searched when |
 //! | [`tracker`] | all targets; the one place where a measurement enters a track |
 //! | [`target`] | one neighbour: its track, and its status in each open frame |
@@ -52,7 +52,6 @@ pub mod parallax;
 pub mod parallel;
 pub mod passes;
 pub mod pictures;
-pub mod place_turns;
 pub mod places;
 pub mod planning;
 pub mod policy;

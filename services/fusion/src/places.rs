@@ -48,7 +48,7 @@ impl Places {
     }
 
     /// The views of a frame, in the order of its plan.
-    pub fn of(&self, order: FrameOrder) -> impl Iterator<Item = (&ViewHeader, &Copied)> {
+    fn of(&self, order: FrameOrder) -> impl Iterator<Item = (&ViewHeader, &Copied)> {
         let of_frame = self.views.range((order, 0)..=(order, u32::MAX));
         of_frame.map(|(_, (header, pixels))| (header, pixels))
     }

@@ -3,7 +3,6 @@
 use flockeye_config::Costs;
 use flockeye_contract::{FrameOrder, FrameStamp};
 
-use crate::passes::background::JobKind;
 use crate::policy::TimeBudget;
 
 /// When passes run.
@@ -115,12 +114,9 @@ impl VirtualClock {
     }
 
     /// A background pass begins. One is under way at a time.
-    pub fn begin_background(&mut self, kind: JobKind) {
-        let cost_ms = match kind {
-            JobKind::Near => self.costs.background_pass_ms,
-            JobKind::Anywhere => self.costs.place_pass_ms,
-        };
-        self.background_over_ns = self.now_ns.saturating_add((cost_ms * 1e6) as i64);
+    pub fn begin_background(&mut self) {
+        let cost_ns = (self.costs.background_pass_ms * 1e6) as i64;
+        self.background_over_ns = self.now_ns.saturating_add(cost_ns);
     }
 
     /// When the background pass is over that began last, nanoseconds.
@@ -177,8 +173,7 @@ mod tests {
             exposure_ns: 40 * MS * sequence as i64,
             ..FrameStamp::default()
         };
-        let costs = Costs { background_pass_ms: 30.0, place_pass_ms: 90.0, ..Costs::default() };
-        let mut clock = VirtualClock::new(costs);
+        let mut clock = VirtualClock::new(Costs { background_pass_ms: 30.0, ..Costs::default() });
         clock.begin_frame(&at(1));
         clock.spend_ms(5.0);
         clock.complete_frame(&at(1));
@@ -186,11 +181,9 @@ mod tests {
         clock.begin_frame(&at(2));
         assert_eq!(clock.now_ns(), 80 * MS);
         clock.spend_ms(15.0);
-        clock.begin_background(JobKind::Near);
+        clock.begin_background();
         clock.spend_ms(3.0);
         assert_eq!(clock.background_over_ns(), 125 * MS);
-        clock.begin_background(JobKind::Anywhere);
-        assert_eq!(clock.background_over_ns(), 188 * MS);
         clock.complete_frame(&at(2));
         assert_eq!(clock.now_ns(), 120 * MS);
         clock.begin_frame(&at(3));

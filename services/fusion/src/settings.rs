@@ -76,10 +76,8 @@ pub fn configured<P: Pixels>(
         .with_parallax(parallax.clone())
         .with_readout(Readout::of(camera, pipeline.camera.readout_ms * 1e-3))
         .with_exposure(pipeline.exposure_s());
-    let searches_places =
-        has_background && proposals(resolved) > 0 && pipeline.search.places_hz > 0.0;
     if has_background {
-        tracker = tracker.with_background().searching_places(pipeline.search.places_hz);
+        tracker = tracker.with_background();
     }
     let schedule = match (pipeline.flow, pipeline.search.budget) {
         (Flow::Latest, _) => Schedule::Flight,
@@ -106,11 +104,7 @@ pub fn configured<P: Pixels>(
         Flow::Latest => core.guarded(pipeline.detection_workers()),
         Flow::Lossless => core,
     };
-    let core = match (pipeline.has_single_images(), searches_places) {
-        (true, _) => core.searching_places(),
-        (false, true) => core.searching_places_in_background(),
-        (false, false) => core,
-    };
+    let core = if pipeline.has_single_images() { core.searching_places() } else { core };
     let mode = mode_code(pipeline.search.mode);
     let writer = Writer {
         bodies: bodies.clone(),

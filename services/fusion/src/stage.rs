@@ -50,10 +50,6 @@ impl Stage for FusionStage {
         let pipeline = &context.resolved.pipeline;
         let Configured { mut core, writer, aligner, has_background } =
             configured(&context.resolved, context.identity.generation)?;
-        if has_background {
-            // Before the stage is ready: no frame should wait for them.
-            aligner.prepare(pipeline.fusion.threads as usize);
-        }
         let background = has_background.then(|| match pipeline.flow {
             Flow::Latest => BackgroundRunner::thread(aligner),
             Flow::Lossless => Ok(BackgroundRunner::inline(aligner)),

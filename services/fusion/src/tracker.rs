@@ -8,7 +8,7 @@ use std::sync::Arc;
 use flockeye_contract::{FrameOrder, ViewHeader};
 use flockeye_geometry::body::Bodies;
 use flockeye_geometry::ego_rotation::EgoRotation;
-use flockeye_geometry::filter::{TrackPolicy, TrackState};
+use flockeye_geometry::filter::TrackPolicy;
 use flockeye_geometry::search::{Purpose, StopRule};
 
 use crate::account::{Account, Decision};
@@ -20,7 +20,6 @@ use crate::parallax::Parallax;
 use crate::passes::background::BackgroundQueue;
 use crate::passes::corners::{Moment, distinct_decoded};
 use crate::passes::{AnsweredView, BestViews};
-use crate::place_turns::PlaceTurns;
 use crate::policy::{DirectPassPolicy, TimeBudget};
 use crate::readout::Readout;
 use crate::schedule::Attempts;
@@ -64,11 +63,6 @@ pub struct Tracker {
     threads: usize,
     /// `None`: everything is done at once.
     background: Option<BackgroundQueue>,
-    /// From the search of one place in the background to the next, seconds; `None`: none is searched.
-    place_interval_s: Option<f64>,
-    place_turns: PlaceTurns,
-    /// When the frame was exposed of which a place was searched last, seconds.
-    last_place_s: Option<f64>,
     direct_policy: DirectPassPolicy,
     exposure: Exposure,
     attempts: Attempts,
@@ -102,9 +96,6 @@ impl Tracker {
             radius_in_sides: bodies.radius_in_sides(),
             threads,
             background: None,
-            place_interval_s: None,
-            place_turns: PlaceTurns::default(),
-            last_place_s: None,
             direct_policy: DirectPassPolicy::default(),
             attempts: Attempts::default(),
             ended: None,
@@ -131,11 +122,6 @@ impl Tracker {
     /// Leaves what takes long to the background pass, whose jobs [`Tracker::take_job`] hands out.
     pub fn with_background(self) -> Self {
         Self { background: Some(BackgroundQueue::default()), ..self }
-    }
-
-    /// Searches so many places each second in the background for targets without a track. Its thread gives way to others.
-    pub fn searching_places(self, places_hz: f64) -> Self {
-        Self { place_interval_s: (places_hz > 0.0).then(|| 1.0 / places_hz), ..self }
     }
 
     /// The targets, by their numbers.
@@ -298,12 +284,6 @@ impl Tracker {
         let direct: BTreeSet<usize> = (0..self.targets.len()).filter(is_direct).collect();
         self.direct_policy.end_frame(&direct);
         self.exposure.end_frame();
-        for target in (0..self.targets.len())
-            .filter(|&target| self.targets[target].state() == Some(TrackState::Confirmed))
-        {
-            // If it is lost, it is looked for anew.
-            self.place_turns.forget(target);
-        }
         self.ended = Some((order, at_s));
         self.targets.iter_mut().for_each(|target| target.end_frame(order));
     }

@@ -200,29 +200,3 @@ fn flight_by_the_clock_by_stated_costs_and_without_limit_gives_the_same_poses() 
         assert!(most < 1.6 && worst < 3.0, "{said}");
     }
 }
-
-/// At 2 m and 3 stops too much white grows over the cells, and no marker decodes.
-#[test]
-fn a_neighbour_of_which_no_marker_is_read_is_found_by_its_body() {
-    let measured = |places_hz: &str| {
-        let scratch = Scratch::new("places");
-        let poses = scratch.path("poses.csv");
-        let path = poses.to_str().expect("a plain path");
-        let instance = format!("instance={}", unique("places"));
-        let mut arguments = vec!["up", "--flow", "lossless", "--poses", path];
-        let scene = ["exposure_stops=3", "distance_m=[0.8,2.6]", "frames=60", "seed=2102"];
-        let scene = scene.map(|key| format!("simulator.{key}"));
-        let places_hz = format!("search.places_hz={places_hz}");
-        let own = [instance, places_hz, "gateway.enabled=false".to_owned()];
-        for set in scene.iter().chain(&own) {
-            arguments.extend(["--set", set]);
-        }
-        let (succeeded, output) = run(&arguments);
-        assert!(succeeded, "{output}");
-        let rows: Vec<PoseRow> = flockeye_record::read(&poses).expect("poses");
-        rows.iter().filter(|row| row.measured.is_some()).count()
-    };
-    assert_eq!(measured("0"), 0);
-    let count = measured("6");
-    assert!(count >= 15, "measured in {count} of 60 frames");
-}

@@ -71,7 +71,7 @@ const WRONG: &[(&str, &[&str])] = &[
     (
         "search: {qqq: 1}",
         &[
-            "unknown key (known are mode, budget, costs, lossless_partitions, far_magnification, proposals, places_hz)",
+            "unknown key (known are mode, budget, costs, lossless_partitions, far_magnification, proposals)",
         ],
     ),
     ("camera: {width: wide}", &["camera.width", "must be a whole number", "the text 'wide'"]),

@@ -53,10 +53,6 @@ pub struct Costs {
     /// A background pass until its answer, milliseconds.
     #[schemars(range(min = 0.0, max = 10000.0))]
     pub background_pass_ms: f64,
-    /// Searching a place that looks like a body for one neighbour, in the attitudes in which neighbours fly,
-    /// milliseconds.
-    #[schemars(range(min = 0.0, max = 10000.0))]
-    pub place_pass_ms: f64,
 }
 
 impl Default for Costs {
@@ -73,7 +69,6 @@ impl Default for Costs {
             corner_pass_ms: 4.0,
             initiation_ms: 8.0,
             background_pass_ms: 45.0,
-            place_pass_ms: 170.0,
         }
     }
 }

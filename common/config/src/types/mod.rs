@@ -413,11 +413,6 @@ pub struct Search {
     /// lossless run, where the look is thorough and bodies are searched there in any attitude. 0: none.
     #[schemars(range(min = 0, max = 64))]
     pub proposals: u32,
-    /// Of these places, so many are searched each second for a neighbour without a track, in the attitudes in which
-    /// neighbours fly. So one is found of which no marker is read: far away, in the dark, in glare. This takes
-    /// `search.costs.place_pass_ms` for each, on a thread that gives way to all else. 0: none.
-    #[schemars(range(min = 0.0, max = 100.0))]
-    pub places_hz: f64,
 }
 
 impl Default for Search {
@@ -429,7 +424,6 @@ impl Default for Search {
             lossless_partitions: 4,
             far_magnification: 2.0,
             proposals: 12,
-            places_hz: 6.0,
         }
     }
 }

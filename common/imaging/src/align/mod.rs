@@ -47,7 +47,7 @@ mod solve;
 mod state;
 
 pub use acceptance::{LeastLogOdds, least_lead};
-pub use acquire::{Attitudes, Place, Templates, Upright};
+pub use acquire::{Place, Templates};
 pub use alignment::{AlignError, AlignOptions, Alignment};
 pub use depiction::{Depiction, depict};
 pub use evidence::Evidence;
@@ -138,8 +138,8 @@ pub fn reacquire(
         .max_by(|a, b| a.evidence.log_odds.total_cmp(&b.evidence.log_odds))
 }
 
-/// Poses (`camera_from_markers`) from which alignment may find `print` at a `place` in these attitudes, the likeliest of
-/// each kind of template first. `templates` are those of the print.
+/// Poses (`camera_from_markers`) from which alignment may find `print` at a `place`, in any attitude: the likeliest
+/// of each kind of template first. `templates` are those of the print.
 ///
 /// They are as rough as what [`AlignOptions::coarse_first`] is for. None where the picture does not show the place.
 pub fn starts_at(
@@ -147,7 +147,6 @@ pub fn starts_at(
     templates: &Templates,
     picture: &Picture<'_>,
     place: &Place,
-    attitudes: &Attitudes,
     options: &AlignOptions,
 ) -> Vec<Isometry3<f64>> {
     let Place { direction_in_camera, range_m } = *place;
@@ -158,14 +157,10 @@ pub fn starts_at(
         return Vec::new();
     };
     let PreparedView { patch, settings } = view;
-    let sought = acquire::Sought {
-        middle: patch.view_from_camera * direction_in_camera,
-        range_m,
-        lens_px: settings.prior.blur[(0, 0)].sqrt(),
-        attitudes: attitudes.in_patch(&patch.view_from_camera),
-    };
+    let middle = patch.view_from_camera * direction_in_camera;
+    let lens_px = settings.prior.blur[(0, 0)].sqrt();
     let camera_from_patch = patch.view_from_camera.inverse();
-    let starts = acquire::starts(templates, &patch, &sought);
+    let starts = acquire::starts(templates, &patch, &middle, range_m, lens_px);
     starts.into_iter().map(|start| camera_from_patch * start).collect()
 }
 

@@ -115,8 +115,7 @@ impl<P: Pixels> Core<P> {
         let order = frame.stamp.order();
         let untracked = self.tracker.untracked(order);
         let Some(target) = places.next_target(order, untracked) else { return false };
-        let views: Vec<_> = places.next(order).collect();
-        let some = self.reader.places(&views);
+        let some = self.reader.places(places, order);
         let time = time_of(&self.planning, &frame.stamp);
         let updates: Vec<Update> =
             self.tracker.place_pass(time, target, &some).into_iter().collect();
@@ -124,16 +123,5 @@ impl<P: Pixels> Core<P> {
         let updates = self.caused_by(updates, &records);
         self.publish(&frame.stamp, updates, outputs);
         true
-    }
-
-    /// Has one of a frame's places searched in the background, when it is time for that.
-    pub(super) fn request_place(&mut self, frame: &Frame, outputs: &mut Outputs) {
-        let Some(places) = &self.places else { return };
-        let time = time_of(&self.planning, &frame.stamp);
-        if self.tracker.has_time_for_place(time) {
-            let views: Vec<_> = places.of(time.order).collect();
-            self.tracker.request_place(time, &self.reader.places(&views));
-            self.begin_background(outputs);
-        }
     }
 }

@@ -217,7 +217,7 @@ fn no_place(known: &Known, explanation: &Explanation) -> String {
     let places = match trials(known).filter(|trial| trial.pass == Pass::Place).count() {
         0 => String::new(),
         count => {
-            format!("; {count} places were searched for its whole body, and it was found at none")
+            format!("; it was looked for in any attitude at {count} places, and found at none")
         }
     };
     format!(

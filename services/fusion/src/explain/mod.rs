@@ -43,9 +43,8 @@ use crate::replay::{NO_JOURNAL, Replay, names_message};
 
 /// So many frames after the one that is explained are looked through for its next search.
 pub const LOOK_AHEAD: usize = 60;
-/// For so many frames the answer of a background pass is waited for: on busy processors the search of a place takes
-/// half a second.
-const ANSWER_FRAMES: usize = 20;
+/// For so many frames the answer of a background pass is waited for.
+const ANSWER_FRAMES: usize = 4;
 
 /// All that is known of one target in one frame.
 pub struct Known {

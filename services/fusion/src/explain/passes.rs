@@ -200,7 +200,7 @@ fn source_of(source: Source) -> &'static str {
         Source::DirectPass => "prediction, as the direct pass found it",
         Source::Mirror => "mirror pose of the likeliest",
         Source::Search => "search round the prediction",
-        Source::Place => "the whole body, at the place",
+        Source::Place => "all attitudes at the place",
     }
 }
 

@@ -315,8 +315,7 @@ fn a_body_is_found_at_a_rough_place_and_another_is_not() {
     let place = Place { direction_in_camera: (position + off).normalize(), range_m: 2.3 };
     let mut list = Vec::new();
     let found = with_picture(&truth, |aligner, picture| {
-        let notes = &mut Notes::into_list(Some(&mut list));
-        aligner.find_at(0, picture, &place, &Attitudes::Any, notes)
+        aligner.find_at(0, picture, &place, &mut Notes::into_list(Some(&mut list)))
     });
     let found = found.expect("it is there").camera_from_markers;
     assert!(found.rotation.angle_to(&truth.rotation) < 0.05);
@@ -329,6 +328,6 @@ fn a_body_is_found_at_a_rough_place_and_another_is_not() {
     let bodies = Bodies::new("DICT_5X5_250".into(), vec![other]).unwrap();
     let aligner = Aligner::new(&bodies, |id| prints.get(&id), PIXELS_PER_RADIAN).unwrap();
     with_picture(&truth, |_, picture| {
-        assert!(aligner.find_at(0, picture, &place, &Attitudes::Any, &mut Notes::none()).is_none());
+        assert!(aligner.find_at(0, picture, &place, &mut Notes::none()).is_none());
     });
 }

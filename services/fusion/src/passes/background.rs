@@ -6,9 +6,6 @@
 //! should wait for that. So these passes run beside the others, one at a time. A request is refused
 //! while another is under way, because a newer frame will ask again. Only an untracked target may queue
 //! behind a tracked one: no newer frame need show anything of it for a while.
-//!
-//! When nobody has asked for a while, a place that looks like a body is searched for a target without a track. Whoever
-//! asks meanwhile is next.
 
 use flockeye_contract::FrameOrder;
 use std::collections::BTreeSet;
@@ -16,7 +13,7 @@ use std::collections::BTreeSet;
 use flockeye_geometry::body::Body;
 use flockeye_geometry::pose::CornerRay;
 use flockeye_geometry::view::View;
-use flockeye_imaging::align::{Motion, Picture, Place};
+use flockeye_imaging::align::{Motion, Picture};
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::LinearLight;
 use nalgebra::Isometry3;
@@ -26,9 +23,6 @@ use crate::account::{Notes, Pass, Source, Trial};
 use crate::hypothesis::{Aligner, BestView, Sought, Start, precise_or_else};
 use crate::measurement::{Measurement, distinct_markers, supports};
 use crate::policy::TimeBudget;
-
-/// Places are searched when nobody has asked for another pass for so long, seconds: ten frames or so.
-const QUIET_S: f64 = 0.3;
 
 /// Which target a background pass looks for, in which frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -71,36 +65,28 @@ pub struct BackgroundQueue {
     last: Option<usize>,
     /// Targets that were refused a job since.
     refused: BTreeSet<usize>,
-    /// When the newest frame was exposed of which a pass was asked for, seconds.
-    asked_s: Option<f64>,
 }
 
 #[derive(Debug)]
 struct UnderWay {
     subject: Subject,
     is_untracked: bool,
-    kind: JobKind,
     /// Whether the target was measured in that frame meanwhile.
     is_cancelled: bool,
 }
 
 impl BackgroundQueue {
     /// Asks for a pass, and says whether it is granted. It is not while another is under way, but an
-    /// untracked target may queue behind a tracked one, and anybody behind the search of a place. A target that
-    /// had the last pass goes behind those that were refused meanwhile.
+    /// untracked target may queue behind a tracked one. A target that had the last pass goes behind those that
+    /// were refused meanwhile.
     pub fn request(&mut self, subject: Subject, inputs: &Inputs<'_>) -> bool {
         let target = subject.target;
-        let has_jumped = |asked_s: &f64| (subject.at_s - asked_s).abs() > QUIET_S;
-        let newest_s = self.asked_s.filter(|asked_s| !has_jumped(asked_s));
-        self.asked_s = Some(newest_s.map_or(subject.at_s, |newest_s| newest_s.max(subject.at_s)));
         if let Some(under_way) = &self.under_way {
-            let is_place = under_way.kind == JobKind::Anywhere;
-            // A place says nothing of what the target's own markers show.
-            if is_place || under_way.subject.target != target {
+            if under_way.subject.target != target {
                 let is_untracked = inputs.prior.predicted().is_none();
-                let gives_way = is_place || (is_untracked && !under_way.is_untracked);
                 let is_own = |job: &Job| job.subject.target == target;
-                if gives_way
+                if is_untracked
+                    && !under_way.is_untracked
                     && self.waiting.as_ref().is_none_or(is_own)
                     && let Some(job) = self.job(subject, inputs)
                 {
@@ -123,34 +109,6 @@ impl BackgroundQueue {
         is_granted
     }
 
-    /// Whether a place can be searched in a frame that was exposed then: nobody has asked for a pass for a while. Whoever
-    /// has will mostly ask again, and should not wait for a search.
-    pub fn is_quiet(&self, at_s: f64) -> bool {
-        let is_long_ago = |asked_s: f64| (at_s - asked_s).abs() >= QUIET_S;
-        self.under_way.is_none() && self.asked_s.is_none_or(is_long_ago)
-    }
-
-    /// Begins the search of a place for a target without a track, if nothing is under way.
-    pub fn search_place(
-        &mut self,
-        subject: Subject,
-        body: &Body,
-        view: &BestView<'_>,
-        place: Place,
-        trial: Option<Trial>,
-    ) {
-        if self.under_way.is_none() {
-            self.start(Job {
-                subject,
-                is_untracked: true,
-                body: body.clone(),
-                trial: trial.map(Box::new),
-                view: CopiedView::of(view),
-                work: Work::Place(place),
-            });
-        }
-    }
-
     fn job(&self, subject: Subject, inputs: &Inputs<'_>) -> Option<Job> {
         let mut job = Job::new(subject, inputs)?;
         if self.noted == Some(subject.target) {
@@ -165,13 +123,10 @@ impl BackgroundQueue {
     }
 
     fn start(&mut self, job: Job) {
-        let (subject, is_untracked, kind) = (job.subject, job.is_untracked, job.kind());
-        if kind == JobKind::Near {
-            self.refused.remove(&subject.target);
-            self.last = Some(subject.target);
-        }
-        let is_cancelled = false;
-        self.under_way = Some(UnderWay { subject, is_untracked, kind, is_cancelled });
+        let (subject, is_untracked) = (job.subject, job.is_untracked);
+        self.refused.remove(&subject.target);
+        self.last = Some(subject.target);
+        self.under_way = Some(UnderWay { subject, is_untracked, is_cancelled: false });
         self.to_run = Some(job);
     }
 
@@ -215,15 +170,6 @@ impl BackgroundQueue {
     }
 }
 
-/// How much a background pass does.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum JobKind {
-    /// It aligns a body from starts, or searches round where it is predicted.
-    Near,
-    /// It searches a place in all attitudes in which neighbours fly.
-    Anywhere,
-}
-
 /// All that a background pass needs, copied, so that its view can be released.
 #[derive(Debug)]
 pub struct Job {
@@ -233,20 +179,12 @@ pub struct Job {
     /// Where its passes are accounted for.
     trial: Option<Box<Trial>>,
     view: CopiedView,
-    work: Work,
-}
-
-#[derive(Debug)]
-enum Work {
-    Starts {
-        decoded: Vec<CornerRay>,
-        starts: Vec<(Source, Start)>,
-        /// The prediction of a confirmed track.
-        confirmed: Option<Isometry3<f64>>,
-        /// The prediction that is searched round if no start leads to the body.
-        search_round: Option<Isometry3<f64>>,
-    },
-    Place(Place),
+    decoded: Vec<CornerRay>,
+    starts: Vec<(Source, Start)>,
+    /// The prediction of a confirmed track.
+    confirmed: Option<Isometry3<f64>>,
+    /// The prediction that is searched round if no start leads to the body.
+    search_round: Option<Isometry3<f64>>,
 }
 
 /// A view with its pixels.
@@ -292,21 +230,11 @@ impl Job {
             body: inputs.body.clone(),
             trial: None,
             view: CopiedView::of(inputs.best_view.as_ref()?),
-            work: Work::Starts {
-                decoded: inputs.decoded.clone(),
-                starts: inputs.background_starts(),
-                confirmed: inputs.prior.confirmed().map(|prior| prior.camera_from_markers),
-                search_round: predicted.filter(|_| inputs.permit.may_search),
-            },
+            decoded: inputs.decoded.clone(),
+            starts: inputs.background_starts(),
+            confirmed: inputs.prior.confirmed().map(|prior| prior.camera_from_markers),
+            search_round: predicted.filter(|_| inputs.permit.may_search),
         })
-    }
-
-    /// What it does.
-    pub fn kind(&self) -> JobKind {
-        match self.work {
-            Work::Starts { .. } => JobKind::Near,
-            Work::Place(_) => JobKind::Anywhere,
-        }
     }
 
     /// Runs the pass.
@@ -326,35 +254,21 @@ impl Job {
     /// The target's pose, and whether it was found without the prior of a track.
     fn measure(&self, aligner: &Aligner, mut notes: Notes<'_>) -> Option<(Measurement, bool)> {
         let picture = self.view.picture()?;
-        let target = self.subject.target;
-        let (decoded, starts, confirmed, search_round) = match &self.work {
-            Work::Place(place) => {
-                let attitudes = aligner.attitudes(target);
-                let found = aligner.find_at(target, &picture, place, &attitudes, &mut notes)?;
-                return Some((Measurement::aligned(&found, 0), true));
-            }
-            Work::Starts { decoded, starts, confirmed, search_round } => {
-                (decoded, starts, confirmed, search_round)
-            }
-        };
-        let sought = Sought { target, picture: &picture, starts, budget: TimeBudget::OneFrame };
-        let is_marked = |pose: &Isometry3<f64>| supports(&self.body, decoded, pose);
-        let found = match confirmed {
+        let (target, starts, budget) = (self.subject.target, &self.starts, TimeBudget::OneFrame);
+        let sought = Sought { target, picture: &picture, starts, budget };
+        let is_marked = |pose: &Isometry3<f64>| supports(&self.body, &self.decoded, pose);
+        let found = match &self.confirmed {
             Some(predicted) => aligner.confirm(&sought, predicted, is_marked, &mut notes),
             None => aligner.initiate(&sought, is_marked, &mut notes),
         };
-        let is_independent = confirmed.is_none() && found.is_some();
+        let is_independent = self.confirmed.is_none() && found.is_some();
         let search = || {
-            let predicted = search_round.as_ref()?;
-            if confirmed.is_none() {
-                return aligner.find_near(target, &picture, predicted, &mut notes);
-            }
-            let found = aligner.reacquire(target, &picture, predicted);
+            let found = aligner.reacquire(target, &picture, self.search_round.as_ref()?);
             notes.note(|| searched(found.clone()));
             found
         };
         let found = precise_or_else(found, search)?;
-        Some((Measurement::aligned(&found, distinct_markers(decoded)), is_independent))
+        Some((Measurement::aligned(&found, distinct_markers(&self.decoded)), is_independent))
     }
 }
 

@@ -165,9 +165,6 @@ impl Inputs<'_> {
     ) -> Option<Alignment> {
         let may_search = self.permit.may_search && !self.permit.is_deferred;
         let predicted = self.prior.predicted().filter(|_| may_search)?;
-        if self.prior.confirmed().is_none() {
-            return aligner.find_near(self.target, &view.picture, predicted, notes);
-        }
         let found = aligner.reacquire(self.target, &view.picture, predicted);
         notes.note(|| searched(found.clone()));
         found

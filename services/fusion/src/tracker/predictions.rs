@@ -15,7 +15,6 @@ impl Tracker {
     /// The camera has turned. What was measured since then is filtered anew.
     pub fn turn_camera(&mut self, turn: &CameraTurn) {
         self.ego.add(turn);
-        self.place_turns.turn_camera(&turn.later_from_earlier);
         self.targets.iter_mut().for_each(|target| target.refilter(turn.earlier_s, &self.ego));
     }
 

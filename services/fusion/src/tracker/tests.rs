@@ -9,6 +9,7 @@ use crate::measurement::{MeasuredBy, PoseEstimate, agreeing_candidates, candidat
 use crate::passes::direct::Region;
 use crate::passes::inputs::Permit;
 use crate::policy::{SUSPENDED_FRAMES, is_search_turn};
+use flockeye_geometry::filter::TrackState;
 use nalgebra::{Isometry3, Matrix6};
 
 mod background;

@@ -2,9 +2,9 @@
 
 use std::collections::HashMap;
 
-use nalgebra::{Isometry3, UnitQuaternion, Vector2};
+use nalgebra::{Isometry3, UnitQuaternion, Vector2, Vector3};
 
-use super::{BLUR_CELLS, Cell, RANGE_STEP, REACH_CELLS, lean, roll, turn_rad};
+use super::{BLUR_CELLS, Cell, RANGE_STEP, REACH_CELLS, lean, turn_rad};
 use crate::align::patch::Patch;
 
 /// A canonical picture.
@@ -136,9 +136,10 @@ impl<'p> Canvases<'p> {
         let [right, down] = cell.shift.map(|shift| (self.size.radius + shift) as f64);
         let at = self.in_patch(cell.turn, cell.exponent, Vector2::new(right, down));
         let sight = self.place.patch.pinhole.direction(at).normalize();
+        let roll = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn_rad(cell.turn));
         Isometry3::from_parts(
             (sight * self.range_m(cell.exponent)).into(),
-            lean(&sight) * roll(cell.turn) * sight_from_markers,
+            lean(&sight) * roll * sight_from_markers,
         )
     }
 }

@@ -6,7 +6,7 @@
 //! 23 pixels across, whatever its distance, and none is more than 32.
 //!
 //! 1. Coarse: each attitude at each turn about the line of sight, each range and every second pixel
-//!    ([`coarse`]). Where it is known how a body hangs, a fifth of these will do ([`Attitudes`]).
+//!    ([`coarse`]).
 //! 2. Fine: the best of these again at half the steps ([`fine`]).
 //! 3. The best that differ are the starts, best first. Which of them leads to the body is for alignment and its
 //!    evidence to say.
@@ -17,7 +17,7 @@ mod templates;
 
 use std::f64::consts::TAU;
 
-use nalgebra::{Isometry3, Unit, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 
 use super::patch::Patch;
 use canvas::Canvases;
@@ -35,14 +35,10 @@ const RANGE_STEP: f64 = 1.075;
 const RANGE_EXPONENTS: (i32, i32) = (-6, 6);
 /// Turns about the line of sight on the fine grid.
 const TURNS: usize = 48;
-/// Coarse cells that are looked at again, of all attitudes.
+/// Coarse cells that are looked at again.
 const KEPT: usize = 1500;
-/// From an attitude to the nearest one of the coarse grid, about.
-const HALF_STEP_RAD: f64 = 0.15;
-/// Starts of each kind of template, of all attitudes.
+/// Starts of each kind of template.
 const STARTS: usize = 8;
-/// Of fewer attitudes there are fewer rivals, and these starts at least.
-const LEAST_STARTS: usize = 3;
 /// Starts that differ by less are one: radians, and cells across the line of sight.
 const SAME_RAD: f64 = 0.3;
 const SAME_CELLS: f64 = 2.5;
@@ -58,86 +54,6 @@ pub struct Place {
     pub range_m: f64,
 }
 
-/// How a body hangs.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Upright {
-    /// Up on the observer, in the camera frame.
-    pub up_in_camera: Unit<Vector3<f64>>,
-    /// Up on the body, in its markers' frame.
-    pub up_in_markers: Unit<Vector3<f64>>,
-    /// The largest angle between the two, radians.
-    pub max_tilt_rad: f64,
-}
-
-impl Upright {
-    /// Whether a body hangs so in this attitude.
-    pub fn holds(&self, camera_from_markers: &UnitQuaternion<f64>) -> bool {
-        self.tilt_rad(camera_from_markers) <= self.max_tilt_rad
-    }
-
-    fn tilt_rad(&self, camera_from_markers: &UnitQuaternion<f64>) -> f64 {
-        (camera_from_markers * self.up_in_markers).angle(&self.up_in_camera)
-    }
-}
-
-/// In which attitudes a body is searched, about.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Attitudes {
-    /// In all.
-    Any,
-    /// As it hangs.
-    Upright(Upright),
-    /// Near one.
-    Near {
-        /// This one, in the camera frame.
-        camera_from_markers: UnitQuaternion<f64>,
-        /// Turned by no more than this, radians.
-        max_rad: f64,
-    },
-}
-
-impl Attitudes {
-    /// Whether an attitude is one of these, or one that is `slack_rad` away.
-    fn include(&self, camera_from_markers: &UnitQuaternion<f64>, slack_rad: f64) -> bool {
-        match self {
-            Self::Any => true,
-            Self::Upright(upright) => {
-                upright.tilt_rad(camera_from_markers) <= upright.max_tilt_rad + slack_rad
-            }
-            Self::Near { camera_from_markers: middle, max_rad } => {
-                camera_from_markers.angle_to(middle) <= max_rad + slack_rad
-            }
-        }
-    }
-
-    /// The same in the axes of a patch.
-    pub(super) fn in_patch(&self, patch_from_camera: &UnitQuaternion<f64>) -> Self {
-        match *self {
-            Self::Any => Self::Any,
-            Self::Upright(upright) => Self::Upright(Upright {
-                up_in_camera: patch_from_camera * upright.up_in_camera,
-                ..upright
-            }),
-            Self::Near { camera_from_markers, max_rad } => {
-                Self::Near { camera_from_markers: patch_from_camera * camera_from_markers, max_rad }
-            }
-        }
-    }
-}
-
-/// What is looked for in a patch.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Sought {
-    /// The place's direction in the patch.
-    pub middle: Vector3<f64>,
-    /// Its range, metres.
-    pub range_m: f64,
-    /// The lens's blur in the patch, pixels.
-    pub lens_px: f64,
-    /// Attitudes in the patch.
-    pub attitudes: Attitudes,
-}
-
 /// A pose of the grid, with how well the picture agrees.
 #[derive(Debug, Clone, Copy)]
 struct Cell {
@@ -151,35 +67,35 @@ struct Cell {
     score: f32,
 }
 
-/// Poses (`patch_from_markers`) to start from, the likeliest of each kind of template first.
-pub(super) fn starts(templates: &Templates, patch: &Patch, sought: &Sought) -> Vec<Isometry3<f64>> {
-    let Sought { middle, range_m, lens_px, .. } = *sought;
-    let Some(centre_px) = patch.pinhole.project(&middle) else { return Vec::new() };
+/// Poses (`patch_from_markers`) to start from, the likeliest of each kind of template first. `middle` is the place's direction in the patch,
+/// `lens_px` the lens's blur in it.
+pub(super) fn starts(
+    templates: &Templates,
+    patch: &Patch,
+    middle: &Vector3<f64>,
+    range_m: f64,
+    lens_px: f64,
+) -> Vec<Isometry3<f64>> {
+    let Some(centre_px) = patch.pinhole.project(middle) else { return Vec::new() };
     let place = canvas::Place { patch, centre_px, range_m, lens_px };
     let mut canvases = Canvases::new(templates.size, &place);
-    let mut starts = starts_of(&templates.plain, &mut canvases, sought);
+    let mut starts = starts_of(&templates.plain, &mut canvases);
     if patch.saturated_share() > SATURATED_SHARE {
-        starts.extend(starts_of(&templates.overexposed, &mut canvases, sought));
+        starts.extend(starts_of(&templates.overexposed, &mut canvases));
     }
     starts
 }
 
 /// The starts of one kind of template.
-fn starts_of(
-    templates: &[Template],
-    canvases: &mut Canvases<'_>,
-    sought: &Sought,
-) -> Vec<Isometry3<f64>> {
-    let grid = Grid::of(templates, sought);
-    let most = grid.of_all(STARTS).max(LEAST_STARTS);
-    let mut cells = coarse(&grid, canvases);
+fn starts_of(templates: &[Template], canvases: &mut Canvases<'_>) -> Vec<Isometry3<f64>> {
+    let mut cells = coarse(templates, canvases);
     for cell in &mut cells {
         *cell = fine(templates, canvases, cell);
     }
     cells.sort_by(|a, b| b.score.total_cmp(&a.score));
     let mut starts: Vec<Isometry3<f64>> = Vec::new();
     for cell in cells {
-        if starts.len() >= most {
+        if starts.len() >= STARTS {
             break;
         }
         let start = canvases.pose(&templates[cell.template].sight_from_markers, &cell);
@@ -190,59 +106,28 @@ fn starts_of(
     starts
 }
 
-/// The attitudes of the coarse grid.
-struct Grid<'t> {
-    templates: &'t [Template],
-    /// The templates that are tried at each turn.
-    at_turn: Vec<(usize, Vec<usize>)>,
-    /// How many attitudes are tried.
-    tried: usize,
-}
-
-impl<'t> Grid<'t> {
-    fn of(templates: &'t [Template], sought: &Sought) -> Self {
-        let holds = |template: &Template, turn: usize| {
-            let attitude = lean(&sought.middle) * roll(turn) * template.sight_from_markers;
-            // The right attitude may lie between those of the grid.
-            sought.attitudes.include(&attitude, HALF_STEP_RAD)
-        };
-        let held = |turn| (0..templates.len()).filter(move |&k| holds(&templates[k], turn));
-        let at_turn: Vec<(usize, Vec<usize>)> =
-            (0..TURNS).step_by(2).map(|turn| (turn, held(turn).collect())).collect();
-        let tried: usize = at_turn.iter().map(|(_, tried)| tried.len()).sum();
-        Self { templates, at_turn, tried }
-    }
-
-    /// The part of a number that belongs to the attitudes that are tried, of one for all attitudes.
-    fn of_all(&self, number: usize) -> usize {
-        let all = self.templates.len() * self.at_turn.len();
-        (number * self.tried).div_ceil(all.max(1))
-    }
-}
-
 /// The best cells of the coarse grid.
-fn coarse(grid: &Grid<'_>, canvases: &mut Canvases<'_>) -> Vec<Cell> {
-    let kept = grid.of_all(KEPT);
+fn coarse(templates: &[Template], canvases: &mut Canvases<'_>) -> Vec<Cell> {
     let mut cells: Vec<Cell> = Vec::new();
     let mut least = 0.0;
     for exponent in (RANGE_EXPONENTS.0..=RANGE_EXPONENTS.1).step_by(2) {
-        for (turn, tried) in &grid.at_turn {
-            let canvas = canvases.get(*turn, exponent);
-            for &template in tried {
-                let (score, shift) = correlation::best_shift(&grid.templates[template], canvas);
+        for turn in (0..TURNS).step_by(2) {
+            let canvas = canvases.get(turn, exponent);
+            for (number, template) in templates.iter().enumerate() {
+                let (score, shift) = correlation::best_shift(template, canvas);
                 if score > least {
-                    cells.push(Cell { template, turn: *turn, exponent, shift, score });
+                    cells.push(Cell { template: number, turn, exponent, shift, score });
                 }
             }
-            if cells.len() > 2 * kept {
-                cells.select_nth_unstable_by(kept, |a, b| b.score.total_cmp(&a.score));
-                least = cells[kept].score;
-                cells.truncate(kept);
+            if cells.len() > 2 * KEPT {
+                cells.select_nth_unstable_by(KEPT, |a, b| b.score.total_cmp(&a.score));
+                least = cells[KEPT].score;
+                cells.truncate(KEPT);
             }
         }
     }
     cells.sort_by(|a, b| b.score.total_cmp(&a.score));
-    cells.truncate(kept);
+    cells.truncate(KEPT);
     cells
 }
 
@@ -274,11 +159,6 @@ fn is_same(one: &Isometry3<f64>, other: &Isometry3<f64>, cell_m: f64) -> bool {
 /// The angle of a turn, radians.
 fn turn_rad(turn: usize) -> f64 {
     turn as f64 / TURNS as f64 * TAU
-}
-
-/// A turn about the line of sight.
-fn roll(turn: usize) -> UnitQuaternion<f64> {
-    UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn_rad(turn))
 }
 
 /// The rotation that leads from the z axis to `sight` by the shortest way.

@@ -1,12 +1,10 @@
 //! Bodies in any attitude, found from a rough place.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
-use std::f64::consts::FRAC_PI_4;
-
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
 use super::templates::directions;
-use super::{Attitudes, Place, Templates, Upright};
+use super::{Place, Templates};
 use crate::align::tests::drawn_body::{Drawing, draw};
 use crate::align::tests::{PIXELS_PER_RADIAN, body, exposed, print_of, srgb};
 use crate::align::{AlignOptions, Picture, align, starts_at};
@@ -23,36 +21,19 @@ fn pose(range_m: f64, attitude: UnitQuaternion<f64>) -> Isometry3<f64> {
     Isometry3::from_parts(Translation3::from(direction * range_m), attitude)
 }
 
-/// Starts from a place that is off by half a radius and a sixth of the range.
-fn starts(
-    picture: &Picture<'_>,
-    templates: &Templates,
-    truth: &Isometry3<f64>,
-    attitudes: &Attitudes,
-) -> Vec<Isometry3<f64>> {
+/// Whether the right pose is found from a place that is off by half a radius and a sixth of the range.
+fn is_found(drawing: &Drawing, templates: &Templates, truth: &Isometry3<f64>) -> bool {
     let print = print_of(&body(0));
+    let light = srgb();
+    let picture = Picture::still(drawing.image(), drawing.view, &light, PIXELS_PER_RADIAN);
     let position = truth.translation.vector;
     let off = Vector3::new(-0.5, 0.8, 0.0).normalize() * (0.5 * print.radius_m());
     let place = Place {
         direction_in_camera: (position + off).normalize(),
         range_m: position.norm() / 1.17,
     };
-    starts_at(&print, templates, picture, &place, attitudes, &AlignOptions::default())
-}
-
-/// Whether the right pose is found.
-fn is_found(
-    drawing: &Drawing,
-    templates: &Templates,
-    truth: &Isometry3<f64>,
-    attitudes: &Attitudes,
-) -> bool {
-    let print = print_of(&body(0));
-    let light = srgb();
-    let picture = Picture::still(drawing.image(), drawing.view, &light, PIXELS_PER_RADIAN);
-    let position = truth.translation.vector;
     let options = AlignOptions { coarse_first: true, ..AlignOptions::default() };
-    let starts = starts(&picture, templates, truth, attitudes);
+    let starts = starts_at(&print, templates, &picture, &place, &options);
     let found = starts.iter().filter_map(|start| align(&print, &picture, start, &options).ok());
     found.filter(|found| found.is_accepted()).any(|found| {
         let pose = &found.camera_from_markers;
@@ -68,58 +49,13 @@ fn a_body_far_away_is_found_in_any_attitude() {
         |(attitude, range_m)| {
             let truth = pose(*range_m, *attitude);
             let drawing = draw(&body(0), &truth, PIXELS_PER_RADIAN, 0.9, 0.004);
-            let found = is_found(&drawing, &templates, &truth, &Attitudes::Any);
+            let found = is_found(&drawing, &templates, &truth);
             println!("{range_m} m: {found}");
             found
         },
     );
     let count = found.count();
     assert!(count >= 11, "{count} of 12");
-}
-
-/// Bodies at 2.4 m that are tilted by these angles and turned by others.
-fn tilted<'t>(tilts_rad: &'t [f64]) -> impl Iterator<Item = (Isometry3<f64>, Drawing)> + 't {
-    tilts_rad.iter().enumerate().map(|(k, tilt)| {
-        let truth = pose(2.4, UnitQuaternion::from_euler_angles(*tilt, 0.0, 1.1 * k as f64));
-        (truth, draw(&body(0), &truth, PIXELS_PER_RADIAN, 0.9, 0.004))
-    })
-}
-
-#[test]
-fn a_body_is_found_among_the_attitudes_in_which_it_may_be() {
-    let templates = Templates::new(&print_of(&body(0)));
-    let (up_in_camera, up_in_markers) = (Vector3::z_axis(), Vector3::z_axis());
-    let upright = Upright { up_in_camera, up_in_markers, max_tilt_rad: FRAC_PI_4 };
-    let (mut hanging, mut near) = (0, 0);
-    for (truth, drawing) in tilted(&[0.0, 0.2, -0.4, 0.7, 0.5, -0.1]) {
-        let turn = UnitQuaternion::from_euler_angles(0.2, -0.1, 0.2);
-        let attitudes =
-            Attitudes::Near { camera_from_markers: turn * truth.rotation, max_rad: 0.4 };
-        hanging += u32::from(is_found(&drawing, &templates, &truth, &Attitudes::Upright(upright)));
-        near += u32::from(is_found(&drawing, &templates, &truth, &attitudes));
-    }
-    assert!(hanging >= 5 && near >= 5, "{hanging} and {near} of 6");
-}
-
-#[test]
-fn starts_have_the_attitudes_that_are_asked_for() {
-    let templates = Templates::new(&print_of(&body(0)));
-    let (up_in_camera, up_in_markers) = (Vector3::z_axis(), Vector3::z_axis());
-    let upright =
-        Attitudes::Upright(Upright { up_in_camera, up_in_markers, max_tilt_rad: FRAC_PI_4 });
-    let beside = UnitQuaternion::from_euler_angles(0.0, 1.0, 0.3);
-    let near = Attitudes::Near { camera_from_markers: beside, max_rad: 0.4 };
-    // It hangs upside down, so these are all wrong.
-    let (truth, drawing) = tilted(&[3.0]).next().unwrap();
-    let light = srgb();
-    let picture = Picture::still(drawing.image(), drawing.view, &light, PIXELS_PER_RADIAN);
-    let any = starts(&picture, &templates, &truth, &Attitudes::Any);
-    for attitudes in [upright, near] {
-        assert!(!any.iter().all(|start| attitudes.include(&start.rotation, 0.3)));
-        let some = starts(&picture, &templates, &truth, &attitudes);
-        assert!(!some.is_empty());
-        assert!(some.iter().all(|start| attitudes.include(&start.rotation, 0.3)));
-    }
 }
 
 /// White has grown over the cells, and only templates of that show the body.
@@ -132,8 +68,8 @@ fn an_overexposed_body_is_found() {
         let truth = pose(2.4, attitude);
         let drawing = draw(&body(0), &truth, PIXELS_PER_RADIAN, 0.9, 0.004);
         let drawing = exposed(&drawing, 2.5);
-        with += u32::from(is_found(&drawing, &templates, &truth, &Attitudes::Any));
-        without += u32::from(is_found(&drawing, &plain, &truth, &Attitudes::Any));
+        with += u32::from(is_found(&drawing, &templates, &truth));
+        without += u32::from(is_found(&drawing, &plain, &truth));
     }
     println!("{with} with, {without} without");
     assert!(with >= 5 && without < with, "{with} with, {without} without");
@@ -150,14 +86,11 @@ fn a_body_without_markers_has_no_starts() {
     let picture = Picture::still(drawing.image(), drawing.view, &light, PIXELS_PER_RADIAN);
     let place = Place { direction_in_camera: truth.translation.vector.normalize(), range_m: 2.0 };
     let options = AlignOptions::default();
-    assert!(starts_at(&bare, &templates, &picture, &place, &Attitudes::Any, &options).is_empty());
+    assert!(starts_at(&bare, &templates, &picture, &place, &options).is_empty());
     // Nor is there anything where the view does not look.
     let behind = Place { direction_in_camera: -place.direction_in_camera, ..place };
     let templates = Templates::new(&print_of(&body(0)));
-    assert!(
-        starts_at(&print_of(&body(0)), &templates, &picture, &behind, &Attitudes::Any, &options)
-            .is_empty()
-    );
+    assert!(starts_at(&print_of(&body(0)), &templates, &picture, &behind, &options).is_empty());
 }
 
 #[test]

@@ -1,7 +1,6 @@
 //! Searches of places that look like a body.
 
 use super::*;
-use crate::passes::background::JobKind;
 
 /// A view of a place that looks like a body, without a marker that is decoded in it. It shows alpha.
 fn proposal(sequence: u64) -> ViewHeader {
@@ -44,51 +43,4 @@ fn a_body_without_a_decoded_marker_is_found_at_its_place() {
     drain(&mut core, 0);
     let search = flockeye_contract::Search::Nothing.code();
     assert!(poses(&said_of(&mut core, ViewHeader { search, ..proposal(0) })).is_empty());
-}
-
-/// A core that searches a place in the background in every frame.
-fn searching_in_background(schedule: Schedule) -> Core<Vec<u8>> {
-    let core = core(schedule).searching_places_in_background();
-    let mut core = Core { tracker: core.tracker.searching_places(1000.0), ..core };
-    drain(&mut core, 0);
-    core
-}
-
-fn job_of(said: &mut [Outputs]) -> Option<crate::passes::background::Job> {
-    said.iter_mut().find_map(|outputs| outputs.job.take())
-}
-
-#[test]
-fn in_flight_a_place_is_searched_in_the_background_and_starts_a_track() {
-    let bodies = flockeye_geometry::body::Bodies::new("DICT_5X5_250".into(), vec![alpha()]);
-    let aligner = aligner(&bodies.unwrap());
-    for (schedule, is_found) in [
-        (Schedule::Flight, true),
-        (virtual_clock(Costs { place_pass_ms: 60.0, ..Costs::default() }), true),
-        (virtual_clock(Costs { place_pass_ms: 6000.0, ..Costs::default() }), false),
-    ] {
-        let mut core = searching_in_background(schedule);
-        let mut said = said_of(&mut core, proposal(0));
-        assert!(poses(&said).is_empty());
-        let job = job_of(&mut said).unwrap();
-        assert_eq!(job.kind(), JobKind::Anywhere);
-        // While it is under way no other place is searched.
-        assert!(job_of(&mut said_of(&mut core, proposal(1))).is_none());
-        core.on(Event::Background(job.run(&aligner)), 0);
-        drain(&mut core, 0);
-        for sequence in 2..5 {
-            core.on(frame_end(sequence, 0, 0), 0);
-            drain(&mut core, 0);
-        }
-        assert_eq!(core.tracker().targets()[0].is_tracked(), is_found);
-    }
-}
-
-#[test]
-fn a_tracked_target_is_not_searched() {
-    let (core, _) = tracking(Schedule::Flight);
-    let core = core.searching_places_in_background();
-    let mut core = Core { tracker: core.tracker.searching_places(1000.0), ..core };
-    let view = ViewHeader { view_index: 1, ..proposal(3) };
-    assert!(job_of(&mut said_of(&mut core, view)).is_none());
 }

@@ -127,35 +127,3 @@ fn the_answer_of_a_cancelled_pass_is_dropped() {
         assert!(queue.finish(second).is_some(), "it was measured in another frame");
     });
 }
-
-#[test]
-fn whoever_asks_while_a_place_is_searched_is_next() {
-    with_requests(|queue, request| {
-        let (pixels, light) =
-            ([128; 64 * 64], LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap());
-        let image = LumaImage::new(&pixels, 64, 64, 64).unwrap();
-        let view = View::looking_at(&Vector3::x_axis(), 0.5, 64);
-        let picture = Picture::still(image, view, &light, 611.0);
-        let view = BestView { picture, view_index: 0, agreeing: 0, rays_m: f64::INFINITY };
-        let body = squares("alpha", 0.0625, 0.05, 0);
-        let search = |queue: &mut BackgroundQueue| {
-            let place = Place { direction_in_camera: Vector3::x(), range_m: 2.0 };
-            queue.search_place(subject(5), &body, &view, place, None);
-        };
-        assert!(queue.is_quiet(0.0), "nobody has asked yet");
-        search(queue);
-        assert_eq!(queue.to_run.as_ref().map(Job::kind), Some(JobKind::Anywhere));
-        assert!(!queue.is_quiet(0.0), "it is under way");
-        assert!(request(queue, 0, true), "it waits");
-        assert!(!request(queue, 1, true), "there is a place for one");
-        finish(queue);
-        assert_eq!(under_way(queue), Some(subject(0)));
-        finish(queue);
-        assert!(!queue.is_quiet(0.1) && queue.is_quiet(0.4), "who has asked will ask again");
-        search(queue);
-        assert!(request(queue, 5, false), "what it is itself searched for may wait, too");
-        search(queue);
-        finish(queue);
-        assert_eq!(queue.to_run.as_ref().map(Job::kind), Some(JobKind::Near));
-    });
-}
