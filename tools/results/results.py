@@ -6,8 +6,9 @@
     tools/results/results.py --list         what parts there are
     tools/results/results.py --render       the tables anew from docs/results/results.json
 
-The variable FLOCKEYE names another build. Recordings are read from ../shared/data (or --data);
-a part whose recording is absent is left out, and says so. Python's standard library is enough.
+The variable FLOCKEYE names another build, and JOBS says how many lossless simulated flights are
+flown at a time. Recordings are read from ../shared/data (or --data); a part whose recording is
+absent is left out, and says so. Python's standard library is enough.
 
 Each run becomes an entry of docs/results/results.json. The tables of docs/results and the short
 table of README.md are written from that file, so nobody types a figure.
@@ -22,6 +23,7 @@ import re
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -29,7 +31,14 @@ STORE = ROOT / "docs/results/results.json"
 WORK = Path("target/results")
 README_MARKS = ("<!-- results: written by make results -->", "<!-- end of results -->")
 BINS = [(0.0, 1.5), (1.5, 2.2), (2.2, 3.0), (3.0, 4.0)]
-QUIET = ["--set", "gateway.enabled=false", "--set", "instance=results"]
+
+
+def quiet(instance):
+    """Settings of a flight that nobody else is to hear."""
+    return ["--set", "gateway.enabled=false", "--set", f"instance={instance}"]
+
+
+QUIET = quiet("results")
 WAYS = {
     "lossless": "every frame, `--flow lossless`, in the time that flight has by `search.costs`",
     "real time": "the camera's own rate, `--flow latest`",
@@ -72,6 +81,10 @@ SIMULATED["sunflight"] = ("flights in a sun 6 times as bright as its shadows, in
 SIMULATED["swingflight"] = ("flights whose auto-exposure swings by 2 stops either way",
                             ["simulator.exposure_swing_stops=2", "simulator.distance_m=[0.8,2.6]"],
                             range(2101, 2107), 90, ["lossless"])
+# How often a pose is false can only be counted in many.
+SIMULATED["hour"] = ("an hour of flights whose auto-exposure swings by 2 stops either way",
+                     ["simulator.exposure_swing_stops=2", "simulator.distance_m=[0.6,4.0]"],
+                     range(3001, 3025), 4500, ["lossless"])
 # Commands whose own words are kept: title, arguments, and which lines.
 EXPERIMENTS = {
     "consistency": ("Consistency of covariances", ["experiment", "consistency", "--runs", "50"], ""),
@@ -121,7 +134,7 @@ RECORDED = {"recorder": ("The recorder beside a flight of 3840x1920, in real tim
 # How soon the first frame has passed through all stages, and what the pipeline takes with nobody in sight and with one neighbour: title, flights.
 STARTS = {"start": ("From `flockeye up` to the first frame's end, and what the default pipeline takes", 10)}
 # These take long, so they are flown by their names alone.
-LONG = ["kills-long", "cuts"]
+LONG = ["kills-long", "cuts", "hour"]
 PARTS = [*RECORDINGS, *SIMULATED, *EXPERIMENTS, *SWARMS, *LOADS, *CUTS, *ONLOOKERS, *ROTATIONS, *BENCHES, *DISTURBED, *FAULTY, *RECORDED, *STARTS]
 
 
@@ -270,11 +283,11 @@ def evaluated(poses, truth, rotations=None):
             "rotations": said.get("rotations"), "found": frames_until_found(rows(poses), truth_rows)}
 
 
-def fly(arguments, way, name, truth):
+def fly(arguments, way, name, truth, instance="results"):
     """One flight; gives its poses, its truth and, of a simulated one, its rotations."""
     poses = WORK / f"{name}.csv"
     flow = "lossless" if way == "lossless" else "latest"
-    command = ["up", *arguments, "--flow", flow, *QUIET, "--poses", str(poses)]
+    command = ["up", *arguments, "--flow", flow, *quiet(instance), "--poses", str(poses)]
     rotations = None
     if truth is None:
         truth, rotations = (WORK / f"{name}-{table}.csv" for table in ("truth", "rotations"))
@@ -536,12 +549,16 @@ def run_part(part, data, wanted_ways):
         if part in RECORDINGS:
             command, *files, frames = fly(arguments, way, name, data / truth)
         else:
-            flights = []
-            for seed in seeds:
+            def fly_seed(seed):
                 seeded = arguments + ["--set", f"simulator.seed={seed}"]
-                command, *flight = fly(seeded, way, f"{name}-{seed}", None)
-                flights.append(flight)
-            command = [word.replace(str(seeds[-1]), "SEED") for word in command]
+                return fly(seeded, way, f"{name}-{seed}", None, f"results-{seed}")
+
+            # What a lossless flight gives does not depend on what runs beside it.
+            jobs = int(os.environ.get("JOBS", "1")) if way == "lossless" else 1
+            with ThreadPoolExecutor(jobs) as pool:
+                flown = list(pool.map(fly_seed, seeds))
+            command = [word.replace(str(seeds[-1]), "SEED") for word in flown[-1][0]]
+            flights = [flight for _, *flight in flown]
             files = pooled(flights, name)
             frames = [sum(flight[-1][kind] for flight in flights) for kind in (0, 1)]
         entries[name] = {"title": title, "way": way, "command": shown(command), "machine": before,

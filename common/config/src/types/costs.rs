@@ -3,18 +3,6 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// How much of a lossless frame is worked on.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum SearchBudget {
-    /// What flight has time for, by `search.costs`: the same passes in the same order. Single images (`fusion.filter: none`)
-    /// are searched as well as can be all the same.
-    #[default]
-    Flight,
-    /// `search.lossless_partitions` tiles with all windows, and all passes at once.
-    Unlimited,
-}
-
 /// Processor time of each piece of work. A lossless run with `search.budget: flight` goes by it instead of
 /// the time, so that it does what flight does and repeats byte by byte. Flight itself goes by the time.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]

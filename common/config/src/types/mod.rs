@@ -17,12 +17,13 @@ mod metrics;
 mod mount;
 mod partition;
 mod recording;
+mod search;
 mod simulator;
 mod stages;
 
 pub use bodies::{BodySet, Preset, PresetBody};
 pub use camera::{Camera, CameraModel, FisheyeLens, Response};
-pub use costs::{Costs, SearchBudget};
+pub use costs::Costs;
 pub use gateway::{Autopilot, Gateway, GatewayMode, Ros2, Security};
 pub use inertial::{Inertial, InertialSource};
 pub use mavlink::MavlinkAddress;
@@ -30,6 +31,7 @@ pub use metrics::Metrics;
 pub use mount::Mount;
 pub use partition::{Auto, Count, Method, Partition};
 pub use recording::{RecordedFrames, Recording, RecordingTrigger};
+pub use search::{Mode, Search, SearchBudget};
 pub use simulator::{SimulatedInertial, SimulatedSun, SimulatedSwarm, Simulator};
 pub use stages::{Restart, Scheduling, StageInfo, StageProcess, Stages};
 
@@ -385,62 +387,6 @@ impl Default for Detection {
     fn default() -> Self {
         Self { min_side_px: 11.0, engine: DetectionEngine::Own }
     }
-}
-
-/// How fusion searches.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct Search {
-    /// greedy and optimized are the paper's; exhaustive searches everywhere; gaze (the default) searches
-    /// where neighbours are predicted and sweeps the rest.
-    pub mode: Mode,
-    /// How much of a frame a lossless run works on. flight (the default): what flight has time for, by
-    /// `costs`, so that it gives the poses that flight gives. unlimited: all passes, and
-    /// `lossless_partitions` tiles, for each frame.
-    pub budget: SearchBudget,
-    /// What each piece of work costs, for the budget flight.
-    pub costs: Costs,
-    /// Tiles searched after the regions of interest in each frame of a lossless run without limit.
-    #[schemars(range(min = 1, max = 128))]
-    pub lossless_partitions: u32,
-    /// Resolution of the high-resolution tiles, as a multiple of the sphere's along a side. The mode gaze
-    /// searches them in turn with the partitions, and finds neighbours that many times as far away. With 1
-    /// (or no more than `partition.magnification`) there are none.
-    #[schemars(range(min = 1.0, max = 3.0))]
-    pub far_magnification: f64,
-    /// Views of places that look like a body, in each frame while a neighbour is not tracked: the mode
-    /// gaze finds such places by a fast look at the whole picture. Twice as many with `fusion.filter: none` in a
-    /// lossless run, where the look is thorough and bodies are searched there in any attitude. 0: none.
-    #[schemars(range(min = 0, max = 64))]
-    pub proposals: u32,
-}
-
-impl Default for Search {
-    fn default() -> Self {
-        Self {
-            mode: Mode::Gaze,
-            budget: SearchBudget::Flight,
-            costs: Costs::default(),
-            lossless_partitions: 4,
-            far_magnification: 2.0,
-            proposals: 12,
-        }
-    }
-}
-
-/// How a frame is searched.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Mode {
-    /// Partitions in a fixed order until the first hit.
-    Greedy,
-    /// The paper's Algorithm 1.
-    Optimized,
-    /// Every partition of every frame.
-    Exhaustive,
-    /// Predicted neighbours first, magnified; then partitions, least recently searched first.
-    #[default]
-    Gaze,
 }
 
 /// How poses are solved and filtered.
