@@ -6,7 +6,7 @@
 #             method in Python, with DORA=1 the hop also beside dora-rs
 # make golden, make golden-check  lossless poses of this build, and whether another build's are the same
 # make results  flies recordings and simulated flights and writes docs/results; PARTS="flight1 far"
-#             flies these alone, FLOCKEYE=PROGRAM takes another build
+#             flies these alone, FLOCKEYE=PROGRAM takes another build, JOBS=2 flies two at a time
 # make deb     makes the Debian packages: target/deb
 # make deb-test  installs them on a fresh Debian 12, boots it, flies, updates and removes them (root; 300 MB)
 # make book    makes the documents a site: target/book (builds mdBook first)

@@ -300,7 +300,8 @@ impl<P: Pixels> Core<P> {
     }
 
     /// Does the most urgent piece of work: the first plan, then direct passes over some regions, corner
-    /// passes over one frame's records, an answer of the background pass, the end of one frame.
+    /// passes over one frame's records, an answer of the background pass, some places of a complete frame, the
+    /// end of one frame.
     pub fn step(&mut self, now_ns: i64) -> Outputs {
         let mut outputs =
             Outputs { notices: std::mem::take(&mut self.notices), ..Outputs::default() };
@@ -396,8 +397,8 @@ impl<P: Pixels> Core<P> {
         }
     }
 
-    /// Hands out the background pass that was asked for just now. One is under way at a time, so that there is one in a
-    /// step at most.
+    /// Hands out the background pass that was asked for just now. One is under way at a time, so a step hands out one at
+    /// most.
     fn begin_background(&mut self, outputs: &mut Outputs) {
         let Some(job) = self.tracker.take_job() else { return };
         if let Schedule::Virtual(clock) = &mut self.schedule {

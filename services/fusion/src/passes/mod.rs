@@ -5,7 +5,7 @@
 //! | [`direct`] | the track's prediction alone | when a region of interest has been cut |
 //! | [`corners`] | decoded markers, and the prediction | when a view has been searched, and when the frame is complete |
 //! | [`background`] | rough starts, and a search round the prediction | beside the others, because it takes several times as long |
-//! | place ([`Tracker::place_pass`](crate::tracker::Tracker::place_pass)) | a place that looks like a body, in any attitude | when the frame is complete, in single images |
+//! | place ([`Tracker::place_pass`](crate::tracker::Tracker::place_pass)) | a proposal, in any attitude | when a single image is complete |
 
 pub mod background;
 pub mod corners;

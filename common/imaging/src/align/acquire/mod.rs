@@ -67,8 +67,8 @@ struct Cell {
     score: f32,
 }
 
-/// Poses (`patch_from_markers`) to start from, the likeliest of each kind of template first. `middle` is the place's direction in the patch,
-/// `lens_px` the lens's blur in it.
+/// Poses (`patch_from_markers`) to start from, the likeliest of each kind of template first. `middle` is the place's
+/// direction in the patch, `lens_px` the lens's blur in it.
 pub(super) fn starts(
     templates: &Templates,
     patch: &Patch,

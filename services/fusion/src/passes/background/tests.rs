@@ -111,6 +111,17 @@ fn an_untracked_target_queues_behind_a_tracked_one() {
 }
 
 #[test]
+fn a_newer_frame_takes_the_place_of_the_one_that_waits() {
+    with_requests(|queue, request| {
+        assert!(request(queue, 0, true) && request(queue, 1, false));
+        queue.waiting.as_mut().expect("it waits").subject.at_s = -1.0;
+        assert!(request(queue, 1, false), "a newer frame");
+        finish(queue);
+        assert_eq!(under_way(queue), Some(subject(1)));
+    });
+}
+
+#[test]
 fn the_answer_of_a_cancelled_pass_is_dropped() {
     with_requests(|queue, request| {
         assert!(request(queue, 0, true));

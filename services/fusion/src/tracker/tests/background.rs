@@ -243,6 +243,12 @@ fn a_late_answer_may_start_a_track() {
         measure_alpha(&mut tracker, &candidates_of_alpha(1, &truth), view);
         (1..30).for_each(|sequence| drop(end(&mut tracker, sequence)));
         assert!(run(&mut tracker).is_none());
+        // Nor if it is a frame of another source, whose clock may be another.
+        let mut tracker = tracking_bravo();
+        measure_alpha(&mut tracker, &candidates_of_alpha(1, &truth), view);
+        let (source, epoch, _) = stamp(1).order();
+        tracker.ended = Some(((source, epoch + 1, 0), at_s(1)));
+        assert!(run(&mut tracker).is_none());
         // Nor in place of a track that another frame started meanwhile.
         let mut tracker = tracking_bravo();
         measure_alpha(&mut tracker, &candidates_of_alpha(1, &truth), view);
