@@ -1,7 +1,5 @@
 //! What can go wrong with the autopilot.
 
-use crate::neighbours::MAX_NEIGHBOURS;
-
 /// What can go wrong with the autopilot. None of these ends a stage that is already running.
 #[derive(Debug, thiserror::Error)]
 pub enum AutopilotError {
@@ -29,12 +27,14 @@ pub enum AutopilotError {
     },
     /// More neighbours at once than there are numbers for.
     #[error(
-        "neighbour '{name}': {MAX_NEIGHBOURS} others are told of already, which is the most. Cure: report lost \
+        "neighbour '{name}': {most} others are told of already, which is the most. Cure: report lost \
          neighbours as lost"
     )]
     TooManyNeighbours {
         /// The neighbour that has no place.
         name: String,
+        /// How many have one.
+        most: usize,
     },
     /// A thread could not be started.
     #[error("cannot start the thread {name}: {source}")]

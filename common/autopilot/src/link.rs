@@ -1,22 +1,18 @@
 //! The line to the autopilot: opened, read and written, each without blocking for long.
 
 mod decoder;
+mod patience;
 mod serial;
 mod udp;
 
 use std::io;
-use std::time::Duration;
 
 use flockeye_config::MavlinkAddress;
 use mavlink::MavHeader;
 use mavlink::dialects::development::MavMessage;
 
 pub use decoder::decode;
-
-/// The longest that reading or writing blocks.
-const TIMEOUT: Duration = Duration::from_millis(100);
-/// An autopilot that is silent for so long may speak from elsewhere: they send heartbeats each second.
-pub(crate) const SILENT: Duration = Duration::from_secs(3);
+pub(crate) use patience::SILENT;
 
 /// The half that receives.
 pub struct LineReader(Reader);
@@ -79,9 +75,4 @@ impl LineWriter {
             Writer::Serial(writer) => writer.write(frame),
         }
     }
-}
-
-fn is_timeout(error: &io::Error) -> bool {
-    use io::ErrorKind::{Interrupted, TimedOut, WouldBlock};
-    matches!(error.kind(), TimedOut | WouldBlock | Interrupted)
 }

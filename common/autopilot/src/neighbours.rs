@@ -75,7 +75,10 @@ impl Neighbours {
             .min_by_key(|slot| slot.state.exposure_monotonic_ns);
         match oldest {
             Some(place) => *place = slot,
-            None => return Err(AutopilotError::TooManyNeighbours { name: state.name.clone() }),
+            None => {
+                let (name, most) = (state.name.clone(), MAX_NEIGHBOURS);
+                return Err(AutopilotError::TooManyNeighbours { name, most });
+            }
         }
         Ok(())
     }

@@ -1,13 +1,15 @@
 //! How the drone itself moves, from the autopilot, at any instant of the last two seconds. It reads no clock.
 
 mod heard;
+mod instant;
 mod ring;
 
 use mavlink::dialects::development::MavMessage;
-use nalgebra::{Isometry3, Matrix6, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 
 use crate::timesync::TimeOffset;
 use heard::{AttitudeSample, PositionSample, from_attitude, from_odometry, from_position};
+pub use instant::{OdometryAt, OdometryFrame};
 use ring::{Interpolate, Ring};
 
 /// A message does not take longer than this from its stamp to us, nanoseconds; one that seems to has a stamp of
@@ -15,31 +17,6 @@ use ring::{Interpolate, Ring};
 const LONGEST_WAY_NS: i64 = 1_000_000_000;
 /// A message may seem to come so much before its stamp, nanoseconds, because clocks are known so well only.
 const EARLIEST_NS: i64 = 20_000_000;
-
-/// Along which axes the odometry's `odom` frame lies.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum OdometryFrame {
-    /// x east, y north, z up (REP-103).
-    Enu,
-    /// x forward and y left where the autopilot began, z up: it does not know north.
-    Flu,
-}
-
-/// How the drone moves at an instant (REP-103, REP-105).
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct OdometryAt {
-    /// Pose of `base_link` (x forward, y left, z up) in `odom`, metres.
-    pub odom_from_base: Isometry3<f64>,
-    /// The axes of `odom`.
-    pub frame: OdometryFrame,
-    /// Covariance of the pose: position (m), then rotation vector (rad), both along the axes of `odom`; none where
-    /// the autopilot does not tell.
-    pub covariance: Option<Matrix6<f64>>,
-    /// Velocity along the axes of `base_link`, m/s.
-    pub linear_velocity_m_s: Vector3<f64>,
-    /// Angular velocity along the axes of `base_link`, rad/s.
-    pub angular_velocity_rad_s: Vector3<f64>,
-}
 
 /// The odometry of the last two seconds.
 #[derive(Debug, Default)]

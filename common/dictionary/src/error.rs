@@ -1,6 +1,6 @@
 //! What can be wrong with a dictionary.
 
-use crate::predefined::PREDEFINED;
+use crate::names::PREDEFINED;
 
 /// Why a dictionary could not be had, or does not fit the bodies.
 #[derive(Debug, thiserror::Error)]

@@ -16,6 +16,7 @@
 
 mod error;
 mod mip_36h12;
+mod names;
 mod predefined;
 mod read;
 
@@ -28,7 +29,7 @@ use opencv::core::Ptr;
 use opencv::prelude::*;
 
 pub use crate::error::DictionaryError;
-pub use crate::predefined::PREDEFINED;
+pub use crate::names::PREDEFINED;
 
 /// A set of markers, by id from 0.
 pub struct Dictionary {

@@ -1,7 +1,5 @@
 //! What can go wrong with publishing to ROS 2.
 
-use crate::names::MAX_DRONES;
-
 /// What can go wrong with publishing to ROS 2. None of these ends a stage that is already running.
 #[derive(Debug, thiserror::Error)]
 pub enum Ros2Error {
@@ -37,10 +35,12 @@ pub enum Ros2Error {
         ros_name: String,
     },
     /// More drones than there are topics for.
-    #[error("drone '{name}': already {MAX_DRONES} drones, which is the most")]
+    #[error("drone '{name}': already {most} drones, which is the most")]
     TooManyDrones {
         /// The drone that is refused.
         name: String,
+        /// How many there are.
+        most: usize,
     },
     /// A pose that is none.
     #[error("pose of or by '{name}': {what} is {found:?}, which {reason}")]

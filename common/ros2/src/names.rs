@@ -78,7 +78,7 @@ impl Names {
             Entry::Occupied(known) if known.get() != name => return Err(collides(known.get())),
             Entry::Occupied(_) => {}
             Entry::Vacant(_) if is_full => {
-                return Err(Ros2Error::TooManyDrones { name: name.into() });
+                return Err(Ros2Error::TooManyDrones { name: name.into(), most: MAX_DRONES });
             }
             Entry::Vacant(new) => {
                 if mapped != name {

@@ -2,7 +2,8 @@
 
 use flockeye_imaging::edges::MarkerPrint;
 
-use crate::reading::SAMPLE_CELLS;
+/// Places of a cell where its radiance is sampled, along both axes, cells from its middle.
+pub(crate) const SAMPLE_CELLS: f64 = 0.2;
 
 /// Radiance of black print, as a share of what white paper has more. What a camera shows is first brought to this: glare
 /// adds to both, and ink differs.

@@ -16,7 +16,7 @@ use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::LinearLight;
 use flockeye_imaging::square::{SquareInView, mean_side_px};
 
-use crate::drawn::{BLACK_SHARE, WIDEST_STEP_BLUR_CELLS, largest_step};
+use crate::drawn::{BLACK_SHARE, SAMPLE_CELLS, WIDEST_STEP_BLUR_CELLS, largest_step};
 
 /// Where the quiet zone is sampled, cells outside the square's edge: near the middle of its first cell in small markers.
 const QUIET_CELLS: f64 = 0.45;
@@ -25,9 +25,6 @@ const QUIET_CELLS: f64 = 0.45;
 /// [`MIN_QUIET_CELLS`]. Printed margins are often narrower than half a cell.
 const QUIET_PX: f64 = 1.5;
 const MIN_QUIET_CELLS: f64 = 0.2;
-
-/// Places of a cell where its radiance is sampled, along both axes, cells from its middle.
-pub(crate) const SAMPLE_CELLS: f64 = 0.2;
 
 /// A lens's blur, pixels of the sphere. Steps are compared where it is no wider than the widest blur that they are drawn
 /// with. The logarithm of a narrower cell depends more on the blur than on the print.

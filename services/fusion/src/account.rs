@@ -10,7 +10,6 @@ use flockeye_imaging::align::{AlignError, Alignment};
 use nalgebra::Isometry3;
 
 use crate::measurement::{MeasuredBy, Measurement};
-use crate::passes::inputs::CornerVerdict;
 use crate::policy::TimeBudget;
 use crate::track_prior::TrackPrior;
 
@@ -90,6 +89,25 @@ pub struct Trial {
     pub hypotheses: Vec<Hypothesis>,
     /// What it led to.
     pub outcome: Outcome,
+}
+
+/// Whether a pose from corners would do as a measurement.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum CornerVerdict {
+    /// It would.
+    Enough,
+    /// More markers would have to agree.
+    TooFewMarkers {
+        /// So many.
+        wanted: usize,
+    },
+    /// Its standard deviations are too large, all axes together, or it is too far away.
+    TooUncertain {
+        /// Metres.
+        position_m: f64,
+        /// Radians.
+        rotation_rad: f64,
+    },
 }
 
 /// A pose from decoded corners.

@@ -32,7 +32,8 @@ use crate::planning::Planning;
 use crate::policy::TimeBudget;
 use crate::schedule::Schedule;
 use crate::snapshot::Snapshot;
-use crate::tracker::{FrameTime, Tracker, Update};
+use crate::target::Update;
+use crate::tracker::{FrameTime, Tracker};
 use crate::view_cache::{ViewCache, ViewQuality};
 
 /// A pass over the records of a frame: [`Tracker::region_pass`] or [`Tracker::final_pass`].
@@ -268,6 +269,17 @@ impl<P: Pixels> Core<P> {
         }
         if self.schedule.is_flight() {
             self.searched.push(record);
+        }
+    }
+
+    /// Why an event is refused.
+    fn refusal(&mut self, event: &Event<P>, now_ns: i64) -> Option<Refusal> {
+        let guard = self.guard.as_mut()?;
+        match event {
+            Event::View(view, _) => guard.refuses_view(view, now_ns),
+            Event::Searched(record) => guard.refuses_record(&record.header, &self.planning),
+            Event::FrameEnd(end) => guard.refuses_end(end, &self.planning, now_ns),
+            Event::Rotation(_) | Event::Background(_) => None,
         }
     }
 

@@ -22,7 +22,8 @@ use crate::hypothesis::{Aligner, BestView};
 use crate::measurement::{MeasuredBy, Measurement, PoseEstimate};
 use crate::passes::{AnsweredView, BestViews};
 use crate::policy::TimeBudget;
-use crate::tracker::{FilterChoice, FrameTime, Tracker, Update};
+use crate::target::Update;
+use crate::tracker::{FilterChoice, FrameTime, Tracker};
 
 pub const PIXELS_PER_RADIAN: f64 = 611.0;
 pub const INTERVAL_S: f64 = 1.0 / 30.0;

@@ -19,7 +19,8 @@ use crate::frame_assembly::Record;
 use crate::measurement::{self, PoseEstimate};
 use crate::planning::NextPlan;
 use crate::target::TargetEstimate;
-use crate::tracker::{Tracker, Update};
+use crate::target::Update;
+use crate::tracker::Tracker;
 
 /// An estimate that leaves, and what led to it.
 pub type Outgoing = (Update, Cause);

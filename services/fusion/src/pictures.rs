@@ -9,7 +9,6 @@ use crate::hypothesis::BestView;
 use crate::parallax::Parallax;
 use crate::passes::BestViews;
 use crate::passes::direct::Region;
-use crate::places::Places;
 use crate::view_cache::ViewCache;
 
 /// A hold on the pixels of a view.
@@ -50,11 +49,14 @@ impl PictureReader {
             .collect()
     }
 
-    /// The places of a frame that are searched next. A view that cannot be read is left out; detection reports why.
-    pub fn places<'c>(&'c mut self, places: &'c Places, order: FrameOrder) -> Vec<BestView<'c>> {
-        self.learn_curves(places.next(order).map(|(header, _)| header));
+    /// What views of places show. A view that cannot be read is left out; detection reports why.
+    pub fn places<'c, P: Pixels>(
+        &'c mut self,
+        views: &[(&ViewHeader, &'c P)],
+    ) -> Vec<BestView<'c>> {
+        self.learn_curves(views.iter().map(|(header, _)| *header));
         let reader = &*self;
-        places.next(order).filter_map(|(header, pixels)| reader.read(header, pixels)).collect()
+        views.iter().filter_map(|(header, pixels)| reader.read(header, *pixels)).collect()
     }
 
     /// Those of a frame's unanswered views that are regions of interest. A view that cannot be read is

@@ -11,6 +11,7 @@ use flockeye_geometry::filter::{
 use flockeye_geometry::pose::PosePrior;
 use nalgebra::{Isometry3, Vector3};
 
+use crate::account::Outcome;
 use crate::measurement::{MeasuredBy, Measurement, PoseEstimate};
 use crate::passes::direct::RejectedAlignment;
 use crate::passes::inputs::Attempt;
@@ -38,6 +39,20 @@ pub struct TargetEstimate {
     pub unseen_s: f64,
     /// Rises with each new track of this target.
     pub track_id: u32,
+}
+
+/// A target's number, and what is known of it after a frame.
+pub type Update = (usize, TargetEstimate);
+
+/// What becomes of a measurement of an open frame, by what the filter made of it.
+pub fn outcome_of(measurement: Measurement, update: Option<&Update>) -> Outcome {
+    match update {
+        None if !measurement.is_precise => Outcome::OutsideGate(measurement),
+        None => Outcome::Refused(measurement),
+        Some((_, estimate)) if estimate.measured.is_some() => Outcome::Published(measurement),
+        Some(_) if measurement.is_precise => Outcome::OutsideGate(measurement),
+        Some(_) => Outcome::Corrected(measurement),
+    }
 }
 
 impl TargetEstimate {

@@ -23,9 +23,8 @@ use crate::passes::{AnsweredView, BestViews};
 use crate::policy::{DirectPassPolicy, TimeBudget};
 use crate::readout::Readout;
 use crate::schedule::Attempts;
-use crate::target::{Status, Target, TargetEstimate};
+use crate::target::{Status, Target, TargetEstimate, Update, outcome_of};
 use crate::view_cache::ViewQuality;
-use accounting::outcome_of;
 
 /// How poses are carried from frame to frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -35,9 +34,6 @@ pub enum FilterChoice {
     /// Each frame for itself.
     None,
 }
-
-/// A target's number, and what is known of it after a frame.
-pub type Update = (usize, TargetEstimate);
 
 /// Where a frame is in time.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -22,7 +22,8 @@ use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::registry::{Registry, Unit};
 
 use crate::dashboard::Dashboard;
-use snapshot::{Latest, Snapshot};
+pub use endpoint::Page;
+use snapshot::{Labels, Latest, Snapshot};
 
 /// How often what is offered is brought up to date.
 const PERIOD: Duration = Duration::from_secs(1);
@@ -37,7 +38,6 @@ fn latencies() -> Histogram {
     Histogram::new(LATENCY_BOUNDS_S)
 }
 
-type Labels = Vec<(&'static str, String)>;
 type Latencies = Family<Labels, Histogram, fn() -> Histogram>;
 
 /// What a run offers.
@@ -47,17 +47,6 @@ pub struct Metrics {
     latest: Latest,
     page: Arc<Mutex<Page>>,
     next: Instant,
-}
-
-/// What is answered.
-#[derive(Debug, Clone)]
-pub struct Page {
-    /// All metrics.
-    pub text: String,
-    /// When it was written: a launcher that hangs writes none.
-    pub written: Instant,
-    /// When the last frame ended.
-    pub last_frame: Option<Instant>,
 }
 
 impl Metrics {

@@ -6,13 +6,13 @@ use flockeye_runtime::logs::Throttle;
 use flockeye_runtime::ports::{Message, PortError, Ports, Subscriber};
 use tungstenite::Message as PageMessage;
 
+use crate::audience::Audience;
 use crate::closeup::CloseupMaker;
 use crate::held::Held;
 use crate::hub::Wanted;
 use crate::outbox::Kind;
 use crate::picture::PictureMaker;
 use crate::scene::Ended;
-use crate::watch::Audience;
 use crate::wire::{self, Head, PictureHead};
 
 /// Pictures that could not be had are tried again after this long, nanoseconds.

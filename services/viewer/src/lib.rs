@@ -24,10 +24,12 @@
 //! | [`hub`] | all open pages |
 //! | [`server`] | the sockets |
 //! | [`connection`] | one page's socket |
+//! | [`audience`] | all who watch |
 //! | [`watch`] | the ports |
 //! | [`frame_reader`] | the port of frames, while pictures are wanted |
 //! | [`program`] | the command line |
 
+pub mod audience;
 pub mod closeup;
 pub mod connection;
 pub mod explaining;

@@ -14,6 +14,7 @@ use iceoryx2::prelude::{LogLevel, set_log_level};
 use rustix::process::setpriority_process;
 use tungstenite::Message;
 
+use crate::audience::Audience;
 use crate::explaining::Explainer;
 use crate::foxglove_view::FoxgloveView;
 use crate::hub::Hub;
@@ -21,7 +22,7 @@ use crate::outbox::Kind;
 use crate::recorded::overview::OverviewMaker;
 use crate::recorded::{Recorded, foxglove_player, player};
 use crate::request::{Access, is_token};
-use crate::watch::{Audience, Watch};
+use crate::watch::Watch;
 use crate::wire::{Status, Text};
 use crate::{server, wire};
 

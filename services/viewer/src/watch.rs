@@ -15,9 +15,8 @@ use flockeye_runtime::ports::{Message, PortError, Ports, Subscriber};
 use flockeye_runtime::{clock, onlooker};
 use tungstenite::Message as PageMessage;
 
-use crate::foxglove_view::FoxgloveView;
+use crate::audience::Audience;
 use crate::frame_reader::FrameReader;
-use crate::hub::{Hub, Wanted};
 use crate::outbox::Kind;
 use crate::scene::{Ended, Scene};
 use crate::setting;
@@ -146,36 +145,6 @@ impl Watch {
             }
             Ok(Some(LOOK_PERIOD))
         })
-    }
-}
-
-/// Who watches.
-pub struct Audience {
-    /// Pages.
-    pub hub: Arc<Hub>,
-    /// Foxglove's clients, where they are served.
-    pub foxglove: Option<FoxgloveView>,
-}
-
-impl Audience {
-    fn wanted(&self) -> Wanted {
-        let wanted = self.foxglove.as_ref().map(FoxgloveView::wanted).unwrap_or_default();
-        self.hub.wanted().or(wanted)
-    }
-
-    /// Whether somebody can take a picture or a close-up now.
-    fn takes_pictures(&self, wanted: Wanted) -> bool {
-        let takes =
-            |foxglove: &FoxgloveView| foxglove.wanted().pictures || foxglove.wanted().closeups;
-        (wanted.pictures || wanted.closeups)
-            && (self.hub.takes_pictures() || self.foxglove.as_ref().is_some_and(takes))
-    }
-
-    /// Tells Foxglove's clients something, where they are served.
-    pub fn to_foxglove(&self, tell: impl FnOnce(&FoxgloveView)) {
-        if let Some(foxglove) = &self.foxglove {
-            tell(foxglove);
-        }
     }
 }
 

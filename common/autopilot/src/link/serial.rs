@@ -15,7 +15,7 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::OFlags;
 use rustix::termios::{ControlModes, OptionalActions, ioctl_tiocexcl, tcgetattr, tcsetattr};
 
-use super::{TIMEOUT, is_timeout};
+use super::patience::{TIMEOUT, is_timeout};
 
 /// The half that receives.
 pub(crate) struct SerialReader {

@@ -9,7 +9,7 @@ use mavlink::MavHeader;
 use mavlink::dialects::development::MavMessage;
 
 use super::decoder::decode;
-use super::{SILENT, TIMEOUT, is_timeout};
+use super::patience::{SILENT, TIMEOUT, is_timeout};
 use flockeye_runtime::lock::lock;
 
 /// Longer datagrams are cut: nobody sends longer ones over a network whose packets have 1,500 bytes.

@@ -5,7 +5,7 @@ use mavlink::dialects::development::{
 };
 use nalgebra::{Isometry3, Matrix3, Matrix6, UnitQuaternion, Vector3};
 
-use super::{OdometryAt, OdometryFrame};
+use super::instant::{OdometryAt, OdometryFrame};
 use crate::axes::{enu_from_ned, flip, flu_from_frd, from_wxyz};
 
 /// A position further off, or a velocity above, is none, metres and metres a second.

@@ -9,8 +9,9 @@
 //! body is seen at several places round the seam, or at several distances.
 
 mod adjust;
+mod seam;
 
-use nalgebra::{Isometry3, Matrix6, Point3, Vector3, Vector6};
+use nalgebra::{Isometry3, Matrix6, Vector3, Vector6};
 
 use super::descent::Adjust;
 use super::leverage::worst_error_m;
@@ -20,6 +21,7 @@ use crate::camera::{Camera, CameraModel, LensRay};
 use crate::pose::{CornerRay, PoseOptions, keep_sharpest, solve};
 use crate::statistics::median;
 use adjust::{Adjustment, Unknowns};
+use seam::{LensSighting, SeamFrame};
 
 /// Fewest frames in which a body spans the seam.
 pub const LEAST_FRAMES: usize = 12;
@@ -133,19 +135,6 @@ pub enum LensCalibrationError {
         /// mm or degrees.
         unit: &'static str,
     },
-}
-
-/// A marker as one lens sees it.
-struct LensSighting {
-    lens: usize,
-    corners: [Point3<f64>; 4],
-    sights: [Sight; 4],
-}
-
-/// A frame in which a body spans the seam.
-struct SeamFrame {
-    camera_from_markers: Isometry3<f64>,
-    sightings: Vec<LensSighting>,
 }
 
 /// Finds how the lenses of `camera` lie to each other from the rays of many frames, each with the corners that

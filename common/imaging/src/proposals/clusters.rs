@@ -2,8 +2,8 @@
 
 use nalgebra::{Unit, Vector3};
 
+use super::proposal::{MarkerSizes, Proposal};
 use super::squares::Square;
-use super::{MarkerSizes, Proposal};
 
 /// Squares of a body whose looks count: those with the most contrast.
 const MOST_SQUARES: usize = 6;

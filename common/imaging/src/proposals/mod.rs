@@ -12,17 +12,18 @@
 mod bands;
 mod clusters;
 mod dark;
+mod proposal;
 mod regions;
 mod squares;
 #[cfg(test)]
 mod tests;
 
-use flockeye_geometry::Ray;
 use flockeye_geometry::camera::CameraModel;
 
 use crate::sphere::SphereImage;
 use bands::{Grey, Reduction};
 use dark::Dark;
+pub use proposal::{MarkerSizes, Proposal};
 use regions::Regions;
 use squares::Square;
 
@@ -46,28 +47,6 @@ impl Detail {
             Self::Thorough => 3840,
         }
     }
-}
-
-/// What is searched for.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct MarkerSizes {
-    /// Apparent side of the smallest marker at the farthest distance, radians.
-    pub least_rad: f64,
-    /// Apparent side of the largest marker at the nearest distance, radians.
-    pub most_rad: f64,
-    /// Radius of a body, as a multiple of its markers' side.
-    pub radius_in_sides: f64,
-}
-
-/// A place that looks like a body.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Proposal {
-    /// Where it is, in the camera frame.
-    pub direction_in_camera: Ray,
-    /// Apparent side of its markers, radians.
-    pub side_rad: f64,
-    /// How much it looks like a body: a logarithm, higher is better.
-    pub score: f64,
 }
 
 /// Finds places that look like bodies; reuses its memory for the next picture.

@@ -6,8 +6,8 @@ use std::ops::{Range, RangeInclusive};
 use flockeye_geometry::Ray;
 use flockeye_geometry::camera::SpherePixel;
 
-use super::MarkerSizes;
 use super::bands::{Band, Grey, Reduction};
+use super::proposal::MarkerSizes;
 use super::regions::Region;
 use crate::sphere::SphereImage;
 

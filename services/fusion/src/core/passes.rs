@@ -12,7 +12,7 @@ use crate::passes::corners::records_that_count;
 use crate::passes::direct::Region;
 use crate::pictures::Pixels;
 use crate::schedule::Schedule;
-use crate::tracker::Update;
+use crate::target::Update;
 
 impl<P: Pixels> Core<P> {
     /// Direct passes over regions of one frame, as many at once as there are threads.
@@ -115,7 +115,8 @@ impl<P: Pixels> Core<P> {
         let order = frame.stamp.order();
         let untracked = self.tracker.untracked(order);
         let Some(target) = places.next_target(order, untracked) else { return false };
-        let some = self.reader.places(places, order);
+        let views: Vec<_> = places.next(order).collect();
+        let some = self.reader.places(&views);
         let time = time_of(&self.planning, &frame.stamp);
         let updates: Vec<Update> =
             self.tracker.place_pass(time, target, &some).into_iter().collect();

@@ -5,8 +5,6 @@ use std::fmt;
 
 use flockeye_contract::{DetectionHeader, FrameEnd, FrameStamp, ViewHeader};
 
-use super::{Core, Event};
-use crate::pictures::Pixels;
 use crate::planning::Planning;
 
 /// No source is faster than this, nanoseconds.
@@ -144,19 +142,6 @@ impl Guard {
             Some(Refusal::UnknownFrame { sequence: stamp.sequence })
         } else {
             None
-        }
-    }
-}
-
-impl<P: Pixels> Core<P> {
-    /// Why an event is refused.
-    pub(super) fn refusal(&mut self, event: &Event<P>, now_ns: i64) -> Option<Refusal> {
-        let guard = self.guard.as_mut()?;
-        match event {
-            Event::View(view, _) => guard.refuses_view(view, now_ns),
-            Event::Searched(record) => guard.refuses_record(&record.header, &self.planning),
-            Event::FrameEnd(end) => guard.refuses_end(end, &self.planning, now_ns),
-            Event::Rotation(_) | Event::Background(_) => None,
         }
     }
 }

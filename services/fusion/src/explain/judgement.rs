@@ -6,8 +6,7 @@ use super::Known;
 use super::explanation::{Explanation, Step, ViewFacts};
 use super::facts::Place;
 use super::passes::decided;
-use crate::account::{Decision, Hypothesis, Outcome, Pass, Trial, Verdict};
-use crate::passes::inputs::CornerVerdict;
+use crate::account::{CornerVerdict, Decision, Hypothesis, Outcome, Pass, Trial, Verdict};
 
 /// A hypothesis farther than this from where the body is expected is about something else, radians: a proposal's view of a
 /// body at 2 m shows less.

@@ -6,9 +6,8 @@ use flockeye_imaging::align::{LeastLogOdds, least_lead};
 use super::explanation::{CornerFacts, HypothesisFacts, LogOddsTerms, PassFacts};
 use super::facts::{Frames, deviations};
 use crate::account::{
-    CornerPose, Decision, Hypothesis, NotRun, Outcome, Pass, Source, Trial, Verdict,
+    CornerPose, CornerVerdict, Decision, Hypothesis, NotRun, Outcome, Pass, Source, Trial, Verdict,
 };
-use crate::passes::inputs::CornerVerdict;
 use crate::policy::TimeBudget;
 
 /// What was decided, in this order.

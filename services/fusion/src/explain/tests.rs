@@ -19,11 +19,10 @@ use super::explanation::{Explanation, Step};
 use super::gathered::Gathered;
 use super::{Before, Known, Replaying, facts, text};
 use crate::account::{
-    CornerPose, Decision, Hypothesis, NotRun, Outcome, Pass, Source, Trial, Verdict,
+    CornerPose, CornerVerdict, Decision, Hypothesis, NotRun, Outcome, Pass, Source, Trial, Verdict,
 };
 use crate::fixtures::{facing_markers, measurement, stamp};
 use crate::frame_assembly::Record;
-use crate::passes::inputs::CornerVerdict;
 use crate::policy::TimeBudget;
 use crate::recorded::{Lost, Message};
 use crate::track_prior::TrackPrior;

@@ -8,7 +8,7 @@ use flockeye_imaging::align::{AlignError, Alignment};
 use nalgebra::Isometry3;
 
 use super::direct::RejectedAlignment;
-use crate::account::{CornerPose, Hypothesis, Notes, Pass, Source, Trial, Verdict};
+use crate::account::{CornerPose, CornerVerdict, Hypothesis, Notes, Pass, Source, Trial, Verdict};
 use crate::hypothesis::{Aligner, BestView, Sought, Start, precise_or_else};
 use crate::measurement::{MeasuredBy, Measurement, PoseEstimate, distinct_markers, supports};
 use crate::policy::TimeBudget;
@@ -74,25 +74,6 @@ pub struct Inputs<'f> {
     pub permit: Permit,
     /// What was done before.
     pub earlier: Earlier<'f>,
-}
-
-/// Whether a pose from corners would do as a measurement.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum CornerVerdict {
-    /// It would.
-    Enough,
-    /// More markers would have to agree.
-    TooFewMarkers {
-        /// So many.
-        wanted: usize,
-    },
-    /// Its standard deviations are too large, all axes together, or it is too far away.
-    TooUncertain {
-        /// Metres.
-        position_m: f64,
-        /// Radians.
-        rotation_rad: f64,
-    },
 }
 
 /// The inputs of an attempt, as far as they decide whether a retry can find anything new.

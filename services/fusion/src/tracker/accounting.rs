@@ -2,12 +2,11 @@
 
 use flockeye_contract::FrameOrder;
 
-use super::{Tracker, Update};
+use super::Tracker;
 use crate::account::{
     Account, Decision, Hypothesis, NotRun, Outcome, Pass, Source, Trial, Verdict,
 };
 use crate::hypothesis::turn_log;
-use crate::measurement::Measurement;
 use crate::passes::direct::{Candidate, Region, RejectedAlignment};
 use crate::passes::inputs::Inputs;
 use crate::policy::TimeBudget;
@@ -143,16 +142,5 @@ impl Tracker {
     /// The account of a corner pass with these inputs, if somebody asks.
     pub(super) fn trial_of(&self, inputs: &Inputs<'_>, pass: Pass) -> Option<Trial> {
         self.is_noted(inputs.target).then(|| inputs.trial(pass))
-    }
-}
-
-/// What becomes of a measurement of an open frame, by what the filter made of it.
-pub(super) fn outcome_of(measurement: Measurement, update: Option<&Update>) -> Outcome {
-    match update {
-        None if !measurement.is_precise => Outcome::OutsideGate(measurement),
-        None => Outcome::Refused(measurement),
-        Some((_, estimate)) if estimate.measured.is_some() => Outcome::Published(measurement),
-        Some(_) if measurement.is_precise => Outcome::OutsideGate(measurement),
-        Some(_) => Outcome::Corrected(measurement),
     }
 }

@@ -2,7 +2,6 @@
 
 use flockeye_geometry::pose::CornerRay;
 
-use super::accounting::outcome_of;
 use super::{FrameTime, Tracker, Update};
 use crate::account::{Decision, Outcome};
 use crate::measurement::{MeasuredBy, Measurement, candidate_rays, decoded_rays};
@@ -12,6 +11,7 @@ use crate::passes::inputs::{Earlier, Inputs, Permit};
 use crate::passes::{AnsweredView, BestViews};
 use crate::policy::{TimeBudget, is_search_turn};
 use crate::target::Status;
+use crate::target::outcome_of;
 use crate::track_prior::TrackPrior;
 
 impl Tracker {

@@ -1,11 +1,11 @@
 //! Direct passes: from predictions alone, before regions of interest are searched for markers.
 
-use super::accounting::outcome_of;
 use super::{FrameTime, Tracker, Update};
 use crate::account::Outcome;
 use crate::measurement::Measurement;
 use crate::passes::direct::{self, Candidate, Region, RejectedAlignment};
 use crate::target::Status;
+use crate::target::outcome_of;
 
 impl Tracker {
     /// The direct pass over regions of interest of one frame that have been cut. Targets whose pose is

@@ -2,10 +2,10 @@
 
 use flockeye_contract::FrameOrder;
 
-use super::accounting::outcome_of;
 use super::{FilterChoice, FrameTime, Tracker, Update};
 use crate::account::Outcome;
 use crate::passes::background::{Answer, BackgroundQueue, Job, Subject};
+use crate::target::outcome_of;
 
 impl Tracker {
     /// The background pass that is to be run now.

@@ -2,7 +2,6 @@
 
 use flockeye_contract::FrameOrder;
 
-use super::accounting::outcome_of;
 use super::{FrameTime, Tracker, Update};
 use crate::account::{Decision, Notes, Outcome, Pass, Trial};
 use crate::hypothesis::BestView;
@@ -10,6 +9,7 @@ use crate::measurement::Measurement;
 use crate::parallel;
 use crate::places::place_of;
 use crate::policy::TimeBudget;
+use crate::target::outcome_of;
 
 impl Tracker {
     /// The targets without a track that a frame has not measured.

@@ -7,8 +7,6 @@ use std::time::{Duration, Instant};
 
 use flockeye_runtime::lock::lock;
 
-use super::Page;
-
 /// How long a request may take to come, and its answer to go.
 const DEADLINE: Duration = Duration::from_secs(1);
 /// Longest head of a request, bytes.
@@ -19,6 +17,17 @@ const SILENCE: Duration = Duration::from_secs(3);
 /// What OpenMetrics calls itself.
 const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 const PLAIN: &str = "text/plain; charset=utf-8";
+
+/// What is answered.
+#[derive(Debug, Clone)]
+pub struct Page {
+    /// All metrics.
+    pub text: String,
+    /// When it was written: a launcher that hangs writes none.
+    pub written: Instant,
+    /// When the last frame ended.
+    pub last_frame: Option<Instant>,
+}
 
 /// Answers at this address, from a thread of its own that ends with the process. Returns the address, with its port.
 ///

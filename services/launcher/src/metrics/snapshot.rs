@@ -13,11 +13,13 @@ use prometheus_client::metrics::counter::ConstCounter;
 use prometheus_client::metrics::gauge::ConstGauge;
 use prometheus_client::registry::Unit;
 
-use super::Labels;
 use crate::dashboard::Dashboard;
 use crate::dashboard::report::NeighbourReport;
 use crate::doctor::Machine;
 use crate::doctor::machine::{frequencies_hz, temperatures_c};
+
+/// Names and values that tell the values of a metric apart.
+pub(super) type Labels = Vec<(&'static str, String)>;
 
 /// The states that a track can be shown in.
 const TRACK_STATES: [TrackState; 4] =

@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector, Isometry3, Matrix6, UnitQuaternion, Vector2, Vector3, Vector6};
 
-use super::SeamFrame;
+use super::seam::SeamFrame;
 use crate::calibration::descent::Adjust;
 use crate::calibration::sight::{ROBUST_SCALE, by_motion, damped, moved, spread, weighted_share};
 

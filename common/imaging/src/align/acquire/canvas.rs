@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector2, Vector3};
 
-use super::{BLUR_CELLS, Cell, RANGE_STEP, REACH_CELLS, lean, turn_rad};
+use super::grid::{BLUR_CELLS, Cell, RANGE_STEP, REACH_CELLS, lean, turn_rad};
 use crate::align::patch::Patch;
 
 /// A canonical picture.

@@ -3,8 +3,8 @@
 //! Facet by facet, the pattern is correlated with the radiance: light and noise of a facet may be any. The score is the
 //! log of a likelihood ratio, as the evidence's, but for the factor that makes values independent.
 
-use super::REACH_CELLS;
 use super::canvas::Canvas;
+use super::grid::REACH_CELLS;
 use super::templates::{Sample, Template};
 
 /// Every second shift along an axis.

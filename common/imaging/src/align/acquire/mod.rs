@@ -13,28 +13,17 @@
 
 mod canvas;
 mod correlation;
+mod grid;
 mod templates;
 
-use std::f64::consts::TAU;
-
-use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Vector3};
 
 use super::patch::Patch;
 use canvas::Canvases;
+use grid::{Cell, RANGE_EXPONENTS, TURNS};
 use templates::Template;
 pub use templates::Templates;
 
-/// Blur of the canonical picture, standard deviation, cells.
-pub(super) const BLUR_CELLS: f64 = 0.85;
-/// The body's middle is looked for so many cells to each side of the place.
-const REACH_CELLS: usize = 11;
-/// Ranges from the stated one, as powers of this. The coarse grid has every second power.
-const RANGE_STEP: f64 = 1.075;
-/// Exponents of the nearest and the farthest range of the coarse grid. A marker that is seen at an angle makes a place
-/// seem farther away than it is, the box round one that stands on its corner makes it seem nearer.
-const RANGE_EXPONENTS: (i32, i32) = (-6, 6);
-/// Turns about the line of sight on the fine grid.
-const TURNS: usize = 48;
 /// Coarse cells that are looked at again.
 const KEPT: usize = 1500;
 /// Starts of each kind of template.
@@ -52,19 +41,6 @@ pub struct Place {
     pub direction_in_camera: Vector3<f64>,
     /// How far away it is, metres, within a third.
     pub range_m: f64,
-}
-
-/// A pose of the grid, with how well the picture agrees.
-#[derive(Debug, Clone, Copy)]
-struct Cell {
-    template: usize,
-    /// Turn about the line of sight, in fine steps.
-    turn: usize,
-    /// Exponent of the range.
-    exponent: i32,
-    /// Shift of the template in the canonical picture, pixels.
-    shift: [usize; 2],
-    score: f32,
 }
 
 /// Poses (`patch_from_markers`) to start from, the likeliest of each kind of template first. `middle` is the place's
@@ -154,17 +130,6 @@ fn is_same(one: &Isometry3<f64>, other: &Isometry3<f64>, cell_m: f64) -> bool {
     let apart_rad = (here.normalize() - there.normalize()).norm();
     one.rotation.angle_to(&other.rotation) < SAME_RAD
         && apart_rad * here.norm() < SAME_CELLS * cell_m
-}
-
-/// The angle of a turn, radians.
-fn turn_rad(turn: usize) -> f64 {
-    turn as f64 / TURNS as f64 * TAU
-}
-
-/// The rotation that leads from the z axis to `sight` by the shortest way.
-fn lean(sight: &Vector3<f64>) -> UnitQuaternion<f64> {
-    // A patch looks ahead, so its pixels never look backwards.
-    UnitQuaternion::rotation_between(&Vector3::z(), sight).unwrap_or_default()
 }
 
 #[cfg(test)]

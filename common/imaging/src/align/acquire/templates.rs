@@ -4,8 +4,8 @@ use std::ops::Range;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector2, Vector3};
 
-use super::BLUR_CELLS;
 use super::canvas::Size;
+use super::grid::BLUR_CELLS;
 use crate::align::model::Scene;
 use crate::align::patch::smoothed;
 use crate::align::pinhole::Pinhole;

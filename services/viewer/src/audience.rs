@@ -1,0 +1,37 @@
+//! Who watches: pages and Foxglove's clients.
+
+use std::sync::Arc;
+
+use crate::foxglove_view::FoxgloveView;
+use crate::hub::{Hub, Wanted};
+
+/// Who watches.
+pub struct Audience {
+    /// Pages.
+    pub hub: Arc<Hub>,
+    /// Foxglove's clients, where they are served.
+    pub foxglove: Option<FoxgloveView>,
+}
+
+impl Audience {
+    /// What somebody wants to see.
+    pub fn wanted(&self) -> Wanted {
+        let wanted = self.foxglove.as_ref().map(FoxgloveView::wanted).unwrap_or_default();
+        self.hub.wanted().or(wanted)
+    }
+
+    /// Whether somebody can take a picture or a close-up now.
+    pub fn takes_pictures(&self, wanted: Wanted) -> bool {
+        let takes =
+            |foxglove: &FoxgloveView| foxglove.wanted().pictures || foxglove.wanted().closeups;
+        (wanted.pictures || wanted.closeups)
+            && (self.hub.takes_pictures() || self.foxglove.as_ref().is_some_and(takes))
+    }
+
+    /// Tells Foxglove's clients something, where they are served.
+    pub fn to_foxglove(&self, tell: impl FnOnce(&FoxgloveView)) {
+        if let Some(foxglove) = &self.foxglove {
+            tell(foxglove);
+        }
+    }
+}
