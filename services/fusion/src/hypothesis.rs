@@ -148,7 +148,7 @@ impl Aligner {
 
     /// Confirms where a body is, which its track `predicted`: aligns it from its starts until one
     /// leads to a precise pose that is accepted by itself, else takes the most likely of those that the
-    /// track or decoded markers support, precise ones first. Where the budget is spent, only the first start is tried.
+    /// track or decoded markers support, precise or not. Where the budget is spent, only the first start is tried.
     /// `is_marked` tells whether markers were decoded where a pose has them.
     pub fn confirm(
         &self,
@@ -158,7 +158,7 @@ impl Aligner {
         notes: &mut Notes<'_>,
     ) -> Option<Alignment> {
         let Sought { target, picture, starts, budget } = *sought;
-        let mut best: Option<((bool, f64), Alignment)> = None;
+        let mut best: Option<(f64, Alignment)> = None;
         let max_starts = if budget == TimeBudget::Overspent { 1 } else { starts.len() };
         for (source, start) in starts.iter().take(max_starts) {
             let aligned = self.try_align(target, picture, start);
@@ -174,15 +174,15 @@ impl Aligner {
                 notes.accept(&found);
                 return Some(found);
             }
-            let rank = (found.is_precise(), found.evidence.log_odds + turn);
+            let likelihood = found.evidence.log_odds + turn;
             // The prediction may speak against a marker's mirror pose. It does not make up for what the picture lacks.
             let is_supported =
                 is_predicted || is_supported_by_markers(&found, turn.min(0.0), &is_marked);
             if is_supported {
                 notes.decide_last(Verdict::LessLikely);
             }
-            if is_supported && best.as_ref().is_none_or(|(most, _)| rank > *most) {
-                best = Some((rank, found));
+            if is_supported && best.as_ref().is_none_or(|(most, _)| likelihood > *most) {
+                best = Some((likelihood, found));
             }
         }
         let (_, found) = best?;
@@ -351,14 +351,17 @@ impl Aligner {
     }
 }
 
-/// What was found, if it is precise. Else what `other` finds or, where that is nothing either, the imprecise one.
+/// What was found, if it is precise. Else what `other` finds, if that is likelier than the imprecise one.
 pub fn precise_or_else(
     found: Option<Alignment>,
     other: impl FnOnce() -> Option<Alignment>,
 ) -> Option<Alignment> {
     match found {
         Some(precise) if precise.is_precise() => Some(precise),
-        imprecise => other().or(imprecise),
+        imprecise => imprecise
+            .into_iter()
+            .chain(other())
+            .max_by(|a, b| a.evidence.log_odds.total_cmp(&b.evidence.log_odds)),
     }
 }
 

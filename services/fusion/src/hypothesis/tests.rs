@@ -5,8 +5,9 @@
 use super::*;
 use crate::drawn_body::{Drawing, draw, prints};
 use flockeye_geometry::body::{Body, plate, squares};
+use flockeye_imaging::align::Evidence;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
-use nalgebra::{Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Matrix2, Matrix6, Translation3, UnitQuaternion, Vector3};
 
 const PIXELS_PER_RADIAN: f64 = 611.0;
 
@@ -330,4 +331,43 @@ fn a_body_is_found_at_a_rough_place_and_another_is_not() {
     with_picture(&truth, |_, picture| {
         assert!(aligner.find_at(0, picture, &place, &mut Notes::none()).is_none());
     });
+}
+
+/// What alignment has led to, `along_x_m` from a place 2.5 m away, with these log odds and this deviation.
+fn led_to(along_x_m: f64, log_odds: f64, sigma_m: f64) -> Alignment {
+    Alignment {
+        camera_from_markers: Translation3::new(along_x_m, 0.0, 0.0) * pose(2.5, 0.4),
+        covariance: Matrix6::from_diagonal_element(sigma_m * sigma_m),
+        blur_px2: Matrix2::identity(),
+        stretch_px2: None,
+        evidence: Evidence { log_odds, ..Evidence::default() },
+        visible_share: 1.0,
+        samples: 900,
+        iterations: 5,
+    }
+}
+
+#[test]
+fn the_likeliest_pose_counts_and_not_the_most_precise_one() {
+    let predicted = pose(2.5, 0.4);
+    let (precise, likely) = (led_to(-0.1, 4.0, 0.01), led_to(0.0, 6.0, 0.03));
+    assert!(precise.is_precise() && !likely.is_precise());
+    let chosen = |starts: &[&Alignment]| {
+        let starts: Vec<Start> =
+            starts.iter().map(|&found| Start::Tried(Ok(Box::new(found.clone())))).collect();
+        let found = with_picture(&predicted, |aligner, picture| {
+            confirm(aligner, picture, &starts, &predicted, TimeBudget::OneFrame, |_| false)
+        });
+        found.map(|found| found.evidence.log_odds)
+    };
+    assert_eq!(chosen(&[&precise]), Some(4.0));
+    assert_eq!(chosen(&[&precise, &likely]), Some(6.0));
+    assert_eq!(chosen(&[&likely, &precise]), Some(6.0));
+
+    let log_odds = |found: Option<Alignment>| found.map(|found| found.evidence.log_odds);
+    let else_likely = |found| log_odds(precise_or_else(found, || Some(likely.clone())));
+    assert_eq!(else_likely(Some(precise.clone())), Some(4.0), "nothing else is looked for");
+    assert_eq!(else_likely(Some(led_to(0.0, 5.0, 0.03))), Some(6.0));
+    assert_eq!(else_likely(Some(led_to(0.0, 7.0, 0.03))), Some(7.0));
+    assert_eq!(else_likely(None), Some(6.0));
 }
