@@ -56,6 +56,12 @@ fn assert_said(watched: &Watched, wanted: &[&str]) {
     assert!(wanted.iter().all(|part| what.contains(part)), "{wanted:?} in {what}");
 }
 
+/// The number that stands before some words.
+fn number_before(text: &str, words: &str) -> f64 {
+    let (before, _) = text.split_once(words).expect("the words are in it");
+    before.rsplit(' ').next().and_then(|number| number.parse().ok()).expect("a number")
+}
+
 #[test]
 fn a_camera_that_does_not_say_that_it_is_live_is_decoded_without_delay() {
     watched(|| {
@@ -71,11 +77,13 @@ fn a_camera_that_does_not_say_that_it_is_live_is_decoded_without_delay() {
             &held,
             &[
                 "avdec_h264 (software) holds 2 frames back",
-                " ms older",
                 "3 frames are decoded at a time",
                 "Cure: source.decoder_threads: 0",
             ],
         );
+        // Two frames of 33.3 ms, measured by when they came in a second.
+        let each_ms = number_before(&held.late[0], " ms older");
+        assert!((63.0..=70.0).contains(&each_ms), "{each_ms} ms");
         assert!(held.described.ends_with(", 2 frames late"), "{}", held.described);
         // Two frames are 67 ms.
         let older = held.age.saturating_sub(at_once.age);

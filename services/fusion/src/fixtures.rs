@@ -12,9 +12,9 @@ use flockeye_geometry::filter::{MotionModel, TrackPolicy};
 use flockeye_geometry::partition::Partition;
 use flockeye_geometry::search::{GazeOptions, Planner, Purpose, SearchMode};
 use flockeye_geometry::view::View;
-use flockeye_imaging::align::Picture;
+use flockeye_imaging::align::{Alignment, Evidence, Picture};
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
-use nalgebra::{Isometry3, Matrix6, Point3, Translation3, UnitQuaternion};
+use nalgebra::{Isometry3, Matrix2, Matrix6, Point3, Translation3, UnitQuaternion};
 
 use crate::drawn_body::{Drawing, draw, prints};
 use crate::frame_assembly::{Frame, FrameAssembly, Record};
@@ -193,6 +193,20 @@ pub fn following(pose: &Isometry3<f64>) -> Tracker {
         assert!(end(&mut tracker, sequence).is_empty(), "its pose has left already");
     }
     tracker
+}
+
+/// What alignment has led to: a pose with these log odds, and this deviation along and about each axis, metres and radians.
+pub fn alignment(camera_from_markers: Isometry3<f64>, log_odds: f64, sigma: f64) -> Alignment {
+    Alignment {
+        camera_from_markers,
+        covariance: Matrix6::from_diagonal_element(sigma * sigma),
+        blur_px2: Matrix2::identity(),
+        stretch_px2: None,
+        evidence: Evidence { log_odds, ..Evidence::default() },
+        visible_share: 1.0,
+        samples: 900,
+        iterations: 5,
+    }
 }
 
 /// A certain measurement.

@@ -304,6 +304,33 @@ impl Aligner {
         reacquire(self.prints.get(target)?, picture, predicted, &self.options)
     }
 
+    /// What was found, if it is precise. Else the likelier one of that and of what a search round a prediction finds.
+    pub fn or_round(
+        &self,
+        found: Option<Alignment>,
+        target: usize,
+        picture: &Picture<'_>,
+        predicted: &Isometry3<f64>,
+        notes: &mut Notes<'_>,
+    ) -> Option<Alignment> {
+        if found.as_ref().is_some_and(Alignment::is_precise) {
+            return found;
+        }
+        let searched = self.reacquire(target, picture, predicted);
+        notes.note(|| {
+            let aligned = searched.clone().ok_or(AlignError::Nothing);
+            let verdict = if aligned.is_ok() { Verdict::Accepted } else { Verdict::NothingFound };
+            Hypothesis { verdict, ..Hypothesis::of(Source::Search, aligned) }
+        });
+        let (Some(imprecise), Some(round)) = (&found, &searched) else { return found.or(searched) };
+        let likelihood = |found: &Alignment| found.evidence.log_odds + turn_log(found, predicted);
+        if likelihood(imprecise) > likelihood(round) {
+            notes.decide_last(Verdict::LessLikely);
+            return found;
+        }
+        searched
+    }
+
     /// Searches for body `target` in any attitude at a place.
     ///
     /// What it finds competes as in [`Self::initiate`]. No more is asked of it: docs/results/places.md counts how likely
@@ -348,20 +375,6 @@ impl Aligner {
         let options = AlignOptions { coarse_first, ..self.options };
         let print = self.prints.get(target).ok_or(AlignError::Nothing)?;
         align(print, picture, pose, &options)
-    }
-}
-
-/// What was found, if it is precise. Else what `other` finds, if that is likelier than the imprecise one.
-pub fn precise_or_else(
-    found: Option<Alignment>,
-    other: impl FnOnce() -> Option<Alignment>,
-) -> Option<Alignment> {
-    match found {
-        Some(precise) if precise.is_precise() => Some(precise),
-        imprecise => imprecise
-            .into_iter()
-            .chain(other())
-            .max_by(|a, b| a.evidence.log_odds.total_cmp(&b.evidence.log_odds)),
     }
 }
 

@@ -18,8 +18,7 @@ use nalgebra::{Isometry3, Matrix3, Matrix6, Vector3};
 use crate::frame_assembly::Record;
 use crate::measurement::{self, PoseEstimate};
 use crate::planning::NextPlan;
-use crate::target::TargetEstimate;
-use crate::target::Update;
+use crate::target::{TargetEstimate, Update};
 use crate::tracker::Tracker;
 
 /// An estimate that leaves, and what led to it.

@@ -22,7 +22,7 @@ use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::registry::{Registry, Unit};
 
 use crate::dashboard::Dashboard;
-pub use endpoint::Page;
+use endpoint::Page;
 use snapshot::{Labels, Latest, Snapshot};
 
 /// How often what is offered is brought up to date.

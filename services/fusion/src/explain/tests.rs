@@ -11,9 +11,9 @@ use flockeye_contract::{
 use flockeye_convert::{pose, xyzw};
 use flockeye_geometry::filter;
 use flockeye_geometry::view::View;
-use flockeye_imaging::align::{AlignError, Alignment, Evidence};
+use flockeye_imaging::align::{AlignError, Alignment};
 use flockeye_recording::ContractMessage;
-use nalgebra::{Isometry3, Matrix2, Matrix6, Vector3};
+use nalgebra::{Isometry3, Matrix6, Vector3};
 
 use super::explanation::{Explanation, Step};
 use super::gathered::Gathered;
@@ -21,7 +21,7 @@ use super::{Before, Known, Replaying, facts, text};
 use crate::account::{
     CornerPose, CornerVerdict, Decision, Hypothesis, NotRun, Outcome, Pass, Source, Trial, Verdict,
 };
-use crate::fixtures::{facing_markers, measurement, stamp};
+use crate::fixtures::{self, facing_markers, measurement, stamp};
 use crate::frame_assembly::Record;
 use crate::policy::TimeBudget;
 use crate::recorded::{Lost, Message};
@@ -166,16 +166,7 @@ fn markers(is_decoded: bool) -> Vec<DetectedMarker> {
 }
 
 fn alignment(log_odds: f64) -> Alignment {
-    Alignment {
-        camera_from_markers: there(),
-        covariance: Matrix6::identity() * 1e-6,
-        blur_px2: Matrix2::identity(),
-        stretch_px2: None,
-        evidence: Evidence { log_odds, ..Evidence::default() },
-        visible_share: 1.0,
-        samples: 900,
-        iterations: 5,
-    }
+    fixtures::alignment(there(), log_odds, 1e-3)
 }
 
 /// A pass over the region that found poses of these verdicts, and led to something.

@@ -4,10 +4,10 @@
 
 use super::*;
 use crate::drawn_body::{Drawing, draw, prints};
+use crate::fixtures::alignment;
 use flockeye_geometry::body::{Body, plate, squares};
-use flockeye_imaging::align::Evidence;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
-use nalgebra::{Matrix2, Matrix6, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
 const PIXELS_PER_RADIAN: f64 = 611.0;
 
@@ -333,41 +333,47 @@ fn a_body_is_found_at_a_rough_place_and_another_is_not() {
     });
 }
 
-/// What alignment has led to, `along_x_m` from a place 2.5 m away, with these log odds and this deviation.
-fn led_to(along_x_m: f64, log_odds: f64, sigma_m: f64) -> Alignment {
-    Alignment {
-        camera_from_markers: Translation3::new(along_x_m, 0.0, 0.0) * pose(2.5, 0.4),
-        covariance: Matrix6::from_diagonal_element(sigma_m * sigma_m),
-        blur_px2: Matrix2::identity(),
-        stretch_px2: None,
-        evidence: Evidence { log_odds, ..Evidence::default() },
-        visible_share: 1.0,
-        samples: 900,
-        iterations: 5,
-    }
+/// What alignment has led to `along_x_m` from where the body is, with these log odds and this deviation.
+fn led_to(truth: &Isometry3<f64>, along_x_m: f64, log_odds: f64, sigma_m: f64) -> Alignment {
+    alignment(Translation3::new(along_x_m, 0.0, 0.0) * truth, log_odds, sigma_m)
 }
 
 #[test]
 fn the_likeliest_pose_counts_and_not_the_most_precise_one() {
-    let predicted = pose(2.5, 0.4);
-    let (precise, likely) = (led_to(-0.1, 4.0, 0.01), led_to(0.0, 6.0, 0.03));
+    let truth = pose(2.5, 0.4);
+    let (precise, likely) = (led_to(&truth, -0.1, 4.0, 0.01), led_to(&truth, 0.0, 6.0, 0.03));
     assert!(precise.is_precise() && !likely.is_precise());
     let chosen = |starts: &[&Alignment]| {
         let starts: Vec<Start> =
             starts.iter().map(|&found| Start::Tried(Ok(Box::new(found.clone())))).collect();
-        let found = with_picture(&predicted, |aligner, picture| {
-            confirm(aligner, picture, &starts, &predicted, TimeBudget::OneFrame, |_| false)
+        let found = with_picture(&truth, |aligner, picture| {
+            confirm(aligner, picture, &starts, &truth, TimeBudget::OneFrame, |_| false)
         });
         found.map(|found| found.evidence.log_odds)
     };
     assert_eq!(chosen(&[&precise]), Some(4.0));
     assert_eq!(chosen(&[&precise, &likely]), Some(6.0));
     assert_eq!(chosen(&[&likely, &precise]), Some(6.0));
+}
 
-    let log_odds = |found: Option<Alignment>| found.map(|found| found.evidence.log_odds);
-    let else_likely = |found| log_odds(precise_or_else(found, || Some(likely.clone())));
-    assert_eq!(else_likely(Some(precise.clone())), Some(4.0), "nothing else is looked for");
-    assert_eq!(else_likely(Some(led_to(0.0, 5.0, 0.03))), Some(6.0));
-    assert_eq!(else_likely(Some(led_to(0.0, 7.0, 0.03))), Some(7.0));
-    assert_eq!(else_likely(None), Some(6.0));
+#[test]
+fn a_search_round_the_prediction_counts_if_it_finds_something_likelier() {
+    let truth = pose(1.2, 0.4);
+    with_picture(&truth, |aligner, picture| {
+        let mut list = Vec::new();
+        let mut or_round = |found: Option<&Alignment>| {
+            list.clear();
+            let notes = &mut Notes::into_list(Some(&mut list));
+            let chosen = aligner.or_round(found.cloned(), 0, picture, &truth, notes);
+            (chosen.unwrap().evidence.log_odds, list.last().map(|searched| searched.verdict))
+        };
+        let (searched, verdict) = or_round(None);
+        assert!(searched > 6.0 && verdict == Some(Verdict::Accepted), "{searched}, {verdict:?}");
+        let imprecise = |log_odds| led_to(&truth, 0.02, log_odds, 0.03);
+        assert_eq!(or_round(Some(&imprecise(2.0))), (searched, Some(Verdict::Accepted)));
+        let likelier = searched + 5.0;
+        assert_eq!(or_round(Some(&imprecise(likelier))), (likelier, Some(Verdict::LessLikely)));
+        let precise = led_to(&truth, 0.02, 2.0, 0.01);
+        assert_eq!(or_round(Some(&precise)), (2.0, None), "nothing else is looked for");
+    });
 }

@@ -18,9 +18,9 @@ use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::LinearLight;
 use nalgebra::Isometry3;
 
-use super::inputs::{Inputs, searched};
+use super::inputs::Inputs;
 use crate::account::{Notes, Pass, Source, Trial};
-use crate::hypothesis::{Aligner, BestView, Sought, Start, precise_or_else};
+use crate::hypothesis::{Aligner, BestView, Sought, Start};
 use crate::measurement::{Measurement, distinct_markers, supports};
 use crate::policy::TimeBudget;
 
@@ -262,13 +262,11 @@ impl Job {
             None => aligner.initiate(&sought, is_marked, &mut notes),
         };
         let is_independent = self.confirmed.is_none() && found.is_some();
-        let search = || {
-            let found = aligner.reacquire(target, &picture, self.search_round.as_ref()?);
-            notes.note(|| searched(found.clone()));
-            found
+        let found = match &self.search_round {
+            Some(predicted) => aligner.or_round(found, target, &picture, predicted, &mut notes),
+            None => found,
         };
-        let found = precise_or_else(found, search)?;
-        Some((Measurement::aligned(&found, distinct_markers(&self.decoded)), is_independent))
+        Some((Measurement::aligned(&found?, distinct_markers(&self.decoded)), is_independent))
     }
 }
 

@@ -4,12 +4,12 @@ use std::collections::BTreeSet;
 
 use flockeye_geometry::body::Body;
 use flockeye_geometry::pose::{CornerRay, PoseOptions, PoseSolution, choose, solve};
-use flockeye_imaging::align::{AlignError, Alignment};
+use flockeye_imaging::align::Alignment;
 use nalgebra::Isometry3;
 
 use super::direct::RejectedAlignment;
-use crate::account::{CornerPose, CornerVerdict, Hypothesis, Notes, Pass, Source, Trial, Verdict};
-use crate::hypothesis::{Aligner, BestView, Sought, Start, precise_or_else};
+use crate::account::{CornerPose, CornerVerdict, Notes, Pass, Source, Trial};
+use crate::hypothesis::{Aligner, BestView, Sought, Start};
 use crate::measurement::{MeasuredBy, Measurement, PoseEstimate, distinct_markers, supports};
 use crate::policy::TimeBudget;
 use crate::track_prior::TrackPrior;
@@ -128,8 +128,13 @@ impl Inputs<'_> {
         let mut notes = Notes::into_list(trial.map(|trial| &mut trial.hypotheses));
         let aligned = self.best_view.as_ref().and_then(|view| {
             let found = self.align(aligner, view, &solutions, chosen, &mut notes);
-            let found = precise_or_else(found, || self.search(aligner, view, &mut notes))?;
-            Some(Measurement::aligned(&found, distinct_markers(&self.decoded)))
+            let found = match self.search_round() {
+                Some(predicted) => {
+                    aligner.or_round(found, self.target, &view.picture, predicted, &mut notes)
+                }
+                None => found,
+            };
+            Some(Measurement::aligned(&found?, distinct_markers(&self.decoded)))
         });
         match aligned {
             Some(precise) if precise.is_precise => Some(precise),
@@ -137,18 +142,10 @@ impl Inputs<'_> {
         }
     }
 
-    /// Searches round the prediction, where that is not left to the background pass.
-    fn search(
-        &self,
-        aligner: &Aligner,
-        view: &BestView<'_>,
-        notes: &mut Notes<'_>,
-    ) -> Option<Alignment> {
+    /// The prediction that is searched round, where that is not left to the background pass.
+    fn search_round(&self) -> Option<&Isometry3<f64>> {
         let may_search = self.permit.may_search && !self.permit.is_deferred;
-        let predicted = self.prior.predicted().filter(|_| may_search)?;
-        let found = aligner.reacquire(self.target, &view.picture, predicted);
-        notes.note(|| searched(found.clone()));
-        found
+        self.prior.predicted().filter(|_| may_search)
     }
 
     /// Whether a pose that the corners give would do as a measurement: if enough of them agree and it is certain enough.
@@ -294,19 +291,6 @@ fn corner_start(solution: &PoseSolution) -> (Source, Start) {
 
 fn rough_start(predicted: &Isometry3<f64>) -> (Source, Start) {
     (Source::RoughPrediction, Start::Rough(*predicted))
-}
-
-/// What the search round a prediction led to.
-pub(super) fn searched(found: Option<Alignment>) -> Hypothesis {
-    match found {
-        Some(found) => {
-            Hypothesis { verdict: Verdict::Accepted, ..Hypothesis::of(Source::Search, Ok(found)) }
-        }
-        None => Hypothesis {
-            verdict: Verdict::NothingFound,
-            ..Hypothesis::of(Source::Search, Err(AlignError::Nothing))
-        },
-    }
 }
 
 /// Ids of the markers that these are corners of.
