@@ -36,8 +36,6 @@ pub(super) struct Pass<'s> {
     pub layout: &'s Layout,
     /// Residual sigma of each facet.
     pub sigmas: &'s [f64],
-    /// Whether large residuals are weighted down.
-    pub is_robust: bool,
 }
 
 /// Sums over pixels that depend on the same unknowns. A row has `ROW` numbers, the residual last.
@@ -147,8 +145,7 @@ impl Pass<'_> {
             sums.residuals.push(residual.map(|residual| residual as f32));
             let Some(residual) = residual else { continue };
             let precision = 1.0 / self.sigmas[usize::from(sample.facet)].powi(2);
-            let term = if self.is_robust { cauchy_term(residual.powi(2) * precision) } else { 0.0 };
-            let weight = precision / (1.0 + term);
+            let weight = precision / (1.0 + cauchy_term(residual.powi(2) * precision));
             let mut row = [0.0f32; ROW];
             for (value, by) in row.iter_mut().zip(modelled.by_common) {
                 *value = by as f32;

@@ -8,7 +8,7 @@
 //! Residuals are weighted by Cauchy's function with a residual sigma for each facet, so that a propeller
 //! or a shadow on one facet does not affect the others.
 
-use nalgebra::{Isometry3, Matrix6};
+use nalgebra::{Cholesky, DMatrix, Dyn, Isometry3, Matrix6, Vector6};
 
 use super::covariance::{self, Solved};
 use super::levels::fit_levels;
@@ -32,6 +32,8 @@ const NEAR_CONVERGED_PX: f64 = 0.3;
 const MAX_GRADIENT_SHIFT_PX: f64 = 0.5;
 /// Samples are chosen again where the rim moved by more than this since they were chosen, pixels.
 const RESAMPLE_SHIFT_PX: f64 = 0.5;
+/// A fit from a good start is done in about so many steps. Only what it still moves after them counts as wandering.
+const STRAIGHT_STEPS: usize = 2;
 /// A fit needs at least this many samples.
 const MIN_SAMPLES: usize = 60;
 
@@ -78,11 +80,11 @@ pub(super) fn fit(
     let mut occlusion = Occlusion::of_facets(occluded_facets);
     let mut has_occlusion = false;
     let mut problem = Problem::new(patch, print, &mut state, &occlusion, settings)?;
+    let mut wandered = 0.0;
     for iteration in 1.. {
         let Problem { samples, layout, sigmas, .. } = &problem;
         let scene = Scene::new(print, &state, patch, settings.extra_blur_px);
-        let is_robust = iteration > 1;
-        let pass = Pass { print, patch, samples, layout, sigmas, is_robust };
+        let pass = Pass { print, patch, samples, layout, sigmas };
         let mut sums = pass.sum(&scene, &state);
         let from_samples = sums.normal.clone();
         add_priors(&mut sums.normal, &mut sums.right, &state, layout, &settings.prior);
@@ -91,11 +93,15 @@ pub(super) fn fit(
         let step = normal.solve(&sums.right.rows_range(uniform));
         let before = state.clone();
         let moved = apply_step(&mut state, &step, layout, focal_px)?;
+        if iteration > STRAIGHT_STEPS {
+            wandered += in_deviations(&step.fixed_rows::<6>(0).into(), &normal)?;
+        }
         let is_last = moved < CONVERGED_PX || iteration >= settings.max_iterations;
-        if is_robust && has_occlusion && is_last {
+        if has_occlusion && is_last {
             let covariance = |normal: &_, from_samples: &_, explained: f64| {
                 let residuals = &sums.residuals;
-                let solved = Solved { normal, from_samples, explained, residuals, sigmas };
+                let solved =
+                    Solved { normal, from_samples, explained, wandered, residuals, sigmas };
                 covariance::of_pose(&solved, patch, samples)
             };
             let with_gradients = || {
@@ -127,8 +133,7 @@ pub(super) fn fit(
         let shift_px =
             rim_shift_px(&problem.chosen_at, &state.patch_from_markers, print.radius_m(), focal_px);
         let mut must_resample = shift_px > RESAMPLE_SHIFT_PX;
-        let is_near =
-            is_robust && (moved < NEAR_CONVERGED_PX || iteration + 2 >= settings.max_iterations);
+        let is_near = moved < NEAR_CONVERGED_PX || iteration + 2 >= settings.max_iterations;
         if is_near && !has_occlusion {
             has_occlusion = true;
             occlusion.add_pixels(patch, &state, &sigmas, samples, &sums.residuals);
@@ -141,6 +146,15 @@ pub(super) fn fit(
         }
     }
     None
+}
+
+/// How far a step moves the pose, in standard deviations of what the normal equations say of it (Mahalanobis). The pose
+/// is their first six unknowns. `None` where they do not determine it.
+fn in_deviations(step: &Vector6<f64>, normal: &Cholesky<f64, Dyn>) -> Option<f64> {
+    let count = normal.l_dirty().nrows();
+    let columns = normal.solve(&DMatrix::identity(count, 6));
+    let covariance: Matrix6<f64> = columns.fixed_view::<6, 6>(0, 0).into();
+    Some(step.dot(&covariance.cholesky()?.solve(step)).sqrt())
 }
 
 /// All pixels that show the body in a state, occluded or not.
