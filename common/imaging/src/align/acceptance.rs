@@ -4,6 +4,8 @@
 //! few false ones would be that there are at most [`FALSE_POSES_PER_HOUR`] of each way to find one. How many poses are
 //! tried in an hour differs: anywhere, where a track predicts the body, or where markers were decoded.
 
+use nalgebra::Matrix6;
+
 use super::alignment::Alignment;
 use super::evidence::Evidence;
 
@@ -42,7 +44,7 @@ const FALSE_ROTATION_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
 
 /// A pose is a measurement by itself if so many of its standard deviations are less than what makes it a false one.
 /// docs/results/history.md#precision has the curve.
-const SIGMAS_TO_FALSE: f64 = 3.0;
+const SIGMAS_TO_FALSE: f64 = 2.8;
 
 /// A fit without the occluded facets is kept if it loses no more than this share of the log odds that it had with them.
 const MAX_LOST_LOG_ODDS: f64 = 0.2;
@@ -79,6 +81,14 @@ pub fn least_lead() -> f64 {
     (CHOICES_PER_HOUR / FALSE_POSES_PER_HOUR).ln()
 }
 
+/// Whether a pose with this covariance, position (m), then rotation vector (rad), is of use by itself. One that is less
+/// precise is only of use to a track, which knows the rest: its covariance says how much. One that is not finite is not
+/// precise.
+pub fn is_precise(covariance: &Matrix6<f64>) -> bool {
+    let sigma = |first| covariance.fixed_view::<3, 3>(first, first).trace().sqrt();
+    SIGMAS_TO_FALSE * sigma(0) < FALSE_POSITION_M && SIGMAS_TO_FALSE * sigma(3) < FALSE_ROTATION_RAD
+}
+
 impl Alignment {
     /// Whether the body is there, by the picture alone.
     pub fn is_accepted(&self) -> bool {
@@ -97,12 +107,9 @@ impl Alignment {
         self.evidence.log_odds + prior_log_odds >= least_log_odds(MARKED_PER_HOUR)
     }
 
-    /// Whether the pose is of use by itself. One that is less precise is only of use to a track, which knows the rest:
-    /// its covariance says how much.
+    /// Whether the pose is of use by itself, see [`is_precise`].
     pub fn is_precise(&self) -> bool {
-        let sigma = |first| self.covariance.fixed_view::<3, 3>(first, first).trace().sqrt();
-        SIGMAS_TO_FALSE * sigma(0) < FALSE_POSITION_M
-            && SIGMAS_TO_FALSE * sigma(3) < FALSE_ROTATION_RAD
+        is_precise(&self.covariance)
     }
 }
 
@@ -140,6 +147,19 @@ mod tests {
         assert!(
             !is_refit_kept(&with(-2.0), &with(-2.5)) && !is_refit_kept(&with(10.0), &with(7.5))
         );
+    }
+
+    #[test]
+    fn a_pose_is_precise_if_neither_its_position_nor_its_rotation_may_be_false() {
+        let with = |position_m: f64, rotation_deg: f64| {
+            let mut covariance = Matrix6::zeros();
+            covariance[(0, 0)] = position_m.powi(2);
+            covariance[(4, 4)] = rotation_deg.to_radians().powi(2);
+            covariance
+        };
+        assert!(is_precise(&with(0.035, 3.5)));
+        assert!(!is_precise(&with(0.036, 3.5)) && !is_precise(&with(0.035, 3.6)));
+        assert!(!is_precise(&with(f64::NAN, 1.0)));
     }
 
     #[test]

@@ -8,7 +8,7 @@
 //! Residuals are weighted by Cauchy's function with a residual sigma for each facet, so that a propeller
 //! or a shadow on one facet does not affect the others.
 
-use nalgebra::{Cholesky, DMatrix, Dyn, Isometry3, Matrix6, Vector6};
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Isometry3, Matrix6};
 
 use super::covariance::{self, Solved};
 use super::levels::fit_levels;
@@ -94,7 +94,7 @@ pub(super) fn fit(
         let before = state.clone();
         let moved = apply_step(&mut state, &step, layout, focal_px)?;
         if iteration > STRAIGHT_STEPS {
-            wandered += in_deviations(&step.fixed_rows::<6>(0).into(), &normal)?;
+            wandered += in_deviations(&step, &normal)?;
         }
         let is_last = moved < CONVERGED_PX || iteration >= settings.max_iterations;
         if has_occlusion && is_last {
@@ -148,13 +148,13 @@ pub(super) fn fit(
     None
 }
 
-/// How far a step moves the pose, in standard deviations of what the normal equations say of it (Mahalanobis). The pose
-/// is their first six unknowns. `None` where they do not determine it.
-fn in_deviations(step: &Vector6<f64>, normal: &Cholesky<f64, Dyn>) -> Option<f64> {
-    let count = normal.l_dirty().nrows();
-    let columns = normal.solve(&DMatrix::identity(count, 6));
+/// How far a step moves the pose, its first six unknowns, in standard deviations of what the normal equations say of the
+/// pose (Mahalanobis distance). `None` where they do not determine it.
+fn in_deviations(step: &DVector<f64>, normal: &Cholesky<f64, Dyn>) -> Option<f64> {
+    let of_pose = step.fixed_rows::<6>(0);
+    let columns = normal.solve(&DMatrix::identity(step.len(), 6));
     let covariance: Matrix6<f64> = columns.fixed_view::<6, 6>(0, 0).into();
-    Some(step.dot(&covariance.cholesky()?.solve(step)).sqrt())
+    Some(of_pose.dot(&covariance.cholesky()?.solve(&of_pose)).sqrt())
 }
 
 /// All pixels that show the body in a state, occluded or not.
@@ -212,4 +212,24 @@ pub(super) fn layout(print: &BodyPrint, scene: &Scene<'_>, samples: &[Sample]) -
     let is_visible = scene.visible.iter().map(Option::is_some);
     let seams = samples.iter().flat_map(|sample| sample.seams(print).map(|(_, seam)| seam));
     Layout::new(is_visible, print.seams(), seams)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_step_counts_in_deviations_of_the_pose_whatever_else_it_changes() {
+        // The seventh unknown is bound to the first: alone, the first has a deviation of 1 / sqrt(4 - 3² / 9) = 1 / sqrt(3).
+        let mut normal = DMatrix::<f64>::identity(7, 7);
+        (normal[(0, 0)], normal[(6, 6)]) = (4.0, 9.0);
+        (normal[(0, 6)], normal[(6, 0)]) = (3.0, 3.0);
+        let normal = normal.cholesky().expect("it is positive definite");
+        let deviations = |step: [f64; 7]| in_deviations(&DVector::from_row_slice(&step), &normal);
+        let along_first =
+            deviations([2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 5.0]).expect("it is determined");
+        assert!((along_first - 2.0 * 3f64.sqrt()).abs() < 1e-12, "{along_first}");
+        let along_two = deviations([0.0, 3.0, 4.0, 0.0, 0.0, 0.0, 0.0]).expect("it is determined");
+        assert!((along_two - 5.0).abs() < 1e-12, "{along_two}");
+    }
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use flockeye_geometry::body::Body;
 use flockeye_geometry::pose::{CornerRay, PoseOptions, PoseSolution, choose, solve};
-use flockeye_imaging::align::Alignment;
+use flockeye_imaging::align::{Alignment, is_precise};
 use nalgebra::Isometry3;
 
 use super::direct::RejectedAlignment;
@@ -24,10 +24,6 @@ const STARTS_FROM_CORNERS: usize = 3;
 
 /// A body farther away than this cannot carry a marker that decodes, metres.
 const MAX_RANGE_M: f64 = 50.0;
-/// A pose from corners whose standard deviation is larger than this, all axes together, is refused. Of
-/// 29 poses on simulated flights that stated 40 to 60 mm, the worst was off by 94.
-const MAX_POSITION_SIGMA_M: f64 = 0.05;
-const MAX_ROTATION_SIGMA_RAD: f64 = 0.08;
 
 /// What the policy allows a corner pass to do.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -112,7 +108,7 @@ impl Inputs<'_> {
     }
 
     /// Measures the target: by alignment from the corners' solutions and the prediction or, where none
-    /// is accepted and precise, by corners alone. An imprecise alignment is taken where nothing else is left to try.
+    /// is accepted and precise, by corners alone. What is imprecise is taken where neither is precise, the alignment first.
     /// How is noted in `trial`, where somebody asks.
     pub fn measure(&self, aligner: &Aligner, mut trial: Option<&mut Trial>) -> Option<Measurement> {
         let solutions =
@@ -136,10 +132,9 @@ impl Inputs<'_> {
             };
             Some(Measurement::aligned(&found?, distinct_markers(&self.decoded)))
         });
-        match aligned {
-            Some(precise) if precise.is_precise => Some(precise),
-            imprecise => chosen.and_then(|chosen| self.measurement_of(chosen)).or(imprecise),
-        }
+        let by_corners = chosen.and_then(|chosen| self.measurement_of(chosen));
+        let precise = |measured: Option<Measurement>| measured.filter(|found| found.is_precise);
+        precise(aligned).or(precise(by_corners)).or(aligned).or(by_corners)
     }
 
     /// The prediction that is searched round, where that is not left to the background pass.
@@ -160,27 +155,22 @@ impl Inputs<'_> {
         if solution.inlier_markers.len() < min_markers {
             return CornerVerdict::TooFewMarkers { wanted: min_markers };
         }
-        // A NaN is none of these.
-        if range_m < MAX_RANGE_M
-            && sigma(0) < MAX_POSITION_SIGMA_M
-            && sigma(3) < MAX_ROTATION_SIGMA_RAD
-        {
+        if range_m < MAX_RANGE_M && is_precise(&covariance) {
             return CornerVerdict::Enough;
         }
         CornerVerdict::TooUncertain { position_m: sigma(0), rotation_rad: sigma(3) }
     }
 
-    /// The pose that the corners give, if it would do as a measurement.
+    /// The pose that the corners give, if enough of them agree. It may be too uncertain to be of use by itself.
     fn measurement_of(&self, solution: &PoseSolution) -> Option<Measurement> {
-        let is_accepted = self.corner_verdict(solution) == CornerVerdict::Enough;
-        is_accepted.then(|| Measurement {
-            pose: PoseEstimate {
-                camera_from_markers: solution.camera_from_markers,
-                covariance: solution.inflated_covariance(),
-            },
+        let verdict = self.corner_verdict(solution);
+        let covariance = solution.inflated_covariance();
+        let is_enough = !matches!(verdict, CornerVerdict::TooFewMarkers { .. });
+        (is_enough && covariance.iter().all(|x| x.is_finite())).then(|| Measurement {
+            pose: PoseEstimate { camera_from_markers: solution.camera_from_markers, covariance },
             measured_by: MeasuredBy::Decoded,
             markers: distinct_markers(&self.decoded),
-            is_precise: true,
+            is_precise: verdict == CornerVerdict::Enough,
         })
     }
 
