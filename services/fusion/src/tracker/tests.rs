@@ -265,6 +265,32 @@ fn what_is_imprecise_waits_until_nothing_better_can_come() {
     });
 }
 
+/// At 4 m, corners that may be off by a thousandth of a radian.
+#[test]
+fn corners_that_leave_the_pose_uncertain_only_correct_a_track() {
+    let near = pose(0.9);
+    let truth = Isometry3::from_parts((near.translation.vector * 4.5).into(), near.rotation);
+    let passes = |tracker: &mut Tracker| {
+        let mut record = record(3, &truth);
+        record.markers.iter_mut().for_each(|marker| marker.deviations = [1e-3; 4]);
+        let (answered, views) = ([of_region(&record)], BestViews::new());
+        let budget = TimeBudget::Unlimited;
+        let region = tracker.region_pass(time(3), &answered, &views, budget);
+        assert!(region.is_empty(), "{region:?}");
+        tracker.final_pass(time(3), &answered, &views, budget)
+    };
+    assert!(passes(&mut tracker_of(vec![alpha()], 1)).is_empty(), "it starts no track");
+    let mut tracker = tracker_of(vec![alpha()], 1);
+    for sequence in 0..3 {
+        assert!(tracker.take_in(time(sequence), 0, &measurement(&truth)).is_some());
+        assert!(end(&mut tracker, sequence).is_empty());
+    }
+    let updates = passes(&mut tracker);
+    let [(0, estimate)] = updates.as_slice() else { panic!("{updates:?}") };
+    assert_eq!((estimate.measured, estimate.unseen_s), (None, 0.0));
+    assert_eq!(estimate.state, Some(TrackState::Confirmed));
+}
+
 #[test]
 fn squares_that_lie_to_each_other_as_on_the_body_start_a_track() {
     let truth = pose(0.9);
