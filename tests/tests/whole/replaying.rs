@@ -157,9 +157,9 @@ fn background_passes_in_real_time_are_repeated() {
         // Other tests may want the processors too.
         "simulator.frames_per_second=8",
         "recording.frames=views",
-        "simulator.seed=903",
+        "simulator.seed=904",
         "simulator.neighbours=2",
-        "simulator.distance_m=[0.6, 2.0]",
+        "simulator.distance_m=[0.8, 2.4]",
         "simulator.tilt_deg=10",
         "simulator.yaw_swing_deg_s=40",
         "bodies.list=[{name: alpha}, {name: bravo, first_id: 17}]",
