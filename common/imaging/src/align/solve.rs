@@ -32,7 +32,8 @@ const NEAR_CONVERGED_PX: f64 = 0.3;
 const MAX_GRADIENT_SHIFT_PX: f64 = 0.5;
 /// Samples are chosen again where the rim moved by more than this since they were chosen, pixels.
 const RESAMPLE_SHIFT_PX: f64 = 0.5;
-/// A fit from a good start is done in about so many steps. Only what it still moves after them counts as wandering.
+/// Every fit takes more steps than this, because the blur settles later than the pose. A good start needs hardly more, so
+/// only what the pose still moves after them counts as wandering.
 const STRAIGHT_STEPS: usize = 2;
 /// A fit needs at least this many samples.
 const MIN_SAMPLES: usize = 60;
@@ -93,10 +94,12 @@ pub(super) fn fit(
         let step = normal.solve(&sums.right.rows_range(uniform));
         let before = state.clone();
         let moved = apply_step(&mut state, &step, layout, focal_px)?;
-        if iteration > STRAIGHT_STEPS {
+        let is_straight = iteration <= STRAIGHT_STEPS;
+        if !is_straight {
             wandered += in_deviations(&step, &normal)?;
         }
-        let is_last = moved < CONVERGED_PX || iteration >= settings.max_iterations;
+        let is_converged = moved < CONVERGED_PX && !is_straight;
+        let is_last = is_converged || iteration >= settings.max_iterations;
         if has_occlusion && is_last {
             let covariance = |normal: &_, from_samples: &_, explained: f64| {
                 let residuals = &sums.residuals;

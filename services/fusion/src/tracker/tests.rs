@@ -237,13 +237,13 @@ fn an_imprecise_measurement_only_corrects_a_track_that_it_agrees_with() {
     }
 }
 
-/// So far away that a picture in which residuals count for ten times as much tells that the body is there, and hardly how far.
+/// So far away that a picture in which residuals count for six and a half times as much tells that the body is there, and hardly how far.
 #[test]
 fn what_is_imprecise_waits_until_nothing_better_can_come() {
     let near = pose(0.9);
     let truth = Isometry3::from_parts((near.translation.vector * 4.5).into(), near.rotation);
     let bodies = Bodies::new("DICT_5X5_250".into(), vec![alpha()]).unwrap();
-    let aligner = aligner(&bodies).with_covariance_scale(100.0);
+    let aligner = aligner(&bodies).with_covariance_scale(42.0);
     let filter = FilterChoice::Tracks(TrackPolicy::default());
     let mut tracker = Tracker::new(&bodies, filter, Arc::new(aligner), 1);
     for sequence in 0..3 {
