@@ -25,7 +25,7 @@ mod sight;
 use nalgebra::{Isometry3, Matrix6, Vector3};
 
 use crate::body::{Body, Marker};
-use crate::pose::{CornerRay, PoseOptions, keep_sharpest, solve};
+use crate::pose::{CornerRay, PoseDeviations, PoseOptions, keep_sharpest, solve};
 use adjust::{Bundle, Frame, Sighting};
 use descent::Adjust;
 pub use gauge::alignment;
@@ -65,12 +65,12 @@ pub struct CalibratedMarker {
 impl CalibratedMarker {
     /// Standard deviation of its place: the root of the expected squared distance, metres.
     pub fn shift_deviation_m(&self) -> f64 {
-        self.covariance.fixed_view::<3, 3>(0, 0).trace().sqrt()
+        PoseDeviations::of(&self.covariance).position_m
     }
 
     /// The same of its orientation, radians.
     pub fn turn_deviation_rad(&self) -> f64 {
-        self.covariance.fixed_view::<3, 3>(3, 3).trace().sqrt()
+        PoseDeviations::of(&self.covariance).rotation_rad
     }
 }
 

@@ -81,6 +81,23 @@ impl PoseSolution {
     }
 }
 
+/// Standard deviations of a pose, all axes together: the roots of the expected squared distance and turn.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PoseDeviations {
+    /// Metres.
+    pub position_m: f64,
+    /// Radians.
+    pub rotation_rad: f64,
+}
+
+impl PoseDeviations {
+    /// Those of a covariance of position (m), then rotation vector (rad).
+    pub fn of(covariance: &Matrix6<f64>) -> Self {
+        let deviation = |first| covariance.fixed_view::<3, 3>(first, first).trace().sqrt();
+        Self { position_m: deviation(0), rotation_rad: deviation(3) }
+    }
+}
+
 /// Why there is no pose.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum PoseError {

@@ -101,7 +101,7 @@ pub enum CornerVerdict {
         /// So many.
         wanted: usize,
     },
-    /// Its standard deviations are too large, all axes together, or it is too far away. It may only correct a track.
+    /// Its standard deviations are too large, all axes together. It may only correct a track.
     TooUncertain {
         /// Metres.
         position_m: f64,

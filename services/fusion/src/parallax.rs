@@ -85,6 +85,7 @@ fn predicted_distance_m(view: &ViewHeader) -> Option<f64> {
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
+    use flockeye_geometry::pose::PoseDeviations;
     use nalgebra::{Translation3, Unit};
 
     fn camera() -> Camera {
@@ -115,7 +116,7 @@ mod tests {
         assert!((right.camera_from_markers.translation.vector - truth).norm() < 1e-6);
         // Across the line of sight it is as uncertain as the stitcher makes it: by the root of a
         // third of the half distance of the lenses, less what lies along the sight.
-        let spread = right.covariance.fixed_view::<3, 3>(0, 0).trace().sqrt();
+        let spread = PoseDeviations::of(&right.covariance).position_m;
         let across = 0.008 * (1.0 - (truth.x / truth.norm()).powi(2)).sqrt();
         assert!((spread / (across / 3f64.sqrt()) - 1.0).abs() < 0.05, "{spread} {across}");
         let sight = truth.normalize();

@@ -4,6 +4,7 @@
 //! few false ones would be that there are at most [`FALSE_POSES_PER_HOUR`] of each way to find one. How many poses are
 //! tried in an hour differs: anywhere, where a track predicts the body, or where markers were decoded.
 
+use flockeye_geometry::pose::PoseDeviations;
 use nalgebra::Matrix6;
 
 use super::alignment::Alignment;
@@ -85,8 +86,9 @@ pub fn least_lead() -> f64 {
 /// precise is only of use to a track, which knows the rest: its covariance says how much. One that is not finite is not
 /// precise.
 pub fn is_precise(covariance: &Matrix6<f64>) -> bool {
-    let sigma = |first| covariance.fixed_view::<3, 3>(first, first).trace().sqrt();
-    SIGMAS_TO_FALSE * sigma(0) < FALSE_POSITION_M && SIGMAS_TO_FALSE * sigma(3) < FALSE_ROTATION_RAD
+    let PoseDeviations { position_m, rotation_rad } = PoseDeviations::of(covariance);
+    SIGMAS_TO_FALSE * position_m < FALSE_POSITION_M
+        && SIGMAS_TO_FALSE * rotation_rad < FALSE_ROTATION_RAD
 }
 
 impl Alignment {

@@ -10,6 +10,7 @@ use flockeye_convert::{at_exposure, isometry, matrix6, pose, view_of};
 use flockeye_geometry::Ray;
 use flockeye_geometry::body::Body;
 use flockeye_geometry::filter;
+use flockeye_geometry::pose::PoseDeviations;
 use flockeye_geometry::view::View;
 use nalgebra::{Isometry3, Matrix6, Unit, Vector3};
 
@@ -68,8 +69,8 @@ fn of_pose(observer_from_target: &Isometry3<f64>) -> PoseFacts {
 
 /// Standard deviations of a pose, all axes together.
 pub fn deviations(covariance: &Matrix6<f64>) -> Deviations {
-    let sigma = |first| covariance.fixed_view::<3, 3>(first, first).trace().max(0.0).sqrt();
-    Deviations { position_m: sigma(0), rotation_deg: sigma(3).to_degrees() }
+    let PoseDeviations { position_m, rotation_rad } = PoseDeviations::of(covariance);
+    Deviations { position_m, rotation_deg: rotation_rad.to_degrees() }
 }
 
 /// By how much one pose differs from another.
@@ -298,9 +299,9 @@ pub fn reference_pose(resolved: &Resolved, known: &Known) -> Option<(Isometry3<f
 fn reach_rad(body: &Body, known: &Known, place: &Place) -> f64 {
     let range_m = place.camera_from_markers.translation.vector.norm();
     let predicted = known.before.as_ref().and_then(|before| before.predicted);
-    let doubt_m = predicted.filter(|_| place.is_predicted).map_or(0.0, |(_, covariance)| {
-        3.0 * covariance.fixed_view::<3, 3>(0, 0).trace().max(0.0).sqrt()
-    });
+    let doubt_m = predicted
+        .filter(|_| place.is_predicted)
+        .map_or(0.0, |(_, covariance)| 3.0 * PoseDeviations::of(&covariance).position_m);
     (2.0 * body.radius() + doubt_m) / range_m.max(1e-3)
 }
 

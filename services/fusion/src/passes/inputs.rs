@@ -3,7 +3,9 @@
 use std::collections::BTreeSet;
 
 use flockeye_geometry::body::Body;
-use flockeye_geometry::pose::{CornerRay, PoseOptions, PoseSolution, choose, solve};
+use flockeye_geometry::pose::{
+    CornerRay, PoseDeviations, PoseOptions, PoseSolution, choose, solve,
+};
 use flockeye_imaging::align::{Alignment, is_precise};
 use nalgebra::Isometry3;
 
@@ -21,9 +23,6 @@ pub const MARKERS_WITHOUT_TRACK: usize = 2;
 /// Solutions from corners that alignment starts from, lowest cost first: the right one may cost more
 /// than its mirror pose.
 const STARTS_FROM_CORNERS: usize = 3;
-
-/// A body farther away than this cannot carry a marker that decodes, metres.
-const MAX_RANGE_M: f64 = 50.0;
 
 /// What the policy allows a corner pass to do.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -149,16 +148,15 @@ impl Inputs<'_> {
             Some(_) => self.permit.min_markers,
             None => MARKERS_WITHOUT_TRACK,
         };
-        let range_m = solution.camera_from_markers.translation.vector.norm();
-        let covariance = solution.inflated_covariance();
-        let sigma = |first| covariance.fixed_view::<3, 3>(first, first).trace().sqrt();
         if solution.inlier_markers.len() < min_markers {
             return CornerVerdict::TooFewMarkers { wanted: min_markers };
         }
-        if range_m < MAX_RANGE_M && is_precise(&covariance) {
+        let covariance = solution.inflated_covariance();
+        if is_precise(&covariance) {
             return CornerVerdict::Enough;
         }
-        CornerVerdict::TooUncertain { position_m: sigma(0), rotation_rad: sigma(3) }
+        let PoseDeviations { position_m, rotation_rad } = PoseDeviations::of(&covariance);
+        CornerVerdict::TooUncertain { position_m, rotation_rad }
     }
 
     /// The pose that the corners give, if enough of them agree. It may be too uncertain to be of use by itself.
