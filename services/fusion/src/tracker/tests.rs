@@ -237,19 +237,29 @@ fn an_imprecise_measurement_only_corrects_a_track_that_it_agrees_with() {
     }
 }
 
+/// Alpha 4 m away, where little is precise.
+fn far_away() -> Isometry3<f64> {
+    let near = pose(0.9);
+    Isometry3::from_parts((near.translation.vector * 4.5).into(), near.rotation)
+}
+
+/// Frames 0 to 2, in which alpha was measured at `truth`, by whatever.
+fn measured_at(tracker: &mut Tracker, truth: &Isometry3<f64>) {
+    for sequence in 0..3 {
+        assert!(tracker.take_in(time(sequence), 0, &measurement(truth)).is_some());
+        assert!(end(tracker, sequence).is_empty());
+    }
+}
+
 /// So far away that a picture in which residuals count for six and a half times as much tells that the body is there, and hardly how far.
 #[test]
 fn what_is_imprecise_waits_until_nothing_better_can_come() {
-    let near = pose(0.9);
-    let truth = Isometry3::from_parts((near.translation.vector * 4.5).into(), near.rotation);
+    let truth = far_away();
     let bodies = Bodies::new("DICT_5X5_250".into(), vec![alpha()]).unwrap();
     let aligner = aligner(&bodies).with_covariance_scale(42.0);
     let filter = FilterChoice::Tracks(TrackPolicy::default());
     let mut tracker = Tracker::new(&bodies, filter, Arc::new(aligner), 1);
-    for sequence in 0..3 {
-        assert!(tracker.take_in(time(sequence), 0, &measurement(&truth)).is_some());
-        assert!(end(&mut tracker, sequence).is_empty());
-    }
+    measured_at(&mut tracker, &truth);
     with_view(&truth, |view| {
         let best_views = BestViews::from([(0, *view)]);
         let searched = empty_record(3);
@@ -268,8 +278,7 @@ fn what_is_imprecise_waits_until_nothing_better_can_come() {
 /// At 4 m, corners that may be off by a thousandth of a radian.
 #[test]
 fn corners_that_leave_the_pose_uncertain_only_correct_a_track() {
-    let near = pose(0.9);
-    let truth = Isometry3::from_parts((near.translation.vector * 4.5).into(), near.rotation);
+    let truth = far_away();
     let passes = |tracker: &mut Tracker| {
         let mut record = record(3, &truth);
         record.markers.iter_mut().for_each(|marker| marker.deviations = [1e-3; 4]);
@@ -281,10 +290,7 @@ fn corners_that_leave_the_pose_uncertain_only_correct_a_track() {
     };
     assert!(passes(&mut tracker_of(vec![alpha()], 1)).is_empty(), "it starts no track");
     let mut tracker = tracker_of(vec![alpha()], 1);
-    for sequence in 0..3 {
-        assert!(tracker.take_in(time(sequence), 0, &measurement(&truth)).is_some());
-        assert!(end(&mut tracker, sequence).is_empty());
-    }
+    measured_at(&mut tracker, &truth);
     let updates = passes(&mut tracker);
     let [(0, estimate)] = updates.as_slice() else { panic!("{updates:?}") };
     assert_eq!((estimate.measured, estimate.unseen_s), (None, 0.0));

@@ -1,0 +1,198 @@
+//! The life of a track: when it is believed, coasts and is lost, in whatever order frames come.
+
+use super::*;
+
+fn frame(k: i32) -> f64 {
+    10.0 + f64::from(k) * 0.1
+}
+
+#[test]
+fn a_neighbour_is_believed_coasts_and_is_lost() {
+    let pose = Isometry3::translation(1.0, 0.0, 0.0);
+    let mut life = life();
+    assert_eq!((life.state(), life.unseen(frame(0), &still())), (None, None));
+    assert_eq!(life.measured(frame(0), &pose, &covariance(), &still()).unwrap(), Happened::Started);
+    assert_eq!(life.state(), Some(TrackState::Tentative));
+    assert_eq!(life.unseen(frame(1), &still()), Some(TrackState::Tentative));
+    life.measured(frame(2), &pose, &covariance(), &still()).unwrap();
+    assert_eq!(life.state(), Some(TrackState::Tentative));
+    let third = life.measured(frame(3), &pose, &covariance(), &still()).unwrap();
+    assert!(matches!(third, Happened::Updated(_)));
+    assert_eq!(life.state(), Some(TrackState::Confirmed));
+    for k in 4..13 {
+        assert_eq!(life.unseen(frame(k), &still()), Some(TrackState::Coasting));
+        assert!(life.predict(frame(k), &still()).is_some());
+    }
+    life.measured(frame(13), &pose, &covariance(), &still()).unwrap();
+    assert_eq!(life.state(), Some(TrackState::Confirmed));
+    assert_eq!(life.unseen(frame(24), &still()), Some(TrackState::Lost));
+    assert_eq!(life.unseen(frame(25), &still()), Some(TrackState::Lost));
+    assert!(life.track().is_none() && life.predict(frame(25), &still()).is_none());
+    assert_eq!((life.started_s(), life.last_seen_s()), (Some(frame(0)), Some(frame(13))));
+    assert_eq!(
+        life.measured(frame(26), &pose, &covariance(), &still()).unwrap(),
+        Happened::Started
+    );
+    assert_eq!((life.state(), life.started_s()), (Some(TrackState::Tentative), Some(frame(26))));
+    life.forget();
+    assert_eq!(life.state(), None);
+}
+
+#[test]
+fn a_single_sighting_is_soon_forgotten() {
+    let mut life = life();
+    life.measured(frame(0), &Isometry3::translation(1.0, 0.0, 0.0), &covariance(), &still())
+        .unwrap();
+    let states: Vec<_> = (1..6).map(|k| life.unseen(frame(k), &still()).unwrap()).collect();
+    assert_eq!(states[..4], [TrackState::Tentative; 4]);
+    assert_eq!(states[4], TrackState::Lost);
+}
+
+#[test]
+fn a_wrong_track_begins_anew_from_what_contradicts_it() {
+    let (pose, other) =
+        (Isometry3::translation(1.0, 0.0, 0.0), Isometry3::translation(-9.0, 0.0, 0.0));
+    let mut life = life();
+    for k in 0..5 {
+        life.measured(frame(k), &pose, &covariance(), &still()).unwrap();
+    }
+    for k in 5..7 {
+        assert!(life.fits(frame(k), &pose, &covariance(), &still()));
+        assert!(!life.fits(frame(k), &other, &covariance(), &still()));
+        let happened = life.measured(frame(k), &other, &covariance(), &still()).unwrap();
+        assert!(matches!(happened, Happened::Gated(_)));
+        assert_eq!(life.state(), Some(TrackState::Coasting));
+    }
+    assert!(!life.fits(frame(7), &other, &covariance(), &still()), "it would begin anew");
+    assert_eq!(
+        life.measured(frame(7), &other, &covariance(), &still()).unwrap(),
+        Happened::Restarted
+    );
+    assert_eq!(life.state(), Some(TrackState::Tentative));
+    assert_eq!(life.track().unwrap().now().camera_from_markers, other);
+    // A tentative one is not worth defending.
+    assert_eq!(
+        life.measured(frame(8), &pose, &covariance(), &still()).unwrap(),
+        Happened::Restarted
+    );
+}
+
+#[test]
+fn a_life_survives_jumps_of_the_clock() {
+    let pose = Isometry3::translation(1.0, 0.0, 0.0);
+    let mut life = life();
+    for k in 0..5 {
+        life.measured(frame(k), &pose, &covariance(), &still()).unwrap();
+    }
+    let before = life.clone();
+    let late = life.measured(frame(-2), &pose, &covariance(), &still());
+    assert!(matches!(late, Err(FilterError::Past { .. })));
+    assert_eq!(life.unseen(frame(-2), &still()), Some(TrackState::Confirmed));
+    assert!(life.measured(f64::NAN, &pose, &covariance(), &still()).is_err());
+    assert_eq!(life.unseen(f64::NAN, &still()), Some(TrackState::Confirmed));
+    assert_eq!(life, before);
+    // A second and more back, the source has begun anew; so it has after a long silence.
+    assert_eq!(life.measured(1.0, &pose, &covariance(), &still()).unwrap(), Happened::Restarted);
+    assert_eq!(life.measured(1e6, &pose, &covariance(), &still()).unwrap(), Happened::Started);
+    assert_eq!(life.unseen(5.0, &still()), Some(TrackState::Lost));
+}
+
+/// What a frame says, and how much later than exposed it comes, seconds.
+#[derive(Debug, Clone)]
+struct Report {
+    measured: Option<Isometry3<f64>>,
+    late_s: f64,
+}
+
+/// Frames of a neighbour that flies by: measured, not seen, or measured quite elsewhere.
+fn reports(latest_s: f64) -> impl Strategy<Value = Vec<Report>> {
+    let report = (0..10, any::<u64>(), 0.0..latest_s);
+    prop::collection::vec(report, 2..60).prop_map(|reports| {
+        let all = reports.into_iter().zip(0..).map(|((kind, seed, late_s), k)| {
+            let truth = Isometry3::translation(1.0 + 0.02 * f64::from(k), 0.0, 0.0);
+            let pose = measure(&truth, &mut Chance::new(seed));
+            let measured = match kind {
+                0..7 => Some(pose),
+                7 => Some(Isometry3::translation(-1.0, 0.0, 0.0) * pose),
+                _ => None,
+            };
+            Report { measured, late_s }
+        });
+        all.collect()
+    })
+}
+
+fn tell(life: &mut LifeCycle, k: usize, report: &Report) {
+    let stamp_s = 10.0 + k as f64 / 30.0;
+    match &report.measured {
+        Some(pose) => assert!(life.measured(stamp_s, pose, &covariance(), &still()).is_ok()),
+        None => assert_eq!(life.unseen(stamp_s, &still()), life.state()),
+    }
+}
+
+proptest! {
+    /// However late and in whatever order frames come, as long as none is later than the history.
+    #[test]
+    fn the_order_of_arrival_does_not_matter_within_the_history(reports in reports(0.49)) {
+        let mut in_order = life();
+        let mut arrivals: Vec<_> = reports.iter().enumerate().collect();
+        arrivals.iter().for_each(|(k, report)| tell(&mut in_order, *k, report));
+        arrivals.sort_by(|(j, a), (k, b)| {
+            (*j as f64 / 30.0 + a.late_s).total_cmp(&(*k as f64 / 30.0 + b.late_s))
+        });
+        let mut as_it_came = life();
+        arrivals.iter().for_each(|(k, report)| tell(&mut as_it_came, *k, report));
+        prop_assert_eq!(as_it_came.state(), in_order.state());
+        prop_assert_eq!(as_it_came.track(), in_order.track());
+        prop_assert_eq!(as_it_came.started_s(), in_order.started_s());
+    }
+}
+
+proptest! {
+    /// Wherever a track changes hands, it is as if one process had kept it, late frames included.
+    #[test]
+    fn a_saved_track_goes_on_as_it_was(reports in reports(0.49), handed_over in 0usize..60) {
+        let mut kept = life();
+        let mut handed = life();
+        for (k, report) in reports.iter().enumerate() {
+            if k == handed_over {
+                let mut successor = life();
+                successor.resume(handed.saved(), &still()).unwrap();
+                handed = successor;
+            }
+            tell(&mut kept, k, report);
+            tell(&mut handed, k, report);
+        }
+        prop_assert_eq!(kept, handed);
+    }
+}
+
+#[test]
+fn a_late_measurement_takes_its_place() {
+    let pose = |k: i32| Isometry3::translation(1.0 + 0.05 * f64::from(k), 0.0, 0.0);
+    let (mut in_time, mut late) = (life(), life());
+    for k in 0..8 {
+        in_time.measured(frame(k), &pose(k), &covariance(), &still()).unwrap();
+        if k == 5 {
+            // Nothing is known of it yet, and that is said.
+            late.unseen(frame(k), &still());
+        } else {
+            late.measured(frame(k), &pose(k), &covariance(), &still()).unwrap();
+        }
+    }
+    let without = late.track().unwrap().now();
+    assert!(matches!(
+        late.measured(frame(5), &pose(5), &covariance(), &still()).unwrap(),
+        Happened::Updated(_)
+    ));
+    assert_eq!(late.track(), in_time.track());
+    assert_eq!((late.state(), late.last_seen_s()), (in_time.state(), Some(frame(7))));
+    assert!(in_time.track().unwrap().now().covariance[(6, 6)] < without.covariance[(6, 6)]);
+    // What was seen stays seen.
+    assert_eq!(late.unseen(frame(5), &still()), Some(TrackState::Confirmed));
+    assert_eq!(late, in_time);
+    // Of a time within the history, what was known up to then.
+    let then = late.predict(frame(5), &still()).unwrap();
+    assert_eq!(then.stamp_s, frame(5));
+    assert!(late.predict(frame(0), &still()).is_none());
+}
