@@ -30,10 +30,6 @@ const UNREFINED_PX: f64 = 2.0;
 /// Most doubtful markers that a view gives.
 pub const MAX_DOUBTFUL: usize = 4;
 
-/// Least correlation of a doubtful square with an expected marker. The best of some forty markers
-/// correlates with random cells by about 0.5.
-const MIN_DOUBTFUL_CORRELATION: f32 = 0.65;
-
 /// Largest residual of the fitted print, as a share of its contrast. Print differs from its blurred image
 /// by a few hundredths, texture by more.
 const MAX_MISFIT: f64 = 0.15;
@@ -41,10 +37,6 @@ const MAX_MISFIT: f64 = 0.15;
 /// Largest blur of a marker, cells. Texture that reads as a marker is smooth; wider blurs must pass
 /// [`BLURRED`].
 const MAX_BLUR_CELLS: f64 = 0.75;
-
-/// Largest blur of a marker that passes [`BLURRED`], cells. Small markers at long range are blurred by 0.8
-/// to 1.
-const MAX_BLUR_CELLS_AT_RANGE: f64 = 1.1;
 
 /// What markers blurred by more than [`MAX_BLUR_CELLS`] must reach: log-likelihood ratio, and residual. 7,100 squares that are
 /// blurred as much and are no markers were read, of a hall, panoramas and a simulated world. None had a ratio above 8 to the next
@@ -298,7 +290,7 @@ impl Detector {
     /// The expected marker that a square looks most like, if it looks enough like it.
     fn doubtful(&self, view: &View, near: &Quad, correlations: &Correlations) -> Option<Found> {
         let likely = correlations.best_among(self.expected.iter().copied())?;
-        (likely.correlation >= MIN_DOUBTFUL_CORRELATION).then(|| Found {
+        likely.is_likelier_than_no_marker().then(|| Found {
             correlation: likely.correlation,
             is_doubtful: true,
             ..found_at(view, likely.id, rotated(near, likely.first_corner), [UNREFINED_PX; 4])
@@ -350,7 +342,7 @@ impl Detector {
             decoded.log_likelihood_ratio() >= ratio && refined.residual_sigma <= misfit;
         decoded.log_likelihood_ratio() >= self.parameters.min_log_likelihood_ratio
             && refined.residual_sigma <= MAX_MISFIT
-            && (blur <= MAX_BLUR_CELLS || (blur <= MAX_BLUR_CELLS_AT_RANGE && passes_blurred))
+            && (blur <= MAX_BLUR_CELLS || passes_blurred)
     }
 
     /// Whether the cells have the contrast of print. See [`MIN_CELL_CONTRAST`].

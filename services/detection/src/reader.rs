@@ -47,7 +47,12 @@ impl Decoded {
         log_likelihood_ratio(self.cells, self.correlation, self.runner_up)
     }
 
-    /// The same after a closer look, which can only speak against it.
+    /// Whether a square is likelier to be this marker than none.
+    pub(crate) fn is_likelier_than_no_marker(&self) -> bool {
+        self.correlation > NO_MARKER_CORRELATION
+    }
+
+    /// The marker after a closer look, which can only speak against it.
     pub(crate) fn with(self, explained: &Explained) -> Self {
         Self { correlation: self.correlation.min(explained.correlation()), ..self }
     }

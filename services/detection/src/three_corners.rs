@@ -14,12 +14,9 @@ use crate::quad::Quad;
 // These limits decide which corners are taken for a square's. They are wide, because what passes is
 // still read: `tests/recall.rs` draws markers with a strut across one corner and counts what is found.
 
-/// Least ratio of the shorter to the longer of two neighbouring sides: that of a square tilted by
-/// 69 degrees about one of its sides. What is tilted further cannot be read.
-const MIN_SIDE_RATIO: f64 = 0.35;
-
-/// Least sine of the angle between two neighbouring sides.
-const MIN_SINE: f64 = 0.35;
+/// Least ratio of the singular values of two neighbouring sides: the cosine of a square's tilt, about whatever axis. What is
+/// tilted by more than 70 degrees cannot be read; nearby, perspective adds to it.
+const MIN_TILT_COSINE: f64 = 0.3;
 
 /// Least cosine of the angle between the rest of a side and the opposite side.
 const MIN_PARALLEL_COSINE: f64 = 0.85;
@@ -30,9 +27,6 @@ const MIN_REST_SHARE: f64 = 0.25;
 /// Shortest of the two seen sides, as a share of the shortest side that is searched for: a tilt shortens
 /// one of them.
 const MIN_SEEN_SIDE_SHARE: f64 = 0.7;
-
-/// Least and largest length of the computed side, as a share of the opposite side.
-const COMPUTED_SIDE_SHARES: (f64, f64) = (0.5, 2.0);
 
 /// Of the twelve places that are compared across the sides, how many must be dark inside and bright
 /// outside: of the two sides to the lost corner one may be hidden.
@@ -50,11 +44,11 @@ pub(crate) fn complete(polygon: &[Pixel], min_side_px: f64) -> impl Iterator<Ite
         let (first, second) = (b - a, c - b);
         // Squared lengths, because most corners are no square's, and roots would take most of the time.
         let squares = (first.norm_squared(), second.norm_squared());
-        let (shorter, longer) = (squares.0.min(squares.1), squares.0.max(squares.1));
+        // With the singular values s and t, this is s t, and the sum of the squares is s^2 + t^2.
         let turn = first.perp(&second);
-        if shorter < shortest_px.powi(2)
-            || shorter < MIN_SIDE_RATIO.powi(2) * longer
-            || turn * turn < MIN_SINE.powi(2) * squares.0 * squares.1
+        if squares.0.min(squares.1) < shortest_px.powi(2)
+            || turn.abs() * (1.0 + MIN_TILT_COSINE.powi(2))
+                < MIN_TILT_COSINE * (squares.0 + squares.1)
         {
             return None;
         }
@@ -72,10 +66,9 @@ pub(crate) fn complete(polygon: &[Pixel], min_side_px: f64) -> impl Iterator<Ite
         let sine = onwards.perp(&backwards);
         let share = (a - c).perp(&backwards) / sine;
         let fourth = c + onwards * share;
-        let length = share * onwards.norm();
-        let opposite = squares.0.sqrt();
-        let (least, most) = COMPUTED_SIDE_SHARES;
-        if !(length > least * opposite && length < most * opposite) {
+        // False for a NaN, as where the two are parallel.
+        let is_ahead = share > 0.0 && share.is_finite();
+        if !is_ahead {
             return None;
         }
         let quad = if turn > 0.0 { [a, b, c, fourth] } else { [fourth, c, b, a] };

@@ -10,7 +10,7 @@ use std::sync::{Arc, OnceLock};
 use flockeye_geometry::body::{Bodies, Body};
 use flockeye_imaging::align::{
     AlignError, AlignOptions, Alignment, BodyPrint, Motion, Picture, Place, PrintError, Templates,
-    align, least_lead, reacquire, starts_at,
+    align, is_false, least_lead, reacquire, starts_at,
 };
 use flockeye_imaging::edges::MarkerPrint;
 use nalgebra::{Isometry3, Unit, Vector3};
@@ -18,10 +18,6 @@ use nalgebra::{Isometry3, Unit, Vector3};
 use crate::account::{Hypothesis, Notes, Source, Verdict};
 use crate::policy::TimeBudget;
 
-/// Two poses of a body are different if they differ by more than this rotation, radians, or by this
-/// share of the range.
-const DIFFERENT_ROTATION_RAD: f64 = 0.2;
-const DIFFERENT_POSITION: f64 = 0.05;
 /// Log of the prior probability of a pose beyond the tilt limit: one in a thousand.
 const TILTED_LOG: f64 = -6.9;
 /// Standard deviation, about each axis, of the turn of right poses from their tracks' predictions, radians.
@@ -405,11 +401,9 @@ fn is_marked_at(
     aligned.as_ref().is_ok_and(|found| is_marked(&found.camera_from_markers))
 }
 
+/// Whether two poses are the same for whoever uses them: neither is false if the other one is true.
 fn is_same(one: &Alignment, other: &Alignment) -> bool {
-    let (one, other) = (&one.camera_from_markers, &other.camera_from_markers);
-    let (here, there) = (one.translation.vector, other.translation.vector);
-    one.rotation.angle_to(&other.rotation) < DIFFERENT_ROTATION_RAD
-        && (here - there).norm() < DIFFERENT_POSITION * here.norm()
+    !is_false(&one.camera_from_markers, &other.camera_from_markers)
 }
 
 #[cfg(test)]

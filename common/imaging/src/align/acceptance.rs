@@ -5,13 +5,10 @@
 //! tried in an hour differs: anywhere, where a track predicts the body, or where markers were decoded.
 
 use flockeye_geometry::pose::PoseDeviations;
-use nalgebra::Matrix6;
+use nalgebra::{Isometry3, Matrix6};
 
 use super::alignment::Alignment;
 use super::evidence::Evidence;
-
-/// Least correlation of a facet that agrees. A facet below it is occluded, if another one agrees.
-pub(super) const AGREEING_CORRELATION: f64 = 0.6;
 
 /// False poses of one target, wrong by 10 cm or 10 degrees, that each way to find one may give in an hour of flight.
 const FALSE_POSES_PER_HOUR: f64 = 1.0;
@@ -34,10 +31,6 @@ const MARKED_PER_HOUR: f64 = 108.0;
 /// Times in an hour that a pose is chosen from several: a body is found anew each half minute.
 const CHOICES_PER_HOUR: f64 = 120.0;
 
-/// Least share of the samples without occlusion for pixels to be left out: below it they are nearly all, and that only
-/// means that the body is not there.
-pub(super) const MIN_VISIBLE_SHARE: f64 = 0.25;
-
 /// A pose that is wrong by as much as this, metres or radians, is a false one.
 const FALSE_POSITION_M: f64 = 0.1;
 /// See [`FALSE_POSITION_M`].
@@ -46,9 +39,6 @@ const FALSE_ROTATION_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
 /// A pose is a measurement by itself if so many of its standard deviations are less than what makes it a false one.
 /// docs/results/history.md#precision has the curve.
 const SIGMAS_TO_FALSE: f64 = 2.8;
-
-/// A fit without the occluded facets is kept if it loses no more than this share of the log odds that it had with them.
-const MAX_LOST_LOG_ODDS: f64 = 0.2;
 
 /// The log odds of the picture from which on a pose is accepted, of which so many are tried in an hour where no body is.
 fn least_log_odds(tried_per_hour: f64) -> f64 {
@@ -80,6 +70,12 @@ impl LeastLogOdds {
 /// By how much the log odds of a pose must exceed those of all others together, to be chosen from them.
 pub fn least_lead() -> f64 {
     (CHOICES_PER_HOUR / FALSE_POSES_PER_HOUR).ln()
+}
+
+/// Whether `pose` would be a false one if the body were at `truth`.
+pub fn is_false(pose: &Isometry3<f64>, truth: &Isometry3<f64>) -> bool {
+    (pose.translation.vector - truth.translation.vector).norm() >= FALSE_POSITION_M
+        || pose.rotation.angle_to(&truth.rotation) >= FALSE_ROTATION_RAD
 }
 
 /// Whether a pose with this covariance, position (m), then rotation vector (rad), is of use by itself. One that is less
@@ -123,11 +119,6 @@ impl Evidence {
     }
 }
 
-/// Whether a fit without the occluded facets is kept instead of the one before.
-pub(super) fn is_refit_kept(before: &Evidence, after: &Evidence) -> bool {
-    after.log_odds >= before.log_odds - MAX_LOST_LOG_ODDS * before.log_odds.abs()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -140,15 +131,6 @@ mod tests {
         // So many false poses are left of those that are tried.
         let left = ANYWHERE_PER_HOUR * POSITIVE_SHARE * (-anywhere).exp();
         assert!((left - FALSE_POSES_PER_HOUR).abs() < 1e-9);
-    }
-
-    #[test]
-    fn a_refit_that_is_better_is_kept_whatever_its_sign() {
-        let with = |log_odds| Evidence { log_odds, ..Evidence::default() };
-        assert!(is_refit_kept(&with(-2.0), &with(-1.7)) && is_refit_kept(&with(10.0), &with(8.5)));
-        assert!(
-            !is_refit_kept(&with(-2.0), &with(-2.5)) && !is_refit_kept(&with(10.0), &with(7.5))
-        );
     }
 
     #[test]

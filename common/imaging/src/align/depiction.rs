@@ -2,7 +2,6 @@
 
 use nalgebra::{Isometry3, Vector2};
 
-use super::acceptance::AGREEING_CORRELATION;
 use super::alignment::{AlignError, AlignOptions};
 use super::evidence::{Comparison, Evidence};
 use super::model::Scene;
@@ -67,8 +66,7 @@ pub fn depict(
     let samples =
         solve::fit_levels_alone(&patch, print, &mut state, &settings).ok_or(AlignError::Nothing)?;
     let per_pixel = settings.prior.samples_per_pixel();
-    let compared =
-        Comparison::new(&patch, print, &state, &samples, per_pixel, AGREEING_CORRELATION);
+    let compared = Comparison::new(&patch, print, &state, &samples, per_pixel);
     let model = draw(&patch, print, &state);
     let Comparison { evidence, .. } = compared;
     let Patch { width, height, radiance, .. } = patch;

@@ -20,20 +20,12 @@ use nalgebra::{Matrix5, Vector5};
 
 use super::model::Scene;
 use super::patch::Patch;
-use super::print::BodyPrint;
+use super::print::{BodyPrint, PrintedFacet};
 use super::samples::Sample;
 use super::state::State;
 
-/// A facet is compared by its pixels that show nothing else if there are at least this many, and else by
-/// all of which it covers at least [`MIN_COVERAGE`].
-///
-/// At 3.5 m only 5 of a facet's 11 px show nothing else, which are too few to compare. Nearby, pixels at
-/// the edges are left out because an occluder begins there.
-const ENOUGH_SAMPLES: u32 = 64;
-/// Least coverage of a pixel by its facet: two standard deviations of the point spread inside its edges.
+/// Least coverage of a pixel by its facet, to be compared: two standard deviations of the point spread inside its edges.
 const MIN_COVERAGE: f32 = 0.977;
-/// Facets with fewer samples are not compared.
-const MIN_SAMPLES: u32 = 16;
 /// Least pattern that blur must leave of the cells, variance per pixel, black being 1.
 const MIN_PATTERN: f64 = 1e-3;
 
@@ -63,7 +55,7 @@ pub struct Evidence {
     /// The part of it that the facets beside the most informative one have. Two poses that are mirror images by that
     /// facet differ in this.
     pub log_odds_of_others: f64,
-    /// Number of facets that agree: whose correlation is at least 0.6.
+    /// Number of facets that agree: whose log odds are positive.
     pub agreeing_facets: u32,
     /// The facet with the largest log odds, if any are positive.
     pub most_informative_facet: Option<u32>,
@@ -71,17 +63,17 @@ pub struct Evidence {
 
 impl Evidence {
     /// Sums up the facets, in their order; `None` stands for a facet that was not compared.
-    fn of_facets(facets: &[Option<FacetFit>], agreeing_correlation: f64) -> Self {
+    fn of_facets(facets: &[Option<FacetFit>]) -> Self {
         let mut evidence = Self::default();
         let (mut sum, mut weights, mut most) = (0.0, 0.0, 0.0);
         for (number, facet) in (0..).zip(facets) {
             let Some(FacetFit { correlation, pattern, log_odds }) = *facet else { continue };
+            evidence.agreeing_facets += u32::from(log_odds > 0.0);
             let log_odds = (HIDDEN + (1.0 - HIDDEN) * log_odds.exp()).ln();
             evidence.log_odds += log_odds;
             if log_odds > most {
                 (most, evidence.most_informative_facet) = (log_odds, Some(number));
             }
-            evidence.agreeing_facets += u32::from(correlation >= agreeing_correlation);
             let weight = pattern.sqrt();
             sum += weight * correlation;
             weights += weight;
@@ -91,9 +83,6 @@ impl Evidence {
         evidence
     }
 }
-
-/// Each facet's correlation over the pixels that show nothing else; `None` where these are too few.
-pub(super) type FacetCorrelations = [Option<f64>];
 
 /// The correlation of one facet with the image.
 #[derive(Debug, Clone, Copy)]
@@ -125,21 +114,21 @@ struct Products {
 #[derive(Debug)]
 pub(super) struct Comparison {
     pub evidence: Evidence,
-    /// See [`FacetCorrelations`]. Occlusion is judged by these. With all pixels, the soft edges of a post
-    /// moved bodies at 2 m by 1.3 mm on average instead of 1.1.
-    pub correlations: Vec<Option<f64>>,
+    /// Whether something else than the print explains the pixels of each facet better, of those that show nothing else.
+    /// Occlusion is judged by these. With all pixels, the soft edges of a post moved bodies at 2 m by 1.3 mm on average
+    /// instead of 1.1.
+    pub disagrees: Vec<bool>,
 }
 
 impl Comparison {
     /// Compares a state with `samples` of all facets; `samples_per_pixel` of them carry the information
-    /// of one. Facets agree from `agreeing_correlation` on.
+    /// of one.
     pub fn new(
         patch: &Patch,
         print: &BodyPrint,
         state: &State,
         samples: &[Sample],
         samples_per_pixel: f64,
-        agreeing_correlation: f64,
     ) -> Self {
         let scene = Scene::new(print, state, patch, 0.0);
         let mut facets = vec![FacetPixels::default(); print.facets.len()];
@@ -168,22 +157,23 @@ impl Comparison {
                 facets[index].inside.add(&products);
             }
         }
-        let correlations = facets.iter().map(|facet| Some(facet.inside.partial_correlation()?.0));
-        let fits: Vec<Option<FacetFit>> = facets
-            .iter()
-            .zip(&print.facets)
+        let fit = |products: &Products, printed: &PrintedFacet| {
+            let (correlation, pattern) = products.partial_correlation()?;
+            let pixels = f64::from(products.count) / samples_per_pixel;
+            let inner = printed.cells.as_ref().map_or(0, |cells| cells.count.saturating_sub(2));
+            let independent = INDEPENDENT_SHARE * pixels.min(inner.pow(2) as f64);
+            let log_odds = products.log_odds(independent)?;
+            Some(FacetFit { correlation, pattern, log_odds })
+        };
+        let facets = || facets.iter().zip(&print.facets);
+        let fits: Vec<Option<FacetFit>> =
+            facets().map(|(facet, printed)| fit(&facet.covered, printed)).collect();
+        let disagrees = facets()
             .map(|(facet, printed)| {
-                let products = facet.best();
-                let (correlation, pattern) = products.partial_correlation()?;
-                let pixels = f64::from(products.count) / samples_per_pixel;
-                let inner = printed.cells.as_ref().map_or(0, |cells| cells.count.saturating_sub(2));
-                let independent = INDEPENDENT_SHARE * pixels.min(inner.pow(2) as f64);
-                let log_odds = products.log_odds(independent)?;
-                Some(FacetFit { correlation, pattern, log_odds })
+                fit(&facet.inside, printed).is_some_and(|fit| fit.log_odds < 0.0)
             })
             .collect();
-        let evidence = Evidence::of_facets(&fits, agreeing_correlation);
-        Self { evidence, correlations: correlations.collect() }
+        Self { evidence: Evidence::of_facets(&fits), disagrees }
     }
 }
 
@@ -197,13 +187,6 @@ fn seen_black(black: f64, [white_level, black_level]: [f64; 2], saturation: f64)
     (saturation - radiance.min(saturation)) / (saturation - black_level)
 }
 
-impl FacetPixels {
-    /// The pixels that show nothing else, if they are enough.
-    fn best(&self) -> &Products {
-        if self.inside.count >= ENOUGH_SAMPLES { &self.inside } else { &self.covered }
-    }
-}
-
 impl Products {
     fn add(&mut self, products: &Matrix5<f64>) {
         self.matrix += products;
@@ -213,7 +196,8 @@ impl Products {
     /// The partial correlation of radiance and cells, and the sum of squares of the cells' pattern.
     /// `None` where there are too few pixels, or the blur leaves nothing of the pattern.
     fn partial_correlation(&self) -> Option<(f64, f64)> {
-        if self.count < MIN_SAMPLES {
+        // So few are explained by anything.
+        if self.count as usize <= self.matrix.nrows() {
             return None;
         }
         let left = self.without_border();
@@ -292,7 +276,7 @@ mod tests {
     fn facets_are_summed_up() {
         let facet = |correlation, log_odds| Some(FacetFit { correlation, pattern: 1.0, log_odds });
         let facets = [facet(0.9, 8.0), None, facet(0.9, 3.0), facet(0.65, 4.0), facet(-0.2, -50.0)];
-        let evidence = Evidence::of_facets(&facets, 0.6);
+        let evidence = Evidence::of_facets(&facets);
         assert_eq!(evidence.agreeing_facets, 3);
         assert_eq!(evidence.most_informative_facet, Some(0));
         assert!((evidence.correlation - (0.9 + 0.9 + 0.65 - 0.2) / 4.0).abs() < 1e-12);

@@ -46,7 +46,7 @@ mod samples;
 mod solve;
 mod state;
 
-pub use acceptance::{LeastLogOdds, is_precise, least_lead};
+pub use acceptance::{LeastLogOdds, is_false, is_precise, least_lead};
 pub use acquire::{Place, Templates};
 pub use alignment::{AlignError, AlignOptions, Alignment};
 pub use depiction::{Depiction, depict};
@@ -282,16 +282,15 @@ impl PreparedView {
         let Self { patch, settings } = self;
         let compare = |state: &State, samples: &[Sample]| {
             let samples_per_pixel = settings.prior.samples_per_pixel();
-            let agreeing = acceptance::AGREEING_CORRELATION;
-            Comparison::new(patch, print, state, samples, samples_per_pixel, agreeing)
+            Comparison::new(patch, print, state, samples, samples_per_pixel)
         };
         let mut fit = solve::fit(patch, print, state, &[], settings).ok_or(AlignError::Nothing)?;
         let mut comparison = compare(&fit.state, &fit.samples);
         let mut left_out = vec![false; print.facets.len()];
         for _ in 0..MAX_REFITS {
-            let Comparison { evidence, correlations } = &comparison;
+            let Comparison { evidence, disagrees } = &comparison;
             let agreeing = evidence.agreeing_facets;
-            let Some(occluded) = occlusion::occluded_facets(print, agreeing, correlations) else {
+            let Some(occluded) = occlusion::occluded_facets(print, agreeing, disagrees) else {
                 break;
             };
             for (out, occluded) in left_out.iter_mut().zip(occluded) {
@@ -301,11 +300,8 @@ impl PreparedView {
             else {
                 break;
             };
-            let compared = compare(&refit.state, &refit.samples);
-            if !acceptance::is_refit_kept(evidence, &compared.evidence) {
-                break;
-            }
-            (fit, comparison) = (refit, compared);
+            comparison = compare(&refit.state, &refit.samples);
+            fit = refit;
         }
         if !fit.is_whole {
             // The evidence counts the occluded parts, too.

@@ -7,8 +7,6 @@
 //! - Pixels with large residuals are left out, with all pixels that the point spread mixes with them.
 //! - Facets whose cells do not agree with the image are left out as a whole ([`occluded_facets`]).
 
-use super::acceptance::{AGREEING_CORRELATION, MIN_VISIBLE_SHARE};
-use super::evidence::FacetCorrelations;
 use super::patch::Patch;
 use super::print::{BodyPrint, PrintedFacet};
 use super::robust::reference_sigma;
@@ -35,8 +33,6 @@ impl Occlusion {
     }
 
     /// Adds the pixels with large `residuals` at `state`, and those next to them.
-    ///
-    /// If these are nearly all pixels, none is added: that only means that the body is not there.
     pub fn add_pixels(
         &mut self,
         patch: &Patch,
@@ -59,9 +55,8 @@ impl Occlusion {
             }
         }
         let visible = samples.iter().filter(|sample| !self.has_pixel(sample)).count();
-        let visible_share = visible as f64 / samples.len().max(1) as f64;
-        self.visible_share = Some(visible_share);
-        if visible == samples.len() || visible_share < MIN_VISIBLE_SHARE {
+        self.visible_share = Some(visible as f64 / samples.len().max(1) as f64);
+        if visible == samples.len() {
             self.pixels.clear();
         }
     }
@@ -95,21 +90,19 @@ impl Occlusion {
     }
 }
 
-/// The facets that something occludes: those whose cells do not agree with the image, and blank facets
-/// next to them.
+/// The facets that something occludes: those that [`super::evidence::Comparison::disagrees`] has, and blank facets next
+/// to them.
 ///
 /// `None` if no facet is occluded, or if no facet agrees, because then the body may not be there at all.
 pub(super) fn occluded_facets(
     print: &BodyPrint,
     agreeing_facets: u32,
-    correlations: &FacetCorrelations,
+    disagrees: &[bool],
 ) -> Option<Vec<bool>> {
-    let disagrees =
-        |facet: usize| correlations[facet].is_some_and(|own| own < AGREEING_CORRELATION);
     let is_occluded = |(index, facet): (usize, &PrintedFacet)| {
         let mut beside = facet.neighbours.iter().flatten();
-        disagrees(index)
-            || (facet.cells.is_none() && beside.any(|&(neighbour, _)| disagrees(neighbour)))
+        disagrees[index]
+            || (facet.cells.is_none() && beside.any(|&(neighbour, _)| disagrees[neighbour]))
     };
     let occluded: Vec<bool> = print.facets.iter().enumerate().map(is_occluded).collect();
     (agreeing_facets > 0 && occluded.contains(&true)).then_some(occluded)

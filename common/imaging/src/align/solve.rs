@@ -27,9 +27,6 @@ const CONVERGED_PX: f64 = 0.03;
 /// After a step that moves the rim by less than this, large residuals are occlusions, not an error of the
 /// pose.
 const NEAR_CONVERGED_PX: f64 = 0.3;
-/// Radiance gradients that would move the rim by more than this, pixels, are rejected. Then something
-/// else is wrong, and the pose with uniform radiance is kept.
-const MAX_GRADIENT_SHIFT_PX: f64 = 0.5;
 /// Samples are chosen again where the rim moved by more than this since they were chosen, pixels.
 const RESAMPLE_SHIFT_PX: f64 = 0.5;
 /// Every fit takes more steps than this, because the blur settles later than the pose. A good start needs hardly more, so
@@ -52,7 +49,7 @@ pub(super) struct Settings {
 pub(super) struct Fit {
     /// The state with uniform radiance on each facet.
     pub state: State,
-    /// The pose with radiance gradients; that of `state` if the gradients were rejected.
+    /// The pose with radiance gradients; that of `state` where these are not determined.
     pub patch_from_markers: Isometry3<f64>,
     /// Covariance of that pose in the patch's axes: position (m), then rotation vector (rad).
     pub covariance: Matrix6<f64>,
@@ -111,9 +108,9 @@ pub(super) fn fit(
                 let normal = sums.normal.clone().cholesky()?;
                 let step = normal.solve(&sums.right);
                 let mut state = before;
-                let moved = apply_step(&mut state, &step, layout, focal_px)?;
+                apply_step(&mut state, &step, layout, focal_px)?;
                 let covariance = covariance(&normal, &from_samples, step.dot(&sums.right))?;
-                (moved < MAX_GRADIENT_SHIFT_PX).then_some((state.patch_from_markers, covariance))
+                Some((state.patch_from_markers, covariance))
             };
             let (patch_from_markers, covariance) = match with_gradients() {
                 Some(found) => found,

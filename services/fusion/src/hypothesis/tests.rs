@@ -191,7 +191,7 @@ fn a_track_is_confirmed_farther_away_than_it_is_initiated() {
         let error = found.camera_from_markers.translation.vector - truth.translation.vector;
         assert!(error.norm() < 0.05, "{} m", error.norm());
         // A few facets may be others' mirror poses: then it must not have turned far.
-        assert_eq!(found.evidence.agreeing_facets, 1);
+        assert!(!found.evidence.is_unambiguous(), "{:?}", found.evidence);
         assert!(
             confirm(aligner, picture, &starts, &pose(4.6, 1.5), TimeBudget::Unlimited, |_| false)
                 .is_none()
