@@ -14,9 +14,9 @@ use crate::quad::Quad;
 // These limits decide which corners are taken for a square's. They are wide, because what passes is
 // still read: `tests/recall.rs` draws markers with a strut across one corner and counts what is found.
 
-/// Least ratio of the singular values of two neighbouring sides: the cosine of a square's tilt, about whatever axis. What is
-/// tilted by more than 70 degrees cannot be read; nearby, perspective adds to it.
-const MIN_TILT_COSINE: f64 = 0.3;
+/// Least ratio of the singular values of two neighbouring sides, which is the cosine of a square's tilt about any axis. What
+/// is tilted by more than 69 degrees cannot be read.
+const MIN_TILT_COSINE: f64 = 0.35;
 
 /// Least cosine of the angle between the rest of a side and the opposite side.
 const MIN_PARALLEL_COSINE: f64 = 0.85;
