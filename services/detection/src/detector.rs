@@ -30,6 +30,8 @@ const UNREFINED_PX: f64 = 2.0;
 /// Most doubtful markers that a view gives.
 pub const MAX_DOUBTFUL: usize = 4;
 
+// docs/results/history.md#what-limits-of-detection-cost has what is found, and what is false, with other values of these.
+
 /// Largest residual of the fitted print, as a share of its contrast. Print differs from its blurred image
 /// by a few hundredths, texture by more.
 const MAX_MISFIT: f64 = 0.15;

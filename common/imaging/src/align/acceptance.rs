@@ -122,6 +122,7 @@ impl Evidence {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::Vector3;
 
     #[test]
     fn the_more_is_tried_the_more_is_asked() {
@@ -144,6 +145,17 @@ mod tests {
         assert!(is_precise(&with(0.035, 3.5)));
         assert!(!is_precise(&with(0.036, 3.5)) && !is_precise(&with(0.035, 3.6)));
         assert!(!is_precise(&with(f64::NAN, 1.0)));
+    }
+
+    #[test]
+    fn a_pose_is_false_by_its_position_or_by_its_rotation() {
+        let at = |x_m: f64, turn_deg: f64| {
+            Isometry3::new(Vector3::new(x_m, 0.0, 1.0), Vector3::y() * turn_deg.to_radians())
+        };
+        assert!(!is_false(&at(0.099, 9.9), &at(0.0, 0.0)));
+        assert!(
+            is_false(&at(0.101, 0.0), &at(0.0, 0.0)) && is_false(&at(0.0, 10.1), &at(0.0, 0.0))
+        );
     }
 
     #[test]
