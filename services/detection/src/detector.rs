@@ -40,6 +40,10 @@ const MAX_MISFIT: f64 = 0.15;
 /// [`BLURRED`].
 const MAX_BLUR_CELLS: f64 = 0.75;
 
+/// Largest blur of a marker that passes [`BLURRED`], cells. Small markers at long range are blurred by 0.8 to 1. Without it a
+/// smooth patch of a real panorama reads as a marker.
+const MAX_BLUR_CELLS_AT_RANGE: f64 = 1.1;
+
 /// What markers blurred by more than [`MAX_BLUR_CELLS`] must reach: log-likelihood ratio, and residual. 7,100 squares that are
 /// blurred as much and are no markers were read, of a hall, panoramas and a simulated world. None had a ratio above 8 to the next
 /// marker; that to what is no marker is lower still.
@@ -344,7 +348,7 @@ impl Detector {
             decoded.log_likelihood_ratio() >= ratio && refined.residual_sigma <= misfit;
         decoded.log_likelihood_ratio() >= self.parameters.min_log_likelihood_ratio
             && refined.residual_sigma <= MAX_MISFIT
-            && (blur <= MAX_BLUR_CELLS || passes_blurred)
+            && (blur <= MAX_BLUR_CELLS || (blur <= MAX_BLUR_CELLS_AT_RANGE && passes_blurred))
     }
 
     /// Whether the cells have the contrast of print. See [`MIN_CELL_CONTRAST`].
