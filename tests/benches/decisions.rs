@@ -22,9 +22,6 @@ use chance::Chance;
 use pictures::{Shown, Still};
 use tally::{Hypothesis, Kind, Tally};
 
-/// A pose is wrong if it is off by more than this.
-const WRONG_M: f64 = 0.1;
-const WRONG_RAD: f64 = 0.1745;
 /// Poses that differ by less are the same.
 const SAME_RAD: f64 = 0.2;
 /// Attitudes other than the right one that are tried for each body.

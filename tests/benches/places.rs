@@ -20,6 +20,7 @@ use std::time::{Duration, Instant};
 
 use chance::Chance;
 use flockeye_geometry::camera::Camera;
+use flockeye_geometry::pose::is_false;
 use flockeye_imaging::align::{
     AlignOptions, Alignment, BodyPrint, Picture, Place, Templates, align, starts_at,
 };
@@ -41,9 +42,6 @@ const OFF_RANGE: f64 = 0.2;
 /// The body of all pictures: side of its markers and its radius, metres.
 const SIDE_M: f64 = 0.05;
 const RADIUS_M: f64 = 0.0817;
-/// A pose is right within these.
-const RIGHT_M: f64 = 0.1;
-const RIGHT_RAD: f64 = 0.1745;
 /// Places without a body that are searched in each picture.
 const PLACES: usize = 4;
 /// A place nearer to a body than this is not one without, radians.
@@ -132,7 +130,7 @@ impl Bench {
             let options = AlignOptions::default();
             let told = align(&still.prints[shown.body], &picture, &near, &options).ok();
             let accepted = |found: &&Alignment| found.is_accepted() && found.is_precise();
-            let is_right = |found: &Alignment| is_right(&found.camera_from_markers, truth);
+            let is_right = |found: &Alignment| !is_false(&found.camera_from_markers, truth);
             let found = found.as_ref().filter(accepted);
             self.sought.push(Sought {
                 origin: origin.to_owned(),
@@ -232,9 +230,4 @@ impl Bench {
 fn view_of(still: &Still, place: &Place) -> Cutting {
     let middle: Vector3<f64> = place.direction_in_camera * (0.75 * place.range_m);
     still.view_of(&Isometry3::translation(middle.x, middle.y, middle.z))
-}
-
-fn is_right(pose: &Isometry3<f64>, truth: &Isometry3<f64>) -> bool {
-    pose.rotation.angle_to(&truth.rotation) < RIGHT_RAD
-        && (pose.translation.vector - truth.translation.vector).norm() < RIGHT_M
 }

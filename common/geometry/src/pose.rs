@@ -98,6 +98,17 @@ impl PoseDeviations {
     }
 }
 
+/// A pose that is wrong by more than this, metres, is a false one.
+pub const FALSE_POSITION_M: f64 = 0.1;
+/// The same for its rotation, radians: 10 degrees.
+pub const FALSE_ROTATION_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
+
+/// Whether `pose` is a false one if the body is at `truth`.
+pub fn is_false(pose: &Isometry3<f64>, truth: &Isometry3<f64>) -> bool {
+    (pose.translation.vector - truth.translation.vector).norm() > FALSE_POSITION_M
+        || pose.rotation.angle_to(&truth.rotation) > FALSE_ROTATION_RAD
+}
+
 /// Why there is no pose.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum PoseError {

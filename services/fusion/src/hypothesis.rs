@@ -8,9 +8,10 @@
 use std::sync::{Arc, OnceLock};
 
 use flockeye_geometry::body::{Bodies, Body};
+use flockeye_geometry::pose::is_false;
 use flockeye_imaging::align::{
     AlignError, AlignOptions, Alignment, BodyPrint, Motion, Picture, Place, PrintError, Templates,
-    align, is_false, least_lead, reacquire, starts_at,
+    align, least_lead, reacquire, starts_at,
 };
 use flockeye_imaging::edges::MarkerPrint;
 use nalgebra::{Isometry3, Unit, Vector3};
@@ -22,7 +23,7 @@ use crate::policy::TimeBudget;
 const TILTED_LOG: f64 = -6.9;
 /// Standard deviation, about each axis, of the turn of right poses from their tracks' predictions, radians.
 const TURN_SIGMA_RAD: f64 = 0.15;
-/// The same of poses that alignment finds where no body is, from where it started: of 155 with log odds above 1 half had
+/// The same of poses that alignment finds where no body is, from where it started: half of those with log odds above 1 had
 /// turned by more than 0.46 (docs/results/decisions.md).
 const FALSE_TURN_SIGMA_RAD: f64 = 0.3;
 

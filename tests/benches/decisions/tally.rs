@@ -1,11 +1,12 @@
 //! What each decision accepts of right and of wrong poses.
 
 use flockeye_fusion::hypothesis::turn_log;
+use flockeye_geometry::pose::is_false;
 use flockeye_geometry::statistics::quantile;
 use flockeye_imaging::align::{Alignment, least_lead};
 use nalgebra::Isometry3;
 
-use crate::{STOPS, WRONG_M, WRONG_RAD};
+use crate::STOPS;
 
 /// Where an alignment began.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -45,11 +46,7 @@ impl Hypothesis {
     }
 
     fn is_right(&self) -> bool {
-        let pose = &self.found.camera_from_markers;
-        self.truth.is_some_and(|truth| {
-            (truth.translation.vector - pose.translation.vector).norm() < WRONG_M
-                && truth.rotation.angle_to(&pose.rotation) < WRONG_RAD
-        })
+        self.truth.is_some_and(|truth| !is_false(&self.found.camera_from_markers, &truth))
     }
 
     fn log_odds(&self) -> f64 {

@@ -23,6 +23,7 @@ mod text;
 use std::collections::BTreeMap;
 
 use flockeye_contract::{MeasuredBy, TrackState};
+use flockeye_geometry::pose::{FALSE_POSITION_M, FALSE_ROTATION_RAD};
 use flockeye_geometry::statistics::{median, quantile};
 use flockeye_record::{PoseRow, TruthRow};
 use serde::Serialize;
@@ -42,11 +43,6 @@ const RANGES_M: [(f64, Option<f64>); 8] = [
     (1.5, Some(2.4)),
     (0.0, None),
 ];
-
-/// A measurement that is wrong by more than this is a false one, metres.
-pub const FALSE_M: f64 = 0.1;
-/// The same for its rotation, degrees.
-pub const FALSE_DEG: f64 = 10.0;
 
 /// The results in one range of distances.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -238,8 +234,9 @@ impl FalsePose {
     fn of(pose: &PoseRow, truth: Option<&TruthRow>) -> Option<Self> {
         let error =
             truth.map(|truth| measurement(pose, truth).unwrap_or_else(|| published(pose, truth)));
-        let is_right =
-            |error: &PoseOffset| error.position_m() <= FALSE_M && error.rotation_deg() <= FALSE_DEG;
+        let is_right = |error: &PoseOffset| {
+            error.position_m() <= FALSE_POSITION_M && error.rotation.norm() <= FALSE_ROTATION_RAD
+        };
         (!error.as_ref().is_some_and(is_right)).then(|| Self {
             frame: pose.frame,
             target: pose.target.clone(),

@@ -23,6 +23,16 @@ fn some_visible<'a>(
 }
 
 #[test]
+fn a_pose_is_false_by_its_position_or_by_its_rotation() {
+    let at = |x_m: f64, turn_deg: f64| {
+        Isometry3::new(Vector3::new(x_m, 0.0, 1.0), Vector3::y() * turn_deg.to_radians())
+    };
+    let is_false = |x_m, turn_deg| is_false(&at(x_m, turn_deg), &at(0.0, 0.0));
+    assert!(!is_false(0.099, 9.9));
+    assert!(is_false(0.101, 0.0) && is_false(0.0, 10.1));
+}
+
+#[test]
 fn the_sharper_of_two_sightings_stays() {
     let ray = |marker_id, corner, deviation_rad, y| CornerRay {
         marker_id,

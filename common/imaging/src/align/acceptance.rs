@@ -4,8 +4,8 @@
 //! few false ones would be that there are at most [`FALSE_POSES_PER_HOUR`] of each way to find one. How many poses are
 //! tried in an hour differs: anywhere, where a track predicts the body, or where markers were decoded.
 
-use flockeye_geometry::pose::PoseDeviations;
-use nalgebra::{Isometry3, Matrix6};
+use flockeye_geometry::pose::{FALSE_POSITION_M, FALSE_ROTATION_RAD, PoseDeviations};
+use nalgebra::Matrix6;
 
 use super::alignment::Alignment;
 use super::evidence::Evidence;
@@ -30,11 +30,6 @@ const MARKED_PER_HOUR: f64 = 108.0;
 
 /// Times in an hour that a pose is chosen from several: a body is found anew each half minute.
 const CHOICES_PER_HOUR: f64 = 120.0;
-
-/// A pose that is wrong by as much as this, metres or radians, is a false one.
-const FALSE_POSITION_M: f64 = 0.1;
-/// See [`FALSE_POSITION_M`].
-const FALSE_ROTATION_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
 
 /// A pose is a measurement by itself if so many of its standard deviations are less than what makes it a false one.
 /// docs/results/history.md#precision has the curve.
@@ -70,12 +65,6 @@ impl LeastLogOdds {
 /// By how much the log odds of a pose must exceed those of all others together, to be chosen from them.
 pub fn least_lead() -> f64 {
     (CHOICES_PER_HOUR / FALSE_POSES_PER_HOUR).ln()
-}
-
-/// Whether `pose` would be a false one if the body were at `truth`.
-pub fn is_false(pose: &Isometry3<f64>, truth: &Isometry3<f64>) -> bool {
-    (pose.translation.vector - truth.translation.vector).norm() >= FALSE_POSITION_M
-        || pose.rotation.angle_to(&truth.rotation) >= FALSE_ROTATION_RAD
 }
 
 /// Whether a pose with this covariance, position (m), then rotation vector (rad), is of use by itself. One that is less
@@ -122,7 +111,6 @@ impl Evidence {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::Vector3;
 
     #[test]
     fn the_more_is_tried_the_more_is_asked() {
@@ -145,17 +133,6 @@ mod tests {
         assert!(is_precise(&with(0.035, 3.5)));
         assert!(!is_precise(&with(0.036, 3.5)) && !is_precise(&with(0.035, 3.6)));
         assert!(!is_precise(&with(f64::NAN, 1.0)));
-    }
-
-    #[test]
-    fn a_pose_is_false_by_its_position_or_by_its_rotation() {
-        let at = |x_m: f64, turn_deg: f64| {
-            Isometry3::new(Vector3::new(x_m, 0.0, 1.0), Vector3::y() * turn_deg.to_radians())
-        };
-        assert!(!is_false(&at(0.099, 9.9), &at(0.0, 0.0)));
-        assert!(
-            is_false(&at(0.101, 0.0), &at(0.0, 0.0)) && is_false(&at(0.0, 10.1), &at(0.0, 0.0))
-        );
     }
 
     #[test]

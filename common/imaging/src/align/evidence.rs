@@ -157,22 +157,13 @@ impl Comparison {
                 facets[index].inside.add(&products);
             }
         }
-        let fit = |products: &Products, printed: &PrintedFacet| {
-            let (correlation, pattern) = products.partial_correlation()?;
-            let pixels = f64::from(products.count) / samples_per_pixel;
-            let inner = printed.cells.as_ref().map_or(0, |cells| cells.count.saturating_sub(2));
-            let independent = INDEPENDENT_SHARE * pixels.min(inner.pow(2) as f64);
-            let log_odds = products.log_odds(independent)?;
-            Some(FacetFit { correlation, pattern, log_odds })
-        };
-        let facets = || facets.iter().zip(&print.facets);
-        let fits: Vec<Option<FacetFit>> =
-            facets().map(|(facet, printed)| fit(&facet.covered, printed)).collect();
-        let disagrees = facets()
-            .map(|(facet, printed)| {
-                fit(&facet.inside, printed).is_some_and(|fit| fit.log_odds < 0.0)
+        let facets = facets.iter().zip(&print.facets);
+        let (fits, disagrees): (Vec<_>, Vec<_>) = facets
+            .map(|(FacetPixels { inside, covered }, printed)| {
+                let fit = |pixels: &Products| pixels.fit(printed, samples_per_pixel);
+                (fit(covered), fit(inside).is_some_and(|fit| fit.log_odds < 0.0))
             })
-            .collect();
+            .unzip();
         Self { evidence: Evidence::of_facets(&fits), disagrees }
     }
 }
@@ -193,17 +184,26 @@ impl Products {
         self.count += 1;
     }
 
-    /// The partial correlation of radiance and cells, and the sum of squares of the cells' pattern.
-    /// `None` where there are too few pixels, or the blur leaves nothing of the pattern.
-    fn partial_correlation(&self) -> Option<(f64, f64)> {
+    /// How well the print explains these pixels of a facet. `None` where they are too few, the blur leaves nothing of the
+    /// pattern, or the radiance is nowhere above 0.
+    fn fit(&self, printed: &PrintedFacet, samples_per_pixel: f64) -> Option<FacetFit> {
         // So few are explained by anything.
         if self.count as usize <= self.matrix.nrows() {
             return None;
         }
         let left = self.without_border();
-        let (cells, radiance) = (left[(3, 3)], left[(4, 4)]);
-        let is_determined = cells > MIN_PATTERN * f64::from(self.count) && radiance > 0.0;
-        is_determined.then(|| (left[(3, 4)] / (cells * radiance).sqrt(), cells))
+        let (pattern, unexplained) = (left[(3, 3)], left[(4, 4)]);
+        if pattern <= MIN_PATTERN * f64::from(self.count) || unexplained <= 0.0 {
+            return None;
+        }
+        let pixels = f64::from(self.count) / samples_per_pixel;
+        let inner = printed.cells.as_ref().map_or(0, |cells| cells.count.saturating_sub(2));
+        let independent = INDEPENDENT_SHARE * pixels.min(inner.pow(2) as f64);
+        Some(FacetFit {
+            correlation: left[(3, 4)] / (pattern * unexplained).sqrt(),
+            pattern,
+            log_odds: self.log_odds(independent, unexplained)?,
+        })
     }
 
     /// The Schur complement of margin, border and the mean of the cells: they are regressed out, one column after the
@@ -222,11 +222,11 @@ impl Products {
     }
 
     /// Log of the likelihood ratio of the print against something else with the same border and mean, of which so many
-    /// values are independent.
+    /// values are independent, and which leaves this sum of squares unexplained.
     ///
     /// Both leave residuals of unknown variance, so the ratio is that of their sums of squares. `None` where the radiance
     /// is nowhere above 0.
-    fn log_odds(&self, independent: f64) -> Option<f64> {
+    fn log_odds(&self, independent: f64, unexplained: f64) -> Option<f64> {
         let count = f64::from(self.count);
         let m = &self.matrix;
         // Radiance is white (1 - contrast black); sums of squares and products of black with radiance.
@@ -248,13 +248,8 @@ impl Products {
         }
         let floor = (MODEL_ERROR * white).powi(2);
         let print = (square - white * shape).max(0.0) / count + floor;
-        let other = self.unexplained() / count + floor;
+        let other = unexplained / count + floor;
         Some(independent / 2.0 * (other / print).ln())
-    }
-
-    /// Sum of squares of the radiance that margin, border and the mean of the cells do not explain.
-    fn unexplained(&self) -> f64 {
-        self.without_border()[(4, 4)].max(0.0)
     }
 }
 
@@ -308,21 +303,23 @@ mod tests {
     #[test]
     fn print_of_any_light_speaks_for_the_body_and_other_patterns_against_it() {
         let pattern = |cell: usize| cell * 7 % 5 < 2;
+        let log_odds =
+            |products: Products| products.log_odds(5.0, products.without_border()[(4, 4)].max(0.0));
         for white in [0.02, 0.3, 0.9, 4.0] {
             let print = |black: bool, pixel: usize| {
                 let noise = 0.02 * ((pixel * 37 % 11) as f64 / 5.0 - 1.0);
                 white * (if black { 0.1 } else { 1.0 } + noise)
             };
-            let right = products(pattern, print).log_odds(5.0).unwrap();
+            let right = log_odds(products(pattern, print)).unwrap();
             assert!(right > 6.0, "{white}: {right}");
             let other =
                 products(|cell| cell * 11 % 3 == 0, |_, pixel| print(pattern(pixel / 4), pixel));
-            let other = other.log_odds(5.0).unwrap();
+            let other = log_odds(other).unwrap();
             assert!(other < -0.3, "{white}: {other}");
         }
         // A grey square has no pattern, so none of the marker's either.
         let grey = products(pattern, |_, pixel| 0.3 + 1e-3 * (pixel % 3) as f64);
-        assert!(grey.log_odds(5.0).unwrap() < -3.0);
-        assert_eq!(products(pattern, |_, _| 0.0).log_odds(5.0), None);
+        assert!(log_odds(grey).unwrap() < -3.0);
+        assert_eq!(log_odds(products(pattern, |_, _| 0.0)), None);
     }
 }

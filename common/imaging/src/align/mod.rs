@@ -46,7 +46,7 @@ mod samples;
 mod solve;
 mod state;
 
-pub use acceptance::{LeastLogOdds, is_false, is_precise, least_lead};
+pub use acceptance::{LeastLogOdds, is_precise, least_lead};
 pub use acquire::{Place, Templates};
 pub use alignment::{AlignError, AlignOptions, Alignment};
 pub use depiction::{Depiction, depict};

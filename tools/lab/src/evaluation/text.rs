@@ -3,13 +3,14 @@
 use std::fmt;
 
 use flockeye_cli::text_table::TextTable;
+use flockeye_geometry::pose::{FALSE_POSITION_M, FALSE_ROTATION_RAD};
 
 use super::consistency::{Consistency, Nees, NeesVerdict};
 use super::error::Errors;
 use super::predictions::{PredictionErrors, Predictions};
 use super::rotations::RotationEvaluation;
 use super::statistics::Spread;
-use super::{Bin, Evaluation, FALSE_DEG, FALSE_M};
+use super::{Bin, Evaluation};
 
 /// Places of false poses that are listed.
 const LISTED: usize = 10;
@@ -226,9 +227,10 @@ impl fmt::Display for Evaluation {
         }
         write!(
             f,
-            "\n{} false (wrong by more than {:.0} cm or {FALSE_DEG:.0}°, or of a body that is not there)",
+            "\n{} false (wrong by more than {:.0} cm or {:.0}°, or of a body that is not there)",
             self.false_poses,
-            FALSE_M * 100.0
+            FALSE_POSITION_M * 100.0,
+            FALSE_ROTATION_RAD.to_degrees()
         )?;
         for at in self.false_at.iter().take(LISTED) {
             match (at.position_m, at.rotation_deg) {

@@ -1,11 +1,12 @@
 //! The page round the figures.
 
+use flockeye_geometry::pose::{FALSE_POSITION_M, FALSE_ROTATION_RAD};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use super::flight_path::SCRIPT;
 use crate::evaluation::consistency::{Consistency, Nees};
 use crate::evaluation::error::Errors;
-use crate::evaluation::{Bin, Evaluation, FALSE_DEG, FALSE_M};
+use crate::evaluation::{Bin, Evaluation};
 
 const STYLE: &str = "
 :root { --ground: #ffffff; --ink: #1f2328; --soft: #59636e; --grid: #d8dee4;
@@ -205,8 +206,8 @@ fn false_poses(evaluation: &Evaluation) -> Markup {
     html! {
         h3 { "False poses: " (evaluation.false_poses) }
         p {
-            "Measurements that are wrong by more than " (fixed(FALSE_M * 100.0, 0)) " cm or "
-            (fixed(FALSE_DEG, 0)) "°, or of a body that is not there."
+            "Measurements that are wrong by more than " (fixed(FALSE_POSITION_M * 100.0, 0)) " cm or "
+            (fixed(FALSE_ROTATION_RAD.to_degrees(), 0)) "°, or of a body that is not there."
         }
         ul {
             @for at in &evaluation.false_at {
