@@ -1,5 +1,6 @@
 //! A headless Chromium, driven over its DevTools protocol.
 
+use std::fs::File;
 use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -31,9 +32,18 @@ impl Browser {
             absent(BROWSER, "chromium, which `make setup` installs");
             return None;
         };
-        // Chromium now and then hangs while it starts; a new one does not.
-        let started = (0..STARTS).find_map(|_| launch(&program));
-        let (process, profile, told) = started.expect("one of several browsers says its port");
+        // Chromium now and then hangs while it starts. The next one has fewer processes that could wait for each other.
+        let mut reasons = Vec::new();
+        let started = WAYS.iter().find_map(|way| match launch(&program, way) {
+            Ok(started) => Some(started),
+            Err(reason) => {
+                reasons.push(reason);
+                None
+            }
+        });
+        let Some((process, profile, told)) = started else {
+            panic!("no browser says its port:\n{}", reasons.join("\n"));
+        };
         let mut chief = connect(told.0, &told.1);
         let targets = call(&mut chief, 1, "Target.getTargets", &json!({}), &mut Vec::new());
         let infos = targets["targetInfos"].as_array().expect("a list").clone();
@@ -146,22 +156,33 @@ fn call(
     }
 }
 
-/// Browsers that are started until one says its port.
-const STARTS: u32 = 4;
+/// Arguments of the browsers that are started until one says its port.
+const WAYS: &[&[&str]] = &[&[], &[], &["--no-zygote"], &["--no-zygote", "--in-process-gpu"]];
 /// How long one may take for that.
 const START: Duration = Duration::from_secs(25);
 
-/// Starts a browser. Its process, its profile, and its port with the path of its socket; `None` if it says none.
-fn launch(program: &Path) -> Option<(Beside, Scratch, (u16, String))> {
+/// Starts a browser. Its process, its profile, and its port with the path of its socket; what is known of it if it
+/// says none.
+fn launch(program: &Path, way: &[&str]) -> Result<(Beside, Scratch, (u16, String)), String> {
     let profile = Scratch::new("browser");
+    let complaints = profile.path("stderr");
     let mut command = Command::new(program);
     command.args(["--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--mute-audio"]);
     // WebGL by the processor, which is there everywhere.
     command.args(["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]);
-    command.args(["--no-first-run", "--disable-background-networking", "--window-size=1000,700"]);
-    command.arg("--remote-debugging-port=0");
+    command.args(["--no-first-run", "--window-size=1000,700"]);
+    // Nothing but the page: no updates, no crash reports, no look at the desktop or the network outside.
+    command.args([
+        "--disable-background-networking",
+        "--disable-component-update",
+        "--disable-sync",
+    ]);
+    command.args(["--disable-quic", "--no-proxy-server", "--disable-breakpad"]);
+    command.args(["--password-store=basic"]).env("DBUS_SESSION_BUS_ADDRESS", "disabled:");
+    command.args(way).arg("--remote-debugging-port=0");
     command.arg(format!("--user-data-dir={}", profile.path("").display()));
-    command.arg("about:blank").stdout(Stdio::null()).stderr(Stdio::null());
+    command.arg("about:blank").stdout(Stdio::null());
+    command.stderr(File::create(&complaints).expect("a temporary file can be made"));
     let process = Beside::start(command);
     let port_file = profile.path("DevToolsActivePort");
     let start = Instant::now();
@@ -171,9 +192,24 @@ fn launch(program: &Path) -> Option<(Beside, Scratch, (u16, String))> {
             && let Ok(port) = port.trim().parse()
             && !path.trim().is_empty()
         {
-            return Some((process, profile, (port, path.trim().to_owned())));
+            return Ok((process, profile, (port, path.trim().to_owned())));
         }
         std::thread::sleep(Duration::from_millis(20));
     }
-    None
+    let said = std::fs::read_to_string(&complaints).unwrap_or_default();
+    let processes = Command::new("ps")
+        .args(["-o", "pid,ppid,stat,wchan:20,time,args", "-C", "chromium"])
+        .output();
+    let processes = processes.map_or_else(
+        |error| error.to_string(),
+        |output| {
+            String::from_utf8_lossy(&output.stdout)
+                .lines()
+                .map(|line| format!("{line:.160}\n"))
+                .collect()
+        },
+    );
+    Err(format!(
+        "with {way:?}:\n{said:.2000}\nits processes, and those of others:\n{processes:.4000}"
+    ))
 }

@@ -245,12 +245,22 @@ impl Beside {
     pub fn start(mut command: Command) -> Self {
         Self(command.stdin(Stdio::null()).spawn().expect("it can be started"))
     }
+
+    /// Whether it has ended by itself.
+    pub fn has_ended(&mut self) -> bool {
+        !matches!(self.0.try_wait(), Ok(None))
+    }
+
+    /// Kills it now.
+    pub fn kill(&mut self) {
+        drop(self.0.kill());
+        drop(self.0.wait());
+    }
 }
 
 impl Drop for Beside {
     fn drop(&mut self) {
-        drop(self.0.kill());
-        drop(self.0.wait());
+        self.kill();
     }
 }
 

@@ -35,16 +35,16 @@ fn every_configuration_is_in_order() {
 fn two_simulated_drones_hear_each_other() {
     // Other ports than those of the files, because another pipeline may have these.
     let [one, two] = [free_port(), free_port()];
-    let start = |name: &str, own: u16, other: u16| {
+    let start = |name: &str, own: u16, connect: &str| {
         let listen = format!("gateway.listen=[tcp/127.0.0.1:{own}]");
-        let connect = format!("gateway.connect=[tcp/127.0.0.1:{other}]");
+        let connect = format!("gateway.connect=[{connect}]");
         let small: Vec<_> =
             SMALL_FLIGHT.iter().copied().filter(|set| !set.starts_with("gateway")).collect();
         let set = [&[&*listen, &*connect][..], &small].concat();
         let file = configuration(&format!("simulated-drone-{name}.yaml"));
         Flight::start(&format!("pair-{name}"), &[&file], &set)
     };
-    let flights = [start("one", one, two), start("two", two, one)];
+    let flights = [start("one", one, ""), start("two", two, &format!("tcp/127.0.0.1:{one}"))];
     let started = Instant::now();
     loop {
         let endpoint = format!("tcp/127.0.0.1:{one}");
@@ -61,7 +61,8 @@ fn two_simulated_drones_hear_each_other() {
         if confirmed == BTreeSet::from(["one".to_owned(), "two".to_owned()]) {
             break;
         }
-        assert!(started.elapsed() < WATCHDOG, "{said}\n{}", flights[0].output());
+        let outputs = || flights.each_ref().map(Flight::output).join("\n");
+        assert!(started.elapsed() < WATCHDOG, "{}\nonlookers heard {said}", outputs());
     }
     for mut flight in flights {
         flight.signal(Signal::TERM);

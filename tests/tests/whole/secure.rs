@@ -3,9 +3,13 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
 use std::time::Duration;
 
 use flockeye_require::loopback::free_port;
+use flockeye_runtime::lock::lock;
 use flockeye_tests::{Beside, Flight, Scratch, flockeye, run, told, unique};
 use rustix::process::Signal;
 
@@ -54,16 +58,14 @@ impl Keys {
     }
 
     /// Starts the router with the configuration that was made for it, on another port.
-    fn router(&self, port: u16) -> Beside {
+    fn router(&self, port: u16) -> Router {
         fs::write(Path::new(&self.path("base")).join("zenohd.json5"), self.run(&["rules"]))
             .expect("written");
         let config: PathBuf = self.folder.path("base/zenohd.json5");
         let text = fs::read_to_string(&config).expect("it was written");
         let text = text.replace("tls/[::]:7447", &format!("tls/127.0.0.1:{port}"));
         fs::write(&config, text).expect("written");
-        let mut command = Command::new(flockeye().with_file_name("zenoh-router"));
-        command.arg("zenohd.json5").current_dir(self.path("base"));
-        Beside::start(command)
+        Router::start(self.path("base").into())
     }
 
     /// Starts a drone that links with the router.
@@ -84,6 +86,53 @@ impl Keys {
         ));
         let set: Vec<&str> = set.iter().map(String::as_str).collect();
         Flight::start(name, &[], &set)
+    }
+}
+
+/// A router that is started again when it dies, as docs/SECURITY.md asks for: Zenoh's TLS links may end their process.
+struct Router {
+    process: Arc<Mutex<Beside>>,
+    is_over: Arc<AtomicBool>,
+    keeper: Option<JoinHandle<()>>,
+}
+
+impl Router {
+    /// With the configuration in `folder`.
+    fn start(folder: PathBuf) -> Self {
+        let start = move || {
+            let mut command = Command::new(flockeye().with_file_name("zenoh-router"));
+            command.arg("zenohd.json5").current_dir(&folder);
+            Beside::start(command)
+        };
+        let process = Arc::new(Mutex::new(start()));
+        let is_over = Arc::new(AtomicBool::new(false));
+        let keeper = std::thread::spawn({
+            let (process, is_over) = (process.clone(), is_over.clone());
+            move || {
+                while !is_over.load(Relaxed) {
+                    let mut process = lock(&process);
+                    if process.has_ended() {
+                        *process = start();
+                    }
+                    drop(process);
+                    std::thread::sleep(Duration::from_millis(50));
+                }
+            }
+        });
+        Self { process, is_over, keeper: Some(keeper) }
+    }
+
+    /// Lets it die.
+    fn kill(&self) {
+        lock(&self.process).kill();
+    }
+}
+
+impl Drop for Router {
+    fn drop(&mut self) {
+        self.is_over.store(true, Relaxed);
+        // A keeper that panicked has said so.
+        self.keeper.take().map(JoinHandle::join);
     }
 }
 
@@ -116,6 +165,25 @@ fn drones_with_certificates_hear_each_other_until_one_is_revoked() {
     // The router does not know it yet, and passes on what wren says; its signature tells.
     kite.wait_for("the certificate of 'wren' is revoked");
     for mut flight in [wren, kite] {
+        flight.signal(Signal::TERM);
+        flight.wait();
+        flight.assert_nothing_left();
+    }
+}
+
+#[test]
+fn drones_link_again_with_a_router_that_died() {
+    let keys = Keys::new();
+    let port = free_port();
+    let router = keys.router(port);
+    let mut wren = keys.fly("wren", "kite", port);
+    let mut kite = keys.fly("kite", "wren", port);
+    kite.wait_for("wren confirmed");
+    look_on(&kite).wait_for("\"observer\":\"wren\"");
+    router.kill();
+    // An onlooker starts with nothing, so what it hears has come through the new router.
+    look_on(&kite).wait_for("\"observer\":\"wren\"");
+    for flight in [&mut wren, &mut kite] {
         flight.signal(Signal::TERM);
         flight.wait();
         flight.assert_nothing_left();
