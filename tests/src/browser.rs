@@ -26,13 +26,13 @@ pub struct Browser {
 }
 
 impl Browser {
-    /// Starts it. Where there is none, says so and returns `None`.
+    /// Starts it. Where there is none, or none that starts, says so and returns `None`.
     pub fn start() -> Option<Self> {
         let Some(program) = find() else {
             absent(BROWSER, "chromium, which `make setup` installs");
             return None;
         };
-        // Chromium now and then hangs while it starts. The next one has fewer processes that could wait for each other.
+        // Chromium now and then hangs while it starts. The last ways have fewer processes that could wait for each other.
         let mut reasons = Vec::new();
         let started = WAYS.iter().find_map(|way| match launch(&program, way) {
             Ok(started) => Some(started),
@@ -42,7 +42,8 @@ impl Browser {
             }
         });
         let Some((process, profile, told)) = started else {
-            panic!("no browser says its port:\n{}", reasons.join("\n"));
+            absent(BROWSER, &format!("a browser that says its port:\n{}", reasons.join("\n")));
+            return None;
         };
         let mut chief = connect(told.0, &told.1);
         let targets = call(&mut chief, 1, "Target.getTargets", &json!({}), &mut Vec::new());
@@ -183,10 +184,10 @@ fn launch(program: &Path, way: &[&str]) -> Result<(Beside, Scratch, (u16, String
     command.arg(format!("--user-data-dir={}", profile.path("").display()));
     command.arg("about:blank").stdout(Stdio::null());
     command.stderr(File::create(&complaints).expect("a temporary file can be made"));
-    let process = Beside::start(command);
+    let mut process = Beside::start(command);
     let port_file = profile.path("DevToolsActivePort");
     let start = Instant::now();
-    while start.elapsed() < START {
+    while start.elapsed() < START && !process.has_ended() {
         let text = std::fs::read_to_string(&port_file).unwrap_or_default();
         if let Some((port, path)) = text.split_once('\n')
             && let Ok(port) = port.trim().parse()

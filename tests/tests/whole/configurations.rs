@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use flockeye_config::Pipeline;
 use flockeye_require::loopback::free_port;
 use flockeye_tests::{Flight, SMALL_FLIGHT, WATCHDOG, recordings, run};
 use rustix::process::Signal;
@@ -35,16 +36,22 @@ fn every_configuration_is_in_order() {
 fn two_simulated_drones_hear_each_other() {
     // Other ports than those of the files, because another pipeline may have these.
     let [one, two] = [free_port(), free_port()];
-    let start = |name: &str, own: u16, connect: &str| {
-        let listen = format!("gateway.listen=[tcp/127.0.0.1:{own}]");
-        let connect = format!("gateway.connect=[{connect}]");
+    let start = |name: &str| {
+        let file = configuration(&format!("simulated-drone-{name}.yaml"));
+        let written = Pipeline::load(Path::new(&file), &[]).expect("it is in order").gateway;
+        let elsewhere = |key: &str, endpoints: &[String]| {
+            let [one, two] = [one, two].map(|port| port.to_string());
+            let endpoints = endpoints.join(", ").replace("7447", &one).replace("7448", &two);
+            format!("gateway.{key}=[{endpoints}]")
+        };
+        let listen = elsewhere("listen", &written.listen);
+        let connect = elsewhere("connect", &written.connect);
         let small: Vec<_> =
             SMALL_FLIGHT.iter().copied().filter(|set| !set.starts_with("gateway")).collect();
         let set = [&[&*listen, &*connect][..], &small].concat();
-        let file = configuration(&format!("simulated-drone-{name}.yaml"));
         Flight::start(&format!("pair-{name}"), &[&file], &set)
     };
-    let flights = [start("one", one, ""), start("two", two, &format!("tcp/127.0.0.1:{one}"))];
+    let flights = ["one", "two"].map(start);
     let started = Instant::now();
     loop {
         let endpoint = format!("tcp/127.0.0.1:{one}");

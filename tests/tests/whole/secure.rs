@@ -97,6 +97,9 @@ struct Router {
 }
 
 impl Router {
+    /// So often at most: one that cannot start is no router.
+    const STARTS: usize = 10;
+
     /// With the configuration in `folder`.
     fn start(folder: PathBuf) -> Self {
         let start = move || {
@@ -109,10 +112,13 @@ impl Router {
         let keeper = std::thread::spawn({
             let (process, is_over) = (process.clone(), is_over.clone());
             move || {
-                while !is_over.load(Relaxed) {
+                let mut starts = 1;
+                while !is_over.load(Relaxed) && starts < Self::STARTS {
                     let mut process = lock(&process);
                     if process.has_ended() {
+                        println!("the router is started again");
                         *process = start();
+                        starts += 1;
                     }
                     drop(process);
                     std::thread::sleep(Duration::from_millis(50));
@@ -183,6 +189,7 @@ fn drones_link_again_with_a_router_that_died() {
     router.kill();
     // An onlooker starts with nothing, so what it hears has come through the new router.
     look_on(&kite).wait_for("\"observer\":\"wren\"");
+    look_on(&wren).wait_for("\"observer\":\"kite\"");
     for flight in [&mut wren, &mut kite] {
         flight.signal(Signal::TERM);
         flight.wait();
