@@ -129,7 +129,7 @@ impl Bench {
                 Picture::still(view.image(), view.view, &self.light, still.pixels_per_radian());
             let options = AlignOptions::default();
             let told = align(&still.prints[shown.body], &picture, &near, &options).ok();
-            let accepted = |found: &&Alignment| found.is_accepted() && found.is_precise();
+            let accepted = |found: &&Alignment| found.is_accepted() && found.is_precise;
             let is_right = |found: &Alignment| !is_false(&found.camera_from_markers, truth);
             let found = found.as_ref().filter(accepted);
             self.sought.push(Sought {
@@ -179,7 +179,7 @@ impl Bench {
         let options = AlignOptions { coarse_first: true, ..options };
         let found = starts.iter().filter_map(|start| align(print, &picture, start, &options).ok());
         found
-            .filter(Alignment::is_precise)
+            .filter(|found| found.is_precise)
             .max_by(|a, b| a.evidence.log_odds.total_cmp(&b.evidence.log_odds))
     }
 

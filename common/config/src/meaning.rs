@@ -262,7 +262,7 @@ impl Meaning<'_> {
         }
         self.simulated_swarm(pipeline);
         let has_no_video =
-            pipeline.source_stage() == StageName::Simulator || pipeline.plays_flight();
+            pipeline.source.stage() == StageName::Simulator || pipeline.source.is_flight();
         let recording = &pipeline.recording;
         if recording.folder.is_some() && recording.frames == RecordedFrames::Camera && has_no_video
         {
@@ -313,7 +313,7 @@ impl Meaning<'_> {
             "simulator.inertial.camera_from_sensor",
             &pipeline.simulator.inertial.camera_from_sensor,
         );
-        let is_simulated = pipeline.source_stage() == StageName::Simulator;
+        let is_simulated = pipeline.source.stage() == StageName::Simulator;
         match pipeline.inertial.parsed_source() {
             Err(problem) => self.problem(path, problem),
             Ok(InertialSource::Simulated) if !is_simulated => {
@@ -322,7 +322,7 @@ impl Meaning<'_> {
                     "only the simulated world has this one: source.input: sim".into(),
                 );
             }
-            Ok(InertialSource::Recording) if !pipeline.plays_flight() => self.problem(
+            Ok(InertialSource::Recording) if !pipeline.source.is_flight() => self.problem(
                 path,
                 "only the recording of a flight has this one: source.input: FILE.mcap".into(),
             ),

@@ -73,18 +73,31 @@ fn set_if_there(element: &gst::Element, name: &str, value: &str) {
 
 /// The decoders in use: names, each with `(hardware)` or `(software)`.
 pub(crate) fn chosen(pipeline: &gst::Pipeline) -> Vec<String> {
-    let mut names = Vec::new();
+    let name = |element: gst::Element| {
+        let kind = if class_of(&element).contains("Hardware") { "hardware" } else { "software" };
+        element.factory().map(|factory| format!("{} ({kind})", factory.name()))
+    };
+    in_use(pipeline).into_iter().filter_map(name).collect()
+}
+
+/// Whether one of the decoders in use takes video: anything but single pictures, as JPEG and PNG are.
+pub(crate) fn decode_video(pipeline: &gst::Pipeline) -> bool {
+    let takes_images = |element: &gst::Element| {
+        let caps = element.static_pad("sink").and_then(|pad| pad.current_caps());
+        caps.and_then(|caps| Some(caps.structure(0)?.name().starts_with("image/"))) == Some(true)
+    };
+    !in_use(pipeline).iter().all(takes_images)
+}
+
+fn in_use(pipeline: &gst::Pipeline) -> Vec<gst::Element> {
+    let mut decoders = Vec::new();
     let mut elements = pipeline.iterate_recurse();
     while let Ok(Some(element)) = elements.next() {
-        if is_decoder(&element)
-            && let Some(factory) = element.factory()
-        {
-            let kind =
-                if class_of(&element).contains("Hardware") { "hardware" } else { "software" };
-            names.push(format!("{} ({kind})", factory.name()));
+        if is_decoder(&element) {
+            decoders.push(element);
         }
     }
-    names
+    decoders
 }
 
 /// How many streams the file's demuxer offers; 0 without one.

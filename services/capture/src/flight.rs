@@ -268,6 +268,11 @@ impl Flight {
         }
     }
 
+    /// Whether its pictures come out of a decoder of video.
+    pub(crate) fn decodes_video(&self) -> bool {
+        self.round.as_ref().is_some_and(|round| round.playback.decodes_video())
+    }
+
     /// Pictures handed out so far.
     pub(crate) fn handed_out(&self) -> u64 {
         self.handed_out

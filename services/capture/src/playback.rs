@@ -359,6 +359,11 @@ impl Playback {
         self.packets.codec()
     }
 
+    /// Whether its pictures come out of a decoder of video.
+    pub(crate) fn decodes_video(&self) -> bool {
+        decoder::decode_video(&self.pipeline)
+    }
+
     /// Frames handed out so far.
     pub(crate) fn handed_out(&self) -> u64 {
         self.handed_out

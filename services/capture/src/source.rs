@@ -199,6 +199,15 @@ impl Source {
         }
     }
 
+    /// Whether its pictures come out of a decoder of video. It is known from the first one on.
+    pub fn decodes_video(&self) -> bool {
+        match &self.state {
+            State::Recording(playback) | State::Camera(_, playback) => playback.decodes_video(),
+            State::Flight(flight) => flight.decodes_video(),
+            State::Folder(_) | State::Lost(..) | State::Ended(_) => false,
+        }
+    }
+
     /// Whether it is a camera, which never ends and may be lost.
     pub fn is_camera(&self) -> bool {
         matches!(self.state, State::Camera(..) | State::Lost(..))

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use flockeye_config::Pipeline;
+use flockeye_config::{Coding, Pipeline};
 use flockeye_contract::{FrameHeader, Frames, PixelFormat, Projection, StageState, Transfer};
 use flockeye_convert::projection_of;
 use flockeye_runtime::credits::Credits;
@@ -34,6 +34,8 @@ pub struct CaptureStage {
     projection: Projection,
     readout_ns: u64,
     counters: SharedCounters,
+    /// Until the first frame: whether `fusion.coding: auto` was taken as video.
+    is_video_guessed: bool,
     losses: Throttle,
     skips: Throttle,
 }
@@ -63,6 +65,8 @@ impl Stage for CaptureStage {
             projection: projection_of(&resolved.camera),
             readout_ns: (pipeline.camera.readout_ms * 1e6) as u64,
             counters: context.counters.clone(),
+            is_video_guessed: pipeline.fusion.coding == Coding::Auto
+                && pipeline.is_coded_as_video(),
             losses: Throttle::default(),
             skips: Throttle::default(),
         })
@@ -136,6 +140,12 @@ impl CaptureStage {
     fn send(&mut self, picture: &Picture) -> anyhow::Result<()> {
         let begun_ns = clock::monotonic_ns();
         self.counters.set_state(None);
+        if std::mem::take(&mut self.is_video_guessed) && !self.source.decodes_video() {
+            tracing::warn!(
+                "no video is decoded here, but covariances are those of video, three times as large. Cure: \
+                 fusion.coding: images, or video where the pictures were video before they came here"
+            );
+        }
         let (width, height) = (picture.width(), picture.height());
         let mut loan = self.frames.loan(width as usize * height as usize)?;
         let rows = loan.items_mut().chunks_exact_mut(width as usize);

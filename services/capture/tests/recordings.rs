@@ -241,3 +241,18 @@ fn a_file_says_what_decodes_it() {
         assert!(!source.is_camera());
     });
 }
+
+#[test]
+fn video_is_told_from_pictures_that_are_coded_each_by_itself() {
+    watched(|| {
+        let scratch = Scratch::new();
+        let decodes_video = |name: &str, coder: &str| {
+            let clip =
+                scratch.clip(name, &format!("{}{coder} ! matroskamux", video(5, 320, "I420")));
+            open(&clip, parameters(Paced::Lossless)).decodes_video()
+        };
+        assert!(decodes_video("h264.mkv", " ! openh264enc ! h264parse"));
+        assert!(!decodes_video("mjpeg.mkv", " ! jpegenc"));
+        assert!(!decodes_video("raw.mkv", ""));
+    });
+}

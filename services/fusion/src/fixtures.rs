@@ -12,7 +12,7 @@ use flockeye_geometry::filter::{MotionModel, TrackPolicy};
 use flockeye_geometry::partition::Partition;
 use flockeye_geometry::search::{GazeOptions, Planner, Purpose, SearchMode};
 use flockeye_geometry::view::View;
-use flockeye_imaging::align::{Alignment, Evidence, Picture};
+use flockeye_imaging::align::{Alignment, Evidence, Picture, is_precise};
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
 use nalgebra::{Isometry3, Matrix2, Matrix6, Point3, Translation3, UnitQuaternion};
 
@@ -197,9 +197,11 @@ pub fn following(pose: &Isometry3<f64>) -> Tracker {
 
 /// What alignment has led to: a pose with these log odds, and this deviation along and about each axis, metres and radians.
 pub fn alignment(camera_from_markers: Isometry3<f64>, log_odds: f64, sigma: f64) -> Alignment {
+    let covariance = Matrix6::from_diagonal_element(sigma * sigma);
     Alignment {
         camera_from_markers,
-        covariance: Matrix6::from_diagonal_element(sigma * sigma),
+        covariance,
+        is_precise: is_precise(&covariance),
         blur_px2: Matrix2::identity(),
         stretch_px2: None,
         evidence: Evidence { log_odds, ..Evidence::default() },

@@ -10,8 +10,8 @@ use std::sync::{Arc, OnceLock};
 use flockeye_geometry::body::{Bodies, Body};
 use flockeye_geometry::pose::is_false;
 use flockeye_imaging::align::{
-    AlignError, AlignOptions, Alignment, BodyPrint, Motion, Picture, Place, PrintError, Templates,
-    align, least_lead, reacquire, starts_at,
+    AlignError, AlignOptions, Alignment, BodyPrint, Coding, Motion, Picture, Place, PrintError,
+    Templates, align, least_lead, reacquire, starts_at,
 };
 use flockeye_imaging::edges::MarkerPrint;
 use nalgebra::{Isometry3, Unit, Vector3};
@@ -116,6 +116,12 @@ impl Aligner {
         self
     }
 
+    /// Sets how the pictures are coded.
+    pub fn with_coding(mut self, coding: Coding) -> Self {
+        self.options.coding = coding;
+        self
+    }
+
     /// Sets how far targets may be tilted from their observer, whose camera is mounted as given: of two
     /// poses that look alike, one beyond `max_rad` is not the body's. With 0 nothing is known of the
     /// tilt. Nor is it ever of a body with a single marker, which may be stuck on anything.
@@ -167,7 +173,7 @@ impl Aligner {
             });
             let (Some(turn), Ok(found)) = (turn, aligned) else { continue };
             let is_predicted = found.is_accepted_with_track_prior(turn);
-            if is_predicted && found.is_accepted() && found.is_precise() {
+            if is_predicted && found.is_accepted() && found.is_precise {
                 notes.accept(&found);
                 return Some(found);
             }
@@ -206,7 +212,7 @@ impl Aligner {
             notes.note(|| self.rival(target, *source, aligned.clone(), &is_marked));
             found.extend(aligned);
             let is_certain = |found: &Alignment| {
-                found.is_accepted() && found.is_precise() && found.evidence.is_unambiguous()
+                found.is_accepted() && found.is_precise && found.evidence.is_unambiguous()
             };
             if budget != TimeBudget::Unlimited && found.last().is_some_and(is_certain) {
                 break;
@@ -214,7 +220,7 @@ impl Aligner {
         }
         let best = found
             .iter()
-            .filter(|found| found.is_precise())
+            .filter(|found| found.is_precise)
             .filter(|found| found.is_accepted() || is_supported_by_markers(found, 0.0, &is_marked))
             .max_by(|a, b| self.likelihood(target, a).total_cmp(&self.likelihood(target, b)))?;
         let mirror = self.mirror_of(target, picture, best);
@@ -255,7 +261,7 @@ impl Aligner {
             rival.tilt_log = self.tilt_log(target, found);
             if found.is_accepted() || is_supported_by_markers(found, 0.0, &is_marked) {
                 rival.verdict =
-                    if found.is_precise() { Verdict::LessLikely } else { Verdict::Imprecise };
+                    if found.is_precise { Verdict::LessLikely } else { Verdict::Imprecise };
             }
         }
         rival
@@ -310,7 +316,7 @@ impl Aligner {
         predicted: &Isometry3<f64>,
         notes: &mut Notes<'_>,
     ) -> Option<Alignment> {
-        if found.as_ref().is_some_and(Alignment::is_precise) {
+        if found.as_ref().is_some_and(|found| found.is_precise) {
             return found;
         }
         let searched = self.reacquire(target, picture, predicted);

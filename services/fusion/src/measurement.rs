@@ -47,7 +47,7 @@ impl Measurement {
             camera_from_markers: found.camera_from_markers,
             covariance: found.covariance,
         };
-        Self { pose, measured_by: MeasuredBy::Aligned, markers, is_precise: found.is_precise() }
+        Self { pose, measured_by: MeasuredBy::Aligned, markers, is_precise: found.is_precise }
     }
 }
 

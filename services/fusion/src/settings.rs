@@ -9,6 +9,7 @@ use flockeye_dictionary::Dictionary;
 use flockeye_geometry::camera::CameraModel;
 use flockeye_geometry::filter::{MotionModel, TrackPolicy};
 use flockeye_geometry::search::{Planner, SearchMode};
+use flockeye_imaging::align::Coding;
 use flockeye_runtime::memory;
 
 use crate::core::Core;
@@ -65,6 +66,7 @@ pub fn configured<P: Pixels>(
     let aligner = Aligner::new(bodies, |id| dictionary.print(id), camera.pixels_per_radian())
         .context("a body cannot be aligned")?
         .with_covariance_scale(pipeline.fusion.covariance_scale)
+        .with_coding(coding(pipeline))
         .with_max_tilt(bodies, observer_from_camera, pipeline.fusion.level_deg.to_radians());
     let aligner = Arc::new(aligner);
     let parallax = Parallax::of(camera, pipeline.camera.assumed_distance_m);
@@ -132,6 +134,11 @@ fn search_mode(pipeline: &Pipeline) -> SearchMode {
         (Mode::Exhaustive, _) | (Mode::Gaze, Filter::None) => SearchMode::Exhaustive,
         (Mode::Gaze, Filter::ConstantVelocity) => SearchMode::Gaze,
     }
+}
+
+/// How the source's pictures are coded.
+fn coding(pipeline: &Pipeline) -> Coding {
+    if pipeline.is_coded_as_video() { Coding::Video } else { Coding::Images }
 }
 
 /// The configured mode, for a plan's header.

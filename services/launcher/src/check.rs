@@ -105,7 +105,13 @@ fn plan(resolved: &Resolved, budget: &Budget) -> anyhow::Result<String> {
         text,
         "source   {} (stage {})",
         pipeline.source.input,
-        pipeline.source_stage().name()
+        pipeline.source.stage().name()
+    )?;
+    writeln!(
+        text,
+        "pictures coded as {}, covariances times {} (fusion.covariance_scale)",
+        if pipeline.is_coded_as_video() { "video" } else { "images" },
+        pipeline.fusion.covariance_scale
     )?;
     let camera = &pipeline.camera;
     let projection = format!("{:?}", camera.projection);

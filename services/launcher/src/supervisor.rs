@@ -120,7 +120,7 @@ impl<'a> Supervisor<'a> {
         let workers = stages
             .filter(|&stage| pipeline.runs(stage))
             .flat_map(|stage| (0..pipeline.replicas(stage)).map(move |replica| (stage, replica)))
-            .chain([(pipeline.source_stage(), 0)]);
+            .chain([(pipeline.source.stage(), 0)]);
         let processes = workers
             .map(|(stage, replica)| {
                 let worker = Worker { stage, replica };
@@ -253,7 +253,7 @@ impl<'a> Supervisor<'a> {
     }
 
     fn is_at_end(&self) -> bool {
-        self.messages.state_of(self.pipeline.source_stage().name(), 0) == Some(StageState::Finished)
+        self.messages.state_of(self.pipeline.source.stage().name(), 0) == Some(StageState::Finished)
             && self.messages.quiet_time() > QUIET_TIME
     }
 

@@ -45,7 +45,7 @@ pub fn run(arguments: &TraceArguments) -> anyhow::Result<()> {
     let mut ends = ports.subscriber::<FrameEnds>()?;
     let mut tracks = ports.subscriber::<Tracks>()?;
     let mut tracer = Tracer::new(
-        resolved.pipeline.source_stage().name(),
+        resolved.pipeline.source.stage().name(),
         resolved.pipeline.flow == Flow::Latest,
     );
     let start = Instant::now();

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow};
 use flockeye_cli::{Screen, running, signals};
-use flockeye_config::{Flow, Resolved};
+use flockeye_config::{Coding, Flow, Resolved};
 use flockeye_contract::{
     CONTRACT_VERSION, PacketHeader, StageName, TOPICS, TopicId, Track, TrackState,
 };
@@ -104,8 +104,8 @@ pub fn record(arguments: &RecordArguments, out: &Path) -> anyhow::Result<()> {
 fn refuse_camera_without_video(frames: FramesChoice, resolved: &Resolved) -> anyhow::Result<()> {
     let pipeline = &resolved.pipeline;
     let input = &pipeline.source.input;
-    let has_none = pipeline.source_stage() == StageName::Simulator
-        || pipeline.plays_flight()
+    let has_none = pipeline.source.stage() == StageName::Simulator
+        || pipeline.source.is_flight()
         || Path::new(input).is_dir();
     match frames == FramesChoice::Camera && has_none {
         true => Err(NotCoded).with_context(|| format!("source {input}")),
@@ -118,8 +118,11 @@ fn beginning(instance: &Instance, resolved: &Resolved) -> anyhow::Result<(About,
     let pipeline = &resolved.pipeline;
     let path = instance.folder().join("pipeline.json");
     let json = std::fs::read(&path).with_context(|| path.display().to_string())?;
-    let parsed: serde_json::Value =
+    let mut parsed: serde_json::Value =
         serde_json::from_slice(&json).with_context(|| path.display().to_string())?;
+    // What `auto` is depends on files that may not be there when the recording is replayed.
+    let coding = if pipeline.is_coded_as_video() { Coding::Video } else { Coding::Images };
+    parsed["fusion"]["coding"] = serde_json::to_value(coding)?;
     let bodies = serde_json::to_vec(&parsed["resolved"]["bodies"])?;
     let utc_from_monotonic_ns = clock::utc_ns() - clock::monotonic_ns();
     let (flow, utc_from_exposure_ns) = match pipeline.flow {

@@ -55,13 +55,13 @@ impl Hypothesis {
 
     /// As a body without a track is accepted.
     fn is_accepted(&self) -> bool {
-        self.found.is_accepted() && self.found.is_precise() && self.lead > least_lead()
+        self.found.is_accepted() && self.found.is_precise && self.lead > least_lead()
     }
 
     /// As a body is accepted whose track predicts the right pose.
     fn is_confirmed(&self) -> bool {
         let turn_log = self.truth.map_or(0.0, |truth| turn_log(&self.found, &truth));
-        self.found.is_precise() && self.found.is_accepted_with_track_prior(turn_log)
+        self.found.is_precise && self.found.is_accepted_with_track_prior(turn_log)
     }
 }
 

@@ -128,6 +128,7 @@ fn a_recorded_flight_is_flown_again() {
     let arguments = ["--source", text(&recording), "--poses", text(&second_poses)];
     let (again, said) = fly("played", &scratch.path("played"), &arguments, &played);
     assert!(said.contains("the recording is complete: 40 frames"), "{said}");
+    assert!(said.contains("Cure: fusion.coding: images"), "its pictures are JPEGs: {said}");
 
     let stamps = frames(&recording);
     assert_eq!(stamps.len(), 40);
@@ -162,13 +163,15 @@ fn a_recorded_flight_is_flown_again() {
     assert!(off_deg[median] < 0.3 && off_deg[most] < 1.5, "{off_deg:?}");
 
     // In real time, over and over.
-    let looping = [&played[..], &["source.at_end=loop"]].concat();
+    let looping = [&played[..], &["source.at_end=loop", "fusion.coding=images"]].concat();
     let mut flight = Flight::start("replayed-rt", &["--source", text(&recording)], &looping);
     flight.wait_for("alpha confirmed");
     std::thread::sleep(Duration::from_secs(3));
     flight.signal(Signal::INT);
     assert!(flight.wait().success(), "{}", flight.output());
-    assert!(!flight.output().contains("is started again"), "{}", flight.output());
+    for unsaid in ["is started again", "fusion.coding"] {
+        assert!(!flight.output().contains(unsaid), "{}", flight.output());
+    }
     flight.assert_nothing_left();
 
     // What it cannot be played by.
@@ -205,7 +208,10 @@ fn a_videos_own_packets_give_the_same_pixels() {
         let clip = scratch.path(file);
         make(&format!("{RAW} ! {encoder}"), &clip);
         let fly = |name: &str, source: &Path, set: &[&str]| {
-            fly(name, &scratch.path(name), &["--source", text(source)], set).0
+            let (recording, said) =
+                fly(name, &scratch.path(name), &["--source", text(source)], set);
+            assert!(!said.contains("fusion.coding"), "it is video: {said}");
+            recording
         };
         let truth = fly("decoded", &clip, &jpegs);
         let video = fly("packets", &clip, &packets);

@@ -16,6 +16,18 @@ fn an_empty_file_is_the_default() {
 }
 
 #[test]
+fn pictures_are_coded_as_video_unless_the_source_has_none() {
+    let is_video = |input: &str, coding: &str| {
+        let text = format!("source: {{input: {input}}}\nfusion: {{coding: {coding}}}");
+        parse(&text).unwrap().is_coded_as_video()
+    };
+    assert!(!is_video("sim", "auto") && !is_video("picture.JPG", "auto"));
+    assert!(!is_video(env!("CARGO_MANIFEST_DIR"), "auto"), "a folder of images");
+    assert!(is_video("flight.mp4", "auto") && is_video("theta", "auto"));
+    assert!(!is_video("v4l2:/dev/video0", "images") && is_video("sim", "video"));
+}
+
+#[test]
 fn the_shipped_file_says_the_defaults() {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../pipeline.yaml");
     assert_eq!(Pipeline::load(Path::new(path), &[]).unwrap(), Pipeline::default());

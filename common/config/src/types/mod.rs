@@ -19,6 +19,7 @@ mod partition;
 mod recording;
 mod search;
 mod simulator;
+mod source;
 mod stages;
 
 pub use bodies::{BodySet, Preset, PresetBody};
@@ -33,6 +34,7 @@ pub use partition::{Auto, Count, Method, Partition};
 pub use recording::{RecordedFrames, Recording, RecordingTrigger};
 pub use search::{Mode, Search, SearchBudget};
 pub use simulator::{SimulatedInertial, SimulatedSun, SimulatedSwarm, Simulator};
+pub use source::{AtEnd, Source};
 pub use stages::{Restart, Scheduling, StageInfo, StageProcess, Stages};
 
 /// A Flockeye pipeline.
@@ -102,7 +104,7 @@ impl Pipeline {
             StageName::Inertial => {
                 matches!(self.inertial.parsed_source(), Ok(InertialSource::Mavlink(_)))
             }
-            source if source.is_source() => source == self.source_stage(),
+            source if source.is_source() => source == self.source.stage(),
             _ => true,
         }
     }
@@ -144,7 +146,7 @@ impl Pipeline {
 
     /// How long a frame is exposed, seconds, if that is known.
     pub fn exposure_s(&self) -> Option<f64> {
-        let exposure_ms = match self.source_stage() {
+        let exposure_ms = match self.source.stage() {
             StageName::Simulator => self.simulator.exposure_ms,
             _ => self.camera.exposure_ms,
         };
@@ -180,15 +182,13 @@ impl Pipeline {
         self.inertial.used && self.has_inertial_sensor()
     }
 
-    /// Whether `source.input` is the recording of a flight.
-    pub fn plays_flight(&self) -> bool {
-        let extension = std::path::Path::new(self.source.input.trim()).extension();
-        extension.is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"))
-    }
-
-    /// The stage that `source.input` needs.
-    pub fn source_stage(&self) -> StageName {
-        if self.source.input == "sim" { StageName::Simulator } else { StageName::Capture }
+    /// Whether pictures are taken to be coded as video: `fusion.coding`.
+    pub fn is_coded_as_video(&self) -> bool {
+        match self.fusion.coding {
+            Coding::Images => false,
+            Coding::Video => true,
+            Coding::Auto => self.source.stage() == StageName::Capture && !self.source.is_images(),
+        }
     }
 }
 
@@ -265,49 +265,6 @@ impl Default for Observer {
             observer_from_camera: Mount::default(),
         }
     }
-}
-
-/// Where frames come from.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct Source {
-    /// `sim`, a video file, a recording of a flight (`FILE.mcap`), a folder of images, `v4l2:/dev/video0`, `theta`,
-    /// or a GStreamer description (with a `!` in it, or behind `gst:`).
-    pub input: String,
-    /// What happens at the end of a recording.
-    pub at_end: AtEnd,
-    /// Pace of a folder of images in real time, images a second.
-    #[schemars(range(min = 0.01, max = 1000.0))]
-    pub images_per_second: f64,
-    /// Threads of a software video decoder; 0 lets it choose, so that a camera's frames are not held back.
-    /// More than 1: as many frames of a camera at a time, each but one of them held back.
-    #[schemars(range(min = 0, max = 64))]
-    pub decoder_threads: u32,
-    /// First and longest wait before a camera that went away is opened again, seconds.
-    pub reopen_s: [f64; 2],
-}
-
-impl Default for Source {
-    fn default() -> Self {
-        Self {
-            input: "sim".into(),
-            at_end: AtEnd::Stop,
-            images_per_second: 1.0,
-            decoder_threads: 0,
-            reopen_s: [0.5, 8.0],
-        }
-    }
-}
-
-/// What happens at the end of a recording.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum AtEnd {
-    /// The pipeline stops.
-    #[default]
-    Stop,
-    /// It begins again, with the next epoch.
-    Loop,
 }
 
 /// How the camera's own rotation is measured.
@@ -429,8 +386,11 @@ pub struct Fusion {
     pub deadline_ms: f64,
     /// Whether bodies are aligned with the pixels of their views; if not, only corners are used.
     pub align: bool,
-    /// Factor on the covariance of an aligned pose, for errors that the pixels do not show: compression, a
-    /// lens or body that differs from its description.
+    /// How the source's pictures are coded. Video codecs shift copied blocks by a fraction of a pixel. Residuals do not
+    /// show it, so covariances are larger.
+    pub coding: Coding,
+    /// Factor on the covariance of an aligned pose, for other errors that the pixels do not show: a lens or a body that
+    /// differs from its description.
     #[schemars(range(min = 0.1, max = 1000.0))]
     pub covariance_scale: f64,
     /// Maximum tilt of a neighbour relative to its observer, degrees. It resolves the mirror ambiguity of a
@@ -457,11 +417,25 @@ impl Default for Fusion {
             angular_acceleration: policy.motion.angular_acceleration,
             deadline_ms: 3000.0,
             align: true,
-            covariance_scale: 3.1,
+            coding: Coding::Auto,
+            covariance_scale: 1.0,
             level_deg: 45.0,
             threads: 2,
         }
     }
+}
+
+/// How pictures are coded.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Coding {
+    /// As `images` from the simulator, an image or a folder of images, else as `video`.
+    #[default]
+    Auto,
+    /// Each by itself: raw, or as a JPEG.
+    Images,
+    /// From the pictures before: H.264, H.265.
+    Video,
 }
 
 /// How poses are filtered.

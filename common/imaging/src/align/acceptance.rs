@@ -31,9 +31,14 @@ const MARKED_PER_HOUR: f64 = 108.0;
 /// Times in an hour that a pose is chosen from several: a body is found anew each half minute.
 const CHOICES_PER_HOUR: f64 = 120.0;
 
-/// A pose is a measurement by itself if so many of its standard deviations are less than what makes it a false one.
-/// docs/results/history.md#precision has the curve.
-const SIGMAS_TO_FALSE: f64 = 2.8;
+// A pose is a measurement by itself if so many of its standard deviations are less than what makes it a false one.
+// docs/results/history.md#precision has the curve.
+
+/// Of an aligned pose.
+const SIGMAS_OF_ALIGNMENT: f64 = 4.93;
+/// Of a pose by corners alone. When the curve was read, it was the same number for both, and covariances of alignments
+/// had a factor of 3.1.
+const SIGMAS_OF_CORNERS: f64 = 2.8;
 
 /// The log odds of the picture from which on a pose is accepted, of which so many are tried in an hour where no body is.
 fn least_log_odds(tried_per_hour: f64) -> f64 {
@@ -67,13 +72,21 @@ pub fn least_lead() -> f64 {
     (CHOICES_PER_HOUR / FALSE_POSES_PER_HOUR).ln()
 }
 
-/// Whether a pose with this covariance, position (m), then rotation vector (rad), is of use by itself. One that is less
-/// precise is only of use to a track, which knows the rest: its covariance says how much. One that is not finite is not
-/// precise.
+/// Whether an aligned pose with this covariance, position (m), then rotation vector (rad), is of use by itself. One that is
+/// less precise is only of use to a track, which knows the rest: its covariance says how much. One that is not finite is
+/// not precise.
 pub fn is_precise(covariance: &Matrix6<f64>) -> bool {
+    is_within_false(covariance, SIGMAS_OF_ALIGNMENT)
+}
+
+/// The same for a pose by corners alone.
+pub fn is_precise_by_corners(covariance: &Matrix6<f64>) -> bool {
+    is_within_false(covariance, SIGMAS_OF_CORNERS)
+}
+
+fn is_within_false(covariance: &Matrix6<f64>, sigmas: f64) -> bool {
     let PoseDeviations { position_m, rotation_rad } = PoseDeviations::of(covariance);
-    SIGMAS_TO_FALSE * position_m < FALSE_POSITION_M
-        && SIGMAS_TO_FALSE * rotation_rad < FALSE_ROTATION_RAD
+    sigmas * position_m < FALSE_POSITION_M && sigmas * rotation_rad < FALSE_ROTATION_RAD
 }
 
 impl Alignment {
@@ -92,11 +105,6 @@ impl Alignment {
     /// else is known: a mirror pose has its marker at the same place.
     pub fn is_accepted_with_markers(&self, prior_log_odds: f64) -> bool {
         self.evidence.log_odds + prior_log_odds >= least_log_odds(MARKED_PER_HOUR)
-    }
-
-    /// Whether the pose is of use by itself, see [`is_precise`].
-    pub fn is_precise(&self) -> bool {
-        is_precise(&self.covariance)
     }
 }
 
@@ -130,9 +138,12 @@ mod tests {
             covariance[(4, 4)] = rotation_deg.to_radians().powi(2);
             covariance
         };
-        assert!(is_precise(&with(0.035, 3.5)));
-        assert!(!is_precise(&with(0.036, 3.5)) && !is_precise(&with(0.035, 3.6)));
+        assert!(is_precise(&with(0.020, 2.0)));
+        assert!(!is_precise(&with(0.021, 2.0)) && !is_precise(&with(0.020, 2.1)));
         assert!(!is_precise(&with(f64::NAN, 1.0)));
+        assert!(is_precise_by_corners(&with(0.035, 3.5)));
+        assert!(!is_precise_by_corners(&with(0.036, 3.5)));
+        assert!(!is_precise_by_corners(&with(0.035, 3.6)));
     }
 
     #[test]

@@ -15,19 +15,42 @@ pub struct AlignOptions {
     pub max_iterations: usize,
     /// Whether to fit with more blur first, for a start that may be off by more than half a cell.
     pub coarse_first: bool,
-    /// Factor of the covariance, for errors that the pixels do not show: compression, calibration.
+    /// Factor on the covariance, for errors that the pixels do not show: of lens and body.
     pub covariance_scale: f64,
+    /// How the pictures are coded.
+    pub coding: Coding,
+}
+
+/// How pictures are coded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Coding {
+    /// Each by itself: raw, or as a JPEG.
+    #[default]
+    Images,
+    /// From the pictures before: H.264, H.265.
+    Video,
+}
+
+impl Coding {
+    /// Factor on the covariance for errors that residuals do not show. A copied block is sharp, but may be shifted by a
+    /// fraction of a pixel. docs/results/codings.md has the figures.
+    pub fn covariance_factor(self) -> f64 {
+        match self {
+            Self::Images => 1.0,
+            Self::Video => 3.1,
+        }
+    }
 }
 
 impl Default for AlignOptions {
-    /// The covariance scale is that of pipeline.yaml (`fusion.covariance_scale`).
     fn default() -> Self {
         Self {
             blur_px: 0.9,
             max_body_px: 75.0,
             max_iterations: 8,
             coarse_first: false,
-            covariance_scale: 3.1,
+            covariance_scale: 1.0,
+            coding: Coding::default(),
         }
     }
 }
@@ -39,6 +62,9 @@ pub struct Alignment {
     pub camera_from_markers: Isometry3<f64>,
     /// Its covariance: position (m), then rotation vector (rad), in the camera frame's axes.
     pub covariance: Matrix6<f64>,
+    /// Whether the pose is of use by itself, see [`is_precise`](super::is_precise). The factor of [`Coding`] is left out:
+    /// video scatters poses, but makes none false.
+    pub is_precise: bool,
     /// Covariance of the point spread, pixels of the sphere image squared, fitted with uniform radiance on
     /// each facet.
     pub blur_px2: Matrix2<f64>,

@@ -46,9 +46,9 @@ mod samples;
 mod solve;
 mod state;
 
-pub use acceptance::{LeastLogOdds, is_precise, least_lead};
+pub use acceptance::{LeastLogOdds, is_precise, is_precise_by_corners, least_lead};
 pub use acquire::{Place, Templates};
-pub use alignment::{AlignError, AlignOptions, Alignment};
+pub use alignment::{AlignError, AlignOptions, Alignment, Coding};
 pub use depiction::{Depiction, depict};
 pub use evidence::Evidence;
 pub use patch::{Motion, Picture};
@@ -133,7 +133,7 @@ pub fn reacquire(
             let start = State { patch_from_markers, ..state.clone() };
             view.align(print, start, &options)
                 .ok()
-                .filter(|found| found.is_accepted() && found.is_precise())
+                .filter(|found| found.is_accepted() && found.is_precise)
         })
         .max_by(|a, b| a.evidence.log_odds.total_cmp(&b.evidence.log_odds))
 }
@@ -243,7 +243,9 @@ impl PreparedView {
         let (fit, evidence) = self.fit_visible(print, state)?;
         let along_sight = self.common_error(print, &fit.patch_from_markers);
         let rim = 1.0 + OCCLUSION_RIM * (1.0 - fit.visible_share).powi(2);
-        let covariance = fit.covariance * (rim * options.covariance_scale) + along_sight;
+        let scale = rim * options.covariance_scale;
+        let shown = fit.covariance * scale + along_sight;
+        let coded = fit.covariance * (scale * options.coding.covariance_factor()) + along_sight;
         let camera_from_patch = patch.view_from_camera.inverse();
         let turn = camera_from_patch.to_rotation_matrix().into_inner();
         let mut axes = Matrix6::zeros();
@@ -251,7 +253,8 @@ impl PreparedView {
         axes.fixed_view_mut::<3, 3>(3, 3).copy_from(&turn);
         Ok(Alignment {
             camera_from_markers: camera_from_patch * fit.patch_from_markers,
-            covariance: axes * covariance * axes.transpose(),
+            covariance: axes * coded * axes.transpose(),
+            is_precise: is_precise(&shown),
             blur_px2: fit.state.blur / settings.prior.magnification.powi(2),
             stretch_px2: settings.prior.stretch_px2(&fit.state.blur),
             evidence,

@@ -57,12 +57,7 @@ fn run(
 ) -> Result<Alignment, AlignError> {
     let light = srgb();
     let picture = Picture::still(drawing.image(), drawing.view, &light, PIXELS_PER_RADIAN);
-    align(
-        print,
-        &picture,
-        start,
-        &AlignOptions { covariance_scale: 1.0, ..AlignOptions::default() },
-    )
+    align(print, &picture, start, &AlignOptions::default())
 }
 
 #[test]
@@ -94,6 +89,31 @@ fn a_start_nearby_converges_to_the_truth() {
         assert!(turned < tolerance_rad, "{turned} rad at {range_m} m");
         assert!(found.evidence.correlation > 0.7, "{:?}", found.evidence);
     }
+}
+
+/// What video coding does to a pose shows in no residual, and makes none false.
+#[test]
+fn a_pose_in_video_is_less_certain_and_as_precise() {
+    let print = print_of(&body(0));
+    let truth = pose(2.0, [0.3, -0.2, 0.9]);
+    let drawing = draw(&body(0), &truth, PIXELS_PER_RADIAN, 0.9, 0.004);
+    let light = srgb();
+    let picture = Picture::still(drawing.image(), drawing.view, &light, PIXELS_PER_RADIAN);
+    let aligned = |coding, covariance_scale| {
+        let options = AlignOptions { coding, covariance_scale, ..AlignOptions::default() };
+        align(&print, &picture, &truth, &options).expect("it is there")
+    };
+    let [image, video] = [Coding::Images, Coding::Video].map(|coding| aligned(coding, 1.0));
+    assert_eq!(image.camera_from_markers, video.camera_from_markers);
+    let ratio = video.covariance[(4, 4)] / image.covariance[(4, 4)];
+    assert!((ratio - Coding::Video.covariance_factor()).abs() < 1e-9, "{ratio}");
+    // With a scale by which the picture's own covariance is just precise.
+    let is_precise_with = |scale: &f64| aligned(Coding::Images, *scale).is_precise;
+    let scales: Vec<f64> = (0..12).map(|power| 2f64.powi(power)).collect();
+    let scale = *scales.iter().rfind(|scale| is_precise_with(scale)).expect("the first is small");
+    assert!(!is_precise_with(scales.last().expect("there are twelve")));
+    let video = aligned(Coding::Video, scale);
+    assert!(video.is_precise && !is_precise(&video.covariance), "with a scale of {scale}");
 }
 
 /// At the true pose the model is the picture, but for noise; beside it, it is not.

@@ -118,7 +118,7 @@ pub fn decided(hypothesis: &Hypothesis) -> String {
     let asked = LeastLogOdds::asked();
     match hypothesis.verdict {
         Verdict::Accepted => match &hypothesis.found {
-            Ok(found) if !found.is_precise() => {
+            Ok(found) if !found.is_precise => {
                 "accepted, but too imprecise to be a measurement by itself".to_owned()
             }
             _ => "accepted".to_owned(),

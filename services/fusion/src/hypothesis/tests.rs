@@ -342,7 +342,7 @@ fn led_to(truth: &Isometry3<f64>, along_x_m: f64, log_odds: f64, sigma_m: f64) -
 fn the_likeliest_pose_counts_and_not_the_most_precise_one() {
     let truth = pose(2.5, 0.4);
     let (precise, likely) = (led_to(&truth, -0.1, 4.0, 0.01), led_to(&truth, 0.0, 6.0, 0.03));
-    assert!(precise.is_precise() && !likely.is_precise());
+    assert!(precise.is_precise && !likely.is_precise);
     let chosen = |starts: &[&Alignment]| {
         let starts: Vec<Start> =
             starts.iter().map(|&found| Start::Tried(Ok(Box::new(found.clone())))).collect();

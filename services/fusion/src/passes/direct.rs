@@ -58,7 +58,7 @@ pub fn align(
 /// The measurement that an alignment gives without any marker, if it is precise, and likely by itself and by the
 /// prediction.
 pub fn accepted(found: &Alignment, predicted: &Isometry3<f64>) -> Option<Measurement> {
-    let is_accepted = found.is_precise()
+    let is_accepted = found.is_precise
         && found.is_accepted()
         && found.is_accepted_with_track_prior(turn_log(found, predicted));
     is_accepted.then(|| Measurement::aligned(found, 0))

@@ -6,7 +6,7 @@ use flockeye_geometry::body::Body;
 use flockeye_geometry::pose::{
     CornerRay, PoseDeviations, PoseOptions, PoseSolution, choose, solve,
 };
-use flockeye_imaging::align::{Alignment, is_precise};
+use flockeye_imaging::align::{Alignment, is_precise_by_corners};
 use nalgebra::Isometry3;
 
 use super::direct::RejectedAlignment;
@@ -152,7 +152,7 @@ impl Inputs<'_> {
             return CornerVerdict::TooFewMarkers { wanted: min_markers };
         }
         let covariance = solution.inflated_covariance();
-        if is_precise(&covariance) {
+        if is_precise_by_corners(&covariance) {
             return CornerVerdict::Enough;
         }
         let PoseDeviations { position_m, rotation_rad } = PoseDeviations::of(&covariance);

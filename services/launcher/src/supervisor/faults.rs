@@ -42,7 +42,7 @@ impl Supervisor<'_> {
         self.kill_those_that_hang();
         self.name_those_that_are_late();
         self.hear_complaints();
-        let source_has_finished = self.messages.state_of(self.pipeline.source_stage().name(), 0)
+        let source_has_finished = self.messages.state_of(self.pipeline.source.stage().name(), 0)
             == Some(StageState::Finished);
         for index in 0..self.processes.len() {
             let process = &mut self.processes[index];

@@ -128,7 +128,7 @@ pub(super) fn given_truth(
     arguments: &ComparisonArguments,
 ) -> anyhow::Result<Option<Vec<TruthRow>>> {
     let pipeline = arguments.configuration.load()?;
-    let is_simulated = pipeline.source_stage() == StageName::Simulator;
+    let is_simulated = pipeline.source.stage() == StageName::Simulator;
     match (&arguments.truth, is_simulated) {
         (Some(_), true) => bail!("a simulated flight has its own truth. Cure: leave out --truth"),
         (None, false) => bail!(

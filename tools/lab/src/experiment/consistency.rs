@@ -35,14 +35,9 @@ pub struct ConsistencyArguments {
 }
 
 /// Half of the usual image size and half of the distances: bodies are as large in pixels, and a frame
-/// costs a quarter. Simulated frames are not compressed, and lens and body are exactly as described, so
-/// covariances need no scale.
-const DEFAULTS: [&str; 4] = [
-    "camera.width=1920",
-    "camera.height=960",
-    "simulator.distance_m=[0.4, 1.0]",
-    "fusion.covariance_scale=1",
-];
+/// costs a quarter.
+const DEFAULTS: [&str; 3] =
+    ["camera.width=1920", "camera.height=960", "simulator.distance_m=[0.4, 1.0]"];
 
 /// Positions or rotations of all flights.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -88,7 +83,7 @@ pub(super) fn run(arguments: &ConsistencyArguments) -> anyhow::Result<Consistenc
         Laboratory::new(&arguments.configuration, &DEFAULTS, arguments.frames, arguments.json)?;
     let first = laboratory.plan(&[])?.pipeline;
     ensure!(
-        first.source_stage() == StageName::Simulator,
+        first.source.stage() == StageName::Simulator,
         "independent flights of '{}' cannot be had. Cure: simulate them (--source sim)",
         first.source.input
     );
