@@ -111,7 +111,7 @@ golden-write golden-compare: golden-%: setup
 	cargo build --profile tested --workspace --bins --locked
 	target/tested/golden $* target/golden $(FLIGHTS)
 
-# Tables that documents link to: Python's standard library alone.
+# Tables that documents link to: Python's standard library alone, but for the part codings.
 BEFORE ?= 0e45afb
 results: $(if $(FLOCKEYE),,build)
 	FLOCKEYE=$(or $(FLOCKEYE),target/release/flockeye) python3 tools/results/results.py $(PARTS)

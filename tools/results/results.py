@@ -8,7 +8,7 @@
 
 The variable FLOCKEYE names another build, and JOBS says how many lossless simulated flights are
 flown at a time. Recordings are read from ../shared/data (or --data); a part whose recording is
-absent is left out, and says so. Python's standard library is enough.
+absent is left out, and says so. Python's standard library is enough, but for the part codings.
 
 Each run becomes an entry of docs/results/results.json. The tables of docs/results and the short
 table of README.md are written from that file, so nobody types a figure.
@@ -134,9 +134,11 @@ RECORDED = {"recorder": ("The recorder beside a flight of 3840x1920, in real tim
                          ["none", "camera", "every 30", "views"])}
 # How soon the first frame has passed through all stages, and what the pipeline takes with nobody in sight and with one neighbour: title, flights.
 STARTS = {"start": ("From `flockeye up` to the first frame's end, and what the default pipeline takes", 10)}
+# What the coding of pictures asks of covariances: title, program.
+CODINGS = {"codings": ("Pictures that are coded in different ways", "tools/results/codings.py")}
 # These take long, so they are flown by their names alone.
-LONG = ["kills-long", "cuts", "hour"]
-PARTS = [*RECORDINGS, *SIMULATED, *EXPERIMENTS, *SWARMS, *LOADS, *CUTS, *ONLOOKERS, *ROTATIONS, *BENCHES, *DISTURBED, *FAULTY, *RECORDED, *STARTS]
+LONG = ["kills-long", "cuts", "hour", "codings"]
+PARTS = [*RECORDINGS, *SIMULATED, *EXPERIMENTS, *SWARMS, *LOADS, *CUTS, *ONLOOKERS, *ROTATIONS, *BENCHES, *DISTURBED, *FAULTY, *RECORDED, *STARTS, *CODINGS]
 
 
 def flockeye():
@@ -189,7 +191,7 @@ def rows(path):
 def pooled(flights, name):
     """Poses, truth and rotations of several flights as one, with frames numbered apart."""
     paths = []
-    for kind, table in enumerate(("poses", "truth", "rotations")):
+    for kind, table in enumerate(("poses", "truth", "rotations")[:len(flights[0])]):
         path = WORK / f"{name}-{table}.csv"
         with open(ROOT / path, "w", newline="") as file:
             writer = None
@@ -511,8 +513,23 @@ def counted(name, title, arguments, first):
     return {"title": title, "command": " ".join([name, *arguments]), "machine": before, "output": lines}
 
 
+def recoded(part):
+    """What each coding of the same pictures asks of covariances."""
+    title, program = CODINGS[part]
+    python, before = ROOT / "target/python/bin/python", machine()
+    if not python.exists():
+        sys.exit(f"results: {part} needs {python.relative_to(ROOT)}. Cure: make python")
+    done = subprocess.run([python, ROOT / program], cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    if done.returncode != 0:
+        sys.exit(f"results: {program} ended with {done.returncode}")
+    return {part: {"title": title, "command": f"make results PARTS={part}", "machine": before,
+                   "output": done.stdout.strip().splitlines()}}
+
+
 def run_part(part, data, wanted_ways):
     """The entries of one part, by their names."""
+    if part in CODINGS:
+        return recoded(part)
     if part in LOADS:
         return {part: counted("peer-load", *LOADS[part], "a report of")}
     if part in CUTS:
@@ -827,6 +844,10 @@ def render(store):
         (folder / "places.md").write_text(experiments_page(
             "places", "[ALIGNMENT.md](../ALIGNMENT.md#a-body-in-any-attitude) says how they are searched.",
             of(["places"])))
+    if any(name in store for name in CODINGS):
+        (folder / "codings.md").write_text(experiments_page(
+            "codings", "[ALIGNMENT.md](../ALIGNMENT.md#video) says what follows. NEES is 3 where covariances are right; in "
+            "brackets are the 95 % bounds of its mean.", of(CODINGS)))
     if "costs" in store:
         (folder / "costs.md").write_text(costs_page(store["costs"]))
     readme = (ROOT / "README.md").read_text()

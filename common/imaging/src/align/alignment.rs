@@ -33,7 +33,7 @@ pub enum Coding {
 
 impl Coding {
     /// Factor on the covariance for errors that residuals do not show. A copied block is sharp, but may be shifted by a
-    /// fraction of a pixel. docs/results/codings.md has the figures.
+    /// fraction of a pixel. By how much is read from a recording; others ask for less (docs/results/codings.md).
     pub fn covariance_factor(self) -> f64 {
         match self {
             Self::Images => 1.0,
