@@ -41,7 +41,7 @@ fn needs(spec: &SourceSpec, pipeline: &Pipeline) -> Vec<Finding> {
     match spec {
         SourceSpec::Theta => {
             let mut findings =
-                vec![element("thetauvcsrc", "build Ricoh's gstthetauvc, and libuvc-theta first")];
+                vec![element("thetauvcsrc", "build libuvc-theta, and then gstthetauvc")];
             findings.extend(theta_library());
             findings
         }

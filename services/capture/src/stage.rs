@@ -34,6 +34,8 @@ pub struct CaptureStage {
     projection: Projection,
     readout_ns: u64,
     counters: SharedCounters,
+    /// Whether a frame of the source as it is open now has come.
+    has_begun: bool,
     /// Until the first frame: whether `fusion.coding: auto` was taken as video.
     is_video_guessed: bool,
     losses: Throttle,
@@ -65,6 +67,7 @@ impl Stage for CaptureStage {
             projection: projection_of(&resolved.camera),
             readout_ns: (pipeline.camera.readout_ms * 1e6) as u64,
             counters: context.counters.clone(),
+            has_begun: false,
             is_video_guessed: pipeline.fusion.coding == Coding::Auto
                 && pipeline.is_coded_as_video(),
             losses: Throttle::default(),
@@ -107,6 +110,7 @@ impl Stage for CaptureStage {
             }
             Event::Lost { reason, retry_in } => {
                 self.counters.set_state(Some(StageState::Degraded));
+                self.has_begun = false;
                 if let Some(more) = self.losses.admit() {
                     tracing::warn!(
                         more_since = more,
@@ -136,15 +140,26 @@ impl CaptureStage {
         }
     }
 
-    /// Copies the luma plane from the decoder's buffer into shared memory: the one copy there is.
-    fn send(&mut self, picture: &Picture) -> anyhow::Result<()> {
-        let begun_ns = clock::monotonic_ns();
-        self.counters.set_state(None);
+    /// Says what is known from the first frame on. What decodes a recording is known before.
+    fn tell_of_decoder(&mut self) {
+        if self.source.is_camera() {
+            tracing::info!("{}", self.source.describe());
+            self.counters.set_detail(self.source.describe());
+        }
         if std::mem::take(&mut self.is_video_guessed) && !self.source.decodes_video() {
             tracing::warn!(
                 "no video is decoded here, but covariances are those of video, three times as large. Cure: \
                  fusion.coding: images, or video where the pictures were video before they came here"
             );
+        }
+    }
+
+    /// Copies the luma plane from the decoder's buffer into shared memory: the one copy there is.
+    fn send(&mut self, picture: &Picture) -> anyhow::Result<()> {
+        let begun_ns = clock::monotonic_ns();
+        self.counters.set_state(None);
+        if !std::mem::replace(&mut self.has_begun, true) {
+            self.tell_of_decoder();
         }
         let (width, height) = (picture.width(), picture.height());
         let mut loan = self.frames.loan(width as usize * height as usize)?;

@@ -58,9 +58,9 @@ type Window = (f64, DarkerBy);
 ///
 /// The fine one finds markers in the shade and beside dark things, the coarse one bright markers. On
 /// drawn markers of 14 to 30 px, in a hall and in a panorama, these two found most for their time: see
-/// the table of windows in docs/DETECTION.md. The two between them are taken where time does not matter. The narrower one finds
-/// markers in pictures that are far too dark, where white is only some code values brighter than black; the other one
-/// those that shadows cross.
+/// docs/results/history.md#other-ways-to-search. The two between them are taken where time does not matter. The
+/// narrower one finds markers in pictures that are far too dark, where white is only some code values brighter than black;
+/// the other one those that shadows cross.
 const TILE_WINDOWS: &[Window] = &[
     (7.0, DarkerBy::Codes(4)),
     (15.0, DarkerBy::Codes(4)),

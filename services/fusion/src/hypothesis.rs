@@ -197,7 +197,7 @@ impl Aligner {
     /// accepted if it is likely enough by itself, and much more likely than all its rivals together.
     /// Rivals are what the other starts led to, and the mirror pose of its most informative facet.
     ///
-    /// With a limited budget the first accepted pose that several facets tell ends the search: all eight starts
+    /// With a limited budget the first accepted pose that several facets tell ends the search: all starts
     /// of an untracked target took 113 ms, in which every other pose waits.
     pub fn initiate(
         &self,

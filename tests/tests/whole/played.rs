@@ -284,6 +284,9 @@ fn a_camera_without_video_is_refused_and_one_with_it_is_joined_in_flight() {
     flight.signal(Signal::INT);
     assert!(flight.wait().success(), "{}", flight.output());
     assert!(!flight.output().contains("the recorder is started again"), "{}", flight.output());
+    for said in ["decoded by ", "no video is decoded here"] {
+        assert!(flight.output().contains(said), "{}", flight.output());
+    }
     only_file(&folder);
     flight.assert_nothing_left();
     let h264 = format!("{raw} ! openh264enc gop-size=10 ! h264parse");

@@ -89,7 +89,7 @@ impl Default for StageProcess {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Restart {
-    /// Never: the pipeline stops with it.
+    /// Never: it is given up.
     Never,
     /// When it failed.
     #[default]
