@@ -93,6 +93,7 @@ def main():
     messages, metadata, attachments, store = read_with_mcap(path)
     about = metadata["flockeye"]
     assert attachments["pipeline.json"]["instance"] == about["instance"]
+    assert attachments["pipeline.json"]["fusion"]["coding"] != "auto", "files that it depends on may be gone later"
     assert "alpha" in attachments["bodies.json"]["bodies"]
     compared = compare(messages, poses_by_frame(table), about["observer"])
 

@@ -261,11 +261,10 @@ impl Meaning<'_> {
             );
         }
         self.simulated_swarm(pipeline);
-        let has_no_video =
-            pipeline.source.stage() == StageName::Simulator || pipeline.source.is_flight();
         let recording = &pipeline.recording;
-        if recording.folder.is_some() && recording.frames == RecordedFrames::Camera && has_no_video
-        {
+        let wants_packets =
+            recording.folder.is_some() && recording.frames == RecordedFrames::Camera;
+        if wants_packets && !pipeline.source.may_send_packets() {
             let input = &pipeline.source.input;
             let what = format!(
                 "source.input: {input} has no coded video of its own. Cure: frames: every, with every: 1"

@@ -81,7 +81,7 @@ pub(crate) fn chosen(pipeline: &gst::Pipeline) -> Vec<String> {
 }
 
 /// Whether one of the decoders in use takes video: anything but single pictures, as JPEG and PNG are.
-pub(crate) fn decode_video(pipeline: &gst::Pipeline) -> bool {
+pub(crate) fn takes_video(pipeline: &gst::Pipeline) -> bool {
     let takes_images = |element: &gst::Element| {
         let caps = element.static_pad("sink").and_then(|pad| pad.current_caps());
         caps.and_then(|caps| Some(caps.structure(0)?.name().starts_with("image/"))) == Some(true)

@@ -361,7 +361,7 @@ impl Playback {
 
     /// Whether its pictures come out of a decoder of video.
     pub(crate) fn decodes_video(&self) -> bool {
-        decoder::decode_video(&self.pipeline)
+        decoder::takes_video(&self.pipeline)
     }
 
     /// Frames handed out so far.

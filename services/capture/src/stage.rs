@@ -143,8 +143,9 @@ impl CaptureStage {
     /// Says what is known from the first frame on. What decodes a recording is known before.
     fn tell_of_decoder(&mut self) {
         if self.source.is_camera() {
-            tracing::info!("{}", self.source.describe());
-            self.counters.set_detail(self.source.describe());
+            let described = self.source.describe();
+            tracing::info!("{described}");
+            self.counters.set_detail(described);
         }
         if std::mem::take(&mut self.is_video_guessed) && !self.source.decodes_video() {
             tracing::warn!(

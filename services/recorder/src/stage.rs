@@ -8,9 +8,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, anyhow};
 use flockeye_cli::{Screen, running, signals};
 use flockeye_config::{Coding, Flow, Resolved};
-use flockeye_contract::{
-    CONTRACT_VERSION, PacketHeader, StageName, TOPICS, TopicId, Track, TrackState,
-};
+use flockeye_contract::{CONTRACT_VERSION, PacketHeader, TOPICS, TopicId, Track, TrackState};
 use flockeye_recording::losses::Loss;
 use flockeye_recording::{About, RecordingError};
 use flockeye_runtime::instance::Instance;
@@ -102,13 +100,9 @@ pub fn record(arguments: &RecordArguments, out: &Path) -> anyhow::Result<()> {
 
 /// Refuses to record a camera's own video where it is known beforehand that there is none.
 fn refuse_camera_without_video(frames: FramesChoice, resolved: &Resolved) -> anyhow::Result<()> {
-    let pipeline = &resolved.pipeline;
-    let input = &pipeline.source.input;
-    let has_none = pipeline.source.stage() == StageName::Simulator
-        || pipeline.source.is_flight()
-        || Path::new(input).is_dir();
-    match frames == FramesChoice::Camera && has_none {
-        true => Err(NotCoded).with_context(|| format!("source {input}")),
+    let source = &resolved.pipeline.source;
+    match frames == FramesChoice::Camera && !source.may_send_packets() {
+        true => Err(NotCoded).with_context(|| format!("source {}", source.input)),
         false => Ok(()),
     }
 }

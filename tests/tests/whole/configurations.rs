@@ -27,6 +27,9 @@ fn every_configuration_is_in_order() {
     for name in names.filter(|name| name.ends_with(".yaml")) {
         let (is_in_order, said) = run(&["check", &configuration(&name)]);
         assert!(is_in_order && said.contains("everything is in order"), "{name}: {said}");
+        let is_images = name.starts_with("simulated") || name == "dual-fisheye.yaml";
+        let coding = if is_images { "images" } else { "video" };
+        assert!(said.contains(&format!("pictures coded as {coding}")), "{name}: {said}");
         checked += 1;
     }
     assert!(checked >= 8, "{checked}");

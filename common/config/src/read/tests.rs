@@ -28,6 +28,18 @@ fn pictures_are_coded_as_video_unless_the_source_has_none() {
 }
 
 #[test]
+fn only_video_files_and_cameras_have_packets_to_record() {
+    let records = |input: &str| {
+        let source = format!("source: {{input: {input}}}\n");
+        parse(&(source + "recording: {folder: flights, frames: camera}")).is_ok()
+    };
+    assert!(records("flight.mp4") && records("theta"));
+    for input in ["sim", "flight.mcap", "picture.png", env!("CARGO_MANIFEST_DIR")] {
+        assert!(!records(input), "{input}");
+    }
+}
+
+#[test]
 fn the_shipped_file_says_the_defaults() {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../pipeline.yaml");
     assert_eq!(Pipeline::load(Path::new(path), &[]).unwrap(), Pipeline::default());

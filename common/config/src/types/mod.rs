@@ -187,7 +187,7 @@ impl Pipeline {
         match self.fusion.coding {
             Coding::Images => false,
             Coding::Video => true,
-            Coding::Auto => self.source.stage() == StageName::Capture && !self.source.is_images(),
+            Coding::Auto => self.source.may_be_video(),
         }
     }
 }

@@ -49,9 +49,17 @@ impl Source {
         self.has_extension(&["mcap"])
     }
 
-    /// Whether `input` is an image or a folder of images.
-    pub fn is_images(&self) -> bool {
-        self.has_extension(&["jpg", "jpeg", "png"]) || Path::new(self.input.trim()).is_dir()
+    /// Whether `input` may be video: it is neither simulated, nor an image or a folder of images.
+    pub fn may_be_video(&self) -> bool {
+        let is_images =
+            self.has_extension(&["jpg", "jpeg", "png"]) || Path::new(self.input.trim()).is_dir();
+        self.stage() == StageName::Capture && !is_images
+    }
+
+    /// Whether `input` may have coded pictures that can be recorded as they come. A recording of a flight has them,
+    /// and does not pass them on.
+    pub fn may_send_packets(&self) -> bool {
+        self.may_be_video() && !self.is_flight()
     }
 
     fn has_extension(&self, extensions: &[&str]) -> bool {

@@ -63,7 +63,7 @@ pub struct Alignment {
     /// Its covariance: position (m), then rotation vector (rad), in the camera frame's axes.
     pub covariance: Matrix6<f64>,
     /// Whether the pose is of use by itself, see [`is_precise`](super::is_precise). The factor of [`Coding`] is left out:
-    /// video scatters poses, but makes none false.
+    /// video scatters poses, and none was false in the flights of docs/results/codings.md.
     pub is_precise: bool,
     /// Covariance of the point spread, pixels of the sphere image squared, fitted with uniform radiance on
     /// each facet.

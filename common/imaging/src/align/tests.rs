@@ -91,7 +91,7 @@ fn a_start_nearby_converges_to_the_truth() {
     }
 }
 
-/// What video coding does to a pose shows in no residual, and makes none false.
+/// What video coding does to a pose shows in no residual, and does not count for whether it is a measurement.
 #[test]
 fn a_pose_in_video_is_less_certain_and_as_precise() {
     let print = print_of(&body(0));
