@@ -28,9 +28,11 @@ impl Approximator {
         self.points.clear();
         self.corners.clear();
         let Some(&first) = outline.first() else { return };
-        // To begin with, two points that are far from each other are taken for corners.
+        // To begin with, two points that are far from each other are taken for corners. What is farthest from any point
+        // may lie beside a corner by some pixels, so what is farthest from that is the first.
         self.points.extend(outline);
-        let start = self.points.farthest_from(first);
+        let beside = self.points.farthest_from(first);
+        let start = self.points.farthest_from(outline[beside]);
         let (before, after) = outline.split_at(start);
         self.points.clear();
         self.points.extend(after);
