@@ -14,10 +14,12 @@ use flockeye_imaging::light::LinearLight;
 use flockeye_imaging::square::mean_side_px;
 
 use crate::candidates::{Candidates, Finder};
+use crate::drawn::SAMPLE_CELLS;
 use crate::parameters::{DetectError, DetectorParameters, check_thresholds};
 use crate::quad::{Quad, centre, rotated, with_parallelogram_corner};
 use crate::reader::{Correlations, Decoded, Explained, Reader};
 use crate::reading::Reading;
+use crate::shape::is_square;
 use crate::windows::Threshold;
 
 /// Images with a shorter side are not searched, pixels: they hold no marker with its quiet zone.
@@ -262,12 +264,14 @@ impl Detector {
         // Where nothing could be fitted the outline's corners stay. In even light a fit that is refused says that this is no
         // print; in uneven light it says only that a shadow spoils it.
         let keeps_outline = by_outline && (refined.is_none() || lighting == Lighting::Uneven);
-        fitted.or_else(|| {
-            keeps_outline.then(|| Found {
-                correlation: decoded.correlation,
-                ..found_at(view, decoded.id, corners, [UNREFINED_PX; 4])
+        fitted
+            .or_else(|| {
+                keeps_outline.then(|| Found {
+                    correlation: decoded.correlation,
+                    ..found_at(view, decoded.id, corners, [UNREFINED_PX; 4])
+                })
             })
-        })
+            .filter(is_square)
     }
 
     /// The corners of an outline or, where the print reads better so, with one of them where a parallelogram has it: the
@@ -327,6 +331,20 @@ impl Detector {
         lighting: Lighting,
     ) -> Option<RefinedCorners> {
         refine_corners(image, light, guess, print, self.grain, lighting, self.parameters.effort)
+            .filter(|refined| self.samples_own_cells(refined))
+    }
+
+    /// Whether fitted corners are known well enough for each sample to lie in its own cell. Where they are not, what is read
+    /// there says little of what is printed. Texture that reads as a marker often leaves its corners open.
+    fn samples_own_cells(&self, refined: &RefinedCorners) -> bool {
+        let sigma_px =
+            (refined.sigmas_px.map(|sigma| sigma * sigma).iter().sum::<f64>() / 4.0).sqrt();
+        sigma_px <= (0.5 - SAMPLE_CELLS) * self.cell_px(&refined.corners_in_view)
+    }
+
+    /// The mean side of a cell.
+    fn cell_px(&self, corners: &Quad) -> f64 {
+        mean_side_px(corners) / (self.dictionary.bits() + 2) as f64
     }
 
     /// Whether a reading at approximate corners may be a marker's. See [`WORTH_FITTING`].
@@ -341,8 +359,9 @@ impl Detector {
 
     /// Whether a square with fitted corners is this marker, rather than smooth shading.
     fn looks_printed(&self, refined: &RefinedCorners, decoded: &Decoded) -> bool {
-        let cell = mean_side_px(&refined.corners_in_view) / (self.dictionary.bits() + 2) as f64;
-        let blur = (refined.blur_px[0] + refined.blur_px[1]) / 2.0 / cell;
+        let blur = (refined.blur_px[0] + refined.blur_px[1])
+            / 2.0
+            / self.cell_px(&refined.corners_in_view);
         let (ratio, misfit) = BLURRED;
         let passes_blurred =
             decoded.log_likelihood_ratio() >= ratio && refined.residual_sigma <= misfit;

@@ -26,6 +26,7 @@ mod polygon;
 mod quad;
 mod reader;
 mod reading;
+mod shape;
 mod stage;
 mod three_corners;
 pub mod windows;

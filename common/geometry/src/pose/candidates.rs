@@ -99,7 +99,7 @@ fn three_corner_poses(sighted: &SightedMarker<'_>) -> Vec<Isometry3<f64>> {
 }
 
 fn poses_of(sighted: &SightedMarker<'_>, rays: &[Vector3<f64>; 4]) -> Vec<Isometry3<f64>> {
-    let Some(poses) = ippe::square(sighted.marker.side(), rays) else { return Vec::new() };
+    let Some(poses) = ippe::poses_of_square(sighted.marker.side(), rays) else { return Vec::new() };
     let marker_from_markers = sighted.marker.markers_from_marker().inverse();
     poses.iter().map(|camera_from_marker| camera_from_marker * marker_from_markers).collect()
 }

@@ -15,7 +15,7 @@ use nalgebra::{
 ///
 /// Seen frontally, both are nearly the same. `None` for rays that are no picture of a square: more
 /// than 80 degrees from their mean, on a line, or crossed.
-pub fn square(side: f64, rays: &[Vector3<f64>; 4]) -> Option<[Isometry3<f64>; 2]> {
+pub fn poses_of_square(side: f64, rays: &[Vector3<f64>; 4]) -> Option<[Isometry3<f64>; 2]> {
     // A frame whose z axis is the rays' mean: there they are points of a picture, wherever in the
     // camera frame they lie.
     let mean = rays.iter().sum::<Vector3<f64>>().try_normalize(1e-6)?;

@@ -95,7 +95,7 @@ proptest! {
         let pose = chance.pose(range);
         for marker in visible(&body, &pose, 0.1) {
             let rays = marker.corners.map(|corner| (pose * corner).coords.normalize());
-            let poses = ippe::square(marker.side(), &rays).unwrap();
+            let poses = ippe::poses_of_square(marker.side(), &rays).unwrap();
             let truth = pose * marker.markers_from_marker();
             let nearest = poses.iter().map(|found| error(&truth, found).norm()).fold(9.0, f64::min);
             prop_assert!(nearest < 1e-5, "{nearest}");

@@ -21,7 +21,8 @@ use serde::Serialize;
 
 /// Files with these endings are photographs.
 const ENDINGS: [&str; 3] = ["jpg", "jpeg", "png"];
-/// A photograph is taken to show so much from side to side, as most cameras do. Only what a mask hides depends on it.
+/// A photograph is taken to show so much from side to side, as most cameras do. What a mask hides depends on it, and whether four
+/// corners are a square's.
 const FIELD_RAD: f64 = 1.1;
 /// Least side of a marker in each row of the table, pixels.
 const SIZES_PX: [f64; 5] = [0.0, 14.0, 20.0, 30.0, 60.0];

@@ -1,0 +1,126 @@
+//! Whether four corners are those of a square.
+//!
+//! A view says where on the sphere each corner lies. A tilted square is narrower at its far side, by as much as its size on
+//! the sphere says. A shelf or a crack that reads as a marker has any shape.
+
+use flockeye_geometry::Ray;
+use flockeye_geometry::pose::poses_of_square;
+use nalgebra::{Isometry3, Point3};
+
+use crate::detector::Found;
+
+/// Of the eight coordinates of a square's corners two are not free. The squared distance of right ones stays below this in
+/// 99.9 % of all cases.
+const MAX_SQUARED_DISTANCE: f64 = 13.8;
+
+/// How far a marker's corners may lie beside a square's, as a share of its side: standard deviation along either axis. Paper
+/// bends, and the lens that took a photograph is not known. docs/results/history.md#what-is-no-square has the curve.
+const UNEVEN_SHARE: f64 = 0.05;
+
+/// Whether these may be the corners of a square, within what they are uncertain of.
+pub(crate) fn is_square(marker: &Found) -> bool {
+    let rays = marker.rays_in_camera.map(|ray| ray.into_inner());
+    let side_rad = (0..4)
+        .map(|k| marker.rays_in_camera[k].angle(&marker.rays_in_camera[(k + 1) % 4]))
+        .sum::<f64>()
+        / 4.0;
+    let squared_distance = |pose: &Isometry3<f64>| {
+        let off = CORNERS.iter().zip(&marker.rays_in_camera).zip(&marker.deviations_rad);
+        off.map(|((&[x, y], seen), deviation_rad)| {
+            let corner = Ray::new_normalize((pose * Point3::new(x, y, 0.0)).coords);
+            corner.angle(seen).powi(2) / (deviation_rad.powi(2) + (UNEVEN_SHARE * side_rad).powi(2))
+        })
+        .sum::<f64>()
+    };
+    poses_of_square(1.0, &rays).is_some_and(|poses| {
+        poses.iter().any(|pose| squared_distance(pose) <= MAX_SQUARED_DISTANCE)
+    })
+}
+
+/// The corners of a square of side 1 in its own frame, clockwise from the printed top left: x right, y up.
+const CORNERS: [[f64; 2]; 4] = [[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]];
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use super::*;
+    use flockeye_geometry::view::{View, ViewPixel};
+    use nalgebra::{UnitQuaternion, Vector3};
+    use proptest::prelude::*;
+
+    use crate::detector::found_at;
+
+    fn view() -> View {
+        View::looking_at(&Vector3::x_axis(), 1.2, 900)
+    }
+
+    /// A marker with these corners in the view, known to a tenth of a pixel.
+    fn marker(corners: [[f64; 2]; 4]) -> Found {
+        found_at(&view(), 0, corners.map(|[x, y]| ViewPixel::new(x, y)), [0.1; 4])
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { failure_persistence: None, ..Default::default() })]
+
+        #[test]
+        fn a_square_seen_from_anywhere_is_one(
+            range in 1.5..60.0f64,
+            at in prop::array::uniform2(-0.3..0.3f64),
+            tilt in 0.0..1.3f64,
+            (around, turn) in (-3.2..3.2f64, -3.2..3.2f64),
+            noise in prop::array::uniform8(-1.0..1.0f64),
+        ) {
+            // The square's z axis points at the camera before it is tilted.
+            let facing = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), -std::f64::consts::FRAC_PI_2);
+            let turned = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn);
+            let axis = Vector3::new(0.0, around.cos(), around.sin()) * tilt;
+            let rotation = UnitQuaternion::from_scaled_axis(axis) * facing * turned;
+            let middle = Vector3::new(1.0, at[0], at[1]) * range;
+            let pose = Isometry3::from_parts(middle.into(), rotation);
+            let seen = CORNERS.map(|[x, y]| Ray::new_normalize((pose * Point3::new(x, y, 0.0)).coords));
+            let pixels: [[f64; 2]; 4] = std::array::from_fn(|k| {
+                let pixel = view().project(&seen[k]).unwrap().0;
+                [pixel.x + 0.1 * noise[2 * k], pixel.y + 0.1 * noise[2 * k + 1]]
+            });
+            let marker = marker(pixels);
+            prop_assert!(is_square(&marker), "{marker:?}");
+        }
+    }
+
+    #[test]
+    fn a_wide_rectangle_is_no_tilted_square() {
+        // So large a square would be tilted by 70 degrees, and one side much longer than the other.
+        assert!(!is_square(&marker([
+            [200.0, 380.0],
+            [626.0, 380.0],
+            [626.0, 530.0],
+            [200.0, 530.0]
+        ])));
+        // Far away a tilted square is nearly a parallelogram.
+        assert!(is_square(&marker([
+            [400.0, 440.0],
+            [428.0, 440.0],
+            [428.0, 450.0],
+            [400.0, 450.0]
+        ])));
+    }
+
+    #[test]
+    fn a_small_quadrilateral_of_any_shape_is_no_square() {
+        let kite = [[400.0, 400.0], [420.0, 398.0], [425.0, 425.0], [405.0, 410.0]];
+        assert!(!is_square(&marker(kite)));
+        // Its corners may lie anywhere, so they may be a square's.
+        let uncertain = Found { deviations_rad: [0.01; 4], ..marker(kite) };
+        assert!(is_square(&uncertain));
+    }
+
+    #[test]
+    fn corners_on_a_line_are_no_square() {
+        assert!(!is_square(&marker([
+            [400.0, 400.0],
+            [410.0, 400.0],
+            [420.0, 400.0],
+            [430.0, 400.0]
+        ])));
+    }
+}
