@@ -46,9 +46,9 @@ const MAX_BLUR_CELLS: f64 = 0.75;
 /// smooth patch of a real panorama reads as a marker.
 const MAX_BLUR_CELLS_AT_RANGE: f64 = 1.1;
 
-/// What markers blurred by more than [`MAX_BLUR_CELLS`] must reach: log-likelihood ratio, and residual. 7,100 squares that are
-/// blurred as much and are no markers were read, of a hall, panoramas and a simulated world. None had a ratio above 8 to the next
-/// marker; that to what is no marker is lower still.
+/// What markers must reach that are blurred by more than [`MAX_BLUR_CELLS`], or whose corners are uncertain: log-likelihood
+/// ratio, and residual. 7,100 squares that are blurred as much and are no markers were read, of a hall, panoramas and a simulated
+/// world. None had a ratio above 8 to the next marker; that to what is no marker is lower still.
 const BLURRED: (f32, f64) = (12.0, 0.06);
 
 /// Where corners are only approximate, cells are sampled off their middles. A reading there is worth a fit
@@ -331,11 +331,10 @@ impl Detector {
         lighting: Lighting,
     ) -> Option<RefinedCorners> {
         refine_corners(image, light, guess, print, self.grain, lighting, self.parameters.effort)
-            .filter(|refined| self.samples_own_cells(refined))
     }
 
     /// Whether fitted corners are known well enough for each sample to lie in its own cell. Where they are not, what is read
-    /// there says little of what is printed. Texture that reads as a marker often leaves its corners open.
+    /// there says less of what is printed. Texture that reads as a marker often leaves its corners open.
     fn samples_own_cells(&self, refined: &RefinedCorners) -> bool {
         let sigma_px =
             (refined.sigmas_px.map(|sigma| sigma * sigma).iter().sum::<f64>() / 4.0).sqrt();
@@ -365,9 +364,10 @@ impl Detector {
         let (ratio, misfit) = BLURRED;
         let passes_blurred =
             decoded.log_likelihood_ratio() >= ratio && refined.residual_sigma <= misfit;
+        let is_clear = blur <= MAX_BLUR_CELLS && self.samples_own_cells(refined);
         decoded.log_likelihood_ratio() >= self.parameters.min_log_likelihood_ratio
             && refined.residual_sigma <= MAX_MISFIT
-            && (blur <= MAX_BLUR_CELLS || (blur <= MAX_BLUR_CELLS_AT_RANGE && passes_blurred))
+            && (is_clear || (blur <= MAX_BLUR_CELLS_AT_RANGE && passes_blurred))
     }
 
     /// Whether the cells have the contrast of print. See [`MIN_CELL_CONTRAST`].

@@ -76,6 +76,8 @@ mod tests {
             let axis = Vector3::new(0.0, around.cos(), around.sin()) * tilt;
             let rotation = UnitQuaternion::from_scaled_axis(axis) * facing * turned;
             let middle = Vector3::new(1.0, at[0], at[1]) * range;
+            // Edge on, a square is a line.
+            prop_assume!((rotation * Vector3::z()).dot(&middle.normalize()) < -0.2);
             let pose = Isometry3::from_parts(middle.into(), rotation);
             let seen = CORNERS.map(|[x, y]| Ray::new_normalize((pose * Point3::new(x, y, 0.0)).coords));
             let pixels: [[f64; 2]; 4] = std::array::from_fn(|k| {
