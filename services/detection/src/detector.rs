@@ -271,7 +271,7 @@ impl Detector {
                     ..found_at(view, decoded.id, corners, [UNREFINED_PX; 4])
                 })
             })
-            .filter(is_square)
+            .filter(|marker| is_square(&marker.rays_in_camera, &marker.deviations_rad))
     }
 
     /// The corners of an outline or, where the print reads better so, with one of them where a parallelogram has it: the

@@ -7,8 +7,6 @@ use flockeye_geometry::Ray;
 use flockeye_geometry::pose::poses_of_square;
 use nalgebra::{Isometry3, Point3};
 
-use crate::detector::Found;
-
 /// Of the eight coordinates of a square's corners two are not free. The squared distance of right ones stays below this in
 /// 99.9 % of all cases.
 const MAX_SQUARED_DISTANCE: f64 = 13.8;
@@ -17,22 +15,20 @@ const MAX_SQUARED_DISTANCE: f64 = 13.8;
 /// bends, and the lens that took a photograph is not known. docs/results/history.md#what-is-no-square has the curve.
 const UNEVEN_SHARE: f64 = 0.05;
 
-/// Whether these may be the corners of a square, within what they are uncertain of.
-pub(crate) fn is_square(marker: &Found) -> bool {
-    let rays = marker.rays_in_camera.map(|ray| ray.into_inner());
-    let side_rad = (0..4)
-        .map(|k| marker.rays_in_camera[k].angle(&marker.rays_in_camera[(k + 1) % 4]))
-        .sum::<f64>()
-        / 4.0;
+/// Whether the corners that are seen along these rays may be those of a square. Each ray has a standard deviation across itself,
+/// radians.
+pub(crate) fn is_square(rays: &[Ray; 4], deviations_rad: &[f64; 4]) -> bool {
+    let side_rad = (0..4).map(|k| rays[k].angle(&rays[(k + 1) % 4])).sum::<f64>() / 4.0;
+    let uneven_rad = UNEVEN_SHARE * side_rad;
     let squared_distance = |pose: &Isometry3<f64>| {
-        let off = CORNERS.iter().zip(&marker.rays_in_camera).zip(&marker.deviations_rad);
-        off.map(|((&[x, y], seen), deviation_rad)| {
+        let seen = rays.iter().zip(deviations_rad);
+        let off = CORNERS.iter().zip(seen).map(|(&[x, y], (ray, deviation_rad))| {
             let corner = Ray::new_normalize((pose * Point3::new(x, y, 0.0)).coords);
-            corner.angle(seen).powi(2) / (deviation_rad.powi(2) + (UNEVEN_SHARE * side_rad).powi(2))
-        })
-        .sum::<f64>()
+            corner.angle(ray).powi(2) / (deviation_rad.powi(2) + uneven_rad.powi(2))
+        });
+        off.sum::<f64>()
     };
-    poses_of_square(1.0, &rays).is_some_and(|poses| {
+    poses_of_square(1.0, &rays.map(|ray| ray.into_inner())).is_some_and(|poses| {
         poses.iter().any(|pose| squared_distance(pose) <= MAX_SQUARED_DISTANCE)
     })
 }
@@ -48,15 +44,14 @@ mod tests {
     use nalgebra::{UnitQuaternion, Vector3};
     use proptest::prelude::*;
 
-    use crate::detector::found_at;
-
     fn view() -> View {
         View::looking_at(&Vector3::x_axis(), 1.2, 900)
     }
 
-    /// A marker with these corners in the view, known to a tenth of a pixel.
-    fn marker(corners: [[f64; 2]; 4]) -> Found {
-        found_at(&view(), 0, corners.map(|[x, y]| ViewPixel::new(x, y)), [0.1; 4])
+    /// Whether corners at these pixels may be a square's, where each is known to so many pixels.
+    fn is_square_in_view(corners: [[f64; 2]; 4], sigma_px: f64) -> bool {
+        let rays = corners.map(|[x, y]| view().ray(ViewPixel::new(x, y)));
+        is_square(&rays, &[sigma_px / view().focal_px; 4])
     }
 
     proptest! {
@@ -84,45 +79,31 @@ mod tests {
                 let pixel = view().project(&seen[k]).unwrap().0;
                 [pixel.x + 0.1 * noise[2 * k], pixel.y + 0.1 * noise[2 * k + 1]]
             });
-            let marker = marker(pixels);
-            prop_assert!(is_square(&marker), "{marker:?}");
+            prop_assert!(is_square_in_view(pixels, 0.1), "{pixels:?}");
         }
     }
 
     #[test]
     fn a_wide_rectangle_is_no_tilted_square() {
         // So large a square would be tilted by 70 degrees, and one side much longer than the other.
-        assert!(!is_square(&marker([
-            [200.0, 380.0],
-            [626.0, 380.0],
-            [626.0, 530.0],
-            [200.0, 530.0]
-        ])));
+        let large = [[200.0, 380.0], [626.0, 380.0], [626.0, 530.0], [200.0, 530.0]];
+        assert!(!is_square_in_view(large, 0.1));
         // Far away a tilted square is nearly a parallelogram.
-        assert!(is_square(&marker([
-            [400.0, 440.0],
-            [428.0, 440.0],
-            [428.0, 450.0],
-            [400.0, 450.0]
-        ])));
+        let small = [[400.0, 440.0], [428.0, 440.0], [428.0, 450.0], [400.0, 450.0]];
+        assert!(is_square_in_view(small, 0.1));
     }
 
     #[test]
     fn a_small_quadrilateral_of_any_shape_is_no_square() {
         let kite = [[400.0, 400.0], [420.0, 398.0], [425.0, 425.0], [405.0, 410.0]];
-        assert!(!is_square(&marker(kite)));
-        // Its corners may lie anywhere, so they may be a square's.
-        let uncertain = Found { deviations_rad: [0.01; 4], ..marker(kite) };
-        assert!(is_square(&uncertain));
+        assert!(!is_square_in_view(kite, 0.1));
+        // Where its corners may lie anywhere, they may be a square's.
+        assert!(is_square_in_view(kite, 8.0));
     }
 
     #[test]
     fn corners_on_a_line_are_no_square() {
-        assert!(!is_square(&marker([
-            [400.0, 400.0],
-            [410.0, 400.0],
-            [420.0, 400.0],
-            [430.0, 400.0]
-        ])));
+        let line = [[400.0, 400.0], [410.0, 400.0], [420.0, 400.0], [430.0, 400.0]];
+        assert!(!is_square_in_view(line, 0.1));
     }
 }
