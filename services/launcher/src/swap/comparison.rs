@@ -195,6 +195,15 @@ impl Figures {
         self.old_found >= FOUND_TO_TELL
     }
 
+    /// Whether a process that answers just what is wanted may have missed as many frames by chance: they are a binomial
+    /// number. More frames tell then.
+    pub fn misses_may_be_chance(&self) -> bool {
+        let frames = self.frames as f64;
+        let missing = LEAST_ANSWERED * frames - self.frames_answered as f64;
+        let deviation = (frames * LEAST_ANSWERED * (1.0 - LEAST_ANSWERED)).sqrt();
+        missing > 0.0 && missing <= CHANCE_DEVIATIONS * deviation
+    }
+
     /// Why the new process is worse than the old one; `None` if it is not.
     pub fn shortcoming(&self) -> Option<String> {
         let share = |new: usize, old: usize| match old {
@@ -300,8 +309,18 @@ mod tests {
     fn one_that_answers_or_finds_less_is_not() {
         let half =
             compared(|frame, part| (frame % 2 == 0).then(|| answer(frame, part, &[3, 4], 0.0)));
-        let why = half.unwrap().shortcoming().unwrap();
+        let half = half.unwrap();
+        let why = half.shortcoming().unwrap();
         assert!(why.contains("it answered in 5 of the 10 frames"), "{why}");
+        assert!(
+            half.misses_may_be_chance(),
+            "of 10 frames 5 may be missed by one that misses 2.5 in the mean"
+        );
+        assert!(!Figures { frames_answered: 4, ..half.clone() }.misses_may_be_chance());
+        assert!(
+            !Figures { frames_answered: 8, ..half }.misses_may_be_chance(),
+            "it is no shortcoming"
+        );
         // One that is slower answers fewer views of each frame, and the flow adapts.
         let slow = compared(|frame, part| (part == 0).then(|| answer(frame, 0, &[3, 4], 0.0)));
         assert_eq!(slow.unwrap().shortcoming(), None);

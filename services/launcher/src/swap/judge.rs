@@ -11,7 +11,8 @@ use crate::control::Worker;
 
 /// A new process takes over so many frames after the newest one: its word is everywhere by then.
 const FRAMES_AHEAD: u64 = 4;
-/// If nothing is heard of the first frames after the hand-over for this long, the new process has failed.
+/// If nothing is heard of the first frames after the hand-over for this long, the new process has failed. So it has if it
+/// still misses more frames than it may by then.
 const PROBATION_TIME: Duration = Duration::from_secs(3);
 /// After a hand-over was taken back, the new process is ended when this has passed.
 const TAKING_BACK_TIME: Duration = Duration::from_millis(500);
@@ -182,6 +183,7 @@ impl Judge {
         }
         match figures {
             Some(figures) => match figures.shortcoming().filter(|_| !self.accept_worse) {
+                Some(_) if figures.misses_may_be_chance() && now < until => Verdict::Wait,
                 Some(reason) => self.take_back(
                     comparison,
                     format!("after the new process had taken over, {reason}"),
@@ -265,6 +267,15 @@ mod tests {
                         Answer { frame: (0, 0, sequence), part: 0, found, took_ns: Some(1) };
                     self.comparison.note(side, answer);
                 }
+            }
+        }
+
+        /// The new process misses these frames.
+        fn old_answers(&mut self, frames: std::ops::Range<u64>) {
+            for sequence in frames {
+                let found = (0..2).map(|number| (number, None)).collect();
+                let answer = Answer { frame: (0, 0, sequence), part: 0, found, took_ns: Some(1) };
+                self.comparison.note(Side::Old, answer);
             }
         }
 
@@ -370,6 +381,31 @@ mod tests {
             assert_eq!(scene.at(2.1, lives), Verdict::Wait);
             assert!(matches!(scene.at(3.0, lives), Verdict::Refused(_)));
         }
+    }
+
+    #[test]
+    fn who_misses_some_frames_after_the_hand_over_is_looked_at_again() {
+        let misses = |scene: &mut Scene, missed: &[u64]| {
+            for sequence in 23..35 {
+                let frames = sequence..sequence + 1;
+                match missed.contains(&sequence) {
+                    true => scene.old_answers(frames),
+                    false => scene.answers(frames, 2),
+                }
+            }
+        };
+        let mut scene = Scene::taken_over();
+        misses(&mut scene, &[24, 25, 26]);
+        assert_eq!(scene.at(1.5, ALIVE), Verdict::Wait);
+        let mut later = scene.clone();
+        later.answers(35..40, 2);
+        assert!(matches!(later.at(2.0, ALIVE), Verdict::Done(..)));
+        // It does not get better.
+        assert!(reason(scene.at(4.1, ALIVE)).contains("it answered in 7 of the 10 frames"));
+        // So many are not missed by chance.
+        let mut scene = Scene::taken_over();
+        misses(&mut scene, &[24, 25, 26, 27, 28, 29, 30]);
+        assert!(reason(scene.at(1.5, ALIVE)).contains("it answered in 3 of the 10 frames"));
     }
 
     #[test]
