@@ -21,7 +21,7 @@ mod residual;
 
 pub use candidates::{mirror_image, solve};
 pub use choice::{Choice, PosePrior, choose};
-pub use ippe::poses_of_square;
+pub use ippe::squared_distance_from_square;
 pub use rays::{CornerRay, keep_sharpest};
 pub use refine::refine;
 

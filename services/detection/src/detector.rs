@@ -48,7 +48,8 @@ const MAX_BLUR_CELLS_AT_RANGE: f64 = 1.1;
 
 /// What markers must reach that are blurred by more than [`MAX_BLUR_CELLS`], or whose corners are uncertain: log-likelihood
 /// ratio, and residual. 7,100 squares that are blurred as much and are no markers were read, of a hall, panoramas and a simulated
-/// world. None had a ratio above 8 to the next marker; that to what is no marker is lower still.
+/// world. None had a ratio above 8 to the next marker. One of more views of the panoramas passes
+/// (docs/results/history.md#what-is-no-square).
 const BLURRED: (f32, f64) = (12.0, 0.06);
 
 /// Where corners are only approximate, cells are sampled off their middles. A reading there is worth a fit

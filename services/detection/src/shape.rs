@@ -3,13 +3,14 @@
 //! A view says where on the sphere each corner lies. A tilted square is narrower at its far side, by as much as its size on
 //! the sphere says. A shelf or a crack that reads as a marker has any shape.
 
-use flockeye_geometry::Ray;
-use flockeye_geometry::pose::poses_of_square;
-use nalgebra::{Isometry3, Point3};
+use std::sync::LazyLock;
 
-/// Of the eight coordinates of a square's corners two are not free. The squared distance of right ones stays below this in
-/// 99.9 % of all cases.
-const MAX_SQUARED_DISTANCE: f64 = 13.8;
+use flockeye_geometry::Ray;
+use flockeye_geometry::filter::chi_square_quantile;
+use flockeye_geometry::pose::squared_distance_from_square;
+
+/// Of all right corners 99.9 % are nearer to a square's.
+static MAX_SQUARED_DISTANCE: LazyLock<f64> = LazyLock::new(|| chi_square_quantile(2.0, 0.999));
 
 /// How far a marker's corners may lie beside a square's, as a share of its side: standard deviation along either axis. Paper
 /// bends, and the lens that took a photograph is not known. docs/results/history.md#what-is-no-square has the curve.
@@ -19,29 +20,17 @@ const UNEVEN_SHARE: f64 = 0.05;
 /// radians.
 pub(crate) fn is_square(rays: &[Ray; 4], deviations_rad: &[f64; 4]) -> bool {
     let side_rad = (0..4).map(|k| rays[k].angle(&rays[(k + 1) % 4])).sum::<f64>() / 4.0;
-    let uneven_rad = UNEVEN_SHARE * side_rad;
-    let squared_distance = |pose: &Isometry3<f64>| {
-        let seen = rays.iter().zip(deviations_rad);
-        let off = CORNERS.iter().zip(seen).map(|(&[x, y], (ray, deviation_rad))| {
-            let corner = Ray::new_normalize((pose * Point3::new(x, y, 0.0)).coords);
-            corner.angle(ray).powi(2) / (deviation_rad.powi(2) + uneven_rad.powi(2))
-        });
-        off.sum::<f64>()
-    };
-    poses_of_square(1.0, &rays.map(|ray| ray.into_inner())).is_some_and(|poses| {
-        poses.iter().any(|pose| squared_distance(pose) <= MAX_SQUARED_DISTANCE)
-    })
+    let deviations_rad = deviations_rad.map(|deviation| deviation.hypot(UNEVEN_SHARE * side_rad));
+    squared_distance_from_square(rays, &deviations_rad)
+        .is_some_and(|squared| squared <= *MAX_SQUARED_DISTANCE)
 }
-
-/// The corners of a square of side 1 in its own frame, clockwise from the printed top left: x right, y up.
-const CORNERS: [[f64; 2]; 4] = [[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]];
 
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
     use flockeye_geometry::view::{View, ViewPixel};
-    use nalgebra::{UnitQuaternion, Vector3};
+    use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
     use proptest::prelude::*;
 
     fn view() -> View {
@@ -74,7 +63,8 @@ mod tests {
             // Edge on, a square is a line.
             prop_assume!((rotation * Vector3::z()).dot(&middle.normalize()) < -0.2);
             let pose = Isometry3::from_parts(middle.into(), rotation);
-            let seen = CORNERS.map(|[x, y]| Ray::new_normalize((pose * Point3::new(x, y, 0.0)).coords));
+            let corners = [[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]];
+            let seen = corners.map(|[x, y]| Ray::new_normalize((pose * Point3::new(x, y, 0.0)).coords));
             let pixels: [[f64; 2]; 4] = std::array::from_fn(|k| {
                 let pixel = view().project(&seen[k]).unwrap().0;
                 [pixel.x + 0.1 * noise[2 * k], pixel.y + 0.1 * noise[2 * k + 1]]

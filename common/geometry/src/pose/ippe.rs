@@ -9,6 +9,8 @@ use nalgebra::{
     Isometry3, Matrix2, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3,
 };
 
+use crate::Ray;
+
 /// Both poses (`camera_from_marker`; the marker's frame as in
 /// [`crate::body::Marker::markers_from_marker`]) of a square of this side, in metres, whose corners
 /// are seen along `rays`, unit vectors in the camera frame, in ArUco's order.
@@ -30,9 +32,7 @@ pub fn poses_of_square(side: f64, rays: &[Vector3<f64>; 4]) -> Option<[Isometry3
     }
     let (centre, jacobian) = homography_at_centre(side, &corners)?;
     let rotations = rotations(&centre, &jacobian)?;
-    let half = side / 2.0;
-    let model = [(-half, half), (half, half), (half, -half), (-half, -half)]
-        .map(|(x, y)| Vector3::new(x, y, 0.0));
+    let model = corners_of_square(side);
     let pose = |picture_from_marker: &Rotation3<f64>| {
         let rotation = camera_from_picture * picture_from_marker;
         let translation = translation(&rotation, &model, rays)?;
@@ -40,6 +40,32 @@ pub fn poses_of_square(side: f64, rays: &[Vector3<f64>; 4]) -> Option<[Isometry3
         Some(Isometry3::from_parts(Translation3::from(translation), rotation))
     };
     Some([pose(&rotations[0])?, pose(&rotations[1])?])
+}
+
+/// How far the corners that are seen along `rays` are from those of a square, in ArUco's order: squared, in standard deviations
+/// across each ray, radians. Two of a square's eight coordinates are not free, so the tail of right corners' distances is that
+/// of a chi-square distribution of 2 degrees.
+///
+/// The nearer one of the two poses by [`poses_of_square`] counts. `None` for rays that are no picture of a square.
+pub fn squared_distance_from_square(rays: &[Ray; 4], deviations_rad: &[f64; 4]) -> Option<f64> {
+    let poses = poses_of_square(1.0, &rays.map(Ray::into_inner))?;
+    let squared_distance = |pose: &Isometry3<f64>| {
+        let seen = rays.iter().zip(deviations_rad);
+        let off =
+            corners_of_square(1.0).into_iter().zip(seen).map(|(corner, (ray, deviation_rad))| {
+                let towards = Ray::new_normalize(pose.rotation * corner + pose.translation.vector);
+                (towards.angle(ray) / deviation_rad).powi(2)
+            });
+        off.sum::<f64>()
+    };
+    poses.iter().map(squared_distance).min_by(f64::total_cmp)
+}
+
+/// The corners of a square in its own frame (x right, y up), in ArUco's order.
+fn corners_of_square(side: f64) -> [Vector3<f64>; 4] {
+    let half = side / 2.0;
+    [(-half, half), (half, half), (half, -half), (-half, -half)]
+        .map(|(x, y)| Vector3::new(x, y, 0.0))
 }
 
 /// Where the homography from the marker (x right, y up, metres) to the picture puts the marker's

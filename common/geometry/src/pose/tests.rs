@@ -7,6 +7,7 @@ use super::fixtures::{Chance, body, distance_squared, error, see, visible};
 use super::residual::{error_and_jacobian, moved};
 use super::*;
 use crate::body::{Body, Marker};
+use crate::filter::chi_square_quantile;
 
 /// Some of the markers that are well visible; at least `least`, if there are so many.
 fn some_visible<'a>(
@@ -226,6 +227,30 @@ impl Consistency {
             assert!((mean - freedom).abs() < 1.96 * deviation, "{mean} +- {deviation}");
         }
     }
+}
+
+/// In the tail, which decides. In the mean they are somewhat nearer, because the nearer one of two poses counts.
+#[test]
+fn right_corners_are_as_far_from_a_square_as_they_are_uncertain() {
+    let (mut chance, body) = (Chance::new(5), body());
+    let mut squared: Vec<f64> = Vec::new();
+    while squared.len() < 4000 {
+        let range = chance.even(0.3, 2.0);
+        let pose = chance.pose(range);
+        for marker in visible(&body, &pose, 0.25) {
+            let seen = see(marker, &pose, 0.2 / 611.0, &mut chance);
+            let rays = std::array::from_fn(|k| seen[k].ray_in_camera);
+            let deviations_rad = std::array::from_fn(|k| seen[k].deviation_rad);
+            squared.push(squared_distance_from_square(&rays, &deviations_rad).unwrap());
+        }
+    }
+    let within = |probability| {
+        let limit = chi_square_quantile(2.0, probability);
+        squared.iter().filter(|&&squared| squared <= limit).count() as f64 / squared.len() as f64
+    };
+    // Four standard deviations of the count either way.
+    assert!((within(0.99) - 0.99).abs() < 0.0063, "{}", within(0.99));
+    assert!((within(0.999) - 0.999).abs() < 0.002, "{}", within(0.999));
 }
 
 #[test]
