@@ -17,7 +17,8 @@ pub const LEAST_FOUND: f64 = 0.75;
 /// A difference of fewer standard deviations is chance: the two look at views of their own, so what each
 /// finds is counted as two independent Poisson numbers.
 const CHANCE_DEVIATIONS: f64 = 2.0;
-/// So many frames of the old process are compared, and more while it has found less than [`FOUND_TO_TELL`].
+/// So many frames of the old process are compared. More are while it has found less than [`FOUND_TO_TELL`], or while what the
+/// new one misses may be chance.
 pub const FRAMES_COMPARED: usize = 10;
 /// If the old process found less, a new one that finds nothing could not be told from it.
 pub const FOUND_TO_TELL: usize = 8;
@@ -129,7 +130,7 @@ impl Comparison {
         let mut begin = settled.len().checked_sub(FRAMES_COMPARED)?;
         loop {
             let figures = self.compare(&settled[begin..]);
-            if figures.tells() || begin == 0 {
+            if (figures.tells() && !figures.misses_may_be_chance()) || begin == 0 {
                 return Some(figures);
             }
             begin = begin.saturating_sub(FRAMES_COMPARED);
@@ -195,8 +196,8 @@ impl Figures {
         self.old_found >= FOUND_TO_TELL
     }
 
-    /// Whether a process that answers just what is wanted may have missed as many frames by chance: they are a binomial
-    /// number. More frames tell then.
+    /// Whether fewer frames were answered than are wanted, but a process that answers just as many may have missed these by
+    /// chance: they are a binomial number.
     pub fn misses_may_be_chance(&self) -> bool {
         let frames = self.frames as f64;
         let missing = LEAST_ANSWERED * frames - self.frames_answered as f64;
