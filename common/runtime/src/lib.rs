@@ -22,6 +22,7 @@
 //! | [`findings`] | what is found when a machine is examined |
 //! | [`background`] | threads for work that nobody waits for |
 //! | [`scheduling`] | the scheduling policy of a thread |
+//! | [`umask`] | the umask of a thread that binds sockets |
 //! | [`backoff`] | waits between attempts |
 //! | [`slots`] | messages that wait for a slow receiver: the newest of each kind |
 //! | [`lock`] | locks that survive a panic |
@@ -49,6 +50,7 @@ pub mod saved_state;
 pub mod scheduling;
 pub mod slots;
 pub mod stage;
+pub mod umask;
 pub mod whole_file;
 
 pub use stage::{Context, Stage, Step};

@@ -26,6 +26,7 @@ use iceoryx2::service::port_factory::{event, publish_subscribe};
 use crate::health::SharedCounters;
 use crate::listening::Listening;
 use crate::memory::{Budget, Limits, MAX_EVENT_PORTS, MAX_NODES};
+use crate::umask::with_own_umask;
 
 pub use self::error::PortError;
 pub use self::publisher::{Loan, Publisher, UnsentMessage};
@@ -263,7 +264,8 @@ impl Ports {
         let join =
             |reason: &dyn Debug| PortError::Join { topic: T::NAME, reason: format!("{reason:?}") };
         if self.wakes {
-            self.listeners.push(wake.listener_builder().create().map_err(|error| join(&error))?);
+            let listener = with_own_umask(|| wake.listener_builder().create());
+            self.listeners.push(listener.map_err(|error| join(&error))?);
         }
         Subscriber::join(data, buffer, self.counters.clone(), self.listening.clone())
     }

@@ -146,3 +146,29 @@ fn a_reader_that_takes_nothing_costs_a_lossless_publisher_one_wait() {
         assert_eq!(received(&mut dead), kept, "nothing gave way to what came later");
     });
 }
+
+/// The umask of the calling thread.
+fn umask() -> String {
+    let status = std::fs::read_to_string("/proc/thread-self/status").unwrap();
+    status.lines().find(|line| line.starts_with("Umask:")).unwrap().to_owned()
+}
+
+#[test]
+fn listeners_that_come_and_go_leave_the_umask_of_other_threads_alone() {
+    with_instance("umask", Flow::Latest, |instance| {
+        let before = umask();
+        thread::scope(|scope| {
+            let listening = [(); 2].map(|()| {
+                scope.spawn(|| {
+                    for _ in 0..200 {
+                        ports_of(instance, Flow::Latest).subscriber::<Views>().unwrap();
+                    }
+                })
+            });
+            while listening.iter().any(|thread| !thread.is_finished()) {
+                assert_eq!(umask(), before);
+            }
+        });
+        assert_eq!(umask(), before);
+    });
+}
