@@ -21,8 +21,21 @@ pub struct Browser {
     calls: u64,
     /// What the page complained of: exceptions, refused resources, errors in its log.
     pub complaints: Vec<String>,
-    _process: Beside,
+    process: Beside,
     _profile: Scratch,
+}
+
+impl Drop for Browser {
+    fn drop(&mut self) {
+        // One that is killed leaves children, which write to the profile while it is removed.
+        let asked = json!({ "id": self.calls + 1, "method": "Browser.close" });
+        if self.socket.send(Message::text(asked.to_string())).is_ok() {
+            let start = Instant::now();
+            while start.elapsed() < END && !self.process.has_ended() {
+                std::thread::sleep(Duration::from_millis(20));
+            }
+        }
+    }
 }
 
 impl Browser {
@@ -32,18 +45,12 @@ impl Browser {
             absent(BROWSER, "chromium, which `make setup` installs");
             return None;
         };
-        // Chromium now and then hangs while it starts. The last ways have fewer processes that could wait for each other.
-        let mut reasons = Vec::new();
-        let started = WAYS.iter().find_map(|way| match launch(&program, way) {
-            Ok(started) => Some(started),
+        let (process, profile, told) = match launch(&program) {
+            Ok(started) => started,
             Err(reason) => {
-                reasons.push(reason);
-                None
+                absent(BROWSER, &format!("a browser that says its port:\n{reason}"));
+                return None;
             }
-        });
-        let Some((process, profile, told)) = started else {
-            absent(BROWSER, &format!("a browser that says its port:\n{}", reasons.join("\n")));
-            return None;
         };
         let mut chief = connect(told.0, &told.1);
         let targets = call(&mut chief, 1, "Target.getTargets", &json!({}), &mut Vec::new());
@@ -52,8 +59,7 @@ impl Browser {
         let id = page["targetId"].as_str().expect("a name");
         let socket = connect(told.0, &format!("/devtools/page/{id}"));
         let complaints = Vec::new();
-        let mut browser =
-            Self { socket, calls: 0, complaints, _process: process, _profile: profile };
+        let mut browser = Self { socket, calls: 0, complaints, process, _profile: profile };
         for domain in ["Runtime", "Log", "Page"] {
             browser.call(&format!("{domain}.enable"), &json!({}));
         }
@@ -157,14 +163,14 @@ fn call(
     }
 }
 
-/// Arguments of the browsers that are started until one says its port.
-const WAYS: &[&[&str]] = &[&[], &[], &["--no-zygote"], &["--no-zygote", "--in-process-gpu"]];
-/// How long one may take for that.
-const START: Duration = Duration::from_secs(25);
+/// How long a browser may take until it says its port.
+const START: Duration = Duration::from_secs(60);
+/// How long it may take to end by itself.
+const END: Duration = Duration::from_secs(10);
 
-/// Starts a browser. Its process, its profile, and its port with the path of its socket; what is known of it if it
-/// says none.
-fn launch(program: &Path, way: &[&str]) -> Result<(Beside, Scratch, (u16, String)), String> {
+/// Starts a browser. Its process, its profile, and its port with the path of its socket; what it wrote if it says
+/// none.
+fn launch(program: &Path) -> Result<(Beside, Scratch, (u16, String)), String> {
     let profile = Scratch::new("browser");
     let complaints = profile.path("stderr");
     let mut command = Command::new(program);
@@ -180,9 +186,10 @@ fn launch(program: &Path, way: &[&str]) -> Result<(Beside, Scratch, (u16, String
     ]);
     command.args(["--disable-quic", "--no-proxy-server", "--disable-breakpad"]);
     command.args(["--password-store=basic"]).env("DBUS_SESSION_BUS_ADDRESS", "disabled:");
-    command.args(way).arg("--remote-debugging-port=0");
+    command.arg("--remote-debugging-port=0");
     command.arg(format!("--user-data-dir={}", profile.path("").display()));
-    command.arg("about:blank").stdout(Stdio::null());
+    // Its temporary folders lie in the profile, and go with it.
+    command.arg("about:blank").env("TMPDIR", profile.path("")).stdout(Stdio::null());
     command.stderr(File::create(&complaints).expect("a temporary file can be made"));
     let mut process = Beside::start(command);
     let port_file = profile.path("DevToolsActivePort");
@@ -198,19 +205,6 @@ fn launch(program: &Path, way: &[&str]) -> Result<(Beside, Scratch, (u16, String
         std::thread::sleep(Duration::from_millis(20));
     }
     let said = std::fs::read_to_string(&complaints).unwrap_or_default();
-    let processes = Command::new("ps")
-        .args(["-o", "pid,ppid,stat,wchan:20,time,args", "-C", "chromium"])
-        .output();
-    let processes = processes.map_or_else(
-        |error| error.to_string(),
-        |output| {
-            String::from_utf8_lossy(&output.stdout)
-                .lines()
-                .map(|line| format!("{line:.160}\n"))
-                .collect()
-        },
-    );
-    Err(format!(
-        "with {way:?}:\n{said:.2000}\nits processes, and those of others:\n{processes:.4000}"
-    ))
+    let has_ended = if process.has_ended() { "it ended" } else { "it still runs" };
+    Err(format!("{said:.4000}\n{has_ended}"))
 }
