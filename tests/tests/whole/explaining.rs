@@ -26,7 +26,7 @@ const FLIGHT: &[&str] = &[
 ];
 
 /// Flies, and gives the recording.
-pub(crate) fn flown(name: &str, scratch: &Scratch, arguments: &[&str], set: &[&str]) -> PathBuf {
+fn flown(name: &str, scratch: &Scratch, arguments: &[&str], set: &[&str]) -> PathBuf {
     let folder = scratch.path("recordings");
     let setting = format!("recording.folder={}", folder.display());
     let set: Vec<&str> = set.iter().copied().chain([setting.as_str()]).collect();
@@ -35,6 +35,22 @@ pub(crate) fn flown(name: &str, scratch: &Scratch, arguments: &[&str], set: &[&s
     flight.assert_nothing_left();
     let mut files = std::fs::read_dir(folder).expect("it was made");
     files.next().expect("one recording").expect("it can be read").path()
+}
+
+/// Flies in real time, and gives a recording with all that fusion heard. A recorder misses some where other tests keep
+/// the processors from it for long. Then it flies again.
+pub(crate) fn flown_completely(name: &str, scratch: &Scratch, set: &[&str]) -> PathBuf {
+    const FLIGHTS: usize = 4;
+    let mut said = String::new();
+    for _ in 0..FLIGHTS {
+        let recording = flown(name, scratch, &[], set);
+        (_, said) = run(&["replay", text(&recording), "--stage", "fusion"]);
+        if !said.contains("the comparison ends") {
+            return recording;
+        }
+        std::fs::remove_file(recording).expect("it is there");
+    }
+    panic!("{FLIGHTS} recordings lack what fusion heard; the last one: {said}");
 }
 
 /// The answer as data.
@@ -235,7 +251,7 @@ fn losses_are_told(scratch: &Scratch, recording: &Path) {
 fn a_flight_in_real_time_is_explained_exactly() {
     let scratch = Scratch::new("explained-live");
     let more = ["simulator.frames=30", "simulator.frames_per_second=10", "recording.frames=views"];
-    let recording = flown("explained-live", &scratch, &[], &[SMALL_FLIGHT, &more].concat());
+    let recording = flown_completely("explained-live", &scratch, &[SMALL_FLIGHT, &more].concat());
     let is_measured = |told: &&Told| told.track.measured_by == MeasuredBy::Aligned.code();
     let told = told(&recording);
     let Told { frame, track } = told.iter().rfind(is_measured).expect("alpha is near");
