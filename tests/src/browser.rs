@@ -25,19 +25,6 @@ pub struct Browser {
     _profile: Scratch,
 }
 
-impl Drop for Browser {
-    fn drop(&mut self) {
-        // One that is killed leaves children, which write to the profile while it is removed.
-        let asked = json!({ "id": self.calls + 1, "method": "Browser.close" });
-        if self.socket.send(Message::text(asked.to_string())).is_ok() {
-            let start = Instant::now();
-            while start.elapsed() < END && !self.process.has_ended() {
-                std::thread::sleep(Duration::from_millis(20));
-            }
-        }
-    }
-}
-
 impl Browser {
     /// Starts it. Where there is none, or none that starts, says so and returns `None`.
     pub fn start() -> Option<Self> {
@@ -119,6 +106,19 @@ impl Browser {
     fn call(&mut self, method: &str, parameters: &Value) -> Value {
         self.calls += 1;
         call(&mut self.socket, self.calls, method, parameters, &mut self.complaints)
+    }
+}
+
+impl Drop for Browser {
+    fn drop(&mut self) {
+        // One that is killed leaves children, which write to the profile while it is removed.
+        let asked = json!({ "id": self.calls + 1, "method": "Browser.close" });
+        if self.socket.send(Message::text(asked.to_string())).is_ok() {
+            let start = Instant::now();
+            while start.elapsed() < END && !self.process.has_ended() {
+                std::thread::sleep(Duration::from_millis(20));
+            }
+        }
     }
 }
 

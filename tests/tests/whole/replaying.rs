@@ -9,7 +9,7 @@ use flockeye_recording::message::decode;
 use flockeye_recording::{Reader, RecordedMessage, RecordingWriter};
 use flockeye_tests::{SMALL_FLIGHT, Scratch, run};
 
-use crate::explaining::flown_completely;
+use crate::explaining::flown_without_losses;
 use crate::recording::{forget_all_markers, layout, read, text};
 
 /// What a replay said.
@@ -97,7 +97,7 @@ fn a_flight_in_real_time_gives_the_same_poses_again() {
         &["simulator.frames=60", "simulator.frames_per_second=15", "recording.frames=views"],
     ]
     .concat();
-    let recording = flown_completely("repeated", &scratch, &set);
+    let recording = flown_without_losses("repeated", &scratch, &set);
     let said = same(&recording);
     said.assert_complete();
     assert!(said.messages > 30 && said.frames > 10, "{}", said.whole);
@@ -167,7 +167,7 @@ fn background_passes_in_real_time_are_repeated() {
         "camera.height=640",
         "gateway.enabled=false",
     ];
-    let recording = flown_completely("repeated-far", &scratch, &far);
+    let recording = flown_without_losses("repeated-far", &scratch, &far);
     let journals = journals(&recording);
     let is_answer = |entry: &&JournalEntry| entry.kind == JournalKind::Background.code();
     let answers = journals.iter().flatten().filter(is_answer).count();
