@@ -11,8 +11,8 @@ use flockeye_geometry::camera::Camera;
 use flockeye_geometry::statistics::{median, quantile};
 use flockeye_imaging::proposals::{Detail, MarkerSizes, Proposal, Proposer};
 use flockeye_imaging::sphere::SphereImage;
-use flockeye_record::TruthRow;
 use flockeye_simulator::{World, settings};
+use flockeye_tables::TruthRow;
 use flockeye_tests::recordings;
 use nalgebra::{Unit, Vector3};
 use rustix::time::{ClockId, clock_gettime};
@@ -54,7 +54,7 @@ fn print(detail: Detail) {
     let Some(data) = recordings() else { return println!("proposals: no recordings") };
     for (name, pictures, every) in RECORDINGS {
         let folder = data.join(name);
-        let truth: Vec<TruthRow> = flockeye_record::read(&folder.join("truth.csv")).unwrap();
+        let truth: Vec<TruthRow> = flockeye_tables::read(&folder.join("truth.csv")).unwrap();
         let mut table = table_of();
         let camera = Camera::equirectangular(WIDTH, WIDTH / 2);
         frames::each_frame(&folder.join(pictures), camera, |number, image| {

@@ -8,9 +8,9 @@ use crate::tape::{Epoch, TapeSample};
 use anyhow::Context as _;
 use flockeye_config::{InertialSource, Pipeline};
 use flockeye_contract::{FrameStamp, ImuHeader, ImuSample, Imus, MAX_IMU_SAMPLES};
-use flockeye_record::ImuRow;
 use flockeye_runtime::clock;
 use flockeye_runtime::ports::{Ports, Publisher};
+use flockeye_tables::ImuRow;
 
 /// Samples reach so far beyond an exposure, seconds, besides `camera.latency_ms`: what has been measured when
 /// the picture is there.
@@ -85,7 +85,7 @@ impl RecordedSensor {
     /// # Errors
     /// The file cannot be read, is empty, or its times do not rise.
     pub fn read(path: &Path, pipeline: &Pipeline) -> anyhow::Result<Self> {
-        let rows: Vec<ImuRow> = flockeye_record::read(path).context("inertial.source")?;
+        let rows: Vec<ImuRow> = flockeye_tables::read(path).context("inertial.source")?;
         anyhow::ensure!(!rows.is_empty(), "inertial.source: {} has no samples", path.display());
         if let Some(k) = rows.windows(2).position(|pair| pair[1].t_s <= pair[0].t_s) {
             let (line, t_s) = (k + 3, rows[k + 1].t_s);

@@ -13,8 +13,8 @@ use std::collections::{BTreeMap, VecDeque};
 use flockeye_contract::{
     BodyTruth, FrameStamp, Health, StageState, Track, TrackState, TruthHeader,
 };
-use flockeye_record::sweep::SweepReport;
 use flockeye_runtime::health_rates::HealthRates;
+use flockeye_tables::sweep::SweepReport;
 use nalgebra::Vector3;
 
 /// Frames whose truth is kept until their tracks come.

@@ -9,10 +9,12 @@ use flockeye_config::Resolved;
 use flockeye_contract::{
     Detections, FrameStamp, Healths, ImuSample, Imus, Rotations, StageState, Tracks, Truths,
 };
-use flockeye_record::sweep::SweepReport;
-use flockeye_record::{FrameTimes, ImuRow, MarkerRays, PoseRow, Recorder, RotationRow, TruthRow};
 use flockeye_runtime::clock;
 use flockeye_runtime::ports::{Ports, Subscriber};
+use flockeye_tables::sweep::SweepReport;
+use flockeye_tables::{
+    FrameTimes, ImuRow, MarkerRays, PoseRow, RotationRow, TableWriter, TruthRow,
+};
 
 use crate::control::Worker;
 use crate::dashboard::Dashboard;
@@ -110,12 +112,12 @@ pub struct RunLog {
 
 /// The files that are written.
 struct Recorders {
-    poses: Option<Recorder<PoseRow>>,
-    truth: Option<Recorder<TruthRow>>,
-    rotations: Option<Recorder<RotationRow>>,
-    imu: Option<Recorder<ImuRow>>,
-    frame_times: Option<Recorder<FrameTimes>>,
-    rays: Option<Recorder<MarkerRays>>,
+    poses: Option<TableWriter<PoseRow>>,
+    truth: Option<TableWriter<TruthRow>>,
+    rotations: Option<TableWriter<RotationRow>>,
+    imu: Option<TableWriter<ImuRow>>,
+    frame_times: Option<TableWriter<FrameTimes>>,
+    rays: Option<TableWriter<MarkerRays>>,
 }
 
 impl RunLog {
@@ -147,12 +149,12 @@ impl RunLog {
             last_rotation: None,
             sweep: sweep.flatten(),
             recorders: Recorders {
-                poses: options.poses.as_deref().map(Recorder::create).transpose()?,
-                truth: options.truth.as_deref().map(Recorder::create).transpose()?,
-                rotations: options.rotations.as_deref().map(Recorder::create).transpose()?,
-                imu: options.imu.as_deref().map(Recorder::create).transpose()?,
-                frame_times: options.frame_times.as_deref().map(Recorder::create).transpose()?,
-                rays: options.rays.as_deref().map(Recorder::create).transpose()?,
+                poses: options.poses.as_deref().map(TableWriter::create).transpose()?,
+                truth: options.truth.as_deref().map(TableWriter::create).transpose()?,
+                rotations: options.rotations.as_deref().map(TableWriter::create).transpose()?,
+                imu: options.imu.as_deref().map(TableWriter::create).transpose()?,
+                frame_times: options.frame_times.as_deref().map(TableWriter::create).transpose()?,
+                rays: options.rays.as_deref().map(TableWriter::create).transpose()?,
             },
             dashboard: Dashboard::default(),
             metrics: match resolved.pipeline.metrics.listen {
@@ -317,12 +319,12 @@ impl RunLog {
         self.receive()?;
         self.record_samples()?;
         let Recorders { poses, truth, rotations, imu, frame_times, rays } = &mut self.recorders;
-        poses.take().map(Recorder::finish).transpose()?;
-        truth.take().map(Recorder::finish).transpose()?;
-        rotations.take().map(Recorder::finish).transpose()?;
-        imu.take().map(Recorder::finish).transpose()?;
-        frame_times.take().map(Recorder::finish).transpose()?;
-        rays.take().map(Recorder::finish).transpose()?;
+        poses.take().map(TableWriter::finish).transpose()?;
+        truth.take().map(TableWriter::finish).transpose()?;
+        rotations.take().map(TableWriter::finish).transpose()?;
+        imu.take().map(TableWriter::finish).transpose()?;
+        frame_times.take().map(TableWriter::finish).transpose()?;
+        rays.take().map(TableWriter::finish).transpose()?;
         let first_end_ns = self.first_end_ns.unwrap_or(self.last_end_ns);
         Ok(RunSummary {
             frames: self.dashboard.frames_ended(),

@@ -2,8 +2,8 @@
 
 use flockeye_config::Resolved;
 use flockeye_contract::{Detections, Plans};
-use flockeye_record::sweep::{Sweep, SweepReport};
 use flockeye_runtime::ports::{PortError, Ports, Subscriber};
+use flockeye_tables::sweep::{Sweep, SweepReport};
 
 /// A [`Sweep`] of a running pipeline.
 pub struct SweepWatch {

@@ -9,8 +9,8 @@ use flockeye_geometry::view::View;
 use flockeye_imaging::align::BodyPrint;
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::sphere::{Cut, SphereImage, rectify_into};
-use flockeye_record::TruthRow;
 use flockeye_simulator::{World, settings};
+use flockeye_tables::TruthRow;
 use flockeye_tests::recordings;
 use nalgebra::{Isometry3, Quaternion, Unit, UnitQuaternion};
 
@@ -148,7 +148,7 @@ pub fn recorded(mut each: impl FnMut(&Still)) {
     let prints = prints_of(&bodies);
     for (origin, pictures, every) in RECORDINGS {
         let folder = data.join(origin);
-        let truth: Vec<TruthRow> = flockeye_record::read(&folder.join("truth.csv")).unwrap();
+        let truth: Vec<TruthRow> = flockeye_tables::read(&folder.join("truth.csv")).unwrap();
         each_frame(&folder.join(pictures), camera(), |number, image| {
             if number % every != 0 {
                 return;

@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use flockeye_config::Pipeline;
-use flockeye_record::{PoseRow, TruthRow, read};
+use flockeye_tables::{PoseRow, TruthRow, read};
 use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, absent, flockeye, run, unique};
 use gstreamer as gst;
 use gstreamer::prelude::*;

@@ -10,11 +10,11 @@ use flockeye_contract::{
     Plans, Pose, StopReason, Topic, Track, TrackHeader, Tracks, Transfer, TruthHeader, Truths,
     VERSION_ATTRIBUTE, ViewHeader, ViewKind, Views,
 };
-use flockeye_record::{PoseRow, TruthRow, read};
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::instance::Instance;
 use flockeye_runtime::memory::Budget;
 use flockeye_runtime::ports::{Ports, Subscriber};
+use flockeye_tables::{PoseRow, TruthRow, read};
 use flockeye_tests::onlooker::{Tape, join, subscribe};
 use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, flockeye, unique};
 use iceoryx2::node::Node;

@@ -139,7 +139,7 @@ fn samples_that_were_recorded_can_be_read_again() {
     let mut flight = Flight::start("imu", &["--flow", "lossless", "--imu", path], &set);
     assert!(flight.wait().success(), "{}", flight.output());
     flight.assert_nothing_left();
-    let rows: Vec<flockeye_record::ImuRow> = flockeye_record::read(&file).expect("they are read");
+    let rows: Vec<flockeye_tables::ImuRow> = flockeye_tables::read(&file).expect("they are read");
     assert!(rows.len() > 100, "{}", rows.len());
     assert!(rows.windows(2).all(|pair| ((pair[1].t_s - pair[0].t_s) * 200.0 - 1.0).abs() < 1e-3));
     assert!((rows[0].t_s + 0.5).abs() < 1e-6, "{:?}", rows[0]);

@@ -6,10 +6,10 @@ use std::time::{Duration, Instant};
 
 use flockeye_contract::wire::FRAME_SCHEMA;
 use flockeye_contract::{Health, Healths, MeasuredBy, Track, TrackHeader, Tracks};
-use flockeye_record::{PoseRow, TruthRow, read};
 use flockeye_runtime::clock;
 use flockeye_runtime::onlooker;
 use flockeye_runtime::ports::{Ports, Subscriber};
+use flockeye_tables::{PoseRow, TruthRow, read};
 use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, flockeye, run, unique};
 use rustix::process::{Pid, Signal, kill_process};
 

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use flockeye_contract::{FrameStamp, MeasuredBy, StageLatency, Track, TrackHeader};
-use flockeye_record::PoseRow;
+use flockeye_tables::PoseRow;
 use flockeye_tests::onlooker::Tape;
 use flockeye_tests::{SMALL_FLIGHT, Scratch, VULKAN, absent, flockeye, run, unique};
 use nalgebra::Vector3;
@@ -163,7 +163,7 @@ fn measured(flow: &str, budget: &str) -> BTreeMap<(u64, String), (Vector3<f64>, 
     }
     let (is_good, output) = run(&arguments);
     assert!(is_good, "{output}");
-    let rows: Vec<PoseRow> = flockeye_record::read(&poses).expect("poses");
+    let rows: Vec<PoseRow> = flockeye_tables::read(&poses).expect("poses");
     let measured = rows.into_iter().filter_map(|row| {
         let measured = row.measured?;
         let covariance = measured.covariance.expect("what is measured has a covariance");

@@ -5,12 +5,12 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 use flockeye_contract::{FrameEnds, FrameHeader, FrameStamp, ImuSample, Rotation, RotationSource};
-use flockeye_record::{PoseRow, read};
 use flockeye_recording::Reader;
 use flockeye_recording::channel::FRAME_IMAGES;
 use flockeye_recording::images::decode_compressed;
 use flockeye_recording::message::decode;
 use flockeye_recording::{ContractMessage, layouts};
+use flockeye_tables::{PoseRow, read};
 use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, onlooker, run};
 use gstreamer as gst;
 use rustix::process::Signal;

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use flockeye_contract::{Healths, TrackState, Tracks};
-use flockeye_record::{PoseRow, read};
+use flockeye_tables::{PoseRow, read};
 use flockeye_tests::onlooker::{join, subscribe};
 use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG};
 use rustix::process::Signal;

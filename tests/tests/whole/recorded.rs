@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use flockeye_lab::evaluation::Evaluation;
-use flockeye_record::{PoseRow, read};
+use flockeye_tables::{PoseRow, read};
 use flockeye_tests::{Flight, Scratch, recordings, run};
 
 /// A flight of 300 frames of 3840x1920 on loaded cores.

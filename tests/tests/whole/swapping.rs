@@ -6,7 +6,7 @@ use std::os::unix::net::UnixStream;
 use std::process::Command;
 use std::time::Duration;
 
-use flockeye_record::{FrameTimes, PoseRow, read};
+use flockeye_tables::{FrameTimes, PoseRow, read};
 use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, flockeye, run, unique};
 use serde_json::Value;
 

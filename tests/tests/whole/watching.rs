@@ -6,8 +6,8 @@ use std::time::{Duration, Instant};
 
 use flockeye_config::Resolved;
 use flockeye_contract::{Detections, Plans, Tracks};
-use flockeye_record::sweep::Sweep;
 use flockeye_require::loopback::free_port;
+use flockeye_tables::sweep::Sweep;
 use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, onlooker, run};
 use rustix::process::{Signal, kill_process};
 use serde_json::Value;

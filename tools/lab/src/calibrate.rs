@@ -14,7 +14,7 @@ use std::ffi::OsString;
 use anyhow::Context;
 use flockeye_cli::{Configuration, signals};
 use flockeye_config::Mount;
-use flockeye_record::{TableRow, read};
+use flockeye_tables::{TableRow, read};
 use nalgebra::Isometry3;
 
 use crate::up_process;

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use anyhow::{Context, ensure};
 use clap::Args;
 use flockeye_cli::Screen;
-use flockeye_record::{ImuRow, PoseRow, RotationRow, TruthRow, read};
+use flockeye_tables::{ImuRow, PoseRow, RotationRow, TruthRow, read};
 use serde::Serialize;
 
 use crate::evaluation::Evaluation;

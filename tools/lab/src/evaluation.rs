@@ -25,7 +25,7 @@ use std::collections::BTreeMap;
 use flockeye_contract::{MeasuredBy, TrackState};
 use flockeye_geometry::pose::{FALSE_POSITION_M, FALSE_ROTATION_RAD};
 use flockeye_geometry::statistics::{median, quantile};
-use flockeye_record::{PoseRow, TruthRow};
+use flockeye_tables::{PoseRow, TruthRow};
 use serde::Serialize;
 
 use consistency::{Consistency, in_series};

@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use flockeye_record::{PoseRow, TruthRow};
+use flockeye_tables::{PoseRow, TruthRow};
 use nalgebra::Vector3;
 
 use crate::evaluation::{Evaluation, measurement, published};

@@ -1,7 +1,7 @@
 //! The dashboard as one serializable value, for programs.
 
 use flockeye_contract::MeasuredBy;
-use flockeye_record::sweep::SweepReport;
+use flockeye_tables::sweep::SweepReport;
 use serde::Serialize;
 
 use super::{Dashboard, age_ms, deviation_m, track_state_name};

@@ -12,7 +12,7 @@ use flockeye_geometry::calibration::{
     BodyCalibration, CalibratedMarker, CalibrationOptions, calibrate,
 };
 use flockeye_geometry::pose::CornerRay;
-use flockeye_record::MarkerRays;
+use flockeye_tables::MarkerRays;
 use nalgebra::{Unit, Vector3};
 use serde_json::{Value, json};
 

@@ -9,7 +9,7 @@ use clap::Args;
 use flockeye_cli::{Configuration, Screen, duration, signals};
 use flockeye_config::{InertialSource, Pipeline};
 use flockeye_geometry::inertial::{SensorCalibration, TurnSeen, calibrate};
-use flockeye_record::{RotationRow, rate_record, read};
+use flockeye_tables::{RotationRow, rate_record, read};
 use serde_json::{Value, json};
 
 use crate::up_process;

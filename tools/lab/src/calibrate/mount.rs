@@ -10,7 +10,7 @@ use flockeye_cli::text_table::TextTable;
 use flockeye_cli::{Configuration, Screen};
 use flockeye_config::{isometry, read_document};
 use flockeye_geometry::calibration::mount::{Agreement, MountCalibration, fit};
-use flockeye_record::{PoseRow, read};
+use flockeye_tables::{PoseRow, read};
 use nalgebra::Isometry3;
 use serde_json::{Value, json};
 

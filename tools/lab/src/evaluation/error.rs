@@ -1,7 +1,7 @@
 //! How far a pose is from the truth.
 
 use flockeye_geometry::statistics::mean;
-use flockeye_record::TruthRow;
+use flockeye_tables::TruthRow;
 use nalgebra::{Matrix6, UnitQuaternion, Vector3};
 use serde::Serialize;
 

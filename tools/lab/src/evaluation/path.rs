@@ -1,6 +1,6 @@
 //! The truth between frames: where a body was, or how the camera was turned, at any time.
 
-use flockeye_record::TruthRow;
+use flockeye_tables::TruthRow;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
 /// Between frames that are farther apart than this, seconds, nothing is said: a drone may do anything in between.

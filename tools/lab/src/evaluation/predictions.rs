@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use flockeye_contract::TrackState;
-use flockeye_record::{PoseRow, PredictedPose, TruthRow};
+use flockeye_tables::{PoseRow, PredictedPose, TruthRow};
 use nalgebra::Isometry3;
 use serde::Serialize;
 

@@ -2,7 +2,7 @@
 
 use flockeye_geometry::inertial::RateRecord;
 use flockeye_geometry::statistics::median;
-use flockeye_record::{ImuRow, RecordedTurn, RotationRow, TruthRow, rate_record};
+use flockeye_tables::{ImuRow, RecordedTurn, RotationRow, TruthRow, rate_record};
 use nalgebra::{UnitQuaternion, Vector3};
 use serde::Serialize;
 

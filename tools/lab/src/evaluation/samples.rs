@@ -1,7 +1,7 @@
 //! Rows for tests.
 
 use flockeye_contract::{MeasuredBy, TrackState};
-use flockeye_record::{MeasuredPose, PoseRow, TruthRow};
+use flockeye_tables::{MeasuredPose, PoseRow, TruthRow};
 use nalgebra::{Matrix6, UnitQuaternion, Vector3};
 
 /// A pose of alpha, upright.

@@ -6,7 +6,7 @@ use anyhow::{Context, bail, ensure};
 use clap::Args;
 use flockeye_cli::Configuration;
 use flockeye_contract::StageName;
-use flockeye_record::{TruthRow, read};
+use flockeye_tables::{TruthRow, read};
 use serde::Serialize;
 
 use super::laboratory::FlightRecord;

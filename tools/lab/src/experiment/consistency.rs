@@ -8,7 +8,7 @@ use clap::Args;
 use flockeye_cli::Configuration;
 use flockeye_contract::StageName;
 use flockeye_geometry::filter::chi_square_quantile;
-use flockeye_record::{PoseRow, TruthRow};
+use flockeye_tables::{PoseRow, TruthRow};
 use nalgebra::Vector3;
 use serde::Serialize;
 

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use anyhow::{Context, bail, ensure};
 use flockeye_cli::{Configuration, FlowChoice, Screen, signals};
 use flockeye_config::Pipeline;
-use flockeye_record::{FrameTimes, PoseRow, TruthRow, read};
+use flockeye_tables::{FrameTimes, PoseRow, TruthRow, read};
 
 use crate::up_process;
 

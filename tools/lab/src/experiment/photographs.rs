@@ -13,7 +13,7 @@ use flockeye_geometry::Ray;
 use flockeye_geometry::view::{View, ViewPixel};
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
-use flockeye_record::recorder::{Recorded, Recorder};
+use flockeye_tables::recorder::{Recorded, Recorder};
 use nalgebra::{Vector2, Vector3};
 use opencv::imgcodecs::{IMREAD_GRAYSCALE, imread};
 use opencv::prelude::*;

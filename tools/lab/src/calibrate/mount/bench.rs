@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use anyhow::{bail, ensure};
 use flockeye_config::{Mount, isometry};
 use flockeye_geometry::calibration::mount::{MeasuredPlace, still_pose, turned_covariance};
-use flockeye_record::PoseRow;
+use flockeye_tables::PoseRow;
 use nalgebra::{Isometry3, Matrix6};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

@@ -2,7 +2,7 @@
 
 use flockeye_config::Pipeline;
 use flockeye_contract::{MeasuredBy, TrackState};
-use flockeye_record::MeasuredPose;
+use flockeye_tables::MeasuredPose;
 use nalgebra::{Matrix6, Translation3, UnitQuaternion, Vector3, Vector6};
 
 use super::*;

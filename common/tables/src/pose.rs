@@ -5,8 +5,8 @@ use flockeye_convert::{matrix6, rotation};
 use nalgebra::{Matrix6, UnitQuaternion, Vector3};
 use serde::ser::{Serialize, SerializeStruct, Serializer};
 
-use crate::recorder::Recorded;
 use crate::table::{TableCells, TableError, TableRow};
+use crate::writer::WrittenRow;
 
 /// A row of the poses: the target's pose in the observer's frame.
 #[derive(Debug, Clone, PartialEq)]
@@ -135,7 +135,7 @@ fn upper_triangle() -> impl Iterator<Item = (usize, usize)> {
     (0..6).flat_map(|row| (row..6).map(move |column| (row, column)))
 }
 
-impl Recorded for PoseRow {
+impl WrittenRow for PoseRow {
     fn names() -> Vec<&'static str> {
         let before = ["frame", "stamp_s", "target"].into_iter().chain(POSE);
         let own = before.chain(["state", "markers", "measured_by"]).chain(MEASURED);
@@ -212,7 +212,7 @@ impl TableRow for PoseRow {
             "tentative, confirmed, coasting, lost or measured",
         )?;
         let measured_by = match cells.text("measured_by") {
-            // Recorded without it: the state says whether something was measured.
+            // WrittenRow without it: the state says whether something was measured.
             "" if matches!(state, TrackState::Coasting | TrackState::Lost) => MeasuredBy::Nothing,
             "" => MeasuredBy::Decoded,
             _ => cells.code(MeasuredBy::ALL, "measured_by", "nothing, decoded or aligned")?,

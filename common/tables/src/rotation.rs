@@ -5,8 +5,8 @@ use flockeye_convert::camera_turn;
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use serde::ser::{Serialize, SerializeStruct, Serializer};
 
-use crate::recorder::Recorded;
 use crate::table::{TableCells, TableError, TableRow};
+use crate::writer::WrittenRow;
 
 /// A row of the rotations: how the camera has turned to one frame.
 #[derive(Debug, Clone, PartialEq)]
@@ -82,7 +82,7 @@ fn upper_triangle() -> impl Iterator<Item = (usize, usize)> {
     (0..3).flat_map(|row| (row..3).map(move |column| (row, column)))
 }
 
-impl Recorded for RotationRow {
+impl WrittenRow for RotationRow {
     fn names() -> Vec<&'static str> {
         Self::REQUIRED.to_vec()
     }
@@ -184,8 +184,8 @@ fn covariance(cells: &TableCells<'_>, names: [&str; 6]) -> Result<Matrix3<f64>, 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::recorder::Recorder;
     use crate::table::read;
+    use crate::writer::TableWriter;
 
     fn stamp(sequence: u64, exposure_ns: i64, stream_ns: i64) -> FrameStamp {
         FrameStamp { sequence, exposure_ns, stream_ns, ..FrameStamp::default() }
@@ -230,9 +230,9 @@ mod tests {
         let unknown = Rotation { stamp: stamp(0, 1, 0), ..Rotation::default() };
         let rows = [RotationRow::of(&unknown, None, 1), RotationRow::of(&rotation(), None, 1)];
         assert_eq!(rows[0].turn, None);
-        let mut recorder = Recorder::create(&path).expect("it can be written");
-        rows.iter().for_each(|row| recorder.add(row).expect("there is room"));
-        recorder.finish().expect("there is room");
+        let mut table = TableWriter::create(&path).expect("it can be written");
+        rows.iter().for_each(|row| table.add(row).expect("there is room"));
+        table.finish().expect("there is room");
         assert_eq!(read::<RotationRow>(&path).expect("it is right"), rows);
         let text = std::fs::read_to_string(&path).expect("it is there");
         assert!(text.contains("\n0,0.0,0.0,nothing,,,,"), "{text}");

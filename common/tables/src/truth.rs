@@ -5,8 +5,8 @@ use flockeye_convert::rotation;
 use nalgebra::{UnitQuaternion, Vector3};
 use serde::Serialize;
 
-use crate::recorder::Recorded;
 use crate::table::{TableCells, TableError, TableRow};
+use crate::writer::WrittenRow;
 
 /// A row of the truth: the body's pose in the camera frame. Columns of the reference recordings, and the
 /// camera's own attitude.
@@ -69,7 +69,7 @@ pub struct TruthRow {
     pub camera_qz: Option<f64>,
 }
 
-impl Recorded for TruthRow {
+impl WrittenRow for TruthRow {
     fn names() -> Vec<&'static str> {
         vec![
             "frame",
@@ -252,9 +252,9 @@ mod tests {
         };
         let row = TruthRow::of(&header, &body);
         let path = std::env::temp_dir().join(format!("flockeye-{}-turned.csv", std::process::id()));
-        let mut recorder = crate::Recorder::create(&path).expect("it can be written");
-        recorder.add(&row).expect("there is room");
-        recorder.finish().expect("there is room");
+        let mut table = crate::TableWriter::create(&path).expect("it can be written");
+        table.add(&row).expect("there is room");
+        table.finish().expect("there is room");
         let rows: Vec<TruthRow> = read(&path).expect("it is right");
         std::fs::remove_file(path).expect("it can be removed");
         assert_eq!(rows, [row]);

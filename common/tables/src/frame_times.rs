@@ -3,8 +3,8 @@
 use flockeye_contract::FrameStamp;
 use serde::Serialize;
 
-use crate::recorder::Recorded;
 use crate::table::{TableCells, TableError, TableRow};
+use crate::writer::WrittenRow;
 
 /// When a frame was published and when it ended, that is when its last tracks came. Both are times of
 /// CLOCK_MONOTONIC in nanoseconds.
@@ -32,7 +32,7 @@ impl FrameTimes {
     }
 }
 
-impl Recorded for FrameTimes {
+impl WrittenRow for FrameTimes {
     fn names() -> Vec<&'static str> {
         Self::REQUIRED.to_vec()
     }
@@ -54,8 +54,8 @@ impl TableRow for FrameTimes {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::recorder::Recorder;
     use crate::table::read;
+    use crate::writer::TableWriter;
 
     #[test]
     fn times_are_read_as_they_were_written() {
@@ -63,9 +63,9 @@ mod tests {
         let stamp =
             FrameStamp { sequence: 4, published_ns: 1_000_000_000, ..FrameStamp::default() };
         let row = FrameTimes::new(&stamp, 1_250_000_001);
-        let mut recorder = Recorder::create(&path).expect("it can be written");
-        recorder.add(&row).expect("there is room");
-        recorder.finish().expect("there is room");
+        let mut table = TableWriter::create(&path).expect("it can be written");
+        table.add(&row).expect("there is room");
+        table.finish().expect("there is room");
         let rows: Vec<FrameTimes> = read(&path).expect("it is right");
         std::fs::remove_file(path).expect("it can be removed");
         assert_eq!(rows, [row]);

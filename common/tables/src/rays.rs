@@ -3,8 +3,8 @@
 use flockeye_contract::{DetectedMarker, DetectionHeader};
 use serde::ser::{Serialize, SerializeStruct, Serializer};
 
-use crate::recorder::Recorded;
 use crate::table::{TableCells, TableError, TableRow};
+use crate::writer::WrittenRow;
 
 /// The rays of a marker's four corners, as detection found them in a view of a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -42,7 +42,7 @@ impl MarkerRays {
     }
 }
 
-impl Recorded for MarkerRays {
+impl WrittenRow for MarkerRays {
     fn names() -> Vec<&'static str> {
         Self::REQUIRED.to_vec()
     }
@@ -115,8 +115,8 @@ impl TableRow for MarkerRays {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::recorder::Recorder;
     use crate::table::read;
+    use crate::writer::TableWriter;
     use bytemuck::Zeroable;
 
     #[test]
@@ -130,9 +130,9 @@ mod tests {
             ..DetectedMarker::default()
         };
         let row = MarkerRays::new(&DetectionHeader::zeroed(), &found);
-        let mut recorder = Recorder::create(&path).expect("it can be written");
-        recorder.add(&row).expect("there is room");
-        recorder.finish().expect("there is room");
+        let mut table = TableWriter::create(&path).expect("it can be written");
+        table.add(&row).expect("there is room");
+        table.finish().expect("there is room");
         assert_eq!(read::<MarkerRays>(&path).expect("it is right"), [row]);
         let text = std::fs::read_to_string(&path).expect("it is there");
         for (from, to, wanted) in [

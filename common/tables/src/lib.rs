@@ -2,7 +2,7 @@
 //!
 //! | module | what it holds |
 //! | --- | --- |
-//! | [`recorder`] | a CSV file that is being written |
+//! | [`writer`] | a CSV file that is being written |
 //! | [`table`] | CSV files read by the names of their columns |
 //! | [`pose`] | each neighbour's pose in each frame |
 //! | [`truth`] | the true poses, of a simulated flight or of a recording |
@@ -16,17 +16,17 @@ pub mod frame_times;
 pub mod imu;
 pub mod pose;
 pub mod rays;
-pub mod recorder;
 pub mod rotation;
 pub mod sweep;
 pub mod table;
 pub mod truth;
+pub mod writer;
 
 pub use frame_times::FrameTimes;
 pub use imu::{ImuRow, rate_record};
 pub use pose::{MeasuredPose, PoseRow, PredictedPose};
 pub use rays::MarkerRays;
-pub use recorder::{Recorded, Recorder};
 pub use rotation::{RecordedTurn, RotationRow};
 pub use table::{TableError, TableRow, read};
 pub use truth::TruthRow;
+pub use writer::{TableWriter, WrittenRow};

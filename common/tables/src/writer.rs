@@ -8,19 +8,19 @@ use anyhow::Context;
 use serde::Serialize;
 
 /// A row that is written.
-pub trait Recorded: Serialize {
+pub trait WrittenRow: Serialize {
     /// The names of its columns, in the order in which it is serialized.
     fn names() -> Vec<&'static str>;
 }
 
 /// A CSV file of rows `R` that is being written. Its first line names the columns.
-pub struct Recorder<R> {
+pub struct TableWriter<R> {
     path: PathBuf,
     writer: csv::Writer<File>,
     row: PhantomData<fn(R)>,
 }
 
-impl<R: Recorded> Recorder<R> {
+impl<R: WrittenRow> TableWriter<R> {
     /// Creates the file.
     ///
     /// # Errors
@@ -46,7 +46,7 @@ impl<R: Recorded> Recorder<R> {
     /// Writes what is still in memory to the file.
     ///
     /// # Errors
-    /// As [`Recorder::add`].
+    /// As [`TableWriter::add`].
     pub fn finish(mut self) -> anyhow::Result<()> {
         self.writer.flush().with_context(|| format!("cannot write {}", self.path.display()))
     }

@@ -5,8 +5,8 @@ use flockeye_geometry::inertial::{RateRecord, RateSample};
 use nalgebra::Vector3;
 use serde::ser::{Serialize, SerializeStruct, Serializer};
 
-use crate::recorder::Recorded;
 use crate::table::{TableCells, TableError, TableRow};
+use crate::writer::WrittenRow;
 
 /// A sample of an inertial sensor.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -41,7 +41,7 @@ pub fn rate_record(mut rows: Vec<ImuRow>) -> RateRecord {
 
 const COLUMNS: [&str; 7] = ["t_s", "gx", "gy", "gz", "ax", "ay", "az"];
 
-impl Recorded for ImuRow {
+impl WrittenRow for ImuRow {
     fn names() -> Vec<&'static str> {
         COLUMNS.to_vec()
     }
@@ -84,8 +84,8 @@ impl TableRow for ImuRow {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::recorder::Recorder;
     use crate::table::read;
+    use crate::writer::TableWriter;
 
     #[test]
     fn samples_are_read_as_they_were_written() {
@@ -99,9 +99,9 @@ mod tests {
         };
         let no_force = ImuSample { at_ns: 7_255_000_000, specific_force: [f64::NAN; 3], ..sample };
         let rows = [sample, no_force].map(|sample| ImuRow::of(&sample, 7_000_000_000));
-        let mut recorder = Recorder::create(&path).unwrap();
-        rows.iter().for_each(|row| recorder.add(row).unwrap());
-        recorder.finish().unwrap();
+        let mut table = TableWriter::create(&path).unwrap();
+        rows.iter().for_each(|row| table.add(row).unwrap());
+        table.finish().unwrap();
         let found: Vec<ImuRow> = read(&path).unwrap();
         assert_eq!(found, rows);
         assert_eq!((found[0].t_s, found[1].specific_force), (0.25, None));
