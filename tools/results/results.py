@@ -800,7 +800,7 @@ def render(store):
     (folder / "recordings.md").write_text(recordings)
     chosen = [
         "Replace `SEED` by each of the seeds. One bound was chosen on the parts gusts, far, darkflight and brightflight "
-        "([history](history.md#precision)), and how many places are looked at on one seed of gusts; nothing else was "
+        "([constants](constants.md#precision)), and how many places are looked at on one seed of gusts; nothing else was "
         "chosen on these seeds.",
         "A frame that was skipped in real time has no truth, so its bodies are not counted.",
     ]

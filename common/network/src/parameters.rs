@@ -49,7 +49,7 @@ pub struct NetworkParameters {
     /// The files by which members of the swarm know each other; none: anybody who can link can say anything.
     pub security: Option<MemberFiles>,
     /// How long a link may take to open, milliseconds: several round trips, of which each may be lost and sent again
-    /// after a second (docs/results/history.md#links-over-a-bad-radio).
+    /// after a second (docs/results/constants.md#links-over-a-bad-radio).
     pub open_timeout_ms: u64,
     /// How long a silent neighbour counts as connected, milliseconds.
     pub lease_ms: u64,

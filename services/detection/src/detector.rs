@@ -32,7 +32,7 @@ const UNREFINED_PX: f64 = 2.0;
 /// Most doubtful markers that a view gives.
 pub const MAX_DOUBTFUL: usize = 4;
 
-// docs/results/history.md#what-limits-of-detection-cost has what is found, and what is false, with other values of these.
+// docs/results/constants.md#limits-of-detection has what is found, and what is false, with other values of these.
 
 /// Largest residual of the fitted print, as a share of its contrast. Print differs from its blurred image
 /// by a few hundredths, texture by more.
@@ -49,7 +49,7 @@ const MAX_BLUR_CELLS_AT_RANGE: f64 = 1.1;
 /// What markers must reach that are blurred by more than [`MAX_BLUR_CELLS`], or whose corners are uncertain: log-likelihood
 /// ratio, and residual. 7,100 squares that are blurred as much and are no markers were read, of a hall, panoramas and a simulated
 /// world. None had a ratio above 8 to the next marker. One of more views of the panoramas passes
-/// (docs/results/history.md#what-is-no-square).
+/// (docs/results/constants.md#shape-of-squares).
 const BLURRED: (f32, f64) = (12.0, 0.06);
 
 /// Where corners are only approximate, cells are sampled off their middles. A reading there is worth a fit

@@ -13,7 +13,7 @@ use flockeye_geometry::pose::squared_distance_from_square;
 static MAX_SQUARED_DISTANCE: LazyLock<f64> = LazyLock::new(|| chi_square_quantile(2.0, 0.999));
 
 /// How far a marker's corners may lie beside a square's, as a share of its side: standard deviation along either axis. Paper
-/// bends, and the lens that took a photograph is not known. docs/results/history.md#what-is-no-square has the curve.
+/// bends, and the lens that took a photograph is not known. docs/results/constants.md#shape-of-squares has the curve.
 const UNEVEN_SHARE: f64 = 0.05;
 
 /// Whether the corners that are seen along these rays may be those of a square. Each ray has a standard deviation across itself,

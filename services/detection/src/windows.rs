@@ -58,7 +58,7 @@ type Window = (f64, DarkerBy);
 ///
 /// The fine one finds markers in the shade and beside dark things, the coarse one bright markers. On
 /// drawn markers of 14 to 30 px, in a hall and in a panorama, these two found most for their time: see
-/// docs/results/history.md#other-ways-to-search. The two between them are taken where time does not matter. The
+/// docs/results/constants.md#threshold-windows. The two between them are taken where time does not matter. The
 /// narrower one finds markers in pictures that are far too dark, where white is only some code values brighter than black;
 /// the other one those that shadows cross.
 const TILE_WINDOWS: &[Window] = &[

@@ -32,7 +32,7 @@ const MARKED_PER_HOUR: f64 = 108.0;
 const CHOICES_PER_HOUR: f64 = 120.0;
 
 // A pose is a measurement by itself if so many of its standard deviations are less than what makes it a false one.
-// docs/results/history.md#precision has the curve.
+// docs/results/constants.md#precision has the curve.
 
 /// Of an aligned pose.
 const SIGMAS_OF_ALIGNMENT: f64 = 4.93;

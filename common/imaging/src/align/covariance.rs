@@ -35,7 +35,7 @@ const CORRELATION_EXPONENT: f64 = 0.25;
 /// The covariance is multiplied by 1 + (this times how far the fit wandered, in its own standard deviations)².
 ///
 /// Read from 18,686 poses at 1.6 to 4 m (seeds 9101 to 9114). NEES without it grew from 1.0 where a fit hardly wandered to 5
-/// and more. With it NEES is 0.8 to 1.2 everywhere (docs/results/history.md#precision).
+/// and more. With it NEES is 0.8 to 1.2 everywhere (docs/results/constants.md#precision).
 const WANDERING: f64 = 0.15;
 /// Least share of the independent samples that counts as degrees of freedom.
 const MIN_FREE_SHARE: f64 = 0.5;

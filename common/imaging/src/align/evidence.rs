@@ -40,7 +40,7 @@ const MODEL_ERROR: f64 = 0.03;
 const HIDDEN: f64 = 0.1;
 /// Independent values for each cell of a marker.
 ///
-/// Read from where bodies are not (docs/results/history.md#decisions): of 17,203 poses that alignment found there, the number
+/// Read from where bodies are not (docs/results/constants.md#evidence): of 17,203 poses that alignment found there, the number
 /// above x fell by e for each 5.3 of the log odds with one value for each cell. With this share it falls as e^-x.
 const INDEPENDENT_SHARE: f64 = 0.19;
 
