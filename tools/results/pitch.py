@@ -2,7 +2,7 @@
 """How wide markers come out on photographs of a printed grid, and whether stated deviations hold.
 
     flockeye experiment detectors --photographs FOLDER --dictionary DICT_6X6_250 --corners corners.csv
-    target/python/bin/python tools/photographs/pitch.py corners.csv --columns 4 --rows 5 --side 3.75 --gap 0.5
+    target/python/bin/python tools/results/pitch.py corners.csv --columns 4 --rows 5 --side 3.75 --gap 0.5
 
 The grid is OpenCV's GridBoard: ids count along rows from the top left. In each photograph a homography and the markers'
 side are fitted to all corners, by least squares of what is seen. The side's ratio to the pitch is compared with the printed

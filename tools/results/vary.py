@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Varies photographs of markers: stripes of sun, tilts, sizes, exposures, noise and blur.
 
-    target/python/bin/python tools/photographs/vary.py PHOTOGRAPHS OUT
+    target/python/bin/python tools/results/vary.py PHOTOGRAPHS OUT
     flockeye experiment detectors --photographs OUT/stripes-90 --dictionary DICT_6X6_250
 
 Each variant becomes a folder below OUT. Light is changed in linear light, by a gamma of 2.2.
