@@ -701,7 +701,7 @@ def costs_page(entry):
     stated = (ROOT / "pipeline.yaml").read_text()
     lines = ["# Results: costs", "", "Written by `make results PARTS=costs`; do not edit.",
              "Each piece of work alone on one processor, in milliseconds, beside what `search.costs` of",
-             "`pipeline.yaml` states. [SCHEDULING.md](../SCHEDULING.md) says what they are for.", "",
+             "`pipeline.yaml` states. [FUSION.md](../FUSION.md#flow-and-time) says what they are for.", "",
              "| cost | stated | median | most |", "| --- " * 4 + "|"]
     for name, median, most in entry["costs"]:
         default = re.search(rf"^    {name}: ([\d.]+)", stated, re.MULTILINE)
@@ -807,12 +807,12 @@ def render(store):
     simulated = flights_page("Results: simulated flights", intro + chosen, of(SIMULATED))
     (folder / "simulated.md").write_text(simulated)
     (folder / "experiments.md").write_text(experiments_page(
-        "experiments", "[EXPERIMENTS.md](../EXPERIMENTS.md) says what each column means.",
+        "experiments", "[EVALUATION.md](../EVALUATION.md#experiments) says what each column means.",
         of([*EXPERIMENTS, *ROTATIONS, "proposals"])))
     disturbances = [*DISTURBED, *FAULTY]
     if any(name in store for name in disturbances):
         (folder / "disturbances.md").write_text(experiments_page(
-            "disturbances", "[SWAPPING.md](../SWAPPING.md#chaos) says what is counted.", of(disturbances)))
+            "disturbances", "[OPERATING.md](../OPERATING.md#chaos) says what is counted.", of(disturbances)))
     if any(name in store for name in RECORDED):
         (folder / "recorder.md").write_text(experiments_page(
             "the recorder", "[RECORDING.md](../RECORDING.md) says what is recorded.", of(RECORDED)))
@@ -822,7 +822,7 @@ def render(store):
             of(STARTS)))
     if any(name in store for name in SWARMS):
         (folder / "swarms.md").write_text(experiments_page(
-            "simulated swarms", "[SIMULATOR.md](../SIMULATOR.md#a-swarm-in-one-world) says what the words mean.",
+            "simulated swarms", "[EVALUATION.md](../EVALUATION.md#a-swarm-in-one-world) says what the words mean.",
             of(SWARMS)))
     if any(name in store for name in [*LOADS, *CUTS]):
         (folder / "peers.md").write_text(experiments_page(
@@ -832,21 +832,21 @@ def render(store):
             (ROOT / "docs/figures/peers.svg").write_text(figure)
     if any(name in store for name in ONLOOKERS):
         (folder / "onlookers.md").write_text(experiments_page(
-            "onlookers", "[VIEW.md](../VIEW.md#what-it-costs) says what looks on, and how. Nobody waits for it. The "
+            "onlookers", "[RECORDING.md](../RECORDING.md#the-view) says what looks on, and how. Nobody waits for it. The "
             "processor's share is that of the onlooker's process; frames are those of the whole flight.",
             of(ONLOOKERS)))
     if "decisions" in store:
         (folder / "decisions.md").write_text(experiments_page(
-            "decisions", "[ALIGNMENT.md](../ALIGNMENT.md#what-is-accepted) says what the words mean.\n\n"
+            "decisions", "[FUSION.md](../FUSION.md#what-is-accepted) says what the words mean.\n\n"
             "![How often log odds are exceeded where nobody is](../figures/decisions.svg)", of(["decisions"])))
         (ROOT / "docs/figures/decisions.svg").write_text(decisions_figure(store["decisions"]["output"]))
     if "places" in store:
         (folder / "places.md").write_text(experiments_page(
-            "places", "[ALIGNMENT.md](../ALIGNMENT.md#a-body-in-any-attitude) says how they are searched.",
+            "places", "[FUSION.md](../FUSION.md#a-body-in-any-attitude) says how they are searched.",
             of(["places"])))
     if any(name in store for name in CODINGS):
         (folder / "codings.md").write_text(experiments_page(
-            "codings", "[ALIGNMENT.md](../ALIGNMENT.md#video) says what follows. NEES is 3 where covariances are right; in "
+            "codings", "[FUSION.md](../FUSION.md#video) says what follows. NEES is 3 where covariances are right; in "
             "brackets are the 95 % bounds of its mean.", of(CODINGS)))
     if "costs" in store:
         (folder / "costs.md").write_text(costs_page(store["costs"]))

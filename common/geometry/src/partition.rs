@@ -4,7 +4,7 @@
 //! Two methods find the directions: `paper` spreads points and then grows circles round them,
 //! `covering` minimises the circles themselves. Either way the circles' diameter theta is measured
 //! on the convex hull of the directions, exactly. Views are squares, turned about their axes until
-//! the smallest ones hold whatever is as wide as the margin. docs/PARTITION.md has the figures.
+//! the smallest ones hold whatever is as wide as the margin. docs/DETECTION.md has the figures.
 
 mod ascent;
 mod covering;

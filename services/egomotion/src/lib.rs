@@ -2,7 +2,7 @@
 //!
 //! [`core`] follows the rotation from frame to frame ([`flockeye_imaging::gyroscope`]) and its rate during
 //! each exposure ([`rate`]). An inertial sensor adds to both where there is one and it agrees ([`inertial`]).
-//! Health says how the camera turns ([`words`]). docs/EGOMOTION.md describes the method and what it reaches.
+//! Health says how the camera turns ([`words`]). docs/DETECTION.md describes the method and what it reaches.
 
 pub mod core;
 pub mod inertial;

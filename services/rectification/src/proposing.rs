@@ -8,7 +8,7 @@ use flockeye_imaging::proposals::{Detail, MarkerSizes, Proposal, Proposer};
 use flockeye_imaging::sphere::SphereImage;
 
 /// Places of a frame that are kept. Of the 28 bodies within 2.2 m and blurred by less than 4 px in the
-/// simulated frames that the weights were chosen on, 27 are among these (docs/SCHEDULING.md).
+/// simulated frames that the weights were chosen on, 27 are among these (docs/FUSION.md).
 const MOST: usize = 24;
 
 /// From one frame to the next a place moves by less than this, radians: 170 degrees/s at 30 frames/s.

@@ -270,7 +270,7 @@ fn hear(socket: &mut WebSocket<&mut TcpStream>, page: &Page, hub: &Hub) -> Resul
 
 /// Closes the socket of a page that says something else.
 fn close_on(socket: &mut WebSocket<&mut TcpStream>) -> Result<(), Error> {
-    let reason = "a page says nothing else than docs/VIEW.md has".into();
+    let reason = "a page says nothing else than docs/RECORDING.md has".into();
     is_sent(socket.close(Some(CloseFrame { code: CloseCode::Policy, reason })))?;
     is_sent(socket.flush())?;
     Err(Error::ConnectionClosed)

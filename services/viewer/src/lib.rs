@@ -2,7 +2,7 @@
 //! `flockeye view` starts it.
 //!
 //! It is an onlooker: it reads messages beside the stages, and nobody waits for it. While no page is open it
-//! reads nothing. Pictures are encoded at a limited rate, and only for pages that want them. docs/VIEW.md
+//! reads nothing. Pictures are encoded at a limited rate, and only for pages that want them. docs/RECORDING.md
 //! has what the page and this process say to each other.
 //!
 //! | module | what it does |

@@ -1,4 +1,4 @@
-//! The messages to the page. docs/VIEW.md describes them; a test compares it with this file.
+//! The messages to the page. docs/RECORDING.md describes them; a test compares it with this file.
 //!
 //! Numbers are of single precision: a page draws with them, and nobody measures by them.
 

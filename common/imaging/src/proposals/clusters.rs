@@ -30,7 +30,7 @@ struct Weights {
 }
 
 /// From a logistic regression over proposals in simulated, rendered and photographed scenes
-/// (docs/SCHEDULING.md). All but the last weigh logarithms.
+/// (docs/FUSION.md). All but the last weigh logarithms.
 const WEIGHTS: Weights =
     Weights { squares: 1.0, beside: -1.3, texture: 1.9, grain: 1.0, side: 1.0, unevenness: 6.0 };
 

@@ -1,7 +1,7 @@
 //! Where a neighbour may be: places of the whole sphere that look like a body with markers.
 //!
 //! It is a fast look at the whole picture. What it proposes is cut and read as any other view; what it
-//! misses the tiles find. `docs/SCHEDULING.md` says what its constants were read from.
+//! misses the tiles find. `docs/FUSION.md` says what its constants were read from.
 //!
 //! 1. The picture is reduced to the resolution of the look ([`Detail`]), in bands of latitude ([`bands`]).
 //! 2. Runs of pixels that are darker than their surroundings ([`dark`]) are joined to regions

@@ -12,7 +12,7 @@ use clap::Parser;
     bin_name = "flockeye explain",
     about = "Say why a frame of a recording gave this pose of a neighbour, or none",
     after_help = "A recording with its views from the first frame on tells all (recording.folder, recording.frames: views). \
-                  Of others it is said what the messages tell. docs/EXPLAIN.md has an example."
+                  Of others it is said what the messages tell. docs/RECORDING.md has an example."
 )]
 pub struct ExplainArguments {
     /// The recording.

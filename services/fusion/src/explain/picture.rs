@@ -28,7 +28,7 @@ const REACH_RADII: f64 = 1.7;
 /// The body is drawn at most so many times larger than it was recorded.
 const MOST_ENLARGED: f64 = 16.0;
 
-/// Colours of outlines: what each stands for is in docs/EXPLAIN.md.
+/// Colours of outlines: what each stands for is in docs/RECORDING.md.
 const PREDICTED: [u8; 3] = [255, 210, 0];
 const ACCEPTED: [u8; 3] = [40, 220, 60];
 const REFUSED: [u8; 3] = [255, 60, 50];

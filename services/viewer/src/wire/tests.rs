@@ -36,11 +36,11 @@ fn whole_frame() -> Frame {
     frame
 }
 
-/// Whoever writes a page reads VIEW.md: it has a row for each message, and in it, or in the rows of what is in
-/// it, each key.
+/// RECORDING.md has a row for each message, for authors of a page. That row, or the rows of its fields, name
+/// each key.
 #[test]
 fn the_document_names_every_key() {
-    let document = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/VIEW.md");
+    let document = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/RECORDING.md");
     let document = std::fs::read_to_string(document).unwrap();
     let resolved = Resolved::of(Pipeline::default()).unwrap();
     let mut hello = crate::setting::hello(&resolved, "x", 1.0);
