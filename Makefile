@@ -75,9 +75,9 @@ target/python/installed: Makefile $(wildcard clients/python/pyproject.toml clien
 
 # The files of the clients that are generated from the contract's types.
 clients: setup
-	cargo build --profile tested --locked -p flockeye-launcher
-	target/tested/flockeye contract python > target/contract.py
-	target/tested/flockeye contract c > target/contract.h
+	cargo build --profile tested --locked -p flockeye-workshop
+	target/tested/flockeye-workshop contract python > target/contract.py
+	target/tested/flockeye-workshop contract c > target/contract.h
 	mv target/contract.py clients/python/flockeye/contract.py
 	mv target/contract.h clients/c/include/flockeye/contract.h
 

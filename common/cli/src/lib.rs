@@ -1,15 +1,16 @@
-//! What the command lines of `flockeye`, `flockeye-lab`, `flockeye-recorder` and `flockeye-viewer` share.
+//! What the command lines of `flockeye` and of the programs that do some of its commands share.
 //!
 //! | module | what it holds |
 //! | --- | --- |
 //! | [`arguments`] | the arguments that choose a configuration, and durations |
 //! | [`dated`] | names of files that say when they were begun |
 //! | [`lab`] | the commands that `flockeye` passes on to `flockeye-lab` |
-//! | [`program`] | where the other program is |
-//! | [`running`] | which of the running pipelines is meant |
+//! | [`program`] | where those programs are |
+//! | [`running`] | which of the running pipelines is meant, and its messages |
 //! | [`screen`] | the terminal: log lines above, a live table below |
 //! | [`signals`] | a flag that Ctrl-C raises |
 //! | [`text_table`] | tables of plain text |
+//! | [`workshop`] | the commands that `flockeye` passes on to `flockeye-workshop` |
 
 pub mod arguments;
 pub mod dated;
@@ -19,6 +20,7 @@ pub mod running;
 pub mod screen;
 pub mod signals;
 pub mod text_table;
+pub mod workshop;
 
 pub use arguments::{Configuration, FlowChoice, duration};
 pub use screen::Screen;

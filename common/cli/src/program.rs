@@ -1,8 +1,17 @@
-//! Where the other program is.
+//! Other programs of Flockeye: where they are, and what their commands do.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
+
+/// A command of `flockeye` that another program does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct CommandInfo {
+    /// Its name on the command line.
+    pub name: &'static str,
+    /// What it does, in one line.
+    pub about: &'static str,
+}
 
 /// Finds a program beside the running one, else on the PATH.
 ///

@@ -1,8 +1,11 @@
-//! Which of the running pipelines is meant.
+//! Which of the running pipelines is meant, and its messages.
 
 use anyhow::{Context, bail, ensure};
 use clap::Args;
+use flockeye_config::Resolved;
 use flockeye_runtime::instance::{Instance, service_user};
+use flockeye_runtime::onlooker;
+use flockeye_runtime::ports::Ports;
 
 /// The argument that chooses a running pipeline.
 #[derive(Debug, Clone, Args)]
@@ -29,6 +32,26 @@ pub fn choose(running: &PipelineChoice) -> anyhow::Result<Instance> {
         Ok([only]) => Ok(only),
         Err(_) => bail!("several pipelines run here: {names}. Cure: --instance NAME"),
     }
+}
+
+/// A running pipeline, and the ports that receive its messages.
+pub struct Attached {
+    /// They receive its messages.
+    pub ports: Ports,
+    /// Its configuration.
+    pub resolved: Resolved,
+    /// Its name, folder and owner.
+    pub instance: Instance,
+}
+
+/// Joins the chosen pipeline.
+///
+/// # Errors
+/// As [`choose`], or it has no room for another reader.
+pub fn attach(running: &PipelineChoice) -> anyhow::Result<Attached> {
+    let instance = choose(running)?;
+    let (ports, resolved) = onlooker::join(&instance)?;
+    Ok(Attached { ports, resolved, instance })
 }
 
 /// What to do where this user has no pipeline.

@@ -2,7 +2,7 @@
 
 use std::rc::Rc;
 
-use iceoryx2::prelude::{NodeBuilder, NodeName, SignalHandlingMode, ipc};
+use iceoryx2::prelude::{LogLevel, NodeBuilder, NodeName, SignalHandlingMode, ipc, set_log_level};
 
 use crate::health::SharedCounters;
 use crate::instance::{Instance, InstanceError};
@@ -40,6 +40,7 @@ pub enum JoinError {
 /// # Errors
 /// [`JoinError`].
 pub fn join(instance: &Instance) -> Result<(Ports, Resolved), JoinError> {
+    set_log_level(LogLevel::Fatal);
     let resolved = Resolved::of(instance.pipeline()?).map_err(|error| {
         let reason = error.to_string();
         JoinError::Configuration { instance: instance.name().to_owned(), reason }

@@ -1,25 +1,21 @@
 //! The command line.
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
-use flockeye_cli::lab::COMMANDS;
+use flockeye_cli::{lab, workshop};
 
 use crate::bodies::{self, BodiesArguments};
-use crate::chaos::{self, ChaosArguments};
 use crate::check::{self, CheckArguments};
 use crate::clean::{self, CleanArguments};
-use crate::contract::{self, ContractArguments};
 use crate::doctor::{self, DoctorArguments};
 use crate::exec::{self, ExecArguments};
 use crate::keys::{self, KeysCommand};
-use crate::lab::ReplayArguments;
 use crate::manage::{self, StatusArguments, StopArguments, SwapArguments, WorkerArguments};
+use crate::other_programs::{self, PassedOn, ReplayArguments};
 use crate::peers::{self, PeersArguments};
-use crate::stage::{self, StageCommand};
-use crate::swarm::{self, SwarmCommand};
+use crate::schema;
 use crate::top::{self, TopArguments};
 use crate::trace::{self, TraceArguments};
 use crate::up::{self, UpArguments};
-use crate::{lab, schema};
 
 /// Eyes for a flock: neighbours' poses from a spherical camera.
 #[derive(Debug, Parser)]
@@ -30,6 +26,8 @@ struct Flockeye {
     command: FlockeyeCommand,
 }
 
+/// All commands but those of the lab. A command without arguments here may have some in another
+/// program, which does it.
 #[derive(Debug, Subcommand)]
 enum FlockeyeCommand {
     /// Run a pipeline until its source ends, or until Ctrl-C.
@@ -48,8 +46,8 @@ enum FlockeyeCommand {
     Start(WorkerArguments),
     /// End a stage of a running pipeline, and start it again.
     Restart(WorkerArguments),
-    /// Disturb a running pipeline at random, and report how it recovers.
-    Chaos(ChaosArguments),
+    #[command(about = workshop::CHAOS.about)]
+    Chaos,
     /// Show what a running pipeline's stages do, and how old its poses are.
     Top(TopArguments),
     /// Show what a running pipeline sees, on a page in the browser.
@@ -64,9 +62,8 @@ enum FlockeyeCommand {
     Explain,
     /// Show what the swarm's drones report of each other over Zenoh.
     Peers(PeersArguments),
-    /// Fly a swarm on this machine.
-    #[command(subcommand)]
-    Swarm(SwarmCommand),
+    #[command(about = workshop::SWARM.about)]
+    Swarm,
     /// Make keys and certificates, by which the members of a swarm know each other.
     #[command(subcommand)]
     Keys(KeysCommand),
@@ -76,21 +73,24 @@ enum FlockeyeCommand {
     Schema,
     /// Show the configured marker bodies.
     Bodies(BodiesArguments),
-    /// Print the contract's types, codes and topics for another language.
-    Contract(ContractArguments),
-    /// Write and test stages of your own.
-    #[command(subcommand)]
-    Stage(StageCommand),
+    #[command(about = workshop::CONTRACT.about)]
+    Contract,
+    #[command(about = workshop::STAGE.about)]
+    Stage,
     /// Become a stage's process (used by `up`).
     #[command(hide = true)]
     ExecStage(ExecArguments),
 }
 
-/// Reads the command line and does what it asks for.
+/// Reads the command line and does what it asks for, or becomes the program that does.
 ///
 /// # Errors
 /// As the command.
 pub fn run() -> anyhow::Result<()> {
+    let arguments: Vec<_> = std::env::args_os().skip(1).collect();
+    if let Some(command) = PassedOn::of(&arguments) {
+        return command.become_program();
+    }
     let matches = command().get_matches();
     let command = Flockeye::from_arg_matches(&matches).unwrap_or_else(|error| error.exit()).command;
     match command {
@@ -102,36 +102,39 @@ pub fn run() -> anyhow::Result<()> {
         FlockeyeCommand::Stop(arguments) => manage::stop(&arguments),
         FlockeyeCommand::Start(arguments) => manage::start(&arguments),
         FlockeyeCommand::Restart(arguments) => manage::restart(&arguments),
-        FlockeyeCommand::Chaos(arguments) => chaos::run(&arguments),
         FlockeyeCommand::Top(arguments) => top::run(&arguments),
         FlockeyeCommand::Trace(arguments) => trace::run(&arguments),
-        // `main` has passed them on, unless something else comes first.
-        FlockeyeCommand::Record | FlockeyeCommand::View | FlockeyeCommand::Explain => {
+        // They were passed on, unless something else comes first.
+        FlockeyeCommand::Record
+        | FlockeyeCommand::View
+        | FlockeyeCommand::Explain
+        | FlockeyeCommand::Chaos
+        | FlockeyeCommand::Swarm
+        | FlockeyeCommand::Contract
+        | FlockeyeCommand::Stage => {
             anyhow::bail!(
-                "`flockeye record`, `view` and `explain` are written without anything before them"
+                "`flockeye record`, `view`, `explain`, `chaos`, `swarm`, `contract` and `stage` are written \
+                 without anything before them"
             )
         }
-        FlockeyeCommand::Replay(arguments) => lab::become_stage(&arguments),
+        FlockeyeCommand::Replay(arguments) => other_programs::become_stage(&arguments),
         FlockeyeCommand::Peers(arguments) => peers::run(&arguments),
-        FlockeyeCommand::Swarm(command) => swarm::run(&command),
         FlockeyeCommand::Keys(command) => keys::run(&command),
         FlockeyeCommand::Clean(arguments) => clean::run(&arguments),
         FlockeyeCommand::Schema => schema::run(),
         FlockeyeCommand::Bodies(arguments) => bodies::run(&arguments),
-        FlockeyeCommand::Contract(arguments) => contract::run(&arguments),
-        FlockeyeCommand::Stage(command) => stage::run(&command),
         FlockeyeCommand::ExecStage(arguments) => exec::run(&arguments),
     }
 }
 
 /// The whole command line. The lab's commands are in it for the help, and so that a misspelled one
-/// gets a suggestion; they never arrive here ([`lab::is_asked_for`]).
+/// gets a suggestion; they never arrive here ([`other_programs`]).
 fn command() -> clap::Command {
-    let hidden = COMMANDS.map(|command| clap::Command::new(command.name).hide(true));
+    let hidden = lab::COMMANDS.map(|command| clap::Command::new(command.name).hide(true));
     let template = format!(
         "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\nCommands:\n{{subcommands}}\n\n\
          Evaluation and preparation (by flockeye-lab):\n{}\n\nOptions:\n{{options}}{{after-help}}",
-        lab::listing()
+        other_programs::listing()
     );
     own_command().help_template(template).subcommands(hidden)
 }

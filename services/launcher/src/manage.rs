@@ -6,11 +6,11 @@ use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::{Context, ensure};
 use clap::Args;
+use flockeye_cli::running::{PipelineChoice, choose};
 use flockeye_cli::{Screen, duration, signals};
 use flockeye_runtime::instance::Instance;
 use rustix::process::{Pid, Signal, kill_process_group};
 
-use crate::attach::{PipelineChoice, choose};
 use crate::control::client::ask;
 use crate::control::{Request, SwapRequest, Worker};
 use crate::process::STOP_TIME;

@@ -1,12 +1,15 @@
 //! `flockeye peers`: what the whole swarm reports over Zenoh, and where all are from one of them: live tables and a
 //! map, or JSON lines.
 
+mod swarm_map;
+
 use std::io::Write;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use anyhow::ensure;
 use clap::Args;
+use flockeye_cli::running::{PipelineChoice, choose};
 use flockeye_cli::text_table::TextTable;
 use flockeye_cli::{Configuration, Screen, duration, signals};
 use flockeye_network::{
@@ -16,8 +19,7 @@ use flockeye_peer::{PeerReport, Place, SwarmView};
 use nalgebra::Vector3;
 use serde::Serialize;
 
-use crate::attach::{PipelineChoice, choose};
-use crate::swarm::map::map;
+use self::swarm_map::map;
 
 /// Arguments of `peers`.
 #[derive(Debug, Args)]

@@ -5,11 +5,11 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use clap::Args;
+use flockeye_cli::running::{Attached, PipelineChoice, attach};
 use flockeye_cli::{Screen, duration, signals};
 use flockeye_contract::{Healths, Tracks, Truths};
 use flockeye_runtime::clock;
 
-use crate::attach::{Attached, PipelineChoice, attach};
 use crate::dashboard::Dashboard;
 use crate::sweep_watch::SweepWatch;
 

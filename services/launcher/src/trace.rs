@@ -9,11 +9,11 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, ensure};
 use clap::Args;
+use flockeye_cli::running::{Attached, PipelineChoice, attach};
 use flockeye_cli::{Screen, duration, signals};
 use flockeye_config::Flow;
 use flockeye_contract::{Detections, FrameEnds, Healths, Tracks};
 
-use crate::attach::{Attached, PipelineChoice, attach};
 use crate::trace_events::Tracer;
 
 /// Arguments of `trace`.

@@ -44,6 +44,10 @@ fn whole_command() -> Command {
         whole =
             whole.mut_subcommand(name, |_| command.name(name).bin_name(format!("flockeye {name}")));
     }
+    let workshop = flockeye_workshop::commands::command();
+    for command in workshop.get_subcommands().filter(|command| !command.is_hide_set()) {
+        whole = whole.mut_subcommand(command.get_name(), |_| command.clone());
+    }
     let lab = flockeye_lab::commands::command();
     let commands: Vec<_> = lab.get_subcommands().cloned().collect();
     whole.subcommands(commands)
@@ -57,9 +61,18 @@ mod tests {
     fn all_programs_commands_are_in_it() {
         let whole = whole_command();
         whole.clone().debug_assert();
-        for path in
-            [&["up"][..], &["record"], &["view"], &["explain"], &["calibrate", "body"], &["eval"]]
-        {
+        for path in [
+            &["up"][..],
+            &["record"],
+            &["view"],
+            &["explain"],
+            &["calibrate", "body"],
+            &["eval"],
+            &["chaos"],
+            &["stage", "test"],
+            &["swarm", "sim"],
+            &["contract"],
+        ] {
             let found = path.iter().try_fold(&whole, |command, name| command.find_subcommand(name));
             let found = found.unwrap_or_else(|| panic!("{path:?} is missing"));
             assert!(found.get_about().is_some(), "{path:?} says nothing about itself");

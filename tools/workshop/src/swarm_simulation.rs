@@ -1,4 +1,12 @@
 //! `flockeye swarm sim`: a swarm in one simulated world.
+//!
+//! | module | what it does |
+//! | --- | --- |
+//! | [`watch`] | reads what each pipeline reports, and what is true |
+//! | [`score`] | compares the one with the other |
+
+mod score;
+mod watch;
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;
@@ -16,9 +24,9 @@ use flockeye_peer::Way;
 use flockeye_runtime::clock;
 use flockeye_runtime::instance::Instance;
 
-use super::fleet::{Fleet, free_ports};
-use super::score::{Claim, Score};
-use super::watch::{Word, watch};
+use self::score::{Claim, Score};
+use self::watch::{Word, watch};
+use crate::fleet::{Fleet, free_ports};
 
 /// Markers of the default body.
 const MARKERS: u32 = 17;

@@ -32,7 +32,7 @@ use flockeye_contract::StageName;
 
 use self::bench::Bench;
 use self::report::Report;
-use crate::control::stage_name;
+use flockeye_launcher::control::stage_name;
 
 /// Arguments of `stage test`.
 #[derive(Debug, Args)]
@@ -124,17 +124,17 @@ fn free_port() -> anyhow::Result<u16> {
 mod tests {
     #[test]
     fn findings_name_headings_that_are_in_the_contract() {
-        let contract = include_str!("../../../../docs/CONTRACT.md");
+        let contract = include_str!("../../../docs/CONTRACT.md");
         let sources = [
-            include_str!("bench.rs"),
-            include_str!("beside.rs"),
-            include_str!("detection.rs"),
-            include_str!("egomotion.rs"),
-            include_str!("fusion.rs"),
-            include_str!("gateway.rs"),
-            include_str!("inertial.rs"),
-            include_str!("rectification.rs"),
-            include_str!("source.rs"),
+            include_str!("conformance/bench.rs"),
+            include_str!("conformance/beside.rs"),
+            include_str!("conformance/detection.rs"),
+            include_str!("conformance/egomotion.rs"),
+            include_str!("conformance/fusion.rs"),
+            include_str!("conformance/gateway.rs"),
+            include_str!("conformance/inertial.rs"),
+            include_str!("conformance/rectification.rs"),
+            include_str!("conformance/source.rs"),
         ];
         let mut count = 0;
         for line in sources.iter().flat_map(|source| source.lines()) {

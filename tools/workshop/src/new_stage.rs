@@ -1,22 +1,11 @@
-//! `flockeye stage`: stages of one's own.
+//! `flockeye stage new`: writes a stage that runs as it is.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
-use clap::{Args, Subcommand, ValueEnum};
+use clap::{Args, ValueEnum};
 use flockeye_cli::Screen;
 use flockeye_contract::StageName;
-
-use crate::conformance::{self, TestArguments};
-
-/// What to do.
-#[derive(Debug, Subcommand)]
-pub enum StageCommand {
-    /// Write a stage that runs as it is.
-    New(NewArguments),
-    /// Test a stage alone against the contract.
-    Test(TestArguments),
-}
 
 /// Arguments of `stage new`.
 #[derive(Debug, Args)]
@@ -178,19 +167,11 @@ const EXAMPLES: [Example; 9] = [
     ),
 ];
 
-/// Does it.
+/// Writes the example of a stage to a folder of one's own.
 ///
 /// # Errors
-/// There is no such stage or no example of it, or a file is there already or cannot be written; a candidate
-/// that does not keep the contract.
-pub fn run(command: &StageCommand) -> anyhow::Result<()> {
-    match command {
-        StageCommand::New(arguments) => write_new(arguments),
-        StageCommand::Test(arguments) => conformance::run(arguments),
-    }
-}
-
-fn write_new(arguments: &NewArguments) -> anyhow::Result<()> {
+/// There is no such stage or no example of it, or a file is there already or cannot be written.
+pub fn run(arguments: &NewArguments) -> anyhow::Result<()> {
     let NewArguments { kind, folder, lang, sources } = arguments;
     let ours = || EXAMPLES.iter().filter(|example| example.lang == *lang);
     let Some(example) = ours().find(|example| example.stage.name() == kind) else {

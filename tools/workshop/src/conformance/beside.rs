@@ -1,20 +1,18 @@
 //! A candidate beside Flockeye's own stage, in a pipeline that flies a recording or a simulated flight.
 
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, anyhow, bail, ensure};
-use flockeye_cli::{Configuration, Screen};
+use anyhow::{Context, ensure};
+use flockeye_cli::Configuration;
 use flockeye_contract::StageName;
 use flockeye_runtime::instance::Instance;
 use serde_json::Value;
 
 use super::report::Report;
-use crate::control::client::ask;
-use crate::control::{Request, SwapRequest, Worker};
-use crate::run_log::RunOptions;
-use crate::swap::shadow::can_shadow;
-use crate::up::run_pipeline;
+use crate::fleet::Fleet;
+use flockeye_launcher::can_shadow;
+use flockeye_launcher::control::client::ask;
+use flockeye_launcher::control::{Request, SwapRequest, Worker};
 
 const PAGE: &str = "While a stage is swapped";
 
@@ -59,7 +57,8 @@ pub fn run(
         // A short recording goes on until both have found something.
         "source.at_end=loop".to_owned(),
     ];
-    let pipeline = configuration.load_with(&[], &fixed)?;
+    // Mistakes are reported before anything starts.
+    configuration.load_with(&[], &fixed)?;
     let request = Request::Swap(SwapRequest {
         worker: Worker { stage, replica: 0 },
         set: Vec::new(),
@@ -67,44 +66,36 @@ pub fn run(
         within_s: WITHIN_S,
         accept_worse: true,
     });
-    let stopping = AtomicBool::new(false);
-    let (compared, run, log) = std::thread::scope(|scope| {
-        let flight = scope.spawn(|| {
-            let mut log = Screen::muted();
-            let run = run_pipeline(&pipeline, &RunOptions::default(), &mut log, &stopping);
-            (run, log.kept())
-        });
-        let compared = compare(&Instance::named(&name), &request, || flight.is_finished());
-        stopping.store(true, Ordering::Relaxed);
-        let (run, log) =
-            flight.join().unwrap_or_else(|_| (Err(anyhow!("it panicked")), String::new()));
-        (compared, run, log)
-    });
-    run.map(drop).with_context(|| format!("{log}the pipeline that flies {source}"))?;
-    match compared.with_context(|| format!("{log}{source}"))? {
-        Compared::Swapped(report_of_swap) => {
+    let instance = Instance::named(&name);
+    let mut fleet = Fleet::start(&[(name, configuration.to_arguments(&[], &fixed))])?;
+    let compared = compare(&mut fleet, &instance, &request)
+        .with_context(|| format!("the pipeline that flies {source}"))?;
+    let log = fleet.last_lines();
+    fleet.end();
+    match compared {
+        Comparison::Swapped(report_of_swap) => {
             report.check(TAKES_OVER, PAGE, None);
             note(&report_of_swap["shadow"], report);
         }
-        Compared::Refused(reason) => {
-            report.check(TAKES_OVER, PAGE, Some(format!("{reason}\n{log}")));
+        Comparison::Refused(reason) => {
+            report.check(TAKES_OVER, PAGE, Some(format!("{reason}\n{log}\n")));
         }
     }
     Ok(())
 }
 
 /// What came of the swap.
-enum Compared {
+enum Comparison {
     Swapped(Value),
     Refused(String),
 }
 
 /// Waits for frames, and lets the candidate take over.
 fn compare(
+    fleet: &mut Fleet,
     instance: &Instance,
     request: &Request,
-    has_ended: impl Fn() -> bool,
-) -> anyhow::Result<Compared> {
+) -> anyhow::Result<Comparison> {
     let begun = Instant::now();
     let flies = || {
         instance.has_launcher()
@@ -112,16 +103,21 @@ fn compare(
                 .is_ok_and(|(_, status)| status["frames"].as_u64() > Some(0))
     };
     while !flies() {
-        ensure!(!has_ended(), "it ended before a frame came");
-        ensure!(begun.elapsed() < START, "no frame came in {} s", START.as_secs());
+        fleet.check().context("it ended before a frame came")?;
+        ensure!(
+            begun.elapsed() < START,
+            "no frame came in {} s:\n{}",
+            START.as_secs(),
+            fleet.last_lines()
+        );
         std::thread::sleep(Duration::from_millis(50));
     }
     match ask(instance, request, |_| {}) {
-        Ok((_, report)) => Ok(Compared::Swapped(report)),
-        Err(_) if has_ended() => {
-            bail!("it ended before both were compared. Cure: a longer flight")
+        Ok((_, report)) => Ok(Comparison::Swapped(report)),
+        Err(reason) => {
+            fleet.check().context("it ended before both were compared. Cure: a longer flight")?;
+            Ok(Comparison::Refused(format!("{reason:#}")))
         }
-        Err(error) => Ok(Compared::Refused(format!("{error:#}"))),
     }
 }
 

@@ -6,6 +6,7 @@ use std::sync::mpsc::Sender;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use flockeye_cli::running::{Attached, PipelineChoice, attach};
 use flockeye_contract::{Peers, Rotations, SwarmPose, SwarmWay, Swarms, Tracks, Truths};
 use flockeye_convert::{camera_turn, isometry, matrix6, way_of};
 use flockeye_peer::{PeerReport, SwarmView, UncertainPose};
@@ -14,7 +15,6 @@ use flockeye_runtime::ports::{Ports, Subscriber};
 use nalgebra::{Isometry3, UnitQuaternion};
 
 use super::score::Claim;
-use crate::attach::{Attached, PipelineChoice, attach};
 
 /// How often it is looked whether a pipeline runs, and whether messages have come.
 const POLL: Duration = Duration::from_millis(50);

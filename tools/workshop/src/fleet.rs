@@ -1,4 +1,4 @@
-//! The pipelines of a swarm: a `flockeye up` for each drone.
+//! Pipelines that are processes of their own: a `flockeye up` for each.
 
 use std::ffi::OsString;
 use std::fs::File;
@@ -8,6 +8,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
+use flockeye_cli::program;
 use flockeye_runtime::instance::Instance;
 use rustix::process::{Pid, Signal, kill_process};
 
@@ -16,7 +17,7 @@ const END_TIME: Duration = Duration::from_secs(15);
 /// Lines of a failed pipeline that are shown.
 const SHOWN_LINES: usize = 15;
 
-/// The processes. Dropping it ends them.
+/// Pipelines that run. Dropping it ends them.
 #[derive(Debug)]
 pub struct Fleet {
     pipelines: Vec<Pipeline>,
@@ -30,6 +31,14 @@ struct Pipeline {
     child: Child,
 }
 
+impl Pipeline {
+    fn last_lines(&self) -> String {
+        let text = std::fs::read_to_string(&self.log).unwrap_or_default();
+        let lines: Vec<&str> = text.lines().collect();
+        lines[lines.len().saturating_sub(SHOWN_LINES)..].join("\n")
+    }
+}
+
 impl Fleet {
     /// Starts a pipeline for each instance's name, with these arguments of `flockeye up`. What they write goes to
     /// files in [`Fleet::folder`].
@@ -37,7 +46,7 @@ impl Fleet {
     /// # Errors
     /// A name is taken, or a process or its file cannot be had.
     pub fn start(pipelines: &[(String, Vec<OsString>)]) -> anyhow::Result<Self> {
-        let program = std::env::current_exe().context("where this program is")?;
+        let program = program::find("flockeye")?;
         let folder = std::env::temp_dir().join(format!("flockeye-swarm-{}", std::process::id()));
         std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
         let mut fleet = Self { pipelines: Vec::new(), folder };
@@ -45,7 +54,7 @@ impl Fleet {
             let instance = Instance::named(name);
             let log = fleet.folder.join(format!("{name}.log"));
             let output = File::create(&log).with_context(|| log.display().to_string())?;
-            let mut command = Command::new(&program);
+            let mut command = Command::new("/proc/self/exe");
             // So that it does not outlive this process.
             command.args(["exec-stage", "--parent", &std::process::id().to_string()]);
             command.arg(&program).arg("up").args(arguments);
@@ -68,17 +77,21 @@ impl Fleet {
     pub fn check(&mut self) -> anyhow::Result<()> {
         for pipeline in &mut self.pipelines {
             if let Some(status) = pipeline.child.try_wait()? {
-                let text = std::fs::read_to_string(&pipeline.log).unwrap_or_default();
-                let lines: Vec<&str> = text.lines().collect();
-                let last = lines[lines.len().saturating_sub(SHOWN_LINES)..].join("\n");
                 bail!(
-                    "the pipeline {} ended, {status}:\n{last}\nAll that it wrote: {}",
+                    "the pipeline {} ended, {status}:\n{}\nAll that it wrote: {}",
                     pipeline.instance.name(),
+                    pipeline.last_lines(),
                     pipeline.log.display()
                 );
             }
         }
         Ok(())
+    }
+
+    /// The last lines that each pipeline wrote.
+    pub fn last_lines(&self) -> String {
+        let lines: Vec<_> = self.pipelines.iter().map(Pipeline::last_lines).collect();
+        lines.join("\n")
     }
 
     /// Ends all, and removes what they have written.

@@ -5,14 +5,15 @@
 //! | [`disturbance`] | what is done to whom |
 //! | [`report`] | how the pipeline took it |
 
-pub mod disturbance;
-pub mod report;
+mod disturbance;
+mod report;
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail, ensure};
 use clap::Args;
+use flockeye_cli::running::{Attached, PipelineChoice, attach};
 use flockeye_cli::{Screen, duration, signals};
 use flockeye_contract::{Tracks, Truths};
 use flockeye_runtime::clock;
@@ -21,10 +22,9 @@ use flockeye_runtime::ports::{Ports, Subscriber};
 
 use self::disturbance::{Disturbance, Kind, Victim};
 use self::report::ChaosReport;
-use crate::attach::{Attached, PipelineChoice, attach};
-use crate::control::client::ask;
-use crate::control::{Request, SwapRequest, Worker};
 use crate::dice::Dice;
+use flockeye_launcher::control::client::ask;
+use flockeye_launcher::control::{Request, SwapRequest, Worker};
 
 /// Arguments of `chaos`.
 #[derive(Debug, Args)]

@@ -7,8 +7,8 @@ use clap::ValueEnum;
 use rustix::process::{Pid, Signal, kill_process};
 use serde::Serialize;
 
-use crate::control::Worker;
 use crate::dice::Dice;
+use flockeye_launcher::control::Worker;
 
 /// A kind of disturbance.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, ValueEnum, Serialize)]

@@ -18,8 +18,8 @@ use flockeye_runtime::ports::{Ports, Subscriber, TopicServices, create_all_servi
 use iceoryx2::prelude::*;
 
 use super::report::Report;
-use crate::control::Worker;
-use crate::process::{LogLine, Process, ProcessChange, STOP_TIME};
+use flockeye_launcher::control::Worker;
+use flockeye_launcher::process::{LogLine, Process, ProcessChange, STOP_TIME};
 
 const OWES: &str = "What every stage owes";
 const MUST_PASS: &str = "What a message must pass";
