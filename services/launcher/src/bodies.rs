@@ -8,7 +8,7 @@ use flockeye_runtime::resolved_file;
 
 /// Arguments of `bodies`.
 #[derive(Debug, Args)]
-pub struct BodiesArguments {
+pub(crate) struct BodiesArguments {
     /// Which configuration.
     #[command(flatten)]
     pub configuration: Configuration,
@@ -21,7 +21,7 @@ pub struct BodiesArguments {
 ///
 /// # Errors
 /// The configuration or the bodies cannot be read.
-pub fn run(arguments: &BodiesArguments) -> anyhow::Result<()> {
+pub(crate) fn run(arguments: &BodiesArguments) -> anyhow::Result<()> {
     let resolved = Resolved::of(arguments.configuration.load()?)?;
     let mut screen = Screen::new();
     if arguments.json {

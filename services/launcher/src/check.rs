@@ -18,7 +18,7 @@ use crate::up::run_pipeline;
 
 /// Arguments of `check`.
 #[derive(Debug, Args)]
-pub struct CheckArguments {
+pub(crate) struct CheckArguments {
     /// Which configuration.
     #[command(flatten)]
     pub configuration: Configuration,
@@ -31,7 +31,7 @@ pub struct CheckArguments {
 ///
 /// # Errors
 /// The configuration is wrong (all problems are listed), or shared memory is too small.
-pub fn run(arguments: &CheckArguments) -> anyhow::Result<()> {
+pub(crate) fn run(arguments: &CheckArguments) -> anyhow::Result<()> {
     let pipeline = arguments.configuration.load()?;
     let resolved = Resolved::of(pipeline)?;
     Dictionary::of(&resolved.bodies)?;

@@ -7,7 +7,7 @@ use flockeye_runtime::instance::{Instance, InstanceError};
 
 /// Arguments of `clean`.
 #[derive(Debug, Args)]
-pub struct CleanArguments {
+pub(crate) struct CleanArguments {
     /// Only this instance.
     #[arg(long, value_name = "NAME")]
     pub instance: Option<String>,
@@ -17,7 +17,7 @@ pub struct CleanArguments {
 ///
 /// # Errors
 /// The files cannot be removed, or there are none of that name.
-pub fn run(arguments: &CleanArguments) -> anyhow::Result<()> {
+pub(crate) fn run(arguments: &CleanArguments) -> anyhow::Result<()> {
     let instances = match &arguments.instance {
         Some(name) => {
             let all = Instance::all();

@@ -7,9 +7,9 @@ use std::time::{Duration, Instant};
 /// The first silence already keeps it out of rotation, so the flight does not wait for this. A worker on a
 /// busy machine answers late now and then; three times in a row, each after `rectification.overdue_ms`, is
 /// no accident.
-pub const MOST_SILENCES: u64 = 3;
+pub(crate) const MOST_SILENCES: u64 = 3;
 /// A process of which so many messages were refused is replaced.
-pub const MOST_REFUSED: u64 = 30;
+pub(crate) const MOST_REFUSED: u64 = 30;
 /// A worker that was replaced so often for its messages rests before it is started again.
 const REPLACEMENTS_BEFORE_REST: usize = 3;
 /// What happened longer ago than this no longer counts.

@@ -5,8 +5,8 @@
 //! | [`text`] | shows it as a table, as a line, and as a summary at the end |
 //! | [`report`] | the same as one value for programs |
 
-pub mod report;
-pub mod text;
+pub(crate) mod report;
+pub(crate) mod text;
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -22,7 +22,7 @@ const TRUTH_FRAMES: usize = 256;
 
 /// What is known of the stages, of the neighbours and of the search.
 #[derive(Default)]
-pub struct Dashboard {
+pub(crate) struct Dashboard {
     stages: BTreeMap<(String, u32), HealthRates>,
     neighbours: BTreeMap<String, NeighbourView>,
     truths: VecDeque<(FrameStamp, Vec<BodyTruth>)>,
@@ -74,26 +74,26 @@ impl NewestSamples {
 
 impl Dashboard {
     /// Takes a stage's report.
-    pub fn health(&mut self, health: &Health) {
+    pub(crate) fn health(&mut self, health: &Health) {
         let key = (health.stage.to_string(), health.replica);
         let rates = self.stages.entry(key).or_insert_with(|| HealthRates::new(health));
         rates.take(health);
     }
 
     /// The state that a stage reported last, if it ever did.
-    pub fn state_of(&self, stage: &str, replica: u32) -> Option<StageState> {
+    pub(crate) fn state_of(&self, stage: &str, replica: u32) -> Option<StageState> {
         let view = self.stages.get(&(stage.to_owned(), replica))?;
         StageState::try_from(view.last.state).ok()
     }
 
     /// The last report of a process; `None` if it never sent one.
-    pub fn last_report(&self, stage: &str, replica: u32, pid: u32) -> Option<&Health> {
+    pub(crate) fn last_report(&self, stage: &str, replica: u32, pid: u32) -> Option<&Health> {
         let view = self.stages.get(&(stage.to_owned(), replica))?;
         (view.last.pid == pid).then_some(&view.last)
     }
 
     /// Takes the truth of a frame.
-    pub fn truth(&mut self, header: &TruthHeader, bodies: &[BodyTruth]) {
+    pub(crate) fn truth(&mut self, header: &TruthHeader, bodies: &[BodyTruth]) {
         self.has_truth = true;
         self.truths.push_back((header.stamp, bodies.to_vec()));
         if self.truths.len() > TRUTH_FRAMES {
@@ -102,12 +102,18 @@ impl Dashboard {
     }
 
     /// Takes how often the sphere is searched.
-    pub fn sphere(&mut self, sphere: Option<SweepReport>) {
+    pub(crate) fn sphere(&mut self, sphere: Option<SweepReport>) {
         self.sphere = sphere;
     }
 
     /// Takes the tracks of a frame.
-    pub fn tracks(&mut self, stamp: &FrameStamp, tracks: &[Track], is_last: bool, now_ns: i64) {
+    pub(crate) fn tracks(
+        &mut self,
+        stamp: &FrameStamp,
+        tracks: &[Track],
+        is_last: bool,
+        now_ns: i64,
+    ) {
         let truth = self.truths.iter().rev().find(|(of, _)| of.is_same_frame(stamp));
         for track in tracks {
             let name = track.name.to_string();
@@ -155,17 +161,17 @@ impl Dashboard {
     }
 
     /// How many frames the source sent that were not worked on.
-    pub fn frames_skipped(&self) -> u64 {
+    pub(crate) fn frames_skipped(&self) -> u64 {
         self.frames_skipped
     }
 
     /// What each worker's process reports: its stage, its number, and its reports.
-    pub fn workers(&self) -> impl Iterator<Item = (&str, u32, &HealthRates)> {
+    pub(crate) fn workers(&self) -> impl Iterator<Item = (&str, u32, &HealthRates)> {
         self.stages.iter().map(|((stage, worker), rates)| (stage.as_str(), *worker, rates))
     }
 
     /// How many frames have ended.
-    pub fn frames_ended(&self) -> u64 {
+    pub(crate) fn frames_ended(&self) -> u64 {
         self.frames_ended
     }
 }

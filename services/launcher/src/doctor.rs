@@ -9,13 +9,13 @@
 //! | [`clock`] | whether the clock is synchronised, and by what |
 //! | [`network`] | addresses, the interface, keys and certificates |
 
-pub mod clock;
+pub(crate) mod clock;
 mod files;
-pub mod machine;
-pub mod memory;
-pub mod network;
-pub mod programs;
-pub mod theta;
+pub(crate) mod machine;
+pub(crate) mod memory;
+pub(crate) mod network;
+pub(crate) mod programs;
+pub(crate) mod theta;
 
 use anyhow::bail;
 use clap::Args;
@@ -29,7 +29,7 @@ pub use files::Machine;
 
 /// Arguments of `doctor`.
 #[derive(Debug, Args)]
-pub struct DoctorArguments {
+pub(crate) struct DoctorArguments {
     /// Which configuration.
     #[command(flatten)]
     pub configuration: Configuration,
@@ -50,7 +50,7 @@ struct Examination<'f> {
 ///
 /// # Errors
 /// The configuration cannot be read, or with it this machine would not fly.
-pub fn run(arguments: &DoctorArguments) -> anyhow::Result<()> {
+pub(crate) fn run(arguments: &DoctorArguments) -> anyhow::Result<()> {
     let pipeline = arguments.configuration.load()?;
     let mut findings = Vec::new();
     match Resolved::of(pipeline) {
@@ -112,7 +112,7 @@ fn show(findings: &[Finding], problems: usize) {
 }
 
 #[cfg(test)]
-pub mod fixture {
+pub(crate) mod fixture {
     //! A machine of files.
 
     use tempfile::TempDir;
@@ -120,7 +120,7 @@ pub mod fixture {
     use super::Machine;
 
     /// A machine with these files.
-    pub fn machine(files: &[(&str, &str)]) -> (TempDir, Machine) {
+    pub(crate) fn machine(files: &[(&str, &str)]) -> (TempDir, Machine) {
         let folder = TempDir::new().expect("a temporary folder can be made");
         let machine = Machine::below(folder.path());
         for (path, text) in files {

@@ -6,7 +6,7 @@ use std::path::Path;
 
 /// What the launcher says at its start if it has fault points.
 #[cfg(feature = "fault-points")]
-pub const NOTICE: Option<&str> = Some("this build has fault points, for tests alone");
+pub(crate) const NOTICE: Option<&str> = Some("this build has fault points, for tests alone");
 /// What the launcher says at its start if it has fault points.
 #[cfg(not(feature = "fault-points"))]
 pub const NOTICE: Option<&str> = None;
@@ -14,7 +14,7 @@ pub const NOTICE: Option<&str> = None;
 /// Waits here if the file `fault` in the instance's folder names this step, until somebody removes the file
 /// `fault-reached` that takes its place.
 #[cfg(feature = "fault-points")]
-pub fn pass(folder: &Path, step: &str) {
+pub(crate) fn pass(folder: &Path, step: &str) {
     use std::time::{Duration, Instant};
     let (wanted, reached) = (folder.join("fault"), folder.join("fault-reached"));
     let is_wanted = std::fs::read_to_string(&wanted).is_ok_and(|text| text.trim() == step);

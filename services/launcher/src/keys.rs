@@ -18,7 +18,7 @@ const DAY_S: f64 = 86_400.0;
 
 /// What to do with keys.
 #[derive(Debug, Subcommand)]
-pub enum KeysCommand {
+pub(crate) enum KeysCommand {
     /// Make the authority of a new swarm. Keep its folder where no drone is.
     Init(InitArguments),
     /// Make a key and a certificate for a drone, an onlooker or a router, or renew them.
@@ -33,7 +33,7 @@ pub enum KeysCommand {
 
 /// Arguments of `keys init`.
 #[derive(Debug, Args)]
-pub struct InitArguments {
+pub(crate) struct InitArguments {
     /// The swarm's name, as `observer.swarm` has it.
     #[arg(long, value_name = "NAME")]
     pub swarm: String,
@@ -44,7 +44,7 @@ pub struct InitArguments {
 
 /// Where the authority is.
 #[derive(Debug, Args)]
-pub struct AuthorityChoice {
+pub(crate) struct AuthorityChoice {
     /// The authority's folder.
     #[arg(long, value_name = "FOLDER", default_value = "authority")]
     pub authority: PathBuf,
@@ -52,7 +52,7 @@ pub struct AuthorityChoice {
 
 /// Arguments of `keys issue`.
 #[derive(Debug, Args)]
-pub struct IssueArguments {
+pub(crate) struct IssueArguments {
     /// The name, as `observer.name` has it.
     pub name: String,
     /// Where.
@@ -71,7 +71,7 @@ pub struct IssueArguments {
 
 /// Arguments of `keys revoke`.
 #[derive(Debug, Args)]
-pub struct RevokeArguments {
+pub(crate) struct RevokeArguments {
     /// Whom.
     pub name: String,
     /// Where.
@@ -83,7 +83,7 @@ pub struct RevokeArguments {
 ///
 /// # Errors
 /// A name cannot be one or is not known, or files are missing, wrong, or cannot be written.
-pub fn run(command: &KeysCommand) -> anyhow::Result<()> {
+pub(crate) fn run(command: &KeysCommand) -> anyhow::Result<()> {
     match command {
         KeysCommand::Init(arguments) => init(arguments),
         KeysCommand::Issue(arguments) => issue(arguments),

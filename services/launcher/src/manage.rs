@@ -20,7 +20,7 @@ const KILL_TIME: Duration = Duration::from_secs(5);
 
 /// Arguments of `status`.
 #[derive(Debug, Args)]
-pub struct StatusArguments {
+pub(crate) struct StatusArguments {
     /// Which pipeline.
     #[command(flatten)]
     pub running: PipelineChoice,
@@ -31,7 +31,7 @@ pub struct StatusArguments {
 
 /// Arguments of `stop`.
 #[derive(Debug, Args)]
-pub struct StopArguments {
+pub(crate) struct StopArguments {
     /// The stage, or one worker of it: detection.1. Without it: the whole pipeline.
     #[arg(value_name = "STAGE[.REPLICA]")]
     pub worker: Option<Worker>,
@@ -42,7 +42,7 @@ pub struct StopArguments {
 
 /// Arguments of `start` and `restart`.
 #[derive(Debug, Args)]
-pub struct WorkerArguments {
+pub(crate) struct WorkerArguments {
     /// The stage, or one worker of it: detection.1.
     #[arg(value_name = "STAGE[.REPLICA]")]
     pub worker: Worker,
@@ -53,7 +53,7 @@ pub struct WorkerArguments {
 
 /// Arguments of `swap`.
 #[derive(Debug, Args)]
-pub struct SwapArguments {
+pub(crate) struct SwapArguments {
     /// The stage, or one worker of it: detection.1.
     #[arg(value_name = "STAGE[.REPLICA]")]
     pub worker: Worker,
@@ -84,7 +84,7 @@ pub struct SwapArguments {
 ///
 /// # Errors
 /// No such pipeline runs, or it does not answer.
-pub fn status(arguments: &StatusArguments) -> anyhow::Result<()> {
+pub(crate) fn status(arguments: &StatusArguments) -> anyhow::Result<()> {
     do_it(&arguments.running, &Request::Status, arguments.json)
 }
 
@@ -92,7 +92,7 @@ pub fn status(arguments: &StatusArguments) -> anyhow::Result<()> {
 ///
 /// # Errors
 /// As [`status`], or the pipeline has no such worker.
-pub fn stop(arguments: &StopArguments) -> anyhow::Result<()> {
+pub(crate) fn stop(arguments: &StopArguments) -> anyhow::Result<()> {
     let instance = choose(&arguments.running)?;
     if arguments.worker.is_none() && !instance.has_launcher() {
         return end_without_launcher(&instance);
@@ -104,7 +104,7 @@ pub fn stop(arguments: &StopArguments) -> anyhow::Result<()> {
 ///
 /// # Errors
 /// As [`stop`].
-pub fn start(arguments: &WorkerArguments) -> anyhow::Result<()> {
+pub(crate) fn start(arguments: &WorkerArguments) -> anyhow::Result<()> {
     do_it(&arguments.running, &Request::Start { worker: arguments.worker }, false)
 }
 
@@ -112,7 +112,7 @@ pub fn start(arguments: &WorkerArguments) -> anyhow::Result<()> {
 ///
 /// # Errors
 /// As [`stop`].
-pub fn restart(arguments: &WorkerArguments) -> anyhow::Result<()> {
+pub(crate) fn restart(arguments: &WorkerArguments) -> anyhow::Result<()> {
     do_it(&arguments.running, &Request::Restart { worker: arguments.worker }, false)
 }
 
@@ -120,7 +120,7 @@ pub fn restart(arguments: &WorkerArguments) -> anyhow::Result<()> {
 ///
 /// # Errors
 /// As [`stop`], or the reason why the old process stayed.
-pub fn swap(arguments: &SwapArguments) -> anyhow::Result<()> {
+pub(crate) fn swap(arguments: &SwapArguments) -> anyhow::Result<()> {
     let request = Request::Swap(SwapRequest {
         worker: arguments.worker,
         set: arguments.set.clone(),

@@ -6,8 +6,8 @@
 //! | [`snapshot`] | what there was at one moment, as metrics |
 //! | [`endpoint`] | answers requests |
 
-pub mod endpoint;
-pub mod snapshot;
+pub(crate) mod endpoint;
+pub(crate) mod snapshot;
 
 use std::net::SocketAddr;
 use std::sync::{Arc, Mutex};
@@ -41,7 +41,7 @@ fn latencies() -> Histogram {
 type Latencies = Family<Labels, Histogram, fn() -> Histogram>;
 
 /// What a run offers.
-pub struct Metrics {
+pub(crate) struct Metrics {
     registry: Registry,
     latencies: Latencies,
     latest: Latest,
@@ -54,7 +54,7 @@ impl Metrics {
     ///
     /// # Errors
     /// The address cannot be listened on.
-    pub fn serve(listen: SocketAddr, instance: &str) -> anyhow::Result<Self> {
+    pub(crate) fn serve(listen: SocketAddr, instance: &str) -> anyhow::Result<Self> {
         let metrics = Self::new(instance);
         endpoint::start(listen, metrics.page.clone()).with_context(|| {
             format!("metrics.listen {listen} cannot be listened on. Cure: another port")
@@ -80,7 +80,7 @@ impl Metrics {
     }
 
     /// Takes the tracks of a frame.
-    pub fn tracks(&self, tracks: &[Track]) {
+    pub(crate) fn tracks(&self, tracks: &[Track]) {
         for track in tracks.iter().filter(|track| track.unseen_ns == 0) {
             let latency = &track.latency;
             let parts = [
@@ -98,7 +98,7 @@ impl Metrics {
     }
 
     /// Brings what is offered up to date, if it is time.
-    pub fn update(&mut self, dashboard: &Dashboard, now_ns: i64) {
+    pub(crate) fn update(&mut self, dashboard: &Dashboard, now_ns: i64) {
         let now = Instant::now();
         if now < self.next {
             return;

@@ -52,7 +52,7 @@ fn program_for(command: &OsStr) -> Option<OtherProgram> {
 
 /// Another program of ours that is to do what `flockeye` was asked for.
 #[derive(Debug, PartialEq, Eq)]
-pub struct PassedOn {
+pub(crate) struct PassedOn {
     command: String,
     program: &'static str,
     /// The name that its help shows.
@@ -63,7 +63,7 @@ pub struct PassedOn {
 impl PassedOn {
     /// The program for these arguments of `flockeye`, if another one does that command or has its
     /// help.
-    pub fn of(arguments: &[OsString]) -> Option<Self> {
+    pub(crate) fn of(arguments: &[OsString]) -> Option<Self> {
         let (command, rest, is_help) = match arguments {
             [help, command, rest @ ..] if help == "help" => (command, rest, true),
             [command, rest @ ..] => (command, rest, false),
@@ -89,7 +89,7 @@ impl PassedOn {
     ///
     /// # Errors
     /// It is not installed, or cannot be started.
-    pub fn become_program(&self) -> anyhow::Result<()> {
+    pub(crate) fn become_program(&self) -> anyhow::Result<()> {
         let Self { command, program, shown_name, arguments } = self;
         become_program(program, shown_name, arguments)
             .with_context(|| format!("`flockeye {command}` is a command of {program}"))
@@ -109,7 +109,7 @@ fn become_program(name: &str, shown_name: &str, arguments: &[OsString]) -> anyho
 
 /// Arguments of `replay`.
 #[derive(Debug, Args)]
-pub struct ReplayArguments {
+pub(crate) struct ReplayArguments {
     /// A recording with its views, from the first frame on: recording.folder, with recording.frames: views.
     #[arg(value_name = "FILE.mcap")]
     pub file: PathBuf,
@@ -120,7 +120,7 @@ pub struct ReplayArguments {
 
 /// A stage that can be replayed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum ReplayedStage {
+pub(crate) enum ReplayedStage {
     /// Fusion: from views, detections, rotations and frame ends to tracks and plans.
     Fusion,
 }
@@ -129,7 +129,7 @@ pub enum ReplayedStage {
 ///
 /// # Errors
 /// It is not installed, or cannot be started.
-pub fn become_stage(arguments: &ReplayArguments) -> anyhow::Result<()> {
+pub(crate) fn become_stage(arguments: &ReplayArguments) -> anyhow::Result<()> {
     let name = match arguments.stage {
         ReplayedStage::Fusion => "flockeye-fusion",
     };
@@ -137,7 +137,7 @@ pub fn become_stage(arguments: &ReplayArguments) -> anyhow::Result<()> {
 }
 
 /// The lab's commands with their descriptions, for the help of `flockeye`.
-pub fn listing() -> String {
+pub(crate) fn listing() -> String {
     let widest = lab::COMMANDS.iter().map(|command| command.name.len()).max().unwrap_or(0);
     let line = |name: &str, about: &str| format!("  {name:<widest$}  {about}");
     lab::COMMANDS.map(|command| line(command.name, command.about)).join("\n")

@@ -23,7 +23,7 @@ use self::swarm_map::map;
 
 /// Arguments of `peers`.
 #[derive(Debug, Args)]
-pub struct PeersArguments {
+pub(crate) struct PeersArguments {
     /// Which configuration: the swarm and the network are taken from it.
     #[command(flatten)]
     pub configuration: Configuration,
@@ -53,7 +53,7 @@ const WAITING_REPORTS: usize = 1_024;
 ///
 /// # Errors
 /// The configuration is wrong, no such pipeline runs, or the network cannot be opened.
-pub fn run(arguments: &PeersArguments) -> anyhow::Result<()> {
+pub(crate) fn run(arguments: &PeersArguments) -> anyhow::Result<()> {
     let stopping = signals::stop_flag()?;
     let parameters = parameters(arguments)?;
     let from = arguments.from.as_deref().unwrap_or(&parameters.observer);

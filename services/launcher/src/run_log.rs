@@ -23,7 +23,7 @@ use crate::sweep_watch::SweepWatch;
 
 /// What ends a run, and what is recorded of it.
 #[derive(Debug, Clone, Default, Args)]
-pub struct RunOptions {
+pub(crate) struct RunOptions {
     /// Stop after this long: 20s, 5m, 1h.
     #[arg(long = "for", value_name = "DURATION", value_parser = duration)]
     pub duration: Option<Duration>,
@@ -66,7 +66,7 @@ const MOST_EARLY_SAMPLES: usize = 20_000;
 
 /// The summary of a run.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct RunSummary {
+pub(crate) struct RunSummary {
     /// Frames that ended.
     pub frames: u64,
     /// Poses that were measured, in all frames.
@@ -78,7 +78,7 @@ pub struct RunSummary {
 }
 
 /// Receives the messages of a run.
-pub struct RunLog {
+pub(crate) struct RunLog {
     tracks: Subscriber<Tracks>,
     healths: Subscriber<Healths>,
     truths: Subscriber<Truths>,
@@ -125,7 +125,7 @@ impl RunLog {
     ///
     /// # Errors
     /// A topic has no room for another reader, or a file cannot be written.
-    pub fn open(
+    pub(crate) fn open(
         resolved: &Resolved,
         options: &RunOptions,
         ports: &mut Ports,
@@ -176,7 +176,7 @@ impl RunLog {
     ///
     /// # Errors
     /// A topic cannot be read, or a file cannot be written.
-    pub fn receive(&mut self) -> anyhow::Result<()> {
+    pub(crate) fn receive(&mut self) -> anyhow::Result<()> {
         while let Some(message) = self.healths.receive()? {
             let health = &message.header;
             let is_beside = self.beside.is_some_and(|(worker, generation)| {
@@ -277,37 +277,37 @@ impl RunLog {
     }
 
     /// Keeps the health of one generation of a worker apart from now on.
-    pub fn keep_apart(&mut self, beside: Option<(Worker, u32)>) {
+    pub(crate) fn keep_apart(&mut self, beside: Option<(Worker, u32)>) {
         (self.beside, self.beside_state) = (beside, None);
     }
 
     /// What the process that is kept apart has reported last.
-    pub fn state_beside(&self) -> Option<StageState> {
+    pub(crate) fn state_beside(&self) -> Option<StageState> {
         self.beside_state
     }
 
     /// The newest frame of which a track came.
-    pub fn newest(&self) -> Option<FrameStamp> {
+    pub(crate) fn newest(&self) -> Option<FrameStamp> {
         self.newest
     }
 
     /// Whether as many frames have ended as were asked for.
-    pub fn is_complete(&self) -> bool {
+    pub(crate) fn is_complete(&self) -> bool {
         self.dashboard.frames_ended() >= self.most_frames
     }
 
     /// Time since the last track, or since [`RunLog::expect_tracks`] if that was later.
-    pub fn quiet_time(&self) -> Duration {
+    pub(crate) fn quiet_time(&self) -> Duration {
         self.last_track.elapsed()
     }
 
     /// Restarts the quiet time, because the source starts now.
-    pub fn expect_tracks(&mut self) {
+    pub(crate) fn expect_tracks(&mut self) {
         self.last_track = Instant::now();
     }
 
     /// The state that a stage reported last, if it ever did.
-    pub fn state_of(&self, stage: &str, replica: u32) -> Option<StageState> {
+    pub(crate) fn state_of(&self, stage: &str, replica: u32) -> Option<StageState> {
         self.dashboard.state_of(stage, replica)
     }
 
@@ -315,7 +315,7 @@ impl RunLog {
     ///
     /// # Errors
     /// As [`RunLog::receive`].
-    pub fn finish(&mut self) -> anyhow::Result<RunSummary> {
+    pub(crate) fn finish(&mut self) -> anyhow::Result<RunSummary> {
         self.receive()?;
         self.record_samples()?;
         let Recorders { poses, truth, rotations, imu, frame_times, rays } = &mut self.recorders;

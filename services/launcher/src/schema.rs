@@ -6,7 +6,7 @@ use flockeye_cli::Screen;
 ///
 /// # Errors
 /// The schema cannot be written as JSON.
-pub fn run() -> anyhow::Result<()> {
+pub(crate) fn run() -> anyhow::Result<()> {
     let schema = serde_json::to_string_pretty(&flockeye_config::json_schema())?;
     Screen::new().line(&schema);
     Ok(())

@@ -14,7 +14,7 @@ const STATUS_PERIOD: Duration = Duration::from_secs(1);
 
 /// What a run has to show for itself.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Progress {
+pub(crate) struct Progress {
     /// Frames that have passed through all stages.
     pub frames_ended: u64,
     /// A stage was ended on demand, so frames may stay away.
@@ -23,7 +23,7 @@ pub struct Progress {
 
 /// Tells systemd how a run gets on, if it wants to know.
 #[derive(Debug)]
-pub struct ServiceManager {
+pub(crate) struct ServiceManager {
     is_ready: bool,
     /// How often the watchdog is fed; `None`: there is none.
     feeding: Option<Duration>,
@@ -35,7 +35,7 @@ pub struct ServiceManager {
 
 impl ServiceManager {
     /// The service manager that started this process, if one did and listens.
-    pub fn of_environment() -> Option<Self> {
+    pub(crate) fn of_environment() -> Option<Self> {
         std::env::var_os("NOTIFY_SOCKET")?;
         Some(Self::new(watchdog_enabled(false)))
     }
@@ -53,13 +53,18 @@ impl ServiceManager {
     }
 
     /// Tells what there is to tell. `status` is asked for a line once a second.
-    pub fn report(&mut self, progress: Progress, now: Instant, status: impl FnOnce() -> String) {
+    pub(crate) fn report(
+        &mut self,
+        progress: Progress,
+        now: Instant,
+        status: impl FnOnce() -> String,
+    ) {
         let states = self.due(progress, now, status);
         self.tell(&states);
     }
 
     /// Tells that the run ends.
-    pub fn stopping(&mut self) {
+    pub(crate) fn stopping(&mut self) {
         self.tell(&[NotifyState::Stopping]);
     }
 

@@ -9,7 +9,7 @@ use crate::control::Worker;
 
 /// A pipeline's processes.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct PipelineStatus {
+pub(crate) struct PipelineStatus {
     /// Its instance.
     pub instance: String,
     /// The launcher's process.
@@ -26,7 +26,7 @@ pub struct PipelineStatus {
 
 /// One worker.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct WorkerStatus {
+pub(crate) struct WorkerStatus {
     /// Its name.
     pub worker: Worker,
     /// starting, ready, degraded, draining, finished, stopped, given up, is restarted, rests, waits for the others.

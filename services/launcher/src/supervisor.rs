@@ -12,8 +12,8 @@ mod faults;
 mod recording;
 mod requests;
 mod swaps;
-pub mod taking_over;
-pub mod unfinished;
+pub(crate) mod taking_over;
+pub(crate) mod unfinished;
 
 use std::rc::Rc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -51,7 +51,7 @@ const LOG_LINES: usize = 1_000;
 const TICK: Duration = Duration::from_millis(20);
 
 /// A pipeline that runs.
-pub struct Supervisor<'a> {
+pub(crate) struct Supervisor<'a> {
     duration: Option<Duration>,
     // Dropped in this order: ports before the services, the services before the node.
     messages: RunLog,
@@ -94,7 +94,7 @@ impl<'a> Supervisor<'a> {
     ///
     /// # Errors
     /// Shared memory, the control channel or a file cannot be opened, or a stage's program is missing.
-    pub fn new(
+    pub(crate) fn new(
         options: &RunOptions,
         resolved: &Resolved,
         instance: &Instance,
@@ -166,7 +166,7 @@ impl<'a> Supervisor<'a> {
     ///
     /// # Errors
     /// The system cannot start a process.
-    pub fn start(&mut self) -> anyhow::Result<()> {
+    pub(crate) fn start(&mut self) -> anyhow::Result<()> {
         self.recorder.as_mut().map_or(Ok(()), Recorder::start)?;
         let consumers = self.processes.iter_mut().filter(|process| {
             !process.worker.stage.is_source() && process.condition() == Condition::New
@@ -178,7 +178,7 @@ impl<'a> Supervisor<'a> {
     ///
     /// # Errors
     /// Nothing works any more, or a file cannot be written.
-    pub fn watch(&mut self, stopping: &AtomicBool) -> anyhow::Result<()> {
+    pub(crate) fn watch(&mut self, stopping: &AtomicBool) -> anyhow::Result<()> {
         let Some(ports) = self.ports.take() else { return Ok(()) };
         let outcome = ports.attend(|| {
             self.messages.receive()?;
@@ -258,7 +258,7 @@ impl<'a> Supervisor<'a> {
     }
 
     /// Whether it ran for longer than it takes to start.
-    pub fn had_its_time(&self) -> bool {
+    pub(crate) fn had_its_time(&self) -> bool {
         self.source_started.is_some_and(|start| start.elapsed() > self.start_time())
             || self.is_at_end()
     }
@@ -315,7 +315,7 @@ impl<'a> Supervisor<'a> {
     }
 
     /// Stops every stage: asks first, then kills.
-    pub fn stop(&mut self) {
+    pub(crate) fn stop(&mut self) {
         self.service_manager.iter_mut().for_each(ServiceManager::stopping);
         let candidate = self.swap.iter_mut().map(|swap| &mut swap.candidate);
         let mut processes: Vec<_> =
@@ -346,7 +346,7 @@ impl<'a> Supervisor<'a> {
     ///
     /// # Errors
     /// A file cannot be written.
-    pub fn finish(mut self, ownership: Ownership) -> anyhow::Result<RunSummary> {
+    pub(crate) fn finish(mut self, ownership: Ownership) -> anyhow::Result<RunSummary> {
         let summary = self.messages.finish()?;
         if summary.frames > 0 {
             self.screen.line(&self.messages.dashboard.summary());

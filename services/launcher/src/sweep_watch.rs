@@ -6,7 +6,7 @@ use flockeye_runtime::ports::{PortError, Ports, Subscriber};
 use flockeye_tables::sweep::{Sweep, SweepReport};
 
 /// A [`Sweep`] of a running pipeline.
-pub struct SweepWatch {
+pub(crate) struct SweepWatch {
     plans: Subscriber<Plans>,
     detections: Subscriber<Detections>,
     sweep: Sweep,
@@ -17,7 +17,7 @@ impl SweepWatch {
     ///
     /// # Errors
     /// The topics have no room for another reader, or the configuration cannot be used.
-    pub fn open(resolved: &Resolved, ports: &mut Ports) -> anyhow::Result<Option<Self>> {
+    pub(crate) fn open(resolved: &Resolved, ports: &mut Ports) -> anyhow::Result<Option<Self>> {
         let Some(sweep) = Sweep::of(resolved)? else { return Ok(None) };
         let (plans, detections) = (ports.subscriber()?, ports.subscriber()?);
         Ok(Some(Self { plans, detections, sweep }))
@@ -27,7 +27,7 @@ impl SweepWatch {
     ///
     /// # Errors
     /// The topics cannot be read.
-    pub fn receive(&mut self) -> Result<(), PortError> {
+    pub(crate) fn receive(&mut self) -> Result<(), PortError> {
         // Plans first, because records refer to them.
         while let Some(plan) = self.plans.receive()? {
             self.sweep.plan(plan.header.plan_id, plan.items());
@@ -39,7 +39,7 @@ impl SweepWatch {
     }
 
     /// See [`Sweep::report`].
-    pub fn report(&self) -> Option<SweepReport> {
+    pub(crate) fn report(&self) -> Option<SweepReport> {
         self.sweep.report()
     }
 }

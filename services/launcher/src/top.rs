@@ -15,7 +15,7 @@ use crate::sweep_watch::SweepWatch;
 
 /// Arguments of `top`.
 #[derive(Debug, Args)]
-pub struct TopArguments {
+pub(crate) struct TopArguments {
     /// Which pipeline.
     #[command(flatten)]
     pub running: PipelineChoice,
@@ -40,7 +40,7 @@ const PRINT_PERIOD: Duration = Duration::from_secs(1);
 ///
 /// # Errors
 /// No such pipeline runs, or its topics have no room for another reader.
-pub fn run(arguments: &TopArguments) -> anyhow::Result<()> {
+pub(crate) fn run(arguments: &TopArguments) -> anyhow::Result<()> {
     let stopping = signals::stop_flag()?;
     let Attached { mut ports, instance, resolved } = attach(&arguments.running)?;
     let mut healths = ports.subscriber::<Healths>()?;

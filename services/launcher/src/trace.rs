@@ -18,7 +18,7 @@ use crate::trace_events::Tracer;
 
 /// Arguments of `trace`.
 #[derive(Debug, Args)]
-pub struct TraceArguments {
+pub(crate) struct TraceArguments {
     /// Which pipeline.
     #[command(flatten)]
     pub running: PipelineChoice,
@@ -34,7 +34,7 @@ pub struct TraceArguments {
 ///
 /// # Errors
 /// No such pipeline runs, no message came, or the file cannot be written.
-pub fn run(arguments: &TraceArguments) -> anyhow::Result<()> {
+pub(crate) fn run(arguments: &TraceArguments) -> anyhow::Result<()> {
     let stopping = signals::stop_flag()?;
     let Attached { mut ports, instance, resolved } = attach(&arguments.running)?;
     // First, so that an unwritable file is reported before the recording.

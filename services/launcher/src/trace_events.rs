@@ -23,7 +23,7 @@ const SOURCE_ROWS: u64 = 16;
 
 /// Collects events.
 #[derive(Debug)]
-pub struct Tracer {
+pub(crate) struct Tracer {
     source: &'static str,
     events: Vec<Value>,
     frames: BTreeSet<(u32, u32, u64)>,
@@ -38,7 +38,7 @@ pub struct Tracer {
 impl Tracer {
     /// Starts without events. `source` is the stage that frames come from. If `is_live`, a frame's slice
     /// starts at its exposure.
-    pub fn new(source: &'static str, is_live: bool) -> Self {
+    pub(crate) fn new(source: &'static str, is_live: bool) -> Self {
         Self {
             source,
             is_live,
@@ -50,12 +50,12 @@ impl Tracer {
     }
 
     /// How many frames have events.
-    pub fn frames(&self) -> usize {
+    pub(crate) fn frames(&self) -> usize {
         self.frames.len()
     }
 
     /// Takes a stage's report.
-    pub fn health(&mut self, health: &Health) {
+    pub(crate) fn health(&mut self, health: &Health) {
         let stage = health.stage.to_string();
         let pid = self.process(&stage, health.replica);
         self.processes.insert(pid, format!("{} ({})", label(&stage, health.replica), health.pid));
@@ -66,7 +66,7 @@ impl Tracer {
     }
 
     /// Takes a detection record.
-    pub fn detection(&mut self, header: &DetectionHeader) {
+    pub(crate) fn detection(&mut self, header: &DetectionHeader) {
         self.frame(&header.stamp);
         let order = header.stamp.order();
         let view = format!("view {}", header.view_index);
@@ -89,7 +89,7 @@ impl Tracer {
     }
 
     /// Takes a frame's end in rectification.
-    pub fn end(&mut self, end: &FrameEnd) {
+    pub(crate) fn end(&mut self, end: &FrameEnd) {
         self.frame(&end.stamp);
         self.cutting_since_ns.remove(&end.stamp.order());
         let name = format!("frame {}", end.stamp.sequence);
@@ -98,7 +98,7 @@ impl Tracer {
     }
 
     /// Takes the tracks of a frame.
-    pub fn tracks(&mut self, header: &TrackHeader, tracks: &[Track]) {
+    pub(crate) fn tracks(&mut self, header: &TrackHeader, tracks: &[Track]) {
         let stamp = &header.stamp;
         self.frame(stamp);
         for track in tracks {
@@ -120,7 +120,7 @@ impl Tracer {
     }
 
     /// The whole trace.
-    pub fn finish(mut self) -> Value {
+    pub(crate) fn finish(mut self) -> Value {
         let named: Vec<Value> = self
             .processes
             .iter()

@@ -16,7 +16,7 @@ use crate::supervisor::{Supervisor, unfinished};
 
 /// Arguments of `up`.
 #[derive(Debug, Args)]
-pub struct UpArguments {
+pub(crate) struct UpArguments {
     /// Which configuration.
     #[command(flatten)]
     pub configuration: Configuration,
@@ -29,7 +29,7 @@ pub struct UpArguments {
 ///
 /// # Errors
 /// The configuration is wrong, the instance is taken, memory is short, or a stage cannot work.
-pub fn run(arguments: &UpArguments) -> anyhow::Result<()> {
+pub(crate) fn run(arguments: &UpArguments) -> anyhow::Result<()> {
     let stopping = signals::stop_flag()?;
     let pipeline = arguments.configuration.load()?;
     run_pipeline(&pipeline, &arguments.options, &mut Screen::new(), &stopping).map(drop)
@@ -61,7 +61,7 @@ fn what_flies(
 ///
 /// # Errors
 /// As [`run`]; also if it ran for longer than it takes to start, and no frame was searched to its end.
-pub fn run_pipeline(
+pub(crate) fn run_pipeline(
     pipeline: &Pipeline,
     options: &RunOptions,
     screen: &mut Screen,

@@ -28,7 +28,7 @@ use flockeye_launcher::control::{Request, SwapRequest, Worker};
 
 /// Arguments of `chaos`.
 #[derive(Debug, Args)]
-pub struct ChaosArguments {
+pub(crate) struct ChaosArguments {
     /// Which pipeline.
     #[command(flatten)]
     pub running: PipelineChoice,
@@ -79,7 +79,7 @@ struct Watch {
 /// # Errors
 /// No such pipeline runs, it ends meanwhile, it has no pose to begin with, or a limit of the report is
 /// broken.
-pub fn run(arguments: &ChaosArguments) -> anyhow::Result<()> {
+pub(crate) fn run(arguments: &ChaosArguments) -> anyhow::Result<()> {
     let stopping = signals::stop_flag()?;
     let Attached { mut ports, instance, .. } = attach(&arguments.running)?;
     let mut screen = Screen::new();

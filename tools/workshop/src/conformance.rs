@@ -36,7 +36,7 @@ use flockeye_launcher::control::stage_name;
 
 /// Arguments of `stage test`.
 #[derive(Debug, Args)]
-pub struct TestArguments {
+pub(crate) struct TestArguments {
     /// Which stage the candidate is: its name in pipeline.yaml.
     #[arg(value_parser = stage_name)]
     pub kind: StageName,
@@ -58,7 +58,7 @@ pub struct TestArguments {
 ///
 /// # Errors
 /// The candidate does not keep the contract, or the test cannot be made.
-pub fn run(arguments: &TestArguments) -> anyhow::Result<()> {
+pub(crate) fn run(arguments: &TestArguments) -> anyhow::Result<()> {
     let stage = arguments.kind;
     let script = match stage {
         StageName::Capture | StageName::Simulator => source::run,

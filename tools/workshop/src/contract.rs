@@ -6,7 +6,7 @@ use flockeye_contract::description;
 
 /// Arguments of `contract`.
 #[derive(Debug, Args)]
-pub struct ContractArguments {
+pub(crate) struct ContractArguments {
     /// In which form.
     #[arg(value_enum)]
     pub form: Form,
@@ -14,7 +14,7 @@ pub struct ContractArguments {
 
 /// A form of the contract.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Form {
+pub(crate) enum Form {
     /// A header, with static assertions.
     C,
     /// A module for ctypes.
@@ -27,7 +27,7 @@ pub enum Form {
 ///
 /// # Errors
 /// None.
-pub fn run(arguments: &ContractArguments) -> anyhow::Result<()> {
+pub(crate) fn run(arguments: &ContractArguments) -> anyhow::Result<()> {
     let text = match arguments.form {
         Form::C => description::c_header(),
         Form::Python => description::python_module(),

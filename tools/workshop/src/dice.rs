@@ -3,16 +3,16 @@
 /// Chance from a seed: SplitMix64 (Steele, Lea and Flood, "Fast splittable pseudorandom number generators",
 /// 2014).
 #[derive(Debug, Clone)]
-pub struct Dice(u64);
+pub(crate) struct Dice(u64);
 
 impl Dice {
     /// The same seed gives the same numbers.
-    pub fn new(seed: u64) -> Self {
+    pub(crate) fn new(seed: u64) -> Self {
         Self(seed)
     }
 
     /// The next number.
-    pub fn number(&mut self) -> u64 {
+    pub(crate) fn number(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mixed = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
         let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
@@ -20,13 +20,13 @@ impl Dice {
     }
 
     /// A number from 0 to 1.
-    pub fn share(&mut self) -> f64 {
+    pub(crate) fn share(&mut self) -> f64 {
         // As many bits as a double holds.
         (self.number() >> 11) as f64 / (1_u64 << 53) as f64
     }
 
     /// One of these; `None` of nothing.
-    pub fn choose<T: Copy>(&mut self, from: &[T]) -> Option<T> {
+    pub(crate) fn choose<T: Copy>(&mut self, from: &[T]) -> Option<T> {
         let number = self.number();
         from.get((number % (from.len().max(1) as u64)) as usize).copied()
     }

@@ -19,7 +19,7 @@ const SHOWN_LINES: usize = 15;
 
 /// Pipelines that run. Dropping it ends them.
 #[derive(Debug)]
-pub struct Fleet {
+pub(crate) struct Fleet {
     pipelines: Vec<Pipeline>,
     folder: PathBuf,
 }
@@ -45,7 +45,7 @@ impl Fleet {
     ///
     /// # Errors
     /// A name is taken, or a process or its file cannot be had.
-    pub fn start(pipelines: &[(String, Vec<OsString>)]) -> anyhow::Result<Self> {
+    pub(crate) fn start(pipelines: &[(String, Vec<OsString>)]) -> anyhow::Result<Self> {
         let program = program::find("flockeye")?;
         let folder = std::env::temp_dir().join(format!("flockeye-swarm-{}", std::process::id()));
         std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
@@ -66,7 +66,7 @@ impl Fleet {
     }
 
     /// Where the pipelines' output is.
-    pub fn folder(&self) -> &PathBuf {
+    pub(crate) fn folder(&self) -> &PathBuf {
         &self.folder
     }
 
@@ -74,7 +74,7 @@ impl Fleet {
     ///
     /// # Errors
     /// One has ended; with its last lines.
-    pub fn check(&mut self) -> anyhow::Result<()> {
+    pub(crate) fn check(&mut self) -> anyhow::Result<()> {
         for pipeline in &mut self.pipelines {
             if let Some(status) = pipeline.child.try_wait()? {
                 bail!(
@@ -89,13 +89,13 @@ impl Fleet {
     }
 
     /// The last lines that each pipeline wrote.
-    pub fn last_lines(&self) -> String {
+    pub(crate) fn last_lines(&self) -> String {
         let lines: Vec<_> = self.pipelines.iter().map(Pipeline::last_lines).collect();
         lines.join("\n")
     }
 
     /// Ends all, and removes what they have written.
-    pub fn end(mut self) {
+    pub(crate) fn end(mut self) {
         self.stop();
         // What is left of it costs a few kilobytes in a temporary folder.
         drop(std::fs::remove_dir_all(&self.folder));
@@ -130,7 +130,7 @@ impl Drop for Fleet {
 ///
 /// # Errors
 /// The system gives none.
-pub fn free_ports(count: usize) -> anyhow::Result<Vec<u16>> {
+pub(crate) fn free_ports(count: usize) -> anyhow::Result<Vec<u16>> {
     let listeners: Vec<TcpListener> = (0..count)
         .map(|_| TcpListener::bind(("127.0.0.1", 0)))
         .collect::<Result<_, _>>()

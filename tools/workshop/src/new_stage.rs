@@ -9,7 +9,7 @@ use flockeye_contract::StageName;
 
 /// Arguments of `stage new`.
 #[derive(Debug, Args)]
-pub struct NewArguments {
+pub(crate) struct NewArguments {
     /// Which stage: detection, rectification or fusion.
     pub kind: String,
     /// Where to.
@@ -24,7 +24,7 @@ pub struct NewArguments {
 
 /// A language that a stage can be written in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Language {
+pub(crate) enum Language {
     /// Rust, with the crates of Flockeye's own stages.
     Rust,
     /// Python, with the package `clients/python`.
@@ -171,7 +171,7 @@ const EXAMPLES: [Example; 9] = [
 ///
 /// # Errors
 /// There is no such stage or no example of it, or a file is there already or cannot be written.
-pub fn run(arguments: &NewArguments) -> anyhow::Result<()> {
+pub(crate) fn run(arguments: &NewArguments) -> anyhow::Result<()> {
     let NewArguments { kind, folder, lang, sources } = arguments;
     let ours = || EXAMPLES.iter().filter(|example| example.lang == *lang);
     let Some(example) = ours().find(|example| example.stage.name() == kind) else {

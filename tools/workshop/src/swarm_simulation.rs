@@ -42,7 +42,7 @@ const PRINT_PERIOD: Duration = Duration::from_secs(5);
 
 /// Arguments of `swarm sim`.
 #[derive(Debug, Args)]
-pub struct SimArguments {
+pub(crate) struct SimArguments {
     /// How many drones fly, on a ring: 2 to 14.
     #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u32).range(2..=i64::from(MOST_DRONES)))]
     pub drones: u32,
@@ -68,7 +68,7 @@ pub struct SimArguments {
 
 /// Width and height, pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Size {
+pub(crate) struct Size {
     width: u32,
     height: u32,
 }
@@ -89,7 +89,7 @@ impl FromStr for Size {
 ///
 /// # Errors
 /// The configuration is wrong, a pipeline ends, or nobody was seen.
-pub fn run(arguments: &SimArguments) -> anyhow::Result<()> {
+pub(crate) fn run(arguments: &SimArguments) -> anyhow::Result<()> {
     let stopping = signals::stop_flag()?;
     let pipelines = pipelines(arguments)?;
     let mut screen = Screen::new();

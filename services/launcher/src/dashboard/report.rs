@@ -8,7 +8,7 @@ use super::{Dashboard, age_ms, deviation_m, track_state_name};
 
 /// The pipeline at one moment.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct DashboardReport {
+pub(crate) struct DashboardReport {
     /// Frames that ended since watching began.
     pub frames: u64,
     /// Frames that the source sent meanwhile and that were skipped.
@@ -23,7 +23,7 @@ pub struct DashboardReport {
 
 /// One process.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct StageReport {
+pub(crate) struct StageReport {
     /// Its stage.
     pub stage: String,
     /// Which of its workers, from 0.
@@ -58,7 +58,7 @@ pub struct StageReport {
 
 /// One neighbour.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct NeighbourReport {
+pub(crate) struct NeighbourReport {
     /// Its name.
     pub name: String,
     /// State of its track.
@@ -81,7 +81,7 @@ pub struct NeighbourReport {
 
 /// Time from stage to stage, milliseconds; none where it is unknown.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct LatencyReport {
+pub(crate) struct LatencyReport {
     /// Exposure to frame.
     pub capture: Option<f64>,
     /// Frame to view.
@@ -96,7 +96,7 @@ pub struct LatencyReport {
 
 impl Dashboard {
     /// The values now.
-    pub fn report(&self, now_ns: i64) -> DashboardReport {
+    pub(crate) fn report(&self, now_ns: i64) -> DashboardReport {
         let stages = self.stages.iter().map(|((stage, replica), view)| StageReport {
             stage: stage.clone(),
             replica: *replica,

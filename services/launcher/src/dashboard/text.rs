@@ -11,7 +11,7 @@ use super::{Dashboard, age_ms, deviation_m, track_state_name};
 
 impl Dashboard {
     /// The live table.
-    pub fn table(&self, now_ns: i64) -> String {
+    pub(crate) fn table(&self, now_ns: i64) -> String {
         let titles = [
             "stage", "state", "in/s", "out/s", "ms", "99% ms", "queued", "dropped", "failed",
             "cpu %", "MB", "with",
@@ -71,7 +71,7 @@ impl Dashboard {
     }
 
     /// The newest of it in a line.
-    pub fn line(&self, now_ns: i64) -> String {
+    pub(crate) fn line(&self, now_ns: i64) -> String {
         let silent: Vec<_> = self
             .stages
             .iter()
@@ -109,7 +109,7 @@ impl Dashboard {
     }
 
     /// The summary of the whole run.
-    pub fn summary(&self) -> String {
+    pub(crate) fn summary(&self) -> String {
         let count = |name: &str, of: fn(&Health) -> u64| -> u64 {
             self.stages
                 .iter()

@@ -18,7 +18,7 @@ const SYNCHRONISERS: [(&str, &str); 5] = [
 ];
 
 /// Looks at it.
-pub fn examine(machine: &Machine) -> Vec<Finding> {
+pub(crate) fn examine(machine: &Machine) -> Vec<Finding> {
     let (_, is_synchronised) = utc_from_monotonic(monotonic_ns());
     vec![finding(is_synchronised, &synchronisers(machine))]
 }

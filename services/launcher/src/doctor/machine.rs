@@ -10,7 +10,7 @@ const FEWEST_PROCESSORS: usize = 2;
 const HOT_C: f64 = 85.0;
 
 /// Looks at them.
-pub fn examine(machine: &Machine) -> Vec<Finding> {
+pub(crate) fn examine(machine: &Machine) -> Vec<Finding> {
     let mut findings = vec![features(), processors()];
     findings.push(governor(machine));
     findings.extend(heat(machine));
@@ -77,7 +77,7 @@ fn governor(machine: &Machine) -> Finding {
 }
 
 /// The temperatures that this machine shows: of which part, and degrees Celsius.
-pub fn temperatures_c(machine: &Machine) -> Vec<(String, f64)> {
+pub(crate) fn temperatures_c(machine: &Machine) -> Vec<(String, f64)> {
     let folder = "/sys/class/thermal";
     let zones = machine.names(folder).into_iter().filter(|name| name.starts_with("thermal_zone"));
     zones
@@ -90,7 +90,7 @@ pub fn temperatures_c(machine: &Machine) -> Vec<(String, f64)> {
 }
 
 /// The clocks of the processors: which, and Hz.
-pub fn frequencies_hz(machine: &Machine) -> Vec<(String, f64)> {
+pub(crate) fn frequencies_hz(machine: &Machine) -> Vec<(String, f64)> {
     let folder = "/sys/devices/system/cpu";
     let cpus = machine.names(folder).into_iter();
     cpus.filter_map(|cpu| {

@@ -16,7 +16,7 @@ const FEWEST_FILES: u64 = 1024;
 const FIRST_REGULAR_USER: u32 = 1000;
 
 /// Looks at it.
-pub fn examine(machine: &Machine, resolved: &Resolved) -> Vec<Finding> {
+pub(crate) fn examine(machine: &Machine, resolved: &Resolved) -> Vec<Finding> {
     let mut findings = vec![shared_memory(&Budget::of(resolved))];
     findings.extend(removed_at_logout(machine, getuid().as_raw()));
     findings.extend(files());

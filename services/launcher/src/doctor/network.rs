@@ -17,7 +17,7 @@ const SOON_DAYS: i64 = 7;
 const DAY_S: i64 = 86_400;
 
 /// Looks at them.
-pub fn examine(machine: &Machine, pipeline: &Pipeline) -> Vec<Finding> {
+pub(crate) fn examine(machine: &Machine, pipeline: &Pipeline) -> Vec<Finding> {
     let gateway = &pipeline.gateway;
     if !gateway.enabled {
         return vec![Finding::note(

@@ -14,7 +14,7 @@ const TOPIC: &str = "programs";
 const PATIENCE: Duration = Duration::from_secs(20);
 
 /// Asks every stage that runs.
-pub fn examine(pipeline: &Pipeline) -> Vec<Finding> {
+pub(crate) fn examine(pipeline: &Pipeline) -> Vec<Finding> {
     let json = match serde_json::to_vec(pipeline) {
         Ok(json) => json,
         Err(error) => {

@@ -17,7 +17,7 @@ const WAKE: &str = "switch it on, press its mode button until LIVE shows (or hol
                     in with a data cable; it must not sleep: set its sleep time and power-off time to never";
 
 /// Looks for one, if the source is one or one is plugged in.
-pub fn examine(machine: &Machine, source: &str) -> Vec<Finding> {
+pub(crate) fn examine(machine: &Machine, source: &str) -> Vec<Finding> {
     let is_wanted = source == "theta" || source.contains("thetauvcsrc");
     let folder = "/sys/bus/usb/devices";
     let ricohs: Vec<_> = machine

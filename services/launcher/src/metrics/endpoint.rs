@@ -20,7 +20,7 @@ const PLAIN: &str = "text/plain; charset=utf-8";
 
 /// What is answered.
 #[derive(Debug, Clone)]
-pub struct Page {
+pub(crate) struct Page {
     /// All metrics.
     pub text: String,
     /// When it was written: a launcher that hangs writes none.
@@ -33,7 +33,7 @@ pub struct Page {
 ///
 /// # Errors
 /// It cannot be listened on.
-pub fn start(listen: SocketAddr, page: Arc<Mutex<Page>>) -> io::Result<SocketAddr> {
+pub(crate) fn start(listen: SocketAddr, page: Arc<Mutex<Page>>) -> io::Result<SocketAddr> {
     let listener = TcpListener::bind(listen)?;
     let address = listener.local_addr()?;
     std::thread::Builder::new().name("metrics".to_owned()).spawn(move || {

@@ -78,14 +78,14 @@ fn of_stages() -> [OfStage; 8] {
 
 /// What there was at one moment.
 #[derive(Debug, Clone, Default)]
-pub struct Snapshot {
+pub(crate) struct Snapshot {
     frames: u64,
     metrics: Vec<Metric>,
 }
 
 impl Snapshot {
     /// What a dashboard and this machine say now.
-    pub fn of(dashboard: &Dashboard, now_ns: i64) -> Self {
+    pub(crate) fn of(dashboard: &Dashboard, now_ns: i64) -> Self {
         let mut snapshot = Self { frames: dashboard.frames_ended(), ..Self::default() };
         snapshot.add_frames(dashboard);
         snapshot.add_stages(dashboard, now_ns);
@@ -196,11 +196,11 @@ impl Snapshot {
 
 /// The latest snapshot, for the registry.
 #[derive(Debug, Clone, Default)]
-pub struct Latest(Arc<Mutex<Snapshot>>);
+pub(crate) struct Latest(Arc<Mutex<Snapshot>>);
 
 impl Latest {
     /// Takes the next one. True: frames have ended since the one before.
-    pub fn replace(&self, snapshot: Snapshot) -> bool {
+    pub(crate) fn replace(&self, snapshot: Snapshot) -> bool {
         let mut latest = lock(&self.0);
         let has_gone_on = snapshot.frames > latest.frames;
         *latest = snapshot;

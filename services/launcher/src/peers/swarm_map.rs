@@ -9,7 +9,7 @@ const ROWS: usize = 21;
 const LEAST_M: f64 = 1.0;
 
 /// The drones from above: forward is up, left is left. `own` is the middle.
-pub fn map(own: &str, places: &[Place]) -> String {
+pub(crate) fn map(own: &str, places: &[Place]) -> String {
     let flat = |place: &Place| {
         let position = place.own_from_drone.a_from_b.translation.vector;
         (position.x, position.y)

@@ -10,7 +10,7 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::process::{Pid, PidfdFlags, pidfd_open};
 
 /// A process that runs.
-pub enum RunningProcess {
+pub(crate) enum RunningProcess {
     /// This launcher started it.
     Own(Child),
     /// Another one did, so only the end can be seen and not its status.
@@ -24,7 +24,7 @@ pub enum RunningProcess {
 
 /// How a process has ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct End {
+pub(crate) struct End {
     /// In words.
     pub how: String,
     /// Whether its exit status says that another attempt is useless.
@@ -36,7 +36,7 @@ impl RunningProcess {
     ///
     /// # Errors
     /// It has ended.
-    pub fn adopt(pid: u32) -> io::Result<Self> {
+    pub(crate) fn adopt(pid: u32) -> io::Result<Self> {
         let number = Pid::from_raw(pid.cast_signed()).ok_or_else(|| {
             io::Error::new(io::ErrorKind::InvalidInput, "no process has number 0")
         })?;
@@ -44,7 +44,7 @@ impl RunningProcess {
     }
 
     /// Its number.
-    pub fn pid(&self) -> u32 {
+    pub(crate) fn pid(&self) -> u32 {
         match self {
             Self::Own(child) => child.id(),
             Self::Adopted { pid, .. } => *pid,
@@ -55,7 +55,7 @@ impl RunningProcess {
     ///
     /// # Errors
     /// The system does not tell.
-    pub fn end(&mut self) -> io::Result<Option<End>> {
+    pub(crate) fn end(&mut self) -> io::Result<Option<End>> {
         match self {
             Self::Own(child) => Ok(child.try_wait()?.map(End::of)),
             Self::Adopted { pidfd, .. } => {

@@ -34,7 +34,7 @@ impl StartPlan {
     ///
     /// # Errors
     /// The program is not there.
-    pub fn of(
+    pub(crate) fn of(
         stage: StageName,
         configuration: &StageProcess,
         folder: &Path,
@@ -49,7 +49,7 @@ impl StartPlan {
     }
 
     /// What starts a process of this generation. Where its output goes is the caller's.
-    pub fn command(&self, worker: Worker, generation: u32) -> Command {
+    pub(crate) fn command(&self, worker: Worker, generation: u32) -> Command {
         // Not by its path: an update may have put another file there.
         let mut command = Command::new("/proc/self/exe");
         if std::env::var_os("XDG_RUNTIME_DIR").is_none() {

@@ -69,7 +69,7 @@ const MOST_AT_ONCE: u64 = 65_536;
 
 /// The output of a process that may outlive its launcher: a file. What was read of it takes no space on the
 /// disk any more.
-pub struct KeptOutput {
+pub(crate) struct KeptOutput {
     file: File,
     /// The last line as far as it is written.
     begun: Vec<u8>,
@@ -81,7 +81,7 @@ impl KeptOutput {
     ///
     /// # Errors
     /// The file cannot be opened.
-    pub fn open(path: &Path) -> io::Result<Self> {
+    pub(crate) fn open(path: &Path) -> io::Result<Self> {
         let mut file = File::options().read(true).write(true).open(path)?;
         // What was read is a hole. Where the file system has none, lines are told once more.
         match seek(&file, FileOffset::Data(0)) {
@@ -96,7 +96,7 @@ impl KeptOutput {
     ///
     /// # Errors
     /// The file cannot be read.
-    pub fn forward(&mut self, sink: &LineSink) -> io::Result<bool> {
+    pub(crate) fn forward(&mut self, sink: &LineSink) -> io::Result<bool> {
         let from = self.file.stream_position()?;
         let length = (&self.file).take(MOST_AT_ONCE).read_to_end(&mut self.begun)? as u64;
         if length == 0 {
@@ -120,7 +120,7 @@ impl KeptOutput {
     ///
     /// # Errors
     /// The file cannot be read.
-    pub fn forward_rest(&mut self, sink: &LineSink) -> io::Result<()> {
+    pub(crate) fn forward_rest(&mut self, sink: &LineSink) -> io::Result<()> {
         for _ in 0..16 {
             if !self.forward(sink)? {
                 break;

@@ -23,7 +23,7 @@ const STOP_TIME: Duration = Duration::from_secs(10);
 const BACKOFF: [Duration; 2] = [Duration::from_millis(100), Duration::from_secs(10)];
 
 /// The recorder's process.
-pub struct Recorder {
+pub(crate) struct Recorder {
     /// Program and arguments before the file.
     program: Vec<String>,
     folder: std::path::PathBuf,
@@ -42,7 +42,7 @@ impl Recorder {
     ///
     /// # Errors
     /// Its program or its folder is not there.
-    pub fn of(
+    pub(crate) fn of(
         recording: &Recording,
         instance: &Instance,
         log: SyncSender<LogLine>,
@@ -68,7 +68,7 @@ impl Recorder {
     ///
     /// # Errors
     /// The system cannot start a process.
-    pub fn start(&mut self) -> anyhow::Result<()> {
+    pub(crate) fn start(&mut self) -> anyhow::Result<()> {
         let file = new_file(&self.folder, self.instance.name());
         // Not by its path: an update may have put another file there.
         let mut command = Command::new("/proc/self/exe");
@@ -94,13 +94,13 @@ impl Recorder {
     }
 
     /// Whether it has joined, so that it misses nothing, or never will.
-    pub fn has_joined(&self) -> bool {
+    pub(crate) fn has_joined(&self) -> bool {
         let Some(child) = &self.child else { return self.has_given_up };
         recorders::has_joined(&self.instance, child.id())
     }
 
     /// Starts it again if it has ended, after `clean` has freed what it had. Returns what there is to say.
-    pub fn attend(&mut self, clean: impl FnOnce()) -> Option<String> {
+    pub(crate) fn attend(&mut self, clean: impl FnOnce()) -> Option<String> {
         if self.retry_at.is_some_and(|at| Instant::now() >= at) {
             clean();
             return match self.start() {
@@ -129,7 +129,7 @@ impl Recorder {
     }
 
     /// Has it write what it has, and waits for its end. Returns what there is to say.
-    pub fn stop(&mut self) -> Option<String> {
+    pub(crate) fn stop(&mut self) -> Option<String> {
         self.retry_at = None;
         let mut child = self.child.take()?;
         // One that has ended needs no signal.

@@ -19,7 +19,7 @@ impl Supervisor<'_> {
     ///
     /// # Errors
     /// The word cannot be passed on.
-    pub fn adopt(&mut self, kept: &[KeptProcess]) -> anyhow::Result<()> {
+    pub(crate) fn adopt(&mut self, kept: &[KeptProcess]) -> anyhow::Result<()> {
         if kept.is_empty() {
             return Ok(());
         }

@@ -42,7 +42,7 @@ impl UnfinishedSwap {
     ///
     /// # Errors
     /// It cannot be written.
-    pub fn keep(&self, folder: &Path) -> anyhow::Result<()> {
+    pub(crate) fn keep(&self, folder: &Path) -> anyhow::Result<()> {
         let file = file(folder);
         write_whole(&file, &serde_json::to_vec(self)?)
             .with_context(|| format!("{}", file.display()))
@@ -92,7 +92,7 @@ pub(super) fn forget(folder: &Path) {
 ///
 /// # Errors
 /// The configuration cannot be written, or a process cannot be ended.
-pub fn undo(instance: &Instance) -> anyhow::Result<()> {
+pub(crate) fn undo(instance: &Instance) -> anyhow::Result<()> {
     let folder = instance.folder();
     let swap = std::fs::read(file(folder)).ok();
     let swap = swap.and_then(|json| serde_json::from_slice::<UnfinishedSwap>(&json).ok());

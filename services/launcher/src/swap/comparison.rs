@@ -11,17 +11,17 @@ use serde::Serialize;
 /// The new process must answer something in this share of the frames in which the old one does. A machine
 /// that both share loses frames of both, and of a few frames one more or less is chance. How many views of a
 /// frame it answers does not count: the flow goes at the pace of the old process, and adapts.
-pub const LEAST_ANSWERED: f64 = 0.75;
+pub(crate) const LEAST_ANSWERED: f64 = 0.75;
 /// In what both answered, the new process must find this share of what the old one finds.
-pub const LEAST_FOUND: f64 = 0.75;
+pub(crate) const LEAST_FOUND: f64 = 0.75;
 /// A difference of fewer standard deviations is chance: the two look at views of their own, so what each
 /// finds is counted as two independent Poisson numbers.
 const CHANCE_DEVIATIONS: f64 = 2.0;
 /// So many frames of the old process are compared. More are while it has found less than [`FOUND_TO_TELL`], or while what the
 /// new one misses may be chance.
-pub const FRAMES_COMPARED: usize = 10;
+pub(crate) const FRAMES_COMPARED: usize = 10;
 /// If the old process found less, a new one that finds nothing could not be told from it.
-pub const FOUND_TO_TELL: usize = 8;
+pub(crate) const FOUND_TO_TELL: usize = 8;
 /// Answers to the newest frames may be on their way.
 const FRAMES_UNSETTLED: usize = 2;
 /// The new process may lag by this many frames, because both share the processors. A frame that it has not
@@ -32,7 +32,7 @@ const MAX_FRAMES: usize = 256;
 
 /// Which of the two processes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Side {
+pub(crate) enum Side {
     /// The one that is replaced.
     Old,
     /// The one that takes its place.
@@ -41,7 +41,7 @@ pub enum Side {
 
 /// What one process said.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Answer {
+pub(crate) struct Answer {
     /// Of which frame.
     pub frame: FrameOrder,
     /// Of which part of it: a view, or always 0.
@@ -64,14 +64,14 @@ type Answers = BTreeMap<FrameOrder, FrameAnswers>;
 
 /// The newest answers of both.
 #[derive(Debug, Clone, Default)]
-pub struct Comparison {
+pub(crate) struct Comparison {
     old: Answers,
     new: Answers,
 }
 
 /// What the comparison of some frames gave.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Figures {
+pub(crate) struct Figures {
     /// Frames that the old process answered.
     pub frames: usize,
     /// In how many of them the new process gave an answer that the old one gave too.
@@ -94,7 +94,7 @@ pub struct Figures {
 
 impl Comparison {
     /// Notes an answer.
-    pub fn note(&mut self, side: Side, answer: Answer) {
+    pub(crate) fn note(&mut self, side: Side, answer: Answer) {
         let answers = match side {
             Side::Old => &mut self.old,
             Side::New => &mut self.new,
@@ -111,18 +111,18 @@ impl Comparison {
     }
 
     /// The newest frame that the old process has answered.
-    pub fn newest(&self) -> Option<FrameOrder> {
+    pub(crate) fn newest(&self) -> Option<FrameOrder> {
         self.old.last_key_value().map(|(frame, _)| *frame)
     }
 
     /// Whether the new process has answered anything.
-    pub fn has_begun(&self) -> bool {
+    pub(crate) fn has_begun(&self) -> bool {
         !self.new.is_empty()
     }
 
     /// Compares the last settled frames from `first` on, as few as tell something. `None` while these are
     /// fewer than [`FRAMES_COMPARED`].
-    pub fn figures(&self, first: Option<FrameOrder>) -> Option<Figures> {
+    pub(crate) fn figures(&self, first: Option<FrameOrder>) -> Option<Figures> {
         let begun = *self.new.first_key_value()?.0;
         let first = first.map_or(begun, |first| first.max(begun));
         let frames: Vec<_> = self.old.range(first..).map(|(frame, _)| *frame).collect();
@@ -192,13 +192,13 @@ impl Comparison {
 
 impl Figures {
     /// Whether a new process that finds nothing would be noticed.
-    pub fn tells(&self) -> bool {
+    pub(crate) fn tells(&self) -> bool {
         self.old_found >= FOUND_TO_TELL
     }
 
     /// Whether fewer frames were answered than are wanted, but a process that answers just as many may have missed these by
     /// chance: they are a binomial number.
-    pub fn misses_may_be_chance(&self) -> bool {
+    pub(crate) fn misses_may_be_chance(&self) -> bool {
         let frames = self.frames as f64;
         let missing = LEAST_ANSWERED * frames - self.frames_answered as f64;
         let deviation = (frames * LEAST_ANSWERED * (1.0 - LEAST_ANSWERED)).sqrt();
@@ -206,7 +206,7 @@ impl Figures {
     }
 
     /// Why the new process is worse than the old one; `None` if it is not.
-    pub fn shortcoming(&self) -> Option<String> {
+    pub(crate) fn shortcoming(&self) -> Option<String> {
         let share = |new: usize, old: usize| match old {
             0 => 1.0,
             old => new as f64 / old as f64,

@@ -19,7 +19,7 @@ const TAKING_BACK_TIME: Duration = Duration::from_millis(500);
 
 /// Decides about one swap.
 #[derive(Debug, Clone)]
-pub struct Judge {
+pub(crate) struct Judge {
     worker: Worker,
     old_generation: u32,
     new_generation: u32,
@@ -43,7 +43,7 @@ enum Phase {
 
 /// What is to be done about a swap.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Verdict {
+pub(crate) enum Verdict {
     /// Nothing yet.
     Wait,
     /// The new process takes over.
@@ -58,7 +58,7 @@ pub enum Verdict {
 
 /// How the two processes are at the moment.
 #[derive(Debug, Clone, Copy)]
-pub struct Lives<'a> {
+pub(crate) struct Lives<'a> {
     /// How the new process has ended, if it has.
     pub new_ended: Option<&'a str>,
     /// Whether the old process runs.
@@ -68,7 +68,7 @@ pub struct Lives<'a> {
 impl Judge {
     /// Of a swap of `worker` that begins at `now`, between these two generations. The new process has `within`
     /// to do as well as the old one, or at all if it may do worse.
-    pub fn new(
+    pub(crate) fn new(
         worker: Worker,
         [old_generation, new_generation]: [u32; 2],
         now: Instant,
@@ -88,7 +88,7 @@ impl Judge {
     }
 
     /// Whether a process of this generation is the one that is replaced.
-    pub fn is_of_generation(&self, generation: u32) -> bool {
+    pub(crate) fn is_of_generation(&self, generation: u32) -> bool {
         generation == self.old_generation
     }
 
@@ -107,13 +107,18 @@ impl Judge {
     }
 
     /// The word that the new process does not count.
-    pub fn begin(&self) -> HandOver {
+    pub(crate) fn begin(&self) -> HandOver {
         let generations = [self.old_generation, self.new_generation];
         self.word(HandOverState::Shadow, FrameOrder::default(), generations)
     }
 
     /// What is to be done now, given what both have said.
-    pub fn judge(&mut self, comparison: &Comparison, lives: Lives<'_>, now: Instant) -> Verdict {
+    pub(crate) fn judge(
+        &mut self,
+        comparison: &Comparison,
+        lives: Lives<'_>,
+        now: Instant,
+    ) -> Verdict {
         match self.phase.clone() {
             Phase::Shadow => self.judge_shadow(comparison, lives, now),
             Phase::Probation { first, until } => {

@@ -13,9 +13,9 @@
 //! | [`comparison`] | compares it, and says what is worse |
 //! | [`judge`] | decides when the new one takes over, stays or goes |
 
-pub mod comparison;
-pub mod judge;
-pub mod shadow;
+pub(crate) mod comparison;
+pub(crate) mod judge;
+pub(crate) mod shadow;
 
 use std::time::{Duration, Instant};
 
@@ -28,7 +28,7 @@ use crate::control::server::ClientId;
 use crate::process::Process;
 
 /// A swap under way.
-pub struct Swap {
+pub(crate) struct Swap {
     /// Who asked for it.
     pub client: ClientId,
     /// Which worker.
@@ -45,7 +45,7 @@ pub struct Swap {
 
 impl Swap {
     /// A swap whose candidate is about to start in the shadow of `old_generation`.
-    pub fn new(
+    pub(crate) fn new(
         client: ClientId,
         candidate: Process,
         old_generation: u32,
@@ -60,7 +60,7 @@ impl Swap {
     }
 
     /// What is to be done now.
-    pub fn judge(&mut self, lives: Lives<'_>, now: Instant) -> Verdict {
+    pub(crate) fn judge(&mut self, lives: Lives<'_>, now: Instant) -> Verdict {
         self.judge.judge(&self.shadow.comparison, lives, now)
     }
 }

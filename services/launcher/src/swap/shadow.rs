@@ -13,7 +13,7 @@ use super::comparison::{Answer, Comparison, Side};
 use crate::control::Worker;
 
 /// Reads the answers of the old and the new process.
-pub struct Shadow {
+pub(crate) struct Shadow {
     worker: Worker,
     old_generation: u32,
     new_generation: u32,
@@ -43,7 +43,7 @@ impl Shadow {
     ///
     /// # Errors
     /// The stage cannot run twice, or a topic has no room for another reader.
-    pub fn open(
+    pub(crate) fn open(
         worker: Worker,
         [old_generation, new_generation]: [u32; 2],
         ports: &mut Ports,
@@ -63,7 +63,7 @@ impl Shadow {
     ///
     /// # Errors
     /// A topic cannot be read.
-    pub fn receive(&mut self) -> anyhow::Result<()> {
+    pub(crate) fn receive(&mut self) -> anyhow::Result<()> {
         let [old, new] = [self.old_generation, self.new_generation];
         let side = |generation: u32| match generation {
             generation if generation == old => Some(Side::Old),

@@ -13,7 +13,7 @@ use flockeye_geometry::Ray;
 use flockeye_geometry::view::{View, ViewPixel};
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
-use flockeye_tables::recorder::{Recorded, Recorder};
+use flockeye_tables::writer::{TableWriter, WrittenRow};
 use nalgebra::{Vector2, Vector3};
 use opencv::imgcodecs::{IMREAD_GRAYSCALE, imread};
 use opencv::prelude::*;
@@ -55,7 +55,7 @@ struct CornerRow {
     sigma_px: f64,
 }
 
-impl Recorded for CornerRow {
+impl WrittenRow for CornerRow {
     fn names() -> Vec<&'static str> {
         vec!["engine", "photograph", "id", "corner", "x", "y", "sigma_px"]
     }
@@ -91,7 +91,7 @@ pub(super) fn compare(
     dictionary: &str,
     corners: Option<&Path>,
 ) -> anyhow::Result<PhotographComparison> {
-    let mut corners = corners.map(Recorder::create).transpose()?;
+    let mut corners = corners.map(TableWriter::create).transpose()?;
     let mut ours =
         Engine::new(DetectionEngine::Own, dictionary, DetectorParameters::default(), [])?;
     let mut theirs =
@@ -124,7 +124,7 @@ pub(super) fn compare(
         };
         comparison.add(search("own", &mut ours)?, search("opencv", &mut theirs)?);
     }
-    corners.map_or(Ok(()), Recorder::finish)?;
+    corners.map_or(Ok(()), TableWriter::finish)?;
     Ok(comparison)
 }
 
@@ -149,7 +149,7 @@ fn read(file: &Path) -> Option<(Vec<u8>, usize, usize)> {
 }
 
 fn add_corners(
-    corners: &mut Recorder<CornerRow>,
+    corners: &mut TableWriter<CornerRow>,
     engine: &'static str,
     photograph: &str,
     view: &View,

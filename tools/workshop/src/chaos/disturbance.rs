@@ -13,7 +13,7 @@ use flockeye_launcher::control::Worker;
 /// A kind of disturbance.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, ValueEnum, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Kind {
+pub(crate) enum Kind {
     /// SIGKILL.
     Kill,
     /// SIGSTOP, and SIGCONT up to two seconds later.
@@ -26,7 +26,7 @@ pub enum Kind {
 
 /// A process that can be disturbed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Victim {
+pub(crate) struct Victim {
     /// Which worker.
     pub worker: Worker,
     /// Its process.
@@ -35,7 +35,7 @@ pub struct Victim {
 
 /// One disturbance.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Disturbance {
+pub(crate) struct Disturbance {
     /// What is done.
     pub kind: Kind,
     /// To whom.
@@ -52,7 +52,7 @@ impl Disturbance {
     ///
     /// # Errors
     /// What `wait` returns, or the process has ended by itself.
-    pub fn strike(
+    pub(crate) fn strike(
         &self,
         mut wait: impl FnMut(Duration) -> anyhow::Result<()>,
     ) -> anyhow::Result<()> {
@@ -84,7 +84,7 @@ impl Disturbance {
 
 impl Dice {
     /// The next disturbance of one of `victims`; of any kind if `only` is empty.
-    pub fn throw(&mut self, victims: &[Victim], only: &[Kind]) -> Option<Disturbance> {
+    pub(crate) fn throw(&mut self, victims: &[Victim], only: &[Kind]) -> Option<Disturbance> {
         let all = [Kind::Kill, Kind::Stop, Kind::Slow, Kind::Swap];
         let kind = self.choose(if only.is_empty() { &all } else { only })?;
         let victim = self.choose(victims)?;

@@ -14,9 +14,9 @@ use serde::Serialize;
 use super::disturbance::{Disturbance, Kind};
 
 /// From a SIGKILL to a pose measured in a frame exposed after it: at most this in the median ...
-pub const MEDIAN_RECOVERY_MS: f64 = 250.0;
+pub(crate) const MEDIAN_RECOVERY_MS: f64 = 250.0;
 /// ... and this in the worst case, also after all other disturbances.
-pub const WORST_RECOVERY_MS: f64 = 2000.0;
+pub(crate) const WORST_RECOVERY_MS: f64 = 2000.0;
 /// A pose is wrong if it is farther from the truth than one of these and than five standard deviations.
 const WRONG_M: f64 = 0.1;
 const WRONG_RAD: f64 = 0.1745;
@@ -37,7 +37,7 @@ struct Outcome {
 
 /// How a pipeline took its disturbances.
 #[derive(Debug, Clone, Default, Serialize)]
-pub struct ChaosReport {
+pub(crate) struct ChaosReport {
     outcomes: Vec<Outcome>,
     /// Frames that ended.
     frames: u64,
@@ -69,24 +69,24 @@ pub struct ChaosReport {
 
 impl ChaosReport {
     /// Forgets what was before, and counts what the pipeline has in shared memory.
-    pub fn begin(&mut self, instance: &Instance) {
+    pub(crate) fn begin(&mut self, instance: &Instance) {
         let Self { newest, track_ids, told, truths, .. } = std::mem::take(self);
         *self = Self { newest, track_ids, told, truths, ..Self::default() };
         (self.shared_files[0], self.shared_bytes[0]) = shared_memory(instance);
     }
 
     /// Counts what the pipeline has in shared memory at the end.
-    pub fn end(&mut self, instance: &Instance) {
+    pub(crate) fn end(&mut self, instance: &Instance) {
         (self.shared_files[1], self.shared_bytes[1]) = shared_memory(instance);
     }
 
     /// Whether any neighbour was measured.
-    pub fn has_poses(&self) -> bool {
+    pub(crate) fn has_poses(&self) -> bool {
         self.poses > 0
     }
 
     /// A disturbance begins.
-    pub fn strike(&mut self, disturbance: &Disturbance, now_ns: i64) {
+    pub(crate) fn strike(&mut self, disturbance: &Disturbance, now_ns: i64) {
         self.outcomes.push(Outcome {
             kind: disturbance.kind,
             worker: disturbance.victim.worker.to_string(),
@@ -97,19 +97,19 @@ impl ChaosReport {
     }
 
     /// The last disturbance could not be done.
-    pub fn note_failure(&mut self, failure: String) {
+    pub(crate) fn note_failure(&mut self, failure: String) {
         if let Some(last) = self.outcomes.last_mut() {
             last.failure = Some(failure);
         }
     }
 
     /// Whether a pose was measured in a frame after the last disturbance.
-    pub fn has_recovered(&self) -> bool {
+    pub(crate) fn has_recovered(&self) -> bool {
         self.outcomes.last().is_none_or(|last| last.recovery_ms.is_some())
     }
 
     /// The last disturbance, in words.
-    pub fn last_line(&self) -> String {
+    pub(crate) fn last_line(&self) -> String {
         let Some(last) = self.outcomes.last() else { return String::new() };
         let recovery = match last.recovery_ms {
             Some(ms) => format!("{ms:.0} ms until the next pose"),
@@ -120,7 +120,7 @@ impl ChaosReport {
     }
 
     /// Takes the truth of a frame.
-    pub fn truth(&mut self, header: &TruthHeader, bodies: &[BodyTruth]) {
+    pub(crate) fn truth(&mut self, header: &TruthHeader, bodies: &[BodyTruth]) {
         self.truths.push_back((header.stamp, bodies.to_vec()));
         if self.truths.len() > TRUTH_FRAMES {
             self.truths.pop_front();
@@ -128,7 +128,7 @@ impl ChaosReport {
     }
 
     /// Takes the tracks of a frame that came at `now_ns`.
-    pub fn tracks(&mut self, header: &TrackHeader, tracks: &[Track], now_ns: i64) {
+    pub(crate) fn tracks(&mut self, header: &TrackHeader, tracks: &[Track], now_ns: i64) {
         let stamp = header.stamp;
         for track in tracks {
             let key = (stamp, track.target);
@@ -192,7 +192,7 @@ impl ChaosReport {
     }
 
     /// What is worse than it may be.
-    pub fn broken_limits(&self) -> Vec<String> {
+    pub(crate) fn broken_limits(&self) -> Vec<String> {
         let mut broken = Vec::new();
         let kills = self.recoveries(|outcome| outcome.kind == Kind::Kill);
         if let Some(ms) = median(&kills).filter(|&ms| ms > MEDIAN_RECOVERY_MS) {

@@ -36,11 +36,11 @@ const LAST_WORDS: Duration = Duration::from_millis(200);
 const MOST_LINES: usize = 30;
 
 /// A message, copied.
-pub type HeaderAndItems<T> = (<T as Topic>::Header, Vec<<T as Topic>::Item>);
+pub(crate) type HeaderAndItems<T> = (<T as Topic>::Header, Vec<<T as Topic>::Item>);
 
 /// An instance with one process in it, and the test in place of all others. Ports go before the services, and
 /// these before the folder.
-pub struct Bench {
+pub(crate) struct Bench {
     /// Ports of the test.
     pub ports: Ports,
     healths: Subscriber<Healths>,
@@ -64,7 +64,11 @@ impl Bench {
     ///
     /// # Errors
     /// The instance or its shared memory cannot be had, or the candidate's program is not there.
-    pub fn new(resolved: &Resolved, stage: StageName, command: &[String]) -> anyhow::Result<Self> {
+    pub(crate) fn new(
+        resolved: &Resolved,
+        stage: StageName,
+        command: &[String],
+    ) -> anyhow::Result<Self> {
         set_log_level(LogLevel::Fatal);
         let instance = Instance::named(&resolved.pipeline.instance.0);
         let ownership = instance.take()?;
@@ -110,7 +114,7 @@ impl Bench {
     ///
     /// # Errors
     /// It cannot be started.
-    pub fn start(&mut self, report: &mut Report) -> anyhow::Result<bool> {
+    pub(crate) fn start(&mut self, report: &mut Report) -> anyhow::Result<bool> {
         self.process.start()?;
         let begun = Instant::now();
         let mut has_started = false;
@@ -153,7 +157,7 @@ impl Bench {
     ///
     /// # Errors
     /// As `step`, or a port that fails.
-    pub fn wait<R>(
+    pub(crate) fn wait<R>(
         &mut self,
         limit: Duration,
         mut step: impl FnMut(&mut Self) -> anyhow::Result<Option<R>>,
@@ -175,7 +179,7 @@ impl Bench {
     ///
     /// # Errors
     /// A port that fails.
-    pub fn next<T: Topic>(
+    pub(crate) fn next<T: Topic>(
         &mut self,
         messages: &mut Subscriber<T>,
         report: &mut Report,
@@ -195,7 +199,7 @@ impl Bench {
     }
 
     /// Whether the candidate has said that its input has ended.
-    pub fn is_finished(&self) -> bool {
+    pub(crate) fn is_finished(&self) -> bool {
         self.newest.is_some_and(|health| health.state == StageState::Finished.code())
     }
 
@@ -203,12 +207,12 @@ impl Bench {
     ///
     /// # Errors
     /// A port that fails.
-    pub fn pass(&mut self, time: Duration) -> anyhow::Result<()> {
+    pub(crate) fn pass(&mut self, time: Duration) -> anyhow::Result<()> {
         self.wait(time, |_| Ok(None::<()>)).map(drop)
     }
 
     /// Whether the candidate runs; otherwise that is noted.
-    pub fn runs(&self, report: &mut Report) -> bool {
+    pub(crate) fn runs(&self, report: &mut Report) -> bool {
         let wrong = self.ended.as_ref().map(|how| format!("it {how}"));
         let runs = wrong.is_none();
         report.check("runs until it is told to stop", OWES, wrong);
@@ -216,7 +220,7 @@ impl Bench {
     }
 
     /// Memory that the candidate holds, megabytes.
-    pub fn resident_mb(&self) -> f64 {
+    pub(crate) fn resident_mb(&self) -> f64 {
         self.newest.map_or(0.0, |health| health.resident_bytes as f64 / 1e6)
     }
 
@@ -257,7 +261,7 @@ impl Bench {
     ///
     /// # Errors
     /// A port that fails.
-    pub fn stop(&mut self, report: &mut Report) -> anyhow::Result<()> {
+    pub(crate) fn stop(&mut self, report: &mut Report) -> anyhow::Result<()> {
         if !self.runs(report) {
             return Ok(());
         }
@@ -287,7 +291,7 @@ impl Bench {
     }
 
     /// Ends the instance, and gives what the candidate wrote.
-    pub fn finish(mut self) -> String {
+    pub(crate) fn finish(mut self) -> String {
         self.process.signal(rustix::process::Signal::KILL);
         // Its last lines are of no use any more.
         let _ = self.wait(Duration::from_secs(1), |bench| Ok(bench.ended.as_ref().map(|_| ())));

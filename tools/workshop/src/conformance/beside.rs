@@ -26,7 +26,7 @@ const TAKES_OVER: &str = "takes over from Flockeye's own stage";
 ///
 /// # Errors
 /// It owns a device or a port.
-pub fn check(stage: StageName) -> anyhow::Result<()> {
+pub(crate) fn check(stage: StageName) -> anyhow::Result<()> {
     ensure!(
         can_shadow(stage),
         "--beside: {} owns a device or a port, so it cannot run beside another. Cure: leave --beside out",
@@ -40,7 +40,7 @@ pub fn check(stage: StageName) -> anyhow::Result<()> {
 ///
 /// # Errors
 /// The pipeline does not start, or ends before both were compared.
-pub fn run(
+pub(crate) fn run(
     stage: StageName,
     configuration: &Configuration,
     source: &str,

@@ -53,7 +53,11 @@ struct Script {
 ///
 /// # Errors
 /// A port that fails.
-pub fn run(bench: &mut Bench, resolved: &Resolved, report: &mut Report) -> anyhow::Result<()> {
+pub(crate) fn run(
+    bench: &mut Bench,
+    resolved: &Resolved,
+    report: &mut Report,
+) -> anyhow::Result<()> {
     let ids = resolved.bodies.iter().flat_map(|body| body.markers.iter().map(|marker| marker.id));
     let mut script = Script {
         views: bench.ports.publisher_of_lane(0)?,

@@ -46,7 +46,11 @@ struct Script {
 ///
 /// # Errors
 /// A camera that is not equirectangular, or a port that fails.
-pub fn run(bench: &mut Bench, resolved: &Resolved, report: &mut Report) -> anyhow::Result<()> {
+pub(crate) fn run(
+    bench: &mut Bench,
+    resolved: &Resolved,
+    report: &mut Report,
+) -> anyhow::Result<()> {
     let mut script = Script {
         shape: pictures::frame_shape(resolved, Transfer::Srgb)?,
         frames: bench.ports.publisher()?,

@@ -59,7 +59,11 @@ struct Script<'r> {
 ///
 /// # Errors
 /// A port that fails.
-pub fn run(bench: &mut Bench, resolved: &Resolved, report: &mut Report) -> anyhow::Result<()> {
+pub(crate) fn run(
+    bench: &mut Bench,
+    resolved: &Resolved,
+    report: &mut Report,
+) -> anyhow::Result<()> {
     let mut script = Script {
         resolved,
         views: bench.ports.publisher_of_lane(0)?,

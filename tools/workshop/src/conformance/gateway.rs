@@ -41,7 +41,11 @@ struct Script<'r> {
 ///
 /// # Errors
 /// The network or a port fails.
-pub fn run(bench: &mut Bench, resolved: &Resolved, report: &mut Report) -> anyhow::Result<()> {
+pub(crate) fn run(
+    bench: &mut Bench,
+    resolved: &Resolved,
+    report: &mut Report,
+) -> anyhow::Result<()> {
     let parameters = NetworkParameters::of_onlooker(&resolved.pipeline);
     let listener = Network::open(&parameters).context("the test's own session")?.listener()?;
     let link = Duration::from_secs_f64(resolved.pipeline.supervision.start_s);

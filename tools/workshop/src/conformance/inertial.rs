@@ -23,7 +23,11 @@ const NEAR_NS: i64 = 1_000_000_000;
 ///
 /// # Errors
 /// A port that fails.
-pub fn run(bench: &mut Bench, resolved: &Resolved, report: &mut Report) -> anyhow::Result<()> {
+pub(crate) fn run(
+    bench: &mut Bench,
+    resolved: &Resolved,
+    report: &mut Report,
+) -> anyhow::Result<()> {
     let first = Duration::from_secs_f64(resolved.pipeline.supervision.start_s);
     let mut imus = bench.ports.subscriber::<Imus>()?;
     let (mut last, mut begun) = (None, None);

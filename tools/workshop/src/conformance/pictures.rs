@@ -17,7 +17,7 @@ const BACKGROUND: f64 = 120.0;
 
 /// A marker in front of a view.
 #[derive(Debug, Clone, Copy)]
-pub struct ShownMarker {
+pub(crate) struct ShownMarker {
     /// Its id.
     pub id: u32,
     /// From the printed pattern's middle (x right, y down, z into the paper) to the view's frame.
@@ -29,7 +29,7 @@ pub struct ShownMarker {
 impl ShownMarker {
     /// Marker `id` with sides of about `side_px` pixels in a view of this focal length, turned and tilted
     /// differently for each `number`.
-    pub fn number(number: u32, id: u32, side_px: f64, focal_px: f64) -> Self {
+    pub(crate) fn number(number: u32, id: u32, side_px: f64, focal_px: f64) -> Self {
         let number = f64::from(number);
         // Irrational steps, so that no two are alike.
         let swing = |step: f64, reach: f64| reach * (std::f64::consts::TAU * number * step).sin();
@@ -45,7 +45,7 @@ impl ShownMarker {
     }
 
     /// Where its corners are in a view of this size, clockwise from the printed top left, pixels.
-    pub fn corners(&self, size_px: u32, focal_px: f64) -> [Point2<f64>; 4] {
+    pub(crate) fn corners(&self, size_px: u32, focal_px: f64) -> [Point2<f64>; 4] {
         let middle = f64::from(size_px - 1) / 2.0;
         [[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]].map(|[x, y]| {
             let at = self.view_from_print * Point3::new(x * self.side_m, y * self.side_m, 0.0);
@@ -55,7 +55,7 @@ impl ShownMarker {
 }
 
 /// A view's pixels, row by row: a grey wall, and the marker on a white sheet a cell wider than it.
-pub fn view(
+pub(crate) fn view(
     dictionary: &Dictionary,
     shown: Option<&ShownMarker>,
     size_px: u32,
@@ -98,7 +98,7 @@ pub fn view(
 ///
 /// # Errors
 /// A camera whose pictures the test cannot draw.
-pub fn frame_shape(resolved: &Resolved, transfer: Transfer) -> anyhow::Result<FrameHeader> {
+pub(crate) fn frame_shape(resolved: &Resolved, transfer: Transfer) -> anyhow::Result<FrameHeader> {
     ensure!(
         matches!(resolved.camera.model(), CameraModel::Equirectangular { .. }),
         "this stage is tested with equirectangular frames. Cure: leave camera.projection as it is"
@@ -118,7 +118,10 @@ pub fn frame_shape(resolved: &Resolved, transfer: Transfer) -> anyhow::Result<Fr
 const LATTICE: usize = 32;
 
 /// A world full of soft spots of two sizes, as the camera sees it.
-pub fn textured_world(header: &FrameHeader, world_from_camera: &UnitQuaternion<f64>) -> Vec<u8> {
+pub(crate) fn textured_world(
+    header: &FrameHeader,
+    world_from_camera: &UnitQuaternion<f64>,
+) -> Vec<u8> {
     // The world is the same in each test.
     let mut dice = Dice::new(1);
     let levels: Vec<f64> =
@@ -180,13 +183,13 @@ fn enlarged(pixels: &[u8], from: &FrameHeader, to: &FrameHeader) -> Vec<u8> {
 }
 
 /// What the sphere shows along a ray in the camera frame: smooth, and different wherever one looks.
-pub fn level(ray: &Vector3<f64>) -> f64 {
+pub(crate) fn level(ray: &Vector3<f64>) -> f64 {
     let [x, y, z] = [ray.x, ray.y, ray.z];
     128.0 + 50.0 * x * (3.0 * y).cos() + 45.0 * (4.0 * z).sin() * y + 20.0 * z
 }
 
 /// The sphere as an equirectangular picture: rows of `stride` bytes.
-pub fn sphere(header: &FrameHeader) -> Vec<u8> {
+pub(crate) fn sphere(header: &FrameHeader) -> Vec<u8> {
     equirectangular(header, |ray| level(&ray))
 }
 

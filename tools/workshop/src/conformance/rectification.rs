@@ -71,7 +71,11 @@ struct Script<'r> {
 ///
 /// # Errors
 /// A camera that is not equirectangular, or a port that fails.
-pub fn run(bench: &mut Bench, resolved: &Resolved, report: &mut Report) -> anyhow::Result<()> {
+pub(crate) fn run(
+    bench: &mut Bench,
+    resolved: &Resolved,
+    report: &mut Report,
+) -> anyhow::Result<()> {
     let mut script = Script {
         resolved,
         shape: pictures::frame_shape(resolved, Transfer::Linear)?,

@@ -7,7 +7,7 @@ use serde::Serialize;
 
 /// The checks of a test, and the candidate's figures.
 #[derive(Debug, Default, Serialize)]
-pub struct Report {
+pub(crate) struct Report {
     checks: Vec<Check>,
     figures: Vec<Figure>,
 }
@@ -35,7 +35,7 @@ struct Figure {
 impl Report {
     /// Notes that something was checked: `wrong` says what is not as it must be. Of the same check only the
     /// first finding is kept.
-    pub fn check(&mut self, what: &'static str, page: &'static str, wrong: Option<String>) {
+    pub(crate) fn check(&mut self, what: &'static str, page: &'static str, wrong: Option<String>) {
         let check = match self.checks.iter().position(|check| check.what == what) {
             Some(known) => &mut self.checks[known],
             None => {
@@ -51,7 +51,7 @@ impl Report {
     }
 
     /// Checks that something holds; `wrong` is asked what is wrong where it does not.
-    pub fn holds(
+    pub(crate) fn holds(
         &mut self,
         what: &'static str,
         page: &'static str,
@@ -62,7 +62,7 @@ impl Report {
     }
 
     /// Checks that a field is as it must be.
-    pub fn field<T: PartialEq + std::fmt::Debug>(
+    pub(crate) fn field<T: PartialEq + std::fmt::Debug>(
         &mut self,
         what: &'static str,
         page: &'static str,
@@ -75,12 +75,17 @@ impl Report {
     }
 
     /// Notes a figure.
-    pub fn figure(&mut self, what: &'static str, value: f64, unit: &'static str) {
+    pub(crate) fn figure(&mut self, what: &'static str, value: f64, unit: &'static str) {
         self.figures.push(Figure { what, value, unit });
     }
 
     /// Notes the median of what was measured, and returns it; without a value it is no number.
-    pub fn median(&mut self, what: &'static str, mut values: Vec<f64>, unit: &'static str) -> f64 {
+    pub(crate) fn median(
+        &mut self,
+        what: &'static str,
+        mut values: Vec<f64>,
+        unit: &'static str,
+    ) -> f64 {
         values.sort_by(f64::total_cmp);
         let value = median(&values).unwrap_or(f64::NAN);
         self.figures.push(Figure { what, value, unit });
@@ -88,12 +93,12 @@ impl Report {
     }
 
     /// How many checks failed.
-    pub fn failed(&self) -> usize {
+    pub(crate) fn failed(&self) -> usize {
         self.checks.iter().filter(|check| check.wrong.is_some()).count()
     }
 
     /// For people: what failed comes with the first finding and its page.
-    pub fn text(&self) -> String {
+    pub(crate) fn text(&self) -> String {
         let mut text = String::new();
         for Check { what, page, wrong, times } in &self.checks {
             // Writing to a string cannot fail.

@@ -38,7 +38,11 @@ struct Script<'r> {
 ///
 /// # Errors
 /// A port that fails.
-pub fn run(bench: &mut Bench, resolved: &Resolved, report: &mut Report) -> anyhow::Result<()> {
+pub(crate) fn run(
+    bench: &mut Bench,
+    resolved: &Resolved,
+    report: &mut Report,
+) -> anyhow::Result<()> {
     let first = Duration::from_secs_f64(resolved.pipeline.supervision.start_s);
     let mut script = Script { resolved, frames: bench.ports.subscriber()?, last: None, first };
     match resolved.pipeline.flow {

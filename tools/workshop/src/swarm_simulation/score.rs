@@ -21,7 +21,7 @@ const WAITING_CLAIMS: usize = 4096;
 const LONGEST_GAP_NS: i64 = 500_000_000;
 /// Where a drone has another one.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Claim {
+pub(crate) struct Claim {
     /// Who.
     pub from: String,
     /// Whom.
@@ -67,7 +67,7 @@ struct Clocks {
 
 /// Collects claims and truths.
 #[derive(Debug, Default)]
-pub struct Score {
+pub(crate) struct Score {
     truths: BTreeMap<Pair, VecDeque<(i64, Isometry3<f64>)>>,
     waiting: VecDeque<Claim>,
     errors: BTreeMap<Way, Vec<PoseError>>,
@@ -79,7 +79,7 @@ pub struct Score {
 
 impl Score {
     /// Takes where `to` truly is in the frame of `from` at an exposure, CLOCK_MONOTONIC, nanoseconds.
-    pub fn truth(&mut self, from: &str, to: &str, at_ns: i64, from_from_to: Isometry3<f64>) {
+    pub(crate) fn truth(&mut self, from: &str, to: &str, at_ns: i64, from_from_to: Isometry3<f64>) {
         let truths = self.truths.entry((from.to_owned(), to.to_owned())).or_default();
         truths.push_back((at_ns, from_from_to));
         if truths.len() > KEPT_TRUTHS {
@@ -88,7 +88,7 @@ impl Score {
     }
 
     /// Takes when a drone's frame was exposed, CLOCK_MONOTONIC, nanoseconds.
-    pub fn exposed(&mut self, drone: &str, frame: u64, at_ns: i64) {
+    pub(crate) fn exposed(&mut self, drone: &str, frame: u64, at_ns: i64) {
         let exposures = self.clocks.exposures.entry(drone.to_owned()).or_default();
         exposures.insert(frame, at_ns);
         if exposures.len() > KEPT_TRUTHS {
@@ -97,7 +97,7 @@ impl Score {
     }
 
     /// Takes when another drone takes that to be, and with which deviation.
-    pub fn timed(&mut self, drone: &str, frame: u64, at_ns: i64, deviation_ns: i64) {
+    pub(crate) fn timed(&mut self, drone: &str, frame: u64, at_ns: i64, deviation_ns: i64) {
         let exposures = self.clocks.exposures.get(drone);
         if let Some(true_ns) = exposures.and_then(|exposures| exposures.get(&frame)) {
             let error_ns = (at_ns - true_ns).abs() as f64;
@@ -106,19 +106,19 @@ impl Score {
     }
 
     /// Takes when a drone's fusion told a pose of a frame, CLOCK_MONOTONIC, nanoseconds.
-    pub fn told(&mut self, drone: &str, frame: u64, sent_ns: i64) {
+    pub(crate) fn told(&mut self, drone: &str, frame: u64, sent_ns: i64) {
         self.ways.of(drone, frame).0.get_or_insert(sent_ns);
         self.ways.settle(drone, frame);
     }
 
     /// Takes when another drone had it, CLOCK_MONOTONIC, nanoseconds.
-    pub fn heard(&mut self, drone: &str, frame: u64, arrived_ns: i64) {
+    pub(crate) fn heard(&mut self, drone: &str, frame: u64, arrived_ns: i64) {
         self.ways.of(drone, frame).1.push(arrived_ns);
         self.ways.settle(drone, frame);
     }
 
     /// Takes a claim, to be compared when the truth after it is there.
-    pub fn claim(&mut self, claim: Claim) {
+    pub(crate) fn claim(&mut self, claim: Claim) {
         self.waiting.push_back(claim);
         if self.waiting.len() > WAITING_CLAIMS {
             self.waiting.pop_front();
@@ -126,7 +126,7 @@ impl Score {
     }
 
     /// Compares the claims whose truth is there.
-    pub fn settle(&mut self) {
+    pub(crate) fn settle(&mut self) {
         for claim in std::mem::take(&mut self.waiting) {
             let pair = (claim.from.clone(), claim.to.clone());
             let truths = self.truths.get(&pair);
@@ -148,7 +148,7 @@ impl Score {
     }
 
     /// What came out.
-    pub fn report(&self) -> SwarmReport {
+    pub(crate) fn report(&self) -> SwarmReport {
         let ways = self.errors.iter();
         let [mutual, alone] = self.both.each_ref().map(|errors| Figures::of(errors));
         SwarmReport {
@@ -222,7 +222,7 @@ impl PoseError {
 
 /// Figures of many poses.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Figures {
+pub(crate) struct Figures {
     /// How many.
     pub poses: usize,
     /// Median and 95 % of the distance from the true position, millimetres.
@@ -252,7 +252,7 @@ impl Figures {
 
 /// What two that see each other have of it, of the same pairs at the same instants.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Gain {
+pub(crate) struct Gain {
     /// By both drones' sightings.
     pub mutual: Figures,
     /// By the observer's own alone.
@@ -261,7 +261,7 @@ pub struct Gain {
 
 /// How well drones know when others' frames were exposed.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct ClockFigures {
+pub(crate) struct ClockFigures {
     /// Median and 95 % of the error, milliseconds.
     pub error_ms: [f64; 2],
     /// The same in units of the deviation that was given.
@@ -270,7 +270,7 @@ pub struct ClockFigures {
 
 /// What came out.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct SwarmReport {
+pub(crate) struct SwarmReport {
     /// By how the poses came about.
     pub ways: BTreeMap<String, Figures>,
     /// What is gained by looking from both sides.

@@ -21,7 +21,7 @@ const POLL: Duration = Duration::from_millis(50);
 
 /// What is heard of a drone's pipeline.
 #[derive(Debug)]
-pub enum Word {
+pub(crate) enum Word {
     /// Where the others truly are.
     Truth {
         /// The drone.
@@ -69,7 +69,7 @@ pub enum Word {
 ///
 /// # Errors
 /// The system starts no thread.
-pub fn watch(
+pub(crate) fn watch(
     instance: Instance,
     name: String,
     tell: Sender<Word>,
