@@ -25,7 +25,7 @@ use flockeye_dictionary::Dictionary;
 use flockeye_runtime::findings::{Finding, Gravity};
 use serde::Serialize;
 
-pub use files::Machine;
+pub(crate) use files::Machine;
 
 /// Arguments of `doctor`.
 #[derive(Debug, Args)]

@@ -14,7 +14,8 @@ impl Machine {
         Self { root: PathBuf::from("/") }
     }
 
-    /// One whose files are below `root`.
+    /// A machine whose files are below `root`.
+    #[cfg(test)]
     pub(crate) fn below(root: &Path) -> Self {
         Self { root: root.to_owned() }
     }
