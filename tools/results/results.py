@@ -30,7 +30,7 @@ ROOT = Path(__file__).resolve().parents[2]
 STORE = ROOT / "docs/results/results.json"
 WORK = Path("target/results")
 JOBS = max(1, int(os.environ.get("JOBS") or 1))
-README_MARKS = ("<!-- results: written by make results -->", "<!-- end of results -->")
+RESULTS_MARKS = ("<!-- results: written by make results -->", "<!-- end of results -->")
 BINS = [(0.0, 1.5), (1.5, 2.2), (2.2, 3.0), (3.0, 4.0)]
 
 
@@ -768,26 +768,62 @@ def decisions_figure(output):
     return "\n".join([*parts, "</svg>"]) + "\n"
 
 
-def readme_table(store):
+# The rows of README.md, with words of its own; the worst ones are among them.
+README_ROWS = {
+    "near-real-time": "simulated, calm",
+    "far-real-time": "simulated, out to 4 m",
+    "gusts-lossless": "simulated, gusts, 10 ms exposures",
+    "flight1-real-time": "rendered flight, H.264",
+    "flight4-sensor-real-time": "rendered flight in wind, H.264, inertial sensor",
+    "bright-lossless": "single images, 3 stops too bright",
+    "brightflight-lossless": "flights, 3 stops too bright",
+    "sunflight-lossless": "low sun, shadows in stripes of 5 cm",
+    "hour-lossless": "an hour, exposure swinging by 2 stops",
+}
+
+
+def cells_of(entry):
+    """What a flight measured in each bin of distance, its false poses and its latency."""
+    cells = []
+    for bin in entry["bins"]:
+        median = f", {number(bin['median_mm'], 1)} mm" if bin["measured"] else ""
+        cells.append(f"{bin['measured']}/{bin['eligible']}{median}" if bin["eligible"] else "")
+    latency = entry["latency"] if entry["way"] == "real time" else None
+    cells.append(str(entry["false"]))
+    cells.append(f"{latency['median_ms']:.0f}, {latency['p99_ms']:.0f} ms" if latency else "")
+    return " | ".join(cells)
+
+
+def short_table(rows):
+    """A table of flights: title, way and entry each."""
     lines = ["| flight | flown | within 1.5 m | 1.5 to 2.2 m | 2.2 to 3 m | 3 to 4 m | false | "
              "latency median, 99 % |", "| --- " * 8 + "|"]
-    for entry in store.values():
-        if "bins" not in entry:
-            continue
-        cells = []
-        for bin in entry["bins"]:
-            median = f", {number(bin['median_mm'], 1)} mm" if bin["measured"] else ""
-            cells.append(f"{bin['measured']} of {bin['eligible']}{median}" if bin["eligible"] else "")
-        latency = entry["latency"] if entry["way"] == "real time" else None
-        cells.append(str(entry["false"]))
-        cells.append(f"{latency['median_ms']:.0f}, {latency['p99_ms']:.0f} ms" if latency else "")
-        title = entry["title"].split(", seeds")[0]
-        lines.append(f"| {title} | {entry['way']} | " + " | ".join(cells) + " |")
+    lines += [f"| {title} | {entry['way']} | {cells_of(entry)} |" for title, entry in rows]
     return "\n".join(lines)
 
 
+def readme_table(store):
+    return short_table([(title, store[name]) for name, title in README_ROWS.items() if name in store])
+
+
+def overview_table(store):
+    flights = [entry for entry in store.values() if "bins" in entry]
+    return short_table([(entry["title"].split(", seeds")[0], entry) for entry in flights])
+
+
+def write_between_marks(page, table):
+    """Puts a table between the marks of a page."""
+    begin, end = RESULTS_MARKS
+    text = page.read_text()
+    before, mark, rest = text.partition(begin)
+    _, other_mark, after = rest.partition(end)
+    if not mark or not other_mark:
+        sys.exit(f"results: {page.relative_to(ROOT)} lacks the marks {begin} and {end}")
+    page.write_text(f"{before}{begin}\n{table}\n{end}{after}")
+
+
 def render(store):
-    """Writes the tables of docs/results and the short one of README.md."""
+    """Writes the tables of docs/results and the short ones of the README.md there and of the project."""
     intro = [
         "Written by `make results`; do not edit. [EVALUATION.md](../EVALUATION.md) defines the words.",
         "Errors are those of each frame's own measurement, before the filter.",
@@ -850,13 +886,8 @@ def render(store):
             "brackets are the 95 % bounds of its mean.", of(CODINGS)))
     if "costs" in store:
         (folder / "costs.md").write_text(costs_page(store["costs"]))
-    readme = (ROOT / "README.md").read_text()
-    begin, end = README_MARKS
-    before, found, rest = readme.partition(begin)
-    _, found_end, after = rest.partition(end)
-    if not (found and found_end):
-        sys.exit(f"results: README.md lacks the marks {begin} and {end}")
-    (ROOT / "README.md").write_text(f"{before}{begin}\n{readme_table(store)}\n{end}{after}")
+    write_between_marks(ROOT / "README.md", readme_table(store))
+    write_between_marks(folder / "README.md", overview_table(store))
 
 
 def stored():
@@ -884,6 +915,8 @@ def main():
     for part in parts:
         print(part, file=sys.stderr, flush=True)
         entries = run_part(part, arguments.data, arguments.way or list(WAYS))
+        for entry in entries.values():
+            entry["command"] = entry["command"].replace(f"{arguments.data}/", "$FLOCKEYE_DATA/")
         # Read again: another run may have added to it meanwhile.
         store = stored() | entries
         # In the order of PARTS, whatever was flown first.
