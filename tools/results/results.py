@@ -770,12 +770,10 @@ def decisions_figure(output):
 
 # The rows of README.md, with words of its own; the worst ones are among them.
 README_ROWS = {
-    "near-real-time": "simulated, calm",
-    "far-real-time": "simulated, out to 4 m",
+    "far-real-time": "simulated, 0.6 to 4 m",
     "gusts-lossless": "simulated, gusts, 10 ms exposures",
     "flight1-real-time": "rendered flight, H.264",
     "flight4-sensor-real-time": "rendered flight in wind, H.264, inertial sensor",
-    "bright-lossless": "single images, 3 stops too bright",
     "brightflight-lossless": "flights, 3 stops too bright",
     "sunflight-lossless": "low sun, shadows in stripes of 5 cm",
     "hour-lossless": "an hour, exposure swinging by 2 stops",
