@@ -860,7 +860,7 @@ def render(store):
             of(SWARMS)))
     if any(name in store for name in [*LOADS, *CUTS]):
         (folder / "peers.md").write_text(experiments_page(
-            "how many peers", "[SCALING.md](../SCALING.md) says what follows.", of([*LOADS, *CUTS])))
+            "how many peers", "[PEERS.md](../PEERS.md#how-many-drones) says what follows.", of([*LOADS, *CUTS])))
         figure = peers_figure(store["peers"]["output"]) if "peers" in store else None
         if figure:
             (ROOT / "docs/figures/peers.svg").write_text(figure)
