@@ -3,7 +3,7 @@
 //! Zenoh asks which certificate the other end of the *link* has shown, and not who began to say something. So every
 //! gateway and every router has these rules. Their names are literal, and they hold until the session ends.
 
-use flockeye_contract::wire::all_keys;
+use flockeye_contract::wire::{all_frames_key, all_keys};
 use flockeye_identity::Roster;
 use serde_json::{Value, json};
 
@@ -30,15 +30,10 @@ pub(crate) fn access_rules(roster: &Roster, is_router: bool) -> Value {
         })
     };
     let everything = [ASK, SAY].concat();
-    let reports = [format!("flockeye/{swarm}/*/sees"), format!("flockeye/{swarm}/*/sees/**")];
+    let reports = all_frames_key(swarm);
     let mut rules = vec![
-        rule("report".into(), "ingress", REPORT, &reports.each_ref().map(String::as_str)),
-        rule(
-            "hear".into(),
-            "egress",
-            &["declare_subscriber"],
-            &reports.each_ref().map(String::as_str),
-        ),
+        rule("report".into(), "ingress", REPORT, &[&reports]),
+        rule("hear".into(), "egress", &["declare_subscriber"], &[&reports]),
         rule("ask".into(), "ingress", ASK, &[&all]),
         rule("pass on".into(), "ingress", &everything, &[&all]),
         rule("tell".into(), "egress", &everything, &[&all]),

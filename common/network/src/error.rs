@@ -67,20 +67,15 @@ pub enum NetworkError {
         source: std::io::Error,
     },
     /// A report that no listener would accept.
-    #[error("report on '{target}' is unreadable for others: {source}")]
-    Report {
-        /// The report's target.
-        target: String,
-        /// What a listener would say.
-        source: WireError,
-    },
-    /// A report with a name that cannot stand in a key, or in somebody else's name.
-    #[error("report on '{target}': {reason}")]
+    #[error("the report is unreadable for others: {0}")]
+    Report(#[source] WireError),
+    /// A report in somebody else's name.
+    #[error("the report is in the name of '{found}', not '{own}'")]
     Name {
-        /// The report's target.
-        target: String,
-        /// Which name, and why not.
-        reason: String,
+        /// The observer in the report.
+        found: String,
+        /// The drone's own name.
+        own: String,
     },
     /// More targets than a listener keeps.
     #[error("report on '{target}': already {MAX_TARGETS} targets, which is the most")]

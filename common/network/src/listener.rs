@@ -7,15 +7,12 @@ use std::{
     time::{Duration, Instant},
 };
 
-use flockeye_contract::wire::{
-    all_alive_key, all_frames_key, all_frames_token_key, frame_key, pose_key,
-};
+use flockeye_contract::wire::{all_alive_key, all_frames_key, frame_key};
 use flockeye_identity::{Challenge, Said, Trust, Untrusted, new_challenge};
 use flockeye_runtime::logs::Throttle;
 use zenoh::{
     Session, Wait,
     bytes::ZBytes,
-    pubsub::Subscriber,
     qos::{CongestionControl, Priority},
     query::{ConsolidationMode, QueryTarget, Reply},
     sample::{Sample, SampleKind},
@@ -24,7 +21,7 @@ use zenoh::{
 use crate::connection::Connection;
 use crate::error::NetworkError;
 use crate::freshness::ArrivalTime;
-use crate::peers::{Arrival, Delivery, Peers, Refusal, Token, observer_in, token_in};
+use crate::peers::{Arrival, Delivery, Peers, Refusal, alive_in, observer_in};
 use crate::stream::{Heard, ReportStream, Streams};
 use flockeye_runtime::clock::utc_s;
 use flockeye_runtime::lock::lock;
@@ -38,15 +35,11 @@ const ASK_AGAIN: Duration = Duration::from_millis(500);
 /// Observers and reasons that are told apart in warnings.
 const MOST_WARNINGS: usize = 256;
 
-/// How long after its token an observer that publishes frame reports has said so: both tokens travel
-/// together.
-const FRAMES_WITHIN: Duration = Duration::from_millis(300);
-
 /// Keeps a table of who is alive and what each of them sees, until dropped.
 ///
-/// Frame reports are received as they are published. An observer that publishes none (its version is older) is
-/// listened to pose by pose. One that is first seen is asked for its last values, so that a drone that
-/// joins late knows what the others know. Refused messages are counted and logged, and have no other effect.
+/// Frame reports are received as they are published. An observer that is first seen is asked for its last values,
+/// so that a drone that joins late knows what the others know. Refused messages are counted and logged, and have
+/// no other effect.
 #[derive(Debug)]
 pub struct Listener {
     hearing: Arc<Hearing>,
@@ -117,14 +110,13 @@ struct Hearing {
     warnings: Mutex<Warnings>,
 }
 
-/// Observers that are still to be listened to, and from when on it is known how. All are in the table of peers,
-/// which bounds their number.
+/// Observers that are still to be asked for their last values, and when. All are in the table of peers, which
+/// bounds their number.
 #[derive(Debug, Default)]
 struct Newcomers {
     due: BTreeMap<String, Instant>,
     /// When each was asked to prove that it is there.
     asked: BTreeMap<String, Instant>,
-    gone: Vec<String>,
     closed: bool,
 }
 
@@ -138,12 +130,6 @@ impl Warnings {
         let name = if self.0.len() < MOST_WARNINGS { observer } else { "" };
         self.0.entry((name.into(), refusal.reason())).or_default()
     }
-}
-
-/// What the thread does next.
-enum Next {
-    Listen(String),
-    Forget(String),
 }
 
 impl Hearing {
@@ -253,34 +239,23 @@ impl Hearing {
         let key = token.key_expr().as_str();
         let is_there = token.kind() == SampleKind::Put;
         let now = Instant::now();
-        match token_in(key) {
-            None => {
-                lock(&self.peers).refused += 1;
-                self.warn(key, &Refusal::Key);
-            }
-            Some(Token::Alive(observer) | Token::Frames(observer)) if !self.may_be(observer) => {
-                lock(&self.peers).refused += 1;
-                self.warn(key, &Untrusted::NotAMember { name: observer.into() }.into());
-            }
-            Some(Token::Alive(observer)) => {
-                if !lock(&self.peers).set_alive(observer, is_there, now) {
-                    return self.warn(key, &Refusal::TooManyObservers);
-                }
-                let mut newcomers = lock(&self.newcomers);
-                if is_there {
-                    newcomers.due.entry(observer.into()).or_insert(now + FRAMES_WITHIN);
-                } else {
-                    newcomers.due.remove(observer);
-                    newcomers.gone.push(observer.into());
-                }
-                self.changed.notify_all();
-            }
-            Some(Token::Frames(observer)) => {
-                if lock(&self.peers).set_has_frames(observer, is_there, now) && is_there {
-                    lock(&self.newcomers).due.insert(observer.into(), now);
-                    self.changed.notify_all();
-                }
-            }
+        let Some(observer) = alive_in(key) else {
+            lock(&self.peers).refused += 1;
+            return self.warn(key, &Refusal::Key);
+        };
+        if !self.may_be(observer) {
+            lock(&self.peers).refused += 1;
+            return self.warn(key, &Untrusted::NotAMember { name: observer.into() }.into());
+        }
+        if !lock(&self.peers).set_alive(observer, is_there, now) {
+            return self.warn(key, &Refusal::TooManyObservers);
+        }
+        let mut newcomers = lock(&self.newcomers);
+        if is_there {
+            newcomers.due.insert(observer.into(), now);
+            self.changed.notify_all();
+        } else {
+            newcomers.due.remove(observer);
         }
     }
 
@@ -289,15 +264,12 @@ impl Hearing {
         self.trust.as_ref().is_none_or(|trust| trust.knows(observer))
     }
 
-    /// The next observer to listen to, or to forget; none when the listener is being dropped.
-    fn next(&self) -> Option<Next> {
+    /// The next observer to ask; none when the listener is being dropped.
+    fn next(&self) -> Option<String> {
         let mut newcomers = lock(&self.newcomers);
         loop {
             if newcomers.closed {
                 return None;
-            }
-            if let Some(observer) = newcomers.gone.pop() {
-                return Some(Next::Forget(observer));
             }
             let now = Instant::now();
             let due = newcomers.due.iter().min_by_key(|(_, at)| **at);
@@ -306,7 +278,7 @@ impl Hearing {
                 Some((observer, at)) if at <= now => {
                     newcomers.due.remove(&observer);
                     newcomers.asked.insert(observer.clone(), now);
-                    return Some(Next::Listen(observer));
+                    return Some(observer);
                 }
                 Some((_, at)) => {
                     self.changed
@@ -333,54 +305,22 @@ fn run(hearing: &Arc<Hearing>, connection: &Connection) {
 }
 
 fn listen(hearing: &Arc<Hearing>, session: &Session) -> zenoh::Result<()> {
-    let _frames = subscribe(hearing, session, all_frames_key(&hearing.swarm))?;
-    let tokens = |key: String| {
+    let subscriber = session.declare_subscriber(all_frames_key(&hearing.swarm));
+    let published = {
         let hearing = hearing.clone();
-        let subscriber = session.liveliness().declare_subscriber(key).history(true);
-        subscriber.callback(move |token| hearing.see(&token)).wait()
+        move |sample| hearing.hear(&sample, Delivery::Published, Challenge::default())
     };
-    let _have_frames = tokens(all_frames_token_key(&hearing.swarm))?;
-    let _alive = tokens(all_alive_key(&hearing.swarm))?;
-    // Those that publish no frame reports.
-    let mut by_pose = BTreeMap::new();
-    while let Some(next) = hearing.next() {
-        match next {
-            Next::Forget(observer) => {
-                by_pose.remove(&observer);
-            }
-            Next::Listen(observer) => {
-                let peers = lock(&hearing.peers);
-                let has_frames = peers.observers.get(&observer).is_some_and(|peer| peer.has_frames);
-                drop(peers);
-                let key = if has_frames {
-                    by_pose.remove(&observer);
-                    frame_key(&hearing.swarm, &observer)
-                } else {
-                    let key = pose_key(&hearing.swarm, &observer, "*");
-                    if !by_pose.contains_key(&observer) {
-                        let poses = subscribe(hearing, session, key.clone())?;
-                        by_pose.insert(observer.clone(), poses);
-                    }
-                    key
-                };
-                ask(hearing, session, observer, key)?;
-            }
-        }
+    let _frames = subscriber.callback(published).wait()?;
+    let tokens = session.liveliness().declare_subscriber(all_alive_key(&hearing.swarm));
+    let token = {
+        let hearing = hearing.clone();
+        move |token| hearing.see(&token)
+    };
+    let _alive = tokens.history(true).callback(token).wait()?;
+    while let Some(observer) = hearing.next() {
+        ask(hearing, session, observer)?;
     }
     Ok(())
-}
-
-/// Hears what is published under `key`.
-fn subscribe(
-    hearing: &Arc<Hearing>,
-    session: &Session,
-    key: String,
-) -> zenoh::Result<Subscriber<()>> {
-    let hearing = hearing.clone();
-    session
-        .declare_subscriber(key)
-        .callback(move |sample| hearing.hear(&sample, Delivery::Published, Challenge::default()))
-        .wait()
 }
 
 /// An observer that was asked; it has had its say when this is dropped with the query's callback.
@@ -396,12 +336,8 @@ impl Drop for Asked {
 }
 
 /// Asks `observer` for its last values, without waiting for them.
-fn ask(
-    hearing: &Arc<Hearing>,
-    session: &Session,
-    observer: String,
-    key: String,
-) -> zenoh::Result<()> {
+fn ask(hearing: &Arc<Hearing>, session: &Session, observer: String) -> zenoh::Result<()> {
+    let key = frame_key(&hearing.swarm, &observer);
     let asked = Asked { hearing: hearing.clone(), observer };
     let challenge = new_challenge().ok_or("the system has no random bytes")?;
     session

@@ -5,7 +5,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use flockeye_contract::wire::{FrameReport, MAX_TARGETS, PoseReport, Sighting, is_name, shortened};
+use flockeye_contract::wire::{FrameReport, MAX_TARGETS, Sighting, is_name, shortened};
 use flockeye_identity::Untrusted;
 
 use crate::clock::ClockEstimate;
@@ -42,8 +42,6 @@ pub struct PeerState {
     pub since: Instant,
     /// Whether it has been asked for its last values, and has had its say: from now on nothing is missed.
     pub is_heard: bool,
-    /// Whether it publishes frame reports. If not, its poses are listened to one by one.
-    pub has_frames: bool,
     /// The latest report on each target.
     pub targets: BTreeMap<String, Received>,
     /// Messages in its name that were refused.
@@ -66,8 +64,6 @@ pub struct Received {
     /// How many reports on this target came in.
     pub count: u64,
     interval_s: Option<f64>,
-    /// When it was sent, by its sender's clock, unless that tells nothing any more.
-    newest_utc_ns: Option<i64>,
 }
 
 impl Received {
@@ -109,13 +105,6 @@ pub(crate) struct Arrival {
     pub(crate) delivery: Delivery,
 }
 
-/// What a key names.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum KeyNames<'k> {
-    Frame { observer: &'k str },
-    Pose { observer: &'k str, target: &'k str },
-}
-
 impl Peers {
     /// Of a listener that belongs to the drone `own`, or to none. In a secure one all that is taken in is signed.
     pub(crate) fn of(own: Option<String>, is_secure: bool) -> Self {
@@ -150,17 +139,16 @@ impl Peers {
         payload: &[u8],
         arrival: Arrival,
     ) -> Result<Vec<Sighting>, Refusal> {
-        let Some(names) = names_in(key) else {
+        let Some(observer) = observer_in(key) else {
             self.refused += 1;
             return Err(Refusal::Key);
         };
-        let (KeyNames::Frame { observer } | KeyNames::Pose { observer, .. }) = names;
         let own = self.own.clone();
         let Some(peer) = self.peer(observer, arrival.at) else {
             self.refused += 1;
             return Err(Refusal::TooManyObservers);
         };
-        let taken = peer.take(names, payload, arrival, own.as_deref());
+        let taken = peer.take(observer, payload, arrival, own.as_deref());
         if let Err(refusal) = &taken {
             peer.refused.count(refusal);
         }
@@ -179,13 +167,6 @@ impl Peers {
             // Whoever comes back may have been restarted with another clock.
             peer.freshness = Freshness::default();
         }
-        true
-    }
-
-    /// Notes whether `observer` publishes frame reports. False where there is no room for it.
-    pub(crate) fn set_has_frames(&mut self, observer: &str, has: bool, now: Instant) -> bool {
-        let Some(peer) = self.peer(observer, now) else { return false };
-        peer.has_frames = has;
         true
     }
 
@@ -214,7 +195,6 @@ impl Peers {
             alive: false,
             since: now,
             is_heard: false,
-            has_frames: false,
             targets: BTreeMap::new(),
             refused: Refused::default(),
             freshness: Freshness::default(),
@@ -232,38 +212,23 @@ impl PeerState {
 
     fn take(
         &mut self,
-        names: KeyNames<'_>,
+        observer: &str,
         payload: &[u8],
         arrival: Arrival,
         own: Option<&str>,
     ) -> Result<Vec<Sighting>, Refusal> {
-        let sightings: Vec<Sighting> = match names {
-            KeyNames::Pose { observer, target } => {
-                let sighting = Sighting::from(read_pose(payload, observer, target)?);
-                let newest = self.targets.get(target).and_then(|held| held.newest_utc_ns);
-                self.pass(
-                    sent(sighting.sent_utc_ns(), sighting.clock_synchronised),
-                    newest,
-                    &arrival,
-                )?;
-                vec![sighting]
-            }
-            KeyNames::Frame { observer } => {
-                let report = read_frame(payload, observer)?;
-                let newest = self.newest_frame_utc_ns;
-                let sent_ns = report.sent_utc_ns();
-                self.pass(sent(sent_ns, report.clock_synchronised), newest, &arrival)?;
-                if arrival.delivery == Delivery::Published
-                    || newest.is_none_or(|newest| sent_ns > newest)
-                {
-                    self.newest_frame_utc_ns = Some(sent_ns);
-                }
-                if let Some(said) = own.and_then(|own| report.clocks.get(own)) {
-                    self.freshness.way_mut().hear_back(said);
-                }
-                report.sightings().collect()
-            }
-        };
+        let report = read_frame(payload, observer)?;
+        let newest = self.newest_frame_utc_ns;
+        let sent_ns = report.sent_utc_ns();
+        let sent = Sent { utc_ns: sent_ns, is_synchronised: report.clock_synchronised };
+        self.pass(sent, newest, &arrival)?;
+        if arrival.delivery == Delivery::Published || newest.is_none_or(|newest| sent_ns > newest) {
+            self.newest_frame_utc_ns = Some(sent_ns);
+        }
+        if let Some(clock) = own.and_then(|own| report.clocks.get(own)) {
+            self.freshness.way_mut().hear_back(clock);
+        }
+        let sightings: Vec<Sighting> = report.sightings().collect();
         let mut taken = Vec::with_capacity(sightings.len());
         let mut is_full = false;
         for sighting in sightings {
@@ -285,13 +250,13 @@ impl PeerState {
             }
             Delivery::Published => {
                 if self.freshness.pass(sent, newest, &arrival.time)? == Began::Anew {
-                    self.forget_newest();
+                    self.newest_frame_utc_ns = None;
                 }
             }
             Delivery::LastValue if self.must_answer(&arrival.time) => {
                 self.waiting = Some(Waiting::default());
                 self.freshness.begin(sent, &arrival.time);
-                self.forget_newest();
+                self.newest_frame_utc_ns = None;
             }
             Delivery::LastValue => {}
         }
@@ -301,12 +266,6 @@ impl PeerState {
     /// Whether reports are signed, and it was silent, so that what comes now may be recorded.
     fn must_answer(&self, now: &ArrivalTime) -> bool {
         self.waiting.is_some() && self.freshness.begins_anew(now)
-    }
-
-    /// Nothing older than what comes next is held.
-    fn forget_newest(&mut self) {
-        self.newest_frame_utc_ns = None;
-        self.targets.values_mut().for_each(|held| held.newest_utc_ns = None);
     }
 
     /// Why nothing is taken from an observer that has not answered.
@@ -329,7 +288,6 @@ impl PeerState {
                 arrived_monotonic_ns: arrival.time.monotonic_ns,
                 count: 1,
                 interval_s: None,
-                newest_utc_ns: Some(report.sent_utc_ns()),
             };
             self.targets.insert(report.target.name.clone(), received);
             return Ok(Some(report));
@@ -347,7 +305,6 @@ impl PeerState {
                 Some(held.interval_s.map_or(interval_s, |mean| mean + 0.1 * (interval_s - mean)));
         }
         let is_repeated = is_same && report.target == held.report.target;
-        held.newest_utc_ns = Some(report.sent_utc_ns());
         held.report = report.clone();
         held.arrived = arrival.at;
         held.arrived_monotonic_ns = arrival.time.monotonic_ns;
@@ -359,22 +316,6 @@ impl PeerState {
 /// No room for another target.
 struct NoRoom;
 
-fn sent(utc_ns: i64, is_synchronised: bool) -> Sent {
-    Sent { utc_ns, is_synchronised }
-}
-
-/// The report in `payload`, which must be of `observer` on `target`.
-fn read_pose(payload: &[u8], observer: &str, target: &str) -> Result<PoseReport, Refusal> {
-    let report = PoseReport::from_json(payload)?;
-    if report.observer != observer {
-        return Err(Refusal::Observer { found: shortened(&report.observer) });
-    }
-    if report.target != target {
-        return Err(Refusal::Target { found: shortened(&report.target) });
-    }
-    Ok(report)
-}
-
 /// The report in `payload`, which must be of `observer`.
 fn read_frame(payload: &[u8], observer: &str) -> Result<FrameReport, Refusal> {
     let report = FrameReport::from_json(payload)?;
@@ -384,42 +325,20 @@ fn read_frame(payload: &[u8], observer: &str) -> Result<FrameReport, Refusal> {
     Ok(report)
 }
 
-/// The observer in the key of a report.
+/// The observer in the key of a report, `flockeye/<swarm>/<observer>/sees`.
 pub(crate) fn observer_in(key: &str) -> Option<&str> {
-    names_in(key).map(|(KeyNames::Frame { observer } | KeyNames::Pose { observer, .. })| observer)
+    name_before(key, "sees")
 }
 
-/// Observer and target in the key of a report, `flockeye/<swarm>/<observer>/sees` and what may follow.
-fn names_in(key: &str) -> Option<KeyNames<'_>> {
+/// The observer in the key of a liveliness token, `flockeye/<swarm>/<observer>/alive`.
+pub(crate) fn alive_in(key: &str) -> Option<&str> {
+    name_before(key, "alive")
+}
+
+fn name_before<'k>(key: &'k str, last: &str) -> Option<&'k str> {
     let parts: Vec<&str> = key.split('/').collect();
     match parts[..] {
-        ["flockeye", _, observer, "sees"] if is_name(observer) => {
-            Some(KeyNames::Frame { observer })
-        }
-        ["flockeye", _, observer, "sees", target, "pose"]
-            if is_name(observer) && is_name(target) =>
-        {
-            Some(KeyNames::Pose { observer, target })
-        }
-        _ => None,
-    }
-}
-
-/// A liveliness token: `flockeye/<swarm>/<observer>/alive`, or that of frame reports below it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Token<'k> {
-    Alive(&'k str),
-    Frames(&'k str),
-}
-
-/// What the key of a token says.
-pub(crate) fn token_in(key: &str) -> Option<Token<'_>> {
-    let parts: Vec<&str> = key.split('/').collect();
-    match parts[..] {
-        ["flockeye", _, observer, "alive"] if is_name(observer) => Some(Token::Alive(observer)),
-        ["flockeye", _, observer, "alive", "frames"] if is_name(observer) => {
-            Some(Token::Frames(observer))
-        }
+        ["flockeye", _, observer, end] if end == last && is_name(observer) => Some(observer),
         _ => None,
     }
 }

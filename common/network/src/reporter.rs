@@ -1,7 +1,6 @@
 //! Publishes where this drone sees its neighbours.
 
 use std::{
-    collections::{BTreeMap, btree_map::Entry},
     sync::{
         Arc,
         atomic::{AtomicU64, Ordering::Relaxed},
@@ -10,9 +9,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use flockeye_contract::wire::{
-    FrameReport, PoseReport, WireError, alive_key, frames_token_key, is_name,
-};
+use flockeye_contract::wire::{FrameReport, alive_key, frame_key};
 use flockeye_identity::{Challenge, Member, Said};
 use flockeye_runtime::logs::Throttle;
 use zenoh::{
@@ -25,15 +22,15 @@ use zenoh::{
 
 use crate::connection::Connection;
 use crate::error::NetworkError;
-use crate::outbox::{Held, Outbox, Outgoing, Slot};
+use crate::outbox::{Outbox, QueuedReport};
 
-/// So often the certificate goes along with a signature.
+/// Time from one signature that carries the certificate to the next.
 const CERTIFICATE_PERIOD: Duration = Duration::from_secs(1);
 
 /// Publishes that this drone is alive and where it sees its neighbours, until dropped.
 ///
-/// [`report`](Self::report) puts a report into a slot and returns; a separate thread hands it to Zenoh.
-/// So a stalled network never blocks the caller: waiting reports are replaced by newer ones.
+/// [`report`](Self::report) queues a report and returns; a separate thread hands it to Zenoh. So a stalled
+/// network never blocks the caller: a newer report replaces one that waits.
 #[derive(Debug)]
 pub struct Reporter {
     observer: String,
@@ -47,7 +44,7 @@ pub struct Reporter {
 pub struct ReporterCounters {
     /// Handed to Zenoh, which may still drop them on a congested link.
     pub sent: u64,
-    /// Replaced by a newer report on the same target before they were sent.
+    /// Replaced by a newer report before they were sent.
     pub overwritten: u64,
     /// Refused by [`Reporter::report`] or by Zenoh.
     pub failed: u64,
@@ -82,32 +79,14 @@ impl Reporter {
         Ok(Self { observer: observer.into(), outbox, counts, thread: Some(thread) })
     }
 
-    /// Sends `report` as soon as the network takes it, unless a newer one on the same target comes
-    /// first. Returns at once. A report of a lost track is sent too, but it does not answer later
-    /// queries. One of a tentative track goes out under a key of its own.
+    /// Sends `report` as soon as the network takes it, unless a newer one comes first. Returns at once. Its lost
+    /// targets are sent too, but do not answer later queries.
     ///
     /// # Errors
-    /// [`NetworkError::Name`], [`NetworkError::Report`] and [`NetworkError::TooManyTargets`] for a
-    /// report that no listener would accept; it is counted as failed, and others are unaffected.
-    pub fn report(&self, report: &PoseReport) -> Result<(), NetworkError> {
-        let now = Instant::now();
-        let put =
-            self.check(report).and_then(|()| self.outbox.put(Outgoing::Pose(report.clone()), now));
-        self.counted(put)
-    }
-
-    /// Sends `report` as soon as the network takes it, unless a newer one comes first. Returns at once.
-    ///
-    /// # Errors
-    /// As those of [`report`](Self::report).
-    pub fn report_frame(&self, report: FrameReport) -> Result<(), NetworkError> {
-        let now = Instant::now();
-        let put =
-            self.check_frame(&report).and_then(|()| self.outbox.put(Outgoing::Frame(report), now));
-        self.counted(put)
-    }
-
-    fn counted(&self, put: Result<(), NetworkError>) -> Result<(), NetworkError> {
+    /// [`NetworkError::Name`], [`NetworkError::Report`] and [`NetworkError::TooManyTargets`] for a report that no
+    /// listener would accept. It is counted as failed, and later ones are unaffected.
+    pub fn report(&self, report: FrameReport) -> Result<(), NetworkError> {
+        let put = self.check(&report).and_then(|()| self.outbox.put(report, Instant::now()));
         if put.is_err() {
             self.counts.failed.fetch_add(1, Relaxed);
         }
@@ -124,31 +103,13 @@ impl Reporter {
     }
 
     /// Refuses what a listener would.
-    fn check(&self, report: &PoseReport) -> Result<(), NetworkError> {
-        let target = || report.target.clone();
-        self.check_observer(&report.observer, &report.target)?;
-        if !is_name(&report.target) {
-            let reason = "is no name of letters, digits, '-', '_' or '.'".into();
-            return Err(NetworkError::Name { target: target(), reason });
+    fn check(&self, report: &FrameReport) -> Result<(), NetworkError> {
+        if report.observer != self.observer {
+            let (found, own) = (report.observer.clone(), self.observer.clone());
+            return Err(NetworkError::Name { found, own });
         }
-        let read_back = |json: Vec<u8>| PoseReport::from_json(&json).map(drop);
-        let checked: Result<(), WireError> = report.to_json().and_then(read_back);
-        checked.map_err(|source| NetworkError::Report { target: target(), source })
-    }
-
-    fn check_frame(&self, report: &FrameReport) -> Result<(), NetworkError> {
-        self.check_observer(&report.observer, "all")?;
-        let read_back = |json: Vec<u8>| FrameReport::from_json(&json).map(drop);
-        let checked: Result<(), WireError> = report.to_json().and_then(read_back);
-        checked.map_err(|source| NetworkError::Report { target: "all".into(), source })
-    }
-
-    fn check_observer(&self, observer: &str, target: &str) -> Result<(), NetworkError> {
-        if observer == self.observer {
-            return Ok(());
-        }
-        let reason = format!("in the name of '{observer}', not '{}'", self.observer);
-        Err(NetworkError::Name { target: target.into(), reason })
+        let json = report.to_json().map_err(NetworkError::Report)?;
+        FrameReport::from_json(&json).map(drop).map_err(NetworkError::Report)
     }
 }
 
@@ -165,7 +126,7 @@ impl Drop for Reporter {
     }
 }
 
-/// The thread's side.
+/// What the thread that sends owns.
 struct Sender {
     swarm: String,
     observer: String,
@@ -174,13 +135,14 @@ struct Sender {
     member: Option<Arc<Member>>,
 }
 
-/// Where reports of one kind go out, and when the certificate went along last.
-struct Way {
+/// Where reports go out.
+struct Outlet {
     publisher: Publisher<'static>,
+    /// When the certificate went along last.
     certificate_sent: Option<Instant>,
 }
 
-impl Way {
+impl Outlet {
     /// Whether it is time for the certificate.
     fn needs_certificate(&mut self, now: Instant) -> bool {
         let is_due = self.certificate_sent.is_none_or(|sent| now - sent >= CERTIFICATE_PERIOD);
@@ -202,31 +164,34 @@ impl Sender {
     }
 
     fn serve(&self, session: &Session) -> zenoh::Result<()> {
+        let key = frame_key(&self.swarm, &self.observer);
         // Drones that join later query when they see the token, so the queryable is declared first.
         let answerer = Answerer {
-            swarm: self.swarm.clone(),
-            observer: self.observer.clone(),
+            key: key.clone(),
             outbox: self.outbox.clone(),
             member: self.member.clone(),
         };
-        let _last_values = session
-            .declare_queryable(format!("flockeye/{}/{}/sees/**", self.swarm, self.observer))
+        let _last_value = session
+            .declare_queryable(&key)
             .callback(move |query| answerer.answer(&query))
             .wait()?;
-        let liveliness = session.liveliness();
-        // Before the other: whoever sees that, and not this, listens to each pose.
-        let _frames =
-            liveliness.declare_token(frames_token_key(&self.swarm, &self.observer)).wait()?;
-        let _alive = liveliness.declare_token(alive_key(&self.swarm, &self.observer)).wait()?;
-
-        let mut ways = BTreeMap::new();
+        let token = alive_key(&self.swarm, &self.observer);
+        let _alive = session.liveliness().declare_token(token).wait()?;
+        let publisher = session
+            .declare_publisher(key.clone())
+            .encoding(Encoding::APPLICATION_JSON)
+            .congestion_control(CongestionControl::Drop)
+            .priority(Priority::RealTime)
+            .express(true)
+            .reliability(Reliability::BestEffort)
+            .wait()?;
+        let mut outlet = Outlet { publisher, certificate_sent: None };
         let mut warnings = Throttle::default();
-        while let Some((slot, held)) = self.outbox.take() {
-            match self.send(session, &mut ways, &slot, &held) {
+        while let Some(report) = self.outbox.take() {
+            match self.send(&mut outlet, &report) {
                 Ok(()) => self.counts.sent.fetch_add(1, Relaxed),
                 Err(error) => {
                     if let Some(held_back) = warnings.admit() {
-                        let key = slot.key(&self.swarm, &self.observer);
                         tracing::warn!(held_back, "a report on {key} was not sent: {error}");
                     }
                     self.counts.failed.fetch_add(1, Relaxed)
@@ -236,67 +201,39 @@ impl Sender {
         Ok(())
     }
 
-    fn send(
-        &self,
-        session: &Session,
-        ways: &mut BTreeMap<Slot, Way>,
-        slot: &Slot,
-        held: &Held,
-    ) -> zenoh::Result<()> {
-        let way = match ways.entry(slot.clone()) {
-            Entry::Occupied(known) => known.into_mut(),
-            Entry::Vacant(new) => new.insert(Way {
-                publisher: session
-                    .declare_publisher(slot.key(&self.swarm, &self.observer))
-                    .encoding(Encoding::APPLICATION_JSON)
-                    .congestion_control(CongestionControl::Drop)
-                    .priority(Priority::RealTime)
-                    .express(true)
-                    .reliability(Reliability::BestEffort)
-                    .wait()?,
-                certificate_sent: None,
-            }),
-        };
+    fn send(&self, outlet: &mut Outlet, report: &QueuedReport) -> zenoh::Result<()> {
         let now = Instant::now();
-        let payload = held.encode(now)?;
+        let payload = report.encode(now)?;
         let seal = self.member.as_ref().map(|member| {
-            let with_certificate = way.needs_certificate(now);
-            let key = way.publisher.key_expr().as_str();
+            let with_certificate = outlet.needs_certificate(now);
+            let key = outlet.publisher.key_expr().as_str();
             let said = Said { key, challenge: Challenge::default(), payload: &payload };
             member.seal(&said, with_certificate)
         });
-        way.publisher.put(payload).attachment(seal).wait()
+        outlet.publisher.put(payload).attachment(seal).wait()
     }
 }
 
-/// Answers queries with the last values.
+/// Answers queries with the last report.
 struct Answerer {
-    swarm: String,
-    observer: String,
+    key: String,
     outbox: Arc<Outbox>,
     member: Option<Arc<Member>>,
 }
 
 impl Answerer {
-    /// Answers with the last value of every key that is asked for.
     fn answer(&self, query: &Query) {
-        for (slot, held) in self.outbox.last_values() {
-            let key = slot.key(&self.swarm, &self.observer);
-            let Ok(key) = zenoh::key_expr::KeyExpr::try_from(key) else { continue };
-            if !query.key_expr().intersects(&key) {
-                continue;
-            }
-            let sent = held.encode(Instant::now()).map_err(zenoh::Error::from).and_then(|json| {
-                let seal =
-                    self.member.as_ref().zip(challenge_in(query)).map(|(member, challenge)| {
-                        member.seal(&Said { key: &key, challenge, payload: &json }, true)
-                    });
-                query.reply(&key, json).encoding(Encoding::APPLICATION_JSON).attachment(seal).wait()
+        let Some(report) = self.outbox.last_value() else { return };
+        let key = self.key.as_str();
+        let sent = report.encode(Instant::now()).map_err(zenoh::Error::from).and_then(|json| {
+            let seal = self.member.as_ref().zip(challenge_in(query)).map(|(member, challenge)| {
+                member.seal(&Said { key, challenge, payload: &json }, true)
             });
-            if let Err(error) = sent {
-                // The asking drone has left or asks again; nothing here depends on the answer.
-                tracing::debug!("a query for {key} was not answered: {error}");
-            }
+            query.reply(key, json).encoding(Encoding::APPLICATION_JSON).attachment(seal).wait()
+        });
+        if let Err(error) = sent {
+            // The asking drone has left or asks again; nothing here depends on the answer.
+            tracing::debug!("a query for {key} was not answered: {error}");
         }
     }
 }

@@ -127,16 +127,16 @@ impl Streams {
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
-    use crate::outbox::tests::report;
+    use crate::outbox::tests::frame_report;
 
     fn heard(frame: u64) -> Heard {
-        let mut report = report("kite");
+        let mut report = frame_report("wren", &["kite"]);
         report.frame = frame;
         Heard {
             arrived_monotonic_ns: 0,
             exposure_monotonic_ns: 0,
             exposure_deviation_ns: 0,
-            report: report.into(),
+            report: report.sightings().next().expect("kite"),
         }
     }
 

@@ -15,10 +15,7 @@ use std::{
 
 use flockeye_contract::{
     MeasuredBy, TrackState,
-    wire::{
-        FRAME_SCHEMA, FrameReport, POSE_SCHEMA, PoseReport, Sighting, alive_key, frame_key,
-        pose_key,
-    },
+    wire::{FRAME_SCHEMA, FrameReport, Sighting, TargetReport, alive_key, frame_key},
 };
 use flockeye_network::{Listener, Network, NetworkError, NetworkMode, NetworkParameters, Received};
 use flockeye_require::loopback::{Relay, WATCHDOG, free_port, tcp, until, watched};
@@ -57,17 +54,9 @@ fn now_utc_ns() -> i64 {
     i64::try_from(since.as_nanos()).unwrap()
 }
 
-fn report(observer: &str, target: &str, frame: u64) -> PoseReport {
-    PoseReport {
-        schema: POSE_SCHEMA.into(),
-        observer: observer.into(),
-        target: target.into(),
-        frame,
-        epoch: 1,
-        stamp_utc_ns: now_utc_ns(),
-        clock_synchronised: false,
-        stream_s: 0.5,
-        latency_ms: 20.0,
+fn target(name: &str) -> TargetReport {
+    TargetReport {
+        name: name.into(),
         state: TrackState::Confirmed,
         measured_by: MeasuredBy::Decoded,
         markers: 3,
@@ -77,35 +66,31 @@ fn report(observer: &str, target: &str, frame: u64) -> PoseReport {
         covariance: std::array::from_fn(|k| k as f64 / 1e3),
         linear_velocity: [0.1, 0.0, 0.0],
         angular_velocity: [0.0, 0.0, 0.2],
+        measured: None,
+        predicted: None,
+        degenerate: None,
     }
 }
 
-/// The same as a frame in which nobody else was seen.
-fn frame(report: PoseReport) -> FrameReport {
-    let Sighting {
-        observer,
-        frame,
-        epoch,
-        stamp_utc_ns,
-        clock_synchronised,
-        stream_s,
-        latency_ms,
-        target,
-        ..
-    } = report.into();
+/// A frame in which one target is seen.
+fn report(observer: &str, name: &str, frame: u64) -> FrameReport {
     FrameReport {
         schema: FRAME_SCHEMA.into(),
-        observer,
+        observer: observer.into(),
         frame,
-        epoch,
-        stamp_utc_ns,
-        clock_synchronised,
-        stream_s,
-        latency_ms,
+        epoch: 1,
+        stamp_utc_ns: now_utc_ns(),
+        clock_synchronised: false,
+        stream_s: 0.5,
+        latency_ms: 20.0,
         odometry: None,
         clocks: Default::default(),
-        targets: vec![target],
+        targets: vec![target(name)],
     }
+}
+
+fn sighting(report: FrameReport) -> Sighting {
+    report.sightings().next().expect("it has a target")
 }
 
 fn received(listener: &Listener, observer: &str, target: &str) -> Option<Received> {
@@ -133,10 +118,9 @@ fn a_report_arrives_as_it_was_sent() {
         until(|| is_alive(&listener, "wren").then_some(()));
 
         let sent = report("wren", "kite", 7);
-        reporter.report_frame(frame(sent.clone())).unwrap();
+        reporter.report(sent.clone()).unwrap();
         let kite = until(|| received(&listener, "wren", "kite"));
-        let wanted = Sighting { schema: FRAME_SCHEMA.into(), ..sent.clone().into() };
-        assert_eq!(as_put_in(kite.report.clone(), sent.latency_ms), wanted);
+        assert_eq!(as_put_in(kite.report.clone(), sent.latency_ms), sighting(sent));
         assert!(kite.age(kite.arrived) >= Duration::from_millis(20));
         let heard = stream.recv_timeout(WATCHDOG).expect("streamed too");
         assert_eq!(heard.arrived_monotonic_ns, kite.arrived_monotonic_ns);
@@ -156,20 +140,20 @@ fn reports_go_out_first_and_may_be_dropped() {
         let port = free_port();
         let wren = open("wren", &[port], &[]);
         let session = foreign(port);
-        let samples = session.declare_subscriber(pose_key(SWARM, "wren", "*")).wait().unwrap();
+        let samples = session.declare_subscriber(frame_key(SWARM, "*")).wait().unwrap();
         let reporter = wren.reporter().unwrap();
         // The subscription takes its time to reach the reporter: say it until it is heard.
         let sample = until(|| {
-            reporter.report(&report("wren", "kite", 1)).unwrap();
+            reporter.report(report("wren", "kite", 1)).unwrap();
             samples.try_recv().unwrap()
         });
-        assert_eq!(sample.key_expr().as_str(), "flockeye/test/wren/sees/kite/pose");
+        assert_eq!(sample.key_expr().as_str(), "flockeye/test/wren/sees");
         assert_eq!(sample.encoding().to_string(), "application/json");
         assert_eq!(sample.priority(), Priority::RealTime);
         assert_eq!(sample.congestion_control(), CongestionControl::Drop);
         assert_eq!(sample.reliability(), Reliability::BestEffort);
         assert!(sample.express());
-        PoseReport::from_json(&sample.payload().to_bytes()).unwrap();
+        FrameReport::from_json(&sample.payload().to_bytes()).unwrap();
     });
 }
 
@@ -179,11 +163,10 @@ fn a_late_peer_sees_the_last_pose_and_its_true_age() {
         let port = free_port();
         let wren = open("wren", &[port], &[]);
         let reporter = wren.reporter().unwrap();
-        reporter.report_frame(frame(report("wren", "kite", 1))).unwrap();
-        let mut last = frame(report("wren", "kite", 2));
-        let lost = PoseReport { state: TrackState::Lost, ..report("wren", "swift", 2) };
-        last.targets.extend(frame(lost).targets);
-        reporter.report_frame(last).unwrap();
+        reporter.report(report("wren", "kite", 1)).unwrap();
+        let mut last = report("wren", "kite", 2);
+        last.targets.push(TargetReport { state: TrackState::Lost, ..target("swift") });
+        reporter.report(last).unwrap();
         // Neither of the two is on its way any more.
         until(|| {
             let counters = reporter.counters();
@@ -201,54 +184,6 @@ fn a_late_peer_sees_the_last_pose_and_its_true_age() {
     });
 }
 
-/// A reader of the first schema asks for single poses, and gets what it always got.
-#[test]
-fn readers_of_single_poses_go_on() {
-    watched(|| {
-        let port = free_port();
-        let wren = open("wren", &[port], &[]);
-        let reporter = wren.reporter().unwrap();
-        for target in ["kite", "swift"] {
-            reporter.report(&report("wren", target, 7)).unwrap();
-        }
-        let of_state = |state, target| PoseReport { state, ..report("wren", target, 8) };
-        reporter.report(&of_state(TrackState::Lost, "swift")).unwrap();
-        reporter.report(&of_state(TrackState::Tentative, "finch")).unwrap();
-        let session = foreign(port);
-        let answers = until(|| {
-            let replies = session.get("flockeye/test/*/sees/*/pose").wait().unwrap();
-            let samples = std::iter::from_fn(|| replies.recv().ok());
-            let samples: Vec<_> = samples.filter_map(|reply| reply.into_result().ok()).collect();
-            (!samples.is_empty()).then_some(samples)
-        });
-        let [answer] = &answers[..] else { panic!("{} answers", answers.len()) };
-        assert_eq!(answer.key_expr().as_str(), pose_key(SWARM, "wren", "kite"));
-        let pose = PoseReport::from_json(&answer.payload().to_bytes()).unwrap();
-        assert_eq!((pose.schema.as_str(), pose.frame), ("flockeye.pose/1", 7));
-    });
-}
-
-/// A drone whose version publishes single poses alone is heard by one that publishes frames.
-#[test]
-fn drones_of_the_first_schema_are_heard() {
-    watched(|| {
-        let port = free_port();
-        let robin = open("robin", &[port], &[]);
-        let listener = robin.listener().unwrap();
-        let session = foreign(port);
-        let _token = session.liveliness().declare_token(alive_key(SWARM, "wren")).wait().unwrap();
-        let mut number = 0;
-        let kite = until(|| {
-            number += 1;
-            let json = report("wren", "kite", number).to_json().unwrap();
-            session.put(pose_key(SWARM, "wren", "kite"), json).wait().unwrap();
-            received(&listener, "wren", "kite")
-        });
-        assert_eq!(kite.report.observer, "wren");
-        assert!(!listener.snapshot().observers["wren"].has_frames);
-    });
-}
-
 #[test]
 fn a_reporter_that_comes_later_is_asked_for_its_last_pose() {
     watched(|| {
@@ -257,7 +192,7 @@ fn a_reporter_that_comes_later_is_asked_for_its_last_pose() {
         let listener = robin.listener().unwrap();
         let wren = open("wren", &[port], &[]);
         let reporter = wren.reporter().unwrap();
-        reporter.report_frame(frame(report("wren", "kite", 1))).unwrap();
+        reporter.report(report("wren", "kite", 1)).unwrap();
         assert_eq!(until(|| received(&listener, "wren", "kite")).report.frame, 1);
     });
 }
@@ -289,7 +224,6 @@ fn hostile_messages_are_counted_and_survived() {
         let robin = open("robin", &[port], &[]);
         let listener = robin.listener().unwrap();
         let session = foreign(port);
-        // As a drone that publishes single poses alone; the listener hears each of them from then on.
         let alive = |observer: &str| {
             session.liveliness().declare_token(alive_key(SWARM, observer)).wait().unwrap()
         };
@@ -298,25 +232,27 @@ fn hostile_messages_are_counted_and_survived() {
             until(|| listener.snapshot().observers.get(observer)?.is_heard.then_some(()));
         }
         let good = report("wren", "kite", 5);
-        let other_schema = PoseReport { schema: "flockeye.pose/9".into(), ..good.clone() };
+        let other_schema = FrameReport { schema: "flockeye.pose/1".into(), ..good.clone() };
+        let twice = FrameReport { targets: vec![target("kite"), target("kite")], ..good.clone() };
+        let key = |observer| frame_key(SWARM, observer);
         let bad = [
-            (pose_key(SWARM, "wren", "kite"), b"\xff\xfe{".to_vec()),
-            (pose_key(SWARM, "wren", "kite"), vec![b' '; 2_000]),
-            (pose_key(SWARM, "wren", "kite"), vec![b'['; 50_000]),
-            (pose_key(SWARM, "wren", "kite"), Vec::new()),
-            (pose_key(SWARM, "wren", "kite"), other_schema.to_json().unwrap()),
-            (pose_key(SWARM, "wren", "swift"), good.to_json().unwrap()),
-            (pose_key(SWARM, "crow", "kite"), good.to_json().unwrap()),
-            (frame_key(SWARM, "no name"), good.to_json().unwrap()),
+            (key("wren"), b"\xff\xfe{".to_vec()),
+            (key("wren"), vec![b' '; 2_000]),
+            (key("wren"), vec![b'['; 50_000]),
+            (key("wren"), Vec::new()),
+            (key("wren"), other_schema.to_json().unwrap()),
+            (key("wren"), twice.to_json().unwrap()),
+            (key("crow"), good.to_json().unwrap()),
+            (key("no name"), good.to_json().unwrap()),
         ];
         for (key, payload) in bad {
             session.put(key, payload).wait().unwrap();
         }
         let _no_name = alive("no name");
-        session.put(pose_key(SWARM, "wren", "kite"), good.to_json().unwrap()).wait().unwrap();
+        session.put(key("wren"), good.to_json().unwrap()).wait().unwrap();
 
         let kite = until(|| received(&listener, "wren", "kite"));
-        assert_eq!((kite.report, kite.count), (good.into(), 1));
+        assert_eq!((kite.report, kite.count), (sighting(good), 1));
         let peers = until(|| Some(listener.snapshot()).filter(|peers| peers.refused == 2));
         assert_eq!(peers.observers["wren"].refused.malformed, 6);
         assert_eq!(peers.observers["crow"].refused.malformed, 1);
@@ -330,12 +266,12 @@ fn what_nobody_could_read_is_not_sent() {
     watched(|| {
         let wren = open("wren", &[0], &[]);
         let reporter = wren.reporter().unwrap();
-        let refused = |report: PoseReport| reporter.report(&report).expect_err("refused");
+        let refused = |report: FrameReport| reporter.report(report).expect_err("refused");
         assert!(matches!(refused(report("crow", "kite", 1)), NetworkError::Name { .. }));
-        assert!(matches!(refused(report("wren", "a/b", 1)), NetworkError::Name { .. }));
+        assert!(matches!(refused(report("wren", "a/b", 1)), NetworkError::Report(_)));
         let mut nowhere = report("wren", "kite", 1);
-        nowhere.position[1] = f64::NAN;
-        assert!(matches!(refused(nowhere), NetworkError::Report { .. }));
+        nowhere.targets[0].position[1] = f64::NAN;
+        assert!(matches!(refused(nowhere), NetworkError::Report(_)));
         assert_eq!((reporter.counters().failed, reporter.counters().sent), (3, 0));
     });
 }
@@ -364,7 +300,7 @@ fn neighbours_out_of_reach_hold_nothing_up() {
             assert_eq!(wren.is_open(), mode != NetworkMode::Client);
             let (reporter, _listener) = (wren.reporter().unwrap(), wren.listener().unwrap());
             for frame in 1..=100 {
-                reporter.report(&report("wren", "kite", frame)).unwrap();
+                reporter.report(report("wren", "kite", frame)).unwrap();
             }
             let counters = until(|| {
                 let counters = reporter.counters();
@@ -388,7 +324,7 @@ fn a_client_finds_its_router_when_it_comes_up() {
         };
         let (wren, robin) = (client("wren"), client("robin"));
         let (reporter, listener) = (wren.reporter().unwrap(), robin.listener().unwrap());
-        reporter.report_frame(frame(report("wren", "kite", 1))).unwrap();
+        reporter.report(report("wren", "kite", 1)).unwrap();
         assert!(!wren.is_open() && !robin.is_open());
         // Both have tried by now, or one of them twice.
         (0..2).for_each(|_| drop(nobody.accept().unwrap()));
@@ -423,7 +359,7 @@ fn a_stalled_neighbour_costs_neither_the_reporter_nor_the_others() {
         let mut number = 0;
         let mut say = || {
             number += 1;
-            reporter.report_frame(frame(report("wren", "kite", number))).unwrap();
+            reporter.report(report("wren", "kite", number)).unwrap();
             number
         };
         relay.stalled.store(true, SeqCst);

@@ -147,7 +147,7 @@ fn report_until_heard(network: &Network, name: &str, listener: &Listener) {
     let mut frame = 0;
     until(|| {
         frame += 1;
-        reporter.report_frame(report(name, frame)).unwrap();
+        reporter.report(report(name, frame)).unwrap();
         std::thread::sleep(Duration::from_millis(20));
         frame_of(listener, name)
     });
@@ -183,7 +183,7 @@ fn members_hear_each_other_directly_and_through_a_router() {
         let reporter = wren.reporter().unwrap();
         until(|| peer(&kite_hears, "wren").filter(|peer| peer.alive));
         // Whoever comes late has the last report, though nothing more is said.
-        reporter.report_frame(report("wren", 7)).unwrap();
+        reporter.report(report("wren", 7)).unwrap();
         until(|| frame_of(&kite_hears, "wren"));
         let late = swarm.client("kite", port);
         let late = late.listener().unwrap();
@@ -244,7 +244,7 @@ fn the_revoked_are_heard_no_more() {
         let reporter = wren.reporter().unwrap();
         until(|| {
             say(&session, "kite", 1, Some(&kite));
-            reporter.report_frame(report("wren", 1)).unwrap();
+            reporter.report(report("wren", 1)).unwrap();
             std::thread::sleep(Duration::from_millis(20));
             (listener.snapshot().refused > 2).then_some(())
         });
@@ -330,7 +330,7 @@ fn what_was_recorded_is_not_believed_while_its_drone_is_here_nor_when_it_is_gone
         report_until_heard(&wren, "wren", &listener);
         let reporter = wren.reporter().unwrap();
         let sample = until(|| {
-            reporter.report_frame(report("wren", 500)).unwrap();
+            reporter.report(report("wren", 500)).unwrap();
             std::thread::sleep(Duration::from_millis(20));
             recorded
                 .try_recv()
@@ -344,7 +344,7 @@ fn what_was_recorded_is_not_believed_while_its_drone_is_here_nor_when_it_is_gone
         };
         // Newer than what is recorded.
         until(|| {
-            reporter.report_frame(report("wren", 600)).unwrap();
+            reporter.report(report("wren", 600)).unwrap();
             std::thread::sleep(Duration::from_millis(20));
             frame_of(&listener, "wren").filter(|frame| *frame == 600)
         });

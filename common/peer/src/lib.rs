@@ -27,7 +27,7 @@
 //! #     "unseen_s": 0.0, "position": [1.5, 0.2, 0.1], "orientation": [0, 0, 0, 1],
 //! #     "covariance": covariance, "linear_velocity": [0, 0, 0], "angular_velocity": [0, 0, 0],
 //! # });
-//! # reporter.report_frame(serde_json::from_value(serde_json::json!({
+//! # reporter.report(serde_json::from_value(serde_json::json!({
 //! #     "schema": "flockeye.frame/2", "observer": "wren", "frame": 1, "epoch": 0,
 //! #     "stamp_utc_ns": stamp_utc_ns, "clock_synchronised": false, "stream_s": 0.0,
 //! #     "latency_ms": 0.0, "targets": [kite],

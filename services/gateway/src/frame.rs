@@ -10,8 +10,6 @@ use flockeye_contract::{FrameStamp, MeasuredBy, Pose, Track, TrackState};
 use flockeye_convert::{matrix6, upper_triangle};
 use nalgebra::{Matrix3, Vector3};
 
-use crate::report::Utc;
-
 /// A frame in which nobody is seen is reported this often, nanoseconds.
 const NOBODY_NS: i64 = 1_000_000_000;
 /// So often what is known of the peers' clocks goes along, nanoseconds.
@@ -21,6 +19,15 @@ const CLOCKS_NS: i64 = 1_000_000_000;
 const DEGENERATE_SHARE: f64 = 0.2;
 /// The same of a rotation, radians: the sine of a rotation vector's angle is 4 % off there.
 const DEGENERATE_ROTATION: f64 = 0.5;
+
+/// When a frame was exposed, in the world's time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Utc {
+    /// Nanoseconds since the Unix epoch.
+    pub stamp_ns: i64,
+    /// Whether the clock that says so is synchronised.
+    pub is_synchronised: bool,
+}
 
 /// Gathers the targets of a frame as they become known.
 ///
@@ -171,10 +178,61 @@ fn worst(covariance: &Matrix3<f64>) -> Option<([f64; 3], f64)> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::report::tests::{UTC, track};
+    use flockeye_contract::StageLatency;
+
+    pub(crate) fn track(state: TrackState) -> Track {
+        Track {
+            observer_from_target: Pose { position: [1.0, 2.0, 3.0], ..Pose::default() },
+            covariance: std::array::from_fn(|k| k as f64),
+            linear_velocity: [0.1; 3],
+            angular_velocity: [0.2; 3],
+            measured_observer_from_target: Pose::default(),
+            measured_covariance: [0.0; 36],
+            predicted_observer_from_target: Pose::default(),
+            predicted_covariance: [0.0; 36],
+            predicted_ns: 0,
+            age_ns: 0,
+            unseen_ns: 500_000_000,
+            latency: StageLatency::default(),
+            name: "kite".into(),
+            target: 0,
+            track_id: 1,
+            state: state.code(),
+            measured_by: MeasuredBy::Decoded.code(),
+            markers: 4,
+            reserved: 0,
+        }
+    }
+
+    const UTC: Utc = Utc { stamp_ns: 7, is_synchronised: true };
+
+    /// A report of `observer` on one track.
+    pub(crate) fn frame_report(observer: &str, track: Track) -> FrameReport {
+        let mut gathering = Gathering::default();
+        assert!(gathering.take(&FrameStamp::default(), &[track], true, 0));
+        let head = Head { observer, utc: UTC, latency_ns: 0, odometry: None };
+        gathering.report(head, 0, BTreeMap::new)
+    }
+
+    #[test]
+    fn a_report_says_what_the_track_says() {
+        let mut gathering = Gathering::default();
+        let stamp = FrameStamp { stream_ns: 2_000_000_000, ..stamp(9) };
+        assert!(gathering.take(&stamp, &[track(TrackState::Coasting)], true, 0));
+        let report = report(&mut gathering, 0);
+        assert_eq!((report.observer.as_str(), report.frame, report.stream_s), ("wren", 9, 2.0));
+        assert_eq!((report.stamp_utc_ns, report.latency_ms), (7, 12.0));
+        let kite = &report.targets[0];
+        assert_eq!((kite.name.as_str(), kite.state), ("kite", TrackState::Coasting));
+        assert_eq!((kite.unseen_s, kite.markers, kite.position), (0.5, 4, [1.0, 2.0, 3.0]));
+        // Row by row: 0 to 5, 7 to 11, 14 ...
+        assert_eq!(kite.covariance[..8], [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 7.0, 8.0]);
+        assert_eq!(kite.covariance[20], 35.0);
+        assert!(report.to_json().is_ok());
+    }
 
     fn stamp(sequence: u64) -> FrameStamp {
         FrameStamp { sequence, exposure_ns: 33_000_000 * sequence as i64, ..FrameStamp::default() }

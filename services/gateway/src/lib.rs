@@ -2,7 +2,6 @@
 //!
 //! | module | what it does |
 //! | --- | --- |
-//! | [`report`] | a track alone as what goes over the network |
 //! | [`frame`] | all targets of a frame as one report |
 //! | [`swarm`] | where all drones are from here, by what peers report too |
 //! | [`pilot`] | what the autopilot is told, and what it says of the drone |
@@ -18,7 +17,6 @@ pub mod hearsay;
 pub mod newest;
 pub mod pace;
 pub mod pilot;
-pub mod report;
 pub mod ros;
 pub mod stage;
 pub mod swarm;

@@ -99,7 +99,7 @@ fn is_told(track: &Track) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::tests::track;
+    use crate::frame::tests::track;
 
     #[test]
     fn who_may_be_nobody_or_is_lost_is_not_told_of() {

@@ -14,13 +14,12 @@ use flockeye_runtime::logs::Throttle;
 use flockeye_runtime::ports::{Ports, Publisher, Subscriber};
 use flockeye_runtime::{Context, Stage, Step, clock};
 
-use crate::frame::{Gathering, Head};
+use crate::frame::{Gathering, Head, Utc};
 use crate::guard::Guard;
 use crate::hearsay::in_words;
 use crate::newest::Newest;
 use crate::pace::Pace;
 use crate::pilot::Pilot;
-use crate::report::{Utc, report};
 use crate::ros::Ros;
 use crate::swarm::Swarm;
 
@@ -156,9 +155,6 @@ impl GatewayStage {
                 if let Some(pilot) = &mut self.pilot {
                     pilot.sees(exposure.monotonic_ns, track);
                 }
-                if is_reported {
-                    self.send(&stamp, &exposure, track);
-                }
             }
             if let Some(ros) = &mut self.ros {
                 ros.sees(exposure.utc.stamp_ns, &newest);
@@ -170,35 +166,19 @@ impl GatewayStage {
         Ok(())
     }
 
-    /// Reports a track alone.
-    fn send(&mut self, stamp: &FrameStamp, exposure: &Exposure, track: &Track) {
-        let latency_ns = clock::monotonic_ns() - exposure.monotonic_ns;
-        let observer = &self.parameters.observer;
-        let Some(report) = report(observer, stamp, track, exposure.utc, latency_ns) else {
-            return;
-        };
+    /// Reports a frame as far as it is known.
+    fn send_frame(&mut self, exposure: &Exposure) {
         let Some(link) = &self.link else {
             self.counters.add_dropped(1);
             return;
         };
-        match link.reporter.report(&report) {
-            Ok(()) => {
-                self.counters.add_published(1);
-                self.counters.add_latency_ns(latency_ns);
-            }
-            Err(error) => self.fail(&error),
-        }
-    }
-
-    /// Reports a frame as far as it is known.
-    fn send_frame(&mut self, exposure: &Exposure) {
-        let Some(link) = &self.link else { return };
         let now_ns = clock::monotonic_ns();
         let pilot = self.pilot.as_ref();
+        let latency_ns = now_ns - exposure.monotonic_ns;
         let head = Head {
             observer: &self.parameters.observer,
             utc: exposure.utc,
-            latency_ns: now_ns - exposure.monotonic_ns,
+            latency_ns,
             odometry: pilot.and_then(|pilot| pilot.odometry(exposure.monotonic_ns)),
         };
         let clocks = || {
@@ -207,8 +187,15 @@ impl GatewayStage {
             clocks.into_iter().map(|(peer, clock)| (peer, clock.to_wire())).collect()
         };
         let report = self.gathering.report(head, now_ns, clocks);
-        if let Err(error) = link.reporter.report_frame(report) {
-            self.fail(&error);
+        let has_targets = !report.targets.is_empty();
+        match link.reporter.report(report) {
+            Ok(()) => {
+                self.counters.add_published(1);
+                if has_targets {
+                    self.counters.add_latency_ns(latency_ns);
+                }
+            }
+            Err(error) => self.fail(&error),
         }
     }
 

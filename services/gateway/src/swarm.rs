@@ -92,7 +92,7 @@ mod tests {
     use flockeye_contract::{Peers, Pose, SwarmWay, Swarms, Topic, TrackState};
 
     use super::*;
-    use crate::report::tests::{UTC, track};
+    use crate::frame::tests::{frame_report, track};
 
     const NOW_NS: i64 = 100_000_000_000;
 
@@ -114,14 +114,12 @@ mod tests {
     }
 
     fn heard(observer: &str, target: &str, position: [f64; 3]) -> PeerReport {
-        let stamp = FrameStamp::default();
-        let track = Track { name: target.into(), ..seen(position) };
-        let report = crate::report::report(observer, &stamp, &track, UTC, 0).unwrap();
+        let report = frame_report(observer, Track { name: target.into(), ..seen(position) });
         PeerReport::from(&flockeye_network::Heard {
             arrived_monotonic_ns: NOW_NS,
             exposure_monotonic_ns: NOW_NS,
             exposure_deviation_ns: 100_000,
-            report: report.into(),
+            report: report.sightings().next().unwrap(),
         })
     }
 

@@ -194,7 +194,7 @@ fn observe(number: usize, endpoint: &str, time: Duration) -> anyhow::Result<()> 
             ticks = Some(ticks_of(std::process::id())?);
         }
         frame += 1;
-        reporter.report_frame(report(&name, frame, 1))?;
+        reporter.report(report(&name, frame, 1))?;
         sent += u64::from(is_counted);
         // What is still under way at the end counts as lost: a few in each hundred.
         while let Some(left) = (PERIOD * frame as u32).checked_sub(begun.elapsed()) {

@@ -6,14 +6,17 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::number::{check_covariance, check_finite, check_rotation, to_digits, to_millionths};
-use super::{MAX_REPORT_BYTES, MAX_TARGETS, PoseReport, WireError, is_name, shortened};
+use super::{MAX_TARGETS, WireError, is_name, shortened};
 use crate::{MeasuredBy, TrackState};
 
 /// The value of [`FrameReport::schema`] that this crate writes and understands.
 pub const FRAME_SCHEMA: &str = "flockeye.frame/2";
 
+/// One radio packet: the most that a report may have for each target.
+pub const MAX_TARGET_BYTES: usize = 1_200;
+
 /// The most that a frame report may have: one packet for each target, and 8 kB for what they share.
-pub const MAX_FRAME_REPORT_BYTES: usize = MAX_TARGETS * MAX_REPORT_BYTES + 8_192;
+pub const MAX_FRAME_REPORT_BYTES: usize = MAX_TARGETS * MAX_TARGET_BYTES + 8_192;
 
 /// One observer's report on all it saw at one exposure.
 ///
@@ -154,10 +157,10 @@ pub struct Degenerate {
     pub rotation: Option<[f64; 3]>,
 }
 
-/// What one report says of one target, of whichever schema it came.
+/// One target of a report, with what the report says of its frame.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Sighting {
-    /// Of which schema the report was.
+    /// The report's schema.
     pub schema: String,
     /// The observer's name.
     pub observer: String,
@@ -182,36 +185,6 @@ impl Sighting {
     /// When the report was handed to the network, by the observer's clock, nanoseconds since 1970.
     pub fn sent_utc_ns(&self) -> i64 {
         sent_utc_ns(self.stamp_utc_ns, self.latency_ms)
-    }
-}
-
-impl From<PoseReport> for Sighting {
-    fn from(report: PoseReport) -> Self {
-        Self {
-            schema: report.schema,
-            observer: report.observer,
-            frame: report.frame,
-            epoch: report.epoch,
-            stamp_utc_ns: report.stamp_utc_ns,
-            clock_synchronised: report.clock_synchronised,
-            stream_s: report.stream_s,
-            latency_ms: report.latency_ms,
-            target: TargetReport {
-                name: report.target,
-                state: report.state,
-                measured_by: report.measured_by,
-                markers: report.markers,
-                unseen_s: report.unseen_s,
-                position: report.position,
-                orientation: report.orientation,
-                covariance: report.covariance,
-                linear_velocity: report.linear_velocity,
-                angular_velocity: report.angular_velocity,
-                measured: None,
-                predicted: None,
-                degenerate: None,
-            },
-        }
     }
 }
 
@@ -259,8 +232,8 @@ impl FrameReport {
         for target in &mut rounded.targets {
             target.round();
             let found = serde_json::to_vec(target)?.len();
-            if found > MAX_REPORT_BYTES {
-                return Err(WireError::TooLong { found, most: MAX_REPORT_BYTES });
+            if found > MAX_TARGET_BYTES {
+                return Err(WireError::TooLong { found, most: MAX_TARGET_BYTES });
             }
         }
         let json = serde_json::to_vec(&rounded)?;

@@ -1,24 +1,14 @@
-//! The keys that observers speak under.
+//! The keys of what observers publish.
 
-/// Most characters of a swarm's, an observer's or a target's name.
+/// Maximum characters of a swarm's, an observer's or a target's name.
 pub const MAX_NAME_CHARS: usize = 31;
 
-/// Key under which `observer` reports all it sees, frame by frame.
+/// Key of the frame reports of `observer`.
 pub fn frame_key(swarm: &str, observer: &str) -> String {
     format!("flockeye/{swarm}/{observer}/sees")
 }
 
-/// Key under which `observer` reports on `target`.
-pub fn pose_key(swarm: &str, observer: &str, target: &str) -> String {
-    format!("flockeye/{swarm}/{observer}/sees/{target}/pose")
-}
-
-/// Key under which `observer` reports on `target` while the track is not confirmed: it may be nobody.
-pub fn tentative_key(swarm: &str, observer: &str, target: &str) -> String {
-    format!("flockeye/{swarm}/{observer}/sees/{target}/tentative")
-}
-
-/// Key expression of all that `observer` says, or all in `swarm`.
+/// Key expression of all that `observer` publishes, or of all in `swarm`.
 pub fn all_keys(swarm: &str, observer: Option<&str>) -> String {
     match observer {
         Some(observer) => format!("flockeye/{swarm}/{observer}/**"),
@@ -31,12 +21,6 @@ pub fn alive_key(swarm: &str, observer: &str) -> String {
     format!("flockeye/{swarm}/{observer}/alive")
 }
 
-/// Key of the liveliness token that says that `observer` publishes [`FrameReport`](super::FrameReport)s,
-/// so that nobody needs to listen to its poses one by one too.
-pub fn frames_token_key(swarm: &str, observer: &str) -> String {
-    format!("flockeye/{swarm}/{observer}/alive/frames")
-}
-
 /// Key expression of all frame reports in `swarm`.
 pub fn all_frames_key(swarm: &str) -> String {
     frame_key(swarm, "*")
@@ -45,11 +29,6 @@ pub fn all_frames_key(swarm: &str) -> String {
 /// Key expression of all liveliness tokens in `swarm`.
 pub fn all_alive_key(swarm: &str) -> String {
     alive_key(swarm, "*")
-}
-
-/// Key expression of the tokens of all that publish frame reports.
-pub fn all_frames_token_key(swarm: &str) -> String {
-    frames_token_key(swarm, "*")
 }
 
 /// Whether `name` can stand in a key: letters, digits, `-`, `_` and `.`, 1 to 31 of them.

@@ -1,32 +1,24 @@
 //! What goes over the network: JSON that any language reads.
 //!
-//! | what | key | schema |
-//! | --- | --- | --- |
-//! | [`FrameReport`]: all targets of a frame | [`frame_key`] | `flockeye.frame/2` |
-//! | [`PoseReport`]: one target, for readers of before | [`pose_key`] | `flockeye.pose/1` |
-//! | [`PoseReport`] of a track that is not confirmed | [`tentative_key`] | `flockeye.pose/1` |
-//!
-//! [`Sighting`] is what both say of one target. `docs/PEERS.md` describes the same for authors of
-//! subscribers, and `docs/schemas/` has the JSON Schemas.
+//! A [`FrameReport`] (`flockeye.frame/2`) has all targets of a frame, under [`frame_key`]. A [`Sighting`] is one of
+//! them with the frame's own fields. `docs/PEERS.md` describes both for authors of subscribers, and `docs/schemas/`
+//! has the JSON Schema.
 
 mod frame_report;
 mod keys;
 mod number;
-mod pose_report;
 #[cfg(test)]
 mod tests;
 
 pub use frame_report::{
-    ClockOffset, Degenerate, FRAME_SCHEMA, FrameReport, MAX_FRAME_REPORT_BYTES, Measurement,
-    Odometry, Predicted, Sighting, TargetReport,
+    ClockOffset, Degenerate, FRAME_SCHEMA, FrameReport, MAX_FRAME_REPORT_BYTES, MAX_TARGET_BYTES,
+    Measurement, Odometry, Predicted, Sighting, TargetReport,
 };
 pub use keys::{
-    MAX_NAME_CHARS, alive_key, all_alive_key, all_frames_key, all_frames_token_key, all_keys,
-    frame_key, frames_token_key, is_name, pose_key, tentative_key,
+    MAX_NAME_CHARS, alive_key, all_alive_key, all_frames_key, all_keys, frame_key, is_name,
 };
-pub use pose_report::{MAX_REPORT_BYTES, POSE_SCHEMA, PoseReport};
 
-/// Most targets that one observer reports on.
+/// Maximum targets of one observer.
 pub const MAX_TARGETS: usize = 64;
 
 /// Why a report from the network was refused.
@@ -78,11 +70,8 @@ pub enum WireError {
 }
 
 /// JSON Schemas of what goes over the network, by the name of the file in `docs/schemas/`.
-pub fn json_schemas() -> [(&'static str, schemars::Schema); 2] {
-    [
-        ("frame-report-2.json", schemars::schema_for!(FrameReport)),
-        ("pose-report-1.json", schemars::schema_for!(PoseReport)),
-    ]
+pub fn json_schemas() -> [(&'static str, schemars::Schema); 1] {
+    [("frame-report-2.json", schemars::schema_for!(FrameReport))]
 }
 
 /// Text from outside, shortened and escaped for a log line.

@@ -56,12 +56,6 @@ pub enum Refusal {
         /// The observer in the report.
         found: String,
     },
-    /// A report on another target.
-    #[error("the report is on '{found}', its key is not")]
-    Target {
-        /// The target in the report.
-        found: String,
-    },
     /// Of another time than now.
     #[error(transparent)]
     NotOfNow(#[from] NotOfNow),
@@ -92,7 +86,7 @@ impl Refusal {
     pub(crate) fn reason(&self) -> &'static str {
         match self {
             Self::Key => "key",
-            Self::Wire(_) | Self::Observer { .. } | Self::Target { .. } => "malformed",
+            Self::Wire(_) | Self::Observer { .. } => "malformed",
             Self::NotOfNow(NotOfNow::Stale { .. }) => "stale",
             Self::NotOfNow(NotOfNow::Future { .. }) => "future",
             Self::NotOfNow(NotOfNow::Replayed { .. }) => "replayed",

@@ -1,9 +1,9 @@
 #![allow(clippy::unwrap_used, clippy::expect_used)]
-use flockeye_contract::wire::{ClockOffset, MAX_REPORT_BYTES, frame_key, pose_key};
+use flockeye_contract::wire::{ClockOffset, MAX_FRAME_REPORT_BYTES, frame_key};
 
 use super::*;
 use crate::freshness::NotOfNow;
-use crate::outbox::tests::{frame_report, report};
+use crate::outbox::tests::frame_report;
 
 fn at(at: Instant, since: Duration, delivery: Delivery) -> Arrival {
     let monotonic_ns = since.as_nanos() as i64;
@@ -17,6 +17,11 @@ fn at(at: Instant, since: Duration, delivery: Delivery) -> Arrival {
 
 fn arrival(now: Instant, delivery: Delivery) -> Arrival {
     at(now, Duration::ZERO, delivery)
+}
+
+/// A report of wren on kite.
+fn report() -> FrameReport {
+    frame_report("wren", &["kite"])
 }
 
 fn take(peers: &mut Peers, key: &str, payload: &[u8], now: Instant) -> Result<(), Refusal> {
@@ -40,8 +45,8 @@ fn the_latest_report_of_each_target_is_kept_with_its_rate() {
     for frame in 0..50 {
         let since = Duration::from_millis(40 * frame);
         let stamp_utc_ns = since.as_nanos() as i64;
-        let json = PoseReport { frame, stamp_utc_ns, ..report("kite") }.to_json().unwrap();
-        let key = pose_key("s", "wren", "kite");
+        let json = FrameReport { frame, stamp_utc_ns, ..report() }.to_json().unwrap();
+        let key = frame_key("s", "wren");
         peers.take(&key, &json, at(start, since, Delivery::Published)).unwrap();
     }
     let kite = &peers.observers["wren"].targets["kite"];
@@ -54,10 +59,10 @@ fn the_latest_report_of_each_target_is_kept_with_its_rate() {
 #[test]
 fn an_answer_never_replaces_what_was_published_after_it() {
     let mut peers = Peers::default();
-    let (key, now) = (pose_key("s", "wren", "kite"), Instant::now());
+    let (key, now) = (frame_key("s", "wren"), Instant::now());
     let mut send = |stamp_utc_ns, delivery| {
         let frame = stamp_utc_ns as u64;
-        let json = PoseReport { stamp_utc_ns, frame, ..report("kite") }.to_json().unwrap();
+        let json = FrameReport { stamp_utc_ns, frame, ..report() }.to_json().unwrap();
         !peers.take(&key, &json, arrival(now, delivery)).unwrap().is_empty()
     };
     assert!(send(5, Delivery::LastValue));
@@ -69,8 +74,8 @@ fn an_answer_never_replaces_what_was_published_after_it() {
 #[test]
 fn what_is_said_twice_is_refused_until_the_drone_comes_back() {
     let mut peers = Peers::default();
-    let (key, now) = (pose_key("s", "wren", "kite"), Instant::now());
-    let json = |stamp_utc_ns| PoseReport { stamp_utc_ns, ..report("kite") }.to_json().unwrap();
+    let (key, now) = (frame_key("s", "wren"), Instant::now());
+    let json = |stamp_utc_ns| FrameReport { stamp_utc_ns, ..report() }.to_json().unwrap();
     take(&mut peers, &key, &json(9), now).unwrap();
     for stamp in [9, 3] {
         let refused = take(&mut peers, &key, &json(stamp), now);
@@ -109,20 +114,20 @@ fn a_frame_brings_all_its_targets_and_what_it_repeats_is_no_news() {
 fn hostile_messages_are_counted_where_they_belong_and_change_nothing_else() {
     let mut peers = Peers::default();
     let now = Instant::now();
-    let good = report("kite").to_json().unwrap();
-    let key = pose_key("s", "wren", "kite");
+    let good = report().to_json().unwrap();
+    let key = frame_key("s", "wren");
     take(&mut peers, &key, &good, now).unwrap();
     let mut refused = |key: &str, payload: &[u8]| {
         take(&mut peers, key, payload, now).expect_err("refused").to_string()
     };
     assert!(refused(&key, b"{").starts_with("not a report"));
-    assert!(refused(&key, &vec![b' '; MAX_REPORT_BYTES + 1]).contains("1201 bytes"));
-    assert!(refused(&pose_key("s", "robin", "kite"), &good).contains("of 'wren'"));
-    assert!(refused(&pose_key("s", "wren", "swift"), &good).contains("on 'kite'"));
-    assert!(refused(&frame_key("s", "wren"), &good).starts_with("not a report"));
-    assert!(refused("flockeye/s/wren/sees/kite", &good).starts_with("no key"));
-    assert!(refused("flockeye/s/wr\u{7}n/sees/kite/pose", &good).starts_with("no key"));
-    assert_eq!((peers.refused, peers.observers["wren"].refused.malformed), (2, 4));
+    assert!(refused(&key, &vec![b' '; MAX_FRAME_REPORT_BYTES + 1]).contains("84993 bytes"));
+    assert!(refused(&frame_key("s", "robin"), &good).contains("of 'wren'"));
+    let other = FrameReport { schema: "flockeye.pose/1".into(), ..report() }.to_json().unwrap();
+    assert!(refused(&key, &other).contains("flockeye.pose/1"));
+    assert!(refused("flockeye/s/wren/sees/kite/pose", &good).starts_with("no key"));
+    assert!(refused("flockeye/s/wr\u{7}n/sees", &good).starts_with("no key"));
+    assert_eq!((peers.refused, peers.observers["wren"].refused.malformed), (2, 3));
     assert_eq!(peers.observers["robin"].refused.total(), 1);
     assert_eq!(peers.observers["wren"].targets["kite"].count, 1);
     assert!(peers.observers["robin"].targets.is_empty());
@@ -133,9 +138,9 @@ fn memory_is_bounded() {
     let mut peers = Peers::default();
     let now = Instant::now();
     for k in 0..MAX_TARGETS + 3 {
-        let report = report(&format!("t{k}"));
-        let key = pose_key("s", "wren", &report.target);
-        let taken = take(&mut peers, &key, &report.to_json().unwrap(), now);
+        let mut report = frame_report("wren", &[format!("t{k}").as_str()]);
+        report.stamp_utc_ns += k as i64;
+        let taken = take(&mut peers, &frame_key("s", "wren"), &report.to_json().unwrap(), now);
         assert_eq!(taken.is_ok(), k < MAX_TARGETS);
     }
     for k in 0..MAX_OBSERVERS + 3 {
@@ -156,9 +161,8 @@ fn alive_says_since_when() {
         let since = peers.observers["wren"].since;
         assert_eq!(since, at(if alive { 1 } else { 3 }));
     }
-    assert_eq!(token_in("flockeye/s/wren/alive"), Some(Token::Alive("wren")));
-    assert_eq!(token_in("flockeye/s/wren/alive/frames"), Some(Token::Frames("wren")));
-    assert_eq!(token_in("flockeye/s/wr n/alive"), None);
+    assert_eq!(alive_in("flockeye/s/wren/alive"), Some("wren"));
+    assert_eq!(alive_in("flockeye/s/wr n/alive"), None);
 }
 
 /// Bytes drawn at random, and reports with bytes changed, cut and swapped: a million of them in all. None
@@ -169,14 +173,14 @@ fn a_million_hostile_payloads_do_no_harm() {
     let mut random = StdRng::seed_from_u64(1);
     let mut peers = Peers::default();
     let now = Instant::now();
-    let keys = [pose_key("s", "wren", "kite"), frame_key("s", "wren"), frame_key("s", "crow")];
-    let pose = report("kite").to_json().unwrap();
-    let frame = frame_report("wren", &["kite", "swift"]).to_json().unwrap();
+    let keys = [frame_key("s", "wren"), frame_key("s", "crow")];
+    let single = report().to_json().unwrap();
+    let double = frame_report("wren", &["kite", "swift"]).to_json().unwrap();
     let hostile = ["NaN", "1e999", "-1e308", "null", "\"x\"", "[[[[[[[[", "9223372036854775808"];
     let (mut valid, mut arrived) = (0, 0);
     for round in 0..1_000_000u64 {
         let key = &keys[random.random_range(0..keys.len())];
-        let mut bytes = if random.random() { pose.clone() } else { frame.clone() };
+        let mut bytes = if random.random() { single.clone() } else { double.clone() };
         match random.random_range(0..4) {
             0 => bytes.truncate(random.random_range(0..bytes.len())),
             1 => (0..3).for_each(|_| {
@@ -195,9 +199,9 @@ fn a_million_hostile_payloads_do_no_harm() {
         if round % 1_000 == 999 {
             valid += 1;
             let stamp_utc_ns = 1_700_000_000_000_000_000 + 1_000 * round as i64;
-            let good =
-                PoseReport { frame: round, stamp_utc_ns, ..report("robin") }.to_json().unwrap();
-            let key = pose_key("s", "finch", "robin");
+            let robin = frame_report("finch", &["robin"]);
+            let good = FrameReport { frame: round, stamp_utc_ns, ..robin }.to_json().unwrap();
+            let key = frame_key("s", "finch");
             let taken = peers.take(&key, &good, at(now, since, Delivery::Published));
             arrived += taken.map_or(0, |taken| taken.len());
         }
