@@ -4,7 +4,6 @@ use flockeye_contract as contract;
 use flockeye_contract::{Projection, Range, Transfer, ViewHeader};
 use flockeye_geometry::camera::{Camera, CameraModel};
 use flockeye_geometry::search;
-use flockeye_geometry::swarm::Way;
 use flockeye_imaging::light::{CodeRange, TransferCurve};
 
 /// The contract's code of a camera's model.
@@ -63,26 +62,6 @@ pub fn purpose_of(view: &ViewHeader) -> Option<search::Purpose> {
         }
         contract::ViewKind::Gaze => Some(search::Purpose::Gaze(view.target as usize)),
         contract::ViewKind::Proposal => Some(search::Purpose::Proposal),
-    }
-}
-
-/// The contract's code of how a drone's place is known.
-pub fn swarm_way(way: Way) -> contract::SwarmWay {
-    match way {
-        Way::Direct => contract::SwarmWay::Direct,
-        Way::Mutual => contract::SwarmWay::Mutual,
-        Way::Reported => contract::SwarmWay::Reported,
-        Way::Chained => contract::SwarmWay::Chained,
-    }
-}
-
-/// How a drone's place is known, by the contract's code.
-pub fn way_of(way: contract::SwarmWay) -> Way {
-    match way {
-        contract::SwarmWay::Direct => Way::Direct,
-        contract::SwarmWay::Mutual => Way::Mutual,
-        contract::SwarmWay::Reported => Way::Reported,
-        contract::SwarmWay::Chained => Way::Chained,
     }
 }
 

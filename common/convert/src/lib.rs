@@ -12,8 +12,7 @@ mod turn;
 mod view;
 
 pub use codes::{
-    code_range, projection_of, purpose_of, search_code, search_of, stop_rule, swarm_way,
-    transfer_curve, way_of,
+    code_range, projection_of, purpose_of, search_code, search_of, stop_rule, transfer_curve,
 };
 pub use imu::rate_sample;
 pub use pose::{isometry, matrix6, pose, rotation, row_major, symmetric6, upper_triangle, xyzw};

@@ -29,7 +29,6 @@ pub mod partition;
 pub mod pose;
 pub mod search;
 pub mod statistics;
-pub mod swarm;
 pub mod view;
 
 /// A unit direction. What it is relative to is said by the name of the variable that holds it.

@@ -166,11 +166,8 @@ impl Sender {
     fn serve(&self, session: &Session) -> zenoh::Result<()> {
         let key = frame_key(&self.swarm, &self.observer);
         // Drones that join later query when they see the token, so the queryable is declared first.
-        let answerer = Answerer {
-            key: key.clone(),
-            outbox: self.outbox.clone(),
-            member: self.member.clone(),
-        };
+        let answerer =
+            Answerer { key: key.clone(), outbox: self.outbox.clone(), member: self.member.clone() };
         let _last_value = session
             .declare_queryable(&key)
             .callback(move |query| answerer.answer(&query))
@@ -226,9 +223,10 @@ impl Answerer {
         let Some(report) = self.outbox.last_value() else { return };
         let key = self.key.as_str();
         let sent = report.encode(Instant::now()).map_err(zenoh::Error::from).and_then(|json| {
-            let seal = self.member.as_ref().zip(challenge_in(query)).map(|(member, challenge)| {
-                member.seal(&Said { key, challenge, payload: &json }, true)
-            });
+            let seal: Option<Vec<u8>> =
+                self.member.as_ref().zip(challenge_in(query)).map(|(member, challenge)| {
+                    member.seal(&Said { key, challenge, payload: &json }, true)
+                });
             query.reply(key, json).encoding(Encoding::APPLICATION_JSON).attachment(seal).wait()
         });
         if let Err(error) = sent {

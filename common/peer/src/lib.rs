@@ -53,10 +53,11 @@
 
 mod client;
 mod report;
+mod swarm;
 mod view;
 
 pub use client::{Client, Reports};
-pub use flockeye_geometry::swarm::{Place, UncertainPose, Way};
 pub use flockeye_network::NetworkError;
 pub use report::PeerReport;
+pub use swarm::{Place, UncertainPose};
 pub use view::SwarmView;

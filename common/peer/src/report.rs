@@ -5,9 +5,10 @@ use std::time::Duration;
 use flockeye_contract::wire::{Degenerate, Sighting, TargetReport};
 use flockeye_contract::{FrameStamp, MeasuredBy, Pose, Track, TrackState};
 use flockeye_convert::{isometry, matrix6, symmetric6};
-use flockeye_geometry::swarm::UncertainPose;
 use flockeye_network::Heard;
 use nalgebra::Vector3;
+
+use crate::swarm::UncertainPose;
 
 /// Where one drone sees another, of a report that passed all checks.
 #[derive(Debug, Clone, PartialEq)]

@@ -2,10 +2,10 @@
 
 use flockeye_contract::TrackState;
 use flockeye_geometry::ego_rotation::{CameraTurn, EgoRotation};
-use flockeye_geometry::swarm::{Place, Seen, SwarmEstimator, SwarmModel};
 use flockeye_network::monotonic_now_ns;
 
 use crate::report::PeerReport;
+use crate::swarm::{Observation, Place, SwarmEstimator, SwarmModel};
 
 /// How long a drone's own rotation is kept, seconds: longer than reports are under way.
 const ROTATION_KEPT_S: f64 = 2.0;
@@ -44,7 +44,7 @@ impl SwarmView {
             TrackState::Lost => self.estimator.lose(&report.observer, &report.target),
             TrackState::Tentative => {}
             TrackState::Confirmed | TrackState::Coasting | TrackState::Measured => {
-                let seen = Seen {
+                let seen = Observation {
                     observer: &report.observer,
                     target: &report.target,
                     at_s: report.exposure_monotonic_ns as f64 * 1e-9,

@@ -1,7 +1,7 @@
 //! Where all drones are from here: between messages, reports and the estimator.
 
 use flockeye_contract::{FrameStamp, PeerSighting, Rotation, SwarmPose, Track};
-use flockeye_convert::{camera_turn, pose, row_major, swarm_way};
+use flockeye_convert::{camera_turn, pose, row_major};
 use flockeye_peer::{PeerReport, Place, SwarmView};
 use nalgebra::UnitQuaternion;
 
@@ -81,7 +81,7 @@ fn swarm_pose(place: &Place) -> SwarmPose {
         seen_ns: (place.seen_s * 1e9) as i64,
         name: place.name.as_str().into(),
         through: place.through.as_deref().unwrap_or_default().into(),
-        way: swarm_way(place.way).code(),
+        way: place.way.code(),
         pairs: place.pairs as u32,
     }
 }

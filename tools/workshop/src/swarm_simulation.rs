@@ -20,7 +20,7 @@ use anyhow::ensure;
 use clap::Args;
 use flockeye_cli::text_table::TextTable;
 use flockeye_cli::{Configuration, Screen, duration, signals};
-use flockeye_peer::Way;
+use flockeye_contract::SwarmWay;
 use flockeye_runtime::clock;
 use flockeye_runtime::instance::Instance;
 
@@ -198,9 +198,6 @@ fn pipelines(arguments: &SimArguments) -> anyhow::Result<Vec<(String, Vec<OsStri
     Ok(pipelines)
 }
 
-/// All ways in which a drone can be known.
-const WAYS: [Way; 4] = [Way::Direct, Way::Mutual, Way::Reported, Way::Chained];
-
 /// What was heard so far.
 #[derive(Debug, Default)]
 struct Swarm {
@@ -238,11 +235,11 @@ impl Swarm {
     /// How many know others, and how, by now.
     fn counts(&self) -> String {
         let claims = || self.newest.values().flatten();
-        let counts = WAYS.map(|way| {
+        let counts = SwarmWay::ALL.iter().map(|&way| {
             let count = claims().filter(|claim| claim.way == way).count();
             format!("{count} {}", way.name())
         });
-        counts.join(", ")
+        counts.collect::<Vec<_>>().join(", ")
     }
 
     /// Who has whom in which way, and how good that was so far.
@@ -254,7 +251,9 @@ impl Swarm {
                 let is_so = |claim: &&Claim| claim.way == way;
                 claims.iter().filter(is_so).count().to_string()
             };
-            table.row(std::iter::once(from.clone()).chain(WAYS.map(count)));
+            table.row(
+                std::iter::once(from.clone()).chain(SwarmWay::ALL.iter().map(|&way| count(way))),
+            );
         }
         format!("{}\n\n{}", table.text(), self.score.report())
     }

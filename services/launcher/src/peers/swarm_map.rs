@@ -50,7 +50,8 @@ pub(crate) fn map(own: &str, places: &[Place]) -> String {
 
 #[cfg(test)]
 mod tests {
-    use flockeye_peer::{UncertainPose, Way};
+    use flockeye_contract::SwarmWay;
+    use flockeye_peer::UncertainPose;
     use nalgebra::{Isometry3, Matrix6};
 
     use super::*;
@@ -60,7 +61,7 @@ mod tests {
         Place {
             name: name.into(),
             own_from_drone: UncertainPose { a_from_b, covariance: Matrix6::identity() },
-            way: Way::Direct,
+            way: SwarmWay::Direct,
             through: None,
             seen_s: 0.0,
             pairs: 1,

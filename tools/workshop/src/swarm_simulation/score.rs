@@ -7,9 +7,10 @@ use std::collections::{BTreeMap, VecDeque};
 use std::fmt;
 
 use flockeye_cli::text_table::TextTable;
+use flockeye_contract::SwarmWay;
 use flockeye_geometry::filter::chi_square_quantile;
 use flockeye_geometry::statistics::{mean, median, quantile};
-use flockeye_peer::{UncertainPose, Way};
+use flockeye_peer::UncertainPose;
 use nalgebra::Isometry3;
 use serde::Serialize;
 
@@ -29,7 +30,7 @@ pub(crate) struct Claim {
     /// The instant that it holds for, CLOCK_MONOTONIC, nanoseconds.
     pub at_ns: i64,
     /// How it is known.
-    pub way: Way,
+    pub way: SwarmWay,
     /// The pose of `to` in the frame of `from`.
     pub pose: UncertainPose,
     /// The same by the sightings of `from` alone, where it has any.
@@ -70,7 +71,7 @@ struct Clocks {
 pub(crate) struct Score {
     truths: BTreeMap<Pair, VecDeque<(i64, Isometry3<f64>)>>,
     waiting: VecDeque<Claim>,
-    errors: BTreeMap<Way, Vec<PoseError>>,
+    errors: BTreeMap<SwarmWay, Vec<PoseError>>,
     /// Of those that are known mutually and alone: mutual, then alone.
     both: [Vec<PoseError>; 2],
     clocks: Clocks,
@@ -140,7 +141,7 @@ impl Score {
             };
             let error = PoseError::of(&claim.pose, &truth);
             self.errors.entry(claim.way).or_default().push(error);
-            if let (Way::Mutual, Some(alone)) = (claim.way, &claim.alone) {
+            if let (SwarmWay::Mutual, Some(alone)) = (claim.way, &claim.alone) {
                 self.both[0].push(error);
                 self.both[1].push(PoseError::of(alone, &truth));
             }
@@ -352,7 +353,7 @@ mod tests {
         UncertainPose { a_from_b: at(x, 0.0), covariance: Matrix6::identity() * 1e-6 }
     }
 
-    fn claim(at_ns: i64, way: Way, x: f64) -> Claim {
+    fn claim(at_ns: i64, way: SwarmWay, x: f64) -> Claim {
         Claim { from: "a".into(), to: "b".into(), at_ns, way, pose: pose(x), alone: None }
     }
 
@@ -362,7 +363,7 @@ mod tests {
         score.truth("a", "b", 0, at(1.0, -0.1));
         // Half way between: at 1.5 m, turned by nothing.
         let alone = Some(pose(1.498));
-        score.claim(Claim { alone, ..claim(50 * MS, Way::Mutual, 1.501) });
+        score.claim(Claim { alone, ..claim(50 * MS, SwarmWay::Mutual, 1.501) });
         score.settle();
         assert_eq!(score.report().ways.len(), 0, "what is true then is not known yet");
         score.truth("a", "b", 100 * MS, at(2.0, 0.1));
@@ -384,9 +385,9 @@ mod tests {
         score.truth("a", "b", 0, at(1.0, 0.0));
         score.truth("a", "b", 900 * MS, at(1.0, 0.0));
         for at_ns in [-5 * MS, 400 * MS] {
-            score.claim(claim(at_ns, Way::Direct, 1.0));
+            score.claim(claim(at_ns, SwarmWay::Direct, 1.0));
         }
-        score.claim(Claim { to: "nobody".into(), ..claim(0, Way::Direct, 1.0) });
+        score.claim(Claim { to: "nobody".into(), ..claim(0, SwarmWay::Direct, 1.0) });
         score.settle();
         let nothing =
             SwarmReport { ways: BTreeMap::new(), mutual: None, clocks: None, reports_ms: None };

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use flockeye_cli::running::{Attached, PipelineChoice, attach};
 use flockeye_contract::{Peers, Rotations, SwarmPose, SwarmWay, Swarms, Tracks, Truths};
-use flockeye_convert::{camera_turn, isometry, matrix6, way_of};
+use flockeye_convert::{camera_turn, isometry, matrix6};
 use flockeye_peer::{PeerReport, SwarmView, UncertainPose};
 use flockeye_runtime::instance::Instance;
 use flockeye_runtime::ports::{Ports, Subscriber};
@@ -193,7 +193,7 @@ fn claims(from: &str, at_ns: i64, poses: &[SwarmPose], alone: &mut SwarmView) ->
         Some(Claim {
             from: from.to_owned(),
             at_ns,
-            way: way_of(SwarmWay::try_from(place.way).ok()?),
+            way: SwarmWay::try_from(place.way).ok()?,
             pose: UncertainPose { a_from_b, covariance: matrix6(&place.covariance) },
             alone,
             to,

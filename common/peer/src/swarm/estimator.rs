@@ -2,18 +2,18 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use flockeye_contract::SwarmWay;
+use flockeye_geometry::ego_rotation::EgoRotation;
+use flockeye_geometry::filter::{MotionModel, Prediction};
 use nalgebra::{Matrix6, Vector3, Vector6};
-
-use crate::ego_rotation::EgoRotation;
-use crate::filter::{MotionModel, Prediction};
 
 use super::graph::{Edge, solve};
 use super::honesty::contradicting;
-use super::replay::{Measured, Replay};
+use super::replay::{Replay, TimedPose};
 use super::uncertain_pose::UncertainPose;
 
-/// Most drones, oneself included.
-pub const MOST_DRONES: usize = 64;
+/// Maximum drones, this one included.
+pub(crate) const MOST_DRONES: usize = 64;
 /// A pair that nobody has measured for this long says nothing any more, seconds.
 const FORGOTTEN_S: f64 = 1.0;
 /// Deviation of a velocity in a report that has no measurements, m/s and rad/s: how far the pose may have gone
@@ -47,9 +47,9 @@ impl Default for SwarmModel {
     }
 }
 
-/// What one observer says of one target at one exposure.
+/// Where one observer sees one target at one exposure.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Seen<'n> {
+pub struct Observation<'n> {
     /// Who sees.
     pub observer: &'n str,
     /// Whom.
@@ -68,31 +68,6 @@ pub struct Seen<'n> {
     pub measured: Option<UncertainPose>,
 }
 
-/// How a place is known.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Way {
-    /// This drone sees it.
-    Direct,
-    /// Each of the two sees the other.
-    Mutual,
-    /// It sees this drone, and is not seen by it.
-    Reported,
-    /// Through others alone.
-    Chained,
-}
-
-impl Way {
-    /// In one word.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Direct => "direct",
-            Self::Mutual => "mutual",
-            Self::Reported => "reported",
-            Self::Chained => "chained",
-        }
-    }
-}
-
 /// Where a drone is from here.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Place {
@@ -101,7 +76,7 @@ pub struct Place {
     /// Its pose in this drone's frame, and how certain it is.
     pub own_from_drone: UncertainPose,
     /// How it is known.
-    pub way: Way,
+    pub way: SwarmWay,
     /// The drone before it on the best chain, where it is chained.
     pub through: Option<String>,
     /// The newest exposure of the pairs that it rests on, seconds.
@@ -184,7 +159,7 @@ impl SwarmEstimator {
 
     /// Takes in a sighting. `ego` is how this drone turns. One of a drone beyond [`MOST_DRONES`], or with
     /// numbers that are none, is left out.
-    pub fn see(&mut self, seen: &Seen<'_>, ego: &EgoRotation) {
+    pub fn see(&mut self, seen: &Observation<'_>, ego: &EgoRotation) {
         if !seen.filtered.is_usable() || !seen.at_s.is_finite() || seen.observer == seen.target {
             return;
         }
@@ -210,7 +185,7 @@ impl SwarmEstimator {
         let covariance = measured.covariance + shift * shift.transpose();
         let pose = UncertainPose { covariance, ..measured };
         let rotation = |observer| if observer == 0 { ego } else { &self.unknown };
-        direction.replay.add(Measured { at_s: seen.at_s, pose }, rotation(observer));
+        direction.replay.add(TimedPose { at_s: seen.at_s, pose }, rotation(observer));
         if self.doubts.get(&observer).is_some_and(|doubt| doubt.is_left_out) {
             return;
         }
@@ -218,7 +193,7 @@ impl SwarmEstimator {
         let pose = if observer < target { pose } else { pose.inverse() };
         let motion = if pair.0 == 0 { self.model.own } else { self.model.others };
         let replay = self.pairs.entry(pair).or_insert_with(|| Replay::new(motion));
-        replay.add(Measured { at_s: seen.at_s, pose }, rotation(pair.0));
+        replay.add(TimedPose { at_s: seen.at_s, pose }, rotation(pair.0));
     }
 
     /// A track of this drone, or of a peer, is lost: what was seen of it counts no more.
@@ -255,7 +230,7 @@ impl SwarmEstimator {
                 name: self.names[drone].clone()?,
                 own_from_drone: node.pose,
                 way,
-                through: self.names[node.through].clone().filter(|_| way == Way::Chained),
+                through: self.names[node.through].clone().filter(|_| way == SwarmWay::Chained),
                 seen_s: *seen_s,
                 pairs: edges.len(),
             })
@@ -313,15 +288,15 @@ impl SwarmEstimator {
     }
 
     /// How a drone is known.
-    fn way(&self, drone: usize) -> Way {
+    fn way(&self, drone: usize) -> SwarmWay {
         let counts = |observer, target| {
             self.directions.contains_key(&(observer, target)) && !self.is_left_out(observer)
         };
         match (counts(0, drone), counts(drone, 0)) {
-            (true, true) => Way::Mutual,
-            (true, false) => Way::Direct,
-            (false, true) => Way::Reported,
-            (false, false) => Way::Chained,
+            (true, true) => SwarmWay::Mutual,
+            (true, false) => SwarmWay::Direct,
+            (false, true) => SwarmWay::Reported,
+            (false, false) => SwarmWay::Chained,
         }
     }
 

@@ -13,13 +13,14 @@
 //! both filters assume, and covariance intersection combines them. Then each pair is one edge of a graph, so
 //! that a chain and a loop of pairs count each of them once too.
 
-pub mod estimator;
-pub mod graph;
-pub mod honesty;
-pub mod replay;
-pub mod uncertain_pose;
+mod estimator;
+mod graph;
+mod honesty;
+mod replay;
+mod uncertain_pose;
 
-pub use estimator::{Place, Seen, SwarmEstimator, SwarmModel, Way};
+pub use estimator::Place;
+pub(crate) use estimator::{Observation, SwarmEstimator, SwarmModel};
 pub use uncertain_pose::UncertainPose;
 
 #[cfg(test)]

@@ -12,8 +12,8 @@
 
 use std::collections::VecDeque;
 
-use crate::ego_rotation::EgoRotation;
-use crate::filter::{FilterError, MotionModel, Prediction, Track, chi_square_gate};
+use flockeye_geometry::ego_rotation::EgoRotation;
+use flockeye_geometry::filter::{FilterError, MotionModel, Prediction, Track, chi_square_gate};
 
 use super::uncertain_pose::UncertainPose;
 
@@ -33,7 +33,7 @@ const MEMORY_S: f64 = 1.0;
 
 /// A measured pose of one time.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Measured {
+pub struct TimedPose {
     /// When, seconds.
     pub at_s: f64,
     /// What.
@@ -46,7 +46,7 @@ pub struct Replay {
     /// Where the measurements that wait begin.
     filters: [Filter; BRISKNESS.len()],
     /// In the order of their times.
-    waiting: VecDeque<Measured>,
+    waiting: VecDeque<TimedPose>,
 }
 
 /// A filter for one briskness.
@@ -89,7 +89,7 @@ impl Replay {
 
     /// Takes in a measurement, by a first drone that turns as `ego` says. One that is older than all that
     /// is still kept is left out.
-    pub fn add(&mut self, measured: Measured, ego: &EgoRotation) {
+    pub fn add(&mut self, measured: TimedPose, ego: &EgoRotation) {
         if !measured.at_s.is_finite() || !measured.pose.is_usable() {
             return;
         }
@@ -120,8 +120,8 @@ impl Replay {
 
 impl Filter {
     /// Takes a measurement into the track, or begins one with it.
-    fn take(&mut self, measured: &Measured, ego: &EgoRotation) {
-        let Measured { at_s, pose: UncertainPose { a_from_b, covariance } } = measured;
+    fn take(&mut self, measured: &TimedPose, ego: &EgoRotation) {
+        let TimedPose { at_s, pose: UncertainPose { a_from_b, covariance } } = measured;
         let Some(track) = &mut self.track else {
             self.begin(measured);
             return;
@@ -141,7 +141,7 @@ impl Filter {
         }
     }
 
-    fn begin(&mut self, measured: &Measured) {
+    fn begin(&mut self, measured: &TimedPose) {
         self.misses = 0;
         let UncertainPose { a_from_b, covariance } = &measured.pose;
         // Measurements were checked when they came, so they can begin a track.

@@ -1,17 +1,18 @@
 //! Swarms drawn at random: what is estimated, and how certain it claims to be, beside the truth.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
+use flockeye_contract::SwarmWay;
 use nalgebra::{Isometry3, Matrix6, Translation3, UnitQuaternion, Vector3, Vector6};
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng, rngs::StdRng};
 use rand_distr::StandardNormal;
 
-use super::estimator::{Seen, SwarmEstimator, SwarmModel, Way};
+use super::estimator::{Observation, SwarmEstimator, SwarmModel};
 use super::graph::{Edge, disturbed, solve};
 use super::honesty::contradicting;
 use super::uncertain_pose::{UncertainPose, difference};
-use crate::ego_rotation::EgoRotation;
-use crate::filter::{MotionModel, chi_square_quantile};
+use flockeye_geometry::ego_rotation::EgoRotation;
+use flockeye_geometry::filter::{MotionModel, chi_square_quantile};
 
 fn normal(random: &mut StdRng) -> f64 {
     random.sample(StandardNormal)
@@ -256,7 +257,7 @@ impl Flight {
             covariance,
         };
         pose.a_from_b.translation.vector.y += lie;
-        let seen = Seen {
+        let seen = Observation {
             observer: NAMES[observer],
             target: NAMES[target],
             at_s: self.now_s,
@@ -293,7 +294,7 @@ fn mutual_and_chained_poses_are_as_certain_as_they_say() {
         }
         let places = both.places(flight.now_s, &nobody);
         for (k, (name, way)) in
-            [("wren", Way::Mutual), ("kite", Way::Chained), ("swift", Way::Reported)]
+            [("wren", SwarmWay::Mutual), ("kite", SwarmWay::Chained), ("swift", SwarmWay::Reported)]
                 .iter()
                 .enumerate()
         {
@@ -331,7 +332,7 @@ fn late_reports_count_as_if_they_had_come_in_time() {
         flight.step();
         let truth = flight.truth(1);
         let pose = UncertainPose { a_from_b: truth, covariance: Matrix6::identity() * 1e-5 };
-        let seen = |observer, target, pose: UncertainPose| Seen {
+        let seen = |observer, target, pose: UncertainPose| Observation {
             observer,
             target,
             at_s: flight.now_s,
@@ -414,7 +415,7 @@ fn names_and_numbers_that_are_none_do_no_harm() {
                 at_s: f64,
                 pose: UncertainPose,
                 estimator: &mut SwarmEstimator| {
-        let seen = Seen {
+        let seen = Observation {
             observer,
             target,
             at_s,

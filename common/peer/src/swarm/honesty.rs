@@ -4,7 +4,7 @@
 //! observer is left out in turn, as in the monitoring of satellites' signals (RAIM; Parkinson and Axelrad,
 //! 1988): whoever's sightings make more of the misfit than chance can is wrong, the worst first.
 
-use crate::filter::chi_square_quantile;
+use flockeye_geometry::filter::chi_square_quantile;
 
 use super::graph::{Edge, solve};
 
