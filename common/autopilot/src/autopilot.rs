@@ -17,7 +17,7 @@ use crate::error::AutopilotError;
 use crate::link::{self, LineReader, LineWriter};
 use crate::messages::WireClock;
 use crate::neighbour::NeighbourState;
-use crate::odometry::OdometryAt;
+use crate::odometry::OdometryState;
 use crate::parameters::AutopilotParameters;
 use crate::timesync::TimeOffset;
 use flockeye_runtime::lock::lock;
@@ -113,10 +113,9 @@ impl Autopilot {
         Ok(())
     }
 
-    /// How this drone moved at an instant of CLOCK_MONOTONIC, nanoseconds; none outside the last two seconds, where
-    /// the autopilot does not tell, and before it has told.
-    pub fn odometry_at(&self, exposure_monotonic_ns: i64) -> Option<OdometryAt> {
-        lock(&self.shared.core).odometry_at(exposure_monotonic_ns)
+    /// How this drone moves by the autopilot's newest estimate; each once.
+    pub fn take_odometry(&self) -> Option<OdometryState> {
+        lock(&self.shared.core).take_odometry()
     }
 
     /// What is known of the line.

@@ -13,7 +13,7 @@ use crate::messages::{
 };
 use crate::neighbour::NeighbourState;
 use crate::neighbours::Neighbours;
-use crate::odometry::{Odometry, OdometryAt};
+use crate::odometry::{Odometry, OdometryState};
 use crate::pace::Pace;
 use crate::parameters::AutopilotParameters;
 use crate::timesync::{TimeOffset, Timesync};
@@ -121,14 +121,14 @@ impl Core {
             self.questions.push_back(time.clone());
         } else if self.timesync.on_answer(time.tc1, time.ts1, arrived_ns) {
             // The autopilot started again, and where it began is another place.
-            self.odometry = Odometry::default();
+            self.odometry.restart();
         }
     }
 
     /// The line was opened again: another autopilot may be at its end.
     pub fn on_line(&mut self) {
         self.timesync = Timesync::default();
-        self.odometry = Odometry::default();
+        self.odometry.restart();
         self.questions.clear();
         self.time_due_ns = i64::MIN;
         self.heard_ns = None;
@@ -239,9 +239,9 @@ impl Core {
         self.timesync.offset(now_ns)
     }
 
-    /// How the drone moved at this instant of CLOCK_MONOTONIC; see [`Odometry::at`].
-    pub fn odometry_at(&self, monotonic_ns: i64) -> Option<OdometryAt> {
-        self.odometry.at(monotonic_ns)
+    /// How the drone moves by the newest estimate; each once ([`Odometry::take_newest`]).
+    pub fn take_odometry(&mut self) -> Option<OdometryState> {
+        self.odometry.take_newest()
     }
 }
 

@@ -17,8 +17,8 @@
 //!     exposure_monotonic_ns,
 //!     is_lost: false,
 //! })?;
-//! if let Some(odometry) = autopilot.odometry_at(exposure_monotonic_ns) {
-//!     println!("seen from {}", odometry.odom_from_base);
+//! if let Some(state) = autopilot.take_odometry() {
+//!     println!("the drone is at {}", state.odometry.odom_from_base);
 //! }
 //! # Ok::<(), flockeye_autopilot::AutopilotError>(())
 //! ```
@@ -31,7 +31,7 @@
 //! | [`core`] | what is sent when, and what comes of what is heard; without line, thread and clock |
 //! | [`messages`] | states as MAVLink messages |
 //! | [`timesync`] | the autopilot's clock |
-//! | [`odometry`] | how the drone moved at an instant |
+//! | [`odometry`] | how the drone moves |
 //! | [`neighbours`] | the newest state of each neighbour |
 //! | [`pace`] | rates that are held |
 //! | [`axes`] | between the axes of MAVLink and REP-103 |
@@ -56,6 +56,6 @@ mod parameters;
 pub use autopilot::{Autopilot, AutopilotStatus};
 pub use error::AutopilotError;
 pub use neighbour::NeighbourState;
-pub use odometry::{OdometryAt, OdometryFrame};
+pub use odometry::{OdometryAt, OdometryFrame, OdometryState};
 pub use parameters::{AutopilotParameters, Rates};
 pub use timesync::TimeOffset;

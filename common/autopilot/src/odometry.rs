@@ -1,31 +1,36 @@
-//! How the drone itself moves, from the autopilot, at any instant of the last two seconds. It reads no clock.
+//! How the drone itself moves, by the autopilot. It reads no clock.
 
 mod heard;
 mod instant;
-mod ring;
 
+use flockeye_geometry::timeline::{Interpolate, Timeline};
 use mavlink::dialects::development::MavMessage;
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 
 use crate::timesync::TimeOffset;
 use heard::{AttitudeSample, PositionSample, from_attitude, from_odometry, from_position};
-pub use instant::{OdometryAt, OdometryFrame};
-use ring::{Interpolate, Ring};
+pub use instant::{OdometryAt, OdometryFrame, OdometryState};
 
 /// A message does not take longer than this from its stamp to us, nanoseconds; one that seems to has a stamp of
 /// another clock.
 const LONGEST_WAY_NS: i64 = 1_000_000_000;
 /// A message may seem to come so much before its stamp, nanoseconds, because clocks are known so well only.
 const EARLIEST_NS: i64 = 20_000_000;
+/// Position and attitude stand in for `ODOMETRY` where that has not come for so long, nanoseconds.
+const MISSING_NS: i64 = 500_000_000;
 
 /// The odometry of the last two seconds.
 #[derive(Debug, Default)]
 pub struct Odometry {
-    whole: Ring<OdometryAt>,
-    positions: Ring<PositionSample>,
-    attitudes: Ring<AttitudeSample>,
-    /// Of `ODOMETRY`: changes where the autopilot's estimate has leapt.
+    whole: Timeline<OdometryAt>,
+    positions: Timeline<PositionSample>,
+    attitudes: Timeline<AttitudeSample>,
+    /// The reset counter of `ODOMETRY`: it changes where the autopilot's estimate has leapt.
     resets: Option<u8>,
+    /// Rises where the estimate leaps.
+    epoch: u32,
+    /// The state that was taken last: its time, and whether `ODOMETRY` gave it.
+    taken: Option<(i64, bool)>,
 }
 
 impl Odometry {
@@ -43,9 +48,10 @@ impl Odometry {
                 let Some(sample) = from_odometry(odometry) else { return };
                 let is_reset = self.resets.replace(odometry.reset_counter);
                 let is_other_frame =
-                    self.whole.newest().is_some_and(|newest| newest.frame != sample.frame);
+                    self.whole.newest().is_some_and(|(_, newest)| newest.frame != sample.frame);
                 if is_reset.is_some_and(|last| last != odometry.reset_counter) || is_other_frame {
                     self.whole.clear();
+                    self.epoch = self.epoch.wrapping_add(1);
                 }
                 let stamp_ns =
                     i64::try_from(odometry.time_usec).ok().and_then(|us| us.checked_mul(1000));
@@ -65,28 +71,55 @@ impl Odometry {
         }
     }
 
-    /// The odometry at this instant of CLOCK_MONOTONIC; none outside the last two seconds, before the newest
-    /// sample has come, and in gaps of more than half a second.
-    pub fn at(&self, monotonic_ns: i64) -> Option<OdometryAt> {
-        self.whole.at(monotonic_ns).or_else(|| {
-            let position = self.positions.at(monotonic_ns)?;
-            let attitude = self.attitudes.at(monotonic_ns)?;
-            let enu_from_base = attitude.enu_from_base;
-            Some(OdometryAt {
-                odom_from_base: Isometry3::from_parts(
-                    position.position_enu_m.into(),
-                    enu_from_base,
-                ),
-                frame: OdometryFrame::Enu,
-                covariance: None,
-                linear_velocity_m_s: enu_from_base.inverse() * position.velocity_enu_m_s,
-                angular_velocity_rad_s: attitude.angular_velocity_rad_s,
-            })
-        })
+    /// Forgets everything: another autopilot speaks, or the same one has started again.
+    pub fn restart(&mut self) {
+        let epoch = self.epoch.wrapping_add(1);
+        *self = Self { epoch, taken: self.taken, ..Self::default() };
     }
 
-    /// The attitude at this instant of CLOCK_MONOTONIC in ENU axes; none as in [`Self::at`], and where the
-    /// autopilot does not know north.
+    /// The newest state, once.
+    pub fn take_newest(&mut self) -> Option<OdometryState> {
+        let whole = self.whole.newest().map(|(at_ns, odometry)| (*at_ns, *odometry));
+        let parts = self.newest_parts();
+        let is_missing = |at_ns: i64| {
+            parts.is_some_and(|(newest_ns, _)| newest_ns.saturating_sub(at_ns) > MISSING_NS)
+        };
+        let whole = whole.filter(|(at_ns, _)| !is_missing(*at_ns));
+        let is_whole = whole.is_some();
+        let (at_ns, odometry) = whole.or(parts)?;
+        match self.taken {
+            Some((taken_ns, was_whole)) if was_whole == is_whole => {
+                if at_ns <= taken_ns {
+                    return None;
+                }
+            }
+            // The two have different origins.
+            Some(_) => self.epoch = self.epoch.wrapping_add(1),
+            None => {}
+        }
+        self.taken = Some((at_ns, is_whole));
+        Some(OdometryState { at_ns, epoch: self.epoch, odometry })
+    }
+
+    /// The newest state of `LOCAL_POSITION_NED` and `ATTITUDE_QUATERNION`.
+    fn newest_parts(&self) -> Option<(i64, OdometryAt)> {
+        let (position_ns, _) = self.positions.newest()?;
+        let (attitude_ns, _) = self.attitudes.newest()?;
+        let at_ns = *position_ns.min(attitude_ns);
+        let (position, attitude) = (self.positions.at(at_ns)?, self.attitudes.at(at_ns)?);
+        let enu_from_base = attitude.enu_from_base;
+        let odometry = OdometryAt {
+            odom_from_base: Isometry3::from_parts(position.position_enu_m.into(), enu_from_base),
+            frame: OdometryFrame::Enu,
+            covariance: None,
+            linear_velocity_m_s: enu_from_base.inverse() * position.velocity_enu_m_s,
+            angular_velocity_rad_s: attitude.angular_velocity_rad_s,
+        };
+        Some((at_ns, odometry))
+    }
+
+    /// The attitude at this instant of CLOCK_MONOTONIC in ENU axes; none outside the last two seconds, in gaps of
+    /// more than half a second, and where the autopilot does not know north.
     pub fn enu_from_base_at(&self, monotonic_ns: i64) -> Option<UnitQuaternion<f64>> {
         let whole = self.whole.at(monotonic_ns).filter(|at| at.frame == OdometryFrame::Enu);
         whole
@@ -192,22 +225,30 @@ mod tests {
     }
 
     #[test]
-    fn it_is_interpolated_at_the_instant_of_its_stamp() {
+    fn each_state_is_given_once_at_the_instant_of_its_stamp() {
         let mut odometry = Odometry::default();
+        assert_eq!(odometry.take_newest(), None);
         for time_ms in (0..=1000).step_by(20) {
             // Up to 30 ms late, each differently; stamps make up for it.
             let arrived_ms = 10_000 + time_ms + time_ms % 31;
             let message = MavMessage::ODOMETRY(at(time_ms));
             odometry.on_message(&message, arrived_ms * MS, Some(&CLOCK));
+            let OdometryState { at_ns, epoch, odometry: found } = odometry.take_newest().unwrap();
+            assert_eq!((at_ns, epoch), ((10_000 + time_ms) * MS, 0));
+            assert!((found.odom_from_base.translation.y - time_ms as f64).abs() < 1e-3);
+            let (_, _, yaw) = found.odom_from_base.rotation.euler_angles();
+            // NED's yaw is clockwise from north, ENU's the other way from east.
+            let wanted = std::f64::consts::FRAC_PI_2 - time_ms as f64 * 1e-3;
+            assert!((yaw - wanted).abs() < 1e-5, "{yaw}");
+            assert!(found.covariance.is_some());
+            assert_eq!(odometry.take_newest(), None, "each once");
         }
-        let found = odometry.at(10_513 * MS).unwrap();
-        assert!((found.odom_from_base.translation.y - 513.0).abs() < 1e-3, "{found:?}");
-        let (_, _, yaw) = found.odom_from_base.rotation.euler_angles();
-        // NED's yaw is clockwise from north, ENU's the other way from east.
+        // Between two of them.
+        let attitude = odometry.enu_from_base_at(10_513 * MS).unwrap();
+        let (_, _, yaw) = attitude.euler_angles();
         assert!((yaw - (std::f64::consts::FRAC_PI_2 - 0.513)).abs() < 1e-5, "{yaw}");
-        assert!(found.covariance.is_some());
-        assert_eq!(odometry.at(9_999 * MS), None);
-        assert_eq!(odometry.at(11_001 * MS), None);
+        assert_eq!(odometry.enu_from_base_at(9_999 * MS), None);
+        assert_eq!(odometry.enu_from_base_at(11_001 * MS), None);
     }
 
     #[test]
@@ -216,11 +257,12 @@ mod tests {
         for (time_ms, arrived_ms) in [(0, 500), (20, 520), (40, 540)] {
             odometry.on_message(&MavMessage::ODOMETRY(at(time_ms)), arrived_ms * MS, None);
         }
-        let found = odometry.at(530 * MS).unwrap();
-        assert!((found.odom_from_base.translation.y - 30.0).abs() < 1e-3);
+        let found = odometry.take_newest().unwrap();
+        assert_eq!(found.at_ns, 540 * MS);
+        assert!((found.odometry.odom_from_base.translation.y - 40.0).abs() < 1e-3);
         // A stamp of another clock is none.
         odometry.on_message(&MavMessage::ODOMETRY(at(60)), 560 * MS, Some(&CLOCK));
-        assert!(odometry.at(560 * MS).is_some());
+        assert_eq!(odometry.take_newest().map(|state| state.at_ns), Some(560 * MS));
     }
 
     #[test]
@@ -250,29 +292,33 @@ mod tests {
                 odometry.on_message(&message, arrived_ns, Some(&CLOCK));
             }
         }
-        let found = odometry.at(10_150 * MS).unwrap();
-        assert!((found.odom_from_base.translation.y - 150.0).abs() < 1e-3);
+        let OdometryState { at_ns, epoch, odometry: found } = odometry.take_newest().unwrap();
+        assert_eq!((at_ns, epoch), (10_200 * MS, 0));
+        assert!((found.odom_from_base.translation.y - 200.0).abs() < 1e-3);
         let turned = found.odom_from_base.rotation * found.linear_velocity_m_s;
         assert!((turned - Vector3::y()).norm() < 1e-6, "north at 1 m/s: {turned}");
         assert_eq!(found.covariance, None);
-        assert_eq!(odometry.at(10_003 * MS), None, "no attitude yet");
+        assert_eq!(odometry.enu_from_base_at(10_003 * MS), None, "no attitude yet");
         assert!(odometry.enu_from_base_at(10_205 * MS).is_some(), "that needs no position");
-        // Odometry is better.
-        for time_ms in [140, 160] {
-            let message = MavMessage::ODOMETRY(at(time_ms));
-            odometry.on_message(&message, (10_000 + time_ms) * MS, Some(&CLOCK));
-        }
-        assert!(odometry.at(10_150 * MS).unwrap().covariance.is_some());
+        // Odometry is better, and has another origin.
+        odometry.on_message(&MavMessage::ODOMETRY(at(210)), 10_210 * MS, Some(&CLOCK));
+        let state = odometry.take_newest().unwrap();
+        assert!(state.odometry.covariance.is_some() && state.epoch == 1);
     }
 
     #[test]
-    fn nothing_is_said_across_a_leap_of_the_estimate() {
+    fn a_leap_of_the_estimate_begins_another_epoch() {
         let mut odometry = Odometry::default();
-        for (time_ms, reset_counter) in [(0, 0), (20, 0), (40, 1), (60, 1)] {
+        for (time_ms, reset_counter, epoch) in [(0, 0, 0), (20, 0, 0), (40, 1, 1), (60, 1, 1)] {
             let message = MavMessage::ODOMETRY(ODOMETRY_DATA { reset_counter, ..at(time_ms) });
             odometry.on_message(&message, (10_000 + time_ms) * MS, Some(&CLOCK));
+            assert_eq!(odometry.take_newest().map(|state| state.epoch), Some(epoch));
         }
-        assert_eq!(odometry.at(10_030 * MS), None);
-        assert!(odometry.at(10_050 * MS).is_some());
+        assert_eq!(odometry.enu_from_base_at(10_030 * MS), None);
+        assert!(odometry.enu_from_base_at(10_050 * MS).is_some());
+        odometry.restart();
+        assert_eq!(odometry.take_newest(), None);
+        odometry.on_message(&MavMessage::ODOMETRY(at(80)), 10_080 * MS, Some(&CLOCK));
+        assert_eq!(odometry.take_newest().map(|state| state.epoch), Some(2));
     }
 }

@@ -90,7 +90,7 @@ fn pymavlink_reads_the_messages_and_its_own_are_understood() {
                 autopilot.neighbour(&neighbour("swift", exposure_ns)).unwrap();
                 std::thread::sleep(Duration::from_millis(10));
             }
-            let odometry = autopilot.odometry_at(clock::monotonic_ns() - 200_000_000);
+            let odometry = autopilot.take_odometry().map(|state| state.odometry);
             ((autopilot.status(), odometry), reading.join().unwrap())
         })
     });

@@ -359,34 +359,34 @@ impl Meaning<'_> {
         for (path, endpoints) in lists {
             self.endpoints(path, endpoints, is_secure);
         }
-        let Gateway { mode, listen, connect, ros2, autopilot, .. } = &pipeline.gateway;
+        let Gateway { mode, listen, connect, .. } = &pipeline.gateway;
         self.protection(&pipeline.gateway);
         if *mode == GatewayMode::Client && connect.is_empty() {
             let what = "a client needs a router. Cure: name its endpoint in gateway.connect";
             self.problem("gateway.mode", what.into());
         }
-        if let Some(ros2) = ros2 {
-            self.endpoints("gateway.ros2.connect", &ros2.connect, false);
+        if let Some(ros2) = &pipeline.ros2 {
+            self.endpoints("ros2.connect", &ros2.connect, false);
             if let Some(both) = ros2.connect.iter().find(|router| listen.contains(router)) {
                 let what = format!(
                     "'{both}' is in gateway.listen too: there the router of ROS 2 cannot be. Cure: another port \
                      in gateway.listen"
                 );
-                self.problem("gateway.ros2.connect", what);
+                self.problem("ros2.connect", what);
             }
         }
-        if let Some(autopilot) = autopilot {
+        if let Some(autopilot) = &pipeline.autopilot {
             if let Err(reason) = MavlinkAddress::parse(&autopilot.link) {
-                self.problem("gateway.autopilot.link", format!("'{}' {reason}", autopilot.link));
+                self.problem("autopilot.link", format!("'{}' {reason}", autopilot.link));
             }
             if let Some(target) = &autopilot.target {
-                self.name("gateway.autopilot.target", target);
+                self.name("autopilot.target", target);
             }
             let [near, far] = autopilot.obstacle_range_m;
             // Also false where one of them is no number.
             if !(near >= 0.0 && near < far && far <= 1000.0) {
                 let what = format!("[{near}, {far}] must rise and lie within 0 to 1000");
-                self.problem("gateway.autopilot.obstacle_range_m", what);
+                self.problem("autopilot.obstacle_range_m", what);
             }
             for (key, hz) in [
                 ("target_hz", autopilot.target_hz),
@@ -395,7 +395,7 @@ impl Meaning<'_> {
             ] {
                 if hz != 0.0 && hz < 0.5 {
                     let what = format!("{hz} a second: 0.5 to 100, or 0 for never");
-                    self.problem(&format!("gateway.autopilot.{key}"), what);
+                    self.problem(&format!("autopilot.{key}"), what);
                 }
             }
         }

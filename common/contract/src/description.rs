@@ -9,8 +9,8 @@ use std::mem::{align_of, offset_of, size_of};
 use crate::{
     BodyTruth, Complaint, ComplaintKind, DetectedMarker, DetectionHeader, FrameEnd, FrameHeader,
     FrameStamp, HandOver, HandOverState, Health, ImuHeader, ImuSample, JournalEntry, JournalHeader,
-    JournalKind, MeasuredBy, PacketHeader, PeerHeader, PeerSighting, PixelFormat, PlanHeader,
-    PlannedView, Pose, Projection, Range, Rotation, RotationSource, Search, SearchMode,
+    JournalKind, MeasuredBy, OdometrySample, PacketHeader, PeerHeader, PeerSighting, PixelFormat,
+    PlanHeader, PlannedView, Pose, Projection, Range, Rotation, RotationSource, Search, SearchMode,
     StageLatency, StageState, StopReason, StopRule, SwarmHeader, SwarmPose, SwarmWay, Text, Topic,
     TopicVisitor, Track, TrackHeader, TrackState, Transfer, TruthHeader, VideoCodec, ViewHeader,
     ViewKind, visit_topics,
@@ -144,6 +144,8 @@ types! {
     JournalHeader: first, sequence, generation, is_resumed;
     JournalEntry: at_ns, sequence, epoch, source_generation, kind, generation, view_generation,
         view_index, attempt, worker, tracks, plans;
+    OdometrySample: odom_from_observer, covariance, linear_velocity, angular_velocity, at_ns, epoch,
+        generation;
     PeerHeader: arrived_ns, generation, reserved;
     PeerSighting: observer_from_target, covariance, target_from_observer, inverse_covariance,
         linear_velocity, angular_velocity, exposure_ns, exposure_deviation_ns, frame, observer, target,

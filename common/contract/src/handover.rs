@@ -5,8 +5,8 @@ use iceoryx2::prelude::ZeroCopySend;
 
 use crate::{
     Complaint, ContractError, DetectionHeader, FrameEnd, FrameHeader, FrameOrder, FrameStamp,
-    HandOverState, Health, ImuHeader, JournalHeader, PacketHeader, PeerHeader, PlanHeader,
-    Rotation, StageName, SwarmHeader, Text, TrackHeader, TruthHeader, ViewHeader,
+    HandOverState, Health, ImuHeader, JournalHeader, OdometrySample, PacketHeader, PeerHeader,
+    PlanHeader, Rotation, StageName, SwarmHeader, Text, TrackHeader, TruthHeader, ViewHeader,
 };
 
 /// Header of `handover`. No payload. The launcher sends it while it swaps a stage.
@@ -98,6 +98,7 @@ impl Spoken for Health {}
 impl Spoken for TruthHeader {}
 impl Spoken for HandOver {}
 impl Spoken for Complaint {}
+impl Spoken for OdometrySample {}
 impl Spoken for PeerHeader {}
 impl Spoken for SwarmHeader {}
 

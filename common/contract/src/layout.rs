@@ -5,9 +5,9 @@ use std::mem::{align_of, size_of};
 
 use crate::{
     BodyTruth, Complaint, DetectedMarker, DetectionHeader, FrameEnd, FrameHeader, HandOver, Health,
-    ImuHeader, ImuSample, JournalEntry, JournalHeader, PacketHeader, PeerHeader, PeerSighting,
-    PlanHeader, PlannedView, Rotation, SwarmHeader, SwarmPose, Text, Track, TrackHeader,
-    TruthHeader, ViewHeader,
+    ImuHeader, ImuSample, JournalEntry, JournalHeader, OdometrySample, PacketHeader, PeerHeader,
+    PeerSighting, PlanHeader, PlannedView, Rotation, SwarmHeader, SwarmPose, Text, Track,
+    TrackHeader, TruthHeader, ViewHeader,
 };
 
 #[test]
@@ -43,6 +43,7 @@ fn type_names_are_pinned() {
             Track::type_name(),
             JournalHeader::type_name(),
             JournalEntry::type_name(),
+            OdometrySample::type_name(),
             PeerHeader::type_name(),
             PeerSighting::type_name(),
             SwarmHeader::type_name(),
@@ -70,6 +71,7 @@ fn type_names_are_pinned() {
         "flockeye/Track",
         "flockeye/JournalHeader",
         "flockeye/JournalEntry",
+        "flockeye/OdometrySample",
         "flockeye/PeerHeader",
         "flockeye/PeerSighting",
         "flockeye/SwarmHeader",

@@ -25,6 +25,7 @@ mod imu;
 mod journal;
 #[cfg(test)]
 mod layout;
+mod odometry;
 mod packet;
 mod peer;
 mod plan;
@@ -50,6 +51,7 @@ pub use handover::{HandOver, Speaker, Spoken};
 pub use health::Health;
 pub use imu::{ImuHeader, ImuSample, MAX_IMU_RATE, MAX_IMU_SAMPLES};
 pub use journal::{JournalEntry, JournalHeader, MAX_JOURNAL_ENTRIES};
+pub use odometry::OdometrySample;
 pub use packet::{MAX_PACKET_BYTES, PacketHeader};
 pub use peer::{PeerHeader, PeerSighting, SwarmHeader, SwarmPose};
 pub use plan::{MAX_PLANNED_VIEWS, MAX_VIEW_PX, PlanHeader, PlannedView};
@@ -58,8 +60,8 @@ pub use stage::StageName;
 pub use text::Text;
 pub use topic::{
     CONTRACT_VERSION, Complaints, Detections, FrameEnds, Frames, HandOvers, Healths, Imus,
-    Journals, Packets, Peers, Plans, Rotations, Swarms, TOPICS, Topic, TopicId, TopicInfo,
-    TopicVisitor, Tracks, Truths, VERSION_ATTRIBUTE, Views, visit_topics,
+    Journals, Odometries, Packets, Peers, Plans, Rotations, Swarms, TOPICS, Topic, TopicId,
+    TopicInfo, TopicVisitor, Tracks, Truths, VERSION_ATTRIBUTE, Views, visit_topics,
 };
 pub use track::{FrameEnd, Pose, StageLatency, Track, TrackHeader};
 pub use truth::{BodyTruth, TruthHeader};

@@ -17,13 +17,17 @@ pub enum StageName {
     Detection,
     /// Detections to tracks and plans.
     Fusion,
-    /// Tracks to Zenoh.
+    /// Tracks to the drone's autopilot, and its odometry back.
+    Autopilot,
+    /// Tracks to the swarm over Zenoh, and the peers' reports back.
     Gateway,
+    /// Tracks and peers' sightings to ROS 2.
+    Ros2,
 }
 
 impl StageName {
     /// Every stage, in the order of the dataflow.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 10] = [
         Self::Capture,
         Self::Simulator,
         Self::Inertial,
@@ -31,7 +35,9 @@ impl StageName {
         Self::Rectification,
         Self::Detection,
         Self::Fusion,
+        Self::Autopilot,
         Self::Gateway,
+        Self::Ros2,
     ];
 
     /// Its name in pipeline.yaml, in logs and in [`Health`](crate::Health).
@@ -44,7 +50,9 @@ impl StageName {
             Self::Rectification => "rectification",
             Self::Detection => "detection",
             Self::Fusion => "fusion",
+            Self::Autopilot => "autopilot",
             Self::Gateway => "gateway",
+            Self::Ros2 => "ros2",
         }
     }
 

@@ -7,9 +7,9 @@ use iceoryx2::prelude::ZeroCopySend;
 
 use crate::{
     BodyTruth, Complaint, ContractError, DetectedMarker, DetectionHeader, FrameEnd, FrameHeader,
-    HandOver, Health, ImuHeader, ImuSample, JournalEntry, JournalHeader, PacketHeader, PeerHeader,
-    PeerSighting, PlanHeader, PlannedView, Rotation, Spoken, StageName, SwarmHeader, SwarmPose,
-    Track, TrackHeader, TruthHeader, ViewHeader,
+    HandOver, Health, ImuHeader, ImuSample, JournalEntry, JournalHeader, OdometrySample,
+    PacketHeader, PeerHeader, PeerSighting, PlanHeader, PlannedView, Rotation, Spoken, StageName,
+    SwarmHeader, SwarmPose, Track, TrackHeader, TruthHeader, ViewHeader,
 };
 
 /// Version of everything in this crate. A stage of another version is refused.
@@ -142,30 +142,33 @@ topics! {
     /// Rectification to fusion: no more views of a frame will come.
     FrameEnds = "flockeye/frame_end", FrameEnd, [u8],
         [Rectification] => [Fusion], |header, _items| header.check();
-    /// Fusion to the gateway and to tools: the neighbours' poses.
+    /// Fusion to the gateway, ROS 2, the autopilot and tools: the neighbours' poses.
     Tracks = "flockeye/track", TrackHeader, [Track],
-        [Fusion] => [Gateway], |_header, items| items.iter().try_for_each(Track::check);
+        [Fusion] => [Autopilot, Gateway, Ros2], |_header, items| items.iter().try_for_each(Track::check);
     /// Fusion to whoever wants: what its core heard, in which order and when.
     Journals = "flockeye/journal", JournalHeader, [JournalEntry],
         [Fusion] => [], |header, items| header.check(items);
-    /// Gateway to whoever wants: what peers report.
+    /// Autopilot to the gateway: how the observer moves by its own dead reckoning.
+    Odometries = "flockeye/odometry", OdometrySample, [u8],
+        [Autopilot] => [Gateway], |header, _items| header.check();
+    /// Gateway to ROS 2 and whoever wants: what peers report.
     Peers = "flockeye/peer", PeerHeader, [PeerSighting],
-        [Gateway] => [], |_header, items| items.iter().try_for_each(PeerSighting::check);
+        [Gateway] => [Ros2], |_header, items| items.iter().try_for_each(PeerSighting::check);
     /// Gateway to whoever wants: where all drones of the swarm are from here.
     Swarms = "flockeye/swarm", SwarmHeader, [SwarmPose],
         [Gateway] => [], |_header, items| items.iter().try_for_each(SwarmPose::check);
     /// Every stage to the launcher.
     Healths = "flockeye/health", Health, [u8],
-        [Capture, Simulator, Inertial, Egomotion, Rectification, Detection, Fusion, Gateway] => [], |header, _items| header.check();
+        [Capture, Simulator, Inertial, Egomotion, Rectification, Detection, Fusion, Autopilot, Gateway, Ros2] => [], |header, _items| header.check();
     /// Simulator to evaluation.
     Truths = "flockeye/truth", TruthHeader, [BodyTruth],
         [Simulator] => [], |header, items| header.check(items);
     /// Launcher to every stage: which of two processes of a stage counts.
     HandOvers = "flockeye/handover", HandOver, [u8],
-        [] => [Capture, Simulator, Inertial, Egomotion, Rectification, Detection, Fusion, Gateway], |header, _items| header.check();
+        [] => [Capture, Simulator, Inertial, Egomotion, Rectification, Detection, Fusion, Autopilot, Gateway, Ros2], |header, _items| header.check();
     /// Every stage to the launcher: another process does not do what it owes.
     Complaints = "flockeye/complaint", Complaint, [u8],
-        [Capture, Simulator, Inertial, Egomotion, Rectification, Detection, Fusion, Gateway] => [], |header, _items| header.check();
+        [Capture, Simulator, Inertial, Egomotion, Rectification, Detection, Fusion, Autopilot, Gateway, Ros2] => [], |header, _items| header.check();
 }
 
 #[cfg(test)]

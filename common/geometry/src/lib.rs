@@ -13,6 +13,7 @@
 //! | [`inertial`] | what does an inertial sensor say of that, and how far is it right |
 //! | [`filter`] | where is a neighbour now, and where will it be |
 //! | [`search`] | where to look in the next frame |
+//! | [`timeline`] | what lies between two samples over time |
 //! | [`statistics`] | what are the mean, the median and the quantiles of some values |
 //!
 //! Frames are right-handed; body and camera frames are x forward, y left, z up; a view's frame is
@@ -29,6 +30,7 @@ pub mod partition;
 pub mod pose;
 pub mod search;
 pub mod statistics;
+pub mod timeline;
 pub mod view;
 
 /// A unit direction. What it is relative to is said by the name of the variable that holds it.

@@ -2,6 +2,8 @@
 
 use std::time::Duration;
 
+use flockeye_config::Flow;
+use flockeye_contract::FrameStamp;
 use rustix::time::{ClockId, Timespec, clock_gettime};
 
 /// Nanoseconds of CLOCK_MONOTONIC.
@@ -22,6 +24,15 @@ pub fn utc_ns() -> i64 {
 /// Processor time that this process has used, nanoseconds.
 pub fn processor_ns() -> i64 {
     nanoseconds(clock_gettime(ClockId::ProcessCPUTime))
+}
+
+/// When a frame was exposed, nanoseconds of CLOCK_MONOTONIC. In a lossless run exposures have the recording's clock,
+/// so the publication counts.
+pub fn exposure_ns(stamp: &FrameStamp, flow: Flow) -> i64 {
+    match flow {
+        Flow::Latest => stamp.exposure_ns,
+        Flow::Lossless => stamp.published_ns,
+    }
 }
 
 /// How long it is from `now_ns` to `then_ns`; zero if that has passed.

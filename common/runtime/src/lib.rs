@@ -9,6 +9,7 @@
 //! | [`kept`] | processes that fly on when their launcher dies |
 //! | [`recorders`] | how running recorders are found and asked |
 //! | [`memory`] | how large each topic's shared memory is, and whether it fits |
+//! | [`newest`] | the newest frame of each target |
 //! | [`ports`] | publishers and subscribers of the contract's topics |
 //! | [`listening`] | whose messages count while a stage is swapped, and complaints |
 //! | [`onlooker`] | reading a running pipeline beside its stages |
@@ -42,6 +43,7 @@ pub mod listening;
 pub mod lock;
 pub mod logs;
 pub mod memory;
+pub mod newest;
 pub mod onlooker;
 pub mod ports;
 pub mod recorders;

@@ -177,13 +177,15 @@ fn sizes(topic: TopicId, resolved: &Resolved, largest_view_px: u32) -> Sizes {
             Sizes { subscribers: 6, buffer: records_in_flight(resolved), items: MARKERS, ..usual }
         }
         TopicId::FrameEnds => Sizes { buffer: 16, ..usual },
-        TopicId::Tracks => Sizes { subscribers: 8, items: MAX_TRACKS, ..usual },
+        // Gateway, ROS 2, autopilot, the successor of one of them, the launcher, recorder, viewer, and tools.
+        TopicId::Tracks => Sizes { subscribers: 10, items: MAX_TRACKS, ..usual },
         // Fusion writes one whenever it has nothing left to do: at worst some hundred each second.
         TopicId::Journals => {
             Sizes { subscribers: 3, buffer: 128, items: MAX_JOURNAL_ENTRIES, ..usual }
         }
         // A report may bring more: it comes in several messages then.
-        TopicId::Peers => Sizes { subscribers: 5, buffer: 32, items: MAX_PEER_SIGHTINGS, ..usual },
+        TopicId::Odometries => usual,
+        TopicId::Peers => Sizes { subscribers: 6, buffer: 32, items: MAX_PEER_SIGHTINGS, ..usual },
         TopicId::Swarms => Sizes { subscribers: 5, buffer: 4, items: MAX_SWARM_POSES, ..usual },
         TopicId::Healths => Sizes { subscribers: 8, ..usual },
         TopicId::Truths => Sizes { items: TRUTH_BODIES, ..usual },

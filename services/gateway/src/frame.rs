@@ -10,53 +10,53 @@ use flockeye_contract::{FrameStamp, MeasuredBy, Pose, Track, TrackState};
 use flockeye_convert::{matrix6, upper_triangle};
 use nalgebra::{Matrix3, Vector3};
 
-/// A frame in which nobody is seen is reported this often, nanoseconds.
+/// Time from one report of nobody to the next, nanoseconds.
 const NOBODY_NS: i64 = 1_000_000_000;
-/// So often what is known of the peers' clocks goes along, nanoseconds.
+/// Time from one report with the peers' clocks to the next, nanoseconds.
 const CLOCKS_NS: i64 = 1_000_000_000;
-/// Above this share of the distance a deviation is no small error: what is left out of a covariance, its
-/// square, is 4 %.
+/// Above this share of the distance a deviation is no small error: the square, which a covariance leaves out, is
+/// 4 %.
 const DEGENERATE_SHARE: f64 = 0.2;
-/// The same of a rotation, radians: the sine of a rotation vector's angle is 4 % off there.
+/// Above this deviation, radians, a rotation is no small one: its sine is 4 % off.
 const DEGENERATE_ROTATION: f64 = 0.5;
 
 /// When a frame was exposed, in the world's time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Utc {
+pub(crate) struct Utc {
     /// Nanoseconds since the Unix epoch.
-    pub stamp_ns: i64,
+    pub(crate) stamp_ns: i64,
     /// Whether the clock that says so is synchronised.
-    pub is_synchronised: bool,
+    pub(crate) is_synchronised: bool,
 }
 
 /// Gathers the targets of a frame as they become known.
 ///
-/// Fusion says a pose as soon as it is known, and so do we: the report of a frame goes out with the first of its
-/// targets, and again, whole, with each further one.
+/// Fusion publishes a pose as soon as it is known. So the report of a frame goes out with the first of its targets,
+/// and again, whole, with each further one.
 #[derive(Debug, Default)]
-pub struct Gathering {
+pub(crate) struct Gathering {
     stamp: FrameStamp,
     targets: BTreeMap<u32, TargetReport>,
-    said_ns: i64,
-    clocks_said_ns: i64,
+    reported_ns: i64,
+    clocks_reported_ns: i64,
 }
 
 /// When and by whom a frame is reported.
 #[derive(Debug, Clone)]
-pub struct Head<'h> {
+pub(crate) struct Head<'h> {
     /// The observer's name.
-    pub observer: &'h str,
+    pub(crate) observer: &'h str,
     /// When the frame was exposed.
-    pub utc: Utc,
+    pub(crate) utc: Utc,
     /// From then to now, nanoseconds.
-    pub latency_ns: i64,
+    pub(crate) latency_ns: i64,
     /// Where the observer was then.
-    pub odometry: Option<Odometry>,
+    pub(crate) odometry: Option<Odometry>,
 }
 
 impl Gathering {
-    /// Takes in what a message says of a frame. Whether there is something to report now.
-    pub fn take(
+    /// Takes in tracks of a frame. Returns whether there is something to report now.
+    pub(crate) fn take(
         &mut self,
         stamp: &FrameStamp,
         tracks: &[Track],
@@ -77,23 +77,23 @@ impl Gathering {
                 self.targets.insert(track.target, report);
             }
         }
-        let is_due = is_last && self.targets.is_empty() && now_ns - self.said_ns >= NOBODY_NS;
+        let is_due = is_last && self.targets.is_empty() && now_ns - self.reported_ns >= NOBODY_NS;
         if is_news || is_due {
-            self.said_ns = now_ns;
+            self.reported_ns = now_ns;
         }
         is_news || is_due
     }
 
-    /// The report of the frame as far as it is known. `clocks` is asked when it is time for them.
-    pub fn report(
+    /// The report of the frame as far as it is known. `clocks` is called when it is time for them.
+    pub(crate) fn report(
         &mut self,
         head: Head<'_>,
         now_ns: i64,
         clocks: impl FnOnce() -> BTreeMap<String, ClockOffset>,
     ) -> FrameReport {
-        let is_time = now_ns - self.clocks_said_ns >= CLOCKS_NS;
+        let is_time = now_ns - self.clocks_reported_ns >= CLOCKS_NS;
         if is_time {
-            self.clocks_said_ns = now_ns;
+            self.clocks_reported_ns = now_ns;
         }
         FrameReport {
             schema: FRAME_SCHEMA.into(),
@@ -111,8 +111,8 @@ impl Gathering {
     }
 }
 
-/// What a track says. `None` for one that peers are not told of here: tentative tracks, which may be nobody,
-/// and states that this version does not know.
+/// A track as a report has it. `None` for those that peers do not get: tentative tracks, which may be nobody, and
+/// states that this version does not know.
 fn target_report(track: &Track, stamp: &FrameStamp) -> Option<TargetReport> {
     let state = TrackState::try_from(track.state).ok()?;
     let measured_by = MeasuredBy::try_from(track.measured_by).ok()?;
@@ -150,7 +150,7 @@ fn target_report(track: &Track, stamp: &FrameStamp) -> Option<TargetReport> {
     })
 }
 
-/// The directions in which next to nothing is known.
+/// The directions in which next to nothing is known of a track.
 fn degenerate(track: &Track) -> Option<Degenerate> {
     let covariance = matrix6(&track.covariance);
     let distance = Vector3::from(track.observer_from_target.position).norm();
@@ -248,7 +248,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn a_frame_is_said_at_once_and_again_when_more_is_known() {
+    fn a_frame_is_reported_at_once_and_again_when_more_is_known() {
         let mut gathering = Gathering::default();
         let [kite, swift] = [0, 1].map(|target| Track {
             target,
@@ -270,7 +270,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn seeing_nobody_is_said_once_a_second() {
+    fn seeing_nobody_is_reported_once_a_second() {
         let mut gathering = Gathering::default();
         let said = (1..=90).filter(|&k| {
             let now_ns = 10_000_000_000 + 33_333_333 * k as i64;
@@ -293,7 +293,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn what_is_measured_foreseen_and_unknown_is_said() {
+    fn a_report_has_what_is_measured_foreseen_and_unknown() {
         let mut covariance = [0.0; 36];
         (0..6).for_each(|k| covariance[7 * k] = 1e-4);
         let position = Pose { position: [2.0, 0.0, 0.0], ..Pose::default() };

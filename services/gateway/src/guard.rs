@@ -1,23 +1,23 @@
-//! Strangers who want a link, and the end of the drone's own certificate: said when it matters.
+//! Warnings about links of strangers, and about the end of the drone's own certificate.
 
 use flockeye_network::Network;
 use flockeye_runtime::clock::utc_s;
 use flockeye_runtime::logs::Throttle;
 
-/// Before the certificate's end it is said this often: seconds left.
+/// Seconds left of the certificate at which a warning is logged.
 const REMIND_S: [i64; 4] = [7 * 86_400, 86_400, 3_600, 0];
 
-/// Watches over a link with the swarm.
+/// The warnings that were logged so far.
 #[derive(Debug, Default)]
-pub struct Guard {
+pub(crate) struct Guard {
     refused_links: u64,
     warnings: Throttle,
     reminded: Option<i64>,
 }
 
 impl Guard {
-    /// Looks, and says what is new.
-    pub fn look(&mut self, network: &Network) {
+    /// Logs what is new.
+    pub(crate) fn look(&mut self, network: &Network) {
         let (refused, why) = network.refused_links();
         if refused > self.refused_links
             && let Some(more) = self.warnings.admit()
@@ -58,7 +58,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_end_is_said_once_at_each_limit() {
+    fn the_end_is_warned_of_once_at_each_limit() {
         let mut guard = Guard::default();
         let mut said = Vec::new();
         for left_s in (-12..1_440).rev().map(|k| 600 * k) {

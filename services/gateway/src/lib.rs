@@ -1,25 +1,26 @@
-//! Stage: tracks to Zenoh, and the peers' reports back.
+//! Stage: tracks to the swarm over Zenoh, and the peers' reports back.
 //!
 //! | module | what it does |
 //! | --- | --- |
+//! | [`core`] | what becomes of each message |
 //! | [`frame`] | all targets of a frame as one report |
-//! | [`swarm`] | where all drones are from here, by what peers report too |
-//! | [`pilot`] | what the autopilot is told, and what it says of the drone |
-//! | [`ros`] | what ROS 2 nodes are told |
-//! | [`newest`] | what was said of each neighbour last |
-//! | [`hearsay`] | what the peers say, in words for people |
-//! | [`guard`] | strangers at the door, and the certificate's end |
+//! | [`pace`] | which frames are reported where not all are |
+//! | [`odometry`] | where this drone was at an exposure |
+//! | [`swarm`] | where all drones are from here, by the peers' reports too |
+//! | [`in_words`] | the peers' state in words for people |
+//! | [`guard`] | links of strangers, and the end of the certificate |
+//! | [`link`] | the session |
 //! | [`stage`] | the ports around it |
 
-pub mod frame;
-pub mod guard;
-pub mod hearsay;
-pub mod newest;
-pub mod pace;
-pub mod pilot;
-pub mod ros;
-pub mod stage;
-pub mod swarm;
+mod core;
+mod frame;
+mod guard;
+mod in_words;
+mod link;
+mod odometry;
+mod pace;
+mod stage;
+mod swarm;
 
 /// The gateway stage's process. It is here so that it is compiled once, with the library.
 pub fn main() -> std::process::ExitCode {

@@ -4,14 +4,14 @@ use std::collections::VecDeque;
 
 use flockeye_contract::FrameStamp;
 
-/// Frames that are decided on and of which more may be said.
+/// Maximum decisions that are kept: more tracks of those frames may come.
 const REMEMBERED: usize = 16;
 /// A frame that comes earlier than it is due, by this share of the period, is reported: exposures are not evenly spaced.
 const EARLY: i64 = 4;
 
-/// Decides on each frame once, so that all that is said of it is reported or nothing.
+/// Decides on each frame once, so that it is reported as a whole or not at all.
 #[derive(Debug, Default)]
-pub struct Pace {
+pub(crate) struct Pace {
     /// From report to report, nanoseconds. `None`: each frame is reported.
     period_ns: Option<i64>,
     due_ns: i64,
@@ -19,13 +19,13 @@ pub struct Pace {
 }
 
 impl Pace {
-    /// At most so many frames a second on the average. `None`: all of them.
-    pub fn new(hz: Option<f64>) -> Self {
+    /// A pace of at most `hz` frames a second on the average. `None`: all of them.
+    pub(crate) fn new(hz: Option<f64>) -> Self {
         Self { period_ns: hz.map(|hz| (1e9 / hz) as i64), ..Self::default() }
     }
 
     /// Whether a frame is reported that was exposed then.
-    pub fn admits(&mut self, stamp: &FrameStamp, exposure_ns: i64) -> bool {
+    pub(crate) fn admits(&mut self, stamp: &FrameStamp, exposure_ns: i64) -> bool {
         let Some(period_ns) = self.period_ns else { return true };
         let known = self.decided.iter().find(|(other, _)| other.order() == stamp.order());
         if let Some((_, is_reported)) = known {

@@ -1,4 +1,4 @@
-//! Where all drones are from here: between messages, reports and the estimator.
+//! Where all drones are from here: messages and reports to the estimator, and its poses back.
 
 use flockeye_contract::{FrameStamp, PeerSighting, Rotation, SwarmPose, Track};
 use flockeye_convert::{camera_turn, pose, row_major};
@@ -7,26 +7,26 @@ use nalgebra::UnitQuaternion;
 
 /// What this drone knows of the swarm.
 #[derive(Debug)]
-pub struct Swarm {
+pub(crate) struct Swarm {
     observer_from_camera: UnitQuaternion<f64>,
     view: SwarmView,
 }
 
 impl Swarm {
-    /// Of the drone `own`, whose camera is mounted so.
-    pub fn new(own: &str, observer_from_camera: UnitQuaternion<f64>) -> Self {
+    /// The swarm as the drone `own` has it, whose camera is mounted so.
+    pub(crate) fn new(own: &str, observer_from_camera: UnitQuaternion<f64>) -> Self {
         Self { observer_from_camera, view: SwarmView::from(own) }
     }
 
     /// This drone has turned.
-    pub fn turned(&mut self, message: &Rotation) {
+    pub(crate) fn turned(&mut self, message: &Rotation) {
         if let Some(turn) = camera_turn(message) {
             self.view.turned(&turn.in_frame(&self.observer_from_camera));
         }
     }
 
     /// This drone sees somebody, at an exposure on CLOCK_MONOTONIC.
-    pub fn sees(&mut self, stamp: &FrameStamp, exposure_monotonic_ns: i64, track: &Track) {
+    pub(crate) fn sees(&mut self, stamp: &FrameStamp, exposure_monotonic_ns: i64, track: &Track) {
         let own = self.view.own();
         if let Some(report) = PeerReport::of_track(own, stamp, exposure_monotonic_ns, track) {
             self.view.hear(&report);
@@ -34,24 +34,24 @@ impl Swarm {
     }
 
     /// A peer sees somebody.
-    pub fn hears(&mut self, report: &PeerReport) {
+    pub(crate) fn hears(&mut self, report: &PeerReport) {
         if report.observer != self.view.own() {
             self.view.hear(report);
         }
     }
 
     /// Where all are at `at_ns`, CLOCK_MONOTONIC.
-    pub fn poses(&mut self, at_ns: i64) -> Vec<SwarmPose> {
+    pub(crate) fn poses(&mut self, at_ns: i64) -> Vec<SwarmPose> {
         self.view.places(at_ns).iter().map(swarm_pose).collect()
     }
 
     /// The observers whose reports contradict the others'.
-    pub fn left_out(&self) -> Vec<String> {
+    pub(crate) fn left_out(&self) -> Vec<String> {
         self.view.left_out()
     }
 
     /// A peer's report as the topic `peer` has it.
-    pub fn peer_sighting(&self, report: &PeerReport) -> PeerSighting {
+    pub(crate) fn peer_sighting(&self, report: &PeerReport) -> PeerSighting {
         let seen = report.observer_from_target;
         let inverse = report.target_from_observer();
         PeerSighting {

@@ -25,7 +25,9 @@ fn assert_keeps_the_contract((succeeded, output): (bool, String), least_checks: 
 
 #[test]
 fn our_own_stages_keep_the_contract() {
-    for kind in ["egomotion", "rectification", "detection", "fusion", "gateway"] {
+    for kind in
+        ["egomotion", "rectification", "detection", "fusion", "autopilot", "gateway", "ros2"]
+    {
         assert_keeps_the_contract(test(kind, &["--json"], &[]), 14);
     }
 }

@@ -10,7 +10,7 @@
 //! | [`beside`] | the candidate beside Flockeye's own stage, on a recording |
 //! | [`report`] | what was checked, and what was found |
 //! | [`pictures`] | views with markers, and a sphere whose every ray is known |
-//! | [`source`], [`inertial`], [`egomotion`], [`rectification`], [`detection`], [`fusion`], [`gateway`] | what is sent to each kind, and how the answers must be |
+//! | [`source`], [`inertial`], [`egomotion`], [`rectification`], [`detection`], [`fusion`], [`gateway`], [`outlet`] | what is sent to each kind, and how the answers must be |
 
 mod bench;
 mod beside;
@@ -19,6 +19,7 @@ mod egomotion;
 mod fusion;
 mod gateway;
 mod inertial;
+mod outlet;
 mod pictures;
 mod rectification;
 mod report;
@@ -68,9 +69,13 @@ pub(crate) fn run(arguments: &TestArguments) -> anyhow::Result<()> {
         StageName::Detection => detection::run,
         StageName::Fusion => fusion::run,
         StageName::Gateway => gateway::run,
+        StageName::Autopilot | StageName::Ros2 => outlet::run,
     };
     let name = format!("t{}", std::process::id());
     let mut own = vec![format!("instance={name}")];
+    if stage != StageName::Gateway {
+        own.push("gateway.enabled=false".to_owned());
+    }
     match stage {
         // A swarm of its own: no real peer hears of it.
         StageName::Gateway => own.extend([
@@ -79,7 +84,10 @@ pub(crate) fn run(arguments: &TestArguments) -> anyhow::Result<()> {
             "gateway.scout_interface=null".to_owned(),
             format!("observer.swarm={name}"),
         ]),
-        _ => own.push("gateway.enabled=false".to_owned()),
+        // Nobody is at the other end, so that no real autopilot or node gets what is made up.
+        StageName::Autopilot => own.push(format!("autopilot.link=udpin:{}", free_udp()?)),
+        StageName::Ros2 => own.push(format!("ros2.connect=[tcp/127.0.0.1:{}]", free_port()?)),
+        _ => {}
     }
     let resolved = Resolved::of(arguments.configuration.load_with(&[], &own)?)?;
     if arguments.beside.is_some() {
@@ -118,6 +126,12 @@ pub(crate) fn run(arguments: &TestArguments) -> anyhow::Result<()> {
 fn free_port() -> anyhow::Result<u16> {
     let listener = std::net::TcpListener::bind("127.0.0.1:0").context("no port is free")?;
     Ok(listener.local_addr().context("no port is free")?.port())
+}
+
+/// A UDP address of this machine that nobody has.
+fn free_udp() -> anyhow::Result<std::net::SocketAddr> {
+    let socket = std::net::UdpSocket::bind("127.0.0.1:0").context("no port is free")?;
+    socket.local_addr().context("no port is free")
 }
 
 #[cfg(test)]

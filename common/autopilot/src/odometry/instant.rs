@@ -11,6 +11,17 @@ pub enum OdometryFrame {
     Flu,
 }
 
+/// The autopilot's estimate at an instant.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct OdometryState {
+    /// The instant, CLOCK_MONOTONIC, nanoseconds.
+    pub at_ns: i64,
+    /// Rises where the estimate leaps: the poses of two epochs have different origins.
+    pub epoch: u32,
+    /// The estimate.
+    pub odometry: OdometryAt,
+}
+
 /// How the drone moves at an instant (REP-103, REP-105).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OdometryAt {

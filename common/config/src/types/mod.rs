@@ -7,6 +7,7 @@ use flockeye_geometry::filter::TrackPolicy;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+mod autopilot;
 mod bodies;
 mod camera;
 mod costs;
@@ -17,21 +18,24 @@ mod metrics;
 mod mount;
 mod partition;
 mod recording;
+mod ros2;
 mod search;
 mod simulator;
 mod source;
 mod stages;
 
+pub use autopilot::Autopilot;
 pub use bodies::{BodySet, Preset, PresetBody};
 pub use camera::{Camera, CameraModel, FisheyeLens, Response};
 pub use costs::Costs;
-pub use gateway::{Autopilot, Gateway, GatewayMode, Ros2, Security};
+pub use gateway::{Gateway, GatewayMode, Security};
 pub use inertial::{Inertial, InertialSource};
 pub use mavlink::MavlinkAddress;
 pub use metrics::Metrics;
 pub use mount::Mount;
 pub use partition::{Auto, Count, Method, Partition};
 pub use recording::{RecordedFrames, Recording, RecordingTrigger};
+pub use ros2::Ros2;
 pub use search::{Mode, Search, SearchBudget};
 pub use simulator::{SimulatedInertial, SimulatedSun, SimulatedSwarm, Simulator};
 pub use source::{AtEnd, Source};
@@ -72,6 +76,10 @@ pub struct Pipeline {
     pub fusion: Fusion,
     /// What goes over the network.
     pub gateway: Gateway,
+    /// How ROS 2 gets the neighbours' poses; left out: it does not.
+    pub ros2: Option<Ros2>,
+    /// How the drone's autopilot gets the neighbours' poses; left out: it does not.
+    pub autopilot: Option<Autopilot>,
     /// What is recorded of every flight.
     pub recording: Recording,
     /// What is offered to Prometheus.
@@ -99,6 +107,9 @@ impl Pipeline {
     pub fn runs(&self, stage: StageName) -> bool {
         match stage {
             StageName::Gateway => self.gateway.enabled,
+            // Without a gateway nothing leaves this drone.
+            StageName::Ros2 => self.gateway.enabled && self.ros2.is_some(),
+            StageName::Autopilot => self.gateway.enabled && self.autopilot.is_some(),
             StageName::Egomotion => self.egomotion.enabled && self.fusion.filter != Filter::None,
             // Also where egomotion does not use it: its samples can be recorded.
             StageName::Inertial => {

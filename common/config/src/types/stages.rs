@@ -22,8 +22,12 @@ pub struct Stages {
     pub detection: StageProcess,
     /// Detections to tracks and plans.
     pub fusion: StageProcess,
-    /// Tracks to Zenoh.
+    /// Tracks to the drone's autopilot, and its odometry back.
+    pub autopilot: StageProcess,
+    /// Tracks to the swarm over Zenoh, and the peers' reports back.
     pub gateway: StageProcess,
+    /// Tracks and peers' sightings to ROS 2.
+    pub ros2: StageProcess,
 }
 
 /// How one stage's process is run.
@@ -109,7 +113,9 @@ impl Stages {
             StageName::Rectification => &self.rectification,
             StageName::Detection => &self.detection,
             StageName::Fusion => &self.fusion,
+            StageName::Autopilot => &self.autopilot,
             StageName::Gateway => &self.gateway,
+            StageName::Ros2 => &self.ros2,
         }
     }
 
@@ -143,7 +149,9 @@ impl StageInfo {
             | StageName::Inertial
             | StageName::Rectification
             | StageName::Fusion
-            | StageName::Gateway => Self { replicas: 1, may_have_replicas: false, nice: 0 },
+            | StageName::Autopilot
+            | StageName::Gateway
+            | StageName::Ros2 => Self { replicas: 1, may_have_replicas: false, nice: 0 },
         }
     }
 }

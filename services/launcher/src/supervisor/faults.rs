@@ -33,7 +33,9 @@ fn what_is_left(stage: StageName) -> &'static str {
             "tracked neighbours are measured by their pixels; no other is found"
         }
         StageName::Fusion => "the sphere is swept, and no pose is made of what is found",
-        StageName::Gateway => "poses are made and stay on this drone",
+        StageName::Autopilot => "the autopilot gets no poses, and reports have no odometry",
+        StageName::Gateway => "poses are made, and the swarm does not get them",
+        StageName::Ros2 => "ROS 2 gets no poses",
     }
 }
 

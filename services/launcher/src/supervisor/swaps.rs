@@ -387,7 +387,9 @@ fn own_keys(stage: StageName) -> &'static [&'static str] {
         StageName::Rectification => &["rectification"],
         StageName::Detection => &["detection"],
         StageName::Fusion => &["fusion", "search"],
+        StageName::Autopilot => &["autopilot"],
         StageName::Gateway => &["gateway"],
+        StageName::Ros2 => &["ros2"],
     }
 }
 

@@ -219,6 +219,11 @@ impl Bench {
         runs
     }
 
+    /// Messages that the candidate counts as published, by its newest health.
+    pub(super) fn published(&self) -> Option<u64> {
+        self.newest.map(|health| health.published)
+    }
+
     /// Memory that the candidate holds, megabytes.
     pub(crate) fn resident_mb(&self) -> f64 {
         self.newest.map_or(0.0, |health| health.resident_bytes as f64 / 1e6)

@@ -1,11 +1,11 @@
-//! What the peers say, in words for people.
+//! The state of all peers in words for people.
 
 use std::time::Instant;
 
 use flockeye_network::Peers;
 
-/// Who is there and what they see, for people.
-pub fn in_words(peers: &Peers, own_name: &str, left_out: &[String]) -> String {
+/// Who is there, what they see, and whose messages were refused.
+pub(crate) fn in_words(peers: &Peers, own_name: &str, left_out: &[String]) -> String {
     let now = Instant::now();
     let others = peers.observers.iter().filter(|(name, _)| *name != own_name);
     let mut parts: Vec<String> = others

@@ -1,35 +1,35 @@
-//! Samples of the last two seconds, and what lies between two of them.
+//! Samples of the last two seconds, and the value between two of them.
 
 use std::collections::VecDeque;
 
-/// Samples are kept for so long, nanoseconds.
+/// How long samples are kept, nanoseconds.
 const KEPT_NS: i64 = 2_000_000_000;
-/// The most samples: 500 a second.
+/// Maximum samples: 500 a second.
 const MAX_SAMPLES: usize = 1000;
-/// Nothing is said between samples that are further apart, nanoseconds.
+/// Between samples that are further apart no value is known, nanoseconds.
 const LONGEST_GAP_NS: i64 = 500_000_000;
 
-/// Something of which a value between two others makes sense.
-pub(super) trait Interpolate: Sized {
+/// A value that can be interpolated.
+pub trait Interpolate: Sized {
     /// The value at `share` (0 to 1) of the way to `later`; none where the two do not belong together.
     fn between(&self, later: &Self, share: f64) -> Option<Self>;
 }
 
-/// Samples with rising times. Bounded.
+/// Samples with rising times, at most 1,000 of them.
 #[derive(Debug)]
-pub(super) struct Ring<T> {
+pub struct Timeline<T> {
     samples: VecDeque<(i64, T)>,
 }
 
-impl<T> Default for Ring<T> {
+impl<T> Default for Timeline<T> {
     fn default() -> Self {
         Self { samples: VecDeque::new() }
     }
 }
 
-impl<T: Interpolate> Ring<T> {
+impl<T: Interpolate> Timeline<T> {
     /// Adds a sample of this time, CLOCK_MONOTONIC. One that is not newer than the last is left out.
-    pub(super) fn push(&mut self, at_ns: i64, sample: T) {
+    pub fn push(&mut self, at_ns: i64, sample: T) {
         if self.samples.back().is_some_and(|(last_ns, _)| at_ns <= *last_ns) {
             return;
         }
@@ -40,16 +40,18 @@ impl<T: Interpolate> Ring<T> {
         }
     }
 
-    pub(super) fn newest(&self) -> Option<&T> {
-        self.samples.back().map(|(_, sample)| sample)
+    /// The newest sample and its time.
+    pub fn newest(&self) -> Option<&(i64, T)> {
+        self.samples.back()
     }
 
-    pub(super) fn clear(&mut self) {
+    /// Forgets all samples.
+    pub fn clear(&mut self) {
         self.samples.clear();
     }
 
     /// The value at this time, CLOCK_MONOTONIC; none outside the samples and in a long gap.
-    pub(super) fn at(&self, at_ns: i64) -> Option<T> {
+    pub fn at(&self, at_ns: i64) -> Option<T> {
         let later = self.samples.partition_point(|(time_ns, _)| *time_ns < at_ns);
         let (later_ns, later_sample) = self.samples.get(later)?;
         if *later_ns == at_ns {
@@ -84,34 +86,34 @@ mod tests {
 
     #[test]
     fn values_between_samples_and_none_outside() {
-        let mut ring = Ring::default();
-        assert_eq!(ring.at(0), None);
+        let mut timeline = Timeline::default();
+        assert_eq!(timeline.at(0), None);
         for at_ms in (0..=5000).step_by(10) {
-            ring.push(at_ms * MS, Number(at_ms as f64));
+            timeline.push(at_ms * MS, Number(at_ms as f64));
         }
-        assert_eq!(ring.at(4567 * MS), Some(Number(4567.0)));
-        assert_eq!(ring.at(5000 * MS), Some(Number(5000.0)));
-        assert_eq!(ring.at(3000 * MS), Some(Number(3000.0)), "two seconds are kept");
-        assert_eq!(ring.at(2999 * MS), None);
-        assert_eq!(ring.at(5001 * MS), None, "it does not look ahead");
+        assert_eq!(timeline.at(4567 * MS), Some(Number(4567.0)));
+        assert_eq!(timeline.at(5000 * MS), Some(Number(5000.0)));
+        assert_eq!(timeline.at(3000 * MS), Some(Number(3000.0)), "two seconds are kept");
+        assert_eq!(timeline.at(2999 * MS), None);
+        assert_eq!(timeline.at(5001 * MS), None, "it does not look ahead");
         // A gap.
-        ring.push(5600 * MS, Number(0.0));
-        assert_eq!(ring.at(5300 * MS), None);
-        assert_eq!(ring.at(5600 * MS), Some(Number(0.0)));
+        timeline.push(5600 * MS, Number(0.0));
+        assert_eq!(timeline.at(5300 * MS), None);
+        assert_eq!(timeline.at(5600 * MS), Some(Number(0.0)));
         // What comes late is left out.
-        ring.push(5500 * MS, Number(1.0));
-        assert_eq!(ring.newest(), Some(&Number(0.0)));
+        timeline.push(5500 * MS, Number(1.0));
+        assert_eq!(timeline.newest(), Some(&(5600 * MS, Number(0.0))));
     }
 
     proptest! {
         #[test]
         fn times_of_all_sizes_do_no_harm(times in prop::collection::vec(any::<i64>(), 0..2000)) {
-            let mut ring = Ring::default();
+            let mut timeline = Timeline::default();
             for time in times {
-                ring.push(time, Number(1.0));
-                ring.push(time.saturating_add(1), Number(1.0));
-                ring.at(time.wrapping_add(5));
-                prop_assert!(ring.samples.len() <= MAX_SAMPLES);
+                timeline.push(time, Number(1.0));
+                timeline.push(time.saturating_add(1), Number(1.0));
+                timeline.at(time.wrapping_add(5));
+                prop_assert!(timeline.samples.len() <= MAX_SAMPLES);
             }
         }
     }

@@ -1,0 +1,41 @@
+//! `odometry`: how the observer moves by its autopilot's estimate.
+
+use bytemuck::{Pod, Zeroable};
+use iceoryx2::prelude::ZeroCopySend;
+
+use crate::{ContractError, Pose};
+
+/// Header of `odometry`. No payload. The observer's pose and velocity at one instant.
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[type_name("flockeye/OdometrySample")]
+#[repr(C)]
+pub struct OdometrySample {
+    /// Pose of the observer in a frame that its odometry began with (REP-105's `odom`; z up).
+    pub odom_from_observer: Pose,
+    /// Its covariance, 6x6 row-major: position (m), then rotation vector (rad), both along the axes of `odom`.
+    /// NaN where it is not known.
+    pub covariance: [f64; 36],
+    /// Velocity of the observer along its own axes, m/s.
+    pub linear_velocity: [f64; 3],
+    /// Angular velocity of the observer along its own axes, rad/s.
+    pub angular_velocity: [f64; 3],
+    /// The instant, CLOCK_MONOTONIC, nanoseconds.
+    pub at_ns: i64,
+    /// Rises where the estimate leaps: the poses of two epochs have different origins.
+    pub epoch: u32,
+    /// Rises each time the sender's process is replaced.
+    pub generation: u32,
+}
+
+impl OdometrySample {
+    /// Refuses poses and velocities that are none.
+    pub fn check(&self) -> Result<(), ContractError> {
+        self.odom_from_observer.check()?;
+        let mut velocities = self.linear_velocity.iter().chain(&self.angular_velocity);
+        if velocities.all(|x| x.is_finite()) {
+            Ok(())
+        } else {
+            Err(ContractError::NotFinite { what: "velocity" })
+        }
+    }
+}

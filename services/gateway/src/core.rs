@@ -1,0 +1,219 @@
+//! What becomes of each message: reports for the swarm, and the peers' sightings for the pipeline. It has no
+//! port, no clock and no network.
+
+use std::collections::BTreeMap;
+
+use flockeye_config::Flow;
+use flockeye_contract::wire::{ClockOffset, FrameReport};
+use flockeye_contract::{OdometrySample, PeerSighting, Rotation, SwarmPose, Track, TrackHeader};
+use flockeye_network::Heard;
+use flockeye_peer::PeerReport;
+use flockeye_runtime::clock::exposure_ns;
+use flockeye_runtime::newest::Newest;
+use nalgebra::UnitQuaternion;
+
+use crate::frame::{Gathering, Head, Utc};
+use crate::odometry::OwnOdometry;
+use crate::pace::Pace;
+use crate::swarm::Swarm;
+
+/// One instant on this machine's clocks.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Now {
+    /// CLOCK_MONOTONIC, nanoseconds.
+    pub(crate) monotonic_ns: i64,
+    /// UTC less CLOCK_MONOTONIC, nanoseconds.
+    pub(crate) utc_less_monotonic_ns: i64,
+    /// Whether this machine's UTC is known to be right.
+    pub(crate) is_synchronised: bool,
+}
+
+/// A report, and how long after the exposure it goes out.
+#[derive(Debug, PartialEq)]
+pub(crate) struct DueReport {
+    pub(crate) report: FrameReport,
+    pub(crate) latency_ns: i64,
+}
+
+/// All that the gateway knows.
+#[derive(Debug)]
+pub(crate) struct Core {
+    observer: String,
+    flow: Flow,
+    newest: Newest,
+    pace: Pace,
+    gathering: Gathering,
+    odometry: OwnOdometry,
+    swarm: Swarm,
+}
+
+impl Core {
+    /// The core of the drone `observer`, whose camera is turned by `observer_from_camera`. `report_hz` is
+    /// `gateway.report_hz`.
+    pub(crate) fn new(
+        observer: &str,
+        observer_from_camera: UnitQuaternion<f64>,
+        flow: Flow,
+        report_hz: Option<f64>,
+    ) -> Self {
+        Self {
+            observer: observer.to_owned(),
+            flow,
+            newest: Newest::default(),
+            pace: Pace::new(report_hz),
+            gathering: Gathering::default(),
+            odometry: OwnOdometry::default(),
+            swarm: Swarm::new(observer, observer_from_camera),
+        }
+    }
+
+    /// This drone has turned.
+    pub(crate) fn on_rotation(&mut self, rotation: &Rotation) {
+        self.swarm.turned(rotation);
+    }
+
+    /// The autopilot's estimate of this drone's motion.
+    pub(crate) fn on_odometry(&mut self, sample: &OdometrySample) {
+        self.odometry.add(sample);
+    }
+
+    /// Tracks of a frame. Gives the frame's report where there is news of it for the swarm; `clocks` says how
+    /// the peers' clocks differ.
+    pub(crate) fn on_tracks(
+        &mut self,
+        header: &TrackHeader,
+        tracks: &[Track],
+        now: Now,
+        clocks: impl FnOnce() -> BTreeMap<String, ClockOffset>,
+    ) -> Option<DueReport> {
+        let TrackHeader { stamp, is_last, .. } = header;
+        let exposure_ns = exposure_ns(stamp, self.flow);
+        for track in self.newest.tracks(stamp, tracks) {
+            self.swarm.sees(stamp, exposure_ns, track);
+        }
+        let is_reported = self.pace.admits(stamp, exposure_ns);
+        if !is_reported || !self.gathering.take(stamp, tracks, *is_last != 0, now.monotonic_ns) {
+            return None;
+        }
+        let latency_ns = now.monotonic_ns - exposure_ns;
+        let head = Head {
+            observer: &self.observer,
+            utc: Utc {
+                stamp_ns: exposure_ns.saturating_add(now.utc_less_monotonic_ns),
+                is_synchronised: now.is_synchronised,
+            },
+            latency_ns,
+            odometry: self.odometry.at(exposure_ns),
+        };
+        let report = self.gathering.report(head, now.monotonic_ns, clocks);
+        Some(DueReport { report, latency_ns })
+    }
+
+    /// A peer's sighting. Gives it as the topic `peer` has it; none for this drone's own.
+    pub(crate) fn on_sighting(&mut self, heard: &Heard) -> Option<PeerSighting> {
+        let report = PeerReport::from(heard);
+        (report.observer != self.observer).then(|| {
+            self.swarm.hears(&report);
+            self.swarm.peer_sighting(&report)
+        })
+    }
+
+    /// Where all drones are at an instant of CLOCK_MONOTONIC.
+    pub(crate) fn swarm(&mut self, at_ns: i64) -> Vec<SwarmPose> {
+        self.swarm.poses(at_ns)
+    }
+
+    /// The observers whose reports contradict the others', and are left out.
+    pub(crate) fn left_out(&self) -> Vec<String> {
+        self.swarm.left_out()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use flockeye_contract::{FrameStamp, Pose, TrackState};
+
+    use super::*;
+    use crate::frame::tests::{frame_report, track};
+
+    const NOW: Now =
+        Now { monotonic_ns: 10_000_000_000, utc_less_monotonic_ns: 1_000, is_synchronised: true };
+
+    fn core(report_hz: Option<f64>) -> Core {
+        Core::new("wren", UnitQuaternion::identity(), Flow::Latest, report_hz)
+    }
+
+    fn header(sequence: u64) -> TrackHeader {
+        let exposure_ns = NOW.monotonic_ns - 20_000_000 + 33_000_000 * sequence as i64;
+        let stamp = FrameStamp { sequence, exposure_ns, ..FrameStamp::default() };
+        TrackHeader { stamp, ..TrackHeader::default() }
+    }
+
+    fn take(core: &mut Core, sequence: u64, state: TrackState) -> Option<DueReport> {
+        core.on_tracks(&header(sequence), &[track(state)], NOW, BTreeMap::new)
+    }
+
+    #[test]
+    fn a_track_is_reported_at_once_with_its_exposure_on_both_clocks() {
+        let due = take(&mut core(None), 0, TrackState::Confirmed).unwrap();
+        assert_eq!(due.latency_ns, 20_000_000);
+        let FrameReport { stamp_utc_ns, latency_ms, targets, odometry, .. } = due.report;
+        assert_eq!((stamp_utc_ns, latency_ms), (9_980_001_000, 20.0));
+        assert_eq!((targets.len(), targets[0].name.as_str(), odometry), (1, "kite", None));
+    }
+
+    #[test]
+    fn a_report_says_where_the_drone_was_at_the_exposure() {
+        let mut core = core(None);
+        let exposure_ns = header(0).stamp.exposure_ns;
+        for (after_ms, x) in [(-10, 1.0), (10, 3.0)] {
+            core.on_odometry(&OdometrySample {
+                odom_from_observer: Pose { position: [x, 0.0, 0.0], ..Pose::default() },
+                at_ns: exposure_ns + after_ms * 1_000_000,
+                ..bytemuck::Zeroable::zeroed()
+            });
+        }
+        let due = take(&mut core, 0, TrackState::Confirmed).unwrap();
+        let position = due.report.odometry.map(|odometry| odometry.position[0]);
+        assert!(position.is_some_and(|x| (x - 2.0).abs() < 1e-9), "{position:?}");
+    }
+
+    #[test]
+    fn frames_are_reported_at_the_pace_asked_for_and_tracks_reach_the_estimate_all_the_same() {
+        let mut core = core(Some(15.0));
+        let mut small = track(TrackState::Confirmed);
+        small.covariance = [0.0; 36];
+        (0..6).for_each(|k| small.covariance[7 * k] = 1e-5);
+        small.measured_covariance = small.covariance;
+        let reported = (0..20).filter(|&sequence| {
+            core.on_tracks(&header(sequence), &[small], NOW, BTreeMap::new).is_some()
+        });
+        assert_eq!(reported.count(), 10);
+        let poses = core.swarm(header(19).stamp.exposure_ns);
+        assert_eq!(poses.len(), 1);
+        assert_eq!(poses[0].seen_ns, header(19).stamp.exposure_ns);
+    }
+
+    #[test]
+    fn tentative_tracks_are_not_reported() {
+        assert!(take(&mut core(None), 0, TrackState::Tentative).is_none());
+    }
+
+    #[test]
+    fn what_this_drone_reports_itself_is_no_sighting_of_a_peer() {
+        let mut core = core(None);
+        let heard = |observer: &str| Heard {
+            arrived_monotonic_ns: NOW.monotonic_ns,
+            exposure_monotonic_ns: NOW.monotonic_ns,
+            exposure_deviation_ns: 100_000,
+            report: frame_report(observer, track(TrackState::Confirmed))
+                .sightings()
+                .next()
+                .unwrap(),
+        };
+        assert!(core.on_sighting(&heard("wren")).is_none());
+        let sighting = core.on_sighting(&heard("swift")).unwrap();
+        assert_eq!((sighting.observer.to_string().as_str(), sighting.is_own), ("swift", 0));
+    }
+}

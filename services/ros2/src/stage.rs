@@ -1,0 +1,135 @@
+//! The ports around the node.
+
+use anyhow::Context as _;
+use flockeye_config::{Flow, Ros2};
+use flockeye_contract::{Peers, StageState, Tracks};
+use flockeye_network::utc_from_monotonic;
+use flockeye_ros2::{Ros2Error, Ros2Mode, Ros2Node, Ros2Parameters};
+use flockeye_runtime::health::SharedCounters;
+use flockeye_runtime::logs::Throttle;
+use flockeye_runtime::ports::{Ports, Subscriber};
+use flockeye_runtime::{Context, Stage, Step, clock};
+
+use crate::core::{Core, odometry_of};
+
+/// How often the link with the router is looked at, nanoseconds.
+const LOOK_NS: i64 = 500_000_000;
+/// A router that has not come after this time is reported as missing, nanoseconds.
+const MISSING_NS: i64 = 5_000_000_000;
+
+/// Takes tracks and peers' sightings; gives messages of ROS 2.
+pub(crate) struct Ros2Stage {
+    tracks: Subscriber<Tracks>,
+    peers: Subscriber<Peers>,
+    node: Ros2Node,
+    core: Core,
+    flow: Flow,
+    routers: String,
+    counters: SharedCounters,
+    failures: Throttle,
+    look_ns: i64,
+    /// Since when no router is there.
+    missing_ns: Option<i64>,
+}
+
+impl Stage for Ros2Stage {
+    const NAME: &'static str = "ros2";
+
+    fn open(context: &Context, ports: &mut Ports) -> anyhow::Result<Self> {
+        let pipeline = &context.resolved.pipeline;
+        let settings = pipeline.ros2.as_ref().context("ros2 is not in the configuration")?;
+        Ok(Self {
+            tracks: ports.subscriber()?,
+            peers: ports.subscriber()?,
+            node: Ros2Node::open(&parameters(settings), &pipeline.observer.name)?,
+            core: Core::default(),
+            flow: pipeline.flow,
+            routers: settings.connect.join(", "),
+            counters: context.counters.clone(),
+            failures: Throttle::default(),
+            look_ns: 0,
+            missing_ns: None,
+        })
+    }
+
+    fn step(&mut self) -> anyhow::Result<Step> {
+        while let Some(message) = self.tracks.receive()? {
+            let stamp = &message.header.stamp;
+            let (stamp_utc_ns, _) = utc_from_monotonic(clock::exposure_ns(stamp, self.flow));
+            let neighbours = self.core.on_tracks(stamp, stamp_utc_ns, message.items());
+            for neighbour in &neighbours {
+                self.note(self.node.publish_neighbour(neighbour));
+            }
+            if !neighbours.is_empty() {
+                self.note(self.node.publish_transforms(&neighbours));
+            }
+        }
+        while let Some(message) = self.peers.receive()? {
+            for sighting in message.items() {
+                let (stamp_utc_ns, _) = utc_from_monotonic(sighting.exposure_ns);
+                if let Some(seen) = odometry_of(sighting, stamp_utc_ns) {
+                    self.note(self.node.publish_odometry(&seen));
+                }
+            }
+        }
+        let now_ns = clock::monotonic_ns();
+        if now_ns >= self.look_ns {
+            self.look(now_ns);
+        }
+        Ok(Step::WaitUntil(self.look_ns))
+    }
+}
+
+impl Ros2Stage {
+    /// Counts a message.
+    fn note(&mut self, published: Result<(), Ros2Error>) {
+        match published {
+            Ok(()) => self.counters.add_published(1),
+            Err(error) => {
+                self.counters.add_failed(1);
+                if let Some(more_since) = self.failures.admit() {
+                    tracing::warn!(more_since, "a message for ROS 2 is not published: {error}");
+                }
+            }
+        }
+    }
+
+    /// Reports whether the router is there.
+    fn look(&mut self, now_ns: i64) {
+        self.look_ns = now_ns + LOOK_NS;
+        if self.node.is_open() {
+            self.missing_ns = None;
+            self.counters.set_state(None);
+            self.counters.set_detail(format!("linked with {}", self.routers));
+            return;
+        }
+        let since_ns = *self.missing_ns.get_or_insert(now_ns);
+        self.counters.set_detail(format!("no router at {} yet", self.routers));
+        if now_ns - since_ns > MISSING_NS {
+            self.counters.set_state(Some(StageState::Degraded));
+        }
+    }
+}
+
+fn parameters(settings: &Ros2) -> Ros2Parameters {
+    Ros2Parameters {
+        domain: settings.domain,
+        mode: Ros2Mode::Client,
+        connect: settings.connect.clone(),
+        namespace: settings.namespace.clone(),
+        ..Ros2Parameters::default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_setting_that_cannot_work_is_refused_with_its_cure() {
+        let settings = Ros2 { connect: vec!["7447".into()], ..Ros2::default() };
+        let opened = Ros2Node::open(&parameters(&settings), "wren");
+        let error = opened.map(drop).map_err(|error| error.to_string());
+        assert!(error.is_err_and(|error| error.contains("connect[0]")));
+    }
+}
