@@ -407,6 +407,18 @@ class JournalEntry(Contract):
     ]
 
 
+class OdometrySample(Contract):
+    _fields_ = [
+        ("odom_from_observer", Pose),
+        ("covariance", c_double * 36),
+        ("linear_velocity", c_double * 3),
+        ("angular_velocity", c_double * 3),
+        ("at_ns", c_int64),
+        ("epoch", c_uint32),
+        ("generation", c_uint32),
+    ]
+
+
 class PeerHeader(Contract):
     _fields_ = [
         ("arrived_ns", c_int64),
@@ -535,6 +547,7 @@ DETECTION = Topic("flockeye/detection", DetectionHeader, DetectedMarker)
 FRAME_END = Topic("flockeye/frame_end", FrameEnd, c_uint8)
 TRACK = Topic("flockeye/track", TrackHeader, Track)
 JOURNAL = Topic("flockeye/journal", JournalHeader, JournalEntry)
+ODOMETRY = Topic("flockeye/odometry", OdometrySample, c_uint8)
 PEER = Topic("flockeye/peer", PeerHeader, PeerSighting)
 SWARM = Topic("flockeye/swarm", SwarmHeader, SwarmPose)
 HEALTH = Topic("flockeye/health", Health, c_uint8)
@@ -561,6 +574,7 @@ TYPES = [
     Track,
     JournalHeader,
     JournalEntry,
+    OdometrySample,
     PeerHeader,
     PeerSighting,
     SwarmHeader,

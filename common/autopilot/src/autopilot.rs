@@ -101,7 +101,7 @@ impl Autopilot {
         Ok(Self { shared, thread: Some(thread) })
     }
 
-    /// Tells the autopilot where a neighbour is, as soon as its rate and the line allow; a newer state of the same
+    /// Sends the autopilot a neighbour's state as soon as its rate and the line allow; a newer state of the same
     /// neighbour replaces one that has not been sent. Returns at once.
     ///
     /// # Errors

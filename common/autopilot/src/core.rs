@@ -1,4 +1,4 @@
-//! What is sent when, and what comes of what is heard. Pure: it holds no line, no thread and no clock.
+//! What is sent when, and what received messages change. It has no line, no thread and no clock.
 
 use std::collections::VecDeque;
 

@@ -1,4 +1,4 @@
-//! Tells the drone's autopilot (PX4, ArduPilot) about its neighbours over MAVLink 2, and hears how the drone moves.
+//! The line to the drone's autopilot (PX4, ArduPilot) over MAVLink 2: neighbours go out, the drone's motion comes in.
 //!
 //! ```no_run
 //! use flockeye_autopilot::{Autopilot, AutopilotParameters, NeighbourState};
@@ -28,7 +28,7 @@
 //!
 //! | module | what it does |
 //! | --- | --- |
-//! | [`core`] | what is sent when, and what comes of what is heard; without line, thread and clock |
+//! | [`core`] | what is sent when, and what received messages change; without line, thread and clock |
 //! | [`messages`] | states as MAVLink messages |
 //! | [`timesync`] | the autopilot's clock |
 //! | [`odometry`] | how the drone moves |

@@ -1,4 +1,4 @@
-//! The newest state of each neighbour, and which states the autopilot has been told.
+//! The newest state of each neighbour, and which states were sent to the autopilot.
 
 use crate::error::AutopilotError;
 use crate::neighbour::NeighbourState;
@@ -21,12 +21,12 @@ pub struct Neighbours {
 #[derive(Debug)]
 struct Slot {
     state: NeighbourState,
-    /// Whether this state has been sent as the target, and as an obstacle.
-    is_told: Told,
+    /// As what this state was sent.
+    sent: SentAs,
 }
 
 #[derive(Debug, Clone, Copy, Default)]
-struct Told {
+struct SentAs {
     target: bool,
     obstacle: bool,
 }
@@ -55,14 +55,14 @@ impl Neighbours {
         let known = self.slots.iter().position(|slot| slot.state.name == state.name);
         if let Some(slot) = known.map(|place| &mut self.slots[place]) {
             if state.exposure_monotonic_ns >= slot.state.exposure_monotonic_ns {
-                *slot = Slot { state: state.clone(), is_told: Told::default() };
+                *slot = Slot { state: state.clone(), sent: SentAs::default() };
             }
             return Ok(());
         }
         if state.is_lost {
             return Ok(());
         }
-        let slot = Slot { state: state.clone(), is_told: Told::default() };
+        let slot = Slot { state: state.clone(), sent: SentAs::default() };
         if self.slots.len() < MAX_NEIGHBOURS {
             self.slots.push(slot);
             return Ok(());
@@ -85,7 +85,7 @@ impl Neighbours {
 
     /// Whether `name` is fresh and has not been sent as the target.
     pub fn has_target(&self, name: &str, now_ns: i64) -> bool {
-        self.fresh(now_ns).any(|(_, slot)| slot.state.name == name && !slot.is_told.target)
+        self.fresh(now_ns).any(|(_, slot)| slot.state.name == name && !slot.sent.target)
     }
 
     /// The state of the target `name`, once each.
@@ -97,16 +97,16 @@ impl Neighbours {
         let max_age_ns = self.max_age_ns;
         let place = self.slots.iter().position(|slot| slot.state.name == name)?;
         let slot = &mut self.slots[place];
-        if slot.is_told.target || !slot.is_fresh(now_ns, max_age_ns) {
+        if slot.sent.target || !slot.is_fresh(now_ns, max_age_ns) {
             return None;
         }
-        slot.is_told.target = true;
+        slot.sent.target = true;
         Some((id(place), &slot.state))
     }
 
     /// Whether a fresh state has not been sent as an obstacle.
     pub fn has_obstacles(&self, now_ns: i64) -> bool {
-        self.fresh(now_ns).any(|(_, slot)| !slot.is_told.obstacle)
+        self.fresh(now_ns).any(|(_, slot)| !slot.sent.obstacle)
     }
 
     /// All fresh states as obstacles, the nearest first, where one of them at least is new. Those that are not new
@@ -117,7 +117,7 @@ impl Neighbours {
         }
         let max_age_ns = self.max_age_ns;
         for slot in &mut self.slots {
-            slot.is_told.obstacle |= slot.is_fresh(now_ns, max_age_ns);
+            slot.sent.obstacle |= slot.is_fresh(now_ns, max_age_ns);
         }
         let mut obstacles: Vec<_> =
             self.fresh(now_ns).map(|(place, slot)| (id(place), &slot.state)).collect();
@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn the_newest_of_each_wins_and_is_told_once() {
+    fn the_newest_of_each_wins_and_sent_once() {
         let mut all = Neighbours::new(MAX_AGE_NS);
         all.update(&neighbour("kite", 100 * MS), 150 * MS).unwrap();
         all.update(&neighbour("kite", 130 * MS), 160 * MS).unwrap();

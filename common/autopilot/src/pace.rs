@@ -9,7 +9,7 @@ pub struct Pace {
 }
 
 impl Pace {
-    /// So often a second at most; 0: never.
+    /// A pace of at most `hz` a second; 0: never.
     pub fn from_hz(hz: f64) -> Self {
         let period_ns = (hz > 0.0).then(|| (1e9 / hz) as i64);
         Self { period_ns, due_ns: i64::MIN }

@@ -1,4 +1,4 @@
-//! How the autopilot is told, and the check of these parameters.
+//! The parameters of the line, and their check.
 
 use flockeye_config::MavlinkAddress;
 use flockeye_contract::wire::{MAX_NAME_CHARS, is_name};
@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::AutopilotError;
 
-/// How the autopilot is told about neighbours. By default nothing leaves the machine.
+/// How the autopilot gets its neighbours. By default nothing leaves the machine.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct AutopilotParameters {
@@ -18,11 +18,11 @@ pub struct AutopilotParameters {
     pub system_id: u8,
     /// Our component in that system, 2 to 255 (191 is an onboard computer).
     pub component_id: u8,
-    /// The neighbour that is told as the target (`TARGET_RELATIVE`); none: no target is told.
+    /// The neighbour that is sent as the target (`TARGET_RELATIVE`); none: no target is sent.
     pub target: Option<String>,
     /// How often each message is sent at most.
     pub rates: Rates,
-    /// A neighbour that was last seen longer ago is not told, milliseconds.
+    /// A neighbour that was last seen longer ago is left out, milliseconds.
     pub max_age_ms: u32,
     /// Nearer and farther neighbours are no obstacles, metres: the range that is told as the sensor's.
     pub obstacle_range_m: [f64; 2],

@@ -20,7 +20,7 @@ const MAX_REQUESTS: usize = 8;
 const LEAST_ANSWERS: usize = 3;
 /// An answer older than this says nothing, nanoseconds.
 const FORGOTTEN_NS: i64 = 60_000_000_000;
-/// So many answers in a row that contradict the others are another clock: the autopilot started again.
+/// Answers in a row that contradict the others and mean another clock: the autopilot started again.
 const CONTRADICTIONS: usize = 3;
 /// What an answer may be off by beyond its round trip, nanoseconds: stamps are taken by programs.
 const SLACK_NS: i64 = 1_000_000;

@@ -26,5 +26,5 @@ pub use certificate::{Certificate, CertificateFault};
 pub use error::IdentityError;
 pub use member::{Member, MemberFiles};
 pub use roster::Roster;
-pub use seal::{Challenge, Said, new_challenge};
+pub use seal::{Challenge, Statement, new_challenge};
 pub use trust::{Trust, Untrusted};

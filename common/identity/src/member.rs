@@ -11,7 +11,7 @@ use crate::certificate::{Certificate, CertificateFault};
 use crate::error::IdentityError;
 use crate::files;
 use crate::roster::Roster;
-use crate::seal::{Said, Seal};
+use crate::seal::{Seal, Statement};
 
 /// Where a member's files are; `flockeye keys issue` writes them.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -77,7 +77,7 @@ impl Member {
     }
 
     /// The attachment of what is said; with the certificate, for those who do not have it yet.
-    pub fn seal(&self, said: &Said<'_>, with_certificate: bool) -> Vec<u8> {
+    pub fn seal(&self, said: &Statement<'_>, with_certificate: bool) -> Vec<u8> {
         let signature = self.key.sign(&said.message());
         Seal {
             signature: signature.as_ref(),

@@ -3,7 +3,7 @@
 //! | bytes | what |
 //! | --- | --- |
 //! | 1 | 1: the form |
-//! | 64 | Ed25519 signature of what was [`Said`] |
+//! | 64 | Ed25519 signature of what was [`Statement`] |
 //! | 8 | which certificate: the first bytes of its SHA-256 |
 //! | the rest | the certificate itself, as DER; once a second, and in answers; else nothing |
 
@@ -21,7 +21,7 @@ const FINGERPRINT_BYTES: usize = 8;
 
 /// What is signed.
 #[derive(Debug, Clone, Copy)]
-pub struct Said<'s> {
+pub struct Statement<'s> {
     /// The key under which it is said.
     pub key: &'s str,
     /// What it answers.
@@ -30,7 +30,7 @@ pub struct Said<'s> {
     pub payload: &'s [u8],
 }
 
-impl Said<'_> {
+impl Statement<'_> {
     /// The signed bytes: a fixed beginning, the key's length and the key, the challenge, the payload.
     pub(crate) fn message(&self) -> Vec<u8> {
         let key_bytes = (self.key.len() as u32).to_be_bytes();

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::certificate::{Certificate, CertificateFault};
 use crate::member::Member;
-use crate::seal::{Said, Seal};
+use crate::seal::{Seal, Statement};
 
 /// Certificates that are kept. The authority has signed them all, so only a large swarm that renews often has more.
 const MOST_KNOWN: usize = 1_024;
@@ -70,7 +70,7 @@ impl Trust {
     pub fn check(
         &self,
         observer: &str,
-        said: &Said<'_>,
+        said: &Statement<'_>,
         attachment: Option<&[u8]>,
         now_s: i64,
     ) -> Result<(), Untrusted> {

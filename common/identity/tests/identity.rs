@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use flockeye_identity::{
-    Authority, Challenge, IdentityError, Member, MemberFiles, Role, Said, Trust, Untrusted,
+    Authority, Challenge, IdentityError, Member, MemberFiles, Role, Statement, Trust, Untrusted,
     new_challenge,
 };
 use proptest::prelude::*;
@@ -39,8 +39,8 @@ fn load(files: &MemberFiles) -> Arc<Member> {
     Arc::new(Member::load(files, now_s()).unwrap())
 }
 
-fn said(payload: &[u8], challenge: Challenge) -> Said<'_> {
-    Said { key: KEY, challenge, payload }
+fn said(payload: &[u8], challenge: Challenge) -> Statement<'_> {
+    Statement { key: KEY, challenge, payload }
 }
 
 #[test]
@@ -50,7 +50,7 @@ fn what_a_member_says_is_trusted_and_nothing_else_is() {
     let (wren, kite) = (load(&files[0]), load(&files[1]));
     let trust = Trust::of(kite.clone());
     let published = said(b"pose", Challenge::default());
-    let check = |said: &Said<'_>, seal: &[u8]| trust.check("wren", said, Some(seal), now_s());
+    let check = |said: &Statement<'_>, seal: &[u8]| trust.check("wren", said, Some(seal), now_s());
 
     let bare = wren.seal(&published, false);
     assert_eq!(check(&published, &bare), Err(Untrusted::NotKnown));
@@ -59,7 +59,7 @@ fn what_a_member_says_is_trusted_and_nothing_else_is() {
 
     let mut changed = said(b"posh", Challenge::default());
     assert_eq!(check(&changed, &bare), Err(Untrusted::Signature));
-    changed = Said { key: "flockeye/swarm/wren/sees/kite/pose", ..published };
+    changed = Statement { key: "flockeye/swarm/wren/sees/kite/pose", ..published };
     assert_eq!(check(&changed, &bare), Err(Untrusted::Signature));
     let challenge = new_challenge().unwrap();
     assert_eq!(check(&said(b"pose", challenge), &bare), Err(Untrusted::Signature));

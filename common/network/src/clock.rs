@@ -12,7 +12,7 @@ use flockeye_contract::wire::ClockOffset;
 const WINDOW_NS: i64 = 20_000_000_000;
 /// Share of a new value in the mean delay above the least.
 const MEAN_SHARE: f64 = 0.05;
-/// No estimate is better than this, nanoseconds: what waking a thread takes.
+/// Minimum deviation of an estimate, nanoseconds: waking a thread takes as long.
 const LEAST_DEVIATION_NS: f64 = 50_000.0;
 /// Without the peer's word the shortest way is unknown; on one radio it is about this long, nanoseconds.
 const ONE_WAY_GUESS_NS: f64 = 1_000_000.0;
@@ -112,7 +112,7 @@ impl ClockEstimate {
         utc_ns.saturating_sub(self.utc_less_monotonic_ns)
     }
 
-    /// As it goes into a report.
+    /// The estimate as a report has it.
     pub fn to_wire(self) -> ClockOffset {
         ClockOffset {
             one_way_ms: self.one_way_ns as f64 * 1e-6,

@@ -32,7 +32,7 @@ pub enum NetworkError {
         "security: the {what} is '{found}', and not '{wanted}'. Cure: flockeye keys issue {wanted}"
     )]
     Another {
-        /// Of what.
+        /// Which name: the certificate's or the swarm's.
         what: &'static str,
         /// What it says.
         found: String,

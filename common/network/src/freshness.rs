@@ -5,15 +5,15 @@ use flockeye_runtime::clock::monotonic_ns;
 use crate::clock::OneWay;
 use crate::utc::utc_from_monotonic;
 
-/// A pose that was held on its way for longer than this is of no use, nanoseconds.
+/// Reports that arrive this much later than the quickest so far are refused as stale, nanoseconds.
 const STALE_NS: i64 = 1_000_000_000;
-/// So much earlier than any before it no report can come, nanoseconds.
+/// Reports that arrive this much earlier than the quickest so far are refused as from the future, nanoseconds.
 const FUTURE_NS: i64 = 1_000_000_000;
 /// After so long without a report that passes, the next one begins anew: the drone was restarted, or its clock
 /// was set.
 const ANEW_AFTER_NS: i64 = 3_000_000_000;
 
-/// When a report came in.
+/// The time at which a report came in.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ArrivalTime {
     /// CLOCK_MONOTONIC, nanoseconds.
@@ -38,9 +38,9 @@ impl ArrivalTime {
     }
 }
 
-/// When a report was sent, as it says itself.
+/// The time that a report says it was sent at.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Sent {
+pub(crate) struct SendTime {
     /// UTC by the sender's clock, nanoseconds since 1970.
     pub utc_ns: i64,
     /// Whether that clock is synchronised with UTC.
@@ -73,13 +73,13 @@ pub enum NotOfNow {
     },
 }
 
-/// Whether a report goes on with what was heard before.
+/// Whether a report continues the ones before it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Began {
+pub(crate) enum Continuity {
     /// It is the first, or the first after a silence: what was heard before tells nothing of its order.
     Anew,
-    /// It goes on.
-    Before,
+    /// It follows earlier ones.
+    Continued,
 }
 
 /// What is remembered of one observer's reports.
@@ -87,8 +87,7 @@ pub(crate) enum Began {
 pub struct Freshness {
     way: OneWay,
     last_passed_ns: Option<i64>,
-    /// Where reports are signed: when the observer answered, by its own clock (UTC), and when that came, by
-    /// CLOCK_MONOTONIC.
+    /// The observer's last answer, where reports are signed.
     answer: Option<Answer>,
 }
 
@@ -116,7 +115,7 @@ impl Freshness {
     }
 
     /// Begins anew with an answer that is known to be of now.
-    pub(crate) fn begin(&mut self, sent: Sent, arrival: &ArrivalTime) {
+    pub(crate) fn begin(&mut self, sent: SendTime, arrival: &ArrivalTime) {
         *self = Self::default();
         self.way.add(sent.utc_ns, arrival.monotonic_ns);
         self.last_passed_ns = Some(arrival.monotonic_ns);
@@ -127,10 +126,10 @@ impl Freshness {
     /// report under the same key was sent.
     pub(crate) fn pass(
         &mut self,
-        sent: Sent,
+        sent: SendTime,
         newest_utc_ns: Option<i64>,
         arrival: &ArrivalTime,
-    ) -> Result<Began, NotOfNow> {
+    ) -> Result<Continuity, NotOfNow> {
         let is_anew = self.begins_anew(arrival);
         if is_anew {
             self.way = OneWay::default();
@@ -139,12 +138,12 @@ impl Freshness {
         self.check(sent, newest_utc_ns, arrival)?;
         self.way.add(sent.utc_ns, arrival.monotonic_ns);
         self.last_passed_ns = Some(arrival.monotonic_ns);
-        Ok(if is_anew { Began::Anew } else { Began::Before })
+        Ok(if is_anew { Continuity::Anew } else { Continuity::Continued })
     }
 
     fn check(
         &self,
-        sent: Sent,
+        sent: SendTime,
         newest_utc_ns: Option<i64>,
         arrival: &ArrivalTime,
     ) -> Result<(), NotOfNow> {
@@ -202,7 +201,7 @@ mod tests {
         sent_ns: i64,
         arrived_ns: i64,
     ) -> Result<(), NotOfNow> {
-        let sent = Sent { utc_ns: sent_ns + UTC - 86_400 * SECOND, is_synchronised: false };
+        let sent = SendTime { utc_ns: sent_ns + UTC - 86_400 * SECOND, is_synchronised: false };
         freshness.pass(sent, *newest, &at(arrived_ns, true))?;
         *newest = Some(sent.utc_ns);
         Ok(())
@@ -250,7 +249,7 @@ mod tests {
     /// By the quickest of the last 40 s alone, whoever holds reports back could let their age grow without end.
     #[test]
     fn after_an_answer_nothing_is_held_back_longer_and_longer() {
-        let answered = Sent { utc_ns: UTC, is_synchronised: false };
+        let answered = SendTime { utc_ns: UTC, is_synchronised: false };
         let mut freshness = Freshness::default();
         freshness.begin(answered, &at(0, false));
         let mut newest = None;
@@ -258,13 +257,13 @@ mod tests {
             let sent_ns = k * SECOND / 20;
             // Held back by one part in fifty.
             let arrived = at(sent_ns + sent_ns / 50, false);
-            let sent = Sent { utc_ns: UTC + sent_ns, is_synchronised: false };
+            let sent = SendTime { utc_ns: UTC + sent_ns, is_synchronised: false };
             let passed = freshness.pass(sent, newest, &arrived);
             newest = Some(sent.utc_ns);
             passed.is_ok()
         });
         assert_eq!(passed.count(), 20 * 50, "until a second is reached");
-        let overtaken = Sent { utc_ns: UTC - 1, is_synchronised: false };
+        let overtaken = SendTime { utc_ns: UTC - 1, is_synchronised: false };
         let overtaken = freshness.pass(overtaken, newest, &at(SECOND / 10, false));
         assert_eq!(overtaken, Err(NotOfNow::Overtaken));
     }
@@ -273,7 +272,7 @@ mod tests {
     #[test]
     fn between_synchronised_clocks_an_old_report_never_passes() {
         let mut freshness = Freshness::default();
-        let sent = |utc_ns| Sent { utc_ns, is_synchronised: true };
+        let sent = |utc_ns| SendTime { utc_ns, is_synchronised: true };
         let now = at(50 * SECOND, true);
         let old = freshness.pass(sent(UTC + 40 * SECOND), None, &now);
         assert!(matches!(old, Err(NotOfNow::Stale { late_ms: 10_000 })));

@@ -8,7 +8,7 @@ use std::{
 };
 
 use flockeye_contract::wire::{all_alive_key, all_frames_key, frame_key};
-use flockeye_identity::{Challenge, Said, Trust, Untrusted, new_challenge};
+use flockeye_identity::{Challenge, Statement, Trust, Untrusted, new_challenge};
 use flockeye_runtime::logs::Throttle;
 use zenoh::{
     Session, Wait,
@@ -22,17 +22,17 @@ use crate::connection::Connection;
 use crate::error::NetworkError;
 use crate::freshness::ArrivalTime;
 use crate::peers::{Arrival, Delivery, Peers, Refusal, alive_in, observer_in};
-use crate::stream::{Heard, ReportStream, Streams};
+use crate::stream::{ReportStream, Streams, TimedSighting};
 use flockeye_runtime::clock::utc_s;
 use flockeye_runtime::lock::lock;
 
-/// How long an observer has to answer with its last values; it publishes new ones long before.
+/// Timeout for an observer's last values; it publishes new ones long before.
 const ANSWER_WITHIN: Duration = Duration::from_secs(2);
 
-/// So often an observer that must prove that it is there is asked.
+/// Minimum time between two questions to one observer.
 const ASK_AGAIN: Duration = Duration::from_millis(500);
 
-/// Observers and reasons that are told apart in warnings.
+/// Maximum pairs of observer and reason with a throttle of their own.
 const MOST_WARNINGS: usize = 256;
 
 /// Keeps a table of who is alive and what each of them sees, until dropped.
@@ -42,7 +42,7 @@ const MOST_WARNINGS: usize = 256;
 /// no other effect.
 #[derive(Debug)]
 pub struct Listener {
-    hearing: Arc<Hearing>,
+    hub: Arc<Hub>,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -53,7 +53,7 @@ impl Listener {
         own: Option<String>,
         trust: Option<Trust>,
     ) -> Result<Self, NetworkError> {
-        let hearing = Arc::new(Hearing {
+        let hub = Arc::new(Hub {
             swarm: swarm.into(),
             peers: Mutex::new(Peers::of(own, trust.is_some())),
             trust,
@@ -64,31 +64,31 @@ impl Listener {
         });
         let name = "zenoh-listener";
         let thread = {
-            let hearing = hearing.clone();
+            let hub = hub.clone();
             thread::Builder::new()
                 .name(name.into())
-                .spawn(move || run(&hearing, &connection))
+                .spawn(move || run(&hub, &connection))
                 .map_err(|source| NetworkError::Thread { name, source })?
         };
-        Ok(Self { hearing, thread: Some(thread) })
+        Ok(Self { hub, thread: Some(thread) })
     }
 
     /// The table as it is now.
     pub fn snapshot(&self) -> Peers {
-        lock(&self.hearing.peers).clone()
+        lock(&self.hub.peers).clone()
     }
 
     /// Every report from now on, one by one; at most `capacity` wait to be read, then the oldest
     /// are dropped.
     pub fn stream(&self, capacity: usize) -> ReportStream {
-        self.hearing.streams.subscribe(capacity)
+        self.hub.streams.subscribe(capacity)
     }
 }
 
 impl Drop for Listener {
     fn drop(&mut self) {
-        lock(&self.hearing.newcomers).closed = true;
-        self.hearing.changed.notify_all();
+        lock(&self.hub.newcomers).closed = true;
+        self.hub.changed.notify_all();
         if let Some(thread) = self.thread.take()
             && thread.join().is_err()
         {
@@ -99,9 +99,9 @@ impl Drop for Listener {
 
 /// What Zenoh's callbacks and the thread share.
 #[derive(Debug)]
-struct Hearing {
+struct Hub {
     swarm: String,
-    /// Who may say what; none: anybody.
+    /// The members whose signatures count; none: anybody is believed.
     trust: Option<Trust>,
     peers: Mutex<Peers>,
     streams: Streams,
@@ -120,8 +120,7 @@ struct Newcomers {
     closed: bool,
 }
 
-/// How often it is said that messages are refused: for each observer and each reason by itself, so that none hides
-/// another.
+/// Throttles of warnings about refused messages: one for each observer and reason, so that none hides another.
 #[derive(Debug, Default)]
 struct Warnings(BTreeMap<(String, &'static str), Throttle>);
 
@@ -132,8 +131,8 @@ impl Warnings {
     }
 }
 
-impl Hearing {
-    /// Takes in what comes; `challenge` is what it answers.
+impl Hub {
+    /// Takes in a message; `challenge` is what it answers.
     fn hear(&self, sample: &Sample, delivery: Delivery, challenge: Challenge) {
         if sample.kind() != SampleKind::Put {
             return;
@@ -142,7 +141,7 @@ impl Hearing {
         let arrival = Arrival { at: Instant::now(), time: ArrivalTime::now(), delivery };
         // No longer than the session lets through.
         let payload = sample.payload().to_bytes();
-        let said = Said { key, challenge, payload: &payload };
+        let said = Statement { key, challenge, payload: &payload };
         if let Err(refusal) = self.check(&said, sample.attachment(), &arrival) {
             return self.refused(key, &refusal);
         }
@@ -170,7 +169,7 @@ impl Hearing {
                     (arrived_monotonic_ns.saturating_sub(latency_ns), UNKNOWN_DEVIATION_NS)
                 }
             };
-            self.streams.send(&Heard {
+            self.streams.send(&TimedSighting {
                 arrived_monotonic_ns,
                 exposure_monotonic_ns,
                 exposure_deviation_ns,
@@ -182,7 +181,7 @@ impl Hearing {
     /// Refuses what is not signed by the observer that the key names.
     fn check(
         &self,
-        said: &Said<'_>,
+        said: &Statement<'_>,
         attachment: Option<&ZBytes>,
         arrival: &Arrival,
     ) -> Result<(), Refusal> {
@@ -292,53 +291,53 @@ impl Hearing {
     }
 }
 
-/// Of a last value's exposure, before anything is known of its sender's clock: a time on the air.
+/// Deviation of a last value's exposure before anything is known of its sender's clock: a time on the air.
 const UNKNOWN_DEVIATION_NS: i64 = 10_000_000;
 
-fn run(hearing: &Arc<Hearing>, connection: &Connection) {
-    if let Some(session) = connection.session(|| lock(&hearing.newcomers).closed)
-        && let Err(error) = listen(hearing, &session)
+fn run(hub: &Arc<Hub>, connection: &Connection) {
+    if let Some(session) = connection.session(|| lock(&hub.newcomers).closed)
+        && let Err(error) = listen(hub, &session)
     {
         tracing::error!("the other drones cannot be heard: {error}");
     }
-    hearing.streams.close();
+    hub.streams.close();
 }
 
-fn listen(hearing: &Arc<Hearing>, session: &Session) -> zenoh::Result<()> {
-    let subscriber = session.declare_subscriber(all_frames_key(&hearing.swarm));
+fn listen(hub: &Arc<Hub>, session: &Session) -> zenoh::Result<()> {
+    let subscriber = session.declare_subscriber(all_frames_key(&hub.swarm));
     let published = {
-        let hearing = hearing.clone();
-        move |sample| hearing.hear(&sample, Delivery::Published, Challenge::default())
+        let hub = hub.clone();
+        move |sample| hub.hear(&sample, Delivery::Published, Challenge::default())
     };
     let _frames = subscriber.callback(published).wait()?;
-    let tokens = session.liveliness().declare_subscriber(all_alive_key(&hearing.swarm));
+    let tokens = session.liveliness().declare_subscriber(all_alive_key(&hub.swarm));
     let token = {
-        let hearing = hearing.clone();
-        move |token| hearing.see(&token)
+        let hub = hub.clone();
+        move |token| hub.see(&token)
     };
     let _alive = tokens.history(true).callback(token).wait()?;
-    while let Some(observer) = hearing.next() {
-        ask(hearing, session, observer)?;
+    while let Some(observer) = hub.next() {
+        ask(hub, session, observer)?;
     }
     Ok(())
 }
 
 /// An observer that was asked; it has had its say when this is dropped with the query's callback.
-struct Asked {
-    hearing: Arc<Hearing>,
+struct Question {
+    hub: Arc<Hub>,
     observer: String,
 }
 
-impl Drop for Asked {
+impl Drop for Question {
     fn drop(&mut self) {
-        lock(&self.hearing.peers).set_heard(&self.observer);
+        lock(&self.hub.peers).set_heard(&self.observer);
     }
 }
 
 /// Asks `observer` for its last values, without waiting for them.
-fn ask(hearing: &Arc<Hearing>, session: &Session, observer: String) -> zenoh::Result<()> {
-    let key = frame_key(&hearing.swarm, &observer);
-    let asked = Asked { hearing: hearing.clone(), observer };
+fn ask(hub: &Arc<Hub>, session: &Session, observer: String) -> zenoh::Result<()> {
+    let key = frame_key(&hub.swarm, &observer);
+    let asked = Question { hub: hub.clone(), observer };
     let challenge = new_challenge().ok_or("the system has no random bytes")?;
     session
         .get(key)
@@ -351,7 +350,7 @@ fn ask(hearing: &Arc<Hearing>, session: &Session, observer: String) -> zenoh::Re
         .callback(move |reply: Reply| {
             // An error is a timeout or an observer without an answer; its next reports come anyway.
             if let Ok(sample) = reply.result() {
-                asked.hearing.hear(sample, Delivery::LastValue, challenge);
+                asked.hub.hear(sample, Delivery::LastValue, challenge);
             }
         })
         .wait()

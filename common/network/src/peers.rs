@@ -9,14 +9,14 @@ use flockeye_contract::wire::{FrameReport, MAX_TARGETS, Sighting, is_name, short
 use flockeye_identity::Untrusted;
 
 use crate::clock::ClockEstimate;
-use crate::freshness::{ArrivalTime, Began, Freshness, Sent};
+use crate::freshness::{ArrivalTime, Continuity, Freshness, SendTime};
 use crate::waiting::Waiting;
 
 mod refusal;
 
 pub use refusal::{Refusal, Refused};
 
-/// Most observers that a listener keeps.
+/// Maximum observers of a listener.
 pub const MAX_OBSERVERS: usize = 64;
 
 /// What a listener knows at one moment.
@@ -40,33 +40,33 @@ pub struct PeerState {
     pub alive: bool,
     /// When `alive` took its value.
     pub since: Instant,
-    /// Whether it has been asked for its last values, and has had its say: from now on nothing is missed.
+    /// Whether it has answered the question for its last values, or had its time: from now on nothing is missed.
     pub is_heard: bool,
     /// The latest report on each target.
-    pub targets: BTreeMap<String, Received>,
+    pub targets: BTreeMap<String, LatestSighting>,
     /// Messages in its name that were refused.
     pub refused: Refused,
     freshness: Freshness,
-    /// Where reports are signed: how long its answer has been waited for.
+    /// The wait for its answer, where reports are signed.
     waiting: Option<Waiting>,
     newest_frame_utc_ns: Option<i64>,
 }
 
 /// The latest report on one target.
 #[derive(Debug, Clone)]
-pub struct Received {
+pub struct LatestSighting {
     /// The report.
     pub report: Sighting,
     /// When it came in.
     pub arrived: Instant,
-    /// The same, CLOCK_MONOTONIC of this machine, nanoseconds.
+    /// The arrival, CLOCK_MONOTONIC of this machine, nanoseconds.
     pub arrived_monotonic_ns: i64,
     /// How many reports on this target came in.
     pub count: u64,
     interval_s: Option<f64>,
 }
 
-impl Received {
+impl LatestSighting {
     /// How old the pose is at `now`; see [`age_of`].
     pub fn age(&self, now: Instant) -> Duration {
         age_of(self.arrived, self.report.latency_ms, now)
@@ -106,7 +106,8 @@ pub(crate) struct Arrival {
 }
 
 impl Peers {
-    /// Of a listener that belongs to the drone `own`, or to none. In a secure one all that is taken in is signed.
+    /// The table of a listener that belongs to the drone `own`, or to none. A secure one takes in signed messages
+    /// alone.
     pub(crate) fn of(own: Option<String>, is_secure: bool) -> Self {
         Self { own, is_secure, ..Self::default() }
     }
@@ -220,7 +221,7 @@ impl PeerState {
         let report = read_frame(payload, observer)?;
         let newest = self.newest_frame_utc_ns;
         let sent_ns = report.sent_utc_ns();
-        let sent = Sent { utc_ns: sent_ns, is_synchronised: report.clock_synchronised };
+        let sent = SendTime { utc_ns: sent_ns, is_synchronised: report.clock_synchronised };
         self.pass(sent, newest, &arrival)?;
         if arrival.delivery == Delivery::Published || newest.is_none_or(|newest| sent_ns > newest) {
             self.newest_frame_utc_ns = Some(sent_ns);
@@ -243,13 +244,18 @@ impl PeerState {
     /// Passes what was published if it is of now. An answer to a query is older by nature: it only ever
     /// fills what is empty, or replaces what is older. Where reports are signed it is one to a question of now, and
     /// nothing is taken from an observer that has not answered.
-    fn pass(&mut self, sent: Sent, newest: Option<i64>, arrival: &Arrival) -> Result<(), Refusal> {
+    fn pass(
+        &mut self,
+        sent: SendTime,
+        newest: Option<i64>,
+        arrival: &Arrival,
+    ) -> Result<(), Refusal> {
         match arrival.delivery {
             Delivery::Published if self.must_answer(&arrival.time) => {
                 return Err(self.unanswered(arrival.at));
             }
             Delivery::Published => {
-                if self.freshness.pass(sent, newest, &arrival.time)? == Began::Anew {
+                if self.freshness.pass(sent, newest, &arrival.time)? == Continuity::Anew {
                     self.newest_frame_utc_ns = None;
                 }
             }
@@ -282,7 +288,7 @@ impl PeerState {
             if self.targets.len() == MAX_TARGETS {
                 return Err(NoRoom);
             }
-            let received = Received {
+            let received = LatestSighting {
                 report: report.clone(),
                 arrived: arrival.at,
                 arrived_monotonic_ns: arrival.time.monotonic_ns,

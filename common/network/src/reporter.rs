@@ -10,7 +10,7 @@ use std::{
 };
 
 use flockeye_contract::wire::{FrameReport, alive_key, frame_key};
-use flockeye_identity::{Challenge, Member, Said};
+use flockeye_identity::{Challenge, Member, Statement};
 use flockeye_runtime::logs::Throttle;
 use zenoh::{
     Session, Wait,
@@ -135,7 +135,7 @@ struct Sender {
     member: Option<Arc<Member>>,
 }
 
-/// Where reports go out.
+/// The publisher of the reports.
 struct Outlet {
     publisher: Publisher<'static>,
     /// When the certificate went along last.
@@ -204,7 +204,7 @@ impl Sender {
         let seal = self.member.as_ref().map(|member| {
             let with_certificate = outlet.needs_certificate(now);
             let key = outlet.publisher.key_expr().as_str();
-            let said = Said { key, challenge: Challenge::default(), payload: &payload };
+            let said = Statement { key, challenge: Challenge::default(), payload: &payload };
             member.seal(&said, with_certificate)
         });
         outlet.publisher.put(payload).attachment(seal).wait()
@@ -225,7 +225,7 @@ impl Answerer {
         let sent = report.encode(Instant::now()).map_err(zenoh::Error::from).and_then(|json| {
             let seal: Option<Vec<u8>> =
                 self.member.as_ref().zip(challenge_in(query)).map(|(member, challenge)| {
-                    member.seal(&Said { key, challenge, payload: &json }, true)
+                    member.seal(&Statement { key, challenge, payload: &json }, true)
                 });
             query.reply(key, json).encoding(Encoding::APPLICATION_JSON).attachment(seal).wait()
         });

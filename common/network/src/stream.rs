@@ -13,7 +13,7 @@ use flockeye_runtime::lock::lock;
 
 /// One report as it came in.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Heard {
+pub struct TimedSighting {
     /// Arrival, CLOCK_MONOTONIC of this machine, nanoseconds.
     pub arrived_monotonic_ns: i64,
     /// Mid-exposure on this machine's CLOCK_MONOTONIC, by the estimate of the observer's clock, nanoseconds.
@@ -39,14 +39,14 @@ struct Queue {
 
 #[derive(Debug, Default)]
 struct State {
-    reports: VecDeque<Heard>,
+    reports: VecDeque<TimedSighting>,
     dropped: u64,
     closed: bool,
 }
 
 impl ReportStream {
     /// The next report, or none when none came within `timeout` or the listener is gone.
-    pub fn recv_timeout(&self, timeout: Duration) -> Option<Heard> {
+    pub fn recv_timeout(&self, timeout: Duration) -> Option<TimedSighting> {
         let deadline = Instant::now() + timeout;
         let mut state = lock(&self.queue.state);
         loop {
@@ -65,7 +65,7 @@ impl ReportStream {
     }
 
     /// The next report, if one is there.
-    pub fn try_recv(&self) -> Option<Heard> {
+    pub fn try_recv(&self) -> Option<TimedSighting> {
         lock(&self.queue.state).reports.pop_front()
     }
 
@@ -100,7 +100,7 @@ impl Streams {
     }
 
     /// Hands `heard` to every stream that still has a reader.
-    pub(crate) fn send(&self, heard: &Heard) {
+    pub(crate) fn send(&self, heard: &TimedSighting) {
         lock(&self.queues).retain(|queue| {
             let Some(queue) = queue.upgrade() else { return false };
             let mut state = lock(&queue.state);
@@ -129,10 +129,10 @@ mod tests {
     use super::*;
     use crate::outbox::tests::frame_report;
 
-    fn heard(frame: u64) -> Heard {
+    fn heard(frame: u64) -> TimedSighting {
         let mut report = frame_report("wren", &["kite"]);
         report.frame = frame;
-        Heard {
+        TimedSighting {
             arrived_monotonic_ns: 0,
             exposure_monotonic_ns: 0,
             exposure_deviation_ns: 0,

@@ -17,7 +17,9 @@ use flockeye_contract::{
     MeasuredBy, TrackState,
     wire::{FRAME_SCHEMA, FrameReport, Sighting, TargetReport, alive_key, frame_key},
 };
-use flockeye_network::{Listener, Network, NetworkError, NetworkMode, NetworkParameters, Received};
+use flockeye_network::{
+    LatestSighting, Listener, Network, NetworkError, NetworkMode, NetworkParameters,
+};
 use flockeye_require::loopback::{Relay, WATCHDOG, free_port, tcp, until, watched};
 use zenoh::{
     Wait,
@@ -93,7 +95,7 @@ fn sighting(report: FrameReport) -> Sighting {
     report.sightings().next().expect("it has a target")
 }
 
-fn received(listener: &Listener, observer: &str, target: &str) -> Option<Received> {
+fn received(listener: &Listener, observer: &str, target: &str) -> Option<LatestSighting> {
     listener.snapshot().observers.get(observer)?.targets.get(target).cloned()
 }
 

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use flockeye_contract::wire::{FRAME_SCHEMA, FrameReport, alive_key, frame_key};
-use flockeye_identity::{Authority, Challenge, Member, MemberFiles, Role, Said};
+use flockeye_identity::{Authority, Challenge, Member, MemberFiles, Role, Statement};
 use flockeye_network::{Listener, Network, NetworkMode, NetworkParameters, PeerState, Refused};
 use flockeye_require::loopback::{free_port, until, watched};
 use flockeye_runtime::clock::utc_s;
@@ -157,7 +157,7 @@ fn report_until_heard(network: &Network, name: &str, listener: &Listener) {
 fn say(session: &Session, observer: &str, frame: u64, signer: Option<&Member>) {
     let key = frame_key(SWARM, observer);
     let payload = report(observer, frame).to_json().unwrap();
-    let said = Said { key: &key, challenge: Challenge::default(), payload: &payload };
+    let said = Statement { key: &key, challenge: Challenge::default(), payload: &payload };
     let seal = signer.map(|signer| signer.seal(&said, true));
     session.put(&key, payload.clone()).attachment(seal).wait().unwrap();
 }

@@ -34,7 +34,7 @@ impl Client {
         Self::open(&parameters)
     }
 
-    /// The same with all that can be set.
+    /// Links as the parameters say.
     ///
     /// # Errors
     /// As [`connect`](Self::connect).
@@ -52,8 +52,12 @@ impl Client {
         self.listener.snapshot()
     }
 
-    /// The last report of `observer` on `target`, with its age ([`flockeye_network::Received::age`]).
-    pub fn last_known(&self, observer: &str, target: &str) -> Option<flockeye_network::Received> {
+    /// The last report of `observer` on `target`, with its age ([`flockeye_network::LatestSighting::age`]).
+    pub fn last_known(
+        &self,
+        observer: &str,
+        target: &str,
+    ) -> Option<flockeye_network::LatestSighting> {
         let peers = self.listener.snapshot();
         let observer: &PeerState = peers.observers.get(observer)?;
         observer.targets.get(target).cloned()

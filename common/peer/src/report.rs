@@ -5,17 +5,17 @@ use std::time::Duration;
 use flockeye_contract::wire::{Degenerate, Sighting, TargetReport};
 use flockeye_contract::{FrameStamp, MeasuredBy, Pose, Track, TrackState};
 use flockeye_convert::{isometry, matrix6, symmetric6};
-use flockeye_network::Heard;
+use flockeye_network::TimedSighting;
 use nalgebra::Vector3;
 
 use crate::swarm::UncertainPose;
 
-/// Where one drone sees another, of a report that passed all checks.
+/// One drone's sighting of another, of a report that passed all checks.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PeerReport {
-    /// Who sees.
+    /// The drone that sees.
     pub observer: String,
-    /// Whom.
+    /// The drone that is seen.
     pub target: String,
     /// The camera frame's epoch and number, as the observer counts.
     pub frame: (u32, u64),
@@ -78,14 +78,14 @@ impl PeerReport {
         Duration::from_nanos(u64::try_from(age_ns).unwrap_or(0))
     }
 
-    /// Where the observer is as its target has it: for a target that is oneself, where the peer is from here.
+    /// The observer's pose as its target has it: for a target that is oneself, the peer's pose from here.
     pub fn target_from_observer(&self) -> UncertainPose {
         self.observer_from_target.inverse()
     }
 }
 
-impl From<&Heard> for PeerReport {
-    fn from(heard: &Heard) -> Self {
+impl From<&TimedSighting> for PeerReport {
+    fn from(heard: &TimedSighting) -> Self {
         let Sighting { observer, target, frame, epoch, .. } = &heard.report;
         let pose = |position, orientation, covariance: &[f64; 21]| UncertainPose {
             a_from_b: isometry(&Pose { position, orientation }),

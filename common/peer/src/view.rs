@@ -19,7 +19,7 @@ pub struct SwarmView {
 }
 
 impl SwarmView {
-    /// As `own` would have it: its frame is the origin, and its sightings are believed before others'.
+    /// A view from the drone `own`: its frame is the origin, and its sightings are believed before others'.
     pub fn from(own: &str) -> Self {
         Self {
             own: own.to_owned(),
@@ -28,7 +28,7 @@ impl SwarmView {
         }
     }
 
-    /// Whose frame is the origin.
+    /// The drone whose frame is the origin.
     pub fn own(&self) -> &str {
         &self.own
     }
@@ -59,12 +59,12 @@ impl SwarmView {
         }
     }
 
-    /// Where all are at an instant of this machine's CLOCK_MONOTONIC, nanoseconds.
+    /// Poses of all drones at an instant of this machine's CLOCK_MONOTONIC, nanoseconds.
     pub fn places(&mut self, at_monotonic_ns: i64) -> Vec<Place> {
         self.estimator.places(at_monotonic_ns as f64 * 1e-9, &self.ego)
     }
 
-    /// Where all are now.
+    /// Poses of all drones now.
     pub fn places_now(&mut self) -> Vec<Place> {
         self.places(monotonic_now_ns())
     }

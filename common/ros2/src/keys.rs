@@ -19,7 +19,7 @@ pub fn topic_key(domain: u32, topic: &str, message: MessageType) -> String {
     format!("{domain}/{}/{}/{}", topic.trim_matches('/'), message.dds_name(), message.hash())
 }
 
-/// Who publishes.
+/// The publisher of a topic.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NodeIdentity {
     /// The ROS domain.

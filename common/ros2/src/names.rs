@@ -9,7 +9,7 @@ use flockeye_contract::wire::{is_name, shortened};
 
 use crate::error::Ros2Error;
 
-/// Most targets that a node publishes the poses of, and most peers that it publishes odometry by.
+/// Maximum targets, and maximum peers, of a node.
 pub const MAX_DRONES: usize = 64;
 
 /// What a drone's name is in ROS. What is neither letter nor digit becomes `_`, several of them in a row

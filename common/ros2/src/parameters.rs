@@ -9,7 +9,7 @@ use crate::error::Ros2Error;
 
 /// The largest ROS domain.
 const MAX_DOMAIN: u32 = 232;
-/// Most characters of a namespace: the longest topic below it stays within ROS's 247.
+/// Maximum characters of a namespace: the longest topic below it stays within ROS's 247.
 const MAX_NAMESPACE_CHARS: usize = 100;
 /// How long a link may take to open, milliseconds.
 const OPEN_TIMEOUT_MS: u64 = 1_000;

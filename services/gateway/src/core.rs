@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use flockeye_config::Flow;
 use flockeye_contract::wire::{ClockOffset, FrameReport};
 use flockeye_contract::{OdometrySample, PeerSighting, Rotation, SwarmPose, Track, TrackHeader};
-use flockeye_network::Heard;
+use flockeye_network::TimedSighting;
 use flockeye_peer::PeerReport;
 use flockeye_runtime::clock::exposure_ns;
 use flockeye_runtime::newest::Newest;
@@ -110,7 +110,7 @@ impl Core {
     }
 
     /// A peer's sighting. Gives it as the topic `peer` has it; none for this drone's own.
-    pub(crate) fn on_sighting(&mut self, heard: &Heard) -> Option<PeerSighting> {
+    pub(crate) fn on_sighting(&mut self, heard: &TimedSighting) -> Option<PeerSighting> {
         let report = PeerReport::from(heard);
         (report.observer != self.observer).then(|| {
             self.swarm.hears(&report);
@@ -203,7 +203,7 @@ mod tests {
     #[test]
     fn what_this_drone_reports_itself_is_no_sighting_of_a_peer() {
         let mut core = core(None);
-        let heard = |observer: &str| Heard {
+        let heard = |observer: &str| TimedSighting {
             arrived_monotonic_ns: NOW.monotonic_ns,
             exposure_monotonic_ns: NOW.monotonic_ns,
             exposure_deviation_ns: 100_000,

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use flockeye_contract::wire::{ClockOffset, FrameReport};
 use flockeye_network::{
-    Heard, Listener, Network, NetworkError, NetworkParameters, ReportStream, Reporter,
+    Listener, Network, NetworkError, NetworkParameters, ReportStream, Reporter, TimedSighting,
     utc_from_monotonic,
 };
 use flockeye_runtime::clock;
@@ -59,7 +59,7 @@ impl Link {
     }
 
     /// The next sighting of a peer, if one has come.
-    pub(crate) fn next_sighting(&self) -> Option<Heard> {
+    pub(crate) fn next_sighting(&self) -> Option<TimedSighting> {
         self.reports.try_recv()
     }
 

@@ -115,7 +115,7 @@ mod tests {
 
     fn heard(observer: &str, target: &str, position: [f64; 3]) -> PeerReport {
         let report = frame_report(observer, Track { name: target.into(), ..seen(position) });
-        PeerReport::from(&flockeye_network::Heard {
+        PeerReport::from(&flockeye_network::TimedSighting {
             arrived_monotonic_ns: NOW_NS,
             exposure_monotonic_ns: NOW_NS,
             exposure_deviation_ns: 100_000,

@@ -13,7 +13,7 @@ use flockeye_cli::running::{PipelineChoice, choose};
 use flockeye_cli::text_table::TextTable;
 use flockeye_cli::{Configuration, Screen, duration, signals};
 use flockeye_network::{
-    Heard, Listener, Network, NetworkParameters, Peers, ReportStream, monotonic_now_ns,
+    Listener, Network, NetworkParameters, Peers, ReportStream, TimedSighting, monotonic_now_ns,
 };
 use flockeye_peer::{PeerReport, Place, SwarmView};
 use nalgebra::Vector3;
@@ -98,7 +98,7 @@ impl Swarm {
     }
 
     /// Takes in the next report, if one comes soon.
-    fn hear(&mut self, patience: Duration) -> Option<Heard> {
+    fn hear(&mut self, patience: Duration) -> Option<TimedSighting> {
         let heard = self.reports.recv_timeout(patience)?;
         self.view.hear(&PeerReport::from(&heard));
         Some(heard)

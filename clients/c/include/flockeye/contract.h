@@ -25,6 +25,7 @@
 #define FLOCKEYE_TOPIC_FRAME_END "flockeye/frame_end" /* flockeye_frame_end, uint8_t */
 #define FLOCKEYE_TOPIC_TRACK "flockeye/track" /* flockeye_track_header, flockeye_track */
 #define FLOCKEYE_TOPIC_JOURNAL "flockeye/journal" /* flockeye_journal_header, flockeye_journal_entry */
+#define FLOCKEYE_TOPIC_ODOMETRY "flockeye/odometry" /* flockeye_odometry_sample, uint8_t */
 #define FLOCKEYE_TOPIC_PEER "flockeye/peer" /* flockeye_peer_header, flockeye_peer_sighting */
 #define FLOCKEYE_TOPIC_SWARM "flockeye/swarm" /* flockeye_swarm_header, flockeye_swarm_pose */
 #define FLOCKEYE_TOPIC_HEALTH "flockeye/health" /* flockeye_health, uint8_t */
@@ -560,6 +561,25 @@ static_assert(offsetof(flockeye_journal_entry, attempt) == 40, "JournalEntry.att
 static_assert(offsetof(flockeye_journal_entry, worker) == 44, "JournalEntry.worker");
 static_assert(offsetof(flockeye_journal_entry, tracks) == 48, "JournalEntry.tracks");
 static_assert(offsetof(flockeye_journal_entry, plans) == 52, "JournalEntry.plans");
+
+/* In iceoryx2: flockeye/OdometrySample. */
+typedef struct {
+    flockeye_pose odom_from_observer;
+    double covariance[36];
+    double linear_velocity[3];
+    double angular_velocity[3];
+    int64_t at_ns;
+    uint32_t epoch;
+    uint32_t generation;
+} flockeye_odometry_sample;
+static_assert(sizeof(flockeye_odometry_sample) == 408, "OdometrySample");
+static_assert(offsetof(flockeye_odometry_sample, odom_from_observer) == 0, "OdometrySample.odom_from_observer");
+static_assert(offsetof(flockeye_odometry_sample, covariance) == 56, "OdometrySample.covariance");
+static_assert(offsetof(flockeye_odometry_sample, linear_velocity) == 344, "OdometrySample.linear_velocity");
+static_assert(offsetof(flockeye_odometry_sample, angular_velocity) == 368, "OdometrySample.angular_velocity");
+static_assert(offsetof(flockeye_odometry_sample, at_ns) == 392, "OdometrySample.at_ns");
+static_assert(offsetof(flockeye_odometry_sample, epoch) == 400, "OdometrySample.epoch");
+static_assert(offsetof(flockeye_odometry_sample, generation) == 404, "OdometrySample.generation");
 
 /* In iceoryx2: flockeye/PeerHeader. */
 typedef struct {

@@ -9,15 +9,15 @@ use crate::freshness::NotOfNow;
 /// How many messages in an observer's name were refused, and why.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Refused {
-    /// No report, in another's name, or more targets than are kept.
+    /// Messages that are no report, reports in another's name, and more targets than are kept.
     pub malformed: u64,
-    /// Held on the way for too long.
+    /// Reports that were held up on the way for too long.
     pub stale: u64,
-    /// Of a time to come.
+    /// Reports that claim a time to come.
     pub future: u64,
-    /// Said before.
+    /// Reports that were sent before.
     pub replayed: u64,
-    /// Not signed by a member of this name, or by one that does not answer.
+    /// Reports that are not signed by a member of this name, or by one that does not answer.
     pub untrusted: u64,
 }
 
@@ -56,7 +56,7 @@ pub enum Refusal {
         /// The observer in the report.
         found: String,
     },
-    /// Of another time than now.
+    /// A report of another time than now.
     #[error(transparent)]
     NotOfNow(#[from] NotOfNow),
     /// Not signed by the observer that the key names.
@@ -77,12 +77,12 @@ pub enum Refusal {
 }
 
 impl Refusal {
-    /// Whether it belongs to every observer's beginning, so that nobody needs to know.
+    /// Whether this refusal is normal at start-up and need not be reported.
     pub(crate) fn is_usual(&self) -> bool {
         matches!(self, Self::NotYetAnswered | Self::NotOfNow(NotOfNow::Overtaken))
     }
 
-    /// The same for all that is refused for the same reason.
+    /// A name of the reason, for the throttle of its warnings.
     pub(crate) fn reason(&self) -> &'static str {
         match self {
             Self::Key => "key",

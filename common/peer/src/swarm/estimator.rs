@@ -1,4 +1,4 @@
-//! Where all drones are from here, fed with sightings as they come.
+//! Poses of all drones from here, estimated from sightings as they come.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -14,7 +14,7 @@ use super::uncertain_pose::UncertainPose;
 
 /// Maximum drones, this one included.
 pub(crate) const MOST_DRONES: usize = 64;
-/// A pair that nobody has measured for this long says nothing any more, seconds.
+/// A pair that nobody has measured for this long is forgotten, seconds.
 const FORGOTTEN_S: f64 = 1.0;
 /// Deviation of a velocity in a report that has no measurements, m/s and rad/s: how far the pose may have gone
 /// since its exposure beyond what it says.
@@ -32,9 +32,9 @@ const CALIBRATION: (f64, f64) = (0.02, 0.02);
 /// How drones move.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SwarmModel {
-    /// As seen by this drone, whose own rotation is known.
+    /// Motion as this drone sees it, whose own rotation is known.
     pub own: MotionModel,
-    /// As seen by others, whose rotation is not: what stands still seems to move when they turn.
+    /// Motion as others see it, whose rotation is not known: what stands still seems to move when they turn.
     pub others: MotionModel,
 }
 
@@ -47,12 +47,12 @@ impl Default for SwarmModel {
     }
 }
 
-/// Where one observer sees one target at one exposure.
+/// One observer's sighting of one target at one exposure.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Observation<'n> {
-    /// Who sees.
+    /// The drone that sees.
     pub observer: &'n str,
-    /// Whom.
+    /// The drone that is seen.
     pub target: &'n str,
     /// The exposure on this machine's clock, seconds.
     pub at_s: f64,
@@ -71,7 +71,7 @@ pub struct Observation<'n> {
 /// Where a drone is from here.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Place {
-    /// Whose place.
+    /// The drone's name.
     pub name: String,
     /// Its pose in this drone's frame, and how certain it is.
     pub own_from_drone: UncertainPose,
@@ -88,9 +88,9 @@ pub struct Place {
 /// One direction: what one drone sees of another.
 #[derive(Debug, Clone)]
 struct Direction {
-    /// Of measurements, where the reports have them.
+    /// Filter of the measurements, where the reports have them.
     replay: Replay,
-    /// Of reports without measurements.
+    /// The last report without a measurement.
     reported: Option<Reported>,
 }
 
@@ -120,7 +120,7 @@ fn course(velocity: &Vector3<f64>, rate: &Vector3<f64>) -> Vector6<f64> {
 /// What each direction says alone, by observer and target.
 type Directed = BTreeMap<(usize, usize), UncertainPose>;
 
-/// Where all drones are from here.
+/// Estimates the poses of all drones from here.
 #[derive(Debug, Clone)]
 pub struct SwarmEstimator {
     model: SwarmModel,

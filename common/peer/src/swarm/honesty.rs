@@ -1,4 +1,4 @@
-//! Whose sightings contradict the others'.
+//! The observers whose sightings contradict the others'.
 //!
 //! If all are right, the graph of all sightings fits as well as their covariances say. If it does not, each
 //! observer is left out in turn, as in the monitoring of satellites' signals (RAIM; Parkinson and Axelrad,

@@ -19,7 +19,7 @@ use super::uncertain_pose::UncertainPose;
 
 /// Measurements that are so much older than the newest are taken in for good, seconds.
 const REPLAYED_S: f64 = 0.3;
-/// Most measurements that wait: two drones' at 60 frames/s, and some.
+/// Maximum measurements that wait: two drones' at 60 frames/s, and some.
 const MOST_WAITING: usize = 64;
 /// A right measurement lies within the gate with this probability.
 const GATE: f64 = 0.9999;
@@ -43,7 +43,7 @@ pub struct TimedPose {
 /// The filter of one pose, `first_from_second`.
 #[derive(Debug, Clone)]
 pub struct Replay {
-    /// Where the measurements that wait begin.
+    /// The filter at the first measurement that waits.
     filters: [Filter; BRISKNESS.len()],
     /// In the order of their times.
     waiting: VecDeque<TimedPose>,
@@ -60,7 +60,7 @@ struct Filter {
 }
 
 impl Replay {
-    /// Nothing is measured yet. Drones move as `motion` says, or less briskly.
+    /// A filter without measurements. Drones move as `motion` says, or less briskly.
     pub fn new(motion: MotionModel) -> Self {
         let filter = |share| Filter {
             motion: MotionModel {
