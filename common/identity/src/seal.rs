@@ -3,7 +3,7 @@
 //! | bytes | what |
 //! | --- | --- |
 //! | 1 | 1: the form |
-//! | 64 | Ed25519 signature of what was [`Statement`] |
+//! | 64 | Ed25519 signature of the [`Statement`] |
 //! | 8 | which certificate: the first bytes of its SHA-256 |
 //! | the rest | the certificate itself, as DER; once a second, and in answers; else nothing |
 

@@ -307,13 +307,13 @@ fn listen(hub: &Arc<Hub>, session: &Session) -> zenoh::Result<()> {
     let subscriber = session.declare_subscriber(all_frames_key(&hub.swarm));
     let published = {
         let hub = hub.clone();
-        move |sample| hub.hear(&sample, Delivery::Published, Challenge::default())
+        move |sample: Sample| hub.hear(&sample, Delivery::Published, Challenge::default())
     };
     let _frames = subscriber.callback(published).wait()?;
     let tokens = session.liveliness().declare_subscriber(all_alive_key(&hub.swarm));
     let token = {
         let hub = hub.clone();
-        move |token| hub.see(&token)
+        move |token: Sample| hub.see(&token)
     };
     let _alive = tokens.history(true).callback(token).wait()?;
     while let Some(observer) = hub.next() {

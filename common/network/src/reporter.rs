@@ -169,7 +169,7 @@ impl Sender {
         let answerer =
             Answerer { key: key.clone(), outbox: self.outbox.clone(), member: self.member.clone() };
         let _last_value = session
-            .declare_queryable(&key)
+            .declare_queryable(key.as_str())
             .callback(move |query| answerer.answer(&query))
             .wait()?;
         let token = alive_key(&self.swarm, &self.observer);
