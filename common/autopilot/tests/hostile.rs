@@ -86,7 +86,7 @@ fn a_million_hostile_strings_do_no_harm_and_questions_between_them_are_answered(
         decode(&bytes, |sender, message| {
             heard += u64::from(core.on_message(sender, message, now_ns));
         });
-        core.odometry_at(now_ns);
+        core.take_odometry();
         for sent in core.due(now_ns) {
             let Outgoing::Timesync(time) = sent else { continue };
             answered += u64::from(time.tc1 != 0 && time.ts1 == ts1 && k % QUESTION_EVERY == 0);

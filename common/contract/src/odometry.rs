@@ -27,6 +27,20 @@ pub struct OdometrySample {
     pub generation: u32,
 }
 
+impl Default for OdometrySample {
+    fn default() -> Self {
+        Self {
+            odom_from_observer: Pose::default(),
+            covariance: [f64::NAN; 36],
+            linear_velocity: [0.0; 3],
+            angular_velocity: [0.0; 3],
+            at_ns: 0,
+            epoch: 0,
+            generation: 0,
+        }
+    }
+}
+
 impl OdometrySample {
     /// Refuses poses and velocities that are none.
     pub fn check(&self) -> Result<(), ContractError> {

@@ -176,7 +176,7 @@ pub(crate) mod tests {
     fn targets_are_bounded() {
         let outbox = Outbox::default();
         let now = Instant::now();
-        let mut put = |target: &str| outbox.put(frame_report("wren", &[target]), now);
+        let put = |target: &str| outbox.put(frame_report("wren", &[target]), now);
         (0..MAX_TARGETS).for_each(|k| put(&format!("t{k}")).unwrap());
         assert!(matches!(put("one-more"), Err(NetworkError::TooManyTargets { .. })));
         put("t0").expect("known targets go on");

@@ -170,11 +170,13 @@ fn the_swarm_does_not_notice_when_ros_2_or_the_autopilot_dies() {
     let session = client_of(&listen);
     let (tell, tokens) = channel();
     let alive = session.liveliness().declare_subscriber("flockeye/*/wren/alive").history(true);
-    let callback = move |token: zenoh::sample::Sample| drop(tell.send(token.kind()));
+    let callback = move |token: zenoh::sample::Sample| {
+        tell.send(token.kind()).ok();
+    };
     alive.callback(callback).background().wait().expect("it is a key");
     let reports = reports_of_wren(&session);
     let mut frames = Vec::new();
-    let mut hear = |frames: &mut Vec<u64>| frames.extend(reports.try_iter().map(|one| one.frame));
+    let hear = |frames: &mut Vec<u64>| frames.extend(reports.try_iter().map(|one| one.frame));
     until(&flight, || {
         hear(&mut frames);
         (frames.len() > 10).then_some(())
