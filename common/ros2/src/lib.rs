@@ -29,7 +29,7 @@
 //! - [`keys`]: under which keys rmw_zenoh publishes and announces, and what it attaches.
 //! - [`Ros2Parameters`]: how to reach the ROS nodes.
 //!
-//! `docs/ROS2.md` describes the topics, frames and limits for users.
+//! `docs/PEERS.md` describes the topics, frames and limits for users.
 
 pub mod keys;
 pub mod messages;

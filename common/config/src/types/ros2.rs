@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// How ROS 2 nodes that use `rmw_zenoh` are reached (docs/ROS2.md).
+/// How ROS 2 nodes that use `rmw_zenoh` are reached (docs/PEERS.md).
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Ros2 {
