@@ -4,6 +4,7 @@
 # make bench  what it costs: functions, the hop between processes, the whole pipeline; with
 #             RECORDING=FOLDER (a video and truth.csv, bodies.json above) also beside the paper's
 #             method in Python, with DORA=1 the hop also beside dora-rs
+# make instructions  processor instructions of the cores on the first frames of a recording (valgrind)
 # make golden, make golden-check  lossless poses of this build, and whether another build's are the same
 # make results  flies recordings and simulated flights and writes docs/results; PARTS="flight1 far"
 #             flies these alone, FLOCKEYE=PROGRAM takes another build, JOBS=2 flies two at a time
@@ -20,7 +21,7 @@ GUSTS = $(addprefix --set simulator.,frames=90 tilt_deg=12 yaw_deg_s=20 yaw_swin
 DORA_COMMAND = $(CURDIR)/target/peers/bin/dora
 DORA_HOP = $(CURDIR)/target/peers/dora/release/dora-hop
 
-.PHONY: book deb deb-test python install-c clients run test bench peers build setup cargo format golden golden-check golden-write golden-compare results
+.PHONY: book deb deb-test python install-c clients run test bench peers build setup cargo format golden golden-check golden-write golden-compare results instructions
 
 # The profile of the tests, which builds sooner than the release profile that the drone gets (`make
 # build`).
@@ -73,13 +74,17 @@ target/python/installed: Makefile $(wildcard clients/python/pyproject.toml clien
 	@target/python/bin/pip install -q $(PYTHON_PACKAGES)
 	@touch $@
 
-# The files of the clients that are generated from the contract's types.
+# What is generated from the contract's types: files of the clients, and the layout in docs/CONTRACT.md.
 clients: setup
 	cargo build --profile tested --locked -p flockeye-workshop
 	target/tested/flockeye-workshop contract python > target/contract.py
 	target/tested/flockeye-workshop contract c > target/contract.h
+	target/tested/flockeye-workshop contract layout > target/contract.layout
 	mv target/contract.py clients/python/flockeye/contract.py
 	mv target/contract.h clients/c/include/flockeye/contract.h
+	awk 'FNR == NR {layout = layout $$0 "\n"; next} /^```$$/ {inside = 0} !inside {print} \
+	     /^```layout$$/ {printf "%s", layout; inside = 1}' target/contract.layout docs/CONTRACT.md > target/CONTRACT.md
+	mv target/CONTRACT.md docs/CONTRACT.md
 
 bench: setup $(if $(DORA),$(DORA_COMMAND) $(DORA_HOP))
 	cargo build --release --workspace --all-targets --locked
@@ -109,6 +114,16 @@ golden-check: golden-compare
 golden-write golden-compare: golden-%: setup
 	cargo build --profile tested --workspace --bins --locked
 	target/tested/golden $* target/golden $(FLIGHTS)
+
+# Processor instructions of the cores on the first frames of a recording: one program without supervisor or
+# processes, one thread, decoded frames given. The count repeats, and is compared with that of another commit.
+DATA = $(or $(FLOCKEYE_DATA),../shared/data)
+INSTRUCTIONS = cargo bench --profile tested --locked -p flockeye-tests --bench instructions
+instructions: cargo
+	@command -v valgrind >/dev/null || { echo "valgrind is missing. Cure: apt-get install valgrind"; exit 1; }
+	$(INSTRUCTIONS) -- decode $(abspath $(DATA))/flight1/flight1.mp4 30 $(CURDIR)/target/instructions.frames
+	$(INSTRUCTIONS) --config 'target."cfg(all())".runner = "valgrind --tool=callgrind --callgrind-out-file=/dev/null --toggle-collect=*instructions::fly*"' \
+		-- fly $(CURDIR)/target/instructions.frames $(abspath $(DATA))/flight1/flight1.mp4 $(abspath $(DATA))/bodies.json
 
 # Tables that documents link to: Python's standard library alone, but for the part codings.
 results: $(if $(FLOCKEYE),,build)

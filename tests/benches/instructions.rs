@@ -1,0 +1,258 @@
+//! Processor instructions of the cores on a recording: rectification, detection and fusion in one thread, in lossless
+//! order, without supervisor, processes or shared memory. Under valgrind's callgrind the count repeats.
+//!
+//! ```sh
+//! make instructions      # the first 30 frames of flight1
+//! ```
+//!
+//! `decode VIDEO FRAMES FILE` writes decoded frames, `fly FILE VIDEO BODIES` flies them. Only [`fly`] is counted, so
+//! decoding, configuration and the reading of frames cost nothing. It prints how many poses came out, and a hash of
+//! them: builds with the same behaviour have the same.
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used)]
+
+use std::collections::VecDeque;
+use std::fs::File;
+use std::io::{BufWriter, Read, Write};
+use std::rc::Rc;
+use std::time::Duration;
+
+use flockeye_capture::core::Core as Capture;
+use flockeye_capture::{Event as SourceEvent, Source, SourceParameters};
+use flockeye_config::{Flow, Pipeline, Resolved};
+use flockeye_contract::{DetectionHeader, FrameHeader, PixelFormat, Track, ViewHeader};
+use flockeye_convert::projection_of;
+use flockeye_detection::core::Core as Detection;
+use flockeye_fusion::background_runner::BackgroundRunner;
+use flockeye_fusion::core::{Event as FusionEvent, Outputs};
+use flockeye_fusion::frame_assembly::Record;
+use flockeye_fusion::pictures::Pixels;
+use flockeye_fusion::settings::{Configured, configured};
+use flockeye_rectification::core::{Action, Core as Rectification, CutOrder, Event};
+use flockeye_rectification::cpu::CpuRectifier;
+use flockeye_rectification::cutting::{Cutter, view_header};
+use flockeye_rectification::proposing::Proposing;
+use flockeye_rectification::standby::Standby;
+use flockeye_runtime::health::SharedCounters;
+
+fn main() {
+    // `cargo bench` adds its own word.
+    let arguments: Vec<String> =
+        std::env::args().skip(1).filter(|word| word != "--bench").collect();
+    let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    match words[..] {
+        ["decode", video, count, file] => decode(video, count.parse().unwrap(), file),
+        ["fly", file, video, bodies] => {
+            let resolved = resolved(video, Some(bodies));
+            let frames = read(file);
+            let mut cores = Cores::new(&resolved);
+            fly(&mut cores, frames);
+            println!("poses {}, hash {:016x}", cores.poses, cores.hash);
+        }
+        _ => println!("usage: decode VIDEO FRAMES FILE | fly FILE VIDEO BODIES"),
+    }
+}
+
+/// The default pipeline on a recording, as [`Cores`] runs it: one worker, one thread each, no other stages.
+fn resolved(video: &str, bodies: Option<&str>) -> Resolved {
+    let mut overrides = vec![
+        "flow=lossless".to_owned(),
+        format!("source.input={video}"),
+        "rectification.backend=cpu".to_owned(),
+        "rectification.threads=1".to_owned(),
+        "fusion.threads=1".to_owned(),
+        "stages.detection.replicas=1".to_owned(),
+        "egomotion.enabled=false".to_owned(),
+        "gateway.enabled=false".to_owned(),
+    ];
+    overrides.extend(bodies.map(|bodies| format!("bodies.file={bodies}")));
+    Resolved::of(Pipeline::parse("", &overrides, "instructions").unwrap()).unwrap()
+}
+
+type Decoded = (FrameHeader, Rc<Vec<u8>>);
+
+/// Writes the first frames of a video, each as its header and its luma plane, as capture publishes them.
+fn decode(video: &str, count: u64, file: &str) {
+    let resolved = resolved(video, None);
+    let parameters = SourceParameters::of(&resolved.pipeline);
+    let mut source = Source::open(video.parse().unwrap(), parameters).unwrap();
+    let mut capture = Capture::new(Flow::Lossless, 0);
+    let mut out = BufWriter::new(File::create(file).unwrap());
+    for _ in 0..count {
+        let picture = loop {
+            match source.next(Duration::from_secs(5)).unwrap() {
+                SourceEvent::Frame(picture) => break picture,
+                SourceEvent::End(reason) => panic!("{reason}"),
+                _ => {}
+            }
+        };
+        let stream_ns = picture.time().stream_ns;
+        let header = FrameHeader {
+            stamp: capture.on_picture(picture.time(), stream_ns).stamp,
+            width: picture.width(),
+            height: picture.height(),
+            stride: picture.width(),
+            pixel_format: PixelFormat::Gray8.code(),
+            transfer: resolved.transfer.0.code(),
+            gamma: resolved.transfer.1,
+            range: picture.range().code(),
+            projection: projection_of(&resolved.camera).code(),
+            ..FrameHeader::default()
+        };
+        out.write_all(bytemuck::bytes_of(&header)).unwrap();
+        (0..picture.height()).for_each(|y| out.write_all(picture.row(y)).unwrap());
+    }
+    out.flush().unwrap();
+}
+
+fn read(file: &str) -> Vec<Decoded> {
+    let mut input = File::open(file).unwrap();
+    let mut frames = Vec::new();
+    let mut header = [0; size_of::<FrameHeader>()];
+    while input.read_exact(&mut header).is_ok() {
+        let header: FrameHeader = bytemuck::pod_read_unaligned(&header);
+        let mut luma = vec![0; header.stride as usize * header.height as usize];
+        input.read_exact(&mut luma).unwrap();
+        frames.push((header, Rc::new(luma)));
+    }
+    frames
+}
+
+/// A view's pixels, as fusion keeps them.
+struct View(Vec<u8>);
+
+impl Pixels for View {
+    fn pixels(&self) -> &[u8] {
+        &self.0
+    }
+}
+
+/// The three cores, and what carries their messages.
+struct Cores {
+    rectification: Rectification<Rc<Vec<u8>>>,
+    cutter: Cutter,
+    proposing: Proposing,
+    detection: Detection,
+    fusion: Configured<View>,
+    background: Option<BackgroundRunner>,
+    /// The time that the cores see: that of the stream.
+    now_ns: i64,
+    poses: usize,
+    hash: u64,
+}
+
+/// The counted part: callgrind collects inside of it alone, by its name.
+#[inline(never)]
+fn fly(cores: &mut Cores, frames: Vec<Decoded>) {
+    let count = frames.len();
+    cores.fuse();
+    for (header, luma) in frames {
+        cores.now_ns = header.stamp.stream_ns;
+        cores.rectification.on(Event::Frame(header, luma), cores.now_ns);
+        cores.rectify();
+    }
+    println!("frames {count}");
+}
+
+impl Cores {
+    fn new(resolved: &Resolved) -> Self {
+        let standby = Standby::new(Box::new(CpuRectifier::new(1)), 1, SharedCounters::default());
+        let fusion = configured(resolved, 0).unwrap();
+        let background =
+            fusion.has_background.then(|| BackgroundRunner::inline(fusion.aligner.clone()));
+        Self {
+            rectification: Rectification::of(resolved, 0, 0).unwrap(),
+            cutter: Cutter::new(standby, resolved.camera),
+            proposing: Proposing::of(resolved).unwrap(),
+            detection: Detection::new(resolved, 0, 0).unwrap(),
+            fusion,
+            background,
+            now_ns: 0,
+            poses: 0,
+            hash: 0xcbf2_9ce4_8422_2325,
+        }
+    }
+
+    /// Works on a frame until nothing is left to do.
+    fn rectify(&mut self) {
+        loop {
+            match self.rectification.step(self.now_ns) {
+                Action::TakeUp(frame) => {
+                    let held = self.rectification.held_mut(frame).unwrap();
+                    let likely = std::mem::take(&mut held.likely);
+                    self.cutter.order(held, |luma| luma, &likely).unwrap();
+                }
+                Action::Cut(order) => self.cut(order),
+                Action::End(end) => {
+                    self.fusion.core.on(FusionEvent::FrameEnd(end), self.now_ns);
+                    self.fuse();
+                }
+                Action::Wait(_) => return,
+            }
+        }
+    }
+
+    /// Cuts a view, searches it, and gives fusion both.
+    fn cut(&mut self, order: CutOrder) {
+        let held = self.rectification.held_mut(order.frame).unwrap();
+        if held.job.awaits_places() && held.job.proposal(order.view_index).is_some() {
+            self.cutter.propose(held, |luma| luma, &mut self.proposing).unwrap();
+            let proposals = held.job.proposal_indices();
+            self.cutter.order(held, |luma| luma, &proposals).unwrap();
+            self.rectification.on(Event::Looked { took_ns: 0 }, self.now_ns);
+        }
+        let held = self.rectification.held_mut(order.frame).unwrap();
+        let (view, _) = held.job.view(order.view_index).unwrap();
+        let mut pixels = vec![0; (view.size_px as usize).pow(2)];
+        self.cutter.cut(held, |luma| luma, order, &mut pixels).unwrap();
+        if let Some(place) = held.job.proposal(order.view_index) {
+            self.proposing.note_cut(place);
+        }
+        let header: ViewHeader = view_header(&held.job, order, 0, self.now_ns).unwrap();
+        self.rectification.on(Event::Published { order, took_ns: 0 }, self.now_ns);
+        let found = self.detection.on_view(&header, &pixels).unwrap();
+        assert!(found.failure.is_none());
+        let answer =
+            DetectionHeader { received_ns: self.now_ns, sent_ns: self.now_ns, ..found.header };
+        self.fusion.core.on(FusionEvent::View(header, View(pixels)), self.now_ns);
+        let record = Record { header: answer, markers: found.markers };
+        self.fusion.core.on(FusionEvent::Searched(record), self.now_ns);
+        self.rectification.on(Event::Answer(answer), self.now_ns);
+        self.fuse();
+    }
+
+    /// Steps fusion until it is idle; its plans go to rectification.
+    fn fuse(&mut self) {
+        let mut answers = VecDeque::new();
+        loop {
+            if let Some(answer) = answers.pop_front() {
+                self.fusion.core.on(FusionEvent::Background(answer), self.now_ns);
+            }
+            let Outputs { tracks, plan, job, is_idle, .. } = self.fusion.core.step(self.now_ns);
+            for message in &tracks {
+                let tracker = self.fusion.core.tracker();
+                let (_, tracks) = self.fusion.writer.tracks(message, tracker, self.now_ns);
+                tracks.iter().for_each(|track| self.note(track));
+            }
+            if let Some((next, after)) = &plan {
+                let (header, views) = self.fusion.writer.plan(next, *after, self.now_ns);
+                self.rectification.on(Event::Plan(header, views), self.now_ns);
+            }
+            if let (Some(job), Some(runner)) = (job, &mut self.background) {
+                runner.run(job).unwrap();
+                answers.extend(runner.answer().unwrap());
+            }
+            if is_idle && answers.is_empty() {
+                return;
+            }
+        }
+    }
+
+    /// Counts a track, and adds its pose and covariance to the hash (FNV-1a).
+    fn note(&mut self, track: &Track) {
+        self.poses += 1;
+        let pose = track.observer_from_target;
+        for byte in bytemuck::bytes_of(&pose).iter().chain(bytemuck::bytes_of(&track.covariance)) {
+            self.hash = (self.hash ^ u64::from(*byte)).wrapping_mul(0x0000_0100_0000_01b3);
+        }
+    }
+}
