@@ -7,8 +7,9 @@
     tools/results/results.py --render       the tables anew from docs/results/results.json
 
 The variable FLOCKEYE names another build, and JOBS says how many lossless simulated flights are
-flown at a time. Recordings are read from ../shared/data (or --data); a part whose recording is
-absent is left out, and says so. Python's standard library is enough, but for the part codings.
+flown at a time. Recordings are read from the folder FLOCKEYE_DATA (or --data; left out:
+../shared/data); a part whose recording is absent is left out, and says so. Python's standard
+library is enough, but for the part codings.
 
 Each run becomes an entry of docs/results/results.json. The tables of docs/results and the short
 table of README.md are written from that file, so nobody types a figure.
@@ -29,6 +30,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 STORE = ROOT / "docs/results/results.json"
 WORK = Path("target/results")
+DATA = "../shared/data"
 JOBS = max(1, int(os.environ.get("JOBS") or 1))
 RESULTS_MARKS = ("<!-- results: written by make results -->", "<!-- end of results -->")
 BINS = [(0.0, 1.5), (1.5, 2.2), (2.2, 3.0), (3.0, 4.0)]
@@ -178,7 +180,8 @@ def call(arguments, may_fail=False):
 
 
 def shown(arguments):
-    """A command as one would type it."""
+    """A command as one would type it, wherever the recordings lie."""
+    arguments = [word.replace(os.environ.get("FLOCKEYE_DATA") or DATA, "$FLOCKEYE_DATA") for word in arguments]
     quote = lambda word: f"'{word}'" if re.search(r"[\[\] ]", word) else word
     return " ".join(["flockeye", *map(quote, arguments)])
 
@@ -897,11 +900,12 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("parts", nargs="*", help="what to fly; everything if none is named")
     parser.add_argument("--way", choices=WAYS, action="append", help="only flown this way")
-    parser.add_argument("--data", type=Path, default=Path("../shared/data"),
-                        help="the folder of recordings")
+    parser.add_argument("--data", type=Path, default=Path(os.environ.get("FLOCKEYE_DATA") or DATA),
+                        help="the folder of recordings, in place of FLOCKEYE_DATA")
     parser.add_argument("--list", action="store_true", help="list the parts")
     parser.add_argument("--render", action="store_true", help="only write the tables anew")
     arguments = parser.parse_args()
+    os.environ["FLOCKEYE_DATA"] = str(arguments.data)
     if arguments.list:
         print("\n".join(PARTS))
         return

@@ -6,6 +6,7 @@
 //! `namespaces` (mounts of our own), `radio` (network namespaces with /dev/net/tun), `python` and `c` (what stages
 //! in them need), `browser` (Chromium), and `fault-points` (a launcher that was built with them).
 
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 pub mod loopback;
@@ -21,18 +22,37 @@ pub const VULKAN: &str = "vulkan";
 /// The name of Python with the package of `clients/python` in [`REQUIRE`].
 pub const PYTHON: &str = "python";
 
+/// The environment variable that names the folder of the reference recordings. A relative path begins at the
+/// repository; left out: [`DEFAULT_DATA`].
+pub const DATA: &str = "FLOCKEYE_DATA";
+
+/// The default of [`DATA`].
+pub const DEFAULT_DATA: &str = "../shared/data";
+
 /// The folder of the reference recordings. Where it is absent, says so and returns `None`; the test
 /// ends there.
 ///
 /// # Panics
-/// Where it is absent but [`REQUIRE`] names it.
+/// Where it is absent but [`REQUIRE`] names it, or [`DATA`] names another folder that is absent.
 pub fn recordings() -> Option<PathBuf> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
+    let named = std::env::var_os(DATA).filter(|named| !named.is_empty());
+    let folder = data_folder(named.as_deref());
     if folder.is_dir() {
         return Some(folder);
     }
-    absent(RECORDINGS, "the reference recordings, ../shared/data beside the repository");
+    let shown = folder.display();
+    assert!(
+        named.is_none(),
+        "{DATA} names {shown}, which is no folder. Cure: name another one, or unset it"
+    );
+    absent(RECORDINGS, &format!("the reference recordings, {shown} (set {DATA} to their folder)"));
     None
+}
+
+fn data_folder(named: Option<&OsStr>) -> PathBuf {
+    let repository = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    // An absolute path stays as it is.
+    repository.join(named.unwrap_or(OsStr::new(DEFAULT_DATA)))
 }
 
 /// Says that a test skips because `what` is absent.
@@ -52,6 +72,14 @@ fn has(required: &str, name: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn recordings_lie_where_the_variable_says_or_beside_the_repository() {
+        let folder = |named: Option<&str>| data_folder(named.map(OsStr::new));
+        assert_eq!(folder(Some("/srv/flights")), Path::new("/srv/flights"));
+        assert!(folder(Some("flights")).ends_with("tests/require/../../flights"));
+        assert!(folder(None).ends_with("tests/require/../../../shared/data"));
+    }
 
     #[test]
     fn names_are_separated_by_commas() {

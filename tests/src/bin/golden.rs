@@ -23,7 +23,7 @@ const FOUR_BODIES: &str = "bodies.list=[{name: alpha}, {name: bravo, first_id: 1
 /// One flight that is flown, by a name and the arguments of `flockeye up`.
 struct Flight {
     name: &'static str,
-    /// Folder and file of a recording below `../shared/data`; `None`: simulated.
+    /// Folder and file of a recording below `FLOCKEYE_DATA`; `None`: simulated.
     recording: Option<&'static str>,
     set: &'static [&'static str],
 }
