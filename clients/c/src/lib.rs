@@ -6,11 +6,13 @@
 //! | module | what it does |
 //! | --- | --- |
 //! | [`stage`] | a stage: it joins, runs its loop, sends health, ends |
-//! | [`configuration`] | numbers and texts of the configuration, and whose a marker is |
+//! | [`configuration`] | what the configuration says, without pointers |
+//! | [`lookup`] | numbers and texts of the configuration, and whose a marker is |
 //! | [`ports`] | subscribers and publishers of any topic, by name |
 //! | [`failure`] | why the last call failed |
 
 pub mod configuration;
 pub mod failure;
+pub mod lookup;
 pub mod ports;
 pub mod stage;
