@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use flockeye_contract::{Detections, MeasuredBy, Tracks, Truths};
+use flockeye_contract::{Complaints, Detections, MeasuredBy, Tracks, Truths};
 use flockeye_tests::onlooker::{join, subscribe};
 use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, absent, flockeye, run};
 use nalgebra::Vector3;
@@ -35,20 +35,19 @@ fn install(scratch: &Scratch) -> String {
     prefix
 }
 
-/// The program that `flockeye stage new KIND --lang c` is a text of, written and built; `None` where what it needs is
-/// absent.
-pub(crate) fn new_stage(scratch: &Scratch, kind: &str) -> Option<String> {
+/// The program that `flockeye stage new detection --lang c` is a text of, written and built; `None` where what it needs
+/// is absent.
+fn new_detector(scratch: &Scratch) -> Option<String> {
     let has = |program: &str, arguments: &[&str]| {
         Command::new(program).args(arguments).output().is_ok_and(|output| output.status.success())
     };
-    let has_libraries = kind != "detection" || has("pkg-config", &["--exists", "apriltag"]);
-    if !has("cmake", &["--version"]) || !has_libraries {
+    if !has("cmake", &["--version"]) || !has("pkg-config", &["--exists", "apriltag"]) {
         absent("c", "cmake and libapriltag-dev, which `make setup` installs");
         return None;
     }
-    let folder = scratch.path(kind);
+    let folder = scratch.path("detection");
     let folder = folder.to_str().expect("a plain path");
-    let (succeeded, output) = run(&["stage", "new", kind, "--lang", "c", folder]);
+    let (succeeded, output) = run(&["stage", "new", "detection", "--lang", "c", folder]);
     assert!(succeeded, "{output}");
     let (prefix, build) = (install(scratch), format!("{folder}/build"));
     let prefix = format!("-DCMAKE_PREFIX_PATH={prefix}");
@@ -62,7 +61,7 @@ pub(crate) fn new_stage(scratch: &Scratch, kind: &str) -> Option<String> {
 #[test]
 fn a_detector_in_c_takes_over_and_poses_are_as_true_as_its_corners() {
     let scratch = Scratch::new("c-detector");
-    let Some(detector) = new_stage(&scratch, "detection") else { return };
+    let Some(detector) = new_detector(&scratch) else { return };
     let set = [SMALL_FLIGHT, &[DICTIONARY, "fusion.align=false"]].concat();
     let mut flight = Flight::start("c-detector", &[], &set);
     flight.wait_for("alpha confirmed");
@@ -126,7 +125,7 @@ fn a_detector_in_c_takes_over_and_poses_are_as_true_as_its_corners() {
 #[test]
 fn the_detector_in_c_keeps_the_contract_and_says_what_it_cannot_work_with() {
     let scratch = Scratch::new("c-conformance");
-    let Some(detector) = new_stage(&scratch, "detection") else { return };
+    let Some(detector) = new_detector(&scratch) else { return };
     let small = ["--set", "camera.width=1024", "--set", "camera.height=512"];
     let test = |more: &[&str]| {
         run(&[&["stage", "test", "detection"], &small[..], more, &["--", &detector]].concat())
@@ -223,6 +222,75 @@ int main(void) {
 }
 "#;
 
+/// A detection that answers each view by what the example does not use: memory that it borrows, the loop's own clock,
+/// refusals and complaints.
+const BORROWER: &str = r#"
+#include <assert.h>
+#include <string.h>
+#include <flockeye/stage.h>
+
+typedef struct {
+    flockeye_stage *stage;
+    flockeye_subscriber *views;
+    flockeye_publisher *detections;
+    int waits;
+} worker;
+
+static void answer(const worker *self, const flockeye_view_header *view) {
+    flockeye_detection_header header;
+    flockeye_answer(self->stage, view, flockeye_now_ns(), &header);
+    assert(header.generation == flockeye_stage_generation(self->stage));
+    flockeye_loan loan;
+    assert(flockeye_loan_items(self->detections, 2, &loan) == FLOCKEYE_OK && loan.count == 2);
+    flockeye_drop_loan(&loan);
+    flockeye_drop_loan(&loan);
+    assert(flockeye_send_loan(self->detections, &loan, &header) == FLOCKEYE_FAILED);
+    assert(strstr(flockeye_error(), "sent or dropped before"));
+    assert(flockeye_loan_items(self->detections, 1, &loan) == FLOCKEYE_OK && loan.count == 1);
+    flockeye_detected_marker *marker = loan.items;
+    memset(marker, 0, sizeof *marker);
+    for (int corner = 0; corner < 4; corner++) {
+        marker->rays_in_camera[corner][0] = 1;
+        marker->deviations[corner] = 1e-3;
+    }
+    marker->id = 7;
+    marker->doubtful = 1;
+    assert(flockeye_send_loan(self->detections, &loan, &header) == FLOCKEYE_OK);
+}
+
+static int step(void *context) {
+    worker *self = context;
+    flockeye_message message;
+    int views = 0;
+    while (flockeye_receive(self->views, &message) == FLOCKEYE_OK) {
+        answer(self, message.header);
+        flockeye_release(&message);
+        flockeye_release(&message);
+        views++;
+    }
+    self->waits += views == 0;
+    if (self->waits == 100) {
+        flockeye_stage_refuse(self->stage, "a hundred steps without a view");
+    }
+    flockeye_stage_complain(self->stage, 63, 1, "a probe of complaints");
+    flockeye_stage_wake_within(self->stage, 1000000);
+    return flockeye_update_connections(self->detections);
+}
+
+int main(void) {
+    worker self = {.stage = flockeye_stage_open("detection")};
+    assert(strstr(flockeye_stage_pipeline(self.stage), "\"camera\""));
+    self.views = flockeye_subscribe(self.stage, FLOCKEYE_TOPIC_VIEW, flockeye_stage_replica(self.stage));
+    self.detections = flockeye_advertise(self.stage, FLOCKEYE_TOPIC_DETECTION, 0);
+    assert(self.views && self.detections);
+    const int outcome = flockeye_stage_run(self.stage, "borrows its answers", step, &self);
+    flockeye_subscriber_close(self.views);
+    flockeye_publisher_close(self.detections);
+    flockeye_stage_close(self.stage);
+    return outcome == FLOCKEYE_OK ? 0 : 1;
+}
+"#;
+
 /// Compiles a program against the library as pkg-config finds it.
 fn compile(
     scratch: &Scratch,
@@ -264,6 +332,42 @@ fn a_step_that_fails_ends_the_stage_with_the_reason_of_the_call_that_failed() {
         run(&[&["stage", "test", "detection"], &small[..], &["--", &stage]].concat());
     let wanted = "a step has ended with -1: ports are opened before `flockeye_stage_run`";
     assert!(!succeeded && output.contains(wanted), "{output}");
+}
+
+#[test]
+fn a_stage_in_c_borrows_memory_wakes_by_itself_refuses_and_complains() {
+    let scratch = Scratch::new("c-borrower");
+    let stage = compile(&scratch, &install(&scratch), BORROWER, ["cc", "-xc"]);
+    let command = format!(r#"stages.detection.command=["{stage}"]"#);
+    let set = [SMALL_FLIGHT, &[&command]].concat();
+    let mut flight = Flight::start("c-borrower", &[], &set);
+    flight.wait_for("refused: a hundred steps without a view");
+    let mut ports = join(&mut flight);
+    let mut detections = subscribe::<Detections>(&mut flight, &mut ports);
+    let mut complaints = subscribe::<Complaints>(&mut flight, &mut ports);
+    let (mut answers, mut complained) = (0, 0);
+    let start = Instant::now();
+    while answers < 20 || complained == 0 {
+        let so_far = format!("{answers} answers, {complained} complaints");
+        assert!(start.elapsed() < WATCHDOG, "{so_far}:\n{}", flight.output());
+        while let Some(message) = detections.receive().expect("it can be read") {
+            let markers: Vec<_> =
+                message.items().iter().map(|found| (found.id, found.doubtful)).collect();
+            assert_eq!(markers, [(7, 1)]);
+            answers += 1;
+        }
+        while let Some(message) = complaints.receive().expect("it can be read") {
+            let said = message.header;
+            complained +=
+                u32::from(said.detail.to_string() == "a probe of complaints" && said.replica == 63);
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    drop((detections, complaints, ports));
+    let (succeeded, output) = run(&["stop", "--instance", flight.instance.name()]);
+    assert!(succeeded, "{output}");
+    assert!(flight.wait().success(), "{}", flight.output());
+    flight.assert_nothing_left();
 }
 
 #[test]

@@ -1,21 +1,29 @@
 //! Stages that `flockeye stage new` writes, of each kind in each language.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use flockeye_contract::{FrameEnds, Tracks, Truths};
+use flockeye_contract::{Detections, MeasuredBy, Track, Tracks, Truths};
 use flockeye_tests::onlooker::{join, subscribe};
 use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, flockeye, run};
 use nalgebra::Vector3;
+use serde_json::Value;
 
-use crate::c_client;
-
-const KINDS: [&str; 3] = ["detection", "rectification", "fusion"];
-
-/// A body's markers are at most so far from its middle as an observer at the flight's distance sees it, radians.
-const BODY_RAD: f64 = 0.25;
+/// The kinds of stages of which there is an example in a language, and where it lies.
+const EXAMPLES: [(&str, &[(&str, &str)]); 3] = [
+    (
+        "python",
+        &[
+            ("detection", "detector.py"),
+            ("rectification", "rectifier.py"),
+            ("fusion", "bearings.py"),
+        ],
+    ),
+    ("c", &[("detection", "c/detector")]),
+    ("rust", &[("detection", "rust/detector")]),
+];
 
 /// Writes a new stage, and returns its folder and what was said of it.
 fn write(scratch: &Scratch, kind: &str, lang: &str) -> (PathBuf, String) {
@@ -33,47 +41,47 @@ fn assert_keeps_the_contract(kind: &str, program: &str) {
     assert!(succeeded, "{kind} by {program}: {output}");
 }
 
-/// Flies, and swaps in a rectification, then a fusion that reports bearings. Sees that frames are cut, and that
-/// neighbours are found where they are.
-fn assert_take_over(name: &str, rectifier: &str, bearings: &str) {
+/// Flies, and swaps in a detector for both of ours. Sees that it finds markers, and that poses follow.
+fn assert_takes_over(name: &str, detector: &str) {
     let mut flight = Flight::start(name, &[], SMALL_FLIGHT);
     flight.wait_for("alpha confirmed");
     let instance = flight.instance.name().to_owned();
-    for (worker, program) in [("rectification", rectifier), ("fusion", bearings)] {
+    for worker in ["detection", "detection.1"] {
         let swap = ["swap", worker, "--instance", &instance, "--within", "60s", "--accept-worse"];
-        let (succeeded, output) = run(&[&swap[..], &["--", program]].concat());
+        let (succeeded, output) = run(&[&swap[..], &["--", detector]].concat());
         assert!(succeeded && output.contains("is swapped after"), "{output}\n{}", flight.output());
     }
     let mut ports = join(&mut flight);
-    let mut ends = subscribe::<FrameEnds>(&mut flight, &mut ports);
+    let mut detections = subscribe::<Detections>(&mut flight, &mut ports);
     let mut tracks = subscribe::<Tracks>(&mut flight, &mut ports);
     let mut truths = subscribe::<Truths>(&mut flight, &mut ports);
-    let (mut known, mut ended, mut seen) = (BTreeMap::new(), 0, 0);
+    let (mut known, mut hits, mut seen) = (BTreeMap::new(), 0, 0);
     let start = Instant::now();
-    while ended < 20 || seen < 10 {
-        assert!(start.elapsed() < WATCHDOG, "{ended} ended, {seen} seen:\n{}", flight.output());
-        while let Some(message) = ends.receive().expect("it can be read") {
-            assert!(message.header.generation > 0, "the old rectification ends a frame");
-            ended += u32::from(message.header.views_issued > 0);
+    while hits < 20 || seen < 20 {
+        assert!(start.elapsed() < WATCHDOG, "{hits} hits, {seen} seen:\n{}", flight.output());
+        while let Some(message) = detections.receive().expect("it can be read") {
+            assert!(message.header.generation > 0, "the old detection answers a view");
+            assert_eq!(message.header.failed, 0);
+            hits += message.header.hits;
         }
         while let Some(message) = truths.receive().expect("it can be read") {
             known.insert(message.header.stamp.order(), message.items().to_vec());
         }
         while let Some(message) = tracks.receive().expect("it can be read") {
-            assert!(message.header.generation > 0, "the old fusion reports a frame");
             let Some(bodies) = known.get(&message.header.stamp.order()) else { continue };
-            for track in message.items() {
+            let is_measured = |track: &&Track| track.measured_by != MeasuredBy::Nothing.code();
+            for track in message.items().iter().filter(is_measured) {
                 let body = bodies.iter().find(|body| body.target == track.target);
                 let really = body.expect("it flies").observer_from_target;
                 let [found, really] =
                     [track.observer_from_target, really].map(|pose| Vector3::from(pose.position));
-                assert!(found.angle(&really) < BODY_RAD, "{found:?} against {really:?}");
+                assert!((found - really).norm() < 0.1, "{found:?} against {really:?}");
                 seen += 1;
             }
         }
         std::thread::sleep(Duration::from_millis(5));
     }
-    drop((ends, tracks, truths, ports));
+    drop((detections, tracks, truths, ports));
     let (succeeded, output) = run(&["stop", "--instance", &instance]);
     assert!(succeeded, "{output}");
     assert!(flight.wait().success(), "{}", flight.output());
@@ -89,9 +97,12 @@ fn a_new_stage_is_written_once_and_only_where_there_is_an_example() {
     assert!(succeeded && output.contains("flockeye swap detection"), "{output}");
     let (succeeded, output) = run(&["stage", "new", "detection", folder]);
     assert!(!succeeded && output.contains("is there already"), "{output}");
-    for lang in ["python", "rust", "c"] {
-        let (succeeded, output) = run(&["stage", "new", "gateway", "--lang", lang, folder]);
-        let cure = "Cure: one of detection, rectification, fusion";
+    for (lang, kind, cure) in [
+        ("python", "gateway", "Cure: one of detection, rectification, fusion"),
+        ("rust", "gateway", "Cure: one of detection"),
+        ("c", "fusion", "Cure: one of detection, or --lang python"),
+    ] {
+        let (succeeded, output) = run(&["stage", "new", kind, "--lang", lang, folder]);
         assert!(!succeeded && output.contains(cure), "{output}");
     }
 }
@@ -100,12 +111,8 @@ fn a_new_stage_is_written_once_and_only_where_there_is_an_example() {
 fn each_new_stage_is_the_example_and_names_its_own_place() {
     let scratch = Scratch::new("stage-new-each");
     let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples");
-    for (lang, names) in [
-        ("python", ["detector.py", "rectifier.py", "bearings.py"]),
-        ("c", ["c/detector", "c/rectifier", "c/bearings"]),
-        ("rust", ["rust/detector", "rust/rectifier", "rust/bearings"]),
-    ] {
-        for (kind, name) in KINDS.into_iter().zip(names) {
+    for (lang, kinds) in EXAMPLES {
+        for &(kind, name) in kinds {
             let (folder, output) = write(&scratch, kind, lang);
             let place = folder.to_str().expect("a plain path");
             let has_test = output.lines().any(|line| {
@@ -152,75 +159,58 @@ fn files_below(example: &Path) -> Vec<PathBuf> {
     files
 }
 
-#[test]
-fn new_stages_in_c_keep_the_contract_and_take_over() {
-    let scratch = Scratch::new("stage-new-c");
-    let Some(rectifier) = c_client::new_stage(&scratch, "rectification") else { return };
-    let Some(bearings) = c_client::new_stage(&scratch, "fusion") else { return };
-    assert_keeps_the_contract("rectification", &rectifier);
-    assert_keeps_the_contract("fusion", &bearings);
-    assert_take_over("new-c", &rectifier, &bearings);
-}
-
-/// A cargo command for the stage in `folder`, with the versions that Flockeye is built with.
-fn cargo(folder: &Path, command: &str, arguments: &[&str]) -> String {
-    let locked = Path::new(env!("CARGO_MANIFEST_DIR")).join("../Cargo.lock");
-    std::fs::copy(locked, folder.join("Cargo.lock")).expect("it can be written");
+/// What cargo knows of the packages of a manifest.
+fn metadata(manifest: &Path) -> Value {
     let output = Command::new(env!("CARGO"))
-        .args([command, "--offline", "--manifest-path"])
-        .arg(folder.join("Cargo.toml"))
-        .args(arguments)
-        // As small as can be: what it says is not looked into, and it is built once.
-        .env("CARGO_PROFILE_DEV_DEBUG", "0")
-        .env("CARGO_INCREMENTAL", "0")
+        .args(["metadata", "--offline", "--no-deps", "--format-version", "1", "--manifest-path"])
+        .arg(manifest)
         .output()
         .expect("cargo runs this test");
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{said}");
-    String::from_utf8_lossy(&output.stdout).into_owned()
+    serde_json::from_slice(&output.stdout).expect("it is JSON")
 }
 
+/// The package with this name.
+fn package<'a>(metadata: &'a Value, name: &str) -> &'a Value {
+    let packages = metadata["packages"].as_array().expect("there are some");
+    packages.iter().find(|package| package["name"] == name).expect("it is one of them")
+}
+
+/// A stage whose manifest lacks a dependency or a feature would not build outside of the workspace. Its text was built
+/// with these tests.
 #[test]
-fn new_stages_in_rust_have_the_dependencies_that_they_name() {
+fn a_new_stage_in_rust_depends_on_all_that_its_example_depends_on() {
     let scratch = Scratch::new("stage-new-rust");
     let nowhere = scratch.path("nowhere");
     let nowhere = nowhere.to_str().expect("a plain path");
     let new = ["stage", "new", "detection", "--lang", "rust", nowhere, "--sources", "/nowhere"];
     let (succeeded, output) = run(&new);
     assert!(!succeeded && output.contains("Cure: --sources FOLDER"), "{output}");
-    for (kind, name, paths) in [
-        ("detection", "my-detector", ["common/contract", "services/detection"]),
-        ("rectification", "my-rectifier", ["common/contract", "common/config"]),
-        ("fusion", "my-bearings", ["common/contract", "common/runtime"]),
-    ] {
-        let (folder, _) = write(&scratch, kind, "rust");
-        let text = cargo(&folder, "metadata", &["--no-deps", "--format-version", "1"]);
-        for part in [[name].as_slice(), &paths].concat() {
-            assert!(text.contains(part), "{part} is missing in {text}");
-        }
-    }
+    let (folder, _) = write(&scratch, "detection", "rust");
+    let example =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples/rust/detector/Cargo.toml");
+    let (written, ours) = (metadata(&folder.join("Cargo.toml")), metadata(&example));
+    let [written, ours] = [&written, &ours].map(|known| package(known, "my-detector"));
+    assert_eq!(written["edition"], ours["edition"]);
+    let dependencies = |package: &Value| {
+        let known = package["dependencies"].as_array().expect("there are some").iter();
+        known
+            .map(|known| {
+                let facts = ["name", "req", "features", "uses_default_features", "path", "kind"];
+                facts.map(|fact| known[fact].to_string())
+            })
+            .collect::<BTreeSet<_>>()
+    };
+    assert!(!dependencies(ours).is_empty());
+    assert_eq!(dependencies(written), dependencies(ours));
 }
 
 #[test]
-fn a_new_fusion_in_rust_is_built_and_keeps_the_contract() {
-    let scratch = Scratch::new("stage-new-build");
-    let (folder, _) = write(&scratch, "fusion", "rust");
-    // It stays there, so that what it depends on is built once.
-    let target = flockeye().with_file_name("new-stage");
-    cargo(&folder, "build", &["--target-dir", target.to_str().expect("a plain path")]);
-    let program = target.join("debug/my-bearings");
-    assert_keeps_the_contract("fusion", program.to_str().expect("a plain path"));
-}
-
-#[test]
-fn the_examples_in_rust_keep_the_contract_and_take_over() {
-    // Their texts were built with these tests.
-    let [detector, rectifier, bearings] =
-        ["my-detector", "my-rectifier", "my-bearings"].map(|name| {
-            let example = flockeye().with_file_name(name);
-            example.to_str().expect("a plain path").to_owned()
-        });
-    assert_keeps_the_contract("detection", &detector);
-    assert_keeps_the_contract("rectification", &rectifier);
-    assert_take_over("new-rust", &rectifier, &bearings);
+fn the_example_in_rust_keeps_the_contract_and_takes_over() {
+    // Its text was built with these tests.
+    let detector = flockeye().with_file_name("my-detector");
+    let detector = detector.to_str().expect("a plain path");
+    assert_keeps_the_contract("detection", detector);
+    assert_takes_over("new-rust", detector);
 }

@@ -10,7 +10,7 @@ use flockeye_contract::StageName;
 /// Arguments of `stage new`.
 #[derive(Debug, Args)]
 pub(crate) struct NewArguments {
-    /// Which stage: detection, rectification or fusion.
+    /// Which stage: detection; in Python also rectification or fusion.
     pub kind: String,
     /// Where to.
     pub folder: PathBuf,
@@ -104,7 +104,7 @@ macro_rules! example {
     };
 }
 
-const EXAMPLES: [Example; 9] = [
+const EXAMPLES: [Example; 5] = [
     example!(Detection, Python, "examples", "detector.py", ["detector.py"], &[]),
     example!(Rectification, Python, "examples", "rectifier.py", ["rectifier.py"], &[]),
     example!(Fusion, Python, "examples", "bearings.py", ["bearings.py"], &[]),
@@ -117,52 +117,11 @@ const EXAMPLES: [Example; 9] = [
         &["bodies.dictionary=DICT_APRILTAG_36h11"]
     ),
     example!(
-        Rectification,
-        C,
-        "examples/c/rectifier",
-        "rectifier",
-        [
-            "rectifier.c",
-            "in_flight.c",
-            "in_flight.h",
-            "plan.c",
-            "plan.h",
-            "sphere.c",
-            "sphere.h",
-            "CMakeLists.txt"
-        ],
-        &[]
-    ),
-    example!(
-        Fusion,
-        C,
-        "examples/c/bearings",
-        "bearings",
-        ["bearings.c", "rays.c", "rays.h", "CMakeLists.txt"],
-        &[]
-    ),
-    example!(
         Detection,
         Rust,
         "examples/rust/detector",
         "my-detector",
         ["src/main.rs", "Cargo.toml"],
-        &[]
-    ),
-    example!(
-        Rectification,
-        Rust,
-        "examples/rust/rectifier",
-        "my-rectifier",
-        ["src/main.rs", "src/plan.rs", "src/sphere.rs", "src/workers.rs", "Cargo.toml"],
-        &[]
-    ),
-    example!(
-        Fusion,
-        Rust,
-        "examples/rust/bearings",
-        "my-bearings",
-        ["src/main.rs", "src/bearing.rs", "Cargo.toml"],
         &[]
     ),
 ];
@@ -176,8 +135,11 @@ pub(crate) fn run(arguments: &NewArguments) -> anyhow::Result<()> {
     let ours = || EXAMPLES.iter().filter(|example| example.lang == *lang);
     let Some(example) = ours().find(|example| example.stage.name() == kind) else {
         let kinds: Vec<_> = ours().map(|example| example.stage.name()).collect();
+        // Every kind that there is has an example in Python.
+        let has_other = EXAMPLES.iter().any(|example| example.stage.name() == kind);
+        let other = if has_other { ", or --lang python" } else { "" };
         bail!(
-            "there is no example of a stage '{kind}' in {lang:?}. Cure: one of {}",
+            "there is no example of a stage '{kind}' in {lang:?}. Cure: one of {}{other}",
             kinds.join(", ")
         );
     };
