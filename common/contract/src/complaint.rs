@@ -1,13 +1,14 @@
 //! `complaint`: what one stage has to say about another.
 
 use bytemuck::{Pod, Zeroable};
+use flockeye_contract_derive::Described;
 use iceoryx2::prelude::ZeroCopySend;
 
 use crate::{ComplaintKind, ContractError, Text};
 
 /// Header of `complaint`. No payload. The launcher names the process that it is about, and replaces it if
 /// complaints go on.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/Complaint")]
 #[repr(C)]
 pub struct Complaint {

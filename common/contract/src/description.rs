@@ -4,7 +4,7 @@
 mod c;
 mod python;
 
-use std::mem::{align_of, offset_of, size_of};
+use std::mem::{align_of, size_of};
 
 use crate::{
     BodyTruth, Complaint, ComplaintKind, DetectedMarker, DetectionHeader, FrameEnd, FrameHeader,
@@ -24,17 +24,23 @@ pub use python::python_module;
 pub enum Kind {
     /// A number, by its name in Rust.
     Number(&'static str),
-    /// So many of one kind.
+    /// An array of one kind, with its length.
     Array(Box<Kind>, usize),
-    /// UTF-8 in so many bytes, filled up with zero bytes.
+    /// UTF-8 in this number of bytes, filled up with zero bytes.
     Text(usize),
     /// A type of the contract, by its name.
     Type(&'static str),
 }
 
-/// A type that a field may have.
-trait Described {
+/// A type that a field may have. The contract's own types derive it.
+pub(crate) trait Described {
+    /// What a field of this type is.
     fn kind() -> Kind;
+
+    /// Its own fields, in their order in memory.
+    fn fields() -> Vec<Field> {
+        Vec::new()
+    }
 }
 
 macro_rules! numbers {
@@ -85,80 +91,25 @@ pub struct TypeDescription {
     pub fields: Vec<Field>,
 }
 
-/// The kind of the field that a function reads.
-fn kind_of<S, F: Described>(_: fn(&S) -> &F) -> Kind {
-    F::kind()
-}
-
 macro_rules! types {
-    ($($name:ident: $($field:ident),+;)+) => {
-        $(impl Described for $name {
-            fn kind() -> Kind {
-                Kind::Type(stringify!($name))
-            }
-        })+
-
+    ($($name:ident)+) => {
         /// The types, each after those that it contains.
         pub fn types() -> Vec<TypeDescription> {
             vec![$(TypeDescription {
                 name: stringify!($name),
                 size: size_of::<$name>(),
                 alignment: align_of::<$name>(),
-                fields: vec![$(Field {
-                    name: stringify!($field),
-                    offset: offset_of!($name, $field),
-                    kind: kind_of(|whole: &$name| &whole.$field),
-                }),+],
+                fields: $name::fields(),
             }),+]
         }
     };
 }
 
 types! {
-    FrameStamp: sequence, exposure_ns, stream_ns, published_ns, epoch, source_generation;
-    Pose: position, orientation;
-    FrameHeader: stamp, exposure_time_ns, readout_ns, width, height, stride, pixel_format, transfer,
-        gamma, range, projection;
-    PacketHeader: stream_ns, exposure_ns, arrived_ns, sequence, epoch, source_generation, codec, is_key;
-    ImuHeader: sent_ns, epoch, generation;
-    ImuSample: at_ns, rate, specific_force;
-    Rotation: stamp, earlier_exposure_ns, later_from_earlier, covariance, rate_in_camera,
-        rate_covariance, ahead_ns, ahead_from_later, ahead_covariance, ahead_rate_in_camera,
-        ahead_rate_covariance, source, generation;
-    PlanHeader: after, plan_id, made_ns, has_after, generation, stop_rule, mode, view_budget, reserved;
-    PlannedView: camera_from_view, rate_in_camera, reference_ns, focal_px,
-        predicted_camera_from_markers, size_px, kind, tile, target, has_prediction, search;
-    ViewHeader: stamp, plan_id, taken_ns, issued_ns, camera_from_view, focal_px,
-        predicted_camera_from_markers, readout_ns, generation, view_index, attempt, worker, size_px,
-        stride, kind, tile, target, has_prediction, transfer, gamma, range, search;
-    DetectionHeader: stamp, plan_id, taken_ns, issued_ns, received_ns, sent_ns, generation,
-        view_index, attempt, worker, hits, failed, view_generation, reserved;
-    DetectedMarker: rays_in_camera, deviations, corners_in_view, id, doubtful;
-    FrameEnd: stamp, plan_id, taken_ns, ended_ns, views_issued, views_abandoned, reason, generation;
-    TrackHeader: stamp, generation, is_last;
-    StageLatency: capture_ns, rectification_ns, detection_ns, fusion_ns, total_ns;
-    Track: observer_from_target, covariance, linear_velocity, angular_velocity,
-        measured_observer_from_target, measured_covariance, predicted_observer_from_target,
-        predicted_covariance, predicted_ns, age_ns, unseen_ns, latency, name, target, track_id, state,
-        measured_by, markers, reserved;
-    JournalHeader: first, sequence, generation, is_resumed;
-    JournalEntry: at_ns, sequence, epoch, source_generation, kind, generation, view_generation,
-        view_index, attempt, worker, tracks, plans;
-    OdometrySample: odom_from_observer, covariance, linear_velocity, angular_velocity, at_ns, epoch,
-        generation;
-    PeerHeader: arrived_ns, generation, reserved;
-    PeerSighting: observer_from_target, covariance, target_from_observer, inverse_covariance,
-        linear_velocity, angular_velocity, exposure_ns, exposure_deviation_ns, frame, observer, target,
-        epoch, state, measured_by, is_own;
-    SwarmHeader: at_ns, sent_ns, generation, left_out;
-    SwarmPose: own_from_drone, covariance, seen_ns, name, through, way, pairs;
-    Health: sent_ns, taken, published, dropped, failed, queued, processor_ns, resident_bytes,
-        latency_median_ns, latency_p99_ns, stage, detail, replica, generation, pid, state;
-    TruthHeader: stamp, world_from_camera, observer_yaw, exposure_s;
-    BodyTruth: camera_from_markers, observer_from_target, best_side_px, blur_px, name, target,
-        markers_visible_50, markers_visible_90, localisable;
-    HandOver: first, sent_ns, stage, replica, old_generation, new_generation, state;
-    Complaint: sent_ns, count, stage, detail, replica, pid, kind, reserved;
+    FrameStamp Pose FrameHeader PacketHeader ImuHeader ImuSample Rotation PlanHeader
+    PlannedView ViewHeader DetectionHeader DetectedMarker FrameEnd TrackHeader StageLatency
+    Track JournalHeader JournalEntry OdometrySample PeerHeader PeerSighting SwarmHeader
+    SwarmPose Health TruthHeader BodyTruth HandOver Complaint
 }
 
 /// An enumeration of the contract.
@@ -255,7 +206,7 @@ fn constant(service: &str) -> String {
 mod tests {
     use super::*;
 
-    /// Rust does not tell which fields a type has, so the list above is checked by what it must fill.
+    /// A gap between two fields would be a byte that no other language knows of.
     #[test]
     fn every_byte_of_every_type_is_described() {
         let types = types();

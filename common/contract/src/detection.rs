@@ -1,12 +1,13 @@
 //! `detection`: what a worker found in one view. It is the view's acknowledgement too.
 
 use bytemuck::{Pod, Zeroable};
+use flockeye_contract_derive::Described;
 use iceoryx2::prelude::ZeroCopySend;
 
 use crate::{ContractError, FrameStamp, ViewHeader};
 
 /// Header of a detection record. Payload: its [`DetectedMarker`]s; there may be none.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/DetectionHeader")]
 #[repr(C)]
 pub struct DetectionHeader {
@@ -42,7 +43,7 @@ pub struct DetectionHeader {
 }
 
 /// One decoded marker, or a square that may be one.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/DetectedMarker")]
 #[repr(C)]
 pub struct DetectedMarker {

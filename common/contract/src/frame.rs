@@ -1,6 +1,7 @@
 //! `frame`: a source's picture of the whole sphere.
 
 use bytemuck::{Pod, Zeroable};
+use flockeye_contract_derive::Described;
 use iceoryx2::prelude::ZeroCopySend;
 
 use crate::{ContractError, PixelFormat, Projection, Range, Transfer};
@@ -9,7 +10,7 @@ use crate::{ContractError, PixelFormat, Projection, Range, Transfer};
 ///
 /// It begins the header of every topic that follows from a frame, so that every output can be traced to
 /// its exposure.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Pod, Zeroable, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/FrameStamp")]
 #[repr(C)]
 pub struct FrameStamp {
@@ -79,7 +80,7 @@ impl FrameStamp {
 pub const LATEST_BY_FRAMES: u64 = 64;
 
 /// Header of a frame. Payload: the luma plane, `stride * height` bytes, then chroma for `nv12`.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/FrameHeader")]
 #[repr(C)]
 pub struct FrameHeader {

@@ -1,6 +1,7 @@
 //! `handover`: which of two processes of one stage the others listen to while one replaces the other.
 
 use bytemuck::{Pod, Zeroable};
+use flockeye_contract_derive::Described;
 use iceoryx2::prelude::ZeroCopySend;
 
 use crate::{
@@ -14,7 +15,7 @@ use crate::{
 /// Both processes run side by side and do the same work. Everybody who reads their messages ignores those
 /// of the process that does not count for a frame ([`HandOver::admits`]), so no frame is lost and none is
 /// answered twice.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/HandOver")]
 #[repr(C)]
 pub struct HandOver {

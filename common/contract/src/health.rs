@@ -1,12 +1,13 @@
 //! `health`: each stage's state and counters, sent by the stage's own loop.
 
 use bytemuck::{Pod, Zeroable};
+use flockeye_contract_derive::Described;
 use iceoryx2::prelude::ZeroCopySend;
 
 use crate::{ContractError, StageState, Text};
 
 /// Header of `health`. No payload. A hung stage sends nothing, so silence means trouble.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/Health")]
 #[repr(C)]
 pub struct Health {

@@ -1,6 +1,7 @@
 //! `imu`: what an inertial sensor on the observer measures.
 
 use bytemuck::{Pod, Zeroable};
+use flockeye_contract_derive::Described;
 use iceoryx2::prelude::ZeroCopySend;
 
 use crate::ContractError;
@@ -9,7 +10,7 @@ use crate::ContractError;
 pub const MAX_IMU_SAMPLES: usize = 256;
 
 /// Header of `imu`. Payload: [`ImuSample`]s in the order of their time, at most [`MAX_IMU_SAMPLES`].
-#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/ImuHeader")]
 #[repr(C)]
 pub struct ImuHeader {
@@ -22,7 +23,7 @@ pub struct ImuHeader {
 }
 
 /// One sample of an inertial sensor, along the sensor's own axes.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/ImuSample")]
 #[repr(C)]
 pub struct ImuSample {

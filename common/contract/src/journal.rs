@@ -1,6 +1,7 @@
 //! `journal`: what fusion's core heard, in which order and when.
 
 use bytemuck::{Pod, Zeroable};
+use flockeye_contract_derive::Described;
 use iceoryx2::prelude::ZeroCopySend;
 
 use crate::{ContractError, FrameOrder, JournalKind};
@@ -12,7 +13,7 @@ pub const MAX_JOURNAL_ENTRIES: usize = 64;
 ///
 /// Fusion writes it only while somebody reads it. What comes before the first message of another stage is kept for
 /// the first reader.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Pod, Zeroable, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/JournalHeader")]
 #[repr(C)]
 pub struct JournalHeader {
@@ -28,7 +29,18 @@ pub struct JournalHeader {
 
 /// One thing that happened to fusion's core. Fields that do not belong to its kind are 0.
 #[derive(
-    Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Pod, Zeroable, ZeroCopySend,
+    Debug,
+    Clone,
+    Copy,
+    Default,
+    PartialEq,
+    Eq,
+    PartialOrd,
+    Ord,
+    Pod,
+    Zeroable,
+    ZeroCopySend,
+    Described,
 )]
 #[type_name("flockeye/JournalEntry")]
 #[repr(C)]

@@ -1,12 +1,13 @@
 //! `odometry`: how the observer moves by its autopilot's estimate.
 
 use bytemuck::{Pod, Zeroable};
+use flockeye_contract_derive::Described;
 use iceoryx2::prelude::ZeroCopySend;
 
 use crate::{ContractError, Pose};
 
 /// Header of `odometry`. No payload. The observer's pose and velocity at one instant.
-#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/OdometrySample")]
 #[repr(C)]
 pub struct OdometrySample {
@@ -29,15 +30,8 @@ pub struct OdometrySample {
 
 impl Default for OdometrySample {
     fn default() -> Self {
-        Self {
-            odom_from_observer: Pose::default(),
-            covariance: [f64::NAN; 36],
-            linear_velocity: [0.0; 3],
-            angular_velocity: [0.0; 3],
-            at_ns: 0,
-            epoch: 0,
-            generation: 0,
-        }
+        let odom_from_observer = Pose::default();
+        Self { odom_from_observer, covariance: [f64::NAN; 36], ..Self::zeroed() }
     }
 }
 

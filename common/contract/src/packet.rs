@@ -1,6 +1,7 @@
 //! `packet`: a coded picture of the source, as it was before the decoder.
 
 use bytemuck::{Pod, Zeroable};
+use flockeye_contract_derive::Described;
 use iceoryx2::prelude::ZeroCopySend;
 
 use crate::{ContractError, VideoCodec};
@@ -13,7 +14,7 @@ pub const MAX_PACKET_BYTES: usize = 33_554_432;
 ///
 /// A source sends packets only while somebody reads them, in the order in which they are decoded. One whose
 /// pictures are not coded so sends one message with [`VideoCodec::None`] and no payload.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Pod, Zeroable, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/PacketHeader")]
 #[repr(C)]
 pub struct PacketHeader {

@@ -1,12 +1,13 @@
 //! `peer` and `swarm`: what other drones report, and where all of the swarm is by all that is known.
 
 use bytemuck::{Pod, Zeroable};
+use flockeye_contract_derive::Described;
 use iceoryx2::prelude::ZeroCopySend;
 
 use crate::{ContractError, MeasuredBy, Pose, SwarmWay, Text, TrackState};
 
 /// Header of `peer`. Payload: the [`PeerSighting`]s of one report.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/PeerHeader")]
 #[repr(C)]
 pub struct PeerHeader {
@@ -19,7 +20,7 @@ pub struct PeerHeader {
 }
 
 /// Where a peer sees one target, of a report that passed all checks.
-#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/PeerSighting")]
 #[repr(C)]
 pub struct PeerSighting {
@@ -58,7 +59,7 @@ pub struct PeerSighting {
 }
 
 /// Header of `swarm`. Payload: a [`SwarmPose`] for each drone whose place is known.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/SwarmHeader")]
 #[repr(C)]
 pub struct SwarmHeader {
@@ -73,7 +74,7 @@ pub struct SwarmHeader {
 }
 
 /// Where a drone is, by all that this one and its peers have seen.
-#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/SwarmPose")]
 #[repr(C)]
 pub struct SwarmPose {
@@ -91,6 +92,22 @@ pub struct SwarmPose {
     pub way: u32,
     /// Pairs of drones whose sightings it rests on.
     pub pairs: u32,
+}
+
+impl Default for PeerSighting {
+    fn default() -> Self {
+        Self {
+            observer_from_target: Pose::default(),
+            target_from_observer: Pose::default(),
+            ..Self::zeroed()
+        }
+    }
+}
+
+impl Default for SwarmPose {
+    fn default() -> Self {
+        Self { own_from_drone: Pose::default(), ..Self::zeroed() }
+    }
 }
 
 impl PeerSighting {

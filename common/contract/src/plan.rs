@@ -1,13 +1,14 @@
 //! `plan`: the views that fusion wants from rectification.
 
 use bytemuck::{Pod, Zeroable};
+use flockeye_contract_derive::Described;
 use iceoryx2::prelude::ZeroCopySend;
 
 use crate::frame::MAX_SIDE_PX;
 use crate::{ContractError, FrameStamp, NONE, Pose, Search, SearchMode, StopRule, ViewKind};
 
 /// Header of a plan. Payload: its [`PlannedView`]s, in the order in which they are to be cut.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/PlanHeader")]
 #[repr(C)]
 pub struct PlanHeader {
@@ -36,7 +37,7 @@ pub struct PlanHeader {
 ///
 /// A region of interest follows its neighbour: rectification turns it from `reference_ns` to the
 /// frame's exposure with `rate_in_camera`.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/PlannedView")]
 #[repr(C)]
 pub struct PlannedView {

@@ -1,6 +1,7 @@
 //! `rotation`: how the observer's camera turns.
 
 use bytemuck::{Pod, Zeroable};
+use flockeye_contract_derive::Described;
 use iceoryx2::prelude::ZeroCopySend;
 
 use crate::{ContractError, FrameStamp, RotationSource};
@@ -8,7 +9,7 @@ use crate::{ContractError, FrameStamp, RotationSource};
 /// Header of `rotation`: how the camera has turned from an earlier frame to this one. No payload.
 ///
 /// There is one for each frame that egomotion takes up, also where it does not know the rotation.
-#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/Rotation")]
 #[repr(C)]
 pub struct Rotation {
@@ -43,21 +44,8 @@ pub struct Rotation {
 
 impl Default for Rotation {
     fn default() -> Self {
-        Self {
-            stamp: FrameStamp::default(),
-            earlier_exposure_ns: 0,
-            later_from_earlier: [0.0, 0.0, 0.0, 1.0],
-            covariance: [0.0; 9],
-            rate_in_camera: [0.0; 3],
-            rate_covariance: [0.0; 9],
-            ahead_ns: 0,
-            ahead_from_later: [0.0, 0.0, 0.0, 1.0],
-            ahead_covariance: [0.0; 9],
-            ahead_rate_in_camera: [0.0; 3],
-            ahead_rate_covariance: [0.0; 9],
-            source: RotationSource::Nothing.code(),
-            generation: 0,
-        }
+        let no_turn = [0.0, 0.0, 0.0, 1.0];
+        Self { later_from_earlier: no_turn, ahead_from_later: no_turn, ..Self::zeroed() }
     }
 }
 

@@ -1,12 +1,13 @@
 //! `frame_end` and `track`: the results of a frame.
 
 use bytemuck::{Pod, Zeroable};
+use flockeye_contract_derive::Described;
 use iceoryx2::prelude::ZeroCopySend;
 
 use crate::{ContractError, FrameStamp, MeasuredBy, StopReason, Text, TrackState};
 
 /// Header of `frame_end`: rectification is done with a frame. No payload.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/FrameEnd")]
 #[repr(C)]
 pub struct FrameEnd {
@@ -37,7 +38,7 @@ impl FrameEnd {
 }
 
 /// A rigid transform `a_from_b`: p_a = R(orientation) p_b + position.
-#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/Pose")]
 #[repr(C)]
 pub struct Pose {
@@ -72,7 +73,7 @@ impl Pose {
 /// Header of `track`. Payload: the [`Track`]s that this message brings up to date.
 ///
 /// A frame may give several messages: a neighbour's pose goes out as soon as it is known.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/TrackHeader")]
 #[repr(C)]
 pub struct TrackHeader {
@@ -85,7 +86,7 @@ pub struct TrackHeader {
 }
 
 /// How long each stage took with what led to a track, nanoseconds; -1 where it is unknown.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Pod, Zeroable, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/StageLatency")]
 #[repr(C)]
 pub struct StageLatency {
@@ -102,7 +103,7 @@ pub struct StageLatency {
 }
 
 /// A neighbour, as far as one frame goes.
-#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/Track")]
 #[repr(C)]
 pub struct Track {
@@ -149,6 +150,18 @@ pub struct Track {
     pub markers: u32,
     /// Keeps the size a multiple of 8; zero.
     pub reserved: u32,
+}
+
+// Not derived: arrays of 36 have no default. The same holds for the other types with a covariance of a pose.
+impl Default for Track {
+    fn default() -> Self {
+        Self {
+            observer_from_target: Pose::default(),
+            measured_observer_from_target: Pose::default(),
+            predicted_observer_from_target: Pose::default(),
+            ..Self::zeroed()
+        }
+    }
 }
 
 impl Track {

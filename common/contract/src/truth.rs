@@ -1,12 +1,13 @@
 //! `truth`: what a simulated source knows and a camera does not.
 
 use bytemuck::{Pod, Zeroable};
+use flockeye_contract_derive::Described;
 use iceoryx2::prelude::ZeroCopySend;
 
 use crate::{ContractError, FrameStamp, Pose, Text};
 
 /// Header of `truth`. Payload: a [`BodyTruth`] for each body, seen or not.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/TruthHeader")]
 #[repr(C)]
 pub struct TruthHeader {
@@ -21,7 +22,7 @@ pub struct TruthHeader {
 }
 
 /// Where a body really is, and how much of it the frame shows.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/BodyTruth")]
 #[repr(C)]
 pub struct BodyTruth {

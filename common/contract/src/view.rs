@@ -1,6 +1,7 @@
 //! `view`: one square pinhole image cut from the sphere.
 
 use bytemuck::{Pod, Zeroable};
+use flockeye_contract_derive::Described;
 use iceoryx2::prelude::ZeroCopySend;
 
 use crate::frame::{check_curve, check_image};
@@ -11,7 +12,7 @@ use crate::{ContractError, FrameStamp, Pose, Search, ViewKind};
 ///
 /// The view's frame is a pinhole camera's: x right, y down, z forward; its principal point is the
 /// image's centre, ((size_px - 1)/2, (size_px - 1)/2).
-#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/ViewHeader")]
 #[repr(C)]
 pub struct ViewHeader {

@@ -192,7 +192,7 @@ impl Writer {
             stop_rule: stop_rule(plan.stop_rule).code(),
             mode: self.mode.code(),
             view_budget: plan.view_budget as u32,
-            reserved: 0,
+            ..PlanHeader::default()
         };
         (header, views.collect())
     }
@@ -254,19 +254,16 @@ fn track(
         angular_velocity: (turn * estimate.rate).into(),
         measured_observer_from_target: measured.map_or_else(Pose::default, |(at, _)| pose(&at)),
         measured_covariance: measured.map_or([0.0; 36], |(_, covariance)| row_major(&covariance)),
-        predicted_observer_from_target: Pose::default(),
-        predicted_covariance: [0.0; 36],
-        predicted_ns: 0,
         age_ns: nanoseconds(estimate.age_s),
         unseen_ns: nanoseconds(estimate.unseen_s),
-        latency: StageLatency::default(),
         name: body.name.as_str().into(),
         target: target as u32,
         track_id: estimate.track_id,
         state: state.code(),
         measured_by: measured_by.code(),
         markers: estimate.markers,
-        reserved: 0,
+        // The prediction and the latency follow when the track is written.
+        ..Track::default()
     }
 }
 

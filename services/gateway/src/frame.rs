@@ -181,7 +181,6 @@ fn worst(covariance: &Matrix3<f64>) -> Option<([f64; 3], f64)> {
 pub(crate) mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use flockeye_contract::StageLatency;
 
     pub(crate) fn track(state: TrackState) -> Track {
         Track {
@@ -189,21 +188,13 @@ pub(crate) mod tests {
             covariance: std::array::from_fn(|k| k as f64),
             linear_velocity: [0.1; 3],
             angular_velocity: [0.2; 3],
-            measured_observer_from_target: Pose::default(),
-            measured_covariance: [0.0; 36],
-            predicted_observer_from_target: Pose::default(),
-            predicted_covariance: [0.0; 36],
-            predicted_ns: 0,
-            age_ns: 0,
             unseen_ns: 500_000_000,
-            latency: StageLatency::default(),
             name: "kite".into(),
-            target: 0,
             track_id: 1,
             state: state.code(),
             measured_by: MeasuredBy::Decoded.code(),
             markers: 4,
-            reserved: 0,
+            ..Track::default()
         }
     }
 
