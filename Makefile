@@ -24,10 +24,15 @@ DORA_HOP = $(CURDIR)/target/peers/dora/release/dora-hop
 .PHONY: book deb deb-test python install-c clients run test bench peers build setup cargo format golden golden-check golden-write golden-compare results instructions
 
 # The profile of the tests, which builds sooner than the release profile that the drone gets (`make
-# build`).
+# build`). OpenCV's bindings come first: they wait for processors that other crates take. Then follows what a flight
+# needs, with the features of the whole workspace, so that nothing is built twice. The rest is built after the flight.
+NEEDED = flockeye $(addprefix flockeye-,simulator rectification detection fusion egomotion gateway)
+TESTED = cargo build --profile tested --locked
 run: setup
-	cargo build --profile tested --workspace --exclude flockeye-tests --bins --locked
+	$(TESTED) -p opencv
+	$(TESTED) --workspace --exclude flockeye-tests $(addprefix --bin ,$(NEEDED))
 	target/tested/flockeye up --for $(FOR)
+	$(TESTED) --workspace --exclude flockeye-tests --bins
 	target/tested/flockeye up --flow lossless $(GUSTS)
 
 build: setup

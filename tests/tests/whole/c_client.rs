@@ -339,7 +339,7 @@ fn a_stage_in_c_borrows_memory_wakes_by_itself_refuses_and_complains() {
     let scratch = Scratch::new("c-borrower");
     let stage = compile(&scratch, &install(&scratch), BORROWER, ["cc", "-xc"]);
     let command = format!(r#"stages.detection.command=["{stage}"]"#);
-    let set = [SMALL_FLIGHT, &[&command]].concat();
+    let set = [SMALL_FLIGHT, &[command.as_str()]].concat();
     let mut flight = Flight::start("c-borrower", &[], &set);
     flight.wait_for("refused: a hundred steps without a view");
     let mut ports = join(&mut flight);
