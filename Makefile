@@ -124,7 +124,7 @@ golden-write golden-compare: golden-%: setup
 # Processor instructions of the cores on the first frames of a recording: one program without supervisor or
 # processes, one thread, decoded frames given. The count repeats, and is compared with that of another commit.
 DATA = $(or $(FLOCKEYE_DATA),../shared/data)
-INSTRUCTIONS = cargo bench --profile tested --locked -p flockeye-tests --bench instructions
+INSTRUCTIONS = cargo bench --profile tested --locked --workspace $(FAULTS) --bench instructions
 instructions: cargo
 	@command -v valgrind >/dev/null || { echo "valgrind is missing. Cure: apt-get install valgrind"; exit 1; }
 	$(INSTRUCTIONS) -- decode $(abspath $(DATA))/flight1/flight1.mp4 30 $(CURDIR)/target/instructions.frames
