@@ -917,8 +917,6 @@ def main():
     for part in parts:
         print(part, file=sys.stderr, flush=True)
         entries = run_part(part, arguments.data, arguments.way or list(WAYS))
-        for entry in entries.values():
-            entry["command"] = entry["command"].replace(f"{arguments.data}/", "$FLOCKEYE_DATA/")
         # Read again: another run may have added to it meanwhile.
         store = stored() | entries
         # In the order of PARTS, whatever was flown first.
