@@ -8,6 +8,7 @@
 //! | --- | --- |
 //! | `types` | the configuration as types; their comments are the schema's descriptions |
 //! | `document` | YAML as a tree that remembers where each value was written |
+//! | `moved_keys` | sections of the release before that stand elsewhere now |
 //! | `schema` | the document checked against the JSON Schema |
 //! | `meaning` | semantic validation: constraints that no schema can express |
 //! | `read` | text and overrides to a checked [`Pipeline`] |
@@ -17,6 +18,7 @@
 mod document;
 mod instance_name;
 mod meaning;
+mod moved_keys;
 mod problem;
 mod read;
 mod resolve;

@@ -8,7 +8,7 @@ use serde::de::DeserializeOwned;
 use crate::document::Node;
 use crate::problem::{ConfigError, Problem, Problems};
 use crate::types::{InertialSource, Pipeline, Security};
-use crate::{meaning, schema};
+use crate::{meaning, moved_keys, schema};
 
 impl Pipeline {
     /// Reads a configuration file, with overrides (`key.path=value`) on top. Relative paths in the
@@ -72,6 +72,7 @@ impl Pipeline {
                 problems.add(problem);
             }
         }
+        moved_keys::translate(&mut document, &mut problems);
         schema::check(&document, json_schema().as_value(), &mut problems);
         if problems.0.is_empty() {
             match serde_json::from_value::<Self>(document.to_json()) {
