@@ -99,7 +99,6 @@ pub(crate) struct RunLog {
     metrics: Option<Metrics>,
     /// A process beside the one that counts: its health is kept apart.
     beside: Option<(Worker, u32)>,
-    beside_state: Option<StageState>,
     /// The newest frame of which a track came.
     newest: Option<FrameStamp>,
     /// How many frames were asked for. Times of further frames are not recorded.
@@ -162,7 +161,6 @@ impl RunLog {
                 None => None,
             },
             beside: None,
-            beside_state: None,
             newest: None,
             most_frames: options.frames.unwrap_or(u64::MAX),
             measured: 0,
@@ -183,9 +181,8 @@ impl RunLog {
                 health.stage.to_string_lossy() == worker.stage.name()
                     && (health.replica, health.generation) == (worker.replica, generation)
             });
-            match is_beside {
-                true => self.beside_state = StageState::try_from(health.state).ok(),
-                false => self.dashboard.health(health),
+            if !is_beside {
+                self.dashboard.health(health);
             }
         }
         while let Some(message) = self.truths.receive()? {
@@ -278,12 +275,7 @@ impl RunLog {
 
     /// Keeps the health of one generation of a worker apart from now on.
     pub(crate) fn keep_apart(&mut self, beside: Option<(Worker, u32)>) {
-        (self.beside, self.beside_state) = (beside, None);
-    }
-
-    /// What the process that is kept apart has reported last.
-    pub(crate) fn state_beside(&self) -> Option<StageState> {
-        self.beside_state
+        self.beside = beside;
     }
 
     /// The newest frame of which a track came.

@@ -12,7 +12,7 @@ use flockeye_runtime::memory::{Budget, shared_memory_space};
 use iceoryx2::prelude::*;
 
 use crate::run_log::{RunOptions, RunSummary};
-use crate::supervisor::{Supervisor, unfinished};
+use crate::supervisor::{Supervisor, unfinished_swap};
 
 /// Arguments of `up`.
 #[derive(Debug, Args)]
@@ -41,7 +41,7 @@ fn what_flies(
     wanted: &Pipeline,
     screen: &mut Screen,
 ) -> anyhow::Result<Resolved> {
-    unfinished::undo(instance)?;
+    unfinished_swap::undo(instance)?;
     let flying = instance.pipeline()?;
     let [ours, theirs] = [serde_json::to_value(wanted)?, serde_json::to_value(&flying)?];
     let keys = theirs.as_object().into_iter().flatten();

@@ -1,6 +1,8 @@
 //! The files that say what a machine is.
 
-use std::path::{Path, PathBuf};
+#[cfg(test)]
+use std::path::Path;
+use std::path::PathBuf;
 
 /// A machine's file system: tests have one of their own.
 #[derive(Debug, Clone)]

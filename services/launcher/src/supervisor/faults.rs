@@ -43,37 +43,35 @@ impl Supervisor<'_> {
     pub(super) fn look_after_processes(&mut self) -> anyhow::Result<()> {
         self.kill_those_that_hang();
         self.name_those_that_are_late();
-        self.hear_complaints();
+        self.act_on_complaints();
         let source_has_finished = self.messages.state_of(self.pipeline.source.stage().name(), 0)
             == Some(StageState::Finished);
-        for index in 0..self.processes.len() {
-            let process = &mut self.processes[index];
+        for index in 0..self.workers.processes.len() {
+            let process = &mut self.workers.processes[index];
             let is_finished = process.worker.stage.is_source() && source_has_finished;
-            let node = &self.node;
-            let change = process.attend(is_finished, || {
-                // The dead process's ports are freed before its successor asks for its own.
-                node.blocking_cleanup_dead_nodes(Duration::from_secs(1));
-            })?;
+            let memory = &self.memory;
+            // The dead process's ports are freed before its successor asks for its own.
+            let change = process.attend(is_finished, || memory.clean_up())?;
             self.report(index, change)?;
         }
-        for index in (0..self.retired.len()).rev() {
-            let process = &mut self.retired[index];
+        for index in (0..self.workers.retired.len()).rev() {
+            let process = &mut self.workers.retired[index];
             process.attend(false, || {})?;
             if process.pid().is_none() {
-                self.retired.remove(index);
-                self.node.blocking_cleanup_dead_nodes(Duration::from_secs(1));
+                self.workers.retired.remove(index);
+                self.memory.clean_up();
             }
         }
         Ok(())
     }
 
     fn report(&mut self, index: usize, change: ProcessChange) -> anyhow::Result<()> {
-        let process = &self.processes[index];
+        let process = &self.workers.processes[index];
         let (label, worker) = (process.label(), process.worker);
         match change {
             ProcessChange::None => {}
-            ProcessChange::Stopped => self.screen.line(&format!("{label} has stopped")),
-            ProcessChange::Restarted => self.screen.line(&format!("{label} is started again")),
+            ProcessChange::Stopped => self.console.line(&format!("{label} has stopped")),
+            ProcessChange::Restarted => self.console.line(&format!("{label} is started again")),
             ProcessChange::Ended { how, is_hopeless, retry_in } => {
                 if is_hopeless && process.generation == 0 {
                     // Its last lines say why, and may not have arrived yet.
@@ -81,7 +79,7 @@ impl Supervisor<'_> {
                     bail!("{label} cannot start; its reason is above");
                 }
                 match retry_in {
-                    Some(wait) => self.screen.line(&format!(
+                    Some(wait) => self.console.line(&format!(
                         "{label} {how}; it is started again in {:.1} s",
                         wait.as_secs_f64()
                     )),
@@ -101,12 +99,12 @@ impl Supervisor<'_> {
             bail!("{worker} {why}");
         }
         let left = self.what_is_left_without(worker);
-        self.screen.line(&format!("{worker} {why}. It is given up; what is left: {left}"));
+        self.console.line(&format!("{worker} {why}. It is given up; what is left: {left}"));
         Ok(())
     }
 
     fn what_is_left_without(&self, worker: Worker) -> String {
-        let others = self.processes.iter().filter(|process| {
+        let others = self.workers.processes.iter().filter(|process| {
             process.worker.stage == worker.stage
                 && process.worker != worker
                 && process.condition() == Condition::Running
@@ -124,7 +122,7 @@ impl Supervisor<'_> {
             Flow::Lossless => LOSSLESS_PATIENCE,
         };
         let now_ns = clock::monotonic_ns();
-        for process in &mut self.processes {
+        for process in &mut self.workers.processes {
             let Worker { stage, replica } = process.worker;
             let patience = match stage {
                 StageName::Capture | StageName::Inertial | StageName::Gateway => DEVICE_PATIENCE,
@@ -146,7 +144,7 @@ impl Supervisor<'_> {
             }
             let Some(stat) = ProcessStat::of(pid) else { continue };
             if process.heartbeat.hangs(report.sent_ns, now_ns, heartbeat_ns, stat) {
-                self.screen.line(&format!(
+                self.console.line(&format!(
                     "{} (process {pid}) hangs: no health for {:.1} s; it is killed and started again",
                     process.label(),
                     silence_ns as f64 * 1e-9
@@ -159,7 +157,7 @@ impl Supervisor<'_> {
     /// Names each process once that is not ready in time.
     fn name_those_that_are_late(&mut self) {
         let start_time = self.start_time();
-        for process in &mut self.processes {
+        for process in &mut self.workers.processes {
             let Worker { stage, replica } = process.worker;
             let Some(pid) = process.pid() else { continue };
             if process.is_late || process.age() < start_time {
@@ -172,7 +170,7 @@ impl Supervisor<'_> {
                 Some(Ok(StageState::Starting)) => "is not ready",
                 Some(_) => continue,
             };
-            self.screen.line(&format!(
+            self.console.line(&format!(
                 "{} (process {pid}) {what} for {:.0} s after its start; it is left alone",
                 process.label(),
                 start_time.as_secs_f64()
@@ -180,10 +178,10 @@ impl Supervisor<'_> {
         }
     }
 
-    fn hear_complaints(&mut self) {
+    fn act_on_complaints(&mut self) {
         loop {
             match self.complaints.receive() {
-                Ok(Some(message)) => self.hear(&message.header),
+                Ok(Some(message)) => self.act_on(&message.header),
                 Ok(None) => return,
                 Err(error) => {
                     tracing::debug!("complaints cannot be read: {error}");
@@ -193,7 +191,7 @@ impl Supervisor<'_> {
         }
     }
 
-    fn hear(&mut self, complaint: &Complaint) {
+    fn act_on(&mut self, complaint: &Complaint) {
         let stage = complaint.stage.to_string_lossy().into_owned();
         let is_meant = |worker: Worker, pid: Option<u32>| match complaint.pid {
             0 => worker.stage.name() == stage && worker.replica == complaint.replica,
@@ -201,13 +199,16 @@ impl Supervisor<'_> {
         };
         let detail = complaint.detail.to_string_lossy();
         let is_silent = complaint.kind == ComplaintKind::Unanswered.code();
-        let found =
-            self.processes.iter_mut().find(|process| is_meant(process.worker, process.pid()));
+        let found = self
+            .workers
+            .processes
+            .iter_mut()
+            .find(|process| is_meant(process.worker, process.pid()));
         let Some(process) = found.filter(|process| process.pid().is_some()) else {
             // Whoever is not one of the pipeline's processes is none of the launcher's business.
             if !is_silent && complaint.count <= 10 {
                 let pid = complaint.pid;
-                self.screen.line(&format!("process {pid} sends bad messages ({detail}); refused"));
+                self.console.line(&format!("process {pid} sends bad messages ({detail}); refused"));
             }
             return;
         };
@@ -224,12 +225,12 @@ impl Supervisor<'_> {
             };
             // It is said once; what follows leads to a replacement.
             if !std::mem::replace(&mut process.is_silent, true) {
-                self.screen.line(&format!("{label} (process {pid}): {what}"));
+                self.console.line(&format!("{label} (process {pid}): {what}"));
             }
             return;
         }
         let Some(rest) = process.replacements.rest_before_next(Instant::now()) else {
-            self.screen.line(&format!(
+            self.console.line(&format!(
                 "{label} (process {pid}): {detail}, {} times; it is killed and started again",
                 complaint.count
             ));
@@ -239,7 +240,7 @@ impl Supervisor<'_> {
         process.rest(rest);
         let worker = process.worker;
         let left = self.what_is_left_without(worker);
-        self.screen.line(&format!(
+        self.console.line(&format!(
             "{worker} (process {pid}): {detail}, also after it was started again. It is given up for {} s; \
              what is left: {left}",
             rest.as_secs()

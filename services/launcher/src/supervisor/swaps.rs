@@ -5,44 +5,25 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail, ensure};
 use flockeye_config::{Flow, Pipeline, Resolved};
-use flockeye_contract::{FrameOrder, HandOver, StageName};
+use flockeye_contract::{HandOver, StageName};
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::memory::{Budget, shared_memory_space};
 use flockeye_runtime::ports::Ports;
-use serde_json::json;
+use serde_json::Value;
 
 use super::Supervisor;
-use super::unfinished::{self, UnfinishedSwap};
+use super::unfinished_swap::{self, UnfinishedSwap};
 use crate::control::server::ClientId;
 use crate::control::{Reply, SwapRequest, Worker};
 use crate::fault_point;
 use crate::process::{Condition, ProcessChange};
-use crate::swap::Swap;
-use crate::swap::judge::{Lives, Verdict};
+use crate::swap::changeover::{Candidate, Changeover, SwapOrder};
+use crate::swap::judge::{Judge, Lives};
+use crate::swap::replacement::{Progress, Replacement};
 use crate::swap::shadow::{Shadow, can_shadow};
-
-/// A stage that owns a device or a port is being replaced: the old process ends first.
-pub(super) struct Replacement {
-    client: ClientId,
-    worker: Worker,
-    old_command: Vec<String>,
-    pipeline_before: Option<Pipeline>,
-    /// The generation that is replaced, and that of the new process.
-    generation: u32,
-    new_generation: u32,
-    stopped: Instant,
-    deadline: Instant,
-    /// The newest frame before it.
-    newest: Option<FrameOrder>,
-}
+use crate::swap::verdict::Verdict;
 
 impl Supervisor<'_> {
-    /// Whether a process is being replaced.
-    pub(super) fn is_swapping(&self) -> Option<Worker> {
-        let swap = self.swap.as_ref().map(|swap| swap.worker);
-        swap.or(self.replacement.as_ref().map(|replacement| replacement.worker))
-    }
-
     /// Begins a swap.
     ///
     /// # Errors
@@ -54,7 +35,44 @@ impl Supervisor<'_> {
         ports: &Ports,
     ) -> anyhow::Result<()> {
         let worker = request.worker;
-        if let Some(other) = self.is_swapping() {
+        let changed = self.check_swap(request)?;
+        if self.is_kept {
+            let process = self.workers.of(worker)?;
+            let swap = UnfinishedSwap {
+                worker,
+                old_generation: process.generation,
+                old_command: process.command().to_vec(),
+                pipeline: changed.is_some().then(|| self.pipeline.clone()),
+            };
+            swap.keep(self.instance.folder())?;
+        }
+        let pipeline_before = changed.map(|changed| self.change_pipeline(changed)).transpose()?;
+        if pipeline_before.is_some() {
+            fault_point::pass(self.instance.folder(), "settings are written");
+        }
+        let mut order = SwapOrder { client, worker, pipeline_before };
+        if !can_shadow(worker.stage) {
+            let replacement = self.begin_in_turn(client, request)?;
+            self.changeover = Changeover::InTurn(order, replacement);
+            return Ok(());
+        }
+        match self.begin_beside(client, request, ports) {
+            Ok(candidate) => {
+                self.changeover = Changeover::Beside(order, candidate);
+                Ok(())
+            }
+            Err(error) => {
+                self.restore(&mut order)?;
+                unfinished_swap::forget(self.instance.folder());
+                Err(error)
+            }
+        }
+    }
+
+    /// Refuses a swap that cannot be done. Returns the configuration if the swap changes it.
+    fn check_swap(&self, request: &SwapRequest) -> anyhow::Result<Option<Resolved>> {
+        let worker = request.worker;
+        if let Some(other) = self.changeover.worker() {
             bail!("{other} is being swapped. Cure: wait until that is done");
         }
         ensure!(
@@ -62,9 +80,8 @@ impl Supervisor<'_> {
             "a lossless run is for evaluation: what it gives must not depend on when a stage is swapped. \
              Cure: fly with flow: latest, or begin the run anew with the other stage"
         );
-        let index = self.index_of(worker)?;
         ensure!(
-            self.processes[index].condition() == Condition::Running,
+            self.workers.of(worker)?.condition() == Condition::Running,
             "{worker} does not run. Cure: flockeye start {worker}"
         );
         ensure!(
@@ -75,61 +92,18 @@ impl Supervisor<'_> {
         if let Some(program) = request.program.first() {
             check_program(program)?;
         }
-        let changed = self.changed_pipeline(worker.stage, &request.set)?;
-        let within = Duration::from_secs_f64(request.within_s);
-        if self.is_kept {
-            let process = &self.processes[index];
-            let swap = UnfinishedSwap {
-                worker,
-                old_generation: process.generation,
-                old_command: process.command().to_vec(),
-                pipeline: changed.is_some().then(|| self.pipeline.clone()),
-            };
-            swap.keep(self.instance.folder())?;
-            self.putting_back = None;
-        }
-        let pipeline_before = match changed {
-            Some(resolved) => {
-                self.instance.write_configuration(&resolved)?;
-                fault_point::pass(self.instance.folder(), "settings are written");
-                Some(std::mem::replace(&mut self.pipeline, resolved.pipeline))
-            }
-            None => None,
-        };
-        let begun = match can_shadow(worker.stage) {
-            true => self.begin_beside(client, index, request, within, ports),
-            false => {
-                self.begin_replacement(client, index, request, within);
-                Ok(())
-            }
-        };
-        match (&begun, pipeline_before) {
-            (Err(_), Some(before)) => {
-                self.restore(before)?;
-                unfinished::forget(self.instance.folder());
-            }
-            (Ok(()), before) => {
-                if let Some(swap) = &mut self.swap {
-                    swap.pipeline_before = before;
-                } else if let Some(replacement) = &mut self.replacement {
-                    replacement.pipeline_before = before;
-                }
-            }
-            (Err(_), None) => unfinished::forget(self.instance.folder()),
-        }
-        begun
+        self.changed_pipeline(worker.stage, &request.set)
     }
 
+    /// Starts the new process in the shadow of the old one.
     fn begin_beside(
         &mut self,
         client: ClientId,
-        index: usize,
         request: &SwapRequest,
-        within: Duration,
         ports: &Ports,
-    ) -> anyhow::Result<()> {
+    ) -> anyhow::Result<Candidate> {
         let worker = request.worker;
-        let needed = self.budget.bytes_of(worker.stage) as u64;
+        let needed = self.memory.budget.bytes_of(worker.stage) as u64;
         let (free, _) = shared_memory_space().context("cannot look at /dev/shm")?;
         ensure!(
             needed <= free,
@@ -138,57 +112,49 @@ impl Supervisor<'_> {
             needed / 1_000_000,
             free / 1_000_000
         );
-        let old_generation = self.processes[index].generation;
-        let candidate = self.processes[index].successor(&request.program);
-        let mut own = Ports::new(self.node.clone(), self.budget.clone(), SharedCounters::default());
-        let shadow = Shadow::open(worker, [old_generation, candidate.generation], &mut own)?;
-        let mut swap =
-            Swap::new(client, candidate, old_generation, shadow, within, request.accept_worse);
-        // Nobody may listen to it before it says its first word.
-        self.announce(ports, swap.judge.begin())?;
-        self.messages.keep_apart(Some((worker, swap.candidate.generation)));
-        if let Err(error) = swap.candidate.start() {
+        let old = self.workers.of_mut(worker)?;
+        let old_generation = old.generation;
+        let mut process = old.successor(&request.program);
+        let generations = [old_generation, process.generation];
+        let mut own_ports = self.memory.ports(SharedCounters::default());
+        let shadow = Shadow::open(worker, generations, &mut own_ports)?;
+        let within = Duration::from_secs_f64(request.within_s);
+        let judge = Judge::new(worker, generations, Instant::now(), within, request.accept_worse);
+        // Nobody may listen to it before it sends its first message.
+        self.hand_over.announce(ports, judge.begin())?;
+        self.messages.keep_apart(Some((worker, process.generation)));
+        if let Err(error) = process.start() {
             self.messages.keep_apart(None);
-            self.awaits_silence = true;
             return Err(error);
         }
         fault_point::pass(self.instance.folder(), "it is started");
-        let pid = swap.candidate.pid().unwrap_or(0);
-        self.say(client, &format!("{worker}: process {pid} works in the old one's shadow"));
-        self.swap = Some(swap);
-        Ok(())
+        let pid = process.pid().unwrap_or(0);
+        self.report_step(client, &format!("{worker}: process {pid} works in the old one's shadow"));
+        Ok(Candidate { process, shadow, judge })
     }
 
-    fn begin_replacement(
+    /// Asks the old process to end, so that the new one can have its device.
+    fn begin_in_turn(
         &mut self,
         client: ClientId,
-        index: usize,
         request: &SwapRequest,
-        within: Duration,
-    ) {
+    ) -> anyhow::Result<Replacement> {
+        let worker = request.worker;
         let newest = self.messages.newest().map(|stamp| stamp.order());
-        let process = &mut self.processes[index];
+        let process = self.workers.of_mut(worker)?;
         let old_command = match request.program.is_empty() {
             true => process.command().to_vec(),
             false => process.set_command(request.program.clone()),
         };
-        let (generation, new_generation) = (process.generation, process.next_generation());
+        let generations = [process.generation, process.next_generation()];
         process.ask_to_restart();
-        let worker = request.worker;
+        let within = Duration::from_secs_f64(request.within_s);
         let now = Instant::now();
-        self.replacement = Some(Replacement {
-            client,
-            worker,
-            old_command,
-            pipeline_before: None,
-            generation,
-            new_generation,
-            stopped: now,
-            deadline: now + within,
-            newest,
-        });
+        let replacement = Replacement::new(worker, generations, old_command, newest, now, within);
         fault_point::pass(self.instance.folder(), "the old one ends first");
-        self.say(client, &format!("{worker} owns a device or a port: the old process ends first"));
+        let text = format!("{worker} owns a device or a port: the old process ends first");
+        self.report_step(client, &text);
+        Ok(replacement)
     }
 
     /// The configuration with changed settings, checked; `None` if there are none.
@@ -220,160 +186,165 @@ impl Supervisor<'_> {
         );
         let resolved = Resolved::of(changed)?;
         ensure!(
-            Budget::of(&resolved) == self.budget,
+            Budget::of(&resolved) == self.memory.budget,
             "these settings change how much memory the stages share. Cure: start the pipeline anew"
         );
         Ok(Some(resolved))
     }
 
-    fn restore(&mut self, pipeline: Pipeline) -> anyhow::Result<()> {
-        let resolved = Resolved::of(pipeline)?;
+    /// Changes the configuration, and returns that of before.
+    fn change_pipeline(&mut self, resolved: Resolved) -> anyhow::Result<Pipeline> {
         self.instance.write_configuration(&resolved)?;
-        self.pipeline = resolved.pipeline;
+        Ok(std::mem::replace(&mut self.pipeline, resolved.pipeline))
+    }
+
+    /// Goes back to the configuration before a swap.
+    fn restore(&mut self, order: &mut SwapOrder) -> anyhow::Result<()> {
+        if let Some(before) = order.pipeline_before.take() {
+            self.change_pipeline(Resolved::of(before)?)?;
+        }
         Ok(())
     }
 
+    /// Does what is to be done about a swap.
+    ///
+    /// # Errors
+    /// A topic or a file of the instance cannot be used.
     pub(super) fn look_after_swap(&mut self, ports: &Ports) -> anyhow::Result<()> {
-        self.look_after_replacement()?;
-        let Some(mut swap) = self.swap.take() else { return Ok(()) };
-        let attended = swap.shadow.receive().and_then(|()| swap.candidate.attend(false, || {}));
-        let attended = match attended {
-            Ok(change) => change,
-            Err(error) => {
-                // With the others it is ended.
-                self.swap = Some(swap);
-                return Err(error);
-            }
-        };
-        let new_ended = match attended {
-            ProcessChange::Ended { how, .. } => Some(how),
-            _ => (swap.candidate.condition() != Condition::Running).then(|| "ended".to_owned()),
-        };
-        let index = self.index_of(swap.worker)?;
-        let old = &self.processes[index];
-        let old_runs =
-            old.condition() == Condition::Running && swap.judge.is_of_generation(old.generation);
-        let lives = Lives { new_ended: new_ended.as_deref(), old_runs };
-        match swap.judge(lives, Instant::now()) {
-            Verdict::Wait => {
-                self.swap = Some(swap);
+        let (client, worker, verdict) = match &mut self.changeover {
+            Changeover::Nothing => return Ok(()),
+            Changeover::PuttingBack(worker, generation) => {
+                let process = self.workers.of(*worker)?;
+                if process.generation > *generation && process.condition() == Condition::Running {
+                    self.changeover = Changeover::Nothing;
+                    unfinished_swap::forget(self.instance.folder());
+                }
                 return Ok(());
             }
-            Verdict::TakeOver(word, text) => {
-                self.say(swap.client, &format!("{}: {text}", swap.worker));
-                self.swap = Some(swap);
-                return self.announce(ports, word);
+            Changeover::InTurn(order, replacement) => {
+                let (client, worker, replacement) =
+                    (order.client, order.worker, replacement.clone());
+                let progress = self.progress_of(worker)?;
+                (client, worker, replacement.judge(&progress, Instant::now()))
             }
-            Verdict::TakeBack(word, reason) => {
-                let worker = swap.worker;
-                self.say(swap.client, &format!("{worker}: the old process counts again: {reason}"));
-                self.swap = Some(swap);
-                return self.announce(ports, word);
+            Changeover::Beside(order, candidate) => {
+                candidate.shadow.receive()?;
+                let new_ended = match candidate.process.attend(false, || {})? {
+                    ProcessChange::Ended { how, .. } => Some(how),
+                    _ => (candidate.process.condition() != Condition::Running)
+                        .then(|| "ended".to_owned()),
+                };
+                let old = self.workers.of(order.worker)?;
+                let old_runs = old.condition() == Condition::Running
+                    && candidate.judge.is_of_generation(old.generation);
+                let lives = Lives { new_ended: new_ended.as_deref(), old_runs };
+                let comparison = &candidate.shadow.comparison;
+                let verdict = candidate.judge.judge(comparison, lives, Instant::now());
+                (order.client, order.worker, verdict)
             }
-            Verdict::Done(text, report) => {
-                self.screen.line(&text);
-                self.server.reply(swap.client, &Reply::Done { text, report });
-                unfinished::forget(self.instance.folder());
-                let mut old = swap.candidate.takes_the_place_of(&mut self.processes[index]);
-                fault_point::pass(self.instance.folder(), "it is swapped");
+        };
+        match verdict {
+            Verdict::Wait => Ok(()),
+            Verdict::TakeOver(hand_over, text) => {
+                self.report_step(client, &format!("{worker}: {text}"));
+                self.hand_over.announce(ports, hand_over)
+            }
+            Verdict::TakeBack(hand_over, reason) => {
+                let text = format!("{worker}: the old process counts again: {reason}");
+                self.report_step(client, &text);
+                self.hand_over.announce(ports, hand_over)
+            }
+            Verdict::Done(text, report) => self.complete_swap(text, report),
+            Verdict::Refused(reason) => self.refuse_swap(&reason),
+        }
+    }
+
+    /// How far a worker is whose process is replaced.
+    fn progress_of(&self, worker: Worker) -> anyhow::Result<Progress> {
+        let process = self.workers.of(worker)?;
+        Ok(Progress {
+            generation: process.generation,
+            runs: process.condition() == Condition::Running,
+            is_ready: self.has_reported(worker, process.pid()) && self.is_ready(worker),
+            newest_frame: self.messages.newest().map(|stamp| stamp.order()),
+        })
+    }
+
+    /// The new process stays.
+    fn complete_swap(&mut self, text: String, report: Value) -> anyhow::Result<()> {
+        self.console.line(&text);
+        let done = Reply::Done { text, report };
+        match std::mem::take(&mut self.changeover) {
+            Changeover::Beside(order, candidate) => {
+                self.server.reply(order.client, &done);
+                let folder = self.instance.folder();
+                unfinished_swap::forget(folder);
+                let process = self.workers.of_mut(order.worker)?;
+                let mut old = candidate.process.takes_the_place_of(process);
+                fault_point::pass(folder, "it is swapped");
                 old.ask_to_stop();
-                fault_point::pass(self.instance.folder(), "the old one is asked to end");
-                self.retired.push(old);
+                fault_point::pass(folder, "the old one is asked to end");
+                self.workers.retired.push(old);
+                self.messages.keep_apart(None);
             }
-            Verdict::Refused(reason) => {
-                // Its last lines say why, and may not have arrived yet.
+            Changeover::InTurn(order, _) => {
+                fault_point::pass(self.instance.folder(), "it is replaced");
+                self.server.reply(order.client, &done);
+                unfinished_swap::forget(self.instance.folder());
+            }
+            Changeover::Nothing | Changeover::PuttingBack(..) => {}
+        }
+        Ok(())
+    }
+
+    /// The old process stays, or its program is started again.
+    fn refuse_swap(&mut self, reason: &str) -> anyhow::Result<()> {
+        match std::mem::take(&mut self.changeover) {
+            Changeover::Beside(mut order, candidate) => {
+                // The last lines of the new process say why, and may not have arrived yet.
                 std::thread::sleep(Duration::from_millis(50));
-                self.show_log();
-                let text = format!("{} is not swapped: {reason}", swap.worker);
-                self.screen.line(&text);
-                self.server.reply(swap.client, &Reply::Failed(text));
-                let mut candidate = swap.candidate;
-                fault_point::pass(self.instance.folder(), "it is refused");
-                candidate.ask_to_stop();
-                fault_point::pass(self.instance.folder(), "the new one is asked to end");
-                self.retired.push(candidate);
-                if let Some(before) = swap.pipeline_before {
-                    self.restore(before)?;
-                }
-                unfinished::forget(self.instance.folder());
+                self.console.show_log();
+                self.report_refusal(&order, reason);
+                let folder = self.instance.folder();
+                let mut process = candidate.process;
+                fault_point::pass(folder, "it is refused");
+                process.ask_to_stop();
+                fault_point::pass(folder, "the new one is asked to end");
+                self.workers.retired.push(process);
+                self.messages.keep_apart(None);
+                self.restore(&mut order)?;
+                unfinished_swap::forget(self.instance.folder());
             }
+            Changeover::InTurn(mut order, replacement) => {
+                self.restore(&mut order)?;
+                let process = self.workers.of_mut(order.worker)?;
+                process.set_command(replacement.old_command);
+                self.changeover = Changeover::PuttingBack(order.worker, process.generation);
+                process.ask_to_restart();
+                fault_point::pass(self.instance.folder(), "the old program is asked for");
+                self.report_refusal(&order, reason);
+            }
+            Changeover::Nothing | Changeover::PuttingBack(..) => {}
         }
-        self.messages.keep_apart(None);
-        self.awaits_silence = true;
         Ok(())
     }
 
-    /// Ends a hand-over: once no retired process is left, everybody counts.
+    fn report_refusal(&mut self, order: &SwapOrder, reason: &str) {
+        let text = format!("{} is not swapped: {reason}", order.worker);
+        self.console.line(&text);
+        self.server.reply(order.client, &Reply::Failed(text));
+    }
+
+    /// Ends a hand-over: once no other process of the worker is left, everybody counts.
+    ///
+    /// # Errors
+    /// The topic cannot be written to.
     pub(super) fn end_hand_over(&mut self, ports: &Ports) -> anyhow::Result<()> {
-        if self.awaits_silence && self.swap.is_none() && self.retired.is_empty() {
-            self.awaits_silence = false;
-            self.announce(ports, HandOver::default())?;
+        let is_over = !self.changeover.is_beside() && self.workers.retired.is_empty();
+        match is_over && self.hand_over.is_under_way() {
+            true => self.hand_over.announce(ports, HandOver::default()),
+            false => Ok(()),
         }
-        Ok(())
-    }
-
-    fn look_after_replacement(&mut self) -> anyhow::Result<()> {
-        if let Some((worker, generation)) = self.putting_back {
-            let process = &self.processes[self.index_of(worker)?];
-            if process.generation > generation && process.condition() == Condition::Running {
-                self.putting_back = None;
-                unfinished::forget(self.instance.folder());
-            }
-        }
-        let Some(replacement) = &self.replacement else { return Ok(()) };
-        let worker = replacement.worker;
-        let index = self.index_of(worker)?;
-        let process = &self.processes[index];
-        let is_new = process.generation == replacement.new_generation;
-        let runs = process.condition() == Condition::Running;
-        let has_failed = process.generation > replacement.new_generation
-            || (is_new && !runs)
-            || Instant::now() >= replacement.deadline;
-        let works = is_new && runs && self.replacement_works(replacement, process.pid());
-        if !works && !has_failed {
-            return Ok(());
-        }
-        let Some(replacement) = self.replacement.take() else { return Ok(()) };
-        let gap_s = replacement.stopped.elapsed().as_secs_f64();
-        if works {
-            let text = format!("{worker} is swapped; {gap_s:.2} s passed without it");
-            let generation = self.processes[index].generation;
-            let report = json!({ "worker": worker, "generation": generation, "gap_s": gap_s });
-            self.screen.line(&text);
-            fault_point::pass(self.instance.folder(), "it is replaced");
-            self.server.reply(replacement.client, &Reply::Done { text, report });
-            unfinished::forget(self.instance.folder());
-            return Ok(());
-        }
-        if let Some(before) = replacement.pipeline_before {
-            self.restore(before)?;
-        }
-        let process = &mut self.processes[index];
-        process.set_command(replacement.old_command);
-        self.putting_back = Some((worker, process.generation));
-        process.ask_to_restart();
-        fault_point::pass(self.instance.folder(), "the old program is asked for");
-        let text = format!(
-            "{worker} is not swapped: the new process did not work within {gap_s:.1} s. The old \
-             program is started again"
-        );
-        self.screen.line(&text);
-        self.server.reply(replacement.client, &Reply::Failed(text));
-        Ok(())
-    }
-
-    /// Whether a process that took another's place does its work: a source gives frames, others are ready.
-    fn replacement_works(&self, replacement: &Replacement, pid: Option<u32>) -> bool {
-        let Worker { stage, replica } = replacement.worker;
-        if stage.is_source() {
-            let newest = self.messages.newest().map(|stamp| stamp.order());
-            return newest.is_some_and(|newest| {
-                newest.0 > replacement.generation && Some(newest) > replacement.newest
-            });
-        }
-        let report =
-            pid.and_then(|pid| self.messages.dashboard.last_report(stage.name(), replica, pid));
-        report.is_some() && self.is_ready(replacement.worker)
     }
 }
 

@@ -7,6 +7,7 @@ use flockeye_runtime::clock;
 use serde_json::json;
 
 use super::comparison::{Comparison, Figures};
+use super::verdict::Verdict;
 use crate::control::Worker;
 
 /// A new process takes over so many frames after the newest one: its word is everywhere by then.
@@ -41,21 +42,6 @@ enum Phase {
     TakingBack { until: Instant, reason: String },
 }
 
-/// What is to be done about a swap.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) enum Verdict {
-    /// Nothing yet.
-    Wait,
-    /// The new process takes over.
-    TakeOver(HandOver, String),
-    /// The new process failed after it took over: the old one counts again.
-    TakeBack(HandOver, String),
-    /// The new process stays, and the old one is ended.
-    Done(String, serde_json::Value),
-    /// The new process is ended, and the old one stays.
-    Refused(String),
-}
-
 /// How the two processes are at the moment.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Lives<'a> {
@@ -66,8 +52,8 @@ pub(crate) struct Lives<'a> {
 }
 
 impl Judge {
-    /// Of a swap of `worker` that begins at `now`, between these two generations. The new process has `within`
-    /// to do as well as the old one, or at all if it may do worse.
+    /// Judges a swap of `worker` that begins at `now`, from the first generation to the second. The new process
+    /// has `within` to do as well as the old one, or to answer at all if it may do worse.
     pub(crate) fn new(
         worker: Worker,
         [old_generation, new_generation]: [u32; 2],

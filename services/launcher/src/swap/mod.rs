@@ -7,60 +7,20 @@
 //! can be taken back. Messages tell whose they are by their generation
 //! ([`HandOver`](flockeye_contract::HandOver)).
 //!
+//! A stage that owns a device cannot run twice: its old process ends first.
+//!
 //! | module | what it does |
 //! | --- | --- |
-//! | [`shadow`] | reads what both processes say |
+//! | [`changeover`] | what a swap is doing |
+//! | [`shadow`] | reads what both processes send |
 //! | [`comparison`] | compares it, and says what is worse |
-//! | [`judge`] | decides when the new one takes over, stays or goes |
+//! | [`judge`] | decides when the new process takes over, stays or goes |
+//! | [`replacement`] | decides whether a process works that was started after the old one's end |
+//! | [`verdict`] | what is to be done about a swap |
 
+pub(crate) mod changeover;
 pub(crate) mod comparison;
 pub(crate) mod judge;
+pub(crate) mod replacement;
 pub(crate) mod shadow;
-
-use std::time::{Duration, Instant};
-
-use flockeye_config::Pipeline;
-
-use self::judge::{Judge, Lives, Verdict};
-use self::shadow::Shadow;
-use crate::control::Worker;
-use crate::control::server::ClientId;
-use crate::process::Process;
-
-/// A swap under way.
-pub(crate) struct Swap {
-    /// Who asked for it.
-    pub client: ClientId,
-    /// Which worker.
-    pub worker: Worker,
-    /// The new process.
-    pub candidate: Process,
-    /// The configuration of before, if it was changed.
-    pub pipeline_before: Option<Pipeline>,
-    /// What both processes say.
-    pub shadow: Shadow,
-    /// Decides what is to be done.
-    pub judge: Judge,
-}
-
-impl Swap {
-    /// A swap whose candidate is about to start in the shadow of `old_generation`.
-    pub(crate) fn new(
-        client: ClientId,
-        candidate: Process,
-        old_generation: u32,
-        shadow: Shadow,
-        within: Duration,
-        accept_worse: bool,
-    ) -> Self {
-        let generations = [old_generation, candidate.generation];
-        let now = Instant::now();
-        let judge = Judge::new(candidate.worker, generations, now, within, accept_worse);
-        Self { client, worker: candidate.worker, candidate, pipeline_before: None, shadow, judge }
-    }
-
-    /// What is to be done now.
-    pub(crate) fn judge(&mut self, lives: Lives<'_>, now: Instant) -> Verdict {
-        self.judge.judge(&self.shadow.comparison, lives, now)
-    }
-}
+pub(crate) mod verdict;

@@ -12,7 +12,7 @@ use flockeye_runtime::whole_file::write_whole;
 use rustix::process::{Pid, Signal, kill_process_group};
 use serde::{Deserialize, Serialize};
 
-use super::taking_over::{counting_generation, has_taken_over, read_word};
+use super::hand_over::{self, counting_generation, has_taken_over};
 use crate::control::Worker;
 use crate::process::memo::Memo;
 use crate::swap::shadow::can_shadow;
@@ -23,7 +23,7 @@ const KILL_TIME: Duration = Duration::from_secs(5);
 /// A swap that is not over.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct UnfinishedSwap {
-    /// Who is swapped.
+    /// Which worker is swapped.
     pub worker: Worker,
     /// The generation that is replaced.
     pub old_generation: u32,
@@ -49,11 +49,11 @@ impl UnfinishedSwap {
     }
 
     /// Whether its new process is the one that stays.
-    fn has_succeeded(&self, word: &HandOver) -> bool {
-        // Who owns a device was to show that it works, and nobody was left to see it.
+    fn has_succeeded(&self, hand_over: &HandOver) -> bool {
+        // A process that owns a device was to show that it works, and no launcher has seen it.
         can_shadow(self.worker.stage)
-            && has_taken_over(word, self.worker)
-            && counting_generation(word, self.worker) > Some(self.old_generation)
+            && has_taken_over(hand_over, self.worker)
+            && counting_generation(hand_over, self.worker) > Some(self.old_generation)
     }
 
     /// Lets the old program be started, which owns its device again.
@@ -82,9 +82,9 @@ impl UnfinishedSwap {
     }
 }
 
-/// The swap that was kept is over.
+/// Removes what was kept: the swap is over.
 pub(super) fn forget(folder: &Path) {
-    // Without one there is nothing to forget.
+    // Without a swap there is no file.
     drop(std::fs::remove_file(file(folder)));
 }
 
@@ -96,7 +96,7 @@ pub(crate) fn undo(instance: &Instance) -> anyhow::Result<()> {
     let folder = instance.folder();
     let swap = std::fs::read(file(folder)).ok();
     let swap = swap.and_then(|json| serde_json::from_slice::<UnfinishedSwap>(&json).ok());
-    if let Some(swap) = swap.filter(|swap| !swap.has_succeeded(&read_word(folder))) {
+    if let Some(swap) = swap.filter(|swap| !swap.has_succeeded(&hand_over::read(folder))) {
         if !can_shadow(swap.worker.stage) {
             swap.put_back_program(folder)?;
         }

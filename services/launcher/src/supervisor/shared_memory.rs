@@ -1,0 +1,58 @@
+//! The shared memory of a pipeline, which its launcher creates.
+
+use std::rc::Rc;
+use std::time::Duration;
+
+use anyhow::Context;
+use flockeye_runtime::health::{Counters, SharedCounters};
+use flockeye_runtime::instance::Instance;
+use flockeye_runtime::memory::Budget;
+use flockeye_runtime::ports::{Ports, TopicServices, create_all_services};
+use iceoryx2::prelude::*;
+
+/// How long the cleaning up after dead processes may take.
+const CLEANUP_TIME: Duration = Duration::from_secs(1);
+
+/// All topics of a pipeline. Ports are dropped before it.
+pub(super) struct SharedMemory {
+    // Services go before the node.
+    _services: Vec<TopicServices>,
+    node: Rc<Node<ipc::Service>>,
+    /// How much memory each topic has.
+    pub budget: Budget,
+}
+
+impl SharedMemory {
+    /// Creates all topics, or opens those that a launcher has left whose stages fly on.
+    ///
+    /// # Errors
+    /// The system's reason.
+    pub(super) fn create(instance: &Instance, budget: Budget) -> anyhow::Result<Self> {
+        let node = NodeBuilder::new()
+            .name(&NodeName::new("launcher").context("node name")?)
+            .signal_handling_mode(SignalHandlingMode::Disabled)
+            .config(&instance.iceoryx2()?)
+            .create::<ipc::Service>()
+            .map_err(|error| anyhow::anyhow!("cannot open shared memory: {error:?}"))?;
+        let node = Rc::new(node);
+        // An earlier launcher may have been killed while its stages fly on.
+        node.blocking_cleanup_dead_nodes(CLEANUP_TIME);
+        let services = create_all_services(&node, &budget)?;
+        Ok(Self { _services: services, node, budget })
+    }
+
+    /// Ports with these counters.
+    pub(super) fn ports(&self, counters: SharedCounters) -> Ports {
+        Ports::new(self.node.clone(), self.budget.clone(), counters)
+    }
+
+    /// Ports of the launcher, which counts nothing.
+    pub(super) fn own_ports(&self) -> Ports {
+        self.ports(Rc::new(Counters::default()))
+    }
+
+    /// Frees the ports of dead processes.
+    pub(super) fn clean_up(&self) {
+        self.node.blocking_cleanup_dead_nodes(CLEANUP_TIME);
+    }
+}

@@ -1,0 +1,75 @@
+//! Clients that wait until a worker is as it was asked to be.
+
+use std::time::{Duration, Instant};
+
+use crate::control::server::ClientId;
+use crate::control::{Reply, Worker};
+use crate::process::{Condition, Process};
+
+/// A worker that has not come to what was asked for after this long is reported.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+/// A client that waits until a worker is as it was asked to be.
+pub(super) struct WaitingClient {
+    /// Who waits.
+    pub client: ClientId,
+    /// The worker.
+    pub worker: Worker,
+    wanted: Wanted,
+    since: Instant,
+}
+
+/// How a worker was asked to be.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Wanted {
+    /// Its process has ended.
+    Stopped,
+    /// It is ready, in a generation after this one.
+    ReadyAfter(Option<u32>),
+}
+
+impl WaitingClient {
+    /// A client that waits from now on.
+    pub(super) fn new(client: ClientId, worker: Worker, wanted: Wanted) -> Self {
+        Self { client, worker, wanted, since: Instant::now() }
+    }
+
+    /// The answer, if there is one by now. `is_ready` says whether the worker's process has reported that it
+    /// is ready.
+    pub(super) fn answer(&self, process: &Process, is_ready: bool) -> Option<Reply> {
+        let Self { worker, wanted, since, .. } = self;
+        let (condition, generation) = (process.condition(), process.generation);
+        let is_reached = match wanted {
+            Wanted::Stopped => condition == Condition::Stopped,
+            Wanted::ReadyAfter(before) => {
+                before.is_none_or(|before| generation > before) && is_ready
+            }
+        };
+        match wanted {
+            _ if !is_reached && since.elapsed() < PATIENCE => None,
+            _ if !is_reached => Some(Reply::Failed(format!(
+                "{worker} is not as asked for after {} s: {}",
+                PATIENCE.as_secs(),
+                condition_name(condition)
+            ))),
+            Wanted::Stopped => Some(Reply::done(format!("{worker} has stopped"))),
+            Wanted::ReadyAfter(_) => {
+                let pid = process.pid().unwrap_or(0);
+                let text = format!("{worker} runs (process {pid}, generation {generation})");
+                Some(Reply::done(text))
+            }
+        }
+    }
+}
+
+/// What a process is doing, in words.
+pub(super) fn condition_name(condition: Condition) -> &'static str {
+    match condition {
+        Condition::New => "waits for the others",
+        Condition::Running => "runs",
+        Condition::Waiting(_) => "is restarted",
+        Condition::Resting(_) => "rests",
+        Condition::Stopped => "stopped",
+        Condition::GivenUp => "given up",
+    }
+}

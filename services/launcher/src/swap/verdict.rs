@@ -1,0 +1,18 @@
+//! What is to be done about a swap.
+
+use flockeye_contract::HandOver;
+
+/// What is to be done about a swap.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum Verdict {
+    /// Nothing yet.
+    Wait,
+    /// The new process takes over.
+    TakeOver(HandOver, String),
+    /// The new process failed after it took over: the old one counts again.
+    TakeBack(HandOver, String),
+    /// The new process stays.
+    Done(String, serde_json::Value),
+    /// The old process or its program stays.
+    Refused(String),
+}
