@@ -10,7 +10,8 @@ use flockeye_config::Pipeline;
 /// The arguments that choose a configuration.
 #[derive(Debug, Clone, Args)]
 pub struct Configuration {
-    /// The configuration. Without it: pipeline.yaml in this folder if there is one, else the defaults.
+    /// The configuration. Without it: pipeline.yaml in this folder if there is one, else the
+    /// defaults.
     #[arg(value_name = "PIPELINE")]
     pub pipeline: Option<PathBuf>,
     /// sim, a video file, a folder of images, v4l2:/dev/video0, theta, or a GStreamer description.

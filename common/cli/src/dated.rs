@@ -2,8 +2,8 @@
 
 use std::time::SystemTime;
 
-/// Names for files of a time, the first to be tried first: `STEM-20260102T030405Z`, then `STEM-20260102T030405Z-1` and
-/// so on.
+/// Names for files of a time, the first to be tried first: `STEM-20260102T030405Z`, then
+/// `STEM-20260102T030405Z-1` and so on.
 pub fn names(stem: &str, time: SystemTime) -> impl Iterator<Item = String> + use<> {
     let time = humantime::format_rfc3339_seconds(time).to_string().replace(['-', ':'], "");
     let first = format!("{stem}-{time}");

@@ -1,5 +1,5 @@
-//! What a command shows. On a terminal log lines scroll above and a live table stays below. Under systemd lines go
-//! to the journal, with their stage as a field.
+//! What a command shows. On a terminal log lines scroll above and a live table stays below. Under
+//! systemd lines go to the journal, with their stage as a field.
 
 use std::collections::VecDeque;
 use std::io::{self, IsTerminal, Write};
@@ -50,8 +50,8 @@ impl Screen {
         self.is_journal
     }
 
-    /// Shows a line that a process of the pipeline wrote, and `at_s`, the time of the run. `label` is its
-    /// stage, with the worker's number if there are several (`detection.1`).
+    /// Shows a line that a process of the pipeline wrote, and `at_s`, the time of the run. `label`
+    /// is its stage, with the worker's number if there are several (`detection.1`).
     pub fn stage_line(&mut self, at_s: f64, label: &str, text: &str) {
         if self.is_journal && self.kept.is_none() {
             let (stage, worker) = label.split_once('.').unwrap_or((label, "0"));
@@ -107,7 +107,8 @@ impl Screen {
     }
 }
 
-/// The journal's priority of a line as [`flockeye_runtime::logs`] writes them, and the rest of the line.
+/// The journal's priority of a line as [`flockeye_runtime::logs`] writes them, and the rest of the
+/// line.
 fn priority_of(text: &str) -> (Priority, &str) {
     let line = text.trim_start();
     let levels = [

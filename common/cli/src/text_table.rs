@@ -4,8 +4,8 @@ use std::fmt::Display;
 
 use comfy_table::{CellAlignment, ColumnConstraint, Table, Width, presets};
 
-/// Columns of text under their titles, without lines between them. The first columns hold words, which
-/// start at the left; the others hold numbers, which end at the right.
+/// Columns of text under their titles, without lines between them. The first columns hold words,
+/// which start at the left; the others hold numbers, which end at the right.
 #[derive(Debug, Clone)]
 pub struct TextTable {
     table: Table,
@@ -28,7 +28,8 @@ impl TextTable {
         Self { table, columns: titles.len() }
     }
 
-    /// Makes each column at least so wide, so that a live table does not move when its numbers grow.
+    /// Makes each column at least so wide, so that a live table does not move when its numbers
+    /// grow.
     #[must_use]
     pub fn at_least(mut self, widths: &[u16]) -> Self {
         for (column, width) in self.table.column_iter_mut().zip(widths) {

@@ -1,4 +1,5 @@
-//! `flockeye clean`: removes what dead runs left in shared memory. Running pipelines are not touched.
+//! `flockeye clean`: removes what dead runs left in shared memory. Running pipelines are not
+//! touched.
 
 use anyhow::Context;
 use clap::Args;

@@ -34,7 +34,8 @@ enum FlockeyeCommand {
     Up(UpArguments),
     /// Check a configuration, and say what it means on this machine.
     Check(CheckArguments),
-    /// Look for everything on this machine that could keep it from flying, and say what to do about it.
+    /// Look for everything on this machine that could keep it from flying, and say what to do about
+    /// it.
     Doctor(DoctorArguments),
     /// Show a running pipeline's processes.
     Status(StatusArguments),
@@ -56,7 +57,8 @@ enum FlockeyeCommand {
     Trace(TraceArguments),
     /// Record a running pipeline's messages to an MCAP file (by flockeye-recorder).
     Record,
-    /// Give a stage alone what it got in a recorded flight, and compare what it gives with what it gave.
+    /// Give a stage alone what it got in a recorded flight, and compare what it gives with what it
+    /// gave.
     Replay(ReplayArguments),
     /// Say why a frame of a recording gave this pose of a neighbour, or none (by flockeye-fusion).
     Explain,

@@ -1,24 +1,24 @@
-//! What stages have said of others, and what follows from it.
+//! What follows from complaints of stages about others.
 
 use std::time::{Duration, Instant};
 
-/// A worker that has answered nothing so often, one time after the other, is replaced.
+/// A worker that has left this many views without answer, one after the other, is replaced.
 ///
-/// The first silence already keeps it out of rotation, so the flight does not wait for this. A worker on a
-/// busy machine answers late now and then; three times in a row, each after `rectification.overdue_ms`, is
-/// no accident.
+/// The first silence already keeps it out of rotation, so the flight does not wait for this. A
+/// worker on a busy machine answers late now and then; three times in a row, each after
+/// `rectification.overdue_ms`, is no accident.
 pub(crate) const MOST_SILENCES: u64 = 3;
-/// A process of which so many messages were refused is replaced.
+/// A process is replaced when this many of its messages were refused.
 pub(crate) const MOST_REFUSED: u64 = 30;
-/// A worker that was replaced so often for its messages rests before it is started again.
+/// A worker that was replaced this often for its messages rests before it is started again.
 const REPLACEMENTS_BEFORE_REST: usize = 3;
-/// What happened longer ago than this no longer counts.
+/// A replacement that is longer ago than this no longer counts.
 const MEMORY: Duration = Duration::from_secs(60);
 /// How long a worker rests.
 ///
-/// A program that is wrong stays wrong, and each start costs the flight up to three silences of its views. A
-/// machine that was overloaded recovers, and must have its workers back. So nobody is given up for good. One who
-/// is wrong is tried twice a minute.
+/// A program that is wrong stays wrong, and each start costs the flight up to three silences of its
+/// views. A machine that was overloaded recovers, and must have its workers back. So nobody is
+/// given up for good. A wrong program is tried twice a minute.
 const REST: Duration = Duration::from_secs(30);
 
 /// How often a worker was replaced because of what it sent.
@@ -26,7 +26,8 @@ const REST: Duration = Duration::from_secs(30);
 pub struct Replacements(Vec<Instant>);
 
 impl Replacements {
-    /// Notes one more at `now`. Returns how long the worker rests before it is started again; none: not at all.
+    /// Notes one more at `now`. Returns how long the worker rests before it is started again; none:
+    /// it does not rest.
     pub fn rest_before_next(&mut self, now: Instant) -> Option<Duration> {
         self.0.retain(|&then| now.saturating_duration_since(then) < MEMORY);
         self.0.push(now);

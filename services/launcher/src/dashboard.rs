@@ -43,7 +43,8 @@ struct NeighbourView {
     coasted: u64,
     eligible: u64,
     eligible_measured: u64,
-    /// Frames in which it was measured and that have not ended. Only ended frames count as localisable.
+    /// Frames in which it was measured and that have not ended. Only ended frames count as
+    /// localisable.
     open: Vec<FrameStamp>,
     errors_mm: NewestSamples,
     latencies_ms: NewestSamples,

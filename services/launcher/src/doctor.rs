@@ -1,4 +1,5 @@
-//! `flockeye doctor`: everything that can be wrong on a machine before a flight, each with its cure.
+//! `flockeye doctor`: everything that can be wrong on a machine before a flight, each with its
+//! cure.
 //!
 //! | module | what it looks at |
 //! | --- | --- |
@@ -46,7 +47,7 @@ struct Examination<'f> {
     findings: &'f [Finding],
 }
 
-/// Examines this machine, and says what it found.
+/// Examines this machine, and shows what it found.
 ///
 /// # Errors
 /// The configuration cannot be read, or with it this machine would not fly.

@@ -1,10 +1,11 @@
 //! `flockeye exec-stage`: the first instructions of a stage's process.
 //!
-//! The stage must die with the launcher, even if that is killed. So this process first asks the kernel
-//! for a signal at the launcher's death, then checks that the launcher still lives. A stage that is to fly on
-//! without it (`--keep`) first writes a record of itself, by which the next launcher finds it, and only then
-//! takes that request back: no process is ever lost. It also asks for processors, nice value and scheduling
-//! policy, which survive the exec. Then it becomes the stage, whatever language that is written in.
+//! The stage must die with the launcher, even if that is killed. So this process first asks the
+//! kernel for a signal at the launcher's death, then checks that the launcher still lives. A stage
+//! that is to fly on without it (`--keep`) first writes a record of itself, by which the next
+//! launcher finds it, and only then takes that request back: no process is ever lost. It also asks
+//! for processors, nice value and scheduling policy, which survive the exec. Then it becomes the
+//! stage, whatever language that is written in.
 
 use std::ffi::OsString;
 use std::os::unix::process::CommandExt;
@@ -91,7 +92,7 @@ fn write_record(arguments: &ExecArguments) -> anyhow::Result<()> {
     Ok(process.write(&PathBuf::from(variable(FOLDER_VARIABLE)?))?)
 }
 
-/// Asks for the processors, and says why they are refused.
+/// Asks for the processors. Returns why they are refused.
 fn apply_cpus(arguments: &ExecArguments) -> Option<String> {
     if arguments.cpus.is_empty() {
         return None;
@@ -108,7 +109,7 @@ fn apply_cpus(arguments: &ExecArguments) -> Option<String> {
     ))
 }
 
-/// Asks for the nice value, and says why it is refused.
+/// Asks for the nice value. Returns why it is refused.
 fn apply_nice(arguments: &ExecArguments) -> Option<String> {
     if arguments.nice == 0 {
         return None;
@@ -121,7 +122,7 @@ fn apply_nice(arguments: &ExecArguments) -> Option<String> {
     ))
 }
 
-/// Asks for the scheduling policy, and says why it is refused.
+/// Asks for the scheduling policy. Returns why it is refused.
 fn apply_policy(arguments: &ExecArguments) -> Option<String> {
     let policy = arguments.scheduling?;
     let refused = policy.apply_to_this_thread(arguments.priority).err()?;

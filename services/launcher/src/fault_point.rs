@@ -1,18 +1,19 @@
 //! Places in a hand-over at which a test stops the launcher, and kills it or another process.
 //!
-//! They are built in with the feature `fault-points` alone, as `make test` does, and never in what flies.
+//! They are built in with the feature `fault-points` alone, as `make test` does, and never in what
+//! flies.
 
 use std::path::Path;
 
-/// What the launcher says at its start if it has fault points.
+/// The line that the launcher shows at its start if it has fault points.
 #[cfg(feature = "fault-points")]
 pub(crate) const NOTICE: Option<&str> = Some("this build has fault points, for tests alone");
-/// What the launcher says at its start if it has fault points.
+/// The line that the launcher shows at its start if it has fault points.
 #[cfg(not(feature = "fault-points"))]
 pub const NOTICE: Option<&str> = None;
 
-/// Waits here if the file `fault` in the instance's folder names this step, until somebody removes the file
-/// `fault-reached` that takes its place.
+/// Waits here if the file `fault` in the instance's folder names this step, until somebody removes
+/// the file `fault-reached` that takes its place.
 #[cfg(feature = "fault-points")]
 pub(crate) fn pass(folder: &Path, step: &str) {
     use std::time::{Duration, Instant};

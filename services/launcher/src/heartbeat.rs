@@ -1,6 +1,6 @@
 //! Whether a process that sends no health hangs, or only has not had the processor.
 
-/// What the system says of a process (proc(5), `/proc/PID/stat`).
+/// The state of a process as the system gives it (proc(5), `/proc/PID/stat`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ProcessStat {
     /// R running, S sleeping, D waiting for a disk, T stopped, t traced, Z dead.
@@ -35,11 +35,12 @@ pub struct Heartbeat {
 }
 
 impl Heartbeat {
-    /// Whether a process hangs whose newest report is of `sent_ns`, given what the system says `now_ns`.
+    /// Whether a process hangs whose newest report is of `sent_ns`, given its state at `now_ns`.
     ///
-    /// It hangs if it was silent for `heartbeat_ns` although nothing kept it from its work: it is stopped, or
-    /// sleeps while none of its threads works either, or it has used that much processor time meanwhile. One
-    /// that is ready to run and gets no processor, or waits for a disk, is only slow.
+    /// It hangs if it was silent for `heartbeat_ns` although nothing kept it from its work: it is
+    /// stopped, or sleeps while none of its threads works either, or it has used that much
+    /// processor time meanwhile. One that is ready to run and gets no processor, or waits for a
+    /// disk, is only slow.
     pub fn hangs(
         &mut self,
         sent_ns: i64,

@@ -15,12 +15,12 @@
 //! | `run_log` | what a run receives: shown, recorded and summed up |
 //! | [`process`] | one stage's process: started, restarted, stopped, never an orphan |
 //! | `heartbeat` | whether a silent process hangs |
-//! | `complaints` | when what others say of a process leads to its replacement |
+//! | `complaints` | when complaints of a process lead to its replacement |
 //! | `dashboard` | what the stages and the neighbours are doing, as a table and as JSON |
 //! | `check` | what a configuration means on this machine |
 //! | `doctor` | what could keep this machine from flying, and what to do about it |
 //! | `metrics` | what is offered to Prometheus |
-//! | `service_manager` | what systemd is told of a run |
+//! | `service_manager` | reports a run to systemd |
 //! | `top` | where a running pipeline's time goes, live or as JSON |
 //! | `trace` | frames' paths through all processes, for Perfetto |
 //! | `sweep_watch` | how often a running pipeline searches each part of the sphere |

@@ -1,4 +1,5 @@
-//! `flockeye status`, `stop`, `start`, `restart` and `swap`: what a running pipeline is asked to do.
+//! `flockeye status`, `stop`, `start`, `restart` and `swap`: what a running pipeline is asked to
+//! do.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -135,7 +136,7 @@ pub(crate) fn swap(arguments: &SwapArguments) -> anyhow::Result<()> {
     let mut screen = Screen::new();
     let mut swapped = changed(file).with_context(|| format!("{}", file.display()))?;
     while !stopping.load(Ordering::Relaxed) {
-        // What went wrong is said; the next change of the file may mend it.
+        // The failure was shown; the next change of the file may mend it.
         if let Err(error) = do_it(&arguments.running, &request, arguments.json) {
             screen.line(&format!("{error:#}"));
         }
@@ -182,8 +183,8 @@ fn do_it(running: &PipelineChoice, request: &Request, json: bool) -> anyhow::Res
     Ok(())
 }
 
-/// A part of a command as the launcher must get it, which runs in a folder of its own: what is a file here
-/// is named by its whole path.
+/// A part of a command as the launcher must get it, which runs in a folder of its own: what is a
+/// file here is named by its whole path.
 fn absolute(part: &str) -> String {
     let path = Path::new(part);
     match path.components().count() > 1 && path.exists() {
@@ -197,8 +198,8 @@ fn changed(file: &Path) -> std::io::Result<SystemTime> {
     std::fs::metadata(file)?.modified()
 }
 
-/// Waits until the file has another time than `before`, and that for a moment: a compiler writes for a
-/// while.
+/// Waits until the file has another time than `before`, and that for a moment: a compiler writes
+/// for a while.
 fn wait_for_change(file: &Path, before: SystemTime, stopping: &AtomicBool) -> SystemTime {
     let mut last = before;
     while !stopping.load(Ordering::Relaxed) {

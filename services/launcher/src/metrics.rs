@@ -1,5 +1,5 @@
-//! What a run offers to Prometheus (`metrics.listen` in pipeline.yaml): counters, gauges and latencies as text, and
-//! whether the pipeline lives and is ready.
+//! What a run offers to Prometheus (`metrics.listen` in pipeline.yaml): counters, gauges and
+//! latencies as text, and whether the pipeline lives and is ready.
 //!
 //! | module | what it does |
 //! | --- | --- |
@@ -28,7 +28,8 @@ use snapshot::{Labels, Latest, Snapshot};
 /// How often what is offered is brought up to date.
 const PERIOD: Duration = Duration::from_secs(1);
 
-/// Upper bounds of the latencies' bins, seconds: from a fast stage to a pose that is too late for anybody.
+/// Upper bounds of the latencies' bins, seconds: from a fast stage to a pose that is too late for
+/// anybody.
 const LATENCY_BOUNDS_S: [f64; 14] = [
     0.001, 0.002, 0.004, 0.006, 0.010, 0.015, 0.020, 0.033, 0.050, 0.075, 0.100, 0.200, 0.500, 1.0,
 ];

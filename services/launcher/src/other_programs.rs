@@ -110,7 +110,8 @@ fn become_program(name: &str, shown_name: &str, arguments: &[OsString]) -> anyho
 /// Arguments of `replay`.
 #[derive(Debug, Args)]
 pub(crate) struct ReplayArguments {
-    /// A recording with its views, from the first frame on: recording.folder, with recording.frames: views.
+    /// A recording with its views, from the first frame on: recording.folder, with
+    /// recording.frames: views.
     #[arg(value_name = "FILE.mcap")]
     pub file: PathBuf,
     /// The stage.

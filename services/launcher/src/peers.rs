@@ -1,5 +1,5 @@
-//! `flockeye peers`: what the whole swarm reports over Zenoh, and where all are from one of them: live tables and a
-//! map, or JSON lines.
+//! `flockeye peers`: what the whole swarm reports over Zenoh, and where all are from one of them:
+//! live tables and a map, or JSON lines.
 
 mod swarm_map;
 
@@ -30,7 +30,8 @@ pub(crate) struct PeersArguments {
     /// Take both from this running pipeline.
     #[arg(long, value_name = "NAME", conflicts_with_all = ["pipeline", "set"])]
     pub instance: Option<String>,
-    /// Link with this endpoint (tcp/10.0.0.7:7447) in place of those of the configuration. May be repeated.
+    /// Link with this endpoint (tcp/10.0.0.7:7447) in place of those of the configuration. May be
+    /// repeated.
     #[arg(long, value_name = "ENDPOINT")]
     pub connect: Vec<String>,
     /// From whose place the others are shown. Without it: the observer of the configuration.
@@ -44,7 +45,7 @@ pub(crate) struct PeersArguments {
     pub duration: Option<Duration>,
 }
 
-/// How often it is said where all are.
+/// How often the places of all drones are shown.
 const SWARM_PERIOD: Duration = Duration::from_millis(100);
 /// Reports that may wait to be printed as JSON.
 const WAITING_REPORTS: usize = 1_024;
@@ -86,7 +87,7 @@ fn parameters(arguments: &PeersArguments) -> anyhow::Result<NetworkParameters> {
     Ok(parameters)
 }
 
-/// Reports as they come, and where they say that all are.
+/// Reports as they come, and where all drones are by them.
 struct Swarm {
     reports: ReportStream,
     view: SwarmView,

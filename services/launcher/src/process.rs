@@ -1,4 +1,5 @@
-//! One stage's process: started, restarted after it failed, stopped, and taken over from an earlier launcher.
+//! One stage's process: started, restarted after it failed, stopped, and taken over from an earlier
+//! launcher.
 //!
 //! | module | what it does |
 //! | --- | --- |
@@ -65,7 +66,7 @@ pub enum Condition {
     Running,
     /// It is started again at this time.
     Waiting(Instant),
-    /// The same, after a long time: its messages were bad again and again.
+    /// It is started again at this time, after a long rest: its messages were bad again and again.
     Resting(Instant),
     /// It was ended on demand.
     Stopped,
@@ -73,9 +74,9 @@ pub enum Condition {
     GivenUp,
 }
 
-/// What follows when a running process ends, because it was asked to end.
+/// What follows when a running process ends that was asked to end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Asked {
+enum EndRequest {
     Nothing,
     Stop,
     Restart,
@@ -91,7 +92,7 @@ pub struct Process {
     pub generation: u32,
     /// Whether its messages were bad before.
     pub replacements: Replacements,
-    /// What the system says of it while it sends no health.
+    /// Judges by the system whether it hangs while it sends no health.
     pub heartbeat: Heartbeat,
     /// Whether its start was found to take too long.
     pub is_late: bool,
@@ -109,13 +110,14 @@ pub struct Process {
     is_remembered: bool,
     kept_output: Option<KeptOutput>,
     condition: Condition,
-    asked: Asked,
+    end_request: EndRequest,
     kill_at: Option<Instant>,
     started: Instant,
 }
 
 impl Process {
-    /// Prepares a worker without starting it. With `is_kept` its process flies on when the launcher dies.
+    /// Prepares a worker without starting it. With `is_kept` its process flies on when the launcher
+    /// dies.
     ///
     /// # Errors
     /// Its program is not there.
@@ -159,14 +161,14 @@ impl Process {
             is_remembered: false,
             kept_output: None,
             condition: Condition::New,
-            asked: Asked::Nothing,
+            end_request: EndRequest::Nothing,
             kill_at: None,
             started: Instant::now(),
         }
     }
 
-    /// The process that may take the place of this one: of the next generation, with `command` (empty: the
-    /// same), and not yet started. It is never restarted by itself.
+    /// The process that may take the place of this one: of the next generation, with `command`
+    /// (empty: the same), and not yet started. It is never restarted by itself.
     pub fn successor(&mut self, command: &[String]) -> Self {
         let generation = self.take_generation();
         self.remember();
@@ -244,7 +246,7 @@ impl Process {
     /// # Errors
     /// The system cannot start a process.
     pub fn start(&mut self) -> anyhow::Result<()> {
-        self.asked = Asked::Nothing;
+        self.end_request = EndRequest::Nothing;
         self.condition = Condition::Running;
         self.remember();
         let mut command = self.start.command(self.worker, self.generation);
@@ -280,21 +282,21 @@ impl Process {
 
     /// Asks it to end, and kills it if it does not in [`STOP_TIME`].
     pub fn ask_to_stop(&mut self) {
-        self.ask(Asked::Stop);
+        self.ask(EndRequest::Stop);
         self.remember();
     }
 
     /// Asks it to end, and starts it again at once when it has.
     pub fn ask_to_restart(&mut self) {
-        self.ask(Asked::Restart);
+        self.ask(EndRequest::Restart);
     }
 
-    fn ask(&mut self, asked: Asked) {
+    fn ask(&mut self, request: EndRequest) {
         if self.child.is_some() {
-            self.asked = asked;
+            self.end_request = request;
             self.kill_at = Some(Instant::now() + STOP_TIME);
             self.signal(Signal::TERM);
-        } else if asked == Asked::Restart {
+        } else if request == EndRequest::Restart {
             self.condition = Condition::Waiting(Instant::now());
         } else {
             self.condition = Condition::Stopped;
@@ -303,12 +305,12 @@ impl Process {
 
     /// Kills it, and starts it again after `rest`.
     pub fn rest(&mut self, rest: Duration) {
-        self.ask(Asked::Rest(rest));
+        self.ask(EndRequest::Rest(rest));
         self.signal(Signal::KILL);
     }
 
-    /// Checks on it: reaps it if it has ended, starts it again when its wait is over. `is_finished` says
-    /// whether it has reported that its input is at its end.
+    /// Checks on it: reaps it if it has ended, starts it again when its wait is over. `is_finished`
+    /// says whether it has reported that its input is at its end.
     ///
     /// # Errors
     /// It cannot be started again.
@@ -342,27 +344,27 @@ impl Process {
     }
 
     fn ended(&mut self, end: End, is_finished: bool) -> ProcessChange {
-        match std::mem::replace(&mut self.asked, Asked::Nothing) {
-            Asked::Stop => {
+        match std::mem::replace(&mut self.end_request, EndRequest::Nothing) {
+            EndRequest::Stop => {
                 self.condition = Condition::Stopped;
                 return ProcessChange::Stopped;
             }
-            Asked::Restart => {
+            EndRequest::Restart => {
                 self.condition = Condition::Waiting(Instant::now());
                 return ProcessChange::None;
             }
-            Asked::Rest(rest) => {
+            EndRequest::Rest(rest) => {
                 self.condition = Condition::Resting(Instant::now() + rest);
                 return ProcessChange::None;
             }
-            Asked::Nothing => {}
+            EndRequest::Nothing => {}
         }
         let has_lived_long = self.started.elapsed() > LONG_LIFE;
         if has_lived_long {
             self.backoff.reset();
         }
-        // Whatever its status is: a stage ends with the pipeline, and SIGTERM from elsewhere is a polite
-        // restart.
+        // Whatever its status is: a stage ends with the pipeline, and SIGTERM from elsewhere is a
+        // polite restart.
         let retry_in = wants_restart(self.restart, is_finished).then(|| match has_lived_long {
             true => Duration::ZERO,
             false => self.backoff.after_failure(),
@@ -410,9 +412,9 @@ fn wants_restart(policy: Restart, is_finished: bool) -> bool {
     }
 }
 
-/// A process that lived this long did not fail at its start, and is started again at once. Starting one of our
-/// stages costs up to 0.3 s of a processor (a simulator more), so one that always ends after this takes a tenth
-/// of it.
+/// A process that lived this long did not fail at its start, and is started again at once. Starting
+/// one of our stages costs up to 0.3 s of a processor (a simulator more), so one that always ends
+/// after this takes a tenth of it.
 const LONG_LIFE: Duration = Duration::from_secs(3);
 
 #[cfg(test)]

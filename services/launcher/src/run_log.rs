@@ -61,7 +61,7 @@ fn stream_zero_ns(stamp: &FrameStamp) -> i64 {
     stamp.exposure_ns.saturating_sub(stamp.stream_ns)
 }
 
-/// So many samples are kept while no frame has come.
+/// Samples that are kept while no frame has come.
 const MOST_EARLY_SAMPLES: usize = 20_000;
 
 /// The summary of a run.
@@ -242,14 +242,14 @@ impl RunLog {
         Ok(())
     }
 
-    /// Records the samples that have come, once a frame has told when the stream began.
+    /// Records the samples that have come, once a frame has shown when the stream began.
     fn record_samples(&mut self) -> anyhow::Result<()> {
         let (Some(imus), Some(recorder)) = (&mut self.imus, &mut self.recorders.imu) else {
             return Ok(());
         };
         while let Some(message) = imus.receive()? {
             self.early_samples.extend_from_slice(message.items());
-            // Of a camera that does not come for hours, the newest.
+            // If no frame comes for hours, the newest samples are kept.
             let surplus = self.early_samples.len().saturating_sub(MOST_EARLY_SAMPLES);
             self.early_samples.drain(..surplus);
         }

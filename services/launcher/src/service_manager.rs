@@ -1,18 +1,18 @@
-//! What systemd is told of a run (`Type=notify`, sd_notify(3)).
+//! Reports a run to systemd (`Type=notify`, sd_notify(3)).
 //!
-//! The pipeline is ready when its first frame has passed through all stages. The watchdog is fed by frames that end
-//! and by nothing else, so it also notices what no stage's heart beat shows. While an operator has ended a stage,
-//! no frame is owed, and the launcher feeds it.
+//! The pipeline is ready when its first frame has passed through all stages. The watchdog is fed by
+//! frames that end and by nothing else, so it also notices what no stage's heart beat shows. While
+//! an operator has ended a stage, no frame is owed, and the launcher feeds it.
 
 use std::time::{Duration, Instant};
 
 use flockeye_runtime::logs::Throttle;
 use libsystemd::daemon::{NotifyState, notify, watchdog_enabled};
 
-/// How often the status is told, at most.
+/// How often the status is sent, at most.
 const STATUS_PERIOD: Duration = Duration::from_secs(1);
 
-/// What a run has to show for itself.
+/// How far a run is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Progress {
     /// Frames that have passed through all stages.
@@ -21,13 +21,13 @@ pub(crate) struct Progress {
     pub is_held_up: bool,
 }
 
-/// Tells systemd how a run gets on, if it wants to know.
+/// Reports to systemd how a run gets on.
 #[derive(Debug)]
 pub(crate) struct ServiceManager {
     is_ready: bool,
     /// How often the watchdog is fed; `None`: there is none.
     feeding: Option<Duration>,
-    frames_told: u64,
+    frames_reported: u64,
     last_fed: Option<Instant>,
     last_status: Option<Instant>,
     failures: Throttle,
@@ -45,14 +45,14 @@ impl ServiceManager {
             is_ready: false,
             // Half of it, as sd_watchdog_enabled(3) advises.
             feeding: watchdog.map(|timeout| timeout / 2),
-            frames_told: 0,
+            frames_reported: 0,
             last_fed: None,
             last_status: None,
             failures: Throttle::default(),
         }
     }
 
-    /// Tells what there is to tell. `status` is asked for a line once a second.
+    /// Sends what is due. `status` gives a line once a second.
     pub(crate) fn report(
         &mut self,
         progress: Progress,
@@ -60,12 +60,12 @@ impl ServiceManager {
         status: impl FnOnce() -> String,
     ) {
         let states = self.due(progress, now, status);
-        self.tell(&states);
+        self.send(&states);
     }
 
-    /// Tells that the run ends.
+    /// Sends that the run ends.
     pub(crate) fn stopping(&mut self) {
-        self.tell(&[NotifyState::Stopping]);
+        self.send(&[NotifyState::Stopping]);
     }
 
     fn due(
@@ -80,13 +80,13 @@ impl ServiceManager {
             states.push(NotifyState::Ready);
         }
         let since = |last: Option<Instant>| last.map(|last| now.saturating_duration_since(last));
-        let goes_on = progress.frames_ended > self.frames_told || progress.is_held_up;
+        let goes_on = progress.frames_ended > self.frames_reported || progress.is_held_up;
         if let Some(feeding) = self.feeding
             && goes_on
             && since(self.last_fed).is_none_or(|since| since >= feeding.min(STATUS_PERIOD))
         {
             self.last_fed = Some(now);
-            self.frames_told = progress.frames_ended;
+            self.frames_reported = progress.frames_ended;
             states.push(NotifyState::Watchdog);
         }
         if since(self.last_status).is_none_or(|since| since >= STATUS_PERIOD) {
@@ -96,7 +96,7 @@ impl ServiceManager {
         states
     }
 
-    fn tell(&mut self, states: &[NotifyState]) {
+    fn send(&mut self, states: &[NotifyState]) {
         if states.is_empty() {
             return;
         }

@@ -29,7 +29,8 @@ pub(crate) struct PipelineStatus {
 pub(crate) struct WorkerStatus {
     /// Its name.
     pub worker: Worker,
-    /// starting, ready, degraded, draining, finished, stopped, given up, is restarted, rests, waits for the others.
+    /// starting, ready, degraded, draining, finished, stopped, given up, is restarted, rests, waits
+    /// for the others.
     pub state: String,
     /// Its process while it runs.
     pub pid: Option<u32>,

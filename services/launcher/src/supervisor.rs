@@ -3,7 +3,7 @@
 //! | module | what it does |
 //! | --- | --- |
 //! | [`console`] | shows the run to people and to systemd |
-//! | [`faults`] | notices processes that end, hang, start too slowly or do not do what they owe |
+//! | [`faults`] | notices processes that end, hang, start too slowly or do not do what they must |
 //! | [`hand_over`] | announces whose messages count |
 //! | [`recorder`] | runs the recorder, where flights are recorded |
 //! | [`requests`] | does what clients ask for by the control channel |
@@ -52,7 +52,7 @@ use crate::fault_point;
 use crate::run_log::{RunLog, RunOptions, RunSummary};
 use crate::swap::changeover::Changeover;
 
-/// A recording has ended when its source says so and no track has come for this long.
+/// A recording has ended when its source has reported it and no track has come for this long.
 const QUIET_TIME: Duration = Duration::from_millis(1000);
 /// Lines of log that may wait to be shown.
 const LOG_LINES: usize = 1_000;
@@ -87,7 +87,8 @@ impl<'a> Supervisor<'a> {
     /// Creates the shared memory and prepares the processes of a pipeline whose instance is taken.
     ///
     /// # Errors
-    /// Shared memory, the control channel or a file cannot be opened, or a stage's program is missing.
+    /// Shared memory, the control channel or a file cannot be opened, or a stage's program is
+    /// missing.
     pub(crate) fn new(
         options: &RunOptions,
         resolved: &Resolved,
@@ -172,7 +173,8 @@ impl<'a> Supervisor<'a> {
         }
     }
 
-    /// Starts the source when all others are ready, or after a while: a foreign stage may send no health.
+    /// Starts the source when all others are ready, or after a while: a foreign stage may send no
+    /// health.
     fn start_source_in_time(&mut self) -> anyhow::Result<()> {
         if self.times.source_started.is_some()
             || !(self.all_are_ready() || self.times.started.elapsed() > self.start_time())
@@ -190,8 +192,8 @@ impl<'a> Supervisor<'a> {
         Duration::from_secs_f64(self.pipeline.supervision.start_s)
     }
 
-    /// Whether every stage has opened what it needs, and the recorder misses nothing. A degraded stage counts:
-    /// it waits for something outside, such as a gateway for its network port.
+    /// Whether every stage has opened what it needs, and the recorder misses nothing. A degraded
+    /// stage counts: it waits for something outside, such as a gateway for its network port.
     fn all_are_ready(&self) -> bool {
         let mut workers = self.workers.processes.iter().map(|process| process.worker);
         workers.all(|worker| worker.stage.is_source() || self.is_ready(worker))

@@ -1,7 +1,7 @@
 //! Makes trace events from the times in messages.
 //!
-//! The format is Chrome's "Trace Event Format": processes have threads, threads have slices, and arrows
-//! lead from slice to slice. Each stage is a process.
+//! The format is Chrome's "Trace Event Format": processes have threads, threads have slices, and
+//! arrows lead from slice to slice. Each stage is a process.
 //!
 //! | stage | slices |
 //! | --- | --- |
@@ -17,8 +17,8 @@ use flockeye_contract::{
 };
 use serde_json::{Value, json};
 
-/// A frame is exposed before the previous one is published, so their slices overlap. Overlapping slices
-/// need rows of their own.
+/// A frame is exposed before the previous one is published, so their slices overlap. Overlapping
+/// slices need rows of their own.
 const SOURCE_ROWS: u64 = 16;
 
 /// Collects events.
@@ -36,8 +36,8 @@ pub(crate) struct Tracer {
 }
 
 impl Tracer {
-    /// Starts without events. `source` is the stage that frames come from. If `is_live`, a frame's slice
-    /// starts at its exposure.
+    /// Starts without events. `source` is the stage that frames come from. If `is_live`, a frame's
+    /// slice starts at its exposure.
     pub(crate) fn new(source: &'static str, is_live: bool) -> Self {
         Self {
             source,

@@ -60,7 +60,8 @@ fn what_flies(
 /// Runs a pipeline until its source ends, the options end it or `stopping` is raised.
 ///
 /// # Errors
-/// As [`run`]; also if it ran for longer than it takes to start, and no frame was searched to its end.
+/// As [`run`]; also if it ran for longer than it takes to start, and no frame was searched to its
+/// end.
 pub(crate) fn run_pipeline(
     pipeline: &Pipeline,
     options: &RunOptions,

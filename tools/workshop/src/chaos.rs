@@ -41,7 +41,8 @@ pub(crate) struct ChaosArguments {
     /// What is done to whom follows from this number.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// Disturbances in a second at most. Each waits until the pipeline has recovered from the one before.
+    /// Disturbances in a second at most. Each waits until the pipeline has recovered from the one
+    /// before.
     #[arg(long, default_value_t = 1.0, value_parser = rate)]
     pub rate: f64,
     /// Only these kinds of disturbances.
@@ -57,7 +58,7 @@ pub(crate) struct ChaosArguments {
 
 /// A pipeline that has no pose after this long has not recovered.
 const RECOVERY_TIME: Duration = Duration::from_secs(15);
-/// How long a pipeline gets at the beginning and at the end until its poses flow.
+/// Time for a pipeline at the beginning and at the end until its poses flow.
 const SETTLING_TIME: Duration = Duration::from_secs(5);
 
 fn rate(text: &str) -> Result<f64, String> {
@@ -65,7 +66,7 @@ fn rate(text: &str) -> Result<f64, String> {
     if (0.01..=20.0).contains(&rate) { Ok(rate) } else { Err("0.01 to 20".to_owned()) }
 }
 
-/// What the pipeline says while it is disturbed.
+/// Reads the pipeline while it is disturbed.
 struct Watch {
     // Ports go after the subscribers.
     tracks: Subscriber<Tracks>,
@@ -77,14 +78,14 @@ struct Watch {
 /// Disturbs a pipeline and reports how it recovers.
 ///
 /// # Errors
-/// No such pipeline runs, it ends meanwhile, it has no pose to begin with, or a limit of the report is
-/// broken.
+/// No such pipeline runs, it ends meanwhile, it has no pose to begin with, or a limit of the report
+/// is broken.
 pub(crate) fn run(arguments: &ChaosArguments) -> anyhow::Result<()> {
     let stopping = signals::stop_flag()?;
     let Attached { mut ports, instance, .. } = attach(&arguments.running)?;
     let mut screen = Screen::new();
     let report = ChaosReport::default();
-    // Both processes of a stage speak while it is swapped.
+    // Both processes of a stage send messages while it is swapped.
     ports.follow_hand_overs()?;
     let (tracks, truths) = (ports.subscriber()?, ports.subscriber()?);
     let mut watch = Watch { tracks, truths, ports, report };
@@ -140,7 +141,7 @@ fn victims(instance: &Instance, arguments: &ChaosArguments) -> anyhow::Result<Ve
 }
 
 impl Watch {
-    /// Takes what comes for so long.
+    /// Takes the messages that come in this time.
     fn for_(&mut self, time: Duration, stopping: &AtomicBool) -> anyhow::Result<()> {
         let end = Instant::now() + time;
         self.until(stopping, |_| Instant::now() >= end)
@@ -165,7 +166,8 @@ impl Watch {
         })
     }
 
-    /// Does it, and waits until a neighbour is measured in a frame that was exposed later.
+    /// Disturbs the pipeline, and waits until a neighbour is measured in a frame that was exposed
+    /// later.
     fn disturb(
         &mut self,
         instance: &Instance,

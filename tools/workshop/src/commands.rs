@@ -37,8 +37,8 @@ enum WorkshopCommand {
 
 #[derive(Debug, Subcommand)]
 enum SwarmCommand {
-    /// Fly several drones in one simulated world: a pipeline for each, on this machine. Then compare where each
-    /// has the others with the truth.
+    /// Fly several drones in one simulated world: a pipeline for each, on this machine. Then
+    /// compare where each has the others with the truth.
     Sim(SimArguments),
 }
 

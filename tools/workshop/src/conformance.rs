@@ -1,8 +1,8 @@
-//! `flockeye stage test`: a stage alone, against what the contract says.
+//! `flockeye stage test`: tests a stage alone against the contract.
 //!
-//! The candidate runs in an instance of its own. All other stages are played by the test: it sends what they
-//! would send, also what is malformed, and checks every answer. Each finding names the field, the value, and
-//! the part of docs/CONTRACT.md.
+//! The candidate runs in an instance of its own. All other stages are played by the test: it sends
+//! what they would send, also what is malformed, and checks every answer. Each finding names the
+//! field, the value, and the part of docs/CONTRACT.md.
 //!
 //! | module | what it does |
 //! | --- | --- |
@@ -55,7 +55,7 @@ pub(crate) struct TestArguments {
     pub command: Vec<String>,
 }
 
-/// Tests it.
+/// Tests the candidate.
 ///
 /// # Errors
 /// The candidate does not keep the contract, or the test cannot be made.
@@ -77,7 +77,7 @@ pub(crate) fn run(arguments: &TestArguments) -> anyhow::Result<()> {
         own.push("gateway.enabled=false".to_owned());
     }
     match stage {
-        // A swarm of its own: no real peer hears of it.
+        // A swarm of its own: no real peer gets its reports.
         StageName::Gateway => own.extend([
             format!("gateway.listen=[tcp/127.0.0.1:{}]", free_port()?),
             "gateway.connect=[]".to_owned(),

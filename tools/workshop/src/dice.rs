@@ -1,12 +1,12 @@
-//! Chance that is the same in each run, on each machine and with each release.
+//! Random numbers that are the same in each run, on each machine and with each release.
 
-/// Chance from a seed: SplitMix64 (Steele, Lea and Flood, "Fast splittable pseudorandom number generators",
-/// 2014).
+/// Random numbers from a seed: SplitMix64 (Steele, Lea and Flood, "Fast splittable pseudorandom
+/// number generators", 2014).
 #[derive(Debug, Clone)]
 pub(crate) struct Dice(u64);
 
 impl Dice {
-    /// The same seed gives the same numbers.
+    /// Dice whose numbers follow from the seed.
     pub(crate) fn new(seed: u64) -> Self {
         Self(seed)
     }
@@ -25,7 +25,7 @@ impl Dice {
         (self.number() >> 11) as f64 / (1_u64 << 53) as f64
     }
 
-    /// One of these; `None` of nothing.
+    /// One of these; `None` if there are none.
     pub(crate) fn choose<T: Copy>(&mut self, from: &[T]) -> Option<T> {
         let number = self.number();
         from.get((number % (from.len().max(1) as u64)) as usize).copied()

@@ -40,8 +40,8 @@ impl Pipeline {
 }
 
 impl Fleet {
-    /// Starts a pipeline for each instance's name, with these arguments of `flockeye up`. What they write goes to
-    /// files in [`Fleet::folder`].
+    /// Starts a pipeline for each instance's name, with these arguments of `flockeye up`. What they
+    /// write goes to files in [`Fleet::folder`].
     ///
     /// # Errors
     /// A name is taken, or a process or its file cannot be had.
@@ -126,7 +126,8 @@ impl Drop for Fleet {
     }
 }
 
-/// Free TCP ports of the loopback interface. Whoever takes one of them meanwhile makes its gateway fail aloud.
+/// Free TCP ports of the loopback interface. If another program takes one meanwhile, the gateway
+/// fails and says so.
 ///
 /// # Errors
 /// The system gives none.

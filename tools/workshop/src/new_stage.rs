@@ -73,7 +73,7 @@ impl Example {
         }
     }
 
-    /// The text of a file as it is written to `folder`: what it says of its own place is true there.
+    /// The text of a file as it is written to `folder`, with that folder as its own place.
     fn text(
         &self,
         file: &str,
@@ -168,8 +168,8 @@ pub(crate) fn run(arguments: &NewArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The manifest of a stage in Rust outside of Flockeye's own workspace: what the example's manifest takes from the
-/// workspace stands in it.
+/// The manifest of a stage in Rust outside of Flockeye's own workspace: what the example's manifest
+/// takes from the workspace stands in it.
 fn manifest(example: &str, sources: Option<&Path>) -> anyhow::Result<String> {
     let built = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let sources = sources.unwrap_or(&built);

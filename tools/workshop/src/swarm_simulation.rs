@@ -25,7 +25,7 @@ use flockeye_runtime::clock;
 use flockeye_runtime::instance::Instance;
 
 use self::score::{Claim, Score};
-use self::watch::{Word, watch};
+use self::watch::{SwarmEvent, watch};
 use crate::fleet::{Fleet, free_ports};
 
 /// Markers of the default body.
@@ -94,12 +94,12 @@ pub(crate) fn run(arguments: &SimArguments) -> anyhow::Result<()> {
     let pipelines = pipelines(arguments)?;
     let mut screen = Screen::new();
     let mut fleet = Fleet::start(&pipelines)?;
-    let (tell, words) = channel();
+    let (sender, events) = channel();
     let watching = Arc::new(AtomicBool::new(false));
     let mut threads = Vec::new();
     for (drone, (instance, _)) in pipelines.iter().enumerate() {
         let instance = Instance::named(instance);
-        threads.push(watch(instance, name(drone as u32), tell.clone(), watching.clone())?);
+        threads.push(watch(instance, name(drone as u32), sender.clone(), watching.clone())?);
     }
     if !arguments.json {
         let folder = fleet.folder().display();
@@ -110,8 +110,8 @@ pub(crate) fn run(arguments: &SimArguments) -> anyhow::Result<()> {
     let mut shown = started;
     let period = if screen.is_live() { LIVE_PERIOD } else { PRINT_PERIOD };
     while !stopping.load(Ordering::Relaxed) {
-        if let Ok(word) = words.recv_timeout(Duration::from_millis(100)) {
-            swarm.take(word);
+        if let Ok(event) = events.recv_timeout(Duration::from_millis(100)) {
+            swarm.take(event);
         }
         fleet.check()?;
         let end = arguments.duration.zip(swarm.first_pose);
@@ -144,7 +144,7 @@ pub(crate) fn run(arguments: &SimArguments) -> anyhow::Result<()> {
             screen.line(&format!("{error:#}"));
         }
     }
-    words.try_iter().for_each(|word| swarm.take(word));
+    events.try_iter().for_each(|event| swarm.take(event));
     swarm.score.settle();
     let report = swarm.score.report();
     let text = if arguments.json { serde_json::to_string(&report)? } else { report.to_string() };
@@ -191,14 +191,14 @@ fn pipelines(arguments: &SimArguments) -> anyhow::Result<Vec<(String, Vec<OsStri
             format!("gateway.listen=[{}]", endpoint(port)),
             format!("gateway.connect=[{}]", earlier.join(", ")),
         ];
-        // A mistake is told before anything is started.
+        // Mistakes are reported before anything is started.
         arguments.configuration.load_with(&defaults, &fixed)?;
         pipelines.push((instance, arguments.configuration.to_arguments(&defaults, &fixed)));
     }
     Ok(pipelines)
 }
 
-/// What was heard so far.
+/// What is known of a swarm so far.
 #[derive(Debug, Default)]
 struct Swarm {
     score: Score,
@@ -208,21 +208,27 @@ struct Swarm {
 }
 
 impl Swarm {
-    fn take(&mut self, word: Word) {
-        match word {
-            Word::Told { from, frame, sent_ns } => self.score.told(&from, frame, sent_ns),
-            Word::Heard { observer, frame, arrived_ns, exposure_ns, deviation_ns } => {
-                self.score.heard(&observer, frame, arrived_ns);
+    fn take(&mut self, event: SwarmEvent) {
+        match event {
+            SwarmEvent::PoseSent { from, frame, sent_ns } => self.score.sent(&from, frame, sent_ns),
+            SwarmEvent::ReportArrived {
+                observer,
+                frame,
+                arrived_ns,
+                exposure_ns,
+                deviation_ns,
+            } => {
+                self.score.arrived(&observer, frame, arrived_ns);
                 self.score.timed(&observer, frame, exposure_ns, deviation_ns);
             }
-            Word::Truth { from, frame, at_ns, others } => {
+            SwarmEvent::Truth { from, frame, at_ns, others } => {
                 self.score.exposed(&from, frame, at_ns);
                 for (to, from_from_to) in others {
                     self.score.truth(&from, &to, at_ns, from_from_to);
                 }
                 self.score.settle();
             }
-            Word::Places { from, claims } => {
+            SwarmEvent::Places { from, claims } => {
                 if !claims.is_empty() {
                     self.first_pose.get_or_insert_with(Instant::now);
                 }
@@ -232,7 +238,7 @@ impl Swarm {
         }
     }
 
-    /// How many know others, and how, by now.
+    /// How many others are known in each way by now.
     fn counts(&self) -> String {
         let claims = || self.newest.values().flatten();
         let counts = SwarmWay::ALL.iter().map(|&way| {
@@ -242,7 +248,7 @@ impl Swarm {
         counts.collect::<Vec<_>>().join(", ")
     }
 
-    /// Who has whom in which way, and how good that was so far.
+    /// In which way each drone has the others, and how good that was so far.
     fn table(&self) -> String {
         let titles = ["drone", "direct", "mutual", "reported", "chained"];
         let mut table = TextTable::new(1, &titles).at_least(&[12, 8, 8, 8, 8]);

@@ -10,10 +10,10 @@ use serde_json::Value;
 
 use super::{Reply, Request, socket_path};
 
-/// A launcher that says nothing for this long hangs. A swap says something at each step.
+/// A launcher that sends nothing for this long hangs. A swap sends a line at each step.
 const PATIENCE: Duration = Duration::from_secs(120);
 
-/// Asks the launcher of `instance`, hands what it says meanwhile to `show`, and returns its last word: in
+/// Asks the launcher of `instance`, hands its progress to `show`, and returns its last reply: in
 /// words, and as a value.
 ///
 /// # Errors

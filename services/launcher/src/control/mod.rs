@@ -1,5 +1,6 @@
-//! The control channel of a running pipeline: a Unix socket in the instance's folder, which only its owner
-//! can use. A client sends one request as a line of JSON, and gets lines of JSON until its request is done.
+//! The control channel of a running pipeline: a Unix socket in the instance's folder, which only
+//! its owner can use. A client sends one request as a line of JSON, and gets lines of JSON until
+//! its request is done.
 //!
 //! | module | what it does |
 //! | --- | --- |
@@ -125,7 +126,7 @@ pub struct SwapRequest {
     pub accept_worse: bool,
 }
 
-/// What a client hears.
+/// What a client gets.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Reply {
@@ -133,9 +134,9 @@ pub enum Reply {
     Progress(String),
     /// It is done: in words, and as a value for programs.
     Done {
-        /// In words.
+        /// The result in words.
         text: String,
-        /// The same for programs.
+        /// The result for programs.
         report: serde_json::Value,
     },
     /// It was not done, and why.
@@ -143,7 +144,7 @@ pub enum Reply {
 }
 
 impl Reply {
-    /// It is done, and there is no more to say of it than this.
+    /// It is done, and this text is the whole result.
     pub fn done(text: impl Into<String>) -> Self {
         Self::Done { text: text.into(), report: serde_json::Value::Null }
     }

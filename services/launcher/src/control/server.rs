@@ -42,9 +42,10 @@ impl Server {
     pub fn open(folder: &Path) -> anyhow::Result<Self> {
         let path = socket_path(folder);
         let context = || format!("cannot open the control channel {}", path.display());
-        // Of a launcher that was killed. Only one at a time has the instance.
+        // A launcher that was killed has left it. Only one at a time has the instance.
         drop(std::fs::remove_file(&path));
-        // The folder is the owner's alone, so nobody else reaches the socket before its mode is set.
+        // The folder is the owner's alone, so nobody else reaches the socket before its mode is
+        // set.
         let listener = UnixListener::bind(&path).with_context(context)?;
         std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o600))
             .with_context(context)?;
@@ -52,7 +53,7 @@ impl Server {
         Ok(Self { listener, clients: BTreeMap::new(), next: 0 })
     }
 
-    /// The requests that have come. Clients that send no request are told so and dropped.
+    /// The requests that have come. Clients that send no request get an error and are dropped.
     pub fn poll(&mut self) -> Vec<(ClientId, Request)> {
         while self.clients.len() < MAX_CLIENTS
             && let Ok((stream, _)) = self.listener.accept()
@@ -71,10 +72,10 @@ impl Server {
         let mut gone = Vec::new();
         for (&id, client) in &mut self.clients {
             match client.receive() {
-                Received::Request(request) => requests.push((id, request)),
-                Received::Nonsense(reason) => refused.push((id, reason)),
-                Received::Closed => gone.push(id),
-                Received::Nothing => {}
+                ClientInput::Request(request) => requests.push((id, request)),
+                ClientInput::Nonsense(reason) => refused.push((id, reason)),
+                ClientInput::Closed => gone.push(id),
+                ClientInput::Nothing => {}
             }
         }
         for (id, reason) in refused {
@@ -99,7 +100,8 @@ impl Server {
     }
 }
 
-enum Received {
+/// What a client has sent.
+enum ClientInput {
     Nothing,
     Request(Request),
     Nonsense(String),
@@ -107,37 +109,39 @@ enum Received {
 }
 
 impl Client {
-    fn receive(&mut self) -> Received {
+    fn receive(&mut self) -> ClientInput {
         let mut chunk = [0; 4096];
         loop {
             match self.stream.read(&mut chunk) {
-                Ok(0) => return Received::Closed,
+                Ok(0) => return ClientInput::Closed,
                 // Nothing is expected of it any more.
                 Ok(_) if self.has_asked => {}
                 Ok(count) => self.received.extend_from_slice(&chunk[..count]),
                 Err(error) if error.kind() == ErrorKind::WouldBlock => break,
                 Err(error) if error.kind() == ErrorKind::Interrupted => {}
-                Err(_) => return Received::Closed,
+                Err(_) => return ClientInput::Closed,
             }
             if self.received.len() > MAX_REQUEST_BYTES {
-                return Received::Nonsense(format!("a request of over {MAX_REQUEST_BYTES} bytes"));
+                return ClientInput::Nonsense(format!(
+                    "a request of over {MAX_REQUEST_BYTES} bytes"
+                ));
             }
         }
         if self.has_asked {
-            return Received::Nothing;
+            return ClientInput::Nothing;
         }
         let Some(end) = self.received.iter().position(|&byte| byte == b'\n') else {
             return match self.since.elapsed() > REQUEST_TIME {
-                true => Received::Nonsense("no request came: one line of JSON".to_owned()),
-                false => Received::Nothing,
+                true => ClientInput::Nonsense("no request came: one line of JSON".to_owned()),
+                false => ClientInput::Nothing,
             };
         };
         match serde_json::from_slice(&self.received[..end]) {
             Ok(request) => {
                 self.has_asked = true;
-                Received::Request(request)
+                ClientInput::Request(request)
             }
-            Err(error) => Received::Nonsense(format!("not a request: {error}")),
+            Err(error) => ClientInput::Nonsense(format!("not a request: {error}")),
         }
     }
 }

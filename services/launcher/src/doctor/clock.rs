@@ -1,4 +1,5 @@
-//! Whether the clock is synchronised: poses are stamped in UTC, and peers are told whether that can be trusted.
+//! Whether the clock is synchronised: poses are stamped in UTC, and peers get to know whether that
+//! can be trusted.
 
 use flockeye_network::utc_from_monotonic;
 use flockeye_runtime::clock::monotonic_ns;

@@ -1,4 +1,4 @@
-//! The files that say what a machine is.
+//! The files that describe a machine.
 
 #[cfg(test)]
 use std::path::Path;

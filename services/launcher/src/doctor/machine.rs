@@ -4,7 +4,8 @@ use flockeye_runtime::findings::Finding;
 
 use super::Machine;
 
-/// Fewer processors than this do not keep 30 frames a second (docs/results/README.md is measured on two).
+/// Fewer processors than this do not keep 30 frames a second (docs/results/README.md is measured on
+/// two).
 const FEWEST_PROCESSORS: usize = 2;
 /// Processors throttle themselves not far above it, degrees Celsius.
 const HOT_C: f64 = 85.0;

@@ -10,7 +10,8 @@ use super::Machine;
 
 const TOPIC: &str = "memory";
 
-/// The default pipeline's processes were seen with 121 to 174 open files each, and more workers need more.
+/// The default pipeline's processes were seen with 121 to 174 open files each, and more workers
+/// need more.
 const FEWEST_FILES: u64 = 1024;
 /// Debian numbers regular users from here on.
 const FIRST_REGULAR_USER: u32 = 1000;
@@ -54,7 +55,8 @@ fn shared_memory(budget: &Budget) -> Finding {
     }
 }
 
-/// systemd-logind removes a regular user's shared memory when he logs out, under a running pipeline too.
+/// systemd-logind removes a regular user's shared memory when he logs out, under a running pipeline
+/// too.
 fn removed_at_logout(machine: &Machine, user: u32) -> Option<Finding> {
     let has_logind = machine.path("/run/systemd/seats").exists();
     if user < FIRST_REGULAR_USER || !has_logind {

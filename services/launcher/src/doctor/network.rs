@@ -28,7 +28,7 @@ pub(crate) fn examine(machine: &Machine, pipeline: &Pipeline) -> Vec<Finding> {
     let parameters = NetworkParameters::of_drone(pipeline);
     let mut findings = keys(&parameters);
     let have_keys = findings.iter().all(|finding| finding.gravity != Gravity::Problem);
-    // The check reads the keys too: what is wrong with them is said once.
+    // The check reads the keys too: their faults are reported once.
     if have_keys && let Err(error) = parameters.check() {
         let cure = "gateway in the configuration";
         findings.push(Finding::problem(TOPIC, error.to_string(), cure));

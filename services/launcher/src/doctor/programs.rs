@@ -1,4 +1,5 @@
-//! The stages' programs: whether each is there, runs, and is of this build; and what each says of the machine.
+//! The stages' programs: whether each is there, runs and is of this build, and what it finds on the
+//! machine. the machine.
 
 use std::io::Write;
 use std::process::{Command, Stdio};
@@ -45,7 +46,7 @@ pub(crate) fn examine(pipeline: &Pipeline) -> Vec<Finding> {
     findings
 }
 
-/// A program that is not ours: only whether it is there can be said.
+/// A foreign program: it is only looked whether it is there.
 fn foreign(stage: StageName, program: &str) -> Finding {
     let name = stage.name();
     match program::find(program) {
@@ -60,7 +61,7 @@ fn foreign(stage: StageName, program: &str) -> Finding {
     }
 }
 
-/// What a stage's program says.
+/// What a stage's program reports.
 fn ask(stage: StageName, pipeline: &[u8]) -> Result<Report, Finding> {
     let program = format!("flockeye-{}", stage.name());
     let problem =

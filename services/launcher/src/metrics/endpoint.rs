@@ -1,4 +1,5 @@
-//! Answers requests for metrics: one after another, because nothing takes long, and each with a deadline.
+//! Answers requests for metrics: one after another, because nothing takes long, and each with a
+//! deadline.
 
 use std::io::{self, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
@@ -11,7 +12,8 @@ use flockeye_runtime::lock::lock;
 const DEADLINE: Duration = Duration::from_secs(1);
 /// Longest head of a request, bytes.
 const MAX_HEAD: usize = 8 * 1024;
-/// A launcher that has written nothing for this long hangs; a pipeline in which no frame has ended is not ready.
+/// A launcher that has written nothing for this long hangs; a pipeline in which no frame has ended
+/// is not ready.
 const SILENCE: Duration = Duration::from_secs(3);
 
 /// What OpenMetrics calls itself.
@@ -29,7 +31,8 @@ pub(crate) struct Page {
     pub last_frame: Option<Instant>,
 }
 
-/// Answers at this address, from a thread of its own that ends with the process. Returns the address, with its port.
+/// Answers at this address, from a thread of its own that ends with the process. Returns the
+/// address, with its port.
 ///
 /// # Errors
 /// It cannot be listened on.

@@ -18,7 +18,7 @@ use crate::dashboard::report::NeighbourReport;
 use crate::doctor::Machine;
 use crate::doctor::machine::{frequencies_hz, temperatures_c};
 
-/// Names and values that tell the values of a metric apart.
+/// Names and values that distinguish the values of a metric.
 pub(super) type Labels = Vec<(&'static str, String)>;
 
 /// The states that a track can be shown in.
@@ -45,7 +45,7 @@ struct Metric {
 /// A metric of every process: its kind, its name, what it means, its unit and its value.
 type OfStage = (Kind, &'static str, &'static str, Option<Unit>, fn(&HealthRates) -> f64);
 
-/// What is told of every process.
+/// The metrics of a process.
 fn of_stages() -> [OfStage; 8] {
     use Kind::{Counter, Gauge};
     let unfinished = "Messages taken in or given out that are not finished";
@@ -84,7 +84,7 @@ pub(crate) struct Snapshot {
 }
 
 impl Snapshot {
-    /// What a dashboard and this machine say now.
+    /// The values of a dashboard and of this machine now.
     pub(crate) fn of(dashboard: &Dashboard, now_ns: i64) -> Self {
         let mut snapshot = Self { frames: dashboard.frames_ended(), ..Self::default() };
         snapshot.add_frames(dashboard);

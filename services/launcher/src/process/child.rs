@@ -25,7 +25,7 @@ pub(crate) enum RunningProcess {
 /// How a process has ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct End {
-    /// In words.
+    /// How it has ended, in words.
     pub how: String,
     /// Whether its exit status says that another attempt is useless.
     pub is_hopeless: bool,
@@ -54,7 +54,7 @@ impl RunningProcess {
     /// How it has ended; `None` while it runs.
     ///
     /// # Errors
-    /// The system does not tell.
+    /// The system gives no status.
     pub(crate) fn end(&mut self) -> io::Result<Option<End>> {
         match self {
             Self::Own(child) => Ok(child.try_wait()?.map(End::of)),

@@ -93,7 +93,7 @@ pub(super) fn backoff([first_s, longest_s]: [f64; 2]) -> Backoff {
     Backoff::new(wait(first_s), wait(longest_s))
 }
 
-/// The arguments of `exec-stage` that say how and on which processors a stage runs.
+/// The arguments of `exec-stage` for how and on which processors a stage runs.
 fn scheduling_arguments(stage: StageName, configuration: &StageProcess) -> Vec<String> {
     let usual = StageInfo::of(stage).nice;
     let mut arguments = vec![format!("--nice={}", configuration.nice.unwrap_or(usual))];

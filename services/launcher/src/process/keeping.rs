@@ -1,5 +1,5 @@
-//! Processes that fly on when their launcher dies (`up --keep`): what is left of them, and how a later launcher
-//! goes on with them.
+//! Processes that fly on when their launcher dies (`up --keep`): what is left of them, and how a
+//! later launcher goes on with them.
 
 use std::fs::File;
 use std::time::Instant;
@@ -9,11 +9,11 @@ use flockeye_runtime::kept::{self, KeptProcess};
 use super::child::RunningProcess;
 use super::memo::Memo;
 use super::output::KeptOutput;
-use super::{Asked, Condition, Process};
+use super::{Condition, EndRequest, Process};
 
 impl Process {
-    /// Goes on where an earlier launcher was: with its program and its count of generations. It is started at
-    /// the next opportunity if it was not ended on demand.
+    /// Goes on where an earlier launcher was: with its program and its count of generations. It is
+    /// started at the next opportunity if it was not ended on demand.
     pub fn recall(&mut self) {
         self.condition = Condition::Waiting(Instant::now());
         let Some(memo) = Memo::read(&self.start.folder, self.worker) else { return };
@@ -25,7 +25,8 @@ impl Process {
         }
     }
 
-    /// Shows what a process of an earlier launcher has written before it ended, and removes what it left.
+    /// Shows what a process of an earlier launcher has written before it ended, and removes what it
+    /// left.
     pub fn bury(&self, kept: &KeptProcess) {
         if let Ok(mut output) = KeptOutput::open(&kept.output(&self.start.folder)) {
             output.forward_rest(&self.lines).ok();
@@ -46,7 +47,8 @@ impl Process {
         self.remember();
     }
 
-    /// The same process, which does not count any more and is to end.
+    /// Goes on with another living process of this worker, which does not count any more and is to
+    /// end.
     pub fn adopt_retired(&mut self, kept: &KeptProcess) -> Self {
         let mut retired = self.beside(kept.generation, &kept.command, "old");
         retired.adopt(kept);
@@ -55,13 +57,15 @@ impl Process {
         retired
     }
 
-    /// Notes for a later launcher what it cannot see for itself. What cannot be noted costs no more than that.
+    /// Notes for a later launcher what it cannot see for itself. What cannot be noted costs no more
+    /// than that.
     pub(super) fn remember(&self) {
         let memo = Memo {
             used_generations: self.used_generations,
             counting_generation: self.generation,
             command: self.start.program.clone(),
-            is_stopped: self.asked == Asked::Stop || self.condition == Condition::Stopped,
+            is_stopped: self.end_request == EndRequest::Stop
+                || self.condition == Condition::Stopped,
         };
         if self.is_remembered
             && let Err(error) = memo.write(&self.start.folder, self.worker)

@@ -1,4 +1,5 @@
-//! What a launcher knows of a worker and its successor cannot see for itself (`up --keep`).
+//! A memo of each worker for the launcher after this one, which cannot see all that it must know
+//! (`up --keep`).
 
 use std::io;
 use std::path::{Path, PathBuf};

@@ -30,7 +30,7 @@ impl LineSink {
         Self { label: Arc::new(Mutex::new(label)), log }
     }
 
-    /// The same for another process.
+    /// Passes lines of another process on to the same log.
     pub fn of_another(&self, label: String) -> Self {
         Self::new(label, self.log.clone())
     }
@@ -67,8 +67,8 @@ impl LineSink {
 /// Bytes that are read at once: the launcher has other things to look after.
 const MOST_AT_ONCE: u64 = 65_536;
 
-/// The output of a process that may outlive its launcher: a file. What was read of it takes no space on the
-/// disk any more.
+/// The output of a process that may outlive its launcher: a file. What was read of it takes no
+/// space on the disk any more.
 pub(crate) struct KeptOutput {
     file: File,
     /// The last line as far as it is written.
@@ -76,14 +76,14 @@ pub(crate) struct KeptOutput {
 }
 
 impl KeptOutput {
-    /// Reads the file from where the launcher before has ended. A line that it had read in part lacks its
-    /// beginning.
+    /// Reads the file from where the launcher before has ended. A line that it had read in part
+    /// lacks its beginning.
     ///
     /// # Errors
     /// The file cannot be opened.
     pub(crate) fn open(path: &Path) -> io::Result<Self> {
         let mut file = File::options().read(true).write(true).open(path)?;
-        // What was read is a hole. Where the file system has none, lines are told once more.
+        // What was read is a hole. Where the file system has none, lines are shown once more.
         match seek(&file, FileOffset::Data(0)) {
             Ok(_) => {}
             Err(rustix::io::Errno::NXIO) => drop(file.seek(SeekFrom::End(0))?),

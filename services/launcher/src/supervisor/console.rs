@@ -54,7 +54,8 @@ impl<'a> Console<'a> {
             self.screen.table(&dashboard.table(now_ns));
             self.next_show = Instant::now() + TABLE_PERIOD;
         } else {
-            // Under systemd the newest line is the unit's status, and the journal need not keep them all.
+            // Under systemd the newest line is the unit's status, and the journal need not keep
+            // them all.
             if self.service_manager.is_none() && dashboard.frames_ended() > 0 {
                 self.screen.line(&dashboard.line(now_ns));
             }

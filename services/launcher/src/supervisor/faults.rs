@@ -1,4 +1,5 @@
-//! Notices processes that end, hang, start too slowly or do not do what they owe, and replaces them.
+//! Notices processes that end, hang, start too slowly or do not do what they must, and replaces
+//! them.
 
 use std::time::{Duration, Instant};
 
@@ -16,10 +17,11 @@ use crate::process::{Condition, ProcessChange};
 
 /// A lossless run is not in real time: a single frame may take a stage longer than in flight.
 const LOSSLESS_PATIENCE: f64 = 5.0;
-/// Drivers and networks are opened in the loop of the stages that own them, and may block it for a while: a
-/// camera that is plugged in again must not be killed for it.
+/// Drivers and networks are opened in the loop of the stages that own them, and may block it for a
+/// while: a camera that is plugged in again must not be killed for it.
 const DEVICE_PATIENCE: f64 = 15.0;
-/// A process that is younger than this and the time for an answer may be blamed for the one before it.
+/// A process that is younger than this and the time for an answer may be blamed for the one before
+/// it.
 const YOUTH: Duration = Duration::from_millis(500);
 
 /// What still works without a stage.
@@ -115,7 +117,8 @@ impl Supervisor<'_> {
         }
     }
 
-    /// Kills processes that have sent health before, and send none now although nothing keeps them from it.
+    /// Kills processes that have sent health before, and send none now although nothing keeps them
+    /// from it.
     fn kill_those_that_hang(&mut self) {
         let flow_patience = match self.pipeline.flow {
             Flow::Latest => 1.0,
@@ -205,7 +208,7 @@ impl Supervisor<'_> {
             .iter_mut()
             .find(|process| is_meant(process.worker, process.pid()));
         let Some(process) = found.filter(|process| process.pid().is_some()) else {
-            // Whoever is not one of the pipeline's processes is none of the launcher's business.
+            // The launcher replaces the pipeline's own processes alone.
             if !is_silent && complaint.count <= 10 {
                 let pid = complaint.pid;
                 self.console.line(&format!("process {pid} sends bad messages ({detail}); refused"));
@@ -223,7 +226,7 @@ impl Supervisor<'_> {
                 true => format!("{detail}: it gets none until it answers"),
                 false => format!("{} messages refused ({detail})", complaint.count),
             };
-            // It is said once; what follows leads to a replacement.
+            // It is shown once; further complaints lead to a replacement.
             if !std::mem::replace(&mut process.is_silent, true) {
                 self.console.line(&format!("{label} (process {pid}): {what}"));
             }

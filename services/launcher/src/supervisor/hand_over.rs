@@ -1,5 +1,5 @@
-//! The hand-over that all processes know: it says whose messages count. A copy is kept for the launcher after
-//! this one.
+//! The hand-over that all processes know: whose messages count. A copy is kept for the launcher
+//! after this one.
 
 use std::path::{Path, PathBuf};
 

@@ -1,5 +1,5 @@
-//! The recorder of a pipeline that records every flight (`recording` in pipeline.yaml): a process that looks on,
-//! so nothing waits for it once it has begun.
+//! The recorder of a pipeline that records every flight (`recording` in pipeline.yaml): a process
+//! that looks on, so nothing waits for it once it has begun.
 
 use std::os::unix::process::CommandExt;
 use std::path::Path;
@@ -33,7 +33,7 @@ pub(crate) struct Recorder {
     backoff: Backoff,
     retry_at: Option<Instant>,
     started: Instant,
-    /// It said that it cannot record.
+    /// Whether it has ended because it cannot record.
     has_given_up: bool,
 }
 
@@ -99,7 +99,8 @@ impl Recorder {
         recorders::has_joined(&self.instance, child.id())
     }
 
-    /// Starts it again if it has ended, after `clean` has freed what it had. Returns what there is to say.
+    /// Starts it again if it has ended, after `clean` has freed what it had. Returns a line to be
+    /// shown.
     pub(crate) fn attend(&mut self, clean: impl FnOnce()) -> Option<String> {
         if self.retry_at.is_some_and(|at| Instant::now() >= at) {
             clean();
@@ -113,7 +114,7 @@ impl Recorder {
         }
         let status = self.child.as_mut()?.try_wait().ok()??;
         self.child = None;
-        // Its own word that trying again will not help.
+        // This status says that trying again will not help.
         if status.code() == Some(2) {
             self.has_given_up = true;
             let what = "the recorder cannot record, and is not started again; its reason is above";
@@ -128,7 +129,7 @@ impl Recorder {
         Some(format!("the recorder has ended ({status}); it is started again in {wait_s:.1} s"))
     }
 
-    /// Has it write what it has, and waits for its end. Returns what there is to say.
+    /// Lets it write what it has, and waits for its end. Returns a line to be shown.
     pub(crate) fn stop(&mut self) -> Option<String> {
         self.retry_at = None;
         let mut child = self.child.take()?;

@@ -1,8 +1,9 @@
 //! Goes on with the processes that an earlier launcher left flying (`up --keep`).
 //!
-//! What a launcher knows and its successor cannot see for itself is in the folder `kept` of the instance: a
-//! record of each process ([`flockeye_runtime::kept`]), a memo of each worker ([`crate::process::memo`]), the last
-//! hand-over ([`super::hand_over`]), and an unfinished swap ([`super::unfinished_swap`]).
+//! What a launcher knows and its successor cannot see for itself is in the folder `kept` of the
+//! instance: a record of each process ([`flockeye_runtime::kept`]), a memo of each worker
+//! ([`crate::process::memo`]), the last hand-over ([`super::hand_over`]), and an unfinished swap
+//! ([`super::unfinished_swap`]).
 
 use flockeye_runtime::kept::KeptProcess;
 
@@ -10,8 +11,8 @@ use super::Supervisor;
 use super::hand_over::{self, counting_generation, has_taken_over};
 
 impl Supervisor<'_> {
-    /// Goes on with these processes. Where a worker has two, the one that counts by the last hand-over stays, and
-    /// the other one is ended.
+    /// Goes on with these processes. Where a worker has two, the one that counts by the last
+    /// hand-over stays, and the other one is ended.
     ///
     /// # Errors
     /// The hand-over cannot be passed on.
@@ -47,8 +48,8 @@ impl Supervisor<'_> {
         self.times.source_started = Some(self.times.started);
         self.console.line(&format!("takes over {}", taken.join(", ")));
         match &self.ports {
-            // Processes that start from now on hear it from this launcher. It ends when the other
-            // processes have ended.
+            // Processes that start from now on get it from this launcher. It is over when the
+            // retired processes have ended.
             Some(ports) => self.hand_over.announce(ports, hand_over),
             None => Ok(()),
         }

@@ -1,4 +1,5 @@
-//! A swap that is under way, kept for the launcher after this one: what to go back to if this one dies.
+//! A swap that is under way, kept for the launcher after this one: what to go back to if this one
+//! dies.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -88,7 +89,8 @@ pub(super) fn forget(folder: &Path) {
     drop(std::fs::remove_file(file(folder)));
 }
 
-/// Goes back to what was before a swap that was not over, unless its new process is the one that stays.
+/// Goes back to what was before a swap that was not over, unless its new process is the one that
+/// stays.
 ///
 /// # Errors
 /// The configuration cannot be written, or a process cannot be ended.

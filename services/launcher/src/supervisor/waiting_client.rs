@@ -11,7 +11,7 @@ const PATIENCE: Duration = Duration::from_secs(20);
 
 /// A client that waits until a worker is as it was asked to be.
 pub(super) struct WaitingClient {
-    /// Who waits.
+    /// The client.
     pub client: ClientId,
     /// The worker.
     pub worker: Worker,
@@ -34,8 +34,8 @@ impl WaitingClient {
         Self { client, worker, wanted, since: Instant::now() }
     }
 
-    /// The answer, if there is one by now. `is_ready` says whether the worker's process has reported that it
-    /// is ready.
+    /// The answer, if there is one by now. `is_ready` says whether the worker's process has
+    /// reported that it is ready.
     pub(super) fn answer(&self, process: &Process, is_ready: bool) -> Option<Reply> {
         let Self { worker, wanted, since, .. } = self;
         let (condition, generation) = (process.condition(), process.generation);

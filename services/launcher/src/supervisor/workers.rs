@@ -22,8 +22,8 @@ pub(super) struct Workers {
 }
 
 impl Workers {
-    /// The workers of `pipeline`, not yet started. Their lines go to `log`. With `is_kept` they fly on when the
-    /// launcher dies.
+    /// The workers of `pipeline`, not yet started. Their lines go to `log`. With `is_kept` they fly
+    /// on when the launcher dies.
     ///
     /// # Errors
     /// A stage's program is missing.

@@ -19,14 +19,14 @@ pub(crate) enum Changeover {
     Beside(SwapOrder, Candidate),
     /// The old process ends first, because the stage owns a device or a port.
     InTurn(SwapOrder, Replacement),
-    /// The new process of a swap in turn has failed. The old program is to run again, in a generation
-    /// after this one.
+    /// The new process of a swap in turn has failed. The old program is to run again, in a
+    /// generation after this one.
     PuttingBack(Worker, u32),
 }
 
-/// Who asked for a swap, and of what.
+/// The client that asked for a swap, and what the swap changes.
 pub(crate) struct SwapOrder {
-    /// Who asked for it.
+    /// The client that asked for it.
     pub client: ClientId,
     /// Which worker is swapped.
     pub worker: Worker,

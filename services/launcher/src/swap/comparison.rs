@@ -8,24 +8,25 @@ use flockeye_geometry::statistics::median;
 use nalgebra::Vector3;
 use serde::Serialize;
 
-/// The new process must answer something in this share of the frames in which the old one does. A machine
-/// that both share loses frames of both, and of a few frames one more or less is chance. How many views of a
-/// frame it answers does not count: the flow goes at the pace of the old process, and adapts.
+/// The new process must answer something in this share of the frames in which the old one does. A
+/// machine that both share loses frames of both, and of a few frames one more or less is chance.
+/// How many views of a frame it answers does not count: the flow goes at the pace of the old
+/// process, and adapts.
 pub(crate) const LEAST_ANSWERED: f64 = 0.75;
 /// In what both answered, the new process must find this share of what the old one finds.
 pub(crate) const LEAST_FOUND: f64 = 0.75;
-/// A difference of fewer standard deviations is chance: the two look at views of their own, so what each
-/// finds is counted as two independent Poisson numbers.
+/// A difference of fewer standard deviations is chance: the two look at views of their own, so what
+/// each finds is counted as two independent Poisson numbers.
 const CHANCE_DEVIATIONS: f64 = 2.0;
-/// So many frames of the old process are compared. More are while it has found less than [`FOUND_TO_TELL`], or while what the
-/// new one misses may be chance.
+/// Frames of the old process that are compared. More are compared while it has found less than
+/// [`LEAST_FOUND_BY_OLD`], or while what the new one misses may be chance.
 pub(crate) const FRAMES_COMPARED: usize = 10;
-/// If the old process found less, a new one that finds nothing could not be told from it.
-pub(crate) const FOUND_TO_TELL: usize = 8;
+/// If the old process found less, a new one that finds nothing could not be distinguished from it.
+pub(crate) const LEAST_FOUND_BY_OLD: usize = 8;
 /// Answers to the newest frames may be on their way.
 const FRAMES_UNSETTLED: usize = 2;
-/// The new process may lag by this many frames, because both share the processors. A frame that it has not
-/// reached yet does not count as unanswered. Its time is compared apart.
+/// The new process may lag by this many frames, because both share the processors. A frame that it
+/// has not reached yet does not count as unanswered. Its time is compared apart.
 const FRAMES_BEHIND: usize = 15;
 /// Frames that are kept.
 const MAX_FRAMES: usize = 256;
@@ -39,17 +40,18 @@ pub(crate) enum Side {
     New,
 }
 
-/// What one process said.
+/// An answer of one process.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Answer {
-    /// Of which frame.
+    /// The frame.
     pub frame: FrameOrder,
-    /// Of which part of it: a view, or always 0.
+    /// The part of the frame: a view, or always 0.
     pub part: u64,
-    /// What it found, by number, and where if that can be compared: markers' rays, targets' positions, the
-    /// camera's rotation.
+    /// What it found, by number, and where if that can be compared: markers' rays, targets'
+    /// positions, the camera's rotation.
     pub found: Vec<(u32, Option<Vector3<f64>>)>,
-    /// How long it took, nanoseconds. `None`: this belongs to an answer that counts by another message.
+    /// How long it took, nanoseconds. `None`: this belongs to an answer that counts by another
+    /// message.
     pub took_ns: Option<i64>,
 }
 
@@ -88,7 +90,7 @@ pub(crate) struct Figures {
     pub difference: Option<f64>,
     /// Median time of the old process's answers, milliseconds.
     pub old_ms: f64,
-    /// The same of the new one's.
+    /// Median time of the new process's answers, milliseconds.
     pub new_ms: f64,
 }
 
@@ -120,8 +122,8 @@ impl Comparison {
         !self.new.is_empty()
     }
 
-    /// Compares the last settled frames from `first` on, as few as tell something. `None` while these are
-    /// fewer than [`FRAMES_COMPARED`].
+    /// Compares the last settled frames from `first` on, as few as show a difference. `None` while
+    /// these are fewer than [`FRAMES_COMPARED`].
     pub(crate) fn figures(&self, first: Option<FrameOrder>) -> Option<Figures> {
         let begun = *self.new.first_key_value()?.0;
         let first = first.map_or(begun, |first| first.max(begun));
@@ -130,7 +132,7 @@ impl Comparison {
         let mut begin = settled.len().checked_sub(FRAMES_COMPARED)?;
         loop {
             let figures = self.compare(&settled[begin..]);
-            if (figures.tells() && !figures.misses_may_be_chance()) || begin == 0 {
+            if (figures.is_conclusive() && !figures.misses_may_be_chance()) || begin == 0 {
                 return Some(figures);
             }
             begin = begin.saturating_sub(FRAMES_COMPARED);
@@ -192,12 +194,12 @@ impl Comparison {
 
 impl Figures {
     /// Whether a new process that finds nothing would be noticed.
-    pub(crate) fn tells(&self) -> bool {
-        self.old_found >= FOUND_TO_TELL
+    pub(crate) fn is_conclusive(&self) -> bool {
+        self.old_found >= LEAST_FOUND_BY_OLD
     }
 
-    /// Whether fewer frames were answered than are wanted, but a process that answers just as many may have missed these by
-    /// chance: they are a binomial number.
+    /// Whether fewer frames were answered than are wanted, but a process that answers just as many
+    /// may have missed these by chance: they are a binomial number.
     pub(crate) fn misses_may_be_chance(&self) -> bool {
         let frames = self.frames as f64;
         let missing = LEAST_ANSWERED * frames - self.frames_answered as f64;

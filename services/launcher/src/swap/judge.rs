@@ -1,4 +1,4 @@
-//! Decides about a swap from what both processes have said: a pure function of that, their lives and the time.
+//! Decides about a swap from the answers of both processes, whether both run, and the time alone.
 
 use std::time::{Duration, Instant};
 
@@ -10,10 +10,10 @@ use super::comparison::{Comparison, Figures};
 use super::verdict::Verdict;
 use crate::control::Worker;
 
-/// A new process takes over so many frames after the newest one: its word is everywhere by then.
+/// A new process takes over this many frames after the newest one: all processes know it by then.
 const FRAMES_AHEAD: u64 = 4;
-/// If nothing is heard of the first frames after the hand-over for this long, the new process has failed. So it has if it
-/// still misses more frames than it may by then.
+/// If no answer to the first frames after the hand-over comes for this long, the new process has
+/// failed. It has failed too if it still misses more frames than it may by then.
 const PROBATION_TIME: Duration = Duration::from_secs(3);
 /// After a hand-over was taken back, the new process is ended when this has passed.
 const TAKING_BACK_TIME: Duration = Duration::from_millis(500);
@@ -52,8 +52,9 @@ pub(crate) struct Lives<'a> {
 }
 
 impl Judge {
-    /// Judges a swap of `worker` that begins at `now`, from the first generation to the second. The new process
-    /// has `within` to do as well as the old one, or to answer at all if it may do worse.
+    /// Judges a swap of `worker` that begins at `now`, from the first generation to the second. The
+    /// new process has `within` to do as well as the old one, or to answer at all if it may do
+    /// worse.
     pub(crate) fn new(
         worker: Worker,
         [old_generation, new_generation]: [u32; 2],
@@ -78,8 +79,13 @@ impl Judge {
         generation == self.old_generation
     }
 
-    /// The word that says who counts, in this state from this frame on.
-    fn word(&self, state: HandOverState, first: FrameOrder, generations: [u32; 2]) -> HandOver {
+    /// The hand-over with this state from this frame on.
+    fn hand_over(
+        &self,
+        state: HandOverState,
+        first: FrameOrder,
+        generations: [u32; 2],
+    ) -> HandOver {
         let (source_generation, epoch, sequence) = first;
         HandOver {
             first: FrameStamp { source_generation, epoch, sequence, ..FrameStamp::default() },
@@ -92,13 +98,13 @@ impl Judge {
         }
     }
 
-    /// The word that the new process does not count.
+    /// The hand-over by which the new process does not count.
     pub(crate) fn begin(&self) -> HandOver {
         let generations = [self.old_generation, self.new_generation];
-        self.word(HandOverState::Shadow, FrameOrder::default(), generations)
+        self.hand_over(HandOverState::Shadow, FrameOrder::default(), generations)
     }
 
-    /// What is to be done now, given what both have said.
+    /// What is to be done now, given the answers of both.
     pub(crate) fn judge(
         &mut self,
         comparison: &Comparison,
@@ -127,10 +133,11 @@ impl Judge {
             );
         }
         let figures = comparison.figures(None);
-        // Where no neighbour is near, there may be nothing to find; then it is not waited for all the time.
+        // Where no neighbour is near, there may be nothing to find; then it is not waited for all
+        // the time.
         let has_waited = now + (self.deadline - self.began) / 2 >= self.deadline;
         let shortcoming = match &figures {
-            Some(figures) if !figures.tells() && !has_waited => return Verdict::Wait,
+            Some(figures) if !figures.is_conclusive() && !has_waited => return Verdict::Wait,
             Some(_) if self.accept_worse => None,
             Some(figures) => figures.shortcoming(),
             None => Some(nothing_to_compare(comparison)),
@@ -140,10 +147,10 @@ impl Judge {
                 let first = (source_generation, epoch, sequence + FRAMES_AHEAD);
                 self.phase = Phase::Probation { first, until: now + PROBATION_TIME };
                 let generations = [self.old_generation, self.new_generation];
-                let word = self.word(HandOverState::TakenOver, first, generations);
+                let hand_over = self.hand_over(HandOverState::TakenOver, first, generations);
                 let shown = figures.as_ref().map_or_else(String::new, Figures::to_string);
                 self.figures_in_shadow = figures;
-                Verdict::TakeOver(word, format!("it takes over at frame {}: {shown}", first.2))
+                Verdict::TakeOver(hand_over, format!("it takes over at frame {}: {shown}", first.2))
             }
             (Some(reason), _) if now >= self.deadline => Verdict::Refused(format!(
                 "in {:.1} s the new process has not done as well as the old one: {reason}",
@@ -209,7 +216,7 @@ impl Judge {
         let first = (newest.0, newest.1, newest.2 + 1);
         self.phase = Phase::TakingBack { until: now + TAKING_BACK_TIME, reason: reason.clone() };
         let generations = [self.new_generation, self.old_generation];
-        Verdict::TakeBack(self.word(HandOverState::TakenOver, first, generations), reason)
+        Verdict::TakeBack(self.hand_over(HandOverState::TakenOver, first, generations), reason)
     }
 }
 
@@ -231,7 +238,8 @@ mod tests {
     const WITHIN: Duration = Duration::from_secs(10);
     const ALIVE: Lives<'static> = Lives { new_ended: None, old_runs: true };
 
-    /// A swap of fusion, and both processes' answers to these frames; the new one finds `found` of 2 things.
+    /// A swap of fusion, and both processes' answers to these frames; the new one finds `found` of
+    /// 2 things.
     #[derive(Clone)]
     struct Scene {
         judge: Judge,
@@ -281,11 +289,14 @@ mod tests {
         fn taken_over() -> Self {
             let mut scene = Self::new();
             scene.answers(0..20, 2);
-            let Verdict::TakeOver(word, _) = scene.at(1.0, ALIVE) else {
+            let Verdict::TakeOver(hand_over, _) = scene.at(1.0, ALIVE) else {
                 panic!("it does as well")
             };
-            assert_eq!((word.first.sequence, word.state), (23, HandOverState::TakenOver.code()));
-            assert_eq!((word.old_generation, word.new_generation), (3, 4));
+            assert_eq!(
+                (hand_over.first.sequence, hand_over.state),
+                (23, HandOverState::TakenOver.code())
+            );
+            assert_eq!((hand_over.old_generation, hand_over.new_generation), (3, 4));
             scene
         }
     }
@@ -365,13 +376,13 @@ mod tests {
         ] {
             let mut scene = Scene::taken_over();
             scene.answers(20..40, found);
-            let Verdict::TakeBack(word, reason) = scene.at(2.0, lives) else {
+            let Verdict::TakeBack(hand_over, reason) = scene.at(2.0, lives) else {
                 panic!("it has failed")
             };
             assert!(reason.contains(wanted), "{reason}");
-            assert_eq!((word.old_generation, word.new_generation), (4, 3));
-            assert_eq!(word.first.sequence, 40);
-            // The word is everywhere before the process ends.
+            assert_eq!((hand_over.old_generation, hand_over.new_generation), (4, 3));
+            assert_eq!(hand_over.first.sequence, 40);
+            // All processes know it before the new one ends.
             assert_eq!(scene.at(2.1, lives), Verdict::Wait);
             assert!(matches!(scene.at(3.0, lives), Verdict::Refused(_)));
         }
@@ -389,7 +400,7 @@ mod tests {
         scene.answers_but(35..45, |sequence| sequence % 3 == 0);
         assert_eq!(scene.at(2.0, ALIVE), Verdict::Wait);
         assert!(reason(scene.at(4.1, ALIVE)).contains("of the 20 frames"));
-        // So many are not missed by chance.
+        // This many are not missed by chance.
         let mut scene = Scene::taken_over();
         scene.answers_but(20..35, |sequence| (24..31).contains(&sequence));
         assert!(reason(scene.at(1.5, ALIVE)).contains("it answered in 3 of the 10 frames"));

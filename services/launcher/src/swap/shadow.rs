@@ -1,4 +1,4 @@
-//! What both processes of a stage say while one works in the other's shadow.
+//! What both processes of a stage send while one works in the other's shadow.
 
 use anyhow::ensure;
 use flockeye_contract::{
@@ -87,8 +87,8 @@ impl Shadow {
             }
             Inputs::Views(frame_ends, detections) => {
                 while let Some(message) = detections.receive()? {
-                    // The two cut views of their own, and how many is a matter of time left: what counts is
-                    // whether anything is found in the frame.
+                    // The two cut views of their own, and how many is a matter of time left: what
+                    // counts is whether anything is found in the frame.
                     let mut answer = Answer { took_ns: None, ..searched(&message, 0) };
                     answer.found.truncate(1);
                     answer.found.iter_mut().for_each(|found| *found = (0, None));
@@ -147,8 +147,8 @@ fn searched(message: &Message<Detections>, part: u64) -> Answer {
     }
 }
 
-/// A view's number in its frame. Fusion may plan anew and rectification cut again, so the index alone is
-/// not enough.
+/// A view's number in its frame. Fusion may plan anew and rectification cut again, so the index
+/// alone is not enough.
 fn view_number(header: &DetectionHeader) -> u64 {
     (u64::from(header.view_generation) << 40)
         | (u64::from(header.attempt) << 16)

@@ -1,4 +1,4 @@
-//! What is done to whom.
+//! A disturbance of a process.
 
 use std::time::Duration;
 
@@ -38,9 +38,9 @@ pub(crate) struct Victim {
 pub(crate) struct Disturbance {
     /// What is done.
     pub kind: Kind,
-    /// To whom.
+    /// The process to which it is done.
     pub victim: Victim,
-    /// For how long, where it lasts.
+    /// How long it lasts.
     pub lasts: Duration,
 }
 
@@ -48,7 +48,7 @@ pub(crate) struct Disturbance {
 const SLOW_TURN: Duration = Duration::from_millis(25);
 
 impl Disturbance {
-    /// Does it, calling `wait` in between.
+    /// Disturbs the process, calling `wait` in between.
     ///
     /// # Errors
     /// What `wait` returns, or the process has ended by itself.

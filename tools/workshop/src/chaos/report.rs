@@ -17,7 +17,8 @@ use super::disturbance::{Disturbance, Kind};
 pub(crate) const MEDIAN_RECOVERY_MS: f64 = 250.0;
 /// ... and this in the worst case, also after all other disturbances.
 pub(crate) const WORST_RECOVERY_MS: f64 = 2000.0;
-/// A pose is wrong if it is farther from the truth than one of these and than five standard deviations.
+/// A pose is wrong if it is farther from the truth than one of these and than five standard
+/// deviations.
 const WRONG_M: f64 = 0.1;
 const WRONG_RAD: f64 = 0.1745;
 /// Frames whose truth is kept until their tracks come.
@@ -182,7 +183,8 @@ impl ChaosReport {
         })
     }
 
-    /// Recoveries in milliseconds, rising, of the disturbances that `is_meant`; lost ones are infinite.
+    /// Recoveries in milliseconds, rising, of the disturbances that `is_meant`; lost ones are
+    /// infinite.
     fn recoveries(&self, is_meant: impl Fn(&Outcome) -> bool) -> Vec<f64> {
         let meant = self.outcomes.iter().filter(|outcome| is_meant(outcome));
         let mut rising: Vec<f64> =

@@ -27,10 +27,10 @@ const MUST_PASS: &str = "What a message must pass";
 /// How often the test looks for messages.
 const LOOK: Duration = Duration::from_micros(500);
 
-/// Health is late if none has come for so long.
+/// Health is late if none has come for this long.
 const LONGEST_SILENCE: Duration = Duration::from_millis(750);
 
-/// The last lines of a candidate come so soon after its end.
+/// The last lines of a candidate come within this time after its end.
 const LAST_WORDS: Duration = Duration::from_millis(200);
 /// Lines of the candidate that are kept.
 const MOST_LINES: usize = 30;
@@ -38,8 +38,8 @@ const MOST_LINES: usize = 30;
 /// A message, copied.
 pub(crate) type HeaderAndItems<T> = (<T as Topic>::Header, Vec<<T as Topic>::Item>);
 
-/// An instance with one process in it, and the test in place of all others. Ports go before the services, and
-/// these before the folder.
+/// An instance with one process in it, and the test in place of all others. Ports go before the
+/// services, and these before the folder.
 pub(crate) struct Bench {
     /// Ports of the test.
     pub ports: Ports,
@@ -110,7 +110,8 @@ impl Bench {
         })
     }
 
-    /// Starts the candidate, and waits until it is ready. False: it never was, and there is nothing to test.
+    /// Starts the candidate, and waits until it is ready. False: it never was, and there is nothing
+    /// to test.
     ///
     /// # Errors
     /// It cannot be started.
@@ -153,7 +154,7 @@ impl Bench {
         Ok(true)
     }
 
-    /// Calls `step` until it gives something, for so long at most; meanwhile health is listened to.
+    /// Calls `step` until it gives something, within `limit`; meanwhile health is read.
     ///
     /// # Errors
     /// As `step`, or a port that fails.
@@ -198,12 +199,12 @@ impl Bench {
         }))
     }
 
-    /// Whether the candidate has said that its input has ended.
+    /// Whether the candidate has reported that its input has ended.
     pub(crate) fn is_finished(&self) -> bool {
         self.newest.is_some_and(|health| health.state == StageState::Finished.code())
     }
 
-    /// Lets so much time pass.
+    /// Lets this time pass.
     ///
     /// # Errors
     /// A port that fails.
@@ -247,13 +248,13 @@ impl Bench {
             && let ProcessChange::Ended { how, .. } = self.process.attend(false, || {})?
         {
             self.ended = Some(how);
-            // What it said last may still be on its way.
+            // Its last lines may still be on their way.
             self.read_log(LAST_WORDS);
         }
         Ok(())
     }
 
-    /// Reads what the candidate has said, and waits so long for each more line.
+    /// Reads what the candidate has written, and waits this long for each further line.
     fn read_log(&mut self, patience: Duration) {
         while let Ok(line) = self.log.recv_timeout(patience) {
             if self.lines.len() < MOST_LINES {

@@ -1,4 +1,5 @@
-//! A candidate beside Flockeye's own stage, in a pipeline that flies a recording or a simulated flight.
+//! A candidate beside Flockeye's own stage, in a pipeline that flies a recording or a simulated
+//! flight.
 
 use std::time::{Duration, Instant};
 
@@ -16,9 +17,9 @@ use flockeye_launcher::control::{Request, SwapRequest, Worker};
 
 const PAGE: &str = "While a stage is swapped";
 
-/// So long the pipeline may take until its first frame.
+/// Timeout for the first frame of the pipeline.
 const START: Duration = Duration::from_secs(30);
-/// So long the two are compared at most, seconds.
+/// Longest time for which the two are compared, seconds.
 const WITHIN_S: f64 = 60.0;
 const TAKES_OVER: &str = "takes over from Flockeye's own stage";
 
@@ -35,8 +36,8 @@ pub(crate) fn check(stage: StageName) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Flies `source` with Flockeye's own stage, lets the candidate answer in its shadow and then in its place,
-/// and notes how they compare.
+/// Flies `source` with Flockeye's own stage, lets the candidate answer in its shadow and then in
+/// its place, and notes how they compare.
 ///
 /// # Errors
 /// The pipeline does not start, or ends before both were compared.

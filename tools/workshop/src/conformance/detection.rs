@@ -1,4 +1,5 @@
-//! A detection alone: views with a marker whose corners are known, without one, and such as nobody should send.
+//! A detection alone: views with a marker whose corners are known, without one, and such as nobody
+//! should send.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -24,9 +25,9 @@ const PAGE: &str = "Detection (view to detection)";
 const VIEWS: u32 = 120;
 const SIZE_PX: u32 = 240;
 const FOCAL_PX: f64 = 260.0;
-/// So long an answer may take.
+/// Timeout for an answer.
 const PATIENCE: Duration = Duration::from_secs(1);
-/// So long no answer must come.
+/// Time in which no answer must come.
 const QUIET: Duration = Duration::from_millis(200);
 /// After so many views without an answer there is nothing more to learn.
 const MOST_UNANSWERED: u32 = 3;
@@ -49,7 +50,7 @@ struct Script {
     unanswered: u32,
 }
 
-/// Tests it.
+/// Tests the candidate.
 ///
 /// # Errors
 /// A port that fails.
@@ -220,7 +221,7 @@ impl Script {
                     || format!("marker {} in a grey picture", markers[0].id),
                 ),
             }
-            // The same view again.
+            // The view is sent again.
             if number % 40 == 1 {
                 let again = ViewHeader { issued_ns: clock::monotonic_ns(), ..view };
                 if let Some((_, others)) = self.asked(bench, report, again, &pixels)? {
@@ -352,7 +353,8 @@ fn disagreement(view: &ViewHeader, marker: &DetectedMarker) -> f64 {
     angles.fold(0.0, f64::max)
 }
 
-/// How far a marker's corners are from where they really are, in the mean; `None` if it was not decoded.
+/// How far a marker's corners are from where they really are, in the mean; `None` if it was not
+/// decoded.
 fn error_px(shown: &ShownMarker, markers: &[DetectedMarker]) -> Option<f64> {
     let marker = markers.iter().find(|marker| marker.id == shown.id && marker.is_decoded())?;
     let truth = shown.corners(SIZE_PX, FOCAL_PX);

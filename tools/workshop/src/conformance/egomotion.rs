@@ -1,4 +1,4 @@
-//! An egomotion alone: a textured world round a camera that turns as the test says.
+//! An egomotion alone: a textured world round a camera that the test turns.
 
 use std::time::Duration;
 
@@ -24,13 +24,14 @@ const FRAMES: u32 = 16;
 const BLANK: u32 = 4;
 /// From exposure to exposure.
 const PERIOD_NS: i64 = 33_000_000;
-/// So long an answer may take.
+/// Timeout for an answer.
 const PATIENCE: Duration = Duration::from_secs(3);
 /// A rotation farther from the truth is not this frame's, degrees.
 const FAR_OFF_DEG: f64 = 1.0;
 /// Of the textured world's rotations so many must be known.
 const LEAST_KNOWN: f64 = 0.8;
-/// Errors that are so much larger than stated, in the median, make the covariance a lie. 2.4 is right.
+/// Errors that are so much larger than stated, in the median, make the covariance a lie. 2.4 is
+/// right.
 const MOST_NORMALIZED: f64 = 40.0;
 
 struct Script {
@@ -42,7 +43,7 @@ struct Script {
     exposure_ns: i64,
 }
 
-/// Tests it.
+/// Tests the candidate.
 ///
 /// # Errors
 /// A camera that is not equirectangular, or a port that fails.
@@ -145,7 +146,7 @@ impl Script {
                 )
             });
             errors_deg.push(off_deg);
-            // Who states no doubt at all is infinitely wrong.
+            // A covariance of zero makes any error infinite.
             let inverse =
                 turn.covariance.try_inverse().filter(|inverse| inverse[(0, 0)].is_finite());
             normalized.push(inverse.map_or(f64::INFINITY, |inverse| off.dot(&(inverse * off))));
@@ -162,7 +163,7 @@ impl Script {
         report.median("error, median", errors_deg, "degrees");
         let what = "squared error against the covariance, median";
         let typical = report.median(what, normalized, "(2.4 is right)");
-        // Of no rotation at all, what is missing has been said above.
+        // A missing rotation has been reported above.
         report.holds("the covariance is honest", PAGE, typical.is_nan() || typical < MOST_NORMALIZED, || {
             format!(
                 "squared errors are {typical:.0} times the covariance in the median; 2.4 is right"
@@ -178,7 +179,7 @@ impl Script {
             let frame = self.frame();
             let pixels = vec![16; (frame.stride * frame.height) as usize];
             let Some(rotation) = self.asked(bench, report, &frame, &pixels)? else { return Ok(()) };
-            // Of the first one the picture before it has something to say, if not much.
+            // The picture before the first one covers a part of it.
             if number > 0 {
                 let source = rotation.source;
                 let is_known = source != RotationSource::Nothing.code();
@@ -221,8 +222,8 @@ impl Script {
     }
 }
 
-/// How the camera looks into the world, frame by frame: up to 2 degrees a frame about each axis, as a drone
-/// turns, which does not change from one frame to the next.
+/// How the camera looks into the world, frame by frame: up to 2 degrees a frame about each axis, as
+/// a drone turns, which does not change from one frame to the next.
 fn attitudes() -> Vec<UnitQuaternion<f64>> {
     let mut attitude = UnitQuaternion::identity();
     (0..FRAMES)

@@ -24,9 +24,9 @@ const MUST_PASS: &str = "What a message must pass";
 /// Frames in which the body is seen.
 const FRAMES: u64 = 45;
 const INTERVAL: Duration = Duration::from_millis(33);
-/// So long a frame may take from its end to its last word.
+/// Time for a frame from its end to its last tracks.
 const PATIENCE: Duration = Duration::from_secs(1);
-/// After so many frames without a last word or a plan, the others are not waited for.
+/// After this many frames without last tracks or a plan, the others are not waited for.
 const MOST_UNANSWERED: u32 = 3;
 /// Pixels along a side of a view.
 const VIEW_PX: u32 = 16;
@@ -35,9 +35,9 @@ const FIELD_RAD: f64 = 2.0;
 /// Stated deviation of rays, radians.
 const DEVIATION_RAD: f64 = 3e-4;
 
-/// What fusion said of a frame.
+/// What fusion sent of a frame.
 #[derive(Default)]
-struct Told {
+struct FrameAnswer {
     tracks: Vec<Track>,
     lasts: u32,
     plan: Option<PlanHeader>,
@@ -55,7 +55,7 @@ struct Script<'r> {
     unanswered: u32,
 }
 
-/// Tests it.
+/// Tests the candidate.
 ///
 /// # Errors
 /// A port that fails.
@@ -111,14 +111,14 @@ impl Script<'_> {
         }
     }
 
-    /// A frame with one view, in which these markers were found, and what is said of it.
+    /// A frame with one view, in which these markers were found, and what fusion sends of it.
     fn fly(
         &mut self,
         bench: &mut Bench,
         report: &mut Report,
         stamp: FrameStamp,
         markers: &[DetectedMarker],
-    ) -> anyhow::Result<Told> {
+    ) -> anyhow::Result<FrameAnswer> {
         let now_ns = clock::monotonic_ns();
         let shown = view();
         let view = ViewHeader {
@@ -134,7 +134,7 @@ impl Script<'_> {
             target: NONE,
             ..ViewHeader::default()
         };
-        // It is too small to show anything: what counts is what is said of it.
+        // It is too small to show anything: what counts is its detection record.
         self.views.send(view, &[128; (VIEW_PX * VIEW_PX) as usize])?;
         let record = DetectionHeader {
             stamp,
@@ -157,7 +157,7 @@ impl Script<'_> {
             ..FrameEnd::default()
         };
         self.ends.send(end, &[])?;
-        let mut told = Told::default();
+        let mut told = FrameAnswer::default();
         let (tracks, plans) = (&mut self.tracks, &mut self.plans);
         let mut plan_id = self.plan_id;
         let patience = if self.unanswered < MOST_UNANSWERED { PATIENCE } else { INTERVAL };
@@ -366,14 +366,16 @@ fn view() -> View {
     View::looking_at(&Unit::new_normalize(pose(0.5).translation.vector), FIELD_RAD, VIEW_PX)
 }
 
-/// What a detector finds of a body in frame `number`: the markers that face the camera, with errors as stated.
+/// What a detector finds of a body in frame `number`: the markers that face the camera, with errors
+/// as stated.
 fn markers(body: &Body, pose: &Isometry3<f64>, number: u64) -> Vec<DetectedMarker> {
     let eye = pose.inverse_transform_point(&Point3::origin());
     let facing = body
         .markers
         .iter()
         .filter(|marker| marker.normal().dot(&(eye - marker.centre()).normalize()) > 0.5);
-    // The root of two makes a sine's deviation one. Irrational steps, so that no two errors are alike.
+    // The root of two makes a sine's deviation one. Irrational steps, so that no two errors are
+    // alike.
     let error = |id: u32, corner: usize, axis: usize| {
         let place =
             number as f64 * 0.618_034 + f64::from(id) * 0.414_214 + corner as f64 * 0.302_776;

@@ -1,4 +1,4 @@
-//! A gateway alone: tracks go in, and a peer on the network says what came out.
+//! A gateway alone: tracks go in, and a peer on the network receives reports.
 
 use std::time::{Duration, Instant};
 
@@ -22,9 +22,9 @@ const MUST_PASS: &str = "What a message must pass";
 const POSES: u64 = 40;
 /// From pose to pose.
 const PERIOD: Duration = Duration::from_millis(33);
-/// So long a report may take.
+/// Timeout for a report.
 const PATIENCE: Duration = Duration::from_secs(2);
-/// So long no report must come.
+/// Time in which no report must come.
 const QUIET: Duration = Duration::from_millis(300);
 /// Numbers may be rounded to this on the way.
 const ROUNDED: f64 = 1e-5;
@@ -37,7 +37,7 @@ struct Script<'r> {
     sequence: u64,
 }
 
-/// Tests it.
+/// Tests the candidate.
 ///
 /// # Errors
 /// The network or a port fails.
@@ -52,7 +52,7 @@ pub(crate) fn run(
     let observer = &resolved.pipeline.observer.name;
     let is_alive = bench.wait(link, |_| {
         let peers = listener.snapshot();
-        // Heard: what is said from now on is not missed.
+        // The peer is connected: reports from now on are not missed.
         Ok(peers
             .observers
             .get(observer)
@@ -135,8 +135,8 @@ impl Script<'_> {
             .send(TrackHeader { stamp, is_last: 1, ..TrackHeader::default() }, &[track])?)
     }
 
-    /// The report on this frame. What is left of earlier ones is passed over: a listener that has just come
-    /// asks for the last values too.
+    /// The report on this frame. What is left of earlier ones is passed over: a listener that has
+    /// just come asks for the last values too.
     fn report_of(
         &self,
         bench: &mut Bench,
@@ -177,7 +177,7 @@ impl Script<'_> {
         Ok(())
     }
 
-    /// A report must say what the track says.
+    /// A report must agree with its track.
     fn compare(&self, report: &mut Report, stamp: &FrameStamp, track: &Track, heard: &Sighting) {
         let what = "reports say what the track says";
         let observer = self.resolved.pipeline.observer.name.as_str();
@@ -221,7 +221,7 @@ impl Script<'_> {
         });
     }
 
-    /// What peers must not hear of.
+    /// Tracks that must not be reported.
     fn kept_back(&mut self, bench: &mut Bench, report: &mut Report) -> anyhow::Result<()> {
         let stamp = self.stamp();
         let good = self.track(&stamp);

@@ -14,12 +14,12 @@ const PAGE: &str = "Inertial sensor (to imu)";
 
 /// Samples of one test.
 const SAMPLES: usize = 200;
-/// So long each next message may take.
+/// Timeout for each further message.
 const PATIENCE: Duration = Duration::from_secs(2);
 /// A sample that is so far from now has another clock, nanoseconds.
 const NEAR_NS: i64 = 1_000_000_000;
 
-/// Tests it.
+/// Tests the candidate.
 ///
 /// # Errors
 /// A port that fails.

@@ -1,4 +1,5 @@
-//! Pictures that the test knows all about: views that show a marker, and a sphere that tells each ray.
+//! Pictures of which the test knows everything: views that show a marker, and a sphere in which
+//! each ray has its own brightness.
 
 use anyhow::ensure;
 use flockeye_config::Resolved;
@@ -27,8 +28,8 @@ pub(crate) struct ShownMarker {
 }
 
 impl ShownMarker {
-    /// Marker `id` with sides of about `side_px` pixels in a view of this focal length, turned and tilted
-    /// differently for each `number`.
+    /// Marker `id` with sides of about `side_px` pixels in a view of this focal length, turned and
+    /// tilted differently for each `number`.
     pub(crate) fn number(number: u32, id: u32, side_px: f64, focal_px: f64) -> Self {
         let number = f64::from(number);
         // Irrational steps, so that no two are alike.

@@ -1,4 +1,5 @@
-//! A rectification alone: a sphere whose every ray is known, plans, and answers in the workers' place.
+//! A rectification alone: a sphere whose every ray is known, plans, and answers in the workers'
+//! place.
 
 use std::time::Duration;
 
@@ -23,11 +24,11 @@ mod malformed;
 const PAGE: &str = "Rectification (frame, plan, detection to view, frame_end)";
 const MUST_PASS: &str = "What a message must pass";
 
-/// So long a frame may take from its publication to its end.
+/// Timeout for a frame from its publication to its end.
 const PATIENCE: Duration = Duration::from_secs(5);
 /// After so many frames that did not end in time, the others are not waited for.
 const MOST_UNANSWERED: u32 = 2;
-/// So long what is malformed is left to the candidate.
+/// Time for the candidate to deal with malformed messages.
 const TAKEN_UP: Duration = Duration::from_millis(100);
 /// A plan is stale after this.
 const STALE: Duration = Duration::from_millis(1200);
@@ -67,7 +68,7 @@ struct Script<'r> {
     unanswered: u32,
 }
 
-/// Tests it.
+/// Tests the candidate.
 ///
 /// # Errors
 /// A camera that is not equirectangular, or a port that fails.
@@ -145,8 +146,8 @@ impl Script<'_> {
         Ok(planned)
     }
 
-    /// Sends a frame, and answers its views as `answer` says until it ends and all are answered: how many hits
-    /// each has, or `None` for no answer.
+    /// Sends a frame, and answers its views as `answer` says until it ends and all are answered:
+    /// how many hits each has, or `None` for no answer.
     fn fly(
         &mut self,
         bench: &mut Bench,
@@ -401,7 +402,8 @@ impl Script<'_> {
     }
 }
 
-/// How far a view's pixels are from what the sphere shows along their rays, in the mean over some of them.
+/// How far a view's pixels are from what the sphere shows along their rays, in the mean over some
+/// of them.
 fn error_levels(header: &ViewHeader, pixels: &[u8]) -> f64 {
     let view = View {
         camera_from_view: rotation(header.camera_from_view),
@@ -434,7 +436,7 @@ fn answer_to(view: &ViewHeader, hits: u32) -> DetectionHeader {
     }
 }
 
-/// So many markers, somewhere.
+/// This many markers, somewhere.
 fn markers(count: u32) -> Vec<DetectedMarker> {
     let marker = |id| DetectedMarker {
         rays_in_camera: [[1.0, 0.0, 0.0]; 4],

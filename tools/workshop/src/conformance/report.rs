@@ -33,8 +33,8 @@ struct Figure {
 }
 
 impl Report {
-    /// Notes that something was checked: `wrong` says what is not as it must be. Of the same check only the
-    /// first finding is kept.
+    /// Notes that something was checked: `wrong` says what is not as it must be. Only the first
+    /// finding of each check is kept.
     pub(crate) fn check(&mut self, what: &'static str, page: &'static str, wrong: Option<String>) {
         let check = match self.checks.iter().position(|check| check.what == what) {
             Some(known) => &mut self.checks[known],

@@ -17,24 +17,24 @@ const MUST_PASS: &str = "What a message must pass";
 const FRAMES: usize = 60;
 /// Frames of a lossless test.
 const CREDITS: u64 = 10;
-/// So long each next one may take.
+/// Timeout for each further frame.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// Nobody reads for so long.
+/// Time in which nobody reads.
 const PAUSE: Duration = Duration::from_secs(1);
-/// A frame that is so much older than now was kept somewhere, nanoseconds.
+/// A frame that is this much older than now was kept somewhere, nanoseconds.
 const STALE_NS: i64 = 1_000_000_000;
-/// So long no frame must come without credit.
+/// Time in which no frame must come without credit.
 const QUIET: Duration = Duration::from_millis(500);
 
 struct Script<'r> {
     resolved: &'r Resolved,
     frames: Subscriber<Frames>,
     last: Option<FrameStamp>,
-    /// So long the first frame may take.
+    /// Timeout for the first frame.
     first: Duration,
 }
 
-/// Tests it.
+/// Tests the candidate.
 ///
 /// # Errors
 /// A port that fails.

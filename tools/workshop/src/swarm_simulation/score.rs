@@ -1,7 +1,7 @@
 //! Where drones have each other, beside the truth.
 //!
-//! The truth is known at the exposures of a drone's camera; what it says of the others holds for other instants.
-//! Between two exposures the truth goes straight on and turns evenly.
+//! The truth is known at the exposures of a drone's camera; claims about the others hold for other
+//! instants. Between two exposures the truth goes straight on and turns evenly.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::fmt;
@@ -18,14 +18,14 @@ use serde::Serialize;
 const KEPT_TRUTHS: usize = 256;
 /// Claims that wait for the truth after them.
 const WAITING_CLAIMS: usize = 4096;
-/// Exposures farther apart than this say nothing of what is between them.
+/// Nothing is known of the time between exposures that are farther apart than this.
 const LONGEST_GAP_NS: i64 = 500_000_000;
 /// Where a drone has another one.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Claim {
-    /// Who.
+    /// The drone whose claim it is.
     pub from: String,
-    /// Whom.
+    /// The other drone.
     pub to: String,
     /// The instant that it holds for, CLOCK_MONOTONIC, nanoseconds.
     pub at_ns: i64,
@@ -33,14 +33,14 @@ pub(crate) struct Claim {
     pub way: SwarmWay,
     /// The pose of `to` in the frame of `from`.
     pub pose: UncertainPose,
-    /// The same by the sightings of `from` alone, where it has any.
+    /// The pose by the sightings of `from` alone, where it has any.
     pub alone: Option<UncertainPose>,
 }
 
 /// How long reports are under way between the drones' programs.
 #[derive(Debug, Default)]
 struct ReportWays {
-    /// Of each drone's newest frames: when fusion told a pose first, and when others had it first.
+    /// When fusion sent a pose of each drone's newest frames first, and when others had it.
     frames: BTreeMap<(String, u64), (Option<i64>, Vec<i64>)>,
     /// Milliseconds.
     took: Vec<f64>,
@@ -57,7 +57,7 @@ struct PoseError {
 
 type Pair = (String, String);
 
-/// When others take a drone's frames to be exposed.
+/// When others believe that a drone's frames were exposed.
 #[derive(Debug, Default)]
 struct Clocks {
     /// The exposures of each drone's newest frames.
@@ -72,14 +72,15 @@ pub(crate) struct Score {
     truths: BTreeMap<Pair, VecDeque<(i64, Isometry3<f64>)>>,
     waiting: VecDeque<Claim>,
     errors: BTreeMap<SwarmWay, Vec<PoseError>>,
-    /// Of those that are known mutually and alone: mutual, then alone.
+    /// Errors of poses that are known mutually and alone: mutual, then alone.
     both: [Vec<PoseError>; 2],
     clocks: Clocks,
     ways: ReportWays,
 }
 
 impl Score {
-    /// Takes where `to` truly is in the frame of `from` at an exposure, CLOCK_MONOTONIC, nanoseconds.
+    /// Takes where `to` truly is in the frame of `from` at an exposure, CLOCK_MONOTONIC,
+    /// nanoseconds.
     pub(crate) fn truth(&mut self, from: &str, to: &str, at_ns: i64, from_from_to: Isometry3<f64>) {
         let truths = self.truths.entry((from.to_owned(), to.to_owned())).or_default();
         truths.push_back((at_ns, from_from_to));
@@ -97,7 +98,7 @@ impl Score {
         }
     }
 
-    /// Takes when another drone takes that to be, and with which deviation.
+    /// Takes when another drone believes that a frame was exposed, and with which deviation.
     pub(crate) fn timed(&mut self, drone: &str, frame: u64, at_ns: i64, deviation_ns: i64) {
         let exposures = self.clocks.exposures.get(drone);
         if let Some(true_ns) = exposures.and_then(|exposures| exposures.get(&frame)) {
@@ -106,14 +107,14 @@ impl Score {
         }
     }
 
-    /// Takes when a drone's fusion told a pose of a frame, CLOCK_MONOTONIC, nanoseconds.
-    pub(crate) fn told(&mut self, drone: &str, frame: u64, sent_ns: i64) {
+    /// Takes when a drone's fusion sent a pose of a frame, CLOCK_MONOTONIC, nanoseconds.
+    pub(crate) fn sent(&mut self, drone: &str, frame: u64, sent_ns: i64) {
         self.ways.of(drone, frame).0.get_or_insert(sent_ns);
         self.ways.settle(drone, frame);
     }
 
     /// Takes when another drone had it, CLOCK_MONOTONIC, nanoseconds.
-    pub(crate) fn heard(&mut self, drone: &str, frame: u64, arrived_ns: i64) {
+    pub(crate) fn arrived(&mut self, drone: &str, frame: u64, arrived_ns: i64) {
         self.ways.of(drone, frame).1.push(arrived_ns);
         self.ways.settle(drone, frame);
     }
@@ -172,10 +173,10 @@ impl ReportWays {
     }
 
     fn settle(&mut self, drone: &str, frame: u64) {
-        let (told, heard) = self.of(drone, frame);
-        if let Some(told_ns) = *told {
+        let (sent, arrivals) = self.of(drone, frame);
+        if let Some(sent_ns) = *sent {
             let took: Vec<f64> =
-                heard.drain(..).map(|heard_ns| (heard_ns - told_ns) as f64 * 1e-6).collect();
+                arrivals.drain(..).map(|arrived_ns| (arrived_ns - sent_ns) as f64 * 1e-6).collect();
             self.took.extend(took);
         }
     }
@@ -228,7 +229,7 @@ pub(crate) struct Figures {
     pub poses: usize,
     /// Median and 95 % of the distance from the true position, millimetres.
     pub position_mm: [f64; 2],
-    /// The same of the rotation, degrees.
+    /// Median and 95 % of the angle to the true rotation, degrees.
     pub rotation_deg: [f64; 2],
     /// Mean of the squared errors in units of what was stated: 6 where that is right.
     pub normalized: f64,
@@ -265,7 +266,7 @@ pub(crate) struct Gain {
 pub(crate) struct ClockFigures {
     /// Median and 95 % of the error, milliseconds.
     pub error_ms: [f64; 2],
-    /// The same in units of the deviation that was given.
+    /// Median and 95 % of the error in units of the deviation that was given.
     pub deviations: [f64; 2],
 }
 
@@ -278,8 +279,8 @@ pub(crate) struct SwarmReport {
     pub mutual: Option<Gain>,
     /// How well the drones know each other's clocks.
     pub clocks: Option<ClockFigures>,
-    /// Median and 95 % of the time from a drone's topic `track` until another drone's gateway has the pose,
-    /// milliseconds.
+    /// Median and 95 % of the time from a drone's topic `track` until another drone's gateway has
+    /// the pose, milliseconds.
     pub reports_ms: Option<[f64; 2]>,
 }
 
@@ -408,11 +409,11 @@ mod tests {
     #[test]
     fn a_report_is_under_way_from_the_first_word_of_its_frame_whoever_is_heard_first() {
         let mut score = Score::default();
-        score.heard("a", 7, 103 * MS);
-        score.told("a", 7, 102 * MS);
-        score.told("a", 7, 109 * MS);
-        score.heard("a", 7, 105 * MS);
-        score.heard("a", 8, 105 * MS);
+        score.arrived("a", 7, 103 * MS);
+        score.sent("a", 7, 102 * MS);
+        score.sent("a", 7, 109 * MS);
+        score.arrived("a", 7, 105 * MS);
+        score.arrived("a", 8, 105 * MS);
         assert_eq!(score.report().reports_ms, Some([2.0, 3.0]));
     }
 }

@@ -1,4 +1,5 @@
-//! What the pipelines of a swarm say of each other, and what is true: a thread for each of them.
+//! Reads what the pipelines of a swarm report of each other, and what is true, in a thread for
+//! each.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -19,9 +20,9 @@ use super::score::Claim;
 /// How often it is looked whether a pipeline runs, and whether messages have come.
 const POLL: Duration = Duration::from_millis(50);
 
-/// What is heard of a drone's pipeline.
+/// An event in a drone's pipeline.
 #[derive(Debug)]
-pub(crate) enum Word {
+pub(crate) enum SwarmEvent {
     /// Where the others truly are.
     Truth {
         /// The drone.
@@ -33,8 +34,8 @@ pub(crate) enum Word {
         /// The others, in its frame.
         others: Vec<(String, Isometry3<f64>)>,
     },
-    /// When its fusion told where somebody is.
-    Told {
+    /// Its fusion has sent where others are.
+    PoseSent {
         /// The drone.
         from: String,
         /// The frame's number.
@@ -42,8 +43,8 @@ pub(crate) enum Word {
         /// CLOCK_MONOTONIC, nanoseconds.
         sent_ns: i64,
     },
-    /// When it heard of another drone's frame, and when it takes that to be exposed.
-    Heard {
+    /// A report on another drone's frame has arrived, with the time at which the frame was exposed.
+    ReportArrived {
         /// The other drone.
         observer: String,
         /// The frame's number.
@@ -55,7 +56,7 @@ pub(crate) enum Word {
         /// The deviation that it gives, nanoseconds.
         deviation_ns: i64,
     },
-    /// Where it has them.
+    /// Where it has the others.
     Places {
         /// The drone.
         from: String,
@@ -64,36 +65,36 @@ pub(crate) enum Word {
     },
 }
 
-/// Reads the pipeline of the drone `name` in a thread, as soon as it runs, until `stopping` is raised or nobody
-/// listens.
+/// Reads the pipeline of the drone `name` in a thread, as soon as it runs, until `stopping` is
+/// raised or nobody listens.
 ///
 /// # Errors
 /// The system starts no thread.
 pub(crate) fn watch(
     instance: Instance,
     name: String,
-    tell: Sender<Word>,
+    events: Sender<SwarmEvent>,
     stopping: Arc<AtomicBool>,
 ) -> std::io::Result<JoinHandle<anyhow::Result<()>>> {
     let thread = std::thread::Builder::new().name(name.clone());
     thread.spawn(move || {
         let choice = PipelineChoice { instance: Some(instance.name().to_owned()) };
-        let ears = loop {
+        let reader = loop {
             if stopping.load(Ordering::Relaxed) {
                 return Ok(());
             }
             // Its topics are made after its name is taken.
-            match instance.is_running().then(|| Ears::open(&choice)) {
-                Some(Ok(ears)) => break ears,
+            match instance.is_running().then(|| PipelineReader::open(&choice)) {
+                Some(Ok(reader)) => break reader,
                 Some(Err(_)) | None => std::thread::sleep(POLL),
             }
         };
-        ears.hear(&name, &tell, &stopping)
+        reader.read(&name, &events, &stopping)
     })
 }
 
-/// What is read of a pipeline.
-struct Ears {
+/// Reads the topics of a pipeline.
+struct PipelineReader {
     observer_from_camera: UnitQuaternion<f64>,
     truths: Subscriber<Truths>,
     rotations: Subscriber<Rotations>,
@@ -104,7 +105,7 @@ struct Ears {
     ports: Ports,
 }
 
-impl Ears {
+impl PipelineReader {
     fn open(choice: &PipelineChoice) -> anyhow::Result<Self> {
         let Attached { mut ports, resolved, .. } = attach(choice)?;
         Ok(Self {
@@ -118,7 +119,12 @@ impl Ears {
         })
     }
 
-    fn hear(self, name: &str, tell: &Sender<Word>, stopping: &AtomicBool) -> anyhow::Result<()> {
+    fn read(
+        self,
+        name: &str,
+        events: &Sender<SwarmEvent>,
+        stopping: &AtomicBool,
+    ) -> anyhow::Result<()> {
         let Self {
             observer_from_camera,
             mut truths,
@@ -130,10 +136,10 @@ impl Ears {
         } = self;
         let mut alone = SwarmView::from(name);
         ports.attend(|| {
-            let mut words = Vec::new();
+            let mut found = Vec::new();
             while let Some(message) = truths.receive()? {
                 let others = message.items().iter();
-                words.push(Word::Truth {
+                found.push(SwarmEvent::Truth {
                     from: name.to_owned(),
                     frame: message.header.stamp.sequence,
                     at_ns: message.header.stamp.exposure_ns,
@@ -149,7 +155,7 @@ impl Ears {
             }
             while let Some(message) = tracks.receive()? {
                 let stamp = message.header.stamp;
-                words.extend(message.items().first().map(|track| Word::Told {
+                found.extend(message.items().first().map(|track| SwarmEvent::PoseSent {
                     from: name.to_owned(),
                     frame: stamp.sequence,
                     sent_ns: stamp.exposure_ns + track.latency.total_ns,
@@ -163,7 +169,7 @@ impl Ears {
                 }
             }
             while let Some(message) = peers.receive()? {
-                words.extend(message.items().first().map(|sighting| Word::Heard {
+                found.extend(message.items().first().map(|sighting| SwarmEvent::ReportArrived {
                     observer: sighting.observer.to_string(),
                     frame: sighting.frame,
                     arrived_ns: message.header.arrived_ns,
@@ -174,16 +180,16 @@ impl Ears {
             while let Some(message) = swarms.receive()? {
                 let at_ns = message.header.at_ns;
                 let claims = claims(name, at_ns, message.items(), &mut alone);
-                words.push(Word::Places { from: name.to_owned(), claims });
+                found.push(SwarmEvent::Places { from: name.to_owned(), claims });
             }
             let is_over = stopping.load(Ordering::Relaxed)
-                || words.into_iter().any(|word| tell.send(word).is_err());
+                || found.into_iter().any(|event| events.send(event).is_err());
             Ok((!is_over).then_some(POLL))
         })
     }
 }
 
-/// What a drone says of all others at an instant, and what it would say of them if nobody told it anything.
+/// Where a drone has all others at an instant, and where it would have them without their reports.
 fn claims(from: &str, at_ns: i64, poses: &[SwarmPose], alone: &mut SwarmView) -> Vec<Claim> {
     let own = alone.places(at_ns);
     let claim = |place: &SwarmPose| {
