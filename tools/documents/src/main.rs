@@ -45,9 +45,11 @@ fn whole_command() -> Command {
             whole.mut_subcommand(name, |_| command.name(name).bin_name(format!("flockeye {name}")));
     }
     let workshop = flockeye_workshop::commands::command();
-    for command in workshop.get_subcommands().filter(|command| !command.is_hide_set()) {
-        whole = whole.mut_subcommand(command.get_name(), |_| command.clone());
-    }
+    // A command that `flockeye` alone does stays as it is.
+    whole = whole.mut_subcommands(|own| {
+        let found = workshop.find_subcommand(own.get_name()).filter(|found| !found.is_hide_set());
+        found.cloned().unwrap_or(own)
+    });
     let lab = flockeye_lab::commands::command();
     let commands: Vec<_> = lab.get_subcommands().cloned().collect();
     whole.subcommands(commands)
