@@ -7,7 +7,6 @@
 //! | [`view`] | which ray does a pixel of a square pinhole view see, and back |
 //! | [`partition`] | which views cover the whole sphere |
 //! | [`body`] | where are a body's markers and their corners |
-//! | [`calibration`] | where were its markers really glued, where do the camera and its lenses sit |
 //! | [`pose`] | which pose of a body explains a set of rays |
 //! | [`ego_rotation`] | how has the camera itself turned |
 //! | [`inertial`] | what does an inertial sensor say of that, and how far is it right |
@@ -46,10 +45,11 @@
 //! x right, y down, z forward. Every transform is named `target_from_source`.
 
 pub mod body;
-pub mod calibration;
 pub mod camera;
 pub mod ego_rotation;
 pub mod filter;
+#[cfg(any(test, feature = "fixtures"))]
+pub mod fixtures;
 pub mod inertial;
 pub mod mask;
 pub mod partition;

@@ -138,6 +138,4 @@ pub enum PoseError {
 }
 
 #[cfg(test)]
-pub(crate) mod fixtures;
-#[cfg(test)]
 mod tests;

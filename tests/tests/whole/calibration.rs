@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use flockeye_config::{Mount, isometry};
 use flockeye_geometry::body::{Bodies, Body, Marker, squares};
-use flockeye_geometry::calibration::alignment;
+use flockeye_lab::calibration::alignment;
 use flockeye_tables::{TruthRow, read};
 use flockeye_tests::{Flight, Scratch, flockeye, run, unique};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};

@@ -10,10 +10,12 @@
 //! | [`experiment`] | the paper's tables again, and how consistent covariances are |
 //! | [`partition`] | partitions of the sphere as table, JSON and drawings |
 //! | [`markers`] | a body's facets on paper, to print and glue |
-//! | [`calibrate`] | where a body's markers, the camera and its lenses really are, how a sensor lies to the camera, and what codes stand for |
+//! | [`calibrate`] | the commands that find where a body's markers, the camera, its lenses and a sensor really are |
+//! | [`calibration`] | the mathematics of these commands |
 //! | [`up_process`] | runs `flockeye up` as a process of its own |
 
 pub mod calibrate;
+pub mod calibration;
 pub mod commands;
 pub mod eval;
 pub mod evaluation;

@@ -7,7 +7,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::ego_rotation::CameraTurn;
-use crate::pose::fixtures::{Chance, error};
+use crate::fixtures::{Chance, error};
 
 const GATE: f64 = 22.46;
 

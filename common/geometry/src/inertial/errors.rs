@@ -26,9 +26,12 @@ const OFFSET_WALK: f64 = 2e-4;
 /// Scale and cross-axis errors, as a share of the rate. Data sheets of such sensors say 0.5 % and 1 % at most.
 const SCALE_ERROR: f64 = 0.003;
 
-pub(super) type Vector7 = SVector<f64, 7>;
-pub(super) type Matrix7 = SMatrix<f64, 7, 7>;
-pub(super) type Matrix3x7 = SMatrix<f64, 3, 7>;
+/// Bias, rotation vector of the mounting, and time offset.
+pub type Vector7 = SVector<f64, 7>;
+/// Covariance of a [`Vector7`].
+pub type Matrix7 = SMatrix<f64, 7, 7>;
+/// How a rotation vector changes with a [`Vector7`].
+pub type Matrix3x7 = SMatrix<f64, 3, 7>;
 
 /// What is wrong with a sensor, and how certain that is.
 #[derive(Debug, Clone, PartialEq)]
@@ -183,7 +186,7 @@ impl Corrected {
 
 /// How a rotation vector by the sensor changes with bias, mounting and time offset: `turned` over `step_s`,
 /// the rate changing by `change` meanwhile.
-pub(super) fn by_errors(turned: &Vector3<f64>, step_s: f64, change: &Vector3<f64>) -> Matrix3x7 {
+pub fn by_errors(turned: &Vector3<f64>, step_s: f64, change: &Vector3<f64>) -> Matrix3x7 {
     let mut by_errors = Matrix3x7::zeros();
     by_errors.fixed_view_mut::<3, 3>(0, 0).copy_from(&Matrix3::from_diagonal_element(-step_s));
     by_errors.fixed_view_mut::<3, 3>(0, 3).copy_from(&-turned.cross_matrix());
@@ -195,7 +198,7 @@ pub(super) fn by_errors(turned: &Vector3<f64>, step_s: f64, change: &Vector3<f64
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::inertial::fixtures::{flown, rate};
+    use crate::fixtures::flight::{flown, rate};
     use crate::inertial::record::RateSample;
 
     /// What a sensor with these errors says.

@@ -196,7 +196,7 @@ fn integrated(
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::inertial::fixtures::{flown, rate};
+    use crate::fixtures::flight::{flown, rate};
     use proptest::prelude::*;
 
     fn recorded(hz: f64) -> RateRecord {

@@ -3,11 +3,11 @@
 use nalgebra::{Unit, Vector3, Vector6};
 use proptest::prelude::*;
 
-use super::fixtures::{Chance, body, distance_squared, error, see, visible};
 use super::residual::{error_and_jacobian, moved};
 use super::*;
 use crate::body::{Body, Marker};
 use crate::filter::chi_square_quantile;
+use crate::fixtures::{Chance, body, distance_squared, error, see, visible};
 
 /// Some of the markers that are well visible; at least `least`, if there are so many.
 fn some_visible<'a>(

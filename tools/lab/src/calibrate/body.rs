@@ -3,14 +3,12 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
+use crate::calibration::body::{BodyCalibration, CalibratedMarker, CalibrationOptions, calibrate};
 use anyhow::Context;
 use clap::Args;
 use flockeye_cli::text_table::TextTable;
 use flockeye_cli::{Configuration, Screen};
 use flockeye_geometry::body::Bodies;
-use flockeye_geometry::calibration::{
-    BodyCalibration, CalibratedMarker, CalibrationOptions, calibrate,
-};
 use flockeye_geometry::pose::CornerRay;
 use flockeye_tables::MarkerRays;
 use nalgebra::{Unit, Vector3};

@@ -4,11 +4,11 @@ use std::ffi::OsString;
 use std::path::Path;
 use std::time::Duration;
 
+use crate::calibration::sensor::{SensorCalibration, TurnSeen, calibrate};
 use anyhow::{Context, ensure};
 use clap::Args;
 use flockeye_cli::{Configuration, Screen, duration, signals};
 use flockeye_config::{InertialSource, Pipeline};
-use flockeye_geometry::inertial::{SensorCalibration, TurnSeen, calibrate};
 use flockeye_tables::{RotationRow, rate_record, read};
 use serde_json::{Value, json};
 

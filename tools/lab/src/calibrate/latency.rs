@@ -3,8 +3,8 @@
 //! A camera that stamps nothing is taken to expose when its frames arrive. Picture and gyroscope see the same
 //! turning, so the time by which the picture's is late is the latency: that of a sensor whose own clock is right.
 
+use crate::calibration::sensor::SensorCalibration;
 use flockeye_cli::Screen;
-use flockeye_geometry::inertial::SensorCalibration;
 use serde_json::{Value, json};
 
 use super::imu::{self, CalibrateImuArguments};

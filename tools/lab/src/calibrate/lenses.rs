@@ -1,10 +1,10 @@
 //! `flockeye calibrate lenses`: how the camera's two lenses lie to each other, from a recording in which a body
 //! spans the seam between them.
 
+use crate::calibration::lenses::{FoundLenses, LensCalibration, calibrate};
 use clap::Args;
 use flockeye_cli::{Configuration, Screen};
 use flockeye_config::{Camera, FisheyeLens, Resolved};
-use flockeye_geometry::calibration::lenses::{FoundLenses, LensCalibration, calibrate};
 use serde_json::{Value, json};
 
 use super::body::by_frame;

@@ -4,12 +4,12 @@ mod bench;
 
 use std::path::PathBuf;
 
+use crate::calibration::mount::{Agreement, MountCalibration, fit};
 use anyhow::{Context, ensure};
 use clap::Args;
 use flockeye_cli::text_table::TextTable;
 use flockeye_cli::{Configuration, Screen};
 use flockeye_config::{isometry, read_document};
-use flockeye_geometry::calibration::mount::{Agreement, MountCalibration, fit};
 use flockeye_tables::{PoseRow, read};
 use nalgebra::Isometry3;
 use serde_json::{Value, json};

@@ -2,9 +2,9 @@
 
 use std::collections::BTreeSet;
 
+use crate::calibration::mount::{MeasuredPlace, still_pose, turned_covariance};
 use anyhow::{bail, ensure};
 use flockeye_config::{Mount, isometry};
-use flockeye_geometry::calibration::mount::{MeasuredPlace, still_pose, turned_covariance};
 use flockeye_tables::PoseRow;
 use nalgebra::{Isometry3, Matrix6};
 use schemars::JsonSchema;

@@ -5,7 +5,7 @@ use nalgebra::{
     Vector6,
 };
 
-use crate::Ray;
+use flockeye_geometry::Ray;
 
 /// Scale of the robust cost, in spreads of the errors.
 pub(super) const ROBUST_SCALE: f64 = 3.0;

@@ -1,17 +1,20 @@
 //! Random scenes for tests: the same for the same seed on every machine.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
+pub mod flight;
+
 use nalgebra::{Isometry3, Matrix6, Translation3, Unit, UnitQuaternion, Vector3, Vector6};
 
-use super::CornerRay;
 use crate::Ray;
 use crate::body::{Body, Marker, squares};
+use crate::pose::CornerRay;
 
 /// Repeatable random numbers (Steele, Lea, Flood, "Fast splittable pseudorandom number generators",
 /// 2014).
 pub struct Chance(u64);
 
 impl Chance {
+    /// Starts from a seed.
     pub fn new(seed: u64) -> Self {
         Self(seed)
     }
@@ -35,14 +38,17 @@ impl Chance {
         radius * (std::f64::consts::TAU * self.even(0.0, 1.0)).cos()
     }
 
+    /// Independent values of mean 0 and deviation 1.
     pub fn normals<const N: usize>(&mut self) -> [f64; N] {
         std::array::from_fn(|_| self.normal())
     }
 
+    /// A direction, all alike likely.
     pub fn direction(&mut self) -> Ray {
         Unit::new_normalize(Vector3::from(self.normals()))
     }
 
+    /// A rotation, all alike likely.
     pub fn rotation(&mut self) -> UnitQuaternion<f64> {
         let [w, x, y, z] = self.normals();
         UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z))

@@ -16,11 +16,11 @@ use nalgebra::{Isometry3, Matrix6, Vector3, Vector6};
 use super::descent::Adjust;
 use super::leverage::worst_error_m;
 use super::sight::{Sight, difference};
-use crate::body::Body;
-use crate::camera::{Camera, CameraModel, LensRay};
-use crate::pose::{CornerRay, PoseOptions, keep_sharpest, solve};
-use crate::statistics::median;
 use adjust::{Adjustment, Unknowns};
+use flockeye_geometry::body::Body;
+use flockeye_geometry::camera::{Camera, CameraModel, LensRay};
+use flockeye_geometry::pose::{CornerRay, PoseOptions, keep_sharpest, solve};
+use flockeye_geometry::statistics::median;
 use seam::{LensSighting, SeamFrame};
 
 /// Fewest frames in which a body spans the seam.

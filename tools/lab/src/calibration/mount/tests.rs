@@ -4,7 +4,7 @@ use nalgebra::Translation3;
 use proptest::prelude::*;
 
 use super::*;
-use crate::pose::fixtures::{Chance, distance_squared, error};
+use flockeye_geometry::fixtures::{Chance, distance_squared, error};
 
 /// Of each coordinate of the measured places, metres.
 const PLACE_M: f64 = 0.002;

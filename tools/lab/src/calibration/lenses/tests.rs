@@ -3,9 +3,9 @@
 use nalgebra::{Rotation3, Translation3, Unit, UnitQuaternion, Vector2};
 
 use super::*;
-use crate::camera::Lens;
-use crate::filter::chi_square_quantile;
-use crate::pose::fixtures::{Chance, body, distance_squared, error, visible};
+use flockeye_geometry::camera::Lens;
+use flockeye_geometry::filter::chi_square_quantile;
+use flockeye_geometry::fixtures::{Chance, body, distance_squared, error, visible};
 
 /// Of each ray, radians: a sixth of a pixel of 3840.
 const RAY_RAD: f64 = 3e-4;
@@ -68,7 +68,7 @@ fn recorded(
 fn see(
     real: &Camera,
     believed: &Camera,
-    marker: &crate::body::Marker,
+    marker: &flockeye_geometry::body::Marker,
     corner: usize,
     pose: &Isometry3<f64>,
     chance: &mut Chance,

@@ -6,8 +6,8 @@
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
-use super::errors::{Matrix7, Vector7, by_errors};
-use super::record::RateRecord;
+use flockeye_geometry::inertial::RateRecord;
+use flockeye_geometry::inertial::errors::{Matrix7, Vector7, by_errors};
 
 /// Time offsets are searched up to this, either way, seconds.
 pub const SEARCHED_S: f64 = 0.8;
@@ -276,8 +276,8 @@ fn refined(
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::inertial::fixtures::{flown, rate};
-    use crate::inertial::record::RateSample;
+    use flockeye_geometry::fixtures::flight::{flown, rate};
+    use flockeye_geometry::inertial::RateSample;
     use proptest::prelude::*;
 
     fn noise(k: u32, size: f64) -> Vector3<f64> {

@@ -12,7 +12,7 @@ use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, UnitQuaternion, Vector3, Vec
 use super::gauge::alignment;
 use super::leverage::worst_error_m;
 use super::sight::{difference, moved};
-use crate::filter::chi_square_quantile;
+use flockeye_geometry::filter::chi_square_quantile;
 pub use still::{StillPose, still_pose};
 
 /// Fewest places that tell a mount.

@@ -7,8 +7,8 @@ use nalgebra::{
 use super::descent::Adjust;
 use super::gauge;
 use super::sight::{ROBUST_SCALE, Sight, WEIGHTED_SHARE, by_motion, damped, moved};
-use crate::body::{Body, Marker};
-use crate::pose::CornerRay;
+use flockeye_geometry::body::{Body, Marker};
+use flockeye_geometry::pose::CornerRay;
 
 /// A marker in a frame.
 pub(super) struct Sighting {

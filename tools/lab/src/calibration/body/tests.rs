@@ -4,8 +4,8 @@ use nalgebra::{Point3, UnitQuaternion, Vector6};
 use proptest::prelude::*;
 
 use super::*;
-use crate::body::squares;
-use crate::pose::fixtures::{Chance, body, distance_squared, see, visible};
+use flockeye_geometry::body::squares;
+use flockeye_geometry::fixtures::{Chance, body, distance_squared, see, visible};
 
 /// The body with each marker shifted by about a millimetre and turned by about a degree.
 fn glued(body: &Body, chance: &mut Chance) -> Body {

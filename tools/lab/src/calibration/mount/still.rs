@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Matrix6, Vector6};
 
 use crate::calibration::sight::{difference, moved};
-use crate::filter::chi_square_gate;
+use flockeye_geometry::filter::chi_square_gate;
 
 /// A frame farther from the others than one right one in so many is not of the same pose.
 const ODD_SHARE: f64 = 1e-6;
@@ -56,7 +56,7 @@ pub fn still_pose(frames: &[(Isometry3<f64>, Matrix6<f64>)]) -> Option<StillPose
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::pose::fixtures::{Chance, distance_squared, error};
+    use flockeye_geometry::fixtures::{Chance, distance_squared, error};
 
     #[test]
     fn the_mean_is_near_the_truth_and_odd_frames_do_not_count() {

@@ -1,5 +1,3 @@
-//! What was built otherwise than designed: a body here, the camera's [`mount`] and its two [`lenses`] beside it.
-//!
 //! A body as it was really glued: its markers' poses from frames in which several are seen.
 //!
 //! Printed and glued markers are off by a millimetre and a degree, which no pose can be better than.
@@ -14,22 +12,13 @@
 //! - the body as a whole is free to turn and shift: what is kept is the least squares of its corners
 //!   against the designed ones.
 
-mod adjust;
-mod descent;
-mod gauge;
-pub mod lenses;
-mod leverage;
-pub mod mount;
-mod sight;
-
 use nalgebra::{Isometry3, Matrix6, Vector3};
 
-use crate::body::{Body, Marker};
-use crate::pose::{CornerRay, PoseDeviations, PoseOptions, keep_sharpest, solve};
-use adjust::{Bundle, Frame, Sighting};
-use descent::Adjust;
-pub use gauge::alignment;
-pub use leverage::worst_error_m;
+use flockeye_geometry::body::{Body, Marker};
+use flockeye_geometry::pose::{CornerRay, PoseDeviations, PoseOptions, keep_sharpest, solve};
+
+use super::adjust::{Bundle, Frame, Sighting};
+use super::descent::Adjust;
 
 /// What a calibration needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
