@@ -48,7 +48,7 @@ impl Body {
         Self { name: name.into(), markers, target_from_markers, facets }
     }
 
-    /// The same solid with its markers elsewhere: as they were glued, not as they were meant to be.
+    /// Returns this solid with its markers where they were glued, not where they were meant to be.
     /// Facets stay where they are. `None` unless the ids are the same, in the same order.
     pub fn with_markers(&self, markers: Vec<Marker>) -> Option<Self> {
         let ids = |markers: &[Marker]| markers.iter().map(|marker| marker.id).collect::<Vec<_>>();

@@ -86,7 +86,7 @@ impl Camera {
         Self { width, height, model, nearness: 0.0 }
     }
 
-    /// The same camera, right for things `metres` away from its middle (infinity is allowed; less
+    /// Returns this camera, right for things `metres` away from its middle (infinity is allowed; less
     /// than twice the lenses' offset counts as that).
     pub fn at_distance(self, metres: f64) -> Self {
         let farthest = self.largest_offset_m();
@@ -178,7 +178,7 @@ impl Camera {
                 let mut seen = ray_in_camera.into_inner();
                 seen.x = match seen.x {
                     x if x >= 0.0 => (x - offset).max(0.0),
-                    // Not 0, which is the front lens' side of the seam.
+                    // The value stays below 0, which is the front lens' side of the seam.
                     x => (x + offset).min(-f64::MIN_POSITIVE),
                 };
                 Some(sphere.project(&Ray::new_normalize(seen)))

@@ -51,7 +51,7 @@ pub struct TurnAhead {
 }
 
 impl CameraTurn {
-    /// The same turn in the axes of a frame that is fixed to the camera.
+    /// Returns this turn in the axes of a frame that is fixed to the camera.
     pub fn in_frame(&self, frame_from_camera: &UnitQuaternion<f64>) -> Self {
         let axes = frame_from_camera.to_rotation_matrix().into_inner();
         let turn =
@@ -435,7 +435,7 @@ mod tests {
         assert!(off(&ego, 1.3) < 0.1 * off(&without, 1.3));
         let doubt = |ego: &EgoRotation| ego.between(1.0, 1.3).covariance.trace();
         assert!(doubt(&ego) < 0.01 * doubt(&without));
-        // The same picture again changes nothing; the next one replaces what was known ahead.
+        // A repeated picture changes nothing. The next picture replaces what was known ahead.
         let before = ego.clone();
         ego.add(&turn(1.0, later_s));
         assert_eq!(ego, before);

@@ -71,7 +71,7 @@ pub struct Track {
     velocity: Vector3<f64>,
     rate: Vector3<f64>,
     covariance: StateCovariance,
-    /// It is not saved: a process that goes on with a track has its own.
+    /// The policy is not saved: a process that goes on with a track has its own.
     #[serde(skip)]
     motion: MotionModel,
 }
@@ -104,7 +104,7 @@ impl Prediction {
         self.covariance.fixed_view::<6, 6>(0, 0).into_owned()
     }
 
-    /// The same in the axes of a camera that has turned meanwhile.
+    /// Returns this state in the axes of a camera that has turned meanwhile.
     ///
     /// If the camera has really turned by exp(d) more, a vector v is off by d x v, and the attitude by d.
     fn turned(self, turned: &Turned) -> Self {

@@ -32,7 +32,7 @@ impl Chance {
         low + (high - low) * (self.bits() >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// Of mean 0 and deviation 1 (Box, Muller, 1958).
+    /// A normal value of mean 0 and deviation 1 (Box, Muller, 1958).
     pub fn normal(&mut self) -> f64 {
         let radius = (-2.0 * (1.0 - self.even(0.0, 1.0)).ln()).sqrt();
         radius * (std::f64::consts::TAU * self.even(0.0, 1.0)).cos()

@@ -81,7 +81,7 @@ pub enum Method {
 pub struct Partition {
     directions: Vec<Ray>,
     rolls_deg: Vec<f64>,
-    /// Of the directions' hull: the holes between the circles.
+    /// Facets of the directions' hull: the holes between the circles.
     facets: Vec<Facet>,
 }
 
@@ -113,7 +113,7 @@ pub enum PartitionError {
         /// How many rolls.
         rolls: usize,
     },
-    /// No width.
+    /// The margin has no width.
     #[error("a margin of {:.1} degrees is none: it must be 0 or more", .margin_rad.to_degrees())]
     Margin {
         /// The margin asked for, radians.
@@ -202,7 +202,7 @@ impl Partition {
         stored.map_or_else(|| Self::compute(method, count, seed), Ok)
     }
 
-    /// The same, found anew.
+    /// Finds the partition anew, without stored solutions.
     ///
     /// # Errors
     /// A number of views that is too small or too large.

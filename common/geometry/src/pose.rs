@@ -92,7 +92,7 @@ pub struct PoseDeviations {
 }
 
 impl PoseDeviations {
-    /// Those of a covariance of position (m), then rotation vector (rad).
+    /// Reads the deviations from a covariance of position (m), then rotation vector (rad).
     pub fn of(covariance: &Matrix6<f64>) -> Self {
         let deviation = |first| covariance.fixed_view::<3, 3>(first, first).trace().sqrt();
         Self { position_m: deviation(0), rotation_rad: deviation(3) }
@@ -101,7 +101,7 @@ impl PoseDeviations {
 
 /// A pose that is wrong by more than this, metres, is a false one.
 pub const FALSE_POSITION_M: f64 = 0.1;
-/// The same for its rotation, radians: 10 degrees.
+/// Rotation error beyond which a pose is false, radians: 10 degrees.
 pub const FALSE_ROTATION_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
 
 /// Whether `pose` is a false one if the body is at `truth`.

@@ -68,7 +68,7 @@ pub enum Search {
     FineWindow,
     /// With its coarsest window alone.
     CoarseWindow,
-    /// Not at all: only the pixels are wanted.
+    /// Searches for nothing: only the pixels are wanted.
     Nothing,
 }
 

@@ -32,7 +32,7 @@ pub enum CodeRange {
 /// Why a curve cannot be inverted.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 pub enum LightError {
-    /// No camera has such an exponent.
+    /// The exponent is one that no camera has.
     #[error("a gamma of {gamma} cannot be undone; 0.1 to 10 can")]
     Gamma {
         /// The exponent given.

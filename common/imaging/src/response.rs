@@ -83,7 +83,7 @@ pub enum ResponseError {
         index: usize,
         /// Its width and height.
         given: (usize, usize),
-        /// That of the first one.
+        /// Size of the first picture, pixels.
         first: (usize, usize),
     },
     /// Exposures that hardly differ.

@@ -81,7 +81,7 @@ impl Darkness {
         &self.dark
     }
 
-    /// The same code, compiled for registers with twice as many pixels.
+    /// The portable code, compiled for registers of twice as many pixels.
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
     fn find_avx2(&mut self, image: &LumaImage<'_>, threshold: Threshold) {

@@ -90,8 +90,8 @@ pub struct Found {
     pub is_refined: bool,
     /// Normalized correlation of its cells with those of the marker: 1 is perfect.
     pub correlation: f32,
-    /// Whether it was not decoded, but is a square that is probably this marker. A pose may start from
-    /// it and must be confirmed by something else.
+    /// Whether the marker was not decoded: a square that is probably this marker. A pose may start
+    /// from it and must be confirmed by something else.
     pub is_doubtful: bool,
 }
 
@@ -247,7 +247,7 @@ impl Detector {
                 .map(|k| with_parallelogram_corner(&corners, k))
                 .find_map(|guess| self.refined(image, light, &guess, print, lighting));
         }
-        // It must read as the same marker with its final corners.
+        // The square must read as the same marker with its final corners.
         let fitted = refined.and_then(|refined| {
             let reading = self.reading(image, light, &refined.corners_in_view)?;
             let confirmed = self.reader.compare(&reading)?.best()?;
@@ -402,8 +402,8 @@ pub(crate) fn found_at(
     }
 }
 
-/// Of markers at one place, which are outlines of one square or of a part of it, keeps the first. A marker printed inside
-/// another one is at a place of its own: it is much smaller.
+/// Keeps the first of the markers at each place, which are outlines of one square or of a part of it.
+/// A marker printed inside another one has a place of its own: it is much smaller.
 fn keep_best_of_each_place(found: &mut Vec<Found>) {
     let mut kept: Vec<Found> = Vec::with_capacity(found.len());
     for marker in found.drain(..) {

@@ -11,7 +11,7 @@ pub(crate) fn centre(corners: &Quad) -> Vector2<f64> {
     corners.iter().map(|corner| corner.0).sum::<Vector2<f64>>() / 4.0
 }
 
-/// The same quadrilateral, beginning with the corner of index `first`.
+/// Returns the quadrilateral, beginning with the corner of index `first`.
 pub(crate) fn rotated(corners: &Quad, first: usize) -> Quad {
     std::array::from_fn(|k| corners[(k + first) % 4])
 }

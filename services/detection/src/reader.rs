@@ -36,7 +36,7 @@ pub(crate) struct Decoded {
     pub first_corner: usize,
     /// Normalized correlation with the marker, at most 1.
     pub correlation: f32,
-    /// That of the next likely marker, or of what is no marker: the larger.
+    /// Correlation with the next likely marker or with what is no marker, whichever is larger.
     runner_up: f32,
     cells: usize,
 }
@@ -300,7 +300,7 @@ mod tests {
         Reading { cells: inner_cells(&all, bits), steps, quiet_zone: 1.0, edge_contrast: 1.0 }
     }
 
-    /// The same in even light, without steps within cells.
+    /// The reading in even light, without steps within cells.
     fn reading(white: &[f32], bits: usize) -> Reading {
         lit(white, bits, vec![0.0; 2 * bits * bits], |_| 1.0)
     }

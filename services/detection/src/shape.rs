@@ -9,7 +9,7 @@ use flockeye_geometry::Ray;
 use flockeye_geometry::filter::chi_square_quantile;
 use flockeye_geometry::pose::squared_distance_from_square;
 
-/// Of all right corners 99.9 % are nearer to a square's.
+/// Squared distance from a square's corners that 99.9 % of all right corners stay below.
 static MAX_SQUARED_DISTANCE: LazyLock<f64> = LazyLock::new(|| chi_square_quantile(2.0, 0.999));
 
 /// How far a marker's corners may lie beside a square's, as a share of its side: standard deviation along either axis. Paper

@@ -28,8 +28,8 @@ const MIN_REST_SHARE: f64 = 0.25;
 /// one of them.
 const MIN_SEEN_SIDE_SHARE: f64 = 0.7;
 
-/// Of the twelve places that are compared across the sides, how many must be dark inside and bright
-/// outside: of the two sides to the lost corner one may be hidden.
+/// Least number of the twelve places compared across the sides that must be dark inside and bright
+/// outside. One of the two sides to the lost corner may be hidden.
 const MIN_DARKER: u32 = 9;
 
 /// The quadrilaterals that three successive corners of a closed polygon are part of. The polygon's next

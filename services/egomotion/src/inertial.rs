@@ -9,28 +9,28 @@ use flockeye_geometry::inertial::errors::Corrected;
 use flockeye_geometry::inertial::{RateRecord, RateSample, SensorErrors};
 use nalgebra::{Matrix3, Vector3};
 
-/// Samples of so many seconds are kept: a frame that comes late is still covered.
+/// Time for which samples are kept, seconds: a frame that comes late is still covered.
 const KEEP_S: f64 = 2.0;
 
 /// Sensor and picture agree within this squared Mahalanobis distance: 99.9 % of the comparisons of a sensor that
 /// is right (chi-square, 3 degrees of freedom).
 const GATE: f64 = 16.27;
 
-/// Of so many comparisons...
+/// Number of comparisons among which [`OUTSIDE`] are counted.
 const WINDOW: u32 = 15;
-/// ...this many outside the gate say that the sensor is wrong. With one in fifty outside, twenty times what a
+/// Number of comparisons outside the gate that makes the sensor wrong. With one in fifty outside, twenty times what a
 /// right sensor has, that happens every three hours at 30 frames/s: p (14 over 4) p^4 (1 - p)^10 a frame.
 const OUTSIDE: u32 = 5;
 
-/// So many comparisons in a row must agree before a sensor counts, and twice as many once it was wrong...
+/// Comparisons in a row that must agree before a sensor counts. Once it was wrong, twice as many.
 const AGREED: u32 = 15;
-/// ...and so far the drone must have turned meanwhile, radians (3 degrees): at rest all mountings agree.
+/// Least turn of the drone meanwhile, radians (3 degrees): at rest all mountings agree.
 const TURNED: f64 = 0.052;
 
-/// Pictures without samples for so long say that the sensor is silent, seconds.
+/// Time of pictures without samples after which the sensor counts as silent, seconds.
 const SILENT_S: f64 = 0.5;
 
-/// Not farther ahead than this is the rotation asked for, seconds: no camera is older on arrival.
+/// Longest time ahead for which the rotation is asked, seconds: no camera is older on arrival.
 const AHEAD_S: f64 = 0.5;
 
 /// What is worth a line in the log.
@@ -46,7 +46,7 @@ pub enum Notice {
         /// The picture's rate less the sensor's in the last frame, rad/s.
         off: Vector3<f64>,
     },
-    /// No samples have come for a while.
+    /// The sensor has sent no samples for a while.
     Silent,
     /// Samples come again.
     Heard,
@@ -103,7 +103,7 @@ impl Sensor {
         self.errors.begin_clock();
     }
 
-    /// Whether it counts.
+    /// Whether the sensor counts.
     pub fn counts(&self) -> bool {
         self.standing == Standing::Counts
     }

@@ -8,7 +8,7 @@
 use flockeye_geometry::ego_rotation::JERK;
 use nalgebra::{Matrix2, Matrix3, RowVector2, Vector3};
 
-/// Of the first rate, and of its change: as fast as a drone turns, rad/s and rad/s^2.
+/// Deviations of the first rate and of its change: as fast as a drone turns, rad/s and rad/s^2.
 const FIRST_DEVIATIONS: [f64; 2] = [3.0, 10.0];
 
 /// The rate and its change, and how certain both are.
@@ -21,7 +21,7 @@ pub struct RateFilter {
 struct State {
     rate: Vector3<f64>,
     acceleration: Vector3<f64>,
-    /// Of rate and acceleration about any one axis.
+    /// Covariance of rate and acceleration about any one axis.
     covariance: Matrix2<f64>,
 }
 

@@ -17,12 +17,12 @@ pub struct Facet {
     pub marker: Option<usize>,
 }
 
-/// So far may a hull rise over a marker on it, which is wider than the square whose plane was
-/// measured.
+/// Limit on how far a hull rises over a marker on it, metres. The marker is wider than the square
+/// whose plane was measured.
 const CONVEXITY_M: f64 = 5.0 * FLATNESS_M;
 
-/// So far may a marker's corners lie from the facet that was given for it, in its sides: it was
-/// glued by hand, and measured.
+/// Limit on the distance of a marker's corners from the facet that was given for it, in sides of
+/// the marker: it was glued by hand, and measured.
 const GLUED_SIDES: f64 = 0.1;
 
 /// The facets of markers with quiet zones of these widths (metres): the sides of their hull; where

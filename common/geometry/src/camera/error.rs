@@ -3,7 +3,7 @@
 /// Why there is no such camera.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum CameraError {
-    /// No pixels.
+    /// The image has too few pixels.
     #[error("an image of {width}x{height} pixels shows no sphere: both sides must be 2 or more")]
     Sides {
         /// Columns.

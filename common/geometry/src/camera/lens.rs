@@ -186,7 +186,7 @@ impl LensCurve {
                 let factor = (ahead * xi + (ahead * ahead + (1.0 - xi * xi) * square).sqrt())
                     / (ahead * ahead + square);
                 let (sin, cos) = (factor * distance, factor * ahead - xi);
-                // Not a number beyond the curve's end.
+                // A NaN lies beyond the curve's end.
                 (sin.atan2(cos) <= farthest).then_some((sin, cos))
             }
             Self::Unified { xi, .. } => {

@@ -19,7 +19,7 @@ pub enum TrackState {
     Confirmed,
     /// Believed, but not measured in the last frame.
     Coasting,
-    /// Not seen for too long.
+    /// The target was not seen for too long.
     Lost,
 }
 
@@ -38,8 +38,8 @@ pub struct TrackPolicy {
     pub history_s: f64,
     /// Probability that a right measurement passes the gate.
     pub gate_probability: f64,
-    /// So many measurements in a row outside the gate mean that the track is wrong: it begins anew
-    /// from the last of them. A tentative track does with the first.
+    /// Number of measurements in a row outside the gate after which the track counts as wrong and
+    /// begins anew from the last of them. A tentative track begins anew from the first.
     pub restart_after_gated: u32,
 }
 
@@ -62,13 +62,13 @@ impl Default for TrackPolicy {
 /// What became of a measurement.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Happened {
-    /// It began a track where there was none, or a lost one.
+    /// The measurement began a track where there was none, or a lost one.
     Started,
-    /// It was taken in.
+    /// The measurement updated the track.
     Updated(Innovation),
-    /// It lay outside the gate and counts as not seen.
+    /// The measurement lay outside the gate. The target counts as not seen.
     Gated(Innovation),
-    /// It contradicted the track, or the clock jumped back: the track began anew from it.
+    /// The measurement contradicted the track, or the clock jumped back: the track began anew from it.
     Restarted,
 }
 

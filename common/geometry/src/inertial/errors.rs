@@ -36,13 +36,13 @@ pub type Matrix3x7 = SMatrix<f64, 3, 7>;
 /// What is wrong with a sensor, and how certain that is.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SensorErrors {
-    /// Of the rate, along the camera's axes, rad/s.
+    /// Bias of the rate, along the camera's axes, rad/s.
     bias: Vector3<f64>,
     /// Turns the configured sensor's axes into the true ones.
     mounting: UnitQuaternion<f64>,
     /// To be added to the sensor's time, seconds.
     offset_s: f64,
-    /// Of bias, mounting's rotation vector and offset.
+    /// Covariance of bias, rotation vector of the mounting, and time offset.
     covariance: Matrix7,
 }
 

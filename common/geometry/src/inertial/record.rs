@@ -7,16 +7,16 @@ use nalgebra::{UnitQuaternion, Vector3};
 /// Samples that are farther apart leave a gap in which the rotation is not known, seconds.
 const LONGEST_GAP_S: f64 = 0.03;
 
-/// So long after the newest sample its rate is still taken, seconds: about one sample at 100 Hz.
+/// Time after the newest sample for which its rate still holds, seconds: one sample at 100 Hz.
 const HOLD_S: f64 = 0.01;
 
 /// A sample that is earlier than the newest by more is of a clock that has jumped, seconds.
 const LEAP_S: f64 = 1.0;
 
-/// So many samples are kept at most: a quarter of an hour at 1 kHz.
+/// Most samples that are kept: a quarter of an hour at 1 kHz.
 const MOST_SAMPLES: usize = 1_000_000;
 
-/// So many of the newest samples say how noisy they are.
+/// Number of newest samples from which their noise is estimated.
 const NOISE_SAMPLES: usize = 100;
 
 /// One sample of an inertial sensor.
@@ -93,8 +93,8 @@ impl RateRecord {
         Some(SensorTurn { later_from_earlier: integrated(&points, correct), noise_variance })
     }
 
-    /// The same without its noise: turns directions in the sensor's frame of the earlier time into that of
-    /// the later one.
+    /// The rotation alone, without its noise. It turns directions in the sensor's frame of the
+    /// earlier time into that of the later one.
     pub fn later_from_earlier(
         &self,
         earlier_s: f64,
@@ -108,7 +108,7 @@ impl RateRecord {
     /// samples' white noise, (rad/s)^2. `None` where samples are missing.
     pub fn rate_around(&self, at_s: f64, width_s: f64) -> Option<(Vector3<f64>, f64)> {
         let variance = self.white_noise().powi(2);
-        // Not beyond the newest sample: the same width on both sides, so that a steady change averages out.
+        // The window ends at the newest sample and is symmetric, so that a steady change averages out.
         let half_s = (width_s / 2.0).min((self.newest_s()? - at_s).max(0.0));
         let Some(points) = self.points(at_s - half_s, at_s + half_s) else {
             return Some((self.rate_at(at_s)?, variance));

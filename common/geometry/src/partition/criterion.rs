@@ -78,7 +78,7 @@ pub struct Terms {
 }
 
 impl Terms {
-    /// Of `count` circles of a diameter, radians.
+    /// A criterion for `count` circles of a diameter, radians.
     pub fn new(count: usize, diameter_rad: f64) -> Self {
         Self {
             count: count as f64,

@@ -85,8 +85,8 @@ fn whole_marker_poses(sighted: &SightedMarker<'_>) -> Vec<Isometry3<f64>> {
     poses_of(sighted, &[a.ray, b.ray, c.ray, d.ray])
 }
 
-/// The same, with one of the corners after the other put where the other three, as a parallelogram,
-/// want it.
+/// Poses from three corners: each corner in turn is put where the other three complete a
+/// parallelogram.
 fn three_corner_poses(sighted: &SightedMarker<'_>) -> Vec<Isometry3<f64>> {
     let [a, b, c, d] = sighted.sights.as_slice() else { return Vec::new() };
     let rays = [a.ray, b.ray, c.ray, d.ray];

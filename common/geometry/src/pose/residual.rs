@@ -20,7 +20,7 @@ pub(super) fn error(sight: &Sight, camera_from_markers: &Isometry3<f64>) -> Opti
     (along > 1e-9).then(|| sight.tangent.transpose() * direction * (2.0 * sight.weight / along))
 }
 
-/// The same with its derivative by the pose: position, then rotation vector, in the camera's axes
+/// The error with its derivative by the pose: position, then rotation vector, in the camera's axes
 /// (`p = exp(rotation) R X + t + position`).
 pub(super) fn error_and_jacobian(
     sight: &Sight,

@@ -23,7 +23,7 @@ pub struct Searched {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 struct LastSearch {
     frame: Option<u64>,
-    /// Whether it was searched with the fine window alone, so that the coarse one is next.
+    /// Whether the tile was searched with the fine window alone, so that the coarse one is next.
     was_fine: bool,
 }
 

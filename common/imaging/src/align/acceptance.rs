@@ -34,10 +34,10 @@ const CHOICES_PER_HOUR: f64 = 120.0;
 // A pose is a measurement by itself if so many of its standard deviations are less than what makes it a false one.
 // docs/results/constants.md#precision has the curve.
 
-/// Of an aligned pose.
+/// Deviations within which an aligned pose must be right.
 const SIGMAS_OF_ALIGNMENT: f64 = 4.93;
-/// Of a pose by corners alone. When the curve was read, it was the same number for both, and covariances of alignments
-/// had a factor of 3.1.
+/// Deviations within which a pose by corners alone must be right. When the curve was read, both
+/// numbers were equal, and covariances of alignments had a factor of 3.1.
 const SIGMAS_OF_CORNERS: f64 = 2.8;
 
 /// The log odds of the picture from which on a pose is accepted, of which so many are tried in an hour where no body is.

@@ -23,8 +23,8 @@ pub struct Depiction {
     pub height: usize,
     /// What the picture shows, at the resolution that alignment works with.
     pub picture: Vec<f32>,
-    /// The same with the body drawn over it: lens and motion blur it, and its facets have the levels that
-    /// explain the picture best.
+    /// The picture with the body drawn over it. Lens and motion blur the body, and its facets have
+    /// the levels that explain the picture best.
     pub model: Vec<f32>,
     /// How well both agree at this very pose, which is not fitted.
     pub evidence: Evidence,

@@ -97,9 +97,9 @@ struct FacetFit {
 /// The pixels of a facet.
 #[derive(Default, Clone)]
 struct FacetPixels {
-    /// Those that show nothing else.
+    /// Pixels that show nothing else.
     inside: Products,
-    /// Those that show hardly anything else, the former included.
+    /// Pixels that show hardly anything else, the former included.
     covered: Products,
 }
 

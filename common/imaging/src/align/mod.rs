@@ -172,7 +172,7 @@ fn is_valid(start: &Isometry3<f64>, picture: &Picture<'_>) -> bool {
         && (1.0..1e6).contains(&picture.pixels_per_radian)
 }
 
-/// So many pixels beside a facet its blur still shows.
+/// Width of the blur beside a facet, pixels.
 fn blur_margin_px(blur: &Matrix2<f64>) -> f64 {
     PATCH_MARGIN_BLURS * blur.diagonal().max().max(0.0).sqrt()
 }

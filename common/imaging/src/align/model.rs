@@ -44,7 +44,7 @@ const MAX_FACETS: usize = 3;
 pub(super) struct Scene<'p> {
     /// The facets that face the camera; `None` for the others.
     pub visible: Vec<Option<VisibleFacet>>,
-    /// The same facets with the point spread in their planes.
+    /// The facets with the point spread in their planes.
     pub blurred: Vec<Option<BlurredFacet<'p>>>,
     /// Curvature of the camera's curve; see [`crate::light::LinearLight::bend`].
     pub code_bend: f64,

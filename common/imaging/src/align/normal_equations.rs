@@ -101,7 +101,7 @@ impl Pass<'_> {
         self.sum_plain(scene, state)
     }
 
-    /// The same code and the same sums to the last bit, compiled for AVX2.
+    /// The portable code, compiled for AVX2. Its sums are equal to the last bit.
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
     fn sum_avx2(&self, scene: &Scene<'_>, state: &State) -> Sums {

@@ -218,7 +218,7 @@ fn find_neighbours(facets: &mut [PrintedFacet]) -> usize {
             let across = (0..corners.len()).filter(|&b| b != a).find_map(|b| {
                 let (i, j) = (place(b, &from)?, place(b, &to)?);
                 let count = corners[b].len();
-                // The same edge, in either direction.
+                // Two polygons share this edge, in either direction.
                 match () {
                     () if (i + 1) % count == j => Some((b, i)),
                     () if (j + 1) % count == i => Some((b, j)),

@@ -48,7 +48,7 @@ pub(super) struct Sample {
     neighbours: [u8; 2],
 }
 
-/// No edge, no neighbour.
+/// Code for no edge and no neighbour.
 const NONE: u8 = u8::MAX;
 
 impl Sample {

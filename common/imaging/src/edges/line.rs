@@ -36,7 +36,7 @@ impl EdgeLine {
         Self { offset, slope: 0.0, covariance: Matrix2::from_diagonal_element(1.0) }
     }
 
-    /// The same line with an additional error of its offset, standard deviation in pixels.
+    /// Returns this line with an additional error of its offset, standard deviation in pixels.
     pub(super) fn with_offset_error(mut self, sigma_px: f64) -> Self {
         self.covariance[(0, 0)] += sigma_px * sigma_px;
         self

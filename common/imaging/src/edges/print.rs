@@ -22,7 +22,7 @@ impl MarkerPrint {
         })
     }
 
-    /// The same marker with another quiet zone: the width of the white around the black square, in cells. What
+    /// Returns this marker with another quiet zone: the width of the white around the black square, in cells. What
     /// lies beyond it is ignored.
     pub fn with_quiet_zone(self, quiet_zone_cells: f64) -> Self {
         Self { quiet_zone_cells, ..self }

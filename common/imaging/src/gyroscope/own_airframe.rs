@@ -6,7 +6,7 @@ use super::grid::CELL_COLUMNS;
 const MIN_MOVED_PX: f32 = 0.7;
 /// What was noted is halved after about so many points of a cell.
 const MEMORY: f32 = 180.0;
-/// So many points must have been seen in a cell before it is left out.
+/// Least number of points seen in a cell before it is left out.
 const MIN_CELL_POINTS: f32 = 13.0;
 /// A cell is the airframe's where points that stay agree so many times better, in squares.
 const RATIO: f32 = 2.0;

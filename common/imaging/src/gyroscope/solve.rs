@@ -9,7 +9,8 @@ use super::points::{MIN_POINTS, Point, Points};
 
 /// Steps at each level, the finest first, where nothing says how the camera turned.
 const STEPS: [usize; 3] = [3, 3, 5];
-/// Where it is expected to within some tenths of a degree, coarse levels have little to say.
+/// Steps on each level where the turn is expected to within some tenths of a degree: coarse levels
+/// add little.
 const EXPECTED_STEPS: [usize; 3] = [2, 2, 0];
 /// The last rotation is a better start than the expected one if residuals are smaller by so much on the
 /// coarsest level: a clock that jumps expects too much.
@@ -156,7 +157,7 @@ fn residuals(points: &[Point], counted: &[usize], level: &Level, warp: &Warp) ->
     residuals_plain(points, counted, level, warp)
 }
 
-/// The same code and the same values to the last bit, compiled for AVX2.
+/// The portable code, compiled for AVX2. Its values are equal to the last bit.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 fn residuals_avx2(points: &[Point], counted: &[usize], level: &Level, warp: &Warp) -> Vec<f32> {
@@ -264,7 +265,7 @@ fn step(
     sum_plain(points, counted, residuals).solve()
 }
 
-/// The same code and the same sums to the last bit, compiled for AVX2.
+/// The portable code, compiled for AVX2. Its sums are equal to the last bit.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 fn sum_avx2(points: &[Point], counted: &[usize], residuals: &[f32]) -> NormalEquations {

@@ -16,7 +16,7 @@ pub struct MarkerSizes {
 /// A place that looks like a body.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Proposal {
-    /// Where it is, in the camera frame.
+    /// Direction of the place, in the camera frame.
     pub direction_in_camera: Ray,
     /// Apparent side of its markers, radians.
     pub side_rad: f64,

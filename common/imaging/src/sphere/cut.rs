@@ -63,7 +63,7 @@ pub(super) fn cut_views(
     let bands = Mutex::new(bands);
     let work = || {
         loop {
-            // It is poisoned by a panic in another thread, which the scope passes on.
+            // A panic in another thread poisons the lock; the scope passes the panic on.
             let next = bands.lock().unwrap_or_else(PoisonError::into_inner).next();
             let Some(band) = next else { break };
             cut_band(sphere, band);
@@ -110,7 +110,7 @@ impl Kernel {
         }
     }
 
-    /// Whether it works on this processor, for this image.
+    /// Whether this way of sampling works on this processor, for this image.
     pub fn works_on(self, sphere: &SphereImage<'_>) -> bool {
         match self {
             Self::Plain => true,

@@ -17,7 +17,7 @@ pub(super) trait Mapping {
 pub(super) enum Fit {
     /// By this interpolation.
     Patch(Patch),
-    /// Not as a whole: the tile must be split.
+    /// The tile must be split.
     Split,
     /// The sphere image shows none of it.
     Blank,

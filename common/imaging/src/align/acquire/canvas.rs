@@ -14,7 +14,7 @@ pub(super) struct Canvas {
     /// Radiance, row by row, and its square.
     pub radiance: Vec<f32>,
     pub square: Vec<f32>,
-    /// The same with every second column: first the even ones of a row, then the odd ones.
+    /// The pixels by columns: first the even ones of a row, then the odd ones.
     pub parted: [Vec<f32>; 2],
 }
 

@@ -70,7 +70,7 @@ fn rate<'c, const N: usize>(
     rate_any(template, at)
 }
 
-/// The same code, compiled for wider registers.
+/// The portable code, compiled for wider registers.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma")]
 fn rate_avx2<'c, const N: usize>(

@@ -14,7 +14,7 @@ use crate::align::state::{BLACK_SHARE_PRIOR, Prior, State};
 
 /// Directions from which the body is modelled: 13 degrees apart.
 const DIRECTIONS: usize = 240;
-/// It is modelled at this range. Nearer and farther it looks nearly the same.
+/// Range at which a body is modelled, metres. Nearer and farther it looks nearly the same.
 const RANGE_M: f64 = 3.0;
 /// Cells from the middle of a body to its rim, at most. One with more of them is searched with coarser pixels, because
 /// time and memory grow with their fourth power.

@@ -266,7 +266,7 @@ impl<'p> BlurredFacet<'p> {
         let (from, to) = (at - reach, at + reach);
         // At most MAX_CELLS. See `Gaussian::at` for the type.
         let count = count as u16;
-        // No border from 0 to `count` within reach. Written so that a NaN reaches none.
+        // No border from 0 to `count` is within reach. The test is written so that a NaN reaches none.
         if !(to >= 0.0 && from <= f32::from(count)) {
             return;
         }

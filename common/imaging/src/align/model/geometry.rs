@@ -36,7 +36,7 @@ pub(in crate::align) struct VisibleFacet {
 pub(in crate::align) struct Flow {
     /// The point of the plane under the pixel, in the facet's frame, metres.
     pub at: Vector2<f64>,
-    /// The same point relative to the markers' origin, in the camera's axes.
+    /// The point relative to the markers' origin, in the camera's axes.
     arm: Vector3<f64>,
     along_x: Vector3<f64>,
     along_y: Vector3<f64>,

@@ -33,7 +33,7 @@ pub(super) struct Sums {
 }
 
 impl Sums {
-    /// No sums yet, with room for so many pixels; with `scatter`, also of what the covariance needs.
+    /// Empty sums with room for `pixels`; with `scatter` also sums that the covariance needs.
     pub(super) fn new(pixels: usize, scatter: bool) -> Self {
         let zeros = [[0.0; ROOM]; UNKNOWNS];
         Self {
