@@ -54,8 +54,8 @@ impl Configuration {
         self.load_with(&[], &[])
     }
 
-    /// The same with more `KEY.PATH=VALUE` settings: the user's override `defaults`, and `fixed`
-    /// override the user's.
+    /// Loads the configuration with more `KEY.PATH=VALUE` settings: the user's override `defaults`,
+    /// and `fixed` override the user's.
     ///
     /// # Errors
     /// Everything that is wrong with it.

@@ -83,7 +83,7 @@ impl Dictionary {
         Ok(dictionary)
     }
 
-    /// Whether it has every marker of `bodies`.
+    /// Checks that the dictionary has every marker of `bodies`.
     ///
     /// # Errors
     /// [`DictionaryError::Outside`]: each body with ids that it does not have.
@@ -132,7 +132,7 @@ impl Dictionary {
         &self.prints
     }
 
-    /// The same as OpenCV has it.
+    /// The dictionary as OpenCV has it.
     pub fn opencv(&self) -> &Ptr<CvDictionary> {
         &self.opencv
     }

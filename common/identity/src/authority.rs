@@ -28,7 +28,7 @@ const AUTHORITY_HOLDS: Duration = Duration::days(3_650);
 pub struct Authority {
     folder: PathBuf,
     roster: Roster,
-    /// Nobody else changes the folder meanwhile.
+    /// Lock against other programs that change the folder.
     _lock: File,
 }
 
@@ -37,7 +37,7 @@ pub struct Authority {
 pub enum Role {
     /// A drone, or an onlooker.
     Member,
-    /// It passes on what others say.
+    /// A router: it passes on reports of others.
     Router,
 }
 
@@ -99,7 +99,7 @@ impl Authority {
         Ok(authority)
     }
 
-    /// Who belongs to the swarm.
+    /// The members of the swarm.
     pub fn roster(&self) -> &Roster {
         &self.roster
     }

@@ -32,7 +32,7 @@ pub struct Certificate {
 /// Why a certificate is not accepted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum CertificateFault {
-    /// It is no certificate of this kind.
+    /// The bytes are no certificate of this kind.
     #[error("it is no certificate with a name and an Ed25519 key")]
     Malformed,
     /// Somebody else signed it, or it is for something else.
@@ -85,7 +85,7 @@ impl Certificate {
         self.check_time(now_s)
     }
 
-    /// Whether it holds at `now_s`, seconds since 1970-01-01 UTC.
+    /// Checks that the certificate holds at `now_s`, seconds since 1970-01-01 UTC.
     ///
     /// # Errors
     /// Why not.

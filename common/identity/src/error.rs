@@ -68,12 +68,12 @@ pub enum IdentityError {
         /// Until it has expired.
         hours: i64,
     },
-    /// No such member.
+    /// The swarm has no such member.
     #[error("'{name}' does not belong to the swarm. It has: {members}")]
     Unknown {
-        /// Who was asked for.
+        /// Name that was asked for.
         name: String,
-        /// Who there is.
+        /// Names of all members.
         members: String,
     },
     /// Keys or certificates cannot be made.

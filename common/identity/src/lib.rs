@@ -1,4 +1,4 @@
-//! Who may speak in a swarm.
+//! Identities of a swarm's members: certificates, the roster, and signatures of reports.
 //!
 //! A swarm has one [`Authority`]: a key and a certificate that signs all others. It issues each member a
 //! certificate with the member's name, and keeps the [`Roster`]: who belongs to the swarm and which certificates

@@ -23,7 +23,7 @@ pub struct MemberFiles {
     pub certificate: PathBuf,
     /// The member's private key, PEM (PKCS #8), readable by its owner alone.
     pub key: PathBuf,
-    /// Who belongs to the swarm, signed by the authority.
+    /// The roster, signed by the authority.
     pub roster: PathBuf,
 }
 
@@ -34,7 +34,7 @@ pub struct Member {
     pub authority: Certificate,
     /// The member's own certificate.
     pub certificate: Certificate,
-    /// Who belongs to the swarm.
+    /// The members of the swarm.
     pub roster: Roster,
     key: Ed25519KeyPair,
 }

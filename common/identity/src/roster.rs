@@ -1,4 +1,4 @@
-//! Who belongs to the swarm.
+//! The members of a swarm and its revoked certificates.
 
 use std::path::Path;
 
@@ -12,8 +12,8 @@ use crate::files;
 /// What its signature begins with, so that it is a signature of nothing else.
 const CONTEXT: &[u8] = b"flockeye roster 1\0";
 
-/// Who belongs to the swarm, and which certificates no longer count. The file holds it with the authority's
-/// signature.
+/// The members of the swarm, and the certificates that no longer count. The file holds them with
+/// the authority's signature.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Roster {

@@ -20,7 +20,7 @@ pub struct Trust {
 /// Why a message is not taken for what it says.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Untrusted {
-    /// It carries no signature.
+    /// The report carries no signature.
     #[error("it is not signed")]
     NotSigned,
     /// Its certificate has not come yet; it comes once a second.

@@ -28,7 +28,7 @@ pub const FRAME_VIDEO: &str = "/flockeye/frame/video";
 pub const LOSSES: &str = "/flockeye/recording/loss";
 
 impl ChannelKind {
-    /// Of a topic of the contract.
+    /// The channel of a topic of the contract.
     pub fn of_topic(layout: &TopicLayout) -> Self {
         Self {
             topic: layout.channel(),
@@ -37,7 +37,7 @@ impl ChannelKind {
         }
     }
 
-    /// Of a neighbour's poses. Both names are those in ROS.
+    /// The channel of a neighbour's poses. Both names are those in ROS.
     pub fn of_poses(observer: &str, target: &str) -> Self {
         Self {
             topic: pose_topic(&format!("/{observer}"), target),
@@ -46,7 +46,7 @@ impl ChannelKind {
         }
     }
 
-    /// Of all transforms.
+    /// The channel of all transforms.
     pub fn of_transforms() -> Self {
         Self {
             topic: TRANSFORMS.to_owned(),
@@ -55,7 +55,7 @@ impl ChannelKind {
         }
     }
 
-    /// Of pixels as they are.
+    /// The channel of views, pixels as they are.
     pub fn of_view_images() -> Self {
         Self {
             topic: VIEW_IMAGES.to_owned(),
@@ -64,7 +64,7 @@ impl ChannelKind {
         }
     }
 
-    /// Of compressed pictures.
+    /// The channel of compressed frames.
     pub fn of_frame_images() -> Self {
         Self {
             topic: FRAME_IMAGES.to_owned(),
@@ -73,7 +73,7 @@ impl ChannelKind {
         }
     }
 
-    /// Of a camera's own packets.
+    /// The channel of a camera's own packets.
     pub fn of_frame_video() -> Self {
         Self {
             topic: FRAME_VIDEO.to_owned(),
@@ -82,7 +82,7 @@ impl ChannelKind {
         }
     }
 
-    /// Of what the recording lacks.
+    /// The channel of losses: what the recording lacks.
     pub fn of_losses() -> Self {
         Self {
             topic: LOSSES.to_owned(),

@@ -13,7 +13,7 @@ pub enum RecordingError {
         /// The system's reason.
         error: std::io::Error,
     },
-    /// It holds something already.
+    /// The file holds something already.
     #[error(
         "{} is there already. Cure: name another file; `flockeye record` overwrites none", path.display()
     )]
@@ -47,7 +47,7 @@ pub enum RecordingError {
         /// The file.
         path: PathBuf,
     },
-    /// It is no MCAP file.
+    /// The file is no MCAP file.
     #[error(
         "{} is no MCAP file: it does not begin as one. Cure: give a file that `flockeye record` wrote",
         path.display()
@@ -56,7 +56,7 @@ pub enum RecordingError {
         /// The file.
         path: PathBuf,
     },
-    /// It is an MCAP file of somebody else.
+    /// The file is an MCAP file of another program.
     #[error(
         "{} is an MCAP file, but no recording of Flockeye: {reason}. Cure: give a file that `flockeye \
          record` wrote", path.display()

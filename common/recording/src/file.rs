@@ -8,7 +8,7 @@ use rustix::fs::{FlockOperation, fdatasync, flock, fstatvfs};
 
 use crate::error::RecordingError;
 
-/// So much of the disk is left free: the file's own index goes there, and a full disk harms others.
+/// Space of the disk that is left free: the file's own index goes there, and a full disk harms others.
 const RESERVE_BYTES: u64 = 16_000_000;
 
 /// Free room is looked at each time so many bytes were written.
@@ -23,7 +23,7 @@ pub struct RecordingFile {
     bytes: u64,
     /// At so many bytes the free room is looked at again.
     look_at: u64,
-    /// So much of the disk is left free.
+    /// Space of the disk that is left free.
     reserve_bytes: u64,
 }
 
@@ -81,7 +81,7 @@ impl RecordingFile {
         self.append_last(bytes)
     }
 
-    /// The same, also of the room that is left for the end.
+    /// Appends to the end of the file, also into the room that is left for it.
     ///
     /// # Errors
     /// [`RecordingError::File`].

@@ -31,7 +31,7 @@ impl Number {
 /// What a field is.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Shape {
-    /// So many numbers; `None`: a single one, no array.
+    /// An array of this many numbers; `None`: a single number.
     Numbers(Number, Option<usize>),
     /// A text in so many bytes, filled up with zero bytes.
     Text(usize),
@@ -44,7 +44,7 @@ pub enum Shape {
 pub struct Member {
     /// Its name.
     pub name: &'static str,
-    /// Where it begins in its type, bytes.
+    /// Offset of the field in its type, bytes.
     pub offset: usize,
     /// What it is.
     pub shape: Shape,

@@ -53,7 +53,7 @@ pub fn decode(layout: &TopicLayout, message: &[u8]) -> Result<ContractMessage, R
     match &layout.item {
         None => {
             let bytes = cdr.numbers(8, 1).map_err(refused)?;
-            // As many bytes as were asked for.
+            // The slice has the length of the number.
             found.payload_bytes = u64::from_le_bytes(bytes.try_into().unwrap_or_default());
         }
         Some(item) => {

@@ -58,7 +58,7 @@ mod tests {
         assert_eq!(following("a.mcap", "0"), Some(path("a-1.mcap")));
         assert_eq!(following("a-1.mcap", "1"), Some(path("a-2.mcap")));
         assert_eq!(following("a-2.mcap", "2"), None);
-        // It was renamed.
+        // The file was renamed.
         assert_eq!(following("b.mcap", "1"), None);
         assert_eq!(following("a.mcap", "none"), None);
     }

@@ -52,7 +52,7 @@ pub struct MeasuredPose {
 /// A pose predicted for another time, in the observer's frame of then.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PredictedPose {
-    /// That time, stream time, seconds. In a lossless run it is the exposure's.
+    /// Time of the prediction, stream time, seconds. In a lossless run it is the exposure's.
     pub at_s: f64,
     /// Position, metres.
     pub position: Vector3<f64>,
@@ -71,7 +71,7 @@ const COVARIANCE: [&str; 21] = [
     "c00", "c01", "c02", "c03", "c04", "c05", "c11", "c12", "c13", "c14", "c15", "c22", "c23",
     "c24", "c25", "c33", "c34", "c35", "c44", "c45", "c55",
 ];
-/// The same of the measurement's.
+/// Columns of the measurement's covariance.
 const MEASURED_COVARIANCE: [&str; 21] = [
     "m00", "m01", "m02", "m03", "m04", "m05", "m11", "m12", "m13", "m14", "m15", "m22", "m23",
     "m24", "m25", "m33", "m34", "m35", "m44", "m45", "m55",
@@ -86,7 +86,7 @@ const PREDICTED: [&str; 7] = [
     "predicted_qz",
     "predicted_qw",
 ];
-/// The same of the prediction's.
+/// Columns of the prediction's covariance.
 const PREDICTED_COVARIANCE: [&str; 21] = [
     "p00", "p01", "p02", "p03", "p04", "p05", "p11", "p12", "p13", "p14", "p15", "p22", "p23",
     "p24", "p25", "p33", "p34", "p35", "p44", "p45", "p55",

@@ -29,7 +29,7 @@ pub struct RecordedTurn {
     pub source: RotationSource,
     /// The earlier exposure, stream time, seconds.
     pub earlier_s: f64,
-    /// The same on the clock of `exposure_s`.
+    /// Exposure of the earlier frame on the clock of `exposure_s`.
     pub earlier_exposure_s: f64,
     /// Turns directions in the camera frame of then into that of now.
     pub later_from_earlier: UnitQuaternion<f64>,
@@ -45,7 +45,7 @@ const ROTATION: [&str; 4] = ["qx", "qy", "qz", "qw"];
 /// The upper triangle of the rotation's covariance, row by row.
 const COVARIANCE: [&str; 6] = ["c00", "c01", "c02", "c11", "c12", "c22"];
 const RATE: [&str; 3] = ["rx", "ry", "rz"];
-/// The same of the rate's.
+/// Columns of the rate's covariance.
 const RATE_COVARIANCE: [&str; 6] = ["r00", "r01", "r02", "r11", "r12", "r22"];
 
 impl RotationRow {

@@ -56,7 +56,7 @@ pub struct Sweep {
     /// `None` where the camera sees nothing of a tile: nobody searches it.
     partitions: Vec<Option<SweptPart>>,
     high_resolution: Vec<Option<SweptPart>>,
-    /// Of each plan, the kind of each of its views and the tile that it shows.
+    /// Kind and tile of each view, by plan.
     plans: VecDeque<(u64, Vec<(u32, u32)>)>,
     /// The source and its epoch; numbers of frames mean nothing across them.
     epoch: Option<(u32, u32)>,
@@ -73,7 +73,7 @@ struct SweptPart {
 }
 
 impl Sweep {
-    /// Of these partitions and high-resolution tiles: whether the camera sees anything of them.
+    /// A count over these partitions and high-resolution tiles: whether the camera sees anything of them.
     pub fn new(partitions: &[bool], high_resolution: &[bool]) -> Self {
         let parts = |seen: &[bool]| seen.iter().map(|seen| seen.then(SweptPart::default)).collect();
         Self {
@@ -212,7 +212,7 @@ mod tests {
             views.into_iter().for_each(|view| search(&mut sweep, sequence, 1, view));
         }
         search(&mut sweep, 16, 1, 1);
-        // It comes late, and the part was searched after it: no gap.
+        // The record comes late, and the part was searched after it: no gap.
         search(&mut sweep, 12, 1, 1);
         let report = sweep.report().expect("there are records");
         assert_eq!(report.frames, 7);

@@ -12,7 +12,7 @@ use serde::Serialize;
 /// Why a table cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum TableError {
-    /// It cannot be opened, or is no CSV file.
+    /// The file cannot be opened, or is no CSV file.
     #[error("cannot read {path}: {reason}")]
     Unreadable {
         /// The file.
@@ -29,7 +29,7 @@ pub enum TableError {
     Columns {
         /// The file.
         path: PathBuf,
-        /// Those that are not there.
+        /// Columns that are missing.
         missing: Vec<&'static str>,
         /// What writes them.
         cure: &'static str,

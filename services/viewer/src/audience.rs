@@ -1,11 +1,11 @@
-//! Who watches: pages and Foxglove's clients.
+//! The audience: pages and Foxglove's clients.
 
 use std::sync::Arc;
 
 use crate::foxglove_view::FoxgloveView;
 use crate::hub::{Hub, Wanted};
 
-/// Who watches.
+/// The pages and clients that are connected.
 pub struct Audience {
     /// Pages.
     pub hub: Arc<Hub>,

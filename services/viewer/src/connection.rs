@@ -31,15 +31,15 @@ const MAX_COMMAND: usize = 1024;
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum Command {
-    /// Whether it wants pictures: a hidden page does not.
+    /// The page wants pictures, or none: a hidden page wants none.
     Pictures(bool),
-    /// It has shown so many pictures more, or let them go.
+    /// The page has shown or dropped this many further pictures.
     Shown(u32),
-    /// Of a recording: it wants to see this time, seconds from the beginning.
+    /// The page seeks this time of a recording, seconds from the beginning.
     Seek(f64),
-    /// Of a recording: it wants to see the frame so many frames on, or back.
+    /// The page steps this many frames of a recording on, or back.
     Step(i32),
-    /// Of a recording: it wants it to go on, so many seconds in each second; 0: to stop.
+    /// The page plays a recording at this speed, seconds a second; 0 stops it.
     Play(f64),
 }
 

@@ -63,7 +63,7 @@ pub enum NoExplanation {
     /// Another page's question is being answered.
     #[error("another question is being answered. Cure: ask again when it is done")]
     Busy,
-    /// Nobody records.
+    /// No recorder is running.
     #[error(
         "this flight is not recorded, and an answer is worked out from a recording. Cure: recording.folder in \
          pipeline.yaml, with recording.frames: views"
@@ -75,7 +75,7 @@ pub enum NoExplanation {
     /// The program's own words.
     #[error("{0}")]
     Refused(String),
-    /// It did not answer in time.
+    /// The program did not answer in time.
     #[error("no answer came within {} s. Cure: `flockeye explain` in a terminal takes as long as it needs", PATIENCE.as_secs())]
     TooSlow,
 }

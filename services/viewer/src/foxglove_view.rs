@@ -1,5 +1,5 @@
-//! The same scene for Foxglove and Lichtblick, over Foxglove's WebSocket protocol: whoever knows these
-//! programs has their panels, plots and recordings.
+//! The page's scene for Foxglove and Lichtblick, over Foxglove's WebSocket protocol, with the panels
+//! and plots of these programs.
 //!
 //! The crate `foxglove` speaks the protocol, in threads of its own. A client that is slow loses its oldest
 //! messages. Pictures are made while somebody has subscribed to them, and so are close-ups.
@@ -63,7 +63,7 @@ struct Channels {
     stages: Arc<RawChannel>,
     /// What is to be added to the exposures' clock to give nanoseconds since 1970.
     unix_from_exposure_ns: i64,
-    /// Of a recording: the time that is shown, nanoseconds since 1970.
+    /// Time of a recording that is shown, nanoseconds since 1970.
     recorded_ns: Option<i64>,
 }
 
@@ -79,7 +79,7 @@ impl FoxgloveView {
         Ok((view, server.port()))
     }
 
-    /// The same for a configuration. `more`: what the server is told else.
+    /// Serves a configuration. `more` holds further settings of the server.
     ///
     /// # Errors
     /// A channel cannot be made; the address is taken or not this machine's.
@@ -103,7 +103,7 @@ impl FoxgloveView {
         Ok((Self { context, channels }, server))
     }
 
-    /// Of a recording: what is sent from now on came at this time, UTC nanoseconds.
+    /// Sets the time of a recording that the next messages carry, UTC nanoseconds.
     pub fn set_time(&mut self, utc_ns: u64) {
         self.channels.recorded_ns = i64::try_from(utc_ns).ok();
     }

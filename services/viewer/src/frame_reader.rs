@@ -33,7 +33,7 @@ pub struct FrameReader<'p> {
 }
 
 impl<'p> FrameReader<'p> {
-    /// None read yet. `rate`: pictures a second at most.
+    /// Starts without frames. `rate`: pictures a second at most.
     pub fn new(ports: &'p Ports, resolved: &'p Resolved, rate: f64) -> Self {
         Self { ports, resolved, rate, pictures: None, trouble: None, turn: 0 }
     }

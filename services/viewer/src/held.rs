@@ -24,7 +24,7 @@ pub struct Held<F> {
 }
 
 impl<F> Held<F> {
-    /// None held. Pictures are at least about `period_ns` nanoseconds apart.
+    /// Starts without pictures, which come at least about `period_ns` nanoseconds apart.
     pub fn new(period_ns: i64) -> Self {
         Self { period_ns, due_ns: i64::MIN, frames: VecDeque::new() }
     }

@@ -9,7 +9,7 @@ use std::collections::VecDeque;
 /// What a message is, for the rule by which it waits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
-    /// It must arrive: only a newer one replaces it.
+    /// Must arrive: only a newer one replaces it.
     Hello,
     /// One for each frame: the oldest is dropped where there are too many.
     Frame,
@@ -96,7 +96,7 @@ impl<M> Outbox<M> {
         self.wants_pictures && self.under_way < CREDITS
     }
 
-    /// Whether it wants pictures, now or later.
+    /// Whether the page wants pictures, now or later.
     pub fn wants_pictures(&self) -> bool {
         self.wants_pictures
     }
@@ -104,7 +104,7 @@ impl<M> Outbox<M> {
     /// The page says whether it wants pictures.
     pub fn set_wants_pictures(&mut self, wants: bool) {
         self.wants_pictures = wants;
-        // Those under way count no more: a page that was hidden may not have shown them.
+        // Pictures under way no longer count: a page that was hidden may not have shown them.
         self.under_way = 0;
     }
 

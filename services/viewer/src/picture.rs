@@ -13,18 +13,18 @@ use opencv::{core, imgcodecs, imgproc};
 const MAX_WIDTH: u32 = 1920;
 /// Quality of the JPEG, of 100.
 const QUALITY: i32 = 78;
-/// The same of close-ups, which are small.
+/// JPEG quality of close-ups, which are small.
 const CLOSEUP_QUALITY: i32 = 92;
 
 /// Why a frame cannot be shown.
 #[derive(Debug, thiserror::Error)]
 pub enum PictureError {
-    /// It is not as large as configured.
+    /// The frame is not as large as configured.
     #[error("the frame is {width}x{height}, the camera {}x{}", .camera.0, .camera.1)]
     Size {
-        /// Of the frame.
+        /// Width of the frame.
         width: u32,
-        /// Of the frame.
+        /// Height of the frame.
         height: u32,
         /// Sides of the configured camera's frames.
         camera: (u32, u32),

@@ -155,7 +155,7 @@ fn serve(
     Ok(address(bound, token.as_deref()))
 }
 
-/// Who may ask.
+/// Decides which requests are served.
 fn access(arguments: &ViewArguments) -> anyhow::Result<Access> {
     let ViewArguments { listen, token, rate, foxglove, .. } = arguments;
     ensure!((0.5..=60.0).contains(rate), "--rate {rate}: 0.5 to 60 pictures a second are allowed");

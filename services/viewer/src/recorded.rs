@@ -144,7 +144,7 @@ impl Recorded {
         self.first_ns.saturating_add((seconds * 1e9) as u64).min(self.last_ns)
     }
 
-    /// The same time on the monotonic clock of the machine that recorded.
+    /// Converts a UTC time to the monotonic clock of the machine that recorded.
     fn monotonic_ns(&self, utc_ns: u64) -> i64 {
         i64::try_from(utc_ns).unwrap_or(i64::MAX).saturating_sub(self.utc_from_monotonic_ns)
     }

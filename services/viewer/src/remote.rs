@@ -25,7 +25,7 @@ pub enum Move {
 }
 
 impl Move {
-    /// The same within bounds.
+    /// Returns the message within its bounds.
     fn bounded(self) -> Self {
         match self {
             Self::Seek(to_s) => Self::Seek(to_s.clamp(0.0, 1e9)),
@@ -90,7 +90,7 @@ impl Remote {
         self.changed.notify_all();
     }
 
-    /// Whether it is.
+    /// Whether the connection is closed.
     pub fn is_closed(&self) -> bool {
         lock(&self.state).is_closed
     }

@@ -16,7 +16,7 @@ pub const MAX_HEAD: usize = 8 * 1024;
 /// Most header lines of a request.
 const MAX_HEADERS: usize = 64;
 
-/// Who may ask.
+/// Which requests are served.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Access {
     /// What the socket needs, if anything.
@@ -52,13 +52,13 @@ pub enum Answer {
 /// Why a request is refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum Refusal {
-    /// It is no HTTP.
+    /// The request is no HTTP.
     #[error("this is no request of HTTP/1.1")]
     Malformed,
     /// Its head is too long.
     #[error("the head of the request is longer than {MAX_HEAD} bytes")]
     TooLong,
-    /// It did not come in time.
+    /// The request did not come in time.
     #[error("the request did not come in time")]
     TooSlow,
     /// There is no such file.
@@ -70,7 +70,7 @@ pub enum Refusal {
     /// Its `Host` is no name of this machine.
     #[error("on loopback only localhost, 127.0.0.1 and [::1] are answered")]
     Host,
-    /// It comes from a page of somebody else.
+    /// The request comes from a foreign page.
     #[error("only this page's own scripts may open its socket")]
     Origin,
     /// The token is wrong or missing.
@@ -79,7 +79,7 @@ pub enum Refusal {
     /// The socket is asked for without the handshake of WebSocket 13.
     #[error("this address is a WebSocket of version 13")]
     NoUpgrade,
-    /// It asks why, and not of which neighbour in which frame.
+    /// The request for an explanation names no neighbour or no frame.
     #[error("ask as /explain?target=NAME&frame=SOURCE.EPOCH.NUMBER")]
     Question,
     /// Too many pages are open.
@@ -152,7 +152,7 @@ fn outcome(request: &httparse::Request<'_, '_>, access: &Access) -> Result<Answe
         "/explain" => {
             check_socket(request, host, query, access)?;
             let question = Question::of_query(query).ok_or(Refusal::Question)?;
-            // It takes time and a processor: nothing that only looks asks for it.
+            // An explanation takes time and a processor, so only GET asks for it.
             (method == "GET").then_some(Answer::Explain(question)).ok_or(Refusal::Method)
         }
         _ => {

@@ -220,7 +220,7 @@ impl Scene {
         else {
             return;
         };
-        // Of several plans of this number, the newest fusion's counts.
+        // If several plans have this number, that of the newest fusion counts.
         let Some((_, _, views)) = self.plans.iter().rev().find(|(id, ..)| *id == plan_id) else {
             return;
         };

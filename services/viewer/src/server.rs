@@ -45,7 +45,7 @@ fn listen(listener: &TcpListener, access: Access, hub: &Arc<Hub>, explainer: Exp
         let stream = match listener.accept() {
             Ok((stream, _)) => stream,
             Err(error) => {
-                // No descriptors are left, say. It would fail again at once.
+                // Accepting would fail again at once, for example without free descriptors.
                 if let Some(more) = troubles.admit() {
                     tracing::warn!(more_since = more, "a connection cannot be accepted: {error}");
                 }
@@ -54,7 +54,7 @@ fn listen(listener: &TcpListener, access: Access, hub: &Arc<Hub>, explainer: Exp
             }
         };
         if open.load(Ordering::Relaxed) >= MOST_CONNECTIONS {
-            // Whoever fills the places is not worth an answer.
+            // All places are taken: the connection is closed without an answer.
             continue;
         }
         let place = Place::new(open.clone());

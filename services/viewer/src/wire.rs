@@ -22,9 +22,9 @@ pub enum Text<'m> {
     Swarm(&'m Swarm),
     /// What is wrong with the view itself.
     Status(&'m Status),
-    /// Of a recording: which frame is shown now.
+    /// The frame of a recording that is shown now.
     Position(&'m Position),
-    /// Of a recording: an overview of all of it.
+    /// An overview of a whole recording.
     Overview(&'m Overview),
 }
 
@@ -78,7 +78,7 @@ pub struct Recording {
     pub began_s: f64,
     /// How long it is, seconds.
     pub duration_s: f64,
-    /// Whether it has pictures of frames.
+    /// Whether the recording has pictures of frames.
     pub pictures: bool,
 }
 
@@ -105,7 +105,7 @@ pub struct Square {
 pub struct Body {
     /// Its name.
     pub name: String,
-    /// Where it sits on its drone.
+    /// Pose of the markers on their drone.
     pub target_from_markers: Pose,
     /// Outlines of its flat sides in the markers' frame, metres.
     pub facets: Vec<Vec<[f32; 3]>>,
@@ -150,7 +150,7 @@ pub struct Frame {
     /// Turns directions in the camera frame of the frame before into this one's: x, y, z, w; absent where
     /// it is not known.
     pub turn: Option<[f32; 4]>,
-    /// Of a simulated flight: where the neighbours really are.
+    /// True poses of the neighbours in a simulated flight.
     pub truth: Vec<Truth>,
     /// In a recording: when it ended, seconds from the recording's beginning; absent of a running pipeline.
     pub at_s: Option<f64>,
@@ -170,7 +170,7 @@ pub struct Region {
 pub struct Detected {
     /// Its number in the dictionary.
     pub id: u32,
-    /// Whether it was not decoded and only looks like this marker.
+    /// Whether the marker was not decoded and only looks like this one.
     pub doubtful: bool,
     /// Unit rays of its corners in the camera frame.
     pub rays: [[f32; 3]; 4],
@@ -259,7 +259,7 @@ pub struct Stage {
 pub struct Swarm {
     /// Where all drones are.
     pub drones: Vec<Drone>,
-    /// Who sees whom.
+    /// Sightings: which drone sees which.
     pub sightings: Vec<Sighting>,
 }
 
@@ -283,9 +283,9 @@ pub struct Drone {
 /// Where a peer sees somebody.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Sighting {
-    /// Who sees.
+    /// Name of the observer.
     pub observer: String,
-    /// Who is seen.
+    /// Name of the target.
     pub target: String,
     /// State of the track.
     pub state: &'static str,

@@ -45,7 +45,7 @@ fn lossless() -> Vec<String> {
     .into()
 }
 
-/// The same, with each frame searched to its end and standing for itself.
+/// Settings in which each frame is searched to its end and stands for itself.
 fn frame_by_frame() -> Vec<String> {
     let more = ["fusion.filter=none", "search.mode=exhaustive"].map(str::to_owned);
     [lossless(), more.into()].concat()

@@ -53,7 +53,7 @@ pub struct Bin {
     pub to_m: Option<f64>,
     /// Bodies with two or more markers wholly visible and localisable.
     pub eligible: usize,
-    /// Those that were measured in that frame.
+    /// Bodies that were measured in that frame.
     pub measured: usize,
     /// Errors of the poses published for them; `None` if there are none.
     pub published: Option<Errors>,
@@ -106,11 +106,11 @@ pub struct Latency {
 /// Whether covariances are right; `None` where there are none.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Covariances {
-    /// Those of the frames' own measurements.
+    /// Consistency of the frames' own measurements.
     pub measurements: Option<Consistency>,
-    /// Those of the tracks, in frames that were measured.
+    /// Consistency of tracks in frames that were measured.
     pub tracks: Option<Consistency>,
-    /// Those of the tracks, in frames that were not.
+    /// Consistency of tracks in frames that were not measured.
     pub coasted: Option<Consistency>,
 }
 

@@ -18,7 +18,7 @@ use super::playhead::{Change, Playhead};
 use crate::foxglove_view::FoxgloveView;
 use crate::remote::{Move, Next, Remote};
 
-/// It goes on, and looks for wishes, so often.
+/// Period at which the player goes on and looks for requests.
 const TICK: Duration = Duration::from_millis(20);
 /// How often the stages are shown, and what is shown while it is paused: clients may have subscribed since.
 const REPORT_PERIOD: Duration = Duration::from_millis(500);

@@ -22,7 +22,7 @@ pub struct Channels {
 }
 
 impl Channels {
-    /// Those of a recording. A topic counts if its messages are defined in the file as they are here.
+    /// Reads the channels of a recording. A topic counts if its messages are defined in the file as they are here.
     pub fn of(recording: &IndexedRecording) -> Self {
         let (mut known, mut foreign) = (BTreeMap::new(), Vec::new());
         for (topic, layout) in TOPICS.iter().zip(layouts()) {

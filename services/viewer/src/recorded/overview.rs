@@ -119,7 +119,7 @@ impl<'r> OverviewMaker<'r> {
     fn loss(&mut self, part: usize, topic: String, loss: Loss) {
         let before = self.losses.get(&topic).map_or(0, Loss::lost);
         add(&mut self.lost[part], loss.lost().saturating_sub(before));
-        // As many as the contract has topics, or a file that lies.
+        // More losses than the contract has topics come from a damaged file.
         if self.losses.len() < 64 || self.losses.contains_key(&topic) {
             self.losses.insert(topic, loss);
         }

@@ -50,7 +50,7 @@ pub struct Pictures {
 }
 
 impl Pictures {
-    /// Those of a recording.
+    /// Opens the pictures of a recording.
     ///
     /// # Errors
     /// OpenCV has no memory.
@@ -73,7 +73,7 @@ impl Pictures {
         self.find(frame.order(), at_ns).map(|(chunk, place)| chunk[place].header.stamp)
     }
 
-    /// That picture. `of`: what ended in a frame that is known, for close-ups.
+    /// Reads a picture. `of`: what ended in a frame that is known, for close-ups.
     pub fn picture<'e>(
         &mut self,
         frame: &FrameStamp,

@@ -192,7 +192,7 @@ impl<'p> Player<'p> {
         let of = |stamp: &FrameStamp| {
             recent.iter().map(|seen| &seen.ended).find(|ended| ended.stamp.is_same_frame(stamp))
         };
-        // One that cannot be shown is not tried again and again.
+        // A frame that cannot be shown is tried once.
         (self.shown, self.shown_at) = (Some(nearest), Instant::now());
         let Some(picture) = pictures.picture(&seen.ended.stamp, seen.at_ns, of) else { return };
         let key = wire::key(&picture.stamp);

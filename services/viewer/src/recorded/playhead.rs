@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::Recorded;
 use super::tape::{Seen, Tape};
 
-/// So much before a frame is known with it, for trails and states, nanoseconds: less than a page keeps.
+/// Time before a frame that is read with it, for trails and states, nanoseconds: less than a page keeps.
 const LEAD_NS: u64 = 9_000_000_000;
 /// Frames that are kept at most.
 const MOST_FRAMES: usize = 600;
@@ -18,7 +18,7 @@ const WIDER: u64 = 8;
 pub enum Change {
     /// All frames that are kept are new.
     Anew,
-    /// So many at the end are new.
+    /// This many at the end are new.
     Added(usize),
 }
 

@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 
 use crate::up_process;
 
-/// So long it is flown where the source does not end by itself.
+/// Duration of the flight where the source does not end by itself.
 const USUAL_FLIGHT: Duration = Duration::from_secs(30);
 
 /// Arguments of `calibrate imu`.

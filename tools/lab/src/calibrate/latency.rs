@@ -41,7 +41,7 @@ struct Latency {
 }
 
 impl Latency {
-    /// Of a sensor whose own time offset is known to be `known_ms`.
+    /// Latency by a sensor whose own time offset is known to be `known_ms`.
     fn of(found: &SensorCalibration, known_ms: f64) -> Self {
         Self {
             latency_ms: found.time_offset_s * 1e3 - known_ms,

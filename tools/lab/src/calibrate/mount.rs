@@ -63,7 +63,7 @@ pub fn run(arguments: &CalibrateMountArguments) -> anyhow::Result<()> {
 struct Report {
     found: MountCalibration,
     configured: Isometry3<f64>,
-    /// Those with a pose, in the order of the mount's residuals.
+    /// Places with a pose, in the order of the mount's residuals.
     seen: Vec<SeenPlace>,
     /// Numbers of those without, from 1.
     unseen: Vec<usize>,

@@ -60,7 +60,7 @@ pub(super) struct Equations {
 }
 
 impl Bundle {
-    /// Of the markers `found` (indices into the body's), which all frames' sightings are of.
+    /// A bundle of the markers `found` (indices into the body's), to which all sightings belong.
     pub(super) fn new(body: &Body, found: &[usize], mut frames: Vec<Frame>) -> Self {
         for frame in &mut frames {
             // Both lists are complete: every sighting is of a marker that was found.

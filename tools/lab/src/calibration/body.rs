@@ -38,7 +38,7 @@ impl Default for CalibrationOptions {
 /// A marker as it was found.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CalibratedMarker {
-    /// Where it is: as large as it was printed.
+    /// The marker where it is, as large as it was printed.
     pub marker: Marker,
     /// From the designed centre to the found one, in the markers' frame, metres.
     pub shift_m: Vector3<f64>,
@@ -57,7 +57,7 @@ impl CalibratedMarker {
         PoseDeviations::of(&self.covariance).position_m
     }
 
-    /// The same of its orientation, radians.
+    /// Standard deviation of its orientation: the root of the expected squared angle, radians.
     pub fn turn_deviation_rad(&self) -> f64 {
         PoseDeviations::of(&self.covariance).rotation_rad
     }
@@ -244,7 +244,7 @@ fn keep_connected(
         let (body, with, needed) = (body.name.clone(), id(first), options.least_sightings);
         return Err(CalibrationError::Apart { body, apart, with, needed });
     }
-    // Those dropped keep the number that was too small.
+    // Dropped markers keep the number that was too small.
     let kept = counts.iter().zip(&at_first);
     let seldom = options.least_sightings.saturating_sub(1);
     Ok(kept.map(|(&now, &before)| if now > 0 { now } else { before.min(seldom) }).collect())

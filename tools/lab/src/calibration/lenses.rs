@@ -73,13 +73,13 @@ pub struct LensCalibration {
     pub sides: [usize; 6],
     /// Errors of the rays that remain, in their stated standard deviations: 1 if these and the model are right.
     pub scatter: f64,
-    /// The same before, with the lenses as configured.
+    /// Scatter with the lenses as configured.
     pub scatter_before: f64,
     /// Covariance of the second lens' pose against the first: as `change`.
     covariance: Matrix6<f64>,
     /// What the second lens' axis looks along, in the camera's axes.
     second_axis: Vector3<f64>,
-    /// Of the whole change, the share by which a lens is off the camera's middle: 1/2 where both lenses move.
+    /// Share of the change by which a lens is off the camera's middle: 1/2 where both lenses move.
     share: f64,
 }
 

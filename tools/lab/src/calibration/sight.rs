@@ -22,7 +22,7 @@ pub(super) struct Sight {
 }
 
 impl Sight {
-    /// Of a ray with its standard deviation across it.
+    /// A sight along a ray with its standard deviation across it.
     pub(super) fn new(ray: &Ray, deviation_rad: f64) -> Self {
         let direction = ray.into_inner();
         let across = direction.cross(&Vector3::ith(direction.iamin(), 1.0)).normalize();
@@ -41,7 +41,7 @@ impl Sight {
         self.tangent.transpose() * direction * (2.0 * self.weight / along)
     }
 
-    /// The same with its derivative by the point.
+    /// The error with its derivative by the point.
     pub(super) fn linearized(&self, point: &Vector3<f64>) -> (Vector2<f64>, Matrix2x3<f64>) {
         let (range, direction) = (point.norm(), point.normalize());
         let along = (1.0 + self.ray.dot(&direction)).max(1e-9);

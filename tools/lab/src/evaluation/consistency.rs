@@ -57,7 +57,7 @@ impl Nees {
         Self::with_effective(series, effective_samples(series))
     }
 
-    /// The same for independent runs ([`effective_samples_of_runs`]).
+    /// NEES of independent runs ([`effective_samples_of_runs`]).
     pub fn of_runs(runs: &[Vec<f64>]) -> Option<Self> {
         Self::with_effective(runs, effective_samples_of_runs(runs))
     }
@@ -87,17 +87,17 @@ impl Nees {
     }
 }
 
-/// Of positions and of rotations.
+/// NEES of positions and of rotations.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Consistency {
-    /// Of positions.
+    /// NEES of positions.
     pub position: Nees,
-    /// Of rotations.
+    /// NEES of rotations.
     pub rotation: Nees,
 }
 
 impl Consistency {
-    /// Of series of errors with their covariances; `None` if there is no sample. A covariance that is
+    /// NEES of series of errors with their covariances; `None` if there is no sample. A covariance that is
     /// none (not positive definite) gives no sample.
     pub fn of(series: &[Vec<ErrorSample>]) -> Option<Self> {
         let nees = |error: fn(&PoseOffset) -> Vector3<f64>, first: usize| {

@@ -74,26 +74,26 @@ pub type ErrorSample = (PoseOffset, Matrix6<f64>);
 pub struct Errors {
     /// How many.
     pub count: usize,
-    /// Of the position, millimetres.
+    /// Errors of the position, millimetres.
     pub position_mm: Spread,
-    /// Of it along the line of sight, millimetres.
+    /// Errors of the position along the line of sight, millimetres.
     pub along_mm: Spread,
     /// The mean along the line of sight with its sign: too far is positive.
     pub along_bias_mm: f64,
-    /// Of the position across the line of sight, millimetres.
+    /// Errors of the position across the line of sight, millimetres.
     pub across_mm: Spread,
-    /// Of the distance, millimetres.
+    /// Errors of the distance, millimetres.
     pub distance_mm: Spread,
     /// The mean of the distance with its sign: too far is positive.
     pub distance_bias_mm: f64,
-    /// Of the direction, degrees.
+    /// Errors of the direction, degrees.
     pub bearing_deg: Spread,
-    /// Of the orientation, degrees.
+    /// Errors of the orientation, degrees.
     pub rotation_deg: Spread,
 }
 
 impl Errors {
-    /// Of comparisons; `None` if there is none.
+    /// Statistics of comparisons; `None` if there is none.
     pub fn of(errors: &[PoseOffset]) -> Option<Self> {
         let spread = |size: fn(&PoseOffset) -> f64, unit: f64| {
             Spread::of(errors.iter().map(|e| size(e) * unit))

@@ -23,7 +23,7 @@ struct Knot {
 }
 
 impl TruePath {
-    /// Of the body of these rows, in the camera's frame.
+    /// Path of the body of these rows, in the camera's frame.
     pub fn of_body<'a>(rows: impl IntoIterator<Item = &'a TruthRow>) -> Self {
         Self::new(rows.into_iter().map(|row| Knot {
             frame: row.frame,
@@ -33,7 +33,7 @@ impl TruePath {
         }))
     }
 
-    /// Of the camera: its attitude in the world. `None` where no row says so.
+    /// Path of the camera's attitude in the world. `None` where no row has it.
     pub fn of_camera(rows: &[TruthRow]) -> Option<Self> {
         let knots = rows.iter().filter_map(|row| {
             let orientation = row.world_from_camera()?;

@@ -19,9 +19,9 @@ const SHORTEST_S: f64 = 1e-4;
 /// How good predictions for the time of sending were.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Predictions {
-    /// Those of tracks that were measured in that frame; `None` if there are none.
+    /// Errors of tracks that were measured in that frame; `None` if there are none.
     pub measured: Option<PredictionErrors>,
-    /// Those of tracks that were not; `None` if there are none.
+    /// Errors of tracks that were not measured; `None` if there are none.
     pub coasted: Option<PredictionErrors>,
 }
 
@@ -30,18 +30,18 @@ pub struct Predictions {
 pub struct PredictionErrors {
     /// Predictions that were compared with the truth.
     pub compared: usize,
-    /// Those that were not, because the truth has no frames on both sides of their time.
+    /// Predictions that were not compared: the truth has no frames on both sides of their time.
     pub without_truth: usize,
     /// How far beyond the exposure they reach, milliseconds; of those compared, as all below.
     pub ahead_ms: Option<Spread>,
-    /// Of their position, millimetres.
+    /// Errors of the position, millimetres.
     pub position_mm: Option<Spread>,
-    /// Of their orientation, degrees.
+    /// Errors of the orientation, degrees.
     pub rotation_deg: Option<Spread>,
     /// What the position error would be if the pose at the exposure were taken for that of then,
     /// millimetres.
     pub held_position_mm: Option<Spread>,
-    /// The same of the orientation, degrees.
+    /// Errors of the orientation without a prediction, degrees.
     pub held_rotation_deg: Option<Spread>,
     /// Whether errors are as large as their covariances say.
     pub nees: Option<Consistency>,
@@ -80,7 +80,7 @@ impl PredictionErrors {
             ahead_s.push(after_s);
             predicted.push(error);
             held.push(offset(&pose.position, &pose.orientation, &then));
-            // Of several poses of one frame the last counts.
+            // If a frame has several poses, the last counts.
             let of_body = samples.entry(&pose.target).or_default();
             of_body.insert(pose.frame, (error, prediction.covariance));
         }

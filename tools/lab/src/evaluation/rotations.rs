@@ -28,17 +28,17 @@ pub struct RotationEvaluation {
     pub not_known: usize,
     /// Rotations that were compared.
     pub compared: usize,
-    /// Of the rotation from one frame to the next, degrees.
+    /// Errors of the rotation from one frame to the next, degrees.
     pub error_deg: Option<Spread>,
     /// The standard deviation stated for it (root of the covariance's trace), median, degrees.
     pub stated_deg: Option<f64>,
-    /// Of the rate at the exposure, degrees/s.
+    /// Errors of the rate at the exposure, degrees/s.
     pub rate_error_deg_s: Option<Spread>,
-    /// The same stated for the rate, degrees/s.
+    /// Standard deviation stated for the rate, degrees/s.
     pub rate_stated_deg_s: Option<f64>,
     /// Whether rotations are as wrong as their covariances say.
     pub nees: Option<Nees>,
-    /// The same of rates.
+    /// NEES of rates.
     pub rate_nees: Option<Nees>,
     /// The constant bias of the gyroscope, which was taken out: the median difference of the two, degrees/s.
     pub gyroscope_bias_deg_s: Option<f64>,
@@ -95,7 +95,7 @@ impl TrueRotation {
         Some(Vector3::new(along(0)?, along(1)?, along(2)?))
     }
 
-    /// The same without that bias.
+    /// Returns the rotation without that bias.
     fn without(self, bias: Option<Vector3<f64>>) -> Self {
         match (self, bias) {
             (Self::Gyroscope(record, _), Some(bias)) => Self::Gyroscope(record, bias),

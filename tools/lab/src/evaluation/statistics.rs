@@ -62,7 +62,7 @@ pub fn effective_samples(series: &[Vec<f64>]) -> f64 {
     (count / (1.0 + 2.0 * correlated)).max(1.0)
 }
 
-/// The same for independent runs with any correlation within a run: all frames of a flight share its
+/// Effective number of samples of independent runs with any correlation within a run: all frames of a flight share its
 /// path and its light. The variance of the mean comes from the sums of the runs (cluster-robust
 /// variance; Liang and Zeger, "Longitudinal data analysis using generalized linear models", 1986).
 /// Fewer runs than [`FEWEST_RUNS`] do not show how runs differ. Then this is [`effective_samples`].

@@ -40,7 +40,7 @@ pub(super) struct FlightOutcome {
     wall_frames_per_s: Option<f64>,
     /// Eligible bodies: localisable, with two markers wholly visible.
     eligible: usize,
-    /// Those that were measured.
+    /// Bodies that were measured.
     captured: usize,
     /// Their share.
     share: Option<f64>,

@@ -42,7 +42,7 @@ const DEFAULTS: [&str; 3] =
 /// Positions or rotations of all flights.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 struct NeesOverRuns {
-    /// Of all frames of all flights.
+    /// Consistency over all frames of all flights.
     #[serde(flatten)]
     nees: Nees,
     /// Frame numbers at which at least half of the flights have a sample: at each of them the

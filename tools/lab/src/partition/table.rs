@@ -40,7 +40,7 @@ pub struct SquareViews {
     pub size_px: u32,
     /// Pixels of all views.
     pub pixels: f64,
-    /// The same of the squares round the circles, which are upright.
+    /// Pixels of the upright squares round the circles.
     pub circumscribed_pixels: Option<f64>,
     /// Area of all views over that of the sphere.
     pub overlap: f64,

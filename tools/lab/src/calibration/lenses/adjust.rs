@@ -59,7 +59,7 @@ pub(super) type Steps = (DVector<f64>, Vec<Vector6<f64>>);
 /// The normal equations, with the frames' part kept apart.
 pub(super) struct Equations {
     lenses: (DMatrix<f64>, DVector<f64>),
-    /// Of each frame: its block, its gradient, and its block with the lenses.
+    /// Block, gradient, and block with the lenses, of each frame.
     frames: Vec<(Matrix6<f64>, Vector6<f64>, DMatrix<f64>)>,
     /// Sum of weighted squared errors, and number of rays.
     squares: f64,
@@ -103,8 +103,8 @@ impl Adjustment {
         scatter.unwrap_or(f64::INFINITY)
     }
 
-    /// Of each ray to its body point as seen from its lens, in the axes that its rays are given in; with the
-    /// lens.
+    /// Errors of all rays to their body points as seen from their lenses, each with its lens, in the
+    /// axes that its rays are given in.
     fn errors_of(&self, frame: &SeamFrame) -> impl Iterator<Item = (usize, Vector2<f64>)> {
         frame.sightings.iter().flat_map(move |seen| {
             let from_camera = self.turn(seen.lens).inverse();
