@@ -39,7 +39,7 @@ fn recorded(
 /// `truth` brought to where `designed` is, as a calibration is.
 fn aligned(truth: &Body, designed: &Body) -> Vec<Marker> {
     let corners = |body: &Body| body.corners().copied().collect::<Vec<Point3<f64>>>();
-    let motion = gauge::alignment(&corners(truth), &corners(designed));
+    let motion = crate::calibration::alignment(&corners(truth), &corners(designed));
     let moved = |m: &Marker| Marker { id: m.id, corners: m.corners.map(|corner| motion * corner) };
     truth.markers.iter().map(moved).collect()
 }
