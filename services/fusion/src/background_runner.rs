@@ -8,7 +8,7 @@ use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 use flockeye_runtime::background;
 
 use crate::hypothesis::Aligner;
-use crate::passes::background::{Answer, Job};
+use crate::measure::background::{Answer, Job};
 
 /// The thread has panicked.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]

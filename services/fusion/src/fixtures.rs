@@ -2,6 +2,8 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, missing_docs, reason = "of the drawings")]
 
+use std::collections::BTreeMap;
+use std::ops::{Deref, DerefMut};
 use std::sync::{Arc, OnceLock};
 
 use flockeye_contract::{
@@ -10,18 +12,20 @@ use flockeye_contract::{
 use flockeye_geometry::body::{Bodies, Body, squares};
 use flockeye_geometry::filter::{MotionModel, TrackPolicy};
 use flockeye_geometry::partition::Partition;
-use flockeye_geometry::search::{GazeOptions, Planner, Purpose, SearchMode};
+use flockeye_geometry::search::{GazeOptions, Plan, Planner, Purpose, SearchMode};
 use flockeye_geometry::view::View;
 use flockeye_imaging::align::{Alignment, Evidence, Picture, is_precise};
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
 use nalgebra::{Isometry3, Matrix2, Matrix6, Point3, Translation3, UnitQuaternion};
 
 use crate::drawn_body::{Drawing, draw, prints};
-use crate::frame_assembly::{Frame, FrameAssembly, Record};
+use crate::frame::parts::Parts;
 use crate::hypothesis::{Aligner, BestView};
+use crate::measure::{AnsweredView, BestViews};
 use crate::measurement::{MeasuredBy, Measurement, PoseEstimate};
-use crate::passes::{AnsweredView, BestViews};
+use crate::planning::Planning;
 use crate::policy::TimeBudget;
+use crate::record::Record;
 use crate::target::Update;
 use crate::tracker::{FilterChoice, FrameTime, Tracker};
 
@@ -62,6 +66,63 @@ pub fn planner() -> Planner {
     let views = partition.views(0.1, PIXELS_PER_RADIAN).unwrap();
     let gaze = GazeOptions::new(PIXELS_PER_RADIAN);
     Planner::new(SearchMode::Gaze, partition, views, gaze).unwrap()
+}
+
+/// The first plan of a process.
+pub fn plan() -> Plan {
+    Planning::new(planner()).next(&tracker_of(vec![alpha()], 1)).plan
+}
+
+/// A tracker, with the parts of its targets in frames that have not ended.
+pub struct Tracking {
+    tracker: Tracker,
+    parts: BTreeMap<u64, Parts>,
+}
+
+impl Tracking {
+    pub fn of(tracker: Tracker) -> Self {
+        Self { tracker, parts: BTreeMap::new() }
+    }
+
+    pub fn with_background(self) -> Self {
+        Self { tracker: self.tracker.with_background(), ..self }
+    }
+
+    /// The tracker, with the parts of its targets in a frame.
+    pub fn at(&mut self, sequence: u64) -> (&mut Tracker, &mut Parts) {
+        let targets = self.tracker.targets().len();
+        let parts = self.parts.entry(sequence).or_insert_with(|| Parts::new(targets, |_| false));
+        (&mut self.tracker, parts)
+    }
+
+    /// The parts of a frame, if it has not ended.
+    pub fn open_parts(&mut self, sequence: u64) -> (&mut Tracker, Option<&mut Parts>) {
+        (&mut self.tracker, self.parts.get_mut(&sequence))
+    }
+
+    pub fn take_in(
+        &mut self,
+        time: FrameTime,
+        target: usize,
+        measurement: &Measurement,
+    ) -> Option<Update> {
+        let (tracker, parts) = self.at(time.order.2);
+        tracker.take_in(time, target, parts.get_mut(target), measurement)
+    }
+}
+
+impl Deref for Tracking {
+    type Target = Tracker;
+
+    fn deref(&self) -> &Tracker {
+        &self.tracker
+    }
+}
+
+impl DerefMut for Tracking {
+    fn deref_mut(&mut self) -> &mut Tracker {
+        &mut self.tracker
+    }
 }
 
 pub fn stamp(sequence: u64) -> FrameStamp {
@@ -165,29 +226,26 @@ pub fn of_tile(record: &Record) -> AnsweredView<'_> {
 }
 
 /// The corner pass over alpha's region, in which its markers were found at `pose`.
-pub fn see(tracker: &mut Tracker, sequence: u64, pose: &Isometry3<f64>) -> Vec<Update> {
+pub fn see(tracker: &mut Tracking, sequence: u64, pose: &Isometry3<f64>) -> Vec<Update> {
     let record = record(sequence, pose);
     let (answered, views) = ([of_region(&record)], BestViews::new());
-    tracker.region_pass(time(sequence), &answered, &views, TimeBudget::Unlimited)
+    let (tracker, parts) = tracker.at(sequence);
+    tracker.region_pass(time(sequence), parts, &answered, &views, TimeBudget::Unlimited)
 }
 
 /// Ends a frame of which nothing more is known.
-pub fn end(tracker: &mut Tracker, sequence: u64) -> Vec<Update> {
+pub fn end(tracking: &mut Tracking, sequence: u64) -> Vec<Update> {
     let (time, views) = (time(sequence), BestViews::new());
-    let updates = tracker.final_pass(time, &[], &views, TimeBudget::Unlimited);
-    tracker.end_frame(&empty_frame(sequence), at_s(sequence));
+    let (tracker, parts) = tracking.at(sequence);
+    let updates = tracker.final_pass(time, parts, &[], &views, TimeBudget::Unlimited);
+    tracker.end_frame(time.order, time.at_s, parts);
+    tracking.parts.remove(&sequence);
     updates
 }
 
-pub fn empty_frame(sequence: u64) -> Frame {
-    let mut assembly = FrameAssembly::new(1_000);
-    assembly.add_end(FrameEnd { stamp: stamp(sequence), ..FrameEnd::default() }, 0);
-    assembly.take(0).expect("it has no views to wait for").0
-}
-
 /// A tracker that has measured alpha in frames 0 to 2.
-pub fn following(pose: &Isometry3<f64>) -> Tracker {
-    let mut tracker = tracker_of(vec![alpha()], 1);
+pub fn following(pose: &Isometry3<f64>) -> Tracking {
+    let mut tracker = Tracking::of(tracker_of(vec![alpha()], 1));
     for sequence in 0..3 {
         assert_eq!(see(&mut tracker, sequence, pose).len(), 1);
         assert!(end(&mut tracker, sequence).is_empty(), "its pose has left already");

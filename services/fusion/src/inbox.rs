@@ -9,9 +9,9 @@ use flockeye_contract::{
 use flockeye_runtime::ports::{Message, PortError, Ports, Sender, Subscriber};
 
 use crate::core::{Core, Event};
-use crate::frame_assembly::Record;
 use crate::journal::Journaled;
 use crate::pictures::Pixels;
+use crate::record::Record;
 
 impl Pixels for Message<Views> {
     fn pixels(&self) -> &[u8] {

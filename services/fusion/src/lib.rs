@@ -10,14 +10,14 @@
 //! | [`inbox`] | the ports that are read, and in which order |
 //! | [`core`] | decides what is done next; the one place where a pose leaves |
 //! | [`journal`] | notes each call of the core for recorders, so that a flight can be repeated |
-//! | [`frame_assembly`] | what a frame still waits for |
-//! | [`view_cache`], [`pictures`] | views that are held for their pixels, as images |
-//! | [`places`] | places that look like a body: their views, and for whom they are searched |
+//! | [`frame`] | a frame as one value: its phase, views, records, and each target's part in it; all open frames |
+//! | [`work`] | what is done next, in order of urgency |
+//! | [`record`], [`pictures`] | what was found in a view; held views as images |
 //! | [`planning`] | the plan for the next frame, and what was searched when |
 //! | [`tracker`] | all targets; the one place where a measurement enters a track |
-//! | [`target`] | one neighbour: its track, and its status in each open frame |
+//! | [`target`] | one neighbour: its body and its track |
 //! | [`track_prior`] | what a track says of a target before a frame measures it |
-//! | [`passes`] | the ways in which a frame can tell where a target is |
+//! | [`measure`] | the measurement pass, with a table of what differs between its kinds |
 //! | [`hypothesis`] | poses with their evidence, and the decision |
 //! | [`measurement`] | a measured pose, and corners as rays |
 //! | [`account`] | what was decided of one target, and why |
@@ -27,7 +27,7 @@
 //! | [`parallax`] | rays of lenses that lie off the camera's centre |
 //! | [`readout`] | rows that are exposed one after the other |
 //! | [`output`] | tracks and plans as messages |
-//! | [`notices`] | what a person should know of |
+//! | [`refusal`], [`notices`] | messages that cannot be true; what a person should know of |
 //! | [`background_runner`] | where background passes run |
 //! | [`parallel`] | a parallel map that keeps order |
 //! | [`snapshot`], [`succession`] | what a process leaves to its successor, and where it is kept |
@@ -41,22 +41,23 @@ pub mod background_runner;
 pub mod core;
 pub mod explain;
 pub mod exposure;
-pub mod frame_assembly;
+pub mod frame;
 pub mod hypothesis;
 pub mod inbox;
 pub mod journal;
+pub mod measure;
 pub mod measurement;
 pub mod notices;
 pub mod output;
 pub mod parallax;
 pub mod parallel;
-pub mod passes;
 pub mod pictures;
-pub mod places;
 pub mod planning;
 pub mod policy;
 pub mod readout;
+pub mod record;
 pub mod recorded;
+pub mod refusal;
 pub mod replay;
 pub mod schedule;
 pub mod settings;
@@ -66,7 +67,7 @@ pub mod succession;
 pub mod target;
 pub mod track_prior;
 pub mod tracker;
-pub mod view_cache;
+pub mod work;
 
 #[cfg(test)]
 #[path = "../../../common/imaging/tests/drawn_body/mod.rs"]

@@ -3,7 +3,7 @@
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::logs::Throttle;
 
-use crate::core::Refusal;
+use crate::refusal::Refusal;
 
 /// Something that a person should know of.
 #[derive(Debug, Clone, PartialEq, Eq)]

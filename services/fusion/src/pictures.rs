@@ -1,15 +1,15 @@
-//! Cached views as pictures that alignment can read.
+//! Held views as pictures that alignment can read.
 
-use flockeye_contract::{FrameOrder, ViewHeader};
+use flockeye_contract::ViewHeader;
 use flockeye_convert::{RadianceCache, image_of, purpose_of, view_of};
 use flockeye_geometry::search::Purpose;
 use flockeye_imaging::align::Picture;
 
+use crate::frame::views::HeldViews;
 use crate::hypothesis::BestView;
+use crate::measure::BestViews;
+use crate::measure::prediction::Region;
 use crate::parallax::Parallax;
-use crate::passes::BestViews;
-use crate::passes::direct::Region;
-use crate::view_cache::ViewCache;
 
 /// A hold on the pixels of a view.
 pub trait Pixels {
@@ -33,15 +33,10 @@ impl PictureReader {
 
     /// The best views of a frame's targets. A view that cannot be read is left out; detection reports
     /// why.
-    pub fn best_views<'c, P: Pixels>(
-        &'c mut self,
-        cache: &'c ViewCache<P>,
-        order: FrameOrder,
-    ) -> BestViews<'c> {
-        self.learn_curves(cache.best_of(order).map(|(_, _, header, _)| header));
+    pub fn best_views<'c, P: Pixels>(&'c mut self, held: &'c HeldViews<P>) -> BestViews<'c> {
+        self.learn_curves(held.best().map(|(_, _, header, _)| header));
         let reader = &*self;
-        cache
-            .best_of(order)
+        held.best()
             .filter_map(|(target, quality, header, pixels)| {
                 let agreeing = quality.agreeing;
                 Some((target, BestView { agreeing, ..reader.read(header, pixels)? }))
@@ -63,17 +58,16 @@ impl PictureReader {
     /// left out; detection reports why.
     pub fn regions<'c, P: Pixels>(
         &'c mut self,
-        cache: &'c ViewCache<P>,
-        views: &[(FrameOrder, u32)],
-    ) -> Vec<(ViewHeader, Region<'c>)> {
-        let unanswered =
-            || views.iter().filter_map(|&(order, index)| cache.unanswered(order, index));
+        held: &'c HeldViews<P>,
+        views: &[u32],
+    ) -> Vec<Region<'c>> {
+        let unanswered = || views.iter().filter_map(|&index| held.unanswered(index));
         self.learn_curves(unanswered().map(|(header, _)| header));
         let reader = &*self;
         unanswered()
             .filter_map(|(header, pixels)| {
                 let Some(Purpose::Gaze(target)) = purpose_of(header) else { return None };
-                Some((*header, Region { target, view: reader.read(header, pixels)? }))
+                Some(Region { target, view: reader.read(header, pixels)? })
             })
             .collect()
     }

@@ -1,33 +1,21 @@
-//! Where to look in the next frame: what was searched when, and the plans that frames still follow.
+//! Where to look in the next frame, by what was searched when.
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use flockeye_contract::ViewHeader;
-use flockeye_convert::purpose_of;
 use flockeye_geometry::filter::Prediction;
-use flockeye_geometry::search::{
-    Plan, Planner, PredictedNeighbour, Purpose, Search, Searched, StopRule,
-};
+use flockeye_geometry::search::{Plan, Planner, PredictedNeighbour, Purpose, Search, Searched};
 
-use crate::frame_assembly::{Frame, Record};
 use crate::snapshot::SavedPlanning;
 use crate::tracker::Tracker;
-
-/// Why each view of a frame was cut, by the view's place in the plan.
-pub type Purposes = BTreeMap<u32, Purpose>;
-
-/// Plans that are remembered, for frames that still follow them.
-const REMEMBERED_PLANS: usize = 16;
 
 /// A longer time between two frames is not expected to repeat, seconds.
 const MAX_INTERVAL_S: f64 = 0.25;
 
-/// Makes the plans, and remembers what they were for.
+/// Makes the plans.
 #[derive(Debug)]
 pub struct Planning {
     planner: Planner,
     searched: Searched,
-    remembered: BTreeMap<u64, (Purposes, StopRule)>,
     plan_id: u64,
     /// How many frames have ended.
     frames: u64,
@@ -54,15 +42,7 @@ impl Planning {
     /// Nothing was searched yet.
     pub fn new(planner: Planner) -> Self {
         let searched = planner.nothing_searched();
-        Self {
-            planner,
-            searched,
-            remembered: BTreeMap::new(),
-            plan_id: 0,
-            frames: 0,
-            last_s: None,
-            interval_s: 1.0 / 30.0,
-        }
+        Self { planner, searched, plan_id: 0, frames: 0, last_s: None, interval_s: 1.0 / 30.0 }
     }
 
     /// Where the search is, for a successor.
@@ -102,53 +82,18 @@ impl Planning {
         self.searched.record_window(purpose, search);
     }
 
-    /// Why a view was cut: as planned or, where rectification followed no plan of this process, as the
-    /// view itself states.
-    pub fn purpose_of(
-        &self,
-        plan_id: u64,
-        view_index: u32,
-        view: Option<&ViewHeader>,
-    ) -> Option<Purpose> {
-        match self.remembered.get(&plan_id) {
-            Some((purposes, _)) => purposes.get(&view_index).copied(),
-            None => view.and_then(purpose_of),
-        }
-    }
-
-    /// How many views a plan has, as far as it is remembered.
-    pub fn views_of(&self, plan_id: u64) -> Option<usize> {
-        self.remembered.get(&plan_id).map(|(purposes, _)| purposes.len())
-    }
-
-    /// The stop rule of a plan.
-    pub fn stop_rule_of(&self, plan_id: u64) -> StopRule {
-        self.remembered.get(&plan_id).map_or(StopRule::All, |(_, stop_rule)| *stop_rule)
-    }
-
-    /// Why each view of a frame was cut, and when the search stopped.
-    pub fn purposes_of(&self, frame: &Frame) -> (Purposes, StopRule) {
-        self.remembered.get(&frame.plan_id).cloned().unwrap_or_else(|| {
-            let stated = frame.views.iter();
-            let stated = stated.filter_map(|(index, view)| Some((*index, purpose_of(view)?)));
-            (stated.collect(), StopRule::All)
-        })
-    }
-
-    /// Ends a frame: notes what was searched and hit in it.
-    pub fn end_frame(&mut self, frame: &Frame, counted: &[&Record], purposes: &Purposes) {
-        // Views that came were noted when they did.
-        for index in frame.records.keys().filter(|index| !frame.views.contains_key(index)) {
-            if let Some(&purpose) = purposes.get(index) {
-                self.searched.record(self.frames, purpose);
-            }
-        }
-        let first_hit = counted.iter().find(|record| record.header.hits > 0);
-        if let Some(&purpose) = first_hit.and_then(|record| purposes.get(&record.header.view_index))
-        {
+    /// Ends a frame that was exposed at `at_s`, seconds. `unnoted` are purposes of views that were searched
+    /// and never noted as cut, `hit` is that of the first view in which a marker was found.
+    pub fn end_frame(
+        &mut self,
+        at_s: f64,
+        unnoted: impl Iterator<Item = Purpose>,
+        hit: Option<Purpose>,
+    ) {
+        unnoted.for_each(|purpose| self.searched.record(self.frames, purpose));
+        if let Some(purpose) = hit {
             self.searched.hit(purpose);
         }
-        let at_s = frame.stamp.exposure_s();
         if let Some(interval_s) = self.last_s.map(|last_s| at_s - last_s)
             && (0.0..MAX_INTERVAL_S).contains(&interval_s)
         {
@@ -158,16 +103,10 @@ impl Planning {
         self.frames += 1;
     }
 
-    /// Makes the plan for the next frame, and remembers it.
+    /// Makes the plan for the next frame.
     pub fn next(&mut self, tracker: &Tracker) -> NextPlan {
         let (plan, predictions) = self.plan(tracker);
         self.plan_id += 1;
-        let purposes =
-            plan.views.iter().zip(0..).map(|(view, index)| (index, view.purpose)).collect();
-        self.remembered.insert(self.plan_id, (purposes, plan.stop_rule));
-        while self.remembered.len() > REMEMBERED_PLANS {
-            self.remembered.pop_first();
-        }
         let targets = 0..tracker.targets().len();
         let unsearched = targets.filter(|&target| tracker.needs_no_markers(target)).collect();
         NextPlan { plan_id: self.plan_id, plan, predictions, unsearched }
@@ -210,15 +149,5 @@ mod tests {
             asked.insert(format!("{next:?}"));
         }
         assert_eq!(asked.len(), 5, "{asked:?}");
-    }
-
-    #[test]
-    fn old_plans_are_forgotten() {
-        let tracker = tracker_of(vec![alpha()], 1);
-        let mut planning = Planning::new(planner());
-        (0..100).for_each(|_| drop(planning.next(&tracker)));
-        assert_eq!(planning.remembered.len(), REMEMBERED_PLANS);
-        assert_eq!(planning.purpose_of(100, 0, None), Some(Purpose::Partition(0)));
-        assert_eq!(planning.purpose_of(1, 0, None), None);
     }
 }

@@ -13,7 +13,7 @@ use flockeye_imaging::align::Coding;
 use flockeye_runtime::memory;
 
 use crate::core::Core;
-use crate::frame_assembly::FrameAssembly;
+use crate::frame::frames::{Frames, Keeping};
 use crate::hypothesis::Aligner;
 use crate::output::Writer;
 use crate::parallax::Parallax;
@@ -22,7 +22,6 @@ use crate::planning::Planning;
 use crate::readout::Readout;
 use crate::schedule::{Schedule, VirtualClock};
 use crate::tracker::{FilterChoice, Tracker};
-use crate::view_cache::ViewCache;
 
 /// A core, the writer of its messages, and the aligner that its background passes run with.
 pub struct Configured<P> {
@@ -88,11 +87,17 @@ pub fn configured<P: Pixels>(
         }
         (Flow::Lossless, SearchBudget::Unlimited) => Schedule::Unlimited,
     };
+    let keeping = Keeping {
+        deadline_ns: pipeline.frame_deadline().as_nanos() as i64,
+        max_unanswered: memory::held_views_waiting(pipeline),
+        max_best: memory::held_views_best(resolved),
+        keeps_pixels: pipeline.fusion.align,
+        keeps_regions: schedule.has_direct_pass(),
+        keeps_places: pipeline.has_single_images(),
+    };
     let core = Core::new(
         schedule,
-        pipeline.fusion.align,
-        FrameAssembly::new(pipeline.frame_deadline().as_nanos() as i64),
-        ViewCache::new(memory::held_views_waiting(pipeline), memory::held_views_best(resolved)),
+        Frames::new(keeping, bodies.len()),
         PictureReader::new(
             RadianceCache::new(resolved.measured_response)?,
             camera.pixels_per_radian(),
@@ -106,7 +111,6 @@ pub fn configured<P: Pixels>(
         Flow::Latest => core.guarded(pipeline.detection_workers()),
         Flow::Lossless => core,
     };
-    let core = if pipeline.has_single_images() { core.searching_places() } else { core };
     let mode = mode_code(pipeline.search.mode);
     let writer = Writer {
         bodies: bodies.clone(),

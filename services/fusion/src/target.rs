@@ -1,20 +1,16 @@
-//! One neighbour: its body, its track, and its status in each open frame.
+//! One neighbour: its body and its track.
 
 use flockeye_contract::FrameOrder;
-use std::collections::BTreeMap;
-
 use flockeye_geometry::body::Body;
 use flockeye_geometry::ego_rotation::EgoRotation;
 use flockeye_geometry::filter::{
     FilterError, Happened, LifeCycle, Prediction, TrackPolicy, TrackState,
 };
 use flockeye_geometry::pose::PosePrior;
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::Vector3;
 
 use crate::account::Outcome;
 use crate::measurement::{MeasuredBy, Measurement, PoseEstimate};
-use crate::passes::direct::RejectedAlignment;
-use crate::passes::inputs::Attempt;
 use crate::snapshot::SavedTarget;
 use crate::track_prior::TrackPrior;
 
@@ -73,37 +69,6 @@ impl TargetEstimate {
     }
 }
 
-/// How far a target's measurement in one frame has come.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub enum Status {
-    /// It was not tried yet.
-    #[default]
-    Pending,
-    /// It was last tried with these inputs, which led to nothing. Only new inputs are worth a retry.
-    Failed(Attempt),
-    /// Its pose has left. `direct_pose` is that pose where it came from the direct pass: markers that
-    /// are decoded later are compared with it.
-    Published {
-        /// `camera_from_markers` of the direct pass.
-        direct_pose: Option<Isometry3<f64>>,
-    },
-}
-
-/// All that is kept of a target in one open frame.
-#[derive(Debug, Clone, Default)]
-pub struct InFrame {
-    /// How far its measurement has come.
-    pub status: Status,
-    /// Whether the corner pass over its region of interest has run.
-    pub is_region_tried: bool,
-    /// What the direct pass found but did not accept: the same start need not be aligned again.
-    pub rejected: Option<RejectedAlignment>,
-    /// The inputs of the background pass that was asked for.
-    pub background: Option<Attempt>,
-    /// What is left to correct the track by, if nothing better is found until the frame is complete.
-    pub imprecise: Option<Measurement>,
-}
-
 /// One configured body, seen or not.
 #[derive(Debug, Clone)]
 pub struct Target {
@@ -111,54 +76,13 @@ pub struct Target {
     pub body: Body,
     life: LifeCycle,
     track_id: u32,
-    /// The newest frame in which the process before this one has told its pose.
-    told_before: Option<FrameOrder>,
-    frames: BTreeMap<FrameOrder, InFrame>,
 }
 
 impl Target {
     /// A target that was never seen.
     pub fn new(body: Body, policy: TrackPolicy) -> Self {
         let life = LifeCycle::new(policy);
-        Self { body, life, track_id: 0, told_before: None, frames: BTreeMap::new() }
-    }
-
-    /// What is kept of a frame, if anything.
-    pub fn in_frame(&self, order: FrameOrder) -> Option<&InFrame> {
-        self.frames.get(&order)
-    }
-
-    /// What is kept of a frame, to be changed.
-    pub fn in_frame_mut(&mut self, order: FrameOrder) -> &mut InFrame {
-        self.frames.entry(order).or_default()
-    }
-
-    /// Whether its pose in a frame has left, or may have: of frames before the newest that the process before
-    /// this one has told, nobody knows which it told too.
-    pub fn is_published(&self, order: FrameOrder) -> bool {
-        let status = self.in_frame(order).map(|in_frame| in_frame.status);
-        let may_be_told = self.told_before.is_some_and(|told| order <= told);
-        may_be_told || matches!(status, Some(Status::Published { .. }))
-    }
-
-    /// The pose that the direct pass published in a frame, `camera_from_markers`.
-    pub fn direct_pose(&self, order: FrameOrder) -> Option<&Isometry3<f64>> {
-        match &self.in_frame(order)?.status {
-            Status::Published { direct_pose } => direct_pose.as_ref(),
-            Status::Pending | Status::Failed(_) => None,
-        }
-    }
-
-    /// Drops what was kept of all frames up to and with this one.
-    pub fn end_frame(&mut self, order: FrameOrder) {
-        self.frames = self.frames.split_off(&order);
-        self.frames.remove(&order);
-    }
-
-    /// Whether anything is kept of any frame.
-    #[cfg(test)]
-    pub fn keeps_frames(&self) -> bool {
-        !self.frames.is_empty()
+        Self { body, life, track_id: 0 }
     }
 
     /// Where it will be at a time, if it is tracked.
@@ -176,23 +100,18 @@ impl Target {
         self.life.state()
     }
 
-    /// Forgets the track and every frame's word on it.
+    /// Forgets the track.
     pub fn forget(&mut self) {
         self.life.forget();
     }
 
-    /// Its track for a successor, and how many it had.
-    pub fn saved(&self) -> SavedTarget {
+    /// Its track for a successor, and how many it had. `published` is the newest frame in which its pose has
+    /// left.
+    pub fn saved(&self, published: Option<FrameOrder>) -> SavedTarget {
         SavedTarget {
             body: self.body.name.clone(),
             track_id: self.track_id,
-            published: self
-                .frames
-                .keys()
-                .rev()
-                .copied()
-                .find(|&order| self.is_published(order))
-                .max(self.told_before),
+            published,
             life: self.is_tracked().then(|| self.life.saved()),
         }
     }
@@ -203,7 +122,6 @@ impl Target {
     /// A track with numbers that are not finite: there is none then.
     pub fn resume(&mut self, saved: SavedTarget, ego: &EgoRotation) -> Result<(), FilterError> {
         self.track_id = saved.track_id;
-        self.told_before = self.told_before.max(saved.published);
         saved.life.map_or(Ok(()), |life| self.life.resume(life, ego))
     }
 

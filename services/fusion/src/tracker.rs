@@ -5,26 +5,23 @@
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-use flockeye_contract::{FrameOrder, ViewHeader};
+use flockeye_contract::FrameOrder;
 use flockeye_geometry::body::Bodies;
 use flockeye_geometry::ego_rotation::EgoRotation;
 use flockeye_geometry::filter::TrackPolicy;
-use flockeye_geometry::search::{Purpose, StopRule};
 
-use crate::account::{Account, Decision};
+use crate::account::{Account, Decision, Pass};
 use crate::exposure::Exposure;
-use crate::frame_assembly::{Frame, Record};
+use crate::frame::parts::{Part, Parts, Status};
 use crate::hypothesis::Aligner;
+use crate::measure::background::BackgroundQueue;
+use crate::measure::{AnsweredView, BestViews, distinct_decoded};
 use crate::measurement::{Measurement, contradicts, decoded_rays};
 use crate::parallax::Parallax;
-use crate::passes::background::BackgroundQueue;
-use crate::passes::corners::{Moment, distinct_decoded};
-use crate::passes::{AnsweredView, BestViews};
 use crate::policy::{DirectPassPolicy, TimeBudget};
 use crate::readout::Readout;
 use crate::schedule::Attempts;
-use crate::target::{Status, Target, TargetEstimate, Update, outcome_of};
-use crate::view_cache::ViewQuality;
+use crate::target::{Target, TargetEstimate, Update, outcome_of};
 
 /// How poses are carried from frame to frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -46,21 +43,35 @@ pub struct FrameTime {
     pub number: u64,
 }
 
-/// All targets with their tracks.
-pub struct Tracker {
-    targets: Vec<Target>,
-    filter: FilterChoice,
+/// What is known of the camera beside its model.
+struct CameraState {
+    /// How it has turned.
     ego: EgoRotation,
+    /// How long it exposes frames.
+    exposure: Exposure,
+    /// `None` where all lenses lie at its centre.
     parallax: Option<Parallax>,
+    /// `None` where all rows are exposed at once.
     readout: Option<Readout>,
+}
+
+/// What targets are measured with.
+struct Means {
     aligner: Arc<Aligner>,
     /// See [`Bodies::radius_in_sides`].
     radius_in_sides: f64,
     threads: usize,
+}
+
+/// All targets with their tracks.
+pub struct Tracker {
+    targets: Vec<Target>,
+    filter: FilterChoice,
+    camera: CameraState,
+    means: Means,
     /// `None`: everything is done at once.
     background: Option<BackgroundQueue>,
     direct_policy: DirectPassPolicy,
-    exposure: Exposure,
     attempts: Attempts,
     /// The last frame that has ended, and when it was exposed, seconds.
     ended: Option<(FrameOrder, f64)>,
@@ -83,14 +94,14 @@ impl Tracker {
         Self {
             targets: bodies.iter().map(|body| Target::new(body.clone(), policy)).collect(),
             filter,
-            // Predictions reach back to the last measurement, and not farther than this.
-            ego: EgoRotation::new(policy.motion.longest_step_s + policy.history_s),
-            parallax: None,
-            readout: None,
-            exposure: Exposure::new(None, aligner.pixels_per_radian()),
-            aligner,
-            radius_in_sides: bodies.radius_in_sides(),
-            threads,
+            camera: CameraState {
+                // Predictions reach back to the last measurement, and not farther than this.
+                ego: EgoRotation::new(policy.motion.longest_step_s + policy.history_s),
+                exposure: Exposure::new(None, aligner.pixels_per_radian()),
+                parallax: None,
+                readout: None,
+            },
+            means: Means { aligner, radius_in_sides: bodies.radius_in_sides(), threads },
             background: None,
             direct_policy: DirectPassPolicy::default(),
             attempts: Attempts::default(),
@@ -101,18 +112,18 @@ impl Tracker {
 
     /// Brings rays and poses to their distances, for a camera whose lenses lie off its centre.
     pub fn with_parallax(self, parallax: Option<Parallax>) -> Self {
-        Self { parallax, ..self }
+        Self { camera: CameraState { parallax, ..self.camera }, ..self }
     }
 
     /// Takes into account that rows are exposed one after the other.
     pub fn with_readout(self, readout: Option<Readout>) -> Self {
-        Self { readout, ..self }
+        Self { camera: CameraState { readout, ..self.camera }, ..self }
     }
 
     /// States how long frames are exposed, seconds. Without it the blur of moving bodies shows it in time.
     pub fn with_exposure(self, known_s: Option<f64>) -> Self {
-        let exposure = Exposure::new(known_s, self.aligner.pixels_per_radian());
-        Self { exposure, ..self }
+        let exposure = Exposure::new(known_s, self.means.aligner.pixels_per_radian());
+        Self { camera: CameraState { exposure, ..self.camera }, ..self }
     }
 
     /// Leaves what takes long to the background pass, whose jobs [`Tracker::take_job`] hands out.
@@ -127,7 +138,7 @@ impl Tracker {
 
     /// How many threads targets are measured on.
     pub fn threads(&self) -> usize {
-        self.threads
+        self.means.threads
     }
 
     /// The last frame that has ended.
@@ -140,55 +151,31 @@ impl Tracker {
         std::mem::take(&mut self.attempts)
     }
 
-    /// How well a view shows the targets that it is the region of, or shows markers of. Targets whose
-    /// pose in the frame has left need no view.
-    pub fn shown(
-        &self,
-        record: &Record,
-        purpose: Option<Purpose>,
-        view: Option<&ViewHeader>,
-        stop_rule: StopRule,
-    ) -> Vec<(usize, ViewQuality)> {
-        let Some(view) = view else { return Vec::new() };
-        self.unpublished(record.header.stamp.order())
-            .filter_map(|target| {
-                let is_own = purpose == Some(Purpose::Gaze(target));
-                let (body, is_tracked) =
-                    (&self.targets[target].body, self.targets[target].is_tracked());
-                let quality = ViewQuality::of(record, view, body, is_own, is_tracked, stop_rule)?;
-                Some((target, quality))
-            })
-            .collect()
-    }
-
     /// The corner pass over regions of interest of one frame that have been searched. A pose need wait
     /// neither for the frame's tiles nor for the frame before, because the filter puts each measurement
     /// where it belongs in time.
     pub fn region_pass(
         &mut self,
         time: FrameTime,
+        parts: &mut Parts,
         answered: &[AnsweredView<'_>],
         best_views: &BestViews<'_>,
         budget: TimeBudget,
     ) -> Vec<Update> {
-        self.compare_with_markers(time.order, answered);
+        self.compare_with_markers(time.order, parts, answered);
         let mut tried: Vec<(usize, &[AnsweredView<'_>])> = Vec::new();
         for answer in answered {
-            let Some(target) = answer.region_of().filter(|&target| target < self.targets.len())
-            else {
-                continue;
-            };
+            let Some(target) = answer.region_of() else { continue };
+            let Some(part) = parts.get_mut(target) else { continue };
             // Without its view nobody knows what distance a record's rays are right for. Once the frame
             // is complete, the assumed distance has to do.
-            let is_ready = self.parallax.is_none() || answer.view.is_some();
-            let is_published = self.targets[target].is_published(time.order);
-            let in_frame = self.targets[target].in_frame_mut(time.order);
-            if is_ready && !is_published && !std::mem::replace(&mut in_frame.is_region_tried, true)
-            {
+            let is_ready = self.camera.parallax.is_none() || answer.view.is_some();
+            let is_due = is_ready && !part.is_published();
+            if is_due && !std::mem::replace(&mut part.is_region_tried, true) {
                 tried.push((target, std::slice::from_ref(answer)));
             }
         }
-        self.corner_pass(time, &tried, best_views, Moment::RegionSearched, budget)
+        self.corner_pass(time, parts, &tried, best_views, Pass::Region, budget)
     }
 
     /// The last corner pass, once all of a frame has been searched. It gives an estimate also for tracked
@@ -196,21 +183,23 @@ impl Tracker {
     pub fn final_pass(
         &mut self,
         time: FrameTime,
+        parts: &mut Parts,
         answered: &[AnsweredView<'_>],
         best_views: &BestViews<'_>,
         budget: TimeBudget,
     ) -> Vec<Update> {
         // The same passes as if each region's record had come alone: what a frame says must not depend
         // on when its parts came.
-        let mut updates = self.region_pass(time, answered, best_views, budget);
+        let mut updates = self.region_pass(time, parts, answered, best_views, budget);
         let left: Vec<(usize, &[AnsweredView<'_>])> =
-            self.unpublished(time.order).map(|target| (target, answered)).collect();
-        updates.extend(self.corner_pass(time, &left, best_views, Moment::FrameComplete, budget));
-        let missed: Vec<usize> = self.unpublished(time.order).collect();
+            parts.unpublished().map(|target| (target, answered)).collect();
+        updates.extend(self.corner_pass(time, parts, &left, best_views, Pass::Complete, budget));
+        let missed: Vec<usize> = parts.unpublished().collect();
         for target in missed {
-            let imprecise = self.targets[target].in_frame_mut(time.order).imprecise.take();
+            let mut part = parts.get_mut(target);
+            let imprecise = part.as_mut().and_then(|part| part.imprecise.take());
             let update = imprecise.and_then(|imprecise| {
-                let update = self.take_in(time, target, &imprecise);
+                let update = self.take_in(time, target, part, &imprecise);
                 let outcome = || outcome_of(imprecise, update.as_ref());
                 self.note(time.order, target, || Decision::TakenImprecise(outcome()));
                 update
@@ -222,7 +211,9 @@ impl Tracker {
             let decoded = answered.iter().flat_map(|answer| &answer.record.markers);
             let decoded = distinct_decoded(decoded, &self.targets[target].body);
             let estimate = match self.filter {
-                FilterChoice::Tracks(_) => self.targets[target].miss(time.at_s, decoded, &self.ego),
+                FilterChoice::Tracks(_) => {
+                    self.targets[target].miss(time.at_s, decoded, &self.camera.ego)
+                }
                 FilterChoice::None => None,
             };
             updates.extend(estimate.map(|estimate| (target, estimate)));
@@ -231,11 +222,16 @@ impl Tracker {
     }
 
     /// Suspends the direct pass of targets whose markers contradict what it published.
-    fn compare_with_markers(&mut self, order: FrameOrder, answered: &[AnsweredView<'_>]) {
+    fn compare_with_markers(
+        &mut self,
+        order: FrameOrder,
+        parts: &Parts,
+        answered: &[AnsweredView<'_>],
+    ) {
         for answer in answered {
             let Some(target) = answer.region_of() else { continue };
             let Some(Target { body, .. }) = self.targets.get(target) else { continue };
-            let Some(pose) = self.targets[target].direct_pose(order) else { continue };
+            let Some(pose) = parts.get(target).and_then(Part::direct_pose) else { continue };
             let rays = decoded_rays(body, &answer.record.markers);
             if contradicts(body, &rays, pose) {
                 self.direct_policy.suspend(target);
@@ -244,44 +240,51 @@ impl Tracker {
         }
     }
 
-    /// Takes a measurement into the track of its target: the one place where that happens. `None` where
-    /// the filter refuses it.
+    /// Takes a measurement into the track of its target: the one place where that happens. `part` is the
+    /// target's part in the frame, unless that has ended. `None` where the filter refuses the measurement.
     pub(crate) fn take_in(
         &mut self,
         time: FrameTime,
         target: usize,
+        part: Option<&mut Part>,
         measurement: &Measurement,
     ) -> Option<Update> {
         let estimate = match self.filter {
             FilterChoice::Tracks(_) => {
-                self.targets[target].update(time.at_s, measurement, &self.ego)
+                self.targets[target].update(time.at_s, measurement, &self.camera.ego)
             }
             FilterChoice::None => {
                 measurement.is_precise.then(|| TargetEstimate::of_frame(measurement))
             }
         }?;
-        let status = Status::Published { direct_pose: None };
-        self.targets[target].in_frame_mut(time.order).status = status;
+        if let Some(part) = part {
+            part.status = Status::Published { direct_pose: None };
+        }
         if let Some(queue) = &mut self.background {
             queue.cancel(time.order, target);
         }
         Some((target, estimate))
     }
 
-    /// Numbers of the targets whose pose in a frame has not left.
-    fn unpublished(&self, order: FrameOrder) -> impl Iterator<Item = usize> {
-        (0..self.targets.len()).filter(move |&target| !self.targets[target].is_published(order))
+    /// Takes in a measurement of an open frame, and notes what has become of it.
+    fn conclude(
+        &mut self,
+        time: FrameTime,
+        target: usize,
+        part: Option<&mut Part>,
+        measurement: &Measurement,
+    ) -> Option<Update> {
+        let update = self.take_in(time, target, part, measurement);
+        self.note_outcome(time.order, target, outcome_of(*measurement, update.as_ref()));
+        update
     }
 
-    /// Ends a frame. Frames end in their order.
-    pub fn end_frame(&mut self, frame: &Frame, at_s: f64) {
-        let order = frame.stamp.order();
-        let is_direct = |target: &usize| self.targets[*target].direct_pose(order).is_some();
-        let direct: BTreeSet<usize> = (0..self.targets.len()).filter(is_direct).collect();
+    /// Ends a frame that was exposed at `at_s`, seconds. Frames end in their order.
+    pub fn end_frame(&mut self, order: FrameOrder, at_s: f64, parts: &Parts) {
+        let direct: BTreeSet<usize> = parts.measured_directly().collect();
         self.direct_policy.end_frame(&direct);
-        self.exposure.end_frame();
+        self.camera.exposure.end_frame();
         self.ended = Some((order, at_s));
-        self.targets.iter_mut().for_each(|target| target.end_frame(order));
     }
 
     /// Whether a target's region of interest in the next frame need not be searched for markers.
@@ -291,10 +294,10 @@ impl Tracker {
 }
 
 mod accounting;
-mod corner_passes;
-mod direct_passes;
-mod late_answers;
-mod place_passes;
+mod by_background;
+mod by_markers;
+mod by_place;
+mod by_prediction;
 mod predictions;
 mod resumed;
 #[cfg(test)]

@@ -2,11 +2,11 @@
 
 use flockeye_contract::{FrameEnd, FrameStamp, Rotation, ViewHeader};
 
-use crate::frame_assembly::Record;
+use crate::measure::background::{Answer, Job};
 use crate::notices::Notice;
 use crate::output::TrackMessage;
-use crate::passes::background::{Answer, Job};
 use crate::planning::NextPlan;
+use crate::record::Record;
 
 /// What happens to fusion.
 #[derive(Debug)]

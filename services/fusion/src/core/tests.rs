@@ -4,6 +4,7 @@
 
 use super::*;
 use crate::fixtures::*;
+use crate::frame::frames::Keeping;
 use crate::schedule::VirtualClock;
 use flockeye_config::Costs;
 use flockeye_contract::{DetectionHeader, ViewKind};
@@ -20,17 +21,27 @@ impl Pixels for Vec<u8> {
 const DEADLINE_NS: i64 = 1_000_000_000;
 
 fn core(schedule: Schedule) -> Core<Vec<u8>> {
+    core_with(schedule, false)
+}
+
+fn core_with(schedule: Schedule, keeps_places: bool) -> Core<Vec<u8>> {
     let is_limited = !matches!(schedule, Schedule::Unlimited);
     let mut tracker = tracker_of(vec![alpha()], 1);
     if is_limited {
         tracker = tracker.with_background();
     }
     let lights = RadianceCache::new(None).unwrap();
+    let keeping = Keeping {
+        deadline_ns: DEADLINE_NS,
+        max_unanswered: 4,
+        max_best: 4,
+        keeps_pixels: true,
+        keeps_regions: schedule.has_direct_pass(),
+        keeps_places,
+    };
     Core::new(
         schedule,
-        true,
-        FrameAssembly::new(DEADLINE_NS),
-        ViewCache::new(4, 4),
+        Frames::new(keeping, 1),
         PictureReader::new(lights, PIXELS_PER_RADIAN, None),
         tracker,
         Planning::new(planner()),

@@ -7,7 +7,7 @@ use flockeye_contract::{
     TruthHeader, ViewHeader,
 };
 
-use crate::frame_assembly::Record;
+use crate::record::Record;
 use crate::recorded::{Message, RecordedPixels};
 
 /// Plans that are kept for frames that still follow them.

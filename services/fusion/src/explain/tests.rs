@@ -22,8 +22,8 @@ use crate::account::{
     CornerPose, CornerVerdict, Decision, Hypothesis, NotRun, Outcome, Pass, Source, Trial, Verdict,
 };
 use crate::fixtures::{self, facing_markers, measurement, stamp};
-use crate::frame_assembly::Record;
 use crate::policy::TimeBudget;
+use crate::record::Record;
 use crate::recorded::{Lost, Message};
 use crate::track_prior::TrackPrior;
 

@@ -6,8 +6,8 @@ use std::sync::OnceLock;
 
 use super::*;
 use crate::fixtures::{INTERVAL_S, pose, region_end, region_record, region_view, shown, stamp};
-use crate::frame_assembly::Record;
 use crate::journal::{Journal, Journaled};
+use crate::record::Record;
 use flockeye_config::Pipeline;
 use flockeye_contract::{
     DetectionHeader, FrameStamp, JournalHeader, MAX_JOURNAL_ENTRIES, Rotation, RotationSource,

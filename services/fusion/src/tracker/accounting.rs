@@ -6,9 +6,10 @@ use super::Tracker;
 use crate::account::{
     Account, Decision, Hypothesis, NotRun, Outcome, Pass, Source, Trial, Verdict,
 };
+use crate::frame::parts::Parts;
 use crate::hypothesis::turn_log;
-use crate::passes::direct::{Candidate, Region, RejectedAlignment};
-use crate::passes::inputs::Inputs;
+use crate::measure::inputs::Inputs;
+use crate::measure::prediction::{Candidate, Region, RejectedAlignment};
 use crate::policy::TimeBudget;
 
 impl Tracker {
@@ -53,11 +54,11 @@ impl Tracker {
     }
 
     /// Why a region is no candidate of the direct pass.
-    pub(super) fn note_no_direct_pass(&mut self, order: FrameOrder, target: usize) {
+    pub(super) fn note_no_direct_pass(&mut self, order: FrameOrder, target: usize, parts: &Parts) {
         if !self.is_noted(target) {
             return;
         }
-        let reason = if self.targets[target].is_published(order) {
+        let reason = if parts.is_published(target) {
             NotRun::Published
         } else if self.direct_policy.is_suspended(target) {
             NotRun::Suspended

@@ -14,14 +14,16 @@ use crate::track_prior::TrackPrior;
 impl Tracker {
     /// The camera has turned. What was measured since then is filtered anew.
     pub fn turn_camera(&mut self, turn: &CameraTurn) {
-        self.ego.add(turn);
-        self.targets.iter_mut().for_each(|target| target.refilter(turn.earlier_s, &self.ego));
+        self.camera.ego.add(turn);
+        self.targets
+            .iter_mut()
+            .for_each(|target| target.refilter(turn.earlier_s, &self.camera.ego));
     }
 
     /// Where a tracked target is at a time.
     pub fn prediction(&self, target: usize, at_s: f64) -> Option<Prediction> {
         match self.filter {
-            FilterChoice::Tracks(_) => self.targets.get(target)?.predict(at_s, &self.ego),
+            FilterChoice::Tracks(_) => self.targets.get(target)?.predict(at_s, &self.camera.ego),
             FilterChoice::None => None,
         }
     }
@@ -38,7 +40,7 @@ impl Tracker {
 
     /// When the rows are exposed that show a tracked target in the frame of a time, seconds.
     fn shown_s(&self, target: usize, at_s: f64) -> f64 {
-        let Some(readout) = &self.readout else { return at_s };
+        let Some(readout) = &self.camera.readout else { return at_s };
         let prediction = self.prediction(target, at_s);
         at_s + prediction.map_or(0.0, |known| readout.after_s(&known.camera_from_markers))
     }
@@ -60,13 +62,13 @@ impl Tracker {
             },
             None => {
                 let position = &camera_from_markers.translation.vector;
-                let turning = -self.ego.rate_at(at_s);
+                let turning = -self.camera.ego.rate_at(at_s);
                 let motion = match self.filter {
                     FilterChoice::Tracks(policy) => policy.motion,
                     FilterChoice::None => MotionModel::default(),
                 };
                 let mut speed = motion.initial_speed.powi(2);
-                if self.ego.known_until_s().is_none() {
+                if self.camera.ego.known_until_s().is_none() {
                     speed += (motion.initial_rate * position.norm()).powi(2);
                 }
                 let rate = motion.initial_rate.powi(2);
@@ -89,14 +91,14 @@ impl Tracker {
         let (sight, velocity) = (position.normalize(), prediction.apparent_velocity());
         let across = velocity - sight * sight.dot(&velocity);
         let rate_in_camera = across / position.norm();
-        Motion { rate_in_camera, exposure_s: self.exposure.seconds() }
+        Motion { rate_in_camera, exposure_s: self.camera.exposure.seconds() }
     }
 
     /// What its track says of where the frame of a time shows a target. Without a filter there is no track.
     pub(super) fn prior(&self, target: usize, at_s: f64) -> TrackPrior {
         match self.filter {
             FilterChoice::Tracks(_) => {
-                self.targets[target].prior(self.shown_s(target, at_s), &self.ego)
+                self.targets[target].prior(self.shown_s(target, at_s), &self.camera.ego)
             }
             FilterChoice::None => TrackPrior::Untracked,
         }
@@ -112,10 +114,10 @@ impl Tracker {
         at_s: f64,
     ) -> Measurement {
         let mut pose = measurement.pose;
-        if let Some(parallax) = &self.parallax {
+        if let Some(parallax) = &self.camera.parallax {
             pose = parallax.corrected(&pose, rays_m);
         }
-        if let Some(readout) = &self.readout {
+        if let Some(readout) = &self.camera.readout {
             let shown = pose.camera_from_markers;
             let motion = self.apparent_motion(target, at_s, &shown);
             pose = motion.carried(&pose, -readout.after_s(&shown));

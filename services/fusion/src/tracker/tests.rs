@@ -5,22 +5,30 @@
 use super::*;
 use crate::fixtures::*;
 use crate::hypothesis::BestView;
+use crate::measure::Row;
+use crate::measure::inputs::Permit;
+use crate::measure::prediction::Region;
 use crate::measurement::{MeasuredBy, PoseEstimate, agreeing_candidates, candidate_rays};
-use crate::passes::direct::Region;
-use crate::passes::inputs::Permit;
 use crate::policy::{SUSPENDED_FRAMES, is_search_turn};
+use crate::record::Record;
 use flockeye_geometry::filter::TrackState;
+use flockeye_geometry::search::Purpose;
 use nalgebra::{Isometry3, Matrix6};
 
 mod background;
 
-fn direct(tracker: &mut Tracker, sequence: u64, view: &BestView<'_>) -> Option<Update> {
-    tracker.direct_pass(time(sequence), &[Region { target: 0, view: *view }]).pop()
+fn direct(tracker: &mut Tracking, sequence: u64, view: &BestView<'_>) -> Option<Update> {
+    let (tracker, parts) = tracker.at(sequence);
+    tracker.direct_pass(time(sequence), parts, &[Region { target: 0, view: *view }]).pop()
+}
+
+fn untracked() -> Tracking {
+    Tracking::of(tracker_of(vec![alpha()], 1))
 }
 
 /// A last corner pass for alpha alone.
 fn final_corner_pass(
-    tracker: &mut Tracker,
+    tracker: &mut Tracking,
     sequence: u64,
     record: &Record,
     view: BestView<'_>,
@@ -28,7 +36,8 @@ fn final_corner_pass(
 ) -> Vec<Update> {
     let (answered, best_views) = ([of_tile(record)], BestViews::from([(0, view)]));
     let tried = [(0, answered.as_slice())];
-    tracker.corner_pass(time(sequence), &tried, &best_views, Moment::FrameComplete, budget)
+    let (pass, (tracker, parts)) = (Pass::Complete, tracker.at(sequence));
+    tracker.corner_pass(time(sequence), parts, &tried, &best_views, pass, budget)
 }
 
 #[test]
@@ -44,7 +53,6 @@ fn a_frame_need_not_wait_for_the_one_before() {
     assert_eq!(tracker.prediction(0, at_s(5)).map(|p| p.stamp_s), Some(at_s(5)));
     assert!(tracker.targets[0].is_measured(), "frame 4 did");
     assert!(end(&mut tracker, 4).is_empty(), "its pose has left already");
-    assert!(!tracker.targets[0].keeps_frames(), "nothing is kept of frames that ended");
 }
 
 #[test]
@@ -68,12 +76,7 @@ fn a_confirmed_target_is_measured_before_its_region_is_searched() {
         let error_m = error_m(&measured.camera_from_markers, &truth);
         assert!(error_m < 2e-3, "{error_m} m");
         // Its view in this frame need not be held any more, that in the next one is.
-        let header = flockeye_contract::ViewHeader::default();
-        let shown = [3, 4].map(|sequence| {
-            let record = record(sequence, &truth);
-            let own = Some(Purpose::Gaze(0));
-            tracker.shown(&record, own, Some(&header), StopRule::Deadline).len()
-        });
+        let shown = [3, 4].map(|sequence| tracker.at(sequence).1.unpublished().count());
         assert_eq!(shown, [0, 1]);
         // The markers that are found later agree, and there is nothing to add.
         assert!(see(&mut tracker, 3, &truth).is_empty());
@@ -113,17 +116,20 @@ fn the_start_of_a_rejected_direct_pass_is_not_aligned_again() {
     let empty = empty_record(3);
     let answered = [of_region(&empty)];
     with_view(&pose(2.4), |elsewhere| assert!(direct(&mut tracker, 3, elsewhere).is_none()));
-    let is_measured = |tracker: &Tracker, view: &BestView<'_>| {
+    let mut is_measured = |view: &BestView<'_>| {
         let best_views = BestViews::from([(0, *view)]);
         let budget = TimeBudget::OneFrame;
-        let permit = Permit { budget, is_deferred: true, may_search: false, min_markers: 1 };
-        let inputs = tracker.inputs(time(3), 0, &answered, &best_views, permit);
-        inputs.expect("it was predicted").measure(&tracker.aligner, None).is_some()
+        let row = Row::of(Pass::Complete);
+        let permit = Permit { row, budget, is_deferred: true, may_search: false };
+        let (tracker, parts) = tracker.at(3);
+        let part = parts.get(0).unwrap();
+        let inputs = tracker.inputs(time(3), 0, part, &answered, &best_views, permit);
+        inputs.expect("it was predicted").measure(&tracker.means.aligner, None).is_some()
     };
     with_view(&truth, |view| {
-        assert!(!is_measured(&tracker, view), "it would be found, were it aligned again");
+        assert!(!is_measured(view), "it would be found, were it aligned again");
         let other = BestView { view_index: 1, ..*view };
-        assert!(is_measured(&tracker, &other), "another view may show more");
+        assert!(is_measured(&other), "another view may show more");
     });
 }
 
@@ -131,15 +137,17 @@ fn the_start_of_a_rejected_direct_pass_is_not_aligned_again() {
 fn a_frame_without_time_is_not_searched_round_predictions() {
     let truth = pose(0.9);
     let mut tracker = following(&truth);
-    let may_search = |tracker: &Tracker, budget| {
-        tracker.permit(time(3), 0, Moment::FrameComplete, budget, true).may_search
+    let mut may_search = |budget| {
+        let ((tracker, parts), row) = (tracker.at(3), Row::of(Pass::Complete));
+        tracker.permit(time(3), 0, parts.get(0).unwrap(), row, budget, true).may_search
     };
-    assert!(may_search(&tracker, TimeBudget::OneFrame), "frame 3 is one of those that search");
-    assert!(!may_search(&tracker, TimeBudget::Overspent));
+    assert!(may_search(TimeBudget::OneFrame), "frame 3 is one of those that search");
+    assert!(!may_search(TimeBudget::Overspent));
     // Its markers tell its pose all the same.
     let record = record(3, &truth);
     let (answered, views) = ([of_region(&record)], BestViews::new());
-    let updates = tracker.region_pass(time(3), &answered, &views, TimeBudget::Overspent);
+    let (tracker, parts) = tracker.at(3);
+    let updates = tracker.region_pass(time(3), parts, &answered, &views, TimeBudget::Overspent);
     assert!(updates[0].1.measured.is_some());
 }
 
@@ -147,7 +155,7 @@ fn a_frame_without_time_is_not_searched_round_predictions() {
 fn only_confirmed_targets_have_a_direct_pass() {
     let truth = pose(0.9);
     with_view(&truth, |view| {
-        let mut tracker = tracker_of(vec![alpha()], 1);
+        let mut tracker = untracked();
         assert!(direct(&mut tracker, 0, view).is_none(), "it has no track");
         assert_eq!(see(&mut tracker, 0, &truth).len(), 1);
         assert!(direct(&mut tracker, 1, view).is_none(), "it was seen once");
@@ -181,7 +189,7 @@ fn markers_that_contradict_a_direct_pose_suspend_the_direct_pass() {
 fn direct_passes_on_several_threads_give_the_same() {
     let (here, there) = (pose(0.9), Isometry3::translation(-1.0, 0.2, 0.0));
     let measured = |threads| {
-        let mut tracker = tracker_of(vec![alpha(), bravo()], threads);
+        let mut tracker = Tracking::of(tracker_of(vec![alpha(), bravo()], threads));
         for sequence in 0..3 {
             for (target, pose) in [(0, here), (1, there)] {
                 tracker.take_in(time(sequence), target, &measurement(&pose));
@@ -190,7 +198,8 @@ fn direct_passes_on_several_threads_give_the_same() {
         // Where bravo should be, its view shows nothing like it.
         with_view(&here, |view| {
             let regions = [0, 1].map(|target| Region { target, view: *view });
-            tracker.direct_pass(time(3), &regions)
+            let (tracker, parts) = tracker.at(3);
+            tracker.direct_pass(time(3), parts, &regions)
         })
     };
     let alone = measured(1);
@@ -205,10 +214,12 @@ fn regions_of_targets_that_do_not_exist_are_ignored() {
     let mut tracker = following(&truth);
     let record = record(3, &truth);
     let answered = [AnsweredView { purpose: Some(Purpose::Gaze(9)), ..of_region(&record) }];
-    let updates = tracker.region_pass(time(3), &answered, &BestViews::new(), TimeBudget::Unlimited);
+    let ((tracker, parts), views) = (tracker.at(3), BestViews::new());
+    let updates = tracker.region_pass(time(3), parts, &answered, &views, TimeBudget::Unlimited);
     assert!(updates.is_empty());
     with_view(&truth, |view| {
-        assert!(tracker.direct_pass(time(3), &[Region { target: 9, view: *view }]).is_empty());
+        let regions = [Region { target: 9, view: *view }];
+        assert!(tracker.direct_pass(time(3), parts, &regions).is_empty());
     });
 }
 
@@ -221,8 +232,7 @@ fn an_imprecise_measurement_only_corrects_a_track_that_it_agrees_with() {
         let pose = PoseEstimate { covariance: Matrix6::identity() * 2e-3, ..precise.pose };
         Measurement { pose, is_precise: false, ..precise }
     };
-    let mut untracked = tracker_of(vec![alpha()], 1);
-    assert!(untracked.take_in(time(0), 0, &imprecise(&truth)).is_none(), "it starts no track");
+    assert!(untracked().take_in(time(0), 0, &imprecise(&truth)).is_none(), "it starts no track");
 
     let mut tracker = following(&truth);
     let (_, estimate) = tracker.take_in(time(3), 0, &imprecise(&truth)).expect("it agrees");
@@ -244,7 +254,7 @@ fn far_away() -> Isometry3<f64> {
 }
 
 /// Frames 0 to 2, in which alpha was measured at `truth`, by whatever.
-fn measured_at(tracker: &mut Tracker, truth: &Isometry3<f64>) {
+fn measured_at(tracker: &mut Tracking, truth: &Isometry3<f64>) {
     for sequence in 0..3 {
         assert!(tracker.take_in(time(sequence), 0, &measurement(truth)).is_some());
         assert!(end(tracker, sequence).is_empty());
@@ -258,7 +268,7 @@ fn what_is_imprecise_waits_until_nothing_better_can_come() {
     let bodies = Bodies::new("DICT_5X5_250".into(), vec![alpha()]).unwrap();
     let aligner = aligner(&bodies).with_covariance_scale(13.5);
     let filter = FilterChoice::Tracks(TrackPolicy::default());
-    let mut tracker = Tracker::new(&bodies, filter, Arc::new(aligner), 1);
+    let mut tracker = Tracking::of(Tracker::new(&bodies, filter, Arc::new(aligner), 1));
     measured_at(&mut tracker, &truth);
     with_view(&truth, |view| {
         let best_views = BestViews::from([(0, *view)]);
@@ -266,9 +276,10 @@ fn what_is_imprecise_waits_until_nothing_better_can_come() {
         let answered = [of_region(&searched)];
         let budget = TimeBudget::Unlimited;
         assert!(direct(&mut tracker, 3, view).is_none());
-        let updates = tracker.region_pass(time(3), &answered, &best_views, budget);
+        let (tracker, parts) = tracker.at(3);
+        let updates = tracker.region_pass(time(3), parts, &answered, &best_views, budget);
         assert!(updates.is_empty(), "{updates:?}");
-        let updates = tracker.final_pass(time(3), &answered, &best_views, budget);
+        let updates = tracker.final_pass(time(3), parts, &answered, &best_views, budget);
         let [(0, estimate)] = updates.as_slice() else { panic!("{updates:?}") };
         assert_eq!((estimate.measured, estimate.unseen_s), (None, 0.0));
         assert_eq!(estimate.state, Some(TrackState::Confirmed));
@@ -279,17 +290,18 @@ fn what_is_imprecise_waits_until_nothing_better_can_come() {
 #[test]
 fn corners_that_leave_the_pose_uncertain_only_correct_a_track() {
     let truth = far_away();
-    let passes = |tracker: &mut Tracker| {
+    let passes = |tracker: &mut Tracking| {
         let mut record = record(3, &truth);
         record.markers.iter_mut().for_each(|marker| marker.deviations = [1e-3; 4]);
         let (answered, views) = ([of_region(&record)], BestViews::new());
         let budget = TimeBudget::Unlimited;
-        let region = tracker.region_pass(time(3), &answered, &views, budget);
+        let (tracker, parts) = tracker.at(3);
+        let region = tracker.region_pass(time(3), parts, &answered, &views, budget);
         assert!(region.is_empty(), "{region:?}");
-        tracker.final_pass(time(3), &answered, &views, budget)
+        tracker.final_pass(time(3), parts, &answered, &views, budget)
     };
-    assert!(passes(&mut tracker_of(vec![alpha()], 1)).is_empty(), "it starts no track");
-    let mut tracker = tracker_of(vec![alpha()], 1);
+    assert!(passes(&mut untracked()).is_empty(), "it starts no track");
+    let mut tracker = untracked();
     measured_at(&mut tracker, &truth);
     let updates = passes(&mut tracker);
     let [(0, estimate)] = updates.as_slice() else { panic!("{updates:?}") };
@@ -308,7 +320,7 @@ fn squares_that_lie_to_each_other_as_on_the_body_start_a_track() {
     };
     with_view(&truth, |view| {
         let found = |record: &Record| {
-            let mut tracker = tracker_of(vec![alpha()], 1);
+            let mut tracker = untracked();
             let agreeing =
                 agreeing_candidates(&alpha(), &candidate_rays(&alpha(), &record.markers));
             let view = BestView { agreeing, ..*view };

@@ -9,7 +9,7 @@ fn proposal(sequence: u64) -> ViewHeader {
     let place = {
         let body = alpha();
         let in_sides = body.radius() / body.largest_side();
-        crate::places::place_of(&view_of(&view), body.largest_side(), in_sides)
+        crate::frame::places::place_of(&view_of(&view), body.largest_side(), in_sides)
     };
     let range_m = pose(0.9).translation.vector.norm();
     assert!((0.7..1.4).contains(&(place.range_m / range_m)), "{place:?} at {range_m} m");
@@ -30,8 +30,7 @@ fn said_of(core: &mut Core<Vec<u8>>, view: ViewHeader) -> Vec<Outputs> {
 #[test]
 fn a_body_without_a_decoded_marker_is_found_at_its_place() {
     let said = |searches: bool| {
-        let mut core = core(Schedule::Unlimited);
-        core = if searches { core.searching_places() } else { core };
+        let mut core = core_with(Schedule::Unlimited, searches);
         drain(&mut core, 0);
         said_of(&mut core, proposal(0))
     };
@@ -39,7 +38,7 @@ fn a_body_without_a_decoded_marker_is_found_at_its_place() {
     assert!(poses(&said(false)).is_empty(), "nothing else finds it");
 
     // A proposal without a place shows nothing that was chosen.
-    let mut core = core(Schedule::Unlimited).searching_places();
+    let mut core = core_with(Schedule::Unlimited, true);
     drain(&mut core, 0);
     let search = flockeye_contract::Search::Nothing.code();
     assert!(poses(&said_of(&mut core, ViewHeader { search, ..proposal(0) })).is_empty());

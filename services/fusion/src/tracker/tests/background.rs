@@ -13,26 +13,28 @@ fn beside(truth: &Isometry3<f64>, off_m: f64) -> Isometry3<f64> {
 }
 
 /// A tracker with a background pass that predicts alpha `off_m` beside where it is.
-fn misled(truth: &Isometry3<f64>, off_m: f64) -> Tracker {
+fn misled(truth: &Isometry3<f64>, off_m: f64) -> Tracking {
     following(&beside(truth, off_m)).with_background()
 }
 
 /// The corner pass over alpha's region of interest, in which no marker was found.
 fn region_pass(
-    tracker: &mut Tracker,
+    tracker: &mut Tracking,
     time: FrameTime,
     view: &BestView<'_>,
     budget: TimeBudget,
 ) -> Vec<Update> {
     let empty = empty_record(time.order.2);
     let (answered, best_views) = ([of_region(&empty)], BestViews::from([(0, *view)]));
-    tracker.region_pass(time, &answered, &best_views, budget)
+    let (tracker, parts) = tracker.at(time.order.2);
+    tracker.region_pass(time, parts, &answered, &best_views, budget)
 }
 
 /// Runs the background pass that was asked for.
-fn run(tracker: &mut Tracker) -> Option<Update> {
-    let answer = tracker.take_job()?.run(&tracker.aligner);
-    tracker.background_answer(answer).map(|(_, update)| update)
+fn run(tracker: &mut Tracking) -> Option<Update> {
+    let answer = tracker.take_job()?.run(&tracker.means.aligner);
+    let (tracker, parts) = tracker.open_parts(answer.subject.order.2);
+    tracker.background_answer(answer, parts).map(|(_, update)| update)
 }
 
 fn predicted(tracker: &Tracker, at_s: f64) -> Isometry3<f64> {
@@ -89,8 +91,6 @@ fn a_late_answer_corrects_the_track() {
         assert!(run(&mut tracker).is_some());
         assert_tracked_at(&tracker, &truth, at_s(3));
         assert!(tracker.targets[0].is_measured());
-        end(&mut tracker, 4);
-        assert!(!tracker.targets[0].keeps_frames(), "nothing is kept of frames that ended");
     });
 }
 
@@ -171,8 +171,8 @@ fn a_single_target_without_a_region_is_measured_at_once() {
 }
 
 /// A tracker with a background pass that tracks bravo.
-fn tracking_bravo() -> Tracker {
-    let mut tracker = tracker_of(vec![alpha(), bravo()], 1).with_background();
+fn tracking_bravo() -> Tracking {
+    let mut tracker = Tracking::of(tracker_of(vec![alpha(), bravo()], 1)).with_background();
     let pose = Isometry3::translation(-1.0, 0.0, 0.0);
     assert!(tracker.take_in(time(0), 1, &measurement(&pose)).is_some());
     tracker
@@ -188,7 +188,7 @@ fn candidates_of_alpha(sequence: u64, truth: &Isometry3<f64>) -> Record {
     record
 }
 
-fn measure_alpha(tracker: &mut Tracker, record: &Record, view: &BestView<'_>) -> Vec<Update> {
+fn measure_alpha(tracker: &mut Tracking, record: &Record, view: &BestView<'_>) -> Vec<Update> {
     final_corner_pass(tracker, record.header.stamp.sequence, record, *view, BUDGET)
 }
 
@@ -221,7 +221,7 @@ fn an_untracked_target_has_its_background_pass_also_in_a_frame_without_time() {
 fn an_untracked_target_that_holds_up_nobody_is_found_at_once() {
     let truth = pose(0.9);
     with_view(&truth, |view| {
-        let mut tracker = tracker_of(vec![alpha()], 1).with_background();
+        let mut tracker = untracked().with_background();
         let record = candidates_of_alpha(1, &truth);
         assert_eq!(measure_alpha(&mut tracker, &record, view).len(), 1);
         assert_eq!(tracker.awaited(), None);

@@ -3,15 +3,14 @@
 use flockeye_geometry::pose::CornerRay;
 
 use super::{FrameTime, Tracker, Update};
-use crate::account::{Decision, Outcome};
+use crate::account::{Decision, Outcome, Pass};
+use crate::frame::parts::{Part, Parts, Status};
+use crate::measure::background::Subject;
+use crate::measure::inputs::{Earlier, Inputs, Permit};
+use crate::measure::{AnsweredView, BestViews, Row, Search};
 use crate::measurement::{MeasuredBy, Measurement, candidate_rays, decoded_rays};
-use crate::passes::background::Subject;
-use crate::passes::corners::{self, Moment};
-use crate::passes::inputs::{Earlier, Inputs, Permit};
-use crate::passes::{AnsweredView, BestViews};
+use crate::parallel;
 use crate::policy::{TimeBudget, is_search_turn};
-use crate::target::Status;
-use crate::target::outcome_of;
 use crate::track_prior::TrackPrior;
 
 impl Tracker {
@@ -20,24 +19,26 @@ impl Tracker {
     pub(crate) fn corner_pass(
         &mut self,
         time: FrameTime,
+        parts: &mut Parts,
         tried: &[(usize, &[AnsweredView<'_>])],
         best_views: &BestViews<'_>,
-        moment: Moment,
+        pass: Pass,
         budget: TimeBudget,
     ) -> Vec<Update> {
+        let row = Row::of(pass);
         // Taken out meanwhile, because the inputs borrow from all else.
         let mut background = self.background.take();
         let has_background = background.is_some();
         let mut inputs: Vec<Inputs<'_>> = Vec::new();
         let mut unmeasurable = Vec::new();
         for (target, answered) in tried {
-            let permit = self.permit(time, *target, moment, budget, has_background);
-            match self.inputs(time, *target, answered, best_views, permit) {
+            let Some(part) = parts.get(*target) else { continue };
+            let permit = self.permit(time, *target, part, row, budget, has_background);
+            match self.inputs(time, *target, part, answered, best_views, permit) {
                 Some(offered) => inputs.push(offered),
                 None => unmeasurable.push(*target),
             }
         }
-        let pass = moment.pass();
         let mut attempts = self.attempts;
         for inputs in &inputs {
             match inputs.prior.predicted() {
@@ -45,8 +46,10 @@ impl Tracker {
                 None => attempts.untracked += 1,
             }
         }
-        let trial = |inputs: &Inputs<'_>| self.trial_of(inputs, pass);
-        let measured = corners::measure(&self.aligner, &inputs, self.threads, trial);
+        let measured = parallel::map(&inputs, self.means.threads, |inputs| {
+            let mut trial = self.trial_of(inputs, pass);
+            (inputs.measure(&self.means.aligner, trial.as_mut()), trial)
+        });
         let mut failed = Vec::new();
         let mut found = Vec::new();
         let mut trials = Vec::new();
@@ -76,11 +79,12 @@ impl Tracker {
             self.note(time.order, target, || Decision::Ran(trial));
         }
         for (target, attempt, is_in_background, imprecise) in failed {
-            let in_frame = self.targets[target].in_frame_mut(time.order);
-            in_frame.status = Status::Failed(attempt);
-            in_frame.imprecise = imprecise.or(in_frame.imprecise);
-            if is_in_background {
-                in_frame.background = Some(attempt);
+            if let Some(part) = parts.get_mut(target) {
+                part.status = Status::Failed(attempt);
+                part.imprecise = imprecise.or(part.imprecise);
+                if is_in_background {
+                    part.background = Some(attempt);
+                }
             }
             let outcome = match imprecise {
                 _ if is_in_background => Outcome::InBackground,
@@ -89,12 +93,10 @@ impl Tracker {
             };
             self.note_outcome(time.order, target, outcome);
         }
-        let take_in = |(target, measurement): (usize, Measurement)| {
-            let update = self.take_in(time, target, &measurement);
-            self.note_outcome(time.order, target, outcome_of(measurement, update.as_ref()));
-            update
+        let conclude = |(target, measurement): (usize, Measurement)| {
+            self.conclude(time, target, parts.get_mut(target), &measurement)
         };
-        found.into_iter().filter_map(take_in).collect()
+        found.into_iter().filter_map(conclude).collect()
     }
 
     /// What a corner pass may do for a target. What takes long is left to the background pass where
@@ -103,14 +105,13 @@ impl Tracker {
         &self,
         time: FrameTime,
         target: usize,
-        moment: Moment,
+        part: &Part,
+        row: &'static Row,
         budget: TimeBudget,
         has_background: bool,
     ) -> Permit {
-        let in_frame = self.targets[target].in_frame(time.order);
-        let is_region_tried = in_frame.is_some_and(|in_frame| in_frame.is_region_tried);
         let prior = self.prior(target, time.at_s);
-        let is_open = prior.confirmed().is_some() && is_region_tried;
+        let is_open = prior.confirmed().is_some() && part.is_region_tried;
         // Its track ends after a few frames.
         let is_urgent = matches!(prior, TrackPrior::Tentative(_));
         let is_deferred = budget != TimeBudget::Unlimited
@@ -118,8 +119,12 @@ impl Tracker {
             && (is_open || self.tracks_others(target));
         let may_search = (is_urgent || is_search_turn(time.number, target, self.targets.len()))
             && budget != TimeBudget::Overspent
-            && (moment == Moment::FrameComplete || is_deferred);
-        Permit { budget, is_deferred, may_search, min_markers: moment.min_markers() }
+            && match row.search {
+                Search::Never => false,
+                Search::Background => is_deferred,
+                Search::Allowed => true,
+            };
+        Permit { row, budget, is_deferred, may_search }
     }
 
     /// Collects what there is to measure a target by; `None` where there is nothing.
@@ -127,6 +132,7 @@ impl Tracker {
         &'f self,
         time: FrameTime,
         target: usize,
+        part: &'f Part,
         answered: &[AnsweredView<'_>],
         best_views: &BestViews<'f>,
         permit: Permit,
@@ -134,7 +140,7 @@ impl Tracker {
         let body = &self.targets.get(target)?.body;
         let prior = self.prior(target, time.at_s);
         // All rays are brought to the best known distance before the pose is solved.
-        let rays_m = self.parallax.as_ref().map_or(f64::INFINITY, |parallax| {
+        let rays_m = self.camera.parallax.as_ref().map_or(f64::INFINITY, |parallax| {
             let predicted = prior.confirmed().map(|prior| prior.camera_from_markers.translation);
             predicted.map_or(parallax.assumed_m(), |position| position.vector.norm())
         });
@@ -144,7 +150,7 @@ impl Tracker {
         for AnsweredView { record, view, .. } in answered {
             let mut of_view =
                 [decoded_rays(body, &record.markers), candidate_rays(body, &record.markers)];
-            if let Some(parallax) = &self.parallax {
+            if let Some(parallax) = &self.camera.parallax {
                 let from_m = parallax.distance_m(*view);
                 for ray in of_view.iter_mut().flatten() {
                     ray.ray_in_camera = parallax.brought(&ray.ray_in_camera, from_m, rays_m);
@@ -164,15 +170,14 @@ impl Tracker {
             None => !decoded.is_empty(),
             Some(best) => is_known || best.agreeing > 0,
         };
-        let in_frame = self.targets[target].in_frame(time.order);
-        let earlier = in_frame.map_or_else(Earlier::default, |in_frame| Earlier {
-            failed: match in_frame.status {
+        let earlier = Earlier {
+            failed: match part.status {
                 Status::Failed(attempt) => Some(attempt),
                 Status::Pending | Status::Published { .. } => None,
             },
-            rejected: in_frame.rejected.as_ref(),
-            background: in_frame.background,
-        });
+            rejected: part.rejected.as_ref(),
+            background: part.background,
+        };
         is_measurable.then_some(Inputs {
             target,
             body,

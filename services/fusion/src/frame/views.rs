@@ -1,34 +1,37 @@
-//! The views whose pixels alignment reads: for each target in a frame, the best one.
+//! The views of a frame whose pixels alignment reads: for each target the best one.
 //!
-//! Views stay in shared memory and are read in place. The cache only says which of them are still
+//! Views stay in shared memory and are read in place. [`HeldViews`] only says which of them are still
 //! held, because each held view is one that rectification cannot write to.
 
 use std::collections::BTreeMap;
 use std::rc::Rc;
 
-use flockeye_contract::{FrameOrder, ViewHeader};
+use flockeye_contract::ViewHeader;
 use flockeye_geometry::body::Body;
 use flockeye_geometry::search::StopRule;
 
-use crate::frame_assembly::Record;
 use crate::measurement::{agreeing_candidates, candidate_rays};
+use crate::record::Record;
 
-/// Held views, with `P` the hold on their pixels.
+/// The views of one frame that are held, with `P` the hold on their pixels.
 #[derive(Debug)]
-pub struct ViewCache<P> {
-    /// Views without a record yet, by frame and place in the plan.
-    unanswered: BTreeMap<(FrameOrder, u32), (ViewHeader, Rc<P>)>,
-    /// The best view of each target in a frame.
-    best: BTreeMap<(FrameOrder, usize), CachedView<P>>,
-    max_unanswered: usize,
-    max_best: usize,
+pub struct HeldViews<P> {
+    /// Views without a record yet, by their place in the plan.
+    unanswered: BTreeMap<u32, HeldView<P>>,
+    /// The best view of each target.
+    best: BTreeMap<usize, BestHeldView<P>>,
 }
 
 #[derive(Debug)]
-struct CachedView<P> {
-    quality: ViewQuality,
+struct HeldView<P> {
     header: ViewHeader,
     pixels: Rc<P>,
+}
+
+#[derive(Debug)]
+struct BestHeldView<P> {
+    quality: ViewQuality,
+    view: HeldView<P>,
 }
 
 /// How much a view shows of a target. No two views of a frame are equal, so the best one does not
@@ -108,78 +111,75 @@ impl ViewQuality {
     }
 }
 
-impl<P> ViewCache<P> {
-    /// Holds at most `max_unanswered` views without a record, and `max_best` with one.
-    pub fn new(max_unanswered: usize, max_best: usize) -> Self {
-        Self { unanswered: BTreeMap::new(), best: BTreeMap::new(), max_unanswered, max_best }
+impl<P> Default for HeldViews<P> {
+    fn default() -> Self {
+        Self { unanswered: BTreeMap::new(), best: BTreeMap::new() }
     }
+}
 
-    /// Holds a view that was cut. Where there are too many without a record, the oldest are released.
+impl<P> HeldViews<P> {
+    /// Holds a view that was cut.
     pub fn add(&mut self, header: ViewHeader, pixels: P) {
-        self.unanswered
-            .insert((header.stamp.order(), header.view_index), (header, Rc::new(pixels)));
-        while self.unanswered.len() > self.max_unanswered {
-            self.unanswered.pop_first();
-        }
+        self.unanswered.insert(header.view_index, HeldView { header, pixels: Rc::new(pixels) });
     }
 
-    /// Whether one more view would release the oldest.
-    pub fn is_full(&self) -> bool {
-        self.unanswered.len() >= self.max_unanswered
+    /// How many views are held that have no record yet.
+    pub fn unanswered_count(&self) -> usize {
+        self.unanswered.len()
+    }
+
+    /// How many targets have a best view.
+    pub fn best_count(&self) -> usize {
+        self.best.len()
+    }
+
+    /// Releases the first view without a record, and says whether there was one.
+    pub fn release_unanswered(&mut self) -> bool {
+        self.unanswered.pop_first().is_some()
+    }
+
+    /// Releases the best view of the last target, and says whether there was one.
+    pub fn release_best(&mut self) -> bool {
+        self.best.pop_last().is_some()
     }
 
     /// A held view without a record yet, with its pixels.
-    pub fn unanswered(&self, order: FrameOrder, view_index: u32) -> Option<(&ViewHeader, &P)> {
-        self.unanswered.get(&(order, view_index)).map(|(header, pixels)| (header, &**pixels))
+    pub fn unanswered(&self, view_index: u32) -> Option<(&ViewHeader, &P)> {
+        self.unanswered.get(&view_index).map(|view| (&view.header, &*view.pixels))
     }
 
     /// Notes that a view's record has come. `shows` are the targets that it shows, and how well. It stays
     /// held for those that it shows best.
-    pub fn answered(&mut self, order: FrameOrder, view_index: u32, shows: &[(usize, ViewQuality)]) {
-        let Some((header, pixels)) = self.unanswered.remove(&(order, view_index)) else { return };
+    pub fn answered(&mut self, view_index: u32, shows: &[(usize, ViewQuality)]) {
+        let Some(HeldView { header, pixels }) = self.unanswered.remove(&view_index) else { return };
         for &(target, quality) in shows {
-            let known = self.best.get(&(order, target));
+            let known = self.best.get(&target);
             if known.is_none_or(|known| quality.is_above(&known.quality)) {
-                let cached = CachedView { quality, header, pixels: pixels.clone() };
-                self.best.insert((order, target), cached);
+                let view = HeldView { header, pixels: pixels.clone() };
+                self.best.insert(target, BestHeldView { quality, view });
             }
-        }
-        // Newer frames give way to a stalled one: their targets are measured without pixels.
-        while self.best.len() > self.max_best {
-            self.best.pop_last();
         }
     }
 
-    /// The best views of a frame's targets, and how good they are.
-    pub fn best_of(
-        &self,
-        order: FrameOrder,
-    ) -> impl Iterator<Item = (usize, &ViewQuality, &ViewHeader, &P)> {
-        self.best.range((order, 0)..=(order, usize::MAX)).map(|(&(_, target), cached)| {
-            (target, &cached.quality, &cached.header, &*cached.pixels)
+    /// The best views of the targets, and how good they are.
+    pub fn best(&self) -> impl Iterator<Item = (usize, &ViewQuality, &ViewHeader, &P)> {
+        self.best.iter().map(|(&target, BestHeldView { quality, view })| {
+            (target, quality, &view.header, &*view.pixels)
         })
     }
 
-    /// Releases a target's best view in a frame, because the target is measured.
-    pub fn release(&mut self, order: FrameOrder, target: usize) {
-        self.best.remove(&(order, target));
-    }
-
-    /// Releases all views up to and with this frame.
-    pub fn release_until(&mut self, order: FrameOrder) {
-        self.unanswered.retain(|(of, _), _| *of > order);
-        self.best.retain(|(of, _), _| *of > order);
+    /// Releases a target's best view, because the target is measured.
+    pub fn release(&mut self, target: usize) {
+        self.best.remove(&target);
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use flockeye_contract::FrameStamp;
 
-    fn header(sequence: u64, view_index: u32) -> ViewHeader {
-        let stamp = FrameStamp { sequence, ..FrameStamp::default() };
-        ViewHeader { stamp, view_index, ..ViewHeader::default() }
+    fn header(view_index: u32) -> ViewHeader {
+        ViewHeader { view_index, ..ViewHeader::default() }
     }
 
     fn quality(is_own: bool, focal_px: f64, off_centre: f64, view_index: u32) -> ViewQuality {
@@ -195,14 +195,14 @@ mod tests {
             quality(false, 1200.0, 0.0, 3),
         ];
         for turn in 0..4 {
-            let mut cache = ViewCache::new(8, 8);
-            (0..4).for_each(|index| cache.add(header(5, index), index));
+            let mut held = HeldViews::default();
+            (0..4).for_each(|index| held.add(header(index), index));
             for k in 0..4 {
                 let index = (k + turn) % 4;
-                cache.answered((0, 0, 5), index as u32, &[(7, qualities[index])]);
+                held.answered(index as u32, &[(7, qualities[index])]);
             }
             let best: Vec<_> =
-                cache.best_of((0, 0, 5)).map(|(target, _, _, pixels)| (target, *pixels)).collect();
+                held.best().map(|(target, _, _, pixels)| (target, *pixels)).collect();
             assert_eq!(best, [(7, 2)]);
         }
     }
@@ -214,32 +214,5 @@ mod tests {
         assert!(markers.is_above(&squares) && !squares.is_above(&markers));
         let agreeing = ViewQuality { agreeing: 2, ..quality(false, 611.0, 0.4, 2) };
         assert!(agreeing.is_above(&squares) && markers.is_above(&agreeing));
-    }
-
-    #[test]
-    fn views_that_no_target_needs_are_released() {
-        let mut cache = ViewCache::new(3, 2);
-        let pixels = Rc::new(());
-        for index in 0..5 {
-            cache.add(header(1, index), pixels.clone());
-        }
-        assert_eq!(Rc::strong_count(&pixels), 4, "three are unanswered");
-        cache.answered((0, 0, 1), 2, &[]);
-        assert_eq!(Rc::strong_count(&pixels), 3, "it shows no target");
-        cache.answered((0, 0, 1), 3, &[(0, quality(true, 1.0, 0.0, 3))]);
-        assert_eq!(Rc::strong_count(&pixels), 3, "it shows a target");
-        cache.release_until((0, 0, 1));
-        assert_eq!(Rc::strong_count(&pixels), 1);
-    }
-
-    #[test]
-    fn newer_frames_give_way_to_the_oldest() {
-        let mut cache = ViewCache::new(8, 2);
-        for sequence in 1..5 {
-            cache.add(header(sequence, 0), sequence);
-            cache.answered((0, 0, sequence), 0, &[(0, quality(true, 1.0, 0.0, 0))]);
-        }
-        assert_eq!(cache.best_of((0, 0, 1)).count(), 1);
-        assert_eq!(cache.best_of((0, 0, 4)).count(), 0);
     }
 }

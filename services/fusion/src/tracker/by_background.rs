@@ -4,7 +4,8 @@ use flockeye_contract::FrameOrder;
 
 use super::{FilterChoice, FrameTime, Tracker, Update};
 use crate::account::Outcome;
-use crate::passes::background::{Answer, BackgroundQueue, Job, Subject};
+use crate::frame::parts::Parts;
+use crate::measure::background::{Answer, BackgroundQueue, Job, Subject};
 use crate::target::outcome_of;
 
 impl Tracker {
@@ -23,16 +24,21 @@ impl Tracker {
         self.background.as_ref().is_some_and(|queue| queue.is_about(order))
     }
 
-    /// Takes in the answer of a background pass. If its frame has ended meanwhile, it only corrects a track
-    /// that it agrees with, or starts one: a pose that was found by the prior of a track that is lost
-    /// since then means nothing.
-    pub fn background_answer(&mut self, mut answer: Answer) -> Option<(FrameOrder, Update)> {
+    /// Takes in the answer of a background pass. `parts` are those of its frame. If that has ended meanwhile,
+    /// the answer only corrects a track that it agrees with, or starts one: a pose that was found by the
+    /// prior of a track that is lost since then means nothing.
+    pub fn background_answer(
+        &mut self,
+        mut answer: Answer,
+        parts: Option<&mut Parts>,
+    ) -> Option<(FrameOrder, Update)> {
         let Answer { subject: Subject { order, at_s, target }, .. } = answer;
         let trial = answer.trial.take();
         let answer = self.background.as_mut()?.finish(answer);
         self.note_answer(order, trial, answer.is_none());
         let answer = answer?;
-        let is_late = self.ended.is_some_and(|(ended, _)| order <= ended);
+        let mut part = parts.and_then(|parts| parts.get_mut(target));
+        let is_late = part.is_none();
         let may_start = answer.is_independent
             && !self.targets[target].is_tracked()
             && self.is_within_history(order, at_s);
@@ -41,17 +47,17 @@ impl Tracker {
             self.targets[target].forget();
         }
         let measurement = self.corrected(answer.measurement?, answer.rays_m, target, at_s);
-        if !is_late && !measurement.is_precise {
-            self.targets[target].in_frame_mut(order).imprecise = Some(measurement);
+        if let Some(part) = part.as_mut().filter(|_| !measurement.is_precise) {
+            part.imprecise = Some(measurement);
             self.note_outcome(order, target, Outcome::Imprecise(measurement));
             return None;
         }
         let is_accepted = !is_late
             || may_start
-            || self.targets[target].is_inside_gate(at_s, &measurement, &self.ego);
+            || self.targets[target].is_inside_gate(at_s, &measurement, &self.camera.ego);
         // The number of the frame matters only to passes that are still to run.
         let time = FrameTime { order, at_s, number: 0 };
-        let update = is_accepted.then(|| self.take_in(time, target, &measurement));
+        let update = is_accepted.then(|| self.take_in(time, target, part, &measurement));
         let outcome = match &update {
             None => Outcome::OutsideGate(measurement),
             Some(Some(_)) if is_late => Outcome::Late(measurement),

@@ -1,15 +1,13 @@
-//! Messages that pass the contract's check and yet cannot be true: of a worker that does not exist, of a view that
-//! nobody planned, of a frame that nobody has begun.
+//! Messages that pass the contract's check and yet cannot be true: they name a worker that does not exist, a
+//! view that nobody planned, or a frame that nobody has begun.
 
 use std::fmt;
 
 use flockeye_contract::{DetectionHeader, FrameEnd, FrameStamp, ViewHeader};
 
-use crate::planning::Planning;
-
 /// No source is faster than this, nanoseconds.
 const SHORTEST_INTERVAL_NS: u64 = 1_000_000;
-/// So many frames may come at once, such as those that waited while this process was stopped.
+/// Frames that may come at once, such as those that waited while this process was stopped.
 const FREE_STEP: u64 = 64;
 
 /// Why a message is refused.
@@ -72,18 +70,18 @@ impl fmt::Display for Refusal {
     }
 }
 
-/// Knows what can be true in flight. Who imitates a source that has begun anew is believed.
+/// Knows what can be true in flight. A source that has begun anew may count from anywhere.
 #[derive(Debug)]
 pub struct Guard {
     workers: u32,
-    /// The newest frame of which rectification has said anything.
+    /// The newest frame of which rectification has sent anything.
     newest: Option<FrameStamp>,
     /// When that came, nanoseconds of CLOCK_MONOTONIC. Exposures would not do: a camera's clock may jump.
     newest_ns: i64,
 }
 
 impl Guard {
-    /// For a pipeline with so many detection workers.
+    /// A guard of a pipeline with `workers` detection workers.
     pub fn new(workers: u32) -> Self {
         Self { workers, newest: None, newest_ns: 0 }
     }
@@ -93,22 +91,21 @@ impl Guard {
         self.refuses_frame(&view.stamp, now_ns)
     }
 
-    /// Why the end of a frame is refused.
+    /// Why the end of a frame is refused. `planned` is how many views its plan has, where that is known.
     pub fn refuses_end(
         &mut self,
         end: &FrameEnd,
-        planning: &Planning,
+        planned: Option<usize>,
         now_ns: i64,
     ) -> Option<Refusal> {
         let (views, plan_id) = (end.views_issued, end.plan_id);
-        let planned = planning.views_of(plan_id);
         if planned.is_some_and(|planned| views as usize > planned) {
             return Some(Refusal::TooManyViews { views, plan_id });
         }
         self.refuses_frame(&end.stamp, now_ns)
     }
 
-    /// Why a frame is refused of which rectification says something.
+    /// Why a frame is refused of which rectification sends something.
     fn refuses_frame(&mut self, stamp: &FrameStamp, now_ns: i64) -> Option<Refusal> {
         let refusal = self.impossible_step(stamp, now_ns);
         if refusal.is_none() && self.newest.is_none_or(|newest| newest.order() < stamp.order()) {
@@ -129,11 +126,14 @@ impl Guard {
         is_impossible.then_some(Refusal::ImpossibleStep { sequence, newest: newest.sequence })
     }
 
-    /// Why a record is refused. Before rectification has said anything, every frame may be one that was under
-    /// way when this process began.
-    pub fn refuses_record(&self, record: &DetectionHeader, planning: &Planning) -> Option<Refusal> {
+    /// Why a record is refused. `planned` is how many views its plan has, where that is known. Before
+    /// rectification has sent anything, every frame may be one that was under way when this process began.
+    pub fn refuses_record(
+        &self,
+        record: &DetectionHeader,
+        planned: Option<usize>,
+    ) -> Option<Refusal> {
         let DetectionHeader { worker, view_index, plan_id, stamp, .. } = *record;
-        let planned = planning.views_of(plan_id);
         if worker >= self.workers {
             Some(Refusal::UnknownWorker { worker, workers: self.workers })
         } else if planned.is_some_and(|planned| view_index as usize >= planned) {

@@ -2,7 +2,8 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 use super::*;
-use crate::passes::inputs::{Earlier, Permit};
+use crate::measure::Row;
+use crate::measure::inputs::{Earlier, Permit};
 use crate::track_prior::TrackPrior;
 use flockeye_geometry::body::squares;
 use flockeye_geometry::pose::PosePrior;
@@ -39,10 +40,10 @@ fn with_requests(
                 rays_m: f64::INFINITY,
             }),
             permit: Permit {
+                row: Row::of(Pass::Complete),
                 budget: TimeBudget::OneFrame,
                 is_deferred: true,
                 may_search: false,
-                min_markers: 1,
             },
             earlier: Earlier::default(),
         };

@@ -9,32 +9,29 @@ use flockeye_geometry::pose::{
 use flockeye_imaging::align::{Alignment, is_precise_by_corners};
 use nalgebra::Isometry3;
 
-use super::direct::RejectedAlignment;
+use super::prediction::RejectedAlignment;
+use super::{MARKERS_WITHOUT_TRACK, Row};
 use crate::account::{CornerPose, CornerVerdict, Notes, Pass, Source, Trial};
 use crate::hypothesis::{Aligner, BestView, Sought, Start};
 use crate::measurement::{MeasuredBy, Measurement, PoseEstimate, distinct_markers, supports};
 use crate::policy::TimeBudget;
 use crate::track_prior::TrackPrior;
 
-/// Markers that must agree on a pose where neither a track nor alignment supports it. One marker may be
-/// a misread square, and its mirror pose cannot be told from it.
-pub const MARKERS_WITHOUT_TRACK: usize = 2;
-
 /// Solutions from corners that alignment starts from, lowest cost first: the right one may cost more
 /// than its mirror pose.
 const STARTS_FROM_CORNERS: usize = 3;
 
-/// What the policy allows a corner pass to do.
+/// What the policy allows a pass to do for a target.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Permit {
+    /// The pass.
+    pub row: &'static Row,
     /// How much time there is.
     pub budget: TimeBudget,
     /// Whether rough starts and the search are left to the background pass.
     pub is_deferred: bool,
     /// Whether the target may be searched for round its prediction where nothing else finds it.
     pub may_search: bool,
-    /// Decoded markers that must agree where there is a confirmed track but nothing was aligned.
-    pub min_markers: usize,
 }
 
 /// What the frame's earlier passes did for the target.
@@ -145,7 +142,7 @@ impl Inputs<'_> {
     /// Whether a pose that the corners give would do as a measurement: if enough of them agree and it is certain enough.
     fn corner_verdict(&self, solution: &PoseSolution) -> CornerVerdict {
         let min_markers = match self.prior.confirmed() {
-            Some(_) => self.permit.min_markers,
+            Some(_) => self.permit.row.min_markers,
             None => MARKERS_WITHOUT_TRACK,
         };
         if solution.inlier_markers.len() < min_markers {
@@ -183,24 +180,17 @@ impl Inputs<'_> {
         notes: &mut Notes<'_>,
     ) -> Option<Alignment> {
         let attempt = self.attempt();
-        let mut starts: Vec<(Source, Start)> = Vec::new();
         let fine_is_new =
             self.is_new(|failed| Attempt { candidates: failed.candidates, ..attempt });
-        let rough_is_new = self.is_new(|_| attempt);
-        if fine_is_new {
-            let others = solutions.iter().filter(|solution| Some(*solution) != chosen);
-            let from_corners = chosen.into_iter().chain(others).take(STARTS_FROM_CORNERS);
-            starts.extend(from_corners.map(corner_start));
-        }
+        let squares_are_new = self.is_new(|_| attempt);
         let is_deferred = self.permit.is_deferred;
-        if !is_deferred && rough_is_new {
-            starts.extend(self.candidate_starts());
-        }
-        if fine_is_new && let Some(predicted) = self.prior.predicted() {
-            let fine = (Source::Prediction, Start::Fine(*predicted));
-            starts.push(self.rejected_start(predicted).unwrap_or(fine));
-            starts.extend((!is_deferred).then_some(rough_start(predicted)));
-        }
+        let others = solutions.iter().filter(|solution| Some(*solution) != chosen);
+        let corners: Vec<&PoseSolution> = chosen.into_iter().chain(others).collect();
+        let starts = self.starts(self.permit.row, &corners, |source| match source {
+            Source::DoubtfulSquares => squares_are_new && !is_deferred,
+            Source::RoughPrediction => fine_is_new && !is_deferred,
+            _ => fine_is_new,
+        });
         let (target, budget, picture) = (self.target, self.permit.budget, &view.picture);
         let sought = Sought { target, picture, starts: &starts, budget };
         let is_marked = |pose: &Isometry3<f64>| supports(self.body, &self.decoded, pose);
@@ -219,6 +209,35 @@ impl Inputs<'_> {
                 is_enough.then_some(found)
             }
         }
+    }
+
+    /// What a pass of this `row` starts from, as far as it `is_worth` the time. `corners` are what the decoded
+    /// markers give, the best first.
+    fn starts(
+        &self,
+        row: &Row,
+        corners: &[&PoseSolution],
+        is_worth: impl Fn(Source) -> bool,
+    ) -> Vec<(Source, Start)> {
+        let mut starts = Vec::new();
+        let predicted = self.prior.predicted();
+        for source in row.starts.iter().copied().filter(|source| is_worth(*source)) {
+            match source {
+                Source::Corners => {
+                    let best = corners.iter().take(STARTS_FROM_CORNERS);
+                    starts.extend(best.map(|solution| corner_start(solution)));
+                }
+                Source::DoubtfulSquares => starts.extend(self.candidate_starts()),
+                Source::Prediction => starts.extend(predicted.map(|predicted| {
+                    let fine = (Source::Prediction, Start::Fine(*predicted));
+                    self.rejected_start(predicted).unwrap_or(fine)
+                })),
+                Source::RoughPrediction => starts.extend(predicted.map(rough_start)),
+                // These follow from other starts, or are no starts.
+                Source::DirectPass | Source::Mirror | Source::Search | Source::Place => {}
+            }
+        }
+        starts
     }
 
     fn candidate_starts(&self) -> impl Iterator<Item = (Source, Start)> {
@@ -249,19 +268,15 @@ impl Inputs<'_> {
     /// What a background pass starts from. Without a confirmed track the corners' solutions are among it
     /// again, because what one start leads to is compared with what the others do.
     pub fn background_starts(&self) -> Vec<(Source, Start)> {
-        let from_corners = match self.prior.confirmed() {
+        let solutions = match self.prior.confirmed() {
             Some(_) => Vec::new(),
             None => solve(self.body, &self.decoded, &PoseOptions::default()).unwrap_or_default(),
         };
-        let from_corners = from_corners.iter().take(STARTS_FROM_CORNERS);
-        from_corners
-            .map(corner_start)
-            .chain(self.candidate_starts())
-            .chain(self.prior.predicted().map(rough_start))
-            .collect()
+        let corners: Vec<&PoseSolution> = solutions.iter().collect();
+        self.starts(Row::of(Pass::Background), &corners, |_| true)
     }
 
-    /// A pass with these inputs that begins, for an account of it.
+    /// A `pass` with these inputs that begins, for an account of it.
     pub fn trial(&self, pass: Pass) -> Trial {
         Trial {
             view_index: self.best_view.map(|view| view.view_index),
@@ -300,7 +315,7 @@ mod tests {
     /// What the corners alone say.
     fn measure(body: &Body, decoded: Vec<CornerRay>, prior: TrackPrior) -> Option<Measurement> {
         let bodies = Bodies::new("DICT_5X5_250".into(), vec![body.clone()]).expect("one body");
-        let budget = TimeBudget::Unlimited;
+        let (row, budget) = (Row::of(Pass::Complete), TimeBudget::Unlimited);
         let inputs = Inputs {
             target: 0,
             body,
@@ -309,7 +324,7 @@ mod tests {
             rays_m: f64::INFINITY,
             prior,
             best_view: None,
-            permit: Permit { budget, is_deferred: false, may_search: false, min_markers: 1 },
+            permit: Permit { row, budget, is_deferred: false, may_search: false },
             earlier: Earlier::default(),
         };
         inputs.measure(&aligner(&bodies), None)

@@ -1,0 +1,135 @@
+//! The measurement passes that the core runs, with the inputs that its frames hold for them.
+
+use flockeye_contract::FrameOrder;
+
+use super::{Core, Outputs, time_of};
+use crate::frame::OpenFrame;
+use crate::frame::parts::Parts;
+use crate::measure::prediction::Region;
+use crate::measure::{AnsweredView, BestViews};
+use crate::output::Cause;
+use crate::pictures::Pixels;
+use crate::policy::TimeBudget;
+use crate::schedule::Schedule;
+use crate::target::Update;
+use crate::tracker::{FrameTime, Tracker};
+
+/// A pass over records of a frame: [`Tracker::region_pass`] or [`Tracker::final_pass`].
+type RecordsPass = fn(
+    &mut Tracker,
+    FrameTime,
+    &mut Parts,
+    &[AnsweredView<'_>],
+    &BestViews<'_>,
+    TimeBudget,
+) -> Vec<Update>;
+
+impl<P: Pixels> Core<P> {
+    /// The direct pass over regions of one frame, as many at once as there are threads.
+    pub(super) fn measure_regions(&mut self, order: FrameOrder, outputs: &mut Outputs) {
+        let taken = self.frames.take_regions(order, self.tracker.threads().max(1));
+        let Some(frame) = self.frames.get_mut(order) else { return };
+        let stamp = frame.stamp;
+        let time = time_of(&self.planning, &stamp);
+        let (reader, tracker) = (&mut self.reader, &mut self.tracker);
+        let found = frame.with_parts(|frame, parts| {
+            let regions: Vec<Region<'_>> = reader.regions(&frame.held, &taken);
+            let updates = tracker.direct_pass(time, parts, &regions).into_iter();
+            let caused = updates.filter_map(|update| {
+                let last = regions.iter().rfind(|region| region.target == update.0)?;
+                Some((update, Cause::of_view(frame.views.get(&last.view.view_index)?)))
+            });
+            caused.collect::<Vec<_>>()
+        });
+        if self.schedule.is_flight() {
+            found.into_iter().for_each(|found| self.publish(&stamp, vec![found], outputs));
+        } else {
+            // Their order must not depend on who is faster.
+            frame.keep_found(found);
+        }
+        self.frames.answer_seen(order);
+    }
+
+    /// The region pass over the regions of one frame that have been searched.
+    pub(super) fn measure_records(&mut self, order: FrameOrder, outputs: &mut Outputs) {
+        let Some(frame) = self.frames.get_mut(order) else { return };
+        let stamp = frame.stamp;
+        let searched = frame.take_searched();
+        let (time, budget) = (time_of(&self.planning, &stamp), self.budget(&stamp));
+        let Some(frame) = self.frames.get_mut(order) else { return };
+        let (reader, tracker) = (&mut self.reader, &mut self.tracker);
+        let updates = frame.with_parts(|frame, parts| {
+            let answered = searched.iter().filter_map(|index| answered(frame, *index));
+            let answered: Vec<AnsweredView<'_>> = answered.collect();
+            let best_views = reader.best_views(&frame.held);
+            tracker.region_pass(time, parts, &answered, &best_views, budget)
+        });
+        let Some(frame) = self.frames.get(order) else { return };
+        let records = searched.iter().filter_map(|index| frame.records.get(index));
+        let updates = self.caused_by(updates, records);
+        self.publish(&stamp, updates, outputs);
+    }
+
+    /// Runs a pass over all of a complete frame, and publishes what it finds.
+    pub(super) fn measure(&mut self, order: FrameOrder, outputs: &mut Outputs, pass: RecordsPass) {
+        let Some(stamp) = self.frames.get(order).map(|frame| frame.stamp) else { return };
+        let (time, budget) = (time_of(&self.planning, &stamp), self.budget(&stamp));
+        let Some(frame) = self.frames.get_mut(order) else { return };
+        let (reader, tracker) = (&mut self.reader, &mut self.tracker);
+        let updates = frame.with_parts(|frame, parts| {
+            let counted = frame.counted().into_iter();
+            let answered: Vec<AnsweredView<'_>> =
+                counted.filter_map(|record| answered(frame, record.header.view_index)).collect();
+            let counts = |view_index| {
+                answered.iter().any(|answer| answer.record.header.view_index == view_index)
+            };
+            let mut best_views = reader.best_views(&frame.held);
+            best_views.retain(|_, best| counts(best.view_index));
+            pass(tracker, time, parts, &answered, &best_views, budget)
+        });
+        let attempts = self.tracker.take_attempts();
+        if let Schedule::Virtual(clock) = &mut self.schedule {
+            clock.spend(attempts);
+        }
+        self.begin_background(outputs);
+        self.publish_updates(order, updates, outputs);
+    }
+
+    /// Looks at some places of a complete frame for one of the targets that nothing else has found, and says
+    /// whether there were both. All together would take longer than a stage may go without a sign of life.
+    pub(super) fn search_a_place(&mut self, order: FrameOrder, outputs: &mut Outputs) -> bool {
+        let Some(frame) = self.frames.get_mut(order) else { return false };
+        let untracked = self.tracker.untracked(&frame.parts);
+        let Some(target) = frame.places.next_target(untracked) else { return false };
+        let time = time_of(&self.planning, &frame.stamp);
+        let (reader, tracker) = (&mut self.reader, &mut self.tracker);
+        let update = frame.with_parts(|frame, parts| {
+            let views: Vec<_> = frame.places.next().collect();
+            tracker.place_pass(time, parts, target, &reader.places(&views))
+        });
+        self.publish_updates(order, update.into_iter().collect(), outputs);
+        true
+    }
+
+    /// Publishes what all of a frame led to.
+    pub(super) fn publish_updates(
+        &mut self,
+        order: FrameOrder,
+        updates: Vec<Update>,
+        outputs: &mut Outputs,
+    ) {
+        let Some(frame) = self.frames.get(order) else { return };
+        let stamp = frame.stamp;
+        let updates = self.caused_by(updates, frame.records.values());
+        self.publish(&stamp, updates, outputs);
+    }
+}
+
+/// The record of a view, with the view where it has come.
+fn answered<P>(frame: &OpenFrame<P>, view_index: u32) -> Option<AnsweredView<'_>> {
+    Some(AnsweredView {
+        record: frame.records.get(&view_index)?,
+        purpose: frame.purpose_of(view_index),
+        view: frame.views.get(&view_index),
+    })
+}

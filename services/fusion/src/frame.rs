@@ -1,0 +1,239 @@
+//! A frame as one value, from the first message about it until it ends: its phase, its views and records, and
+//! each target's part in it.
+
+pub mod frames;
+pub mod parts;
+pub mod places;
+pub mod plans;
+pub mod views;
+
+use std::collections::{BTreeMap, VecDeque};
+use std::fmt;
+use std::rc::Rc;
+
+use flockeye_contract::{FrameEnd, FrameStamp, ViewHeader};
+use flockeye_convert::purpose_of;
+use flockeye_geometry::search::{Purpose, StopRule};
+
+use self::parts::Parts;
+use self::places::Places;
+use self::plans::FollowedPlan;
+use self::views::{HeldViews, ViewQuality};
+use crate::output::Outgoing;
+use crate::record::Record;
+use crate::target::Target;
+use crate::work::Work;
+
+/// How far a frame has come.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Phase {
+    /// Views, records or its end may still come.
+    Open,
+    /// Nothing more is waited for, and its targets are to be measured a last time.
+    Complete,
+    /// Its targets are measured, but for those at places that look like a body.
+    Measured,
+}
+
+impl fmt::Display for Phase {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Open => "open",
+            Self::Complete => "complete",
+            Self::Measured => "measured",
+        })
+    }
+}
+
+/// A frame that has not ended, with `P` the hold on a view's pixels.
+#[derive(Debug)]
+pub struct OpenFrame<P> {
+    /// Which frame.
+    pub stamp: FrameStamp,
+    /// How far it has come.
+    pub phase: Phase,
+    /// The views that have come, by their place in the plan.
+    pub views: BTreeMap<u32, ViewHeader>,
+    /// The views' records.
+    pub records: BTreeMap<u32, Record>,
+    /// How rectification ended it, once it has.
+    pub end: Option<FrameEnd>,
+    /// Views whose pixels are still needed.
+    pub held: HeldViews<P>,
+    /// Views of places that look like a body.
+    pub places: Places,
+    /// Each target's part.
+    pub parts: Parts,
+    /// The number of the plan that was followed; 0: rectification swept on its own.
+    plan_id: u64,
+    /// That plan, where this process made it.
+    plan: Option<Rc<FollowedPlan>>,
+    deadline_ns: i64,
+    /// Regions of interest that wait for the direct pass.
+    regions: VecDeque<Region>,
+    /// Records that wait for the corner pass over their regions, by the views' places in the plan.
+    searched: Vec<u32>,
+    /// What views show whose records came before the direct pass has seen them.
+    shown: Vec<(u32, Vec<(usize, ViewQuality)>)>,
+    /// What direct passes found, where it waits until the frame is complete.
+    found: Vec<Outgoing>,
+}
+
+/// A region of interest that was cut.
+#[derive(Debug, Clone, Copy)]
+struct Region {
+    /// Rises with each region of any frame.
+    arrival: u64,
+    view_index: u32,
+}
+
+impl<P> OpenFrame<P> {
+    fn new(
+        stamp: FrameStamp,
+        plan_id: u64,
+        plan: Option<Rc<FollowedPlan>>,
+        deadline_ns: i64,
+        parts: Parts,
+    ) -> Self {
+        Self {
+            stamp,
+            phase: Phase::Open,
+            views: BTreeMap::new(),
+            records: BTreeMap::new(),
+            end: None,
+            held: HeldViews::default(),
+            places: Places::default(),
+            parts,
+            plan_id,
+            plan,
+            deadline_ns,
+            regions: VecDeque::new(),
+            searched: Vec::new(),
+            shown: Vec::new(),
+            found: Vec::new(),
+        }
+    }
+
+    /// Whether rectification has ended it and every view that it issued was answered.
+    fn is_whole(&self) -> bool {
+        self.end.is_some_and(|end| {
+            self.records.range(..end.views_issued).count() == end.views_issued as usize
+        })
+    }
+
+    /// What is to be done next in it, as far as that does not depend on the time and on other frames.
+    fn next_work(&self) -> Option<Work> {
+        let order = self.stamp.order();
+        if let Some(first) = self.regions.front() {
+            return Some(Work::MeasureRegions { arrival: first.arrival, order });
+        }
+        if !self.searched.is_empty() {
+            return Some(Work::MeasureRecords { order });
+        }
+        match self.phase {
+            Phase::Open => None,
+            Phase::Complete => Some(Work::MeasureFrame { order }),
+            Phase::Measured => Some(Work::SearchPlaces { order }),
+        }
+    }
+
+    /// Why a view was cut: as planned or, where rectification followed no plan of this process, as the
+    /// view itself states.
+    pub fn purpose_of(&self, view_index: u32) -> Option<Purpose> {
+        match &self.plan {
+            Some(plan) => plan.purposes.get(view_index as usize).copied(),
+            None => self.views.get(&view_index).and_then(purpose_of),
+        }
+    }
+
+    /// When its search stops.
+    pub fn stop_rule(&self) -> StopRule {
+        self.plan.as_ref().map_or(StopRule::All, |plan| plan.stop_rule)
+    }
+
+    /// The records in plan order. With the rule `first_hit` only those up to the first hit count: how many
+    /// workers had searched beyond it depends on time.
+    pub fn counted(&self) -> Vec<&Record> {
+        let mut counted = Vec::new();
+        for record in self.records.values() {
+            counted.push(record);
+            if self.stop_rule() == StopRule::FirstHit && record.header.hits > 0 {
+                break;
+            }
+        }
+        counted
+    }
+
+    /// Why those views were cut that were searched and have not come here.
+    pub fn purposes_without_view(&self) -> impl Iterator<Item = Purpose> {
+        let missing = self.records.keys().filter(|index| !self.views.contains_key(index));
+        missing.filter_map(|index| self.purpose_of(*index))
+    }
+
+    /// Why the first view was cut in which a marker was found.
+    pub fn first_hit(&self) -> Option<Purpose> {
+        let hit = self.counted().into_iter().find(|record| record.header.hits > 0)?;
+        self.purpose_of(hit.header.view_index)
+    }
+
+    /// How well a view shows the `targets` that it is the region of, or shows markers of. Targets whose pose in
+    /// the frame has left need no view.
+    pub fn shown(&self, view_index: u32, targets: &[Target]) -> Vec<(usize, ViewQuality)> {
+        let (Some(record), Some(view)) =
+            (self.records.get(&view_index), self.views.get(&view_index))
+        else {
+            return Vec::new();
+        };
+        let (purpose, stop_rule) = (self.purpose_of(view_index), self.stop_rule());
+        let quality = |number: usize| {
+            let target = &targets[number];
+            let (is_own, is_tracked) =
+                (purpose == Some(Purpose::Gaze(number)), target.is_tracked());
+            let body = &target.body;
+            let quality = ViewQuality::of(record, view, body, is_own, is_tracked, stop_rule)?;
+            Some((number, quality))
+        };
+        self.parts.unpublished().filter_map(quality).collect()
+    }
+
+    /// Has the corner pass run over a record.
+    pub fn note_searched(&mut self, view_index: u32) {
+        self.searched.push(view_index);
+    }
+
+    /// Takes out the records that wait for the corner pass over their regions, by the views' places in the plan.
+    pub fn take_searched(&mut self) -> Vec<u32> {
+        std::mem::take(&mut self.searched)
+    }
+
+    /// Keeps what the direct pass found until the frame is complete.
+    pub fn keep_found(&mut self, found: Vec<Outgoing>) {
+        self.found.extend(found);
+    }
+
+    /// Takes out what direct passes found, by target: the order must not depend on who was faster.
+    pub fn take_found(&mut self) -> Vec<Outgoing> {
+        let mut found = std::mem::take(&mut self.found);
+        found.sort_by_key(|((target, _), _)| *target);
+        found
+    }
+
+    /// What `by` makes of the frame and of the targets' parts in it, which it may change.
+    pub fn with_parts<T>(&mut self, by: impl FnOnce(&Self, &mut Parts) -> T) -> T {
+        let mut parts = std::mem::take(&mut self.parts);
+        let made = by(self, &mut parts);
+        self.parts = parts;
+        made
+    }
+}
+
+impl<P> fmt::Display for OpenFrame<P> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "frame {}, {}", self.stamp.sequence, self.phase)?;
+        let (views, records) = (self.views.len(), self.records.len());
+        match self.end {
+            Some(end) => write!(f, ": {records} of {} views searched", end.views_issued),
+            None => write!(f, ": {views} views, {records} searched, not ended"),
+        }
+    }
+}

@@ -1,0 +1,173 @@
+//! The measurement pass: the ways in which a frame can tell where a target is.
+//!
+//! A pass collects what there is of a target, aligns the body from some starts, and takes what is accepted
+//! into the target's track. There are five kinds, which differ by a row of [`Row`]:
+//!
+//! | kind | starts from | wants | runs |
+//! | --- | --- | --- | --- |
+//! | direct | the prediction alone | a track measured in the frame before | when a region of interest has been cut |
+//! | region | markers, squares like them, the prediction | two markers without a track | when that region has been searched |
+//! | complete | the same in all views | two markers without a track, one with | when the frame is complete |
+//! | background | rough starts, a search round the prediction | a picture | beside the others: it takes several times as long |
+//! | place | nothing, in any attitude | no track | when a single image is complete |
+
+pub mod background;
+pub mod inputs;
+pub mod prediction;
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use flockeye_contract::{DetectedMarker, ViewHeader};
+use flockeye_geometry::body::Body;
+use flockeye_geometry::search::Purpose;
+
+use crate::account::{Pass, Source};
+use crate::hypothesis::BestView;
+use crate::record::Record;
+use crate::target::Target;
+
+/// Decoded markers that must agree on a pose where neither a track nor alignment supports it. One marker may
+/// be a misread square, and its mirror pose cannot be told from it.
+pub const MARKERS_WITHOUT_TRACK: usize = 2;
+
+/// What differs between the kinds of the measurement pass.
+#[derive(Debug, PartialEq, Eq)]
+pub struct Row {
+    /// The kind.
+    pub pass: Pass,
+    /// What alignment starts from, in this order.
+    pub starts: &'static [Source],
+    /// Which track a target must have.
+    pub prior: Prior,
+    /// Decoded markers that must agree where there is a confirmed track but nothing was aligned.
+    pub min_markers: usize,
+    /// Who may search round the prediction where nothing else finds the target.
+    pub search: Search,
+}
+
+/// Which track a target must have.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Prior {
+    /// One that is confirmed and was measured in the frame before.
+    Measured,
+    /// Any, or none.
+    Any,
+    /// None.
+    Untracked,
+}
+
+impl Prior {
+    /// Whether a target has such a track.
+    pub fn allows(self, target: &Target) -> bool {
+        match self {
+            Self::Measured => target.is_measured(),
+            Self::Any => true,
+            Self::Untracked => !target.is_tracked(),
+        }
+    }
+}
+
+/// Who may search round the prediction.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Search {
+    /// Nobody.
+    Never,
+    /// The background pass that this one asks for. More markers may still come, so this pass does not wait.
+    Background,
+    /// The pass itself, or the background pass that it asks for.
+    Allowed,
+}
+
+/// Corners first, because they need no track. Rough starts cost most.
+const MARKERS_AND_PREDICTION: &[Source] =
+    &[Source::Corners, Source::DoubtfulSquares, Source::Prediction, Source::RoughPrediction];
+
+/// The table.
+const ROWS: [Row; 5] = [
+    Row {
+        pass: Pass::Direct,
+        starts: &[Source::Prediction],
+        prior: Prior::Measured,
+        min_markers: MARKERS_WITHOUT_TRACK,
+        search: Search::Never,
+    },
+    Row {
+        pass: Pass::Region,
+        starts: MARKERS_AND_PREDICTION,
+        prior: Prior::Any,
+        min_markers: MARKERS_WITHOUT_TRACK,
+        search: Search::Background,
+    },
+    Row {
+        pass: Pass::Complete,
+        starts: MARKERS_AND_PREDICTION,
+        prior: Prior::Any,
+        // No more can come.
+        min_markers: 1,
+        search: Search::Allowed,
+    },
+    Row {
+        pass: Pass::Background,
+        starts: &[Source::Corners, Source::DoubtfulSquares, Source::RoughPrediction],
+        prior: Prior::Any,
+        min_markers: 1,
+        search: Search::Allowed,
+    },
+    Row {
+        pass: Pass::Place,
+        starts: &[Source::Place],
+        prior: Prior::Untracked,
+        min_markers: 1,
+        search: Search::Never,
+    },
+];
+
+impl Row {
+    /// The row of a kind.
+    pub fn of(pass: Pass) -> &'static Self {
+        &ROWS[pass as usize]
+    }
+}
+
+/// The best view of each target in a frame, by the target's number.
+pub type BestViews<'p> = BTreeMap<usize, BestView<'p>>;
+
+/// A record with the purpose of its view and, where it has come, the view itself.
+#[derive(Debug, Clone, Copy)]
+pub struct AnsweredView<'s> {
+    /// What was found.
+    pub record: &'s Record,
+    /// Why the view was cut.
+    pub purpose: Option<Purpose>,
+    /// The view.
+    pub view: Option<&'s ViewHeader>,
+}
+
+impl AnsweredView<'_> {
+    /// The target whose region of interest the view is.
+    pub fn region_of(&self) -> Option<usize> {
+        match self.purpose? {
+            Purpose::Gaze(target) => Some(target),
+            Purpose::Partition(_) | Purpose::HighResolution(_) | Purpose::Proposal => None,
+        }
+    }
+}
+
+/// How many different markers of a body were decoded.
+pub fn distinct_decoded<'m>(markers: impl Iterator<Item = &'m DetectedMarker>, body: &Body) -> u32 {
+    let decoded = markers.filter(|marker| marker.is_decoded());
+    let ids: BTreeSet<u32> = decoded.map(|marker| marker.id).collect();
+    ids.iter().filter(|&&id| body.marker(id).is_some()).count() as u32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_kind_has_its_row() {
+        for row in &ROWS {
+            assert_eq!(Row::of(row.pass), row);
+        }
+    }
+}
