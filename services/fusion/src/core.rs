@@ -1,5 +1,5 @@
-//! The core of fusion: events with their times in, tracks and plans out. It holds no port, no clock and
-//! no thread of its own.
+//! The core of fusion: events with their times in, tracks and plans out. It holds no port, no clock
+//! and no thread of its own.
 //!
 //! [`Core::on`] notes an event. [`Core::step`] does the most urgent piece of work and hands out what it
 //! led to; it is called again until there is nothing left to do.
@@ -80,8 +80,9 @@ impl<P: Pixels> Core<P> {
         Snapshot { ended, targets, ego, exposure, planning: self.planning.saved() }
     }
 
-    /// Goes on from another process's snapshot, and returns the names of the bodies whose tracks go on. It is
-    /// called before the first event. Poses that have left do not leave again in any case.
+    /// Goes on from another process's snapshot, and returns the names of the bodies whose tracks go
+    /// on. It is called before the first event. Poses that have left do not leave again in any
+    /// case.
     pub fn resume(&mut self, snapshot: Snapshot) -> Vec<String> {
         let Snapshot { ended, targets, ego, exposure, planning } = snapshot;
         self.frames.begin_after(ended);
@@ -215,8 +216,8 @@ impl<P: Pixels> Core<P> {
         }
     }
 
-    /// In flight a rotation counts at once. Otherwise it counts when its frame is complete: what a frame
-    /// says must not depend on who is faster.
+    /// In flight a rotation counts at once. Otherwise it counts when its frame is complete: what a
+    /// frame says must not depend on who is faster.
     fn on_rotation(&mut self, rotation: Rotation) {
         match self.schedule.is_flight() {
             true => self.turn_camera(&rotation),
@@ -290,8 +291,8 @@ impl<P: Pixels> Core<P> {
         self.schedule.budget(stamp, self.frames.newest())
     }
 
-    /// Publishes what a background pass found, if its frame is still open. Otherwise it has corrected the
-    /// track, from which the next frame benefits.
+    /// Publishes what a background pass found, if its frame is still open. Otherwise it has
+    /// corrected the track, from which the next frame benefits.
     fn take_answer(&mut self, answer: Answer, outputs: &mut Outputs) {
         let frame = self.frames.get_mut(answer.subject.order);
         let parts = frame.map(|frame| &mut frame.parts);
@@ -299,8 +300,9 @@ impl<P: Pixels> Core<P> {
         self.publish_updates(order, vec![update], outputs);
     }
 
-    /// Nothing more is waited for in a frame. By a virtual clock, its regions are measured now, as in flight
-    /// while its tiles are searched, and then it is the time at which flight would be done with them.
+    /// Nothing more is waited for in a frame. By a virtual clock, its regions are measured now, as
+    /// in flight while its tiles are searched, and then it is the time at which flight would be
+    /// done with them.
     fn complete_frame(&mut self, order: FrameOrder, reason: Completion, outputs: &mut Outputs) {
         self.frames.complete(order);
         while let Some(rotation) = self.frames.take_rotation(order) {
@@ -337,8 +339,8 @@ impl<P: Pixels> Core<P> {
         }
     }
 
-    /// Hands out the background pass that was asked for just now. One is under way at a time, so a step hands
-    /// out one at most.
+    /// Hands out the background pass that was asked for just now. One is under way at a time, so a
+    /// step hands out one at most.
     fn begin_background(&mut self, outputs: &mut Outputs) {
         let Some(job) = self.tracker.take_job() else { return };
         if let Schedule::Virtual(clock) = &mut self.schedule {

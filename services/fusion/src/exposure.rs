@@ -5,30 +5,31 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 /// Standard deviation of a measured stretch (see
-/// [`Alignment::stretch_px2`](flockeye_imaging::align::Alignment::stretch_px2)), pixels of the sphere image
-/// squared.
+/// [`Alignment::stretch_px2`](flockeye_imaging::align::Alignment::stretch_px2)), pixels of the
+/// sphere image squared.
 const STRETCH_SIGMA_PX2: f64 = 0.3;
 /// The square of the exposure is used once its standard deviation is this share of it.
 const MAX_UNCERTAINTY: f64 = 0.3;
 /// What was seen loses this share of its weight with each frame: exposures change with the light.
 const FORGETTING: f64 = 0.01;
-/// Longer stretches are not used, pixels of the sphere image squared (a path of 4 px): a Gaussian stretches
-/// more than the path that it stands for where that is as long as a marker's cells.
+/// Longer stretches are not used, pixels of the sphere image squared (a path of 4 px): a Gaussian
+/// stretches more than the path that it stands for where that is as long as a marker's cells.
 const MAX_STRETCH_PX2: f64 = 1.3;
 /// No exposure is taken for longer than this, seconds.
 const MAX_EXPOSURE_S: f64 = 0.05;
 
 /// How long frames are exposed.
 ///
-/// A body that moves at `s` radians per second during an exposure `T` is blurred along its path by a
-/// variance of (s T)^2 / 12. The lens blurs alike in all directions, so the stretch shows the path alone:
-/// T^2 / 12 is its slope over s^2.
+/// A body that moves at `s` radians per second during an exposure `T` is blurred along its path by
+/// a variance of (s T)^2 / 12. The lens blurs alike in all directions, so the stretch shows the
+/// path alone: T^2 / 12 is its slope over s^2.
 #[derive(Debug, Clone)]
 pub struct Exposure {
     known_s: Option<f64>,
     pixels_per_radian: f64,
     learned: LearnedExposure,
-    /// What the open frame adds, by target, so that the sums do not depend on who was measured first.
+    /// What the open frame adds, by target, so that the sums do not depend on who was measured
+    /// first.
     pending: BTreeMap<usize, (f64, f64)>,
 }
 
@@ -42,8 +43,8 @@ pub struct LearnedExposure {
 }
 
 impl Exposure {
-    /// Exposures of a camera whose sphere image has this resolution; `known_s` is the exposure where the
-    /// configuration states it, seconds.
+    /// Exposures of a camera whose sphere image has this resolution; `known_s` is the exposure
+    /// where the configuration states it, seconds.
     pub fn new(known_s: Option<f64>, pixels_per_radian: f64) -> Self {
         let learned = LearnedExposure::default();
         Self { known_s, pixels_per_radian, learned, pending: BTreeMap::new() }
@@ -64,8 +65,8 @@ impl Exposure {
         is_known.then(|| squared.sqrt().min(MAX_EXPOSURE_S))
     }
 
-    /// A target that moved at this rate, radians per second, was blurred along its motion by so much more
-    /// than across it, pixels of the sphere image squared.
+    /// A target that moved at this rate, radians per second, was blurred along its motion by so
+    /// much more than across it, pixels of the sphere image squared.
     pub fn note(&mut self, target: usize, stretch_px2: f64, rate: f64) {
         let stretch = stretch_px2 / self.pixels_per_radian.powi(2);
         if stretch_px2 < MAX_STRETCH_PX2 && stretch.is_finite() && rate.is_finite() {

@@ -1,5 +1,5 @@
-//! A frame as one value, from the first message about it until it ends: its phase, its views and records, and
-//! each target's part in it.
+//! A frame as one value, from the first message about it until it ends: its phase, its views and
+//! records, and each target's part in it.
 
 pub mod frames;
 pub mod parts;
@@ -121,7 +121,8 @@ impl<P> OpenFrame<P> {
         })
     }
 
-    /// What is to be done next in it, as far as that does not depend on the time and on other frames.
+    /// What is to be done next in it, as far as that does not depend on the time and on other
+    /// frames.
     fn next_work(&self) -> Option<Work> {
         let order = self.stamp.order();
         if let Some(first) = self.regions.front() {
@@ -137,8 +138,8 @@ impl<P> OpenFrame<P> {
         }
     }
 
-    /// Why a view was cut: as planned or, where rectification followed no plan of this process, as the
-    /// view itself states.
+    /// Why a view was cut: as planned or, where rectification followed no plan of this process, as
+    /// the view itself states.
     pub fn purpose_of(&self, view_index: u32) -> Option<Purpose> {
         match &self.plan {
             Some(plan) => plan.purposes.get(view_index as usize).copied(),
@@ -151,8 +152,8 @@ impl<P> OpenFrame<P> {
         self.plan.as_ref().map_or(StopRule::All, |plan| plan.stop_rule)
     }
 
-    /// The records in plan order. With the rule `first_hit` only those up to the first hit count: how many
-    /// workers had searched beyond it depends on time.
+    /// The records in plan order. With the rule `first_hit` only those up to the first hit count:
+    /// how many workers had searched beyond it depends on time.
     pub fn counted(&self) -> Vec<&Record> {
         let mut counted = Vec::new();
         for record in self.records.values() {
@@ -176,8 +177,8 @@ impl<P> OpenFrame<P> {
         self.purpose_of(hit.header.view_index)
     }
 
-    /// How well a view shows the `targets` that it is the region of, or shows markers of. Targets whose pose in
-    /// the frame has left need no view.
+    /// How well a view shows the `targets` that it is the region of, or shows markers of. Targets
+    /// whose pose in the frame has left need no view.
     pub fn shown(&self, view_index: u32, targets: &[Target]) -> Vec<(usize, ViewQuality)> {
         let (Some(record), Some(view)) =
             (self.records.get(&view_index), self.views.get(&view_index))
@@ -201,7 +202,8 @@ impl<P> OpenFrame<P> {
         self.searched.push(view_index);
     }
 
-    /// Takes out the records that wait for the corner pass over their regions, by the views' places in the plan.
+    /// Takes out the records that wait for the corner pass over their regions, by the views' places
+    /// in the plan.
     pub fn take_searched(&mut self) -> Vec<u32> {
         std::mem::take(&mut self.searched)
     }

@@ -88,9 +88,9 @@ impl Inbox {
 
     /// Gives the core all that has come, at `now_ns`.
     ///
-    /// In flight views are taken as they come, as many as the core can hold. In a lossless run nothing may
-    /// depend on who is faster: there each view is taken when its record comes, and the others stay where
-    /// they wait.
+    /// In flight views are taken as they come, as many as the core can hold. In a lossless run
+    /// nothing may depend on who is faster: there each view is taken when its record comes, and the
+    /// others stay where they wait.
     ///
     /// # Errors
     /// A port that fails.
@@ -190,8 +190,8 @@ impl AwaitedTurns {
         self.newest = self.newest.max(Some(order));
     }
 
-    /// The next end of a frame that need not wait any more. Who once waited in vain waits no more until
-    /// a rotation comes.
+    /// The next end of a frame that need not wait any more. Who once waited in vain waits no more
+    /// until a rotation comes.
     fn take(&mut self, now_ns: i64) -> Option<AwaitingEnd> {
         let AwaitingEnd { end, since_ns, .. } = *self.ends.front()?;
         let is_known = self.newest >= Some(end.stamp.order());
@@ -211,8 +211,8 @@ impl AwaitedTurns {
     }
 }
 
-/// Whether a record's view is still on its way here: rectification had handed it to the worker before,
-/// while it waited for room in this stage's lane.
+/// Whether a record's view is still on its way here: rectification had handed it to the worker
+/// before, while it waited for room in this stage's lane.
 fn is_early(core: &Core<Message<Views>>, record: &Record) -> bool {
     !core.has_view_of(record) && !core.has_ended(&record.header.stamp)
 }

@@ -1,7 +1,7 @@
 //! The measurement pass: the ways in which a frame can tell where a target is.
 //!
-//! A pass collects what there is of a target, aligns the body from some starts, and takes what is accepted
-//! into the target's track. There are five kinds, which differ by a row of [`Row`]:
+//! A pass collects what there is of a target, aligns the body from some starts, and takes what is
+//! accepted into the target's track. There are five kinds, which differ by a row of [`Row`]:
 //!
 //! | kind | starts from | wants | runs |
 //! | --- | --- | --- | --- |
@@ -26,8 +26,8 @@ use crate::hypothesis::BestView;
 use crate::record::Record;
 use crate::target::Target;
 
-/// Decoded markers that must agree on a pose where neither a track nor alignment supports it. One marker may
-/// be a misread square, and its mirror pose cannot be told from it.
+/// Decoded markers that must agree on a pose where neither a track nor alignment supports it. One
+/// marker may be a misread square, and its mirror pose cannot be told from it.
 pub const MARKERS_WITHOUT_TRACK: usize = 2;
 
 /// What differs between the kinds of the measurement pass.
@@ -72,7 +72,8 @@ impl Prior {
 pub enum Search {
     /// Nobody.
     Never,
-    /// The background pass that this one asks for. More markers may still come, so this pass does not wait.
+    /// The background pass that this one asks for. More markers may still come, so this pass does
+    /// not wait.
     Background,
     /// The pass itself, or the background pass that it asks for.
     Allowed,

@@ -107,8 +107,8 @@ pub struct Writer {
 }
 
 impl Writer {
-    /// Estimates as a message of the topic `track`, sent at `now_ns`, with what `tracker` predicts for
-    /// then.
+    /// Estimates as a message of the topic `track`, sent at `now_ns`, with what `tracker` predicts
+    /// for then.
     pub fn tracks(
         &self,
         message: &TrackMessage,
@@ -303,7 +303,8 @@ fn planned_view(
     }
 }
 
-/// How long each stage took with what led to an estimate, published at `now_ns`. Unknown times are -1.
+/// How long each stage took with what led to an estimate, published at `now_ns`. Unknown times are
+/// -1.
 fn latency(flow: Flow, stamp: &FrameStamp, cause: Cause, now_ns: i64) -> StageLatency {
     // In a lossless run exposures have another clock.
     let (capture_ns, since_ns) = match flow {

@@ -1,7 +1,7 @@
 //! The same done with several things at once.
 
-/// What `work` makes of each of `items`, in their order, on up to so many threads; what comes out does not
-/// depend on how many.
+/// What `work` makes of each of `items`, in their order, on up to so many threads; what comes out
+/// does not depend on how many.
 pub fn map<T: Sync, R: Send>(items: &[T], threads: usize, work: impl Fn(&T) -> R + Sync) -> Vec<R> {
     let threads = threads.clamp(1, items.len().max(1));
     if threads == 1 {

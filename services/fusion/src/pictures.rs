@@ -26,13 +26,14 @@ pub struct PictureReader {
 }
 
 impl PictureReader {
-    /// For a sphere image of this resolution; `parallax` for a camera whose lenses lie off its centre.
+    /// For a sphere image of this resolution; `parallax` for a camera whose lenses lie off its
+    /// centre.
     pub fn new(lights: RadianceCache, pixels_per_radian: f64, parallax: Option<Parallax>) -> Self {
         Self { lights, pixels_per_radian, parallax }
     }
 
-    /// The best views of a frame's targets. A view that cannot be read is left out; detection reports
-    /// why.
+    /// The best views of a frame's targets. A view that cannot be read is left out; detection
+    /// reports why.
     pub fn best_views<'c, P: Pixels>(&'c mut self, held: &'c HeldViews<P>) -> BestViews<'c> {
         self.learn_curves(held.best().map(|(_, _, header, _)| header));
         let reader = &*self;
@@ -54,8 +55,8 @@ impl PictureReader {
         views.iter().filter_map(|(header, pixels)| reader.read(header, *pixels)).collect()
     }
 
-    /// Those of a frame's unanswered views that are regions of interest. A view that cannot be read is
-    /// left out; detection reports why.
+    /// Those of a frame's unanswered views that are regions of interest. A view that cannot be read
+    /// is left out; detection reports why.
     pub fn regions<'c, P: Pixels>(
         &'c mut self,
         held: &'c HeldViews<P>,

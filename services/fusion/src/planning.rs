@@ -75,15 +75,16 @@ impl Planning {
         self.plan_id
     }
 
-    /// Notes that a view was cut. It will be searched, so plans that are made meanwhile need not ask for
-    /// it again.
+    /// Notes that a view was cut. It will be searched, so plans that are made meanwhile need not
+    /// ask for it again.
     pub fn note_cut(&mut self, purpose: Purpose, search: Search) {
         self.searched.record(self.frames, purpose);
         self.searched.record_window(purpose, search);
     }
 
-    /// Ends a frame that was exposed at `at_s`, seconds. `unnoted` are purposes of views that were searched
-    /// and never noted as cut, `hit` is that of the first view in which a marker was found.
+    /// Ends a frame that was exposed at `at_s`, seconds. `unnoted` are purposes of views that were
+    /// searched and never noted as cut, `hit` is that of the first view in which a marker was
+    /// found.
     pub fn end_frame(
         &mut self,
         at_s: f64,

@@ -1,8 +1,8 @@
 //! Rolling readout: rows that are exposed later show a body where it is later.
 //!
-//! A body covers few of the frame's rows, so it is taken as exposed at one time, that of its centre's row.
-//! What a track says is asked for at that time, and what a picture says is brought from there to the middle
-//! of the frame's exposure.
+//! A body covers few of the frame's rows, so it is taken as exposed at one time, that of its
+//! centre's row. What a track says is asked for at that time, and what a picture says is brought
+//! from there to the middle of the frame's exposure.
 
 use flockeye_geometry::Ray;
 use flockeye_geometry::camera::Camera;
@@ -29,13 +29,14 @@ pub struct ApparentMotion {
 }
 
 impl Readout {
-    /// For a camera that needs `readout_s` from its first to its last row; `None` if all are exposed at once.
+    /// For a camera that needs `readout_s` from its first to its last row; `None` if all are
+    /// exposed at once.
     pub fn of(camera: &Camera, readout_s: f64) -> Option<Self> {
         (readout_s > 0.0).then_some(Self { camera: *camera, readout_s })
     }
 
-    /// How long after the middle of the frame's exposure (negative: before it) a body's rows are exposed,
-    /// seconds. Its pose is `camera_from_markers`.
+    /// How long after the middle of the frame's exposure (negative: before it) a body's rows are
+    /// exposed, seconds. Its pose is `camera_from_markers`.
     pub fn after_s(&self, camera_from_markers: &Isometry3<f64>) -> f64 {
         let towards = Ray::try_new(camera_from_markers.translation.vector, 1e-9);
         let row = towards.and_then(|towards| self.camera.project(&towards)).map(|pixel| pixel.0.y);
@@ -45,7 +46,8 @@ impl Readout {
 }
 
 impl ApparentMotion {
-    /// A pose in the camera frame as it is `by_s` seconds later, as certain as the motion lets it be.
+    /// A pose in the camera frame as it is `by_s` seconds later, as certain as the motion lets it
+    /// be.
     pub fn carried(&self, pose: &PoseEstimate, by_s: f64) -> PoseEstimate {
         let Isometry3 { rotation, translation } = pose.camera_from_markers;
         let turned = UnitQuaternion::from_scaled_axis(self.rate * by_s);

@@ -1,5 +1,5 @@
-//! Messages that pass the contract's check and yet cannot be true: they name a worker that does not exist, a
-//! view that nobody planned, or a frame that nobody has begun.
+//! Messages that pass the contract's check and yet cannot be true: they name a worker that does not
+//! exist, a view that nobody planned, or a frame that nobody has begun.
 
 use std::fmt;
 
@@ -76,7 +76,8 @@ pub struct Guard {
     workers: u32,
     /// The newest frame of which rectification has sent anything.
     newest: Option<FrameStamp>,
-    /// When that came, nanoseconds of CLOCK_MONOTONIC. Exposures would not do: a camera's clock may jump.
+    /// When that came, nanoseconds of CLOCK_MONOTONIC. Exposures would not do: a camera's clock may
+    /// jump.
     newest_ns: i64,
 }
 
@@ -91,7 +92,8 @@ impl Guard {
         self.refuses_frame(&view.stamp, now_ns)
     }
 
-    /// Why the end of a frame is refused. `planned` is how many views its plan has, where that is known.
+    /// Why the end of a frame is refused. `planned` is how many views its plan has, where that is
+    /// known.
     pub fn refuses_end(
         &mut self,
         end: &FrameEnd,
@@ -126,8 +128,9 @@ impl Guard {
         is_impossible.then_some(Refusal::ImpossibleStep { sequence, newest: newest.sequence })
     }
 
-    /// Why a record is refused. `planned` is how many views its plan has, where that is known. Before
-    /// rectification has sent anything, every frame may be one that was under way when this process began.
+    /// Why a record is refused. `planned` is how many views its plan has, where that is known.
+    /// Before rectification has sent anything, every frame may be one that was under way when this
+    /// process began.
     pub fn refuses_record(
         &self,
         record: &DetectionHeader,

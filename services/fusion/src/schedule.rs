@@ -10,8 +10,8 @@ use crate::policy::TimeBudget;
 pub enum Schedule {
     /// As soon as their inputs are there, in the time that is left.
     Flight,
-    /// The same passes in a lossless run: by stated costs instead of the time, so that nothing depends on
-    /// who is faster.
+    /// The same passes in a lossless run: by stated costs instead of the time, so that nothing
+    /// depends on who is faster.
     Virtual(VirtualClock),
     /// When a frame is complete, and all of them.
     Unlimited,
@@ -61,8 +61,8 @@ pub struct Attempts {
     pub untracked: u32,
 }
 
-/// A clock that only stated costs move on. It begins each frame at its exposure, or when the work on the
-/// frame before is done.
+/// A clock that only stated costs move on. It begins each frame at its exposure, or when the work
+/// on the frame before is done.
 #[derive(Debug, Clone)]
 pub struct VirtualClock {
     costs: Costs,
@@ -124,8 +124,8 @@ impl VirtualClock {
         self.background_over_ns
     }
 
-    /// Whether a background pass over a frame is over that takes until then. One over a frame of another source is: its
-    /// clock says nothing of this one's.
+    /// Whether a background pass over a frame is over that takes until then. One over a frame of
+    /// another source is: its clock says nothing of this one's.
     pub fn is_over(&self, over_ns: i64, order: FrameOrder) -> bool {
         let of_source = |last: FrameStamp| (last.source_generation, last.epoch);
         over_ns <= self.now_ns || self.last.map(of_source) != Some((order.0, order.1))

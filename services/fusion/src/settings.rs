@@ -122,7 +122,8 @@ pub fn configured<P: Pixels>(
     Ok(Configured { core, writer, aligner, has_background })
 }
 
-/// Views of places that look like a body in each frame. They are found in equirectangular pictures only.
+/// Views of places that look like a body in each frame. They are found in equirectangular pictures
+/// only.
 fn proposals(resolved: &Resolved) -> usize {
     match resolved.camera.model() {
         CameraModel::Equirectangular { .. } => resolved.pipeline.proposals(),

@@ -1,9 +1,9 @@
-//! What fusion leaves to the process that follows it: tracks, the camera's rotation, what was learned of the
-//! exposure, and what was searched when.
+//! What fusion leaves to the process that follows it: tracks, the camera's rotation, what was
+//! learned of the exposure, and what was searched when.
 //!
-//! It is saved before a pose leaves and after each frame. A process that is started in a swap, or after a crash,
-//! goes on from there. Of frames that are open only that is part of it which must not be said twice: nobody but
-//! the old process has their views.
+//! It is saved before a pose leaves and after each frame. A process that is started in a swap, or
+//! after a crash, goes on from there. Of frames that are open only that is part of it which must
+//! not be said twice: nobody but the old process has their views.
 
 use serde::{Deserialize, Serialize};
 

@@ -20,9 +20,9 @@ pub struct Succession {
 }
 
 impl Succession {
-    /// Lets `core` go on where the worker's last process was. Tracks that are older than `longest` are over; of
-    /// frames that were told nothing is told again. Without a state it starts with nothing, as at the
-    /// pipeline's start.
+    /// Lets `core` go on where the worker's last process was. Tracks that are older than `longest`
+    /// are over; of frames that were told nothing is told again. Without a state it starts with
+    /// nothing, as at the pipeline's start.
     pub fn begin<P: Pixels>(core: &mut Core<P>, states: &SavedStates, longest: Duration) -> Self {
         let mut has_resumed = false;
         match states.newest(clock::monotonic_ns()) {

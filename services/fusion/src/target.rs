@@ -23,7 +23,8 @@ pub struct TargetEstimate {
     pub velocity: Vector3<f64>,
     /// Its angular velocity in axes that do not turn, along the camera's, rad/s.
     pub rate: Vector3<f64>,
-    /// The frame's own measurement and how it was made, where the filter accepted one that is precise.
+    /// The frame's own measurement and how it was made, where the filter accepted one that is
+    /// precise.
     pub measured: Option<(PoseEstimate, MeasuredBy)>,
     /// Markers decoded in this frame.
     pub markers: u32,
@@ -105,8 +106,8 @@ impl Target {
         self.life.forget();
     }
 
-    /// Its track for a successor, and how many it had. `published` is the newest frame in which its pose has
-    /// left.
+    /// Its track for a successor, and how many it had. `published` is the newest frame in which its
+    /// pose has left.
     pub fn saved(&self, published: Option<FrameOrder>) -> SavedTarget {
         SavedTarget {
             body: self.body.name.clone(),
@@ -156,8 +157,9 @@ impl Target {
         self.life.refilter(since_s, ego);
     }
 
-    /// Gives the filter a frame's measurement. `None` where the filter refuses it: its time lies before
-    /// the track's history, its numbers are not finite, or it is imprecise and the track would not go on with it.
+    /// Gives the filter a frame's measurement. `None` where the filter refuses it: its time lies
+    /// before the track's history, its numbers are not finite, or it is imprecise and the track
+    /// would not go on with it.
     pub fn update(
         &mut self,
         at_s: f64,
@@ -181,8 +183,8 @@ impl Target {
         }
     }
 
-    /// Tells the filter that a frame did not measure the target. `None` if there is no track. The last
-    /// estimate of a track has the state `Lost`.
+    /// Tells the filter that a frame did not measure the target. `None` if there is no track. The
+    /// last estimate of a track has the state `Lost`.
     pub fn miss(&mut self, at_s: f64, markers: u32, ego: &EgoRotation) -> Option<TargetEstimate> {
         // A lost track has no pose any more, so its last message repeats the prediction from before.
         let before = self.estimate(at_s, None, markers, ego);

@@ -120,7 +120,8 @@ impl Tracker {
         Self { camera: CameraState { readout, ..self.camera }, ..self }
     }
 
-    /// States how long frames are exposed, seconds. Without it the blur of moving bodies shows it in time.
+    /// States how long frames are exposed, seconds. Without it the blur of moving bodies shows it
+    /// in time.
     pub fn with_exposure(self, known_s: Option<f64>) -> Self {
         let exposure = Exposure::new(known_s, self.means.aligner.pixels_per_radian());
         Self { camera: CameraState { exposure, ..self.camera }, ..self }
@@ -151,9 +152,9 @@ impl Tracker {
         std::mem::take(&mut self.attempts)
     }
 
-    /// The corner pass over regions of interest of one frame that have been searched. A pose need wait
-    /// neither for the frame's tiles nor for the frame before, because the filter puts each measurement
-    /// where it belongs in time.
+    /// The corner pass over regions of interest of one frame that have been searched. A pose need
+    /// wait neither for the frame's tiles nor for the frame before, because the filter puts each
+    /// measurement where it belongs in time.
     pub fn region_pass(
         &mut self,
         time: FrameTime,
@@ -167,8 +168,8 @@ impl Tracker {
         for answer in answered {
             let Some(target) = answer.region_of() else { continue };
             let Some(part) = parts.get_mut(target) else { continue };
-            // Without its view nobody knows what distance a record's rays are right for. Once the frame
-            // is complete, the assumed distance has to do.
+            // Without its view nobody knows what distance a record's rays are right for. Once the
+            // frame is complete, the assumed distance has to do.
             let is_ready = self.camera.parallax.is_none() || answer.view.is_some();
             let is_due = is_ready && !part.is_published();
             if is_due && !std::mem::replace(&mut part.is_region_tried, true) {
@@ -178,8 +179,8 @@ impl Tracker {
         self.corner_pass(time, parts, &tried, best_views, Pass::Region, budget)
     }
 
-    /// The last corner pass, once all of a frame has been searched. It gives an estimate also for tracked
-    /// targets that the frame does not show.
+    /// The last corner pass, once all of a frame has been searched. It gives an estimate also for
+    /// tracked targets that the frame does not show.
     pub fn final_pass(
         &mut self,
         time: FrameTime,
@@ -188,8 +189,8 @@ impl Tracker {
         best_views: &BestViews<'_>,
         budget: TimeBudget,
     ) -> Vec<Update> {
-        // The same passes as if each region's record had come alone: what a frame says must not depend
-        // on when its parts came.
+        // The same passes as if each region's record had come alone: what a frame says must not
+        // depend on when its parts came.
         let mut updates = self.region_pass(time, parts, answered, best_views, budget);
         let left: Vec<(usize, &[AnsweredView<'_>])> =
             parts.unpublished().map(|target| (target, answered)).collect();
@@ -240,8 +241,9 @@ impl Tracker {
         }
     }
 
-    /// Takes a measurement into the track of its target: the one place where that happens. `part` is the
-    /// target's part in the frame, unless that has ended. `None` where the filter refuses the measurement.
+    /// Takes a measurement into the track of its target: the one place where that happens. `part`
+    /// is the target's part in the frame, unless that has ended. `None` where the filter refuses
+    /// the measurement.
     pub(crate) fn take_in(
         &mut self,
         time: FrameTime,

@@ -2,14 +2,15 @@
 
 use flockeye_contract::FrameOrder;
 
-/// A piece of work, in the order of its urgency: what is due first is the least. Of two alike, the frame that
-/// was exposed first has it first.
+/// A piece of work, in the order of its urgency: what is due first is the least. Of two alike, the
+/// frame that was exposed first has it first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Work {
-    /// Make the first plan. It opens the flow: rectification has something to follow, and a lossless source
-    /// its first credit.
+    /// Make the first plan. It opens the flow: rectification has something to follow, and a
+    /// lossless source its first credit.
     OpenFlow,
-    /// Measure tracked targets in regions of interest that have been cut, from their predictions alone.
+    /// Measure tracked targets in regions of interest that have been cut, from their predictions
+    /// alone.
     MeasureRegions {
         /// When the first of them came, as a count of regions.
         arrival: u64,
@@ -28,7 +29,8 @@ pub enum Work {
         /// The frame.
         order: FrameOrder,
     },
-    /// Look for an untracked target at some places of a measured frame, or end the frame where none are left.
+    /// Look for an untracked target at some places of a measured frame, or end the frame where none
+    /// are left.
     SearchPlaces {
         /// The frame.
         order: FrameOrder,

@@ -95,8 +95,9 @@ impl<P: Pixels> Core<P> {
         self.publish_updates(order, updates, outputs);
     }
 
-    /// Looks at some places of a complete frame for one of the targets that nothing else has found, and says
-    /// whether there were both. All together would take longer than a stage may go without a sign of life.
+    /// Looks at some places of a complete frame for one of the targets that nothing else has found,
+    /// and says whether there were both. All together would take longer than a stage may go without
+    /// a sign of life.
     pub(super) fn search_a_place(&mut self, order: FrameOrder, outputs: &mut Outputs) -> bool {
         let Some(frame) = self.frames.get_mut(order) else { return false };
         let untracked = self.tracker.untracked(&frame.parts);

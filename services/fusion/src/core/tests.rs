@@ -144,7 +144,8 @@ fn a_pose_that_has_left_does_not_leave_again_when_its_process_is_killed() {
     assert_eq!(updates.sum::<usize>(), 0);
 }
 
-/// Two frames are open, and the pose has left in both: in the older one first. However long ago that was.
+/// Two frames are open, and the pose has left in both: in the older one first. However long ago
+/// that was.
 #[test]
 fn poses_of_all_open_frames_leave_once() {
     let (mut old, plan_id) = tracking(Schedule::Flight);

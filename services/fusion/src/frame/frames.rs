@@ -1,9 +1,10 @@
 //! All open frames, in the order of their exposure.
 //!
-//! Messages about a frame come in whatever order. It is complete when rectification has ended it and every
-//! view it issued is answered. A stage that died would leave it open for ever: after a deadline it is taken
-//! as it is. So is, as soon as a newer one is whole, a frame that follows no plan of this process: it was
-//! under way when the process began, which never receives what came before.
+//! Messages about a frame come in whatever order. It is complete when rectification has ended it
+//! and every view it issued is answered. A stage that died would leave it open for ever: after a
+//! deadline it is taken as it is. So is, as soon as a newer one is whole, a frame that follows no
+//! plan of this process: it was under way when the process began, which never receives what came
+//! before.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -101,8 +102,8 @@ impl<P: Pixels> Frames<P> {
         self.last_complete = self.last_complete.max(ended);
     }
 
-    /// The process before this one has published a target's pose in this frame. Which of the frames before
-    /// it had a pose too is not known, so none is published again.
+    /// The process before this one has published a target's pose in this frame. Which of the frames
+    /// before it had a pose too is not known, so none is published again.
     pub fn note_published_before(&mut self, target: usize, order: Option<FrameOrder>) {
         if let Some(before) = self.published_before.get_mut(target) {
             *before = (*before).max(order);
@@ -186,8 +187,8 @@ impl<P: Pixels> Frames<P> {
         true
     }
 
-    /// Adds the record of a view, and gives its frame. `None` if nobody waits for it: its frame takes nothing
-    /// more, or another worker has answered before.
+    /// Adds the record of a view, and gives its frame. `None` if nobody waits for it: its frame
+    /// takes nothing more, or another worker has answered before.
     pub fn add_record(&mut self, record: Record, now_ns: i64) -> Option<&mut OpenFrame<P>> {
         let header = record.header;
         let frame = self.open(&header.stamp, header.plan_id, now_ns)?;
@@ -228,8 +229,8 @@ impl<P: Pixels> Frames<P> {
         self.frames.values().map(|frame| frame.held.unanswered_count()).sum()
     }
 
-    /// Notes what a view shows whose record has come. Where it `waits`, a region of interest stays held until
-    /// the direct pass has seen it.
+    /// Notes what a view shows whose record has come. Where it `waits`, a region of interest stays
+    /// held until the direct pass has seen it.
     pub fn answer(
         &mut self,
         order: FrameOrder,
@@ -246,7 +247,8 @@ impl<P: Pixels> Frames<P> {
         self.release_surplus();
     }
 
-    /// Takes out regions of interest of a frame, `most` at once, that came before those of other frames.
+    /// Takes out regions of interest of a frame, `most` at once, that came before those of other
+    /// frames.
     pub fn take_regions(&mut self, order: FrameOrder, most: usize) -> Vec<u32> {
         let others = self.frames.iter().filter(|(other, _)| **other != order);
         let others = others.filter_map(|(_, frame)| frame.regions.front());
@@ -265,8 +267,8 @@ impl<P: Pixels> Frames<P> {
         }
     }
 
-    /// Releases what is too much. Of views without a record the oldest go. Of the others newer frames give way
-    /// to a stalled one: their targets are measured without pixels.
+    /// Releases what is too much. Of views without a record the oldest go. Of the others newer
+    /// frames give way to a stalled one: their targets are measured without pixels.
     fn release_surplus(&mut self) {
         while self.unanswered() > self.keeping.max_unanswered {
             self.frames.values_mut().any(|frame| frame.held.release_unanswered());

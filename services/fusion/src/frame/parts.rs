@@ -14,8 +14,8 @@ pub enum Status {
     Pending,
     /// It was last tried with these inputs, which led to nothing. Only new inputs are worth a retry.
     Failed(Attempt),
-    /// Its pose has left, or may have left the process before this one. `direct_pose` is that pose where it
-    /// came from the direct pass: markers that are decoded later are compared with it.
+    /// Its pose has left, or may have left the process before this one. `direct_pose` is that pose
+    /// where it came from the direct pass: markers that are decoded later are compared with it.
     Published {
         /// `camera_from_markers` of the direct pass.
         direct_pose: Option<Isometry3<f64>>,
@@ -57,7 +57,8 @@ impl Part {
 pub struct Parts(Vec<Part>);
 
 impl Parts {
-    /// Parts of `targets` targets. Poses of those that `is_published` have left the process before this one.
+    /// Parts of `targets` targets. Poses of those that `is_published` have left the process before
+    /// this one.
     pub fn new(targets: usize, is_published: impl Fn(usize) -> bool) -> Self {
         let part = |target| match is_published(target) {
             true => Part { status: Status::Published { direct_pose: None }, ..Part::default() },

@@ -1,7 +1,7 @@
 //! Places of a frame that look like a body: the views of its proposals, copied.
 //!
-//! The views themselves stay in shared memory only until their records have come, because rectification
-//! needs the room. These views are small.
+//! The views themselves stay in shared memory only until their records have come, because
+//! rectification needs the room. These views are small.
 
 use std::collections::BTreeMap;
 
@@ -12,8 +12,8 @@ use flockeye_imaging::align::Place;
 
 use crate::pictures::Pixels;
 
-/// Places that are searched in one step, by as many threads. All of a frame would take longer than a stage
-/// may go without a sign of life.
+/// Places that are searched in one step, by as many threads. All of a frame would take longer than
+/// a stage may go without a sign of life.
 const AT_ONCE: usize = 2;
 
 /// Views of the places of one frame.
@@ -56,8 +56,8 @@ impl Places {
         self.views.values().take(AT_ONCE).map(|(header, pixels)| (header, pixels))
     }
 
-    /// The target, of these, that is to be looked for next at the next places. When all of them have been,
-    /// other places come next. `None` where none are left.
+    /// The target, of these, that is to be looked for next at the next places. When all of them
+    /// have been, other places come next. `None` where none are left.
     pub fn next_target(&mut self, untracked: impl Iterator<Item = usize>) -> Option<usize> {
         let untracked: Vec<usize> = untracked.collect();
         let next = untracked.iter().copied().find(|target| Some(*target) > self.last_target);
@@ -70,8 +70,8 @@ impl Places {
     }
 }
 
-/// The place that a proposal's view shows, for a body with markers of `side_m`. Views are as wide as for
-/// the body with the largest radius in sides of its markers.
+/// The place that a proposal's view shows, for a body with markers of `side_m`. Views are as wide
+/// as for the body with the largest radius in sides of its markers.
 pub fn place_of(view: &View, side_m: f64, radius_in_sides: f64) -> Place {
     let side_rad = view.field_rad() / 2.0 / PROPOSAL_FIELD_RADII / radius_in_sides;
     Place {

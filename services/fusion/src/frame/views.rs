@@ -1,7 +1,7 @@
 //! The views of a frame whose pixels alignment reads: for each target the best one.
 //!
-//! Views stay in shared memory and are read in place. [`HeldViews`] only says which of them are still
-//! held, because each held view is one that rectification cannot write to.
+//! Views stay in shared memory and are read in place. [`HeldViews`] only says which of them are
+//! still held, because each held view is one that rectification cannot write to.
 
 use std::collections::BTreeMap;
 use std::rc::Rc;
@@ -40,11 +40,11 @@ struct BestHeldView<P> {
 pub struct ViewQuality {
     /// Whether it is this target's region of interest.
     pub is_own: bool,
-    /// Decoded markers of the target. Squares that only look like markers are found in many views, so
-    /// they do not count.
+    /// Decoded markers of the target. Squares that only look like markers are found in many views,
+    /// so they do not count.
     pub decoded: u32,
-    /// Squares that only look like its markers and agree with one pose of it, where nothing was decoded and there is no
-    /// track.
+    /// Squares that only look like its markers and agree with one pose of it, where nothing was
+    /// decoded and there is no track.
     pub agreeing: u32,
     /// Its focal length, pixels.
     pub focal_px: f64,
@@ -148,8 +148,8 @@ impl<P> HeldViews<P> {
         self.unanswered.get(&view_index).map(|view| (&view.header, &*view.pixels))
     }
 
-    /// Notes that a view's record has come. `shows` are the targets that it shows, and how well. It stays
-    /// held for those that it shows best.
+    /// Notes that a view's record has come. `shows` are the targets that it shows, and how well. It
+    /// stays held for those that it shows best.
     pub fn answered(&mut self, view_index: u32, shows: &[(usize, ViewQuality)]) {
         let Some(HeldView { header, pixels }) = self.unanswered.remove(&view_index) else { return };
         for &(target, quality) in shows {

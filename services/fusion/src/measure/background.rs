@@ -1,11 +1,12 @@
 //! The background pass: what takes several times as long as the other passes.
 //!
-//! A target that is not where its track predicts it may be found from rougher starts, or by a search
-//! round the prediction. A target without a track may be found by trying whatever its markers may mean.
-//! On two busy processors starts take 20 to 70 ms and the search 60 to 150, and nobody else's pose
-//! should wait for that. So these passes run beside the others, one at a time. A request is refused
-//! while another is under way, because a newer frame will ask again. Only an untracked target may queue
-//! behind a tracked one: no newer frame need show anything of it for a while.
+//! A target that is not where its track predicts it may be found from rougher starts, or by a
+//! search round the prediction. A target without a track may be found by trying whatever its
+//! markers may mean. On two busy processors starts take 20 to 70 ms and the search 60 to 150, and
+//! nobody else's pose should wait for that. So these passes run beside the others, one at a time. A
+//! request is refused while another is under way, because a newer frame will ask again. Only an
+//! untracked target may queue behind a tracked one: no newer frame need show anything of it for a
+//! while.
 
 use flockeye_contract::FrameOrder;
 use std::collections::BTreeSet;
@@ -76,9 +77,9 @@ struct UnderWay {
 }
 
 impl BackgroundQueue {
-    /// Asks for a pass, and says whether it is granted. It is not while another is under way, but an
-    /// untracked target may queue behind a tracked one. A target that had the last pass goes behind those that
-    /// were refused meanwhile.
+    /// Asks for a pass, and says whether it is granted. It is not while another is under way, but
+    /// an untracked target may queue behind a tracked one. A target that had the last pass goes
+    /// behind those that were refused meanwhile.
     pub fn request(&mut self, subject: Subject, inputs: &Inputs<'_>) -> bool {
         let target = subject.target;
         if let Some(under_way) = &self.under_way {
@@ -135,8 +136,8 @@ impl BackgroundQueue {
         self.to_run.take()
     }
 
-    /// Cancels what is under way for a target in a frame, because the target was measured there. A job
-    /// of that target that waits is dropped too: a newer frame has measured it.
+    /// Cancels what is under way for a target in a frame, because the target was measured there. A
+    /// job of that target that waits is dropped too: a newer frame has measured it.
     pub fn cancel(&mut self, order: FrameOrder, target: usize) {
         self.waiting.take_if(|job| job.subject.target == target);
         if let Some(under_way) = &mut self.under_way
@@ -159,8 +160,8 @@ impl BackgroundQueue {
         subjects.any(|subject| subject.order == order)
     }
 
-    /// Takes the answer to the job that was under way, and starts the one that waits. `None` if the pass
-    /// was cancelled meanwhile.
+    /// Takes the answer to the job that was under way, and starts the one that waits. `None` if the
+    /// pass was cancelled meanwhile.
     pub fn finish(&mut self, answer: Answer) -> Option<Answer> {
         let is_cancelled = self.under_way.take().is_none_or(|under_way| under_way.is_cancelled);
         if let Some(next) = self.waiting.take() {

@@ -79,8 +79,8 @@ pub struct Attempt {
 }
 
 impl Attempt {
-    /// Whether an attempt with these inputs is pointless after `failed` found nothing. A spent budget
-    /// allows only the first start, so it adds nothing to an attempt that had time.
+    /// Whether an attempt with these inputs is pointless after `failed` found nothing. A spent
+    /// budget allows only the first start, so it adds nothing to an attempt that had time.
     fn is_pointless_after(&self, failed: &Self) -> bool {
         (Self { budget: failed.budget, ..*self } == *failed)
             && (self.budget == failed.budget || self.budget == TimeBudget::Overspent)
@@ -103,9 +103,9 @@ impl Inputs<'_> {
         self.earlier.failed.is_none_or(|failed| !attempt(&failed).is_pointless_after(&failed))
     }
 
-    /// Measures the target: by alignment from the corners' solutions and the prediction or, where none
-    /// is accepted and precise, by corners alone. What is imprecise is taken where neither is precise, the alignment first.
-    /// How is noted in `trial`, where somebody asks.
+    /// Measures the target: by alignment from the corners' solutions and the prediction or, where
+    /// none is accepted and precise, by corners alone. What is imprecise is taken where neither is
+    /// precise, the alignment first. How is noted in `trial`, where somebody asks.
     pub fn measure(&self, aligner: &Aligner, mut trial: Option<&mut Trial>) -> Option<Measurement> {
         let solutions =
             solve(self.body, &self.decoded, &PoseOptions::default()).unwrap_or_default();
@@ -139,7 +139,8 @@ impl Inputs<'_> {
         self.prior.predicted().filter(|_| may_search)
     }
 
-    /// Whether a pose that the corners give would do as a measurement: if enough of them agree and it is certain enough.
+    /// Whether a pose that the corners give would do as a measurement: if enough of them agree and
+    /// it is certain enough.
     fn corner_verdict(&self, solution: &PoseSolution) -> CornerVerdict {
         let min_markers = match self.prior.confirmed() {
             Some(_) => self.permit.row.min_markers,
@@ -156,7 +157,8 @@ impl Inputs<'_> {
         CornerVerdict::TooUncertain { position_m, rotation_rad }
     }
 
-    /// The pose that the corners give, if enough of them agree. It may be too uncertain to be of use by itself.
+    /// The pose that the corners give, if enough of them agree. It may be too uncertain to be of
+    /// use by itself.
     fn measurement_of(&self, solution: &PoseSolution) -> Option<Measurement> {
         let verdict = self.corner_verdict(solution);
         let covariance = solution.inflated_covariance();
@@ -169,8 +171,8 @@ impl Inputs<'_> {
         })
     }
 
-    /// The body aligned from the corners' solutions (the `chosen` one first), from candidate squares or
-    /// from the prediction, but not again from what failed before.
+    /// The body aligned from the corners' solutions (the `chosen` one first), from candidate
+    /// squares or from the prediction, but not again from what failed before.
     fn align(
         &self,
         aligner: &Aligner,
@@ -199,7 +201,8 @@ impl Inputs<'_> {
                 aligner.confirm(&sought, &prior.camera_from_markers, is_marked, notes)
             }
             TrackPrior::Tentative(_) => aligner.initiate(&sought, is_marked, notes),
-            // One facet alone starts a track only if it wins against all starts, the deferred ones too.
+            // One facet alone starts a track only if it wins against all starts, the deferred ones
+            // too.
             TrackPrior::Untracked => {
                 let found = aligner.initiate(&sought, is_marked, notes)?;
                 let is_enough = !is_deferred || found.evidence.is_unambiguous();
@@ -211,8 +214,8 @@ impl Inputs<'_> {
         }
     }
 
-    /// What a pass of this `row` starts from, as far as it `is_worth` the time. `corners` are what the decoded
-    /// markers give, the best first.
+    /// What a pass of this `row` starts from, as far as it `is_worth` the time. `corners` are what
+    /// the decoded markers give, the best first.
     fn starts(
         &self,
         row: &Row,
@@ -265,8 +268,8 @@ impl Inputs<'_> {
             && asked.is_none_or(|asked| !self.attempt().is_pointless_after(&asked))
     }
 
-    /// What a background pass starts from. Without a confirmed track the corners' solutions are among it
-    /// again, because what one start leads to is compared with what the others do.
+    /// What a background pass starts from. Without a confirmed track the corners' solutions are
+    /// among it again, because what one start leads to is compared with what the others do.
     pub fn background_starts(&self) -> Vec<(Source, Start)> {
         let solutions = match self.prior.confirmed() {
             Some(_) => Vec::new(),

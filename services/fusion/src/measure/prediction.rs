@@ -1,8 +1,9 @@
 //! The direct pass: confirmed targets aligned from their predictions alone, before their regions of
 //! interest are searched for markers.
 //!
-//! It takes a fraction of the time of a search, so a tracked target's pose leaves a few milliseconds
-//! after the exposure. It only accepts poses that are likely by themselves; all others wait for their markers.
+//! It takes a fraction of the time of a search, so a tracked target's pose leaves a few
+//! milliseconds after the exposure. It only accepts poses that are likely by themselves; all others
+//! wait for their markers.
 
 use flockeye_imaging::align::{AlignError, Alignment};
 use nalgebra::Isometry3;
@@ -55,8 +56,8 @@ pub fn align(
     )
 }
 
-/// The measurement that an alignment gives without any marker, if it is precise, and likely by itself and by the
-/// prediction.
+/// The measurement that an alignment gives without any marker, if it is precise, and likely by
+/// itself and by the prediction.
 pub fn accepted(found: &Alignment, predicted: &Isometry3<f64>) -> Option<Measurement> {
     let is_accepted = found.is_precise
         && found.is_accepted()

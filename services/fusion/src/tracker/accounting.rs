@@ -1,4 +1,5 @@
-//! An account of what is decided of one target, for whoever asks. Nothing here changes what is decided.
+//! An account of what is decided of one target, for whoever asks. Nothing here changes what is
+//! decided.
 
 use flockeye_contract::FrameOrder;
 

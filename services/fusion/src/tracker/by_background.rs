@@ -24,9 +24,9 @@ impl Tracker {
         self.background.as_ref().is_some_and(|queue| queue.is_about(order))
     }
 
-    /// Takes in the answer of a background pass. `parts` are those of its frame. If that has ended meanwhile,
-    /// the answer only corrects a track that it agrees with, or starts one: a pose that was found by the
-    /// prior of a track that is lost since then means nothing.
+    /// Takes in the answer of a background pass. `parts` are those of its frame. If that has ended
+    /// meanwhile, the answer only corrects a track that it agrees with, or starts one: a pose that
+    /// was found by the prior of a track that is lost since then means nothing.
     pub fn background_answer(
         &mut self,
         mut answer: Answer,
@@ -67,8 +67,8 @@ impl Tracker {
         Some((order, update??))
     }
 
-    /// Whether measurements of a frame that was exposed then still count. Those of another source do not: its clock
-    /// may be another.
+    /// Whether measurements of a frame that was exposed then still count. Those of another source
+    /// do not: its clock may be another.
     fn is_within_history(&self, order: FrameOrder, at_s: f64) -> bool {
         match self.filter {
             FilterChoice::Tracks(policy) => self.ended.is_none_or(|(ended, ended_s)| {

@@ -17,8 +17,8 @@ impl Tracker {
         parts.unpublished().filter(move |&target| prior.allows(&self.targets[target]))
     }
 
-    /// The place pass: looks for a target at some `places` of a complete frame. The first place that shows it counts. Each
-    /// takes some tenths of a second.
+    /// The place pass: looks for a target at some `places` of a complete frame. The first place
+    /// that shows it counts. Each takes some tenths of a second.
     pub fn place_pass(
         &mut self,
         time: FrameTime,

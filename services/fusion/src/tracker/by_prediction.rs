@@ -9,8 +9,8 @@ use crate::measurement::Measurement;
 use crate::target::outcome_of;
 
 impl Tracker {
-    /// The direct pass over regions of interest of one frame that have been cut. Targets whose pose is
-    /// not accepted wait for their markers.
+    /// The direct pass over regions of interest of one frame that have been cut. Targets whose pose
+    /// is not accepted wait for their markers.
     pub fn direct_pass(
         &mut self,
         time: FrameTime,

@@ -1,5 +1,5 @@
-//! What tracks say of a time: where targets are, how they move as the camera sees them, and what that changes in a
-//! measurement.
+//! What tracks say of a time: where targets are, how they move as the camera sees them, and what
+//! that changes in a measurement.
 
 use flockeye_geometry::ego_rotation::CameraTurn;
 use flockeye_geometry::filter::{MotionModel, Prediction};
@@ -28,7 +28,8 @@ impl Tracker {
         }
     }
 
-    /// Where the picture of a frame that is exposed at a time will show each tracked target, by its number.
+    /// Where the picture of a frame that is exposed at a time will show each tracked target, by its
+    /// number.
     pub fn predictions(&self, at_s: f64) -> impl Iterator<Item = (usize, Prediction)> {
         let targets = 0..self.targets.len();
         targets.filter_map(move |target| {
@@ -45,7 +46,8 @@ impl Tracker {
         at_s + prediction.map_or(0.0, |known| readout.after_s(&known.camera_from_markers))
     }
 
-    /// How a target with this pose moves as the camera sees it: as its track says, or as what stands still.
+    /// How a target with this pose moves as the camera sees it: as its track says, or as what
+    /// stands still.
     pub(super) fn apparent_motion(
         &self,
         target: usize,
@@ -82,8 +84,8 @@ impl Tracker {
         }
     }
 
-    /// How a target moves across the line of sight while a frame is exposed, as far as its track says: no
-    /// more than a confirmed one's `prior`.
+    /// How a target moves across the line of sight while a frame is exposed, as far as its track
+    /// says: no more than a confirmed one's `prior`.
     pub(super) fn motion(&self, target: usize, at_s: f64, prior: &TrackPrior) -> Motion {
         let prediction = prior.confirmed().and_then(|_| self.prediction(target, at_s));
         let Some(prediction) = prediction else { return Motion::default() };
@@ -94,7 +96,8 @@ impl Tracker {
         Motion { rate_in_camera, exposure_s: self.camera.exposure.seconds() }
     }
 
-    /// What its track says of where the frame of a time shows a target. Without a filter there is no track.
+    /// What its track says of where the frame of a time shows a target. Without a filter there is
+    /// no track.
     pub(super) fn prior(&self, target: usize, at_s: f64) -> TrackPrior {
         match self.filter {
             FilterChoice::Tracks(_) => {
@@ -104,8 +107,8 @@ impl Tracker {
         }
     }
 
-    /// A target's measurement whose rays were right for `rays_m`, corrected to its own distance, and to the
-    /// middle of the exposure at `at_s`.
+    /// A target's measurement whose rays were right for `rays_m`, corrected to its own distance,
+    /// and to the middle of the exposure at `at_s`.
     pub(super) fn corrected(
         &self,
         measurement: Measurement,

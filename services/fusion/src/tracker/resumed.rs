@@ -8,8 +8,8 @@ use crate::exposure::LearnedExposure;
 use crate::snapshot::SavedTarget;
 
 impl Tracker {
-    /// The targets with their tracks, how the camera has turned, and what blur has shown of the exposure.
-    /// `published` says in which frame each target's pose has left last.
+    /// The targets with their tracks, how the camera has turned, and what blur has shown of the
+    /// exposure. `published` says in which frame each target's pose has left last.
     pub fn saved(
         &self,
         published: impl Fn(usize) -> Option<FrameOrder>,
@@ -19,8 +19,8 @@ impl Tracker {
         (saved, self.camera.ego.clone(), self.camera.exposure.learned())
     }
 
-    /// Goes on with the tracks of another process, and returns the names of their bodies. Bodies that this
-    /// process does not know, and tracks with numbers that are not finite, are left out.
+    /// Goes on with the tracks of another process, and returns the names of their bodies. Bodies
+    /// that this process does not know, and tracks with numbers that are not finite, are left out.
     pub fn resume(
         &mut self,
         saved: Vec<SavedTarget>,

@@ -261,7 +261,8 @@ fn measured_at(tracker: &mut Tracking, truth: &Isometry3<f64>) {
     }
 }
 
-/// At 4 m, with 13.5 times the covariance: the picture shows that the body is there, but not how far.
+/// At 4 m, with 13.5 times the covariance: the picture shows that the body is there, but not how
+/// far.
 #[test]
 fn what_is_imprecise_waits_until_nothing_better_can_come() {
     let truth = far_away();

@@ -178,8 +178,8 @@ fn tracking_bravo() -> Tracking {
     tracker
 }
 
-/// One decoded marker of alpha and candidate squares, seen so far beside where they are that only a rough
-/// start leads back. That is too little for a pose from corners.
+/// One decoded marker of alpha and candidate squares, seen so far beside where they are that only a
+/// rough start leads back. That is too little for a pose from corners.
 fn candidates_of_alpha(sequence: u64, truth: &Isometry3<f64>) -> Record {
     let mut record = record(sequence, &beside(truth, OFF_M));
     let first = record.markers[0];
