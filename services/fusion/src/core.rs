@@ -147,7 +147,7 @@ impl<P: Pixels> Core<P> {
         self.tracker.awaited().is_some_and(|order| self.frames.get(order).is_some())
     }
 
-    /// Notes an event that came at `now_ns`, or says why it is refused.
+    /// Takes in an event that came at `now_ns`, or returns why it is refused.
     pub fn on(&mut self, event: Event<P>, now_ns: i64) -> Option<Refusal> {
         if let Some(refusal) = self.refusal(&event, now_ns) {
             self.notices.push(Notice::Refused(refusal));

@@ -36,9 +36,9 @@ pub struct Exposure {
 /// What blur has shown of the exposure: sums over targets and frames.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct LearnedExposure {
-    /// Of the stretch, radians squared, times s^2.
+    /// Sum of the stretch, radians squared, times s^2.
     stretch: f64,
-    /// Of s^4.
+    /// Sum of s^4.
     weight: f64,
 }
 

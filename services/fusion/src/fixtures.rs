@@ -253,7 +253,8 @@ pub fn following(pose: &Isometry3<f64>) -> Tracking {
     tracker
 }
 
-/// What alignment has led to: a pose with these log odds, and this deviation along and about each axis, metres and radians.
+/// What alignment has led to: a pose with these log odds, and this deviation along and about each
+/// axis, metres and radians.
 pub fn alignment(camera_from_markers: Isometry3<f64>, log_odds: f64, sigma: f64) -> Alignment {
     let covariance = Matrix6::from_diagonal_element(sigma * sigma);
     Alignment {

@@ -44,7 +44,7 @@ struct AwaitedTurns {
     ends: VecDeque<AwaitingEnd>,
 }
 
-/// The end of a frame, when it came, nanoseconds, and from whom.
+/// The end of a frame, when it came, nanoseconds, and its sender.
 #[derive(Debug, Clone, Copy)]
 struct AwaitingEnd {
     end: FrameEnd,
@@ -76,7 +76,7 @@ impl Inbox {
         })
     }
 
-    /// Tells rectification that it has to wait for this stage where a lane is full. False while
+    /// Lets rectification know that it has to wait for this stage where a lane is full. False while
     /// rectification is not there.
     ///
     /// # Errors

@@ -1,8 +1,8 @@
 //! Stage: detections to tracks, and plans for where to look next.
 //!
 //! It takes views, detections and frame ends; it gives tracks and plans. Between frames it keeps a
-//! filter for each target and what was searched when. The core is pure: events with their times go in,
-//! messages come out. The stage around it moves messages.
+//! filter for each target and what was searched when. The core is pure: events with their times go
+//! in, messages come out. The stage around it moves messages.
 //!
 //! | module | what it does |
 //! | --- | --- |
@@ -85,7 +85,8 @@ pub fn main() -> std::process::ExitCode {
     }
 }
 
-/// `flockeye-fusion explain ...`, which `flockeye explain` becomes. The first argument stands for the program.
+/// `flockeye-fusion explain ...`, which `flockeye explain` becomes. The first argument stands for
+/// the program.
 fn explain_main(arguments: &[std::ffi::OsString]) -> std::process::ExitCode {
     flockeye_runtime::logs::init();
     let asked = <explain::asked::ExplainArguments as clap::Parser>::parse_from(arguments);

@@ -7,7 +7,7 @@
 //! | --- | --- | --- | --- |
 //! | direct | the prediction alone | a track measured in the frame before | when a region of interest has been cut |
 //! | region | markers, squares like them, the prediction | two markers without a track | when that region has been searched |
-//! | complete | the same in all views | two markers without a track, one with | when the frame is complete |
+//! | complete | those of all views | two markers without a track, one with | when the frame is complete |
 //! | background | rough starts, a search round the prediction | a picture | beside the others: it takes several times as long |
 //! | place | nothing, in any attitude | no track | when a single image is complete |
 
@@ -41,7 +41,7 @@ pub struct Row {
     pub prior: Prior,
     /// Decoded markers that must agree where there is a confirmed track but nothing was aligned.
     pub min_markers: usize,
-    /// Who may search round the prediction where nothing else finds the target.
+    /// Which pass may search round the prediction where nothing else finds the target.
     pub search: Search,
 }
 
@@ -67,10 +67,10 @@ impl Prior {
     }
 }
 
-/// Who may search round the prediction.
+/// Which pass may search round the prediction.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Search {
-    /// Nobody.
+    /// None.
     Never,
     /// The background pass that this one asks for. More markers may still come, so this pass does
     /// not wait.

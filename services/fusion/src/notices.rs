@@ -1,11 +1,11 @@
-//! What a person should know of, and how it is said: counted each time, logged seldom.
+//! What an operator should know: counted each time, logged seldom.
 
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::logs::Throttle;
 
 use crate::refusal::Refusal;
 
-/// Something that a person should know of.
+/// Something that an operator should know.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Notice {
     /// A worker's rays are not those of its corners, so its markers were left out.
@@ -25,7 +25,7 @@ pub enum Notice {
         /// Its sequence number.
         sequence: u64,
     },
-    /// A record came that nobody waits for.
+    /// A record came too late.
     LateRecord,
     /// A message that cannot be true.
     Refused(Refusal),

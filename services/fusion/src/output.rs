@@ -70,7 +70,7 @@ pub struct TrackMessage {
     pub stamp: FrameStamp,
     /// The estimates, at most [`MAX_TRACKS`].
     pub updates: Vec<Outgoing>,
-    /// Whether nothing more will be said of the frame.
+    /// Whether this is the last message about the frame.
     pub is_last: bool,
 }
 

@@ -1,6 +1,6 @@
-//! The same done with several things at once.
+//! A map that works on several items at once and keeps their order.
 
-/// What `work` makes of each of `items`, in their order, on up to so many threads; what comes out
+/// What `work` makes of each of `items`, in their order, on up to `threads` threads. What comes out
 /// does not depend on how many.
 pub fn map<T: Sync, R: Send>(items: &[T], threads: usize, work: impl Fn(&T) -> R + Sync) -> Vec<R> {
     let threads = threads.clamp(1, items.len().max(1));

@@ -10,7 +10,7 @@ use crate::policy::TimeBudget;
 pub enum Schedule {
     /// As soon as their inputs are there, in the time that is left.
     Flight,
-    /// The same passes in a lossless run: by stated costs instead of the time, so that nothing
+    /// As in flight, but in a lossless run: by stated costs instead of the time, so that nothing
     /// depends on who is faster.
     Virtual(VirtualClock),
     /// When a frame is complete, and all of them.
@@ -125,7 +125,7 @@ impl VirtualClock {
     }
 
     /// Whether a background pass over a frame is over that takes until then. One over a frame of
-    /// another source is: its clock says nothing of this one's.
+    /// another source is: its clock is another one.
     pub fn is_over(&self, over_ns: i64, order: FrameOrder) -> bool {
         let of_source = |last: FrameStamp| (last.source_generation, last.epoch);
         over_ns <= self.now_ns || self.last.map(of_source) != Some((order.0, order.1))

@@ -106,7 +106,7 @@ pub fn configured<P: Pixels>(
         tracker,
         Planning::new(planner),
     );
-    // A lossless run waits for records whose frames it has not heard of yet.
+    // In a lossless run a record may come before anything else of its frame.
     let core = match pipeline.flow {
         Flow::Latest => core.guarded(pipeline.detection_workers()),
         Flow::Lossless => core,
@@ -131,7 +131,7 @@ fn proposals(resolved: &Resolved) -> usize {
     }
 }
 
-/// Without tracks nothing says where to look, so everything is searched.
+/// Without tracks there is no prediction of where to look, so everything is searched.
 fn search_mode(pipeline: &Pipeline) -> SearchMode {
     match (pipeline.search.mode, pipeline.fusion.filter) {
         (Mode::Greedy, _) => SearchMode::Greedy,

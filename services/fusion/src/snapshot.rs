@@ -34,7 +34,7 @@ pub enum SnapshotError {
 /// The state of a core after a frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Snapshot {
-    /// The last frame that has ended. A successor says nothing more of it, nor of older ones.
+    /// The last frame that has ended. A successor sends nothing about it or older ones.
     pub ended: Option<FrameOrder>,
     /// All targets.
     pub targets: Vec<SavedTarget>,
@@ -73,7 +73,8 @@ pub struct SavedPlanning {
 }
 
 impl Snapshot {
-    /// What holds of it however old it is: what was told, and how many tracks there were.
+    /// The part that stays true however old it is: which poses have left, how many tracks there
+    /// were.
     pub fn without_tracks(mut self) -> Self {
         self.targets.iter_mut().for_each(|target| target.life = None);
         self

@@ -25,7 +25,7 @@ const BACKGROUND_POLL_NS: i64 = 4_000_000;
 /// How often the stage looks whether rectification has joined, nanoseconds.
 const JOIN_POLL_NS: i64 = 5_000_000;
 
-/// Takes views, detections and frame ends; gives tracks and plans, and a journal to who wants it.
+/// Takes views, detections and frame ends; gives tracks and plans, and a journal while it is read.
 pub struct FusionStage {
     inbox: Inbox,
     tracks: Publisher<Tracks>,
@@ -119,7 +119,7 @@ impl FusionStage {
     }
 
     fn send(&mut self, outputs: Outputs) -> anyhow::Result<()> {
-        // Before it is said: what a killed process has said must not be said again.
+        // Saved before it is sent: a successor must not send again what a killed process has sent.
         if let (false, Some(succession)) = (outputs.tracks.is_empty(), &mut self.succession) {
             succession.save(&self.core);
         }

@@ -13,7 +13,7 @@ use crate::snapshot::Snapshot;
 /// Saves the state of one process after each frame.
 #[derive(Debug)]
 pub struct Succession {
-    /// `None` where the file could not be made: fusion works all the same.
+    /// `None` where the file could not be made. Fusion works without it.
     keeper: Option<StateKeeper>,
     failures: Throttle,
     has_resumed: bool,

@@ -53,7 +53,7 @@ pub fn outcome_of(measurement: Measurement, update: Option<&Update>) -> Outcome 
 }
 
 impl TargetEstimate {
-    /// What one frame alone says (`fusion.filter: none`).
+    /// The estimate from one frame alone (`fusion.filter: none`).
     pub fn of_frame(measurement: &Measurement) -> Self {
         let pose = measurement.pose;
         Self {
@@ -131,7 +131,7 @@ impl Target {
         self.life.state() == Some(TrackState::Confirmed)
     }
 
-    /// What its track says of a frame before the frame measures it.
+    /// What its track predicts for a frame before the frame measures it.
     pub fn prior(&self, at_s: f64, ego: &EgoRotation) -> TrackPrior {
         let Some(prediction) = self.life.predict(at_s, ego) else { return TrackPrior::Untracked };
         let camera_from_markers = prediction.camera_from_markers;
@@ -152,7 +152,7 @@ impl Target {
         self.life.fits(at_s, &pose.camera_from_markers, &pose.covariance, ego)
     }
 
-    /// How the camera has turned since then is known better now.
+    /// Filters anew from a time since which it is known better how the camera has turned.
     pub fn refilter(&mut self, since_s: f64, ego: &EgoRotation) {
         self.life.refilter(since_s, ego);
     }
@@ -183,7 +183,7 @@ impl Target {
         }
     }
 
-    /// Tells the filter that a frame did not measure the target. `None` if there is no track. The
+    /// Takes in that a frame did not measure the target. `None` if there is no track. The
     /// last estimate of a track has the state `Lost`.
     pub fn miss(&mut self, at_s: f64, markers: u32, ego: &EgoRotation) -> Option<TargetEstimate> {
         // A lost track has no pose any more, so its last message repeats the prediction from before.

@@ -1,9 +1,9 @@
-//! What a track says of a target before a frame measures it.
+//! What a track predicts of a target before a frame measures it.
 
 use flockeye_geometry::pose::PosePrior;
 use nalgebra::Isometry3;
 
-/// What a track says of a target before a frame measures it.
+/// What a track predicts of a target before a frame measures it.
 #[derive(Debug, Clone)]
 #[allow(clippy::large_enum_variant, reason = "one for each target and pass, on the stack")]
 pub enum TrackPrior {

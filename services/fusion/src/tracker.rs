@@ -75,7 +75,7 @@ pub struct Tracker {
     attempts: Attempts,
     /// The last frame that has ended, and when it was exposed, seconds.
     ended: Option<(FrameOrder, f64)>,
-    /// What is decided of one target, where somebody asks.
+    /// The decisions on one target, if an account of it was asked for.
     account: Option<Account>,
 }
 
@@ -168,7 +168,7 @@ impl Tracker {
         for answer in answered {
             let Some(target) = answer.region_of() else { continue };
             let Some(part) = parts.get_mut(target) else { continue };
-            // Without its view nobody knows what distance a record's rays are right for. Once the
+            // Without its view it is unknown what distance a record's rays are right for. Once the
             // frame is complete, the assumed distance has to do.
             let is_ready = self.camera.parallax.is_none() || answer.view.is_some();
             let is_due = is_ready && !part.is_published();

@@ -34,7 +34,7 @@ pub struct Outputs {
     pub job: Option<Job>,
     /// The frame that has ended, if one has.
     pub ended: Option<EndedFrame>,
-    /// What a person should know of.
+    /// What an operator should know.
     pub notices: Vec<Notice>,
     /// Whether nothing was left to do.
     pub is_idle: bool,

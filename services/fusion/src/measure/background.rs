@@ -47,7 +47,7 @@ pub struct Answer {
     pub is_independent: bool,
     /// The distance that the view's rays are right for, metres.
     pub rays_m: f64,
-    /// How it was measured, where somebody asks.
+    /// How it was measured, where an account is kept.
     pub trial: Option<Box<Trial>>,
 }
 
@@ -118,7 +118,7 @@ impl BackgroundQueue {
         Some(job)
     }
 
-    /// Has the passes of a target say what they do.
+    /// Keeps an account of the passes of a target.
     pub fn keep_account(&mut self, target: usize) {
         self.noted = Some(target);
     }

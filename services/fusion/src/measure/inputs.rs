@@ -58,7 +58,7 @@ pub struct Inputs<'f> {
     pub candidates: Vec<CornerRay>,
     /// The distance that the rays are right for, metres; infinite where it does not matter.
     pub rays_m: f64,
-    /// What its track says.
+    /// What its track predicts.
     pub prior: TrackPrior,
     /// The best view of it.
     pub best_view: Option<BestView<'f>>,
@@ -105,7 +105,7 @@ impl Inputs<'_> {
 
     /// Measures the target: by alignment from the corners' solutions and the prediction or, where
     /// none is accepted and precise, by corners alone. What is imprecise is taken where neither is
-    /// precise, the alignment first. How is noted in `trial`, where somebody asks.
+    /// precise, the alignment first. `trial` takes notes of how, where an account is kept.
     pub fn measure(&self, aligner: &Aligner, mut trial: Option<&mut Trial>) -> Option<Measurement> {
         let solutions =
             solve(self.body, &self.decoded, &PoseOptions::default()).unwrap_or_default();
@@ -315,7 +315,7 @@ mod tests {
     use flockeye_geometry::pose::PosePrior;
     use nalgebra::{Matrix6, Translation3, UnitQuaternion};
 
-    /// What the corners alone say.
+    /// The measurement by corners alone.
     fn measure(body: &Body, decoded: Vec<CornerRay>, prior: TrackPrior) -> Option<Measurement> {
         let bodies = Bodies::new("DICT_5X5_250".into(), vec![body.clone()]).expect("one body");
         let (row, budget) = (Row::of(Pass::Complete), TimeBudget::Unlimited);

@@ -31,7 +31,7 @@ impl Tracker {
         self.account.as_mut().filter(|account| account.is_of(target))
     }
 
-    /// Whether somebody asks what is decided of a target.
+    /// Whether an account of a target is kept.
     pub(super) fn is_noted(&self, target: usize) -> bool {
         self.account.as_ref().is_some_and(|account| account.is_of(target))
     }
@@ -47,7 +47,7 @@ impl Tracker {
         }
     }
 
-    /// Says what the last pass over a target led to.
+    /// Notes what the last pass over a target led to.
     pub(super) fn note_outcome(&mut self, order: FrameOrder, target: usize, outcome: Outcome) {
         if let Some(account) = self.account_of(target) {
             account.set_outcome(order, outcome);
@@ -141,7 +141,7 @@ impl Tracker {
         account.note(order, Decision::Ran(*trial));
     }
 
-    /// The account of a corner pass with these inputs, if somebody asks.
+    /// The account of a corner pass with these inputs, if one is kept.
     pub(super) fn trial_of(&self, inputs: &Inputs<'_>, pass: Pass) -> Option<Trial> {
         self.is_noted(inputs.target).then(|| inputs.trial(pass))
     }

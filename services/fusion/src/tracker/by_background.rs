@@ -43,7 +43,7 @@ impl Tracker {
             && !self.targets[target].is_tracked()
             && self.is_within_history(order, at_s);
         if is_late && may_start {
-            // The frames since then did not show it only because nobody knew where to look.
+            // The frames since then did not show it only because it was not looked for there.
             self.targets[target].forget();
         }
         let measurement = self.corrected(answer.measurement?, answer.rays_m, target, at_s);

@@ -160,8 +160,9 @@ impl Tracker {
             decoded.extend(of_markers);
             candidates.extend(of_squares.into_iter().map(|ray| (record.header.view_index, ray)));
         }
-        // Single squares say nothing of an untracked target: a chequered wall has enough of them.
-        // Two in its best view that lie to each other as on the body are a place to start from.
+        // Single squares are no evidence of an untracked target: a chequered wall has enough of
+        // them. Two in its best view that lie to each other as on the body are a place to start
+        // from.
         let is_known = !decoded.is_empty() || prior.predicted().is_some();
         let best_index = best_view.map(|best| best.view_index);
         candidates.retain(|(view_index, _)| is_known || Some(*view_index) == best_index);
