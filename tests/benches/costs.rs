@@ -9,9 +9,7 @@ use std::time::Instant;
 
 use flockeye_detection::{Detector, DetectorParameters, Found};
 use flockeye_dictionary::Dictionary;
-use flockeye_fusion::account::{Notes, Source};
-use flockeye_fusion::hypothesis::{Aligner, Sought, Start};
-use flockeye_fusion::policy::TimeBudget;
+use flockeye_fusion::{Aligner, Notes, Sought, Source, Start, TimeBudget};
 use flockeye_geometry::body::{Bodies, Body, squares};
 use flockeye_geometry::camera::Camera;
 use flockeye_geometry::mask::Mask;

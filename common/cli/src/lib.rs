@@ -10,6 +10,7 @@
 //! | [`screen`] | the terminal: log lines above, a live table below |
 //! | [`signals`] | a flag that Ctrl-C raises |
 //! | [`text_table`] | tables of plain text |
+//! | [`replay`] | the commands that `flockeye` passes on to `flockeye-replay` |
 //! | [`workshop`] | the commands that `flockeye` passes on to `flockeye-workshop` |
 
 pub mod arguments;
@@ -20,6 +21,7 @@ pub mod running;
 pub mod screen;
 pub mod signals;
 pub mod text_table;
+pub mod replay;
 pub mod workshop;
 
 pub use arguments::{Configuration, FlowChoice, duration};

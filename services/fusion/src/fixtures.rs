@@ -4,21 +4,18 @@
 
 use std::collections::BTreeMap;
 use std::ops::{Deref, DerefMut};
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 
-use flockeye_contract::{
-    DetectedMarker, DetectionHeader, FrameEnd, FrameStamp, Transfer, ViewHeader, ViewKind,
-};
-use flockeye_geometry::body::{Bodies, Body, squares};
+use flockeye_contract::FrameEnd;
+use flockeye_geometry::body::{Bodies, Body};
 use flockeye_geometry::filter::{MotionModel, TrackPolicy};
 use flockeye_geometry::partition::Partition;
 use flockeye_geometry::search::{GazeOptions, Plan, Planner, Purpose, SearchMode};
-use flockeye_geometry::view::View;
-use flockeye_imaging::align::{Alignment, Evidence, Picture, is_precise};
+use flockeye_imaging::align::Picture;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
-use nalgebra::{Isometry3, Matrix2, Matrix6, Point3, Translation3, UnitQuaternion};
+use nalgebra::Isometry3;
 
-use crate::drawn_body::{Drawing, draw, prints};
+use crate::drawn_body::prints;
 use crate::frame::parts::Parts;
 use crate::hypothesis::{Aligner, BestView};
 use crate::measure::{AnsweredView, BestViews};
@@ -29,24 +26,10 @@ use crate::record::Record;
 use crate::target::Update;
 use crate::tracker::{FilterChoice, FrameTime, Tracker};
 
-pub const PIXELS_PER_RADIAN: f64 = 611.0;
-pub const INTERVAL_S: f64 = 1.0 / 30.0;
+pub use self::scene::*;
 
-pub fn alpha() -> Body {
-    squares("alpha", 0.0625, 0.05, 0)
-}
-
-pub fn bravo() -> Body {
-    squares("bravo", 0.0625, 0.05, 17)
-}
-
-/// `camera_from_markers`, turned by this angle in radians.
-pub fn pose(turn: f64) -> Isometry3<f64> {
-    Isometry3::from_parts(
-        Translation3::new(0.7, 0.5, 0.3),
-        UnitQuaternion::from_euler_angles(0.3, -0.2, turn),
-    )
-}
+#[path = "../tests/scene/mod.rs"]
+mod scene;
 
 pub fn aligner(bodies: &Bodies) -> Aligner {
     let prints = prints();
@@ -125,94 +108,8 @@ impl DerefMut for Tracking {
     }
 }
 
-pub fn stamp(sequence: u64) -> FrameStamp {
-    FrameStamp { sequence, exposure_ns: (at_s(sequence) * 1e9) as i64, ..FrameStamp::default() }
-}
-
-pub fn at_s(sequence: u64) -> f64 {
-    10.0 + sequence as f64 * INTERVAL_S
-}
-
 pub fn time(sequence: u64) -> FrameTime {
     FrameTime { order: stamp(sequence).order(), at_s: at_s(sequence), number: sequence }
-}
-
-/// The first of a body's markers that face the camera, at most `most` of them.
-pub fn facing_markers(body: &Body, pose: &Isometry3<f64>, most: usize) -> Vec<DetectedMarker> {
-    let eye = pose.inverse_transform_point(&Point3::origin());
-    let facing = body
-        .markers
-        .iter()
-        .filter(|marker| marker.normal().dot(&(eye - marker.centre()).normalize()) > 0.5);
-    facing
-        .take(most)
-        .map(|marker| DetectedMarker {
-            rays_in_camera: marker.corners.map(|corner| (pose * corner).coords.normalize().into()),
-            deviations: [2e-4; 4],
-            id: marker.id,
-            ..DetectedMarker::default()
-        })
-        .collect()
-}
-
-/// What detection finds in a view of alpha at `pose`.
-pub fn record(sequence: u64, pose: &Isometry3<f64>) -> Record {
-    Record { markers: facing_markers(&alpha(), pose, usize::MAX), ..empty_record(sequence) }
-}
-
-/// A view in which no marker was found.
-pub fn empty_record(sequence: u64) -> Record {
-    let header = DetectionHeader { stamp: stamp(sequence), ..DetectionHeader::default() };
-    Record { header, markers: Vec::new() }
-}
-
-/// Alpha at `pose(0.9)`. It is drawn once, because drawing takes longer than all else here.
-pub fn shown() -> &'static (View, Vec<u8>) {
-    static SHOWN: OnceLock<(View, Vec<u8>)> = OnceLock::new();
-    SHOWN.get_or_init(|| {
-        let drawing = drawing(&pose(0.9));
-        let image = drawing.image();
-        let pixels = (0..image.height()).flat_map(|y| image.row(y).to_vec()).collect();
-        (drawing.view, pixels)
-    })
-}
-
-/// View 0 of the plan `plan_id`: the region of alpha, as in [`shown`].
-pub fn region_view(sequence: u64, plan_id: u64) -> ViewHeader {
-    let (view, _) = shown();
-    ViewHeader {
-        stamp: stamp(sequence),
-        plan_id,
-        view_index: 0,
-        kind: ViewKind::Gaze.code(),
-        target: 0,
-        camera_from_view: view.camera_from_view.coords.into(),
-        focal_px: view.focal_px,
-        size_px: view.size_px,
-        stride: view.size_px,
-        transfer: Transfer::Srgb.code(),
-        ..ViewHeader::default()
-    }
-}
-
-/// Its record, with alpha's markers at a pose.
-pub fn region_record(sequence: u64, plan_id: u64, camera_from_markers: &Isometry3<f64>) -> Record {
-    let mut record = record(sequence, camera_from_markers);
-    let view = shown().0;
-    for marker in &mut record.markers {
-        marker.corners_in_view = marker.rays_in_camera.map(|ray| {
-            let ray = nalgebra::Unit::new_normalize(nalgebra::Vector3::from(ray));
-            let pixel = view.project(&ray).expect("it is in the view").0;
-            [pixel.x as f32, pixel.y as f32]
-        });
-    }
-    let header = DetectionHeader { plan_id, hits: record.markers.len() as u32, ..record.header };
-    Record { header, ..record }
-}
-
-/// The end of a frame in which so many views were cut.
-pub fn region_end(sequence: u64, plan_id: u64, views_issued: u32) -> FrameEnd {
-    FrameEnd { stamp: stamp(sequence), plan_id, views_issued, ..FrameEnd::default() }
 }
 
 /// A record of alpha's region of interest.
@@ -251,35 +148,6 @@ pub fn following(pose: &Isometry3<f64>) -> Tracking {
         assert!(end(&mut tracker, sequence).is_empty(), "its pose has left already");
     }
     tracker
-}
-
-/// What alignment has led to: a pose with these log odds, and this deviation along and about each
-/// axis, metres and radians.
-pub fn alignment(camera_from_markers: Isometry3<f64>, log_odds: f64, sigma: f64) -> Alignment {
-    let covariance = Matrix6::from_diagonal_element(sigma * sigma);
-    Alignment {
-        camera_from_markers,
-        covariance,
-        is_precise: is_precise(&covariance),
-        blur_px2: Matrix2::identity(),
-        stretch_px2: None,
-        evidence: Evidence { log_odds, ..Evidence::default() },
-        visible_share: 1.0,
-        samples: 900,
-        iterations: 5,
-    }
-}
-
-/// A certain measurement.
-pub fn measurement(camera_from_markers: &Isometry3<f64>) -> Measurement {
-    let covariance = Matrix6::identity() * 1e-6;
-    let pose = PoseEstimate { camera_from_markers: *camera_from_markers, covariance };
-    Measurement { pose, measured_by: MeasuredBy::Decoded, markers: 2, is_precise: true }
-}
-
-/// A drawing of alpha at `pose`.
-pub fn drawing(pose: &Isometry3<f64>) -> Drawing {
-    draw(&alpha(), pose, PIXELS_PER_RADIAN, 0.9, 0.004)
 }
 
 /// Gives `by` a view that shows alpha at `pose`.

@@ -31,43 +31,56 @@
 //! | [`background_runner`] | where background passes run |
 //! | [`parallel`] | a parallel map that keeps order |
 //! | [`snapshot`], [`succession`] | what a process leaves to its successor, and where it is kept |
-//! | [`recorded`] | a recording as the messages that fusion got and gave |
-//! | [`replay`] | the core again as a journal says, compared with what it gave |
-//! | [`explain`] | why a frame of a recording gave a pose of a target, or none |
 //! | [`settings`] | the core as the configuration asks for it |
 
-pub mod account;
-pub mod background_runner;
-pub mod core;
-pub mod explain;
-pub mod exposure;
-pub mod frame;
-pub mod hypothesis;
-pub mod inbox;
-pub mod journal;
-pub mod measure;
-pub mod measurement;
-pub mod notices;
-pub mod output;
-pub mod parallax;
-pub mod parallel;
-pub mod pictures;
-pub mod planning;
-pub mod policy;
-pub mod readout;
-pub mod record;
-pub mod recorded;
-pub mod refusal;
-pub mod replay;
-pub mod schedule;
-pub mod settings;
-pub mod snapshot;
-pub mod stage;
-pub mod succession;
-pub mod target;
-pub mod track_prior;
-pub mod tracker;
-pub mod work;
+mod account;
+mod background_runner;
+mod core;
+mod exposure;
+mod frame;
+mod hypothesis;
+mod inbox;
+mod journal;
+mod measure;
+mod measurement;
+mod notices;
+mod output;
+mod parallax;
+mod parallel;
+mod pictures;
+mod planning;
+mod policy;
+mod readout;
+mod record;
+mod refusal;
+mod schedule;
+mod settings;
+mod snapshot;
+mod stage;
+mod succession;
+mod target;
+mod track_prior;
+mod tracker;
+mod work;
+
+// For `flockeye-replay`: the core, what it hears and gives, and the account of its decisions.
+pub use self::account::{
+    CornerPose, CornerVerdict, Decision, Hypothesis, NotRun, Outcome, Pass, Source, Trial, Verdict,
+};
+pub use self::background_runner::BackgroundRunner;
+pub use self::core::{Core, Event, Outputs};
+pub use self::journal::{Journal, Journaled, entry_of};
+pub use self::measurement::{MeasuredBy, Measurement, PoseEstimate, candidate_rays, decoded_rays};
+pub use self::output::Writer;
+pub use self::pictures::Pixels;
+pub use self::policy::TimeBudget;
+pub use self::record::Record;
+pub use self::settings::{Configured, configured};
+pub use self::track_prior::TrackPrior;
+
+// For benchmarks.
+pub use self::account::Notes;
+pub use self::hypothesis::{Aligner, Sought, Start, turn_log};
 
 #[cfg(test)]
 #[path = "../../../common/imaging/tests/drawn_body/mod.rs"]
@@ -77,37 +90,5 @@ mod fixtures;
 
 /// The fusion stage's process. It is here so that it is compiled once, with the library.
 pub fn main() -> std::process::ExitCode {
-    let arguments: Vec<_> = std::env::args_os().skip(1).collect();
-    match &arguments[..] {
-        [word, file] if word == "replay" => replay_main(file.as_ref()),
-        [word, ..] if word == "explain" => explain_main(&arguments),
-        _ => flockeye_runtime::stage::main::<stage::FusionStage>(),
-    }
-}
-
-/// `flockeye-fusion explain ...`, which `flockeye explain` becomes. The first argument stands for
-/// the program.
-fn explain_main(arguments: &[std::ffi::OsString]) -> std::process::ExitCode {
-    flockeye_runtime::logs::init();
-    let asked = <explain::asked::ExplainArguments as clap::Parser>::parse_from(arguments);
-    match explain::main(&asked) {
-        Ok(()) => std::process::ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("flockeye explain: {error:#}");
-            std::process::ExitCode::FAILURE
-        }
-    }
-}
-
-/// `flockeye-fusion replay FILE`, which `flockeye replay` becomes: fails unless all is the same.
-fn replay_main(file: &std::path::Path) -> std::process::ExitCode {
-    flockeye_runtime::logs::init();
-    match replay::report(file) {
-        Ok(true) => std::process::ExitCode::SUCCESS,
-        Ok(false) => std::process::ExitCode::FAILURE,
-        Err(error) => {
-            eprintln!("flockeye replay: {error:#}");
-            std::process::ExitCode::FAILURE
-        }
-    }
+    flockeye_runtime::stage::main::<stage::FusionStage>()
 }

@@ -10,7 +10,7 @@ use crate::doctor::{self, DoctorArguments};
 use crate::exec::{self, ExecArguments};
 use crate::keys::{self, KeysCommand};
 use crate::manage::{self, StatusArguments, StopArguments, SwapArguments, WorkerArguments};
-use crate::other_programs::{self, PassedOn, ReplayArguments};
+use crate::other_programs::{self, PassedOn};
 use crate::peers::{self, PeersArguments};
 use crate::schema;
 use crate::top::{self, TopArguments};
@@ -57,10 +57,9 @@ enum FlockeyeCommand {
     Trace(TraceArguments),
     /// Record a running pipeline's messages to an MCAP file (by flockeye-recorder).
     Record,
-    /// Give a stage alone what it got in a recorded flight, and compare what it gives with what it
-    /// gave.
-    Replay(ReplayArguments),
-    /// Say why a frame of a recording gave this pose of a neighbour, or none (by flockeye-fusion).
+    #[command(about = replay::REPLAY.about)]
+    Replay,
+    #[command(about = replay::EXPLAIN.about)]
     Explain,
     /// Show what the swarm's drones report of each other over Zenoh.
     Peers(PeersArguments),
@@ -109,17 +108,17 @@ pub fn run() -> anyhow::Result<()> {
         // They were passed on, unless something else comes first.
         FlockeyeCommand::Record
         | FlockeyeCommand::View
+        | FlockeyeCommand::Replay
         | FlockeyeCommand::Explain
         | FlockeyeCommand::Chaos
         | FlockeyeCommand::Swarm
         | FlockeyeCommand::Contract
         | FlockeyeCommand::Stage => {
             anyhow::bail!(
-                "`flockeye record`, `view`, `explain`, `chaos`, `swarm`, `contract` and `stage` are written \
+                "`flockeye record`, `view`, `replay`, `explain`, `chaos`, `swarm`, `contract` and `stage` are written \
                  without anything before them"
             )
         }
-        FlockeyeCommand::Replay(arguments) => other_programs::become_stage(&arguments),
         FlockeyeCommand::Peers(arguments) => peers::run(&arguments),
         FlockeyeCommand::Keys(command) => keys::run(&command),
         FlockeyeCommand::Clean(arguments) => clean::run(&arguments),

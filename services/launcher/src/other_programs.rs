@@ -2,13 +2,11 @@
 
 use std::ffi::{OsStr, OsString};
 use std::os::unix::process::CommandExt;
-use std::path::PathBuf;
 use std::process::Command;
 
 use anyhow::Context;
-use clap::{Args, ValueEnum};
 use flockeye_cli::program::{self, CommandInfo};
-use flockeye_cli::{lab, workshop};
+use flockeye_cli::{lab, replay, workshop};
 
 /// A program that does some of `flockeye`'s commands.
 #[derive(Debug, Clone, Copy)]
@@ -24,18 +22,15 @@ enum Arguments {
     All,
     /// Those after the command's name: the command is all that it does.
     AfterCommand,
-    /// All of them: its help shows its own name.
-    OfStage,
 }
 
 const LAB: OtherProgram = OtherProgram { name: lab::PROGRAM, arguments: Arguments::All };
+const REPLAY: OtherProgram = OtherProgram { name: replay::PROGRAM, arguments: Arguments::All };
 const WORKSHOP: OtherProgram = OtherProgram { name: workshop::PROGRAM, arguments: Arguments::All };
 const RECORDER: OtherProgram =
     OtherProgram { name: "flockeye-recorder", arguments: Arguments::AfterCommand };
 const VIEWER: OtherProgram =
     OtherProgram { name: "flockeye-viewer", arguments: Arguments::AfterCommand };
-const FUSION: OtherProgram =
-    OtherProgram { name: "flockeye-fusion", arguments: Arguments::OfStage };
 
 /// The program that does this command, if it is not `flockeye` itself.
 fn program_for(command: &OsStr) -> Option<OtherProgram> {
@@ -43,8 +38,8 @@ fn program_for(command: &OsStr) -> Option<OtherProgram> {
     match command.to_str()? {
         "record" => Some(RECORDER),
         "view" => Some(VIEWER),
-        "explain" => Some(FUSION),
         _ if is_one_of(&lab::COMMANDS) => Some(LAB),
+        _ if is_one_of(&replay::COMMANDS) => Some(REPLAY),
         _ if is_one_of(&workshop::COMMANDS) => Some(WORKSHOP),
         _ => None,
     }
@@ -78,9 +73,6 @@ impl PassedOn {
         let (shown_name, arguments) = match program.arguments {
             Arguments::All => ("flockeye".to_owned(), arguments.to_vec()),
             Arguments::AfterCommand => (format!("flockeye {name}"), after_command()),
-            Arguments::OfStage => {
-                (program.name.to_owned(), [vec![command.clone()], after_command()].concat())
-            }
         };
         Some(Self { command: name, program: program.name, shown_name, arguments })
     }
@@ -105,36 +97,6 @@ fn become_program(name: &str, shown_name: &str, arguments: &[OsString]) -> anyho
     let path = program::find(name)?;
     let error = Command::new(&path).arg0(shown_name).args(arguments).exec();
     Err(error).with_context(|| format!("cannot start {}", path.display()))
-}
-
-/// Arguments of `replay`.
-#[derive(Debug, Args)]
-pub(crate) struct ReplayArguments {
-    /// A recording with its views, from the first frame on: recording.folder, with
-    /// recording.frames: views.
-    #[arg(value_name = "FILE.mcap")]
-    pub file: PathBuf,
-    /// The stage.
-    #[arg(long, value_enum, default_value_t = ReplayedStage::Fusion)]
-    pub stage: ReplayedStage,
-}
-
-/// A stage that can be replayed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum ReplayedStage {
-    /// Fusion: from views, detections, rotations and frame ends to tracks and plans.
-    Fusion,
-}
-
-/// Replaces this process by the stage, which compares what it gives with what it gave.
-///
-/// # Errors
-/// It is not installed, or cannot be started.
-pub(crate) fn become_stage(arguments: &ReplayArguments) -> anyhow::Result<()> {
-    let name = match arguments.stage {
-        ReplayedStage::Fusion => "flockeye-fusion",
-    };
-    become_program(name, name, &["replay".into(), arguments.file.clone().into()])
 }
 
 /// The lab's commands with their descriptions, for the help of `flockeye`.
@@ -164,12 +126,15 @@ mod tests {
     }
 
     #[test]
-    fn lab_and_workshop_get_the_whole_command_line() {
+    fn programs_of_several_commands_get_the_whole_command_line() {
         for arguments in [&["eval"][..], &["partition", "--json"], &["help", "markers"]] {
             assert_eq!(passed_on(arguments), program("flockeye-lab", "flockeye", arguments));
         }
         for arguments in [&["stage", "test", "fusion"][..], &["chaos"], &["help", "stage", "new"]] {
             assert_eq!(passed_on(arguments), program("flockeye-workshop", "flockeye", arguments));
+        }
+        for arguments in [&["explain", "a.mcap"][..], &["help", "explain"], &["replay", "a.mcap"]] {
+            assert_eq!(passed_on(arguments), program("flockeye-replay", "flockeye", arguments));
         }
     }
 
@@ -179,9 +144,6 @@ mod tests {
         assert_eq!(passed_on(&["record", "a.mcap", "--help"]), recorder(&["a.mcap", "--help"]));
         assert_eq!(passed_on(&["help", "record"]), recorder(&["--help"]));
         assert_eq!(passed_on(&["view"]), program("flockeye-viewer", "flockeye view", &[]));
-        let fusion = |arguments| program("flockeye-fusion", "flockeye-fusion", arguments);
-        assert_eq!(passed_on(&["explain", "a.mcap"]), fusion(&["explain", "a.mcap"]));
-        assert_eq!(passed_on(&["help", "explain"]), fusion(&["explain", "--help"]));
     }
 
     #[test]

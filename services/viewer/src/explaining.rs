@@ -1,7 +1,7 @@
 //! Why this pose, or why none: `flockeye explain` for a page that asks.
 //!
-//! The answer is worked out by the stage that decided, in a process of its own, from the recording that is shown or from
-//! the one that is being written. It replays the flight up to the frame, so one is made at a time.
+//! A process of its own works the answer out from the recording that is shown, or from the one that is being written.
+//! It replays the flight up to the frame, so one answer is made at a time.
 
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
@@ -16,7 +16,7 @@ use flockeye_runtime::instance::Instance;
 use flockeye_runtime::recorders;
 
 /// The program that answers.
-const PROGRAM: &str = "flockeye-fusion";
+const PROGRAM: &str = "flockeye-replay";
 /// An answer takes so long at most. A long flight is replayed faster than it was flown.
 const PATIENCE: Duration = Duration::from_secs(300);
 /// What a recorder has received is in its file by then.

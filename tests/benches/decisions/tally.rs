@@ -1,6 +1,6 @@
 //! What each decision accepts of right and of wrong poses.
 
-use flockeye_fusion::hypothesis::turn_log;
+use flockeye_fusion::turn_log;
 use flockeye_geometry::pose::is_false;
 use flockeye_geometry::statistics::quantile;
 use flockeye_imaging::align::{Alignment, least_lead};

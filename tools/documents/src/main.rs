@@ -8,7 +8,6 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, ensure};
 use clap::{Command, CommandFactory};
 use clap_complete::aot::{Shell, generate_to};
-use flockeye_fusion::explain::asked::ExplainArguments;
 use flockeye_recorder::arguments::RecordArguments;
 use flockeye_viewer::program::ViewArguments;
 
@@ -38,18 +37,18 @@ fn whole_command() -> Command {
     let passed_on = [
         ("record", RecordArguments::command()),
         ("view", ViewArguments::command()),
-        ("explain", ExplainArguments::command()),
     ];
     for (name, command) in passed_on {
         whole =
             whole.mut_subcommand(name, |_| command.name(name).bin_name(format!("flockeye {name}")));
     }
-    let workshop = flockeye_workshop::commands::command();
-    // A command that `flockeye` alone does stays as it is.
-    whole = whole.mut_subcommands(|own| {
-        let found = workshop.find_subcommand(own.get_name()).filter(|found| !found.is_hide_set());
-        found.cloned().unwrap_or(own)
-    });
+    for program in [flockeye_replay::commands::command(), flockeye_workshop::commands::command()] {
+        // A command that `flockeye` alone does stays as it is.
+        whole = whole.mut_subcommands(|own| {
+            let found = program.find_subcommand(own.get_name());
+            found.filter(|found| !found.is_hide_set()).cloned().unwrap_or(own)
+        });
+    }
     let lab = flockeye_lab::commands::command();
     let commands: Vec<_> = lab.get_subcommands().cloned().collect();
     whole.subcommands(commands)
@@ -67,6 +66,7 @@ mod tests {
             &["up"][..],
             &["record"],
             &["view"],
+            &["replay"],
             &["explain"],
             &["calibrate", "body"],
             &["eval"],

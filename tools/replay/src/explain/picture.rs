@@ -16,10 +16,11 @@ use flockeye_imaging::align::{AlignOptions, BodyPrint, Picture, depict};
 use nalgebra::{Isometry3, Point3, Vector2};
 
 use super::explanation::Explanation;
-use super::{Known, facts};
-use crate::account::{Decision, Verdict};
-use crate::pictures::Pixels;
+use super::known::Known;
+use super::poses;
 use crate::recorded::RecordedPixels;
+use flockeye_fusion::Pixels;
+use flockeye_fusion::{Decision, Verdict};
 
 /// Pixels along the side of the picture of the place.
 const SIDE_PX: usize = 720;
@@ -54,8 +55,8 @@ pub fn write(
     known: &Known,
     explanation: &Explanation,
 ) -> anyhow::Result<()> {
-    let Some((reference, _)) = facts::reference_pose(resolved, known).or_else(|| {
-        let place = facts::place(resolved, known)?;
+    let Some((reference, _)) = poses::reference_pose(resolved, known).or_else(|| {
+        let place = poses::place(resolved, known)?;
         Some((place.camera_from_markers, super::explanation::ResidualOf::Prediction))
     }) else {
         bail!("nothing says where {} is, so there is nothing to draw", explanation.target);

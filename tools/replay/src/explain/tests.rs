@@ -17,15 +17,16 @@ use nalgebra::{Isometry3, Matrix6, Vector3};
 
 use super::explanation::{Explanation, Step};
 use super::gathered::Gathered;
-use super::{Before, Known, Replaying, facts, text};
-use crate::account::{
+use super::known::{Before, Known, Replaying};
+use super::{facts, text};
+use crate::fixtures::{self, facing_markers, measurement, stamp};
+use crate::recorded::{Lost, Message};
+use flockeye_fusion::Record;
+use flockeye_fusion::TimeBudget;
+use flockeye_fusion::TrackPrior;
+use flockeye_fusion::{
     CornerPose, CornerVerdict, Decision, Hypothesis, NotRun, Outcome, Pass, Source, Trial, Verdict,
 };
-use crate::fixtures::{self, facing_markers, measurement, stamp};
-use crate::policy::TimeBudget;
-use crate::record::Record;
-use crate::recorded::{Lost, Message};
-use crate::track_prior::TrackPrior;
 
 /// The frame that is asked about.
 const FRAME: u64 = 7;

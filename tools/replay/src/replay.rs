@@ -20,11 +20,11 @@ pub use self::script::{NO_JOURNAL, names_message};
 
 use self::compared::Compared;
 use self::script::{Next, Script};
-use crate::background_runner::BackgroundRunner;
-use crate::core::{Core, Event, Outputs};
-use crate::output::Writer;
 use crate::recorded::{Lost, Message, Recorded, RecordedPixels};
-use crate::settings::{Configured, configured};
+use flockeye_fusion::BackgroundRunner;
+use flockeye_fusion::Writer;
+use flockeye_fusion::{Configured, configured};
+use flockeye_fusion::{Core, Event, Outputs};
 
 /// What a replay has shown.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]

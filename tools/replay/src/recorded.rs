@@ -19,8 +19,8 @@ use flockeye_recording::losses::decode_loss;
 use flockeye_recording::message::decode;
 use flockeye_recording::{ContractMessage, Ending, Reader, RecordedMessage, TopicLayout, layouts};
 
-use crate::pictures::Pixels;
-use crate::record::Record;
+use flockeye_fusion::Pixels;
+use flockeye_fusion::Record;
 
 /// The pixels of a recorded view.
 #[derive(Debug, Clone)]

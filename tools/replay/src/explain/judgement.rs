@@ -2,11 +2,11 @@
 
 use flockeye_contract::{MeasuredBy, StopReason, ViewKind};
 
-use super::Known;
 use super::explanation::{Explanation, Step, ViewFacts};
-use super::facts::Place;
+use super::known::Known;
 use super::passes::decided;
-use crate::account::{CornerVerdict, Decision, Hypothesis, Outcome, Pass, Trial, Verdict};
+use super::poses::Place;
+use flockeye_fusion::{CornerVerdict, Decision, Hypothesis, Outcome, Pass, Trial, Verdict};
 
 /// A hypothesis farther than this from where the body is expected is about something else, radians: a proposal's view of a
 /// body at 2 m shows less.

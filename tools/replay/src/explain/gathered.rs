@@ -7,8 +7,8 @@ use flockeye_contract::{
     TruthHeader, ViewHeader,
 };
 
-use crate::record::Record;
 use crate::recorded::{Message, RecordedPixels};
+use flockeye_fusion::Record;
 
 /// Plans that are kept for frames that still follow them.
 const PLANS: usize = 16;

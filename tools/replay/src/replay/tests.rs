@@ -6,12 +6,12 @@ use std::sync::OnceLock;
 
 use super::*;
 use crate::fixtures::{INTERVAL_S, pose, region_end, region_record, region_view, shown, stamp};
-use crate::journal::{Journal, Journaled};
-use crate::record::Record;
 use flockeye_config::Pipeline;
 use flockeye_contract::{
     DetectionHeader, FrameStamp, JournalHeader, MAX_JOURNAL_ENTRIES, Rotation, RotationSource,
 };
+use flockeye_fusion::Record;
+use flockeye_fusion::{Journal, Journaled};
 use flockeye_recording::ContractMessage;
 
 /// When a frame's messages come after its exposure, nanoseconds.

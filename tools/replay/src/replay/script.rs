@@ -9,9 +9,9 @@ use std::time::Duration;
 use anyhow::ensure;
 use flockeye_contract::{JournalEntry, JournalHeader, JournalKind};
 
-use crate::core::Event;
-use crate::journal::entry_of;
 use crate::recorded::RecordedPixels;
+use flockeye_fusion::Event;
+use flockeye_fusion::entry_of;
 
 /// So long an entry waits for its message. A recorder that is given no processor receives topics so far apart at most.
 const PATIENCE: Duration = Duration::from_secs(5);

@@ -4,19 +4,19 @@ use flockeye_config::Resolved;
 use flockeye_imaging::align::{LeastLogOdds, least_lead};
 
 use super::explanation::{CornerFacts, HypothesisFacts, LogOddsTerms, PassFacts};
-use super::facts::{Frames, deviations};
-use crate::account::{
+use super::poses::{Mounting, deviations};
+use flockeye_fusion::TimeBudget;
+use flockeye_fusion::{
     CornerPose, CornerVerdict, Decision, Hypothesis, NotRun, Outcome, Pass, Source, Trial, Verdict,
 };
-use crate::policy::TimeBudget;
 
 /// What was decided, in this order.
 pub fn facts(resolved: &Resolved, target: usize, decisions: &[Decision]) -> Vec<PassFacts> {
-    let frames = Frames { resolved, target };
+    let frames = Mounting { resolved, target };
     decisions.iter().map(|decision| of_decision(&frames, decision)).collect()
 }
 
-fn of_decision(frames: &Frames<'_>, decision: &Decision) -> PassFacts {
+fn of_decision(frames: &Mounting<'_>, decision: &Decision) -> PassFacts {
     let nothing = |pass: &'static str| PassFacts {
         pass,
         not_run: None,
@@ -46,7 +46,7 @@ fn of_decision(frames: &Frames<'_>, decision: &Decision) -> PassFacts {
     }
 }
 
-fn of_trial(frames: &Frames<'_>, trial: &Trial) -> PassFacts {
+fn of_trial(frames: &Mounting<'_>, trial: &Trial) -> PassFacts {
     PassFacts {
         pass: name_of(trial.pass),
         not_run: None,
@@ -69,7 +69,7 @@ fn of_trial(frames: &Frames<'_>, trial: &Trial) -> PassFacts {
     }
 }
 
-fn corner_facts(frames: &Frames<'_>, trial: &Trial, pose: &CornerPose) -> CornerFacts {
+fn corner_facts(frames: &Mounting<'_>, trial: &Trial, pose: &CornerPose) -> CornerFacts {
     let agreeing = &pose.solution.inlier_markers;
     CornerFacts {
         pose: frames.of_markers(&pose.solution.camera_from_markers),
@@ -91,7 +91,7 @@ fn corner_facts(frames: &Frames<'_>, trial: &Trial, pose: &CornerPose) -> Corner
     }
 }
 
-fn hypothesis_facts(frames: &Frames<'_>, hypothesis: &Hypothesis) -> HypothesisFacts {
+fn hypothesis_facts(frames: &Mounting<'_>, hypothesis: &Hypothesis) -> HypothesisFacts {
     let found = hypothesis.found.as_ref().ok();
     HypothesisFacts {
         source: source_of(hypothesis.source),

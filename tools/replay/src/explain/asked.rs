@@ -5,12 +5,9 @@ use std::path::PathBuf;
 use anyhow::{Context as _, bail};
 use clap::Parser;
 
-/// Why a frame of a recording gave this pose of a neighbour, or none.
+/// Arguments of `explain`.
 #[derive(Debug, Parser)]
 #[command(
-    name = "flockeye explain",
-    bin_name = "flockeye explain",
-    about = "Say why a frame of a recording gave this pose of a neighbour, or none",
     after_help = "A recording with its views from the first frame on tells all (recording.folder, recording.frames: views). \
                   Of others it is said what the messages tell. docs/RECORDING.md has an example."
 )]

@@ -1,0 +1,99 @@
+//! `flockeye explain`: why a frame of a recording gave this pose of a neighbour, or none.
+//!
+//! | module | what it does |
+//! | --- | --- |
+//! | [`asked`] | the command line |
+//! | [`frames`] | lists the frames of a recording, and finds the one that is asked for |
+//! | [`gathered`] | messages of the stages about that frame |
+//! | [`session`] | replays fusion up to that frame |
+//! | [`known`] | all that is known of the frame |
+//! | [`explanation`] | the answer, as data |
+//! | [`poses`] | poses of the target: predicted, measured, likeliest |
+//! | [`facts`] | makes the answer from what is known |
+//! | [`passes`] | the decisions of fusion as data |
+//! | [`judgement`] | the step that decided, in plain words |
+//! | [`text`], [`picture`] | the answer as text, and as a picture |
+
+pub(crate) mod asked;
+mod explanation;
+mod facts;
+mod frames;
+mod gathered;
+mod judgement;
+mod known;
+mod passes;
+mod picture;
+mod poses;
+mod session;
+mod text;
+
+#[cfg(test)]
+mod tests;
+
+use std::path::Path;
+
+use anyhow::{Context as _, bail};
+use flockeye_config::Resolved;
+
+use self::asked::{Asked, ExplainArguments};
+use self::frames::Frames;
+use self::gathered::Gathered;
+use self::known::Known;
+use self::session::Session;
+use crate::recorded::Recorded;
+
+/// Frames after the explained one in which its next search is looked for.
+const LOOK_AHEAD: usize = 60;
+
+/// Answers on the terminal, and in a picture where one is asked for.
+///
+/// # Errors
+/// The recording cannot be read, or has no such frame or body.
+pub fn main(arguments: &ExplainArguments) -> anyhow::Result<()> {
+    let asked = arguments.asked()?;
+    let (resolved, known) = look(&arguments.file, &asked)?;
+    let explanation = facts::explanation(&arguments.file, &resolved, &known);
+    match arguments.json {
+        true => println!("{}", serde_json::to_string_pretty(&explanation)?),
+        false => print!("{}", text::of(&explanation)),
+    }
+    // The answer stands also where there is nothing to draw.
+    match &arguments.image {
+        Some(path) => picture::write(path, &resolved, &known, &explanation),
+        None => Ok(()),
+    }
+}
+
+/// Reads all that a recording has on what is asked.
+fn look(path: &Path, asked: &Asked) -> anyhow::Result<(Resolved, Known)> {
+    let mut recorded = Recorded::open(path)?;
+    let resolved = recorded.configuration()?;
+    let names: Vec<&str> = resolved.bodies.iter().map(|body| body.name.as_str()).collect();
+    let Some(target) = names.iter().position(|name| *name == asked.target) else {
+        bail!("{} has no body '{}'. It has {}", path.display(), asked.target, names.join(", "));
+    };
+    let frames = Frames::of(path).with_context(|| path.display().to_string())?;
+    let (stamp, at_s) = frames.chosen(asked.when)?;
+    let mut gathered = Gathered::of(stamp, target as u32);
+    let mut replaying = Session::begin(&resolved, target, stamp);
+    loop {
+        let (message, utc_ns) = match recorded.next_message() {
+            Ok(Some(read)) => read,
+            Ok(None) => break,
+            // What comes before the damage counts.
+            Err(error) if gathered.is_over() => {
+                tracing::warn!("{error:#}");
+                break;
+            }
+            Err(error) => return Err(error),
+        };
+        gathered.on(&message);
+        replaying.on(message, utc_ns, &gathered);
+        if gathered.is_over() && gathered.later_frames() >= LOOK_AHEAD {
+            break;
+        }
+    }
+    let (replay, before, decisions) = replaying.finish();
+    let lost = frames.lost;
+    Ok((resolved, Known { target, stamp, at_s, gathered, before, decisions, replay, lost }))
+}

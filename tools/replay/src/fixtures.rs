@@ -1,0 +1,8 @@
+//! Frames that tests make up: those of fusion's own tests.
+
+use flockeye_fusion::{MeasuredBy, Measurement, PoseEstimate, Record};
+
+pub use self::scene::*;
+
+#[path = "../../../services/fusion/tests/scene/mod.rs"]
+mod scene;
