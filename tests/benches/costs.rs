@@ -9,7 +9,7 @@ use std::time::Instant;
 
 use flockeye_detection::{Detector, DetectorParameters, Found};
 use flockeye_dictionary::Dictionary;
-use flockeye_fusion::{Aligner, Notes, Sought, Source, Start, TimeBudget};
+use flockeye_fusion::{Aligner, Sought, Source, Start, TimeBudget};
 use flockeye_geometry::body::{Bodies, Body, squares};
 use flockeye_geometry::camera::Camera;
 use flockeye_geometry::mask::Mask;
@@ -184,11 +184,11 @@ fn region(
         let (picture, budget) = (&picture, TimeBudget::OneFrame);
         timed(&mut costs.corner_pass, 1.0, || {
             let sought = Sought { target: 0, picture, starts: &from_corners(), budget };
-            aligner.confirm(&sought, &predicted, unknown, &mut Notes::none())
+            aligner.confirm(&sought, &predicted, unknown, &mut Vec::new())
         });
         timed(&mut costs.initiation, 1.0, || {
             let sought = Sought { target: 0, picture, starts: &from_corners(), budget };
-            aligner.initiate(&sought, unknown, &mut Notes::none())
+            aligner.initiate(&sought, unknown, false, &mut Vec::new())
         });
         timed(&mut costs.background_pass, 1.0, || aligner.reacquire(0, picture, &predicted));
     }

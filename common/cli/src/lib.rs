@@ -17,11 +17,11 @@ pub mod arguments;
 pub mod dated;
 pub mod lab;
 pub mod program;
+pub mod replay;
 pub mod running;
 pub mod screen;
 pub mod signals;
 pub mod text_table;
-pub mod replay;
 pub mod workshop;
 
 pub use arguments::{Configuration, FlowChoice, duration};

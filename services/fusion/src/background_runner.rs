@@ -7,7 +7,7 @@ use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 
 use flockeye_runtime::background;
 
-use crate::hypothesis::Aligner;
+use crate::aligner::Aligner;
 use crate::measure::background::{Answer, Job};
 
 /// The thread has panicked.

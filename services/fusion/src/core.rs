@@ -15,7 +15,7 @@ use std::collections::VecDeque;
 use flockeye_contract::{DetectedMarker, FrameOrder, FrameStamp, Rotation, ViewHeader};
 use flockeye_convert::{camera_turn, purpose_of, search_of, view_of};
 
-use crate::account::Decision;
+use crate::account::AccountEntry;
 use crate::frame::frames::Frames;
 use crate::measure::background::Answer;
 use crate::measurement::agrees_with_view;
@@ -133,7 +133,7 @@ impl<P: Pixels> Core<P> {
     }
 
     /// What was decided of the target since this was asked last, with the frame of each decision.
-    pub fn take_account(&mut self) -> Vec<(FrameOrder, Decision)> {
+    pub fn take_account(&mut self) -> Vec<(FrameOrder, AccountEntry)> {
         self.tracker.take_account()
     }
 

@@ -15,9 +15,9 @@ use flockeye_imaging::align::Picture;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
 use nalgebra::Isometry3;
 
+use crate::aligner::{Aligner, BestView};
 use crate::drawn_body::prints;
 use crate::frame::parts::Parts;
-use crate::hypothesis::{Aligner, BestView};
 use crate::measure::{AnsweredView, BestViews};
 use crate::measurement::{MeasuredBy, Measurement, PoseEstimate};
 use crate::planning::Planning;
@@ -90,7 +90,7 @@ impl Tracking {
         measurement: &Measurement,
     ) -> Option<Update> {
         let (tracker, parts) = self.at(time.order.2);
-        tracker.take_in(time, target, parts.get_mut(target), measurement)
+        tracker.take_in(time, target, parts.get_mut(target), *measurement).0
     }
 }
 

@@ -18,9 +18,11 @@
 //! | [`target`] | one neighbour: its body and its track |
 //! | [`track_prior`] | what a track says of a target before a frame measures it |
 //! | [`measure`] | the measurement pass, with a table of what differs between its kinds |
-//! | [`hypothesis`] | poses with their evidence, and the decision |
+//! | [`aligner`] | tries poses: aligns bodies with pictures |
+//! | [`hypothesis`] | poses that were tried |
+//! | [`decide`] | all decisions about them |
 //! | [`measurement`] | a measured pose, and corners as rays |
-//! | [`account`] | what was decided of one target, and why |
+//! | [`account`] | the trials of one target with their decisions, for whoever asks |
 //! | [`schedule`] | when passes run, and how much time they have: by the clock or by stated costs |
 //! | [`policy`] | which pass may run, and how thorough it may be |
 //! | [`exposure`] | how long frames are exposed |
@@ -34,8 +36,10 @@
 //! | [`settings`] | the core as the configuration asks for it |
 
 mod account;
+mod aligner;
 mod background_runner;
 mod core;
+mod decide;
 mod exposure;
 mod frame;
 mod hypothesis;
@@ -64,11 +68,12 @@ mod tracker;
 mod work;
 
 // For `flockeye-replay`: the core, what it hears and gives, and the account of its decisions.
-pub use self::account::{
-    CornerPose, CornerVerdict, Decision, Hypothesis, NotRun, Outcome, Pass, Source, Trial, Verdict,
-};
+pub use self::account::{AccountEntry, NotRun, Pass, Trial};
 pub use self::background_runner::BackgroundRunner;
 pub use self::core::{Core, Event, Outputs};
+pub use self::decide::outcome::Outcome;
+pub use self::decide::{Choice, Decision, Verdict};
+pub use self::hypothesis::{CornerPose, CornerVerdict, Hypothesis, Source};
 pub use self::journal::{Journal, Journaled, entry_of};
 pub use self::measurement::{MeasuredBy, Measurement, PoseEstimate, candidate_rays, decoded_rays};
 pub use self::output::Writer;
@@ -79,8 +84,8 @@ pub use self::settings::{Configured, configured};
 pub use self::track_prior::TrackPrior;
 
 // For benchmarks.
-pub use self::account::Notes;
-pub use self::hypothesis::{Aligner, Sought, Start, turn_log};
+pub use self::aligner::{Aligner, Sought, Start};
+pub use self::decide::turn_log;
 
 #[cfg(test)]
 #[path = "../../../common/imaging/tests/drawn_body/mod.rs"]

@@ -21,14 +21,12 @@ use flockeye_contract::{DetectedMarker, ViewHeader};
 use flockeye_geometry::body::Body;
 use flockeye_geometry::search::Purpose;
 
-use crate::account::{Pass, Source};
-use crate::hypothesis::BestView;
+use crate::account::Pass;
+use crate::aligner::BestView;
+use crate::decide::MARKERS_WITHOUT_TRACK;
+use crate::hypothesis::Source;
 use crate::record::Record;
 use crate::target::Target;
-
-/// Decoded markers that must agree on a pose where neither a track nor alignment supports it. One
-/// marker may be a misread square, and its mirror pose cannot be told from it.
-pub const MARKERS_WITHOUT_TRACK: usize = 2;
 
 /// What differs between the kinds of the measurement pass.
 #[derive(Debug, PartialEq, Eq)]

@@ -5,8 +5,8 @@ use flockeye_convert::{RadianceCache, image_of, purpose_of, view_of};
 use flockeye_geometry::search::Purpose;
 use flockeye_imaging::align::Picture;
 
+use crate::aligner::BestView;
 use crate::frame::views::HeldViews;
-use crate::hypothesis::BestView;
 use crate::measure::BestViews;
 use crate::measure::prediction::Region;
 use crate::parallax::Parallax;

@@ -12,9 +12,9 @@ use flockeye_geometry::search::{Planner, SearchMode};
 use flockeye_imaging::align::Coding;
 use flockeye_runtime::memory;
 
+use crate::aligner::Aligner;
 use crate::core::Core;
 use crate::frame::frames::{Frames, Keeping};
-use crate::hypothesis::Aligner;
 use crate::output::Writer;
 use crate::parallax::Parallax;
 use crate::pictures::{PictureReader, Pixels};

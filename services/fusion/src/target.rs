@@ -9,7 +9,7 @@ use flockeye_geometry::filter::{
 use flockeye_geometry::pose::PosePrior;
 use nalgebra::Vector3;
 
-use crate::account::Outcome;
+use crate::decide::outcome::may_enter_track;
 use crate::measurement::{MeasuredBy, Measurement, PoseEstimate};
 use crate::snapshot::SavedTarget;
 use crate::track_prior::TrackPrior;
@@ -40,17 +40,6 @@ pub struct TargetEstimate {
 
 /// A target's number, and what is known of it after a frame.
 pub type Update = (usize, TargetEstimate);
-
-/// What becomes of a measurement of an open frame, by what the filter made of it.
-pub fn outcome_of(measurement: Measurement, update: Option<&Update>) -> Outcome {
-    match update {
-        None if !measurement.is_precise => Outcome::OutsideGate(measurement),
-        None => Outcome::Refused(measurement),
-        Some((_, estimate)) if estimate.measured.is_some() => Outcome::Published(measurement),
-        Some(_) if measurement.is_precise => Outcome::OutsideGate(measurement),
-        Some(_) => Outcome::Corrected(measurement),
-    }
-}
 
 impl TargetEstimate {
     /// The estimate from one frame alone (`fusion.filter: none`).
@@ -166,7 +155,7 @@ impl Target {
         measurement: &Measurement,
         ego: &EgoRotation,
     ) -> Option<TargetEstimate> {
-        if !measurement.is_precise && !self.is_inside_gate(at_s, measurement, ego) {
+        if !may_enter_track(measurement, || self.is_inside_gate(at_s, measurement, ego)) {
             return None;
         }
         let pose = &measurement.pose;

@@ -10,18 +10,20 @@ use flockeye_geometry::body::Bodies;
 use flockeye_geometry::ego_rotation::EgoRotation;
 use flockeye_geometry::filter::TrackPolicy;
 
-use crate::account::{Account, Decision, Pass};
+use crate::account::{Account, AccountEntry, Pass};
+use crate::aligner::Aligner;
+use crate::decide::markers::contradicts;
+use crate::decide::outcome::Outcome;
 use crate::exposure::Exposure;
 use crate::frame::parts::{Part, Parts, Status};
-use crate::hypothesis::Aligner;
 use crate::measure::background::BackgroundQueue;
 use crate::measure::{AnsweredView, BestViews, distinct_decoded};
-use crate::measurement::{Measurement, contradicts, decoded_rays};
+use crate::measurement::{Measurement, decoded_rays};
 use crate::parallax::Parallax;
 use crate::policy::{DirectPassPolicy, TimeBudget};
 use crate::readout::Readout;
 use crate::schedule::Attempts;
-use crate::target::{Target, TargetEstimate, Update, outcome_of};
+use crate::target::{Target, TargetEstimate, Update};
 
 /// How poses are carried from frame to frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -200,9 +202,8 @@ impl Tracker {
             let mut part = parts.get_mut(target);
             let imprecise = part.as_mut().and_then(|part| part.imprecise.take());
             let update = imprecise.and_then(|imprecise| {
-                let update = self.take_in(time, target, part, &imprecise);
-                let outcome = || outcome_of(imprecise, update.as_ref());
-                self.note(time.order, target, || Decision::TakenImprecise(outcome()));
+                let (update, outcome) = self.take_in(time, target, part, imprecise);
+                self.note(time.order, target, AccountEntry::TakenImprecise(outcome));
                 update
             });
             if update.is_some() {
@@ -236,49 +237,39 @@ impl Tracker {
             let rays = decoded_rays(body, &answer.record.markers);
             if contradicts(body, &rays, pose) {
                 self.direct_policy.suspend(target);
-                self.note(order, target, || Decision::Contradicted);
+                self.note(order, target, AccountEntry::Contradicted);
             }
         }
     }
 
     /// Takes a measurement into the track of its target: the one place where that happens. `part`
-    /// is the target's part in the frame, unless that has ended. `None` where the filter refuses
-    /// the measurement.
+    /// is the target's part in the frame, unless that has ended. Returns what is known of the target
+    /// then, `None` where the filter refuses the measurement, and what became of it.
     pub(crate) fn take_in(
         &mut self,
         time: FrameTime,
         target: usize,
         part: Option<&mut Part>,
-        measurement: &Measurement,
-    ) -> Option<Update> {
+        measurement: Measurement,
+    ) -> (Option<Update>, Outcome) {
         let estimate = match self.filter {
             FilterChoice::Tracks(_) => {
-                self.targets[target].update(time.at_s, measurement, &self.camera.ego)
+                self.targets[target].update(time.at_s, &measurement, &self.camera.ego)
             }
             FilterChoice::None => {
-                measurement.is_precise.then(|| TargetEstimate::of_frame(measurement))
+                measurement.is_precise.then(|| TargetEstimate::of_frame(&measurement))
             }
-        }?;
+        };
+        let is_measured = estimate.as_ref().map(|estimate| estimate.measured.is_some());
+        let outcome = Outcome::of(measurement, is_measured);
+        let Some(estimate) = estimate else { return (None, outcome) };
         if let Some(part) = part {
             part.status = Status::Published { direct_pose: None };
         }
         if let Some(queue) = &mut self.background {
             queue.cancel(time.order, target);
         }
-        Some((target, estimate))
-    }
-
-    /// Takes in a measurement of an open frame, and notes what has become of it.
-    fn conclude(
-        &mut self,
-        time: FrameTime,
-        target: usize,
-        part: Option<&mut Part>,
-        measurement: &Measurement,
-    ) -> Option<Update> {
-        let update = self.take_in(time, target, part, measurement);
-        self.note_outcome(time.order, target, outcome_of(*measurement, update.as_ref()));
-        update
+        (Some((target, estimate)), outcome)
     }
 
     /// Ends a frame that was exposed at `at_s`, seconds. Frames end in their order.

@@ -34,10 +34,7 @@ fn write(folder: &Path) -> anyhow::Result<()> {
 /// The command line of all programs together.
 fn whole_command() -> Command {
     let mut whole = flockeye_launcher::commands::own_command();
-    let passed_on = [
-        ("record", RecordArguments::command()),
-        ("view", ViewArguments::command()),
-    ];
+    let passed_on = [("record", RecordArguments::command()), ("view", ViewArguments::command())];
     for (name, command) in passed_on {
         whole =
             whole.mut_subcommand(name, |_| command.name(name).bin_name(format!("flockeye {name}")));

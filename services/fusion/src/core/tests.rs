@@ -3,8 +3,10 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "of the drawings")]
 
 use super::*;
+use crate::decide::{Choice, Decision};
 use crate::fixtures::*;
 use crate::frame::frames::Keeping;
+use crate::hypothesis::{Hypothesis, Source};
 use crate::schedule::VirtualClock;
 use flockeye_config::Costs;
 use flockeye_contract::{DetectionHeader, ViewKind};
@@ -402,8 +404,10 @@ fn answered_in_background(schedule: Schedule) -> (Core<Vec<u8>>, Answer) {
     }
     let bodies = flockeye_geometry::body::Bodies::new("DICT_5X5_250".into(), vec![alpha()]);
     let mut answer = job.unwrap().run(&aligner(&bodies.unwrap()));
-    assert!(answer.measurement.is_none(), "the picture is grey");
-    answer.measurement = Some(measurement(&pose(0.9)));
+    assert!(answer.trial.measurement().is_none(), "the picture is grey");
+    answer.trial.hypotheses =
+        vec![Hypothesis::of(Source::Search, Ok(alignment(pose(0.9), 9.0, 1e-3)))];
+    answer.trial.decision = Decision { chosen: Some(Choice::Hypothesis(0)), ..Decision::default() };
     (core, answer)
 }
 

@@ -20,9 +20,11 @@ use flockeye_imaging::light::LinearLight;
 use nalgebra::Isometry3;
 
 use super::inputs::Inputs;
-use crate::account::{Notes, Pass, Source, Trial};
-use crate::hypothesis::{Aligner, BestView, Sought, Start};
-use crate::measurement::{Measurement, distinct_markers, supports};
+use crate::account::{Pass, Trial};
+use crate::aligner::{Aligner, BestView, Sought, Start};
+use crate::decide::markers::supports;
+use crate::decide::{self, Decision};
+use crate::hypothesis::{Hypothesis, Source};
 use crate::policy::TimeBudget;
 
 /// Which target a background pass looks for, in which frame.
@@ -41,14 +43,12 @@ pub struct Subject {
 pub struct Answer {
     /// What it looked for.
     pub subject: Subject,
-    /// The target's pose, if it was found.
-    pub measurement: Option<Measurement>,
     /// Whether it was found without the prior of a track, so that it may start one.
     pub is_independent: bool,
     /// The distance that the view's rays are right for, metres.
     pub rays_m: f64,
-    /// How it was measured, where an account is kept.
-    pub trial: Option<Box<Trial>>,
+    /// How it was measured, with the target's pose, if it was found.
+    pub trial: Box<Trial>,
 }
 
 /// Which background passes are under way, wait, or were refused. It holds no thread: whoever runs
@@ -56,8 +56,6 @@ pub struct Answer {
 #[derive(Debug, Default)]
 pub struct BackgroundQueue {
     under_way: Option<UnderWay>,
-    /// The target whose passes are to be accounted for.
-    noted: Option<usize>,
     /// The job that is under way, until it is taken.
     to_run: Option<Job>,
     /// The job that comes next.
@@ -89,7 +87,7 @@ impl BackgroundQueue {
                 if is_untracked
                     && !under_way.is_untracked
                     && self.waiting.as_ref().is_none_or(is_own)
-                    && let Some(job) = self.job(subject, inputs)
+                    && let Some(job) = Job::new(subject, inputs)
                 {
                     self.waiting = Some(job);
                     return true;
@@ -104,23 +102,10 @@ impl BackgroundQueue {
             self.refused.clear();
             return false;
         }
-        let job = self.job(subject, inputs);
+        let job = Job::new(subject, inputs);
         let is_granted = job.is_some();
         job.into_iter().for_each(|job| self.start(job));
         is_granted
-    }
-
-    fn job(&self, subject: Subject, inputs: &Inputs<'_>) -> Option<Job> {
-        let mut job = Job::new(subject, inputs)?;
-        if self.noted == Some(subject.target) {
-            job.trial = Some(Box::new(inputs.trial(Pass::Background)));
-        }
-        Some(job)
-    }
-
-    /// Keeps an account of the passes of a target.
-    pub fn keep_account(&mut self, target: usize) {
-        self.noted = Some(target);
     }
 
     fn start(&mut self, job: Job) {
@@ -160,14 +145,14 @@ impl BackgroundQueue {
         subjects.any(|subject| subject.order == order)
     }
 
-    /// Takes the answer to the job that was under way, and starts the one that waits. `None` if the
-    /// pass was cancelled meanwhile.
-    pub fn finish(&mut self, answer: Answer) -> Option<Answer> {
+    /// Ends the job that was under way, and starts the one that waits. Returns whether the answer is
+    /// wanted: not where the pass was cancelled meanwhile.
+    pub fn finish(&mut self) -> bool {
         let is_cancelled = self.under_way.take().is_none_or(|under_way| under_way.is_cancelled);
         if let Some(next) = self.waiting.take() {
             self.start(next);
         }
-        (!is_cancelled).then_some(answer)
+        !is_cancelled
     }
 }
 
@@ -177,8 +162,8 @@ pub struct Job {
     subject: Subject,
     is_untracked: bool,
     body: Body,
-    /// Where its passes are accounted for.
-    trial: Option<Box<Trial>>,
+    /// The trial, before it.
+    trial: Box<Trial>,
     view: CopiedView,
     decoded: Vec<CornerRay>,
     starts: Vec<(Source, Start)>,
@@ -229,7 +214,7 @@ impl Job {
             subject,
             is_untracked: predicted.is_none(),
             body: inputs.body.clone(),
-            trial: None,
+            trial: Box::new(inputs.trial(Pass::Background)),
             view: CopiedView::of(inputs.best_view.as_ref()?),
             decoded: inputs.decoded.clone(),
             starts: inputs.background_starts(),
@@ -240,34 +225,28 @@ impl Job {
 
     /// Runs the pass.
     pub fn run(mut self, aligner: &Aligner) -> Answer {
-        let mut trial = self.trial.take();
-        let notes = Notes::into_list(trial.as_mut().map(|trial| &mut trial.hypotheses));
-        let (measurement, is_independent) = self.measure(aligner, notes).unzip();
-        Answer {
-            subject: self.subject,
-            measurement,
-            is_independent: is_independent.unwrap_or_default(),
-            rays_m: self.view.rays_m,
-            trial,
-        }
+        let mut tried = Vec::new();
+        let decision = self.measure(aligner, &mut tried);
+        let is_independent = decide::is_independent(&decision, &tried, self.confirmed.is_some());
+        (self.trial.decision, self.trial.hypotheses) = (decision, tried);
+        let (subject, rays_m, trial) = (self.subject, self.view.rays_m, self.trial);
+        Answer { subject, is_independent, rays_m, trial }
     }
 
-    /// The target's pose, and whether it was found without the prior of a track.
-    fn measure(&self, aligner: &Aligner, mut notes: Notes<'_>) -> Option<(Measurement, bool)> {
-        let picture = self.view.picture()?;
+    /// Looks for the target in its picture.
+    fn measure(&self, aligner: &Aligner, tried: &mut Vec<Hypothesis>) -> Decision {
+        let Some(picture) = self.view.picture() else { return Decision::default() };
         let (target, starts, budget) = (self.subject.target, &self.starts, TimeBudget::OneFrame);
         let sought = Sought { target, picture: &picture, starts, budget };
         let is_marked = |pose: &Isometry3<f64>| supports(&self.body, &self.decoded, pose);
-        let found = match &self.confirmed {
-            Some(predicted) => aligner.confirm(&sought, predicted, is_marked, &mut notes),
-            None => aligner.initiate(&sought, is_marked, &mut notes),
+        let decision = match &self.confirmed {
+            Some(predicted) => aligner.confirm(&sought, predicted, is_marked, tried),
+            None => aligner.initiate(&sought, is_marked, false, tried),
         };
-        let is_independent = self.confirmed.is_none() && found.is_some();
-        let found = match &self.search_round {
-            Some(predicted) => aligner.or_round(found, target, &picture, predicted, &mut notes),
-            None => found,
-        };
-        Some((Measurement::aligned(&found?, distinct_markers(&self.decoded)), is_independent))
+        match &self.search_round {
+            Some(predicted) => aligner.or_round(decision, target, &picture, predicted, tried),
+            None => decision,
+        }
     }
 }
 

@@ -3,17 +3,16 @@
 use std::collections::BTreeSet;
 
 use flockeye_geometry::body::Body;
-use flockeye_geometry::pose::{
-    CornerRay, PoseDeviations, PoseOptions, PoseSolution, choose, solve,
-};
-use flockeye_imaging::align::{Alignment, is_precise_by_corners};
+use flockeye_geometry::pose::{CornerRay, PoseOptions, PoseSolution, choose, solve};
 use nalgebra::Isometry3;
 
+use super::Row;
 use super::prediction::RejectedAlignment;
-use super::{MARKERS_WITHOUT_TRACK, Row};
-use crate::account::{CornerPose, CornerVerdict, Notes, Pass, Source, Trial};
-use crate::hypothesis::{Aligner, BestView, Sought, Start};
-use crate::measurement::{MeasuredBy, Measurement, PoseEstimate, distinct_markers, supports};
+use crate::account::{Pass, Trial};
+use crate::aligner::{Aligner, BestView, Sought, Start};
+use crate::decide::markers::supports;
+use crate::decide::{self, Decision};
+use crate::hypothesis::{CornerPose, Hypothesis, Source};
 use crate::policy::TimeBudget;
 use crate::track_prior::TrackPrior;
 
@@ -103,72 +102,41 @@ impl Inputs<'_> {
         self.earlier.failed.is_none_or(|failed| !attempt(&failed).is_pointless_after(&failed))
     }
 
-    /// Measures the target: by alignment from the corners' solutions and the prediction or, where
-    /// none is accepted and precise, by corners alone. What is imprecise is taken where neither is
-    /// precise, the alignment first. `trial` takes notes of how, where an account is kept.
-    pub fn measure(&self, aligner: &Aligner, mut trial: Option<&mut Trial>) -> Option<Measurement> {
+    /// Measures the target: by alignment from the corners' solutions and the prediction, and by
+    /// corners alone. The decision between them is in the trial.
+    pub fn measure(&self, aligner: &Aligner) -> Trial {
         let solutions =
             solve(self.body, &self.decoded, &PoseOptions::default()).unwrap_or_default();
         let chosen = choose(&solutions, self.prior.confirmed()).map(|choice| choice.solution);
-        if let Some(trial) = &mut trial {
-            trial.corner_poses.extend(solutions.iter().map(|solution| CornerPose {
+        let is_confirmed = self.prior.confirmed().is_some();
+        let corner_poses: Vec<CornerPose> = solutions
+            .iter()
+            .map(|solution| CornerPose {
+                is_chosen: chosen.is_some_and(|chosen| std::ptr::eq(chosen, solution)),
+                verdict: decide::of_corners(solution, is_confirmed, self.permit.row.min_markers),
                 solution: solution.clone(),
-                is_chosen: Some(solution) == chosen,
-                verdict: self.corner_verdict(solution),
-            }));
-        }
-        let mut notes = Notes::into_list(trial.map(|trial| &mut trial.hypotheses));
-        let aligned = self.best_view.as_ref().and_then(|view| {
-            let found = self.align(aligner, view, &solutions, chosen, &mut notes);
-            let found = match self.search_round() {
+            })
+            .collect();
+        let mut hypotheses = Vec::new();
+        let by_picture = self.best_view.as_ref().map(|view| {
+            let decision = self.align(aligner, view, &solutions, chosen, &mut hypotheses);
+            match self.search_round() {
                 Some(predicted) => {
-                    aligner.or_round(found, self.target, &view.picture, predicted, &mut notes)
+                    let picture = &view.picture;
+                    aligner.or_round(decision, self.target, picture, predicted, &mut hypotheses)
                 }
-                None => found,
-            };
-            Some(Measurement::aligned(&found?, distinct_markers(&self.decoded)))
+                None => decision,
+            }
         });
-        let by_corners = chosen.and_then(|chosen| self.measurement_of(chosen));
-        let precise = |measured: Option<Measurement>| measured.filter(|found| found.is_precise);
-        precise(aligned).or(precise(by_corners)).or(aligned).or(by_corners)
+        let decision =
+            decide::with_corners(by_picture.unwrap_or_default(), &hypotheses, &corner_poses);
+        Trial { corner_poses, hypotheses, decision, ..self.trial(self.permit.row.pass) }
     }
 
     /// The prediction that is searched round, where that is not left to the background pass.
     fn search_round(&self) -> Option<&Isometry3<f64>> {
         let may_search = self.permit.may_search && !self.permit.is_deferred;
         self.prior.predicted().filter(|_| may_search)
-    }
-
-    /// Whether a pose that the corners give would do as a measurement: if enough of them agree and
-    /// it is certain enough.
-    fn corner_verdict(&self, solution: &PoseSolution) -> CornerVerdict {
-        let min_markers = match self.prior.confirmed() {
-            Some(_) => self.permit.row.min_markers,
-            None => MARKERS_WITHOUT_TRACK,
-        };
-        if solution.inlier_markers.len() < min_markers {
-            return CornerVerdict::TooFewMarkers { wanted: min_markers };
-        }
-        let covariance = solution.inflated_covariance();
-        if is_precise_by_corners(&covariance) {
-            return CornerVerdict::Enough;
-        }
-        let PoseDeviations { position_m, rotation_rad } = PoseDeviations::of(&covariance);
-        CornerVerdict::TooUncertain { position_m, rotation_rad }
-    }
-
-    /// The pose that the corners give, if enough of them agree. It may be too uncertain to be of
-    /// use by itself.
-    fn measurement_of(&self, solution: &PoseSolution) -> Option<Measurement> {
-        let verdict = self.corner_verdict(solution);
-        let covariance = solution.inflated_covariance();
-        let is_enough = !matches!(verdict, CornerVerdict::TooFewMarkers { .. });
-        (is_enough && covariance.iter().all(|x| x.is_finite())).then(|| Measurement {
-            pose: PoseEstimate { camera_from_markers: solution.camera_from_markers, covariance },
-            measured_by: MeasuredBy::Decoded,
-            markers: distinct_markers(&self.decoded),
-            is_precise: verdict == CornerVerdict::Enough,
-        })
     }
 
     /// The body aligned from the corners' solutions (the `chosen` one first), from candidate
@@ -179,8 +147,8 @@ impl Inputs<'_> {
         view: &BestView<'_>,
         solutions: &[PoseSolution],
         chosen: Option<&PoseSolution>,
-        notes: &mut Notes<'_>,
-    ) -> Option<Alignment> {
+        tried: &mut Vec<Hypothesis>,
+    ) -> Decision {
         let attempt = self.attempt();
         let fine_is_new =
             self.is_new(|failed| Attempt { candidates: failed.candidates, ..attempt });
@@ -198,19 +166,12 @@ impl Inputs<'_> {
         let is_marked = |pose: &Isometry3<f64>| supports(self.body, &self.decoded, pose);
         match &self.prior {
             TrackPrior::Confirmed(prior) => {
-                aligner.confirm(&sought, &prior.camera_from_markers, is_marked, notes)
+                aligner.confirm(&sought, &prior.camera_from_markers, is_marked, tried)
             }
-            TrackPrior::Tentative(_) => aligner.initiate(&sought, is_marked, notes),
+            TrackPrior::Tentative(_) => aligner.initiate(&sought, is_marked, false, tried),
             // One facet alone starts a track only if it wins against all starts, the deferred ones
             // too.
-            TrackPrior::Untracked => {
-                let found = aligner.initiate(&sought, is_marked, notes)?;
-                let is_enough = !is_deferred || found.evidence.is_unambiguous();
-                if !is_enough {
-                    notes.is_one_facet_alone(&found);
-                }
-                is_enough.then_some(found)
-            }
+            TrackPrior::Untracked => aligner.initiate(&sought, is_marked, is_deferred, tried),
         }
     }
 
@@ -310,7 +271,7 @@ mod tests {
     #![allow(clippy::expect_used)]
     use super::*;
     use crate::fixtures::{aligner, error_m, facing_markers};
-    use crate::measurement::decoded_rays;
+    use crate::measurement::{Measurement, decoded_rays};
     use flockeye_geometry::body::{Bodies, squares};
     use flockeye_geometry::pose::PosePrior;
     use nalgebra::{Matrix6, Translation3, UnitQuaternion};
@@ -330,7 +291,7 @@ mod tests {
             permit: Permit { row, budget, is_deferred: false, may_search: false },
             earlier: Earlier::default(),
         };
-        inputs.measure(&aligner(&bodies), None)
+        inputs.measure(&aligner(&bodies)).measurement()
     }
 
     #[test]

@@ -8,9 +8,13 @@
 use flockeye_imaging::align::{AlignError, Alignment};
 use nalgebra::Isometry3;
 
-use crate::hypothesis::{Aligner, BestView, Start, turn_log};
-use crate::measurement::Measurement;
+use crate::account::{Pass, Trial};
+use crate::aligner::{Aligner, BestView, Start};
+use crate::decide;
+use crate::hypothesis::{Hypothesis, Source};
 use crate::parallel;
+use crate::policy::TimeBudget;
+use crate::track_prior::TrackPrior;
 
 /// A region of interest that has been cut.
 #[derive(Debug, Clone, Copy)]
@@ -41,26 +45,23 @@ pub struct RejectedAlignment {
     pub found: Result<Box<Alignment>, AlignError>,
 }
 
-/// Aligns each candidate from its prediction, on up to `threads` threads.
-pub fn align(
-    aligner: &Aligner,
-    candidates: &[Candidate<'_>],
-    threads: usize,
-) -> Vec<Result<Alignment, AlignError>> {
+/// Aligns each candidate from its prediction, on up to `threads` threads, and decides about it.
+pub fn measure(aligner: &Aligner, candidates: &[Candidate<'_>], threads: usize) -> Vec<Trial> {
     parallel::map(
         candidates,
         threads,
         |Candidate { region: Region { target, view }, predicted }| {
-            aligner.try_align(*target, &view.picture, &Start::Fine(*predicted))
+            let found = aligner.try_align(*target, &view.picture, &Start::Fine(*predicted));
+            let turn_log = found.as_ref().ok().map(|found| decide::turn_log(found, predicted));
+            let hypothesis = Hypothesis { turn_log, ..Hypothesis::of(Source::Prediction, found) };
+            Trial {
+                view_index: Some(view.view_index),
+                is_confirmed: true,
+                predicted: Some(*predicted),
+                decision: decide::of_direct_pass(&hypothesis),
+                hypotheses: vec![hypothesis],
+                ..Trial::of(Pass::Direct, &TrackPrior::Untracked, TimeBudget::OneFrame)
+            }
         },
     )
-}
-
-/// The measurement that an alignment gives without any marker, if it is precise, and likely by
-/// itself and by the prediction.
-pub fn accepted(found: &Alignment, predicted: &Isometry3<f64>) -> Option<Measurement> {
-    let is_accepted = found.is_precise
-        && found.is_accepted()
-        && found.is_accepted_with_track_prior(turn_log(found, predicted));
-    is_accepted.then(|| Measurement::aligned(found, 0))
 }

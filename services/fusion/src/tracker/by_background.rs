@@ -3,10 +3,9 @@
 use flockeye_contract::FrameOrder;
 
 use super::{FilterChoice, FrameTime, Tracker, Update};
-use crate::account::Outcome;
-use crate::frame::parts::Parts;
+use crate::decide::outcome::{AnswerCase, Outcome};
+use crate::frame::parts::{Part, Parts};
 use crate::measure::background::{Answer, BackgroundQueue, Job, Subject};
-use crate::target::outcome_of;
 
 impl Tracker {
     /// The background pass that is to be run now.
@@ -25,46 +24,59 @@ impl Tracker {
     }
 
     /// Takes in the answer of a background pass. `parts` are those of its frame. If that has ended
-    /// meanwhile, the answer only corrects a track that it agrees with, or starts one: a pose that
-    /// was found by the prior of a track that is lost since then means nothing.
+    /// meanwhile, the answer only corrects a track that it agrees with, or starts one.
     pub fn background_answer(
         &mut self,
-        mut answer: Answer,
+        answer: Answer,
         parts: Option<&mut Parts>,
     ) -> Option<(FrameOrder, Update)> {
-        let Answer { subject: Subject { order, at_s, target }, .. } = answer;
-        let trial = answer.trial.take();
-        let answer = self.background.as_mut()?.finish(answer);
-        self.note_answer(order, trial, answer.is_none());
-        let answer = answer?;
-        let mut part = parts.and_then(|parts| parts.get_mut(target));
-        let is_late = part.is_none();
-        let may_start = answer.is_independent
-            && !self.targets[target].is_tracked()
-            && self.is_within_history(order, at_s);
-        if is_late && may_start {
+        let (order, target) = (answer.subject.order, answer.subject.target);
+        let is_wanted = self.background.as_mut()?.finish();
+        let part = parts.and_then(|parts| parts.get_mut(target));
+        let (update, outcome) = match is_wanted {
+            true => self.take_in_answer(&answer, part),
+            false => (None, Outcome::Cancelled),
+        };
+        self.note_trial(order, target, *answer.trial, outcome);
+        Some((order, update?))
+    }
+
+    /// Takes in what a background pass found, and says what became of it.
+    fn take_in_answer(
+        &mut self,
+        answer: &Answer,
+        part: Option<&mut Part>,
+    ) -> (Option<Update>, Outcome) {
+        let Answer { subject: Subject { order, at_s, target }, is_independent, rays_m, .. } =
+            *answer;
+        let case = AnswerCase {
+            is_late: part.is_none(),
+            is_independent,
+            is_tracked: self.targets[target].is_tracked(),
+            is_within_history: self.is_within_history(order, at_s),
+        };
+        if case.is_late && case.may_begin_track() {
             // The frames since then did not show it only because it was not looked for there.
             self.targets[target].forget();
         }
-        let measurement = self.corrected(answer.measurement?, answer.rays_m, target, at_s);
-        if let Some(part) = part.as_mut().filter(|_| !measurement.is_precise) {
-            part.imprecise = Some(measurement);
-            self.note_outcome(order, target, Outcome::Imprecise(measurement));
-            return None;
+        let Some(measurement) = answer.trial.measurement() else {
+            return (None, Outcome::Nothing);
+        };
+        let measurement = self.corrected(measurement, rays_m, target, at_s);
+        if case.waits(&measurement) {
+            part.into_iter().for_each(|part| part.imprecise = Some(measurement));
+            return (None, Outcome::Imprecise(measurement));
         }
-        let is_accepted = !is_late
-            || may_start
-            || self.targets[target].is_inside_gate(at_s, &measurement, &self.camera.ego);
+        let ego = &self.camera.ego;
+        let is_inside_gate = || self.targets[target].is_inside_gate(at_s, &measurement, ego);
+        if !case.is_accepted(is_inside_gate) {
+            return (None, Outcome::OutsideGate(measurement));
+        }
         // The number of the frame matters only to passes that are still to run.
         let time = FrameTime { order, at_s, number: 0 };
-        let update = is_accepted.then(|| self.take_in(time, target, part, &measurement));
-        let outcome = match &update {
-            None => Outcome::OutsideGate(measurement),
-            Some(Some(_)) if is_late => Outcome::Late(measurement),
-            Some(update) => outcome_of(measurement, update.as_ref()),
-        };
-        self.note_outcome(order, target, outcome);
-        Some((order, update??))
+        let (update, outcome) = self.take_in(time, target, part, measurement);
+        let outcome = case.outcome(outcome, update.is_some());
+        (update, outcome)
     }
 
     /// Whether measurements of a frame that was exposed then still count. Those of another source

@@ -3,12 +3,13 @@
 use flockeye_geometry::pose::CornerRay;
 
 use super::{FrameTime, Tracker, Update};
-use crate::account::{Decision, Outcome, Pass};
+use crate::account::{AccountEntry, NotRun, Pass};
+use crate::decide::outcome::Outcome;
 use crate::frame::parts::{Part, Parts, Status};
 use crate::measure::background::Subject;
 use crate::measure::inputs::{Earlier, Inputs, Permit};
 use crate::measure::{AnsweredView, BestViews, Row, Search};
-use crate::measurement::{MeasuredBy, Measurement, candidate_rays, decoded_rays};
+use crate::measurement::{MeasuredBy, candidate_rays, decoded_rays};
 use crate::parallel;
 use crate::policy::{TimeBudget, is_search_turn};
 use crate::track_prior::TrackPrior;
@@ -35,8 +36,8 @@ impl Tracker {
             let Some(part) = parts.get(*target) else { continue };
             let permit = self.permit(time, *target, part, row, budget, has_background);
             match self.inputs(time, *target, part, answered, best_views, permit) {
-                Some(offered) => inputs.push(offered),
-                None => unmeasurable.push(*target),
+                Ok(offered) => inputs.push(offered),
+                Err(reason) => unmeasurable.push((*target, reason)),
             }
         }
         let mut attempts = self.attempts;
@@ -46,39 +47,32 @@ impl Tracker {
                 None => attempts.untracked += 1,
             }
         }
-        let measured = parallel::map(&inputs, self.means.threads, |inputs| {
-            let mut trial = self.trial_of(inputs, pass);
-            (inputs.measure(&self.means.aligner, trial.as_mut()), trial)
-        });
+        let aligner = &self.means.aligner;
+        let trials = parallel::map(&inputs, self.means.threads, |inputs| inputs.measure(aligner));
         let mut failed = Vec::new();
         let mut found = Vec::new();
-        let mut trials = Vec::new();
-        for (inputs, (measurement, trial)) in inputs.iter().zip(measured) {
+        for (inputs, trial) in inputs.iter().zip(trials) {
             let target = inputs.target;
-            trials.extend(trial.map(|trial| (target, trial)));
-            let corrected = measurement.map(|measurement| {
+            let corrected = trial.measurement().map(|measurement| {
                 let view =
                     inputs.best_view.filter(|_| measurement.measured_by == MeasuredBy::Aligned);
                 let rays_m = view.map_or(inputs.rays_m, |view| view.rays_m);
                 self.corrected(measurement, rays_m, target, time.at_s)
             });
             if let Some(measurement) = corrected.filter(|measurement| measurement.is_precise) {
-                found.push((target, measurement));
+                found.push((target, trial, measurement));
                 continue;
             }
             let subject = Subject { order: time.order, at_s: time.at_s, target };
             let is_in_background = inputs.wants_background()
                 && background.as_mut().is_some_and(|queue| queue.request(subject, inputs));
-            failed.push((target, inputs.attempt(), is_in_background, corrected));
+            failed.push((target, trial, inputs.attempt(), is_in_background, corrected));
         }
         (self.background, self.attempts) = (background, attempts);
-        for target in unmeasurable {
-            self.note_no_inputs(time.order, time.at_s, target, pass);
+        for (target, reason) in unmeasurable {
+            self.note(time.order, target, AccountEntry::NotRun(pass, reason));
         }
-        for (target, trial) in trials {
-            self.note(time.order, target, || Decision::Ran(trial));
-        }
-        for (target, attempt, is_in_background, imprecise) in failed {
+        for (target, trial, attempt, is_in_background, imprecise) in failed {
             if let Some(part) = parts.get_mut(target) {
                 part.status = Status::Failed(attempt);
                 part.imprecise = imprecise.or(part.imprecise);
@@ -86,17 +80,16 @@ impl Tracker {
                     part.background = Some(attempt);
                 }
             }
-            let outcome = match imprecise {
-                _ if is_in_background => Outcome::InBackground,
-                Some(imprecise) => Outcome::Imprecise(imprecise),
-                None => Outcome::Nothing,
-            };
-            self.note_outcome(time.order, target, outcome);
+            let outcome = Outcome::unpublished(imprecise, is_in_background);
+            self.note_trial(time.order, target, trial, outcome);
         }
-        let conclude = |(target, measurement): (usize, Measurement)| {
-            self.conclude(time, target, parts.get_mut(target), &measurement)
-        };
-        found.into_iter().filter_map(conclude).collect()
+        let mut updates = Vec::new();
+        for (target, trial, measurement) in found {
+            let (update, outcome) = self.take_in(time, target, parts.get_mut(target), measurement);
+            self.note_trial(time.order, target, trial, outcome);
+            updates.extend(update);
+        }
+        updates
     }
 
     /// What a corner pass may do for a target. What takes long is left to the background pass where
@@ -127,7 +120,7 @@ impl Tracker {
         Permit { row, budget, is_deferred, may_search }
     }
 
-    /// Collects what there is to measure a target by; `None` where there is nothing.
+    /// Collects what there is to measure a target by, or says why there is nothing.
     pub(crate) fn inputs<'f>(
         &'f self,
         time: FrameTime,
@@ -136,8 +129,8 @@ impl Tracker {
         answered: &[AnsweredView<'_>],
         best_views: &BestViews<'f>,
         permit: Permit,
-    ) -> Option<Inputs<'f>> {
-        let body = &self.targets.get(target)?.body;
+    ) -> Result<Inputs<'f>, NotRun> {
+        let body = &self.targets.get(target).ok_or(NotRun::NothingKnown)?.body;
         let prior = self.prior(target, time.at_s);
         // All rays are brought to the best known distance before the pose is solved.
         let rays_m = self.camera.parallax.as_ref().map_or(f64::INFINITY, |parallax| {
@@ -171,6 +164,10 @@ impl Tracker {
             None => !decoded.is_empty(),
             Some(best) => is_known || best.agreeing > 0,
         };
+        if !is_measurable {
+            let is_tracked = prior.predicted().is_some();
+            return Err(if is_tracked { NotRun::NoView } else { NotRun::NothingKnown });
+        }
         let earlier = Earlier {
             failed: match part.status {
                 Status::Failed(attempt) => Some(attempt),
@@ -179,17 +176,7 @@ impl Tracker {
             rejected: part.rejected.as_ref(),
             background: part.background,
         };
-        is_measurable.then_some(Inputs {
-            target,
-            body,
-            decoded,
-            candidates,
-            rays_m,
-            prior,
-            best_view,
-            permit,
-            earlier,
-        })
+        Ok(Inputs { target, body, decoded, candidates, rays_m, prior, best_view, permit, earlier })
     }
 
     /// Whether any other target is tracked.

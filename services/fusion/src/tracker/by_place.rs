@@ -1,12 +1,12 @@
 //! Searches of places that look like a body, for targets of which nothing else is known.
 
 use super::{FrameTime, Tracker, Update};
-use crate::account::{Decision, Notes, Outcome, Pass, Trial};
+use crate::account::{Pass, Trial};
+use crate::aligner::BestView;
+use crate::decide::outcome::Outcome;
 use crate::frame::parts::Parts;
 use crate::frame::places::place_of;
-use crate::hypothesis::BestView;
 use crate::measure::Row;
-use crate::measurement::Measurement;
 use crate::parallel;
 use crate::policy::TimeBudget;
 
@@ -27,12 +27,16 @@ impl Tracker {
         places: &[BestView<'_>],
     ) -> Option<Update> {
         let search = |place: &BestView<'_>| self.search(time, target, place);
-        for (measurement, trial) in parallel::map(places, self.means.threads, search) {
-            if let Some(trial) = trial {
-                self.note(time.order, target, || Decision::Ran(trial));
-            }
-            let Some(measurement) = measurement else { continue };
-            let update = self.conclude(time, target, parts.get_mut(target), &measurement);
+        let trials = parallel::map(places, self.means.threads, search);
+        for (place, trial) in places.iter().zip(trials) {
+            let Some(measurement) = trial.measurement() else {
+                self.note_trial(time.order, target, trial, Outcome::Nothing);
+                continue;
+            };
+            let measurement = self.corrected(measurement, place.rays_m, target, time.at_s);
+            let part = parts.get_mut(target);
+            let (update, outcome) = self.take_in(time, target, part, measurement);
+            self.note_trial(time.order, target, trial, outcome);
             if update.is_some() {
                 return update;
             }
@@ -41,25 +45,17 @@ impl Tracker {
     }
 
     /// Looks for a target at one place.
-    fn search(
-        &self,
-        time: FrameTime,
-        target: usize,
-        place: &BestView<'_>,
-    ) -> (Option<Measurement>, Option<Trial>) {
-        let mut trial = self.is_noted(target).then(|| Trial {
-            view_index: Some(place.view_index),
-            outcome: Outcome::Nothing,
-            ..Trial::of(Pass::Place, &self.prior(target, time.at_s), TimeBudget::OneFrame)
-        });
+    fn search(&self, time: FrameTime, target: usize, place: &BestView<'_>) -> Trial {
         let side_m = self.targets[target].body.largest_side();
         let at = place_of(&place.picture.view, side_m, self.means.radius_in_sides);
-        let mut notes = Notes::into_list(trial.as_mut().map(|trial| &mut trial.hypotheses));
-        let found = self.means.aligner.find_at(target, &place.picture, &at, &mut notes);
-        let measurement = found.map(|found| {
-            let measurement = Measurement::aligned(&found, 0);
-            self.corrected(measurement, place.rays_m, target, time.at_s)
-        });
-        (measurement, trial)
+        let mut hypotheses = Vec::new();
+        let aligner = &self.means.aligner;
+        let decision = aligner.find_at(target, &place.picture, &at, &mut hypotheses);
+        Trial {
+            view_index: Some(place.view_index),
+            hypotheses,
+            decision,
+            ..Trial::of(Pass::Place, &self.prior(target, time.at_s), TimeBudget::OneFrame)
+        }
     }
 }

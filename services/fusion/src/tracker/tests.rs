@@ -3,8 +3,8 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "of the drawings")]
 
 use super::*;
+use crate::aligner::BestView;
 use crate::fixtures::*;
-use crate::hypothesis::BestView;
 use crate::measure::Row;
 use crate::measure::inputs::Permit;
 use crate::measure::prediction::Region;
@@ -124,7 +124,7 @@ fn the_start_of_a_rejected_direct_pass_is_not_aligned_again() {
         let (tracker, parts) = tracker.at(3);
         let part = parts.get(0).unwrap();
         let inputs = tracker.inputs(time(3), 0, part, &answered, &best_views, permit);
-        inputs.expect("it was predicted").measure(&tracker.means.aligner, None).is_some()
+        inputs.expect("it was predicted").measure(&tracker.means.aligner).measurement().is_some()
     };
     with_view(&truth, |view| {
         assert!(!is_measured(view), "it would be found, were it aligned again");

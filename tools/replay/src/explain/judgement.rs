@@ -6,7 +6,7 @@ use super::explanation::{Explanation, Step, ViewFacts};
 use super::known::Known;
 use super::passes::decided;
 use super::poses::Place;
-use flockeye_fusion::{CornerVerdict, Decision, Hypothesis, Outcome, Pass, Trial, Verdict};
+use flockeye_fusion::{AccountEntry, CornerVerdict, Hypothesis, Outcome, Pass, Trial, Verdict};
 
 /// A hypothesis farther than this from where the body is expected is about something else, radians: a proposal's view of a
 /// body at 2 m shows less.
@@ -102,7 +102,7 @@ fn measured(known: &Known, explanation: &Explanation) -> Option<String> {
     let mut said = format!("measured {by}");
     let published = trials(known).find(|trial| trial.outcome.published_by().is_some());
     if let Some(trial) = published {
-        let accepted = trial.hypotheses.iter().find(|it| it.verdict == Verdict::Accepted);
+        let accepted = trial.decision.hypothesis().and_then(|index| trial.hypotheses.get(index));
         let from = explanation
             .passes
             .iter()
@@ -120,7 +120,7 @@ fn measured(known: &Known, explanation: &Explanation) -> Option<String> {
 
 fn trials(known: &Known) -> impl Iterator<Item = &Trial> {
     known.decisions.iter().filter_map(|decision| match decision {
-        Decision::Ran(trial) => Some(trial),
+        AccountEntry::Ran(trial) => Some(trial),
         _ => None,
     })
 }
@@ -128,7 +128,7 @@ fn trials(known: &Known) -> impl Iterator<Item = &Trial> {
 /// What was found, and was not published as the frame's measurement.
 fn by_outcome(known: &Known) -> Option<(Step, String)> {
     let at_end = known.decisions.iter().filter_map(|decision| match decision {
-        Decision::TakenImprecise(outcome) => Some(*outcome),
+        AccountEntry::TakenImprecise(outcome) => Some(*outcome),
         _ => None,
     });
     let outcomes = trials(known).map(|trial| trial.outcome).chain(at_end);
@@ -262,34 +262,31 @@ fn by_hypotheses(known: &Known, place: Option<&Place>) -> Option<(Step, String)>
     // Most places that look like a body are none, and what was tried there says nothing of it.
     let about_it = |trial: &'_ Trial| {
         let is_place = trial.pass == Pass::Place;
-        let hypotheses = trial.hypotheses.iter();
-        hypotheses.filter(|it| !is_place || is_at(it, place)).cloned().collect::<Vec<Hypothesis>>()
+        trial.decided().filter(move |(it, _)| !is_place || is_at(it, place))
     };
-    let of_trials: Vec<Hypothesis> = trials(known).flat_map(about_it).collect();
-    let all = || of_trials.iter();
-    let likeliest = |hypotheses: &mut dyn Iterator<Item = &Hypothesis>| {
-        hypotheses
-            .filter_map(|hypothesis| Some((hypothesis.log_odds()?, hypothesis.clone())))
-            .max_by(|(one, _), (other, _)| one.total_cmp(other))
-            .map(|(_, hypothesis)| hypothesis)
+    let all: Vec<(&Hypothesis, Verdict)> = trials(known).flat_map(about_it).collect();
+    let likeliest = |counts: &dyn Fn(Verdict) -> bool| {
+        all.iter()
+            .filter(|(_, verdict)| counts(*verdict))
+            .filter_map(|(hypothesis, verdict)| Some((hypothesis.log_odds()?, hypothesis, verdict)))
+            .max_by(|(one, ..), (other, ..)| one.total_cmp(other))
+            .map(|(_, hypothesis, verdict)| (*hypothesis, decided(hypothesis, *verdict)))
     };
-    let is_rivalled =
-        |it: &&Hypothesis| matches!(it.verdict, Verdict::Rivals(_) | Verdict::OneFacetAlone);
-    if let Some(rivalled) = likeliest(&mut all().filter(is_rivalled)) {
-        return Some((Step::Rivals, format!("the likeliest pose: {}", decided(&rivalled))));
+    let is_rivalled = |verdict| matches!(verdict, Verdict::Rivals(_) | Verdict::OneFacetAlone);
+    if let Some((_, rivalled)) = likeliest(&is_rivalled) {
+        return Some((Step::Rivals, format!("the likeliest pose: {rivalled}")));
     }
-    let imprecise = |it: &&Hypothesis| it.verdict == Verdict::Imprecise;
-    if let Some(imprecise) = likeliest(&mut all().filter(imprecise)) {
-        return Some((Step::Imprecise, format!("the likeliest pose: {}", decided(&imprecise))));
+    if let Some((_, imprecise)) = likeliest(&|verdict| verdict == Verdict::Imprecise) {
+        return Some((Step::Imprecise, format!("the likeliest pose: {imprecise}")));
     }
-    let below = likeliest(&mut all())?;
-    let hidden = match below.found.as_ref().map(|found| found.visible_share) {
+    let (hypothesis, below) = likeliest(&|_| true)?;
+    let hidden = match hypothesis.found.as_ref().map(|found| found.visible_share) {
         Ok(share) if share < 0.7 => {
             format!("; something is in front of {:.0} % of it", 100.0 * (1.0 - share))
         }
         _ => String::new(),
     };
-    Some((Step::BelowThreshold, format!("the likeliest pose: {}{hidden}", decided(&below))))
+    Some((Step::BelowThreshold, format!("the likeliest pose: {below}{hidden}")))
 }
 
 /// Whether a hypothesis is about where the body is expected.

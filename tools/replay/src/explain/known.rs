@@ -1,7 +1,7 @@
 //! All that is known of one target in one frame.
 
 use flockeye_contract::FrameStamp;
-use flockeye_fusion::{Core, Decision};
+use flockeye_fusion::{AccountEntry, Core};
 use flockeye_geometry::filter::TrackState;
 use nalgebra::{Isometry3, Matrix6};
 
@@ -21,7 +21,7 @@ pub struct Known {
     /// What the core knew before the frame; `None` where it was not replayed.
     pub before: Option<Before>,
     /// What the core decided, in this order.
-    pub decisions: Vec<Decision>,
+    pub decisions: Vec<AccountEntry>,
     /// Whether the replayed core said all that was recorded, up to and with this frame.
     pub replay: Replaying,
     /// What the recording lacks.

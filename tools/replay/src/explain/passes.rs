@@ -7,16 +7,17 @@ use super::explanation::{CornerFacts, HypothesisFacts, LogOddsTerms, PassFacts};
 use super::poses::{Mounting, deviations};
 use flockeye_fusion::TimeBudget;
 use flockeye_fusion::{
-    CornerPose, CornerVerdict, Decision, Hypothesis, NotRun, Outcome, Pass, Source, Trial, Verdict,
+    AccountEntry, CornerPose, CornerVerdict, Hypothesis, NotRun, Outcome, Pass, Source, Trial,
+    Verdict,
 };
 
 /// What was decided, in this order.
-pub fn facts(resolved: &Resolved, target: usize, decisions: &[Decision]) -> Vec<PassFacts> {
+pub fn facts(resolved: &Resolved, target: usize, entries: &[AccountEntry]) -> Vec<PassFacts> {
     let frames = Mounting { resolved, target };
-    decisions.iter().map(|decision| of_decision(&frames, decision)).collect()
+    entries.iter().map(|entry| of_entry(&frames, entry)).collect()
 }
 
-fn of_decision(frames: &Mounting<'_>, decision: &Decision) -> PassFacts {
+fn of_entry(frames: &Mounting<'_>, entry: &AccountEntry) -> PassFacts {
     let nothing = |pass: &'static str| PassFacts {
         pass,
         not_run: None,
@@ -29,20 +30,20 @@ fn of_decision(frames: &Mounting<'_>, decision: &Decision) -> PassFacts {
         hypotheses: Vec::new(),
         outcome: None,
     };
-    match decision {
-        Decision::NotRun(pass, reason) => {
+    match entry {
+        AccountEntry::NotRun(pass, reason) => {
             PassFacts { not_run: Some(reason_of(*reason)), ..nothing(name_of(*pass)) }
         }
-        Decision::Contradicted => PassFacts {
+        AccountEntry::Contradicted => PassFacts {
             outcome: Some(
                 "its markers contradict the pose of the direct pass: it is suspended for half a second",
             ),
             ..nothing("check by markers")
         },
-        Decision::TakenImprecise(outcome) => {
+        AccountEntry::TakenImprecise(outcome) => {
             PassFacts { outcome: Some(said(outcome)), ..nothing("end of the frame") }
         }
-        Decision::Ran(trial) => of_trial(frames, trial),
+        AccountEntry::Ran(trial) => of_trial(frames, trial),
     }
 }
 
@@ -61,9 +62,8 @@ fn of_trial(frames: &Mounting<'_>, trial: &Trial) -> PassFacts {
             .map(|pose| corner_facts(frames, trial, pose))
             .collect(),
         hypotheses: trial
-            .hypotheses
-            .iter()
-            .map(|hypothesis| hypothesis_facts(frames, hypothesis))
+            .decided()
+            .map(|(hypothesis, verdict)| hypothesis_facts(frames, hypothesis, verdict))
             .collect(),
         outcome: Some(said(&trial.outcome)),
     }
@@ -91,7 +91,11 @@ fn corner_facts(frames: &Mounting<'_>, trial: &Trial, pose: &CornerPose) -> Corn
     }
 }
 
-fn hypothesis_facts(frames: &Mounting<'_>, hypothesis: &Hypothesis) -> HypothesisFacts {
+fn hypothesis_facts(
+    frames: &Mounting<'_>,
+    hypothesis: &Hypothesis,
+    verdict: Verdict,
+) -> HypothesisFacts {
     let found = hypothesis.found.as_ref().ok();
     HypothesisFacts {
         source: source_of(hypothesis.source),
@@ -108,15 +112,15 @@ fn hypothesis_facts(frames: &Mounting<'_>, hypothesis: &Hypothesis) -> Hypothesi
         correlation: found.map(|found| found.evidence.correlation),
         agreeing_facets: found.map(|found| found.evidence.agreeing_facets),
         visible_share: found.map(|found| found.visible_share),
-        verdict: verdict_of(hypothesis.verdict),
-        decided: decided(hypothesis),
+        verdict: verdict_of(verdict),
+        decided: decided(hypothesis, verdict),
     }
 }
 
 /// What was decided of a hypothesis, in plain words.
-pub fn decided(hypothesis: &Hypothesis) -> String {
+pub fn decided(hypothesis: &Hypothesis, verdict: Verdict) -> String {
     let asked = LeastLogOdds::asked();
-    match hypothesis.verdict {
+    match verdict {
         Verdict::Accepted => match &hypothesis.found {
             Ok(found) if !found.is_precise => {
                 "accepted, but too imprecise to be a measurement by itself".to_owned()

@@ -20,7 +20,7 @@ use super::known::Known;
 use super::poses;
 use crate::recorded::RecordedPixels;
 use flockeye_fusion::Pixels;
-use flockeye_fusion::{Decision, Verdict};
+use flockeye_fusion::{AccountEntry, Verdict};
 
 /// Pixels along the side of the picture of the place.
 const SIDE_PX: usize = 720;
@@ -93,7 +93,7 @@ fn best_view<'k>(
         Some((header, pixels.as_ref()?))
     };
     let read = known.decisions.iter().rev().find_map(|decision| match decision {
-        Decision::Ran(trial) => with_pixels(&trial.view_index?),
+        AccountEntry::Ran(trial) => with_pixels(&trial.view_index?),
         _ => None,
     });
     let direction = Ray::try_new(reference.translation.vector, 1e-9)?;
@@ -150,15 +150,15 @@ fn scene(
         outline(&predicted, PREDICTED);
     }
     let trials = known.decisions.iter().filter_map(|decision| match decision {
-        Decision::Ran(trial) => Some(trial),
+        AccountEntry::Ran(trial) => Some(trial),
         _ => None,
     });
-    let mut hypotheses: Vec<_> = trials.flat_map(|trial| &trial.hypotheses).collect();
+    let mut hypotheses: Vec<_> = trials.flat_map(|trial| trial.decided()).collect();
     // What was accepted is drawn over all else.
-    hypotheses.sort_by_key(|hypothesis| hypothesis.verdict == Verdict::Accepted);
-    for hypothesis in hypotheses {
+    hypotheses.sort_by_key(|(_, verdict)| *verdict == Verdict::Accepted);
+    for (hypothesis, verdict) in hypotheses {
         let Ok(found) = &hypothesis.found else { continue };
-        let colour = match hypothesis.verdict {
+        let colour = match verdict {
             Verdict::Accepted => ACCEPTED,
             Verdict::LessLikely | Verdict::Rival | Verdict::Rivals(_) => RIVAL,
             _ => REFUSED,

@@ -3,7 +3,7 @@
 use flockeye_config::Resolved;
 use flockeye_contract::{MeasuredBy, Pose, Track, TrackState, ViewHeader, ViewKind};
 use flockeye_convert::{isometry, pose};
-use flockeye_fusion::Decision;
+use flockeye_fusion::AccountEntry;
 use flockeye_geometry::Ray;
 use flockeye_geometry::pose::PoseDeviations;
 use nalgebra::{Isometry3, Matrix6};
@@ -140,7 +140,7 @@ pub fn reference_pose(resolved: &Resolved, known: &Known) -> Option<(Isometry3<f
         return Some((frames.to_markers(told(track)), ResidualOf::Measurement));
     }
     let trials = known.decisions.iter().filter_map(|decision| match decision {
-        Decision::Ran(trial) => Some(trial),
+        AccountEntry::Ran(trial) => Some(trial),
         _ => None,
     });
     let hypotheses = trials.flat_map(|trial| &trial.hypotheses);

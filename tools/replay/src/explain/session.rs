@@ -2,7 +2,7 @@
 
 use flockeye_config::Resolved;
 use flockeye_contract::{FrameOrder, FrameStamp};
-use flockeye_fusion::Decision;
+use flockeye_fusion::AccountEntry;
 
 use super::gathered::Gathered;
 use super::known::{Before, Replaying};
@@ -18,7 +18,7 @@ struct Session {
     stamp: FrameStamp,
     state: State,
     before: Option<Before>,
-    decisions: Vec<Decision>,
+    decisions: Vec<AccountEntry>,
 }
 
 #[allow(clippy::large_enum_variant, reason = "there is one")]
@@ -71,7 +71,7 @@ impl Session {
     }
 
     /// How it went, what the core knew before the frame, and what it decided.
-    fn finish(self) -> (Replaying, Option<Before>, Vec<Decision>) {
+    fn finish(self) -> (Replaying, Option<Before>, Vec<AccountEntry>) {
         let Self { stamp, state, before, decisions, .. } = self;
         let impossible =
             |reason: &str| (Replaying::Impossible(reason.to_owned()), None, Vec::new());

@@ -25,7 +25,8 @@ use flockeye_fusion::Record;
 use flockeye_fusion::TimeBudget;
 use flockeye_fusion::TrackPrior;
 use flockeye_fusion::{
-    CornerPose, CornerVerdict, Decision, Hypothesis, NotRun, Outcome, Pass, Source, Trial, Verdict,
+    AccountEntry, Choice, CornerPose, CornerVerdict, Decision, Hypothesis, NotRun, Outcome, Pass,
+    Source, Trial, Verdict,
 };
 
 /// The frame that is asked about.
@@ -170,15 +171,22 @@ fn alignment(log_odds: f64) -> Alignment {
     fixtures::alignment(there(), log_odds, 1e-3)
 }
 
+/// The decision that gives hypotheses these verdicts.
+fn decision(verdicts: &[Verdict]) -> Decision {
+    let accepted = verdicts.iter().position(|verdict| *verdict == Verdict::Accepted);
+    let chosen = accepted.map(Choice::Hypothesis);
+    Decision { chosen, rivals: Vec::new(), reasons: verdicts.to_vec() }
+}
+
 /// A pass over the region that found poses of these verdicts, and led to something.
-fn trial(outcome: Outcome, verdicts: &[(f64, Verdict)]) -> Decision {
-    let hypothesis = |(log_odds, verdict): &(f64, Verdict)| Hypothesis {
-        verdict: *verdict,
+fn trial(outcome: Outcome, verdicts: &[(f64, Verdict)]) -> AccountEntry {
+    let hypothesis = |(log_odds, _): &(f64, Verdict)| Hypothesis {
         turn_log: Some(1.0),
         ..Hypothesis::of(Source::Prediction, Ok(alignment(*log_odds)))
     };
-    Decision::Ran(Trial {
+    AccountEntry::Ran(Trial {
         hypotheses: verdicts.iter().map(hypothesis).collect(),
+        decision: decision(&verdicts.iter().map(|(_, verdict)| *verdict).collect::<Vec<_>>()),
         view_index: Some(0),
         outcome,
         ..Trial::of(Pass::Region, &TrackPrior::Tentative(there()), TimeBudget::OneFrame)
@@ -186,10 +194,10 @@ fn trial(outcome: Outcome, verdicts: &[(f64, Verdict)]) -> Decision {
 }
 
 /// The target's region was cut and searched in vain.
-fn looked_at(known: &mut Known, decision: Decision) {
+fn looked_at(known: &mut Known, entry: AccountEntry) {
     cut(known, view(0, ViewKind::Gaze, &ahead()));
     searched(known, 0, Vec::new(), 0);
-    known.decisions.push(decision);
+    known.decisions.push(entry);
     ended(known, StopReason::Budget);
 }
 
@@ -241,7 +249,7 @@ fn what_was_not_looked_at_is_told_by_its_first_step() {
 
 #[test]
 fn what_was_looked_at_in_vain_is_told_by_what_was_found() {
-    let not_run = || Decision::NotRun(Pass::Direct, NotRun::NotMeasuredBefore);
+    let not_run = || AccountEntry::NotRun(Pass::Direct, NotRun::NotMeasuredBefore);
     let (step, why) = judged(|known| looked_at(known, not_run()));
     assert_eq!(step, Step::NothingFound, "{why}");
     assert!(why.contains("no outline of its markers was found in the region of alpha"), "{why}");
@@ -311,8 +319,9 @@ fn poses_that_were_refused_are_told_with_what_was_asked_for() {
     assert_eq!(step, Step::Imprecise, "{why}");
     let (step, why) = judged(|known| {
         let mut decision = trial(Outcome::Nothing, &[]);
-        if let Decision::Ran(trial) = &mut decision {
+        if let AccountEntry::Ran(trial) = &mut decision {
             trial.hypotheses = vec![Hypothesis::of(Source::Prediction, Err(AlignError::NotInView))];
+            trial.decision = self::decision(&[Verdict::NotAligned]);
         }
         looked_at(known, decision);
     });
@@ -332,7 +341,7 @@ fn poses_that_were_found_and_not_published_are_told() {
         let (step, why) = judged(|known| looked_at(known, decision));
         assert_eq!(step, wanted, "{why}");
     }
-    let at_end = Decision::TakenImprecise(Outcome::Corrected(found));
+    let at_end = AccountEntry::TakenImprecise(Outcome::Corrected(found));
     let (step, why) = judged(|known| looked_at(known, at_end));
     assert_eq!(step, Step::Imprecise, "{why}");
 }
@@ -355,7 +364,7 @@ fn corners_that_are_not_enough_are_told() {
         };
         let (step, why) = judged(|known| {
             let mut decision = trial(Outcome::Nothing, &[]);
-            if let Decision::Ran(trial) = &mut decision {
+            if let AccountEntry::Ran(trial) = &mut decision {
                 trial.corner_poses = vec![CornerPose { solution, is_chosen: true, verdict }];
             }
             cut(known, view(0, ViewKind::Gaze, &ahead()));

@@ -1,17 +1,20 @@
 //! What the core notes where somebody asks.
 
 use super::*;
-use crate::account::{NotRun, Outcome, Pass, Source, Trial, Verdict};
+use crate::account::{NotRun, Pass, Trial};
+use crate::decide::Verdict;
+use crate::decide::outcome::Outcome;
+use crate::hypothesis::Source;
 
 /// What was decided of alpha in a frame since this was asked last.
-fn decided(core: &mut Core<Vec<u8>>, sequence: u64) -> Vec<Decision> {
+fn decided(core: &mut Core<Vec<u8>>, sequence: u64) -> Vec<AccountEntry> {
     let decisions = core.take_account().into_iter();
     decisions.filter(|(order, _)| *order == stamp(sequence).order()).map(|(_, said)| said).collect()
 }
 
-fn the_trial(decisions: &[Decision]) -> &Trial {
+fn the_trial(decisions: &[AccountEntry]) -> &Trial {
     match decisions {
-        [Decision::Ran(trial)] => trial,
+        [AccountEntry::Ran(trial)] => trial,
         other => panic!("{other:?}"),
     }
 }
@@ -39,7 +42,8 @@ fn a_direct_pass_is_noted_with_its_hypothesis() {
     assert_eq!((trial.pass, trial.view_index, trial.is_confirmed), (Pass::Direct, Some(0), true));
     assert!(matches!(trial.outcome, Outcome::Published(_)), "{:?}", trial.outcome);
     let [hypothesis] = &trial.hypotheses[..] else { panic!("{trial:?}") };
-    assert_eq!((hypothesis.source, hypothesis.verdict), (Source::Prediction, Verdict::Accepted));
+    assert_eq!(hypothesis.source, Source::Prediction);
+    assert_eq!(trial.decision.reasons, [Verdict::Accepted]);
     // A grey picture shows nothing.
     let Event::View(header, mut pixels) = region(4, plan_id) else { unreachable!() };
     pixels.fill(128);
@@ -48,7 +52,7 @@ fn a_direct_pass_is_noted_with_its_hypothesis() {
     let decisions = decided(&mut core, 4);
     let trial = the_trial(&decisions);
     assert_eq!(trial.outcome, Outcome::Nothing);
-    assert!(trial.hypotheses.iter().all(|noted| noted.verdict != Verdict::Accepted), "{trial:?}");
+    assert!(!trial.decision.reasons.contains(&Verdict::Accepted), "{trial:?}");
 }
 
 #[test]
@@ -58,7 +62,7 @@ fn a_corner_pass_is_noted_with_its_corners_and_hypotheses() {
     drain(&mut core, 0);
     core.on(region(0, 0), 0);
     drain(&mut core, 0);
-    let not_measured = Decision::NotRun(Pass::Direct, NotRun::NotMeasuredBefore);
+    let not_measured = AccountEntry::NotRun(Pass::Direct, NotRun::NotMeasuredBefore);
     assert_eq!(decided(&mut core, 0), [not_measured]);
     core.on(searched(0, 0), 0);
     drain(&mut core, 0);
@@ -68,8 +72,8 @@ fn a_corner_pass_is_noted_with_its_corners_and_hypotheses() {
     assert!(trial.decoded.len() >= 2 && trial.doubtful.is_empty());
     assert!(trial.corner_poses.iter().any(|pose| pose.is_chosen));
     assert!(matches!(trial.outcome, Outcome::Published(_)), "{:?}", trial.outcome);
-    let accepted = trial.hypotheses.iter().find(|noted| noted.verdict == Verdict::Accepted);
-    assert_eq!(accepted.map(|noted| noted.source), Some(Source::Corners));
+    let accepted = trial.decision.hypothesis().map(|index| trial.hypotheses[index].source);
+    assert_eq!(accepted, Some(Source::Corners));
 }
 
 #[test]
@@ -79,13 +83,13 @@ fn passes_that_have_nothing_to_go_by_are_noted() {
     drain(&mut unseen, 0);
     unseen.on(frame_end(0, 0, 0), 0);
     drain(&mut unseen, 0);
-    let nothing = Decision::NotRun(Pass::Complete, NotRun::NothingKnown);
+    let nothing = AccountEntry::NotRun(Pass::Complete, NotRun::NothingKnown);
     assert_eq!(decided(&mut unseen, 0), [nothing]);
     let (mut tracked, plan_id) = tracking(Schedule::Flight);
     tracked.keep_account(0);
     tracked.on(frame_end(3, plan_id, 0), 0);
     drain(&mut tracked, 0);
-    let no_view = Decision::NotRun(Pass::Complete, NotRun::NoView);
+    let no_view = AccountEntry::NotRun(Pass::Complete, NotRun::NoView);
     assert_eq!(decided(&mut tracked, 3), [no_view]);
 }
 
@@ -98,10 +102,10 @@ fn markers_that_contradict_a_direct_pose_are_noted_and_suspend_its_pass() {
     core.on(searched_at(3, plan_id, &pose(1.7)), 0);
     core.on(frame_end(3, plan_id, 1), 0);
     drain(&mut core, 0);
-    assert!(decided(&mut core, 3).contains(&Decision::Contradicted));
+    assert!(decided(&mut core, 3).contains(&AccountEntry::Contradicted));
     core.on(region(4, plan_id), 0);
     drain(&mut core, 0);
-    let suspended = Decision::NotRun(Pass::Direct, NotRun::Suspended);
+    let suspended = AccountEntry::NotRun(Pass::Direct, NotRun::Suspended);
     assert_eq!(decided(&mut core, 4), [suspended]);
 }
 
@@ -111,7 +115,7 @@ fn a_background_pass_is_noted_with_when_its_answer_came() {
         let decisions = decided(core, 4).into_iter();
         decisions
             .filter_map(|decision| match decision {
-                Decision::Ran(trial) => Some((trial.pass, trial.outcome)),
+                AccountEntry::Ran(trial) => Some((trial.pass, trial.outcome)),
                 _ => None,
             })
             .collect()

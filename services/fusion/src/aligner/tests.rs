@@ -3,9 +3,11 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "of the drawings")]
 
 use super::*;
+use crate::decide::{Choice, Verdict};
 use crate::drawn_body::{Drawing, draw, prints};
 use crate::fixtures::alignment;
 use flockeye_geometry::body::{Body, plate, squares};
+use flockeye_imaging::align::least_lead;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
@@ -48,7 +50,9 @@ fn initiate(
 ) -> Option<Alignment> {
     let starts: Vec<(Source, Start)> = with_sources(starts);
     let sought = Sought { target: 0, picture, starts: &starts, budget };
-    aligner.initiate(&sought, |_| false, &mut Notes::none())
+    let mut tried = Vec::new();
+    let decision = aligner.initiate(&sought, |_| false, false, &mut tried);
+    decision.chosen_of(&tried).cloned()
 }
 
 fn confirm(
@@ -61,7 +65,9 @@ fn confirm(
 ) -> Option<Alignment> {
     let starts: Vec<(Source, Start)> = with_sources(starts);
     let sought = Sought { target: 0, picture, starts: &starts, budget };
-    aligner.confirm(&sought, predicted, is_marked, &mut Notes::none())
+    let mut tried = Vec::new();
+    let decision = aligner.confirm(&sought, predicted, is_marked, &mut tried);
+    decision.chosen_of(&tried).cloned()
 }
 
 fn with_sources(starts: &[Start]) -> Vec<(Source, Start)> {
@@ -248,40 +254,43 @@ fn with_a_spent_budget_only_the_first_start_counts() {
     });
 }
 
-/// What was noted of each hypothesis, and what came out.
-fn noted(
+/// What was decided of each hypothesis, and the hypotheses.
+fn decided(
     picture: &Picture<'_>,
     starts: &[Start],
-    by: impl Fn(&Sought<'_>, &mut Notes<'_>) -> Option<Alignment>,
+    by: impl Fn(&Sought<'_>, &mut Vec<Hypothesis>) -> Decision,
 ) -> (Vec<Verdict>, Vec<Hypothesis>) {
     let starts = with_sources(starts);
     let sought = Sought { target: 0, picture, starts: &starts, budget: TimeBudget::Unlimited };
-    let mut list = Vec::new();
-    let found = by(&sought, &mut Notes::into_list(Some(&mut list)));
-    assert_eq!(found, by(&sought, &mut Notes::none()), "notes change nothing");
-    (list.iter().map(|noted| noted.verdict).collect(), list)
+    let mut tried = Vec::new();
+    let decision = by(&sought, &mut tried);
+    let accepted = decision.reasons.iter().position(|reason| *reason == Verdict::Accepted);
+    assert_eq!(decision.chosen, accepted.map(Choice::Hypothesis));
+    assert_eq!(decision.reasons.len(), tried.len());
+    (decision.reasons, tried)
 }
 
 #[test]
-fn each_hypothesis_is_noted_with_what_was_decided() {
+fn each_hypothesis_has_its_reason() {
     let truth = pose(0.8, 0.9);
     with_picture(&truth, |aligner, picture| {
-        let confirm = |sought: &Sought<'_>, notes: &mut Notes<'_>| {
-            aligner.confirm(sought, &truth, |_| false, notes)
+        let confirm = |sought: &Sought<'_>, tried: &mut Vec<Hypothesis>| {
+            aligner.confirm(sought, &truth, |_| false, tried)
         };
         let behind = Start::Fine(Isometry3::translation(-1.0, 0.0, 0.0));
         let starts = [behind, Start::Fine(pose(0.8, 4.0)), Start::Fine(truth)];
-        let (verdicts, list) = noted(picture, &starts, confirm);
+        let (verdicts, list) = decided(picture, &starts, confirm);
         assert_eq!(verdicts, [Verdict::NotAligned, Verdict::BelowThreshold, Verdict::Accepted]);
         assert!(list[2].turn_log.is_some_and(|turn| turn > 2.0), "it has hardly turned");
         assert!(list[2].log_odds().unwrap() > 6.7 && list[1].log_odds().unwrap() < 4.8);
         // What comes after a pose that is accepted by itself is not tried.
-        let (verdicts, _) = noted(picture, &[Start::Fine(truth), Start::Fine(truth)], confirm);
+        let (verdicts, _) = decided(picture, &[Start::Fine(truth), Start::Fine(truth)], confirm);
         assert_eq!(verdicts, [Verdict::Accepted]);
-        let initiate =
-            |sought: &Sought<'_>, notes: &mut Notes<'_>| aligner.initiate(sought, |_| false, notes);
+        let initiate = |sought: &Sought<'_>, tried: &mut Vec<Hypothesis>| {
+            aligner.initiate(sought, |_| false, false, tried)
+        };
         let starts = [Start::Fine(pose(0.8, 4.0)), Start::Fine(truth), Start::Rough(truth)];
-        let (verdicts, list) = noted(picture, &starts, initiate);
+        let (verdicts, list) = decided(picture, &starts, initiate);
         // Both lead to the body, and the last one is its mirror pose.
         assert_eq!(list.last().unwrap().source, Source::Mirror);
         assert_eq!(verdicts[0], Verdict::BelowThreshold);
@@ -292,15 +301,15 @@ fn each_hypothesis_is_noted_with_what_was_decided() {
 }
 
 #[test]
-fn rivals_are_noted_with_their_lead() {
+fn rivals_are_named_with_their_lead() {
     let body = plate("plate", 0.07, 0.05, 3);
     let towards = Vector3::new(0.8, 0.5, 0.33).normalize();
     let turn = UnitQuaternion::rotation_between(&body.markers[0].normal(), &-towards).unwrap();
     let tilt = UnitQuaternion::from_euler_angles(0.0, 0.0, 0.7);
     let truth = Isometry3::from_parts(Translation3::from(towards * 1.8), tilt * turn);
     with_picture_of(&body, &truth, |aligner, picture| {
-        let (verdicts, list) = noted(picture, &[Start::Fine(truth)], |sought, notes| {
-            aligner.initiate(sought, |_| false, notes)
+        let (verdicts, list) = decided(picture, &[Start::Fine(truth)], |sought, tried| {
+            aligner.initiate(sought, |_| false, false, tried)
         });
         let [Verdict::Rivals(lead), Verdict::Rival] = verdicts[..] else { panic!("{verdicts:?}") };
         assert!((0.0..least_lead()).contains(&lead.abs()), "{lead}");
@@ -315,21 +324,21 @@ fn a_body_is_found_at_a_rough_place_and_another_is_not() {
     let off = Vector3::new(-0.5, 0.8, 0.0).normalize() * 0.04;
     let place = Place { direction_in_camera: (position + off).normalize(), range_m: 2.3 };
     let mut list = Vec::new();
-    let found = with_picture(&truth, |aligner, picture| {
-        aligner.find_at(0, picture, &place, &mut Notes::into_list(Some(&mut list)))
-    });
-    let found = found.expect("it is there").camera_from_markers;
+    let decision =
+        with_picture(&truth, |aligner, picture| aligner.find_at(0, picture, &place, &mut list));
+    let found = decision.chosen_of(&list).expect("it is there").camera_from_markers;
     assert!(found.rotation.angle_to(&truth.rotation) < 0.05);
     assert!((found.translation.vector - position).norm() < 0.02);
-    let accepted = list.iter().find(|noted| noted.verdict == Verdict::Accepted);
-    assert_eq!(accepted.map(|noted| noted.source), Some(Source::Place));
+    let accepted = decision.hypothesis().map(|index| list[index].source);
+    assert_eq!(accepted, Some(Source::Place));
 
     let prints = prints();
     let other = squares("bravo", 0.0625, 0.05, 17);
     let bodies = Bodies::new("DICT_5X5_250".into(), vec![other]).unwrap();
     let aligner = Aligner::new(&bodies, |id| prints.get(&id), PIXELS_PER_RADIAN).unwrap();
     with_picture(&truth, |_, picture| {
-        assert!(aligner.find_at(0, picture, &place, &mut Notes::none()).is_none());
+        let decision = aligner.find_at(0, picture, &place, &mut Vec::new());
+        assert_eq!(decision.chosen, None);
     });
 }
 
@@ -360,20 +369,29 @@ fn the_likeliest_pose_counts_and_not_the_most_precise_one() {
 fn a_search_round_the_prediction_counts_if_it_finds_something_likelier() {
     let truth = pose(1.2, 0.4);
     with_picture(&truth, |aligner, picture| {
-        let mut list = Vec::new();
-        let mut or_round = |found: Option<&Alignment>| {
-            list.clear();
-            let notes = &mut Notes::into_list(Some(&mut list));
-            let chosen = aligner.or_round(found.cloned(), 0, picture, &truth, notes);
-            (chosen.unwrap().evidence.log_odds, list.last().map(|searched| searched.verdict))
+        let or_round = |found: Option<&Alignment>| {
+            let first = found.map(|found| Hypothesis::of(Source::Prediction, Ok(found.clone())));
+            let mut tried: Vec<Hypothesis> = first.into_iter().collect();
+            let before = match found {
+                None => Decision::default(),
+                Some(_) => Decision {
+                    chosen: Some(Choice::Hypothesis(0)),
+                    reasons: vec![Verdict::Accepted],
+                    ..Decision::default()
+                },
+            };
+            let decision = aligner.or_round(before, 0, picture, &truth, &mut tried);
+            let log_odds = decision.chosen_of(&tried).unwrap().evidence.log_odds;
+            (log_odds, decision.reasons)
         };
-        let (searched, verdict) = or_round(None);
-        assert!(searched > 6.0 && verdict == Some(Verdict::Accepted), "{searched}, {verdict:?}");
+        let (searched, reasons) = or_round(None);
+        assert!(searched > 6.0 && reasons == [Verdict::Accepted], "{searched}, {reasons:?}");
         let imprecise = |log_odds| led_to(&truth, 0.02, log_odds, 0.03);
-        assert_eq!(or_round(Some(&imprecise(2.0))), (searched, Some(Verdict::Accepted)));
+        let (less_likely, accepted) = (Verdict::LessLikely, Verdict::Accepted);
+        assert_eq!(or_round(Some(&imprecise(2.0))), (searched, vec![less_likely, accepted]));
         let likelier = searched + 5.0;
-        assert_eq!(or_round(Some(&imprecise(likelier))), (likelier, Some(Verdict::LessLikely)));
+        assert_eq!(or_round(Some(&imprecise(likelier))), (likelier, vec![accepted, less_likely]));
         let precise = led_to(&truth, 0.02, 2.0, 0.01);
-        assert_eq!(or_round(Some(&precise)), (2.0, None), "nothing else is looked for");
+        assert_eq!(or_round(Some(&precise)), (2.0, vec![accepted]), "nothing else is looked for");
     });
 }

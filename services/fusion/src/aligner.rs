@@ -1,0 +1,311 @@
+//! Tries poses: aligns bodies with pictures from several starts, and collects what that leads to for a decision.
+//!
+//! Two poses of a flat marker project almost alike (planar pose ambiguity), so one facet can agree with
+//! two attitudes, and a second facet of a few pixels agrees by chance with the wrong one. A track decides
+//! between them by its prediction ([`Aligner::confirm`]). Without one, hypotheses compete by their
+//! evidence ([`Aligner::initiate`]).
+
+use std::sync::{Arc, OnceLock};
+
+use flockeye_geometry::body::{Bodies, Body};
+use flockeye_imaging::align::{
+    AlignError, AlignOptions, Alignment, BodyPrint, Coding, Motion, Picture, Place, PrintError,
+    Templates, align, reacquire, starts_at,
+};
+use flockeye_imaging::edges::MarkerPrint;
+use nalgebra::{Isometry3, Unit, Vector3};
+
+use crate::decide::{self, Decision};
+use crate::hypothesis::{Hypothesis, Source};
+use crate::policy::TimeBudget;
+
+/// The view that shows a body best.
+#[derive(Debug, Clone, Copy)]
+pub struct BestView<'p> {
+    /// The view, with its pixels.
+    pub picture: Picture<'p>,
+    /// Its place in the plan.
+    pub view_index: u32,
+    /// Squares in it that agree with one pose, where no marker was decoded and there is no track.
+    pub agreeing: u32,
+    /// The distance that its rays are right for, metres. It matters for lenses off the camera's centre.
+    pub rays_m: f64,
+}
+
+impl BestView<'_> {
+    /// The same view of a body that moves.
+    pub fn moving(&self, motion: Motion) -> Self {
+        Self { picture: Picture { motion, ..self.picture }, ..*self }
+    }
+}
+
+/// Where alignment may start.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Start {
+    /// A pose (`camera_from_markers`) that is off by half a cell at most.
+    Fine(Isometry3<f64>),
+    /// A pose that may be off by more.
+    Rough(Isometry3<f64>),
+    /// A pose that was tried before with the same picture, and what it led to.
+    Tried(Result<Box<Alignment>, AlignError>),
+}
+
+/// What a body is looked for in, and from where.
+#[derive(Debug, Clone, Copy)]
+pub struct Sought<'s> {
+    /// The body's number.
+    pub target: usize,
+    /// The picture.
+    pub picture: &'s Picture<'s>,
+    /// Where alignment starts, in this order.
+    pub starts: &'s [(Source, Start)],
+    /// How much time there is.
+    pub budget: TimeBudget,
+}
+
+/// Aligns the configured bodies with pictures.
+#[derive(Debug, Clone)]
+pub struct Aligner {
+    prints: Vec<BodyPrint>,
+    /// Those of each print, made when they are needed first.
+    templates: Arc<[OnceLock<Templates>]>,
+    pixels_per_radian: f64,
+    options: AlignOptions,
+    tilt: Option<TiltPrior>,
+}
+
+/// How far from level neighbours fly.
+#[derive(Debug, Clone)]
+struct TiltPrior {
+    /// Up on the observer, in the camera frame.
+    up_in_camera: Unit<Vector3<f64>>,
+    /// Up on each target, in its markers' frame. `None` for a target that may hang in any attitude.
+    up_in_markers: Vec<Option<Unit<Vector3<f64>>>>,
+    /// The largest tilt between a target and its observer, radians.
+    max_rad: f64,
+}
+
+impl Aligner {
+    /// For `bodies` whose markers look as `print_of` says, on a sphere image of this resolution.
+    ///
+    /// # Errors
+    /// A marker that cannot be drawn.
+    pub fn new<'p>(
+        bodies: &Bodies,
+        print_of: impl Fn(u32) -> Option<&'p MarkerPrint>,
+        pixels_per_radian: f64,
+    ) -> Result<Self, PrintError> {
+        let prints: Vec<BodyPrint> =
+            bodies.iter().map(|body| BodyPrint::new(body, &print_of)).collect::<Result<_, _>>()?;
+        let templates = prints.iter().map(|_| OnceLock::new()).collect();
+        let options = AlignOptions::default();
+        Ok(Self { prints, templates, pixels_per_radian, options, tilt: None })
+    }
+
+    /// Multiplies covariances by this; see [`AlignOptions::covariance_scale`].
+    pub fn with_covariance_scale(mut self, covariance_scale: f64) -> Self {
+        self.options.covariance_scale = covariance_scale;
+        self
+    }
+
+    /// Sets how the pictures are coded.
+    pub fn with_coding(mut self, coding: Coding) -> Self {
+        self.options.coding = coding;
+        self
+    }
+
+    /// Sets how far targets may be tilted from their observer, whose camera is mounted as given: of two
+    /// poses that look alike, one beyond `max_rad` is not the body's. With 0 nothing is known of the
+    /// tilt. Nor is it ever of a body with a single marker, which may be stuck on anything.
+    pub fn with_max_tilt(
+        mut self,
+        bodies: &Bodies,
+        observer_from_camera: &Isometry3<f64>,
+        max_rad: f64,
+    ) -> Self {
+        let up_in_markers = |body: &Body| {
+            let up = body.target_from_markers.inverse() * Vector3::z_axis();
+            (body.markers.len() > 1).then_some(up)
+        };
+        let tilt = || TiltPrior {
+            up_in_camera: observer_from_camera.inverse() * Vector3::z_axis(),
+            up_in_markers: bodies.iter().map(up_in_markers).collect(),
+            max_rad,
+        };
+        self.tilt = (max_rad > 0.0).then(tilt);
+        self
+    }
+
+    /// The sphere image's resolution.
+    pub fn pixels_per_radian(&self) -> f64 {
+        self.pixels_per_radian
+    }
+
+    /// Confirms where a body is, which its track `predicted`: aligns it from its starts until one
+    /// leads to a pose that is certain. Where the budget is spent, only the first start is tried.
+    /// `is_marked` tells whether markers were decoded where a pose has them. What was tried is added to `tried`.
+    pub fn confirm(
+        &self,
+        sought: &Sought<'_>,
+        predicted: &Isometry3<f64>,
+        is_marked: impl Fn(&Isometry3<f64>) -> bool,
+        tried: &mut Vec<Hypothesis>,
+    ) -> Decision {
+        let Sought { target, picture, starts, budget } = *sought;
+        let max_starts = if budget == TimeBudget::Overspent { 1 } else { starts.len() };
+        for (source, start) in starts.iter().take(max_starts) {
+            let found = self.try_align(target, picture, start);
+            let turn_log = found.as_ref().ok().map(|found| decide::turn_log(found, predicted));
+            let hypothesis =
+                Hypothesis { turn_log, ..Hypothesis::marked(*source, found, &is_marked) };
+            let is_certain = decide::is_certain(&hypothesis);
+            tried.push(hypothesis);
+            if is_certain {
+                break;
+            }
+        }
+        decide::of_tracked(tried)
+    }
+
+    /// Finds a body of which no track is confirmed from all of its starts. Hypotheses compete: what the starts led to, and
+    /// the mirror pose of the likeliest one about its most informative facet. What was tried is added to `tried`.
+    ///
+    /// With a limited budget the first accepted pose that several facets tell ends the search: all starts
+    /// of an untracked target took 113 ms, in which every other pose waits. `needs_facets`: see [`decide::of_untracked`].
+    pub fn initiate(
+        &self,
+        sought: &Sought<'_>,
+        is_marked: impl Fn(&Isometry3<f64>) -> bool,
+        needs_facets: bool,
+        tried: &mut Vec<Hypothesis>,
+    ) -> Decision {
+        let Sought { target, picture, starts, budget } = *sought;
+        for (source, start) in starts {
+            let found = self.try_align(target, picture, start);
+            let hypothesis = self.competing(target, *source, found, &is_marked);
+            let is_last = decide::ends_competition(&hypothesis, budget);
+            tried.push(hypothesis);
+            if is_last {
+                break;
+            }
+        }
+        let likeliest = decide::likeliest(tried);
+        let best = likeliest.and_then(|index| tried.get(index)?.alignment());
+        if let Some(mirror) = best.and_then(|best| self.mirror_of(target, picture, best)) {
+            tried.push(self.competing(target, Source::Mirror, Ok(mirror), &is_marked));
+        }
+        decide::of_untracked(tried, likeliest, needs_facets)
+    }
+
+    /// A hypothesis that competes with others, with what is known of it by itself.
+    fn competing(
+        &self,
+        target: usize,
+        source: Source,
+        found: Result<Alignment, AlignError>,
+        is_marked: impl Fn(&Isometry3<f64>) -> bool,
+    ) -> Hypothesis {
+        let is_within_tilt = found.as_ref().ok().map(|found| self.is_within_tilt(target, found));
+        let tilt_log = decide::tilt_log(is_within_tilt.flatten());
+        Hypothesis { tilt_log, ..Hypothesis::marked(source, found, is_marked) }
+    }
+
+    /// What the mirror pose of a hypothesis, about its most informative facet, leads to.
+    fn mirror_of(
+        &self,
+        target: usize,
+        picture: &Picture<'_>,
+        found: &Alignment,
+    ) -> Option<Alignment> {
+        let facet = found.evidence.most_informative_facet?;
+        let mirror = self.prints.get(target)?.mirrored(facet, &found.camera_from_markers)?;
+        self.align(target, picture, &Start::Fine(mirror))
+    }
+
+    /// Whether body `target` is tilted within the limit in a pose; `None` where no limit is known.
+    fn is_within_tilt(&self, target: usize, found: &Alignment) -> Option<bool> {
+        let tilt = self.tilt.as_ref()?;
+        let up_in_markers = tilt.up_in_markers.get(target)?.as_ref()?;
+        let tilt_rad = (found.camera_from_markers * up_in_markers).angle(&tilt.up_in_camera);
+        Some(tilt_rad <= tilt.max_rad)
+    }
+
+    /// Searches for body `target` round where it was predicted.
+    pub fn reacquire(
+        &self,
+        target: usize,
+        picture: &Picture<'_>,
+        predicted: &Isometry3<f64>,
+    ) -> Option<Alignment> {
+        reacquire(self.prints.get(target)?, picture, predicted, &self.options)
+    }
+
+    /// Searches round a prediction too, unless a precise pose is chosen.
+    pub fn or_round(
+        &self,
+        decision: Decision,
+        target: usize,
+        picture: &Picture<'_>,
+        predicted: &Isometry3<f64>,
+        tried: &mut Vec<Hypothesis>,
+    ) -> Decision {
+        if decide::is_precise(&decision, tried) {
+            return decision;
+        }
+        let found = self.reacquire(target, picture, predicted).ok_or(AlignError::Nothing);
+        tried.push(Hypothesis::of(Source::Search, found));
+        decide::with_search(decision, tried, predicted)
+    }
+
+    /// Searches for body `target` in any attitude at a place.
+    ///
+    /// What it finds competes as in [`Self::initiate`]. No more is asked of it: docs/results/places.md counts how likely
+    /// the best pose is where nobody is.
+    pub fn find_at(
+        &self,
+        target: usize,
+        picture: &Picture<'_>,
+        place: &Place,
+        tried: &mut Vec<Hypothesis>,
+    ) -> Decision {
+        let Some((print, templates)) = self.prints.get(target).zip(self.templates.get(target))
+        else {
+            return Decision::default();
+        };
+        let templates = templates.get_or_init(|| Templates::new(print));
+        let starts = starts_at(print, templates, picture, place, &self.options);
+        let starts: Vec<(Source, Start)> =
+            starts.into_iter().map(|start| (Source::Place, Start::Rough(start))).collect();
+        // The first that several facets tell will do: starts come best first.
+        let sought = Sought { target, picture, starts: &starts, budget: TimeBudget::OneFrame };
+        self.initiate(&sought, |_| false, false, tried)
+    }
+
+    /// What a start leads to, whether it is the body or not.
+    pub fn align(&self, target: usize, picture: &Picture<'_>, start: &Start) -> Option<Alignment> {
+        self.try_align(target, picture, start).ok()
+    }
+
+    /// The same, or why it leads to nothing.
+    ///
+    /// # Errors
+    /// [`AlignError`].
+    pub fn try_align(
+        &self,
+        target: usize,
+        picture: &Picture<'_>,
+        start: &Start,
+    ) -> Result<Alignment, AlignError> {
+        let (pose, coarse_first) = match start {
+            Start::Fine(pose) => (pose, false),
+            Start::Rough(pose) => (pose, true),
+            Start::Tried(found) => return found.clone().map(|found| *found),
+        };
+        let options = AlignOptions { coarse_first, ..self.options };
+        let print = self.prints.get(target).ok_or(AlignError::Nothing)?;
+        align(print, picture, pose, &options)
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,140 @@
+//! Decisions about poses that are made up.
+
+use super::*;
+use crate::fixtures::{alignment, pose};
+use crate::hypothesis::Source;
+use flockeye_imaging::align::{AlignError, Evidence};
+use nalgebra::Translation3;
+
+/// A pose with these log odds, precise or not, `along_m` from the body's place.
+fn tried(along_m: f64, log_odds: f64, is_precise: bool) -> Hypothesis {
+    let at = Translation3::new(along_m, 0.0, 0.0) * pose(0.9);
+    let found = alignment(at, log_odds, if is_precise { 1e-3 } else { 0.03 });
+    Hypothesis::of(Source::Prediction, Ok(found))
+}
+
+fn predicted(along_m: f64, log_odds: f64, is_precise: bool) -> Hypothesis {
+    Hypothesis { turn_log: Some(0.0), ..tried(along_m, log_odds, is_precise) }
+}
+
+fn nothing() -> Hypothesis {
+    Hypothesis::of(Source::Prediction, Err(AlignError::Nothing))
+}
+
+fn told_by_facets(hypothesis: Hypothesis) -> Hypothesis {
+    let found = hypothesis.found.map(|found| {
+        let evidence = Evidence { log_odds_of_others: 9.0, ..found.evidence };
+        Alignment { evidence, ..found }
+    });
+    Hypothesis { found, ..hypothesis }
+}
+
+#[test]
+fn the_direct_pass_asks_for_a_pose_that_is_certain() {
+    for (hypothesis, reason) in [
+        (predicted(0.0, 9.0, true), Verdict::Accepted),
+        (predicted(0.0, 9.0, false), Verdict::Imprecise),
+        (predicted(0.0, 5.5, true), Verdict::BelowThreshold),
+        (nothing(), Verdict::NotAligned),
+    ] {
+        let decision = of_direct_pass(&hypothesis);
+        assert_eq!(decision.reasons, [reason]);
+        assert_eq!(decision.chosen.is_some(), reason == Verdict::Accepted);
+    }
+    let refused = of_direct_pass(&predicted(0.0, 9.0, true)).refused(Verdict::OutsideGate);
+    assert_eq!((refused.chosen, refused.reasons), (None, vec![Verdict::OutsideGate]));
+}
+
+#[test]
+fn of_poses_that_a_track_supports_the_likeliest_counts() {
+    let all = [nothing(), predicted(0.0, 5.0, true), predicted(0.1, 6.0, false)];
+    let decision = of_tracked(&all);
+    assert_eq!(decision.chosen, Some(Choice::Hypothesis(2)));
+    let reasons = [Verdict::NotAligned, Verdict::LessLikely, Verdict::Accepted];
+    assert_eq!(decision.reasons, reasons);
+    // What is certain ends the search, even if something likelier was found before.
+    let certain = [predicted(0.0, 9.0, false), predicted(0.0, 8.0, true)];
+    assert_eq!(of_tracked(&certain).chosen, Some(Choice::Hypothesis(1)));
+    // Markers make up for a weak picture, unless the prediction speaks against the pose.
+    let marked = |turn_log| Hypothesis {
+        turn_log: Some(turn_log),
+        is_marked: true,
+        ..tried(0.0, 2.0, true)
+    };
+    assert!(of_tracked(&[marked(0.0)]).chosen.is_some());
+    assert!(of_tracked(&[marked(-3.0)]).chosen.is_none());
+}
+
+#[test]
+fn the_same_pose_twice_is_chosen_once() {
+    let twice = [predicted(0.0, 5.0, true), predicted(0.0, 5.0, true)];
+    let decision = of_tracked(&twice);
+    assert_eq!(decision.chosen, Some(Choice::Hypothesis(0)));
+    assert_eq!(decision.reasons, [Verdict::Accepted, Verdict::LessLikely]);
+    let twice = [tried(0.0, 9.0, true), tried(0.0, 9.0, true)];
+    let decision = of_untracked(&twice, likeliest(&twice), false);
+    assert_eq!(decision.chosen, Some(Choice::Hypothesis(1)));
+    assert_eq!(decision.reasons, [Verdict::LessLikely, Verdict::Accepted]);
+}
+
+#[test]
+fn an_untracked_pose_must_lead_its_rivals() {
+    let decide = |all: &[Hypothesis]| of_untracked(all, likeliest(all), false);
+    let alone = decide(&[tried(0.0, 14.0, true), tried(0.5, 8.0, true)]);
+    assert_eq!((alone.chosen, alone.rivals), (Some(Choice::Hypothesis(0)), vec![1]));
+    let rivalled = decide(&[tried(0.5, 8.0, true), tried(0.0, 9.0, true)]);
+    assert_eq!((rivalled.chosen, &rivalled.rivals[..]), (None, &[0][..]));
+    assert_eq!(rivalled.reasons, [Verdict::Rival, Verdict::Rivals(1.0)]);
+    let imprecise = decide(&[tried(0.0, 9.0, false)]);
+    assert_eq!((imprecise.chosen, imprecise.reasons), (None, vec![Verdict::Imprecise]));
+}
+
+#[test]
+fn one_facet_alone_waits_for_the_other_starts() {
+    let one = [tried(0.0, 9.0, true)];
+    let decision = of_untracked(&one, likeliest(&one), true);
+    assert_eq!((decision.chosen, decision.reasons), (None, vec![Verdict::OneFacetAlone]));
+    let several = one.map(told_by_facets);
+    assert!(of_untracked(&several, likeliest(&several), true).chosen.is_some());
+    assert!(ends_competition(&several[0], TimeBudget::OneFrame));
+    assert!(!ends_competition(&several[0], TimeBudget::Unlimited));
+}
+
+#[test]
+fn a_precise_pose_comes_first_then_one_of_the_picture() {
+    let corners = |verdict| CornerPose {
+        solution: PoseSolution {
+            camera_from_markers: pose(0.9),
+            covariance: nalgebra::Matrix6::identity(),
+            cost: 1.0,
+            reduced_chi_square: 1.0,
+            inlier_markers: vec![3],
+            inlier_corners: 4,
+            corners: 4,
+            faces_camera: true,
+        },
+        is_chosen: true,
+        verdict,
+    };
+    let enough = [corners(CornerVerdict::Enough)];
+    let uncertain = [corners(CornerVerdict::TooUncertain { position_m: 0.1, rotation_rad: 0.1 })];
+    let too_few = [corners(CornerVerdict::TooFewMarkers { wanted: 2 })];
+    let precise = [predicted(0.0, 9.0, true)];
+    let imprecise = [predicted(0.0, 9.0, false)];
+    let (by_picture, by_corners) = (Some(Choice::Hypothesis(0)), Some(Choice::Corners(0)));
+    for (tried, corner_poses, chosen) in [
+        (&precise[..], &enough, by_picture),
+        (&imprecise[..], &enough, by_corners),
+        (&imprecise[..], &uncertain, by_picture),
+        (&imprecise[..], &too_few, by_picture),
+        (&[][..], &uncertain, by_corners),
+        (&[][..], &too_few, None),
+    ] {
+        let decision = with_corners(of_tracked(tried), tried, corner_poses);
+        assert_eq!(decision.chosen, chosen, "{tried:?}, {corner_poses:?}");
+        let measurement = measurement(&decision, tried, corner_poses, 1);
+        let is_precise = chosen == by_corners && corner_poses == &enough
+            || chosen == by_picture && tried == &precise[..];
+        assert_eq!(measurement.map(|found| found.is_precise), chosen.map(|_| is_precise));
+    }
+}
