@@ -1,7 +1,7 @@
 //! The command line.
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
-use flockeye_cli::{lab, workshop};
+use flockeye_cli::{lab, replay, workshop};
 
 use crate::bodies::{self, BodiesArguments};
 use crate::check::{self, CheckArguments};
