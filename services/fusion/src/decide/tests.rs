@@ -1,5 +1,7 @@
 //! Decisions about poses that are made up.
 
+#![allow(clippy::panic, reason = "of the patterns")]
+
 use super::*;
 use crate::fixtures::{alignment, pose};
 use crate::hypothesis::Source;
@@ -84,7 +86,10 @@ fn an_untracked_pose_must_lead_its_rivals() {
     assert_eq!((alone.chosen, alone.rivals), (Some(Choice::Hypothesis(0)), vec![1]));
     let rivalled = decide(&[tried(0.5, 8.0, true), tried(0.0, 9.0, true)]);
     assert_eq!((rivalled.chosen, &rivalled.rivals[..]), (None, &[0][..]));
-    assert_eq!(rivalled.reasons, [Verdict::Rival, Verdict::Rivals(1.0)]);
+    let [Verdict::Rival, Verdict::Rivals(lead)] = rivalled.reasons[..] else {
+        panic!("{rivalled:?}")
+    };
+    assert!((lead - 1.0).abs() < 1e-9, "{lead}");
     let imprecise = decide(&[tried(0.0, 9.0, false)]);
     assert_eq!((imprecise.chosen, imprecise.reasons), (None, vec![Verdict::Imprecise]));
 }
