@@ -140,6 +140,11 @@ impl Account {
         self.entries.push((order, entry));
     }
 
+    /// What happened and was not taken yet.
+    pub fn entries(&self) -> &[(FrameOrder, AccountEntry)] {
+        &self.entries
+    }
+
     /// What happened since this was asked last.
     pub fn take(&mut self) -> Vec<(FrameOrder, AccountEntry)> {
         std::mem::take(&mut self.entries)

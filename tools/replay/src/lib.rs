@@ -18,3 +18,5 @@ mod replay;
 mod drawn_body;
 #[cfg(test)]
 mod fixtures;
+#[cfg(test)]
+mod flights;

@@ -28,6 +28,8 @@ mod session;
 mod text;
 
 #[cfg(test)]
+mod decided;
+#[cfg(test)]
 mod tests;
 
 use std::path::Path;
