@@ -125,7 +125,7 @@ impl Flown {
     }
 }
 
-pub fn contract_message<H: bytemuck::Pod, I: bytemuck::Pod>(
+fn contract_message<H: bytemuck::Pod, I: bytemuck::Pod>(
     header: &H,
     items: &[I],
 ) -> ContractMessage {

@@ -260,11 +260,11 @@ pub fn name_of(view: &ViewFacts) -> String {
 /// The hypothesis that came nearest, and why it was not enough.
 fn by_hypotheses(known: &Known, place: Option<&Place>) -> Option<(Step, String)> {
     // Most places that look like a body are none, and what was tried there says nothing of it.
-    let about_it = |trial: &'_ Trial| {
+    let mut all: Vec<(&Hypothesis, Verdict)> = Vec::new();
+    for trial in trials(known) {
         let is_place = trial.pass == Pass::Place;
-        trial.decided().filter(move |(it, _)| !is_place || is_at(it, place))
-    };
-    let all: Vec<(&Hypothesis, Verdict)> = trials(known).flat_map(about_it).collect();
+        all.extend(trial.decided().filter(|(it, _)| !is_place || is_at(it, place)));
+    }
     let likeliest = |counts: &dyn Fn(Verdict) -> bool| {
         all.iter()
             .filter(|(_, verdict)| counts(*verdict))

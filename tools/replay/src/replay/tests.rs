@@ -3,11 +3,8 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "of the flights")]
 
 use super::*;
-use crate::fixtures::{pose, region_record, shown, stamp};
-use crate::flights::{Recording, contract_message, flown, flown_on, resolved, rotation};
-use flockeye_contract::{DetectionHeader, FrameStamp, JournalHeader, MAX_JOURNAL_ENTRIES};
-use flockeye_fusion::Record;
-use flockeye_recording::ContractMessage;
+use crate::flights::{Recording, flown, flown_on, resolved, rotation};
+use flockeye_contract::{FrameStamp, JournalHeader, MAX_JOURNAL_ENTRIES};
 
 fn tried(recording: Recording) -> anyhow::Result<Replayed> {
     let mut replay = Replay::new(&resolved()).unwrap();
