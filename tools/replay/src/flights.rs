@@ -1,4 +1,4 @@
-//! Flights of fusion in a test, as its stage drives it, with what a recorder gets of them.
+//! Flights of fusion in tests, driven as by its stage, and their recordings.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "of the flights")]
 
@@ -15,7 +15,7 @@ use flockeye_recording::ContractMessage;
 use crate::fixtures::{INTERVAL_S, pose, region_end, region_record, region_view, shown, stamp};
 use crate::recorded::{Message, RecordedPixels};
 
-/// When a frame's messages come after its exposure, nanoseconds.
+/// Time from the exposure of a frame to its messages, nanoseconds.
 const DELAY_NS: i64 = 20_000_000;
 
 /// A recorded message, and when it was recorded.
@@ -25,7 +25,7 @@ pub fn resolved() -> Resolved {
     Resolved::of(Pipeline::parse("", &[], "a test").unwrap()).unwrap()
 }
 
-/// Fusion in flight, as its stage drives it, and what a recorder gets of it.
+/// Fusion in flight, driven as by its stage, and its recording.
 pub struct Flown {
     core: Journaled<RecordedPixels>,
     writer: Writer,
@@ -168,7 +168,7 @@ fn followed() -> Flown {
     flown
 }
 
-/// Then it is not seen in frame 5, and sought in the background; the answer comes during frame 6.
+/// Alpha is followed, then not seen in frame 5 and sought in the background; the answer comes during frame 6.
 pub fn flown_on() -> Recording {
     continued().recording
 }

@@ -1,4 +1,4 @@
-//! A recording as the messages that fusion got and gave, checked as ports check them.
+//! A recording as messages to and from fusion, checked as ports check them.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -48,33 +48,33 @@ pub enum Message {
     Header(ViewHeader),
     /// A view with its pixels.
     View(ViewHeader, RecordedPixels),
-    /// What was found in a view.
+    /// The markers of a view.
     Searched(Record),
     /// The end of a frame.
     FrameEnd(FrameEnd),
     /// How the camera has turned.
     Rotation(Rotation),
-    /// What fusion said of neighbours, and its bytes.
+    /// Tracks from fusion, with their bytes.
     Tracks(TrackHeader, Vec<Track>, ContractMessage),
-    /// What fusion planned, and its bytes.
+    /// A plan from fusion, with its bytes.
     Plan(PlanHeader, Vec<PlannedView>, ContractMessage),
-    /// What fusion's core heard, and when.
+    /// Calls of fusion's core, with their times.
     Journal(JournalHeader, Vec<JournalEntry>),
-    /// What a simulated source knows.
+    /// The truth of a simulated source.
     Truth(TruthHeader, Vec<BodyTruth>),
 }
 
-/// What a recording lacks of a topic, or may lack: messages.
+/// Messages of a topic that a recording lacks, or may lack.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Lost {
+pub struct LostMessages {
     /// The topic.
     pub topic: String,
-    /// So many.
+    /// Their number.
     pub messages: u64,
 }
 
-/// A recording that is being read, with all files of one that was split.
-pub struct Recorded {
+/// A recording that is being read, with all its files where it was split.
+pub struct RecordedFlight {
     reader: Reader,
     layouts: Vec<TopicLayout>,
     /// The header of a view whose pixels come next, and its number.
@@ -82,11 +82,11 @@ pub struct Recorded {
     lost: BTreeMap<String, u64>,
 }
 
-impl Recorded {
+impl RecordedFlight {
     /// Opens a recording.
     ///
     /// # Errors
-    /// It is none, or cannot be read.
+    /// The file is no recording, or cannot be read.
     pub fn open(path: &Path) -> anyhow::Result<Self> {
         let reader = Reader::open(path)?;
         Ok(Self { reader, layouts: layouts(), view: None, lost: BTreeMap::new() })
@@ -97,7 +97,7 @@ impl Recorded {
         self.reader.ending()
     }
 
-    /// A number that the recording says of itself.
+    /// A number from the metadata of the recording.
     pub fn number(&self, name: &str) -> Option<i64> {
         self.reader.about().metadata.get(name)?.parse().ok()
     }
@@ -107,10 +107,10 @@ impl Recorded {
         self.reader.about().metadata.get("flow").map(String::as_str)
     }
 
-    /// What it lacks, as far as it was read.
-    pub fn lost(&self) -> Vec<Lost> {
+    /// Messages that it lacks, as far as it was read.
+    pub fn lost(&self) -> Vec<LostMessages> {
         let lost = self.lost.iter().filter(|(_, messages)| **messages > 0);
-        lost.map(|(topic, &messages)| Lost { topic: topic.clone(), messages }).collect()
+        lost.map(|(topic, &messages)| LostMessages { topic: topic.clone(), messages }).collect()
     }
 
     fn attachment(&self, name: &str) -> Option<&[u8]> {
@@ -123,7 +123,7 @@ impl Recorded {
     /// something else by now, or are gone, the recording's own bodies count.
     ///
     /// # Errors
-    /// There is none, or it cannot be worked with any more.
+    /// There is no configuration, or it cannot be worked with any more.
     pub fn configuration(&self) -> anyhow::Result<Resolved> {
         let name = "pipeline.json";
         let json = self.attachment(name).with_context(|| format!("the recording has no {name}"))?;
@@ -268,7 +268,7 @@ fn is_alike(one: &Bodies, other: &Bodies) -> bool {
         })
 }
 
-/// A message's header and items. Refuses what no port would let in.
+/// A message's header and items, if a port would accept them.
 fn checked<T: Topic>(message: &ContractMessage) -> anyhow::Result<(T::Header, Vec<T::Item>)> {
     let header: T::Header = header(message);
     let items = message.items.chunks_exact(size_of::<T::Item>()).map(pod_read_unaligned);

@@ -1,7 +1,7 @@
 //! Gives the core of fusion what it got in a recorded flight, and compares what it gives with what it gave.
 //!
-//! What the core says depends on what it heard, in which order, and on the times that it was told. Its journal has all
-//! of that, so a flight in real time is repeated like any other: each entry is one call of the core. A background pass
+//! The output of the core depends on its messages, their order, and the times of its calls. Its journal has all of that,
+//! so a flight in real time is repeated like any other: each entry is one call of the core. A background pass
 //! runs at once, and its answer counts where the journal says so.
 
 mod compared;
@@ -18,17 +18,17 @@ use flockeye_recording::Ending;
 
 pub use self::script::{NO_JOURNAL, names_message};
 
-use self::compared::Compared;
+use self::compared::Comparison;
 use self::script::{Next, Script};
-use crate::recorded::{Lost, Message, Recorded, RecordedPixels};
+use crate::recorded::{LostMessages, Message, RecordedFlight, RecordedPixels};
 use flockeye_fusion::BackgroundRunner;
 use flockeye_fusion::Writer;
 use flockeye_fusion::{Configured, configured};
 use flockeye_fusion::{Core, Event, Outputs};
 
-/// What a replay has shown.
+/// The result of a replay, for people.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Replayed {
+pub struct ReplayReport {
     /// Frames that ended.
     pub frames: u64,
     /// Messages that were compared.
@@ -44,15 +44,15 @@ pub struct Replayed {
     /// Messages of fusion that were recorded and not compared.
     pub left: u64,
     /// What the recording lacks, or may lack.
-    pub lost: Vec<Lost>,
+    pub lost: Vec<LostMessages>,
 }
 
 /// Replays a recording with its views (`flockeye record --frames views`).
 ///
 /// # Errors
 /// It has no journal from fusion's beginning on, or no pixels, or its configuration cannot be worked with any more.
-pub fn replay(path: &Path) -> anyhow::Result<Replayed> {
-    let mut recorded = Recorded::open(path)?;
+pub fn replay(path: &Path) -> anyhow::Result<ReplayReport> {
+    let mut recorded = RecordedFlight::open(path)?;
     let resolved = recorded.configuration()?;
     let mut replay = Replay::new(&resolved)?;
     while let Some((message, utc_ns)) = recorded.next_message()? {
@@ -60,10 +60,10 @@ pub fn replay(path: &Path) -> anyhow::Result<Replayed> {
     }
     let is_whole = recorded.ending() == Some(Ending::Whole);
     let replayed = replay.finish(is_whole).with_context(|| path.display().to_string())?;
-    Ok(Replayed { lost: recorded.lost(), ..replayed })
+    Ok(ReplayReport { lost: recorded.lost(), ..replayed })
 }
 
-/// `flockeye-fusion replay FILE`: says what a replay shows. Whether all that was compared is the same.
+/// Replays a recording and prints the result. Returns whether all compared messages are the same.
 ///
 /// # Errors
 /// As [`replay`].
@@ -73,7 +73,7 @@ pub fn report(path: &Path) -> anyhow::Result<bool> {
     Ok(replayed.difference.is_none())
 }
 
-impl std::fmt::Display for Replayed {
+impl std::fmt::Display for ReplayReport {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Self { frames, messages, answers, difference, end, lost_plans, left, lost } = self;
         match difference {
@@ -108,13 +108,13 @@ impl std::fmt::Display for Replayed {
     }
 }
 
-/// What a recording lacks, as text.
-fn said(lost: &[Lost]) -> String {
-    let of_topic = |Lost { topic, messages }: &Lost| format!("{topic} {messages}");
+/// Lost messages, as text.
+fn said(lost: &[LostMessages]) -> String {
+    let of_topic = |LostMessages { topic, messages }: &LostMessages| format!("{topic} {messages}");
     lost.iter().map(of_topic).collect::<Vec<_>>().join(", ")
 }
 
-/// The core of fusion with what it got.
+/// The core of fusion, and the messages that it got.
 pub struct Replay {
     core: Core<RecordedPixels>,
     writer: Writer,
@@ -122,16 +122,16 @@ pub struct Replay {
     /// Whether the last view still lacks its pixels.
     lacks_pixels: bool,
     script: Script,
-    /// What the last step led to, until the journal says when it was sent.
+    /// Output of the last step, until the journal has the time when it was sent.
     unsaid: Outputs,
-    compared: Compared,
+    compared: Comparison,
     /// The newest frame that has ended.
     ended: Option<FrameOrder>,
-    replayed: Replayed,
+    replayed: ReplayReport,
 }
 
 impl Replay {
-    /// Before the first message.
+    /// Begins before the first message.
     ///
     /// # Errors
     /// The configuration cannot be worked with.
@@ -144,19 +144,19 @@ impl Replay {
             lacks_pixels: false,
             script: Script::default(),
             unsaid: Outputs::default(),
-            compared: Compared::new()?,
+            compared: Comparison::new()?,
             ended: None,
-            replayed: Replayed::default(),
+            replayed: ReplayReport::default(),
         })
     }
 
-    /// The core, which can be asked for an account.
+    /// The core, which may keep an account.
     pub fn core(&mut self) -> &mut Core<RecordedPixels> {
         &mut self.core
     }
 
-    /// What was shown so far.
-    pub fn so_far(&self) -> &Replayed {
+    /// The result so far.
+    pub fn so_far(&self) -> &ReplayReport {
         &self.replayed
     }
 
@@ -165,12 +165,12 @@ impl Replay {
         self.script.has_begun()
     }
 
-    /// Whether nothing has differed, and the comparison goes on.
+    /// Whether the comparison goes on, without a difference so far.
     pub fn is_under_way(&self) -> bool {
         self.replayed.difference.is_none() && self.replayed.end.is_none()
     }
 
-    /// Whether the core has ended a frame, and all that it said was compared.
+    /// Whether the core has ended a frame, and all its messages were compared.
     pub fn has_ended(&self, order: FrameOrder) -> bool {
         self.ended >= Some(order) && self.compared.is_done()
     }
@@ -178,7 +178,7 @@ impl Replay {
     /// Takes a message of the recording. `before` is called before each entry of the journal that counts now.
     ///
     /// # Errors
-    /// The recording is none that can be replayed.
+    /// The recording cannot be replayed.
     pub fn on(
         &mut self,
         message: Message,
@@ -207,7 +207,7 @@ impl Replay {
             Message::Rotation(rotation) => self.script.hear(Event::Rotation(rotation), utc_ns)?,
             Message::FrameEnd(end) => self.script.hear(Event::FrameEnd(end), utc_ns)?,
             Message::Journal(header, entries) => self.script.note(&header, &entries, utc_ns)?,
-            // What a successor says is not compared.
+            // Messages of a successor are not compared.
             Message::Tracks(header, _, bytes) if header.generation == 0 => {
                 self.compared.tracks.record(bytes);
             }
@@ -225,7 +225,7 @@ impl Replay {
     ///
     /// # Errors
     /// Nothing could be compared.
-    pub fn finish(mut self, is_whole: bool) -> anyhow::Result<Replayed> {
+    pub fn finish(mut self, is_whole: bool) -> anyhow::Result<ReplayReport> {
         if self.is_under_way() {
             if is_whole {
                 self.needs_no_pixels()?;
@@ -237,7 +237,7 @@ impl Replay {
             bail!("the recording has no message of fusion. Cure: record for longer");
         }
         let left = self.replayed.left + self.compared.left();
-        Ok(Replayed { left, lost_plans: self.compared.lost_plans, ..self.replayed })
+        Ok(ReplayReport { left, lost_plans: self.compared.lost_plans, ..self.replayed })
     }
 
     /// Refuses a recording in which the last view has no pixels.
@@ -250,7 +250,7 @@ impl Replay {
         Ok(())
     }
 
-    /// Does what the journal says, as far as it is known.
+    /// Follows the journal as far as it is known.
     fn work(
         &mut self,
         utc_ns: Option<u64>,
@@ -263,7 +263,7 @@ impl Replay {
                 Next::Entry(entry, event) => {
                     before(&self.core, &entry);
                     let difference = self.follow(&entry, event)?;
-                    // What was said before differs first.
+                    // A difference of earlier messages comes first.
                     self.compare();
                     self.replayed.difference = self.replayed.difference.take().or(difference);
                 }
@@ -281,7 +281,7 @@ impl Replay {
         }
     }
 
-    /// Does what an entry says. Returns what cannot be as it was.
+    /// Follows an entry. Returns a difference from the flight, if there is one.
     fn follow(
         &mut self,
         entry: &JournalEntry,
@@ -336,7 +336,7 @@ impl Replay {
         Ok(None)
     }
 
-    /// Where a difference is that is none of a message.
+    /// A difference that is not one of a message, with its place.
     fn at(&self, difference: &str) -> String {
         match self.ended {
             None => format!("before the first frame ended: {difference}"),
@@ -344,7 +344,7 @@ impl Replay {
         }
     }
 
-    /// Writes what the core gives, as messages of the time `now_ns`.
+    /// Writes the output of the core as messages of the time `now_ns`.
     fn say(&mut self, outputs: &Outputs, now_ns: i64) {
         for message in &outputs.tracks {
             if message.is_last {

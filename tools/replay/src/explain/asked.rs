@@ -1,4 +1,4 @@
-//! What is asked: the command line.
+//! The question: the command line of `explain`.
 
 use std::path::PathBuf;
 
@@ -33,16 +33,16 @@ pub struct ExplainArguments {
     pub json: bool,
 }
 
-/// What is asked.
+/// A question about one target in one frame.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Asked {
+pub struct Question {
     /// The name of the target's body.
     pub target: String,
     /// The frame.
     pub when: When,
 }
 
-/// Which frame.
+/// The way in which a frame is named.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum When {
     /// The last one that was exposed by then, seconds since the recording began.
@@ -61,21 +61,21 @@ pub enum When {
 }
 
 impl ExplainArguments {
-    /// What is asked.
+    /// The question.
     ///
     /// # Errors
-    /// A time that is none, or a frame.
-    pub fn asked(&self) -> anyhow::Result<Asked> {
+    /// The time or the frame cannot be read.
+    pub fn asked(&self) -> anyhow::Result<Question> {
         let when = match (&self.at, &self.frame) {
             (_, Some(frame)) => named(frame)?,
             (Some(at), None) => When::At(seconds(at)?),
             (None, None) => bail!("neither --at nor --frame is given"),
         };
-        Ok(Asked { target: self.target.clone(), when })
+        Ok(Question { target: self.target.clone(), when })
     }
 }
 
-/// A frame by its number alone, or by source, epoch and number.
+/// Reads a frame: its number alone, or source, epoch and number.
 fn named(text: &str) -> anyhow::Result<When> {
     let parts: Vec<&str> = text.trim().split('.').collect();
     let read = || match parts[..] {
@@ -90,7 +90,7 @@ fn named(text: &str) -> anyhow::Result<When> {
     read().with_context(|| format!("--frame {text}: is no frame. Cure: 38, or 1.0.38"))
 }
 
-/// A time as people write it.
+/// Reads a time as people write it, seconds.
 fn seconds(text: &str) -> anyhow::Result<f64> {
     let text = text.trim();
     let units = [("ms", 1e-3), ("min", 60.0), ("s", 1.0), ("", 1.0)];

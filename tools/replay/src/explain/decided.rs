@@ -7,8 +7,8 @@ use flockeye_contract::FrameStamp;
 use flockeye_fusion::{AccountEntry, MeasuredBy, Outcome, Trial};
 
 use super::explanation::{Explanation, PassFacts, Step};
-use super::gathered::Gathered;
-use super::known::{Known, Replaying};
+use super::gathered::FrameMessages;
+use super::known::{FrameKnowledge, ReplayOutcome};
 use super::poses::Mounting;
 use super::session::Session;
 use super::{facts, text};
@@ -21,8 +21,8 @@ const TARGET: usize = 0;
 const FRAMES: u64 = 7;
 
 /// All that is known of alpha in a frame.
-fn known(resolved: &Resolved, recording: &Recording, stamp: FrameStamp) -> Known {
-    let mut gathered = Gathered::of(stamp, TARGET as u32);
+fn known(resolved: &Resolved, recording: &Recording, stamp: FrameStamp) -> FrameKnowledge {
+    let mut gathered = FrameMessages::of(stamp, TARGET as u32);
     let mut session = Session::begin(resolved, TARGET, stamp);
     for (message, utc_ns) in recording.iter().cloned() {
         gathered.on(&message);
@@ -30,7 +30,7 @@ fn known(resolved: &Resolved, recording: &Recording, stamp: FrameStamp) -> Known
     }
     let (replay, before, decisions) = session.finish();
     let (target, at_s, lost) = (TARGET, 0.0, Vec::new());
-    Known { target, stamp, at_s, gathered, before, decisions, replay, lost }
+    FrameKnowledge { target, stamp, at_s, gathered, before, decisions, replay, lost }
 }
 
 /// Each hypothesis is printed as it was decided, and the chosen one as accepted.
@@ -78,7 +78,7 @@ fn explain_says_what_was_decided_in_flight() {
     let mut published = 0;
     for sequence in 0..FRAMES {
         let known = known(&resolved, &recording, stamp(sequence));
-        assert_eq!(known.replay, Replaying::Same, "frame {sequence}");
+        assert_eq!(known.replay, ReplayOutcome::Same, "frame {sequence}");
         let order = stamp(sequence).order();
         let of_frame = account.iter().filter(|(of, _)| *of == order);
         let decided: Vec<AccountEntry> = of_frame.map(|(_, entry)| entry.clone()).collect();

@@ -1,4 +1,4 @@
-//! Makes the answer of what was gathered and decided.
+//! Makes the answer from messages and decisions.
 
 use std::path::Path;
 
@@ -18,8 +18,8 @@ use super::explanation::{
     BeforeFacts, Deviations, Explanation, FrameFacts, Latency, MarkerFacts, PoseFacts, Reliance,
     ResidualOf, ResultFacts, Step, TruthFacts, ViewFacts,
 };
-use super::gathered::Gathered;
-use super::known::{Known, Replaying};
+use super::gathered::FrameMessages;
+use super::known::{FrameKnowledge, ReplayOutcome};
 use super::poses::{
     Mounting, Place, deviations, difference, of_pose, place, predicted, reference_pose, told,
 };
@@ -27,8 +27,8 @@ use super::{judgement, passes};
 use flockeye_fusion::{candidate_rays, decoded_rays};
 
 /// The answer.
-pub fn explanation(path: &Path, resolved: &Resolved, known: &Known) -> Explanation {
-    let Known { gathered, stamp, .. } = known;
+pub fn explanation(path: &Path, resolved: &Resolved, known: &FrameKnowledge) -> Explanation {
+    let FrameKnowledge { gathered, stamp, .. } = known;
     let body = resolved.bodies.get(known.target);
     let place = place(resolved, known);
     let direction = place.and_then(|place| place.direction());
@@ -62,8 +62,8 @@ pub fn explanation(path: &Path, resolved: &Resolved, known: &Known) -> Explanati
     explanation
 }
 
-fn before(resolved: &Resolved, known: &Known) -> BeforeFacts {
-    let Known { gathered, stamp, .. } = known;
+fn before(resolved: &Resolved, known: &FrameKnowledge) -> BeforeFacts {
+    let FrameKnowledge { gathered, stamp, .. } = known;
     let frames = Mounting { resolved, target: known.target };
     let (state, deviations) = match &known.before {
         Some(before) => {
@@ -98,7 +98,7 @@ fn state_of(state: filter::TrackState) -> TrackState {
     }
 }
 
-fn views(resolved: &Resolved, known: &Known, direction: Option<&Ray>) -> Vec<ViewFacts> {
+fn views(resolved: &Resolved, known: &FrameKnowledge, direction: Option<&Ray>) -> Vec<ViewFacts> {
     let gathered = &known.gathered;
     let body = resolved.bodies.get(known.target);
     let name = |target: u32| resolved.bodies.get(target as usize).map(|body| body.name.clone());
@@ -148,16 +148,16 @@ fn views(resolved: &Resolved, known: &Known, direction: Option<&Ray>) -> Vec<Vie
     views
 }
 
-/// In how many frames a view shows the place next.
-fn next_search(known: &Known, direction: &Ray) -> Option<u64> {
+/// The number of frames until a view shows the place again.
+fn next_search(known: &FrameKnowledge, direction: &Ray) -> Option<u64> {
     let later = known.gathered.later.iter();
     let next = later.filter(|view| view_of(view).holds(direction, 0.0)).map(|view| &view.stamp);
     next.min_by_key(|stamp| stamp.order())
         .map(|stamp| stamp.sequence.saturating_sub(known.stamp.sequence))
 }
 
-/// How far from its expected direction a marker of a target may be seen, radians.
-fn reach_rad(body: &Body, known: &Known, place: &Place) -> f64 {
+/// The largest angle between a marker of the target and its expected direction, radians.
+fn reach_rad(body: &Body, known: &FrameKnowledge, place: &Place) -> f64 {
     let range_m = place.camera_from_markers.translation.vector.norm();
     let predicted = known.before.as_ref().and_then(|before| before.predicted);
     let doubt_m = predicted
@@ -166,7 +166,7 @@ fn reach_rad(body: &Body, known: &Known, place: &Place) -> f64 {
     (2.0 * body.radius() + doubt_m) / range_m.max(1e-3)
 }
 
-fn markers(resolved: &Resolved, known: &Known, place: Option<&Place>) -> Vec<MarkerFacts> {
+fn markers(resolved: &Resolved, known: &FrameKnowledge, place: Option<&Place>) -> Vec<MarkerFacts> {
     let Some(body) = resolved.bodies.get(known.target) else { return Vec::new() };
     let reference = reference_pose(resolved, known);
     let mut all = Vec::new();
@@ -193,7 +193,7 @@ fn markers(resolved: &Resolved, known: &Known, place: Option<&Place>) -> Vec<Mar
                 let off_rad = Ray::try_new(middle, 1e-9)?.angle(&expected);
                 Some(off_rad < reach_rad(body, known, place))
             });
-            // Of a square elsewhere it says nothing.
+            // A residual means nothing for a square elsewhere.
             let residual = reference.as_ref().zip(view).filter(|_| is_at_place != Some(false));
             all.push(MarkerFacts {
                 id: marker.id,
@@ -232,7 +232,7 @@ fn result(track: &Track) -> ResultFacts {
     }
 }
 
-fn truth(gathered: &Gathered) -> Option<TruthFacts> {
+fn truth(gathered: &FrameMessages) -> Option<TruthFacts> {
     let body = gathered.true_body()?;
     let there = isometry(&body.observer_from_target);
     Some(TruthFacts {
@@ -244,8 +244,8 @@ fn truth(gathered: &Gathered) -> Option<TruthFacts> {
     })
 }
 
-/// The name of a body that is nearer and in the way: as fusion says, or as the source knows.
-fn hidden_by(resolved: &Resolved, known: &Known, place: Option<&Place>) -> Option<String> {
+/// The name of a nearer body that is in the way, by fusion's tracks or by the truth.
+fn hidden_by(resolved: &Resolved, known: &FrameKnowledge, place: Option<&Place>) -> Option<String> {
     let place = place?;
     let (direction, range_m) =
         (place.direction()?, place.camera_from_markers.translation.vector.norm());
@@ -254,7 +254,7 @@ fn hidden_by(resolved: &Resolved, known: &Known, place: Option<&Place>) -> Optio
         let body = resolved.bodies.get(target)?;
         let (towards, nearer_m) = (Ray::try_new(there, 1e-9)?, there.norm());
         let reach_rad = body.radius() / nearer_m;
-        // Half of it at least.
+        // It must hide at least half of the body.
         let is_in_the_way = nearer_m < range_m
             && target != known.target
             && towards.angle(&direction) < reach_rad.max(own_rad * 0.5);
@@ -273,14 +273,14 @@ fn hidden_by(resolved: &Resolved, known: &Known, place: Option<&Place>) -> Optio
     })
 }
 
-fn reliance(known: &Known) -> Reliance {
+fn reliance(known: &FrameKnowledge) -> Reliance {
     let lost: Vec<(String, u64)> =
         known.lost.iter().map(|lost| (lost.topic.clone(), lost.messages)).collect();
     let mut untold = Vec::new();
     let difference = match &known.replay {
-        Replaying::Same => None,
-        Replaying::Different(difference) => Some(difference.clone()),
-        Replaying::Impossible(reason) => {
+        ReplayOutcome::Same => None,
+        ReplayOutcome::Different(difference) => Some(difference.clone()),
+        ReplayOutcome::Impossible(reason) => {
             untold.push(format!(
                 "which poses fusion tried, and how likely they were: fusion cannot be replayed ({reason})"
             ));
@@ -291,5 +291,5 @@ fn reliance(known: &Known) -> Reliance {
         let cure = "the recording has no pixels of views. Cure: record with them (--frames views)";
         untold.push(format!("what the picture shows: {cure}"));
     }
-    Reliance { is_exact: known.replay == Replaying::Same, difference, untold, lost }
+    Reliance { is_exact: known.replay == ReplayOutcome::Same, difference, untold, lost }
 }

@@ -1,4 +1,4 @@
-//! Which frames a recording has, and which one is meant.
+//! Lists the frames of a recording, and finds the one that is asked for.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -8,9 +8,9 @@ use flockeye_contract::{FrameOrder, FrameStamp};
 
 use super::asked::When;
 use super::gathered::stamp_of;
-use crate::recorded::{Lost, Recorded};
+use crate::recorded::{LostMessages, RecordedFlight};
 
-/// A time so long after the last frame's exposure is still that frame's, seconds.
+/// Time after the last exposure that still counts as that frame's, seconds.
 const LAST_FRAME_S: f64 = 0.25;
 
 /// The frames of a recording.
@@ -20,16 +20,16 @@ pub struct Frames {
     /// The time on the clock of the exposures at which the recording began, nanoseconds.
     begun_ns: i64,
     /// What the recording lacks.
-    pub lost: Vec<Lost>,
+    pub lost: Vec<LostMessages>,
 }
 
 impl Frames {
     /// Reads a recording to its end, or to where it is damaged.
     ///
     /// # Errors
-    /// It cannot be read at all.
+    /// The recording cannot be read at all.
     pub fn of(path: &Path) -> anyhow::Result<Self> {
-        let mut recorded = Recorded::open(path)?;
+        let mut recorded = RecordedFlight::open(path)?;
         let mut stamps = BTreeMap::new();
         let mut first_utc_ns = None;
         loop {
@@ -68,7 +68,7 @@ impl Frames {
     /// started again, numbers repeat: the first frame with the number is meant.
     ///
     /// # Errors
-    /// There is none.
+    /// There is no such frame.
     pub fn chosen(&self, when: When) -> anyhow::Result<(FrameStamp, f64)> {
         let found = match when {
             When::Frame(number) => self.stamps.values().find(|stamp| stamp.sequence == number),
@@ -89,7 +89,7 @@ impl Frames {
         Ok((*stamp, self.at_s(stamp)))
     }
 
-    /// From where to where the frames go.
+    /// The first and the last frame, as text.
     fn extent(&self) -> String {
         let ends = self.stamps.first_key_value().zip(self.stamps.last_key_value());
         let Some(((_, first), (_, last))) = ends else { return String::new() };

@@ -1,4 +1,4 @@
-//! What the stages said of one frame, and what was said of one target before.
+//! Messages of the stages about one frame, and the last ones about one target before it.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -10,12 +10,12 @@ use flockeye_contract::{
 use crate::recorded::{Message, RecordedPixels};
 use flockeye_fusion::Record;
 
-/// Plans that are kept for frames that still follow them.
+/// Number of plans that are kept for frames that still follow them.
 const PLANS: usize = 16;
 
-/// What was said of a frame.
+/// Messages about a frame.
 #[derive(Debug)]
-pub struct Gathered {
+pub struct FrameMessages {
     stamp: FrameStamp,
     target: u32,
     plans: BTreeMap<u64, (PlanHeader, Vec<PlannedView>)>,
@@ -25,15 +25,15 @@ pub struct Gathered {
     pub records: BTreeMap<u32, Record>,
     /// Its end.
     pub end: Option<FrameEnd>,
-    /// What fusion said of all targets, in this order.
+    /// Tracks that fusion sent for the frame, in their order.
     pub tracks: Vec<Track>,
-    /// Whether fusion has said that the frame is over.
+    /// Whether fusion has sent the last message about the frame.
     has_last: bool,
-    /// What the source knows.
+    /// The truth, which a simulated source knows.
     pub truth: Option<(TruthHeader, Vec<BodyTruth>)>,
-    /// What fusion said last of the target in a frame before, and of which.
+    /// The last track of the target in an earlier frame, and that frame.
     pub before: Option<(FrameStamp, Track)>,
-    /// The last frame before that measured the target, and what by.
+    /// The last earlier frame that measured the target, and how.
     pub measured_before: Option<(FrameStamp, MeasuredBy)>,
     /// Views of later frames.
     pub later: Vec<ViewHeader>,
@@ -54,8 +54,8 @@ pub fn stamp_of(message: &Message) -> Option<FrameStamp> {
     }
 }
 
-impl Gathered {
-    /// Of this frame and target, before the first message.
+impl FrameMessages {
+    /// Begins with this frame and target, before the first message.
     pub fn of(stamp: FrameStamp, target: u32) -> Self {
         Self {
             stamp,
@@ -74,13 +74,13 @@ impl Gathered {
         }
     }
 
-    /// Whether fusion has said all of the frame, or has gone on without it.
+    /// Whether fusion has sent its last message about the frame, or has gone on without it.
     pub fn is_over(&self) -> bool {
         // Frames end in their order, and a few may be open.
         self.has_last || self.later_frames() > PLANS
     }
 
-    /// How many later frames were seen.
+    /// The number of later frames that were seen.
     pub fn later_frames(&self) -> usize {
         self.later_frames.len()
     }
@@ -151,14 +151,14 @@ impl Gathered {
         }
     }
 
-    /// What fusion said last of the target in this frame: where it has measured it, that.
+    /// The last track of the target in this frame; one that measured it comes first.
     pub fn track(&self) -> Option<&Track> {
         let own = || self.tracks.iter().filter(|track| track.target == self.target);
         let measured = own().rfind(|track| track.measured_by != MeasuredBy::Nothing.code());
         measured.or_else(|| own().next_back())
     }
 
-    /// What the source knows of the target.
+    /// The truth about the target.
     pub fn true_body(&self) -> Option<&BodyTruth> {
         let (_, bodies) = self.truth.as_ref()?;
         bodies.iter().find(|body| body.target == self.target)

@@ -1,19 +1,23 @@
-//! Which step of the pipeline decided: the first one that failed, in plain words.
+//! Finds the step of the pipeline that decided: the first one that failed, in plain words.
 
 use flockeye_contract::{MeasuredBy, StopReason, ViewKind};
 
 use super::explanation::{Explanation, Step, ViewFacts};
-use super::known::Known;
+use super::known::FrameKnowledge;
 use super::passes::decided;
 use super::poses::Place;
 use flockeye_fusion::{AccountEntry, CornerVerdict, Hypothesis, Outcome, Pass, Trial, Verdict};
 
-/// A hypothesis farther than this from where the body is expected is about something else, radians: a proposal's view of a
-/// body at 2 m shows less.
+/// Largest angle between a hypothesis about the body and where the body is expected, radians. The view of a proposal of a
+/// body at 2 m is narrower.
 const ELSEWHERE_RAD: f64 = 0.1;
 
 /// The step that decided, and what to say of it.
-pub fn of(known: &Known, explanation: &Explanation, place: Option<&Place>) -> (Step, String) {
+pub fn of(
+    known: &FrameKnowledge,
+    explanation: &Explanation,
+    place: Option<&Place>,
+) -> (Step, String) {
     let (step, mut why) = decisive(known, explanation, place);
     if let (true, Some(other)) = (step != Step::Measured, &explanation.hidden_by) {
         why.push_str(&format!(". {other} is in front of it and may hide it"));
@@ -21,7 +25,11 @@ pub fn of(known: &Known, explanation: &Explanation, place: Option<&Place>) -> (S
     (step, why)
 }
 
-fn decisive(known: &Known, explanation: &Explanation, place: Option<&Place>) -> (Step, String) {
+fn decisive(
+    known: &FrameKnowledge,
+    explanation: &Explanation,
+    place: Option<&Place>,
+) -> (Step, String) {
     if let Some(measured) = measured(known, explanation) {
         return (Step::Measured, measured);
     }
@@ -33,7 +41,7 @@ fn decisive(known: &Known, explanation: &Explanation, place: Option<&Place>) -> 
             "the recording has no end of this frame: it was given up, or its recording was cut off";
         return (Step::NotEnded, why.to_owned());
     }
-    // Squares elsewhere are others'.
+    // Squares elsewhere belong to other bodies.
     let has = |is_decoded: bool| {
         let markers = explanation.markers.iter().filter(|marker| marker.is_at_place != Some(false));
         markers.filter(|marker| marker.is_decoded == is_decoded).count() > 0
@@ -75,7 +83,7 @@ fn decisive(known: &Known, explanation: &Explanation, place: Option<&Place>) -> 
     }
 }
 
-/// Why less can be told than one would like, as the end of a sentence.
+/// Why the reason is not known, as the end of a sentence.
 fn untold(explanation: &Explanation) -> &'static str {
     match explanation.reliance.is_exact {
         true => "",
@@ -92,7 +100,7 @@ fn ids(explanation: &Explanation, is_decoded: bool) -> String {
     ids.iter().map(u32::to_string).collect::<Vec<_>>().join(", ")
 }
 
-fn measured(known: &Known, explanation: &Explanation) -> Option<String> {
+fn measured(known: &FrameKnowledge, explanation: &Explanation) -> Option<String> {
     let result = explanation.result.as_ref()?;
     let by = match result.measured_by? {
         MeasuredBy::Nothing => return None,
@@ -118,15 +126,15 @@ fn measured(known: &Known, explanation: &Explanation) -> Option<String> {
     Some(said)
 }
 
-fn trials(known: &Known) -> impl Iterator<Item = &Trial> {
+fn trials(known: &FrameKnowledge) -> impl Iterator<Item = &Trial> {
     known.decisions.iter().filter_map(|decision| match decision {
         AccountEntry::Ran(trial) => Some(trial),
         _ => None,
     })
 }
 
-/// What was found, and was not published as the frame's measurement.
-fn by_outcome(known: &Known) -> Option<(Step, String)> {
+/// A pose that was found, and was not published as the frame's measurement.
+fn by_outcome(known: &FrameKnowledge) -> Option<(Step, String)> {
     let at_end = known.decisions.iter().filter_map(|decision| match decision {
         AccountEntry::TakenImprecise(outcome) => Some(*outcome),
         _ => None,
@@ -207,7 +215,7 @@ fn of_views(explanation: &Explanation, place: &Place) -> Option<(Step, String)> 
     Some((Step::OutsideViews, why))
 }
 
-fn no_place(known: &Known, explanation: &Explanation) -> String {
+fn no_place(known: &FrameKnowledge, explanation: &Explanation) -> String {
     let answered = explanation.views.iter().filter(|view| view.is_answered);
     let squares = match ids(explanation, false) {
         ids if ids.is_empty() => String::new(),
@@ -243,7 +251,7 @@ fn searched(explanation: &Explanation) -> String {
     }
 }
 
-/// A view as people call it.
+/// The name of a view for people.
 pub fn name_of(view: &ViewFacts) -> String {
     let tile = view.tile.map_or_else(String::new, |tile| format!(" {tile}"));
     match view.kind {
@@ -258,8 +266,8 @@ pub fn name_of(view: &ViewFacts) -> String {
 }
 
 /// The hypothesis that came nearest, and why it was not enough.
-fn by_hypotheses(known: &Known, place: Option<&Place>) -> Option<(Step, String)> {
-    // Most places that look like a body are none, and what was tried there says nothing of it.
+fn by_hypotheses(known: &FrameKnowledge, place: Option<&Place>) -> Option<(Step, String)> {
+    // Most places that look like a body are none, so hypotheses there are not about this body.
     let mut all: Vec<(&Hypothesis, Verdict)> = Vec::new();
     for trial in trials(known) {
         let is_place = trial.pass == Pass::Place;
@@ -297,7 +305,7 @@ fn is_at(hypothesis: &Hypothesis, place: Option<&Place>) -> bool {
 }
 
 /// Why corners alone were not enough.
-fn by_corners(known: &Known) -> Option<(Step, String)> {
+fn by_corners(known: &FrameKnowledge) -> Option<(Step, String)> {
     let poses = trials(known).flat_map(|trial| &trial.corner_poses);
     let chosen = poses.filter(|pose| pose.is_chosen).last()?;
     let agreeing = chosen.solution.inlier_markers.len();

@@ -5,51 +5,51 @@ use flockeye_fusion::{AccountEntry, Core};
 use flockeye_geometry::filter::TrackState;
 use nalgebra::{Isometry3, Matrix6};
 
-use super::gathered::Gathered;
-use crate::recorded::{Lost, RecordedPixels};
+use super::gathered::FrameMessages;
+use crate::recorded::{LostMessages, RecordedPixels};
 
 /// All that is known of one target in one frame.
-pub struct Known {
+pub struct FrameKnowledge {
     /// The target's number.
     pub target: usize,
     /// The frame.
     pub stamp: FrameStamp,
     /// When it was exposed, seconds since the recording began.
     pub at_s: f64,
-    /// What the stages said.
-    pub gathered: Gathered,
-    /// What the core knew before the frame; `None` where it was not replayed.
-    pub before: Option<Before>,
-    /// What the core decided, in this order.
+    /// Messages of the stages.
+    pub gathered: FrameMessages,
+    /// The track before the frame; `None` where the core was not replayed.
+    pub before: Option<TrackBefore>,
+    /// The account of the core, in its order.
     pub decisions: Vec<AccountEntry>,
-    /// Whether the replayed core said all that was recorded, up to and with this frame.
-    pub replay: Replaying,
-    /// What the recording lacks.
-    pub lost: Vec<Lost>,
+    /// Whether the replayed core gave the recorded messages up to and with this frame.
+    pub replay: ReplayOutcome,
+    /// Messages that the recording lacks.
+    pub lost: Vec<LostMessages>,
 }
 
-/// How the replay went.
+/// The result of a replay.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Replaying {
-    /// The same bytes.
+pub enum ReplayOutcome {
+    /// Fusion gave the same bytes.
     Same,
-    /// Something else, as stated.
+    /// Fusion gave something else: the first difference.
     Different(String),
-    /// It could not be done, for the stated reason.
+    /// Fusion could not be replayed, for this reason.
     Impossible(String),
 }
 
-/// What a track said before a frame.
+/// The track of a target before a frame.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Before {
+pub struct TrackBefore {
     /// Its state; `None`: there was no track.
     pub state: Option<TrackState>,
     /// `camera_from_markers` at the frame's exposure, with its covariance.
     pub predicted: Option<(Isometry3<f64>, Matrix6<f64>)>,
 }
 
-impl Before {
-    /// What `core` knows now of a target for a frame that it has not heard of.
+impl TrackBefore {
+    /// Asks `core` for the track of a target, before the first message about a frame.
     fn of(core: &Core<RecordedPixels>, target: usize, stamp: &FrameStamp) -> Self {
         let tracker = core.tracker();
         let predicted = tracker.prediction(target, stamp.exposure_s());

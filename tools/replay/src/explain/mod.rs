@@ -37,12 +37,12 @@ use std::path::Path;
 use anyhow::{Context as _, bail};
 use flockeye_config::Resolved;
 
-use self::asked::{Asked, ExplainArguments};
+use self::asked::{ExplainArguments, Question};
 use self::frames::Frames;
-use self::gathered::Gathered;
-use self::known::Known;
+use self::gathered::FrameMessages;
+use self::known::FrameKnowledge;
 use self::session::Session;
-use crate::recorded::Recorded;
+use crate::recorded::RecordedFlight;
 
 /// Frames after the explained one in which its next search is looked for.
 const LOOK_AHEAD: usize = 60;
@@ -66,9 +66,9 @@ pub fn main(arguments: &ExplainArguments) -> anyhow::Result<()> {
     }
 }
 
-/// Reads all that a recording has on what is asked.
-fn look(path: &Path, asked: &Asked) -> anyhow::Result<(Resolved, Known)> {
-    let mut recorded = Recorded::open(path)?;
+/// Reads all that a recording has about a question.
+fn look(path: &Path, asked: &Question) -> anyhow::Result<(Resolved, FrameKnowledge)> {
+    let mut recorded = RecordedFlight::open(path)?;
     let resolved = recorded.configuration()?;
     let names: Vec<&str> = resolved.bodies.iter().map(|body| body.name.as_str()).collect();
     let Some(target) = names.iter().position(|name| *name == asked.target) else {
@@ -76,13 +76,13 @@ fn look(path: &Path, asked: &Asked) -> anyhow::Result<(Resolved, Known)> {
     };
     let frames = Frames::of(path).with_context(|| path.display().to_string())?;
     let (stamp, at_s) = frames.chosen(asked.when)?;
-    let mut gathered = Gathered::of(stamp, target as u32);
+    let mut gathered = FrameMessages::of(stamp, target as u32);
     let mut replaying = Session::begin(&resolved, target, stamp);
     loop {
         let (message, utc_ns) = match recorded.next_message() {
             Ok(Some(read)) => read,
             Ok(None) => break,
-            // What comes before the damage counts.
+            // All before the damage counts.
             Err(error) if gathered.is_over() => {
                 tracing::warn!("{error:#}");
                 break;
@@ -97,5 +97,8 @@ fn look(path: &Path, asked: &Asked) -> anyhow::Result<(Resolved, Known)> {
     }
     let (replay, before, decisions) = replaying.finish();
     let lost = frames.lost;
-    Ok((resolved, Known { target, stamp, at_s, gathered, before, decisions, replay, lost }))
+    Ok((
+        resolved,
+        FrameKnowledge { target, stamp, at_s, gathered, before, decisions, replay, lost },
+    ))
 }

@@ -1,4 +1,4 @@
-//! The account of the replayed core as data.
+//! The account of the replayed core, as data.
 
 use flockeye_config::Resolved;
 use flockeye_imaging::align::{LeastLogOdds, least_lead};
@@ -11,7 +11,7 @@ use flockeye_fusion::{
     Verdict,
 };
 
-/// What was decided, in this order.
+/// The entries of the account, in their order.
 pub fn facts(resolved: &Resolved, target: usize, entries: &[AccountEntry]) -> Vec<PassFacts> {
     let frames = Mounting { resolved, target };
     entries.iter().map(|entry| of_entry(&frames, entry)).collect()
@@ -117,7 +117,7 @@ fn hypothesis_facts(
     }
 }
 
-/// What was decided of a hypothesis, in plain words.
+/// The verdict about a hypothesis, in plain words.
 pub fn decided(hypothesis: &Hypothesis, verdict: Verdict) -> String {
     let asked = LeastLogOdds::asked();
     match verdict {
@@ -147,12 +147,12 @@ pub fn decided(hypothesis: &Hypothesis, verdict: Verdict) -> String {
     }
 }
 
-/// What was asked of a hypothesis that is below it.
+/// The limit that a hypothesis did not reach, in plain words.
 fn below(hypothesis: &Hypothesis, asked: &LeastLogOdds) -> String {
     let Ok(found) = &hypothesis.found else { return "nothing could be compared".to_owned() };
     let (picture, turn) = (found.evidence.log_odds, hypothesis.turn_log);
     let mut said = match turn {
-        // By itself and with the prediction, because the direct pass asks for both.
+        // The direct pass asks for both: enough by itself, and enough with the prediction.
         Some(turn) if picture + turn >= asked.predicted => format!(
             "refused: the picture alone has log odds {picture:.1}, and {:.1} are asked for",
             asked.anywhere

@@ -1,4 +1,4 @@
-//! The answer as a picture: what the view shows round the target, what was found and tried, and the model beside it.
+//! The answer as a picture: the view round the target with markers and hypotheses, and the model beside it.
 
 use std::fs::File;
 use std::io::BufWriter;
@@ -16,7 +16,7 @@ use flockeye_imaging::align::{AlignOptions, BodyPrint, Picture, depict};
 use nalgebra::{Isometry3, Point3, Vector2};
 
 use super::explanation::Explanation;
-use super::known::Known;
+use super::known::FrameKnowledge;
 use super::poses;
 use crate::recorded::RecordedPixels;
 use flockeye_fusion::Pixels;
@@ -24,9 +24,9 @@ use flockeye_fusion::{AccountEntry, Verdict};
 
 /// Pixels along the side of the picture of the place.
 const SIDE_PX: usize = 720;
-/// The picture shows so many radii of the body to each side.
+/// Radii of the body that the picture shows to each side.
 const REACH_RADII: f64 = 1.7;
-/// The body is drawn at most so many times larger than it was recorded.
+/// Largest magnification of the recorded view.
 const MOST_ENLARGED: f64 = 16.0;
 
 /// Colours of outlines: what each stands for is in docs/RECORDING.md.
@@ -52,7 +52,7 @@ struct Canvas {
 pub fn write(
     path: &Path,
     resolved: &Resolved,
-    known: &Known,
+    known: &FrameKnowledge,
     explanation: &Explanation,
 ) -> anyhow::Result<()> {
     let Some((reference, _)) = poses::reference_pose(resolved, known).or_else(|| {
@@ -85,7 +85,7 @@ pub fn write(
 
 /// The view that alignment read or, where none was, the one that shows the place at the highest resolution.
 fn best_view<'k>(
-    known: &'k Known,
+    known: &'k FrameKnowledge,
     reference: &Isometry3<f64>,
 ) -> Option<(&'k ViewHeader, &'k RecordedPixels)> {
     let with_pixels = |index: &u32| {
@@ -105,9 +105,9 @@ fn best_view<'k>(
     })
 }
 
-/// The part of a view round the target, enlarged, with what was found and tried.
+/// The part of a view round the target, enlarged, with markers and hypotheses.
 fn scene(
-    known: &Known,
+    known: &FrameKnowledge,
     body: &Body,
     header: &ViewHeader,
     pixels: &RecordedPixels,
@@ -154,7 +154,7 @@ fn scene(
         _ => None,
     });
     let mut hypotheses: Vec<_> = trials.flat_map(|trial| trial.decided()).collect();
-    // What was accepted is drawn over all else.
+    // Accepted hypotheses are drawn over all others.
     hypotheses.sort_by_key(|(_, verdict)| *verdict == Verdict::Accepted);
     for (hypothesis, verdict) in hypotheses {
         let Ok(found) = &hypothesis.found else { continue };
@@ -194,7 +194,7 @@ fn seen(view: &View, point_in_camera: &Point3<f64>) -> Option<Vector2<f64>> {
 /// Picture, model and residual at a pose, one below the other; `None` where nothing can be compared.
 fn model(
     resolved: &Resolved,
-    known: &Known,
+    known: &FrameKnowledge,
     header: &ViewHeader,
     pixels: &RecordedPixels,
     reference: &Isometry3<f64>,
@@ -242,7 +242,7 @@ impl Canvas {
         }
     }
 
-    /// A closed line of two pixels' width.
+    /// Draws a closed line that is two pixels wide.
     fn polygon(&mut self, corners: &[Vector2<f64>], colour: [u8; 3]) {
         for (k, from) in corners.iter().enumerate() {
             let way = corners[(k + 1) % corners.len()] - from;
@@ -257,7 +257,7 @@ impl Canvas {
         }
     }
 
-    /// Both, the other one on the right.
+    /// A canvas of both, with the other one on the right.
     fn beside(&self, other: &Self) -> Self {
         let mut both = Self::new(self.width + other.width, self.height.max(other.height));
         let width = both.width;

@@ -9,7 +9,7 @@ use flockeye_geometry::pose::PoseDeviations;
 use nalgebra::{Isometry3, Matrix6};
 
 use super::explanation::{Deviations, PoseFacts, ResidualOf};
-use super::known::Known;
+use super::known::FrameKnowledge;
 
 /// How the markers of a target are mounted: brings poses of its markers to those of its drone, and back.
 pub struct Mounting<'r> {
@@ -61,7 +61,7 @@ pub fn deviations(covariance: &Matrix6<f64>) -> Deviations {
     Deviations { position_m, rotation_deg: rotation_rad.to_degrees() }
 }
 
-/// By how much one pose differs from another.
+/// The difference between two poses.
 pub fn difference(one: &Isometry3<f64>, other: &Isometry3<f64>) -> Deviations {
     Deviations {
         position_m: (one.translation.vector - other.translation.vector).norm(),
@@ -77,7 +77,7 @@ pub fn told(track: &Track) -> &Pose {
     }
 }
 
-/// Where the target is expected: predicted by its track, or known by the source.
+/// The place where the target is expected, by its track or by the truth.
 #[derive(Debug, Clone, Copy)]
 pub struct Place {
     /// `camera_from_markers`.
@@ -93,8 +93,8 @@ impl Place {
     }
 }
 
-/// Where the track predicted the target for the frame: as the replayed core did, or the plan.
-pub fn predicted(resolved: &Resolved, known: &Known) -> Option<Isometry3<f64>> {
+/// The pose that the track predicted for the frame, by the replayed core or else by the plan.
+pub fn predicted(resolved: &Resolved, known: &FrameKnowledge) -> Option<Isometry3<f64>> {
     if let Some(before) = &known.before {
         return before.predicted.map(|(pose, _)| pose);
     }
@@ -121,8 +121,8 @@ pub fn predicted(resolved: &Resolved, known: &Known) -> Option<Isometry3<f64>> {
     Some(frames.to_markers(&before.observer_from_target))
 }
 
-/// Where to look for the target in the frame.
-pub fn place(resolved: &Resolved, known: &Known) -> Option<Place> {
+/// The place of the target in the frame.
+pub fn place(resolved: &Resolved, known: &FrameKnowledge) -> Option<Place> {
     let by_track = predicted(resolved, known)
         .map(|camera_from_markers| Place { camera_from_markers, is_predicted: true });
     by_track.or_else(|| {
@@ -132,8 +132,11 @@ pub fn place(resolved: &Resolved, known: &Known) -> Option<Place> {
     })
 }
 
-/// The pose that residuals of corners are about, `camera_from_markers`.
-pub fn reference_pose(resolved: &Resolved, known: &Known) -> Option<(Isometry3<f64>, ResidualOf)> {
+/// The pose with which corners are compared, `camera_from_markers`.
+pub fn reference_pose(
+    resolved: &Resolved,
+    known: &FrameKnowledge,
+) -> Option<(Isometry3<f64>, ResidualOf)> {
     let frames = Mounting { resolved, target: known.target };
     let measured = known.gathered.track().filter(|track| track.measured_by != 0);
     if let Some(track) = measured {

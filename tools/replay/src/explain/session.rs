@@ -4,8 +4,8 @@ use flockeye_config::Resolved;
 use flockeye_contract::{FrameOrder, FrameStamp};
 use flockeye_fusion::AccountEntry;
 
-use super::gathered::Gathered;
-use super::known::{Before, Replaying};
+use super::gathered::FrameMessages;
+use super::known::{ReplayOutcome, TrackBefore};
 use crate::recorded::Message;
 use crate::replay::{NO_JOURNAL, Replay, names_message};
 
@@ -17,7 +17,7 @@ struct Session {
     target: usize,
     stamp: FrameStamp,
     state: State,
-    before: Option<Before>,
+    before: Option<TrackBefore>,
     decisions: Vec<AccountEntry>,
 }
 
@@ -41,14 +41,14 @@ impl Session {
         Self { target, stamp, state, before: None, decisions: Vec::new() }
     }
 
-    /// Takes a message, until the frame is over and no answer to it is waited for.
-    fn on(&mut self, message: Message, utc_ns: u64, gathered: &Gathered) {
+    /// Takes a message, until the frame is over and the answer of its background pass has come.
+    fn on(&mut self, message: Message, utc_ns: u64, gathered: &FrameMessages) {
         let State::UnderWay(replay) = &mut self.state else { return };
         let order: FrameOrder = self.stamp.order();
-        // The first that fusion heard of the frame.
+        // This is the first entry about the frame.
         let heard = replay.on(message, utc_ns, |core, entry| {
             if self.before.is_none() && names_message(entry) && entry.order() == order {
-                self.before = Some(Before::of(core, self.target, &self.stamp));
+                self.before = Some(TrackBefore::of(core, self.target, &self.stamp));
             }
         });
         if let Err(error) = heard {
@@ -70,24 +70,26 @@ impl Session {
         }
     }
 
-    /// How it went, what the core knew before the frame, and what it decided.
-    fn finish(self) -> (Replaying, Option<Before>, Vec<AccountEntry>) {
+    /// The result of the replay, the track before the frame, and the account of the frame.
+    fn finish(self) -> (ReplayOutcome, Option<TrackBefore>, Vec<AccountEntry>) {
         let Self { stamp, state, before, decisions, .. } = self;
         let impossible =
-            |reason: &str| (Replaying::Impossible(reason.to_owned()), None, Vec::new());
+            |reason: &str| (ReplayOutcome::Impossible(reason.to_owned()), None, Vec::new());
         match state {
             State::Impossible(reason) => impossible(&reason),
-            State::Different(difference) => (Replaying::Different(difference), before, decisions),
-            State::Over => (Replaying::Same, before, decisions),
+            State::Different(difference) => {
+                (ReplayOutcome::Different(difference), before, decisions)
+            }
+            State::Over => (ReplayOutcome::Same, before, decisions),
             State::UnderWay(replay) if replay.has_ended(stamp.order()) => {
-                (Replaying::Same, before, decisions)
+                (ReplayOutcome::Same, before, decisions)
             }
             State::UnderWay(replay) if !replay.has_journal() => impossible(NO_JOURNAL),
             State::UnderWay(_) => impossible("the recording ends before the frame does"),
         }
     }
 
-    /// What was decided does not count where the replay has failed.
+    /// Stops in a state. The account does not count where the replay has failed.
     fn stop(&mut self, state: State) {
         (self.before, self.decisions, self.state) = (None, Vec::new(), state);
     }

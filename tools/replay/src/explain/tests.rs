@@ -16,11 +16,11 @@ use flockeye_recording::ContractMessage;
 use nalgebra::{Isometry3, Matrix6, Vector3};
 
 use super::explanation::{Explanation, Step};
-use super::gathered::Gathered;
-use super::known::{Before, Known, Replaying};
+use super::gathered::FrameMessages;
+use super::known::{FrameKnowledge, ReplayOutcome, TrackBefore};
 use super::{facts, text};
 use crate::fixtures::{self, facing_markers, measurement, stamp};
-use crate::recorded::{Lost, Message};
+use crate::recorded::{LostMessages, Message};
 use flockeye_fusion::Record;
 use flockeye_fusion::TimeBudget;
 use flockeye_fusion::TrackPrior;
@@ -42,30 +42,30 @@ fn resolved() -> Resolved {
 }
 
 /// A frame in which the target was predicted and nothing was looked at; `by` adds to it.
-fn known(by: impl FnOnce(&mut Known)) -> Known {
-    let mut known = Known {
+fn known(by: impl FnOnce(&mut FrameKnowledge)) -> FrameKnowledge {
+    let mut known = FrameKnowledge {
         target: 0,
         stamp: stamp(FRAME),
         at_s: 0.2,
-        gathered: Gathered::of(stamp(FRAME), 0),
-        before: Some(Before {
+        gathered: FrameMessages::of(stamp(FRAME), 0),
+        before: Some(TrackBefore {
             state: Some(filter::TrackState::Confirmed),
             predicted: Some((there(), Matrix6::identity() * 1e-6)),
         }),
         decisions: Vec::new(),
-        replay: Replaying::Same,
+        replay: ReplayOutcome::Same,
         lost: Vec::new(),
     };
     by(&mut known);
     known
 }
 
-fn explained(known: &Known) -> Explanation {
+fn explained(known: &FrameKnowledge) -> Explanation {
     facts::explanation("flight.mcap".as_ref(), &resolved(), known)
 }
 
 /// The step that decided, and what is said of it.
-fn judged(by: impl FnOnce(&mut Known)) -> (Step, String) {
+fn judged(by: impl FnOnce(&mut FrameKnowledge)) -> (Step, String) {
     let explanation = explained(&known(by));
     let said = text::of(&explanation);
     assert!(said.starts_with("alpha in frame 7 at 0.200 s: "), "{said}");
@@ -102,11 +102,11 @@ fn view(index: u32, kind: ViewKind, view: &View) -> ViewHeader {
     }
 }
 
-fn cut(known: &mut Known, header: ViewHeader) {
+fn cut(known: &mut FrameKnowledge, header: ViewHeader) {
     known.gathered.on(&Message::Header(header));
 }
 
-fn planned(known: &mut Known, views: &[(ViewKind, View)]) {
+fn planned(known: &mut FrameKnowledge, views: &[(ViewKind, View)]) {
     let planned = |(kind, at): &(ViewKind, View)| {
         let header = view(0, *kind, at);
         PlannedView {
@@ -125,7 +125,7 @@ fn planned(known: &mut Known, views: &[(ViewKind, View)]) {
     known.gathered.on(&Message::Plan(header, views, ContractMessage::default()));
 }
 
-fn searched(known: &mut Known, index: u32, markers: Vec<DetectedMarker>, failed: u32) {
+fn searched(known: &mut FrameKnowledge, index: u32, markers: Vec<DetectedMarker>, failed: u32) {
     let header = DetectionHeader {
         stamp: stamp(FRAME),
         plan_id: 3,
@@ -136,14 +136,14 @@ fn searched(known: &mut Known, index: u32, markers: Vec<DetectedMarker>, failed:
     known.gathered.on(&Message::Searched(Record { header, markers }));
 }
 
-fn ended(known: &mut Known, reason: StopReason) {
+fn ended(known: &mut FrameKnowledge, reason: StopReason) {
     let end =
         FrameEnd { stamp: stamp(FRAME), plan_id: 3, reason: reason.code(), ..FrameEnd::default() };
     known.gathered.on(&Message::FrameEnd(end));
     said(known, &[], true);
 }
 
-fn said(known: &mut Known, tracks: &[Track], is_last: bool) {
+fn said(known: &mut FrameKnowledge, tracks: &[Track], is_last: bool) {
     let header =
         TrackHeader { stamp: stamp(FRAME), is_last: u32::from(is_last), ..TrackHeader::default() };
     known.gathered.on(&Message::Tracks(header, tracks.to_vec(), ContractMessage::default()));
@@ -194,7 +194,7 @@ fn trial(outcome: Outcome, verdicts: &[(f64, Verdict)]) -> AccountEntry {
 }
 
 /// The target's region was cut and searched in vain.
-fn looked_at(known: &mut Known, entry: AccountEntry) {
+fn looked_at(known: &mut FrameKnowledge, entry: AccountEntry) {
     cut(known, view(0, ViewKind::Gaze, &ahead()));
     searched(known, 0, Vec::new(), 0);
     known.decisions.push(entry);
@@ -277,7 +277,7 @@ fn what_was_looked_at_in_vain_is_told_by_what_was_found() {
 #[test]
 fn who_was_never_seen_and_is_nowhere_known_is_said_to_be_so() {
     let (step, why) = judged(|known| {
-        known.before = Some(Before { state: None, predicted: None });
+        known.before = Some(TrackBefore { state: None, predicted: None });
         cut(known, view(0, ViewKind::Partition, &ahead()));
         searched(known, 0, Vec::new(), 0);
         ended(known, StopReason::Complete);
@@ -286,7 +286,7 @@ fn who_was_never_seen_and_is_nowhere_known_is_said_to_be_so() {
     assert!(why.contains("in the 1 views of this frame"), "{why}");
     // The source knows.
     let (step, why) = judged(|known| {
-        known.before = Some(Before { state: None, predicted: None });
+        known.before = Some(TrackBefore { state: None, predicted: None });
         let body = BodyTruth { camera_from_markers: pose(&there()), ..BodyTruth::default() };
         let truth = TruthHeader { stamp: stamp(FRAME), ..TruthHeader::default() };
         known.gathered.on(&Message::Truth(truth, vec![body]));
@@ -413,8 +413,8 @@ fn another_body_in_front_is_named_and_losses_are_told() {
             ..track(MeasuredBy::Nothing)
         };
         said(known, &[bravo], false);
-        known.replay = Replaying::Different("header.is_last: 0 and 1".into());
-        known.lost = vec![Lost { topic: "flockeye/view".into(), messages: 5 }];
+        known.replay = ReplayOutcome::Different("header.is_last: 0 and 1".into());
+        known.lost = vec![LostMessages { topic: "flockeye/view".into(), messages: 5 }];
     });
     let explanation = facts::explanation("flight.mcap".as_ref(), &resolved, &known);
     assert_eq!(explanation.hidden_by.as_deref(), Some("bravo"));

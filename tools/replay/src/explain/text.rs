@@ -8,7 +8,7 @@ use super::explanation::{
 };
 use super::judgement::name_of;
 
-/// Views that show nothing of the target are counted beyond so many.
+/// Views without the target that are named; the others are counted.
 const MOST_OTHER_VIEWS: usize = 12;
 
 /// The answer for people.

@@ -1,4 +1,4 @@
-//! What fusion said, and what its core says again.
+//! Compares the recorded messages of fusion with those that its core gives again.
 
 use std::collections::VecDeque;
 
@@ -10,7 +10,7 @@ use flockeye_recording::{ContractMessage, TopicLayout, layouts};
 use crate::recorded::header;
 
 /// Both topics.
-pub struct Compared {
+pub struct Comparison {
     /// Tracks.
     pub tracks: Pairs,
     /// Plans.
@@ -19,23 +19,23 @@ pub struct Compared {
     pub lost_plans: u64,
 }
 
-/// What was recorded of a topic, and what is given.
+/// Messages of a topic, recorded and given.
 pub struct Pairs {
     layout: TopicLayout,
     recorded: VecDeque<ContractMessage>,
     given: VecDeque<ContractMessage>,
 }
 
-impl Compared {
+impl Comparison {
     /// Before the first message.
     ///
     /// # Errors
-    /// None that the contract could lead to.
+    /// A topic is missing from the contract.
     pub fn new() -> anyhow::Result<Self> {
         Ok(Self { tracks: Pairs::of::<Tracks>()?, plans: Pairs::of::<Plans>()?, lost_plans: 0 })
     }
 
-    /// Compares what can be compared. Returns how many messages that were, and the first difference.
+    /// Compares the messages that have a counterpart. Returns their number, and the first difference.
     pub fn compare(&mut self) -> (u64, Option<String>) {
         let (tracks, differs) =
             self.tracks.compare(|message| header::<TrackHeader>(message).stamp.sequence);
@@ -64,12 +64,12 @@ impl Compared {
         }
     }
 
-    /// Whether all that was given could be compared.
+    /// Whether all given messages were compared.
     pub fn is_done(&self) -> bool {
         self.tracks.given.is_empty() && self.plans.given.is_empty()
     }
 
-    /// What was recorded and could not be compared.
+    /// The number of recorded messages that were not compared.
     pub fn left(&self) -> u64 {
         (self.tracks.recorded.len() + self.plans.recorded.len()) as u64
     }
@@ -82,12 +82,12 @@ impl Pairs {
         Ok(Self { layout, recorded: VecDeque::new(), given: VecDeque::new() })
     }
 
-    /// Takes what was recorded.
+    /// Takes a recorded message.
     pub fn record(&mut self, message: ContractMessage) {
         self.recorded.push_back(message);
     }
 
-    /// Takes what is given.
+    /// Takes a message that the core gives.
     pub fn give<H: bytemuck::Pod, I: bytemuck::Pod>(&mut self, header: &H, items: &[I]) {
         self.given.push_back(ContractMessage {
             header: bytemuck::bytes_of(header).to_vec(),

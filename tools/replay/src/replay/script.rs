@@ -1,4 +1,4 @@
-//! What fusion's core heard, in the order of its journal.
+//! Messages to fusion's core, in the order of its journal.
 //!
 //! A recorder receives each topic by itself, so an entry may stand before the message that it names. It waits for
 //! that, and messages wait for their entries, each for a while of the recording's time.
@@ -13,13 +13,13 @@ use crate::recorded::RecordedPixels;
 use flockeye_fusion::Event;
 use flockeye_fusion::entry_of;
 
-/// So long an entry waits for its message. A recorder that is given no processor receives topics so far apart at most.
+/// Time for which an entry waits for its message: a recorder without a processor receives topics this far apart at most.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// So long a message waits for its entry. It may lie before fusion for as long as fusion is held up.
+/// Time for which a message waits for its entry: it may lie before fusion for as long as fusion is held up.
 const RETENTION: Duration = Duration::from_secs(60);
 
-/// Why fusion cannot be replayed with a recording.
+/// The reason why fusion cannot be replayed from a recording without a journal.
 pub const NO_JOURNAL: &str = "the recording has no journal of fusion, so it is not known when fusion heard what. Cure: record with \
      this version of Flockeye, and its own fusion";
 
@@ -27,20 +27,20 @@ pub const NO_JOURNAL: &str = "the recording has no journal of fusion, so it is n
 #[derive(Debug)]
 #[allow(clippy::large_enum_variant, reason = "one at a time, on the stack")]
 pub enum Next {
-    /// This, with the message that was heard, where the entry names one.
+    /// An entry, with its message where it names one.
     Entry(JournalEntry, Option<Event<RecordedPixels>>),
-    /// It is not known yet.
+    /// The next entry or its message has not come yet.
     Wait,
-    /// It will never be known, for this reason.
+    /// No more entries follow, for this reason.
     End(String),
 }
 
 /// Entries that wait for their messages, and messages that wait for their entries.
 #[derive(Debug, Default)]
 pub struct Script {
-    /// With the time when they were recorded, UTC nanoseconds.
+    /// Entries with the times when they were recorded, UTC nanoseconds.
     entries: VecDeque<(u64, JournalEntry)>,
-    /// By what their entries are at the time 0, with the time when they were recorded.
+    /// Messages by their entries at the time 0, with the times when they were recorded.
     heard: BTreeMap<JournalEntry, VecDeque<(u64, Event<RecordedPixels>)>>,
     /// The number of the next entry; `None` before the first.
     next: Option<u64>,
@@ -56,7 +56,7 @@ impl Script {
         self.next.is_some()
     }
 
-    /// Takes a message that fusion may have heard.
+    /// Takes a message that may have reached fusion.
     ///
     /// # Errors
     /// The recording has no journal.
@@ -111,7 +111,7 @@ impl Script {
     fn take(&mut self, entries: &[JournalEntry], first: u64, utc_ns: u64) {
         self.next = Some(first + entries.len() as u64);
         self.entries.extend(entries.iter().map(|entry| (utc_ns, *entry)));
-        // What fusion has not heard by now it never will: it dropped it.
+        // Fusion dropped a message that it has not heard by now.
         let oldest_ns = self.entries.front().map_or(utc_ns, |(noted_ns, _)| *noted_ns);
         self.heard.retain(|_, waiting| {
             waiting.retain(|(heard_ns, _)| !is_over(RETENTION, *heard_ns, oldest_ns));
@@ -119,7 +119,7 @@ impl Script {
         });
     }
 
-    /// What happened next, as far as it is known at `utc_ns` of the recording; `None`: at its end.
+    /// The next entry, as far as it is known at `utc_ns` of the recording; `None`: at its end.
     pub fn next(&mut self, utc_ns: Option<u64>) -> Next {
         let Some((noted_ns, entry)) = self.entries.front().copied() else {
             return self.end.clone().map_or(Next::Wait, Next::End);

@@ -6,7 +6,7 @@ use super::*;
 use crate::flights::{Recording, flown, flown_on, resolved, rotation};
 use flockeye_contract::{FrameStamp, JournalHeader, MAX_JOURNAL_ENTRIES};
 
-fn tried(recording: Recording) -> anyhow::Result<Replayed> {
+fn tried(recording: Recording) -> anyhow::Result<ReplayReport> {
     let mut replay = Replay::new(&resolved()).unwrap();
     for (message, utc_ns) in recording {
         replay.on(message, utc_ns, |_, _| {})?;
@@ -60,7 +60,7 @@ fn a_flight_is_repeated_from_its_journal() {
         _ => None,
     });
     assert!(measured.flatten().count() >= 5, "alpha is followed");
-    let wanted = Replayed { frames: 7, messages, answers: 1, ..Replayed::default() };
+    let wanted = ReplayReport { frames: 7, messages, answers: 1, ..ReplayReport::default() };
     assert_eq!(tried(recording.clone()).unwrap(), wanted);
     // A recorder receives topics apart: the journal behind all that it names, or before it.
     assert_eq!(tried(with_entries(recording.clone(), |_| {})).unwrap(), wanted);
@@ -150,7 +150,7 @@ fn plans_that_were_not_recorded_are_left_out() {
     });
     let whole = tried(flown()).unwrap();
     let messages = whole.messages - 2;
-    assert_eq!(tried(recording).unwrap(), Replayed { messages, lost_plans: 2, ..whole });
+    assert_eq!(tried(recording).unwrap(), ReplayReport { messages, lost_plans: 2, ..whole });
 }
 
 #[test]
