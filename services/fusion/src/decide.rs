@@ -230,13 +230,11 @@ struct Competitor<'t> {
 }
 
 fn competitors(tried: &[Hypothesis]) -> Vec<Competitor<'_>> {
-    let competitor =
-        |(index, hypothesis): (usize, &'_ Hypothesis)| Some((index, hypothesis.log_odds()?));
-    let all = tried.iter().enumerate().filter_map(competitor);
-    all.filter_map(|(index, log_odds)| {
-        Some(Competitor { index, found: tried[index].alignment()?, log_odds })
-    })
-    .collect()
+    let all = tried.iter().enumerate().filter_map(|(index, hypothesis)| {
+        let (found, log_odds) = (hypothesis.alignment()?, hypothesis.log_odds()?);
+        Some(Competitor { index, found, log_odds })
+    });
+    all.collect()
 }
 
 /// Decides about poses of a body that no confirmed track predicts. The [`likeliest`] one is chosen if it is much likelier
