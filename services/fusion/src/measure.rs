@@ -1,9 +1,10 @@
 //! The measurement pass: the ways in which a frame can tell where a target is.
 //!
-//! A pass collects what there is of a target, aligns the body from some starts, and takes what is
-//! accepted into the target's track. There are five kinds, which differ by a row of [`Row`]:
+//! A pass collects what a frame offers of a target ([`inputs`]), compares the body with the picture
+//! from some starts, and gives a trial with a decision. The tracker takes the chosen pose into the
+//! target's track. Five kinds of it differ by a [`Row`] of one table:
 //!
-//! | kind | starts from | wants | runs |
+//! | kind | starts from | asks for | runs |
 //! | --- | --- | --- | --- |
 //! | direct | the prediction alone | a track measured in the frame before | when a region of interest has been cut |
 //! | region | markers, squares like them, the prediction | two markers without a track | when that region has been searched |
@@ -12,8 +13,8 @@
 //! | place | nothing, in any attitude | no track | when a single image is complete |
 
 pub mod background;
+pub mod comparison;
 pub mod inputs;
-pub mod prediction;
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -36,16 +37,18 @@ pub struct Row {
     /// What alignment starts from, in this order.
     pub starts: &'static [Source],
     /// Which track a target must have.
-    pub prior: Prior,
+    pub prior: RequiredPrior,
     /// Decoded markers that must agree where there is a confirmed track but nothing was aligned.
     pub min_markers: usize,
     /// Which pass may search round the prediction where nothing else finds the target.
-    pub search: Search,
+    pub round: RoundSearch,
+    /// Whether a pose must be certain by the picture and the prediction. Others wait for markers.
+    pub is_certain: bool,
 }
 
 /// Which track a target must have.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Prior {
+pub enum RequiredPrior {
     /// One that is confirmed and was measured in the frame before.
     Measured,
     /// Any, or none.
@@ -54,7 +57,7 @@ pub enum Prior {
     Untracked,
 }
 
-impl Prior {
+impl RequiredPrior {
     /// Whether a target has such a track.
     pub fn allows(self, target: &Target) -> bool {
         match self {
@@ -67,12 +70,11 @@ impl Prior {
 
 /// Which pass may search round the prediction.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Search {
+pub enum RoundSearch {
     /// None.
     Never,
-    /// The background pass that this one asks for. More markers may still come, so this pass does
-    /// not wait.
-    Background,
+    /// The background pass that this one asks for. More markers may come, so this pass goes on.
+    InBackground,
     /// The pass itself, or the background pass that it asks for.
     Allowed,
 }
@@ -81,43 +83,41 @@ pub enum Search {
 const MARKERS_AND_PREDICTION: &[Source] =
     &[Source::Corners, Source::DoubtfulSquares, Source::Prediction, Source::RoughPrediction];
 
-/// The table.
-const ROWS: [Row; 5] = [
+/// A pass over a region of interest. The others say how they differ.
+const REGION: Row = Row {
+    pass: Pass::Region,
+    starts: MARKERS_AND_PREDICTION,
+    prior: RequiredPrior::Any,
+    min_markers: MARKERS_WITHOUT_TRACK,
+    round: RoundSearch::InBackground,
+    is_certain: false,
+};
+
+/// The table, in the order of [`Pass`].
+static ROWS: [Row; 5] = [
     Row {
         pass: Pass::Direct,
         starts: &[Source::Prediction],
-        prior: Prior::Measured,
-        min_markers: MARKERS_WITHOUT_TRACK,
-        search: Search::Never,
+        prior: RequiredPrior::Measured,
+        round: RoundSearch::Never,
+        is_certain: true,
+        ..REGION
     },
-    Row {
-        pass: Pass::Region,
-        starts: MARKERS_AND_PREDICTION,
-        prior: Prior::Any,
-        min_markers: MARKERS_WITHOUT_TRACK,
-        search: Search::Background,
-    },
-    Row {
-        pass: Pass::Complete,
-        starts: MARKERS_AND_PREDICTION,
-        prior: Prior::Any,
-        // No more can come.
-        min_markers: 1,
-        search: Search::Allowed,
-    },
+    REGION,
+    // No more markers can come.
+    Row { pass: Pass::Complete, min_markers: 1, round: RoundSearch::Allowed, ..REGION },
     Row {
         pass: Pass::Background,
         starts: &[Source::Corners, Source::DoubtfulSquares, Source::RoughPrediction],
-        prior: Prior::Any,
-        min_markers: 1,
-        search: Search::Allowed,
+        round: RoundSearch::Allowed,
+        ..REGION
     },
     Row {
         pass: Pass::Place,
         starts: &[Source::Place],
-        prior: Prior::Untracked,
-        min_markers: 1,
-        search: Search::Never,
+        prior: RequiredPrior::Untracked,
+        round: RoundSearch::Never,
+        ..REGION
     },
 ];
 
@@ -126,6 +126,15 @@ impl Row {
     pub fn of(pass: Pass) -> &'static Self {
         &ROWS[pass as usize]
     }
+}
+
+/// A region of interest that has been cut.
+#[derive(Debug, Clone, Copy)]
+pub struct Region<'v> {
+    /// The target's number.
+    pub target: usize,
+    /// The view.
+    pub view: BestView<'v>,
 }
 
 /// The best view of each target in a frame, by the target's number.

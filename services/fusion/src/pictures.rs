@@ -7,8 +7,7 @@ use flockeye_imaging::align::Picture;
 
 use crate::aligner::BestView;
 use crate::frame::views::HeldViews;
-use crate::measure::BestViews;
-use crate::measure::prediction::Region;
+use crate::measure::{BestViews, Region};
 use crate::parallax::Parallax;
 
 /// A hold on the pixels of a view.

@@ -2,8 +2,7 @@
 
 use nalgebra::Isometry3;
 
-use crate::measure::inputs::Attempt;
-use crate::measure::prediction::RejectedAlignment;
+use crate::measure::inputs::{Attempt, RejectedAlignment};
 use crate::measurement::Measurement;
 
 /// How far a target's measurement in one frame has come.

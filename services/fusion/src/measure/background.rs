@@ -19,12 +19,12 @@ use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::LinearLight;
 use nalgebra::Isometry3;
 
+use super::comparison::Comparison;
 use super::inputs::Inputs;
 use crate::account::{Pass, Trial};
 use crate::aligner::{Aligner, BestView, Sought, Start};
-use crate::decide::markers::supports;
-use crate::decide::{self, Decision};
-use crate::hypothesis::{Hypothesis, Source};
+use crate::decide;
+use crate::hypothesis::Source;
 use crate::policy::TimeBudget;
 
 /// Which target a background pass looks for, in which frame.
@@ -226,26 +226,25 @@ impl Job {
     /// Runs the pass.
     pub fn run(mut self, aligner: &Aligner) -> Answer {
         let mut tried = Vec::new();
-        let decision = self.measure(aligner, &mut tried);
+        let picture = self.view.picture();
+        let comparison = picture.as_ref().map(|picture| self.comparison(picture));
+        let decision = comparison.map(|comparison| comparison.run(aligner, &mut tried));
+        let decision = decision.unwrap_or_default();
         let is_independent = decide::is_independent(&decision, &tried, self.confirmed.is_some());
         (self.trial.decision, self.trial.hypotheses) = (decision, tried);
         let (subject, rays_m, trial) = (self.subject, self.view.rays_m, self.trial);
         Answer { subject, is_independent, rays_m, trial }
     }
 
-    /// Looks for the target in its picture.
-    fn measure(&self, aligner: &Aligner, tried: &mut Vec<Hypothesis>) -> Decision {
-        let Some(picture) = self.view.picture() else { return Decision::default() };
+    fn comparison<'s>(&'s self, picture: &'s Picture<'s>) -> Comparison<'s> {
         let (target, starts, budget) = (self.subject.target, &self.starts, TimeBudget::OneFrame);
-        let sought = Sought { target, picture: &picture, starts, budget };
-        let is_marked = |pose: &Isometry3<f64>| supports(&self.body, &self.decoded, pose);
-        let decision = match &self.confirmed {
-            Some(predicted) => aligner.confirm(&sought, predicted, is_marked, tried),
-            None => aligner.initiate(&sought, is_marked, false, tried),
-        };
-        match &self.search_round {
-            Some(predicted) => aligner.or_round(decision, target, &picture, predicted, tried),
-            None => decision,
+        Comparison {
+            sought: Sought { target, picture, starts, budget },
+            body: &self.body,
+            decoded: &self.decoded,
+            confirmed: self.confirmed.as_ref(),
+            needs_facets: false,
+            round: self.search_round.as_ref(),
         }
     }
 }

@@ -4,13 +4,13 @@ use std::collections::BTreeSet;
 
 use flockeye_geometry::body::Body;
 use flockeye_geometry::pose::{CornerRay, PoseOptions, PoseSolution, choose, solve};
+use flockeye_imaging::align::{AlignError, Alignment, Place};
 use nalgebra::Isometry3;
 
 use super::Row;
-use super::prediction::RejectedAlignment;
+use super::comparison::Comparison;
 use crate::account::{Pass, Trial};
 use crate::aligner::{Aligner, BestView, Sought, Start};
-use crate::decide::markers::supports;
 use crate::decide::{self, Decision};
 use crate::hypothesis::{CornerPose, Hypothesis, Source};
 use crate::policy::TimeBudget;
@@ -31,6 +31,17 @@ pub struct Permit {
     pub is_deferred: bool,
     /// Whether the target may be searched for round its prediction where nothing else finds it.
     pub may_search: bool,
+}
+
+/// What a direct pass found and did not accept, whether it is the body or not.
+#[derive(Debug, Clone)]
+pub struct RejectedAlignment {
+    /// The prediction that it started from, `camera_from_markers`.
+    pub predicted: Isometry3<f64>,
+    /// The view's place in the plan.
+    pub view_index: u32,
+    /// What it led to.
+    pub found: Result<Box<Alignment>, AlignError>,
 }
 
 /// What the frame's earlier passes did for the target.
@@ -61,6 +72,8 @@ pub struct Inputs<'f> {
     pub prior: TrackPrior,
     /// The best view of it.
     pub best_view: Option<BestView<'f>>,
+    /// The place in that view at which it is looked for in any attitude.
+    pub place: Option<Place>,
     /// What may be done.
     pub permit: Permit,
     /// What was done before.
@@ -86,6 +99,31 @@ impl Attempt {
     }
 }
 
+impl<'f> Inputs<'f> {
+    /// A view alone, without any marker.
+    pub fn of_view(
+        pass: Pass,
+        target: usize,
+        body: &'f Body,
+        prior: TrackPrior,
+        view: BestView<'f>,
+    ) -> Self {
+        let (row, budget) = (Row::of(pass), TimeBudget::OneFrame);
+        Self {
+            target,
+            body,
+            decoded: Vec::new(),
+            candidates: Vec::new(),
+            rays_m: view.rays_m,
+            prior,
+            best_view: Some(view),
+            place: None,
+            permit: Permit { row, budget, is_deferred: false, may_search: false },
+            earlier: Earlier::default(),
+        }
+    }
+}
+
 impl Inputs<'_> {
     /// What these inputs are, to compare them with later ones.
     pub fn attempt(&self) -> Attempt {
@@ -102,9 +140,10 @@ impl Inputs<'_> {
         self.earlier.failed.is_none_or(|failed| !attempt(&failed).is_pointless_after(&failed))
     }
 
-    /// Measures the target: by alignment from the corners' solutions and the prediction, and by
-    /// corners alone. The decision between them is in the trial.
+    /// Measures the target: by the picture from the starts of the pass, and by corners alone. The
+    /// decision between them is in the trial.
     pub fn measure(&self, aligner: &Aligner) -> Trial {
+        let row = self.permit.row;
         let solutions =
             solve(self.body, &self.decoded, &PoseOptions::default()).unwrap_or_default();
         let chosen = choose(&solutions, self.prior.confirmed()).map(|choice| choice.solution);
@@ -113,24 +152,19 @@ impl Inputs<'_> {
             .iter()
             .map(|solution| CornerPose {
                 is_chosen: chosen.is_some_and(|chosen| std::ptr::eq(chosen, solution)),
-                verdict: decide::of_corners(solution, is_confirmed, self.permit.row.min_markers),
+                verdict: decide::of_corners(solution, is_confirmed, row.min_markers),
                 solution: solution.clone(),
             })
             .collect();
         let mut hypotheses = Vec::new();
         let by_picture = self.best_view.as_ref().map(|view| {
-            let decision = self.align(aligner, view, &solutions, chosen, &mut hypotheses);
-            match self.search_round() {
-                Some(predicted) => {
-                    let picture = &view.picture;
-                    aligner.or_round(decision, self.target, picture, predicted, &mut hypotheses)
-                }
-                None => decision,
-            }
+            let others = solutions.iter().filter(|solution| Some(*solution) != chosen);
+            let corners: Vec<&PoseSolution> = chosen.into_iter().chain(others).collect();
+            self.compare(aligner, view, &corners, &mut hypotheses)
         });
         let decision =
             decide::with_corners(by_picture.unwrap_or_default(), &hypotheses, &corner_poses);
-        Trial { corner_poses, hypotheses, decision, ..self.trial(self.permit.row.pass) }
+        Trial { corner_poses, hypotheses, decision, ..self.trial(row.pass) }
     }
 
     /// The prediction that is searched round, where that is not left to the background pass.
@@ -139,44 +173,45 @@ impl Inputs<'_> {
         self.prior.predicted().filter(|_| may_search)
     }
 
-    /// The body aligned from the corners' solutions (the `chosen` one first), from candidate
-    /// squares or from the prediction, but not again from what failed before.
-    fn align(
+    /// The body compared with the picture, but not again from what failed before. `corners` are what
+    /// the decoded markers give, the best first.
+    fn compare(
         &self,
         aligner: &Aligner,
         view: &BestView<'_>,
-        solutions: &[PoseSolution],
-        chosen: Option<&PoseSolution>,
+        corners: &[&PoseSolution],
         tried: &mut Vec<Hypothesis>,
     ) -> Decision {
-        let attempt = self.attempt();
+        let picture = &view.picture;
+        if let Some(place) = &self.place {
+            return aligner.find_at(self.target, picture, place, tried);
+        }
+        let (attempt, Permit { row, budget, is_deferred, .. }) = (self.attempt(), self.permit);
         let fine_is_new =
             self.is_new(|failed| Attempt { candidates: failed.candidates, ..attempt });
         let squares_are_new = self.is_new(|_| attempt);
-        let is_deferred = self.permit.is_deferred;
-        let others = solutions.iter().filter(|solution| Some(*solution) != chosen);
-        let corners: Vec<&PoseSolution> = chosen.into_iter().chain(others).collect();
-        let starts = self.starts(self.permit.row, &corners, |source| match source {
+        let starts = self.starts(row, corners, |source| match source {
             Source::DoubtfulSquares => squares_are_new && !is_deferred,
             Source::RoughPrediction => fine_is_new && !is_deferred,
             _ => fine_is_new,
         });
-        let (target, budget, picture) = (self.target, self.permit.budget, &view.picture);
-        let sought = Sought { target, picture, starts: &starts, budget };
-        let is_marked = |pose: &Isometry3<f64>| supports(self.body, &self.decoded, pose);
-        match &self.prior {
-            TrackPrior::Confirmed(prior) => {
-                aligner.confirm(&sought, &prior.camera_from_markers, is_marked, tried)
-            }
-            TrackPrior::Tentative(_) => aligner.initiate(&sought, is_marked, false, tried),
-            // One facet alone starts a track only if it wins against all starts, the deferred ones
-            // too.
-            TrackPrior::Untracked => aligner.initiate(&sought, is_marked, is_deferred, tried),
+        let comparison = Comparison {
+            sought: Sought { target: self.target, picture, starts: &starts, budget },
+            body: self.body,
+            decoded: &self.decoded,
+            confirmed: self.prior.confirmed().map(|prior| &prior.camera_from_markers),
+            // It would have to win against all starts, the deferred ones too.
+            needs_facets: is_deferred && self.prior.predicted().is_none(),
+            round: self.search_round(),
+        };
+        let decision = comparison.run(aligner, tried);
+        match tried.first() {
+            Some(only) if row.is_certain => decide::of_direct_pass(only),
+            _ => decision,
         }
     }
 
-    /// What a pass of this `row` starts from, as far as it `is_worth` the time. `corners` are what
-    /// the decoded markers give, the best first.
+    /// What a pass of this `row` starts from, as far as it `is_worth` the time.
     fn starts(
         &self,
         row: &Row,
@@ -197,7 +232,7 @@ impl Inputs<'_> {
                     self.rejected_start(predicted).unwrap_or(fine)
                 })),
                 Source::RoughPrediction => starts.extend(predicted.map(rough_start)),
-                // These follow from other starts, or are no starts.
+                // These follow from other starts, or the aligner finds them itself.
                 Source::DirectPass | Source::Mirror | Source::Search | Source::Place => {}
             }
         }
@@ -240,7 +275,7 @@ impl Inputs<'_> {
         self.starts(Row::of(Pass::Background), &corners, |_| true)
     }
 
-    /// A `pass` with these inputs that begins, for an account of it.
+    /// A pass with these inputs that begins, for an account of it.
     pub fn trial(&self, pass: Pass) -> Trial {
         Trial {
             view_index: self.best_view.map(|view| view.view_index),
@@ -288,6 +323,7 @@ mod tests {
             rays_m: f64::INFINITY,
             prior,
             best_view: None,
+            place: None,
             permit: Permit { row, budget, is_deferred: false, may_search: false },
             earlier: Earlier::default(),
         };

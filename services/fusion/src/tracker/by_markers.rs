@@ -8,7 +8,7 @@ use crate::decide::outcome::Outcome;
 use crate::frame::parts::{Part, Parts, Status};
 use crate::measure::background::Subject;
 use crate::measure::inputs::{Earlier, Inputs, Permit};
-use crate::measure::{AnsweredView, BestViews, Row, Search};
+use crate::measure::{AnsweredView, BestViews, RoundSearch, Row};
 use crate::measurement::{MeasuredBy, candidate_rays, decoded_rays};
 use crate::parallel;
 use crate::policy::{TimeBudget, is_search_turn};
@@ -112,15 +112,15 @@ impl Tracker {
             && (is_open || self.tracks_others(target));
         let may_search = (is_urgent || is_search_turn(time.number, target, self.targets.len()))
             && budget != TimeBudget::Overspent
-            && match row.search {
-                Search::Never => false,
-                Search::Background => is_deferred,
-                Search::Allowed => true,
+            && match row.round {
+                RoundSearch::Never => false,
+                RoundSearch::InBackground => is_deferred,
+                RoundSearch::Allowed => true,
             };
         Permit { row, budget, is_deferred, may_search }
     }
 
-    /// Collects what there is to measure a target by, or says why there is nothing.
+    /// Collects what there is to measure a target by, or gives the reason why there is nothing.
     pub(crate) fn inputs<'f>(
         &'f self,
         time: FrameTime,
@@ -176,7 +176,18 @@ impl Tracker {
             rejected: part.rejected.as_ref(),
             background: part.background,
         };
-        Ok(Inputs { target, body, decoded, candidates, rays_m, prior, best_view, permit, earlier })
+        Ok(Inputs {
+            target,
+            body,
+            decoded,
+            candidates,
+            rays_m,
+            prior,
+            best_view,
+            place: None,
+            permit,
+            earlier,
+        })
     }
 
     /// Whether any other target is tracked.

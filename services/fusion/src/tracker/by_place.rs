@@ -1,14 +1,14 @@
 //! Searches of places that look like a body, for targets of which nothing else is known.
 
 use super::{FrameTime, Tracker, Update};
-use crate::account::{Pass, Trial};
+use crate::account::Pass;
 use crate::aligner::BestView;
 use crate::decide::outcome::Outcome;
 use crate::frame::parts::Parts;
 use crate::frame::places::place_of;
 use crate::measure::Row;
+use crate::measure::inputs::Inputs;
 use crate::parallel;
-use crate::policy::TimeBudget;
 
 impl Tracker {
     /// The targets without a track that a frame has not measured.
@@ -26,16 +26,17 @@ impl Tracker {
         target: usize,
         places: &[BestView<'_>],
     ) -> Option<Update> {
-        let search = |place: &BestView<'_>| self.search(time, target, place);
-        let trials = parallel::map(places, self.means.threads, search);
+        let measure = |place: &BestView<'_>| {
+            self.place_inputs(time, target, place).measure(&self.means.aligner)
+        };
+        let trials = parallel::map(places, self.means.threads, measure);
         for (place, trial) in places.iter().zip(trials) {
             let Some(measurement) = trial.measurement() else {
                 self.note_trial(time.order, target, trial, Outcome::Nothing);
                 continue;
             };
             let measurement = self.corrected(measurement, place.rays_m, target, time.at_s);
-            let part = parts.get_mut(target);
-            let (update, outcome) = self.take_in(time, target, part, measurement);
+            let (update, outcome) = self.take_in(time, target, parts.get_mut(target), measurement);
             self.note_trial(time.order, target, trial, outcome);
             if update.is_some() {
                 return update;
@@ -44,18 +45,18 @@ impl Tracker {
         None
     }
 
-    /// Looks for a target at one place.
-    fn search(&self, time: FrameTime, target: usize, place: &BestView<'_>) -> Trial {
-        let side_m = self.targets[target].body.largest_side();
-        let at = place_of(&place.picture.view, side_m, self.means.radius_in_sides);
-        let mut hypotheses = Vec::new();
-        let aligner = &self.means.aligner;
-        let decision = aligner.find_at(target, &place.picture, &at, &mut hypotheses);
-        Trial {
-            view_index: Some(place.view_index),
-            hypotheses,
-            decision,
-            ..Trial::of(Pass::Place, &self.prior(target, time.at_s), TimeBudget::OneFrame)
-        }
+    /// What one place offers of a target.
+    fn place_inputs<'f>(
+        &'f self,
+        time: FrameTime,
+        target: usize,
+        view: &BestView<'f>,
+    ) -> Inputs<'f> {
+        let body = &self.targets[target].body;
+        let side_m = body.largest_side();
+        let place = place_of(&view.picture.view, side_m, self.means.radius_in_sides);
+        let prior = self.prior(target, time.at_s);
+        let inputs = Inputs::of_view(Pass::Place, target, body, prior, *view);
+        Inputs { place: Some(place), ..inputs }
     }
 }

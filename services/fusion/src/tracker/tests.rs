@@ -5,9 +5,8 @@
 use super::*;
 use crate::aligner::BestView;
 use crate::fixtures::*;
-use crate::measure::Row;
 use crate::measure::inputs::Permit;
-use crate::measure::prediction::Region;
+use crate::measure::{Region, Row};
 use crate::measurement::{MeasuredBy, PoseEstimate, agreeing_candidates, candidate_rays};
 use crate::policy::{SUSPENDED_FRAMES, is_search_turn};
 use crate::record::Record;

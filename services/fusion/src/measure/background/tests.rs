@@ -39,6 +39,7 @@ fn with_requests(
                 agreeing: 0,
                 rays_m: f64::INFINITY,
             }),
+            place: None,
             permit: Permit {
                 row: Row::of(Pass::Complete),
                 budget: TimeBudget::OneFrame,
