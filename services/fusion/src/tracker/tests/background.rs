@@ -246,6 +246,7 @@ fn a_late_answer_may_start_a_track() {
         // Nor if it is a frame of another source, whose clock may be another.
         let mut tracker = tracking_bravo();
         measure_alpha(&mut tracker, &candidates_of_alpha(1, &truth), view);
+        end(&mut tracker, 1);
         let (source, epoch, _) = stamp(1).order();
         tracker.ended = Some(((source, epoch + 1, 0), at_s(1)));
         assert!(run(&mut tracker).is_none());
