@@ -6,7 +6,6 @@ use std::collections::BTreeMap;
 use std::ops::{Deref, DerefMut};
 use std::sync::Arc;
 
-use flockeye_contract::FrameEnd;
 use flockeye_geometry::body::{Bodies, Body};
 use flockeye_geometry::filter::{MotionModel, TrackPolicy};
 use flockeye_geometry::partition::Partition;
