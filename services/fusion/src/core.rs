@@ -15,12 +15,13 @@ use std::collections::VecDeque;
 use flockeye_contract::{DetectedMarker, FrameOrder, FrameStamp, Rotation, ViewHeader};
 use flockeye_convert::{camera_turn, purpose_of, search_of, view_of};
 
-use crate::account::AccountEntry;
+use crate::account::{AccountEntry, Pass};
+use crate::frame::OpenFrame;
 use crate::frame::frames::Frames;
 use crate::measure::background::Answer;
 use crate::measurement::agrees_with_view;
 use crate::notices::Notice;
-use crate::output::{Cause, Outgoing, TrackMessage};
+use crate::output::{Outgoing, TrackMessage};
 use crate::pictures::{PictureReader, Pixels};
 use crate::planning::Planning;
 use crate::policy::TimeBudget;
@@ -28,7 +29,6 @@ use crate::record::Record;
 use crate::refusal::Guard;
 use crate::schedule::Schedule;
 use crate::snapshot::Snapshot;
-use crate::target::Update;
 use crate::tracker::{FrameTime, Tracker};
 use crate::work::{Completion, Work};
 
@@ -264,14 +264,17 @@ impl<P: Pixels> Core<P> {
         match work {
             Work::OpenFlow => self.plan(None, outputs),
             Work::MeasureRegions { order, .. } => self.measure_regions(order, outputs),
-            Work::MeasureRecords { order } => self.measure_records(order, outputs),
+            Work::MeasureRecords { order } => {
+                let searched = self.frames.get_mut(order).map(OpenFrame::take_searched);
+                self.measure(order, Pass::Region, searched, outputs);
+            }
             Work::TakeAnswer => {
                 let answer = self.answers.pop_front();
                 answer.into_iter().for_each(|(_, answer)| self.take_answer(answer, outputs));
             }
             Work::MeasureFrame { order } => {
                 self.take_answers(outputs);
-                self.measure(order, outputs, Tracker::final_pass);
+                self.measure(order, Pass::Complete, None, outputs);
                 match self.frames.keeps_places() {
                     true => self.frames.set_measured(order),
                     false => self.end_frame(order, outputs),
@@ -297,7 +300,7 @@ impl<P: Pixels> Core<P> {
         let frame = self.frames.get_mut(answer.subject.order);
         let parts = frame.map(|frame| &mut frame.parts);
         let Some((order, update)) = self.tracker.background_answer(answer, parts) else { return };
-        self.publish_updates(order, vec![update], outputs);
+        self.publish_updates(order, vec![update], None, outputs);
     }
 
     /// Nothing more is waited for in a frame. By a virtual clock, its regions are measured now, as
@@ -319,7 +322,7 @@ impl<P: Pixels> Core<P> {
         let found = frame.take_found();
         self.take_answers(outputs);
         self.publish(&stamp, found, outputs);
-        self.measure(order, outputs, Tracker::region_pass);
+        self.measure(order, Pass::Region, None, outputs);
         if let Schedule::Virtual(clock) = &mut self.schedule {
             clock.complete_frame(&stamp);
         }
@@ -359,18 +362,6 @@ impl<P: Pixels> Core<P> {
         outputs.tracks.push(TrackMessage::last_of(frame.stamp));
         self.plan(Some(frame.stamp), outputs);
         outputs.ended = Some(EndedFrame { taken_ns: frame.end.map(|end| end.taken_ns) });
-    }
-
-    fn caused_by<'r>(
-        &self,
-        updates: Vec<Update>,
-        records: impl Iterator<Item = &'r Record> + Clone,
-    ) -> Vec<Outgoing> {
-        let caused = |update: Update| {
-            let body = &self.tracker.targets()[update.0].body;
-            (update, Cause::of_records(records.clone(), body))
-        };
-        updates.into_iter().map(caused).collect()
     }
 
     /// Sends estimates of a frame's targets: the one place where a pose leaves.

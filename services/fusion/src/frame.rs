@@ -152,17 +152,14 @@ impl<P> OpenFrame<P> {
         self.plan.as_ref().map_or(StopRule::All, |plan| plan.stop_rule)
     }
 
-    /// The records in plan order. With the rule `first_hit` only those up to the first hit count:
-    /// how many workers had searched beyond it depends on time.
-    pub fn counted(&self) -> Vec<&Record> {
-        let mut counted = Vec::new();
-        for record in self.records.values() {
-            counted.push(record);
-            if self.stop_rule() == StopRule::FirstHit && record.header.hits > 0 {
-                break;
-            }
-        }
-        counted
+    /// The views whose records count, in plan order. With the rule `first_hit` those up to the first
+    /// hit: how many workers had searched beyond it depends on time.
+    pub fn counted_views(&self) -> impl Iterator<Item = u32> {
+        let mut records = self.records.iter();
+        let is_last =
+            |record: &Record| self.stop_rule() == StopRule::FirstHit && record.header.hits > 0;
+        let last = records.find(|(_, record)| is_last(record)).map_or(u32::MAX, |(last, _)| *last);
+        self.records.range(..=last).map(|(view_index, _)| *view_index)
     }
 
     /// Why those views were cut that were searched and have not come here.
@@ -173,8 +170,9 @@ impl<P> OpenFrame<P> {
 
     /// Why the first view was cut in which a marker was found.
     pub fn first_hit(&self) -> Option<Purpose> {
-        let hit = self.counted().into_iter().find(|record| record.header.hits > 0)?;
-        self.purpose_of(hit.header.view_index)
+        let mut records = self.records.iter();
+        let (view_index, _) = records.find(|(_, record)| record.header.hits > 0)?;
+        self.purpose_of(*view_index)
     }
 
     /// How well a view shows the `targets` that it is the region of, or shows markers of. Targets

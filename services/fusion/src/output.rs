@@ -50,12 +50,12 @@ impl Cause {
     }
 
     /// The cause of a pose from records: the last one that shows a marker of `body`.
-    pub fn of_records<'r>(records: impl Iterator<Item = &'r Record>, body: &Body) -> Self {
-        let shows = |record: &&Record| {
+    pub fn of_records(records: &[&Record], body: &Body) -> Self {
+        let shows = |record: &&&Record| {
             let mut decoded = record.markers.iter().filter(|marker| marker.is_decoded());
             decoded.any(|marker| body.marker(marker.id).is_some())
         };
-        let last = records.filter(shows).max_by_key(|record| record.header.sent_ns);
+        let last = records.iter().filter(shows).max_by_key(|record| record.header.sent_ns);
         last.map_or(Self::Nothing, |Record { header, .. }| Self::Record {
             issued_ns: header.issued_ns,
             sent_ns: header.sent_ns,

@@ -3,25 +3,14 @@
 use flockeye_contract::FrameOrder;
 
 use super::{Core, Outputs, time_of};
+use crate::account::Pass;
 use crate::frame::OpenFrame;
-use crate::frame::parts::Parts;
-use crate::measure::{AnsweredView, BestViews, Region};
+use crate::measure::{AnsweredView, Region};
 use crate::output::Cause;
 use crate::pictures::Pixels;
-use crate::policy::TimeBudget;
+use crate::record::Record;
 use crate::schedule::Schedule;
 use crate::target::Update;
-use crate::tracker::{FrameTime, Tracker};
-
-/// A pass over records of a frame: [`Tracker::region_pass`] or [`Tracker::final_pass`].
-type RecordsPass = fn(
-    &mut Tracker,
-    FrameTime,
-    &mut Parts,
-    &[AnsweredView<'_>],
-    &BestViews<'_>,
-    TimeBudget,
-) -> Vec<Update>;
 
 impl<P: Pixels> Core<P> {
     /// The direct pass over regions of one frame, as many at once as there are threads.
@@ -49,49 +38,39 @@ impl<P: Pixels> Core<P> {
         self.frames.answer_seen(order);
     }
 
-    /// The region pass over the regions of one frame that have been searched.
-    pub(super) fn measure_records(&mut self, order: FrameOrder, outputs: &mut Outputs) {
-        let Some(frame) = self.frames.get_mut(order) else { return };
-        let stamp = frame.stamp;
-        let searched = frame.take_searched();
-        let (time, budget) = (time_of(&self.planning, &stamp), self.budget(&stamp));
-        let Some(frame) = self.frames.get_mut(order) else { return };
-        let (reader, tracker) = (&mut self.reader, &mut self.tracker);
-        let updates = frame.with_parts(|frame, parts| {
-            let answered = searched.iter().filter_map(|index| answered(frame, *index));
-            let answered: Vec<AnsweredView<'_>> = answered.collect();
-            let best_views = reader.best_views(&frame.held);
-            tracker.region_pass(time, parts, &answered, &best_views, budget)
-        });
-        let Some(frame) = self.frames.get(order) else { return };
-        let records = searched.iter().filter_map(|index| frame.records.get(index));
-        let updates = self.caused_by(updates, records);
-        self.publish(&stamp, updates, outputs);
-    }
-
-    /// Runs a pass over all of a complete frame, and publishes what it finds.
-    pub(super) fn measure(&mut self, order: FrameOrder, outputs: &mut Outputs, pass: RecordsPass) {
+    /// A pass over records of a frame: over those of the views `searched`, or over all that count.
+    /// Publishes what it finds.
+    pub(super) fn measure(
+        &mut self,
+        order: FrameOrder,
+        pass: Pass,
+        searched: Option<Vec<u32>>,
+        outputs: &mut Outputs,
+    ) {
         let Some(stamp) = self.frames.get(order).map(|frame| frame.stamp) else { return };
         let (time, budget) = (time_of(&self.planning, &stamp), self.budget(&stamp));
         let Some(frame) = self.frames.get_mut(order) else { return };
         let (reader, tracker) = (&mut self.reader, &mut self.tracker);
         let updates = frame.with_parts(|frame, parts| {
-            let counted = frame.counted().into_iter();
-            let answered: Vec<AnsweredView<'_>> =
-                counted.filter_map(|record| answered(frame, record.header.view_index)).collect();
-            let counts = |view_index| {
-                answered.iter().any(|answer| answer.record.header.view_index == view_index)
-            };
             let mut best_views = reader.best_views(&frame.held);
-            best_views.retain(|_, best| counts(best.view_index));
-            pass(tracker, time, parts, &answered, &best_views, budget)
+            let views = searched.clone().unwrap_or_else(|| {
+                let counted: Vec<u32> = frame.counted_views().collect();
+                best_views.retain(|_, best| counted.contains(&best.view_index));
+                counted
+            });
+            let answered = views.iter().filter_map(|index| answered(frame, *index));
+            let answered: Vec<AnsweredView<'_>> = answered.collect();
+            match pass {
+                Pass::Complete => tracker.final_pass(time, parts, &answered, &best_views, budget),
+                _ => tracker.region_pass(time, parts, &answered, &best_views, budget),
+            }
         });
         let attempts = self.tracker.take_attempts();
         if let Schedule::Virtual(clock) = &mut self.schedule {
             clock.spend(attempts);
         }
         self.begin_background(outputs);
-        self.publish_updates(order, updates, outputs);
+        self.publish_updates(order, updates, searched.as_deref(), outputs);
     }
 
     /// Looks at some places of a complete frame for one of the targets that nothing else has found,
@@ -107,20 +86,29 @@ impl<P: Pixels> Core<P> {
             let views: Vec<_> = frame.places.next().collect();
             tracker.place_pass(time, parts, target, &reader.places(&views))
         });
-        self.publish_updates(order, update.into_iter().collect(), outputs);
+        self.publish_updates(order, update.into_iter().collect(), None, outputs);
         true
     }
 
-    /// Publishes what all of a frame led to.
+    /// Publishes what the views `searched` led to, or all of the frame.
     pub(super) fn publish_updates(
         &mut self,
         order: FrameOrder,
         updates: Vec<Update>,
+        searched: Option<&[u32]>,
         outputs: &mut Outputs,
     ) {
         let Some(frame) = self.frames.get(order) else { return };
         let stamp = frame.stamp;
-        let updates = self.caused_by(updates, frame.records.values());
+        let records: Vec<&Record> = match searched {
+            Some(views) => views.iter().filter_map(|index| frame.records.get(index)).collect(),
+            None => frame.records.values().collect(),
+        };
+        let caused = |update: Update| {
+            let body = &self.tracker.targets()[update.0].body;
+            (update, Cause::of_records(&records, body))
+        };
+        let updates = updates.into_iter().map(caused).collect();
         self.publish(&stamp, updates, outputs);
     }
 }
