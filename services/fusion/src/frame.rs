@@ -69,22 +69,15 @@ pub struct OpenFrame<P> {
     /// That plan, where this process made it.
     plan: Option<Rc<FollowedPlan>>,
     deadline_ns: i64,
-    /// Regions of interest that wait for the direct pass.
-    regions: VecDeque<Region>,
+    /// Regions of interest that wait for the direct pass: their arrivals, which rise with each region
+    /// of any frame, and their places in the plan.
+    regions: VecDeque<(u64, u32)>,
     /// Records that wait for the corner pass over their regions, by the views' places in the plan.
     searched: Vec<u32>,
     /// What views show whose records came before the direct pass has seen them.
     shown: Vec<(u32, Vec<(usize, ViewQuality)>)>,
     /// What direct passes found, where it waits until the frame is complete.
     found: Vec<Outgoing>,
-}
-
-/// A region of interest that was cut.
-#[derive(Debug, Clone, Copy)]
-struct Region {
-    /// Rises with each region of any frame.
-    arrival: u64,
-    view_index: u32,
 }
 
 impl<P> OpenFrame<P> {
@@ -125,8 +118,8 @@ impl<P> OpenFrame<P> {
     /// frames.
     fn next_work(&self) -> Option<Work> {
         let order = self.stamp.order();
-        if let Some(first) = self.regions.front() {
-            return Some(Work::MeasureRegions { arrival: first.arrival, order });
+        if let Some((arrival, _)) = self.regions.front() {
+            return Some(Work::MeasureRegions { arrival: *arrival, order });
         }
         if !self.searched.is_empty() {
             return Some(Work::MeasureRecords { order });

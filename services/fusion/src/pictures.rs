@@ -16,6 +16,12 @@ pub trait Pixels {
     fn pixels(&self) -> &[u8];
 }
 
+impl Pixels for Vec<u8> {
+    fn pixels(&self) -> &[u8] {
+        self
+    }
+}
+
 /// What turns code values into radiance and rays into the right ones.
 #[derive(Debug)]
 pub struct PictureReader {

@@ -7,18 +7,13 @@ use crate::decide::{Choice, Decision};
 use crate::fixtures::*;
 use crate::frame::frames::Keeping;
 use crate::hypothesis::{Hypothesis, Source};
+use crate::output::Cause;
 use crate::schedule::VirtualClock;
 use flockeye_config::Costs;
 use flockeye_contract::{DetectionHeader, ViewKind};
 use flockeye_convert::RadianceCache;
 use flockeye_geometry::filter::TrackState;
 use flockeye_geometry::search::StopRule;
-
-impl Pixels for Vec<u8> {
-    fn pixels(&self) -> &[u8] {
-        self
-    }
-}
 
 const DEADLINE_NS: i64 = 1_000_000_000;
 

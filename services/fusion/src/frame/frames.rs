@@ -15,7 +15,7 @@ use flockeye_geometry::search::{Plan, Purpose, Search};
 use super::parts::Parts;
 use super::plans::Plans;
 use super::views::ViewQuality;
-use super::{OpenFrame, Phase, Region};
+use super::{OpenFrame, Phase};
 use crate::pictures::Pixels;
 use crate::record::Record;
 use crate::work::{Completion, Work};
@@ -176,7 +176,7 @@ impl<P: Pixels> Frames<P> {
             }
             frame.held.add(header, pixels);
             if keeping.keeps_regions && matches!(purpose, Some(Purpose::Gaze(_))) {
-                frame.regions.push_back(Region { arrival, view_index: header.view_index });
+                frame.regions.push_back((arrival, header.view_index));
                 self.arrivals += 1;
             }
         }
@@ -239,7 +239,7 @@ impl<P: Pixels> Frames<P> {
         waits: bool,
     ) {
         let Some(frame) = self.frames.get_mut(&order) else { return };
-        if waits && frame.regions.iter().any(|region| region.view_index == view_index) {
+        if waits && frame.regions.iter().any(|(_, region)| *region == view_index) {
             frame.shown.push((view_index, shows));
         } else {
             frame.held.answered(view_index, &shows);
@@ -252,11 +252,11 @@ impl<P: Pixels> Frames<P> {
     pub fn take_regions(&mut self, order: FrameOrder, most: usize) -> Vec<u32> {
         let others = self.frames.iter().filter(|(other, _)| **other != order);
         let others = others.filter_map(|(_, frame)| frame.regions.front());
-        let until = others.map(|region| region.arrival).min().unwrap_or(u64::MAX);
+        let until = others.map(|(arrival, _)| *arrival).min().unwrap_or(u64::MAX);
         let Some(frame) = self.frames.get_mut(&order) else { return Vec::new() };
-        let due = frame.regions.iter().take_while(|region| region.arrival < until).take(most);
+        let due = frame.regions.iter().take_while(|(arrival, _)| *arrival < until).take(most);
         let due = due.count();
-        frame.regions.drain(..due).map(|region| region.view_index).collect()
+        frame.regions.drain(..due).map(|(_, view_index)| view_index).collect()
     }
 
     /// Notes what those views of a frame show that have waited for the direct pass.

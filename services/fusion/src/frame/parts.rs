@@ -1,9 +1,43 @@
 //! How far the measurement of each target has come in one frame.
 
+use flockeye_imaging::align::{AlignError, Alignment};
 use nalgebra::Isometry3;
 
-use crate::measure::inputs::{Attempt, RejectedAlignment};
 use crate::measurement::Measurement;
+use crate::policy::TimeBudget;
+
+/// The inputs of an attempt, as far as they decide whether a retry can find anything new.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Attempt {
+    /// The view that was read.
+    pub view_index: Option<u32>,
+    /// The number of rays of decoded corners. A frame's records only add to it.
+    pub decoded: usize,
+    /// The number of rays of squares that are probably markers.
+    pub candidates: usize,
+    /// How much time there was.
+    pub budget: TimeBudget,
+}
+
+impl Attempt {
+    /// Whether an attempt with these inputs is pointless after `failed` found nothing. A spent
+    /// budget allows only the first start, so it adds nothing to an attempt that had time.
+    pub fn is_pointless_after(&self, failed: &Self) -> bool {
+        (Self { budget: failed.budget, ..*self } == *failed)
+            && (self.budget == failed.budget || self.budget == TimeBudget::Overspent)
+    }
+}
+
+/// What a direct pass found and did not accept, whether it is the body or not.
+#[derive(Debug, Clone)]
+pub struct RejectedAlignment {
+    /// The prediction that it started from, `camera_from_markers`.
+    pub predicted: Isometry3<f64>,
+    /// The view's place in the plan.
+    pub view_index: u32,
+    /// What it led to.
+    pub found: Result<Box<Alignment>, AlignError>,
+}
 
 /// How far a target's measurement in one frame has come.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -40,6 +74,14 @@ impl Part {
     /// Whether the target's pose in the frame has left.
     pub fn is_published(&self) -> bool {
         matches!(self.status, Status::Published { .. })
+    }
+
+    /// The inputs of the last attempt, if that failed.
+    pub fn failed(&self) -> Option<Attempt> {
+        match self.status {
+            Status::Failed(attempt) => Some(attempt),
+            Status::Pending | Status::Published { .. } => None,
+        }
     }
 
     /// The pose that the direct pass published, `camera_from_markers`.

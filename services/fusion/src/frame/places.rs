@@ -10,8 +10,6 @@ use flockeye_geometry::search::PROPOSAL_FIELD_RADII;
 use flockeye_geometry::view::View;
 use flockeye_imaging::align::Place;
 
-use crate::pictures::Pixels;
-
 /// Places that are searched in one step, by as many threads. All of a frame would take longer than
 /// a stage may go without a sign of life.
 const AT_ONCE: usize = 2;
@@ -19,26 +17,16 @@ const AT_ONCE: usize = 2;
 /// Views of the places of one frame.
 #[derive(Debug, Default)]
 pub struct Places {
-    /// By their place in the plan.
-    views: BTreeMap<u32, (ViewHeader, CopiedPixels)>,
+    /// The views with their pixels, row by row, by their place in the plan.
+    views: BTreeMap<u32, (ViewHeader, Vec<u8>)>,
     /// The target that was looked for last at the first places; `None` before the first.
     last_target: Option<usize>,
-}
-
-/// Pixels of a view, row by row.
-#[derive(Debug)]
-pub struct CopiedPixels(Vec<u8>);
-
-impl Pixels for CopiedPixels {
-    fn pixels(&self) -> &[u8] {
-        &self.0
-    }
 }
 
 impl Places {
     /// Keeps a view.
     pub fn add(&mut self, header: ViewHeader, pixels: &[u8]) {
-        self.views.insert(header.view_index, (header, CopiedPixels(pixels.to_vec())));
+        self.views.insert(header.view_index, (header, pixels.to_vec()));
     }
 
     /// How many views are kept.
@@ -52,7 +40,7 @@ impl Places {
     }
 
     /// The views that are searched next.
-    pub fn next(&self) -> impl Iterator<Item = (&ViewHeader, &CopiedPixels)> {
+    pub fn next(&self) -> impl Iterator<Item = (&ViewHeader, &Vec<u8>)> {
         self.views.values().take(AT_ONCE).map(|(header, pixels)| (header, pixels))
     }
 
@@ -98,7 +86,7 @@ mod tests {
     #[test]
     fn places_are_searched_in_the_order_of_the_plan() {
         let places = places([5, 3, 9]);
-        let pixels: Vec<_> = places.next().map(|(_, copied)| copied.0.clone()).collect();
+        let pixels: Vec<_> = places.next().map(|(_, copied)| copied.clone()).collect();
         assert_eq!(pixels, [[3], [5]]);
     }
 

@@ -19,19 +19,13 @@ pub struct HeldViews<P> {
     /// Views without a record yet, by their place in the plan.
     unanswered: BTreeMap<u32, HeldView<P>>,
     /// The best view of each target.
-    best: BTreeMap<usize, BestHeldView<P>>,
+    best: BTreeMap<usize, (ViewQuality, HeldView<P>)>,
 }
 
 #[derive(Debug)]
 struct HeldView<P> {
     header: ViewHeader,
     pixels: Rc<P>,
-}
-
-#[derive(Debug)]
-struct BestHeldView<P> {
-    quality: ViewQuality,
-    view: HeldView<P>,
 }
 
 /// How much a view shows of a target. No two views of a frame are equal, so the best one does not
@@ -154,18 +148,17 @@ impl<P> HeldViews<P> {
         let Some(HeldView { header, pixels }) = self.unanswered.remove(&view_index) else { return };
         for &(target, quality) in shows {
             let known = self.best.get(&target);
-            if known.is_none_or(|known| quality.is_above(&known.quality)) {
+            if known.is_none_or(|(known, _)| quality.is_above(known)) {
                 let view = HeldView { header, pixels: pixels.clone() };
-                self.best.insert(target, BestHeldView { quality, view });
+                self.best.insert(target, (quality, view));
             }
         }
     }
 
     /// The best views of the targets, and how good they are.
     pub fn best(&self) -> impl Iterator<Item = (usize, &ViewQuality, &ViewHeader, &P)> {
-        self.best.iter().map(|(&target, BestHeldView { quality, view })| {
-            (target, quality, &view.header, &*view.pixels)
-        })
+        let best = self.best.iter();
+        best.map(|(&target, (quality, view))| (target, quality, &view.header, &*view.pixels))
     }
 
     /// Releases a target's best view, because the target is measured.

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use flockeye_geometry::body::Body;
 use flockeye_geometry::pose::{CornerRay, PoseOptions, PoseSolution, choose, solve};
-use flockeye_imaging::align::{AlignError, Alignment, Place};
+use flockeye_imaging::align::Place;
 use nalgebra::Isometry3;
 
 use super::Row;
@@ -12,6 +12,7 @@ use super::comparison::Comparison;
 use crate::account::{Pass, Trial};
 use crate::aligner::{Aligner, BestView, Sought, Start};
 use crate::decide::{self, Decision};
+use crate::frame::parts::{Attempt, Part};
 use crate::hypothesis::{CornerPose, Hypothesis, Source};
 use crate::policy::TimeBudget;
 use crate::track_prior::TrackPrior;
@@ -31,28 +32,6 @@ pub struct Permit {
     pub is_deferred: bool,
     /// Whether the target may be searched for round its prediction where nothing else finds it.
     pub may_search: bool,
-}
-
-/// What a direct pass found and did not accept, whether it is the body or not.
-#[derive(Debug, Clone)]
-pub struct RejectedAlignment {
-    /// The prediction that it started from, `camera_from_markers`.
-    pub predicted: Isometry3<f64>,
-    /// The view's place in the plan.
-    pub view_index: u32,
-    /// What it led to.
-    pub found: Result<Box<Alignment>, AlignError>,
-}
-
-/// What the frame's earlier passes did for the target.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct Earlier<'f> {
-    /// The inputs of the last attempt, if it failed.
-    pub failed: Option<Attempt>,
-    /// What the direct pass found but did not accept.
-    pub rejected: Option<&'f RejectedAlignment>,
-    /// The inputs of the background pass that was asked for.
-    pub background: Option<Attempt>,
 }
 
 /// What a frame offers to measure one target by.
@@ -76,27 +55,8 @@ pub struct Inputs<'f> {
     pub place: Option<Place>,
     /// What may be done.
     pub permit: Permit,
-    /// What was done before.
-    pub earlier: Earlier<'f>,
-}
-
-/// The inputs of an attempt, as far as they decide whether a retry can find anything new.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Attempt {
-    view_index: Option<u32>,
-    /// Numbers of rays: a frame's records only add to them.
-    decoded: usize,
-    candidates: usize,
-    budget: TimeBudget,
-}
-
-impl Attempt {
-    /// Whether an attempt with these inputs is pointless after `failed` found nothing. A spent
-    /// budget allows only the first start, so it adds nothing to an attempt that had time.
-    fn is_pointless_after(&self, failed: &Self) -> bool {
-        (Self { budget: failed.budget, ..*self } == *failed)
-            && (self.budget == failed.budget || self.budget == TimeBudget::Overspent)
-    }
+    /// The target's part in the frame: what earlier passes did. `None` where that does not count.
+    pub part: Option<&'f Part>,
 }
 
 impl<'f> Inputs<'f> {
@@ -119,7 +79,7 @@ impl<'f> Inputs<'f> {
             best_view: Some(view),
             place: None,
             permit: Permit { row, budget, is_deferred: false, may_search: false },
-            earlier: Earlier::default(),
+            part: None,
         }
     }
 }
@@ -137,7 +97,8 @@ impl Inputs<'_> {
 
     /// Whether an attempt, made from the failed one, is worth its time.
     fn is_new(&self, attempt: impl Fn(&Attempt) -> Attempt) -> bool {
-        self.earlier.failed.is_none_or(|failed| !attempt(&failed).is_pointless_after(&failed))
+        let failed = self.part.and_then(Part::failed);
+        failed.is_none_or(|failed| !attempt(&failed).is_pointless_after(&failed))
     }
 
     /// Measures the target: by the picture from the starts of the pass, and by corners alone. The
@@ -249,7 +210,7 @@ impl Inputs<'_> {
     /// What the direct pass found from the same start in the same view.
     fn rejected_start(&self, predicted: &Isometry3<f64>) -> Option<(Source, Start)> {
         let view_index = self.best_view?.view_index;
-        let rejected = self.earlier.rejected?;
+        let rejected = self.part?.rejected.as_ref()?;
         let is_same = rejected.view_index == view_index && rejected.predicted == *predicted;
         is_same.then(|| (Source::DirectPass, Start::Tried(rejected.found.clone())))
     }
@@ -258,7 +219,7 @@ impl Inputs<'_> {
     pub fn wants_background(&self) -> bool {
         let has_time =
             self.permit.budget == TimeBudget::OneFrame || self.prior.confirmed().is_none();
-        let asked = self.earlier.background;
+        let asked = self.part.and_then(|part| part.background);
         self.permit.is_deferred
             && has_time
             && asked.is_none_or(|asked| !self.attempt().is_pointless_after(&asked))
@@ -325,7 +286,7 @@ mod tests {
             best_view: None,
             place: None,
             permit: Permit { row, budget, is_deferred: false, may_search: false },
-            earlier: Earlier::default(),
+            part: None,
         };
         inputs.measure(&aligner(&bodies)).measurement()
     }

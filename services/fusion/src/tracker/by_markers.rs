@@ -7,7 +7,7 @@ use crate::account::{AccountEntry, NotRun, Pass};
 use crate::decide::outcome::Outcome;
 use crate::frame::parts::{Part, Parts, Status};
 use crate::measure::background::Subject;
-use crate::measure::inputs::{Earlier, Inputs, Permit};
+use crate::measure::inputs::{Inputs, Permit};
 use crate::measure::{AnsweredView, BestViews, RoundSearch, Row};
 use crate::measurement::{MeasuredBy, candidate_rays, decoded_rays};
 use crate::parallel;
@@ -168,14 +168,6 @@ impl Tracker {
             let is_tracked = prior.predicted().is_some();
             return Err(if is_tracked { NotRun::NoView } else { NotRun::NothingKnown });
         }
-        let earlier = Earlier {
-            failed: match part.status {
-                Status::Failed(attempt) => Some(attempt),
-                Status::Pending | Status::Published { .. } => None,
-            },
-            rejected: part.rejected.as_ref(),
-            background: part.background,
-        };
         Ok(Inputs {
             target,
             body,
@@ -186,7 +178,7 @@ impl Tracker {
             best_view,
             place: None,
             permit,
-            earlier,
+            part: Some(part),
         })
     }
 

@@ -4,8 +4,8 @@ use super::{FrameTime, Tracker, Update};
 use crate::account::{AccountEntry, NotRun, Pass, Trial};
 use crate::decide::Verdict;
 use crate::decide::outcome::Outcome;
-use crate::frame::parts::{Part, Parts, Status};
-use crate::measure::inputs::{Inputs, RejectedAlignment};
+use crate::frame::parts::{Part, Parts, RejectedAlignment, Status};
+use crate::measure::inputs::Inputs;
 use crate::measure::{Region, Row};
 use crate::parallel;
 

@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 use super::*;
 use crate::measure::Row;
-use crate::measure::inputs::{Earlier, Permit};
+use crate::measure::inputs::Permit;
 use crate::track_prior::TrackPrior;
 use flockeye_geometry::body::squares;
 use flockeye_geometry::pose::PosePrior;
@@ -46,7 +46,7 @@ fn with_requests(
                 is_deferred: true,
                 may_search: false,
             },
-            earlier: Earlier::default(),
+            part: None,
         };
         queue.request(subject(target), &inputs)
     };
