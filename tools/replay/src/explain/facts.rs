@@ -3,20 +3,18 @@
 use std::path::Path;
 
 use flockeye_config::Resolved;
-use flockeye_contract::{
-    MeasuredBy, NONE, Pose, Search, StopReason, Track, TrackState, ViewHeader, ViewKind,
-};
-use flockeye_convert::{at_exposure, isometry, matrix6, pose, view_of};
+use flockeye_contract::{MeasuredBy, NONE, Search, StopReason, Track, TrackState, ViewKind};
+use flockeye_convert::{at_exposure, isometry, matrix6, view_of};
 use flockeye_geometry::Ray;
 use flockeye_geometry::body::Body;
 use flockeye_geometry::filter;
 use flockeye_geometry::pose::PoseDeviations;
 use flockeye_geometry::view::View;
-use nalgebra::{Isometry3, Matrix6, Unit, Vector3};
+use nalgebra::{Isometry3, Unit, Vector3};
 
 use super::explanation::{
-    BeforeFacts, Deviations, Explanation, FrameFacts, Latency, MarkerFacts, PoseFacts, Reliance,
-    ResidualOf, ResultFacts, Step, TruthFacts, ViewFacts,
+    BeforeFacts, Explanation, FrameFacts, Latency, MarkerFacts, Reliance, ResultFacts, Step,
+    TruthFacts, ViewFacts,
 };
 use super::gathered::FrameMessages;
 use super::known::{FrameKnowledge, ReplayOutcome};

@@ -50,7 +50,7 @@ pub struct TrackBefore {
 
 impl TrackBefore {
     /// Asks `core` for the track of a target, before the first message about a frame.
-    fn of(core: &Core<RecordedPixels>, target: usize, stamp: &FrameStamp) -> Self {
+    pub(super) fn of(core: &Core<RecordedPixels>, target: usize, stamp: &FrameStamp) -> Self {
         let tracker = core.tracker();
         let predicted = tracker.prediction(target, stamp.exposure_s());
         Self {

@@ -13,7 +13,7 @@ use crate::replay::{NO_JOURNAL, Replay, names_message};
 const ANSWER_FRAMES: usize = 4;
 
 /// The replay of a recording up to one frame.
-struct Session {
+pub(super) struct Session {
     target: usize,
     stamp: FrameStamp,
     state: State,
@@ -30,7 +30,7 @@ enum State {
 }
 
 impl Session {
-    fn begin(resolved: &Resolved, target: usize, stamp: FrameStamp) -> Self {
+    pub(super) fn begin(resolved: &Resolved, target: usize, stamp: FrameStamp) -> Self {
         let state = match Replay::new(resolved) {
             Err(error) => State::Impossible(format!("{error:#}")),
             Ok(mut replay) => {
@@ -42,7 +42,7 @@ impl Session {
     }
 
     /// Takes a message, until the frame is over and the answer of its background pass has come.
-    fn on(&mut self, message: Message, utc_ns: u64, gathered: &FrameMessages) {
+    pub(super) fn on(&mut self, message: Message, utc_ns: u64, gathered: &FrameMessages) {
         let State::UnderWay(replay) = &mut self.state else { return };
         let order: FrameOrder = self.stamp.order();
         // This is the first entry about the frame.
@@ -71,7 +71,7 @@ impl Session {
     }
 
     /// The result of the replay, the track before the frame, and the account of the frame.
-    fn finish(self) -> (ReplayOutcome, Option<TrackBefore>, Vec<AccountEntry>) {
+    pub(super) fn finish(self) -> (ReplayOutcome, Option<TrackBefore>, Vec<AccountEntry>) {
         let Self { stamp, state, before, decisions, .. } = self;
         let impossible =
             |reason: &str| (ReplayOutcome::Impossible(reason.to_owned()), None, Vec::new());
