@@ -22,11 +22,9 @@ use flockeye_config::{Flow, Pipeline, Resolved};
 use flockeye_contract::{DetectionHeader, FrameHeader, PixelFormat, Track, ViewHeader};
 use flockeye_convert::projection_of;
 use flockeye_detection::core::Core as Detection;
-use flockeye_fusion::background_runner::BackgroundRunner;
-use flockeye_fusion::core::{Event as FusionEvent, Outputs};
-use flockeye_fusion::frame_assembly::Record;
-use flockeye_fusion::pictures::Pixels;
-use flockeye_fusion::settings::{Configured, configured};
+use flockeye_fusion::{
+    BackgroundRunner, Configured, Event as FusionEvent, Outputs, Pixels, Record, configured,
+};
 use flockeye_rectification::core::{Action, Core as Rectification, CutOrder, Event};
 use flockeye_rectification::cpu::CpuRectifier;
 use flockeye_rectification::cutting::{Cutter, view_header};
