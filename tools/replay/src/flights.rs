@@ -137,7 +137,7 @@ fn contract_message<H: bytemuck::Pod, I: bytemuck::Pod>(
 }
 
 /// The camera has turned by this angle about its vertical axis, radians.
-pub fn rotation(sequence: u64, turn: f64) -> Rotation {
+fn rotation(sequence: u64, turn: f64) -> Rotation {
     let spread =
         |variance: f64| std::array::from_fn(|place| if place % 4 == 0 { variance } else { 0.0 });
     Rotation {

@@ -3,7 +3,8 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "of the flights")]
 
 use super::*;
-use crate::flights::{Recording, flown, flown_on, resolved, rotation};
+use crate::fixtures::region_end;
+use crate::flights::{Recording, flown, flown_on, resolved};
 use flockeye_contract::{FrameStamp, JournalHeader, MAX_JOURNAL_ENTRIES};
 
 fn tried(recording: Recording) -> anyhow::Result<ReplayReport> {
