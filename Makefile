@@ -34,7 +34,7 @@ run: setup
 	$(TESTED) --workspace --exclude flockeye-tests $(addprefix --bin ,$(NEEDED))
 	target/tested/flockeye up --for $(FOR)
 	$(TESTED) --workspace --exclude flockeye-tests --bins
-	target/tested/flockeye up --flow lossless $(GUSTS)
+	target/tested/flockeye up --profile repeat $(GUSTS)
 
 build: setup
 	cargo build --release --workspace --locked

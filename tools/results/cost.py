@@ -41,7 +41,7 @@ def fly(flockeye, sets):
     instance = f"cost{os.getpid()}"
     poses = Path(f"/tmp/{instance}.csv")
     settings = [f"instance={instance}", "gateway.enabled=false", f"simulator.frames={FRAMES}", *sets]
-    command = [flockeye, "up", "--flow", "lossless", "--poses", str(poses)]
+    command = [flockeye, "up", "--profile", "repeat", "--poses", str(poses)]
     command += [part for setting in settings for part in ("--set", setting)]
     launcher = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
 

@@ -43,8 +43,8 @@ def quiet(instance):
 
 QUIET = quiet("results")
 WAYS = {
-    "lossless": "every frame, `--flow lossless`, in the time that flight has by `search.costs`",
-    "real time": "the camera's own rate, `--flow latest`",
+    "lossless": "every frame, `--profile repeat`, in the time that flight has by `search.costs`",
+    "real time": "the camera's own rate, `--profile flight`",
 }
 
 # Name: what it is, the recording below the data folder, settings, and the ways it is flown.
@@ -56,7 +56,7 @@ RECORDINGS = {
     "flight4-sensor": ("`flight4` with its inertial sensor", "flight4/flight4.mp4", "flight4/truth.csv",
                        ["inertial.source={data}/flight4/imu.csv"], ["lossless", "real time"]),
     "stills": ("20 rendered stills, each for itself", "stills/images", "stills/truth.csv",
-               ["fusion.filter=none"], ["lossless"]),
+               ["profile=stills"], ["lossless"]),
 }
 # In gusts the simulator takes several frames' time to draw one: not in real time.
 GUSTS = ["simulator.tilt_deg=15", "simulator.yaw_deg_s=30", "simulator.yaw_swing_deg_s=60",
@@ -74,7 +74,7 @@ SIMULATED = {
 for name, stops, words in (("bright", 3, "3 stops too much"), ("dark", -4, "4 stops too little")):
     light = f"simulator.exposure_stops={stops}"
     SIMULATED[name] = (f"single images exposed by {words}",
-                       ["fusion.filter=none", light, "simulator.distance_m=[0.6,4.0]",
+                       ["profile=stills", light, "simulator.distance_m=[0.6,4.0]",
                         "simulator.frames_per_second=2"], range(2101, 2111), 25, ["lossless"])
     SIMULATED[f"{name}flight"] = (f"flights exposed by {words}", [light, "simulator.distance_m=[0.8,2.6]"],
                                   range(2101, 2107), 60, ["lossless"])
@@ -296,8 +296,8 @@ def evaluated(poses, truth, rotations=None):
 def flight_command(arguments, way, name, truth, instance="results"):
     """The command of one flight, and where it writes its poses, its truth and, if it is simulated, its rotations."""
     poses = WORK / f"{name}.csv"
-    flow = "lossless" if way == "lossless" else "latest"
-    command = ["up", *arguments, "--flow", flow, *quiet(instance), "--poses", str(poses)]
+    profile = "repeat" if way == "lossless" else "flight"
+    command = ["up", *arguments, "--profile", profile, *quiet(instance), "--poses", str(poses)]
     rotations = None
     if truth is None:
         truth, rotations = (WORK / f"{name}-{table}.csv" for table in ("truth", "rotations"))
@@ -314,7 +314,7 @@ def fly(*flight):
     if not counted:
         sys.exit(f"results: {shown(command)} does not say how many frames it searched")
     late = [line for line in done.stderr.splitlines() if re.search("not waited for any more|not ended in time", line)]
-    if late and "lossless" in command:
+    if late and "repeat" in command:
         # Then its poses depend on how busy the machine is.
         sys.exit(f"results: {shown(command)} gave somebody up:\n{late[0]}\nCure: fewer JOBS, or a less busy machine")
     return command, *files, [int(number) for number in counted.groups()]
@@ -496,7 +496,7 @@ def turned(part, data):
         return {}
     before, rotations = machine(), WORK / f"{part}-rotations.csv"
     flight = ["up", "--source", str(data / recording), "--bodies", str(data / "bodies.json"),
-              "--flow", "lossless", *QUIET, "--rotations", str(rotations)]
+              "--profile", "repeat", *QUIET, "--rotations", str(rotations)]
     judged = ["eval", "--rotations", str(rotations), "--gyro", str(data / gyroscope)]
     print(f"  {shown(flight)}", file=sys.stderr, flush=True)
     call(flight)

@@ -4,8 +4,8 @@ use std::ffi::OsString;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use clap::{Args, ValueEnum};
-use flockeye_config::Pipeline;
+use clap::Args;
+use flockeye_config::{Flow, Pipeline, Profile, says_how_it_runs};
 
 /// The arguments that choose a configuration.
 #[derive(Debug, Clone, Args)]
@@ -20,21 +20,16 @@ pub struct Configuration {
     /// The bodies, a JSON file of marker ids and corner positions.
     #[arg(long, value_name = "FILE")]
     pub bodies: Option<PathBuf>,
-    /// latest (flight) or lossless (evaluation).
-    #[arg(long)]
-    pub flow: Option<FlowChoice>,
+    /// How it runs: flight (in real time), repeat (every frame, in the time that flight has), unlimited
+    /// (every frame, however long it takes) or stills (every frame for itself).
+    #[arg(long, value_name = "NAME", value_parser = Profile::ALL.map(Profile::name))]
+    pub profile: Option<String>,
+    /// Replaced by --profile: latest is flight, lossless is repeat (or stills with fusion.filter: none).
+    #[arg(long, hide = true, conflicts_with = "profile", value_parser = ["latest", "lossless"])]
+    pub flow: Option<String>,
     /// Override any key of the configuration.
     #[arg(long = "set", value_name = "KEY.PATH=VALUE")]
     pub set: Vec<String>,
-}
-
-/// How frames flow.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum FlowChoice {
-    /// The newest frame wins.
-    Latest,
-    /// Every frame is processed.
-    Lossless,
 }
 
 /// Reads a duration such as `20s`, `5m` or `1h`.
@@ -70,6 +65,32 @@ impl Configuration {
         Ok(pipeline)
     }
 
+    /// Whether the command line says how the pipeline runs. `--flow lossless` alone leaves it open whether
+    /// frames stand for themselves.
+    pub fn says_profile(&self) -> bool {
+        let of_settings = self.set.iter().any(|setting| says_how_it_runs(setting));
+        self.profile.is_some() || of_settings || self.flow.as_deref() == Some("latest")
+    }
+
+    /// The same configuration in a profile that works on every frame: the one it says, with `defaults`
+    /// below it, and `repeat` where that is for flight.
+    ///
+    /// # Errors
+    /// Everything that is wrong with it.
+    pub fn with_every_frame(self, defaults: &[String]) -> anyhow::Result<Self> {
+        let said = self.load_with(defaults, &[])?;
+        Ok(match said.flow() {
+            Flow::Latest => self.in_profile(Profile::Repeat),
+            Flow::Lossless => self,
+        })
+    }
+
+    /// The same configuration in another profile than the command line says.
+    pub fn in_profile(mut self, profile: Profile) -> Self {
+        self.set.retain(|setting| !says_how_it_runs(setting));
+        Self { profile: Some(profile.name().to_owned()), flow: None, ..self }
+    }
+
     /// Arguments with which another process loads what [`Configuration::load_with`] loads here.
     pub fn to_arguments(&self, defaults: &[String], fixed: &[String]) -> Vec<OsString> {
         let overrides = [defaults, &self.overrides(), fixed].concat();
@@ -78,7 +99,7 @@ impl Configuration {
         set.chain(path).collect()
     }
 
-    /// `--source`, `--bodies` and `--flow` as settings, then those of `--set`.
+    /// `--source`, `--bodies`, `--profile` and `--flow` as settings, then those of `--set`.
     fn overrides(&self) -> Vec<String> {
         // JSON strings are YAML: special characters in the text keep no meaning.
         let quoted = |text: &str| serde_json::Value::from(text).to_string();
@@ -87,11 +108,10 @@ impl Configuration {
             .bodies
             .as_ref()
             .map(|file| format!("bodies.file={}", quoted(&file.to_string_lossy())));
-        let flow = self.flow.map(|flow| match flow {
-            FlowChoice::Latest => "flow=latest".to_owned(),
-            FlowChoice::Lossless => "flow=lossless".to_owned(),
-        });
-        [source, bodies, flow].into_iter().flatten().chain(self.set.iter().cloned()).collect()
+        let profile = self.profile.as_ref().map(|profile| format!("profile={profile}"));
+        let flow = self.flow.as_ref().map(|flow| format!("flow={flow}"));
+        let shortcuts = [source, bodies, profile, flow].into_iter().flatten();
+        shortcuts.chain(self.set.iter().cloned()).collect()
     }
 }
 
@@ -114,10 +134,34 @@ mod tests {
     #[test]
     fn shortcuts_are_overrides() {
         let arguments =
-            ["--source", "a: b ! c", "--flow", "lossless", "--set", "search.mode=greedy"];
+            ["--source", "a: b ! c", "--profile", "repeat", "--set", "search.mode=greedy"];
         let pipeline = parsed(&arguments).load_with(&[], &[]).unwrap();
         assert_eq!(pipeline.source.input, "a: b ! c");
-        assert_eq!(pipeline.flow, flockeye_config::Flow::Lossless);
+        assert_eq!(pipeline.profile, Profile::Repeat);
+        assert!(Program::try_parse_from(["program", "--profile", "fast"]).is_err());
+    }
+
+    #[test]
+    fn the_former_way_to_say_how_it_runs_is_understood() {
+        let profile = |arguments: &[&str]| parsed(arguments).load().map(|read| read.profile);
+        assert_eq!(profile(&["--flow", "lossless"]).unwrap(), Profile::Repeat);
+        let stills = ["--flow", "lossless", "--set", "fusion.filter=none"];
+        assert_eq!(profile(&stills).unwrap(), Profile::Stills);
+        let both = ["program", "--flow", "lossless", "--profile", "repeat"];
+        assert!(Program::try_parse_from(both).is_err());
+        let both = ["--flow", "lossless", "--set", "profile=repeat"];
+        let refused = profile(&both).unwrap_err().to_string();
+        assert!(refused.contains("--set flow=lossless: flow"), "{refused}");
+    }
+
+    #[test]
+    fn another_profile_replaces_all_that_the_command_line_says_of_it() {
+        let stills =
+            ["--flow", "lossless", "--set", "fusion.filter=none", "--set", "simulator.seed=7"];
+        let own = parsed(&stills);
+        assert!(own.says_profile() && !parsed(&["--flow", "lossless"]).says_profile());
+        let other = own.in_profile(Profile::Unlimited).load().unwrap();
+        assert_eq!((other.profile, other.simulator.seed), (Profile::Unlimited, 7));
     }
 
     #[test]

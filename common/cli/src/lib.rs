@@ -24,5 +24,5 @@ pub mod signals;
 pub mod text_table;
 pub mod workshop;
 
-pub use arguments::{Configuration, FlowChoice, duration};
+pub use arguments::{Configuration, duration};
 pub use screen::Screen;

@@ -60,6 +60,21 @@ impl Node {
         }
     }
 
+    /// A document of JSON, as programs write it. All of it has the same place.
+    pub fn from_json(value: Value) -> Self {
+        let origin = Origin::File { line: 1, column: 1 };
+        let data = match value {
+            Value::Array(items) => Data::List(items.into_iter().map(Self::from_json).collect()),
+            Value::Object(entries) => {
+                let entry =
+                    |(name, value)| (Key { origin: origin.clone(), name }, Self::from_json(value));
+                Data::Section(entries.into_iter().map(entry).collect())
+            }
+            scalar => Data::Scalar(scalar),
+        };
+        Self { origin, data }
+    }
+
     /// Replaces, or adds, what stands at a dotted path (`search.mode`, `stages.detection.replicas`).
     ///
     /// # Errors
@@ -135,6 +150,38 @@ impl Node {
             }
         }
         node.origin.clone()
+    }
+
+    /// The value at a dotted path; none where nothing, or an empty value, was written.
+    pub fn get(&self, path: &str) -> Option<&Self> {
+        let mut node = self;
+        for name in path.split('.') {
+            let Data::Section(entries) = &node.data else { return None };
+            node = entries.iter().find(|(key, _)| key.name == name).map(|(_, node)| node)?;
+        }
+        (!matches!(node.data, Data::Scalar(Value::Null))).then_some(node)
+    }
+
+    /// Removes the key at a dotted path, and gives its value; none where it was not written.
+    pub fn take(&mut self, path: &str) -> Option<Self> {
+        let (name, rest) = match path.split_once('.') {
+            Some((name, rest)) => (name, Some(rest)),
+            None => (path, None),
+        };
+        let Data::Section(entries) = &mut self.data else { return None };
+        let index = entries.iter().position(|(key, _)| key.name == name)?;
+        match rest {
+            Some(rest) => entries[index].1.take(rest),
+            None => Some(entries.remove(index).1),
+        }
+    }
+
+    /// Adds a key to this section, which has none of this name.
+    pub fn add(&mut self, name: &str, origin: Origin, value: Value) {
+        if let Data::Section(entries) = &mut self.data {
+            let key = Key { origin: origin.clone(), name: name.to_owned() };
+            entries.push((key, Self { origin, data: Data::Scalar(value) }));
+        }
     }
 
     fn relocate(&mut self, origin: &Origin) {

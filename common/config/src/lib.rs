@@ -8,6 +8,7 @@
 //! | --- | --- |
 //! | `types` | the configuration as types; their comments are the schema's descriptions |
 //! | `document` | YAML as a tree that remembers where each value was written |
+//! | `former_keys` | keys of earlier releases, and what became of them |
 //! | `moved_keys` | sections of the release before that stand elsewhere now |
 //! | `schema` | the document checked against the JSON Schema |
 //! | `meaning` | semantic validation: constraints that no schema can express |
@@ -16,6 +17,7 @@
 //! | `resolve` | what a process computes from a configuration: bodies, camera, views |
 
 mod document;
+mod former_keys;
 mod instance_name;
 mod meaning;
 mod moved_keys;
@@ -25,9 +27,10 @@ mod resolve;
 mod schema;
 mod types;
 
+pub use former_keys::says_how_it_runs;
 pub use instance_name::is_instance_name;
 pub use problem::{ConfigError, Origin, Problem};
-pub use read::{json_schema, read_document};
+pub use read::{FLOW, RESOLVED, json_schema, read_document};
 pub use resolve::{
     BodySetError, CameraSettingError, Division, MaskFileError, ResolveError, Resolved,
     SphereViewsError, bodies, isometry, read_bodies,

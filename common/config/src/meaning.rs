@@ -271,7 +271,7 @@ impl Meaning<'_> {
             );
             self.problem("recording.frames", what);
         }
-        if pipeline.flow == Flow::Lossless && pipeline.source.at_end == AtEnd::Loop {
+        if pipeline.flow() == Flow::Lossless && pipeline.source.at_end == AtEnd::Loop {
             self.problem(
                 "source.at_end",
                 "a lossless run ends with its recording: use stop".into(),
@@ -293,9 +293,9 @@ impl Meaning<'_> {
                 ),
             );
         }
-        if pipeline.flow == Flow::Lossless {
+        if pipeline.flow() == Flow::Lossless {
             let what =
-                "its drones fly by one clock: a lossless run has its own. Cure: flow: latest";
+                "its drones fly by one clock: a lossless run has its own. Cure: profile: flight";
             self.problem(path, what.into());
         }
         let [x, y, z, _] = pipeline.observer.observer_from_camera.orientation;
@@ -329,9 +329,9 @@ impl Meaning<'_> {
                 path,
                 "a recorded sensor belongs to a recording, not to source.input: sim".into(),
             ),
-            Ok(InertialSource::Mavlink(_)) if pipeline.flow == Flow::Lossless => self.problem(
+            Ok(InertialSource::Mavlink(_)) if pipeline.flow() == Flow::Lossless => self.problem(
                 path,
-                "a lossless run is not in real time, an autopilot is: use flow: latest".into(),
+                "a lossless run is not in real time, an autopilot is: use profile: flight".into(),
             ),
             Ok(_) => {}
         }

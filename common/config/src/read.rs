@@ -6,9 +6,9 @@ use schemars::JsonSchema;
 use serde::de::DeserializeOwned;
 
 use crate::document::Node;
-use crate::problem::{ConfigError, Problem, Problems};
+use crate::problem::{ConfigError, Origin, Problem, Problems};
 use crate::types::{InertialSource, Pipeline, Security};
-use crate::{meaning, moved_keys, schema};
+use crate::{former_keys, meaning, moved_keys, schema};
 
 impl Pipeline {
     /// Reads a configuration file, with overrides (`key.path=value`) on top. Relative paths in the
@@ -73,6 +73,9 @@ impl Pipeline {
             }
         }
         moved_keys::translate(&mut document, &mut problems);
+        let mut notices = Vec::new();
+        former_keys::translate(&mut document, &mut problems, &mut notices);
+        former_keys::warn(notices);
         schema::check(&document, json_schema().as_value(), &mut problems);
         if problems.0.is_empty() {
             match serde_json::from_value::<Self>(document.to_json()) {
@@ -92,6 +95,43 @@ impl Pipeline {
         Err(refused(problems.0))
     }
 }
+
+impl Pipeline {
+    /// Reads the `pipeline.json` of a running instance or of a recording, which may be of an earlier
+    /// release. It was checked when it was written, and files that it names may be gone by now.
+    ///
+    /// # Errors
+    /// What is no configuration of this release or the one before it.
+    pub fn from_json(json: &[u8]) -> Result<Self, ConfigError> {
+        let refused = |problem| ConfigError::Problems {
+            name: "pipeline.json".to_owned(),
+            problems: vec![problem],
+        };
+        let wrong = |error: serde_json::Error| {
+            refused(Problem::new(Origin::File { line: 1, column: 1 }, "", error.to_string()))
+        };
+        let mut document = Node::from_json(serde_json::from_slice(json).map_err(wrong)?);
+        // What follows from the rest is for others, and worked out anew here.
+        document.take(RESOLVED);
+        if document.get("profile").is_some() {
+            document.take(FLOW);
+        }
+        let mut problems = Problems::default();
+        // Nobody can change what is written, so the notices are for nobody.
+        former_keys::translate(&mut document, &mut problems, &mut Vec::new());
+        match problems.0.into_iter().next() {
+            Some(problem) => Err(refused(problem)),
+            None => serde_json::from_value(document.to_json()).map_err(wrong),
+        }
+    }
+}
+
+/// The section of `pipeline.json` with what follows from the configuration, for stages in other
+/// languages.
+pub const RESOLVED: &str = "resolved";
+
+/// The key of `pipeline.json` that tells stages in other languages how frames flow.
+pub const FLOW: &str = "flow";
 
 /// Reads another YAML (or JSON) document than pipeline.yaml, checked in the same way.
 ///

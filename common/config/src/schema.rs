@@ -10,8 +10,13 @@ use crate::problem::{Problem, Problems};
 
 /// Adds everything in `node` that `schema` does not allow to `problems`.
 pub(super) fn check(node: &Node, schema: &Value, problems: &mut Problems) {
+    check_at(node, schema, "", problems);
+}
+
+/// Adds everything in `node`, which stands at the dotted `path`, that `schema` does not allow.
+pub(super) fn check_at(node: &Node, schema: &Value, path: &str, problems: &mut Problems) {
     Checker { definitions: schema.get("$defs").and_then(Value::as_object), problems }
-        .node(node, schema, "");
+        .node(node, schema, path);
 }
 
 struct Checker<'a> {

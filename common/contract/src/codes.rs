@@ -248,7 +248,7 @@ codes! {
         Coasting = 2,
         /// Not measured for too long; the last message of a track.
         Lost = 3,
-        /// Solved from this frame alone (`fusion.filter: none`).
+        /// Solved from this frame alone (`profile: stills`).
         Measured = 4,
     }
 }

@@ -35,14 +35,11 @@ impl Credits {
     /// # Errors
     /// The plans cannot be subscribed to.
     pub fn open(pipeline: &Pipeline, ports: &mut Ports) -> Result<Self, PortError> {
-        let (plans, state) = match pipeline.flow {
+        let (plans, state) = match pipeline.flow() {
             Flow::Latest => (None, State::Open),
             Flow::Lossless => (Some(ports.subscriber()?), State::Closed),
         };
-        // Fusion itself drops a frame after its deadline, so the source waits longer than that. A single image is searched
-        // beyond it, for each body at each place.
-        let deadlines = if pipeline.has_single_images() { 20 } else { 3 };
-        let patience_ns = deadlines * pipeline.frame_deadline().as_nanos() as i64;
+        let patience_ns = pipeline.answer_deadline().as_nanos() as i64;
         Ok(Self { plans, state, patience_ns })
     }
 

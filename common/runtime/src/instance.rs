@@ -11,8 +11,7 @@ use std::path::{Path, PathBuf};
 use iceoryx2::prelude::*;
 use rustix::fs::{FlockOperation, flock};
 
-use flockeye_config::{Pipeline, Resolved, is_instance_name};
-use serde_json::Value;
+use flockeye_config::{ConfigError, FLOW, Pipeline, RESOLVED, Resolved, is_instance_name};
 
 use crate::kept::{self, KeptProcess};
 use crate::resolved_file;
@@ -26,9 +25,6 @@ pub const STAGE_VARIABLE: &str = "FLOCKEYE_STAGE";
 pub const REPLICA_VARIABLE: &str = "FLOCKEYE_REPLICA";
 /// Environment variable with the number of times the process was replaced.
 pub const GENERATION_VARIABLE: &str = "FLOCKEYE_GENERATION";
-
-/// The section of `pipeline.json` with what follows from the configuration.
-const RESOLVED: &str = "resolved";
 
 const SHM_FOLDER: &str = "/dev/shm";
 
@@ -114,7 +110,7 @@ pub enum InstanceError {
         /// The file.
         path: PathBuf,
         /// What is wrong.
-        error: serde_json::Error,
+        error: ConfigError,
     },
 }
 
@@ -274,13 +270,14 @@ impl Instance {
     /// # Errors
     /// The files cannot be written.
     pub fn write_configuration(&self, resolved: &Resolved) -> Result<(), InstanceError> {
-        let failed = |error| InstanceError::Resolved { path: self.pipeline_file(), error };
-        let mut written = serde_json::to_value(&resolved.pipeline).map_err(failed)?;
+        let failed = |error: io::Error| InstanceError::File { path: self.pipeline_file(), error };
+        let mut written =
+            serde_json::to_value(&resolved.pipeline).map_err(|error| failed(error.into()))?;
+        written[FLOW] = resolved.pipeline.flow().name().into();
         written[RESOLVED] = resolved_file::section(resolved);
-        let json = serde_json::to_vec_pretty(&written).map_err(failed)?;
+        let json = serde_json::to_vec_pretty(&written).map_err(|error| failed(error.into()))?;
         // A stage that starts just now reads the old one or the new one, and never half of it.
-        write_whole(&self.pipeline_file(), &json)
-            .map_err(|error| InstanceError::File { path: self.pipeline_file(), error })?;
+        write_whole(&self.pipeline_file(), &json).map_err(failed)?;
         let toml = format!(
             "# For stages in other languages: load this file as iceoryx2's global configuration.\n\
              [global]\nroot-path = {:?}\nprefix = {:?}\n",
@@ -298,13 +295,7 @@ impl Instance {
         let path = self.pipeline_file();
         let json = std::fs::read(&path)
             .map_err(|error| InstanceError::File { path: path.clone(), error })?;
-        let read = || {
-            let mut written: serde_json::Map<String, Value> = serde_json::from_slice(&json)?;
-            // It is for others: this crate works it out by itself.
-            written.remove(RESOLVED);
-            serde_json::from_value(Value::Object(written))
-        };
-        read().map_err(|error| InstanceError::Resolved { path, error })
+        Pipeline::from_json(&json).map_err(|error| InstanceError::Resolved { path, error })
     }
 
     fn pipeline_file(&self) -> PathBuf {

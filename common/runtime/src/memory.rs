@@ -211,7 +211,7 @@ fn late_views(topic: TopicId, pipeline: &Pipeline) -> usize {
     const OF_RECORDED_VIEWS: usize = 32;
     /// Of headers alone, in all.
     const OF_HEADERS: usize = 16;
-    if topic != TopicId::Views || pipeline.flow == Flow::Lossless {
+    if topic != TopicId::Views || pipeline.flow() == Flow::Lossless {
         return 0;
     }
     let recording = &pipeline.recording;
@@ -263,7 +263,7 @@ fn limits(topic: &TopicInfo, resolved: &Resolved, largest_view_px: u32) -> Limit
         buffer: sizes.buffer + late_views(topic.id, pipeline),
         usual_buffer: sizes.buffer,
         // A lossless run waits for fusion: what fusion sees must not depend on when it looks.
-        patience: match pipeline.flow {
+        patience: match pipeline.flow() {
             Flow::Lossless if topic.has_lanes() => Some(pipeline.view_overdue()),
             Flow::Lossless | Flow::Latest => None,
         },
@@ -422,8 +422,8 @@ mod tests {
         assert_eq!(buffers(&[]), (16, 4), "somebody may record headers");
         assert_eq!(buffers(&recorded), (36, 4));
         assert_eq!(buffers(&recorded[1..]), (16, 4), "nothing is recorded");
-        assert_eq!(buffers(&["flow=lossless"]), (4, 4), "who reads is waited for");
-        assert_eq!(buffers(&[recorded[0], recorded[1], "flow=lossless"]), (4, 4));
+        assert_eq!(buffers(&["profile=repeat"]), (4, 4), "who reads is waited for");
+        assert_eq!(buffers(&[recorded[0], recorded[1], "profile=repeat"]), (4, 4));
     }
 
     #[test]

@@ -7,7 +7,7 @@ use std::sync::mpsc;
 use std::thread;
 use std::time::Duration;
 
-use flockeye_config::{Flow, Pipeline, Resolved};
+use flockeye_config::{Pipeline, Profile, Resolved};
 use flockeye_contract::{FrameStamp, ViewHeader, Views};
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::instance::Instance;
@@ -18,8 +18,8 @@ use iceoryx2::prelude::{Node, NodeBuilder, SignalHandlingMode, ipc};
 const SIDE_PX: usize = 8;
 const WATCHDOG: Duration = Duration::from_secs(60);
 
-fn budget(flow: Flow) -> Budget {
-    let mut pipeline = Pipeline { flow, ..Pipeline::default() };
+fn budget(profile: Profile) -> Budget {
+    let mut pipeline = Pipeline { profile, ..Pipeline::default() };
     pipeline.rectification.overdue_ms = 50.0;
     Budget::for_views_of(&Resolved::of(pipeline).unwrap(), SIDE_PX as u32)
 }
@@ -32,22 +32,22 @@ fn node_of(instance: &Instance) -> Rc<Node<ipc::Service>> {
 }
 
 /// Ports of a process of a running instance.
-fn ports_of(instance: &Instance, flow: Flow) -> Ports {
-    Ports::new(node_of(instance), budget(flow), SharedCounters::default())
+fn ports_of(instance: &Instance, profile: Profile) -> Ports {
+    Ports::new(node_of(instance), budget(profile), SharedCounters::default())
 }
 
-fn buffer(flow: Flow) -> u64 {
-    budget(flow).topic::<Views>().usual_buffer as u64
+fn buffer(profile: Profile) -> u64 {
+    budget(profile).topic::<Views>().usual_buffer as u64
 }
 
 /// Runs `body` with an instance of its own, and fails when it does not come back.
-fn with_instance(name: &str, flow: Flow, body: impl FnOnce(&Instance) + Send + 'static) {
+fn with_instance(name: &str, profile: Profile, body: impl FnOnce(&Instance) + Send + 'static) {
     let instance = Instance::named(&format!("test-{name}-{}", std::process::id()));
     let (done, finished) = mpsc::channel();
     let test = thread::spawn(move || {
         let ownership = instance.take().unwrap();
         let node = node_of(&instance);
-        let services = create_services::<Views>(&node, budget(flow).topic::<Views>()).unwrap();
+        let services = create_services::<Views>(&node, budget(profile).topic::<Views>()).unwrap();
         body(&instance);
         drop((services, node, ownership));
         assert!(instance.shared_memory().is_empty(), "{:?}", instance.shared_memory());
@@ -79,12 +79,12 @@ fn received(subscriber: &mut Subscriber<Views>) -> Vec<u64> {
 
 #[test]
 fn in_flight_the_newest_wins_and_nobody_waits() {
-    with_instance("newest", Flow::Latest, |instance| {
-        let mut ports = ports_of(instance, Flow::Latest);
+    with_instance("newest", Profile::Flight, |instance| {
+        let mut ports = ports_of(instance, Profile::Flight);
         let mut reader = ports.subscriber::<Views>().unwrap();
         let publisher = ports.publisher::<Views>().unwrap();
         assert!(reader.connect().unwrap());
-        let all = buffer(Flow::Latest) + 3;
+        let all = buffer(Profile::Flight) + 3;
         (0..all).for_each(|sequence| send(&publisher, sequence));
         assert_eq!(received(&mut reader), (3..all).collect::<Vec<_>>());
     });
@@ -92,13 +92,13 @@ fn in_flight_the_newest_wins_and_nobody_waits() {
 
 #[test]
 fn a_lossless_publisher_waits_for_a_slow_reader() {
-    with_instance("slow", Flow::Lossless, |instance| {
-        let all = 5 * buffer(Flow::Lossless);
+    with_instance("slow", Profile::Repeat, |instance| {
+        let all = 5 * buffer(Profile::Repeat);
         let (ready, is_ready) = mpsc::channel();
         let (full, is_full) = mpsc::channel();
         thread::scope(|scope| {
             let reader = scope.spawn(move || {
-                let mut ports = ports_of(instance, Flow::Lossless);
+                let mut ports = ports_of(instance, Profile::Repeat);
                 let mut reader = ports.subscriber::<Views>().unwrap();
                 ready.send(reader.connect().unwrap()).unwrap();
                 while !reader.connect().unwrap() {
@@ -114,10 +114,10 @@ fn a_lossless_publisher_waits_for_a_slow_reader() {
                 seen
             });
             assert!(!is_ready.recv().unwrap(), "nobody publishes yet");
-            let publisher = ports_of(instance, Flow::Lossless).publisher::<Views>().unwrap();
+            let publisher = ports_of(instance, Profile::Repeat).publisher::<Views>().unwrap();
             assert!(is_ready.recv().unwrap());
             for sequence in 0..all {
-                if sequence == buffer(Flow::Lossless) {
+                if sequence == buffer(Profile::Repeat) {
                     full.send(()).unwrap();
                 }
                 send(&publisher, sequence);
@@ -129,8 +129,8 @@ fn a_lossless_publisher_waits_for_a_slow_reader() {
 
 #[test]
 fn a_reader_that_takes_nothing_costs_a_lossless_publisher_one_wait() {
-    with_instance("dead", Flow::Lossless, |instance| {
-        let mut ports = ports_of(instance, Flow::Lossless);
+    with_instance("dead", Profile::Repeat, |instance| {
+        let mut ports = ports_of(instance, Profile::Repeat);
         let mut dead = ports.subscriber::<Views>().unwrap();
         let mut reader = ports.subscriber::<Views>().unwrap();
         let publisher = ports.publisher::<Views>().unwrap();
@@ -142,7 +142,7 @@ fn a_reader_that_takes_nothing_costs_a_lossless_publisher_one_wait() {
             seen.extend(received(&mut reader));
         }
         assert_eq!(seen, (0..2_000).collect::<Vec<_>>(), "who reads misses nothing");
-        let kept = (0..buffer(Flow::Lossless)).collect::<Vec<_>>();
+        let kept = (0..buffer(Profile::Repeat)).collect::<Vec<_>>();
         assert_eq!(received(&mut dead), kept, "nothing gave way to what came later");
     });
 }
@@ -155,13 +155,13 @@ fn umask() -> String {
 
 #[test]
 fn listeners_that_come_and_go_leave_the_umask_of_other_threads_alone() {
-    with_instance("umask", Flow::Latest, |instance| {
+    with_instance("umask", Profile::Flight, |instance| {
         let before = umask();
         thread::scope(|scope| {
             let listening = [(); 2].map(|()| {
                 scope.spawn(|| {
                     for _ in 0..200 {
-                        ports_of(instance, Flow::Latest).subscriber::<Views>().unwrap();
+                        ports_of(instance, Profile::Flight).subscriber::<Views>().unwrap();
                     }
                 })
             });

@@ -50,7 +50,7 @@ impl Stage for AutopilotStage {
             line: open(settings)?,
             link: settings.link.clone(),
             core: Core::default(),
-            flow: pipeline.flow,
+            flow: pipeline.flow(),
             generation: context.identity.generation,
             counters: context.counters.clone(),
             failures: Throttle::default(),

@@ -37,7 +37,7 @@ impl PacketPort {
         let latency = Duration::try_from_secs_f64(pipeline.camera.latency_ms * 1e-3);
         let latency_ns = latency.map_or(0, |latency| latency.as_nanos() as i64);
         wish.set(port.readers() > 0);
-        let (flow, too_large) = (pipeline.flow, Throttle::default());
+        let (flow, too_large) = (pipeline.flow(), Throttle::default());
         Ok(Self { port, wish, told: 0, flow, latency_ns, generation, too_large })
     }
 

@@ -69,7 +69,7 @@ impl SourceParameters {
     pub fn of(pipeline: &Pipeline) -> Self {
         let seconds = |s: f64| Duration::try_from_secs_f64(s).unwrap_or(Duration::from_secs(1));
         Self {
-            flow: match pipeline.flow {
+            flow: match pipeline.flow() {
                 Flow::Latest => Paced::RealTime,
                 Flow::Lossless => Paced::Lossless,
             },

@@ -62,7 +62,7 @@ impl Stage for CaptureStage {
             packets,
             credits: Credits::open(pipeline, ports)?,
             source,
-            core: Core::new(pipeline.flow, context.identity.generation),
+            core: Core::new(pipeline.flow(), context.identity.generation),
             transfer: resolved.transfer,
             projection: projection_of(&resolved.camera),
             readout_ns: (pipeline.camera.readout_ms * 1e6) as u64,

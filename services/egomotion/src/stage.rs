@@ -35,7 +35,7 @@ impl Stage for EgomotionStage {
             imus: if has_sensor { Some(ports.subscriber()?) } else { None },
             rotations: ports.publisher()?,
             core: Core::new(&context.resolved, context.identity.generation)?,
-            flow: context.resolved.pipeline.flow,
+            flow: context.resolved.pipeline.flow(),
             counters: context.counters.clone(),
             count: RotationCount::default(),
             refusals: Throttle::default(),

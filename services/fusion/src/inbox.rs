@@ -63,10 +63,10 @@ impl Inbox {
             detections: ports.subscriber()?,
             frame_ends: ports.subscriber()?,
             rotations: ports.subscriber()?,
-            flow: pipeline.flow,
+            flow: pipeline.flow(),
             early: Vec::new(),
             turns: AwaitedTurns {
-                waits: pipeline.flow == Flow::Lossless && pipeline.runs(StageName::Egomotion),
+                waits: pipeline.flow() == Flow::Lossless && pipeline.runs(StageName::Egomotion),
                 is_away: false,
                 // A frame itself is given up later.
                 patience_ns: pipeline.frame_deadline().as_nanos() as i64 / 2,

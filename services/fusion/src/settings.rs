@@ -3,7 +3,8 @@
 use std::sync::Arc;
 
 use anyhow::Context as _;
-use flockeye_config::{Filter, Flow, Mode, Pipeline, Resolved, SearchBudget};
+use flockeye_config::{Flow, FrameLimit, Pipeline, Resolved};
+use flockeye_contract as contract;
 use flockeye_convert::RadianceCache;
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::camera::CameraModel;
@@ -70,8 +71,7 @@ pub fn configured<P: Pixels>(
     let aligner = Arc::new(aligner);
     let parallax = Parallax::of(camera, pipeline.camera.assumed_distance_m);
     let filter = filter_choice(pipeline);
-    let is_tracked = matches!(filter, FilterChoice::Tracks(_));
-    let has_background = pipeline.is_limited() && pipeline.fusion.align && is_tracked;
+    let has_background = pipeline.is_limited() && pipeline.fusion.align && pipeline.has_tracks();
     let threads = pipeline.fusion.threads as usize;
     let mut tracker = Tracker::new(bodies, filter, aligner.clone(), threads)
         .with_parallax(parallax.clone())
@@ -80,12 +80,10 @@ pub fn configured<P: Pixels>(
     if has_background {
         tracker = tracker.with_background();
     }
-    let schedule = match (pipeline.flow, pipeline.search.budget) {
-        (Flow::Latest, _) => Schedule::Flight,
-        (Flow::Lossless, SearchBudget::Flight) => {
-            Schedule::Virtual(VirtualClock::new(pipeline.search.costs.clone()))
-        }
-        (Flow::Lossless, SearchBudget::Unlimited) => Schedule::Unlimited,
+    let schedule = match pipeline.limit() {
+        FrameLimit::Time => Schedule::Flight,
+        FrameLimit::Costs => Schedule::Virtual(VirtualClock::new(pipeline.search.costs.clone())),
+        FrameLimit::Unlimited => Schedule::Unlimited,
     };
     let keeping = Keeping {
         deadline_ns: pipeline.frame_deadline().as_nanos() as i64,
@@ -107,16 +105,15 @@ pub fn configured<P: Pixels>(
         Planning::new(planner),
     );
     // In a lossless run a record may come before anything else of its frame.
-    let core = match pipeline.flow {
+    let core = match pipeline.flow() {
         Flow::Latest => core.guarded(pipeline.detection_workers()),
         Flow::Lossless => core,
     };
-    let mode = mode_code(pipeline.search.mode);
     let writer = Writer {
         bodies: bodies.clone(),
         observer_from_camera: *observer_from_camera,
-        flow: pipeline.flow,
-        mode,
+        flow: pipeline.flow(),
+        mode: pipeline.search.mode,
         generation,
     };
     Ok(Configured { core, writer, aligner, has_background })
@@ -133,11 +130,11 @@ fn proposals(resolved: &Resolved) -> usize {
 
 /// Without tracks there is no prediction of where to look, so everything is searched.
 fn search_mode(pipeline: &Pipeline) -> SearchMode {
-    match (pipeline.search.mode, pipeline.fusion.filter) {
-        (Mode::Greedy, _) => SearchMode::Greedy,
-        (Mode::Optimized, _) => SearchMode::Optimized,
-        (Mode::Exhaustive, _) | (Mode::Gaze, Filter::None) => SearchMode::Exhaustive,
-        (Mode::Gaze, Filter::ConstantVelocity) => SearchMode::Gaze,
+    match pipeline.search.mode {
+        contract::SearchMode::Greedy => SearchMode::Greedy,
+        contract::SearchMode::Optimized => SearchMode::Optimized,
+        contract::SearchMode::Gaze if pipeline.has_tracks() => SearchMode::Gaze,
+        contract::SearchMode::Exhaustive | contract::SearchMode::Gaze => SearchMode::Exhaustive,
     }
 }
 
@@ -146,23 +143,13 @@ fn coding(pipeline: &Pipeline) -> Coding {
     if pipeline.is_coded_as_video() { Coding::Video } else { Coding::Images }
 }
 
-/// The configured mode, for a plan's header.
-fn mode_code(mode: Mode) -> flockeye_contract::SearchMode {
-    match mode {
-        Mode::Greedy => flockeye_contract::SearchMode::Greedy,
-        Mode::Optimized => flockeye_contract::SearchMode::Optimized,
-        Mode::Exhaustive => flockeye_contract::SearchMode::Exhaustive,
-        Mode::Gaze => flockeye_contract::SearchMode::Gaze,
-    }
-}
-
 /// How poses are carried from frame to frame.
 fn filter_choice(pipeline: &Pipeline) -> FilterChoice {
     let fusion = &pipeline.fusion;
     let usual = MotionModel::default();
-    match fusion.filter {
-        Filter::None => FilterChoice::None,
-        Filter::ConstantVelocity => FilterChoice::Tracks(TrackPolicy {
+    match pipeline.has_tracks() {
+        false => FilterChoice::None,
+        true => FilterChoice::Tracks(TrackPolicy {
             motion: MotionModel {
                 acceleration: fusion.acceleration,
                 angular_acceleration: fusion.angular_acceleration,

@@ -50,13 +50,13 @@ impl Stage for FusionStage {
         let pipeline = &context.resolved.pipeline;
         let Configured { mut core, writer, aligner, has_background } =
             configured(&context.resolved, context.identity.generation)?;
-        let background = has_background.then(|| match pipeline.flow {
+        let background = has_background.then(|| match pipeline.flow() {
             Flow::Latest => BackgroundRunner::thread(aligner),
             Flow::Lossless => Ok(BackgroundRunner::inline(aligner)),
         });
         // After a track's longest coasting nothing of it is left to go on with.
         let longest = Duration::from_secs_f64(pipeline.fusion.coast_s);
-        let succession = (pipeline.flow == Flow::Latest)
+        let succession = (pipeline.flow() == Flow::Latest)
             .then(|| Succession::begin(&mut core, &context.saved_states, longest));
         let has_resumed = succession.as_ref().is_some_and(Succession::has_resumed);
         let journal = Journal::new(context.identity.generation, has_resumed);
@@ -70,7 +70,7 @@ impl Stage for FusionStage {
             background: background.transpose().context("a thread for the background pass")?,
             reporter: Reporter::new(context.counters.clone()),
             counters: context.counters.clone(),
-            flow: pipeline.flow,
+            flow: pipeline.flow(),
             join_until_ns: clock::monotonic_ns() + pipeline.frame_deadline().as_nanos() as i64,
             succession,
         })

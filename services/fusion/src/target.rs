@@ -42,7 +42,7 @@ pub struct TargetEstimate {
 pub type Update = (usize, TargetEstimate);
 
 impl TargetEstimate {
-    /// The estimate from one frame alone (`fusion.filter: none`).
+    /// The estimate from one frame alone (`profile: stills`).
     pub fn of_frame(measurement: &Measurement) -> Self {
         let pose = measurement.pose;
         Self {

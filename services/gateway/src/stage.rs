@@ -49,7 +49,7 @@ impl Stage for GatewayStage {
         parameters.check().or_else(|error| if error.may_pass() { Ok(()) } else { Err(error) })?;
         let rotation = resolved.observer_from_camera.rotation;
         let report_hz = resolved.pipeline.gateway.report_hz;
-        let flow = resolved.pipeline.flow;
+        let flow = resolved.pipeline.flow();
         Ok(Self {
             tracks: ports.subscriber()?,
             rotations: ports.subscriber()?,

@@ -6,7 +6,7 @@ use std::time::Duration;
 use anyhow::{Context, ensure};
 use clap::Args;
 use flockeye_cli::{Configuration, Screen, duration, signals};
-use flockeye_config::{Count, Flow, RecordingTrigger, Resolved, SearchBudget};
+use flockeye_config::{Count, FrameLimit, Profile, RecordingTrigger, Resolved};
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::partition;
 use flockeye_network::NetworkParameters;
@@ -95,12 +95,14 @@ fn plan(resolved: &Resolved, budget: &Budget) -> anyhow::Result<String> {
         (&resolved.pipeline, &resolved.bodies, &resolved.partition_views);
     let mut text = String::new();
     let instance = Instance::named(&pipeline.instance.0);
-    let flow = match pipeline.flow {
-        Flow::Latest => "latest: the newest frame wins",
-        Flow::Lossless => "lossless: every frame is processed",
+    let profile = match pipeline.profile {
+        Profile::Flight => "in real time, the newest frame wins",
+        Profile::Repeat => "every frame, in the time that flight has by search.costs",
+        Profile::Unlimited => "every frame, however long it takes",
+        Profile::Stills => "every frame, each for itself",
     };
     writeln!(text, "instance '{}' in {}", pipeline.instance.0, instance.folder().display())?;
-    writeln!(text, "flow     {flow}")?;
+    writeln!(text, "profile  {}: {profile}", pipeline.profile.name())?;
     writeln!(
         text,
         "source   {} (stage {})",
@@ -175,7 +177,7 @@ fn plan(resolved: &Resolved, budget: &Budget) -> anyhow::Result<String> {
 /// How frames are searched, and how often each part of the sphere is.
 fn search(resolved: &Resolved, partitions: usize) -> anyhow::Result<String> {
     let pipeline = &resolved.pipeline;
-    let mode = format!("{:?}", pipeline.search.mode).to_lowercase();
+    let mode = pipeline.search.mode.name().to_owned();
     if !pipeline.gazes() {
         return Ok(mode);
     }
@@ -186,21 +188,25 @@ fn search(resolved: &Resolved, partitions: usize) -> anyhow::Result<String> {
     if let Some(px) = far.iter().map(|view| view.size_px).max() {
         text += &format!(" with {} high-resolution tiles of {px} px", far.len());
     }
-    if pipeline.search.budget == SearchBudget::Flight {
-        text += "; of a lossless frame as many as fit by search.costs";
-        return Ok(text);
-    }
-    let each = pipeline.search.lossless_partitions as usize;
-    // One of each kind in turn, until those of the smaller kind come a second time.
-    let frames = |count: usize| if far.is_empty() { count } else { 2 * count }.div_ceil(each);
-    text += &format!(
-        "; of a lossless frame {each}: each partition every {} frames",
-        frames(partitions)
-    );
-    if !far.is_empty() {
-        text += &format!(", each high-resolution tile every {}", frames(far.len()));
+    match pipeline.limit() {
+        FrameLimit::Time => text += "; of each frame as many as there is time for",
+        FrameLimit::Costs => text += "; of each frame as many as fit by search.costs",
+        FrameLimit::Unlimited => text += &sweep_of_all(resolved, partitions, far.len()),
     }
     Ok(text)
+}
+
+/// How often each part of the sphere is searched, where nothing limits the work on a frame.
+fn sweep_of_all(resolved: &Resolved, partitions: usize, far: usize) -> String {
+    let each = resolved.pipeline.search.lossless_partitions as usize;
+    // One of each kind in turn, until those of the smaller kind come a second time.
+    let frames = |count: usize| if far == 0 { count } else { 2 * count }.div_ceil(each);
+    let mut text =
+        format!("; of each frame {each}: each partition every {} frames", frames(partitions));
+    if far > 0 {
+        text += &format!(", each high-resolution tile every {}", frames(far));
+    }
+    text
 }
 
 /// The views that cover the sphere.

@@ -46,7 +46,7 @@ pub(crate) fn run(arguments: &TraceArguments) -> anyhow::Result<()> {
     let mut tracks = ports.subscriber::<Tracks>()?;
     let mut tracer = Tracer::new(
         resolved.pipeline.source.stage().name(),
-        resolved.pipeline.flow == Flow::Latest,
+        resolved.pipeline.flow() == Flow::Latest,
     );
     let start = Instant::now();
     ports.attend(|| {

@@ -71,8 +71,8 @@ pub(crate) fn run_pipeline(
     set_log_level(LogLevel::Fatal);
     let resolved = Resolved::of(pipeline.clone())?;
     ensure!(
-        !(options.keep && pipeline.flow == Flow::Lossless),
-        "--keep: a lossless run waits for its launcher. Cure: flow: latest"
+        !(options.keep && pipeline.flow() == Flow::Lossless),
+        "--keep: a lossless run waits for its launcher. Cure: profile: flight"
     );
     // The stages read both. They are checked here too, so that an error is reported once and first.
     resolved.mask()?;

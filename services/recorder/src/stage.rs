@@ -119,7 +119,7 @@ fn beginning(instance: &Instance, resolved: &Resolved) -> anyhow::Result<(About,
     parsed["fusion"]["coding"] = serde_json::to_value(coding)?;
     let bodies = serde_json::to_vec(&parsed["resolved"]["bodies"])?;
     let utc_from_monotonic_ns = clock::utc_ns() - clock::monotonic_ns();
-    let (flow, utc_from_exposure_ns) = match pipeline.flow {
+    let (flow, utc_from_exposure_ns) = match pipeline.flow() {
         Flow::Latest => ("latest", utc_from_monotonic_ns),
         // Exposure times are the stream's: it begins now.
         Flow::Lossless => ("lossless", clock::utc_ns()),

@@ -137,7 +137,7 @@ impl<F> Core<F> {
         let mask = resolved.mask()?;
         let views = (0..).zip(resolved.partition_views.iter().copied());
         let options = Options {
-            flow: pipeline.flow,
+            flow: pipeline.flow(),
             generation,
             workers: pipeline.detection_workers() as usize,
             window: pipeline.rectification.window as usize,

@@ -1,6 +1,6 @@
 //! How much of a frame may be cut: by the time in flight, by stated costs in a lossless run.
 
-use flockeye_config::{Flow, Pipeline, SearchBudget};
+use flockeye_config::{FrameLimit, Pipeline};
 use flockeye_contract::{FrameStamp, PlannedView, StageName, StopReason};
 
 use flockeye_geometry::search::MAX_FRAMES_WITHOUT_TILE;
@@ -31,13 +31,13 @@ pub struct FrameClock {
 impl FrameClock {
     /// The clock that a configuration asks for.
     pub fn of(pipeline: &Pipeline) -> Self {
-        Self::new(match (pipeline.flow, pipeline.search.budget) {
-            (Flow::Latest, _) => Clock::Live(Cadence::default()),
-            (Flow::Lossless, SearchBudget::Flight) => {
+        Self::new(match pipeline.limit() {
+            FrameLimit::Time => Clock::Live(Cadence::default()),
+            FrameLimit::Costs => {
                 let has_egomotion = pipeline.runs(StageName::Egomotion);
                 Clock::Virtual(VirtualBudget::new(pipeline.search.costs.clone(), has_egomotion))
             }
-            (Flow::Lossless, SearchBudget::Unlimited) => Clock::Unlimited,
+            FrameLimit::Unlimited => Clock::Unlimited,
         })
     }
 
@@ -140,6 +140,7 @@ impl FrameClock {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use flockeye_config::Profile;
     use flockeye_contract::ViewKind;
 
     const MS: i64 = 1_000_000;
@@ -189,14 +190,10 @@ mod tests {
 
     #[test]
     fn a_configuration_chooses_the_clock() {
-        let of = |overrides: &[&str]| {
-            let overrides: Vec<String> = overrides.iter().map(ToString::to_string).collect();
-            let pipeline = Pipeline::parse("", &overrides, "a test").expect("a configuration");
-            FrameClock::of(&pipeline).clock
-        };
-        assert!(matches!(of(&["search.budget=unlimited"]), Clock::Live(_)));
-        assert!(matches!(of(&["flow=lossless"]), Clock::Virtual(_)));
-        let unlimited = of(&["flow=lossless", "search.budget=unlimited"]);
-        assert!(matches!(unlimited, Clock::Unlimited));
+        let of = |profile| FrameClock::of(&Pipeline { profile, ..Pipeline::default() }).clock;
+        assert!(matches!(of(Profile::Flight), Clock::Live(_)));
+        assert!(matches!(of(Profile::Repeat), Clock::Virtual(_)));
+        assert!(matches!(of(Profile::Stills), Clock::Virtual(_)));
+        assert!(matches!(of(Profile::Unlimited), Clock::Unlimited));
     }
 }

@@ -231,7 +231,7 @@ mod tests {
 
     #[test]
     fn nothing_of_a_single_image_was_looked_at_before() {
-        let mut proposing = proposing_with(&["fusion.filter=none", "flow=lossless"]);
+        let mut proposing = proposing_with(&["profile=stills"]);
         let pixels = squares(4);
         let first = look(&mut proposing, &pixels, 12, 12);
         assert_eq!(first.len(), 4);

@@ -54,7 +54,7 @@ impl Stage for RectificationStage {
         let lanes = 0..pipeline.detection_workers() as usize;
         let standby = Standby::new(rectifier, threads, context.counters.clone());
         Ok(Self {
-            inbox: Inbox::open(ports, pipeline.flow)?,
+            inbox: Inbox::open(ports, pipeline.flow())?,
             views: lanes.map(|lane| ports.publisher_of_lane(lane)).collect::<Result<_, _>>()?,
             frame_ends: ports.publisher()?,
             core: Core::of(resolved, generation, clock::monotonic_ns())?,

@@ -43,7 +43,7 @@ impl Stage for Ros2Stage {
             peers: ports.subscriber()?,
             node: Ros2Node::open(&parameters(settings), &pipeline.observer.name)?,
             core: Core::default(),
-            flow: pipeline.flow,
+            flow: pipeline.flow(),
             routers: settings.connect.join(", "),
             counters: context.counters.clone(),
             failures: Throttle::default(),

@@ -91,7 +91,7 @@ impl Stage for SimulatorStage {
             _ => None,
         };
         let last_frame = pipeline.simulator.frames.checked_sub(1).unwrap_or(u64::MAX);
-        let drawing = match pipeline.flow {
+        let drawing = match pipeline.flow() {
             Flow::Lossless => {
                 Drawing::OnDemand { world: Box::new(world), next_frame: 0, last_frame }
             }

@@ -177,7 +177,7 @@ impl Channels {
         };
         let names = || resolved.bodies.iter().map(|body| body.name.as_str());
         let unix_ns = std::time::UNIX_EPOCH.elapsed().map_or(0, |since| since.as_nanos() as i64);
-        let is_real_time = resolved.pipeline.flow == Flow::Latest;
+        let is_real_time = resolved.pipeline.flow() == Flow::Latest;
         Ok(Self {
             resolved: resolved.clone(),
             transforms: build(context.channel_builder("/tf")),

@@ -29,7 +29,7 @@ use flockeye_contract::TopicId;
 use flockeye_geometry::body::{Bodies, Body};
 use flockeye_recording::channel::{FRAME_IMAGES, LOSSES};
 use flockeye_recording::{About, Ending, IndexedRecording};
-use serde_json::{Map, Value};
+use serde_json::Value;
 
 use crate::{setting, wire};
 use messages::Channels;
@@ -150,7 +150,7 @@ impl Recorded {
     }
 
     fn is_real_time(&self) -> bool {
-        self.resolved.pipeline.flow == Flow::Latest
+        self.resolved.pipeline.flow() == Flow::Latest
     }
 }
 
@@ -182,15 +182,9 @@ fn configuration(about: &About) -> anyhow::Result<Resolved> {
         Ok::<_, anyhow::Error>(bytes.as_slice())
     };
     let json = attached("pipeline.json")?;
-    let read = || -> serde_json::Result<Pipeline> {
-        let mut written: Map<String, Value> = serde_json::from_slice(json)?;
-        // What follows from the rest is worked out anew.
-        written.remove("resolved");
-        serde_json::from_value(Value::Object(written))
-    };
     let cure =
         "pipeline.json of the recording is of another version of Flockeye. Cure: view it with that";
-    let pipeline = read().context(cure)?;
+    let pipeline = Pipeline::from_json(json).context(cure)?;
     let bodies = bodies(attached("bodies.json")?).context("bodies.json of the recording")?;
     Resolved::with_bodies(pipeline, bodies)
         .context("the recorded configuration cannot be worked with any more")

@@ -17,7 +17,7 @@ pub fn hello(resolved: &Resolved, instance: &str, rate: f64) -> wire::Hello {
     wire::Hello {
         protocol: wire::PROTOCOL,
         instance: instance.to_owned(),
-        flow: pipeline.flow.name(),
+        flow: pipeline.flow().name(),
         simulated: pipeline.runs(StageName::Simulator),
         observer: pipeline.observer.name.clone(),
         camera_px: [resolved.camera.width(), resolved.camera.height()],

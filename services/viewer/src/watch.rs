@@ -109,7 +109,7 @@ impl Watch {
             }
             self.hello = Some(hello);
         }
-        let mut scene = Scene::new(resolved.pipeline.flow == Flow::Latest);
+        let mut scene = Scene::new(resolved.pipeline.flow() == Flow::Latest);
         let mut stages = StageReports::default();
         let (mut report_ns, mut life_ns) = (0, 0);
         let mut frames = FrameReader::new(&ports, &resolved, self.rate);

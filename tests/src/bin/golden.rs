@@ -31,7 +31,7 @@ struct Flight {
 const FLIGHTS: &[Flight] = &[
     Flight { name: "flight1", recording: Some("flight1/flight1.mp4"), set: &[] },
     Flight { name: "flight4", recording: Some("flight4/flight4.mp4"), set: &[] },
-    Flight { name: "stills", recording: Some("stills/images"), set: &["fusion.filter=none"] },
+    Flight { name: "stills", recording: Some("stills/images"), set: &["profile=stills"] },
     Flight {
         name: "one-neighbour",
         recording: None,
@@ -141,7 +141,7 @@ fn fly(flight: &Flight) -> anyhow::Result<Option<Vec<String>>> {
     let poses = std::env::temp_dir().join(format!("{}.csv", unique(flight.name)));
     let mut command = Command::new(flockeye());
     command.current_dir(std::env::temp_dir());
-    command.args(["up", "--flow", "lossless", "--poses"]).arg(&poses);
+    command.args(["up", "--profile", "repeat", "--poses"]).arg(&poses);
     if let Some(recording) = flight.recording {
         let Some(data) = recordings() else { return Ok(None) };
         let data: PathBuf = data.canonicalize().context("the recordings' folder")?;

@@ -53,7 +53,7 @@ fn photograph((width, height): (u32, u32), file: &Path) {
 /// Flies over a source to the end: the flight, whether it succeeded, and what was said.
 fn fly_over(name: &str, source: &Path, set: &[&str]) -> (bool, String) {
     let set: Vec<&str> = SMALL_CAMERA.iter().chain(set).copied().collect();
-    let arguments = ["--flow", "lossless", "--source", text(source)];
+    let arguments = ["--profile", "repeat", "--source", text(source)];
     let mut flight = Flight::start(name, &arguments, &set);
     let status = flight.wait();
     assert!(flight.stages("").is_empty());
@@ -73,7 +73,7 @@ fn a_malformed_configuration_is_refused_with_line_and_column() {
     let file = scratch.path("pipeline.yaml");
     for (yaml, wanted) in [
         ("camera:\n  widht: 3840\n", &["line 2, column 3", "did you mean 'width'?"][..]),
-        ("flow: latest\ncamera: [1, 2\n", &["line ", "column ", "not YAML"]),
+        ("profile: flight\ncamera: [1, 2\n", &["line ", "column ", "not YAML"]),
         ("camera: {width: wide}\n", &["line 1, column 17", "must be a whole number"]),
     ] {
         std::fs::write(&file, yaml).expect("it can be written");
@@ -166,7 +166,7 @@ fn an_image_of_another_size_is_named_and_the_others_are_searched() {
     for (name, size) in [("a.png", (256, 128)), ("b.png", (320, 160)), ("c.png", (256, 128))] {
         photograph(size, &scratch.path(name));
     }
-    let (succeeded, output) = fly_over("mixed", &scratch.path(""), &["fusion.filter=none"]);
+    let (succeeded, output) = fly_over("mixed", &scratch.path(""), &["profile=stills"]);
     assert!(succeeded, "{output}");
     assert_says(&output, &["b.png is left out", "320x160", "\n2 frames searched, 1 skipped"]);
     assert!(!output.contains("a.png is left out") && !output.contains("c.png is left out"));
@@ -233,7 +233,7 @@ fn a_neighbour_that_nobody_told_us_about_is_ignored() {
     let scratch = Scratch::new("stranger");
     // The world has two neighbours; all but the simulator know of one of them.
     let mut set: Vec<String> = SMALL_FLIGHT.iter().map(|&set| set.to_owned()).collect();
-    set.extend(["flow=lossless".to_owned(), "simulator.frames=90".to_owned()]);
+    set.extend(["profile=repeat".to_owned(), "simulator.frames=90".to_owned()]);
     let mut world = set.clone();
     world.push("simulator.neighbours=2".to_owned());
     let world = Pipeline::parse("", &world, "the test").expect("these are settings");
@@ -306,7 +306,7 @@ fn a_reader_that_goes_away_does_not_end_the_flight() {
     let truth = scratch.path("truth.csv");
     let name = unique("head");
     let mut command = Command::new(flockeye());
-    command.args(["up", "--flow", "lossless", "--truth", text(&truth)]);
+    command.args(["up", "--profile", "repeat", "--truth", text(&truth)]);
     let instance = format!("instance={name}");
     for assignment in SMALL_FLIGHT.iter().chain(&["simulator.frames=60", &instance]) {
         command.args(["--set", assignment]);

@@ -203,7 +203,7 @@ fn a_camera_that_was_mounted_wrongly_is_found_by_a_body_at_measured_places() {
         "observer.observer_from_camera.orientation=[0.0, 0.0, 0.6, 0.8]",
     ];
     let truth_file = text(&scratch.path("truth.csv"));
-    let quick = ["flow=lossless", "search.mode=greedy", "gateway.enabled=false"];
+    let quick = ["profile=repeat", "search.mode=greedy", "gateway.enabled=false"];
     let mut flight =
         Flight::start("places", &["--truth", &truth_file], &[&world[..], &quick].concat());
     assert!(flight.wait().success(), "{}", flight.output());

@@ -36,7 +36,7 @@ fn fly(name: &str, camera: &str, set: &[&str]) -> (Value, String) {
     let mut yaml = camera.to_owned();
     write!(
         yaml,
-        "flow: lossless\nsimulator: {{frames: {FRAMES}, distance_m: [0.45, 0.6]}}\n\
+        "profile: repeat\nsimulator: {{frames: {FRAMES}, distance_m: [0.45, 0.6]}}\n\
          gateway: {{enabled: false}}\n"
     )
     .expect("a string takes everything");

@@ -34,10 +34,10 @@ fn our_own_stages_keep_the_contract() {
 
 #[test]
 fn our_own_sources_keep_the_contract() {
-    for flow in ["latest", "lossless"] {
+    for profile in ["flight", "repeat"] {
         let at_most = "simulator.frames=1000000";
         assert_keeps_the_contract(
-            test("simulator", &["--json", "--flow", flow, "--set", at_most], &[]),
+            test("simulator", &["--json", "--profile", profile, "--set", at_most], &[]),
             13,
         );
     }

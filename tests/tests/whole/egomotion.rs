@@ -28,7 +28,7 @@ fn fly(name: &str, more: &[&str]) -> Tape {
         .chain([frames.as_str()])
         .chain(more.iter().copied())
         .collect();
-    Tape::record(name, &["--flow", "lossless"], &set)
+    Tape::record(name, &["--profile", "repeat"], &set)
 }
 
 fn measured(tape: &Tape) -> usize {
@@ -81,7 +81,7 @@ fn recorded_rotations_are_judged_by_the_truth() {
     let frames = format!("simulator.frames={FRAMES}");
     let set: Vec<&str> = SMALL_FLIGHT.iter().chain(GUSTS).copied().chain([&*frames]).collect();
     let recorded = ["--poses", poses, "--truth", truth, "--rotations", rotations];
-    let arguments = [&["--flow", "lossless"], &recorded[..]].concat();
+    let arguments = [&["--profile", "repeat"], &recorded[..]].concat();
     let mut flight = Flight::start("rotations", &arguments, &set);
     assert!(flight.wait().success(), "{}", flight.output());
     flight.assert_nothing_left();
@@ -126,7 +126,7 @@ fn bodies_are_measured_at_the_time_of_their_rows() {
     let set: Vec<&str> = SMALL_FLIGHT.iter().chain(GUSTS).chain(&readout).copied().collect();
     let recorded = ["--poses", poses, "--truth", truth];
     let mut flight =
-        Flight::start("readout", &[&["--flow", "lossless"], &recorded[..]].concat(), &set);
+        Flight::start("readout", &[&["--profile", "repeat"], &recorded[..]].concat(), &set);
     assert!(flight.wait().success(), "{}", flight.output());
     let (succeeded, output) = run(&[&["eval", "--json"], &recorded[..]].concat());
     assert!(succeeded, "{output}");

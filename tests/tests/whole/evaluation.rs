@@ -33,7 +33,7 @@ fn number(value: &Value) -> f64 {
 fn a_flight_is_judged_and_drawn() {
     let scratch = Scratch::new("judged");
     let (poses, truth) = (scratch.path("poses.csv"), scratch.path("truth.csv"));
-    let arguments = ["--flow", "lossless", "--poses", text(&poses), "--truth", text(&truth)];
+    let arguments = ["--profile", "repeat", "--poses", text(&poses), "--truth", text(&truth)];
     let set: Vec<&str> = settings().chain(["simulator.frames=40"]).collect();
     let mut flight = Flight::start("judged", &arguments, &set);
     assert!(flight.wait().success(), "{}", flight.output());
@@ -87,7 +87,7 @@ fn poses_predicted_for_the_time_of_sending_are_judged_by_the_truth_of_then() {
     let scratch = Scratch::new("predicted");
     let (poses, truth) = (scratch.path("poses.csv"), scratch.path("truth.csv"));
     let recorded = ["--poses", text(&poses), "--truth", text(&truth)];
-    let arguments = [&["--flow", "latest", "--for", "4s"], &recorded[..]].concat();
+    let arguments = [&["--profile", "flight", "--for", "4s"], &recorded[..]].concat();
     let mut flight = Flight::start("predicted", &arguments, SMALL_FLIGHT);
     assert!(flight.wait().success(), "{}", flight.output());
     flight.assert_nothing_left();
@@ -217,7 +217,7 @@ fn experiments_say_what_they_lack() {
     for (arguments, wanted) in [
         (&["search", "--source", "nowhere.mp4"][..], "has no truth of its own. Cure: give it with"),
         (&["search", "--truth", text(&truth)], "a simulated flight has its own truth. Cure: "),
-        (&["partitions", "--flow", "latest"], "works on every frame. Cure: leave out"),
+        (&["partitions", "--profile", "flight"], "works on every frame. Cure: leave out"),
         (&["consistency", "--source", "nowhere.mp4"], "cannot be had. Cure: simulate them"),
         (&["search", "--set", "simulator.distance_m=[2, 1]"], "simulator.distance_m"),
     ] {

@@ -123,7 +123,7 @@ fn distance(one: [f64; 3], other: [f64; 3]) -> f64 {
 fn a_lossless_flight_is_explained_exactly() {
     let scratch = Scratch::new("explained");
     let set = [FLIGHT, &["recording.frames=views"]].concat();
-    let recording = flown("explained", &scratch, &["--flow", "lossless"], &set);
+    let recording = flown("explained", &scratch, &["--profile", "repeat"], &set);
     let told = told(&recording);
 
     // A measured pose.
@@ -323,7 +323,7 @@ fn a_recording_is_replayed_without_its_bodies_file() {
     let setting = format!("bodies.file={}", file.display());
     let more = [setting.as_str(), "simulator.frames=12", "recording.frames=views"];
     let set = [SMALL_FLIGHT, &more].concat();
-    let recording = flown("bodies-gone", &scratch, &["--flow", "lossless"], &set);
+    let recording = flown("bodies-gone", &scratch, &["--profile", "repeat"], &set);
     let replayed = || {
         let (is_same, said) = run(&["replay", text(&recording)]);
         assert!(is_same && said.contains("of 12 frames are the same, byte by byte"), "{said}");

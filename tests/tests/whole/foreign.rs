@@ -340,7 +340,7 @@ fn assert_poses_are_right(poses: &[PoseRow], truths: &[TruthRow]) {
 fn a_detector_that_somebody_else_wrote_takes_the_place_of_ours() {
     let scratch = Scratch::new("swapped");
     let poses = scratch.path("poses.csv");
-    let arguments = ["--flow", "lossless", "--poses", poses.to_str().expect("a plain path")];
+    let arguments = ["--profile", "repeat", "--poses", poses.to_str().expect("a plain path")];
     let command =
         format!(r#"stages.detection.command=["{}"]"#, env!("CARGO_BIN_EXE_silent-detector"));
     let set = small(&["simulator.frames=20", "stages.detection.replicas=2", &command]);

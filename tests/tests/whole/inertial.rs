@@ -34,7 +34,7 @@ fn sources(tape: &Tape) -> Vec<u32> {
 
 #[test]
 fn a_sensor_that_agrees_makes_the_rotation_better() {
-    let tape = Tape::record("inertial", &["--flow", "lossless"], &set(&[]));
+    let tape = Tape::record("inertial", &["--profile", "repeat"], &set(&[]));
     tape.assert_every_frame_ended_once(FRAMES);
     assert_eq!(tape.output.matches("the inertial sensor agrees").count(), 1, "{}", tape.output);
     let both = RotationSource::PictureAndInertial.code();
@@ -77,7 +77,7 @@ fn timeless(tape: &Tape) -> Vec<Rotation> {
 
 #[test]
 fn a_lossless_flight_with_a_sensor_repeats() {
-    let fly = || timeless(&Tape::record("repeats", &["--flow", "lossless"], &set(&[])));
+    let fly = || timeless(&Tape::record("repeats", &["--profile", "repeat"], &set(&[])));
     let (first, second) = (fly(), fly());
     assert_eq!(first.len() as u64, FRAMES);
     for (first, second) in first.iter().zip(&second) {
@@ -88,7 +88,7 @@ fn a_lossless_flight_with_a_sensor_repeats() {
 #[test]
 fn a_sensor_that_hangs_upside_down_is_said_once_and_left_out() {
     let upside_down = "simulator.inertial.camera_from_sensor=[1, 0, 0, 0]";
-    let tape = Tape::record("upside-down", &["--flow", "lossless"], &set(&[upside_down]));
+    let tape = Tape::record("upside-down", &["--profile", "repeat"], &set(&[upside_down]));
     tape.assert_every_frame_ended_once(FRAMES);
     assert_eq!(tape.output.matches("the inertial sensor disagrees").count(), 1, "{}", tape.output);
     assert!(!tape.output.contains("agrees with the picture;"), "{}", tape.output);
@@ -136,7 +136,7 @@ fn samples_that_were_recorded_can_be_read_again() {
     let file = scratch.path("imu.csv");
     let path = file.to_str().expect("a plain path");
     let set = set(&["simulator.frames=6"]);
-    let mut flight = Flight::start("imu", &["--flow", "lossless", "--imu", path], &set);
+    let mut flight = Flight::start("imu", &["--profile", "repeat", "--imu", path], &set);
     assert!(flight.wait().success(), "{}", flight.output());
     flight.assert_nothing_left();
     let rows: Vec<flockeye_tables::ImuRow> = flockeye_tables::read(&file).expect("they are read");

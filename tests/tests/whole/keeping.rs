@@ -166,6 +166,6 @@ fn stages_without_a_launcher_can_be_ended() {
 
 #[test]
 fn a_lossless_run_is_not_kept() {
-    let (succeeded, output) = run(&["up", "--keep", "--flow", "lossless"]);
+    let (succeeded, output) = run(&["up", "--keep", "--profile", "repeat"]);
     assert!(!succeeded && output.contains("waits for its launcher"), "{output}");
 }

@@ -277,7 +277,7 @@ fn a_source_that_is_killed_is_replaced_and_poses_flow_again() {
 #[test]
 fn a_lossless_flight_comes_to_its_end_although_stages_die() {
     let mut flight =
-        Flight::start("lossless", &["--flow", "lossless"], &small(&["simulator.frames=150"]));
+        Flight::start("lossless", &["--profile", "repeat"], &small(&["simulator.frames=150"]));
     for stage in ["detection", "rectification", "fusion"] {
         flight.wait_for(POSES_FLOW);
         kill_process(process_of(&flight, &format!("flockeye-{stage}")), Signal::KILL)
@@ -415,13 +415,13 @@ fn clean_leaves_a_running_pipeline_alone() {
 
 #[test]
 fn a_finite_flight_ends_by_itself() {
-    for flow in ["latest", "lossless"] {
+    for profile in ["flight", "repeat"] {
         let mut flight =
-            Flight::start("finite", &["--flow", flow], &small(&["simulator.frames=20"]));
+            Flight::start("finite", &["--profile", profile], &small(&["simulator.frames=20"]));
         assert!(flight.wait().success(), "{}", flight.output());
         let output = flight.output();
-        match flow {
-            "lossless" => assert!(output.contains("20 frames searched, 0 skipped"), "{output}"),
+        match profile {
+            "repeat" => assert!(output.contains("20 frames searched, 0 skipped"), "{output}"),
             _ => assert!(output.contains(" frames searched, "), "{output}"),
         }
         flight.assert_nothing_left();

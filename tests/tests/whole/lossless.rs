@@ -37,7 +37,7 @@ fn fly_as(backend: &str, mode: &str, workers: u32, more: &[&str]) -> Flown {
     let backend = format!("rectification.backend={backend}");
     let own = [frames.as_str(), "simulator.neighbours=2", &mode, &workers, &backend];
     let set: Vec<&str> = SMALL_FLIGHT.iter().chain(&own).chain(more).copied().collect();
-    let arguments = ["--flow", "lossless", "--poses", poses.to_str().expect("a plain path")];
+    let arguments = ["--profile", "repeat", "--poses", poses.to_str().expect("a plain path")];
     let tape = Tape::record("lossless", &arguments, &set);
     tape.assert_every_frame_ended_once(FRAMES);
     let summary = format!("{FRAMES} frames searched, 0 skipped");
@@ -150,14 +150,13 @@ fn views_cut_by_a_graphics_processor_give_the_same_bytes_twice() {
 }
 
 /// The measured positions of a flight by frame and target.
-fn measured(flow: &str, budget: &str) -> BTreeMap<(u64, String), (Vector3<f64>, f64)> {
+fn measured(profile: &str) -> BTreeMap<(u64, String), (Vector3<f64>, f64)> {
     let scratch = Scratch::new("budget");
     let poses = scratch.path("poses.csv");
     let instance = format!("instance={}", unique("budget"));
-    let budget = format!("search.budget={budget}");
     let frames = format!("simulator.frames={FRAMES}");
-    let own = [instance.as_str(), &budget, &frames, "simulator.neighbours=2"];
-    let mut arguments = vec!["up", "--flow", flow, "--poses", poses.to_str().expect("plain")];
+    let own = [instance.as_str(), &frames, "simulator.neighbours=2"];
+    let mut arguments = vec!["up", "--profile", profile, "--poses", poses.to_str().expect("plain")];
     for set in SMALL_FLIGHT.iter().chain(&own) {
         arguments.extend(["--set", set]);
     }
@@ -173,14 +172,14 @@ fn measured(flow: &str, budget: &str) -> BTreeMap<(u64, String), (Vector3<f64>, 
     measured.collect()
 }
 
-/// A budget says which passes run, and not what a frame says: whatever both flights measured is the same
+/// The profile decides which passes run, and not what a frame says: whatever both flights measured is the same
 /// but for where alignment started from, and the path along which its track expects it to be blurred. Bodies are
 /// as small here as at 2 m in frames of 3840x1920.
 #[test]
 fn flight_by_the_clock_by_stated_costs_and_without_limit_gives_the_same_poses() {
-    let unlimited = measured("lossless", "unlimited");
-    for (flow, least_share) in [("lossless", 0.9), ("latest", 0.25)] {
-        let limited = measured(flow, "flight");
+    let unlimited = measured("unlimited");
+    for (profile, least_share) in [("repeat", 0.9), ("flight", 0.25)] {
+        let limited = measured(profile);
         let both: Vec<(f64, f64)> = limited
             .iter()
             .filter_map(|(key, (position, variance))| {
@@ -189,14 +188,14 @@ fn flight_by_the_clock_by_stated_costs_and_without_limit_gives_the_same_poses() 
             })
             .collect();
         let share = both.len() as f64 / unlimited.len() as f64;
-        assert!(share > least_share, "{flow}: {share} of {} measurements", unlimited.len());
+        assert!(share > least_share, "{profile}: {share} of {} measurements", unlimited.len());
         let mut errors: Vec<f64> =
             both.iter().map(|(apart_m, deviation_m)| apart_m / deviation_m).collect();
         errors.sort_by(f64::total_cmp);
         let (most, worst) = (errors[errors.len() * 95 / 100], errors[errors.len() - 1]);
         // Independent measurements would lie within sqrt(chi2_3 / 3) = 1.6 in 95 %. These share their pixels.
         let said =
-            format!("{flow}: {most} deviations in 95 %, {worst} at worst, of {}", errors.len());
+            format!("{profile}: {most} deviations in 95 %, {worst} at worst, of {}", errors.len());
         assert!(most < 1.6 && worst < 3.0, "{said}");
     }
 }

@@ -47,7 +47,7 @@ fn only_file(folder: &Path) -> PathBuf {
 fn fly(name: &str, folder: &Path, arguments: &[&str], set: &[&str]) -> (PathBuf, String) {
     let folder_setting = format!("recording.folder={}", folder.display());
     let set: Vec<&str> = set.iter().copied().chain([folder_setting.as_str()]).collect();
-    let arguments: Vec<&str> = ["--flow", "lossless"].iter().chain(arguments).copied().collect();
+    let arguments: Vec<&str> = ["--profile", "repeat"].iter().chain(arguments).copied().collect();
     let mut flight = Flight::start(name, &arguments, &set);
     assert!(flight.wait().success(), "{}", flight.output());
     let said = flight.output();
@@ -175,11 +175,11 @@ fn a_recorded_flight_is_flown_again() {
     flight.assert_nothing_left();
 
     // What it cannot be played by.
-    let (is_well, said) = run(&["up", "--flow", "lossless", "--source", text(&again)]);
+    let (is_well, said) = run(&["up", "--profile", "repeat", "--source", text(&again)]);
     assert!(!is_well, "{said}");
     assert!(said.contains("has no pictures of frames: it has headers alone"), "{said}");
     assert!(said.contains("Cure: record with --frames 'every 1'"), "{said}");
-    let arguments = ["up", "--flow", "lossless", "--source", text(&recording)];
+    let arguments = ["up", "--profile", "repeat", "--source", text(&recording)];
     let (is_well, said) = run(&[&arguments[..], &["--set", "gateway.enabled=false"]].concat());
     assert!(!is_well, "{said}");
     assert!(said.contains("set camera.width to 2048 and camera.height to 1024"), "{said}");

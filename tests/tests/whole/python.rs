@@ -152,7 +152,7 @@ fn a_lossless_flight_with_a_detector_in_python_ends_every_frame_once() {
     );
     let set: Vec<&str> =
         SMALL_FLIGHT.iter().copied().chain(["simulator.frames=20", &command]).collect();
-    let tape = Tape::record("py-lossless", &["--flow", "lossless"], &set);
+    let tape = Tape::record("py-lossless", &["--profile", "repeat"], &set);
     tape.assert_every_frame_ended_once(20);
     let measured = |tracks: &[flockeye_contract::Track]| {
         tracks.iter().any(|track| track.measured_by != MeasuredBy::Nothing.code())

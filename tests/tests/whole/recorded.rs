@@ -18,7 +18,7 @@ fn fly(name: &str, source: &Path, bodies: &Path, set: &[&str]) -> (Vec<PoseRow>,
     let poses = scratch.path("out.csv");
     let [source, bodies, out] =
         [source, bodies, &poses].map(|path| path.to_str().expect("a plain path"));
-    let arguments = ["--source", source, "--bodies", bodies, "--flow", "lossless", "--poses", out];
+    let arguments = ["--source", source, "--bodies", bodies, "--profile", "repeat", "--poses", out];
     let set: Vec<&str> = set.iter().copied().chain(["gateway.enabled=false"]).collect();
     let mut flight = Flight::start(name, &arguments, &set);
     assert!(flight.wait_for_end(LONG_WATCHDOG).success(), "{}", flight.output());
@@ -72,7 +72,7 @@ fn unrelated_stills_give_no_false_pose() {
     let Some(data) = recordings() else { return };
     let images = data.join("stills/images");
     let bodies = data.join("bodies.json");
-    let (poses, output) = fly("stills", &images, &bodies, &["fusion.filter=none"]);
+    let (poses, output) = fly("stills", &images, &bodies, &["profile=stills"]);
     assert!(output.contains("20 frames searched, 0 skipped"), "{output}");
     let evaluation = judge(&poses, &data.join("stills/truth.csv"));
     // A handful of bodies: 95 % is the worst of them.
@@ -100,7 +100,7 @@ fn real_pictures_without_a_neighbour_give_no_pose_at_all() {
         let name: PathBuf = file.file_name().expect("a file").into();
         std::fs::copy(&file, folder.path(&name.to_string_lossy())).expect("it can be copied");
         let (width, height) = (format!("camera.width={width}"), format!("camera.height={height}"));
-        let set = ["fusion.filter=none", width.as_str(), height.as_str()];
+        let set = ["profile=stills", width.as_str(), height.as_str()];
         let (poses, output) = fly("real", &folder.path(""), &data.join("bodies.json"), &set);
         assert!(output.contains("1 frames searched, 0 skipped"), "{picture}:\n{output}");
         assert_eq!(poses, [], "{picture} shows nobody");

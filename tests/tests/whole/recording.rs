@@ -66,7 +66,7 @@ fn every_frame_is_recorded_and_other_peoples_tools_read_it() {
     let scratch = Scratch::new("recorded");
     let (out, poses) = (scratch.path("flight.mcap"), scratch.path("poses.csv"));
     let set: Vec<&str> = SMALL_FLIGHT.iter().copied().chain(["simulator.frames=40"]).collect();
-    let arguments = ["--flow", "lossless", "--poses", text(&poses)];
+    let arguments = ["--profile", "repeat", "--poses", text(&poses)];
     let mut gated = Gated::start("recorded", &scratch, &arguments, &set);
     let mut recorder = recorder(&mut gated.flight, &[text(&out), "--frames", "every 10"]);
     let mut ports = onlooker::join(&mut gated.flight);
@@ -127,7 +127,7 @@ fn a_replayed_fusion_says_the_same() {
     let scratch = Scratch::new("replayed");
     let out = scratch.path("flight.mcap");
     let set: Vec<&str> = SMALL_FLIGHT.iter().copied().chain(["simulator.frames=25"]).collect();
-    let mut gated = Gated::start("replayed", &scratch, &["--flow", "lossless"], &set);
+    let mut gated = Gated::start("replayed", &scratch, &["--profile", "repeat"], &set);
     let mut recorder = recorder(&mut gated.flight, &[text(&out), "--frames", "views"]);
     gated.open();
     assert!(gated.flight.wait().success(), "{}", gated.flight.output());
@@ -171,7 +171,7 @@ fn a_recording_that_was_split_is_replayed_to_its_end() {
     let scratch = Scratch::new("split");
     let out = scratch.path("flight.mcap");
     let set: Vec<&str> = SMALL_FLIGHT.iter().copied().chain(["simulator.frames=12"]).collect();
-    let mut gated = Gated::start("split", &scratch, &["--flow", "lossless"], &set);
+    let mut gated = Gated::start("split", &scratch, &["--profile", "repeat"], &set);
     let arguments = [text(&out), "--frames", "views", "--split", "5MB"];
     let mut recorder = recorder(&mut gated.flight, &arguments);
     gated.open();
@@ -221,7 +221,7 @@ fn what_cannot_be_replayed_says_why() {
     flight.assert_nothing_left();
     let setting = format!("recording.folder={}", scratch.path("blind").display());
     let set = [SMALL_FLIGHT, &[setting.as_str(), "simulator.frames=8"]].concat();
-    let mut flight = Flight::start("no-pixels", &["--flow", "lossless"], &set);
+    let mut flight = Flight::start("no-pixels", &["--profile", "repeat"], &set);
     assert!(flight.wait().success(), "{}", flight.output());
     let mut files = std::fs::read_dir(scratch.path("blind")).expect("it was made");
     let blind = files.next().expect("one recording").expect("it can be read").path();

@@ -109,7 +109,7 @@ fn real_time_classes_are_had_with_the_privilege_and_refused_aloud_without() {
 
 #[test]
 fn a_lossless_run_leaves_nothing_to_a_thread_of_its_own() {
-    let more = ["stages.detection.replicas=1", "flow=lossless"];
+    let more = ["stages.detection.replicas=1", "profile=repeat"];
     let set: Vec<&str> = SMALL_FLIGHT.iter().chain(&more).copied().collect();
     let mut flight = Flight::start("no-aside", &[], &set);
     flight.wait_for("alpha confirmed");

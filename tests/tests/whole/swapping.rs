@@ -87,7 +87,7 @@ fn no_frame_is_lost_and_no_pose_comes_twice_when_each_stage_is_swapped() {
 
 #[test]
 fn a_lossless_run_swaps_nothing() {
-    let flight = fly("loss-swap", &["--flow", "lossless"], &[]);
+    let flight = fly("loss-swap", &["--profile", "repeat"], &[]);
     let (succeeded, output) = ask(&flight, &["swap", "detection"]);
     assert!(!succeeded && output.contains("a lossless run is for evaluation"), "{output}");
     end(flight);

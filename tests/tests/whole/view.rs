@@ -237,7 +237,7 @@ fn ten_pages_and_one_that_reads_nothing_cost_no_frame() {
     let scratch = Scratch::new("pages");
     let frames = format!("simulator.frames={FRAMES}");
     let set = [SMALL_FLIGHT, &[frames.as_str()]].concat();
-    let mut gated = Gated::start("pages", &scratch, &["--flow", "lossless"], &set);
+    let mut gated = Gated::start("pages", &scratch, &["--profile", "repeat"], &set);
     let mut ports = join(&mut gated.flight);
     let mut ends = subscribe::<FrameEnds>(&mut gated.flight, &mut ports);
     let mut tracks = subscribe::<Tracks>(&mut gated.flight, &mut ports);

@@ -13,7 +13,7 @@ use std::ffi::OsString;
 
 use anyhow::Context;
 use flockeye_cli::{Configuration, signals};
-use flockeye_config::Mount;
+use flockeye_config::{Mount, Profile};
 use flockeye_tables::{TableRow, read};
 use nalgebra::Isometry3;
 
@@ -35,20 +35,24 @@ pub use response::CalibrateResponseArguments;
 /// The distance that what a calibration leaves is stated for, metres.
 const STATED_AT_M: f64 = 1.5;
 
-/// Settings of a run in which every frame is searched, and nothing goes over the network.
-fn lossless() -> Vec<String> {
-    [
-        "flow=lossless".to_owned(),
-        "gateway.enabled=false".to_owned(),
-        format!("instance=calibrate-{}", std::process::id()),
-    ]
-    .into()
+/// The configuration of a run in which every frame is searched, and nothing goes over the network.
+fn lossless(configuration: &Configuration) -> anyhow::Result<Configuration> {
+    let mut configuration = configuration.clone().with_every_frame(&[])?;
+    configuration.set.extend(apart());
+    Ok(configuration)
 }
 
-/// Settings in which each frame is searched to its end and stands for itself.
-fn frame_by_frame() -> Vec<String> {
-    let more = ["fusion.filter=none", "search.mode=exhaustive"].map(str::to_owned);
-    [lossless(), more.into()].concat()
+/// The configuration of a run in which each frame is searched to its end and stands for itself.
+fn frame_by_frame(configuration: &Configuration) -> Configuration {
+    let mut configuration = configuration.clone().in_profile(Profile::Stills);
+    configuration.set.extend(apart());
+    configuration.set.push("search.mode=exhaustive".to_owned());
+    configuration
+}
+
+/// Settings of a run that touches no other.
+fn apart() -> [String; 2] {
+    ["gateway.enabled=false".to_owned(), format!("instance=calibrate-{}", std::process::id())]
 }
 
 /// Runs `flockeye up`, and gives what it writes to the file of its option `option`. `what`: of what the run is, for a

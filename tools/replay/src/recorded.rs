@@ -127,14 +127,8 @@ impl RecordedFlight {
     pub fn configuration(&self) -> anyhow::Result<Resolved> {
         let name = "pipeline.json";
         let json = self.attachment(name).with_context(|| format!("the recording has no {name}"))?;
-        let read = || -> serde_json::Result<Pipeline> {
-            let mut written: serde_json::Map<String, serde_json::Value> =
-                serde_json::from_slice(json)?;
-            // What follows from the rest is worked out anew.
-            written.remove("resolved");
-            serde_json::from_value(serde_json::Value::Object(written))
-        };
-        let pipeline = read().with_context(|| format!("{name} of the recording"))?;
+        let pipeline =
+            Pipeline::from_json(json).with_context(|| format!("{name} of the recording"))?;
         let today = Resolved::of(pipeline.clone());
         let Some(attached) = self.bodies()? else {
             return today.context("the recorded configuration cannot be worked with any more");

@@ -4,6 +4,7 @@ use std::path::Path;
 use super::*;
 use crate::resolve::Resolved;
 use crate::types::*;
+use flockeye_contract::SearchMode;
 
 fn parse(yaml: &str) -> Result<Pipeline, ConfigError> {
     Pipeline::parse(yaml, &[], "pipeline.yaml")
@@ -94,9 +95,7 @@ const WRONG: &[(&str, &[&str])] = &[
     ("camera:\n  widht: 3840", &["line 2, column 3", "camera.widht", "did you mean 'width'?"]),
     (
         "search: {qqq: 1}",
-        &[
-            "unknown key (known are mode, budget, costs, lossless_partitions, far_magnification, proposals)",
-        ],
+        &["unknown key (known are mode, costs, lossless_partitions, far_magnification, proposals)"],
     ),
     ("camera: {width: wide}", &["camera.width", "must be a whole number", "the text 'wide'"]),
     ("camera: {width: 38.5}", &["must be a whole number, not 38.5"]),
@@ -161,8 +160,28 @@ const WRONG: &[(&str, &[&str])] = &[
     ),
     ("camera: {latency_ms: -1}", &["from 0 to 10000, not -1"]),
     ("camera: {latency_ms: .inf}", &["not a finite number"]),
+    ("profile: flihgt", &["flight, repeat, unlimited, stills", "did you mean 'flight'?"]),
+    ("profile: [flight]", &["must be one of flight, repeat, unlimited, stills, not a list"]),
     ("flow: losless", &["latest, lossless", "did you mean 'lossless'?"]),
     ("flow: [latest]", &["must be one of latest, lossless, not a list"]),
+    ("search: {budget: all}", &["search.budget: must be one of flight, unlimited, not 'all'"]),
+    ("fusion:\n  filter: 0", &["line 2", "fusion.filter: must be one of constant_velocity, none"]),
+    (
+        "profile: repeat\nflow: lossless",
+        &["line 2", "flow: profile says it now", "line 1", "Cure: leave flow out"],
+    ),
+    (
+        "profile: stills\nfusion: {filter: none}",
+        &["line 2", "fusion.filter: profile says it now", "Cure: leave fusion.filter out"],
+    ),
+    (
+        "fusion: {filter: none}",
+        &["line 1", "fusion.filter: fusion.filter: none: no profile", "Cure: profile: stills"],
+    ),
+    (
+        "flow: lossless\nfusion: {filter: none}\nsearch: {budget: unlimited}",
+        &["line 3", "search.budget: ", "stills have no other budget", "profile: stills"],
+    ),
     ("search: {mode: gazee}", &["greedy, optimized, exhaustive, gaze", "did you mean 'gaze'?"]),
     (
         "fusion: {confirm_hits: 6}",
@@ -264,15 +283,15 @@ const WRONG: &[(&str, &[&str])] = &[
         &["recording.frames", "source.input: sim has no coded video", "every: 1"],
     ),
     ("source: {input: ''}", &["source.input", "must not be empty"]),
-    ("flow: lossless\nsource: {at_end: loop}", &["line 2", "a lossless run ends"]),
+    ("profile: repeat\nsource: {at_end: loop}", &["line 2", "a lossless run ends"]),
     (
         "simulator: {swarm: {drone: 2, start_ns: 0}}",
         &["simulator.swarm.drone", "drone 2 of a swarm of 2, counted from 0"],
     ),
     ("simulator: {swarm: {drone: 0}}", &["simulator.swarm", "start_ns"]),
     (
-        "flow: lossless\nsimulator: {swarm: {drone: 0, start_ns: 0}}",
-        &["line 2", "simulator.swarm", "flow: latest"],
+        "profile: repeat\nsimulator: {swarm: {drone: 0, start_ns: 0}}",
+        &["line 2", "simulator.swarm", "profile: flight"],
     ),
     (
         "observer: {observer_from_camera: {orientation: [0, 0, 1, 0]}}\n\
@@ -295,7 +314,7 @@ fn wrong_files_are_refused_with_place_and_cure() {
 #[test]
 fn all_problems_come_at_once() {
     let error =
-        parse("camra: {}\nflow: fast\nsearch: {mode: 3, lossless_partitions: 0}\n").unwrap_err();
+        parse("camra: {}\nprofile: fast\nsearch: {mode: 3, lossless_partitions: 0}\n").unwrap_err();
     let ConfigError::Problems { problems, .. } = &error else { panic!("{error}") };
     assert_eq!(problems.len(), 4, "{error}");
     assert!(error.to_string().starts_with("pipeline.yaml has 4 problems:"), "{error}");
@@ -303,9 +322,9 @@ fn all_problems_come_at_once() {
 
 #[test]
 fn overrides_are_checked_like_the_file() {
-    let overrides = ["search.mode=exhaustive".to_owned(), "fusion.filter=none".to_owned()];
+    let overrides = ["search.mode=exhaustive".to_owned(), "profile=stills".to_owned()];
     let pipeline = Pipeline::parse("", &overrides, "pipeline.yaml").unwrap();
-    assert_eq!((pipeline.search.mode, pipeline.fusion.filter), (Mode::Exhaustive, Filter::None));
+    assert_eq!((pipeline.search.mode, pipeline.profile), (SearchMode::Exhaustive, Profile::Stills));
     let error = Pipeline::parse("", &["serach.mode=gaze".to_owned()], "x").unwrap_err().to_string();
     assert!(
         error.contains("--set serach.mode=gaze") && error.contains("did you mean 'search'?"),
@@ -339,39 +358,79 @@ fn a_partition_may_be_chosen() {
     );
 }
 
+/// Every combination of the keys that `profile` replaced, with what it means today.
 #[test]
-fn tiles_alternate_windows_where_targets_are_followed_and_time_is_limited() {
-    let says = |change: &dyn Fn(&mut Pipeline)| {
-        let mut pipeline = Pipeline::default();
-        change(&mut pipeline);
-        (pipeline.gazes(), pipeline.alternates_windows())
-    };
-    assert_eq!(says(&|_| {}), (true, true));
-    assert_eq!(says(&|pipeline| pipeline.flow = Flow::Lossless), (true, true));
-    let unlimited = says(&|pipeline| {
-        pipeline.flow = Flow::Lossless;
-        pipeline.search.budget = SearchBudget::Unlimited;
-    });
-    assert_eq!(unlimited, (true, false));
-    assert_eq!(says(&|pipeline| pipeline.fusion.filter = Filter::None), (false, false));
-    assert_eq!(says(&|pipeline| pipeline.search.mode = Mode::Exhaustive), (false, false));
+fn every_former_combination_is_translated_or_refused() {
+    let values = [
+        ("flow", [None, Some("latest"), Some("lossless")]),
+        ("search.budget", [None, Some("flight"), Some("unlimited")]),
+        ("fusion.filter", [None, Some("constant_velocity"), Some("none")]),
+    ];
+    for number in 0..27 {
+        let chosen = [number % 3, number / 3 % 3, number / 9];
+        let written = || values.iter().zip(chosen);
+        let set = written().filter_map(|((key, values), choice)| Some((*key, values[choice]?)));
+        let set: Vec<String> = set.map(|(key, value)| format!("{key}={value}")).collect();
+        let means = chosen.map(|choice| choice == 2);
+        let profile = match means {
+            [false, _, false] => Some(Profile::Flight),
+            [true, false, false] => Some(Profile::Repeat),
+            [true, true, false] => Some(Profile::Unlimited),
+            [true, false, true] => Some(Profile::Stills),
+            [false, _, true] | [true, true, true] => None,
+        };
+        // In the file, and as settings of the command line.
+        let section = |path: &str| -> String {
+            let of_path = written().find(|((key, _), _)| *key == path);
+            let value = of_path.and_then(|((_, values), choice)| values[choice]);
+            value.map(str::to_owned).unwrap_or_default()
+        };
+        let yaml = format!(
+            "flow: {}\nsearch:\n  budget: {}\nfusion:\n  filter: {}\n",
+            section("flow"),
+            section("search.budget"),
+            section("fusion.filter")
+        );
+        let lines: Vec<&str> = yaml.lines().filter(|line| !line.ends_with(": ")).collect();
+        for read in [Pipeline::parse("", &set, "x"), parse(&lines.join("\n"))] {
+            match (read, profile) {
+                (Ok(read), Some(profile)) => {
+                    assert_eq!(read, Pipeline { profile, ..Pipeline::default() }, "{set:?}");
+                }
+                (Err(error), None) => {
+                    let message = error.to_string();
+                    assert!(message.contains("Cure: profile: stills"), "{set:?}: {message}");
+                }
+                (read, profile) => panic!("{set:?}: {read:?}, where {profile:?} was meant"),
+            }
+        }
+    }
 }
 
 #[test]
-fn single_images_have_twice_the_proposals_and_other_searches_of_all_tiles_have_none() {
-    let says = |change: &dyn Fn(&mut Pipeline)| {
-        let mut pipeline = Pipeline::default();
-        change(&mut pipeline);
-        (pipeline.has_single_images(), pipeline.proposals())
-    };
-    assert_eq!(says(&|_| {}), (false, 12));
-    assert_eq!(says(&|pipeline| pipeline.fusion.filter = Filter::None), (false, 0));
-    let single = |mode: Mode| {
-        says(&|pipeline| {
-            pipeline.fusion.filter = Filter::None;
-            pipeline.flow = Flow::Lossless;
-            pipeline.search.mode = mode;
-        })
-    };
-    assert_eq!((single(Mode::Gaze), single(Mode::Exhaustive)), ((true, 24), (false, 0)));
+fn a_profile_of_the_command_line_replaces_former_keys_of_the_file() {
+    let yaml = "flow: lossless\nfusion: {filter: none}";
+    let set = |set: &str| Pipeline::parse(yaml, &[set.to_owned()], "x");
+    assert_eq!(set("profile=unlimited").unwrap().profile, Profile::Unlimited);
+    // A former key of the command line changes what the file says with the others.
+    assert_eq!(set("fusion.filter=constant_velocity").unwrap().profile, Profile::Repeat);
+    let both = ["flow=latest".to_owned(), "profile=stills".to_owned()];
+    let refused = Pipeline::parse("", &both, "x").unwrap_err().to_string();
+    assert!(refused.contains("--set flow=latest: flow: profile says it now"), "{refused}");
+}
+
+#[test]
+fn configurations_of_recordings_are_read_whatever_release_wrote_them() {
+    let today = Pipeline { profile: Profile::Unlimited, ..Pipeline::default() };
+    let mut written = serde_json::to_value(&today).unwrap();
+    written[FLOW] = today.flow().name().into();
+    written[RESOLVED] = serde_json::json!({"workers": 2});
+    let read = |json: &serde_json::Value| Pipeline::from_json(json.to_string().as_bytes());
+    assert_eq!(read(&written).unwrap(), today);
+    written.as_object_mut().unwrap().remove("profile");
+    written["search"]["budget"] = "unlimited".into();
+    written["fusion"]["filter"] = "constant_velocity".into();
+    assert_eq!(read(&written).unwrap(), today);
+    written["warp"] = 9.into();
+    assert!(read(&written).unwrap_err().to_string().contains("warp"));
 }

@@ -9,7 +9,7 @@ use flockeye_geometry::camera::Camera;
 use flockeye_geometry::partition::{self, Criterion, Method, Partition, PartitionError, Weights};
 use flockeye_geometry::view::View;
 
-use crate::types::{self, Auto, Count, Filter, Pipeline};
+use crate::types::{self, Auto, Count, Pipeline};
 
 /// Why the sphere has no views.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -88,13 +88,6 @@ fn partition(settings: &types::Partition) -> Result<Partition, PartitionError> {
     Ok(partition)
 }
 
-/// Pixels of the partitions' views for each of the sphere's, along a side.
-fn magnification(pipeline: &Pipeline) -> f64 {
-    // Gaze views are magnified, but without tracks there are none.
-    let without_gaze = if pipeline.fusion.filter == Filter::None { 2.0 } else { 1.0 };
-    pipeline.partition.magnification.unwrap_or(without_gaze)
-}
-
 /// How the sphere is divided: the directions of the partitions, and how far their views overlap.
 #[derive(Debug, Clone)]
 pub struct Division {
@@ -134,7 +127,7 @@ impl Division {
         pipeline: &Pipeline,
         camera: &Camera,
     ) -> Result<Vec<View>, SphereViewsError> {
-        let pixels_per_radian = camera.pixels_per_radian() * magnification(pipeline);
+        let pixels_per_radian = camera.pixels_per_radian() * pipeline.tile_magnification();
         let views = self.partition.views(self.margin_rad, pixels_per_radian)?;
         match too_large(&views) {
             Some(size_px) => Err(SphereViewsError::TooLarge { count: views.len(), size_px }),
@@ -154,7 +147,7 @@ pub(crate) fn high_resolution_tiles(
     camera: &Camera,
 ) -> Result<Vec<View>, SphereViewsError> {
     let far_magnification = pipeline.search.far_magnification;
-    if !pipeline.gazes() || far_magnification <= magnification(pipeline) {
+    if !pipeline.gazes() || far_magnification <= pipeline.tile_magnification() {
         return Ok(Vec::new());
     }
     let count = *partition::STORED.end();

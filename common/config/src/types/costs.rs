@@ -3,8 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Processor time of each piece of work. A lossless run with `search.budget: flight` goes by it instead of
-/// the time, so that it does what flight does and repeats byte by byte. Flight itself goes by the time.
+/// Processor time of each piece of work. `profile: repeat` and `stills` go by it instead of
+/// the time, so that they do what flight does and repeat byte by byte. Flight itself goes by the time.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Costs {

@@ -1,7 +1,5 @@
 //! The configuration as types. Their doc comments are the descriptions in the JSON Schema.
 
-use std::time::Duration;
-
 use flockeye_contract::StageName;
 use flockeye_geometry::filter::TrackPolicy;
 use schemars::JsonSchema;
@@ -17,6 +15,7 @@ mod mavlink;
 mod metrics;
 mod mount;
 mod partition;
+mod profile;
 mod recording;
 mod ros2;
 mod search;
@@ -34,9 +33,10 @@ pub use mavlink::MavlinkAddress;
 pub use metrics::Metrics;
 pub use mount::Mount;
 pub use partition::{Auto, Count, Method, Partition};
+pub use profile::{Flow, FrameLimit, Profile};
 pub use recording::{RecordedFrames, Recording, RecordingTrigger};
 pub use ros2::Ros2;
-pub use search::{Mode, Search, SearchBudget};
+pub use search::Search;
 pub use simulator::{SimulatedInertial, SimulatedSun, SimulatedSwarm, Simulator};
 pub use source::{AtEnd, Source};
 pub use stages::{Restart, Scheduling, StageInfo, StageProcess, Stages};
@@ -47,9 +47,8 @@ pub use stages::{Restart, Scheduling, StageInfo, StageProcess, Stages};
 pub struct Pipeline {
     /// Name of this pipeline on this machine: two run side by side under two names.
     pub instance: Instance,
-    /// latest: the newest frame wins everywhere (flight). lossless: every frame is worked on,
-    /// however long it takes (evaluation).
-    pub flow: Flow,
+    /// How it runs: flight, repeat, unlimited or stills.
+    pub profile: Profile,
     /// This drone.
     pub observer: Observer,
     /// The spherical camera.
@@ -101,60 +100,6 @@ impl Pipeline {
         self.stages.of(stage).replicas.unwrap_or(StageInfo::of(stage).replicas)
     }
 
-    /// Whether a stage runs in this pipeline: of the sources one does, the gateway may be off,
-    /// where each frame stands for itself nobody asks how the camera has turned, and most inertial sensors
-    /// are part of the source.
-    pub fn runs(&self, stage: StageName) -> bool {
-        match stage {
-            StageName::Gateway => self.gateway.enabled,
-            // Without a gateway nothing leaves this drone.
-            StageName::Ros2 => self.gateway.enabled && self.ros2.is_some(),
-            StageName::Autopilot => self.gateway.enabled && self.autopilot.is_some(),
-            StageName::Egomotion => self.egomotion.enabled && self.fusion.filter != Filter::None,
-            // Also where egomotion does not use it: its samples can be recorded.
-            StageName::Inertial => {
-                matches!(self.inertial.parsed_source(), Ok(InertialSource::Mavlink(_)))
-            }
-            source if source.is_source() => source == self.source.stage(),
-            _ => true,
-        }
-    }
-
-    /// Whether each neighbour is searched where it is predicted, and the sphere is swept in the remaining
-    /// time: `search.mode: gaze`. Without tracks there is no prediction, and `gaze` means `exhaustive`.
-    pub fn gazes(&self) -> bool {
-        self.search.mode == Mode::Gaze && self.fusion.filter != Filter::None
-    }
-
-    /// Whether each frame is an image for itself that nobody waits for: `fusion.filter: none` in a lossless run. It is
-    /// searched as well as can be.
-    pub fn has_single_images(&self) -> bool {
-        self.search.mode == Mode::Gaze
-            && self.fusion.filter == Filter::None
-            && self.flow == Flow::Lossless
-    }
-
-    /// Views of places that look like a body in a frame with a target without a track: `search.proposals`, and twice as
-    /// many in single images, which are looked at more closely and have more such places.
-    pub fn proposals(&self) -> usize {
-        let proposals = self.search.proposals as usize;
-        match (self.gazes(), self.has_single_images()) {
-            (true, _) => proposals,
-            (false, true) => 2 * proposals,
-            (false, false) => 0,
-        }
-    }
-
-    /// Whether each frame has a limited time, be it by the clock or by stated costs.
-    pub fn is_limited(&self) -> bool {
-        self.flow == Flow::Latest || self.search.budget == SearchBudget::Flight
-    }
-
-    /// Whether a tile is searched with one threshold window at a time, the windows in turn.
-    pub fn alternates_windows(&self) -> bool {
-        self.gazes() && self.is_limited()
-    }
-
     /// How long a frame is exposed, seconds, if that is known.
     pub fn exposure_s(&self) -> Option<f64> {
         let exposure_ms = match self.source.stage() {
@@ -162,25 +107,6 @@ impl Pipeline {
             _ => self.camera.exposure_ms,
         };
         (exposure_ms > 0.0).then_some(exposure_ms * 1e-3)
-    }
-
-    /// How long a frame is waited for: `fusion.deadline_ms`.
-    pub fn frame_deadline(&self) -> Duration {
-        Duration::from_secs_f64(self.fusion.deadline_ms * 1e-3 * self.patience())
-    }
-
-    /// After how long a worker's silence its views are given to another: `rectification.overdue_ms`.
-    pub fn view_overdue(&self) -> Duration {
-        Duration::from_secs_f64(self.rectification.overdue_ms * 1e-3 * self.patience())
-    }
-
-    /// Factor on deadlines: 10 for lossless runs without a filter, which are not in real time and whose
-    /// views are all magnified.
-    fn patience(&self) -> f64 {
-        match (self.flow, self.fusion.filter) {
-            (Flow::Lossless, Filter::None) => 10.0,
-            _ => 1.0,
-        }
     }
 
     /// Whether an inertial sensor is configured, wherever its samples come from.
@@ -235,27 +161,6 @@ impl Default for Instance {
     }
 }
 
-/// How frames flow.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Flow {
-    /// The newest frame wins at every border; what is dropped is counted.
-    #[default]
-    Latest,
-    /// Every frame is worked on; results do not depend on time.
-    Lossless,
-}
-
-impl Flow {
-    /// Its name in the configuration.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Latest => "latest",
-            Self::Lossless => "lossless",
-        }
-    }
-}
-
 /// This drone.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -305,7 +210,7 @@ pub struct Rectification {
     #[schemars(range(min = 1, max = 16))]
     pub window: u32,
     /// If a worker does not answer for this long, its views go to another, milliseconds; ten times as long
-    /// in a lossless run without filter.
+    /// with `profile: stills`.
     #[schemars(range(min = 10.0, max = 60000.0))]
     pub overdue_ms: f64,
 }
@@ -361,8 +266,6 @@ impl Default for Detection {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Fusion {
-    /// constant_velocity, or none: each frame for itself (unrelated stills).
-    pub filter: Filter,
     /// How long a neighbour is predicted without a measurement, seconds.
     #[schemars(range(min = 0.0, max = 60.0))]
     pub coast_s: f64,
@@ -392,7 +295,7 @@ pub struct Fusion {
     #[schemars(range(min = 0.01, max = 1000.0))]
     pub angular_acceleration: f64,
     /// How long a frame is waited for when a stage has died, milliseconds; ten times as long
-    /// in a lossless run without filter.
+    /// with `profile: stills`.
     #[schemars(range(min = 10.0, max = 60000.0))]
     pub deadline_ms: f64,
     /// Whether bodies are aligned with the pixels of their views; if not, only corners are used.
@@ -417,7 +320,6 @@ impl Default for Fusion {
     fn default() -> Self {
         let policy = TrackPolicy::default();
         Self {
-            filter: Filter::ConstantVelocity,
             coast_s: policy.coast_s,
             confirm_hits: policy.confirm_hits,
             confirm_window: policy.confirm_window,
@@ -447,15 +349,4 @@ pub enum Coding {
     Images,
     /// From the pictures before: H.264, H.265.
     Video,
-}
-
-/// How poses are filtered.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Filter {
-    /// A constant-velocity filter for each neighbour.
-    #[default]
-    ConstantVelocity,
-    /// None: each frame for itself.
-    None,
 }

@@ -27,7 +27,7 @@ pub struct Partition {
     #[schemars(range(min = 0.1, max = 100.0))]
     pub nearest_m: f64,
     /// Pixels of the views for each of the sphere's, along a side. Left out: 1; and 2 with
-    /// `fusion.filter: none`, where no magnified view of a neighbour follows.
+    /// `profile: stills`, where no magnified view of a neighbour follows.
     #[schemars(range(min = 0.5, max = 3.0))]
     pub magnification: Option<f64>,
 }

@@ -120,7 +120,7 @@ impl Supervisor<'_> {
     /// Kills processes that have sent health before, and send none now although nothing keeps them
     /// from it.
     fn kill_those_that_hang(&mut self) {
-        let flow_patience = match self.pipeline.flow {
+        let flow_patience = match self.pipeline.flow() {
             Flow::Latest => 1.0,
             Flow::Lossless => LOSSLESS_PATIENCE,
         };

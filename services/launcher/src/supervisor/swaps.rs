@@ -76,9 +76,9 @@ impl Supervisor<'_> {
             bail!("{other} is being swapped. Cure: wait until that is done");
         }
         ensure!(
-            self.pipeline.flow == Flow::Latest,
+            self.pipeline.flow() == Flow::Latest,
             "a lossless run is for evaluation: what it gives must not depend on when a stage is swapped. \
-             Cure: fly with flow: latest, or begin the run anew with the other stage"
+             Cure: fly with profile: flight, or begin the run anew with the other stage"
         );
         ensure!(
             self.workers.of(worker)?.condition() == Condition::Running,

@@ -57,7 +57,7 @@ impl Recorded {
         ];
         let set: Vec<&str> =
             SMALL_FLIGHT.iter().copied().chain(settings.iter().map(String::as_str)).collect();
-        let mut flight = Flight::start(name, &["--flow", "lossless"], &set);
+        let mut flight = Flight::start(name, &["--profile", "repeat"], &set);
         assert!(flight.wait().success(), "{}", flight.output());
         flight.assert_nothing_left();
         let mut files = std::fs::read_dir(folder).expect("it was made");

@@ -30,7 +30,7 @@ fn a_click_on_a_recordings_timelines_says_why() {
     let recording = format!("recording.folder={}", folder.display());
     let more = ["simulator.frames=30", "recording.frames=views", recording.as_str()];
     let set: Vec<&str> = SMALL_FLIGHT.iter().copied().chain(more).collect();
-    let mut flight = Flight::start("why-rec", &["--flow", "lossless"], &set);
+    let mut flight = Flight::start("why-rec", &["--profile", "repeat"], &set);
     assert!(flight.wait().success(), "{}", flight.output());
     let mut files = std::fs::read_dir(folder).expect("it was made");
     let path = files.next().expect("one recording").expect("it can be read").path();

@@ -34,8 +34,7 @@ pub struct CalibrateBodyArguments {
 /// written.
 pub fn run(arguments: &CalibrateBodyArguments) -> anyhow::Result<()> {
     let path = &arguments.out;
-    let mut configuration = arguments.configuration.clone();
-    configuration.set.extend(lossless());
+    let configuration = lossless(&arguments.configuration)?;
     let bodies = flockeye_config::bodies(&configuration.load()?.bodies)?;
     // First, so that an unwritable file is reported before the work.
     let is_new = !path.exists();

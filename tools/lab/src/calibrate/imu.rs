@@ -66,7 +66,10 @@ pub(super) fn fly(
     if let Some(flight) = flight {
         command.extend(["--for".into(), format!("{}ms", flight.as_millis()).into()]);
     }
-    let mut configuration = arguments.configuration.clone();
+    let mut configuration = match is_timeless(&pipeline) {
+        true => arguments.configuration.clone().with_every_frame(&[])?,
+        false => arguments.configuration.clone(),
+    };
     configuration.set.extend(own);
     configuration.set.extend(more.iter().map(|&set| set.to_owned()));
     command.extend(configuration.to_arguments(&[], &[]));
@@ -78,22 +81,25 @@ pub(super) fn fly(
     of_files(&rotations, &samples)
 }
 
+/// Whether the run need not be in real time: a recording or a simulated flight, and no autopilot.
+fn is_timeless(pipeline: &Pipeline) -> bool {
+    // An autopilot lives, whatever the pictures are.
+    let lives = matches!(pipeline.inertial.parsed_source(), Ok(InertialSource::Mavlink(_)));
+    let input = &pipeline.source.input;
+    !lives && (input == "sim" || Path::new(input).exists())
+}
+
 /// Settings of the run, and how long it takes at most. A recording is played without loss to its end, a
 /// simulated flight flown without loss, and whatever lives is compared for a while.
 fn settings(pipeline: &Pipeline, wanted: Option<Duration>) -> (Vec<String>, Option<Duration>) {
     let is_recording = Path::new(&pipeline.source.input).exists();
     let is_simulated = pipeline.source.input == "sim";
     let ends = is_recording || (is_simulated && pipeline.simulator.frames > 0);
-    // An autopilot lives, whatever the pictures are.
-    let lives = matches!(pipeline.inertial.parsed_source(), Ok(InertialSource::Mavlink(_)));
-    let mut own = vec![
+    let own = vec![
         "gateway.enabled=false".to_owned(),
         "inertial.used=false".to_owned(),
         format!("instance=calibrate-{}", std::process::id()),
     ];
-    if (is_recording || is_simulated) && !lives {
-        own.push("flow=lossless".to_owned());
-    }
     (own, wanted.or((!ends).then_some(USUAL_FLIGHT)))
 }
 
@@ -176,8 +182,9 @@ mod tests {
         assert_eq!(flight(&[], Some(5)), Some(Duration::from_secs(5)));
         assert_eq!(flight(&["simulator.frames=90"], None), None);
         assert_eq!(flight(&["source.input=v4l2:/dev/no-such-camera"], None), Some(USUAL_FLIGHT));
-        let (own, flight) = settings(&pipeline(&["source.input=/dev/null"]), None);
-        assert!(own.contains(&"flow=lossless".to_owned()) && flight.is_none());
+        let recording = pipeline(&["source.input=/dev/null"]);
+        assert!(is_timeless(&recording) && settings(&recording, None).1.is_none());
+        assert!(!is_timeless(&pipeline(&["source.input=v4l2:/dev/no-such-camera"])));
     }
 
     #[test]

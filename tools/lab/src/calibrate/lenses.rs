@@ -30,8 +30,7 @@ pub struct CalibrateLensesArguments {
 /// `flockeye up` fails, the camera has one centre, or no body spans the seam often enough (with what is
 /// missing).
 pub fn run(arguments: &CalibrateLensesArguments) -> anyhow::Result<()> {
-    let mut configuration = arguments.configuration.clone();
-    configuration.set.extend(frame_by_frame());
+    let configuration = frame_by_frame(&arguments.configuration);
     let resolved = Resolved::of(configuration.load()?)?;
     // First, so that a camera with one centre is refused before the work.
     if resolved.camera.lens_positions().is_none() {

@@ -41,8 +41,7 @@ pub struct CalibrateMountArguments {
 /// The file of places is wrong, `flockeye up` fails, or the places do not tell: with what is missing.
 pub fn run(arguments: &CalibrateMountArguments) -> anyhow::Result<()> {
     let bench: Bench = read_document(&arguments.places)?;
-    let mut configuration = arguments.configuration.clone();
-    configuration.set.extend(frame_by_frame());
+    let configuration = frame_by_frame(&arguments.configuration);
     let pipeline = configuration.load()?;
     bench.check().with_context(|| format!("{}", arguments.places.display()))?;
     let rows = match &arguments.poses {

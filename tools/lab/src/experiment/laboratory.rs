@@ -6,15 +6,15 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use anyhow::{Context, bail, ensure};
-use flockeye_cli::{Configuration, FlowChoice, Screen, signals};
-use flockeye_config::Pipeline;
+use flockeye_cli::{Configuration, Screen, signals};
+use flockeye_config::{Pipeline, Profile};
 use flockeye_tables::{FrameTimes, PoseRow, TruthRow, read};
 
 use crate::up_process;
 
 /// What the flights of an experiment have in common.
-pub(super) struct Laboratory<'a> {
-    configuration: &'a Configuration,
+pub(super) struct Laboratory {
+    configuration: Configuration,
     /// Settings that the user's override.
     defaults: Vec<String>,
     frames: u64,
@@ -56,21 +56,23 @@ impl FlightRecord {
     }
 }
 
-impl<'a> Laboratory<'a> {
+impl Laboratory {
     /// Flights of at most so many frames. Progress is shown unless the result is JSON.
     pub(super) fn new(
-        configuration: &'a Configuration,
+        configuration: &Configuration,
         defaults: &[&str],
         frames: u64,
         json: bool,
     ) -> anyhow::Result<Self> {
         ensure!(
-            configuration.flow != Some(FlowChoice::Latest),
-            "an experiment works on every frame. Cure: leave out --flow latest"
+            configuration.flow.as_deref() != Some("latest")
+                && configuration.profile.as_deref() != Some(Profile::Flight.name()),
+            "an experiment works on every frame. Cure: leave out --profile flight"
         );
+        let defaults: Vec<String> = defaults.iter().map(|setting| (*setting).to_owned()).collect();
         Ok(Self {
-            configuration,
-            defaults: defaults.iter().map(|setting| (*setting).to_owned()).collect(),
+            configuration: configuration.clone().with_every_frame(&defaults)?,
+            defaults,
             frames,
             stopping: signals::stop_flag()?,
             screen: if json { Screen::muted() } else { Screen::new() },
@@ -82,7 +84,6 @@ impl<'a> Laboratory<'a> {
         static FLIGHTS: AtomicU32 = AtomicU32::new(0);
         let flight = FLIGHTS.fetch_add(1, Ordering::Relaxed);
         let own = [
-            "flow=lossless".to_owned(),
             "gateway.enabled=false".to_owned(),
             "recording.folder=null".to_owned(),
             format!("instance=x{}-{flight}", std::process::id()),

@@ -3,7 +3,7 @@
 use std::fmt;
 
 use flockeye_cli::text_table::TextTable;
-use flockeye_config::Resolved;
+use flockeye_config::{Profile, Resolved};
 use serde::Serialize;
 
 use super::comparison::{ComparisonArguments, FlightOutcome, LEGEND, TITLES, given_truth};
@@ -56,9 +56,13 @@ pub(super) struct PartitionComparison {
 /// optimized search (Algorithm 1), and no filter links them.
 pub(super) fn run(arguments: &ComparisonArguments) -> anyhow::Result<PartitionComparison> {
     let given = given_truth(arguments)?;
-    let defaults = ["search.mode=optimized", "fusion.filter=none"];
+    let configuration = match arguments.configuration.says_profile() {
+        true => arguments.configuration.clone(),
+        false => arguments.configuration.clone().in_profile(Profile::Stills),
+    };
+    let defaults = ["search.mode=optimized"];
     let mut laboratory =
-        Laboratory::new(&arguments.configuration, &defaults, arguments.frames, arguments.json)?;
+        Laboratory::new(&configuration, &defaults, arguments.frames, arguments.json)?;
     let mut rows = Vec::new();
     for paper in &TABLE_1 {
         for method in ["paper", "covering"] {

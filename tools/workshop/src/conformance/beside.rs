@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, ensure};
 use flockeye_cli::Configuration;
+use flockeye_config::Profile;
 use flockeye_contract::StageName;
 use flockeye_runtime::instance::Instance;
 use serde_json::Value;
@@ -54,11 +55,11 @@ pub(crate) fn run(
         format!("instance={name}"),
         "gateway.enabled=false".to_owned(),
         "recording.folder=null".to_owned(),
-        "flow=latest".to_owned(),
         // A short recording goes on until both have found something.
         "source.at_end=loop".to_owned(),
     ];
     // Mistakes are reported before anything starts.
+    let configuration = configuration.clone().in_profile(Profile::Flight);
     configuration.load_with(&[], &fixed)?;
     let request = Request::Swap(SwapRequest {
         worker: Worker { stage, replica: 0 },

@@ -45,7 +45,7 @@ pub(crate) fn run(
 ) -> anyhow::Result<()> {
     let first = Duration::from_secs_f64(resolved.pipeline.supervision.start_s);
     let mut script = Script { resolved, frames: bench.ports.subscriber()?, last: None, first };
-    match resolved.pipeline.flow {
+    match resolved.pipeline.flow() {
         Flow::Latest => script.at_its_own_rate(bench, report),
         Flow::Lossless => script.on_credit(bench, report),
     }
