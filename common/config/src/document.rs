@@ -176,11 +176,28 @@ impl Node {
         }
     }
 
-    /// Adds a key to this section, which has none of this name.
-    pub fn add(&mut self, name: &str, origin: Origin, value: Value) {
-        if let Data::Section(entries) = &mut self.data {
-            let key = Key { origin: origin.clone(), name: name.to_owned() };
-            entries.push((key, Self { origin, data: Data::Scalar(value) }));
+    /// Puts a value at a dotted path at which nothing stands; sections that are missing are added.
+    pub fn put(&mut self, path: &str, value: Self) {
+        if matches!(self.data, Data::Scalar(Value::Null)) {
+            self.data = Data::Section(Vec::new());
+        }
+        let Data::Section(entries) = &mut self.data else { return };
+        let (name, rest) = match path.split_once('.') {
+            Some((name, rest)) => (name, Some(rest)),
+            None => (path, None),
+        };
+        entries.retain(|(key, node)| {
+            rest.is_some() || key.name != name || !matches!(node.data, Data::Scalar(Value::Null))
+        });
+        let (key, origin) = (name.to_owned(), value.origin.clone());
+        match (rest, entries.iter_mut().find(|(key, _)| key.name == name)) {
+            (None, _) => entries.push((Key { origin, name: key }, value)),
+            (Some(rest), Some((_, node))) => node.put(rest, value),
+            (Some(rest), None) => {
+                let mut node = Self { origin: origin.clone(), data: Data::Section(Vec::new()) };
+                node.put(rest, value);
+                entries.push((Key { origin, name: key }, node));
+            }
         }
     }
 

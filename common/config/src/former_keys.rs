@@ -20,6 +20,54 @@ const FORMER_PROFILE: [(&str, [&str; 2]); 3] = [
     ("fusion.filter", ["constant_velocity", "none"]),
 ];
 
+/// Keys that have another name now.
+const MOVED: [(&str, &str); 1] = [("search.costs.processors", "search.processors")];
+
+/// Sections of which every key has gone.
+const GONE: [&str; 1] = ["search.costs"];
+
+/// Values that are written in another way now: key, former value, value.
+const REWRITTEN: [(&str, &str, i64); 1] = [("partition.count", "auto", 12)];
+
+/// Why costs are constants.
+const STATED: &str =
+    "costs are the same for all machines, so that profile: repeat gives the same poses everywhere";
+/// Why what the filter goes by is constant.
+const FILTER: &str =
+    "it belongs to the filter's design, and is tested and measured with this value alone";
+
+/// Keys that are constants now: the value as JSON, and why nobody had a reason to change it.
+const FIXED: [(&str, &str, &str); 20] = [
+    ("search.costs.source_ms", "20.0", STATED),
+    ("search.costs.egomotion_ms", "2.2", STATED),
+    ("search.costs.proposals_ms", "4.5", STATED),
+    ("search.costs.cut_ms_per_megapixel", "2.5", STATED),
+    ("search.costs.window_ms_per_megapixel", "4.0", STATED),
+    ("search.costs.direct_pass_ms", "3.5", STATED),
+    ("search.costs.corner_pass_ms", "4.0", STATED),
+    ("search.costs.initiation_ms", "8.0", STATED),
+    ("search.costs.background_pass_ms", "45.0", STATED),
+    (
+        "search.lossless_partitions",
+        "4",
+        "profile: unlimited sweeps the sphere in a few frames with it",
+    ),
+    ("fusion.confirm_hits", "2", FILTER),
+    ("fusion.confirm_window", "5", FILTER),
+    ("fusion.history_s", "0.5", FILTER),
+    ("fusion.gate_probability", "0.999", FILTER),
+    ("fusion.restart_after_gated", "3", FILTER),
+    (
+        "partition.weights",
+        "[0.2, 0.02, 0.78]",
+        "flockeye partition --weights compares others, for partition.count",
+    ),
+    ("partition.seed", "1", "other starts give partitions that are as good"),
+    ("partition.margin_deg", "null", "partition.nearest_m says how far views overlap"),
+    ("partition.magnification", "null", "the profile says it: 1, and 2 for stills"),
+    ("simulator.lens_blur_px", "0.8", "it is that of the cameras that were measured"),
+];
+
 /// Whether a setting `key.path=value` says how the pipeline runs, by today's key or a former one.
 pub fn says_how_it_runs(setting: &str) -> bool {
     let key = setting.split('=').next().unwrap_or_default().trim();
@@ -30,6 +78,92 @@ pub fn says_how_it_runs(setting: &str) -> bool {
 /// became of each key to `notices`.
 pub(crate) fn translate(document: &mut Node, problems: &mut Problems, notices: &mut Vec<String>) {
     profile(document, problems, notices);
+    moved(document, problems, notices);
+    rewritten(document, notices);
+    fixed(document, problems, notices);
+}
+
+/// Gives keys their names of today.
+fn moved(document: &mut Node, problems: &mut Problems, notices: &mut Vec<String>) {
+    for (former, today) in MOVED {
+        let Some(node) = document.take(former) else { continue };
+        let origin = node.origin.clone();
+        if matches!(node.data, Data::Scalar(Value::Null)) {
+            continue;
+        }
+        if document.get(today).is_some() {
+            let what =
+                format!("is called {today} now, which is written too. Cure: leave {former} out");
+            problems.add(Problem::new(origin, former, what));
+        } else {
+            notices.push(format!(
+                "{origin}: {former} is called {today} now; the next release refuses it"
+            ));
+            document.put(today, node);
+        }
+    }
+}
+
+/// Gives values their spelling of today.
+fn rewritten(document: &mut Node, notices: &mut Vec<String>) {
+    for (path, former, today) in REWRITTEN {
+        let is_former = |node: &&Node| matches!(&node.data, Data::Scalar(Value::String(text)) if text == former);
+        let Some(origin) = document.get(path).filter(is_former).map(|node| node.origin.clone())
+        else {
+            continue;
+        };
+        notices.push(format!(
+            "{origin}: {path}: {former} is written {today} now; the next release refuses it"
+        ));
+        document.take(path);
+        document.put(path, Node { origin, data: Data::Scalar(Value::from(today)) });
+    }
+}
+
+/// Takes away keys that are constants now, and refuses other values than theirs.
+fn fixed(document: &mut Node, problems: &mut Problems, notices: &mut Vec<String>) {
+    for (path, value, why) in FIXED {
+        let Some(node) = document.take(path) else { continue };
+        let (origin, found) = (node.origin.clone(), node.to_json());
+        let is_left_out = value == "null";
+        if found.is_null() {
+            continue;
+        }
+        let is_same = serde_json::from_str(value).is_ok_and(|value| is_equal(&found, &value));
+        if is_same {
+            notices.push(format!("{origin}: {path} is fixed at {value} now: leave it out; the next release refuses it"));
+            continue;
+        }
+        let fixed = match is_left_out {
+            true => "is no key any more".to_owned(),
+            false => format!("is fixed at {value} now"),
+        };
+        problems.add(Problem::new(origin, path, format!("{fixed}: {why}. Cure: leave it out")));
+    }
+    for section in GONE {
+        if document.get(section).is_none_or(|node| node.to_json() == json!({})) {
+            document.take(section);
+        }
+    }
+}
+
+/// The constants that are numbers, in the order of the keys.
+#[cfg(test)]
+pub(crate) fn fixed_numbers() -> impl Iterator<Item = f64> {
+    FIXED.iter().filter_map(|(_, value, _)| value.parse().ok())
+}
+
+/// Whether two values are the same, however their numbers are written.
+fn is_equal(left: &Value, right: &Value) -> bool {
+    match (left, right) {
+        (Value::Array(left), Value::Array(right)) => {
+            left.len() == right.len() && left.iter().zip(right).all(|(a, b)| is_equal(a, b))
+        }
+        _ => match (left.as_f64(), right.as_f64()) {
+            (Some(left), Some(right)) => left == right,
+            _ => left == right,
+        },
+    }
 }
 
 /// Writes each notice to the log, once in each process.
@@ -95,7 +229,8 @@ fn profile(document: &mut Node, problems: &mut Problems, notices: &mut Vec<Strin
                 "{}: {names} is written {PROFILE}: {name} now; the next release refuses it",
                 first.origin
             ));
-            document.add(PROFILE, first.origin.clone(), Value::from(name));
+            let node = Node { origin: first.origin.clone(), data: Data::Scalar(Value::from(name)) };
+            document.put(PROFILE, node);
         }
         Err((path, what)) => {
             let origin =

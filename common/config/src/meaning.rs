@@ -4,15 +4,15 @@ use std::net::IpAddr;
 
 use flockeye_contract::StageName;
 use flockeye_geometry::body::{Bodies, Body};
-use flockeye_geometry::partition::{PartitionError, Weights};
+use flockeye_geometry::partition::PartitionError;
 
 use crate::document::Node;
 use crate::instance_name::is_instance_name;
 use crate::problem::{Problem, Problems};
 use crate::resolve::{self, Division, SphereViewsError, preset_body};
 use crate::types::{
-    AtEnd, BodySet, Count, Flow, Fusion, Gateway, GatewayMode, InertialSource, MavlinkAddress,
-    Mount, Partition, Pipeline, Preset, PresetBody, RecordedFrames, Response, StageInfo,
+    AtEnd, BodySet, Flow, Gateway, GatewayMode, InertialSource, MavlinkAddress, Mount, Partition,
+    Pipeline, Preset, PresetBody, RecordedFrames, Response, StageInfo,
 };
 
 /// Semantic validation: appends each violated constraint of `pipeline` to `problems`.
@@ -29,7 +29,6 @@ pub(super) fn check(pipeline: &Pipeline, document: &Node, problems: &mut Problem
     meaning.rising("simulator.distance_m", pipeline.simulator.distance_m, 0.2);
     meaning.source(pipeline);
     meaning.inertial(pipeline);
-    meaning.fusion(&pipeline.fusion);
     meaning.network(pipeline);
     meaning.stages(pipeline);
 }
@@ -184,9 +183,6 @@ impl Meaning<'_> {
 
     fn partition(&mut self, pipeline: &Pipeline) {
         let partition = &pipeline.partition;
-        if let Err(error) = Weights::new(partition.weights) {
-            return self.problem("partition.weights", error.to_string());
-        }
         // The markers of a file are not known yet: see `Resolved::of`.
         let markers = pipeline.bodies.list.iter().filter_map(preset_body);
         let largest_m = match pipeline.bodies.file {
@@ -217,20 +213,12 @@ impl Meaning<'_> {
             return self.problem("partition", error.to_string());
         }
         // The key whose value caused it.
-        let path = match (partition.margin_deg, partition.count) {
-            (Some(_), _) => "partition.margin_deg",
-            (None, Count::Chosen(_)) if partition.weights != Partition::default().weights => {
-                "partition.weights"
-            }
-            (None, Count::Chosen(_)) => "partition.nearest_m",
-            (None, count) if count == Partition::default().count => "partition.nearest_m",
-            (None, Count::Views(_)) => "partition.count",
+        let path = match partition.count == Partition::default().count {
+            true => "partition.nearest_m",
+            false => "partition.count",
         };
-        let reason = match partition.margin_deg {
-            Some(_) => String::new(),
-            None => format!("a marker of {} m at {} m: ", rounded(largest_m), partition.nearest_m),
-        };
-        self.problem(path, format!("{reason}{error}"));
+        let (largest_m, nearest_m) = (rounded(largest_m), partition.nearest_m);
+        self.problem(path, format!("a marker of {largest_m} m at {nearest_m} m: {error}"));
     }
 
     fn source(&mut self, pipeline: &Pipeline) {
@@ -334,19 +322,6 @@ impl Meaning<'_> {
                 "a lossless run is not in real time, an autopilot is: use profile: flight".into(),
             ),
             Ok(_) => {}
-        }
-    }
-
-    fn fusion(&mut self, fusion: &Fusion) {
-        let Fusion { confirm_hits, confirm_window, .. } = *fusion;
-        if confirm_hits > confirm_window {
-            self.problem(
-                "fusion.confirm_hits",
-                format!(
-                    "{confirm_hits} measurements among {confirm_window} frames: raise \
-                     fusion.confirm_window"
-                ),
-            );
         }
     }
 

@@ -82,7 +82,7 @@ pub fn configured<P: Pixels>(
     }
     let schedule = match pipeline.limit() {
         FrameLimit::Time => Schedule::Flight,
-        FrameLimit::Costs => Schedule::Virtual(VirtualClock::new(pipeline.search.costs.clone())),
+        FrameLimit::Costs => Schedule::Virtual(VirtualClock::new(pipeline.costs())),
         FrameLimit::Unlimited => Schedule::Unlimited,
     };
     let keeping = Keeping {
@@ -157,12 +157,8 @@ fn filter_choice(pipeline: &Pipeline) -> FilterChoice {
                 longest_step_s: usual.longest_step_s.max(fusion.coast_s),
                 ..usual
             },
-            confirm_hits: fusion.confirm_hits,
-            confirm_window: fusion.confirm_window,
             coast_s: fusion.coast_s,
-            history_s: fusion.history_s,
-            gate_probability: fusion.gate_probability,
-            restart_after_gated: fusion.restart_after_gated,
+            ..TrackPolicy::default()
         }),
     }
 }

@@ -6,7 +6,7 @@ use std::time::Duration;
 use anyhow::{Context, ensure};
 use clap::Args;
 use flockeye_cli::{Configuration, Screen, duration, signals};
-use flockeye_config::{Count, FrameLimit, Profile, RecordingTrigger, Resolved};
+use flockeye_config::{FrameLimit, Profile, RecordingTrigger, Resolved};
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::partition;
 use flockeye_network::NetworkParameters;
@@ -97,7 +97,7 @@ fn plan(resolved: &Resolved, budget: &Budget) -> anyhow::Result<String> {
     let instance = Instance::named(&pipeline.instance.0);
     let profile = match pipeline.profile {
         Profile::Flight => "in real time, the newest frame wins",
-        Profile::Repeat => "every frame, in the time that flight has by search.costs",
+        Profile::Repeat => "every frame, in the time that flight has, by stated costs",
         Profile::Unlimited => "every frame, however long it takes",
         Profile::Stills => "every frame, each for itself",
     };
@@ -190,7 +190,7 @@ fn search(resolved: &Resolved, partitions: usize) -> anyhow::Result<String> {
     }
     match pipeline.limit() {
         FrameLimit::Time => text += "; of each frame as many as there is time for",
-        FrameLimit::Costs => text += "; of each frame as many as fit by search.costs",
+        FrameLimit::Costs => text += "; of each frame as many as fit by stated costs",
         FrameLimit::Unlimited => text += &sweep_of_all(resolved, partitions, far.len()),
     }
     Ok(text)
@@ -198,7 +198,7 @@ fn search(resolved: &Resolved, partitions: usize) -> anyhow::Result<String> {
 
 /// How often each part of the sphere is searched, where nothing limits the work on a frame.
 fn sweep_of_all(resolved: &Resolved, partitions: usize, far: usize) -> String {
-    let each = resolved.pipeline.search.lossless_partitions as usize;
+    let each = resolved.gaze_options.partitions_per_frame;
     // One of each kind in turn, until those of the smaller kind come a second time.
     let frames = |count: usize| if far == 0 { count } else { 2 * count }.div_ceil(each);
     let mut text =
@@ -213,18 +213,18 @@ fn sweep_of_all(resolved: &Resolved, partitions: usize, far: usize) -> String {
 fn sphere(resolved: &Resolved) -> String {
     let (pipeline, division) = (&resolved.pipeline, &resolved.division);
     let (partition, views) = (&division.partition, &resolved.partition_views);
-    let is_chosen = matches!(pipeline.partition.count, Count::Chosen(_));
-    let seed = u64::from(pipeline.partition.seed);
-    let is_stored =
-        partition::Partition::is_stored(pipeline.partition.method.into(), partition.len(), seed);
+    let is_stored = partition::Partition::is_stored(
+        pipeline.partition.method.into(),
+        partition.len(),
+        partition::STORED_SEED,
+    );
     format!(
-        "{} partitions of {} px{}: circles of {:.2}° by {:?}, {}; squares of {:.2}° for a margin of {:.2}°",
+        "{} partitions of {} px: circles of {:.2}° by {:?}, {}; squares of {:.2}° for a margin of {:.2}°",
         partition.len(),
         views.iter().map(|view| view.size_px).max().unwrap_or(0),
-        if is_chosen { " (chosen by partition.weights)" } else { "" },
         partition.covering_diameter_rad().to_degrees(),
         pipeline.partition.method,
-        if is_stored { "stored".to_owned() } else { format!("found from seed {seed}") },
+        if is_stored { "stored" } else { "found at the start" },
         division.field_rad.to_degrees(),
         division.margin_rad.to_degrees(),
     )

@@ -35,7 +35,7 @@ impl FrameClock {
             FrameLimit::Time => Clock::Live(Cadence::default()),
             FrameLimit::Costs => {
                 let has_egomotion = pipeline.runs(StageName::Egomotion);
-                Clock::Virtual(VirtualBudget::new(pipeline.search.costs.clone(), has_egomotion))
+                Clock::Virtual(VirtualBudget::new(pipeline.costs(), has_egomotion))
             }
             FrameLimit::Unlimited => Clock::Unlimited,
         })

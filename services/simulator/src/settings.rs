@@ -55,7 +55,6 @@ pub fn parameters(resolved: &Resolved) -> anyhow::Result<WorldParameters> {
         }),
         read_noise: usual.read_noise * settings.noise,
         shot_noise: usual.shot_noise * settings.noise,
-        lens_blur_px: settings.lens_blur_px,
         observer_yaw_rate_deg_s: settings.yaw_deg_s,
         tilt_deg: settings.tilt_deg,
         yaw_swing_deg_s: settings.yaw_swing_deg_s,

@@ -95,7 +95,7 @@ const WRONG: &[(&str, &[&str])] = &[
     ("camera:\n  widht: 3840", &["line 2, column 3", "camera.widht", "did you mean 'width'?"]),
     (
         "search: {qqq: 1}",
-        &["unknown key (known are mode, costs, lossless_partitions, far_magnification, proposals)"],
+        &["unknown key (known are mode, processors, far_magnification, proposals)"],
     ),
     ("camera: {width: wide}", &["camera.width", "must be a whole number", "the text 'wide'"]),
     ("camera: {width: 38.5}", &["must be a whole number, not 38.5"]),
@@ -184,8 +184,19 @@ const WRONG: &[(&str, &[&str])] = &[
     ),
     ("search: {mode: gazee}", &["greedy, optimized, exhaustive, gaze", "did you mean 'gaze'?"]),
     (
-        "fusion: {confirm_hits: 6}",
-        &["fusion.confirm_hits", "6 measurements among 5 frames: raise fusion.confirm_window"],
+        "fusion:\n  confirm_hits: 6",
+        &[
+            "line 2",
+            "fusion.confirm_hits: is fixed at 2 now",
+            "the filter's design",
+            "leave it out",
+        ],
+    ),
+    ("search: {costs: {source_ms: 30}}", &["search.costs.source_ms: is fixed at 20.0 now"]),
+    ("search: {costs: {source: 30}}", &["search.costs", "unknown key"]),
+    (
+        "search: {processors: 4, costs: {processors: 4}}",
+        &["search.costs.processors: is called search.processors now", "Cure: leave"],
     ),
     ("instance: 'a b'", &["instance: 'a b' cannot be a name"]),
     ("observer: {name: a/b}", &["observer.name", "letters, digits"]),
@@ -223,26 +234,26 @@ const WRONG: &[(&str, &[&str])] = &[
     ),
     ("partition: {count: 129}", &["from 4 to 128, not 129", "never all searched in time"]),
     ("partition: {count: -1}", &["from 4 to 128, not -1"]),
-    ("partition: {count: 12.5}", &["must be auto or a whole number from 4 to 128, not 12.5"]),
-    ("partition: {count: all}", &["must be auto or a whole number", "not the text 'all'"]),
-    ("partition: {count: [12]}", &["must be auto or a whole number", "not a list"]),
+    ("partition: {count: 12.5}", &["partition.count", "must be a whole number, not 12.5"]),
+    ("partition: {count: all}", &["must be a whole number", "not the text 'all'"]),
+    ("partition: {count: [12]}", &["must be a whole number", "not a list"]),
     ("partition: {method: tammes}", &["partition.method", "must be one of covering, paper"]),
-    ("partition: {weights: [1, 0]}", &["partition.weights", "must have exactly 3 entries, not 2"]),
     (
-        "partition:\n  weights: [0.5, 0.5, 0.5]",
-        &["line 2, column 12", "must sum to 1", "[0.3333, 0.3333, 0.3333]"],
+        "partition:\n  weights: [0.5, 0.25, 0.25]",
+        &[
+            "line 2, column 12",
+            "partition.weights: is fixed at [0.2, 0.02, 0.78]",
+            "flockeye partition",
+        ],
     ),
-    ("partition: {weights: [1.0, 0.0, 0.0]}", &["each weight must be above 0", "use 0.01"]),
-    ("partition: {weights: [2.0, -0.5, -0.5]}", &["each weight must be above 0"]),
-    ("partition: {seed: -1}", &["partition.seed", "not -1"]),
-    ("partition: {margin_deg: -1}", &["from 0 to 130, not -1"]),
+    ("partition: {seed: 3}", &["partition.seed: is fixed at 1 now", "leave it out"]),
     (
-        "partition:\n  margin_deg: 80",
-        &["line 2, column 15", "80.0 degrees wide", "largest margin of so many is"],
+        "partition: {margin_deg: 7}",
+        &["column 25", "partition.margin_deg: is no key any more: partition.nearest_m"],
     ),
     (
-        "partition: {count: 4, margin_deg: 7}",
-        &["column 35", "largest margin of so many is 3.", "fewest views for this margin are 5"],
+        "partition: {magnification: 2}",
+        &["partition.magnification: is no key any more: the profile"],
     ),
     (
         "partition:\n  count: 4",
@@ -251,10 +262,6 @@ const WRONG: &[(&str, &[&str])] = &[
     (
         "partition: {nearest_m: 0.1}\nbodies: {list: [{edge_m: 2, marker_m: 2}]}",
         &["partition.nearest_m", "a marker of 2 m at 0.1 m", "no number of views does"],
-    ),
-    (
-        "partition: {count: auto, weights: [0.98, 0.01, 0.01]}",
-        &["partition.weights", "4 views that hold", "fewest views for this margin are 5"],
     ),
     ("partition: {count: 5, method: paper}", &["partition.count", "fewest views"]),
     ("gateway: {listen: [localhost]}", &["gateway.listen.0", "tcp/ADDRESS:PORT"]),
@@ -313,8 +320,7 @@ fn wrong_files_are_refused_with_place_and_cure() {
 
 #[test]
 fn all_problems_come_at_once() {
-    let error =
-        parse("camra: {}\nprofile: fast\nsearch: {mode: 3, lossless_partitions: 0}\n").unwrap_err();
+    let error = parse("camra: {}\nprofile: fast\nsearch: {mode: 3, processors: 0}\n").unwrap_err();
     let ConfigError::Problems { problems, .. } = &error else { panic!("{error}") };
     assert_eq!(problems.len(), 4, "{error}");
     assert!(error.to_string().starts_with("pipeline.yaml has 4 problems:"), "{error}");
@@ -337,11 +343,7 @@ fn resolved(pipeline: &Pipeline) -> Resolved {
 }
 
 #[test]
-fn a_partition_may_be_chosen() {
-    let pipeline = parse("partition: {count: auto}").unwrap();
-    assert_eq!(resolved(&pipeline).partition_views.len(), 12);
-    let few = parse("partition: {count: auto, weights: [0.6, 0.01, 0.39]}").unwrap();
-    assert!(resolved(&few).partition_views.len() < 12);
+fn a_partition_has_as_many_views_as_are_wanted() {
     for count in [5, 32, 33, 128] {
         let pipeline = parse(&format!("partition: {{count: {count}}}")).unwrap();
         let views = resolved(&pipeline).partition_views;
@@ -351,7 +353,7 @@ fn a_partition_may_be_chosen() {
         let json = serde_json::to_string(&pipeline).unwrap();
         assert_eq!(serde_json::from_str::<Pipeline>(&json).unwrap(), pipeline);
     }
-    let pipeline = parse("partition: {method: paper, seed: 3}").unwrap();
+    let pipeline = parse("partition: {method: paper}").unwrap();
     assert_ne!(
         resolved(&pipeline).division.partition,
         resolved(&Pipeline::default()).division.partition
@@ -433,4 +435,54 @@ fn configurations_of_recordings_are_read_whatever_release_wrote_them() {
     assert_eq!(read(&written).unwrap(), today);
     written["warp"] = 9.into();
     assert!(read(&written).unwrap_err().to_string().contains("warp"));
+}
+
+/// A file with every key of the last release at its default, as that release shipped it.
+#[test]
+fn keys_that_are_constants_now_are_read_with_their_values_and_refused_with_others() {
+    let yaml = "\
+        partition: {count: auto, weights: [0.2, 0.02, 0.78], seed: 1, margin_deg:, magnification:}\n\
+        search: {lossless_partitions: 4, costs: {processors: 1.3, source_ms: 20, egomotion_ms: 2.2}}\n\
+        fusion: {confirm_hits: 2, confirm_window: 5, history_s: 0.5, gate_probability: 0.999}\n\
+        simulator: {lens_blur_px: 0.8}";
+    assert_eq!(parse(yaml).unwrap(), Pipeline::default());
+    assert_eq!(parse("search:\n  costs:\n").unwrap(), Pipeline::default());
+    assert_eq!(parse("search: {costs: {processors: 4}}").unwrap().search.processors, 4.0);
+    let set = ["search.costs.processors=4".to_owned(), "fusion.restart_after_gated=3".to_owned()];
+    assert_eq!(Pipeline::parse("", &set, "x").unwrap().search.processors, 4.0);
+    let other = ["fusion.history_s=0.6".to_owned()];
+    let refused = Pipeline::parse("", &other, "x").unwrap_err().to_string();
+    assert!(
+        refused.contains("--set fusion.history_s=0.6: fusion.history_s: is fixed"),
+        "{refused}"
+    );
+}
+
+#[test]
+fn what_constants_a_former_key_names_is_what_the_code_has() {
+    let costs = Costs::default();
+    let policy = flockeye_geometry::filter::TrackPolicy::default();
+    let said: Vec<f64> = crate::former_keys::fixed_numbers().collect();
+    let is = [
+        costs.source_ms,
+        costs.egomotion_ms,
+        costs.proposals_ms,
+        costs.cut_ms_per_megapixel,
+        costs.window_ms_per_megapixel,
+        costs.direct_pass_ms,
+        costs.corner_pass_ms,
+        costs.initiation_ms,
+        costs.background_pass_ms,
+        resolved(&Pipeline::default()).gaze_options.partitions_per_frame as f64,
+        f64::from(policy.confirm_hits),
+        f64::from(policy.confirm_window),
+        policy.history_s,
+        policy.gate_probability,
+        f64::from(policy.restart_after_gated),
+        flockeye_geometry::partition::STORED_SEED as f64,
+        0.8,
+    ];
+    assert_eq!(said, is);
+    let weights = flockeye_geometry::partition::Weights::default().values();
+    assert_eq!(weights, [0.2, 0.02, 0.78]);
 }

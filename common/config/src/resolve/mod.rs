@@ -30,6 +30,10 @@ pub(crate) use bodies::preset_body;
 pub(crate) use camera::{camera, response_table, simulated_camera};
 pub(crate) use sphere::high_resolution_tiles;
 
+/// Tiles searched after the regions of interest in each frame with `profile: unlimited`: a third of the
+/// partitions, so that the sphere is swept within a few frames and no frame takes much longer than another.
+const UNLIMITED_TILES: usize = 4;
+
 /// Why a configuration cannot be resolved.
 #[derive(Debug, thiserror::Error)]
 pub enum ResolveError {
@@ -100,7 +104,7 @@ impl Resolved {
             partition_views: division.views(&pipeline, &camera)?,
             high_resolution_tiles: high_resolution_tiles(&pipeline, &camera)?,
             gaze_options: GazeOptions {
-                partitions_per_frame: pipeline.search.lossless_partitions as usize,
+                partitions_per_frame: UNLIMITED_TILES,
                 ..GazeOptions::new(camera.pixels_per_radian())
             },
             mask: OnceLock::new(),

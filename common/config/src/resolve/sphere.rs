@@ -6,10 +6,10 @@ use std::time::Instant;
 
 use flockeye_contract::MAX_VIEW_PX;
 use flockeye_geometry::camera::Camera;
-use flockeye_geometry::partition::{self, Criterion, Method, Partition, PartitionError, Weights};
+use flockeye_geometry::partition::{self, Method, Partition, PartitionError};
 use flockeye_geometry::view::View;
 
-use crate::types::{self, Auto, Count, Pipeline};
+use crate::types::{self, Pipeline};
 
 /// Why the sphere has no views.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -20,8 +20,7 @@ pub enum SphereViewsError {
     /// Views that no message can carry.
     #[error(
         "partition.count: {count} views of this camera's sphere have {size_px} px a side, and a view \
-         has {MAX_VIEW_PX} at most. Cure: more views, a smaller margin, smaller frames, or a smaller \
-         partition.magnification"
+         has {MAX_VIEW_PX} at most. Cure: more views, a larger partition.nearest_m, or smaller frames"
     )]
     TooLarge {
         /// How many views.
@@ -49,25 +48,16 @@ fn too_large(views: &[View]) -> Option<u32> {
     views.iter().map(|view| view.size_px).max().filter(|&size_px| size_px > MAX_VIEW_PX)
 }
 
-/// Method, number of views and seed.
-type Key = (Method, usize, u64);
+/// Method and number of views.
+type Key = (Method, usize);
 
 /// Partitions that this process computed, because they are not stored.
 static FOUND: Mutex<Vec<(Key, Partition)>> = Mutex::new(Vec::new());
 
-/// How many views cover the sphere.
-fn partition_count(settings: &types::Partition) -> Result<usize, PartitionError> {
-    match settings.count {
-        Count::Views(count) => Ok(count),
-        Count::Chosen(Auto::Auto) => Ok(Criterion::new(Weights::new(settings.weights)?).choice()),
-    }
-}
-
 /// The directions that share the sphere: every process of a pipeline finds the same.
 fn partition(settings: &types::Partition) -> Result<Partition, PartitionError> {
-    let method = settings.method.into();
-    let key = (method, partition_count(settings)?, u64::from(settings.seed));
-    let (method, count, seed) = key;
+    let (method, count, seed) = (settings.method.into(), settings.count, partition::STORED_SEED);
+    let key = (method, count);
     if Partition::is_stored(method, count, seed) {
         return Partition::of(method, count, seed);
     }
@@ -80,9 +70,8 @@ fn partition(settings: &types::Partition) -> Result<Partition, PartitionError> {
     let partition = Partition::of(method, count, seed)?;
     tracing::info!(
         count,
-        seed,
         seconds = start.elapsed().as_secs_f64(),
-        "this partition of the sphere is not stored: computed it from its seed"
+        "this partition of the sphere is not stored: computed it"
     );
     found.push((key, partition.clone()));
     Ok(partition)
@@ -93,8 +82,7 @@ fn partition(settings: &types::Partition) -> Result<Partition, PartitionError> {
 pub struct Division {
     /// The directions that share the sphere.
     pub partition: Partition,
-    /// Overlap of the partitions, radians: `partition.margin_deg`, or the largest marker seen from
-    /// `partition.nearest_m`.
+    /// Overlap of the partitions, radians: the largest marker seen from `partition.nearest_m`.
     pub margin_rad: f64,
     /// Field of the partitions' views, radians.
     pub field_rad: f64,
@@ -110,15 +98,12 @@ impl Division {
         largest_marker_m: f64,
     ) -> Result<Self, PartitionError> {
         let partition = partition(settings)?;
-        let margin_rad = match settings.margin_deg {
-            Some(degrees) => degrees.to_radians(),
-            None => 2.0 * (largest_marker_m / (2.0 * settings.nearest_m)).atan(),
-        };
+        let margin_rad = 2.0 * (largest_marker_m / (2.0 * settings.nearest_m)).atan();
         let field_rad = partition.field_rad(margin_rad)?;
         Ok(Self { partition, margin_rad, field_rad })
     }
 
-    /// The partitions as views, at the sphere's resolution times `partition.magnification`.
+    /// The partitions as views, at the resolution that the profile wants.
     ///
     /// # Errors
     /// A margin that leaves no view; views that no message can carry.

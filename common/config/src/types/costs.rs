@@ -1,50 +1,38 @@
 //! What each piece of work costs: the virtual clock of a lossless run.
 
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
-
-/// Processor time of each piece of work. `profile: repeat` and `stills` go by it instead of
-/// the time, so that they do what flight does and repeat byte by byte. Flight itself goes by the time.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
+/// Processor time of each piece of work. `profile: repeat` and `stills` go by it instead of the time, so
+/// that they do what flight does and repeat byte by byte. Flight itself goes by the time.
+///
+/// All machines state the same costs: a recording gives the same poses wherever it is worked on. Only how
+/// many processors the flying machine has is configured, `search.processors`.
+#[derive(Debug, Clone, PartialEq)]
 pub struct Costs {
-    /// How many processors work on a frame. Two logical ones that share a core, and a pipeline that waits
-    /// for one stage after another, do the work of about 1.3: then as many views of a recording are
-    /// searched as at its own rate.
-    #[schemars(range(min = 0.25, max = 256.0))]
+    /// How many processors work on a frame: `search.processors`.
     pub processors: f64,
     /// What a frame takes before it is searched, decoding above all, milliseconds.
-    #[schemars(range(min = 0.0, max = 1000.0))]
     pub source_ms: f64,
     /// What the camera's own rotation takes in each frame, milliseconds.
-    #[schemars(range(min = 0.0, max = 1000.0))]
     pub egomotion_ms: f64,
     /// Finding places that look like a body, in each frame while a neighbour is not tracked, milliseconds.
-    #[schemars(range(min = 0.0, max = 1000.0))]
     pub proposals_ms: f64,
     /// Cutting a view, for each million of its pixels, milliseconds.
-    #[schemars(range(min = 0.0, max = 1000.0))]
     pub cut_ms_per_megapixel: f64,
     /// Searching a view for markers with one threshold window, for each million of its pixels,
     /// milliseconds.
-    #[schemars(range(min = 0.0, max = 1000.0))]
     pub window_ms_per_megapixel: f64,
     /// Aligning a tracked neighbour from its prediction, milliseconds.
-    #[schemars(range(min = 0.0, max = 1000.0))]
     pub direct_pass_ms: f64,
     /// Measuring a tracked neighbour from its markers, milliseconds.
-    #[schemars(range(min = 0.0, max = 1000.0))]
     pub corner_pass_ms: f64,
     /// Measuring an untracked neighbour, milliseconds.
-    #[schemars(range(min = 0.0, max = 1000.0))]
     pub initiation_ms: f64,
     /// A background pass until its answer, milliseconds.
-    #[schemars(range(min = 0.0, max = 10000.0))]
     pub background_pass_ms: f64,
 }
 
 impl Default for Costs {
-    /// Two logical processors of the machine that `docs/results/costs.md` names.
+    /// What `make results PARTS=costs` measured on two logical processors of the machine that
+    /// `docs/results/costs.md` names.
     fn default() -> Self {
         Self {
             processors: 1.3,

@@ -32,7 +32,7 @@ pub use inertial::{Inertial, InertialSource};
 pub use mavlink::MavlinkAddress;
 pub use metrics::Metrics;
 pub use mount::Mount;
-pub use partition::{Auto, Count, Method, Partition};
+pub use partition::{Method, Partition};
 pub use profile::{Flow, FrameLimit, Profile};
 pub use recording::{RecordedFrames, Recording, RecordingTrigger};
 pub use ros2::Ros2;
@@ -269,24 +269,6 @@ pub struct Fusion {
     /// How long a neighbour is predicted without a measurement, seconds.
     #[schemars(range(min = 0.0, max = 60.0))]
     pub coast_s: f64,
-    /// Frames with a measurement until a track is confirmed...
-    #[schemars(range(min = 1, max = 64))]
-    pub confirm_hits: u32,
-    /// ...within this many frames. A track that is not confirmed is dropped after this many frames in a
-    /// row without a measurement.
-    #[schemars(range(min = 1, max = 64))]
-    pub confirm_window: u32,
-    /// Out-of-sequence measurements are inserted in order if they come at most this much later than newer
-    /// ones, seconds.
-    #[schemars(range(min = 0.0, max = 10.0))]
-    pub history_s: f64,
-    /// Probability that a correct measurement passes the gate.
-    #[schemars(range(min = 0.5, max = 1.0))]
-    pub gate_probability: f64,
-    /// After this many measurements in a row outside the gate, the track starts again from the last of
-    /// them.
-    #[schemars(range(min = 1, max = 1000))]
-    pub restart_after_gated: u32,
     /// How much neighbours manoeuvre: white-noise acceleration along each axis, m/s^2 per root Hz. After
     /// one second, a known velocity is uncertain by as many m/s.
     #[schemars(range(min = 0.01, max = 1000.0))]
@@ -321,11 +303,6 @@ impl Default for Fusion {
         let policy = TrackPolicy::default();
         Self {
             coast_s: policy.coast_s,
-            confirm_hits: policy.confirm_hits,
-            confirm_window: policy.confirm_window,
-            history_s: policy.history_s,
-            gate_probability: policy.gate_probability,
-            restart_after_gated: policy.restart_after_gated,
             acceleration: policy.motion.acceleration,
             angular_acceleration: policy.motion.angular_acceleration,
             deadline_ms: 3000.0,

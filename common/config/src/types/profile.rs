@@ -6,7 +6,7 @@ use flockeye_contract::{SearchMode, StageName};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{InertialSource, Pipeline};
+use super::{Costs, InertialSource, Pipeline};
 
 /// How a pipeline runs: how frames flow, what limits the work on each, and whether neighbours are
 /// tracked from frame to frame.
@@ -16,11 +16,10 @@ pub enum Profile {
     /// In real time: the newest frame wins everywhere, and the clock limits the work on it.
     #[default]
     Flight,
-    /// Every frame gets the work that flight has time for, by `search.costs` in place of the clock.
+    /// Every frame gets the work that flight has time for, by stated costs ([`Costs`]) in place of the clock.
     /// The poses are those of flight, and repeat byte by byte.
     Repeat,
-    /// Every frame gets all passes at once, and `search.lossless_partitions` tiles with all threshold
-    /// windows, however long it takes.
+    /// Every frame gets all passes at once, and four tiles with all threshold windows, however long it takes.
     Unlimited,
     /// Every frame is a picture for itself, unrelated to the others: nothing is tracked or predicted,
     /// the whole sphere is searched at twice its resolution, and so are bodies that no marker shows.
@@ -51,7 +50,7 @@ impl Flow {
 pub enum FrameLimit {
     /// The time until the next frame.
     Time,
-    /// The same time, of which each piece of work takes what `search.costs` states.
+    /// The same time, of which each piece of work takes what [`Costs`] states.
     Costs,
     /// Nothing.
     Unlimited,
@@ -66,8 +65,8 @@ struct Conduct {
     has_tracks: bool,
     /// Factor on the deadlines of frames and views.
     patience: f64,
-    /// Pixels of a tile for each of the sphere's along a side, if `partition.magnification` is left
-    /// out. Without tracks no magnified region of interest follows the first search.
+    /// Pixels of a tile for each of the sphere's along a side. Without tracks no magnified region of
+    /// interest follows the first search.
     tile_magnification: f64,
 }
 
@@ -122,6 +121,11 @@ impl Pipeline {
     /// What limits the work on a frame.
     pub fn limit(&self) -> FrameLimit {
         self.profile.conduct().limit
+    }
+
+    /// What each piece of work on a frame costs, by statement.
+    pub fn costs(&self) -> Costs {
+        Costs { processors: self.search.processors, ..Costs::default() }
     }
 
     /// Whether each frame has a limited time, by the clock or by stated costs.
@@ -184,7 +188,7 @@ impl Pipeline {
 
     /// Pixels of a tile for each of the sphere's, along a side.
     pub fn tile_magnification(&self) -> f64 {
-        self.partition.magnification.unwrap_or(self.profile.conduct().tile_magnification)
+        self.profile.conduct().tile_magnification
     }
 
     /// How long a frame is waited for: `fusion.deadline_ms`.

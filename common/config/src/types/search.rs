@@ -13,14 +13,14 @@ pub struct Search {
     /// greedy and optimized are the paper's; exhaustive searches everywhere; gaze (the default) searches
     /// where neighbours are predicted and sweeps the rest.
     pub mode: SearchMode,
-    /// What each piece of work costs, for `profile: repeat` and `stills`.
-    pub costs: Costs,
-    /// Tiles searched after the regions of interest in each frame with `profile: unlimited`.
-    #[schemars(range(min = 1, max = 128))]
-    pub lossless_partitions: u32,
+    /// How many processors work on a frame, for the stated costs of `profile: repeat` and `stills`. Two
+    /// logical ones that share a core, and a pipeline that waits for one stage after another, do the work
+    /// of about 1.3: then as many views of a recording are searched as at its own rate.
+    #[schemars(range(min = 0.25, max = 256.0))]
+    pub processors: f64,
     /// Resolution of the high-resolution tiles, as a multiple of the sphere's along a side. The mode gaze
     /// searches them in turn with the partitions, and finds neighbours that many times as far away. With 1
-    /// (or no more than `partition.magnification`) there are none.
+    /// there are none.
     #[schemars(range(min = 1.0, max = 3.0))]
     pub far_magnification: f64,
     /// Views of places that look like a body, in each frame while a neighbour is not tracked: the mode
@@ -34,8 +34,7 @@ impl Default for Search {
     fn default() -> Self {
         Self {
             mode: SearchMode::Gaze,
-            costs: Costs::default(),
-            lossless_partitions: 4,
+            processors: Costs::default().processors,
             far_magnification: 2.0,
             proposals: 12,
         }

@@ -37,9 +37,6 @@ pub struct Simulator {
     /// By how much gusts make drones yaw faster or slower than they would, degrees a second.
     #[schemars(range(min = 0.0, max = 360.0))]
     pub yaw_swing_deg_s: f64,
-    /// Blur of the lens, sigma in pixels of the sphere image.
-    #[schemars(range(min = 0.0, max = 5.0))]
-    pub lens_blur_px: f64,
     /// By how many stops pictures are brighter than they should be; darker if negative. Motion blur does not change.
     #[schemars(range(min = -8.0, max = 8.0))]
     pub exposure_stops: f64,
@@ -91,7 +88,6 @@ impl Default for Simulator {
             yaw_deg_s: 12.0,
             tilt_deg: 0.0,
             yaw_swing_deg_s: 0.0,
-            lens_blur_px: 0.8,
             exposure_stops: 0.0,
             exposure_swing_stops: 0.0,
             sun: None,
