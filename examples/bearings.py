@@ -20,6 +20,8 @@ from flockeye.contract import (
 
 # Room in one message.
 MAX_TRACKS = 16
+# Tiles that a lossless run searches of each frame.
+TILES_OF_A_FRAME = 4
 # Standard deviation along the line of sight, and of the attitude, which nothing is known of.
 UNKNOWN_M, UNKNOWN_RAD = 1.0, 3.0
 
@@ -48,7 +50,7 @@ class Bearings:
         resolved = stage.pipeline["resolved"]
         self.stage = stage
         self.tiles = resolved["partitions"]
-        self.budget = min(stage.pipeline["search"]["lossless_partitions"], len(self.tiles))
+        self.budget = min(TILES_OF_A_FRAME, len(self.tiles))
         self.names, self.target_of = {}, {}
         for name, body in resolved["bodies"]["bodies"].items():
             self.names[body["target"]] = name
