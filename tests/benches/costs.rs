@@ -1,4 +1,4 @@
-//! What each piece of work on a frame costs on this machine, in the words of `search.costs`: the
+//! What each piece of work on a frame costs on this machine, in the words of `Costs`: the
 //! virtual clock of lossless runs. `make results PARTS=costs` keeps its table.
 //!
 //! One body at several distances in the simulated world; each cost is the median over the distances

@@ -43,7 +43,7 @@ def quiet(instance):
 
 QUIET = quiet("results")
 WAYS = {
-    "lossless": "every frame, `--profile repeat`, in the time that flight has by `search.costs`",
+    "lossless": "every frame, `--profile repeat`, in the time that flight has by stated costs",
     "real time": "the camera's own rate, `--profile flight`",
 }
 
@@ -701,13 +701,13 @@ def experiments_page(title, explained, entries):
 
 
 def costs_page(entry):
-    stated = (ROOT / "pipeline.yaml").read_text()
+    stated = (ROOT / "common/config/src/types/costs.rs").read_text()
     lines = ["# Results: costs", "", "Written by `make results PARTS=costs`; do not edit.",
-             "Each piece of work alone on one processor, in milliseconds, beside what `search.costs` of",
-             "`pipeline.yaml` states. [FUSION.md](../FUSION.md#flow-and-time) says what they are for.", "",
+             "Each piece of work alone on one processor, in milliseconds, beside what `profile: repeat`",
+             "goes by. [FUSION.md](../FUSION.md#flow-and-time) says what they are for.", "",
              "| cost | stated | median | most |", "| --- " * 4 + "|"]
     for name, median, most in entry["costs"]:
-        default = re.search(rf"^    {name}: ([\d.]+)", stated, re.MULTILINE)
+        default = re.search(rf"^            {name}: ([\d.]+)", stated, re.MULTILINE)
         lines.append(f"| `{name}` | {default.group(1) if default else ''} | {median} | {most} |")
     lines += ["", "`source_ms` was measured on the simulator; decoding a recording costs more.",
               measured_on(entry)]

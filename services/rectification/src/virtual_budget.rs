@@ -15,7 +15,7 @@ const MAX_INTERVAL_NS: i64 = 1_000_000_000;
 /// Threshold windows that a proposal is searched with: as many as detection has for it.
 pub const PROPOSAL_WINDOWS: f64 = 5.0;
 
-/// Processor time that is left of a frame, by `search.costs` of the configuration.
+/// Processor time that is left of a frame, by the stated costs of the configuration.
 ///
 /// A frame has the interval to the frame before, on each processor. Its source, its regions of interest
 /// and what fusion does with them come first; tiles get what is left. A frame that takes longer than it

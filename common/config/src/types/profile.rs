@@ -16,7 +16,7 @@ pub enum Profile {
     /// In real time: the newest frame wins everywhere, and the clock limits the work on it.
     #[default]
     Flight,
-    /// Every frame gets the work that flight has time for, by stated costs ([`Costs`]) in place of the clock.
+    /// Every frame gets the work that flight has time for, by stated costs in place of the clock.
     /// The poses are those of flight, and repeat byte by byte.
     Repeat,
     /// Every frame gets all passes at once, and four tiles with all threshold windows, however long it takes.
