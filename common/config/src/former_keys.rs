@@ -21,7 +21,11 @@ const FORMER_PROFILE: [(&str, [&str; 2]); 3] = [
 ];
 
 /// Keys that have another name now.
-const MOVED: [(&str, &str); 1] = [("search.costs.processors", "search.processors")];
+const MOVED: [(&str, &str); 3] = [
+    ("search.costs.processors", "search.processors"),
+    ("gateway.ros2", "ros2"),
+    ("gateway.autopilot", "autopilot"),
+];
 
 /// Sections of which every key has gone.
 const GONE: [&str; 1] = ["search.costs"];

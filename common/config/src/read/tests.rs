@@ -448,6 +448,8 @@ fn keys_that_are_constants_now_are_read_with_their_values_and_refused_with_other
     assert_eq!(parse(yaml).unwrap(), Pipeline::default());
     assert_eq!(parse("search:\n  costs:\n").unwrap(), Pipeline::default());
     assert_eq!(parse("search: {costs: {processors: 4}}").unwrap().search.processors, 4.0);
+    let moved = parse("gateway: {ros2: {domain: 3}, autopilot: {system_id: 7}}").unwrap();
+    assert_eq!(moved, parse("ros2: {domain: 3}\nautopilot: {system_id: 7}").unwrap());
     let set = ["search.costs.processors=4".to_owned(), "fusion.restart_after_gated=3".to_owned()];
     assert_eq!(Pipeline::parse("", &set, "x").unwrap().search.processors, 4.0);
     let other = ["fusion.history_s=0.6".to_owned()];
