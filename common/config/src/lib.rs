@@ -9,7 +9,6 @@
 //! | `types` | the configuration as types; their comments are the schema's descriptions |
 //! | `document` | YAML as a tree that remembers where each value was written |
 //! | `former_keys` | keys of earlier releases, and what became of them |
-//! | `moved_keys` | sections of the release before that stand elsewhere now |
 //! | `schema` | the document checked against the JSON Schema |
 //! | `meaning` | semantic validation: constraints that no schema can express |
 //! | `read` | text and overrides to a checked [`Pipeline`] |
@@ -20,7 +19,6 @@ mod document;
 mod former_keys;
 mod instance_name;
 mod meaning;
-mod moved_keys;
 mod problem;
 mod read;
 mod resolve;

@@ -8,7 +8,7 @@ use serde::de::DeserializeOwned;
 use crate::document::Node;
 use crate::problem::{ConfigError, Origin, Problem, Problems};
 use crate::types::{InertialSource, Pipeline, Security};
-use crate::{former_keys, meaning, moved_keys, schema};
+use crate::{former_keys, meaning, schema};
 
 impl Pipeline {
     /// Reads a configuration file, with overrides (`key.path=value`) on top. Relative paths in the
@@ -72,7 +72,6 @@ impl Pipeline {
                 problems.add(problem);
             }
         }
-        moved_keys::translate(&mut document, &mut problems);
         let mut notices = Vec::new();
         former_keys::translate(&mut document, &mut problems, &mut notices);
         former_keys::warn(notices);

@@ -448,8 +448,6 @@ fn keys_that_are_constants_now_are_read_with_their_values_and_refused_with_other
     assert_eq!(parse(yaml).unwrap(), Pipeline::default());
     assert_eq!(parse("search:\n  costs:\n").unwrap(), Pipeline::default());
     assert_eq!(parse("search: {costs: {processors: 4}}").unwrap().search.processors, 4.0);
-    let moved = parse("gateway: {ros2: {domain: 3}, autopilot: {system_id: 7}}").unwrap();
-    assert_eq!(moved, parse("ros2: {domain: 3}\nautopilot: {system_id: 7}").unwrap());
     let set = ["search.costs.processors=4".to_owned(), "fusion.restart_after_gated=3".to_owned()];
     assert_eq!(Pipeline::parse("", &set, "x").unwrap().search.processors, 4.0);
     let other = ["fusion.history_s=0.6".to_owned()];
@@ -487,4 +485,29 @@ fn what_constants_a_former_key_names_is_what_the_code_has() {
     assert_eq!(said, is);
     let weights = flockeye_geometry::partition::Weights::default().values();
     assert_eq!(weights, [0.2, 0.02, 0.78]);
+}
+
+fn parsed(yaml: &str, overrides: &[&str]) -> Result<Pipeline, String> {
+    let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
+    Pipeline::parse(yaml, &overrides, "pipeline.yaml").map_err(|error| error.to_string())
+}
+
+#[test]
+fn a_section_is_found_at_its_former_place() {
+    let yaml = "gateway: {listen: [tcp/127.0.0.1:7448], ros2: {domain: 7}, autopilot: {system_id: 9}}\nros2:";
+    let pipeline = parsed(yaml, &[]).unwrap();
+    assert_eq!(pipeline.ros2.unwrap().domain, 7);
+    assert_eq!(pipeline.autopilot.unwrap().system_id, 9);
+    let listen = "gateway: {listen: [tcp/127.0.0.1:7448]}";
+    let pipeline = parsed(listen, &["gateway.ros2.domain=8"]).unwrap();
+    assert_eq!(pipeline.ros2.unwrap().domain, 8);
+    assert_eq!(parsed("gateway: {ros2: , autopilot: }", &[]).unwrap().ros2, None);
+}
+
+#[test]
+fn a_section_in_both_places_is_refused_and_its_values_are_checked() {
+    let both = parsed("ros2: {domain: 1}\ngateway: {ros2: {domain: 2}}", &[]).unwrap_err();
+    assert!(both.contains("line 2") && both.contains("leave gateway.ros2 out"), "{both}");
+    let wrong = parsed("gateway: {autopilot: {system_id: 0}}", &[]).unwrap_err();
+    assert!(wrong.contains("autopilot.system_id"), "{wrong}");
 }
