@@ -53,7 +53,7 @@ fn main() {
 /// The default pipeline on a recording, as [`Cores`] runs it: one worker, one thread each, no other stages.
 fn resolved(video: &str, bodies: Option<&str>) -> Resolved {
     let mut overrides = vec![
-        "flow=lossless".to_owned(),
+        "profile=repeat".to_owned(),
         format!("source.input={video}"),
         "rectification.backend=cpu".to_owned(),
         "rectification.threads=1".to_owned(),
