@@ -384,7 +384,7 @@ mod tests {
         assert_eq!(names, TOPICS.iter().map(|topic| topic.name).collect::<Vec<_>>());
         assert_eq!(budget.topic::<Frames>().usual_publishers, 1, "one of the sources runs");
         assert_eq!(budget.topic::<Detections>().usual_publishers, 2);
-        assert_eq!(budget.topic::<Healths>().usual_publishers, 8);
+        assert_eq!(budget.topic::<Healths>().usual_publishers, 10);
         let views = budget.topic::<Views>();
         assert_eq!((views.lanes, views.usual_publishers, views.publishers), (2, 2, 3));
     }
