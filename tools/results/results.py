@@ -704,7 +704,7 @@ def costs_page(entry):
     stated = (ROOT / "common/config/src/types/costs.rs").read_text()
     lines = ["# Results: costs", "", "Written by `make results PARTS=costs`; do not edit.",
              "Each piece of work alone on one processor, in milliseconds, beside what `profile: repeat`",
-             "goes by. [FUSION.md](../FUSION.md#flow-and-time) says what they are for.", "",
+             "goes by. [FUSION.md](../FUSION.md#profiles-and-time) says what they are for.", "",
              "| cost | stated | median | most |", "| --- " * 4 + "|"]
     for name, median, most in entry["costs"]:
         default = re.search(rf"^            {name}: ([\d.]+)", stated, re.MULTILINE)
