@@ -187,7 +187,7 @@ impl LifeCycle {
         Ok(if jumped { Happened::Restarted } else { happened })
     }
 
-    /// Whether the track would take in what was measured at `stamp_s`, and go on: it lies inside the gate.
+    /// Whether a measurement of `stamp_s` would update the track: it lies inside the gate.
     pub fn fits(
         &self,
         stamp_s: f64,
@@ -195,7 +195,13 @@ impl LifeCycle {
         covariance: &Matrix6<f64>,
         ego: &EgoRotation,
     ) -> bool {
-        let happened = self.clone().measured(stamp_s, camera_from_markers, covariance, ego);
+        if self.too_late(stamp_s).is_some() {
+            return false;
+        }
+        let measured =
+            Measurement { camera_from_markers: *camera_from_markers, covariance: *covariance };
+        let (_, Event { mut after, .. }) = self.placed(stamp_s, Some(measured));
+        let happened = Life::measured(&mut after, stamp_s, &measured, &self.policy, self.gate, ego);
         matches!(happened, Ok(Happened::Updated(_)))
     }
 
