@@ -107,7 +107,7 @@ impl<T: Topic + 'static> AnyPublisher for Publisher<T> {
     }
 
     fn update_connections(&self) -> Result<(), PortError> {
-        Publisher::update_connections(self)
+        Ok(Publisher::update_connections(self)?)
     }
 
     fn item_bytes(&self) -> usize {

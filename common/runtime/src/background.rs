@@ -7,15 +7,15 @@ use rustix::process::{getpriority_process, setpriority_process};
 
 use crate::scheduling::SchedulingPolicy;
 
-/// Added to the process's nice value: under load such a thread gets a tenth of the processor time of a
-/// thread with nice value 0.
+/// Added to the process's nice value: under load such a thread gets a tenth of the processor time
+/// of a thread with nice value 0.
 const NICER: i32 = 10;
 /// The largest nice value.
 const NICEST: i32 = 19;
 
 /// Starts a thread that gives way to other threads and processes: its nice value is raised, and it
-/// leaves the real-time class if the process is in one. If the system refuses either, the thread runs
-/// as it is.
+/// leaves the real-time class if the process is in one. If the system refuses either, the thread
+/// runs as it is.
 ///
 /// # Errors
 /// The system starts no thread.
@@ -35,7 +35,8 @@ pub fn spawn<T: Send + 'static>(
 /// Brings the calling thread from real time to the normal policy.
 fn leave_real_time() {
     if SchedulingPolicy::of_this_thread().is_some_and(SchedulingPolicy::is_real_time) {
-        // Leaving real time needs no privilege. If it is refused all the same, the thread still works.
+        // Leaving real time needs no privilege. If it is refused all the same, the thread still
+        // works.
         let _ = SchedulingPolicy::Normal.apply_to_this_thread(0);
     }
 }

@@ -16,7 +16,7 @@ pub fn utc_s() -> i64 {
     clock_gettime(ClockId::Realtime).tv_sec
 }
 
-/// The same, nanoseconds since 1970.
+/// UTC, nanoseconds since 1970.
 pub fn utc_ns() -> i64 {
     nanoseconds(clock_gettime(ClockId::Realtime))
 }

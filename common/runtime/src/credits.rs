@@ -8,7 +8,7 @@
 use flockeye_contract::{FrameStamp, Plans};
 
 use crate::clock;
-use crate::ports::{PortError, Ports, Subscriber};
+use crate::ports::{OpenError, Ports, ReceiveError, Subscriber};
 use flockeye_config::{Flow, Pipeline};
 
 /// The source's side of the flow.
@@ -34,7 +34,7 @@ impl Credits {
     ///
     /// # Errors
     /// The plans cannot be subscribed to.
-    pub fn open(pipeline: &Pipeline, ports: &mut Ports) -> Result<Self, PortError> {
+    pub fn open(pipeline: &Pipeline, ports: &mut Ports) -> Result<Self, OpenError> {
         let (plans, state) = match pipeline.flow() {
             Flow::Latest => (None, State::Open),
             Flow::Lossless => (Some(ports.subscriber()?), State::Closed),
@@ -47,7 +47,7 @@ impl Credits {
     ///
     /// # Errors
     /// The plans cannot be received.
-    pub fn may_send(&mut self) -> Result<bool, PortError> {
+    pub fn may_send(&mut self) -> Result<bool, ReceiveError> {
         let Some(plans) = &mut self.plans else { return Ok(true) };
         while let Some(plan) = plans.receive()? {
             let opens = plan.header.has_after == 0;

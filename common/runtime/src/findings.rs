@@ -1,7 +1,8 @@
 //! What is found when a machine is examined before a flight (`flockeye doctor`).
 //!
-//! Each stage knows what it needs of a machine, so each stage's program examines it: started with the one argument
-//! [`EXAMINE`], and the configuration as JSON on standard input, it prints a [`Report`] as JSON.
+//! Each stage knows what it needs of a machine, so each stage's program examines it: started with
+//! the one argument [`EXAMINE`], and the configuration as JSON on standard input, it prints a
+//! [`Report`] as JSON.
 
 use std::io::{Read, Write};
 
@@ -26,7 +27,7 @@ pub enum Gravity {
     Problem,
 }
 
-/// One thing that was looked at.
+/// What was found at one place.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Finding {
     /// What it is about, in a word or two: `camera`, `clock`.
@@ -62,7 +63,7 @@ impl Finding {
         Self { gravity: Gravity::Problem, cure, ..Self::fine(topic, what) }
     }
 
-    /// The same, with what to do about it.
+    /// The finding, with what to do about it.
     pub fn with_cure(self, cure: impl Into<String>) -> Self {
         Self { cure: Some(cure.into()), ..self }
     }
@@ -80,7 +81,7 @@ pub struct Report {
 }
 
 impl Report {
-    /// What a program of this build says.
+    /// The findings of a program of this build.
     pub fn of(findings: Vec<Finding>) -> Self {
         Self {
             contract: CONTRACT_VERSION.to_owned(),

@@ -27,7 +27,7 @@ const MAX_LATENCIES: usize = 4_096;
 
 impl Counters {
     /// Counts messages that were received.
-    pub fn add_taken(&self, count: u64) {
+    pub(crate) fn add_taken(&self, count: u64) {
         self.taken.set(self.taken.get() + count);
     }
 
@@ -74,7 +74,7 @@ impl Counters {
         let latencies = std::mem::take(&mut *self.latencies_ns.borrow_mut());
         let mut latencies: Vec<f64> = latencies.into_iter().map(|ns| ns as f64).collect();
         latencies.sort_unstable_by(f64::total_cmp);
-        // The contract says -1 where nothing was done.
+        // The contract has -1 where nothing was done.
         let latency_ns = |found: Option<f64>| found.map_or(-1, |ns| ns.round() as i64);
         Health {
             sent_ns: clock::monotonic_ns(),
@@ -109,7 +109,7 @@ pub struct Identity {
 }
 
 /// How often health is sent.
-pub const HEALTH_PERIOD: Duration = Duration::from_millis(250);
+pub(crate) const HEALTH_PERIOD: Duration = Duration::from_millis(250);
 
 /// Resident memory of this process, from /proc.
 fn resident_bytes() -> Option<u64> {

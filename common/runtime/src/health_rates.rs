@@ -1,4 +1,4 @@
-//! What a process's reports of its health say over time.
+//! Rates that follow from a process's reports of its health over time.
 
 use flockeye_contract::{Health, StageState};
 
@@ -25,7 +25,7 @@ pub struct HealthRates {
 }
 
 impl HealthRates {
-    /// What a first report says.
+    /// The first report.
     pub fn new(first: &Health) -> Self {
         let mut rates = Self {
             last: *first,

@@ -114,7 +114,7 @@ pub enum InstanceError {
     },
 }
 
-/// One pipeline on this machine.
+/// A pipeline on this machine.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Instance {
     name: String,
@@ -131,7 +131,7 @@ impl Instance {
     ///
     /// # Errors
     /// [`InstanceError::NoFolder`] where the launcher's variable is missing.
-    pub fn of_this_process() -> Result<Self, InstanceError> {
+    pub(crate) fn of_this_process() -> Result<Self, InstanceError> {
         let folder = std::env::var_os(FOLDER_VARIABLE).ok_or(InstanceError::NoFolder)?;
         let folder = PathBuf::from(folder);
         let name = folder.file_name().map(|name| name.to_string_lossy().into_owned());
@@ -154,7 +154,7 @@ impl Instance {
 
     /// Whether a living launcher has it.
     pub fn has_launcher(&self) -> bool {
-        // Only the owner holds the lock for longer than this check.
+        // Only the owner keeps the lock for longer than this check.
         File::open(self.folder.join("lock"))
             .is_ok_and(|lock| flock(&lock, FlockOperation::NonBlockingLockShared).is_err())
     }
@@ -171,9 +171,10 @@ impl Instance {
 
     /// What the names of its shared memory begin with.
     ///
-    /// It is a digest of the folder's path, which contains the user's number and the instance's name. All
-    /// prefixes have the same length, for two reasons: a socket's path contains folder and prefix and has
-    /// 107 bytes at most, and no instance's prefix may be the beginning of another's.
+    /// It is a digest of the folder's path, which contains the user's number and the instance's
+    /// name. All prefixes have the same length, for two reasons: a socket's path contains folder
+    /// and prefix and has 107 bytes at most, and no instance's prefix may be the beginning of
+    /// another's.
     pub fn prefix(&self) -> String {
         // FNV-1a (Fowler, Noll, Vo), the same in every process and release.
         let bytes = self.folder.as_os_str().as_encoded_bytes();
@@ -187,7 +188,7 @@ impl Instance {
     /// (`iceoryx2.toml` in the folder).
     ///
     /// # Errors
-    /// [`InstanceError::Path`] where the folder cannot hold iceoryx2's files.
+    /// [`InstanceError::Path`] where the folder has no room for iceoryx2's files.
     pub fn iceoryx2(&self) -> Result<Config, InstanceError> {
         let bad_path = || InstanceError::Path { path: self.folder.clone() };
         let socket_path = self.folder.as_os_str().len() + 1 + self.prefix().len() + SOCKET_NAME;
@@ -204,8 +205,8 @@ impl Instance {
     /// Takes the instance for this process and clears what a dead run left behind.
     ///
     /// # Errors
-    /// [`InstanceError::Taken`] if a running process has it, [`InstanceError::Kept`] if stages fly on in it;
-    /// [`InstanceError::Name`] for a name that would lead to files of others.
+    /// [`InstanceError::Taken`] if a running process has it, [`InstanceError::Kept`] if stages fly
+    /// on in it; [`InstanceError::Name`] for a name that would lead to files of others.
     pub fn take(&self) -> Result<Ownership, InstanceError> {
         let (ownership, kept) = self.take_over()?;
         if kept.is_empty() {
@@ -217,9 +218,9 @@ impl Instance {
         Err(InstanceError::Kept { name: self.name.clone(), pids: pids.join(", ") })
     }
 
-    /// Takes the instance for this process, together with the stages that fly on in it. Without any, what a
-    /// dead run left behind is cleared. With some, everybody is returned who has left a record, and nothing
-    /// is cleared.
+    /// Takes the instance for this process, together with the stages that fly on in it. Without
+    /// any, what a dead run left behind is cleared. With some, everybody is returned who has left a
+    /// record, and nothing is cleared.
     ///
     /// # Errors
     /// As [`Instance::take`], but for [`InstanceError::Kept`].
@@ -374,8 +375,8 @@ fn make_own(folder: &Path) -> Result<(), InstanceError> {
     Err(InstanceError::Foreign { path: folder.to_owned(), owner: found.uid(), mode })
 }
 
-/// Folder of all instances of this user. The service's user has it where systemd makes it, so that the tools that it
-/// runs find the service's pipeline.
+/// Folder of all instances of this user. The service's user has it where systemd makes it, so that
+/// the tools that it runs find the service's pipeline.
 fn all_folder() -> PathBuf {
     let user = rustix::process::getuid().as_raw();
     let base = match service_user() {
@@ -385,7 +386,8 @@ fn all_folder() -> PathBuf {
     base.join(format!("flockeye-{user}"))
 }
 
-/// The user whose pipeline systemd runs here (deploy/systemd/flockeye.service), if it has been started.
+/// The user whose pipeline systemd runs here (deploy/systemd/flockeye.service), if it has been
+/// started.
 pub fn service_user() -> Option<u32> {
     let found = std::fs::symlink_metadata(SERVICE_FOLDER).ok()?;
     found.is_dir().then(|| found.uid())

@@ -1,10 +1,10 @@
-//! Processes that fly on when their launcher dies (`flockeye up --keep`), and what a new launcher needs to
-//! know of them.
+//! Processes that fly on when their launcher dies (`flockeye up --keep`), and what a new launcher
+//! needs to know of them.
 //!
-//! Each process writes a record of itself into the instance's folder before it becomes its stage, and holds a
-//! lock on it for as long as it lives. The kernel frees the lock at its end, so a number that the system has
-//! given to another process deceives nobody. Processes that a stage starts itself inherit the lock unless they
-//! close it.
+//! Each process writes a record of itself into the instance's folder before it becomes its stage,
+//! and keeps a lock on it for as long as it lives. The kernel frees the lock at its end, so a
+//! number that the system has given to another process deceives nobody. Processes that a stage
+//! starts itself inherit the lock unless they close it.
 
 use std::fs::File;
 use std::io;
@@ -15,7 +15,7 @@ use rustix::fs::{FlockOperation, flock};
 use rustix::io::{FdFlags, fcntl_setfd};
 use serde::{Deserialize, Serialize};
 
-/// What a process says of itself.
+/// The record of a process.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct KeptProcess {
     /// The stage's name in pipeline.yaml.
@@ -47,8 +47,8 @@ impl KeptProcess {
         self.record(instance_folder).with_extension("log")
     }
 
-    /// Writes the record of this very process, which it is from now on until it ends, whatever program it
-    /// becomes.
+    /// Writes the record of this very process, which it is from now on until it ends, whatever
+    /// program it becomes.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -58,7 +58,8 @@ impl KeptProcess {
         let mut file = File::create(&fresh)?;
         serde_json::to_writer(&mut file, self)?;
         flock(&file, FlockOperation::NonBlockingLockExclusive)?;
-        // The stage inherits the lock. It never learns of the descriptor, so nobody closes it before the end.
+        // The stage inherits the lock. It never learns of the descriptor, so nobody closes it
+        // before the end.
         fcntl_setfd(&file, FdFlags::empty())?;
         std::fs::rename(&fresh, &path)?;
         let _inherited = file.into_raw_fd();
@@ -95,7 +96,7 @@ pub fn all(instance_folder: &Path) -> Vec<KeptProcess> {
     found
 }
 
-/// Those who live.
+/// The processes that live.
 pub fn living(instance_folder: &Path) -> Vec<KeptProcess> {
     let mut found = all(instance_folder);
     found.retain(|process| process.is_alive(instance_folder));

@@ -19,16 +19,18 @@
 //! | [`whole_file`] | files that are there as a whole or not at all |
 //! | [`saved_state`] | what a process keeps for its successor |
 //! | [`health`] | counters and latency quantiles |
-//! | [`health_rates`] | what reports of health say over time |
+//! | [`health_rates`] | what follows from reports of health over time |
 //! | [`findings`] | what is found when a machine is examined |
 //! | [`background`] | threads for work that nobody waits for |
 //! | [`scheduling`] | the scheduling policy of a thread |
-//! | [`umask`] | the umask of a thread that binds sockets |
+//! | `umask` | the umask of a thread that binds sockets |
 //! | [`backoff`] | waits between attempts |
 //! | [`slots`] | messages that wait for a slow receiver: the newest of each kind |
 //! | [`lock`] | locks that survive a panic |
 //! | [`clock`] | CLOCK_MONOTONIC |
 //! | [`logs`] | structured logs, and warnings that are not repeated on every frame |
+
+#![warn(unreachable_pub)]
 
 pub mod background;
 pub mod backoff;
@@ -52,7 +54,7 @@ pub mod saved_state;
 pub mod scheduling;
 pub mod slots;
 pub mod stage;
-pub mod umask;
+mod umask;
 pub mod whole_file;
 
 pub use stage::{Context, Stage, Step};

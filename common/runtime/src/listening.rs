@@ -2,12 +2,15 @@
 
 use std::cell::{Cell, RefCell};
 
-use flockeye_contract::{
-    Complaint, ComplaintKind, Complaints, HandOver, HandOvers, Spoken, StageName, Text,
-};
+use flockeye_contract::{Complaint, ComplaintKind, HandOver, Spoken, StageName, Text};
 
 use crate::clock;
-use crate::ports::{Publisher, Subscriber};
+
+/// Gives the launcher's newest announcement, if there is one since the last call.
+type HandOverSource = Box<dyn FnMut() -> Option<HandOver>>;
+
+/// Sends a complaint to the launcher.
+type ComplaintSink = Box<dyn Fn(Complaint)>;
 
 /// Whose messages count for this process. All its ports share one.
 #[derive(Default)]
@@ -15,25 +18,25 @@ pub struct Listening {
     /// The stage that this process is, its worker and its generation; none for tools.
     own: Option<(StageName, u32, u32)>,
     current: Cell<HandOver>,
-    /// The launcher has none: it decides, and sets `current` itself.
-    hand_overs: RefCell<Option<Subscriber<HandOvers>>>,
-    complaints: RefCell<Option<Publisher<Complaints>>>,
+    /// `None` in the launcher: it decides, and sets `current` itself.
+    hand_overs: RefCell<Option<HandOverSource>>,
+    complaints: RefCell<Option<ComplaintSink>>,
 }
 
 impl Listening {
     /// For a process that is worker `replica` of `stage`, in this generation.
-    pub fn of_stage(stage: StageName, replica: u32, generation: u32) -> Self {
+    pub(crate) fn of_stage(stage: StageName, replica: u32, generation: u32) -> Self {
         Self { own: Some((stage, replica, generation)), ..Self::default() }
     }
 
-    /// Follows the launcher's word from now on.
-    pub fn follow(&self, hand_overs: Subscriber<HandOvers>) {
-        *self.hand_overs.borrow_mut() = Some(hand_overs);
+    /// Follows the launcher's announcements from now on.
+    pub(crate) fn follow(&self, hand_overs: impl FnMut() -> Option<HandOver> + 'static) {
+        *self.hand_overs.borrow_mut() = Some(Box::new(hand_overs));
     }
 
-    /// Sends complaints by `publisher` from now on.
-    pub fn complain_by(&self, publisher: Publisher<Complaints>) {
-        *self.complaints.borrow_mut() = Some(publisher);
+    /// Sends complaints by `sink` from now on.
+    pub(crate) fn complain_by(&self, sink: impl Fn(Complaint) + 'static) {
+        *self.complaints.borrow_mut() = Some(Box::new(sink));
     }
 
     /// Sets whose messages count.
@@ -64,15 +67,13 @@ impl Listening {
 
     fn update(&self) {
         let mut hand_overs = self.hand_overs.borrow_mut();
-        let Some(subscriber) = hand_overs.as_mut() else { return };
-        match subscriber.newest() {
-            Ok(Some(message)) => self.current.set(message.header),
-            Ok(None) => {}
-            Err(error) => tracing::debug!("hand-overs cannot be read: {error}"),
+        if let Some(hand_over) = hand_overs.as_mut().and_then(|newest| newest()) {
+            self.current.set(hand_over);
         }
     }
 
-    /// Tells the launcher that worker `replica` of `stage` has answered nothing, for the `count`-th time.
+    /// Complains to the launcher that worker `replica` of `stage` has answered nothing, for the
+    /// `count`-th time.
     pub fn complain_of_silence(&self, stage: StageName, replica: u32, count: u64, detail: &str) {
         self.complain(Complaint {
             stage: stage.name().into(),
@@ -84,7 +85,7 @@ impl Listening {
         });
     }
 
-    /// Tells the launcher that `count` messages of process `pid` were refused.
+    /// Complains to the launcher that `count` messages of process `pid` were refused.
     pub(crate) fn complain_of_messages(&self, pid: u32, count: u64, detail: &str) {
         self.complain(Complaint {
             pid,
@@ -96,11 +97,8 @@ impl Listening {
     }
 
     fn complain(&self, complaint: Complaint) {
-        let complaint = Complaint { sent_ns: clock::monotonic_ns(), ..complaint };
-        if let Some(publisher) = &*self.complaints.borrow()
-            && let Err(error) = publisher.send(complaint, &[])
-        {
-            tracing::debug!("a complaint cannot be sent: {error}");
+        if let Some(send) = &*self.complaints.borrow() {
+            send(Complaint { sent_ns: clock::monotonic_ns(), ..complaint });
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Structured logs, and warnings that are not repeated on every frame.
 //!
-//! Levels: `error`: the stage cannot go on. `warn`: something was lost, or will be. `info`: once in a
-//! process's life. `debug`: now and then. `trace`: each frame.
+//! Levels: `error`: the stage cannot go on. `warn`: something was lost, or will be. `info`: once in
+//! a process's life. `debug`: now and then. `trace`: each frame.
 
 use std::fmt::{Debug, Write};
 use std::io::IsTerminal;
@@ -17,7 +17,7 @@ use tracing_subscriber::{EnvFilter, Layer};
 
 use crate::lock::lock;
 
-/// Sends logs to standard error. `RUST_LOG` says which (`info` of Flockeye's own by default).
+/// Sends logs to standard error. `RUST_LOG` chooses which (`info` of Flockeye's own by default).
 ///
 /// A second call changes nothing.
 pub fn init() {
@@ -43,7 +43,7 @@ pub fn init() {
     drop(outcome);
 }
 
-/// Warnings of a library that tells nobody but its log.
+/// Warnings of a library that reports nowhere but in its log.
 #[derive(Debug)]
 pub struct Overheard {
     target: &'static str,
@@ -53,8 +53,8 @@ pub struct Overheard {
 
 static OVERHEARD: Mutex<Vec<Arc<Overheard>>> = Mutex::new(Vec::new());
 
-/// Counts, from now on, the warnings whose module begins with `target` and that contain this text, where
-/// [`init`] has set up the logs.
+/// Counts, from now on, the warnings whose module begins with `target` and that contain this text,
+/// where [`init`] has set up the logs.
 pub fn overhear(target: &'static str, contains: &'static str) -> Arc<Overheard> {
     let overheard = Arc::new(Overheard { target, contains, heard: Mutex::default() });
     lock(&OVERHEARD).push(overheard.clone());

@@ -1,7 +1,8 @@
 //! How large each topic's shared memory is, and whether it fits.
 //!
-//! For each publisher, iceoryx2 reserves chunks for the worst case: subscribers * (buffer + borrowed)
-//! + history + loaned. Its default limits would reserve 34 frames, so Flockeye sets its own.
+//! For each publisher, iceoryx2 reserves chunks for the worst case: subscribers * (buffer +
+//! borrowed) + history + loaned. Its default limits would reserve 34 frames, so Flockeye sets its
+//! own.
 
 use std::fmt;
 use std::time::Duration;
@@ -32,10 +33,10 @@ pub struct Limits {
     pub buffer: usize,
     /// Messages that wait at a subscriber that is not to be late.
     pub usual_buffer: usize,
-    /// How long a publisher waits for a subscriber whose buffer is full. `None`: it does not wait, and
-    /// the oldest message is dropped.
+    /// How long a publisher waits for a subscriber whose buffer is full. `None`: it does not wait,
+    /// and the oldest message is dropped.
     pub patience: Option<Duration>,
-    /// Messages that a subscriber may hold.
+    /// Messages that a subscriber may keep.
     pub borrowed: usize,
     /// Messages that a late subscriber still gets.
     pub history: usize,
@@ -58,7 +59,7 @@ impl Limits {
     }
 
     /// Bytes of one publisher's data segment.
-    pub fn segment_bytes(&self) -> usize {
+    pub(crate) fn segment_bytes(&self) -> usize {
         // iceoryx2's own header before each chunk is 40 bytes; the chunk is aligned to 8.
         self.chunks() * (self.items * self.item_bytes + self.header_bytes + 48)
     }
@@ -70,10 +71,10 @@ impl Limits {
 }
 
 /// Nodes (processes) of one instance at once: stages, their successors, tools.
-pub const MAX_NODES: usize = 40;
+pub(crate) const MAX_NODES: usize = 40;
 
 /// Listeners and notifiers of one topic's event at once.
-pub const MAX_EVENT_PORTS: usize = 40;
+pub(crate) const MAX_EVENT_PORTS: usize = 40;
 
 /// Most markers in one detection record that Flockeye's own stages send.
 const MARKERS: usize = 64;
@@ -82,16 +83,16 @@ const PACKET_SHARE: usize = 16;
 /// Most tracks in one message.
 pub const MAX_TRACKS: usize = 16;
 /// Most sightings in one message of `peer`.
-pub const MAX_PEER_SIGHTINGS: usize = 16;
+pub(crate) const MAX_PEER_SIGHTINGS: usize = 16;
 /// Most poses in one message of `swarm`: as many as there are observers.
-pub const MAX_SWARM_POSES: usize = 64;
+pub(crate) const MAX_SWARM_POSES: usize = 64;
 /// Most bodies in one frame's truth.
 const TRUTH_BODIES: usize = 32;
 
 /// Limits of every topic, in the order of the dataflow.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Budget {
-    /// One for each topic.
+    /// The limits of each topic.
     pub topics: Vec<Limits>,
     camera: (u32, u32),
     frame_bytes: usize,
@@ -114,26 +115,26 @@ pub struct TooLittleMemory {
     cure_mb: usize,
 }
 
-/// Views of all lanes that fusion holds until their records are in.
+/// Views of all lanes that fusion keeps until their records are in.
 pub fn held_views_waiting(pipeline: &Pipeline) -> usize {
     // Rectification has this many in flight; one more may come before the answer to the one before.
     pipeline.detection_workers() as usize * pipeline.rectification.window as usize + 1
 }
 
-/// Views that fusion holds because they show a neighbour best: one for each body, and some of the next
-/// frame.
+/// Views that fusion keeps because they show a neighbour best: one for each body, and some of the
+/// next frame.
 pub fn held_views_best(resolved: &Resolved) -> usize {
     resolved.bodies.len().clamp(1, MAX_TRACKS) + 2
 }
 
-/// What the table of topics does not say: how many messages of a topic there may be, and how large
+/// What the table of topics does not have: how many messages of a topic there may be, and how large
 /// they are.
 struct Sizes {
     /// Readers at once, tools and successors of stages included.
     subscribers: usize,
     /// Messages that wait at a reader.
     buffer: usize,
-    /// Messages that a reader may hold.
+    /// Messages that a reader may keep.
     borrowed: usize,
     /// Messages that a late reader still gets.
     history: usize,
@@ -147,15 +148,15 @@ fn sizes(topic: TopicId, resolved: &Resolved, largest_view_px: u32) -> Sizes {
     let pipeline = &resolved.pipeline;
     let usual = Sizes { subscribers: 4, buffer: 64, borrowed: 2, history: 0, loaned: 1, items: 0 };
     match topic {
-        // Rectification holds the frame that waits for answers, the one it cuts, the next one, and
-        // for a moment one newer than that. Egomotion holds one, the successor of one of them reads too, and
-        // a tool may look on.
+        // Rectification keeps the frame that waits for answers, the one it cuts, the next one, and
+        // for a moment one newer than that. Egomotion keeps one, the successor of one of them reads
+        // too, and a tool may look on.
         TopicId::Frames => {
             let items = frame_bytes(pipeline);
             Sizes { buffer: 1, borrowed: 4, loaned: 2, items, ..usual }
         }
-        // A camera's packets are far smaller than its frames, and how large is not known before they come. At
-        // 30 frames/s a recorder that sleeps for half a second misses none.
+        // A camera's packets are far smaller than its frames, and how large is not known before
+        // they come. At 30 frames/s a recorder that sleeps for half a second misses none.
         TopicId::Packets => {
             let items = frame_bytes(pipeline) / PACKET_SHARE;
             Sizes { subscribers: 2, buffer: 16, borrowed: 1, items, ..usual }
@@ -167,7 +168,7 @@ fn sizes(topic: TopicId, resolved: &Resolved, largest_view_px: u32) -> Sizes {
         // To each lane listen its worker, fusion, the successor of one of them, and a tool.
         TopicId::Views => Sizes {
             buffer: usual_views(pipeline),
-            // In the worst case all views that fusion holds are of one lane; and it reads one more.
+            // In the worst case all views that fusion keeps are of one lane; and it reads one more.
             borrowed: held_views_waiting(pipeline) + held_views_best(resolved) + 1,
             items: (largest_view_px as usize).pow(2),
             ..usual
@@ -203,13 +204,13 @@ fn usual_views(pipeline: &Pipeline) -> usize {
     pipeline.rectification.window as usize + 2
 }
 
-/// Views of a lane that wait beyond the usual for a recorder, so that it misses none, or few, while the stages have all
-/// processors. Their memory is reserved, and touched only then. A worker is sent some ten views of a frame. In a
-/// lossless run the recorder is waited for.
+/// Views of a lane that wait beyond the usual for a recorder, so that it misses none, or few, while
+/// the stages have all processors. Their memory is reserved, and touched only then. A worker is
+/// sent some ten views of a frame. In a lossless run the recorder is waited for.
 fn late_views(topic: TopicId, pipeline: &Pipeline) -> usize {
     /// Where pixels are to be recorded: a single view that is missing ends a replay.
     const OF_RECORDED_VIEWS: usize = 32;
-    /// Of headers alone, in all.
+    /// Bytes of headers alone, in all.
     const OF_HEADERS: usize = 16;
     if topic != TopicId::Views || pipeline.flow() == Flow::Lossless {
         return 0;
@@ -221,11 +222,11 @@ fn late_views(topic: TopicId, pipeline: &Pipeline) -> usize {
     }
 }
 
-/// Detection records of one worker that may wait for a subscriber, so that none is lost while fusion
-/// sleeps over the answers to all frames in flight. Each worker has a buffer of its own.
+/// Detection records of one worker that may wait for a subscriber, so that none is lost while
+/// fusion sleeps over the answers to all frames in flight. Each worker has a buffer of its own.
 ///
-/// At worst one worker answers all views of those frames, because the others are stalled. A stalled worker
-/// that wakes up also answers its window of views that others have answered meanwhile.
+/// At worst one worker answers all views of those frames, because the others are stalled. A stalled
+/// worker that wakes up also answers its window of views that others have answered meanwhile.
 fn records_in_flight(resolved: &Resolved) -> usize {
     let tiles = resolved.partition_views.len() + resolved.high_resolution_tiles.len();
     let proposals = resolved.pipeline.proposals();
@@ -250,13 +251,14 @@ fn limits(topic: &TopicInfo, resolved: &Resolved, largest_view_px: u32) -> Limit
     let pipeline = &resolved.pipeline;
     let sizes = sizes(topic.id, resolved, largest_view_px);
     let lanes = if topic.has_lanes() { pipeline.detection_workers() as usize } else { 1 };
-    // Of each lane.
+    // Bytes of each lane.
     let publishers = usual_publishers(topic, pipeline);
     Limits {
         topic: topic.name,
         has_lanes: topic.has_lanes(),
         lanes,
-        // Twice as many as in normal operation: a successor starts while the old process still runs.
+        // Twice as many as in normal operation: a successor starts while the old process still
+        // runs.
         publishers: 2 * publishers + 1,
         usual_publishers: lanes * publishers,
         subscribers: sizes.subscribers,
@@ -283,7 +285,7 @@ impl Budget {
         Self::for_views_of(resolved, resolved.largest_view_px())
     }
 
-    /// The same, where the largest view has sides of `largest_view_px` pixels.
+    /// The budget where the largest view has sides of `largest_view_px` pixels.
     pub fn for_views_of(resolved: &Resolved, largest_view_px: u32) -> Self {
         let pipeline = &resolved.pipeline;
         let topics: Vec<Limits> =

@@ -2,13 +2,14 @@
 
 use std::rc::Rc;
 
+use iceoryx2::node::NodeCreationFailure;
 use iceoryx2::prelude::{LogLevel, NodeBuilder, NodeName, SignalHandlingMode, ipc, set_log_level};
 
 use crate::health::SharedCounters;
 use crate::instance::{Instance, InstanceError};
 use crate::memory::Budget;
 use crate::ports::Ports;
-use flockeye_config::Resolved;
+use flockeye_config::{ResolveError, Resolved};
 
 /// Why a pipeline could not be joined.
 #[derive(Debug, thiserror::Error)]
@@ -22,15 +23,15 @@ pub enum JoinError {
         /// The instance.
         instance: String,
         /// What is wrong.
-        reason: String,
+        reason: ResolveError,
     },
     /// There is no room, or no permission.
-    #[error("cannot join the instance '{instance}': {reason}")]
+    #[error("cannot join the instance '{instance}': {reason:?}")]
     Node {
         /// The instance.
         instance: String,
-        /// What iceoryx2 says.
-        reason: String,
+        /// iceoryx2's reason.
+        reason: NodeCreationFailure,
     },
 }
 
@@ -41,17 +42,18 @@ pub enum JoinError {
 /// [`JoinError`].
 pub fn join(instance: &Instance) -> Result<(Ports, Resolved), JoinError> {
     set_log_level(LogLevel::Fatal);
-    let resolved = Resolved::of(instance.pipeline()?).map_err(|error| {
-        let reason = error.to_string();
-        JoinError::Configuration { instance: instance.name().to_owned(), reason }
-    })?;
-    let apart = |reason: String| JoinError::Node { instance: instance.name().to_owned(), reason };
-    let node = NodeBuilder::new()
-        .name(&NodeName::new("onlooker").map_err(|error| apart(format!("{error:?}")))?)
+    let name = || instance.name().to_owned();
+    let resolved = Resolved::of(instance.pipeline()?)
+        .map_err(|reason| JoinError::Configuration { instance: name(), reason })?;
+    let mut node = NodeBuilder::new()
         .signal_handling_mode(SignalHandlingMode::Disabled)
-        .config(&instance.iceoryx2()?)
+        .config(&instance.iceoryx2()?);
+    if let Ok(name) = NodeName::new("onlooker") {
+        node = node.name(&name);
+    }
+    let node = node
         .create::<ipc::Service>()
-        .map_err(|error| apart(format!("{error:?}")))?;
+        .map_err(|reason| JoinError::Node { instance: name(), reason })?;
     let budget = Budget::of(&resolved);
     Ok((Ports::new(Rc::new(node), budget, SharedCounters::default()), resolved))
 }

@@ -1,5 +1,5 @@
-//! How a running recorder is found and asked: a file with its process's number in the instance's folder, which is locked as
-//! long as the recorder runs. It names the recording.
+//! How a running recorder is found and asked: a file with its process's number in the instance's
+//! folder, which is locked as long as the recorder runs. It names the recording.
 
 use std::ffi::OsString;
 use std::fs::File;
@@ -20,8 +20,8 @@ pub struct Presence {
 }
 
 impl Presence {
-    /// Says that this process records to `out`: from now on it misses nothing. `keeps_past`: it writes what came before when
-    /// it is asked to.
+    /// Says that this process records to `out`: from now on it misses nothing. `keeps_past`: it
+    /// writes what came before when it is asked to.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -64,7 +64,8 @@ pub fn running(instance: &Instance) -> Vec<Pid> {
     living(instance).filter_map(|path| process(&path)).collect()
 }
 
-/// The recording that a running recorder of an instance writes all the time; of several, the one that was begun first.
+/// The recording that a running recorder of an instance writes all the time; of several, the one
+/// that was begun first.
 pub fn recording(instance: &Instance) -> Option<PathBuf> {
     let whole = living(instance).filter(|path| path.extension() == Some("all".as_ref()));
     let begun = whole
@@ -77,7 +78,7 @@ pub fn recording(instance: &Instance) -> Option<PathBuf> {
 pub fn ask_to_write(instance: &Instance) -> usize {
     let keeping = living(instance).filter(|path| path.extension() == Some("past".as_ref()));
     let processes = keeping.filter_map(|path| process(&path));
-    // One that has ended meanwhile has nothing to write.
+    // A recorder that has ended meanwhile has nothing to write.
     processes.filter(|process| kill_process(*process, Signal::USR1).is_ok()).count()
 }
 

@@ -1,8 +1,10 @@
-//! What a process keeps for its successor: the newest state of a worker, in a file of the instance's folder.
+//! What a process keeps for its successor: the newest state of a worker, in a file of the
+//! instance's folder.
 //!
-//! A process that is killed cannot hand anything over, so it saves its state while it works. Each process has
-//! a file of its own, because two of a worker may run side by side. The file has two places that are written in
-//! turn. A process that is killed while it writes one leaves the other whole.
+//! A process that is killed cannot hand anything over, so it saves its state while it works. Each
+//! process has a file of its own, because two of a worker may run side by side. The file has two
+//! places that are written in turn. A process that is killed while it writes one leaves the other
+//! whole.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -43,7 +45,7 @@ pub struct SavedState {
 }
 
 impl SavedStates {
-    /// Those of the worker that this process is of.
+    /// The states of the worker that this process is of.
     pub fn of(instance: &Instance, identity: &Identity) -> Self {
         Self { folder: instance.folder().join("state"), identity: identity.clone() }
     }
@@ -99,7 +101,7 @@ impl SavedStates {
         files.sort();
         let most = files.len().saturating_sub(MOST_FILES - 1);
         for (_, oldest) in files.drain(..most) {
-            // One that another process has removed is gone all the same.
+            // A file that another process has removed is gone all the same.
             drop(std::fs::remove_file(oldest));
         }
         let name = format!("{}{}", self.name(), self.identity.generation);

@@ -9,7 +9,7 @@ use std::str::FromStr;
 pub enum SchedulingPolicy {
     /// Shares of time by nice value.
     Normal,
-    /// The same for work without interaction.
+    /// The usual policy for work without interaction.
     Batch,
     /// Runs when nothing else wants to.
     Idle,
@@ -41,7 +41,7 @@ impl SchedulingPolicy {
     }
 
     /// The policy of the calling thread. `None` for one that is not listed here.
-    pub fn of_this_thread() -> Option<Self> {
+    pub(crate) fn of_this_thread() -> Option<Self> {
         // SAFETY: the call takes a number alone; 0 is the calling thread.
         let code = unsafe { libc::sched_getscheduler(0) } & !libc::SCHED_RESET_ON_FORK;
         Self::ALL.into_iter().find(|policy| policy.code() == code)

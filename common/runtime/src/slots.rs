@@ -1,7 +1,8 @@
 //! Messages that wait for a slow receiver, such as the network.
 //!
-//! There is one slot for each key: a newer message replaces one that still waits. So the number of messages is that
-//! of the keys, and after a stall the receiver gets current messages, not old ones.
+//! There is one slot for each key: a newer message replaces one that still waits. So the number of
+//! messages is that of the keys, and after a stall the receiver gets current messages, not old
+//! ones.
 
 use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex, PoisonError};

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::Context as _;
-use flockeye_contract::{Health, Healths, StageName, StageState};
+use flockeye_contract::{Complaints, Health, Healths, StageName, StageState};
 use iceoryx2::prelude::*;
 
 use crate::findings::{self, EXAMINE, Finding};
@@ -31,15 +31,16 @@ pub trait Stage: Sized {
     /// Whatever keeps it from working; the process ends with the message.
     fn open(context: &Context, ports: &mut Ports) -> anyhow::Result<Self>;
 
-    /// Handles waiting inputs, and returns when it wants to be called again. It is called whenever an
-    /// input has a message. It must not block for long, because health is sent between two calls.
+    /// Handles waiting inputs, and returns when it wants to be called again. It is called whenever
+    /// an input has a message. It must not block for long, because health is sent between two
+    /// calls.
     ///
     /// # Errors
     /// Only what keeps it from working at all. Bad input is refused inside the stage.
     fn step(&mut self) -> anyhow::Result<Step>;
 
-    /// Examines this machine for what the stage needs, before a flight. Nothing is opened for long, and nothing
-    /// is changed.
+    /// Examines this machine for what the stage needs, before a flight. Nothing is opened for long,
+    /// and nothing is changed.
     fn examine(_pipeline: &Pipeline) -> Vec<Finding> {
         Vec::new()
     }
@@ -58,12 +59,12 @@ pub trait Stage: Sized {
 pub enum Step {
     /// When an input has something.
     Wait,
-    /// The same, but no later than at this time of CLOCK_MONOTONIC, nanoseconds.
+    /// When an input has something, but no later than at this time of CLOCK_MONOTONIC, nanoseconds.
     WaitUntil(i64),
     /// At once.
     Again,
-    /// Its input has ended. The process stays until it is told to stop, so that its last messages can be
-    /// read.
+    /// Its input has ended. The process stays until it gets the signal to stop, so that its last
+    /// messages can be read.
     Finished,
 }
 
@@ -141,8 +142,8 @@ pub struct StageProcess {
 }
 
 impl StageProcess {
-    /// Joins the pipeline that the launcher's environment names, and says so. From now on SIGTERM and SIGINT
-    /// end [`StageProcess::serve`].
+    /// Joins the pipeline that the launcher's environment names, and reports that. From now on
+    /// SIGTERM and SIGINT end [`StageProcess::serve`].
     ///
     /// # Errors
     /// There is no such stage or pipeline, or it speaks another version of the contract.
@@ -186,7 +187,12 @@ impl StageProcess {
         reporter.send(StageState::Starting)?;
         let listening =
             Rc::new(Listening::of_stage(stage_name, identity.replica, identity.generation));
-        listening.complain_by(health.side_publisher()?);
+        let complaints: Publisher<Complaints> = health.side_publisher()?;
+        listening.complain_by(move |complaint| {
+            if let Err(error) = complaints.send(complaint, &[]) {
+                tracing::debug!("a complaint cannot be sent: {error}");
+            }
+        });
         let mut ports = Ports::new(node, budget, counters.clone()).listening_to(listening);
         ports.follow_hand_overs()?;
         let saved_states = SavedStates::of(&instance, &identity);
@@ -194,7 +200,7 @@ impl StageProcess {
         Ok(Self { context, ports, reporter, stopping })
     }
 
-    /// Sends health, and says how far the stage is.
+    /// Sends health, with how far the stage is.
     ///
     /// # Errors
     /// The message cannot be sent.
@@ -205,7 +211,7 @@ impl StageProcess {
     /// Calls `step` as [`Stage::step`] is called, and sends health in between, until SIGTERM.
     ///
     /// # Errors
-    /// Those of `step`, or waiting is impossible.
+    /// The errors of `step`; waiting is impossible.
     pub fn serve(&mut self, mut step: impl FnMut() -> anyhow::Result<Step>) -> anyhow::Result<()> {
         let Self { ports, reporter, stopping, .. } = self;
         let mut state = StageState::Ready;

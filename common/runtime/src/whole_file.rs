@@ -1,4 +1,5 @@
-//! Files that are there as a whole or not at all, whoever reads them and whenever the writer is killed.
+//! Files that are there as a whole or not at all, whoever reads them and whenever the writer is
+//! killed.
 
 use std::ffi::OsString;
 use std::fs;

@@ -18,8 +18,8 @@ pub struct RecordArguments {
     /// Which pipeline.
     #[command(flatten)]
     pub running: PipelineChoice,
-    /// Pictures: none, views (the pixels of all views), camera (its own H.264 or H.265, as it came), or "every N" (each
-    /// Nth frame, JPEG).
+    /// Pictures: none, views (the pixels of all views), camera (its own H.264 or H.265, as it
+    /// came), or "every N" (each Nth frame, JPEG).
     #[arg(long, value_name = "WHICH", default_value = "none")]
     pub frames: FramesChoice,
     /// How long to record: 20s, 5m, 1h. Without it: until the pipeline ends.
@@ -28,7 +28,8 @@ pub struct RecordArguments {
     /// Begin another file after so much: 500MB, 1GB.
     #[arg(long, value_name = "SIZE", value_parser = size)]
     pub split: Option<u64>,
-    /// Write only what came before something, a file each time: lost (a neighbour's track), or request (--now).
+    /// Write only what came before something, a file each time: lost (a neighbour's track), or
+    /// request (--now).
     #[arg(long, value_name = "WHEN", conflicts_with = "split")]
     pub trigger: Option<Trigger>,
     /// With --trigger: how much of the past is kept.

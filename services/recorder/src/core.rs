@@ -5,7 +5,6 @@ use std::sync::Arc;
 use flockeye_contract::{
     FrameHeader, PacketHeader, TOPICS, TopicId, Track, TrackHeader, VideoCodec, ViewHeader,
 };
-pub use flockeye_recording::channel::LOSSES;
 use flockeye_recording::images::{Image, encode_compressed, encode_image, encode_video};
 use flockeye_recording::losses::{Loss, encode_loss};
 use flockeye_recording::message::encode;
@@ -18,16 +17,16 @@ use crate::jpeg;
 
 /// A message of a recording.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Output {
+pub(crate) struct Output {
     /// Its channel.
     pub channel: Arc<ChannelKind>,
     /// Its bytes.
     pub bytes: Vec<u8>,
 }
 
-/// What it takes to make a recording of messages.
+/// Makes what is recorded of messages.
 #[derive(Debug)]
-pub struct Core {
+pub(crate) struct Core {
     topics: Vec<(TopicLayout, Arc<ChannelKind>)>,
     view_images: Arc<ChannelKind>,
     frame_images: Arc<ChannelKind>,
@@ -38,8 +37,9 @@ pub struct Core {
 }
 
 impl Core {
-    /// For the messages of the drone `observer`. `utc_from_exposure_ns` is UTC less the clock of exposure times.
-    pub fn new(observer: &str, utc_from_exposure_ns: i64) -> Self {
+    /// A core for the messages of the drone `observer`. `utc_from_exposure_ns` is UTC less the
+    /// clock of exposure times.
+    pub(crate) fn new(observer: &str, utc_from_exposure_ns: i64) -> Self {
         let with_channel = |layout: TopicLayout| {
             let channel = Arc::new(ChannelKind::of_topic(&layout));
             (layout, channel)
@@ -59,7 +59,7 @@ impl Core {
     ///
     /// # Errors
     /// It is no message of its topic.
-    pub fn on(&self, entry: &Entry) -> anyhow::Result<Vec<Output>> {
+    pub(crate) fn on(&self, entry: &Entry) -> anyhow::Result<Vec<Output>> {
         let Some((layout, channel)) = self.topics.get(entry.topic) else { return Ok(Vec::new()) };
         let bytes = encode(layout, &entry.message)?;
         let mut outputs = vec![Output { channel: channel.clone(), bytes }];
@@ -74,7 +74,7 @@ impl Core {
     }
 
     /// What a recording lacks of a topic, as a message.
-    pub fn loss(&self, topic: usize, loss: &Loss) -> Output {
+    pub(crate) fn loss(&self, topic: usize, loss: &Loss) -> Output {
         let name = TOPICS.get(topic).map_or("", |topic| topic.name);
         let bytes = encode_loss(name, loss);
         Output { channel: self.losses.clone(), bytes }
@@ -127,7 +127,8 @@ impl Core {
     }
 }
 
-/// The header, copied. A message's header has the size of its type, because [`encode`] has checked it.
+/// The header, copied. A message's header has the size of its type, because [`encode`] has checked
+/// it.
 fn header_of<H: bytemuck::AnyBitPattern>(entry: &Entry) -> H {
     bytemuck::pod_read_unaligned(&entry.message.header)
 }

@@ -9,7 +9,7 @@ use flockeye_recording::{About, RecordingError, RecordingWriter};
 use crate::core::Output;
 
 /// Where messages go.
-pub struct Files {
+pub(crate) struct Files {
     first: PathBuf,
     about: About,
     split_bytes: Option<u64>,
@@ -22,7 +22,7 @@ pub struct Files {
 
 impl Files {
     /// Files beginning with `first`, which is split at so many bytes. None is created yet.
-    pub fn new(first: &Path, about: About, split_bytes: Option<u64>) -> Self {
+    pub(crate) fn new(first: &Path, about: About, split_bytes: Option<u64>) -> Self {
         let (writer, count, messages, bytes) = (None, 0, 0, 0);
         Self { first: first.to_owned(), about, split_bytes, writer, count, messages, bytes }
     }
@@ -31,7 +31,7 @@ impl Files {
     ///
     /// # Errors
     /// It cannot be created: [`RecordingError`].
-    pub fn begin(&mut self) -> Result<(), RecordingError> {
+    pub(crate) fn begin(&mut self) -> Result<(), RecordingError> {
         let path = match self.count {
             0 => self.first.clone(),
             count => beside(&self.first, &format!("-{count}")),
@@ -40,7 +40,7 @@ impl Files {
     }
 
     /// UTC at a time of CLOCK_MONOTONIC, as it is in all the files.
-    pub fn utc_ns(&self, at_ns: i64) -> i64 {
+    pub(crate) fn utc_ns(&self, at_ns: i64) -> i64 {
         at_ns.saturating_add(self.about.utc_from_monotonic_ns)
     }
 
@@ -48,7 +48,7 @@ impl Files {
     ///
     /// # Errors
     /// As [`Files::begin`].
-    pub fn begin_dated(&mut self, utc_ns: i64) -> Result<PathBuf, RecordingError> {
+    pub(crate) fn begin_dated(&mut self, utc_ns: i64) -> Result<PathBuf, RecordingError> {
         let since = std::time::Duration::from_nanos(u64::try_from(utc_ns).unwrap_or(0));
         let names = dated::names("", std::time::UNIX_EPOCH + since);
         for name in names {
@@ -66,7 +66,8 @@ impl Files {
         self.about.metadata.insert("file".to_owned(), self.count.to_string());
         let file = RecordingFile::create(path)?;
         let begun = RecordingWriter::begin(file, &self.about).inspect_err(|_| {
-            // A file without a beginning is of no use, and where the disk is full it may not be removed either.
+            // A file without a beginning is of no use, and where the disk is full it may not be
+            // removed either.
             std::fs::remove_file(path).ok();
         });
         self.writer = Some(begun?);
@@ -74,11 +75,12 @@ impl Files {
         Ok(())
     }
 
-    /// Begins the next file where one is as large as it may be. What belongs together is written between two calls.
+    /// Begins the next file where one is as large as it may be. What belongs together is written
+    /// between two calls.
     ///
     /// # Errors
     /// As [`Files::begin`] and [`Files::end`].
-    pub fn split_if_full(&mut self) -> Result<(), RecordingError> {
+    pub(crate) fn split_if_full(&mut self) -> Result<(), RecordingError> {
         let is_full = self
             .writer
             .as_ref()
@@ -94,7 +96,7 @@ impl Files {
     ///
     /// # Errors
     /// As [`RecordingWriter::write`].
-    pub fn write(&mut self, at_ns: i64, output: &Output) -> Result<(), RecordingError> {
+    pub(crate) fn write(&mut self, at_ns: i64, output: &Output) -> Result<(), RecordingError> {
         if let Some(writer) = &mut self.writer {
             writer.write(&output.channel, at_ns, &output.bytes)?;
             self.messages += 1;
@@ -106,7 +108,7 @@ impl Files {
     ///
     /// # Errors
     /// As [`RecordingWriter::flush`].
-    pub fn flush(&mut self) -> Result<(), RecordingError> {
+    pub(crate) fn flush(&mut self) -> Result<(), RecordingError> {
         self.writer.as_mut().map_or(Ok(()), RecordingWriter::flush)
     }
 
@@ -114,7 +116,7 @@ impl Files {
     ///
     /// # Errors
     /// As [`RecordingWriter::finish`].
-    pub fn end(&mut self) -> Result<(), RecordingError> {
+    pub(crate) fn end(&mut self) -> Result<(), RecordingError> {
         if let Some(writer) = self.writer.take() {
             self.bytes += writer.finish()?;
         }
@@ -122,7 +124,7 @@ impl Files {
     }
 
     /// How many files and messages were written, and the bytes of the files that were ended.
-    pub fn written(&self) -> (u32, u64, u64) {
+    pub(crate) fn written(&self) -> (u32, u64, u64) {
         (self.count, self.messages, self.bytes)
     }
 }

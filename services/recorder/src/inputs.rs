@@ -7,7 +7,7 @@ use flockeye_contract::{
 use flockeye_recording::ContractMessage;
 use flockeye_runtime::clock;
 use flockeye_runtime::memory::Budget;
-use flockeye_runtime::ports::{PortError, Ports, Sender, Subscriber};
+use flockeye_runtime::ports::{Ports, Sender, Subscriber};
 
 use crate::arguments::FramesChoice;
 use crate::entry::Entry;
@@ -33,14 +33,15 @@ pub struct Inputs {
     inputs: Vec<Box<dyn Input>>,
 }
 
-/// One lane of a topic.
+/// A lane of a topic.
 trait Input {
     /// Hands over all messages that have come. False where some wait until there is room.
     fn drain(&mut self, queue: &Queue) -> anyhow::Result<bool>;
 }
 
 impl Inputs {
-    /// Subscribes to all topics. One that has no room for another reader is left out, unless its pictures are wanted.
+    /// Subscribes to all topics. One that has no room for another reader is left out, unless its
+    /// pictures are wanted.
     ///
     /// # Errors
     /// That, or a topic that is not there.
@@ -85,7 +86,7 @@ impl TopicVisitor for Opening<'_> {
         let subscribers = match self.ports.late_subscribers_of_all_lanes::<T>() {
             Ok(subscribers) => subscribers,
             // Other tools have all places; anything else is no reason to record without it.
-            Err(error @ PortError::Join { .. }) if pixels == Pixels::None => {
+            Err(error) if error.is_crowded() && pixels == Pixels::None => {
                 tracing::warn!(
                     topic = T::NAME,
                     "not recorded: {error}. Cure: end other tools that look on"
@@ -112,7 +113,7 @@ impl TopicVisitor for Opening<'_> {
 enum Pixels {
     None,
     All,
-    /// Of frames whose number is a multiple of this.
+    /// The pixels of frames whose number is a multiple of this.
     Every(u64),
 }
 
@@ -138,7 +139,7 @@ struct Numbering {
 }
 
 impl Numbering {
-    /// Of a frame, packet, plan or journal.
+    /// The numbers of a frame, packet, plan or journal.
     fn of<T: Topic>(header: &T::Header) -> Option<Self> {
         let bytes = bytemuck::bytes_of(header);
         match T::INFO.id {
@@ -175,7 +176,8 @@ impl Numbering {
 
 impl<T: Topic> Input for Lane<T> {
     fn drain(&mut self, queue: &Queue) -> anyhow::Result<bool> {
-        // How many of each sender have come at once: as many as its buffer holds may be those that are left.
+        // How many of each sender have come at once: as many as its buffer has room for may be
+        // those that are left.
         let mut counts: Vec<(Sender, usize)> = Vec::new();
         loop {
             // Who waits for the reader waits for the disk.

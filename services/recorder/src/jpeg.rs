@@ -11,7 +11,12 @@ const QUALITY: i32 = 90;
 ///
 /// # Errors
 /// There are fewer pixels than that, or OpenCV's reason.
-pub fn encode(pixels: &[u8], width: u32, height: u32, stride: u32) -> anyhow::Result<Vec<u8>> {
+pub(crate) fn encode(
+    pixels: &[u8],
+    width: u32,
+    height: u32,
+    stride: u32,
+) -> anyhow::Result<Vec<u8>> {
     let bytes = stride as usize * height as usize;
     ensure!(
         pixels.len() >= bytes && width <= stride && width > 0,

@@ -1,30 +1,41 @@
-//! The recorder: writes all messages of a running pipeline to MCAP files. It looks on, so it can die without harm
-//! to any stage.
+//! The recorder: writes all messages of a running pipeline to MCAP files. It looks on, so it can
+//! die without harm to any stage.
 //!
-//! Two threads share the work. One receives, so that no message is lost while the disk is slow. The other makes
-//! the recording of what was received, and writes it. Between them is a queue of bounded size.
+//! Two threads share the work. One receives, so that no message is lost while the disk is slow. The
+//! other makes the recording of what was received, and writes it. Between them is a queue of
+//! bounded size.
 //!
 //! | module | what it does |
 //! | --- | --- |
 //! | [`arguments`] | the command line |
-//! | [`entry`] | a message as it was received |
+//! | `entry` | a message as it was received |
 //! | [`inputs`] | receives every topic of the contract, and notices what was lost |
-//! | [`queue`] | from the thread that receives to the one that writes |
-//! | [`core`](mod@core) | what of a message is recorded: pure |
-//! | [`ring`] | the newest messages, for recordings of what led to something |
-//! | [`files`] | the files: begun, split, ended |
-//! | [`jpeg`] | frames as pictures |
-//! | [`stage`] | the two threads |
+//! | `queue` | from the thread that receives to the one that writes |
+//! | `core` | what of a message is recorded: pure |
+//! | `events` | what a message means for the recording: pure |
+//! | `about` | the facts about a pipeline that stand in its recording |
+//! | `ring` | the newest messages, for recordings of what led to something |
+//! | `files` | the files: begun, split, ended |
+//! | `jpeg` | frames as pictures |
+//! | `loss_reports` | what is missing, in the log and in the recording |
+//! | `stage` | the thread that receives |
+//! | `writer` | the thread that writes |
 
+#![warn(unreachable_pub)]
+
+mod about;
 pub mod arguments;
-pub mod core;
-pub mod entry;
-pub mod files;
+mod core;
+mod entry;
+mod events;
+mod files;
 pub mod inputs;
-pub mod jpeg;
-pub mod queue;
-pub mod ring;
-pub mod stage;
+mod jpeg;
+mod loss_reports;
+mod queue;
+mod ring;
+mod stage;
+mod writer;
 
 use anyhow::{Context, ensure};
 use clap::Parser;

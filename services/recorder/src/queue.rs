@@ -41,7 +41,7 @@ pub enum Taken {
 }
 
 impl Queue {
-    /// A queue that holds so many bytes at most, for so many topics.
+    /// A queue with room for `most_bytes` bytes, for `topics` topics.
     pub fn new(most_bytes: usize, topics: usize) -> Self {
         let state = State { losses: vec![Loss::default(); topics], ..State::default() };
         Self { shared: Arc::new((Mutex::new(state), Condvar::new())), most_bytes }
@@ -67,7 +67,8 @@ impl Queue {
         }
     }
 
-    /// Whether whoever is waited for may go on receiving: half of the room is left to messages of which nobody waits.
+    /// Whether whoever is waited for may go on receiving: half of the room is left to messages of
+    /// which nobody waits.
     pub fn has_room(&self) -> bool {
         self.with(|state| state.bytes <= self.most_bytes / 2)
     }
@@ -108,8 +109,8 @@ impl Queue {
         self.with(|state| state.is_closed)
     }
 
-    /// The next message; waits for it until then, or until somebody asks for something. Where it waits, several may
-    /// have come when it returns.
+    /// The next message; waits for it until then, or until somebody asks for something. Where it
+    /// waits, several may have come when it returns.
     pub fn take(&self, until: Instant) -> Taken {
         let (mutex, condition) = &*self.shared;
         let mut state = lock(mutex);

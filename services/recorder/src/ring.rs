@@ -5,12 +5,12 @@ use std::time::Duration;
 
 use crate::entry::Entry;
 
-/// Bytes that it keeps at most, however long that is.
+/// Limit for the bytes that are kept, however short the time is.
 const MOST_BYTES: usize = 256_000_000;
 
 /// Messages of the last while.
 #[derive(Debug)]
-pub struct Ring {
+pub(crate) struct Ring {
     entries: VecDeque<Entry>,
     bytes: usize,
     past_ns: i64,
@@ -19,7 +19,7 @@ pub struct Ring {
 
 impl Ring {
     /// Keeps messages of the last `past`.
-    pub fn new(past: Duration) -> Self {
+    pub(crate) fn new(past: Duration) -> Self {
         Self::bounded(past, MOST_BYTES)
     }
 
@@ -29,7 +29,7 @@ impl Ring {
     }
 
     /// Adds a message, and lets go of those that are too old or too many.
-    pub fn push(&mut self, entry: Entry) {
+    pub(crate) fn push(&mut self, entry: Entry) {
         let now_ns = entry.at_ns;
         self.bytes += entry.bytes();
         self.entries.push_back(entry);
@@ -44,7 +44,7 @@ impl Ring {
     }
 
     /// Takes all of them: what was written once is not written again.
-    pub fn take(&mut self) -> VecDeque<Entry> {
+    pub(crate) fn take(&mut self) -> VecDeque<Entry> {
         self.bytes = 0;
         std::mem::take(&mut self.entries)
     }

@@ -1,7 +1,6 @@
 //! Publishers, and messages that are being written in shared memory.
 
 use std::collections::BTreeSet;
-use std::fmt::Debug;
 use std::mem::MaybeUninit;
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
@@ -14,19 +13,20 @@ use iceoryx2::port::{BackpressureAction, BackpressureInfo};
 use iceoryx2::prelude::*;
 use iceoryx2::sample_mut_uninit::SampleMutUninit;
 
-use super::{DataService, PortError, Service, WakeService};
+use super::error::{OpenError, PublishError};
+use super::services::{DataService, Service, WakeService};
 use crate::health::SharedCounters;
 use crate::memory::Limits;
 
-/// What a publisher does when a subscriber's buffer is full: it waits for `patience`. It never again
-/// waits for a subscriber that took nothing in that time.
+/// What a publisher does when a subscriber's buffer is full: it waits for `patience`. It never
+/// again waits for a subscriber that took nothing in that time.
 fn waits_for_readers(
     topic: &'static str,
     patience: Option<Duration>,
 ) -> impl Fn(&BackpressureInfo) -> BackpressureAction + Send + 'static {
     let given_up = Mutex::new(BTreeSet::new());
     move |full| {
-        // A thread that panicked while it held the lock left the set valid.
+        // A thread that panicked while it had the lock left the set valid.
         let mut given_up = given_up.lock().unwrap_or_else(PoisonError::into_inner);
         let Some(patience) = patience.filter(|_| !given_up.contains(&full.receiver_port_id)) else {
             return BackpressureAction::DiscardData;
@@ -61,9 +61,8 @@ impl<T: Topic> Publisher<T> {
         wake: &WakeService,
         limits: &Limits,
         counters: SharedCounters,
-    ) -> Result<Self, PortError> {
-        let join =
-            |reason: &dyn Debug| PortError::Join { topic: T::NAME, reason: format!("{reason:?}") };
+    ) -> Result<Self, OpenError> {
+        let topic = T::NAME;
         let strategy = match limits.grows_to {
             Some(_) => AllocationStrategy::PowerOfTwo,
             None => AllocationStrategy::Static,
@@ -75,13 +74,14 @@ impl<T: Topic> Publisher<T> {
             .max_loaned_samples(limits.loaned)
             .set_backpressure_handler(waits_for_readers(T::NAME, limits.patience))
             .create()
-            .map_err(|error| join(&error))?;
-        let notifier = wake.notifier_builder().create().map_err(|error| join(&error))?;
+            .map_err(|reason| OpenError::Publisher { topic, reason })?;
+        let notifier = wake.notifier_builder().create();
+        let notifier = notifier.map_err(|reason| OpenError::Notifier { topic, reason })?;
         let max_items = limits.grows_to.unwrap_or(limits.items);
         Ok(Self { publisher, notifier, counters, max_items, service })
     }
 
-    /// The same, with its messages counted elsewhere.
+    /// The publisher, with its messages counted elsewhere.
     pub(super) fn counted_in(self, counters: SharedCounters) -> Self {
         Self { counters, ..self }
     }
@@ -94,16 +94,15 @@ impl<T: Topic> Publisher<T> {
     /// Memory for a message of `items` items, to be written in place.
     ///
     /// # Errors
-    /// More items than the topic has room for, or no memory because subscribers hold too much.
-    pub fn loan(&self, items: usize) -> Result<Loan<'_, T>, PortError> {
-        if items > self.max_items {
-            let reason = format!("{items} items where the topic has room for {}", self.max_items);
-            return Err(PortError::Publish { topic: T::NAME, reason });
+    /// More items than the topic has room for, or no memory because subscribers keep too many
+    /// messages.
+    pub fn loan(&self, items: usize) -> Result<Loan<'_, T>, PublishError> {
+        let (topic, room) = (T::NAME, self.max_items);
+        if items > room {
+            return Err(PublishError::TooManyItems { topic, items, room });
         }
-        let sample = self
-            .publisher
-            .loan_slice_uninit(items)
-            .map_err(|error| PortError::Publish { topic: T::NAME, reason: format!("{error:?}") })?;
+        let sample = self.publisher.loan_slice_uninit(items);
+        let sample = sample.map_err(|reason| PublishError::Loan { topic, reason })?;
         Ok(Loan { unsent: UnsentMessage { sample }, publisher: self })
     }
 
@@ -116,21 +115,21 @@ impl<T: Topic> Publisher<T> {
     ///
     /// # Errors
     /// As [`Publisher::loan`] and [`Loan::send`].
-    pub fn send(&self, header: T::Header, items: &[T::Item]) -> Result<(), PortError> {
+    pub fn send(&self, header: T::Header, items: &[T::Item]) -> Result<(), PublishError> {
         let mut loan = self.loan(items.len())?;
         loan.items_mut().copy_from_slice(items);
         loan.send(header)
     }
 
-    /// Updates the connections to subscribers: those that joined since the last message get the topic's
-    /// history.
+    /// Updates the connections to subscribers: those that joined since the last message get the
+    /// topic's history.
     ///
     /// # Errors
-    /// [`PortError::Publish`] with iceoryx2's reason.
-    pub fn update_connections(&self) -> Result<(), PortError> {
+    /// [`PublishError`] with iceoryx2's reason.
+    pub fn update_connections(&self) -> Result<(), PublishError> {
         self.publisher
             .update_connections()
-            .map_err(|error| PortError::Publish { topic: T::NAME, reason: format!("{error:?}") })
+            .map_err(|reason| PublishError::Connection { topic: T::NAME, reason })
     }
 }
 
@@ -140,14 +139,14 @@ pub struct Loan<'p, T: Topic> {
     publisher: &'p Publisher<T>,
 }
 
-/// The memory of a loan without its publisher, for those who cannot keep a reference to that. Dropped, it is
-/// not sent.
+/// The memory of a loan without its publisher, for those who cannot keep a reference to that.
+/// Dropped, it is not sent.
 pub struct UnsentMessage<T: Topic> {
     sample: SampleMutUninit<Service, [MaybeUninit<T::Item>], T::Header>,
 }
 
 impl<T: Topic> Loan<'_, T> {
-    /// The items; at first they hold what was in the memory before.
+    /// The items; at first they are what was in the memory before.
     pub fn items_mut(&mut self) -> &mut [T::Item] {
         let items = self.unsent.sample.payload_mut();
         // SAFETY: the memory is a mapped file, so every byte has a value, and every value is valid
@@ -163,18 +162,16 @@ impl<T: Topic> Loan<'_, T> {
     /// Publishes it under `header` and wakes the subscribers.
     ///
     /// # Errors
-    /// [`PortError::Publish`] with iceoryx2's reason.
-    pub fn send(mut self, header: T::Header) -> Result<(), PortError> {
-        let failed = |reason: &dyn Debug| PortError::Publish {
-            topic: T::NAME,
-            reason: format!("{reason:?}"),
-        };
+    /// [`PublishError`] with iceoryx2's reason.
+    pub fn send(mut self, header: T::Header) -> Result<(), PublishError> {
+        let topic = T::NAME;
         *self.unsent.sample.user_header_mut() = header;
         // SAFETY: as in `items_mut`: every byte of mapped memory has a value, valid for a `Pod`.
         let sample = unsafe { self.unsent.sample.assume_init() };
-        sample.send().map_err(|error| failed(&error))?;
+        sample.send().map_err(|reason| PublishError::Send { topic, reason })?;
         self.publisher.counters.add_published(1);
-        self.publisher.notifier.notify().map_err(|error| failed(&error))?;
+        let woken = self.publisher.notifier.notify();
+        woken.map_err(|reason| PublishError::WakeUp { topic, reason })?;
         Ok(())
     }
 }

@@ -9,12 +9,17 @@ use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::*;
 use iceoryx2::sample::Sample;
 
-use super::{DataService, PortError, Service};
+use super::error::{OpenError, ReceiveError};
+use super::services::{DataService, Service};
 use crate::health::SharedCounters;
 use crate::listening::Listening;
 use crate::logs::Throttle;
 
-/// Receives a topic. Messages that fail the contract's check are refused here, so no stage sees them.
+/// A message of a topic in shared memory.
+type ShmSample<T> = Sample<Service, [<T as Topic>::Item], <T as Topic>::Header>;
+
+/// Receives a topic. Messages that fail the contract's check are refused here, so no stage sees
+/// them.
 pub struct Subscriber<T: Topic> {
     subscriber: IoxSubscriber<Service, [T::Item], T::Header>,
     service: DataService<T>,
@@ -48,21 +53,21 @@ impl Refusals {
     }
 }
 
-/// The launcher hears of refused messages once for so many.
+/// Refused messages of one publisher for each complaint to the launcher.
 const REFUSED_AT_ONCE: u64 = 10;
 
 /// A message, in shared memory, that has passed the contract's check.
 pub struct Message<T: Topic> {
     /// Its header, copied, so that later writes to shared memory cannot change what was checked.
     pub header: T::Header,
-    sample: Sample<Service, [T::Item], T::Header>,
+    sample: ShmSample<T>,
 }
 
 /// Who sent a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Sender(UniquePublisherId);
 
-/// A message, and what the contract's check says of it.
+/// A message, and the result of the contract's check.
 pub type Judged<T> = (Message<T>, Result<(), ContractError>);
 
 impl<T: Topic> Message<T> {
@@ -78,26 +83,25 @@ impl<T: Topic> Message<T> {
 }
 
 impl<T: Topic> Subscriber<T> {
-    /// Joins a lane's service; so many messages wait here.
+    /// Joins a lane's service; at most `buffer` messages wait here.
     pub(super) fn join(
         service: DataService<T>,
         buffer: usize,
         counters: SharedCounters,
         listening: Rc<Listening>,
-    ) -> Result<Self, PortError> {
+    ) -> Result<Self, OpenError> {
+        let subscriber = service.subscriber_builder().buffer_size(buffer).create();
         let subscriber =
-            service.subscriber_builder().buffer_size(buffer).create().map_err(|error| {
-                PortError::Join { topic: T::NAME, reason: format!("{error:?}") }
-            })?;
+            subscriber.map_err(|reason| OpenError::Subscriber { topic: T::NAME, reason })?;
         Ok(Self { subscriber, service, counters, listening, refusals: Refusals::default() })
     }
 
-    /// The same, with its messages counted elsewhere.
+    /// The subscriber, with its messages counted elsewhere.
     pub(super) fn counted_in(self, counters: SharedCounters) -> Self {
         Self { counters, ..self }
     }
 
-    /// The same, but only messages that `listening` admits are received.
+    /// The subscriber, which receives only messages that `listening` admits.
     pub(super) fn listening_to(self, listening: Rc<Listening>) -> Self {
         Self { listening, ..self }
     }
@@ -105,14 +109,10 @@ impl<T: Topic> Subscriber<T> {
     /// The next message, if one is there.
     ///
     /// # Errors
-    /// [`PortError::Receive`] where too many messages are held, or a connection broke.
-    pub fn receive(&mut self) -> Result<Option<Message<T>>, PortError> {
+    /// [`ReceiveError`] where this process keeps too many messages, or a connection broke.
+    pub fn receive(&mut self) -> Result<Option<Message<T>>, ReceiveError> {
         loop {
-            let sample = self.subscriber.receive().map_err(|error| PortError::Receive {
-                topic: T::NAME,
-                reason: format!("{error:?}"),
-            })?;
-            let Some(sample) = sample else { return Ok(None) };
+            let Some(sample) = self.next_sample()? else { return Ok(None) };
             let header = *sample.user_header();
             if !self.listening.admits(&header) {
                 continue;
@@ -139,25 +139,26 @@ impl<T: Topic> Subscriber<T> {
         }
     }
 
-    /// The next message, if one is there, with what the contract's check says of it: for tools that judge
-    /// stages.
+    fn next_sample(&self) -> Result<Option<ShmSample<T>>, ReceiveError> {
+        let sample = self.subscriber.receive();
+        sample.map_err(|reason| ReceiveError::Message { topic: T::NAME, reason })
+    }
+
+    /// The next message, if one is there, with the result of the contract's check: for tools that
+    /// judge stages.
     ///
     /// # Errors
     /// As [`Subscriber::receive`].
-    pub fn receive_with_verdict(&mut self) -> Result<Option<Judged<T>>, PortError> {
-        let sample = self
-            .subscriber
-            .receive()
-            .map_err(|error| PortError::Receive { topic: T::NAME, reason: format!("{error:?}") })?;
-        Ok(sample.map(|sample| {
+    pub fn receive_with_verdict(&mut self) -> Result<Option<Judged<T>>, ReceiveError> {
+        Ok(self.next_sample()?.map(|sample| {
             let header = *sample.user_header();
             let verdict = T::check(&header, sample.payload());
             (Message { header, sample }, verdict)
         }))
     }
 
-    /// Notes that a message is refused, also one that has passed the contract's check and yet cannot be true.
-    /// The launcher hears of it now and then.
+    /// Counts a refused message, also one that has passed the contract's check and yet cannot be
+    /// true. The launcher gets a complaint now and then.
     pub fn refuse(&mut self, sender: Sender, reason: &dyn std::fmt::Display) {
         let count = self.refusals.add(sender.0);
         if count.is_multiple_of(REFUSED_AT_ONCE) {
@@ -180,16 +181,16 @@ impl<T: Topic> Subscriber<T> {
         pid
     }
 
-    /// Updates the connections to publishers; false if there is no publisher. A publisher with patience
-    /// waits for this subscriber only once they are connected.
+    /// Updates the connections to publishers; false if there is no publisher. A publisher with
+    /// patience waits for this subscriber only once they are connected.
     ///
     /// # Errors
-    /// [`PortError::Receive`] where a connection broke.
-    pub fn connect(&self) -> Result<bool, PortError> {
+    /// [`ReceiveError`] where a connection broke.
+    pub fn connect(&self) -> Result<bool, ReceiveError> {
         let is_published = self.service.dynamic_config().number_of_publishers() > 0;
         self.subscriber
             .update_connections()
-            .map_err(|error| PortError::Receive { topic: T::NAME, reason: format!("{error:?}") })?;
+            .map_err(|reason| ReceiveError::Connection { topic: T::NAME, reason })?;
         Ok(is_published)
     }
 
@@ -197,7 +198,7 @@ impl<T: Topic> Subscriber<T> {
     ///
     /// # Errors
     /// As [`Subscriber::receive`].
-    pub fn newest(&mut self) -> Result<Option<Message<T>>, PortError> {
+    pub fn newest(&mut self) -> Result<Option<Message<T>>, ReceiveError> {
         let mut newest = None;
         while let Some(message) = self.receive()? {
             if newest.replace(message).is_some() {

@@ -41,7 +41,7 @@ impl HandOverNotice {
     /// # Errors
     /// The topic cannot be written to.
     pub(super) fn update_connections(&self) -> Result<(), PortError> {
-        self.publisher.update_connections()
+        Ok(self.publisher.update_connections()?)
     }
 
     /// Says whose messages count, here and everywhere.

@@ -1,0 +1,68 @@
+//! Reports of messages that are missing from a recording.
+
+use flockeye_contract::TOPICS;
+use flockeye_recording::losses::Loss;
+use flockeye_runtime::logs::Throttle;
+
+/// Notices new losses, and warns of them.
+#[derive(Default)]
+pub(crate) struct LossReports {
+    /// The losses that were reported last.
+    reported: Vec<Loss>,
+    warnings: Throttle,
+}
+
+impl LossReports {
+    /// The topics, by their index, of which something was lost since the last call, with all that
+    /// is lost of each. The log has a warning of them.
+    pub(crate) fn news(&mut self, losses: Vec<Loss>) -> Vec<(usize, Loss)> {
+        let mut news = Vec::new();
+        for (topic, loss) in losses.iter().enumerate() {
+            let before = self.reported.get(topic).copied().unwrap_or_default();
+            let is_news = Loss { recorded: 0, ..before } != Loss { recorded: 0, ..*loss };
+            if is_news {
+                self.warn(topic, &before, loss);
+                news.push((topic, *loss));
+            }
+        }
+        self.reported = losses;
+        news
+    }
+
+    fn warn(&mut self, topic: usize, before: &Loss, loss: &Loss) {
+        let is_certain = loss.certain() > before.certain();
+        let topic = TOPICS[topic].name;
+        if is_certain && let Some(more_since) = self.warnings.admit() {
+            let Loss { refused, missing, queue_full, .. } = loss;
+            tracing::warn!(
+                topic,
+                more_since,
+                "messages are missing: {queue_full} found no room because the disk is too slow, {missing} \
+                 numbers were left out, {refused} broke the contract. Cure: record less (--frames), or to a \
+                 faster disk"
+            );
+        } else if !is_certain && before.buffer_full == 0 {
+            // It comes again with every burst, and the file counts it.
+            tracing::warn!(
+                topic,
+                "messages may be missing: as many came at once as find room. Cure: end what else keeps the \
+                 processors busy"
+            );
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_loss_is_news_once_and_what_was_recorded_is_none() {
+        let mut reports = LossReports::default();
+        let lost = |queue_full, recorded| Loss { queue_full, recorded, ..Loss::default() };
+        assert!(reports.news(vec![lost(0, 5), lost(0, 0)]).is_empty());
+        assert_eq!(reports.news(vec![lost(0, 9), lost(2, 1)]), [(1, lost(2, 1))]);
+        assert!(reports.news(vec![lost(0, 12), lost(2, 8)]).is_empty());
+        assert_eq!(reports.news(vec![lost(0, 12), lost(3, 8)]), [(1, lost(3, 8))]);
+    }
+}
